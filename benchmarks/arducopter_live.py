@@ -25,8 +25,8 @@ from mavdiag.chain import chain_of
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import MavdiagError
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.logs import Log, read_log
-from mavdiag.telemetry import Telemetry
+from mavdiag.logs import read_log
+from mavdiag.telemetry import Log, Telemetry
 from mavdiag.units import NS_PER_S
 
 CLEARING_S = 7.0  # window of 5 s, and 2 s until a fault is no longer seen

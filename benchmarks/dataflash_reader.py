@@ -16,8 +16,8 @@ from importlib import import_module
 from pathlib import Path
 
 from mavdiag.logs.dataflash import WANTED, read_dataflash
-from mavdiag.logs.dataflash_records import RecordTable, Walk
-from mavdiag.logs.log import windows_of
+from mavdiag.logs.dataflash_records import Walk
+from mavdiag.logs.log import Table, windows_of
 
 REPEATS = 20
 PEER_REPEATS = 3
@@ -33,7 +33,7 @@ def peer(path: Path) -> int:
     return count
 
 
-def tables_of(path: Path) -> list[RecordTable]:
+def tables_of(path: Path) -> list[Table]:
     """Read the needed messages as tables."""
     walk = Walk(WANTED)
     for window in windows_of(path):
@@ -65,7 +65,7 @@ def long_file(path: Path, copies: int) -> str:
         tables = tables_of(long)
         took_s = time.process_time() - start
     peak = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10) - before
-    held = sum(table.records.nbytes + table.starts.nbytes for table in tables)
+    held = sum(sum(one.nbytes for one in table.fields.values()) + table.starts.nbytes for table in tables)
     return f"{size / 1e6:.0f} MB in {took_s:.2f} s; peak {peak / 1e6:.0f} MB for {held / 1e6:.0f} MB of records"
 
 

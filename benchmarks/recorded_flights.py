@@ -18,8 +18,9 @@ from scipy.stats import spearmanr
 from mavdiag.baseline import Baseline
 from mavdiag.judging import LogVerdict, Verdict, judge
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.logs import Log, read_log
+from mavdiag.logs import read_log
 from mavdiag.logs.part import between
+from mavdiag.telemetry import Log
 
 PROPELLER_MM = 47.0
 BINS = ((0.0, 1.5), (1.5, 3.0), (3.0, 5.0), (5.0, 99.0))

@@ -11,16 +11,24 @@ from mavdiag.decision.alarm import Event
 if TYPE_CHECKING:
     from mavdiag.judging import LogVerdict, MonitorSummary
 
+DIGITS = 9  # of a figure, where it is not given to its last bit
 
-def plain(value: Any) -> Any:
-    """The value as JSON has it: dataclasses and mappings become objects, tuples lists, what is not finite null."""
+
+def plain(value: Any, digits: int | None = None) -> Any:
+    """The value as JSON has it: dataclasses and mappings become objects, tuples lists, what is not finite null.
+
+    digits: that a number keeps; None for all.
+    """
     if is_dataclass(value):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        return {field.name: plain(getattr(value, field.name), digits) for field in fields(value)}
     if isinstance(value, Mapping):
-        return {key: plain(part) for key, part in value.items()}
+        return {key: plain(part, digits) for key, part in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(part) for part in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return [plain(part, digits) for part in value]
+    if not isinstance(value, float):
+        return value
+    known = value if digits is None else float(f"{value:.{digits}g}")
+    return known if math.isfinite(value) else None
 
 
 def json_line(value: Any) -> str:
@@ -30,7 +38,7 @@ def json_line(value: Any) -> str:
 
 def number(value: float | None) -> float | None:
     """Nine digits of a figure; None for what is not finite."""
-    return None if value is None or not math.isfinite(value) else float(f"{value:.9g}")
+    return None if value is None else plain(float(value), DIGITS)
 
 
 def event_json(t_s: float, end_s: float | None, event: Event) -> dict[str, Any]:
@@ -62,7 +70,8 @@ def verdict_json(verdict: "LogVerdict") -> dict[str, Any]:
         "since_s": _rounded(verdict.since_s),
         "rotor": verdict.rotor,
         "rotors": [
-            {"rotor": r.rotor, "since_s": round(r.since_s, 6), "end_s": _rounded(r.end_s)} for r in verdict.rotors
+            {"rotor": named.rotor, "since_s": round(named.since_s, 6), "end_s": _rounded(named.end_s)}
+            for named in verdict.rotors
         ],
         "reason": verdict.reason,
         "notes": list(verdict.notes),

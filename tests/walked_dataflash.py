@@ -4,10 +4,11 @@ from collections.abc import Collection
 
 import numpy as np
 
-from mavdiag.logs.dataflash_records import FMT_TYPE, HEADER, Format, RecordTable, declared
+from mavdiag.logs.dataflash_records import FMT_TYPE, HEADER, Format, declared, table_of
+from mavdiag.logs.log import Table
 
 
-def walked(data: bytes, wanted: Collection[str]) -> tuple[dict[str, RecordTable], tuple[str, ...]]:
+def walked(data: bytes, wanted: Collection[str]) -> tuple[dict[str, Table], tuple[str, ...]]:
     """Tables of the wanted messages by name, and what is wrong with the file."""
     formats: dict[int, Format] = {}
     starts: dict[int, list[int]] = {}
@@ -27,12 +28,12 @@ def walked(data: bytes, wanted: Collection[str]) -> tuple[dict[str, RecordTable]
                 if found.sound and found.name in wanted:
                     starts[number] = []
         position = data.find(HEADER, position + (length or 1))
-    tables: dict[str, RecordTable] = {}
+    tables: dict[str, Table] = {}
     for kind, at in starts.items():
         form = formats[kind]
         if at and form.name not in tables:
             content = b"".join(data[place : place + form.length] for place in at)
-            tables[form.name] = RecordTable(form, np.array(at), np.frombuffer(content, form.layout())).first_instance()
+            tables[form.name] = table_of(form, np.array(at), np.frombuffer(content, form.layout()))
     rest = data[sound_end:]
     cut = f"it ends within a record, {len(rest)} bytes are lost: the recording was cut off"
     skipped = f"{sound_end - sound} bytes of it are no records of a known type and were skipped"

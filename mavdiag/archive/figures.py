@@ -1,24 +1,27 @@
-"""From a judged flight to the few figures that a history keeps of it. Pure."""
+"""From a judged flight to what is kept of it: the figures of a history, and windows of equal length. Pure.
+
+Both come from the one pass that judged the flight.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from mavdiag.baseline import Baseline
-from mavdiag.judging import JudgedFlight, Verdict
+from mavdiag.decision.alarm import Stage
+from mavdiag.judging import JUDGED_SHARE, MIN_JUDGED_S, JudgedFlight, Verdict
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.telemetry import Axis, Log
 from mavdiag.traces import SlotTrace, slot_traces
+from mavdiag.units import NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
 class SlotFigures:
-    """One monitor on one axis over a flight.
+    """One monitor on one axis over a flight; axis is None where the monitor is about the whole vehicle.
 
-    monitor, axis: whose figures they are; axis is None where the monitor is about the whole vehicle.
-    unit: of statistic and threshold.
-    threshold: that the flight was judged by.
-    median, peak: of the statistic where it is valid; None if it never was. The peak of `fsd` is the longest run [s].
+    unit, threshold: of the statistic, as the flight was judged.
+    median, peak: where it is valid; None if it never was. The peak of `fsd` is the longest run [s].
     judged_s: time that it judged [s].
     """
 
@@ -39,9 +42,7 @@ class FlightRecord:
     content: what it is known by, whether its vehicle was named or not: the hash of its file, and the vehicle in it.
     started_ns: wall-clock time of its first record, unix epoch [ns]; 0 if that is not known.
     added_ns: when it was judged [ns]; it stands for the start where that is not known.
-    baseline: digest of the baseline that judged it.
-    verdict, reason, judged_s: as in `LogVerdict`.
-    slots: the monitors' figures.
+    baseline: digest of the baseline that judged it. verdict, reason, judged_s: as in `LogVerdict`.
     rotor_trim: by how much each rotor's command rose against the baseline, median over the flight [fraction of hover];
         empty where the trim was not judged.
     """
@@ -64,27 +65,114 @@ class FlightRecord:
         return self.started_ns or self.added_ns
 
 
+@dataclass(frozen=True, slots=True)
+class WindowMonitor:
+    """One monitor in a window: time that it judged, on the axis where it judged longest [s], and its highest judged
+    statistic over the threshold, of all axes; None if it did not judge."""
+
+    name: str
+    judged_s: float
+    ratio: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A part of a flight.
+
+    from_s, to_s: of the vehicle's clock [s]; windows begin at multiples of their length.
+    verdict: fault while one was declared, suspected while one was; healthy if enough of what was flown in it was
+        judged, as of a whole log; else not judgeable.
+    flown_s: time in the air, without take-offs and landings [s].
+    judged_s: how much of it any monitor that decides about propellers judged [s].
+    ratio, monitor: the highest ratio of a deciding monitor to its threshold, and whose it is; None if none judged.
+    """
+
+    from_s: float
+    to_s: float
+    verdict: Verdict
+    flown_s: float
+    judged_s: float
+    ratio: float | None
+    monitor: str | None
+    monitors: tuple[WindowMonitor, ...]
+
+
 def record_of(
     log: Log, judged: JudgedFlight, baseline: Baseline, *, airframe: str = "", added_ns: int = 0
 ) -> FlightRecord:
     """What is kept of a flight. added_ns: the present time, unix epoch [ns]."""
-    traces = slot_traces(judged.chain, judged.pieces) if judged.chain is not None else ()
+    traces = () if judged.chain is None else slot_traces(judged.chain, judged.pieces)
     content = log.sha256 if log.vehicle is None else f"{log.sha256}:{log.vehicle}"
-    known = (airframe, log.name, content, log.started_ns, added_ns, baseline.digest)
-    told = (judged.verdict.verdict, judged.verdict.reason, judged.verdict.judged_s)
-    return FlightRecord(*known, *told, tuple(_slot_figures(trace) for trace in traces), _rotor_trim(traces))
+    trims = (trace.found for trace in traces if isinstance(trace.slot.monitor, RotorTrim))
+    trim = next((found for found in trims if found.rotors.shape[1] and found.valid.any()), None)
+    return FlightRecord(
+        airframe,
+        log.name,
+        content,
+        log.started_ns,
+        added_ns,
+        baseline.digest,
+        judged.verdict.verdict,
+        judged.verdict.reason,
+        judged.verdict.judged_s,
+        tuple(_slot_figures(trace) for trace in traces),
+        () if trim is None else tuple(np.median(trim.rotors[trim.valid], axis=0).tolist()),
+    )
 
 
 def _slot_figures(trace: SlotTrace) -> SlotFigures:
     slot, found = trace.slot, trace.found
-    value = found.value[found.valid]
-    value = value[np.isfinite(value)]
+    value = found.value[found.valid & np.isfinite(found.value)]
     median, peak = (float(np.median(value)), float(value.max())) if len(value) else (None, None)
     return SlotFigures(*slot.key, slot.monitor.unit, slot.threshold, median, peak, found.judged_s)
 
 
-def _rotor_trim(traces: tuple[SlotTrace, ...]) -> tuple[float, ...]:
-    for found in (trace.found for trace in traces if isinstance(trace.slot.monitor, RotorTrim)):
-        if found.rotors.shape[1] and found.valid.any():
-            return tuple(np.median(found.rotors[found.valid], axis=0).tolist())
-    return ()
+def windows_of(flight: JudgedFlight, span_s: float, judged_share: float = JUDGED_SHARE) -> tuple[Window, ...]:
+    """The windows in which the vehicle flew, in order of time.
+
+    span_s: their length, 1 s or more [s]. judged_share: as for a whole log.
+    """
+    pieces = [piece for piece in flight.pieces if len(piece.rows.block)]
+    if flight.chain is None or not pieces:
+        return ()
+    span_ns, blocks = round(span_s * NS_PER_S), [piece.rows.block for piece in pieces]
+    t_ns = np.concatenate([block.t_ns for block in blocks])
+    settled = np.concatenate([block.t_ns >= block.settled_ns for block in blocks])
+    judged = settled.copy()
+    for begin_ns, end_ns in flight.unjudged:
+        judged[t_ns.searchsorted(begin_ns) : t_ns.searchsorted(end_ns, side="right")] = False
+    changes = flight.verdict.changes
+    ends_ns = [*(change.t_ns for change in changes[1:]), int(t_ns[-1])]
+    traces, found = slot_traces(flight.chain, pieces), []
+    for k in np.unique(t_ns // span_ns).tolist():
+        edges = (k * span_ns, (k + 1) * span_ns)
+        rows = slice(*t_ns.searchsorted(edges))
+        flown_s, covered_s = (blocks[0].dt_s * int(kind[rows].sum()) for kind in (settled, judged))
+        held = {
+            change.stage
+            for change, end_ns in zip(changes, ends_ns, strict=False)
+            if change.t_ns < edges[1] and max(end_ns, change.t_ns) >= edges[0]
+        }
+        least_s = max(min(MIN_JUDGED_S, span_s / 2), judged_share * flown_s)
+        verdict = Verdict.HEALTHY if covered_s >= least_s else Verdict.NOT_JUDGEABLE
+        if held & {Stage.FAULT, Stage.SUSPECTED}:
+            verdict = Verdict.FAULT if Stage.FAULT in held else Verdict.SUSPECTED
+        shown = [(trace.slot, _shown(trace, edges)) for trace in traces]
+        ratios = [(one.ratio, one.name) for slot, one in shown if slot.decides and one.ratio is not None]
+        ratio, whose = max((pair for pair in ratios if np.isfinite(pair[0])), default=(None, None))
+        monitors: dict[str, WindowMonitor] = {}
+        for _, one in shown:
+            other = monitors.get(one.name, one)
+            peak = max((peak for peak in (one.ratio, other.ratio) if peak is not None), default=None)
+            monitors[one.name] = WindowMonitor(one.name, max(one.judged_s, other.judged_s), peak)
+        told = (verdict, flown_s, covered_s, ratio, whose)
+        found.append(Window(k * span_s, (k + 1) * span_s, *told, tuple(monitors.values())))
+    return tuple(found)
+
+
+def _shown(trace: SlotTrace, edges: tuple[int, int]) -> WindowMonitor:
+    """What a slot shows between two times."""
+    rows = slice(*trace.found.t_ns.searchsorted(edges))
+    ratio = trace.found.value[rows][trace.found.valid[rows]] / trace.slot.threshold
+    judged_s, highest = len(ratio) * trace.found.period_s, float(ratio.max()) if len(ratio) else None
+    return WindowMonitor(trace.slot.monitor.name, judged_s, highest)

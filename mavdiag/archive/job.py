@@ -1,27 +1,29 @@
-"""What is asked of a log in an archive, the answer, which can be kept as JSON, and how a worker finds it (edge)."""
+"""What is asked of a log in an archive, how a worker finds the answer, and where answers are kept (edge)."""
 
 import hashlib
 import json
 import os
 from dataclasses import asdict, dataclass, replace
 from functools import cache, lru_cache
+from io import BufferedReader
 from pathlib import Path
+from typing import cast
 
 from pydantic import TypeAdapter, ValidationError
+from pydantic_core import to_json
 
-from mavdiag.archive.figures import FlightRecord, record_of
+from mavdiag.archive.figures import FlightRecord, Window, record_of, windows_of
 from mavdiag.archive.sources import judging_version
-from mavdiag.archive.windows import Window, windows_of
 from mavdiag.baseline import Baseline, dump, parse
-from mavdiag.errors import InputError, LinkError
+from mavdiag.errors import InputError, LinkError, UsageError
 from mavdiag.judging import JUDGED_SHARE, LogVerdict, Verdict, judge, judge_in_full
-from mavdiag.logs.csv_columns import parse_column_map
+from mavdiag.logs.csv_columns import ColumnMap
 from mavdiag.logs.part import read_part
-from mavdiag.storage import open_regular
+from mavdiag.storage import open_regular, read_text, write_atomically
 
 END_BYTES = 4096  # of each end of a file: two flights differ there by their times (our choice)
-CHUNK_BYTES = 1 << 20
 MOST_BYTES = 1 << 40  # the readers know how long a log of their kind may be
+RECORD_BYTES = 64 << 20  # of one answer; a flight of an hour with an alarm a second has 1 MB (our choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +33,7 @@ class Options:
     vehicle: MAVLink system id, where a log holds several.
     from_s, to_s: the part of the log to judge, of the vehicle's clock [s].
     windows_s: length of windows to judge besides [s]; None for none.
-    columns: the text of a column map, where the logs are CSV recordings (`mavdiag.logs.csv_columns`).
+    columns: of logs that are CSV recordings.
     judged_share: of the flown time that must be judged before a log is called healthy, 0..1.
     figures: what the history keeps of a flight is wanted, too.
     flown_ns: when a log without a clock was flown, unix epoch [ns]; 0 if that is not known.
@@ -41,7 +43,7 @@ class Options:
     from_s: float | None = None
     to_s: float | None = None
     windows_s: float | None = None
-    columns: str | None = None
+    columns: ColumnMap | None = None
     judged_share: float = JUDGED_SHARE
     figures: bool = False
     flown_ns: int = 0
@@ -65,8 +67,8 @@ class Question:
     def of(cls, baseline: Baseline, options: Options) -> "Question":
         """The question about a baseline, asked by this code."""
         version = judging_version()
-        content = json.dumps([baseline.digest, asdict(options), version], sort_keys=True)
-        return cls(dump(baseline), options, version, hashlib.sha256(content.encode()).hexdigest()[:20])
+        content = to_json([baseline.digest, options, version], inf_nan_mode="constants")
+        return cls(dump(baseline), options, version, hashlib.sha256(content).hexdigest()[:20])
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +104,56 @@ class Answer:
         return replace(self.record.verdict, log=str(self.path))
 
 
+@dataclass(frozen=True, slots=True)
+class Cache:
+    """Answers to one question that were found before, a small file each, named by the log's mark and its digest."""
+
+    folder: Path
+
+    def marks(self) -> frozenset[str]:
+        """The marks of all contents that have an answer: a log with another one is new."""
+        try:
+            return frozenset(path.name.partition("-")[0] for path in self.folder.iterdir())
+        except OSError:
+            return frozenset()
+
+    def get(self, mark: str, digest: str) -> Record | None:
+        """The answer for a content; None if there is none, or its file is damaged."""
+        try:
+            record = record_from(read_text(self._file(mark, digest), RECORD_BYTES))
+        except InputError:
+            return None
+        return record if record.digest == digest else None
+
+    def put(self, mark: str, record: Record) -> None:
+        """Keep an answer at once. Raises UsageError if it cannot be written."""
+        write_atomically(self._file(mark, record.digest), record_text(record), durable=False)
+
+    def _file(self, mark: str, digest: str) -> Path:
+        return self.folder / f"{mark}-{digest}.json"
+
+
+def cache_folder() -> Path | None:
+    """Where answers are kept unless told otherwise (XDG Base Directory Specification); None without a home."""
+    told = os.environ.get("XDG_CACHE_HOME", "")
+    try:  # a relative path is to be ignored, says the specification
+        return (Path(told) if Path(told).is_absolute() else Path.home() / ".cache") / "mavdiag"
+    except RuntimeError:
+        return None
+
+
+def open_cache(folder: Path, scope: str) -> Cache:
+    """The answers of a scope below a folder, which is made. Raises UsageError if it cannot be used."""
+    mine, why = folder / "scan" / scope, "cannot be written (no permission)"
+    try:
+        mine.mkdir(parents=True, exist_ok=True)
+        if os.access(mine, os.W_OK | os.X_OK):
+            return Cache(mine)
+    except OSError as error:
+        why = f"no folder to keep answers in ({error.strerror or error})"
+    raise UsageError(f"{folder}: {why}; name another with --cache, or use --no-cache")
+
+
 def refused(reason: str) -> Record:
     """The record of a log that cannot be judged for an error. reason: a sentence."""
     return Record("", LogVerdict("", Verdict.ERROR, reason))
@@ -127,20 +179,16 @@ def mark_of(path: Path) -> str:
             size = os.fstat(file.fileno()).st_size
             ends = file.read(END_BYTES)
             file.seek(max(len(ends), size - END_BYTES))
-            ends += file.read(END_BYTES)
+            return hashlib.sha256(b"%d %s" % (size, ends + file.read(END_BYTES))).hexdigest()[:16]
     except (InputError, OSError):
         return ""
-    return hashlib.sha256(b"%d %s" % (size, ends)).hexdigest()[:16]
 
 
 def digest_of(path: Path) -> str:
     """SHA-256 of a file's content, hexadecimal; empty if it cannot be read."""
     try:
         with open_regular(path, MOST_BYTES) as file:
-            digest = hashlib.sha256()
-            while part := file.read(CHUNK_BYTES):
-                digest.update(part)
-            return digest.hexdigest()
+            return hashlib.file_digest(cast(BufferedReader, file), "sha256").hexdigest()
     except (InputError, OSError):
         return ""
 
@@ -154,8 +202,7 @@ def judge_file(path: str, question: Question) -> Record:
     if judging_version() != question.version:
         raise LinkError("a worker has another version of mavdiag, numpy or scipy; install the same ones everywhere")
     options, baseline = question.options, _parsed(question.baseline)
-    columns = None if options.columns is None else parse_column_map(options.columns)
-    log = read_part(Path(path), options.vehicle, options.from_s, options.to_s, columns)
+    log = read_part(Path(path), options.vehicle, options.from_s, options.to_s, options.columns)
     log = replace(log, started_ns=log.started_ns or options.flown_ns)
     if options.windows_s is None and not options.figures:
         return Record(log.sha256, replace(judge(log, baseline, options.judged_share), log=""))

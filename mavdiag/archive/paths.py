@@ -32,9 +32,8 @@ class Found:
     @property
     def skipped_sentence(self) -> str:
         """That files were left out; empty if none was."""
-        if not self.skipped:
-            return ""
-        return f"{self.skipped} file{'s' if self.skipped > 1 else ''} skipped that are no flight logs"
+        plural = "s" if self.skipped > 1 else ""
+        return f"{self.skipped} file{plural} skipped that are no flight logs" if self.skipped else ""
 
     def paths(self) -> tuple[Path, ...]:
         """The logs themselves, where one that cannot be read is an error. Raises InputError for the first of them."""
@@ -56,7 +55,7 @@ def logs_named(arguments: Iterable[str | Path], is_log: IsLog = is_log) -> Found
     for argument in map(Path, arguments):
         if argument.is_dir():
             found = list(_below(argument, set(), is_log))
-        elif not _exists(argument) and any(sign in str(argument) for sign in "*?["):
+        elif any(sign in str(argument) for sign in "*?[") and not _exists(argument):
             found = list(_matching(argument, is_log))
         else:
             found = [Named(argument)]
@@ -84,9 +83,15 @@ def _matching(pattern: Path, is_log: IsLog) -> Iterator[Named | None]:
 
 
 def _below(path: Path, seen: set[tuple[int, int]], is_log: IsLog) -> Iterator[Named | None]:
-    """The logs that a file or folder is or has, by name; None for a file that is none. seen: folders so far."""
+    """The logs that a file or folder is or has, by name; None for a file that is none. seen: folders so far.
+
+    A file that cannot be read may be a log.
+    """
     if not path.is_dir():
-        yield _file(path, is_log)
+        try:
+            yield Named(path) if path.is_file() and path.stat().st_size and is_log(path) else None
+        except (InputError, OSError):
+            yield Named(path)
         return
     try:
         about = path.stat()
@@ -99,11 +104,3 @@ def _below(path: Path, seen: set[tuple[int, int]], is_log: IsLog) -> Iterator[Na
         return
     for entry in inside:
         yield from _below(entry, seen, is_log)
-
-
-def _file(path: Path, is_log: IsLog) -> Named | None:
-    """A file that was not named itself. One that cannot be read may be a log."""
-    try:
-        return Named(path) if path.is_file() and path.stat().st_size and is_log(path) else None
-    except (InputError, OSError):
-        return Named(path)

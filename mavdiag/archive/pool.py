@@ -1,5 +1,6 @@
-"""Worker processes of this machine, or none (edge)."""
+"""Workers (edge): processes of this machine, those of a Dask cluster, or none."""
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar
 
-from mavdiag.errors import InputError
+from mavdiag.errors import InputError, LinkError, missing_extra
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -24,6 +25,7 @@ ENVIRONMENT: Mapping[str, str] = MappingProxyType(
         "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
     }
 )
+PATIENCE_S = 10.0  # for a scheduler to answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,3 +105,45 @@ class _Here(Executor):
 def in_this_process() -> Iterator[TaskExecutor]:
     """No worker: each task is done when it is submitted."""
     yield TaskExecutor(_Here(), 1)
+
+
+@contextmanager
+def dask_executor(address: str) -> Iterator[TaskExecutor]:
+    """The workers of a Dask scheduler. They need the same version of this package and of what the tasks need.
+
+    What a lost worker had to do is done again by another one. Raises UsageError without Dask, LinkError if the
+    scheduler cannot be reached or has no workers.
+    """
+    try:
+        from distributed import Client, KilledWorker
+    except ImportError as error:
+        raise missing_extra("--scheduler", "Dask", "fleet") from error
+    try:
+        client = Client(address, timeout=PATIENCE_S)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise LinkError(f"no Dask scheduler at {address} ({error}); start one with `dask scheduler`") from error
+
+    def manned() -> bool:
+        try:
+            return bool(client.nthreads())
+        except (OSError, TimeoutError):  # then the scheduler has gone, and the tasks say so
+            return True
+
+    with _without_tracebacks(), client:
+        threads = sum(client.nthreads().values())
+        if not threads:
+            raise LinkError(f"the Dask scheduler at {address} has no workers; start some with `dask worker {address}`")
+        yield TaskExecutor(client.get_executor(pure=False), 2 * threads, (KilledWorker,), manned)
+
+
+@contextmanager
+def _without_tracebacks() -> Iterator[None]:
+    """Of a connection that is lost: what follows from it is an error of ours."""
+    levels = {name: logging.getLogger(name).level for name in ("distributed", "distributed.client")}
+    for name in levels:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)

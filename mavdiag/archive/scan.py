@@ -9,18 +9,17 @@ A log that cannot be read is answered as an error; so is one whose judging ends 
 
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from contextlib import AbstractContextManager
+from functools import cache as memoise
 
-from mavdiag.archive.cache import Cache
-from mavdiag.archive.job import Answer, Question, Record, digest_of, judge_file, mark_of, refused
+from mavdiag.archive.job import Answer, Cache, Question, Record, digest_of, judge_file, mark_of, refused
 from mavdiag.archive.paths import Named
 from mavdiag.archive.pool import TaskExecutor
 from mavdiag.errors import InputError, LinkError, MavdiagError, UsageError
 
 QUIET_S = 15.0  # without an answer, until it is looked whether there is any worker (our choice)
 MOST_IDLE = 3  # times that workers may die without work (our choice)
-HASHERS = 2  # threads that find the digests of logs that may be known (our choice)
 DIED = "the process that judged it died, perhaps for want of memory; judge it alone, or a part of it (--from, --to)"
 
 
@@ -38,60 +37,47 @@ def scan(
     warn: is told once if they cannot be kept, and if no worker is left.
     Raises UsageError or LinkError if the workers cannot go on.
     """
-    hashers = ThreadPoolExecutor(HASHERS)
-    try:
-        yield from _Run(logs, question, cache, warn, hashers).answers(opened)
-    finally:
-        hashers.shutdown(cancel_futures=True)
+    return _Scan(logs, question, cache, warn).answers(opened)
 
 
-class _Run:
+class _Scan:
     """What is still to be done, what is being done, and who waits for whose answer; logs go by their numbers."""
 
     def __init__(
-        self,
-        logs: Sequence[Named],
-        question: Question,
-        cache: Cache | None,
-        warn: Callable[[str], None],
-        hashers: ThreadPoolExecutor,
+        self, logs: Sequence[Named], question: Question, cache: Cache | None, warn: Callable[[str], None]
     ) -> None:
         self._logs, self._question, self._cache, self._warn = logs, question, cache, warn
         self._marks = [mark_of(log.path) for log in logs]
-        doubtful = frozenset() if cache is None else cache.marks()
-        doubtful |= {mark for mark, count in Counter(self._marks).items() if count > 1}
-        self._digests = {
-            number: hashers.submit(digest_of, log.path)
-            for number, log in enumerate(logs)
-            if self._marks[number] in doubtful and not log.trouble
-        }
+        seen = {mark for mark, count in Counter(self._marks).items() if count > 1}
+        seen |= frozenset() if cache is None else cache.marks()
+        doubtful = [mark in seen and not log.trouble for mark, log in zip(self._marks, logs, strict=True)]
+        self._digest = memoise(lambda number: digest_of(logs[number].path) if doubtful[number] else "")
         self._todo = deque(range(len(logs)))
-        self._alone = deque[int]()  # one of them ended a worker
+        self._suspects = set[int]()  # one of them ended a worker: each is judged alone
         self._running = dict[Future[Record], int]()
         self._copies = dict[str, list[int]]()  # logs that wait for the answer of a content, by its digest
         self._known = dict[str, Record]()  # answers that are not in the cache, by digest
-        self._told = False  # that no worker is left
+        self._deserted = False  # no worker is left, and that was told
         self._answers = dict[int, Answer]()  # that wait for those before them
         self._yielded = 0
 
-    def answers(self, opened: Callable[[], AbstractContextManager[TaskExecutor]]) -> Iterator[Answer]:
+    def answers(self, opened: Callable[[], AbstractContextManager[TaskExecutor]]) -> Generator[Answer, None, None]:
         idle = 0
-        while self._todo or self._alone:
-            if not self._alone and self._is_answered(self._todo[0]):
+        while self._todo:
+            if self._is_answered(self._todo[0]):
                 self._todo.popleft()
                 yield from self._ready()
                 continue
             try:
                 with opened() as executor:
-                    while self._todo or self._alone or self._running:
+                    while self._todo or self._running:
                         self._step(executor)
                         yield from self._ready()
             except BrokenExecutor as error:
                 idle = 0 if self._running else idle + 1
                 if idle == MOST_IDLE:
-                    raise UsageError(
-                        "the worker processes end before they have anything to do; use --jobs 1"
-                    ) from error
+                    words = "the worker processes end before they have anything to do; use --jobs 1"
+                    raise UsageError(words) from error
                 self._suspect()
                 yield from self._ready()
 
@@ -102,20 +88,22 @@ class _Run:
 
     def _step(self, executor: TaskExecutor) -> None:
         """Hand out one log, or wait for an answer if the workers have enough to do."""
-        queue = self._alone or self._todo
-        if not queue or len(self._running) >= (1 if self._alone else executor.in_flight):
+        alone = self._suspects.intersection((*self._running.values(), *list(self._todo)[:1]))
+        if not self._todo or len(self._running) >= (1 if alone else executor.in_flight):
             return self._collect(executor)
-        number = queue[0]
-        if queue is self._alone or not self._is_answered(number):
+        number = self._todo[0]
+        if not self._is_answered(number):
             future = executor.pool.submit(judge_file, str(self._logs[number].path.absolute()), self._question)
             self._running[future] = number
             self._copies.setdefault(self._digest(number), [])
-        queue.popleft()
+        self._todo.popleft()
         return None
 
     def _is_answered(self, number: int) -> bool:
         """Whether a log needs no judging of its own: its answer is known, or that of its content is on the way."""
         log, digest = self._logs[number], self._digest(number)
+        if number in self._suspects:
+            return False
         known = refused(log.trouble) if log.trouble else self._known.get(digest) if digest else None
         if known is None and digest and self._cache is not None:
             known = self._cache.get(self._marks[number], digest)
@@ -127,17 +115,12 @@ class _Run:
             return False
         return True
 
-    def _digest(self, number: int) -> str:
-        return self._digests[number].result() if number in self._digests else ""
-
     def _collect(self, executor: TaskExecutor) -> None:
         done, _ = wait(self._running, timeout=QUIET_S, return_when=FIRST_COMPLETED)
-        if not done and not executor.manned() and not self._told:
-            self._told = True
+        if not done and not executor.manned() and not self._deserted:
+            self._deserted = True
             self._warn("no worker is left; waiting for another one (Ctrl-C stops, what is finished is kept)")
-        broken = {
-            future for future in done if not future.cancelled() and isinstance(future.exception(), BrokenExecutor)
-        }
+        broken = {one for one in done if not one.cancelled() and isinstance(one.exception(), BrokenExecutor)}
         for future in done - broken:
             number = self._running.pop(future)
             self._settle(number, self._record(number, future, executor.killed))
@@ -161,33 +144,29 @@ class _Run:
         return refused(" ".join(reason.split()))
 
     def _suspect(self) -> None:
-        """A worker died: who was alone has ended it; of several each is done alone."""
+        """A worker died: who was alone has ended it; of several each is judged alone."""
         numbers = list(self._running.values())
         self._running.clear()
         if len(numbers) == 1:
-            self._settle(numbers[0], refused(DIED))
-        else:
-            self._alone.extend(numbers)
+            return self._settle(numbers[0], refused(DIED))
+        self._suspects.update(numbers)
+        return self._todo.extendleft(reversed(numbers))
 
     def _settle(self, number: int, record: Record) -> None:
-        """A log has its answer, and all that have the same content with it."""
+        """A log has its answer, and all that have the same content with it. An error is not kept beyond this scan."""
         digest = self._digest(number)
-        self._keep(number, record)
+        if record.digest and self._cache is not None:
+            try:
+                self._cache.put(self._marks[number], record)
+            except UsageError as error:
+                self._cache = None
+                self._warn(f"answers are not kept any more: {error}")
+        if digest and record.digest in ("", digest) and (self._cache is None or not record.digest):
+            self._known[digest] = record
+        self._suspects.discard(number)
         self._answers[number] = Answer(self._logs[number].path, record, fresh=True)
         for copy in self._copies.pop(digest, []):
             if record.digest in ("", digest):
                 self._answers[copy] = Answer(self._logs[copy].path, record, fresh=False)
             else:  # the file was changed before it was judged; the others were perhaps not
                 self._todo.append(copy)
-
-    def _keep(self, number: int, record: Record) -> None:
-        """An error is not kept beyond this scan, for the next one may do better."""
-        if record.digest and self._cache is not None:
-            try:
-                return self._cache.put(self._marks[number], record)
-            except UsageError as error:
-                self._cache = None
-                self._warn(f"answers are not kept any more: {error}")
-        if (digest := self._digest(number)) and record.digest in ("", digest):
-            self._known[digest] = record
-        return None

@@ -14,7 +14,7 @@ UNRELATED = (
     *("mavdiag/commands", "mavdiag/demo", "mavdiag/face.py", "mavdiag/as_json.py"),
     *("mavdiag/terminal", "mavdiag/drawing.py", "mavdiag/learning", "mavdiag/testing.py", "mavdiag/link/ports"),
     *(f"mavdiag/{name}" for name in ("history", "look", "report")),
-    *(f"mavdiag/archive/{name}.py" for name in ("cache", "cluster", "paths", "pool", "scan", "sources", "tables")),
+    *(f"mavdiag/archive/{name}.py" for name in ("paths", "pool", "scan", "sources", "tables")),
 )
 
 
@@ -26,8 +26,7 @@ def digest_of_sources(packages: Sequence[str], unrelated: Sequence[str]) -> str:
     digest = hashlib.sha256(repr([(name, _version(name)) for name in COMPUTED_BY]).encode())
     for package in packages:
         for name, content in sorted(_sources(resources.files(package), package, tuple(unrelated))):
-            digest.update(name.encode())
-            digest.update(hashlib.sha256(content).digest())
+            digest.update(name.encode() + hashlib.sha256(content).digest())
     return digest.hexdigest()[:16]
 
 
@@ -47,9 +46,5 @@ def _version(name: str) -> str:
 def _sources(folder: Traversable, path: str, unrelated: tuple[str, ...]) -> Iterator[tuple[str, bytes]]:
     for entry in folder.iterdir():
         name = f"{path}/{entry.name}"
-        if name.endswith(unrelated):
-            continue
-        if entry.is_dir():
-            yield from _sources(entry, name, unrelated)
-        else:
-            yield name, entry.read_bytes()
+        if not name.endswith(unrelated):
+            yield from _sources(entry, name, unrelated) if entry.is_dir() else [(name, entry.read_bytes())]

@@ -5,7 +5,6 @@ import json
 import shutil
 import sys
 import time
-from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from mavdiag.history.store import History
 
 FILE = "mavdiag-history.sqlite"
-WHEN = "ISO 8601 (UTC if it names no zone)"
 
 Database: TypeAlias = Annotated[
     str, typer.Option(metavar="FILE|URL", help="SQLite file, or postgresql://user@host/name for a fleet.")
@@ -55,10 +53,10 @@ def overview(
 
     Without a command: `show`.
     """
-    if context.invoked_subcommand is None:
+    name = context.invoked_subcommand
+    if name is None:
         show(airframe, database, as_json, csv_file)
     elif airframe is not None or database != FILE or as_json or csv_file is not None:
-        name = context.invoked_subcommand
         raise UsageError(f"options belong behind the command, as in `mavdiag history {name} --airframe NAME`")
 
 
@@ -86,13 +84,12 @@ def add(
     Logs that do not say when they were flown follow each other in the order in which they are named.
     """
     reference = Baseline.load(baseline)
-    options = Options(vehicle, figures=True, flown_ns=0 if at is None else _time(at))
-    question = Question.of(reference, options)
+    question = Question.of(reference, Options(vehicle, figures=True, flown_ns=0 if at is None else _time(at)))
     name = reference.airframe.name if airframe is None else airframe
     if not name.strip():
         raise UsageError("the airframe needs a name; give --airframe NAME")
-    failed, how = 0, How(jobs, scheduler, cache, no_cache or again)
-    with _open(database, create=True) as history, judging(opt.find_logs(logs), question, how) as (answers, tell):
+    failed, found, how = 0, opt.find_logs(logs)[0], How(jobs, scheduler, cache, no_cache or again)
+    with _open(database, create=True) as history, judging(found, question, how) as (answers, tell):
         for answer in answers:
             failed += answer.record.flight is None
             tell(f"{answer.path}: {_added(history, answer, name, again)}")
@@ -108,7 +105,7 @@ def list_flights(
         kept = [history.flights(name) for name in _names(history, airframe)]
     numbered = [(number, record) for flights in kept for number, record in enumerate(flights, 1)]
     if csv_file is not None:
-        rows = [row for number, record in numbered for row in shown.flight_rows(number, record)]
+        rows = (row for number, record in numbered for row in shown.flight_rows(number, record))
         write_csv(csv_file, rows, shown.FLIGHT_COLUMNS)
     for number, record in numbered:
         say(json.dumps(shown.flight_json(number, record)) if as_json else _flight_line(number, record))
@@ -126,7 +123,7 @@ def show(
         names = _names(history, airframe)
         found = [overview_of(name, history.flights(name), history.marks(name)) for name in names]
     if csv_file is not None:
-        write_csv(csv_file, [row for overview in found for row in shown.trend_rows(overview)], shown.TREND_COLUMNS)
+        write_csv(csv_file, (row for overview in found for row in shown.trend_rows(overview)), shown.TREND_COLUMNS)
     for overview in found:
         if as_json:
             say(json.dumps(shown.overview_json(overview)))
@@ -140,7 +137,9 @@ def mark(
     airframe: Annotated[str, typer.Option(metavar="NAME", help="Whose it is.")],
     new_propellers: Annotated[bool, typer.Option("--new-propellers", help="The propellers are new.")] = False,
     repair: Annotated[bool, typer.Option("--repair", help="Something else was repaired.")] = False,
-    at: Annotated[str | None, typer.Option(metavar="TIME", help=f"When, {WHEN}; else now.")] = None,
+    at: Annotated[
+        str | None, typer.Option(metavar="TIME", help="When, ISO 8601 (UTC if it names no zone); else now.")
+    ] = None,
     note: Annotated[str, typer.Option(metavar="TEXT", help="What else there is to say.")] = "",
     database: Database = FILE,
 ) -> None:
@@ -178,7 +177,7 @@ def _open(database: str, *, create: bool = False, write: bool = False) -> "Abstr
     return opened
 
 
-def _names(history: "History", airframe: str | None) -> Sequence[str]:
+def _names(history: "History", airframe: str | None) -> tuple[str, ...]:
     names = history.airframes()
     if airframe is None:
         return names
@@ -192,8 +191,7 @@ def _time(text: str) -> int:
         at = datetime.fromisoformat(text)
     except ValueError as error:
         raise UsageError(f"time {text!r}: write it like 2026-03-01 or 2026-03-01T14:30") from error
-    at = at.replace(tzinfo=UTC) if at.tzinfo is None else at
-    return round(at.timestamp()) * NS_PER_S
+    return round((at.replace(tzinfo=UTC) if at.tzinfo is None else at).timestamp()) * NS_PER_S
 
 
 def _flight_line(number: int, record: FlightRecord) -> str:
@@ -209,6 +207,6 @@ def _flight_line(number: int, record: FlightRecord) -> str:
 def _print_lines(overview: Overview) -> None:
     """Drawn on a terminal, in its width; plain lines elsewhere."""
     drawn = sys.stdout.isatty()
-    for line in shown.lines_of(overview, shutil.get_terminal_size().columns if drawn else None):
-        text = printable(line.text)
-        typer.echo(typer.style(text, fg=typer.colors.RED, bold=True) if line.loud and drawn else text)
+    for text, loud in shown.lines_of(overview, shutil.get_terminal_size().columns if drawn else None):
+        line = printable(text)
+        typer.echo(typer.style(line, fg=typer.colors.RED, bold=True) if loud and drawn else line)

@@ -18,7 +18,6 @@ from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
 from mavdiag.learning.damage import accepted
-from mavdiag.logs.csv_columns import load_column_map
 from mavdiag.logs.part import read_part
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.storage import check_output
@@ -31,9 +30,9 @@ def identify(
         typer.Argument(help="Logs of healthy flights: .tlog, .bin, .ulg, Crazyflie, DronePropA; folders; patterns."),
     ],
     output: opt.BaselineOutput,
-    method: Annotated[opt.MethodChoice, typer.Option(help="sriv is unbiased under noise.")] = opt.MethodChoice.SRIV,
+    method: Annotated[opt.MethodChoice, typer.Option(help="sriv is unbiased under noise.")] = "sriv",
     order: opt.Orders = "2,2,1",
-    axis: Annotated[opt.AxisChoice, typer.Option(help="Axes to model and to watch.")] = opt.AxisChoice.BOTH,
+    axis: Annotated[opt.AxisChoice, typer.Option(help="Axes to model and to watch.")] = "both",
     window: opt.WindowS = 0.1,
     margin: Annotated[MarginRule, typer.Option(help="Margin on |r|.")] = MarginRule.PERCENTILE_90,
     monitors: Annotated[
@@ -77,8 +76,8 @@ def identify(
     check_output(output)
     thesis = monitors == "thesis"
     options = LearnOptions(
-        axes=axis.axes,
-        method=Method(method.value),
+        axes=opt.axes_of(axis),
+        method=Method(method),
         order=opt.parse_order(order),
         window_s=window,
         margin_rule=margin,
@@ -115,8 +114,7 @@ def make_baseline(
 
     logs: files, folders with all logs below them, patterns. columns: column map, where they are CSV recordings.
     """
-    mapped = None if columns is None else load_column_map(columns)
-    found = opt.find_logs(logs, mapped)
+    found, mapped = opt.find_logs(logs, columns)
     if found.skipped:
         say(found.skipped_sentence, err=True)
     paths = found.paths()

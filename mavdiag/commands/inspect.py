@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -10,22 +9,19 @@ import typer
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_from, with_layout
-from mavdiag.archive.paths import Named, logs_named
 from mavdiag.as_json import json_line
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import ERROR, say
-from mavdiag.commands.options import AsJson, Columns, FromS, Layout, ToS, Vehicle, between, is_endpoint
+from mavdiag.commands import options as opt
 from mavdiag.commands.progress import each
 from mavdiag.errors import InputError, UsageError
 from mavdiag.link.codec import message_name
-from mavdiag.link.keys import read_key
 from mavdiag.link.link import Link, open_link
 from mavdiag.link.messages import Component, MavResult
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.sequence import LinkCount
 from mavdiag.link.wants import Asked, Asker, Want, wants_of
-from mavdiag.logs import read_log
-from mavdiag.logs.csv_columns import ColumnMap, is_csv, load_column_map
+from mavdiag.logs.part import read_part
 from mavdiag.logs.tlog import read_content
 from mavdiag.look.inspection import inspection_of
 from mavdiag.look.words import CLOSING, in_full, in_one_line
@@ -49,19 +45,17 @@ def inspect(
         bool, typer.Option("--ask", help="Ask the vehicle for the streams that are missing, and for its rotors.")
     ] = False,
     baseline: Annotated[Path | None, typer.Option(metavar="FILE", help="Show the monitors of this baseline.")] = None,
-    columns: Columns = None,
+    columns: opt.Columns = None,
     airframe: Annotated[
         str | None, typer.Option(metavar="NAME|FILE.toml", help="The vehicle.  [default: what the log itself shows]")
     ] = None,
-    layout: Layout = None,
-    vehicle: Vehicle = None,
+    layout: opt.Layout = None,
+    vehicle: opt.Vehicle = None,
     profile: Annotated[str | None, typer.Option(metavar="NAME", help="Link profile, where it is not clear.")] = None,
-    signing_key: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Hear only what is signed with this key (MAVLink 2 signing).")
-    ] = None,
-    from_s: FromS = None,
-    to_s: ToS = None,
-    as_json: AsJson = False,
+    signing_key: opt.SigningKey = None,
+    from_s: opt.FromS = None,
+    to_s: opt.ToS = None,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Say what logs or a live link show without a judgement: rates, units, clock, rotors, trim, saturation, vibration,
     rotor line, and which monitors could work or what they lack. One source is told in full, several in a line each.
@@ -73,53 +67,39 @@ def inspect(
     judged_by = None if baseline is None else Baseline.load(baseline)
     told = Airframe() if airframe is None else airframe_from(airframe)
     told = told if layout is None else with_layout(told, layout)
-    live = [source for source in sources if is_endpoint(source)]
+    live = [source for source in sources if opt.is_endpoint(source)]
     if ask and not live:
         raise UsageError("--ask is for a link; a log holds what it holds")
     if live:
         if len(sources) > 1:
             raise UsageError("name one link, or logs")
-        key = None if signing_key is None else read_key(signing_key)
-        with open_link(live[0], vehicle, profile, key) as link:
+        with open_link(live[0], vehicle, profile, opt.read_signing_key(signing_key)) as link:
             asked = _ask(link, vehicle or COMPANION_OF) if ask else ()
             log, rates_hz = _heard(link, duration)
             found = inspection_of(log, told, live[0], judged_by, link.count, rates_hz, asked)
-        say(json_line(found) if as_json else in_full(found))
-        return
-    mapped = None if columns is None else load_column_map(columns)
-    named = logs_named(sources) if mapped is None else logs_named(sources, is_csv)
+        return say(json_line(found) if as_json else in_full(found))
+    named, mapped = opt.find_logs(sources, columns)
     alone, failed = len(named.logs) == 1, False
-    for one in each(named.logs, "looking"):
+    for source in each(named.logs, "looking"):
         try:
-            log = _read(one, vehicle, profile, mapped, (from_s, to_s))
-            counted = _counted(one.path, vehicle) if alone and log.profile in PROFILES else (None, {})
-            found = inspection_of(log, told, str(one.path), judged_by, *counted)
+            if source.trouble:
+                raise InputError(source.trouble)
+            log = read_part(source.path, vehicle, from_s, to_s, mapped, profile)
+            counted = _counted(source.path, vehicle) if alone and log.profile in PROFILES else (None, {})
+            found = inspection_of(log, told, log.name, judged_by, *counted)
         except InputError as error:
-            failed, said = True, str(error).removeprefix(f"{one.path}: ")
+            failed, said = True, str(error).removeprefix(f"{source.path}: ")
             if alone and not as_json:
-                raise InputError(f"{one.path}: {said}") from error
-            say(json_line({"log": str(one.path), "error": said}) if as_json else f"{one.path}: error, {said}")
+                raise InputError(f"{source.path}: {said}") from error
+            name = str(source.path)
+            say(json_line({"log": name, "error": said}) if as_json else f"{name}: error, {said}")
             continue
         say(json_line(found) if as_json else in_full(found) if alone else in_one_line(found))
     if not alone and not as_json:
         say(CLOSING)
-    if named.skipped_sentence:
+    if named.skipped:
         say(named.skipped_sentence, err=True)
     raise typer.Exit(ERROR if failed else 0)
-
-
-def _read(
-    named: Named,
-    vehicle: int | None,
-    profile: str | None,
-    columns: ColumnMap | None,
-    times_s: tuple[float | None, float | None],
-) -> Log:
-    """A log, or the part of it between two times."""
-    if named.trouble:
-        raise InputError(named.trouble)
-    log = read_log(named.path, vehicle, profile, columns=columns)
-    return replace(log, name=str(named.path), telemetry=between(log.telemetry, *times_s))
 
 
 def _counted(path: Path, vehicle: int | None) -> tuple[LinkCount | None, Mapping[int, float]]:
@@ -147,12 +127,11 @@ def _ask(link: Link, vehicle: int) -> tuple[str, ...]:
     """Ask for streams and parameters; what came of it, a line for each stream."""
     asker, asked = Asker(vehicle, link.signing), Asked()
     wants: tuple[Want, ...] = ()
-    rates: dict[int, float] = {}
     since: dict[int, int] = {}
     began = time.monotonic()
 
     def request() -> None:
-        nonlocal asker, asked, wants, rates
+        nonlocal asker, asked, wants, since
         now = Instant(time.monotonic_ns())
         asked, frames = asker.beat(asked, now)
         if link.stream is not None and time.monotonic() - began > LISTEN_S:
@@ -161,11 +140,11 @@ def _ask(link: Link, vehicle: int) -> tuple[str, ...]:
                 asker = Asker(link.vehicle or vehicle, link.signing)
                 needs = frozenset[Signal]().union(*(monitor.needs for monitor in MONITORS))
                 wants = wants_of(profile, needs, (profile.rate_hz, LEAST_HZ, float("inf")), LEAST_HZ)
-                since.update(_counts(link))
-                rates = {msgid: n / LISTEN_S for msgid, n in since.items()}
-            came = {m: n - since.get(m, 0) for m, n in _counts(link).items()}
-            known = {want.msgid: want.ask_hz for want in wants if want.msgid in asked.streams and came.get(want.msgid)}
-            asked, more = asker.stream(asked, wants, {**rates, **known}, now)
+                since = _counts(link)
+            rates = {msgid: count / LISTEN_S for msgid, count in since.items()}
+            came = {msgid for msgid, count in _counts(link).items() if count > since.get(msgid, 0)}
+            rates |= {want.msgid: want.ask_hz for want in wants if want.msgid in came.intersection(asked.streams)}
+            asked, more = asker.stream(asked, wants, rates, now)
             asked, names = asker.read(asked, profile.autopilot, link.stream.parameters, now)
             frames += more + names
         link.send(frames)

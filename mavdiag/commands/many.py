@@ -7,11 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from mavdiag.archive.cache import Cache, cache_folder, open_cache
-from mavdiag.archive.cluster import dask_executor
-from mavdiag.archive.job import Answer, Question
+from mavdiag.archive.job import Answer, Cache, Question, cache_folder, open_cache
 from mavdiag.archive.paths import Found
-from mavdiag.archive.pool import TaskExecutor, in_this_process, local_executor
+from mavdiag.archive.pool import TaskExecutor, dask_executor, in_this_process, local_executor
 from mavdiag.archive.scan import scan
 from mavdiag.commandline import say
 from mavdiag.commands.progress import shown, sizes_of

@@ -6,9 +6,8 @@
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 import typer
@@ -29,9 +28,9 @@ from mavdiag.identify.lab.frequency import FrequencyResponse, compare, estimate_
 from mavdiag.identify.lab.published import ASSUMED_DT_S, THESIS_PITCH, THESIS_ROLL
 from mavdiag.identify.lab.sweep import SweepRow, best_row, order_sweep, window_sweep
 from mavdiag.identify.validate import ResidualReport, examine_residual, one_step_report, validate
-from mavdiag.logs.log import LOG_BYTES
+from mavdiag.logs.log import read_bytes
 from mavdiag.monitors.run_length import RunLengthSpec
-from mavdiag.storage import check_output, open_regular
+from mavdiag.storage import check_output
 from mavdiag.telemetry import Axis, FloatArray, Log
 
 SETTLE_S = 1.0  # of each stretch that the fit figures leave out: it may begin in motion
@@ -70,9 +69,9 @@ def models_of(baseline: Baseline) -> dict[Axis, ModelRecord]:
 @app.command()
 def show(
     file: Annotated[Path, typer.Argument(metavar="BASELINE|LOG", help="Baseline, or log to fit a model to.")],
-    axis: Annotated[opt.AxisChoice, typer.Option(help="Axes to show.")] = opt.AxisChoice.BOTH,
+    axis: Annotated[opt.AxisChoice, typer.Option(help="Axes to show.")] = "both",
     order: opt.Orders = "2,2,1",
-    method: Methods = opt.MethodChoice.SRIV,
+    method: Methods = "sriv",
     window: opt.WindowS = 0.1,
     vehicle: opt.Vehicle = None,
     plot: Annotated[
@@ -84,13 +83,15 @@ def show(
     if plot is not None:
         check_output(plot)
     if _is_baseline(file):
-        models = {name: record.model() for name, record in models_of(Baseline.load(file)).items() if name in axis.axes}
+        models = {
+            name: record.model() for name, record in models_of(Baseline.load(file)).items() if name in opt.axes_of(axis)
+        }
         if not models:
             raise UsageError(f"{file}: has no model of the {axis} axis; choose another --axis")
         flights: dict[Axis, FlightRates] = {}
     else:
         log = read_log(file, vehicle=vehicle)
-        flights = {name: rates(log, name, window) for name in axis.axes}
+        flights = {name: rates(log, name, window) for name in opt.axes_of(axis)}
         models = {name: _fitted(flight, order, method) for name, flight in flights.items()}
     for name, model in models.items():
         figures = model_figures(model)
@@ -102,23 +103,16 @@ def show(
             draw_model(path, model, f"{file.name}, {name}", residual=shown[0], measured=shown[1])
 
 
-class Over(StrEnum):
-    """What a sweep varies."""
-
-    ORDER = "order"
-    WINDOW = "window"
-
-
 @app.command()
 def sweep(
     log: LogFile,
-    over: Annotated[Over, typer.Option(help="What to vary (T 5.3, 5.4).")] = Over.ORDER,
+    over: Annotated[Literal["order", "window"], typer.Option(help="What to vary (T 5.3, 5.4).")] = "order",
     axis: OneAxis = Axis.ROLL,
     validation: Annotated[
         Path | None, typer.Option("--validate", metavar="LOG", help="Another flight, that decides.")
     ] = None,
     order: opt.Orders = "2,2,1",
-    method: Methods = opt.MethodChoice.SRIV,
+    method: Methods = "sriv",
     window: opt.WindowS = 0.1,
     vehicle: opt.Vehicle = None,
     as_json: opt.AsJson = False,
@@ -133,26 +127,23 @@ def sweep(
         return flight.u, flight.y
 
     with working("fitting a model for each; this takes a minute or more ..."):
-        if over is Over.ORDER:
+        if over == "order":
             held_out = None if other is None else pair(other, window)
-            rows = order_sweep(pair(train, window), held_out, dt=dt_s, method=method.value)
+            rows = order_sweep(pair(train, window), held_out, dt=dt_s, method=method)
         else:
-            samples = sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S})
             rows = window_sweep(
                 lambda n: pair(train, n * dt_s),
-                samples,
+                sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S}),
                 dt=dt_s,
                 order=chosen,
-                method=method.value,
+                method=method,
                 prepare_validation=None if other is None else lambda n: pair(other, n * dt_s),
             )
     best = best_row(rows)
-    if as_json:
-        return _print([_sweep_line(row, best=row is best) for row in rows], as_json=True)
     known = sorted((row for row in rows if row.model), key=lambda row: (row is best, row.score), reverse=True)
-    _print([_sweep_line(row, best=row is best) for row in known[:SHOWN_ROWS]], as_json=False)
-    typer.echo(f"{len(rows) - len(known)} of {len(rows)} could not be identified; --json prints all, with reasons")
-    return None
+    _print([_sweep_line(row, best=row is best) for row in (rows if as_json else known[:SHOWN_ROWS])], as_json=as_json)
+    if not as_json:
+        typer.echo(f"{len(rows) - len(known)} of {len(rows)} could not be identified; --json prints all, with reasons")
 
 
 @app.command(name="compare")
@@ -160,7 +151,7 @@ def compare_models(
     log: LogFile,
     axis: OneAxis = Axis.ROLL,
     order: opt.Orders = "2,2,1",
-    method: Methods = opt.MethodChoice.SRIV,
+    method: Methods = "sriv",
     window: opt.WindowS = 0.1,
     vehicle: opt.Vehicle = None,
     as_json: opt.AsJson = False,
@@ -219,16 +210,13 @@ def track(
 def _is_baseline(file: Path) -> bool:
     """Whether a file begins as JSON does; no log begins with a brace."""
     try:
-        with open_regular(file, LOG_BYTES) as stream:
-            return stream.read(64).lstrip().startswith(b"{")
-    except (InputError, OSError):
+        return read_bytes(file, 64).lstrip().startswith(b"{")
+    except InputError:
         return False  # the reader of logs says what is wrong with it
 
 
 def _fitted(flight: FlightRates, order: str, method: opt.MethodChoice) -> ArxModel:
-    return fit(
-        flight.u, flight.y, opt.parse_order(order), dt=flight.dt_s, method=Method(method.value), settle_s=SETTLE_S
-    )
+    return fit(flight.u, flight.y, opt.parse_order(order), dt=flight.dt_s, method=Method(method), settle_s=SETTLE_S)
 
 
 def _residual(model: ArxModel, flight: FlightRates) -> ResidualReport:
@@ -257,16 +245,16 @@ def _lines(axis: Axis, model: ArxModel, figures: ModelFigures) -> list[str]:
     for pole in figures.poles:
         place = _text(pole.real) + (f" ± j ({_text(pole.imaginary)})" if pole.imaginary.value else "")
         lines.append(f"  pole            {place}: {_text(pole.natural_hz)} Hz, damping {_text(pole.damping)}")
-    named = (
-        ("DC gain", figures.dc_gain, ""),
-        ("bandwidth", figures.bandwidth_hz, " Hz (-3 dB)"),
-        ("gain margin", figures.gain_margin_db, " dB"),
-        ("phase margin", figures.phase_margin_deg, " °"),
-        ("modulus margin", figures.modulus_margin, ""),
-    )
-    lines += [f"  {name:<15} {_text(figure)}{unit}" for name, figure, unit in named]
-    lines.append("  margins are of the loop that unit feedback closes to this model")
-    return [*lines, f"  standard errors from {figures.errors_from}"]
+    return [
+        *lines,
+        f"  DC gain         {_text(figures.dc_gain)}",
+        f"  bandwidth       {_text(figures.bandwidth_hz)} Hz (-3 dB)",
+        f"  gain margin     {_text(figures.gain_margin_db)} dB",
+        f"  phase margin    {_text(figures.phase_margin_deg)} °",
+        f"  modulus margin  {_text(figures.modulus_margin)}",
+        "  margins are of the loop that unit feedback closes to this model",
+        f"  standard errors from {figures.errors_from}",
+    ]
 
 
 def _text(figure: Figure) -> str:
@@ -280,11 +268,10 @@ def _text(figure: Figure) -> str:
 
 
 def _sweep_line(row: SweepRow, *, best: bool) -> dict[str, Any]:
-    model, order = row.model, ",".join(map(str, row.order))
-    fitted = {"r2t": math.nan, "yic": math.nan} if model is None else {"r2t": model.r2t, "yic": model.yic}
-    figures = {**fitted, "r2t_validation": row.r2t_validation}
+    fitted = {name: getattr(row.model, name, None) for name in ("r2t", "yic")}
+    figures = plain({**fitted, "r2t_validation": row.r2t_validation})
     reason = {"refused": row.refused} if row.refused else {}
-    return {"order": order, "window": row.window or None, **plain(figures), "best": best, **reason}
+    return {"order": ",".join(map(str, row.order)), "window": row.window or None, **figures, "best": best, **reason}
 
 
 def _print(lines: Sequence[dict[str, Any]], *, as_json: bool) -> None:

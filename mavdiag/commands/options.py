@@ -1,19 +1,18 @@
 """Options that several commands share, and how they become values."""
 
 import re
-from collections.abc import Sequence
-from enum import StrEnum
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import typer
 
 from mavdiag.archive.paths import Found, logs_named
 from mavdiag.errors import UsageError
 from mavdiag.identify import Order
-from mavdiag.logs.csv_columns import is_csv
-from mavdiag.logs.part import between as between
-from mavdiag.logs.part import read_part as read_part
+from mavdiag.link.keys import read_key
+from mavdiag.logs import is_log
+from mavdiag.logs.csv_columns import ColumnMap, is_csv, load_column_map
 from mavdiag.telemetry import Axis
 
 Accept: TypeAlias = Annotated[
@@ -44,6 +43,9 @@ Orders: TypeAlias = Annotated[str, typer.Option("--order", metavar="NA,NB,NK", h
 Scheduler: TypeAlias = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="Judge on the workers of this Dask scheduler instead.")
 ]
+SigningKey: TypeAlias = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Hear only what is signed with this key (MAVLink 2 signing).")
+]
 ToS: TypeAlias = Annotated[
     float | None, typer.Option("--to", metavar="S", help="Stop at this time of the vehicle's clock.")
 ]
@@ -55,24 +57,13 @@ WindowS: TypeAlias = Annotated[float, typer.Option("--window", metavar="S", help
 _SCHEME = re.compile(r"[a-z]{2,}:")
 
 
-class AxisChoice(StrEnum):
-    """Which axes a command is about."""
-
-    ROLL = "roll"
-    PITCH = "pitch"
-    BOTH = "both"
-
-    @property
-    def axes(self) -> tuple[Axis, ...]:
-        """The axes themselves."""
-        return (Axis.ROLL, Axis.PITCH) if self is AxisChoice.BOTH else (Axis(self.value),)
+AxisChoice: TypeAlias = Literal["roll", "pitch", "both"]
+MethodChoice: TypeAlias = Literal["sriv", "ls"]  # values of `identify.Method`
 
 
-class MethodChoice(StrEnum):
-    """How a model is fitted; values of `mavdiag.identify.Method`."""
-
-    SRIV = "sriv"
-    LS = "ls"
+def axes_of(choice: AxisChoice) -> tuple[Axis, ...]:
+    """The axes that a command is about."""
+    return (Axis.ROLL, Axis.PITCH) if choice == "both" else (Axis(choice),)
 
 
 def parse_order(text: str) -> Order:
@@ -96,6 +87,12 @@ def is_endpoint(source: str) -> bool:
     return (source.startswith("/dev/") or _SCHEME.match(source) is not None) and not Path(source).is_file()
 
 
-def find_logs(arguments: Sequence[Path], columns: object = None) -> Found:
-    """The logs that arguments name; CSV recordings where there is a column map."""
-    return logs_named(arguments) if columns is None else logs_named(arguments, is_csv)
+def find_logs(arguments: Iterable[str | Path], columns: Path | None = None) -> tuple[Found, ColumnMap | None]:
+    """The logs that arguments name, and the column map of CSV recordings, if they are such. columns: its file."""
+    mapped = None if columns is None else load_column_map(columns)
+    return logs_named(arguments, is_log if mapped is None else is_csv), mapped
+
+
+def read_signing_key(file: Path | None) -> bytes | None:
+    """The key of a file, if there is one."""
+    return None if file is None else read_key(file)

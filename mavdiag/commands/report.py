@@ -1,23 +1,20 @@
 """`mavdiag report`: flights, or a campaign, as one page with figures."""
 
-from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mavdiag.archive.paths import Named, logs_named
+from mavdiag.archive.paths import Named
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
-from mavdiag.commands.options import Columns, Vehicle
+from mavdiag.commands import options as opt
 from mavdiag.commands.progress import each, sizes_of
 from mavdiag.errors import InputError, UsageError
 from mavdiag.face import now
 from mavdiag.judging import LogVerdict, Verdict, judge_in_full
-from mavdiag.logs import read_log
-from mavdiag.logs.csv_columns import is_csv, load_column_map
+from mavdiag.logs.csv_columns import ColumnMap
+from mavdiag.logs.part import read_part
 from mavdiag.storage import check_output, write_atomically
 from mavdiag.telemetry import Log
 
@@ -39,8 +36,8 @@ def report(
     campaign: Annotated[
         Path | None, typer.Option(metavar="FILE.jsonl", help="Results of `sitl-plant campaign`, instead of logs.")
     ] = None,
-    vehicle: Vehicle = None,
-    columns: Columns = None,
+    vehicle: opt.Vehicle = None,
+    columns: opt.Columns = None,
 ) -> None:
     """Write one self-contained page: the verdict on each log, its evidence, and the figures of the thesis.
 
@@ -56,19 +53,17 @@ def report(
         if logs or baseline is not None:
             raise UsageError("--campaign takes neither logs nor --baseline; make two pages")
         write_atomically(output, page.campaign_page(read_campaign(campaign), str(campaign), now()))
-        say(f"written to {output}")
-        return
+        return say(f"written to {output}")
     if not logs or baseline is None:
         raise UsageError("name logs and --baseline FILE, or --campaign FILE")
     reference = Baseline.load(baseline)
-    mapped = None if columns is None else load_column_map(columns)
-    found = logs_named(logs) if mapped is None else logs_named(logs, is_csv)
+    found, mapped = opt.find_logs(logs, columns)
     if found.skipped:
         say(found.skipped_sentence, err=True)
     points = max(LEAST_POINTS, COLUMNS // max(1, len(found.logs) // 4))  # fewer where many logs share a page
     reports = [
-        _flight(one, reference, partial(read_log, one.path, vehicle, columns=mapped), points, figures=number < DRAWN)
-        for number, one in enumerate(each(found.logs, "drawn", sizes_of([one.path for one in found.logs])))
+        _flight(named, reference, vehicle, mapped, points, figures=number < DRAWN)
+        for number, named in enumerate(each(found.logs, "drawn", sizes_of([named.path for named in found.logs])))
     ]
     verdicts = [flight.verdict for flight in reports]
     if all(verdict.verdict is Verdict.ERROR for verdict in verdicts):
@@ -77,7 +72,7 @@ def report(
     write_atomically(output, page.flights_page(reports, reference, page.Made(now(), str(baseline))))
     for verdict in verdicts:
         say(f"{verdict.log}: {verdict.verdict}")
-    say(f"written to {output}")
+    return say(f"written to {output}")
 
 
 def write_report(log: Log, baseline: Baseline, baseline_path: Path, output: Path) -> LogVerdict:
@@ -91,15 +86,17 @@ def write_report(log: Log, baseline: Baseline, baseline_path: Path, output: Path
     return judged.verdict
 
 
-def _flight(named: Named, baseline: Baseline, read: Callable[[], Log], points: int, *, figures: bool) -> "FlightReport":
+def _flight(
+    named: Named, baseline: Baseline, vehicle: int | None, columns: ColumnMap | None, points: int, *, figures: bool
+) -> "FlightReport":
     """One bad log is reported and does not lose the others. points: across a figure."""
     from mavdiag.report.flight import FlightReport, flight_report
 
-    name, trouble = str(named.path), named.trouble
+    trouble = named.trouble
     try:
         if not trouble:
-            log = replace(read(), name=name)
+            log = read_part(named.path, vehicle, columns=columns)
             return flight_report(log, baseline, judge_in_full(log, baseline), points, figures=figures)
     except InputError as error:
-        trouble = str(error).removeprefix(f"{name}: ")
-    return FlightReport(LogVerdict(name, Verdict.ERROR, trouble))
+        trouble = str(error).removeprefix(f"{named.path}: ")
+    return FlightReport(LogVerdict(str(named.path), Verdict.ERROR, trouble))

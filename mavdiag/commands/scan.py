@@ -7,20 +7,17 @@ from typing import Annotated
 
 import typer
 
+from mavdiag.archive.figures import Window
 from mavdiag.archive.job import Answer, Options, Question
 from mavdiag.archive.tables import Row, check_parquet, rows_of, write_csv, write_parquet
-from mavdiag.archive.windows import Window
-from mavdiag.as_json import verdict_json
+from mavdiag.as_json import number, verdict_json
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands import options as opt
 from mavdiag.commands.many import How, judging
 from mavdiag.judging import JUDGED_SHARE, Verdict, exit_code
-from mavdiag.logs.csv_columns import column_map_text
 from mavdiag.logs.part import check_times
 from mavdiag.storage import check_output
-
-WINDOW_FIELDS = ("from_s", "to_s", "verdict", "judged_s", "flown_s", "ratio", "monitor")
 
 
 def scan(
@@ -59,11 +56,10 @@ def scan(
             check_output(path)
     if parquet is not None:
         check_parquet()
-    mapped = None if columns is None else column_map_text(columns)
+    found, mapped = opt.find_logs(logs, columns)
     question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped, judged_share))
-    found, how = opt.find_logs(logs, mapped), How(jobs, scheduler, cache, no_cache)
     verdicts, rows, before = list[Verdict](), list[Row](), 0
-    with judging(found, question, how, quiet=as_json) as (answers, tell):
+    with judging(found, question, How(jobs, scheduler, cache, no_cache), quiet=as_json) as (answers, tell):
         for answer in answers:
             tell(_json_line(answer) if as_json else _lines(answer))
             verdicts.append(answer.record.verdict.verdict)
@@ -84,10 +80,9 @@ def _json_line(answer: Answer) -> str:
 
 
 def _window_json(window: Window) -> dict[str, object]:
-    told = asdict(window)
+    told = asdict(window) | {"ratio": number(window.ratio)}
     told |= {name: round(told[name], 3) for name in ("judged_s", "flown_s")}
-    told["ratio"] = None if window.ratio is None else float(f"{window.ratio:.9g}")
-    return {name: told[name] for name in WINDOW_FIELDS}
+    return {name: told[name] for name in ("from_s", "to_s", "verdict", "judged_s", "flown_s", "ratio", "monitor")}
 
 
 def _lines(answer: Answer) -> str:

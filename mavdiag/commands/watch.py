@@ -9,9 +9,8 @@ import typer
 
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import stop_signals
-from mavdiag.commands.options import Vehicle, is_endpoint
+from mavdiag.commands import options as opt
 from mavdiag.errors import UsageError
-from mavdiag.link.keys import read_key
 from mavdiag.link.ports import open_endpoint
 from mavdiag.link.signing import Signing, stamp_at
 from mavdiag.telemetry import Axis
@@ -27,15 +26,13 @@ def watch(
     baseline: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Judge the vehicle here, too: strips and every monitor.")
     ] = None,
-    vehicle: Vehicle = None,
+    vehicle: opt.Vehicle = None,
     axis: Annotated[Axis, typer.Option(help="Whose rates the strips show.")] = Axis.ROLL,
     span: Annotated[float, typer.Option(min=1.0, metavar="S", help="How much of the flight the strips show.")] = SPAN_S,
     duration: Annotated[
         float | None, typer.Option(min=0.0, metavar="S", help="Stop after so long.  [default: at Ctrl-C]")
     ] = None,
-    signing_key: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Hear only what is signed with this key (MAVLink 2 signing).")
-    ] = None,
+    signing_key: opt.SigningKey = None,
 ) -> None:
     """Watch a flight: a link with its detector's alerts, or the journal that a detector writes.
 
@@ -47,30 +44,26 @@ def watch(
     from mavdiag.terminal.live_judge import LiveJudge
     from mavdiag.terminal.watching import Journal, follow, listen
 
-    until = None if duration is None else time.monotonic() + duration
+    until = float("inf") if duration is None else time.monotonic() + duration
     with stop_signals() as stopped:
 
         def ended() -> bool:
-            return stopped() or (until is not None and time.monotonic() >= until)
+            return stopped() or time.monotonic() >= until
 
-        if not is_endpoint(source):
+        if not opt.is_endpoint(source):
             if baseline is not None or signing_key is not None:
                 raise UsageError("--baseline and --signing-key are for a link; a journal has its verdicts")
             with closing(Journal(Path(source))) as journal:
-                follow(journal, vehicle, ended)
-            return
-        judged_by = None if baseline is None else Baseline.load(baseline)
-        key = None if signing_key is None else read_key(signing_key)
+                return follow(journal, vehicle, ended)
+        judged_by, key = None if baseline is None else Baseline.load(baseline), opt.read_signing_key(signing_key)
+
+        def signing() -> Signing | None:
+            return None if key is None else Signing(key, stamp=stamp_at(time.time_ns()))
+
         with open_endpoint(source) as endpoint:
             judge = None
             if judged_by is not None:
-                datagrams = endpoint.datagrams
-                judge = LiveJudge(judged_by, span, vehicle, datagrams, time.time_ns(), _signing(key))
-            station = GroundStation(
-                endpoint, judge, not source.startswith(LISTENING), vehicle=vehicle, signing=_signing(key)
-            )
-            listen(station, endpoint.address, axis, span, ended)
-
-
-def _signing(key: bytes | None) -> Signing | None:
-    return None if key is None else Signing(key, stamp=stamp_at(time.time_ns()))
+                judge = LiveJudge(judged_by, span, vehicle, endpoint.datagrams, time.time_ns(), signing())
+            speaks = not source.startswith(LISTENING)
+            station = GroundStation(endpoint, judge, speaks, vehicle=vehicle, signing=signing())
+            return listen(station, endpoint.address, axis, span, ended)

@@ -3,13 +3,13 @@
 import math
 import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mavdiag.archive.figures import FlightRecord
+from mavdiag.as_json import DIGITS, plain
 from mavdiag.braille import ACROSS, DOWN, cells, character
 from mavdiag.history.stretches import Stretch, series_of
 from mavdiag.history.trend import Remaining
@@ -28,16 +28,12 @@ TREND_COLUMNS = (
 LEVELS = "▁▂▃▄▅▆▇█"
 HEIGHT = 7  # lines of a chart
 LABEL = 6  # width of its scale
-TOP = 1.15  # of the threshold, at least
-MOST = 2.0  # of the threshold: what is higher is drawn there
+TOP, MOST = 1.15, 2.0  # of the threshold: a chart's least height, and where what is higher is drawn
 NARROW = 60  # a narrower terminal gets no sparklines
 FAR = 1000  # flights: beyond it a number is no forecast
 
-Cell = str | int | float | None
 
-
-@dataclass(frozen=True, slots=True)
-class Line:
+class Line(NamedTuple):
     """A line of text. loud: it asks for action."""
 
     text: str
@@ -47,27 +43,21 @@ class Line:
 def flight_json(number: int, record: FlightRecord) -> dict[str, Any]:
     """A flight. number: in the history of its airframe, from 1. What is not finite becomes null, as in all JSON."""
     told = {name: getattr(record, name) for name in ("t_ns", "log", "content", "baseline", "verdict", "reason")}
-    monitors = [{name: _number(value) for name, value in asdict(slot).items()} for slot in record.slots]
-    judged = {"judged_s": _number(record.judged_s), "monitors": monitors}
-    return {
-        "airframe": record.airframe,
-        "flight": number,
-        **told,
-        **judged,
-        "rotor_trim": [*map(_number, record.rotor_trim)],
-    }
+    judged = {"judged_s": record.judged_s, "monitors": record.slots, "rotor_trim": record.rotor_trim}
+    found: dict[str, Any] = plain({"airframe": record.airframe, "flight": number, **told, **judged}, DIGITS)
+    return found
 
 
-def flight_rows(number: int, record: FlightRecord) -> Iterator[tuple[Cell, ...]]:
+def flight_rows(number: int, record: FlightRecord) -> Iterator[dict[str, Any]]:
     """A row for each monitor and axis, and for each rotor's trim; one with neither for a flight that has none."""
     told = flight_json(number, record)
-    head = (*(told[name] for name in FLIGHT_COLUMNS[:7]), told["judged_s"])
-    for slot in told["monitors"]:
-        yield (*head, *slot.values())
-    for rotor, trim in enumerate(told["rotor_trim"], 1):
-        yield *head, f"trim of rotor {rotor}", None, "fraction of hover", None, trim, None, None
-    if not told["monitors"]:
-        yield *head, *(None,) * (len(FLIGHT_COLUMNS) - len(head))
+    head = {name: told[name] for name in FLIGHT_COLUMNS[:7]} | {"flight_judged_s": told["judged_s"]}
+    trims = (
+        {"monitor": f"trim of rotor {rotor}", "unit": "fraction of hover", "median": trim}
+        for rotor, trim in enumerate(told["rotor_trim"], 1)
+    )
+    for figures in (*told["monitors"], *trims) if told["monitors"] else (*trims, {}):
+        yield head | figures
 
 
 def overview_json(overview: Overview) -> dict[str, Any]:
@@ -78,50 +68,38 @@ def overview_json(overview: Overview) -> dict[str, Any]:
         "last_verdict": overview.flights[-1].verdict if overview.flights else None,
         "warned": [found.series.name for found in overview.warned],
         "stretches": [
-            {"first": cut.first, "began": cut.began, "flights": len(cut.flights)} for cut in overview.stretches
+            {"first": stretch.first, "began": stretch.began, "flights": len(stretch.flights)}
+            for stretch in overview.stretches
         ],
         "trends": [_trend_json(found) for found in overview.found],
-        "rotor_growth": [*map(_number, overview.rotor_growth)],
+        "rotor_growth": plain(overview.rotor_growth, DIGITS),
     }
 
 
-def trend_rows(overview: Overview) -> Iterator[tuple[Cell, ...]]:
+def trend_rows(overview: Overview) -> Iterator[dict[str, Any]]:
     """A row for each statistic of the present stretch."""
     for found in overview.found:
         changes = " ".join(f"{change.number}:{change.step:+.3f}" for change in found.changes)
-        told = _trend_json(found) | {
-            "airframe": overview.airframe,
-            "flights": len(overview.flights),
-            "changes": changes,
-        }
-        yield tuple(told[name] for name in TREND_COLUMNS)
+        of_all = {"airframe": overview.airframe, "flights": len(overview.flights), "changes": changes}
+        yield _trend_json(found) | of_all
 
 
 def _trend_json(found: Review) -> dict[str, Any]:
     series, trend, remaining = found.series, found.trend, found.remaining
-    return {
-        "monitor": series.monitor,
-        "axis": series.axis,
-        "unit": series.unit,
-        "threshold": _number(series.threshold),
+    told = {
+        **{name: getattr(series, name) for name in ("monitor", "axis", "unit", "threshold")},
         "outlook": found.outlook.name.lower(),
-        "level": _number(trend and trend.level),
-        "growth": _number(trend and trend.slope),
-        "growth_error": _number(trend and math.sqrt(trend.slope_variance)),
-        "remaining": _number(remaining and remaining.flights),
-        "remaining_low": _number(remaining and remaining.low),
-        "remaining_high": _number(remaining and remaining.high),
+        "level": trend and trend.level,
+        "growth": trend and trend.slope,
+        "growth_error": trend and math.sqrt(trend.slope_variance),
+        "remaining": remaining and remaining.flights,
+        "remaining_low": remaining and remaining.low,
+        "remaining_high": remaining and remaining.high,
         "warned_at": found.warned_at,
-        "changes": [
-            {"flight": change.number, "step": _number(change.step), "t": _number(change.t)} for change in found.changes
-        ],
+        "changes": [{"flight": change.number, "step": change.step, "t": change.t} for change in found.changes],
     }
-
-
-def _number(value: Any) -> Any:
-    if not isinstance(value, float):
-        return value
-    return float(f"{value:.9g}") if math.isfinite(value) else None
+    rounded: dict[str, Any] = plain(told, DIGITS)
+    return rounded
 
 
 def lines_of(overview: Overview, width: int | None = None) -> tuple[Line, ...]:
@@ -140,9 +118,10 @@ def lines_of(overview: Overview, width: int | None = None) -> tuple[Line, ...]:
     if overview.rotor_growth:
         rises = ", ".join(f"rotor {n} {rise:+.4f}" for n, rise in enumerate(overview.rotor_growth, 1))
         lines.append(Line(f"  trim since the stretch began [fraction of hover]: {rises}"))
-    if width is not None and overview.found:
-        lines += [Line(text) for text in _drawing(overview, width)]
-    return tuple(lines) if width is None else tuple(part for line in lines for part in _wrapped(line, width))
+    if width is None:
+        return tuple(lines)
+    lines += map(Line, _drawing(overview, width) if overview.found else ())
+    return tuple(part for line in lines for part in _wrapped(line, width))
 
 
 def sentence(found: Review) -> str:
@@ -167,10 +146,9 @@ def sparkline(share: FloatArray, width: int) -> str:
     '▁▃▄ ██'
     """
     spans = np.array_split(share, max(min(width, len(share)), 1))
-    highest = [float(span[np.isfinite(span)].max(initial=-1.0)) for span in spans]
-    return "".join(
-        " " if peak < 0 else LEVELS[min(max(math.ceil(peak * len(LEVELS)) - 1, 0), len(LEVELS) - 1)] for peak in highest
-    )
+    highest = (float(span[np.isfinite(span)].max(initial=-1.0)) for span in spans)
+    steps = ((peak, math.ceil(peak * len(LEVELS)) - 1) for peak in highest)
+    return "".join(" " if peak < 0 else LEVELS[min(max(step, 0), len(LEVELS) - 1)] for peak, step in steps)
 
 
 def chart(share: FloatArray, borders: Sequence[int], width: int, height: int = HEIGHT) -> tuple[str, ...]:
@@ -208,9 +186,9 @@ def _headline(overview: Overview) -> str:
     flights = overview.flights
     if not flights:
         return f"{overview.airframe}: no flights"
-    count = f"{len(flights)} flight{'' if len(flights) == 1 else 's'}"
-    last = flights[-1].verdict.value.replace("_", " ")
-    return f"{overview.airframe}: {count}, {day(flights[0].t_ns)} to {day(flights[-1].t_ns)}; the last one {last}"
+    count, last = f"{len(flights)} flight{'' if len(flights) == 1 else 's'}", flights[-1].verdict.value
+    span = f"{day(flights[0].t_ns)} to {day(flights[-1].t_ns)}"
+    return f"{overview.airframe}: {count}, {span}; the last one {last.replace('_', ' ')}"
 
 
 def _began(stretch: Stretch, place: int) -> str:
@@ -220,30 +198,25 @@ def _began(stretch: Stretch, place: int) -> str:
 
 
 def _flights(remaining: Remaining) -> str:
-    def number(value: float) -> str:
-        return f"{value:.0f}" if value <= FAR else f"over {FAR}"
-
-    high = number(remaining.high) if math.isfinite(remaining.high) else "no end"
-    return f"{number(remaining.flights)} flights ({number(remaining.low)} to {high})"
+    numbers = (remaining.flights, remaining.low, remaining.high)
+    best, low, high = (f"{value:.0f}" if value <= FAR else f"over {FAR}" for value in numbers)
+    return f"{best} flights ({low} to {high if math.isfinite(remaining.high) else 'no end'})"
 
 
 def _drawing(overview: Overview, width: int) -> tuple[str, ...]:
     """The chart of the statistic that is nearest, over all stretches."""
-    first = overview.found[0].series
-    parts: list[FloatArray] = []
+    name, parts = overview.found[0].series.name, list[FloatArray]()
     for stretch in overview.stretches:
-        same = (series.share for series in series_of(stretch) if series.name == first.name)
+        same = (series.share for series in series_of(stretch) if series.name == name)
         parts.append(next(same, np.full(len(stretch.flights), np.nan)))
     share = np.concatenate(parts)
     borders = [stretch.first - 1 for stretch in overview.stretches if stretch.began and stretch.flights]
     numbers = f"{'':{LABEL}}1{len(share):>{max(width - LABEL - 1, 1)}}"
-    return (f"  {first.name}, peak over threshold by flight", *chart(share, borders, width), numbers)
+    return (f"  {name}, peak over threshold by flight", *chart(share, borders, width), numbers)
 
 
-def _wrapped(line: Line, width: int) -> Iterator[Line]:
+def _wrapped(line: Line, width: int) -> list[Line]:
     if len(line.text) <= width:
-        yield line
-        return
-    indent = line.text[: len(line.text) - len(line.text.lstrip())]
-    for part in textwrap.wrap(line.text, max(width, 1), subsequent_indent=indent + "  " if width > NARROW else ""):
-        yield Line(part, line.loud)
+        return [line]
+    indent = line.text[: len(line.text) - len(line.text.lstrip())] + "  " if width > NARROW else ""
+    return [Line(part, line.loud) for part in textwrap.wrap(line.text, max(width, 1), subsequent_indent=indent)]

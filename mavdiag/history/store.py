@@ -7,7 +7,7 @@ things. All that SQLAlchemy reports comes out as UsageError in one line; a passw
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import sqlalchemy as sa
 from pydantic import TypeAdapter, ValidationError
@@ -50,8 +50,8 @@ MARK = _table("mark", airframe=sa.String(200), t_ns=sa.BigInteger(), kind=sa.Str
 VERSION = sa.Table("mavdiag_version", METADATA, sa.Column("version_num", sa.String(32), primary_key=True))
 MAKE_LOCK = 0x6D617664  # of PostgreSQL: two that make the tables at once wait for each other
 BUSY_S = 30  # how long SQLite waits for another that writes (our choice)
-_FLIGHTS = TypeAdapter(FlightRecord)
-_MARKS = TypeAdapter(Mark)
+_FLIGHTS, _MARKS = TypeAdapter(FlightRecord), TypeAdapter(Mark)
+Kept = TypeVar("Kept", FlightRecord, Mark)
 
 
 class History:
@@ -96,19 +96,18 @@ class History:
 
     def flights(self, airframe: str) -> tuple[FlightRecord, ...]:
         """All of an airframe, in order of time; those without a time by when they were added."""
-        found = [_FLIGHTS.validate_python(row) for row in self._rows(FLIGHT, airframe)]
-        return tuple(sorted(found, key=lambda record: record.t_ns))
+        return self._all(FLIGHT, _FLIGHTS, airframe)
 
     def marks(self, airframe: str) -> tuple[Mark, ...]:
         """All of an airframe, in order of time."""
-        found = [_MARKS.validate_python(row) for row in self._rows(MARK, airframe)]
-        return tuple(sorted(found, key=lambda mark: mark.t_ns))
+        return self._all(MARK, _MARKS, airframe)
 
-    def _rows(self, table: sa.Table, airframe: str) -> list[dict[str, Any]]:
+    def _all(self, table: sa.Table, values: TypeAdapter[Kept], airframe: str) -> tuple[Kept, ...]:
         columns = [column for column in table.c if column is not table.c.id]
         query = sa.select(*columns).where(table.c.airframe == airframe).order_by(table.c.id)
         with self._engine.begin() as connection:
-            return [dict(row) for row in connection.execute(query).mappings()]
+            found = [values.validate_python(dict(row)) for row in connection.execute(query).mappings()]
+        return tuple(sorted(found, key=lambda kept: kept.t_ns))
 
 
 @contextmanager

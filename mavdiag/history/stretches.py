@@ -42,8 +42,7 @@ class Mark:
 class Stretch:
     """Flights that one baseline judged, with no mark between them, in order of time.
 
-    first: number of the first one in the whole history, from 1.
-    began: why it begins; empty for the first stretch.
+    first: number of the first one in the whole history, from 1. began: why it begins; empty for the first stretch.
     """
 
     first: int
@@ -86,32 +85,30 @@ def stretches_of(flights: Sequence[FlightRecord], marks: Sequence[Mark]) -> tupl
 
     After a mark that is newer than all flights the last stretch has none yet.
     """
+
+    def done(after_ns: int, until_ns: int | None) -> str:
+        marked = (mark for mark in marks if mark.t_ns > after_ns and (until_ns is None or mark.t_ns <= until_ns))
+        return ", ".join(dict.fromkeys(mark.kind.value for mark in marked))
+
+    if not flights:
+        return ()
     found: list[Stretch] = []
     begin, why = 0, ""
     for place, (before, after) in enumerate(pairwise(flights), 1):
-        between = [mark for mark in marks if before.t_ns < mark.t_ns <= after.t_ns]
-        reason = _reasons(between) or ("new baseline" if before.baseline != after.baseline else "")
-        if reason:
+        if reason := done(before.t_ns, after.t_ns) or ("new baseline" if before.baseline != after.baseline else ""):
             found.append(Stretch(begin + 1, why, tuple(flights[begin:place])))
             begin, why = place, reason
-    if flights:
-        found.append(Stretch(begin + 1, why, tuple(flights[begin:])))
-        if later := [mark for mark in marks if mark.t_ns > flights[-1].t_ns]:
-            found.append(Stretch(len(flights) + 1, _reasons(later), ()))
-    return tuple(found)
-
-
-def _reasons(marks: Sequence[Mark]) -> str:
-    return ", ".join(dict.fromkeys(mark.kind.value for mark in marks))
+    found.append(Stretch(begin + 1, why, tuple(flights[begin:])))
+    later = done(flights[-1].t_ns, None)
+    return (*found, Stretch(len(flights) + 1, later, ())) if later else tuple(found)
 
 
 def series_of(stretch: Stretch) -> tuple[Series, ...]:
     """The series of the watched monitors that judged at least one flight, in the order of the baseline."""
     flights, n = stretch.flights, len(stretch.flights)
     times = np.array([flight.started_ns for flight in flights], dtype=np.int64)
-    known = (times[1:] > 0) & (times[:-1] > 0)
-    apart = ~known | (np.diff(times) > SESSION_GAP_NS)
-    session = np.concatenate(([0], np.cumsum(apart))).astype(np.int64)[:n]
+    together = (times[1:] > 0) & (times[:-1] > 0) & (np.diff(times) <= SESSION_GAP_NS)
+    session = np.concatenate(([0], np.cumsum(~together))).astype(np.int64)[:n]
     figures = [{(slot.monitor, slot.axis): slot for slot in flight.slots} for flight in flights]
     found = []
     for key in dict.fromkeys(key for slots in figures for key in slots if key[0] in WATCHED):

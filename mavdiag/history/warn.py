@@ -25,9 +25,8 @@ from enum import StrEnum
 import numpy as np
 
 from mavdiag.archive.figures import FlightRecord
-from mavdiag.history.changes import Change, changes_of
 from mavdiag.history.stretches import Mark, Series, Stretch, series_of, stretches_of
-from mavdiag.history.trend import Remaining, Trend, sessions_of, trend_of
+from mavdiag.history.trend import Change, Remaining, Trend, changes_of, sessions_of, trend_of
 from mavdiag.judging import Verdict
 from mavdiag.telemetry import FloatArray
 
@@ -60,7 +59,6 @@ WARNS = (Outlook.WARNING, Outlook.REACHED)
 class Review:
     """What is found of one statistic in one stretch.
 
-    outlook: in one word.
     trend: at the newest flight that it judged; None with too few.
     remaining: flights from then until it reaches the threshold; None if it does not grow.
     warned_at: number of the flight since which it is warned of; None if it is not.
@@ -79,8 +77,7 @@ class Review:
 class Overview:
     """One airframe.
 
-    flights: all of them, in order of time.
-    stretches: what of them may be compared; trends are those of the last one.
+    flights: all of them, in order of time. stretches: what of them may be compared; trends are those of the last one.
     found: its series, nearest to the threshold first.
     rotor_growth: by how much each rotor's trim rose from the first ten to the last ten flights of the stretch [fraction
         of hover]; empty if not known.

@@ -4,7 +4,6 @@ The kind of a file is decided by its content, never by its name. A new kind is a
 its name in `_READERS`.
 """
 
-from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -12,11 +11,9 @@ from pathlib import Path
 from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError, UsageError
 from mavdiag.logs.csv_columns import ColumnMap, read_csv
-from mavdiag.logs.log import LogKind, read_bytes, sha256_of
+from mavdiag.logs.log import LogKind, read_bytes
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import Log
-
-__all__ = ["ColumnMap", "Log", "LogKind", "airframe_name_for", "gate_for", "is_log", "kinds", "read_log", "sha256_of"]
 
 HEAD_BYTES = 4096
 _READERS = ("dataflash", "ulog", "crazyflie", "dronepropa", "tlog", "csv_columns")  # tlog: a weak signature
@@ -29,29 +26,22 @@ def kinds() -> tuple[LogKind, ...]:
 
 
 def read_log(
-    path: Path,
-    vehicle: int | None = None,
-    profile: str | None = None,
-    among: Sequence[LogKind] | None = None,
-    columns: ColumnMap | None = None,
+    path: Path, vehicle: int | None = None, profile: str | None = None, columns: ColumnMap | None = None
 ) -> Log:
     """Read a flight from a .tlog, DataFlash .bin, .ulg, Crazyflie or DronePropA log, chosen by its content.
 
     vehicle: MAVLink system id to read where a file can hold several; None takes the only one there is.
     profile: link profile of a .tlog where its messages do not show it, or one of the variants of another kind, which
         know their own.
-    among: the kinds of logs, None for all.
     columns: the file is a CSV recording with these columns; None for any other log.
     Raises InputError, in one line, for a file that is absent, empty, damaged beyond use or of another kind, and for a
     vehicle that is no multirotor.
     """
     if columns is not None:
         return read_csv(path, columns)
-    known = kinds() if among is None else among
-    kind = _kind_of(path, known)
+    kind = _kind_of(path)
     if kind is None:
-        names = ", ".join(k.name for k in known)
-        raise InputError(f"{path}: not a flight log of a known kind ({names})")
+        raise InputError(f"{path}: not a flight log of a known kind ({', '.join(known.name for known in kinds())})")
     log = kind.read(path, vehicle, profile)
     if refused := refusal(log.mav_type):
         raise InputError(f"{path}: {refused}")
@@ -60,29 +50,27 @@ def read_log(
 
 def is_log(path: Path) -> bool:
     """Whether a file is a log of a known kind, by its first bytes. Raises InputError if it cannot be read."""
-    return _kind_of(path, kinds()) is not None
+    return _kind_of(path) is not None
 
 
-def _kind_of(path: Path, known: Sequence[LogKind]) -> LogKind | None:
+def _kind_of(path: Path) -> LogKind | None:
     head = read_bytes(path, HEAD_BYTES)
-    return next((kind for kind in known if kind.recognise(head)), None)
+    return next((kind for kind in kinds() if kind.recognise(head)), None)
 
 
-def gate_for(profile: str, among: Sequence[LogKind] | None = None) -> GateSpec:
+def gate_for(profile: str) -> GateSpec:
     """What counts as flying, by the profile of a link or of a kind of log. Raises UsageError for an unknown profile."""
     from mavdiag.link.profiles import PROFILES  # loads the MAVLink dialect, which no reader but that of .tlog needs
 
-    known = kinds() if among is None else among
-    found = next((kind.gate for kind in known if profile in kind.profiles), None)
+    found = next((kind.gate for kind in kinds() if profile in kind.profiles), None)
     if found is not None:
         return found
     if profile not in PROFILES:
-        names = (*PROFILES, *(name for kind in known for name in kind.profiles))
+        names = (*PROFILES, *(name for kind in kinds() for name in kind.profiles))
         raise UsageError(f"no profile {profile}; there are {', '.join(names)}")
     return PROFILES[profile].gate
 
 
-def airframe_name_for(profile: str, among: Sequence[LogKind] | None = None) -> str | None:
+def airframe_name_for(profile: str) -> str | None:
     """Name of the one airframe whose logs have this profile, None if it may be any or comes over a link."""
-    known = kinds() if among is None else among
-    return next((kind.airframe_name for kind in known if profile in kind.profiles), None)
+    return next((kind.airframe_name for kind in kinds() if profile in kind.profiles), None)

@@ -13,114 +13,60 @@ roll and pitch, and the vehicle accelerates by -7.7 m/s^2 along x for 1 rad of p
 """
 
 import re
+import struct
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavdiag.errors import InputError
-from mavdiag.logs.log import LogKind, read_bytes, sha256_of
-from mavdiag.logs.records import Row, as_floats, gather, read_rows, scaled
+from mavdiag.logs.log import (
+    MAX_TIME_US,
+    LogKind,
+    Row,
+    Table,
+    gather,
+    read_bytes,
+    read_rows,
+    scaled,
+    sha256_of,
+    usable_as,
+)
 from mavdiag.rows.gate import GateSpec
-from mavdiag.telemetry import FloatArray, IntArray, Log, Signal, Telemetry
+from mavdiag.telemetry import IntArray, Log, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_US, G
 
 PROFILE = "crazyflie"
-TOKEN = 0xBC
-VERSION = 2
-FIXED_HEADER_BYTES = 5
-CRC_BYTES = 4
-MAX_TIME_US = 2**53  # 285 years: anything later is damage, and would not fit in nanoseconds
-
+TOKEN, VERSION = 0xBC, 2
+FIXED_HEADER_BYTES, CRC_BYTES = 5, 4
 TORQUE_FULL_SCALE = 32767  # the firmware's control_t is int16
 THRUST_FULL_SCALE = 65535  # and its thrust and motor ratios are uint16
-
 _VARIABLE = re.compile(r"(?P<name>.+)\((?P<code>[bBhHiIqQefd?])\)")
 
 
-def _names(group: str, *names: str) -> tuple[str, ...]:
-    return tuple(f"{group}.{name}" for name in names)
+def _row(signal: Signal, group: str, names: str, *factors: float) -> Row:
+    """names: of the variables of a group; "-" for a column that is not logged."""
+    return Row(
+        signal, "", tuple(None if name == "-" else f"{group}.{name}" for name in names.split()), scaled(*factors)
+    )
 
 
 # The first row of a signal whose variables are all in the log is taken. Rows that name gyro, acc, stateEstimate angles,
 # pm or motor follow the firmware's log groups; the recorded flights do not carry those variables.
-_FRD_DEG = scaled(DEG, DEG, -DEG)
 _ROWS = (
-    Row(Signal.ATTITUDE_SETPOINT, "", _names("controller", "roll", "pitch", "yaw"), _FRD_DEG),
-    Row(Signal.RATE_SETPOINT, "", _names("controller", "rollRate", "pitchRate", "yawRate"), _FRD_DEG),
-    Row(Signal.BODY_RATE, "", _names("controller", "r_roll", "r_pitch", "r_yaw"), scaled(1.0, 1.0, -1.0)),
-    Row(Signal.BODY_RATE, "", _names("gyro", "x", "y", "z"), scaled(DEG, -DEG, -DEG)),
-    Row(
-        Signal.TORQUE_COMMAND,
-        "",
-        _names("controller", "cmd_roll", "cmd_pitch", "cmd_yaw"),
-        scaled(1 / TORQUE_FULL_SCALE),
-    ),
-    Row(Signal.THRUST_SETPOINT, "", ("controller.actuatorThrust",), scaled(1 / THRUST_FULL_SCALE)),
-    Row(Signal.SPECIFIC_FORCE, "", _names("acc", "x", "y", "z"), scaled(G, -G, -G)),  # the firmware counts in g
-    Row(Signal.SPECIFIC_FORCE, "", (None, None, "controller.accelz"), scaled(1.0, 1.0, -G)),
-    Row(Signal.ATTITUDE, "", _names("stateEstimate", "roll", "pitch", "yaw"), _FRD_DEG),
-    Row(Signal.HEIGHT, "", ("stateEstimate.z",)),
-    Row(Signal.VOLTAGE, "", ("pm.vbat",)),
-    Row(Signal.ACTUATOR, "", _names("motor", "m1", "m2", "m3", "m4"), scaled(1 / THRUST_FULL_SCALE)),
+    _row(Signal.ATTITUDE_SETPOINT, "controller", "roll pitch yaw", DEG, DEG, -DEG),
+    _row(Signal.RATE_SETPOINT, "controller", "rollRate pitchRate yawRate", DEG, DEG, -DEG),
+    _row(Signal.BODY_RATE, "controller", "r_roll r_pitch r_yaw", 1.0, 1.0, -1.0),
+    _row(Signal.BODY_RATE, "gyro", "x y z", DEG, -DEG, -DEG),
+    _row(Signal.TORQUE_COMMAND, "controller", "cmd_roll cmd_pitch cmd_yaw", 1 / TORQUE_FULL_SCALE),
+    _row(Signal.THRUST_SETPOINT, "controller", "actuatorThrust", 1 / THRUST_FULL_SCALE),
+    _row(Signal.SPECIFIC_FORCE, "acc", "x y z", G, -G, -G),  # the firmware counts in g
+    _row(Signal.SPECIFIC_FORCE, "controller", "- - accelz", 1.0, 1.0, -G),
+    _row(Signal.ATTITUDE, "stateEstimate", "roll pitch yaw", DEG, DEG, -DEG),
+    _row(Signal.HEIGHT, "stateEstimate", "z", 1.0),
+    _row(Signal.VOLTAGE, "pm", "vbat", 1.0),
+    _row(Signal.ACTUATOR, "motor", "m1 m2 m3 m4", 1 / THRUST_FULL_SCALE),
 )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Events:
-    """All records of one event type, in the order of the file: id, time and the variables, as fields f0, f1, …"""
-
-    name: str
-    variables: tuple[str, ...]
-    records: NDArray[np.void]
-
-    def read(self, row: Row) -> tuple[IntArray, FloatArray] | None:
-        """See `records.Table`."""
-        if not all(name is None or name in self.variables for name in row.fields):
-            return None
-        values = np.full((len(self.records), len(row.fields)), np.nan)
-        for column, name in enumerate(row.fields):
-            if name is not None:
-                values[:, column] = as_floats(self.records[f"f{self.variables.index(name) + 2}"])
-        return self.records["f1"].astype(np.int64) * NS_PER_US, values
-
-
-class _Header:
-    """Reads the self-description, byte by byte; every step is checked against the end of the file."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-        self.position = FIXED_HEADER_BYTES
-
-    def u16(self) -> int:
-        end = self.position + 2
-        if end > len(self._data):
-            raise InputError("the header ends early")
-        value = int.from_bytes(self._data[self.position : end], "little")
-        self.position = end
-        return value
-
-    def text(self) -> str:
-        end = self._data.find(b"\0", self.position)
-        if end < 0:
-            raise InputError("the header ends early")
-        raw = self._data[self.position : end]
-        self.position = end + 1
-        return raw.decode("latin-1")
-
-    def event_type(self) -> tuple[int, _Events]:
-        """Number and layout of the next event type that is declared, without records."""
-        number, name = self.u16(), self.text()
-        variables, fields = [], [("f0", "<u2"), ("f1", "<u8")]
-        for index in range(self.u16()):
-            match = _VARIABLE.fullmatch(self.text())
-            if match is None:
-                raise InputError(f"event {name!r} declares a variable without a known type")
-            variables.append(match["name"])
-            fields.append((f"f{index + 2}", "<" + match["code"]))
-        return number, _Events(name, tuple(variables), np.empty(0, fields))
 
 
 def read_crazyflie(path: Path) -> Log:
@@ -131,46 +77,58 @@ def read_crazyflie(path: Path) -> Log:
     Raises InputError for a file that is unreadable, truncated, damaged, of another version, or without a known signal.
     """
     data = read_bytes(path)
-    try:
-        series = tuple(read_rows(_ROWS, _events(_checked(data))).values())
+    with usable_as("Crazyflie log", path):
+        if len(data) < FIXED_HEADER_BYTES + CRC_BYTES or data[0] != TOKEN:
+            raise InputError("its first bytes are not those of one")
+        version = int.from_bytes(data[1:3], "little")
+        if version != VERSION:
+            raise InputError(f"version {version}; only version {VERSION} is read")
+        content, checksum = data[:-CRC_BYTES], data[-CRC_BYTES:]
+        if zlib.crc32(content) != int.from_bytes(checksum, "little"):
+            raise InputError("its checksum is wrong (truncated or damaged); copy it from the card again")
+        series = tuple(read_rows(_ROWS, _tables(content)).values())
         if not series:
             raise InputError("it carries no signal that is known here; log the `controller` group")
-    except InputError as error:
-        raise InputError(f"{path}: not a usable Crazyflie log: {error}") from error
     return Log(path.name, sha256_of(data), PROFILE, Telemetry(series))
 
 
-def _checked(data: bytes) -> bytes:
-    """The content without its checksum. Raises InputError if the token, the version or the checksum is wrong."""
-    if len(data) < FIXED_HEADER_BYTES + CRC_BYTES or data[0] != TOKEN:
-        raise InputError("its first bytes are not those of one")
-    version = int.from_bytes(data[1:3], "little")
-    if version != VERSION:
-        raise InputError(f"version {version}; only version {VERSION} is read")
-    content, checksum = data[:-CRC_BYTES], data[-CRC_BYTES:]
-    if zlib.crc32(content) != int.from_bytes(checksum, "little"):
-        raise InputError("its checksum is wrong (truncated or damaged); copy it from the card again")
-    return content
-
-
-def _events(content: bytes) -> list[_Events]:
+def _tables(content: bytes) -> list[Table]:
     """The records by event type, in the order in which the header declares the types; types without records left out.
 
     Raises InputError if the header or a record does not make sense.
     """
-    header = _Header(content)
-    types = dict(header.event_type() for _ in range(int.from_bytes(content[3:5], "little")))
-    body = content[header.position :]
+    types, position = dict[int, np.dtype[np.void]](), FIXED_HEADER_BYTES
+    try:
+        for _ in range(int.from_bytes(content[3:5], "little")):
+            number, types[number], position = _event_type(content, position)
+    except (ValueError, struct.error) as error:
+        raise InputError("the header ends early") from error
+    body = content[position:]
     if len(body) < 2:
         raise InputError("it has no records")
     found = []
-    for number, starts in _starts(body, {number: kind.records.itemsize for number, kind in types.items()}).items():
-        kind = types[number]
-        records = gather(body, kind.records.dtype, starts)
-        if len(records) and int(records["f1"].max()) > MAX_TIME_US:
+    for number, starts in _starts(body, {number: layout.itemsize for number, layout in types.items()}).items():
+        records = gather(body, types[number], starts)
+        if len(records) and int(records["time"].max()) > MAX_TIME_US:
             raise InputError("a time stamp is out of range")
-        found += [_Events(kind.name, kind.variables, records)] if len(records) else []
+        fields = {name: records[name] for name in types[number].names or () if "." in name}
+        found += [Table("", records["time"].astype(np.int64) * NS_PER_US, fields)] if len(records) else []
     return found
+
+
+def _event_type(content: bytes, position: int) -> tuple[int, np.dtype[np.void], int]:
+    """Number and layout of the event type that is declared here, and where it ends. Raises ValueError, struct.error."""
+    (number,), name_end = struct.unpack_from("<H", content, position), content.index(b"\0", position + 2)
+    (count,), position = struct.unpack_from("<H", content, name_end + 1), name_end + 3
+    variables: dict[str, str] = {}
+    for index in range(count):
+        end = content.index(b"\0", position)
+        match, position = _VARIABLE.fullmatch(content[position:end].decode("latin-1")), end + 1
+        if match is None:
+            raise InputError(f"event {number} declares a variable without a known type")
+        known = "." in match["name"] and match["name"] not in variables
+        variables[match["name"] if known else str(index)] = "<" + match["code"]
+    return number, np.dtype([("id", "<u2"), ("time", "<u8"), *variables.items()]), position
 
 
 def _starts(body: bytes, sizes: dict[int, int]) -> dict[int, list[int] | IntArray]:
@@ -183,7 +141,7 @@ def _starts(body: bytes, sizes: dict[int, int]) -> dict[int, list[int] | IntArra
     found: dict[int, list[int]] = {number: [] for number in sizes}
     position = 0
     while position < len(body):
-        number = body[position] | body[position + 1] << 8 if position + 1 < len(body) else -1
+        number = int.from_bytes(body[position : position + 2], "little")
         if number not in sizes or position + sizes[number] > len(body):
             raise InputError(f"the record at byte {position} of the data is of no declared type or cut short")
         found[number].append(position)
@@ -196,7 +154,7 @@ def _starts(body: bytes, sizes: dict[int, int]) -> dict[int, list[int] | IntArra
 KIND = LogKind(
     "Crazyflie",
     lambda head: head[:1] == bytes([TOKEN]),
-    lambda path, vehicle, profile: read_crazyflie(path),
+    lambda path, *_: read_crazyflie(path),
     PROFILE,
     GateSpec(min_height_m=0.38, min_thrust=0.38, need_armed=False, trim_start_s=0.5, trim_end_s=0.6),
     airframe_name="crazyflie",

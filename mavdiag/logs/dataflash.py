@@ -15,9 +15,8 @@ import numpy as np
 
 from mavdiag.airframe.parameters import COPTER_MOTORS, output_functions
 from mavdiag.errors import InputError
-from mavdiag.logs.dataflash_records import HEADER, INTEGERS, RecordTable, Walk
-from mavdiag.logs.log import RECORDED_GATE, LogKind, windows_of
-from mavdiag.logs.records import Row, read_rows, recorded
+from mavdiag.logs.dataflash_records import HEADER, Walk
+from mavdiag.logs.log import RECORDED_GATE, LogKind, Row, Table, read_rows, recorded, windows_of
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_MS, NS_PER_S, NS_PER_US
 
@@ -86,50 +85,37 @@ def read_dataflash(path: Path) -> Log:
     parameters = _parameters(tables)
     functions = output_functions(parameters)
     motors = _motor_channels(functions)
-    series = _series(tables, motors, [n for n in functions if not motors])
+    found = read_rows(_ROWS, tables.values())
+    loop, outputs = _rate_loop(tables, found.get(Signal.BODY_RATE)), _actuator(tables, motors, functions)
+    series = (*found.values(), *loop, *outputs, *_armed(tables))
     if not series:
         raise InputError(f"{path}: not a usable DataFlash log: no record of a known signal; check that logging was on")
-    started_ns = _started_ns(tables, series)
     named = (path.name, digest.hexdigest(), PROFILE)
     kind = _mav_type(tables.get("MSG"), parameters)
-    return Log(*named, Telemetry(series), started_ns, notes, parameters, bool(motors), kind)
+    return Log(*named, Telemetry(series), _started_ns(tables, series), notes, parameters, bool(motors), kind)
 
 
-def _series(tables: Mapping[str, RecordTable], motors: Sequence[int], others: Sequence[int]) -> tuple[Series, ...]:
-    """Every signal that the log carries.
-
-    motors: output channels by motor; empty if they are not known. others: channels that are known to be no motors.
-    """
-    found = read_rows(_ROWS, tables.values())
-    return (
-        *found.values(),
-        *_rate_loop(tables, found.get(Signal.BODY_RATE)),
-        *_actuator(tables, motors, others),
-        *_armed(tables),
-    )
-
-
-def _rate_loop(tables: Mapping[str, RecordTable], gyro: Series | None) -> tuple[Series, ...]:
+def _rate_loop(tables: Mapping[str, Table], gyro: Series | None) -> tuple[Series, ...]:
     """Rate setpoints and torque commands of the RATE message."""
     table = tables.get("RATE")
-    t_ns = table.t_ns() if table is not None else None
-    if table is None or t_ns is None or not table.has(("RDes", "PDes", "YDes", "ROut", "POut", "YOut", "R", "P", "Y")):
+    fields = ("RDes", "PDes", "YDes", "ROut", "POut", "YOut", "R", "P", "Y")
+    if table is None or table.t_ns is None or not table.has(*fields):
         return ()
-    unit = _rate_unit(table, t_ns, gyro)
+    unit = _rate_unit(table, table.t_ns, gyro)
     output_unit = 1.0 if unit == DEG else 1 / CENTIDEGREE_OUTPUT
     return (
-        recorded(Signal.RATE_SETPOINT, t_ns, table.columns(("RDes", "PDes", "YDes")) * unit),
-        recorded(Signal.TORQUE_COMMAND, t_ns, table.columns(("ROut", "POut", "YOut")) * output_unit),
+        recorded(Signal.RATE_SETPOINT, table.t_ns, table.columns(fields[:3]) * unit),
+        recorded(Signal.TORQUE_COMMAND, table.t_ns, table.columns(fields[3:6]) * output_unit),
     )
 
 
-def _rate_unit(table: RecordTable, t_ns: IntArray, gyro: Series | None) -> float:
+def _rate_unit(table: Table, t_ns: IntArray, gyro: Series | None) -> float:
     """What RATE counts in [rad/s]: degrees per second, or hundredths of them up to Copter 3.3.
 
     The message repeats the gyro, so the file decides: its mean size against the IMU's over their common span is near
     1 or near 100. Logs with TimeMS all come from the hundredths' era; without an IMU the present unit is assumed.
     """
-    if "TimeMS" in table.format.labels:
+    if "TimeMS" in table.fields:
         return DEG / 100
     if gyro is None:
         return DEG
@@ -145,39 +131,41 @@ def _mean_size(values: FloatArray) -> float:
     return float(finite.mean()) if len(finite) else 0.0
 
 
-def _actuator(tables: Mapping[str, RecordTable], motors: Sequence[int], others: Sequence[int]) -> tuple[Series, ...]:
-    """The motors' outputs from RCOU: (pulse - 1000 us) / 1000 us; 0 for an idle output (0 us) and for no motor's."""
-    table = tables.get("RCOU")
-    t_ns = table.t_ns() if table is not None else None
-    if table is None or t_ns is None:
+def _actuator(tables: Mapping[str, Table], motors: Sequence[int], functions: Mapping[int, int]) -> tuple[Series, ...]:
+    """The motors' outputs from RCOU: (pulse - 1000 us) / 1000 us; 0 for an idle output (0 us) and for no motor's.
+
+    motors: output channels by motor; empty if they are not known. Then those that have a function are no motors.
+    """
+    table, others = tables.get("RCOU"), () if motors else tuple(functions)
+    if table is None or table.t_ns is None:
         return ()
-    prefix = "Ch" if table.has(("Ch1",)) else "C"
-    channels = [n for n in motors if table.has((f"{prefix}{n}",))]
+    prefix = "Ch" if table.has("Ch1") else "C"
+    present = [n for n in range(1, MAX_CHANNELS + 1) if table.has(f"{prefix}{n}")]
+    channels = [n for n in motors if n in present]
     if not channels:  # nothing says which are motors: every channel up to the last that moves, or gives a pulse
-        present = [n for n in range(1, MAX_CHANNELS + 1) if table.has((f"{prefix}{n}",))]
         pulses = {n: table.column(f"{prefix}{n}") for n in present if n not in others}
         moving = [n for n, pulse in pulses.items() if np.ptp(pulse)] or [n for n in pulses if pulses[n].any()]
         channels = [n for n in present if n <= max(moving, default=0)]
     if not channels:
         return ()
     pulse_us = table.columns([f"{prefix}{n}" for n in channels]) * [n not in others for n in channels]
-    return (recorded(Signal.ACTUATOR, t_ns, np.maximum(pulse_us - PWM_ZERO_US, 0.0) / PWM_SPAN_US),)
+    return (recorded(Signal.ACTUATOR, table.t_ns, np.maximum(pulse_us - PWM_ZERO_US, 0.0) / PWM_SPAN_US),)
 
 
-def _parameters(tables: Mapping[str, RecordTable]) -> dict[str, float]:
+def _parameters(tables: Mapping[str, Table]) -> dict[str, float]:
     """The last value of each parameter; empty where the log has none."""
     table = tables.get("PARM")
-    if table is None or not table.has(("Value",)) or not table.has(("Name",), "N"):
+    if table is None or not table.has("Value") or not table.has("Name", kinds="S"):
         return {}
-    names = (name.decode("latin-1") for name in table.raw("Name").tolist())
+    names = (name.decode("latin-1") for name in table.fields["Name"].tolist())
     return {name: value for name, value in zip(names, table.column("Value").tolist(), strict=True) if isfinite(value)}
 
 
-def _mav_type(texts: RecordTable | None, parameters: Mapping[str, float]) -> int | None:
+def _mav_type(texts: Table | None, parameters: Mapping[str, float]) -> int | None:
     """MAV_TYPE by the firmware's name and its frame; None where the log does not say."""
-    if texts is None or not texts.has(("Message",), "Z"):
+    if texts is None or not texts.has("Message", kinds="S"):
         return None
-    said = b"\n".join(texts.raw("Message").tolist())
+    said = b"\n".join(texts.fields["Message"].tolist())
     firmware, frame = _FIRMWARE.search(said), _FRAME.search(said)
     if firmware is None:
         return None
@@ -195,48 +183,42 @@ def _motor_channels(functions: Mapping[int, int]) -> list[int]:
     return [first[wanted] for wanted in COPTER_MOTORS if wanted in first]
 
 
-def _armed(tables: Mapping[str, RecordTable]) -> tuple[Series, ...]:
+def _armed(tables: Mapping[str, Table]) -> tuple[Series, ...]:
     """Arming changes, from ARM or else from EV. Early EV records carry no time: theirs is the last IMU record's."""
-    arm, event = tables.get("ARM"), tables.get("EV")
-    if arm is not None and arm.has(("ArmState",)):
-        t_ns = arm.t_ns()
-        return () if t_ns is None else (recorded(Signal.ARMED, t_ns, np.minimum(arm.column("ArmState"), 1.0)),)
-    if event is None or not event.has(("Id",), INTEGERS):
+    arm, event, clock = (tables.get(name) for name in ("ARM", "EV", "IMU"))
+    if arm is not None and arm.has("ArmState"):
+        armed = np.minimum(arm.column("ArmState"), 1.0)
+        return () if arm.t_ns is None else (recorded(Signal.ARMED, arm.t_ns, armed),)
+    number = None if event is None else event.integers("Id")
+    if event is None or number is None:
         return ()
-    t_ns, number = _event_time(event, tables.get("IMU")), event.raw("Id")
-    change = (number == EVENT_ARMED) | (number == EVENT_DISARMED)
+    t_ns, change = event.t_ns, np.isin(number, (EVENT_ARMED, EVENT_DISARMED))
+    if t_ns is None and clock is not None and clock.t_ns is not None:
+        t_ns = clock.t_ns[np.maximum(np.searchsorted(clock.starts, event.starts) - 1, 0)]
     if t_ns is None or not change.any():
         return ()
     return (recorded(Signal.ARMED, t_ns[change], (number[change] == EVENT_ARMED).astype(np.float64)),)
 
 
-def _event_time(event: RecordTable, clock: RecordTable | None) -> IntArray | None:
-    """Time of each event, by its own stamp or by the last record of `clock` before it in the file."""
-    own = event.t_ns()
-    ticks = clock.t_ns() if clock is not None else None
-    if own is not None or clock is None or ticks is None:
-        return own
-    return ticks[np.maximum(np.searchsorted(clock.starts, event.starts) - 1, 0)]
-
-
-def _started_ns(tables: Mapping[str, RecordTable], series: tuple[Series, ...]) -> int:
+def _started_ns(tables: Mapping[str, Table], series: tuple[Series, ...]) -> int:
     """Unix time of the first sample [ns], by the first three-dimensional GPS fix; 0 if there is none."""
     table = tables.get("GPS")
-    if table is None or not table.has(("Status",)):
+    if table is None or not table.has("Status"):
         return 0
-    if table.has(("GMS", "GWk", "TimeUS"), INTEGERS):
-        week, tow_ms, boot_ns = table.raw("GWk"), table.raw("GMS"), table.raw("TimeUS").astype(np.int64) * NS_PER_US
-    elif table.has(("TimeMS", "Week", "T"), INTEGERS):  # here TimeMS is the time of the week, and T the time since boot
-        week, tow_ms, boot_ns = table.raw("Week"), table.raw("TimeMS"), table.raw("T").astype(np.int64) * NS_PER_MS
-    else:
-        return 0
-    fixed = np.flatnonzero((table.column("Status") >= GPS_FIX_3D) & (week.astype(np.int64) >= LEAP_SECONDS[-1][0]))
-    if len(fixed) == 0:
-        return 0
-    weeks = int(week[fixed[0]])
-    leap_s = next(seconds for since, seconds in LEAP_SECONDS if weeks >= since)
-    fix_ns = (GPS_EPOCH_UNIX_S + weeks * WEEK_S - leap_s) * NS_PER_S + int(tow_ms[fixed[0]]) * NS_PER_MS
-    return fix_ns - int(boot_ns[fixed[0]]) + min(int(s.t_ns[0]) for s in series)
+    # Of the old era TimeMS is the time of the week, and T the time since boot.
+    for names, boot_unit_ns in ((("GWk", "GMS", "TimeUS"), NS_PER_US), (("Week", "TimeMS", "T"), NS_PER_MS)):
+        week, tow_ms, boot = map(table.integers, names)
+        if week is None or tow_ms is None or boot is None:
+            continue
+        fixed = np.flatnonzero((table.column("Status") >= GPS_FIX_3D) & (week >= LEAP_SECONDS[-1][0]))
+        if len(fixed) == 0:
+            return 0
+        at = int(fixed[0])
+        weeks = int(week[at])
+        leap_s = next(seconds for since, seconds in LEAP_SECONDS if weeks >= since)
+        fix_ns = (GPS_EPOCH_UNIX_S + weeks * WEEK_S - leap_s) * NS_PER_S + int(tow_ms[at]) * NS_PER_MS
+        return fix_ns - int(boot[at]) * boot_unit_ns + min(int(one.t_ns[0]) for one in series)
+    return 0
 
 
 def _recognise(head: bytes) -> bool:

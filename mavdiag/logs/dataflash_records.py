@@ -8,14 +8,15 @@ a last record that is cut short is dropped. Records carry no checksum: a flipped
 
 import struct
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavdiag.jit import cached
-from mavdiag.logs.records import Row, as_floats, gather
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray
+from mavdiag.logs.log import Table, gather
+from mavdiag.telemetry import BoolArray, IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_US
 
 HEADER = b"\xa3\x95"
@@ -32,21 +33,12 @@ _LAYOUTS = {
 }  # fmt: skip
 _SIZES = {character: np.dtype(layout).itemsize for character, layout in _LAYOUTS.items()}
 _MULTIPLIERS = {"c": 0.01, "C": 0.01, "e": 0.01, "E": 0.01, "L": 1e-7}
-INTEGERS = "bBhHiIqQ"
-_NUMBERS = INTEGERS + "fdgMcCeEL"  # the rest are texts and arrays
-_TIMES = (("TimeUS", NS_PER_US), ("TimeMS", NS_PER_MS))  # label, nanoseconds
+_TIMES = {"TimeUS": NS_PER_US, "TimeMS": NS_PER_MS}
 _INSTANCES = ("I", "IMU", "Inst", "Instance")
 
 
-@dataclass(frozen=True, slots=True)
-class Format:
-    """One message type.
-
-    length: of a record, with its header.
-    name: of the message.
-    characters: one per field.
-    labels: one per field.
-    """
+class Format(NamedTuple):
+    """One message type: length of a record with its header, name, and a character and a label for each field."""
 
     length: int
     name: str
@@ -65,87 +57,25 @@ class Format:
         return np.dtype([("header", f"V{HEADER_BYTES}"), *fields])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordTable:
-    """All records of one type.
-
-    format: what its FMT record says.
-    starts: (n,) their places in the file.
-    records: (n,), fields f0, f1, … by label.
-    """
-
-    format: Format
-    starts: IntArray
-    records: NDArray[np.void]
-
-    @property
-    def name(self) -> str:
-        """See `records.Table`."""
-        return self.format.name
-
-    def has(self, labels: Collection[str | None], characters: str = _NUMBERS) -> bool:
-        """Whether all these fields are there, and of these formats: damage can turn a number into a text."""
-        kinds: Mapping[str | None, str] = dict(zip(self.format.labels, self.format.characters, strict=True))
-        return all(label in kinds and kinds[label] in characters for label in labels)
-
-    def raw(self, label: str) -> NDArray[np.generic]:
-        """The stored values of a field."""
-        return self.records[f"f{self.format.labels.index(label)}"]
-
-    def column(self, label: str, integer_unit: float = 1.0) -> FloatArray:
-        """A field as numbers, (n,), by its character's multiplier; a plain integer counts in `integer_unit`."""
-        character = self.format.characters[self.format.labels.index(label)]
-        unit = integer_unit if character in INTEGERS else _MULTIPLIERS.get(character, 1.0)
-        return as_floats(self.raw(label)) * unit
-
-    def columns(self, labels: Collection[str], integer_unit: float = 1.0) -> FloatArray:
-        """Several fields, (n, len(labels))."""
-        return np.column_stack([self.column(label, integer_unit) for label in labels])
-
-    def t_ns(self) -> IntArray | None:
-        """Time since boot of each record, (n,); None if the type carries no time."""
-        for label, unit_ns in _TIMES:
-            if self.has((label,), INTEGERS):
-                return self.raw(label).astype(np.int64) * unit_ns
-        return None
-
-    def read(self, row: Row) -> tuple[IntArray, FloatArray] | None:
-        """See `records.Table`."""
-        t_ns = self.t_ns()
-        if t_ns is None or not self.has(row.fields):
-            return None
-        return t_ns, self.columns([label for label in row.fields if label], row.integer_unit)
-
-    def first_instance(self) -> "RecordTable":
-        """Only the records of the lowest instance, for messages that carry the instance as a field."""
-        label = next((name for name in _INSTANCES if self.has((name,), INTEGERS)), None)
-        if label is None:
-            return self
-        instance = self.raw(label)
+def table_of(form: Format, starts: IntArray, records: NDArray[np.void]) -> Table:
+    """The records of one type; of those that carry the instance of a sensor, only those of the lowest one."""
+    fields = {label: records[f"f{place}"] for place, label in enumerate(form.labels)}
+    units = {label: _MULTIPLIERS.get(c) for label, c in zip(form.labels, form.characters, strict=True)}
+    table = Table(form.name, None, fields, {label: unit for label, unit in units.items() if unit}, starts)
+    instance = next((found for found in map(table.integers, _INSTANCES) if found is not None), None)
+    if instance is not None and (instance != instance.min()).any():
         first = instance == instance.min()
-        whole = self.records.view(f"V{self.records.itemsize}")  # copied in one piece each, not field by field
-        return (
-            self if first.all() else RecordTable(self.format, self.starts[first], whole[first].view(self.records.dtype))
-        )
+        whole = records.view(f"V{records.itemsize}")  # copied in one piece each, not field by field
+        return table_of(form, starts[first], whole[first].view(records.dtype))
+    stamps = ((table.integers(label), unit_ns) for label, unit_ns in _TIMES.items())
+    return replace(table, t_ns=next((stamp * unit_ns for stamp, unit_ns in stamps if stamp is not None), None))
 
 
 def declared(data: bytes, position: int) -> tuple[int, Format]:
     """The type that the FMT record at this place declares, and how it is laid out. The record must be whole."""
-    kind, length, name, characters, labels = FMT_BODY.unpack_from(data, position + HEADER_BYTES)
-    return kind, Format(length, _text(name), _text(characters), tuple(_text(labels).split(",")))
-
-
-def _text(raw: bytes) -> str:
-    """Text up to the first NUL."""
-    return raw.partition(b"\0")[0].decode("latin-1")
-
-
-@dataclass(slots=True)
-class _Gathered:
-    """The records of one type so far, and their places in the file (int64). Arrays that grow would be held twice."""
-
-    starts: bytearray = field(default_factory=bytearray)
-    records: bytearray = field(default_factory=bytearray)
+    kind, length, *texts = FMT_BODY.unpack_from(data, position + HEADER_BYTES)
+    name, characters, labels = (raw.partition(b"\0")[0].decode("latin-1") for raw in texts)
+    return kind, Format(length, name, characters, tuple(labels.split(",")))
 
 
 class Walk:
@@ -157,7 +87,9 @@ class Walk:
         self._lengths = np.zeros(256, np.int64)  # by type; 0 for unknown
         self._lengths[FMT_TYPE] = FMT_BYTES
         self._taken = np.zeros(256, np.bool_)  # whether records of a type are gathered
-        self._gathered: dict[int, _Gathered] = {}  # by type, in the order of their declaration
+        # Places in the file (int64) and records, by type, in the order of their declaration. As bytes, for arrays that
+        # grow would be held twice.
+        self._gathered: dict[int, tuple[bytearray, bytearray]] = {}
         self._base = 0  # place in the file where the present piece starts
         self._carry = b""  # the end of the last piece, where a record may have begun
         self._sound_end = 0  # place in the file behind the last whole record of a known type
@@ -183,21 +115,18 @@ class Walk:
         self._carry = data[position:]
         self._base += position
 
-    def finish(self) -> tuple[Mapping[str, RecordTable], tuple[str, ...]]:
+    def finish(self) -> tuple[Mapping[str, Table], tuple[str, ...]]:
         """The tables by name, absent messages left out, and what is wrong with the file, one sentence each.
 
         Of a message that comes from several instances of a sensor, only the first instance is kept; of two types with
         the same name, the one that was declared first and has records.
         """
-        found: dict[str, RecordTable] = {}
-        for kind, gathered in self._gathered.items():
+        found: dict[str, Table] = {}
+        for kind, (starts, records) in self._gathered.items():
             form = self._formats[kind]
-            if gathered.starts and form.name not in found:
-                starts, records = (
-                    np.frombuffer(gathered.starts, np.int64),
-                    np.frombuffer(gathered.records, form.layout()),
-                )
-                found[form.name] = RecordTable(form, starts, records).first_instance()
+            if starts and form.name not in found:
+                stored = np.frombuffer(records, form.layout())
+                found[form.name] = table_of(form, np.frombuffer(starts, np.int64), stored)
         lost = self._base + len(self._carry) - self._sound_end
         cut = f"it ends within a record, {lost} bytes are lost: the recording was cut off"
         between = self._sound_end - self._sound
@@ -213,16 +142,16 @@ class Walk:
         self._formats[kind], self._lengths[kind] = form, form.length
         if form.name in self._wanted and form.sound:
             self._taken[kind] = True
-            self._gathered[kind] = _Gathered()
+            self._gathered[kind] = bytearray(), bytearray()
 
     def _gather(self, data: bytes, octets: NDArray[np.uint8], places: IntArray) -> None:
         """Copy the records that were found in a piece out of it."""
         kinds = octets[places + 2]
-        for kind, gathered in self._gathered.items():
+        for kind, (starts, records) in self._gathered.items():
             at = places[kinds == kind]
             if len(at):
-                gathered.starts += (at + self._base).data
-                gathered.records += gather(data, self._formats[kind].layout(), at).view(np.uint8).data
+                starts += (at + self._base).data
+                records += gather(data, self._formats[kind].layout(), at).view(np.uint8).data
 
 
 @cached

@@ -21,17 +21,16 @@ Flight. ARMED is true in the commander's state 5 only, so that idling, take-off 
 ground the motors turn for seven seconds with a limit cycle of the yaw torque at 24 Hz.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import InputError, UsageError
-from mavdiag.logs.log import LogKind, read_bytes, sha256_of
+from mavdiag.logs.log import LogKind, read_bytes, recorded, sha256_of, usable_as
 from mavdiag.logs.matlab import is_mat, read_matrices
-from mavdiag.logs.records import recorded
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Log, Signal, Telemetry
 from mavdiag.units import NS_PER_S, RPM
@@ -75,85 +74,75 @@ _AXES = ("roll", "pitch", "yaw")
 _RULE = "the rows are not those of DronePropA"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class _Recording:
-    """The three matrices with a row for each sample, (n, 56), (n, 37) and (n, 21); values that cannot be are NaN."""
+    """The three matrices with a row for each sample, from x forward, y left, z up to FRD.
 
-    qdrone: FloatArray
-    commander: FloatArray
-    stabilizer: FloatArray
+    q, c, s: by the numbers of rows, (n, k) of QDrone_data, commander_data and stabilizer_data; NaN for what cannot be.
+    t_ns: (n,). dt_s: sample time [s]. flying: (n,) not on the ground, taking off or landing.
+    rates: (n, 3) gyro of the first IMU [rad/s]: raw, and behind the flight software's low-pass, 120 rad/s, order 2.
+    imu_attitude: (n, 3) roll, pitch and yaw that the first IMU estimates [rad]; its yaw drifts.
+    speeds_are_certain: whether copies of the motor commands stand beside the ESCs' rows in the order of the table.
+    """
 
-    def on_board(self, *rows: int) -> FloatArray:
-        """Rows of QDrone_data by number, (n, k)."""
-        return self.qdrone[:, [row - 1 for row in rows]]
-
-    def commanded(self, *rows: int) -> FloatArray:
-        """Rows of commander_data by number, (n, k)."""
-        return self.commander[:, [row - 1 for row in rows]]
-
-    def stabilized(self, *rows: int) -> FloatArray:
-        """Rows of stabilizer_data by number, (n, k)."""
-        return self.stabilizer[:, [row - 1 for row in rows]]
-
-    @property
-    def t_ns(self) -> IntArray:
-        """(n,) time since the recording began."""
-        return np.rint(self.qdrone[:, 0] * NS_PER_S).astype(np.int64)
-
-    @property
-    def flying(self) -> BoolArray:
-        """(n,) the commander was in flight: not on the ground, taking off or landing."""
-        return np.asarray(self.commander[:, 1] == FLIGHT_STATE, dtype=np.bool_)
-
-    @property
-    def raw_rate(self) -> FloatArray:
-        """(n, 3) gyro of the first IMU, unfiltered [rad/s]."""
-        return self.on_board(27, 28, 29) * FRD
-
-    @property
-    def filtered_rate(self) -> FloatArray:
-        """(n, 3) the same behind the flight software's low-pass, 120 rad/s of second order [rad/s]."""
-        return self.on_board(5, 6, 7) * FRD
-
-    @property
-    def imu_attitude(self) -> FloatArray:
-        """(n, 3) roll, pitch and yaw that the first IMU estimates [rad]; its yaw drifts."""
-        return self.on_board(2, 3, 4) * FRD
+    def __init__(self, matrices: Sequence[FloatArray]) -> None:
+        self.q, self.c, self.s = (partial(_rows, matrix) for matrix in matrices)
+        self.t_ns: IntArray = np.rint(self.q(1)[:, 0] * NS_PER_S).astype(np.int64)
+        self.dt_s = float(np.median(np.diff(self.q(1)[:, 0])))
+        self.flying: BoolArray = self.c(2)[:, 0] == FLIGHT_STATE
+        self.rates = {"raw": self.q(27, 28, 29) * FRD, "filtered": self.q(5, 6, 7) * FRD}
+        self.imu_attitude = self.q(2, 3, 4) * FRD
+        commands, copies = (rows[self.flying].T for rows in (self.q(20, 21, 22, 23), self.q(53, 51, 49, 47)))
+        self.speeds_are_certain = all(_fit(x, y)[1] > SAME for x, y in zip(commands, copies, strict=True))
 
     def rate_setpoint(self) -> FloatArray:
         """(n, 3) commanded body rates, which are not recorded, from what the manufacturer's cascade does [rad/s].
 
         Roll, pitch: 12 (reference - angle) - 0.1 rate; yaw: 2 reference; each within 10 pi/3.
         """
-        angle = 0.5 * (self.on_board(2, 3, 4) + self.on_board(11, 12, 13))
-        rate = 0.5 * (self.on_board(5, 6, 7) + self.on_board(14, 15, 16))
+        angle = 0.5 * (self.q(2, 3, 4) + self.q(11, 12, 13))
         angle[:, 2] = 0.0
-        command = ANGLE_GAIN_PER_S * (self.stabilized(9, 10, 11) - angle) - RATE_GAIN * rate
+        rate = 0.5 * (self.q(5, 6, 7) + self.q(14, 15, 16))
+        command = ANGLE_GAIN_PER_S * (self.s(9, 10, 11) - angle) - RATE_GAIN * rate
         return np.clip(command, -MAX_RATE_RAD_S, MAX_RATE_RAD_S) * FRD
 
     def values(self) -> dict[Signal, FloatArray]:
-        """Every signal in SI units and FRD, but for the rotors' speed."""
-        mean = 0.5 * (self.on_board(2, 3) + self.on_board(11, 12))  # of both IMUs, as the controller had it
-        return {
-            Signal.ATTITUDE_SETPOINT: np.column_stack((self.stabilized(9, 10), self.commanded(29))) * FRD,
+        """Every signal in SI units. The rotors' speed only where it is certain; NaN until its first telemetry.
+
+        The recorded number of a speed is speed / (1300 rpm/V x voltage) with 12 poles.
+        """
+        q, c, s = self.q, self.c, self.s
+        mean = 0.5 * (q(2, 3) + q(11, 12))  # of both IMUs, as the controller had it
+        found = {
+            Signal.ATTITUDE_SETPOINT: np.column_stack((s(9, 10), c(29))) * FRD,
             Signal.RATE_SETPOINT: self.rate_setpoint(),
-            Signal.THRUST_SETPOINT: np.clip(self.stabilized(8) / full_thrust_n(), 0.0, 1.0),
-            Signal.TORQUE_COMMAND: self.stabilized(19, 20, 21) / MAX_TORQUE_NM * FRD,  # behind its saturation
-            Signal.BODY_RATE: self.raw_rate,
-            Signal.SPECIFIC_FORCE: self.on_board(30, 31, 32) * FRD,  # of the first IMU
-            Signal.ATTITUDE: np.column_stack((mean, self.commanded(25))) * FRD,  # yaw: the motion capture's
-            Signal.ACTUATOR: self.on_board(20, 21, 22, 23),  # share of the battery's voltage
-            Signal.HEIGHT: self.commanded(24),  # by the motion capture
-            Signal.VOLTAGE: self.on_board(24),
+            Signal.THRUST_SETPOINT: np.clip(s(8) / full_thrust_n(), 0.0, 1.0),
+            Signal.TORQUE_COMMAND: s(19, 20, 21) / MAX_TORQUE_NM * FRD,  # behind its saturation
+            Signal.BODY_RATE: self.rates["raw"],
+            Signal.SPECIFIC_FORCE: q(30, 31, 32) * FRD,  # of the first IMU
+            Signal.ATTITUDE: np.column_stack((mean, c(25))) * FRD,  # yaw: the motion capture's
+            Signal.ACTUATOR: q(20, 21, 22, 23),  # share of the battery's voltage
+            Signal.HEIGHT: c(24),  # by the motion capture
+            Signal.VOLTAGE: q(24),
             Signal.ARMED: self.flying.astype(np.float64),
         }
+        if self.speeds_are_certain:
+            found[Signal.ROTOR_SPEED] = q(54, 52, 50, 48) * q(24) * (KV_RPM_PER_V * POLE_CORRECTION * RPM)
+        return found
 
-    def rotor_speed(self) -> FloatArray:
-        """(n, 4) speeds that the ESCs measured [rad/s]; NaN until a rotor's first telemetry.
+    def over_windows(self, values: FloatArray) -> FloatArray:
+        """What values (n, k) change by over each window that begins and ends in flight, (k, windows)."""
+        width = max(1, round(WINDOW_S / self.dt_s))
+        first = np.arange(0, len(values) - width, width)
+        first = first[self.flying[first] & self.flying[first + width]]
+        return np.asarray(values[first + width] - values[first]).T
 
-        The recorded number is speed / (1300 rpm/V x voltage) with 12 poles.
-        """
-        return self.on_board(54, 52, 50, 48) * self.on_board(24) * (KV_RPM_PER_V * POLE_CORRECTION * RPM)
+    def turns(self, angle: FloatArray) -> FloatArray:
+        """As `over_windows` of angles, within half a turn."""
+        return (self.over_windows(angle) + np.pi) % (2 * np.pi) - np.pi
+
+
+def _rows(matrix: FloatArray, *numbers: int) -> FloatArray:
+    return matrix[:, [number - 1 for number in numbers]]
 
 
 def full_thrust_n(volt: float = NOMINAL_V) -> float:
@@ -176,17 +165,13 @@ def read_dronepropa(path: Path, profile: str | None = None) -> Log:
     if profile not in (None, PROFILE, FILTERED_PROFILE):
         raise UsageError(f"a DronePropA recording has the profiles {PROFILE} and {FILTERED_PROFILE}, not {profile}")
     data = read_bytes(path)
-    try:
+    with usable_as("DronePropA recording", path):
         matrices, notes = read_matrices(data, ROWS)
         recording, skewed = _recording(matrices)
         values = recording.values()
         notes += (*skewed, *_check(recording, values))
-    except InputError as error:
-        raise InputError(f"{path}: not a usable DronePropA recording: {error}") from error
     if profile == FILTERED_PROFILE:
-        values[Signal.BODY_RATE] = recording.filtered_rate
-    if _speeds_are_certain(recording):
-        values[Signal.ROTOR_SPEED] = recording.rotor_speed()
+        values[Signal.BODY_RATE] = recording.rates["filtered"]
     series = tuple(recorded(signal, recording.t_ns, found) for signal, found in values.items())
     return Log(path.name, sha256_of(data), profile or PROFILE, Telemetry(series), notes=notes)
 
@@ -195,54 +180,39 @@ def _recording(matrices: Mapping[str, FloatArray]) -> tuple[_Recording, list[str
     """The matrices as far as all three reach, and what is wrong with their times.
 
     Raises InputError if the time makes no sense. The matrices are records of one another sample by sample (the copies
-    in them are equal), so their rows are paired by number, and time is that of QDrone_data.
+    in them are equal), so their rows are paired by number, and time is that of QDrone_data. NaN stands for what is
+    infinite (the ESCs' rows are divided by zero until their first telemetry) or damaged.
     """
     count = min(len(matrix) for matrix in matrices.values())
     if count < MIN_SAMPLES:
         raise InputError(f"only {count} samples: download it again")
-    tables = [_finite(matrices[name][:count]) for name in ROWS]
-    recording = _Recording(*tables)
-    t_s = recording.qdrone[:, 0]
-    if not (np.isfinite(t_s).all() and (np.abs(t_s) < MAX_TIME_S).all() and (np.diff(recording.t_ns) > 0).all()):
+    tables = {name: matrices[name][:count] for name in ROWS}
+    tables = {name: np.where(np.abs(table) < MAX_VALUE, table, np.nan) for name, table in tables.items()}
+    t_s = tables["QDrone_data"][:, 0]
+    if not ((np.abs(t_s) < MAX_TIME_S).all() and (np.diff(np.rint(t_s * NS_PER_S)) > 0).all()):
         raise InputError("its time does not increase from sample to sample")
-    skews_s = {
-        name: float(np.nan_to_num(np.abs(table[:, 0] - t_s)).max()) for name, table in zip(ROWS, tables, strict=True)
-    }
-    told = [name for name, skew_s in skews_s.items() if skew_s > SKEW_S]
-    return recording, [
-        f"{name} has times that differ from QDrone_data's by up to {skews_s[name]:.3g} s" for name in told
-    ]
-
-
-def _finite(values: FloatArray) -> FloatArray:
-    """With NaN for what is infinite (the ESCs' rows are divided by zero until their first telemetry) or damaged."""
-    return np.where(np.abs(values) < MAX_VALUE, values, np.nan)
+    skews_s = {name: float(np.nan_to_num(np.abs(table[:, 0] - t_s)).max()) for name, table in tables.items()}
+    told = ((name, skew_s) for name, skew_s in skews_s.items() if skew_s > SKEW_S)
+    notes = [f"{name} has times that differ from QDrone_data's by up to {skew_s:.3g} s" for name, skew_s in told]
+    return _Recording(list(tables.values())), notes
 
 
 def _check(recording: _Recording, values: Mapping[Signal, FloatArray]) -> tuple[str, ...]:
     """What could not be confirmed of the flight, one sentence each. Raises InputError if it contradicts the table."""
-    dt_s = float(np.median(np.diff(recording.qdrone[:, 0])))
     flying, force = recording.flying, values[Signal.SPECIFIC_FORCE]
-    if int(flying.sum()) * dt_s < MIN_FLIGHT_S:
+    if int(flying.sum()) * recording.dt_s < MIN_FLIGHT_S:
         _check_gravity(force)
         return (f"less than {MIN_FLIGHT_S:g} s in flight: signs and motor order could not be checked",)
     _check_gravity(force[flying])
     notes = [
-        *_check_gyros(recording, flying, dt_s),
+        *_check_gyros(recording),
         *_check_order(values[Signal.ACTUATOR][flying], values[Signal.TORQUE_COMMAND][flying]),
-        *_check_line(force[flying], dt_s),
+        *_check_line(force[flying], recording.dt_s),
     ]
-    _check_references(recording, values, flying, dt_s)
-    if not _speeds_are_certain(recording):
+    _check_references(recording, values)
+    if not recording.speeds_are_certain:
         notes.append("rows 20 to 23 are not rows 53, 51, 49 and 47: the speeds of the ESCs were left out")
     return tuple(notes)
-
-
-def _speeds_are_certain(recording: _Recording) -> bool:
-    """Whether the copies of the motor commands stand beside the ESCs' rows in the order of the table."""
-    flying = recording.flying
-    commands, copies = recording.on_board(20, 21, 22, 23)[flying], recording.on_board(53, 51, 49, 47)[flying]
-    return all(_fit(commands[:, i], copies[:, i])[1] > SAME for i in range(4))
 
 
 def _check_gravity(force: FloatArray) -> None:
@@ -256,22 +226,21 @@ def _check_gravity(force: FloatArray) -> None:
         raise InputError(f"gravity is not along the vertical axis (row 32 has {-mean[2]:.2f} m/s^2, not +9.8): {_RULE}")
 
 
-def _check_gyros(recording: _Recording, flying: BoolArray, dt_s: float) -> list[str]:
+def _check_gyros(recording: _Recording) -> list[str]:
     """The attitude estimates change by what the gyro integrates to, axis by axis.
 
     dphi   = p + tan(theta) (q sin(phi) + r cos(phi))
     dtheta = q cos(phi) - r sin(phi)
     dpsi   = (q sin(phi) + r cos(phi)) / cos(theta)
     """
-    angle = recording.imu_attitude
-    changes = _change(angle, flying, dt_s)
+    (phi, theta, _), changes = recording.imu_attitude.T, recording.turns(recording.imu_attitude)
     notes: list[str] = []
-    for name, rate in (("raw", recording.raw_rate), ("filtered", recording.filtered_rate)):
-        phi, theta = angle[:, 0], angle[:, 1]
-        p, q, r = rate.T
+    for name, (p, q, r) in ((name, rate.T) for name, rate in recording.rates.items()):
         turn = q * np.sin(phi) + r * np.cos(phi)
         euler = np.column_stack((p + np.tan(theta) * turn, q * np.cos(phi) - r * np.sin(phi), turn / np.cos(theta)))
-        for axis, change, integral in zip(_AXES, changes, _integral(euler, flying, dt_s), strict=True):
+        total = np.cumsum(np.nan_to_num(euler), axis=0) * recording.dt_s
+        integrals = recording.over_windows(np.concatenate((np.zeros((1, 3)), total[:-1])))
+        for axis, change, integral in zip(_AXES, changes, integrals, strict=True):
             slope, correlation = _fit(integral, change)
             if abs(correlation) < CLEAR:
                 notes.append(f"too little {axis} motion to check the sign of the {name} {axis} gyro")
@@ -282,46 +251,22 @@ def _check_gyros(recording: _Recording, flying: BoolArray, dt_s: float) -> list[
     return notes
 
 
-def _over_windows(values: FloatArray, flying: BoolArray, dt_s: float) -> FloatArray:
-    """What values (n, k) change by over each window that begins and ends in flight, (k, windows)."""
-    width = max(1, round(WINDOW_S / dt_s))
-    first = np.arange(0, len(flying) - width, width)
-    first = first[flying[first] & flying[first + width]]
-    change: FloatArray = values[first + width] - values[first]
-    return change.T
-
-
-def _change(angle: FloatArray, flying: BoolArray, dt_s: float) -> FloatArray:
-    """What angles (n, k) change by over each window in flight, (k, windows), within half a turn."""
-    return (_over_windows(angle, flying, dt_s) + np.pi) % (2 * np.pi) - np.pi
-
-
-def _integral(rate: FloatArray, flying: BoolArray, dt_s: float) -> FloatArray:
-    """What rates (n, k) integrate to over each window in flight, (k, windows)."""
-    total = np.concatenate((np.zeros((1, rate.shape[1])), np.cumsum(np.nan_to_num(rate), axis=0))) * dt_s
-    return _over_windows(total, flying, dt_s)
-
-
-def _check_references(
-    recording: _Recording, values: Mapping[Signal, FloatArray], flying: BoolArray, dt_s: float
-) -> None:
+def _check_references(recording: _Recording, values: Mapping[Signal, FloatArray]) -> None:
     """Roll and pitch follow their references, and the motion capture's yaw changes as the IMU's, which drifts."""
-    angle, reference = values[Signal.ATTITUDE], values[Signal.ATTITUDE_SETPOINT]
-    captured, estimated = (_change(yaw, flying, dt_s) for yaw in (angle[:, 2:], recording.imu_attitude[:, 2:]))
-    pairs = (
+    angle, reference, flying = values[Signal.ATTITUDE], values[Signal.ATTITUDE_SETPOINT], recording.flying
+    captured, estimated = (recording.turns(yaw[:, 2:])[0] for yaw in (angle, recording.imu_attitude))
+    for name, told, estimate in (
         ("roll reference (row 9)", reference[flying, 0], angle[flying, 0]),
         ("pitch reference (row 10)", reference[flying, 1], angle[flying, 1]),
-        ("motion capture's yaw (row 25)", captured[0], estimated[0]),
-    )
-    for name, reference_row, estimate in pairs:
-        if _fit(reference_row, estimate)[1] < -CLEAR:
+        ("motion capture's yaw (row 25)", captured, estimated),
+    ):
+        if _fit(told, estimate)[1] < -CLEAR:
             raise InputError(f"the {name} runs against the IMU's estimate: {_RULE}")
 
 
 def _check_order(outputs: FloatArray, torque: FloatArray) -> list[str]:
     """The motor commands mix into the torque commands of roll and pitch, which settles the order of all four."""
-    mixed = outputs @ layout_named("qdrone2").unmixing.T
-    notes = []
+    mixed, notes = outputs @ layout_named("qdrone2").unmixing.T, []
     for i, axis in enumerate(_AXES[:2]):
         _, correlation = _fit(torque[:, i], mixed[:, i])
         if correlation == 0.0:
@@ -340,15 +285,10 @@ def _check_line(force: FloatArray, dt_s: float) -> list[str]:
         return ["too few samples of the accelerometer to look for the rotors' line"]
     hz, density = welch(known, 1 / dt_s, nperseg=LINE_SEGMENT, axis=0)
     power = density.sum(axis=1)
-    floor = float(np.median(power[_within(hz, FLOOR_HZ)])) if _within(hz, FLOOR_HZ).any() else 0.0
-    peaks = [float(power[_within(hz, band)].max(initial=0.0)) for band in LINES_HZ]
-    if max(peaks) > LINE_RATIO * floor > 0:
+    floor, *peaks = (power[(hz >= low) & (hz <= high)] for low, high in (FLOOR_HZ, *LINES_HZ))
+    if len(floor) and max(peak.max(initial=0.0) for peak in peaks) > LINE_RATIO * float(np.median(floor)) > 0:
         return []
     return ["no rotor line near 150 or 300 Hz in the accelerometer: another speed, or another vehicle"]
-
-
-def _within(hz: FloatArray, band: tuple[float, float]) -> BoolArray:
-    return np.asarray((hz >= band[0]) & (hz <= band[1]), dtype=np.bool_)
 
 
 def _fit(x: FloatArray, y: FloatArray) -> tuple[float, float]:

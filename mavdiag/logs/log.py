@@ -1,14 +1,19 @@
-"""What a kind of log is, and how the content of a file is read."""
+"""What the readers of logs share: kinds of logs, bytes out of a file, signals out of tables of records."""
 
 import hashlib
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mavdiag.errors import InputError
 from mavdiag.rows.gate import GateSpec
 from mavdiag.storage import open_regular
-from mavdiag.telemetry import Log
+from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal
 
 #: Logs of the big autopilots have both ends of a flight in them: as live, and its last 0.6 s are dropped (our choice).
 RECORDED_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=5.0, trim_end_s=0.6)
@@ -16,22 +21,21 @@ RECORDED_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=5.0, trim
 LOG_BYTES = 2 << 30  # of a log, at most: what it records is held in memory (our choice; half a day at 1 kHz)
 TLOG_BYTES = 8 << 30  # of a telemetry log, at most: about as much is held in memory (our choice; two days at 1 kHz)
 WINDOW_BYTES = 8 << 20  # of a file that is read piece by piece (our choice: most logs are one piece)
+MAX_TIME_US = 2**53  # 285 years: anything later is damage, and would not fit in nanoseconds
 
 #: Reads a file. The arguments are the path, the MAVLink system id and the link profile, each None if it is not given.
-Reader = Callable[[Path, int | None, str | None], Log]
+Reader: TypeAlias = Callable[[Path, int | None, str | None], Log]
+Conversion: TypeAlias = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
 class LogKind:
     """One kind of log; every reader module exposes its own as KIND.
 
-    name: for messages.
-    recognise: whether a file's first bytes are of this kind.
-    read: the reader.
-    profile: the profile of every such log; None where the file's messages show it.
+    name: for messages. recognise: whether a file's first bytes are of this kind. read: the reader.
+    profile: of every such log; None where the file's messages show it. variants: others that can be asked for.
     gate: what counts as flying in it; None where the profile's holds.
-    airframe_name: name of the one airframe that writes such logs; None if it may be any.
-    variants: other profiles that the reader can be asked for, with the same gate and airframe.
+    airframe_name: of the one airframe that writes such logs; None if it may be any.
     """
 
     name: str
@@ -48,9 +52,120 @@ class LogKind:
         return self.variants if self.profile is None else (self.profile, *self.variants)
 
 
+@dataclass(frozen=True, slots=True)
+class Row:
+    """How one signal is made.
+
+    table: by its name; empty for any. fields: one for each column; None: not logged, the column is NaN.
+    convert: from the fields (n, k) to SI and FRD.
+    integer_unit: what a plain integer counts in, where the format of a field depends on the era.
+    """
+
+    signal: Signal
+    table: str
+    fields: tuple[str | None, ...]
+    convert: Conversion = lambda stored: stored
+    integer_unit: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """Records of one kind, n of them in the order of the file.
+
+    t_ns: (n,) vehicle clock; None if they carry no time.
+    fields: what is stored, (n,) by name. units: of those whose format tells one.
+    starts: (n,) their places in the file; empty where nobody asks.
+    """
+
+    name: str
+    t_ns: IntArray | None
+    fields: Mapping[str, NDArray[np.generic]]
+    units: Mapping[str, float] = field(default_factory=dict)
+    starts: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+
+    def has(self, *names: str, kinds: str = "iuf") -> bool:
+        """Whether all these fields are there, numbers of one column: damage can make a text or an array of one."""
+        found = [self.fields.get(name) for name in names]
+        return all(stored is not None and stored.ndim == 1 and stored.dtype.kind in kinds for stored in found)
+
+    def column(self, name: str, integer_unit: float = 1.0) -> FloatArray:
+        """A field as numbers, (n,). Damage can leave a signalling NaN, which becomes a quiet one."""
+        stored = self.fields[name]
+        unit = self.units.get(name, integer_unit if stored.dtype.kind in "iu" else 1.0)
+        with np.errstate(invalid="ignore"):
+            return stored.astype(np.float64) * unit
+
+    def columns(self, names: Iterable[str], integer_unit: float = 1.0) -> FloatArray:
+        """Several fields, (n, k)."""
+        return np.column_stack([self.column(name, integer_unit) for name in names])
+
+    def integers(self, name: str) -> IntArray | None:
+        """A field of whole numbers, (n,); None if it is not there."""
+        return self.fields[name].astype(np.int64) if self.has(name, kinds="iu") else None
+
+
+def read_rows(rows: Sequence[Row], tables: Iterable[Table]) -> dict[Signal, Series]:
+    """Every signal that the tables carry, by the first of its rows whose fields some table has."""
+    found: dict[Signal, Series] = {}
+    known = list(tables)
+    for row in rows:
+        names = [name for name in row.fields if name is not None]
+        for table in known:
+            suits = row.table in ("", table.name) and table.t_ns is not None and table.has(*names)
+            if row.signal in found or not suits:
+                continue
+            stored = table.columns(names, row.integer_unit)
+            if None in row.fields:
+                whole = np.full((len(stored), len(row.fields)), np.nan)
+                whole[:, [name is not None for name in row.fields]] = stored
+                stored = whole
+            with np.errstate(invalid="ignore", over="ignore"):  # damaged values become NaN or infinite
+                values = row.convert(stored)
+            if values.size and table.t_ns is not None:
+                found[row.signal] = recorded(row.signal, table.t_ns, values)
+    return found
+
+
+def scaled(*factors: float) -> Conversion:
+    """Fields times a factor for each column, or one for all.
+
+    >>> scaled(1.0, -1.0)(np.array([[2.0, 3.0]])).tolist()
+    [[2.0, -3.0]]
+    """
+    return lambda stored: stored * np.array(factors)
+
+
+def gather(data: bytes, layout: np.dtype[np.void], starts: Sequence[int] | IntArray) -> NDArray[np.void]:
+    """The records of one layout that start at these bytes, copied into an array (n,). Each must be whole.
+
+    >>> gather(b"-\\x01\\x02--\\x03\\x04", np.dtype([("a", "u1"), ("b", "u1")]), [1, 5])["b"].tolist()
+    [2, 4]
+    """
+    size = layout.itemsize
+    if len(starts) == 0:
+        return np.empty(0, layout)
+    anywhere = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))  # a record at every byte, none copied
+    records: NDArray[np.void] = anywhere[np.asarray(starts)].view(layout)
+    return records
+
+
+def recorded(signal: Signal, t_ns: IntArray, values: FloatArray) -> Series:
+    """A series of a log that only knows the vehicle's clock, (n,); values: (n, k), or (n,) for one column."""
+    return Series(signal, t_ns, t_ns, values.reshape(len(t_ns), -1) if values.ndim == 1 else values)
+
+
 def sha256_of(data: bytes) -> str:
     """The SHA-256 of a file's content, hexadecimal: how a baseline names the flights it was fitted to."""
     return hashlib.sha256(data).hexdigest()
+
+
+@contextmanager
+def usable_as(kind: str, path: Path) -> Iterator[None]:
+    """Say of an InputError in the block which file cannot be used, and as what."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{path}: not a usable {kind}: {error}") from error
 
 
 def read_bytes(path: Path, limit: int = -1) -> bytes:

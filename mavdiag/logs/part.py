@@ -1,27 +1,30 @@
 """The part of a log between two times."""
 
-import dataclasses
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from mavdiag.errors import InputError, UsageError
-from mavdiag.logs import ColumnMap, Log, read_log
-from mavdiag.telemetry import Series, Telemetry
+from mavdiag.logs import read_log
+from mavdiag.logs.csv_columns import ColumnMap
+from mavdiag.telemetry import Log, Series, Telemetry
 from mavdiag.units import NS_PER_S
 
 
 def read_part(
-    path: Path, vehicle: int | None, from_s: float | None, to_s: float | None, columns: ColumnMap | None = None
+    path: Path,
+    vehicle: int | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
+    columns: ColumnMap | None = None,
+    profile: str | None = None,
 ) -> Log:
-    """A log, or the part of it between two times [s], under the path as given. Raises InputError or UsageError.
-
-    columns: the file is a CSV recording with these columns; None for any other log.
-    """
-    log = read_log(path, vehicle, columns=columns)
+    """A log, or the part of it between two times [s], under the path as given. Raises as `read_log` and `between`."""
+    log = read_log(path, vehicle, profile, columns)
     try:
-        return dataclasses.replace(log, name=str(path), telemetry=between(log.telemetry, from_s, to_s))
+        return replace(log, name=str(path), telemetry=between(log.telemetry, from_s, to_s))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
@@ -34,11 +37,10 @@ def between(telemetry: Telemetry, from_s: float | None, to_s: float | None) -> T
     check_times(from_s, to_s)
     if from_s is None and to_s is None:
         return telemetry
-    low = -math.inf if from_s is None else from_s * NS_PER_S
-    high = math.inf if to_s is None else to_s * NS_PER_S
-    kept = tuple(_cut(series, low, high) for series in telemetry.series)
+    low, high = (-math.inf if from_s is None else from_s), (math.inf if to_s is None else to_s)
+    kept = tuple(_cut(series, low * NS_PER_S, high * NS_PER_S) for series in telemetry.series)
     if not any(len(series) for series in kept):
-        times = np.concatenate([np.empty(0), *(series.t_ns / NS_PER_S for series in telemetry.series)])
+        times = np.concatenate([np.empty(0), *(series.t_s for series in telemetry.series)])
         span = f"it goes from {times.min():.1f} to {times.max():.1f} s" if len(times) else "it is empty"
         wanted = " ".join(f"{word} {t:g} s" for word, t in (("from", from_s), ("to", to_s)) if t is not None)
         raise InputError(f"no data {wanted} of the vehicle's clock; {span}")

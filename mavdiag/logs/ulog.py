@@ -10,24 +10,32 @@ import struct
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import redirect_stdout
-from dataclasses import dataclass
+from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pyulog import ULog, ULogException
 
 from mavdiag.errors import InputError
 from mavdiag.link.samples import euler_angles
-from mavdiag.logs.log import RECORDED_GATE, LogKind, read_bytes, sha256_of
-from mavdiag.logs.records import Row, as_floats, read_rows
-from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
+from mavdiag.logs.log import (
+    MAX_TIME_US,
+    RECORDED_GATE,
+    LogKind,
+    Row,
+    Table,
+    read_bytes,
+    read_rows,
+    sha256_of,
+    usable_as,
+)
+from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_US, RPM
 
 PROFILE = "px4-log"
 SIGNATURE = b"ULog\x01\x12\x35"
-MAX_TIME_US = 2**53  # anything later is damage, and would not fit in nanoseconds
+ACCELEROMETER = "sensor_combined, accelerometer"  # the same topic, at times of its own
 NO_ACCELEROMETER = 2**31 - 1  # of accelerometer_timestamp_relative (PX4, SensorCombined.msg)
 ARMED_STATE = 2  # of arming_state (PX4, VehicleStatus.msg; the same number in all versions)
 PWM_ZERO_US, PWM_SPAN_US, PWM_LEAST_US = 1000.0, 1000.0, 800.0
@@ -99,12 +107,7 @@ _ROWS = (
     Row(Signal.TORQUE_COMMAND, "actuator_controls_0", _elements("control", 3)),
     Row(Signal.BODY_RATE, "sensor_combined", _elements("gyro_rad", 3)),
     Row(Signal.BODY_RATE, "vehicle_angular_velocity", _elements("xyz", 3)),
-    Row(
-        Signal.SPECIFIC_FORCE,
-        "sensor_combined",
-        _elements("accelerometer_m_s2", 3),
-        delay="accelerometer_timestamp_relative",
-    ),
+    Row(Signal.SPECIFIC_FORCE, ACCELEROMETER, _elements("accelerometer_m_s2", 3)),
     Row(Signal.SPECIFIC_FORCE, "vehicle_acceleration", _elements("xyz", 3)),
     Row(Signal.ATTITUDE, "vehicle_attitude", _elements("q", 4), euler_angles),
     Row(Signal.ACTUATOR, "actuator_motors", _elements("control", 12), _in_use),
@@ -115,7 +118,7 @@ _ROWS = (
     Row(Signal.ARMED, "vehicle_status", ("arming_state",), _armed),
 )
 _GPS_TOPICS = ("vehicle_gps_position", "sensor_gps")
-TOPICS = sorted({row.table for row in _ROWS} | set(_GPS_TOPICS))
+TOPICS = sorted({row.table for row in _ROWS} - {ACCELEROMETER} | set(_GPS_TOPICS))
 
 
 def read_ulog(path: Path) -> Log:
@@ -126,14 +129,12 @@ def read_ulog(path: Path) -> Log:
     InputError for a file that is unreadable, of another kind, damaged beyond use, or without a known signal.
     """
     data = read_bytes(path)
-    try:
+    with usable_as("ULog", path):
         content, parameters, notes = _content(data)
-        topics = {name: _Topic(name, item.data) for name, item in content.items()}
+        topics = _tables(content)
         found = read_rows(_ROWS, topics.values())
         if not found:
             raise InputError("no record of a known signal; check what the logger was set to record")
-    except InputError as error:
-        raise InputError(f"{path}: not a usable ULog: {error}") from error
     series = tuple(found.values())
     motors = Signal.ACTUATOR in found and "actuator_motors" in topics
     started_ns, kind = _started_ns(topics, series), _mav_type(topics, parameters)
@@ -257,32 +258,26 @@ def _check_definitions(log: ULog) -> None:
         fields_of(name, 0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Topic:
-    """One topic: its name, and each field by its name, (n,)."""
-
-    name: str
-    fields: Mapping[str, NDArray[np.number]]
-
-    def integers(self, name: str | None) -> IntArray | None:
-        """A field, (n,); None if there is none, or it is of another kind."""
-        stored = None if name is None else self.fields.get(name)
-        return None if stored is None or stored.dtype.kind not in "iu" else stored.astype(np.int64)
-
-    def read(self, row: Row) -> tuple[IntArray, FloatArray] | None:
-        """See `records.Table`. A sample that was never taken is left out."""
-        time_us = self.integers("timestamp_sample" if "timestamp_sample" in self.fields else "timestamp")
-        if time_us is None or not all(name in self.fields for name in row.fields):
-            return None
-        late = self.integers(row.delay)
-        if late is not None:
+def _tables(content: Mapping[str, ULog.Data]) -> dict[str, Table]:
+    """The topics by name, with the time of the sample where they tell it. A sample that was never taken is left out."""
+    found = {name: Table(name, None, item.data) for name, item in content.items()}
+    sensors = found.get("sensor_combined")
+    if sensors is not None:
+        found[ACCELEROMETER] = replace(sensors, name=ACCELEROMETER)
+    for name, table in found.items():
+        time_us = table.integers("timestamp_sample" if "timestamp_sample" in table.fields else "timestamp")
+        late = table.integers("accelerometer_timestamp_relative") if name == ACCELEROMETER else None
+        if time_us is not None and late is not None:
             time_us = np.where(late == NO_ACCELEROMETER, 0, time_us + late)
+        if time_us is None:
+            continue
         known = (time_us > 0) & (time_us < MAX_TIME_US)  # a topic that was never published is stamped 0
-        stored = [as_floats(self.fields[name][known]) for name in row.fields if name]
-        return time_us[known] * NS_PER_US, np.column_stack(stored)
+        fields = table.fields if known.all() else {label: stored[known] for label, stored in table.fields.items()}
+        found[name] = replace(table, t_ns=time_us[known] * NS_PER_US, fields=fields)
+    return found
 
 
-def _mav_type(topics: Mapping[str, _Topic], parameters: Mapping[str, float]) -> int | None:
+def _mav_type(topics: Mapping[str, Table], parameters: Mapping[str, float]) -> int | None:
     """MAV_TYPE as most of the vehicle's states tell it, or by its parameter; None where the log does not say."""
     told = topics["vehicle_status"].integers("system_type") if "vehicle_status" in topics else None
     if told is not None and len(told):
@@ -290,7 +285,7 @@ def _mav_type(topics: Mapping[str, _Topic], parameters: Mapping[str, float]) -> 
     return int(parameters["MAV_TYPE"]) if "MAV_TYPE" in parameters else None
 
 
-def _started_ns(topics: Mapping[str, _Topic], series: tuple[Series, ...]) -> int:
+def _started_ns(topics: Mapping[str, Table], series: tuple[Series, ...]) -> int:
     """Unix time of the first sample [ns], by the first GPS time; 0 if there is none."""
     gps = next((topics[name] for name in _GPS_TOPICS if name in topics), None)
     utc, boot = (gps.integers("time_utc_usec"), gps.integers("timestamp")) if gps is not None else (None, None)

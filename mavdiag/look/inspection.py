@@ -38,7 +38,6 @@ WINDOW_S = 0.1  # of the rate filters, as `mavdiag identify` has it by default
 LATE_SHARE = 95.0  # percentile of the transport delay that is called its spread
 DRIFT_S = 10  # within fewer seconds the drift of a clock is lost in the transport (our choice)
 LEAST_CLOCK = 20  # samples that a clock is seen by (our choice)
-NOTHING: Mapping[int, float] = {}
 SLACK = 0.98  # a rate that is this share of what is needed will do
 
 # The slowest gyro that a monitor can work with [Hz].
@@ -56,12 +55,9 @@ _LEAST_HZ: Mapping[str, float] = {
 class Summary:
     """One signal as it arrives.
 
-    signal, unit: what it measures.
-    samples: how many there are.
-    rate_hz: their mean rate but for pauses (`rows.grid.unbroken`); None with fewer than two times.
-    jitter_ms: standard deviation of the steps that are no gaps.
-    longest_gap_s: the longest step. gaps: steps of three usual ones or more.
-    missing: share of the samples that the usual step would have brought, 0..1.
+    rate_hz: mean rate but for pauses (`rows.grid.unbroken`); None with fewer than two times, as the next two.
+    jitter_ms: standard deviation of the steps that are no gaps. longest_gap_s: the longest step.
+    gaps: steps of three usual ones or more. missing: share of the samples that the usual step would have brought, 0..1.
     repeated: samples with the time of another one.
     lowest, highest: of each column; None where a column holds no number.
     """
@@ -99,8 +95,7 @@ class Clock:
 class Units:
     """Whether the units are what they are taken for.
 
-    gravity_g: what the vehicle feels, by the accelerometer's scale; None without one.
-    gravity: one phrase.
+    gravity_g: what the vehicle feels, by the accelerometer's scale; None without one. gravity: one phrase.
     gyro: each axis beside the slope of the attitude; empty without either.
     """
 
@@ -111,10 +106,7 @@ class Units:
 
 @dataclass(frozen=True, slots=True)
 class MonitorState:
-    """One monitor: whether what comes is enough for it, and what is not and what gives it, one phrase each.
-
-    monitor, label: its name in a baseline, and how a text calls it.
-    """
+    """One monitor, by its names in a baseline and in a text; what it lacks and what gives it, one phrase each."""
 
     monitor: str
     label: str
@@ -135,7 +127,7 @@ class MessageRate:
 class Inspection:
     """All that is told of a log or a link; its fields are those of the JSON.
 
-    log: its name. source: as it was given. profile: its link or kind. span_s: from its first to its last sample.
+    source: as it was given. span_s: from its first to its last sample.
     flight_s: valid time in flight; 0 if none. no_flight: why there is none; empty if there is.
     upset: when and how it fell or tumbled, one sentence; empty if it did not.
     gyro_gaps, lost_s: gaps of the gyro longer than 35 ms, and their time in all.
@@ -147,7 +139,6 @@ class Inspection:
     vibration: by the autopilot's own message; None without it.
     line: the rotors' line in the accelerometer; None without flight.
     baseline: whether it is of this link; empty without one.
-    monitors: which can work, and what is missing for the others.
     """
 
     log: str
@@ -179,11 +170,6 @@ class Inspection:
         """The gyro as it arrives."""
         return next((signal for signal in self.signals if signal.signal == Signal.BODY_RATE), None)
 
-    @property
-    def works(self) -> tuple[str, ...]:
-        """The monitors that such logs carry enough for."""
-        return tuple(state.monitor for state in self.monitors if state.works)
-
 
 def inspection_of(
     log: Log,
@@ -191,7 +177,7 @@ def inspection_of(
     source: str = "",
     baseline: Baseline | None = None,
     count: LinkCount | None = None,
-    rates_hz: Mapping[int, float] = NOTHING,
+    rates_hz: Mapping[int, float] | None = None,
     asked: tuple[str, ...] = (),
 ) -> Inspection:
     """Look at a log, or at what came of a link. told: what is known of its vehicle; `Airframe()` for nothing.
@@ -218,7 +204,7 @@ def inspection_of(
         signals=signals,
         gyro_gaps=len(gaps),
         lost_s=float(gaps.sum()),
-        messages=tuple(MessageRate(m, message_name(m), hz) for m, hz in sorted(rates_hz.items())),
+        messages=tuple(MessageRate(m, message_name(m), hz) for m, hz in sorted((rates_hz or {}).items())),
         link=None if count is None else {name: getattr(count, name) for name in counted},
         asked=asked,
         clock=clock_of(log.telemetry) if profile is not None else None,
@@ -262,12 +248,12 @@ def clock_of(telemetry: Telemetry) -> Clock | None:
     known = len(least) >= DRIFT_S
     slope, start = np.polyfit(seconds, least, 1) if known else (0.0, float(least.min()))
     late = behind - (start + slope * ((gyro.t_ns - gyro.t_ns[0]) // NS_PER_S))
-    others = (one for one in telemetry.series if len(one) >= LEAST_CLOCK and one.signal is not Signal.BODY_RATE)
+    others = (series for series in telemetry.series if len(series) >= LEAST_CLOCK and series is not gyro)
     return Clock(
         float(behind.min()),
         1e6 * float(slope) if known else None,
         1e3 * float(np.percentile(late - late.min(), LATE_SHARE)),
-        {one.signal.value: 1e3 * float(_behind_s(one).min() - behind.min()) for one in others},
+        {series.signal.value: 1e3 * float(_behind_s(series).min() - behind.min()) for series in others},
     )
 
 
@@ -334,8 +320,7 @@ def baseline_statement(baseline: Baseline, log: Log, found: Sequence[Summary]) -
 
 
 def _behind_s(series: Series) -> FloatArray:
-    behind: FloatArray = (series.host_ns - series.t_ns) / NS_PER_S
-    return behind
+    return np.asarray((series.host_ns - series.t_ns) / NS_PER_S)
 
 
 def _by_second(t_ns: IntArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -356,8 +341,8 @@ def _gyro_gaps(telemetry: Telemetry) -> FloatArray:
 
 
 def _span_s(telemetry: Telemetry) -> float:
-    ends = [(int(one.t_ns.min()), int(one.t_ns.max())) for one in telemetry.series if len(one)]
-    return (max(last for _, last in ends) - min(first for first, _ in ends)) / NS_PER_S if ends else math.nan
+    times = [series.t_ns for series in telemetry.series if len(series)]
+    return (max(int(t.max()) for t in times) - min(int(t.min()) for t in times)) / NS_PER_S if times else math.nan
 
 
 def _choice(needs: frozenset[Signal], rates: Mapping[str, float]) -> frozenset[Signal]:

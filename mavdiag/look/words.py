@@ -43,7 +43,8 @@ def in_one_line(found: Inspection) -> str:
         parts.append(f"VIBRATION {max(found.vibration.high):.0f} m/s^2")
     if found.line is not None and not found.line.reason:
         parts.append(f"line at {found.line.hz:.0f} Hz")
-    parts.append(f"{len(found.works)} of {len(found.monitors)} monitors could judge")
+    works = sum(state.works for state in found.monitors)
+    parts.append(f"{works} of {len(found.monitors)} monitors could judge")
     return f"{found.log}: {', '.join(parts)}"
 
 

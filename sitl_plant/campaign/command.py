@@ -75,7 +75,7 @@ def _run(
     design: Design, output: Path, workers: int, scheduler: str | None, fresh: bool, parquet: Path | None
 ) -> dict[str, Any]:
     # Loaded here: the diagnosis and the plant take a second that --help should not.
-    from mavdiag.archive.cluster import dask_executor
+    from mavdiag.archive.pool import dask_executor
     from mavdiag.archive.tables import check_parquet
     from sitl_plant.campaign.summary import summarise
     from sitl_plant.campaign.worker import Journal, local_executor, run_campaign

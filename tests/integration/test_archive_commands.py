@@ -66,14 +66,6 @@ def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(scan: Any, arc
     assert "5 of 5 answers were known already; --no-cache judges anew" in err
 
 
-def test_another_option_is_another_answer(scan: Any, archive: Path) -> None:
-    path = archive / "b" / "2.tlog"
-    assert scan(path)[0] == 1
-    code, out, _ = scan(path, "--to", 12)
-    assert (code, ": healthy, " in out) == (0, True)
-    assert scan(path)[0] == 1
-
-
 def test_windows_say_since_when(scan: Any, archive: Path, tmp_path: Path) -> None:
     code, out, _ = scan(archive / "b", "--windows", 5, "--json", "--csv", tmp_path / "a.csv")
     assert code == 1
@@ -100,7 +92,7 @@ def test_what_cannot_be_is_one_line_before_anything_is_judged(
     scan: Any, archive: Path, baseline: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str, str], words: str
 ) -> None:
     monkeypatch.chdir(baseline.parent)
-    monkeypatch.setattr("mavdiag.archive.cluster.PATIENCE_S", 0.5)
+    monkeypatch.setattr("mavdiag.archive.pool.PATIENCE_S", 0.5)
     code, out, err = scan(archive / "a.tlog", *options)
     assert (code, out) == (2, "")
     assert words in err.splitlines()[-1]

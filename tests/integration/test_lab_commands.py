@@ -79,19 +79,3 @@ def test_bad_input_is_one_line_and_exit_code_2(
     code, out, err = mavdiag(*[str(flights[0]) if one == "LOG" else one for one in arguments])
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert words in err
-
-
-def test_inspect_tells_the_mean_rate_of_each_signal(mavdiag: Any, flights: list[Path]) -> None:
-    code, out, err = mavdiag("inspect", flights[0], "--json")
-    assert (code, err) == (0, "")
-    found = json.loads(out)
-    assert found["profile"] == "qdrone2"
-    rates = {one["signal"]: one["rate_hz"] for one in found["signals"]}
-    assert rates["body_rate"] == pytest.approx(1000.0, rel=0.01)
-    code, out, _ = mavdiag("inspect", flights[0])
-    assert max(map(len, out.splitlines())) <= 80
-
-
-def test_the_version_is_told(mavdiag: Any) -> None:
-    code, out, _ = mavdiag("--version")
-    assert (code, out.split()[0]) == (0, "mavdiag")

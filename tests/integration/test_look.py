@@ -91,21 +91,6 @@ def test_it_never_says_that_a_vehicle_is_well() -> None:
         assert "this is no verdict" in text
 
 
-def test_what_is_missing_is_named_with_the_parameter_that_gives_it() -> None:
-    full = emulated(1, profile="ardupilot")
-    poor = Log(
-        "flight", "", "ardupilot", Telemetry(tuple(o for o in full.telemetry if o.signal is not Signal.VIBRATION))
-    )
-    missing = {one.monitor: one.missing for one in inspection_of(poor, airframe_named("qdrone2")).monitors}
-    assert missing["vibration_level"] == ("no VIBRATION: SRn_EXTRA3",)
-
-
-def test_log171_is_looked_at_as_its_records_show() -> None:
-    look = inspection_of(read_log(shared("data/ardupilot_real/log171.bin")), Airframe())
-    assert look.flight_s == pytest.approx(165.8, abs=1.0)
-    assert [round(100 * one.over_mean) for one in look.loads] == [4, 11, -9, -6]
-
-
 def test_a_folder_gives_a_line_each_and_a_bad_file_loses_nothing(tmp_path: Path) -> None:
     for seed in (1, 2):
         recording(tmp_path / f"{seed}.csv", seed, 6.0)
@@ -174,7 +159,7 @@ def test_two_flights_in_a_log_do_not_lower_its_rate() -> None:
         look = inspection_of(two_flights(pause_s), Airframe())
         rates = {one.signal: one.rate_hz for one in look.signals}
         assert rates["body_rate"] == pytest.approx(25.0, rel=0.01)
-        assert look.works == inspection_of(two_flights(5.0), Airframe()).works
+        assert look.monitors == inspection_of(two_flights(5.0), Airframe()).monitors
     assert {one.signal: one.rate_hz for one in alone.signals}["body_rate"] == pytest.approx(100.0, rel=0.01)
 
 
@@ -204,14 +189,6 @@ def test_the_time_that_it_takes_is_proportional_to_the_log(question: Callable[[A
         assert question(log.telemetry if question is clock_of else log) is not None
         work.append(Counted.elements)
     assert work[1] < 2.5 * work[0]
-
-
-def test_the_rotors_of_a_crazyflie_are_known_to_look_and_inspect() -> None:
-    path = shared("data/crazypad/normal_flight/E8_log00")
-    for command in ("look", "inspect"):
-        shown = " ".join(RUN.invoke(app, [command, str(path)]).stdout.split())
-        assert "rotor layout crazyflie (of every vehicle that writes such logs, crazyflie)" in shown
-        assert "give --layout" not in shown
 
 
 def test_look_and_inspect_are_two_names_of_one_command(tmp_path: Path) -> None:

@@ -78,6 +78,7 @@ def test_the_same_records_and_notes_as_one_by_one(data: bytes, sizes: list[int])
     assert notes == expected_notes
     assert list(tables) == list(expected)
     for name, table in tables.items():
-        assert table.format == expected[name].format
         assert table.starts.tolist() == expected[name].starts.tolist()
-        assert table.records.tobytes() == expected[name].records.tobytes()
+        assert list(table.fields) == list(expected[name].fields)
+        for field, stored in table.fields.items():
+            assert stored.tobytes() == expected[name].fields[field].tobytes()

@@ -35,11 +35,6 @@ def test_a_folder_is_all_logs_below_it_by_name_and_what_is_no_log_is_counted(tmp
     assert logs_named([tmp_path / "b"]).skipped_sentence == "1 file skipped that are no flight logs"
 
 
-def test_arguments_keep_their_order_and_may_come_twice(tmp_path: Path) -> None:
-    tree(tmp_path, "b/1.tlog", "b/2.tlog", "a.tlog")
-    assert below(tmp_path, "b", "a.tlog", "b/1.tlog") == ["b/1.tlog", "b/2.tlog", "a.tlog", "b/1.tlog"]
-
-
 def test_a_file_that_was_named_is_taken_whatever_is_in_it(tmp_path: Path) -> None:
     tree(tmp_path, "notes.txt")
     found = logs_named([tmp_path / "notes.txt", tmp_path / "absent.tlog"])
@@ -65,11 +60,6 @@ def test_what_names_no_log_is_trouble_and_an_error_where_all_are_needed(tmp_path
     assert one.trouble.startswith("no log there; name files, a folder, or a pattern")
     with pytest.raises(InputError, match="no log there"):
         logs_named([tmp_path / argument]).paths()
-
-
-def test_a_pattern_that_is_none_is_told(tmp_path: Path) -> None:
-    (one,) = logs_named([tmp_path / "**x"]).logs
-    assert one.trouble
 
 
 def test_links_that_go_round_end_and_a_linked_folder_is_taken_once(tmp_path: Path) -> None:

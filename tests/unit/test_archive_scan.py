@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from made_archive import asked, content, made
 
 from mavdiag.archive import scan as module
-from mavdiag.archive.cache import open_cache
-from mavdiag.archive.job import Question, Record, digest_of, judge_file, mark_of
-from mavdiag.archive.paths import Named, logs_named
+from mavdiag.archive.job import Question, Record, digest_of, judge_file, mark_of, open_cache
+from mavdiag.archive.paths import logs_named
 from mavdiag.archive.pool import TaskExecutor, in_this_process
 from mavdiag.archive.scan import scan
 from mavdiag.errors import LinkError, UsageError
@@ -138,30 +137,6 @@ def test_answers_are_kept_as_they_come_and_errors_are_not(tmp_path: Path) -> Non
 
     again = list(scan(logs_named([b, a]).logs, asked(), opened, cache))
     assert [(answer.fresh, answer.record) for answer in again] == [(False, answers[3].record), (False, first.record)]
-
-
-def test_without_a_cache_a_copy_is_not_judged_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (a,) = made(tmp_path, "a.tlog")
-    copy = Path(shutil.copy(a, tmp_path / "copy.tlog"))
-    judged: list[str] = []
-
-    def counted(path: str, question: Question) -> Record:
-        judged.append(path)
-        return judge_file(path, question)
-
-    monkeypatch.setattr(module, "judge_file", counted)
-    answers = list(scan(logs_named([a, copy, a]).logs, asked(), HERE))
-    assert [answer.fresh for answer in answers] == [True, False, False]
-    assert judged == [str(a)]
-
-
-def test_what_could_not_be_looked_for_is_an_error_among_the_others(tmp_path: Path) -> None:
-    (a,) = made(tmp_path, "a.tlog")
-    logs = (Named(tmp_path, "the folder cannot be read (Permission denied)"), Named(a), Named(tmp_path / "absent.tlog"))
-    verdicts = [answer.verdict for answer in scan(logs, asked(), HERE)]
-    assert [verdict.verdict.value for verdict in verdicts] == ["error", "healthy", "error"]
-    assert verdicts[0].reason == "the folder cannot be read (Permission denied)"
-    assert verdicts[2].reason == "no such file"
 
 
 def test_a_file_that_changes_while_it_is_judged_answers_for_itself_only(

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flying_telemetry import START_NS, flying, without
+from flying_telemetry import flying, without
 from made_baselines import logged, whole
 
-from mavdiag.archive.windows import windows_of
+from mavdiag.archive.figures import windows_of
 from mavdiag.decision.alarm import Stage
 from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge_in_full
 from mavdiag.units import NS_PER_S
@@ -59,15 +59,6 @@ def test_they_say_since_when(flight: JudgedFlight) -> None:
         assert one.verdict is Verdict.NOT_JUDGEABLE
     assert all(one.ratio is not None and one.ratio < 1.0 for one in before)
     assert next(one.monitor for one in windows if one.verdict is Verdict.FAULT) is not None
-
-
-def test_a_window_without_a_judged_second_is_not_judgeable() -> None:
-    """The last window has a fifth of a second of flight."""
-    short = judge_in_full(logged(without(flying(3000, 6), (14.2, 100.0))), whole())
-    windows = windows_of(short, 5.0)
-    assert (windows[-1].from_s, windows[-1].verdict) == (15.0, Verdict.NOT_JUDGEABLE)
-    assert windows[-1].judged_s < 1.0
-    assert START_NS == NS_PER_S
 
 
 def test_no_window_is_made_up_where_nothing_flew() -> None:

@@ -8,7 +8,6 @@ import pytest
 from made_logs import CrazyflieEvent, crazyflie_content, with_checksum
 
 from mavdiag.errors import InputError
-from mavdiag.logs import read_log
 from mavdiag.logs.crazyflie import read_crazyflie
 from mavdiag.telemetry import Signal
 
@@ -48,13 +47,6 @@ def test_units_and_signs_are_si_and_frd(tmp_path: Path) -> None:
 def test_a_signal_without_all_its_variables_is_absent(tmp_path: Path) -> None:
     log = read_crazyflie(written(tmp_path, with_checksum(crazyflie_content([PID], RECORDS))))
     assert log.telemetry.get(Signal.TORQUE_COMMAND) is None  # only cmd_yaw is there
-
-
-def test_all_signals_of_a_record_share_its_time(tmp_path: Path) -> None:
-    log = read_crazyflie(written(tmp_path, with_checksum(crazyflie_content([PID], RECORDS))))
-    for series in log.telemetry.series:
-        assert series.t_ns.tolist() == [1_000_000, 11_000_000]
-        assert series.host_ns.tolist() == series.t_ns.tolist()
 
 
 def test_other_events_between_the_records_change_nothing(tmp_path: Path) -> None:
@@ -98,13 +90,3 @@ def test_an_unusable_file_is_one_line_that_names_it(tmp_path: Path, content: byt
         read_crazyflie(written(tmp_path, content))
     assert "log00" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_a_missing_file_is_an_input_error(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
-        read_crazyflie(tmp_path / "absent")
-
-
-def test_it_is_recognised_by_content(tmp_path: Path) -> None:
-    path = written(tmp_path, with_checksum(crazyflie_content([PID], RECORDS)))
-    assert read_log(path).profile == "crazyflie"

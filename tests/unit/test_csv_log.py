@@ -66,7 +66,7 @@ def test_a_byte_order_mark_is_no_part_of_a_name(tmp_path: Path) -> None:
     [
         ("[time]\nrate_hz = 1\n", "body_rate is missing"),
         ('[body_rate]\ncolumns = ["p", "q", "r"]\nunit = "rad/s"\n', "give the column of the time, or rate_hz"),
-        (MAP.replace('"ms"', '"h"'), "time.unit: 'h' is none of s, ms, us, ns"),
+        (MAP.replace('"ms"', '"h"'), "time: unit: input should be 's', 'ms', 'us' or 'ns'"),
         (MAP.replace("deg/s", "deg"), "body_rate.unit: 'deg' is none of"),
         (MAP.replace('"-q", ', ""), "body_rate.columns: it has 3 columns, not 2"),
         (MAP + "[speed]\ncolumns = ['v']\n", "speed: no such table"),

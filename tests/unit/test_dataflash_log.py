@@ -11,7 +11,6 @@ from made_logs import DataFlashMessage, dataflash
 from mavdiag.errors import InputError
 from mavdiag.logs import kinds, read_log
 from mavdiag.logs.dataflash import read_dataflash
-from mavdiag.logs.log import windows_of
 from mavdiag.telemetry import Log, Signal
 
 IMU = DataFlashMessage(163, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
@@ -125,44 +124,11 @@ def test_gps_dates_the_first_sample(tmp_path: Path) -> None:
     assert read(tmp_path, dataflash([IMU], [imu(1)])).started_ns == 0
 
 
-def test_reading_resumes_after_damage(tmp_path: Path) -> None:
-    records = [imu(1), imu(2), b"\xa3\x95\xee", imu(3), b"garbage\xa3", imu(4), imu(5)[:-6]]
-    log = read(tmp_path, dataflash([IMU], records))
-    assert log.telemetry.need(Signal.BODY_RATE).t_ns.tolist() == [1_000, 2_000, 3_000, 4_000]
-
-
-def test_a_format_that_does_not_add_up_is_stepped_over(tmp_path: Path) -> None:
-    wrong = bytearray(ATT.definition())
-    wrong[4] += 1  # its declared length
-    stepped_over = b"\xa3\x95\x46" + bytes(wrong[4] - 3)
-    log = read(tmp_path, dataflash([IMU], [bytes(wrong), imu(1), stepped_over, imu(2)]))
-    assert len(log.telemetry.need(Signal.BODY_RATE)) == 2
-    assert log.telemetry.get(Signal.ATTITUDE) is None
-
-
-def test_values_that_are_not_numbers_stay_so(tmp_path: Path) -> None:
-    log = read(tmp_path, dataflash([ATT], [ATT.record(1, 0, 0, 0, 0, math.inf, math.nan)]))
-    assert np.isnan(log.telemetry.need(Signal.ATTITUDE_SETPOINT).values[0, 2])
-    assert np.isnan(log.telemetry.need(Signal.ATTITUDE).values[0, 2])
-
-
 @pytest.mark.parametrize("content", [dataflash([IMU, ATT], []), b"\xa3\x95\x80\x80", b"\xa3\x95", b"text", b""])
 def test_an_unusable_file_is_one_line_that_names_it(tmp_path: Path, content: bytes) -> None:
     with pytest.raises(InputError, match=r"00000007\.BIN") as caught:
         read(tmp_path, content)
     assert "\n" not in str(caught.value)
-
-
-def test_a_file_is_read_piece_by_piece(tmp_path: Path) -> None:
-    path = tmp_path / "00000007.BIN"
-    path.write_bytes(b"abcdefg")
-    assert list(windows_of(path, 3)) == [b"abc", b"def", b"g"]
-
-
-def test_it_is_recognised_by_content(tmp_path: Path) -> None:
-    path = tmp_path / "no-suffix"
-    path.write_bytes(dataflash([IMU], [imu(1)]))
-    assert read_log(path).profile == "ardupilot-log"
 
 
 @pytest.mark.parametrize(("lost", "notes"), [(0, 0), (1, 1), (20, 1)])
@@ -193,11 +159,6 @@ def test_an_output_with_a_function_that_is_no_motor_s_is_none(tmp_path: Path) ->
     assert moving["actuator"].values.shape == (2, 5)  # output 6 never moves
 
 
-def test_a_function_between_the_motors_keeps_their_numbers(tmp_path: Path) -> None:
-    log = outputs_of(tmp_path, FLOWN, {"RC2_FUNCTION": 7.0, "RC5_FUNCTION": 10.0})
-    np.testing.assert_allclose(log["actuator"].values[1], [0.41, 0.0, 0.43, 0.42], atol=1e-9)
-
-
 def wrapped(n: int = 600) -> tuple[bytes, list[bytes]]:
     """A log's head and records."""
     return dataflash([IMU, ATT], []), [imu(1000 * k, 0.01 * k) for k in range(n)]
@@ -213,20 +174,6 @@ def test_a_logger_that_wrapped_is_read_from_where_its_types_are_declared(tmp_pat
     np.testing.assert_allclose(log["body_rate"].values[:, 0], [0.01 * k for k in range(400)], rtol=1e-6)
     lost = len(b"".join(records[400:])) - 11
     assert log.notes == (f"{lost} bytes of it are no records of a known type and were skipped",)
-
-
-def test_pages_that_were_overwritten_cost_their_records_and_are_told(tmp_path: Path) -> None:
-    head, records = wrapped()
-    size = len(records[0])
-    whole = bytearray(head + b"".join(records))
-    hole = slice(len(head) + 100 * size + 5, len(head) + 300 * size + 7)
-    whole[hole] = np.random.default_rng(3).integers(0, 160, hole.stop - hole.start, np.uint8).tobytes()  # no A3
-    path = tmp_path / "holed.bin"
-    path.write_bytes(bytes(whole))
-    log = read_log(path)
-    kept = [*range(101), *range(301, 600)]
-    assert set(kept) - {100} <= {round(100 * one) for one in log["body_rate"].values[:, 0].tolist()}
-    assert "no records of a known type and were skipped" in log.notes[0]
 
 
 def test_a_telemetry_log_that_carries_such_records_stays_one() -> None:

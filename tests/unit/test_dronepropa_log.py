@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_dronepropa import LINE_HZ, Rows, content, flight, written
+from made_dronepropa import LINE_HZ, Rows, flight, written
 
 from mavdiag.airframe.load import airframe_named
 from mavdiag.errors import InputError, UsageError
 from mavdiag.learning import airborne, front_for
 from mavdiag.logs import airframe_name_for, gate_for, read_log
-from mavdiag.logs.dronepropa import read_dronepropa
 from mavdiag.telemetry import Signal
 
 MADE = flight(12.0, 3)
@@ -71,13 +70,6 @@ def test_commanded_rates_are_those_of_the_cascade(path: Path) -> None:
     found = read_log(path)["rate_setpoint"].values[:, :2] * [1.0, -1.0]
     flying = (MADE["commander_data"][1] >= 4)[:, None] & free
     np.testing.assert_allclose(found[flying], wanted[flying], atol=1e-9)
-
-
-def test_esc_speeds_are_masked_until_they_are_known(path: Path) -> None:
-    speed = read_log(path)["rotor_speed"].values
-    assert np.isnan(speed[:150]).all()  # 0/0, and infinite in row 54
-    assert speed[3000] == pytest.approx(2 * np.pi * LINE_HZ, rel=1e-3)
-    assert not np.isinf(speed).any()
 
 
 def test_only_state_5_is_flight(path: Path) -> None:
@@ -196,43 +188,6 @@ def test_what_stays_open_is_a_note(
     assert (log.telemetry.get(Signal.ROTOR_SPEED) is None) == (absent is Signal.ROTOR_SPEED)
 
 
-def drift(rows: Rows) -> None:
-    """The IMUs' yaw is a gyro's integral; the motion capture's is held, but for a creep the other way."""
-    ramp = np.linspace(0, 2.0, rows["QDrone_data"].shape[1])
-    rows["QDrone_data"][[3, 12]] += ramp
-    rows["QDrone_data"][28] += 2.0 / 12.0
-    rows["commander_data"][24] -= 0.05 * ramp
-
-
-def test_a_drifting_yaw_estimate_refuses_no_file(tmp_path: Path) -> None:
-    assert read_log(written(tmp_path / "F0.mat", changed(one=drift))).notes == ()
-
-
 def test_a_missing_rotor_line_is_a_note(tmp_path: Path) -> None:
     log = read_log(written(tmp_path / "F0.mat", flight(12.0, 4, line=0.0)))
     assert log.notes == ("no rotor line near 150 or 300 Hz in the accelerometer: another speed, or another vehicle",)
-
-
-def test_a_file_that_was_cut_off_is_read_as_far_as_it_reaches(tmp_path: Path) -> None:
-    sound, whole = content(MADE), read_dronepropa(written(tmp_path / "whole", MADE))
-    cut = tmp_path / "cut"
-    cut.write_bytes(sound[: -len(sound) // 60])
-    log = read_dronepropa(cut)
-    count = len(log["body_rate"])
-    assert 6000 < count < 12_000
-    np.testing.assert_array_equal(log["actuator"].values, whole["actuator"].values[:count])
-    assert log.notes[0] == f"stabilizer_data: only {count} of 12000 samples are there: it was cut off"
-
-
-def test_a_file_cut_before_its_last_matrix_cannot_be_used(tmp_path: Path) -> None:
-    cut = tmp_path / "cut"
-    cut.write_bytes(content(MADE)[:-1_000_000])
-    with pytest.raises(InputError, match="holds no stabilizer_data: it was cut off; download it again"):
-        read_log(cut)
-
-
-def test_another_matlab_file_is_refused_by_its_content(tmp_path: Path) -> None:
-    other = tmp_path / "F0_SV0_SP1_t1_D1_R1.mat"
-    other.write_bytes(content({"x": np.ones((3, 3))}))
-    with pytest.raises(InputError, match="holds no QDrone_data and no commander_data and no stabilizer_data"):
-        read_log(other)

@@ -11,11 +11,9 @@ from made_history import DAY_NS, START_NS, record, records, series
 from mavdiag.history.show import (
     FLIGHT_COLUMNS,
     TREND_COLUMNS,
-    chart,
     flight_rows,
     lines_of,
     overview_json,
-    sparkline,
     trend_rows,
 )
 from mavdiag.history.stretches import WATCHED, Mark, MarkKind, series_of, stretches_of
@@ -74,12 +72,6 @@ def test_what_was_warned_of_does_not_depend_on_later_flights() -> None:
     assert warned_at(series(share), before=found) is None
 
 
-def test_few_flights_and_flights_not_judged_have_no_trend() -> None:
-    assert review(series(worn(150, 1.0, 1)[:19])).outlook is Outlook.TOO_FEW
-    assert review(series(np.full(50, np.nan))).outlook is Outlook.TOO_FEW
-    assert warned_at(series(np.full(50, np.nan))) is None
-
-
 def test_marks_and_other_baselines_begin_a_stretch() -> None:
     flights = (*records([0.5] * 10), *(record(number, baseline="sha256:new") for number in range(11, 16)))
     marks = (
@@ -110,8 +102,8 @@ def test_a_drawing_keeps_to_the_width_of_the_terminal(peaks: list[float | None],
     wide = max(width, 8)  # a scale and a dot
     assert all(len(line) <= wide for line in lines)
     json.dumps(overview_json(found), allow_nan=False)
-    assert all(len(row) == len(TREND_COLUMNS) for row in trend_rows(found))
-    assert all(len(row) == len(FLIGHT_COLUMNS) for one in found.flights for row in flight_rows(1, one))
+    assert all(set(TREND_COLUMNS) <= set(row) for row in trend_rows(found))
+    assert all(set(row) <= set(FLIGHT_COLUMNS) for one in found.flights for row in flight_rows(1, one))
 
 
 def test_a_pipe_gets_a_sentence_a_statistic_and_no_drawing() -> None:
@@ -123,13 +115,3 @@ def test_a_pipe_gets_a_sentence_a_statistic_and_no_drawing() -> None:
     assert all(ord(sign) < 0x2500 for line in lines for sign in line.text)
     assert [one.series.name for one in found.warned] == ["unbalance"]
     assert found.rotor_growth[3] == pytest.approx(0.013, abs=1e-9)
-
-
-def test_the_chart_has_the_threshold_the_dots_and_the_border() -> None:
-    drawn = chart(np.concatenate((np.full(20, 0.1), np.full(20, 1.1))), [20], 46, 8)
-    at = next(n for n, line in enumerate(drawn) if line.lstrip().startswith("1.00"))
-    assert "┄" in drawn[at]
-    assert all(0x2800 < ord(sign) < 0x2900 for sign in drawn[-1][6:26])
-    assert all(0x2800 < ord(sign) < 0x2900 for sign in drawn[0][26:46])
-    assert "│" in drawn[3]
-    assert sparkline(np.array([0.0, 1.0, 1.5]), 10) == "▁██"

@@ -8,7 +8,8 @@ import pytest
 from mavdiag.errors import InputError
 from mavdiag.link.codec import UNKNOWN, Encoder
 from mavdiag.link.messages import MavType, MessageId
-from mavdiag.logs import read_log, sha256_of
+from mavdiag.logs import read_log
+from mavdiag.logs.log import sha256_of
 from mavdiag.logs.tlog import decode_tlog, read_tlog, tlog_record, vehicle_stream
 from mavdiag.telemetry import Signal
 

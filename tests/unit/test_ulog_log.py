@@ -8,12 +8,10 @@ from functools import partial
 from pathlib import Path
 from types import FrameType
 
-import numpy as np
 import pytest
 from made_logs import ULOG_HEAD, ULogTopic, ulog, ulog_message
 
 from mavdiag.errors import InputError
-from mavdiag.logs import read_log
 from mavdiag.logs.ulog import read_ulog
 from mavdiag.telemetry import Log, Signal
 
@@ -85,11 +83,6 @@ def test_the_time_of_the_sample_goes_before_that_of_its_publication(tmp_path: Pa
     assert log.telemetry.need(Signal.ATTITUDE).t_ns.tolist() == [1_900_000]
 
 
-def test_a_topic_stamped_zero_was_never_published(tmp_path: Path) -> None:
-    log = read(tmp_path, ulog([SENSORS, POSITION], [sensors(1), POSITION.record(0, -1.0)]))
-    assert log.telemetry.get(Signal.HEIGHT) is None
-
-
 def test_outputs_in_use_are_kept(tmp_path: Path) -> None:
     motors = MOTORS.record(1, 0.1, 0.2, 0.3, 0.4, *[math.nan] * 8)
     assert values(read(tmp_path, ulog([MOTORS], [motors])), Signal.ACTUATOR)[0] == pytest.approx([0.1, 0.2, 0.3, 0.4])
@@ -116,11 +109,6 @@ def test_height_is_up_and_armed_is_state_two(tmp_path: Path) -> None:
 def test_gps_dates_the_first_sample(tmp_path: Path) -> None:
     records = [sensors(4_000_000), GPS.record(4_500_000, 0), GPS.record(5_000_000, 1_577_880_000_000_000)]
     assert read(tmp_path, ulog([SENSORS, GPS], records)).started_ns == 1_577_879_999_000_000_000
-
-
-def test_a_cut_tail_is_dropped(tmp_path: Path) -> None:
-    log = read(tmp_path, ulog([SENSORS], [sensors(1), sensors(2), sensors(3)[:-2]]))
-    assert len(log.telemetry.need(Signal.BODY_RATE)) == 2
 
 
 def test_nothing_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -153,17 +141,6 @@ def test_an_unusable_file_is_one_line_that_names_it(tmp_path: Path, content: byt
         read(tmp_path, content)
     assert "log_4.ulg" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_damaged_quaternions_are_no_warning(tmp_path: Path) -> None:
-    log = read(tmp_path, ulog([SETPOINT], [SETPOINT.record(1, math.inf, 1, math.nan, 0, 0, 0, math.inf)]))
-    assert np.isnan(log.telemetry.need(Signal.ATTITUDE_SETPOINT).values).any()
-
-
-def test_it_is_recognised_by_content(tmp_path: Path) -> None:
-    path = tmp_path / "no-suffix"
-    path.write_bytes(ulog([SENSORS], [sensors(1)]))
-    assert read_log(path).profile == "px4-log"
 
 
 @pytest.mark.parametrize(("lost", "notes"), [(0, 0), (1, 1), (20, 1)])
