@@ -52,6 +52,6 @@ class Sight:
 
 def _hidden(chain: Chain, pieces: tuple[tuple[int, Telemetry], ...], spans: tuple[tuple[int, int], ...]) -> str:
     """Why the latest part of the flight is hidden; empty if it is not."""
-    telemetry = believed(chain.front.align.quality, {}, joined([piece for _, piece in pieces]))[1]
+    telemetry = believed(chain.front.align.quality, joined([piece for _, piece in pieces]))
     found = hidden_flight(telemetry, chain.front.gate, spans)
     return found[-1].reason if found and pieces[-1][0] / NS_PER_S - found[-1].end_s < 1.0 else ""

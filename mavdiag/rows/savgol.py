@@ -9,14 +9,11 @@ numpy only: importing scipy.signal takes 0.8 s, which the detector's start canno
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.jit import cached, source_digest
-from mavdiag.rows.running import dot
 from mavdiag.telemetry import FloatArray
 
 __all__ = ["SavgolFilter", "SavgolState", "coefficients", "window_samples"]
@@ -61,33 +58,6 @@ def coefficients(window: int, order: int = 2) -> FloatArray:
     A = (np.arange(-m, m + 1) / scale)[:, None] ** powers
     C: FloatArray = np.linalg.pinv(A) / scale ** powers[:, None]
     return C
-
-
-def _compiled() -> Callable[[FloatArray, FloatArray, FloatArray], None]:
-    digest = source_digest()
-
-    @cached
-    def filter_rows(rows: FloatArray, taps: FloatArray, out: FloatArray) -> None:
-        """Scalar products of taps with each full window of each row."""
-        for number in range(rows.shape[0] if digest else 0):
-            row = rows[number]
-            for first in range(out.shape[1]):
-                out[number, first] = dot(taps, 0, row, first, taps.size)
-
-    return filter_rows
-
-
-_filter_rows = _compiled()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SavgolState:
-    """What a stream must remember: the last window - 1 rows or fewer, transposed.
-
-    history: (columns, h) with h <= window - 1, oldest first, in the unit of the input.
-    """
-
-    history: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,25 +111,9 @@ class SavgolFilter:
         Output row i belongs to input row i + m. Fewer than 2m + 1 rows give an empty output.
         Raises UsageError if x has another number of axes.
         """
-        if x.ndim == 1:
-            return self.step(self.start(1), x[:, None])[1][:, 0]
-        return self.step(self.start(x.shape[-1]), x)[1]
-
-    def start(self, columns: int) -> SavgolState:
-        """State of a stream of `columns` columns before its first row."""
-        return SavgolState(np.empty((columns, 0)))
-
-    def step(self, state: SavgolState, block: FloatArray) -> tuple[SavgolState, FloatArray]:
-        """Take the next rows (n, k) of a stream; return the new state and the rows (j, k) that became known.
-
-        The first 2m rows of a stream give nothing, each later row gives one output, which belongs to the row m
-        before it. Raises UsageError if the block does not have the state's columns.
-        """
-        if block.ndim != 2 or block.shape[1] != len(state.history):
-            raise UsageError(f"block of shape {block.shape} does not fit a stream of {len(state.history)} columns")
-        rows = np.ascontiguousarray(np.concatenate((state.history, block.T), axis=1))
-        known = max(0, rows.shape[1] - self.window + 1)
-        out = np.empty((len(rows), known))  # column by column
-        if known:
-            _filter_rows(rows, self.taps, out)
-        return SavgolState(rows[:, known:].copy()), out.T
+        columns = x.reshape(len(x), -1).T
+        rows = max(0, len(x) - self.window + 1)
+        if x.ndim > 2 or rows == 0:
+            return np.empty((rows, *x.shape[1:]))
+        found = np.stack([np.correlate(column, self.taps, "valid") for column in columns], axis=1)
+        return found.reshape(rows, *x.shape[1:])
