@@ -212,7 +212,7 @@ def _pieces(blocks: Sequence[Block], axis: Axis, spec: RateSpec, _: int) -> tupl
     """u and y of each stretch that can train a model, filtered by this window."""
     state, out = spec.start(), []
     for block in blocks:
-        state, rates = spec.step(state, block)
+        rates = spec.step(state, block)
         for first, stop in spans(rates.commanded):
             if (stop - first) * rates.dt_s >= MIN_PIECE_S:
                 out.append((rates.u[first:stop, axis.column], rates.y[first:stop, axis.column]))

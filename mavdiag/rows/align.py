@@ -33,7 +33,7 @@ from functools import cached_property
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.jit import cached, jit
+from mavdiag.jit import cached, cached_loop, inline, jit
 from mavdiag.rows.block import Block
 from mavdiag.rows.grid import Grid, measure_grid
 from mavdiag.rows.quality import GLITCH_S, MOST_LOST, LinkQuality, Memories, believed
@@ -182,7 +182,9 @@ class AlignSpec:
             _make_room(state, place, series)
             came = (series.t_ns, series.host_ns, series.values, fresh, hosts)
             reorder_ns = int(self.limits_ns[REORDER])
-            late |= _merge(state.times[place], state.values[place], state.marks, place, *came, before_ns, reorder_ns)
+            stream = state.times[place], state.values[place], state.marks, place
+            steps = np.empty(len(series), dtype=np.int64)
+            late |= _merge(*stream, *came, before_ns, reorder_ns, steps)
         if len(fresh) and state.calm_ns == NEVER_NS:
             state.calm_ns = int(fresh[0]) + BEGIN_NS
         if late:
@@ -305,7 +307,7 @@ def _whole_ns(t: IntArray, lo: int, hi: int, since_ns: int, usual_ns: float) -> 
     return int(t[last])
 
 
-@jit
+@inline
 def _advance(t: IntArray, v: FloatArray, turns: FloatArray, angle: bool, at: int) -> int:
     """To the next sample; of an angle with the full turns that belong to it."""
     if angle:
@@ -314,21 +316,21 @@ def _advance(t: IntArray, v: FloatArray, turns: FloatArray, angle: bool, at: int
     return at + 1
 
 
-@jit
+@inline
 def _turn(before: float, after: float) -> float:
     """Full turns that a step of an angle seems to jump by."""
     step = after - before
     return 0.0 if abs(step) <= math.pi else float(-np.round(step / TURN))
 
 
-@jit
+@inline
 def _keep_from(t: IntArray, marks: IntArray, place: int, at: int) -> None:
     """Samples before this one are settled."""
     if at > marks[place, LO]:
         marks[place, LO], marks[place, FLOOR] = at, t[at]
 
 
-@cached
+@cached_loop
 def _merge(
     t: IntArray,
     v: FloatArray,
@@ -341,15 +343,16 @@ def _merge(
     gyro_host: IntArray,
     gyro_ns: int,
     reorder_ns: int,
+    steps: IntArray,
 ) -> bool:
     """Take in new samples of a stream; whether one is late. Of equal times the last to come counts.
 
-    gyro_t, gyro_host, gyro_ns: what the gyro brings with this chunk, and how far it was before. `came` may be `t`
-    itself, of a stream that begins.
+    gyro_t, gyro_host, gyro_ns: what the gyro brings with this chunk, and how far it was before. steps: room for as many
+    as come. `came` may be `t` itself, of a stream that begins.
     """
     lo, hi, newest, floor = marks[place, LO], marks[place, HI], marks[place, NEWEST], marks[place, FLOOR]
     count, late, behind = len(came_t), False, 0
-    steps, risen, expected = np.empty(count, dtype=np.int64), 0, count if hi > lo else count - 1
+    risen, expected = 0, count if hi > lo else count - 1
     for i in range(count):
         while behind < len(gyro_t) and gyro_host[behind] < came_host[i]:
             gyro_ns = max(gyro_ns, gyro_t[behind])
@@ -382,7 +385,7 @@ def _merge(
     return late
 
 
-@cached
+@cached_loop
 def _horizon(
     times: tuple[IntArray, ...], marks: IntArray, limits_ns: IntArray, calm_ns: int, native: bool, dt_ns: float
 ) -> int:
@@ -463,7 +466,79 @@ def _place(
     return rows[:count], broken, int(t[stop - 1])
 
 
-@cached
+@jit
+def _hold(
+    t: IntArray, v: FloatArray, at: int, hi: int, limit_ns: int, rows: IntArray, x: FloatArray, first: int
+) -> int:
+    """The last value at each row, nan where it is older than the limit; returns the last sample that was read."""
+    i = 0
+    while i < len(rows):
+        while at + 1 < hi and t[at + 1] <= rows[i]:
+            at += 1
+        known = at < hi and t[at] <= rows[i] <= t[at] + limit_ns
+        stop = i + 1
+        if known:
+            until = t[at] + limit_ns if at + 1 == hi else min(t[at] + limit_ns, t[at + 1] - 1)
+            while stop < len(rows) and rows[stop] <= until:
+                stop += 1
+        elif at == hi:
+            stop = len(rows)
+        for column in range(v.shape[1]):
+            x[first + column, i:stop] = v[at, column] if known else np.nan
+        i = stop
+    return at
+
+
+@jit
+def _interpolate(
+    t: IntArray,
+    v: FloatArray,
+    at: int,
+    hi: int,
+    place: int,
+    turns: FloatArray,
+    limits_ns: IntArray,
+    rows: IntArray,
+    x: FloatArray,
+    first: int,
+    flags: BoolArray,
+    blank_ns: IntArray,
+) -> int:
+    """The value between the samples around each row; returns the last sample before the last row.
+
+    Where they are farther apart than the limit, gyro and set-point keep the last value, others are nan.
+    """
+    angle, limit_ns, columns = place == SETPOINT or place == ATTITUDE, limits_ns[place], v.shape[1]
+    for i in range(len(rows)):
+        while at + 1 < hi and t[at + 1] <= rows[i]:
+            at = _advance(t, v, turns, angle, at)
+        since = rows[i] - t[at] if at < hi else -1
+        gap = 0 if since == 0 else t[at + 1] - t[at] if since > 0 and at + 1 < hi else NEVER_NS
+        if since < 0 or (gap > limit_ns and place > SETPOINT):
+            for column in range(columns):
+                x[first + column, i] = 0.0 if place == SETPOINT else np.nan
+        else:
+            for column in range(columns):
+                x[first + column, i] = v[at, column] + (TURN * turns[column] if angle else 0.0)
+        if 0 < gap <= limit_ns:
+            share = since / gap
+            for column in range(columns):
+                after, value = v[at + 1, column], x[first + column, i]
+                if angle:
+                    after += TURN * (turns[column] + _turn(v[at, column], after))
+                x[first + column, i] = value + share * (after - value)
+        if place <= SETPOINT:
+            if place == GYRO and x[3, i] > 0.0:  # what must settle after a doubt is as after a gap
+                x[3, i] = math.ceil(x[3, i])
+                gap = max(gap, limits_ns[USABLE] + 1)
+            if gap > limits_ns[USABLE]:
+                settle = limits_ns[SETTLE_START] if gap > limits_ns[BREAK] else limits_ns[SETTLE_GAP]
+                blank_ns[place] = max(blank_ns[place], rows[i] + settle)
+            flags[place, i] = rows[i] > blank_ns[place]
+    return at
+
+
+@cached_loop
 def _fill(
     times: tuple[IntArray, ...],
     values: tuple[FloatArray, ...],
@@ -480,40 +555,15 @@ def _fill(
     x: a row for each column of a stream, from FIRST on. flags: whether gyro and set-point may be used.
     """
     for place in range(len(marks)):
-        t, v, at, hi, turned = times[place], values[place], marks[place, LO], marks[place, HI], turns[place]
-        angle, held, limit = place == SETPOINT or place == ATTITUDE, place >= THRUST, limits_ns[place]
-        absent = 0.0 if place == SETPOINT else np.nan
-        for i in range(len(rows)):
-            while at + 1 < hi and t[at + 1] <= rows[i]:
-                at = _advance(t, v, turned, angle, at)
-            since = rows[i] - t[at] if at < hi else -1
-            gap = NEVER_NS if since < 0 else 0
-            if since > 0:
-                gap = since if held else t[at + 1] - t[at] if at + 1 < hi else NEVER_NS
-            share = since / gap if 0 < gap <= limit and not held else 0.0
-            unknown = since < 0 or (gap > limit and place > SETPOINT)
-            for column in range(v.shape[1]):
-                value = absent
-                if not unknown:
-                    value = v[at, column] + (TURN * turned[column] if angle else 0.0)
-                    if share > 0.0:
-                        after = v[at + 1, column]
-                        if angle:
-                            after += TURN * (turned[column] + _turn(v[at, column], v[at + 1, column]))
-                        value += share * (after - value)
-                x[FIRST[place] + column, i] = value
-            if place <= SETPOINT:
-                if place == GYRO and x[3, i] > 0.0:  # what must settle after a doubt is as after a gap
-                    x[3, i] = math.ceil(x[3, i])
-                    gap = max(gap, limits_ns[USABLE] + 1)
-                if gap > limits_ns[USABLE]:
-                    settle = limits_ns[SETTLE_START] if gap > limits_ns[BREAK] else limits_ns[SETTLE_GAP]
-                    blank_ns[place] = max(blank_ns[place], rows[i] + settle)
-                flags[place, i] = rows[i] > blank_ns[place]
+        t, v, at, hi, first = times[place], values[place], marks[place, LO], marks[place, HI], FIRST[place]
+        if place >= THRUST:
+            at = _hold(t, v, at, hi, limits_ns[place], rows, x, first)
+        else:
+            at = _interpolate(t, v, at, hi, place, turns[place], limits_ns, rows, x, first, flags, blank_ns)
         _keep_from(t, marks, place, at)
 
 
-@cached
+@cached_loop
 def _forget(
     times: tuple[IntArray, ...],
     values: tuple[FloatArray, ...],

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mavdiag.jit import cached
+from mavdiag.jit import cached_loop
 from mavdiag.rows.block import Block
 from mavdiag.rows.quality import DOUBTS, Doubt
 from mavdiag.rows.windows import window_mean, window_rows
@@ -240,7 +240,7 @@ class GateSpec:
         return done
 
 
-@cached
+@cached_loop
 def _classify(
     least_height: float,
     least_thrust: float,
@@ -406,7 +406,7 @@ def _tally(series: Series) -> Tally:
     return bins, sums
 
 
-@cached
+@cached_loop
 def _tally_runs(t_ns: IntArray, values: FloatArray, bins: IntArray, sums: FloatArray) -> None:
     """Number and sum of all values that are known; then stamps, and of the first three columns squares and sums."""
     run, last = -1, 0

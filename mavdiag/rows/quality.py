@@ -38,7 +38,7 @@ from typing import TypeAlias
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from mavdiag.jit import cached, jit
+from mavdiag.jit import cached_loop, inline, jit
 from mavdiag.rows.windows import forgetting
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -186,6 +186,7 @@ class LinkQuality(BaseModel):
         noise = RESOLUTION_NOISE / QUIET_SHARE * min(habit.quiet)
         par[MOST_STEP] = max(RESOLUTION_FACTOR * self.resolution_rad_s, noise)
         leads = habit.leads or (False,) * len(habit.leap)
+        par[RATE], par[LEADING] = 1.0 / par[PERIOD], any(leads)
         par[LEAPS:] = np.concatenate((habit.most_leap(), leads, habit.quiet, habit.most_still()))
         return par
 
@@ -194,16 +195,16 @@ class LinkQuality(BaseModel):
 # columns are angles, and hold their last value; how many samples may be lost; spans of stamps back, early and ahead
 # [ns]; the greatest value, and whether a sample must be a number; whether zeros, and zeros of an unlearnt signal, are
 # dead; from what value on it may be dead, and what becomes of it then; whether it is the gyro, its most jitter [share
-# of a period] and coarsest step; of each column the longest leap, whether its slope leads, and what is silent; then for
+# of a period] and coarsest step; samples a ns; whether the slope of any column leads; of each column the longest leap, whether its slope leads, and what is silent; then for
 # how many samples all columns, and each one, may be still.
 LEARNT, PERIOD, ALPHA, ANGLE, HOLDS, PATIENCE, BACK, SOON, AHEAD, GREATEST_AT, FINITE_AT = range(11)
-ZERO_IS_DEAD, NEVER_ZERO_AT, LOWEST, WHEN_DEAD, GYRO, MOST_JITTER, MOST_STEP, LEAPS = range(11, 19)
+ZERO_IS_DEAD, NEVER_ZERO_AT, LOWEST, WHEN_DEAD, GYRO, MOST_JITTER, MOST_STEP, RATE, LEADING, LEAPS = range(11, 21)
 KEPT, UNKNOWN, DROPPED = range(3)
 # Places in the figures: jitter, and how far the latest samples leapt; then of each column the last believed value, its
 # slope [1/ns], the value that came last, and the smallest step. In the counts: samples so far; stamps of the last one
-# that was believed, and that came [ns]; whether its stamp leapt; how many leapt lately, and their numbers; repetitions.
+# that was believed, and that came [ns]; whether its stamp leapt; how many leapt lately; samples traced; numbers of those that leapt; repetitions.
 JITTER, SIZES, COLUMN = 0, 1, 1 + AMONG + MOST_LOST + 1
-COUNT, LAST_NS, CAME_NS, ALONE, FAR_COUNT, NUMBERS = range(6)
+COUNT, LAST_NS, CAME_NS, ALONE, FAR_COUNT, TRACED, NUMBERS = range(7)
 RUNS = NUMBERS + AMONG + MOST_LOST + 1
 STAMPS_CODE, RESOLUTION_CODE, FROZEN_CODE = (
     DOUBTS.index(one) for one in (Doubt.STAMPS, Doubt.RESOLUTION, Doubt.FROZEN)
@@ -239,7 +240,7 @@ class Memory:
 Memories: TypeAlias = dict[tuple[Signal, int], Memory]
 
 
-@jit
+@inline
 def _short(par: FloatArray, step: float) -> float:
     """A step; of an angle the short way round."""
     if par[ANGLE] < 0.5 or abs(step) <= math.pi:
@@ -247,14 +248,14 @@ def _short(par: FloatArray, step: float) -> float:
     return float(step - TURN * np.round(step / TURN))
 
 
-@jit
+@inline
 def _away(par: FloatArray, mem: FloatArray, columns: int, column: int, value: float, span_ns: int) -> float:
     """How far a value is from where those before it lead."""
     at = COLUMN + column
     return _short(par, value - mem[at] - mem[at + columns] * span_ns)
 
 
-@jit
+@inline
 def _near(par: FloatArray, mem: FloatArray, columns: int, v: FloatArray, i: int, span_ns: int) -> bool:
     """Whether a sample leaps nowhere by more than is believed after one period: the usual case."""
     for column in range(columns):
@@ -287,8 +288,8 @@ def _leap(
 def _misdated(par: FloatArray, counts: IntArray, t_ns: IntArray, there: int, i: int) -> int:
     """1 if the stamp of a sample leaps by the last believed and the next one, 0 if not; -1 if the next must come."""
     span_ns = t_ns[i] - counts[LAST_NS]
-    came_ns = t_ns[i - 1] if i else counts[CAME_NS]
-    if -par[BACK] <= span_ns <= par[SOON] or (counts[ALONE] > 0 and abs(t_ns[i] - came_ns) <= par[AHEAD]):
+    followed = counts[ALONE] > 0 and abs(t_ns[i] - counts[CAME_NS]) <= par[AHEAD]
+    if -par[BACK] <= span_ns <= par[SOON] or followed:
         return 0
     if span_ns < 0 or span_ns > par[AHEAD]:
         return 1
@@ -304,7 +305,7 @@ def _decide(
     par: FloatArray, mem: FloatArray, counts: IntArray, columns: int, t_ns: IntArray, v: FloatArray, there: int, i: int
 ) -> tuple[int, bool]:
     """How many samples from i on are decided, 0 if more must come; whether they are lost: they leap away and back."""
-    patience, number = int(par[PATIENCE]), counts[COUNT] + i
+    patience, number = int(par[PATIENCE]), counts[COUNT]
     first = _leap(par, mem, counts, columns, t_ns, v, i)
     if not first > 1.0:
         return 1, False
@@ -338,20 +339,21 @@ def _decide(
     return run, lost
 
 
-@jit
+@inline
 def _believe(
     par: FloatArray, mem: FloatArray, counts: IntArray, columns: int, t_ns: IntArray, v: FloatArray, i: int
 ) -> None:
     """Make a sample the last one that is believed."""
     span_ns = t_ns[i] - counts[LAST_NS]
+    share = 1.0 / span_ns if span_ns != 0 and par[LEADING] > 0.5 else 0.0
     for column in range(columns):
         at, leads = COLUMN + column, par[LEAPS + columns + column] > 0.5
-        mem[at + columns] = _short(par, v[i, column] - mem[at]) / span_ns if leads and span_ns != 0 else 0.0
+        mem[at + columns] = _short(par, v[i, column] - mem[at]) * share if leads and share != 0.0 else 0.0
         mem[at] = v[i, column]
     counts[LAST_NS] = t_ns[i]
 
 
-@jit
+@inline
 def _measure(
     par: FloatArray, mem: FloatArray, counts: IntArray, columns: int, stamp_ns: int, v: FloatArray, i: int
 ) -> float:
@@ -369,7 +371,7 @@ def _measure(
             coarsest = max(coarsest, mem[finest])
     counts[RUNS] = counts[RUNS] + 1 if same else 0
     if gyro:
-        steps = (stamp_ns - counts[CAME_NS]) / par[PERIOD]
+        steps = (stamp_ns - counts[CAME_NS]) * par[RATE]
         apart = steps - np.round(steps) if 0.0 < steps < MISSING else 0.0  # else it is lost or misdated
         mem[JITTER] += par[ALPHA] * (apart * apart - mem[JITTER])
     counts[CAME_NS] = stamp_ns
@@ -377,7 +379,7 @@ def _measure(
     return coarsest if counts[COUNT] > RESOLUTION_SAMPLES and math.isfinite(coarsest) else 0.0
 
 
-@jit
+@inline
 def _use(par: FloatArray, mem: FloatArray, counts: IntArray, columns: int, v: FloatArray, i: int, finest: float) -> bool:
     """Make of a sample what rows may use, after `_measure`; whether they may."""
     stills = LEAPS + 3 * columns
@@ -402,7 +404,7 @@ def _use(par: FloatArray, mem: FloatArray, counts: IntArray, columns: int, v: Fl
     return not (dead and par[WHEN_DEAD] == DROPPED)
 
 
-@jit
+@inline
 def _in_range(par: FloatArray, columns: int, v: FloatArray, i: int) -> bool:
     """Whether a sensor may have measured it; nan where rows may have it: some vehicles log some columns only."""
     for column in range(columns):
@@ -422,7 +424,45 @@ def _blank_if_zero(columns: int, v: FloatArray, i: int) -> None:
         v[i, column] = np.nan
 
 
-@cached
+@inline
+def _take(
+    par: FloatArray,
+    mem: FloatArray,
+    counts: IntArray,
+    t_ns: IntArray,
+    host_ns: IntArray,
+    v: FloatArray,
+    i: int,
+    lost: bool,
+    kept: int,
+    trace: FloatArray,
+) -> int:
+    """Measure a sample that is decided, and move it to the believed ones, if it is; returns how many there are."""
+    columns = v.shape[1] - int(par[GYRO])
+    if par[GYRO] > 0.5:
+        v[i, columns] = 0.0
+    if par[LEARNT] > 0.5:
+        finest = _measure(par, mem, counts, columns, t_ns[i], v, i)
+        if lost:
+            return kept
+        if len(trace):
+            traced = counts[TRACED]
+            counts[TRACED] += 1
+            for k in range(1 + columns):
+                trace[traced, k] = counts[RUNS + k]
+            trace[traced, 1 + columns], trace[traced, 2 + columns] = math.sqrt(mem[JITTER]), finest
+        if not _use(par, mem, counts, columns, v, i, finest):
+            return kept
+    if par[NEVER_ZERO_AT] > 0.5:
+        _blank_if_zero(columns, v, i)
+    if kept < i:
+        t_ns[kept], host_ns[kept] = t_ns[i], host_ns[i]
+        for column in range(v.shape[1]):
+            v[kept, column] = v[i, column]
+    return kept + 1
+
+
+@cached_loop
 def _look_at(
     par: FloatArray,
     mem: FloatArray,
@@ -442,57 +482,32 @@ def _look_at(
     columns, there = v.shape[1] - int(par[GYRO]), waited
     for i in range(waited, len(t_ns)):
         if _in_range(par, columns, v, i):
-            t_ns[there], host_ns[there] = t_ns[i], host_ns[i]
-            for column in range(columns):
-                v[there, column] = v[i, column]
+            if there < i:
+                t_ns[there], host_ns[there] = t_ns[i], host_ns[i]
+                for column in range(columns):
+                    v[there, column] = v[i, column]
             there += 1
-    done, keep = there, np.ones(there, dtype=np.bool_)
-    if par[LEARNT] > 0.5 and there:
-        done = 0
-        if counts[COUNT] == 0 and waited == 0:
-            counts[LAST_NS] = counts[CAME_NS] = t_ns[0]
-        while done < there:
-            span_ns = t_ns[done] - counts[LAST_NS]
-            if -par[BACK] <= span_ns <= par[SOON] and _near(par, mem, columns, v, done, span_ns):
-                counts[ALONE] = 0
-                _believe(par, mem, counts, columns, t_ns, v, done)
-                done += 1
-                continue
-            misdated = _misdated(par, counts, t_ns, there, done)
+    if counts[COUNT] == 0 and waited == 0 and there:
+        counts[LAST_NS] = counts[CAME_NS] = t_ns[0]
+    kept = done = 0
+    while done < there:
+        span_ns, run, lost = t_ns[done] - counts[LAST_NS], 1, False
+        if par[LEARNT] > 0.5:
+            usual = -par[BACK] <= span_ns <= par[SOON] and _near(par, mem, columns, v, done, span_ns)
+            misdated = 0 if usual else _misdated(par, counts, t_ns, there, done)
             if misdated < 0:
                 break
-            run, lost = 1, misdated > 0
-            counts[ALONE] = misdated
-            if not lost:
+            counts[ALONE], lost = misdated, misdated > 0
+            if not usual and not lost:
                 run, lost = _decide(par, mem, counts, columns, t_ns, v, there, done)
                 if run == 0:
                     break
-            for k in range(done, done + run):
-                keep[k] = not lost
-                if not lost:
-                    _believe(par, mem, counts, columns, t_ns, v, k)
-            done += run
-    kept = traced = 0
-    for i in range(done):
-        if par[GYRO] > 0.5:
-            v[i, columns] = 0.0
-        if par[LEARNT] > 0.5:
-            finest = _measure(par, mem, counts, columns, t_ns[i], v, i)
-            if not keep[i]:
-                continue
-            if len(trace):
-                for k in range(1 + columns):
-                    trace[traced, k] = counts[RUNS + k]
-                trace[traced, 1 + columns], trace[traced, 2 + columns] = math.sqrt(mem[JITTER]), finest
-                traced += 1
-            if not _use(par, mem, counts, columns, v, i, finest):
-                continue
-        if par[NEVER_ZERO_AT] > 0.5:
-            _blank_if_zero(columns, v, i)
-        t_ns[kept], host_ns[kept] = t_ns[i], host_ns[i]
-        for column in range(v.shape[1]):
-            v[kept, column] = v[i, column]
-        kept += 1
+            if not lost:
+                for i in range(done, done + run):
+                    _believe(par, mem, counts, columns, t_ns, v, i)
+        for i in range(done, done + run):
+            kept = _take(par, mem, counts, t_ns, host_ns, v, i, lost, kept, trace)
+        done += run
     return kept, done, there
 
 

@@ -26,16 +26,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.jit import cached, jit
+from mavdiag.jit import cached_loop, jit
 from mavdiag.rows.block import Block
 from mavdiag.rows.savgol import coefficients
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 
 ANEW = 4  # windows after which the moments are formed anew (our choice)
 SIGNALS = 6  # gyro p, q, r; set-point roll, pitch, yaw
-# Places in the memory: of each signal three moments, and how long it will be spoilt by what is no number; rows so far,
-# rows in a line in which the gyro was valid, and in which the set-point was, too; then the last rows of each signal.
-SPOILT, ROWS, SOUND, WANTED, HISTORY = 18, 24, 25, 26, 27
+# Places in the memory: of each signal three moments, and how long it will be spoilt by what is no number, its value
+# and its slope; rows so far, rows in a line in which the gyro was valid, and in which the set-point was, too; then the
+# last rows of each signal.
+SPOILT, VALUES, SLOPES, ROWS, SOUND, WANTED, HISTORY = 18, 24, 30, 36, 37, 38, 39
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +120,7 @@ def _finite(value: float) -> float:
     return value if math.isfinite(value) else 0.0
 
 
-@cached
+@cached_loop
 def _filter(
     mem: FloatArray,
     times: IntArray,
@@ -137,7 +138,6 @@ def _filter(
 ) -> None:
     """u, y and gyro of the rows whose window is complete, with their times and flags."""
     window, m = len(times), len(times) // 2
-    found = np.empty((SIGNALS, 2))
     for i in range(len(row_ns)):
         rows = int(mem[ROWS])
         place, centre = rows % window, (rows + window - m) % window
@@ -166,9 +166,9 @@ def _filter(
                 m1 += m * newest - m0
                 m0 += newest
             mem[at], mem[at + 1], mem[at + 2] = m0, m1, m2
-            found[signal, 0], found[signal, 1] = middle * m0 + bend * m2, slope * m1
-            if mem[SPOILT + signal] > 0.0:
-                found[signal, 0] = found[signal, 1] = np.nan
+            spoilt = mem[SPOILT + signal] > 0.0
+            mem[VALUES + signal] = np.nan if spoilt else middle * m0 + bend * m2
+            mem[SLOPES + signal] = np.nan if spoilt else slope * m1
         done = i - (len(row_ns) - len(t_ns))
         if done < 0:
             continue
@@ -177,11 +177,11 @@ def _filter(
         #     [ 1   0          -sin theta          ]
         # W = [ 0   cos phi    sin phi cos theta   ]
         #     [ 0   -sin phi   cos phi cos theta   ]
-        phi, theta, roll, pitch, yaw = found[3, 0], found[4, 0], found[3, 1], found[4, 1], found[5, 1]
+        phi, theta, roll, pitch, yaw = mem[VALUES + 3], mem[VALUES + 4], mem[SLOPES + 3], mem[SLOPES + 4], mem[SLOPES + 5]
         sin_phi, cos_phi, turn = math.sin(phi), math.cos(phi), math.cos(theta) * yaw
         out[0, done] = roll - math.sin(theta) * yaw
         out[1, done] = cos_phi * pitch + sin_phi * turn
         out[2, done] = cos_phi * turn - sin_phi * pitch
         for axis in range(3):
-            out[3 + axis, done] = found[axis, 0]
+            out[3 + axis, done] = mem[VALUES + axis]
             out[6 + axis, done] = mem[HISTORY + axis * window + centre]
