@@ -64,7 +64,20 @@ PLACES = {signal: place for place, signal in enumerate(USED)}
 GYRO, SETPOINT, ATTITUDE, THRUST = (
     PLACES[one] for one in (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.ATTITUDE, Signal.THRUST_SETPOINT)
 )  # from THRUST on signals are held
-WIDTHS = (4, 3, 3, 3, 3, 3, 1, 1, 1, 1, 3, 0)  # columns; the gyro's last is its doubt; those of outputs are the sent ones
+WIDTHS = (
+    4,
+    3,
+    3,
+    3,
+    3,
+    3,
+    1,
+    1,
+    1,
+    1,
+    3,
+    0,
+)  # columns; the gyro's last is its doubt; those of outputs are the sent ones
 FIRST = np.cumsum((0, *WIDTHS[:-1]))  # row of x that each signal's columns begin with
 
 NEVER_NS = 2**62
@@ -91,7 +104,18 @@ class AlignState:
     calm_ns: from here on the link is orderly. blank_ns: (2,) until when gyro and set-point are not used.
     """
 
-    __slots__ = ("blank_ns", "calm_ns", "done_ns", "last_ns", "marks", "memories", "segment", "times", "turns", "values")
+    __slots__ = (
+        "blank_ns",
+        "calm_ns",
+        "done_ns",
+        "last_ns",
+        "marks",
+        "memories",
+        "segment",
+        "times",
+        "turns",
+        "values",
+    )
 
     def __init__(self) -> None:
         self.times: list[IntArray] = [np.empty(0, dtype=np.int64) for _ in USED]
@@ -155,7 +179,9 @@ class AlignSpec:
         """Take in a chunk, return the rows that it completes, in blocks of one segment."""
         self.take(state, believed(self.quality, telemetry, state.memories))
         native = self.grid is Grid.NATIVE
-        until_ns = _horizon(tuple(state.times), state.marks, self.limits_ns, state.calm_ns, native, self.dt_s * NS_PER_S)
+        until_ns = _horizon(
+            tuple(state.times), state.marks, self.limits_ns, state.calm_ns, native, self.dt_s * NS_PER_S
+        )
         blocks = list(self.rows(state, until_ns))
         most_ns = 2 * int(self.limits_ns[BREAK])  # of samples without a row (B22)
         if int(state.marks[:, NEWEST].max()) - most_ns > state.last_ns:
@@ -196,9 +222,7 @@ class AlignSpec:
         spans = (self.dt_s * NS_PER_S, step_ns, int(self.limits_ns[BREAK]))
         while True:
             done_ns, times = state.done_ns, state.times[GYRO]
-            t_ns, broken, state.done_ns = _place(
-                times, state.marks, done_ns, state.last_ns, until_ns, *spans, most
-            )
+            t_ns, broken, state.done_ns = _place(times, state.marks, done_ns, state.last_ns, until_ns, *spans, most)
             if broken:
                 state.segment, state.blank_ns[0] = state.segment + 1, t_ns[0] + self.limits_ns[SETTLE_START]
             if len(t_ns):
@@ -218,7 +242,11 @@ class AlignSpec:
             return None
         limits, gyro_ns = self.limits_ns, newest[GYRO]
         safe = max(gyro_ns, max(newest) - int(limits[BREAK])) - int(limits[REORDER])
-        waited = [t for t, limit in zip(newest[SETPOINT:THRUST], limits[SETPOINT:THRUST], strict=True) if -NEVER_NS < t and safe < t + limit]
+        waited = [
+            t
+            for t, limit in zip(newest[SETPOINT:THRUST], limits[SETPOINT:THRUST], strict=True)
+            if -NEVER_NS < t and safe < t + limit
+        ]
         hurries = self.grid is Grid.NATIVE and gyro_ns > state.calm_ns
         return min(max(safe, gyro_ns - ORDER_NS) if hurries else safe, *waited, NEVER_NS)
 
@@ -393,7 +421,7 @@ def _horizon(
 
     All samples up to `safe` have come. If only the gyro stops, the time of the others shows it after `break_s`.
     """
-    gyro_ns = marks[GYRO, NEWEST] 
+    gyro_ns = marks[GYRO, NEWEST]
     if gyro_ns == -NEVER_NS:
         return -NEVER_NS
     latest = gyro_ns

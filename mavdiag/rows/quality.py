@@ -33,7 +33,7 @@ import math
 from collections.abc import Iterable, Sequence
 from enum import StrEnum
 from functools import cached_property, lru_cache
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -195,10 +195,13 @@ class LinkQuality(BaseModel):
 # columns are angles, and hold their last value; how many samples may be lost; spans of stamps back, early and ahead
 # [ns]; the greatest value, and whether a sample must be a number; whether zeros, and zeros of an unlearnt signal, are
 # dead; from what value on it may be dead, and what becomes of it then; whether it is the gyro, its most jitter [share
-# of a period] and coarsest step; samples a ns; whether the slope of any column leads; of each column the longest leap, whether its slope leads, and what is silent; then for
+# of a period] and coarsest step; samples a ns; whether the slope of any column leads; how many columns
+# there are; of each column the longest leap, whether its slope leads, and what is silent; then for
 # how many samples all columns, and each one, may be still.
 LEARNT, PERIOD, ALPHA, ANGLE, HOLDS, PATIENCE, BACK, SOON, AHEAD, GREATEST_AT, FINITE_AT = range(11)
-ZERO_IS_DEAD, NEVER_ZERO_AT, LOWEST, WHEN_DEAD, GYRO, MOST_JITTER, MOST_STEP, RATE, LEADING, LEAPS = range(11, 21)
+ZERO_IS_DEAD, NEVER_ZERO_AT, LOWEST, WHEN_DEAD, GYRO, MOST_JITTER, MOST_STEP, RATE, LEADING, COLUMNS, LEAPS = range(
+    11, 22
+)
 KEPT, UNKNOWN, DROPPED = range(3)
 # Places in the figures: jitter, and how far the latest samples leapt; then of each column the last believed value, its
 # slope [1/ns], the value that came last, and the smallest step. In the counts: samples so far; stamps of the last one
@@ -219,7 +222,7 @@ def _unlearnt(signal: Signal, columns: int) -> FloatArray:
     commands = GREATEST_SHARE if signal in LEARNT_SIGNALS else np.inf
     par[GREATEST_AT], par[FINITE_AT] = GREATEST.get(signal, commands), signal in FINITE
     par[ANGLE], par[HOLDS], par[NEVER_ZERO_AT] = signal in ANGLES, signal in HELD, signal in NEVER_ZERO
-    par[GYRO] = signal is Signal.BODY_RATE
+    par[GYRO], par[COLUMNS] = signal is Signal.BODY_RATE, columns
     return par
 
 
@@ -240,55 +243,67 @@ class Memory:
 Memories: TypeAlias = dict[tuple[Signal, int], Memory]
 
 
+class _Samples(NamedTuple):
+    """Parameters and memory of a signal, and its samples: (n,) times of vehicle and receiver, (n, k) values.
+
+    The gyro has a column more, for `Doubt` as a number.
+    """
+
+    par: FloatArray
+    mem: FloatArray
+    counts: IntArray
+    t_ns: IntArray
+    host_ns: IntArray
+    v: FloatArray
+
+
 @inline
-def _short(par: FloatArray, step: float) -> float:
+def _short(s: _Samples, step: float) -> float:
     """A step; of an angle the short way round."""
-    if par[ANGLE] < 0.5 or abs(step) <= math.pi:
+    if s.par[ANGLE] < 0.5 or abs(step) <= math.pi:
         return step
     return float(step - TURN * np.round(step / TURN))
 
 
 @inline
-def _away(par: FloatArray, mem: FloatArray, columns: int, column: int, value: float, span_ns: int) -> float:
+def _away(s: _Samples, column: int, value: float, span_ns: int) -> float:
     """How far a value is from where those before it lead."""
     at = COLUMN + column
-    return _short(par, value - mem[at] - mem[at + columns] * span_ns)
+    return _short(s, value - s.mem[at] - s.mem[at + int(s.par[COLUMNS])] * span_ns)
 
 
 @inline
-def _near(par: FloatArray, mem: FloatArray, columns: int, v: FloatArray, i: int, span_ns: int) -> bool:
+def _near(s: _Samples, i: int, span_ns: int) -> bool:
     """Whether a sample leaps nowhere by more than is believed after one period: the usual case."""
-    for column in range(columns):
-        if abs(_away(par, mem, columns, column, v[i, column], span_ns)) > par[LEAPS + column]:
+    for column in range(int(s.par[COLUMNS])):
+        if abs(_away(s, column, s.v[i, column], span_ns)) > s.par[LEAPS + column]:
             return False
     return True
 
 
 @jit
-def _size(par: FloatArray, columns: int, column: int, away: float, span_ns: int) -> float:
+def _size(s: _Samples, column: int, away: float, span_ns: int) -> float:
     """How large that is for the time: above 1 it leaps; nan where it is not known."""
-    n = max(min(abs(span_ns), par[AHEAD]) / par[PERIOD], 1.0)
-    grown = n * (n + 1.0) / 2.0 if par[LEAPS + columns + column] > 0.5 else n
-    return float(abs(away) / grown / par[LEAPS + column])
+    n = max(min(abs(span_ns), s.par[AHEAD]) / s.par[PERIOD], 1.0)
+    grown = n * (n + 1.0) / 2.0 if s.par[LEAPS + int(s.par[COLUMNS]) + column] > 0.5 else n
+    return float(abs(away) / grown / s.par[LEAPS + column])
 
 
 @jit
-def _leap(
-    par: FloatArray, mem: FloatArray, counts: IntArray, columns: int, t_ns: IntArray, v: FloatArray, i: int
-) -> float:
+def _leap(s: _Samples, i: int) -> float:
     """The largest of all columns of a sample."""
-    found, span_ns = 0.0, t_ns[i] - counts[LAST_NS]
-    for column in range(columns):
-        size = _size(par, columns, column, _away(par, mem, columns, column, v[i, column], span_ns), span_ns)
+    found, span_ns = 0.0, s.t_ns[i] - s.counts[LAST_NS]
+    for column in range(int(s.par[COLUMNS])):
+        size = _size(s, column, _away(s, column, s.v[i, column], span_ns), span_ns)
         found = max(found, size) if size == size else found
     return found
 
 
 @jit
-def _misdated(par: FloatArray, counts: IntArray, t_ns: IntArray, there: int, i: int) -> int:
+def _misdated(s: _Samples, there: int, i: int) -> int:
     """1 if the stamp of a sample leaps by the last believed and the next one, 0 if not; -1 if the next must come."""
-    span_ns = t_ns[i] - counts[LAST_NS]
-    followed = counts[ALONE] > 0 and abs(t_ns[i] - counts[CAME_NS]) <= par[AHEAD]
+    par, span_ns = s.par, s.t_ns[i] - s.counts[LAST_NS]
+    followed = s.counts[ALONE] > 0 and abs(s.t_ns[i] - s.counts[CAME_NS]) <= par[AHEAD]
     if -par[BACK] <= span_ns <= par[SOON] or followed:
         return 0
     if span_ns < 0 or span_ns > par[AHEAD]:
@@ -297,30 +312,28 @@ def _misdated(par: FloatArray, counts: IntArray, t_ns: IntArray, there: int, i: 
         return 0
     if i + 1 == there:
         return -1
-    return 1 if t_ns[i + 1] < t_ns[i] - par[BACK] else 0
+    return 1 if s.t_ns[i + 1] < s.t_ns[i] - par[BACK] else 0
 
 
 @jit
-def _decide(
-    par: FloatArray, mem: FloatArray, counts: IntArray, columns: int, t_ns: IntArray, v: FloatArray, there: int, i: int
-) -> tuple[int, bool]:
+def _decide(s: _Samples, there: int, i: int) -> tuple[int, bool]:
     """How many samples from i on are decided, 0 if more must come; whether they are lost: they leap away and back."""
-    patience, number = int(par[PATIENCE]), counts[COUNT]
-    first = _leap(par, mem, counts, columns, t_ns, v, i)
+    patience, number, last_ns = int(s.par[PATIENCE]), s.counts[COUNT], s.counts[LAST_NS]
+    first = _leap(s, i)
     if not first > 1.0:
         return 1, False
     kept, often = 0, 0
-    for k in range(counts[FAR_COUNT]):
-        if counts[NUMBERS + k] > number - AMONG:
-            counts[NUMBERS + kept], mem[SIZES + kept] = counts[NUMBERS + k], mem[SIZES + k]
-            often += mem[SIZES + kept] >= AS_FAR * first
+    for k in range(s.counts[FAR_COUNT]):
+        if s.counts[NUMBERS + k] > number - AMONG:
+            s.counts[NUMBERS + kept], s.mem[SIZES + kept] = s.counts[NUMBERS + k], s.mem[SIZES + k]
+            often += s.mem[SIZES + kept] >= AS_FAR * first
             kept += 1
-    counts[FAR_COUNT] = kept
+    s.counts[FAR_COUNT] = kept
     run, left = 1, min(patience + 1, there - i)
-    while run < left and _leap(par, mem, counts, columns, t_ns, v, i + run) > 1.0:
+    while run < left and _leap(s, i + run) > 1.0:
         run += 1
     usual, lost = often >= OFTEN, False
-    if usual or par[HOLDS] > 0.5:
+    if usual or s.par[HOLDS] > 0.5:
         lost, run = not usual, 1
     elif run > patience:
         run = 1
@@ -328,185 +341,165 @@ def _decide(
         return 0, False
     else:
         here, before = i + run, i + run - 1
-        for column in range(columns):
-            one = _away(par, mem, columns, column, v[here, column], t_ns[here] - counts[LAST_NS])
-            other = _away(par, mem, columns, column, v[before, column], t_ns[before] - counts[LAST_NS])
-            lost = lost or _size(par, columns, column, _short(par, one - other), t_ns[here] - t_ns[before]) > 1.0
+        for column in range(int(s.par[COLUMNS])):
+            one = _away(s, column, s.v[here, column], s.t_ns[here] - last_ns)
+            other = _away(s, column, s.v[before, column], s.t_ns[before] - last_ns)
+            lost = lost or _size(s, column, _short(s, one - other), s.t_ns[here] - s.t_ns[before]) > 1.0
     for k in range(run):
-        counts[NUMBERS + kept + k] = number + k
-        mem[SIZES + kept + k] = _leap(par, mem, counts, columns, t_ns, v, i + k)
-    counts[FAR_COUNT] = kept + run
+        s.counts[NUMBERS + kept + k] = number + k
+        s.mem[SIZES + kept + k] = _leap(s, i + k)
+    s.counts[FAR_COUNT] = kept + run
     return run, lost
 
 
 @inline
-def _believe(
-    par: FloatArray, mem: FloatArray, counts: IntArray, columns: int, t_ns: IntArray, v: FloatArray, i: int
-) -> None:
+def _believe(s: _Samples, i: int) -> None:
     """Make a sample the last one that is believed."""
-    span_ns = t_ns[i] - counts[LAST_NS]
-    share = 1.0 / span_ns if span_ns != 0 and par[LEADING] > 0.5 else 0.0
+    columns, span_ns = int(s.par[COLUMNS]), s.t_ns[i] - s.counts[LAST_NS]
+    share = 1.0 / span_ns if span_ns != 0 and s.par[LEADING] > 0.5 else 0.0
     for column in range(columns):
-        at, leads = COLUMN + column, par[LEAPS + columns + column] > 0.5
-        mem[at + columns] = _short(par, v[i, column] - mem[at]) * share if leads and share != 0.0 else 0.0
-        mem[at] = v[i, column]
-    counts[LAST_NS] = t_ns[i]
+        at, leads = COLUMN + column, s.par[LEAPS + columns + column] > 0.5
+        s.mem[at + columns] = _short(s, s.v[i, column] - s.mem[at]) * share if leads and share != 0.0 else 0.0
+        s.mem[at] = s.v[i, column]
+    s.counts[LAST_NS] = s.t_ns[i]
 
 
 @inline
-def _measure(
-    par: FloatArray, mem: FloatArray, counts: IntArray, columns: int, stamp_ns: int, v: FloatArray, i: int
-) -> float:
+def _measure(s: _Samples, i: int) -> float:
     """Count repetitions after a sample, and of the gyro follow jitter and finest step; returns the resolution."""
+    par, mem, counts, columns = s.par, s.mem, s.counts, int(s.par[COLUMNS])
     same, coarsest, gyro = True, 0.0, par[GYRO] > 0.5
     for column in range(columns):
         came, finest = COLUMN + 2 * columns + column, COLUMN + 3 * columns + column
-        step = abs(v[i, column] - mem[came])
+        step = abs(s.v[i, column] - mem[came])
         still = not step > par[LEAPS + 2 * columns + column] and counts[COUNT] > 0
         same = same and still
         counts[RUNS + 1 + column] = counts[RUNS + 1 + column] + 1 if still else 0
-        mem[came] = v[i, column]
+        mem[came] = s.v[i, column]
         if gyro:
             mem[finest] = min(mem[finest], step) if step > SAME else mem[finest]
             coarsest = max(coarsest, mem[finest])
     counts[RUNS] = counts[RUNS] + 1 if same else 0
     if gyro:
-        steps = (stamp_ns - counts[CAME_NS]) * par[RATE]
+        steps = (s.t_ns[i] - counts[CAME_NS]) * par[RATE]
         apart = steps - np.round(steps) if 0.0 < steps < MISSING else 0.0  # else it is lost or misdated
         mem[JITTER] += par[ALPHA] * (apart * apart - mem[JITTER])
-    counts[CAME_NS] = stamp_ns
+    counts[CAME_NS] = s.t_ns[i]
     counts[COUNT] += 1
     return coarsest if counts[COUNT] > RESOLUTION_SAMPLES and math.isfinite(coarsest) else 0.0
 
 
 @inline
-def _use(par: FloatArray, mem: FloatArray, counts: IntArray, columns: int, v: FloatArray, i: int, finest: float) -> bool:
+def _use(s: _Samples, i: int, finest: float) -> bool:
     """Make of a sample what rows may use, after `_measure`; whether they may."""
+    par, v, columns = s.par, s.v, int(s.par[COLUMNS])
     stills = LEAPS + 3 * columns
-    frozen, zero = counts[RUNS] > par[stills], par[ZERO_IS_DEAD] > 0.5
+    frozen, zero, alone = s.counts[RUNS] > par[stills], par[ZERO_IS_DEAD] > 0.5, False
     for column in range(columns):
         zero = zero and v[i, column] == 0.0
-    dead, alone = (frozen or zero) and not v[i, 0] < par[LOWEST], False
-    for column in range(columns):
-        alone = alone or counts[RUNS + 1 + column] > par[stills + 1 + column]
+        alone = alone or s.counts[RUNS + 1 + column] > par[stills + 1 + column]
+    dead = (frozen or zero) and not v[i, 0] < par[LOWEST]
     if par[GYRO] > 0.5:
         if dead or alone:
             v[i, columns] = FROZEN_CODE
         elif finest > par[MOST_STEP]:
             v[i, columns] = RESOLUTION_CODE
-        elif mem[JITTER] > par[MOST_JITTER] ** 2:
+        elif s.mem[JITTER] > par[MOST_JITTER] ** 2:
             v[i, columns] = STAMPS_CODE
         return True
     if par[WHEN_DEAD] == UNKNOWN and (dead or alone):
         for column in range(columns):
-            if dead or counts[RUNS + 1 + column] > par[stills + 1 + column]:
+            if dead or s.counts[RUNS + 1 + column] > par[stills + 1 + column]:
                 v[i, column] = np.nan
     return not (dead and par[WHEN_DEAD] == DROPPED)
 
 
 @inline
-def _in_range(par: FloatArray, columns: int, v: FloatArray, i: int) -> bool:
+def _in_range(s: _Samples, i: int) -> bool:
     """Whether a sensor may have measured it; nan where rows may have it: some vehicles log some columns only."""
-    for column in range(columns):
-        size = abs(v[i, column])
-        if size > par[GREATEST_AT] or (size != size and par[FINITE_AT] > 0.5):
+    for column in range(int(s.par[COLUMNS])):
+        size = abs(s.v[i, column])
+        if size > s.par[GREATEST_AT] or (size != size and s.par[FINITE_AT] > 0.5):
             return False
     return True
 
 
 @jit
-def _blank_if_zero(columns: int, v: FloatArray, i: int) -> None:
+def _blank_if_zero(s: _Samples, i: int) -> None:
     """Unknown, if it has nothing but zeros, which no vehicle in flight has."""
+    columns = int(s.par[COLUMNS])
     for column in range(columns):
-        if v[i, column] != 0.0 and math.isfinite(v[i, column]):
+        if s.v[i, column] != 0.0 and math.isfinite(s.v[i, column]):
             return
     for column in range(columns):
-        v[i, column] = np.nan
+        s.v[i, column] = np.nan
 
 
 @inline
-def _take(
-    par: FloatArray,
-    mem: FloatArray,
-    counts: IntArray,
-    t_ns: IntArray,
-    host_ns: IntArray,
-    v: FloatArray,
-    i: int,
-    lost: bool,
-    kept: int,
-    trace: FloatArray,
-) -> int:
+def _move(s: _Samples, i: int, to: int) -> None:
+    if to < i:
+        s.t_ns[to], s.host_ns[to] = s.t_ns[i], s.host_ns[i]
+        for column in range(s.v.shape[1]):
+            s.v[to, column] = s.v[i, column]
+
+
+@inline
+def _take(s: _Samples, i: int, lost: bool, kept: int, trace: FloatArray) -> int:
     """Measure a sample that is decided, and move it to the believed ones, if it is; returns how many there are."""
-    columns = v.shape[1] - int(par[GYRO])
-    if par[GYRO] > 0.5:
-        v[i, columns] = 0.0
-    if par[LEARNT] > 0.5:
-        finest = _measure(par, mem, counts, columns, t_ns[i], v, i)
+    columns = int(s.par[COLUMNS])
+    if s.par[GYRO] > 0.5:
+        s.v[i, columns] = 0.0
+    if s.par[LEARNT] > 0.5:
+        finest = _measure(s, i)
         if lost:
             return kept
         if len(trace):
-            traced = counts[TRACED]
-            counts[TRACED] += 1
+            traced = s.counts[TRACED]
+            s.counts[TRACED] += 1
             for k in range(1 + columns):
-                trace[traced, k] = counts[RUNS + k]
-            trace[traced, 1 + columns], trace[traced, 2 + columns] = math.sqrt(mem[JITTER]), finest
-        if not _use(par, mem, counts, columns, v, i, finest):
+                trace[traced, k] = s.counts[RUNS + k]
+            trace[traced, 1 + columns], trace[traced, 2 + columns] = math.sqrt(s.mem[JITTER]), finest
+        if not _use(s, i, finest):
             return kept
-    if par[NEVER_ZERO_AT] > 0.5:
-        _blank_if_zero(columns, v, i)
-    if kept < i:
-        t_ns[kept], host_ns[kept] = t_ns[i], host_ns[i]
-        for column in range(v.shape[1]):
-            v[kept, column] = v[i, column]
+    if s.par[NEVER_ZERO_AT] > 0.5:
+        _blank_if_zero(s, i)
+    _move(s, i, kept)
     return kept + 1
 
 
 @cached_loop
-def _look_at(
-    par: FloatArray,
-    mem: FloatArray,
-    counts: IntArray,
-    waited: int,
-    t_ns: IntArray,
-    host_ns: IntArray,
-    v: FloatArray,
-    trace: FloatArray,
-) -> tuple[int, int, int]:
+def _look_at(s: _Samples, waited: int, trace: FloatArray) -> tuple[int, int, int]:
     """Move the samples that are believed to the front, as rows may use them.
 
-    waited: how many of them came before. v: the gyro has a column more, for `Doubt` as a number. trace: (n, columns
-    + 3) of each that was not lost how long it repeated, the jitter, and the resolution, 0 if unknown; or empty.
+    waited: how many of them came before. trace: (n, columns + 3) of each that was not lost how long it repeated, the
+    jitter, and the resolution, 0 if unknown; or empty.
     Returns how many are believed, how many are decided, and how many there are within range.
     """
-    columns, there = v.shape[1] - int(par[GYRO]), waited
-    for i in range(waited, len(t_ns)):
-        if _in_range(par, columns, v, i):
-            if there < i:
-                t_ns[there], host_ns[there] = t_ns[i], host_ns[i]
-                for column in range(columns):
-                    v[there, column] = v[i, column]
+    there = waited
+    for i in range(waited, len(s.t_ns)):
+        if _in_range(s, i):
+            _move(s, i, there)
             there += 1
-    if counts[COUNT] == 0 and waited == 0 and there:
-        counts[LAST_NS] = counts[CAME_NS] = t_ns[0]
+    if s.counts[COUNT] == 0 and waited == 0 and there:
+        s.counts[LAST_NS] = s.counts[CAME_NS] = s.t_ns[0]
     kept = done = 0
     while done < there:
-        span_ns, run, lost = t_ns[done] - counts[LAST_NS], 1, False
-        if par[LEARNT] > 0.5:
-            usual = -par[BACK] <= span_ns <= par[SOON] and _near(par, mem, columns, v, done, span_ns)
-            misdated = 0 if usual else _misdated(par, counts, t_ns, there, done)
+        span_ns, run, lost = s.t_ns[done] - s.counts[LAST_NS], 1, False
+        if s.par[LEARNT] > 0.5:
+            usual = -s.par[BACK] <= span_ns <= s.par[SOON] and _near(s, done, span_ns)
+            misdated = 0 if usual else _misdated(s, there, done)
             if misdated < 0:
                 break
-            counts[ALONE], lost = misdated, misdated > 0
+            s.counts[ALONE], lost = misdated, misdated > 0
             if not usual and not lost:
-                run, lost = _decide(par, mem, counts, columns, t_ns, v, there, done)
+                run, lost = _decide(s, there, done)
                 if run == 0:
                     break
             if not lost:
                 for i in range(done, done + run):
-                    _believe(par, mem, counts, columns, t_ns, v, i)
+                    _believe(s, i)
         for i in range(done, done + run):
-            kept = _take(par, mem, counts, t_ns, host_ns, v, i, lost, kept, trace)
+            kept = _take(s, i, lost, kept, trace)
         done += run
     return kept, done, there
 
@@ -538,7 +531,8 @@ def _looked(par: FloatArray, memory: Memory, series: Series, trace: FloatArray =
     if before is not None:
         t_ns[:waited], host_ns[:waited], values[:waited] = before.t_ns, before.host_ns, before.values
     t_ns[waited:], host_ns[waited:], values[waited:, :columns] = series.t_ns, series.host_ns, series.values
-    kept, done, there = _look_at(par, memory.figures, memory.counts, waited, t_ns, host_ns, values, trace)
+    samples = _Samples(par, memory.figures, memory.counts, t_ns, host_ns, values)
+    kept, done, there = _look_at(samples, waited, trace)
     memory.waiting = None
     if done < there:
         rest = (array[done:there].copy() for array in (t_ns, host_ns, values))

@@ -177,7 +177,13 @@ def _filter(
         #     [ 1   0          -sin theta          ]
         # W = [ 0   cos phi    sin phi cos theta   ]
         #     [ 0   -sin phi   cos phi cos theta   ]
-        phi, theta, roll, pitch, yaw = mem[VALUES + 3], mem[VALUES + 4], mem[SLOPES + 3], mem[SLOPES + 4], mem[SLOPES + 5]
+        phi, theta, roll, pitch, yaw = (
+            mem[VALUES + 3],
+            mem[VALUES + 4],
+            mem[SLOPES + 3],
+            mem[SLOPES + 4],
+            mem[SLOPES + 5],
+        )
         sin_phi, cos_phi, turn = math.sin(phi), math.cos(phi), math.cos(theta) * yaw
         out[0, done] = roll - math.sin(theta) * yaw
         out[1, done] = cos_phi * pitch + sin_phi * turn
