@@ -4,6 +4,7 @@ A polynomial is fitted to each window of 2m + 1 samples; its value, or its slope
 output that belongs to input row i is known m samples later: **the delay is m samples** (50 ms at the default window
 of 0.1 s), the same for the value and for the slope, which is why the rate and the differentiated setpoint are both
 filtered with one window (T 4.3.4). Rows without a complete window give no output; nothing is padded.
+Streams are filtered by running moments (`rows.rates`).
 
 numpy only: importing scipy.signal takes 0.8 s, which the detector's start cannot afford.
 """
@@ -15,8 +16,6 @@ import numpy as np
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
-
-__all__ = ["SavgolFilter", "SavgolState", "coefficients", "window_samples"]
 
 WINDOW_S = 0.1  # T 5.3: 100 samples at 1 kHz, made odd
 MIN_WINDOW = 5  # our floor: fewer samples than this smooth nothing at polynomial order 2
@@ -65,8 +64,7 @@ class SavgolFilter:
     """A Savitzky-Golay filter as its taps; build it with `smoother` or `differentiator`.
 
     taps: (window,) weights of the window's samples, oldest first; made read-only. A smoother keeps the input's unit,
-    a differentiator divides it by seconds. Every output row is an independent dot product over its own window: a
-    stream cut into any blocks gives the batch result bit for bit, and a NaN spoils only the windows that hold it.
+    a differentiator divides it by seconds. A NaN spoils only the windows that hold it.
 
     >>> filt = SavgolFilter.differentiator(5, dt_s=0.5)
     >>> filt.batch(np.array([0.0, 1.0, 4.0, 9.0, 16.0, 25.0])).round(9).tolist()   # 2 m rows shorter
@@ -95,25 +93,13 @@ class SavgolFilter:
             raise UsageError(f"a derivative needs order >= 1 and a positive sample time, not {order} and {dt_s}")
         return cls(coefficients(window, order)[1] / dt_s)
 
-    @property
-    def window(self) -> int:
-        """Samples per window, 2m + 1."""
-        return len(self.taps)
-
-    @property
-    def delay_samples(self) -> int:
-        """m: output row i of `batch` belongs to input row i + m."""
-        return len(self.taps) // 2
-
     def batch(self, x: FloatArray) -> FloatArray:
         """Filter a whole signal, (n,) or (n, k), into its valid part, (n - 2m,) or (n - 2m, k).
 
         Output row i belongs to input row i + m. Fewer than 2m + 1 rows give an empty output.
-        Raises UsageError if x has another number of axes.
         """
-        columns = x.reshape(len(x), -1).T
-        rows = max(0, len(x) - self.window + 1)
-        if x.ndim > 2 or rows == 0:
-            return np.empty((rows, *x.shape[1:]))
-        found = np.stack([np.correlate(column, self.taps, "valid") for column in columns], axis=1)
-        return found.reshape(rows, *x.shape[1:])
+        rows = max(0, len(x) - len(self.taps) + 1)
+        if rows == 0:
+            return np.empty((0, *x.shape[1:]))
+        columns = [np.correlate(column, self.taps, "valid") for column in x.reshape(len(x), -1).T]
+        return np.stack(columns, axis=1).reshape(rows, *x.shape[1:])
