@@ -29,6 +29,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,8 +60,9 @@ HELD = {
     Signal.VIBRATION: 1.0,
     Signal.ACTUATOR: 1.0,
 }
-USED = (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, *LINEAR, *HELD)
-PLACES = {signal: place for place, signal in enumerate(USED)}
+STREAMS = (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, *LINEAR, *HELD)
+USED = frozenset(STREAMS)
+PLACES = {signal: place for place, signal in enumerate(STREAMS)}
 GYRO, SETPOINT, ATTITUDE, THRUST = (
     PLACES[one] for one in (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.ATTITUDE, Signal.THRUST_SETPOINT)
 )  # from THRUST on signals are held
@@ -84,7 +86,6 @@ NEVER_NS = 2**62
 ORDER_NS = 5 * NS_PER_MS  # our choice
 CALM_NS = 10 * NS_PER_S  # after a late sample, until the link counts as orderly again (our choice)
 BEGIN_NS = NS_PER_S  # after the first gyro sample, likewise; nothing is judged so early (our choice)
-PIECE_ROWS = 8192  # of a block at most, about: what a long log needs beside itself (our choice)
 TURN = 2 * math.pi
 MISSING = 1.5  # usual steps: in a longer one a sample is missing
 SLOWER = 1.0625  # by how much the usual step may grow with each chunk, so that losses do not stretch it (our choice)
@@ -92,7 +93,7 @@ SLOWER = 1.0625  # by how much the usual step may grow with each chunk, so that 
 # one are settled, what comes for them is dropped; usual step, 0 while it is not known [ns].
 LO, HI, NEWEST, FLOOR, STEP = range(5)
 # Behind the limits of the streams.
-BREAK, REORDER, USABLE, SETTLE_GAP, SETTLE_START = range(len(USED), len(USED) + 5)
+BREAK, REORDER, USABLE, SETTLE_GAP, SETTLE_START = range(len(STREAMS), len(STREAMS) + 5)
 
 
 class AlignState:
@@ -118,10 +119,10 @@ class AlignState:
     )
 
     def __init__(self) -> None:
-        self.times: list[IntArray] = [np.empty(0, dtype=np.int64) for _ in USED]
+        self.times: list[IntArray] = [np.empty(0, dtype=np.int64) for _ in STREAMS]
         self.values: list[FloatArray] = [np.empty((0, width)) for width in WIDTHS]
-        self.marks: IntArray = np.tile(np.array([0, 0, -NEVER_NS, -NEVER_NS, 0]), (len(USED), 1))
-        self.turns: FloatArray = np.zeros((len(USED), 3))
+        self.marks: IntArray = np.tile(np.array([0, 0, -NEVER_NS, -NEVER_NS, 0]), (len(STREAMS), 1))
+        self.turns: FloatArray = np.zeros((len(STREAMS), 3))
         self.memories: Memories = {}
         self.segment, self.last_ns, self.done_ns, self.calm_ns = -1, -NEVER_NS, -NEVER_NS, NEVER_NS
         self.blank_ns: IntArray = np.full(2, -NEVER_NS)
@@ -178,14 +179,11 @@ class AlignSpec:
     def step(self, state: AlignState, telemetry: Telemetry) -> list[Block]:
         """Take in a chunk, return the rows that it completes, in blocks of one segment."""
         self.take(state, believed(self.quality, telemetry, state.memories))
-        native = self.grid is Grid.NATIVE
-        until_ns = _horizon(
-            tuple(state.times), state.marks, self.limits_ns, state.calm_ns, native, self.dt_s * NS_PER_S
-        )
-        blocks = list(self.rows(state, until_ns))
+        native, streams = self.grid is Grid.NATIVE, self._streams(state)
+        blocks = list(self.rows(state, _horizon(streams, state.calm_ns, native, self.dt_s * NS_PER_S)))
         most_ns = 2 * int(self.limits_ns[BREAK])  # of samples without a row (B22)
         if int(state.marks[:, NEWEST].max()) - most_ns > state.last_ns:
-            _forget(tuple(state.times), tuple(state.values), state.marks, state.turns, state.last_ns, most_ns)
+            _forget(streams, state.last_ns, most_ns)
         return blocks
 
     def finish(self, state: AlignState) -> list[Block]:
@@ -198,64 +196,57 @@ class AlignSpec:
 
     def take(self, state: AlignState, telemetry: Telemetry) -> None:
         """Take in what is believed of a chunk."""
-        gyro = telemetry.get(Signal.BODY_RATE)
+        gyro, before_ns, late = telemetry.get(Signal.BODY_RATE), int(state.marks[GYRO, NEWEST]), False
         fresh, hosts = (NO_TIMES, NO_TIMES) if gyro is None else (gyro.t_ns, gyro.host_ns)
-        before_ns, late = int(state.marks[GYRO, NEWEST]), False
         for series in telemetry.series:
             place = PLACES.get(series.signal)
-            if place is None or not len(series):
-                continue
-            _make_room(state, place, series)
-            came = (series.t_ns, series.host_ns, series.values, fresh, hosts)
-            reorder_ns = int(self.limits_ns[REORDER])
-            stream = state.times[place], state.values[place], state.marks, place
-            steps = np.empty(len(series), dtype=np.int64)
-            late |= _merge(*stream, *came, before_ns, reorder_ns, steps)
+            if place is not None and len(series):
+                _make_room(state, place, series)
+                steps = np.empty(len(series), dtype=np.int64)
+                came = _Came(series.t_ns, series.host_ns, series.values, fresh, hosts, before_ns, steps)
+                late |= _merge(self._streams(state), place, came)
         if len(fresh) and state.calm_ns == NEVER_NS:
             state.calm_ns = int(fresh[0]) + BEGIN_NS
         if late:
             state.calm_ns = max(state.calm_ns, int(state.marks[GYRO, NEWEST]) + CALM_NS)
 
-    def rows(self, state: AlignState, until_ns: int, most: int = PIECE_ROWS) -> Iterator[Block]:
-        """The rows up to a time, one block of at most about so many at a time."""
-        step_ns = 0 if self.grid is Grid.NATIVE else round(self.dt_s * NS_PER_S)
-        spans = (self.dt_s * NS_PER_S, step_ns, int(self.limits_ns[BREAK]))
+    def rows(self, state: AlignState, until_ns: int, most: int = NEVER_NS) -> Iterator[Block]:
+        """The rows up to a time, a block of each segment, or of at most about so many rows."""
+        dt_ns, resampled = self.dt_s * NS_PER_S, self.grid is Grid.RESAMPLED
         while True:
-            done_ns, times = state.done_ns, state.times[GYRO]
-            t_ns, broken, state.done_ns = _place(times, state.marks, done_ns, state.last_ns, until_ns, *spans, most)
+            done_ns, streams = state.done_ns, self._streams(state)
+            t_ns, broken, state.done_ns = _place(streams, done_ns, state.last_ns, until_ns, dt_ns, resampled, most)
             if broken:
                 state.segment, state.blank_ns[0] = state.segment + 1, t_ns[0] + self.limits_ns[SETTLE_START]
             if len(t_ns):
-                yield self._filled(state, t_ns)
+                yield self._filled(state, streams, t_ns)
             elif state.done_ns == done_ns:
                 return
 
     def reached_ns(self, state: AlignState, chunks: Sequence[Telemetry]) -> int | None:
         """No row later than this comes of the next chunks [ns]; None if they hold no sample."""
-        newest = state.marks[:, NEWEST].tolist()
-        came = False
-        for chunk in chunks:
-            for series in chunk.series:
-                if (place := PLACES.get(series.signal)) is not None and len(series):
-                    newest[place], came = max(newest[place], int(series.t_ns[-1])), True
+        newest: list[int] = state.marks[:, NEWEST].tolist()
+        came = [one for chunk in chunks for one in chunk.series if one.signal in PLACES and len(one)]
         if not came:
             return None
-        limits, gyro_ns = self.limits_ns, newest[GYRO]
-        safe = max(gyro_ns, max(newest) - int(limits[BREAK])) - int(limits[REORDER])
-        waited = [
-            t
-            for t, limit in zip(newest[SETPOINT:THRUST], limits[SETPOINT:THRUST], strict=True)
-            if -NEVER_NS < t and safe < t + limit
-        ]
-        hurries = self.grid is Grid.NATIVE and gyro_ns > state.calm_ns
+        for series in came:
+            newest[PLACES[series.signal]] = max(newest[PLACES[series.signal]], int(series.t_ns[-1]))
+        limits: list[int] = self.limits_ns.tolist()
+        gyro_ns, hurries = newest[GYRO], self.grid is Grid.NATIVE and newest[GYRO] > state.calm_ns
+        safe = max(gyro_ns, max(newest) - limits[BREAK]) - limits[REORDER]
+        sent = [place for place in range(SETPOINT, THRUST) if newest[place] > -NEVER_NS]
+        waited = [newest[place] for place in sent if safe < newest[place] + limits[place]]
         return min(max(safe, gyro_ns - ORDER_NS) if hurries else safe, *waited, NEVER_NS)
 
-    def _filled(self, state: AlignState, t_ns: IntArray) -> Block:
+    def _streams(self, state: AlignState) -> "_Streams":
+        times, values = tuple(state.times), tuple(state.values)
+        return _Streams(times, values, state.marks, state.turns, state.blank_ns, self.limits_ns)
+
+    def _filled(self, state: AlignState, streams: "_Streams", t_ns: IntArray) -> Block:
         """The rows at these times."""
         outputs = state.values[-1].shape[1]
-        x, flags = np.empty((FIRST[-1] + outputs, len(t_ns))), np.empty((2, len(t_ns)), dtype=np.bool_)
-        streams = tuple(state.times), tuple(state.values), state.marks, state.turns
-        _fill(*streams, self.limits_ns, t_ns, x, flags, state.blank_ns)
+        x, flags = np.empty((int(FIRST[-1]) + outputs, len(t_ns))), np.empty((2, len(t_ns)), dtype=np.bool_)
+        _fill(streams, t_ns, x, flags)
         state.last_ns = int(t_ns[-1])
         return Block(
             segment=state.segment,
@@ -282,11 +273,37 @@ class AlignSpec:
 NO_TIMES = np.empty(0, dtype=np.int64)
 
 
+class _Streams(NamedTuple):
+    """What compiled loops read and change of `AlignState`, and `AlignSpec.limits_ns`."""
+
+    times: tuple[IntArray, ...]
+    values: tuple[FloatArray, ...]
+    marks: IntArray
+    turns: FloatArray
+    blank_ns: IntArray
+    limits_ns: IntArray
+
+
+class _Came(NamedTuple):
+    """New samples of a stream, (n,) and (n, k), and what the gyro brings with them; how far it was before.
+
+    steps: (n,) room.
+    """
+
+    t: IntArray
+    host: IntArray
+    v: FloatArray
+    gyro_t: IntArray
+    gyro_host: IntArray
+    gyro_ns: int
+    steps: IntArray
+
+
 def _make_room(state: AlignState, place: int, series: Series) -> None:
     """Arrays that have room for more samples; those of the first ones themselves where they are in order."""
     lo, hi = state.marks[place, :2].tolist()
     columns, before = series.values.shape[1], state.values[place].shape[1]
-    if columns != before and (hi > 0 or place < len(USED) - 1):
+    if columns != before and (hi > 0 or place < len(STREAMS) - 1):
         raise InputError(f"{series.signal} has {columns} columns in place of {before}")
     if hi + len(series) <= len(state.times[place]):
         return
@@ -321,78 +338,27 @@ def _middle(steps: IntArray, count: int) -> int:
     return int(steps[place])
 
 
-@jit
-def _whole_ns(t: IntArray, lo: int, hi: int, since_ns: int, usual_ns: float) -> int:
-    """Up to where no sample is missing among those after `since_ns`; that time itself if that is not known."""
-    first = lo
-    while first < hi and t[first] <= since_ns:
-        first += 1
-    if usual_ns == 0 or first == hi:
-        return since_ns
-    last = max(first - 1, lo)
-    while last + 1 < hi and t[last + 1] - t[last] <= MISSING * usual_ns:
-        last += 1
-    return int(t[last])
-
-
-@inline
-def _advance(t: IntArray, v: FloatArray, turns: FloatArray, angle: bool, at: int) -> int:
-    """To the next sample; of an angle with the full turns that belong to it."""
-    if angle:
-        for column in range(3):
-            turns[column] += _turn(v[at, column], v[at + 1, column])
-    return at + 1
-
-
-@inline
-def _turn(before: float, after: float) -> float:
-    """Full turns that a step of an angle seems to jump by."""
-    step = after - before
-    return 0.0 if abs(step) <= math.pi else float(-np.round(step / TURN))
-
-
-@inline
-def _keep_from(t: IntArray, marks: IntArray, place: int, at: int) -> None:
-    """Samples before this one are settled."""
-    if at > marks[place, LO]:
-        marks[place, LO], marks[place, FLOOR] = at, t[at]
-
-
 @cached_loop
-def _merge(
-    t: IntArray,
-    v: FloatArray,
-    marks: IntArray,
-    place: int,
-    came_t: IntArray,
-    came_host: IntArray,
-    came_v: FloatArray,
-    gyro_t: IntArray,
-    gyro_host: IntArray,
-    gyro_ns: int,
-    reorder_ns: int,
-    steps: IntArray,
-) -> bool:
+def _merge(s: _Streams, place: int, came: _Came) -> bool:
     """Take in new samples of a stream; whether one is late. Of equal times the last to come counts.
 
-    gyro_t, gyro_host, gyro_ns: what the gyro brings with this chunk, and how far it was before. steps: room for as many
-    as come. `came` may be `t` itself, of a stream that begins.
+    `came` may be the arrays of the stream themselves, if it begins.
     """
-    lo, hi, newest, floor = marks[place, LO], marks[place, HI], marks[place, NEWEST], marks[place, FLOOR]
-    count, late, behind = len(came_t), False, 0
-    risen, expected = 0, count if hi > lo else count - 1
-    for i in range(count):
-        while behind < len(gyro_t) and gyro_host[behind] < came_host[i]:
-            gyro_ns = max(gyro_ns, gyro_t[behind])
+    t, v, marks, reorder_ns = s.times[place], s.values[place], s.marks[place], s.limits_ns[REORDER]
+    lo, hi, newest, gyro_ns, late, behind, risen = marks[LO], marks[HI], marks[NEWEST], came.gyro_ns, False, 0, 0
+    expected = len(came.t) if hi > lo else len(came.t) - 1
+    for i in range(len(came.t)):
+        while behind < len(came.gyro_t) and came.gyro_host[behind] < came.host[i]:
+            gyro_ns = max(gyro_ns, came.gyro_t[behind])
             behind += 1
-        late = late or came_t[i] <= gyro_ns - ORDER_NS
-        at_ns, at = came_t[i], hi
+        late = late or came.t[i] <= gyro_ns - ORDER_NS
+        at_ns, at = came.t[i], hi
         if at_ns > newest:
             if hi > lo:
-                steps[risen] = at_ns - t[hi - 1]
+                came.steps[risen] = at_ns - t[hi - 1]
                 risen += 1
             newest = at_ns
-        elif at_ns < newest - reorder_ns or at_ns <= floor:
+        elif at_ns < newest - reorder_ns or at_ns <= marks[FLOOR]:
             continue
         else:
             while at > lo and t[at - 1] >= at_ns:
@@ -405,69 +371,72 @@ def _merge(
             hi += 1
         t[at] = at_ns
         for column in range(v.shape[1]):
-            v[at, column] = came_v[i, column]
-    marks[place, HI], marks[place, NEWEST] = hi, newest
+            v[at, column] = came.v[i, column]
+    marks[HI], marks[NEWEST] = hi, newest
     if risen and risen == expected:  # all new and in order
-        middle, before = _middle(steps, risen), marks[place, STEP]
-        marks[place, STEP] = min(middle, int(SLOWER * before)) if before else middle
+        middle = _middle(came.steps, risen)
+        marks[STEP] = min(middle, int(SLOWER * marks[STEP])) if marks[STEP] else middle
     return late
 
 
+@jit
+def _whole_ns(s: _Streams, place: int, since_ns: int, most_ns: float) -> int:
+    """Up to where no sample is missing among those after `since_ns`; that time itself if that is not known.
+
+    A sample is missing in a step above 1.5 of the usual one, or of `most_ns` if that is shorter.
+    """
+    t, lo, hi, usual_ns = s.times[place], s.marks[place, LO], s.marks[place, HI], min(s.marks[place, STEP], most_ns)
+    first = lo
+    while first < hi and t[first] <= since_ns:
+        first += 1
+    if usual_ns == 0 or first == hi:
+        return since_ns
+    last = max(first - 1, lo)
+    while last + 1 < hi and t[last + 1] - t[last] <= MISSING * usual_ns:
+        last += 1
+    return int(t[last])
+
+
 @cached_loop
-def _horizon(
-    times: tuple[IntArray, ...], marks: IntArray, limits_ns: IntArray, calm_ns: int, native: bool, dt_ns: float
-) -> int:
+def _horizon(s: _Streams, calm_ns: int, native: bool, dt_ns: float) -> int:
     """Rows up to here are complete: every sample that they need has come, or cannot come any more.
 
     All samples up to `safe` have come. If only the gyro stops, the time of the others shows it after `break_s`.
     """
-    gyro_ns = marks[GYRO, NEWEST]
+    gyro_ns = latest = s.marks[GYRO, NEWEST]
     if gyro_ns == -NEVER_NS:
         return -NEVER_NS
-    latest = gyro_ns
-    for place in range(len(marks)):
-        latest = max(latest, marks[place, NEWEST])
-    found = safe = max(gyro_ns, latest - limits_ns[BREAK]) - limits_ns[REORDER]
+    for place in range(len(s.marks)):
+        latest = max(latest, s.marks[place, NEWEST])
+    found = safe = max(gyro_ns, latest - s.limits_ns[BREAK]) - s.limits_ns[REORDER]
     hurries = native and gyro_ns > calm_ns
     if hurries:
-        usual_ns = min(float(marks[GYRO, STEP]), dt_ns)
-        whole_ns = _whole_ns(times[GYRO], marks[GYRO, LO], marks[GYRO, HI], safe, usual_ns)
-        found = max(safe, min(gyro_ns - ORDER_NS, whole_ns))
+        found = max(safe, min(gyro_ns - ORDER_NS, _whole_ns(s, GYRO, safe, dt_ns)))
     for place in range(SETPOINT, THRUST):
-        t, lo, hi = times[place], marks[place, LO], marks[place, HI]
-        if lo == hi:
-            continue
-        settled = max(safe, marks[place, NEWEST] - limits_ns[REORDER])
+        t, lo, hi = s.times[place], s.marks[place, LO], s.marks[place, HI]
+        settled = max(safe, s.marks[place, NEWEST] - s.limits_ns[REORDER])
         if hurries:
-            settled = max(settled, _whole_ns(t, lo, hi, settled, float(marks[place, STEP])))
+            settled = max(settled, _whole_ns(s, place, settled, np.inf))
         behind = hi - 1
         while behind >= lo and t[behind] > settled:
             behind -= 1
-        if behind >= lo and settled < t[behind] + limits_ns[place]:  # the next sample may still count
+        if behind >= lo and settled < t[behind] + s.limits_ns[place]:  # the next sample may still count
             found = min(found, t[behind])
         elif behind + 1 < hi:
             found = min(found, settled)
-    return found
+    return int(found)
 
 
 @cached
 def _place(
-    t: IntArray,
-    marks: IntArray,
-    done_ns: int,
-    last_ns: int,
-    until_ns: int,
-    dt_ns: float,
-    step_ns: int,
-    break_ns: int,
-    most: int,
+    s: _Streams, done_ns: int, last_ns: int, until_ns: int, dt_ns: float, resampled: bool, most: int
 ) -> tuple[IntArray, bool, int]:
     """Times of the next rows, whether they begin a segment, and the last gyro sample that is dealt with.
 
-    On a native grid (step_ns 0) every sample is a row, but for one that is nearer than half a period to the last
-    row, and what is missing between two is filled evenly. t: of the gyro. last_ns: of the last row.
+    On a native grid every sample is a row, but for one that is nearer than half a period to the last row, and what is
+    missing between two is filled evenly. last_ns: of the last row.
     """
-    first, hi = marks[GYRO, LO], marks[GYRO, HI]
+    t, first, hi, break_ns = s.times[GYRO], s.marks[GYRO, LO], s.marks[GYRO, HI], s.limits_ns[BREAK]
     while first < hi and t[first] <= done_ns:
         first += 1
     if first >= hi or t[first] > until_ns:
@@ -476,7 +445,8 @@ def _place(
     stop = first + 1
     while stop < hi and stop - first < most and t[stop] <= until_ns and t[stop] - t[stop - 1] <= break_ns:
         stop += 1
-    if step_ns:
+    if resampled:
+        step_ns = int(np.round(dt_ns))
         begin = t[first] if broken else last_ns + step_ns
         return np.arange(begin, t[stop - 1] + 1, step_ns), broken, int(t[stop - 1])
     last = t[first] if broken else last_ns
@@ -494,17 +464,59 @@ def _place(
     return rows[:count], broken, int(t[stop - 1])
 
 
+@inline
+def _turn(before: float, after: float) -> float:
+    """Full turns that a step of an angle seems to jump by."""
+    step = after - before
+    return 0.0 if abs(step) <= math.pi else float(-np.round(step / TURN))
+
+
 @jit
-def _hold(
-    t: IntArray, v: FloatArray, at: int, hi: int, limit_ns: int, rows: IntArray, x: FloatArray, first: int
-) -> int:
+def _behind(s: _Streams, place: int, at: int, row_ns: int) -> int:
+    """The last sample up to a row, from one before it on; of an angle with the full turns that belong to it."""
+    t, v, hi = s.times[place], s.values[place], s.marks[place, HI]
+    while at + 1 < hi and t[at + 1] <= row_ns:
+        if place in (SETPOINT, ATTITUDE):
+            for column in range(3):
+                s.turns[place, column] += _turn(v[at, column], v[at + 1, column])
+        at += 1
+    return at
+
+
+@jit
+def _settle(s: _Streams, place: int, at: int) -> None:
+    """Leave out the samples before this one."""
+    if at > s.marks[place, LO]:
+        s.marks[place, LO], s.marks[place, FLOOR] = at, s.times[place][at]
+
+
+@cached_loop
+def _forget(s: _Streams, last_ns: int, most_ns: int) -> None:
+    """Leave out samples that are so much older than the newest, but for the one that a row after them needs."""
+    for place in range(len(s.marks)):
+        before_ns = max(last_ns, s.marks[place, NEWEST] - most_ns)
+        _settle(s, place, _behind(s, place, s.marks[place, LO], before_ns))
+
+
+@cached_loop
+def _fill(s: _Streams, rows: IntArray, x: FloatArray, flags: BoolArray) -> None:
+    """Read all streams at the times of rows; what lies before the last row is settled.
+
+    x: a row for each column of a stream, from FIRST on. flags: whether gyro and set-point may be used.
+    """
+    for place in range(len(s.marks)):
+        _settle(s, place, _hold(s, place, rows, x) if place >= THRUST else _interpolate(s, place, rows, x, flags))
+
+
+@jit
+def _hold(s: _Streams, place: int, rows: IntArray, x: FloatArray) -> int:
     """The last value at each row, nan where it is older than the limit; returns the last sample that was read."""
+    t, v, at, hi, limit_ns = s.times[place], s.values[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
     i = 0
     while i < len(rows):
         while at + 1 < hi and t[at + 1] <= rows[i]:
             at += 1
-        known = at < hi and t[at] <= rows[i] <= t[at] + limit_ns
-        stop = i + 1
+        known, stop = at < hi and t[at] <= rows[i] <= t[at] + limit_ns, i + 1
         if known:
             until = t[at] + limit_ns if at + 1 == hi else min(t[at] + limit_ns, t[at + 1] - 1)
             while stop < len(rows) and rows[stop] <= until:
@@ -512,34 +524,22 @@ def _hold(
         elif at == hi:
             stop = len(rows)
         for column in range(v.shape[1]):
-            x[first + column, i:stop] = v[at, column] if known else np.nan
+            x[FIRST[place] + column, i:stop] = v[at, column] if known else np.nan
         i = stop
     return at
 
 
 @jit
-def _interpolate(
-    t: IntArray,
-    v: FloatArray,
-    at: int,
-    hi: int,
-    place: int,
-    turns: FloatArray,
-    limits_ns: IntArray,
-    rows: IntArray,
-    x: FloatArray,
-    first: int,
-    flags: BoolArray,
-    blank_ns: IntArray,
-) -> int:
+def _interpolate(s: _Streams, place: int, rows: IntArray, x: FloatArray, flags: BoolArray) -> int:
     """The value between the samples around each row; returns the last sample before the last row.
 
     Where they are farther apart than the limit, gyro and set-point keep the last value, others are nan.
     """
-    angle, limit_ns, columns = place == SETPOINT or place == ATTITUDE, limits_ns[place], v.shape[1]
+    t, v, at, hi, limit_ns = s.times[place], s.values[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
+    angle, first, columns, turns = place in (SETPOINT, ATTITUDE), FIRST[place], v.shape[1], s.turns[place]
     for i in range(len(rows)):
-        while at + 1 < hi and t[at + 1] <= rows[i]:
-            at = _advance(t, v, turns, angle, at)
+        if at + 1 < hi and t[at + 1] <= rows[i]:
+            at = _behind(s, place, at, rows[i])
         since = rows[i] - t[at] if at < hi else -1
         gap = 0 if since == 0 else t[at + 1] - t[at] if since > 0 and at + 1 < hi else NEVER_NS
         if since < 0 or (gap > limit_ns and place > SETPOINT):
@@ -556,54 +556,18 @@ def _interpolate(
                     after += TURN * (turns[column] + _turn(v[at, column], after))
                 x[first + column, i] = value + share * (after - value)
         if place <= SETPOINT:
-            if place == GYRO and x[3, i] > 0.0:  # what must settle after a doubt is as after a gap
+            flags[place, i] = _usable(s, place, rows[i], gap, place == GYRO and x[3, i] > 0.0)
+            if place == GYRO:
                 x[3, i] = math.ceil(x[3, i])
-                gap = max(gap, limits_ns[USABLE] + 1)
-            if gap > limits_ns[USABLE]:
-                settle = limits_ns[SETTLE_START] if gap > limits_ns[BREAK] else limits_ns[SETTLE_GAP]
-                blank_ns[place] = max(blank_ns[place], rows[i] + settle)
-            flags[place, i] = rows[i] > blank_ns[place]
     return at
 
 
-@cached_loop
-def _fill(
-    times: tuple[IntArray, ...],
-    values: tuple[FloatArray, ...],
-    marks: IntArray,
-    turns: FloatArray,
-    limits_ns: IntArray,
-    rows: IntArray,
-    x: FloatArray,
-    flags: BoolArray,
-    blank_ns: IntArray,
-) -> None:
-    """Read all streams at the times of rows; what lies before the last row is settled.
-
-    x: a row for each column of a stream, from FIRST on. flags: whether gyro and set-point may be used.
-    """
-    for place in range(len(marks)):
-        t, v, at, hi, first = times[place], values[place], marks[place, LO], marks[place, HI], FIRST[place]
-        if place >= THRUST:
-            at = _hold(t, v, at, hi, limits_ns[place], rows, x, first)
-        else:
-            at = _interpolate(t, v, at, hi, place, turns[place], limits_ns, rows, x, first, flags, blank_ns)
-        _keep_from(t, marks, place, at)
-
-
-@cached_loop
-def _forget(
-    times: tuple[IntArray, ...],
-    values: tuple[FloatArray, ...],
-    marks: IntArray,
-    turns: FloatArray,
-    last_ns: int,
-    most_ns: int,
-) -> None:
-    """Leave out samples that are so much older than the newest, but for the one that a row after them needs."""
-    for place in range(len(marks)):
-        t, at, hi = times[place], marks[place, LO], marks[place, HI]
-        before_ns, angle = max(last_ns, marks[place, NEWEST] - most_ns), place == SETPOINT or place == ATTITUDE
-        while at + 1 < hi and t[at + 1] <= before_ns:
-            at = _advance(t, values[place], turns[place], angle, at)
-        _keep_from(t, marks, place, at)
+@inline
+def _usable(s: _Streams, place: int, row_ns: int, gap: int, doubted: bool) -> bool:
+    """Whether a row is outside of gaps and of what must settle after them; what follows a doubt is as after a gap."""
+    if doubted:
+        gap = max(gap, s.limits_ns[USABLE] + 1)
+    if gap > s.limits_ns[USABLE]:
+        settle = s.limits_ns[SETTLE_START] if gap > s.limits_ns[BREAK] else s.limits_ns[SETTLE_GAP]
+        s.blank_ns[place] = max(s.blank_ns[place], row_ns + settle)
+    return bool(row_ns > s.blank_ns[place])

@@ -6,7 +6,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from mavdiag.rows.align import NEVER_NS, PIECE_ROWS, AlignSpec, AlignState
+from mavdiag.rows.align import NEVER_NS, AlignSpec, AlignState
 from mavdiag.rows.block import Block
 from mavdiag.rows.gate import Border, GateSpec, GateState, hidden_flight
 from mavdiag.rows.outputs import in_rotor_order
@@ -75,13 +75,13 @@ class Front:
         """All that a whole flight gives."""
         return tuple(self.pieces(self.align.believed(telemetry)))
 
-    def pieces(self, telemetry: Telemetry, most: int = PIECE_ROWS) -> Iterator[Rows | Border]:
-        """The same of what is believed, about so many rows at a time, made one after the other: what a long log needs."""
+    def pieces(self, telemetry: Telemetry, most: int = NEVER_NS) -> Iterator[Rows | Border]:
+        """The same of what is believed, at most about so many rows at a time, made as they are asked for."""
         state = self.start()
         self.align.take(state.align, telemetry)
         yield from self._ended(state, most)
 
-    def _ended(self, state: FrontState, most: int = PIECE_ROWS) -> Iterator[Rows | Border]:
+    def _ended(self, state: FrontState, most: int = NEVER_NS) -> Iterator[Rows | Border]:
         yield from self._rows(state, self.align.rows(state.align, NEVER_NS, most))
         yield from self._told(state, self.gate.finish(state.gate))
 
@@ -100,8 +100,8 @@ class Front:
 def warm() -> None:
     """Compile what makes rows, or load it from where it is kept: by a second of a gyro, and a battery that goes on."""
     t_ns = 10_000_000 * np.arange(100)
-    rate, volt = Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((100, 3))), np.ones((1, 1))
-    telemetry = Telemetry((rate, Series(Signal.VOLTAGE, *np.full((2, 1), 10**10), volt)))
+    later_ns, rate = t_ns[:1] + 10**10, Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((100, 3)))
+    telemetry = Telemetry((rate, Series(Signal.VOLTAGE, later_ns, later_ns, np.ones((1, 1)))))
     front = Front(AlignSpec(0.01), GateSpec(), RateSpec.of(0.01, 5))
     front.step(front.start(), telemetry)
     hidden_flight(telemetry, front.gate, [(0, 0)])

@@ -158,9 +158,9 @@ class GateSpec:
     def _kinds(self, block: Block) -> IntArray:
         """(n,) DISARMED, LOW or UP."""
         kinds = np.empty(len(block), dtype=np.int64)
-        least = (-np.inf if one is None else float(one) for one in (self.min_height_m, self.min_thrust))
+        height, thrust = (-np.inf if one is None else float(one) for one in (self.min_height_m, self.min_thrust))
         outputs = np.ascontiguousarray(block.actuator.T)
-        _classify(*least, self.need_armed, block.height, block.thrust, block.armed, outputs, kinds)
+        _classify(height, thrust, self.need_armed, block.height, block.thrust, block.armed, outputs, kinds)
         return kinds
 
     def _without_thrust(self, state: GateState, block: Block) -> Block:

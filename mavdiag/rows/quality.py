@@ -40,7 +40,7 @@ from pydantic import BaseModel, ConfigDict
 
 from mavdiag.jit import cached_loop, inline, jit
 from mavdiag.rows.windows import forgetting
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 FAR = 2.0  # healthy leaps; a longer one is a glitch until it is seen again: it hardly shows in a mean (our choice)
