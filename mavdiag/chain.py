@@ -36,9 +36,9 @@ from mavdiag.rows.align import AlignSpec, measure_grid
 from mavdiag.rows.block import Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Front, FrontState, Rows
+from mavdiag.rows.front import warm as warm_rows
 from mavdiag.rows.gate import Border
 from mavdiag.rows.grid import LEAST_SAMPLES
-from mavdiag.rows.quality import warm as warm_rows
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, BoolArray, FloatArray, Signal, Telemetry
@@ -259,7 +259,7 @@ class Chain:
     def _due(self, state: ChainState) -> bool:
         """Whether what waits may bring rows up to the next look, or more of it must not wait."""
         row_ns = state.front.align.last_ns
-        if row_ns is None or len(state.waiting) >= MOST_WAITING:
+        if len(state.waiting) >= MOST_WAITING:
             return True
         newest_ns = self.front.align.reached_ns(state.front.align, state.waiting)
         return newest_ns is not None and newest_ns // LOOK_NS > row_ns // LOOK_NS

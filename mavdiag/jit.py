@@ -55,6 +55,15 @@ def cached(function: Callable[P, R]) -> Callable[P, R]:
         return cast(Callable[P, R], numba.njit(**options)(function))
 
 
+def cached_loop(function: Callable[P, R]) -> Callable[P, R]:
+    """As `cached`, for a function that makes no arrays."""
+    options: Any = {"error_model": "numpy", "_nrt": False}
+    try:
+        return cast(Callable[P, R], numba.njit(cache=True, **options)(function))
+    except RuntimeError:  # nowhere to keep it
+        return cast(Callable[P, R], numba.njit(**options)(function))
+
+
 def source_digest() -> int:
     """A digest (63 bits) of all files that have defined a compiled function so far."""
     digest = hashlib.sha256()

@@ -61,7 +61,7 @@ def example_rows(
         doubt=np.zeros(n),
     )
     spec = RateSpec.of(dt_s, WINDOW)
-    return Rows(block, spec.step(spec.start(), block)[1])
+    return Rows(block, spec.step(spec.start(), block))
 
 
 def example_context(

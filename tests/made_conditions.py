@@ -49,8 +49,7 @@ def rows_of(block: Block, edges: Sequence[int] = ()) -> list[Rows]:
     state, out = spec.start(), []
     for low, high in itertools.pairwise(sorted({0, len(block), *edges})):
         piece = block.rows(low, high)
-        state, rates = spec.step(state, piece)
-        out.append(Rows(piece, rates))
+        out.append(Rows(piece, spec.step(state, piece)))
     return out
 
 

@@ -70,11 +70,12 @@ class Block:
     def __len__(self) -> int:
         return len(self.t_ns)
 
-    def rows(self, first: int, stop: int, segment: int | None = None) -> "Block":
-        """Rows [first, stop) as a block of their own, of another segment if asked."""
+    def rows(self, first: int, stop: int, segment: int | None = None, settled_ns: int | None = None) -> "Block":
+        """Rows [first, stop) as a block of their own, of another segment, or settled at another time, if asked."""
+        segment = self.segment if segment is None else segment
+        settled_ns = self.settled_ns if settled_ns is None else settled_ns
         cut = slice(first, stop)
-        columns = (getattr(self, name)[cut] for name in COLUMNS)
-        return Block(self.segment if segment is None else segment, self.dt_s, *columns, settled_ns=self.settled_ns)
+        return Block(segment, self.dt_s, *(getattr(self, name)[cut] for name in COLUMNS), settled_ns=settled_ns)
 
     def known(self, signal: Signal, columns: slice = ALL) -> BoolArray:
         """(n,) where the row carries this signal; nowhere if rows have no column for it.

@@ -1,19 +1,17 @@
 """Telemetry to rows of flight and their rates: alignment, gate and rate filters in a row, for judging and learning."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
-from mavdiag.rows.align import AlignSpec, AlignState
+from mavdiag.rows.align import NEVER_NS, AlignSpec, AlignState
 from mavdiag.rows.block import Block
-from mavdiag.rows.gate import Border, GateSpec, GateState
+from mavdiag.rows.gate import Border, GateSpec, GateState, hidden_flight
 from mavdiag.rows.outputs import in_rotor_order
 from mavdiag.rows.rates import RateBlock, RateSpec, RateState
-from mavdiag.telemetry import BoolArray, IntArray, Telemetry
-
-__all__ = ["Covered", "Front", "FrontState", "Rows", "everywhere"]
+from mavdiag.telemetry import BoolArray, IntArray, Series, Signal, Telemetry
 
 Covered: TypeAlias = Callable[[frozenset[str], float, IntArray], BoolArray]
 
@@ -36,9 +34,9 @@ class Rows:
     covered: Covered = everywhere
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class FrontState:
-    """Memory of the alignment, the gate and the rate filters."""
+    """Memory of the alignment, the gate and the rate filters; changed in place."""
 
     align: AlignState
     gate: GateState
@@ -62,46 +60,48 @@ class Front:
         return FrontState(self.align.start(), self.gate.start(), self.rates.start())
 
     def step(self, state: FrontState, telemetry: Telemetry) -> tuple[FrontState, tuple[Rows | Border, ...]]:
-        """Take in a chunk of telemetry; return the rows that it completes."""
-        aligned, blocks = self.align.step(state.align, telemetry)
-        gated, parts = self.gate.step(state.gate, blocks)
-        return self._rows(aligned, gated, state.rates, parts)
+        """Take in a chunk of telemetry; return the state, changed, and the rows that it completes."""
+        return state, tuple(self._rows(state, self.align.step(state.align, telemetry)))
 
     def finish(self, state: FrontState) -> tuple[FrontState, tuple[Rows | Border, ...]]:
         """The end of a log: the rows that were waiting."""
-        aligned, blocks = self.align.finish(state.align)
-        gated, parts = self.gate.step(state.gate, blocks)
-        gated, rest = self.gate.finish(gated)
-        return self._rows(aligned, gated, state.rates, (*parts, *rest))
+        return state, tuple(self._ended(state))
 
     def settle(self, state: FrontState) -> tuple[FrontState, tuple[Rows | Border, ...]]:
         """Nothing more comes for now: the rows that the gate held back. Rows may go on later, as another span."""
-        gated, rest = self.gate.finish(state.gate)
-        return self._rows(state.align, gated, state.rates, rest)
+        return state, tuple(self._told(state, self.gate.finish(state.gate)))
 
     def whole(self, telemetry: Telemetry) -> tuple[Rows | Border, ...]:
         """All that a whole flight gives."""
-        state, first = self.step(self.start(), telemetry)
-        return (*first, *self.finish(state)[1])
+        return tuple(self.pieces(self.align.believed(telemetry)))
 
-    def pieces(self, telemetry: Telemetry, most: int) -> Iterator[Rows | Border]:
-        """The same of what is believed, in pieces of about `most` rows, made one at a time: what a long log needs."""
+    def pieces(self, telemetry: Telemetry, most: int = NEVER_NS) -> Iterator[Rows | Border]:
+        """The same of what is believed, at most about so many rows at a time, made as they are asked for."""
         state = self.start()
-        for block in self.align.whole(telemetry, most):
-            gated, parts = self.gate.step(state.gate, (block,))
-            state, rows = self._rows(state.align, gated, state.rates, parts)
-            yield from rows
-        gated, rest = self.gate.finish(state.gate)
-        yield from self._rows(state.align, gated, state.rates, rest)[1]
+        self.align.take(state.align, telemetry)
+        yield from self._ended(state, most)
 
-    def _rows(
-        self, aligned: AlignState, gated: GateState, filtered: RateState, parts: tuple[Block | Border, ...]
-    ) -> tuple[FrontState, tuple[Rows | Border, ...]]:
-        out: list[Rows | Border] = []
+    def _ended(self, state: FrontState, most: int = NEVER_NS) -> Iterator[Rows | Border]:
+        yield from self._rows(state, self.align.rows(state.align, NEVER_NS, most))
+        yield from self._told(state, self.gate.finish(state.gate))
+
+    def _rows(self, state: FrontState, blocks: Iterable[Block]) -> Iterator[Rows | Border]:
+        for block in blocks:
+            yield from self._told(state, self.gate.step(state.gate, block))
+
+    def _told(self, state: FrontState, parts: Iterable[Block | Border]) -> Iterator[Rows | Border]:
         for part in parts:
             if isinstance(part, Border):
-                out.append(part)
+                yield part
             else:
-                filtered, rates = self.rates.step(filtered, part)
-                out.append(Rows(in_rotor_order(part, self.outputs), rates))
-        return FrontState(aligned, gated, filtered), tuple(out)
+                yield Rows(in_rotor_order(part, self.outputs), self.rates.step(state.rates, part))
+
+
+def warm() -> None:
+    """Compile what makes rows, or load it from where it is kept: by a second of a gyro, and a battery that goes on."""
+    t_ns = 10_000_000 * np.arange(100)
+    later_ns, rate = t_ns[:1] + 10**10, Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((100, 3)))
+    telemetry = Telemetry((rate, Series(Signal.VOLTAGE, later_ns, later_ns, np.ones((1, 1)))))
+    front = Front(AlignSpec(0.01), GateSpec(), RateSpec.of(0.01, 5))
+    front.step(front.start(), telemetry)
+    hidden_flight(telemetry, front.gate, [(0, 0)])

@@ -17,18 +17,17 @@ A row is loud above QUIET_RAD_S. At the end of the data what was loud for LOUD_S
 What the gate cannot see as flight, since its own inputs fail, `hidden_flight` finds in a whole log: nobody judged it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mavdiag.jit import cached_loop
 from mavdiag.rows.block import Block
 from mavdiag.rows.quality import DOUBTS, Doubt
 from mavdiag.rows.windows import window_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
-
-__all__ = ["Border", "GateSpec", "GateState", "Hidden", "hidden_flight", "idle_rows", "shake"]
 
 QUIET_RAD_S = 1.0  # of any axis; a landed vehicle turns at less than a tenth of it, one that tumbles at 5 (our choice)
 QUIET_S = 1.0  # spikes of a touch-down end 0.8 s after height or thrust is low (recorded Crazyflies; our choice)
@@ -57,11 +56,11 @@ class Border:
     t_ns: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class GateState:
-    """The rows held back, and the present flying span."""
+    """The rows held back, and the present flying span; changed in place."""
 
-    held: tuple[Block, ...] = ()  # flight, held back by `trim_end_s`
+    held: list[Block] = field(default_factory=list)  # flight, held back by `trim_end_s`
     source: int = -1  # segment of the rows before the gate
     source_ns: int = 0  # its first row
     airborne: bool = False
@@ -75,14 +74,14 @@ class GateState:
     tail: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # gyro of the last SHAKE_S, for `least_shake`
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class _Low:
     """A vehicle in the air with low thrust or height."""
 
     begun_ns: int
     loud_ns: int  # time of the last loud row, or of the first low one
     up_ns: int | None = None  # since when they are back, but not for BACK_S
-    rows: tuple[Block, ...] = ()  # undecided
+    rows: list[Block] = field(default_factory=list)  # undecided
     loud: int = 0  # loud rows
     late: int = 0  # those later than QUIET_S
     tumbles: bool = False
@@ -116,52 +115,74 @@ class GateSpec:
         """A fresh state: nothing flies yet."""
         return GateState()
 
-    def step(self, state: GateState, blocks: tuple[Block, ...]) -> tuple[GateState, tuple[Block | Border, ...]]:
-        """The rows of `blocks` that fly, renumbered by flying span, held back by `trim_end_s`."""
+    def step(self, state: GateState, block: Block) -> list[Block | Border]:
+        """The next rows that fly, renumbered by flying span, held back by `trim_end_s`."""
         out: list[Block | Border] = []
-        for block in blocks:
-            if block.segment != state.source:
-                flew = state.airborne
-                state, rest = _break_off(state)
-                out += [*rest, Border(state.last_ns)] if flew else []
-                state = replace(state, source=block.segment, source_ns=int(block.t_ns[0]), tail=state.tail[:0])
-            kinds = self._kinds(block)
-            state, block = self._without_thrust(state, block)
-            state, shakes = self._shakes(state, block)
-            for first, stop in _runs(kinds):
-                if kinds[first] == UP and not state.airborne and not state.resumes:
+        if block.segment != state.source:
+            out += self._interrupted(state)
+            state.source, state.source_ns, state.tail = block.segment, int(block.t_ns[0]), state.tail[:0]
+        kinds = self._kinds(block)
+        block = self._without_thrust(state, block)
+        shakes = self._shakes(state, block)
+        for first, stop in _runs(kinds):
+            if kinds[first] == UP:
+                if not (state.airborne or state.resumes):
                     first += _first(shakes[first:stop])
-                    if first == stop:
-                        continue
-                if kinds[first] == UP:
-                    state = _fly(self, state, block, first, stop)
-                elif not state.airborne:
-                    state = replace(state, resumes=False) if state.resumes else state
-                elif kinds[first] == DISARMED:
-                    state, done = _land(self, state)
-                    out += done
-                else:
-                    state, done = _sink(self, state, block, first, stop)
-                    out += done
-            state, released = _release(self, state)
-            out += released
-        return state, tuple(out)
+                if first < stop:
+                    self._fly(state, block, first, stop)
+            elif not state.airborne:
+                state.resumes = False
+            elif kinds[first] == DISARMED:
+                out += self._land(state)
+            else:
+                out += self._sink(state, block, first, stop)
+        return [*out, *self._release(state)]
 
-    def finish(self, state: GateState) -> tuple[GateState, tuple[Block, ...]]:
+    def finish(self, state: GateState) -> list[Block]:
         """The end of the data. What was held back was still flying, so it is judged, but for a landing that began."""
         if state.low is not None and not _flew(state.low):
-            state, done = _land(self, state)
-            return replace(state, resumes=True), tuple(part for part in done if isinstance(part, Block))
+            parts = self._land(state)
+            state.resumes = True
+            return [part for part in parts if isinstance(part, Block)]
         return _break_off(state)
 
     def flying(self, block: Block) -> BoolArray:
         """(n,) True for the rows that count as flying, as far as each row tells alone."""
         return np.asarray(self._kinds(block) == UP, dtype=np.bool_)
 
-    def _shakes(self, state: GateState, block: Block) -> tuple[GateState, BoolArray]:
+    def _interrupted(self, state: GateState) -> Iterator[Block | Border]:
+        if state.airborne:
+            yield from _break_off(state)
+            yield Border(state.last_ns)
+
+    def _kinds(self, block: Block) -> IntArray:
+        """(n,) DISARMED, LOW or UP."""
+        kinds = np.empty(len(block), dtype=np.int64)
+        height, thrust = (-np.inf if one is None else float(one) for one in (self.min_height_m, self.min_thrust))
+        outputs = np.ascontiguousarray(block.actuator.T)
+        _classify(height, thrust, self.need_armed, block.height, block.thrust, block.armed, outputs, kinds)
+        return kinds
+
+    def _without_thrust(self, state: GateState, block: Block) -> Block:
+        """Rows whose thrust was known before and is lost must not be judged, for their landing is not seen."""
+        known = np.isfinite(block.thrust)
+        if self.min_thrust is None or (state.thrust_ns is None and not known.any()):
+            return block
+        first_ns = int(block.t_ns[0]) if state.thrust_ns is None else state.thrust_ns
+        last_ns = np.maximum.accumulate(np.where(known, block.t_ns, first_ns))
+        state.thrust_ns = int(last_ns[-1])
+        lost = block.t_ns - last_ns > THRUST_LOST_NS
+        if self.min_height_m is not None:
+            lost &= np.isnan(block.height)
+        if not lost.any():
+            return block
+        doubt = np.where(lost & (block.doubt == 0), DOUBTS.index(Doubt.THRUST), block.doubt)
+        return replace(block, valid=block.valid & ~lost, doubt=doubt)
+
+    def _shakes(self, state: GateState, block: Block) -> BoolArray:
         """(n,) the rows that tell of flight: by thrust, height or the shaking of the gyro in the half second before."""
         if self.least_shake is None:
-            return state, np.ones(len(block), dtype=np.bool_)
+            return np.ones(len(block), dtype=np.bool_)
         told = np.isfinite(block.thrust)
         if self.min_height_m is not None:
             told |= np.isfinite(block.height)
@@ -169,43 +190,79 @@ class GateSpec:
         noise = shake(rates, block.dt_s)
         known = min(len(noise), len(block))
         told[len(block) - known :] |= noise[len(noise) - known :] >= self.least_shake
-        return replace(state, tail=rates[-(window_rows(SHAKE_S, block.dt_s) + 1) :]), told
+        state.tail = rates[-(window_rows(SHAKE_S, block.dt_s) + 1) :]
+        return told
 
-    def _without_thrust(self, state: GateState, block: Block) -> tuple[GateState, Block]:
-        """Rows whose thrust was known before and is lost must not be judged, for their landing is not seen."""
-        known = np.isfinite(block.thrust)
-        never = self.min_thrust is None or (state.thrust_ns is None and not known.any())
-        if never:
-            return state, block
-        first_ns = int(block.t_ns[0]) if state.thrust_ns is None else state.thrust_ns
-        last_ns = np.maximum.accumulate(np.where(known, block.t_ns, first_ns))
-        lost = block.t_ns - last_ns > THRUST_LOST_NS
-        if self.min_height_m is not None:
-            lost &= np.isnan(block.height)
-        state = replace(state, thrust_ns=int(last_ns[-1]))
-        if not lost.any():
-            return state, block
-        doubt = np.where(lost & (block.doubt == 0), DOUBTS.index(Doubt.THRUST), block.doubt)
-        return state, replace(block, valid=block.valid & ~lost, doubt=doubt)
+    def _fly(self, state: GateState, block: Block, first: int, stop: int) -> None:
+        if not state.airborne:
+            state.blank_ns = state.settled_ns = int(block.t_ns[first])
+            if not state.resumes:
+                state.blank_ns += round(self.trim_start_s * NS_PER_S)
+                state.settled_ns = max(state.source_ns + START_NS, state.blank_ns)
+            state.airborne, state.resumes, state.span = True, False, state.span + 1
+        low = state.low
+        if low is not None:
+            low.up_ns = int(block.t_ns[first]) if low.up_ns is None else low.up_ns
+            if not (block.t_ns[first:stop] - low.up_ns >= BACK_S * NS_PER_S).any():
+                _hold(state, low, block, first, stop)
+                return
+            _keep(state, low.rows)
+            state.low = None
+        _keep(state, [_cut(state, block, first, stop)])
 
-    def _kinds(self, block: Block) -> IntArray:
-        """(n,) DISARMED, LOW or UP."""
-        up = np.ones(len(block), dtype=np.bool_)
-        if self.min_height_m is not None:
-            up &= ~(block.height < self.min_height_m)
-        if self.min_thrust is not None:
-            up &= ~(block.thrust < self.min_thrust) & ~idle_rows(block)
-        kinds = np.where(up, UP, LOW)
-        if self.need_armed:
-            kinds[block.armed < 0.5] = DISARMED
-        return kinds
+    def _sink(self, state: GateState, block: Block, first: int, stop: int) -> list[Block | Border]:
+        """Low rows of a vehicle in the air: hold them back, let them out or end the span."""
+        t_ns = block.t_ns[first:stop]
+        low = state.low = state.low or _Low(int(t_ns[0]), int(t_ns[0]))
+        loud_ns = np.maximum.accumulate(np.where(_loud(block, first, stop), t_ns, low.loud_ns))
+        over = _first(t_ns - loud_ns >= QUIET_S * NS_PER_S)
+        if over:
+            low.up_ns = None
+            _hold(state, low, block, first, first + over)
+        return self._land(state) if over < len(t_ns) else []
+
+    def _land(self, state: GateState) -> list[Block | Border]:
+        """The span is over: its last `trim_end_s` are dropped, and what was held back undecided."""
+        done = self._release(state)
+        state.low, state.held, state.airborne = None, [], False
+        return [*done, Border(state.last_ns)]
+
+    def _release(self, state: GateState) -> list[Block]:
+        """Let go of the rows that are `trim_end_s` older than the newest."""
+        held, state.held = state.held, []
+        if not held or self.trim_end_s == 0:
+            return held
+        safe_ns, done = int(held[-1].t_ns[-1]) - round(self.trim_end_s * NS_PER_S), []
+        for block in held:
+            stop = int(np.searchsorted(block.t_ns, safe_ns, side="right"))
+            done += [block.rows(0, stop)] if stop else []
+            state.held += [block.rows(stop, len(block))] if stop < len(block) else []
+        return done
 
 
-def idle_rows(block: Block) -> BoolArray:
-    """(n,) where no thrust set-point is known and all outputs idle: a vehicle on the ground that sends none."""
-    if block.actuator.shape[1] == 0 or np.isfinite(block.thrust).all():
-        return np.zeros(len(block), dtype=np.bool_)
-    return np.asarray(np.isnan(block.thrust) & (block.actuator.max(axis=1) <= IDLE_OUTPUT), dtype=np.bool_)
+@cached_loop
+def _classify(
+    least_height: float,
+    least_thrust: float,
+    need_armed: bool,
+    height: FloatArray,
+    thrust: FloatArray,
+    armed: FloatArray,
+    outputs: FloatArray,
+    kinds: IntArray,
+) -> None:
+    """What each row is. Where no thrust set-point is known, outputs that all idle are those of a vehicle on the ground.
+
+    outputs: (k, n). kinds: (n,) DISARMED, LOW or UP.
+    """
+    for i in range(len(kinds)):
+        low = height[i] < least_height or thrust[i] < least_thrust
+        if least_thrust > -np.inf and thrust[i] != thrust[i] and len(outputs):
+            idle = True
+            for k in range(len(outputs)):
+                idle = idle and outputs[k, i] <= IDLE_OUTPUT
+            low = low or idle
+        kinds[i] = DISARMED if need_armed and armed[i] < 0.5 else LOW if low else UP
 
 
 def shake(rate: FloatArray, dt_s: float) -> FloatArray:
@@ -221,45 +278,17 @@ def _runs(kinds: IntArray) -> list[tuple[int, int]]:
     return list(zip(starts, [*edges.tolist(), len(kinds)], strict=True))
 
 
-def _fly(spec: GateSpec, state: GateState, block: Block, first: int, stop: int) -> GateState:
-    if not state.airborne:
-        blank_ns = settled_ns = int(block.t_ns[first])
-        if not state.resumes:
-            blank_ns += round(spec.trim_start_s * NS_PER_S)
-            settled_ns = max(state.source_ns + START_NS, blank_ns)
-        state = replace(state, airborne=True, resumes=False, span=state.span + 1)
-        state = replace(state, blank_ns=blank_ns, settled_ns=settled_ns)
-    low = state.low
-    if low is None:
-        return _keep(state, _cut(state, block, first, stop))
-    up_ns = int(block.t_ns[first]) if low.up_ns is None else low.up_ns
-    back = first + _first(block.t_ns[first:stop] - up_ns >= BACK_S * NS_PER_S)
-    if back < stop:
-        return _keep(replace(state, low=None), *low.rows, _cut(state, block, first, stop))
-    return _hold(state, replace(low, up_ns=up_ns), block, first, stop)
-
-
-def _sink(
-    spec: GateSpec, state: GateState, block: Block, first: int, stop: int
-) -> tuple[GateState, list[Block | Border]]:
-    """Low rows of a vehicle in the air: hold them back, let them out or end the span."""
-    t_ns = block.t_ns[first:stop]
-    low = state.low or _Low(int(t_ns[0]), int(t_ns[0]))
-    loud_ns = np.maximum.accumulate(np.where(_loud(block, first, stop), t_ns, low.loud_ns))
-    over = _first(t_ns - loud_ns >= QUIET_S * NS_PER_S)
-    state = _hold(state, replace(low, up_ns=None), block, first, first + over) if over else replace(state, low=low)
-    return _land(spec, state) if over < len(t_ns) else (state, [])
-
-
-def _hold(state: GateState, low: _Low, block: Block, first: int, stop: int) -> GateState:
-    """With more undecided rows; all of them come out as soon as it tumbles."""
+def _hold(state: GateState, low: _Low, block: Block, first: int, stop: int) -> None:
+    """Keep more undecided rows; all of them come out as soon as it tumbles."""
     t_ns, loud = block.t_ns[first:stop], _loud(block, first, stop)
-    late = low.late + int(np.count_nonzero(loud & (t_ns - low.begun_ns > QUIET_S * NS_PER_S)))
-    count = low.loud + int(np.count_nonzero(loud))
-    loud_ns = int(t_ns[loud][-1]) if loud.any() else low.loud_ns
-    rows, tumbles = (*low.rows, _cut(state, block, first, stop)), low.tumbles or late * block.dt_s >= LOUD_S
-    state = _keep(state, *rows) if tumbles else state
-    return replace(state, low=_Low(low.begun_ns, loud_ns, low.up_ns, () if tumbles else rows, count, late, tumbles))
+    low.late += int(np.count_nonzero(loud & (t_ns - low.begun_ns > QUIET_S * NS_PER_S)))
+    low.loud += int(np.count_nonzero(loud))
+    low.loud_ns = int(t_ns[loud][-1]) if loud.any() else low.loud_ns
+    low.rows.append(_cut(state, block, first, stop))
+    low.tumbles = low.tumbles or low.late * block.dt_s >= LOUD_S
+    if low.tumbles:
+        _keep(state, low.rows)
+        low.rows = []
 
 
 def _loud(block: Block, first: int, stop: int) -> BoolArray:
@@ -273,30 +302,27 @@ def _first(flags: BoolArray) -> int:
 
 def _cut(state: GateState, block: Block, first: int, stop: int) -> Block:
     """Rows of the present span, invalid while it takes off."""
-    rows = replace(block.rows(first, stop, state.span), settled_ns=state.settled_ns)
+    rows = block.rows(first, stop, state.span, state.settled_ns)
     if rows.t_ns[0] < state.blank_ns:
         rows = replace(rows, valid=rows.valid & (rows.t_ns >= state.blank_ns))
     return rows
 
 
-def _keep(state: GateState, *rows: Block) -> GateState:
-    """With rows that flew."""
-    return replace(state, held=(*state.held, *rows), last_ns=int(rows[-1].t_ns[-1])) if rows else state
+def _keep(state: GateState, rows: Sequence[Block]) -> None:
+    """Take rows that flew."""
+    if rows:
+        state.held, state.last_ns = [*state.held, *rows], int(rows[-1].t_ns[-1])
 
 
-def _land(spec: GateSpec, state: GateState) -> tuple[GateState, list[Block | Border]]:
-    """The span is over: its last `trim_end_s` are dropped, and what was held back undecided."""
-    state, done = _release(spec, replace(state, low=None))
-    return replace(state, held=(), airborne=False), [*done, Border(state.last_ns)]
-
-
-def _break_off(state: GateState) -> tuple[GateState, tuple[Block, ...]]:
+def _break_off(state: GateState) -> list[Block]:
     """The data end, or break off: all that flew comes out."""
     if not state.airborne:
-        return state, ()
+        return []
     if state.low is not None and _flew(state.low):
-        state = _keep(state, *state.low.rows)
-    return replace(state, held=(), low=None, airborne=False, resumes=True), state.held
+        _keep(state, state.low.rows)
+    held = state.held
+    state.held, state.low, state.airborne, state.resumes = [], None, False, True
+    return held
 
 
 def _flew(low: _Low) -> bool:
@@ -305,20 +331,6 @@ def _flew(low: _Low) -> bool:
         return low.tumbles or low.up_ns is not None
     calm_ns = int(low.rows[-1].t_ns[-1]) - low.loud_ns
     return low.loud * low.rows[0].dt_s >= LOUD_S and calm_ns < CALM_S * NS_PER_S
-
-
-def _release(spec: GateSpec, state: GateState) -> tuple[GateState, list[Block]]:
-    """Let go of the rows that are `trim_end_s` older than the newest."""
-    if not state.held or spec.trim_end_s == 0:
-        return (replace(state, held=()), list(state.held)) if state.held else (state, [])
-    safe_ns = int(state.held[-1].t_ns[-1]) - round(spec.trim_end_s * NS_PER_S)
-    done: list[Block] = []
-    kept: list[Block] = []
-    for block in state.held:
-        stop = int(np.searchsorted(block.t_ns, safe_ns, side="right"))
-        done += [block.rows(0, stop)] if stop else []
-        kept += [block.rows(stop, len(block))] if stop < len(block) else []
-    return replace(state, held=tuple(kept)), done
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,19 +354,24 @@ def hidden_flight(telemetry: Telemetry, gate: GateSpec, spans: Sequence[tuple[in
     (or the gyro's motion, where no output is known) are what they were in flight; it reads disarmed while its thrust is
     up and it moves. telemetry: what is believed. spans: first and last row of what flew [ns].
     """
-    series = [one for one in telemetry.series if one.signal in SHOWS_FLIGHT and len(one)]
-    bins: IntArray = np.unique(np.concatenate([np.empty(0, np.int64), *(one.t_ns // HIDDEN_BIN_NS for one in series)]))
+    tallies = {one.signal: _tally(one) for one in telemetry.series if one.signal in SHOWS_FLIGHT and len(one)}
+    bins: IntArray = np.unique(np.concatenate([np.empty(0, np.int64), *(one[0] for one in tallies.values())]))
     bins = bins[bins > spans[0][0] // HIDDEN_BIN_NS] if spans else bins[:0]
     if not len(bins):
         return ()
     flown = np.zeros(len(bins), dtype=np.bool_)
     for first, last in spans:
         flown |= (bins >= first // HIDDEN_BIN_NS) & (bins <= last // HIDDEN_BIN_NS)
-    thrust = _held(_mean(telemetry.get(Signal.THRUST_SETPOINT), bins), HELD_BINS)
-    outputs = _held(_mean(telemetry.get(Signal.ACTUATOR), bins), HELD_BINS)
-    height = _held(_mean(telemetry.get(Signal.HEIGHT), bins), HELD_BINS)
-    armed = _held(_mean(telemetry.get(Signal.ARMED), bins), len(bins))
-    motion = _motion(telemetry.get(Signal.BODY_RATE), bins)
+    thrust, outputs, height, armed = (
+        _held(_mean(tallies.get(signal), bins), most)
+        for signal, most in (
+            (Signal.THRUST_SETPOINT, HELD_BINS),
+            (Signal.ACTUATOR, HELD_BINS),
+            (Signal.HEIGHT, HELD_BINS),
+            (Signal.ARMED, len(bins)),
+        )
+    )
+    motion = _motion(tallies.get(Signal.BODY_RATE), bins)
     dead, moves = ~np.isfinite(motion), motion >= FLIES * _median(motion[flown])
     down = outputs < FLIES * _median(outputs[flown])
     low = thrust < (gate.min_thrust or 0.0)
@@ -376,31 +393,65 @@ def hidden_flight(telemetry: Telemetry, gate: GateSpec, spans: Sequence[tuple[in
     return tuple(sorted(found, key=lambda one: one.begin_s))
 
 
-def _mean(series: Series | None, bins: IntArray) -> FloatArray:
+Tally = tuple[IntArray, FloatArray]  # numbers of bins, and of each what `_tally_runs` says; a bin may come again
+
+
+def _tally(series: Series) -> Tally:
+    """The sums of a signal over each run of samples in one bin."""
+    t_ns = np.ascontiguousarray(series.t_ns)
+    values = np.ascontiguousarray(series.values, dtype=np.float64)
+    runs = 1 + int(np.count_nonzero(np.diff(t_ns // HIDDEN_BIN_NS)))
+    bins, sums = np.empty(runs, dtype=np.int64), np.zeros((runs, 7))
+    _tally_runs(t_ns, values, bins, sums)
+    return bins, sums
+
+
+@cached_loop
+def _tally_runs(t_ns: IntArray, values: FloatArray, bins: IntArray, sums: FloatArray) -> None:
+    """Number and sum of all values that are known; then stamps, and of the first three columns squares and sums."""
+    run, last = -1, 0
+    for i in range(len(t_ns)):
+        number = t_ns[i] // HIDDEN_BIN_NS
+        if i == 0 or number != last:
+            run, last = run + 1, number
+            bins[run] = number
+        for column in range(values.shape[1]):
+            value = values[i, column]
+            if np.isfinite(value):
+                sums[run, 0] += 1.0
+                sums[run, 1] += value
+        if i == 0 or t_ns[i] != t_ns[i - 1]:
+            sums[run, 2] += 1.0
+            for column in range(min(values.shape[1], 3)):
+                sums[run, 3] += values[i, column] ** 2
+                sums[run, 4 + column] += values[i, column]
+
+
+def _gathered(tally: Tally | None, bins: IntArray) -> FloatArray:
+    """(bins, 7) sums of all runs in each bin."""
+    found = np.zeros((len(bins), 7))
+    if tally is not None:
+        place = bins.searchsorted(tally[0]).clip(0, len(bins) - 1)
+        inside = bins[place] == tally[0]
+        np.add.at(found, place[inside], tally[1][inside])
+    return found
+
+
+def _mean(tally: Tally | None, bins: IntArray) -> FloatArray:
     """(bins,) mean of the finite values, nan where there is none."""
-    if series is None:
-        return np.full(len(bins), np.nan)
-    known = np.isfinite(series.values)
-    at = series.t_ns // HIDDEN_BIN_NS
-    place = bins.searchsorted(at).clip(0, len(bins) - 1)
-    inside = bins[place] == at
-    sums = np.bincount(place[inside], np.where(known, series.values, 0.0).sum(axis=1)[inside], len(bins))
-    count = np.bincount(place[inside], known.sum(axis=1)[inside], len(bins))
-    means: FloatArray = np.divide(sums, count, out=np.full(len(bins), np.nan), where=count > 0)
+    count, total = _gathered(tally, bins)[:, :2].T
+    means: FloatArray = np.divide(total, count, out=np.full(len(bins), np.nan), where=count > 0)
     return means
 
 
-def _motion(gyro: Series | None, bins: IntArray) -> FloatArray:
+def _motion(tally: Tally | None, bins: IntArray) -> FloatArray:
     """(bins,) standard deviation of the body rates, nan where the gyro has no two stamps [rad/s]."""
-    if gyro is None:
-        return np.full(len(bins), np.nan)
-    t_ns, first = np.unique(gyro.t_ns, return_index=True)
-    once = Series(gyro.signal, t_ns, gyro.host_ns[first], gyro.values[first, :3])
-    mean = np.stack([_mean(replace(once, values=column[:, None]), bins) for column in once.values.T])
-    square = _mean(replace(once, values=np.square(once.values)), bins)
-    several = np.bincount(bins.searchsorted(t_ns // HIDDEN_BIN_NS), minlength=len(bins) + 1)[: len(bins)] > 1
-    spread = np.sqrt(np.maximum(square - np.square(mean).mean(axis=0), 0.0))
-    return np.asarray(np.where(several, spread, np.nan), dtype=np.float64)
+    sums = _gathered(tally, bins)[:, 2:]
+    several = sums[:, 0] > 1
+    means = sums[several, 1:] / sums[several, :1]
+    motion = np.full(len(bins), np.nan)
+    motion[several] = np.sqrt(np.maximum(means[:, 0] - np.square(means[:, 1:]).sum(axis=1), 0.0) / 3.0)
+    return motion
 
 
 def _held(values: FloatArray, most: int) -> FloatArray:

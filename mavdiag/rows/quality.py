@@ -30,21 +30,17 @@ Samples are looked at in the order in which they came, so that a log and a live 
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from enum import StrEnum
-from functools import cached_property
-from typing import TypeAlias
+from functools import cached_property, lru_cache
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from mavdiag.jit import cached, jit, source_digest
-from mavdiag.rows.running import follow
-from mavdiag.rows.savgol import SavgolFilter
+from mavdiag.jit import cached_loop, inline, jit
 from mavdiag.rows.windows import forgetting
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 FAR = 2.0  # healthy leaps; a longer one is a glitch until it is seen again: it hardly shows in a mean (our choice)
@@ -95,7 +91,7 @@ NEVER_ZERO = (Signal.SPECIFIC_FORCE, Signal.ACTUATOR)  # of a vehicle that flies
 HELD = (Signal.THRUST_SETPOINT, Signal.HEIGHT, Signal.VIBRATION, Signal.ACTUATOR)
 MAY_REST = (Signal.HEIGHT,)  # may stay as it is for as long as it likes
 FINITE = (Signal.BODY_RATE, *ANGLES)  # rows read them without nan: a sample that is no number is lost
-LEARNT = (*GREATEST, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT, Signal.ACTUATOR)
+LEARNT_SIGNALS = (*GREATEST, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT, Signal.ACTUATOR)
 TURN = 2 * np.pi
 
 
@@ -135,6 +131,10 @@ class Habit(BaseModel):
     leads: tuple[bool, ...] = ()
 
     @property
+    def patience(self) -> int:
+        """How many samples that leap may be lost."""
+        return min(max(round(GLITCH_S / self.period_s), 2), MOST_LOST)
+
     def most_leap(self) -> FloatArray:
         """Of each column the longest step that is believed at once; a column that never moved may do so."""
         leap = np.array(self.leap)
@@ -142,42 +142,13 @@ class Habit(BaseModel):
             return np.where(leap > 0, FAR * leap, np.inf)
         return np.maximum(FAR * leap, HARMLESS[self.signal])
 
-    @cached_property
-    def parameters(self) -> FloatArray:
-        """See `LEAPS`."""
-        signal, alpha = self.signal, forgetting(JITTER_S, self.period_s)
-        spans = [self.back_ns, self.early_ns, self.ahead_ns]
-        leads = self.leads or (False,) * len(self.leap)
-        head = [self.period_s, alpha, signal in ANGLES, signal in HELD, self.patience, *spans]
-        return np.array([*head, *self.most_leap, *leads, *self.quiet])
-
-    @property
-    def patience(self) -> int:
-        """How many samples that leap may be lost."""
-        return min(max(round(GLITCH_S / self.period_s), 2), MOST_LOST)
-
-    @property
-    def ahead_ns(self) -> int:
-        """A stamp that is further ahead is an outlier until another follows it [ns]."""
-        return round(max(REORDER_S, 3 * self.period_s, FAR * self.pause_s) * NS_PER_S)
-
-    @property
-    def back_ns(self) -> int:
-        """A stamp that goes back by more is an outlier until another follows it [ns]."""
-        return round(OUT_OF_ORDER * self.period_s * NS_PER_S)
-
-    @property
-    def early_ns(self) -> int:
-        """The sample after one that is further ahead tells whether its stamp is an outlier [ns]."""
-        return round(max(EARLY * self.period_s, self.pause_s) * NS_PER_S)
-
-    @property
     def most_still(self) -> FloatArray:
         """For how many samples all columns together, and each of a sensor, may repeat."""
         longest = np.array(self.still, dtype=np.float64)
         most = STILL_FACTOR * longest + STILL_MORE
         most[0] = max(min(most[0], STILL_S / self.period_s), STILL_LEAST * longest[0] + STILL_MORE)
-        return np.floor(most) if self.signal is not Signal.ATTITUDE_SETPOINT else longest + STILL_MORE
+        most = np.floor(most) if self.signal is not Signal.ATTITUDE_SETPOINT else longest + STILL_MORE
+        return np.append(most, np.full(1 + len(self.leap) - len(most), np.inf))
 
 
 class LinkQuality(BaseModel):
@@ -194,340 +165,379 @@ class LinkQuality(BaseModel):
     jitter: float = 0.0
     resolution_rad_s: float = 0.0
 
-    def of(self, signal: Signal) -> Habit | None:
-        """How a signal moved; None if that is not known."""
-        return next((one for one in self.habits if one.signal is signal), None)
+    @cached_property
+    def known(self) -> dict[tuple[Signal, int], FloatArray]:
+        """The parameters of each signal that was learnt, by its name and number of columns."""
+        return {(one.signal, len(one.leap)): self._parameters(one) for one in self.habits}
+
+    def _parameters(self, habit: Habit) -> FloatArray:
+        """See `LEAPS`."""
+        signal, par = habit.signal, _unlearnt(habit.signal, len(habit.leap)).copy()
+        ahead_s = max(REORDER_S, 3 * habit.period_s, FAR * habit.pause_s)
+        early_s = max(EARLY * habit.period_s, habit.pause_s)
+        par[LEARNT], par[PERIOD], par[ALPHA] = 1.0, habit.period_s * NS_PER_S, forgetting(JITTER_S, habit.period_s)
+        par[PATIENCE] = habit.patience
+        spans_s = OUT_OF_ORDER * habit.period_s, early_s, ahead_s
+        par[BACK], par[SOON], par[AHEAD] = (round(span_s * NS_PER_S) for span_s in spans_s)
+        par[ZERO_IS_DEAD] = signal in ANGLES and any(habit.leap)  # no vehicle that flies has all of them at zero
+        par[LOWEST] = habit.lowest if signal is Signal.THRUST_SETPOINT else -np.inf  # below it nothing moves
+        par[WHEN_DEAD] = KEPT if signal in MAY_REST else DROPPED if signal in ANGLES else UNKNOWN
+        par[MOST_JITTER] = max(JITTER_FACTOR * self.jitter, LEAST_JITTER)
+        noise = RESOLUTION_NOISE / QUIET_SHARE * min(habit.quiet)
+        par[MOST_STEP] = max(RESOLUTION_FACTOR * self.resolution_rad_s, noise)
+        leads = habit.leads or (False,) * len(habit.leap)
+        par[RATE], par[LEADING] = 1.0 / par[PERIOD], any(leads)
+        par[LEAPS:] = np.concatenate((habit.most_leap(), leads, habit.quiet, habit.most_still()))
+        return par
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Memory:
-    """What is remembered of one signal between chunks (`_look`). waiting: samples that later ones decide on."""
-
-    figures: FloatArray
-    counts: IntArray
-    waiting: Series | None = None
-
-
-Memories: TypeAlias = Mapping[Signal, Memory]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Looked:
-    """What was found of the samples of one signal that were not lost.
-
-    runs: (n, 1 + columns) how long each repeated. Of the gyro jitter: (n,) in periods. resolution: (n,) [unit], 0 while
-    unknown.
-    """
-
-    series: Series
-    runs: NDArray[np.int32]
-    jitter: FloatArray
-    resolution: FloatArray
-
-
-# Places in the parameters of a signal: period [s]; forgetting of the jitter; whether its columns are angles, and hold
-# their last value; how many samples may be lost; spans of stamps back, early and ahead [ns]; of each column the longest
-# leap, whether its slope leads, and what is silent.
-PERIOD, ALPHA, ANGLE, HOLDS, PATIENCE, BACK, EARLY_NS, AHEAD, LEAPS = range(9)
+# Places in the parameters of a signal: whether it was learnt; its period [ns]; forgetting of the jitter; whether its
+# columns are angles, and hold their last value; how many samples may be lost; spans of stamps back, early and ahead
+# [ns]; the greatest value, and whether a sample must be a number; whether zeros, and zeros of an unlearnt signal, are
+# dead; from what value on it may be dead, and what becomes of it then; whether it is the gyro, its most jitter [share
+# of a period] and coarsest step; samples a ns; whether the slope of any column leads; how many columns
+# there are; of each column the longest leap, whether its slope leads, and what is silent; then for
+# how many samples all columns, and each one, may be still.
+LEARNT, PERIOD, ALPHA, ANGLE, HOLDS, PATIENCE, BACK, SOON, AHEAD, GREATEST_AT, FINITE_AT = range(11)
+ZERO_IS_DEAD, NEVER_ZERO_AT, LOWEST, WHEN_DEAD, GYRO, MOST_JITTER, MOST_STEP, RATE, LEADING, COLUMNS, LEAPS = range(
+    11, 22
+)
+KEPT, UNKNOWN, DROPPED = range(3)
 # Places in the figures: jitter, and how far the latest samples leapt; then of each column the last believed value, its
 # slope [1/ns], the value that came last, and the smallest step. In the counts: samples so far; stamps of the last one
-# that was believed, and that came [ns]; whether its stamp leapt; how many leapt lately, and their numbers; repetitions.
+# that was believed, and that came [ns]; whether its stamp leapt; how many leapt lately; samples traced; numbers of those that leapt; repetitions.
 JITTER, SIZES, COLUMN = 0, 1, 1 + AMONG + MOST_LOST + 1
-COUNT, LAST_NS, CAME_NS, ALONE, FAR_COUNT, NUMBERS = range(6)
+COUNT, LAST_NS, CAME_NS, ALONE, FAR_COUNT, TRACED, NUMBERS = range(7)
 RUNS = NUMBERS + AMONG + MOST_LOST + 1
+STAMPS_CODE, RESOLUTION_CODE, FROZEN_CODE = (
+    DOUBTS.index(one) for one in (Doubt.STAMPS, Doubt.RESOLUTION, Doubt.FROZEN)
+)
+NO_TRACE = np.empty((0, 0))
 
 
-@jit
-def _short(par: FloatArray, step: float) -> float:
+@lru_cache(maxsize=64)
+def _unlearnt(signal: Signal, columns: int) -> FloatArray:
+    """Parameters of a signal of which nothing was learnt."""
+    par = np.zeros(LEAPS + 3 * columns + 1 + columns)
+    commands = GREATEST_SHARE if signal in LEARNT_SIGNALS else np.inf
+    par[GREATEST_AT], par[FINITE_AT] = GREATEST.get(signal, commands), signal in FINITE
+    par[ANGLE], par[HOLDS], par[NEVER_ZERO_AT] = signal in ANGLES, signal in HELD, signal in NEVER_ZERO
+    par[GYRO], par[COLUMNS] = signal is Signal.BODY_RATE, columns
+    return par
+
+
+class Memory:
+    """What is remembered of one signal between chunks; changed in place.
+
+    figures, counts: see `COLUMN` and `RUNS`. waiting: samples that later ones decide on.
+    """
+
+    __slots__ = ("counts", "figures", "waiting")
+
+    def __init__(self, columns: int) -> None:
+        self.figures, self.counts = np.zeros(COLUMN + 4 * columns), np.zeros(RUNS + 1 + columns, dtype=np.int64)
+        self.figures[COLUMN : COLUMN + 3 * columns], self.figures[COLUMN + 3 * columns :] = np.nan, np.inf
+        self.waiting: Series | None = None
+
+
+Memories: TypeAlias = dict[tuple[Signal, int], Memory]
+
+
+class _Samples(NamedTuple):
+    """Parameters and memory of a signal, and its samples: (n,) times of vehicle and receiver, (n, k) values.
+
+    The gyro has a column more, for `Doubt` as a number.
+    """
+
+    par: FloatArray
+    mem: FloatArray
+    counts: IntArray
+    t_ns: IntArray
+    host_ns: IntArray
+    v: FloatArray
+
+
+@inline
+def _short(s: _Samples, step: float) -> float:
     """A step; of an angle the short way round."""
-    return float(step - TURN * np.round(step / TURN)) if par[ANGLE] > 0.5 else step
+    if s.par[ANGLE] < 0.5 or abs(step) <= math.pi:
+        return step
+    return float(step - TURN * np.round(step / TURN))
 
 
-@jit
-def _away(par: FloatArray, mem: FloatArray, columns: int, column: int, value: float, span_ns: int) -> float:
+@inline
+def _away(s: _Samples, column: int, value: float, span_ns: int) -> float:
     """How far a value is from where those before it lead."""
     at = COLUMN + column
-    return _short(par, value - mem[at] - mem[at + columns] * span_ns)
+    return _short(s, value - s.mem[at] - s.mem[at + int(s.par[COLUMNS])] * span_ns)
+
+
+@inline
+def _near(s: _Samples, i: int, span_ns: int) -> bool:
+    """Whether a sample leaps nowhere by more than is believed after one period: the usual case."""
+    for column in range(int(s.par[COLUMNS])):
+        if abs(_away(s, column, s.v[i, column], span_ns)) > s.par[LEAPS + column]:
+            return False
+    return True
 
 
 @jit
-def _size(par: FloatArray, columns: int, column: int, away: float, span_ns: int) -> float:
+def _size(s: _Samples, column: int, away: float, span_ns: int) -> float:
     """How large that is for the time: above 1 it leaps; nan where it is not known."""
-    n = max(min(abs(span_ns), par[AHEAD]) / (par[PERIOD] * NS_PER_S), 1.0)
-    grown = n * (n + 1.0) / 2.0 if par[LEAPS + columns + column] > 0.5 else n
-    return float(abs(away) / grown / par[LEAPS + column])
+    n = max(min(abs(span_ns), s.par[AHEAD]) / s.par[PERIOD], 1.0)
+    grown = n * (n + 1.0) / 2.0 if s.par[LEAPS + int(s.par[COLUMNS]) + column] > 0.5 else n
+    return float(abs(away) / grown / s.par[LEAPS + column])
 
 
 @jit
-def _leap(par: FloatArray, mem: FloatArray, counts: IntArray, t_ns: IntArray, v: FloatArray, i: int) -> float:
+def _leap(s: _Samples, i: int) -> float:
     """The largest of all columns of a sample."""
-    found, columns, span_ns = 0.0, v.shape[1], t_ns[i] - counts[LAST_NS]
-    for column in range(columns):
-        size = _size(par, columns, column, _away(par, mem, columns, column, v[i, column], span_ns), span_ns)
+    found, span_ns = 0.0, s.t_ns[i] - s.counts[LAST_NS]
+    for column in range(int(s.par[COLUMNS])):
+        size = _size(s, column, _away(s, column, s.v[i, column], span_ns), span_ns)
         found = max(found, size) if size == size else found
     return found
 
 
 @jit
-def _misdated(par: FloatArray, counts: IntArray, t_ns: IntArray, i: int) -> int:
+def _misdated(s: _Samples, there: int, i: int) -> int:
     """1 if the stamp of a sample leaps by the last believed and the next one, 0 if not; -1 if the next must come."""
-    span_ns = t_ns[i] - counts[LAST_NS]
-    if -par[BACK] <= span_ns <= par[EARLY_NS]:
+    par, span_ns = s.par, s.t_ns[i] - s.counts[LAST_NS]
+    followed = s.counts[ALONE] > 0 and abs(s.t_ns[i] - s.counts[CAME_NS]) <= par[AHEAD]
+    if -par[BACK] <= span_ns <= par[SOON] or followed:
         return 0
     if span_ns < 0 or span_ns > par[AHEAD]:
         return 1
     if par[HOLDS] > 0.5:
         return 0
-    if i + 1 == len(t_ns):
+    if i + 1 == there:
         return -1
-    return 1 if t_ns[i + 1] < t_ns[i] - par[BACK] else 0
+    return 1 if s.t_ns[i + 1] < s.t_ns[i] - par[BACK] else 0
 
 
 @jit
-def _decide(
-    par: FloatArray, mem: FloatArray, counts: IntArray, t_ns: IntArray, v: FloatArray, i: int
-) -> tuple[int, bool]:
+def _decide(s: _Samples, there: int, i: int) -> tuple[int, bool]:
     """How many samples from i on are decided, 0 if more must come; whether they are lost: they leap away and back."""
-    patience, number, columns = int(par[PATIENCE]), counts[COUNT] + i, v.shape[1]
-    first = _leap(par, mem, counts, t_ns, v, i)
+    patience, number, last_ns = int(s.par[PATIENCE]), s.counts[COUNT], s.counts[LAST_NS]
+    first = _leap(s, i)
     if not first > 1.0:
         return 1, False
     kept, often = 0, 0
-    for k in range(counts[FAR_COUNT]):
-        if counts[NUMBERS + k] > number - AMONG:
-            counts[NUMBERS + kept], mem[SIZES + kept] = counts[NUMBERS + k], mem[SIZES + k]
-            often += mem[SIZES + kept] >= AS_FAR * first
+    for k in range(s.counts[FAR_COUNT]):
+        if s.counts[NUMBERS + k] > number - AMONG:
+            s.counts[NUMBERS + kept], s.mem[SIZES + kept] = s.counts[NUMBERS + k], s.mem[SIZES + k]
+            often += s.mem[SIZES + kept] >= AS_FAR * first
             kept += 1
-    counts[FAR_COUNT] = kept
-    run, there = 1, min(patience + 1, len(t_ns) - i)
-    while run < there and _leap(par, mem, counts, t_ns, v, i + run) > 1.0:
+    s.counts[FAR_COUNT] = kept
+    run, left = 1, min(patience + 1, there - i)
+    while run < left and _leap(s, i + run) > 1.0:
         run += 1
     usual, lost = often >= OFTEN, False
-    if usual or par[HOLDS] > 0.5:
+    if usual or s.par[HOLDS] > 0.5:
         lost, run = not usual, 1
     elif run > patience:
         run = 1
-    elif run == there:
+    elif run == left:
         return 0, False
     else:
         here, before = i + run, i + run - 1
-        for column in range(columns):
-            one = _away(par, mem, columns, column, v[here, column], t_ns[here] - counts[LAST_NS])
-            other = _away(par, mem, columns, column, v[before, column], t_ns[before] - counts[LAST_NS])
-            lost = lost or _size(par, columns, column, _short(par, one - other), t_ns[here] - t_ns[before]) > 1.0
+        for column in range(int(s.par[COLUMNS])):
+            one = _away(s, column, s.v[here, column], s.t_ns[here] - last_ns)
+            other = _away(s, column, s.v[before, column], s.t_ns[before] - last_ns)
+            lost = lost or _size(s, column, _short(s, one - other), s.t_ns[here] - s.t_ns[before]) > 1.0
     for k in range(run):
-        counts[NUMBERS + kept + k] = number + k
-        mem[SIZES + kept + k] = _leap(par, mem, counts, t_ns, v, i + k)
-    counts[FAR_COUNT] = kept + run
+        s.counts[NUMBERS + kept + k] = number + k
+        s.mem[SIZES + kept + k] = _leap(s, i + k)
+    s.counts[FAR_COUNT] = kept + run
     return run, lost
 
 
-@jit
-def _believe(par: FloatArray, mem: FloatArray, counts: IntArray, t_ns: IntArray, v: FloatArray, i: int) -> None:
+@inline
+def _believe(s: _Samples, i: int) -> None:
     """Make a sample the last one that is believed."""
-    columns, span_ns = v.shape[1], t_ns[i] - counts[LAST_NS]
+    columns, span_ns = int(s.par[COLUMNS]), s.t_ns[i] - s.counts[LAST_NS]
+    share = 1.0 / span_ns if span_ns != 0 and s.par[LEADING] > 0.5 else 0.0
     for column in range(columns):
-        at, leads = COLUMN + column, par[LEAPS + columns + column] > 0.5
-        mem[at + columns] = _short(par, v[i, column] - mem[at]) / span_ns if leads and span_ns != 0 else 0.0
-        mem[at] = v[i, column]
-    counts[LAST_NS] = t_ns[i]
+        at, leads = COLUMN + column, s.par[LEAPS + columns + column] > 0.5
+        s.mem[at + columns] = _short(s, s.v[i, column] - s.mem[at]) * share if leads and share != 0.0 else 0.0
+        s.mem[at] = s.v[i, column]
+    s.counts[LAST_NS] = s.t_ns[i]
 
 
-@jit
-def _measure(
-    par: FloatArray, mem: FloatArray, counts: IntArray, stamp_ns: int, v: FloatArray, i: int, runs: NDArray[np.int32]
-) -> float:
-    """Count repetitions, and follow jitter and finest step, after a sample; returns the resolution, 0 if unknown."""
-    columns, same, coarsest = v.shape[1], True, 0.0
+@inline
+def _measure(s: _Samples, i: int) -> float:
+    """Count repetitions after a sample, and of the gyro follow jitter and finest step; returns the resolution."""
+    par, mem, counts, columns = s.par, s.mem, s.counts, int(s.par[COLUMNS])
+    same, coarsest, gyro = True, 0.0, par[GYRO] > 0.5
     for column in range(columns):
         came, finest = COLUMN + 2 * columns + column, COLUMN + 3 * columns + column
-        step = abs(v[i, column] - mem[came])
+        step = abs(s.v[i, column] - mem[came])
         still = not step > par[LEAPS + 2 * columns + column] and counts[COUNT] > 0
         same = same and still
         counts[RUNS + 1 + column] = counts[RUNS + 1 + column] + 1 if still else 0
-        runs[i, 1 + column] = counts[RUNS + 1 + column]
-        mem[came], mem[finest] = v[i, column], min(mem[finest], step) if step > SAME else mem[finest]
-        coarsest = max(coarsest, mem[finest])
+        mem[came] = s.v[i, column]
+        if gyro:
+            mem[finest] = min(mem[finest], step) if step > SAME else mem[finest]
+            coarsest = max(coarsest, mem[finest])
     counts[RUNS] = counts[RUNS] + 1 if same else 0
-    runs[i, 0] = counts[RUNS]
-    steps = (stamp_ns - counts[CAME_NS]) / (par[PERIOD] * NS_PER_S)
-    apart = steps - np.round(steps) if 0.0 < steps < MISSING else 0.0  # else it is lost or misdated
-    follow(mem, JITTER, apart * apart, par[ALPHA])
-    counts[CAME_NS] = stamp_ns
+    if gyro:
+        steps = (s.t_ns[i] - counts[CAME_NS]) * par[RATE]
+        apart = steps - np.round(steps) if 0.0 < steps < MISSING else 0.0  # else it is lost or misdated
+        mem[JITTER] += par[ALPHA] * (apart * apart - mem[JITTER])
+    counts[CAME_NS] = s.t_ns[i]
     counts[COUNT] += 1
     return coarsest if counts[COUNT] > RESOLUTION_SAMPLES and math.isfinite(coarsest) else 0.0
 
 
-def _compiled(digest: int) -> Callable[..., int]:
-    @cached
-    def look_at(
-        par: FloatArray,
-        mem: FloatArray,
-        counts: IntArray,
-        t_ns: IntArray,
-        v: FloatArray,
-        keep: BoolArray,
-        runs: NDArray[np.int32],
-        jitter: FloatArray,
-        resolution: FloatArray,
-    ) -> int:
-        """Which samples are believed, (n,), and what `Looked` says of each; returns how many are decided."""
-        i = 0
-        while i < (len(t_ns) if digest else 0):
-            came_ns = t_ns[i - 1] if i else counts[CAME_NS]
-            followed = counts[ALONE] > 0 and abs(t_ns[i] - came_ns) <= par[AHEAD]
-            misdated = 0 if followed else _misdated(par, counts, t_ns, i)
+@inline
+def _use(s: _Samples, i: int, finest: float) -> bool:
+    """Make of a sample what rows may use, after `_measure`; whether they may."""
+    par, v, columns = s.par, s.v, int(s.par[COLUMNS])
+    stills = LEAPS + 3 * columns
+    frozen, zero, alone = s.counts[RUNS] > par[stills], par[ZERO_IS_DEAD] > 0.5, False
+    for column in range(columns):
+        zero = zero and v[i, column] == 0.0
+        alone = alone or s.counts[RUNS + 1 + column] > par[stills + 1 + column]
+    dead = (frozen or zero) and not v[i, 0] < par[LOWEST]
+    if par[GYRO] > 0.5:
+        if dead or alone:
+            v[i, columns] = FROZEN_CODE
+        elif finest > par[MOST_STEP]:
+            v[i, columns] = RESOLUTION_CODE
+        elif s.mem[JITTER] > par[MOST_JITTER] ** 2:
+            v[i, columns] = STAMPS_CODE
+        return True
+    if par[WHEN_DEAD] == UNKNOWN and (dead or alone):
+        for column in range(columns):
+            if dead or s.counts[RUNS + 1 + column] > par[stills + 1 + column]:
+                v[i, column] = np.nan
+    return not (dead and par[WHEN_DEAD] == DROPPED)
+
+
+@inline
+def _in_range(s: _Samples, i: int) -> bool:
+    """Whether a sensor may have measured it; nan where rows may have it: some vehicles log some columns only."""
+    for column in range(int(s.par[COLUMNS])):
+        size = abs(s.v[i, column])
+        if size > s.par[GREATEST_AT] or (size != size and s.par[FINITE_AT] > 0.5):
+            return False
+    return True
+
+
+@jit
+def _blank_if_zero(s: _Samples, i: int) -> None:
+    """Unknown, if it has nothing but zeros, which no vehicle in flight has."""
+    columns = int(s.par[COLUMNS])
+    for column in range(columns):
+        if s.v[i, column] != 0.0 and math.isfinite(s.v[i, column]):
+            return
+    for column in range(columns):
+        s.v[i, column] = np.nan
+
+
+@inline
+def _move(s: _Samples, i: int, to: int) -> None:
+    if to < i:
+        s.t_ns[to], s.host_ns[to] = s.t_ns[i], s.host_ns[i]
+        for column in range(s.v.shape[1]):
+            s.v[to, column] = s.v[i, column]
+
+
+@inline
+def _take(s: _Samples, i: int, lost: bool, kept: int, trace: FloatArray) -> int:
+    """Measure a sample that is decided, and move it to the believed ones, if it is; returns how many there are."""
+    columns = int(s.par[COLUMNS])
+    if s.par[GYRO] > 0.5:
+        s.v[i, columns] = 0.0
+    if s.par[LEARNT] > 0.5:
+        finest = _measure(s, i)
+        if lost:
+            return kept
+        if len(trace):
+            traced = s.counts[TRACED]
+            s.counts[TRACED] += 1
+            for k in range(1 + columns):
+                trace[traced, k] = s.counts[RUNS + k]
+            trace[traced, 1 + columns], trace[traced, 2 + columns] = math.sqrt(s.mem[JITTER]), finest
+        if not _use(s, i, finest):
+            return kept
+    if s.par[NEVER_ZERO_AT] > 0.5:
+        _blank_if_zero(s, i)
+    _move(s, i, kept)
+    return kept + 1
+
+
+@cached_loop
+def _look_at(s: _Samples, waited: int, trace: FloatArray) -> tuple[int, int, int]:
+    """Move the samples that are believed to the front, as rows may use them.
+
+    waited: how many of them came before. trace: (n, columns + 3) of each that was not lost how long it repeated, the
+    jitter, and the resolution, 0 if unknown; or empty.
+    Returns how many are believed, how many are decided, and how many there are within range.
+    """
+    there = waited
+    for i in range(waited, len(s.t_ns)):
+        if _in_range(s, i):
+            _move(s, i, there)
+            there += 1
+    if s.counts[COUNT] == 0 and waited == 0 and there:
+        s.counts[LAST_NS] = s.counts[CAME_NS] = s.t_ns[0]
+    kept = done = 0
+    while done < there:
+        span_ns, run, lost = s.t_ns[done] - s.counts[LAST_NS], 1, False
+        if s.par[LEARNT] > 0.5:
+            usual = -s.par[BACK] <= span_ns <= s.par[SOON] and _near(s, done, span_ns)
+            misdated = 0 if usual else _misdated(s, there, done)
             if misdated < 0:
                 break
-            run, lost = 1, misdated > 0
-            counts[ALONE] = misdated
-            if not lost:
-                run, lost = _decide(par, mem, counts, t_ns, v, i)
+            s.counts[ALONE], lost = misdated, misdated > 0
+            if not usual and not lost:
+                run, lost = _decide(s, there, done)
                 if run == 0:
                     break
-            for k in range(i, i + run):
-                keep[k] = not lost
-                if not lost:
-                    _believe(par, mem, counts, t_ns, v, k)
-            i += run
-        for k in range(i):
-            finest = _measure(par, mem, counts, t_ns[k], v, k, runs)
-            if len(jitter):
-                resolution[k], jitter[k] = finest, math.sqrt(mem[JITTER])
-        return i
-
-    return look_at
+            if not lost:
+                for i in range(done, done + run):
+                    _believe(s, i)
+        for i in range(done, done + run):
+            kept = _take(s, i, lost, kept, trace)
+        done += run
+    return kept, done, there
 
 
-_look_at = _compiled(source_digest())
-
-
-def believed(quality: LinkQuality, memories: Memories, telemetry: Telemetry) -> tuple[dict[Signal, Memory], Telemetry]:
+def believed(quality: LinkQuality, telemetry: Telemetry, memories: Memories | None = None) -> Telemetry:
     """The telemetry without its lost samples, nan where it is dead; the gyro with a fourth column, `Doubt` as a number.
 
-    The number is the place in `DOUBTS`.
+    The number is the place in `DOUBTS`. memories: of what came before, changed in place; None if that is all there is.
     """
-    after, found = dict(memories), []
+    memories, found = {} if memories is None else memories, []
     for series in telemetry.series:
-        series = _in_range(series)
-        habit = quality.of(series.signal)
-        if habit is not None and len(series) and series.values.shape[1] == len(habit.leap):
-            after[series.signal], looked = look(habit, after.get(series.signal), series)
-            series = _known(quality, habit, looked)
-        elif series.signal is Signal.BODY_RATE:
-            series = _with(series, np.hstack((series.values, np.zeros((len(series), 1)))))
+        key = series.signal, series.values.shape[1]
+        par, memory = quality.known.get(key), memories.get(key)
+        if memory is None:
+            memory = memories[key] = Memory(key[1])
+        series = _looked(_unlearnt(*key) if par is None else par, memory, series)
         if len(series):
-            found.append(_alive(series))
-    return after, Telemetry(tuple(found))
+            found.append(series)
+    return Telemetry(tuple(found))
 
 
-def differences(quality: LinkQuality, jitter: FloatArray, resolution: FloatArray) -> Iterator[tuple[Doubt, BoolArray]]:
-    """In what, and at which samples, a measured link is not that of the healthy flights.
-
-    jitter: (n,) [share of a period]. resolution: (n,) of the gyro [rad/s], 0 where it is not known.
-    """
-    gyro = quality.of(Signal.BODY_RATE)
-    if gyro is not None:
-        most = max(JITTER_FACTOR * quality.jitter, LEAST_JITTER)
-        yield Doubt.STAMPS, np.asarray(jitter > most, dtype=np.bool_)
-        noise = RESOLUTION_NOISE / QUIET_SHARE * min(gyro.quiet)
-        yield (
-            Doubt.RESOLUTION,
-            np.asarray(resolution > max(RESOLUTION_FACTOR * quality.resolution_rad_s, noise), dtype=np.bool_),
-        )
-
-
-def look(habit: Habit, memory: Memory | None, series: Series) -> tuple[Memory, Looked]:
-    """Leave out what is lost of the next samples of a signal, and measure the others. Its columns are the habit's."""
-    memory = memory or _begin(series)
-    if memory.waiting is not None:
-        series = _joined(memory.waiting, series)
-    n, columns = series.values.shape
-    figures, counts, keep = memory.figures.copy(), memory.counts.copy(), np.empty(n, dtype=np.bool_)
-    measured = n if habit.signal is Signal.BODY_RATE else 0
-    runs, jitter, resolution = np.empty((n, 1 + columns), dtype=np.int32), np.empty(measured), np.empty(measured)
-    found = (keep, runs, jitter, resolution)
-    # one kind of array, for one compilation
-    t_ns, values = (np.require(array, requirements=("C", "W")) for array in (series.t_ns, series.values))
-    done = _look_at(habit.parameters, figures, counts, t_ns, values, *found)
-    after = Memory(figures, counts, _cut(series, slice(done, None)) if done < n else None)
-    keep[done:] = False
-    used = slice(0, done) if np.count_nonzero(keep) == done else keep
-    figures_used = used if measured else slice(0, 0)
-    return after, Looked(_cut(series, used), runs[used], jitter[figures_used], resolution[figures_used])
-
-
-def warm() -> None:
-    """Compile what looks at samples and filters rows, or load it from where it is kept."""
-    never, values = np.empty(0, dtype=np.int64), np.empty((0, 1))
-    none = np.empty((0, 2), dtype=np.int32)
-    counts, figures = np.zeros(RUNS + 2, dtype=np.int64), np.zeros(COLUMN + 4)
-    _look_at(np.zeros(LEAPS + 3), figures, counts, never, values, np.empty(0, dtype=np.bool_), none, *np.empty((2, 0)))
-    SavgolFilter.smoother(5).batch(np.zeros(8))
-
-
-def _joined(one: Series, other: Series) -> Series:
-    arrays = [np.concatenate([getattr(part, name) for part in (one, other)]) for name in ("t_ns", "host_ns", "values")]
-    return Series(one.signal, *arrays)
-
-
-def _begin(series: Series) -> Memory:
-    columns = series.values.shape[1]
-    figures, counts = np.zeros(COLUMN + 4 * columns), np.zeros(RUNS + 1 + columns, dtype=np.int64)
-    figures[COLUMN : COLUMN + 3 * columns], figures[COLUMN + 3 * columns :] = np.nan, np.inf
-    counts[LAST_NS] = counts[CAME_NS] = series.t_ns[0]
-    return Memory(figures, counts)
-
-
-def _with(series: Series, values: FloatArray) -> Series:
-    return Series(series.signal, series.t_ns, series.host_ns, values)
-
-
-def _cut(series: Series, keep: BoolArray | slice) -> Series:
-    return Series(series.signal, series.t_ns[keep], series.host_ns[keep], series.values[keep])
-
-
-def _in_range(series: Series) -> Series:
-    """Without what no sensor measures; nan stays where rows may have it: some vehicles log some columns only."""
-    greatest = GREATEST.get(series.signal, GREATEST_SHARE if series.signal in LEARNT else np.inf)
-    size = np.abs(series.values)
-    if len(series) == 0 or np.maximum.reduce(size, axis=None) <= greatest:
-        return series
-    lost = ~(size <= greatest) if series.signal in FINITE else size > greatest
-    return _cut(series, np.asarray(~lost.any(axis=1), dtype=np.bool_))
-
-
-def _alive(series: Series) -> Series:
-    """With nan for zeros that no vehicle in flight has."""
-    if series.signal not in NEVER_ZERO:
-        return series
-    dead = ~((series.values != 0.0) & np.isfinite(series.values)).any(axis=1)
-    if not np.count_nonzero(dead):
-        return series
-    return _with(series, np.where(dead[:, None], np.nan, series.values))
-
-
-def _known(quality: LinkQuality, habit: Habit, looked: Looked) -> Series:
-    """The samples as rows may use them."""
-    series, values = looked.series, looked.series.values
-    most = habit.most_still
-    dead = looked.runs[:, : len(most)] > most
-    if habit.signal in ANGLES and any(habit.leap):  # no vehicle that flies has all of them at zero
-        dead |= np.all(values == 0.0, axis=1, keepdims=True)
-    if habit.signal is Signal.THRUST_SETPOINT:  # below it the vehicle stands, and nothing moves
-        dead &= values[:, :1] >= habit.lowest
-    if habit.signal is Signal.BODY_RATE:
-        codes = np.zeros(len(series))
-        for doubt, where in differences(quality, looked.jitter, looked.resolution):
-            codes[where] = DOUBTS.index(doubt)
-        codes[dead.any(axis=1)] = DOUBTS.index(Doubt.FROZEN)
-        return _with(series, np.column_stack((values, codes)))
-    if habit.signal in MAY_REST or not np.count_nonzero(dead):
-        return series
-    if habit.signal in ANGLES:
-        return _cut(series, ~dead[:, 0])
-    spoilt = dead[:, :1] | dead[:, 1:] if dead.shape[1] > 1 else dead
-    return _with(series, np.where(spoilt, np.nan, values))
+def _looked(par: FloatArray, memory: Memory, series: Series, trace: FloatArray = NO_TRACE) -> Series:
+    """What is believed of the next samples of a signal, and of those that waited."""
+    columns, before = series.values.shape[1], memory.waiting
+    waited = 0 if before is None else len(before)
+    count = waited + len(series)
+    t_ns, host_ns = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    values = np.empty((count, columns + (series.signal is Signal.BODY_RATE)))
+    if before is not None:
+        t_ns[:waited], host_ns[:waited], values[:waited] = before.t_ns, before.host_ns, before.values
+    t_ns[waited:], host_ns[waited:], values[waited:, :columns] = series.t_ns, series.host_ns, series.values
+    samples = _Samples(par, memory.figures, memory.counts, t_ns, host_ns, values)
+    kept, done, there = _look_at(samples, waited, trace)
+    memory.waiting = None
+    if done < there:
+        rest = (array[done:there].copy() for array in (t_ns, host_ns, values))
+        memory.waiting = Series(series.signal, *rest)
+    return Series(series.signal, t_ns[:kept], host_ns[:kept], values[:kept])
 
 
 def _departures(signal: Signal, leads: bool, values: FloatArray, t_ns: IntArray) -> FloatArray:
@@ -557,8 +567,9 @@ def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]
     pieces: dict[Signal, list[Series]] = {}
     for telemetry, spans_ns in flights:
         for series in telemetry.series:
-            if series.signal in LEARNT:
-                inside = [_between(_in_range(series), *span) for span in spans_ns]
+            if series.signal in LEARNT_SIGNALS:
+                measured = _measurable(series)
+                inside = [_between(measured, *span) for span in spans_ns]
                 pieces.setdefault(series.signal, []).extend(one for one in inside if len(one) > 1)
     habits, jitter, resolution = [], 0.0, 0.0
     for signal, parts in pieces.items():
@@ -566,16 +577,33 @@ def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]
         if len(columns) != 1:  # never flew, or another number of outputs in each flight
             continue
         habit = _moved(signal, parts)
-        found = [look(habit, None, one)[1] for one in parts]
-        runs = np.concatenate([one.runs for one in found])
+        found = [_traced(habit, one) for one in parts]
+        runs = np.concatenate(found)[:, :-2].astype(np.int64)
         share = STILL_SHARE if signal is Signal.ATTITUDE_SETPOINT else 1.0
         longest = np.quantile(runs, share, axis=0, method="higher").tolist()
         still = tuple(longest if signal in SENSORS else longest[:1])
         habits.append(habit.model_copy(update={"still": still}))
         if signal is Signal.BODY_RATE:
-            jitter = max(float(one.jitter.max()) for one in found)
-            resolution = min((float(x) for one in found for x in one.resolution[-1:] if x > 0), default=0.0)
+            jitter = max(float(trace[:, -2].max()) for trace in found)
+            resolution = min((float(x) for trace in found for x in trace[-1:, -1] if x > 0), default=0.0)
     return LinkQuality(habits=tuple(habits), jitter=jitter, resolution_rad_s=resolution)
+
+
+def _measurable(series: Series) -> Series:
+    """Without what no sensor measures."""
+    columns = series.values.shape[1]
+    par = _unlearnt(series.signal, columns).copy()
+    par[NEVER_ZERO_AT] = 0.0
+    found = _looked(par, Memory(columns), series)
+    return Series(found.signal, found.t_ns, found.host_ns, found.values[:, :columns])
+
+
+def _traced(habit: Habit, series: Series) -> FloatArray:
+    """What `_look_at` traces of the samples that are not lost by what the habit says of leaps."""
+    columns = series.values.shape[1]
+    trace = np.full((len(series), columns + 3), np.nan)
+    _looked(LinkQuality(habits=(habit,)).known[series.signal, columns], Memory(columns), series, trace)
+    return trace[~np.isnan(trace[:, 0])]
 
 
 def _between(series: Series, first_ns: int, last_ns: int) -> Series:

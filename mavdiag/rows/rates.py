@@ -1,27 +1,43 @@
 """From aligned rows to the pair that the model relates: commanded body rate u and measured body rate y (T 4.3.4).
 
-The set-point is an attitude in Euler angles, the gyro measures body rates. Savitzky-Golay filters of one window and
-order give the value and the slope of the angles at the centre of the window, and W(phi, theta) turns the slopes into
-body rates (the kinematics of the order yaw, pitch, roll):
+The set-point is an attitude in Euler angles, the gyro measures body rates. Savitzky-Golay filters of one window of
+2m + 1 rows and order 2 give the value and the slope of the angles at the centre of the window, and W(phi, theta) turns
+the slopes into body rates (the kinematics of the order yaw, pitch, roll):
 
     p = dphi - sin(theta) dpsi
     q = cos(phi) dtheta + sin(phi) cos(theta) dpsi
     r = -sin(phi) dtheta + cos(phi) cos(theta) dpsi
 
-The gyro is smoothed by the same window, so u and y have the same delay of m samples. Output row i belongs to input row
+The gyro is smoothed by the same window, so u and y have the same delay of m rows. Output row i belongs to input row
 i + m; a new segment starts the filters afresh.
+
+Value and slope at the centre follow from the moments M_j = sum of k^j x over the window, k = -m..m (T Eq 4.11):
+
+    value = c_0 M_0 + c_2 M_2,    slope = M_1/(sum of k^2)/dt
+
+Moments run: without the oldest row, M_1 <- M_1 - M_0 and M_2 <- M_2 - 2 M_1 + M_0 move the window on by one, then the
+newest row is added. They are formed anew at fixed rows of a segment, so that what is rounded does not grow, and any cut
+of the rows gives the same bits.
 """
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from mavdiag.errors import UsageError
+from mavdiag.jit import cached_loop, jit
 from mavdiag.rows.block import Block
-from mavdiag.rows.savgol import SavgolFilter, SavgolState
-from mavdiag.rows.windows import window_all
+from mavdiag.rows.savgol import coefficients
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 
-__all__ = ["RateBlock", "RateSpec", "RateState"]
+ANEW = 4  # windows after which the moments are formed anew (our choice)
+SIGNALS = 6  # gyro p, q, r; set-point roll, pitch, yaw
+# Places in the memory: of each signal three moments, and how long it will be spoilt by what is no number, its value
+# and its slope; rows so far, rows in a line in which the gyro was valid, and in which the set-point was, too; then the
+# last rows of each signal.
+SPOILT, VALUES, SLOPES, ROWS, SOUND, WANTED, HISTORY = 18, 24, 30, 36, 37, 38, 39
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,77 +67,134 @@ class RateBlock:
         return len(self.t_ns)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class RateState:
-    """Filter histories, and the times and flags of the rows that wait for the rest of their window."""
+    """What the filters remember of a segment; changed in place. times: (window,) of the last rows [ns]."""
 
-    segment: int
-    setpoint: SavgolState
-    smooth: SavgolState
-    t_ns: IntArray
-    valid: BoolArray
-    commanded: BoolArray
+    __slots__ = ("memory", "segment", "times")
+
+    def __init__(self, window: int) -> None:
+        self.segment = -1
+        self.memory: FloatArray = np.zeros(HISTORY + SIGNALS * window)
+        self.times: IntArray = np.zeros(window, dtype=np.int64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class RateSpec:
-    """The two filters, of one window [samples] and order; build it with `RateSpec.of`.
+    """The two filters, of one window [rows]; build it with `RateSpec.of`.
 
-    slope: gives the slopes of the set-point angles.
-    value: gives the smoothed gyro and set-point angles.
+    weights: c_0, c_2, and what makes a slope of M_1 [1/s].
     """
 
     window: int
-    slope: SavgolFilter
-    value: SavgolFilter
+    weights: tuple[float, float, float]
 
     @classmethod
     def of(cls, dt_s: float, window: int, order: int = 2) -> "RateSpec":
-        """Filters for a sample time [s], an odd window [samples] and a polynomial order. Raises UsageError."""
-        slope = SavgolFilter.differentiator(window, dt_s, order)
-        return cls(window, slope, SavgolFilter.smoother(window, order))
+        """Filters for a sample time [s], an odd window [rows] and a polynomial order, 1 or 2. Raises UsageError."""
+        if order not in (1, 2) or not (math.isfinite(dt_s) and dt_s > 0):
+            raise UsageError(f"rates need a polynomial order of 1 or 2 and a positive sample time, not {order}, {dt_s}")
+        filters = coefficients(window, order)
+        middle, bend = filters[0, window // 2], filters[0, -1] - filters[0, window // 2]
+        m = window // 2
+        return cls(window, (float(middle), float(bend / m**2), float(filters[1, -1] / m / dt_s)))
 
-    def start(self, segment: int = -1) -> RateState:
-        """A fresh state, before the first row of a segment."""
-        none = np.empty(0, dtype=np.bool_)
-        return RateState(segment, self.slope.start(3), self.value.start(5), np.empty(0, dtype=np.int64), none, none)
+    def start(self) -> RateState:
+        """A fresh state, before the first row."""
+        return RateState(self.window)
 
-    def step(self, state: RateState, block: Block) -> tuple[RateState, RateBlock]:
+    def step(self, state: RateState, block: Block) -> RateBlock:
         """Take the next rows; return those whose window is complete."""
         if block.segment != state.segment:
-            state = self.start(block.segment)
-        setpoint, slope = self.slope.step(state.setpoint, block.setpoint)
-        rows = np.concatenate((block.rate, block.setpoint[:, :2]), axis=1)
-        gyro = np.concatenate((state.smooth.history[:3], block.rate.T), axis=1)
-        smooth, value = self.value.step(state.smooth, rows)
-        t_ns = np.concatenate((state.t_ns, block.t_ns))
-        valid = np.concatenate((state.valid, block.valid))
-        commanded = np.concatenate((state.commanded, block.valid & block.setpoint_valid))
-        m, known = self.window // 2, len(slope)
-        out = RateBlock(
-            block.segment,
-            block.dt_s,
-            t_ns[m : m + known],
-            _body_rates(value[:, 3], value[:, 4], slope),
-            value[:, :3],
-            gyro[:, m : m + known].T,
-            window_all(valid, self.window),
-            window_all(commanded, self.window),
+            state.segment = block.segment
+            state.memory[:] = 0.0
+        known = min(len(block), max(0, len(block) + int(state.memory[ROWS]) - self.window + 1))
+        out, t_ns, flags = np.empty((9, known)), np.empty(known, np.int64), np.empty((2, known), np.bool_)
+        rate, setpoint = np.ascontiguousarray(block.rate.T), np.ascontiguousarray(block.setpoint.T)
+        memory = _Memory(state.memory, state.times, *self.weights)
+        _filter(memory, block.t_ns, rate, setpoint, block.valid, block.setpoint_valid, out, t_ns, flags)
+        return RateBlock(block.segment, block.dt_s, t_ns, out[:3].T, out[3:6].T, out[6:].T, flags[0], flags[1])
+
+
+@jit
+def _finite(value: float) -> float:
+    """A value, or 0 in place of what is no number."""
+    return value if math.isfinite(value) else 0.0
+
+
+class _Memory(NamedTuple):
+    """Of `RateState`; and `RateSpec.weights`."""
+
+    values: FloatArray
+    times: IntArray
+    middle: float
+    bend: float
+    slope: float
+
+
+@cached_loop
+def _filter(
+    memory: _Memory,
+    row_ns: IntArray,
+    rate: FloatArray,
+    setpoint: FloatArray,
+    valid: BoolArray,
+    setpoint_valid: BoolArray,
+    out: FloatArray,
+    t_ns: IntArray,
+    flags: BoolArray,
+) -> None:
+    """u, y and gyro of the rows whose window is complete, with their times and flags."""
+    mem, times, window, m = memory.values, memory.times, len(memory.times), len(memory.times) // 2
+    for i in range(len(row_ns)):
+        rows = int(mem[ROWS])
+        place, centre = rows % window, (rows + window - m) % window
+        times[place] = row_ns[i]
+        mem[ROWS] += 1.0
+        mem[SOUND] = mem[SOUND] + 1.0 if valid[i] else 0.0
+        mem[WANTED] = mem[WANTED] + 1.0 if valid[i] and setpoint_valid[i] else 0.0
+        for signal in range(SIGNALS):
+            newest = rate[signal, i] if signal < 3 else setpoint[signal - 3, i]
+            mem[SPOILT + signal] = max(mem[SPOILT + signal] - 1.0, 0.0)
+            history, at = HISTORY + signal * window, 3 * signal
+            oldest = _finite(mem[history + place])
+            mem[history + place] = newest
+            if not math.isfinite(newest):
+                newest, mem[SPOILT + signal] = 0.0, float(window)
+            if rows % (ANEW * window) == window - 1:
+                m0 = m1 = m2 = 0.0
+                for k in range(window):
+                    value, away = _finite(mem[history + (place + 1 + k) % window]), float(k - m)
+                    m0 += value
+                    m1 += away * value
+                    m2 += away * away * value
+            else:
+                m0, m1, m2 = mem[at] - oldest, mem[at + 1] + m * oldest, mem[at + 2] - m * m * oldest
+                m2 += m0 - 2.0 * m1 + m * m * newest
+                m1 += m * newest - m0
+                m0 += newest
+            mem[at], mem[at + 1], mem[at + 2] = m0, m1, m2
+            spoilt = mem[SPOILT + signal] > 0.0
+            mem[VALUES + signal] = np.nan if spoilt else memory.middle * m0 + memory.bend * m2
+            mem[SLOPES + signal] = np.nan if spoilt else memory.slope * m1
+        done = i - (len(row_ns) - len(t_ns))
+        if done < 0:
+            continue
+        t_ns[done] = times[centre]
+        flags[0, done], flags[1, done] = mem[SOUND] >= window, mem[WANTED] >= window
+        #     [ 1   0          -sin theta          ]
+        # W = [ 0   cos phi    sin phi cos theta   ]
+        #     [ 0   -sin phi   cos phi cos theta   ]
+        phi, theta, roll, pitch, yaw = (
+            mem[VALUES + 3],
+            mem[VALUES + 4],
+            mem[SLOPES + 3],
+            mem[SLOPES + 4],
+            mem[SLOPES + 5],
         )
-        state = RateState(block.segment, setpoint, smooth, t_ns[known:], valid[known:], commanded[known:])
-        return state, out
-
-
-def _body_rates(phi: FloatArray, theta: FloatArray, slope: FloatArray) -> FloatArray:
-    """W(phi, theta) times the slopes of roll, pitch and yaw, (n, 3)."""
-    #     [ 1   0          -sin theta          ]
-    # W = [ 0   cos phi    sin phi cos theta   ]
-    #     [ 0   -sin phi   cos phi cos theta   ]
-    sin_phi, cos_phi = np.sin(phi), np.cos(phi)
-    dphi, dtheta, dpsi = slope.T
-    turn = np.cos(theta) * dpsi
-    u = np.empty((3, len(slope)))
-    u[0] = dphi - np.sin(theta) * dpsi
-    u[1] = cos_phi * dtheta + sin_phi * turn
-    u[2] = cos_phi * turn - sin_phi * dtheta
-    return u.T
+        sin_phi, cos_phi, turn = math.sin(phi), math.cos(phi), math.cos(theta) * yaw
+        out[0, done] = roll - math.sin(theta) * yaw
+        out[1, done] = cos_phi * pitch + sin_phi * turn
+        out[2, done] = cos_phi * turn - sin_phi * pitch
+        for axis in range(3):
+            out[3 + axis, done] = mem[VALUES + axis]
+            out[6 + axis, done] = mem[HISTORY + axis * window + centre]

@@ -4,22 +4,18 @@ A polynomial is fitted to each window of 2m + 1 samples; its value, or its slope
 output that belongs to input row i is known m samples later: **the delay is m samples** (50 ms at the default window
 of 0.1 s), the same for the value and for the slope, which is why the rate and the differentiated setpoint are both
 filtered with one window (T 4.3.4). Rows without a complete window give no output; nothing is padded.
+Streams are filtered by running moments (`rows.rates`).
 
 numpy only: importing scipy.signal takes 0.8 s, which the detector's start cannot afford.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.jit import cached, source_digest
-from mavdiag.rows.running import dot
 from mavdiag.telemetry import FloatArray
-
-__all__ = ["SavgolFilter", "SavgolState", "coefficients", "window_samples"]
 
 WINDOW_S = 0.1  # T 5.3: 100 samples at 1 kHz, made odd
 MIN_WINDOW = 5  # our floor: fewer samples than this smooth nothing at polynomial order 2
@@ -63,40 +59,12 @@ def coefficients(window: int, order: int = 2) -> FloatArray:
     return C
 
 
-def _compiled() -> Callable[[FloatArray, FloatArray, FloatArray], None]:
-    digest = source_digest()
-
-    @cached
-    def filter_rows(rows: FloatArray, taps: FloatArray, out: FloatArray) -> None:
-        """Scalar products of taps with each full window of each row."""
-        for number in range(rows.shape[0] if digest else 0):
-            row = rows[number]
-            for first in range(out.shape[1]):
-                out[number, first] = dot(taps, 0, row, first, taps.size)
-
-    return filter_rows
-
-
-_filter_rows = _compiled()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SavgolState:
-    """What a stream must remember: the last window - 1 rows or fewer, transposed.
-
-    history: (columns, h) with h <= window - 1, oldest first, in the unit of the input.
-    """
-
-    history: FloatArray
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SavgolFilter:
     """A Savitzky-Golay filter as its taps; build it with `smoother` or `differentiator`.
 
     taps: (window,) weights of the window's samples, oldest first; made read-only. A smoother keeps the input's unit,
-    a differentiator divides it by seconds. Every output row is an independent dot product over its own window: a
-    stream cut into any blocks gives the batch result bit for bit, and a NaN spoils only the windows that hold it.
+    a differentiator divides it by seconds. A NaN spoils only the windows that hold it.
 
     >>> filt = SavgolFilter.differentiator(5, dt_s=0.5)
     >>> filt.batch(np.array([0.0, 1.0, 4.0, 9.0, 16.0, 25.0])).round(9).tolist()   # 2 m rows shorter
@@ -125,41 +93,13 @@ class SavgolFilter:
             raise UsageError(f"a derivative needs order >= 1 and a positive sample time, not {order} and {dt_s}")
         return cls(coefficients(window, order)[1] / dt_s)
 
-    @property
-    def window(self) -> int:
-        """Samples per window, 2m + 1."""
-        return len(self.taps)
-
-    @property
-    def delay_samples(self) -> int:
-        """m: output row i of `batch` belongs to input row i + m."""
-        return len(self.taps) // 2
-
     def batch(self, x: FloatArray) -> FloatArray:
         """Filter a whole signal, (n,) or (n, k), into its valid part, (n - 2m,) or (n - 2m, k).
 
         Output row i belongs to input row i + m. Fewer than 2m + 1 rows give an empty output.
-        Raises UsageError if x has another number of axes.
         """
-        if x.ndim == 1:
-            return self.step(self.start(1), x[:, None])[1][:, 0]
-        return self.step(self.start(x.shape[-1]), x)[1]
-
-    def start(self, columns: int) -> SavgolState:
-        """State of a stream of `columns` columns before its first row."""
-        return SavgolState(np.empty((columns, 0)))
-
-    def step(self, state: SavgolState, block: FloatArray) -> tuple[SavgolState, FloatArray]:
-        """Take the next rows (n, k) of a stream; return the new state and the rows (j, k) that became known.
-
-        The first 2m rows of a stream give nothing, each later row gives one output, which belongs to the row m
-        before it. Raises UsageError if the block does not have the state's columns.
-        """
-        if block.ndim != 2 or block.shape[1] != len(state.history):
-            raise UsageError(f"block of shape {block.shape} does not fit a stream of {len(state.history)} columns")
-        rows = np.ascontiguousarray(np.concatenate((state.history, block.T), axis=1))
-        known = max(0, rows.shape[1] - self.window + 1)
-        out = np.empty((len(rows), known))  # column by column
-        if known:
-            _filter_rows(rows, self.taps, out)
-        return SavgolState(rows[:, known:].copy()), out.T
+        rows = max(0, len(x) - len(self.taps) + 1)
+        if rows == 0:
+            return np.empty((0, *x.shape[1:]))
+        columns = [np.correlate(column, self.taps, "valid") for column in x.reshape(len(x), -1).T]
+        return np.stack(columns, axis=1).reshape(rows, *x.shape[1:])

@@ -14,15 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavdiag.jit import cached_loop, jit
 from mavdiag.rows.block import Block
 from mavdiag.rows.windows import spans, window_mean
-from mavdiag.telemetry import BoolArray, FloatArray
-from mavdiag.units import NS_PER_S, G
-
-__all__ = ["Upset", "motion_of", "upset_in"]
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray
+from mavdiag.units import NS_PER_MS, NS_PER_S, G
 
 SIGN_S = 0.4  # of the means (our choice)
 BIN_S = 0.1  # steps of these means, where rows come at 20 Hz or more (our choice)
+LOOK_NS = 10 * NS_PER_MS  # between two looks at the attitude, which no vehicle changes by much in it (our choice)
 FALL_G = 0.3  # a vehicle that descends on purpose keeps more than half (our choice)
 UPSIDE_DOWN_G = 0.3  # towards the belly (our choice)
 TILT_RAD = math.radians(90.0)  # from the vertical (our choice)
@@ -48,40 +48,74 @@ class Upset:
 
 
 def motion_of(block: Block) -> FloatArray:
-    """What the signs are made of, (bins, 9), for `upset_in`: a few numbers for each 0.1 s of any rows.
+    """What the signs are made of, (bins, 10), for `upset_in`: a few numbers for each 0.1 s of any rows.
 
     Segment, number of the bin, its length [s], its rows; the sums of turning rate [rad/s], size and z of the specific
-    force [g], tilt and attitude error [rad].
+    force [g]; the looks at its attitude, and the sums of tilt and attitude error [rad].
     """
     bin_s = BIN_S if block.dt_s <= 0.5 * BIN_S else SIGN_S
-    number = block.t_ns // round(bin_s * NS_PER_S)
-    starts = np.flatnonzero(np.diff(number, prepend=-1))
-    known = np.isfinite(block.force[:, 2])  # a vehicle that sends the z axis alone has that
-    columns = np.stack(
-        (
-            np.hypot(block.rate[:, 0], block.rate[:, 1]),
-            np.where(known, np.sqrt(np.nansum(np.square(block.force), axis=1)), np.nan) / G,
-            block.force[:, 2] / G,
-            *_attitude(block),
-        )
-    )
-    out = np.empty((len(starts), 9))
-    out[:, 0], out[:, 1], out[:, 2] = block.segment, number[starts], bin_s
-    out[:, 3] = np.diff(starts, append=len(block))
-    out[:, 4:] = np.add.reduceat(columns, starts, axis=1).T
-    return out
+    bin_ns = round(bin_s * NS_PER_S)
+    found = np.zeros((int(block.t_ns[-1] // bin_ns - block.t_ns[0] // bin_ns) + 1, 10))
+    found[:, 0], found[:, 2] = block.segment, bin_s
+    signals = (np.ascontiguousarray(one.T) for one in (block.rate, block.force, block.attitude, block.setpoint))
+    return found[: _sum_bins(block.t_ns, bin_ns, *signals, block.setpoint_valid, found)]
+
+
+@jit
+def _thrust(angle: FloatArray, i: int) -> tuple[float, float, float]:
+    """Where the thrust points, of roll and pitch; the heading does not matter."""
+    cos_roll = math.cos(angle[0, i])
+    return math.sin(angle[1, i]) * cos_roll, -math.sin(angle[0, i]), math.cos(angle[1, i]) * cos_roll
+
+
+@cached_loop
+def _sum_bins(
+    t_ns: IntArray,
+    bin_ns: int,
+    rate: FloatArray,
+    force: FloatArray,
+    attitude: FloatArray,
+    setpoint: FloatArray,
+    setpoint_valid: BoolArray,
+    found: FloatArray,
+) -> int:
+    """Sums of each bin that has rows; returns how many there are. Signals are (3, n), a direction is of length 1."""
+    place, looked = -1, -1
+    for i in range(len(t_ns)):
+        if place < 0 or t_ns[i] // bin_ns != found[place, 1]:
+            place += 1
+            found[place, 1] = t_ns[i] // bin_ns
+        bin_ = found[place]
+        bin_[3] += 1.0
+        bin_[4] += math.hypot(rate[0, i], rate[1, i])
+        square, down = 0.0, force[2, i]  # a vehicle that sends the z axis alone has that
+        for axis in range(3):
+            square += force[axis, i] ** 2 if math.isfinite(force[axis, i]) else 0.0
+        bin_[5] += math.sqrt(square) / G if math.isfinite(down) else np.nan
+        bin_[6] += down / G
+        if t_ns[i] // LOOK_NS == looked:
+            continue
+        looked = t_ns[i] // LOOK_NS
+        x, y, z = _thrust(attitude, i)
+        x_wanted, y_wanted, z_wanted = _thrust(setpoint, i)
+        along = x * x_wanted + y * y_wanted + z * z_wanted
+        bin_[7] += 1.0
+        bin_[8] += math.acos(min(max(z, -1.0), 1.0)) if z == z else np.nan
+        bin_[9] += math.acos(min(max(along, -1.0), 1.0)) if along == along and setpoint_valid[i] else np.nan
+    return place + 1
 
 
 def upset_in(motions: Iterable[FloatArray]) -> Upset | None:
     """The upset of a flight from its motion, in order of time; None if it has none."""
     parts = list(motions)
-    motion = np.concatenate(parts) if parts else np.empty((0, 9))
+    motion = np.concatenate(parts) if parts else np.empty((0, 10))
     if not len(motion):
         return None
     starts = np.flatnonzero(np.any(np.diff(motion[:, :2], axis=0, prepend=-1.0) != 0, axis=1))
     sums = np.add.reduceat(motion[:, 3:], starts, axis=0)
     bin_s, number = motion[starts, 2], motion[starts, 1]
-    means = sums[:, 1:] / sums[:, :1]
+    looks = np.maximum(sums[:, 4:5], 1.0)
+    means = np.hstack((sums[:, 1:4] / sums[:, :1], sums[:, 5:] / looks))
     unbroken = (np.diff(motion[starts, 0]) == 0) & (np.diff(number) == 1)
     edges = [0, *(np.flatnonzero(~unbroken) + 1).tolist(), len(starts)]
     pieces = [(float(bin_s[a]), number[a:b] * bin_s[a], means[a:b]) for a, b in itertools.pairwise(edges)]
@@ -106,23 +140,6 @@ def _signs(t_s: FloatArray, values: FloatArray, usual: float) -> Iterator[tuple[
     yield from _spells(t_s, down > UPSIDE_DOWN_G, down, "upside down, specific force {:.1f} g towards the belly")
     yield from _spells(t_s, tilt > TILT_RAD, np.degrees(tilt), "tilted by {:.0f} deg")
     yield from _spells(t_s, error > ERROR_RAD, np.degrees(error), "attitude {:.0f} deg from its set-point")
-
-
-def _attitude(block: Block) -> tuple[FloatArray, FloatArray]:
-    """(n,) tilt and (n,) angle between commanded and estimated direction of thrust [rad]; nan where unknown."""
-    if not np.isfinite(block.attitude[:, 0]).any():
-        return np.full(len(block), np.nan), np.full(len(block), np.nan)
-    thrust = _thrust(block.attitude)
-    wanted = _thrust(block.setpoint)
-    dot = np.clip((wanted * thrust).sum(axis=0), -1.0, 1.0)
-    error = np.where(block.setpoint_valid, np.arccos(dot), np.nan)
-    return np.arccos(np.clip(thrust[2], -1.0, 1.0)), error
-
-
-def _thrust(angle: FloatArray) -> FloatArray:
-    """Where the thrust points, (3, n), of roll and pitch; the heading does not matter."""
-    (sin_roll, sin_pitch), (cos_roll, cos_pitch) = np.sin(angle[:, :2].T), np.cos(angle[:, :2].T)
-    return np.stack((sin_pitch * cos_roll, -sin_roll, cos_pitch * cos_roll))
 
 
 def _spells(t_s: FloatArray, sign: BoolArray, value: FloatArray, text: str) -> Iterator[tuple[float, float, str]]:

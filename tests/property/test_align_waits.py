@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_telemetry import cut
 
-from mavdiag.rows.align import AlignSpec, Grid
+from mavdiag.rows.align import NEVER_NS, AlignSpec, Grid
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 
@@ -74,15 +74,15 @@ def run(spec: AlignSpec, chunks: list[Telemetry]) -> tuple[dict[str, FloatArray]
     for chunk in chunks:
         reached_ns = spec.reached_ns(state, [in_order(chunk)])
         before_ns = state.last_ns
-        state, found = spec.step(state, chunk)
+        found = spec.step(state, chunk)
         blocks += found
-        if found and before_ns is not None:
+        if found and before_ns > -NEVER_NS:
             assert reached_ns is not None
             assert int(found[-1].t_ns[-1]) <= reached_ns
-        if state.last_ns is not None:
-            newest = state.streams[Signal.BODY_RATE].newest
+        if state.last_ns > -NEVER_NS:
+            newest = state.newest_ns(Signal.BODY_RATE)
             behind.append((newest, newest - state.last_ns))
-    return table([*blocks, *spec.finish(state)[1]]), np.array(behind)
+    return table([*blocks, *spec.finish(state)]), np.array(behind)
 
 
 def assert_equal(found: dict[str, FloatArray], expected: dict[str, FloatArray]) -> None:

@@ -46,8 +46,7 @@ def cut(blocks: list[Block], edges: list[int]) -> list[Rows]:
         bounds = sorted({0, N, *edges})
         for low, high in itertools.pairwise(bounds):
             piece = one.rows(low, high)
-            state, known = SPEC.step(state, piece)
-            out.append(Rows(piece, known))
+            out.append(Rows(piece, SPEC.step(state, piece)))
     return out
 
 

@@ -8,7 +8,7 @@ from made_telemetry import DT_NS, cut, flight, series
 from numpy.typing import NDArray
 
 from mavdiag.errors import InputError
-from mavdiag.rows.align import AlignSpec, AlignState, Grid, measure_grid
+from mavdiag.rows.align import GYRO, SETPOINT, AlignSpec, Grid, measure_grid
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 
@@ -30,8 +30,8 @@ def linear_flight(gyro_t: IntArray, setpoint_t: IntArray) -> Telemetry:
 
 
 def whole(telemetry: Telemetry, spec: AlignSpec = SPEC) -> list[Block]:
-    state, blocks = spec.step(spec.start(), telemetry)
-    return [*blocks, *spec.finish(state)[1]]
+    state = spec.start()
+    return [*spec.step(state, telemetry), *spec.finish(state)]
 
 
 def column(blocks: list[Block], name: str) -> NDArray[Any]:
@@ -159,9 +159,8 @@ def test_without_setpoints_the_rows_flow_and_memory_stays_bounded() -> None:
     blocks: list[Block] = []
     for i in range(50):
         t = clock(1000) + i * 1_000_000_000
-        state, found = SPEC.step(state, Telemetry((series(Signal.BODY_RATE, t, ramp(t)),)))
-        blocks += found
-    assert len(state.streams[Signal.BODY_RATE].t) <= 3000
+        blocks += SPEC.step(state, Telemetry((series(Signal.BODY_RATE, t, ramp(t)),)))
+    assert len(state.times[GYRO]) <= 3000
     assert len(column(blocks, "t_ns")) == 50_000 - 5  # the gyro must be 5 ms further
     assert column(blocks, "valid")[1001:].all()
     assert not column(blocks, "setpoint_valid").any()
@@ -185,8 +184,8 @@ def test_a_setpoint_that_stops_leaves_the_gyro_rows_valid_and_is_waited_for_one_
             for s, n in zip(linear_flight(t, stopped).series, (3100, 2000), strict=True)
         )
     )
-    _, early = SPEC.step(SPEC.start(), head)
-    assert len(column(list(early), "t_ns")) == 3100 - 5  # no wait any more
+    early = SPEC.step(SPEC.start(), head)
+    assert len(column(early, "t_ns")) == 3100 - 5  # no wait any more
 
 
 def test_a_setpoint_gap_is_interpolated_and_not_used_until_it_has_settled() -> None:
@@ -244,34 +243,33 @@ def test_a_vehicle_that_logs_one_axis_of_the_accelerometer_is_known_by_that_axis
     t = clock(300)
     force = np.column_stack((np.full((300, 2), np.nan), np.full(300, -9.81)))
     telemetry = Telemetry((*linear_flight(t, t).series, series(Signal.SPECIFIC_FORCE, t, force)))
-    (block,) = SPEC.step(SPEC.start(), telemetry)[1]
+    (block,) = SPEC.step(SPEC.start(), telemetry)
     assert not block.known(Signal.SPECIFIC_FORCE).any()
     assert block.known(Signal.SPECIFIC_FORCE, slice(2, 3)).all()
 
 
 def test_b22_memory_stays_bounded_when_the_gyro_stops_and_others_go_on() -> None:
     t = clock(1000)
-    state, blocks = SPEC.step(SPEC.start(), linear_flight(t, t))
+    state = SPEC.start()
+    blocks = SPEC.step(state, linear_flight(t, t))
     extra: list[Block] = []
     for i in range(1, 40):
         later = clock(1000) + i * 1_000_000_000
         chunk = [series(s, later, ramp(later)) for s in (Signal.ATTITUDE_SETPOINT, Signal.SPECIFIC_FORCE)]
-        state, found = SPEC.step(state, Telemetry(tuple(chunk)))
-        extra += found
-    assert sum(len(stream.t) for stream in state.streams.values()) < 5000
+        extra += SPEC.step(state, Telemetry(tuple(chunk)))
+    assert sum(len(times) for times in state.times) < 5000
     assert np.array_equal(column([*blocks, *extra], "t_ns"), t)  # the last rows do not wait for ever
     t = clock(1000) + 40_000_000_000
-    _, found = SPEC.step(state, linear_flight(t, t))
+    found = SPEC.step(state, linear_flight(t, t))
     assert {block.segment for block in found} == {1}
 
 
 def test_b22_a_flood_without_any_gyro_is_bounded() -> None:
-    state: AlignState = SPEC.start()
+    state = SPEC.start()
     for i in range(20):
         t = clock(1000) + i * 1_000_000_000
-        state, blocks = SPEC.step(state, Telemetry((series(Signal.ATTITUDE_SETPOINT, t, ramp(t)),)))
-        assert blocks == ()
-    assert len(state.streams[Signal.ATTITUDE_SETPOINT].t) <= 3000
+        assert SPEC.step(state, Telemetry((series(Signal.ATTITUDE_SETPOINT, t, ramp(t)),))) == []
+    assert len(state.times[SETPOINT]) <= 3000
 
 
 @pytest.mark.parametrize("size", [1, 3, 40, 3000])
@@ -290,9 +288,8 @@ def test_l1_the_yaw_setpoint_is_unwrapped_before_it_is_interpolated(size: int) -
     state = SPEC.start()
     blocks: list[Block] = []
     for chunk in cut(telemetry, [int(t[0]) + 5_000_000 + edge * DT_NS for edge in range(0, 6000, size)]):
-        state, found = SPEC.step(state, chunk)
-        blocks += found
-    blocks += SPEC.finish(state)[1]
+        blocks += SPEC.step(state, chunk)
+    blocks += SPEC.finish(state)
     np.testing.assert_allclose(column(blocks, "setpoint")[:5981, 2], heading[:5981], atol=1e-9)
 
 

@@ -14,7 +14,7 @@ from shared_data import shared
 
 import mavdiag as md
 from mavdiag.judging import LogVerdict
-from mavdiag.rows.quality import LinkQuality, Memory, believed, learnt_quality
+from mavdiag.rows.quality import LinkQuality, Memories, believed, learnt_quality
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 
 N, AT = 3000, 1600
@@ -206,11 +206,11 @@ def smooth() -> LinkQuality:
 def kept(values: FloatArray, pieces: int = 1) -> set[int]:
     """Numbers of the samples that are believed, of those that came in so many pieces."""
     series, numbers = turning(), set()
-    memories: dict[Signal, Memory] = {}
+    memories: Memories = {}
     for places in np.array_split(np.arange(len(values)), pieces):
         t_ns = series.t_ns[places]
         piece = Telemetry((Series(series.signal, t_ns, t_ns, values[places]),))
-        memories, found = believed(smooth(), memories, piece)
+        found = believed(smooth(), piece, memories)
         numbers |= {int(one) // 10_000_000 for known in found.series for one in known.t_ns}
     return numbers
 

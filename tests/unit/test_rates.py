@@ -29,7 +29,7 @@ def leaning_turn(t: FloatArray) -> tuple[FloatArray, FloatArray]:
 def test_a_quadratic_setpoint_has_an_exact_slope_at_the_right_time() -> None:
     t = np.arange(2000) * 1e-3
     rows = block(np.outer(0.3 * t**2, [1.0, 0.0, 0.0]))
-    _, out = SPEC.step(SPEC.start(), rows)
+    out = SPEC.step(SPEC.start(), rows)
     assert len(out) == 2000 - 100
     at = (out.t_ns - rows.t_ns[0]) / 1e9
     np.testing.assert_allclose(out.u[:, 0], 0.6 * at, atol=1e-9)
@@ -39,7 +39,7 @@ def test_l1_u_is_the_body_rate_of_a_vehicle_that_turns_and_leans() -> None:
     """Truth from rotations, whose logarithm of the change over one step is the body rate, and no formula of W."""
     t = np.arange(12_000, dtype=np.float64) * DT_S
     angles, slopes = leaning_turn(t)
-    _, out = SPEC.step(SPEC.start(), block(angles))
+    out = SPEC.step(SPEC.start(), block(angles))
     at = np.round(out.t_ns / 1e9 / DT_S).astype(int)
 
     def attitude(offset: float) -> Rotation:
@@ -54,14 +54,14 @@ def test_l1_u_is_the_body_rate_of_a_vehicle_that_turns_and_leans() -> None:
 def test_l1_a_level_turn_yaws_and_a_leaning_turn_pitches_too(lean: float) -> None:
     """A heading rate of 2 rad/s at a roll angle `lean` gives q = 2 sin(roll) and r = 2 cos(roll)."""
     t = np.arange(500) * DT_S
-    _, out = SPEC.step(SPEC.start(), block(np.column_stack((np.full(500, lean), 0 * t, 2.0 * t))))
+    out = SPEC.step(SPEC.start(), block(np.column_stack((np.full(500, lean), 0 * t, 2.0 * t))))
     np.testing.assert_allclose(out.u, np.tile([0, 2 * np.sin(lean), 2 * np.cos(lean)], (400, 1)), atol=1e-9)
 
 
 def test_a_row_is_valid_and_commanded_only_with_its_whole_window() -> None:
     rows = block(np.zeros((1000, 3)))
     valid, setpoint_valid = np.arange(1000) >= 200, np.arange(1000) != 600
-    _, out = SPEC.step(SPEC.start(), dataclasses.replace(rows, valid=valid, setpoint_valid=setpoint_valid))
+    out = SPEC.step(SPEC.start(), dataclasses.replace(rows, valid=valid, setpoint_valid=setpoint_valid))
     at = np.round(out.t_ns / 1e9 / DT_S).astype(int)
     np.testing.assert_array_equal(out.valid, at >= 250)
     np.testing.assert_array_equal(out.commanded, (at >= 250) & (np.abs(at - 600) > 50))
@@ -69,7 +69,8 @@ def test_a_row_is_valid_and_commanded_only_with_its_whole_window() -> None:
 
 def test_a_new_segment_starts_the_filters_afresh() -> None:
     rows = block(np.ones((300, 3)))
-    state, _ = SPEC.step(SPEC.start(), rows)
-    state, out = SPEC.step(state, rows.rows(0, 50, segment=7))
+    state = SPEC.start()
+    SPEC.step(state, rows)
+    out = SPEC.step(state, rows.rows(0, 50, segment=7))
     assert len(out) == 0
     assert state.segment == 7
