@@ -15,7 +15,7 @@ from mavdiag.identify import Method, Order
 from mavdiag.identify.lab.sweep import SweepRow, window_sweep
 from mavdiag.look.figures import HARMONICS, SPECTRUM_S, Spectrum
 from mavdiag.look.inspection import USUAL
-from mavdiag.monitors.training import MIN_PIECE_S
+from mavdiag.monitors.run_length import MIN_PIECE_S
 from mavdiag.report import style
 from mavdiag.report.style import COMMANDED, LINES, MEASURED, Picture, missing, panels, pictured
 from mavdiag.report.thinned import COLUMNS, columns_of, envelope

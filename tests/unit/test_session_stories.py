@@ -29,8 +29,7 @@ from detector.values import (
 )
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
-from mavdiag.baseline import Baseline
-from mavdiag.baseline_parts import Refusal
+from mavdiag.baseline import Baseline, Refusal
 from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import PROFILES
