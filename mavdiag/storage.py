@@ -26,6 +26,7 @@ TOML_BYTES = 32 << 10  # the longest of ours has 7 kB; tomllib takes seconds for
 TEXT_BYTES = 8 << 20  # baselines have some hundred kilobytes (our choice)
 SHELF_BYTES = 32 << 20  # of arrays that a shelf keeps in memory before it opens its file (our choice)
 ALIGN_BYTES = 64  # of an array in that file
+FEW = 100  # rows that are looked at before all of them
 
 
 @contextmanager
@@ -231,4 +232,9 @@ class Shelf:
 
 
 def _varies(array: NDArray[Any]) -> bool:
-    return not np.array_equal(array[1:], np.broadcast_to(array[:1], array[1:].shape), equal_nan=array.dtype.kind == "f")
+    few = array[:: len(array) // FEW or 1]
+    return not (_alike(few) and _alike(array))
+
+
+def _alike(rows: NDArray[Any]) -> bool:
+    return np.array_equal(rows, np.broadcast_to(rows[:1], rows.shape), equal_nan=rows.dtype.kind == "f")

@@ -13,7 +13,7 @@ import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.jit import allocating, cached, jit
+from mavdiag.jit import allocating, cached, jit, summing
 from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence
 from mavdiag.monitors.columns import FORCE, LEVEL, RATE, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.fitting import Moments, of_each, traced
@@ -34,7 +34,6 @@ WINDOW_S = 0.5  # our choice: 83 revolutions at hover; 0.25 to 1 s find the same
 CLEAR = 3.0  # healthy standard deviations at which a shift counts half as evidence for a rotor (our choice)
 FULL_TURN = 0.5  # share of the power that the turning part must reach to count as fully turning (our choice)
 COLUMNS = 4  # products that are averaged
-TOGETHER = 128  # rows that are filtered at a time: they stay in the processor's nearest memory
 
 
 @spec
@@ -102,27 +101,28 @@ TICK, TICKS, SCALE, POWER, TURNING, COVARIANCE_X, COVARIANCE_Y, NOISE, TURNS, RO
 ROW, RUN, OF_TICK, SUMS, LAST_X, LAST_Y, MEAN = 0, 1, 2, 3, 7, 8, 9
 
 
+@summing
+def _convolve(taps: Floats, rows: Floats, out: Floats) -> None:
+    """Scalar products of the taps with as many rows, from each row on."""
+    for i in range(out.shape[0]):
+        found = 0.0
+        for k in range(taps.shape[0]):
+            found += taps[k] * rows[i + k]
+        out[i] = found
+
+
 @allocating
 def _filtered(par: Floats, mem: Floats, x: Floats) -> Floats:
-    """ax, ay and gz after the high-pass, (3, n). Each is a sum from the oldest row on, so that no cut changes a bit."""
-    n, length = x.shape[1], int(par[LENGTH])
-    taps, back = PATTERNS + 3 * int(par[ROTORS]), length - 1
+    """ax, ay and gz after the high-pass, (3, n)."""
+    n, length, back = x.shape[1], int(par[LENGTH]), int(par[LENGTH]) - 1
     at = MEAN + FRESH + 2 * COLUMNS + int(par[TICKS]) * COLUMNS
-    rows, out = np.empty(back + n), np.zeros((3, n))
+    first = PATTERNS + 3 * int(par[ROTORS])
+    taps, rows, out = par[first : first + length], np.empty(back + n), np.empty((3, n))
     for signal in range(3):
-        source = RATE + 2 if signal == 2 else FORCE + signal
-        for i in range(back):
-            rows[i] = mem[at + signal * back + i]
-        for i in range(n):
-            rows[back + i] = x[source, i]
-        for i in range(back):
-            mem[at + signal * back + i] = rows[n + i]
-        for first in range(0, n, TOGETHER):
-            stop = min(first + TOGETHER, n)
-            for k in range(length):
-                tap = par[taps + k]
-                for i in range(first, stop):
-                    out[signal, i] += tap * rows[i + k]
+        rows[:back] = mem[at + signal * back : at + (signal + 1) * back]
+        rows[back:] = x[RATE + 2 if signal == 2 else FORCE + signal]
+        mem[at + signal * back : at + (signal + 1) * back] = rows[n:]
+        _convolve(taps, rows, out[signal])
     return out
 
 
