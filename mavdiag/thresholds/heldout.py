@@ -4,7 +4,7 @@ With several flights each is scored by a fit to the others. A single flight is c
 there are as many, and each piece is scored by a fit to the rest. This is the only place that makes blocks.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple, Protocol, TypeAlias, overload
 
@@ -25,10 +25,6 @@ Flights: TypeAlias = Sequence[Sequence[Rows]]
 
 class Scored(Protocol):
     """What can be scored: a monitor."""
-
-    @property
-    def axis(self) -> Axis | None:
-        """The body axis that it is about."""
 
     def over(self, flight: Sequence[Rows]) -> Iterator[Statistic]:
         """Judge a whole flight."""
@@ -78,22 +74,6 @@ def pooled(parts: Iterable[Scores]) -> Scores:
     """Scores of several flights as one."""
     found = [Scores(np.empty(0), np.empty(0)), *parts]
     return Scores(np.concatenate([one.maxima for one in found]), np.concatenate([one.spans_s for one in found]))
-
-
-def held_out_scores(
-    flights: Flights,
-    fit: Callable[[Flights], Sequence[Scored]],
-    block_s: float = BLOCK_S,
-    sessions: Sequence[int] | None = None,
-) -> dict[Axis | None, Scores]:
-    """Scores of all flights by axis, each flight scored by a fit that did not see it. fit: the monitors of a fit.
-
-    sessions: the session of each flight; with two or more of them the fit has not seen the session either.
-
-    Raises IdentificationError if there is nothing to fit to or no block to score.
-    """
-    pairs = ((left_out, fit(rest)) for left_out, rest in folds(flights, block_s, sessions))
-    return by_axis((one.axis, score(one, flight, block_s)) for left, found in pairs for one in found for flight in left)
 
 
 def by_axis(parts: Iterable[tuple[Axis | None, Scores]]) -> dict[Axis | None, Scores]:
