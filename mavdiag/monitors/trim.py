@@ -289,8 +289,8 @@ def parts_of(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> lis
         for block in (rows.block for rows in segment):
             size, (trim, known) = tick_shape(block.dt_s)[1], trim_of(block, layout, source)
             known = known & np.isfinite(block.rate[:, 2])
-            each = np.column_stack((trim, tilt_of(block), np.nan_to_num(block.rate[:, 2]), known))
-            each = np.asarray(np.concatenate((rest, each)), dtype=np.float64)
+            fresh = np.column_stack((trim, tilt_of(block), np.nan_to_num(block.rate[:, 2]), known))
+            each = np.asarray(np.concatenate((rest, fresh)), dtype=np.float64)
             n = len(each) // size
             parts.append(each[: n * size].reshape(n, size, 7).mean(axis=1))
             rest = each[n * size :]

@@ -12,8 +12,8 @@ L lies beta ln(L/B) above that of a block of length B = 10 s, so a short block c
 The threshold is linear in the statistic: in its logarithm a tail as heavy as the budget is far would be allowed.
 The floor on beta is for few blocks: a handful of like maxima does not prove a thin tail; it fades as blocks come (its
 share 0.1, the 20 blocks and the other small-sample allowances are our choices, made on recorded healthy flights).
-Moments are used and not L-moments: for the Gumbel law with tens of blocks both scatter alike. A third parameter (GEV, or
-a generalised Pareto tail above a level) is not offered: tens of blocks do not show its shape.
+L-moments would scatter alike for the Gumbel law with tens of blocks. A third parameter (GEV, or a generalised Pareto
+tail above a level) is not offered: tens of blocks do not show its shape.
 
 **Its price.** A budget of 0.05 alarms an hour from a minute of flight is an extrapolation by ten beta, not evidence.
 What the flights themselves show is `demonstrated_per_hour`: T hours without an alarm exclude, at 95 %, only rates above

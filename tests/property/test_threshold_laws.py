@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from scipy.stats import chi2, norm, poisson
 
 from mavdiag.telemetry import FloatArray
+from mavdiag.thresholds.guard import Guard
 from mavdiag.thresholds.heldout import Scores
-from mavdiag.thresholds.rule import Guard, ThresholdRule, poisson_upper, threshold_of
+from mavdiag.thresholds.rule import ThresholdRule, poisson_upper, threshold_of
 
 maxima = st.lists(st.floats(0.01, 100.0), min_size=1, max_size=60).map(np.array)
 budgets = st.floats(1e-4, 100.0)

@@ -13,9 +13,9 @@ from mavdiag.errors import IdentificationError, UsageError
 from mavdiag.monitors.base import Rows
 from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
 from mavdiag.testing import example_context, example_rows, rows_between
+from mavdiag.thresholds.guard import Guard
 from mavdiag.thresholds.heldout import Flights, Scores, folds, score
 from mavdiag.thresholds.rule import (
-    Guard,
     Threshold,
     ThresholdRule,
     flights_for_guarantee,
