@@ -22,8 +22,7 @@ from mavdiag.identify import ArxModel, fit
 from mavdiag.learning import LearntFlight, airborne, front_for
 from mavdiag.logs import read_log
 from mavdiag.monitors.base import Rows
-from mavdiag.monitors.run_length import Residual, longest_runs, margin_of, residuals
-from mavdiag.monitors.training import training_pieces
+from mavdiag.monitors.run_length import Residual, longest_runs, margin_of, residuals, training_pieces
 from mavdiag.telemetry import Axis, FloatArray
 
 Residuals = Callable[[Sequence[Rows], Axis, ArxModel], list[Residual]]

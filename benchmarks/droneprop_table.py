@@ -32,8 +32,7 @@ from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearntFlight, airborne, front_for
 from mavdiag.logs import read_log
 from mavdiag.logs.dronepropa import FILTERED_PROFILE, PROFILE
-from mavdiag.monitors.run_length import Residual, longest_runs, margin_of, residuals
-from mavdiag.monitors.training import training_pieces
+from mavdiag.monitors.run_length import Residual, longest_runs, margin_of, residuals, training_pieces
 from mavdiag.telemetry import Axis, FloatArray
 
 __all__ = ["Line", "Name", "table_of"]

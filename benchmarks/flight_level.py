@@ -41,9 +41,7 @@ from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, airborne, learn
 from mavdiag.logs import read_log
 from mavdiag.monitors import monitor_of
-from mavdiag.monitors.base import segments
-from mavdiag.monitors.decimated import samples_of
-from mavdiag.monitors.model_residual import residuals_of
+from mavdiag.monitors.model_residual import residuals_of, samples_of
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Log
@@ -100,7 +98,7 @@ def bands(flight: Flown, baseline: Baseline, what: str) -> FloatArray:
         signals = [x[:, :4] for x in flight.blocks()]
         return powers(signals, 1 / flight.rows[0].block.dt_s, FIRST_HZ[what])
     motion = next(entry.spec.motion for entry in baseline.monitors if entry.spec.kind == "rotor_signature")
-    samples = (samples_of(segment, motion.stride, motion.window) for segment in segments(flight.rows))
+    samples = samples_of(flight.rows, motion.stride, motion.window)
     signals = [found.n[found.valid] for found in (residuals_of(motion, part) for part in samples)]
     return powers([np.concatenate(signals)], 1 / motion.period_s, FIRST_HZ[what])
 

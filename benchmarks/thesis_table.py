@@ -32,8 +32,7 @@ from rich.table import Table
 
 from mavdiag.identify import ArxModel, Method, fit
 from mavdiag.learning import LearntFlight, airborne, front_for
-from mavdiag.monitors.run_length import Residual, longest_runs, margin_of, residuals, runs
-from mavdiag.monitors.training import training_pieces
+from mavdiag.monitors.run_length import Residual, longest_runs, margin_of, residuals, runs, training_pieces
 from mavdiag.rows.windows import spans
 from mavdiag.telemetry import Axis, FloatArray, Signal
 from sitl_plant.plant import PlantConfig

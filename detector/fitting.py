@@ -41,7 +41,7 @@ def fit_baseline(job: FittingJob) -> Outcome:
     """Make a baseline here and now, as `mavdiag identify` does by default."""
     # Imported by the process that fits, not by the daemon: it brings the identification with it.
     from mavdiag.learning import LearnOptions, learn
-    from mavdiag.learning.damage import accepted
+    from mavdiag.learning.suspicions import accepted
 
     created = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
     log = Log(

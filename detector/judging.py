@@ -154,7 +154,7 @@ class _Sight:
 
     def _hidden(self) -> str:
         front = self._chain.front
-        telemetry = believed(front.align.quality, {}, joined([piece for _, piece in self._pieces]))[1]
+        telemetry = believed(front.align.quality, joined([piece for _, piece in self._pieces]))
         found = hidden_flight(telemetry, front.gate, self._spans)
         return found[-1].reason if found and self._pieces[-1][0] / NS_PER_S - found[-1].end_s < 1.0 else ""
 

@@ -27,7 +27,7 @@ from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.judging import LogVerdict
 from mavdiag.learning import LearnOptions
 from mavdiag.learning.flights import front_for, rows_of
-from mavdiag.monitors.training import MIN_PIECE_S, training_pieces
+from mavdiag.monitors.run_length import MIN_PIECE_S, training_pieces
 from mavdiag.telemetry import Axis, FloatArray, Log, Telemetry
 
 Source: TypeAlias = Log | str | Path  # a log, or where it is

@@ -45,14 +45,18 @@ def inline(function: Callable[P, R]) -> Callable[P, R]:
 def cached(function: Callable[P, R]) -> Callable[P, R]:
     """Compile on the first call and keep the machine code on disk, where there is a place for it.
 
-    A function that calls compiled ones of other files must close over `source_digest()`, so that a change of any of
-    them changes numba's cache key.
+    What it calls stands in files that were loaded before: their digest is a part of numba's cache key.
     """
     options: Any = {"error_model": "numpy"}
     try:
-        return cast(Callable[P, R], numba.njit(cache=True, **options)(function))
+        compiled: Any = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # nowhere to keep it
         return cast(Callable[P, R], numba.njit(**options)(function))
+    if hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT=1
+        kept, digest = compiled._cache, source_digest()  # noqa: SLF001  # numba has no other way in
+        own_key = kept._index_key  # noqa: SLF001
+        kept._index_key = lambda *asked: (*own_key(*asked), digest)  # noqa: SLF001
+    return cast(Callable[P, R], compiled)
 
 
 def cached_loop(function: Callable[P, R]) -> Callable[P, R]:

@@ -10,11 +10,9 @@ import os
 import stat
 import tempfile
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, Self, TypeAlias
 
 import numpy as np
@@ -28,6 +26,7 @@ TOML_BYTES = 32 << 10  # the longest of ours has 7 kB; tomllib takes seconds for
 TEXT_BYTES = 8 << 20  # baselines have some hundred kilobytes (our choice)
 SHELF_BYTES = 32 << 20  # of arrays that a shelf keeps in memory before it opens its file (our choice)
 ALIGN_BYTES = 64  # of an array in that file
+FEW = 100  # rows that are looked at before all of them
 
 
 @contextmanager
@@ -160,40 +159,6 @@ def _is_at(handle: int, path: Path) -> bool:
         return False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Place:
-    """Where an array is in a mapped span of a file [bytes], and what it is."""
-
-    first: int
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Kept:
-    """Arrays that a shelf keeps: `get` gives them, read-only, as often as it is asked, while the shelf is open.
-
-    arrays: in memory; None if they are in the file, from `offset` on, `length` bytes.
-    """
-
-    arrays: Arrays | None
-    file: BinaryIO | None = None
-    offset: int = 0
-    length: int = 0
-    places: tuple[_Place, ...] = ()
-
-    def get(self) -> Arrays:
-        """The arrays. Those in the file take memory where they are touched, until the last of them is dropped."""
-        if self.arrays is not None or self.file is None:
-            return self.arrays or ()
-        if self.length == 0:
-            return tuple(np.empty(one.shape, dtype=one.dtype) for one in self.places)
-        data = mmap.mmap(self.file.fileno(), self.length, offset=self.offset, access=mmap.ACCESS_READ)
-        return tuple(
-            np.frombuffer(data, one.dtype, math.prod(one.shape), one.first).reshape(one.shape) for one in self.places
-        )
-
-
 class Shelf:
     """Puts arrays aside: the first `most_bytes` in memory (None: 32 MB), all others in a file of the temporary folder.
 
@@ -207,7 +172,7 @@ class Shelf:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -216,12 +181,16 @@ class Shelf:
             self._file.close()
             self._file = None
 
-    def put(self, arrays: Sequence[NDArray[Any]]) -> Kept:
-        """Keep these arrays; the same array twice takes one place. Raises UsageError if the disk is full."""
+    def put(self, arrays: Sequence[NDArray[Any]]) -> Callable[[], Arrays]:
+        """Keep these arrays. What is returned gives them, read-only, as often as it is called while the shelf is open.
+
+        Those in the file take memory where they are touched, until the last of them is dropped. An array whose rows are
+        all alike takes the place of one. Raises UsageError if the disk is full.
+        """
         size = sum(one.nbytes for one in arrays)
         if size <= self._left:
             self._left -= size
-            return Kept(tuple(arrays))
+            return lambda: tuple(arrays)
         self._left = 0
         try:
             return self._written(arrays)
@@ -232,28 +201,40 @@ class Shelf:
                 "with more"
             ) from error
 
-    def _written(self, arrays: Sequence[NDArray[Any]]) -> Kept:
-        if self._file is None:
-            self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # open as long as the shelf is
-        start = self._end
-        places: dict[int, _Place] = {}
-        for one in arrays:
-            if id(one) not in places:
-                places[id(one)] = _Place(self._end - start, one.shape, one.dtype)
-                self._write(np.ascontiguousarray(one).reshape(-1).view(np.uint8).data)
-                self._pad(ALIGN_BYTES)
-        kept = Kept(None, self._file, start, self._end - start, tuple(places[id(one)] for one in arrays))
-        self._pad(mmap.ALLOCATIONGRANULARITY)
-        return kept
+    def _written(self, arrays: Sequence[NDArray[Any]]) -> Callable[[], Arrays]:
+        file = self._file = self._file or tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # as long as the shelf is
+        start, rows = self._end, [one[: len(one) if _varies(one) else 1].copy(order="K") for one in arrays]
+        places = []
+        for row in rows:
+            places.append(self._end - start)
+            self._write(file, np.ascontiguousarray(row.T).reshape(-1).view(np.uint8).data)  # column by column
+            self._write(file, memoryview(bytes(-self._end % ALIGN_BYTES)))
+        length = self._end - start
+        self._write(file, memoryview(bytes(-self._end % mmap.ALLOCATIONGRANULARITY)))
+        kept = [(at, row.shape, row.dtype, one.shape) for at, row, one in zip(places, rows, arrays, strict=True)]
 
-    def _pad(self, multiple: int) -> None:
-        """Fill up to the next multiple."""
-        if missing := -self._end % multiple:
-            self._write(memoryview(bytes(missing)))
+        def get() -> Arrays:
+            data = mmap.mmap(file.fileno(), length, offset=start, access=mmap.ACCESS_READ) if length else b""
+            return tuple(
+                np.broadcast_to(np.frombuffer(data, dtype, math.prod(shape), at).reshape(shape[::-1]).T, whole)
+                if math.prod(shape)
+                else np.empty(whole, dtype)
+                for at, shape, dtype, whole in kept
+            )
 
-    def _write(self, data: memoryview) -> None:
-        """Write all of it: the system may take less at once."""
-        while len(data) and self._file is not None:
-            count = self._file.write(data)
+        return get
+
+    def _write(self, file: BinaryIO, data: memoryview) -> None:
+        while len(data):  # the system may take less at once
+            count = file.write(data)
             self._end += count
             data = data[count:]
+
+
+def _varies(array: NDArray[Any]) -> bool:
+    few = array[:: len(array) // FEW or 1]
+    return not (_alike(few) and _alike(array))
+
+
+def _alike(rows: NDArray[Any]) -> bool:
+    return np.array_equal(rows, np.broadcast_to(rows[:1], rows.shape), equal_nan=rows.dtype.kind == "f")

@@ -1,6 +1,15 @@
-"""Baselines of the made vehicles, learnt once."""
+"""Baselines of the made vehicles, learnt once: kept on disk by the digest of what made them.
 
+What `kept` gives is right after any change, for its name in the cache holds all sources of the product and of the made
+flights, and the versions of what computes. Call it with a key that tells the flights and options.
+"""
+
+import hashlib
+import platform
+from collections.abc import Callable
 from functools import cache
+from importlib.metadata import version
+from pathlib import Path
 
 from flying_telemetry import flying
 from made_telemetry import flight
@@ -35,19 +44,47 @@ def plain(count: int, n: int = 8000) -> list[Log]:
     return [Log(f"flight{i}", f"{i:064x}", "qdrone2", flight(n, seed=100 + i)) for i in range(count)]
 
 
+ROOT = Path(__file__).resolve().parents[1]
+KEPT = ROOT / ".cache" / "baselines"
+
+
+@cache
+def _sources() -> str:
+    """Digest of what a baseline of made flights depends on."""
+    digest = hashlib.sha256(" ".join([platform.python_version(), *map(version, ("numpy", "numba", "scipy"))]).encode())
+    made = [ROOT / "tests" / f"{name}.py" for name in ("flying_telemetry", "made_telemetry", "made_baselines")]
+    packages = [path for name in ("mavdiag", "sitl_plant") for path in (ROOT / name).rglob("*.*")]
+    for path in sorted(path for path in (*made, *packages) if path.suffix in (".py", ".toml", ".json")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def kept(key: str, make: Callable[[], Baseline]) -> Baseline:
+    """What `make` learns, once for all test runs. key: of what it depends on beside the sources."""
+    path = KEPT / f"{hashlib.sha256(f'{key} {_sources()}'.encode()).hexdigest()}.json"
+    if path.exists():
+        return Baseline.load(path)
+    made = make()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    made.save(path)
+    return made
+
+
 @cache
 def whole() -> Baseline:
     """All monitors that can work on `flying`."""
-    return learn(healthy(3), LearnOptions(airframe=FRAME), created=NOW)
+    return kept("whole", lambda: learn(healthy(3), LearnOptions(airframe=FRAME), created=NOW))
 
 
 @cache
 def trim() -> Baseline:
     """The trim monitor alone."""
-    return learn(healthy(2), LearnOptions(airframe=FRAME, monitors=("rotor_trim",)), created=NOW)
+    options = LearnOptions(airframe=FRAME, monitors=("rotor_trim",))
+    return kept("trim", lambda: learn(healthy(2), options, created=NOW))
 
 
 @cache
 def thesis() -> Baseline:
     """The thesis's monitor alone, roll and pitch."""
-    return learn(plain(3), thesis_options(Airframe(gate=ALWAYS), BOTH), created=NOW)
+    options = thesis_options(Airframe(gate=ALWAYS), BOTH)
+    return kept("thesis", lambda: learn(plain(3), options, created=NOW))

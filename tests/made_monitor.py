@@ -1,24 +1,22 @@
 """A monitor that the project does not have: what a new one must bring, and no more."""
 
-import dataclasses
 import math
-from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.jit import cached, source_digest
-from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary
-from mavdiag.monitors.columns import FORCE, LEVEL, SIGNAL, SOUND, VALID, VALUE, Kernel
-from mavdiag.rows.front import Rows
+from mavdiag.jit import cached
+from mavdiag.monitors.base import Flights, LearnContext, Monitor
+from mavdiag.monitors.columns import FORCE, LEVEL, SIGNAL, SOUND, VALID, VALUE, Floats, Ints
+from mavdiag.monitors.spec import spec
 from mavdiag.rows.running import FRESH, mean_size, push, total
-from mavdiag.telemetry import FloatArray, IntArray, Signal
+from mavdiag.telemetry import FloatArray, Signal
 
 WINDOW = 100
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
+@spec
 class HeightSpec:
     """Healthy mean acceleration."""
 
@@ -26,30 +24,18 @@ class HeightSpec:
     mean: float = 0.0
 
 
-def _compiled(digest: int) -> Kernel:
-    @cached
-    def run(
-        par: FloatArray,
-        mem: FloatArray,
-        x: FloatArray,
-        flags: FloatArray,
-        lag: int,
-        out: FloatArray,
-        rotors: FloatArray,
-        at: IntArray,
-    ) -> int:
-        """The mean's distance from the healthy one at each row."""
-        for i in range(x.shape[1] if digest else 0):
-            known = flags[VALID, i] > 0.5
-            for axis in range(3):
-                known = known and math.isfinite(x[FORCE + axis, i])
-            mem[FRESH] = x[FORCE + 2, i]
-            out[SOUND, i] = push(mem, 0, WINDOW, 1, known)
-            out[VALUE, i] = out[LEVEL, i] = out[SIGNAL, i] = abs(total(mem, 0, 1, 0) / WINDOW - par[0])
-            at[i] = i
-        return len(at)
-
-    return run
+@cached
+def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+    """The mean's distance from the healthy one at each row."""
+    for i in range(x.shape[1]):
+        known = flags[VALID, i] > 0.5
+        for axis in range(3):
+            known = known and math.isfinite(x[FORCE + axis, i])
+        mem[FRESH] = x[FORCE + 2, i]
+        out[SOUND, i] = push(mem, 0, WINDOW, 1, known)
+        out[VALUE, i] = out[LEVEL, i] = out[SIGNAL, i] = abs(total(mem, 0, 1, 0) / WINDOW - par[0])
+        at[i] = i
+    return len(at)
 
 
 class MadeUp(Monitor[HeightSpec]):
@@ -66,21 +52,16 @@ class MadeUp(Monitor[HeightSpec]):
     needs = frozenset({Signal.SPECIFIC_FORCE})
     spec_type = HeightSpec
     unit = "m/s^2"
-    run = staticmethod(_compiled(source_digest()))
+    run = staticmethod(run)
 
     @classmethod
-    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
-        """How many rows there are, and their sum."""
-        down = [rows.block.force[rows.block.known(Signal.SPECIFIC_FORCE), 2] for rows in flight]
-        return (np.array([sum(map(len, down)), sum(float(one.sum()) for one in down)]),)
-
-    @classmethod
-    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[HeightSpec, ...]:
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[HeightSpec, ...]:
         """The mean of all rows."""
-        count, total_ = np.sum([found for (found,) in summaries], axis=0).tolist()
-        if not count:
+        blocks = [rows.block for flight in flights for rows in flight]
+        down = np.concatenate([block.force[block.known(Signal.SPECIFIC_FORCE), 2] for block in blocks])
+        if not len(down):
             raise InputError("no accelerometer")
-        return (HeightSpec(mean=total_ / count),)
+        return (HeightSpec(mean=float(down.mean())),)
 
     def parameters(self, dt_s: float) -> FloatArray:
         """The healthy mean."""

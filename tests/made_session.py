@@ -13,8 +13,7 @@ from detector.states import State
 from detector.values import Effect, Inbox, LearningFailed, SendText, SessionSpec, StateChanged
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
-from mavdiag.baseline import Baseline, sealed
-from mavdiag.baseline_parts import Link, MonitorEntry, Provenance, SourceLog, Window
+from mavdiag.baseline import Baseline, Link, MonitorEntry, Provenance, SourceLog, Window, sealed
 from mavdiag.identify import Method
 from mavdiag.identify.model import ModelRecord
 from mavdiag.link.profiles import PROFILES

@@ -1,10 +1,23 @@
 """A monitor fitted to healthy flights, with the threshold that learning would give it."""
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from mavdiag.monitors.base import Flights, LearnContext, Monitor
-from mavdiag.thresholds.heldout import held_out_scores
+from mavdiag.telemetry import Axis
+from mavdiag.thresholds.heldout import BLOCK_S, Scores, by_axis, folds, score
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, Threshold, threshold_of
+
+
+def held_out_scores(
+    flights: Flights,
+    fit: Callable[[Flights], Sequence[Monitor[Any]]],
+    block_s: float = BLOCK_S,
+    sessions: Sequence[int] | None = None,
+) -> dict[Axis | None, Scores]:
+    """Scores of all flights by axis, each flight scored by a fit that did not see it. fit: the monitors of a fit."""
+    pairs = ((left_out, fit(rest)) for left_out, rest in folds(flights, block_s, sessions))
+    return by_axis((one.axis, score(one, flight, block_s)) for left, found in pairs for one in found for flight in left)
 
 
 def calibrated(

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from unittest.mock import patch
 
+from made_baselines import kept
 from made_vehicle import TICK_S, Bench
 
 from mavdiag.airframe.load import airframe_named
@@ -122,4 +123,5 @@ def healthy_flights(
 
 def learnt(logs: Sequence[Log]) -> Baseline:
     """A baseline of the emulated vehicle."""
-    return learn(list(logs), LearnOptions(airframe=airframe_named("qdrone2")), created=CREATED)
+    options = LearnOptions(airframe=airframe_named("qdrone2"))
+    return kept(" ".join(log.sha256 for log in logs), lambda: learn(list(logs), options, created=CREATED))

@@ -12,8 +12,8 @@ from mavdiag.commandline import say
 from mavdiag.commands import options as opt
 from mavdiag.commands.progress import each, followed
 from mavdiag.face import now
-from mavdiag.learning.damage import accepted
 from mavdiag.learning.extend import extend as extended
+from mavdiag.learning.suspicions import accepted
 from mavdiag.logs.part import read_part
 from mavdiag.storage import check_output
 

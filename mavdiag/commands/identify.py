@@ -17,7 +17,7 @@ from mavdiag.commands.progress import each, followed, sizes_of
 from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
-from mavdiag.learning.damage import accepted
+from mavdiag.learning.suspicions import accepted
 from mavdiag.logs.part import read_part
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.storage import check_output

@@ -6,29 +6,25 @@ hover tells what these are now, and the old flights still tell how much they var
 """
 
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 
 from mavdiag.airframe.fingerprint import Fingerprint, Outcome, compare, fingerprint_of, merged
-from mavdiag.baseline import SESSION_GAP_NS, Baseline, check_link, sealed
-from mavdiag.baseline_parts import HealthyScores, MonitorEntry
+from mavdiag.baseline import SESSION_GAP_NS, Baseline, HealthyScores, MonitorEntry, check_link, sealed
 from mavdiag.chain import front_of
 from mavdiag.errors import InputError
-from mavdiag.learning.flights import LearntFlight, airborne_of, sessions_of
-from mavdiag.learning.guards import repeated_of, upsets
-from mavdiag.learning.held import HeldLog, held
+from mavdiag.learning.flights import HeldLog, LearntFlight, airborne, hold, sessions_of
+from mavdiag.learning.guards import upsets
 from mavdiag.learning.learn import assessed, plain_scores, sources
+from mavdiag.learning.repeats import repeated
 from mavdiag.learning.teaching import refuse
-from mavdiag.monitors import by_name, monitor_of
+from mavdiag.monitors import monitor_of
 from mavdiag.monitors.base import Flights, LearnContext
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Log
 from mavdiag.thresholds.envelope import Covered, covered_by
 from mavdiag.thresholds.heldout import Scores, folds, pooled, score
 from mavdiag.thresholds.rule import threshold_of
-
-__all__ = ["extend"]
 
 
 def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool = False, created: str) -> Baseline:
@@ -42,7 +38,7 @@ def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool =
     short for a monitor.
     """
     with Shelf() as shelf:
-        return _extended(baseline, [held(flight, shelf) for flight in flights], shelf, new_propellers, created)
+        return _extended(baseline, [hold(flight, shelf) for flight in flights], shelf, new_propellers, created)
 
 
 def _extended(
@@ -51,31 +47,32 @@ def _extended(
     if not flights:
         raise InputError("no healthy flight to add; name one or more logs")
     _check(baseline, flights)
-    front = front_of(baseline)
-    learnt = [airborne_of(front, flight, shelf) for flight in flights]
+    front, known = front_of(baseline), baseline.fingerprint
+    learnt = [airborne(front, flight, shelf) for flight in flights]
     refuse(upsets(learnt))
-    if baseline.fingerprint is not None and not new_propellers:
-        _check_vehicle(baseline, baseline.fingerprint, learnt)
-    old = baseline.provenance.logs
-    propellers = max(one.propellers for one in old) + new_propellers
-    sessions = _sessions(baseline, [flight.label for flight in flights])
-    known, rows = {one.session for one in old}, [one.rows for one in learnt]
+    if known is not None and not new_propellers:
+        _check_vehicle(baseline, known, learnt)
+    old, rows = baseline.provenance.logs, [flight.rows for flight in learnt]
+    propellers = baseline.propellers + new_propellers
+    sessions, before = _sessions(baseline, [flight.label for flight in flights]), {log.session for log in old}
     entries = []
     for entry in baseline.monitors:
-        same_set = sum(one.propellers == propellers for one in old) + len(learnt)
-        moved, fresh = _moved(baseline, entry, rows) if new_propellers else (entry, _scores(entry.spec, rows))
-        grown = _grown(moved, fresh, len(known | set(sessions)), same_set)
-        spec = grown.spec if new_propellers else monitor_of(grown.spec).extended(rows, len(known))
+        moved, fresh = (_moved if new_propellers else _same)(baseline, entry, rows)
+        same_set = sum(log.propellers == propellers for log in old) + len(learnt)
+        grown = _grown(moved, fresh, len(before | set(sessions)), same_set)
+        spec = grown.spec if new_propellers else monitor_of(grown.spec).extended(rows, len(before))
         entries.append(grown.model_copy(update={"spec": spec}))
-    envelope = _joined(baseline.envelope, covered_by(one.rows for one in learnt))
-    logs = (*old, *sources(learnt, sessions, propellers))
+    fresh_print = fingerprint_of(rows, baseline.airframe.layout)
     longer = baseline.model_copy(
         update={
             "monitors": tuple(entries),
-            "envelope": envelope,
-            "fingerprint": _fingerprint(baseline, learnt, new_propellers),
-            "healthy_hours": baseline.healthy_hours + sum(one.judged_s for one in learnt) / 3600,
-            "provenance": baseline.provenance.model_copy(update={"logs": logs, "created": created}),
+            "envelope": _joined(baseline.envelope, covered_by(rows)),
+            # new propellers have a trim and noise of their own
+            "fingerprint": fresh_print if new_propellers or known is None else merged(known, fresh_print),
+            "healthy_hours": baseline.healthy_hours + sum(flight.judged_s for flight in learnt) / 3600,
+            "provenance": baseline.provenance.model_copy(
+                update={"logs": (*old, *sources(learnt, sessions, propellers)), "created": created}
+            ),
         }
     )
     return sealed(assessed(longer, learnt))
@@ -86,8 +83,8 @@ def _check(baseline: Baseline, flights: Sequence[HeldLog]) -> None:
     for flight in flights:
         if flight.label.sha256 in known:
             raise InputError(f"{flight.label.name}: is in the baseline already; leave it out")
-        check_link(baseline, profile=flight.label.profile, dt_s=flight.measure.dt_s)
-    refuse(repeated_of(flights))
+        check_link(baseline, profile=flight.label.profile, dt_s=flight.dt_s)
+    refuse(repeated(flights))
     if any(entry.scores is None for entry in baseline.monitors):
         raise InputError("the baseline is of an older schema and holds no scores; make it anew with `mavdiag identify`")
 
@@ -104,11 +101,6 @@ def _sessions(baseline: Baseline, flights: Sequence[Log]) -> list[int]:
     return numbers
 
 
-def _scores(spec: Any, flights: Flights) -> list[Scores]:
-    """Of flights that the fit has not seen."""
-    return [score(monitor_of(spec), flight) for flight in flights]
-
-
 def _grown(entry: MonitorEntry, fresh: Sequence[Scores], sessions: int, flights: int) -> MonitorEntry:
     """The entry with the new flights' scores, and the threshold of all. flights: with the present propellers."""
     if entry.scores is None:
@@ -119,10 +111,15 @@ def _grown(entry: MonitorEntry, fresh: Sequence[Scores], sessions: int, flights:
         flights=flights,
         sessions=sessions,
         budget_per_hour=entry.threshold.budget_per_hour,
-        guard=by_name(entry.spec.kind).guard,
+        guard=monitor_of(entry.spec).guard,
         rule=entry.threshold.rule,
     )
     return MonitorEntry(spec=entry.spec, threshold=threshold, scores=plain_scores(scores))
+
+
+def _same(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> tuple[MonitorEntry, list[Scores]]:
+    """The entry, and the scores of flights that its fit has not seen."""
+    return entry, [score(monitor_of(entry.spec), flight) for flight in flights]
 
 
 def _moved(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> tuple[MonitorEntry, list[Scores]]:
@@ -134,12 +131,11 @@ def _moved(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> tuple[M
         return entry, []
     airframe = baseline.airframe
     context = LearnContext(airframe, airframe.imu_corner_hz, baseline.link.dt_s, baseline.window.samples)
-    monitor = monitor_of(entry.spec)
+    monitor, fresh = monitor_of(entry.spec), list[Scores]()
     spec, ratio = monitor.renewed(flights, context)
-    fresh = []
     for left_out, rest in folds(flights):
         held_out = spec if spec == entry.spec else monitor.renewed(rest, context)[0]
-        fresh += _scores(held_out, left_out)
+        fresh += [score(monitor_of(held_out), flight) for flight in left_out]
     scores = HealthyScores(maxima=tuple(ratio * x for x in entry.scores.maxima), spans_s=entry.scores.spans_s)
     return entry.model_copy(update={"spec": spec, "scores": scores}), fresh
 
@@ -150,12 +146,6 @@ def _check_vehicle(baseline: Baseline, known: Fingerprint, flights: Sequence[Lea
         likeness = compare(known, one.rows, baseline.airframe.layout)
         if likeness.outcome is Outcome.FAR:
             raise InputError(f"{one.label.name}: another vehicle: {likeness.sentence(baseline.airframe.name)}")
-
-
-def _fingerprint(baseline: Baseline, flights: Sequence[LearntFlight], new_propellers: bool) -> Fingerprint | None:
-    """That of all flights; new propellers have a trim and noise of their own."""
-    fresh = fingerprint_of([one.rows for one in flights], baseline.airframe.layout)
-    return fresh if new_propellers or baseline.fingerprint is None else merged(baseline.fingerprint, fresh)
 
 
 def _joined(one: Sequence[Covered], other: Sequence[Covered]) -> tuple[Covered, ...]:

@@ -1,39 +1,141 @@
-"""Healthy flights before anything is learnt: the link they came over, and their rows of flight."""
+"""Healthy flights before anything is learnt: the link they came over, and their rows of flight.
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+Their signals and rows are put on a shelf, which is a file if they are many, so that of many flights one is in memory at
+a time. A flight is read once; its rows are looked at several times (guards, fits, scores), mapped anew for each look.
+"""
+
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, overload
 
 import numpy as np
 
 from mavdiag.baseline import SESSION_GAP_NS
 from mavdiag.errors import InputError
-from mavdiag.learning.held import HeldLog, HeldRows, of_memory
 from mavdiag.logs import gate_for
-from mavdiag.rows.align import AlignSpec, Grid
+from mavdiag.monitors.fitting import Remembering
+from mavdiag.rows.align import USED, AlignSpec, Grid, measure_grid
+from mavdiag.rows.block import COLUMNS, Block
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import Border, GateSpec, shake
-from mavdiag.rows.rates import RateSpec
+from mavdiag.rows.outputs import in_rotor_order
+from mavdiag.rows.rates import RateBlock, RateSpec
 from mavdiag.rows.savgol import window_samples
 from mavdiag.rows.tolerance import rate_tolerance
-from mavdiag.storage import Shelf
-from mavdiag.telemetry import IntArray, Log, Signal, Telemetry
+from mavdiag.storage import Arrays, Shelf
+from mavdiag.telemetry import Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
-
-__all__ = [
-    "LearntFlight",
-    "airborne",
-    "airborne_of",
-    "front_for",
-    "front_of_held",
-    "odd_rate",
-    "rows_of",
-    "sessions_of",
-]
 
 MIN_FLIGHT_S = 2.0  # less airborne flight than this teaches nothing (our choice)
 MAX_GAP_S = 0.035  # METHOD section 4: gaps up to 35 ms may be interpolated
 SHAKE_SHARE = 0.2  # of the usual noise of the gyro in flight; at rest it has a fiftieth (our choice)
 SLOW_SETPOINT_PERIODS = 2.5  # a set-point stream slower than the gyro has gaps by nature (our choice)
+PIECE_ROWS = 60_000  # that are made and looked at together (our choice: 20 MB)
+IN_MEMORY = 1 << 62  # bytes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldLog:
+    """A log whose signals are aside.
+
+    label: the log without its signals.
+    dt_s, grid: mean gyro period [s], and how rows are placed.
+    setpoint_s: median period of its set-points [s]; 0 without any.
+    signals, get: which signals they are, and their times and values.
+    """
+
+    label: Log
+    dt_s: float
+    grid: Grid
+    setpoint_s: float
+    signals: tuple[Signal, ...]
+    get: Callable[[], Arrays]
+
+    def open(self) -> Log:
+        """The log with its signals. The recorder's clock is not kept; the vehicle's stands for it."""
+        arrays = self.get()
+        pairs = zip(self.signals, arrays[::2], arrays[1::2], strict=True)
+        return replace(self.label, telemetry=Telemetry(tuple(Series(one, t, t, values) for one, t, values in pairs)))
+
+    def without(self, from_s: float | None, to_s: float | None, shelf: Shelf) -> "HeldLog":
+        """The log without what lies between two times [s of the vehicle's clock]; None for its start or its end."""
+        low, high, parts = -np.inf if from_s is None else from_s, np.inf if to_s is None else to_s, []
+        for series in self.open().telemetry.series:
+            t_s = series.t_ns / NS_PER_S
+            kept = (t_s < low) | (t_s >= high)
+            parts += [series.t_ns[kept], series.values[kept]]
+        return replace(self, get=shelf.put(parts))
+
+
+def hold(log: Log | HeldLog, shelf: Shelf) -> HeldLog:
+    """The log, its signals put aside. Raises InputError, naming it, if it lacks the gyro."""
+    if isinstance(log, HeldLog):
+        return log
+    try:
+        dt_s, grid = measure_grid(log.telemetry)
+    except InputError as error:
+        raise InputError(f"{log.name}: {error}") from error
+    used = [one for one in log.telemetry.series if one.signal in USED]
+    setpoints = [np.diff(np.unique(one.t_ns)) for one in used if one.signal is Signal.ATTITUDE_SETPOINT]
+    setpoint_s = float(np.median(setpoints[0])) / NS_PER_S if setpoints and len(setpoints[0]) else 0.0
+    get = shelf.put([array for one in used for array in (one.t_ns, one.values)])
+    label = replace(log, telemetry=Telemetry())
+    return HeldLog(label, dt_s, grid, setpoint_s, tuple(one.signal for one in used), get)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Chunk:
+    """Rows on a shelf: segment and period, and the arrays of their block and rates."""
+
+    segment: int
+    dt_s: float
+    get: Callable[[], Arrays]
+
+    @classmethod
+    def of(cls, rows: Rows, shelf: Shelf) -> "_Chunk":
+        arrays = [getattr(rows.block, name) for name in COLUMNS]
+        arrays += [getattr(rows.rates, column.name) for column in fields(RateBlock)[2:]]
+        return cls(rows.block.segment, rows.block.dt_s, shelf.put(arrays))
+
+    def rows(self, outputs: tuple[int, ...] | None) -> Rows:
+        arrays = self.get()
+        block = Block(self.segment, self.dt_s, *arrays[: len(COLUMNS)])
+        return Rows(in_rotor_order(block, outputs), RateBlock(self.segment, self.dt_s, *arrays[len(COLUMNS) :]))
+
+
+class HeldRows(Remembering):
+    """The rows of a flight on a shelf. Each look gives new ones, that take memory only as long as they are held.
+
+    outputs: the output, from 1, that drives each rotor; None where the rows have them in order as they come.
+    """
+
+    def __init__(self, chunks: tuple[_Chunk, ...], outputs: tuple[int, ...] | None = None) -> None:
+        self._chunks, self._outputs = chunks, outputs
+        self._answers: dict[Hashable, Any] = {}
+
+    def by_rotor(self, outputs: tuple[int, ...]) -> "HeldRows":
+        """The same rows, their outputs in the order of the rotors."""
+        return HeldRows(self._chunks, outputs)
+
+    def once(self, key: Hashable, find: Callable[[Sequence[Rows]], Any]) -> Any:
+        """What `find` gives of this flight, and the same for the same key later on."""
+        if key not in self._answers:
+            self._answers[key] = find(self)
+        return self._answers[key]
+
+    def __len__(self) -> int:
+        return len(self._chunks)
+
+    @overload
+    def __getitem__(self, at: int) -> Rows: ...
+
+    @overload
+    def __getitem__(self, at: slice) -> Sequence[Rows]: ...
+
+    def __getitem__(self, at: int | slice) -> Rows | Sequence[Rows]:
+        if isinstance(at, slice):
+            return HeldRows(self._chunks[at], self._outputs)
+        return self._chunks[at].rows(self._outputs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +143,7 @@ class LearntFlight:
     """A flight, its rows of flying in order, and how long of them may be judged [s]."""
 
     held: HeldLog
-    rows: Sequence[Rows]
+    rows: HeldRows
     judged_s: float
 
     @property
@@ -66,89 +168,80 @@ class LearntFlight:
         return list(spans.values())
 
 
-def front_for(flights: Iterable[Log], window_s: float, gate: GateSpec | None = None) -> Front:
-    """The front that suits all the flights. gate: what counts as flying, None for what their profile has.
+def airborne(front: Front, flight: Log | HeldLog, shelf: Shelf | None = None) -> LearntFlight:
+    """The flying part of a flight, put aside, without a shelf in memory.
 
-    Raises InputError, naming the flight, if one lacks the gyro or comes over another kind of link or at another rate.
+    Raises InputError, naming it, if there is hardly any.
     """
-    return front_of_held([of_memory(flight) for flight in flights], window_s, gate)
+    shelf = shelf or Shelf(IN_MEMORY)
+    held, chunks, judged = hold(flight, shelf), [], 0
+    for rows in _pieces(front, held.open().telemetry):
+        judged += int(np.count_nonzero(rows.rates.valid))
+        chunks.append(_Chunk.of(rows, shelf))
+    judged_s = judged * front.align.dt_s
+    if judged_s < MIN_FLIGHT_S:
+        never = "" if judged_s else " (never armed, or no thrust)"
+        raise InputError(f"{held.label.name}: only {judged_s:.1f} s of airborne flight{never}, too short to learn from")
+    return LearntFlight(held, HeldRows(tuple(chunks)), judged_s)
 
 
-def front_of_held(flights: Sequence[HeldLog], window_s: float, gate: GateSpec | None = None) -> Front:
-    """As `front_for`, for flights that were measured when they were put aside."""
-    profiles = sorted({flight.label.profile for flight in flights})
-    if len(profiles) != 1:
-        raise InputError(f"the flights come over different links ({', '.join(profiles)}); learn from one kind")
-    dt_s, grid, odd = _common_grid(flights, window_s)
-    if odd is not None:
-        raise InputError(f"{odd[1]}; learn from flights of one rate, or leave this log out with --robust")
-    align = AlignSpec(dt_s, grid, max_gap_s=_gap_limit(flights))
-    front = Front(align, gate or gate_for(profiles[0]), RateSpec.of(dt_s, window_samples(dt_s, window_s)))
-    silent = [flight for flight in flights if Signal.THRUST_SETPOINT not in flight.signals]
-    if front.gate.min_thrust is None or len(silent) < len(flights):
-        return front
-    return replace(front, gate=replace(front.gate, least_shake=_least_shake(front, silent)))
-
-
-def _least_shake(front: Front, flights: Sequence[HeldLog]) -> float | None:
-    """What a gyro shakes in flight at least, where no thrust tells flight from ground [rad/s].
-
-    A fifth of what it does for most of the calmest flight: the motors' vibration makes tens of the noise at rest.
-    """
-    levels = []
-    for flight in flights:
-        noise = [shake(rows.block.rate, front.align.dt_s) for rows in rows_of(front, flight.open().telemetry)]
-        found = np.concatenate([np.empty(0), *noise])
-        levels += [float(np.quantile(found, 0.75))] if len(found) else []
-    return min(levels, default=0.0) * SHAKE_SHARE or None
-
-
-def odd_rate(flights: Sequence[HeldLog], window_s: float) -> tuple[int, str] | None:
-    """Number of the flight whose gyro rate differs most from the others', and a sentence; None if a model bears all."""
-    return _common_grid(flights, window_s)[2]
-
-
-def _common_grid(flights: Sequence[HeldLog], window_s: float) -> tuple[float, Grid, tuple[int, str] | None]:
-    """Median of the flights' mean gyro periods [s], the grid that suits all, and the flight that it does not suit."""
-    native = all(flight.measure.grid is Grid.NATIVE for flight in flights)
-    grid = Grid.NATIVE if native else Grid.RESAMPLED
-    periods = np.array([flight.measure.dt_s for flight in flights])
-    dt_s = float(np.median(periods))
-    apart = np.abs(periods / dt_s - 1)
-    tolerance, odd = rate_tolerance(grid, dt_s, window_s), int(apart.argmax())
-    if apart[odd] <= tolerance:
-        return dt_s, grid, None
-    text = (
-        f"{flights[odd].label.name} has a gyro rate of {1 / periods[odd]:.1f} Hz, the others have {1 / dt_s:.1f} Hz, "
-        f"more than {100 * tolerance:.0f} % apart"
-    )
-    return dt_s, grid, (odd, text)
+def _pieces(front: Front, telemetry: Telemetry) -> Iterable[Rows]:
+    parts = front.pieces(front.align.believed(telemetry), PIECE_ROWS)
+    return (part for part in parts if not isinstance(part, Border))
 
 
 def rows_of(front: Front, telemetry: Telemetry) -> tuple[Rows, ...]:
     """All rows of a whole flight."""
-    return tuple(part for part in front.whole(telemetry) if not isinstance(part, Border))
+    return tuple(_pieces(front, telemetry))
 
 
-def airborne(front: Front, flight: Log) -> LearntFlight:
-    """The flying part of a flight, in memory. Raises InputError, naming it, if there is hardly any."""
-    rows = rows_of(front, flight.telemetry)
-    return LearntFlight(of_memory(flight), rows, _judged_s(front, flight, rows))
+def front_for(flights: Iterable[Log | HeldLog], window_s: float, gate: GateSpec | None = None) -> Front:
+    """The front that suits all the flights. gate: what counts as flying, None for what their profile has.
+
+    Raises InputError, naming the flight, if one lacks the gyro or comes over another kind of link or at another rate.
+    """
+    shelf = Shelf(IN_MEMORY)
+    held = [hold(flight, shelf) for flight in flights]
+    profiles = sorted({flight.label.profile for flight in held})
+    if len(profiles) != 1:
+        raise InputError(f"the flights come over different links ({', '.join(profiles)}); learn from one kind")
+    if (odd := odd_rate(held, window_s)) is not None:
+        raise InputError(f"{odd[1]}; learn from flights of one rate, or leave this log out with --robust")
+    dt_s, grid = _common_grid(held)
+    setpoint_s = float(np.median([flight.setpoint_s for flight in held if flight.setpoint_s] or [0.0]))
+    align = AlignSpec(dt_s, grid, max_gap_s=max(MAX_GAP_S, SLOW_SETPOINT_PERIODS * setpoint_s))
+    front = Front(align, gate or gate_for(profiles[0]), RateSpec.of(dt_s, window_samples(dt_s, window_s)))
+    silent = [flight for flight in held if Signal.THRUST_SETPOINT not in flight.signals]
+    if front.gate.min_thrust is None or len(silent) < len(held):
+        return front
+    # A fifth of what the gyro shakes for most of the calmest flight tells flight from ground where no thrust does: the
+    # motors' vibration makes tens of the noise at rest.
+    levels = []
+    for flight in silent:
+        noise = [shake(rows.block.rate, dt_s) for rows in _pieces(front, flight.open().telemetry)]
+        found = np.concatenate([np.empty(0), *noise])
+        levels += [float(np.quantile(found, 0.75))] if len(found) else []
+    least_shake = min(levels, default=0.0) * SHAKE_SHARE or None
+    return replace(front, gate=replace(front.gate, least_shake=least_shake))
 
 
-def airborne_of(front: Front, flight: HeldLog, shelf: Shelf) -> LearntFlight:
-    """The flying part of a flight, put aside as the flight is. Raises as `airborne`."""
-    rows = rows_of(front, flight.open().telemetry)
-    judged_s = _judged_s(front, flight.label, rows)
-    return LearntFlight(flight, HeldRows.of(rows, shelf), judged_s)
+def _common_grid(flights: Sequence[HeldLog]) -> tuple[float, Grid]:
+    """Median of the flights' mean gyro periods [s], and the grid that suits all."""
+    native = all(flight.grid is Grid.NATIVE for flight in flights)
+    return float(np.median([flight.dt_s for flight in flights])), Grid.NATIVE if native else Grid.RESAMPLED
 
 
-def _judged_s(front: Front, flight: Log, rows: Sequence[Rows]) -> float:
-    judged_s = float(sum(int(one.rates.valid.sum()) for one in rows)) * front.align.dt_s
-    if judged_s < MIN_FLIGHT_S:
-        never = "" if judged_s else " (never armed, or no thrust)"
-        raise InputError(f"{flight.name}: only {judged_s:.1f} s of airborne flight{never}, too short to learn from")
-    return judged_s
+def odd_rate(flights: Sequence[HeldLog], window_s: float) -> tuple[int, str] | None:
+    """Number of the flight whose gyro rate differs most from the others', and a sentence; None if a model bears all."""
+    dt_s, grid = _common_grid(flights)
+    apart = [abs(flight.dt_s / dt_s - 1) for flight in flights]
+    tolerance, odd = rate_tolerance(grid, dt_s, window_s), int(np.argmax(apart))
+    if apart[odd] <= tolerance:
+        return None
+    return odd, (
+        f"{flights[odd].label.name} has a gyro rate of {1 / flights[odd].dt_s:.1f} Hz, the others have "
+        f"{1 / dt_s:.1f} Hz, more than {100 * tolerance:.0f} % apart"
+    )
 
 
 def sessions_of(flights: Sequence[Log], told: int | None = None) -> list[int]:
@@ -166,19 +259,3 @@ def sessions_of(flights: Sequence[Log], told: int | None = None) -> list[int]:
         number += not started_ns or not last_ns or started_ns - last_ns > SESSION_GAP_NS
         found[i], last_ns = number, started_ns
     return found
-
-
-def _gap_limit(flights: Sequence[HeldLog]) -> float:
-    """35 ms, or a few periods of a set-point stream that is slower than that."""
-    steps_ns = np.concatenate([flight.measure.steps_ns for flight in flights])
-    counts = np.concatenate([flight.measure.counts for flight in flights])
-    period_s = _median(steps_ns, counts) / NS_PER_S if len(steps_ns) else 0.0
-    return max(MAX_GAP_S, SLOW_SETPOINT_PERIODS * period_s)
-
-
-def _median(values: IntArray, counts: IntArray) -> float:
-    """Median of values that occur so often each."""
-    order = np.argsort(values)
-    reached, total = np.cumsum(counts[order]), int(counts.sum())
-    low, high = np.searchsorted(reached, [(total - 1) // 2, total // 2], side="right")
-    return 0.5 * float(values[order[low]] + values[order[high]])

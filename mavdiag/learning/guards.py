@@ -1,64 +1,28 @@
-"""Guards of teaching: what among healthy flights should not be learnt, and where it is.
+"""Guards of teaching: what among healthy flights should not be learnt, where it is, and what to do about it.
 
 A log with its crash inside, the same flight twice, a stretch far from all the rest, two vehicles taken for one: each
 would be learnt without a word, and the baseline would call the like of it healthy. All guards are pure; they return
-`Finding`s. `mavdiag.learning.teaching` refuses or leaves out what they name before anything is fitted.
-
-A damaged propeller among the flights is seen once the monitors are fitted (`suspicions`): the baseline is then `weak`.
-The figures are `Course`s: the statistic of a monitor once a second, by the fit to all flights, so that a ratio of two
-of its values does not depend on how large the fit takes health to be. Three things speak against a teaching set:
-
-    a change      one flight's course, cut in two where it differs most: the second part's median lies above the
-                  first's by a ratio of 2 (a rotor's command moves by 0.03 of hover) and by 5 spreads, s^2 = floor^2 +
-                  (1.48 MAD)^2 of what is left: a maximum-type two-sample test with a robust scale
-    an odd flight its median lies above the median of the other flights' by a ratio of 2 (0.04 of hover) and by 5 of
-                  their spreads
-    physics       more unbalance than ISO 1940-1 G40 permits, a rotor that is trimmed far from the others, or a calm
-                  flight that does not follow its set-points
-
-One flight that was broken from its start to its end can be told by physics alone. All limits are our choices;
-`benchmarks/broken_teaching.py` has what they find, and how many healthy sets they mark.
+`Finding`s. `mavdiag.learning.teaching` refuses or leaves out what they name before anything is fitted. A damaged
+propeller among the flights is seen once the monitors are fitted (`mavdiag.learning.suspicions`). All limits are our
+choices; `benchmarks/broken_teaching.py` has what they find, and how many healthy sets they mark.
 """
 
 import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from enum import StrEnum
 
 import numpy as np
 
-from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.balance import Grade, permissible_unbalance_g_mm
-from mavdiag.airframe.fingerprint import joined, joined_rates
 from mavdiag.airframe.layout import RotorLayout
-from mavdiag.airframe.trim import LEVEL_RATIO, rises, shown_trim
-from mavdiag.learning.findings import Finding, Kind
+from mavdiag.airframe.trim import LEVEL_RATIO, shown_trim
 from mavdiag.learning.flights import LearntFlight
-from mavdiag.learning.repeats import repeated, repeated_of
-from mavdiag.monitors import monitor_of
-from mavdiag.monitors.rotor_signature import RotorSignatureSpec
-from mavdiag.monitors.rotor_trim import RotorTrimSpec
-from mavdiag.monitors.unbalance import UnbalanceSpec
-from mavdiag.monitors.vibration_level import VibrationLevelSpec
 from mavdiag.rows.rates import RateBlock
 from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
 from mavdiag.rows.windows import window_mean, window_rows
 from mavdiag.telemetry import FloatArray
-from mavdiag.units import G_MM_PER_KG_M, NS_PER_S, RPM
-
-__all__ = [
-    "Course",
-    "Finding",
-    "Kind",
-    "courses",
-    "far_blocks",
-    "repeated",
-    "repeated_of",
-    "suspicions",
-    "trim_groups",
-    "upsets",
-]
+from mavdiag.units import NS_PER_S
 
 BLOCK_S = 5.0  # of flight (our choice)
 WINDOW_S = 0.5  # a block's figure is the median over these, so that the spike of a landing does not count (our choice)
@@ -74,46 +38,58 @@ NOTED_DISTANCE = 0.005  # of the hover command: as much as new propellers make (
 GROUP_RATIO = 6.0  # of the distance to the spread within the groups (our choice)
 GROUP_FLOOR = 0.001  # of the hover command: no mean over a flight is more certain (our choice)
 
-STEADY = ("rotor_signature", "unbalance", "vibration_level")  # alike in every healthy flight, whatever is flown
-TRIMS = ("rotor_trim", "trim_step")
-SHAKING = "accelerometer"
-PART_S = 5  # of a course: shorter parts have no median to compare
-SPLITS = 200  # of a course that are tried
-SPREADS = 5.0
-CHANGE_RATIO, CHANGE_RISE = 2.0, 0.03
-ODD_RATIO, ODD_RISE = 2.0, 0.04
-TINY = 1e-9
-LOG_FLOOR, RISE_FLOOR = 0.05, 0.002  # spreads below which none is believed
-MOST_GRADE = Grade.G40  # two grades above what rotors are balanced to, G6.3 (T 3.2.2)
-LEAST_PASSED = 0.5  # of a line that second differences pass; less of it and noise would be taken for it
-ROTOR_SHARE = 0.02  # of the vehicle's mass is one rotor, propeller and bell: 30 g of 1.5 kg (T Eq 3.6)
-MOST_TRIM = 0.5  # of hover: a rotor with 45 % of its thrust; a recorded healthy vehicle has 0.35
-MOST_UNREST_RAD_S = 0.06  # that a rate loop leaves in calm flight; recorded healthy vehicles have 0.001 to 0.045
+
+class Kind(StrEnum):
+    """What a finding is about."""
+
+    REPEATED = "repeated"
+    UPSET = "upset"
+    FAR = "far"
+    GROUPS = "groups"
+    CHANGE = "change"
+    PHYSICS = "physics"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Course:
-    """A figure of one flight, once a second: the statistic of a monitor, or what the accelerometer shakes.
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something among the healthy flights that should not be learnt.
 
-    name: the monitor's, or "accelerometer". spec: the monitor's fit; the row period [s] of the accelerometer.
-    number, log: of which flight.
-    t_s: (k,) vehicle's clock. value: (k,) the statistic; the rms of the second differences of the specific force along
-    x and y [m/s^2]. rises: (k, n) of the n rotors' commands, by a monitor of the
-    trim [fraction of hover]; (k, 0) by another.
+    number: of the flight among those given, from 0: two may have one name.
+    log: its name.
+    kind: what it is about.
+    text: what was seen, with figures, without the name.
+    from_s, to_s: the part to leave out [s of the vehicle's clock]; None for the start or the end of the log.
+    refuses: it must not be learnt; else it is only noted.
     """
 
-    name: str
-    spec: Any
     number: int
     log: str
-    t_s: FloatArray
-    value: FloatArray
-    rises: FloatArray
+    kind: Kind
+    text: str
+    from_s: float | None = None
+    to_s: float | None = None
+    refuses: bool = True
 
     @property
-    def figures(self) -> FloatArray:
-        """(k, c) what is compared: rises of the rotors, or the statistic's logarithm."""
-        return self.rises if self.rises.shape[1] else np.log(np.maximum(self.value, TINY))[:, None]
+    def place(self) -> str:
+        """The part to leave out, in words."""
+        if self.from_s is None and self.to_s is None:
+            return "the whole log"
+        if self.from_s is None:
+            return f"all before {self.to_s:.1f} s"
+        return f"all from {self.from_s:.1f} s on" if self.to_s is None else f"{self.from_s:.1f} to {self.to_s:.1f} s"
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it."""
+        if self.from_s is None and self.to_s is None:
+            return "take this log out, or leave it out with --robust"
+        if self.to_s is None:
+            return f"cut the log before {self.from_s:.1f} s, or leave this part out with --robust"
+        return f"cut {self.place} out of the log, or leave this part out with --robust"
+
+    def __str__(self) -> str:
+        return f"{self.log}: {self.text}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,7 +183,7 @@ def _median(x: FloatArray) -> float:
 
 
 def _blocks(number: int, flight: LearntFlight) -> Iterator[_Block]:
-    for block, rates in zip(joined(flight.rows), joined_rates(flight.rows), strict=True):
+    for block, rates in ((rows.block, rows.rates) for rows in flight.rows):
         noise = np.square(np.diff(block.rate, n=2, axis=0)).sum(axis=1)
         for first, stop in _cuts(len(block), window_rows(BLOCK_S, block.dt_s)):
             if np.count_nonzero(block.valid[first:stop]) < 0.5 * window_rows(BLOCK_S, block.dt_s):
@@ -282,7 +258,7 @@ def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> 
 
 
 def _mean_trim(flight: LearntFlight, layout: RotorLayout) -> FloatArray | None:
-    found = [shown_trim(block, layout) for block in joined(flight.rows)]
+    found = [shown_trim(rows.block, layout) for rows in flight.rows]
     known = np.concatenate([np.empty((0, 3)), *(trim[where] for trim, where in found)])
     return known.mean(axis=0) if len(known) else None
 
@@ -301,156 +277,3 @@ def _split(trims: FloatArray, axis: int) -> tuple[float, float, list[int]]:
 
 def _three(trim: FloatArray) -> str:
     return "/".join(f"{x:+.3f}" for x in trim)
-
-
-def courses(specs: Sequence[Any], flights: Sequence[LearntFlight]) -> tuple[Course, ...]:
-    """The courses of the steady monitors, of those of the trim, and of the accelerometer, in each flight.
-
-    specs: fits to all the flights.
-    """
-    used = [spec for spec in specs if spec.kind in (*STEADY, *TRIMS)]
-    of_monitors = (_course(spec, number, flight) for number, flight in enumerate(flights) for spec in used)
-    return (*of_monitors, *(_shaking(number, flight) for number, flight in enumerate(flights)))
-
-
-def _shaking(number: int, flight: LearntFlight) -> Course:
-    """Of the accelerometer: all links that are not low-passed carry a rotor's line somewhere, folded or not."""
-    t_s, value, dt_s = [np.empty(0)], [np.empty(0)], 0.0
-    for block in joined(flight.rows):
-        dt_s, second = block.dt_s, window_rows(1.0, block.dt_s)
-        squares = np.square(np.diff(block.force[:, :2], n=2, axis=0)).sum(axis=1)
-        known = np.isfinite(squares) & block.valid[2:]
-        count = len(squares) // second
-        parts = np.where(known, squares, 0.0)[: count * second].reshape(count, second)
-        share = known[: count * second].reshape(count, second).mean(axis=1)
-        whole = share > 0.5
-        t_s.append(block.t_ns[: count * second : second][whole] / NS_PER_S)
-        value.append(np.sqrt(parts.mean(axis=1)[whole] / share[whole]))
-    times = np.concatenate(t_s)
-    return Course(SHAKING, dt_s, number, flight.label.name, times, np.concatenate(value), np.empty((len(times), 0)))
-
-
-def _course(spec: Any, number: int, flight: LearntFlight) -> Course:
-    rotors = spec.layout.rotors if spec.kind in TRIMS else 0
-    t_ns, value, risen = [np.empty(0, dtype=np.int64)], [np.empty(0)], [np.empty((0, rotors))]
-    for found in monitor_of(spec).over(flight.rows):
-        at = np.flatnonzero(found.valid)
-        at = at[np.unique(found.t_ns[at] // NS_PER_S, return_index=True)[1]]
-        t_ns.append(found.t_ns[at])
-        value.append(found.value[at])
-        risen.append(found.rotors[at] if rotors else np.empty((len(at), 0)))
-    times = np.concatenate(t_ns)
-    at = np.unique(times // NS_PER_S, return_index=True)[1]
-    return Course(
-        spec.kind,
-        spec,
-        number,
-        flight.label.name,
-        times[at] / NS_PER_S,
-        np.concatenate(value)[at],
-        np.concatenate(risen)[at],
-    )
-
-
-def suspicions(found: Sequence[Course], airframe: Airframe) -> tuple[Finding, ...]:
-    """What speaks against flights that were learnt: odd flights, physics, and changes within a flight."""
-    changed = [one for one in map(_change, found) if one is not None]
-    odd = () if airframe.scope == "type" else _odd(found)  # vehicles of a type differ
-    return (*odd, *_implausible(found, airframe), *changed)
-
-
-def _change(course: Course) -> Finding | None:
-    """The clearest change within a flight."""
-    x, trim = course.figures, bool(course.rises.shape[1])
-    least, floor = (CHANGE_RISE, RISE_FLOOR) if trim else (math.log(CHANGE_RATIO), LOG_FLOOR)
-    best: tuple[float, float, int] = (0.0, 0.0, 0)
-    for at in np.unique(np.linspace(PART_S, len(x) - PART_S, SPLITS).astype(np.int64)) if len(x) >= 2 * PART_S else ():
-        before, after = np.median(x[:at], axis=0), np.median(x[at:], axis=0)
-        left = np.abs(np.concatenate((x[:at] - before, x[at:] - after)))
-        shift = after - before
-        sure = np.abs(shift) / np.hypot(1.4826 * np.median(left, axis=0), floor)
-        sure[(np.abs(shift) if trim else shift) < least] = 0.0
-        j = int(sure.argmax())
-        best = max(best, (float(sure[j]), float(shift[j]), int(at)))
-    sure_of, moved, at = best
-    if sure_of < SPREADS:
-        return None
-    place = f"from {course.t_s[at]:.0f} s on"
-    name = course.name
-    much = f"a motor is commanded {100 * moved:+.0f} %" if trim else f"{math.exp(moved):.2g} times what it was before"
-    return Finding(course.number, course.log, Kind.CHANGE, f"{place}: {name}: {much}: something changed in flight")
-
-
-def _odd(found: Sequence[Course]) -> Iterator[Finding]:
-    """The oddest flight by each monitor, if it is odd."""
-    for name in dict.fromkeys(one.name for one in found if one.name != "trim_step"):
-        same = [one for one in found if one.name == name and len(one.t_s) >= PART_S]
-        if len(same) < 2:
-            continue
-        trim = name in TRIMS
-        least, floor = (ODD_RISE, RISE_FLOOR) if trim else (math.log(ODD_RATIO), LOG_FLOOR)
-        middle = np.array([np.median(one.figures, axis=0) for one in same])
-        apart = [_apart(middle, number, least, floor) for number in range(len(same))]
-        number = int(np.argmax([abs(one) if trim else one for one in apart]))
-        if abs(apart[number]) < least or (apart[number] < 0 and not trim):
-            continue
-        off = f"{100 * apart[number]:+.0f} % of hover" if trim else f"{math.exp(apart[number]):.2g} times"
-        text = f"{name}: {off} against the other flights: is a propeller broken in one of them?"
-        yield Finding(same[number].number, same[number].log, Kind.GROUPS, text)
-
-
-def _apart(middle: FloatArray, number: int, least: float, floor: float) -> float:
-    """How far a flight's median lies from that of the others, of the figure in which it is farthest; 0 if not far."""
-    rest = np.delete(middle, number, axis=0)
-    off = middle[number] - np.median(rest, axis=0)
-    spread = np.hypot(1.4826 * np.median(np.abs(rest - np.median(rest, axis=0)), axis=0), floor)
-    off = np.where(np.abs(off) >= np.maximum(least, SPREADS * spread), off, 0.0)
-    return float(off[np.abs(off).argmax()])
-
-
-def _implausible(found: Sequence[Course], airframe: Airframe) -> Iterator[Finding]:
-    """What no healthy vehicle has."""
-    for course in {one.name: one for one in found}.values():
-        spec, text = course.spec, ""
-        match spec:
-            case float():
-                same = np.concatenate([one.value for one in found if one.name == course.name])
-                text = _too_shaky(same, spec, airframe)
-            case UnbalanceSpec():
-                text = _too_unbalanced(math.sqrt(spec.power), airframe)
-            case VibrationLevelSpec():
-                text = _too_unbalanced(spec.healthy, airframe)
-            case RotorTrimSpec():
-                rise = rises(np.array([spec.mean]), spec.layout, spec.spread)[0]
-                rotor = int(np.abs(rise).argmax())
-                if abs(rise[rotor]) > MOST_TRIM:
-                    text = f"motor {rotor + 1} is commanded {100 * rise[rotor]:+.0f} % against the others"
-            case RotorSignatureSpec():
-                unrest = math.sqrt((spec.motion.k0[0] + spec.motion.k0[1]) / 2)
-                if unrest > MOST_UNREST_RAD_S:
-                    rates = f"{unrest:.2f} rad/s, healthy vehicles leave less than {MOST_UNREST_RAD_S:g}"
-                    text = f"the vehicle does not follow its set-points in calm flight: {rates}"
-        if text:
-            yield Finding(0, "all flights", Kind.PHYSICS, text)
-
-
-def _too_shaky(rms: FloatArray, dt_s: float, airframe: Airframe) -> str:
-    """As `_too_unbalanced`, from second differences: a line at f has (2 sin(pi f dt))^2 times its amplitude in them."""
-    if not len(rms) or airframe.hover_rad_s is None:
-        return ""
-    passed = (2 * math.sin(airframe.hover_rad_s * dt_s / 2)) ** 2
-    return _too_unbalanced(float(np.median(rms)) / passed, airframe) if passed >= LEAST_PASSED else ""
-
-
-def _too_unbalanced(m_s2: float, airframe: Airframe) -> str:
-    """A sentence, if a vibration is more than balanced rotors make: their unbalances add as squares; else empty."""
-    if airframe.mass_kg is None or airframe.hover_rad_s is None:
-        return ""
-    rotors = 4 if airframe.layout is None else airframe.layout.rotors
-    one = permissible_unbalance_g_mm(MOST_GRADE, airframe.hover_rad_s / RPM, 1e3 * ROTOR_SHARE * airframe.mass_kg)
-    found, most = G_MM_PER_KG_M * airframe.mass_kg / airframe.hover_rad_s**2 * m_s2, math.sqrt(rotors) * one
-    if found <= most:
-        return ""
-    return (
-        f"unbalance of {found:.2g} g mm, rotors of grade {MOST_GRADE} have {most:.2g} together: is a propeller broken?"
-    )

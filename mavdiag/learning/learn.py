@@ -1,36 +1,50 @@
-"""From healthy flights to a baseline: measure the link, fit the monitors, set their thresholds."""
+"""From healthy flights to a baseline: fit the monitors, judge with flights left out, set their thresholds.
+
+    all flights             -> the fits that the baseline holds, and one fit without each fold (`Monitor.fit`)
+    each flight, once more  -> its block maxima by the fits that did not see it (`thresholds.heldout`)
+
+A single flight is cut into pieces, and each is judged by a fit to the rest.
+"""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
+
+import numpy as np
 
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.fingerprint import fingerprint_of
-from mavdiag.baseline import Baseline, sealed, without_mute
-from mavdiag.baseline_parts import HealthyScores, Link, MonitorEntry, Provenance, Refusal, SourceLog, Window
+from mavdiag.baseline import (
+    Baseline,
+    HealthyScores,
+    Link,
+    MonitorEntry,
+    Provenance,
+    Refusal,
+    SourceLog,
+    Window,
+    sealed,
+    without_mute,
+)
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
-from mavdiag.learning.damage import grade_of, least_damage
-from mavdiag.learning.fits import fits
-from mavdiag.learning.flights import LearntFlight, sessions_of
-from mavdiag.learning.guards import courses, suspicions
-from mavdiag.learning.held import HeldLog, held
+from mavdiag.learning.flights import LearntFlight, hold, sessions_of
 from mavdiag.learning.rotors import of_log_kind, with_rotors
-from mavdiag.learning.teaching import Taught, believing, one_vehicle, taught_of
+from mavdiag.learning.suspicions import courses, grade_of, least_damage, suspicions
+from mavdiag.learning.teaching import believing, one_vehicle, taught
 from mavdiag.link.profiles import PROFILES
-from mavdiag.monitors import BY_NAME, by_name, monitor_of
-from mavdiag.monitors.base import FaultKind, Flights, LearnContext
+from mavdiag.monitors import BY_NAME, by_name
+from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
+from mavdiag.monitors.fitting import judged_together
 from mavdiag.monitors.run_length import MarginRule, RunLength
-from mavdiag.rows.front import Front
+from mavdiag.rows.front import Rows
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Axis, Log
 from mavdiag.thresholds.envelope import covered_by
-from mavdiag.thresholds.heldout import Scores
+from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
-
-__all__ = ["ALL_MONITORS", "LearnOptions", "learn", "plain_scores", "sources", "thesis_options"]
 
 ALL_MONITORS = tuple(BY_NAME)
 MOST_SAID = 2  # findings that are told in full (our choice)
@@ -86,11 +100,10 @@ def thesis_options(airframe: Airframe | None = None, axes: tuple[Axis, ...] = (A
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fitted:
-    """A monitor's fit to all flights, and what its statistic reached on flights that a fit did not see."""
+    """A monitor by its fit to all flights, and what its statistic reached on flights that a fit did not see."""
 
-    spec: Any
+    monitor: Monitor[Any]
     scores: Scores
-    decides: bool
 
 
 def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Baseline:
@@ -104,28 +117,38 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
     say what to do.
     """
     with Shelf() as shelf:
-        return _learnt([held(log, shelf) for log in flights], options, created, shelf)
+        return _learnt(flights, options, created, shelf)
 
 
-def _learnt(logs: Sequence[HeldLog], options: LearnOptions, created: str, shelf: Shelf) -> Baseline:
-    if not logs:
+def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: Shelf) -> Baseline:
+    held = [hold(log, shelf) for log in logs]
+    if not held:
         raise InputError("no healthy flight to learn from")
-    first = logs[0].label
+    first = held[0].label
     airframe = _filtered(of_log_kind(options.airframe, first.profile), first)
-    found = believing(taught_of(logs, options.window_s, airframe.gate, shelf, robust=options.robust), shelf)
+    found = taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf)
+    found = believing(found, shelf)
     airframe, ordered = with_rotors(airframe, found.flights)
     found = replace(found, flights=tuple(ordered))
     if airframe.scope != "type":
         found = one_vehicle(found, airframe.layout, robust=options.robust)
-    front, learnt, rows = found.front, found.flights, [one.rows for one in found.flights]
-    sessions = sessions_of([one.label for one in learnt], options.sessions)
-    unknown = airframe.layout_basis if airframe.layout is None else ""
-    context = _context(options, airframe, front, first)
-    fitted, refusals = _fit_all(rows, sessions, options, context, unknown, shelf)
+    front, learnt, rows = found.front, found.flights, [flight.rows for flight in found.flights]
+    sessions = sessions_of([flight.label for flight in learnt], options.sessions)
+    link = PROFILES.get(first.profile)
+    context = LearnContext(
+        airframe=airframe,
+        imu_corner_hz=airframe.imu_corner_hz or (link.corner_hz(first.parameters) if link is not None else None),
+        dt_s=front.align.dt_s,
+        window=front.rates.window,
+        axes=options.axes,
+        method=options.method,
+        order=options.order,
+        margin_rule=options.margin_rule,
+    )
+    fitted, refusals = _fit_all(rows, sessions, options, context)
     if not fitted:
-        reasons = "; ".join(f"{one.monitor}: {one.reason}" for one in refusals)
+        reasons = "; ".join(f"{refusal.monitor}: {refusal.reason}" for refusal in refusals)
         raise IdentificationError(f"no monitor can judge such flights ({reasons})")
-    entries = _entries(fitted, options, sessions)
     baseline = Baseline(
         airframe=airframe,
         link=Link(
@@ -137,11 +160,17 @@ def _learnt(logs: Sequence[HeldLog], options: LearnOptions, created: str, shelf:
         ),
         window=Window(samples=front.rates.window, order=2),
         link_quality=front.align.quality,
-        monitors=tuple(entries),
+        monitors=tuple(_entries(fitted, options, sessions)),
         not_judgeable=tuple(refusals),
         envelope=covered_by(rows),
-        healthy_hours=sum(one.judged_s for one in learnt) / 3600,
-        provenance=_provenance(found, sessions, created),
+        healthy_hours=sum(flight.judged_s for flight in learnt) / 3600,
+        provenance=Provenance(
+            logs=sources(learnt, sessions),
+            created=created,
+            tool=f"mavdiag {__version__}",
+            left_out=found.left_out,
+            notes=found.notes,
+        ),
         fingerprint=fingerprint_of(rows, airframe.layout),
     )
     return sealed(assessed(baseline, learnt))
@@ -179,70 +208,75 @@ def _filtered(airframe: Airframe, flight: Log) -> Airframe:
     return replace(airframe, imu_corner_hz=told_hz) if airframe.imu_corner_hz is None and told_hz > 0.0 else airframe
 
 
-def _context(options: LearnOptions, airframe: Airframe, front: Front, flight: Log) -> LearnContext:
-    link = PROFILES.get(flight.profile)
-    corner_hz = airframe.imu_corner_hz or (link.corner_hz(flight.parameters) if link is not None else None)
-    return LearnContext(
-        airframe=airframe,
-        imu_corner_hz=corner_hz,
-        dt_s=front.align.dt_s,
-        window=front.rates.window,
-        axes=options.axes,
-        method=options.method,
-        order=options.order,
-        margin_rule=options.margin_rule,
-    )
-
-
 def _fit_all(
-    flights: Flights, sessions: Sequence[int], options: LearnOptions, context: LearnContext, unknown: str, shelf: Shelf
+    flights: Flights, sessions: Sequence[int], options: LearnOptions, context: LearnContext
 ) -> tuple[list[_Fitted], list[Refusal]]:
     """Every named monitor that can work on these flights, and the reason of each that cannot."""
-    fitted: list[_Fitted] = []
-    refusals: list[Refusal] = []
-    for one in fits(dict.fromkeys(map(by_name, options.monitors)), flights, sessions, context, shelf):
-        kind, name, reason = one.kind, one.kind.name, one.refusal
-        if reason:
-            refusals.append(
-                Refusal(monitor=name, reason=f"{reason} ({unknown})" if unknown and "layout" in reason else reason)
-            )
+    pairs, found, refused = list(folds(flights, sessions=sessions)), {}, dict[type[Monitor[Any]], str]()
+    kinds = tuple(dict.fromkeys(map(by_name, options.monitors)))
+    for kind in kinds:
+        try:
+            specs = kind.fit(flights, context)
+            near = replace(context, figures=False, near=specs)
+            found[kind] = specs, [[kind(spec) for spec in kind.fit(rest, near)] for _, rest in pairs]
+        except (InputError, IdentificationError) as error:
+            refused[kind] = str(error)
+    parts: dict[type[Monitor[Any]], list[tuple[Axis | None, Scores]]] = {kind: [] for kind in found}
+    for fold, (left_out, _) in enumerate(pairs):
+        monitors = [monitor for _, fits in found.values() for monitor in fits[fold]]
+        for flight in left_out:
+            for monitor, scores in zip(monitors, _scores(monitors, flight), strict=True):
+                parts[type(monitor)].append((monitor.axis, scores))
+    fitted, refusals = list[_Fitted](), list[Refusal]()
+    unknown = context.airframe.layout_basis if context.airframe.layout is None else ""
+    for kind in kinds:
+        name = kind.name
+        try:
+            scored = by_axis(parts[kind]) if kind in found else {}
+        except IdentificationError as error:
+            refused[kind] = str(error)
+        if kind in refused:
+            reason = refused[kind] + (f" ({unknown})" if unknown and "layout" in refused[kind] else "")
+            refusals.append(Refusal(monitor=name, reason=reason))
             continue
-        for spec in one.specs:
-            axis = monitor_of(spec).axis
-            if axis in one.scores:
-                fitted.append(_Fitted(spec, one.scores[axis], kind.decides))
-            else:
-                refusals.append(
-                    Refusal(monitor=name, reason=f"{axis}: too little healthy flight to score it; fly longer")
-                )
-        refusals += [
-            Refusal(monitor=name, reason=f"{axis}: it cannot be modelled; fly a trajectory that moves this axis")
-            for axis in (options.axes if kind is RunLength else ())
-            if axis not in {spec.axis for spec in one.specs}
-        ]
+        axes = [spec.axis if kind is RunLength else None for spec in found[kind][0]]
+        fitted += [_Fitted(kind(spec), scored[a]) for spec, a in zip(found[kind][0], axes, strict=True) if a in scored]
+        short = [f"{axis}: too little healthy flight to score it; fly longer" for axis in axes if axis not in scored]
+        flat = "it cannot be modelled; fly a trajectory that moves this axis"
+        short += [f"{axis}: {flat}" for axis in (options.axes if kind is RunLength else ()) if axis not in axes]
+        refusals += [Refusal(monitor=name, reason=reason) for reason in short]
     return fitted, refusals
 
 
-def _entries(fitted: Sequence[_Fitted], options: LearnOptions, sessions: Sequence[int]) -> list[MonitorEntry]:
+def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows]) -> list[Scores]:
+    """What each of several monitors reached in a flight."""
+    values, periods_s = [[np.empty(0)] for _ in monitors], [0.0 for _ in monitors]
+    for statistics in judged_together(monitors, flight):
+        for i, statistic in enumerate(statistics):
+            values[i].append(statistic.value[statistic.valid])
+            periods_s[i] = statistic.period_s
+    return [maxima(np.concatenate(parts), period_s) for parts, period_s in zip(values, periods_s, strict=True)]
+
+
+def _entries(fitted: Sequence[_Fitted], options: LearnOptions, sessions: Sequence[int]) -> Iterator[MonitorEntry]:
     """Specification and threshold of each monitor. The budget is shared by those that decide, and then by axes.
 
     The monitors of sensors and losses have one share together: what finds propellers stays sharp.
     """
-    names = {one.spec.kind for one in fitted if one.decides} or {one.spec.kind for one in fitted}
-    shares = Counter(_sharing(name) for name in names)
-    entries = []
+    axes = Counter(one.monitor.name for one in fitted)
+    deciding = {one.monitor.name for one in fitted if one.monitor.decides}
+    shares = Counter(_sharing(name) for name in deciding or axes)
     for one in fitted:
-        same = sum(other.spec.kind == one.spec.kind for other in fitted)
+        name = one.monitor.name
         threshold = threshold_of(
             one.scores,
             flights=len(sessions),
             sessions=len(set(sessions)),
-            budget_per_hour=options.alarms_per_hour / len(shares) / max(1, shares[_sharing(one.spec.kind)]) / same,
-            guard=by_name(one.spec.kind).guard,
+            budget_per_hour=options.alarms_per_hour / len(shares) / max(1, shares[_sharing(name)]) / axes[name],
+            guard=one.monitor.guard,
             rule=options.rule,
         )
-        entries.append(MonitorEntry(spec=one.spec, threshold=threshold, scores=plain_scores(one.scores)))
-    return entries
+        yield MonitorEntry(spec=one.monitor.spec, threshold=threshold, scores=plain_scores(one.scores))
 
 
 def _sharing(name: str) -> str:
@@ -270,8 +304,3 @@ def sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers
         )
         for one, session in zip(flights, sessions, strict=True)
     )
-
-
-def _provenance(found: Taught, sessions: Sequence[int], created: str) -> Provenance:
-    logs, tool = sources(found.flights, sessions), f"mavdiag {__version__}"
-    return Provenance(logs=logs, created=created, tool=tool, left_out=found.left_out, notes=found.notes)

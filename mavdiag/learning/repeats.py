@@ -10,12 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavdiag.learning.findings import Finding, Kind
-from mavdiag.learning.held import HeldLog, of_memory
+from mavdiag.learning.flights import IN_MEMORY, HeldLog, hold
+from mavdiag.learning.guards import Finding, Kind
+from mavdiag.storage import Shelf
 from mavdiag.telemetry import FloatArray, IntArray, Log, Signal
 from mavdiag.units import NS_PER_S
-
-__all__ = ["repeated", "repeated_of"]
 
 RUN = 16  # consecutive gyro samples that two flights do not have in common by chance (our choice)
 RUN_CHANGES = 12  # of them that differ from the one before, for a gyro at rest repeats itself (our choice)
@@ -33,20 +32,16 @@ class _Content:
     runs: IntArray
 
 
-def repeated(flights: Iterable[Log]) -> tuple[Finding, ...]:
+def repeated(flights: Iterable[Log | HeldLog]) -> tuple[Finding, ...]:
     """Flights that an earlier one holds already: the same file, the same gyro samples, or a part of them."""
-    return repeated_of([of_memory(flight) for flight in flights])
-
-
-def repeated_of(flights: Sequence[HeldLog]) -> tuple[Finding, ...]:
-    """As `repeated`, for flights that are put aside."""
-    contents = [_content(number, flight) for number, flight in enumerate(flights)]
+    shelf = Shelf(IN_MEMORY)
+    contents = [_content(number, hold(flight, shelf)) for number, flight in enumerate(flights)]
     shared = _shared(contents)
     found: list[Finding] = []
     kept: list[_Content] = []
     for content in contents:
-        pairs = (_compared(content, one, shared) for one in kept)
-        finding = next((one for one in pairs if one is not None), None)
+        pairs = (_compared(content, earlier, shared) for earlier in kept)
+        finding = next((pair for pair in pairs if pair is not None), None)
         if finding is None:
             kept.append(content)
         else:

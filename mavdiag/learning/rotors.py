@@ -13,12 +13,8 @@ from mavdiag.airframe.layout import LAYOUTS, RotorLayout
 from mavdiag.airframe.load import airframe_named
 from mavdiag.airframe.parameters import ParameterFinding, layout_from_parameters
 from mavdiag.learning.flights import LearntFlight
-from mavdiag.learning.held import HeldRows
 from mavdiag.logs import airframe_name_for
 from mavdiag.rows.block import Block
-from mavdiag.rows.outputs import in_rotor_order
-
-__all__ = ["of_log_kind", "with_rotors"]
 
 TOLD = "told"
 
@@ -132,10 +128,7 @@ def _ordered(one: LearntFlight, outputs: tuple[int, ...] | None) -> LearntFlight
     """The flight with its outputs by rotor; a log that has them by motor already stays as it is."""
     if outputs is None or one.label.motor_order:
         return one
-    if isinstance(one.rows, HeldRows):
-        return replace(one, rows=one.rows.by_rotor(outputs))
-    rows = tuple(replace(rows, block=in_rotor_order(rows.block, outputs)) for rows in one.rows)
-    return replace(one, rows=rows)
+    return replace(one, rows=one.rows.by_rotor(outputs))
 
 
 def _of_outputs(outputs: tuple[int, ...] | None, flights: Sequence[LearntFlight]) -> tuple[int, ...] | None:

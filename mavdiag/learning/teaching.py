@@ -3,22 +3,16 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import InputError
-from mavdiag.learning.findings import Finding
-from mavdiag.learning.flights import LearntFlight, airborne_of, front_of_held, odd_rate
-from mavdiag.learning.guards import far_blocks, repeated_of, trim_groups, upsets
-from mavdiag.learning.held import HeldLog, held
+from mavdiag.learning.flights import IN_MEMORY, HeldLog, LearntFlight, airborne, front_for, hold, odd_rate
+from mavdiag.learning.guards import Finding, far_blocks, trim_groups, upsets
+from mavdiag.learning.repeats import repeated
 from mavdiag.rows.front import Front
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.quality import learnt_quality
 from mavdiag.storage import Shelf
-from mavdiag.telemetry import Log, Series, Telemetry
-from mavdiag.units import NS_PER_S
-
-__all__ = ["Taught", "believing", "one_vehicle", "refuse", "taught", "taught_of"]
+from mavdiag.telemetry import Log
 
 MAX_ROUNDS = 5  # of cutting and looking again; what is far may hide what is less far (our choice)
 
@@ -35,36 +29,37 @@ class Taught:
     notes: tuple[str, ...] = ()
 
 
-def taught(logs: Iterable[Log], window_s: float, gate: GateSpec | None, *, robust: bool) -> Taught:
-    """The flying parts of healthy flights, guarded, in memory.
+def taught(
+    logs: Iterable[Log | HeldLog],
+    window_s: float,
+    gate: GateSpec | None,
+    *,
+    robust: bool,
+    shelf: Shelf | None = None,
+) -> Taught:
+    """The flying parts of healthy flights, guarded, put aside as the logs are.
 
     Raises InputError with file, place and remedy for what a guard refuses; with `robust` it is left out instead, and
     InputError says so only if nothing remains.
     """
-    shelf = Shelf(most_bytes=1 << 62)
-    return taught_of([held(log, shelf) for log in logs], window_s, gate, shelf, robust=robust)
-
-
-def taught_of(logs: Sequence[HeldLog], window_s: float, gate: GateSpec | None, shelf: Shelf, *, robust: bool) -> Taught:
-    """As `taught`, for logs that are put aside; their rows are as well."""
+    shelf = shelf or Shelf(IN_MEMORY)
     left_out: list[str] = []
-    while robust and len(logs) > 2 and (odd := odd_rate(logs, window_s)) is not None:
-        logs = [log for number, log in enumerate(logs) if number != odd[0]]
+    held = [hold(log, shelf) for log in logs]
+    while robust and len(held) > 2 and (odd := odd_rate(held, window_s)) is not None:
+        del held[odd[0]]
         left_out.append(f"all of {odd[1]}")
-    front = front_of_held(logs, window_s, gate)
-    logs, texts = _without(logs, repeated_of(logs), shelf, robust)
-    left_out += texts
-    flights = []
-    for log in logs:
-        try:
-            flights.append(airborne_of(front, log, shelf))
-        except InputError as error:
-            if not robust:
-                raise
-            left_out.append(str(error))
-    for guard in (upsets, far_blocks):
-        flights, texts = _guarded(front, flights, guard, shelf, robust)
-        left_out += texts
+    front = front_for(held, window_s, gate)
+    held = _without(held, repeated(held), shelf, robust, left_out)
+    flights = _flown(front, held, shelf, None if not robust else left_out)
+    guards: tuple[Guard, ...] = (upsets, far_blocks)
+    for guard in guards:
+        for _ in range(MAX_ROUNDS):  # the guard looks again at what remains
+            findings = guard(flights)
+            if not findings:
+                break
+            kept = _without([flight.held for flight in flights], findings, shelf, robust, left_out)
+            same = {id(flight.held): [flight] for flight in flights}
+            flights = [one for log in kept for one in same.get(id(log)) or _flown(front, [log], shelf, left_out)]
     if not flights:
         raise InputError(f"no healthy flight remains to learn from ({'; '.join(left_out)}); record others")
     return Taught(front, tuple(flights), tuple(left_out))
@@ -72,85 +67,63 @@ def taught_of(logs: Sequence[HeldLog], window_s: float, gate: GateSpec | None, s
 
 def believing(found: Taught, shelf: Shelf) -> Taught:
     """The flights with only those samples that they themselves, taken together, make believable, as in judging."""
-    quality = learnt_quality((one.flight.telemetry, one.spans_ns) for one in found.flights)
+    quality = learnt_quality((flight.flight.telemetry, flight.spans_ns) for flight in found.flights)
     front = replace(found.front, align=replace(found.front.align, quality=quality))
-    return replace(found, front=front, flights=tuple(airborne_of(front, one.held, shelf) for one in found.flights))
+    return replace(found, front=front, flights=tuple(airborne(front, flight.held, shelf) for flight in found.flights))
 
 
 def one_vehicle(found: Taught, layout: RotorLayout | None, *, robust: bool) -> Taught:
     """The flights of one vehicle and set of propellers, by their trims; raises InputError as `taught` does."""
     findings = trim_groups(found.flights, layout)
-    odd = [one for one in findings if one.refuses]
+    odd = [finding for finding in findings if finding.refuses]
     if odd and not robust:
         raise InputError(f"{_sentence(odd)}; or learn a type with --fleet")
-    away = {one.number for one in odd}
+    away = {finding.number for finding in odd}
     return replace(
         found,
-        flights=tuple(one for number, one in enumerate(found.flights) if number not in away),
-        left_out=(*found.left_out, *(str(one) for one in odd)),
-        notes=(*found.notes, *(str(one) for one in findings if not one.refuses)),
+        flights=tuple(flight for number, flight in enumerate(found.flights) if number not in away),
+        left_out=(*found.left_out, *map(str, odd)),
+        notes=(*found.notes, *(str(finding) for finding in findings if not finding.refuses)),
     )
 
 
-def _guarded(
-    front: Front, flights: list[LearntFlight], guard: Guard, shelf: Shelf, robust: bool
-) -> tuple[list[LearntFlight], list[str]]:
-    """The flights without what a guard finds, and what that was. The guard looks again at what remains."""
-    left_out: list[str] = []
-    for _ in range(MAX_ROUNDS):
-        findings = guard(flights)
-        if not findings:
-            break
-        logs, texts = _without([one.held for one in flights], findings, shelf, robust)
-        left_out += texts
-        same = {id(one.held): one for one in flights}
-        flights = []
-        for log in logs:
-            try:
-                flights.append(same.get(id(log)) or airborne_of(front, log, shelf))
-            except InputError as error:
-                left_out.append(str(error))
-    return flights, left_out
+def _flown(front: Front, logs: Iterable[HeldLog], shelf: Shelf, left_out: list[str] | None) -> list[LearntFlight]:
+    """The flying parts. left_out: takes the reason of what does not fly; None raises it."""
+    flights = []
+    for log in logs:
+        try:
+            flights.append(airborne(front, log, shelf))
+        except InputError as error:
+            if left_out is None:
+                raise
+            left_out.append(str(error))
+    return flights
 
 
 def _without(
-    logs: Sequence[HeldLog], findings: Sequence[Finding], shelf: Shelf, robust: bool
-) -> tuple[list[HeldLog], list[str]]:
-    """The logs without what the findings name, and a sentence for each. Raises InputError unless `robust`."""
+    logs: Sequence[HeldLog], findings: Sequence[Finding], shelf: Shelf, robust: bool, left_out: list[str]
+) -> list[HeldLog]:
+    """The logs without what the findings name, of which `left_out` takes a sentence each.
+
+    Raises InputError unless `robust`.
+    """
     if not robust:
         refuse(findings)
+    left_out += [f"{finding.log}, {finding.place}: {finding.text}" for finding in findings]
     kept = []
     for number, log in enumerate(logs):
-        parts = [one for one in findings if one.number == number]
-        if any(one.from_s is None and one.to_s is None for one in parts):
-            continue
-        for part in parts:
-            whole = log.open()
-            cut = replace(whole, telemetry=_cut_out(whole.telemetry, part.from_s, part.to_s))
-            log = held(cut, shelf, log.measure)
-        kept.append(log)
-    return kept, [f"{one.log}, {one.place}: {one.text}" for one in findings]
+        parts = [finding for finding in findings if finding.number == number]
+        if not any(part.from_s is None and part.to_s is None for part in parts):
+            for part in parts:
+                log = log.without(part.from_s, part.to_s, shelf)
+            kept.append(log)
+    return kept
 
 
 def refuse(findings: Sequence[Finding]) -> None:
     """Raise InputError for what a guard found, with file, place and remedy; nothing if it found nothing."""
     if findings:
         raise InputError(_sentence(findings))
-
-
-def _cut_out(telemetry: Telemetry, from_s: float | None, to_s: float | None) -> Telemetry:
-    """The telemetry without what lies between two times [s of the vehicle's clock]."""
-    parts = []
-    for series in telemetry.series:
-        t_s = series.t_ns / NS_PER_S
-        away = np.ones(len(series), dtype=np.bool_)
-        if from_s is not None:
-            away &= t_s >= from_s
-        if to_s is not None:
-            away &= t_s < to_s
-        keep = ~away
-        parts.append(Series(series.signal, series.t_ns[keep], series.host_ns[keep], series.values[keep]))
-    return Telemetry(tuple(parts))
 
 
 def _sentence(findings: Sequence[Finding]) -> str:

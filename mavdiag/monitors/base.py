@@ -15,7 +15,6 @@ from enum import StrEnum
 from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import RotorLayout
@@ -37,8 +36,6 @@ __all__ = [
     "Monitor",
     "RotorEvidence",
     "Rows",
-    "Summaries",
-    "Summary",
     "segments",
 ]
 
@@ -47,21 +44,6 @@ Spec = TypeVar("Spec")
 
 Flights: TypeAlias = Sequence[Sequence[Rows]]
 """Flights as monitors are fitted to them: for each flight its rows of flying, in order."""
-
-Summary: TypeAlias = tuple[NDArray[Any], ...]
-"""What a fit needs of one flight, as arrays, so that it can be put aside."""
-
-Summaries: TypeAlias = Sequence[Summary]
-"""Of each flight of a fit."""
-
-
-MAX_DELAY_S = 60.0  # of the rate filters: hundreds of times the longest (our choice)
-
-
-def check_delay(monitor: str, delay_s: float) -> None:
-    """Raise InputError, naming the monitor, for a delay that no filter has."""
-    if not 0.0 <= delay_s <= MAX_DELAY_S:
-        raise InputError(f"{monitor}: delay_s must be 0 to {MAX_DELAY_S:g} s, not {delay_s:g}")
 
 
 def segments(flight: Sequence[Rows]) -> list[list[Rows]]:
@@ -190,25 +172,12 @@ class Monitor(ABC, Generic[Spec]):
 
     @classmethod
     @abstractmethod
-    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
-        """What the fit needs of one healthy flight. The rows may be dropped afterwards.
-
-        Raises as `settle`, where the context alone says that it cannot work.
-        """
-
-    @classmethod
-    @abstractmethod
-    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[Spec, ...]:
-        """Fit it to what was gathered of healthy flights: one specification, or one for each axis.
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[Spec, ...]:
+        """Fit it to healthy flights: one specification, or one for each axis.
 
         Raises InputError or IdentificationError, with the reason as the operator reads it (without the monitor's
         name), if it cannot work on such flights.
         """
-
-    @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[Spec, ...]:
-        """Fit it to healthy flights; raises as `settle`."""
-        return cls.settle([cls.gather(flight, context) for flight in flights], context)
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[Spec, float]:
         """Its fit once the propellers are new, and the factor of scores that the old ones gave.

@@ -5,7 +5,7 @@ newest row of their window, so that a column holds what is known when its row ha
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -21,6 +21,10 @@ TRIM_CONDITIONS = frozenset({Condition.TILT, Condition.THROTTLE, Condition.YAW_R
 TRIM_MEMORY_S = 1.0  # of these conditions
 # Rows of what a monitor writes for each of its values.
 VALUE, SOUND, LEVEL, SIGNAL = 0, 1, 2, 3
+TRACE = 4  # inner figures for a fit, where there are rows for them (`monitors.fitting.traced`)
+
+Floats: TypeAlias = FloatArray
+Ints: TypeAlias = IntArray
 
 
 class Kernel(Protocol):

@@ -5,60 +5,44 @@ a sensor that lies. What the other monitors say from then on is about the upset 
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.jit import cached, source_digest
-from mavdiag.monitors.base import FaultKind, LearnContext, Monitor, Summaries, Summary, check_delay
-from mavdiag.monitors.columns import COMMANDED, LEVEL, SIGNAL, SOUND, VALUE, Kernel, U, Y
-from mavdiag.rows.front import Rows
-from mavdiag.telemetry import FloatArray, IntArray, Signal
+from mavdiag.jit import cached
+from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
+from mavdiag.monitors.columns import COMMANDED, LEVEL, SIGNAL, SOUND, VALUE, Floats, Ints, U, Y
+from mavdiag.monitors.fitting import commanded, of_each
+from mavdiag.monitors.spec import Delay, spec
+from mavdiag.telemetry import FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
 LEAST_RAD_S = 7.0  # 400 deg/s beyond the command; emulated flights whose position jumps reach 5.7 (our choice)
 MIN_RATE_HZ = 20.0  # below it an upset is over between two samples (our choice)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@spec
 class ControlLossSpec:
-    """delay_s: half the window of the rate filters [s]. Raises InputError if it cannot be."""
+    """delay_s: half the window of the rate filters [s]."""
 
     kind: Literal["control_loss"] = "control_loss"
-    delay_s: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_delay("control_loss", self.delay_s)
+    delay_s: Delay = 0.0
 
 
-def _compiled(digest: int) -> Kernel:
-    @cached
-    def run(
-        par: FloatArray,
-        mem: FloatArray,
-        x: FloatArray,
-        flags: FloatArray,
-        lag: int,
-        out: FloatArray,
-        rotors: FloatArray,
-        at: IntArray,
-    ) -> int:
-        """The rate without a command at each row whose rates became known."""
-        for i in range(lag, x.shape[1] if digest else lag):
-            k, fast, left, sound = i - lag, 0.0, 0.0, flags[COMMANDED, i] > 0.5
-            for axis in range(3):
-                y, apart = x[Y + axis, i], x[Y + axis, i] - x[U + axis, i]
-                fast, left = fast + y * y, left + apart * apart
-            value = min(math.sqrt(fast), math.sqrt(left))
-            sound = sound and math.isfinite(fast + left)
-            out[VALUE, k] = out[LEVEL, k] = value if sound else 0.0
-            out[SOUND, k], out[SIGNAL, k], at[k] = sound, math.sqrt(fast) if sound else 0.0, k
-        return len(at) - lag
-
-    return run
+@cached
+def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+    """The rate without a command at each row whose rates became known."""
+    for i in range(lag, x.shape[1]):
+        k, fast, left, sound = i - lag, 0.0, 0.0, flags[COMMANDED, i] > 0.5
+        for axis in range(3):
+            y, apart = x[Y + axis, i], x[Y + axis, i] - x[U + axis, i]
+            fast, left = fast + y * y, left + apart * apart
+        value = min(math.sqrt(fast), math.sqrt(left))
+        sound = sound and math.isfinite(fast + left)
+        out[VALUE, k] = out[LEVEL, k] = value if sound else 0.0
+        out[SOUND, k], out[SIGNAL, k], at[k] = sound, math.sqrt(fast) if sound else 0.0, k
+    return len(at) - lag
 
 
 class ControlLoss(Monitor[ControlLossSpec]):
@@ -95,15 +79,10 @@ class ControlLoss(Monitor[ControlLossSpec]):
     unit = "rad/s"
 
     @classmethod
-    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
-        """Whether the flight has gyro and set-point."""
-        return (np.array([any(rows.rates.commanded.any() for rows in flight)]),)
-
-    @classmethod
-    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[ControlLossSpec, ...]:
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[ControlLossSpec, ...]:
         """Nothing is fitted; the healthy flights set the threshold. Raises InputError without gyro or set-point."""
         context.need_rate(MIN_RATE_HZ)
-        if not any(commanded[0] for (commanded,) in summaries):
+        if not any(of_each(flights, "commanded", commanded)):
             raise InputError("no flight with a gyro and an attitude set-point")
         return (ControlLossSpec(delay_s=context.window // 2 * context.dt_s),)
 
@@ -120,4 +99,4 @@ class ControlLoss(Monitor[ControlLossSpec]):
         """Nothing is remembered."""
         return np.empty(0)
 
-    run = staticmethod(_compiled(source_digest()))
+    run = staticmethod(run)

@@ -5,25 +5,35 @@ is new in each sample. That makes it the monitor for upsets and for a rough, fas
 is trimmed away leaves no trace in it.
 """
 
-import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify.arx import triangle
-from mavdiag.jit import cached, jit, source_digest
-from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, check_delay, segments
-from mavdiag.monitors.columns import COMMANDED, GYRO, LEVEL, SIGNAL, SOUND, VALUE, Kernel, U
-from mavdiag.monitors.healthy import LIMIT, MEMORY_S, MOST, cut_to_share, smoothed, three, variance_law
+from mavdiag.jit import cached, jit
+from mavdiag.monitors.base import Flights, LearnContext, Monitor, segments
+from mavdiag.monitors.columns import COMMANDED, GYRO, LEVEL, SIGNAL, SOUND, VALUE, Floats, Ints, U
+from mavdiag.monitors.fitting import (
+    LIMIT,
+    MEMORY_S,
+    MOST,
+    commanded,
+    cut_to_share,
+    of_each,
+    smoothed,
+    three,
+    variance_law,
+)
+from mavdiag.monitors.spec import Delay, NotNegative, Positive, spec
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, follow, mean_size, push, total
 from mavdiag.rows.windows import forgetting, window_all, window_rows
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Three
+from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
 
 NA = NB = LAG = 4  # METHOD section 5; 2 to 5 change no verdict on the recorded flights
 WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
@@ -36,39 +46,32 @@ STILL_ROWS = 3  # equal ones after another say nothing new, be they rounded or r
 MIN_RATE_HZ = 20.0  # below it a step ahead is too far to predict a rate (our choice)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+Four: TypeAlias = tuple[float, float, float, float]
+
+
+@spec
 class InnovationSpec:
     """Healthy prediction of roll, pitch and yaw rate, in that order.
 
     dt_s: row period [s].
     mean: healthy mean gyro [rad/s].
-    a, b: (3, 4) a_1..a_4 and b_1..b_4.
+    a, b: of each axis a_1..a_4 and b_1..b_4.
     k0: variance of the innovation at rest [(rad/s)^2].
     k1: variance per mean square of the commanded rate.
     window_s, memory_s: lengths of the mean and of the memory of the command [s].
     delay_s: half the window of the rate filters [s].
-    Raises InputError if they do not fit together.
     """
 
     kind: Literal["innovation"] = "innovation"
-    dt_s: float
+    dt_s: Positive
     mean: Three
-    a: tuple[tuple[float, ...], ...]
-    b: tuple[tuple[float, ...], ...]
-    k0: Three
-    k1: Three
-    window_s: float = WINDOW_S
-    memory_s: float = MEMORY_S
-    delay_s: float = 0.0
-
-    def __post_init__(self) -> None:
-        shapes = [len(self.a), len(self.b), *(len(row) for row in (*self.a, *self.b))]
-        figures = (*self.mean, *self.k0, *self.k1, *(x for row in (*self.a, *self.b) for x in row))
-        if shapes != [3, 3, *[NA] * 3, *[NB] * 3] or not all(math.isfinite(x) for x in figures):
-            raise InputError(f"innovation: three rows of {NA} a and {NB} b, all finite, are needed")
-        if min(self.dt_s, self.window_s, self.memory_s, *self.k0) <= 0 or min(self.k1) < 0:
-            raise InputError("innovation: spans and k0 must be positive, k1 not negative")
-        check_delay("innovation", self.delay_s)
+    a: tuple[Four, Four, Four]
+    b: tuple[Four, Four, Four]
+    k0: tuple[Positive, Positive, Positive]
+    k1: tuple[NotNegative, NotNegative, NotNegative]
+    window_s: Positive = WINDOW_S
+    memory_s: Positive = MEMORY_S
+    delay_s: Delay = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +87,9 @@ class _Pairs:
     y: FloatArray
     valid: BoolArray
     busy: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.valid)
 
 
 # Places in the parameters, of each axis mean, k0, k1, a and b, and in the memory, of each axis the last inputs and
@@ -109,44 +115,32 @@ def _error(par: FloatArray, mem: FloatArray, axis: int, u: float, y: float) -> f
     return float(e / math.sqrt(par[of + 1] + par[of + 2] * busy))
 
 
-def _compiled(digest: int) -> Kernel:
-    @cached
-    def run(
-        par: FloatArray,
-        mem: FloatArray,
-        x: FloatArray,
-        flags: FloatArray,
-        lag: int,
-        out: FloatArray,
-        rotors: FloatArray,
-        at: IntArray,
-    ) -> int:
-        """The level at each row whose commanded rate became known."""
-        window = int(par[WINDOW])
-        for i in range(lag, x.shape[1] if digest else lag):
-            k, known, same, usual, most, worst = i - lag, flags[COMMANDED, i] > 0.5, True, 0.0, 0.0, 0.0
-            for axis in range(3):
-                u, y = x[U + axis, i], x[GYRO + axis, i]
-                known = known and math.isfinite(u) and math.isfinite(y)
-                u, y = u if math.isfinite(u) else 0.0, y if math.isfinite(y) else 0.0
-                same = same and y - par[AXES + axis * OF_AXIS] == mem[ROWS + axis * OF_PAST + NB]
-                z = abs(_error(par, mem, axis, u, y))
-                worst, square = max(worst, z), min(z, MOST) ** 2
-                usual, most = usual + min(square, LIMIT * LIMIT), most + square
-            mem[SAME] = mem[SAME] + 1.0 if same else 0.0
-            mem[GOOD] = mem[GOOD] + 1.0 if known and mem[SAME] < STILL_ROWS else 0.0
-            sound, level = mem[GOOD] > LAG, 0.0
-            if sound:  # the last second of *valid* rows: a gap within a segment does not start the window anew
-                row = MEAN + FRESH
-                mem[row], mem[row + 1], mem[row + 2] = usual, most - usual, 1.0 if most > usual else 0.0
-                sound = push(mem, MEAN, window, 3, True)
-                many = total(mem, MEAN, 3, 2) > GLITCH_ROWS + 0.5
-                sum_ = total(mem, MEAN, 3, 0) + (total(mem, MEAN, 3, 1) if many else 0.0)
-                level = math.sqrt(max(sum_, 0.0) / (3 * window))
-            out[VALUE, k], out[SOUND, k], out[LEVEL, k], out[SIGNAL, k], at[k] = level, sound, level, worst, k
-        return len(at) - lag
-
-    return run
+@cached
+def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+    """The level at each row whose commanded rate became known."""
+    window = int(par[WINDOW])
+    for i in range(lag, x.shape[1]):
+        k, known, same, usual, most, worst = i - lag, flags[COMMANDED, i] > 0.5, True, 0.0, 0.0, 0.0
+        for axis in range(3):
+            u, y = x[U + axis, i], x[GYRO + axis, i]
+            known = known and math.isfinite(u) and math.isfinite(y)
+            u, y = u if math.isfinite(u) else 0.0, y if math.isfinite(y) else 0.0
+            same = same and y - par[AXES + axis * OF_AXIS] == mem[ROWS + axis * OF_PAST + NB]
+            z = abs(_error(par, mem, axis, u, y))
+            worst, square = max(worst, z), min(z, MOST) ** 2
+            usual, most = usual + min(square, LIMIT * LIMIT), most + square
+        mem[SAME] = mem[SAME] + 1.0 if same else 0.0
+        mem[GOOD] = mem[GOOD] + 1.0 if known and mem[SAME] < STILL_ROWS else 0.0
+        sound, level = mem[GOOD] > LAG, 0.0
+        if sound:  # the last second of *valid* rows: a gap within a segment does not start the window anew
+            row = MEAN + FRESH
+            mem[row], mem[row + 1], mem[row + 2] = usual, most - usual, 1.0 if most > usual else 0.0
+            sound = push(mem, MEAN, window, 3, True)
+            many = total(mem, MEAN, 3, 2) > GLITCH_ROWS + 0.5
+            sum_ = total(mem, MEAN, 3, 0) + (total(mem, MEAN, 3, 1) if many else 0.0)
+            level = math.sqrt(max(sum_, 0.0) / (3 * window))
+        out[VALUE, k], out[SOUND, k], out[LEVEL, k], out[SIGNAL, k], at[k] = level, sound, level, worst, k
+    return len(at) - lag
 
 
 class Innovation(Monitor[InnovationSpec]):
@@ -185,26 +179,15 @@ class Innovation(Monitor[InnovationSpec]):
     unit = "x healthy rms"
 
     @classmethod
-    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
-        """Whether rates are commanded, the rows of each stretch, and all pairs: (p, 6), (n,) and (n, 3)."""
-        commanded = any(rows.rates.commanded.any() for rows in flight)
-        pairs = [one for segment in segments(flight) for one in _pairs_of(segment)] if commanded else []
-        if not pairs:
-            return np.array([False]), np.empty(0, dtype=np.int64), np.empty((0, 6)), np.empty(0, bool), np.empty((0, 3))
-        rows = np.concatenate([np.concatenate((one.u, one.y), axis=1) for one in pairs])
-        valid, busy = np.concatenate([one.valid for one in pairs]), np.concatenate([one.busy for one in pairs])
-        return np.array([True]), np.array([len(one.valid) for one in pairs]), rows, valid, busy
-
-    @classmethod
-    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[InnovationSpec, ...]:
-        """Identify the healthy one-step prediction, of a like share of every flight's valid rows."""
-        if not any(one[0][0] for one in summaries):
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[InnovationSpec, ...]:
+        """Identify the healthy one-step prediction, of a like share of every flight's rows."""
+        if not any(of_each(flights, "commanded", commanded)):
             raise InputError("no flight with a gyro and an attitude set-point")
         if 1 / context.dt_s < MIN_RATE_HZ:
             rate_hz = 1 / context.dt_s
             raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; a one-step prediction needs {MIN_RATE_HZ:.0f} Hz")
-        pairs = _training_pairs(summaries)
-        if all((one.y == one.y[:1]).all() for one in pairs) and sum(len(one[2]) for one in summaries) >= MIN_ROWS:
+        pairs = _training_pairs(flights)
+        if all((one.y[LAG:] == one.y[LAG]).all() for one in pairs) and sum(map(len, pairs)) >= MIN_ROWS:
             raise IdentificationError(CONSTANT)
         rows = sum(int(one.valid.sum()) for one in pairs)
         if rows < MIN_ROWS:
@@ -218,16 +201,16 @@ class Innovation(Monitor[InnovationSpec]):
             raise IdentificationError(CONSTANT)
         busy = np.concatenate([one.busy[one.valid] for one in pairs])
         k = [variance_law(squares[:, axis], busy[:, axis]) for axis in range(3)]
-        spec = InnovationSpec(
+        found = InnovationSpec(
             dt_s=context.dt_s,
             mean=three(mean),
-            a=tuple(tuple(row) for row in a.tolist()),
-            b=tuple(tuple(row) for row in b.tolist()),
+            a=(_four(a[0]), _four(a[1]), _four(a[2])),
+            b=(_four(b[0]), _four(b[1]), _four(b[2])),
             k0=three([k0 for k0, _ in k]),
             k1=three([k1 for _, k1 in k]),
             delay_s=context.window // 2 * context.dt_s,
         )
-        return (spec,)
+        return (found,)
 
     @property
     def delay_s(self) -> float:
@@ -260,21 +243,39 @@ class Innovation(Monitor[InnovationSpec]):
             mem[first : first + NA] = -mean
         return mem
 
-    run = staticmethod(_compiled(source_digest()))
+    run = staticmethod(run)
 
 
-def _pairs_of(segment: Sequence[Rows]) -> Iterator[_Pairs]:
-    """The pairs of a segment: none, or one."""
-    rates = [rows.rates for rows in segment]
-    u, y, good = (np.concatenate([getattr(one, name) for one in rates]) for name in ("u", "gyro", "commanded"))
-    if len(good):
-        known = np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)
-        u, y = (np.concatenate((np.zeros((LAG, 3)), np.where(np.isfinite(one), one, 0.0))) for one in (u, y))
-        changed = np.concatenate(([False], (y[1:] != y[:-1]).any(axis=1)))
-        stirred = ~window_all(~changed, STILL_ROWS)[LAG - STILL_ROWS + 1 :]
-        valid = np.concatenate((np.zeros(LAG, dtype=np.bool_), good & known & stirred))
-        busy = smoothed(np.square(u[LAG:]), forgetting(MEMORY_S, rates[0].dt_s))
-        yield _Pairs(u, y, window_all(valid, LAG + 1), busy)
+def _training_pairs(flights: Flights) -> list[_Pairs]:
+    """Of each segment of all flights the first rows, so many that a like share of what is commanded is in them."""
+    counts = [count for of_flight in of_each(flights, "commanded rows", _commanded_rows) for count in of_flight]
+    pieces = [segment for flight in flights for segment in segments(flight)]
+    shares = zip(pieces, cut_to_share(counts, TRAIN_ROWS, 0), strict=True)
+    return [_pairs_of(segment, most) for segment, most in shares if most]
+
+
+def _commanded_rows(flight: Sequence[Rows]) -> list[int]:
+    """How many rows of each segment are commanded."""
+    return [sum(int(np.count_nonzero(rows.rates.commanded)) for rows in segment) for segment in segments(flight)]
+
+
+def _pairs_of(segment: Sequence[Rows], most: int) -> _Pairs:
+    """The pairs of a segment up to so many commanded rows."""
+    parts = []
+    for rates in (rows.rates for rows in segment):
+        n = int(np.searchsorted(np.cumsum(rates.commanded), most)) + 1
+        parts.append((rates.u[:n], rates.gyro[:n], rates.commanded[:n]))
+        most -= int(np.count_nonzero(rates.commanded[:n]))
+        if most <= 0:
+            break
+    u, y, good = (np.concatenate(column) for column in zip(*parts, strict=True))
+    known = np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)
+    u, y = (np.concatenate((np.zeros((LAG, 3)), np.where(np.isfinite(one), one, 0.0))) for one in (u, y))
+    changed = np.concatenate(([False], (y[1:] != y[:-1]).any(axis=1)))
+    stirred = ~window_all(~changed, STILL_ROWS)[LAG - STILL_ROWS + 1 :]
+    valid = np.concatenate((np.zeros(LAG, dtype=np.bool_), good & known & stirred))
+    busy = smoothed(np.square(u[LAG:]), forgetting(MEMORY_S, segment[0].rates.dt_s))
+    return _Pairs(u, y, window_all(valid, LAG + 1), busy)
 
 
 def _errors(u: FloatArray, y: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
@@ -284,26 +285,6 @@ def _errors(u: FloatArray, y: FloatArray, a: FloatArray, b: FloatArray) -> Float
         e[axis] = np.correlate(y[:, axis], [*a[axis, ::-1], 1.0])
         e[axis] -= np.correlate(u[:-1, axis], b[axis, ::-1])
     return e.T
-
-
-def _training_pairs(summaries: Summaries) -> list[_Pairs]:
-    """Of each stretch of all flights the first pairs, so many that a like share of it is valid."""
-    stretches = [
-        (number, first, stop)
-        for number, (_, lengths, *_) in enumerate(summaries)
-        for first, stop in itertools.pairwise(np.append(0, np.cumsum(lengths)).tolist())
-    ]
-    counts = [int(np.count_nonzero(summaries[number][3][first:stop])) for number, first, stop in stretches]
-    pairs, before, last = [], 0, -1
-    for (number, first, stop), most in zip(stretches, cut_to_share(counts, TRAIN_ROWS, 0), strict=True):
-        before = before + LAG if number == last else 0  # rows that the stretches before had behind them
-        last = number
-        _, _, rows, valid, busy = summaries[number]
-        good = valid[first:stop]
-        n = int(np.searchsorted(np.cumsum(good), most)) + 1 if most else 0
-        part = rows[first + before : first + before + LAG + n]
-        pairs.append(_Pairs(part[:, :3], part[:, 3:], good[:n], busy[first : first + n]))
-    return pairs
 
 
 def _identify(pairs: Sequence[_Pairs], axis: int, mean: float) -> tuple[FloatArray, FloatArray]:
@@ -323,3 +304,8 @@ def _identify(pairs: Sequence[_Pairs], axis: int, mean: float) -> tuple[FloatArr
     scale[scale == 0.0] = 1.0
     theta = np.linalg.lstsq(R[:, :-1] / scale, R[:, -1], rcond=RANK_TOLERANCE)[0] / scale
     return theta[:NA], theta[NA:]
+
+
+def _four(values: FloatArray) -> Four:
+    first, second, third, fourth = values.tolist()
+    return first, second, third, fourth

@@ -16,20 +16,28 @@ motion that began before the first row cannot be simulated: the first 1.5 s of a
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
-from mavdiag.errors import InputError
+from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify.model import ModelRecord
-from mavdiag.jit import cached, jit, source_digest
-from mavdiag.monitors.healthy import MEMORY_S
+from mavdiag.jit import cached, jit
+from mavdiag.monitors.base import segments
+from mavdiag.monitors.columns import COMMANDED, FORCE, THRUST, Floats, U, Y, columns_of
+from mavdiag.monitors.fitting import MEMORY_S, three, variance_law
 from mavdiag.monitors.run_length import at_rest, free_run
-from mavdiag.rows.running import follow
+from mavdiag.monitors.spec import NotNegative, Positive, spec
+from mavdiag.rows.front import Rows
+from mavdiag.rows.running import dot, follow, past_size, shift
+from mavdiag.rows.savgol import coefficients
 from mavdiag.rows.windows import forgetting
-from mavdiag.telemetry import BoolArray, FloatArray, Three
+from mavdiag.telemetry import BoolArray, FloatArray
 
+SAMPLE_S = 0.01  # between two samples, our choice: ten times what the 0.1 s window passes
 DRIFT_S = 1.0  # our choice; 0.5 to 2 s find the same faults
 FOLLOW_S = 10.0  # memory of the gain error; 5 to 20 s judge alike (our choice)
 GAIN_RMS = 0.3  # gain and speed errors that are expected before anything was seen (our choice)
@@ -39,7 +47,7 @@ JOLT = 4.0  # of the rms of the last 10 s: what is larger is a jolt, such as a p
 SETTLE_S = 1.5  # our choice: the slowest pole that T's models have without their integrator dies out in it
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@spec
 class HealthyMotion:
     """How the healthy airframe answers.
 
@@ -50,23 +58,21 @@ class HealthyMotion:
     heave: vertical acceleration [m/s^2] on thrust 0..1, both less their 1 s mean.
     k0: variance of the residuals of roll, pitch and heave at rest.
     k1: variance per mean square of what was commanded.
-    Raises InputError if they do not fit together.
+    Raises InputError for an even window.
     """
 
-    dt_s: float
-    stride: int
+    dt_s: Positive
+    stride: Annotated[int, Field(ge=1)]
     window: int
     roll: ModelRecord
     pitch: ModelRecord
     heave: ModelRecord
-    k0: Three = (1.0, 1.0, 1.0)
-    k1: Three = (0.0, 0.0, 0.0)
+    k0: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
+    k1: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.dt_s) and self.dt_s > 0) or self.stride < 1 or self.window % 2 == 0:
-            raise InputError("rotor_signature: row period, stride and an odd filter window must be positive")
-        if not all(math.isfinite(x) for x in (*self.k0, *self.k1)) or min(self.k0) <= 0 or min(self.k1) < 0:
-            raise InputError("rotor_signature: k0 must be positive and k1 not negative")
+        if self.window % 2 == 0:
+            raise InputError("rotor_signature: the filter window must be odd")
 
     @property
     def period_s(self) -> float:
@@ -79,6 +85,74 @@ class HealthyMotion:
         return any(self.heave.b)
 
 
+# Of the decimation. A sample: roll and pitch rate commanded, the same measured, acceleration down, thrust, 1 if it is
+# valid. Places in the parameters: rows between samples, length of the window, where its taps stand. And in the memory:
+# rates so far, the sample, the last accelerations and thrusts.
+SAMPLE = 7
+STRIDE, LENGTH, TAPS = range(3)
+COUNT, NEWEST, PAST = 0, 1, 1 + SAMPLE
+
+
+def taps_of(window: int) -> FloatArray:
+    """Of the smoothing of acceleration and thrust, which is that of the rates."""
+    taps: FloatArray = coefficients(window, min(2, window - 1))[0]
+    return taps
+
+
+def decimator_memory(window: int) -> FloatArray:
+    """No row yet: what came before is unknown."""
+    mem = np.full(PAST + 2 * past_size(window), np.nan)
+    mem[COUNT] = mem[PAST] = mem[PAST + past_size(window)] = 0.0
+    return mem
+
+
+@jit
+def decimate(par: Floats, of: int, mem: Floats, own: int, x: Floats, flags: Floats, lag: int, i: int) -> bool:
+    """Take a row; True where it completes a sample, which stands at `NEWEST`. of, own: where the places above begin."""
+    length, taps = int(par[of + LENGTH]), int(par[of + TAPS])
+    past = own + PAST
+    heave = shift(mem, past, length, x[FORCE + 2, i])
+    thrust = shift(mem, past + 1 + 2 * length, length, x[THRUST, i])
+    if i < lag:
+        return False
+    count = int(mem[own + COUNT])
+    mem[own + COUNT] = count + 1.0
+    if count % int(par[of + STRIDE]):
+        return False
+    sample = own + NEWEST
+    mem[sample], mem[sample + 1], mem[sample + 2], mem[sample + 3] = x[U, i], x[U + 1, i], x[Y, i], x[Y + 1, i]
+    mem[sample + 4] = dot(par, taps, mem, heave, length)
+    mem[sample + 5] = dot(par, taps, mem, thrust, length)
+    valid = flags[COMMANDED, i] > 0.5
+    for column in range(5):
+        valid = valid and math.isfinite(mem[sample + column])
+    mem[sample + 6] = 1.0 if valid else 0.0
+    return True
+
+
+@cached
+def _samples(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats) -> int:
+    """The samples of some rows, to (n, SAMPLE)."""
+    k = 0
+    for i in range(x.shape[1]):
+        if decimate(par, 0, mem, 0, x, flags, lag, i):
+            out[k] = mem[NEWEST : NEWEST + SAMPLE]
+            k += 1
+    return k
+
+
+def samples_of(flight: Sequence[Rows], stride: int, window: int) -> list[FloatArray]:
+    """The samples of each segment of a flight, (k, 7). window: rows of the smoothing, odd."""
+    par, found = np.array([stride, window, 3, *taps_of(window)]), []
+    for segment in segments(flight):
+        mem, parts = decimator_memory(window), []
+        for columns in map(columns_of, segment):
+            out = np.empty((columns.flags.shape[1], SAMPLE))
+            parts.append(out[: _samples(par, mem, columns.x, columns.flags, columns.lag, out)].copy())
+        found.append(np.concatenate(parts))
+    return found
+
+
 # Places in the parameters: forgetting of the drift, the command and the errors; SPEED_S in samples; period; samples to
 # settle; whether the errors of gain and speed are taken out, and whether the thrust explains anything; k0, k1 and
 # prior of each channel; and of each model how many inputs and outputs it looks back, and where its coefficients and its
@@ -88,20 +162,8 @@ HEAD = MODELS + 12
 # Places in the memory: samples so far; what is known of the present one, the residuals r and n of it; running means of
 # the heave and the thrust, of r, of the squared command; the last heave and thrust; the last simulated values, running
 # means of these and their slopes, of their 5 products (each of three channels), of n squared.
-SEEN, KNOWN, R, N, LEVEL, SLOW, BUSY, HEAVE, SIMULATED, TREND, PRODUCTS, UNREST = (
-    0,
-    1,
-    2,
-    5,
-    8,
-    10,
-    13,
-    16,
-    18,
-    21,
-    27,
-    42,
-)
+SEEN, KNOWN, R, N, LEVEL, SLOW, BUSY, HEAVE, SIMULATED, TREND = 0, 1, 2, 5, 8, 10, 13, 16, 18, 21
+PRODUCTS, UNREST = 27, 42
 OWN = 45  # the models' past follows
 
 
@@ -197,21 +259,15 @@ def _explained(par: FloatArray, mem: FloatArray, i: int, simulated: float, r: fl
     return float(g * f + h * df)
 
 
-def _compiled(digest: int) -> Callable[[FloatArray, FloatArray, FloatArray, FloatArray], None]:
-    @cached
-    def residuals(par: FloatArray, mem: FloatArray, samples: FloatArray, out: FloatArray) -> None:
-        """Of samples (k, 7) the residuals r and n, mean squares of the command, and whether all is known: (k, 10)."""
-        for k in range(len(samples) if digest else 0):
-            rates = (samples[k, 0], samples[k, 1], samples[k, 2], samples[k, 3])
-            advance_residual(par, mem, rates, samples[k, 4], samples[k, 5], samples[k, 6] > 0.5)
-            for i in range(3):
-                out[k, i], out[k, 3 + i], out[k, 6 + i] = mem[R + i], mem[N + i], mem[BUSY + i]
-            out[k, 9] = mem[KNOWN]
-
-    return residuals
-
-
-_residuals = _compiled(source_digest())
+@cached
+def _residuals(par: Floats, mem: Floats, samples: Floats, out: Floats) -> None:
+    """Of samples (k, 7) the residuals r and n, mean squares of the command, and whether all is known: (k, 10)."""
+    for k in range(len(samples)):
+        rates = (samples[k, 0], samples[k, 1], samples[k, 2], samples[k, 3])
+        advance_residual(par, mem, rates, samples[k, 4], samples[k, 5], samples[k, 6] > 0.5)
+        for i in range(3):
+            out[k, i], out[k, 3 + i], out[k, 6 + i] = mem[R + i], mem[N + i], mem[BUSY + i]
+        out[k, 9] = mem[KNOWN]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -231,8 +287,24 @@ class Residuals:
 
 
 def residuals_of(motion: HealthyMotion, samples: FloatArray, follows: bool = True) -> Residuals:
-    """The residuals of a whole segment. samples: (k, 7) as `monitors.decimated` has them."""
+    """The residuals of a whole segment. samples: (k, 7)."""
     head, tail, size = residual_parameters(motion, follows, HEAD)
     out = np.empty((len(samples), 10))
     _residuals(np.array([*head, *tail]), residual_memory(size), samples, out)
     return Residuals(out[:, :3], out[:, 3:6], out[:, 6:9], out[:, 9] > 0.5)
+
+
+def with_variances(motion: HealthyMotion, segments_: Sequence[FloatArray]) -> HealthyMotion:
+    """The motion with the variances k0 and k1 of its residuals, from the samples of healthy segments.
+
+    Raises IdentificationError without a live sensor.
+    """
+    for follows in (False, True):  # how far the gain is followed depends on the variance at rest
+        found = [residuals_of(motion, samples, follows) for samples in segments_]
+        squares = np.concatenate([np.empty((0, 3)), *(np.square(one.r[one.valid]) for one in found)])
+        busy = np.concatenate([np.empty((0, 3)), *(one.busy[one.valid] for one in found)])
+        if not squares.any(axis=0).all():
+            raise IdentificationError("no settled flight with a live gyro and accelerometer; fly longer than 3 s")
+        k = [variance_law(squares[:, axis], busy[:, axis]) for axis in range(3)]
+        motion = replace(motion, k0=three([k0 for k0, _ in k]), k1=three([k1 for _, k1 in k]))
+    return motion

@@ -6,7 +6,6 @@ then grows along one diagonal, in step with the vertical acceleration.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -16,29 +15,35 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import Method
 from mavdiag.identify import fit as identify
 from mavdiag.identify.model import ModelRecord
-from mavdiag.jit import cached, jit, source_digest
-from mavdiag.monitors.base import Feature, LearnContext, Monitor, RotorEvidence, Summaries, Summary
-from mavdiag.monitors.columns import LEVEL, SIGNAL, SOUND, VALUE, Kernel
-from mavdiag.monitors.decimated import NEWEST, decimate, decimator_memory, stride_of, taps_of
-from mavdiag.monitors.healthy import cut_to_share, smoothed
+from mavdiag.jit import cached, jit
+from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence
+from mavdiag.monitors.columns import LEVEL, SIGNAL, SOUND, VALUE, Floats, Ints
+from mavdiag.monitors.fitting import commanded, cut_to_share, of_each, smoothed
 from mavdiag.monitors.model_residual import (
     DRIFT_S,
     HEAD,
     KNOWN,
+    NEWEST,
+    SAMPLE_S,
     HealthyMotion,
     N,
     R,
     advance_residual,
+    decimate,
+    decimator_memory,
     residual_memory,
     residual_parameters,
+    samples_of,
+    taps_of,
+    with_variances,
 )
-from mavdiag.monitors.motion_fit import by_segment, gathered, with_variances
+from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.rows.windows import forgetting, spans
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
+from mavdiag.telemetry import BoolArray, FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
 WINDOW_S = 10.0  # our choice: in wind a correlation over 3 s (METHOD section 4 has 4 s) scatters too much
@@ -54,24 +59,19 @@ MIN_RATE_HZ = 50.0  # METHOD section 4: below it the residual degrades
 LEAST_POWER = 1e-12  # of a normalised residual; keeps a channel without noise from a division by zero
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@spec
 class RotorSignatureSpec:
     """How the healthy airframe moves, and where its rotors are.
 
     layout: where the rotors are.
     motion: its models, and how large their residuals are.
     window_s: length of the means [s].
-    Raises InputError if the window is not positive.
     """
 
     kind: Literal["rotor_signature"] = "rotor_signature"
     layout: RotorLayout
     motion: HealthyMotion
-    window_s: float = WINDOW_S
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.window_s) and self.window_s > 0):
-            raise InputError(f"rotor_signature: the window must be positive, not {self.window_s} s")
+    window_s: Positive = WINDOW_S
 
     @property
     def samples(self) -> int:
@@ -141,46 +141,34 @@ def _judge(par: FloatArray, mem: FloatArray, out: FloatArray, rotors: FloatArray
     out[SIGNAL, k] = mem[N] * par[of + ARM] + mem[N + 1] * par[of + ARM + 1]
 
 
-def _compiled(digest: int) -> Kernel:
-    @cached
-    def run(
-        par: FloatArray,
-        mem: FloatArray,
-        x: FloatArray,
-        flags: FloatArray,
-        lag: int,
-        out: FloatArray,
-        rotors: FloatArray,
-        at: IntArray,
-    ) -> int:
-        """The statistic about every 10 ms, at the time of the newest row that it rests on."""
-        sampled, mine, window, least = int(par[SAMPLED]), int(par[MINE]), int(par[SAMPLES]), int(par[LEAST])
-        recent, k = mine + MEAN + FRESH + 2 * PRODUCTS + window * PRODUCTS, 0
-        for i in range(x.shape[1] if digest else 0):
-            if not decimate(par, DECIMATOR, mem, sampled, x, flags, lag, i):
-                continue
-            of, row = sampled + NEWEST, mine + MEAN + FRESH
-            rates = (mem[of], mem[of + 1], mem[of + 2], mem[of + 3])
-            advance_residual(par, mem, rates, mem[of + 4], mem[of + 5], mem[of + 6] > 0.5)
-            if mem[KNOWN] > 0.5:
-                _products(mem, row)
-                mem[mine + RUN] += 1.0
-            else:
-                for j in range(PRODUCTS):
-                    mem[row + j] = HEALTHY_PRODUCTS[j]
-                mem[mine + RUN] = 0.0
-            for j in range(3):
-                mem[recent + FRESH + j] = mem[row + 6 + j]
-            push(mem, mine + MEAN, window, PRODUCTS, True)
-            push(mem, recent, least, 3, True)
-            mem[mine + COUNT] += 1.0
-            if mem[mine + COUNT] >= least:
-                _judge(par, mem, out, rotors, k)
-                out[SOUND, k], at[k] = mem[mine + RUN] >= least, i
-                k += 1
-        return k
-
-    return run
+@cached
+def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+    """The statistic about every 10 ms, at the time of the newest row that it rests on."""
+    sampled, mine, window, least = int(par[SAMPLED]), int(par[MINE]), int(par[SAMPLES]), int(par[LEAST])
+    recent, k = mine + MEAN + FRESH + 2 * PRODUCTS + window * PRODUCTS, 0
+    for i in range(x.shape[1]):
+        if not decimate(par, DECIMATOR, mem, sampled, x, flags, lag, i):
+            continue
+        of, row = sampled + NEWEST, mine + MEAN + FRESH
+        rates = (mem[of], mem[of + 1], mem[of + 2], mem[of + 3])
+        advance_residual(par, mem, rates, mem[of + 4], mem[of + 5], mem[of + 6] > 0.5)
+        if mem[KNOWN] > 0.5:
+            _products(mem, row)
+            mem[mine + RUN] += 1.0
+        else:
+            for j in range(PRODUCTS):
+                mem[row + j] = HEALTHY_PRODUCTS[j]
+            mem[mine + RUN] = 0.0
+        for j in range(3):
+            mem[recent + FRESH + j] = mem[row + 6 + j]
+        push(mem, mine + MEAN, window, PRODUCTS, True)
+        push(mem, recent, least, 3, True)
+        mem[mine + COUNT] += 1.0
+        if mem[mine + COUNT] >= least:
+            _judge(par, mem, out, rotors, k)
+            out[SOUND, k], at[k] = mem[mine + RUN] >= least, i
+            k += 1
+    return k
 
 
 class RotorSignature(Monitor[RotorSignatureSpec]):
@@ -236,23 +224,27 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     feature = Feature.MOTION
 
     @classmethod
-    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
-        """Whether the flight has a set-point, and then an accelerometer; the decimated samples (`gathered`)."""
-        flown = [rows.block for rows in flight if rows.rates.commanded.any()]
-        felt = any((block.valid & np.isfinite(block.force[:, 2])).any() for block in flown)
-        return (np.array([bool(flown), felt]), *gathered(flight, _unknown(context)))
-
-    @classmethod
-    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[RotorSignatureSpec, ...]:
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[RotorSignatureSpec, ...]:
         """Identify the healthy motion."""
-        layout, motion = _layout(summaries, context), _unknown(context)
-        flights = [one[1:] for one in summaries]
-        pieces = _pieces(flights, motion)
+        layout, stride = context.layout, max(1, round(SAMPLE_S / context.dt_s))
+        if not any(of_each(flights, "commanded", commanded)):
+            raise InputError("no flight with a gyro and an attitude set-point")
+        rate_hz = 1 / context.dt_s
+        if rate_hz < 0.98 * MIN_RATE_HZ:
+            raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; {MIN_RATE_HZ:.0f} Hz are needed, better 100")
+        if not any(of_each(flights, "felt z", _felt)):
+            raise InputError("no accelerometer, which separates a rotor from its opposite")
+        gathered = of_each(flights, cls.name, lambda flight: samples_of(flight, stride, context.window))
+        samples = [segment for flight in gathered for segment in flight]
+        pieces, period_s = _pieces(samples, stride * context.dt_s), stride * context.dt_s
         if not pieces:
             raise IdentificationError(f"no unbroken {MIN_PIECE_S:g} s of flight to identify from; fly longer")
-        roll, pitch = (_rate(pieces, axis, motion, context) for axis in (0, 1))
-        motion = replace(motion, roll=roll, pitch=pitch, heave=_heave(pieces, motion))
-        return (RotorSignatureSpec(layout=layout, motion=with_variances(flights, motion)),)
+        roll, pitch = (_rate(pieces, axis, period_s, context) for axis in (0, 1))
+        heave = _heave(pieces, period_s)
+        motion = HealthyMotion(
+            dt_s=context.dt_s, stride=stride, window=context.window, roll=roll, pitch=pitch, heave=heave
+        )
+        return (RotorSignatureSpec(layout=layout, motion=with_variances(motion, samples)),)
 
     @property
     def signals(self) -> frozenset[Signal]:
@@ -299,27 +291,13 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
         parts = (before, decimator_memory(spec.motion.window), np.zeros(MEAN), mean, np.zeros(mean_size(spec.least, 3)))
         return np.concatenate(parts)
 
-    run = staticmethod(_compiled(source_digest()))
+    run = staticmethod(run)
 
 
-def _unknown(context: LearnContext) -> HealthyMotion:
-    """The motion before any flight: nothing answers."""
-    stride = stride_of(context.dt_s)
-    none = _no_answer(stride * context.dt_s)
-    return HealthyMotion(dt_s=context.dt_s, stride=stride, window=context.window, roll=none, pitch=none, heave=none)
-
-
-def _layout(summaries: Summaries, context: LearnContext) -> RotorLayout:
-    """The rotor layout. Raises InputError if it is not known or the flights cannot be judged."""
-    layout = context.layout
-    if not any(one[0][0] for one in summaries):
-        raise InputError("no flight with a gyro and an attitude set-point")
-    rate_hz = 1 / context.dt_s
-    if rate_hz < 0.98 * MIN_RATE_HZ:
-        raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; {MIN_RATE_HZ:.0f} Hz are needed, better 100")
-    if not any(one[0][1] for one in summaries):
-        raise InputError("no accelerometer, which separates a rotor from its opposite")
-    return layout
+def _felt(flight: Sequence[Rows]) -> bool:
+    """Whether a flight that follows a set-point has an accelerometer along z."""
+    flown = (rows.block for rows in flight if rows.rates.commanded.any())
+    return any((block.valid & np.isfinite(block.force[:, 2])).any() for block in flown)
 
 
 def _no_answer(dt_s: float) -> ModelRecord:
@@ -346,13 +324,12 @@ def _signs(effects: FloatArray) -> FloatArray:
     return np.asarray(weights / np.abs(weights).sum(axis=0), dtype=np.float64)
 
 
-def _pieces(flights: Summaries, motion: HealthyMotion) -> list[FloatArray]:
+def _pieces(samples: Sequence[FloatArray], period_s: float) -> list[FloatArray]:
     """Samples of unbroken valid stretches, a like share of every flight."""
-    least = math.ceil(MIN_PIECE_S / motion.period_s)
+    least = math.ceil(MIN_PIECE_S / period_s)
     found = [
         segment[first:stop]
-        for flight in flights
-        for segment in by_segment(flight)
+        for segment in samples
         for first, stop in spans(segment[:, 6] > 0.5)
         if stop - first >= least
     ]
@@ -360,26 +337,29 @@ def _pieces(flights: Summaries, motion: HealthyMotion) -> list[FloatArray]:
     return [piece[:most] for piece, most in zip(found, taken, strict=True)]
 
 
-def _rate(pieces: Sequence[FloatArray], axis: int, motion: HealthyMotion, context: LearnContext) -> ModelRecord:
+def _rate(pieces: Sequence[FloatArray], axis: int, period_s: float, context: LearnContext) -> ModelRecord:
     """The rate model of one axis: of order 3 if the flights carry it, else of order 2."""
     near = next(((one.motion.roll, one.motion.pitch)[axis].model() for one in context.near), None)
     u, y = [piece[:, axis] for piece in pieces], [piece[:, 2 + axis] for piece in pieces]
     reason = ""
     for order in ORDERS:
         try:
-            return ModelRecord.of(identify(u, y, order, dt=motion.period_s, figures=context.figures, near=near))
+            return ModelRecord.of(identify(u, y, order, dt=period_s, figures=context.figures, near=near))
         except IdentificationError as error:
             reason = str(error)
     raise IdentificationError(f"{('roll', 'pitch')[axis]}: {reason}")
 
 
-def _heave(pieces: Sequence[FloatArray], motion: HealthyMotion) -> ModelRecord:
+def _heave(pieces: Sequence[FloatArray], period_s: float) -> ModelRecord:
     """Vertical acceleration on thrust, both less their 1 s mean; nothing where thrust is unknown or not moved."""
-    alpha = forgetting(DRIFT_S, motion.period_s)
+    alpha = forgetting(DRIFT_S, period_s)
     heaves = [piece[:, 4:6] for piece in pieces if np.isfinite(piece[:, 4:6]).all()]
     moved = [heave - smoothed(heave, alpha, heave[0]) for heave in heaves]
-    u, y = [one[:, 1] for one in moved], [one[:, 0] for one in moved]
     try:
-        return ModelRecord.of(identify(u, y, HEAVE_ORDER, dt=motion.period_s, method=Method.LS))
+        return ModelRecord.of(
+            identify(
+                [one[:, 1] for one in moved], [one[:, 0] for one in moved], HEAVE_ORDER, dt=period_s, method=Method.LS
+            )
+        )
     except IdentificationError:
-        return _no_answer(motion.period_s)
+        return _no_answer(period_s)

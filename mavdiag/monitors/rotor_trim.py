@@ -5,92 +5,54 @@ evidence, and it names the rotor (METHOD section 5). It does not show why: a cha
 the centre or a damaged blade all shift the trim.
 """
 
-import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
-from mavdiag.airframe.trim import SOURCES, source_among, spread_from
-from mavdiag.errors import InputError
-from mavdiag.jit import cached, source_digest
-from mavdiag.monitors.base import Feature, LearnContext, Summaries
-from mavdiag.monitors.columns import COVERED, LEVEL, SIGNAL, SOUND, VALID, VALUE, Kernel
-from mavdiag.monitors.healthy import joined_moments, moments
-from mavdiag.monitors.trim import (
-    KNOWN,
-    MEAN,
-    RUN,
-    WINDOW,
-    WINDOW_S,
-    TrimMonitor,
-    TrimSpec,
-    highest_rise,
-    mean_of,
-    rise,
-    take_row,
-    take_tick,
-    turn_of,
-    window_mean,
-    window_ticks,
-    windows_of,
-)
-from mavdiag.telemetry import FloatArray, IntArray
+from mavdiag.airframe.trim import spread_of
+from mavdiag.jit import cached
+from mavdiag.monitors import trim
+from mavdiag.monitors.base import Feature
+from mavdiag.monitors.columns import COVERED, LEVEL, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
+from mavdiag.monitors.spec import spec
+from mavdiag.telemetry import FloatArray, Three
 from mavdiag.thresholds.guard import Guard
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RotorTrimSpec(TrimSpec):
-    """Healthy trim.
-
-    spread: of the 5 s means of roll, pitch and yaw trim about `mean` [fraction of hover].
-    Raises InputError if they do not describe a vehicle.
-    """
+@spec
+class RotorTrimSpec(trim.TrimSpec):
+    """Healthy trim. spread: of the 5 s means of roll, pitch and yaw trim about `mean` [fraction of hover]."""
 
     kind: Literal["rotor_trim"] = "rotor_trim"
 
-    def __post_init__(self) -> None:
-        if not all(map(math.isfinite, self.spread)) or min(*self.spread, self.window_s) <= 0:
-            raise InputError("rotor_trim: the spread of the healthy trim and the window must be positive")
-        self.check()
+
+@cached
+def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+    """The best single-rotor rise at the end of each tick."""
+    k = 0
+    for i in range(x.shape[1]):
+        if not trim.take_row(par, mem, x, i, flags[VALID, i] > 0.5):
+            continue
+        trim.take_tick(par, mem, mem[trim.KNOWN] > 0.5 and flags[COVERED, i] > 0.5)
+        sound = mem[trim.RUN] >= par[trim.WINDOW]
+        roll = pitch = yaw = lean = nod = 0.0
+        if sound:
+            roll = trim.window_mean(par, mem, 0, 0) - par[trim.MEAN]
+            pitch = trim.window_mean(par, mem, 0, 1) - par[trim.MEAN + 1]
+            yaw = trim.window_mean(par, mem, 0, 2) - par[trim.MEAN + 2]
+            lean, nod = trim.window_mean(par, mem, 0, 3), trim.window_mean(par, mem, 0, 4)
+        value = trim.highest_rise(par, roll, pitch, yaw, lean, nod)
+        for rotor in range(rotors.shape[1]):
+            rotors[k, rotor] = trim.rise(par, rotor, roll, pitch, yaw, 0.0, 0.0)
+        out[VALUE, k], out[SOUND, k], out[LEVEL, k], out[SIGNAL, k], at[k] = value, sound, value, yaw, i
+        if out.shape[0] > TRACE:
+            trim.trace_tick(par, mem, out, k)
+        k += 1
+    return k
 
 
-def _compiled(digest: int) -> Kernel:
-    @cached
-    def run(
-        par: FloatArray,
-        mem: FloatArray,
-        x: FloatArray,
-        flags: FloatArray,
-        lag: int,
-        out: FloatArray,
-        rotors: FloatArray,
-        at: IntArray,
-    ) -> int:
-        """The best single-rotor rise at the end of each tick."""
-        k = 0
-        for i in range(x.shape[1] if digest else 0):
-            if not take_row(par, mem, x, i, flags[VALID, i] > 0.5):
-                continue
-            take_tick(par, mem, mem[KNOWN] > 0.5 and flags[COVERED, i] > 0.5)
-            sound = mem[RUN] >= par[WINDOW]
-            roll = pitch = yaw = lean = nod = 0.0
-            if sound:
-                roll = window_mean(par, mem, 0, 0) - par[MEAN]
-                pitch = window_mean(par, mem, 0, 1) - par[MEAN + 1]
-                yaw = window_mean(par, mem, 0, 2) - par[MEAN + 2]
-                lean, nod = window_mean(par, mem, 0, 3), window_mean(par, mem, 0, 4)
-            value = highest_rise(par, roll, pitch, yaw, lean, nod)
-            for rotor in range(rotors.shape[1]):
-                rotors[k, rotor] = rise(par, rotor, roll, pitch, yaw, 0.0, 0.0)
-            out[VALUE, k], out[SOUND, k], out[LEVEL, k], out[SIGNAL, k], at[k] = value, sound, value, yaw, i
-            k += 1
-        return k
-
-    return run
-
-
-class RotorTrim(TrimMonitor[RotorTrimSpec]):
+class RotorTrim(trim.TrimMonitor[RotorTrimSpec]):
     """Statistic: the rise of ONE rotor's command that explains the trim shift best [fraction of hover].
 
         m: trim averaged over 5 s,    mu: the healthy one,    a_j: rise of rotor j that explains m - mu (`trim`)
@@ -135,17 +97,11 @@ class RotorTrim(TrimMonitor[RotorTrimSpec]):
     doubt = "trim shift: propeller, payload or session"  # a trim alone tells no more
 
     @classmethod
-    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[RotorTrimSpec, ...]:
-        """What a turn takes; mean over flights of their means, spread of all their windows about it.
+    def spread_of(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
+        """Of all windows of all flights about the mean.
 
         sd_yaw is widened by 0.002, sd_roll and sd_pitch are at least 3 sd_yaw.
         """
-        layout, source = context.layout, source_among([one[0] for one in summaries], context.layout)
-        flights = [summary[1 + SOURCES.index(source)] for summary in summaries]
-        turn = turn_of(flights, window_ticks(WINDOW_S, context.dt_s))
-        monitor = cls.before(layout, source, turn)
-        mean = mean_of(monitor, flights, context.dt_s)
-        found = joined_moments([moments(windows_of(monitor, ticks, context.dt_s)[:, :3]) for ticks in flights])
-        return (replace(monitor.spec, mean=mean, spread=spread_from(found.about(np.array(mean)))),)
+        return spread_of(np.concatenate([trim.windows_of(flight) for flight in flights]) - mean)
 
-    run = staticmethod(_compiled(source_digest()))
+    run = staticmethod(run)

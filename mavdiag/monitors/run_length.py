@@ -6,7 +6,7 @@ died out by the end of the segment's blanked first second.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
@@ -14,16 +14,21 @@ from typing import Literal
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.identify import ArxModel
+from mavdiag.identify import ArxModel, Method, Order, fit
 from mavdiag.identify.model import ModelRecord
-from mavdiag.jit import cached, jit, source_digest
-from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, check_delay, segments
-from mavdiag.monitors.columns import COMMANDED, LEVEL, SIGNAL, SOUND, VALUE, Kernel, U, Y
-from mavdiag.monitors.training import SETTLE_S, trained, training_spans
+from mavdiag.jit import cached, jit
+from mavdiag.monitors.base import Flights, LearnContext, Monitor, segments
+from mavdiag.monitors.columns import COMMANDED, LEVEL, SIGNAL, SOUND, VALUE, Floats, Ints, U, Y
+from mavdiag.monitors.fitting import cut_to_share
+from mavdiag.monitors.spec import Delay, Positive, spec
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import spans
 from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray, Signal
+
+TRAIN_ROWS = 60_000  # one minute at 1 kHz: beyond it a model's standard errors no longer matter (our choice)
+SETTLE_S = 1.0  # of each stretch that does not count in the figures of fit: it may begin in motion (our choice)
+MIN_PIECE_S = 2.0  # shorter valid stretches do not train a model (our choice)
 
 
 class MarginRule(StrEnum):
@@ -33,7 +38,7 @@ class MarginRule(StrEnum):
     MAXIMUM = "max"  # T Algorithm 1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@spec
 class RunLengthSpec:
     """One axis of the healthy airframe. The FML is the monitor's threshold.
 
@@ -41,20 +46,14 @@ class RunLengthSpec:
     model: rate on commanded rate, at the row period.
     margin_rad_s: what healthy |r| stays below, by `margin_rule` [rad/s].
     delay_s: half the window of the rate filters [s].
-    Raises InputError if the margin or the delay cannot be.
     """
 
     kind: Literal["fsd"] = "fsd"
     axis: Axis
     model: ModelRecord
-    margin_rad_s: float
+    margin_rad_s: Positive
     margin_rule: MarginRule = MarginRule.PERCENTILE_90
-    delay_s: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.margin_rad_s < math.inf:
-            raise InputError(f"fsd: the margin must be positive and finite, not {self.margin_rad_s:g}")
-        check_delay("fsd", self.delay_s)
+    delay_s: Delay = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,37 +113,25 @@ def at_rest(mem: FloatArray, past: int, inputs: int, back: int, u: float, y: flo
         mem[past + inputs - 1 + i] = y
 
 
-def _compiled(digest: int) -> Kernel:
-    @cached
-    def run(
-        par: FloatArray,
-        mem: FloatArray,
-        x: FloatArray,
-        flags: FloatArray,
-        lag: int,
-        out: FloatArray,
-        rotors: FloatArray,
-        at: IntArray,
-    ) -> int:
-        """FSD of each row whose rates became known."""
-        axis, inputs, back = int(par[AXIS]), int(par[INPUTS]), int(par[OUTPUTS_BACK])
-        for i in range(lag, x.shape[1] if digest else lag):
-            k, u, y = i - lag, x[U + axis, i], x[Y + axis, i]
-            if mem[BEGUN] == 0.0:
-                mem[BEGUN] = 1.0
-                at_rest(mem, PAST, inputs, back, u, y if math.isfinite(y) else 0.0)
-            r = y - free_run(par, TAPS, inputs, back, mem, PAST, u)
-            sound = flags[COMMANDED, i] > 0.5 and math.isfinite(r)
-            excess = abs(r) - par[MARGIN]
-            if sound and excess > 0.0:
-                mem[COUNT], mem[PEAK] = mem[COUNT] + 1.0, max(mem[PEAK], excess)
-            else:
-                mem[COUNT] = mem[PEAK] = 0.0
-            out[VALUE, k], out[SOUND, k], out[LEVEL, k], out[SIGNAL, k] = mem[COUNT] * par[DT], sound, mem[PEAK], r
-            at[k] = k
-        return len(at) - lag
-
-    return run
+@cached
+def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+    """FSD of each row whose rates became known."""
+    axis, inputs, back = int(par[AXIS]), int(par[INPUTS]), int(par[OUTPUTS_BACK])
+    for i in range(lag, x.shape[1]):
+        k, u, y = i - lag, x[U + axis, i], x[Y + axis, i]
+        if mem[BEGUN] == 0.0:
+            mem[BEGUN] = 1.0
+            at_rest(mem, PAST, inputs, back, u, y if math.isfinite(y) else 0.0)
+        r = y - free_run(par, TAPS, inputs, back, mem, PAST, u)
+        sound = flags[COMMANDED, i] > 0.5 and math.isfinite(r)
+        excess = abs(r) - par[MARGIN]
+        if sound and excess > 0.0:
+            mem[COUNT], mem[PEAK] = mem[COUNT] + 1.0, max(mem[PEAK], excess)
+        else:
+            mem[COUNT] = mem[PEAK] = 0.0
+        out[VALUE, k], out[SOUND, k], out[LEVEL, k], out[SIGNAL, k] = mem[COUNT] * par[DT], sound, mem[PEAK], r
+        at[k] = k
+    return len(at) - lag
 
 
 class RunLength(Monitor[RunLengthSpec]):
@@ -187,25 +174,12 @@ class RunLength(Monitor[RunLengthSpec]):
     unit = "s"
 
     @classmethod
-    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
-        """Number of the segment and rows of each stretch, (s, 2); u and y of the axes, (n, axes); (n,) commanded."""
-        columns = [axis.column for axis in context.axes]
-        rates = [(number, rows.rates) for number, one in enumerate(segments(flight)) for rows in one]
-        none = np.empty((0, len(columns)))
-        return (
-            np.array([(number, len(one)) for number, one in rates], dtype=np.int64).reshape(-1, 2),
-            np.concatenate([none, *(one.u[:, columns] for _, one in rates)]),
-            np.concatenate([none, *(one.y[:, columns] for _, one in rates)]),
-            np.concatenate([np.empty(0, dtype=np.bool_), *(one.commanded for _, one in rates)]),
-        )
-
-    @classmethod
-    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[RunLengthSpec, ...]:
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[RunLengthSpec, ...]:
         """Model and margin of each axis that can be learnt. Raises with the reasons if none can."""
         found, reasons = [], []
-        for column, axis in enumerate(context.axes):
+        for axis in context.axes:
             try:
-                found.append(_fit_axis(summaries, column, axis, context))
+                found.append(_fit_axis(flights, axis, context))
             except (InputError, IdentificationError) as error:
                 reasons.append(str(error))
         if not found:
@@ -242,7 +216,7 @@ class RunLength(Monitor[RunLengthSpec]):
         """No row yet, and no run is open."""
         return np.zeros(PAST + len(self.spec.model.b) + len(self.spec.model.a))
 
-    run = staticmethod(_compiled(source_digest()))
+    run = staticmethod(run)
 
 
 def exceedances(r: FloatArray, valid: BoolArray, margin: float, dt_s: float) -> tuple[FloatArray, FloatArray]:
@@ -284,11 +258,7 @@ def margin_of(flights: Sequence[Sequence[Residual]], rule: MarginRule = MarginRu
 
     The percentile is Hazen's, which MATLAB's prctile uses.
     """
-    return _margin([np.abs(one.r[one.valid]) for flight in flights for one in flight], rule)
-
-
-def _margin(levels: Sequence[FloatArray], rule: MarginRule) -> float:
-    """As `margin_of`, from |r| of the judged rows."""
+    levels = [np.abs(one.r[one.valid]) for flight in flights for one in flight]
     pooled = np.concatenate(levels) if levels else np.empty(0)
     if len(pooled) == 0:
         raise InputError("the healthy flights have no judged rows: are they long enough and airborne?")
@@ -297,55 +267,70 @@ def _margin(levels: Sequence[FloatArray], rule: MarginRule) -> float:
 
 def residuals(flight: Sequence[Rows], axis: Axis, model: ArxModel) -> list[Residual]:
     """Free-run residual of each segment of a flight."""
-    found = []
+    found, column = [], axis.column
     for segment in segments(flight):
-        t_ns, u, y, valid = (
-            np.concatenate([getattr(rows.rates, name) for rows in segment]) for name in ("t_ns", "u", "y", "commanded")
-        )
-        r = _residual(model, u[:, axis.column], y[:, axis.column])
-        found.append(Residual(t_ns, r, valid, segment[0].rates.dt_s))
+        rates = [rows.rates for rows in segment if len(rows.rates)]
+        if rates:
+            t_ns, valid = np.concatenate([one.t_ns for one in rates]), np.concatenate([one.commanded for one in rates])
+            u, y = (
+                np.concatenate([one.u[:, column] for one in rates]),
+                np.concatenate([one.y[:, column] for one in rates]),
+            )
+            rest = np.full(len(model.b), u[0]), np.full(len(model.a), np.nan_to_num(y[0]))
+            found.append(Residual(t_ns, y - model.simulate(u, *rest), valid, rates[0].dt_s))
     return found
 
 
-def _fit_axis(summaries: Summaries, column: int, axis: Axis, context: LearnContext) -> RunLengthSpec:
-    """column: of the axis in what was gathered."""
-    pieces = [
-        (u[first:stop, column], y[first:stop, column])
-        for stretches, u, y, commanded in summaries
-        for first, stop in training_spans(stretches, commanded, context.dt_s)
+def training_pieces(flight: Sequence[Rows], axis: Axis) -> list[tuple[FloatArray, FloatArray]]:
+    """Unbroken valid stretches of u and y of one axis, long enough to train on."""
+    return [
+        (rows.rates.u[first:stop, axis.column], rows.rates.y[first:stop, axis.column])
+        for rows in flight
+        for first, stop in spans(rows.rates.commanded)
+        if (stop - first) * rows.rates.dt_s >= MIN_PIECE_S
     ]
+
+
+def train(
+    flights: Flights,
+    axis: Axis,
+    dt_s: float,
+    order: Order = (2, 2, 1),
+    method: Method = Method.SRIV,
+    figures: bool = True,
+    near: ArxModel | None = None,
+) -> ArxModel:
+    """A model of one axis from a like share of every flight (T 5.4). figures, near: as in `identify.fit`.
+
+    Raises IdentificationError, naming the axis.
+    """
+    pieces = [piece for flight in flights for piece in training_pieces(flight, axis)]
+    if not pieces:
+        raise IdentificationError(f"{axis}: no unbroken stretch of {MIN_PIECE_S:.0f} s to identify from; fly longer")
+    taken = cut_to_share([len(u) for u, _ in pieces], TRAIN_ROWS, round(MIN_PIECE_S / dt_s))
+    u, y = ([piece[i][:count] for piece, count in zip(pieces, taken, strict=True)] for i in (0, 1))
+    try:
+        model = fit(u, y, order, dt=dt_s, method=method, settle_s=SETTLE_S, figures=figures, near=near)
+    except IdentificationError as error:
+        raise IdentificationError(f"{axis}: {error}") from error
+    # The gain of a model with a pole at 1 that a zero cancels says nothing of the sign; the slope of y on u does.
+    slope = sum(float(one @ other) for one, other in zip(u, y, strict=True)) / sum(float(one @ one) for one in u)
+    gain = min(model.dc_gain, slope)
+    if gain < 0:
+        raise IdentificationError(
+            f"{axis}: the gyro turns against its set-point (gain {gain:.2f}); check the sign conventions"
+        )
+    return model
+
+
+def _fit_axis(flights: Flights, axis: Axis, context: LearnContext) -> RunLengthSpec:
     near = next((one.model.model() for one in context.near if one.axis == axis), None)
-    model = trained(pieces, axis, context.dt_s, context.order, context.method, context.figures, near)
+    model = train(flights, axis, context.dt_s, context.order, context.method, context.figures, near)
     rule = MarginRule(context.margin_rule)
-    levels = [
-        level
-        for stretches, u, y, commanded in summaries
-        for level in _levels(model, stretches, u[:, column], y[:, column], commanded)
-    ]
     return RunLengthSpec(
         axis=axis,
         model=ModelRecord.of(model),
-        margin_rad_s=_margin(levels, rule),
+        margin_rad_s=margin_of([residuals(flight, axis, model) for flight in flights], rule),
         margin_rule=rule,
         delay_s=context.window // 2 * context.dt_s,
     )
-
-
-def _levels(
-    model: ArxModel, stretches: IntArray, u: FloatArray, y: FloatArray, commanded: BoolArray
-) -> Iterator[FloatArray]:
-    """|r| of the judged rows of each segment of a flight: the whole of it at once, as `residuals` has it by steps."""
-    ends = np.append(0, np.cumsum(stretches[:, 1]))
-    for number in np.unique(stretches[:, 0]):
-        begin, end = np.searchsorted(stretches[:, 0], [number, number + 1])
-        first, stop = int(ends[begin]), int(ends[end])
-        if first == stop:
-            continue
-        yield np.abs(_residual(model, u[first:stop], y[first:stop])[commanded[first:stop]])
-
-
-def _residual(model: ArxModel, u: FloatArray, y: FloatArray) -> FloatArray:
-    """Measured less simulated rate of a whole segment, (n,) [rad/s]."""
-    if len(u) == 0:
-        return u
-    return y - model.simulate(u, np.full(len(model.b), u[0]), np.full(len(model.a), np.nan_to_num(y[0])))

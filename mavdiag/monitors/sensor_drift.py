@@ -6,21 +6,22 @@ accelerometer reads g on average. And an estimator that must correct the attitud
 cameras, again and again to the same side, has two sensors that disagree.
 """
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.jit import cached, jit, source_digest
-from mavdiag.monitors.base import FaultKind, LearnContext, Monitor, Summaries, Summary, segments
-from mavdiag.monitors.columns import ATTITUDE, FORCE, LEVEL, RATE, SIGNAL, SOUND, VALID, VALUE, Kernel
-from mavdiag.monitors.healthy import joined_moments, moments, three
-from mavdiag.rows.block import Block
+from mavdiag.jit import cached, jit
+from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
+from mavdiag.monitors.columns import ATTITUDE, FORCE, LEVEL, RATE, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
+from mavdiag.monitors.fitting import Moments, of_each, three, traced
+from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.front import Rows
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Three
+from mavdiag.telemetry import FloatArray, Signal, Three
 from mavdiag.thresholds.guard import Guard
 
 TICK_S = 0.1  # our choice
@@ -41,7 +42,7 @@ COLUMNS = 5  # of the history: tilt about two axes, heading, vertical accelerati
 MIN_RATE_HZ = 20.0  # below it turns are not followed from sample to sample (our choice)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@spec
 class SensorDriftSpec:
     """Healthy agreement.
 
@@ -50,22 +51,15 @@ class SensorDriftSpec:
     vertical: healthy mean of the vertical specific force beyond -g [m/s^2].
     tilt, heading: healthy rms of the disagreement over 15 s [rad].
     lift: healthy rms of the 4 s means of the vertical specific force [m/s^2].
-    Raises InputError if they are not finite and positive.
     """
 
     kind: Literal["sensor_drift"] = "sensor_drift"
-    dt_s: float
+    dt_s: Positive
     bias: Three
     vertical: float
-    tilt: float
-    heading: float
-    lift: float
-
-    def __post_init__(self) -> None:
-        if not all(math.isfinite(x) for x in (*self.bias, self.vertical, self.tilt, self.heading, self.lift)):
-            raise InputError("sensor_drift: the healthy figures must be finite numbers")
-        if min(self.dt_s, self.tilt, self.heading, self.lift) <= 0:
-            raise InputError("sensor_drift: the period and the healthy spreads must be positive")
+    tilt: Positive
+    heading: Positive
+    lift: Positive
 
     @property
     def tick(self) -> int:
@@ -85,7 +79,7 @@ ROWS, SOUND_ROWS, SUMS, ANGLE, TICKS, HISTORY = 0, 1, 2, 10, 14, 15
 
 @jit
 def _felt(par: FloatArray, mem: FloatArray, x: FloatArray, i: int, valid: bool) -> bool:
-    """Add a row to its tick: what the gyro turns and what is seen (`_ticks`). True where it is the tick's last one."""
+    """Add a row to its tick: what the gyro turns and what is seen . True where it is the tick's last one."""
     p, q, r = x[RATE, i] - par[BIAS], x[RATE + 1, i] - par[BIAS + 1], x[RATE + 2, i] - par[BIAS + 2]
     phi, theta, psi = x[ATTITUDE, i], x[ATTITUDE + 1, i], x[ATTITUDE + 2, i]
     ax, ay, az = x[FORCE, i], x[FORCE + 1, i], x[FORCE + 2, i]
@@ -119,7 +113,7 @@ def _mean(mem: FloatArray, length: int, last: int, count: int, column: int) -> f
 
 
 @jit
-def walk(par: FloatArray, mem: FloatArray, whole: bool, found: FloatArray) -> bool:
+def _walk(par: FloatArray, mem: FloatArray, whole: bool, found: FloatArray) -> bool:
     """Take a tick, whose means stand at `SUMS`: |dE|, |dY|, |V| and what is excused, e; whether they count."""
     mean, lag, lift, span_s = int(par[MEAN]), int(par[LAG]), int(par[LIFT]), par[TICK] * par[DT]
     length = lag + 2 * mean + 1
@@ -152,56 +146,26 @@ def walk(par: FloatArray, mem: FloatArray, whole: bool, found: FloatArray) -> bo
     return last + 1 >= 2 * mean
 
 
-def _compiled(digest: int) -> Kernel:
-    @cached
-    def run(
-        par: FloatArray,
-        mem: FloatArray,
-        x: FloatArray,
-        flags: FloatArray,
-        lag: int,
-        out: FloatArray,
-        rotors: FloatArray,
-        at: IntArray,
-    ) -> int:
-        """The greatest disagreement every 0.1 s, at the time of the newest row that it rests on."""
-        k, found = 0, np.empty(4)
-        for i in range(x.shape[1] if digest else 0):
-            if not _felt(par, mem, x, i, flags[VALID, i] > 0.5):
-                continue
-            for j in range(8):
-                mem[SUMS + j] /= par[TICK]
-            out[SOUND, k] = walk(par, mem, mem[SOUND_ROWS] >= par[TICK], found)
-            mem[ROWS] = mem[SOUND_ROWS] = 0.0
-            for j in range(8):
-                mem[SUMS + j] = 0.0
-            angle = max(found[0] / (par[SPREADS] + found[3]), found[1] / (par[SPREADS + 1] + found[3]))
-            value = min(max(angle, found[2] / par[SPREADS + 2]), LIMIT)
-            out[VALUE, k], out[LEVEL, k], out[SIGNAL, k], at[k] = value, value, found[0], i
-            k += 1
-        return k
-
-    return run
-
-
-def _compiled_walk(digest: int) -> Callable[[FloatArray, FloatArray, FloatArray, FloatArray], int]:
-    @cached
-    def squares(par: FloatArray, mem: FloatArray, ticks: FloatArray, sums: FloatArray) -> int:
-        """How many ticks (k, 9) count, and the sums of squares of what is beyond the excused, added to (3,)."""
-        count, found = 0, np.empty(4)
-        for k in range(len(ticks) if digest else 0):
-            for j in range(8):
-                mem[SUMS + j] = ticks[k, j]
-            if walk(par, mem, ticks[k, 8] > 0.5, found):
-                count += 1
-                for j in range(3):
-                    sums[j] += max(found[j] - (found[3] if j < 2 else 0.0), 0.0) ** 2
-        return count
-
-    return squares
-
-
-_walk_squares = _compiled_walk(source_digest())
+@cached
+def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+    """The greatest disagreement every 0.1 s, at the time of the newest row that it rests on."""
+    k, found = 0, np.empty(4)
+    for i in range(x.shape[1]):
+        if not _felt(par, mem, x, i, flags[VALID, i] > 0.5):
+            continue
+        for j in range(8):
+            mem[SUMS + j] /= par[TICK]
+        out[SOUND, k] = _walk(par, mem, mem[SOUND_ROWS] >= par[TICK], found)
+        mem[ROWS] = mem[SOUND_ROWS] = 0.0
+        for j in range(8):
+            mem[SUMS + j] = 0.0
+        angle = max(found[0] / (par[SPREADS] + found[3]), found[1] / (par[SPREADS + 1] + found[3]))
+        value = min(max(angle, found[2] / par[SPREADS + 2]), LIMIT)
+        out[VALUE, k], out[LEVEL, k], out[SIGNAL, k], at[k] = value, value, found[0], i
+        for j in range(4 if out.shape[0] > TRACE else 0):
+            out[TRACE + j, k] = found[j]
+        k += 1
+    return k
 
 
 class SensorDrift(Monitor[SensorDriftSpec]):
@@ -245,30 +209,22 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     unit = "x healthy rms"
 
     @classmethod
-    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
-        """Moments of the biases of the usable ticks, then the ticks (k, 14) and rows (k tick, 3) of `_gathered`."""
-        parts = [_gathered(_before(context), segment, number) for number, segment in enumerate(segments(flight))]
-        if not parts:
-            return (*moments(np.empty((0, 4))), np.empty((0, 14)), np.empty((0, 3)))
-        biases, ticks, turns = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return (*moments(biases), ticks, turns)
-
-    @classmethod
-    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[SensorDriftSpec, ...]:
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorDriftSpec, ...]:
         """Healthy biases and spreads. Raises InputError if the vehicle sends no attitude."""
         context.need_rate(MIN_RATE_HZ)
-        first = _before(context)
-        if not any(one[0][0] for one in summaries):
+        still = SensorDriftSpec(dt_s=context.dt_s, bias=(0.0, 0.0, 0.0), vertical=0.0, tilt=1.0, heading=1.0, lift=1.0)
+        parts = of_each(flights, cls.name, lambda flight: _biases(flight, still.tick))
+        if not any(part.count for part in parts):
             raise InputError("no flight with a gyro, an accelerometer and an attitude estimate")
-        mean = joined_moments([one[:3] for one in summaries]).mean
-        spec = replace(first, bias=three(mean[:3]), vertical=float(mean[3]))
-        found = [_squares(spec, *one[3:]) for one in summaries]
-        count = sum(number for number, _ in found)
+        mean = Moments.joined(parts).mean
+        unbiased = replace(still, bias=three(mean[:3]), vertical=float(mean[3]))
+        found = [_squares(unbiased, flight) for flight in flights]
+        count = sum(ticks for ticks, _ in found)
         if not count:
             raise IdentificationError(f"no unbroken {2 * MEAN_S:g} s of flight; fly longer")
         rms = np.sqrt(np.sum([squares for _, squares in found], axis=0) / count)
         tilt, heading, lift = np.maximum(rms, (LEAST_ANGLE, LEAST_ANGLE, LEAST_VERTICAL)).tolist()
-        return (replace(spec, tilt=tilt, heading=heading, lift=lift),)
+        return (replace(unbiased, tilt=tilt, heading=heading, lift=lift),)
 
     @property
     def reach(self) -> float:
@@ -289,84 +245,29 @@ class SensorDrift(Monitor[SensorDriftSpec]):
         """No row yet."""
         return np.zeros(HISTORY + COLUMNS * (self.spec.ticks(LAG_S) + 2 * self.spec.ticks(MEAN_S) + 1))
 
-    run = staticmethod(_compiled(source_digest()))
+    run = staticmethod(run)
 
 
-def _known_rows(blocks: Sequence[Block]) -> tuple[FloatArray, BoolArray]:
-    """Gyro, accelerometer and attitude of rows, (n, 9), zero where one must not be used, and where they may be."""
-    rows = np.concatenate([np.concatenate((one.rate, one.force, one.attitude), axis=1) for one in blocks])
-    known = np.concatenate([one.valid for one in blocks]) & np.isfinite(rows).all(axis=1)
+def _biases(flight: Sequence[Rows], tick: int) -> Moments:
+    """Of the whole ticks of a flight: gyro less the rate of the attitude, and vertical specific force beyond -g."""
+    found = [np.empty((0, 4))]
+    for _, segment in itertools.groupby(flight, key=lambda rows: rows.block.segment):
+        rest = np.empty((0, 10))
+        for block in (rows.block for rows in segment):
+            each = np.column_stack((block.rate, block.force, block.attitude, block.valid))
+            rows = np.concatenate((rest, np.asarray(each, dtype=np.float64)))
+            n = len(rows) // tick * tick
+            found.append(_gyro_errors(rows[:n], tick, block.dt_s))
+            rest = rows[n:]
+    return Moments.of(np.concatenate(found))
+
+
+def _gyro_errors(rows: FloatArray, tick: int, dt_s: float) -> FloatArray:
+    """(n, 4) of rows of gyro, accelerometer, attitude and validity, (n tick, 10)."""
+    known = (rows[:, 9] > 0) & np.isfinite(rows).all(axis=1)
     known &= (np.abs(rows[:, 6:8]) < STEEP_RAD).all(axis=1) & (np.abs(rows[:, :3]) < FAST_RAD_S).all(axis=1)
-    return np.where(known[:, None], rows, 0.0), known
-
-
-def _ticks(spec: SensorDriftSpec, rows: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """Of each tick what the gyro turns, (n, 4), and what is seen: tilt to north and east, heading, V, (n, 4)."""
-    p, q, r = (rows[:, :3] - spec.bias).T
-    phi, theta, psi = rows[:, 6:].T
-    x, y, z = rows[:, 3:6].T
-    c, s, cos_theta = np.cos(psi), np.sin(psi), np.cos(theta)
-    sin_phi, cos_phi = np.sin(phi), np.cos(phi)
-    turn = (q * sin_phi + r * cos_phi) / cos_theta
-    down = cos_theta * (sin_phi * y + cos_phi * z) - np.sin(theta) * x
-    each = np.empty((8, len(rows)))
-    each[0], each[1], each[2] = p * c - q * s, p * s + q * c, turn
-    each[3], each[4], each[5], each[6] = np.abs(turn), phi * c - theta * s, phi * s + theta * c, psi
-    each[7] = down + (GRAVITY - spec.vertical)
-    tick = spec.tick
-    means = np.add.reduce(each.reshape(8, n, tick), axis=2).T / tick
-    return means[:, :4] * (tick * spec.dt_s), means[:, 4:]
-
-
-def _before(context: LearnContext) -> SensorDriftSpec:
-    """What is known before any flight: no bias."""
-    return SensorDriftSpec(dt_s=context.dt_s, bias=(0.0, 0.0, 0.0), vertical=0.0, tilt=1.0, heading=1.0, lift=1.0)
-
-
-def _gathered(spec: SensorDriftSpec, segment: Sequence[Rows], number: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of a segment, by a specification without biases, what gives its ticks for any bias.
-
-    Gyro less attitude rate and vertical specific force of each usable tick, (u, 4); of all k ticks `_ticks`, means of
-    cos psi, sin psi, sin phi / cos theta and cos phi / cos theta, whether they are whole, and the segment's number,
-    (k, 14); and of their rows what turns about the vertical and the last two, (k tick, 3).
-    """
-    rows, known = _known_rows([rows.block for rows in segment])
-    n = len(rows) // spec.tick
-    used = n * spec.tick
-    rows, whole = rows[:used], known[:used].reshape(n, spec.tick).all(axis=1)
-    (_, q, r), (phi, theta, psi) = rows[:, :3].T, rows[:, 6:].T
-    each = np.stack((np.cos(psi), np.sin(psi), np.sin(phi) / np.cos(theta), np.cos(phi) / np.cos(theta)))
-    means = np.add.reduce(each.reshape(4, n, spec.tick), axis=2).T / spec.tick
-    ticks = np.column_stack((*_ticks(spec, rows, n), means, whole, np.full(n, number)))
-    return _gyro_errors(spec, rows, n)[whole], ticks, np.stack((q * each[2] + r * each[3], each[2], each[3]), axis=1)
-
-
-def _squares(spec: SensorDriftSpec, ticks: FloatArray, turns: FloatArray) -> tuple[int, FloatArray]:
-    """How many ticks of a flight count, and the sums of squares of |dE|, |dY| and |V| beyond what is excused, (3,)."""
-    p, q, r = spec.bias
-    span_s = spec.tick * spec.dt_s
-    c, s, a, b = ticks[:, 8:12].T
-    steps, seen = ticks[:, :4].copy(), ticks[:, 4:8].copy()
-    # integral of (p - b_p) cos psi - (q - b_q) sin psi and so on, of which the first part is in the ticks
-    steps[:, 0] -= span_s * (p * c - q * s)
-    steps[:, 1] -= span_s * (p * s + q * c)
-    steps[:, 2] -= span_s * (q * a + r * b)
-    turning = np.abs(turns[:, 0] - q * turns[:, 1] - r * turns[:, 2])
-    steps[:, 3] = turning.reshape(-1, spec.tick).sum(axis=1) * spec.dt_s
-    seen[:, 3] -= spec.vertical
-    count, squares, monitor = 0, np.zeros(3), SensorDrift(spec)
-    walked = np.column_stack((steps / span_s, seen, ticks[:, 12]))
-    for number in np.unique(ticks[:, 13]):
-        mem = monitor.memory(spec.dt_s)
-        count += _walk_squares(monitor.parameters(spec.dt_s), mem, walked[ticks[:, 13] == number], squares)
-    return count, squares
-
-
-def _gyro_errors(spec: SensorDriftSpec, rows: FloatArray, n: int) -> FloatArray:
-    """(n, 4) of each tick: gyro less the rate of the attitude in it, and vertical specific force beyond -g."""
-    ticks = rows.reshape(n, spec.tick, 9)
-    mean = ticks.mean(axis=1)
-    span_s = max(1, spec.tick - 1) * spec.dt_s
+    ticks = rows[:, :9].reshape(-1, tick, 9)[known.reshape(-1, tick).all(axis=1)]
+    mean, span_s = ticks.mean(axis=1), max(1, tick - 1) * dt_s
     dphi, dtheta, dpsi = ((ticks[:, -1, 6:] - ticks[:, 0, 6:]) / span_s).T
     phi, theta = mean[:, 6], mean[:, 7]
     turn = np.cos(theta) * dpsi
@@ -375,5 +276,16 @@ def _gyro_errors(spec: SensorDriftSpec, rows: FloatArray, n: int) -> FloatArray:
         np.cos(phi) * dtheta + np.sin(phi) * turn,
         np.cos(phi) * turn - np.sin(phi) * dtheta,
     )
-    down = _ticks(spec, rows, n)[1][:, 3]
-    return np.column_stack((mean[:, :3] - np.column_stack(rates), down))
+    (x, y, z), (sin_phi, sin_theta) = np.moveaxis(ticks[:, :, 3:6], 2, 0), np.moveaxis(np.sin(ticks[:, :, 6:8]), 2, 0)
+    down = np.cos(ticks[:, :, 7]) * (sin_phi * y + np.cos(ticks[:, :, 6]) * z) - sin_theta * x
+    return np.column_stack((mean[:, :3] - np.column_stack(rates), (down + GRAVITY).mean(axis=1)))
+
+
+def _squares(spec: SensorDriftSpec, flight: Sequence[Rows]) -> tuple[int, FloatArray]:
+    """How many ticks of a flight count, and the sums of squares of |dE|, |dY| and |V| beyond what is excused, (3,)."""
+    count, squares = 0, np.zeros(3)
+    for found in traced(SensorDrift(spec), flight, 4):
+        disagreement = found[TRACE:, found[SOUND] > 0.5]
+        disagreement[:2] = np.maximum(disagreement[:2] - disagreement[3], 0.0)
+        count, squares = count + disagreement.shape[1], squares + np.square(disagreement[:3]).sum(axis=1)
+    return count, squares

@@ -6,19 +6,20 @@ it reaches the gyro through the arms. Noise that only one axis of one sensor has
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.jit import cached, jit, source_digest
-from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor, Summaries, Summary, segments
-from mavdiag.monitors.columns import LEVEL, RATE, SIGNAL, SOUND, VALID, VALUE, Kernel
+from mavdiag.jit import cached, jit
+from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
+from mavdiag.monitors.columns import LEVEL, RATE, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
+from mavdiag.monitors.fitting import of_each, traced
+from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
-from mavdiag.rows.windows import window_all, window_rows
-from mavdiag.telemetry import FloatArray, IntArray, Signal
+from mavdiag.rows.windows import window_rows
+from mavdiag.telemetry import FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
 WINDOW_S = 0.5  # our choice: that of the unbalance monitor, so that the two are equally quick
@@ -30,25 +31,20 @@ LIMIT = 6.0  # healthy rms; a difference is cut here, so that one knock is no no
 LEAST_POWER = 1e-12  # of the healthy power; keeps a logarithm finite
 MIN_ROWS = 500  # our choice
 
-Six: TypeAlias = tuple[float, float, float, float, float, float]
+Six: TypeAlias = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@spec
 class SensorNoiseSpec:
     """Healthy noise.
 
     rms: of the fourth difference of gyro x, y, z [rad/s] and accelerometer x, y, z [m/s^2].
     window_s: length of the means [s].
-    Raises InputError if one is not positive.
     """
 
     kind: Literal["sensor_noise"] = "sensor_noise"
     rms: Six
-    window_s: float = WINDOW_S
-
-    def __post_init__(self) -> None:
-        if not all(math.isfinite(x) and x > 0 for x in (*self.rms, self.window_s)):
-            raise InputError("sensor_noise: the healthy noise and the window must be positive")
+    window_s: Positive = WINDOW_S
 
 
 # Places in the memory: how many rows in a row are known, the last 4 rows, and the mean of the squares.
@@ -64,42 +60,32 @@ def _difference(mem: FloatArray, axis: int, value: float) -> float:
     return float(value - 4.0 * d + 6.0 * c - 4.0 * b + a)
 
 
-def _compiled(digest: int) -> Kernel:
-    @cached
-    def run(
-        par: FloatArray,
-        mem: FloatArray,
-        x: FloatArray,
-        flags: FloatArray,
-        lag: int,
-        out: FloatArray,
-        rotors: FloatArray,
-        at: IntArray,
-    ) -> int:
-        """The lead of the noisiest axis at each row. par: rows of the window, and the healthy rms."""
-        window = int(par[0])
-        for i in range(x.shape[1] if digest else 0):
-            known = flags[VALID, i] > 0.5
-            for axis in range(AXES):
-                known = known and math.isfinite(x[RATE + axis, i])
-            mem[RUN] = mem[RUN] + 1.0 if known else 0.0
-            whole = mem[RUN] > ORDER
-            for axis in range(AXES):
-                d = _difference(mem, axis, x[RATE + axis, i] if known else 0.0)
-                z = min(abs(d) / par[1 + axis], LIMIT)
-                mem[MEAN + FRESH + axis] = z * z
-            full = push(mem, MEAN, window, AXES, whole)
-            first, second = -math.inf, -math.inf
-            for axis in range(AXES):
-                power = total(mem, MEAN, AXES, axis) / window
-                second = max(second, min(first, power))
-                first = max(first, power)
-            first, second = math.log(max(first, LEAST_POWER)), math.log(max(second, LEAST_POWER))
-            value = max(first - 2.0 * max(second, 0.0), 0.0)
-            out[VALUE, i], out[SOUND, i], out[LEVEL, i], out[SIGNAL, i], at[i] = value, full, value, first, i
-        return len(at)
-
-    return run
+@cached
+def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+    """The lead of the noisiest axis at each row. par: rows of the window, and the healthy rms."""
+    window = int(par[0])
+    for i in range(x.shape[1]):
+        known = flags[VALID, i] > 0.5
+        for axis in range(AXES):
+            known = known and math.isfinite(x[RATE + axis, i])
+        mem[RUN] = mem[RUN] + 1.0 if known else 0.0
+        whole = mem[RUN] > ORDER
+        for axis in range(AXES):
+            d = _difference(mem, axis, x[RATE + axis, i] if known else 0.0)
+            z = min(abs(d) / par[1 + axis], LIMIT)
+            if out.shape[0] > TRACE:
+                out[TRACE + axis, i] = d if whole else math.nan
+            mem[MEAN + FRESH + axis] = z * z
+        full = push(mem, MEAN, window, AXES, whole)
+        first, second = -math.inf, -math.inf
+        for axis in range(AXES):
+            power = total(mem, MEAN, AXES, axis) / window
+            second = max(second, min(first, power))
+            first = max(first, power)
+        first, second = math.log(max(first, LEAST_POWER)), math.log(max(second, LEAST_POWER))
+        value = max(first - 2.0 * max(second, 0.0), 0.0)
+        out[VALUE, i], out[SOUND, i], out[LEVEL, i], out[SIGNAL, i], at[i] = value, full, value, first, i
+    return len(at)
 
 
 class SensorNoise(Monitor[SensorNoiseSpec]):
@@ -140,29 +126,18 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
     unit = "ln of power"
 
     @classmethod
-    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
-        """How many rows have a fourth difference, and the sum of their squares, (6,)."""
-        count, squares = 0, np.zeros(AXES)
-        for segment in segments(flight):
-            blocks = [rows.block for rows in segment]
-            known = np.concatenate([one.valid & one.known(Signal.SPECIFIC_FORCE) & one.finite_rate() for one in blocks])
-            rows = np.concatenate([np.concatenate((one.rate, one.force), axis=1) for one in blocks])
-            d = np.diff(rows, ORDER, axis=0)[window_all(known, ORDER + 1)]
-            count, squares = count + len(d), squares + np.einsum("nk,nk->k", d, d)
-        return np.array([count]), squares
-
-    @classmethod
-    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[SensorNoiseSpec, ...]:
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorNoiseSpec, ...]:
         """Healthy noise of the six axes. Raises InputError if the stream does not carry it."""
         rate_hz, corner_hz = 1 / context.dt_s, context.imu_corner_hz
         if rate_hz < LEAST_RATE_HZ:
             raise InputError(f"the IMU comes at {rate_hz:.3g} Hz; its noise shows from 100 Hz on")
         if corner_hz is not None and corner_hz < LOWPASS_SHARE * rate_hz:
             raise InputError(f"the IMU stream is low-passed at {corner_hz:g} Hz, which takes its noise out of it")
-        count = sum(int(rows[0]) for rows, _ in summaries)
+        found = of_each(flights, cls.name, _squares)
+        count = sum(rows for rows, _ in found)
         if count < MIN_ROWS:
             raise InputError("no flight with a gyro and an accelerometer along x, y and z")
-        rms = np.sqrt(np.sum([squares for _, squares in summaries], axis=0) / count).tolist()
+        rms = np.sqrt(np.sum([squares for _, squares in found], axis=0) / count).tolist()
         if min(rms) <= 0.0:
             raise IdentificationError("gyro or accelerometer are constant; is it a real sensor?")
         return (SensorNoiseSpec(rms=(rms[0], rms[1], rms[2], rms[3], rms[4], rms[5])),)
@@ -185,4 +160,13 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
         """No row yet."""
         return np.zeros(MEAN + mean_size(window_rows(self.spec.window_s, dt_s), AXES))
 
-    run = staticmethod(_compiled(source_digest()))
+    run = staticmethod(run)
+
+
+def _squares(flight: Sequence[Rows]) -> tuple[int, FloatArray]:
+    """How many rows have a fourth difference, and the sum of their squares, (6,)."""
+    count, squares = 0, np.zeros(AXES)
+    for found in traced(SensorNoise(SensorNoiseSpec(rms=(1.0,) * 6)), flight, AXES):
+        d = found[TRACE:, np.isfinite(found[TRACE])]
+        count, squares = count + d.shape[1], squares + np.einsum("kn,kn->k", d, d)
+    return count, squares

@@ -6,54 +6,48 @@ collective command gave until now, and the airframe turns towards the empty arm 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import InputError
-from mavdiag.jit import cached, source_digest
-from mavdiag.monitors.base import FaultKind, LearnContext, Monitor, RotorEvidence, Summaries, Summary
-from mavdiag.monitors.columns import FORCE, LEVEL, RATE, SIGNAL, SOUND, THRUST, VALID, VALUE, Kernel
+from mavdiag.jit import cached
+from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor, RotorEvidence
+from mavdiag.monitors.columns import FORCE, LEVEL, RATE, SIGNAL, SOUND, THRUST, VALID, VALUE, Floats, Ints
+from mavdiag.monitors.fitting import of_each
+from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, follow, mean_size, push, total
 from mavdiag.rows.windows import forgetting, window_rows
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
+from mavdiag.telemetry import BoolArray, FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
 WINDOW_S = 0.1  # our choice: four time constants of a motor
 MEMORY_S = 3.0  # of what the command gives: battery and payload change it more slowly (our choice)
 MIN_THRUST = 0.05  # collective command below which nothing flies (our choice)
 PER_RAD_S = 0.1  # share of thrust that a rate of 1 rad/s lets count: at 3 rad/s a loss of 0.3 (our choice)
-# Share of the thrust: a quarter, and more as the controller gives up the opposite rotor (our choice).
-LEAST_SHARE = 0.3
-TUMBLING_RAD_S = (
-    8.0  # beyond it the accelerometer feels the rotation, and propellers the air from the side (our choice)
-)
+LEAST_SHARE = 0.3  # of the thrust: a quarter, and more as the controller gives up the opposite rotor (our choice)
+# Beyond it the accelerometer feels the rotation, and propellers the air from the side (our choice).
+TUMBLING_RAD_S = 8.0
 CUT = 10.0  # times the healthy specific force per command; more is no flight (our choice)
 COLUMNS = 5  # specific force, command, gyro x and y, rate
 ONLY_Z = slice(2, 3)  # of the accelerometer
 MIN_RATE_HZ = 20.0  # below it an upset is over between two samples (our choice)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@spec
 class ThrustLossSpec:
     """Healthy thrust.
 
     layout: where the rotors are; None if it is not known.
     per_command: healthy mean of the upward specific force per collective command [m/s^2].
-    Raises InputError if it is not positive.
     """
 
     kind: Literal["thrust_loss"] = "thrust_loss"
     layout: RotorLayout | None
-    per_command: float
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.per_command) and self.per_command > 0):
-            raise InputError("thrust_loss: the healthy specific force per command must be positive")
+    per_command: Positive
 
 
 # Places in the parameters and in the memory.
@@ -61,44 +55,32 @@ WINDOW, PER_COMMAND, ALPHA, LOST = range(4)
 USUAL, MEAN = 0, 1
 
 
-def _compiled(digest: int) -> Kernel:
-    @cached
-    def run(
-        par: FloatArray,
-        mem: FloatArray,
-        x: FloatArray,
-        flags: FloatArray,
-        lag: int,
-        out: FloatArray,
-        rotors: FloatArray,
-        at: IntArray,
-    ) -> int:
-        """The missing share at each row."""
-        window, per_command, count = int(par[WINDOW]), par[PER_COMMAND], rotors.shape[1]
-        for i in range(x.shape[1] if digest else 0):
-            up, thrust, turning = -x[FORCE + 2, i], x[THRUST, i], 0.0
-            for axis in range(3):
-                turning += x[RATE + axis, i] * x[RATE + axis, i]
-            known = flags[VALID, i] > 0.5 and math.isfinite(turning) and math.isfinite(up) and thrust > MIN_THRUST
-            up, thrust = up if known else per_command, thrust if known else 1.0
-            usual = follow(mem, USUAL, min(max(up / (per_command * thrust), 0.0), CUT), par[ALPHA])
-            row = MEAN + FRESH
-            mem[row], mem[row + 1], mem[row + 2], mem[row + 3] = up, thrust, x[RATE, i], x[RATE + 1, i]
-            mem[row + 4] = math.sqrt(turning)
-            full = push(mem, MEAN, window, COLUMNS, known)
-            mean_up, mean_thrust = total(mem, MEAN, COLUMNS, 0) / window, total(mem, MEAN, COLUMNS, 1) / window
-            p, q = total(mem, MEAN, COLUMNS, 2) / window, total(mem, MEAN, COLUMNS, 3) / window
-            rate = total(mem, MEAN, COLUMNS, 4) / window
-            loss = 1.0 - mean_up / (max(mean_thrust, MIN_THRUST) * per_command * max(usual, 1.0 / CUT))
-            value = max(min(loss, PER_RAD_S * rate), 0.0) if rate < TUMBLING_RAD_S else 0.0
-            size = math.hypot(p, q)
-            for rotor in range(count):
-                towards = par[LOST + 2 * rotor] * p + par[LOST + 2 * rotor + 1] * q
-                rotors[i, rotor] = towards / size if size > 0.0 else 0.0
-            out[VALUE, i], out[SOUND, i], out[LEVEL, i], out[SIGNAL, i], at[i] = value, full, loss, up, i
-        return len(at)
-
-    return run
+@cached
+def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+    """The missing share at each row."""
+    window, per_command, count = int(par[WINDOW]), par[PER_COMMAND], rotors.shape[1]
+    for i in range(x.shape[1]):
+        up, thrust, turning = -x[FORCE + 2, i], x[THRUST, i], 0.0
+        for axis in range(3):
+            turning += x[RATE + axis, i] * x[RATE + axis, i]
+        known = flags[VALID, i] > 0.5 and math.isfinite(turning) and math.isfinite(up) and thrust > MIN_THRUST
+        up, thrust = up if known else per_command, thrust if known else 1.0
+        usual = follow(mem, USUAL, min(max(up / (per_command * thrust), 0.0), CUT), par[ALPHA])
+        row = MEAN + FRESH
+        mem[row], mem[row + 1], mem[row + 2], mem[row + 3] = up, thrust, x[RATE, i], x[RATE + 1, i]
+        mem[row + 4] = math.sqrt(turning)
+        full = push(mem, MEAN, window, COLUMNS, known)
+        mean_up, mean_thrust = total(mem, MEAN, COLUMNS, 0) / window, total(mem, MEAN, COLUMNS, 1) / window
+        p, q = total(mem, MEAN, COLUMNS, 2) / window, total(mem, MEAN, COLUMNS, 3) / window
+        rate = total(mem, MEAN, COLUMNS, 4) / window
+        loss = 1.0 - mean_up / (max(mean_thrust, MIN_THRUST) * per_command * max(usual, 1.0 / CUT))
+        value = max(min(loss, PER_RAD_S * rate), 0.0) if rate < TUMBLING_RAD_S else 0.0
+        size = math.hypot(p, q)
+        for rotor in range(count):
+            towards = par[LOST + 2 * rotor] * p + par[LOST + 2 * rotor + 1] * q
+            rotors[i, rotor] = towards / size if size > 0.0 else 0.0
+        out[VALUE, i], out[SOUND, i], out[LEVEL, i], out[SIGNAL, i], at[i] = value, full, loss, up, i
+    return len(at)
 
 
 class ThrustLoss(Monitor[ThrustLossSpec]):
@@ -137,23 +119,13 @@ class ThrustLoss(Monitor[ThrustLossSpec]):
     unit = "share of thrust"
 
     @classmethod
-    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
-        """How many rows tell it, and the sum of their specific force per command."""
-        count, total = 0, 0.0
-        for block in (rows.block for rows in flight):
-            known = _known(block)
-            count += int(np.count_nonzero(known))
-            total -= float(np.sum(block.force[known, 2] / block.thrust[known]))
-        return (np.array([count, total]),)
-
-    @classmethod
-    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[ThrustLossSpec, ...]:
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[ThrustLossSpec, ...]:
         """Healthy specific force per command. Raises InputError without accelerometer or collective command."""
         context.need_rate(MIN_RATE_HZ)
-        count, total = np.sum([found for (found,) in summaries], axis=0).tolist()
-        if not total > 0:
+        count, total_ = np.sum(of_each(flights, cls.name, _per_command), axis=0).tolist()
+        if not total_ > 0:
             raise InputError("no flight with an accelerometer along z and a collective thrust command")
-        return (ThrustLossSpec(layout=context.airframe.layout, per_command=total / count),)
+        return (ThrustLossSpec(layout=context.airframe.layout, per_command=total_ / count),)
 
     def known(self, block: Block, signal: Signal) -> BoolArray:
         """Of the accelerometer its z."""
@@ -183,9 +155,15 @@ class ThrustLoss(Monitor[ThrustLossSpec]):
         mem[USUAL] = 1.0
         return mem
 
-    run = staticmethod(_compiled(source_digest()))
+    run = staticmethod(run)
 
 
-def _known(block: Block) -> BoolArray:
-    sound = block.valid & block.finite_rate()
-    return np.asarray(sound & block.known(Signal.SPECIFIC_FORCE, ONLY_Z) & (block.thrust > MIN_THRUST), dtype=np.bool_)
+def _per_command(flight: Sequence[Rows]) -> tuple[float, float]:
+    """How many rows tell the specific force per command, and its sum."""
+    count, total_ = 0, 0.0
+    for block in (rows.block for rows in flight):
+        known = block.valid & block.finite_rate() & block.known(Signal.SPECIFIC_FORCE, ONLY_Z)
+        known = known & (block.thrust > MIN_THRUST)
+        count += int(np.count_nonzero(known))
+        total_ -= float(np.sum(block.force[known, 2] / block.thrust[known]))
+    return float(count), total_

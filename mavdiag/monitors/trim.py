@@ -10,10 +10,12 @@ trim 0.131 -> 0.009). The law errs by a share of g, so a window is the mean of i
 tick before counts too, for rotors lag. Nothing here depends much on when a tick begins.
 """
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Self, TypeVar
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -22,18 +24,31 @@ from mavdiag.airframe.trim import (
     MIN_OUTPUT,
     MOST_LOSS,
     SIGNALS,
-    SOURCES,
     TILT_TRIM,
     YAW_FLOOR,
     Source,
     rise_of,
+    source_among,
     sources_of,
+    tilt_of,
+    trim_of,
 )
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.jit import cached, jit, source_digest
-from mavdiag.monitors.base import Flights, LearnContext, Monitor, RotorEvidence, Summary, segments
-from mavdiag.monitors.columns import LEAN, OUTPUTS, RATE, THRUST, TORQUE, TRIM_CONDITIONS, VALID, columns_of
-from mavdiag.monitors.healthy import three
+from mavdiag.jit import jit
+from mavdiag.monitors.base import Flights, LearnContext, Monitor, RotorEvidence
+from mavdiag.monitors.columns import (
+    LEAN,
+    OUTPUTS,
+    RATE,
+    THRUST,
+    TORQUE,
+    TRACE,
+    TRIM_CONDITIONS,
+    VALID,
+    Floats,
+)
+from mavdiag.monitors.fitting import of_each, three
+from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
@@ -47,13 +62,12 @@ TURN_TRIM = 0.02
 # What is held of b1 [1/(rad/s)] and b2 [1/(rad/s^2)] before any flight, and its standard deviation. b2 is I_zz over
 # weight and drag arm of the rotors, 0.04 for a QDrone 2 and an ArduCopter of 3 kg; b1 is 0.11 for the latter.
 PRIOR, PRIOR_SD = np.array([0.0, 0.04]), np.array([0.1, 0.04])
-NO_TICKS = np.empty((0, 2, 8))
 UNKNOWN = (YAW_FLOOR, YAW_FLOOR, YAW_FLOOR)  # spreads before any were learnt
 
 Spec = TypeVar("Spec", bound="TrimSpec")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@spec
 class TrimSpec:
     """What every fit of the trim holds.
 
@@ -63,6 +77,7 @@ class TrimSpec:
     spread: of the 5 s means of roll, pitch and yaw trim [fraction of hover].
     turn: b1 and b2, the yaw trim that a yaw rate of 1 rad/s and a yaw acceleration of 1 rad/s^2 take.
     window_s: length of the means [s].
+    Raises InputError if the layout gives no trim of that source.
     """
 
     kind: str
@@ -70,16 +85,13 @@ class TrimSpec:
     source: Source
     mean: Three = (0.0, 0.0, 0.0)
     turn: tuple[float, float] = (0.0, 0.0)
-    spread: Three
-    window_s: float = WINDOW_S
+    spread: tuple[Positive, Positive, Positive]
+    window_s: Positive = WINDOW_S
 
-    def check(self) -> None:
-        """Raises InputError if the layout gives no trim of that source, or a figure is no number."""
+    def __post_init__(self) -> None:
         if self.source == "torque" and self.layout.torque_gain is None:
             lacking = f"what a torque command does to the motors of {self.layout.name}"
             raise InputError(f"{self.kind}: {lacking} is not known")
-        if not np.isfinite([*self.mean, *self.turn]).all():
-            raise InputError(f"{self.kind}: the healthy trim and what a turn takes of it must be finite")
 
 
 # Places in the parameters: 1 for torque commands, how many rotors; parts of a tick, rows of a part, row period, ticks
@@ -237,41 +249,17 @@ def highest_rise(par: FloatArray, roll: float, pitch: float, yaw: float, lean: f
     return found
 
 
-def _compiled_parts(digest: int) -> Callable[[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], int]:
-    @cached
-    def all_parts(par: FloatArray, mem: FloatArray, x: FloatArray, flags: FloatArray, out: FloatArray) -> int:
-        """The ticks of some rows, to (n, 7 parts + 1): their parts, and whether they are whole."""
-        k, found, width = 0, found_at(par), 7 * int(par[PARTS])
-        for i in range(x.shape[1] if digest else 0):
-            if take_row(par, mem, x, i, flags[VALID, i] > 0.5):
-                for j in range(width):
-                    out[k, j] = mem[found + j]
-                out[k, width] = mem[KNOWN]
-                k += 1
-        return k
-
-    return all_parts
-
-
-def _compiled_windows(digest: int) -> Callable[[FloatArray, FloatArray, FloatArray, FloatArray], int]:
-    @cached
-    def all_windows(par: FloatArray, mem: FloatArray, ticks: FloatArray, out: FloatArray) -> int:
-        """The means of the full windows of a run of ticks, (n, 7 parts) -> (n, 5)."""
-        k, found = 0, found_at(par)
-        for number in range(len(ticks) if digest else 0):
-            for j in range(ticks.shape[1]):
-                mem[found + j] = ticks[number, j]
-            take_tick(par, mem, True)
-            if mem[RUN] >= par[WINDOW]:
-                for j in range(5):
-                    out[k, j] = window_mean(par, mem, 0, j)
-                k += 1
-        return k
-
-    return all_windows
-
-
-_all_parts, _all_windows = _compiled_parts(source_digest()), _compiled_windows(source_digest())
+@jit
+def trace_tick(par: Floats, mem: Floats, out: Floats, k: int) -> None:
+    """Of the last tick for a fit: means of its yaw trim, yaw rate and acceleration, usable ticks in a row, window."""
+    parts, found = int(par[PARTS]), found_at(par)
+    for j in range(3):
+        mean = 0.0
+        for part in range(parts):
+            mean += mem[found + 7 * part + (2 if j == 0 else 4 + j)]
+        out[TRACE + j, k] = mean / parts
+        out[TRACE + 4 + j, k] = window_mean(par, mem, 0, j) if mem[RUN] >= par[WINDOW] else math.nan
+    out[TRACE + 3, k] = mem[RUN]
 
 
 def tick_shape(dt_s: float) -> tuple[int, int]:
@@ -290,41 +278,39 @@ def window_ticks(window_s: float, dt_s: float) -> int:
     return max(1, round(window_s / (tick_rows(dt_s) * dt_s)))
 
 
-def ticks_of(monitor: "TrimMonitor[Any]", flight: Sequence[Rows]) -> FloatArray:
-    """The ticks of a flight, (t, p, 8): parts as `found_at` says, number of their segment, -1 if not whole."""
-    if not flight:
-        return NO_TICKS
-    dt_s = flight[0].block.dt_s
-    par, parts = monitor.parameters(dt_s), tick_shape(dt_s)[0]
-    found = [np.empty((0, parts, 8))]
-    for number, segment in enumerate(segments(flight)):
-        mem = monitor.memory(dt_s)
-        for columns in map(columns_of, segment):
-            out = np.empty((columns.flags.shape[1], 7 * parts + 1))
-            ticks = out[: _all_parts(par, mem, columns.x, columns.flags, out)]
-            place = np.where(ticks[:, -1] > 0.5, float(number), -1.0)[:, None, None]
-            places = np.broadcast_to(place, (len(ticks), parts, 1))
-            found.append(np.concatenate((ticks[:, :-1].reshape(len(ticks), parts, 7), places), axis=2))
-    return np.concatenate(found)
+def parts_of(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> list[tuple[FloatArray, FloatArray]]:
+    """The parts of ticks of each segment as rows that come so seldom: x and flags of `monitors.columns`.
+
+    Their trim stands for torque commands at a thrust of 1, so that `run` makes the same ticks of them as of the rows.
+    """
+    found = []
+    for _, segment in itertools.groupby(flight, key=lambda rows: rows.block.segment):
+        parts, rest = list[FloatArray](), np.empty((0, 7))
+        for block in (rows.block for rows in segment):
+            size, (trim, known) = tick_shape(block.dt_s)[1], trim_of(block, layout, source)
+            known = known & np.isfinite(block.rate[:, 2])
+            fresh = np.column_stack((trim, tilt_of(block), np.nan_to_num(block.rate[:, 2]), known))
+            each = np.asarray(np.concatenate((rest, fresh)), dtype=np.float64)
+            n = len(each) // size
+            parts.append(each[: n * size].reshape(n, size, 7).mean(axis=1))
+            rest = each[n * size :]
+        columns = np.concatenate(parts).T
+        x, flags = np.zeros((OUTPUTS, columns.shape[1])), np.ones((3, columns.shape[1]))
+        x[TORQUE:THRUST], x[LEAN : LEAN + 2], x[RATE + 2] = columns[:3], columns[3:5], columns[5]
+        x[THRUST], flags[VALID] = 1.0, columns[6] > 1.0 - 0.5 / size  # all of its rows are known
+        found.append((x, flags))
+    return found
 
 
-def unbroken_runs(ticks: FloatArray, least: int) -> list[FloatArray]:
-    """Runs of whole ticks of one segment, at least so many each: (t, p, 8) -> (n, p, 7) each."""
-    if len(ticks) == 0:
-        return []
-    runs = np.split(ticks, np.flatnonzero(np.diff(ticks[:, 0, 7])) + 1)
-    return [run[:, :, :7] for run in runs if len(run) >= least and run[0, 0, 7] >= 0]
-
-
-def turn_of(flights: Sequence[FloatArray], window: int) -> tuple[float, float]:
-    """b1 and b2 of healthy flights, each as `ticks_of` gives it.
+def turn_of(flights: Sequence[Sequence[FloatArray]], window: int) -> tuple[float, float]:
+    """b1 and b2 of healthy flights, each as `TrimMonitor.walked` gives it.
 
     Means of the ticks about their flight's own, so that no session's offset counts, with `PRIOR` held against them:
     where the nose hardly turned, it stays.
     """
     means = [np.empty((0, 3))]
-    for ticks in flights:
-        runs = [run[:, :, [2, 5, 6]].mean(axis=1) for run in unbroken_runs(ticks, window)]
+    for flight in flights:
+        runs = [run for segment in flight for run in _unbroken(segment, window)]
         if runs:
             means.append(np.concatenate(runs) - np.concatenate(runs).mean(axis=0))
     yaw, turning = np.concatenate(means)[:, 0], np.concatenate(means)[:, 1:]
@@ -335,22 +321,25 @@ def turn_of(flights: Sequence[FloatArray], window: int) -> tuple[float, float]:
     return float(turn[0]), float(turn[1])
 
 
-def mean_of(monitor: "TrimMonitor[Any]", flights: Sequence[FloatArray], dt_s: float) -> Three:
+def _unbroken(segment: FloatArray, least: int) -> list[FloatArray]:
+    """Yaw trim, yaw rate and acceleration of runs of usable ticks, (n, 3) each, of at least so many."""
+    ticks = segment[TRACE : TRACE + 4, segment[TRACE + 3] > 0].T
+    runs = np.split(ticks, np.flatnonzero(ticks[1:, 3] == 1) + 1)
+    return [run[:, :3] for run in runs if len(run) >= least]
+
+
+def windows_of(flight: Sequence[FloatArray]) -> FloatArray:
+    """Roll, pitch and yaw trim of all full windows of a flight, (k, 3)."""
+    windows = np.concatenate([np.empty((3, 0)), *(segment[TRACE + 4 : TRACE + 7] for segment in flight)], axis=1).T
+    return np.asarray(windows[np.isfinite(windows[:, 0])], dtype=np.float64)
+
+
+def mean_of(flights: Sequence[Sequence[FloatArray]]) -> Three:
     """Mean over flights of their mean trims. Raises IdentificationError if none has a full window."""
-    found = [windows_of(monitor, ticks, dt_s) for ticks in flights]
-    means = [flown[:, :3].mean(axis=0) for flown in found if len(flown)]
+    means = [windows.mean(axis=0) for windows in map(windows_of, flights) if len(windows)]
     if not means:
         raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight to average the trim over; fly longer")
     return three(np.mean(means, axis=0))
-
-
-def windows_of(monitor: "TrimMonitor[Any]", ticks: FloatArray, dt_s: float) -> FloatArray:
-    """All full windows of a flight's ticks, (k, 5)."""
-    par, found = monitor.parameters(dt_s), [np.empty((0, 5))]
-    for run in unbroken_runs(ticks, int(par[WINDOW])):
-        out = np.empty((len(run), 5))
-        found.append(out[: _all_windows(par, monitor.memory(dt_s), run.reshape(len(run), -1), out)])
-    return np.concatenate(found)
 
 
 class TrimMonitor(Monitor[Spec]):
@@ -363,18 +352,34 @@ class TrimMonitor(Monitor[Spec]):
     unit = "fraction of hover"
 
     @classmethod
-    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
-        """Which sources show a trim, and by each of them the ticks of the flight."""
-        layout, shown = context.layout, sources_of(flight, context.layout)
-        found = [
-            ticks_of(cls.before(layout, source), flight) if shown[i] else NO_TICKS for i, source in enumerate(SOURCES)
-        ]
-        return shown, found[0], found[1]
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[Spec, ...]:
+        """What a turn takes, mean over flights of their mean trims, and the spread about it or about the reference."""
+        layout, dt_s = context.layout, context.dt_s
+        source = source_among(of_each(flights, layout, lambda flight: sources_of(flight, layout)), layout)
+        parts = of_each(flights, (layout, source), lambda flight: parts_of(flight, layout, source))
+        still = cls(cls.spec_type(layout=layout, source=source, spread=UNKNOWN))
+        turn = turn_of([still.walked(flight, dt_s) for flight in parts], window_ticks(WINDOW_S, dt_s))
+        turned = cls(replace(still.spec, turn=turn))
+        walked = [turned.walked(flight, dt_s) for flight in parts]
+        mean = mean_of(walked)
+        return (replace(turned.spec, mean=mean, spread=cls.spread_of(walked, mean)),)
 
     @classmethod
-    def before(cls, layout: RotorLayout, source: Source, turn: tuple[float, float] = (0.0, 0.0)) -> Self:
-        """The monitor before any trim was learnt."""
-        return cls(cls.spec_type(layout=layout, source=source, turn=turn, spread=UNKNOWN))
+    @abstractmethod
+    def spread_of(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
+        """Spread of what it judges of healthy flights, each as `walked` gives it. Raises IdentificationError."""
+
+    def walked(self, flight: Sequence[tuple[FloatArray, FloatArray]], dt_s: float) -> list[FloatArray]:
+        """What `run` writes of each segment of a flight's parts, with the figures of `trace_tick` and 3 of its own."""
+        part_s, found = tick_shape(dt_s)[1] * dt_s, []
+        par = self.parameters(part_s)
+        par[TORQUES], par[GAIN : GAIN + 3] = 1.0, 1.0
+        for x, flags in flight:
+            n = x.shape[1]
+            out, rotors, at = np.zeros((TRACE + 10, n)), np.empty((n, self.rotors)), np.empty(n, dtype=np.int64)
+            count = self.run(par, self.memory(part_s), x, flags, 0, out, rotors, at)
+            found.append(out[:, :count].copy())
+        return found
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[Spec, float]:
         """With the trim of the new propellers; how much it varies stays."""
@@ -386,8 +391,8 @@ class TrimMonitor(Monitor[Spec]):
         return replace(self.spec, mean=three(mean + (np.array(self._mean(flights)) - mean) / (sessions + 1)))
 
     def _mean(self, flights: Flights) -> Three:
-        dt_s = next((rows.block.dt_s for flight in flights for rows in flight), TICK_S)
-        return mean_of(self, [ticks_of(self, flight) for flight in flights], dt_s)
+        dt_s, spec = next((rows.block.dt_s for flight in flights for rows in flight), TICK_S), self.spec
+        return mean_of([self.walked(parts_of(flight, spec.layout, spec.source), dt_s) for flight in flights])
 
     @property
     def rotors(self) -> int:

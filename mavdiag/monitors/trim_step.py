@@ -4,78 +4,46 @@ A session's own offset (battery, propellers, payload) is in the trim from the fi
 moves it slowly. A blade that breaks moves it at once. So the trim is compared with that of the same flight before.
 """
 
-import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
-from mavdiag.airframe.trim import SOURCES, source_among, spread_of
-from mavdiag.errors import IdentificationError, InputError
-from mavdiag.jit import cached, jit, source_digest
-from mavdiag.monitors.base import LearnContext, Summaries
-from mavdiag.monitors.columns import COVERED, LEVEL, SIGNAL, SOUND, VALID, VALUE, Kernel
-from mavdiag.monitors.trim import (
-    KNOWN,
-    MEAN,
-    MINE,
-    OWN,
-    RUN,
-    SPREAD,
-    WINDOW,
-    WINDOW_S,
-    TrimMonitor,
-    TrimSpec,
-    found_at,
-    highest_rise,
-    mean_of,
-    rise,
-    take_row,
-    take_tick,
-    turn_of,
-    unbroken_runs,
-    window_mean,
-    window_ticks,
-)
-from mavdiag.telemetry import FloatArray, IntArray
+from mavdiag.airframe.trim import spread_of
+from mavdiag.errors import IdentificationError
+from mavdiag.jit import cached, jit
+from mavdiag.monitors import trim
+from mavdiag.monitors.columns import COVERED, LEVEL, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
+from mavdiag.monitors.spec import Positive, spec
+from mavdiag.telemetry import FloatArray, Three
 from mavdiag.thresholds.guard import Guard
 
 MEMORY_S = 30.0  # of the reference (our choice)
 DRIFT_PER_S = 3e-4  # of hover: no faster does the reference follow. A pack empties some 1e-5 a second (our choice)
 HOLD = 0.012  # of hover: the reference waits while a shift is larger, so that a fault is not taken in (our choice)
-HOLD_S = (
-    120.0  # of judged flight: no longer does it wait, for what a vehicle has carried so long is its own (our choice)
-)
+HOLD_S = 120.0  # of judged flight it waits, for what a vehicle has carried so long is its own (our choice)
 SESSION = 0.06  # of hover: a rise against the healthy trim that a session explains, as rotor_trim's guard has it
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrimStepSpec(TrimSpec):
+@spec
+class TrimStepSpec(trim.TrimSpec):
     """How much the trim moves within a healthy flight.
 
     spread: of the 5 s means of roll, pitch and yaw trim about the reference [fraction of hover].
     memory_s: of the reference [s].
     drift_per_s: largest drift that is followed [fraction of hover a second].
-    Raises InputError if they do not describe a vehicle.
     """
 
     kind: Literal["trim_step"] = "trim_step"
-    memory_s: float = MEMORY_S
-    drift_per_s: float = DRIFT_PER_S
-
-    def __post_init__(self) -> None:
-        figures = (*self.spread, self.window_s, self.memory_s, self.drift_per_s)
-        if not all(math.isfinite(x) for x in figures) or min(figures) <= 0:
-            raise InputError("trim_step: spread, window, memory and drift must be positive numbers")
-        self.check()
+    memory_s: Positive = MEMORY_S
+    drift_per_s: Positive = DRIFT_PER_S
 
 
 # Places of its own: in the parameters how fast and how far the reference follows in a tick, and the length of a
 # tick; in the memory the reference (trim and lean), the way back from it to where the trim was healthy
 # (zero while that is the reference itself), judged flight since it waits, 1 if there is one.
-FOLLOW, MOST, TICK_S = OWN, OWN + 1, OWN + 2
-REFERENCE, BACK, HELD, THERE = MINE, MINE + 5, MINE + 8, MINE + 9
+FOLLOW, MOST, TICK_S = trim.OWN, trim.OWN + 1, trim.OWN + 2
+REFERENCE, BACK, HELD, THERE = trim.MINE, trim.MINE + 5, trim.MINE + 8, trim.MINE + 9
 
 
 @jit
@@ -83,40 +51,40 @@ def _share(par: FloatArray, mem: FloatArray, roll: float, pitch: float, yaw: flo
     """How far along the way back a shift lies, 0..1: its nearest point, in units of the spreads."""
     length, along = 0.0, 0.0
     for j in range(3):
-        weighed = mem[BACK + j] / par[SPREAD + j] ** 2
+        weighed = mem[BACK + j] / par[trim.SPREAD + j] ** 2
         length += weighed * mem[BACK + j]
         along += weighed * (roll if j == 0 else pitch if j == 1 else yaw)
     return min(max(along / length, 0.0), 1.0) if length > 0.0 else 0.0
 
 
 @jit
-def take_window(par: FloatArray, mem: FloatArray, shift: FloatArray) -> bool:
+def _take_window(par: FloatArray, mem: FloatArray, shift: FloatArray) -> bool:
     """After a tick: the shift of the present window from the reference, (5,), zero where it is not judged."""
-    window = int(par[WINDOW])
+    window = int(par[trim.WINDOW])
     for j in range(5):
         shift[j] = 0.0
-    if mem[RUN] < 2 * window:
+    if mem[trim.RUN] < 2 * window:
         return False
     if mem[THERE] < 0.5:
         for j in range(5):
-            mem[REFERENCE + j] = window_mean(par, mem, window, j)
-        roll, pitch = mem[REFERENCE] - par[MEAN], mem[REFERENCE + 1] - par[MEAN + 1]
-        yaw = mem[REFERENCE + 2] - par[MEAN + 2]
-        far = highest_rise(par, roll, pitch, yaw, 0.0, 0.0) > SESSION
+            mem[REFERENCE + j] = trim.window_mean(par, mem, window, j)
+        roll, pitch = mem[REFERENCE] - par[trim.MEAN], mem[REFERENCE + 1] - par[trim.MEAN + 1]
+        yaw = mem[REFERENCE + 2] - par[trim.MEAN + 2]
+        far = trim.highest_rise(par, roll, pitch, yaw, 0.0, 0.0) > SESSION
         mem[BACK], mem[BACK + 1], mem[BACK + 2] = (-roll, -pitch, -yaw) if far else (0.0, 0.0, 0.0)
         mem[HELD], mem[THERE] = 0.0, 1.0
     for j in range(5):
-        shift[j] = window_mean(par, mem, 0, j) - mem[REFERENCE + j]
+        shift[j] = trim.window_mean(par, mem, 0, j) - mem[REFERENCE + j]
     share = _share(par, mem, shift[0], shift[1], shift[2])
     for j in range(3):
         shift[j] -= share * mem[BACK + j]
-    b0 = window_mean(par, mem, window, 0) - mem[REFERENCE]
-    b1 = window_mean(par, mem, window, 1) - mem[REFERENCE + 1]
-    b2 = window_mean(par, mem, window, 2) - mem[REFERENCE + 2]
-    b3 = window_mean(par, mem, window, 3) - mem[REFERENCE + 3]
-    b4 = window_mean(par, mem, window, 4) - mem[REFERENCE + 4]
-    moved = highest_rise(par, shift[0], shift[1], shift[2], shift[3], shift[4])
-    if max(moved, highest_rise(par, b0, b1, b2, b3, b4)) <= HOLD:
+    b0 = trim.window_mean(par, mem, window, 0) - mem[REFERENCE]
+    b1 = trim.window_mean(par, mem, window, 1) - mem[REFERENCE + 1]
+    b2 = trim.window_mean(par, mem, window, 2) - mem[REFERENCE + 2]
+    b3 = trim.window_mean(par, mem, window, 3) - mem[REFERENCE + 3]
+    b4 = trim.window_mean(par, mem, window, 4) - mem[REFERENCE + 4]
+    moved = trim.highest_rise(par, shift[0], shift[1], shift[2], shift[3], shift[4])
+    if max(moved, trim.highest_rise(par, b0, b1, b2, b3, b4)) <= HOLD:
         most, follow = par[MOST], par[FOLLOW]
         mem[REFERENCE] += min(max(b0 * follow, -most), most)
         mem[REFERENCE + 1] += min(max(b1 * follow, -most), most)
@@ -128,63 +96,34 @@ def take_window(par: FloatArray, mem: FloatArray, shift: FloatArray) -> bool:
         mem[HELD] += par[TICK_S]
     else:
         for j in range(5):
-            mem[REFERENCE + j] = window_mean(par, mem, window, j)
+            mem[REFERENCE + j] = trim.window_mean(par, mem, window, j)
         mem[BACK], mem[BACK + 1], mem[BACK + 2] = mem[BACK] - b0, mem[BACK + 1] - b1, mem[BACK + 2] - b2
         mem[HELD] = 0.0
     return True
 
 
-def _compiled(digest: int) -> Kernel:
-    @cached
-    def run(
-        par: FloatArray,
-        mem: FloatArray,
-        x: FloatArray,
-        flags: FloatArray,
-        lag: int,
-        out: FloatArray,
-        rotors: FloatArray,
-        at: IntArray,
-    ) -> int:
-        """The best single-rotor rise at the end of each tick."""
-        k, shift = 0, np.empty(5)
-        for i in range(x.shape[1] if digest else 0):
-            if not take_row(par, mem, x, i, flags[VALID, i] > 0.5):
-                continue
-            take_tick(par, mem, mem[KNOWN] > 0.5 and flags[COVERED, i] > 0.5)
-            out[SOUND, k] = take_window(par, mem, shift)
-            value = highest_rise(par, shift[0], shift[1], shift[2], shift[3], shift[4])
-            for rotor in range(rotors.shape[1]):
-                rotors[k, rotor] = rise(par, rotor, shift[0], shift[1], shift[2], 0.0, 0.0)
-            out[VALUE, k], out[LEVEL, k], out[SIGNAL, k], at[k] = value, value, shift[2], i
-            k += 1
-        return k
-
-    return run
+@cached
+def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+    """The best single-rotor rise at the end of each tick."""
+    k, shift = 0, np.empty(5)
+    for i in range(x.shape[1]):
+        if not trim.take_row(par, mem, x, i, flags[VALID, i] > 0.5):
+            continue
+        trim.take_tick(par, mem, mem[trim.KNOWN] > 0.5 and flags[COVERED, i] > 0.5)
+        out[SOUND, k] = _take_window(par, mem, shift)
+        value = trim.highest_rise(par, shift[0], shift[1], shift[2], shift[3], shift[4])
+        for rotor in range(rotors.shape[1]):
+            rotors[k, rotor] = trim.rise(par, rotor, shift[0], shift[1], shift[2], 0.0, 0.0)
+        out[VALUE, k], out[LEVEL, k], out[SIGNAL, k], at[k] = value, value, shift[2], i
+        if out.shape[0] > TRACE:
+            trim.trace_tick(par, mem, out, k)
+            for j in range(3):
+                out[TRACE + 7 + j, k] = shift[j]
+        k += 1
+    return k
 
 
-def _compiled_shifts(digest: int) -> Callable[[FloatArray, FloatArray, FloatArray, FloatArray], int]:
-    @cached
-    def all_shifts(par: FloatArray, mem: FloatArray, ticks: FloatArray, out: FloatArray) -> int:
-        """The shifts that are judged in a run of ticks, (n, 7 parts) -> (n, 3)."""
-        k, shift, found = 0, np.empty(5), found_at(par)
-        for number in range(len(ticks) if digest else 0):
-            for j in range(ticks.shape[1]):
-                mem[found + j] = ticks[number, j]
-            take_tick(par, mem, True)
-            if take_window(par, mem, shift):
-                for j in range(3):
-                    out[k, j] = shift[j]
-                k += 1
-        return k
-
-    return all_shifts
-
-
-_all_shifts = _compiled_shifts(source_digest())
-
-
-class TrimStep(TrimMonitor[TrimStepSpec]):
+class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     """Statistic: the rise of ONE rotor's command against the same flight before [fraction of hover].
 
         m: trim averaged over 5 s as rotor_trim has it,    a_j: rise of rotor j that explains m - m_ref (`trim`)
@@ -219,23 +158,17 @@ class TrimStep(TrimMonitor[TrimStepSpec]):
     spec_type = TrimStepSpec
 
     @classmethod
-    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[TrimStepSpec, ...]:
-        """The healthy trim, what a turn takes of it, and the spread of healthy shifts within flights."""
-        layout, source = context.layout, source_among([one[0] for one in summaries], context.layout)
-        flights, dt_s = [summary[1 + SOURCES.index(source)] for summary in summaries], context.dt_s
-        window = window_ticks(WINDOW_S, dt_s)
-        monitor, found = cls.before(layout, source, turn_of(flights, window)), [np.empty((0, 3))]
-        for run in (run for ticks in flights for run in unbroken_runs(ticks, 2 * window)):
-            out = np.empty((len(run), 3))
-            count = _all_shifts(monitor.parameters(dt_s), monitor.memory(dt_s), run.reshape(len(run), -1), out)
-            found.append(out[:count])
-        shifts = np.concatenate(found)
-        if len(shifts) == 0:
-            raise IdentificationError(f"no unbroken {2 * WINDOW_S:g} s of flight to compare trims in; fly longer")
-        return (replace(monitor.spec, mean=mean_of(monitor, flights, dt_s), spread=spread_of(shifts)),)
+    def spread_of(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
+        """Of healthy shifts within flights."""
+        segments = (segment for flight in flights for segment in flight)
+        shifts = [segment[TRACE + 7 : TRACE + 10, segment[SOUND] > 0.5] for segment in segments]
+        found = np.concatenate([np.empty((3, 0)), *shifts], axis=1).T
+        if len(found) == 0:
+            raise IdentificationError(f"no unbroken {2 * trim.WINDOW_S:g} s of flight to compare trims in; fly longer")
+        return spread_of(found)
 
     def own(self, tick_s: float) -> tuple[float, float, float, float]:
         """See `TICK_S`."""
         return tick_s / self.spec.memory_s, self.spec.drift_per_s * tick_s, tick_s, 0.0
 
-    run = staticmethod(_compiled(source_digest()))
+    run = staticmethod(run)

@@ -5,34 +5,26 @@ An unbalanced rotor shakes the airframe once per revolution, with a force U Omeg
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.jit import cached, jit, source_digest
-from mavdiag.monitors.base import (
-    Feature,
-    Flights,
-    LearnContext,
-    Monitor,
-    RotorEvidence,
-    Summaries,
-    Summary,
-    segments,
-)
-from mavdiag.monitors.columns import FORCE, LEVEL, RATE, SIGNAL, SOUND, VALID, VALUE, Kernel, columns_of
-from mavdiag.monitors.healthy import joined_moments, moments
+from mavdiag.jit import allocating, cached, jit, summing
+from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence
+from mavdiag.monitors.columns import FORCE, LEVEL, RATE, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
+from mavdiag.monitors.fitting import Moments, of_each, traced
+from mavdiag.monitors.spec import Positive, spec
 from mavdiag.monitors.vibration_band import CORNER_HZ, carries_line, corner_of
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
-from mavdiag.rows.running import FRESH, dot, mean_size, past_size, push, shift, total
+from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.rows.windows import highpass
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
+from mavdiag.telemetry import BoolArray, FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 from mavdiag.units import G_MM_PER_KG_M
 
@@ -43,10 +35,8 @@ CLEAR = 3.0  # healthy standard deviations at which a shift counts half as evide
 FULL_TURN = 0.5  # share of the power that the turning part must reach to count as fully turning (our choice)
 COLUMNS = 4  # products that are averaged
 
-Pair = tuple[float, float]
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@spec
 class UnbalanceSpec:
     """Healthy vibration on one link.
 
@@ -59,28 +49,24 @@ class UnbalanceSpec:
     power: healthy mean of ax^2 + ay^2 [(m/s^2)^2].
     mass_kg, hover_rad_s: mass, and the rotor speed that carries it; with both the statistic is in g mm, else in m/s^2.
     window_s: length of the means [s].
-    Raises InputError if they do not describe a vehicle.
+    Raises InputError if there is one of mass and rotor speed alone, or the corner is above half the rate.
     """
 
     kind: Literal["unbalance"] = "unbalance"
-    dt_s: float
-    corner_hz: float
+    dt_s: Positive
+    corner_hz: Positive
     layout: RotorLayout | None
-    covariance: Pair
-    spread: Pair
+    covariance: tuple[float, float]
+    spread: tuple[Positive, Positive]
     turning: float
-    power: float
-    mass_kg: float | None = None
-    hover_rad_s: float | None = None
-    window_s: float = WINDOW_S
+    power: Positive
+    mass_kg: Positive | None = None
+    hover_rad_s: Positive | None = None
+    window_s: Positive = WINDOW_S
 
     def __post_init__(self) -> None:
-        known = [one for one in (self.mass_kg, self.hover_rad_s) if one is not None]
-        positive = (self.dt_s, self.corner_hz, self.window_s, self.power, *self.spread, *known)
-        if not all(math.isfinite(x) and x > 0 for x in positive) or len(known) == 1:
-            raise InputError("unbalance: period, corner, window, power, spread and mass with rotor speed, are positive")
-        if not all(math.isfinite(x) for x in (*self.covariance, self.turning)):
-            raise InputError("unbalance: the healthy covariances must be finite numbers")
+        if (self.mass_kg is None) != (self.hover_rad_s is None):
+            raise InputError("unbalance: mass and rotor speed are known together, or neither is")
         if self.corner_hz * self.dt_s >= 0.5:
             raise InputError(f"unbalance: a corner of {self.corner_hz:g} Hz is above half the rate")
 
@@ -111,28 +97,46 @@ class UnbalanceSpec:
 # Places in the parameters: of each rotor the pattern of its covariances and its sense; then the filter.
 TICK, TICKS, SCALE, POWER, TURNING, COVARIANCE_X, COVARIANCE_Y, NOISE, TURNS, ROTORS, LENGTH, PATTERNS = range(12)
 # and in the memory: rows so far, valid rows in a row, rows of the tick and its sums, the last filtered x and y; the
-# means, and three histories.
+# means, and behind them of ax, ay and gz the rows that the filter looks back.
 ROW, RUN, OF_TICK, SUMS, LAST_X, LAST_Y, MEAN = 0, 1, 2, 3, 7, 8, 9
 
 
+@summing
+def _convolve(taps: Floats, rows: Floats, out: Floats) -> None:
+    """Scalar products of the taps with as many rows, from each row on."""
+    for i in range(out.shape[0]):
+        found = 0.0
+        for k in range(taps.shape[0]):
+            found += taps[k] * rows[i + k]
+        out[i] = found
+
+
+@allocating
+def _filtered(par: Floats, mem: Floats, x: Floats) -> Floats:
+    """ax, ay and gz after the high-pass, (3, n)."""
+    n, length, back = x.shape[1], int(par[LENGTH]), int(par[LENGTH]) - 1
+    at = MEAN + FRESH + 2 * COLUMNS + int(par[TICKS]) * COLUMNS
+    first = PATTERNS + 3 * int(par[ROTORS])
+    taps, rows, out = par[first : first + length], np.empty(back + n), np.empty((3, n))
+    for signal in range(3):
+        rows[:back] = mem[at + signal * back : at + (signal + 1) * back]
+        rows[back:] = x[RATE + 2 if signal == 2 else FORCE + signal]
+        mem[at + signal * back : at + (signal + 1) * back] = rows[n:]
+        _convolve(taps, rows, out[signal])
+    return out
+
+
 @jit
-def _advance(par: FloatArray, mem: FloatArray, x: FloatArray, i: int, valid: bool) -> bool:
-    """Take a row; True where a tick is complete. Its products are then in the means, and `mem[RUN]` tells of it."""
+def _advance(par: Floats, mem: Floats, ax: float, ay: float, gz: float, valid: bool) -> bool:
+    """Take a filtered row; True where a tick is complete. Its products are then in the means."""
     tick, length = int(par[TICK]), int(par[LENGTH])
-    taps, past = PATTERNS + 3 * int(par[ROTORS]), MEAN + FRESH + 2 * COLUMNS + int(par[TICKS]) * COLUMNS
-    size = 1 + 2 * length
     mem[ROW], mem[RUN] = mem[ROW] + 1.0, mem[RUN] + 1.0 if valid else 0.0
-    first_x = shift(mem, past, length, x[FORCE, i])
-    first_y = shift(mem, past + size, length, x[FORCE + 1, i])
-    first_z = shift(mem, past + 2 * size, length, x[RATE + 2, i])
     if mem[ROW] < length:
         return False
-    ax, ay = dot(par, taps, mem, first_x, length), dot(par, taps, mem, first_y, length)
     last_x, last_y = mem[LAST_X], mem[LAST_Y]
     mem[LAST_X], mem[LAST_Y] = ax, ay
     if mem[ROW] == length:  # the turning part needs the row before
         return False
-    gz = dot(par, taps, mem, first_z, length)
     mem[SUMS] += ax * ax + ay * ay
     mem[SUMS + 1] += gz * ax
     mem[SUMS + 2] += gz * ay
@@ -166,54 +170,26 @@ def _evidence(par: FloatArray, means: FloatArray, rotors: FloatArray, k: int) ->
         rotors[k, rotor] = found
 
 
-def _compiled(digest: int) -> Kernel:
-    @cached
-    def run(
-        par: FloatArray,
-        mem: FloatArray,
-        x: FloatArray,
-        flags: FloatArray,
-        lag: int,
-        out: FloatArray,
-        rotors: FloatArray,
-        at: IntArray,
-    ) -> int:
-        """The apparent unbalance at the end of each tick, once there is a window of them."""
-        window, k, means = int(par[TICKS]), 0, np.empty(COLUMNS)
-        for i in range(x.shape[1] if digest else 0):
-            if not _advance(par, mem, x, i, flags[VALID, i] > 0.5):
-                continue
-            if mem[ROW] < par[LENGTH] + window * par[TICK]:
-                continue
-            for column in range(COLUMNS):
-                means[column] = total(mem, MEAN, COLUMNS, column) / window
-            power = max(means[0], 0.0)
-            _evidence(par, means, rotors, k)
-            out[VALUE, k] = out[SIGNAL, k] = par[SCALE] * math.sqrt(power)
-            out[LEVEL, k] = par[SCALE] * math.sqrt(max(power - par[POWER], 0.0))
-            out[SOUND, k], at[k] = mem[MEAN + 1] >= window, i
-            k += 1
-        return k
-
-    return run
-
-
-def _compiled_means(digest: int) -> Callable[[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], int]:
-    @cached
-    def window_means(par: FloatArray, mem: FloatArray, x: FloatArray, flags: FloatArray, out: FloatArray) -> int:
-        """The full window means of the next rows, to (n, COLUMNS)."""
-        window, k = int(par[TICKS]), 0
-        for i in range(x.shape[1] if digest else 0):
-            if _advance(par, mem, x, i, flags[VALID, i] > 0.5) and mem[MEAN + 1] >= window:
-                for column in range(COLUMNS):
-                    out[k, column] = total(mem, MEAN, COLUMNS, column) / window
-                k += 1
-        return k
-
-    return window_means
-
-
-_window_means = _compiled_means(source_digest())
+@cached
+def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+    """The apparent unbalance at the end of each tick, once there is a window of them."""
+    window, k, means, rows = int(par[TICKS]), 0, np.empty(COLUMNS), _filtered(par, mem, x)
+    for i in range(x.shape[1]):
+        if not _advance(par, mem, rows[0, i], rows[1, i], rows[2, i], flags[VALID, i] > 0.5):
+            continue
+        if mem[ROW] < par[LENGTH] + window * par[TICK]:
+            continue
+        for column in range(COLUMNS):
+            means[column] = total(mem, MEAN, COLUMNS, column) / window
+            if out.shape[0] > TRACE:
+                out[TRACE + column, k] = means[column]
+        power = max(means[0], 0.0)
+        _evidence(par, means, rotors, k)
+        out[VALUE, k] = out[SIGNAL, k] = par[SCALE] * math.sqrt(power)
+        out[LEVEL, k] = par[SCALE] * math.sqrt(max(power - par[POWER], 0.0))
+        out[SOUND, k], at[k] = mem[MEAN + 1] >= window, i
+        k += 1
+    return k
 
 
 class Unbalance(Monitor[UnbalanceSpec]):
@@ -260,26 +236,20 @@ class Unbalance(Monitor[UnbalanceSpec]):
     spec_type = UnbalanceSpec
 
     @classmethod
-    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
-        """Whether the flight has an accelerometer, and the moments of its window means."""
-        if not any((rows.block.valid & rows.block.known(Signal.SPECIFIC_FORCE, slice(0, 2))).any() for rows in flight):
-            return (np.array([False]), *moments(np.empty((0, COLUMNS))))
-        return (np.array([True]), *moments(_means(cls._before(context), flight)))
-
-    @classmethod
-    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[UnbalanceSpec, ...]:
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[UnbalanceSpec, ...]:
         """Healthy vibration, in g mm if the airframe's mass and hover speed are known."""
-        if not any(felt[0] for felt, *_ in summaries):
+        if not any(of_each(flights, "felt x and y", _felt)):
             raise InputError("no flight with an accelerometer along x and y")
-        if not any(count[0] for _, count, *_ in summaries):
+        before = cls._before(context)
+        parts = of_each(flights, before, lambda flight: Moments.of(_means(before, flight)))
+        if not any(part.count for part in parts):
             raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight; fly longer")
-        found = joined_moments([rest for _, *rest in summaries])
+        found = Moments.joined(parts)
         power, x, y, turning = found.mean.tolist()
         spread = np.sqrt(found.squares / found.count).tolist()
         if not (power > 0 and spread[1] > 0 and spread[2] > 0):
             raise IdentificationError("gyro or accelerometer are constant; is it a real sensor?")
-        first = cls._before(context)
-        return (replace(first, covariance=(x, y), spread=(spread[1], spread[2]), turning=turning, power=power),)
+        return (replace(before, covariance=(x, y), spread=(spread[1], spread[2]), turning=turning, power=power),)
 
     @staticmethod
     def _before(context: LearnContext) -> UnbalanceSpec:
@@ -341,9 +311,9 @@ class Unbalance(Monitor[UnbalanceSpec]):
 
     def memory(self, dt_s: float) -> FloatArray:
         """No row yet."""
-        return np.zeros(MEAN + mean_size(self.spec.ticks, COLUMNS) + 3 * past_size(len(self.spec.taps)))
+        return np.zeros(MEAN + mean_size(self.spec.ticks, COLUMNS) + 3 * (len(self.spec.taps) - 1))
 
-    run = staticmethod(_compiled(source_digest()))
+    run = staticmethod(run)
 
 
 def _patterns(layout: RotorLayout | None) -> FloatArray:
@@ -357,13 +327,12 @@ def _patterns(layout: RotorLayout | None) -> FloatArray:
     return np.column_stack(((pattern / np.linalg.norm(pattern, axis=0)).T, -np.sign(yaw)))
 
 
+def _felt(flight: Sequence[Rows]) -> bool:
+    """Whether a flight has an accelerometer along x and y."""
+    return any((rows.block.valid & rows.block.known(Signal.SPECIFIC_FORCE, slice(0, 2))).any() for rows in flight)
+
+
 def _means(spec: UnbalanceSpec, flight: Sequence[Rows]) -> FloatArray:
     """The full window means of a flight, (k, COLUMNS)."""
-    found, monitor = [np.empty((0, COLUMNS))], Unbalance(spec)
-    par = monitor.parameters(spec.dt_s)
-    for segment in segments(flight):
-        mem = monitor.memory(spec.dt_s)
-        for columns in map(columns_of, segment):
-            means = np.empty((columns.flags.shape[1], COLUMNS))
-            found.append(means[: _window_means(par, mem, columns.x, columns.flags, means)])
-    return np.concatenate(found)
+    found = [one[TRACE:, one[SOUND] > 0.5] for one in traced(Unbalance(spec), flight, COLUMNS)]
+    return np.concatenate([np.empty((COLUMNS, 0)), *found], axis=1).T

@@ -4,8 +4,6 @@ import math
 
 from mavdiag.errors import InputError
 
-__all__ = ["CORNER_HZ", "carries_line", "corner_of"]
-
 CORNER_HZ = 60.0  # METHOD section 4
 CORNER_SHARE = 0.36  # of the rotor's frequency, where that is lower: 60 Hz at the thesis's 167 Hz (our choice)
 BAND_SHARE = 0.25  # of the sample rate: corner where the stream is too slow for the line itself (our choice)

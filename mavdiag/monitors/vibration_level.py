@@ -6,74 +6,57 @@ before that filter and passes 30-150 Hz at 95 % (METHOD section 4).
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.jit import cached, source_digest
-from mavdiag.monitors.base import Flights, LearnContext, Monitor, Summaries, Summary
-from mavdiag.monitors.columns import LEVEL, SIGNAL, SOUND, VALID, VALUE, VIBRATION, Kernel
-from mavdiag.rows.block import Block
+from mavdiag.jit import cached
+from mavdiag.monitors.base import Flights, LearnContext, Monitor
+from mavdiag.monitors.columns import LEVEL, SIGNAL, SOUND, VALID, VALUE, VIBRATION, Floats, Ints
+from mavdiag.monitors.fitting import of_each
+from mavdiag.monitors.spec import NotNegative, Positive, spec
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.rows.windows import window_rows
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
+from mavdiag.telemetry import FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
 WINDOW_S = 5.0  # our choice; 3.5 to 6.5 s change no verdict on the recorded flights
 LIMIT_M_S2 = 1e4  # a value is cut here: more is damage, not vibration (our choice)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@spec
 class VibrationLevelSpec:
     """Healthy vibration.
 
     healthy: mean level [m/s^2].
     window_s: length of the mean [s].
-    Raises InputError if they are not finite or negative.
     """
 
     kind: Literal["vibration_level"] = "vibration_level"
-    healthy: float
-    window_s: float = WINDOW_S
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.healthy) and self.healthy >= 0 and self.window_s > 0):
-            raise InputError("vibration_level: the healthy level and the window must be finite and not negative")
+    healthy: NotNegative
+    window_s: Positive = WINDOW_S
 
 
-def _compiled(digest: int) -> Kernel:
-    @cached
-    def run(
-        par: FloatArray,
-        mem: FloatArray,
-        x: FloatArray,
-        flags: FloatArray,
-        lag: int,
-        out: FloatArray,
-        rotors: FloatArray,
-        at: IntArray,
-    ) -> int:
-        """The mean level at each row."""
-        window, healthy = int(par[0]), par[1]
-        for i in range(x.shape[1] if digest else 0):
-            squares, known = 0.0, flags[VALID, i] > 0.5
-            for axis in range(3):
-                part = x[VIBRATION + axis, i]
-                known = known and math.isfinite(part)
-                part = min(max(part, -LIMIT_M_S2), LIMIT_M_S2)
-                squares += part * part
-            size = math.sqrt(squares) if known else 0.0
-            mem[FRESH] = size
-            full = push(mem, 0, window, 1, known)
-            out[VALUE, i] = total(mem, 0, 1, 0) / window
-            out[SOUND, i], out[LEVEL, i], out[SIGNAL, i], at[i] = full, out[VALUE, i] - healthy, size, i
-        return len(at)
-
-    return run
+@cached
+def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+    """The mean level at each row."""
+    window, healthy = int(par[0]), par[1]
+    for i in range(x.shape[1]):
+        squares, known = 0.0, flags[VALID, i] > 0.5
+        for axis in range(3):
+            part = x[VIBRATION + axis, i]
+            known = known and math.isfinite(part)
+            part = min(max(part, -LIMIT_M_S2), LIMIT_M_S2)
+            squares += part * part
+        size = math.sqrt(squares) if known else 0.0
+        mem[FRESH] = size
+        full = push(mem, 0, window, 1, known)
+        out[VALUE, i] = total(mem, 0, 1, 0) / window
+        out[SOUND, i], out[LEVEL, i], out[SIGNAL, i], at[i] = full, out[VALUE, i] - healthy, size, i
+    return len(at)
 
 
 class VibrationLevel(Monitor[VibrationLevelSpec]):
@@ -105,21 +88,15 @@ class VibrationLevel(Monitor[VibrationLevelSpec]):
     unit = "m/s^2"
 
     @classmethod
-    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
-        """How many rows have a level, and the sum of their levels."""
-        sizes = [np.linalg.norm(rows.block.vibration[_known(rows.block)], axis=1) for rows in flight]
-        return (np.array([sum(map(len, sizes)), sum(float(one.sum()) for one in sizes)]),)
-
-    @classmethod
-    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[VibrationLevelSpec, ...]:
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[VibrationLevelSpec, ...]:
         """Healthy mean level. Raises InputError if the vehicle sends no VIBRATION in flight.
 
         A profile whose message means something else (PX4's) gives no such signal.
         """
-        count, total = np.sum([found for (found,) in summaries], axis=0).tolist()
+        count, total_ = np.sum(of_each(flights, cls.name, _levels), axis=0).tolist()
         if not count:
             raise InputError("the vehicle sends no VIBRATION message with acceleration per axis")
-        return (VibrationLevelSpec(healthy=total / count),)
+        return (VibrationLevelSpec(healthy=total_ / count),)
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[VibrationLevelSpec, float]:
         """The level of the new propellers."""
@@ -144,8 +121,12 @@ class VibrationLevel(Monitor[VibrationLevelSpec]):
         """An empty mean."""
         return np.zeros(mean_size(window_rows(self.spec.window_s, dt_s), 1))
 
-    run = staticmethod(_compiled(source_digest()))
+    run = staticmethod(run)
 
 
-def _known(block: Block) -> BoolArray:
-    return block.known(Signal.BODY_RATE) & block.known(Signal.VIBRATION)
+def _levels(flight: Sequence[Rows]) -> tuple[float, float]:
+    """How many rows have a level, and the sum of their levels."""
+    blocks = [rows.block for rows in flight]
+    known = [block.valid & block.known(Signal.VIBRATION) for block in blocks]
+    sizes = [np.linalg.norm(block.vibration[where], axis=1) for block, where in zip(blocks, known, strict=True)]
+    return float(sum(map(len, sizes))), sum(float(size.sum()) for size in sizes)

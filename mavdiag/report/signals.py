@@ -11,7 +11,7 @@ from mavdiag.identify import Method, Order
 from mavdiag.identify.lab.sweep import SweepRow, window_sweep
 from mavdiag.look.figures import HARMONICS, SPECTRUM_S, Spectrum
 from mavdiag.look.inspection import USUAL
-from mavdiag.monitors.training import MIN_PIECE_S
+from mavdiag.monitors.run_length import MIN_PIECE_S
 from mavdiag.report.style import (
     COLUMNS,
     COMMANDED,
@@ -155,7 +155,7 @@ def sweep_of(
         spec, us, ys = RateSpec.of(dt_s, count, polynomial), list[FloatArray](), list[FloatArray]()
         state = spec.start()
         for block in beginning:
-            state, rates = spec.step(state, block)
+            rates = spec.step(state, block)
             for first, stop in spans(rates.commanded):
                 if (stop - first) * rates.dt_s >= MIN_PIECE_S:
                     us.append(rates.u[first:stop, axis.column])

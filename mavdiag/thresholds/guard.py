@@ -4,8 +4,6 @@ from dataclasses import dataclass
 
 from mavdiag.errors import UsageError
 
-__all__ = ["Guard"]
-
 
 @dataclass(frozen=True, slots=True)
 class Guard:

@@ -12,9 +12,8 @@ L lies beta ln(L/B) above that of a block of length B = 10 s, so a short block c
 The threshold is linear in the statistic: in its logarithm a tail as heavy as the budget is far would be allowed.
 The floor on beta is for few blocks: a handful of like maxima does not prove a thin tail; it fades as blocks come (its
 share 0.1, the 20 blocks and the other small-sample allowances are our choices, made on recorded healthy flights).
-Moments are used and not L-moments (Hosking, J. R. Stat. Soc. B 52 (1990)): for the Gumbel law with tens of blocks both
-scatter alike, and the floor rules anyway. A third parameter (GEV, or a generalised Pareto tail above a level) is not
-offered: tens of blocks do not show its shape.
+L-moments would scatter alike for the Gumbel law with tens of blocks. A third parameter (GEV, or a generalised Pareto
+tail above a level) is not offered: tens of blocks do not show its shape.
 
 **Its price.** A budget of 0.05 alarms an hour from a minute of flight is an extrapolation by ten beta, not evidence.
 What the flights themselves show is `demonstrated_per_hour`: T hours without an alarm exclude, at 95 %, only rates above
@@ -32,21 +31,9 @@ from mavdiag.thresholds.guard import Guard
 from mavdiag.thresholds.heldout import BLOCK_S, Scores
 from mavdiag.units import S_PER_H
 
-__all__ = [
-    "Guard",
-    "Threshold",
-    "ThresholdRule",
-    "false_alarms_per_flight",
-    "flights_for_guarantee",
-    "flights_for_maximum",
-    "poisson_upper",
-    "threshold_of",
-]
-
 BUDGET_PER_HOUR = 0.05  # of all monitors together (our choice)
 EULER_GAMMA = 0.5772156649015329
 GUMBEL_SCALE = math.sqrt(6.0) / math.pi  # beta over standard deviation
-ONE_SIDED_95 = 1.645  # quantile of the normal law
 ENOUGH_BLOCKS = 20  # from here on the floor on beta fades (our choice)
 WORTH_SAYING_PER_HOUR = 1.0  # a limit on the alarms that is above it tells nobody anything (our choice)
 NO_GUARD = Guard()
@@ -102,11 +89,6 @@ class Threshold:
         """The value that holds: less in a session of the healthy flights."""
         return self.value - (self.session_allowance if same_session else 0.0)
 
-    @property
-    def upper_95(self) -> float:
-        """The level for this budget is below it with 95 % confidence, if the Gumbel law holds."""
-        return self.value + ONE_SIDED_95 * self.standard_error
-
     def statement(self) -> str:
         """One sentence: what is asked for, and what is shown."""
         sessions = f"{self.sessions} session{'' if self.sessions == 1 else 's'}"
@@ -123,7 +105,7 @@ class Threshold:
 
 
 def false_alarms_per_flight(flights: int) -> float:
-    """Probability that a healthy flight exceeds the maximum of `flights` equal healthy ones: 1/(n + 1)."""
+    """Probability that a healthy flight exceeds the maximum of `flights` equal healthy ones."""
     return 1.0 / (flights + 1)
 
 
@@ -153,12 +135,13 @@ def threshold_of(
     if len(x) == 0 or not np.isfinite(x).all():
         raise IdentificationError("healthy statistics must be finite numbers, and there must be some")
     rate = budget_per_hour / S_PER_H * BLOCK_S
-    location, scale, level = float(np.mean(x)), 0.0, float(x.max())
+    mean, scale, level = float(np.mean(x)), 0.0, float(x.max())
+    location = mean
     if rule is ThresholdRule.GUMBEL:
         location, scale = _gumbel(scores, guard.scale_share)
         level = location - scale * math.log(rate)
     sessions = flights if sessions is None else sessions
-    least = max(float(np.mean(x)) + guard.above_mean, guard.least)
+    least = max(mean + guard.above_mean, guard.least)
     few = level + guard.scales(flights) * scale
     within, value = max(few, least), max(few + guard.allowance(sessions), least)
     hours, exceeding = scores.judged_s / S_PER_H, int(np.count_nonzero(x > value))
@@ -193,15 +176,6 @@ def poisson_upper(events: int, confidence: float = 0.95) -> float:
     from scipy.special import gammaincinv  # half the chi-squared quantile of 2 events + 2 degrees of freedom
 
     return float(gammaincinv(events + 1, confidence))
-
-
-def flights_for_maximum(false_alarms: float) -> int:
-    """Healthy flights for which the maximum rule alarms in no more than this share of healthy flights: 1/(n + 1).
-
-    >>> [flights_for_maximum(p) for p in (0.25, 0.1, 0.05)]
-    [3, 9, 19]
-    """
-    return max(1, math.ceil(1.0 / false_alarms - 1.0 - 1e-9))
 
 
 def flights_for_guarantee(false_alarms: float = 0.05, confidence: float = 0.95) -> int:

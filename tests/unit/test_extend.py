@@ -12,8 +12,7 @@ from made_baselines import FRAME, NOW
 from made_telemetry import flight
 
 from mavdiag.airframe.layout import layout_named
-from mavdiag.baseline import Baseline, dump, parse, sealed
-from mavdiag.baseline_parts import MonitorEntry
+from mavdiag.baseline import Baseline, MonitorEntry, dump, parse, sealed
 from mavdiag.errors import BaselineError, IdentificationError, InputError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn

@@ -14,8 +14,8 @@ from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.errors import InputError
 from mavdiag.learning import LearnOptions, airborne, front_for, learn
-from mavdiag.learning.findings import Finding, Kind
-from mavdiag.learning.guards import far_blocks, repeated, trim_groups, upsets
+from mavdiag.learning.guards import Finding, Kind, far_blocks, trim_groups, upsets
+from mavdiag.learning.repeats import repeated
 from mavdiag.learning.teaching import taught
 from mavdiag.logs.part import between
 from mavdiag.monitors import monitor_of

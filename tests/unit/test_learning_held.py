@@ -1,34 +1,39 @@
-"""Learning with flights put aside: the same baseline, and one flight in memory at a time."""
+"""Learning with flights put aside: the same baseline from memory and from disk, and few rows in memory at a time."""
 
+import errno
 import gc
 import json
+import tempfile
 import weakref
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from flying_telemetry import flying, flying_rows, without
+from flying_telemetry import flying, without
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_baselines import FRAME, NOW, healthy
 
-from mavdiag.airframe.detect import detect_layout
-from mavdiag.airframe.layout import LAYOUTS
 from mavdiag.baseline import Baseline, dump
-from mavdiag.learning import LearnOptions, learn
-from mavdiag.learning import held as held_module
+from mavdiag.errors import UsageError
+from mavdiag.learning import LearnOptions, airborne, front_for, learn
+from mavdiag.learning import flights as flights_module
 from mavdiag.learning.extend import extend
-from mavdiag.learning.flights import airborne, airborne_of, front_for
-from mavdiag.learning.held import HeldRows, held
-from mavdiag.rows.align import USED
 from mavdiag.rows.block import COLUMNS
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Log
-from mavdiag.units import NS_PER_S
 
 OPTIONS = LearnOptions(airframe=FRAME)
+ARRAYS = (
+    np.arange(12.0).reshape(4, 3),
+    np.array([True, False, True]),
+    np.empty((0, 3)),
+    np.arange(7, dtype=np.int64)[::2],
+    np.full((20, 2), np.nan),
+)
 
 
 def assert_alike(found: Any, expected: Any) -> None:
@@ -46,109 +51,116 @@ def assert_alike(found: Any, expected: Any) -> None:
         assert found == (pytest.approx(expected, rel=1e-6, abs=1e-9) if isinstance(expected, float) else expected)
 
 
-def on_disk(monkeypatch: pytest.MonkeyPatch, make: Callable[[], Baseline]) -> Baseline:
+def on_disk(make: Callable[[], Baseline]) -> Baseline:
     """What is learnt if nothing may stay in memory."""
-    with monkeypatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mavdiag.storage.SHELF_BYTES", 0)
         return make()
 
 
 @settings(max_examples=3)
 @given(seed=st.integers(0, 99), count=st.integers(1, 4), gap_s=st.sampled_from([0.0, 0.1, 2.0]))
-def test_on_disk_the_same_is_learnt(seed: int, count: int, gap_s: float) -> None:
-    def made() -> Iterator[Log]:
-        for i in range(count):
+def test_on_disk_the_same_is_learnt_and_extended(seed: int, count: int, gap_s: float) -> None:
+    def made(first: int) -> Iterator[Log]:
+        for i in range(first, first + count):
             telemetry = without(flying(2000, 10 * seed + i), (12.0, 12.0 + gap_s))
             yield Log(f"f{i}", f"{i:064x}", "px4", telemetry)
 
-    in_memory = learn(list(made()), OPTIONS, created=NOW)
-    with pytest.MonkeyPatch.context() as patch:
-        assert_alike(on_disk(patch, lambda: learn(made(), OPTIONS, created=NOW)), in_memory)
+    in_memory = learn(list(made(0)), OPTIONS, created=NOW)
+    assert_alike(on_disk(lambda: learn(made(0), OPTIONS, created=NOW)), in_memory)
     assert len(in_memory.monitors) >= 9
+    for new in (False, True):
+        make = partial(extend, in_memory, new_propellers=new, created=NOW)
+        assert_alike(on_disk(lambda make=make: make(made(20))), make(list(made(20))))  # type: ignore[misc]
 
 
-def test_what_robust_teaching_leaves_out_is_left_out_on_disk_too(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_robust_teaching_leaves_out_is_left_out_on_disk_too() -> None:
     flights = healthy(4)
     crash = flying(2600, 9)
     (gyro,) = (one for one in crash.series if one.signal == "body_rate")
     gyro.values[2000:2100] += 20.0
     flights = [*flights, flights[1], Log("crash", "9" * 64, "px4", crash)]
     options = LearnOptions(airframe=FRAME, monitors=("innovation", "rotor_trim"), robust=True)
-    expected = learn(flights, options, created=NOW)
-    found = on_disk(monkeypatch, lambda: learn(iter(flights), options, created=NOW))
-    assert_alike(found, expected)
+    found = on_disk(lambda: learn(iter(flights), options, created=NOW))
+    assert_alike(found, learn(flights, options, created=NOW))
     assert len(found.provenance.left_out) == 2
 
 
-def test_a_baseline_is_extended_from_disk_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = learn(healthy(2), OPTIONS, created=NOW)
-    later = 1_777_600_000 * NS_PER_S
-    more = [Log(f"m{i}", f"{50 + i:064x}", "px4", flying(2600, 300 + i), started_ns=later) for i in range(2)]
-    for new in (False, True):
-        make = partial(extend, before, new_propellers=new, created=NOW)
-        assert_alike(on_disk(monkeypatch, partial(make, iter(more))), make(more))
-
-
-def test_a_held_flight_has_the_rows_of_the_flight() -> None:
+def test_rows_on_disk_are_the_rows() -> None:
     log = Log("f", "", "px4", without(flying(2000, 3), (5.0, 8.0)))
     front = front_for([log], 0.1)
     with Shelf(0) as shelf:
-        aside = held(log, shelf)
-        back = aside.open()
-        assert {one.signal for one in back.telemetry} == {one.signal for one in log.telemetry} & USED
-        expected, found = airborne(front, log), airborne_of(front, aside, shelf)
+        expected, found = airborne(front, log), airborne(front, log, shelf)
         assert found.judged_s == expected.judged_s
-        assert len(found.rows) == len(expected.rows)
         for one, other in zip(found.rows, expected.rows, strict=True):
             for name in COLUMNS:
                 np.testing.assert_array_equal(getattr(one.block, name), getattr(other.block, name))
             np.testing.assert_array_equal(one.rates.u, other.rates.u)
             assert (one.block.segment, one.rates.dt_s) == (other.block.segment, other.rates.dt_s)
-        assert isinstance(found.rows, HeldRows)
         turned = found.rows.by_rotor((2, 1, 3, 4))[0].block.actuator
         np.testing.assert_array_equal(turned[:, :2], found.rows[0].block.actuator[:, 1::-1])
-        assert [len(one.block) for one in found.rows[:1]] == [len(expected.rows[0].block)]
 
 
-def test_one_flight_s_signals_are_in_memory_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    alive: list[weakref.ref[Any]] = []
-    most = 0
+def test_few_flights_are_in_memory_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    signals: list[weakref.ref[Any]] = []
+    looks: dict[int, list[weakref.ref[Any]]] = {}
+    most = {"signals": 0, "rows": 0}
 
     def flights() -> Iterator[Log]:
-        nonlocal most
-        for i in range(4):
+        for i in range(5):
             telemetry = flying(2000, i)
-            alive.append(weakref.ref(telemetry.series[1].values))
-            most = max(most, sum(one() is not None for one in alive))
+            signals.append(weakref.ref(telemetry.series[1].values))
+            most["signals"] = max(most["signals"], sum(one() is not None for one in signals))
             yield Log(f"f{i}", f"{i:064x}", "px4", telemetry)
             del telemetry
             gc.collect()
 
-    on_disk(monkeypatch, lambda: learn(flights(), OPTIONS, created=NOW))
-    assert most <= 2  # the one that is taken in, and the next
-
-
-def test_few_flights_rows_are_in_memory_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    alive: dict[int, list[weakref.ref[Any]]] = {}
-    most = 0
-
-    def watched(self: Any, outputs: tuple[int, ...] | None, make: Any) -> Any:
-        nonlocal most
+    def watched(self: Any, outputs: tuple[int, ...] | None) -> Any:
         rows = make(self, outputs)
-        alive.setdefault(id(self), []).append(weakref.ref(rows.block.rate))
-        flights = [one for one, looks in alive.items() if any(look() is not None for look in looks)]
-        most = max(most, len(flights))
+        looks.setdefault(id(self), []).append(weakref.ref(rows.block.rate))
+        alive = [chunk for chunk, found in looks.items() if any(look() is not None for look in found)]
+        most["rows"] = max(most["rows"], len(alive))
         return rows
 
-    make = held_module._Chunk.rows
-    monkeypatch.setattr(held_module._Chunk, "rows", lambda self, outputs: watched(self, outputs, make))
-    on_disk(monkeypatch, lambda: learn(healthy(5), OPTIONS, created=NOW))
-    assert len(alive) >= 5
-    assert most <= 4  # two chunks for a flight, of the one that is looked at and of the next
+    make = flights_module._Chunk.rows
+    monkeypatch.setattr(flights_module._Chunk, "rows", watched)
+    without_models = tuple(name for name in OPTIONS.monitors if name not in ("fsd", "innovation"))  # these look ahead
+    on_disk(lambda: learn(flights(), LearnOptions(airframe=FRAME, monitors=without_models), created=NOW))
+    assert most["signals"] <= 2  # the one that is taken in, and the next
+    assert len(looks) >= 5
+    assert most["rows"] <= 4
 
 
-def test_layouts_are_found_from_blocks_that_come_once() -> None:
-    blocks = [rows.block for rows in flying_rows(flying(3000, 4))]
-    known = tuple(LAYOUTS.values())
-    assert detect_layout(iter(blocks), known) == detect_layout(blocks, known)
-    assert detect_layout(iter(blocks), known).layout == LAYOUTS["x"]
+@pytest.mark.parametrize("most_bytes", [0, 1 << 20])
+def test_what_was_put_aside_comes_back_as_often_as_it_is_asked(most_bytes: int) -> None:
+    with Shelf(most_bytes) as shelf:
+        kept = [(shelf.put(arrays), arrays) for arrays in (ARRAYS, ARRAYS[::-1], ())]
+        for get, arrays in (*kept, *kept):
+            for found, expected in zip(get(), arrays, strict=True):
+                assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
+                np.testing.assert_array_equal(found, expected)
+        outlives = kept[0][0]()
+    np.testing.assert_array_equal(outlives[0], ARRAYS[0])
+    if not most_bytes:
+        with pytest.raises(ValueError, match="read-only"):
+            outlives[0][0, 0] = 1.0
+
+
+def test_nothing_is_left_in_the_temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with Shelf(0) as shelf:
+        shelf.put(ARRAYS)
+        assert list(tmp_path.iterdir()) == []  # not even while it is open
+
+
+def test_a_full_disk_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full:
+        def write(self, _: memoryview) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        def close(self) -> None:
+            """Nothing to close."""
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: Full())
+    with Shelf(0) as shelf, pytest.raises(UsageError, match=r"No space left on device.*set TMPDIR"):
+        shelf.put(ARRAYS)

@@ -15,9 +15,8 @@ from mavdiag.identify import Method
 from mavdiag.identify.model import ModelRecord
 from mavdiag.monitors import rotor_signature
 from mavdiag.monitors.base import Flights
-from mavdiag.monitors.decimated import samples_of
-from mavdiag.monitors.healthy import variance_law
-from mavdiag.monitors.model_residual import HealthyMotion, Residuals, residuals_of
+from mavdiag.monitors.fitting import variance_law
+from mavdiag.monitors.model_residual import HealthyMotion, Residuals, residuals_of, samples_of
 from mavdiag.monitors.rotor_signature import RotorSignature, RotorSignatureSpec
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray
@@ -104,7 +103,7 @@ def test_the_level_is_the_arms_rms_in_radians_per_second(spec: RotorSignatureSpe
 
 
 def residuals(motion: HealthyMotion, rows: Rows, follows: bool = True) -> Residuals:
-    return residuals_of(motion, samples_of([rows], motion.stride, motion.window), follows)
+    return residuals_of(motion, samples_of([rows], motion.stride, motion.window)[0], follows)
 
 
 def test_statistic_follows_its_formula(spec: RotorSignatureSpec) -> None:

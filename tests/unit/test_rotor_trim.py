@@ -129,7 +129,7 @@ def test_why_it_cannot_judge() -> None:
 
 
 def test_a_spec_that_describes_nothing_is_refused() -> None:
-    with pytest.raises(InputError, match="spread"):
+    with pytest.raises(InputError, match=r"rotor_trim: spread\.0"):
         RotorTrimSpec(layout=layout_named("x"), source="actuator", mean=(0.0, 0.0, 0.0), spread=(0.0, 1.0, 1.0))
     with pytest.raises(InputError, match="not known"):
         RotorTrimSpec(layout=layout_named("x"), source="torque", mean=(0.0, 0.0, 0.0), spread=CALM)

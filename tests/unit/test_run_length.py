@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors import training
+from mavdiag.monitors import run_length
 from mavdiag.monitors.run_length import (
     MarginRule,
     Residual,
@@ -20,8 +20,8 @@ from mavdiag.monitors.run_length import (
     margin_of,
     residuals,
     runs,
+    training_pieces,
 )
-from mavdiag.monitors.training import training_pieces
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
 from mavdiag.telemetry import Axis, FloatArray
@@ -104,7 +104,7 @@ def _part(rows: Rows, low: int, high: int) -> RateBlock:
 
 def test_b10_every_flight_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     """B10: the model was of the first flights; now a like share of every flight is taken."""
-    monkeypatch.setattr(training, "TRAIN_ROWS", 2000)
+    monkeypatch.setattr(run_length, "TRAIN_ROWS", 2000)
     flights = [flying_rows(flying(2000, seed)) for seed in range(4)]
     (spec,) = RunLength.fit(flights, replace(CONTEXT, axes=(Axis.ROLL,)))
     (backwards,) = RunLength.fit(flights[::-1], replace(CONTEXT, axes=(Axis.ROLL,)))

@@ -27,8 +27,8 @@ from detector.values import (
     SessionSpec,
 )
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.baseline import Baseline
-from mavdiag.baseline_parts import Refusal
+from mavdiag.airframe.layout import layout_named
+from mavdiag.baseline import Baseline, Refusal
 from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import PROFILES

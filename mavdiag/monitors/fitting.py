@@ -1,0 +1,154 @@
+"""What fits to healthy flights share: answers that a flight keeps, traces, moments, and how large a residual may be."""
+
+import itertools
+from abc import abstractmethod
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from mavdiag.monitors.base import Flights, Monitor
+from mavdiag.monitors.columns import columns_of
+from mavdiag.rows.front import Rows
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import FloatArray, Three
+
+MEMORY_S = 0.35  # of the mean square of the command (METHOD section 4)
+MIN_SHARE = 0.05  # of the mean square, left to k0 however busy the set-point (our choice)
+# Healthy rms; what is larger counts only where more rows have it than a glitch spoils. A Gaussian residual reaches it
+# in years (our choice).
+LIMIT, MOST = 6.0, 1e6
+
+Found = TypeVar("Found")
+
+
+class Remembering(Sequence[Rows]):
+    """The rows of a flight that keeps what was found in it, for fits to other sets of flights with it."""
+
+    @abstractmethod
+    def once(self, key: Hashable, find: Callable[[Sequence[Rows]], Any]) -> Any:
+        """What `find` gives of this flight, and the same for the same key later on."""
+
+
+def of_each(flights: Flights, key: Hashable, find: Callable[[Sequence[Rows]], Found]) -> list[Found]:
+    """What `find` gives of each flight, from memory where the flight keeps it. key: of all that it depends on."""
+    return [flight.once(key, find) if isinstance(flight, Remembering) else find(flight) for flight in flights]
+
+
+def commanded(flight: Sequence[Rows]) -> bool:
+    """Whether a flight has rows whose gyro and set-point may be compared."""
+    return any(rows.rates.commanded.any() for rows in flight)
+
+
+def traced(monitor: Monitor[Any], flight: Sequence[Rows], more: int) -> Iterator[FloatArray]:
+    """What `run` writes of each segment: value, sound, level, signal, and so many inner figures, (4 + more, k)."""
+    for _, segment in itertools.groupby(flight, key=lambda rows: rows.block.segment):
+        parts, mem = [], None
+        for rows in segment:
+            dt_s, columns = rows.block.dt_s, columns_of(rows)
+            mem, n = monitor.memory(dt_s) if mem is None else mem, len(rows.block)
+            out, rotors, at = np.empty((4 + more, n)), np.empty((n, monitor.rotors)), np.empty(n, dtype=np.int64)
+            par = monitor.parameters(dt_s)
+            count = monitor.run(par, mem, columns.x, columns.flags, columns.lag, out, rotors, at)
+            parts.append(out[:, :count].copy())
+        yield np.concatenate(parts, axis=1)
+
+
+def judged_together(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows]) -> Iterator[list[Statistic]]:
+    """Of each piece of a flight the statistic of each monitor, from a fresh state at every segment."""
+    for _, segment in itertools.groupby(flight, key=lambda rows: rows.block.segment):
+        states = [monitor.start() for monitor in monitors]
+        for rows in segment:
+            columns, found = columns_of(rows), []
+            for i, monitor in enumerate(monitors):
+                states[i], statistic = monitor.judge(states[i], rows, columns)
+                found.append(statistic)
+            yield found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moments:
+    """Of rows of k columns. count: how many there are. mean: (k,). squares: (k,) sum of squares about the mean."""
+
+    count: int
+    mean: FloatArray
+    squares: FloatArray
+
+    @classmethod
+    def of(cls, rows: FloatArray) -> "Moments":
+        """Of rows, (n, k)."""
+        if len(rows) == 0:
+            return cls(0, np.zeros(rows.shape[1]), np.zeros(rows.shape[1]))
+        mean = rows.mean(axis=0)
+        return cls(len(rows), mean, np.square(rows - mean).sum(axis=0))
+
+    @classmethod
+    def joined(cls, parts: Sequence["Moments"]) -> "Moments":
+        """Of the rows of all parts together, one of which at least has rows.
+
+        >>> x = np.arange(10.0)[:, None]
+        >>> found = Moments.joined([Moments.of(x[:3]), Moments.of(x[3:])])
+        >>> found.count, found.mean.tolist(), found.squares.tolist()
+        (10, [4.5], [82.5])
+        """
+        counts = np.array([[part.count] for part in parts])
+        means = np.stack([part.mean for part in parts])
+        mean = (counts * means).sum(axis=0) / counts.sum()
+        squares = np.stack([part.squares for part in parts]) + counts * np.square(means - mean)
+        return cls(int(counts.sum()), mean, squares.sum(axis=0))
+
+    def about(self, centre: FloatArray) -> FloatArray:
+        """Mean square about another centre, (k,)."""
+        return np.asarray(self.squares / self.count + np.square(self.mean - centre), dtype=np.float64)
+
+
+def smoothed(x: FloatArray, alpha: float, start: FloatArray | None = None) -> FloatArray:
+    """The exponential mean of whole records, (n, k) -> (n, k), from `start`, (k,), or zeros: `rows.running.follow`."""
+    from scipy.signal import lfilter  # 0.8 s to import: only offline work pays it
+
+    if len(x) == 0:
+        return x
+    before = np.zeros(x.shape[1]) if start is None else start
+    out, _ = lfilter([alpha], [1.0, alpha - 1.0], x, axis=0, zi=(1.0 - alpha) * before[None])
+    return np.asarray(out, dtype=np.float64)
+
+
+def three(values: Sequence[float] | FloatArray) -> Three:
+    """Three numbers as a tuple of plain floats."""
+    first, second, third = (float(x) for x in values)
+    return first, second, third
+
+
+def cut_to_share(lengths: Sequence[int], most: int, least: int = 1) -> list[int]:
+    """How many rows to take of pieces of these lengths, `most` in all: the same share of each, at least `least` rows.
+
+    So every flight counts, and a fit of a type is not one of its first vehicle.
+
+    >>> cut_to_share([100, 300], 200), cut_to_share([100, 300], 1000), cut_to_share([100, 300], 200, least=80)
+    ([50, 150], [100, 300], [80, 150])
+    """
+    share = min(1.0, most / max(1, sum(lengths)))
+    return [min(length, max(least, round(share * length))) for length in lengths]
+
+
+def variance_law(squares: FloatArray, busy: FloatArray) -> tuple[float, float]:
+    """k0 and k1 >= 0 of r^2 = k0 + k1 busy, (n,) each, by non-negative least squares; k0 at least 5 % of mean(r^2).
+
+    >>> busy = np.array([0.0, 1.0, 2.0, 3.0])
+    >>> [round(k, 6) for k in variance_law(1.0 + 0.5 * busy, busy)]
+    [1.0, 0.5]
+    """
+    mean, size = float(squares.mean()), float(busy.mean())
+    if size == 0.0:
+        return mean, 0.0
+    # [ n      sum x   ] [ k0 ]   [ sum r^2   ]      x = busy/mean(busy). Two unknowns: if one comes out negative, it is
+    # [ sum x  sum x^2 ] [ k1 ] = [ sum x r^2 ]      zero and the other is its own least-squares solution.
+    square, product = float((busy * busy).mean()) / size**2, float((busy * squares).mean()) / size
+    k1 = (product - mean) / (square - 1.0) if square > 1.0 else 0.0
+    if k1 <= 0:
+        return mean, 0.0
+    k0 = mean - k1
+    if k0 < 0:
+        k0, k1 = 0.0, product / square
+    return max(k0, MIN_SHARE * mean), k1 / size

@@ -1,0 +1,103 @@
+"""What fits make of flights, against plain numpy and scipy over the rows of all flights together."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from flying_telemetry import DT_S, flying, flying_rows, without
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import nnls
+
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.layout import layout_named
+from mavdiag.monitors.base import LearnContext, segments
+from mavdiag.monitors.fitting import Moments, smoothed, variance_law
+from mavdiag.monitors.rotor_trim import RotorTrim
+from mavdiag.monitors.sensor_noise import SensorNoise
+from mavdiag.monitors.thrust_loss import ThrustLoss
+from mavdiag.monitors.vibration_level import VibrationLevel
+from mavdiag.rows.front import Rows
+from mavdiag.rows.windows import forgetting
+
+CONTEXT = LearnContext(Airframe(layout=layout_named("x")), None, DT_S, 11)
+
+
+@cache
+def flights() -> list[list[Rows]]:
+    """Three flights, one of them with two breaks and losses."""
+    broken = without(flying(3000, 2), (8.0, 9.5), (15.0, 15.2), (20.0, 22.0))
+    return [flying_rows(one) for one in (flying(2600, 1), broken, flying(2800, 3))]
+
+
+def valid(name: str) -> np.ndarray:
+    """A column of all valid rows."""
+    blocks = [rows.block for flight in flights() for rows in flight]
+    return np.concatenate([getattr(one, name)[one.valid] for one in blocks])
+
+
+@given(st.lists(st.lists(st.floats(-1e3, 1e3), max_size=9), min_size=1, max_size=5).filter(any))
+def test_moments_join_as_the_rows_do(parts: list[list[float]]) -> None:
+    found = Moments.joined([Moments.of(np.array(part).reshape(-1, 1)) for part in parts])
+    rows = np.concatenate([np.array(part) for part in parts])
+    assert found.count == len(rows)
+    assert found.mean[0] == pytest.approx(rows.mean(), abs=1e-9)
+    assert found.squares[0] == pytest.approx(np.square(rows - rows.mean()).sum(), rel=1e-9, abs=1e-6)
+
+
+@given(st.integers(0, 999), st.floats(-2.0, 2.0))
+def test_the_variance_law_is_the_non_negative_least_squares(seed: int, slope: float) -> None:
+    rng = np.random.default_rng(seed)
+    busy = rng.exponential(1.0, 200)
+    squares = np.maximum(1.0 + slope * busy + 0.1 * rng.standard_normal(200), 0.01)
+    k0, k1 = variance_law(squares, busy)
+    (least0, least1), _ = nnls(np.column_stack((np.ones(200), busy)), squares)
+    assert k1 == pytest.approx(least1, rel=1e-6, abs=1e-9)
+    assert k0 == pytest.approx(max(least0, 0.05 * squares.mean()), rel=1e-6)
+
+
+def test_means_of_all_rows() -> None:
+    (noise,) = SensorNoise.fit(flights(), CONTEXT)
+    (loss,) = ThrustLoss.fit(flights(), CONTEXT)
+    (vibration,) = VibrationLevel.fit(flights(), CONTEXT)
+    force, thrust, shaken = valid("force"), valid("thrust"), valid("vibration")
+    known = np.isfinite(thrust)
+    assert loss.per_command == pytest.approx((-force[known, 2] / thrust[known]).mean(), rel=1e-12)
+    shaken = shaken[np.isfinite(shaken).all(axis=1)]
+    assert vibration.healthy == pytest.approx(np.linalg.norm(shaken, axis=1).mean(), rel=1e-12)
+    fourth = [
+        np.diff(np.column_stack((rows.block.rate, rows.block.force)), n=4, axis=0)[
+            np.convolve(rows.block.valid, np.ones(5), "valid") == 5
+        ]
+        for flight in flights()
+        for rows in flight
+        if len(rows.block) > 50
+    ]
+    assert noise.rms == pytest.approx(np.sqrt(np.mean(np.concatenate(fourth) ** 2, axis=0)), rel=1e-2)
+
+
+def test_the_trim_of_all_windows() -> None:
+    (spec,) = RotorTrim.fit(flights(), CONTEXT)
+    means = []
+    for flight in flights():
+        found = []
+        for segment in segments(flight):
+            outputs = np.concatenate([one.block.actuator for one in segment])
+            known = np.concatenate([one.block.valid for one in segment]) & np.isfinite(outputs).all(axis=1)
+            trim = (outputs / outputs.mean(axis=1, keepdims=True) - 1.0) @ layout_named("x").unmixing.T
+            full = np.convolve(known, np.ones(500), "valid") == 500
+            windows = np.stack([np.convolve(np.where(known, one, 0.0), np.ones(500) / 500, "valid") for one in trim.T])
+            found.append(windows.T[full])
+        means.append(np.concatenate(found))
+    mu = np.mean([one.mean(axis=0) for one in means], axis=0)
+    rms = np.sqrt(np.mean(np.square(np.concatenate(means) - mu), axis=0))
+    assert spec.mean == pytest.approx(mu, abs=2e-4)  # ticks are medians, without what a turn takes
+    yaw = np.hypot(rms[2], 0.002)
+    assert spec.spread == pytest.approx((max(rms[0], 3 * yaw), max(rms[1], 3 * yaw), yaw), rel=0.05)
+
+
+def test_whole_records_are_smoothed_as_a_stream_is() -> None:
+    x, alpha, s = np.random.default_rng(1).normal(size=(50, 2)), forgetting(0.35, 0.01), np.array([1.0, -1.0])
+    for row, value in zip(x, smoothed(x, alpha, s), strict=True):
+        s = s + alpha * (row - s)
+        np.testing.assert_allclose(value, s, rtol=1e-12)
