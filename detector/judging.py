@@ -10,8 +10,9 @@ from detector.sight import Sight
 from detector.streams import METERED, Streams
 from detector.values import EventClosed, EventOpened, Note, Record
 from mavdiag.baseline import Baseline, without_mute
-from mavdiag.chain import Chain, ChainOutput, ChainState, Gauge, Piece, chain_of
+from mavdiag.chain import Chain, ChainOutput, ChainState, chain_of
 from mavdiag.errors import BaselineError
+from mavdiag.kernel import Gauge, Piece
 from mavdiag.link.wants import LABELS
 from mavdiag.monitors.base import Monitor
 from mavdiag.telemetry import Instant, Telemetry
@@ -29,8 +30,7 @@ class Judge:
     judged: when anything was judged last (host).
     judged_s: flight time in which a deciding monitor judged, so far.
     flight_s: flight time so far.
-    gauges: the latest value of every monitor that has one.
-    pieces: what the latest step gave, for a display.
+    pieces: what the latest step gave, for a display. latest: the same of the latest one that gave any.
     sight: whether it flies although nothing is judged.
     """
 
@@ -40,8 +40,8 @@ class Judge:
     judged: Instant
     judged_s: float = 0.0
     flight_s: float = 0.0
-    gauges: tuple[Gauge, ...] = ()
     pieces: tuple[Piece, ...] = ()
+    latest: tuple[Piece, ...] = ()
     sight: Sight = field(default_factory=Sight)
 
     def step(self, telemetry: Telemetry, now: Instant) -> tuple["Judge", ChainOutput]:
@@ -49,15 +49,20 @@ class Judge:
         memory, output = self.chain.step(self.memory, telemetry)
         judged = now if output.judged_s > 0 else self.judged
         judged_s, flight_s = self.judged_s + output.judged_s, self.flight_s + output.flight_s
-        gauges = output.gauges or self.gauges
+        latest = output.pieces[-1:] or self.latest
         counts = (judged, judged_s, flight_s)
         sight = self.sight.step(self.chain, telemetry, output)
-        return Judge(self.baseline, self.chain, memory, *counts, gauges, output.pieces, sight), output
+        return Judge(self.baseline, self.chain, memory, *counts, output.pieces, latest, sight), output
+
+    @property
+    def gauges(self) -> tuple[Gauge, ...]:
+        """The latest value of every monitor that has one."""
+        return self.latest[-1].gauges if self.latest else ()
 
     def end_flight(self) -> tuple["Judge", ChainOutput]:
         """The flight cannot be followed any longer: what is open is closed."""
         memory, output = self.chain.end_flight(self.memory)
-        return replace(self, memory=memory, gauges=(), pieces=()), output
+        return replace(self, memory=memory, pieces=(), latest=()), output
 
 
 def rescaled(baseline: Baseline, scale: float) -> Baseline:
@@ -84,12 +89,11 @@ def chain_for(baseline: Baseline, settings: SessionSettings, started_ns: int) ->
     started_ns: as in `chain_of`. Raises BaselineError if no monitor is left that decides.
     """
     chain = chain_of(rescaled(baseline, settings.threshold_scale), started_ns)
-    only = [bool(_names(slot.monitor) & set(settings.suspect)) for slot in chain.slots]
-    slots = tuple(replace(slot, decides=slot.decides and not one) for slot, one in zip(chain.slots, only, strict=True))
-    specs = tuple(replace(spec, decides=slot.decides) for spec, slot in zip(chain.decision.slots, slots, strict=True))
+    suspect = set(settings.suspect)
+    slots = tuple(replace(one, decides=one.decides and not _names(one.monitor) & suspect) for one in chain.slots)
     if chain.slots and not any(slot.decides for slot in slots):
         raise BaselineError("suspect names every monitor that decides")
-    return replace(chain, slots=slots, decision=replace(chain.decision, slots=specs))
+    return replace(chain, decision=replace(chain.decision, slots=slots))
 
 
 def records_of(output: ChainOutput, whose: str) -> tuple[Record, ...]:

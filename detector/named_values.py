@@ -9,7 +9,8 @@ PF_FML  [s] its limit
 from dataclasses import dataclass, replace
 
 from detector.values import SendFloat
-from mavdiag.chain import ChainOutput, Gauge
+from mavdiag.chain import ChainOutput
+from mavdiag.kernel import Gauge
 from mavdiag.telemetry import Axis, Instant
 
 __all__ = ["NAMES", "NamedValues", "named_values"]

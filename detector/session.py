@@ -153,7 +153,7 @@ class Session:
         held, changes = self._held(), output.changes
         if memory.diagnosis.stage is Stage.FAULT:
             changes = (*changes, Change.of(held, memory.now_ns or 0))
-        memory = replace(memory, decision=judge.chain.decision.start(held))
+        memory = judge.chain.renewed(memory, held)
         counts = judge.judged_s + output.judged_s, judge.flight_s + output.flight_s
         self._keep(judge=replace(judge, memory=memory, judged_s=counts[0], flight_s=counts[1]))
         latest = {(event.monitor, event.axis, event.start_ns): event for event in output.events}

@@ -48,6 +48,7 @@ def cached(function: Callable[P, R]) -> Callable[P, R]:
     A function that calls compiled ones of other files must close over `source_digest()`, so that a change of any of
     them changes numba's cache key.
     """
+    _sources.add(Path(function.__code__.co_filename))
     options: Any = {"error_model": "numpy"}
     try:
         return cast(Callable[P, R], numba.njit(cache=True, **options)(function))
@@ -55,10 +56,10 @@ def cached(function: Callable[P, R]) -> Callable[P, R]:
         return cast(Callable[P, R], numba.njit(**options)(function))
 
 
-def source_digest() -> int:
-    """A digest (63 bits) of all files that have defined a compiled function so far."""
+def source_digest(*folders: str) -> int:
+    """A digest (63 bits) of all files that have defined a compiled function so far; folders: only of files in these."""
     digest = hashlib.sha256()
-    for path in sorted(_sources):
+    for path in sorted(one for one in _sources if not folders or one.parent.name in folders):
         digest.update(path.read_bytes())
     return int.from_bytes(digest.digest()[:8], "little") >> 1
 

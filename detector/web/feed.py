@@ -14,7 +14,8 @@ from detector.web.board import KEPT
 from detector.web.child import Child
 from detector.web.overview import fleet_now
 from detector.web.snapshot import Memory, about, as_line, level_of, snapshot
-from mavdiag.chain import Chain, Piece
+from mavdiag.chain import Chain
+from mavdiag.kernel import Piece
 from mavdiag.telemetry import Instant
 
 __all__ = ["Feed"]

@@ -19,10 +19,11 @@ from detector.session import SessionState
 from detector.states import State
 from detector.streams import METERED, Streams, on_ground
 from detector.web.strips import Strip, strips_of
-from mavdiag.chain import WAITING, Account, Chain, Piece, Slot
+from mavdiag.chain import Chain
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.decision.words import finding_words, motors_words
 from mavdiag.drawing import airframe_svg
+from mavdiag.kernel import WAITING, Account, Piece, Slot
 from mavdiag.link.wants import LABELS
 from mavdiag.monitors.base import Feature
 from mavdiag.rows.statistic import Statistic

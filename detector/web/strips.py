@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavdiag.chain import Chain, Piece
+from mavdiag.chain import Chain
+from mavdiag.kernel import Piece
 from mavdiag.monitors.run_length import RunLength
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, FloatArray, IntArray

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavdiag.chain import Chain, Piece
+from mavdiag.chain import Chain
 from mavdiag.decision.alarm import Stage
 from mavdiag.judging import JUDGED_SHARE, MIN_JUDGED_S, JudgedFlight, Verdict
+from mavdiag.kernel import Piece
 from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_S
 

@@ -22,11 +22,11 @@ from mavdiag.learning.teaching import Taught, believing, one_vehicle, taught_of
 from mavdiag.link.profiles import PROFILES
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext
+from mavdiag.monitors.conditions import covered_by
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.rows.front import Front
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Axis, Log
-from mavdiag.thresholds.envelope import covered_by
 from mavdiag.thresholds.heldout import Scores
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
 

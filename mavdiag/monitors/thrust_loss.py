@@ -155,9 +155,9 @@ class ThrustLoss(Monitor[ThrustLossSpec]):
             raise InputError("no flight with an accelerometer along z and a collective thrust command")
         return (ThrustLossSpec(layout=context.airframe.layout, per_command=total / count),)
 
-    def known(self, block: Block, signal: Signal) -> BoolArray:
+    def columns(self, signal: Signal) -> slice:
         """Of the accelerometer its z."""
-        return block.known(signal, ONLY_Z if signal is Signal.SPECIFIC_FORCE else ALL)
+        return ONLY_Z if signal is Signal.SPECIFIC_FORCE else ALL
 
     @property
     def reach(self) -> float:
