@@ -129,15 +129,15 @@ def joined_loops(runs: Sequence[Callable[..., int]]) -> Callable[..., int]:
 
 def _or_else(this: int, run: Callable[..., int], others: Callable[..., int]) -> Callable[..., int]:
     @allocating
-    def loop(kind: int, par: Any, mem: Any, x: Any, flags: Any, lag: int, out: Any, rotors: Any, at: Any) -> int:
+    def either(kind: int, par: Any, mem: Any, x: Any, flags: Any, lag: int, out: Any, rotors: Any, at: Any) -> int:
         if kind == this:
             return run(par, mem, x, flags, lag, out, rotors, at)
         return others(kind, par, mem, x, flags, lag, out, rotors, at)
 
-    return loop
+    return either
 
 
-_loop = joined_loops([monitor.run for monitor in MONITORS])
+loop = joined_loops([monitor.run for monitor in MONITORS])
 
 
 @jit
@@ -260,9 +260,11 @@ def _read(
                 readings[look, slot, column] = latest[slot, column]
 
 
-def _compiled(digest: int) -> Callable[..., None]:
+def compiled(digest: int) -> Callable[..., None]:
+    """The pass over rows, with the loops that `loop` joins now."""
+
     @cached
-    def judge(
+    def run(
         plan: IntArray,
         thresholds: FloatArray,
         checks: IntArray,
@@ -337,7 +339,7 @@ def _compiled(digest: int) -> Callable[..., None]:
                 evidence = rotors[plan[slot, ROTORS]]
             own_par = par[plan[slot, PAR] : plan[slot, PAR_END]]
             own_mem = mem[plan[slot, MEM] : plan[slot, MEM_END]]
-            count = _loop(plan[slot, KIND], own_par, own_mem, x, flags, lag, mine, evidence, where)
+            count = loop(plan[slot, KIND], own_par, own_mem, x, flags, lag, mine, evidence, where)
             counts[slot], first, stop, far, room, condition = count, 0, 0, 0.0, 1.0, 0
             depends, shift = plan[slot, DEPENDS] & anywhere, lag if plan[slot, BY_RATES] else 0
             arrived, until, delay = 0, numbers[FIRST_LOOK] * LOOK_NS, plan[slot, DELAY]
@@ -391,10 +393,10 @@ def _compiled(digest: int) -> Callable[..., None]:
         numbers[FLOWN] += fresh
         _read(plan, looks, latest, readings, heights, leads, numbers[FIRST_LOOK])
 
-    return judge
+    return run
 
 
-_judge = _compiled(source_digest("monitors", "rows", "thresholds", "mavdiag"))
+judge = compiled(source_digest("monitors", "rows", "thresholds", "mavdiag"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -596,7 +598,7 @@ class Kernel:
         telling = 0
         for number, (row, slot) in enumerate(zip(plan, self.slots, strict=True)):
             monitor = slot.monitor
-            row[KIND] = LOOPS.index(type(monitor))
+            row[KIND] = next(i for i, kind in enumerate(MONITORS) if isinstance(monitor, kind))
             row[[PAR, PAR_END, MEM, MEM_END]] = *pars[number : number + 2], *mems[number + 1 : number + 3]
             row[ROTORS], telling = (telling, telling + 1) if monitor.rotors else (-1, telling)
             row[BY_RATES], row[DECIDES], row[OWN] = monitor.by_rates, slot.decides, slot.of_propellers
@@ -668,7 +670,7 @@ class Kernel:
         numbers = np.array(
             [first, done, known, count, block.settled_ns, now_ns - self._late_ns, *self._bins, 0, 0, 0, 0]
         )
-        _judge(
+        judge(
             self._plan,
             self._thresholds,
             self._checks,
@@ -791,7 +793,6 @@ class Kernel:
         return tuple(found)
 
 
-LOOPS: list[type[Monitor[Any]]] = list(MONITORS)
 NO_ROTORS = np.empty((0, 0))
 
 

@@ -15,11 +15,11 @@ from flying_telemetry import flying
 from made_baselines import whole
 from made_telemetry import cut
 from mavdiag.chain import chain_of, warm
-from mavdiag.monitors import MONITORS
+from mavdiag import kernel
 from mavdiag.rows import quality, savgol
 
 baseline = whole()
-kernels = [*(monitor.run for monitor in MONITORS), quality._look_at, savgol._filter_rows]
+kernels = [kernel.judge, quality._look_at, savgol._filter_rows]
 warm()
 chain = chain_of(baseline)
 state, telemetry = chain.start(), flying(3000, 7)

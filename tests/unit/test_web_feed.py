@@ -19,8 +19,8 @@ from detector.web.child import Place, ServerProcess
 from detector.web.feed import Feed
 from detector.web.snapshot import Level, Memory, about, as_line, snapshot
 from mavdiag.airframe.layout import layout_named
-from mavdiag.chain import Piece
 from mavdiag.errors import UsageError
+from mavdiag.kernel import Piece
 from mavdiag.link.profiles import PROFILES
 from mavdiag.telemetry import Instant, Signal
 

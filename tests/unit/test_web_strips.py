@@ -8,7 +8,9 @@ from made_baselines import thesis
 from made_telemetry import cut, flight
 
 from detector.web.strips import BIN_NS, Strip, strips_of
-from mavdiag.chain import Chain, Piece, chain_of
+from mavdiag.chain import Chain, chain_of
+from mavdiag.kernel import Piece
+from mavdiag.monitors.columns import SIGNAL
 from mavdiag.telemetry import Axis, Signal
 
 
@@ -63,6 +65,7 @@ def test_without_rows_there_are_no_points(judged: tuple[Chain, list[Piece]]) -> 
 
 def test_a_model_that_runs_away_gives_figures_all_the_same(judged: tuple[Chain, list[Piece]]) -> None:
     chain, pieces = judged
-    wild = [replace(one, signal=np.where(one.signal > 0, np.inf, np.nan)) for one in pieces[0].found]
-    for strip in strips_of(chain, [Piece(pieces[0].rows, tuple(wild))]):
+    out = pieces[0].out.copy()
+    out[:, SIGNAL] = np.where(out[:, SIGNAL] > 0, np.inf, np.nan)
+    for strip in strips_of(chain, [replace(pieces[0], out=out)]):
         assert np.isfinite([*strip.low, *strip.high]).all()
