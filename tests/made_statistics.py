@@ -29,7 +29,7 @@ from mavdiag.kernel import (
 )
 from mavdiag.monitors.base import FaultKind, RotorEvidence
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import FloatArray
+from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_S
 
 
@@ -78,7 +78,7 @@ def alarms_of(number: int, slot: Slot, found: Statistic, looks: Sequence[int]) -
 
 
 def looked_of(
-    slots: Sequence[Slot], found: Sequence[Statistic], until_ns: int, arrived_ns: Sequence[FloatArray] | None = None
+    slots: Sequence[Slot], found: Sequence[Statistic], until_ns: int, arrived_ns: Sequence[IntArray] | None = None
 ) -> tuple[Looked, Looked]:
     """The looks that are whole at a time, and the last one, at it. arrived_ns: when the row of each value had come."""
     known_ns = [one.t_ns + round(slot.monitor.delay_s * NS_PER_S) for slot, one in zip(slots, found, strict=True)]
@@ -128,12 +128,12 @@ def decide(
     every = dataclasses.replace(whole, heights=(None,) * len(whole.heights))
     stories = []
     for looked in (whole, every):
-        after, *first = spec.step(state or DecisionState(), looked)
-        after, *rest = spec.step(after, last)
-        stories.append((after, *(a + b for a, b in zip(first, rest, strict=True))))
-    (held, *story), (again, *other) = stories
-    assert repr((held.diagnosis, story)) == repr((again.diagnosis, other))
-    return held, story[0], story[1]
+        after, events, changes = spec.step(state or DecisionState(), looked)
+        after, more, news = spec.step(after, last)
+        stories.append((after, (*events, *more), (*changes, *news)))
+    (found_state, *story), (again, *other) = stories
+    assert repr((found_state.diagnosis, story)) == repr((again.diagnosis, other))
+    return stories[0]
 
 
 def assert_alike(found: Sequence[Event | Change], expected: Sequence[Event | Change]) -> None:

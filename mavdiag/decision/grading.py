@@ -69,7 +69,7 @@ class Features:
         return out
 
 
-_WAIT_S = {Feature.UNBALANCE: UNBALANCE_AFTER_S, Feature.MOTION: MOTION_AFTER_S, Feature.RISE: RISE_AFTER_S}
+WAIT_S = {Feature.UNBALANCE: UNBALANCE_AFTER_S, Feature.MOTION: MOTION_AFTER_S, Feature.RISE: RISE_AFTER_S}
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ class Gathered:
         before that, its last value.
         """
         count, rotors = int(record[JUDGED]), (len(record) - EVIDENCE) // 2
-        spare_ns = until_ns - self.since_ns - round(_WAIT_S[feature] * NS_PER_S)
+        spare_ns = until_ns - self.since_ns - round(WAIT_S[feature] * NS_PER_S)
         if not count or spare_ns < 0:
             return self
         squares, rises = float(record[SQUARES]), record[EVIDENCE + rotors :].tolist()

@@ -214,7 +214,8 @@ def test_a_turn_counts_as_long_as_the_statistic_remembers_it(memory_s: float) ->
 def test_each_value_counts_by_the_farthest_bin_behind_it(memory_s: float, wild: float) -> None:
     """Value by value, as the module's text says."""
     rng = np.random.default_rng(round(wild + memory_s))
-    flight = turned(wild * np.repeat(rng.random(40) < 0.2, 30) * np.repeat(rng.random(40), 30))
+    turns: FloatArray = np.repeat(wild * rng.random(40) * (rng.random(40) < 0.2), 30)
+    flight = turned(turns)
     covered = [YAW, Covered(Condition.TILT, 0.0, 0.3), Covered(Condition.COMMANDED_RATE, 0.0, 0.01)]
     found, reasons = ones_judged(covered, flight, Ones({Condition.YAW_RATE, Condition.HEIGHT}, memory_s))
     bins, outside, delay_ns = measured(flight), 0, 20_000_000 + 100_000_000

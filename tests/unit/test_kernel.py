@@ -16,11 +16,13 @@ from made_telemetry import flight
 
 from mavdiag.chain import Chain, chain_of
 from mavdiag.decision.diagnosis import Event
-from mavdiag.kernel import LOOK_NS, Looked, Piece
+from mavdiag.kernel import LOOK_NS, Account, Alarm, Looked, Piece, Stretch
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_S
+
+Told = tuple[tuple[Alarm, ...], tuple[Account, ...], int, int, tuple[Stretch, ...]]
 
 
 @cache
@@ -44,7 +46,7 @@ def pieces_of(rows: Rows, edges: list[int]) -> list[Rows]:
     return out
 
 
-def judged(name: str, edges: list[int]) -> tuple[list[Looked], list[Piece], object]:
+def judged(name: str, edges: list[int]) -> tuple[list[Looked], list[Piece], Told]:
     made, rows = segment(name)
     memory, looked, pieces = made.kernel.start(), list[Looked](), list[Piece]()
     for part in pieces_of(rows, edges):
