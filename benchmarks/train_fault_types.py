@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mavdiag.airframe.propellers import FaultType
-from mavdiag.decision.grading import SCHEMA, FaultCloud, FaultTypes, Features, Gathered, assess
+from mavdiag.decision.grading import SCHEMA, WAIT_S, FaultCloud, FaultTypes, Features, Gathered, assess
 from mavdiag.learning import rows_of
 from mavdiag.logs import gate_for
 from mavdiag.monitors.base import LearnContext, Monitor, Rows
@@ -88,9 +88,14 @@ def features(monitors: Sequence[Monitor[Any]], rows: Sequence[Rows], rotor: int)
         gathered = Gathered(round(ONSET_S * NS_PER_S))
         for monitor, parts in found:
             end_ns = (ONSET_S + after_s - monitor.delay_s) * NS_PER_S
+            begin_ns = (ONSET_S + WAIT_S[str(monitor.feature)]) * NS_PER_S
             for part in parts:
-                known = replace(part, valid=part.valid & (part.t_ns <= end_ns))
-                gathered = gathered.add(str(monitor.feature), known)
+                use = part.valid & (part.t_ns >= begin_ns) & (part.t_ns <= end_ns)
+                if use.any():
+                    level, rotors = part.level[use], part.rotors[use] if len(part.rotors) else np.empty((1, 0))
+                    figures = [np.nan, np.nan, len(level), np.square(level).sum(), level[-1]]
+                    sums = np.array([*figures, *rotors[-1], *rotors.sum(axis=0)])
+                    gathered = gathered.add(str(monitor.feature), sums, 1 << 62)
         out[k] = gathered.features(rotor).vector
     return out
 

@@ -8,9 +8,10 @@ from detector.streams import Streams
 from detector.values import EventClosed, EventOpened, Note, Record
 from mavdiag.airframe.fingerprint import Outcome
 from mavdiag.baseline import Baseline, without_mute
-from mavdiag.chain import Account, Chain, ChainOutput, Gauge, Piece, Slot, chain_of
+from mavdiag.chain import Chain, ChainOutput, chain_of
 from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Stage, landed
 from mavdiag.errors import BaselineError
+from mavdiag.kernel import Account, Gauge, Piece, Slot
 from mavdiag.link.samples import joined
 from mavdiag.link.wants import LABELS
 from mavdiag.monitors import NEED_LAYOUT
@@ -87,7 +88,7 @@ class Judge:
         changes = output.changes
         if diagnosis.stage is Stage.FAULT:
             changes = (*changes, Change.of(held, self.now_ns or 0))
-        self._memory = self.chain.start(held)
+        self._memory = self.chain.renewed(self._memory, held)
         latest = {(event.monitor, event.axis, event.start_ns): event for event in output.events}
         return (*(EventClosed(event) for event in latest.values()), *changes)
 
@@ -189,13 +190,11 @@ def chain_for(baseline: Baseline, settings: SessionSettings, started_ns: int) ->
     started_ns: as in `chain_of`. Raises BaselineError if no monitor is left that decides.
     """
     chain = chain_of(rescaled(baseline, settings.threshold_scale), started_ns)
-    slots = tuple(
-        replace(slot, decides=slot.decides and not _names(slot) & set(settings.suspect)) for slot in chain.slots
-    )
-    specs = tuple(replace(spec, decides=slot.decides) for spec, slot in zip(chain.decision.slots, slots, strict=True))
+    suspect = set(settings.suspect)
+    slots = tuple(replace(slot, decides=slot.decides and not _names(slot) & suspect) for slot in chain.slots)
     if chain.slots and not any(slot.decides for slot in slots):
         raise BaselineError("suspect names every monitor that decides")
-    return replace(chain, slots=slots, decision=replace(chain.decision, slots=specs))
+    return replace(chain, decision=replace(chain.decision, slots=slots))
 
 
 def records_of(output: ChainOutput, whose: str) -> tuple[Record, ...]:

@@ -22,7 +22,7 @@ from mavdiag.archive.pool import in_this_process, local_executor
 from mavdiag.archive.scan import scan as archive
 from mavdiag.baseline import Baseline
 from mavdiag.chain import ChainOutput, chain_of
-from mavdiag.decision.alarm import Change, Diagnosis, Event
+from mavdiag.decision.diagnosis import Change, Diagnosis, Event
 from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.judging import LogVerdict
 from mavdiag.learning import LearnOptions

@@ -1,8 +1,9 @@
 """The one place that touches numba: typed decorators, and a compiled cache that cannot go stale.
 
 numba keys its on-disk cache by the time stamp of the file that holds the cached function. A function that it calls in
-another file may change without the cache noticing. So only the outermost function is cached (`cached`), and its key
-also holds a digest of every file that defined a compiled function.
+another file may change without the cache noticing. So only the outermost function is cached (`cached`), and its key also
+holds
+a digest of the files of all functions that it reaches.
 
 numba counts references to every array that a function touches. In a loop that takes most of the time, so it is left out
 (`_nrt`, an option of numba that is not documented) of all functions but those that make arrays (`allocating`,
@@ -11,15 +12,15 @@ numba counts references to every array that a function touches. In a loop that t
 
 import hashlib
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Literal, ParamSpec, TypeVar, cast
 
 import numba
 
 P = ParamSpec("P")
 R = TypeVar("R")
-
-_sources: set[Path] = set()
 
 
 def jit(function: Callable[P, R]) -> Callable[P, R]:
@@ -43,40 +44,58 @@ def inline(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def cached(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile on the first call and keep the machine code on disk, where there is a place for it.
+    """Compile on the first call and keep the machine code on disk, where there is a place for it."""
+    return _kept(function)
 
-    What it calls stands in files that were loaded before: their digest is a part of numba's cache key.
-    """
-    options: Any = {"error_model": "numpy"}
+
+def cached_loop(function: Callable[P, R]) -> Callable[P, R]:
+    """As `cached`, for a function that makes no arrays."""
+    return _kept(function, _nrt=False)
+
+
+def _kept(function: Callable[P, R], **more: Any) -> Callable[P, R]:
+    options: Any = {"error_model": "numpy", **more}
     try:
         compiled: Any = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # nowhere to keep it
         return cast(Callable[P, R], numba.njit(**options)(function))
     if hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT=1
-        kept, digest = compiled._cache, source_digest()  # noqa: SLF001  # numba has no other way in
+        kept = compiled._cache  # noqa: SLF001  # numba has no other way in
         own_key = kept._index_key  # noqa: SLF001
-        kept._index_key = lambda *asked: (*own_key(*asked), digest)  # noqa: SLF001
+        kept._index_key = lambda *asked: (*own_key(*asked), _digest(compiled))  # noqa: SLF001
     return cast(Callable[P, R], compiled)
 
 
-def cached_loop(function: Callable[P, R]) -> Callable[P, R]:
-    """As `cached`, for a function that makes no arrays."""
-    options: Any = {"error_model": "numpy", "_nrt": False}
-    try:
-        return cast(Callable[P, R], numba.njit(cache=True, **options)(function))
-    except RuntimeError:  # nowhere to keep it
-        return cast(Callable[P, R], numba.njit(**options)(function))
-
-
-def source_digest() -> int:
-    """A digest (63 bits) of all files that have defined a compiled function so far."""
-    digest = hashlib.sha256()
-    for path in sorted(_sources):
-        digest.update(path.read_bytes())
-    return int.from_bytes(digest.digest()[:8], "little") >> 1
-
-
 def _compiled(function: Callable[P, R], inline: Literal["never", "always"], **more: Any) -> Callable[P, R]:
-    _sources.add(Path(function.__code__.co_filename))
     options: Any = {"error_model": "numpy", "inline": inline, "_nrt": False, **more}
     return cast(Callable[P, R], numba.njit(**options)(function))
+
+
+def _digest(compiled: Any) -> str:
+    """A digest of the files of a compiled function and of all that it calls, and of the constants that these read."""
+    reached: dict[int, Any] = {}
+    constants = list[str]()
+    _collect(compiled, reached, constants)
+    files = sorted({one.py_func.__code__.co_filename for one in reached.values()})
+    return hashlib.sha256("".join([*map(_text, files), *constants]).encode()).hexdigest()
+
+
+def _collect(compiled: Any, reached: dict[int, Any], constants: list[str]) -> None:
+    """Put all compiled functions that one reaches by its globals and closure into `reached`."""
+    function = getattr(compiled, "py_func", None)
+    if function is None or id(compiled) in reached:
+        return
+    reached[id(compiled)] = compiled
+    names, cells = function.__code__.co_names, function.__closure__ or ()
+    values = [function.__globals__[name] for name in names if name in function.__globals__]
+    for module in [value for value in values if isinstance(value, ModuleType)]:
+        values += [getattr(module, name, None) for name in names]
+    for value in (*values, *(cell.cell_contents for cell in cells)):
+        if isinstance(value, bool | int | float | str | tuple):
+            constants.append(repr(value))
+        _collect(value, reached, constants)
+
+
+@cache
+def _text(path: str) -> str:
+    return Path(path).read_text(encoding="utf-8")

@@ -11,11 +11,11 @@ import numpy as np
 from mavdiag.airframe.fingerprint import FIRST_S, Likeness, Outcome, compare
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.baseline import Baseline
-from mavdiag.chain import Account, Chain, ChainState, Piece, chain_of
-from mavdiag.decision.account import Coverage, Stretch, reason_of
-from mavdiag.decision.alarm import Change, Event, Stage
+from mavdiag.chain import Chain, ChainState, chain_of
+from mavdiag.decision.diagnosis import Change, Event, Stage
 from mavdiag.decision.words import fault_reason
 from mavdiag.errors import InputError
+from mavdiag.kernel import Account, Piece, Stretch
 from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.rows.align import measure_grid
@@ -217,13 +217,14 @@ def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> Ju
     if likeness.outcome is Outcome.FAR:
         return refused(f"another vehicle: {alike}", 1 / dt_s)
     run = _run(chain, itertools.chain(first, parts), keep)
-    events, coverage = _merged(run.events), run.state.coverage.closed()
+    events, memory = _merged(run.events), chain.kernel.fresh(run.state.memory)
     monitors = _summaries(chain, run.state, events)
     hidden = hidden_flight(telemetry, chain.front.gate, run.spans)
-    flown_s = coverage.flown_s + sum(one.span_s for one in hidden)
+    air_s, judged_s = memory.flown * chain.kernel.dt_s, memory.judged * chain.kernel.dt_s
+    flown_s = air_s + sum(one.span_s for one in hidden)
     upset, rotors = upset_in(run.motion), _rotors(run.changes)
-    takeoff_s = max((account.flight_s for account in run.state.accounts), default=0.0) - coverage.flown_s
-    seen = (events, run.changes, coverage, hidden, flown_s, takeoff_s)
+    takeoff_s = memory.rows * chain.kernel.dt_s - air_s
+    seen = (events, run.changes, memory.unjudged, hidden, judged_s, flown_s, takeoff_s)
     verdict, reason = _Evidence(log, monitors, *seen, upset, judged_share).verdict()
     kind, since = _declared(run.changes)
     if kind is None and verdict is Verdict.FAULT and upset is not None:
@@ -233,7 +234,7 @@ def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> Ju
         log.name,
         verdict,
         "; ".join((reason, *notes)),
-        min(coverage.judged_s, flown_s),
+        min(judged_s, flown_s),
         flown_s,
         log.profile,
         1 / dt_s,
@@ -246,7 +247,7 @@ def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> Ju
         rotors[-1].rotor if rotors else None,
         rotors,
     )
-    return JudgedFlight(found, chain, tuple(run.kept), coverage.unjudged)
+    return JudgedFlight(found, chain, tuple(run.kept), memory.unjudged)
 
 
 def _beginning(parts: Iterator[Rows | Border], baseline: Baseline) -> list[Rows | Border]:
@@ -307,8 +308,9 @@ class _Evidence:
     monitors: Sequence[MonitorSummary]
     events: Sequence[Event]
     changes: Sequence[Change]
-    coverage: Coverage
+    unjudged: Sequence[Stretch]
     hidden: Sequence[Hidden]
+    judged_s: float
     flown_s: float
     takeoff_s: float
     upset: Upset | None
@@ -330,8 +332,7 @@ class _Evidence:
             )
         if suspicion := self._suspicion():
             return Verdict.SUSPECTED, f"{suspicion}; {self._share()}"
-        judged_s = self.coverage.judged_s
-        if judged_s < max(MIN_JUDGED_S, self.judged_share * self.flown_s):
+        if self.judged_s < max(MIN_JUDGED_S, self.judged_share * self.flown_s):
             return Verdict.NOT_JUDGEABLE, self._share()
         return Verdict.HEALTHY, f"no alarm; {self._share()}"
 
@@ -352,7 +353,7 @@ class _Evidence:
 
     def _share(self) -> str:
         """How much of the flight was judged, by what, and why the rest was not."""
-        judged_s = min(self.coverage.judged_s, self.flown_s)
+        judged_s = min(self.judged_s, self.flown_s)
         share = judged_s / self.flown_s if self.flown_s else 0.0
         own = [one for one in self.monitors if one.decides and by_name(one.name).kind is FaultKind.PROPELLER]
         spoken = ", ".join(one.name for one in own if one.judged_s >= MIN_JUDGED_S)
@@ -361,7 +362,7 @@ class _Evidence:
         text += f", without {self.takeoff_s:.1f} s of take-off or start" if self.takeoff_s >= 0.1 else ""
         why = [f"{one.reason} {_between(one.begin_s, one.end_s, self.log)}" for one in self.hidden]
         if 0 < share < self.judged_share:
-            longest = [one for one in self.coverage.unjudged if one[1] - one[0] >= MIN_JUDGED_S * NS_PER_S]
+            longest = [one for one in self.unjudged if one[1] - one[0] >= MIN_JUDGED_S * NS_PER_S]
             longest = sorted(longest, key=lambda one: one[0] - one[1])[:MOST_STRETCHES]
             why += [f"nothing judged {_between(*_in_s(one), self.log)}" for one in sorted(longest)]
         lacking = [one for one in own if one.judged_s < MIN_JUDGED_S or (one.not_judged and share < self.judged_share)]
@@ -442,9 +443,9 @@ def _summaries(chain: Chain, state: ChainState, events: Sequence[Event]) -> tupl
 def why_not(chain: Chain, account: Account) -> str | None:
     """Why a slot did not judge: the reason that cost most time. One that judged and only warmed up has none."""
     waiting = account.not_judged if account.judged_s == 0 else {}
-    reasons = {**waiting, **{reason_of(s): t for s, t in account.missing.items()}}
-    outside = {chain.envelope.sentence(c, one.value): one.span_s for c, one in account.outside.items()}
-    reasons = {**reasons, **outside}
+    sentence = {one.condition: one.sentence for one in chain.covered}
+    outside = {sentence[condition](one.value): one.span_s for condition, one in account.outside.items()}
+    reasons = {**waiting, **account.missing, **outside}
     if not reasons or max(reasons.values()) < MIN_JUDGED_S:
         return "no flight" if account.flight_s == 0 else None if account.judged_s else "too short a flight"
     return max(reasons, key=lambda reason: reasons[reason])

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavdiag.chain import Chain, Piece, Slot
+from mavdiag.chain import Chain
+from mavdiag.kernel import Piece, Slot
 from mavdiag.monitors.run_length import RunLength
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray

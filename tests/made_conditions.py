@@ -2,17 +2,22 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from mavdiag.kernel import Kernel, Outside, Slot
+from mavdiag.monitors.conditions import Conditions, measure
+from mavdiag.monitors.control_loss import ControlLoss, ControlLossSpec
 from mavdiag.rows.block import Block
-from mavdiag.rows.conditions import Condition, Conditions, measure, start_conditions
+from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateSpec
+from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import WINDOW, example_rows
+from mavdiag.thresholds.envelope import Covered
 
 BIN_NS = 100_000_000
 
@@ -55,16 +60,41 @@ def rows_of(block: Block, edges: Sequence[int] = ()) -> list[Rows]:
 
 def measured(rows: Sequence[Rows]) -> Conditions:
     """All bins of the rows."""
-    state, parts = start_conditions(), []
-    for one in rows:
-        state, bins = measure(state, one)
-        parts.append(bins)
+    parts = list(measure(rows))
     return Conditions(np.concatenate([b.end_ns for b in parts]), np.concatenate([b.values for b in parts]))
 
 
 def column(found: Conditions, condition: Condition) -> FloatArray:
     """The values of one condition."""
     return found.values[:, list(Condition).index(condition)]
+
+
+class Ones(ControlLoss):
+    """A monitor whose value is 1 where the body rolls at 1 rad/s without a command, and that depends on conditions."""
+
+    def __init__(self, depends: Iterable[Condition], memory_s: float, unit: str = "rad/s") -> None:
+        super().__init__(ControlLossSpec())
+        self._memory_s = memory_s
+        self.depends, self.unit = frozenset(depends), unit  # type: ignore[misc]
+
+    @property
+    def memory_s(self) -> float:
+        """As told."""
+        return self._memory_s
+
+
+def ones_judged(
+    covered: Sequence[Covered], rows: Sequence[Rows], monitor: Ones
+) -> tuple[Statistic, dict[Condition, Outside]]:
+    """What the envelope makes of the ones, and what it does not let judge."""
+    kernel = Kernel((Slot(monitor, 9.0, True),), tuple(covered), rows[0].block.dt_s, 2 * rows[0].block.dt_s)
+    memory, parts = kernel.start(), []
+    for one in rows:
+        memory, _, piece = kernel.step(memory, one)
+        parts.append(piece.found[0])
+    names = ("t_ns", "value", "valid", "level", "signal", "rotors")
+    joined = {name: np.concatenate([getattr(one, name) for one in parts]) for name in names}
+    return Statistic(period_s=parts[0].period_s, **joined), kernel.accounts(memory)[0].outside
 
 
 def slowly(block: Block) -> tuple[list[int], dict[Condition, list[float]]]:

@@ -14,7 +14,8 @@ from detector.web.board import KEPT, is_vehicle
 from detector.web.child import ServerProcess
 from detector.web.snapshot import Snapshots, about, fleet_now
 from mavdiag.as_json import json_line
-from mavdiag.chain import Chain, Piece
+from mavdiag.chain import Chain
+from mavdiag.kernel import Piece
 from mavdiag.telemetry import Instant
 
 SNAPSHOT_S = 0.2  # between two snapshots of a vehicle that is looked at (our choice)

@@ -22,10 +22,11 @@ from detector.figures import DaemonFigures, VehicleFigures
 from detector.judging import Judge, unjudged_s
 from detector.session import Session
 from detector.states import State
-from mavdiag.chain import WAITING, Account, Chain, Piece
+from mavdiag.chain import Chain
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.decision.words import finding_words, motors_words
 from mavdiag.drawing import airframe_svg
+from mavdiag.kernel import WAITING, Account, Piece
 from mavdiag.link.wants import LABELS
 from mavdiag.monitors.base import Feature
 from mavdiag.rows.statistic import Statistic

@@ -26,41 +26,37 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-import numpy as np
-
-from mavdiag.decision.diagnosis import Change, Diagnosis, RotorSpan, Stage
-from mavdiag.decision.events import Event, EventSpec, EventState
+from mavdiag.decision.diagnosis import Change, Diagnosis, Event, RotorSpan, Stage
 from mavdiag.decision.grading import FaultTypes, Gathered, assess
-from mavdiag.decision.heights import CALM_BELOW, STALE_NS, Ahead, Height, height_of, look_ahead
-from mavdiag.decision.kinds import KindReading, grown, named
-from mavdiag.decision.looks import MANY, Looks, Reading, Waiting, cut, known_from
-from mavdiag.monitors.base import FaultKind, RotorEvidence
-from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import Axis
+from mavdiag.decision.kinds import Reading, grown, named
+from mavdiag.kernel import (
+    AT,
+    CALM_BELOW,
+    LOOK_NS,
+    NAN,
+    RAISED_FROM,
+    RATIO,
+    READ,
+    READ_ROTORS,
+    STALE_LOOKS,
+    Alarm,
+    Height,
+    Looked,
+    Slot,
+)
+from mavdiag.monitors.base import FaultKind
+from mavdiag.telemetry import Axis, FloatArray
 from mavdiag.units import NS_PER_S
 
-__all__ = [
-    "NEXT",
-    "NOTHING_SEEN",
-    "Change",
-    "DecisionSpec",
-    "DecisionState",
-    "Diagnosis",
-    "Event",
-    "Height",
-    "SlotSpec",
-    "Stage",
-    "landed",
-]
+# What the rest of the project takes from here; the values are those of `decision.diagnosis`.
+__all__ = ["LOOK_NS", "NOTHING_SEEN", "Change", "DecisionSpec", "Diagnosis", "Event", "Stage", "landed"]
 
 CLEAR_NS = 2 * NS_PER_S  # all calm for so long ends a suspicion, or what is seen of a fault (our choice)
-LOOK_NS = NS_PER_S // 10  # time between two looks (our choice)
 # A propeller fault that names no rotor is declared so much later: a noisy sensor shows as one until then (our choice).
 DOUBT_NS = 3 * LOOK_NS
 # A name that is given up within so long of an episode was wrong; later it is another rotor's fault (our choice: the
 # longest window of a monitor).
 CORRECTED_NS = 5 * NS_PER_S
-NAN = float("nan")
 NOTHING_SEEN = Diagnosis()
 
 
@@ -81,27 +77,14 @@ NEXT: dict[tuple[Stage, Height], tuple[Stage, str]] = {
 """Every other pair leaves the stage as it is: no height ends a fault or an inspection."""
 
 
-@dataclass(frozen=True, slots=True)
-class SlotSpec:
-    """A monitor's place in the decision; the fields are those of `Monitor`, threshold is the baseline's."""
-
-    events: EventSpec
-    unit: str
-    decides: bool
-    delay_s: float
-    evidence: RotorEvidence | None
-    feature: str | None
-    kind: FaultKind = FaultKind.PROPELLER
-
-    @property
-    def threshold(self) -> float:
-        """In the statistic's unit."""
-        return self.events.threshold
-
-    @property
-    def key(self) -> tuple[str, Axis | None]:
-        """Name and axis of the monitor."""
-        return self.events.monitor, self.events.axis
+LEFT_ALONE: dict[Stage, tuple[Height, ...]] = {
+    Stage.NOT_JUDGED: (Height.UNKNOWN,),
+    Stage.QUIET: (Height.CALM, Height.HELD),
+    Stage.SUSPECTED: (Height.HELD, Height.RAISED),
+    Stage.FAULT: (),
+    Stage.INSPECT: (Height.UNKNOWN, Height.CALM, Height.HELD, Height.RAISED),
+}
+"""Heights that leave a stage as it is, whatever came before them; a fault is looked at every time while it is seen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,36 +109,14 @@ class Episode:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DecisionState:
-    """All that the decision remembers.
+    """What is held; since when all ratios are calm, and one is over (None if not); the latest episode of a fault."""
 
-    latest: of each slot its latest reading, None before the first.
-    events: of each slot its open event.
-    waiting: of each slot the values that were not looked at yet.
-    diagnosis: what is held now.
-    looked_ns: everything up to here was looked at; None before the first value.
-    calm_ns: since when all ratios are calm; None if they are not.
-    over_ns: since when one is over; None if none is.
-    episode: the present one of the fault that is held, or its latest.
-    """
-
-    latest: tuple[Reading | None, ...]
-    events: tuple[EventState, ...]
-    waiting: tuple[tuple[Waiting, ...], ...]
     diagnosis: Diagnosis = NOTHING_SEEN
-    looked_ns: int | None = None
     calm_ns: int | None = None
     over_ns: int | None = None
     episode: Episode | None = None
 
-    def now(
-        self, diagnosis: Diagnosis, latest: tuple[Reading | None, ...], events: tuple[EventState, ...]
-    ) -> "DecisionState":
-        """With these; quicker than `replace`, for every look does it."""
-        times = (self.looked_ns, self.calm_ns, self.over_ns)
-        return DecisionState(latest, events, self.waiting, diagnosis, *times, self.episode)
 
-
-Fresh: TypeAlias = tuple[Reading, SlotSpec]
 Step: TypeAlias = tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]
 
 
@@ -163,61 +124,43 @@ Step: TypeAlias = tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]
 class DecisionSpec:
     """The slots, and the fault types that are known for this airframe (none: no type is named)."""
 
-    slots: tuple[SlotSpec, ...]
+    slots: tuple[Slot, ...]
     known: tuple[FaultTypes, ...] = ()
 
-    def start(self, held: Diagnosis = NOTHING_SEEN) -> DecisionState:
-        """Nothing seen yet. held: what is known from before."""
-        n = len(self.slots)
-        return DecisionState((None,) * n, (EventState(),) * n, ((),) * n, held)
-
-    def step(self, state: DecisionState, found: Sequence[Statistic], until_ns: int, *, final: bool = False) -> Step:
-        """Take the next values of every slot; everything that was known up to `until_ns` has come by now.
-
-        final: look at `until_ns` too, since nothing follows: the end of a flight or of the data.
-        """
-        waiting = state.waiting
-        if found:
-            waiting = tuple(
-                (*old, Waiting.of(new, slot.threshold)) if len(new) else old
-                for slot, old, new in zip(self.slots, state.waiting, found, strict=True)
-            )
-        looks = self._times(state.looked_ns, waiting, until_ns, final)
-        if not looks:
-            return replace(state, waiting=waiting), (), ()
-        times = np.array(looks)
-        parts = [cut(some, slot.delay_s, times) for slot, some in zip(self.slots, waiting, strict=True)]
-        events: list[Event] = []
-        changes: list[Change] = []
-        ahead = None if len(looks) < MANY else look_ahead(parts, state.latest, [slot.decides for slot in self.slots])
-        passed = 0  # looks until here are done
-        for number, t_ns in enumerate(looks):
-            if number < passed:
+    def step(self, state: DecisionState, looked: Looked) -> Step:
+        """Take looks that are whole."""
+        events, changes, told = list[Event](), list[Change](), list(looked.alarms)
+        for number, height in enumerate(looked.heights):
+            look = looked.first + number
+            t_ns = look * LOOK_NS if looked.end_ns is None else looked.end_ns
+            last = number == len(looked.heights) - 1
+            alarms = list[Alarm]()
+            while told and (told[0].look <= look or last):
+                alarms.append(told.pop(0))
+            if not alarms and height is not None and height in self._left_alone(state):
+                calm_ns = None if height != Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
+                if calm_ns != state.calm_ns or state.over_ns is not None:
+                    state = replace(state, calm_ns=calm_ns, over_ns=None)
+                if last and state.diagnosis.stage not in (Stage.FAULT, Stage.INSPECT):
+                    lead = looked.leads[number]
+                    best = self._reading(lead, looked.readings[number, lead].tolist()) if lead >= 0 else None
+                    state = replace(state, diagnosis=_shown(state.diagnosis, best))
                 continue
-            if ahead is not None and (passed := self._passed(state, ahead, number)) > number:
-                state = self._after(state, ahead, number, passed)
-                continue
-            state, fresh = self._read(state, parts, number)
-            state, change = self._decide(state, t_ns)
+            state, change = self._decide(state, self._fresh(looked.readings[number], t_ns), t_ns)
             if state.diagnosis.stage is Stage.FAULT:
-                state, graded = self._grade(state, parts, number, t_ns)
+                state, graded = self._grade(state, looked.sums[number], t_ns)
                 change = change or graded
-            events += self._named(state, fresh)
+            events += self.named(state, alarms)
             changes += [Change.of(state.diagnosis, t_ns)] if change else []
-        state = replace(state, waiting=tuple(one.rest for one in parts), looked_ns=looks[-1])
         return state, tuple(events), tuple(changes)
 
-    def end_flight(self, state: DecisionState, t_ns: int) -> Step:
-        """The flight or its segment ended at that time: look at what is left, and close what is open."""
-        state, events, changes = self.step(state, (), t_ns, final=True)
-        closed = [
-            event for slot, one in zip(self.slots, state.events, strict=True) for event in slot.events.end(one)[1]
-        ]
-        ended = landed(state.diagnosis, t_ns)
-        if ended.stage is not state.diagnosis.stage:
-            changes = (*changes, Change.of(ended, t_ns))
-        events = (*events, *self._named(state, closed))
-        return self.start(ended), events, changes
+    def end_flight(self, state: DecisionState, looked: Looked, ended: Sequence[Alarm], t_ns: int) -> Step:
+        """The flight or its segment ended at that time. looked: what was left; ended: the alarms that were open."""
+        state, events, changes = self.step(state, looked)
+        held = landed(state.diagnosis, t_ns)
+        if held.stage is not state.diagnosis.stage:
+            changes = (*changes, Change.of(held, t_ns))
+        return DecisionState(held), (*events, *self.named(state, ended)), changes
 
     def acknowledge(self, state: DecisionState, t_ns: int) -> Step:
         """Close an open inspection: somebody has looked at the vehicle. In any other stage nothing happens."""
@@ -226,109 +169,81 @@ class DecisionSpec:
         diagnosis = Diagnosis(reason="the inspection is acknowledged", since_ns=t_ns)
         return replace(state, diagnosis=diagnosis, episode=None), (), (Change.of(diagnosis, t_ns),)
 
-    def open_events(self, state: DecisionState) -> tuple[Event, ...]:
-        """The events that last, with what is known of them."""
-        return tuple(self._named(state, [one.open for one in state.events if one.open is not None]))
+    def named(self, state: DecisionState, alarms: Sequence[Alarm]) -> tuple[Event, ...]:
+        """Alarms as events, with the rotor, type and severity known now if they belong to the latest episode."""
+        episode, it, found = state.episode, state.diagnosis, list[Event]()
+        for alarm in alarms:
+            slot, end_ns = self.slots[alarm.slot], None if alarm.end_ns < 0 else alarm.end_ns
+            event = Event(*slot.key, alarm.start_ns, end_ns, alarm.statistic, slot.threshold, alarm.level)
+            begun = episode is not None and (end_ns is None or end_ns >= episode.begun_ns)
+            if begun and episode and (episode.ended_ns is None or event.start_ns <= episode.ended_ns):
+                whose = {name: getattr(it, name) for name in ("rotor", "confidence", "fault_type", "severity", "kind")}
+                event = replace(event, **whose)
+            found.append(event)
+        return tuple(found)
 
-    def _times(
-        self, looked_ns: int | None, waiting: Sequence[Sequence[Waiting]], until_ns: int, final: bool
-    ) -> list[int]:
-        """The times to look at: every 0.1 s since the last look, or since the first value."""
-        known = (known_from(some, slot.delay_s) for slot, some in zip(self.slots, waiting, strict=True))
-        begun = [t_ns for t_ns in known if t_ns is not None]
-        if looked_ns is None and not begun:
-            return []
-        first_ns = min(begun) - 1 if looked_ns is None else looked_ns
-        looks = list(range((first_ns // LOOK_NS + 1) * LOOK_NS, until_ns + 1, LOOK_NS))
-        return [*looks, until_ns] if final and until_ns > first_ns and until_ns not in looks[-1:] else looks
+    def _left_alone(self, state: DecisionState) -> tuple[Height, ...]:
+        held, episode = state.diagnosis, state.episode
+        if held.stage is Stage.FAULT and not held.seen and (not episode or episode.graded >= len(self.known)):
+            return LEFT_ALONE[Stage.INSPECT]  # like it, a fault that is not seen waits for a ratio above 1
+        return LEFT_ALONE[held.stage]
 
-    def _passed(self, state: DecisionState, ahead: Ahead, number: int) -> int:
-        """The next look at which something may happen."""
-        if any(one.open is not None for one in state.events):
-            return number
-        stage, episode = state.diagnosis.stage, state.episode
-        if stage is Stage.FAULT and not state.diagnosis.seen and (not episode or episode.graded >= len(self.known)):
-            stage = Stage.INSPECT  # like it, a fault that is not seen waits for a ratio above 1
-        return ahead.until(stage, number)
-
-    def _after(self, state: DecisionState, ahead: Ahead, first: int, stop: int) -> DecisionState:
-        """The state after the looks [first, stop), at which nothing happens."""
-        latest = ahead.latest(stop - 1)
-        now = _leading(state.diagnosis, self._fresh(latest, ahead.parts[0].times[stop - 1]))
-        return replace(
-            state, latest=latest, calm_ns=ahead.calm_ns(first, stop, state.calm_ns), over_ns=None, diagnosis=now
-        )
-
-    def _fresh(self, latest: Sequence[Reading | None], t_ns: int) -> list[Fresh]:
+    def _fresh(self, readings: FloatArray, t_ns: int) -> list[Reading]:
         """The slots that count now, and their readings."""
         return [
-            (reading, slot)
-            for reading, slot in zip(latest, self.slots, strict=True)
-            if reading is not None and t_ns - reading.t_ns <= STALE_NS
+            self._reading(number, row)
+            for number, row in enumerate(readings.tolist())
+            if t_ns / LOOK_NS - row[AT] <= STALE_LOOKS
         ]
 
-    def _read(self, state: DecisionState, parts: Sequence[Looks], number: int) -> tuple[DecisionState, list[Event]]:
-        """Take one look's values: the latest reading and the events of every slot."""
-        # What was read last ages while nothing is valid.
-        latest = tuple([one.reading(number) or old for one, old in zip(parts, state.latest, strict=True)])
-        events, fresh = state.events, list[Event]()
-        for i, (slot, one) in enumerate(zip(self.slots, parts, strict=True)):
-            ratio = one.highest[number]
-            if ratio != ratio or (ratio <= 1.0 and events[i].open is None):  # nan: the look has no value
-                continue
-            if (part := one.part(number)) is not None:
-                after, seen = slot.events.step(events[i], part)
-                events = (*events[:i], after, *events[i + 1 :])
-                fresh += seen
-        return state.now(state.diagnosis, latest, events), fresh
+    def _reading(self, number: int, row: Sequence[float]) -> Reading:
+        slot = self.slots[number]
+        return Reading(slot, row[RATIO], row[READ], tuple(row[READ_ROTORS:]) if slot.monitor.rotors else ())
 
-    def _decide(self, state: DecisionState, t_ns: int) -> tuple[DecisionState, bool]:
+    def _decide(self, state: DecisionState, fresh: list[Reading], t_ns: int) -> tuple[DecisionState, bool]:
         """Look the transition up, and see whether the rotor can be named; True if anything changed."""
         held = state.diagnosis
-        fresh = [
-            (replace(reading, ratio=0.0), slot) if _falls(reading, slot, held) else (reading, slot)
-            for reading, slot in self._fresh(state.latest, t_ns)
-        ]
+        if held.rotors:
+            fresh = [replace(one, ratio=0.0) if _falls(one, held) else one for one in fresh]
         state, height = _height_now(state, fresh, t_ns)
         stage, reason = NEXT.get((held.stage, height), (held.stage, held.reason))
-        now, changed = replace(held, stage=stage, reason=reason), stage is not held.stage
+        changed, now = stage is not held.stage, held
         if changed:
-            now = replace(now, since_ns=t_ns)
+            now = replace(held, stage=stage, reason=reason, since_ns=t_ns)
         if stage is not Stage.FAULT:
-            return state.now(_leading(now, fresh), state.latest, state.events), changed
+            return replace(state, diagnosis=_leading(now, fresh)), changed
         if height is Height.OVER and not held.seen:
-            changed, state = True, replace(state, episode=Episode(t_ns, Gathered(t_ns)))
-            why = reason if stage is not held.stage else "the fault is seen again"
+            why = "the fault is seen again" if held.stage is stage else reason
             declared_ns = t_ns if held.declared_ns is None else held.declared_ns
             kind = held.kind if held.stage is Stage.FAULT else None  # of another flight
             now = Diagnosis(stage, why, now.since_ns, kind=kind, declared_ns=declared_ns, seen=True, rotors=held.rotors)
-        state, now, more = self._episode(state, now, fresh, t_ns)
-        return replace(state, diagnosis=now), changed or more
+            changed, state = True, replace(state, episode=Episode(t_ns, Gathered(t_ns)))
+        if state.episode is None or not now.seen:
+            return replace(state, diagnosis=now), changed
+        episode, after = self._episode(state.episode, now, fresh, t_ns)
+        news = after.seen is not now.seen or after.kind is not now.kind or after.rotor != now.rotor
+        return replace(state, diagnosis=after, episode=episode), changed or news
 
     def _episode(
-        self, state: DecisionState, now: Diagnosis, fresh: Sequence[Fresh], t_ns: int
-    ) -> tuple[DecisionState, Diagnosis, bool]:
+        self, episode: Episode, now: Diagnosis, fresh: Sequence[Reading], t_ns: int
+    ) -> tuple[Episode, Diagnosis]:
         """What is seen of a fault at a look: whether it still is, its kind, and its rotor."""
-        episode = state.episode
-        if episode is None or not now.seen:
-            return state, now, False
-        ratios = {slot.key: reading.ratio for reading, slot in fresh if slot.decides}
+        ratios = {reading.slot.key: reading.ratio for reading in fresh if reading.slot.decides}
         over = episode.over | {key for key, ratio in ratios.items() if ratio > 1.0}
         calm = all(ratios.get(key, 1.0) < CALM_BELOW for key in over)
         calm_ns = (t_ns if episode.calm_ns is None else episode.calm_ns) if calm else None
         episode = replace(episode, over=over, calm_ns=calm_ns)
         if calm_ns is not None and t_ns - calm_ns >= CLEAR_NS:
             now = replace(now, seen=False, reason="no longer seen", rotors=_ended(now.rotors, calm_ns))
-            return replace(state, episode=replace(episode, ended_ns=calm_ns)), now, True
-        readings, was = _readings(fresh), now
-        kind = grown(now.kind, readings, t_ns - episode.begun_ns)
+            return replace(episode, ended_ns=calm_ns), now
+        kind = grown(now.kind, fresh, t_ns - episode.begun_ns)
         if kind is not now.kind:
             now = replace(now, kind=kind, reason=now.reason if now.kind is None else f"it is a {kind}")
         now = _leading(now, fresh)
         if kind is FaultKind.SENSOR:
             before = _ended(tuple(span for span in now.rotors if span.since_ns < episode.begun_ns), t_ns)
             now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None, rotors=before)
-        place = named(kind, readings, now.rotor is not None)
+        place = named(kind, fresh, now.rotor is not None)
         if place.rotor is not None and (now.rotor is None or place.lead > episode.lead):  # the most certain name holds
             episode = replace(episode, lead=place.lead)
             if place.rotor != now.rotor:
@@ -336,21 +251,17 @@ class DecisionSpec:
                 reason = now.reason if t_ns == episode.begun_ns else "the rotor is named"
                 now = _leading(replace(now, rotor=place.rotor, reason=reason, rotors=spans), fresh)
             now = replace(now, confidence=place.confidence)
-        news = now.kind is not was.kind or now.rotor != was.rotor
-        return replace(state, episode=episode), now, news
+        return episode, now
 
-    def _grade(
-        self, state: DecisionState, parts: Sequence[Looks], number: int, t_ns: int
-    ) -> tuple[DecisionState, bool]:
+    def _grade(self, state: DecisionState, sums: FloatArray, t_ns: int) -> tuple[DecisionState, bool]:
         """Gather the features, and name type and severity at each of the fixed times after the declaration."""
         episode, now = state.episode, state.diagnosis
         if episode is None or episode.graded >= len(self.known) or now.kind is not FaultKind.PROPELLER:
             return state, False
         gathered, known = episode.gathered, self.known[episode.graded]
-        for slot, one in zip(self.slots, parts, strict=True):
-            part = None if slot.feature is None else one.part(number)
-            if part is not None and slot.feature is not None:
-                gathered = gathered.add(slot.feature, part)
+        for slot, record in zip(self.slots, sums, strict=True):
+            if slot.monitor.feature is not None:
+                gathered = gathered.add(slot.monitor.feature, record, t_ns - round(slot.monitor.delay_s * NS_PER_S))
         episode = replace(episode, gathered=gathered)
         if t_ns - gathered.since_ns < known.after_s * NS_PER_S:
             return replace(state, episode=episode), False
@@ -360,26 +271,32 @@ class DecisionSpec:
         after = replace(after, reason="the kind of fault is named") if news else after
         return replace(state, episode=replace(episode, graded=episode.graded + 1), diagnosis=after), news
 
-    def _named(self, state: DecisionState, events: Sequence[Event]) -> list[Event]:
-        """The events with rotor, type and severity as they are known now, if they belong to the latest episode."""
-        episode, it = state.episode, state.diagnosis
-        if episode is None:
-            return list(events)
-        named = {name: getattr(it, name) for name in ("rotor", "confidence", "fault_type", "severity", "kind")}
-        ended_ns = episode.ended_ns
-        return [
-            replace(event, **named)
-            if (event.end_ns is None or event.end_ns >= episode.begun_ns)
-            and (ended_ns is None or event.start_ns <= ended_ns)
-            else event
-            for event in events
-        ]
+
+def height_of(ratio: float, decides: bool) -> Height:
+    """The height of one slot's ratio."""
+    if not decides:
+        return Height.RAISED if ratio > 1.0 else Height.CALM
+    if ratio > 1.0:
+        return Height.OVER
+    if ratio >= RAISED_FROM:
+        return Height.RAISED
+    return Height.HELD if ratio >= CALM_BELOW else Height.CALM
 
 
-def _falls(reading: Reading, slot: SlotSpec, held: Diagnosis) -> bool:
+def landed(held: Diagnosis, t_ns: int) -> Diagnosis:
+    """What is held once a flight has ended: an open inspection, or nothing."""
+    if held.stage is Stage.INSPECT:
+        return held
+    if held.stage is not Stage.FAULT:
+        return Diagnosis(reason="not flying", since_ns=t_ns)
+    reason, spans = "the flight with the fault has ended", _ended(held.rotors, t_ns)
+    return replace(held, stage=Stage.INSPECT, reason=reason, since_ns=t_ns, seen=False, rotors=spans)
+
+
+def _falls(reading: Reading, held: Diagnosis) -> bool:
     """Whether the fall of a rotor's command that was named explains a trim better than the rise of any rotor."""
-    how, a = slot.evidence, reading.rotors
-    if how is None or how.direct or not held.rotors or not a:
+    a = reading.rotors
+    if reading.direct or not a:
         return False
     lowest = min(a)
     return -lowest >= max(a) and any(a.index(lowest) + 1 == span.rotor for span in held.rotors)
@@ -401,28 +318,11 @@ def _ended(spans: tuple[RotorSpan, ...], t_ns: int) -> tuple[RotorSpan, ...]:
     return tuple(replace(one, end_ns=max(one.since_ns, t_ns)) if one.end_ns is None else one for one in spans)
 
 
-def landed(held: Diagnosis, t_ns: int) -> Diagnosis:
-    """What is held once a flight has ended: an open inspection, or nothing."""
-    if held.stage is Stage.INSPECT:
-        return held
-    if held.stage is not Stage.FAULT:
-        return Diagnosis(reason="not flying", since_ns=t_ns)
-    reason, spans = "the flight with the fault has ended", _ended(held.rotors, t_ns)
-    return replace(held, stage=Stage.INSPECT, reason=reason, since_ns=t_ns, seen=False, rotors=spans)
-
-
-def _readings(fresh: Sequence[Fresh]) -> list[KindReading]:
-    return [
-        KindReading(slot.kind, slot.decides, reading.ratio, slot.threshold, slot.evidence, reading.rotors)
-        for reading, slot in fresh
-    ]
-
-
-def _height_now(state: DecisionState, fresh: Sequence[Fresh], t_ns: int) -> tuple[DecisionState, Height]:
+def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tuple[DecisionState, Height]:
     """How high the highest ratio is, and since when; see `DOUBT_NS` for what waits before it is over."""
     height = Height.UNKNOWN
-    if any(slot.decides for _, slot in fresh):
-        height = max(height_of(reading.ratio, slot.decides) for reading, slot in fresh)
+    if any(reading.slot.decides for reading in fresh):
+        height = max(height_of(reading.ratio, reading.slot.decides) for reading in fresh)
     calm_ns = None if height is not Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
     over_ns = None if height is not Height.OVER else t_ns if state.over_ns is None else state.over_ns
     if calm_ns != state.calm_ns or over_ns != state.over_ns:
@@ -431,49 +331,40 @@ def _height_now(state: DecisionState, fresh: Sequence[Fresh], t_ns: int) -> tupl
         return state, Height.SETTLED
     if over_ns is None or t_ns - over_ns >= DOUBT_NS or state.diagnosis.seen:
         return state, height
-    readings = _readings(fresh)
-    kind = grown(None, readings, 0)
-    checked = any(one.kind is FaultKind.SENSOR for one in readings)  # without such monitors nothing is waited for
-    doubtful = checked and kind is FaultKind.PROPELLER and named(kind, readings, False).rotor is None
+    kind = grown(None, fresh, 0)
+    checked = any(one.slot.monitor.kind is FaultKind.SENSOR for one in fresh)  # without these nothing is waited for
+    doubtful = checked and kind is FaultKind.PROPELLER and named(kind, fresh, False).rotor is None
     return state, Height.RAISED if doubtful else height
 
 
-def _leading(diagnosis: Diagnosis, fresh: Sequence[Fresh]) -> Diagnosis:
+def _leading(it: Diagnosis, fresh: Sequence[Reading]) -> Diagnosis:
     """The diagnosis with the present evidence of the highest ratio; a fault keeps the latest that was above.
 
     A trim that shows another rotor than the named one is no evidence of it.
     """
-    it = diagnosis
     if it.stage in (Stage.FAULT, Stage.INSPECT):
-        fresh = [
-            (reading, slot)
-            for reading, slot in fresh
-            if it.seen
-            and reading.ratio > 1.0
-            and slot.decides
-            and slot.kind is it.kind
-            and _of_rotor(reading, slot, it)
-        ]
+        fresh = [one for one in fresh if it.seen and one.ratio > 1.0 and one.slot.decides and _speaks(one, it)]
         if not fresh:
             return it
-    if not fresh:
+    return _shown(it, max(fresh, key=_rank, default=None))
+
+
+def _rank(reading: Reading) -> tuple[Height, bool, float]:
+    return height_of(reading.ratio, reading.slot.decides), reading.slot.decides, reading.ratio
+
+
+def _shown(it: Diagnosis, best: Reading | None) -> Diagnosis:
+    if best is None:
         return replace(it, monitor=None, axis=None, unit="", statistic=NAN, threshold=NAN)
-    reading, slot = max(
-        fresh, key=lambda pair: (height_of(pair[0].ratio, pair[1].decides), pair[1].decides, pair[0].ratio)
-    )
-    evidence = max(reading.value, reading.ratio * slot.threshold)
-    return replace(
-        it,
-        monitor=slot.events.monitor,
-        axis=slot.events.axis,
-        unit=slot.unit,
-        statistic=evidence,
-        threshold=slot.threshold,
-    )
+    (name, axis), threshold = best.slot.key, best.slot.threshold
+    evidence = max(best.value, best.ratio * threshold)
+    return replace(it, monitor=name, axis=axis, unit=best.slot.monitor.unit, statistic=evidence, threshold=threshold)
 
 
-def _of_rotor(reading: Reading, slot: SlotSpec, diagnosis: Diagnosis) -> bool:
-    """Whether evidence may stand beside the name of a rotor: a trim shows one rotor alone."""
-    if diagnosis.rotor is None or slot.evidence is None or slot.evidence.direct or not reading.rotors:
+def _speaks(reading: Reading, it: Diagnosis) -> bool:
+    """Whether evidence is of the fault's kind, and may stand beside the name of a rotor: a trim shows one alone."""
+    if reading.slot.monitor.kind is not it.kind:
+        return False
+    if it.rotor is None or reading.direct or not reading.rotors:
         return True
-    return reading.rotors.index(max(reading.rotors)) + 1 == diagnosis.rotor
+    return reading.rotors.index(max(reading.rotors)) + 1 == it.rotor

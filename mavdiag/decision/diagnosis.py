@@ -1,4 +1,4 @@
-"""What is held of a vehicle: the stage, the evidence, and what is known of the fault."""
+"""What is held of a vehicle (the stage, the evidence, what is known of the fault), and the alarms of its monitors."""
 
 from dataclasses import dataclass, fields
 from enum import StrEnum
@@ -6,8 +6,6 @@ from enum import StrEnum
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis
 from mavdiag.units import NS_PER_S
-
-__all__ = ["Change", "Diagnosis", "RotorSpan", "Stage"]
 
 
 class Stage(StrEnum):
@@ -106,3 +104,44 @@ class Change:
         evidence = "" if self.monitor is None else f" ({self.monitor} {self.statistic:.3g} of {self.threshold:.3g})"
         stage = self.kind if self.stage is Stage.FAULT and self.kind is not None else self.stage
         return f"{self.t_ns / NS_PER_S:.2f} s {stage}: {self.reason}{evidence}{where}"
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """One alarm of one monitor. Times are of the vehicle's clock.
+
+    monitor, axis: whose alarm it is; axis is None where it concerns the whole vehicle.
+    start_ns: first value above the threshold.
+    end_ns: last value above it; None while it lasts, or if the data ended first.
+    statistic, level: the highest so far.
+    threshold: in the statistic's unit.
+    rotor: from 1; None while unknown.
+    fault_type, severity: "F1" to "F3" and 1 to 3 (T Tables 3.1, 3.2); None while unknown.
+    confidence: of the rotor, 0..1.
+    kind: of the fault that the alarm belongs to, None while it belongs to none.
+    """
+
+    monitor: str
+    axis: Axis | None
+    start_ns: int
+    end_ns: int | None
+    statistic: float
+    threshold: float
+    level: float
+    rotor: int | None = None
+    fault_type: str | None = None
+    severity: int | None = None
+    confidence: float | None = None
+    kind: FaultKind | None = None
+
+    def __str__(self) -> str:
+        """One line for a person.
+
+        >>> print(Event("rotor_trim", None, 19_970_000_000, None, 0.363, 0.145, 0.363, rotor=3))
+        rotor_trim 0.363 > 0.145 from 19.97 s, rotor 3
+        """
+        axis = f" {self.axis}" if self.axis is not None else ""
+        end = "" if self.end_ns is None else f" to {self.end_ns / NS_PER_S:.2f} s"
+        where = "" if self.rotor is None else f", rotor {self.rotor}"
+        start = f"from {self.start_ns / NS_PER_S:.2f} s"
+        return f"{self.monitor}{axis} {self.statistic:.3g} > {self.threshold:.3g} {start}{end}{where}"

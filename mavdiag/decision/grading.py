@@ -28,22 +28,10 @@ import numpy as np
 
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.errors import InputError
+from mavdiag.kernel import EVIDENCE, JUDGED, LAST_LEVEL, LOOK_NS, SQUARES
 from mavdiag.monitors.base import Feature
-from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
-
-__all__ = [
-    "Assessment",
-    "FaultCloud",
-    "FaultTypes",
-    "Features",
-    "Gathered",
-    "Outcome",
-    "assess",
-    "known_fault_types",
-    "parse_fault_types",
-]
 
 SCHEMA = "mavdiag.fault_types/1"
 FAR = 16.27  # chi-squared of three features at 99.9 %: no known fault (our choice)
@@ -81,7 +69,7 @@ class Features:
         return out
 
 
-_WAIT_S = {Feature.UNBALANCE: UNBALANCE_AFTER_S, Feature.MOTION: MOTION_AFTER_S, Feature.RISE: RISE_AFTER_S}
+WAIT_S = {Feature.UNBALANCE: UNBALANCE_AFTER_S, Feature.MOTION: MOTION_AFTER_S, Feature.RISE: RISE_AFTER_S}
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,19 +86,25 @@ class Gathered:
     motion: tuple[float, int] = (0.0, 0)
     rise: tuple[tuple[float, int], ...] = ()
 
-    def add(self, feature: str, found: Statistic) -> "Gathered":
-        """Add the next values of a feature. Only windows that lie after the declaration count."""
-        after = found.valid & (found.t_ns >= self.since_ns + round(_WAIT_S[feature] * NS_PER_S))
-        if not after.any():
+    def add(self, feature: str, record: FloatArray, until_ns: int) -> "Gathered":
+        """Add what a look found of a feature, (EVIDENCE + 2 R,) as `kernel.HIGHEST` and its fellows say.
+
+        until_ns: time of its latest value. Only windows that lie after the declaration count: of a look that begins
+        before that, its last value.
+        """
+        count, rotors = int(record[JUDGED]), (len(record) - EVIDENCE) // 2
+        spare_ns = until_ns - self.since_ns - round(WAIT_S[feature] * NS_PER_S)
+        if not count or spare_ns < 0:
             return self
+        squares, rises = float(record[SQUARES]), record[EVIDENCE + rotors :].tolist()
+        if spare_ns < LOOK_NS:
+            count, squares, rises = 1, float(record[LAST_LEVEL]) ** 2, record[EVIDENCE : EVIDENCE + rotors].tolist()
         if feature == Feature.RISE:
-            before = self.rise or ((0.0, 0),) * found.rotors.shape[1]
-            columns = found.rotors[after].T
-            return replace(self, rise=tuple(_sum(*pair) for pair in zip(before, columns, strict=True)))
-        squares = np.square(found.level[after])
+            before = self.rise or ((0.0, 0),) * rotors
+            return replace(self, rise=tuple((a + b, n + count) for (a, n), b in zip(before, rises, strict=True)))
         if feature == Feature.UNBALANCE:
-            return replace(self, unbalance=_sum(self.unbalance, squares))
-        return replace(self, motion=_sum(self.motion, squares))
+            return replace(self, unbalance=(self.unbalance[0] + squares, self.unbalance[1] + count))
+        return replace(self, motion=(self.motion[0] + squares, self.motion[1] + count))
 
     def features(self, rotor: int | None) -> Features:
         """The features so far. rotor: that is named, from 1; without one nothing is said of a rise."""
@@ -119,10 +113,6 @@ class Gathered:
         return Features(
             math.sqrt(u / n_u) if n_u else None, math.sqrt(m / n_m) if n_m else None, a / n_a if n_a else None
         )
-
-
-def _sum(before: tuple[float, int], values: FloatArray) -> tuple[float, int]:
-    return before[0] + float(values.sum()), before[1] + len(values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from mavdiag.airframe.trim import loss_of
-from mavdiag.decision.diagnosis import Change, Diagnosis, Stage
-from mavdiag.decision.events import Event
+from mavdiag.decision.diagnosis import Change, Diagnosis, Event, Stage
 from mavdiag.monitors import BY_NAME, by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.units import NS_PER_S

@@ -20,9 +20,10 @@ from mavdiag.learning.repeats import repeated
 from mavdiag.learning.teaching import refuse
 from mavdiag.monitors import monitor_of
 from mavdiag.monitors.base import Flights, LearnContext
+from mavdiag.monitors.conditions import covered_by
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Log
-from mavdiag.thresholds.envelope import Covered, covered_by
+from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.heldout import Scores, folds, pooled, score
 from mavdiag.thresholds.rule import threshold_of
 

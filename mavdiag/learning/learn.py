@@ -37,12 +37,12 @@ from mavdiag.learning.teaching import believing, one_vehicle, taught
 from mavdiag.link.profiles import PROFILES
 from mavdiag.monitors import BY_NAME, by_name
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
+from mavdiag.monitors.conditions import covered_by
 from mavdiag.monitors.fitting import judged_together
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.rows.front import Rows
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Axis, Log
-from mavdiag.thresholds.envelope import covered_by
 from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
 

@@ -7,7 +7,7 @@ matter.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, TypeAlias
@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mavdiag.jit import allocating, cached, jit, source_digest
+from mavdiag.jit import allocating, cached, jit
 from mavdiag.link.clock import MS_32, NEVER, REBOOT, US_32, US_64, Counter, VehicleTime, stamp
 from mavdiag.link.codec import AUTOPILOT, MSGIDS, ROWS, Decoder, Encoder, Frame, Frames, frames_of, layout_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
@@ -457,50 +457,44 @@ def _room(
     return filled
 
 
-def _compiled(digest: int) -> Callable[..., tuple[IntArray, IntArray, FloatArray, IntArray]]:
-    @cached
-    def convert(
-        data: Bytes,
-        rows: NDArray[Any],
-        given_ns: IntArray,
-        table: tuple[NDArray[np.int16], IntArray, IntArray, FloatArray, IntArray],
-        time: tuple[Any, Any, Any, Any],
-        tally: IntArray,
-        speeds: FloatArray,
-    ) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
-        """Times, times of arrival and values of all signals, one behind the other; and of each signal where its rows
-        and its values begin, and how many rows there are."""
-        lookup, sources, parts, scales, widths = table
-        filled = _room(rows if digest else rows[:0], lookup, sources, parts, widths)
-        room = filled[-1, 0] + filled[-1, 2]
-        t_ns, host_ns = np.empty(room, np.int64), np.empty(room, np.int64)
-        values = np.empty(filled[-1, 1] + filled[-1, 2] * widths[-1])
-        filled[:, 2] = 0
-        word = np.zeros(1, np.uint32)
-        memory = (tally, speeds, word, word.view(np.float32))
-        k = 0
-        while k < len(rows):
-            frame = rows[k]
-            source, k = lookup[frame.row], k + 1
-            if source < 0 or frame.sender & 0xFF != AUTOPILOT:
-                continue
-            row = sources[source]
-            if len(given_ns):
-                at_ns, tally[1] = given_ns[k - 1], NEVER  # of one sender: no heartbeat is doubted
-            else:
-                count = _count(data, frame.body + row[3], frame.stop, row[4])
-                at_ns = stamp(time, row[0], row[1], row[2], count, frame.host_ns)
-            if at_ns == REBOOT:
-                speeds[:], tally[1], k = np.nan, NEVER, k - 1
-            for p in range(row[5], row[6] if at_ns > NEVER else row[5]):
-                done = filled[parts[p, 0]]
-                place = done[1] + done[2] * parts[p, 4]
-                if _filled(data, frame, parts[p], scales[p], memory, values[place : place + parts[p, 4]]):
-                    t_ns[done[0] + done[2]], host_ns[done[0] + done[2]] = at_ns, frame.host_ns
-                    done[2] += 1
-        return t_ns, host_ns, values, filled
-
-    return convert
-
-
-_convert = _compiled(source_digest())
+@cached
+def _convert(
+    data: Bytes,
+    rows: NDArray[Any],
+    given_ns: IntArray,
+    table: tuple[NDArray[np.int16], IntArray, IntArray, FloatArray, IntArray],
+    time: tuple[Any, Any, Any, Any],
+    tally: IntArray,
+    speeds: FloatArray,
+) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
+    """Times, times of arrival and values of all signals, one behind the other; and of each signal where its rows
+    and its values begin, and how many rows there are."""
+    lookup, sources, parts, scales, widths = table
+    filled = _room(rows, lookup, sources, parts, widths)
+    room = filled[-1, 0] + filled[-1, 2]
+    t_ns, host_ns = np.empty(room, np.int64), np.empty(room, np.int64)
+    values = np.empty(filled[-1, 1] + filled[-1, 2] * widths[-1])
+    filled[:, 2] = 0
+    word = np.zeros(1, np.uint32)
+    memory = (tally, speeds, word, word.view(np.float32))
+    k = 0
+    while k < len(rows):
+        frame = rows[k]
+        source, k = lookup[frame.row], k + 1
+        if source < 0 or frame.sender & 0xFF != AUTOPILOT:
+            continue
+        row = sources[source]
+        if len(given_ns):
+            at_ns, tally[1] = given_ns[k - 1], NEVER  # of one sender: no heartbeat is doubted
+        else:
+            count = _count(data, frame.body + row[3], frame.stop, row[4])
+            at_ns = stamp(time, row[0], row[1], row[2], count, frame.host_ns)
+        if at_ns == REBOOT:
+            speeds[:], tally[1], k = np.nan, NEVER, k - 1
+        for p in range(row[5], row[6] if at_ns > NEVER else row[5]):
+            done = filled[parts[p, 0]]
+            place = done[1] + done[2] * parts[p, 4]
+            if _filled(data, frame, parts[p], scales[p], memory, values[place : place + parts[p, 4]]):
+                t_ns[done[0] + done[2]], host_ns[done[0] + done[2]] = at_ns, frame.host_ns
+                done[2] += 1
+    return t_ns, host_ns, values, filled

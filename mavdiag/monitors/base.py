@@ -21,11 +21,11 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import InputError
 from mavdiag.identify import Method, Order
 from mavdiag.monitors.columns import Columns, Kernel, columns_of
-from mavdiag.rows.block import Block
+from mavdiag.rows.block import ALL
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import Axis, BoolArray, FloatArray, Signal
+from mavdiag.telemetry import Axis, FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
 __all__ = [
@@ -200,9 +200,9 @@ class Monitor(ABC, Generic[Spec]):
         """The signals that this fit rests on; fewer than `needs` where it chose between them."""
         return self.needs
 
-    def known(self, block: Block, signal: Signal) -> BoolArray:
-        """(n,) where the rows carry what it takes of a signal."""
-        return block.known(signal)
+    def columns(self, signal: Signal) -> slice:
+        """Which columns of a signal it takes."""
+        return ALL
 
     @property
     def axis(self) -> Axis | None:
@@ -251,6 +251,12 @@ class Monitor(ABC, Generic[Spec]):
     def memory(self, dt_s: float) -> FloatArray:
         """What `run` remembers, before the first row of a segment."""
 
+    def parameters_at(self, dt_s: float) -> FloatArray:
+        """`parameters`, computed once."""
+        if dt_s not in self._parameters:
+            self._parameters[dt_s] = self.parameters(dt_s)
+        return self._parameters[dt_s]
+
     def start(self) -> FloatArray:
         """A fresh state, before the first row of a segment: nothing, until the row period is known."""
         return np.empty(0)
@@ -265,11 +271,9 @@ class Monitor(ABC, Generic[Spec]):
     def judge(self, state: FloatArray, rows: Rows, columns: Columns) -> tuple[FloatArray, Statistic]:
         """As `step`, with the columns of the rows at hand."""
         dt_s, n = rows.block.dt_s, columns.flags.shape[1]
-        if dt_s not in self._parameters:
-            self._parameters[dt_s] = self.parameters(dt_s)
         memory = state.copy() if len(state) else self.memory(dt_s)
         out, rotors, at = np.empty((4, n)), np.empty((n, self.rotors)), np.empty(n, dtype=np.int64)
-        count = self.run(self._parameters[dt_s], memory, columns.x, columns.flags, columns.lag, out, rotors, at)
+        count = self.run(self.parameters_at(dt_s), memory, columns.x, columns.flags, columns.lag, out, rotors, at)
         t_ns = rows.rates.t_ns if self.by_rates else rows.block.t_ns
         value, sound, level, signal = out[:, :count]
         found = Statistic(t_ns[at[:count]], self.period_s(dt_s), value, sound > 0.5, level, signal, rotors[:count])

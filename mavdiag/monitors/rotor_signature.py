@@ -38,12 +38,12 @@ from mavdiag.monitors.model_residual import (
     with_variances,
 )
 from mavdiag.monitors.spec import Positive, spec
-from mavdiag.rows.block import ALL, Block
+from mavdiag.rows.block import ALL
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.rows.windows import forgetting, spans
-from mavdiag.telemetry import BoolArray, FloatArray, Signal
+from mavdiag.telemetry import FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
 WINDOW_S = 10.0  # our choice: in wind a correlation over 3 s (METHOD section 4 has 4 s) scatters too much
@@ -251,9 +251,9 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
         """The thrust counts only where the healthy flights showed its effect."""
         return self.needs if self.spec.motion.uses_thrust else self.needs - {Signal.THRUST_SETPOINT}
 
-    def known(self, block: Block, signal: Signal) -> BoolArray:
+    def columns(self, signal: Signal) -> slice:
         """Of the accelerometer its z."""
-        return block.known(signal, slice(2, 3) if signal is Signal.SPECIFIC_FORCE else ALL)
+        return slice(2, 3) if signal is Signal.SPECIFIC_FORCE else ALL
 
     @property
     def memory_s(self) -> float:

@@ -17,11 +17,11 @@ from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor, Rot
 from mavdiag.monitors.columns import FORCE, LEVEL, RATE, SIGNAL, SOUND, THRUST, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.fitting import of_each
 from mavdiag.monitors.spec import Positive, spec
-from mavdiag.rows.block import ALL, Block
+from mavdiag.rows.block import ALL
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, follow, mean_size, push, total
 from mavdiag.rows.windows import forgetting, window_rows
-from mavdiag.telemetry import BoolArray, FloatArray, Signal
+from mavdiag.telemetry import FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
 WINDOW_S = 0.1  # our choice: four time constants of a motor
@@ -127,9 +127,9 @@ class ThrustLoss(Monitor[ThrustLossSpec]):
             raise InputError("no flight with an accelerometer along z and a collective thrust command")
         return (ThrustLossSpec(layout=context.airframe.layout, per_command=total_ / count),)
 
-    def known(self, block: Block, signal: Signal) -> BoolArray:
+    def columns(self, signal: Signal) -> slice:
         """Of the accelerometer its z."""
-        return block.known(signal, ONLY_Z if signal is Signal.SPECIFIC_FORCE else ALL)
+        return ONLY_Z if signal is Signal.SPECIFIC_FORCE else ALL
 
     @property
     def reach(self) -> float:

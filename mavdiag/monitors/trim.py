@@ -49,9 +49,9 @@ from mavdiag.monitors.columns import (
 )
 from mavdiag.monitors.fitting import of_each, three
 from mavdiag.monitors.spec import Positive, spec
-from mavdiag.rows.block import ALL, Block
+from mavdiag.rows.block import ALL
 from mavdiag.rows.front import Rows
-from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
+from mavdiag.telemetry import FloatArray, Signal, Three
 
 MOST_RISE = rise_of(MOST_LOSS)
 WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
@@ -427,9 +427,9 @@ class TrimMonitor(Monitor[Spec]):
         """The outputs, or torque and thrust."""
         return SIGNALS[self.spec.source]
 
-    def known(self, block: Block, signal: Signal) -> BoolArray:
+    def columns(self, signal: Signal) -> slice:
         """Of the outputs those that move a rotor."""
-        return block.known(signal, slice(0, self.spec.layout.rotors) if signal is Signal.ACTUATOR else ALL)
+        return slice(0, self.spec.layout.rotors) if signal is Signal.ACTUATOR else ALL
 
     @property
     def reach(self) -> float:

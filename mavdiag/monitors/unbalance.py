@@ -19,12 +19,12 @@ from mavdiag.monitors.columns import FORCE, LEVEL, RATE, SIGNAL, SOUND, TRACE, V
 from mavdiag.monitors.fitting import Moments, of_each, traced
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.monitors.vibration_band import CORNER_HZ, carries_line, corner_of
-from mavdiag.rows.block import ALL, Block
+from mavdiag.rows.block import ALL
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.rows.windows import highpass
-from mavdiag.telemetry import BoolArray, FloatArray, Signal
+from mavdiag.telemetry import FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 from mavdiag.units import G_MM_PER_KG_M
 
@@ -283,9 +283,9 @@ class Unbalance(Monitor[UnbalanceSpec]):
         """The unbalance, where it is known in g mm."""
         return None if self.spec.mass_kg is None else Feature.UNBALANCE
 
-    def known(self, block: Block, signal: Signal) -> BoolArray:
+    def columns(self, signal: Signal) -> slice:
         """Of the accelerometer its x and y."""
-        return block.known(signal, slice(0, 2) if signal is Signal.SPECIFIC_FORCE else ALL)
+        return slice(0, 2) if signal is Signal.SPECIFIC_FORCE else ALL
 
     @property
     def memory_s(self) -> float:

@@ -4,11 +4,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 from mavdiag.baseline import Baseline
-from mavdiag.chain import Chain, ChainState, Gauge, Piece, chain_of
+from mavdiag.chain import Chain, ChainState, chain_of
 from mavdiag.decision.alarm import Change
 from mavdiag.decision.diagnosis import Diagnosis
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.judging import why_not
+from mavdiag.kernel import Gauge, Piece
 from mavdiag.link.sequence import LinkCount, Source
 from mavdiag.link.signing import Signing
 from mavdiag.link.vehicles import LinkDecoder

@@ -11,12 +11,11 @@ flight is cut into calls therefore changes nothing, and a purpose that is not as
 """
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from mavdiag.jit import cached, inline, jit, source_digest
+from mavdiag.jit import cached, inline, jit
 from mavdiag.telemetry import BoolArray, FloatArray
 from sitl_plant.physics import control, dynamics, mocap, rotors, sensors
 from sitl_plant.physics.air import Air, Dryden, Turbulence, advance_wind
@@ -267,25 +266,14 @@ def _steps(
         _move(state, model, condition, noise, row, here)
 
 
-Fly: TypeAlias = Callable[[Block, Model, Recorded | None, rotors.Condition, sensors.SensorCondition, State], int]
-
-
-def _compiled_for(digest: int) -> Fly:
-
-    @cached
-    def fly(
-        block: Block, model: Model, own: Recorded | None, condition: rotors.Condition, faults: Faults, state: State
-    ) -> int:
-        work, truth = np.empty((5, dynamics.RIGID)), np.empty((sensors.IMUS, sensors.CHANNELS))
-        here = Scratch(work, truth, np.empty(REFERENCE), np.empty(len(state.rotors.speed)))
-        _steps(block, model, own, condition, faults, state, here)
-        return digest
-
-    return fly
-
-
-fly: Fly = _compiled_for(source_digest())
-"""Fly one block. `state` and `own` are updated in place; returns the digest of the sources it was compiled from."""
+@cached
+def fly(
+    block: Block, model: Model, own: Recorded | None, condition: rotors.Condition, faults: Faults, state: State
+) -> None:
+    """Fly one block. `state` and `own` are updated in place."""
+    work, truth = np.empty((5, dynamics.RIGID)), np.empty((sensors.IMUS, sensors.CHANNELS))
+    here = Scratch(work, truth, np.empty(REFERENCE), np.empty(len(state.rotors.speed)))
+    _steps(block, model, own, condition, faults, state, here)
 
 
 class Outages:

@@ -80,10 +80,6 @@ def test_scan_finds_the_weak_rotor_and_flags_no_healthy_flight(
     assert "rotor 2" in next(text for text in told.values() if text.startswith("fault"))
 
 
-
-
-
-
 def test_one_step_follows_the_rotors_shake_and_free_run_does_not(
     folder: Path, baseline: Path, lines: dict[str, Line]
 ) -> None:
@@ -108,7 +104,3 @@ def test_the_command_prints_it(
     monkeypatch.setattr("sys.argv", ["droneprop_table.py", str(folder), "--baseline", str(baseline), "--speed", "2"])
     assert main() == 2
     assert "F0_SV0_SP2_t2" in capsys.readouterr().err
-
-
-
-

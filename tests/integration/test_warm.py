@@ -15,11 +15,11 @@ from flying_telemetry import flying
 from made_baselines import whole
 from made_telemetry import cut
 from mavdiag.chain import chain_of, warm
-from mavdiag.monitors import MONITORS
+from mavdiag import kernel
 from mavdiag.rows import align, gate, quality, rates
 
 baseline = whole()
-kernels = [*(monitor.run for monitor in MONITORS), quality._look_at, rates._filter, gate._classify]
+kernels = [kernel.judge, quality._look_at, rates._filter, gate._classify]
 kernels += [align._merge, align._horizon, align._place, align._fill]
 warm()
 chain = chain_of(baseline)

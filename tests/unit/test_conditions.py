@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from made_conditions import column, made_block, measured, rows_of, slowly, spoilt
 
-from mavdiag.rows.conditions import BIN_S, TILT_BINS, Condition
+from mavdiag.monitors.conditions import TILT_BINS
+from mavdiag.rows.conditions import BIN_S, Condition
 from mavdiag.telemetry import BoolArray, FloatArray
 from mavdiag.testing import example_rows
 

@@ -1,6 +1,5 @@
 """The envelope of conditions: inside, near and outside, its sentences, and a chain that judges by it."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 from flying_telemetry import flying
 from made_baselines import FRAME, NOW, healthy, logged
-from made_conditions import column, made_block, measured, rows_of
+from made_conditions import Ones, column, made_block, measured, ones_judged, rows_of
 
 from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline, dump, parse
@@ -16,15 +15,21 @@ from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.monitors import MONITORS
-from mavdiag.rows.conditions import Condition, start_conditions
+from mavdiag.monitors.conditions import covered_by
+from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
-from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
-from mavdiag.thresholds.envelope import RULES, Covered, Dependence, Envelope, EnvelopeState, Outside, covered_by
+from mavdiag.thresholds.envelope import ORDER, RULES, Covered, excess_of, limits_of
 
 YAW = Covered(Condition.YAW_RATE, 0.0, 0.4)  # near up to 0.6: its room is a half
 TURN_S = 20.0
+
+
+def excess(covered: Covered, *values: float) -> list[float]:
+    """e of values of a condition."""
+    limits, number = limits_of([covered]), ORDER.index(covered.condition)
+    return [excess_of(value, limits, number) for value in values]
 
 
 @pytest.mark.parametrize("condition", list(Condition))
@@ -36,7 +41,7 @@ def test_every_condition_has_a_rule_with_room_and_a_remedy(condition: Condition)
 
 
 @pytest.mark.parametrize(
-    ("covered", "values", "excess"),
+    ("covered", "values", "expected"),
     [
         (YAW, [0.0, 0.4, 0.5, 0.6, 0.8], [0.0, 0.0, 0.5, 1.0, 2.0]),
         (Covered(Condition.COMMANDED_RATE, 0.0, 1.0), [1.0, 1.5, 2.0, 3.0], [0.0, 0.5, 1.0, 2.0]),
@@ -49,26 +54,26 @@ def test_every_condition_has_a_rule_with_room_and_a_remedy(condition: Condition)
     ],
     ids=["upper", "with a room of its own", "lower", "both"],
 )
-def test_each_side_is_limited_as_its_rule_says(covered: Covered, values: list[float], excess: list[float]) -> None:
-    np.testing.assert_allclose(covered.excess(np.array(values)), excess, atol=1e-12)
+def test_each_side_is_limited_as_its_rule_says(covered: Covered, values: list[float], expected: list[float]) -> None:
+    np.testing.assert_allclose(excess(covered, *values), expected, atol=1e-12)
 
 
 def test_what_counts_as_nothing_is_covered_anyway() -> None:
     still = Covered(Condition.YAW_RATE, 0.0, 0.01)
-    assert still.excess(np.array([0.15, 0.225])).tolist() == pytest.approx([0.0, 1.0])
+    assert excess(still, 0.15, 0.225) == pytest.approx([0.0, 1.0])
     high = Covered(Condition.HEIGHT, 3.0, 9.0)
-    assert high.excess(np.array([0.5, 0.0])).tolist() == pytest.approx([0.0, 2.0])
+    assert excess(high, 0.5, 0.0) == pytest.approx([0.0, 2.0])
     full = Covered(Condition.THROTTLE, 0.4, 0.4)  # 25 % about it, and room for as much as the half of the span again
-    assert full.excess(np.array([0.3, 0.5, 0.2])).tolist() == pytest.approx([0.0, 0.0, 1.0])
+    assert excess(full, 0.3, 0.5, 0.2) == pytest.approx([0.0, 0.0, 1.0])
 
 
 def test_a_vehicle_that_was_on_the_ground_is_limited_by_no_height() -> None:
-    assert Covered(Condition.HEIGHT, -0.1, 5.0).excess(np.array([-1.0, 0.0])).tolist() == [0.0, 0.0]
+    assert excess(Covered(Condition.HEIGHT, -0.1, 5.0), -1.0, 0.0) == [0.0, 0.0]
 
 
 def test_what_is_unknown_restricts_nothing() -> None:
     for condition in Condition:
-        assert Covered(condition, 0.5, 1.0).excess(np.array([np.nan])).tolist() == [0.0]
+        assert excess(Covered(condition, 0.5, 1.0), np.nan) == [0.0]
 
 
 @pytest.mark.parametrize(("low", "high"), [(1.0, 0.5), (np.nan, 1.0), (0.0, np.inf)])
@@ -125,18 +130,10 @@ def test_21_one_wrong_sample_does_not_widen_what_is_covered() -> None:
 
 def test_21_a_time_is_not_scaled_like_an_amplitude() -> None:
     """Near what was learnt an amplitude counts less by as much; a time counts as it is."""
-    flight = turned(np.full(600, 0.5))
-    found = {}
-    for grows in (True, False):
-        envelope = Envelope((YAW,), (Dependence(frozenset({Condition.YAW_RATE}), 1.0, grows=grows),), 0.02)
-        state = envelope.start()
-        for rows in flight:
-            state = envelope.step(state, rows)
-        found[grows] = envelope.apply(0, ones(Rows(flight[-1].block, flight[-1].rates)), state)[0]
-    assert found[True].valid[-1]
-    assert found[True].value[-1] == pytest.approx(0.8)
-    assert found[False].valid[-1]
-    assert set(found[False].value.tolist()) == {1.0}
+    for unit, value in (("rad/s", 0.8), ("s", 1.0)):
+        found, _ = ones_judged([YAW], turned(np.full(600, 0.5)), Ones({Condition.YAW_RATE}, 1.0, unit=unit))
+        assert found.valid[-1]
+        assert found.value[-1] == pytest.approx(value)
 
 
 def test_a_new_segment_does_not_go_on_from_the_old_one() -> None:
@@ -161,40 +158,30 @@ def test_a_step_of_the_commanded_heading_covers_the_rate_of_the_nose_and_not_its
     assert yaw.high == pytest.approx(1.5)
 
 
-def ones(rows: Rows, value: float = 1.0) -> Statistic:
-    level = np.full(len(rows.block), value)
-    return Statistic(rows.block.t_ns, rows.block.dt_s, level, level > 0, level, level, np.empty((0, 0)))
-
-
 def turned(yaw_rate: FloatArray) -> list[Rows]:
-    """Rows at 100 Hz of a nose that turns."""
-    nose = np.zeros((len(yaw_rate), 3))
+    """Rows at 100 Hz of a nose that turns, and of a body that rolls at 1 rad/s without a command."""
+    nose, rate = np.zeros((len(yaw_rate), 3)), np.zeros((len(yaw_rate), 3))
     nose[:, 2] = 0.01 * np.cumsum(yaw_rate)
-    return rows_of(example_rows(len(yaw_rate), 0.01, setpoint=nose).block)
+    rate[:, 0], rate[:, 2] = 1.0, yaw_rate
+    return rows_of(example_rows(len(yaw_rate), 0.01, setpoint=nose, rate=rate).block)
 
 
-def applied(envelope: Envelope, rows: Sequence[Rows]) -> tuple[Statistic, dict[Condition, Outside]]:
-    (one,) = rows
-    return envelope.apply(0, ones(one), envelope.step(envelope.start(), one))
-
-
-def envelope(memory_s: float = 1.0, *conditions: Condition) -> Envelope:
-    return Envelope((YAW,), (Dependence(frozenset(conditions or (Condition.YAW_RATE,)), memory_s),), 0.02)
+IN_TURNS = Ones({Condition.YAW_RATE}, 1.0)
 
 
 @pytest.mark.parametrize(("rate", "factor"), [(0.3, 1.0), (0.4, 1.0), (0.5, 1.25), (0.59, 1.475)])
 def test_near_the_envelope_the_threshold_grows_with_the_condition(rate: float, factor: float) -> None:
     """c/C, written as a statistic that is divided by it."""
-    found, outside = applied(envelope(), turned(np.full(400, rate)))
+    found, outside = ones_judged([YAW], turned(np.full(400, rate)), IN_TURNS)
     assert found.valid.all()
     assert outside == {}
     np.testing.assert_allclose(found.value[200:], 1.0 / factor, rtol=1e-6)
-    assert found.level.tolist() == [1.0] * 400  # severity stays what was measured
+    np.testing.assert_allclose(found.level, 1.0)  # severity stays what was measured
 
 
 @pytest.mark.parametrize("rate", [0.61, 1.8, 30.0])
 def test_outside_nothing_is_judged_and_it_is_said(rate: float) -> None:
-    found, outside = applied(envelope(), turned(np.full(400, rate)))
+    found, outside = ones_judged([YAW], turned(np.full(400, rate)), IN_TURNS)
     assert not found.valid[100:].any()
     assert set(outside) == {Condition.YAW_RATE}
     told = outside[Condition.YAW_RATE]
@@ -202,20 +189,19 @@ def test_outside_nothing_is_judged_and_it_is_said(rate: float) -> None:
     assert told.span_s == pytest.approx(0.01 * np.count_nonzero(~found.valid))
 
 
-def test_a_slot_that_does_not_depend_on_it_is_left_alone() -> None:
-    found, outside = applied(envelope(1.0, Condition.TILT), turned(np.full(400, 5.0)))
+@pytest.mark.parametrize(("covered", "condition"), [([YAW], Condition.TILT), ([], Condition.YAW_RATE)])
+def test_a_slot_that_does_not_depend_on_it_is_left_alone(covered: list[Covered], condition: Condition) -> None:
+    found, outside = ones_judged(covered, turned(np.full(400, 5.0)), Ones({condition}, 1.0))
     assert found.valid.all()
-    assert (found.value == 1.0).all()
+    np.testing.assert_allclose(found.value, 1.0)
     assert outside == {}
-    no_envelope = Envelope((), (Dependence(frozenset(Condition), 1.0),), 0.02)
-    assert applied(no_envelope, turned(np.full(400, 5.0)))[0].valid.all()
 
 
 @pytest.mark.parametrize("memory_s", [0.5, 1.0, 2.5])
 def test_a_turn_counts_as_long_as_the_statistic_remembers_it(memory_s: float) -> None:
     rate = np.zeros(800)
     rate[300:350] = 2.0
-    found, outside = applied(envelope(memory_s), turned(rate))
+    found, outside = ones_judged([YAW], turned(rate), Ones({Condition.YAW_RATE}, memory_s))
     silent = np.flatnonzero(~found.valid)
     assert 300 <= silent[0] <= 300 + 25  # a bin, the delay of the rates, and a bin of reserve
     assert 350 + 100 * memory_s - 10 <= silent[-1] + 1 <= 350 + 100 * memory_s + 10
@@ -224,51 +210,35 @@ def test_a_turn_counts_as_long_as_the_statistic_remembers_it(memory_s: float) ->
 
 
 @pytest.mark.parametrize("memory_s", [0.35, 1.0, 10.0])
-@pytest.mark.parametrize("share", [0.0, 0.02, 0.6])
-def test_each_value_counts_by_the_farthest_bin_behind_it(memory_s: float, share: float) -> None:
+@pytest.mark.parametrize("wild", [0.3, 3.0])
+def test_each_value_counts_by_the_farthest_bin_behind_it(memory_s: float, wild: float) -> None:
     """Value by value, as the module's text says."""
-    rng = np.random.default_rng(round(100 * share + memory_s))
-    covered = (
-        Covered(Condition.YAW_RATE, 0.0, 0.4),
-        Covered(Condition.TILT, 0.0, 0.3),
-        Covered(Condition.HEIGHT, 1, 2),
-    )
-    depends = Dependence(frozenset({Condition.YAW_RATE, Condition.HEIGHT}), memory_s)
-    it = Envelope(covered, (depends,), 0.02)
-    end_ns = 10**8 * np.arange(3, 120)
-    excess = rng.random((len(end_ns), 3)) * 1.6 * (rng.random((len(end_ns), 3)) < share)
-    state = EnvelopeState(start_conditions(), end_ns, rng.random((len(end_ns), 3)), excess)
-    t_ns = np.sort(rng.integers(0, 13 * 10**9, 400))
-    found = Statistic(t_ns, 0.01, np.ones(400), np.ones(400, dtype=bool), np.ones(400), np.ones(400))
-    got, reasons = it.apply(0, found, state)
-    outside = 0
-    for i, t in enumerate(t_ns.tolist()):
-        behind = (end_ns > t - round(memory_s * 1e9)) & (end_ns <= t - 120_000_000)
-        far = excess[behind][:, [0, 2]].max(initial=0.0)
-        room = RULES[Condition.YAW_RATE].room
-        assert RULES[Condition.HEIGHT].room == room
-        assert got.value[i] == pytest.approx(1.0 / (1.0 + room * min(far, 1.0)))
-        assert got.valid[i] == (far <= 1.0)
+    rng = np.random.default_rng(round(wild + memory_s))
+    turns: FloatArray = np.repeat(wild * rng.random(40) * (rng.random(40) < 0.2), 30)
+    flight = turned(turns)
+    covered = [YAW, Covered(Condition.TILT, 0.0, 0.3), Covered(Condition.COMMANDED_RATE, 0.0, 0.01)]
+    found, reasons = ones_judged(covered, flight, Ones({Condition.YAW_RATE, Condition.HEIGHT}, memory_s))
+    bins, outside, delay_ns = measured(flight), 0, 20_000_000 + 100_000_000
+    for t, value, level, valid in zip(found.t_ns.tolist(), found.value, found.level, found.valid, strict=True):
+        behind = (bins.end_ns > t - round(memory_s * 1e9)) & (bins.end_ns <= t - delay_ns)
+        far = max(excess(YAW, *column(bins, Condition.YAW_RATE)[behind].tolist()), default=0.0)
+        assert value == pytest.approx(level / (1.0 + RULES[Condition.YAW_RATE].room * min(far, 1.0)))
+        assert valid == (far <= 1.0)
         outside += far > 1.0
     assert sum(one.span_s for one in reasons.values()) == pytest.approx(0.01 * outside)
 
 
-def test_times_outside_add_up_and_the_farthest_value_is_kept() -> None:
-    one, other = Outside(2.0, 0.7, 1.5), Outside(3.0, 1.9, 7.5)
-    assert one.plus(other) == other.plus(one) == Outside(5.0, 1.9, 7.5)
-
-
 def test_of_several_conditions_the_farthest_is_named() -> None:
     tilt = Covered(Condition.TILT, 0.0, 0.2)
-    both = Envelope((tilt, YAW), (Dependence(frozenset({Condition.TILT, Condition.YAW_RATE}), 1.0),), 0.02)
     nose = np.zeros((1200, 3))
     nose[:, 0] = 0.8  # e = 6 from 5 s on
     nose[:, 2] = 0.01 * np.arange(1200) * 0.7  # e = 1.5
-    _, outside = applied(both, rows_of(example_rows(1200, 0.01, setpoint=nose).block))
+    flight = rows_of(example_rows(1200, 0.01, setpoint=nose, rate=np.tile([1.0, 0.0, 0.7], (1200, 1))).block)
+    _, outside = ones_judged([tilt, YAW], flight, Ones({Condition.TILT, Condition.YAW_RATE}, 1.0))
     assert {condition: one.excess for condition, one in outside.items()} == pytest.approx(
         {Condition.YAW_RATE: 1.5, Condition.TILT: 6.0}
     )
-    assert both.sentence(Condition.TILT, 0.8) == "tilt 0.8 rad, learnt up to 0.2"
+    assert tilt.sentence(outside[Condition.TILT].value) == "tilt 0.8 rad, learnt up to 0.2"
 
 
 def test_every_monitor_that_depends_on_conditions_names_its_memory() -> None:

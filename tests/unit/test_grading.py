@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 import pytest
-from made_statistics import statistic
 
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.decision import grading
@@ -19,8 +18,8 @@ from mavdiag.decision.grading import (
     parse_fault_types,
 )
 from mavdiag.errors import InputError
+from mavdiag.kernel import EVIDENCE, LAST_LEVEL, LOOK_NS
 from mavdiag.monitors.base import Feature
-from mavdiag.rows.statistic import Statistic
 from mavdiag.units import NS_PER_S
 
 TRAINED = ("qdrone2", 1000.0)  # profile and rate of the links that the classifier was trained for
@@ -35,9 +34,10 @@ def centre(code: str, strength: float = 1.0) -> Features:
     return Features(math.exp(cloud.mean[0]), math.exp(cloud.mean[1]), float(cloud.mean[2]) / 100)
 
 
-def second(t_s: float, level: float, rotors: tuple[float, ...] = ()) -> Statistic:
-    """One second of values from t_s on."""
-    return statistic(np.full(50, level), first_s=t_s, rotors=rotors)
+def look(level: float, rotors: tuple[float, ...] = (), count: int = 10) -> np.ndarray:
+    """What a look found of a feature, the same in every value."""
+    sums = [count * one for one in rotors]
+    return np.array([1.0, level, count, count * level**2, level, *rotors, *sums])
 
 
 @pytest.mark.parametrize("classifier", [None, "another"])
@@ -117,32 +117,29 @@ def test_between_two_types_none_is_named() -> None:
 
 def test_only_windows_after_the_declaration_are_gathered() -> None:
     state = Gathered(10 * NS_PER_S)
-    for t_s in range(5, 20):
-        rise = (0.0, 0.5 if t_s < 14 else 0.03, 0.0, 0.0)
-        state = state.add(Feature.UNBALANCE, second(t_s + 0.61, 9.0 if t_s < 10 else 2.0))
-        state = state.add(Feature.MOTION, second(t_s + 2.96, 9.0 if t_s < 10 else 0.1))
-        state = state.add(Feature.RISE, second(t_s, 0.0, rise))
+    for number in range(-50, 100):  # looks after the declaration
+        until_ns = state.since_ns + number * LOOK_NS
+        state = state.add(Feature.UNBALANCE, look(9.0 if number < 6 else 2.0), until_ns)
+        state = state.add(Feature.MOTION, look(9.0 if number < 30 else 0.1), until_ns - LOOK_NS // 2)
+        state = state.add(Feature.RISE, look(0.0, (0.0, 0.5 if number < 40 else 0.03, 0.0, 0.0)), until_ns)
     found = state.features(2)
     assert found.unbalance_g_mm == pytest.approx(2.0)
     assert found.motion_rad_s == pytest.approx(0.1)
     assert found.rise == pytest.approx(0.03)
 
 
+def test_of_a_look_that_began_too_early_its_last_value_counts() -> None:
+    mixed = look(9.0, (0.9, 0.9))
+    mixed[LAST_LEVEL], mixed[EVIDENCE : EVIDENCE + 2] = 2.0, (0.1, 0.2)
+    state = Gathered(0).add(Feature.UNBALANCE, mixed, round(0.65 * NS_PER_S))
+    assert state.add(Feature.RISE, mixed, 4 * NS_PER_S).features(2) == Features(2.0, None, 0.2)
+
+
 def test_9_the_rise_is_that_of_the_rotor_that_is_named_at_last() -> None:
     """Rises of two rotors were averaged when the name changed: a true 0.0 was 0.15."""
-    state = Gathered(0).add(Feature.RISE, second(5.0, 0.0, (0.1, 0.3)))
+    state = Gathered(0).add(Feature.RISE, look(0.0, (0.1, 0.3)), 5 * NS_PER_S)
     assert [state.features(rotor).rise for rotor in (1, 2)] == pytest.approx([0.1, 0.3])
     assert state.features(None) == state.features(3) == Features()
-
-
-def test_however_the_values_are_cut_the_features_are_the_same() -> None:
-    parts = ((Feature.UNBALANCE, second(3.0, 2.0)), (Feature.MOTION, second(5.0, 0.2)))
-    whole, state = Gathered(0), Gathered(0)
-    for name, found in parts:
-        whole = whole.add(name, found)
-        for first in range(0, 50, 7):
-            state = state.add(name, found.part(first, min(first + 7, 50)))
-    np.testing.assert_allclose(state.features(None).vector[:2], whole.features(None).vector[:2], rtol=1e-12)
 
 
 @pytest.mark.parametrize(

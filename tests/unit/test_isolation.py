@@ -5,9 +5,9 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from made_statistics import made_slot
 
-from mavdiag.decision.isolation import RotorReading, isolate
-from mavdiag.errors import UsageError
+from mavdiag.decision.kinds import Reading, isolate
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import RotorEvidence
 from mavdiag.monitors.rotor_signature import RotorSignature
@@ -18,10 +18,12 @@ SHAKING = (0.05, 0.95, -0.45, -0.5)
 DIRECT = [kind for kind in MONITORS if kind.evidence is not None]
 
 
-def of(kind: type[Unbalance | RotorSignature | RotorTrim], ratio: float, *rotors: float) -> RotorReading:
-    how = kind.evidence
-    assert how is not None
-    return RotorReading(how, ratio, 0.5, rotors)
+def reading(how: RotorEvidence | None, ratio: float, threshold: float, rotors: tuple[float, ...]) -> Reading:
+    return Reading(made_slot("any", threshold, evidence=how), ratio, rotors=rotors)
+
+
+def of(kind: type[Unbalance | RotorSignature | RotorTrim], ratio: float, *rotors: float) -> Reading:
+    return reading(kind.evidence, ratio, 0.5, rotors)
 
 
 def test_the_rotor_that_one_clear_monitor_points_at_is_named() -> None:
@@ -32,7 +34,7 @@ def test_the_rotor_that_one_clear_monitor_points_at_is_named() -> None:
 
 def test_two_that_contradict_each_other_name_none() -> None:
     how = RotorEvidence(8.0)
-    found = isolate([RotorReading(how, 2.0, 0.5, (0.9, 0, 0, 0)), RotorReading(how, 2.0, 0.5, (0, 0.9, 0, 0))])
+    found = isolate([reading(how, 2.0, 0.5, (0.9, 0, 0, 0)), reading(how, 2.0, 0.5, (0, 0.9, 0, 0))])
     assert found.rotor is None
     assert found.confidence == pytest.approx(0.5, abs=0.01)
 
@@ -59,7 +61,7 @@ def test_trim_counts_in_units_of_its_threshold() -> None:
     how = RotorTrim.evidence
     for threshold in (0.02, 0.2):
         rises = tuple(threshold * x for x in (1.5, 0.1, 0.1, -1.5))
-        assert isolate([RotorReading(how, 1.5, threshold, rises)]).rotor == 1
+        assert isolate([reading(how, 1.5, threshold, rises)]).rotor == 1
 
 
 def test_trim_does_not_count_while_the_damage_itself_is_observed() -> None:
@@ -80,11 +82,6 @@ def test_six_rotors_are_no_different() -> None:
     assert isolate([of(Unbalance, 3.0, 0.0, 0.1, 0.0, 0.0, 0.9, 0.0)]).rotor == 5
 
 
-def test_a_threshold_must_be_positive() -> None:
-    with pytest.raises(UsageError):
-        RotorReading(RotorEvidence(1.0), 1.0, 0.0, ())
-
-
 @given(
     st.lists(
         st.tuples(st.sampled_from(DIRECT), st.floats(0, 5), st.lists(st.floats(-1, 1), min_size=4, max_size=4)),
@@ -101,6 +98,6 @@ def test_confidence_is_a_probability_and_a_name_needs_enough_of_it(
 
 def test_16_monitors_of_different_layouts_do_not_end_the_session() -> None:
     """It raised a ValueError, which ended the daemon."""
-    four = RotorReading(RotorEvidence(8.0), ratio=4.0, threshold=0.5, rotors=(0.1, 0.9, -0.4, -0.5))
-    three = RotorReading(RotorEvidence(8.0), ratio=4.0, threshold=0.5, rotors=(0.9, 0.1, -0.4))
+    four = reading(RotorEvidence(8.0), 4.0, 0.5, (0.1, 0.9, -0.4, -0.5))
+    three = reading(RotorEvidence(8.0), 4.0, 0.5, (0.9, 0.1, -0.4))
     assert isolate([three, four, three]).rotor == isolate([four]).rotor == 2

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_statistics import statistic
+from made_statistics import decide, made_slot, statistic
 
-from mavdiag.decision.alarm import Change, DecisionSpec, DecisionState, Event, SlotSpec, Stage
-from mavdiag.decision.events import EventSpec
-from mavdiag.decision.kinds import KindReading, grown, named, upset
+from mavdiag.decision.alarm import DecisionSpec, DecisionState
+from mavdiag.decision.diagnosis import Change, Event, Stage
+from mavdiag.decision.kinds import Reading, grown, named, upset
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import FaultKind, RotorEvidence
 from mavdiag.rows.statistic import Statistic
@@ -17,10 +17,16 @@ from mavdiag.units import NS_PER_S
 
 HOW = RotorEvidence(8.0)
 FIRST, THIRD = (0.9, 0.0, 0.0, 0.0), (0.0, 0.0, 0.9, 0.0)
-PROPELLER = KindReading(FaultKind.PROPELLER, True, 3.0, 1.0, HOW, FIRST)
-SENSOR = KindReading(FaultKind.SENSOR, True, 2.0, 1.0)
-CONTROL = KindReading(FaultKind.LOSS_OF_CONTROL, True, 2.0, 1.0)
-THRUST = KindReading(FaultKind.GROSS_LOSS, True, 2.0, 1.0, HOW, THIRD)
+SPEC = DecisionSpec(
+    (
+        made_slot("unbalance", 1.0, evidence=HOW),
+        made_slot("sensor_noise", 1.0, kind=FaultKind.SENSOR),
+        made_slot("control_loss", 1.0, kind=FaultKind.LOSS_OF_CONTROL),
+        made_slot("thrust_loss", 1.0, evidence=HOW, kind=FaultKind.GROSS_LOSS),
+    )
+)
+PROPELLER, SENSOR, CONTROL, THRUST = (Reading(slot, 2.0) for slot in SPEC.slots)
+PROPELLER, THRUST = replace(PROPELLER, rotors=FIRST), replace(THRUST, rotors=THIRD)
 STEP_S = 0.02
 
 
@@ -35,10 +41,10 @@ STEP_S = 0.02
         (FaultKind.SENSOR, [PROPELLER], FaultKind.SENSOR),  # it never shrinks
         (FaultKind.GROSS_LOSS, [], FaultKind.GROSS_LOSS),
         (None, [PROPELLER, replace(SENSOR, ratio=0.9)], FaultKind.PROPELLER),  # below its threshold
-        (None, [PROPELLER, replace(SENSOR, decides=False)], FaultKind.PROPELLER),
+        (None, [PROPELLER, replace(SENSOR, slot=replace(SENSOR.slot, decides=False))], FaultKind.PROPELLER),
     ],
 )
-def test_the_gravest_kind_holds(held: FaultKind | None, readings: list[KindReading], kind: FaultKind) -> None:
+def test_the_gravest_kind_holds(held: FaultKind | None, readings: list[Reading], kind: FaultKind) -> None:
     assert grown(held, readings, NS_PER_S) is kind
 
 
@@ -73,20 +79,6 @@ def test_every_kind_has_a_monitor_that_decides() -> None:
     assert {monitor.kind for monitor in MONITORS if monitor.decides} == set(FaultKind)
 
 
-def slot(name: str, kind: FaultKind, evidence: RotorEvidence | None = None) -> SlotSpec:
-    return SlotSpec(EventSpec(name, None, 1.0, 2.0), "", True, 0.0, evidence, None, kind)
-
-
-SPEC = DecisionSpec(
-    (
-        slot("unbalance", FaultKind.PROPELLER, HOW),
-        slot("sensor_noise", FaultKind.SENSOR),
-        slot("control_loss", FaultKind.LOSS_OF_CONTROL),
-        slot("thrust_loss", FaultKind.GROSS_LOSS, HOW),
-    )
-)
-
-
 def level(*pieces: tuple[float, float]) -> FloatArray:
     """Pieces of (seconds, ratio)."""
     return np.concatenate([np.full(round(span / STEP_S), ratio) for span, ratio in pieces])
@@ -105,7 +97,7 @@ def values(x: FloatArray, *rotors: tuple[float, tuple[float, ...]]) -> Statistic
 def decided(shaking: Statistic, *others: FloatArray) -> tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]:
     found = [shaking, *(values(x) for x in others)]
     found += [values(np.zeros(len(shaking)))] * (3 - len(others))
-    return SPEC.step(SPEC.start(), found, int(shaking.t_ns[-1]), final=True)
+    return decide(SPEC, found)
 
 
 def test_a_name_that_a_sensor_gave_is_withdrawn_from_the_fault_and_its_events() -> None:

@@ -11,12 +11,14 @@ from made_monitor import MadeUp
 from made_telemetry import flight
 
 import mavdiag.chain
+import mavdiag.kernel
 import mavdiag.monitors
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import dump, parse
 from mavdiag.chain import chain_of, front_of
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.judging import Verdict, judge
+from mavdiag.kernel import compiled, joined_loops
 from mavdiag.learning import ALL_MONITORS, LearnOptions, airborne, learn, thesis_options
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.monitors.base import FaultKind, Monitor
@@ -181,6 +183,9 @@ def test_a_new_monitor_is_its_class_and_one_name_in_the_registry(monkeypatch: py
     monkeypatch.setattr(mavdiag.monitors, "MONITORS", registry)
     monkeypatch.setattr(mavdiag.monitors, "BY_NAME", {kind.name: kind for kind in registry})
     monkeypatch.setattr(mavdiag.chain, "MONITORS", registry)
+    monkeypatch.setattr(mavdiag.kernel, "MONITORS", registry)
+    monkeypatch.setattr(mavdiag.kernel, "loop", joined_loops([monitor.run for monitor in registry]))
+    monkeypatch.setattr(mavdiag.kernel, "judge", compiled())
     options = LearnOptions(airframe=FRAME, monitors=("made_up", "rotor_trim"))
     baseline = parse(dump(learn(healthy(2), options, created=NOW)))
     assert {entry.spec.kind for entry in baseline.monitors} == {"made_up", "rotor_trim"}

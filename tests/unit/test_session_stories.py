@@ -27,7 +27,6 @@ from detector.values import (
     SessionSpec,
 )
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline, Refusal
 from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity

@@ -22,8 +22,9 @@ from detector.web.feed import Feed
 from detector.web.snapshot import BIN_NS, Json, Level, Snapshots, about, strips_of
 from mavdiag.airframe.layout import layout_named
 from mavdiag.as_json import json_line
-from mavdiag.chain import Chain, Piece, chain_of
+from mavdiag.chain import Chain, chain_of
 from mavdiag.errors import UsageError
+from mavdiag.kernel import Piece
 from mavdiag.link.profiles import PROFILES
 from mavdiag.telemetry import Axis, Instant, Signal
 from mavdiag.traces import SlotTrace, slot_traces

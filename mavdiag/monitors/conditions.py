@@ -1,0 +1,199 @@
+"""The conditions of flight (`rows.conditions`) from the columns of rows: a running figure like a monitor's.
+
+    yaw rate = min(|r|, max over 2 s of |d psi/dt|)      r: gyro, mean of the bin;  psi: commanded heading, over 0.1 s
+
+Some autopilots step the commanded heading (PX4 offboard), and the vehicle turns there as fast as it can: r tells how
+fast. A damaged rotor may yaw the vehicle: that is no condition, and psi, which the rotor does not move, limits it.
+Where the link carries no commanded heading, r counts alone.
+
+Rows are put into the bins of their times as they come. The rates of a bin come half a window later; with the first rate
+of the next one a bin is whole.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavdiag.jit import cached, jit
+from mavdiag.monitors.columns import COMMANDED, HEADING, HEIGHT, LEAN, RATE, SETPOINT, THRUST, VALID, U, columns_of
+from mavdiag.rows.conditions import BIN_S, Condition
+from mavdiag.rows.front import Rows
+from mavdiag.telemetry import FloatArray, IntArray
+from mavdiag.thresholds.envelope import Covered, covered_from
+from mavdiag.units import NS_PER_S
+
+TILT_BINS = 50  # 5 s: longer than a manoeuvre of a hall, shorter than a change of the wind (our choice)
+TURN_BINS = 20  # 2 s: so long may a vehicle turn after a step of its commanded heading (our choice)
+BIN_NS = round(BIN_S * NS_PER_S)
+COUNT = len(Condition)
+OPEN_BINS = 64  # whose rows have come while their rates have not: twelve times the longest filter (our choice)
+# Places in the memory: number of the bin of the newest rate; in it the largest commanded rate and the newest ones;
+# these and the heading at the end of the bin before; bins so far; of each of the last bins the mean roll and pitch
+# set-point and the slope of the heading; of each open bin its number, sums and counts of roll, pitch, thrust and yaw
+# rate, the least height and the newest heading.
+BIN, MOST, NEWEST, EDGE, BINS, PAST = 0, 1, 2, 4, 7, 8
+SUMS, COUNTS, LOW, HEADED, WIDTH = 1, 5, 9, 10, 11
+ROWS = PAST + 3 * TILT_BINS
+MEMORY = ROWS + OPEN_BINS * WIDTH
+
+
+def conditions_memory() -> FloatArray:
+    """No row yet."""
+    mem = np.full(MEMORY, np.nan)
+    mem[[BIN, BINS]] = -1.0, 0.0
+    mem[ROWS::WIDTH] = -1.0
+    return mem
+
+
+@jit
+def _add(mem: FloatArray, at: int, value: float, j: int) -> None:
+    if math.isfinite(value):
+        mem[at + SUMS + j] += value
+        mem[at + COUNTS + j] += 1.0
+
+
+@jit
+def _take_row(mem: FloatArray, own: int, number: int, x: FloatArray, flags: FloatArray, i: int) -> None:
+    """Put a row into its bin."""
+    at = own + ROWS + number % OPEN_BINS * WIDTH
+    if mem[at] != number:
+        mem[at] = number
+        for j in range(SUMS, LOW):
+            mem[at + j] = 0.0
+        mem[at + LOW] = math.nan
+    mem[at + HEADED] = math.nan
+    if flags[VALID, i] < 0.5:
+        return
+    if flags[SETPOINT, i] > 0.5:
+        _add(mem, at, x[LEAN, i], 0)
+        _add(mem, at, x[LEAN + 1, i], 1)
+        mem[at + HEADED] = x[HEADING, i]
+    _add(mem, at, x[THRUST, i], 2)
+    _add(mem, at, x[RATE + 2, i], 3)
+    if not x[HEIGHT, i] >= mem[at + LOW]:  # the first, or a lower one
+        mem[at + LOW] = x[HEIGHT, i] if math.isfinite(x[HEIGHT, i]) else mem[at + LOW]
+
+
+@jit
+def _finish(mem: FloatArray, own: int, values: FloatArray, k: int) -> None:
+    """The conditions of the bin of the newest rate, to row k."""
+    at, past = own + ROWS + int(mem[own + BIN]) % OPEN_BINS * WIDTH, own + PAST
+    known = mem[at] == mem[own + BIN]
+    place = past + 3 * (int(mem[own + BINS]) % TILT_BINS)
+    mem[own + BINS] += 1.0
+    heading = mem[at + HEADED] if known else math.nan
+    turned = abs(heading - mem[own + EDGE + 2]) / BIN_S
+    mem[place + 2] = turned
+    for j in range(2):
+        mem[place + j] = mem[at + SUMS + j] / mem[at + COUNTS + j] if known else math.nan  # 0/0 is nan
+    roll, pitch, most = 0.0, 0.0, -1.0
+    for back in range(TILT_BINS):
+        one = past + 3 * ((int(mem[own + BINS]) - 1 - back + TILT_BINS) % TILT_BINS)
+        roll, pitch = roll + mem[one], pitch + mem[one + 1]
+        if back < TURN_BINS and mem[one + 2] > most:
+            most = mem[one + 2]
+    values[k, 0] = math.hypot(roll / TILT_BINS, pitch / TILT_BINS)
+    values[k, 1] = mem[at + SUMS + 2] / mem[at + COUNTS + 2] if known else math.nan
+    values[k, 2] = mem[own + MOST]
+    sharpest = math.nan
+    for j in range(2):
+        step = abs(mem[own + NEWEST + j] - mem[own + EDGE + j]) / BIN_S
+        if not sharpest >= step and math.isfinite(step):
+            sharpest = step
+        mem[own + EDGE + j] = mem[own + NEWEST + j]
+    values[k, 3] = sharpest
+    turning = abs(mem[at + SUMS + 3] / mem[at + COUNTS + 3]) if known else math.nan
+    values[k, 4] = min(turning, most) if most >= 0.0 and math.isfinite(turning) else turning
+    values[k, 5] = mem[at + LOW] if known else math.nan
+    mem[own + EDGE + 2] = heading
+
+
+@jit
+def take_rows(
+    mem: FloatArray,
+    own: int,
+    x: FloatArray,
+    flags: FloatArray,
+    lag: int,
+    t_ns: IntArray,
+    rates_ns: IntArray,
+    end_ns: IntArray,
+    values: FloatArray,
+    k: int,
+) -> int:
+    """Take the next rows; put the bins that they complete to `end_ns` and `values` from k on, return where they end.
+
+    own: where the memory begins. values: (bins, COUNT or more), in the order of `Condition`; nan where unknown.
+    """
+    row_bin = row_until = number = until = 0
+    for i in range(x.shape[1]):
+        if t_ns[i] >= row_until:
+            row_bin = t_ns[i] // BIN_NS
+            row_until = (row_bin + 1) * BIN_NS
+        _take_row(mem, own, row_bin, x, flags, i)
+        if i < lag:
+            continue
+        if rates_ns[i - lag] >= until:
+            number = rates_ns[i - lag] // BIN_NS
+            until = (number + 1) * BIN_NS
+        if mem[own + BIN] != number:
+            if mem[own + BIN] >= 0.0:
+                end_ns[k] = (int(mem[own + BIN]) + 1) * BIN_NS
+                _finish(mem, own, values, k)
+                k += 1
+            mem[own + BIN], mem[own + MOST] = number, math.nan
+        for j in range(2):
+            rate = x[U + j, i] if flags[COMMANDED, i] > 0.5 else math.nan
+            mem[own + NEWEST + j] = rate
+            if not mem[own + MOST] >= abs(rate) and math.isfinite(rate):
+                mem[own + MOST] = abs(rate)
+    return k
+
+
+@cached
+def _measured(
+    mem: FloatArray,
+    x: FloatArray,
+    flags: FloatArray,
+    lag: int,
+    t_ns: IntArray,
+    rates_ns: IntArray,
+    end_ns: IntArray,
+    values: FloatArray,
+) -> int:
+    """The bins of some rows."""
+    return take_rows(mem, 0, x, flags, lag, t_ns, rates_ns, end_ns, values, 0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conditions:
+    """Whole bins. end_ns: (n,) where they end. values: (n, COUNT) in the order of `Condition`; nan where unknown."""
+
+    end_ns: IntArray
+    values: FloatArray
+
+
+def most_bins(rates_ns: IntArray) -> int:
+    """How many bins rates of these times [ns] may complete."""
+    return int((rates_ns[-1] - rates_ns[0]) // BIN_NS) + 2 if len(rates_ns) else 0
+
+
+def measure(segments: Iterable[Rows]) -> Iterator[Conditions]:
+    """The bins of rows that follow each other; a new segment begins anew."""
+    segment, mem = None, np.empty(0)
+    for rows in segments:
+        if rows.block.segment != segment:
+            segment, mem = rows.block.segment, conditions_memory()
+        columns, most = columns_of(rows), most_bins(rows.rates.t_ns)
+        end_ns, values = np.empty(most, dtype=np.int64), np.empty((most, COUNT))
+        times = rows.block.t_ns.copy(), rows.rates.t_ns.copy()  # what is mapped from a file cannot be written
+        count = _measured(mem, columns.x, columns.flags, columns.lag, *times, end_ns, values)
+        yield Conditions(end_ns[:count], values[:count])
+
+
+def covered_by(flights: Iterable[Sequence[Rows]]) -> tuple[Covered, ...]:
+    """What flights covered, of the conditions that their links carry."""
+    bins = [one.values for flight in flights for one in measure(flight)]
+    return covered_from(np.concatenate([np.empty((0, COUNT)), *bins]))
