@@ -12,9 +12,10 @@ from made_thresholds import calibrated
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.errors import IdentificationError, InputError
+from mavdiag.monitors.columns import COVERED, columns_of
 from mavdiag.monitors.trim import TICK_S, WINDOW_S
 from mavdiag.monitors.trim_step import MEMORY_S, TrimStep, TrimStepSpec
-from mavdiag.rows.front import Covered, Rows
+from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_context, example_rows
@@ -199,10 +200,6 @@ def test_outputs_that_stand_still_are_no_step_and_no_rotor() -> None:
     assert not dead.valid.any()  # "all motors 100 %" is nothing to judge by
 
 
-def covered_from(start_s: float) -> Covered:
-    return lambda conditions, memory_s, t_ns: t_ns >= start_s * 1e9
-
-
 def test_ground_effect_is_no_reference() -> None:
     """20 s in low hover, outside of the envelope, then away: the shift was a fault for the rest of the flight."""
     outputs = level(90)
@@ -210,7 +207,9 @@ def test_ground_effect_is_no_reference() -> None:
     spec = TrimStepSpec(layout=layout_named("x"), source="actuator", spread=CALM)
     monitor, rows = TrimStep(spec), example_rows(len(outputs), DT_S, actuator=outputs)
     assert monitor.step(monitor.start(), rows)[1].value.max() > LEAST
-    found = monitor.step(monitor.start(), replace(rows, covered=covered_from(21.0)))[1]
+    columns = columns_of(rows)
+    columns.flags[COVERED] = rows.block.t_ns > 21e9
+    found = monitor.judge(monitor.start(), rows, columns)[1]
     assert found.value[found.valid].max() < LEAST
     assert found.t_ns[found.valid][0] >= 30.9e9
 
