@@ -308,8 +308,7 @@ KIND = LogKind(
     "DronePropA",
     is_mat,
     lambda path, vehicle, profile: read_dronepropa(path, profile),
-    PROFILE,
+    (PROFILE, FILTERED_PROFILE),
     GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=3.0, trim_end_s=1.0),
     airframe_name="qdrone2-recorded",
-    variants=(FILTERED_PROFILE,),
 )

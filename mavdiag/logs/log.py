@@ -33,7 +33,7 @@ class LogKind:
     """One kind of log; every reader module exposes its own as KIND.
 
     name: for messages. recognise: whether a file's first bytes are of this kind. read: the reader.
-    profile: of every such log; None where the file's messages show it. variants: others that can be asked for.
+    profiles: that of every such log, and others that can be asked for; none where the file's messages show it.
     gate: what counts as flying in it; None where the profile's holds.
     airframe_name: of the one airframe that writes such logs; None if it may be any.
     """
@@ -41,15 +41,9 @@ class LogKind:
     name: str
     recognise: Callable[[bytes], bool]
     read: Reader
-    profile: str | None = None
+    profiles: tuple[str, ...] = ()
     gate: GateSpec | None = None
     airframe_name: str | None = None
-    variants: tuple[str, ...] = ()
-
-    @property
-    def profiles(self) -> tuple[str, ...]:
-        """All profiles that its logs can have; none where the file's messages show it."""
-        return self.variants if self.profile is None else (self.profile, *self.variants)
 
 
 @dataclass(frozen=True, slots=True)

@@ -276,5 +276,5 @@ def _started_ns(topics: Mapping[str, Table], series: tuple[Series, ...]) -> int:
 
 
 KIND = LogKind(
-    "ULog", lambda head: head.startswith(SIGNATURE), lambda path, *_: read_ulog(path), PROFILE, RECORDED_GATE
+    "ULog", lambda head: head.startswith(SIGNATURE), lambda path, *_: read_ulog(path), (PROFILE,), RECORDED_GATE
 )

@@ -80,10 +80,6 @@ def test_scan_finds_the_weak_rotor_and_flags_no_healthy_flight(
     assert "rotor 2" in next(text for text in told.values() if text.startswith("fault"))
 
 
-
-
-
-
 def test_one_step_follows_the_rotors_shake_and_free_run_does_not(
     folder: Path, baseline: Path, lines: dict[str, Line]
 ) -> None:
@@ -95,9 +91,3 @@ def test_one_step_follows_the_rotors_shake_and_free_run_does_not(
     filtered, _, _ = table_of(folder, Baseline.load(baseline), gyro="filtered")
     assert filtered[0].one_step_p90 < own.one_step_p90 / 10
     assert filtered[-1].verdict == lines["F3/SV3"].verdict  # by the raw gyro, as the baseline
-
-
-
-
-
-
