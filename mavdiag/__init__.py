@@ -51,16 +51,11 @@ __all__ = [
 ]
 
 _HOME = {
+    **dict.fromkeys(("Watch", "judge", "learn", "rates", "read_log", "scan"), "mavdiag.face"),
     "Airframe": "mavdiag.airframe.airframe",
     "Baseline": "mavdiag.baseline",
     "Log": "mavdiag.telemetry",
-    "Watch": "mavdiag.face",
-    "judge": "mavdiag.face",
-    "learn": "mavdiag.face",
     "open_link": "mavdiag.link.link",
-    "rates": "mavdiag.face",
-    "read_log": "mavdiag.face",
-    "scan": "mavdiag.face",
     "vehicle_stream": "mavdiag.logs.tlog",
 }
 

@@ -56,25 +56,27 @@ def version_option(name: str) -> Any:
 
 def run(app: typer.Typer, name: str) -> NoReturn:
     """Run an application and end the process; errors become one line on stderr."""
+    told = ""
     try:
         code = app(prog_name=name, standalone_mode=False)
         if code == INTERRUPTED:  # newer releases of typer make this of a KeyboardInterrupt
-            _print(f"{name}: stopped")
+            told = "stopped"
     except typer.TyperException as error:
-        message = error.format_message()
-        # Called without arguments, the help itself is the message.
-        _print(message if message.startswith("Usage:") else f"{name}: {_line(message)}; see `{name} --help`")
-        code = ERROR
+        code, message = ERROR, error.format_message()
+        if message.startswith("Usage:"):  # called without arguments, the help itself is the message
+            say(message, err=True)
+        else:
+            told = f"{_line(message)}; see `{name} --help`"
     except MavdiagError as error:
-        _print(f"{name}: {_line(str(error))}")
-        code = ERROR
+        code, told = ERROR, _line(str(error))
     except (KeyboardInterrupt, typer.Abort):
-        _print(f"{name}: stopped")
-        code = INTERRUPTED
+        code, told = INTERRUPTED, "stopped"
     except BrokenPipeError:
         # The reader of our output has gone (`... | head`): nobody reads what is left.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
+    if told:
+        say(f"{name}: {told}", err=True)
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -102,7 +104,3 @@ def say(text: str, *, err: bool = False) -> None:
 
 def _line(message: str) -> str:
     return printable(" ".join(message.split()).rstrip("."))
-
-
-def _print(line: str) -> None:
-    say(line, err=True)

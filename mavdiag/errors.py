@@ -11,16 +11,6 @@ Every message is one line that says what to do. Anything else that escapes is a 
 malformed bytes are counted and dropped.
 """
 
-__all__ = [
-    "BaselineError",
-    "IdentificationError",
-    "InputError",
-    "LinkError",
-    "MavdiagError",
-    "UsageError",
-    "missing_extra",
-]
-
 
 class MavdiagError(Exception):
     """Base of all errors that this project raises on purpose."""

@@ -53,7 +53,7 @@ class Options:
 class Question:
     """What is asked of every log.
 
-    baseline: the content of the baseline file. It goes with every task: what a worker holds is lost with it.
+    baseline: its content, with every task, for what a worker holds is lost with it.
     version: of the code that asks; a worker of another version must not answer.
     scope: what the answers are kept under, 20 hexadecimal digits; the log's digest is the rest of the key.
     """
@@ -73,11 +73,10 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """The answer for one content, wherever it lies.
+    """The answer for one content, wherever it lies: without the name of a log or an airframe.
 
     digest: SHA-256 of the file's content; empty if it could not be read.
-    verdict: without the name of a log.
-    windows, flight: empty or None if they were not asked for; the flight has no airframe's name.
+    windows, flight: empty or None if they were not asked for.
     """
 
     digest: str
@@ -88,9 +87,8 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The answer for one of the logs that were asked for.
+    """The answer for one of the logs that were asked for, under its path as named.
 
-    path: as it was named. record: may be shared with other logs of the same content.
     fresh: it was judged now; False if it was kept from before, or another log has the same content.
     """
 

@@ -88,7 +88,7 @@ def add(
     name = reference.airframe.name if airframe is None else airframe
     if not name.strip():
         raise UsageError("the airframe needs a name; give --airframe NAME")
-    failed, found, how = 0, opt.find_logs(logs)[0], How(jobs, scheduler, cache, no_cache or again)
+    failed, found, how = 0, opt.find_logs(logs)[0].logs, How(jobs, scheduler, cache, no_cache or again)
     with _open(database, create=True) as history, judging(found, question, how) as (answers, tell):
         for answer in answers:
             failed += answer.record.flight is None

@@ -115,8 +115,6 @@ def make_baseline(
     logs: files, folders with all logs below them, patterns. columns: column map, where they are CSV recordings.
     """
     found, mapped = opt.find_logs(logs, columns)
-    if found.skipped:
-        say(found.skipped_sentence, err=True)
     paths = found.paths()
     flights = (read_part(path, vehicle, from_s, to_s, mapped) for path in each(paths, "read", sizes_of(paths)))
     with followed(flights, f"learning from {len(paths)} flights ...") as taken:

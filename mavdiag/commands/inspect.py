@@ -97,8 +97,6 @@ def inspect(
         say(json_line(found) if as_json else in_full(found) if alone else in_one_line(found))
     if not alone and not as_json:
         say(CLOSING)
-    if named.skipped:
-        say(named.skipped_sentence, err=True)
     raise typer.Exit(ERROR if failed else 0)
 
 

@@ -1,14 +1,14 @@
 """Many logs judged, with progress: what `mavdiag scan` and `mavdiag history add` have in common."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 from mavdiag.archive.job import Answer, Cache, Question, cache_folder, open_cache
-from mavdiag.archive.paths import Found
+from mavdiag.archive.paths import Named
 from mavdiag.archive.pool import TaskExecutor, dask_executor, in_this_process, local_executor
 from mavdiag.archive.scan import scan
 from mavdiag.commandline import say
@@ -27,11 +27,11 @@ class How(NamedTuple):
 
 @contextmanager
 def judging(
-    found: Found, question: Question, how: How, *, quiet: bool = False
+    logs: Sequence[Named], question: Question, how: How, *, quiet: bool = False
 ) -> Iterator[tuple[Iterator[Answer], Callable[[str], None]]]:
     """The answers in order, and what prints lines beside the progress. quiet: no progress where no terminal is."""
     kept = None if how.no_cache else _cache(how.cache, question.scope)
-    sizes = sizes_of([log.path for log in found.logs])
+    sizes = sizes_of(log.path for log in logs)
     with shown("judged", sizes, quiet=quiet) as progress:
 
         def counted() -> Iterator[Answer]:
@@ -40,9 +40,7 @@ def judging(
                 yield answer
 
         warn = partial(progress.say, err=True)
-        if found.skipped:
-            warn(found.skipped_sentence)
-        with closing(scan(found.logs, question, _opened(how, len(found.logs)), kept, warn)) as run:
+        with closing(scan(logs, question, _opened(how, len(logs)), kept, warn)) as run:
             yield counted(), progress.say
 
 

@@ -8,6 +8,7 @@ from typing import Annotated, Literal, TypeAlias
 import typer
 
 from mavdiag.archive.paths import Found, logs_named
+from mavdiag.commandline import say
 from mavdiag.errors import UsageError
 from mavdiag.identify import Order
 from mavdiag.link.keys import read_key
@@ -88,9 +89,15 @@ def is_endpoint(source: str) -> bool:
 
 
 def find_logs(arguments: Iterable[str | Path], columns: Path | None = None) -> tuple[Found, ColumnMap | None]:
-    """The logs that arguments name, and the column map of CSV recordings, if they are such. columns: its file."""
+    """The logs that arguments name, and the column map of CSV recordings, if they are such. columns: its file.
+
+    How many files were skipped goes to stderr.
+    """
     mapped = None if columns is None else load_column_map(columns)
-    return logs_named(arguments, is_log if mapped is None else is_csv), mapped
+    found = logs_named(arguments, is_log if mapped is None else is_csv)
+    if found.skipped:
+        say(found.skipped_sentence, err=True)
+    return found, mapped
 
 
 def read_signing_key(file: Path | None) -> bytes | None:

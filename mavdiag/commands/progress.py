@@ -20,9 +20,7 @@ BAR = 24  # characters
 
 
 def told(done: int, total: int, share: float, elapsed_s: float) -> str:
-    """How far it is, how fast, and how long it takes still.
-
-    done, total: items. share: of all work, 0..1. elapsed_s: so far [s].
+    """How far it is, how fast, and how long it takes still. share: of all work, 0..1. elapsed_s: so far [s].
 
     >>> told(30, 120, 0.25, 60.0)
     '30 of 120, 0.5 a second, 3 min 0 s left'
@@ -37,19 +35,13 @@ def told(done: int, total: int, share: float, elapsed_s: float) -> str:
 
 
 class Shown:
-    """Progress through some items.
+    """Progress through some items. text: what is done with them. sizes: how much work each is, in any unit."""
 
-    text: what is done with them. sizes: how much work each is, in any unit. quiet: no lines where no terminal is.
-    """
-
-    def __init__(self, text: str, sizes: Sequence[float], quiet: bool) -> None:
+    def __init__(self, text: str, sizes: Sequence[float], bar: "Progress | None", first_s: float) -> None:
         self._text, self._total, self._work = text, len(sizes), sum(sizes) or 1.0
         self._done, self._finished, self._started = 0, 0.0, time.monotonic()
-        self._next_s = float("inf") if quiet or sys.stderr.isatty() else FIRST_LINE_S
-        self._bar = _bar(text, self._work) if sys.stderr.isatty() and len(sizes) > 1 else None
-        self._mixed = self._bar is not None and sys.stdout.isatty()
-        if self._bar is not None:
-            self._bar.start()
+        self._bar, self._next_s = bar, first_s
+        self._task = None if bar is None else bar.add_task(text, total=self._work, words="")
 
     def add(self, size: float) -> None:
         """One more item is done; size: its own, of `sizes`."""
@@ -57,67 +49,54 @@ class Shown:
         self._finished += size
         elapsed_s = time.monotonic() - self._started
         words = told(self._done, self._total, self._finished / self._work, elapsed_s)
-        if self._bar is not None:
-            self._bar.update(self._bar.task_ids[0], completed=self._finished, words=words)
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, completed=self._finished, words=words)
         elif elapsed_s >= self._next_s and self._done < self._total:
             self._next_s = elapsed_s + LINE_S
             say(f"{self._text}: {words}", err=True)
 
     def say(self, text: str, *, err: bool = False) -> None:
         """Print lines, without the bar if they are for the same terminal."""
-        if self._bar is None or not (self._mixed or err):
+        if self._bar is None or not (err or sys.stdout.isatty()):
             return say(text, err=err)
         self._bar.stop()
         say(text, err=err)
         return self._bar.start()
 
-    def end(self) -> None:
-        """Take the bar away for good."""
-        if self._bar is not None:
-            self._bar.stop()
 
-
-def _bar(text: str, work: float) -> "Progress":
+@contextmanager
+def shown(text: str, sizes: Sequence[float], *, quiet: bool = False) -> Iterator[Shown]:
+    """Progress that goes away with the block. quiet: no lines where no terminal is."""
+    if not sys.stderr.isatty() or len(sizes) < 2:
+        yield Shown(text, sizes, None, float("inf") if quiet or sys.stderr.isatty() else FIRST_LINE_S)
+        return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
     from rich.table import Column
 
     words = TextColumn("{task.fields[words]}", table_column=Column(no_wrap=True))
     columns = (TextColumn("{task.description}"), BarColumn(BAR), words)
-    bar = Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False, redirect_stderr=False)
-    bar.add_task(text, total=work, words="")
-    return bar
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False) as bar:
+        yield Shown(text, sizes, bar, float("inf"))
 
 
-@contextmanager
-def shown(text: str, sizes: Sequence[float], *, quiet: bool = False) -> Iterator[Shown]:
-    """Progress that goes away with the block."""
-    progress = Shown(text, sizes, quiet)
-    try:
-        yield progress
-    finally:
-        progress.end()
-
-
-def sizes_of(paths: Sequence[Path]) -> tuple[float, ...]:
+def sizes_of(paths: Iterable[Path]) -> tuple[float, ...]:
     """The sizes of files, as how much work they are [bytes]; 1 for what cannot be looked at."""
-    return tuple(_size(path) for path in paths)
 
+    def size(path: Path) -> float:
+        try:
+            return float(path.stat().st_size) or 1.0
+        except (OSError, ValueError):
+            return 1.0
 
-def _size(path: Path) -> float:
-    try:
-        return float(path.stat().st_size) or 1.0
-    except (OSError, ValueError):
-        return 1.0
+    return tuple(map(size, paths))
 
 
 def each(items: Sequence[T], text: str, sizes: Sequence[float] | None = None) -> Iterator[T]:
     """The items one by one, with progress if there are several. sizes: how much work each is; None if alike."""
-    if len(items) < 2:
-        yield from items
-        return
     work = sizes or [1.0] * len(items)
-    with shown(text, work) as progress:
+    with shown(text, work, quiet=len(items) < 2) as progress:
         for item, size in zip(items, work, strict=True):
             yield item
             progress.add(size)

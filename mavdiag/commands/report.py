@@ -58,8 +58,6 @@ def report(
         raise UsageError("name logs and --baseline FILE, or --campaign FILE")
     reference = Baseline.load(baseline)
     found, mapped = opt.find_logs(logs, columns)
-    if found.skipped:
-        say(found.skipped_sentence, err=True)
     points = max(LEAST_POINTS, COLUMNS // max(1, len(found.logs) // 4))  # fewer where many logs share a page
     reports = [
         _flight(named, reference, vehicle, mapped, points, figures=number < DRAWN)

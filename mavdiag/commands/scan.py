@@ -59,7 +59,7 @@ def scan(
     found, mapped = opt.find_logs(logs, columns)
     question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped, judged_share))
     verdicts, rows, before = list[Verdict](), list[Row](), 0
-    with judging(found, question, How(jobs, scheduler, cache, no_cache), quiet=as_json) as (answers, tell):
+    with judging(found.logs, question, How(jobs, scheduler, cache, no_cache), quiet=as_json) as (answers, tell):
         for answer in answers:
             tell(_json_line(answer) if as_json else _lines(answer))
             verdicts.append(answer.record.verdict.verdict)

@@ -59,12 +59,7 @@ ODD = 3.0  # scales from the running median beyond which a session is held
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sessions:
-    """Flights put together by session; m sessions.
-
-    number: (m,) mean flight number.
-    share: (m,) median of peak/threshold.
-    flights: (m,) how many they were.
-    """
+    """Flights put together by session; (m,) mean flight number, median of peak/threshold, and how many they were."""
 
     number: FloatArray
     share: FloatArray
@@ -92,10 +87,8 @@ class Remaining:
 class Trend:
     """The line at the newest flight.
 
-    level: share of the threshold now. slope: its growth a flight.
-    level_variance, covariance, slope_variance: of the two.
-    scale: standard deviation of a session of one flight.
-    sessions: that it rests on.
+    level: share of the threshold now. slope: its growth a flight. level_variance, covariance, slope_variance: of both.
+    scale: standard deviation of a session of one flight. sessions: that it rests on.
     """
 
     level: float
@@ -198,21 +191,22 @@ def changes_of(sessions: Sessions) -> tuple[Change, ...]:
     if m < 2 * LEAST_BESIDE:
         return ()
     scale = max(scale_of_steps(sessions), 1e-6)
-    y, cuts, found = _held(sessions.share, scale / np.sqrt(sessions.weight)), [0, m], list[Change]()
+    y, found = _held(sessions.share, scale / np.sqrt(sessions.weight)), dict[int, Change]()
     while True:
-        tests = [_test(sessions, y, scale, k, cuts) for k in range(LEAST_BESIDE, m - LEAST_BESIDE + 1)]
-        best = max((test for test in tests if test is not None), key=lambda test: abs(test[1].t), default=None)
-        if best is None or abs(best[1].t) < LIMIT:
-            return tuple(sorted(found, key=lambda change: change.number))
-        found.append(best[1])
-        cuts = sorted((*cuts, best[0]))
+        cuts = (0, *found, m)
+        borders = range(LEAST_BESIDE, m - LEAST_BESIDE + 1)
+        tests = {k: step for k in borders if (step := _step_at(sessions, y, scale, k, cuts)) is not None}
+        best = max(tests, key=lambda k: abs(tests[k].t), default=None)
+        if best is None or abs(tests[best].t) < LIMIT:
+            return tuple(sorted(found.values(), key=lambda change: change.number))
+        found[best] = tests[best]
 
 
-def _test(sessions: Sessions, y: FloatArray, scale: float, k: int, cuts: list[int]) -> tuple[int, Change] | None:
+def _step_at(sessions: Sessions, y: FloatArray, scale: float, k: int, cuts: Sequence[int]) -> Change | None:
     """The step at the border before session k; None if it is too small or has too few sessions beside it."""
     x = sessions.number
-    first = max(max(cut for cut in cuts if cut <= k), int(np.searchsorted(x, x[k] - WINDOW)))
-    end = min(min(cut for cut in cuts if cut >= k), int(np.searchsorted(x, x[k - 1] + WINDOW, side="right")))
+    first = max(*(cut for cut in cuts if cut <= k), int(np.searchsorted(x, x[k] - WINDOW)))
+    end = min(*(cut for cut in cuts if cut >= k), int(np.searchsorted(x, x[k - 1] + WINDOW, side="right")))
     if k - first < LEAST_BESIDE or end - k < LEAST_BESIDE:
         return None
     part = slice(first, end)
@@ -223,11 +217,10 @@ def _test(sessions: Sessions, y: FloatArray, scale: float, k: int, cuts: list[in
     if abs(step) < LEAST_STEP:
         return None
     before = int(sessions.number[k - 1] + (sessions.flights[k - 1] - 1) / 2)
-    return k, Change(before + 1, step, step / (scale * float(np.sqrt(inverse[2, 2]))))
+    return Change(before + 1, step, step / (scale * float(np.sqrt(inverse[2, 2]))))
 
 
 def _held(y: FloatArray, scale: FloatArray) -> FloatArray:
     padded = np.pad(y, 2, mode="edge")
     middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
-    held: FloatArray = np.clip(y, middle - ODD * scale, middle + ODD * scale)
-    return held
+    return np.asarray(np.clip(y, middle - ODD * scale, middle + ODD * scale))

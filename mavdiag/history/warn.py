@@ -151,17 +151,14 @@ def warned_at(series: Series, *, before: int | None = None) -> int | None:
 
 
 def _first_level(share: FloatArray) -> float | None:
-    known = share[:FIRST]
-    known = known[np.isfinite(known)]
+    known = share[:FIRST][np.isfinite(share[:FIRST])]
     return float(np.median(known)) if len(known) else None
 
 
 def _is_near(trend: Trend | None, first: float) -> bool:
-    if trend is None:
+    if trend is None or trend.level + trend.slope * HORIZON < 1.0:
         return False
-    grown = trend.level - first
-    steep = trend.level + trend.slope * HORIZON >= 1.0
-    return steep and grown >= max(PROGRESS * (1.0 - first), GROWN * trend.scale)
+    return trend.level - first >= max(PROGRESS * (1.0 - first), GROWN * trend.scale)
 
 
 def _trend_at(series: Series, share: FloatArray, at: int) -> Trend | None:

@@ -155,7 +155,7 @@ KIND = LogKind(
     "Crazyflie",
     lambda head: head[:1] == bytes([TOKEN]),
     lambda path, *_: read_crazyflie(path),
-    PROFILE,
+    (PROFILE,),
     GateSpec(min_height_m=0.38, min_thrust=0.38, need_armed=False, trim_start_s=0.5, trim_end_s=0.6),
     airframe_name="crazyflie",
 )

@@ -230,10 +230,4 @@ def _recognise(head: bytes) -> bool:
     return head.startswith(SIGNATURE) or amid
 
 
-KIND = LogKind(
-    "DataFlash",
-    _recognise,
-    lambda path, vehicle, profile: read_dataflash(path),
-    PROFILE,
-    RECORDED_GATE,
-)
+KIND = LogKind("DataFlash", _recognise, lambda path, *_: read_dataflash(path), (PROFILE,), RECORDED_GATE)

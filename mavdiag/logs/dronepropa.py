@@ -1,21 +1,20 @@
 """Recordings of the QDrone 2 in DronePropA: MATLAB files with QDrone_data, commander_data and stabilizer_data.
 
 DronePropA (Mendeley Data, 10.17632/ftdyxrr3c5.1, CC BY 4.0) holds 130 flights of three QDrone 2, healthy and with the
-thesis's nine faults, at 1 kHz. No raw flight was at hand when this was written: it is tested on made files of the same
-layout, and every file is asked whether it follows the table of its rows (`_check`).
+thesis's nine faults, at 1 kHz. It is tested on made files of the same layout, for no raw flight was at hand, and every
+file is asked whether it follows the table of its rows (`_check`).
 
-Rows. The published table (Data in Brief, 10.1016/j.dib.2025.111589) names about half of them. The others follow from
-the manufacturer's public hover-test model for the QDrone 2 (Quanser Academic Resources, QD2_DroneStack_PID_2021a) and
-from published statistics of the recordings. Rows are numbered from 1, as there. The manufacturer's frame is x forward,
-y left, z up; vectors and angles about y and z change their sign on the way to FRD.
+Rows, from 1. The published table (Data in Brief, 10.1016/j.dib.2025.111589) names about half of them. The others follow
+from the manufacturer's public hover-test model (Quanser Academic Resources, QD2_DroneStack_PID_2021a) and from
+published statistics of the recordings. The manufacturer's frame is x forward, y left, z up: vectors and angles about y
+and z change their sign on the way to FRD.
 
 Motors. Rows 20 to 23 are the commands of motors 1 to 4: rear right, front right, rear left, front left, as in the
 thesis. Their copies are rows 53, 51, 49 and 47; the published table has rows 49 and 51 the other way round.
 
-Which gyro. BODY_RATE is the unfiltered gyro of the first IMU (rows 27 to 29). The thesis's residual fits it: from the
-published noise of the healthy flights a one-step prediction leaves 0.8 to 1.6 mrad/s behind a Savitzky-Golay window of
-101 samples, as Fig 5.7 shows, and 20 times less on the filtered gyro (rows 5 to 7). That one is read on request, under
-a profile of its own, since a baseline of one says nothing of the other.
+Which gyro. BODY_RATE is the unfiltered gyro of the first IMU (rows 27 to 29). The thesis's residual fits it: from its
+published noise a one-step prediction leaves 0.8 to 1.6 mrad/s behind a Savitzky-Golay window of 101 samples, as Fig 5.7
+shows, and 20 times less on the filtered gyro (rows 5 to 7). That one is a profile of its own.
 
 Flight. ARMED is true in the commander's state 5 only, so that idling, take-off and landing are never judged. On the
 ground the motors turn for seven seconds with a limit cycle of the yaw torque at 24 Hz.
@@ -309,8 +308,7 @@ KIND = LogKind(
     "DronePropA",
     is_mat,
     lambda path, vehicle, profile: read_dronepropa(path, profile),
-    PROFILE,
+    (PROFILE, FILTERED_PROFILE),
     GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=3.0, trim_end_s=1.0),
     airframe_name="qdrone2-recorded",
-    variants=(FILTERED_PROFILE,),
 )

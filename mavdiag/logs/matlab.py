@@ -51,16 +51,15 @@ def read_matrices(data: bytes, wanted: Mapping[str, int]) -> tuple[dict[str, Flo
     header, order = data[:HEADER_BYTES], BYTE_ORDERS[data[124:128]]
     found: dict[str, FloatArray] = {}
     notes: list[str] = []
-    position, cut, left = HEADER_BYTES, False, MAX_BYTES
+    position, left = HEADER_BYTES, MAX_BYTES
     while position + TAG_BYTES <= len(data) and len(found) < len(wanted):
         kind, size = struct.unpack_from(order + "II", data, position)
         begin, position = position, position + TAG_BYTES + size
-        stream = zlib.decompressobj() if kind == COMPRESSED else None
-        cut = position > len(data)
+        stream, element = None, data[begin:position]
         try:
-            element = (
-                stream.decompress(data[begin + TAG_BYTES : position], HEAD_BYTES) if stream else data[begin:position]
-            )
+            if kind == COMPRESSED:
+                stream = zlib.decompressobj()
+                element = stream.decompress(element[TAG_BYTES:], HEAD_BYTES)
             name, rows, columns = _claimed(header + element[:HEAD_BYTES])
             if name not in wanted or name in found:
                 continue
@@ -84,9 +83,8 @@ def read_matrices(data: bytes, wanted: Mapping[str, int]) -> tuple[dict[str, Flo
             notes.append(f"{name}: its checksum is cut off")
         found[name] = _values(header + element.ljust(claimed, b"\0"), name)[:whole]
         left -= found[name].nbytes
-    lacking = [name for name in wanted if name not in found]
-    if lacking:
-        remedy = "it was cut off; download it again" if cut else "it is another recording, or cut off"
+    if lacking := [name for name in wanted if name not in found]:
+        remedy = "it was cut off; download it again" if position > len(data) else "it is another recording, or cut off"
         raise InputError(f"it holds no {' and no '.join(lacking)}: {remedy}")
     return found, tuple(notes)
 
@@ -99,11 +97,10 @@ def _scipy_io() -> Any:
 def _claimed(file: bytes) -> tuple[str, int, int]:
     """Name, rows and columns of the matrix of a file that holds one element; no name if it is no numeric matrix."""
     try:
-        name, shape, kind = _scipy_io().whosmat(BytesIO(file))[0]
-        rows, columns = shape if kind in NUMERIC else (0, 0)
+        name, (rows, columns), kind = _scipy_io().whosmat(BytesIO(file))[0]
+        return (str(name), int(rows), int(columns)) if kind in NUMERIC and min(rows, columns) > 0 else ("", 0, 0)
     except _SCIPY_ERRORS:
         return "", 0, 0
-    return (str(name), int(rows), int(columns)) if min(rows, columns) > 0 else ("", 0, 0)
 
 
 def _values(file: bytes, name: str) -> FloatArray:

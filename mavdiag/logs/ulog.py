@@ -58,8 +58,7 @@ _PARSER_ERRORS = (
 
 
 def _norm(values: FloatArray) -> FloatArray:
-    length: FloatArray = np.linalg.norm(values, axis=1, keepdims=True)
-    return length
+    return np.asarray(np.linalg.norm(values, axis=1, keepdims=True))
 
 
 def _pulses(output: FloatArray) -> FloatArray:
@@ -84,10 +83,6 @@ def _moving(values: FloatArray) -> FloatArray:
 def _turning(values: FloatArray) -> FloatArray:
     """Columns that ever turn, from rpm of either sign to rad/s."""
     return np.abs(values[:, (values != 0).any(axis=0)]) * RPM
-
-
-def _armed(state: FloatArray) -> FloatArray:
-    return np.where(state == ARMED_STATE, 1.0, 0.0)
 
 
 def _elements(name: str, count: int, member: str = "") -> tuple[str, ...]:
@@ -115,7 +110,7 @@ _ROWS = (
     Row(Signal.ROTOR_SPEED, "esc_status", _elements("esc", 8, ".esc_rpm"), _turning),
     Row(Signal.HEIGHT, "vehicle_local_position", ("z",), np.negative),
     Row(Signal.VOLTAGE, "battery_status", ("voltage_v",)),
-    Row(Signal.ARMED, "vehicle_status", ("arming_state",), _armed),
+    Row(Signal.ARMED, "vehicle_status", ("arming_state",), lambda state: np.where(state == ARMED_STATE, 1.0, 0.0)),
 )
 _GPS_TOPICS = ("vehicle_gps_position", "sensor_gps")
 TOPICS = sorted({row.table for row in _ROWS} - {ACCELEROMETER} | set(_GPS_TOPICS))
@@ -144,10 +139,8 @@ def read_ulog(path: Path) -> Log:
 class _Metered(io.BytesIO):
     """A file in memory that may be read only so much: after some damage pyulog steps back for ever.
 
-    A read brings the end nearer, so it is enough to count at each step.
-
-    log: what reads the file.
-    since: where the last step led; from there on the messages were read one after the other.
+    A read brings the end nearer, so it is enough to count at each step. since: where the last step led; from there on
+    the messages were read one after the other.
     """
 
     def __init__(self, data: bytes, log: ULog) -> None:
@@ -178,24 +171,16 @@ class _Metered(io.BytesIO):
 
 
 class _Reading(ULog):
-    """pyulog's reader of the topics of interest from a file in memory, within the bounds that damaged files need.
-
-    since: where the messages start that were read one after the other up to the end.
-    """
+    """pyulog's reader of the topics of interest from a file in memory, within the bounds that damaged files need."""
 
     def __init__(self, data: bytes) -> None:
         file = _Metered(data, self)
         super().__init__(file, list(TOPICS))
-        self.since = file.since
         _check_definitions(self)
-
-
-def _cut_short(data: bytes, start: int) -> bool:
-    """Whether the messages from this one on end behind the end of the file, or within a header before it."""
-    last = len(data) - HEADER_BYTES
-    while start <= last:
-        start += HEADER_BYTES + data[start] + (data[start + 1] << 8)
-    return start != len(data)
+        start, last = file.since, len(data) - HEADER_BYTES
+        while start <= last:
+            start += HEADER_BYTES + data[start] + (data[start + 1] << 8)
+        self.cut_short = start != len(data)  # it ends behind the end of the file, or within a header before it
 
 
 def _content(data: bytes) -> tuple[Mapping[str, ULog.Data], dict[str, float], tuple[str, ...]]:
@@ -203,21 +188,20 @@ def _content(data: bytes) -> tuple[Mapping[str, ULog.Data], dict[str, float], tu
 
     Raises InputError if pyulog cannot make sense of the file.
     """
-    data = _without_holes(data)
     try:
         with redirect_stdout(io.StringIO()):  # pyulog prints its warnings
-            log = _Reading(data)
+            log = _Reading(_without_holes(data))
     except _PARSER_ERRORS as error:
         raise InputError(f"it is damaged ({' '.join(str(error).split())}); download the log again") from error
     found: dict[str, ULog.Data] = {}
     for item in log.data_list:  # sorted by name and instance
         found.setdefault(item.name, item)
-    damaged = "parts of it are damaged and were skipped" if log.file_corruption else ""
-    cut = "it ends within a message: the recording was cut off" if _cut_short(data, log.since) else ""
-    changed = {name: value for _, name, value in log.changed_parameters}
-    values = {name: float(value) for name, value in {**log.initial_parameters, **changed}.items()}
+    told = (*log.initial_parameters.items(), *((name, value) for _, name, value in log.changed_parameters))
+    values = {name: float(value) for name, value in told}
     parameters = {name: value for name, value in values.items() if isfinite(value)}  # PX4 has NaN for "not set"
-    return found, parameters, tuple(note for note in (damaged, cut) if note)
+    damaged = ["parts of it are damaged and were skipped"] if log.file_corruption else []
+    cut = ["it ends within a message: the recording was cut off"] if log.cut_short else []
+    return found, parameters, (*damaged, *cut)
 
 
 def _without_holes(data: bytes) -> bytes:
@@ -236,10 +220,7 @@ def _without_holes(data: bytes) -> bytes:
 
 
 def _check_definitions(log: ULog) -> None:
-    """Refuse messages that are declared too large to exist, before pyulog expands them field by field.
-
-    Raises InputError.
-    """
+    """Refuse messages that are declared too large to exist, before pyulog expands them field by field."""
     sizes: dict[str, int] = {}
 
     def fields_of(name: str, depth: int) -> int:
@@ -247,9 +228,8 @@ def _check_definitions(log: ULog) -> None:
             raise InputError(f"it declares the message {name[:32]!r} within itself; download the log again")
         if name not in sizes:
             parts = [(max(1, count), kind) for kind, count, _ in log.message_formats[name].fields]
-            sizes[name] = sum(
-                count * (fields_of(kind, depth + 1) if kind in log.message_formats else 1) for count, kind in parts
-            )
+            inner = (fields_of(kind, depth + 1) if kind in log.message_formats else 1 for _, kind in parts)
+            sizes[name] = sum(count * size for (count, _), size in zip(parts, inner, strict=True))
         if sizes[name] > MAX_FIELDS:
             raise InputError(f"it declares the message {name[:32]!r} with too many fields; download the log again")
         return sizes[name]
@@ -280,9 +260,9 @@ def _tables(content: Mapping[str, ULog.Data]) -> dict[str, Table]:
 def _mav_type(topics: Mapping[str, Table], parameters: Mapping[str, float]) -> int | None:
     """MAV_TYPE as most of the vehicle's states tell it, or by its parameter; None where the log does not say."""
     told = topics["vehicle_status"].integers("system_type") if "vehicle_status" in topics else None
-    if told is not None and len(told):
-        return int(Counter(told.tolist()).most_common(1)[0][0])
-    return int(parameters["MAV_TYPE"]) if "MAV_TYPE" in parameters else None
+    if told is None or not len(told):
+        return int(parameters["MAV_TYPE"]) if "MAV_TYPE" in parameters else None
+    return int(Counter(told.tolist()).most_common(1)[0][0])
 
 
 def _started_ns(topics: Mapping[str, Table], series: tuple[Series, ...]) -> int:
@@ -296,9 +276,5 @@ def _started_ns(topics: Mapping[str, Table], series: tuple[Series, ...]) -> int:
 
 
 KIND = LogKind(
-    "ULog",
-    lambda head: head.startswith(SIGNATURE),
-    lambda path, vehicle, profile: read_ulog(path),
-    PROFILE,
-    RECORDED_GATE,
+    "ULog", lambda head: head.startswith(SIGNATURE), lambda path, *_: read_ulog(path), (PROFILE,), RECORDED_GATE
 )

@@ -3,7 +3,7 @@ is nothing to compare with but the limits that autopilots publish."""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,10 +33,9 @@ HARMONICS = 3
 
 @dataclass(frozen=True, slots=True)
 class OutputLoad:
-    """One motor's output in flight.
+    """One motor's output in flight, 0..1; over_mean: its mean over that of all, less 1.
 
     number: of the rotor where the layout is known, else of the output, from 1.
-    mean: 0..1. over_mean: its mean over that of all, less 1.
     full_share, idle_share: of the flight, at its upper or lower end.
     """
 
@@ -49,10 +48,9 @@ class OutputLoad:
 
 @dataclass(frozen=True, slots=True)
 class Vibration:
-    """Level of the autopilot's own message, x, y, z [m/s^2].
+    """Level of the autopilot's own message, median and 95th percentile of x, y, z [m/s^2].
 
-    median, high: of each axis; high is the 95th percentile. above_usual, above_high: share of the time in which an axis
-    is above 30 or 60 m/s^2.
+    above_usual, above_high: share of the time in which an axis is above 30 or 60 m/s^2.
     """
 
     median: tuple[float, ...]
@@ -65,11 +63,9 @@ class Vibration:
 class RotorLine:
     """The strongest line in the spectrum of the accelerometer's x and y, or why none can be seen.
 
-    hz, db: where it is, and how far above its neighbourhood; NaN if there is none.
+    hz, db: where it is, and how far above its neighbourhood; NaN if there is none, and then the reason says why.
     harmonics: which of 2 and 3 times its frequency stand out as well.
-    told_hz: rotors' mean speed by the vehicle's own telemetry, in turns a second; NaN if it tells none.
-    from_hz, to_hz: where it was looked for.
-    reason: why none can be seen; empty if one was found.
+    told_hz: as `told_hz`. from_hz, to_hz: where it was looked for.
     """
 
     hz: float
@@ -116,8 +112,7 @@ def output_loads(flight: Sequence[Block], motors: Sequence[int]) -> tuple[Output
         return ()
     outputs = np.concatenate([part for part, _ in parts])
     still = np.concatenate([_standing(part, dt_s) for part, dt_s in parts])
-    means = outputs.mean(axis=0)
-    level = float(means.mean())
+    means, level = outputs.mean(axis=0), float(outputs.mean(axis=0).mean())
     full = (outputs >= FULL) | (still & (outputs > (1 + AWAY) * level))
     idle = (outputs <= IDLE) | (still & (outputs < (1 - AWAY) * level))
     columns = (means, means / level - 1, full.mean(axis=0), idle.mean(axis=0))
@@ -130,8 +125,9 @@ def trim(flight: Sequence[Block], layout: RotorLayout) -> Mapping[str, float] | 
     None where neither outputs nor torque commands show it.
     """
     values = [value[known] for value, known in (shown_trim(block, layout) for block in flight)]
-    mean = np.concatenate(values).mean(axis=0).tolist() if sum(map(len, values)) else None
-    return None if mean is None else dict(zip(("roll", "pitch", "yaw"), mean, strict=True))
+    if not sum(map(len, values)):
+        return None
+    return dict(zip(("roll", "pitch", "yaw"), np.concatenate(values).mean(axis=0).tolist(), strict=True))
 
 
 def vibration(flight: Sequence[Block]) -> Vibration | None:
@@ -166,29 +162,29 @@ def spectrum_of(flight: Sequence[Block], least_s: float = SPECTRUM_S) -> Spectru
 
 
 def rotor_line(flight: Sequence[Block], corner_hz: float | None, told_hz: float) -> RotorLine:
-    """The line of the rotors.
-
-    corner_hz: of the low-pass in the IMU stream; None if none is known. told_hz: what `told_hz` gives.
-    """
+    """The line of the rotors. corner_hz: of the low-pass in the IMU stream, if one is known. told_hz: as `told_hz`."""
     rate_hz = 1 / flight[0].dt_s if flight else 0.0
     to_hz = min(LINE_TO * rate_hz, math.inf if corner_hz is None else corner_hz) if flight else LINE_FROM_HZ
-    none = RotorLine(math.nan, math.nan, (), told_hz, LINE_FROM_HZ, to_hz)
+
+    def none(reason: str) -> RotorLine:
+        return RotorLine(math.nan, math.nan, (), told_hz, LINE_FROM_HZ, to_hz, reason)
+
     if not flight:
-        return replace(none, reason="there is no flight in it")
+        return none("there is no flight in it")
     if to_hz <= 1.5 * LINE_FROM_HZ:
         slow = corner_hz is None or corner_hz > to_hz
         why = f"accelerometer comes at {rate_hz:.0f} Hz" if slow else f"IMU stream is low-passed at {corner_hz:g} Hz"
-        return replace(none, reason=f"the {why}, which shows no rotor's line")
+        return none(f"the {why}, which shows no rotor's line")
     spectrum = spectrum_of(flight, LEAST_S)
     if spectrum is None:
-        return replace(none, reason=f"there are no {LEAST_S:g} s of unbroken flight with an accelerometer")
+        return none(f"there are no {LEAST_S:g} s of unbroken flight with an accelerometer")
     hz, excess = spectrum.frequency_hz, _above_neighbours(spectrum)
     best = int(np.argmax(np.where((hz >= LINE_FROM_HZ) & (hz <= to_hz), excess, -np.inf)))
     if excess[best] < LINE_DB:
-        return replace(none, reason=f"no line stands {LINE_DB:g} dB above its neighbourhood")
+        return none(f"no line stands {LINE_DB:g} dB above its neighbourhood")
     near = [(np.abs(hz - n * hz[best]) <= 0.02 * n * hz[best]) & (hz <= to_hz) for n in range(2, HARMONICS + 1)]
-    heard = (n for n, at in enumerate(near, start=2) if at.any() and excess[at].max() >= LINE_DB)
-    return replace(none, hz=float(hz[best]), db=float(excess[best]), harmonics=tuple(heard))
+    heard = tuple(n for n, at in enumerate(near, start=2) if at.any() and excess[at].max() >= LINE_DB)
+    return RotorLine(float(hz[best]), float(excess[best]), heard, told_hz, LINE_FROM_HZ, to_hz)
 
 
 def _standing(outputs: FloatArray, dt_s: float) -> BoolArray:

@@ -355,43 +355,39 @@ def _choice(needs: frozenset[Signal], rates: Mapping[str, float]) -> frozenset[S
 
 
 def _signals(log: Log, needs: Iterable[Signal], rates: Mapping[str, float]) -> tuple[str, ...]:
-    """The signals that do not come."""
+    """The signals that do not come, each once, with what gives it."""
     profile = PROFILES.get(log.profile)
     missing: dict[str, str] = {}
     for signal in sorted(signal for signal in needs if not rates.get(signal)):
-        label = LABELS.get(signal, signal.replace("_", " "))
+        name = LABELS.get(signal, signal.replace("_", " "))
         message = None if profile is None else messages_of(profile).get(signal)
         if profile is None:
             gives = log_remedy(log.profile, signal)
-            missing[label] = f"no {label}" + (f": set {gives}" if gives else " in the log")
+            end = f": set {gives}" if gives else " in the log"
         elif message is None:
-            missing[label] = f"no {label} on a link of the profile {profile.name}"
+            end = f" on a link of the profile {profile.name}"
         else:
-            gives = remedy(profile.autopilot, message)
-            name = message_name(message)
-            missing[name] = f"no {name}" + (f": {gives}" if gives else f" ({label})")
+            gives, label, name = remedy(profile.autopilot, message), name, message_name(message)
+            end = f": {gives}" if gives else f" ({label})"
+        missing[name] = f"no {name}{end}"
     return tuple(missing.values())
 
 
 def _stream(log: Log, kind: type[Monitor[Any]], rates: Mapping[str, float]) -> tuple[str, ...]:
     """Why the gyro's stream does not carry what a monitor looks for."""
-    rate_hz = rates.get(Signal.BODY_RATE, 0.0)
+    rate_hz, least_hz = rates.get(Signal.BODY_RATE, 0.0), _LEAST_HZ.get(kind.name, 0.0)
     if not rate_hz or Signal.BODY_RATE not in kind.needs:
         return ()
-    least_hz = _LEAST_HZ.get(kind.name, 0.0)
     if rate_hz < SLACK * least_hz:
         return (f"the gyro comes at {rate_hz:.0f} Hz, {least_hz:.0f} Hz are needed",)
     profile = PROFILES.get(log.profile)
     corner_hz = None if profile is None else profile.corner_hz(log.parameters)
-    if (
-        kind.name == "sensor_noise"
-        and corner_hz is not None
-        and corner_hz < monitors.sensor_noise.LOWPASS_SHARE * rate_hz
-    ):
+    deaf_hz = monitors.sensor_noise.LOWPASS_SHARE * rate_hz
+    if kind.name == "sensor_noise" and corner_hz is not None and corner_hz < deaf_hz:
         return (f"the IMU stream is low-passed at {corner_hz:g} Hz, which takes its noise out of it",)
-    if kind.name == "unbalance":
-        try:
+    try:
+        if kind.name == "unbalance":
             corner_of(rate_hz, corner_hz)
-        except InputError as error:
-            return (str(error),)
+    except InputError as error:
+        return (str(error),)
     return ()

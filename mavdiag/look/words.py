@@ -54,10 +54,7 @@ def _paragraphs(found: Inspection) -> Iterator[str | list[str]]:
     yield f"{found.log}: profile {found.profile}, {found.span_s:.1f} s long, {flight}"
     yield from (f"note: {note}" for note in found.notes)
     yield from found.asked
-    if found.baseline:
-        yield f"baseline: {found.baseline}"
-    if found.upset:
-        yield f"upset: {found.upset}"
+    yield from (f"{name}: {text}" for name, text in (("baseline", found.baseline), ("upset", found.upset)) if text)
     yield f"link: {_link(found)}"
     if found.clock is not None:
         yield f"clock: {_clock(found.clock)}"
@@ -75,7 +72,8 @@ def _paragraphs(found: Inspection) -> Iterator[str | list[str]]:
     if not units.gyro:
         yield "gyro: no attitude to compare it with"
     yield found.rotors
-    yield from _flight(found)
+    if not found.no_flight:
+        yield from _flight(found)
     yield "monitor"
     yield from (f"  {state.monitor:<16} {'; '.join(state.missing) or 'works'}" for state in found.monitors)
     lacking = any(why.startswith("no ") for state in found.monitors for why in state.missing)
@@ -85,9 +83,6 @@ def _paragraphs(found: Inspection) -> Iterator[str | list[str]]:
 
 
 def _flight(found: Inspection) -> Iterator[str]:
-    """What the flight shows; nothing where there is none."""
-    if found.no_flight:
-        return
     yield from _loads(found.loads)
     if found.trim is not None:
         trim = ", ".join(f"{axis} {value:+.3f}" for axis, value in found.trim.items())
@@ -105,15 +100,16 @@ def _link(found: Inspection) -> str:
         text = f"gyro at {gyro.rate_hz:.1f} Hz{jitter}, {long if found.gyro_gaps else 'no long gap'}"
     if found.link is None:
         return text
-    received, lost = found.link["received"], found.link["lost"]
+    received, lost, reordered, duplicated = found.link.values()
     share = 100.0 * lost / max(received + lost, 1)
-    more = f"{found.link['duplicated']} came twice, {found.link['reordered']} out of order"
+    more = f"{duplicated} came twice, {reordered} out of order"
     return f"{text}; {received} messages, {lost} lost ({share:.2f} %), {more}"
 
 
 def _clock(clock: Clock) -> str:
-    pace = "" if clock.drift_ppm is None else "slower than ours" if clock.drift_ppm > 0 else "faster than ours"
-    drift = "" if clock.drift_ppm is None else f", it runs {abs(clock.drift_ppm):.0f} ppm {pace}"
+    drift, ppm = "", clock.drift_ppm
+    if ppm is not None:
+        drift = f", it runs {abs(ppm):.0f} ppm {'slower' if ppm > 0 else 'faster'} than ours"
     late = ", ".join(f"{name} {ms:+.0f} ms" for name, ms in clock.signals_ms.items() if abs(ms) >= 1.0)
     return f"transport delay varies by {clock.spread_ms:.1f} ms{drift}" + (f"; beside the gyro {late}" if late else "")
 
@@ -143,13 +139,9 @@ def _loads(loads: Sequence[OutputLoad]) -> Iterator[str]:
     level = 100 * sum(load.mean for load in loads) / len(loads)
     shares = ", ".join(f"{load.number}: {100 * load.over_mean:+.1f} %" for load in loads)
     yield f"motors beside their mean of {level:.0f} %: {shares}"
-    ends = [
-        f"{load.number} at its {end} end for {100 * share:.1f} % of the flight"
-        for load in loads
-        for end, share in (("upper", load.full_share), ("lower", load.idle_share))
-        if share > 0
-    ]
-    yield f"saturation: {'; '.join(ends) if ends else 'no output reached an end'}"
+    ends = ((load.number, *end) for load in loads for end in (("upper", load.full_share), ("lower", load.idle_share)))
+    told = [f"{n} at its {end} end for {100 * share:.1f} % of the flight" for n, end, share in ends if share > 0]
+    yield f"saturation: {'; '.join(told) or 'no output reached an end'}"
 
 
 def _vibration(found: Vibration | None) -> str:

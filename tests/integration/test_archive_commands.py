@@ -106,15 +106,6 @@ def test_a_cache_that_nobody_asked_for_may_fail(scan: Any, archive: Path, monkey
     assert ": healthy, " in out
 
 
-def test_learning_takes_folders_and_counts_what_is_no_log(mavdiag: Any, tmp_path: Path) -> None:
-    folder = tmp_path / "healthy"
-    made(folder, "1.tlog", "more/2.tlog", first_seed=200)
-    (folder / "notes.txt").touch()
-    code, out, err = mavdiag("identify", folder, "-o", tmp_path / "b.json", "--monitors", "innovation")
-    assert (code, err) == (0, "1 file skipped that are no flight logs\n")
-    assert "support    2 flights" in out
-
-
 def heed_interrupts() -> None:
     """In a child: what was started in the background of a shell would ignore SIGINT."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -12,7 +12,7 @@ from mavdiag.baseline import Baseline
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
-from droneprop_table import Line, main, table_of
+from droneprop_table import Line, table_of
 
 ROOT = Path(__file__).resolve().parents[2]
 FLIGHT_S = 25.0
@@ -91,16 +91,3 @@ def test_one_step_follows_the_rotors_shake_and_free_run_does_not(
     filtered, _, _ = table_of(folder, Baseline.load(baseline), gyro="filtered")
     assert filtered[0].one_step_p90 < own.one_step_p90 / 10
     assert filtered[-1].verdict == lines["F3/SV3"].verdict  # by the raw gyro, as the baseline
-
-
-def test_the_command_prints_it(
-    folder: Path, baseline: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.argv", ["droneprop_table.py", str(folder), "--baseline", str(baseline)])
-    assert main() == 0
-    out = capsys.readouterr().out
-    assert "F3/SV3" in out
-    assert "one step" in out
-    monkeypatch.setattr("sys.argv", ["droneprop_table.py", str(folder), "--baseline", str(baseline), "--speed", "2"])
-    assert main() == 2
-    assert "F0_SV0_SP2_t2" in capsys.readouterr().err

@@ -107,15 +107,6 @@ def test_what_cannot_be_judged_is_3_and_an_error_2(
     assert "mavdiag identify" in err
 
 
-def test_r4_no_time_of_none_is_told(mavdiag: Any, baseline: Path, crack: Path) -> None:
-    """R4: "between 99999.0 s and None s"."""
-    code, out, _ = mavdiag("scan", crack, "--baseline", baseline, "--from", "99999")
-    assert code == 2
-    assert "None" not in out
-    assert "no data from 99999 s" in out
-    assert out.count(str(crack)) == 1
-
-
 def test_show_and_check(mavdiag: Any, baseline: Path, tmp_path: Path) -> None:
     code, out, _ = mavdiag("baseline", "show", baseline)
     assert code == 0

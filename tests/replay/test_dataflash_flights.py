@@ -79,13 +79,3 @@ def test_the_old_rate_message_agrees_with_the_gyro() -> None:
     assert 0.5 < slope < 1.5
     setpoint = telemetry.need(Signal.RATE_SETPOINT).values[loiter, 0]
     assert float(np.corrcoef(setpoint, measured)[0, 1]) > 0.5
-
-
-@pytest.mark.parametrize("file", [REAL, SIMULATED])
-def test_rates_and_demands_share_their_sign(file: str) -> None:
-    telemetry = read_dataflash(shared(file)).telemetry
-    gyro, demand = telemetry.need(Signal.BODY_RATE), telemetry.need(Signal.RATE_SETPOINT)
-    before_upset = demand.t_ns < 215e9
-    for axis in (0, 1):
-        measured = np.interp(demand.t_ns, gyro.t_ns, gyro.values[:, axis])
-        assert float(np.corrcoef(demand.values[before_upset, axis], measured[before_upset])[0, 1]) > 0.3

@@ -89,15 +89,3 @@ def test_a_folder_that_cannot_be_read_is_trouble_and_loses_nothing(
     assert found.logs[1].trouble == "the folder cannot be read (Permission denied)"
     with pytest.raises(InputError, match="b: the folder cannot be read"):
         found.paths()
-
-
-def test_a_file_of_a_folder_that_cannot_be_read_is_left_to_its_reader(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tree(tmp_path, "a.tlog")
-
-    def refuse(path: Path) -> bool:
-        raise InputError(f"{path}: cannot be read (Permission denied)")
-
-    monkeypatch.setattr("mavdiag.archive.paths.is_log", refuse)
-    assert below(tmp_path, ".") == ["a.tlog"]

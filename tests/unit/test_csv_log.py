@@ -56,11 +56,6 @@ def test_a_file_without_header_or_time_is_read_by_number_and_rate(tmp_path: Path
     assert np.diff(log[Signal.BODY_RATE].t_ns).tolist() == [5_000_000, 5_000_000]
 
 
-def test_a_byte_order_mark_is_no_part_of_a_name(tmp_path: Path) -> None:
-    path = written(tmp_path, "\ufefftime,p,q,r,m1,m2\n0,1,2,3,4,5\n1,1,2,3,4,5\n")
-    assert len(read_log(path, columns=parse_column_map(MAP))[Signal.BODY_RATE]) == 2
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [

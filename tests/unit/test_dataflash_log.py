@@ -1,7 +1,6 @@
 """The DataFlash reader on logs written by hand: formats, eras, instances, motors, arming, and damage."""
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -97,9 +96,14 @@ def test_outputs_follow_the_motor_functions(tmp_path: Path) -> None:
     assert first(log, Signal.ACTUATOR) == pytest.approx([0.3, 0.2, 0.5])
 
 
-def test_without_parameters_a_column_is_an_output(tmp_path: Path) -> None:
+def test_without_a_motor_s_function_a_column_is_an_output_that_moves(tmp_path: Path) -> None:
+    """Not the gimbal on output 5 of a Copter 3.4, whose motors have no function, nor output 6, which never moves."""
     log = read(tmp_path, dataflash([RCOU], [RCOU.record(2, 1100, 0, 1300, 900, 0, 0)]))
     assert first(log, Signal.ACTUATOR) == pytest.approx([0.1, 0.0, 0.3, 0.0])
+    pulses = [RCOU.record(2, 1400, 1410, 1420, 1430, 1500, 1100), RCOU.record(3, 1410, 1400, 1430, 1420, 1600, 1100)]
+    log = read(tmp_path, dataflash([PARM, RCOU], [PARM.record(1, b"RC5_FUNCTION", 7.0), *pulses]))
+    np.testing.assert_allclose(log["actuator"].values[1], [0.41, 0.40, 0.43, 0.42], atol=1e-9)
+    assert not log.motor_order
 
 
 def test_arming_comes_from_its_message(tmp_path: Path) -> None:
@@ -138,25 +142,6 @@ def test_r7_a_log_that_was_cut_off_says_so(tmp_path: Path, lost: int, notes: int
     assert len(log.notes) == notes
     assert all("ends within a record" in note for note in log.notes)
     assert read(tmp_path, content + bytes(100)).notes == ()
-
-
-def outputs_of(folder: Path, pulses: Sequence[tuple[int, ...]], parameters: dict[str, float]) -> Log:
-    records = [PARM.record(1, name.encode(), value) for name, value in parameters.items()]
-    return read(
-        folder, dataflash([PARM, RCOU], [*records, *(RCOU.record(2 + k, *one) for k, one in enumerate(pulses))])
-    )
-
-
-FLOWN = [(1400, 1410, 1420, 1430, 1500, 1100), (1410, 1400, 1430, 1420, 1600, 1100)]
-
-
-def test_an_output_with_a_function_that_is_no_motor_s_is_none(tmp_path: Path) -> None:
-    """A gimbal on output 5 of a Copter 3.4, whose motors have no function."""
-    log = outputs_of(tmp_path, FLOWN, {"FRAME": 1.0, "RC5_FUNCTION": 7.0})
-    np.testing.assert_allclose(log["actuator"].values[1], [0.41, 0.40, 0.43, 0.42], atol=1e-9)
-    assert not log.motor_order
-    moving = outputs_of(tmp_path, FLOWN, {"FRAME": 1.0})
-    assert moving["actuator"].values.shape == (2, 5)  # output 6 never moves
 
 
 def wrapped(n: int = 600) -> tuple[bytes, list[bytes]]:

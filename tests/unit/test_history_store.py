@@ -11,7 +11,6 @@ from made_history import record, records
 from made_postgres import postgres
 
 from mavdiag.errors import InputError, MavdiagError, UsageError
-from mavdiag.history.stretches import Mark, MarkKind
 from mavdiag.judging import Verdict
 
 pytest.importorskip("sqlalchemy", reason="the history is an extra")
@@ -61,19 +60,6 @@ def test_a_flight_is_kept_once_and_replaced_when_asked(database: str) -> None:
         assert [one.reason for one in history.flights("one")] == ["changed"]
         assert history.flights("one")[0].slots[2].peak == 0.9
         assert history.airframe_of("unknown") is None
-
-
-def test_marks_belong_to_an_airframe_that_is_there(database: str) -> None:
-    later, earlier = Mark("one", 2000, MarkKind.REPAIR, "arm 3"), Mark("one", 1000, MarkKind.NEW_PROPELLERS)
-    with open_history(database, create=True) as history:
-        with pytest.raises(UsageError, match="no airframe 'one' in the history; there is none"):
-            history.mark(later)
-        history.add(record(1))
-        history.mark(later)
-        history.mark(earlier)
-        assert history.marks("one") == (earlier, later)
-        with pytest.raises(UsageError, match="there is one"):
-            history.mark(replace(later, airframe="two"))
 
 
 def test_several_that_add_at_once_keep_each_flight_once(database: str) -> None:

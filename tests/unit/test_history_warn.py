@@ -34,16 +34,6 @@ def test_wear_is_warned_of_5_to_40_flights_before_its_threshold(power: float, se
     assert 5 <= 150 - found <= 40
 
 
-@pytest.mark.parametrize("level", [0.2, 0.5, 0.8, 0.95])
-@pytest.mark.parametrize("seed", range(3))
-def test_what_stays_where_it_is_is_not_warned_of(level: float, seed: int) -> None:
-    """Not even near the threshold, nor for heavy tails."""
-    noise = np.random.default_rng(seed).standard_t(3, 200)
-    share = series(level + 0.04 * noise)
-    assert warned_at(share) is None
-    assert review(share).outlook is (Outlook.REACHED if level > 1 else Outlook.STEADY)
-
-
 def test_a_jump_half_way_is_a_change_point_and_no_warning() -> None:
     rng = np.random.default_rng(7)
     share = series(0.3 + 0.03 * rng.standard_normal(120) + 0.35 * (np.arange(120) >= 60), a_session=1)

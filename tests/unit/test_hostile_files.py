@@ -165,26 +165,3 @@ def test_a_decompression_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     tracemalloc.stop()
     assert most < 16 << 20
     assert "\n" not in str(caught.value)
-
-
-def ulog(*messages: tuple[str, bytes]) -> bytes:
-    head = b"\x55\x4c\x6f\x67\x01\x12\x35\x01" + bytes(8)
-    return head + b"".join(struct.pack("<HB", len(body), ord(kind)) + body for kind, body in messages)
-
-
-ULOGS = {
-    "a message within itself": [b"foo:uint64_t timestamp;foo a;"],
-    "two within each other": [b"foo:uint64_t timestamp;bar a;", b"bar:foo a;"],
-    "two thousand million fields": [b"foo:uint64_t timestamp;float[2000000000] a;"],
-    "arrays of arrays": [b"foo:uint64_t timestamp;bar[60000] a;", b"bar:baz[60000] a;", b"baz:float[60000] a;"],
-    "fewer than none": [b"foo:uint64_t timestamp;float[-5] a;"],
-}
-
-
-@pytest.mark.parametrize("name", ULOGS)
-def test_a_hostile_ulog(name: str, tmp_path: Path) -> None:
-    formats = [("F", text) for text in ULOGS[name]]
-    data = [("D", bytes(18))] * 10
-    path = tmp_path / "f.ulg"
-    path.write_bytes(ulog(("B", bytes(40)), *formats, ("A", b"\0\0\0foo"), *data))
-    refused("log", path)

@@ -22,7 +22,7 @@ MADE = LogKind(
     "made",
     lambda head: head.startswith(b"MADE"),
     read_made,
-    "made-log",
+    ("made-log",),
     GateSpec(min_height_m=1.0),
     airframe_name="made",
 )
