@@ -338,10 +338,9 @@ class _Evidence:
         why = [f"{one.reason} {self._between(one.begin_s, one.end_s)}" for one in self.hidden]
         if 0 < share < least:
             spans = [(begin / NS_PER_S, end / NS_PER_S) for begin, end in self.run.state.memory.unjudged]
-            longest = sorted((begin - end, begin, end) for begin, end in spans if end - begin >= MIN_JUDGED_S)
-            why += [
-                f"nothing judged {self._between(*span)}" for _, *span in sorted(longest[:MOST_STRETCHES], key=_begin)
-            ]
+            spans = [span for span in spans if span[1] - span[0] >= MIN_JUDGED_S]
+            longest = sorted(spans, key=lambda span: span[0] - span[1])[:MOST_STRETCHES]
+            why += [f"nothing judged {self._between(*span)}" for span in sorted(longest)]
         lacking = [one for one in own if one.judged_s < MIN_JUDGED_S or (one.not_judged and share < least)]
         reasons = ", ".join(f"{one.name} ({one.not_judged})" for one in lacking)
         why += [f"not judged by {reasons}"] if reasons else []
@@ -381,10 +380,6 @@ def why_not(chain: Chain, account: Account) -> str | None:
     if not reasons or max(reasons.values()) < MIN_JUDGED_S:
         return "no flight" if account.flight_s == 0 else None if account.judged_s else "too short a flight"
     return max(reasons, key=lambda reason: reasons[reason])
-
-
-def _begin(span: Sequence[float]) -> float:
-    return span[1]
 
 
 def _seconds(t_ns: int | None) -> float | None:

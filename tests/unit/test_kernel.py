@@ -18,7 +18,6 @@ from mavdiag.chain import Chain, chain_of
 from mavdiag.decision.diagnosis import Event
 from mavdiag.kernel import LOOK_NS, Account, Alarm, Looked, Piece, Stretch
 from mavdiag.rows.front import Rows
-from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_S
 
@@ -134,8 +133,3 @@ def test_gauges_show_the_latest_value() -> None:
 def test_an_event_is_one_line_for_a_person() -> None:
     one = Event("fsd", None, 10**9, 2 * 10**9, 0.41, 0.12, 0.1, rotor=2)
     assert str(one) == "fsd 0.41 > 0.12 from 1.00 s to 2.00 s, rotor 2"
-
-
-def test_a_statistic_knows_its_judged_time() -> None:
-    x = np.ones(4)
-    assert Statistic(np.arange(4), 0.5, x, np.array([True, False, True, True]), x, x).judged_s == 1.5
