@@ -2,7 +2,7 @@
 
 numba keys its on-disk cache by the time stamp of the file that holds the cached function. A function that it calls in
 another file may change without the cache noticing. So only the outermost function is cached (`cached`), and its key
-also holds a digest of every file that defined a compiled function.
+also holds a digest of the files that it may call.
 
 numba counts references to every array that a function touches. In a loop that takes most of the time, so it is left out
 (`_nrt`, an option of numba that is not documented) of all functions but those that make arrays (`allocating`,
@@ -11,6 +11,7 @@ numba counts references to every array that a function touches. In a loop that t
 
 import hashlib
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar, cast
 
@@ -42,24 +43,36 @@ def inline(function: Callable[P, R]) -> Callable[P, R]:
     return _compiled(function, inline="always")
 
 
-def cached(function: Callable[P, R]) -> Callable[P, R]:
+def cached(function: Callable[P, R], *folders: str | Path) -> Callable[P, R]:
     """Compile on the first call and keep the machine code on disk, where there is a place for it.
 
-    A function that calls compiled ones of other files must close over `source_digest()`, so that a change of any of
-    them changes numba's cache key.
+    numba keys the code by the function and its file; here also by all files of `mavdiag/rows` and of its own folder, or
+    of these folders instead (names within `mavdiag`, or paths), where everything stands that it may call.
     """
-    _sources.add(Path(function.__code__.co_filename))
     options: Any = {"error_model": "numpy"}
     try:
-        return cast(Callable[P, R], numba.njit(cache=True, **options)(function))
+        compiled: Any = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # nowhere to keep it
         return cast(Callable[P, R], numba.njit(**options)(function))
+    if hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT=1
+        own, package = Path(function.__code__.co_filename).parent, Path(__file__).parent
+        named = [package / name for name in folders] or [own]
+        digest = tuple(_digest(folder) for folder in (package / "rows", *named))
+        kept = compiled._cache  # noqa: SLF001  # numba has no other way in
+        own_key = kept._index_key  # noqa: SLF001
+        kept._index_key = lambda *asked: (*own_key(*asked), *digest)  # noqa: SLF001
+    return cast(Callable[P, R], compiled)
 
 
-def source_digest(*folders: str) -> int:
-    """A digest (63 bits) of all files that have defined a compiled function so far; folders: only of files in these."""
+@lru_cache
+def _digest(folder: Path) -> str:
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(folder.glob("*.py")))).hexdigest()
+
+
+def source_digest() -> int:
+    """A digest (63 bits) of all files that have defined a compiled function so far."""
     digest = hashlib.sha256()
-    for path in sorted(one for one in _sources if not folders or one.parent.name in folders):
+    for path in sorted(_sources):
         digest.update(path.read_bytes())
     return int.from_bytes(digest.digest()[:8], "little") >> 1
 

@@ -15,12 +15,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mavdiag.jit import allocating, cached, jit, source_digest
+from mavdiag.jit import allocating, cached, jit
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import FaultKind, Monitor, RotorEvidence
 from mavdiag.monitors.columns import (
@@ -335,10 +336,9 @@ def _read_looks(plan: IntArray, looks: FloatArray, latest: FloatArray, read: Any
         heights[look], leads[look] = height if deciding else -1, lead
 
 
-def compiled(digest: int) -> Callable[..., None]:
-    """The pass over rows, with the loops that `loop` joins now."""
+def compiled(*folders: str | Path) -> Callable[..., None]:
+    """The pass over rows, with the loops that `loop` joins now. folders: of files that it calls."""
 
-    @cached
     def run(
         fixed: Any, state: Any, columns: Any, times: Any, bins: Any, values: Any, looked: Any, opened: Any, numbers: Any
     ) -> None:
@@ -348,7 +348,7 @@ def compiled(digest: int) -> Callable[..., None]:
         (out, rotors, none, at, counts), (looks, readings, heights, leads, told, told_ns) = values, looked
         anywhere = _take_bins(x, flags, times, bins, limits, mem, numbers) if limits[0, 3] >= 0.0 else 0
         _check_rows(x, flags, t_ns, checks, (missing, doubts), opened, numbers)
-        stamps = np.empty(len(t_ns) if digest else 0, dtype=np.int64)
+        stamps = np.empty(len(t_ns), dtype=np.int64)
         for slot in range(len(plan)):
             evidence = rotors[plan[slot, ROTORS]] if plan[slot, ROTORS] >= 0 else none
             own_par = par[plan[slot, PAR] : plan[slot, PAR_END]]
@@ -365,10 +365,10 @@ def compiled(digest: int) -> Callable[..., None]:
         _close_rows(opened, numbers)
         _read_looks(plan, looks, latest, (readings, heights, leads), numbers[FIRST_LOOK])
 
-    return run
+    return cached(run, *folders)
 
 
-judge = compiled(source_digest("monitors", "rows", "thresholds", "mavdiag"))
+judge = compiled("monitors", "thresholds")
 
 
 class Alarm(NamedTuple):

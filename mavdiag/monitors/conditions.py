@@ -11,12 +11,12 @@ of the next one a bin is whole.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from mavdiag.jit import cached, jit, source_digest
+from mavdiag.jit import cached, jit
 from mavdiag.monitors.columns import COMMANDED, HEADING, HEIGHT, LEAN, RATE, SETPOINT, THRUST, VALID, U, columns_of
 from mavdiag.rows.conditions import BIN_S, Condition
 from mavdiag.rows.front import Rows
@@ -152,25 +152,18 @@ def take_rows(
     return k
 
 
-def _compiled(digest: int) -> Callable[..., int]:
-    @cached
-    def measured(
-        mem: FloatArray,
-        x: FloatArray,
-        flags: FloatArray,
-        lag: int,
-        t_ns: IntArray,
-        rates_ns: IntArray,
-        end_ns: IntArray,
-        values: FloatArray,
-    ) -> int:
-        """The bins of some rows."""
-        return take_rows(mem, 0, x, flags, lag, t_ns, rates_ns, end_ns, values, 0) if digest else 0
-
-    return measured
-
-
-_measured = _compiled(source_digest("monitors"))
+@cached
+def _measured(
+    mem: FloatArray,
+    x: FloatArray,
+    flags: FloatArray,
+    lag: int,
+    t_ns: IntArray,
+    rates_ns: IntArray,
+    end_ns: IntArray,
+    values: FloatArray,
+) -> int:
+    return take_rows(mem, 0, x, flags, lag, t_ns, rates_ns, end_ns, values, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

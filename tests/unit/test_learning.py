@@ -1,6 +1,7 @@
 """Learning from healthy flights: what it needs, and what it says when it does not get it."""
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,6 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import dump, parse
 from mavdiag.chain import chain_of, front_of
 from mavdiag.errors import IdentificationError, InputError, UsageError
-from mavdiag.jit import source_digest
 from mavdiag.judging import Verdict, judge
 from mavdiag.kernel import compiled, joined_loops
 from mavdiag.learning import ALL_MONITORS, LearnOptions, airborne, learn, thesis_options
@@ -186,7 +186,7 @@ def test_a_new_monitor_is_its_class_and_one_name_in_the_registry(monkeypatch: py
     monkeypatch.setattr(mavdiag.chain, "MONITORS", registry)
     monkeypatch.setattr(mavdiag.kernel, "MONITORS", registry)
     monkeypatch.setattr(mavdiag.kernel, "loop", joined_loops([monitor.run for monitor in registry]))
-    monkeypatch.setattr(mavdiag.kernel, "judge", compiled(source_digest("monitors", "rows", "mavdiag", "tests")))
+    monkeypatch.setattr(mavdiag.kernel, "judge", compiled("monitors", "thresholds", Path(__file__).parents[1]))
     options = LearnOptions(airframe=FRAME, monitors=("made_up", "rotor_trim"))
     baseline = parse(dump(learn(healthy(2), options, created=NOW)))
     assert {entry.spec.kind for entry in baseline.monitors} == {"made_up", "rotor_trim"}
