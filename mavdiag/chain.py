@@ -192,7 +192,9 @@ class Chain:
         if neither its mean nor its median is the baseline's.
         """
         series = telemetry.get(Signal.BODY_RATE)
-        stamps = np.empty(0) if series is None else np.unique(series.t_ns).astype(np.float64)
+        stamps = np.empty(0, dtype=np.int64) if series is None else series.t_ns
+        if not np.all(stamps[1:] > stamps[:-1]):
+            stamps = np.unique(stamps)
         steps: FloatArray = np.diff(stamps) / NS_PER_S
         steps = steps[steps <= self.front.align.break_s]
         if len(steps) + 1 < LEAST_SAMPLES or float(np.sum(steps)) < least_s:
