@@ -12,7 +12,7 @@ from detector.values import EventClosed, EventOpened, Note, Record
 from mavdiag.baseline import Baseline, without_mute
 from mavdiag.chain import Chain, ChainOutput, ChainState, chain_of
 from mavdiag.errors import BaselineError
-from mavdiag.kernel import Gauge, Piece
+from mavdiag.kernel import Account, Gauge, Piece
 from mavdiag.link.wants import LABELS
 from mavdiag.monitors.base import Monitor
 from mavdiag.telemetry import Instant, Telemetry
@@ -111,11 +111,14 @@ def not_judged(judge: Judge, streams: Streams, now: Instant) -> tuple[tuple[str,
     if streams.began is None or now - streams.began < STREAM_S:
         return ()
     found: dict[str, str] = {}
-    for slot, account in zip(judge.chain.slots, judge.memory.accounts, strict=True):
+    accounts: tuple[Account, ...] = ()
+    for number, (slot, silent) in enumerate(zip(judge.chain.slots, judge.memory.silent, strict=True)):
         missing = [one for one in METERED if one in slot.monitor.signals and streams.meter(one).latest is None]
         if missing:
             found[label_of(slot.monitor.name)] = f"no {LABELS[missing[0]]}"
-        elif judge.flight_s > WARM_S and not account.judged_s:
+        elif judge.flight_s > WARM_S and silent:
+            accounts = accounts or judge.memory.accounts
+            account = accounts[number]
             outside = {f"{condition} not learnt": one.span_s for condition, one in account.outside.items()}
             reasons = {**account.not_judged, **outside}
             if reasons:
