@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavdiag.airframe.propellers import FaultType, propeller
-from mavdiag.monitors.run_length import Run
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
@@ -22,7 +21,6 @@ from thesis_plane_rules import (
     Outcome,
     ThesisPlane,
     classify,
-    fault_point,
     fit_plane,
 )
 
@@ -90,15 +88,6 @@ def test_a_run_that_does_not_exceed_the_fml_is_noise(duration: float) -> None:
     noisy = [*examples(1, flights=3), Example(FaultPoint(duration, 5.0), F1, 1, 1.0)]
     assert fit_plane(noisy).clusters == plane.clusters
     assert fit_plane(noisy).ignored == 1
-
-
-def test_the_point_of_a_flight_is_its_longest_run() -> None:
-    runs = [Run(0, 1, 0.20, 0.5), Run(2, 3, 0.40, 0.1), Run(4, 5, 0.40, 0.3)]
-    found = fault_point(runs, HealthyScale(0.1, 0.1))
-    assert found is not None
-    assert (found.duration, found.excess) == pytest.approx((4.0, 3.0))
-    assert fault_point(runs, HealthyScale(0.4, 0.1)) is None
-    assert fault_point([], HealthyScale(0.4, 0.1)) is None
 
 
 ratios = st.floats(1.05, 50.0)

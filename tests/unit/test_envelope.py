@@ -1,6 +1,5 @@
 """The envelope of conditions: inside, near and outside, its sentences, and a chain that judges by it."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,7 +9,7 @@ from made_baselines import FRAME, NOW, healthy, logged
 from made_conditions import Ones, column, made_block, measured, ones_judged, rows_of
 
 from mavdiag.as_json import verdict_json
-from mavdiag.baseline import Baseline, dump, parse
+from mavdiag.baseline import Baseline
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, judge
 from mavdiag.learning import LearnOptions, learn
@@ -288,13 +287,3 @@ def test_a_link_that_carries_no_heading_and_no_height_is_judged_all_the_same() -
     found = judge(logged(flying(3000, 80)), straight().model_copy(update={"envelope": high}))
     assert found.verdict is Verdict.HEALTHY
     assert {one.outside_s for one in found.monitors} == {0.0}
-
-
-def test_the_envelope_is_part_of_the_file() -> None:
-    made = straight()
-    assert parse(dump(made)).envelope == made.envelope
-    assert "envelope        yaw rate up to 0.41 rad/s" in str(made)
-    narrow = replace(made.envelope[-1], low=0.0, high=0.01)
-    assert "; turn the nose, steadily and along the path to widen it" in str(
-        made.model_copy(update={"envelope": (narrow,)})
-    )
