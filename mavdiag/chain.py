@@ -22,7 +22,7 @@ from mavdiag.decision.alarm import NOTHING_SEEN, DecisionSpec, DecisionState
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event
 from mavdiag.decision.grading import known_fault_types
 from mavdiag.errors import BaselineError
-from mavdiag.kernel import LOOK_NS, Account, Gauge, Kernel, Memory, Piece, Slot
+from mavdiag.kernel import LOOK_NS, VALUES, Account, Gauge, Kernel, Memory, Piece, Slot
 from mavdiag.kernel import warm as warm_kernel
 from mavdiag.link.samples import joined
 from mavdiag.link.samples import warm as warm_samples
@@ -71,7 +71,7 @@ class ChainOutput:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChainState:
-    """Memory of the front, the kernel and the decision.
+    """Memory of the front and the kernel, which a step changes in place, and of the decision.
 
     now_ns: vehicle time of the latest row.
     beginning: rows until there are enough to compare the vehicle; None afterwards.
@@ -102,6 +102,11 @@ class ChainState:
     def judged_s(self) -> float:
         """Flown time that any slot that decides about propellers judged, since the start [s]."""
         return self.memory.judged * self.kernel.dt_s
+
+    @property
+    def silent(self) -> list[bool]:
+        """Of each slot whether it has judged nothing so far."""
+        return [not values for values in self.memory.tally[:, VALUES].tolist()]
 
     @property
     def accounts(self) -> tuple[Account, ...]:
@@ -182,7 +187,8 @@ class Chain:
 
     def renewed(self, state: ChainState, held: Diagnosis) -> ChainState:
         """After `finish`, for what may follow. held: what is known from before."""
-        return replace(state, memory=self.kernel.fresh(state.memory), decision=DecisionState(held))
+        self.kernel.restart(state.memory)
+        return replace(state, decision=DecisionState(held))
 
     def refusal(self, telemetry: Telemetry, least_s: float = 0.0) -> str | None:
         """Why data do not suit the baseline, a sentence; empty if they do, None if they are too few to tell.
@@ -191,7 +197,9 @@ class Chain:
         if neither its mean nor its median is the baseline's.
         """
         series = telemetry.get(Signal.BODY_RATE)
-        stamps = np.empty(0) if series is None else np.unique(series.t_ns).astype(np.float64)
+        stamps = np.empty(0, dtype=np.int64) if series is None else series.t_ns
+        if not np.all(stamps[1:] > stamps[:-1]):
+            stamps = np.unique(stamps)
         steps: FloatArray = np.diff(stamps) / NS_PER_S
         steps = steps[steps <= self.front.align.break_s]
         if len(steps) + 1 < LEAST_SAMPLES or float(np.sum(steps)) < least_s:
@@ -212,16 +220,19 @@ class Chain:
         output = ChainOutput()
         for part in parts:
             if isinstance(part, Border):
-                left, ended = self.kernel.close(state.memory, part.t_ns), self.kernel.ended_alarms(state.memory)
+                left = self.kernel.close(state.memory, part.t_ns)
+                ended = self.kernel.open_alarms(state.memory, ended=True)
                 decision, events, changes = self.decision.end_flight(state.decision, left, ended, part.t_ns)
-                state = replace(state, memory=self.kernel.fresh(state.memory), decision=decision)
+                self.kernel.restart(state.memory)
+                state = replace(state, decision=decision)
                 output = replace(output, events=(*output.events, *events), changes=(*output.changes, *changes))
             elif len(part.block):
                 state, output = self._rows(state, part, output)
         return state, output
 
     def _rows(self, state: ChainState, rows: Rows, before: ChainOutput) -> tuple[ChainState, ChainOutput]:
-        memory, looked, piece = self.kernel.step(state.memory, rows)
+        memory, judged = state.memory, state.memory.judged
+        looked, piece = self.kernel.step(memory, rows)
         decision, events, changes = self.decision.step(state.decision, looked)
         now_ns, dt_s = int(rows.block.t_ns[-1]), self.kernel.dt_s
         beginning, begun_s, likeness = self._compared(state, rows)
@@ -229,7 +240,7 @@ class Chain:
             (*before.events, *events),
             (*before.changes, *changes),
             before.flight_s + len(rows.block) * dt_s,
-            before.judged_s + (memory.judged - state.memory.judged) * dt_s,
+            before.judged_s + (memory.judged - judged) * dt_s,
             now_ns,
             likeness or before.likeness,
             (*before.pieces, piece),

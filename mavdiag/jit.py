@@ -1,9 +1,8 @@
 """The one place that touches numba: typed decorators, and a compiled cache that cannot go stale.
 
 numba keys its on-disk cache by the time stamp of the file that holds the cached function. A function that it calls in
-another file may change without the cache noticing. So only the outermost function is cached (`cached`), and its key also
-holds
-a digest of the files of all functions that it reaches.
+another file may change without the cache noticing. So only the outermost function is cached (`cached`), and its key
+also holds a digest of the files of all functions that it reaches.
 
 numba counts references to every array that a function touches. In a loop that takes most of the time, so it is left out
 (`_nrt`, an option of numba that is not documented) of all functions but those that make arrays (`allocating`,

@@ -15,9 +15,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavdiag.jit import allocating, cached, jit
 from mavdiag.monitors import MONITORS
@@ -100,18 +101,17 @@ GROWS, DECIDES, OWN, PLAN = 13, 14, 15, 16
 HIGHEST, LAST, JUDGED, SQUARES, LAST_LEVEL, EVIDENCE = range(6)
 # Columns of a reading, a slot's latest look with a valid value: its highest ratio, last value, number, and evidence.
 RATIO, READ, AT, READ_ROTORS = range(4)
-# Columns of an open alarm: whether one is open and its last value was above, its highest value and level; and of times.
+# Columns of an open alarm: whether one is open and its last value was above, its highest value and level; of its times
+# [ns]: first and last value above.
 OPEN, TOUCHING, TOP, TOP_LEVEL = range(4)
 START, ABOVE = range(2)
-# Columns of an alarm that is told: look, slot, start and end [ns], end -1 while it lasts.
-AT_LOOK, OF_SLOT, FROM, TO = range(4)
-# Columns of what is counted of a slot: values that were valid, the highest; of a condition: values outside, the
-# farthest condition and its excess.
+# What is counted of a slot: valid values, the highest; of a condition: values outside, the farthest and its excess.
 VALUES, PEAK = range(2)
 BEYOND, FARTHEST, EXCESS = range(3)
-# Numbers of a pass: what goes in, and what comes out.
-FIRST_LOOK, LOOKS, BINS, OPEN_ROWS, SETTLED, LATE, TRIMS, TRIMS_NS, BINS_NS, TOLD, GONE, FLOWN, COVERED_ROWS = range(13)
-NUMBERS = 13
+# Numbers of a pass. In: columns without rates, number of the first look, time from which rows count as flown, and
+# before which no value reaches back, bits and memory of the conditions of trims, age from which on a bin is known.
+# In and out: bins, open rows. Out: alarms told, open rows that are out of reach, rows flown and covered.
+LAG, FIRST_LOOK, SETTLED, LATE, TRIMS, TRIMS_NS, BINS_NS, BINS, OPEN_ROWS, TOLD, GONE, FLOWN, COVERED_ROWS = range(13)
 
 
 def joined_loops(runs: Sequence[Callable[..., int]]) -> Callable[..., int]:
@@ -141,102 +141,178 @@ loop = joined_loops([monitor.run for monitor in MONITORS])
 
 
 @jit
-def _tell(
-    told: FloatArray, told_ns: IntArray, k: int, look: int, slot: int, start: int, end: int, top: float, level: float
+def _take_bins(
+    x: Any, flags: Any, times: Any, bins: Any, limits: FloatArray, mem: FloatArray, numbers: IntArray
 ) -> int:
-    told_ns[k, AT_LOOK], told_ns[k, OF_SLOT], told_ns[k, FROM], told_ns[k, TO] = look, slot, start, end
-    told[k, 0], told[k, 1] = top, level
-    return k + 1
+    """Measure the conditions, and flag what trims were learnt in; return the bits of those beyond what was learnt."""
+    (t_ns, rates_ns), (ends_ns, values), known = times, bins, numbers[BINS]
+    at, anywhere, first, stop = (0, 0), 0, 0, 0
+    numbers[BINS] = take_rows(mem, 0, x, flags, numbers[LAG], t_ns, rates_ns, ends_ns, values, known)
+    for number in range(numbers[BINS]):
+        for condition in range(COUNT):
+            if number >= known:
+                values[number, COUNT + condition] = excess_of(values[number, condition], limits, condition)
+            if values[number, COUNT + condition] > 0.0:
+                anywhere |= 1 << condition
+    if anywhere & numbers[TRIMS]:
+        for i in range(len(t_ns)):
+            first = seen_from(ends_ns, first, numbers[BINS], t_ns[i], numbers[TRIMS_NS])
+            stop = seen_from(ends_ns, stop, numbers[BINS], t_ns[i], numbers[BINS_NS])
+            at = farthest(values, first, stop, numbers[TRIMS])
+            flags[COVERED, i] = at[0] < 0 or values[at[0], COUNT + at[1]] <= 1.0
+    return anywhere
+
+
+@jit
+def _check_rows(
+    x: Any, flags: Any, t_ns: IntArray, checks: IntArray, counts: Any, opened: Any, numbers: IntArray
+) -> None:
+    """Count the rows that fail a check, and open those in the air for the values that are to judge them.
+
+    checks: (n, 2) rows of x that must be finite; or -1 and a flag. A failed one is a bit.
+    """
+    (missing, doubts), (open_ns, bits) = counts, opened
+    for i in range(len(t_ns)):
+        failed = 0
+        for number in range(len(checks)):
+            first, stop = checks[number, 0], min(checks[number, 1], len(x))
+            known = first < stop
+            if first < 0:
+                known = flags[checks[number, 1], i] > 0.5
+            else:
+                for row in range(first, stop):
+                    known = known and np.isfinite(x[row, i])
+            if not known:
+                failed |= 1 << number
+                if flags[VALID, i] > 0.5:
+                    missing[number] += 1
+        doubts[int(flags[DOUBT, i])] += 1
+        if t_ns[i] >= numbers[SETTLED]:
+            open_ns[numbers[OPEN_ROWS]], bits[numbers[OPEN_ROWS]] = t_ns[i], failed
+            numbers[OPEN_ROWS] += 1
+            numbers[FLOWN] += 1
 
 
 @jit
 def _alarm(
-    alarms: FloatArray,
-    alarms_ns: IntArray,
-    told: FloatArray,
-    told_ns: IntArray,
-    k: int,
-    slot: int,
-    look: int,
-    t_ns: int,
-    above: bool,
-    value: float,
-    level: float,
-    clear_ns: int,
+    alarm: Any, spans: Any, told: Any, k: int, slot: int, look: int, t_ns: int, above: bool, value: float, level: float
 ) -> int:
     """The alarm of a slot after its next value; what opens or closes is told from k on."""
-    back = alarms[slot, OPEN] > 0.5 and not (above and alarms[slot, TOUCHING] > 0.5)
-    if back and t_ns - alarms_ns[slot, ABOVE] >= clear_ns:
-        start, end = alarms_ns[slot, START], alarms_ns[slot, ABOVE]
-        k = _tell(told, told_ns, k, look, slot, start, end, alarms[slot, TOP], alarms[slot, TOP_LEVEL])
-        alarms[slot, OPEN] = 0.0
-    alarms[slot, TOUCHING] = 1.0 if above else 0.0
+    (figures, times), (tops, whose) = alarm, told
+    back = figures[slot, OPEN] > 0.5 and not (above and figures[slot, TOUCHING] > 0.5)
+    if back and t_ns - times[slot, ABOVE] >= spans[slot, CLEAR]:
+        whose[k, 0], whose[k, 1], whose[k, 2], whose[k, 3] = look, slot, times[slot, START], times[slot, ABOVE]
+        tops[k, 0], tops[k, 1] = figures[slot, TOP], figures[slot, TOP_LEVEL]
+        figures[slot, OPEN], k = 0.0, k + 1
+    figures[slot, TOUCHING] = 1.0 if above else 0.0
     if above:
-        if alarms[slot, OPEN] < 0.5:
-            k = _tell(told, told_ns, k, look, slot, t_ns, -1, value, level)
-            alarms[slot, OPEN], alarms[slot, TOP], alarms[slot, TOP_LEVEL] = 1.0, value, level
-            alarms_ns[slot, START] = t_ns
-        alarms[slot, TOP], alarms[slot, TOP_LEVEL] = max(alarms[slot, TOP], value), max(alarms[slot, TOP_LEVEL], level)
-        alarms_ns[slot, ABOVE] = t_ns
+        if figures[slot, OPEN] < 0.5:
+            whose[k, 0], whose[k, 1], whose[k, 2], whose[k, 3] = look, slot, t_ns, -1
+            tops[k, 0], tops[k, 1] = value, level
+            figures[slot, OPEN], figures[slot, TOP], figures[slot, TOP_LEVEL], k = 1.0, value, level, k + 1
+            times[slot, START] = t_ns
+        figures[slot, TOP], figures[slot, TOP_LEVEL] = (
+            max(figures[slot, TOP], value),
+            max(figures[slot, TOP_LEVEL], level),
+        )
+        times[slot, ABOVE] = t_ns
     return k
 
 
 @jit
-def _note(record: FloatArray, ratio: float, value: float, level: float, rotors: FloatArray, k: int) -> None:
-    """A valid value, in the record of its look."""
-    if not record[HIGHEST] >= ratio:
-        record[HIGHEST] = ratio
-    record[LAST], record[LAST_LEVEL] = value, level
-    record[JUDGED], record[SQUARES] = record[JUDGED] + 1.0, record[SQUARES] + level * level
-    count = rotors.shape[1]
-    for rotor in range(count):
-        record[EVIDENCE + rotor] = rotors[k, rotor]
-        record[EVIDENCE + count + rotor] += rotors[k, rotor]
+def _take_values(
+    slot: int,
+    count: int,
+    fixed: Any,
+    times: Any,
+    bins: Any,
+    anywhere: int,
+    values: Any,
+    looks: FloatArray,
+    alarm: Any,
+    told: Any,
+    tally: Any,
+    numbers: IntArray,
+) -> int:
+    """Let a slot's new values count as the envelope has it, and note them in their looks; return the alarms told."""
+    plan, thresholds, limits = fixed
+    (t_ns, rates_ns), (ends_ns, conditions), (out, rotors, at, stamps) = times, bins, values
+    (judged, outside), k, known, width = tally, numbers[TOLD], numbers[BINS], rotors.shape[1]
+    depends, shift = plan[slot, DEPENDS] & anywhere, numbers[LAG] if plan[slot, BY_RATES] else 0
+    look, until, first, stop, far, room, worst = 0, numbers[FIRST_LOOK] * LOOK_NS, -1, -1, 0.0, 1.0, (-1, 0)
+    for number in range(count):
+        t = rates_ns[at[number]] if plan[slot, BY_RATES] else t_ns[at[number]]
+        stamps[number] = t
+        if depends:
+            left = seen_from(ends_ns, max(first, 0), known, t, plan[slot, MEMORY_NS])
+            right = seen_from(ends_ns, max(stop, 0), known, t, numbers[BINS_NS])
+            if left != first or right != stop:
+                first, stop, far, room = left, right, 0.0, 1.0
+                worst = farthest(conditions, first, stop, depends)
+                if worst[0] >= 0:
+                    far = conditions[worst[0], COUNT + worst[1]]
+                    room = 1.0 + limits[worst[1], 3] * min(far, 1.0) if plan[slot, GROWS] else 1.0
+            out[VALUE, number] /= room
+            if far > 1.0:
+                out[SOUND, number] = 0.0
+                outside[slot, worst[1], BEYOND] += 1.0
+                if far > outside[slot, worst[1], EXCESS]:
+                    outside[slot, worst[1], EXCESS] = far
+                    outside[slot, worst[1], FARTHEST] = conditions[worst[0], worst[1]]
+        while t_ns[at[number] + shift] > until:  # the first look from the row's own on
+            look, until = look + 1, until + LOOK_NS
+        own = look + 1 if t + plan[slot, DELAY] > until else look
+        value, level, above = out[VALUE, number], out[LEVEL, number], False
+        if out[SOUND, number] > 0.5:
+            ratio, above = value / thresholds[slot], value > thresholds[slot]
+            if not looks[own, slot, HIGHEST] >= ratio:
+                looks[own, slot, HIGHEST] = ratio
+            looks[own, slot, LAST], looks[own, slot, LAST_LEVEL] = value, level
+            looks[own, slot, JUDGED] += 1.0
+            looks[own, slot, SQUARES] += level * level
+            for rotor in range(width):
+                looks[own, slot, EVIDENCE + rotor] = rotors[number, rotor]
+                looks[own, slot, EVIDENCE + width + rotor] += rotors[number, rotor]
+            judged[slot, VALUES] += 1.0
+            judged[slot, PEAK] = max(judged[slot, PEAK], value)
+        elif np.isnan(looks[own, slot, HIGHEST]):
+            looks[own, slot, HIGHEST] = -1.0
+        if above or alarm[0][slot, OPEN] > 0.5:
+            k = _alarm(alarm, plan, told, k, slot, own, t, above, value, level)
+    return int(k)
 
 
 @jit
-def _checked(x: FloatArray, flags: FloatArray, checks: IntArray, i: int) -> int:
-    """A bit for each check that a column fails. checks: (n, 2) rows of x that must be finite; or -1 and a flag."""
-    bits = 0
-    for number in range(checks.shape[0]):
-        first, stop = checks[number, 0], min(checks[number, 1], x.shape[0])
-        known = first < stop
-        if first < 0:
-            known = flags[checks[number, 1], i] > 0.5
-        else:
-            for row in range(first, stop):
-                known = known and np.isfinite(x[row, i])
-        if not known:
-            bits |= 1 << number
-    return bits
-
-
-@jit
-def _cover(
-    plan: IntArray, out: FloatArray, times: IntArray, count: int, slot: int, open_ns: IntArray, bits: IntArray, n: int
-) -> None:
+def _cover(plan: IntArray, slot: int, count: int, out: FloatArray, stamps: IntArray, opened: Any, rows: int) -> None:
     """Mark the open rows (bit 62) that a valid value of this slot judged: the first one after a row, in its reach."""
-    row = 0
+    (open_ns, bits), row = opened, 0
     for k in range(count):
         if out[SOUND, k] < 0.5:
             continue
-        while row < n and open_ns[row] <= times[k]:
-            if times[k] - open_ns[row] < plan[slot, REACH] and not bits[row] & plan[slot, NEEDS]:
+        while row < rows and open_ns[row] <= stamps[k]:
+            if stamps[k] - open_ns[row] < plan[slot, REACH] and not bits[row] & plan[slot, NEEDS]:
                 bits[row] |= 1 << 62
             row += 1
 
 
 @jit
-def _read(
-    plan: IntArray,
-    looks: FloatArray,
-    latest: FloatArray,
-    readings: FloatArray,
-    heights: IntArray,
-    leads: IntArray,
-    first: int,
-) -> None:
+def _close_rows(opened: Any, numbers: IntArray) -> None:
+    """Drop the rows that were judged, and count those that no value reaches any more."""
+    (open_ns, bits), kept = opened, 0
+    for row in range(numbers[OPEN_ROWS]):
+        if bits[row] >> 62:
+            numbers[COVERED_ROWS] += 1
+            continue
+        open_ns[kept], bits[kept] = open_ns[row], bits[row]
+        kept += 1
+        numbers[GONE] += open_ns[row] < numbers[LATE]
+    numbers[OPEN_ROWS] = kept
+
+
+@jit
+def _read_looks(plan: IntArray, looks: FloatArray, latest: FloatArray, read: Any, first: int) -> None:
     """The latest readings at each whole look; the height of the highest that is fresh, and whose it is, -1 for none."""
+    readings, heights, leads = read
     for look in range(len(heights)):
         height, deciding, lead, top = -1, False, -1, -1.0
         for slot in range(len(plan)):
@@ -245,6 +321,8 @@ def _read(
                 latest[slot, AT] = first + look
                 for rotor in range(latest.shape[1] - READ_ROTORS):
                     latest[slot, READ_ROTORS + rotor] = looks[look, slot, EVIDENCE + rotor]
+            for column in range(latest.shape[1]):
+                readings[look, slot, column] = latest[slot, column]
             if first + look - latest[slot, AT] > STALE_LOOKS:
                 continue
             ratio, over = latest[slot, RATIO], latest[slot, RATIO] > 1.0
@@ -255,9 +333,6 @@ def _read(
             if own > height or (own == height and rank > top):
                 height, top, lead = own, rank, slot
         heights[look], leads[look] = height if deciding else -1, lead
-        for slot in range(len(plan)):
-            for column in range(latest.shape[1]):
-                readings[look, slot, column] = latest[slot, column]
 
 
 def compiled() -> Callable[..., None]:
@@ -265,133 +340,30 @@ def compiled() -> Callable[..., None]:
 
     @cached
     def run(
-        plan: IntArray,
-        thresholds: FloatArray,
-        checks: IntArray,
-        limits: FloatArray,
-        par: FloatArray,
-        mem: FloatArray,
-        numbers: IntArray,
-        x: FloatArray,
-        flags: FloatArray,
-        lag: int,
-        t_ns: IntArray,
-        rates_ns: IntArray,
-        bins_ns: IntArray,
-        bins: FloatArray,
-        out: FloatArray,
-        rotors: FloatArray,
-        none: FloatArray,
-        at: IntArray,
-        counts: IntArray,
-        looks: FloatArray,
-        latest: FloatArray,
-        readings: FloatArray,
-        heights: IntArray,
-        leads: IntArray,
-        alarms: FloatArray,
-        alarms_ns: IntArray,
-        told: FloatArray,
-        told_ns: IntArray,
-        tally: FloatArray,
-        outside: FloatArray,
-        missing: IntArray,
-        doubts: IntArray,
-        open_ns: IntArray,
-        bits: IntArray,
+        fixed: Any, state: Any, columns: Any, times: Any, bins: Any, values: Any, looked: Any, opened: Any, numbers: Any
     ) -> None:
-        """Take the next rows; the state arrays are changed in place."""
-        n, far_at, known = x.shape[1], np.zeros(2, dtype=np.int64), numbers[BINS]
-        times = np.empty(n, dtype=np.int64)
-        if limits[0, 3] >= 0.0:  # some condition is limited
-            stop = take_rows(mem, 0, x, flags, lag, t_ns, rates_ns, bins_ns, bins, known)
-            for number in range(known, stop):
-                for condition in range(COUNT):
-                    bins[number, COUNT + condition] = excess_of(bins[number, condition], limits, condition)
-            numbers[BINS] = known = stop
-        anywhere = 0  # bits of the conditions that were beyond what was learnt
-        for number in range(known):
-            for condition in range(COUNT):
-                if bins[number, COUNT + condition] > 0.0:
-                    anywhere |= 1 << condition
-        first = stop = fresh = 0
-        if anywhere & numbers[TRIMS]:
-            for i in range(n):
-                first = seen_from(bins_ns, first, known, t_ns[i], numbers[TRIMS_NS])
-                stop = seen_from(bins_ns, stop, known, t_ns[i], numbers[BINS_NS])
-                flags[COVERED, i] = farthest(bins, first, stop, numbers[TRIMS], far_at) <= 1.0
-
-        rows = numbers[OPEN_ROWS]
-        for i in range(n):
-            failed = _checked(x, flags, checks, i)
-            if failed and flags[VALID, i] > 0.5:
-                for number in range(len(missing)):
-                    missing[number] += failed >> number & 1
-            doubts[int(flags[DOUBT, i])] += 1
-            if t_ns[i] >= numbers[SETTLED]:
-                open_ns[rows], bits[rows] = t_ns[i], failed
-                rows, fresh = rows + 1, fresh + 1
-
-        k = 0
+        """Take the next rows. What is remembered is changed in place, and so are the numbers of the pass."""
+        (plan, thresholds, checks, limits, par), (x, flags), (t_ns, _) = fixed, columns, times
+        mem, latest, alarms, alarms_ns, tally, outside, missing, doubts = state
+        (out, rotors, none, at, counts), (looks, readings, heights, leads, told, told_ns) = values, looked
+        anywhere = _take_bins(x, flags, times, bins, limits, mem, numbers) if limits[0, 3] >= 0.0 else 0
+        _check_rows(x, flags, t_ns, checks, (missing, doubts), opened, numbers)
+        stamps = np.empty(len(t_ns), dtype=np.int64)
         for slot in range(len(plan)):
-            mine, evidence, where = out[slot], none, at[slot]
-            if plan[slot, ROTORS] >= 0:
-                evidence = rotors[plan[slot, ROTORS]]
+            evidence = rotors[plan[slot, ROTORS]] if plan[slot, ROTORS] >= 0 else none
             own_par = par[plan[slot, PAR] : plan[slot, PAR_END]]
             own_mem = mem[plan[slot, MEM] : plan[slot, MEM_END]]
-            count = loop(plan[slot, KIND], own_par, own_mem, x, flags, lag, mine, evidence, where)
-            counts[slot], first, stop, far, room, condition = count, 0, 0, 0.0, 1.0, 0
-            depends, shift = plan[slot, DEPENDS] & anywhere, lag if plan[slot, BY_RATES] else 0
-            arrived, until, delay = 0, numbers[FIRST_LOOK] * LOOK_NS, plan[slot, DELAY]
-            for value_number in range(count):
-                row = where[value_number] + shift
-                t = rates_ns[where[value_number]] if plan[slot, BY_RATES] else t_ns[row]
-                times[value_number] = t
-                if depends:
-                    left = seen_from(bins_ns, first, known, t, plan[slot, MEMORY_NS])
-                    right = seen_from(bins_ns, stop, known, t, numbers[BINS_NS])
-                    if left != first or right != stop or value_number == 0:
-                        first, stop = left, right
-                        far = farthest(bins, first, stop, depends, far_at)
-                        condition = far_at[1]
-                        room = 1.0 + limits[condition, 3] * min(far, 1.0) if plan[slot, GROWS] and far > 0.0 else 1.0
-                    if far > 0.0:
-                        mine[VALUE, value_number] /= room
-                    if far > 1.0:
-                        mine[SOUND, value_number] = 0.0
-                        outside[slot, condition, BEYOND] += 1.0
-                        if far > outside[slot, condition, EXCESS]:
-                            outside[slot, condition, EXCESS] = far
-                            outside[slot, condition, FARTHEST] = bins[far_at[0], condition]
-                while t_ns[row] > until:  # the first look from the row's own on
-                    arrived, until = arrived + 1, until + LOOK_NS
-                look = arrived + 1 if t + delay > until else arrived
-                record, value, level = looks[look, slot], mine[VALUE, value_number], mine[LEVEL, value_number]
-                above = False
-                if mine[SOUND, value_number] > 0.5:
-                    _note(record, value / thresholds[slot], value, level, evidence, value_number)
-                    tally[slot, VALUES] += 1.0
-                    tally[slot, PEAK] = max(tally[slot, PEAK], value)
-                    above = value > thresholds[slot]
-                elif np.isnan(record[HIGHEST]):
-                    record[HIGHEST] = -1.0
-                if above or alarms[slot, OPEN] > 0.5:
-                    clear_ns = plan[slot, CLEAR]
-                    k = _alarm(alarms, alarms_ns, told, told_ns, k, slot, look, t, above, value, level, clear_ns)
+            count = loop(plan[slot, KIND], own_par, own_mem, x, flags, numbers[LAG], out[slot], evidence, at[slot])
+            counts[slot] = count
+            written, alarm, counted = (out[slot], evidence, at[slot], stamps), (alarms, alarms_ns), (tally, outside)
+            own_fixed, telling = (plan, thresholds, limits), (told, told_ns)
+            numbers[TOLD] = _take_values(
+                slot, count, own_fixed, times, bins, anywhere, written, looks, alarm, telling, counted, numbers
+            )
             if plan[slot, OWN]:
-                _cover(plan, mine, times, count, slot, open_ns, bits, rows)
-
-        kept = gone = 0
-        for row in range(rows):
-            if bits[row] >> 62:
-                numbers[COVERED_ROWS] += 1
-                continue
-            open_ns[kept], bits[kept] = open_ns[row], bits[row]
-            kept += 1
-            gone += open_ns[row] < numbers[LATE]
-        numbers[OPEN_ROWS], numbers[GONE], numbers[TOLD] = kept, gone, k
-        numbers[FLOWN] += fresh
-        _read(plan, looks, latest, readings, heights, leads, numbers[FIRST_LOOK])
+                _cover(plan, slot, count, out[slot], stamps, opened, numbers[OPEN_ROWS])
+        _close_rows(opened, numbers)
+        _read_looks(plan, looks, latest, (readings, heights, leads), numbers[FIRST_LOOK])
 
     return run
 
@@ -399,8 +371,7 @@ def compiled() -> Callable[..., None]:
 judge = compiled()
 
 
-@dataclass(frozen=True, slots=True)
-class Alarm:
+class Alarm(NamedTuple):
     """What opened (end_ns -1) or closed: of which slot, between which times, and the highest value and level so far."""
 
     look: int
@@ -527,24 +498,21 @@ Stretch = tuple[int, int]
 """First and last row of a part of a flight [ns]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Memory:
-    """All that the pass remembers; `Kernel.start` and `fresh` say how it begins.
+    """All that the pass remembers; it is changed in place.
 
-    mem, bins_ns, bins, looks, latest, alarms, alarms_ns: of the present segment: the loops' memory, the bins of
-        conditions that may still count, records of looks to come, latest readings, open alarms.
-    next_look: number of the first look that is not whole; None before the first row. told: alarms of looks to come.
+    mem, latest, alarms, alarms_ns: of the present segment: the loops' memory, latest readings, open alarms.
     tally, outside, missing, doubts, rows: what was counted since the start, of slots, conditions, checks and doubts.
+    bins_ns, bins: of conditions that may still count. looks: records of the next two looks.
+    next_look: number of the first look that is not whole; None before the first row. told: alarms of looks to come.
+    open_ns, bits: rows that later values may still reach back to, and the checks that they fail.
     flown, judged: rows in the air, without take-offs, and how many of them any slot that decides about propellers
         judged: that lie in the window of a valid value of it, as far as it knew its signals there.
-    open_ns, bits: rows that later values may still reach back to, and the checks that they fail.
     unjudged: the stretches that nothing can reach any more, in order of time.
     """
 
     mem: FloatArray
-    bins_ns: IntArray
-    bins: FloatArray
-    looks: FloatArray
     latest: FloatArray
     alarms: FloatArray
     alarms_ns: IntArray
@@ -552,6 +520,9 @@ class Memory:
     outside: FloatArray
     missing: IntArray
     doubts: IntArray
+    bins_ns: IntArray
+    bins: FloatArray
+    looks: FloatArray
     open_ns: IntArray
     bits: IntArray
     next_look: int | None = None
@@ -570,37 +541,32 @@ class Kernel:
 
     def __init__(self, slots: tuple[Slot, ...], covered: tuple[Covered, ...], dt_s: float, delay_s: float) -> None:
         self.slots, self.covered, self.dt_s = slots, covered, dt_s
-        self.periods_s = np.array([slot.monitor.period_s(dt_s) for slot in slots])
-        self._thresholds = np.array([slot.threshold for slot in slots], dtype=np.float64)
-        self._limits = limits_of(covered)
-        if not covered:
-            self._limits[:, 3] = -1.0
+        self.periods_s = [slot.monitor.period_s(dt_s) for slot in slots]
         self._needs = [sorted(slot.monitor.signals) for slot in slots]
-        named = {one: None for slot in slots for signal in slot.monitor.signals for one in [_check(slot, signal)]}
-        self._checks = np.array(list(named), dtype=np.int64).reshape(-1, 2)
-        self._bit = {check: number for number, check in enumerate(named)}
-        own = [parameters for slot in slots for parameters in [slot.monitor.parameters_at(dt_s)]]
-        self._par = np.concatenate([np.empty(0), *own])
-        self._start = [conditions_memory(), *(slot.monitor.memory(dt_s) for slot in slots)]
-        self._rotors = max((slot.monitor.rotors for slot in slots), default=0)
-        self._plan = self._planned(own)
-        reach = (self._plan[self._plan[:, OWN] > 0, REACH]).tolist()
-        self._late_ns = max(reach, default=0) + LATE_NS
+        checks = dict.fromkeys(_check(slot, signal) for slot in slots for signal in sorted(slot.monitor.signals))
+        self._bit = {check: number for number, check in enumerate(checks)}
+        own = [slot.monitor.parameters_at(dt_s) for slot in slots]
+        memories = [conditions_memory(), *(slot.monitor.memory(dt_s) for slot in slots)]
+        self._start, self._rotors = np.concatenate(memories), max((slot.monitor.rotors for slot in slots), default=0)
+        plan = self._plan(np.cumsum([0, *map(len, own)]), np.cumsum(list(map(len, memories))))
+        limits = limits_of(covered)
+        limits[:, 3] = limits[:, 3] if covered else -1.0
+        thresholds = np.array([slot.threshold for slot in slots], dtype=np.float64)
+        checked = np.array(list(checks), dtype=np.int64).reshape(-1, 2)
+        self._fixed = (plan, thresholds, checked, limits, np.concatenate([np.empty(0), *own]))
+        self._tellers = int(plan[:, ROTORS].max(initial=-1)) + 1
         bins_ns = round((delay_s + BIN_S) * NS_PER_S)  # from so long on a bin is known
-        self._bins = np.array([_bits(TRIM_CONDITIONS), round(TRIM_MEMORY_S * NS_PER_S), bins_ns])
-        longest_ns = max(self._plan[:, MEMORY_NS].tolist(), default=0)
-        self._longest_ns = longest_ns + bins_ns + round(BIN_S * NS_PER_S)
+        self._bins = (_bits(TRIM_CONDITIONS), round(TRIM_MEMORY_S * NS_PER_S), bins_ns)
+        self._late_ns = int(plan[plan[:, OWN] > 0, REACH].max(initial=0)) + LATE_NS
+        self._longest_ns = int(plan[:, MEMORY_NS].max(initial=0)) + bins_ns + round(BIN_S * NS_PER_S)
 
-    def _planned(self, parameters: Sequence[FloatArray]) -> IntArray:
-        plan = np.zeros((len(self.slots), PLAN), dtype=np.int64)
-        pars = np.cumsum([0, *map(len, parameters)])
-        mems = np.cumsum([0, *map(len, self._start)])
-        telling = 0
+    def _plan(self, pars: IntArray, mems: IntArray) -> IntArray:
+        plan, tellers = np.zeros((len(self.slots), PLAN), dtype=np.int64), 0
         for number, (row, slot) in enumerate(zip(plan, self.slots, strict=True)):
             monitor = slot.monitor
             row[KIND] = next(i for i, kind in enumerate(MONITORS) if isinstance(monitor, kind))
-            row[[PAR, PAR_END, MEM, MEM_END]] = *pars[number : number + 2], *mems[number + 1 : number + 3]
-            row[ROTORS], telling = (telling, telling + 1) if monitor.rotors else (-1, telling)
+            row[[PAR, PAR_END, MEM, MEM_END]] = *pars[number : number + 2], *mems[number : number + 2]
+            row[ROTORS], tellers = (tellers, tellers + 1) if monitor.rotors else (-1, tellers)
             row[BY_RATES], row[DECIDES], row[OWN] = monitor.by_rates, slot.decides, slot.of_propellers
             spans_s = monitor.delay_s, monitor.memory_s, max(monitor.memory_s, self.periods_s[number]), monitor.clear_s
             row[[DELAY, MEMORY_NS, REACH, CLEAR]] = [round(span_s * NS_PER_S) for span_s in spans_s]
@@ -610,175 +576,95 @@ class Kernel:
 
     def start(self) -> Memory:
         """Nothing seen yet."""
-        slots, none = len(self.slots), np.empty(0, dtype=np.int64)
-        tally, outside = np.zeros((slots, 2)), np.zeros((slots, COUNT, 3))
-        tally[:, PEAK] = -np.inf
-        counts = np.zeros(len(self._checks), dtype=np.int64), np.zeros(len(DOUBTS), dtype=np.int64)
-        return Memory(*self._segment(), tally, outside, *counts, none, none)
+        slots, never = len(self.slots), np.empty(0, dtype=np.int64)
+        latest = np.zeros((slots, READ_ROTORS + self._rotors))
+        tally, outside, alarms = np.zeros((slots, 2)), np.zeros((slots, COUNT, 3)), np.zeros((slots, 4))
+        latest[:, AT], tally[:, PEAK] = NEVER, -np.inf
+        counts = np.zeros(len(self._bit), dtype=np.int64), np.zeros(len(DOUBTS), dtype=np.int64)
+        segment = self._start.copy(), latest, alarms, np.zeros((slots, 2), dtype=np.int64)
+        bins = never, np.empty((0, 2 * COUNT))
+        return Memory(*segment, tally, outside, *counts, *bins, self._records(2), never, never)
 
-    def fresh(self, memory: Memory) -> Memory:
+    def restart(self, memory: Memory) -> None:
         """At the border of a segment: only what was counted stays, and no value reaches back over it."""
-        unjudged = _stretches(memory.unjudged, memory.open_ns, self.dt_s)
-        none = np.empty(0, dtype=np.int64)
-        counted = (memory.tally, memory.outside, memory.missing, memory.doubts, none, none)
-        rows = (memory.rows, memory.flown, memory.judged, unjudged)
-        return Memory(*self._segment(), *counted, None, (), *rows)
+        memory.unjudged = _stretches(memory.unjudged, memory.open_ns, self.dt_s)
+        fresh = self.start()
+        for name in ("mem", "latest", "alarms", "alarms_ns", "bins_ns", "bins", "looks", "open_ns", "bits"):
+            setattr(memory, name, getattr(fresh, name))
+        memory.next_look, memory.told = None, ()
 
-    def _segment(self) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray]:
-        slots = len(self.slots)
-        looks, latest = _records(2, slots, self._rotors), np.zeros((slots, READ_ROTORS + self._rotors))
-        latest[:, AT] = NEVER
-        no_bins = np.empty(0, dtype=np.int64), np.empty((0, 2 * COUNT))
-        return (
-            np.concatenate(self._start),
-            *no_bins,
-            looks,
-            latest,
-            np.zeros((slots, 4)),
-            np.zeros((slots, 2), np.int64),
-        )
-
-    def step(self, memory: Memory, rows: Rows) -> tuple[Memory, Looked, Piece]:
+    def step(self, memory: Memory, rows: Rows) -> tuple[Looked, Piece]:
         """Take the next rows of the segment; return the looks that they make whole, and all values."""
         block, columns, slots = rows.block, columns_of(rows), len(self.slots)
-        n, t_ns, rates_ns = len(block), block.t_ns.copy(), rows.rates.t_ns.copy()  # a log's cannot always be written
-        first_ns, now_ns = int(t_ns[0]), int(t_ns[-1])
+        n, times = len(block), (block.t_ns.copy(), rows.rates.t_ns.copy())  # a log's cannot always be written
+        first_ns, now_ns = int(times[0][0]), int(times[0][-1])
         first = -(-first_ns // LOOK_NS) if memory.next_look is None else memory.next_look
         done = max(0, now_ns // LOOK_NS + 1 - first)
-        mem, latest, alarms, alarms_ns = (
-            memory.mem.copy(),
-            memory.latest.copy(),
-            memory.alarms.copy(),
-            memory.alarms_ns.copy(),
-        )
-        tally, outside = memory.tally.copy(), memory.outside.copy()
-        missing, doubts = memory.missing.copy(), memory.doubts.copy()
         old = int(memory.bins_ns.searchsorted(first_ns - self._longest_ns))
-        known, more = len(memory.bins_ns) - old, most_bins(rates_ns)
-        bins_ns, bins = np.empty(known + more, dtype=np.int64), np.empty((known + more, 2 * COUNT))
-        bins_ns[:known], bins[:known] = memory.bins_ns[old:], memory.bins[old:]
-        looks = _records(done + 2, slots, self._rotors)
+        known, opened = len(memory.bins_ns) - old, len(memory.open_ns)
+        bins = _grown(memory.bins_ns[old:], most_bins(times[1])), _grown(memory.bins[old:], most_bins(times[1]))
+        rows_open = _grown(memory.open_ns, n), _grown(memory.bits, n)
+        looks = self._records(done + 2)
         looks[:2] = memory.looks
-        readings, (heights, leads) = np.empty((done, *latest.shape)), np.empty((2, done), dtype=np.int64)
-        count = len(memory.open_ns)
-        open_ns, bits = np.empty(count + n, dtype=np.int64), np.empty(count + n, dtype=np.int64)
-        open_ns[:count], bits[:count] = memory.open_ns, memory.bits
-        out, at = np.empty((slots, 4, n)), np.empty((slots, n), dtype=np.int64)
-        rotors = np.empty((int(self._plan[:, ROTORS].max(initial=-1)) + 1, n, self._rotors))
-        counts = np.zeros(slots, dtype=np.int64)
-        told, told_ns = np.empty((2 * slots * n, 2)), np.empty((2 * slots * n, 4), dtype=np.int64)
+        readings, found = np.empty((done, *memory.latest.shape)), np.empty((2, done), dtype=np.int64)
+        told = np.empty((2 * slots * n, 2)), np.empty((2 * slots * n, 4), dtype=np.int64)
+        out, rotors = np.empty((slots, 4, n)), np.empty((self._tellers, n, self._rotors))
+        at, counts = np.empty((slots, n), dtype=np.int64), np.zeros(slots, dtype=np.int64)
+        late_ns = now_ns - self._late_ns
         numbers = np.array(
-            [first, done, known, count, block.settled_ns, now_ns - self._late_ns, *self._bins, 0, 0, 0, 0]
+            [columns.lag, first, block.settled_ns, late_ns, *self._bins, known, opened, 0, 0, 0, 0], dtype=np.int64
         )
+        state = (memory.mem, memory.latest, memory.alarms, memory.alarms_ns)
+        counted = (memory.tally, memory.outside, memory.missing, memory.doubts)
+        looked = (looks, readings, found[0], found[1], *told)
+        values = (out, rotors, NO_ROTORS, at, counts)
         judge(
-            self._plan,
-            self._thresholds,
-            self._checks,
-            self._limits,
-            self._par,
-            mem,
-            numbers,
-            columns.x,
-            columns.flags,
-            columns.lag,
-            t_ns,
-            rates_ns,
-            bins_ns,
-            bins,
-            out,
-            rotors,
-            NO_ROTORS,
-            at,
-            counts,
-            looks,
-            latest,
-            readings,
-            heights,
-            leads,
-            alarms,
-            alarms_ns,
-            told,
-            told_ns,
-            tally,
-            outside,
-            missing,
-            doubts,
-            open_ns,
-            bits,
+            self._fixed, (*state, *counted), (columns.x, columns.flags), times, bins, values, looked, rows_open, numbers
         )
-        *_, open_rows, _, _, _, _, _, tells, gone, fresh, judged = numbers.tolist()
-        known = int(numbers[BINS])
-        alarms_told = memory.told
+        known, opened, tells, gone, flown, covered = numbers[BINS:].tolist()
         if tells:
-            pairs = zip(told_ns[:tells].tolist(), told[:tells].tolist(), strict=True)
-            alarms_told += tuple(Alarm(first + look, *whose, *high) for (look, *whose), high in pairs)
-        now = tuple(sorted((one for one in alarms_told if one.look < first + done), key=lambda one: one.look))
-        later = tuple(one for one in alarms_told if one.look >= first + done)
-        unjudged = _stretches(memory.unjudged, open_ns[:gone], self.dt_s) if gone else memory.unjudged
-        after = Memory(
-            mem,
-            bins_ns[:known],
-            bins[:known],
-            looks[done:],
-            latest,
-            alarms,
-            alarms_ns,
-            tally,
-            outside,
-            missing,
-            doubts,
-            open_ns[gone:open_rows].copy(),
-            bits[gone:open_rows].copy(),
-            first + done,
-            later,
-            memory.rows + n,
-            memory.flown + fresh,
-            memory.judged + judged,
-            unjudged,
-        )
-        looked = Looked(first, readings, looks, heights.tolist(), leads.tolist(), now)
-        return after, looked, Piece(rows, self.slots, self._plan, out, rotors, at, counts)
+            pairs = zip(told[1][:tells].tolist(), told[0][:tells].tolist(), strict=True)
+            memory.told += tuple(Alarm(first + look, *whose, *high) for (look, *whose), high in pairs)
+        memory.next_look = first + done
+        alarms = tuple(sorted((one for one in memory.told if one.look < memory.next_look), key=lambda one: one.look))
+        memory.told = tuple(one for one in memory.told if one.look >= memory.next_look)
+        memory.bins_ns, memory.bins, memory.looks = bins[0][:known], bins[1][:known], looks[done:]
+        memory.unjudged = _stretches(memory.unjudged, rows_open[0][:gone], self.dt_s)
+        memory.open_ns, memory.bits = rows_open[0][gone:opened], rows_open[1][gone:opened]
+        memory.rows, memory.flown, memory.judged = memory.rows + n, memory.flown + flown, memory.judged + covered
+        piece = Piece(rows, self.slots, self._fixed[0], out, rotors, at, counts)
+        heights, leads = found.tolist()
+        return Looked(first, readings, looks, heights, leads, alarms), piece
 
     def close(self, memory: Memory, end_ns: int) -> Looked:
         """The last look, at the end of a segment or of the data: what no look has had until then."""
         if memory.next_look is None or end_ns <= (memory.next_look - 1) * LOOK_NS:
             return Looked()
-        sums, latest = memory.looks[:1].copy(), memory.latest.copy()
-        newer, number = memory.looks[1], end_ns / LOOK_NS
-        sums[0, :, HIGHEST] = np.fmax(sums[0, :, HIGHEST], newer[:, HIGHEST])
-        later = newer[:, JUDGED] > 0
-        evidence = slice(EVIDENCE, EVIDENCE + self._rotors)
-        for column in (LAST, LAST_LEVEL, *range(evidence.start, evidence.stop)):
-            sums[0, later, column] = newer[later, column]
-        sums[0, :, [JUDGED, SQUARES]] += newer[:, [JUDGED, SQUARES]].T
-        sums[0, :, EVIDENCE + self._rotors :] += newer[:, EVIDENCE + self._rotors :]
-        told = (sums[0, :, HIGHEST] >= 0) & (sums[0, :, JUDGED] > 0)
-        latest[told, RATIO], latest[told, READ], latest[told, AT] = sums[0, told, HIGHEST], sums[0, told, LAST], number
-        latest[told, READ_ROTORS:] = sums[0, told, evidence]
-        return Looked(memory.next_look, latest[None], sums, (None,), (-1,), memory.told, end_ns)
+        (sums, newer), latest, evidence = memory.looks.copy(), memory.latest.copy(), EVIDENCE + self._rotors
+        sums[:, HIGHEST] = np.fmax(sums[:, HIGHEST], newer[:, HIGHEST])
+        for column in (LAST, *range(LAST_LEVEL, evidence)):
+            sums[:, column] = np.where(newer[:, JUDGED] > 0, newer[:, column], sums[:, column])
+        for column in (JUDGED, SQUARES, *range(evidence, sums.shape[1])):
+            sums[:, column] += newer[:, column]
+        for reading, record in zip(latest, sums, strict=True):
+            if record[HIGHEST] >= 0 and record[JUDGED]:
+                reading[:] = (record[HIGHEST], record[LAST], end_ns / LOOK_NS, *record[EVIDENCE:evidence])
+        return Looked(memory.next_look, latest[None], sums[None], (None,), (-1,), memory.told, end_ns)
 
-    def open_alarms(self, memory: Memory) -> tuple[Alarm, ...]:
-        """The alarms that last, with what is known of them."""
-        return self._open(memory, lasting=True)
-
-    def ended_alarms(self, memory: Memory) -> tuple[Alarm, ...]:
-        """The same at the end of a flight, each with its last value above."""
-        return self._open(memory, lasting=False)
-
-    def _open(self, memory: Memory, lasting: bool) -> tuple[Alarm, ...]:
+    def open_alarms(self, memory: Memory, *, ended: bool = False) -> tuple[Alarm, ...]:
+        """The alarms that last, with what is known of them. ended: each with its last value above as its end."""
+        pairs = enumerate(zip(memory.alarms.tolist(), memory.alarms_ns.tolist(), strict=True))
         return tuple(
-            Alarm(0, number, start_ns, -1 if lasting else above_ns, top, level)
-            for number, ((open_, _, top, level), (start_ns, above_ns)) in enumerate(
-                zip(memory.alarms.tolist(), memory.alarms_ns.tolist(), strict=True)
-            )
-            if open_
+            Alarm(0, number, start_ns, above_ns if ended else -1, top, level)
+            for number, ((lasts, _, top, level), (start_ns, above_ns)) in pairs
+            if lasts
         )
 
     def accounts(self, memory: Memory) -> tuple[Account, ...]:
         """How long each slot judged, and why it did not."""
         doubts = {str(DOUBTS[i]): int(n) * self.dt_s for i, n in enumerate(memory.doubts) if i and n}
         missing, found = (memory.missing * self.dt_s).tolist(), []
-        for number, (slot, period_s) in enumerate(zip(self.slots, self.periods_s.tolist(), strict=True)):
+        for number, (slot, period_s) in enumerate(zip(self.slots, self.periods_s, strict=True)):
             (values, peak), lacking = memory.tally[number].tolist(), dict(doubts)
             for signal in self._needs[number]:
                 if span_s := missing[self._bit[_check(slot, signal)]]:
@@ -791,6 +677,11 @@ class Kernel:
             highest = peak if values else None
             found.append(Account(memory.rows * self.dt_s, values * period_s, highest, lacking, outside))
         return tuple(found)
+
+    def _records(self, looks: int) -> FloatArray:
+        records = np.zeros((looks, len(self.slots), EVIDENCE + 2 * self._rotors))
+        records[:, :, HIGHEST] = NAN
+        return records
 
 
 NO_ROTORS = np.empty((0, 0))
@@ -809,10 +700,11 @@ def _bits(conditions: frozenset[Condition]) -> int:
     return sum(1 << ORDER.index(condition) for condition in conditions)
 
 
-def _records(looks: int, slots: int, rotors: int) -> FloatArray:
-    records = np.zeros((looks, slots, EVIDENCE + 2 * rotors))
-    records[:, :, HIGHEST] = NAN
-    return records
+def _grown(array: NDArray[Any], more: int) -> NDArray[Any]:
+    """An array with room for more behind it."""
+    grown = np.empty((len(array) + more, *array.shape[1:]), dtype=array.dtype)
+    grown[: len(array)] = array
+    return grown
 
 
 def _stretches(before: tuple[Stretch, ...], rows_ns: IntArray, dt_s: float) -> tuple[Stretch, ...]:

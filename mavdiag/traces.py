@@ -6,6 +6,7 @@ put them together, in order of time.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -55,58 +56,35 @@ class SlotTrace:
 
 def rate_traces(chain: Chain, pieces: Sequence[Piece]) -> tuple[RateTrace, ...]:
     """One for each axis that the chain has a model of. pieces: of the chain's outputs, in order."""
-    traces = []
-    rates = [piece.rows.rates for piece in pieces]
+    traces, rates = [], [piece.rows.rates for piece in pieces]
     for number, slot in enumerate(chain.slots):
-        monitor, found = slot.monitor, [piece.found[number] for piece in pieces]
-        if not isinstance(monitor, RunLength):
+        if not isinstance(slot.monitor, RunLength):
             continue
-        column = monitor.axis.column
-        measured = _column([block.y[:, column] for block in rates])
-        trace = RateTrace(
-            axis=monitor.axis,
-            segment=_column([np.full(len(block), block.segment) for block in rates]).astype(np.int64),
-            t_ns=_column([block.t_ns for block in rates]).astype(np.int64),
-            commanded=_column([block.u[:, column] for block in rates]),
-            measured=measured,
-            simulated=measured - _column([statistic.signal for statistic in found]),
-            fsd_s=_column([statistic.value for statistic in found]),
-            judged=_column([statistic.valid for statistic in found]).astype(np.bool_),
-            margin_rad_s=monitor.reference,
-            fml_s=slot.threshold,
-        )
-        traces.append(trace)
+        axis, found = slot.monitor.axis, joined([piece.found[number] for piece in pieces])
+        segment = _column([np.full(len(block), block.segment) for block in rates], np.int64)
+        u, y = (_column([getattr(block, name)[:, axis.column] for block in rates]) for name in ("u", "y"))
+        rows = (segment, found.t_ns, u, y, y - found.signal, found.value, found.valid)
+        traces.append(RateTrace(axis, *rows, slot.monitor.reference, slot.threshold))
     return tuple(traces)
 
 
 def slot_traces(chain: Chain, pieces: Sequence[Piece]) -> tuple[SlotTrace, ...]:
     """One for each slot, in the order of the chain."""
     return tuple(
-        SlotTrace(slot, _joined([piece.found[number] for piece in pieces])) for number, slot in enumerate(chain.slots)
+        SlotTrace(slot, joined([piece.found[number] for piece in pieces])) for number, slot in enumerate(chain.slots)
     )
 
 
-def _joined(found: Sequence[Statistic]) -> Statistic:
+def joined(found: Sequence[Statistic]) -> Statistic:
     """Statistics that follow each other as one."""
     some = [statistic for statistic in found if len(statistic)]
-    width = max((statistic.rotors.shape[1] for statistic in some), default=0)
-    shapes = ((statistic, (len(statistic), width)) for statistic in some)
-    rotors = [one.rotors if one.rotors.shape == shape else np.full(shape, np.nan) for one, shape in shapes]
-    value, level, signal, valid, t_ns = (
-        _column([getattr(statistic, name) for statistic in some])
-        for name in ("value", "level", "signal", "valid", "t_ns")
-    )
-    return Statistic(
-        t_ns=t_ns.astype(np.int64),
-        period_s=some[0].period_s if some else 0.0,
-        value=value,
-        valid=valid.astype(np.bool_),
-        level=level,
-        signal=signal,
-        rotors=np.concatenate(rotors) if rotors else np.empty((0, 0)),
-    )
+    if not some:
+        nothing, never = np.empty(0), np.empty(0, dtype=np.int64)
+        return Statistic(never, 0.0, nothing, nothing > 0, nothing, nothing)
+    names = ("value", "valid", "level", "signal", "rotors")
+    columns = (np.concatenate([getattr(statistic, name) for statistic in some]) for name in names)
+    return Statistic(np.concatenate([statistic.t_ns for statistic in some]), some[0].period_s, *columns)
 
 
-def _column(parts: Sequence[FloatArray | IntArray | BoolArray]) -> FloatArray:
-    joined: FloatArray = np.concatenate(parts) if parts else np.empty(0)
-    return joined
+def _column(parts: Sequence[Any], kind: Any = np.float64) -> Any:
+    return np.concatenate(parts) if parts else np.empty(0, dtype=kind)

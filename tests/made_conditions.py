@@ -88,10 +88,9 @@ def ones_judged(
 ) -> tuple[Statistic, dict[Condition, Outside]]:
     """What the envelope makes of the ones, and what it does not let judge."""
     kernel = Kernel((Slot(monitor, 9.0, True),), tuple(covered), rows[0].block.dt_s, 2 * rows[0].block.dt_s)
-    memory, parts = kernel.start(), []
+    memory, parts = kernel.start(), list[Statistic]()
     for one in rows:
-        memory, _, piece = kernel.step(memory, one)
-        parts.append(piece.found[0])
+        parts.append(kernel.step(memory, one)[1].found[0])
     names = ("t_ns", "value", "valid", "level", "signal", "rotors")
     joined = {name: np.concatenate([getattr(one, name) for one in parts]) for name in names}
     return Statistic(period_s=parts[0].period_s, **joined), kernel.accounts(memory)[0].outside

@@ -95,8 +95,7 @@ class Change:
     @classmethod
     def of(cls, diagnosis: Diagnosis, t_ns: int) -> "Change":
         """The diagnosis as it became at that time."""
-        names = [one.name for one in fields(cls)[1:]]
-        return cls(t_ns, *(getattr(diagnosis, name) for name in names))
+        return cls(t_ns, *(getattr(diagnosis, one.name) for one in fields(cls)[1:]))
 
     def __str__(self) -> str:
         """One line for a person."""

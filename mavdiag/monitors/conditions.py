@@ -163,7 +163,6 @@ def _measured(
     end_ns: IntArray,
     values: FloatArray,
 ) -> int:
-    """The bins of some rows."""
     return take_rows(mem, 0, x, flags, lag, t_ns, rates_ns, end_ns, values, 0)
 
 

@@ -161,18 +161,17 @@ def excess_of(value: float, limits: FloatArray, condition: int) -> float:
 
 
 @jit
-def farthest(bins: FloatArray, first: int, stop: int, depends: int, at: IntArray) -> float:
-    """The largest excess in the bins [first, stop) of conditions whose bits are set; `at` gets its bin and condition.
+def farthest(bins: FloatArray, first: int, stop: int, depends: int) -> tuple[int, int]:
+    """Bin and condition of the largest excess in [first, stop), of conditions whose bits are set; -1 if there is none.
 
     bins: (n, 2 conditions), their values and excess.
     """
-    far, conditions = 0.0, bins.shape[1] // 2
+    far, at, conditions = 0.0, (-1, 0), bins.shape[1] // 2
     for number in range(first, stop):
         for condition in range(conditions):
             if depends >> condition & 1 and bins[number, conditions + condition] > far:
-                far = bins[number, conditions + condition]
-                at[0], at[1] = number, condition
-    return float(far)
+                far, at = bins[number, conditions + condition], (number, condition)
+    return at
 
 
 @jit

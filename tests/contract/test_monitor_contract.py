@@ -177,14 +177,6 @@ def test_a_number_that_is_none_is_not_judged(kind: type[Monitor[Any]]) -> None:
 
 
 @every_monitor
-def test_the_start_state_is_not_spent_by_a_run(kind: type[Monitor[Any]]) -> None:
-    rows, monitor = flying_rows(rough_flight(6)), built(kind)
-    start = monitor.start()
-    first, again = (monitor.step(start, rows[0])[1] for _ in range(2))
-    np.testing.assert_array_equal(first.value, again.value)
-
-
-@every_monitor
 def test_a_fit_survives_json(kind: type[Monitor[Any]]) -> None:
     adapter: TypeAdapter[Any] = TypeAdapter(kind.spec_type)
     for spec in specs(kind):

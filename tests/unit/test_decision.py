@@ -186,12 +186,6 @@ def test_the_rotor_may_be_named_later() -> None:
     assert changes[2].t_ns == pytest.approx(4.1 * NS_PER_S, abs=0.05 * NS_PER_S)
 
 
-def test_a_monitor_that_stops_no_longer_counts() -> None:
-    shaking = values(profile((3, 0.3), (0.5, 0.48)), rotor=2)
-    _, _, changes = decided(shaking, values(profile((10, 1.0)), None))
-    assert stages(changes) == [Stage.QUIET, Stage.SUSPECTED, Stage.QUIET]
-
-
 def test_a_slot_that_does_not_decide_raises_a_suspicion_at_most_and_only_above() -> None:
     calm = values(profile((8, 0.1)))
     _, events, changes = decided(calm, NOTHING, values(profile((2, 0.0), (2, 0.099), (4, 0.0))))

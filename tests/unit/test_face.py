@@ -16,11 +16,10 @@ from made_telemetry import cut, flight
 
 import mavdiag as md
 from mavdiag import face
-from mavdiag.chain import ChainOutput
-from mavdiag.decision.alarm import Change, Diagnosis, Event, Stage
+from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.learning import LearnOptions
-from mavdiag.telemetry import Axis, Telemetry
+from mavdiag.telemetry import Telemetry
 
 HEAVY = {"numpy", "scipy", "pydantic", "pymavlink", "control", "matplotlib", "pandas", "rich", "typer", "numba"}
 
@@ -55,11 +54,6 @@ def test_rates_of_a_log_carry_the_model_that_made_them() -> None:
     assert model.dc_gain == pytest.approx(1.0, abs=0.05)
     with pytest.raises(UsageError, match="sideways"):
         md.rates(log, "sideways")
-
-
-def test_rates_of_a_flight_that_is_too_short_are_refused() -> None:
-    with pytest.raises(InputError, match="made: no unbroken flight of 2 s"):
-        md.rates(md.Log("made", "", "qdrone2", flight(1500, 3)), Axis.ROLL)
 
 
 def test_sources_may_be_logs_files_folders_and_patterns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,13 +98,6 @@ def test_an_airframe_may_be_a_value_a_name_or_a_file_and_gets_a_label() -> None:
     assert face.with_airframe(options, value, None).airframe is value
     with pytest.raises(UsageError, match="qdrone2"):
         face.with_airframe(options, "absent", None)
-
-
-def test_what_a_step_of_a_watch_brings_is_in_order_of_time() -> None:
-    late = Event("fsd", None, 5, None, 1.0, 0.5, 0.1)
-    closed = Event("fsd", None, 1, 7, 1.0, 0.5, 0.1)
-    change = Change.of(Diagnosis(Stage.QUIET, "judged"), 6)
-    assert face._in_order(ChainOutput(events=(closed, late), changes=(change,))) == (late, change, closed)
 
 
 def test_five_lines_from_healthy_flights_to_a_verdict(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from flying_telemetry import START_NS, flying, without
 from made_baselines import FRAME, NOW, healthy, logged, plain, thesis, trim, whole
 from made_statistics import assert_alike
-from made_telemetry import cut, flight
+from made_telemetry import flight
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.as_json import verdict_json
@@ -111,13 +111,6 @@ def test_r2_a_monitor_that_never_judged_has_no_maximum_but_a_reason() -> None:
     assert found["rotor_trim"]["not_judged"] is None
 
 
-def test_a_signal_that_stops_in_flight_is_told_in_the_verdict() -> None:
-    stopped = without(flying(3000, 1), (12.0, 30.0), signals=(Signal.ACTUATOR,))
-    found = {one.name: one for one in judge(logged(stopped), whole()).monitors}
-    assert found["rotor_trim"].not_judged == "no actuator"
-    assert found["innovation"].not_judged is None
-
-
 def test_a_signal_that_stops_is_told_with_the_time_it_cost() -> None:
     chain = chain_of(whole())
     stopped = without(flying(3000, 1), (12.0, 30.0), signals=(Signal.ACTUATOR,))
@@ -128,30 +121,6 @@ def test_a_signal_that_stops_is_told_with_the_time_it_cost() -> None:
     assert accounts["rotor_trim"].not_judged["no actuator"] == pytest.approx(17, abs=1.5)
     for account in accounts.values():
         assert account.judged_s + sum(account.not_judged.values()) == pytest.approx(account.flight_s, abs=0.1)
-
-
-def test_an_account_does_not_depend_on_chunks() -> None:
-    telemetry = without(flying(3000, 1), (12.0, 20.0), signals=(Signal.ACTUATOR, Signal.VIBRATION))
-    chain = chain_of(whole())
-    found = []
-    for step in (10**12, 50_000_000, 330_000_000):
-        state = chain.start()
-        for chunk in cut(telemetry, list(range(START_NS, START_NS + 31 * 10**9, step))):
-            state, _ = chain.step(state, chunk)
-        found.append(chain.finish(state)[0])
-    for other in found[1:]:
-        assert other.judged_s == pytest.approx(found[0].judged_s, abs=0.1)
-        for one, same in zip(other.accounts, found[0].accounts, strict=True):
-            assert (one.peak, one.judged_s) == pytest.approx((same.peak, same.judged_s))
-            assert dict(one.not_judged) == pytest.approx(dict(same.not_judged))
-
-
-def test_a_part_of_a_log_is_cut_by_the_vehicle_s_clock() -> None:
-    part = between(flight(8000, 1), 3.0, 4.0)
-    t = part.need(Signal.BODY_RATE).t_ns
-    assert (t[0] / 1e9, len(t)) == (3.0, 1000)
-    with pytest.raises(InputError, match=r"no data from 5 s to 6 s .* from 1\.0 to 1\.8 s"):
-        between(flight(800, 1), 5.0, 6.0)
 
 
 def test_notes_of_a_file_stand_in_the_reason() -> None:
@@ -309,21 +278,6 @@ def test_bug_4_what_any_monitor_judged_counts_when_the_leading_one_stops() -> No
     assert max(own.values()) < 20.0
     assert verdict.judged_s == pytest.approx(38.0, abs=1.5)
     assert verdict.verdict is Verdict.HEALTHY
-
-
-def test_a_window_that_is_valid_has_judged_what_lies_in_it() -> None:
-    """Rotor trim warms up for 5 s; its first value is about them."""
-    verdict = judge(logged(flying(1200, 1)), trim())
-    assert verdict.monitors[0].judged_s == pytest.approx(6.0, abs=0.6)
-    assert verdict.judged_s == pytest.approx(11.0, abs=0.6)
-    assert verdict.verdict is Verdict.HEALTHY
-
-
-def test_c2_a_link_without_set_points_is_told() -> None:
-    base = learn(healthy(3), LearnOptions(airframe=FRAME, monitors=("innovation", "fsd")), created=NOW)
-    verdict = judge(logged(without(flying(3000, 1), ALL, signals=(Signal.ATTITUDE_SETPOINT,))), base)
-    assert verdict.verdict is Verdict.NOT_JUDGEABLE
-    assert "innovation (no attitude setpoint)" in verdict.reason
 
 
 def test_c3_alarms_of_monitors_that_do_not_decide_are_a_suspicion() -> None:

@@ -18,7 +18,6 @@ from mavdiag.chain import Chain, chain_of
 from mavdiag.decision.diagnosis import Event
 from mavdiag.kernel import LOOK_NS, Account, Alarm, Looked, Piece, Stretch
 from mavdiag.rows.front import Rows
-from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_S
 
@@ -50,13 +49,13 @@ def judged(name: str, edges: list[int]) -> tuple[list[Looked], list[Piece], Told
     made, rows = segment(name)
     memory, looked, pieces = made.kernel.start(), list[Looked](), list[Piece]()
     for part in pieces_of(rows, edges):
-        memory, more, piece = made.kernel.step(memory, part)
+        more, piece = made.kernel.step(memory, part)
         looked.append(more)
         pieces.append(piece)
     looked.append(made.kernel.close(memory, int(rows.block.t_ns[-1])))
     told = (made.kernel.open_alarms(memory), made.kernel.accounts(memory), memory.flown, memory.judged)
-    unjudged = made.kernel.fresh(memory).unjudged
-    return looked, pieces, (*told, unjudged)
+    made.kernel.restart(memory)
+    return looked, pieces, (*told, memory.unjudged)
 
 
 def joined(looked: list[Looked]) -> tuple[object, ...]:
@@ -114,7 +113,7 @@ def test_accounts_add_up(name: str) -> None:
         assert account.judged_s == pytest.approx(found.judged_s)
         assert account.peak == (found.value[found.valid].max() if found.valid.any() else None)
         spans = account.judged_s + account.outside_s + sum(account.not_judged.values())
-        assert spans == pytest.approx(account.flight_s, abs=made.kernel.periods_s.max())
+        assert spans == pytest.approx(account.flight_s, abs=max(made.kernel.periods_s))
     assert 0 < covered <= flown <= len(rows.block)
     lost = sum((stop - first) / NS_PER_S + rows.block.dt_s for first, stop in unjudged)
     assert lost == pytest.approx((flown - covered) * rows.block.dt_s)
@@ -134,8 +133,3 @@ def test_gauges_show_the_latest_value() -> None:
 def test_an_event_is_one_line_for_a_person() -> None:
     one = Event("fsd", None, 10**9, 2 * 10**9, 0.41, 0.12, 0.1, rotor=2)
     assert str(one) == "fsd 0.41 > 0.12 from 1.00 s to 2.00 s, rotor 2"
-
-
-def test_a_statistic_knows_its_judged_time() -> None:
-    x = np.ones(4)
-    assert Statistic(np.arange(4), 0.5, x, np.array([True, False, True, True]), x, x).judged_s == 1.5

@@ -1,16 +1,14 @@
 """What figures are drawn from: the same numbers as the verdict rests on, and the model's own simulation."""
 
 import numpy as np
-import pytest
-from made_baselines import logged, thesis, whole
+from made_baselines import logged, thesis
 from made_telemetry import flight
 from scipy.signal import lfilter
 
-from mavdiag.chain import chain_of
 from mavdiag.judging import judge_in_full
 from mavdiag.monitors.run_length import RunLength
 from mavdiag.telemetry import Axis
-from mavdiag.traces import rate_traces, slot_traces
+from mavdiag.traces import rate_traces
 
 
 def test_the_traces_hold_the_highest_statistic_of_the_verdict() -> None:
@@ -34,11 +32,3 @@ def test_the_simulated_rate_is_the_models_output_to_the_commanded_rate_alone() -
     free = lfilter(model.b, model.a, trace.commanded)
     settled = len(free) // 2  # what the start gets wrong has died out
     np.testing.assert_allclose(trace.simulated[settled:], free[settled:], atol=2e-3)
-
-
-def test_a_flight_that_was_not_judged_has_empty_traces() -> None:
-    chain = chain_of(whole())
-    assert [len(one.t_ns) for one in rate_traces(chain, ())] == [0, 0]
-    slots = slot_traces(chain, ())
-    assert all(len(one.found) == 0 for one in slots)
-    assert slots[0].found.judged_s == pytest.approx(0.0)
