@@ -89,6 +89,8 @@ def test_setpoint_angles_rates_and_thrust() -> None:
     q = tuple(quaternion(0.2, -0.1, 1.0).tolist())
     telemetry = telemetry_of([Vehicle().frame(MessageId.ATTITUDE_TARGET, 7_001, 0, q, 0.1, 0.2, 0.3, 0.55)])
     np.testing.assert_allclose(values_of(telemetry, Signal.ATTITUDE_SETPOINT), [[0.2, -0.1, 1.0]], atol=1e-6)
+    sent = np.array([q], np.float32).astype(np.float64)
+    np.testing.assert_allclose(values_of(telemetry, Signal.ATTITUDE_SETPOINT), euler_angles(sent), rtol=0, atol=1e-15)
     np.testing.assert_allclose(values_of(telemetry, Signal.RATE_SETPOINT), [[0.1, 0.2, 0.3]], atol=1e-7)
     np.testing.assert_allclose(values_of(telemetry, Signal.THRUST_SETPOINT), [[0.55]], atol=1e-7)
     assert telemetry.need(Signal.ATTITUDE_SETPOINT).t_ns.tolist() == [7_001_000_000]
