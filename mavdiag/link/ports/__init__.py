@@ -53,12 +53,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """An address taken apart.
-
-    kind: what it is of.
-    place: host or device.
-    number: port or baud.
-    """
+    """An address taken apart: what it is of, host or device, port or baud."""
 
     kind: Kind
     place: str
