@@ -12,7 +12,7 @@ import pytest
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import Endpoint, open_endpoint
-from mavdiag.link.ports.stream import CLIENTS_MAX, IDLE_S
+from mavdiag.link.ports.tcp import CLIENTS_MAX, IDLE_S
 from mavdiag.link.ports.udp import PEERS_MAX
 
 V1 = bytes.fromhex("fe09000101000000000002035104037ddd")

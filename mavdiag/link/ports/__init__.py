@@ -20,7 +20,8 @@ from enum import StrEnum
 
 from mavdiag.errors import LinkError, UsageError
 from mavdiag.link.ports.base import Chunk, Clock, Endpoint, SocketAddress, Traffic, link_error, wait
-from mavdiag.link.ports.stream import Serial, TcpClient, TcpServer
+from mavdiag.link.ports.serial import Serial
+from mavdiag.link.ports.tcp import TcpClient, TcpServer
 from mavdiag.link.ports.udp import PEER_FRESH_S, UdpIn, UdpOut
 
 __all__ = [
