@@ -8,7 +8,7 @@ import pytest
 from mavdiag.link.codec import Decoder, Encoder
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId
 from mavdiag.link.profiles import PROFILES
-from mavdiag.link.sequence import FRAME, HEARD, PINNED_S, SENDERS_MAX, Intruder, Senders, Source
+from mavdiag.link.sequence import FRAME, HEARD, SENDERS_MAX, Intruder, Senders, Source
 from mavdiag.link.vehicles import REQUESTS_MAX, VEHICLES_MAX, LinkDecoder
 
 S = 1_000_000_000
@@ -46,14 +46,6 @@ def test_a_second_source_is_not_heard_while_the_first_is_alive() -> None:
     one = senders.get(1, 1)
     assert one is not None
     assert (one.source, one.intruder, one.count.received) == (HERE, Intruder(THERE, 2), 2)
-
-
-def test_a_sender_may_move_after_silence_and_then_the_old_source_is_the_second() -> None:
-    senders = Senders()
-    heard(senders, KEY, 0, 0, HERE)
-    assert not heard(senders, KEY, 1, round(PINNED_S * S) - 1, THERE)
-    assert heard(senders, KEY, 1, round(PINNED_S * S), THERE)
-    assert not heard(senders, KEY, 2, round(PINNED_S * S) + 1, HERE)
 
 
 def test_senders_are_bounded_and_those_that_sent_most_stay() -> None:
