@@ -84,6 +84,7 @@ class Source:
 _M, _S = MessageId, Signal
 _BOOT_MS, _USEC, _USEC_32 = ("time_boot_ms", MS_32), ("time_usec", US_64), ("time_usec", US_32)
 _ATTITUDE = Part(_S.ATTITUDE, "roll")
+_ESCS = (_M.ESC_TELEMETRY_1_TO_4, _M.ESC_TELEMETRY_5_TO_8, _M.ESC_TELEMETRY_9_TO_12)
 
 
 def _imu(message: MessageId, time: tuple[str, Counter], *, numbered: bool = False) -> Source:
@@ -95,7 +96,7 @@ def _imu(message: MessageId, time: tuple[str, Counter], *, numbered: bool = Fals
     )
 
 
-def _telemetry_of_escs(message: int, first: int) -> Source:
+def _telemetry_of_escs(message: MessageId, first: int) -> Source:
     part = Part(_S.ROTOR_SPEED, "rpm", Form.ROTORS, RPM, beside=first)
     return Source(message, (part,), chosen_by=_M.ESC_TELEMETRY_1_TO_4)
 
@@ -142,7 +143,7 @@ SOURCES: tuple[Source, ...] = (
         _USEC,
         chosen_by=_M.ESC_STATUS,
     ),
-    *(_telemetry_of_escs(message, 4 * k) for k, message in enumerate((11030, 11031, 11032))),
+    *(_telemetry_of_escs(message, 4 * k) for k, message in enumerate(_ESCS)),
 )
 
 _SIGNALS, _NO_TIMES = tuple(Signal), np.empty(0, np.int64)
