@@ -287,8 +287,7 @@ class Decoder:
         self, data: bytes, sizes: Sequence[int], times: Sequence[int], sources: Sequence[Source], *, whole: bool
     ) -> tuple[Frames, int]:
         """The wanted frames among chunks that lie one behind the other, and how many bytes are done with."""
-        number = self.heard.number
-        chunks = np.array([sizes, times, [number(source) for source in sources]], np.int64)
+        chunks = np.array([sizes, times, self.heard.numbers(sources)], np.int64)
         found, buffer = np.empty(len(data) // (_SHORTEST_V1 + self._gap) + 1, FRAME), np.frombuffer(data, np.uint8)
         count, used = _find(buffer, chunks, whole, self._gap, _KNOWN, _tables(), self._tally, found)
         rows = found[:count]

@@ -8,7 +8,7 @@ import pytest
 from mavdiag.link.codec import Decoder, Encoder
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId
 from mavdiag.link.profiles import PROFILES
-from mavdiag.link.sequence import FRAME, HEARD, SENDERS_MAX, Intruder, Senders, Source
+from mavdiag.link.sequence import FRAME, HEARD, SENDERS_MAX, SOURCES_MAX, Intruder, Senders, Source
 from mavdiag.link.vehicles import REQUESTS_MAX, VEHICLES_MAX, LinkDecoder
 
 S = 1_000_000_000
@@ -19,9 +19,19 @@ KEY = 1 << 8 | 1
 def heard(senders: Senders, key: int, seq: int, host_ns: int, source: Source) -> bool:
     """Whether a frame of a sender is heard."""
     row = np.zeros(1, FRAME)
-    row["sender"], row["seq"], row["host_ns"], row["source"] = key, seq, host_ns, senders.number(source)
+    row["sender"], row["seq"], row["host_ns"], row["source"] = key, seq, host_ns, senders.numbers([source])[0]
     senders.hear(np.frombuffer(bytes(2), np.uint8), row)
     return bool(row["heard"][0] == HEARD)
+
+
+def test_more_sources_at_once_than_are_kept_are_heard_and_forgotten() -> None:
+    link = LinkDecoder(careful=True)
+    for k in range(4):
+        sources = [("10.0.0.1", port) for port in range(k, k + 3 * SOURCES_MAX)]
+        chunks = [(beat(Encoder(1 + port % 200, 1)), k * 4 * S) for _, port in sources]
+        link.feed(chunks, k * 4 * S, sources)
+        assert link.source(1) in sources
+    assert len(link.decoder.heard._numbers) <= 4 * SOURCES_MAX
 
 
 def beat(encoder: Encoder, kind: MavType = MavType.QUADROTOR) -> bytes:
@@ -93,9 +103,10 @@ def test_made_up_senders_and_unknown_ids_cost_bounded_memory() -> None:
         for frame in warm:
             decoder.feed_datagram(frame, 0)
             link.feed([(frame, 0)], 0, [THERE])
+    flood = [(frame, k) for k, frame in enumerate((*frames, *unknown))]
     tracemalloc.start()
-    for k, frame in enumerate((*frames, *unknown)):
-        decoder.feed_datagram(frame, k)
+    for k in range(0, len(flood), 100):
+        decoder.take_datagrams(flood[k : k + 100])
     link.feed([(frame, 0) for frame in frames], S, [THERE] * len(frames))
     grown, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
