@@ -10,8 +10,8 @@ from operator import itemgetter
 from typing import TypeAlias
 
 from detector.journal import Recorder
+from mavdiag.link.codec import frame_length
 from mavdiag.link.ports import Endpoint
-from mavdiag.link.ports.stream import frame_length
 
 Upward: TypeAlias = Callable[[list[bytes], Endpoint], Iterable[bytes]]
 

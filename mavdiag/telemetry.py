@@ -16,20 +16,6 @@ from numpy.typing import NDArray
 from mavdiag.errors import InputError, UsageError
 from mavdiag.units import NS_PER_S
 
-__all__ = [
-    "Axis",
-    "BoolArray",
-    "FloatArray",
-    "Instant",
-    "IntArray",
-    "Log",
-    "Series",
-    "Signal",
-    "Telemetry",
-    "Three",
-    "pandas_module",
-]
-
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]

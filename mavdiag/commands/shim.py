@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from mavdiag.commandline import stop_signals
+from mavdiag.link.codec import split_frames
 from mavdiag.link.ports import Endpoint, open_endpoint, wait
-from mavdiag.link.ports.stream import frame_length
 from mavdiag.link.shim import Impairment, Shim, ShimCount
 
 LOOK_S = 0.001  # how often it looks whether a message is due
@@ -33,7 +33,7 @@ class Passage:
             if self._source.datagrams:
                 messages.append(data)
                 continue
-            frames, self._begun = frames_of(self._begun + data)
+            frames, self._begun = split_frames(self._begun + data)
             messages += frames
         before_ns = now_ns if self._before_ns is None else self._before_ns
         for number, message in enumerate(messages, 1):
@@ -41,25 +41,6 @@ class Passage:
         self._before_ns = now_ns
         for message in self.shim.due(now_ns):
             self._target.send(message)
-
-
-def frames_of(data: bytes) -> tuple[list[bytes], bytes]:
-    """The frames of a byte stream, bytes between them as messages of their own, and the beginning of the next frame.
-
-    >>> frames_of(b"ab" + bytes.fromhex("fe00000101000000fe"))
-    ([b'ab', b'\\xfe\\x00\\x00\\x01\\x01\\x00\\x00\\x00'], b'\\xfe')
-    """
-    found: list[bytes] = []
-    at = garbage = 0
-    while at < len(data):
-        length = frame_length(data, at)
-        if length is None or at + length > len(data):
-            break
-        if length > 1:
-            found += [data[garbage:at], data[at : at + length]] if at > garbage else [data[at : at + length]]
-            garbage = at + length
-        at += length
-    return [*found, data[garbage:at]] if at > garbage else found, data[at:]
 
 
 def shim(

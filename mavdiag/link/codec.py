@@ -9,7 +9,6 @@ Checksums are taken eight bytes at a time by tables ("slicing by eight", Kounavi
 Wire format: https://mavlink.io/en/guide/serialization.html
 """
 
-import re
 import struct
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -45,7 +44,6 @@ FALSE_MARKERS = 64
 _V1, _V2 = 0xFE, 0xFD
 _SHORTEST_V1, _SHORTEST_V2 = 8, 12  # header and checksum round an empty payload
 _NOT_YET = -1
-_search_marker = re.compile(rb"[\xfd\xfe]").search
 _pack_header = struct.Struct("<BBBBBBHB").pack  # without the marker and with the message id in two parts
 
 
@@ -119,10 +117,38 @@ def field_index(msgid: int, name: str) -> int:
     return layout_of(msgid).place(name)
 
 
-def next_marker(buffer: bytes, start: int) -> int:
-    """The first place from `start` on where a frame could begin; the length of the buffer if there is none."""
-    found = _search_marker(buffer, start)
-    return found.start() if found else len(buffer)
+def frame_length(data: bytes, start: int) -> int | None:
+    """Bytes of the frame that starts here (1 for a byte that starts none), None if too few are there to say.
+
+    MAVLink serialization: v1 is 0xFE with 8 bytes around the payload, v2 is 0xFD with 12, and 13 more if signed.
+    """
+    magic = data[start]
+    if magic not in (0xFE, 0xFD):
+        return 1
+    if len(data) < start + 3:
+        return None
+    if magic == 0xFE:
+        return data[start + 1] + 8
+    return data[start + 1] + (25 if data[start + 2] & 1 else 12)
+
+
+def split_frames(data: bytes) -> tuple[list[bytes], bytes]:
+    """The frames of a byte stream, bytes between them as messages of their own, and the beginning of the next frame.
+
+    >>> split_frames(b"ab" + bytes.fromhex("fe00000101000000fe"))
+    ([b'ab', b'\\xfe\\x00\\x00\\x01\\x01\\x00\\x00\\x00'], b'\\xfe')
+    """
+    found: list[bytes] = []
+    at = garbage = 0
+    while at < len(data):
+        length = frame_length(data, at)
+        if length is None or at + length > len(data):
+            break
+        if length > 1:
+            found += [data[garbage:at], data[at : at + length]] if at > garbage else [data[at : at + length]]
+            garbage = at + length
+        at += length
+    return [*found, data[garbage:at]] if at > garbage else found, data[at:]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -261,8 +287,7 @@ class Decoder:
         self, data: bytes, sizes: Sequence[int], times: Sequence[int], sources: Sequence[Source], *, whole: bool
     ) -> tuple[Frames, int]:
         """The wanted frames among chunks that lie one behind the other, and how many bytes are done with."""
-        number = self.heard.number
-        chunks = np.array([sizes, times, [number(source) for source in sources]], np.int64)
+        chunks = np.array([sizes, times, self.heard.numbers(sources)], np.int64)
         found, buffer = np.empty(len(data) // (_SHORTEST_V1 + self._gap) + 1, FRAME), np.frombuffer(data, np.uint8)
         count, used = _find(buffer, chunks, whole, self._gap, _KNOWN, _tables(), self._tally, found)
         rows = found[:count]

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from struct import calcsize
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -83,6 +84,7 @@ class Source:
 _M, _S = MessageId, Signal
 _BOOT_MS, _USEC, _USEC_32 = ("time_boot_ms", MS_32), ("time_usec", US_64), ("time_usec", US_32)
 _ATTITUDE = Part(_S.ATTITUDE, "roll")
+_ESCS = (_M.ESC_TELEMETRY_1_TO_4, _M.ESC_TELEMETRY_5_TO_8, _M.ESC_TELEMETRY_9_TO_12)
 
 
 def _imu(message: MessageId, time: tuple[str, Counter], *, numbered: bool = False) -> Source:
@@ -94,7 +96,7 @@ def _imu(message: MessageId, time: tuple[str, Counter], *, numbered: bool = Fals
     )
 
 
-def _telemetry_of_escs(message: int, first: int) -> Source:
+def _telemetry_of_escs(message: MessageId, first: int) -> Source:
     part = Part(_S.ROTOR_SPEED, "rpm", Form.ROTORS, RPM, beside=first)
     return Source(message, (part,), chosen_by=_M.ESC_TELEMETRY_1_TO_4)
 
@@ -141,12 +143,13 @@ SOURCES: tuple[Source, ...] = (
         _USEC,
         chosen_by=_M.ESC_STATUS,
     ),
-    *(_telemetry_of_escs(message, 4 * k) for k, message in enumerate((11030, 11031, 11032))),
+    *(_telemetry_of_escs(message, 4 * k) for k, message in enumerate(_ESCS)),
 )
 
 _SIGNALS, _NO_TIMES = tuple(Signal), np.empty(0, np.int64)
 _ONE, _MANY = {_S.THRUST_SETPOINT, _S.HEIGHT, _S.VOLTAGE, _S.ARMED}, {_S.ACTUATOR: ACTUATORS, _S.ROTOR_SPEED: ROTORS}
-_WIDTHS = np.array([1 if one in _ONE else _MANY.get(one, 3) for one in _SIGNALS])  # columns of each signal
+_COLUMNS = [1 if one in _ONE else _MANY.get(one, 3) for one in _SIGNALS]  # of each signal
+_WIDTHS = np.array(_COLUMNS)
 
 
 def sources(profile: Profile, table: Iterable[Source] = SOURCES) -> tuple[Source, ...]:
@@ -155,31 +158,45 @@ def sources(profile: Profile, table: Iterable[Source] = SOURCES) -> tuple[Source
     return tuple({row.message: row for row in read}.values())
 
 
+# What one vehicle's conversion carries on: the rotors' latest known speeds [rad/s], NaN for unknown; rows with NaN,
+# infinity or no quaternion; when the latest armed heartbeat was received; and disarmed ones amid armed ones, left out.
+_MEMORY = np.dtype([("speeds", "f8", ROTORS), *((name, "i8") for name in ("dropped", "armed_ns", "contrary"))])
+# Of a message: bytes of its payload, `Counter`, place and bytes of its count, and which parts are its.
+_SOURCE = np.dtype([(name, "i8") for name in ("length", "tick", "turn", "at", "size", "first", "last")])
+# `Part`, with places in the payload; a rotor's number beside it is negative. bits 16: signed, 32: floating.
+_INDEXES = ("signal", "form", "at", "kind", "size", "width", "hidden", "bits", "beside")
+_PART = np.dtype([*((name, "i8") for name in _INDEXES), ("unit", "f8"), ("zero", "f8")])
+_KINDS = {"f": 32, "h": 16, "i": 16}
+
+
+def _fresh() -> NDArray[np.void]:
+    memory = np.zeros(1, _MEMORY)
+    memory["speeds"], memory["armed_ns"] = np.nan, NEVER
+    return memory
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleState:
-    """What one vehicle's conversion carries from block to block.
-
-    timeline: where its time stands.
-    speeds: (16,) the rotors' latest known speeds [rad/s], NaN for unknown.
-    dropped: rows with NaN, infinity or no quaternion so far.
-    armed_ns: when the latest armed heartbeat was received [ns].
-    contrary: disarmed heartbeats amid armed ones, left out so far.
-    """
+    """What one vehicle's conversion carries from block to block: where its time stands, and the record above."""
 
     timeline: VehicleTime = field(default_factory=VehicleTime)
-    speeds: FloatArray = field(default_factory=lambda: np.full(ROTORS, np.nan))
-    dropped: int = 0
-    armed_ns: int = NEVER
-    contrary: int = 0
+    memory: NDArray[np.void] = field(default_factory=_fresh)
+
+    @property
+    def dropped(self) -> int:
+        """Rows with NaN, infinity or no quaternion so far."""
+        return int(self.memory["dropped"][0])
+
+    @property
+    def contrary(self) -> int:
+        """Disarmed heartbeats amid armed ones, left out so far."""
+        return int(self.memory["contrary"][0])
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, SampleState) and self._key() == other._key()
+        return isinstance(other, SampleState) and hash(self) == hash(other)
 
     def __hash__(self) -> int:
-        return hash(self._key())
-
-    def _key(self) -> tuple[object, ...]:
-        return self.timeline, self.speeds.tobytes(), self.dropped, self.armed_ns, self.contrary
+        return hash((self.timeline, self.memory.tobytes()))
 
 
 class SampleDecoder:
@@ -199,21 +216,18 @@ class SampleDecoder:
         self._lookup = np.full(len(MSGIDS), -1, np.int16)
         self._lookup[[ROWS[row.message] for row in read]] = np.arange(len(read))
         ends = np.cumsum([0, *(len(row.parts) for row in read)]).tolist()
-        counted = [_counted(row, *ends[k : k + 2]) for k, row in enumerate(read)]
-        self._sources = np.array(counted, np.int64).reshape(-1, 7)
-        laid = [_laid(profile, row.message, part) for row in read for part in row.parts]
-        self._parts = np.array([places for places, _ in laid], np.int64).reshape(-1, 8)
-        self._scales = np.array([scale for _, scale in laid], np.float64).reshape(-1, 2)
+        self._sources = np.array([(*_counted(row), *ends[k : k + 2]) for k, row in enumerate(read)], _SOURCE)
+        self._parts = np.array([_laid(profile, row.message, part) for row in read for part in row.parts], _PART)
 
     def step(
         self, state: SampleState, frames: Sequence[Frame] | Frames, given_ns: IntArray = _NO_TIMES
     ) -> tuple[SampleState, Telemetry]:
         """Take the next frames of one vehicle, in order of arrival. given_ns: (n,) their vehicle times, if known."""
         some = frames if isinstance(frames, Frames) else frames_of(frames)
-        timeline, speeds = VehicleTime(state.timeline.words.copy()), state.speeds.copy()
-        tally = np.array([state.dropped, state.armed_ns, state.contrary])
-        table = (self._lookup, self._sources, self._parts, self._scales, _WIDTHS)
-        t_ns, host_ns, values, filled = _convert(some.data, some.rows, given_ns, table, timeline.records, tally, speeds)
+        after = SampleState(VehicleTime(state.timeline.words.copy()), state.memory.copy())
+        table = (self._lookup, self._sources, self._parts, _WIDTHS)
+        memory = (after.timeline.records, after.memory)
+        t_ns, host_ns, values, filled = _convert(some.data, some.rows, given_ns, table, memory)
         series, known, large = [], list[IntArray](), len(some) > LARGE
         for signal, width, (first, place, count) in zip(_SIGNALS, _COLUMNS, filled.tolist(), strict=True):
             if count:
@@ -222,34 +236,26 @@ class SampleDecoder:
                 if large:
                     at_ns, came_ns, block = _shared(at_ns.copy(), known), _shared(came_ns.copy(), known), block.copy()
                 series.append(Series(signal, at_ns, came_ns, block))
-        return SampleState(timeline, speeds, *tally.tolist()), Telemetry(tuple(series))
+        return after, Telemetry(tuple(series))
 
 
-_COLUMNS = _WIDTHS.tolist()
-_SIZES = {"f": 4 | 32, "h": 2 | 16, "H": 2, "i": 4 | 16, "I": 4, "B": 1, "Q": 8}  # bytes; signed: 16; floating: 32
-
-
-def _counted(row: Source, first: int, last: int) -> tuple[int, ...]:
-    """Of a message: number, `Counter`, place and bytes of its count, and which parts are its."""
+def _counted(row: Source) -> tuple[int, ...]:
+    layout = layout_of(row.message)
     if row.time is None:
-        return (row.message, 0, 0, 0, 0, first, last)
-    (at, code), counter = layout_of(row.message).offset(row.time[0]), row.time[1]
-    return (row.message, counter.tick_ns, counter.turn, at, _SIZES[code], first, last)
+        return (layout.packer.size, 0, 0, 0, 0)
+    at, code = layout.offset(row.time[0])
+    return (layout.packer.size, row.time[1].tick_ns, row.time[1].turn, at, calcsize("<" + code))
 
 
-def _laid(profile: Profile, msgid: int, part: Part) -> tuple[tuple[int, ...], tuple[float, float]]:
-    """Of a part: signal, form, place and kind of its first field, columns, condition, and what stands beside it; and
-    its unit and the count that stands for zero."""
-    layout = layout_of(msgid)
+def _laid(profile: Profile, msgid: int, part: Part) -> tuple[float, ...]:
+    layout, number = layout_of(msgid), _SIGNALS.index(part.signal)
     at, code = layout.offset(part.first)
     hidden, bits = (layout.offset(part.unless[0])[0], part.unless[1]) if part.unless else (0, 0)
     beside = layout.offset(part.beside)[0] if isinstance(part.beside, str) else -1 - part.beside
-    scale = (getattr(profile, part.unit) if isinstance(part.unit, str) else part.unit, 0.0)
-    if part.form is Form.PULSES:
-        low, high = profile.actuator_span
-        scale = (1.0 / (high - low), low)
-    number, width = _SIGNALS.index(part.signal), _COLUMNS[_SIGNALS.index(part.signal)]
-    return (number, int(part.form), at, _SIZES[code], width, hidden, int(bits), beside), scale
+    low, high = profile.actuator_span if part.form is Form.PULSES else (0.0, 1.0)
+    unit = getattr(profile, part.unit) if isinstance(part.unit, str) else part.unit / (high - low)
+    kind, size = _KINDS.get(code, 0), calcsize("<" + code)
+    return (number, part.form, at, kind, size, _COLUMNS[number], hidden, bits, beside, unit, low)
 
 
 def warm() -> None:
@@ -316,47 +322,46 @@ def _angles(w: float, x: float, y: float, z: float) -> tuple[float, float, float
 
 
 @jit
-def _count(data: Bytes, at: int, stop: int, size: int) -> int:
-    """The whole number at this place. What is behind the end of the payload was trimmed, and is zero."""
+def _count(payload: Bytes, at: int, size: int) -> int:
     value = np.int64(0)
-    for k in range(min(size, stop - at)):
-        value |= np.int64(data[at + k]) << 8 * k
+    for k in range(size):
+        value |= np.int64(payload[at + k]) << 8 * k
     return int(value)
 
 
 @jit
-def _number(data: Bytes, at: int, stop: int, kind: int, word: Any, real: Any) -> float:
-    value, size = _count(data, at, stop, kind & 15), kind & 15
-    if kind & 32:
-        word[0] = value
-        return np.float64(real[0])
-    return np.float64(value - (1 << 8 * size if kind & 16 and value >= 1 << 8 * size - 1 else 0))
+def _number(payload: Bytes, floats: Any, at: int, part: Any) -> float:
+    """A field of a part's kind at this place. Floating ones lie at multiples of four."""
+    if part.kind == 32:
+        return np.float64(floats[at // 4])
+    value = _count(payload, at, part.size)
+    return np.float64(value - (1 << 8 * part.size if part.kind == 16 and value >= 1 << 8 * part.size - 1 else 0))
 
 
 @jit
-def _pulses(data: Bytes, body: int, stop: int, part: Any, scale: Any, out: FloatArray) -> None:
+def _pulses(payload: Bytes, part: Any, out: FloatArray) -> None:
     """Pulses as shares of the full output, 0..1; an output that is not in use (0 us) becomes 0."""
     for k in range(ACTUATORS):
-        at = body + (part[2] + 2 * k if k < 8 else part[7] + 2 * (k - 8))
-        share = (_count(data, at, stop, 2) - scale[1]) * scale[0]
-        out[k] = min(max(share, 0.0), 1.0)
+        at = part.at + 2 * k if k < 8 else part.beside + 2 * (k - 8)
+        out[k] = min(max((_count(payload, at, 2) - part.zero) * part.unit, 0.0), 1.0)
 
 
 @jit
-def _outputs(data: Bytes, body: int, stop: int, part: Any, word: Any, real: Any, out: FloatArray) -> None:
+def _outputs(payload: Bytes, floats: Any, part: Any, out: FloatArray) -> None:
     """PX4 sends what its driver gets, and no unit: told by the values of each message (REVIEW H2).
 
     Nothing above 1: shares, as in simulation. No output below 800: microseconds; an unused one rests at 900 or 1000.
     Else DShot, where unused ones are 0. PX4 fills `active` with the number of outputs; what is behind them are zeros.
     """
-    number = _count(data, body + part[7], stop, 4)
+    number = _count(payload, part.beside, 4)
     highest, least, low, span = 0.0, PULSE_LEAST_US, 0.0, DSHOT_FULL
     for k in range(ACTUATORS):
-        out[k] = _number(data, body + part[2] + 4 * k, stop, 36, word, real)
-        used = np.isfinite(out[k]) and (k < number or number < 1)
-        out[k] = out[k] if np.isfinite(out[k]) else 0.0
+        out[k] = _number(payload, floats, part.at + 4 * k, part)
+        if not math.isfinite(out[k]):
+            out[k] = 0.0
+        elif k < number or number < 1:
+            least = min(least, out[k])
         highest = max(highest, out[k])
-        least = min(least, out[k]) if used else least
     if highest <= 1.0:
         span = 1.0
     elif least >= PULSE_LEAST_US:
@@ -366,74 +371,57 @@ def _outputs(data: Bytes, body: int, stop: int, part: Any, word: Any, real: Any,
 
 
 @jit
-def _rotors(
-    data: Bytes, body: int, stop: int, part: Any, unit: float, memory: tuple[IntArray, FloatArray, Any, Any], out: Any
-) -> bool:
+def _rotors(payload: Bytes, floats: Any, part: Any, memory: Any, out: FloatArray) -> bool:
     """Four rotors; returns whether there are such. `ESC_STATUS` tells the first of them by its index."""
-    _, speeds, word, real = memory
-    first = _count(data, body + part[7], stop, 1) if part[7] >= 0 else -1 - part[7]
-    if first >= ROTORS:
-        return False
+    first = _count(payload, part.beside, 1) if part.beside >= 0 else -1 - part.beside
     for k in range(min(4, ROTORS - first)):
-        place = body + part[2] + (part[3] & 15) * k
-        speeds[first + k] = unit * abs(_number(data, place, stop, part[3], word, real))
+        memory.speeds[first + k] = part.unit * abs(_number(payload, floats, part.at + part.size * k, part))
     for k in range(ROTORS):
-        out[k] = speeds[k]
-    return True
+        out[k] = memory.speeds[k]
+    return first < ROTORS
 
 
 @jit
-def _heartbeat(data: Bytes, body: int, stop: int, part: Any, host_ns: int, tally: IntArray, out: FloatArray) -> bool:
+def _heartbeat(payload: Bytes, part: Any, host_ns: int, memory: Any, out: FloatArray) -> bool:
     """Whether a heartbeat is a vehicle's, and is believed: a disarmed one amid armed ones is another sender's."""
-    kind = _count(data, body + part[7], stop, 1)
+    kind, armed = payload[part.beside], payload[part.at] & _ARMED > 0
     if kind in (_GCS, _COMPUTER):
         return False
-    armed = _count(data, body + part[2], stop, 1) & _ARMED > 0
     out[0] = 1.0 if armed else 0.0
     if armed:
-        tally[1] = max(tally[1], host_ns)
-    elif tally[1] > NEVER and host_ns - tally[1] < DISARMED_NS:
-        tally[2] += 1
-        return False
-    return True
+        memory.armed_ns = max(memory.armed_ns, host_ns)
+    doubted = not armed and memory.armed_ns > NEVER and host_ns - memory.armed_ns < DISARMED_NS
+    memory.contrary += int(doubted)
+    return not doubted
 
 
 @jit
-def _filled(
-    data: Bytes,
-    frame: Any,
-    part: Any,
-    scale: Any,
-    memory: tuple[IntArray, FloatArray, Any, Any],
-    out: FloatArray,
-) -> bool:
+def _filled(payload: Bytes, floats: Any, part: Any, host_ns: int, memory: Any, out: FloatArray) -> bool:
     """Whether a part of a frame is meant and sound; then its values are in `out`."""
-    tally, _, word, real = memory
-    body, stop, form, whole = frame.body, frame.stop, part[1], True
-    if part[6] and _count(data, body + part[5], stop, 1) & part[6]:
+    if payload[part.hidden] & part.bits:
         return False
-    if form == Form.ANGLES:
-        w = _number(data, body + part[2], stop, 36, word, real)
-        x = _number(data, body + part[2] + 4, stop, 36, word, real)
-        y = _number(data, body + part[2] + 8, stop, 36, word, real)
-        z = _number(data, body + part[2] + 12, stop, 36, word, real)
-        out[0], out[1], out[2] = _angles(w, x, y, z)
-    elif form == Form.PULSES:
-        _pulses(data, body, stop, part, scale, out)
-    elif form == Form.OUTPUTS:
-        _outputs(data, body, stop, part, word, real, out)
-    elif form == Form.ROTORS:
-        return _rotors(data, body, stop, part, scale[0], memory, out)
-    elif form == Form.ARMED:
-        return _heartbeat(data, body, stop, part, frame.host_ns, tally, out)
+    if part.form == Form.ROTORS:
+        return _rotors(payload, floats, part, memory, out)
+    if part.form == Form.ARMED:
+        return _heartbeat(payload, part, host_ns, memory, out)
+    if part.form == Form.ANGLES:
+        at, one = part.at // 4, np.float64(1.0)  # not in single precision
+        out[0], out[1], out[2] = _angles(
+            one * floats[at], one * floats[at + 1], one * floats[at + 2], one * floats[at + 3]
+        )
+    elif part.form == Form.PULSES:
+        _pulses(payload, part, out)
+    elif part.form == Form.OUTPUTS:
+        _outputs(payload, floats, part, out)
     else:
-        for k in range(len(out)):
-            out[k] = scale[0] * _number(data, body + part[2] + (part[3] & 15) * k, stop, part[3], word, real)
-        if form == Form.VOLTAGE and _count(data, body + part[2], stop, 2) == UNKNOWN_MV:
+        for k in range(part.width):
+            out[k] = part.unit * _number(payload, floats, part.at + part.size * k, part)
+        if part.form == Form.VOLTAGE and _count(payload, part.at, 2) == UNKNOWN_MV:
             return False
-    for k in range(len(out)):
+    whole = True
+    for k in range(part.width):
         whole = whole and math.isfinite(out[k])
-    tally[0] += int(not whole)
+    memory.dropped += int(not whole)
     return whole
 
 
@@ -441,20 +429,25 @@ _GCS, _COMPUTER, _ARMED = int(MavType.GCS), int(MavType.ONBOARD_CONTROLLER), int
 
 
 @allocating
-def _room(
-    rows: NDArray[Any], lookup: NDArray[np.int16], sources: IntArray, parts: IntArray, widths: IntArray
-) -> IntArray:
+def _room(rows: NDArray[Any], lookup: NDArray[np.int16], sources: Any, parts: Any, widths: IntArray) -> IntArray:
     """Where the rows and the values of each signal begin, and how many there may be."""
-    filled = np.zeros((len(widths), 3), np.int64)
+    room = np.zeros((len(widths), 3), np.int64)
     for k in range(len(rows)):
         source = lookup[rows[k].row]
         if source >= 0 and rows[k].sender & 0xFF == AUTOPILOT:
-            for p in range(sources[source, 5], sources[source, 6]):
-                filled[parts[p, 0], 2] += 1
+            for p in range(sources[source].first, sources[source].last):
+                room[parts[p].signal, 2] += 1
     for signal in range(1, len(widths)):
-        filled[signal, 0] = filled[signal - 1, 0] + filled[signal - 1, 2]
-        filled[signal, 1] = filled[signal - 1, 1] + filled[signal - 1, 2] * widths[signal - 1]
-    return filled
+        room[signal, 0] = room[signal - 1, 0] + room[signal - 1, 2]
+        room[signal, 1] = room[signal - 1, 1] + room[signal - 1, 2] * widths[signal - 1]
+    return room
+
+
+@jit
+def _read(data: Bytes, frame: Any, length: int, payload: Bytes) -> None:
+    """Copy a payload; what is behind its end was trimmed, and is zero."""
+    for k in range(length):
+        payload[k] = data[frame.body + k] if frame.body + k < frame.stop else 0
 
 
 @cached
@@ -462,39 +455,37 @@ def _convert(
     data: Bytes,
     rows: NDArray[Any],
     given_ns: IntArray,
-    table: tuple[NDArray[np.int16], IntArray, IntArray, FloatArray, IntArray],
-    time: tuple[Any, Any, Any, Any],
-    tally: IntArray,
-    speeds: FloatArray,
+    table: tuple[NDArray[np.int16], Any, Any, IntArray],
+    memory: tuple[tuple[Any, Any, Any, Any], Any],
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
     """Times, times of arrival and values of all signals, one behind the other; and of each signal where its rows
     and its values begin, and how many rows there are."""
-    lookup, sources, parts, scales, widths = table
+    lookup, sources, parts, widths = table
+    time, own = memory[0], memory[1][0]
     filled = _room(rows, lookup, sources, parts, widths)
     room = filled[-1, 0] + filled[-1, 2]
     t_ns, host_ns = np.empty(room, np.int64), np.empty(room, np.int64)
     values = np.empty(filled[-1, 1] + filled[-1, 2] * widths[-1])
     filled[:, 2] = 0
-    word = np.zeros(1, np.uint32)
-    memory = (tally, speeds, word, word.view(np.float32))
-    k = 0
+    payload = np.zeros(256, np.uint8)
+    floats, k = payload.view(np.float32), 0
     while k < len(rows):
-        frame = rows[k]
-        source, k = lookup[frame.row], k + 1
-        if source < 0 or frame.sender & 0xFF != AUTOPILOT:
+        frame, k = rows[k], k + 1
+        if lookup[frame.row] < 0 or frame.sender & 0xFF != AUTOPILOT:
             continue
-        row = sources[source]
+        source = sources[lookup[frame.row]]
+        _read(data, frame, source.length, payload)
         if len(given_ns):
-            at_ns, tally[1] = given_ns[k - 1], NEVER  # of one sender: no heartbeat is doubted
+            at_ns, own.armed_ns = given_ns[k - 1], NEVER  # of one sender: no heartbeat is doubted
         else:
-            count = _count(data, frame.body + row[3], frame.stop, row[4])
-            at_ns = stamp(time, row[0], row[1], row[2], count, frame.host_ns)
+            count = _count(payload, source.at, source.size)
+            at_ns = stamp(time, frame.row, source.tick, source.turn, count, frame.host_ns)
         if at_ns == REBOOT:
-            speeds[:], tally[1], k = np.nan, NEVER, k - 1
-        for p in range(row[5], row[6] if at_ns > NEVER else row[5]):
-            done = filled[parts[p, 0]]
-            place = done[1] + done[2] * parts[p, 4]
-            if _filled(data, frame, parts[p], scales[p], memory, values[place : place + parts[p, 4]]):
-                t_ns[done[0] + done[2]], host_ns[done[0] + done[2]] = at_ns, frame.host_ns
+            own.speeds[:], own.armed_ns, k = np.nan, NEVER, k - 1
+        for p in range(source.first, source.last if at_ns > NEVER else source.first):
+            part, done = parts[p], filled[parts[p].signal]
+            place, row = done[1] + done[2] * part.width, done[0] + done[2]
+            if _filled(payload, floats, part, frame.host_ns, own, values[place : place + part.width]):
+                t_ns[row], host_ns[row] = at_ns, frame.host_ns
                 done[2] += 1
     return t_ns, host_ns, values, filled

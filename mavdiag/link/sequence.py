@@ -138,17 +138,20 @@ class Senders:
         """Let others use a name that was ours."""
         self._flags[key] &= ~_OURS & 0xFF
 
-    def number(self, source: Source) -> int:
-        """The number that stands for a source in `FRAME`."""
-        found = self._numbers.get(source)
-        if found is None:
-            if len(self._numbers) >= SOURCES_MAX:
-                used = self._senders[: self._used]
-                held = {0, *used["source"].tolist(), *used["intruder"].tolist()}
-                self._numbers = {one: number for one, number in self._numbers.items() if number in held}
-                self._sources = {number: one for one, number in self._numbers.items()}
-            found = self._latest = self._latest + 1
-            self._numbers[source], self._sources[found] = found, source
+    def numbers(self, sources: Iterable[Source]) -> list[int]:
+        """The numbers that stand for sources in `FRAME`: those of frames that are heard before the next call."""
+        if len(self._numbers) >= SOURCES_MAX:
+            used = self._senders[: self._used]
+            held = {0, *used["source"].tolist(), *used["intruder"].tolist()}
+            self._numbers = {source: number for source, number in self._numbers.items() if number in held}
+            self._sources = {number: source for source, number in self._numbers.items()}
+        found = []
+        for source in sources:
+            number = self._numbers.get(source)
+            if number is None:
+                number = self._latest = self._latest + 1
+                self._numbers[source], self._sources[number] = number, source
+            found.append(number)
         return found
 
     def hear(self, data: NDArray[np.uint8], rows: NDArray[np.void]) -> None:

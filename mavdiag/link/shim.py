@@ -39,9 +39,9 @@ class Impairment:
         for name in ("loss", "duplicate", "corrupt"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise UsageError(f"--{name} {getattr(self, name):g}: write a probability from 0 to 1, as 0.05 for 5 %")
-        for name in ("delay", "jitter"):
-            if not 0.0 <= getattr(self, f"{name}_s") <= 60.0:
-                raise UsageError(f"--{name} {1e3 * getattr(self, f'{name}_s'):g}: write milliseconds, 0 to 60000")
+        for name, span_s in (("delay", self.delay_s), ("jitter", self.jitter_s)):
+            if not 0.0 <= span_s <= 60.0:
+                raise UsageError(f"--{name} {1e3 * span_s:g}: write milliseconds, 0 to 60000")
         if not 0 <= self.reorder <= 1000:
             raise UsageError(f"--reorder {self.reorder}: write a number of messages, 0 to 1000")
         if self.rate is not None and not 1.0 <= self.rate <= 1e12:

@@ -139,8 +139,7 @@ class VehicleStream:
     """One vehicle's frames to telemetry, on one clock.
 
     profile: how it sends; while no gyro sample has come, its IMU message is replaced by another that does come.
-    state: of its conversion.
-    parameters: of its autopilot that passed by so far, by name.
+    state: of its conversion. parameters: of its autopilot that passed by so far, by name.
     """
 
     def __init__(self, profile: Profile) -> None:
@@ -224,13 +223,10 @@ class _Unread:
 class Received:
     """What came from, or for, one vehicle since the last call.
 
-    frames: the frames of its system id, any component, that are no measurements, in order of arrival.
-    telemetry: what its autopilot measured.
-    present: whether its autopilot sent any frames.
-    acks: its autopilot's answers to our commands.
-    commands: commands of others to its on-board computer.
-    parameters: of its autopilot that passed by since the vehicle entered, by name.
-    parameter_requests: frames of others that ask for, or set, parameters of its on-board computer.
+    frames: those of its system id, any component, that are no measurements, in order of arrival. telemetry: what its
+    autopilot measured. present: whether that sent any frames. acks: its answers to our commands. parameters: its own
+    that passed by since the vehicle entered, by name. commands, parameter_requests: of others, to its on-board computer
+    and about that one's parameters.
     """
 
     frames: tuple[Frame, ...] = ()
@@ -245,17 +241,13 @@ class Received:
 class LinkDecoder:
     """Bytes of one link to what each of its vehicles sent.
 
-    profile: of all vehicles; None to recognise each by its frames.
-    only: the one system id to follow, None for all.
+    profile: of all vehicles; None to recognise each by its frames. only: the one system id to follow, None for all.
     datagrams: whether a chunk of bytes holds whole frames; what a datagram leaves unfinished is never joined to the
     next one, which may be of another sender.
     careful: whether a vehicle must show that it is one before it enters; else one heartbeat will do.
-    signing: lets only genuine frames pass; None passes all.
-    passed: gets the bytes of every frame that passes, with its time of arrival; None for nobody.
-    ours: keys (system id << 8 | component id) that are ours, in whose name nobody else is heard.
-    most: how many vehicles may enter.
-    decoder: of the link's frames, for its counts.
-    vehicles: the stream of each vehicle that has entered, by system id.
+    most: how many may enter. signing, passed: as in `Decoder`.
+    ours: keys (system id << 8 | component id) in whose name nobody else is heard.
+    decoder: of the link's frames, for its counts. vehicles: the stream of each vehicle that has entered, by system id.
     """
 
     def __init__(

@@ -13,7 +13,7 @@ from plant_process import ALERT, companion, flying
 
 from mavdiag.decision.diagnosis import Change
 from mavdiag.judging import judge_in_full
-from mavdiag.link.ports.stream import frame_length
+from mavdiag.link.codec import frame_length
 from mavdiag.logs import read_log
 from mavdiag.terminal.live_judge import LiveJudge
 from mavdiag.traces import rate_traces

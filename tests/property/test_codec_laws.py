@@ -1,5 +1,6 @@
 """Laws of the decoder: nothing raises, nothing is lost to garbage, and the way a stream is cut does not matter."""
 
+import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
 from hypothesis import given
 from hypothesis import strategies as st
@@ -56,3 +57,20 @@ def test_encoding_equals_pymavlink(stamp: int, counts: list[int], number: int, t
     assert Encoder(3, 4).encode(MessageId.RAW_IMU, *fields) == theirs
     (frame,) = Decoder().feed(theirs, 0)
     assert list(frame.fields) == fields
+
+
+pieces = st.lists(st.tuples(bytes_like_frames, st.integers(0, 4 * 10**9), st.sampled_from("ab")), max_size=12)
+
+
+@given(pieces)
+def test_datagrams_at_once_are_heard_as_one_by_one(datagrams: list[tuple[bytes, int, str]]) -> None:
+    """Whatever is in them, whenever they come, and from wherever."""
+    times = np.cumsum([gap_ns for _, gap_ns, _ in datagrams]).tolist()
+    chunks = [(data, at_ns) for (data, _, _), at_ns in zip(datagrams, times, strict=True)]
+    sources = [source for _, _, source in datagrams]
+    single, whole = Decoder(), Decoder()
+    each = [frame for one in zip(chunks, sources, strict=True) for frame in single.take_datagrams([one[0]], [one[1]])]
+    assert list(whole.take_datagrams(chunks, sources)) == each
+    assert (whole.count, whole.senders) == (single.count, single.senders)
+    for sender in single.senders:
+        assert whole.heard.get(*sender) == single.heard.get(*sender)

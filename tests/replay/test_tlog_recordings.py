@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
-import pytest
 from shared_data import shared
 
 from mavdiag.link.messages import MessageId
@@ -52,23 +51,3 @@ def test_counts_and_values_equal_pymavlink() -> None:
     assert rate.host_ns.tolist() == [1000 * t for t, _ in imu]
     np.testing.assert_allclose(rate.values, 1e-3 * np.column_stack([counts_of[f"{axis}gyro"] for axis in "xyz"]))
     np.testing.assert_allclose(force.values, 1e-3 * G * np.column_stack([counts_of[f"{axis}acc"] for axis in "xyz"]))
-
-
-@pytest.mark.parametrize("name", ["healthy_quad3kg_sq1.tlog", "fault_quad3kg_m1_080_sq5.tlog"])
-def test_a_recorded_flight_makes_sense(name: str) -> None:
-    path = shared("data/arducopter_sitl") / name
-    content = decode_tlog(path.read_bytes())
-    assert content.damaged_bytes == 0
-    assert content.senders[1, 1].lost == 0
-    telemetry = read_log(path).telemetry
-    setpoint, attitude = telemetry.need(Signal.ATTITUDE_SETPOINT), telemetry.need(Signal.ATTITUDE)
-    assert np.median(np.diff(setpoint.t_ns)) == pytest.approx(10_000_000)
-    followed = np.interp(setpoint.t_ns, attitude.t_ns, attitude.values[:, 0])
-    assert np.corrcoef(setpoint.values[:, 0], followed)[0, 1] > 0.5
-    assert np.median(telemetry.need(Signal.HEIGHT).values) == pytest.approx(5.0, abs=0.1)
-    assert np.median(telemetry.need(Signal.SPECIFIC_FORCE).values[:, 2]) == pytest.approx(-G, rel=0.02)
-    outputs = telemetry.need(Signal.ACTUATOR).values
-    assert outputs.shape[1] == 16
-    assert (outputs.mean(axis=0)[:4] > 0.3).all()
-    assert telemetry.need(Signal.ARMED).values.min() == 1.0
-    assert telemetry.need(Signal.VIBRATION).values.max() < 5.0

@@ -2,7 +2,6 @@
 
 import struct
 
-import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
 
@@ -99,19 +98,6 @@ def test_a_field_is_found_by_name() -> None:
     assert message_name(54321) == "UNKNOWN_54321"
 
 
-def test_joined_payloads_become_columns() -> None:
-    encoder = Encoder(1, 1)
-    data = b"".join(encoder.encode(MessageId.RAW_IMU, 10**15 + k, k, -k, 7, 0, 0, 3) for k in range(4))
-    dtype = layout_of(MessageId.RAW_IMU).record_dtype(("time_usec", 1), ("xacc", 3), ("xgyro", 3), ("id", 1))
-    record = np.frombuffer(b"".join(f.payload for f in Decoder().feed(data, 0)), dtype)
-    assert record["time_usec"].tolist() == [10**15 + k for k in range(4)]
-    assert record["xacc"].tolist() == [[k, -k, 7] for k in range(4)]
-    assert record["xgyro"][-1].tolist() == [0, 0, 3]
-    assert not record["id"].any()
-    with pytest.raises(UsageError, match="one type"):
-        layout_of(MessageId.RAW_IMU).record_dtype(("time_usec", 2))
-
-
 def test_longer_payloads_of_a_newer_definition_are_cut() -> None:
     body = bytes([30, 0, 0, 0, 1, 1, 0, 0, 0]) + bytes(range(1, 31))
     crc = dialect.x25crc(body + bytes([50])).crc
@@ -156,16 +142,6 @@ def test_statustext_of_50_bytes_has_no_terminator_and_longer_is_cut_at_a_charact
         decode_statustext(heartbeat)
 
 
-def test_unknown_incompatibility_flags_are_dropped_and_counted() -> None:
-    good = Encoder(1, 1).encode(MessageId.HEARTBEAT, *HEARTBEAT)
-    decoder = Decoder()
-    strange = bytearray(good)
-    strange[2] = 0x02
-    assert len(decoder.feed(bytes(strange) + good, 0)) == 1
-    assert decoder.count.incompatible == 1
-    assert decoder.count.garbage_bytes == len(strange)
-
-
 def test_a_fake_header_does_not_swallow_the_frames_behind_it() -> None:
     encoder = Encoder(1, 1)
     beats = b"".join(encoder.encode(MessageId.HEARTBEAT, *HEARTBEAT) for _ in range(20))
@@ -187,16 +163,6 @@ def test_a_stream_of_markers_costs_little_and_hides_nothing_that_comes_later(mar
     assert len(found) >= 20
 
 
-def test_a_datagram_cut_short_does_not_spoil_the_next() -> None:
-    encoder = Encoder(1, 1)
-    first, second, third = (encoder.encode(MessageId.HEARTBEAT, *HEARTBEAT) for _ in range(3))
-    decoder = Decoder()
-    assert [f.seq for f in decoder.feed_datagram(first[:-1], 1)] == []
-    assert [f.seq for f in decoder.feed_datagram(second + third, 2)] == [1, 2]
-    assert decoder.count.garbage_bytes == len(first) - 1
-    assert [f.seq for f in decoder.feed_datagram(b"\xfd\xff\x00" + third[:5] + second, 2)] == [1]
-
-
 def unknown_frame(seq: int = 0) -> bytes:
     return bytes([0xFD, 3, 0, 0, seq, 1, 1, 0x31, 0xD4, 0x00]) + b"abc" + b"??"
 
@@ -216,16 +182,6 @@ def test_frames_outside_the_dialect_are_taken_on_trust_only_before_another_frame
     decoder = Decoder()
     decoder.feed_datagram(unknown_frame(), 0)
     assert decoder.count.unknown == 1
-
-
-def test_unwanted_messages_are_counted_but_not_handed_out() -> None:
-    encoder = Encoder(7, 1)
-    data = b"".join(encoder.encode(number) for number in (MessageId.ATTITUDE, MessageId.HEARTBEAT, MessageId.ATTITUDE))
-    decoder = Decoder({MessageId.HEARTBEAT})
-    assert [f.msgid for f in decoder.feed(data, 0)] == [0]
-    assert decoder.senders[7, 1].received == 3
-    assert decoder.senders[7, 1].lost == 0
-    assert decoder.senders[7, 1].by_message == {MessageId.ATTITUDE: 2, MessageId.HEARTBEAT: 1}
 
 
 def numbered(sequence: list[int]) -> Decoder:

@@ -69,9 +69,3 @@ def test_a_serial_device_is_held_alone() -> None:
     finally:
         os.close(master)
         os.close(slave)
-
-
-def test_the_bound_port_is_told() -> None:
-    with open_endpoint("udpin:127.0.0.1:0") as one, open_endpoint("tcpin:127.0.0.1:0") as other:
-        assert parse_address(one.address).number > 0
-        assert parse_address(other.address).number > 0

@@ -7,7 +7,8 @@ import pytest
 
 from mavdiag.link.ports import open_endpoint
 from mavdiag.link.ports.base import RETRY_MAX_S, RETRY_S
-from mavdiag.link.ports.stream import Serial, TcpClient
+from mavdiag.link.ports.serial import Serial
+from mavdiag.link.ports.tcp import TcpClient
 
 
 class Clock:

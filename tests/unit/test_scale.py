@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mavdiag.link.profiles import PROFILES, scale_doubt
-from mavdiag.link.scale import gyro_checks, scale_of
+from mavdiag.link.scale import gyro_checks
 from mavdiag.telemetry import FloatArray, Series, Signal
 from mavdiag.units import DEG, NS_PER_S
 
@@ -63,14 +63,6 @@ def test_an_axis_that_is_still_or_of_another_body_is_told_as_such() -> None:
     swapped = Series(gyro.signal, gyro.t_ns, gyro.host_ns, gyro.values[:, [1, 0, 2]])
     assert "does not follow the attitude" in gyro_checks(swapped, attitude)[0].verdict
     assert gyro_checks(gyro, series(Signal.ATTITUDE, np.arange(3.0), np.zeros((3, 3)))) == ()
-
-
-@pytest.mark.parametrize(
-    ("counts", "words"),
-    [(1000, "milli-g"), (2060, "over 16 g"), (1400, "BMI088"), (16_300, "over 2 g"), (3000, "of no known scale")],
-)
-def test_counts_of_one_g_name_their_scale(counts: float, words: str) -> None:
-    assert words in scale_of(counts)
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,9 @@ from collections.abc import Callable
 import pytest
 from memory_port import memory_pair
 
-from mavdiag.commands.shim import Passage, frames_of
+from mavdiag.commands.shim import Passage
 from mavdiag.errors import UsageError
+from mavdiag.link.codec import split_frames
 from mavdiag.link.shim import Impairment, Shim
 
 MS = 1_000_000
@@ -110,6 +111,6 @@ def test_impossible_values_are_refused_by_name(make: Callable[[], Impairment], w
 
 def test_a_byte_stream_is_cut_into_frames() -> None:
     frame = bytes.fromhex("fe00000101000000")
-    assert frames_of(b"xy" + frame + frame[:3]) == ([b"xy", frame], frame[:3])
-    assert frames_of(frame + b"z" + frame) == ([frame, b"z", frame], b"")
-    assert frames_of(b"abc") == ([b"abc"], b"")
+    assert split_frames(b"xy" + frame + frame[:3]) == ([b"xy", frame], frame[:3])
+    assert split_frames(frame + b"z" + frame) == ([frame, b"z", frame], b"")
+    assert split_frames(b"abc") == ([b"abc"], b"")

@@ -28,14 +28,6 @@ def test_a_passphrase_is_hashed_as_ground_stations_do(tmp_path: Path, end: bytes
     assert read_key(key_file(tmp_path, b"correct horse" + end)) == hashlib.sha256(b"correct horse").digest()
 
 
-def test_64_digits_are_the_key_itself(tmp_path: Path) -> None:
-    key = bytes(range(32))
-    assert read_key(key_file(tmp_path, key.hex().upper().encode() + b"\n", 0o400)) == key
-    (tmp_path / "key").unlink()
-    short = key.hex()[:-1].encode()
-    assert read_key(key_file(tmp_path, short)) == hashlib.sha256(short).digest()
-
-
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o660, 0o644, 0o610])
 def test_a_key_that_others_may_read_is_refused(tmp_path: Path, mode: int) -> None:
     path = key_file(tmp_path, mode=mode)

@@ -93,13 +93,6 @@ def test_what_cannot_be_read_says_why(tmp_path: Path, data: bytes, words: str) -
     assert "\n" not in str(caught.value)
 
 
-def test_one_vehicle_of_several_is_chosen(tmp_path: Path) -> None:
-    path = written(tmp_path, b"".join(records(1, 9) + records(7, 5)))
-    assert len(read_log(path, vehicle=7).telemetry.need(Signal.BODY_RATE)) == 5
-    with pytest.raises(InputError, match="nothing from vehicle 3; there is 1, 7"):
-        read_log(path, vehicle=3)
-
-
 def test_each_vehicle_of_several_is_read_in_one_pass(tmp_path: Path) -> None:
     ours, theirs = records(1, 250), records(7, 160)
     companion = tlog_record(START_US, heartbeat(Encoder(9, 191), MavType.ONBOARD_CONTROLLER, 8))
@@ -127,12 +120,6 @@ def test_r7_a_log_that_was_cut_off_says_so(tmp_path: Path, lost: int, notes: int
     log = read_log(written(tmp_path, data[: len(data) - lost]))
     assert len(log.notes) == notes
     assert all("ends within a record" in note for note in log.notes)
-
-
-def test_damage_is_noted(tmp_path: Path) -> None:
-    pieces = records()
-    log = read_log(written(tmp_path, b"".join(pieces[:100]) + b"\xff" * 77 + b"".join(pieces[100:])))
-    assert log.notes == ("77 bytes are damaged and were skipped",)
 
 
 def test_b18_a_log_of_an_unknown_vehicle_is_refused(tmp_path: Path) -> None:

@@ -20,7 +20,8 @@ from enum import StrEnum
 
 from mavdiag.errors import LinkError, UsageError
 from mavdiag.link.ports.base import Chunk, Clock, Endpoint, SocketAddress, Traffic, link_error, wait
-from mavdiag.link.ports.stream import Serial, TcpClient, TcpServer
+from mavdiag.link.ports.serial import Serial
+from mavdiag.link.ports.tcp import TcpClient, TcpServer
 from mavdiag.link.ports.udp import PEER_FRESH_S, UdpIn, UdpOut
 
 __all__ = [
@@ -53,12 +54,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """An address taken apart.
-
-    kind: what it is of.
-    place: host or device.
-    number: port or baud.
-    """
+    """An address taken apart: what it is of, host or device, port or baud."""
 
     kind: Kind
     place: str

@@ -152,13 +152,6 @@ class _Udp(Endpoint):
     def _refused(self) -> None:
         """Note that the peer's host sent a datagram back."""
 
-    def _send_to(self, data: bytes, peer: SocketAddress) -> None:
-        try:
-            self._socket.sendto(data, peer)
-            self._count.sent += 1
-        except OSError:  # a full buffer, no route, too long, closed: the datagram is gone either way
-            self._count.dropped += 1
-
 
 class UdpIn(_Udp):
     """Listens on one port and answers the peers that sent: at most `PEERS_MAX`, each for `PEER_FRESH_S` of silence.
@@ -193,20 +186,21 @@ class UdpIn(_Udp):
 
     def send(self, data: bytes) -> None:
         """Send to every fresh peer; with none, the message is dropped and counted."""
-        peers = self._fresh_peers()
-        if self._alone:
-            peers = [peer for peer in peers if peer in self._trusted]
-        if not peers:
-            self._count.dropped += 1
-        for peer in peers:
-            self._send_to(data, peer)
+        self._send_to(data, self._fresh_peers())
 
     def answer(self, data: bytes, source: object) -> None:
         """Send to one fresh peer; without it, the message is dropped and counted."""
-        peers = [peer for peer in self._fresh_peers() if peer == source and (not self._alone or peer in self._trusted)]
-        self._count.dropped += not peers
-        for peer in peers:
-            self._send_to(data, peer)
+        self._send_to(data, [peer for peer in self._fresh_peers() if peer == source])
+
+    def _send_to(self, data: bytes, peers: list[SocketAddress]) -> None:
+        told = [peer for peer in peers if peer in self._trusted or not self._alone]
+        self._count.dropped += not told
+        for peer in told:
+            try:
+                self._socket.sendto(data, peer)
+                self._count.sent += 1
+            except OSError:  # a full buffer, no route, too long, closed: the datagram is gone either way
+                self._count.dropped += 1
 
     def close(self) -> None:
         """Close the sockets."""
