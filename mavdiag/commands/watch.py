@@ -43,9 +43,9 @@ def watch(
     figures and texts are shown. On a link that it listens on it sends nothing, on others a ground station's heartbeat.
     On a pipe it prints one line an event.
     """
+    from mavdiag.terminal import watching
     from mavdiag.terminal.ground_station import GroundStation  # here, for rich takes time to load
     from mavdiag.terminal.live_judge import LiveJudge
-    from mavdiag.terminal.watching import Journal, follow, listen
 
     until = None if duration is None else time.monotonic() + duration
     with stop_signals() as stopped:
@@ -56,8 +56,8 @@ def watch(
         if not is_endpoint(source):
             if baseline is not None or signing_key is not None:
                 raise UsageError("--baseline and --signing-key are for a link; a journal has its verdicts")
-            with closing(Journal(Path(source))) as journal:
-                follow(journal, vehicle, ended)
+            with closing(watching.Journal(Path(source))) as journal:
+                watching.follow(journal, vehicle, ended)
             return
         judged_by = None if baseline is None else Baseline.load(baseline)
         key = None if signing_key is None else read_key(signing_key)
@@ -69,7 +69,7 @@ def watch(
             station = GroundStation(
                 endpoint, judge, not source.startswith(LISTENING), vehicle=vehicle, signing=_signing(key)
             )
-            listen(station, endpoint.address, axis, span, ended)
+            watching.watch(station, endpoint.address, axis, span, ended)
 
 
 def _signing(key: bytes | None) -> Signing | None:

@@ -13,8 +13,8 @@ from mavdiag.identify.arx import Segment, polynomials, reach, regressors
 from mavdiag.identify.model import ArxModel, Method, Order, check_order
 from mavdiag.telemetry import FloatArray
 
-# Of the covariance factor P, for signals of order 0.01 to 100 (our choices): its first diagonal, so large that
-# theta = 0 counts for nothing; and from where on it is inflated no further: a long hover, which says nothing, cannot wind it up.
+# Of the covariance factor P, for signals of order 0.01 to 100 (our choices): its first diagonal, so large that theta
+# = 0 counts for nothing; and the most: a long hover, which says nothing about the model, cannot wind it up.
 FIRST_SPREAD, MOST_SPREAD = 1e6, 1e8
 
 
