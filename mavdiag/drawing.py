@@ -49,12 +49,12 @@ class Colour(StrEnum):
 class RotorMark:
     """What is shown of one rotor.
 
-    fill: a colour as #RRGGBB; None for none.
+    fill: None for none.
     label: a short text in the disc, such as "+11 %".
     kind: a further class of its group, such as "suspected"; letters, digits and hyphens.
     """
 
-    fill: str | None = None
+    fill: Colour | None = None
     label: str = ""
     kind: str = ""
 
@@ -94,18 +94,11 @@ def where(place: Place) -> str:
     return f"{along} {across}".strip() or "centre"
 
 
-def text_colour(fill: str | None) -> str:
-    """Black or white, whichever is read better on a fill (WCAG 2.2, relative luminance); currentColor on none.
-
-    >>> text_colour(Colour.SUSPECTED), text_colour(Colour.MEASURED), text_colour(None)
-    ('#000000', '#FFFFFF', 'currentColor')
-    """
+def text_colour(fill: Colour | None) -> str:
+    """Black or white, whichever is read better on a fill (WCAG 2.2); currentColor on none."""
     if fill is None:
         return "currentColor"
-    parts = [int(fill[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
-    red, green, blue = (one / 12.92 if one <= 0.04045 else ((one + 0.055) / 1.055) ** 2.4 for one in parts)
-    luminance = 0.2126 * red + 0.7152 * green + 0.0722 * blue
-    return "#000000" if (luminance + 0.05) / 0.05 >= 1.05 / (luminance + 0.05) else "#FFFFFF"
+    return "#FFFFFF" if fill in (Colour.REFERENCE, Colour.MEASURED) else "#000000"
 
 
 def airframe_svg(

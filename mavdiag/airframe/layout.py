@@ -8,7 +8,6 @@ rotor, in a monitor or in an alert, means this number. `mavdiag.airframe.detect`
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -62,16 +61,8 @@ class RotorLayout:
 
     @property
     def unmixing(self) -> FloatArray:
-        """C = pinv(B), (3, rotors), read-only: trim m = C w; column j is the trim that a unit rise of rotor j makes."""
-        return _unmixing(self.signs)
-
-
-@cache
-def _unmixing(signs: tuple[tuple[float, float, float], ...]) -> FloatArray:
-    """Of a layout's signs; kept, for a stream asks for it in every step."""
-    C = np.asarray(np.linalg.pinv(np.array(signs, dtype=np.float64)), dtype=np.float64)
-    C.setflags(write=False)
-    return C
+        """C = pinv(B), (3, rotors): trim m = C w; column j is the trim that a unit rise of rotor j makes."""
+        return np.asarray(np.linalg.pinv(self.mixing), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,9 +40,9 @@ def watch(
     figures and texts are shown. On a link that it listens on it sends nothing, on others a ground station's heartbeat.
     On a pipe it prints one line an event.
     """
+    from mavdiag.terminal import watching
     from mavdiag.terminal.ground_station import GroundStation  # here, for rich takes time to load
     from mavdiag.terminal.live_judge import LiveJudge
-    from mavdiag.terminal.watching import Journal, follow, listen
 
     until = float("inf") if duration is None else time.monotonic() + duration
     with stop_signals() as stopped:
@@ -53,8 +53,8 @@ def watch(
         if not opt.is_endpoint(source):
             if baseline is not None or signing_key is not None:
                 raise UsageError("--baseline and --signing-key are for a link; a journal has its verdicts")
-            with closing(Journal(Path(source))) as journal:
-                return follow(journal, vehicle, ended)
+            with closing(watching.Journal(Path(source))) as journal:
+                return watching.follow(journal, vehicle, ended)
         judged_by, key = None if baseline is None else Baseline.load(baseline), opt.read_signing_key(signing_key)
 
         def signing() -> Signing | None:
@@ -66,4 +66,4 @@ def watch(
                 judge = LiveJudge(judged_by, span, vehicle, endpoint.datagrams, time.time_ns(), signing())
             speaks = not source.startswith(LISTENING)
             station = GroundStation(endpoint, judge, speaks, vehicle=vehicle, signing=signing())
-            return listen(station, endpoint.address, axis, span, ended)
+            return watching.watch(station, endpoint.address, axis, span, ended)

@@ -23,7 +23,7 @@ from mavdiag.commandline import say
 from mavdiag.commands.identify import make_baseline
 from mavdiag.commands.report import write_report
 from mavdiag.decision.diagnosis import Change, Stage
-from mavdiag.demo.closed_loop import POLL_S, DemoResult, Flight, Loop, closed_loop
+from mavdiag.demo.closed_loop import DemoResult, Flight, Loop, closed_loop
 from mavdiag.demo.subprocesses import run_child
 from mavdiag.errors import BaselineError, UsageError
 from mavdiag.face import with_airframe
@@ -168,38 +168,29 @@ def watch(loop: Loop, flight: Flight, *, quiet: bool) -> list[Change]:
 
     Returns how the decision of the thesis rule changed.
     """
-    from mavdiag.terminal.view import line_for
-    from mavdiag.terminal.watching import Screen
+    from mavdiag.terminal.watching import listen
 
-    changes: list[Change] = []
-    with Screen(lambda events: flight_view(loop.station, flight, events), quiet=quiet) as screen:
-        running = True
-        while running:
-            running = loop.plant.running
-            fresh = loop.station.listen(POLL_S)
-            changes += [news for news in fresh if isinstance(news, Change)]
-            screen.show([line_for(news, DETECTOR, THESIS) for news in fresh], last=not running)
-    return changes
+    def view(events: Sequence["Line"]) -> "View":
+        return flight_view(loop.station, flight, events)
+
+    return listen(loop.station, view, (DETECTOR, THESIS), lambda: not loop.plant.running, quiet=quiet)
 
 
 def flight_view(station: GroundStation, flight: Flight, events: Sequence["Line"]) -> "View":
     """The picture of a moment. events: so far."""
-    from mavdiag.terminal.view import LEGEND, View, figure_levels, levels_of, rate_strips
+    from mavdiag.terminal.view import LEGEND
+    from mavdiag.terminal.watching import link_view
 
-    now_s, judge = station.t_s, station.judge
-    fault = f"{flight.fault} on rotor {flight.rotor}"
+    now_s, fault = station.t_s, f"{flight.fault} on rotor {flight.rotor}"
     phase = f"damaged: {fault} since" if now_s >= flight.onset_s else f"healthy; {fault} comes at"
     alerts = [line for line in events if line.severity <= Severity.CRITICAL and line.text.startswith(DETECTOR)]
-    return View(
+    shown = link_view(station, now_s, SPAN_S, Axis.ROLL, events)
+    return replace(
+        shown,
         title=f"flight {now_s:.1f} of {flight.duration_s:g} s, {phase} {flight.onset_s:g} s",
         headline=alerts[-1].text.removeprefix(DETECTOR) if alerts else "no alert",
         alert=bool(alerts),
-        from_s=now_s - SPAN_S,
-        to_s=now_s,
-        strips=() if judge is None else rate_strips(judge, Axis.ROLL),
-        levels=figure_levels(station) if judge is None else levels_of(judge),
-        events=tuple(events),
-        foot="" if judge is None else f"{LEGEND}; {judge.link_line}",
+        foot=f"{LEGEND}; {shown.foot}" if shown.foot else "",
     )
 
 

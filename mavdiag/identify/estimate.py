@@ -62,9 +62,10 @@ def fit(
         return bare
     measured, simulated = free_run(bare, segments, settle_s)
     error, d, n, loss = measured - simulated, len(estimate.theta), estimate.rows, estimate.loss
-    with np.errstate(divide="ignore"):  # a perfect fit, or a parameter of 0
+    with np.errstate(all="ignore"):  # a perfect fit, or a parameter of 0
         unsure = float(np.mean(np.diag(estimate.covariance) / estimate.theta**2))
-        yic = float(np.log(np.var(error) / np.var(measured)) + np.log(unsure)) if math.isfinite(unsure) else math.inf
+        share = float(np.var(error) / np.var(measured))
+        yic = float(np.sum(np.log(np.maximum((share, unsure), 0.0)))) if math.isfinite(unsure) else math.inf
         aic = float(np.log(loss)) + 2 * d / n
     return replace(
         bare,

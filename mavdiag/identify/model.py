@@ -46,17 +46,16 @@ class ArxModel:
     """A(z^-1) y(t) = B(z^-1) u(t) + e(t), T Eq 4.1-4.5.
 
     a: (na + 1,), a[0] == 1. b: (nk + nb,) with nk leading zeros; unit of y per unit of u. dt: sample time [s].
-    order: (na, nb, nk). covariance: (na + nb, na + nb) of the estimates a1..a_na, b_nk..b_{nk+nb-1}, nan if unknown.
-    That of SRIV holds for output noise of any colour; that of LS for white noise in the equation, and says nothing of
-    its bias. standard_errors: (na + nb,) square roots of its diagonal; nan if unknown.
+    order: (na, nb, nk). covariance: (d, d) of the d = na + nb estimates a1..a_na, b_nk..b_{nk+nb-1}, nan if unknown: by
+    SRIV for output noise of any colour; by LS for white noise in the equation, and it says nothing of the bias.
+    standard_errors: (d,) square roots of its diagonal.
 
     Fit on the training data, nan where unknown. With e_sim = y - simulate(u), each segment from rest, all pooled:
-    r2t: R_T^2 = 1 - var(e_sim)/var(y). nrmse_fit: 100 (1 - |e_sim| / |y - mean y|) [percent].
-    mse: mean e_sim^2. yic: Young's information criterion, ln(var(e_sim)/var(y)) + ln(mean(se^2/theta^2)).
-    aic: ln V + 2d/n and fpe: V (1 + d/n)/(1 - d/n) for d = na + nb parameters and n residuals, where V is the mean
-    square of the method's own residual: the one-step error for LS, the output error with free initial states for
-    SRIV. So compare orders with them, not methods. samples: rows of training data. iterations and converged: of
-    SRIV; 0 and True where nothing iterates.
+    r2t: R_T^2 = 1 - var(e_sim)/var(y). nrmse_fit: 100 (1 - |e_sim| / |y - mean y|) [percent]. mse: mean e_sim^2.
+    yic: Young's information criterion, ln(var(e_sim)/var(y)) + ln(mean(se^2/theta^2)). aic: ln V + 2d/n and fpe:
+    V (1 + d/n)/(1 - d/n) with n residuals, where V is the mean square of the method's own: the one-step error for LS,
+    the output error with free initial states for SRIV. So compare orders with them, not methods. samples: rows of
+    training data. iterations, converged: of SRIV; 0 and True where nothing iterates.
 
     The arrays are copied and made read-only. Raises IdentificationError if the coefficients do not fit the order, are
     not finite, or dt is not positive. A model with a pole on or outside the unit circle may be built, since published

@@ -117,15 +117,13 @@ class Roc:
 
     false_share, true_share: (n,) share of the healthy and of the damaged flights, for a limit that falls.
     area: under the curve, 0..1: the chance that a damaged flight scores higher than a healthy one.
-    at_threshold: both shares at the limit 1, which is the threshold in use. healthy, damaged: how many flights.
+    at_threshold: both shares at the limit 1, which is the threshold in use.
     """
 
     false_share: FloatArray
     true_share: FloatArray
     area: float
     at_threshold: tuple[float, float]
-    healthy: int
-    damaged: int
 
 
 def read_campaign(path: Path) -> Campaign:
@@ -166,14 +164,12 @@ def roc_of(healthy: Sequence[float], damaged: Sequence[float]) -> Roc:
     """
     if not healthy or not damaged:
         raise InputError("a curve needs the scores of healthy and of damaged flights")
-    low, high = np.sort(healthy), np.sort(damaged)
-    limits = np.unique(np.concatenate((low, high)))[::-1]
+    limits = np.unique([*healthy, *damaged])[::-1]
     false_share, true_share = (
-        np.append(0.0, 1.0 - np.searchsorted(scores, limits, side="left") / len(scores)) for scores in (low, high)
+        np.append(0.0, (np.asarray(scores) >= limits[:, None]).mean(axis=1)) for scores in (healthy, damaged)
     )
-    at_one = (float(np.mean(low > 1.0)), float(np.mean(high > 1.0)))
-    area = float(np.trapezoid(true_share, false_share))
-    return Roc(false_share, true_share, area, at_one, len(low), len(high))
+    at_one = (float(np.mean(np.asarray(healthy) > 1.0)), float(np.mean(np.asarray(damaged) > 1.0)))
+    return Roc(false_share, true_share, float(np.trapezoid(true_share, false_share)), at_one)
 
 
 def campaign_pictures(campaign: Campaign) -> tuple[Picture, ...]:
@@ -183,19 +179,19 @@ def campaign_pictures(campaign: Campaign) -> tuple[Picture, ...]:
 
 @picture("campaign-roc")
 def _roc(campaign: Campaign) -> Drawn:
-    healthy = (flight.score_before for flight in campaign.flights if flight.judged and flight.cause == HEALTHY)
-    low, curves = [score for score in healthy if score is not None], list[tuple[float, Roc]]()
+    before = (flight.score_before for flight in campaign.flights if flight.judged and flight.cause == HEALTHY)
+    healthy, curves = [score for score in before if score is not None], list[tuple[float, int, Roc]]()
     for scale in campaign.scales:
-        high = (flight.score_after for flight in campaign.faulty if flight.phenomenology == scale)
-        known = [score for score in high if score is not None]
-        if low and known:
-            curves.append((scale, roc_of(low, known)))
+        after = (flight.score_after for flight in campaign.faulty if flight.phenomenology == scale)
+        damaged = [score for score in after if score is not None]
+        if healthy and damaged:
+            curves.append((scale, len(damaged), roc_of(healthy, damaged)))
     if not curves:
         lacking = "no healthy flight has a score" if campaign.faulty else NO_FAULTS
         raise NotDrawn(f"{lacking}; campaigns of this version write them")
     figure = sheet(3.6)
     axes = figure.subplots()
-    for line, (scale, roc) in zip(LINES, curves, strict=False):
+    for line, (scale, _, roc) in zip(LINES, curves, strict=False):
         label = f"fitted terms x{scale:g}: area {roc.area:.3f}"
         line.draw(axes, 100 * roc.false_share, 100 * roc.true_share, label)
         axes.plot(*(100 * at for at in roc.at_threshold), "s", color=line.color, markersize=6, clip_on=False)
@@ -204,11 +200,11 @@ def _roc(campaign: Campaign) -> Drawn:
     axes.set(**labels, xlim=(-1, 101), ylim=(-1, 102))
     legend_above(axes, 2)
     words = "; ".join(
-        f"terms x{scale:g}: area {roc.area:.3f} of {roc.damaged} damaged and {roc.healthy} healthy flights"
-        for scale, roc in curves
+        f"terms x{scale:g}: area {roc.area:.3f} of {count} damaged and {len(healthy)} healthy flights"
+        for scale, count, roc in curves
     )
     note = (
-        f"{len(low)} healthy flights; the score is the highest statistic over its threshold of the monitors that "
+        f"{len(healthy)} healthy flights; the score is the highest statistic over its threshold of the monitors that "
         "decide about propellers, of the whole healthy flight, and of a damaged one after the onset."
     )
     return figure, f"{words}.", note

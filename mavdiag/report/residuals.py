@@ -51,7 +51,7 @@ def evidence_picture(slots: Sequence[SlotTrace], columns: int = COLUMNS) -> Draw
     figure, (axes,) = panels(0.6 + 0.36 * len(judged))
     for place, trace in enumerate(reversed(judged)):
         base = APART * place
-        t_s, ratio = style.highest(*ratio_of(trace), columns)
+        t_s, ratio = envelope(*ratio_of(trace), columns, filled=True)
         beyond: Any = {"facecolor": Colour.FAULT, "edgecolor": Colour.REFERENCE, "linewidth": 0.6}
         for where, top, look in (
             (np.isfinite(ratio), 1.0, {"color": Colour.RESIDUAL, "linewidth": 0.3}),

@@ -17,19 +17,8 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import shown_trim
 from mavdiag.drawing import Colour, RotorMark, airframe_svg
 from mavdiag.monitors.rotor_trim import RotorTrimSpec
-from mavdiag.report.style import (
-    COLUMNS,
-    LIMIT,
-    LINES,
-    Drawn,
-    NotDrawn,
-    Picture,
-    envelope,
-    legend_above,
-    panels,
-    picture,
-    sheet,
-)
+from mavdiag.report import style
+from mavdiag.report.style import COLUMNS, LIMIT, LINES, Drawn, NotDrawn, Picture, envelope, panels, picture, sheet
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
@@ -110,7 +99,7 @@ def trim_picture(found: RotorShift | None, columns: int = COLUMNS) -> Drawn:
     for number, shift in enumerate(found.shift.T):
         LINES[number % len(LINES)].draw(axes, *envelope(found.t_s, 100 * shift, columns), f"rotor {number + 1}")
     found.label(axes)
-    legend_above(axes, 5)
+    style.legend_above(axes, 5)
     return figure, found.words(None), found.note
 
 

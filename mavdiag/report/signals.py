@@ -12,21 +12,8 @@ from mavdiag.identify.lab.sweep import SweepRow, window_sweep
 from mavdiag.look.figures import HARMONICS, SPECTRUM_S, Spectrum
 from mavdiag.look.inspection import USUAL
 from mavdiag.monitors.run_length import MIN_PIECE_S
-from mavdiag.report.style import (
-    COLUMNS,
-    COMMANDED,
-    LINES,
-    MEASURED,
-    Drawn,
-    NotDrawn,
-    columns_of,
-    envelope,
-    legend_above,
-    panels,
-    picture,
-    plain_log,
-    sheet,
-)
+from mavdiag.report import style
+from mavdiag.report.style import COLUMNS, LINES, MEASURED, Drawn, NotDrawn, envelope, panels, picture, sheet
 from mavdiag.rows.block import Block
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.windows import spans
@@ -55,7 +42,7 @@ def height_picture(telemetry: Telemetry, columns: int = COLUMNS) -> Drawn:
 @picture("attitude")
 def attitude_picture(telemetry: Telemetry, columns: int = COLUMNS) -> Drawn:
     """Roll and pitch over time, commanded and estimated, as far as the log carries them."""
-    wanted = ((Signal.ATTITUDE_SETPOINT, COMMANDED, "commanded"), (Signal.ATTITUDE, MEASURED, "estimated"))
+    wanted = ((Signal.ATTITUDE_SETPOINT, style.COMMANDED, "commanded"), (Signal.ATTITUDE, MEASURED, "estimated"))
     there = [(telemetry.get(signal), line, name) for signal, line, name in wanted]
     shown = [(series, line, name) for series, line, name in there if series is not None and len(series) > 1]
     if not shown:
@@ -65,7 +52,7 @@ def attitude_picture(telemetry: Telemetry, columns: int = COLUMNS) -> Drawn:
         for series, line, name in reversed(shown):
             line.draw(axes, *_line(series, column, 1 / DEG, columns), name)
         axes.set_ylabel(f"{angle} [°]")
-    legend_above(several[0])
+    style.legend_above(several[0])
     most = ((name, np.nanmax(np.abs(series.values[:, :2]), axis=0, initial=0.0) / DEG) for series, _, name in shown)
     words = "; ".join(f"{name}: roll within {roll:.0f}°, pitch within {pitch:.0f}°" for name, (roll, pitch) in most)
     return figure, f"{words}.", "" if len(shown) == 2 else f"This log carries the {shown[0][2]} angles only."
@@ -81,14 +68,14 @@ def link_picture(telemetry: Telemetry, columns: int = COLUMNS) -> Drawn:
     if len(t_ns) < 3:
         raise NotDrawn("the gyro's samples have one time")
     steps, ends_s = np.diff(t_ns) / NS_PER_MS, t_ns[1:] / NS_PER_S
-    _, first = columns_of(ends_s, columns)
+    _, first = style.columns_of(ends_s, columns)
     longest_ms, usual_ms = np.maximum.reduceat(steps, first), float(np.median(steps))
     most_ms = float(longest_ms.max())
     figure, (axes,) = panels(1.9)
     MEASURED.draw(axes, ends_s[first], longest_ms)
     axes.set_ylabel("longest step [ms]")
     if most_ms > USUAL * usual_ms:
-        plain_log(axes)
+        style.plain_log(axes)
     else:
         axes.set_ylim(0.0, USUAL * usual_ms)
     return figure, f"Longest step {most_ms:.1f} ms, usual {usual_ms:.2f} ms.", ""
@@ -131,8 +118,8 @@ def spectrum_picture(
         fold = "" if math.isclose(seen_hz, line[0]) else fold
         note = f"The line (dashed) is at {line[0]:.0f} Hz by {line[1]}{fold}."
     axes.set(xlabel="frequency [Hz]", ylabel="acceleration\n[m/s²/√Hz]", xlim=(0, rate_hz / 2))
-    plain_log(axes)
-    legend_above(axes)
+    style.plain_log(axes)
+    style.legend_above(axes)
     note += "" if corner_hz is None else f" This stream is low-passed at {corner_hz:g} Hz: above it little is left."
     peak = f"Highest peak at {hz[density.max(axis=1).argmax()]:.0f} Hz."
     return figure, f"{peak} {spectrum.averaged} stretches of {SPECTRUM_S:g} s averaged.", note
@@ -184,11 +171,11 @@ def windows_picture(sweeps: Mapping[Axis, Sequence[SweepRow]], dt_s: float, wind
         windows_s, r2t = np.transpose(fits)
         line.draw(axes, windows_s, r2t, axis.value, "o")
     label = f"baseline's window, {window_s:.3g} s"
-    axes.axvline(window_s, color=COMMANDED.color, linestyle=COMMANDED.stroke, label=label)
+    axes.axvline(window_s, color=style.COMMANDED.color, linestyle=style.COMMANDED.stroke, label=label)
     axes.set(xlabel="window [s]", ylabel="fit R_T² of the simulated rate", xscale="log", ylim=(None, 1.02))
     axes.set_xticks(WINDOWS_S, [f"{span:g}" for span in WINDOWS_S], minor=False)
     axes.minorticks_off()
-    legend_above(axes)
+    style.legend_above(axes)
     best = "; ".join(f"{axis}: best {max(fit for _, fit in fits):.3f}" for axis, fits in known.items())
     return figure, f"{best}.", ""
 

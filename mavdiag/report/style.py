@@ -162,38 +162,34 @@ def legend_above(axes: Axes, columns: int = 4, named: Mapping[str, Any] | None =
     axes.legend(*what, **place, ncols=columns, borderaxespad=0.1, handlelength=2.6)
 
 
-def envelope(t: FloatArray, y: FloatArray, columns: int = COLUMNS) -> tuple[FloatArray, FloatArray]:
+def envelope(
+    t: FloatArray, y: FloatArray, columns: int = COLUMNS, *, filled: bool = False
+) -> tuple[FloatArray, FloatArray]:
     """The lowest and the highest value of each column of pixels: what the eye sees of a long line is the same.
 
     At most two points a column and one for each gap; as it is where it is short already. t: (n,) not falling. y: (n,);
     nan leaves a gap, which stays one if it fills a column. Every value that is returned is one of y's, and the lowest
-    and the highest of all y are among them.
+    and the highest of all y are among them. filled: from below, so that the highest of each column is enough.
 
     >>> t, y = envelope(np.arange(1000.0), np.tile([0.0, 1.0], 500), columns=4)
     >>> len(t), y.tolist()
     (8, [0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0])
     """
-    if len(t) <= 2 * columns:
+    if len(t) <= (1 if filled else 2) * columns:
         return _with_breaks(t, y)
     column, first = columns_of(t, columns)
-    low, high = np.fmin.reduceat(y, first), np.fmax.reduceat(y, first)
-    last = np.append(first[1:], len(t)) - 1
-    falling = y[last] < y[first]  # the order in which the two are drawn, so that slopes look as they are
-    pairs = np.stack((np.where(falling, high, low), np.where(falling, low, high)), axis=1)
-    times = np.stack((t[first], (t[first] + t[last]) / 2), axis=1)
-    return _broken(times, pairs, column[first])
-
-
-def highest(t: FloatArray, y: FloatArray, columns: int = COLUMNS) -> tuple[FloatArray, FloatArray]:
-    """The highest value of each column, for what is filled from below; as `envelope`, with half of its points.
-
-    >>> highest(np.arange(1000.0), np.tile([0.0, 1.0], 500), columns=4)[1].tolist()
-    [1.0, 1.0, 1.0, 1.0]
-    """
-    if len(t) <= columns:
-        return _with_breaks(t, y)
-    column, first = columns_of(t, columns)
-    return _broken(t[first, None], np.fmax.reduceat(y, first)[:, None], column[first])
+    last, high = np.append(first[1:], len(t)) - 1, np.fmax.reduceat(y, first)
+    times, values = t[first][:, None], high[:, None]
+    if not filled:
+        low, falling = (
+            np.fmin.reduceat(y, first),
+            y[last] < y[first],
+        )  # the order of both, so that slopes look as they are
+        times = np.stack((t[first], (t[first] + t[last]) / 2), axis=1)
+        values = np.stack((np.where(falling, high, low), np.where(falling, low, high)), axis=1)
+    empty = np.flatnonzero(np.diff(column[first]) > 1) + 1
+    places = times.shape[1] * empty
+    return np.insert(times.ravel(), places, times[empty - 1, -1]), np.insert(values.ravel(), places, np.nan)
 
 
 def columns_of(t: FloatArray, columns: int) -> tuple[IntArray, IntArray]:
@@ -201,13 +197,6 @@ def columns_of(t: FloatArray, columns: int) -> tuple[IntArray, IntArray]:
     span = float(t[-1] - t[0]) or 1.0
     column = np.minimum((t - t[0]) * (columns / span), columns - 1).astype(np.int64)
     return column, np.flatnonzero(np.diff(column, prepend=-1))
-
-
-def _broken(t: FloatArray, y: FloatArray, column: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Points of columns, (columns, k), as a line with a nan where columns are empty."""
-    empty = np.flatnonzero(np.diff(column) > 1) + 1
-    places = t.shape[1] * empty
-    return np.insert(t.ravel(), places, t[empty - 1, -1]), np.insert(y.ravel(), places, np.nan)
 
 
 def _with_breaks(t: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:

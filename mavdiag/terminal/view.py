@@ -111,9 +111,9 @@ class View:
     foot: about the link.
     """
 
-    title: str
-    headline: str
-    alert: bool
+    title: str = ""
+    headline: str = ""
+    alert: bool = False
     from_s: float = 0.0
     to_s: float = 1.0
     strips: tuple[StripView, ...] = ()

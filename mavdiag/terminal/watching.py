@@ -12,7 +12,7 @@ from typing import Any, Self
 from rich.console import Console
 from rich.live import Live
 
-from mavdiag.decision.diagnosis import Stage
+from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.decision.words import diagnosis_line, stage_line
 from mavdiag.errors import InputError
 from mavdiag.link.messages import Severity
@@ -69,37 +69,56 @@ class Screen(ExitStack):
         self._live.update(picture(self._draw(self._events), size.width, size.height - 1), refresh=True)
 
 
-def listen(station: GroundStation, address: str, axis: Axis, span_s: float, ended: Callable[[], bool]) -> None:
-    """Show what a link brings until `ended`. Raises InputError if nothing came, and as `GroundStation.listen`."""
-    whose = ("", "") if station.judge is None else ("detector: ", "here: ")
-    with Screen(lambda events: _link_view(station, address, axis, span_s, events)) as screen:
-        last = False
-        while not last:
-            last = ended()
-            screen.show([line_for(news, *whose) for news in station.listen(0.0 if last else LOOK_S)], last=last)
+def watch(station: GroundStation, address: str, axis: Axis, span_s: float, ended: Callable[[], bool]) -> None:
+    """Show a link until `ended`. Raises InputError if nothing came, and as `GroundStation.listen`."""
+
+    def view(events: Sequence[Line]) -> View:
+        judge, now_s = station.judge, station.t_s
+        if judge is None:
+            alerts = [line for line in events if line.severity <= Severity.CRITICAL]
+            says, alert = alerts[-1].text if alerts else "no alert of a detector so far", bool(alerts)
+        else:
+            now_s, says = judge.now_s or 0.0, diagnosis_line(judge.diagnosis)
+            alert = judge.diagnosis.stage is Stage.FAULT
+        shown = link_view(station, now_s, span_s, axis, events)
+        says = says if station.heard else SILENT
+        return replace(shown, title=f"{address}  {now_s:.1f} s", headline=says, alert=alert)
+
+    listen(station, view, ("", "") if station.judge is None else ("detector: ", "here: "), ended)
     if not station.heard:
         raise InputError(f"{address}: nothing was received; is the vehicle or the detector sending to this address?")
 
 
-def _link_view(station: GroundStation, address: str, axis: Axis, span_s: float, events: Sequence[Line]) -> View:
-    judge = station.judge
+def listen(
+    station: GroundStation,
+    view: Callable[[Sequence[Line]], View],
+    whose: tuple[str, str],
+    ended: Callable[[], bool],
+    *,
+    quiet: bool = False,
+) -> list[Change]:
+    """Show what a ground station hears until `ended`; return how the decision of its judge changed.
+
+    whose: what stands before the detector's texts, and before those changes. Raises as `GroundStation.listen`.
+    """
+    changes: list[Change] = []
+    with Screen(view, quiet=quiet) as screen:
+        last = False
+        while not last:
+            last = ended()
+            fresh = station.listen(0.0 if last else LOOK_S)
+            changes += [news for news in fresh if isinstance(news, Change)]
+            screen.show([line_for(news, *whose) for news in fresh], last=last)
+    return changes
+
+
+def link_view(station: GroundStation, now_s: float, span_s: float, axis: Axis, events: Sequence[Line]) -> View:
+    """A moment of a link: strips and every monitor where it is judged here, else the thesis rule by its figures."""
+    judge, events = station.judge, tuple(events)
     if judge is None:
-        alerts = [line for line in events if line.severity <= Severity.CRITICAL]
-        says = alerts[-1].text if alerts else "no alert of a detector so far" if station.heard else SILENT
-        title, bars = f"{address}  {station.t_s:.1f} s", figure_levels(station)
-        return View(title, says, bool(alerts), levels=bars, events=tuple(events))
-    now_s = judge.now_s or 0.0
-    return View(
-        title=f"{address}  {now_s:.1f} s",
-        headline=diagnosis_line(judge.diagnosis) if station.heard else SILENT,
-        alert=judge.diagnosis.stage is Stage.FAULT,
-        from_s=now_s - span_s,
-        to_s=now_s,
-        strips=rate_strips(judge, axis),
-        levels=levels_of(judge),
-        events=tuple(events),
-        foot=judge.link_line,
-    )
+        return View(levels=figure_levels(station), events=events)
+    strips, levels = rate_strips(judge, axis), levels_of(judge)
+    return View("", "", False, now_s - span_s, now_s, strips, levels, events, judge.link_line)
 
 
 @dataclass(slots=True)

@@ -37,17 +37,9 @@ def chunks(data: bytes) -> list[tuple[bytes, int]]:
     return found
 
 
-def flown(folder: Path) -> Path:
-    """A flight of 12 s of the emulator."""
-    path = folder / "flight.tlog"
-    plan = FlightPlan(PlantConfig(seed=3), dialect_named("qdrone2"), 1000.0)
-    record_flight(path, plan, 12.0, lambda samples: None)
-    return path
-
-
 def test_a_link_is_judged_as_its_log(tmp_path: Path) -> None:
-    path = flown(tmp_path)
-    baseline = thesis()
+    path, baseline = tmp_path / "flight.tlog", thesis()
+    record_flight(path, FlightPlan(PlantConfig(seed=3), dialect_named("qdrone2"), 1000.0), 12.0, lambda samples: None)
     log = judge_in_full(read_log(path), baseline)
     assert log.chain is not None
     live, brief = LiveJudge(baseline, span_s=60.0), LiveJudge(baseline, span_s=2.0)

@@ -22,7 +22,7 @@ from mavdiag.report.campaign import roc_of
 from mavdiag.report.residuals import longest_by_column, moment_of, ratio_of, runs_of, unbalance_of
 from mavdiag.report.rotors import shift_of
 from mavdiag.report.signals import sweep_of
-from mavdiag.report.style import envelope, highest
+from mavdiag.report.style import envelope
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import Axis, FloatArray, Signal
 from mavdiag.traces import RateTrace, SlotTrace, rate_traces, slot_traces
@@ -46,8 +46,8 @@ def test_an_envelope_keeps_the_extremes_and_invents_nothing(n: int, columns: int
     t, y = np.cumsum(rng.random(n)), rng.normal(size=n)
     y[rng.random(n) < 0.2] = np.nan
     known = y[np.isfinite(y)]
-    for thin, most in ((envelope, 3 * columns), (highest, 2 * columns)):
-        shown_t, shown = thin(t, y, columns)
+    for filled, most in ((False, 3 * columns), (True, 2 * columns)):
+        shown_t, shown = envelope(t, y, columns, filled=filled)
         if n > 2 * columns:
             assert len(shown) <= most
         assert np.all(np.diff(shown_t) >= 0)
@@ -60,9 +60,9 @@ def test_an_envelope_keeps_the_extremes_and_invents_nothing(n: int, columns: int
 
 def test_a_gap_in_time_is_not_drawn_across() -> None:
     t = np.concatenate((np.arange(500.0), np.arange(2000.0, 2500.0)))
-    for thin in (envelope, highest):
+    for filled in (False, True):
         for times, columns in ((t, 50), (t, 5000), (np.repeat(t, 3), 5000)):
-            assert np.isnan(thin(times, np.ones(len(times)), columns)[1]).sum() >= 1
+            assert np.isnan(envelope(times, np.ones(len(times)), columns, filled=filled)[1]).any()
 
 
 def test_the_runs_are_those_that_a_walk_over_the_residual_finds() -> None:

@@ -80,10 +80,8 @@ def model_figures(model: ArxModel) -> ModelFigures:
 
     def values(one: ArxModel) -> FloatArray:
         with np.errstate(all="ignore"), warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # a pole at z = 0 has no frequency; control tells which of its ways it takes
-            return np.concatenate((_pole_values(one, upper).ravel(), _loop_values(one)))
+            warnings.simplefilter("ignore")  # of a pole at z = 0, which has no frequency; of the way control takes
+            return _values(one, upper)
 
     found = [_figure(*pair) for pair in zip(values(model), deviations(model, values), strict=True)]
     poles = tuple(PoleFigures(*found[4 * i : 4 * i + 4]) for i in range(len(upper)))
@@ -121,19 +119,14 @@ def _figure(value: float, error: float) -> Figure:
     return Figure(float(value) if exists else None, float(error) if exists and known else None)
 
 
-def _pole_values(model: ArxModel, reference: "NDArray[np.complex128]") -> FloatArray:
-    """Real and imaginary part, natural frequency [Hz] and damping of the poles next to the reference, (p, 4)."""
+def _values(model: ArxModel, upper: "NDArray[np.complex128]") -> FloatArray:
+    """Of the poles next to these: real and imaginary part, natural frequency [Hz] and damping, one after another; then
+    DC gain, bandwidth [Hz], gain margin [dB], phase margin [deg], modulus margin; nan where there is none."""
     import control
 
     natural, damping, poles = control.damp(model.to_control(), doprint=False)
-    nearest = [int(np.argmin(np.abs(poles - one))) for one in reference]
-    return np.column_stack((poles.real, np.abs(poles.imag), natural / (2.0 * np.pi), damping))[nearest]
-
-
-def _loop_values(model: ArxModel) -> FloatArray:
-    """DC gain, bandwidth [Hz], gain margin [dB], phase margin [deg], modulus margin; nan where there is none."""
-    import control
-
+    nearest = [int(np.argmin(np.abs(poles - pole))) for pole in upper]
+    of_poles = np.column_stack((poles.real, np.abs(poles.imag), natural / (2.0 * np.pi), damping))[nearest]
     size = model.lag + 1
     B, A = (np.pad(values, (0, size - len(values))) for values in (model.b, model.a))
     loop = control.TransferFunction(B, A - B, model.dt)
@@ -141,7 +134,7 @@ def _loop_values(model: ArxModel) -> FloatArray:
     at_nyquist = float(np.real(loop(-1.0)))
     if not np.isfinite(gain) and at_nyquist < 0.0:  # control does not look for a crossing there
         gain = -1.0 / at_nyquist
-    return np.array([model.dc_gain, _bandwidth_hz(model), 20.0 * np.log10(gain), phase, modulus])
+    return np.array([*of_poles.ravel(), model.dc_gain, _bandwidth_hz(model), 20.0 * np.log10(gain), phase, modulus])
 
 
 def _bandwidth_hz(model: ArxModel) -> float:

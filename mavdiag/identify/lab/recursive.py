@@ -4,7 +4,6 @@ Step by step over a stream: `step(spec, state, u, y) -> state`. With forgetting 
 and it shares its bias under output noise: it is for watching parameters move, not for residuals.
 """
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,29 +13,26 @@ from mavdiag.identify.arx import Segment, polynomials, reach, regressors
 from mavdiag.identify.model import ArxModel, Method, Order, check_order
 from mavdiag.telemetry import FloatArray
 
+# Of the covariance factor P, for signals of order 0.01 to 100 (our choices): its first diagonal, so large that theta
+# = 0 counts for nothing; and the most: a long hover, which says nothing about the model, cannot wind it up.
+FIRST_SPREAD, MOST_SPREAD = 1e6, 1e8
+
 
 @dataclass(frozen=True, slots=True)
 class RecursiveSpec:
     """What stays fixed. order: (na, nb, nk).
 
     forgetting: weight lambda of the past per sample, 0 < lambda <= 1; the memory is about 1/(1 - lambda) samples.
-    initial_spread: diagonal of the first covariance factor P; large means that theta = 0 is not believed.
-    max_spread: P is not inflated further once a diagonal element exceeds this, so that a long hover, which says
-    nothing about the model, cannot wind it up. The last two are our choices, for signals of order 0.01 to 100.
     Raises IdentificationError on impossible values.
     """
 
     order: Order = (2, 2, 1)
     forgetting: float = 0.9995
-    initial_spread: float = 1e6
-    max_spread: float = 1e8
 
     def __post_init__(self) -> None:
         check_order(self.order)
         if not 0.0 < self.forgetting <= 1.0:
             raise IdentificationError(f"forgetting must be above 0 and at most 1, not {self.forgetting}")
-        if not 0.0 < self.initial_spread <= self.max_spread < math.inf:
-            raise IdentificationError("the spreads must be positive, finite, and initial_spread <= max_spread")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +55,7 @@ _NOTHING = Segment(np.empty(0), np.empty(0))
 def start(spec: RecursiveSpec) -> RecursiveState:
     """State before the first sample: nothing known."""
     d = spec.order[0] + spec.order[1]
-    return RecursiveState(np.zeros(d), np.eye(d) * spec.initial_spread, _NOTHING)
+    return RecursiveState(np.zeros(d), np.eye(d) * FIRST_SPREAD, _NOTHING)
 
 
 def new_segment(state: RecursiveState) -> RecursiveState:
@@ -88,7 +84,7 @@ def step(spec: RecursiveSpec, state: RecursiveState, u: FloatArray, y: FloatArra
             theta = theta + gain * (measured - float(phi @ theta))
             P = P - np.outer(gain, phi @ P)
             P = 0.5 * (P + P.T)  # stays symmetric over millions of steps
-            if spec.forgetting < 1.0 and float(np.max(np.diag(P))) < spec.max_spread:
+            if spec.forgetting < 1.0 and float(np.max(np.diag(P))) < MOST_SPREAD:
                 P = P / spec.forgetting
             error = measured - float(phi @ theta)
             weight = spec.forgetting * weight + 1.0
