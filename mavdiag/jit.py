@@ -2,7 +2,7 @@
 
 numba keys its on-disk cache by the time stamp of the file that holds the cached function. A function that it calls in
 another file may change without the cache noticing. So only the outermost function is cached (`cached`), and its key
-also holds a digest of every file that defined a compiled function.
+also holds a digest of the files that it may call.
 
 numba counts references to every array that a function touches. In a loop that takes most of the time, so it is left out
 (`_nrt`, an option of numba that is not documented) of all functions but those that make arrays (`allocating`,
@@ -11,6 +11,7 @@ numba counts references to every array that a function touches. In a loop that t
 
 import hashlib
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar, cast
 
@@ -45,7 +46,8 @@ def inline(function: Callable[P, R]) -> Callable[P, R]:
 def cached(function: Callable[P, R]) -> Callable[P, R]:
     """Compile on the first call and keep the machine code on disk, where there is a place for it.
 
-    What it calls stands in files that were loaded before: their digest is a part of numba's cache key.
+    numba keys the code by the function and its file; here also by all files of its folder and of `mavdiag/rows`, where
+    everything stands that it may call.
     """
     options: Any = {"error_model": "numpy"}
     try:
@@ -53,10 +55,16 @@ def cached(function: Callable[P, R]) -> Callable[P, R]:
     except RuntimeError:  # nowhere to keep it
         return cast(Callable[P, R], numba.njit(**options)(function))
     if hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT=1
-        kept, digest = compiled._cache, source_digest()  # noqa: SLF001  # numba has no other way in
+        digest = tuple(map(_digest, (Path(function.__code__.co_filename).parent, Path(__file__).parent / "rows")))
+        kept = compiled._cache  # noqa: SLF001  # numba has no other way in
         own_key = kept._index_key  # noqa: SLF001
-        kept._index_key = lambda *asked: (*own_key(*asked), digest)  # noqa: SLF001
+        kept._index_key = lambda *asked: (*own_key(*asked), *digest)  # noqa: SLF001
     return cast(Callable[P, R], compiled)
+
+
+@lru_cache
+def _digest(folder: Path) -> str:
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(folder.glob("*.py")))).hexdigest()
 
 
 def source_digest() -> int:

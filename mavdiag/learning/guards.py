@@ -119,14 +119,16 @@ def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
     if len(blocks) < MIN_BLOCKS:
         return ()
     table = np.array(blocks)
-    values, far = _compared(table[:, 3:6], table[:, 6]), []
+    values, far = _compared(table[:, 3:6], table[:, 6]), list[tuple[int, float, float, str]]()
     for (name, least), column, logs in zip(_FIGURES, values.T, table[:, 3:6].T, strict=True):
         size = np.abs(column) if name == "thrust" else column
         above = size[size > 0]
         limit = max(math.log(least), FAR_SPREADS * 1.4826 * float(np.median(above)) if len(above) else 0.0)
         loud = (size > limit) & ~((logs < math.log(LEAST_ERROR_RAD_S)) & (name == "rate error"))
         text = "{} {:.2g} times that of the other flights' blocks"
-        far += [(*blocks[i][:3], text.format(name, math.exp(column[i]))) for i in np.flatnonzero(loud)]
+        for i in np.flatnonzero(loud).tolist():
+            number, from_s, to_s = table[i, :3].tolist()
+            far.append((int(number), from_s, to_s, text.format(name, math.exp(column[i]))))
     stretches: list[tuple[int, float, float, str]] = []  # blocks that follow each other make one finding
     for number, from_s, to_s, text in sorted(far, key=lambda block: block[:2]):
         if stretches and stretches[-1][0] == number and from_s <= stretches[-1][2] + BLOCK_S:

@@ -207,6 +207,7 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     guard = Guard(least=2.5)
     spec_type = SensorDriftSpec
     unit = "x healthy rms"
+    reach = LIMIT  # where a value is cut
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorDriftSpec, ...]:
@@ -225,11 +226,6 @@ class SensorDrift(Monitor[SensorDriftSpec]):
         rms = np.sqrt(np.sum([squares for _, squares in found], axis=0) / count)
         tilt, heading, lift = np.maximum(rms, (LEAST_ANGLE, LEAST_ANGLE, LEAST_VERTICAL)).tolist()
         return (replace(unbiased, tilt=tilt, heading=heading, lift=lift),)
-
-    @property
-    def reach(self) -> float:
-        """Where a value is cut."""
-        return LIMIT
 
     def period_s(self, dt_s: float) -> float:
         """A tick [s]."""

@@ -350,6 +350,7 @@ class TrimMonitor(Monitor[Spec]):
     evidence = RotorEvidence(10.0, relative=True, direct=False)  # a lead of 0.12 was right in each of 35 recorded cuts
     needs_layout = True
     unit = "fraction of hover"
+    reach = MOST_RISE  # the rise of a rotor that lost a third of its thrust
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[Spec, ...]:
@@ -430,11 +431,6 @@ class TrimMonitor(Monitor[Spec]):
     def known(self, block: Block, signal: Signal) -> BoolArray:
         """Of the outputs those that move a rotor."""
         return block.known(signal, slice(0, self.spec.layout.rotors) if signal is Signal.ACTUATOR else ALL)
-
-    @property
-    def reach(self) -> float:
-        """The rise of a rotor that lost a third of its thrust."""
-        return MOST_RISE
 
     @property
     def memory_s(self) -> float:
