@@ -56,11 +56,6 @@ def test_the_healthy_flights_themselves_stay_below_the_maximum_rule(x: FloatArra
     assert found.value == pytest.approx(x.max(), rel=1e-12)  # the mean of equal maxima is rounded
 
 
-def test_b24_the_poisson_limit_holds_for_many_events() -> None:
-    """B24: a bisection stopped at 745."""
-    assert poisson_upper(800) == pytest.approx(848.1, abs=0.5)
-
-
 @given(events=st.integers(0, 5000))
 def test_the_poisson_limit_agrees_with_chi_square(events: int) -> None:
     assert poisson_upper(events) == pytest.approx(float(chi2.ppf(0.95, 2 * events + 2)) / 2, rel=1e-6)

@@ -19,7 +19,6 @@ from mavdiag.monitors.run_length import (
     longest_runs,
     margin_of,
     residuals,
-    runs,
     training_pieces,
 )
 from mavdiag.rows.front import Rows
@@ -48,22 +47,11 @@ def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[fl
     assert exceedances(r, valid, 1.0, DT_S)[0].tolist() == [n * DT_S for n in expected]
 
 
-def test_runs_report_their_length_and_highest_excess() -> None:
-    first, second = runs(piece(np.array([0.0, 2.0, 5.0, 0.0, -3.0])), 1.0)
-    assert (first.start_ns, first.end_ns, first.fsd_s, first.peak) == (10_000_000, 20_000_000, 0.02, 4.0)
-    assert (second.start_ns, second.end_ns, second.peak) == (40_000_000, 40_000_000, 2.0)
-
-
 def test_the_margin_is_hazen_s_90th_percentile_of_the_size() -> None:
     r = np.array([-3.0, 1.0, 2.0, -5.0, 4.0])
     assert margin_of([[piece(r)]]) == 5.0  # Hazen: p = (i - 0.5)/n, so 90 % of five values is the fifth
     assert margin_of([[piece(np.arange(1.0, 11.0))]]) == 9.5
     assert margin_of([[piece(r)]], MarginRule.MAXIMUM) == 5.0
-
-
-def test_unjudged_rows_do_not_count() -> None:
-    hidden = Residual(np.arange(2, dtype=np.int64), np.array([1.0, 99.0]), np.array([True, False]), DT_S)
-    assert margin_of([[hidden]], MarginRule.MAXIMUM) == 1.0
 
 
 def test_no_judged_rows_is_an_error_that_says_so() -> None:

@@ -15,7 +15,6 @@ from mavdiag.airframe.trim import (
     rises,
     source_of,
     spread_of,
-    tilt_of,
     trim_of,
 )
 from mavdiag.errors import InputError
@@ -45,15 +44,6 @@ def test_the_rises_are_weighted_least_squares(frame: str, shift: list[float], le
     found = rises(np.array([shift]), layout, CALM, np.array([lean]))
     expected = [by_lstsq(np.array(shift), effects[:, j], spread) for j in range(layout.rotors)]
     np.testing.assert_allclose(found, [expected], rtol=1e-9, atol=1e-12)
-
-
-@given(frame=frames, which=st.integers(0, 7), rise=st.floats(0.02, 0.5))
-def test_a_rise_of_one_rotor_comes_out_as_it_is(frame: str, which: int, rise: float) -> None:
-    layout = layout_named(frame)
-    rotor = which % layout.rotors
-    found = rises(rise * layout.unmixing[:, rotor][None], layout, CALM, LEVEL)[0]
-    assert int(found.argmax()) == rotor
-    assert found[rotor] == pytest.approx(rise)
 
 
 def test_in_wind_roll_and_pitch_count_less_and_yaw_as_before() -> None:
@@ -101,22 +91,6 @@ def test_outputs_are_preferred_to_commands() -> None:
         source_of([[example_rows(9)]], frame)
     with pytest.raises(InputError, match="outputs of 4 motors that move"):
         source_of([[example_rows(9, actuator=np.ones((9, 4)))]], frame)  # all of them say 100 %, all flight
-
-
-def test_tilt_is_zero_where_no_set_point_is_known() -> None:
-    rows = example_rows(2, setpoint=np.ones((2, 3)), setpoint_valid=np.array([True, False]))
-    assert tilt_of(rows.block).tolist() == [[1.0, 1.0], [0.0, 0.0]]
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_rise_does_not_depend_on_the_rows_beside_it(seed: int) -> None:
-    """To the last bit: a live link brings a few rows at once, a log all of them."""
-    shift, tilt = np.random.default_rng(seed).normal(0.0, 0.02, (2, 300, 3))
-    layout = layout_named("x")
-    whole = rises(shift, layout, (0.03, 0.03, 0.01), tilt[:, :2])
-    for i in range(300):
-        alone = rises(shift[i : i + 1], layout, (0.03, 0.03, 0.01), tilt[i : i + 1, :2])
-        np.testing.assert_array_equal(whole[i : i + 1], alone)
 
 
 @given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=5, max_size=5))

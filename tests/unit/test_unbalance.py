@@ -1,14 +1,12 @@
 """Unbalance: the figure against the force it comes from, the rotor's place against plane kinematics, and refusals."""
 
 import dataclasses
-import itertools
 import math
 
 import numpy as np
 import pytest
-from pydantic import TypeAdapter
 
-from mavdiag.airframe.layout import LAYOUTS, layout_named
+from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.unbalance import Unbalance, UnbalanceSpec
@@ -163,28 +161,6 @@ def test_a_link_that_cannot_carry_it_is_refused_with_a_reason(
     else:
         with pytest.raises(InputError, match=word):
             corner_of(rate_hz, corner_hz, hover_rad_s)
-
-
-def test_every_pair_of_rotors_of_every_frame_has_another_place() -> None:
-    for frame in LAYOUTS.values():
-        roll, pitch, yaw = frame.mixing.T
-        places = np.column_stack((yaw * pitch, -yaw * roll, np.sign(yaw)))
-        for a, b in itertools.combinations(range(frame.rotors), 2):
-            assert not np.allclose(places[a], places[b]), frame.name
-
-
-def test_the_spec_survives_json(spec: UnbalanceSpec) -> None:
-    adapter = TypeAdapter(UnbalanceSpec)
-    assert adapter.validate_json(adapter.dump_json(spec)) == spec
-
-
-@pytest.mark.parametrize(
-    "change", [{"mass_kg": None}, {"dt_s": 0.0}, {"corner_hz": 600.0}, {"spread": (0.0, 1.0)}, {"turning": math.nan}]
-)
-def test_a_spec_that_describes_nothing_is_refused(spec: UnbalanceSpec, change: dict[str, object]) -> None:
-    raw = TypeAdapter(UnbalanceSpec).dump_python(spec) | change
-    with pytest.raises(InputError):
-        UnbalanceSpec(**raw)
 
 
 def test_flights_that_cannot_teach_are_refused() -> None:
