@@ -98,6 +98,6 @@ def test_the_compiled_rise_is_that_of_arrays(frame: str, shift: list[float]) -> 
     layout, both = layout_named(frame), np.array([shift])
     par = RotorTrim(RotorTrimSpec(layout=layout, source="actuator", spread=CALM)).parameters(0.01)
     expected = rises(both[:, :3], layout, CALM, both[:, 3:])[0]
-    found = [rise(par, rotor, *shift) for rotor in range(layout.rotors)]
+    found = [rise(par, rotor, both[0], True) for rotor in range(layout.rotors)]
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
-    assert highest_rise(par, *shift) == max(found)
+    assert highest_rise(par, both[0], True) == max(found)
