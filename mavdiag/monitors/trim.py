@@ -397,11 +397,6 @@ class TrimMonitor(Monitor[Spec]):
         dt_s, spec = next((rows.block.dt_s for flight in flights for rows in flight), TICK_S), self.spec
         return mean_of([self.walked(parts_of(flight, spec.layout, spec.source), dt_s) for flight in flights])
 
-    @property
-    def rotors(self) -> int:
-        """Those of the layout."""
-        return self.spec.layout.rotors
-
     def period_s(self, dt_s: float) -> float:
         """A tick [s]."""
         return tick_rows(dt_s) * dt_s
