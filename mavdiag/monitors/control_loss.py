@@ -58,6 +58,14 @@ class ControlLoss(Monitor[ControlLossSpec]):
     time to reach the rate: 0.2 s after a quadrotor lost a propeller. False alarms: see `thresholds`; the threshold is
     never less than 7 rad/s. Hard landings and catches that the gate does not keep out raise it. Blind spots: a loss
     of control that is slow, such as a fall without turning or a yaw spin below that rate.
+
+    >>> from mavdiag.testing import example_rows
+    >>> rate = np.zeros((300, 3))
+    >>> rate[200:, 0] = np.linspace(0.0, 12.0, 100)
+    >>> monitor = ControlLoss(ControlLossSpec())
+    >>> _, found = monitor.step(monitor.start(), example_rows(300, rate=rate))
+    >>> float(found.value[100]), float(found.value[-1].round(0))
+    (0.0, 12.0)
     """
 
     name = "control_loss"

@@ -159,6 +159,14 @@ class Innovation(Monitor[InnovationSpec]):
     SG window and up to 1 s. False alarms: see `thresholds`; aerobatics, landings and wind that the healthy flights
     lacked raise it without a fault. Blind spots: a weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller
     cuts; the threshold catches none); anything slow.
+
+    >>> from mavdiag.testing import example_rows, example_context
+    >>> rng = np.random.default_rng(4)
+    >>> healthy = example_rows(2000, rate=rng.normal(0.0, 0.1, (2000, 3)))
+    >>> monitor = Innovation(*Innovation.fit([[healthy]], example_context()))
+    >>> _, rough = monitor.step(monitor.start(), example_rows(500, rate=rng.normal(0.0, 0.3, (500, 3))))
+    >>> float(rough.value[-1].round(1))
+    3.0
     """
 
     name = "innovation"

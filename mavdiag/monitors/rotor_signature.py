@@ -192,6 +192,19 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     rms is there: about 0.4 s for a thrust that wanders by 6 %, 1 s for 3 %. False alarms: see `thresholds`.
     Blind spots: a rotor that is weak but steady (the trim shows it), balanced damage, vibration; in wind of 5 m/s a
     crack of half the fitted strength is near the threshold.
+
+    >>> from mavdiag.testing import example_context, example_rows
+    >>> rng = np.random.default_rng(8)
+    >>> command = np.cumsum(rng.normal(0, 0.01, (3000, 3)), axis=0)
+    >>> def fly(fault):
+    ...     push = fault * np.convolve(rng.normal(0, 1, 3019), np.ones(20) / 20, "valid")[:, None]
+    ...     rate = rng.normal(0, 0.05, (3000, 3)) + np.gradient(command, 0.01, axis=0)
+    ...     force = rng.normal(0, 0.1, (3000, 3)) + push * [0, 0, -2]
+    ...     return example_rows(3000, setpoint=command, rate=rate + push * [-1, 1, 0], force=force)   # rotor 2
+    >>> monitor = RotorSignature(*RotorSignature.fit([[fly(0.0)]], example_context("qdrone2")))
+    >>> calm, faulty = (monitor.step(monitor.start(), fly(fault))[1] for fault in (0.0, 1.0))
+    >>> [float(one.value[one.valid].max().round(1)) for one in (calm, faulty)], int(faulty.rotors[-1].argmax()) + 1
+    ([1.9, 8.2], 2)
     """
 
     name = "rotor_signature"

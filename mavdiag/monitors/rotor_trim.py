@@ -69,6 +69,16 @@ class RotorTrim(trim.TrimMonitor[RotorTrimSpec]):
     sessions are the worst basis. Blind spots: hops shorter than 5 s; vibration without loss of thrust; all rotors
     ageing alike; a rotor whose outputs saturate. A change of propellers or of the centre of mass raises it without a
     fault.
+
+    >>> from mavdiag.airframe.layout import layout_named
+    >>> from mavdiag.testing import example_rows
+    >>> outputs = np.random.default_rng(3).normal([0.5, 0.55, 0.5, 0.5], 0.02, (1000, 4))   # rotor 2 works harder
+    >>> x, still = layout_named("x"), (0.0, 0.0, 0.0)
+    >>> healthy = RotorTrimSpec(layout=x, source="actuator", mean=still, spread=(0.03, 0.03, 0.01))
+    >>> monitor = RotorTrim(healthy)
+    >>> _, found = monitor.step(monitor.start(), example_rows(1000, 0.01, actuator=outputs))
+    >>> float(found.value[-1].round(2)), int(found.rotors[-1].argmax()) + 1, found.valid[[8, 9]].tolist()
+    (0.1, 2, [False, True])
     """
 
     name = "rotor_trim"

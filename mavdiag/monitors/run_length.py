@@ -148,6 +148,16 @@ class RunLength(Monitor[RunLengthSpec]):
     4). Wind, payload and trajectories that the healthy flights did not have raise it without any fault, so it decides
     only where it is the only monitor. Blind spots: vibration (the window passes 1.2 % of a 1/rev force at 167 Hz), a
     weak rotor that an integrator trims away, anything with a trace shorter than FML.
+
+    >>> from mavdiag.testing import example_rows
+    >>> rate = 0.01 * np.random.default_rng(7).standard_normal((400, 3))
+    >>> rate[200:260] += 0.2   # something pushes for 0.6 s
+    >>> from mavdiag.identify import Method
+    >>> model = ModelRecord(a=(1.0, -0.5), b=(0.0, 0.5), dt_s=0.01, order=(1, 1, 1), method=Method.PUBLISHED)
+    >>> monitor = RunLength(RunLengthSpec(axis=Axis.ROLL, model=model, margin_rad_s=0.1))
+    >>> _, found = monitor.step(monitor.start(), example_rows(400, rate=rate))
+    >>> round(float(found.value.max()), 2), int(found.t_ns[found.value.argmax()] // 1_000_000)
+    (0.6, 2590)
     """
 
     name = "fsd"

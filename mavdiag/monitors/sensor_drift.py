@@ -187,6 +187,16 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     mount that slips or cameras that jump raise it too. Blind spots: a gyro's scale, unless the vehicle turns; a
     horizontal accelerometer bias below 1 m/s^2 (to a filter it is tilt, and a flight against wind looks the same);
     an accelerometer's horizontal scale; what was there when the flight began; attitudes beyond 40 degrees.
+
+    >>> from mavdiag.testing import example_context, example_rows
+    >>> rng, still = np.random.default_rng(9), np.tile([0.0, 0.0, -GRAVITY], (3000, 1))
+    >>> rate, attitude = rng.normal(0, 0.003, (3000, 3)), np.zeros((3000, 3))
+    >>> healthy = example_rows(3000, rate=rate, force=still, attitude=attitude)
+    >>> monitor = SensorDrift(*SensorDrift.fit([[healthy]], example_context()))
+    >>> rate[2000:, 0] += 0.05
+    >>> _, found = monitor.step(monitor.start(), example_rows(3000, rate=rate, force=still, attitude=attitude))
+    >>> bool(found.value[190] < 2.0), bool(found.value[-1] > 5.0)
+    (True, True)
     """
 
     name = "sensor_drift"

@@ -102,6 +102,16 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
     healthy rms and more. False alarms: see `thresholds`; the threshold is never less than 2.4, 11 times the power. An
     airframe that resonates along one axis only could raise it without a sensor at fault; knocks are cut. Blind spots:
     noise below the vibration of the rotors; two axes at once; streams that are low-passed or slower than 100 Hz.
+
+    >>> from mavdiag.testing import example_context, example_rows
+    >>> rng = np.random.default_rng(8)
+    >>> rate, force = rng.normal(0, 0.01, (1000, 3)), rng.normal(0, 0.1, (1000, 3))
+    >>> monitor = SensorNoise(*SensorNoise.fit([[example_rows(1000, rate=rate, force=force)]], example_context()))
+    >>> rate[:, 1] += rng.normal(0, 0.1, 1000)
+    >>> _, alone = monitor.step(monitor.start(), example_rows(1000, rate=rate, force=force))
+    >>> _, shaken = monitor.step(monitor.start(), example_rows(1000, rate=rate, force=10 * force))
+    >>> bool(alone.value[-1] > 1.5), float(shaken.value[-1])
+    (True, 0.0)
     """
 
     name = "sensor_noise"

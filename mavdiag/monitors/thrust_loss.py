@@ -96,6 +96,16 @@ class ThrustLoss(Monitor[ThrustLossSpec]):
     Warm-up: 0.1 s. Latency: 0.2 s. False alarms: see `thresholds`; the threshold is never less than 0.3. Blind spots:
     a vehicle that tumbles, above 8 rad/s; one of six or more rotors that flies on without one; a weak propeller (see
     rotor_trim); links without collective command or accelerometer.
+
+    >>> from mavdiag.airframe.layout import layout_named
+    >>> from mavdiag.testing import example_rows
+    >>> force, rate = np.tile([0.0, 0.0, -9.81], (300, 1)), np.zeros((300, 3))
+    >>> force[200:, 2], rate[200:, :2] = -5.0, (4.0, 4.0)   # down on the right and up at the nose: rear right
+    >>> monitor = ThrustLoss(ThrustLossSpec(layout=layout_named("qdrone2"), per_command=19.62))
+    >>> rows = example_rows(300, rate=rate, force=force, thrust=np.full(300, 0.5))
+    >>> _, found = monitor.step(monitor.start(), rows)
+    >>> float(found.value[150].round(2)), float(found.value[215].round(1)), int(found.rotors[215].argmax()) + 1
+    (0.0, 0.5, 1)
     """
 
     name = "thrust_loss"

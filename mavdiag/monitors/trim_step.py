@@ -136,6 +136,15 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     Warm-up: 10 s of unbroken valid flight as the envelope covers it. Latency: up to 5 s.
     False alarms: see `thresholds`; a payload that is picked up shifts roll and pitch, which count little. Blind spots:
     damage that was there at take-off (the rotor-trim monitor sees it) or grows slowly, and hops shorter than 10 s.
+
+    >>> from mavdiag.airframe.layout import layout_named
+    >>> from mavdiag.testing import example_rows
+    >>> outputs = np.random.default_rng(3).normal(0.5, 0.02, (4000, 4)) + [0.02, 0.0, 0.0, 0.0]
+    >>> outputs[2000:, 1] += 0.05   # rotor 2 breaks after 20 s; rotor 1 was weak from the start
+    >>> monitor = TrimStep(TrimStepSpec(layout=layout_named("x"), source="actuator", spread=(0.03, 0.03, 0.01)))
+    >>> _, found = monitor.step(monitor.start(), example_rows(4000, 0.01, actuator=outputs))
+    >>> [float(x.round(2)) for x in (found.value[20:40].max(), found.value[60])], int(found.rotors[60].argmax()) + 1
+    ([0.0, 0.1], 2)
     """
 
     name = "trim_step"

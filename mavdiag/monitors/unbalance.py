@@ -213,6 +213,17 @@ class Unbalance(Monitor[UnbalanceSpec]):
     Blind spots: cracks (0.22 g mm is what a healthy rotor may have); streams that are low-passed; below 400 Hz the line
     is folded into the band above a quarter of the rate, or out of it. The estimate is some percent low for what the
     sensor's own filter takes at 167 Hz.
+
+    >>> from mavdiag.testing import example_context, example_rows
+    >>> rng, angle = np.random.default_rng(6), 2 * np.pi * 167 * np.arange(2000) * 0.001
+    >>> force, gyro = rng.normal(0, 0.3, (2000, 3)), rng.normal(0, 0.003, (2000, 3))
+    >>> context = example_context("qdrone2", 0.001, mass_kg=1.504, hover_rad_s=1047.0)
+    >>> monitor = Unbalance(*Unbalance.fit([[example_rows(2000, 0.001, force=force, rate=gyro)]], context))
+    >>> force[:, :2] += 2.0 * np.column_stack((np.cos(angle), -np.sin(angle)))   # rotor 2 turns counterclockwise
+    >>> gyro[:, 2] += 0.01 * (np.cos(angle) - np.sin(angle))
+    >>> _, found = monitor.step(monitor.start(), example_rows(2000, 0.001, force=force, rate=gyro))
+    >>> float(found.level[-1].round(1)), int(found.rotors[-1].argmax()) + 1   # 1e6 x 1.504 x 2.0/1047^2 g mm
+    (2.7, 2)
     """
 
     name = "unbalance"

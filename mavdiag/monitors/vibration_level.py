@@ -68,6 +68,13 @@ class VibrationLevel(Monitor[VibrationLevelSpec]):
     Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: see `thresholds`; the threshold is never
     less than 0.5 m/s^2 above the mean healthy maximum. Blind spots: a propeller that lost thrust but kept its balance;
     clipped accelerometers. Wind, landing gear contact and loose mounts raise it.
+
+    >>> from mavdiag.testing import example_rows
+    >>> shaking = np.abs(np.random.default_rng(1).normal(0.0, [0.6, 0.6, 2.0], (1000, 3)))
+    >>> monitor = VibrationLevel(VibrationLevelSpec(healthy=0.4))
+    >>> _, found = monitor.step(monitor.start(), example_rows(1000, 0.01, vibration=shaking))
+    >>> float(found.value[-1].round(1)), found.valid[[498, 499]].tolist()
+    (1.9, [False, True])
     """
 
     name = "vibration_level"
