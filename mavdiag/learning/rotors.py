@@ -4,7 +4,7 @@ In this order: what is told wins over the parameters, and these over the flights
 the airframe carries a warning. The rows come out in the order of the rotors.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from mavdiag.airframe.airframe import Airframe
@@ -14,7 +14,6 @@ from mavdiag.airframe.load import airframe_named
 from mavdiag.airframe.parameters import ParameterFinding, layout_from_parameters
 from mavdiag.learning.flights import LearntFlight
 from mavdiag.logs import airframe_name_for
-from mavdiag.rows.block import Block
 
 TOLD = "told"
 
@@ -102,17 +101,8 @@ def _look(
     if layout is not None:
         known = (layout, *(one for one in known if one.signs != layout.signs and one.name != layout.name))
     order = None if outputs is None else _in_order(len(outputs))
-    return detect_layout(_Blocks([_ordered(one, outputs) for one in flights]), known, order)
-
-
-class _Blocks(Iterable[Block]):
-    """The blocks of flights, as often as they are looked at."""
-
-    def __init__(self, flights: Sequence[LearntFlight]) -> None:
-        self._flights = flights
-
-    def __iter__(self) -> Iterator[Block]:
-        return (rows.block for one in self._flights for rows in one.rows)
+    blocks = (rows.block for one in flights for rows in _ordered(one, outputs).rows)
+    return detect_layout(blocks, known, order)
 
 
 def _moved(found: LayoutFinding, layout: RotorLayout) -> bool:
@@ -133,13 +123,12 @@ def _ordered(one: LearntFlight, outputs: tuple[int, ...] | None) -> LearntFlight
 
 def _of_outputs(outputs: tuple[int, ...] | None, flights: Sequence[LearntFlight]) -> tuple[int, ...] | None:
     """What the airframe has to keep: nothing where rotor j is on output j, or the logs are by motor."""
-    if outputs is None or outputs == _in_order(len(outputs)) or _all_in_motor_order(flights):
-        return None
-    return outputs
+    named = outputs is not None and outputs != _in_order(len(outputs)) and not _all_in_motor_order(flights)
+    return outputs if named else None
 
 
 def _all_in_motor_order(flights: Sequence[LearntFlight]) -> bool:
-    return all(one.label.motor_order for one in flights)
+    return all(flight.label.motor_order for flight in flights)
 
 
 def _in_order(count: int) -> tuple[int, ...]:

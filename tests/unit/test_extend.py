@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from flying_telemetry import flying, without
 from made_baselines import FRAME, NOW
-from made_telemetry import flight
 
 from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline, MonitorEntry, dump, parse
@@ -136,18 +135,6 @@ def test_a_flight_that_is_in_it_already_is_refused() -> None:
     assert refusal(monday(), flown(10), flown(2)) == "f2: is in the baseline already; leave it out"
 
 
-def test_the_same_new_flight_twice_is_refused() -> None:
-    copy = dataclasses.replace(flown(10), name="copy", sha256="f" * 64)
-    assert "copy" in refusal(monday(), flown(10), copy)
-
-
-def test_another_link_is_refused() -> None:
-    other = dataclasses.replace(flown(10), profile="ardupilot")
-    assert "link.profile: the baseline is for 'px4', the data are 'ardupilot'" in refusal(monday(), other)
-    fast = dataclasses.replace(flown(10), telemetry=flight(8000, 1))
-    assert "link.dt_s: the baseline is for 100.0 Hz, the data have 1000.0 Hz" in refusal(monday(), fast)
-
-
 def test_a_baseline_without_scores_is_refused() -> None:
     old = tuple(one.model_copy(update={"scores": None}) for one in monday().monitors)
     assert "of an older schema" in refusal(monday().model_copy(update={"monitors": old}), flown(10))
@@ -161,11 +148,6 @@ def test_a_crash_is_refused() -> None:
             values[2200:] *= 0.05
         parts.append(dataclasses.replace(one, values=values))
     assert "f10: the flight ends in an upset" in refusal(monday(), flown(10, 0, Telemetry(tuple(parts))))
-
-
-def test_a_flight_that_never_flies_is_refused() -> None:
-    ground = changed(flying(2500, 10), Signal.ARMED, times=0.0)
-    assert "f10: only 0.0 s of airborne flight" in refusal(monday(), flown(10, 0, ground))
 
 
 @cache

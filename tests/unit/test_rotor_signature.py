@@ -80,15 +80,6 @@ def test_a_wandering_rotor_raises_the_statistic_and_is_named(spec: RotorSignatur
     assert float(faulty.rotors[settled].max(axis=1).min()) > 0.6
 
 
-def test_a_gust_that_lifts_nothing_looks_less_like_a_rotor(spec: RotorSignatureSpec) -> None:
-    monitor = RotorSignature(spec)
-    gust = 0.1 * wander(3) * [1.0, 1.0, 0.0]
-    _, found = monitor.step(monitor.start(), flown(11, gust))
-    assert float(found.rotors[found.valid].max()) < 0.65  # one pair of three agrees, the others are noise
-    rotors = np.sort(found.rotors[found.valid], axis=1)
-    assert float(np.median(rotors[:, -1] - rotors[:, -2])) < 0.3
-
-
 def residuals(motion: HealthyMotion, rows: Rows, follows: bool = True) -> Residuals:
     return residuals_of(motion, samples_of([rows], motion.stride, motion.window)[0], follows)
 
@@ -167,14 +158,6 @@ def test_nothing_is_judged_before_it_has_settled_and_filled_its_window(spec: Rot
     _, found = RotorSignature(spec).step(RotorSignature(spec).start(), flown(16, CALM))
     first_s = float(found.t_ns[found.valid][0]) / 1e9
     assert first_s == pytest.approx(1.5 + 3.0 + 0.04, abs=0.03)
-
-
-def test_thrust_need_not_be_told() -> None:
-    rows = flown(17, CALM)
-    silent = Rows(dataclasses.replace(rows.block, thrust=np.full(N, np.nan)), rows.rates)
-    spec = fit([[silent]], "qdrone2")
-    assert spec.motion.heave.b == (0.0,)
-    assert RotorSignature(spec).step(RotorSignature(spec).start(), silent)[1].valid.any()
 
 
 def test_a_number_that_is_none_is_not_judged(spec: RotorSignatureSpec) -> None:

@@ -59,11 +59,6 @@ def test_no_judged_rows_is_an_error_that_says_so() -> None:
         margin_of([[]])
 
 
-def test_fml_is_the_longest_healthy_run() -> None:
-    flights = [[piece(np.array([0, 2, 2, 0, 2.0]))], [piece(np.array([2, 2, 2.0])), piece(np.zeros(3))]]
-    assert longest_runs(flights, 1.0).tolist() == [0.02, 0.03]
-
-
 def test_b4_a_chunk_does_not_end_a_run() -> None:
     """B4: runs were counted in every chunk for itself, and a flight has two of them."""
     (rows,) = (one for one in flying_rows(flying(2000, 1)) if len(one.block) > 1000)
@@ -131,22 +126,3 @@ def test_b2_rows_without_a_set_point_train_and_judge_nothing() -> None:
     monitor = RunLength(spec)
     _, found = monitor.step(monitor.start(), rows)
     assert int(found.valid.sum()) == 996
-
-
-def coloured(rng: np.random.Generator, n: int) -> FloatArray:
-    """A residual with memory, so that it has runs."""
-    return np.convolve(rng.standard_normal(n + 20), np.ones(20) / 20, mode="valid")[:n]
-
-
-@pytest.mark.parametrize("n", [3, 10])
-def test_the_next_healthy_flight_beats_the_longest_of_n_with_probability_one_in_n_plus_one(n: int) -> None:
-    seed, trials = 20 + n, 1500
-    rng = np.random.default_rng(seed)
-    beaten = 0
-    for _ in range(trials):
-        longest = longest_runs([[piece(coloured(rng, 400))] for _ in range(n + 1)], 0.37)
-        beaten += longest[-1] > longest[:-1].max()
-    rate, expected = beaten / trials, 1 / (n + 1)
-    spread = np.sqrt(expected * (1 - expected) / trials)
-    # Ties of equal length count for no alarm, so the rate may lie a little below.
-    assert expected - 4 * spread - 0.03 < rate < expected + 4 * spread, f"seed {seed}: {rate} against {expected}"

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from flying_telemetry import flying, flying_rows, without
+from flying_telemetry import flying, flying_rows
 from made_thresholds import calibrated, held_out_scores
 
 from mavdiag.errors import IdentificationError, UsageError
@@ -104,15 +104,6 @@ def test_b4_blocks_do_not_depend_on_chunks_and_run_through_segments() -> None:
     assert found.maxima.min() > 0.3
 
 
-def test_b5_a_short_block_is_not_taken_for_a_whole_one() -> None:
-    """B5: maxima of 1 s were taken for maxima of 10 s. The same law, cut short, gives a like level."""
-    x = np.random.default_rng(8).gumbel(5.0, 1.0, (400, 10))  # maxima of single seconds
-    long = threshold_of(Scores(x.max(axis=1), np.full(400, 10.0)), flights=5, budget_per_hour=0.36)
-    short = threshold_of(Scores(x.ravel(), np.full(4000, 1.0)), flights=5, budget_per_hour=0.36)
-    assert short.value == pytest.approx(long.value, abs=0.6)
-    assert short.hours == pytest.approx(long.hours)
-
-
 def test_r9_the_floor_on_the_scale_fades_with_blocks() -> None:
     """R9: a tenth of the mean stayed the least scale with any number of blocks."""
     scales = [known(np.full(n, 10.0).tolist()).scale for n in (1, 20, 80, 2000)]
@@ -157,12 +148,6 @@ def test_the_pieces_do_not_depend_on_chunks() -> None:
     for (a, b), (c, d) in zip(folds([[whole]]), folds([chunks]), strict=True):
         assert times(a) == times(c)
         assert times(b) == times(d)
-
-
-def test_separate_hops_are_the_pieces() -> None:
-    flight = flying_rows(without(flying(2600, 2), (12.0, 14.0)))
-    pairs = list(folds([flight]))
-    assert [{rows.block.segment for one in left for rows in one} for left, _ in pairs] == [{0}, {1}]
 
 
 def test_too_short_a_flight_says_so() -> None:

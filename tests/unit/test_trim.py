@@ -46,28 +46,12 @@ def test_the_rises_are_weighted_least_squares(frame: str, shift: list[float], le
     np.testing.assert_allclose(found, [expected], rtol=1e-9, atol=1e-12)
 
 
-def test_in_wind_roll_and_pitch_count_less_and_yaw_as_before() -> None:
-    layout, shift = layout_named("x"), np.array([[0.05, -0.04, 0.0], [0.0, 0.0, 0.05]])
-    calm = rises(shift, layout, CALM).max(axis=1)
-    tilted = rises(shift, layout, CALM, np.tile([0.3, 0.4], (2, 1))).max(axis=1)
-    assert tilted[0] < 0.1 * calm[0]
-    assert tilted[1] > calm[1] > 0.1  # yaw alone is left to explain
-
-
 def test_the_spread_has_a_floor_for_yaw_and_a_ratio_for_the_others() -> None:
     assert spread_of(np.zeros((5, 3))) == pytest.approx((3 * YAW_FLOOR, 3 * YAW_FLOOR, YAW_FLOOR))
     rng = np.random.default_rng(1)
     found = spread_of(rng.normal(0.0, [0.2, 0.01, 0.05], (20_000, 3)))
     assert found[2] == pytest.approx(np.hypot(0.05, YAW_FLOOR), rel=0.02)
     assert found[:2] == pytest.approx((0.2, LEVEL_RATIO * found[2]), rel=0.02)
-
-
-def test_trims_of_outputs_are_deviations_from_their_mean() -> None:
-    layout, trim = layout_named("x"), np.array([0.03, -0.02, 0.01])
-    level = np.linspace(0.2, 0.9, 50)[:, None]  # the same trim at any collective
-    found, known = trim_of(example_rows(50, actuator=level * (1 + layout.mixing @ trim)).block, layout, "actuator")
-    assert known.all()
-    np.testing.assert_allclose(found, np.tile(trim, (50, 1)), atol=1e-12)
 
 
 def test_idle_unknown_or_lacking_outputs_give_no_trim() -> None:
