@@ -16,7 +16,7 @@ from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import InputError
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import LearnContext, segments
-from mavdiag.monitors.fitting import Moments, smoothed, variance_law
+from mavdiag.monitors.fitting import smoothed, variance_law
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.sensor_noise import SensorNoise
 from mavdiag.monitors.thrust_loss import ThrustLoss
@@ -39,15 +39,6 @@ def valid(name: str) -> np.ndarray:
     """A column of all valid rows."""
     blocks = [rows.block for flight in flights() for rows in flight]
     return np.concatenate([getattr(one, name)[one.valid] for one in blocks])
-
-
-@given(st.lists(st.lists(st.floats(-1e3, 1e3), max_size=9), min_size=1, max_size=5).filter(any))
-def test_moments_join_as_the_rows_do(parts: list[list[float]]) -> None:
-    found = Moments.joined([Moments.of(np.array(part).reshape(-1, 1)) for part in parts])
-    rows = np.concatenate([np.array(part) for part in parts])
-    assert found.count == len(rows)
-    assert found.mean[0] == pytest.approx(rows.mean(), abs=1e-9)
-    assert found.squares[0] == pytest.approx(np.square(rows - rows.mean()).sum(), rel=1e-9, abs=1e-6)
 
 
 @given(st.integers(0, 999), st.floats(-2.0, 2.0))
