@@ -4,7 +4,7 @@ In this order: what is told wins over the parameters, and these over the flights
 the airframe carries a warning. The rows come out in the order of the rotors.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from mavdiag.airframe.airframe import Airframe
@@ -14,6 +14,7 @@ from mavdiag.airframe.load import airframe_named
 from mavdiag.airframe.parameters import ParameterFinding, layout_from_parameters
 from mavdiag.learning.flights import LearntFlight
 from mavdiag.logs import airframe_name_for
+from mavdiag.rows.block import Block
 
 TOLD = "told"
 
@@ -101,8 +102,17 @@ def _look(
     if layout is not None:
         known = (layout, *(one for one in known if one.signs != layout.signs and one.name != layout.name))
     order = None if outputs is None else _in_order(len(outputs))
-    blocks = (rows.block for one in flights for rows in _ordered(one, outputs).rows)
-    return detect_layout(blocks, known, order)
+    return detect_layout(_Blocks([_ordered(one, outputs) for one in flights]), known, order)
+
+
+class _Blocks(Iterable[Block]):
+    """The blocks of flights, as often as they are looked at, so that few of them are in memory."""
+
+    def __init__(self, flights: Sequence[LearntFlight]) -> None:
+        self._flights = flights
+
+    def __iter__(self) -> Iterator[Block]:
+        return (rows.block for one in self._flights for rows in one.rows)
 
 
 def _moved(found: LayoutFinding, layout: RotorLayout) -> bool:
