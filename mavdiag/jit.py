@@ -90,7 +90,8 @@ def _collect(compiled: Any, reached: dict[int, Any], constants: list[str]) -> No
     for module in [value for value in values if isinstance(value, ModuleType)]:
         values += [getattr(module, name, None) for name in names]
     for value in (*values, *(cell.cell_contents for cell in cells)):
-        if isinstance(value, bool | int | float | str | tuple):
+        parts = value if isinstance(value, tuple) else (value,)
+        if all(isinstance(part, bool | int | float | str) for part in parts):
             constants.append(repr(value))
         _collect(value, reached, constants)
 

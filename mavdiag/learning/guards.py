@@ -18,7 +18,7 @@ import numpy as np
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import LEVEL_RATIO, shown_trim
 from mavdiag.learning.flights import LearntFlight
-from mavdiag.rows.rates import RateBlock
+from mavdiag.rows.front import Rows
 from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
 from mavdiag.rows.windows import window_mean, window_rows
 from mavdiag.telemetry import FloatArray
@@ -92,25 +92,7 @@ class Finding:
         return f"{self.log}: {self.text}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Block:
-    """A few seconds of flight.
-
-    number, log: of which flight.
-    from_s, to_s: vehicle's clock.
-    logs: natural logarithms of the gyro's fast noise, of the error of the rates, and of the thrust; NaN if unknown.
-    busy: rms of the commanded rates [rad/s]; 0 if unknown.
-    """
-
-    number: int
-    log: str
-    from_s: float
-    to_s: float
-    logs: tuple[float, float, float]
-    busy: float
-
-
-_FIGURES = ("gyro noise", "rate error", "thrust")
+_FIGURES = (("gyro noise", FAR_RATIO), ("rate error", FAR_ERROR), ("thrust", FAR_LEVEL))
 
 
 def upsets(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
@@ -133,78 +115,67 @@ def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
     lies above the median). Lower noise is not far: a hover among squares is quiet; nor is a rate error below 0.5 rad/s,
     which gusts give. Thrust is far at 1.5 times or a 1.5th.
     """
-    blocks = [block for number, flight in enumerate(flights) for block in _blocks(number, flight)]
+    blocks = [(number, *block) for number, flight in enumerate(flights) for block in _blocks(flight.rows)]
     if len(blocks) < MIN_BLOCKS:
         return ()
-    values = _compared(blocks)
-    found: dict[int, list[tuple[_Block, str]]] = {}
-    for name, column, least in zip(_FIGURES, values.T, (FAR_RATIO, FAR_ERROR, FAR_LEVEL), strict=True):
+    table = np.array(blocks)
+    values, far = _compared(table[:, 3:6], table[:, 6]), list[tuple[int, float, float, str]]()
+    for (name, least), column, logs in zip(_FIGURES, values.T, table[:, 3:6].T, strict=True):
         size = np.abs(column) if name == "thrust" else column
         above = size[size > 0]
         limit = max(math.log(least), FAR_SPREADS * 1.4826 * float(np.median(above)) if len(above) else 0.0)
-        quiet = np.array([name == "rate error" and one.logs[1] < math.log(LEAST_ERROR_RAD_S) for one in blocks])
-        for i in np.flatnonzero((size > limit) & ~quiet).tolist():
-            text = f"{name} {math.exp(column[i]):.2g} times that of the other flights' blocks"
-            found.setdefault(blocks[i].number, []).append((blocks[i], text))
-    return tuple(one for far in found.values() for one in _stretches(far))
+        loud = (size > limit) & ~((logs < math.log(LEAST_ERROR_RAD_S)) & (name == "rate error"))
+        text = "{} {:.2g} times that of the other flights' blocks"
+        for i in np.flatnonzero(loud).tolist():
+            number, from_s, to_s = table[i, :3].tolist()
+            far.append((int(number), from_s, to_s, text.format(name, math.exp(column[i]))))
+    stretches: list[tuple[int, float, float, str]] = []  # blocks that follow each other make one finding
+    for number, from_s, to_s, text in sorted(far, key=lambda block: block[:2]):
+        if stretches and stretches[-1][0] == number and from_s <= stretches[-1][2] + BLOCK_S:
+            _, begin_s, end_s, what = stretches[-1]
+            stretches[-1] = number, begin_s, max(end_s, to_s), what
+        else:
+            stretches.append((number, from_s, to_s, text))
+    return tuple(
+        Finding(number, flights[number].label.name, Kind.FAR, f"{begin:.1f} to {end:.1f} s: {text}", begin, end)
+        for number, begin, end, text in stretches
+    )
 
 
-def _stretches(far: Sequence[tuple[_Block, str]]) -> Iterator[Finding]:
-    """Blocks that follow each other make one finding."""
-    ordered = sorted(far, key=lambda one: one[0].from_s)
-    begin, text = ordered[0]
-    end_s = begin.to_s
-    for block, other in [*ordered[1:], (None, "")]:
-        if block is not None and block.from_s <= end_s + BLOCK_S:
-            end_s = max(end_s, block.to_s)
-            continue
-        place = f"{begin.from_s:.1f} to {end_s:.1f} s"
-        yield Finding(begin.number, begin.log, Kind.FAR, f"{place}: {text}", begin.from_s, end_s)
-        if block is not None:
-            begin, text, end_s = block, other, block.to_s
+def _blocks(flight: Sequence[Rows]) -> Iterator[tuple[float, ...]]:
+    """Of each few seconds: start and end [s], logarithms of gyro noise, rate error and thrust, rms commanded rate."""
+    for block, rates in ((rows.block, rows.rates) for rows in flight):
+        noise, size = np.square(np.diff(block.rate, n=2, axis=0)).sum(axis=1), window_rows(BLOCK_S, block.dt_s)
+        # a last block that is shorter than half belongs to the one before
+        for first, stop in itertools.pairwise([*range(0, max(1, len(block) - size // 2), size), len(block)]):
+            if np.count_nonzero(block.valid[first:stop]) < 0.5 * size:
+                continue
+            low_ns, high_ns = block.t_ns[[first, stop - 1]].tolist()
+            inside = slice(*np.searchsorted(rates.t_ns, [low_ns, high_ns + 1]).tolist())
+            known, u = rates.commanded[inside], rates.u[inside]
+            error = np.where(known, np.square(rates.y[inside] - u).sum(axis=1), np.nan)
+            busy = math.sqrt(float(np.square(u[known]).sum(axis=1).mean())) if known.any() else 0.0
+            quick = np.where(block.valid[first + 2 : stop], noise[first : stop - 2], np.nan)
+            thrust = _median(block.thrust[first:stop][block.valid[first:stop]])
+            figures = _typical(quick, block.dt_s), _typical(error, block.dt_s), thrust
+            logs = (math.log(x) if x > 0 else math.nan for x in figures)
+            yield low_ns / NS_PER_S, high_ns / NS_PER_S, *logs, busy
 
 
-def _compared(blocks: Sequence[_Block]) -> FloatArray:
+def _compared(logs: FloatArray, busy: FloatArray) -> FloatArray:
     """(b, 3) logarithms against what is expected, their median taken out."""
-    logs = np.array([one.logs for one in blocks])
-    busy = np.array([one.busy for one in blocks])
+    logs = logs.copy()
     calm, lively = busy <= np.median(busy), (busy >= np.median(busy)) & (busy > 0)
     for column in (0, 1):
         at_rest = _median(np.exp(logs[calm, column]))
         share = _median(np.exp(logs[lively, column]) / busy[lively]) if lively.any() else 0.0
         logs[:, column] -= np.log(np.hypot(at_rest, share * busy) + np.finfo(float).tiny)
-    middle = np.array([_median(column) for column in logs.T])
-    return np.asarray(logs - middle, dtype=np.float64)
+    return np.asarray(logs - [_median(column) for column in logs.T], dtype=np.float64)
 
 
 def _median(x: FloatArray) -> float:
     known = x[np.isfinite(x)]
     return float(np.median(known)) if len(known) else 0.0
-
-
-def _blocks(number: int, flight: LearntFlight) -> Iterator[_Block]:
-    for block, rates in ((rows.block, rows.rates) for rows in flight.rows):
-        noise = np.square(np.diff(block.rate, n=2, axis=0)).sum(axis=1)
-        for first, stop in _cuts(len(block), window_rows(BLOCK_S, block.dt_s)):
-            if np.count_nonzero(block.valid[first:stop]) < 0.5 * window_rows(BLOCK_S, block.dt_s):
-                continue
-            low_ns, high_ns = int(block.t_ns[first]), int(block.t_ns[stop - 1])
-            error, busy = _errors(rates, low_ns, high_ns)
-            quick = _typical(np.where(block.valid[first + 2 : stop], noise[first : stop - 2], np.nan), block.dt_s)
-            thrust = _median(block.thrust[first:stop][block.valid[first:stop]])
-            logs = (_log(quick), _log(error), _log(thrust))
-            yield _Block(number, flight.label.name, low_ns / NS_PER_S, high_ns / NS_PER_S, logs, busy)
-
-
-def _errors(rates: RateBlock, low_ns: int, high_ns: int) -> tuple[float, float]:
-    """Error of the rates and rms of the commanded ones between two times [rad/s]; NaN and 0 if they are not known."""
-    inside = slice(*np.searchsorted(rates.t_ns, [low_ns, high_ns + 1]).tolist())
-    known = rates.commanded[inside]
-    if not known.any():
-        return math.nan, 0.0
-    error = np.square(rates.y[inside] - rates.u[inside]).sum(axis=1)
-    busy = math.sqrt(float(np.square(rates.u[inside][known]).sum(axis=1).mean()))
-    return _typical(np.where(known, error, np.nan), rates.dt_s), busy
 
 
 def _typical(squares: FloatArray, dt_s: float) -> float:
@@ -213,16 +184,6 @@ def _typical(squares: FloatArray, dt_s: float) -> float:
     means = window_mean(squares[:, None], window)[:: max(1, window // 2), 0]
     known = means[np.isfinite(means)]
     return math.sqrt(float(np.median(known))) if len(known) else math.nan
-
-
-def _log(x: float) -> float:
-    return math.log(x) if x > 0 else math.nan
-
-
-def _cuts(count: int, size: int) -> Iterator[tuple[int, int]]:
-    """Half-open cuts of `size` rows; a last one that is shorter than half belongs to the one before."""
-    edges = [*range(0, max(1, count - size // 2), size), count]
-    return itertools.pairwise(edges)
 
 
 def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> tuple[Finding, ...]:
@@ -234,33 +195,31 @@ def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> 
     """
     if layout is None:
         return ()
-    means = [(number, _mean_trim(flight, layout)) for number, flight in enumerate(flights)]
-    known = [(number, mean) for number, mean in means if mean is not None]
+    known = []
+    for number, flight in enumerate(flights):
+        shown = (shown_trim(rows.block, layout) for rows in flight.rows)
+        rows = np.concatenate([np.empty((0, 3)), *(trim[where] for trim, where in shown)])
+        known += [(number, rows.mean(axis=0))] if len(rows) else []
     if len(known) < 3:
         return ()
     weight = np.array([1.0 / LEVEL_RATIO, 1.0 / LEVEL_RATIO, 1.0])
     trims = np.array([mean for _, mean in known]) * weight
-    distance, spread, odd = max((_split(trims, axis) for axis in range(3)), key=lambda one: one[0] / one[1])
+    distance, spread, odd = max((_split(trims, axis) for axis in range(3)), key=lambda split: split[0] / split[1])
     if distance < max(NOTED_DISTANCE, GROUP_RATIO * spread):
         return ()
     refuses = distance >= GROUP_DISTANCE and 2 <= len(odd) <= len(known) - 2
-    numbers = [number for number, _ in known]
+    numbers = [known[i][0] for i in odd]
     names = [flights[number].label.name for number in numbers]
-    mean, rest = trims[odd].mean(axis=0) / weight, np.delete(trims, odd, axis=0).mean(axis=0) / weight
+    groups = trims[odd].mean(axis=0) / weight, np.delete(trims, odd, axis=0).mean(axis=0) / weight
+    one, rest = ("/".join(f"{x:+.3f}" for x in trim) for trim in groups)
     text = (
-        f"the mean trims of the flights fall into two groups: roll, pitch, yaw {_three(mean)} in "
-        f"{', '.join(names[i] for i in odd)} and {_three(rest)} in the others: "
-        "two airframes, sets of propellers or sessions"
+        f"the mean trims of the flights fall into two groups: roll, pitch, yaw {one} in {', '.join(names)} and {rest} "
+        "in the others: two airframes, sets of propellers or sessions"
     )
-    if not refuses:
-        return (Finding(numbers[odd[0]], names[odd[0]], Kind.GROUPS, text, refuses=False),)
-    return tuple(Finding(numbers[i], names[i], Kind.GROUPS, text) for i in odd)
-
-
-def _mean_trim(flight: LearntFlight, layout: RotorLayout) -> FloatArray | None:
-    found = [shown_trim(rows.block, layout) for rows in flight.rows]
-    known = np.concatenate([np.empty((0, 3)), *(trim[where] for trim, where in found)])
-    return known.mean(axis=0) if len(known) else None
+    found = [
+        Finding(number, name, Kind.GROUPS, text, refuses=refuses) for number, name in zip(numbers, names, strict=True)
+    ]
+    return tuple(found if refuses else found[:1])
 
 
 def _split(trims: FloatArray, axis: int) -> tuple[float, float, list[int]]:
@@ -273,7 +232,3 @@ def _split(trims: FloatArray, axis: int) -> tuple[float, float, list[int]]:
     freedom = max(1, len(trims) - 2)
     spread = math.hypot(math.sqrt(float(np.square(within).sum()) / freedom), GROUP_FLOOR)
     return float(np.linalg.norm(apart)), spread, sorted((low if len(low) < len(high) else high).tolist())
-
-
-def _three(trim: FloatArray) -> str:
-    return "/".join(f"{x:+.3f}" for x in trim)

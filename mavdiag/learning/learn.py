@@ -230,21 +230,22 @@ def _fit_all(
     fitted, refusals = list[_Fitted](), list[Refusal]()
     unknown = context.airframe.layout_basis if context.airframe.layout is None else ""
     for kind in kinds:
-        name = kind.name
         try:
             scored = by_axis(parts[kind]) if kind in found else {}
         except IdentificationError as error:
             refused[kind] = str(error)
         if kind in refused:
-            reason = refused[kind] + (f" ({unknown})" if unknown and "layout" in refused[kind] else "")
-            refusals.append(Refusal(monitor=name, reason=reason))
-            continue
-        axes = [spec.axis if kind is RunLength else None for spec in found[kind][0]]
-        fitted += [_Fitted(kind(spec), scored[a]) for spec, a in zip(found[kind][0], axes, strict=True) if a in scored]
-        short = [f"{axis}: too little healthy flight to score it; fly longer" for axis in axes if axis not in scored]
-        flat = "it cannot be modelled; fly a trajectory that moves this axis"
-        short += [f"{axis}: {flat}" for axis in (options.axes if kind is RunLength else ()) if axis not in axes]
-        refusals += [Refusal(monitor=name, reason=reason) for reason in short]
+            reasons = [refused[kind] + (f" ({unknown})" if unknown and "layout" in refused[kind] else "")]
+        else:
+            monitors = list(map(kind, found[kind][0]))
+            axes = [monitor.axis for monitor in monitors]
+            fitted += [_Fitted(monitor, scored[monitor.axis]) for monitor in monitors if monitor.axis in scored]
+            reasons = [
+                f"{axis}: too little healthy flight to score it; fly longer" for axis in axes if axis not in scored
+            ]
+            flat = "it cannot be modelled; fly a trajectory that moves this axis"
+            reasons += [f"{axis}: {flat}" for axis in (options.axes if kind is RunLength else ()) if axis not in axes]
+        refusals += [Refusal(monitor=kind.name, reason=reason) for reason in reasons]
     return fitted, refusals
 
 

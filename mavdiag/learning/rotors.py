@@ -106,7 +106,7 @@ def _look(
 
 
 class _Blocks(Iterable[Block]):
-    """The blocks of flights, as often as they are looked at."""
+    """The blocks of flights, as often as they are looked at, so that few of them are in memory."""
 
     def __init__(self, flights: Sequence[LearntFlight]) -> None:
         self._flights = flights
@@ -133,13 +133,12 @@ def _ordered(one: LearntFlight, outputs: tuple[int, ...] | None) -> LearntFlight
 
 def _of_outputs(outputs: tuple[int, ...] | None, flights: Sequence[LearntFlight]) -> tuple[int, ...] | None:
     """What the airframe has to keep: nothing where rotor j is on output j, or the logs are by motor."""
-    if outputs is None or outputs == _in_order(len(outputs)) or _all_in_motor_order(flights):
-        return None
-    return outputs
+    named = outputs is not None and outputs != _in_order(len(outputs)) and not _all_in_motor_order(flights)
+    return outputs if named else None
 
 
 def _all_in_motor_order(flights: Sequence[LearntFlight]) -> bool:
-    return all(one.label.motor_order for one in flights)
+    return all(flight.label.motor_order for flight in flights)
 
 
 def _in_order(count: int) -> tuple[int, ...]:

@@ -101,24 +101,19 @@ def courses(specs: Sequence[Any], flights: Sequence[LearntFlight]) -> tuple[Cour
 
     specs: fits to all the flights.
     """
-    used = [spec for spec in specs if spec.kind in (*STEADY, *TRIMS)]
-    found: list[Course] = []
+    used, found = [spec for spec in specs if spec.kind in (*STEADY, *TRIMS)], list[Course]()
     for number, flight in enumerate(flights):
-        t_ns: list[list[Any]] = [[np.empty(0, dtype=np.int64)] for _ in used]
-        value: list[list[FloatArray]] = [[np.empty(0)] for _ in used]
-        risen = [[np.empty((0, spec.layout.rotors if spec.kind in TRIMS else 0))] for spec in used]
+        parts: list[list[FloatArray]] = [[] for _ in used]  # time, value, rises of the first valid value of each second
         for statistics in judged_together([monitor_of(spec) for spec in used], flight.rows):
-            for i, statistic in enumerate(statistics):
-                at = np.flatnonzero(statistic.valid)
-                at = at[np.unique(statistic.t_ns[at] // NS_PER_S, return_index=True)[1]]
-                t_ns[i].append(statistic.t_ns[at])
-                value[i].append(statistic.value[at])
-                risen[i].append(statistic.rotors[at] if risen[i][0].shape[1] else np.empty((len(at), 0)))
-        for i, spec in enumerate(used):
-            times = np.concatenate(t_ns[i])
-            at = np.unique(times // NS_PER_S, return_index=True)[1]
-            figures = np.concatenate(value[i])[at], np.concatenate(risen[i])[at]
-            found.append(Course(spec.kind, spec, number, flight.label.name, times[at] / NS_PER_S, *figures))
+            for part, spec, one in zip(parts, used, statistics, strict=True):
+                at = np.flatnonzero(one.valid)
+                at = at[np.unique(one.t_ns[at] // NS_PER_S, return_index=True)[1]]
+                rises = one.rotors[at] if spec.kind in TRIMS else np.empty((len(at), 0))
+                part.append(np.column_stack((one.t_ns[at] / NS_PER_S, one.value[at], rises)))
+        for part, spec in zip(parts, used, strict=True):
+            rows = np.concatenate(part)
+            rows = rows[np.unique(rows[:, 0] // 1, return_index=True)[1]]
+            found.append(Course(spec.kind, spec, number, flight.label.name, rows[:, 0], rows[:, 1], rows[:, 2:]))
     return (*found, *(_shaking(number, flight) for number, flight in enumerate(flights)))
 
 
@@ -231,16 +226,21 @@ def _too_shaky(rms: FloatArray, dt_s: float, airframe: Airframe) -> str:
 
 def _too_unbalanced(m_s2: float, airframe: Airframe) -> str:
     """A sentence, if a vibration is more than balanced rotors make: their unbalances add as squares; else empty."""
-    if airframe.mass_kg is None or airframe.hover_rad_s is None:
+    found = _in_g_mm(m_s2, airframe)
+    if found is None or airframe.mass_kg is None or airframe.hover_rad_s is None:
         return ""
     rotors = 4 if airframe.layout is None else airframe.layout.rotors
     one = permissible_unbalance_g_mm(MOST_GRADE, airframe.hover_rad_s / RPM, 1e3 * ROTOR_SHARE * airframe.mass_kg)
-    found, most = G_MM_PER_KG_M * airframe.mass_kg / airframe.hover_rad_s**2 * m_s2, math.sqrt(rotors) * one
-    if found <= most:
-        return ""
-    return (
-        f"unbalance of {found:.2g} g mm, rotors of grade {MOST_GRADE} have {most:.2g} together: is a propeller broken?"
-    )
+    most = math.sqrt(rotors) * one
+    said = f"unbalance of {found:.2g} g mm, rotors of grade {MOST_GRADE} have {most:.2g} together"
+    return f"{said}: is a propeller broken?" if found > most else ""
+
+
+def _in_g_mm(m_s2: float, airframe: Airframe) -> float | None:
+    """The unbalance that makes a vibration; None where mass and rotor speed are not known."""
+    if airframe.mass_kg is None or airframe.hover_rad_s is None:
+        return None
+    return G_MM_PER_KG_M * airframe.mass_kg / airframe.hover_rad_s**2 * m_s2
 
 
 def least_damage(found: Sequence[Course], limits: Mapping[str, float], airframe: Airframe) -> LeastDamage:
@@ -258,17 +258,12 @@ def least_damage(found: Sequence[Course], limits: Mapping[str, float], airframe:
             vibration.append(math.sqrt(max(limit**2 - usual**2, 0.0)) / scale)
     least = np.maximum(np.min(rises, axis=0), 0.0) if rises else np.empty(0)
     m_s2 = min(vibration)
+    g_mm = _in_g_mm(m_s2, airframe)
     return LeastDamage(
         thrust_loss=tuple(float(f"{loss_of(a):.3g}") for a in least.tolist()),
         vibration_m_s2=float(f"{m_s2:.3g}") if math.isfinite(m_s2) else None,
-        unbalance_g_mm=_unbalance(m_s2, airframe),
+        unbalance_g_mm=None if g_mm is None or not math.isfinite(g_mm) else float(f"{g_mm:.3g}"),
     )
-
-
-def _unbalance(m_s2: float, airframe: Airframe) -> float | None:
-    if airframe.mass_kg is None or airframe.hover_rad_s is None or not math.isfinite(m_s2):
-        return None
-    return float(f"{G_MM_PER_KG_M * m_s2 * airframe.mass_kg / airframe.hover_rad_s**2:.3g}")
 
 
 def grade_of(least: LeastDamage, *, weak: bool, blind: Sequence[str] = ()) -> Grade:
@@ -283,21 +278,15 @@ def grade_of(least: LeastDamage, *, weak: bool, blind: Sequence[str] = ()) -> Gr
     >>> grade_of(LeastDamage(), weak=False, blind=("rotor_trim",)), grade_of(LeastDamage(), weak=False)
     ('D', 'C')
     """
-    seen = []
-    if least.thrust_loss:
-        seen.append(_place(max(least.thrust_loss), LOSS_LIMITS))
-    if least.vibration_m_s2 is not None:
-        seen.append(_place(least.vibration_m_s2, VIBRATION_LIMITS_M_S2))
+    sizes = [(max(least.thrust_loss), LOSS_LIMITS)] if least.thrust_loss else []
+    sizes += [] if least.vibration_m_s2 is None else [(least.vibration_m_s2, VIBRATION_LIMITS_M_S2)]
+    seen = [sum(size > limit for limit in limits) for size, limits in sizes]
     if weak or (set(blind) & set(TRIMS) and not least.thrust_loss):
         return "D"
     if not seen:
         return "C"
-    found = min(seen)
-    return GRADES[max(found, 1) if len(seen) == 1 or max(seen) == len(GRADES) - 1 else found]
-
-
-def _place(size: float, limits: Sequence[float]) -> int:
-    return sum(size > limit for limit in limits)
+    lacking = len(seen) == 1 or max(seen) == len(GRADES) - 1
+    return GRADES[max(min(seen), 1) if lacking else min(seen)]
 
 
 def accepted(baseline: Baseline, how: str) -> Baseline:

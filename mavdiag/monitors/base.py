@@ -216,8 +216,8 @@ class Monitor(ABC, Generic[Spec]):
 
     @property
     def delay_s(self) -> float:
-        """How much later than its time stamp a value is known [s]."""
-        return 0.0
+        """How much later than its time stamp a value is known [s]: the fit's `delay_s`, if it has one."""
+        return float(getattr(self.spec, "delay_s", 0.0))
 
     @property
     def reach(self) -> float:
@@ -236,8 +236,9 @@ class Monitor(ABC, Generic[Spec]):
 
     @property
     def rotors(self) -> int:
-        """For how many rotors it gives evidence."""
-        return 0
+        """For how many rotors it gives evidence: those of the fit's layout, if it has one."""
+        layout: RotorLayout | None = getattr(self.spec, "layout", None)
+        return 0 if layout is None else layout.rotors
 
     def period_s(self, dt_s: float) -> float:
         """Span of flight that one value stands for [s], at a row period."""

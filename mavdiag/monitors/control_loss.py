@@ -86,11 +86,6 @@ class ControlLoss(Monitor[ControlLossSpec]):
             raise InputError("no flight with a gyro and an attitude set-point")
         return (ControlLossSpec(delay_s=context.window // 2 * context.dt_s),)
 
-    @property
-    def delay_s(self) -> float:
-        """Half the window of the rate filters [s]."""
-        return self.spec.delay_s
-
     def parameters(self, dt_s: float) -> FloatArray:
         """None."""
         return np.empty(0)

@@ -1,9 +1,8 @@
-"""What fits to healthy flights share: answers that a flight keeps, traces, moments, and how large a residual may be."""
+"""What fits to healthy flights share: answers that a flight keeps, traces, and how large a residual may be."""
 
 import itertools
 from abc import abstractmethod
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -65,42 +64,6 @@ def judged_together(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows]) ->
                 states[i], statistic = monitor.judge(states[i], rows, columns)
                 found.append(statistic)
             yield found
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Moments:
-    """Of rows of k columns. count: how many there are. mean: (k,). squares: (k,) sum of squares about the mean."""
-
-    count: int
-    mean: FloatArray
-    squares: FloatArray
-
-    @classmethod
-    def of(cls, rows: FloatArray) -> "Moments":
-        """Of rows, (n, k)."""
-        if len(rows) == 0:
-            return cls(0, np.zeros(rows.shape[1]), np.zeros(rows.shape[1]))
-        mean = rows.mean(axis=0)
-        return cls(len(rows), mean, np.square(rows - mean).sum(axis=0))
-
-    @classmethod
-    def joined(cls, parts: Sequence["Moments"]) -> "Moments":
-        """Of the rows of all parts together, one of which at least has rows.
-
-        >>> x = np.arange(10.0)[:, None]
-        >>> found = Moments.joined([Moments.of(x[:3]), Moments.of(x[3:])])
-        >>> found.count, found.mean.tolist(), found.squares.tolist()
-        (10, [4.5], [82.5])
-        """
-        counts = np.array([[part.count] for part in parts])
-        means = np.stack([part.mean for part in parts])
-        mean = (counts * means).sum(axis=0) / counts.sum()
-        squares = np.stack([part.squares for part in parts]) + counts * np.square(means - mean)
-        return cls(int(counts.sum()), mean, squares.sum(axis=0))
-
-    def about(self, centre: FloatArray) -> FloatArray:
-        """Mean square about another centre, (k,)."""
-        return np.asarray(self.squares / self.count + np.square(self.mean - centre), dtype=np.float64)
 
 
 def smoothed(x: FloatArray, alpha: float, start: FloatArray | None = None) -> FloatArray:

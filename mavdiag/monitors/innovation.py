@@ -177,6 +177,7 @@ class Innovation(Monitor[InnovationSpec]):
     by_rates = True
     spec_type = InnovationSpec
     unit = "x healthy rms"
+    reach = MOST  # where a normalised error is cut
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[InnovationSpec, ...]:
@@ -213,19 +214,9 @@ class Innovation(Monitor[InnovationSpec]):
         return (found,)
 
     @property
-    def delay_s(self) -> float:
-        """Half the window of the rate filters [s]."""
-        return self.spec.delay_s
-
-    @property
     def memory_s(self) -> float:
         """Its window, and the memory of the command [s]."""
         return self.spec.window_s + self.spec.memory_s
-
-    @property
-    def reach(self) -> float:
-        """Where a normalised error is cut."""
-        return MOST
 
     def parameters(self, dt_s: float) -> FloatArray:
         """See `AXES`."""

@@ -260,11 +260,6 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
         """Its window, and what the high-pass keeps [s]."""
         return self.spec.window_s + DRIFT_S
 
-    @property
-    def rotors(self) -> int:
-        """Those of the layout."""
-        return self.spec.layout.rotors
-
     def period_s(self, dt_s: float) -> float:
         """Time between two samples [s]."""
         return self.spec.motion.period_s

@@ -30,22 +30,19 @@ class RotorTrimSpec(trim.TrimSpec):
 @cached
 def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The best single-rotor rise at the end of each tick."""
-    k = 0
+    k, shift = 0, np.empty(5)
     for i in range(x.shape[1]):
         if not trim.take_row(par, mem, x, i, flags[VALID, i] > 0.5):
             continue
         trim.take_tick(par, mem, mem[trim.KNOWN] > 0.5 and flags[COVERED, i] > 0.5)
         sound = mem[trim.RUN] >= par[trim.WINDOW]
-        roll = pitch = yaw = lean = nod = 0.0
-        if sound:
-            roll = trim.window_mean(par, mem, 0, 0) - par[trim.MEAN]
-            pitch = trim.window_mean(par, mem, 0, 1) - par[trim.MEAN + 1]
-            yaw = trim.window_mean(par, mem, 0, 2) - par[trim.MEAN + 2]
-            lean, nod = trim.window_mean(par, mem, 0, 3), trim.window_mean(par, mem, 0, 4)
-        value = trim.highest_rise(par, roll, pitch, yaw, lean, nod)
+        for j in range(5):
+            healthy = par[trim.MEAN + j] if j < 3 else 0.0
+            shift[j] = trim.window_mean(par, mem, 0, j) - healthy if sound else 0.0
+        value = trim.highest_rise(par, shift, True)
         for rotor in range(rotors.shape[1]):
-            rotors[k, rotor] = trim.rise(par, rotor, roll, pitch, yaw, 0.0, 0.0)
-        out[VALUE, k], out[SOUND, k], out[LEVEL, k], out[SIGNAL, k], at[k] = value, sound, value, yaw, i
+            rotors[k, rotor] = trim.rise(par, rotor, shift, False)
+        out[VALUE, k], out[SOUND, k], out[LEVEL, k], out[SIGNAL, k], at[k] = value, sound, value, shift[2], i
         if out.shape[0] > TRACE:
             trim.trace_tick(par, mem, out, k)
         k += 1

@@ -172,6 +172,7 @@ class RunLength(Monitor[RunLengthSpec]):
     by_rates = True
     spec_type = RunLengthSpec
     unit = "s"
+    memory_s = SETTLE_S  # until the model has answered to it [s]
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[RunLengthSpec, ...]:
@@ -195,16 +196,6 @@ class RunLength(Monitor[RunLengthSpec]):
     def reference(self) -> float:
         """The margin [rad/s]."""
         return self.spec.margin_rad_s
-
-    @property
-    def delay_s(self) -> float:
-        """Half the window of the rate filters [s]."""
-        return self.spec.delay_s
-
-    @property
-    def memory_s(self) -> float:
-        """Until the model has answered to it [s]."""
-        return SETTLE_S
 
     def parameters(self, dt_s: float) -> FloatArray:
         """See `TAPS`."""

@@ -18,7 +18,7 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
 from mavdiag.monitors.columns import ATTITUDE, FORCE, LEVEL, RATE, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
-from mavdiag.monitors.fitting import Moments, of_each, three, traced
+from mavdiag.monitors.fitting import of_each, three, traced
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Signal, Three
@@ -207,16 +207,17 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     guard = Guard(least=2.5)
     spec_type = SensorDriftSpec
     unit = "x healthy rms"
+    reach = LIMIT  # where a value is cut
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorDriftSpec, ...]:
         """Healthy biases and spreads. Raises InputError if the vehicle sends no attitude."""
         context.need_rate(MIN_RATE_HZ)
         still = SensorDriftSpec(dt_s=context.dt_s, bias=(0.0, 0.0, 0.0), vertical=0.0, tilt=1.0, heading=1.0, lift=1.0)
-        parts = of_each(flights, cls.name, lambda flight: _biases(flight, still.tick))
-        if not any(part.count for part in parts):
+        biases = np.concatenate(of_each(flights, cls.name, lambda flight: _biases(flight, still.tick)))
+        if not len(biases):
             raise InputError("no flight with a gyro, an accelerometer and an attitude estimate")
-        mean = Moments.joined(parts).mean
+        mean = biases.mean(axis=0)
         unbiased = replace(still, bias=three(mean[:3]), vertical=float(mean[3]))
         found = [_squares(unbiased, flight) for flight in flights]
         count = sum(ticks for ticks, _ in found)
@@ -225,11 +226,6 @@ class SensorDrift(Monitor[SensorDriftSpec]):
         rms = np.sqrt(np.sum([squares for _, squares in found], axis=0) / count)
         tilt, heading, lift = np.maximum(rms, (LEAST_ANGLE, LEAST_ANGLE, LEAST_VERTICAL)).tolist()
         return (replace(unbiased, tilt=tilt, heading=heading, lift=lift),)
-
-    @property
-    def reach(self) -> float:
-        """Where a value is cut."""
-        return LIMIT
 
     def period_s(self, dt_s: float) -> float:
         """A tick [s]."""
@@ -248,8 +244,8 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     run = staticmethod(run)
 
 
-def _biases(flight: Sequence[Rows], tick: int) -> Moments:
-    """Of the whole ticks of a flight: gyro less the rate of the attitude, and vertical specific force beyond -g."""
+def _biases(flight: Sequence[Rows], tick: int) -> FloatArray:
+    """(n, 4) of whole ticks: gyro less the rate of the attitude, and vertical specific force beyond -g."""
     found = [np.empty((0, 4))]
     for _, segment in itertools.groupby(flight, key=lambda rows: rows.block.segment):
         rest = np.empty((0, 10))
@@ -259,7 +255,7 @@ def _biases(flight: Sequence[Rows], tick: int) -> Moments:
             n = len(rows) // tick * tick
             found.append(_gyro_errors(rows[:n], tick, block.dt_s))
             rest = rows[n:]
-    return Moments.of(np.concatenate(found))
+    return np.concatenate(found)
 
 
 def _gyro_errors(rows: FloatArray, tick: int, dt_s: float) -> FloatArray:

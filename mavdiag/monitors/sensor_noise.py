@@ -124,6 +124,7 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
     guard = Guard(least=2.4, few_sessions=2.0)
     spec_type = SensorNoiseSpec
     unit = "ln of power"
+    reach = 2.0 * math.log(LIMIT)  # the logarithm of the power at which differences are cut: 3.58
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorNoiseSpec, ...]:
@@ -146,11 +147,6 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
         """The noise with the new propellers; the statistic is relative to it, so old scores hold as they are."""
         (new,) = self.fit(flights, context)
         return new, 1.0
-
-    @property
-    def reach(self) -> float:
-        """The logarithm of the power at which differences are cut: 3.58."""
-        return 2.0 * math.log(LIMIT)
 
     def parameters(self, dt_s: float) -> FloatArray:
         """Rows of the window, healthy rms."""

@@ -117,6 +117,7 @@ class ThrustLoss(Monitor[ThrustLossSpec]):
     evidence = RotorEvidence(8.0)  # neighbours differ by a cosine of 0.7 and more
     spec_type = ThrustLossSpec
     unit = "share of thrust"
+    reach = 1.0  # all of the thrust
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[ThrustLossSpec, ...]:
@@ -130,16 +131,6 @@ class ThrustLoss(Monitor[ThrustLossSpec]):
     def columns(self, signal: Signal) -> slice:
         """Of the accelerometer its z."""
         return ONLY_Z if signal is Signal.SPECIFIC_FORCE else ALL
-
-    @property
-    def reach(self) -> float:
-        """All of the thrust."""
-        return 1.0
-
-    @property
-    def rotors(self) -> int:
-        """Those of the layout."""
-        return 0 if self.spec.layout is None else self.spec.layout.rotors
 
     def parameters(self, dt_s: float) -> FloatArray:
         """See `LOST`: of each rotor the unit vector of roll and pitch rate that its loss begins."""

@@ -231,21 +231,23 @@ def window_mean(par: FloatArray, mem: FloatArray, back: int, j: int) -> float:
 
 
 @jit
-def rise(par: FloatArray, rotor: int, roll: float, pitch: float, yaw: float, lean: float, nod: float) -> float:
-    """The rise of one rotor that explains a shift of the trim at a commanded roll and pitch (`airframe.trim`)."""
-    rotors, more = int(par[ROTORS]), TILT_TRIM**2 * (lean * lean + nod * nod)
-    at = UNMIXING + rotor
-    a, b, c = par[at], par[at + rotors], par[at + 2 * rotors]
-    w0, w1, w2 = 1.0 / (more + par[SPREAD] ** 2), 1.0 / (more + par[SPREAD + 1] ** 2), 1.0 / par[SPREAD + 2] ** 2
-    return float((a * roll * w0 + b * pitch * w1 + c * yaw * w2) / (a * a * w0 + b * b * w1 + c * c * w2))
+def rise(par: Floats, rotor: int, shift: Floats, tilted: bool) -> float:
+    """The rise of one rotor that explains a shift of trim and lean, (5,) (`airframe.trim`). tilted: the lean counts."""
+    rotors, more = int(par[ROTORS]), TILT_TRIM**2 * (shift[3] ** 2 + shift[4] ** 2) if tilted else 0.0
+    above, below = 0.0, 0.0
+    for j in range(3):
+        column = par[UNMIXING + j * rotors + rotor]
+        weight = column / ((more if j < 2 else 0.0) + par[SPREAD + j] ** 2)
+        above, below = above + weight * shift[j], below + weight * column
+    return float(above / below)
 
 
 @jit
-def highest_rise(par: FloatArray, roll: float, pitch: float, yaw: float, lean: float, nod: float) -> float:
+def highest_rise(par: Floats, shift: Floats, tilted: bool) -> float:
     """The largest of all rotors."""
     found = -math.inf
     for rotor in range(int(par[ROTORS])):
-        found = max(found, rise(par, rotor, roll, pitch, yaw, lean, nod))
+        found = max(found, rise(par, rotor, shift, tilted))
     return found
 
 
@@ -350,6 +352,7 @@ class TrimMonitor(Monitor[Spec]):
     evidence = RotorEvidence(10.0, relative=True, direct=False)  # a lead of 0.12 was right in each of 35 recorded cuts
     needs_layout = True
     unit = "fraction of hover"
+    reach = MOST_RISE  # the rise of a rotor that lost a third of its thrust
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[Spec, ...]:
@@ -394,11 +397,6 @@ class TrimMonitor(Monitor[Spec]):
         dt_s, spec = next((rows.block.dt_s for flight in flights for rows in flight), TICK_S), self.spec
         return mean_of([self.walked(parts_of(flight, spec.layout, spec.source), dt_s) for flight in flights])
 
-    @property
-    def rotors(self) -> int:
-        """Those of the layout."""
-        return self.spec.layout.rotors
-
     def period_s(self, dt_s: float) -> float:
         """A tick [s]."""
         return tick_rows(dt_s) * dt_s
@@ -430,11 +428,6 @@ class TrimMonitor(Monitor[Spec]):
     def columns(self, signal: Signal) -> slice:
         """Of the outputs those that move a rotor."""
         return slice(0, self.spec.layout.rotors) if signal is Signal.ACTUATOR else ALL
-
-    @property
-    def reach(self) -> float:
-        """The rise of a rotor that lost a third of its thrust."""
-        return MOST_RISE
 
     @property
     def memory_s(self) -> float:

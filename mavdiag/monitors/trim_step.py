@@ -47,57 +47,53 @@ REFERENCE, BACK, HELD, THERE = trim.MINE, trim.MINE + 5, trim.MINE + 8, trim.MIN
 
 
 @jit
-def _share(par: FloatArray, mem: FloatArray, roll: float, pitch: float, yaw: float) -> float:
+def _share(par: Floats, mem: Floats, shift: Floats) -> float:
     """How far along the way back a shift lies, 0..1: its nearest point, in units of the spreads."""
     length, along = 0.0, 0.0
     for j in range(3):
         weighed = mem[BACK + j] / par[trim.SPREAD + j] ** 2
-        length += weighed * mem[BACK + j]
-        along += weighed * (roll if j == 0 else pitch if j == 1 else yaw)
+        length, along = length + weighed * mem[BACK + j], along + weighed * shift[j]
     return min(max(along / length, 0.0), 1.0) if length > 0.0 else 0.0
 
 
 @jit
-def _take_window(par: FloatArray, mem: FloatArray, shift: FloatArray) -> bool:
-    """After a tick: the shift of the present window from the reference, (5,), zero where it is not judged."""
+def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> bool:
+    """After a tick: the shift of the present window from the reference, (5,), zero where it is not judged.
+
+    before: room for that of the window before.
+    """
     window = int(par[trim.WINDOW])
+    judged = mem[trim.RUN] >= 2 * window
     for j in range(5):
         shift[j] = 0.0
-    if mem[trim.RUN] < 2 * window:
+        if judged and mem[THERE] < 0.5:
+            mem[REFERENCE + j] = trim.window_mean(par, mem, window, j)
+            shift[j] = mem[REFERENCE + j] - (par[trim.MEAN + j] if j < 3 else 0.0)
+    if not judged:
         return False
     if mem[THERE] < 0.5:
-        for j in range(5):
-            mem[REFERENCE + j] = trim.window_mean(par, mem, window, j)
-        roll, pitch = mem[REFERENCE] - par[trim.MEAN], mem[REFERENCE + 1] - par[trim.MEAN + 1]
-        yaw = mem[REFERENCE + 2] - par[trim.MEAN + 2]
-        far = trim.highest_rise(par, roll, pitch, yaw, 0.0, 0.0) > SESSION
-        mem[BACK], mem[BACK + 1], mem[BACK + 2] = (-roll, -pitch, -yaw) if far else (0.0, 0.0, 0.0)
+        far = trim.highest_rise(par, shift, False) > SESSION
+        for j in range(3):
+            mem[BACK + j] = -shift[j] if far else 0.0
         mem[HELD], mem[THERE] = 0.0, 1.0
     for j in range(5):
         shift[j] = trim.window_mean(par, mem, 0, j) - mem[REFERENCE + j]
-    share = _share(par, mem, shift[0], shift[1], shift[2])
+        before[j] = trim.window_mean(par, mem, window, j) - mem[REFERENCE + j]
+    share = _share(par, mem, shift)
     for j in range(3):
         shift[j] -= share * mem[BACK + j]
-    b0 = trim.window_mean(par, mem, window, 0) - mem[REFERENCE]
-    b1 = trim.window_mean(par, mem, window, 1) - mem[REFERENCE + 1]
-    b2 = trim.window_mean(par, mem, window, 2) - mem[REFERENCE + 2]
-    b3 = trim.window_mean(par, mem, window, 3) - mem[REFERENCE + 3]
-    b4 = trim.window_mean(par, mem, window, 4) - mem[REFERENCE + 4]
-    moved = trim.highest_rise(par, shift[0], shift[1], shift[2], shift[3], shift[4])
-    if max(moved, trim.highest_rise(par, b0, b1, b2, b3, b4)) <= HOLD:
-        most, follow = par[MOST], par[FOLLOW]
-        mem[REFERENCE] += min(max(b0 * follow, -most), most)
-        mem[REFERENCE + 1] += min(max(b1 * follow, -most), most)
-        mem[REFERENCE + 2] += min(max(b2 * follow, -most), most)
-        mem[REFERENCE + 3] += b3 * follow
-        mem[REFERENCE + 4] += b4 * follow
+    if max(trim.highest_rise(par, shift, True), trim.highest_rise(par, before, True)) <= HOLD:
+        for j in range(5):
+            step = before[j] * par[FOLLOW]
+            mem[REFERENCE + j] += min(max(step, -par[MOST]), par[MOST]) if j < 3 else step
         mem[HELD] = 0.0
     elif mem[HELD] < HOLD_S:
         mem[HELD] += par[TICK_S]
     else:
         for j in range(5):
-            mem[REFERENCE + j] = trim.window_mean(par, mem, window, j)
-        mem[BACK], mem[BACK + 1], mem[BACK + 2] = mem[BACK] - b0, mem[BACK + 1] - b1, mem[BACK + 2] - b2
+            mem[REFERENCE + j] += before[j]
+        for j in range(3):
+            mem[BACK + j] -= before[j]
         mem[HELD] = 0.0
     return True
 
@@ -105,15 +101,15 @@ def _take_window(par: FloatArray, mem: FloatArray, shift: FloatArray) -> bool:
 @cached
 def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The best single-rotor rise at the end of each tick."""
-    k, shift = 0, np.empty(5)
+    k, shift, before = 0, np.empty(5), np.empty(5)
     for i in range(x.shape[1]):
         if not trim.take_row(par, mem, x, i, flags[VALID, i] > 0.5):
             continue
         trim.take_tick(par, mem, mem[trim.KNOWN] > 0.5 and flags[COVERED, i] > 0.5)
-        out[SOUND, k] = _take_window(par, mem, shift)
-        value = trim.highest_rise(par, shift[0], shift[1], shift[2], shift[3], shift[4])
+        out[SOUND, k] = _take_window(par, mem, shift, before)
+        value = trim.highest_rise(par, shift, True)
         for rotor in range(rotors.shape[1]):
-            rotors[k, rotor] = trim.rise(par, rotor, shift[0], shift[1], shift[2], 0.0, 0.0)
+            rotors[k, rotor] = trim.rise(par, rotor, shift, False)
         out[VALUE, k], out[LEVEL, k], out[SIGNAL, k], at[k] = value, value, shift[2], i
         if out.shape[0] > TRACE:
             trim.trace_tick(par, mem, out, k)

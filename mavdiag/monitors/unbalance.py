@@ -16,7 +16,7 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import allocating, cached, jit, summing
 from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence
 from mavdiag.monitors.columns import FORCE, LEVEL, RATE, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
-from mavdiag.monitors.fitting import Moments, of_each, traced
+from mavdiag.monitors.fitting import of_each, traced
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.monitors.vibration_band import CORNER_HZ, carries_line, corner_of
 from mavdiag.rows.block import ALL
@@ -241,12 +241,11 @@ class Unbalance(Monitor[UnbalanceSpec]):
         if not any(of_each(flights, "felt x and y", _felt)):
             raise InputError("no flight with an accelerometer along x and y")
         before = cls._before(context)
-        parts = of_each(flights, before, lambda flight: Moments.of(_means(before, flight)))
-        if not any(part.count for part in parts):
+        means = np.concatenate(of_each(flights, before, lambda flight: _means(before, flight)))
+        if not len(means):
             raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight; fly longer")
-        found = Moments.joined(parts)
-        power, x, y, turning = found.mean.tolist()
-        spread = np.sqrt(found.squares / found.count).tolist()
+        power, x, y, turning = means.mean(axis=0).tolist()
+        spread = means.std(axis=0).tolist()
         if not (power > 0 and spread[1] > 0 and spread[2] > 0):
             raise IdentificationError("gyro or accelerometer are constant; is it a real sensor?")
         return (replace(before, covariance=(x, y), spread=(spread[1], spread[2]), turning=turning, power=power),)
@@ -291,11 +290,6 @@ class Unbalance(Monitor[UnbalanceSpec]):
     def memory_s(self) -> float:
         """Its window, its filter, and the rows that wait for a value [s]."""
         return self.spec.window_s + (len(self.spec.taps) + self.spec.tick) * self.spec.dt_s
-
-    @property
-    def rotors(self) -> int:
-        """Those of the layout."""
-        return 0 if self.spec.layout is None else self.spec.layout.rotors
 
     def period_s(self, dt_s: float) -> float:
         """A tick [s]."""

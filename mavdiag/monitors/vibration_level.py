@@ -86,6 +86,7 @@ class VibrationLevel(Monitor[VibrationLevelSpec]):
     guard = Guard(above_mean=0.5)
     spec_type = VibrationLevelSpec
     unit = "m/s^2"
+    reach = LIMIT_M_S2  # where a value is cut [m/s^2]
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[VibrationLevelSpec, ...]:
@@ -107,11 +108,6 @@ class VibrationLevel(Monitor[VibrationLevelSpec]):
     def memory_s(self) -> float:
         """Its window [s]."""
         return self.spec.window_s
-
-    @property
-    def reach(self) -> float:
-        """Where a value is cut [m/s^2]."""
-        return LIMIT_M_S2
 
     def parameters(self, dt_s: float) -> FloatArray:
         """Rows of the window, healthy level."""

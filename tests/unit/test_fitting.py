@@ -1,5 +1,7 @@
 """What fits make of flights, against plain numpy and scipy over the rows of all flights together."""
 
+import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,11 +13,14 @@ from scipy.optimize import nnls
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
+from mavdiag.errors import InputError
+from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import LearnContext, segments
-from mavdiag.monitors.fitting import Moments, smoothed, variance_law
+from mavdiag.monitors.fitting import smoothed, variance_law
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.sensor_noise import SensorNoise
 from mavdiag.monitors.thrust_loss import ThrustLoss
+from mavdiag.monitors.unbalance import UnbalanceSpec
 from mavdiag.monitors.vibration_level import VibrationLevel
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import forgetting
@@ -34,15 +39,6 @@ def valid(name: str) -> np.ndarray:
     """A column of all valid rows."""
     blocks = [rows.block for flight in flights() for rows in flight]
     return np.concatenate([getattr(one, name)[one.valid] for one in blocks])
-
-
-@given(st.lists(st.lists(st.floats(-1e3, 1e3), max_size=9), min_size=1, max_size=5).filter(any))
-def test_moments_join_as_the_rows_do(parts: list[list[float]]) -> None:
-    found = Moments.joined([Moments.of(np.array(part).reshape(-1, 1)) for part in parts])
-    rows = np.concatenate([np.array(part) for part in parts])
-    assert found.count == len(rows)
-    assert found.mean[0] == pytest.approx(rows.mean(), abs=1e-9)
-    assert found.squares[0] == pytest.approx(np.square(rows - rows.mean()).sum(), rel=1e-9, abs=1e-6)
 
 
 @given(st.integers(0, 999), st.floats(-2.0, 2.0))
@@ -101,3 +97,49 @@ def test_whole_records_are_smoothed_as_a_stream_is() -> None:
     for row, value in zip(x, smoothed(x, alpha, s), strict=True):
         s = s + alpha * (row - s)
         np.testing.assert_allclose(value, s, rtol=1e-12)
+
+
+SPECS = {kind.name: kind.fit(flights(), CONTEXT)[0] for kind in MONITORS if kind.name != "unbalance"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "field", "value"),
+    [
+        ("fsd", "margin_rad_s", 0.0),
+        ("fsd", "delay_s", 61.0),
+        ("innovation", "a", ((0.0,) * 4,) * 2),
+        ("innovation", "k0", (1.0, 0.0, 1.0)),
+        ("innovation", "k1", (-1.0, 0.0, 1.0)),
+        ("rotor_signature", "window_s", 0.0),
+        ("vibration_level", "healthy", math.nan),
+        ("rotor_trim", "spread", (0.0, 1.0, 1.0)),
+        ("rotor_trim", "mean", (math.inf, 0.0, 0.0)),
+        ("trim_step", "drift_per_s", -1.0),
+        ("sensor_noise", "rms", (1.0,) * 5),
+        ("sensor_drift", "tilt", 0.0),
+        ("control_loss", "delay_s", -1.0),
+        ("thrust_loss", "per_command", math.inf),
+    ],
+)
+def test_a_spec_that_describes_nothing_is_refused_by_its_field(kind: str, field: str, value: object) -> None:
+    with pytest.raises(InputError, match=f"{kind}: {field}"):
+        replace(SPECS[kind], **{field: value})
+
+
+def test_what_fits_together_is_checked_together() -> None:
+    for frame, rate_hz, mass_kg in (("x", 1000.0, 1.5), ("x", 100.0, None)):
+        with pytest.raises(InputError, match="unbalance: "):
+            UnbalanceSpec(
+                dt_s=1 / rate_hz,
+                corner_hz=60.0,
+                layout=layout_named(frame),
+                covariance=(0.0, 0.0),
+                spread=(1.0, 1.0),
+                turning=0.0,
+                power=1.0,
+                mass_kg=mass_kg,
+            )
+    with pytest.raises(InputError, match="not known"):
+        replace(SPECS["rotor_trim"], source="torque")
+    with pytest.raises(InputError, match="odd"):
+        replace(SPECS["rotor_signature"].motion, window=4)

@@ -1,7 +1,5 @@
 """Guards of teaching: each made-up case is refused with its reason, and left out on demand."""
 
-import json
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -11,16 +9,13 @@ from flying_telemetry import START_NS, flying
 from made_baselines import ALWAYS, FRAME, NOW, healthy
 
 from mavdiag.airframe.layout import layout_named
-from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.errors import InputError
 from mavdiag.learning import LearnOptions, airborne, front_for, learn
-from mavdiag.learning.guards import Finding, Kind, far_blocks, trim_groups, upsets
+from mavdiag.learning.guards import Kind, far_blocks, trim_groups, upsets
 from mavdiag.learning.repeats import repeated
 from mavdiag.learning.teaching import taught
 from mavdiag.logs.part import between
-from mavdiag.monitors import monitor_of
 from mavdiag.rows.align import Grid
-from mavdiag.rows.tolerance import rate_tolerance
 from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
 
 OPTIONS = LearnOptions(airframe=FRAME, monitors=("rotor_trim",))
@@ -135,12 +130,6 @@ def test_a_flight_that_counts_twice_is_refused(again: str) -> None:
     assert baseline.monitors == learn(flights, OPTIONS, created=NOW).monitors
 
 
-def test_the_same_log_given_twice_leaves_one() -> None:
-    flight = healthy(1)[0]
-    baseline = learn([flight, flight], ROBUST, created=NOW)
-    assert len(baseline.provenance.logs) == 1
-
-
 def test_flights_that_overlap_lose_the_overlap_alone() -> None:
     long = healthy(1, 6000)[0]
     early, late = (replace(long, sha256="", name=n, telemetry=between(long.telemetry, *span)) for n, span in
@@ -231,42 +220,10 @@ def test_resampled_flights_may_differ_in_rate_as_far_as_the_model_bears() -> Non
     assert "flight2 has a gyro rate" in found.left_out[0]
 
 
-def test_native_flights_must_agree_in_rate() -> None:
-    flights = [*healthy(2), slower(healthy(3)[2], 1.1, False)]
-    with pytest.raises(InputError, match=r"flight2 has a gyro rate of 90\.9 Hz"):
-        front_for(flights, 0.1, ALWAYS)
-
-
-def test_a_tolerance_changes_a_gain_in_the_pass_band_by_a_percent() -> None:
-    """The law behind it, from linear interpolation itself."""
-    dt_s, window_s = 0.02, 0.1
-    tolerance = rate_tolerance(Grid.RESAMPLED, dt_s, window_s)
-    gains = [np.sinc(period / window_s) ** 2 for period in (dt_s, (1 + tolerance) * dt_s)]
-    assert gains[0] - gains[1] == pytest.approx(0.01, rel=0.15)
-
-
 def test_nothing_left_is_said() -> None:
     crash = changed(healthy(1, 600)[0], Signal.BODY_RATE, 2.5, 3.5, tumbling)
     with pytest.raises(InputError, match="no healthy flight remains to learn from"):
         learn([crash], ROBUST, created=NOW)
-
-
-def test_what_was_left_out_is_kept_in_the_file_and_old_files_are_read() -> None:
-    baseline = learn([*healthy(2), healthy(1)[0]], ROBUST, created=NOW)
-    again = parse(dump(baseline))
-    assert again.provenance.left_out == baseline.provenance.left_out != ()
-    old = learn(healthy(2), OPTIONS, created=NOW)
-    raw = json.loads(dump(old))
-    for name in ("left_out", "notes"):
-        assert raw["provenance"].pop(name) == []
-    assert isinstance(parse(json.dumps(raw)), Baseline)
-
-
-def test_a_finding_says_where() -> None:
-    assert Finding(0, "a", Kind.UPSET, "x", 3.0, None).place == "all from 3.0 s on"
-    assert Finding(0, "a", Kind.UPSET, "x", None, 3.0).place == "all before 3.0 s"
-    assert Finding(0, "a", Kind.UPSET, "x").place == "the whole log"
-    assert Finding(0, "a", Kind.FAR, "x", 1.0, 3.0).remedy.startswith("cut 1.0 to 3.0 s out of the log")
 
 
 def test_a_threshold_that_its_statistic_cannot_reach_is_not_judged_by() -> None:
@@ -277,12 +234,3 @@ def test_a_threshold_that_its_statistic_cannot_reach_is_not_judged_by() -> None:
     assert "cannot be reached (0.5 at most)" in trim.reason
     assert "rotor_trim" not in {entry.spec.kind for entry in found.monitors}
     assert (found.grade, "odd" in found.weak or "n3" in found.weak) == ("D", True)
-
-
-def test_each_monitor_says_what_it_can_come_to() -> None:
-    found = learn(healthy(2), replace(OPTIONS, monitors=("sensor_noise", "rotor_trim", "thrust_loss")), created=NOW)
-    reach = {entry.spec.kind: monitor_of(entry.spec).reach for entry in found.monitors}
-    assert reach["rotor_trim"] == pytest.approx(0.5)  # a rotor that lost a third of its thrust
-    assert reach.get("sensor_noise", math.log(36.0)) == pytest.approx(math.log(36.0))
-    assert reach.get("thrust_loss", 1.0) == 1.0
-    assert all(entry.threshold.value < reach[entry.spec.kind] for entry in found.monitors)

@@ -1,7 +1,6 @@
 """Sessions of healthy flights: who belongs together, folds that leave whole sessions out, and what a session allows."""
 
 import itertools
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -74,12 +73,6 @@ def test_with_sessions_a_fold_leaves_a_whole_session_out() -> None:
     assert found == [([0, 3], [1, 2, 4]), ([1, 2], [0, 3, 4]), ([4], [0, 1, 2, 3])]
 
 
-@pytest.mark.parametrize("sessions", [None, [3, 3, 3]])
-def test_with_one_session_a_fold_leaves_a_flight_out(sessions: list[int] | None) -> None:
-    found = [(parts(out), parts(rest)) for out, rest in folds(numbered(3), sessions=sessions)]
-    assert found == [([0], [1, 2]), ([1], [0, 2]), ([2], [0, 1])]
-
-
 def test_with_many_sessions_the_folds_are_ten_and_still_leave_whole_ones_out() -> None:
     sessions = [i // 2 for i in range(30)]
     found = [(parts(out), parts(rest)) for out, rest in folds(numbered(30), sessions=sessions)]
@@ -103,26 +96,6 @@ def test_the_allowance_for_other_sessions_fades_with_them() -> None:
     assert of(1).value - of(1).session_allowance == pytest.approx(of(5).value)
 
 
-def test_within_a_session_the_least_threshold_still_holds() -> None:
-    found = of(1, Guard(few_sessions=0.06, least=0.2))
-    assert found.value == pytest.approx(0.2)
-    assert found.session_allowance == 0.0  # the least is above level and allowance
-    high = of(1, Guard(few_sessions=0.06, least=0.04))
-    assert high.value - high.session_allowance >= 0.04 - 1e-12
-
-
-def test_a_monitor_without_that_guard_allows_nothing() -> None:
-    assert of(1, Guard()).session_allowance == 0.0
-    assert of(1, Guard()).value == of(5, Guard()).value
-
-
-def test_the_statement_says_how_many_sessions_support_it() -> None:
-    assert "from 4 flights in 2 sessions (0.0111 h)" in of(2).statement()
-    assert "from 4 flights in 1 session (0.0111 h)" in of(1).statement()
-    alone = threshold_of(Scores(np.ones(1), np.full(1, 10.0)), flights=3)
-    assert alone.sessions == 3  # of which nobody told: each for itself
-
-
 def flown(seed: int, started_ns: int) -> Log:
     return Log(f"f{seed}", f"{seed:064x}", "px4", flying(2500, seed), started_ns=started_ns)
 
@@ -140,15 +113,6 @@ def test_a_baseline_knows_the_sessions_of_its_flights() -> None:
     assert "from 4 flights in 2 sessions" in str(made)
     assert "in a session of these flights; another may differ" in str(made)
     assert parse(dump(made)) == made
-
-
-def test_told_sessions_are_learnt_in_their_place() -> None:
-    flights = [flown(i, 0) for i in range(4)]
-    options = LearnOptions(airframe=FRAME, monitors=("rotor_trim",))
-    assert learn(flights, options, created=NOW).monitors[0].threshold.sessions == 4
-    told = learn(flights, replace(options, sessions=2), created=NOW)
-    assert told.monitors[0].threshold.sessions == 2
-    assert [one.session for one in told.provenance.logs] == [0, 0, 1, 1]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from flying_telemetry import flying, without
-from made_baselines import ALWAYS, FRAME, NOW, healthy, plain, trim, whole
+from made_baselines import ALWAYS, FRAME, NOW, healthy, plain, whole
 from made_monitor import MadeUp
 from made_telemetry import flight
 
@@ -15,7 +15,7 @@ import mavdiag.kernel
 import mavdiag.monitors
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import dump, parse
-from mavdiag.chain import chain_of, front_of
+from mavdiag.chain import front_of
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.judging import Verdict, judge
 from mavdiag.kernel import compiled, joined_loops
@@ -125,17 +125,6 @@ def test_b18_nothing_is_taken_from_a_vehicle_that_was_not_named() -> None:
     assert "unbalance" in reasons
 
 
-def test_b17_without_a_classifier_no_fault_type_can_be_named() -> None:
-    """B17: the types of one emulated vehicle were reported for any."""
-    learnt = whole()
-    link = learnt.link.model_copy(update={"profile": "qdrone2", "dt_s": 0.001})
-    known = learnt.model_copy(update={"link": link})  # the one that they were trained for
-    assert len(chain_of(known).decision.known) == 2
-    assert chain_of(learnt).decision.known == ()
-    frame = dataclasses.replace(known.airframe, classifier=None)
-    assert chain_of(known.model_copy(update={"airframe": frame})).decision.known == ()
-
-
 def test_b27_the_budget_is_shared_by_those_that_decide_and_could_be_fitted() -> None:
     """B27: monitors that do not decide, or could not be fitted, took a share of the alarm budget."""
     found = whole()
@@ -169,14 +158,6 @@ def test_b5_the_hours_of_a_threshold_are_the_judged_time_of_its_values() -> None
     assert hours["rotor_trim"] < 0.5 * found.healthy_hours  # five seconds of each stretch warm it up
 
 
-def test_b4_the_longest_runs_have_no_empty_blocks() -> None:
-    """B4: every flight had two chunks, and each chunk made a block: most of them zero."""
-    found = learn(plain(6, 24_000), LearnOptions(airframe=UNKNOWN, monitors=("fsd",)), created=NOW)
-    for entry in found.monitors:
-        assert entry.threshold.blocks == 12  # 23 s a flight
-        assert entry.threshold.location - entry.threshold.scale > 0
-
-
 def test_a_new_monitor_is_its_class_and_one_name_in_the_registry(monkeypatch: pytest.MonkeyPatch) -> None:
     """Learnt, written, read, judged, and its alarm reported, by nothing but its class."""
     registry: tuple[type[Monitor[Any]], ...] = (*mavdiag.monitors.MONITORS, MadeUp)
@@ -197,11 +178,6 @@ def test_a_new_monitor_is_its_class_and_one_name_in_the_registry(monkeypatch: py
     assert [one.event.monitor for one in verdict.events] == ["made_up"]
     assert verdict.reason.startswith("made_up")
     assert judge(made(8, flying(3000, 8), "px4"), baseline).verdict is Verdict.HEALTHY
-
-
-def test_what_a_baseline_needs_is_what_its_fits_rest_on() -> None:
-    assert trim().needs() == {Signal.ACTUATOR}
-    assert whole().needs() >= {Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.VIBRATION, Signal.ACTUATOR}
 
 
 def test_learning_twice_gives_the_same() -> None:

@@ -5,17 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 from flying_telemetry import body_rates
-from pydantic import TypeAdapter
-from scipy.optimize import nnls
 from scipy.signal import lfilter
 
 from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.identify import Method
-from mavdiag.identify.model import ModelRecord
 from mavdiag.monitors import rotor_signature
 from mavdiag.monitors.base import Flights
-from mavdiag.monitors.fitting import variance_law
 from mavdiag.monitors.model_residual import HealthyMotion, Residuals, residuals_of, samples_of
 from mavdiag.monitors.rotor_signature import RotorSignature, RotorSignatureSpec
 from mavdiag.rows.front import Rows
@@ -83,23 +78,6 @@ def test_a_wandering_rotor_raises_the_statistic_and_is_named(spec: RotorSignatur
     assert float(faulty.value[settled].min()) > 5.0
     assert (faulty.rotors[faulty.valid].argmax(axis=1) + 1 == rotor).all()
     assert float(faulty.rotors[settled].max(axis=1).min()) > 0.6
-
-
-def test_a_gust_that_lifts_nothing_looks_less_like_a_rotor(spec: RotorSignatureSpec) -> None:
-    monitor = RotorSignature(spec)
-    gust = 0.1 * wander(3) * [1.0, 1.0, 0.0]
-    _, found = monitor.step(monitor.start(), flown(11, gust))
-    assert float(found.rotors[found.valid].max()) < 0.65  # one pair of three agrees, the others are noise
-    rotors = np.sort(found.rotors[found.valid], axis=1)
-    assert float(np.median(rotors[:, -1] - rotors[:, -2])) < 0.3
-
-
-def test_the_level_is_the_arms_rms_in_radians_per_second(spec: RotorSignatureSpec) -> None:
-    monitor = RotorSignature(spec)
-    push = 0.2 * wander(4) * [-1.0, 1.0, -4.0]
-    _, found = monitor.step(monitor.start(), flown(12, push, noise=1e-4))
-    expected = 0.2 * np.sqrt(2)  # roll and pitch together, less what the 1 s high-pass takes
-    assert float(np.sqrt(np.mean(found.level[found.valid] ** 2))) == pytest.approx(expected, rel=0.1)
 
 
 def residuals(motion: HealthyMotion, rows: Rows, follows: bool = True) -> Residuals:
@@ -176,29 +154,10 @@ def test_on_a_plus_frame_the_idle_axis_does_not_count() -> None:
         assert (found.rotors[found.valid].argmax(axis=1) + 1 == rotor).mean() > 0.99
 
 
-def test_variance_is_the_non_negative_least_squares_by_scipy() -> None:
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        busy = rng.gamma(0.5, 2.0, 400)
-        squares = (rng.normal() + rng.normal() * busy + 3 * rng.random(400)) ** 2
-        k0, k1 = variance_law(squares, busy)
-        expected = nnls(np.column_stack((np.ones(400), busy)), squares)[0]
-        assert k1 == pytest.approx(expected[1], rel=1e-6, abs=1e-9), seed
-        assert k0 == pytest.approx(max(expected[0], 0.05 * squares.mean()), rel=1e-6), seed
-
-
 def test_nothing_is_judged_before_it_has_settled_and_filled_its_window(spec: RotorSignatureSpec) -> None:
     _, found = RotorSignature(spec).step(RotorSignature(spec).start(), flown(16, CALM))
     first_s = float(found.t_ns[found.valid][0]) / 1e9
     assert first_s == pytest.approx(1.5 + 3.0 + 0.04, abs=0.03)
-
-
-def test_thrust_need_not_be_told() -> None:
-    rows = flown(17, CALM)
-    silent = Rows(dataclasses.replace(rows.block, thrust=np.full(N, np.nan)), rows.rates)
-    spec = fit([[silent]], "qdrone2")
-    assert spec.motion.heave.b == (0.0,)
-    assert RotorSignature(spec).step(RotorSignature(spec).start(), silent)[1].valid.any()
 
 
 def test_a_number_that_is_none_is_not_judged(spec: RotorSignatureSpec) -> None:
@@ -208,11 +167,6 @@ def test_a_number_that_is_none_is_not_judged(spec: RotorSignatureSpec) -> None:
     assert not found.valid[len(found.valid) // 2 : len(found.valid) // 2 + 100].any()
     assert found.valid[-1]
     assert np.isfinite(found.value[found.valid]).all()
-
-
-def test_the_spec_survives_json(spec: RotorSignatureSpec) -> None:
-    adapter = TypeAdapter(RotorSignatureSpec)
-    assert adapter.validate_json(adapter.dump_json(spec)) == spec
 
 
 def test_what_cannot_be_judged_is_refused_with_a_reason() -> None:
@@ -235,15 +189,6 @@ def test_flights_that_cannot_teach_are_refused() -> None:
         fit([[still]], "qdrone2")
 
 
-def test_b8_acceleration_and_rates_are_filtered_by_the_same_window() -> None:
-    """B8: the fit took its own window, so with another one it paired rows of different times."""
-    spec = fit([[flown(21, CALM)]], "qdrone2")
-    assert spec.motion.window == example_context().window == 5
-    wide = dataclasses.replace(example_context("qdrone2"), window=21)
-    (other,) = RotorSignature.fit([[flown(21, CALM)]], wide)
-    assert other.motion.window == 21
-
-
 def test_b10_every_flight_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     """B10: the models were of the first flights; now a like share of every flight is taken."""
     monkeypatch.setattr(rotor_signature, "TRAIN_SAMPLES", 2000)
@@ -261,21 +206,3 @@ def test_b2_thrust_that_stops_is_not_judged_if_the_model_uses_it(spec: RotorSign
     _, found = monitor.step(monitor.start(), rows)
     assert found.valid.any()
     assert not found.valid[found.t_ns > rows.block.t_ns[1502]].any()
-
-
-def test_a_spec_that_describes_nothing_is_refused(spec: RotorSignatureSpec) -> None:
-    with pytest.raises(InputError):
-        dataclasses.replace(spec, window_s=0.0)
-    with pytest.raises(InputError):
-        dataclasses.replace(spec.motion, k0=(0.0, 1.0, 1.0))
-    with pytest.raises(InputError):
-        HealthyMotion(
-            dt_s=0.01,
-            stride=1,
-            window=4,
-            roll=spec.motion.roll,
-            pitch=spec.motion.pitch,
-            heave=spec.motion.heave,
-        )
-    with pytest.raises(IdentificationError):
-        ModelRecord(a=(2.0, 0.0), b=(1.0,), dt_s=0.01, order=(1, 1, 0), method=Method.LS)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_thresholds import calibrated
 
-from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named
+from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
@@ -126,26 +126,6 @@ def test_why_it_cannot_judge() -> None:
     assert RotorTrim(fit([[example_rows(1000, actuator=outputs)]], "x")).signals == {Signal.ACTUATOR}
     with pytest.raises(IdentificationError, match="no unbroken 5 s"):
         fit([[example_rows(300, actuator=outputs[:300])]], "x")
-
-
-def test_a_spec_that_describes_nothing_is_refused() -> None:
-    with pytest.raises(InputError, match=r"rotor_trim: spread\.0"):
-        RotorTrimSpec(layout=layout_named("x"), source="actuator", mean=(0.0, 0.0, 0.0), spread=(0.0, 1.0, 1.0))
-    with pytest.raises(InputError, match="not known"):
-        RotorTrimSpec(layout=layout_named("x"), source="torque", mean=(0.0, 0.0, 0.0), spread=CALM)
-
-
-def test_more_outputs_than_rotors_do_no_harm() -> None:
-    outputs = np.random.default_rng(6).normal(0.5, 0.01, (800, 4))
-    with_gimbal = np.column_stack((outputs, np.full((800, 2), 0.9)))
-    four, six = (read(spec_of(), [example_rows(800, actuator=x)]) for x in (outputs, with_gimbal))
-    np.testing.assert_array_equal(four.value, six.value)
-
-
-def test_no_frame_hides_a_rotor() -> None:
-    for frame in LAYOUTS.values():
-        assert isinstance(frame, RotorLayout)
-        assert (np.abs(frame.unmixing[2]) > 0.8 / frame.rotors).all()  # every rotor shows on yaw
 
 
 def turning(seconds: float, seed: int, law: tuple[float, float], nose: float = 1.0) -> Rows:

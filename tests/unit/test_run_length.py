@@ -19,7 +19,6 @@ from mavdiag.monitors.run_length import (
     longest_runs,
     margin_of,
     residuals,
-    runs,
     training_pieces,
 )
 from mavdiag.rows.front import Rows
@@ -48,12 +47,6 @@ def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[fl
     assert exceedances(r, valid, 1.0, DT_S)[0].tolist() == [n * DT_S for n in expected]
 
 
-def test_runs_report_their_length_and_highest_excess() -> None:
-    first, second = runs(piece(np.array([0.0, 2.0, 5.0, 0.0, -3.0])), 1.0)
-    assert (first.start_ns, first.end_ns, first.fsd_s, first.peak) == (10_000_000, 20_000_000, 0.02, 4.0)
-    assert (second.start_ns, second.end_ns, second.peak) == (40_000_000, 40_000_000, 2.0)
-
-
 def test_the_margin_is_hazen_s_90th_percentile_of_the_size() -> None:
     r = np.array([-3.0, 1.0, 2.0, -5.0, 4.0])
     assert margin_of([[piece(r)]]) == 5.0  # Hazen: p = (i - 0.5)/n, so 90 % of five values is the fifth
@@ -61,19 +54,9 @@ def test_the_margin_is_hazen_s_90th_percentile_of_the_size() -> None:
     assert margin_of([[piece(r)]], MarginRule.MAXIMUM) == 5.0
 
 
-def test_unjudged_rows_do_not_count() -> None:
-    hidden = Residual(np.arange(2, dtype=np.int64), np.array([1.0, 99.0]), np.array([True, False]), DT_S)
-    assert margin_of([[hidden]], MarginRule.MAXIMUM) == 1.0
-
-
 def test_no_judged_rows_is_an_error_that_says_so() -> None:
     with pytest.raises(InputError, match="no judged rows"):
         margin_of([[]])
-
-
-def test_fml_is_the_longest_healthy_run() -> None:
-    flights = [[piece(np.array([0, 2, 2, 0, 2.0]))], [piece(np.array([2, 2, 2.0])), piece(np.zeros(3))]]
-    assert longest_runs(flights, 1.0).tolist() == [0.02, 0.03]
 
 
 def test_b4_a_chunk_does_not_end_a_run() -> None:
@@ -143,22 +126,3 @@ def test_b2_rows_without_a_set_point_train_and_judge_nothing() -> None:
     monitor = RunLength(spec)
     _, found = monitor.step(monitor.start(), rows)
     assert int(found.valid.sum()) == 996
-
-
-def coloured(rng: np.random.Generator, n: int) -> FloatArray:
-    """A residual with memory, so that it has runs."""
-    return np.convolve(rng.standard_normal(n + 20), np.ones(20) / 20, mode="valid")[:n]
-
-
-@pytest.mark.parametrize("n", [3, 10])
-def test_the_next_healthy_flight_beats_the_longest_of_n_with_probability_one_in_n_plus_one(n: int) -> None:
-    seed, trials = 20 + n, 1500
-    rng = np.random.default_rng(seed)
-    beaten = 0
-    for _ in range(trials):
-        longest = longest_runs([[piece(coloured(rng, 400))] for _ in range(n + 1)], 0.37)
-        beaten += longest[-1] > longest[:-1].max()
-    rate, expected = beaten / trials, 1 / (n + 1)
-    spread = np.sqrt(expected * (1 - expected) / trials)
-    # Ties of equal length count for no alarm, so the rate may lie a little below.
-    assert expected - 4 * spread - 0.03 < rate < expected + 4 * spread, f"seed {seed}: {rate} against {expected}"

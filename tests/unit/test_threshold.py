@@ -2,11 +2,10 @@
 
 import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from flying_telemetry import flying, flying_rows, without
+from flying_telemetry import flying, flying_rows
 from made_thresholds import calibrated, held_out_scores
 
 from mavdiag.errors import IdentificationError, UsageError
@@ -17,9 +16,6 @@ from mavdiag.thresholds.guard import Guard
 from mavdiag.thresholds.heldout import Flights, Scores, folds, score
 from mavdiag.thresholds.rule import (
     Threshold,
-    ThresholdRule,
-    flights_for_guarantee,
-    poisson_upper,
     threshold_of,
 )
 
@@ -65,21 +61,6 @@ def test_guards() -> None:
         Guard(few_sessions=-1.0)
 
 
-def test_it_says_what_supports_it() -> None:
-    found = known([1.0, 1.1, 1.2])
-    assert "extrapolated to 0.36 alarms/h from 3 healthy blocks of 10 s from 5 flights in 5" in found.statement()
-    assert found.statement().endswith("(0.00833 h); none of them above it")
-    maximum = replace(found, rule=ThresholdRule.MAXIMUM)
-    assert "probability 0.167" in maximum.statement()
-    assert "demonstrated to" in replace(found, demonstrated_per_hour=0.1).statement()
-
-
-def test_how_many_flights_a_promise_takes() -> None:
-    found = known([1.0] * 360, flights=6)  # an hour, ten minutes each
-    assert found.demonstrated_per_hour == pytest.approx(2.9957, abs=1e-3)
-    assert flights_for_guarantee(0.05, 0.95) == 59
-
-
 @pytest.mark.parametrize("budget", [0.0, -1.0, math.nan, math.inf])
 def test_a_budget_must_be_positive(budget: float) -> None:
     with pytest.raises(UsageError, match="budget"):
@@ -121,24 +102,6 @@ def test_b4_blocks_do_not_depend_on_chunks_and_run_through_segments() -> None:
         np.testing.assert_allclose(found.maxima, expected.maxima, rtol=1e-12)
         np.testing.assert_allclose(found.spans_s, expected.spans_s)
     assert found.maxima.min() > 0.3
-
-
-def test_b5_what_is_demonstrated_is_poisson_over_judged_values() -> None:
-    """B5: hops of 6 s were counted whole, though a mean over 5 s judges 1 s of each."""
-    hops = [rows for i in range(40) for rows in shaken(0.3, 6.0, i, i)]
-    found = threshold_of(score(VibrationLevel(VibrationLevelSpec(healthy=0.3)), hops), flights=1)
-    judged_h = 40 * (600 - 499) * 0.01 / 3600
-    assert found.hours == pytest.approx(judged_h, rel=0.01)
-    assert found.demonstrated_per_hour == pytest.approx(poisson_upper(0) / judged_h, rel=0.01)
-
-
-def test_b5_a_short_block_is_not_taken_for_a_whole_one() -> None:
-    """B5: maxima of 1 s were taken for maxima of 10 s. The same law, cut short, gives a like level."""
-    x = np.random.default_rng(8).gumbel(5.0, 1.0, (400, 10))  # maxima of single seconds
-    long = threshold_of(Scores(x.max(axis=1), np.full(400, 10.0)), flights=5, budget_per_hour=0.36)
-    short = threshold_of(Scores(x.ravel(), np.full(4000, 1.0)), flights=5, budget_per_hour=0.36)
-    assert short.value == pytest.approx(long.value, abs=0.6)
-    assert short.hours == pytest.approx(long.hours)
 
 
 def test_r9_the_floor_on_the_scale_fades_with_blocks() -> None:
@@ -185,20 +148,6 @@ def test_the_pieces_do_not_depend_on_chunks() -> None:
     for (a, b), (c, d) in zip(folds([[whole]]), folds([chunks]), strict=True):
         assert times(a) == times(c)
         assert times(b) == times(d)
-
-
-def test_separate_hops_are_the_pieces() -> None:
-    flight = flying_rows(without(flying(2600, 2), (12.0, 14.0)))
-    pairs = list(folds([flight]))
-    assert [{rows.block.segment for one in left for rows in one} for left, _ in pairs] == [{0}, {1}]
-
-
-def test_a_threshold_of_flights() -> None:
-    flights = [shaken(0.3, seconds=35.0, segment=i, seed=i) for i in range(4)]
-    monitor, threshold = calibrated(VibrationLevel, flights, example_context())
-    assert monitor.spec.healthy == pytest.approx(0.35, abs=0.1)
-    assert threshold.value == pytest.approx(monitor.spec.healthy + 0.5, abs=0.05)
-    assert (threshold.flights, threshold.blocks) == (4, 12)
 
 
 def test_too_short_a_flight_says_so() -> None:

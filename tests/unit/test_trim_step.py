@@ -1,21 +1,13 @@
 """The trim-step monitor: a step is found and named; what was there before, or comes slowly, is not."""
 
-import itertools
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from flying_telemetry import flying, flying_rows
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from made_thresholds import calibrated
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
-from mavdiag.errors import IdentificationError, InputError
+from mavdiag.errors import IdentificationError
 from mavdiag.monitors.columns import COVERED, columns_of
 from mavdiag.monitors.trim import TICK_S, WINDOW_S
 from mavdiag.monitors.trim_step import MEMORY_S, TrimStep, TrimStepSpec
-from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_context, example_rows
@@ -117,25 +109,6 @@ def test_after_a_gap_the_reference_is_still_that_of_the_flight() -> None:
     assert int(found.rotors[-1].argmax()) == 3
 
 
-@settings(max_examples=40, deadline=None)
-@given(edges=st.lists(st.integers(1, 1999), max_size=30), seed=st.integers(0, 3))
-def test_any_cut_gives_the_same(edges: list[int], seed: int) -> None:
-    outputs = level(40, seed=seed)
-    outputs[900:, seed] += 0.04
-    outputs[1300:1303] = np.nan
-    expected = read(outputs)
-    monitor = TrimStep(TrimStepSpec(layout=layout_named("x"), source="actuator", spread=CALM))
-    block, state, parts = example_rows(2000, DT_S, actuator=outputs).block, monitor.start(), []
-    for low, high in itertools.pairwise(sorted({0, 2000, *edges})):
-        state, part = monitor.step(state, Rows(block.rows(low, high), example_rows(0, DT_S).rates))
-        parts.append(part)
-    for name in ("t_ns", "valid"):
-        np.testing.assert_array_equal(np.concatenate([getattr(p, name) for p in parts]), getattr(expected, name))
-    for name in ("value", "level", "signal", "rotors"):
-        found = np.concatenate([getattr(p, name) for p in parts])
-        np.testing.assert_allclose(found, getattr(expected, name), rtol=1e-12, atol=1e-14)
-
-
 def test_a_flight_that_is_too_short_is_refused() -> None:
     short = [[example_rows(950, 0.01, actuator=level(19))]]
     with pytest.raises(IdentificationError, match="no unbroken 10 s of flight to compare trims in; fly longer"):
@@ -145,35 +118,6 @@ def test_a_flight_that_is_too_short_is_refused() -> None:
         TrimStep.fit(hops, example_context("x"))
     enough = [[example_rows(1050, 0.01, actuator=level(21))]]
     assert TrimStep.fit(enough, example_context("x"))
-
-
-def test_why_it_cannot_judge() -> None:
-    with pytest.raises(InputError, match="layout is not known"):
-        TrimStep.fit([[example_rows(2000, actuator=np.full((2000, 4), 0.5))]], example_context(None))
-    with pytest.raises(InputError, match="outputs of 4 motors"):
-        TrimStep.fit([[example_rows(2000)]], example_context("x"))
-
-
-@pytest.mark.parametrize(
-    "changes", [{"spread": (0.0, 1.0, 1.0)}, {"window_s": 0.0}, {"memory_s": -1.0}, {"drift_per_s": float("nan")}]
-)
-def test_a_spec_that_describes_nothing_is_refused(changes: dict[str, object]) -> None:
-    spec = TrimStepSpec(layout=layout_named("x"), source="actuator", spread=CALM)
-    with pytest.raises(InputError, match="trim_step: "):
-        replace(spec, **changes)  # type: ignore[arg-type]  # wrong on purpose
-    with pytest.raises(InputError, match="not known"):
-        replace(spec, source="torque")
-
-
-def test_healthy_flights_stay_below_the_threshold_that_they_give() -> None:
-    flights = [flying_rows(flying(3000, seed)) for seed in range(3)]
-    monitor, threshold = calibrated(TrimStep, flights, example_context("x"))
-    assert threshold.value >= LEAST
-    for seed in range(20, 24):
-        parts = list(monitor.over(flying_rows(flying(3000, seed))))
-        judged = np.concatenate([one.value[one.valid] for one in parts])
-        assert len(judged) > 10
-        assert judged.max() < threshold.value, f"seed {seed}"
 
 
 @pytest.mark.parametrize("wild", [1, 3])
