@@ -187,12 +187,7 @@ def test_the_mixer_is_the_manufacturers_motor_matrix() -> None:
     """Rows M1 to M4, FLU: [.25, -+1/2 Lr, +-1/2 Lp, +-Kt/4]; pitch and yaw change sign in FRD."""
     roll, pitch, yaw = 1 / (2 * 0.254), 1 / (2 * 0.2032), 68.9055 / 4
     printed = np.array(
-        [
-            [0.25, -roll, pitch, yaw],
-            [0.25, -roll, -pitch, -yaw],
-            [0.25, roll, pitch, -yaw],
-            [0.25, roll, -pitch, yaw],
-        ]
+        [[0.25, -roll, pitch, yaw], [0.25, -roll, -pitch, -yaw], [0.25, roll, pitch, -yaw], [0.25, roll, -pitch, yaw]]
     )
     np.testing.assert_allclose(np.linalg.pinv(allocation(VEHICLE)), printed * [1, 1, -1, -1], atol=1e-12)
 
