@@ -151,7 +151,6 @@ def _controller(vehicle: Vehicle) -> control.Controller:
         rate_gain=np.array(vehicle.body.inertia_kg_m2)[:, None] * damped,
         mixer=np.asarray(np.linalg.pinv(allocation(vehicle)), dtype=np.float64),
         full_thrust=vehicle.propulsion.thrust_coefficient_n_s2 * full_speed**2,
-        thrust_map=(0.0, 0.0, 0.0),
         ground_thrust=0.0,
         minimum_duty=vehicle.propulsion.minimum_duty,
         tilt_limit=given.tilt_limit_rad,
@@ -174,7 +173,6 @@ def _own_controller(vehicle: Vehicle, recorded: RecordedSet) -> control.Controll
         attitude_d=-gains.rate_damping,
         rate_gain=np.column_stack([gains.torque_per_rate, -np.array(gains.torque_per_acceleration)]),
         full_thrust=motors.thrust_over_command * (a * volts * volts + b * volts + c),
-        thrust_map=motors.thrust_map,
         ground_thrust=recorded.ground.thrust_n,
         tilt_limit=gains.tilt_limit_rad,
         rate_limit=np.full(3, gains.rate_limit_rad_s),
@@ -260,6 +258,7 @@ def recorded_set(
     own = kernel.Recorded(
         imus=_imus(airframe, recorded, model, scale),
         estimators=control.TwinEstimator(rate, slope, tilt, filters.complementary_p, filters.complementary_i),
+        thrust_map=motors.thrust_map,
         squared_per_thrust=motors.thrust_over_command
         * airframe.battery_gain
         / airframe.vehicle.propulsion.thrust_coefficient_n_s2,
