@@ -310,7 +310,7 @@ def _stand(state: ControlState, gains: Controller) -> None:
         state.duty[i] = duty
 
 
-@jit
+@inline
 def control(
     state: ControlState,
     gains: Controller,
