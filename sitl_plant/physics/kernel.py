@@ -313,8 +313,10 @@ class Outages:
         """Which of these times, ascending, lie in an outage."""
         while len(t_s) and self._spans[-1][0] <= t_s[-1]:
             self._spans.append(self._after(self._spans[-1][1]))
-        lost = [(start <= t_s) & (t_s < end) for start, end in self._spans]
-        return np.asarray(np.any(lost, axis=0))
+        lost = np.zeros(len(t_s), dtype=np.bool_)
+        for start, end in self._spans:
+            lost |= (start <= t_s) & (t_s < end)
+        return lost
 
 
 class Streams:
