@@ -152,11 +152,8 @@ def stand_test(speed_rpm: float = 5000.0, seed: int = 0, stand: Stand = Stand())
     peaks = []
     for (_, unbalance), child in zip(mounted, np.random.SeedSequence(seed).spawn(len(mounted)), strict=True):
         rng = np.random.default_rng(child)
-        size, angle, towards = (
-            permitted * rng.random(),
-            rng.uniform(0.0, 2.0 * math.pi),
-            rng.uniform(0.0, 2.0 * math.pi),
-        )
+        size = permitted * rng.random()
+        angle, towards = (rng.uniform(0.0, 2.0 * math.pi) for _ in range(2))
         x, y = (size * turn(angle) + unbalance * turn(towards) for turn in (math.cos, math.sin))
         peaks.append(peak_of(stand_run(stand, math.hypot(x, y), speed_rpm, rng), stand.rate_hz, speed_rpm))
     known = [unbalance for _, unbalance in mounted]

@@ -440,7 +440,9 @@ def _table(text: str, name: str) -> dict[str, Any]:
     return _merged(_table((_FOLDER / f"{base}.toml").read_text(encoding="utf-8"), base), table)
 
 
-def _merged(base: Any, own: Any) -> Any:
-    if not (isinstance(base, dict) and isinstance(own, dict)):
-        return own
-    return {**base, **{name: _merged(base.get(name), value) for name, value in own.items()}}
+def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    merged = {**base, **own}
+    for name in base.keys() & own.keys():
+        if isinstance(base[name], dict) and isinstance(own[name], dict):
+            merged[name] = _merged(base[name], own[name])
+    return merged

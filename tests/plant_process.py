@@ -25,13 +25,7 @@ def process(
 ) -> Iterator[subprocess.Popen[str]]:
     """A child with its output in one pipe; ended when the block is left."""
     child = subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        cwd=cwd,
-        env=env,
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=cwd, env=env
     )
     try:
         yield child

@@ -40,10 +40,7 @@ NO_POSITION, NO_VELOCITY, NO_YAW = 0b111, 0b111_000, 1 << 10  # POSITION_TARGET_
 SYSTEM_MOTOR = 101  # FAILURE_UNIT
 OK, OFF, SLOW = 0, 1, 5  # FAILURE_TYPE
 SLOW_SHARE = 0.9  # of the commanded speed (our choice)
-MOTORS = {
-    OFF: ("motor off", RotorDamage(speed_factor=0.0)),
-    SLOW: ("motor slow", RotorDamage(speed_factor=SLOW_SHARE)),
-}
+MOTORS = {OFF: ("motor off", RotorDamage(speed_factor=0.0)), SLOW: ("motor slow", RotorDamage(speed_factor=SLOW_SHARE))}
 # MAV_PROTOCOL_CAPABILITY: MAVLINK2, PARAM_FLOAT, MISSION_INT, COMMAND_INT; SET_POSITION_TARGET_LOCAL_NED, _GLOBAL_INT,
 # FLIGHT_TERMINATION; PARAM_ENCODE_BYTEWISE, PARAM_ENCODE_C_CAST
 ALWAYS, IN_COMMAND, BYTEWISE, C_CAST = 1 << 13 | 1 << 1 | 1 << 2 | 1 << 3, 1 << 7 | 1 << 8 | 1 << 11, 1 << 4, 1 << 17

@@ -95,10 +95,7 @@ class Simulation:
     """
 
     def __init__(
-        self,
-        config: PlantConfig,
-        after_takeoff: Sequence[Injection] = (),
-        watch: Watch = lambda samples, changes: None,
+        self, config: PlantConfig, after_takeoff: Sequence[Injection] = (), watch: Watch = lambda samples, changes: None
     ) -> None:
         self._after_takeoff, self._watch = after_takeoff, watch
         self.config = replace(config, start="ground", trajectory="hover", landed_s=None)

@@ -140,9 +140,7 @@ def with_propellers(airframe: Airframe, spread: float, rng: np.random.Generator)
     thrust = 1.0 + rng.uniform(-spread, spread, n)
     size = airframe.vehicle.propulsion.unbalance_max_g_mm * rng.random(n)
     return replace(
-        airframe,
-        thrust_coefficient_n_s2=airframe.thrust_coefficient_n_s2 * thrust,
-        unbalance_g_mm=_vectors(size, rng),
+        airframe, thrust_coefficient_n_s2=airframe.thrust_coefficient_n_s2 * thrust, unbalance_g_mm=_vectors(size, rng)
     )
 
 

@@ -37,7 +37,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from mavdiag.jit import jit
+from mavdiag.jit import inline, jit
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.dynamics import wrapped
 from sitl_plant.physics.sensors import IMUS
@@ -46,6 +46,9 @@ from sitl_plant.physics.trajectory import DISARMED, FLYING, IDLE, LANDING, SHUTD
 ESTIMATE = 9  # length of T's attitude state
 EPSILON = 1e-3  # m/s^2: below this the accelerometer has no direction (T Eq 2.30)
 LANDED_M = 0.03  # a vehicle below this height stands on the ground when it is led to land (our choice)
+
+ThrustMap: TypeAlias = tuple[float, float, float]
+"""The manufacturer's: a, b, c of F = a V^2 + b V + c, thrust of a rotor by motor voltage."""
 
 Transition: TypeAlias = tuple[float, float, float, float]
 """By rows, how [y - u, dy/dt] goes on over one step of a filter whose input u is held."""
@@ -93,7 +96,6 @@ class Controller(NamedTuple):
     rate_gain: FloatArray  # (3, 2) P and D, inertia included
     mixer: FloatArray  # (n, 4) pseudo-inverse of the motor mapping matrix; with four rotors its inverse, T Eq 2.43
     full_thrust: float  # of one motor at full duty, K_F K_omega^2 [N]
-    thrust_map: tuple[float, float, float]  # thrust by motor voltage; zeros for the square law of T Eq 2.44
     ground_thrust: float  # on which the loops run while the motors idle [N]; 0 for loops that rest then
     minimum_duty: float
     tilt_limit: float
@@ -169,8 +171,11 @@ def advance_estimate(
 
     reading: (6,) gyro and accelerometer, FRD. yaw_seen: from motion capture [rad].
     """
-    _low_pass(estimate[3:6], estimate[6:], estimator.gyro_filter, reading[:3])
+    f11, f12, f21, f22 = estimator.gyro_filter
     for i in range(3):
+        behind, slope = estimate[3 + i] - reading[i], estimate[6 + i]
+        estimate[3 + i] = reading[i] + f11 * behind + f12 * slope
+        estimate[6 + i] = f21 * behind + f22 * slope
         accel[i] += estimator.accel_gain * (reading[3 + i] - accel[i])
     phi_acc, theta_acc = tilt_from_accel(accel[0], accel[1], accel[2])
     phi, theta, psi = estimate[0], estimate[1], estimate[2]
@@ -221,14 +226,14 @@ def see(state: TwinEstimate, filters: TwinEstimator, pose: FloatArray) -> None:
 
 
 @jit
-def thrust_of(thrust_map: tuple[float, float, float], volts: float) -> float:
+def thrust_of(thrust_map: ThrustMap, volts: float) -> float:
     """Thrust of a rotor at a motor voltage [N], by the manufacturer's map; never negative."""
     a, b, c = thrust_map
     return max(a * volts * volts + b * volts + c, 0.0)
 
 
 @jit
-def voltage_of(thrust_map: tuple[float, float, float], force: float) -> float:
+def voltage_of(thrust_map: ThrustMap, force: float) -> float:
     """Motor voltage for a thrust [V]: the inverse of the map; 0 for no thrust."""
     a, b, c = thrust_map
     return 0.0 if force <= 0.0 else (-b + math.sqrt(b * b + 4.0 * a * (force - c))) / (2.0 * a)
@@ -239,7 +244,7 @@ def _clip(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
-@jit
+@inline
 def _piv(state: ControlState, gains: Controller, axis: int, error: float, rate_error: float, dt: float) -> float:
     p, v, i = gains.pose[axis]
     limit = gains.integral_limit[axis]
@@ -247,7 +252,7 @@ def _piv(state: ControlState, gains: Controller, axis: int, error: float, rate_e
     return float(p * error + v * rate_error + state.integral[axis])
 
 
-@jit
+@inline
 def _outer_loop(
     state: ControlState, gains: Controller, path: FloatArray, pose: FloatArray, speed: FloatArray, r: float, dt: float
 ) -> None:
@@ -265,29 +270,29 @@ def _outer_loop(
     state.wrench[0] = _clip(gains.trim - down, gains.thrust_limit[0], gains.thrust_limit[1])
 
 
-@jit
+@inline
 def _inner_loop(state: ControlState, gains: Controller, estimate: FloatArray) -> None:
     """Attitude to rates to torques (T Eq 2.36, 2.40)."""
-    for axis in range(3):
-        rate = gains.yaw_rate * state.pid[3]
-        if axis < 2:
-            rate = gains.attitude_p * (state.setpoint[axis] - estimate[axis]) + gains.attitude_d * estimate[3 + axis]
+    state.rate[2] = _clip(gains.yaw_rate * state.pid[3], -gains.rate_limit[2], gains.rate_limit[2])
+    for axis in range(2):
+        rate = gains.attitude_p * (state.setpoint[axis] - estimate[axis]) + gains.attitude_d * estimate[3 + axis]
         state.rate[axis] = _clip(rate, -gains.rate_limit[axis], gains.rate_limit[axis])
+    for axis in range(3):
         torque = gains.rate_gain[axis, 0] * (state.rate[axis] - estimate[3 + axis])
         state.asked[axis] = torque + gains.rate_gain[axis, 1] * estimate[6 + axis]
         state.wrench[1 + axis] = _clip(state.asked[axis], -gains.torque_limit[axis], gains.torque_limit[axis])
 
 
-@jit
-def _mix(state: ControlState, gains: Controller, volts: float) -> None:
+@inline
+def _mix(state: ControlState, gains: Controller, thrust_map: ThrustMap | None, volts: float) -> None:
     for i in range(len(state.duty)):
         force = 0.0
         for k in range(4):
             force += gains.mixer[i, k] * state.wrench[k]
-        if gains.thrust_map[0] > 0.0:
-            duty = voltage_of(gains.thrust_map, force) / volts
-        else:
+        if thrust_map is None:
             duty = math.sqrt(max(force, 0.0) / gains.full_thrust)
+        else:
+            duty = voltage_of(thrust_map, force) / volts
         state.duty[i] = _clip(duty, gains.minimum_duty, 1.0)
 
 
@@ -305,7 +310,7 @@ def _stand(state: ControlState, gains: Controller) -> None:
         state.duty[i] = duty
 
 
-@jit
+@inline
 def control(
     state: ControlState,
     gains: Controller,
@@ -314,10 +319,11 @@ def control(
     velocity: FloatArray,
     yaw_rate: float,
     estimate: FloatArray,
+    thrust_map: ThrustMap | None,
     volts: float,
     dt: float,
 ) -> None:
-    """One pass of the cascade; the commands are left in `state`.
+    """One pass of the cascade; the commands are left in `state`. Without a map duties follow the square law.
 
     path: (9,) from `trajectory.reference`. pose, velocity: (4,) and (3,) or more from motion capture. yaw_rate: as fed
     back to the yaw loop. estimate: (9,). volts: of the battery.
@@ -333,4 +339,4 @@ def control(
     state.desired[3] = state.setpoint[2] = path[6]
     if state.motors[0] == FLYING or (state.motors[0] == IDLE and not loops_rest):
         _inner_loop(state, gains, estimate)
-        _mix(state, gains, volts)
+        _mix(state, gains, thrust_map, volts)

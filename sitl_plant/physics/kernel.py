@@ -62,6 +62,7 @@ class Recorded(NamedTuple):
 
     imus: sensors.TwinImu
     estimators: control.TwinEstimator
+    thrust_map: control.ThrustMap
     squared_per_thrust: float  # speed^2 of a rotor over its thrust by the map, battery gain included [rad^2/s^2/N]
     esc_period: int  # steps from one motor's telemetry to the next one's
     esc_first: int  # step of the first
@@ -155,12 +156,12 @@ def _decide(
     if own is None:
         mocap.hold_if_lost(state.mocap, model.mocap, step, path)
         velocity, r = state.mocap.velocity, estimate[5]
-        control.control(state.control, model.controller, path, pose, velocity, r, estimate, volts, dt)
+        control.control(state.control, model.controller, path, pose, velocity, r, estimate, None, volts, dt)
     else:
         control.see(own.estimates, own.estimators, pose)
         path[3:6], path[7] = 0.0, 0.0  # its V acts on the measured speed alone
-        velocity = own.estimates.velocity
-        control.control(state.control, model.controller, path, pose, velocity, velocity[3], estimate, volts, dt)
+        seen, lifts = own.estimates.velocity, own.thrust_map
+        control.control(state.control, model.controller, path, pose, seen, seen[3], estimate, lifts, volts, dt)
 
 
 @jit
@@ -176,8 +177,14 @@ def _obey(state: control.ControlState, commands: FloatArray, row: int) -> None:
 
 
 @jit
-def _copy(source: FloatArray, rows: FloatArray, row: int, column: int) -> None:
-    """rows[row, column:] = source; a plain loop, because slice assignment is slow in compiled code."""
+def _copy(source: FloatArray, rows: FloatArray, row: int) -> None:
+    """rows[row] = source; a plain loop without an offset, because slice assignment is slow in compiled code."""
+    for i in range(len(source)):
+        rows[row, i] = source[i]
+
+
+@jit
+def _copy_to(source: FloatArray, rows: FloatArray, row: int, column: int) -> None:
     for i in range(len(source)):
         rows[row, column + i] = source[i]
 
@@ -186,29 +193,29 @@ def _copy(source: FloatArray, rows: FloatArray, row: int, column: int) -> None:
 def _log(state: State, own: Recorded, log: FloatArray, row: int) -> None:
     seen, reading = own.estimates, own.imu_state.reading
     for k in range(sensors.IMUS):
-        _copy(seen.angle[k], log, row, 3 * k)
-        _copy(seen.rate[k], log, row, 6 + 3 * k)
-        _copy(seen.acceleration[k], log, row, 12 + 3 * k)
-        _copy(reading[k, :3], log, row, 18 + 3 * k)
-        _copy(reading[k, 3:], log, row, 24 + 3 * k)
-    _copy(state.control.asked, log, row, 30)
-    _copy(state.control.wrench[1:], log, row, 33)
-    _copy(state.control.wrench[:1], log, row, 36)
-    _copy(state.control.pid, log, row, 37)
-    _copy(state.control.desired, log, row, 41)
-    _copy(state.mocap.pose, log, row, 45)
-    _copy(own.esc, log, row, LOG)
+        _copy_to(seen.angle[k], log, row, 3 * k)
+        _copy_to(seen.rate[k], log, row, 6 + 3 * k)
+        _copy_to(seen.acceleration[k], log, row, 12 + 3 * k)
+        _copy_to(reading[k, :3], log, row, 18 + 3 * k)
+        _copy_to(reading[k, 3:], log, row, 24 + 3 * k)
+    _copy_to(state.control.asked, log, row, 30)
+    _copy_to(state.control.wrench[1:], log, row, 33)
+    _copy_to(state.control.wrench[:1], log, row, 36)
+    _copy_to(state.control.pid, log, row, 37)
+    _copy_to(state.control.desired, log, row, 41)
+    _copy_to(state.mocap.pose, log, row, 45)
+    _copy_to(own.esc, log, row, LOG)
 
 
 @inline
 def _record(state: State, own: Recorded | None, row: int, rows: Rows) -> None:
-    _copy(state.control.setpoint, rows.setpoint, row, 0)
-    _copy(state.control.rate, rows.rate_setpoint, row, 0)
-    _copy(state.imu.reading, rows.imu, row, 0)
-    _copy(state.estimate, rows.attitude, row, 0)
-    _copy(state.rigid, rows.rigid, row, 0)
-    _copy(state.rotors.speed, rows.rotor_speed, row, 0)
-    _copy(state.control.duty, rows.duty, row, 0)
+    _copy(state.control.setpoint, rows.setpoint, row)
+    _copy(state.control.rate, rows.rate_setpoint, row)
+    _copy(state.imu.reading, rows.imu, row)
+    _copy(state.estimate, rows.attitude, row)
+    _copy(state.rigid, rows.rigid, row)
+    _copy(state.rotors.speed, rows.rotor_speed, row)
+    _copy(state.control.duty, rows.duty, row)
     rows.thrust[row], rows.motors[row] = state.control.wrench[0], state.control.motors[0]
     rows.battery_v[row], rows.charge_ah[row] = state.battery[0], state.battery[1]
     if own is not None:
@@ -228,7 +235,7 @@ def _command(
             slots = len(own.queue)
             own.queue[step % slots, i] = state.control.duty[i]
             volts = own.queue[(step + 1) % slots, i] * state.battery[0]
-            squared = own.squared_per_thrust * control.thrust_of(model.controller.thrust_map, volts)
+            squared = own.squared_per_thrust * control.thrust_of(own.thrust_map, volts)
             command[i] = np.sqrt(squared) * condition.speed_gain[i]
 
 
@@ -294,8 +301,10 @@ class Outages:
         """Which of these times, ascending, lie in an outage."""
         while len(t_s) and self._spans[-1][0] <= t_s[-1]:
             self._spans.append(self._after(self._spans[-1][1]))
-        lost = [(start <= t_s) & (t_s < end) for start, end in self._spans]
-        return np.asarray(np.any(lost, axis=0))
+        lost = np.zeros(len(t_s), dtype=np.bool_)
+        for start, end in self._spans:
+            lost |= (start <= t_s) & (t_s < end)
+        return lost
 
 
 class Streams:

@@ -15,38 +15,10 @@ import numpy as np
 
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import RPM
+from sitl_plant.physics import control, kernel, mocap, rotors, sensors
 from sitl_plant.physics.air import Air
 from sitl_plant.physics.airframe import Airframe, Payload
-from sitl_plant.physics.control import (
-    ESTIMATE,
-    Controller,
-    ControlState,
-    Estimator,
-    TwinEstimate,
-    TwinEstimator,
-    low_pass_transition,
-    second_order,
-    voltage_of,
-)
 from sitl_plant.physics.dynamics import GRAVITY, NO_GROUND, RIGID, STAGES, WRENCH, Body, Ground, rotate_to_world
-from sitl_plant.physics.kernel import Model, Recorded, State
-from sitl_plant.physics.mocap import Mocap, MocapState
-from sitl_plant.physics.rotors import Battery, Rotors, RotorState
-from sitl_plant.physics.sensors import (
-    CHANNELS,
-    HARMONICS,
-    IMUS,
-    Imu,
-    ImuState,
-    TwinImu,
-    TwinImuState,
-    butterworth,
-    butterworth3,
-    gain_of,
-    high_pass,
-    mode,
-)
-from sitl_plant.physics.sensors import RIGID as RIGID_MOUNT
 from sitl_plant.physics.trajectory import FLYING, REFERENCE, Path, reference
 from sitl_plant.vehicle import RecordedSet, Specimen, Vehicle, allocation
 
@@ -57,22 +29,24 @@ LEVELS, BIAS, LINE = 0, 1, 2  # what a specimen's streams are for
 BAND_HZ = (50.0, 100.0)  # in which the broad level is given
 
 
-def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatArray, turbulent: bool = False) -> Model:
+def make_model(
+    airframe: Airframe, payload: Payload, path: Path, wind_N: FloatArray, turbulent: bool = False
+) -> kernel.Model:
     """The constants of a flight. A path from the ground brings the ground.
 
     wind_N: (3,) mean wind, world NED [m/s]. turbulent: the gusts are given, and the vehicle file's are left out.
     """
-    vehicle, imu, control = airframe.vehicle, airframe.vehicle.imu, airframe.vehicle.control
-    battery, propulsion, mocap = vehicle.battery, vehicle.propulsion, vehicle.mocap
+    vehicle, imu, loops = airframe.vehicle, airframe.vehicle.imu, airframe.vehicle.control
+    battery, propulsion, cameras = vehicle.battery, vehicle.propulsion, vehicle.mocap
     body, centre = body_with_payload(airframe, payload)
     noise = math.sqrt(0.5 / STEP_S) * np.repeat([imu.gyro_noise_density, imu.accel_noise_density], 3)
     torque = propulsion.thrust_coefficient_n_s2 / propulsion.thrust_per_torque_1_m
-    period = max(1, round(1.0 / (mocap.rate_hz * STEP_S)))
-    return Model(
+    period = max(1, round(1.0 / (cameras.rate_hz * STEP_S)))
+    return kernel.Model(
         dt=STEP_S,
         body=body,
         ground=_ground(vehicle, body, centre) if path.start > 0.0 else NO_GROUND,
-        rotors=Rotors(
+        rotors=rotors.Rotors(
             hub=np.array([rotor.position_m for rotor in vehicle.rotors]) - centre,
             sign=np.array([rotor.sign for rotor in vehicle.rotors]),
             thrust_coefficient=airframe.thrust_coefficient_n_s2,
@@ -82,7 +56,7 @@ def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatAr
             noise_rms=airframe.thrust_noise_rms,
             noise_decay=_decay(propulsion.thrust_noise_corner_hz),
         ),
-        battery=Battery(
+        battery=rotors.Battery(
             speed_per_volt=battery.motor_constant_rpm_v * RPM * airframe.battery_gain,
             open_circuit=battery.open_circuit_v,
             resistance=battery.resistance_ohm,
@@ -91,27 +65,27 @@ def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatAr
             avionics=battery.avionics_a,
         ),
         air=air_of(vehicle, wind_N, turbulent),
-        imu=Imu(
+        imu=sensors.Imu(
             position=np.asarray(imu.position_m) - centre,
             bias=np.concatenate([airframe.gyro_bias, np.zeros(3)]),
             noise=noise,
-            filter=butterworth(imu.filter_hz, STEP_S),
-            mount=mode(imu.mount.resonance_hz, imu.mount.damping_ratio, STEP_S) if imu.mount else RIGID_MOUNT,
+            filter=sensors.butterworth(imu.filter_hz, STEP_S),
+            mount=sensors.mode(imu.mount.resonance_hz, imu.mount.damping_ratio, STEP_S) if imu.mount else sensors.RIGID,
         ),
-        mocap=Mocap(
-            markers=np.array(mocap.markers_m),
+        mocap=mocap.Mocap(
+            markers=np.array(cameras.markers_m),
             centre=-centre,
-            noise=mocap.marker_noise_rms_m,
-            occlusion=mocap.occlusion_probability,
+            noise=cameras.marker_noise_rms_m,
+            occlusion=cameras.occlusion_probability,
             period=period,
-            latency=round(mocap.latency_s / STEP_S),
+            latency=round(cameras.latency_s / STEP_S),
             frame_s=period * STEP_S,
-            velocity_gain=1.0 - math.exp(-2.0 * math.pi * control.velocity_filter_hz * (period * STEP_S)),
+            velocity_gain=1.0 - math.exp(-2.0 * math.pi * loops.velocity_filter_hz * (period * STEP_S)),
         ),
-        estimator=Estimator(
-            gyro_filter=low_pass_transition(control.gyro_filter_hz, STEP_S),
-            accel_gain=1.0 - _decay(control.accel_filter_hz),
-            correction=STEP_S / control.complementary_s,
+        estimator=control.Estimator(
+            gyro_filter=control.low_pass_transition(loops.gyro_filter_hz, STEP_S),
+            accel_gain=1.0 - _decay(loops.accel_filter_hz),
+            correction=STEP_S / loops.complementary_s,
         ),
         controller=_controller(vehicle) if vehicle.recorded is None else _own_controller(vehicle, vehicle.recorded),
         path=path,
@@ -163,32 +137,31 @@ def _ground(vehicle: Vehicle, body: Body, centre_of_gravity: FloatArray) -> Grou
     )
 
 
-def _controller(vehicle: Vehicle) -> Controller:
-    control, full_speed = vehicle.control, vehicle.battery.motor_constant_rpm_v * RPM * vehicle.battery.nominal_v
-    loops = (control.position, control.position, control.altitude, control.yaw)
-    tilt, lift, turn = control.integral_limit_rad, control.thrust_limit_n[1], control.yaw_rate_limit_rad_s
-    damped = np.array([[control.rate_p, control.rate_d], [control.rate_p, control.rate_d], [control.yaw_rate_p, 0.0]])
-    return Controller(
+def _controller(vehicle: Vehicle) -> control.Controller:
+    given, full_speed = vehicle.control, vehicle.battery.motor_constant_rpm_v * RPM * vehicle.battery.nominal_v
+    loops = (given.position, given.position, given.altitude, given.yaw)
+    tilt, lift, turn = given.integral_limit_rad, given.thrust_limit_n[1], given.yaw_rate_limit_rad_s
+    damped = np.array([[given.rate_p, given.rate_d], [given.rate_p, given.rate_d], [given.yaw_rate_p, 0.0]])
+    return control.Controller(
         pose=np.array([[loop.p, loop.v, loop.i] for loop in loops]),
         trim=0.0,
         yaw_rate=1.0,
-        attitude_p=control.attitude_p,
-        attitude_d=control.attitude_d,
+        attitude_p=given.attitude_p,
+        attitude_d=given.attitude_d,
         rate_gain=np.array(vehicle.body.inertia_kg_m2)[:, None] * damped,
         mixer=np.asarray(np.linalg.pinv(allocation(vehicle)), dtype=np.float64),
         full_thrust=vehicle.propulsion.thrust_coefficient_n_s2 * full_speed**2,
-        thrust_map=(0.0, 0.0, 0.0),
         ground_thrust=0.0,
         minimum_duty=vehicle.propulsion.minimum_duty,
-        tilt_limit=control.tilt_limit_rad,
-        rate_limit=np.array([control.rate_limit_rad_s, control.rate_limit_rad_s, turn]),
+        tilt_limit=given.tilt_limit_rad,
+        rate_limit=np.array([given.rate_limit_rad_s, given.rate_limit_rad_s, turn]),
         integral_limit=np.array([tilt, tilt, lift, turn]),
-        torque_limit=np.array(control.torque_limit_n_m),
-        thrust_limit=np.array(control.thrust_limit_n),
+        torque_limit=np.array(given.torque_limit_n_m),
+        thrust_limit=np.array(given.thrust_limit_n),
     )
 
 
-def _own_controller(vehicle: Vehicle, recorded: RecordedSet) -> Controller:
+def _own_controller(vehicle: Vehicle, recorded: RecordedSet) -> control.Controller:
     gains, motors, volts = recorded.gains, recorded.motors, vehicle.battery.nominal_v
     a, b, c = motors.thrust_map
     loops = (gains.horizontal_pid, gains.horizontal_pid, gains.altitude_pid, gains.yaw_pid)
@@ -200,7 +173,6 @@ def _own_controller(vehicle: Vehicle, recorded: RecordedSet) -> Controller:
         attitude_d=-gains.rate_damping,
         rate_gain=np.column_stack([gains.torque_per_rate, -np.array(gains.torque_per_acceleration)]),
         full_thrust=motors.thrust_over_command * (a * volts * volts + b * volts + c),
-        thrust_map=motors.thrust_map,
         ground_thrust=recorded.ground.thrust_n,
         tilt_limit=gains.tilt_limit_rad,
         rate_limit=np.full(3, gains.rate_limit_rad_s),
@@ -209,7 +181,7 @@ def _own_controller(vehicle: Vehicle, recorded: RecordedSet) -> Controller:
     )
 
 
-def initial_state(model: Model, azimuth: FloatArray, charge_used_ah: float = 0.0) -> State:
+def initial_state(model: kernel.Model, azimuth: FloatArray, charge_used_ah: float = 0.0) -> kernel.State:
     """At the first point of the path, level, nearly in trim: in hover, or on the ground with resting rotors.
 
     azimuth: (n,) of the rotors at the start [rad]. charge_used_ah: drawn from the battery before.
@@ -221,28 +193,28 @@ def initial_state(model: Model, azimuth: FloatArray, charge_used_ah: float = 0.0
     lift = weight if start[8] == FLYING else 0.0
     speed = np.sqrt(lift / n / model.rotors.thrust_coefficient)
     z = np.zeros
-    rigid, wrench, reading, estimate = z(RIGID), z((STAGES, WRENCH)), z(CHANNELS), z(ESTIMATE)
+    rigid, wrench, reading, estimate = z(RIGID), z((STAGES, WRENCH)), z(sensors.CHANNELS), z(control.ESTIMATE)
     rigid[:3], rigid[6], rigid[9] = start[:3], math.cos(start[6] / 2), math.sin(start[6] / 2)
     wrench[:, 2], reading[5], estimate[2] = -lift, -GRAVITY, start[6]
     markers, latency = len(model.mocap.markers), model.mocap.latency
     pose, wave = np.array([*start[:3], start[6]]), np.full((latency + 1, 4), np.nan)
     integral = np.array([0.0, 0.0, -weight if lift else -TAKEOFF_SHARE * weight, 0.0])
     thrust, motors, seen = np.array([lift, 0.0, 0.0, 0.0]), np.array([start[8]]), z(markers, dtype=np.int64)
-    return State(
+    return kernel.State(
         rigid=rigid,
         wrench=wrench,
         wind=model.air.mean.copy(),
         battery=np.array([model.battery.open_circuit - model.battery.slope * charge_used_ah, charge_used_ah]),
-        rotors=RotorState(speed, azimuth.copy(), z(n), z(n), np.full(n, lift / n)),
-        imu=ImuState(z((CHANNELS, 2)), z(CHANNELS), reading, z((CHANNELS, 2))),
-        mocap=MocapState(wave, pose, z(3), np.full(1, np.nan), z((markers, 3)), seen, z(RIGID)),
+        rotors=rotors.RotorState(speed, azimuth.copy(), z(n), z(n), np.full(n, lift / n)),
+        imu=sensors.ImuState(z((sensors.CHANNELS, 2)), z(sensors.CHANNELS), reading, z((sensors.CHANNELS, 2))),
+        mocap=mocap.MocapState(wave, pose, z(3), np.full(1, np.nan), z((markers, 3)), seen, z(RIGID)),
         estimate=estimate,
         accel_filtered=reading[3:].copy(),
-        control=ControlState(integral, z(3), z(3), thrust, z(n), motors, z(4), z(3), pose.copy()),
+        control=control.ControlState(integral, z(3), z(3), thrust, z(n), motors, z(4), z(3), pose.copy()),
     )
 
 
-def reload(model: Model, state: State, airframe: Airframe, payloads: tuple[Payload, ...]) -> Model:
+def reload(model: kernel.Model, state: kernel.State, airframe: Airframe, payloads: tuple[Payload, ...]) -> kernel.Model:
     """The model with these payloads on the airframe; `state` is changed to that of the new centre of gravity."""
     body, centre = body_with_payload(airframe, *payloads)
     shift = centre + model.mocap.centre  # mocap.centre is the way back to the geometric centre
@@ -263,36 +235,38 @@ def reload(model: Model, state: State, airframe: Airframe, payloads: tuple[Paylo
 
 
 def recorded_set(
-    airframe: Airframe, recorded: RecordedSet, model: Model, state: State, seed: int
-) -> tuple[Recorded, np.random.Generator]:
+    airframe: Airframe, recorded: RecordedSet, model: kernel.Model, state: kernel.State, seed: int
+) -> tuple[kernel.Recorded, np.random.Generator]:
     """The recorded set for one flight, and the stream of its sensors. `state` is set to its trim."""
     levels, session = np.random.SeedSequence([seed, FLIGHT_STREAM]).spawn(2)
     scale = math.exp(recorded.vibration.session_rms * np.random.default_rng(levels).standard_normal())
-    motors, filters, control, dt = recorded.motors, recorded.feedback, state.control, model.dt
-    n, z = len(control.duty), np.zeros
+    motors, filters, flown, dt = recorded.motors, recorded.feedback, state.control, model.dt
+    n, z = len(flown.duty), np.zeros
     queue = z((round(motors.command_delay_s / dt) + 1, n))
-    control.integral[:] = 0.0
-    if control.motors[0] == FLYING:
-        thrust = control.wrench[0] / motors.thrust_over_command
-        control.integral[2] = model.controller.trim - thrust  # down is positive
-        control.wrench[0] = thrust
-        queue[:] = voltage_of(motors.thrust_map, thrust / n) / state.battery[0]
-    reading, angle, pose = z((IMUS, CHANNELS)), z((IMUS, 3)), state.mocap.pose
+    flown.integral[:] = 0.0
+    if flown.motors[0] == FLYING:
+        thrust = flown.wrench[0] / motors.thrust_over_command
+        flown.integral[2] = model.controller.trim - thrust  # down is positive
+        flown.wrench[0] = thrust
+        queue[:] = control.voltage_of(motors.thrust_map, thrust / n) / state.battery[0]
+    imus, channels = sensors.IMUS, sensors.IMUS * sensors.CHANNELS
+    reading, angle, pose = z((imus, sensors.CHANNELS)), z((imus, 3)), state.mocap.pose
     reading[:, 5], angle[:, 2] = -GRAVITY, state.estimate[2]
-    accel, shaped, memory = reading[:, 3:].copy(), z((IMUS * CHANNELS, 2)), z((IMUS * CHANNELS, 3))
-    rate, slope, tilt = (second_order(*pair, dt) for pair in (filters.rate, filters.accel, filters.velocity))
-    still, correction = z((IMUS, 3)), z((IMUS, 2))
-    own = Recorded(
+    accel, shaped, memory = reading[:, 3:].copy(), z((channels, 2)), z((channels, 3))
+    rate, slope, tilt = (control.second_order(*pair, dt) for pair in (filters.rate, filters.accel, filters.velocity))
+    still, correction = z((imus, 3)), z((imus, 2))
+    own = kernel.Recorded(
         imus=_imus(airframe, recorded, model, scale),
-        estimators=TwinEstimator(rate, slope, tilt, filters.complementary_p, filters.complementary_i),
+        estimators=control.TwinEstimator(rate, slope, tilt, filters.complementary_p, filters.complementary_i),
+        thrust_map=motors.thrust_map,
         squared_per_thrust=motors.thrust_over_command
         * airframe.battery_gain
         / airframe.vehicle.propulsion.thrust_coefficient_n_s2,
         esc_period=max(1, round(recorded.esc.frame_s / dt)),
         esc_first=round(recorded.esc.first_s / dt) if model.path.start > 0.0 else -(1 << 62),
         over_read=recorded.esc.over_read,
-        imu_state=TwinImuState(shaped, memory, z(CHANNELS), reading, z((HARMONICS, n, 2))),
-        estimates=TwinEstimate(angle, still, still.copy(), accel, still.copy(), correction, pose.copy(), z(4)),
+        imu_state=sensors.TwinImuState(shaped, memory, z(sensors.CHANNELS), reading, z((sensors.HARMONICS, n, 2))),
+        estimates=control.TwinEstimate(angle, still, still.copy(), accel, still.copy(), correction, pose.copy(), z(4)),
         queue=queue,
         esc=np.full(n, np.nan),
     )
@@ -309,7 +283,7 @@ def specimen_of(airframe: Airframe, recorded: RecordedSet) -> Specimen:
         return known[airframe.name]
     rng, levels = _specimen_stream(airframe, LEVELS), recorded.vibration
     line, broad = (float(np.exp(rng.uniform(*np.log(extremes)))) for extremes in (levels.gyro_line, levels.gyro_broad))
-    bias = (recorded.sensors.gyro_bias_rms_rad_s * rng.standard_normal(IMUS)).tolist()
+    bias = (recorded.sensors.gyro_bias_rms_rad_s * rng.standard_normal(sensors.IMUS)).tolist()
     return Specimen(airframe.name, line, broad, (bias[0], bias[1]), levels.second_harmonic)
 
 
@@ -326,36 +300,37 @@ def _kept(filters: FloatArray, frequency_hz: FloatArray, dt: float, held: int) -
     return np.asarray(gain * np.abs(np.sin(held * x) / (held * np.sin(x))))
 
 
-def _imus(airframe: Airframe, recorded: RecordedSet, model: Model, session: float) -> TwinImu:
-    sensors, levels, specimen = recorded.sensors, recorded.vibration, specimen_of(airframe, recorded)
+def _imus(airframe: Airframe, recorded: RecordedSet, model: kernel.Model, session: float) -> sensors.TwinImu:
+    chips, levels, specimen = recorded.sensors, recorded.vibration, specimen_of(airframe, recorded)
     body, propulsion, chip = airframe.vehicle.body, airframe.vehicle.propulsion, airframe.vehicle.imu
     hover = math.sqrt(GRAVITY * body.mass_kg / len(airframe.vehicle.rotors) / propulsion.thrust_coefficient_n_s2)
-    period = max(1, round(sensors.gyro_period_s / model.dt))
-    corners = [sensors.gyro_filter_hz] * 3 + [sensors.accel_filter_hz] * 3
-    filters = np.array([butterworth3(corner_hz, model.dt) for corner_hz in corners])
-    shape, band_hz = high_pass(levels.broad_corner_hz, model.dt), np.linspace(*BAND_HZ, 101)
-    shaped, width = gain_of(shape, band_hz, model.dt), 2.0 * model.dt * (BAND_HZ[1] - BAND_HZ[0])
+    period = max(1, round(chips.gyro_period_s / model.dt))
+    corners = [chips.gyro_filter_hz] * 3 + [chips.accel_filter_hz] * 3
+    filters = np.array([sensors.butterworth3(corner_hz, model.dt) for corner_hz in corners])
+    shape, band_hz = sensors.high_pass(levels.broad_corner_hz, model.dt), np.linspace(*BAND_HZ, 101)
+    shaped, width = sensors.gain_of(shape, band_hz, model.dt), 2.0 * model.dt * (BAND_HZ[1] - BAND_HZ[0])
     line = np.concatenate([specimen.gyro_line * np.array(levels.gyro_axes), levels.accel_axes])
     broad = np.concatenate([specimen.gyro_broad * np.array(levels.gyro_axes), np.full(3, levels.accel_broad)])
     for channel, held in enumerate([period] * 3 + [1] * 3):
         line[channel] /= _kept(filters[channel], np.array([hover / (2.0 * np.pi)]), model.dt, held)[0]
         gain = shaped * _kept(filters[channel], band_hz, model.dt, held)
         broad[channel] /= math.sqrt(float(np.mean(gain**2)) * width)
-    ratio, drawn = np.array([1.0, levels.second_imu]), _specimen_stream(airframe, BIAS).standard_normal((IMUS, 2))
-    bias = np.zeros((IMUS, CHANNELS))
-    bias[:, 0], bias[:, 1:3] = specimen.gyro_bias_roll, sensors.gyro_bias_rms_rad_s * drawn
+    ratio = np.array([1.0, levels.second_imu])
+    drawn = _specimen_stream(airframe, BIAS).standard_normal((sensors.IMUS, 2))
+    bias = np.zeros((sensors.IMUS, sensors.CHANNELS))
+    bias[:, 0], bias[:, 1:3] = specimen.gyro_bias_roll, chips.gyro_bias_rms_rad_s * drawn
     white = math.sqrt(0.5 / model.dt) * np.repeat([chip.gyro_noise_density, chip.accel_noise_density], 3)
-    return TwinImu(
-        position=np.array(sensors.positions_m) + model.mocap.centre,
+    return sensors.TwinImu(
+        position=np.array(chips.positions_m) + model.mocap.centre,
         bias=bias,
-        white=np.array([white] * IMUS),
+        white=np.array([white] * sensors.IMUS),
         broad=np.outer(ratio, broad),
         line=_line(airframe, session * np.outer(ratio, line), specimen.second_harmonic),
         hover=hover,
         shape=shape,
         filters=filters,
-        span=np.repeat([sensors.gyro_range_rad_s, sensors.accel_range_m_s2], 3),
-        lsb=np.repeat([sensors.gyro_lsb_rad_s, sensors.accel_lsb_m_s2], 3),
+        span=np.repeat([chips.gyro_range_rad_s, chips.accel_range_m_s2], 3),
+        lsb=np.repeat([chips.gyro_lsb_rad_s, chips.accel_lsb_m_s2], 3),
         gyro_period=period,
     )
 
@@ -363,7 +338,7 @@ def _imus(airframe: Airframe, recorded: RecordedSet, model: Model, session: floa
 def _line(airframe: Airframe, level: FloatArray, second: float) -> FloatArray:
     """(2, 6, 2, n, 2) amplitudes of the specimen's rotors; their squares sum to 2 level^2, (2, 6)."""
     n, rng = len(airframe.vehicle.rotors), _specimen_stream(airframe, LINE)
-    share = rng.uniform(0.5, 1.5, (IMUS, CHANNELS, HARMONICS, n))
+    share = rng.uniform(0.5, 1.5, (sensors.IMUS, sensors.CHANNELS, sensors.HARMONICS, n))
     share /= np.sqrt((share**2).sum(axis=-1, keepdims=True))
     phase = rng.uniform(0.0, 2.0 * np.pi, share.shape)
     amplitude = math.sqrt(2.0) * level[:, :, None, None] * np.array([1.0, second])[:, None] * share

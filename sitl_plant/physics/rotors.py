@@ -19,7 +19,7 @@ from typing import NamedTuple
 from mavdiag.jit import jit
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import S_PER_H
-from sitl_plant.physics.dynamics import STAGES
+from sitl_plant.physics.dynamics import STAGES, WRENCH
 
 
 class Rotors(NamedTuple):
@@ -102,7 +102,9 @@ def advance_rotors(
 
     wrench: (3, 8), rows as in `sitl_plant.physics.dynamics`; overwritten.
     """
-    wrench[:] = 0.0
+    for stage in range(STAGES):
+        for k in range(WRENCH):
+            wrench[stage, k] = 0.0
     for i in range(len(state.speed)):
         start, lag, azimuth = state.speed[i], rotors.lag[i], state.azimuth[i]
         excess = start - command[i]
@@ -117,7 +119,7 @@ def advance_rotors(
             thrust, slow = lift * gain, condition.thrust_lag[i]
             if slow > 0.0:
                 thrust += (state.thrust[i] - thrust) * math.exp(-0.5 * stage * dt / slow)
-            _add_forces(wrench[stage], rotors, condition, i, speed, theta, thrust, lift)
+            _add_rotor(wrench, stage, rotors, condition, i, speed, theta, thrust, lift)
             wrench[stage, 7] -= rotors.inertia * rotors.sign[i] * excess * decay / lag
             decay *= half
         if 2.0 * math.pi <= theta < 4.0 * math.pi:
@@ -128,18 +130,26 @@ def advance_rotors(
 
 
 @jit
-def _add_forces(
-    row: FloatArray, rotors: Rotors, health: Condition, i: int, speed: float, theta: float, thrust: float, lift: float
+def _add_rotor(
+    wrench: FloatArray,
+    at: int,
+    rotors: Rotors,
+    health: Condition,
+    i: int,
+    speed: float,
+    theta: float,
+    thrust: float,
+    lift: float,
 ) -> None:
     sign, x, y, z = rotors.sign[i], rotors.hub[i, 0], rotors.hub[i, 1], rotors.hub[i, 2]
     cosine, sine, squared = math.cos(theta), sign * math.sin(theta), speed * speed
     u_x, u_y = health.unbalance[i, 0], health.unbalance[i, 1]
     d_x, d_y = health.lift_offset[i, 0], health.lift_offset[i, 1]
     f_x, f_y = (cosine * u_x - sine * u_y) * squared, (sine * u_x + cosine * u_y) * squared
-    row[0] += f_x
-    row[1] += f_y
-    row[2] -= thrust
-    row[3] -= (y + sine * d_x + cosine * d_y) * thrust + z * f_y
-    row[4] += (x + cosine * d_x - sine * d_y) * thrust + z * f_x
-    row[5] += x * f_y - y * f_x - sign * lift * health.drag_gain[i] * rotors.torque_per_thrust
-    row[6] += rotors.inertia * sign * speed
+    wrench[at, 0] += f_x
+    wrench[at, 1] += f_y
+    wrench[at, 2] -= thrust
+    wrench[at, 3] -= (y + sine * d_x + cosine * d_y) * thrust + z * f_y
+    wrench[at, 4] += (x + cosine * d_x - sine * d_y) * thrust + z * f_x
+    wrench[at, 5] += x * f_y - y * f_x - sign * lift * health.drag_gain[i] * rotors.torque_per_thrust
+    wrench[at, 6] += rotors.inertia * sign * speed

@@ -192,13 +192,15 @@ def feel(x: FloatArray, dx: FloatArray, position: FloatArray, truth: FloatArray)
 def advance_imu(
     state: ImuState, imu: Imu, condition: SensorCondition, truth: FloatArray, normals: FloatArray, row: int, dt: float
 ) -> None:
-    """Read the sensors once. truth: (6,), normals: (steps, 6). The reading is left in `state.reading`."""
-    soft = imu.mount[0] != RIGID[0]
+    """Read the sensors once. truth: (6,), overwritten; normals: (steps, 6). The reading is left in `state.reading`."""
+    if imu.mount[0] != RIGID[0]:
+        for i in range(CHANNELS):
+            if i != YAW_RATE:
+                truth[i] = biquad(state.mounted, i, 0, imu.mount, truth[i])
     for i in range(CHANNELS):
-        felt = biquad(state.mounted, i, 0, imu.mount, truth[i]) if soft and i != YAW_RATE else truth[i]
         state.drifted[i] += condition.drift[i] * dt
         noise = np.sqrt(imu.noise[i] * imu.noise[i] + condition.noise[i] * condition.noise[i]) * normals[row, i]
-        value = condition.scale[i] * felt + imu.bias[i] + condition.offset[i] + state.drifted[i] + noise
+        value = condition.scale[i] * truth[i] + imu.bias[i] + condition.offset[i] + state.drifted[i] + noise
         state.reading[i] = biquad(state.memory, i, 0, imu.filter, value)
 
 

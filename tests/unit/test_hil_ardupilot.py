@@ -44,8 +44,7 @@ def test_flight_time_is_frames_over_rate(rate_hz: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("output", "roll", "pitch", "yaw"),
-    [(0, -1, 1, 1), (1, 1, -1, 1), (2, 1, 1, -1), (3, -1, -1, -1)],
+    ("output", "roll", "pitch", "yaw"), [(0, -1, 1, 1), (1, 1, -1, 1), (2, 1, 1, -1), (3, -1, -1, -1)]
 )
 def test_each_output_turns_the_motor_of_the_quad_x(output: int, roll: int, pitch: int, yaw: int) -> None:
     """ArduPilot's quad X: 1 front right and 2 rear left counter-clockwise, 3 front left and 4 rear right clockwise."""

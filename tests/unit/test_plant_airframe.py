@@ -10,14 +10,7 @@ from scipy.stats import expon, kstest, uniform
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.air import dryden
-from sitl_plant.physics.airframe import (
-    NO_PAYLOAD,
-    Payload,
-    PickUp,
-    drone,
-    in_session_number,
-    with_propellers,
-)
+from sitl_plant.physics.airframe import NO_PAYLOAD, Payload, PickUp, drone, in_session_number, with_propellers
 from sitl_plant.physics.kernel import OUTAGE_S, Outages, Streams
 from sitl_plant.physics.parameters import body_with_payload, initial_state, make_model, reload
 from sitl_plant.physics.trajectory import Shape, path

@@ -79,7 +79,7 @@ def ask(
     reference = np.array([*target, 0.0, 0.0, 0.0, target_yaw, 0.0, motors])
     for _ in range(steps):
         pose = np.array([0.0, 0.0, 0.0, yaw])
-        control(state, gains(), reference, pose, np.zeros(3), estimate[5], np.array(estimate), 15.0, 0.001)
+        control(state, gains(), reference, pose, np.zeros(3), estimate[5], np.array(estimate), None, 15.0, 0.001)
     return state.duty
 
 
@@ -148,7 +148,7 @@ def test_motors_are_off_or_idle_on_the_ground_and_the_integrals_wait(
     state = fresh()
     reference = np.array([0.3, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, motors])
     pose = np.array([0.0, 0.0, -height, 0.0])
-    control(state, gains(), reference, pose, np.zeros(3), 0.0, np.zeros(9), 15.0, 0.001)
+    control(state, gains(), reference, pose, np.zeros(3), 0.0, np.zeros(9), None, 15.0, 0.001)
     assert state.motors[0] == armed
     if duty is not None:
         np.testing.assert_array_equal(state.duty, duty)
@@ -187,12 +187,7 @@ def test_the_mixer_is_the_manufacturers_motor_matrix() -> None:
     """Rows M1 to M4, FLU: [.25, -+1/2 Lr, +-1/2 Lp, +-Kt/4]; pitch and yaw change sign in FRD."""
     roll, pitch, yaw = 1 / (2 * 0.254), 1 / (2 * 0.2032), 68.9055 / 4
     printed = np.array(
-        [
-            [0.25, -roll, pitch, yaw],
-            [0.25, -roll, -pitch, -yaw],
-            [0.25, roll, pitch, -yaw],
-            [0.25, roll, -pitch, yaw],
-        ]
+        [[0.25, -roll, pitch, yaw], [0.25, -roll, -pitch, -yaw], [0.25, roll, pitch, -yaw], [0.25, roll, -pitch, yaw]]
     )
     np.testing.assert_allclose(np.linalg.pinv(allocation(VEHICLE)), printed * [1, 1, -1, -1], atol=1e-12)
 

@@ -125,7 +125,7 @@ def test_all_axes_but_yaw_pass_the_mount() -> None:
     direct = Imu(z(3), z(CHANNELS), z(CHANNELS), (1.0, 0.0, 0.0, 0.0, 0.0), mount)
     state, felt = ImuState(z((CHANNELS, 2)), z(CHANNELS), z(CHANNELS), z((CHANNELS, 2))), np.empty((400, 6))
     for row, truth in enumerate(given):
-        advance_imu(state, direct, HEALTHY, truth, z((1, 6)), 0, DT)
+        advance_imu(state, direct, HEALTHY, truth.copy(), z((1, 6)), 0, DT)
         felt[row] = state.reading
     b0, b1, b2, a1, a2 = mount
     expected = lfilter([b0, b1, b2], [1.0, a1, a2], given, axis=0)
