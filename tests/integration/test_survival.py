@@ -86,18 +86,6 @@ def test_a_link_that_was_cut_is_judged_again(watching: Callable[..., Bench], cut
     assert finds_a_fault(bench)
 
 
-@pytest.mark.parametrize("half_s", [0.2, 4.0])
-def test_a_flapping_link_ends_in_judging(watching: Callable[..., Bench], half_s: float) -> None:
-    bench = watching()
-    for _ in range(10):
-        unheard(bench, half_s)
-        bench.run(half_s)
-    bench.run(6.0)
-    assert bench.daemon.fleet.link.vehicles[1].reboots == 0
-    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
-    assert finds_a_fault(bench)
-
-
 def test_an_error_of_the_program_takes_one_vehicle_off_and_no_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
