@@ -26,6 +26,7 @@ from mavdiag.link.samples import joined
 from mavdiag.telemetry import Instant, Signal, Telemetry
 
 WAITED_CHUNKS = 256  # kept while the streams are measured: some ten seconds (our choice)
+LOOK_S = 0.1  # between two looks at what the streams lack (our choice)
 IDLE_S = 3.0  # that nothing is judged is said after so long (our choice)
 ARMED_FROM = 0.5  # of the signal, which is 0 or 1
 PROGRESS_STEP = 25  # percent of learning between two texts
@@ -55,6 +56,7 @@ class Session:
         self._presenter, self._telling = Presenter(settings.texts_per_minute), Telling()
         self._named_values = NamedValues(1.0 / settings.named_values_hz, settings.named_values_axis)
         self._armed, self._armings = False, 0
+        self._looked = Instant(0)  # when it was asked what the streams lack
         self._unjudged: dict[str, str] = {}  # monitors that were said not to judge, with the reason
         self._effects: list[Effect] = []
         self._notices: list[Notice] = []
@@ -181,8 +183,10 @@ class Session:
         if streams.scale_doubt and not had_doubt:
             felt = f"but {streams.scale_doubt}"
             self._effects.append(Note(f"the vehicle does not feel 1 g by the scale of the profile {own.name}, {felt}"))
-        if not self._settings.negotiate or self.state in (State.FITTING, State.FAULTED):
+        looked = now - self._looked < LOOK_S and not inbox.acks
+        if looked or not self._settings.negotiate or self.state in (State.FITTING, State.FAULTED):
             return
+        self._looked = now
         effects, notices = self._negotiation.step(self._demand(inbox).wants, streams, inbox.acks, now)
         self._effects += effects
         self._notices += notices
