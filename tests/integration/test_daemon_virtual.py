@@ -198,7 +198,7 @@ class SlowHost(VirtualHost):
 
 def test_l11_looks_that_come_late_are_counted_and_told(benches: Benches) -> None:
     host = SlowHost()
-    bench = benches(Settings(connect=UDP_IN, learn=5.0), host=host)
+    bench = benches(Settings(connect=UDP_IN, learn=5.0, tick_s=0.04), host=host)
     bench.daemon.run(lambda: host.looks >= 5)
     assert "5 looks came late, by 0.06 s at most" in host.lines[-1]
     assert bench.daemon.figures().late == 5
