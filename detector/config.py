@@ -111,7 +111,7 @@ class Settings(SessionSettings):
     profile: Annotated[
         str | None, _option("NAME", "qdrone2, spec, ardupilot or px4.  [default: what the vehicle sends]")
     ] = None
-    tick_s: Annotated[float, Field(ge=0.005, le=0.5)] = 0.04  # how often the daemon looks at its links
+    tick_s: Annotated[float, Field(ge=0.005, le=0.5)] = 0.05  # how often the daemon looks at its links
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -44,14 +44,8 @@ def fit_baseline(job: FittingJob) -> Outcome:
     from mavdiag.learning.suspicions import accepted
 
     created = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-    log = Log(
-        f"vehicle {job.vehicle}, live, {created}",
-        "",
-        job.profile,
-        job.telemetry,
-        started_ns=time.time_ns(),
-        parameters=dict(job.parameters),
-    )
+    flight = (f"vehicle {job.vehicle}, live, {created}", "", job.profile, job.telemetry)
+    log = Log(*flight, started_ns=time.time_ns(), parameters=dict(job.parameters))
     try:
         baseline = learn([log], LearnOptions(airframe=job.airframe), created=created)
         if not job.accept:

@@ -21,6 +21,7 @@ from mavdiag.telemetry import Instant, Telemetry
 from mavdiag.units import NS_PER_S
 
 WARM_S = 10.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
+ASK_S = 0.5  # between two looks at what the monitors do not judge: their accounts cost more than a step (our choice)
 STREAM_S = 5.0  # how long a stream may take to come before its absence is reported (our choice)
 FLOWN_NS = 20 * NS_PER_S  # of what flew last, which shows what is usual in flight (our choice)
 LATEST_NS = 6 * NS_PER_S  # of what came last: twice `HIDDEN_S`, and no touch-down takes so long (our choice)
@@ -36,6 +37,7 @@ class Judge:
         self.judged_s = self.flight_s = 0.0  # flight time in which a deciding monitor judged, and all, so far
         self.pieces: tuple[Piece, ...] = ()  # what the latest step gave, for a display
         self._latest = ChainOutput()
+        self._asked, self._unjudged = now, dict[str, str]()  # monitors that do not judge, as asked for last
         self._memory = chain.start(held)
         self._sight = _Sight(chain)
 
@@ -107,16 +109,16 @@ class Judge:
 
         A condition outside of the envelope is named without its figures: these move, and a text that moves is news.
         """
-        if streams.began is None or now - streams.began < STREAM_S:
-            return {}
-        found = {}
+        if streams.began is None or now - streams.began < STREAM_S or now - self._asked < ASK_S:
+            return self._unjudged
+        self._asked, self._unjudged = now, {}
         for slot, account in zip(self.chain.slots, self.accounts, strict=True):
-            reasons = unjudged_s(account)
+            label = label_of(slot.monitor.name)
             if missing := streams.missing(slot.monitor.signals):
-                found[label_of(slot.monitor.name)] = f"no {LABELS[missing]}"
-            elif self.flight_s > WARM_S and not account.judged_s and reasons:
-                found[label_of(slot.monitor.name)] = max(reasons, key=lambda reason: reasons[reason])
-        return found
+                self._unjudged[label] = f"no {LABELS[missing]}"
+            elif self.flight_s > WARM_S and not account.judged_s and (reasons := unjudged_s(account)):
+                self._unjudged[label] = max(reasons, key=lambda reason: reasons[reason])
+        return self._unjudged
 
     def _count(self, output: ChainOutput) -> None:
         self.judged_s += output.judged_s

@@ -57,9 +57,8 @@ def packed(frames: Iterable[bytes]) -> Iterator[bytes]:
 class Relay:
     """Between the vehicle's link and the links behind the daemon.
 
-    recorder: a file that gets what the vehicle's link brings.
-    upward: sees what a link behind brought, and returns what of it goes to the vehicle.
-    wants: whether anybody gets the vehicle's frames.
+    recorder: a file that gets what the vehicle's link brings. upward: sees what a link behind brought, and returns what
+    of it goes to the vehicle. wants: whether anybody gets the vehicle's frames.
     """
 
     def __init__(

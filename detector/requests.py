@@ -69,13 +69,10 @@ class Handled:
 
 @dataclass(frozen=True, slots=True)
 class OwnParameter:
-    """One parameter of ours.
-
-    value: what it is now, of a session and its figures.
-    """
+    """One parameter of ours."""
 
     name: str  # at most 16 bytes
-    value: Callable[[Session, VehicleFigures], float] = field(repr=False)
+    value: Callable[[Session, VehicleFigures], float] = field(repr=False)  # what it is now
     span: tuple[float, float] | None = None  # what it may be set to; None if it is only read
 
 
@@ -98,9 +95,8 @@ _BY_NAME: Mapping[object, OwnParameter] = {parameter.name: parameter for paramet
 
 
 class Requests:
-    """Answers for all vehicles of a fleet.
+    """Answers for all vehicles of a fleet. sender: encodes for a vehicle's detector, by system id.
 
-    sender: encodes for a vehicle's detector, by system id.
     signing: of the vehicle's link, None without; frames from behind are trusted as they are.
     """
 
@@ -212,10 +208,8 @@ class Requests:
         if vehicle is None:
             return None
         if frame.msgid == MessageId.REQUEST_DATA_STREAM:
-            group, held = (
-                _field(frame, "req_stream_id"),
-                [group for group, messages in GROUPS.items() if messages & needed[vehicle]],
-            )
+            group = _field(frame, "req_stream_id")
+            held = [number for number, messages in GROUPS.items() if messages & needed[vehicle]]
             if group == ALL_GROUPS and held:
                 to, how = (vehicle, Component.AUTOPILOT1), ("req_message_rate", "start_stop")
                 rate = [int(frame.fields[field_index(frame.msgid, name)]) for name in how]

@@ -26,6 +26,7 @@ from mavdiag.link.wants import Reading
 from mavdiag.telemetry import Instant, Signal, Telemetry
 
 WAITED_CHUNKS = 256  # kept while the streams are measured: some ten seconds (our choice)
+LOOK_S = 0.1  # between two looks at what the streams lack (our choice)
 IDLE_S = 3.0  # that nothing is judged is said after so long (our choice)
 ARMED_FROM = 0.5  # of the signal, which is 0 or 1
 PROGRESS_STEP = 25  # percent of learning between two texts
@@ -33,28 +34,20 @@ FITS = 3  # fits that may fail before learning is given up (our choice)
 
 
 class Session:
-    """One vehicle's session; it begins when its first frame comes.
-
-    state, reason: where it is and why.
-    latest: when anything came from the vehicle last (host).
-    baseline: what it judges by, None until it is learned.
-    streams: what comes.
-    collection: healthy flight to learn from.
-    judge: the chain at work.
-    reboots: of the vehicle.
-    """
+    """One vehicle's session; it begins when its first frame comes."""
 
     def __init__(self, spec: SessionSpec, now: Instant) -> None:
         self.spec: Final = spec
         self._settings = settings = spec.settings
-        self.state, self.reason = State.WAITING, "the first frame came"
-        self.latest, self.reboots = now, 0
-        self.baseline = spec.baseline
-        self.judge: Judge | None = None
+        self.state, self.reason = State.WAITING, "the first frame came"  # where it is and why
+        self.latest, self.reboots = now, 0  # when anything came from the vehicle last (host)
+        self.baseline = spec.baseline  # what it judges by, None until it is learned
+        self.judge: Judge | None = None  # the chain at work
         self._held = spec.held  # what is known of the vehicle while there is no chain: an open inspection
         self._presenter, self._telling = Presenter(settings.texts_per_minute), Telling()
         self._named_values = NamedValues(1.0 / settings.named_values_hz, settings.named_values_axis)
         self._armed, self._armings = False, 0
+        self._looked = Instant(0)  # when it was asked what the streams lack
         self._unjudged: dict[str, str] = {}  # monitors that were said not to judge, with the reason
         self._effects: list[Effect] = []
         self._notices: list[Notice] = []
@@ -181,8 +174,10 @@ class Session:
         if streams.scale_doubt and not had_doubt:
             felt = f"but {streams.scale_doubt}"
             self._effects.append(Note(f"the vehicle does not feel 1 g by the scale of the profile {own.name}, {felt}"))
-        if not self._settings.negotiate or self.state in (State.FITTING, State.FAULTED):
+        looked = now - self._looked < LOOK_S and not inbox.acks
+        if looked or not self._settings.negotiate or self.state in (State.FITTING, State.FAULTED):
             return
+        self._looked = now
         effects, notices = self._negotiation.step(self._demand(inbox).wants, streams, inbox.acks, now)
         self._effects += effects
         self._notices += notices
@@ -191,7 +186,6 @@ class Session:
             self._effects += [AskParameters(names)] if names else []
 
     def _demand(self, inbox: Inbox) -> Demand:
-        """What is needed of the streams now."""
         judge, profile = self.judge, self._profile(inbox)
         rests_on = (id(self.baseline), id(judge and judge.chain), profile.imu)
         if self._demanded is None or self._demanded[0] != rests_on:
@@ -199,8 +193,7 @@ class Session:
             self._demanded = (rests_on, Demand.of(self._settings, profile, self.baseline, judged))
         return self._demanded[1]
 
-    def _profile(self, inbox: Inbox) -> Profile:
-        """The link's profile, with the IMU message that is read."""
+    def _profile(self, inbox: Inbox) -> Profile:  # of the link, with the IMU message that is read
         profile = self.spec.profile
         return profile if inbox.imu in (None, profile.imu) else replace(profile, imu=inbox.imu)
 

@@ -56,16 +56,11 @@ class Reason(StrEnum):
     GAPS = "gaps in the data"
 
 
-@dataclass(frozen=True, slots=True)
 class Hindrance:
     """A reason, and the same with the figure that goes with it."""
 
-    reason: Reason
-    text: str
-
-
-def _hindrance(reason: Reason, figure: str = "") -> Hindrance:
-    return Hindrance(reason, f"{reason} {figure}".rstrip())
+    def __init__(self, reason: Reason, figure: str = "") -> None:
+        self.reason, self.text = reason, f"{reason} {figure}".rstrip()
 
 
 class Meter:
@@ -188,9 +183,9 @@ class Streams:
     def on_ground(self, gate: GateSpec) -> Hindrance | None:
         """Why the vehicle does not count as flying, None if it does. What it never says passes, as in the gate."""
         if gate.need_armed and self.armed < 0.5:
-            return _hindrance(Reason.NOT_ARMED)
+            return Hindrance(Reason.NOT_ARMED)
         if gate.min_thrust is not None and self.thrust < gate.min_thrust:
-            return _hindrance(Reason.NOT_AIRBORNE)
+            return Hindrance(Reason.NOT_AIRBORNE)
         return None
 
 
@@ -230,22 +225,22 @@ class Demand:
         """What the streams lack, None if they will do. judging: a rate must be wrong twice before it has changed."""
         gyro, setpoint = streams.gyro, streams.meter(Signal.ATTITUDE_SETPOINT)
         if gyro.latest is None:
-            return _hindrance(Reason.NO_GYRO)
+            return Hindrance(Reason.NO_GYRO)
         if streams.scale_doubt:
-            return _hindrance(Reason.SCALE, streams.scale_doubt)
+            return Hindrance(Reason.SCALE, streams.scale_doubt)
         if self.setpoints and setpoint.latest is None:
-            return _hindrance(Reason.NO_SETPOINTS)
+            return Hindrance(Reason.NO_SETPOINTS)
         if not gyro.periods_s or (self.setpoints and not setpoint.periods_s):
-            return _hindrance(Reason.MEASURING)
+            return Hindrance(Reason.MEASURING)
         periods_s = gyro.periods_s if judging else gyro.periods_s[-1:]
         if self._slow(periods_s):
-            return _hindrance(Reason.SLOW_GYRO, f"({gyro.rate_hz:.0f} Hz)")
+            return Hindrance(Reason.SLOW_GYRO, f"({gyro.rate_hz:.0f} Hz)")
         if self.dt_s is not None:
             tolerance = (2.0 if judging else 1.0) * RATE_TOLERANCE
             if all(abs(period_s / self.dt_s - 1.0) > tolerance for period_s in periods_s):
-                return _hindrance(Reason.OTHER_RATE, f"({gyro.rate_hz:.0f} Hz)")
+                return Hindrance(Reason.OTHER_RATE, f"({gyro.rate_hz:.0f} Hz)")
         if self.setpoints and self._slow(setpoint.periods_s):
-            return _hindrance(Reason.SLOW_SETPOINTS, f"({setpoint.rate_hz:.0f} Hz)")
+            return Hindrance(Reason.SLOW_SETPOINTS, f"({setpoint.rate_hz:.0f} Hz)")
         return None
 
     def _slow(self, periods_s: Sequence[float]) -> bool:

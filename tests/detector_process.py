@@ -36,7 +36,10 @@ def running(
     )
     try:
         assert child.stderr is not None
-        yield child, child.stderr.readline()
+        first = child.stderr.readline()
+        while "compiling" in first:  # on a machine that has much to do
+            first = child.stderr.readline()
+        yield child, first
     finally:
         if child.poll() is None:
             child.terminate()

@@ -8,7 +8,7 @@ from commanded import PLANT, Vehicle
 
 from mavdiag.link.messages import MavCmd, MavResult, MessageId
 from sitl_plant.autopilot.dialect import Mode
-from sitl_plant.autopilot.stream import HOME_ALT_M, to_global
+from sitl_plant.autopilot.stream import to_global
 from sitl_plant.physics.faults import Injection
 
 NAN = float("nan")
@@ -52,29 +52,6 @@ def test_a_flight_by_command_from_the_ground_to_the_ground(profile: str) -> None
     assert vehicle.autopilot.dialect.custom_mode != vehicle.code(Mode.GUIDED)
     texts = [reply.fields[1] for reply in vehicle.said if reply.msgid == MessageId.STATUSTEXT]
     assert texts == ["Armed", "Refused: disarming is denied in flight", "Disarmed"]
-
-
-def test_a_landing_is_followed_by_another_take_off() -> None:
-    vehicle = in_flight()
-    for _ in range(2):
-        assert vehicle.order(MavCmd.NAV_LAND) == MavResult.ACCEPTED
-        vehicle.fly(9.0)
-        assert not vehicle.armed
-        assert vehicle.order(MavCmd.NAV_TAKEOFF) == MavResult.TEMPORARILY_REJECTED  # not armed
-        assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 1) == MavResult.ACCEPTED
-        assert vehicle.order(MavCmd.NAV_TAKEOFF, 0, 0, 0, NAN, NAN, NAN, HOME_ALT_M + 1.0) == MavResult.ACCEPTED
-        vehicle.fly(4.0)
-        assert vehicle.place[2] == pytest.approx(-1.0, abs=0.15)
-        assert vehicle.autopilot.dialect.custom_mode == vehicle.code(Mode.HOLD)
-
-
-def test_armed_and_forgotten_it_disarms() -> None:
-    vehicle = Vehicle()
-    assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 1) == MavResult.ACCEPTED
-    vehicle.fly(9.0)
-    assert vehicle.armed
-    vehicle.fly(2.0)
-    assert not vehicle.armed
 
 
 def test_copter_takes_off_in_guided_only() -> None:

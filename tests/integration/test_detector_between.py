@@ -56,7 +56,8 @@ def test_mavsdk_behind_the_detector_meets_the_vehicle_and_gets_the_alert(baselin
         )
         try:
             assert detector.stderr is not None
-            port = re.findall(r"127\.0\.0\.1:(\d+)", detector.stderr.readline())[1]
+            ready = next(line for line in detector.stderr if line.startswith("ready"))
+            port = re.findall(r"127\.0\.0\.1:(\d+)", ready)[1]
             text = asyncio.run(asyncio.wait_for(wait_for_the_fault(f"udpout://127.0.0.1:{port}"), PATIENCE_S))
         finally:
             detector.terminate()

@@ -16,7 +16,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.cli import app
 from mavdiag.decision.alarm import NOTHING_SEEN
 from mavdiag.decision.diagnosis import Change, RotorSpan, Stage
-from mavdiag.errors import InputError, UsageError
+from mavdiag.errors import UsageError
 from mavdiag.inspections import Inspections
 from mavdiag.link.codec import Encoder, decode_statustext
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
@@ -176,13 +176,6 @@ def test_an_acknowledgement_without_a_running_detector_is_taken_up_at_its_start(
     kept = Inspections(journal, print)
     assert kept.acknowledged() == [(2, "mavdiag ack by Bo")]
     assert kept.acknowledged() == []
-
-
-@pytest.mark.parametrize("text", ["", "{", '{"inspections": [{"vehicle": 0}]}', '{"other": 1}'])
-def test_a_damaged_file_of_inspections_is_named_with_what_to_do(tmp_path: Path, text: str) -> None:
-    (tmp_path / "j.open").write_text(text)
-    with pytest.raises(InputError, match=r"j\.open: no list of open inspections; look at the vehicles"):
-        Inspections(tmp_path / "j", print)
 
 
 def test_a_disk_that_cannot_be_written_stops_nothing(tmp_path: Path) -> None:

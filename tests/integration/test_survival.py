@@ -3,8 +3,6 @@
 import errno
 import json
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from datetime import datetime, timedelta
@@ -86,18 +84,6 @@ def test_a_link_that_was_cut_is_judged_again(watching: Callable[..., Bench], cut
     assert finds_a_fault(bench)
 
 
-@pytest.mark.parametrize("half_s", [0.2, 4.0])
-def test_a_flapping_link_ends_in_judging(watching: Callable[..., Bench], half_s: float) -> None:
-    bench = watching()
-    for _ in range(10):
-        unheard(bench, half_s)
-        bench.run(half_s)
-    bench.run(6.0)
-    assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
-    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
-    assert finds_a_fault(bench)
-
-
 def test_an_error_of_the_program_takes_one_vehicle_off_and_no_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -163,47 +149,6 @@ def test_a_baseline_that_finds_the_disk_full_leaves_the_old_one_and_watching_goe
     assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
     assert finds_a_fault(bench)
     bench.close()
-
-
-def _daemon(baseline: Path, *options: str, limit: str = "unlimited") -> tuple["subprocess.Popen[str]", str]:
-    """A daemon as a process that may write files of so many KiB, and the address to send to."""
-    command = [sys.executable, "-m", "detector", "--connect", UDP_IN, "--baseline", str(baseline), *options]
-    child = subprocess.Popen(
-        ["bash", "-c", f'ulimit -f {limit}; exec "$@"', "-", *command], stderr=subprocess.PIPE, text=True
-    )
-    assert child.stderr is not None
-    line = child.stderr.readline()
-    return child, line.split()[1].rstrip(",").replace("udpin", "udpout")
-
-
-def _alarmed(address: str, vehicle: MadeVehicle, patience_s: float = PATIENCE_S) -> bool:
-    """Fly in real time, with a fault from 4 s on, until an alarm comes back."""
-    begun, done = time.monotonic(), 0
-    with open_endpoint(address) as endpoint:
-        while (s := time.monotonic() - begun) < patience_s:
-            vehicle.turning = 0.5 if s > 4.0 else 0.0
-            for frame in vehicle.samples(int(s * RATE_HZ) - done):
-                endpoint.send(frame)
-            done = max(done, int(s * RATE_HZ))
-            time.sleep(0.02)
-            texts = [decode_statustext(one) for one in received(endpoint) if one.msgid == MessageId.STATUSTEXT]
-            if any(one.severity <= Severity.CRITICAL for one in texts):
-                return True
-    return False
-
-
-@pytest.mark.realtime
-def test_a_daemon_that_was_killed_watches_again_when_it_is_started(tmp_path: Path) -> None:
-    baseline_for().save(tmp_path / "b.json")
-    vehicle = MadeVehicle(1)
-    for _ in range(2):
-        child, address = _daemon(tmp_path / "b.json", "--journal", str(tmp_path / "j.jsonl"))
-        try:
-            assert _alarmed(address, vehicle)
-        finally:
-            child.kill()
-            child.communicate()
-    assert (tmp_path / "j.jsonl").read_text().count('"kind": "start"') == 2
 
 
 @pytest.mark.realtime

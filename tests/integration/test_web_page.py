@@ -29,7 +29,6 @@ from mavdiag.link.ports import open_endpoint
 from mavdiag.telemetry import Axis, Instant
 
 pytestmark = pytest.mark.realtime
-ARROW_LEFT = "\ue012"  # WebDriver 17.4.2
 HOSTILE = '<img src=x onerror="window.hurt=1"><script>window.hurt=1</script>\u202e{{7*7}}'
 
 
@@ -200,28 +199,6 @@ def test_a_server_that_is_killed_costs_the_page_no_event(chromium: Any, process:
 
 def host_now() -> Instant:
     return Instant(time.monotonic_ns())
-
-
-def test_a_detector_that_falls_silent_or_is_gone_is_not_shown_as_live(chromium: Any, process: ServerProcess) -> None:
-    open_page(chromium, process)
-    wait_for(lambda: text(chromium, "#connection") == "nothing comes from the detector")
-    give(process, fleet(1))
-    wait_for(lambda: text(chromium, "#connection") == "live")
-    process.close()
-    wait_for(lambda: text(chromium, "#connection") == "no connection; trying again")
-
-
-def test_tabs_are_reached_by_the_keyboard(chromium: Any, process: ServerProcess) -> None:
-    open_page(chromium, process)
-    give(process, fleet(1, 2, 9))
-    wait_for(lambda: chromium.execute_script("return document.querySelectorAll('[role=tab]').length") == 3)
-    chromium.execute_script("document.querySelector('[role=tab][aria-selected=true]').focus()")
-    chromium.switch_to.active_element.send_keys(ARROW_LEFT)
-    wait_for(lambda: chromium.execute_script("return mavdiag.vehicle") == 9)
-    give(process, about(9), now(9, 0, sentence="No fault found"))
-    wait_for(lambda: text(chromium, "#level-text") == "No fault found")
-    assert chromium.execute_script("return document.activeElement.dataset.vehicle") == "9"
-    assert chromium.title == "No fault found – vehicle 9 – mavdiag"
 
 
 @pytest.mark.parametrize(("name", "width", "scheme"), [("dark", 1400, "dark"), ("phone", 390, "light")])

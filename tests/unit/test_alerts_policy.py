@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from detector.alerts import GAP_S, TEXT_BYTES, Kind, Notice, Presenter, Telling
+from detector.alerts import TEXT_BYTES, Kind, Notice, Presenter, Telling
 from detector.streams import Reason
 from detector.values import Effect, SendText, TextSuppressed
 from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
@@ -164,14 +164,6 @@ def test_news_about_a_lasting_matter_waits_two_seconds_and_is_not_lost() -> None
         effects = say(presenter, tick / 10, pitch)
         said += [tick / 10 for effect in effects if isinstance(effect, SendText)]
     assert said == [2.0]
-
-
-def test_the_same_text_within_two_seconds_is_held_back_and_counted() -> None:
-    lost = Notice(Kind.LINK_LOST)
-    presenter = Presenter()
-    first, second, third = (say(presenter, at_s, lost) for at_s in (0.0, 1.0, GAP_S))
-    assert [type(effects[0]) for effects in (first, second, third)] == [SendText, TextSuppressed, SendText]
-    assert presenter.suppressed == 1
 
 
 def test_chatter_cannot_use_up_the_budget_of_faults() -> None:

@@ -46,13 +46,6 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, text: str, words: st
     assert "\n" not in str(caught.value)
 
 
-def test_the_environment_wins_over_the_file_and_the_command_line_over_both(tmp_path: Path) -> None:
-    path = written(tmp_path, "learn = 30.0\nsave = 'b.json'\nvehicle = 3\nlink_lost_s = 8.0\n")
-    environ = {"MAVDIAG_DETECTOR_VEHICLE": "4", "MAVDIAG_DETECTOR_LINK_LOST_S": " 9 ", "MAVDIAG_DETECTOR_NAME": ""}
-    settings = load_settings(path, {"vehicle": 5}, environ)
-    assert (settings.learn, settings.link_lost_s, settings.vehicle, settings.name) == (30.0, 9.0, 5, None)
-
-
 def test_the_environment_can_say_all_of_it(tmp_path: Path) -> None:
     environ = {
         "MAVDIAG_DETECTOR_CONFIG": str(written(tmp_path, "learn = 30.0\nsave = 'b.json'\n")),

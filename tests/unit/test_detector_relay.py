@@ -46,7 +46,3 @@ def test_a_byte_stream_is_put_together_wherever_it_was_cut() -> None:
     stream, splitter = b"".join(frames(20)), FrameSplitter(datagrams=False)
     found = [frame for k in range(0, len(stream), 7) for frame in splitter.split(stream[k : k + 7])]
     assert found == frames(20)
-
-
-def test_bytes_outside_of_frames_are_passed_on() -> None:
-    assert b"".join(FrameSplitter(datagrams=False).split(b"hello" + frames(1)[0])) == b"hello" + frames(1)[0]

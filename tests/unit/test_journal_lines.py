@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 from made_session import baseline_for
@@ -20,47 +21,11 @@ from mavdiag.units import NS_PER_S
 
 NOW = datetime(2026, 5, 1, 12, 0, 30, 250_000, tzinfo=UTC)
 WHEN = When(NOW, 1, 62_500_000_000)
-EVENT = Event(
-    monitor="fsd",
-    axis=Axis.ROLL,
-    start_ns=60_000_000_000,
-    end_ns=62_000_000_000,
-    statistic=0.41,
-    threshold=0.12,
-    level=0.05,
-    rotor=None,
-    fault_type=None,
-    severity=None,
-    confidence=None,
-)
-CHANGE = Change(
-    stage=Stage.SUSPECTED,
-    t_ns=60_000_000_000,
-    reason="fsd is above its threshold",
-    monitor="fsd",
-    axis=Axis.ROLL,
-    unit="s",
-    statistic=0.41,
-    threshold=0.12,
-    rotor=None,
-    confidence=None,
-    fault_type=None,
-    severity=None,
-)
-CONTRACT = {
-    "t_s",
-    "end_s",
-    "monitor",
-    "axis",
-    "statistic",
-    "threshold",
-    "fsd_s",
-    "fml_s",
-    "rotor",
-    "fault_type",
-    "severity",
-    "confidence",
-}
+FOUND: dict[str, Any] = {"monitor": "fsd", "axis": Axis.ROLL, "statistic": 0.41, "threshold": 0.12}
+FOUND |= dict.fromkeys(("rotor", "fault_type", "severity", "confidence"))
+EVENT = Event(start_ns=60_000_000_000, end_ns=62_000_000_000, level=0.05, **FOUND)
+CHANGE = Change(60_000_000_000, Stage.SUSPECTED, "fsd is above its threshold", unit="s", **FOUND)
+CONTRACT = {"t_s", "end_s", "fsd_s", "fml_s", *FOUND}
 
 
 def test_an_event_has_the_contracts_fields_and_both_clocks() -> None:

@@ -134,16 +134,6 @@ def gyro(*t_ns: int) -> Series:
     return Series(Signal.BODY_RATE, times, times, np.zeros((len(times), 3)))
 
 
-def test_refused_frames_and_the_wait_for_a_turn_are_shown(metrics: Metrics) -> None:
-    bench = flown(metrics)
-    figures = replace(bench.daemon.figures(), refused=(("signature wrong", 3),), delay_s=0.7)
-    metrics.show(figures, 0)
-    text = page(metrics)
-    assert 'mavdiag_frames_refused_total{cause="signature wrong"} 3.0' in text
-    assert "mavdiag_turn_delay_seconds 0.7" in text
-    bench.close()
-
-
 def test_requests_that_are_never_ended_cost_no_thread_and_hide_no_page(metrics: Metrics) -> None:
     bench = flown(metrics)
     threads = threading.active_count()

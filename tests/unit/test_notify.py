@@ -45,14 +45,6 @@ def test_each_fact_is_a_datagram_and_a_status_is_said_once(manager: socket.socke
     assert told(manager) == ["READY=1", "WATCHDOG=1", "STATUS=one line", "WATCHDOG=1", "STOPPING=1"]
 
 
-@pytest.mark.parametrize("more", [{}, {"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": str(os.getpid() + 1)}])
-def test_a_watchdog_that_is_off_or_of_another_process_is_not_fed(manager: socket.socket, more: dict[str, str]) -> None:
-    notifier = Notifier(environ(manager, **more))
-    notifier.status("works", alive=True)
-    notifier.close()
-    assert told(manager) == ["STATUS=works"]
-
-
 def test_an_abstract_socket_is_reached() -> None:
     name = f"mavdiag-test-{os.getpid()}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as one:

@@ -223,12 +223,6 @@ def test_an_unknown_layout_is_said_once_as_judging_begins() -> None:
     assert not [text for text in texts(watching().fly(10.0)) if "layout" in text]
 
 
-def test_the_parameters_that_passed_by_go_with_the_flight_to_learn_from() -> None:
-    for parameters in ({}, {"FRAME_CLASS": 1.0}):
-        effects = Story(parameters=parameters).fly(26.0)
-        assert [one.parameters for one in effects if isinstance(one, Learn)] == [parameters]
-
-
 def test_missing_streams_are_asked_for_and_what_came_is_told() -> None:
     story = Story()
     effects = story.fly(3.0, without=(Signal.ATTITUDE_SETPOINT, Signal.BODY_RATE))
@@ -322,16 +316,6 @@ def test_learning_that_failed_three_times_is_off_until_the_vehicle_starts_anew()
 
 def loud(effects: list[Effect]) -> list[str]:
     return [e.text for e in effects if isinstance(e, SendText) and e.severity <= Severity.CRITICAL]
-
-
-def test_b3_a_fault_of_the_last_flight_does_not_alarm_at_the_next_take_off() -> None:
-    story = faulty()
-    story.fly(40.0, armed=False)
-    assert story.at(State.MONITORING)
-    effects = story.fly(30.0)
-    assert loud(effects) == []
-    assert not [e for e in effects if isinstance(e, EventOpened | EventClosed)]
-    assert story.at(State.MONITORING)
 
 
 def test_l4_a_take_off_is_silent_and_what_lasts_is_told_after_it() -> None:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from mavdiag.link.messages import MavResult, MessageId
 from sitl_plant.autopilot.dialect import dialect_named
-from sitl_plant.autopilot.schedule import DEFAULT_INTERVAL, NEVER, Schedule
+from sitl_plant.autopilot.schedule import Schedule
 
 FAST, SLOW, QUIET = 27, 0, 105
 STEP_NS = 1_000_000
@@ -15,14 +15,6 @@ STEP_NS = 1_000_000
 
 def times(first: int, n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     return np.arange(first, first + n, dtype=np.int64) * STEP_NS
-
-
-def count(schedule: Schedule, msgid: int, first: int, n: int, block: int = 7) -> int:
-    total = 0
-    for start in range(first, first + n, block):
-        due = dict(schedule.due(times(start, min(block, first + n - start))))
-        total += len(due.get(msgid, ()))
-    return total
 
 
 def schedule() -> Schedule:
@@ -40,19 +32,6 @@ def test_any_rate_is_met_to_one_message_however_the_time_is_cut(rate_hz: float, 
     whole = Schedule({FAST: rate_hz}, ceiling_hz=1000.0).due(times(0, first))
     assert rows == dict(whole)[FAST].tolist()
     assert abs(len(rows) - first * 1e-3 * rate_hz) <= 1.0
-
-
-def test_an_interval_is_changed_restored_and_silenced() -> None:
-    one = schedule()
-    count(one, FAST, 0, 100)
-    assert one.set_interval(FAST, 10_000) is MavResult.ACCEPTED
-    assert one.interval_us(FAST) == 10_000
-    assert count(one, FAST, 100, 1000) == 100
-    assert one.set_interval(FAST, NEVER) is MavResult.ACCEPTED
-    assert one.interval_us(FAST) == NEVER
-    assert count(one, FAST, 1100, 1000) == 0
-    assert one.set_interval(FAST, DEFAULT_INTERVAL) is MavResult.ACCEPTED
-    assert count(one, FAST, 2100, 1000) == 1000
 
 
 @pytest.mark.parametrize(("msgid", "interval_us"), [(FAST, 999 / 1.01), (FAST, 1), (999, 10_000)])

@@ -52,11 +52,6 @@ def test_another_sites_script_is_refused(headers: Mapping[str, str], path: str, 
     assert judged(LOCAL, path, **headers) is answer
 
 
-@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "HEAD", "OPTIONS", "TRACE", "get"])
-def test_it_is_read_and_nothing_else(method: str) -> None:
-    assert judged(LOCAL, "/", method) is Answer.NOT_A_GET
-
-
 def test_the_token_is_asked_for_everywhere() -> None:
     assert judged(OPEN, "/") is Answer.NO_TOKEN
     assert judged(OPEN, "/", token="wrong") is Answer.NO_TOKEN
