@@ -526,7 +526,7 @@ def _hold(s: _Streams, place: int, rows: IntArray, x: FloatArray) -> int:
         for column in range(v.shape[1]):
             x[FIRST[place] + column, i:stop] = v[at, column] if known else np.nan
         i = stop
-    return at
+    return int(at)
 
 
 @jit
@@ -559,7 +559,7 @@ def _interpolate(s: _Streams, place: int, rows: IntArray, x: FloatArray, flags: 
             flags[place, i] = _usable(s, place, rows[i], gap, place == GYRO and x[3, i] > 0.0)
             if place == GYRO:
                 x[3, i] = math.ceil(x[3, i])
-    return at
+    return int(at)
 
 
 @inline
