@@ -146,10 +146,6 @@ class GateSpec:
             return [part for part in parts if isinstance(part, Block)]
         return _break_off(state)
 
-    def flying(self, block: Block) -> BoolArray:
-        """(n,) True for the rows that count as flying, as far as each row tells alone."""
-        return np.asarray(self._kinds(block) == UP, dtype=np.bool_)
-
     def _interrupted(self, state: GateState) -> Iterator[Block | Border]:
         if state.airborne:
             yield from _break_off(state)

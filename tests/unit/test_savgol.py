@@ -28,19 +28,6 @@ def test_coefficients_equal_scipy(window: int, order: int) -> None:
     assert_allclose(2 * C[2], savgol_coeffs(window, order, deriv=2, use="dot"), atol=1e-14)
 
 
-def test_a_polynomial_of_the_filters_order_passes_unchanged() -> None:
-    t = np.arange(200) * 0.01
-    x = 3.0 - 2.0 * t + 5.0 * t**2
-    assert_allclose(smooth(x, 21), x[10:-10], rtol=1e-12)
-    assert_allclose(derivative(x, 0.01, 21), (-2.0 + 10.0 * t)[10:-10], rtol=1e-10, atol=1e-12)
-
-
-def test_value_and_slope_have_the_same_delay_of_m_samples() -> None:
-    step = np.r_[np.zeros(300), np.ones(300)]
-    assert_allclose(np.interp(0.5, smooth(step, 101), np.arange(500)) + 50, 299.5, atol=1e-9)
-    assert np.argmax(derivative(step, 0.001, 101)) + 50 in (299, 300)
-
-
 def test_octave_reference_on_every_row() -> None:
     folder = shared("reference/octave")
     x = np.loadtxt(folder / "sg_input.csv")
@@ -57,27 +44,15 @@ def test_octave_reference_on_every_row() -> None:
         assert_allclose(np.column_stack([value, slope])[ends], reference[ends], rtol=1e-9, atol=1e-9)
 
 
-def test_noise_gain_is_the_sum_of_squared_taps() -> None:
-    rng = np.random.default_rng(7)
-    smoothed = smooth(rng.standard_normal(200_000), 101)
-    assert_allclose(smoothed.std(), np.sqrt(np.sum(coefficients(101)[0] ** 2)), rtol=0.03)
-
-
 def test_nan_spoils_only_its_own_windows() -> None:
-    x = np.sin(np.arange(100.0))
+    x = np.sin(np.outer(np.arange(100.0), [1.0, 2.0]))
     holed = x.copy()
-    holed[40] = np.nan
+    holed[40, 1] = np.nan
     clean, spoiled = smooth(x, 11), smooth(holed, 11)
     hit = np.isnan(spoiled)
     assert hit.sum() == 11
     assert_allclose(spoiled[~hit], clean[~hit], rtol=0)
-
-
-def test_too_short_gives_nothing_and_columns_are_independent() -> None:
-    assert smooth(np.ones(10), 11).shape == (0,)
-    assert smooth(np.ones((10, 3)), 11).shape == (0, 3)
-    x = np.random.default_rng(1).standard_normal((50, 2))
-    assert_allclose(smooth(x, 11)[:, 1], smooth(x[:, 1].copy(), 11), rtol=0)
+    assert smooth(x[:10], 11).shape == (0, 2)
 
 
 @pytest.mark.parametrize(
