@@ -27,9 +27,9 @@ from mavdiag.identify import fit
 from mavdiag.identify.lab.sweep import window_sweep
 from mavdiag.identify.validate import r_squared
 from mavdiag.rows.rates import RateSpec
-from mavdiag.rows.savgol import SavgolFilter
-from mavdiag.testing import example_rows
+from mavdiag.rows.savgol import coefficients
 from mavdiag.telemetry import FloatArray
+from mavdiag.testing import example_rows
 from sitl_plant.plant import Plant, PlantConfig
 
 DT_S = 0.001
@@ -53,8 +53,8 @@ class Roll:
 
     def rates(self, window: int) -> tuple[FloatArray, FloatArray]:
         """u and y behind the window [rad/s]."""
-        slope, value = SavgolFilter.differentiator(window, DT_S), SavgolFilter.smoother(window)
-        return slope.batch(self.setpoint), value.batch(self.gyro)
+        value, slope, _ = coefficients(window)
+        return np.correlate(self.setpoint, slope / DT_S, "valid"), np.correlate(self.gyro, value, "valid")
 
 
 @dataclass(frozen=True, slots=True)
