@@ -164,6 +164,9 @@ class GateSpec:
         known = np.isfinite(block.thrust)
         if self.min_thrust is None or (state.thrust_ns is None and not known.any()):
             return block
+        if np.count_nonzero(known) == len(known):
+            state.thrust_ns = int(block.t_ns[-1])
+            return block
         first_ns = int(block.t_ns[0]) if state.thrust_ns is None else state.thrust_ns
         last_ns = np.maximum.accumulate(np.where(known, block.t_ns, first_ns))
         state.thrust_ns = int(last_ns[-1])
@@ -269,6 +272,8 @@ def shake(rate: FloatArray, dt_s: float) -> FloatArray:
 
 def _runs(kinds: IntArray) -> list[tuple[int, int]]:
     """Spans [first, stop) of equal values."""
+    if np.count_nonzero(kinds == kinds[0]) == len(kinds):
+        return [(0, len(kinds))]
     edges: IntArray = np.flatnonzero(kinds[1:] != kinds[:-1]) + 1
     starts = [0, *edges.tolist()]
     return list(zip(starts, [*edges.tolist(), len(kinds)], strict=True))

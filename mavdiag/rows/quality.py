@@ -582,7 +582,8 @@ def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]
             if series.signal in LEARNT:
                 inside = [_between(_measurable(series), *span) for span in spans_ns]
                 pieces.setdefault(series.signal, []).extend(one for one in inside if len(one) > 1)
-    habits, jitter, steps = [], 0.0, []
+    habits, jitter = [], 0.0
+    steps: list[float] = []
     for signal, parts in pieces.items():
         if len({one.values.shape[1] for one in parts}) != 1:  # never flew, or other numbers of outputs
             continue
@@ -592,7 +593,8 @@ def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]
                 continue
             runs.append(trace[:, :1] if signal is Signal.ATTITUDE_SETPOINT else trace[:, :-2].max(axis=0)[None])
             if signal is Signal.BODY_RATE:
-                jitter, steps = max(jitter, float(trace[:, -2].max())), [*steps, float(trace[-1, -1])]
+                jitter = max(jitter, float(trace[:, -2].max()))
+                steps.append(float(trace[-1, -1]))
         if not runs:
             continue
         share = STILL_SHARE if signal is Signal.ATTITUDE_SETPOINT else 1.0

@@ -90,14 +90,6 @@ def test_a_gyro_gap_above_one_second_starts_a_new_segment() -> None:
     assert np.array_equal(column(blocks, "t_ns"), holed)  # nothing is invented in between
 
 
-def test_slow_setpoints_are_interpolated_to_the_gyro() -> None:
-    t = clock(2000)
-    blocks = whole(linear_flight(t, t[::20]))
-    got = column(blocks, "setpoint")
-    np.testing.assert_allclose(got[:1981], 3 * ramp(t[:1981]), atol=1e-9)
-    assert (got[1981:] == got[1980]).all()  # after the last one
-
-
 def test_uneven_senders_are_resampled() -> None:
     rng = np.random.default_rng(3)
     t = np.sort(clock(4000) + rng.integers(-450_000, 450_000, 4000))
@@ -131,7 +123,8 @@ DROPPING = np.where(np.arange(3000) % 3 == 0, LOGGER, 4_000_000)  # R8: the medi
 def test_the_rate_is_measured_through_losses_uneven_steps_and_pauses(steps: IntArray, dt_s: float, grid: Grid) -> None:
     t = 5_000_000_000 + np.concatenate(([0], np.cumsum(steps)))
     found_s, found = measure_grid(linear_flight(t, t))
-    assert (found_s, found) == (pytest.approx(dt_s, rel=1e-3), grid)
+    assert found is grid
+    assert found_s == pytest.approx(dt_s, rel=1e-3)
 
 
 def test_too_few_samples_have_no_rate() -> None:
@@ -172,16 +165,6 @@ def test_a_setpoint_that_stops_leaves_the_gyro_rows_valid_and_is_waited_for_one_
     )
     early = SPEC.step(SPEC.start(), head)
     assert len(column(early, "t_ns")) == 3100 - 5  # no wait any more
-
-
-def test_a_setpoint_gap_is_interpolated_and_not_used_until_it_has_settled() -> None:
-    t = clock(4000)
-    blocks = whole(linear_flight(t, np.delete(t, slice(2000, 2100))))
-    np.testing.assert_allclose(column(blocks, "setpoint"), 3 * ramp(t), atol=1e-9)
-    usable = column(blocks, "setpoint_valid")
-    assert usable[:2000].all()
-    assert not usable[2000:2399].any()
-    assert usable[2400:].all()
 
 
 def with_stopped(signal: Signal, width: int, step: int = 1) -> tuple[IntArray, list[Block]]:
