@@ -48,20 +48,12 @@ def cached(function: Callable[P, R]) -> Callable[P, R]:
     A function that calls compiled ones of other files must close over `source_digest()`, so that a change of any of
     them changes numba's cache key.
     """
-    options: Any = {"error_model": "numpy"}
-    try:
-        return cast(Callable[P, R], numba.njit(cache=True, **options)(function))
-    except RuntimeError:  # nowhere to keep it
-        return cast(Callable[P, R], numba.njit(**options)(function))
+    return _kept(function)
 
 
 def cached_loop(function: Callable[P, R]) -> Callable[P, R]:
-    """As `cached`, for a function that makes no arrays."""
-    options: Any = {"error_model": "numpy", "_nrt": False}
-    try:
-        return cast(Callable[P, R], numba.njit(cache=True, **options)(function))
-    except RuntimeError:  # nowhere to keep it
-        return cast(Callable[P, R], numba.njit(**options)(function))
+    """As `cached`, for a function that makes no arrays. It needs no digest if it calls only functions of its own file."""
+    return _kept(function, _nrt=False)
 
 
 def source_digest() -> int:
@@ -70,6 +62,14 @@ def source_digest() -> int:
     for path in sorted(_sources):
         digest.update(path.read_bytes())
     return int.from_bytes(digest.digest()[:8], "little") >> 1
+
+
+def _kept(function: Callable[P, R], **more: Any) -> Callable[P, R]:
+    options: Any = {"error_model": "numpy", **more}
+    try:
+        return cast(Callable[P, R], numba.njit(cache=True, **options)(function))
+    except RuntimeError:  # nowhere to keep it
+        return cast(Callable[P, R], numba.njit(**options)(function))
 
 
 def _compiled(function: Callable[P, R], inline: Literal["never", "always"], **more: Any) -> Callable[P, R]:
