@@ -52,7 +52,7 @@ def cached(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def cached_loop(function: Callable[P, R]) -> Callable[P, R]:
-    """As `cached`, for a function that makes no arrays. It needs no digest if it calls only functions of its own file."""
+    """As `cached`, for a function that makes no arrays, and calls only functions of its own file or adds the digest."""
     return _kept(function, _nrt=False)
 
 
