@@ -26,8 +26,10 @@ from mavdiag.errors import IdentificationError
 from mavdiag.identify import fit
 from mavdiag.identify.lab.sweep import window_sweep
 from mavdiag.identify.validate import r_squared
-from mavdiag.rows.savgol import SavgolFilter
+from mavdiag.rows.rates import RateSpec
+from mavdiag.rows.savgol import coefficients
 from mavdiag.telemetry import FloatArray
+from mavdiag.testing import example_rows
 from sitl_plant.plant import Plant, PlantConfig
 
 DT_S = 0.001
@@ -51,8 +53,8 @@ class Roll:
 
     def rates(self, window: int) -> tuple[FloatArray, FloatArray]:
         """u and y behind the window [rad/s]."""
-        slope, value = SavgolFilter.differentiator(window, DT_S), SavgolFilter.smoother(window)
-        return slope.batch(self.setpoint), value.batch(self.gyro)
+        value, slope, _ = coefficients(window)
+        return np.correlate(self.setpoint, slope / DT_S, "valid"), np.correlate(self.gyro, value, "valid")
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,11 +131,12 @@ def cost_table(flight_s: float) -> Table:
 
     u, y = fly(2, 2, flight_s).rates(WINDOW)
     table = Table("part", "rows", "us per sample and column", "peer", "us", "ratio")
-    filt, taps = SavgolFilter.smoother(WINDOW), savgol_coeffs(WINDOW, 2)
-    settled, _ = filt.step(filt.start(6), np.zeros((WINDOW, 6)))
+    spec, taps = RateSpec.of(DT_S, WINDOW), savgol_coeffs(WINDOW, 2)
+    state = spec.start()
     for rows in (20, 50):
         block = np.random.default_rng(3).standard_normal((rows, 6))
-        ours = fastest(partial(filt.step, settled, block))
+        flown = example_rows(rows, DT_S, rate=block[:, :3], setpoint=block[:, 3:]).block
+        ours = fastest(partial(spec.step, state, flown))
         peer = fastest(partial(lfilter, taps, np.ones(1), block, axis=0, zi=np.zeros((WINDOW - 1, 6))))
         _add(table, "Savitzky-Golay, window 101", rows, ours / 6, "scipy lfilter, FIR", peer / 6)
     ls, sriv = (fastest(partial(fit, u, y, dt=DT_S, method=method), 3) for method in ("ls", "sriv"))

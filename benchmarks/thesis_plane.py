@@ -15,7 +15,7 @@ from mavdiag.airframe.propellers import PROPELLERS
 from mavdiag.errors import InputError
 from mavdiag.identify import ArxModel, fit
 from mavdiag.monitors.run_length import Residual, longest_runs, margin_of, runs
-from mavdiag.rows.savgol import SavgolFilter, window_samples
+from mavdiag.rows.savgol import coefficients, window_samples
 from mavdiag.telemetry import FloatArray
 from sitl_plant.plant import Plant, PlantConfig
 
@@ -28,9 +28,8 @@ REPEATS = 8
 def rates(config: PlantConfig) -> tuple[FloatArray, FloatArray]:
     """Commanded and measured roll rate of a flight."""
     samples = Plant(config).advance(STEPS)
-    window = window_samples(DT)
-    slope, value = SavgolFilter.differentiator(window, DT), SavgolFilter.smoother(window)
-    return slope.batch(samples.setpoint[:, 0]), value.batch(samples.gyro[:, 0])
+    value, slope, _ = coefficients(window_samples(DT))
+    return np.correlate(samples.setpoint[:, 0], slope / DT, "valid"), np.correlate(samples.gyro[:, 0], value, "valid")
 
 
 def residual(model: ArxModel, config: PlantConfig) -> Residual:

@@ -198,13 +198,14 @@ class AlignSpec:
         """Take in what is believed of a chunk."""
         gyro, before_ns, late = telemetry.get(Signal.BODY_RATE), int(state.marks[GYRO, NEWEST]), False
         fresh, hosts = (NO_TIMES, NO_TIMES) if gyro is None else (gyro.t_ns, gyro.host_ns)
+        reorder_ns = int(self.limits_ns[REORDER])
         for series in telemetry.series:
             place = PLACES.get(series.signal)
             if place is not None and len(series):
                 _make_room(state, place, series)
-                steps = np.empty(len(series), dtype=np.int64)
-                came = _Came(series.t_ns, series.host_ns, series.values, fresh, hosts, before_ns, steps)
-                late |= _merge(self._streams(state), place, came)
+                came = series.t_ns, series.host_ns, series.values
+                stream, steps = (state.times[place], state.values[place]), np.empty(len(series), dtype=np.int64)
+                late |= _merge(stream, state.marks[place], came, (fresh, hosts), before_ns, reorder_ns, steps)
         if len(fresh) and state.calm_ns == NEVER_NS:
             state.calm_ns = int(fresh[0]) + BEGIN_NS
         if late:
@@ -284,21 +285,6 @@ class _Streams(NamedTuple):
     limits_ns: IntArray
 
 
-class _Came(NamedTuple):
-    """New samples of a stream, (n,) and (n, k), and what the gyro brings with them; how far it was before.
-
-    steps: (n,) room.
-    """
-
-    t: IntArray
-    host: IntArray
-    v: FloatArray
-    gyro_t: IntArray
-    gyro_host: IntArray
-    gyro_ns: int
-    steps: IntArray
-
-
 def _make_room(state: AlignState, place: int, series: Series) -> None:
     """Arrays that have room for more samples; those of the first ones themselves where they are in order."""
     lo, hi = state.marks[place, :2].tolist()
@@ -339,23 +325,32 @@ def _middle(steps: IntArray, count: int) -> int:
 
 
 @cached_loop
-def _merge(s: _Streams, place: int, came: _Came) -> bool:
+def _merge(
+    stream: tuple[IntArray, FloatArray],
+    marks: IntArray,
+    came: tuple[IntArray, IntArray, FloatArray],
+    gyro: tuple[IntArray, IntArray],
+    gyro_ns: int,
+    reorder_ns: int,
+    steps: IntArray,
+) -> bool:
     """Take in new samples of a stream; whether one is late. Of equal times the last to come counts.
 
-    `came` may be the arrays of the stream themselves, if it begins.
+    stream: its times and values; marks: of it. came: times of vehicle and receiver, and values; they may be the
+    stream's own arrays, if it begins. gyro: likewise what the gyro brings with this chunk, after gyro_ns. steps: room.
     """
-    t, v, marks, reorder_ns = s.times[place], s.values[place], s.marks[place], s.limits_ns[REORDER]
-    lo, hi, newest, gyro_ns, late, behind, risen = marks[LO], marks[HI], marks[NEWEST], came.gyro_ns, False, 0, 0
-    expected = len(came.t) if hi > lo else len(came.t) - 1
-    for i in range(len(came.t)):
-        while behind < len(came.gyro_t) and came.gyro_host[behind] < came.host[i]:
-            gyro_ns = max(gyro_ns, came.gyro_t[behind])
+    (t, v), (came_t, came_host, came_v), (gyro_t, gyro_host) = stream, came, gyro
+    lo, hi, newest, late, behind, risen = marks[LO], marks[HI], marks[NEWEST], False, 0, 0
+    expected = len(came_t) if hi > lo else len(came_t) - 1
+    for i in range(len(came_t)):
+        while behind < len(gyro_t) and gyro_host[behind] < came_host[i]:
+            gyro_ns = max(gyro_ns, gyro_t[behind])
             behind += 1
-        late = late or came.t[i] <= gyro_ns - ORDER_NS
-        at_ns, at = came.t[i], hi
+        late = late or came_t[i] <= gyro_ns - ORDER_NS
+        at_ns, at = came_t[i], hi
         if at_ns > newest:
             if hi > lo:
-                came.steps[risen] = at_ns - t[hi - 1]
+                steps[risen] = at_ns - t[hi - 1]
                 risen += 1
             newest = at_ns
         elif at_ns < newest - reorder_ns or at_ns <= marks[FLOOR]:
@@ -371,10 +366,10 @@ def _merge(s: _Streams, place: int, came: _Came) -> bool:
             hi += 1
         t[at] = at_ns
         for column in range(v.shape[1]):
-            v[at, column] = came.v[i, column]
+            v[at, column] = came_v[i, column]
     marks[HI], marks[NEWEST] = hi, newest
     if risen and risen == expected:  # all new and in order
-        middle = _middle(came.steps, risen)
+        middle = _middle(steps, risen)
         marks[STEP] = min(middle, int(SLOWER * marks[STEP])) if marks[STEP] else middle
     return late
 
@@ -526,7 +521,7 @@ def _hold(s: _Streams, place: int, rows: IntArray, x: FloatArray) -> int:
         for column in range(v.shape[1]):
             x[FIRST[place] + column, i:stop] = v[at, column] if known else np.nan
         i = stop
-    return at
+    return int(at)
 
 
 @jit
@@ -559,7 +554,7 @@ def _interpolate(s: _Streams, place: int, rows: IntArray, x: FloatArray, flags: 
             flags[place, i] = _usable(s, place, rows[i], gap, place == GYRO and x[3, i] > 0.0)
             if place == GYRO:
                 x[3, i] = math.ceil(x[3, i])
-    return at
+    return int(at)
 
 
 @inline

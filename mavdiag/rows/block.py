@@ -74,8 +74,10 @@ class Block:
         """Rows [first, stop) as a block of their own, of another segment, or settled at another time, if asked."""
         segment = self.segment if segment is None else segment
         settled_ns = self.settled_ns if settled_ns is None else settled_ns
-        cut = slice(first, stop)
-        return Block(segment, self.dt_s, *(getattr(self, name)[cut] for name in COLUMNS), settled_ns=settled_ns)
+        columns, cut = [getattr(self, name) for name in COLUMNS], slice(first, stop)
+        if stop - first < len(self):
+            columns = [column[cut] for column in columns]
+        return Block(segment, self.dt_s, *columns, settled_ns=settled_ns)
 
     def known(self, signal: Signal, columns: slice = ALL) -> BoolArray:
         """(n,) where the row carries this signal; nowhere if rows have no column for it.

@@ -146,10 +146,6 @@ class GateSpec:
             return [part for part in parts if isinstance(part, Block)]
         return _break_off(state)
 
-    def flying(self, block: Block) -> BoolArray:
-        """(n,) True for the rows that count as flying, as far as each row tells alone."""
-        return np.asarray(self._kinds(block) == UP, dtype=np.bool_)
-
     def _interrupted(self, state: GateState) -> Iterator[Block | Border]:
         if state.airborne:
             yield from _break_off(state)
@@ -167,6 +163,9 @@ class GateSpec:
         """Rows whose thrust was known before and is lost must not be judged, for their landing is not seen."""
         known = np.isfinite(block.thrust)
         if self.min_thrust is None or (state.thrust_ns is None and not known.any()):
+            return block
+        if np.count_nonzero(known) == len(known):
+            state.thrust_ns = int(block.t_ns[-1])
             return block
         first_ns = int(block.t_ns[0]) if state.thrust_ns is None else state.thrust_ns
         last_ns = np.maximum.accumulate(np.where(known, block.t_ns, first_ns))
@@ -273,6 +272,8 @@ def shake(rate: FloatArray, dt_s: float) -> FloatArray:
 
 def _runs(kinds: IntArray) -> list[tuple[int, int]]:
     """Spans [first, stop) of equal values."""
+    if np.count_nonzero(kinds == kinds[0]) == len(kinds):
+        return [(0, len(kinds))]
     edges: IntArray = np.flatnonzero(kinds[1:] != kinds[:-1]) + 1
     starts = [0, *edges.tolist()]
     return list(zip(starts, [*edges.tolist(), len(kinds)], strict=True))
@@ -355,23 +356,16 @@ def hidden_flight(telemetry: Telemetry, gate: GateSpec, spans: Sequence[tuple[in
     up and it moves. telemetry: what is believed. spans: first and last row of what flew [ns].
     """
     tallies = {one.signal: _tally(one) for one in telemetry.series if one.signal in SHOWS_FLIGHT and len(one)}
-    bins: IntArray = np.unique(np.concatenate([np.empty(0, np.int64), *(one[0] for one in tallies.values())]))
+    bins: IntArray = np.unique(np.concatenate([np.empty(0, np.int64), *(numbers for numbers, _ in tallies.values())]))
     bins = bins[bins > spans[0][0] // HIDDEN_BIN_NS] if spans else bins[:0]
     if not len(bins):
         return ()
     flown = np.zeros(len(bins), dtype=np.bool_)
     for first, last in spans:
         flown |= (bins >= first // HIDDEN_BIN_NS) & (bins <= last // HIDDEN_BIN_NS)
-    thrust, outputs, height, armed = (
-        _held(_mean(tallies.get(signal), bins), most)
-        for signal, most in (
-            (Signal.THRUST_SETPOINT, HELD_BINS),
-            (Signal.ACTUATOR, HELD_BINS),
-            (Signal.HEIGHT, HELD_BINS),
-            (Signal.ARMED, len(bins)),
-        )
-    )
-    motion = _motion(tallies.get(Signal.BODY_RATE), bins)
+    sums = {signal: _gathered(*tallies[signal], bins) if signal in tallies else None for signal in SHOWS_FLIGHT}
+    thrust, outputs, height = (_mean(sums[signal], HELD_BINS, len(bins)) for signal in SHOWS_FLIGHT[1:4])
+    armed, motion = _mean(sums[Signal.ARMED], len(bins), len(bins)), _motion(sums[Signal.BODY_RATE], len(bins))
     dead, moves = ~np.isfinite(motion), motion >= FLIES * _median(motion[flown])
     down = outputs < FLIES * _median(outputs[flown])
     low = thrust < (gate.min_thrust or 0.0)
@@ -393,17 +387,13 @@ def hidden_flight(telemetry: Telemetry, gate: GateSpec, spans: Sequence[tuple[in
     return tuple(sorted(found, key=lambda one: one.begin_s))
 
 
-Tally = tuple[IntArray, FloatArray]  # numbers of bins, and of each what `_tally_runs` says; a bin may come again
-
-
-def _tally(series: Series) -> Tally:
-    """The sums of a signal over each run of samples in one bin."""
+def _tally(series: Series) -> tuple[IntArray, FloatArray]:
+    """Numbers of the bins of a signal, one may come again, and the sums of `_tally_runs` in each."""
     t_ns = np.ascontiguousarray(series.t_ns)
-    values = np.ascontiguousarray(series.values, dtype=np.float64)
     runs = 1 + int(np.count_nonzero(np.diff(t_ns // HIDDEN_BIN_NS)))
-    bins, sums = np.empty(runs, dtype=np.int64), np.zeros((runs, 7))
-    _tally_runs(t_ns, values, bins, sums)
-    return bins, sums
+    numbers, sums = np.empty(runs, dtype=np.int64), np.zeros((runs, 7))
+    _tally_runs(t_ns, np.ascontiguousarray(series.values, dtype=np.float64), numbers, sums)
+    return numbers, sums
 
 
 @cached_loop
@@ -427,38 +417,32 @@ def _tally_runs(t_ns: IntArray, values: FloatArray, bins: IntArray, sums: FloatA
                 sums[run, 4 + column] += values[i, column]
 
 
-def _gathered(tally: Tally | None, bins: IntArray) -> FloatArray:
+def _gathered(numbers: IntArray, sums: FloatArray, bins: IntArray) -> FloatArray:
     """(bins, 7) sums of all runs in each bin."""
-    found = np.zeros((len(bins), 7))
-    if tally is not None:
-        place = bins.searchsorted(tally[0]).clip(0, len(bins) - 1)
-        inside = bins[place] == tally[0]
-        np.add.at(found, place[inside], tally[1][inside])
+    found, place = np.zeros((len(bins), 7)), bins.searchsorted(numbers).clip(0, len(bins) - 1)
+    inside = bins[place] == numbers
+    np.add.at(found, place[inside], sums[inside])
     return found
 
 
-def _mean(tally: Tally | None, bins: IntArray) -> FloatArray:
-    """(bins,) mean of the finite values, nan where there is none."""
-    count, total = _gathered(tally, bins)[:, :2].T
-    means: FloatArray = np.divide(total, count, out=np.full(len(bins), np.nan), where=count > 0)
-    return means
+def _mean(sums: FloatArray | None, most: int, count: int) -> FloatArray:
+    """(count,) mean of the finite values of each bin, else the last known one, for so many bins; else nan."""
+    if sums is None:
+        return np.full(count, np.nan)
+    known, number = sums[:, 0] > 0, np.arange(count)
+    place = np.maximum.accumulate(np.where(known, number, -1))
+    means = sums[:, 1] / np.maximum(sums[:, 0], 1.0)
+    return np.where((place >= 0) & (number - place <= most), means[place], np.nan)
 
 
-def _motion(tally: Tally | None, bins: IntArray) -> FloatArray:
-    """(bins,) standard deviation of the body rates, nan where the gyro has no two stamps [rad/s]."""
-    sums = _gathered(tally, bins)[:, 2:]
-    several = sums[:, 0] > 1
-    means = sums[several, 1:] / sums[several, :1]
-    motion = np.full(len(bins), np.nan)
-    motion[several] = np.sqrt(np.maximum(means[:, 0] - np.square(means[:, 1:]).sum(axis=1), 0.0) / 3.0)
+def _motion(sums: FloatArray | None, count: int) -> FloatArray:
+    """(count,) standard deviation of the body rates, nan where the gyro has no two stamps [rad/s]."""
+    motion = np.full(count, np.nan)
+    if sums is not None:
+        several = sums[:, 2] > 1
+        means = sums[several, 3:] / sums[several, 2:3]
+        motion[several] = np.sqrt(np.maximum(means[:, 0] - np.square(means[:, 1:]).sum(axis=1), 0.0) / 3.0)
     return motion
-
-
-def _held(values: FloatArray, most: int) -> FloatArray:
-    """The last known value, for so many bins."""
-    place = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
-    recent = (place >= 0) & (np.arange(len(values)) - place <= most)
-    return np.asarray(np.where(recent, values[place], np.nan), dtype=np.float64)
 
 
 def _median(values: FloatArray) -> float:

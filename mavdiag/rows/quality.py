@@ -40,7 +40,7 @@ from pydantic import BaseModel, ConfigDict
 
 from mavdiag.jit import cached_loop, inline, jit
 from mavdiag.rows.windows import forgetting
-from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 FAR = 2.0  # healthy leaps; a longer one is a glitch until it is seen again: it hardly shows in a mean (our choice)
@@ -91,7 +91,7 @@ NEVER_ZERO = (Signal.SPECIFIC_FORCE, Signal.ACTUATOR)  # of a vehicle that flies
 HELD = (Signal.THRUST_SETPOINT, Signal.HEIGHT, Signal.VIBRATION, Signal.ACTUATOR)
 MAY_REST = (Signal.HEIGHT,)  # may stay as it is for as long as it likes
 FINITE = (Signal.BODY_RATE, *ANGLES)  # rows read them without nan: a sample that is no number is lost
-LEARNT_SIGNALS = (*GREATEST, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT, Signal.ACTUATOR)
+LEARNT = (*GREATEST, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT, Signal.ACTUATOR)
 TURN = 2 * np.pi
 
 
@@ -130,11 +130,6 @@ class Habit(BaseModel):
     lowest: float
     leads: tuple[bool, ...] = ()
 
-    @property
-    def patience(self) -> int:
-        """How many samples that leap may be lost."""
-        return min(max(round(GLITCH_S / self.period_s), 2), MOST_LOST)
-
     def most_leap(self) -> FloatArray:
         """Of each column the longest step that is believed at once; a column that never moved may do so."""
         leap = np.array(self.leap)
@@ -166,46 +161,97 @@ class LinkQuality(BaseModel):
     resolution_rad_s: float = 0.0
 
     @cached_property
-    def known(self) -> dict[tuple[Signal, int], FloatArray]:
-        """The parameters of each signal that was learnt, by its name and number of columns."""
-        return {(one.signal, len(one.leap)): self._parameters(one) for one in self.habits}
+    def rules(self) -> "dict[tuple[Signal, int], _Rule]":
+        """The rule of each signal that was learnt, by its name and number of columns."""
+        return {(one.signal, len(one.leap)): self._rule(one) for one in self.habits}
 
-    def _parameters(self, habit: Habit) -> FloatArray:
-        """See `LEAPS`."""
-        signal, par = habit.signal, _unlearnt(habit.signal, len(habit.leap)).copy()
-        ahead_s = max(REORDER_S, 3 * habit.period_s, FAR * habit.pause_s)
+    def _rule(self, habit: Habit) -> "_Rule":
+        signal, leads = habit.signal, habit.leads or (False,) * len(habit.leap)
         early_s = max(EARLY * habit.period_s, habit.pause_s)
-        par[LEARNT], par[PERIOD], par[ALPHA] = 1.0, habit.period_s * NS_PER_S, forgetting(JITTER_S, habit.period_s)
-        par[PATIENCE] = habit.patience
-        spans_s = OUT_OF_ORDER * habit.period_s, early_s, ahead_s
-        par[BACK], par[SOON], par[AHEAD] = (round(span_s * NS_PER_S) for span_s in spans_s)
-        par[ZERO_IS_DEAD] = signal in ANGLES and any(habit.leap)  # no vehicle that flies has all of them at zero
-        par[LOWEST] = habit.lowest if signal is Signal.THRUST_SETPOINT else -np.inf  # below it nothing moves
-        par[WHEN_DEAD] = KEPT if signal in MAY_REST else DROPPED if signal in ANGLES else UNKNOWN
-        par[MOST_JITTER] = max(JITTER_FACTOR * self.jitter, LEAST_JITTER)
+        ahead_s = max(REORDER_S, 3 * habit.period_s, FAR * habit.pause_s)
         noise = RESOLUTION_NOISE / QUIET_SHARE * min(habit.quiet)
-        par[MOST_STEP] = max(RESOLUTION_FACTOR * self.resolution_rad_s, noise)
-        leads = habit.leads or (False,) * len(habit.leap)
-        par[RATE], par[LEADING] = 1.0 / par[PERIOD], any(leads)
-        par[LEAPS:] = np.concatenate((habit.most_leap(), leads, habit.quiet, habit.most_still()))
-        return par
+        return _unlearnt(signal, len(habit.leap))._replace(
+            learnt=True,
+            period_ns=habit.period_s * NS_PER_S,
+            alpha=forgetting(JITTER_S, habit.period_s),
+            patience=min(max(round(GLITCH_S / habit.period_s), 2), MOST_LOST),
+            back_ns=round(OUT_OF_ORDER * habit.period_s * NS_PER_S),
+            early_ns=round(early_s * NS_PER_S),
+            ahead_ns=round(ahead_s * NS_PER_S),
+            zero_is_dead=signal in ANGLES and any(habit.leap),
+            lowest=habit.lowest if signal is Signal.THRUST_SETPOINT else -math.inf,
+            most_jitter=max(JITTER_FACTOR * self.jitter, LEAST_JITTER),
+            most_step=max(RESOLUTION_FACTOR * self.resolution_rad_s, noise),
+            leading=any(leads),
+            leap=habit.most_leap(),
+            leads=np.array(leads),
+            quiet=np.array(habit.quiet),
+            still=habit.most_still(),
+        )
 
 
-# Places in the parameters of a signal: whether it was learnt; its period [ns]; forgetting of the jitter; whether its
-# columns are angles, and hold their last value; how many samples may be lost; spans of stamps back, early and ahead
-# [ns]; the greatest value, and whether a sample must be a number; whether zeros, and zeros of an unlearnt signal, are
-# dead; from what value on it may be dead, and what becomes of it then; whether it is the gyro, its most jitter [share
-# of a period] and coarsest step; samples a ns; whether the slope of any column leads; how many columns
-# there are; of each column the longest leap, whether its slope leads, and what is silent; then for
-# how many samples all columns, and each one, may be still.
-LEARNT, PERIOD, ALPHA, ANGLE, HOLDS, PATIENCE, BACK, SOON, AHEAD, GREATEST_AT, FINITE_AT = range(11)
-ZERO_IS_DEAD, NEVER_ZERO_AT, LOWEST, WHEN_DEAD, GYRO, MOST_JITTER, MOST_STEP, RATE, LEADING, COLUMNS, LEAPS = range(
-    11, 22
-)
-KEPT, UNKNOWN, DROPPED = range(3)
+class _Rule(NamedTuple):
+    """What is believed of a signal.
+
+    learnt: whether anything is known but its range. columns: how many. gyro, angle: what it is. holds: its last value
+    does. greatest, finite: its range, and whether it must be a number. never_zero: a sample of zeros is unknown. rests:
+    what is dead stays as it is; else it is unknown, or dropped if it is an angle. leap, leads, quiet: of each column.
+    still: of all columns together, and of each. patience: how many samples that leap may be lost. back_ns, early_ns,
+    ahead_ns: spans of stamps. zero_is_dead: a sample of zeros is, of a vehicle that flies. lowest: below it nothing
+    moves. most_jitter [periods], most_step [unit]: beyond them the gyro is doubted. leading: any column leads.
+    """
+
+    learnt: bool
+    columns: int
+    gyro: bool
+    angle: bool
+    holds: bool
+    greatest: float
+    finite: bool
+    never_zero: bool
+    rests: bool
+    leap: FloatArray
+    leads: BoolArray
+    quiet: FloatArray
+    still: FloatArray
+    period_ns: float = 1.0
+    alpha: float = 0.0
+    patience: int = 0
+    back_ns: int = 0
+    early_ns: int = 0
+    ahead_ns: int = 0
+    zero_is_dead: bool = False
+    lowest: float = -math.inf
+    most_jitter: float = 0.0
+    most_step: float = 0.0
+    leading: bool = False
+
+
+@lru_cache(maxsize=64)
+def _unlearnt(signal: Signal, columns: int) -> _Rule:
+    """The rule of a signal of which nothing was learnt."""
+    none = np.zeros(columns)
+    return _Rule(
+        learnt=False,
+        columns=columns,
+        gyro=signal is Signal.BODY_RATE,
+        angle=signal in ANGLES,
+        holds=signal in HELD,
+        greatest=GREATEST.get(signal, GREATEST_SHARE if signal in LEARNT else math.inf),
+        finite=signal in FINITE,
+        never_zero=signal in NEVER_ZERO,
+        rests=signal in MAY_REST,
+        leap=none,
+        leads=none > 0,
+        quiet=none,
+        still=np.zeros(1 + columns),
+    )
+
+
 # Places in the figures: jitter, and how far the latest samples leapt; then of each column the last believed value, its
 # slope [1/ns], the value that came last, and the smallest step. In the counts: samples so far; stamps of the last one
-# that was believed, and that came [ns]; whether its stamp leapt; how many leapt lately; samples traced; numbers of those that leapt; repetitions.
+# that was believed, and that came [ns]; whether its stamp leapt; how many leapt lately; samples traced; numbers of
+# those that leapt; repetitions.
 JITTER, SIZES, COLUMN = 0, 1, 1 + AMONG + MOST_LOST + 1
 COUNT, LAST_NS, CAME_NS, ALONE, FAR_COUNT, TRACED, NUMBERS = range(7)
 RUNS = NUMBERS + AMONG + MOST_LOST + 1
@@ -213,17 +259,6 @@ STAMPS_CODE, RESOLUTION_CODE, FROZEN_CODE = (
     DOUBTS.index(one) for one in (Doubt.STAMPS, Doubt.RESOLUTION, Doubt.FROZEN)
 )
 NO_TRACE = np.empty((0, 0))
-
-
-@lru_cache(maxsize=64)
-def _unlearnt(signal: Signal, columns: int) -> FloatArray:
-    """Parameters of a signal of which nothing was learnt."""
-    par = np.zeros(LEAPS + 3 * columns + 1 + columns)
-    commands = GREATEST_SHARE if signal in LEARNT_SIGNALS else np.inf
-    par[GREATEST_AT], par[FINITE_AT] = GREATEST.get(signal, commands), signal in FINITE
-    par[ANGLE], par[HOLDS], par[NEVER_ZERO_AT] = signal in ANGLES, signal in HELD, signal in NEVER_ZERO
-    par[GYRO], par[COLUMNS] = signal is Signal.BODY_RATE, columns
-    return par
 
 
 class Memory:
@@ -244,12 +279,12 @@ Memories: TypeAlias = dict[tuple[Signal, int], Memory]
 
 
 class _Samples(NamedTuple):
-    """Parameters and memory of a signal, and its samples: (n,) times of vehicle and receiver, (n, k) values.
+    """Rule and memory of a signal, and its samples: (n,) times of vehicle and receiver, (n, k) values.
 
     The gyro has a column more, for `Doubt` as a number.
     """
 
-    par: FloatArray
+    rule: _Rule
     mem: FloatArray
     counts: IntArray
     t_ns: IntArray
@@ -260,7 +295,7 @@ class _Samples(NamedTuple):
 @inline
 def _short(s: _Samples, step: float) -> float:
     """A step; of an angle the short way round."""
-    if s.par[ANGLE] < 0.5 or abs(step) <= math.pi:
+    if not s.rule.angle or abs(step) <= math.pi:
         return step
     return float(step - TURN * np.round(step / TURN))
 
@@ -269,14 +304,14 @@ def _short(s: _Samples, step: float) -> float:
 def _away(s: _Samples, column: int, value: float, span_ns: int) -> float:
     """How far a value is from where those before it lead."""
     at = COLUMN + column
-    return _short(s, value - s.mem[at] - s.mem[at + int(s.par[COLUMNS])] * span_ns)
+    return _short(s, value - s.mem[at] - s.mem[at + s.rule.columns] * span_ns)
 
 
 @inline
 def _near(s: _Samples, i: int, span_ns: int) -> bool:
     """Whether a sample leaps nowhere by more than is believed after one period: the usual case."""
-    for column in range(int(s.par[COLUMNS])):
-        if abs(_away(s, column, s.v[i, column], span_ns)) > s.par[LEAPS + column]:
+    for column in range(s.rule.columns):
+        if abs(_away(s, column, s.v[i, column], span_ns)) > s.rule.leap[column]:
             return False
     return True
 
@@ -284,16 +319,16 @@ def _near(s: _Samples, i: int, span_ns: int) -> bool:
 @jit
 def _size(s: _Samples, column: int, away: float, span_ns: int) -> float:
     """How large that is for the time: above 1 it leaps; nan where it is not known."""
-    n = max(min(abs(span_ns), s.par[AHEAD]) / s.par[PERIOD], 1.0)
-    grown = n * (n + 1.0) / 2.0 if s.par[LEAPS + int(s.par[COLUMNS]) + column] > 0.5 else n
-    return float(abs(away) / grown / s.par[LEAPS + column])
+    n = max(min(abs(span_ns), s.rule.ahead_ns) / s.rule.period_ns, 1.0)
+    grown = n * (n + 1.0) / 2.0 if s.rule.leads[column] else n
+    return float(abs(away) / grown / s.rule.leap[column])
 
 
 @jit
 def _leap(s: _Samples, i: int) -> float:
     """The largest of all columns of a sample."""
     found, span_ns = 0.0, s.t_ns[i] - s.counts[LAST_NS]
-    for column in range(int(s.par[COLUMNS])):
+    for column in range(s.rule.columns):
         size = _size(s, column, _away(s, column, s.v[i, column], span_ns), span_ns)
         found = max(found, size) if size == size else found
     return found
@@ -302,23 +337,23 @@ def _leap(s: _Samples, i: int) -> float:
 @jit
 def _misdated(s: _Samples, there: int, i: int) -> int:
     """1 if the stamp of a sample leaps by the last believed and the next one, 0 if not; -1 if the next must come."""
-    par, span_ns = s.par, s.t_ns[i] - s.counts[LAST_NS]
-    followed = s.counts[ALONE] > 0 and abs(s.t_ns[i] - s.counts[CAME_NS]) <= par[AHEAD]
-    if -par[BACK] <= span_ns <= par[SOON] or followed:
+    rule, span_ns = s.rule, s.t_ns[i] - s.counts[LAST_NS]
+    followed = s.counts[ALONE] > 0 and abs(s.t_ns[i] - s.counts[CAME_NS]) <= rule.ahead_ns
+    if -rule.back_ns <= span_ns <= rule.early_ns or followed:
         return 0
-    if span_ns < 0 or span_ns > par[AHEAD]:
+    if span_ns < 0 or span_ns > rule.ahead_ns:
         return 1
-    if par[HOLDS] > 0.5:
+    if rule.holds:
         return 0
     if i + 1 == there:
         return -1
-    return 1 if s.t_ns[i + 1] < s.t_ns[i] - par[BACK] else 0
+    return 1 if s.t_ns[i + 1] < s.t_ns[i] - rule.back_ns else 0
 
 
 @jit
 def _decide(s: _Samples, there: int, i: int) -> tuple[int, bool]:
     """How many samples from i on are decided, 0 if more must come; whether they are lost: they leap away and back."""
-    patience, number, last_ns = int(s.par[PATIENCE]), s.counts[COUNT], s.counts[LAST_NS]
+    patience, number, last_ns = s.rule.patience, s.counts[COUNT], s.counts[LAST_NS]
     first = _leap(s, i)
     if not first > 1.0:
         return 1, False
@@ -333,7 +368,7 @@ def _decide(s: _Samples, there: int, i: int) -> tuple[int, bool]:
     while run < left and _leap(s, i + run) > 1.0:
         run += 1
     usual, lost = often >= OFTEN, False
-    if usual or s.par[HOLDS] > 0.5:
+    if usual or s.rule.holds:
         lost, run = not usual, 1
     elif run > patience:
         run = 1
@@ -341,7 +376,7 @@ def _decide(s: _Samples, there: int, i: int) -> tuple[int, bool]:
         return 0, False
     else:
         here, before = i + run, i + run - 1
-        for column in range(int(s.par[COLUMNS])):
+        for column in range(s.rule.columns):
             one = _away(s, column, s.v[here, column], s.t_ns[here] - last_ns)
             other = _away(s, column, s.v[before, column], s.t_ns[before] - last_ns)
             lost = lost or _size(s, column, _short(s, one - other), s.t_ns[here] - s.t_ns[before]) > 1.0
@@ -355,10 +390,10 @@ def _decide(s: _Samples, there: int, i: int) -> tuple[int, bool]:
 @inline
 def _believe(s: _Samples, i: int) -> None:
     """Make a sample the last one that is believed."""
-    columns, span_ns = int(s.par[COLUMNS]), s.t_ns[i] - s.counts[LAST_NS]
-    share = 1.0 / span_ns if span_ns != 0 and s.par[LEADING] > 0.5 else 0.0
+    columns, span_ns = s.rule.columns, s.t_ns[i] - s.counts[LAST_NS]
+    share = 1.0 / span_ns if span_ns != 0 and s.rule.leading else 0.0
     for column in range(columns):
-        at, leads = COLUMN + column, s.par[LEAPS + columns + column] > 0.5
+        at, leads = COLUMN + column, s.rule.leads[column]
         s.mem[at + columns] = _short(s, s.v[i, column] - s.mem[at]) * share if leads and share != 0.0 else 0.0
         s.mem[at] = s.v[i, column]
     s.counts[LAST_NS] = s.t_ns[i]
@@ -367,12 +402,12 @@ def _believe(s: _Samples, i: int) -> None:
 @inline
 def _measure(s: _Samples, i: int) -> float:
     """Count repetitions after a sample, and of the gyro follow jitter and finest step; returns the resolution."""
-    par, mem, counts, columns = s.par, s.mem, s.counts, int(s.par[COLUMNS])
-    same, coarsest, gyro = True, 0.0, par[GYRO] > 0.5
+    mem, counts, columns, gyro = s.mem, s.counts, s.rule.columns, s.rule.gyro
+    same, coarsest = True, 0.0
     for column in range(columns):
         came, finest = COLUMN + 2 * columns + column, COLUMN + 3 * columns + column
         step = abs(s.v[i, column] - mem[came])
-        still = not step > par[LEAPS + 2 * columns + column] and counts[COUNT] > 0
+        still = not step > s.rule.quiet[column] and counts[COUNT] > 0
         same = same and still
         counts[RUNS + 1 + column] = counts[RUNS + 1 + column] + 1 if still else 0
         mem[came] = s.v[i, column]
@@ -381,9 +416,9 @@ def _measure(s: _Samples, i: int) -> float:
             coarsest = max(coarsest, mem[finest])
     counts[RUNS] = counts[RUNS] + 1 if same else 0
     if gyro:
-        steps = (s.t_ns[i] - counts[CAME_NS]) * par[RATE]
+        steps = (s.t_ns[i] - counts[CAME_NS]) / s.rule.period_ns
         apart = steps - np.round(steps) if 0.0 < steps < MISSING else 0.0  # else it is lost or misdated
-        mem[JITTER] += par[ALPHA] * (apart * apart - mem[JITTER])
+        mem[JITTER] += s.rule.alpha * (apart * apart - mem[JITTER])
     counts[CAME_NS] = s.t_ns[i]
     counts[COUNT] += 1
     return coarsest if counts[COUNT] > RESOLUTION_SAMPLES and math.isfinite(coarsest) else 0.0
@@ -392,34 +427,33 @@ def _measure(s: _Samples, i: int) -> float:
 @inline
 def _use(s: _Samples, i: int, finest: float) -> bool:
     """Make of a sample what rows may use, after `_measure`; whether they may."""
-    par, v, columns = s.par, s.v, int(s.par[COLUMNS])
-    stills = LEAPS + 3 * columns
-    frozen, zero, alone = s.counts[RUNS] > par[stills], par[ZERO_IS_DEAD] > 0.5, False
+    rule, v, columns = s.rule, s.v, s.rule.columns
+    frozen, zero, alone = s.counts[RUNS] > rule.still[0], rule.zero_is_dead, False
     for column in range(columns):
         zero = zero and v[i, column] == 0.0
-        alone = alone or s.counts[RUNS + 1 + column] > par[stills + 1 + column]
-    dead = (frozen or zero) and not v[i, 0] < par[LOWEST]
-    if par[GYRO] > 0.5:
+        alone = alone or s.counts[RUNS + 1 + column] > rule.still[1 + column]
+    dead = (frozen or zero) and not v[i, 0] < rule.lowest
+    if rule.gyro:
         if dead or alone:
             v[i, columns] = FROZEN_CODE
-        elif finest > par[MOST_STEP]:
+        elif finest > rule.most_step:
             v[i, columns] = RESOLUTION_CODE
-        elif s.mem[JITTER] > par[MOST_JITTER] ** 2:
+        elif s.mem[JITTER] > rule.most_jitter**2:
             v[i, columns] = STAMPS_CODE
         return True
-    if par[WHEN_DEAD] == UNKNOWN and (dead or alone):
+    if (dead or alone) and not (rule.rests or rule.angle):
         for column in range(columns):
-            if dead or s.counts[RUNS + 1 + column] > par[stills + 1 + column]:
+            if dead or s.counts[RUNS + 1 + column] > rule.still[1 + column]:
                 v[i, column] = np.nan
-    return not (dead and par[WHEN_DEAD] == DROPPED)
+    return not (dead and rule.angle)
 
 
 @inline
 def _in_range(s: _Samples, i: int) -> bool:
     """Whether a sensor may have measured it; nan where rows may have it: some vehicles log some columns only."""
-    for column in range(int(s.par[COLUMNS])):
+    for column in range(s.rule.columns):
         size = abs(s.v[i, column])
-        if size > s.par[GREATEST_AT] or (size != size and s.par[FINITE_AT] > 0.5):
+        if size > s.rule.greatest or (size != size and s.rule.finite):
             return False
     return True
 
@@ -427,7 +461,7 @@ def _in_range(s: _Samples, i: int) -> bool:
 @jit
 def _blank_if_zero(s: _Samples, i: int) -> None:
     """Unknown, if it has nothing but zeros, which no vehicle in flight has."""
-    columns = int(s.par[COLUMNS])
+    columns = s.rule.columns
     for column in range(columns):
         if s.v[i, column] != 0.0 and math.isfinite(s.v[i, column]):
             return
@@ -446,10 +480,10 @@ def _move(s: _Samples, i: int, to: int) -> None:
 @inline
 def _take(s: _Samples, i: int, lost: bool, kept: int, trace: FloatArray) -> int:
     """Measure a sample that is decided, and move it to the believed ones, if it is; returns how many there are."""
-    columns = int(s.par[COLUMNS])
-    if s.par[GYRO] > 0.5:
+    columns = s.rule.columns
+    if s.rule.gyro:
         s.v[i, columns] = 0.0
-    if s.par[LEARNT] > 0.5:
+    if s.rule.learnt:
         finest = _measure(s, i)
         if lost:
             return kept
@@ -461,7 +495,7 @@ def _take(s: _Samples, i: int, lost: bool, kept: int, trace: FloatArray) -> int:
             trace[traced, 1 + columns], trace[traced, 2 + columns] = math.sqrt(s.mem[JITTER]), finest
         if not _use(s, i, finest):
             return kept
-    if s.par[NEVER_ZERO_AT] > 0.5:
+    if s.rule.never_zero:
         _blank_if_zero(s, i)
     _move(s, i, kept)
     return kept + 1
@@ -485,8 +519,8 @@ def _look_at(s: _Samples, waited: int, trace: FloatArray) -> tuple[int, int, int
     kept = done = 0
     while done < there:
         span_ns, run, lost = s.t_ns[done] - s.counts[LAST_NS], 1, False
-        if s.par[LEARNT] > 0.5:
-            usual = -s.par[BACK] <= span_ns <= s.par[SOON] and _near(s, done, span_ns)
+        if s.rule.learnt:
+            usual = -s.rule.back_ns <= span_ns <= s.rule.early_ns and _near(s, done, span_ns)
             misdated = 0 if usual else _misdated(s, there, done)
             if misdated < 0:
                 break
@@ -512,16 +546,16 @@ def believed(quality: LinkQuality, telemetry: Telemetry, memories: Memories | No
     memories, found = {} if memories is None else memories, []
     for series in telemetry.series:
         key = series.signal, series.values.shape[1]
-        par, memory = quality.known.get(key), memories.get(key)
+        rule, memory = quality.rules.get(key) or _unlearnt(*key), memories.get(key)
         if memory is None:
             memory = memories[key] = Memory(key[1])
-        series = _looked(_unlearnt(*key) if par is None else par, memory, series)
+        series = _looked(rule, memory, series)
         if len(series):
             found.append(series)
     return Telemetry(tuple(found))
 
 
-def _looked(par: FloatArray, memory: Memory, series: Series, trace: FloatArray = NO_TRACE) -> Series:
+def _looked(rule: _Rule, memory: Memory, series: Series, trace: FloatArray = NO_TRACE) -> Series:
     """What is believed of the next samples of a signal, and of those that waited."""
     columns, before = series.values.shape[1], memory.waiting
     waited = 0 if before is None else len(before)
@@ -531,35 +565,13 @@ def _looked(par: FloatArray, memory: Memory, series: Series, trace: FloatArray =
     if before is not None:
         t_ns[:waited], host_ns[:waited], values[:waited] = before.t_ns, before.host_ns, before.values
     t_ns[waited:], host_ns[waited:], values[waited:, :columns] = series.t_ns, series.host_ns, series.values
-    samples = _Samples(par, memory.figures, memory.counts, t_ns, host_ns, values)
+    samples = _Samples(rule, memory.figures, memory.counts, t_ns, host_ns, values)
     kept, done, there = _look_at(samples, waited, trace)
     memory.waiting = None
     if done < there:
-        rest = (array[done:there].copy() for array in (t_ns, host_ns, values))
-        memory.waiting = Series(series.signal, *rest)
+        rest = slice(done, there)
+        memory.waiting = Series(series.signal, t_ns[rest].copy(), host_ns[rest].copy(), values[rest].copy())
     return Series(series.signal, t_ns[:kept], host_ns[:kept], values[:kept])
-
-
-def _departures(signal: Signal, leads: bool, values: FloatArray, t_ns: IntArray) -> FloatArray:
-    """(n - 1, columns) how far each sample is from the one before, or from where the two before it lead."""
-    step, span_ns = np.diff(values, axis=0), np.diff(t_ns)[:, None]
-    step = _wrapped(signal, step)
-    if not leads:
-        return step
-    slopes = np.divide(step, span_ns, out=np.zeros_like(step), where=span_ns != 0)
-    first = np.full((1, values.shape[1]), np.nan)
-    return _wrapped(signal, step - np.concatenate((first, slopes[:-1])) * span_ns)
-
-
-def _wrapped(signal: Signal, step: FloatArray) -> FloatArray:
-    """Steps, of an angle the short way round."""
-    return np.asarray(step - TURN * np.round(step / TURN)) if signal in ANGLES else step
-
-
-def _by_period(step: FloatArray, periods: FloatArray, leads: bool) -> FloatArray:
-    """(n, columns) steps over what they may grow by in so many periods."""
-    n = np.maximum(periods, 1.0)[:, None]
-    return np.asarray(np.abs(step) / (n * (n + 1) / 2 if leads else n), dtype=np.float64)
 
 
 def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]]) -> LinkQuality:
@@ -567,81 +579,98 @@ def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]
     pieces: dict[Signal, list[Series]] = {}
     for telemetry, spans_ns in flights:
         for series in telemetry.series:
-            if series.signal in LEARNT_SIGNALS:
-                measured = _measurable(series)
-                inside = [_between(measured, *span) for span in spans_ns]
+            if series.signal in LEARNT:
+                inside = [_between(_measurable(series), *span) for span in spans_ns]
                 pieces.setdefault(series.signal, []).extend(one for one in inside if len(one) > 1)
-    habits, jitter, resolution = [], 0.0, 0.0
+    habits, jitter = [], 0.0
+    steps: list[float] = []
     for signal, parts in pieces.items():
-        columns = {one.values.shape[1] for one in parts}
-        if len(columns) != 1:  # never flew, or another number of outputs in each flight
+        if len({one.values.shape[1] for one in parts}) != 1:  # never flew, or other numbers of outputs
             continue
-        habit = _moved(signal, parts)
-        found = [_traced(habit, one) for one in parts]
-        runs = np.concatenate(found)[:, :-2].astype(np.int64)
+        habit, runs = _moved(signal, parts), []
+        for part in parts:
+            if not len(trace := _traced(habit, part)):
+                continue
+            runs.append(trace[:, :1] if signal is Signal.ATTITUDE_SETPOINT else trace[:, :-2].max(axis=0)[None])
+            if signal is Signal.BODY_RATE:
+                jitter = max(jitter, float(trace[:, -2].max()))
+                steps.append(float(trace[-1, -1]))
+        if not runs:
+            continue
         share = STILL_SHARE if signal is Signal.ATTITUDE_SETPOINT else 1.0
-        longest = np.quantile(runs, share, axis=0, method="higher").tolist()
-        still = tuple(longest if signal in SENSORS else longest[:1])
-        habits.append(habit.model_copy(update={"still": still}))
-        if signal is Signal.BODY_RATE:
-            jitter = max(float(trace[:, -2].max()) for trace in found)
-            resolution = min((float(x) for trace in found for x in trace[-1:, -1] if x > 0), default=0.0)
+        longest = np.quantile(np.concatenate(runs), share, axis=0, method="higher").astype(int).tolist()
+        habits.append(habit.model_copy(update={"still": tuple(longest if signal in SENSORS else longest[:1])}))
+    resolution = min((step for step in steps if step > 0), default=0.0)
     return LinkQuality(habits=tuple(habits), jitter=jitter, resolution_rad_s=resolution)
 
 
 def _measurable(series: Series) -> Series:
-    """Without what no sensor measures."""
+    """Without what no sensor measures; the same where there is nothing of it."""
     columns = series.values.shape[1]
-    par = _unlearnt(series.signal, columns).copy()
-    par[NEVER_ZERO_AT] = 0.0
-    found = _looked(par, Memory(columns), series)
+    rule = _unlearnt(series.signal, columns)._replace(never_zero=False)
+    if not len(series) or np.abs(series.values).max() <= rule.greatest:
+        return series
+    found = _looked(rule, Memory(columns), series)
     return Series(found.signal, found.t_ns, found.host_ns, found.values[:, :columns])
+
+
+def _between(series: Series, first_ns: int, last_ns: int) -> Series:
+    """Its samples within a span of flight, in order of time, each time once."""
+    t_ns = series.t_ns
+    if np.all(t_ns[1:] > t_ns[:-1]):  # a part of the same memory
+        at: IntArray | slice = slice(int(t_ns.searchsorted(first_ns)), int(t_ns.searchsorted(last_ns, side="right")))
+    else:
+        t_ns, order = np.unique(t_ns, return_index=True)
+        at = order[(t_ns >= first_ns) & (t_ns <= last_ns)]
+    return Series(series.signal, series.t_ns[at], series.host_ns[at], series.values[at])
 
 
 def _traced(habit: Habit, series: Series) -> FloatArray:
     """What `_look_at` traces of the samples that are not lost by what the habit says of leaps."""
     columns = series.values.shape[1]
     trace = np.full((len(series), columns + 3), np.nan)
-    _looked(LinkQuality(habits=(habit,)).known[series.signal, columns], Memory(columns), series, trace)
+    _looked(LinkQuality(habits=(habit,)).rules[series.signal, columns], Memory(columns), series, trace)
     return trace[~np.isnan(trace[:, 0])]
-
-
-def _between(series: Series, first_ns: int, last_ns: int) -> Series:
-    """Its samples within a span of flight, in order of time, each time once."""
-    t_ns, order = np.unique(series.t_ns, return_index=True)
-    order = order[(t_ns >= first_ns) & (t_ns <= last_ns)]
-    return Series(series.signal, series.t_ns[order], series.host_ns[order], series.values[order])
 
 
 def _moved(signal: Signal, parts: Sequence[Series]) -> Habit:
     """How a signal moved, but for how long it repeats."""
-    spans_ns = np.concatenate([np.diff(one.t_ns) for one in parts])
-    period_ns = float(np.median(spans_ns))
+    period_ns = float(np.median(np.concatenate([np.diff(one.t_ns) for one in parts])))
     held: list[FloatArray] = []
     led: list[FloatArray] = []
     noises, pauses = [], []
     for one in parts:
-        span_ns, n = np.diff(one.t_ns), len(one)
+        span_ns = np.diff(one.t_ns)
         starts = np.unique((one.t_ns[1:] - one.t_ns[0]) // NS_PER_S, return_index=True)[1]
-        counts = np.diff(starts, append=n - 1)[:, None]
-        for leads, leaps in ((False, held), (True, led)):
-            step = _departures(signal, leads, one.values, one.t_ns)
-            step = np.nan_to_num(_by_period(step, span_ns / period_ns, leads))
-            leaps.append(np.maximum.reduceat(step, starts, axis=0))
-            if leaps is held:
-                noises.append(np.sqrt(np.add.reduceat(np.square(step), starts, axis=0) / counts))
+        step, bend = _departures(signal, one, span_ns)
+        n = np.maximum(span_ns / period_ns, 1.0)[:, None]
+        plain = np.nan_to_num(np.abs(step) / n)
+        held.append(np.maximum.reduceat(plain, starts, axis=0))
+        led.append(np.maximum.reduceat(np.nan_to_num(np.abs(bend) / (n * (n + 1) / 2)), starts, axis=0))
+        counts = np.diff(starts, append=len(span_ns))[:, None]
+        noises.append(np.sqrt(np.add.reduceat(np.square(plain), starts, axis=0) / counts))
         pauses.append(np.maximum.reduceat(span_ns, starts))
-    plain, bent = (np.quantile(np.concatenate(leaps), USUAL_SHARE, axis=0) for leaps in (held, led))
-    leading = (bent < plain) & (signal not in HELD)
+    usual, bent = (np.quantile(np.concatenate(leaps), USUAL_SHARE, axis=0) for leaps in (held, led))
+    leading = (bent < usual) & (signal not in HELD)
     quiet = QUIET_SHARE * np.quantile(np.concatenate(noises), CALM_SHARE, axis=0)
     lowest = float(np.nan_to_num(min(np.min(one.values[:, 0]) for one in parts)))
     return Habit(
         signal=signal,
         period_s=period_ns / NS_PER_S,
         pause_s=float(np.quantile(np.concatenate(pauses), USUAL_SHARE)) / NS_PER_S,
-        leap=tuple(np.where(leading, bent, plain).tolist()),
+        leap=tuple(np.where(leading, bent, usual).tolist()),
         quiet=tuple(quiet.tolist()) if signal in SENSORS else (0.0,) * len(quiet),
         still=(0,),
         lowest=lowest,
         leads=tuple(leading.tolist()),
     )
+
+
+def _departures(signal: Signal, series: Series, span_ns: IntArray) -> tuple[FloatArray, FloatArray]:
+    """(n - 1, columns) how far samples are from the one before, and from where the two before it lead."""
+    step, turn = np.diff(series.values, axis=0).astype(np.float64), TURN * (signal in ANGLES)
+    step -= turn * np.round(step / TURN)
+    slope = np.divide(step, span_ns[:, None], out=np.zeros_like(step), where=span_ns[:, None] != 0)
+    bend = step - np.concatenate((np.full((1, step.shape[1]), np.nan), slope[:-1])) * span_ns[:, None]
+    bend -= turn * np.round(bend / TURN)
+    return step, bend

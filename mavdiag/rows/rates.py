@@ -22,7 +22,6 @@ of the rows gives the same bits.
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -109,9 +108,9 @@ class RateSpec:
             state.memory[:] = 0.0
         known = min(len(block), max(0, len(block) + int(state.memory[ROWS]) - self.window + 1))
         out, t_ns, flags = np.empty((9, known)), np.empty(known, np.int64), np.empty((2, known), np.bool_)
-        rate, setpoint = np.ascontiguousarray(block.rate.T), np.ascontiguousarray(block.setpoint.T)
-        memory = _Memory(state.memory, state.times, *self.weights)
-        _filter(memory, block.t_ns, rate, setpoint, block.valid, block.setpoint_valid, out, t_ns, flags)
+        signals = np.ascontiguousarray(block.rate.T), np.ascontiguousarray(block.setpoint.T)
+        usable = block.valid, block.setpoint_valid
+        _filter(state.memory, state.times, self.weights, block.t_ns, signals, usable, out, t_ns, flags)
         return RateBlock(block.segment, block.dt_s, t_ns, out[:3].T, out[3:6].T, out[6:].T, flags[0], flags[1])
 
 
@@ -121,30 +120,21 @@ def _finite(value: float) -> float:
     return value if math.isfinite(value) else 0.0
 
 
-class _Memory(NamedTuple):
-    """Of `RateState`; and `RateSpec.weights`."""
-
-    values: FloatArray
-    times: IntArray
-    middle: float
-    bend: float
-    slope: float
-
-
 @cached_loop
 def _filter(
-    memory: _Memory,
+    mem: FloatArray,
+    times: IntArray,
+    weights: tuple[float, float, float],
     row_ns: IntArray,
-    rate: FloatArray,
-    setpoint: FloatArray,
-    valid: BoolArray,
-    setpoint_valid: BoolArray,
+    signals: tuple[FloatArray, FloatArray],
+    usable: tuple[BoolArray, BoolArray],
     out: FloatArray,
     t_ns: IntArray,
     flags: BoolArray,
 ) -> None:
     """u, y and gyro of the rows whose window is complete, with their times and flags."""
-    mem, times, window, m = memory.values, memory.times, len(memory.times), len(memory.times) // 2
+    window, m = len(times), len(times) // 2
+    (middle, bend, slope), (rate, setpoint), (valid, setpoint_valid) = weights, signals, usable
     for i in range(len(row_ns)):
         rows = int(mem[ROWS])
         place, centre = rows % window, (rows + window - m) % window
@@ -174,8 +164,8 @@ def _filter(
                 m0 += newest
             mem[at], mem[at + 1], mem[at + 2] = m0, m1, m2
             spoilt = mem[SPOILT + signal] > 0.0
-            mem[VALUES + signal] = np.nan if spoilt else memory.middle * m0 + memory.bend * m2
-            mem[SLOPES + signal] = np.nan if spoilt else memory.slope * m1
+            mem[VALUES + signal] = np.nan if spoilt else middle * m0 + bend * m2
+            mem[SLOPES + signal] = np.nan if spoilt else slope * m1
         done = i - (len(row_ns) - len(t_ns))
         if done < 0:
             continue

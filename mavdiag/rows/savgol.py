@@ -1,16 +1,13 @@
-"""Savitzky-Golay smoothing and differentiation on the valid part of a signal (T 4.3, Eq 4.6-4.14).
+"""Savitzky-Golay filters: smoothing and differentiation on the valid part of a signal (T 4.3, Eq 4.6-4.14).
 
 A polynomial is fitted to each window of 2m + 1 samples; its value, or its slope, at the centre is the output. The
 output that belongs to input row i is known m samples later: **the delay is m samples** (50 ms at the default window
 of 0.1 s), the same for the value and for the slope, which is why the rate and the differentiated setpoint are both
-filtered with one window (T 4.3.4). Rows without a complete window give no output; nothing is padded.
-Streams are filtered by running moments (`rows.rates`).
-
-numpy only: importing scipy.signal takes 0.8 s, which the detector's start cannot afford.
+filtered with one window (T 4.3.4). Rows without a complete window give no output; nothing is padded. Rows are filtered
+by running moments in `rows.rates`. numpy only: importing scipy.signal takes 0.8 s.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -57,49 +54,3 @@ def coefficients(window: int, order: int = 2) -> FloatArray:
     A = (np.arange(-m, m + 1) / scale)[:, None] ** powers
     C: FloatArray = np.linalg.pinv(A) / scale ** powers[:, None]
     return C
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SavgolFilter:
-    """A Savitzky-Golay filter as its taps; build it with `smoother` or `differentiator`.
-
-    taps: (window,) weights of the window's samples, oldest first; made read-only. A smoother keeps the input's unit,
-    a differentiator divides it by seconds. A NaN spoils only the windows that hold it.
-
-    >>> filt = SavgolFilter.differentiator(5, dt_s=0.5)
-    >>> filt.batch(np.array([0.0, 1.0, 4.0, 9.0, 16.0, 25.0])).round(9).tolist()   # 2 m rows shorter
-    [8.0, 12.0]
-    """
-
-    taps: FloatArray
-
-    def __post_init__(self) -> None:
-        if self.taps.ndim != 1 or len(self.taps) % 2 == 0:
-            raise UsageError("the taps of a Savitzky-Golay filter are one row of odd length")
-        self.taps.setflags(write=False)
-
-    @classmethod
-    def smoother(cls, window: int, order: int = 2) -> "SavgolFilter":
-        """Filter that gives the smoothed value (T Eq 4.12). Raises UsageError on an impossible window or order."""
-        return cls(coefficients(window, order)[0].copy())
-
-    @classmethod
-    def differentiator(cls, window: int, dt_s: float, order: int = 2) -> "SavgolFilter":
-        """Filter that gives the first derivative per second (T Eq 4.13) at a sample time of `dt_s` [s].
-
-        Raises UsageError on an impossible window, order (at least 1) or sample time.
-        """
-        if order < 1 or not (math.isfinite(dt_s) and dt_s > 0):
-            raise UsageError(f"a derivative needs order >= 1 and a positive sample time, not {order} and {dt_s}")
-        return cls(coefficients(window, order)[1] / dt_s)
-
-    def batch(self, x: FloatArray) -> FloatArray:
-        """Filter a whole signal, (n,) or (n, k), into its valid part, (n - 2m,) or (n - 2m, k).
-
-        Output row i belongs to input row i + m. Fewer than 2m + 1 rows give an empty output.
-        """
-        rows = max(0, len(x) - len(self.taps) + 1)
-        if rows == 0:
-            return np.empty((0, *x.shape[1:]))
-        columns = [np.correlate(column, self.taps, "valid") for column in x.reshape(len(x), -1).T]
-        return np.stack(columns, axis=1).reshape(rows, *x.shape[1:])

@@ -57,8 +57,10 @@ def motion_of(block: Block) -> FloatArray:
     bin_ns = round(bin_s * NS_PER_S)
     found = np.zeros((int(block.t_ns[-1] // bin_ns - block.t_ns[0] // bin_ns) + 1, 10))
     found[:, 0], found[:, 2] = block.segment, bin_s
-    signals = (np.ascontiguousarray(one.T) for one in (block.rate, block.force, block.attitude, block.setpoint))
-    return found[: _sum_bins(block.t_ns, bin_ns, *signals, block.setpoint_valid, found)]
+    rate, force, attitude, setpoint = (
+        np.ascontiguousarray(one.T) for one in (block.rate, block.force, block.attitude, block.setpoint)
+    )
+    return found[: _sum_bins(block.t_ns, bin_ns, rate, force, attitude, setpoint, block.setpoint_valid, found)]
 
 
 @jit

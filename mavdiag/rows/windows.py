@@ -44,20 +44,12 @@ def highpass(corner: float, taps: int) -> FloatArray:
 def window_mean(x: FloatArray, window: int) -> FloatArray:
     """Mean over each full window of rows, (n, k) -> (n - window + 1, k), none if there are fewer rows than that.
 
-    The rows that windows share are added up once.
-
     >>> window_mean(np.array([[1.0], [3.0], [5.0]]), 2)[:, 0].tolist()
     [2.0, 4.0]
     """
     known, columns = max(0, len(x) - window + 1), x.shape[1]
-    if known <= window:  # they share the rows between the first and the last one, which are added up once
-        out = np.empty((columns, known))
-        if known:
-            out[:] = np.add.reduce(x[known - 1 : window].T, axis=1)[:, None]
-            out[:, :-1] += np.add.accumulate(x[: known - 1].T[:, ::-1], axis=1)[:, ::-1]
-            out[:, 1:] += np.add.accumulate(x[window:].T, axis=1)
-            out /= window
-        return out.T
+    if known == 0:
+        return np.empty((0, columns))
     # Each window is the end of one stretch of `window` rows and the begin of the next one.
     count = -(-len(x) // window)
     stretches = np.zeros((columns, count, window))

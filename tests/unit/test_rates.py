@@ -1,11 +1,16 @@
-"""The rate pair: equal delays, body rates, and validity of whole windows."""
+"""The rate pair: Savitzky-Golay filters that run, equal delays, body rates, and validity of whole windows."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
+from mavdiag.errors import UsageError
 from mavdiag.rows.block import Block
 from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import FloatArray
@@ -15,62 +20,79 @@ DT_S = 0.001
 SPEC = RateSpec.of(DT_S, 101)
 
 
-def block(setpoint: FloatArray) -> Block:
-    return example_rows(len(setpoint), DT_S, setpoint=setpoint).block
+def block(setpoint: FloatArray, rate: FloatArray | None = None) -> Block:
+    return example_rows(len(setpoint), DT_S, setpoint=setpoint, rate=rate).block
 
 
-def leaning_turn(t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Roll, pitch, yaw of a vehicle that leans and turns its nose along a path, and their derivatives, (n, 3)."""
-    angles = np.column_stack((0.5 * np.sin(1.1 * t), 0.4 * np.cos(0.7 * t) - 0.1, 0.8 * t + 0.6 * np.sin(0.9 * t)))
-    slopes = np.column_stack((0.55 * np.cos(1.1 * t), -0.28 * np.sin(0.7 * t), 0.8 + 0.54 * np.cos(0.9 * t)))
-    return angles, slopes
+def leaning_turn(t: FloatArray) -> FloatArray:
+    """(n, 3) roll, pitch, yaw of a vehicle that leans and turns its nose along a path."""
+    return np.column_stack((0.5 * np.sin(1.1 * t), 0.4 * np.cos(0.7 * t) - 0.1, 0.8 * t + 0.6 * np.sin(0.9 * t)))
 
 
-def test_a_quadratic_setpoint_has_an_exact_slope_at_the_right_time() -> None:
-    t = np.arange(2000) * 1e-3
-    rows = block(np.outer(0.3 * t**2, [1.0, 0.0, 0.0]))
-    out = SPEC.step(SPEC.start(), rows)
-    assert len(out) == 2000 - 100
-    at = (out.t_ns - rows.t_ns[0]) / 1e9
-    np.testing.assert_allclose(out.u[:, 0], 0.6 * at, atol=1e-9)
+@pytest.mark.parametrize(("window", "order"), [(5, 2), (11, 1), (101, 2)])
+def test_running_moments_are_the_filters_of_scipy(window: int, order: int) -> None:
+    """After 100,000 rows, too, of which the first ones are large."""
+    rng, m = np.random.default_rng(1), window // 2
+    rate, roll = rng.normal(0, 1, (100_000, 3)), np.cumsum(rng.normal(0, 0.01, (100_000, 1)), axis=0)
+    rate[:200] += 1e3
+    spec = RateSpec.of(DT_S, window, order)
+    out = spec.step(spec.start(), block(roll * (1, 0, 0), rate))
+    np.testing.assert_allclose(out.y, savgol_filter(rate, window, order, axis=0)[m:-m], atol=1e-9)
+    slope = savgol_filter(roll[:, 0], window, order, deriv=1, delta=DT_S)[m:-m]
+    np.testing.assert_allclose(out.u[:, 0], slope, atol=1e-9 * np.abs(slope).max())
+    np.testing.assert_array_equal(out.gyro, rate[m:-m])
+
+
+@given(edges=st.lists(st.integers(0, 1500), max_size=12), window=st.sampled_from([5, 11, 101]), seed=st.integers(0, 99))
+def test_any_cut_gives_the_same_bits(edges: list[int], window: int, seed: int) -> None:
+    rng, spec = np.random.default_rng(seed), RateSpec.of(DT_S, window)
+    rows = block(rng.normal(0, 1, (1500, 3)), rng.normal(0, 1, (1500, 3)))
+    rows = dataclasses.replace(rows, valid=rng.random(1500) > 0.01, setpoint_valid=rng.random(1500) > 0.01)
+    state, whole = spec.start(), spec.step(spec.start(), rows)
+    parts = [spec.step(state, rows.rows(a, b)) for a, b in itertools.pairwise(sorted({0, 1500, *edges}))]
+    for name in ("t_ns", "u", "y", "gyro", "valid", "commanded"):
+        np.testing.assert_array_equal(np.concatenate([getattr(one, name) for one in parts]), getattr(whole, name))
+
+
+def test_what_is_no_number_spoils_only_the_windows_that_hold_it() -> None:
+    rate = np.random.default_rng(2).normal(0, 1, (2000, 3))
+    holed = rate.copy()
+    holed[[700, 740], 1] = np.nan
+    clean, spoilt = (SPEC.step(SPEC.start(), block(np.zeros((2000, 3)), one)).y for one in (rate, holed))
+    bad = np.isnan(spoilt)
+    assert np.flatnonzero(bad.any(axis=0)).tolist() == [1]
+    assert np.flatnonzero(bad[:, 1]).tolist() == list(range(600, 741))
+    np.testing.assert_allclose(spoilt[~bad], clean[~bad], atol=1e-12)
 
 
 def test_l1_u_is_the_body_rate_of_a_vehicle_that_turns_and_leans() -> None:
     """Truth from rotations, whose logarithm of the change over one step is the body rate, and no formula of W."""
     t = np.arange(12_000, dtype=np.float64) * DT_S
-    angles, slopes = leaning_turn(t)
-    out = SPEC.step(SPEC.start(), block(angles))
+    out = SPEC.step(SPEC.start(), block(leaning_turn(t)))
     at = np.round(out.t_ns / 1e9 / DT_S).astype(int)
 
     def attitude(offset: float) -> Rotation:
-        return Rotation.from_euler("ZYX", leaning_turn(np.asarray(t[at] + offset, dtype=np.float64))[0][:, ::-1])
+        return Rotation.from_euler("ZYX", leaning_turn(np.asarray(t[at] + offset, dtype=np.float64))[:, ::-1])
 
     truth = (attitude(-1e-5).inv() * attitude(1e-5)).as_rotvec() / 2e-5
     np.testing.assert_allclose(out.u, truth, atol=2e-3)  # the window of 0.1 s bends a curve a little
-    assert np.abs(slopes[at] - truth).max() > 0.3  # the slopes of the angles are no body rates
+    slopes = np.gradient(leaning_turn(t), DT_S, axis=0)[at]
+    assert np.abs(slopes - truth).max() > 0.3  # the slopes of the angles are no body rates
 
 
-@pytest.mark.parametrize("lean", [0.0, 0.3])
-def test_l1_a_level_turn_yaws_and_a_leaning_turn_pitches_too(lean: float) -> None:
-    """A heading rate of 2 rad/s at a roll angle `lean` gives q = 2 sin(roll) and r = 2 cos(roll)."""
-    t = np.arange(500) * DT_S
-    out = SPEC.step(SPEC.start(), block(np.column_stack((np.full(500, lean), 0 * t, 2.0 * t))))
-    np.testing.assert_allclose(out.u, np.tile([0, 2 * np.sin(lean), 2 * np.cos(lean)], (400, 1)), atol=1e-9)
-
-
-def test_a_row_is_valid_and_commanded_only_with_its_whole_window() -> None:
-    rows = block(np.zeros((1000, 3)))
+def test_a_row_is_valid_and_commanded_only_with_its_whole_window_and_a_segment_begins_afresh() -> None:
+    rows, state = block(np.zeros((1000, 3))), SPEC.start()
     valid, setpoint_valid = np.arange(1000) >= 200, np.arange(1000) != 600
-    out = SPEC.step(SPEC.start(), dataclasses.replace(rows, valid=valid, setpoint_valid=setpoint_valid))
+    out = SPEC.step(state, dataclasses.replace(rows, valid=valid, setpoint_valid=setpoint_valid))
     at = np.round(out.t_ns / 1e9 / DT_S).astype(int)
     np.testing.assert_array_equal(out.valid, at >= 250)
     np.testing.assert_array_equal(out.commanded, (at >= 250) & (np.abs(at - 600) > 50))
+    assert len(SPEC.step(state, rows.rows(0, 50, segment=7))) == 0
+    again = SPEC.step(state, rows.rows(50, 101, segment=7))
+    assert (len(again), int(again.t_ns[0])) == (1, int(rows.t_ns[50]))
 
 
-def test_a_new_segment_starts_the_filters_afresh() -> None:
-    rows = block(np.ones((300, 3)))
-    state = SPEC.start()
-    SPEC.step(state, rows)
-    out = SPEC.step(state, rows.rows(0, 50, segment=7))
-    assert len(out) == 0
-    assert state.segment == 7
+@pytest.mark.parametrize(("dt_s", "window", "order"), [(DT_S, 101, 3), (DT_S, 101, 0), (0.0, 101, 2), (DT_S, 100, 2)])
+def test_impossible_filters_are_refused(dt_s: float, window: int, order: int) -> None:
+    with pytest.raises(UsageError):
+        RateSpec.of(dt_s, window, order)

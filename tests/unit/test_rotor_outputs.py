@@ -12,7 +12,7 @@ from test_layout import made_flight
 from typer.testing import CliRunner
 
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.detect import Fit, contradicts, detect_layout
+from mavdiag.airframe.detect import contradicts, detect_layout
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named
 from mavdiag.airframe.load import load_airframe, with_layout
 from mavdiag.as_json import verdict_json
@@ -95,23 +95,6 @@ def test_what_the_flights_hardly_show_is_never_another_layout(name: str) -> None
             outputs = 0.5 * (1 + torque @ layout.mixing.T + rng.normal(0, noise, (2000, layout.rotors)))
             found.append(detect_layout([example_rows(2000, actuator=outputs, torque=torque).block]).layout)
     assert set(found) == {layout, None}
-
-
-def test_axes_that_move_together_leave_the_layout_open() -> None:
-    """The effects of an emulated octo x that was named octo plus: roll and pitch moved together, 0.98 correlated."""
-    true, other = layout_named("octo-x"), layout_named("octo-plus")
-    leak = np.array([[0.84, 0.53, 0.0], [-0.1, 0.99, 0.0], [0.0, 0.0, 1.0]])
-    apart, together = np.eye(3), np.array([[1.0, 0.98, 0.0], [0.98, 1.0, 0.0], [0.0, 0.0, 1.0]])
-
-    def fit(effects: FloatArray, spread: FloatArray) -> Fit:
-        return Fit("rate error", effects, np.full(3, 100.0), np.full(8, 100.0), 0.97, spread)
-
-    assert fit(true.mixing.T, apart).lost(true.mixing) == pytest.approx(0.0, abs=1e-6)
-    assert fit(true.mixing.T, apart).lost(other.mixing) > 0.05
-    open_ = fit(leak @ true.mixing.T, together)
-    assert open_.lost(true.mixing) > 0.5 * open_.lost(other.mixing)
-    assert fit(-true.mixing.T, apart).lost(true.mixing) == pytest.approx(1.0)
-    assert (fit(true.mixing.T, apart).together, open_.together) == pytest.approx((1.0, 1 / (1 - 0.98**2)))
 
 
 def test_a_servo_that_follows_as_a_motor_does_leaves_the_layout_unknown() -> None:
@@ -246,13 +229,6 @@ def test_parameters_that_name_dead_outputs_lose_their_outputs_not_their_layout()
     assert frame.outputs == (5, 6, 7, 8)
 
 
-def test_flights_whose_parameters_differ_count_as_without() -> None:
-    logs = [replace(one, parameters={**COPTER_X, "FRAME_TYPE": float(i)}) for i, one in enumerate(flights(2))]
-    frame = taught(logs).airframe
-    assert frame.layout is layout_named("x")
-    assert frame.layout_basis.startswith("found from outputs")
-
-
 def silent(count: int) -> list[Log]:
     """Flights without outputs."""
     return [
@@ -294,18 +270,6 @@ def test_identify_says_an_unknown_layout_in_a_line_of_its_own(
 def test_contradictory_parameters_stand_in_the_reason() -> None:
     logs = [replace(one, parameters={**COPTER_X, **SERVOS_5, "SERVO9_FUNCTION": 33.0}) for one in silent(2)]
     assert "unknown: the parameters contradict themselves: SERVOn_FUNCTION has the motors 1, 1," in str(taught(logs))
-
-
-def test_a_baseline_of_before_the_outputs_is_still_sound() -> None:
-    baseline = learn([Log("f", "", "px4", flying(3000, 1))], LearnOptions(airframe=UNKNOWN, monitors=TRIM), created=NOW)
-    plain = baseline.model_copy(update={"airframe": replace(baseline.airframe, layout_basis="")})
-    raw = json.loads(dump(plain))
-    for name in ("outputs", "layout_basis", "layout_warning"):
-        del raw["airframe"][name]
-    assert parse(json.dumps(raw)).airframe == plain.airframe
-    raw["airframe"]["outputs"] = [2, 1, 3, 4]
-    with pytest.raises(InputError, match="digest"):
-        parse(json.dumps(raw))
 
 
 def test_outputs_of_an_airframe_file(tmp_path: Path) -> None:
