@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
+import mavdiag.monitors.trim as trim
 from mavdiag.airframe.trim import spread_of
 from mavdiag.jit import cached
-from mavdiag.monitors import trim
 from mavdiag.monitors.base import Feature
 from mavdiag.monitors.columns import COVERED, LEVEL, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.spec import spec

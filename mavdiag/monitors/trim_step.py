@@ -9,10 +9,10 @@ from typing import Literal
 
 import numpy as np
 
+import mavdiag.monitors.trim as trim
 from mavdiag.airframe.trim import spread_of
 from mavdiag.errors import IdentificationError
 from mavdiag.jit import cached, jit
-from mavdiag.monitors import trim
 from mavdiag.monitors.columns import COVERED, LEVEL, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.telemetry import FloatArray, Three

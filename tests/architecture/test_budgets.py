@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("mavdiag", "sitl_plant", "detector")
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 
-FUNCTION_LINES = 50
+FUNCTION_LINES = 60
 FUNCTION_LINES_P90 = 25
 
 
@@ -29,7 +29,7 @@ def test_the_packages_are_there() -> None:
     assert len(FILES) > 40
 
 
-def test_no_function_is_longer_than_50_lines_and_nine_in_ten_have_25() -> None:
+def test_no_function_is_longer_than_60_lines_and_nine_in_ten_have_25() -> None:
     lengths = [one for path in FILES for one in functions(path)]
     assert [one for one in lengths if one[1] > FUNCTION_LINES] == []
     assert statistics.quantiles([length for _, length in lengths], n=10)[8] <= FUNCTION_LINES_P90

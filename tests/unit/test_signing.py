@@ -69,16 +69,12 @@ def test_what_pymavlink_signs_we_accept() -> None:
 
 
 def test_a_forged_frame_with_a_huge_stamp_does_not_stop_the_genuine_stream() -> None:
-    """pymavlink keeps the stamp before it compares the hash: one such frame, and the stream is bad for good."""
     genuine = beats(20, Signing(KEY, stamp=NOW))
     forged = beats(1, Signing(b"x" * 32, stamp=(1 << 48) - 2))[0]
     signing, decoder = verifier()
     assert len(heard(decoder, *genuine[:10], forged, *genuine[10:])) == 20
     assert signing.refused == {Refusal.FORGED: 1}
     assert signing.stamp < NOW + 100
-    mav = peer()
-    kinds = [one.get_type() for data in (*genuine[:10], forged, *genuine[10:]) for one in mav.parse_buffer(data) or []]
-    assert kinds.count("HEARTBEAT") == 10  # the peer's fault, which is why its check is not used
 
 
 def test_every_bit_of_a_signed_frame_is_protected() -> None:
@@ -146,13 +142,14 @@ def test_a_key_of_another_size_is_refused(size: int, link_id: int) -> None:
 def test_the_emulated_vehicle_signs_and_hears_only_what_is_signed() -> None:
     emulator = pytest.importorskip("sitl_plant.emulator", reason="the plant is an extra")
     dialects = pytest.importorskip("sitl_plant.autopilot.dialect")
+    wire = pytest.importorskip("sitl_plant.autopilot.wire")
     near, far = memory_pair()
     link = emulator.Link(near, dialects.DIALECTS["qdrone2"], 100.0, signing=Signing(KEY, stamp=NOW))
     station = Signing(KEY, stamp=NOW)
     far.send(Encoder(255, 190).encode(MessageId.HEARTBEAT, *HEARTBEAT))
     far.send(Encoder(255, 190, station).encode(MessageId.HEARTBEAT, *HEARTBEAT))
     (frame,) = link.receive()
-    link.act(emulator.Forward(0, frame))
+    link.act(wire.Forward(0, frame))
     decoder = Decoder(signing=Signing(KEY, stamp=NOW))
     assert [one.sysid for data, _ in far.receive(0.0) for one in decoder.feed_datagram(data, 0)] == [255]
     near.close()
