@@ -205,7 +205,7 @@ def report(lines: list[str], vehicles: int, faulty: int) -> None:
     figures = re.findall(
         r"vehicle (\d+) [^,]+, (\d+) frames, (\d+) lost on the way, ([\d.]+) s judged, (\d+) ev", summary
     )
-    alerted = {int(one) for line in lines for one in re.findall(r"vehicle (\d+): \w+ -> alert", line)}
+    alerted = {int(one) for line in lines for one in re.findall(r"vehicle (\d+): decision: fault", line)}
     wanted = set(range(vehicles - faulty + 1, vehicles + 1))
     print(f"{len(figures)} of {vehicles} vehicles, {sum(int(one[1]) for one in figures)} frames received")
     print(f"  lost on the way {sum(int(one[2]) for one in figures)}; {summary.rpartition('; ')[2]}")

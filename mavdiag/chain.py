@@ -2,7 +2,7 @@
 
     telemetry ─ front ─▶ rows ─ kernel ─▶ looks ─ decision ─▶ events, changes
 
-All memory is in the state. Chunks wait until they bring the rows of the next look, every 0.1 s, for until then nothing
+All memory is in the state. Chunks wait until they bring the rows of the next look, every 0.05 s, for until then nothing
 can be decided. So a chain that is fed more often costs what one does that is fed ten times a second, and decides as
 early.
 
@@ -286,7 +286,7 @@ class Chain:
 def warm() -> None:
     """Compile what judges, or load it from where it is kept, before time counts.
 
-    The first time after an installation it takes some 20 s of processor time, later half a second.
+    The first time after an installation it takes about a minute of processor time, later half a second.
     """
     warm_rows()
     warm_samples()

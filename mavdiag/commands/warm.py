@@ -10,7 +10,7 @@ from mavdiag.commands.progress import working
 def warm() -> None:
     """Compile what judges and keep the machine code; after an installation, for every user that runs the detector.
 
-    The detector does so itself at its start. It takes some 20 s of processor time, and half a second later on.
+    The detector does so itself at its start. It takes about a minute of processor time, and half a second later on.
     """
     with working("compiling"):
         from mavdiag import chain

@@ -18,7 +18,7 @@ does not decide raises a suspicion at most, and only when it is over.
 A rotor that was named and whose command falls is mended, or another one carries its load no longer: a trim that such a
 fall explains better than the rise of any rotor does not count while the fault is held.
 
-Time is looked at every 0.1 s of the vehicle's clock, when everything up to then is known. So the result does not depend
+Time is looked at every 0.05 s of the vehicle's clock, when everything up to then is known. So the result does not depend
 on how the data were cut: a live link and its recording give the same events, rotors, types and severities.
 """
 
@@ -53,7 +53,7 @@ __all__ = ["LOOK_NS", "NOTHING_SEEN", "Change", "DecisionSpec", "Diagnosis", "Ev
 
 CLEAR_NS = 2 * NS_PER_S  # all calm for so long ends a suspicion, or what is seen of a fault (our choice)
 # A propeller fault that names no rotor is declared so much later: a noisy sensor shows as one until then (our choice).
-DOUBT_NS = 3 * LOOK_NS
+DOUBT_NS = 3 * NS_PER_S // 10
 # A name that is given up within so long of an episode was wrong; later it is another rotor's fault (our choice: the
 # longest window of a monitor).
 CORRECTED_NS = 5 * NS_PER_S

@@ -7,7 +7,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from mavdiag.rows.quality import DOUBTS
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
 __all__ = ["ALL", "COLUMNS", "Block"]
@@ -90,13 +89,6 @@ class Block:
         if signal is Signal.ATTITUDE_SETPOINT:
             return self.setpoint_valid
         return self.once((signal, columns.start, columns.stop), lambda: self._finite(signal, columns))
-
-    def doubted_s(self) -> dict[str, float]:
-        """For how long the gyro must not be judged though it is there, by reason [s]."""
-        if not np.count_nonzero(self.doubt):
-            return {}
-        codes, counts = np.unique(self.doubt[self.doubt > 0], return_counts=True)
-        return {str(DOUBTS[int(code)]): int(count) * self.dt_s for code, count in zip(codes, counts, strict=True)}
 
     def once(self, key: Hashable, find: Callable[[], Found]) -> Found:
         """What `find` gives, and the same for the same key later on; do not write to it."""

@@ -1,8 +1,7 @@
 """Telemetry to rows of flight and their rates: alignment, gate and rate filters in a row, for judging and learning."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 
@@ -11,27 +10,15 @@ from mavdiag.rows.block import Block
 from mavdiag.rows.gate import Border, GateSpec, GateState, hidden_flight
 from mavdiag.rows.outputs import in_rotor_order
 from mavdiag.rows.rates import RateBlock, RateSpec, RateState
-from mavdiag.telemetry import BoolArray, IntArray, Series, Signal, Telemetry
-
-Covered: TypeAlias = Callable[[frozenset[str], float, IntArray], BoolArray]
-
-
-def everywhere(conditions: frozenset[str], memory_s: float, t_ns: IntArray) -> BoolArray:
-    """All of the times: nothing was learnt yet that they could be outside of."""
-    return np.ones(len(t_ns), dtype=np.bool_)
+from mavdiag.telemetry import Series, Signal, Telemetry
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """The next aligned rows of one segment, and the filtered rates that they complete (half a window later).
-
-    covered: at which of some times (n,) [ns] the vehicle flew as the baseline's envelope covers it, of these conditions
-        and over so many seconds before; everywhere while a baseline is learnt.
-    """
+    """The next aligned rows of one segment, and the filtered rates that they complete (half a window later)."""
 
     block: Block
     rates: RateBlock
-    covered: Covered = everywhere
 
 
 @dataclass(slots=True, eq=False)

@@ -12,7 +12,6 @@ import numpy as np
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import BoolArray, FloatArray
 
-FEW_WINDOWS = 4  # fewer are added up one by one
 BETA = 4.0  # of the Kaiser window: 45 dB of stop band (our choice)
 
 
@@ -62,22 +61,6 @@ def window_mean(x: FloatArray, window: int) -> FloatArray:
     out += begins[:, :known]
     out /= window
     return out.T
-
-
-def window_sums(x: FloatArray, window: int) -> FloatArray:
-    """Sum over each full window of rows, (n, k) -> (n - window + 1, k), n at least `window`.
-
-    For short windows: each is added up by itself, one row after the other, so that no cut changes a bit.
-    """
-    count = len(x) - window + 1
-    if count < FEW_WINDOWS:
-        rows = np.ascontiguousarray(x)
-        return np.stack([np.add.reduce(rows[first : first + window], axis=0) for first in range(count)])
-    columns = np.ascontiguousarray(x.T)
-    sums = columns[:, :count].copy()
-    for row in range(1, window):
-        sums += columns[:, row : row + count]
-    return sums.T
 
 
 def window_all(flags: BoolArray, window: int) -> BoolArray:
