@@ -2,7 +2,7 @@
 
     telemetry ─ front ─▶ rows ─ kernel ─▶ looks ─ decision ─▶ events, changes
 
-All memory is in the state. Chunks wait until they bring the rows of the next look, every 0.05 s, for until then nothing
+All memory is in the state. Chunks wait until they bring the rows of the next look, every 0.1 s, for until then nothing
 can be decided. So a chain that is fed more often costs what one does that is fed ten times a second, and decides as
 early.
 

@@ -18,7 +18,7 @@ does not decide raises a suspicion at most, and only when it is over.
 A rotor that was named and whose command falls is mended, or another one carries its load no longer: a trim that such a
 fall explains better than the rise of any rotor does not count while the fault is held.
 
-Time is looked at every 0.05 s of the vehicle's clock, when everything up to then is known. So the result does not depend
+Time is looked at every 0.1 s of the vehicle's clock, when everything up to then is known. So the result does not depend
 on how the data were cut: a live link and its recording give the same events, rotors, types and severities.
 """
 
