@@ -6,17 +6,17 @@ hover tells what these are now, and the old flights still tell how much they var
 """
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
-from mavdiag.airframe.fingerprint import Fingerprint, Outcome, compare, fingerprint_of, merged
-from mavdiag.baseline import SESSION_GAP_NS, Baseline, HealthyScores, MonitorEntry, check_link, sealed
+from mavdiag.airframe.fingerprint import Outcome, compare, fingerprint_of, merged
+from mavdiag.baseline import SESSION_GAP_NS, Baseline, MonitorEntry, check_link, sealed
 from mavdiag.chain import front_of
 from mavdiag.errors import InputError
-from mavdiag.learning.flights import HeldLog, LearntFlight, airborne, hold, sessions_of
-from mavdiag.learning.guards import upsets
+from mavdiag.learning.flights import HeldLog, airborne, hold, sessions_of
+from mavdiag.learning.guards import repeated, upsets
 from mavdiag.learning.learn import assessed, plain_scores, sources
-from mavdiag.learning.repeats import repeated
 from mavdiag.learning.teaching import refuse
 from mavdiag.monitors import monitor_of
 from mavdiag.monitors.base import Flights, LearnContext
@@ -31,12 +31,9 @@ from mavdiag.thresholds.rule import threshold_of
 def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool = False, created: str) -> Baseline:
     """The baseline with more healthy flights of its airframe. created: time stamp to record, ISO 8601 UTC.
 
-    Each flight is taken once, and put aside as `learning.learn` does.
-
     new_propellers: they were flown with a new set; one hover of 15 s is enough.
-    Raises InputError, naming the flight, for one that is in it already, is named twice, never flies or falls, or for a
-    baseline of an older schema; BaselineError for a flight over another link; IdentificationError for one that is too
-    short for a monitor.
+    Raises InputError, naming the flight, for one that is in it already, is named twice, never flies or falls, or is of
+    another vehicle; BaselineError for one over another link; IdentificationError for one too short for a monitor.
     """
     with Shelf() as shelf:
         return _extended(baseline, [hold(flight, shelf) for flight in flights], shelf, new_propellers, created)
@@ -52,17 +49,31 @@ def _extended(
     learnt = [airborne(front, flight, shelf) for flight in flights]
     refuse(upsets(learnt))
     if known is not None and not new_propellers:
-        _check_vehicle(baseline, known, learnt)
+        for one in learnt:
+            likeness = compare(known, one.rows, baseline.airframe.layout)
+            if likeness.outcome is Outcome.FAR:
+                raise InputError(f"{one.label.name}: another vehicle: {likeness.sentence(baseline.airframe.name)}")
     old, rows = baseline.provenance.logs, [flight.rows for flight in learnt]
     propellers = baseline.propellers + new_propellers
     sessions, before = _sessions(baseline, [flight.label for flight in flights]), {log.session for log in old}
     entries = []
     for entry in baseline.monitors:
-        moved, fresh = (_moved if new_propellers else _same)(baseline, entry, rows)
-        same_set = sum(log.propellers == propellers for log in old) + len(learnt)
-        grown = _grown(moved, fresh, len(before | set(sessions)), same_set)
-        spec = grown.spec if new_propellers else monitor_of(grown.spec).extended(rows, len(before))
-        entries.append(grown.model_copy(update={"spec": spec}))
+        spec, ratio = entry.spec, 1.0
+        if new_propellers:
+            spec, ratio, fresh = _moved(baseline, entry, rows)
+        else:
+            fresh = [score(monitor_of(spec), flight) for flight in rows]
+        scores = pooled([Scores(ratio * np.array(entry.scores.maxima), np.array(entry.scores.spans_s)), *fresh])
+        threshold = threshold_of(
+            scores,
+            flights=sum(log.propellers == propellers for log in old) + len(learnt),
+            sessions=len(before | set(sessions)),
+            budget_per_hour=entry.threshold.budget_per_hour,
+            guard=monitor_of(spec).guard,
+            rule=entry.threshold.rule,
+        )
+        spec = spec if new_propellers else monitor_of(spec).extended(rows, len(before))
+        entries.append(MonitorEntry(spec=spec, threshold=threshold, scores=plain_scores(scores)))
     fresh_print = fingerprint_of(rows, baseline.airframe.layout)
     longer = baseline.model_copy(
         update={
@@ -86,8 +97,6 @@ def _check(baseline: Baseline, flights: Sequence[HeldLog]) -> None:
             raise InputError(f"{flight.label.name}: is in the baseline already; leave it out")
         check_link(baseline, profile=flight.label.profile, dt_s=flight.dt_s)
     refuse(repeated(flights))
-    if any(entry.scores is None for entry in baseline.monitors):
-        raise InputError("the baseline is of an older schema and holds no scores; make it anew with `mavdiag identify`")
 
 
 def _sessions(baseline: Baseline, flights: Sequence[Log]) -> list[int]:
@@ -102,51 +111,18 @@ def _sessions(baseline: Baseline, flights: Sequence[Log]) -> list[int]:
     return numbers
 
 
-def _grown(entry: MonitorEntry, fresh: Sequence[Scores], sessions: int, flights: int) -> MonitorEntry:
-    """The entry with the new flights' scores, and the threshold of all. flights: with the present propellers."""
-    if entry.scores is None:
-        return entry
-    scores = pooled([Scores(np.array(entry.scores.maxima), np.array(entry.scores.spans_s)), *fresh])
-    threshold = threshold_of(
-        scores,
-        flights=flights,
-        sessions=sessions,
-        budget_per_hour=entry.threshold.budget_per_hour,
-        guard=monitor_of(entry.spec).guard,
-        rule=entry.threshold.rule,
-    )
-    return MonitorEntry(spec=entry.spec, threshold=threshold, scores=plain_scores(scores))
+def _moved(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> tuple[Any, float, list[Scores]]:
+    """The fit for new propellers, the factor of the old scores, and the new flights' scores.
 
-
-def _same(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> tuple[MonitorEntry, list[Scores]]:
-    """The entry, and the scores of flights that its fit has not seen."""
-    return entry, [score(monitor_of(entry.spec), flight) for flight in flights]
-
-
-def _moved(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> tuple[MonitorEntry, list[Scores]]:
-    """The entry for new propellers, and the new flights' scores, each by a fit to the others or to its other pieces.
-
-    The healthy level is that of the new flights, and the old scores move along.
+    The healthy level is that of the new flights. Each is scored by a fit to the others, or to its other pieces.
     """
-    if entry.scores is None:
-        return entry, []
-    airframe = baseline.airframe
+    airframe, monitor, fresh = baseline.airframe, monitor_of(entry.spec), list[Scores]()
     context = LearnContext(airframe, airframe.imu_corner_hz, baseline.link.dt_s, baseline.window.samples)
-    monitor, fresh = monitor_of(entry.spec), list[Scores]()
     spec, ratio = monitor.renewed(flights, context)
     for left_out, rest in folds(flights):
         held_out = spec if spec == entry.spec else monitor.renewed(rest, context)[0]
         fresh += [score(monitor_of(held_out), flight) for flight in left_out]
-    scores = HealthyScores(maxima=tuple(ratio * x for x in entry.scores.maxima), spans_s=entry.scores.spans_s)
-    return entry.model_copy(update={"spec": spec, "scores": scores}), fresh
-
-
-def _check_vehicle(baseline: Baseline, known: Fingerprint, flights: Sequence[LearntFlight]) -> None:
-    """Raise InputError for a flight of another vehicle."""
-    for one in flights:
-        likeness = compare(known, one.rows, baseline.airframe.layout)
-        if likeness.outcome is Outcome.FAR:
-            raise InputError(f"{one.label.name}: another vehicle: {likeness.sentence(baseline.airframe.name)}")
+    return spec, ratio, fresh
 
 
 def _joined(one: Sequence[Covered], other: Sequence[Covered]) -> tuple[Covered, ...]:

@@ -1,15 +1,13 @@
 """Guards of teaching: what among healthy flights should not be learnt, where it is, and what to do about it.
 
 A log with its crash inside, the same flight twice, a stretch far from all the rest, two vehicles taken for one: each
-would be learnt without a word, and the baseline would call the like of it healthy. All guards are pure; they return
-`Finding`s. `mavdiag.learning.teaching` refuses or leaves out what they name before anything is fitted. A damaged
-propeller among the flights is seen once the monitors are fitted (`mavdiag.learning.suspicions`). All limits are our
-choices; `benchmarks/broken_teaching.py` has what they find, and how many healthy sets they mark.
+would be learnt without a word. All guards return `Finding`s; `mavdiag.learning.teaching` refuses or leaves out what
+they name before anything is fitted. All limits are our choices; `benchmarks/broken_teaching.py` has what they find.
 """
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -17,12 +15,19 @@ import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import LEVEL_RATIO, shown_trim
-from mavdiag.learning.flights import LearntFlight
+from mavdiag.learning.flights import IN_MEMORY, HeldLog, LearntFlight, hold
 from mavdiag.rows.front import Rows
 from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
 from mavdiag.rows.windows import window_mean, window_rows
-from mavdiag.telemetry import FloatArray
+from mavdiag.storage import Shelf
+from mavdiag.telemetry import FloatArray, IntArray, Log, Signal
 from mavdiag.units import NS_PER_S
+
+RUN = 16  # consecutive gyro samples that two flights do not have in common by chance (our choice)
+RUN_CHANGES = 12  # of them that differ from the one before, for a gyro at rest repeats itself (our choice)
+SHARED_S = 1.0  # of common runs that make an overlap (our choice)
+ALL_SHARED = 0.95  # of a flight's runs: the flight counts twice (our choice)
+ODD = 0x9E3779B97F4A7C15  # the golden ratio times 2^64: a multiplier that spreads bits (Knuth, TAOCP 3, 6.4)
 
 BLOCK_S = 5.0  # of flight (our choice)
 WINDOW_S = 0.5  # a block's figure is the median over these, so that the spike of a landing does not count (our choice)
@@ -54,9 +59,7 @@ class Kind(StrEnum):
 class Finding:
     """Something among the healthy flights that should not be learnt.
 
-    number: of the flight among those given, from 0: two may have one name.
-    log: its name.
-    kind: what it is about.
+    number, log: of the flight among those given, from 0, for two may have one name; and its name.
     text: what was seen, with figures, without the name.
     from_s, to_s: the part to leave out [s of the vehicle's clock]; None for the start or the end of the log.
     refuses: it must not be learnt; else it is only noted.
@@ -73,10 +76,8 @@ class Finding:
     @property
     def place(self) -> str:
         """The part to leave out, in words."""
-        if self.from_s is None and self.to_s is None:
-            return "the whole log"
         if self.from_s is None:
-            return f"all before {self.to_s:.1f} s"
+            return "the whole log" if self.to_s is None else f"all before {self.to_s:.1f} s"
         return f"all from {self.from_s:.1f} s on" if self.to_s is None else f"{self.from_s:.1f} to {self.to_s:.1f} s"
 
     @property
@@ -84,15 +85,69 @@ class Finding:
         """What to do about it."""
         if self.from_s is None and self.to_s is None:
             return "take this log out, or leave it out with --robust"
-        if self.to_s is None:
-            return f"cut the log before {self.from_s:.1f} s, or leave this part out with --robust"
-        return f"cut {self.place} out of the log, or leave this part out with --robust"
+        cut = f"cut the log before {self.from_s:.1f} s" if self.to_s is None else f"cut {self.place} out of the log"
+        return f"{cut}, or leave this part out with --robust"
 
     def __str__(self) -> str:
         return f"{self.log}: {self.text}"
 
 
-_FIGURES = (("gyro noise", FAR_RATIO), ("rate error", FAR_ERROR), ("thrust", FAR_LEVEL))
+def repeated(flights: Iterable[Log | HeldLog]) -> tuple[Finding, ...]:
+    """Flights that an earlier one holds already: the same file, the same gyro samples, or a part of them.
+
+    A copy in another container, or a part of a log, has the same gyro values, while their stamps may differ.
+    """
+    shelf, found, files = Shelf(IN_MEMORY), list[Finding](), dict[str, str]()
+    held = [hold(flight, shelf) for flight in flights]
+    runs = [_runs(_gyro(flight)[1]) for flight in held]
+    hashes = np.concatenate([np.empty(0, dtype=np.int64), *(one for one, _ in runs)])
+    owners = np.repeat(np.arange(len(runs)), [len(one) for one, _ in runs])
+    _, first, which = np.unique(hashes, return_index=True, return_inverse=True)
+    earliest = owners[first][which]  # the first flight that holds each run
+    for number, flight in enumerate(held):
+        name, sha256, starts = flight.label.name, flight.label.sha256, runs[number][1]
+        if sha256 and sha256 in files:
+            found.append(Finding(number, name, Kind.REPEATED, f"the same file as {files[sha256]}"))
+            continue
+        files[sha256] = name
+        whose = earliest[owners == number]
+        common = starts[whose < number]
+        if not len(common):
+            continue
+        t_ns, other = _gyro(flight)[0], int(np.bincount(whose[whose < number]).argmax())
+        dt_s = float(np.median(np.diff(np.unique(t_ns)))) / NS_PER_S
+        text = f"{len(common) * dt_s:.1f} s of it are in {held[other].label.name} as well"
+        if len(common) == len(starts) == len(runs[other][1]):
+            found.append(Finding(number, name, Kind.REPEATED, f"the same flight as {held[other].label.name}"))
+        elif len(common) > ALL_SHARED * len(starts):
+            found.append(Finding(number, name, Kind.REPEATED, text))
+        elif len(common) * dt_s >= SHARED_S:
+            low_s, high_s = float(t_ns[common].min()) / NS_PER_S, float(t_ns[common + RUN - 1].max()) / NS_PER_S
+            found.append(Finding(number, name, Kind.REPEATED, text, low_s, high_s + dt_s))
+    return tuple(found)
+
+
+def _gyro(flight: HeldLog) -> tuple[IntArray, FloatArray]:
+    """Times and values of a flight's gyro, without negative zeros."""
+    gyro = flight.open().telemetry.need(Signal.BODY_RATE)
+    return gyro.t_ns, np.ascontiguousarray(gyro.values, dtype=np.float64) + 0.0
+
+
+def _runs(values: FloatArray) -> tuple[IntArray, IntArray]:
+    """A hash of each run of `RUN` samples that move, (m,), and the sample that each begins with, (m,).
+
+    h_i = sum_k c_k mix(sum_j c_j words_(i+k),j), modulo 2^64
+    """
+    count = max(len(values) - RUN + 1, 0)
+    rows, hashes = np.zeros(len(values), dtype=np.uint64), np.zeros(count, dtype=np.uint64)
+    for word in values.view(np.uint64).T:
+        rows = (rows ^ word) * np.uint64(ODD)
+        rows ^= rows >> np.uint64(29)
+    for k in range(RUN):
+        hashes = hashes * np.uint64(ODD) + rows[k : k + count]
+    changes = np.concatenate(([0], np.cumsum(np.any(np.diff(values, axis=0) != 0, axis=1))))
+    moving = np.flatnonzero(changes[RUN - 1 :] - changes[:count] >= RUN_CHANGES) if count else np.empty(0, np.int64)
+    return hashes[moving].view(np.int64), moving
 
 
 def upsets(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
@@ -112,23 +167,24 @@ def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
     Noise and rate error grow with what is commanded; they are compared with sqrt(a^2 + (b u)^2), u the rms of the
     commanded rates, a their median over the calmer half of the blocks and b u that over the busier half. Far is above
     4 times the median, for the error 12 times, and above 5 robust standard deviations (1.48 times the median of what
-    lies above the median). Lower noise is not far: a hover among squares is quiet; nor is a rate error below 0.5 rad/s,
-    which gusts give. Thrust is far at 1.5 times or a 1.5th.
+    lies above the median). Lower noise is not far, nor a rate error below 0.5 rad/s, which gusts give. Thrust is far at
+    1.5 times or a 1.5th.
     """
     blocks = [(number, *block) for number, flight in enumerate(flights) for block in _blocks(flight.rows)]
     if len(blocks) < MIN_BLOCKS:
         return ()
     table = np.array(blocks)
     values, far = _compared(table[:, 3:6], table[:, 6]), list[tuple[int, float, float, str]]()
-    for (name, least), column, logs in zip(_FIGURES, values.T, table[:, 3:6].T, strict=True):
-        size = np.abs(column) if name == "thrust" else column
+    limits = {"gyro noise": FAR_RATIO, "rate error": FAR_ERROR, "thrust": FAR_LEVEL}
+    for column, (name, least) in enumerate(limits.items()):
+        size = np.abs(values[:, column]) if name == "thrust" else values[:, column]
         above = size[size > 0]
         limit = max(math.log(least), FAR_SPREADS * 1.4826 * float(np.median(above)) if len(above) else 0.0)
-        loud = (size > limit) & ~((logs < math.log(LEAST_ERROR_RAD_S)) & (name == "rate error"))
-        text = "{} {:.2g} times that of the other flights' blocks"
+        loud = (size > limit) & ~((table[:, 3 + column] < math.log(LEAST_ERROR_RAD_S)) & (name == "rate error"))
         for i in np.flatnonzero(loud).tolist():
             number, from_s, to_s = table[i, :3].tolist()
-            far.append((int(number), from_s, to_s, text.format(name, math.exp(column[i]))))
+            text = f"{name} {math.exp(values[i, column]):.2g} times that of the other flights' blocks"
+            far.append((int(number), from_s, to_s, text))
     stretches: list[tuple[int, float, float, str]] = []  # blocks that follow each other make one finding
     for number, from_s, to_s, text in sorted(far, key=lambda block: block[:2]):
         if stretches and stretches[-1][0] == number and from_s <= stretches[-1][2] + BLOCK_S:
@@ -195,30 +251,28 @@ def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> 
     """
     if layout is None:
         return ()
-    known = []
+    known, means = list[int](), list[FloatArray]()
     for number, flight in enumerate(flights):
-        shown = (shown_trim(rows.block, layout) for rows in flight.rows)
-        rows = np.concatenate([np.empty((0, 3)), *(trim[where] for trim, where in shown)])
-        known += [(number, rows.mean(axis=0))] if len(rows) else []
+        shown = [trim[where] for trim, where in (shown_trim(rows.block, layout) for rows in flight.rows)]
+        if sum(map(len, shown)):
+            known.append(number)
+            means.append(np.concatenate(shown).mean(axis=0))
     if len(known) < 3:
         return ()
     weight = np.array([1.0 / LEVEL_RATIO, 1.0 / LEVEL_RATIO, 1.0])
-    trims = np.array([mean for _, mean in known]) * weight
+    trims = np.array(means) * weight
     distance, spread, odd = max((_split(trims, axis) for axis in range(3)), key=lambda split: split[0] / split[1])
     if distance < max(NOTED_DISTANCE, GROUP_RATIO * spread):
         return ()
     refuses = distance >= GROUP_DISTANCE and 2 <= len(odd) <= len(known) - 2
-    numbers = [known[i][0] for i in odd]
-    names = [flights[number].label.name for number in numbers]
+    names = [flights[known[i]].label.name for i in odd]
     groups = trims[odd].mean(axis=0) / weight, np.delete(trims, odd, axis=0).mean(axis=0) / weight
     one, rest = ("/".join(f"{x:+.3f}" for x in trim) for trim in groups)
     text = (
         f"the mean trims of the flights fall into two groups: roll, pitch, yaw {one} in {', '.join(names)} and {rest} "
         "in the others: two airframes, sets of propellers or sessions"
     )
-    found = [
-        Finding(number, name, Kind.GROUPS, text, refuses=refuses) for number, name in zip(numbers, names, strict=True)
-    ]
+    found = [Finding(known[i], name, Kind.GROUPS, text, refuses=refuses) for i, name in zip(odd, names, strict=True)]
     return tuple(found if refuses else found[:1])
 
 
@@ -229,6 +283,5 @@ def _split(trims: FloatArray, axis: int) -> tuple[float, float, list[int]]:
     low, high = order[:at], order[at:]
     apart = trims[high].mean(axis=0) - trims[low].mean(axis=0)
     within = np.concatenate([trims[group] - trims[group].mean(axis=0) for group in (low, high)])
-    freedom = max(1, len(trims) - 2)
-    spread = math.hypot(math.sqrt(float(np.square(within).sum()) / freedom), GROUP_FLOOR)
+    spread = math.hypot(math.sqrt(float(np.square(within).sum()) / max(1, len(trims) - 2)), GROUP_FLOOR)
     return float(np.linalg.norm(apart)), spread, sorted((low if len(low) < len(high) else high).tolist())

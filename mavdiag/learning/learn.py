@@ -9,7 +9,7 @@ A single flight is cut into pieces, and each is judged by a fit to the rest.
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from mavdiag.baseline import (
 )
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
-from mavdiag.learning.flights import LearntFlight, hold, sessions_of
+from mavdiag.learning.flights import LearntFlight, give_back, hold, sessions_of
 from mavdiag.learning.rotors import of_log_kind, with_rotors
 from mavdiag.learning.suspicions import courses, grade_of, least_damage, suspicions
 from mavdiag.learning.teaching import believing, one_vehicle, taught
@@ -52,20 +52,16 @@ MOST_SAID = 2  # findings that are told in full (our choice)
 
 @dataclass(frozen=True, slots=True)
 class LearnOptions:
-    """How to learn.
+    """How to learn. Raises UsageError for a monitor that there is not, or a budget that is not positive.
 
-    axes: the axes that the thesis's monitor models and watches.
-    method, order: how its models are fitted.
+    axes, method, order, margin_rule: of the thesis's monitor: what it models and watches, how, and its margin.
     window_s: Savitzky-Golay window [s].
-    margin_rule: the margin of the thesis's monitor.
     airframe: the vehicle, as far as it is known.
     monitors: names of the monitors to use.
-    rule: how thresholds follow from healthy maxima.
-    alarms_per_hour: budget of all deciding monitors together.
+    rule, alarms_per_hour: how thresholds follow from healthy maxima, and the budget of all deciding monitors together.
     sessions: how many sessions the flights were flown in, in equal parts and in their order; None for what their
         wall-clock times say, and for one each where a log has none.
     robust: what the guards of teaching find is left out instead of refused (see `mavdiag.learning.guards`).
-    Raises UsageError for a monitor that there is not, or a budget that is not positive.
     """
 
     axes: tuple[Axis, ...] = (Axis.ROLL, Axis.PITCH)
@@ -98,36 +94,32 @@ def thesis_options(airframe: Airframe | None = None, axes: tuple[Axis, ...] = (A
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fitted:
-    """A monitor by its fit to all flights, and what its statistic reached on flights that a fit did not see."""
-
-    monitor: Monitor[Any]
-    scores: Scores
+Fitted: TypeAlias = tuple[Monitor[Any], Scores]
+"""A monitor by its fit to all flights, and what its statistic reached on flights that a fit did not see."""
 
 
 def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Baseline:
     """A baseline from healthy flights. created: time stamp to record, ISO 8601 UTC.
 
-    Each flight is taken once, and put aside on a shelf that goes to disk if there are many: flights that are read as
-    they are taken, `(read_log(path) for path in paths)`, are never in memory together.
-
-    A monitor that cannot work on such flights is recorded with its reason, and hinders no other.
-    Raises InputError if a flight lacks the gyro or never flies, and IdentificationError if no monitor can work; both
-    say what to do.
+    Each flight is taken once, and put aside: flights that are read as they are taken, `(read_log(path) for path in
+    paths)`, are never in memory together. A monitor that cannot work on such flights is recorded with its reason.
+    Raises InputError if a flight lacks the gyro or never flies, and IdentificationError if no monitor can work.
     """
     with Shelf() as shelf:
         return _learnt(flights, options, created, shelf)
 
 
 def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: Shelf) -> Baseline:
-    held = [hold(log, shelf) for log in logs]
+    held = []
+    for log in logs:
+        held.append(hold(log, shelf))
+        del log
+        give_back()
     if not held:
         raise InputError("no healthy flight to learn from")
     first = held[0].label
     airframe = _filtered(of_log_kind(options.airframe, first.profile), first)
-    found = taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf)
-    found = believing(found, shelf)
+    found = believing(taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf), shelf)
     airframe, ordered = with_rotors(airframe, found.flights)
     found = replace(found, flights=tuple(ordered))
     if airframe.scope != "type":
@@ -210,7 +202,7 @@ def _filtered(airframe: Airframe, flight: Log) -> Airframe:
 
 def _fit_all(
     flights: Flights, sessions: Sequence[int], options: LearnOptions, context: LearnContext
-) -> tuple[list[_Fitted], list[Refusal]]:
+) -> tuple[list[Fitted], list[Refusal]]:
     """Every named monitor that can work on these flights, and the reason of each that cannot."""
     pairs, found, refused = list(folds(flights, sessions=sessions)), {}, dict[type[Monitor[Any]], str]()
     kinds = tuple(dict.fromkeys(map(by_name, options.monitors)))
@@ -227,24 +219,23 @@ def _fit_all(
         for flight in left_out:
             for monitor, scores in zip(monitors, _scores(monitors, flight), strict=True):
                 parts[type(monitor)].append((monitor.axis, scores))
-    fitted, refusals = list[_Fitted](), list[Refusal]()
-    unknown = context.airframe.layout_basis if context.airframe.layout is None else ""
+    fitted, refusals = list[Fitted](), list[Refusal]()
+    basis = context.airframe.layout_basis if context.airframe.layout is None else ""
+    unknown = f" ({basis})" if basis else ""
     for kind in kinds:
+        monitors = list(map(kind, found[kind][0])) if kind in found else []
         try:
             scored = by_axis(parts[kind]) if kind in found else {}
+            reasons = [refused[kind] + unknown * ("layout" in refused[kind])] if kind in refused else []
         except IdentificationError as error:
-            refused[kind] = str(error)
-        if kind in refused:
-            reasons = [refused[kind] + (f" ({unknown})" if unknown and "layout" in refused[kind] else "")]
-        else:
-            monitors = list(map(kind, found[kind][0]))
-            axes = [monitor.axis for monitor in monitors]
-            fitted += [_Fitted(monitor, scored[monitor.axis]) for monitor in monitors if monitor.axis in scored]
-            reasons = [
-                f"{axis}: too little healthy flight to score it; fly longer" for axis in axes if axis not in scored
-            ]
+            scored, reasons, monitors = {}, [str(error)], []
+        fitted += [(monitor, scored[monitor.axis]) for monitor in monitors if monitor.axis in scored]
+        short = "too little healthy flight to score it; fly longer"
+        reasons += [f"{monitor.axis}: {short}" for monitor in monitors if monitor.axis not in scored]
+        if kind is RunLength and monitors:
             flat = "it cannot be modelled; fly a trajectory that moves this axis"
-            reasons += [f"{axis}: {flat}" for axis in (options.axes if kind is RunLength else ()) if axis not in axes]
+            modelled = [monitor.axis for monitor in monitors]
+            reasons += [f"{axis}: {flat}" for axis in options.axes if axis not in modelled]
         refusals += [Refusal(monitor=kind.name, reason=reason) for reason in reasons]
     return fitted, refusals
 
@@ -259,25 +250,25 @@ def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows]) -> list[Sc
     return [maxima(np.concatenate(parts), period_s) for parts, period_s in zip(values, periods_s, strict=True)]
 
 
-def _entries(fitted: Sequence[_Fitted], options: LearnOptions, sessions: Sequence[int]) -> Iterator[MonitorEntry]:
+def _entries(fitted: Sequence[Fitted], options: LearnOptions, sessions: Sequence[int]) -> Iterator[MonitorEntry]:
     """Specification and threshold of each monitor. The budget is shared by those that decide, and then by axes.
 
     The monitors of sensors and losses have one share together: what finds propellers stays sharp.
     """
-    axes = Counter(one.monitor.name for one in fitted)
-    deciding = {one.monitor.name for one in fitted if one.monitor.decides}
+    axes = Counter(monitor.name for monitor, _ in fitted)
+    deciding = {monitor.name for monitor, _ in fitted if monitor.decides}
     shares = Counter(_sharing(name) for name in deciding or axes)
-    for one in fitted:
-        name = one.monitor.name
+    for monitor, scores in fitted:
+        name = monitor.name
         threshold = threshold_of(
-            one.scores,
+            scores,
             flights=len(sessions),
             sessions=len(set(sessions)),
             budget_per_hour=options.alarms_per_hour / len(shares) / max(1, shares[_sharing(name)]) / axes[name],
-            guard=one.monitor.guard,
+            guard=monitor.guard,
             rule=options.rule,
         )
-        yield MonitorEntry(spec=one.monitor.spec, threshold=threshold, scores=plain_scores(one.scores))
+        yield MonitorEntry(spec=monitor.spec, threshold=threshold, scores=plain_scores(scores))
 
 
 def _sharing(name: str) -> str:

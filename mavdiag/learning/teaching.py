@@ -1,27 +1,33 @@
 """Healthy flights made ready to be learnt: what the guards find is refused with its remedy, or left out."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import InputError
-from mavdiag.learning.flights import IN_MEMORY, HeldLog, LearntFlight, airborne, front_for, hold, odd_rate
-from mavdiag.learning.guards import Finding, far_blocks, trim_groups, upsets
-from mavdiag.learning.repeats import repeated
+from mavdiag.learning.flights import (
+    IN_MEMORY,
+    HeldLog,
+    LearntFlight,
+    airborne,
+    front_for,
+    give_back,
+    hold,
+    odd_rate,
+)
+from mavdiag.learning.guards import Finding, far_blocks, repeated, trim_groups, upsets
 from mavdiag.rows.front import Front
 from mavdiag.rows.gate import GateSpec
-from mavdiag.rows.quality import learnt_quality
+from mavdiag.rows.quality import LinkQuality, learnt_quality
 from mavdiag.storage import Shelf
-from mavdiag.telemetry import Log
+from mavdiag.telemetry import Log, Telemetry
 
 MAX_ROUNDS = 5  # of cutting and looking again; what is far may hide what is less far (our choice)
-
-Guard = Callable[[Sequence[LearntFlight]], tuple[Finding, ...]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taught:
-    """front: what makes the rows. flights: what is learnt. left_out, notes: as in `baseline.Provenance`."""
+    """The front that makes the rows, and what is learnt. left_out, notes: as in `baseline.Provenance`."""
 
     front: Front
     flights: tuple[LearntFlight, ...]
@@ -42,24 +48,34 @@ def taught(
     Raises InputError with file, place and remedy for what a guard refuses; with `robust` it is left out instead, and
     InputError says so only if nothing remains.
     """
-    shelf = shelf or Shelf(IN_MEMORY)
-    left_out: list[str] = []
+    shelf, left_out = shelf or Shelf(IN_MEMORY), list[str]()
     held = [hold(log, shelf) for log in logs]
     while robust and len(held) > 2 and (odd := odd_rate(held, window_s)) is not None:
-        del held[odd[0]]
         left_out.append(f"all of {odd[1]}")
+        del held[odd[0]]
     front = front_for(held, window_s, gate)
-    held = _without(held, repeated(held), shelf, robust, left_out)
-    flights = _flown(front, held, shelf, None if not robust else left_out)
-    guards: tuple[Guard, ...] = (upsets, far_blocks)
-    for guard in guards:
+
+    def flown(logs: Iterable[HeldLog]) -> list[LearntFlight]:
+        flights = []
+        for log in logs:
+            try:
+                flights.append(airborne(front, log, shelf))
+            except InputError as error:
+                if not robust:
+                    raise
+                left_out.append(str(error))
+            give_back()
+        return flights
+
+    flights = flown(_without(held, repeated(held), shelf, robust, left_out))
+    for guard in (upsets, far_blocks):
         for _ in range(MAX_ROUNDS):  # the guard looks again at what remains
             findings = guard(flights)
             if not findings:
                 break
             kept = _without([flight.held for flight in flights], findings, shelf, robust, left_out)
             same = {id(flight.held): [flight] for flight in flights}
-            flights = [one for log in kept for one in same.get(id(log)) or _flown(front, [log], shelf, left_out)]
+            flights = [one for log in kept for one in same.get(id(log)) or flown([log])]
     if not flights:
         raise InputError(f"no healthy flight remains to learn from ({'; '.join(left_out)}); record others")
     return Taught(front, tuple(flights), tuple(left_out))
@@ -67,55 +83,53 @@ def taught(
 
 def believing(found: Taught, shelf: Shelf) -> Taught:
     """The flights with only those samples that they themselves, taken together, make believable, as in judging."""
-    quality = learnt_quality((flight.flight.telemetry, flight.spans_ns) for flight in found.flights)
-    front = replace(found.front, align=replace(found.front.align, quality=quality))
-    return replace(found, front=front, flights=tuple(airborne(front, flight.held, shelf) for flight in found.flights))
+    flown = [(flight.held, flight.spans_ns()) for flight in found.flights]
+    parts = [  # signal by signal, so that no more of the flights is in memory
+        learnt_quality(
+            (Telemetry(tuple(one for one in held.open().telemetry if one.signal is signal)), spans)
+            for held, spans in flown
+        )
+        for signal in dict.fromkeys(signal for held, _ in flown for signal in held.signals)
+    ]
+    quality = LinkQuality(
+        habits=tuple(habit for part in parts for habit in part.habits),
+        jitter=max(part.jitter for part in parts),
+        resolution_rad_s=max(part.resolution_rad_s for part in parts),
+    )
+    front, flights = replace(found.front, align=replace(found.front.align, quality=quality)), list[LearntFlight]()
+    for held, _ in flown:
+        flights.append(airborne(front, held, shelf))
+        give_back()
+    return replace(found, front=front, flights=tuple(flights))
 
 
 def one_vehicle(found: Taught, layout: RotorLayout | None, *, robust: bool) -> Taught:
     """The flights of one vehicle and set of propellers, by their trims; raises InputError as `taught` does."""
     findings = trim_groups(found.flights, layout)
-    odd = [finding for finding in findings if finding.refuses]
+    odd = {finding.number: finding for finding in findings if finding.refuses}
     if odd and not robust:
-        raise InputError(f"{_sentence(odd)}; or learn a type with --fleet")
-    away = {finding.number for finding in odd}
+        raise InputError(f"{_sentence(list(odd.values()))}; or learn a type with --fleet")
     return replace(
         found,
-        flights=tuple(flight for number, flight in enumerate(found.flights) if number not in away),
-        left_out=(*found.left_out, *map(str, odd)),
+        flights=tuple(flight for number, flight in enumerate(found.flights) if number not in odd),
+        left_out=(*found.left_out, *map(str, odd.values())),
         notes=(*found.notes, *(str(finding) for finding in findings if not finding.refuses)),
     )
-
-
-def _flown(front: Front, logs: Iterable[HeldLog], shelf: Shelf, left_out: list[str] | None) -> list[LearntFlight]:
-    """The flying parts. left_out: takes the reason of what does not fly; None raises it."""
-    flights = []
-    for log in logs:
-        try:
-            flights.append(airborne(front, log, shelf))
-        except InputError as error:
-            if left_out is None:
-                raise
-            left_out.append(str(error))
-    return flights
 
 
 def _without(
     logs: Sequence[HeldLog], findings: Sequence[Finding], shelf: Shelf, robust: bool, left_out: list[str]
 ) -> list[HeldLog]:
-    """The logs without what the findings name, of which `left_out` takes a sentence each.
-
-    Raises InputError unless `robust`.
-    """
+    """The logs without what the findings name, of which `left_out` takes a sentence each; refused unless `robust`."""
     if not robust:
         refuse(findings)
     left_out += [f"{finding.log}, {finding.place}: {finding.text}" for finding in findings]
     kept = []
     for number, log in enumerate(logs):
-        parts = [finding for finding in findings if finding.number == number]
-        if not any(part.from_s is None and part.to_s is None for part in parts):
-            for part in parts:
-                log = log.without(part.from_s, part.to_s, shelf)
+        places = [(finding.from_s, finding.to_s) for finding in findings if finding.number == number]
+        if (None, None) not in places:
+            for place in places:
+                log = log.without(*place, shelf)
             kept.append(log)
     return kept
 

@@ -1,16 +1,14 @@
 """The envelope of a baseline: the conditions that its healthy flights covered, and what holds beside them.
 
-A threshold speaks for the conditions under which it was learnt. For a condition c with the largest healthy value C (or
-what counts as nothing, if that is more), and e = (c - C)/(R C):
+For a condition c with the largest healthy value C (or what counts as nothing, if that is more), and e = (c - C)/(R C):
 
     e <= 0         inside: the threshold as it was learnt
     0 < e <= 1     near: the threshold times 1 + R e = c/C; what a linear model leaves grows no faster than its input
     e > 1          outside, from (1 + R) C on: not judged
 
 R is the room of the condition. It counts what was flown in the memory of the monitor's statistic. A statistic that is a
-time (FSD) does not grow so: near, its threshold stays as it was learnt. A value that was reached once and lies far
-beyond all others was no manoeuvre: a wrong sample widens nothing. A condition that no healthy flight told of, or that
-the link does not carry now, restricts nothing.
+time (FSD) does not grow so. A value that was reached once and lies far beyond all others widens nothing. A condition
+that no healthy flight told of, or that the link does not carry now, restricts nothing.
 """
 
 from collections.abc import Sequence
@@ -31,13 +29,10 @@ EVENT_BINS = 50  # on each side of the largest; the longest memory of a conditio
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """How a condition is compared.
+    """How a condition is compared: which side is limited, the unit in a text, and what to fly to cover more.
 
-    side: which side is limited; "both" takes the span between.
     least: what counts as covered anyway: up to here, from here on, or so large a share about the middle of a span
         (our choices; below half a metre the ground blows back).
-    unit: as a text gives it.
-    remedy: what to fly to cover more.
     room: R, how far "near" reaches, as a share of what is covered (our choices).
     """
 
@@ -81,11 +76,7 @@ class Covered:
         return (low, np.inf, rule.room * low) if low > 0 else (-np.inf, np.inf, 1.0)
 
     def sentence(self, value: float) -> str:
-        """What was flown and what was learnt: "yaw rate 1.8 rad/s, learnt up to 0.3".
-
-        >>> Covered(Condition.YAW_RATE, 0.0, 0.3).sentence(1.81)
-        'yaw rate 1.8 rad/s, learnt up to 0.3'
-        """
+        """What was flown and what was learnt: "yaw rate 1.8 rad/s, learnt up to 0.3"."""
         rule = RULES[self.condition]
         unit = f" {rule.unit}" if rule.unit else ""
         return f"{self.condition} {_figure(value, 3 if rule.side == 'both' else 2)}{unit}, learnt {self._span()}"

@@ -123,7 +123,7 @@ def test_a_chain_from_the_file_is_the_chain_that_was_learnt(tmp_path: Path) -> N
     path = tmp_path / "b.json"
     thesis().save(path)
     slot = chain_of(Baseline.load(path)).slots[0]
-    spec, fml = thesis().fsd[0]
+    spec, fml = thesis().monitors[0].spec, thesis().monitors[0].threshold
     assert isinstance(slot.monitor, RunLength)
     np.testing.assert_array_equal(slot.monitor.spec.model.a, spec.model.a)
     assert (slot.threshold, slot.decides) == (fml.value, True)  # it stands alone

@@ -11,8 +11,7 @@ from made_baselines import ALWAYS, FRAME, NOW, healthy
 from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import InputError
 from mavdiag.learning import LearnOptions, airborne, front_for, learn
-from mavdiag.learning.guards import Kind, far_blocks, trim_groups, upsets
-from mavdiag.learning.repeats import repeated
+from mavdiag.learning.guards import Kind, far_blocks, repeated, trim_groups, upsets
 from mavdiag.learning.teaching import taught
 from mavdiag.logs.part import between
 from mavdiag.rows.align import Grid

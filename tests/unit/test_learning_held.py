@@ -97,7 +97,7 @@ def test_rows_on_disk_are_the_rows() -> None:
                 np.testing.assert_array_equal(getattr(one.block, name), getattr(other.block, name))
             np.testing.assert_array_equal(one.rates.u, other.rates.u)
             assert (one.block.segment, one.rates.dt_s) == (other.block.segment, other.rates.dt_s)
-        turned = found.rows.by_rotor((2, 1, 3, 4))[0].block.actuator
+        turned = found.by_rotor((2, 1, 3, 4)).rows[0].block.actuator
         np.testing.assert_array_equal(turned[:, :2], found.rows[0].block.actuator[:, 1::-1])
 
 
@@ -115,15 +115,15 @@ def test_few_flights_are_in_memory_at_a_time(monkeypatch: pytest.MonkeyPatch) ->
             del telemetry
             gc.collect()
 
-    def watched(self: Any, outputs: tuple[int, ...] | None) -> Any:
-        rows = make(self, outputs)
-        looks.setdefault(id(self), []).append(weakref.ref(rows.block.rate))
+    def watched(*told: Any) -> Any:
+        rows = make(*told)
+        looks.setdefault(id(told[-1]), []).append(weakref.ref(rows.block.rate))
         alive = [chunk for chunk, found in looks.items() if any(look() is not None for look in found)]
         most["rows"] = max(most["rows"], len(alive))
         return rows
 
-    make = flights_module._Chunk.rows
-    monkeypatch.setattr(flights_module._Chunk, "rows", watched)
+    make = flights_module._rows
+    monkeypatch.setattr(flights_module, "_rows", watched)
     without_models = tuple(name for name in OPTIONS.monitors if name not in ("fsd", "innovation"))  # these look ahead
     on_disk(lambda: learn(flights(), LearnOptions(airframe=FRAME, monitors=without_models), created=NOW))
     assert most["signals"] <= 2  # the one that is taken in, and the next
