@@ -40,6 +40,7 @@ from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.rule import Threshold, ThresholdRule, flights_for_guarantee
 from mavdiag.units import NS_PER_S
 
+ENOUGH_SESSIONS = 5  # from here on another one teaches little of how sessions differ (our choice)
 SESSION_GAP_NS = 3_600 * NS_PER_S  # flights farther apart are of two sessions (our choice)
 RATE_TOLERANCE = NATIVE_TOLERANCE
 REMEDY = "make the baseline anew with `mavdiag identify`"
@@ -89,11 +90,12 @@ class HealthyScores(Part):
 
     maxima: tuple[float, ...]
     spans_s: tuple[Positive, ...]
+    flights: tuple[int, ...]
 
     @model_validator(mode="after")
     def _fits(self) -> "HealthyScores":
-        if len(self.maxima) != len(self.spans_s):
-            raise ValueError("maxima and spans must be equally many")
+        if not len(self.maxima) == len(self.spans_s) == len(self.flights):
+            raise ValueError("maxima, spans and flights must be equally many")
         return self
 
 
@@ -102,7 +104,7 @@ class MonitorEntry(Part):
 
     spec: Any
     threshold: Threshold
-    scores: HealthyScores = HealthyScores(maxima=(), spans_s=())
+    scores: HealthyScores = HealthyScores(maxima=(), spans_s=(), flights=())
 
     @field_validator("spec", mode="before")
     @classmethod
@@ -274,8 +276,7 @@ class Baseline(Part):
         if self.weak:
             return "flights whose propellers are sound and whose air is calm: look at what is named above"
         names, flights, advice = {entry.spec.kind for entry in self.monitors}, len(self.provenance.logs), list[str]()
-        days = max(by_name(name).guard.enough_sessions for name in names)
-        days -= len({one.session for one in self.provenance.logs})
+        days = ENOUGH_SESSIONS - len({one.session for one in self.provenance.logs})
         by_maximum = any(entry.threshold.rule is ThresholdRule.MAXIMUM for entry in self.monitors)
         if by_maximum and (missing := flights_for_guarantee() - flights) > 0:
             advice.append(f"{missing} more flights, for a 95/95 guarantee by the longest healthy run")

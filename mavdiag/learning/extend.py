@@ -62,14 +62,15 @@ def _extended(
         if new_propellers:
             spec, ratio, fresh = _moved(baseline, entry, rows)
         else:
-            fresh = [score(monitor_of(spec), flight) for flight in rows]
-        scores = pooled([Scores(ratio * np.array(entry.scores.maxima), np.array(entry.scores.spans_s)), *fresh])
+            fresh = [score(monitor_of(spec), flight, number=len(old) + i) for i, flight in enumerate(rows)]
+        held = entry.scores
+        before_scores = Scores(ratio * np.array(held.maxima), np.array(held.spans_s), np.array(held.flights))
+        scores = pooled([before_scores, *fresh])
         threshold = threshold_of(
             scores,
-            flights=sum(log.propellers == propellers for log in old) + len(learnt),
-            sessions=len(before | set(sessions)),
+            sessions=[*(log.session for log in old), *sessions],
             budget_per_hour=entry.threshold.budget_per_hour,
-            guard=monitor_of(spec).guard,
+            prior=monitor_of(spec).prior,
             rule=entry.threshold.rule,
         )
         spec = spec if new_propellers else monitor_of(spec).extended(rows, len(before))
@@ -119,9 +120,11 @@ def _moved(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> tuple[A
     airframe, monitor, fresh = baseline.airframe, monitor_of(entry.spec), list[Scores]()
     context = LearnContext(airframe, airframe.imu_corner_hz, baseline.link.dt_s, baseline.window.samples)
     spec, ratio = monitor.renewed(flights, context)
+    first = len(baseline.provenance.logs)
+    numbers = {id(flight): first + i for i, flight in enumerate(flights)}
     for left_out, rest in folds(flights):
-        held_out = spec if spec == entry.spec else monitor.renewed(rest, context)[0]
-        fresh += [score(monitor_of(held_out), flight) for flight in left_out]
+        held_out = monitor_of(spec if spec == entry.spec else monitor.renewed(rest, context)[0])
+        fresh += [score(held_out, flight, number=numbers.get(id(flight), first)) for flight in left_out]
     return spec, ratio, fresh
 
 

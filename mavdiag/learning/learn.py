@@ -214,10 +214,11 @@ def _fit_all(
         except (InputError, IdentificationError) as error:
             refused[kind] = str(error)
     parts: dict[type[Monitor[Any]], list[tuple[Axis | None, Scores]]] = {kind: [] for kind in found}
+    numbers = {id(flight): number for number, flight in enumerate(flights)}  # pieces are of flight 0
     for fold, (left_out, _) in enumerate(pairs):
         monitors = [monitor for _, fits in found.values() for monitor in fits[fold]]
         for flight in left_out:
-            for monitor, scores in zip(monitors, _scores(monitors, flight), strict=True):
+            for monitor, scores in zip(monitors, _scores(monitors, flight, numbers.get(id(flight), 0)), strict=True):
                 parts[type(monitor)].append((monitor.axis, scores))
     fitted, refusals = list[Fitted](), list[Refusal]()
     basis = context.airframe.layout_basis if context.airframe.layout is None else ""
@@ -240,14 +241,15 @@ def _fit_all(
     return fitted, refusals
 
 
-def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows]) -> list[Scores]:
-    """What each of several monitors reached in a flight."""
+def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows], number: int) -> list[Scores]:
+    """What each of several monitors reached in the flight of that number."""
     values, periods_s = [[np.empty(0)] for _ in monitors], [0.0 for _ in monitors]
     for statistics in judged_together(monitors, flight):
         for i, statistic in enumerate(statistics):
             values[i].append(statistic.value[statistic.valid])
             periods_s[i] = statistic.period_s
-    return [maxima(np.concatenate(parts), period_s) for parts, period_s in zip(values, periods_s, strict=True)]
+    columns = zip(values, periods_s, strict=True)
+    return [maxima(np.concatenate(parts), period_s, number=number) for parts, period_s in columns]
 
 
 def _entries(fitted: Sequence[Fitted], options: LearnOptions, sessions: Sequence[int]) -> Iterator[MonitorEntry]:
@@ -262,10 +264,9 @@ def _entries(fitted: Sequence[Fitted], options: LearnOptions, sessions: Sequence
         name = monitor.name
         threshold = threshold_of(
             scores,
-            flights=len(sessions),
-            sessions=len(set(sessions)),
+            sessions=sessions,
             budget_per_hour=options.alarms_per_hour / len(shares) / max(1, shares[_sharing(name)]) / axes[name],
-            guard=monitor.guard,
+            prior=monitor.prior,
             rule=options.rule,
         )
         yield MonitorEntry(spec=monitor.spec, threshold=threshold, scores=plain_scores(scores))
@@ -280,7 +281,7 @@ def _sharing(name: str) -> str:
 def plain_scores(scores: Scores) -> HealthyScores:
     """Scores as a baseline keeps them, to six digits."""
     maxima, spans_s = (tuple(float(f"{x:.6g}") for x in part.tolist()) for part in (scores.maxima, scores.spans_s))
-    return HealthyScores(maxima=maxima, spans_s=spans_s)
+    return HealthyScores(maxima=maxima, spans_s=spans_s, flights=tuple(scores.flights.tolist()))
 
 
 def sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers: int = 0) -> tuple[SourceLog, ...]:

@@ -1,9 +1,9 @@
 """What a monitor is: one file in this folder, and one line in `mavdiag.monitors.MONITORS`.
 
 A monitor turns rows into a statistic. Everything that the rest of the project must know about it stands in its class:
-its name, unit and label, the signals it needs, what guards its threshold, what it knows about rotors, how it is fitted
-to healthy flights. The registry builds from that the baseline's schema, the chain, learning, isolation, the texts, the
-streams that the detector asks for, and the contract tests.
+its name, unit and label, the signals it needs, how its healthy scores differ, what it knows about rotors, how it is
+fitted to healthy flights. The registry builds from that the baseline's schema, the chain, learning, isolation, the
+texts, the streams that the detector asks for, and the contract tests.
 """
 
 import itertools
@@ -26,7 +26,7 @@ from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, FloatArray, Signal
-from mavdiag.thresholds.guard import Guard
+from mavdiag.thresholds.rule import Prior
 
 __all__ = [
     "FaultKind",
@@ -140,7 +140,7 @@ class Monitor(ABC, Generic[Spec]):
     decides: its alarm is a fault by itself; else it is a suspicion that another monitor must confirm.
     kind: what its alarm means.
     clear_s: how long its statistic must have been back before its event closes.
-    guard: what its few healthy flights cannot show.
+    prior: how its healthy maxima differ before any flight tells.
     evidence: how it knows about rotors; None if it does not.
     feature: what its level means for the fault, a name of `Feature`; None if nothing.
     needs_layout: it cannot be fitted where the rotor layout is not known.
@@ -158,7 +158,7 @@ class Monitor(ABC, Generic[Spec]):
     decides: ClassVar[bool] = True
     kind: ClassVar[FaultKind] = FaultKind.PROPELLER
     clear_s: ClassVar[float] = 2.0  # our choice
-    guard: ClassVar[Guard] = Guard()
+    prior: ClassVar[Prior] = Prior()
     evidence: ClassVar[RotorEvidence | None] = None
     needs_layout: ClassVar[bool] = False
     doubt: ClassVar[str] = ""

@@ -16,7 +16,7 @@ from mavdiag.monitors.columns import COMMANDED, LEVEL, SIGNAL, SOUND, VALUE, Flo
 from mavdiag.monitors.fitting import commanded, of_each
 from mavdiag.monitors.spec import Delay, spec
 from mavdiag.telemetry import FloatArray, Signal
-from mavdiag.thresholds.guard import Guard
+from mavdiag.thresholds.rule import Prior
 
 LEAST_RAD_S = 7.0  # 400 deg/s beyond the command; emulated flights whose position jumps reach 5.7 (our choice)
 MIN_RATE_HZ = 20.0  # below it an upset is over between two samples (our choice)
@@ -73,7 +73,7 @@ class ControlLoss(Monitor[ControlLossSpec]):
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     kind = FaultKind.LOSS_OF_CONTROL
     clear_s = 1.0
-    guard = Guard(least=LEAST_RAD_S)
+    prior = Prior(least=LEAST_RAD_S)
     by_rates = True
     spec_type = ControlLossSpec
     unit = "rad/s"

@@ -34,6 +34,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, follow, mean_size, push, total
 from mavdiag.rows.windows import forgetting, window_all, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
+from mavdiag.thresholds.rule import Prior
 
 NA = NB = LAG = 4  # METHOD section 5; 2 to 5 change no verdict on the recorded flights
 WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
@@ -171,6 +172,7 @@ class Innovation(Monitor[InnovationSpec]):
 
     name = "innovation"
     label = "innovation"
+    prior = Prior(session=0.1, flight=0.05, block=0.08)  # emulated vehicles have 0.03, 0.01, 0.01 (our choice)
     phrase = "attitude unlike the model"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     depends = frozenset({Condition.YAW_RATE, Condition.HEIGHT, Condition.THROTTLE, Condition.COMMANDED_ACCELERATION})

@@ -44,7 +44,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.rows.windows import forgetting, spans
 from mavdiag.telemetry import FloatArray, Signal
-from mavdiag.thresholds.guard import Guard
+from mavdiag.thresholds.rule import Prior
 
 WINDOW_S = 10.0  # our choice: in wind a correlation over 3 s (METHOD section 4 has 4 s) scatters too much
 LEAST_S = 3.0  # of unbroken flight before anything is judged; the level's window (our choice)
@@ -216,7 +216,7 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     )
     # A jolt that is no fault (a payload taken up beside the centre) reaches 3.1 in emulated flights, which few healthy
     # flights show (our choice).
-    guard = Guard(least=3.5)
+    prior = Prior(session=0.15, least=3.5)
     evidence = RotorEvidence(8.0)  # a difference of 0.3 between mean correlations named the right rotor in 99 of 100
     needs_layout = True
     spec_type = RotorSignatureSpec

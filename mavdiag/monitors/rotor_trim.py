@@ -17,7 +17,7 @@ from mavdiag.monitors.base import Feature
 from mavdiag.monitors.columns import COVERED, LEVEL, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.spec import spec
 from mavdiag.telemetry import FloatArray, Three
-from mavdiag.thresholds.guard import Guard
+from mavdiag.thresholds.rule import Prior
 
 
 @spec
@@ -84,11 +84,9 @@ class RotorTrim(trim.TrimMonitor[RotorTrimSpec]):
     name = "rotor_trim"
     label = "rotor trim"
     phrase = "lost {lost}% thrust"
-    # An estimate from subsets of the five healthy recorded flights of one airframe: few sessions do not show how the
-    # trim changes from one to the next, 0.06 more with one session, nothing more from five on; and one flight's scale
-    # does not show what the next flight of a session has, 12 scales more (a simulated vehicle has hardly any). And a
-    # shift of less than 0.02 is what wind and new propellers make (thrust coefficients differ by 0.8 %, METHOD 3).
-    guard = Guard(few_sessions=0.06, few_flights=12.0, least=0.02)
+    # Emulated quad- and hexarotors have 0.007 to 0.019 between sessions with new propellers, whose thrust differs by
+    # up to 3 %, and 0.001 between flights of one session; other winds make more (our choice). 0.02 is what wind makes.
+    prior = Prior(0.013, 0.006, 0.001, shares=False, least=0.02)
     spec_type = RotorTrimSpec
     feature = Feature.RISE
     doubt = "trim shift: propeller, payload or session"  # a trim alone tells no more

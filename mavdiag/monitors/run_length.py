@@ -25,6 +25,7 @@ from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import spans
 from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray, Signal
+from mavdiag.thresholds.rule import Prior
 
 TRAIN_ROWS = 60_000  # one minute at 1 kHz: beyond it a model's standard errors no longer matter (our choice)
 SETTLE_S = 1.0  # of each stretch that does not count in the figures of fit: it may begin in motion (our choice)
@@ -162,6 +163,7 @@ class RunLength(Monitor[RunLengthSpec]):
 
     name = "fsd"
     label = "FSD"
+    prior = Prior(flight=0.15)  # emulated: 0.13, 0.10, 0.10
     phrase = "attitude unlike the model"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     depends = frozenset(

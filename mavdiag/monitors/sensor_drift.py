@@ -22,7 +22,7 @@ from mavdiag.monitors.fitting import of_each, three, traced
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Signal, Three
-from mavdiag.thresholds.guard import Guard
+from mavdiag.thresholds.rule import Prior
 
 TICK_S = 0.1  # our choice
 MEAN_S = 2.0  # of the attitude that the gyro does not explain, now and then (our choice)
@@ -204,7 +204,7 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     phrase = "gyro and attitude disagree"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.ATTITUDE})
     kind = FaultKind.SENSOR
-    guard = Guard(least=2.5)
+    prior = Prior(0.1, 0.05, 0.12, shares=False, least=2.5)
     spec_type = SensorDriftSpec
     unit = "x healthy rms"
     reach = LIMIT  # where a value is cut

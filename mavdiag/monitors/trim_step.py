@@ -16,7 +16,7 @@ from mavdiag.jit import cached, jit
 from mavdiag.monitors.columns import COVERED, LEVEL, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.telemetry import FloatArray, Three
-from mavdiag.thresholds.guard import Guard
+from mavdiag.thresholds.rule import Prior
 
 MEMORY_S = 30.0  # of the reference (our choice)
 DRIFT_PER_S = 3e-4  # of hover: no faster does the reference follow. A pack empties some 1e-5 a second (our choice)
@@ -150,7 +150,7 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     name = "trim_step"
     label = "trim step"
     phrase = "lost {lost}% thrust"
-    guard = Guard(least=0.01)  # half of what the rotor-trim monitor must allow for wind and propellers (our choice)
+    prior = Prior(0.001, 0.001, 0.001, shares=False, least=0.01)  # half of what a trim must allow for wind (our choice)
     spec_type = TrimStepSpec
 
     @classmethod

@@ -25,7 +25,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.rows.windows import highpass
 from mavdiag.telemetry import FloatArray, Signal
-from mavdiag.thresholds.guard import Guard
+from mavdiag.thresholds.rule import Prior
 from mavdiag.units import G_MM_PER_KG_M
 
 FILTER_S = 0.06  # length of the high-pass at 60 Hz, longer at a lower one (our choice); its delay is half of it
@@ -231,7 +231,7 @@ class Unbalance(Monitor[UnbalanceSpec]):
     phrase = "vibrates {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE})
     depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
-    guard = Guard(few_sessions=0.2)  # an estimate: another session's propellers may have 0.18 g mm each (T Eq 3.6)
+    prior = Prior(session=0.25, flight=0.05, block=0.05)  # another session's propellers: emulated 0.03 to 0.3
     evidence = RotorEvidence(8.0)  # the sense of turning and the place agree (1) or do not (0 and below)
     spec_type = UnbalanceSpec
 

@@ -15,7 +15,7 @@ from mavdiag.errors import IdentificationError
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import Axis, FloatArray
+from mavdiag.telemetry import Axis, FloatArray, IntArray
 
 BLOCK_S = 10.0  # judged time of a block (our choice); 7 to 13 s change no verdict on the recorded flights
 MAX_FOLDS = 10  # models that share the work of judging flights they did not see (our choice)
@@ -64,10 +64,14 @@ class Scored(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scores:
-    """What a statistic reached in healthy flight: its maxima in b blocks, (b,), and their judged time [s], (b,)."""
+    """What a statistic reached in healthy flight.
+
+    maxima, spans_s, flights: (b,) of each block its highest value, its judged time [s], and the number of its flight.
+    """
 
     maxima: FloatArray
     spans_s: FloatArray
+    flights: IntArray
 
     @property
     def judged_s(self) -> float:
@@ -75,30 +79,32 @@ class Scores:
         return float(self.spans_s.sum())
 
 
-def score(monitor: Scored, flight: Sequence[Rows], block_s: float = BLOCK_S) -> Scores:
-    """Block maxima of a monitor over one flight (`maxima`)."""
+def score(monitor: Scored, flight: Sequence[Rows], block_s: float = BLOCK_S, number: int = 0) -> Scores:
+    """Block maxima of a monitor over one flight of that number (`maxima`)."""
     found = [(one.value[one.valid], one.period_s) for one in monitor.over(flight)] or [(np.empty(0), 0.0)]
-    return maxima(np.concatenate([values for values, _ in found]), found[-1][1], block_s)
+    return maxima(np.concatenate([values for values, _ in found]), found[-1][1], block_s, number)
 
 
-def maxima(x: FloatArray, period_s: float, block_s: float = BLOCK_S) -> Scores:
+def maxima(x: FloatArray, period_s: float, block_s: float = BLOCK_S, number: int = 0) -> Scores:
     """Block maxima of the valid values of one flight, each of which stands for so much time.
 
     A block holds `block_s` of judged time, whatever lies between; a remainder shorter than half a block belongs to the
     block before it.
     """
     if len(x) == 0:
-        return Scores(np.empty(0), np.empty(0))
+        return pooled([])
     size = max(1, round(block_s / period_s))
     count = max(1, len(x) // size + (len(x) % size >= size / 2))
     starts = np.arange(count) * size
-    return Scores(np.maximum.reduceat(x, starts), np.diff(np.append(starts, len(x))) * period_s)
+    spans_s = np.diff(np.append(starts, len(x))) * period_s
+    return Scores(np.maximum.reduceat(x, starts), spans_s, np.full(count, number))
 
 
 def pooled(parts: Iterable[Scores]) -> Scores:
     """Scores of several flights as one."""
-    found = [Scores(np.empty(0), np.empty(0)), *parts]
-    return Scores(np.concatenate([one.maxima for one in found]), np.concatenate([one.spans_s for one in found]))
+    found = [Scores(np.empty(0), np.empty(0), np.empty(0, dtype=np.int64)), *parts]
+    columns = zip(*((one.maxima, one.spans_s, one.flights) for one in found), strict=True)
+    return Scores(*map(np.concatenate, columns))
 
 
 def by_axis(parts: Iterable[tuple[Axis | None, Scores]]) -> dict[Axis | None, Scores]:

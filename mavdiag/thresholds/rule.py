@@ -1,37 +1,49 @@
 """What a healthy vehicle allows: the threshold of a statistic from its own healthy flights, for a budget of alarms.
 
-One rule for every monitor. The statistic is scored on flights that its fit did not see, cut into blocks of 10 s of
-judged time, and the blocks' maxima x carry a Gumbel law (maxima of light-tailed statistics tend to it; Coles, An
-Introduction to Statistical Modeling of Extreme Values, 2001, ch. 3). The maximum of a block of length L lies
-beta ln(L/B) above that of a block of length B = 10 s:
+One law for every monitor. The statistic is scored on flights that its fit did not see, cut into blocks of 10 s of
+judged time. The maximum x of block b of flight f in session s has three components of variance:
 
-    beta = max(sd(x) sqrt(6)/pi, s |mean(x)|),    s = 0.1 min(1, sqrt(20/n)) for n blocks
-    mu = mean(x) - 0.5772 sd(x) sqrt(6)/pi - beta mean(ln(L/B))                                   (moments)
-    threshold = mu + beta ln(1/(r B)),    r alarms in a second of judged time
+    x = mu + a_s + e_f + g_b,    sd(a) between sessions (battery, propellers, payload), sd(e) between flights,
+    g Gumbel with scale beta within a flight (maxima of light-tailed statistics tend to it; Coles 2001, ch. 3)
 
-The floor on beta is for few blocks: a handful of like maxima does not prove a thin tail. **Its price:** a budget of
-0.05 alarms an hour from a minute of flight is an extrapolation by ten beta, not evidence. T hours without an alarm
-exclude, at 95 %, only rates above 3/T (`demonstrated_per_hour`). The named alternative, the largest healthy maximum,
-alarms in one of n + 1 equal healthy flights.
+Few flights do not show them, so each has a prior (`Prior`, of the monitor) that counts as `DEGREES` observations:
+
+    s^2 = (nu s0^2 + SS)/(nu + n)                          scaled inverse chi-squared, its posterior (Gelman, BDA, 2.6)
+
+The threshold is the posterior predictive level of another flight, perhaps of another session, for r alarms in an hour
+of judged time. An offset of a session or a flight does not come anew with every block: it is drawn once in a session,
+which counts as an hour, and once in a flight of d seconds; t_n is Student's law with n degrees of freedom:
+
+    A = t_{nu+S-1}(1 - r) sd(a) sqrt(1 + 1/S)
+    E = t_{nu+N-S}(1 - r d/3600) sd(e) sqrt(1 + 1/N)
+    G = beta (ln(360/r) - 0.5772)
+    threshold = mu + sqrt(A^2 + E^2 + G^2),    in a session of these flights: highest mean of one + sqrt(E^2 + G^2)
+
+The three are rarely large together, so their exceedances add in squares (an approximation that `tests/property` checks
+by simulation). A block of length L lies beta ln(L/10 s) above one of 10 s, so a short one counts as what it is.
+
+**Its price.** A budget of 0.05 alarms an hour from a minute of flight is an extrapolation, not evidence. What the
+flights themselves show is `demonstrated_per_hour`: T hours without an alarm exclude, at 95 %, only rates above 3/T. The
+named alternative, the largest healthy maximum, alarms in one of n + 1 equal healthy flights.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError, UsageError
-from mavdiag.thresholds.guard import Guard
+from mavdiag.telemetry import IntArray
 from mavdiag.thresholds.heldout import BLOCK_S, Scores
 from mavdiag.units import S_PER_H
 
 BUDGET_PER_HOUR = 0.05  # of all monitors together (our choice)
 EULER_GAMMA = 0.5772156649015329
 GUMBEL_SCALE = math.sqrt(6.0) / math.pi  # beta over standard deviation
-ENOUGH_BLOCKS = 20  # from here on the floor on beta fades (our choice)
+DEGREES = 6  # observations that a prior counts for (our choice)
 WORTH_SAYING_PER_HOUR = 1.0  # a limit on the alarms that is above it tells nobody anything (our choice)
-NO_GUARD = Guard()
 
 
 class ThresholdRule(StrEnum):
@@ -42,13 +54,28 @@ class ThresholdRule(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Prior:
+    """Standard deviations of a monitor's block maxima that are believed before any flight.
+
+    session, flight, block: between sessions, between flights of one, within a flight; in the statistic's unit, or as
+        shares of its healthy mean. least: the smallest threshold that means anything, in the statistic's unit.
+    """
+
+    session: float = 0.2
+    flight: float = 0.1
+    block: float = 0.1
+    shares: bool = True
+    least: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Threshold:
     """A threshold and what supports it.
 
     value: the monitor alarms when its statistic is strictly above it.
-    location, scale, standard_error: mu and beta of the block maxima, and of the level; by the maximum rule mean and 0.
-    allowance: what the guard added to that level. session_allowance: the part of the value that stands for what another
-        session (battery, propellers, payload) may shift; in a session of the healthy flights the value is less by it.
+    mean: of the healthy block maxima. session_sd, flight_sd, block_scale: sd(a), sd(e) and beta; by the maximum rule 0.
+    session_allowance: the part of the value that stands for what another session may shift; in a session of the
+        healthy flights the value is less by it.
     blocks, block_s: healthy blocks that support it, and judged time of a whole one [s]. exceeding: how many above it.
     flights, sessions, hours: that they come from, and judged healthy time.
     budget_per_hour: alarms asked for in an hour of judged time. demonstrated_per_hour: what it excludes at 95 %.
@@ -57,10 +84,10 @@ class Threshold:
 
     value: float
     rule: ThresholdRule
-    location: float
-    scale: float
-    standard_error: float
-    allowance: float
+    mean: float
+    session_sd: float
+    flight_sd: float
+    block_scale: float
     session_allowance: float
     blocks: int
     block_s: float
@@ -99,56 +126,99 @@ def false_alarms_per_flight(flights: int) -> float:
 def threshold_of(
     scores: Scores,
     *,
-    flights: int,
-    sessions: int | None = None,
+    sessions: Sequence[int],
     budget_per_hour: float = BUDGET_PER_HOUR,
-    guard: Guard = NO_GUARD,
+    prior: Prior = Prior(),
     rule: ThresholdRule = ThresholdRule.GUMBEL,
 ) -> Threshold:
     """The threshold that scores of healthy flights allow.
 
-    budget_per_hour: this monitor's share. sessions: that the flights were flown in; None for one each.
-
-    >>> maxima = np.random.default_rng(5).gumbel(1.0, 0.2, 200)   # 200 blocks, mu 1 and beta 0.2
-    >>> found = threshold_of(Scores(maxima, np.full(200, 10.0)), flights=20, budget_per_hour=0.36)   # 1 in 1000 blocks
-    >>> round(found.value, 1), round(1.0 + 0.2 * math.log(1000), 1), round(found.demonstrated_per_hour, 1)
-    (2.5, 2.4, 5.4)
-
+    sessions: that each flight was flown in. budget_per_hour: this monitor's share.
     Raises UsageError for a budget that is not positive, IdentificationError for scores that are not finite.
+
+    >>> rng = np.random.default_rng(5)
+    >>> maxima = 1.0 + rng.gumbel(0.0, 0.02, 400)     # 20 flights alike, in 5 sessions, and 20 blocks of each
+    >>> flights = np.repeat(np.arange(20), 20)
+    >>> found = threshold_of(Scores(maxima, np.full(400, 10.0), flights), sessions=[n // 4 for n in range(20)])
+    >>> round(found.mean, 2), round(found.block_scale, 2), round(found.value, 1), round(found.demonstrated_per_hour, 1)
+    (1.01, 0.03, 1.4, 2.7)
     """
     if not (math.isfinite(budget_per_hour) and budget_per_hour > 0):
         raise UsageError(f"the budget must be a positive number of alarms per hour, not {budget_per_hour}")
     x = scores.maxima
     if len(x) == 0 or not np.isfinite(x).all():
         raise IdentificationError("healthy statistics must be finite numbers, and there must be some")
-    rate = budget_per_hour / S_PER_H * BLOCK_S
-    mean, scale, level = float(np.mean(x)), 0.0, float(x.max())
-    location = mean
     if rule is ThresholdRule.GUMBEL:
-        location, scale = _gumbel(scores, guard.scale_share)
-        level = location - scale * math.log(rate)
-    sessions = flights if sessions is None else sessions
-    least = max(mean + guard.above_mean, guard.least)
-    few = level + guard.scales(flights) * scale
-    within, value = max(few, least), max(few + guard.allowance(sessions), least)
+        parts = _components(scores, np.array(sessions), prior)
+        value, within = (max(level, prior.least) for level in parts.levels(budget_per_hour))
+    else:
+        parts, value, within = _Components(float(x.mean())), float(x.max()), float(x.max())
     hours, exceeding = scores.judged_s / S_PER_H, int(np.count_nonzero(x > value))
     return Threshold(
         value=value,
         rule=rule,
-        location=location,
-        scale=scale,
-        standard_error=_standard_error(scale, rate, len(x)),
-        allowance=value - level,
-        session_allowance=value - within,
+        mean=parts.mean,
+        session_sd=parts.session_sd,
+        flight_sd=parts.flight_sd,
+        block_scale=parts.beta,
+        session_allowance=max(0.0, value - within),
         blocks=len(x),
         block_s=BLOCK_S,
-        flights=flights,
-        sessions=sessions,
+        flights=len(sessions),
+        sessions=len(set(sessions)),
         hours=hours,
         exceeding=exceeding,
         budget_per_hour=budget_per_hour,
         demonstrated_per_hour=poisson_upper(exceeding) / hours,
-        false_alarms_per_flight=false_alarms_per_flight(flights),
+        false_alarms_per_flight=false_alarms_per_flight(len(sessions)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Components:
+    """mu, the highest mean of a session, sd(a), sd(e), beta; N and S; mean judged time of a flight [s]."""
+
+    mean: float
+    highest: float = 0.0
+    session_sd: float = 0.0
+    flight_sd: float = 0.0
+    beta: float = 0.0
+    flights: int = 1
+    sessions: int = 1
+    flight_s: float = BLOCK_S
+
+    def levels(self, per_hour: float) -> tuple[float, float]:
+        """The threshold in any session, and in one of the flights."""
+        from scipy.special import stdtrit  # Student's quantile
+
+        N, S = self.flights, self.sessions
+        per_session, per_flight = min(per_hour, 0.5), min(per_hour * self.flight_s / S_PER_H, 0.5)
+        A = stdtrit(DEGREES + S - 1, 1 - per_session) * self.session_sd * math.sqrt(1 + 1 / S)
+        E = stdtrit(DEGREES + N - S, 1 - per_flight) * self.flight_sd * math.sqrt(1 + 1 / N)
+        G = self.beta * max(0.0, math.log(S_PER_H / BLOCK_S / per_hour) - EULER_GAMMA)
+        return self.mean + math.hypot(A, E, G), self.highest + math.hypot(E, G)
+
+
+def _components(scores: Scores, sessions: IntArray, prior: Prior) -> _Components:
+    """The components of variance of block maxima, by their sums of squares and the prior."""
+    x, log_span, flights = scores.maxima, np.log(scores.spans_s / BLOCK_S), np.unique(scores.flights)
+    unit, nu = abs(float(x.mean())) if prior.shares else 1.0, DEGREES
+    blocks = [x[scores.flights == flight] for flight in flights]
+    within = sum(float(np.square(one - one.mean()).sum()) for one in blocks)
+    beta = GUMBEL_SCALE * math.sqrt((nu * (prior.block * unit) ** 2 + within) / (nu + len(x) - len(flights)))
+    level = np.array([float(np.mean((x - beta * log_span)[scores.flights == flight])) for flight in flights])
+    whose = sessions[flights]
+    groups = [level[whose == session] for session in np.unique(whose)]
+    means, N, S = np.array([one.mean() for one in groups]), len(flights), len(groups)
+    between = sum(float(np.square(one - one.mean()).sum()) for one in groups)
+    flight_variance = (nu * (prior.flight * unit) ** 2 + between) / (nu + N - S)
+    # what flights alone scatter the means of sessions is no component of sessions
+    scatter = (S - 1) * flight_variance * float(np.mean([1 / len(one) for one in groups]))
+    apart = max(float(np.square(means - means.mean()).sum()) - scatter, 0.0)
+    session_sd = math.sqrt((nu * (prior.session * unit) ** 2 + apart) / (nu + S - 1))
+    flight_s = scores.judged_s / N
+    return _Components(
+        float(means.mean()), float(means.max()), session_sd, math.sqrt(flight_variance), beta, N, S, flight_s
     )
 
 
@@ -169,20 +239,3 @@ def flights_for_guarantee(false_alarms: float = 0.05, confidence: float = 0.95) 
     The 95/95 guarantee of METHOD section 4: 1 - 0.95^n >= 0.95, n = 59.
     """
     return math.ceil(math.log(1.0 - confidence) / math.log(1.0 - false_alarms))
-
-
-def _gumbel(scores: Scores, scale_share: float) -> tuple[float, float]:
-    """Location, of blocks of 10 s, and floored scale by moments. The location keeps the scale before the floor."""
-    x, log_span = scores.maxima, np.log(scores.spans_s / BLOCK_S)
-    mean, beta = float(np.mean(x)), 0.0
-    for _ in range(3 if len(x) > 1 else 0):  # blocks of unlike length spread by beta ln(L/B) more
-        beta = float(np.std(x - beta * log_span, ddof=1)) * GUMBEL_SCALE
-    scale = max(beta, scale_share * math.sqrt(min(1.0, ENOUGH_BLOCKS / len(x))) * abs(mean))
-    return mean - EULER_GAMMA * beta - scale * float(np.mean(log_span)), scale
-
-
-def _standard_error(scale: float, rate: float, blocks: int) -> float:
-    """Of the level by moments: sd/sqrt(n) sqrt(1 + 1.1396 K + 1.1 K^2), K = (level - mean)/sd (Kite, Frequency and
-    Risk Analyses in Hydrology, 1977, for the extreme-value law of type 1)."""
-    K = GUMBEL_SCALE * (-math.log(rate) - EULER_GAMMA)
-    return scale / GUMBEL_SCALE / math.sqrt(blocks) * math.sqrt(max(1 + 1.1396 * K + 1.1 * K * K, 0.0))
