@@ -172,7 +172,7 @@ class Innovation(Monitor[InnovationSpec]):
 
     name = "innovation"
     label = "innovation"
-    prior = Prior(session=0.1, flight=0.05, block=0.08)  # emulated vehicles have 0.03, 0.01, 0.01 (our choice)
+    prior = Prior(session=0.15, block=0.08)  # emulated 0.03, 0.01, 0.01; real vehicles vary more (our choice)
     phrase = "attitude unlike the model"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     depends = frozenset({Condition.YAW_RATE, Condition.HEIGHT, Condition.THROTTLE, Condition.COMMANDED_ACCELERATION})
