@@ -86,7 +86,7 @@ class RotorTrim(trim.TrimMonitor[RotorTrimSpec]):
     phrase = "lost {lost}% thrust"
     # Emulated quad- and hexarotors have 0.007 to 0.019 between sessions with new propellers, whose thrust differs by
     # up to 3 %, and 0.001 between flights of one session; other winds make more (our choice). 0.02 is what wind makes.
-    prior = Prior(0.013, 0.006, 0.001, shares=False, least=0.02)
+    prior = Prior(0.013, 0.004, 0.001, shares=False, least=0.02)
     spec_type = RotorTrimSpec
     feature = Feature.RISE
     doubt = "trim shift: propeller, payload or session"  # a trim alone tells no more

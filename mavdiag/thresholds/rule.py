@@ -10,17 +10,18 @@ Few flights do not show them, so each has a prior (`Prior`, of the monitor) that
 
     s^2 = (nu s0^2 + SS)/(nu + n)                          scaled inverse chi-squared, its posterior (Gelman, BDA, 2.6)
 
-The threshold is the posterior predictive level of another flight, perhaps of another session, for r alarms in an hour
-of judged time. An offset of a session or a flight does not come anew with every block: it is drawn once in a session,
-which counts as an hour, and once in a flight of d seconds; t_n is Student's law with n degrees of freedom:
+The threshold is the posterior predictive level for r alarms in an hour of judged time, of another session too. An
+offset of a session or a flight is no news with every block: a session counts as an hour, in which K flights of d
+seconds are flown. With t_n the quantile of Student's law with n degrees of freedom,
 
-    A = t_{nu+S-1}(1 - r) sd(a) sqrt(1 + 1/S)
-    E = t_{nu+N-S}(1 - r d/3600) sd(e) sqrt(1 + 1/N)
-    G = beta (ln(360/r) - 0.5772)
-    threshold = mu + sqrt(A^2 + E^2 + G^2),    in a session of these flights: highest mean of one + sqrt(E^2 + G^2)
+    A = t_{nu+S-1}(exp(-r)) sd(a) sqrt(1 + 1/S)                       offset of the session
+    e(q) = t_{nu+N-S}(q^(1/K)) sd(e) sqrt(1 + 1/N)                    highest offset of K flights
+    M = e(1/2) + beta (ln(360/K) + 0.3665 - 0.5772)                   what an hour shows usually
+    threshold = mu + M + sqrt(A^2 + (e(exp(-r)) - e(1/2))^2 + (beta (ln(K/r) - 0.3665))^2)
 
-The three are rarely large together, so their exceedances add in squares (an approximation that `tests/property` checks
-by simulation). A block of length L lies beta ln(L/10 s) above one of 10 s, so a short one counts as what it is.
+and in a session of these flights the same with the highest mean of a session for mu, and without A. The medians add;
+what is rare adds in squares, for the three are rarely rare together (`tests/property` holds it against simulation). A
+block of length L lies beta ln(L/10 s) above one of 10 s, so a short one counts as what it is.
 
 **Its price.** A budget of 0.05 alarms an hour from a minute of flight is an extrapolation, not evidence. What the
 flights themselves show is `demonstrated_per_hour`: T hours without an alarm exclude, at 95 %, only rates above 3/T. The
@@ -42,6 +43,8 @@ from mavdiag.units import S_PER_H
 BUDGET_PER_HOUR = 0.05  # of all monitors together (our choice)
 EULER_GAMMA = 0.5772156649015329
 GUMBEL_SCALE = math.sqrt(6.0) / math.pi  # beta over standard deviation
+GUMBEL_MEDIAN = -math.log(math.log(2.0))
+BLOCKS_PER_H = S_PER_H / BLOCK_S
 DEGREES = 6  # observations that a prior counts for (our choice)
 WORTH_SAYING_PER_HOUR = 1.0  # a limit on the alarms that is above it tells nobody anything (our choice)
 
@@ -189,14 +192,22 @@ class _Components:
 
     def levels(self, per_hour: float) -> tuple[float, float]:
         """The threshold in any session, and in one of the flights."""
-        from scipy.special import stdtrit  # Student's quantile
+        N, S, flown = self.flights, self.sessions, max(1.0, S_PER_H / self.flight_s)
+        degrees, spread = DEGREES + N - S, self.flight_sd * math.sqrt(1 + 1 / N)
+        session = self.session_sd * math.sqrt(1 + 1 / S) * student(DEGREES + S - 1, math.exp(-per_hour))
+        median = spread * student(degrees, 0.5 ** (1 / flown))
+        flight = spread * student(degrees, math.exp(-per_hour / flown)) - median
+        usual = median + self.beta * (math.log(BLOCKS_PER_H / flown) + GUMBEL_MEDIAN - EULER_GAMMA)
+        block = self.beta * (math.log(flown / per_hour) - GUMBEL_MEDIAN)
+        rare = max(session, 0.0), math.hypot(max(flight, 0.0), max(block, 0.0))
+        return self.mean + usual + math.hypot(*rare), self.highest + usual + rare[1]
 
-        N, S = self.flights, self.sessions
-        per_session, per_flight = min(per_hour, 0.5), min(per_hour * self.flight_s / S_PER_H, 0.5)
-        A = stdtrit(DEGREES + S - 1, 1 - per_session) * self.session_sd * math.sqrt(1 + 1 / S)
-        E = stdtrit(DEGREES + N - S, 1 - per_flight) * self.flight_sd * math.sqrt(1 + 1 / N)
-        G = self.beta * max(0.0, math.log(S_PER_H / BLOCK_S / per_hour) - EULER_GAMMA)
-        return self.mean + math.hypot(A, E, G), self.highest + math.hypot(E, G)
+
+def student(degrees: int, q: float) -> float:
+    """The quantile of Student's law."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(degrees, q))
 
 
 def _components(scores: Scores, sessions: IntArray, prior: Prior) -> _Components:
