@@ -15,7 +15,7 @@ A candidate is one figure for a whole flight:
 
 Nested: each of the five healthy E8 flights is left out, the other four fit, and each of these is scored by a fit to the
 other three. These four scores set the threshold by the product's rule, with the share of one of eight monitors in the
-budget and the guard of `rotor_trim` for the candidates of trim. Flagged means that the product or the candidate flags.
+budget and the prior of `rotor_trim` for the candidates of trim. Flagged means that the product or the candidate flags.
 The first recording of each label chooses among candidates; the others, and the healthy flight left out, judge.
 Emulated: healthy flights of 30 s, link of 100 Hz, baselines of five flights of one session, thresholds with no
 allowance for other sessions; ten flights each of other sessions and of new propellers within 1 %.
@@ -45,7 +45,6 @@ from mavdiag.monitors.model_residual import residuals_of, samples_of
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Log
-from mavdiag.thresholds.guard import Guard
 from mavdiag.thresholds.heldout import Scores
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, threshold_of
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
@@ -149,11 +148,10 @@ def thresholds(healthy: Sequence[Flown], teach: Teacher, sessions: int, *, crazy
     spans = np.array([sum(len(rows.block) * rows.block.dt_s for rows in one.rows) for one in healthy])
     return {
         name: threshold_of(
-            Scores(np.array([one[name] for one in scores]), spans),
-            flights=len(healthy),
-            sessions=sessions,
+            Scores(np.array([one[name] for one in scores]), spans, np.arange(len(healthy))),
+            sessions=[number % sessions for number in range(len(healthy))],
             budget_per_hour=SHARE_PER_H,
-            guard=RotorTrim.guard if name in TRIM else Guard(),
+            prior=RotorTrim.prior if name in TRIM else USUAL,
         ).value
         for name in scores[0]
     }

@@ -93,8 +93,8 @@ def baseline_for(
         MonitorEntry(
             spec=spec,
             threshold=threshold_of(
-                Scores(np.array([limit]), np.array([3600.0])),
-                flights=1,
+                Scores(np.array([limit]), np.array([3600.0]), np.array([0])),
+                sessions=[0],
                 budget_per_hour=0.05,
                 rule=ThresholdRule.MAXIMUM,
             ),

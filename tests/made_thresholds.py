@@ -16,8 +16,14 @@ def held_out_scores(
     sessions: Sequence[int] | None = None,
 ) -> dict[Axis | None, Scores]:
     """Scores of all flights by axis, each flight scored by a fit that did not see it. fit: the monitors of a fit."""
+    numbers = {id(flight): number for number, flight in enumerate(flights)}
     pairs = ((left_out, fit(rest)) for left_out, rest in folds(flights, block_s, sessions))
-    return by_axis((one.axis, score(one, flight, block_s)) for left, found in pairs for one in found for flight in left)
+    return by_axis(
+        (one.axis, score(one, flight, block_s, numbers.get(id(flight), 0)))
+        for left, found in pairs
+        for one in found
+        for flight in left
+    )
 
 
 def calibrated(
@@ -27,4 +33,5 @@ def calibrated(
     scores = held_out_scores(flights, lambda rest: [kind(spec) for spec in kind.fit(rest, context)])
     monitor = kind(kind.fit(flights, context)[0])
     found = scores[monitor.axis]
-    return monitor, threshold_of(found, flights=len(flights), budget_per_hour=budget_per_hour, guard=kind.guard)
+    sessions = list(range(len(flights)))
+    return monitor, threshold_of(found, sessions=sessions, budget_per_hour=budget_per_hour, prior=kind.prior)

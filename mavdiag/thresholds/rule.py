@@ -71,6 +71,9 @@ class Prior:
     least: float = 0.0
 
 
+USUAL = Prior()  # of a statistic that nothing else is known of (our choice)
+
+
 @dataclass(frozen=True, slots=True)
 class Threshold:
     """A threshold and what supports it.

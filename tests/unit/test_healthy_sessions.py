@@ -3,7 +3,6 @@
 import itertools
 from functools import cache
 
-import numpy as np
 import pytest
 from flying_telemetry import flying
 from made_baselines import FRAME, NOW
@@ -13,12 +12,9 @@ from mavdiag.chain import chain_of
 from mavdiag.errors import UsageError
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.learning.flights import sessions_of
-from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.telemetry import Log, Telemetry
 from mavdiag.testing import example_rows
-from mavdiag.thresholds.guard import Guard
-from mavdiag.thresholds.heldout import Flights, Scores, folds
-from mavdiag.thresholds.rule import Threshold, threshold_of
+from mavdiag.thresholds.heldout import Flights, folds
 from mavdiag.units import NS_PER_S
 
 MONDAY = 1_777_600_000 * NS_PER_S
@@ -81,19 +77,6 @@ def test_with_many_sessions_the_folds_are_ten_and_still_leave_whole_ones_out() -
     for out, rest in found:
         assert not {sessions[i] for i in out} & {sessions[i] for i in rest}
         assert sorted(out + rest) == list(range(30))
-
-
-def of(sessions: int, guard: Guard = RotorTrim.guard) -> Threshold:
-    scores = Scores(np.array([0.03, 0.031, 0.029, 0.03]), np.full(4, 10.0))
-    return threshold_of(scores, flights=4, sessions=sessions, budget_per_hour=0.36, guard=guard)
-
-
-def test_the_allowance_for_other_sessions_fades_with_them() -> None:
-    allowed = [of(n).session_allowance for n in (1, 2, 3, 4, 5, 20)]
-    assert allowed == pytest.approx([0.06, 0.045, 0.03, 0.015, 0.0, 0.0])
-    values = [of(n).value for n in (1, 5)]
-    assert values[0] - values[1] == pytest.approx(0.06)
-    assert of(1).value - of(1).session_allowance == pytest.approx(of(5).value)
 
 
 def flown(seed: int, started_ns: int) -> Log:

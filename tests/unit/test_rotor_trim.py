@@ -144,7 +144,7 @@ def test_what_a_turn_takes_is_learnt_and_taken_off(law: tuple[float, float]) -> 
     np.testing.assert_allclose(spec.turn, law, atol=0.01)
     assert spec.spread[2] < 0.003
     calm = read(spec, [turning(60, 2, law)])
-    assert calm.value[calm.valid].max() < RotorTrim.guard.least
+    assert calm.value[calm.valid].max() < RotorTrim.prior.least
     straight = replace(spec, turn=(0.0, 0.0))
     assert read(straight, [turning(60, 2, law)]).value.max() > 2 * calm.value[calm.valid].max()
 
@@ -169,4 +169,4 @@ def test_sudden_turns_explain_themselves_whenever_a_tick_begins() -> None:
         late = example_rows(n - first, rate=rate[first:], actuator=outputs[first:])
         found = read(spec, [late])
         assert found.valid[9:].all()
-        assert found.value[found.valid].max() < 0.5 * RotorTrim.guard.least
+        assert found.value[found.valid].max() < 0.5 * RotorTrim.prior.least

@@ -12,12 +12,8 @@ from mavdiag.errors import IdentificationError, UsageError
 from mavdiag.monitors.base import Rows
 from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
 from mavdiag.testing import example_context, example_rows, rows_between
-from mavdiag.thresholds.guard import Guard
 from mavdiag.thresholds.heldout import Flights, Scores, folds, score
-from mavdiag.thresholds.rule import (
-    Threshold,
-    threshold_of,
-)
+from mavdiag.thresholds.rule import DEGREES, USUAL, Prior, Threshold, threshold_of
 
 
 def shaken(level: float, seconds: float = 30.0, segment: int = 0, seed: int = 1) -> list[Rows]:
@@ -26,51 +22,62 @@ def shaken(level: float, seconds: float = 30.0, segment: int = 0, seed: int = 1)
     return [example_rows(n, 0.01, segment=segment, vibration=np.abs(vibration))]
 
 
-def whole(maxima: list[float]) -> Scores:
-    """Blocks of 10 s."""
-    return Scores(np.array(maxima), np.full(len(maxima), 10.0))
+def whole(maxima: list[float], flights: list[int] | None = None) -> Scores:
+    """Blocks of 10 s, of one flight or of these."""
+    return Scores(np.array(maxima), np.full(len(maxima), 10.0), np.array(flights or [0] * len(maxima)))
 
 
-def known(maxima: list[float], flights: int = 5) -> Threshold:
-    return threshold_of(whole(maxima), flights=flights, budget_per_hour=0.36)
+def known(maxima: list[float], flights: list[int], sessions: list[int], prior: Prior = USUAL) -> Threshold:
+    return threshold_of(whole(maxima, flights), sessions=sessions, budget_per_hour=0.36, prior=prior)
 
 
-def test_the_level_is_that_of_the_formula() -> None:
-    x = [1.0, 2.0, 3.0, 4.0]
-    beta = np.std(x, ddof=1) * math.sqrt(6) / math.pi
-    found = known(x)
-    assert found.scale == pytest.approx(beta)
-    assert found.location == pytest.approx(2.5 - 0.57721566 * beta)
-    assert found.value == pytest.approx(found.location + beta * math.log(1000))  # 0.36/h: 1 block of 10 s in 1000
-    assert (found.blocks, found.exceeding, found.allowance) == (4, 0, 0.0)
-    assert found.demonstrated_per_hour == pytest.approx(3.0 * 90, rel=0.01)  # 3/T for T = 40 s
+def test_the_components_of_variance_are_those_of_a_balanced_design() -> None:
+    """By hand: two sessions of two flights of two blocks each."""
+    prior = Prior(0.3, 0.2, 0.1, shares=False)
+    found = known([1.0, 3.0, 2.0, 4.0, 7.0, 9.0, 8.0, 10.0], [0, 0, 1, 1, 2, 2, 3, 3], [0, 0, 1, 1], prior)
+    block = (DEGREES * 0.1**2 + 4 * 2.0) / (DEGREES + 4)  # each flight's blocks differ by 2 from each other
+    flight = (DEGREES * 0.2**2 + 2 * 0.5) / (DEGREES + 2)  # flight means 2, 3 and 8, 9
+    session = (DEGREES * 0.3**2 + max(18.0 - flight / 2, 0.0)) / (DEGREES + 1)  # session means 2.5 and 8.5
+    assert found.mean == pytest.approx(5.5)
+    assert found.block_scale == pytest.approx(math.sqrt(6 * block) / math.pi)
+    assert found.flight_sd == pytest.approx(math.sqrt(flight))
+    assert found.session_sd == pytest.approx(math.sqrt(session))
+    assert (found.blocks, found.flights, found.sessions) == (8, 4, 2)
+    assert found.demonstrated_per_hour == pytest.approx(3.0 * 45, rel=0.01)  # 3/T for T = 80 s
 
 
-def test_a_handful_of_like_maxima_does_not_prove_a_thin_tail() -> None:
-    assert known([1.0]).scale == pytest.approx(0.1)
-    assert known([1.0, 1.0, 1.0]).value == pytest.approx(1.0 + 0.1 * math.log(1000))
+def test_with_one_flight_the_prior_stands_and_with_many_the_data() -> None:
+    prior = Prior(1.0, 0.5, 0.1, shares=False)
+    one = known([5.0], [0], [0], prior)
+    assert (one.session_sd, one.flight_sd) == pytest.approx((1.0, 0.5))
+    rng = np.random.default_rng(7)
+    levels = 5.0 + 0.1 * rng.standard_normal(300)  # of 300 sessions of 1 flight: sd 0.1 where 1.0 was believed
+    many = known(np.repeat(levels, 2).tolist(), np.repeat(np.arange(300), 2).tolist(), list(range(300)), prior)
+    assert many.session_sd < 0.2
+    assert many.value < one.value
 
 
-def test_guards() -> None:
-    guard = Guard(few_sessions=0.06, enough_sessions=5)
-    assert [round(guard.allowance(n), 3) for n in (1, 2, 3, 4, 5, 60)] == [0.06, 0.045, 0.03, 0.015, 0.0, 0.0]
-    scores = whole([0.01, 0.01])
-    assert threshold_of(scores, flights=1, guard=Guard(above_mean=0.5)).value == pytest.approx(0.51)
-    assert threshold_of(scores, flights=1, guard=Guard(least=2.0)).value == 2.0
-    with pytest.raises(UsageError, match="negative"):
-        Guard(few_sessions=-1.0)
+def test_shares_are_of_the_mean_and_no_threshold_is_below_the_least() -> None:
+    assert known([4.0], [0], [0], Prior(session=0.5)).session_sd == pytest.approx(2.0)
+    assert known([0.01, 0.01], [0, 0], [0], Prior(least=2.0)).value == 2.0
+
+
+def test_a_flight_of_the_same_session_has_a_lower_threshold() -> None:
+    found = known([1.0, 1.1, 0.9, 1.0], [0, 1, 2, 3], [0, 0, 0, 0], Prior(session=0.5))
+    assert found.within(same_session=True) < found.within(same_session=False) == found.value
+    assert "from 4 flights in 1 session" in found.statement()
 
 
 @pytest.mark.parametrize("budget", [0.0, -1.0, math.nan, math.inf])
 def test_a_budget_must_be_positive(budget: float) -> None:
     with pytest.raises(UsageError, match="budget"):
-        threshold_of(whole([1.0]), flights=1, budget_per_hour=budget)
+        threshold_of(whole([1.0]), sessions=[0], budget_per_hour=budget)
 
 
 @pytest.mark.parametrize("maxima", [[], [math.nan], [math.inf, 1.0]])
 def test_broken_scores_are_refused(maxima: list[float]) -> None:
     with pytest.raises(IdentificationError, match="finite"):
-        threshold_of(whole(maxima), flights=1)
+        threshold_of(whole(maxima), sessions=[0])
 
 
 @pytest.mark.parametrize(
@@ -102,12 +109,6 @@ def test_b4_blocks_do_not_depend_on_chunks_and_run_through_segments() -> None:
         np.testing.assert_allclose(found.maxima, expected.maxima, rtol=1e-12)
         np.testing.assert_allclose(found.spans_s, expected.spans_s)
     assert found.maxima.min() > 0.3
-
-
-def test_r9_the_floor_on_the_scale_fades_with_blocks() -> None:
-    """R9: a tenth of the mean stayed the least scale with any number of blocks."""
-    scales = [known(np.full(n, 10.0).tolist()).scale for n in (1, 20, 80, 2000)]
-    assert scales == pytest.approx([1.0, 1.0, 0.5, 0.1])
 
 
 def test_a_flight_is_scored_by_a_fit_that_did_not_see_it() -> None:

@@ -13,7 +13,7 @@ from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_context, example_rows
 
 CALM = (0.03, 0.03, 0.01)
-LEAST = TrimStep.guard.least
+LEAST = TrimStep.prior.least
 DT_S = 0.02
 TICK = round(TICK_S / DT_S)
 ROTORS = [(frame, rotor) for frame in sorted(LAYOUTS) for rotor in range(layout_named(frame).rotors)]
