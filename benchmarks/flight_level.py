@@ -46,7 +46,7 @@ from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Log
 from mavdiag.thresholds.heldout import Scores
-from mavdiag.thresholds.rule import BUDGET_PER_HOUR, threshold_of
+from mavdiag.thresholds.rule import BUDGET_PER_HOUR, USUAL, threshold_of
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
 from sitl_plant.campaign.worker import CREATED, specimen
 from sitl_plant.physics.airframe import Airframe, in_session, with_propellers
