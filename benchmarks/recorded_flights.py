@@ -2,12 +2,13 @@
 
     python benchmarks/recorded_flights.py FOLDER      (with crazypad, ardupilot_real, arducopter_sitl, px4_real in it)
 
-Thresholds come from the healthy flights of the judged airframe alone. CrazyPAD: the baseline of all five healthy
-flights judges the others; each healthy flight is judged by the baseline of the other four, which also judge the cuts.
+Thresholds come from the healthy flights of the judged airframe alone. CrazyPAD: every choice of five, four and
+three of its five healthy flights teaches, and all other flights are judged.
 """
 
 import argparse
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -65,13 +66,23 @@ def rotor_of(verdict: LogVerdict) -> int | None:
     return next((one.rotor for one in reversed(verdict.changes) if one.rotor is not None), None)
 
 
-def detected(judged: Sequence[tuple[Labelled, LogVerdict]]) -> list[str]:
-    """Flagged of all, by bins of total cut."""
-    cells = []
-    for low, high in BINS:
-        inside = [v for one, v in judged if one.cut_mm is not None and low < one.cut_mm <= high]
-        cells.append(f"{sum(v.verdict is Verdict.FAULT for v in inside)}/{len(inside)}")
-    return cells
+def flagged(judged: Sequence[tuple[Labelled, LogVerdict]], holds: Callable[[Labelled], bool]) -> str:
+    """Declared + only suspected, of all logs of which something holds."""
+    found = [verdict.verdict for one, verdict in judged if holds(one)]
+    return f"{found.count(Verdict.FAULT)}+{found.count(Verdict.SUSPECTED)}/{len(found)}" if found else ""
+
+
+def columns(judged: Sequence[tuple[Labelled, LogVerdict]]) -> list[str]:
+    """Flagged by bins of total cut, and of the other kinds of logs."""
+
+    def cut(low: float, high: float) -> Callable[[Labelled], bool]:
+        return lambda one: one.cut_mm is not None and low < one.cut_mm <= high
+
+    def named(prefix: str) -> Callable[[Labelled], bool]:
+        return lambda one: one.label.startswith(prefix)
+
+    holds = [*(cut(low, high) for low, high in BINS), named("tape"), named("add_weight"), named("normal")]
+    return [flagged(judged, each) for each in holds]
 
 
 def crazypad(console: Console, folder: Path) -> None:
@@ -81,33 +92,26 @@ def crazypad(console: Console, folder: Path) -> None:
         for path in sorted(folder.glob("*/E8_log*"))
     ]
     healthy = [one for one in logs if one.label == "normal_flight"]
-    others = [one for one in logs if one.label != "normal_flight"]
-    table = Table(title="CrazyPAD E8: logs flagged")
+    table = Table(title="CrazyPAD E8: logs with a fault + only a suspicion, of all; every choice of teaching flights")
     for heading in ("taught by", "cut <=1.5 mm", "2-3", "3.5-5", ">5", "tape", "weight", "left-out healthy"):
         table.add_column(heading, justify="right")
-    base = taught([one.log for one in healthy])
-    judged = [(one, judge(one.log, base)) for one in others]
-    table.add_row("all five", *detected(judged), count(judged, "tape"), count(judged, "add_weight"), "")
-    for left_out in healthy:
-        base = taught([one.log for one in healthy if one is not left_out])
-        verdicts = [(one, judge(one.log, base)) for one in others]
-        flagged = judge(left_out.log, base).verdict is Verdict.FAULT
-        cells = (count(verdicts, "tape"), count(verdicts, "add_weight"), "flagged" if flagged else "not flagged")
-        table.add_row(f"without {left_out.log.name}", *detected(verdicts), *cells)
+    for flights in (5, 4, 3):
+        judged = []
+        for teaching in itertools.combinations(healthy, flights):
+            base = taught([one.log for one in teaching])
+            judged += [(one, judge(one.log, base)) for one in logs if one not in teaching]
+        table.add_row(str(flights), *columns(judged))
+        large = [v for one, v in judged if (one.cut_mm or 0) > 2 and v.verdict is Verdict.FAULT]
+        right, unnamed = (sum(rotor_of(v) == rotor for v in large) for rotor in (CUT_ROTOR, None))
+        console.print(
+            f"{flights} flights: M3 named in {right} of {len(large)} declared cuts above 2 mm, none in {unnamed}"
+        )
+        if flights == len(healthy):
+            rises = ((one.cut_mm, next(m.maximum for m in v.monitors if m.name == "rotor_trim")) for one, v in judged)
+            ranked = [(mm, rise) for mm, rise in rises if mm is not None and rise is not None]
+            rank = spearmanr([mm for mm, _ in ranked], [rise for _, rise in ranked]).statistic
+            console.print(f"severity: rank correlation of the trim shift with the total cut {rank:.3f}")
     console.print(table)
-    large = [v for one, v in judged if (one.cut_mm or 0) > 2 and v.verdict is Verdict.FAULT]
-    right, unnamed = (sum(rotor_of(v) == rotor for v in large) for rotor in (CUT_ROTOR, None))
-    console.print(f"rotor: M3 named in {right} of {len(large)} declared cuts above 2 mm, none named in {unnamed}")
-    rises = ((one.cut_mm, next(m.maximum for m in v.monitors if m.name == "rotor_trim")) for one, v in judged)
-    ranked = [(mm, rise) for mm, rise in rises if mm is not None and rise is not None]
-    rank = spearmanr([mm for mm, _ in ranked], [rise for _, rise in ranked]).statistic
-    console.print(f"severity: rank correlation of the trim shift with the total cut {rank:.3f} ({len(ranked)} logs)")
-
-
-def count(judged: Sequence[tuple[Labelled, LogVerdict]], prefix: str) -> str:
-    """Flagged of all logs whose label starts so."""
-    inside = [verdict for one, verdict in judged if one.label.startswith(prefix)]
-    return f"{sum(v.verdict is Verdict.FAULT for v in inside)}/{len(inside)}"
 
 
 def line(name: str, verdict: LogVerdict) -> str:

@@ -150,7 +150,7 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     name = "trim_step"
     label = "trim step"
     phrase = "lost {lost}% thrust"
-    prior = Prior(0.001, 0.001, 0.001, shares=False, least=0.01)  # half of what a trim must allow for wind (our choice)
+    prior = Prior(flight=0.3, block=0.3, least=0.01)  # half of what a trim must allow for wind (our choice)
     spec_type = TrimStepSpec
 
     @classmethod
