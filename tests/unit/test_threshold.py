@@ -46,11 +46,6 @@ def test_the_level_is_that_of_the_formula() -> None:
     assert found.demonstrated_per_hour == pytest.approx(3.0 * 90, rel=0.01)  # 3/T for T = 40 s
 
 
-def test_a_handful_of_like_maxima_does_not_prove_a_thin_tail() -> None:
-    assert known([1.0]).scale == pytest.approx(0.1)
-    assert known([1.0, 1.0, 1.0]).value == pytest.approx(1.0 + 0.1 * math.log(1000))
-
-
 def test_guards() -> None:
     guard = Guard(few_sessions=0.06, enough_sessions=5)
     assert [round(guard.allowance(n), 3) for n in (1, 2, 3, 4, 5, 60)] == [0.06, 0.045, 0.03, 0.015, 0.0, 0.0]
