@@ -5,15 +5,14 @@ of the alarm budget. So any one that decides may declare a fault, and the shares
 
     calm  < 0.7 <=  held  < 0.8 <=  raised  <= 1 <  over        the highest ratio of all slots
 
-A slot that does not decide raises a suspicion at most, and only when it is over. A fault is latched: nothing clears it
-in flight, and its end turns it into an open inspection, until it is acknowledged. When every slot that was over has
-been calm for 2 s, each by its own fresh values, the fault is only "no longer seen"; the next ratio above 1 begins
-another episode of it. Within an episode the most certain name of a rotor holds, and the next one may name another. A
-trim that the fall of a named rotor's command explains better than the rise of any does not count while a fault is held:
-that rotor is mended, or another one carries its load no longer.
+A slot that does not decide raises a suspicion at most, when it is over. A fault is latched: when every slot that was
+over has been calm for 2 s, each by its own fresh values, it is only "no longer seen"; the next ratio above 1 begins
+another episode. The end of a flight turns it into an open inspection, until it is acknowledged. Within an episode the
+most certain name of a rotor holds. A trim that the fall of a named rotor's command explains better than the rise of any
+does not count while a fault is held: that rotor is mended, or another one carries its load no longer.
 
-Time is looked at every 0.1 s of the vehicle's clock, when everything up to then is known. So the result does not depend
-on how the data were cut: a live link and its recording give the same events, rotors, types and severities.
+Time is looked at every 0.1 s of the vehicle's clock, when everything up to then is known, so that a live link and its
+recording give the same.
 """
 
 from collections.abc import Sequence

@@ -51,9 +51,6 @@ def finding_words(finding: Diagnosis, most: int = 80) -> str:
     """What was found, in at most so many characters: "motor 3 lost 19% thrust", "rotor unknown: vibrates 2.6x".
 
     What does not fit is left out: the type of the fault first, then that the rotor is unknown.
-
-    >>> print(finding_words(Diagnosis(Stage.FAULT, monitor="rotor_trim", statistic=0.235, threshold=0.1, rotor=3)))
-    motor 3 lost 19% thrust
     """
     graded = finding.fault_type or "" if finding.stage is Stage.FAULT else ""
     graded += f"/SV{finding.severity}" if graded and finding.severity is not None else ""

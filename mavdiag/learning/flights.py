@@ -189,8 +189,8 @@ def front_for(flights: Iterable[Log | HeldLog], window_s: float, gate: GateSpec 
 
 def _common_grid(flights: Sequence[HeldLog]) -> tuple[float, Grid]:
     """Median of the flights' mean gyro periods [s], and the grid that suits all."""
-    native = all(flight.grid is Grid.NATIVE for flight in flights)
-    return float(np.median([flight.dt_s for flight in flights])), Grid.NATIVE if native else Grid.RESAMPLED
+    grid = Grid.NATIVE if all(flight.grid is Grid.NATIVE for flight in flights) else Grid.RESAMPLED
+    return float(np.median([flight.dt_s for flight in flights])), grid
 
 
 def odd_rate(flights: Sequence[HeldLog], window_s: float) -> tuple[int, str] | None:

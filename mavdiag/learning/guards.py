@@ -8,8 +8,7 @@ they name before anything is fitted. All limits are our choices; `benchmarks/bro
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,17 +43,6 @@ GROUP_RATIO = 6.0  # of the distance to the spread within the groups (our choice
 GROUP_FLOOR = 0.001  # of the hover command: no mean over a flight is more certain (our choice)
 
 
-class Kind(StrEnum):
-    """What a finding is about."""
-
-    REPEATED = "repeated"
-    UPSET = "upset"
-    FAR = "far"
-    GROUPS = "groups"
-    CHANGE = "change"
-    PHYSICS = "physics"
-
-
 @dataclass(frozen=True, slots=True)
 class Finding:
     """Something among the healthy flights that should not be learnt.
@@ -67,7 +55,6 @@ class Finding:
 
     number: int
     log: str
-    kind: Kind
     text: str
     from_s: float | None = None
     to_s: float | None = None
@@ -107,7 +94,7 @@ def repeated(flights: Iterable[Log | HeldLog]) -> tuple[Finding, ...]:
     for number, flight in enumerate(held):
         name, sha256, starts = flight.label.name, flight.label.sha256, runs[number][1]
         if sha256 and sha256 in files:
-            found.append(Finding(number, name, Kind.REPEATED, f"the same file as {files[sha256]}"))
+            found.append(Finding(number, name, f"the same file as {files[sha256]}"))
             continue
         files[sha256] = name
         whose = earliest[owners == number]
@@ -118,12 +105,12 @@ def repeated(flights: Iterable[Log | HeldLog]) -> tuple[Finding, ...]:
         dt_s = float(np.median(np.diff(np.unique(t_ns)))) / NS_PER_S
         text = f"{len(common) * dt_s:.1f} s of it are in {held[other].label.name} as well"
         if len(common) == len(starts) == len(runs[other][1]):
-            found.append(Finding(number, name, Kind.REPEATED, f"the same flight as {held[other].label.name}"))
+            found.append(Finding(number, name, f"the same flight as {held[other].label.name}"))
         elif len(common) > ALL_SHARED * len(starts):
-            found.append(Finding(number, name, Kind.REPEATED, text))
+            found.append(Finding(number, name, text))
         elif len(common) * dt_s >= SHARED_S:
             low_s, high_s = float(t_ns[common].min()) / NS_PER_S, float(t_ns[common + RUN - 1].max()) / NS_PER_S
-            found.append(Finding(number, name, Kind.REPEATED, text, low_s, high_s + dt_s))
+            found.append(Finding(number, name, text, low_s, high_s + dt_s))
     return tuple(found)
 
 
@@ -152,13 +139,18 @@ def _runs(values: FloatArray) -> tuple[IntArray, IntArray]:
 
 def upsets(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
     """The upset of each flight that has one, from its first sign to its last, with two seconds around."""
-    found = []
-    for number, flight in enumerate(flights):
-        upset = upset_in(motion_of(rows.block) for rows in flight.rows if len(rows.block))
-        if upset is not None:
-            place = upset.begin_s - MARGIN_S, None if upset.ends else upset.end_s + MARGIN_S
-            found.append(Finding(number, flight.label.name, Kind.UPSET, upset.text, *place))
-    return tuple(found)
+    seen = (upset_in(motion_of(rows.block) for rows in flight.rows if len(rows.block)) for flight in flights)
+    return tuple(
+        Finding(
+            number,
+            flights[number].label.name,
+            upset.text,
+            upset.begin_s - MARGIN_S,
+            None if upset.ends else upset.end_s + MARGIN_S,
+        )
+        for number, upset in enumerate(seen)
+        if upset is not None
+    )
 
 
 def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
@@ -185,17 +177,14 @@ def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
             number, from_s, to_s = table[i, :3].tolist()
             text = f"{name} {math.exp(values[i, column]):.2g} times that of the other flights' blocks"
             far.append((int(number), from_s, to_s, text))
-    stretches: list[tuple[int, float, float, str]] = []  # blocks that follow each other make one finding
+    found = list[Finding]()  # blocks that follow each other make one
     for number, from_s, to_s, text in sorted(far, key=lambda block: block[:2]):
-        if stretches and stretches[-1][0] == number and from_s <= stretches[-1][2] + BLOCK_S:
-            _, begin_s, end_s, what = stretches[-1]
-            stretches[-1] = number, begin_s, max(end_s, to_s), what
+        last = found[-1] if found and found[-1].number == number else None
+        if last is not None and last.from_s is not None and last.to_s is not None and from_s <= last.to_s + BLOCK_S:
+            found[-1] = replace(last, to_s=max(last.to_s, to_s))
         else:
-            stretches.append((number, from_s, to_s, text))
-    return tuple(
-        Finding(number, flights[number].label.name, Kind.FAR, f"{begin:.1f} to {end:.1f} s: {text}", begin, end)
-        for number, begin, end, text in stretches
-    )
+            found.append(Finding(number, flights[number].label.name, text, from_s, to_s))
+    return tuple(replace(one, text=f"{one.place}: {one.text}") for one in found)
 
 
 def _blocks(flight: Sequence[Rows]) -> Iterator[tuple[float, ...]]:
@@ -245,9 +234,8 @@ def _typical(squares: FloatArray, dt_s: float) -> float:
 def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> tuple[Finding, ...]:
     """Flights whose mean trims fall into two groups: two airframes, or two sets of propellers.
 
-    The flights are cut in two where the gap along one axis is widest. The groups are apart if the distance of their
-    means is at least 6 times the spread within them and 0.03 of the hover command, roll and pitch counting a third.
-    With 0.005 it is noted, and so it is if a group has one flight alone: nothing tells its spread.
+    The groups are apart if the distance of their means is at least 6 times the spread within them and 0.03 of the hover
+    command, roll and pitch counting a third. With 0.005 it is noted, and so it is if a group has one flight alone.
     """
     if layout is None:
         return ()
@@ -272,7 +260,7 @@ def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> 
         f"the mean trims of the flights fall into two groups: roll, pitch, yaw {one} in {', '.join(names)} and {rest} "
         "in the others: two airframes, sets of propellers or sessions"
     )
-    found = [Finding(known[i], name, Kind.GROUPS, text, refuses=refuses) for i, name in zip(odd, names, strict=True)]
+    found = [Finding(known[i], name, text, refuses=refuses) for i, name in zip(odd, names, strict=True)]
     return tuple(found if refuses else found[:1])
 
 

@@ -117,15 +117,15 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
 
 
 def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: Shelf) -> Baseline:
-    held = []
-    for log in logs:
-        held.append(hold(log, shelf))
-        del log
-        give_back()
+    held = [hold(log, shelf) for log in logs]
+    give_back()
     if not held:
         raise InputError("no healthy flight to learn from")
-    first = held[0].label
-    airframe = _filtered(of_log_kind(options.airframe, first.profile), first)
+    first, link = held[0].label, PROFILES.get(held[0].label.profile)
+    airframe, told_hz = of_log_kind(options.airframe, first.profile), 0.0
+    if link is not None and airframe.imu_corner_hz is None:
+        told_hz = first.parameters.get(link.imu_corner_parameter, 0.0)
+    airframe = replace(airframe, imu_corner_hz=told_hz) if told_hz > 0.0 else airframe
     found = believing(taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf), shelf)
     airframe, ordered = with_rotors(airframe, found.flights)
     found = replace(found, flights=tuple(ordered))
@@ -133,7 +133,6 @@ def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: She
         found = one_vehicle(found, airframe.layout, robust=options.robust)
     front, learnt, rows = found.front, found.flights, [flight.rows for flight in found.flights]
     sessions = sessions_of([flight.label for flight in learnt], options.sessions)
-    link = PROFILES.get(first.profile)
     context = LearnContext(
         airframe=airframe,
         imu_corner_hz=airframe.imu_corner_hz or (link.corner_hz(first.parameters) if link is not None else None),
@@ -200,13 +199,6 @@ def assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
     )
 
 
-def _filtered(airframe: Airframe, flight: Log) -> Airframe:
-    """The airframe with the corner of its IMU's filter, where it was not told and the vehicle's parameters have it."""
-    name = PROFILES[flight.profile].imu_corner_parameter if flight.profile in PROFILES else ""
-    told_hz = flight.parameters.get(name, 0.0)
-    return replace(airframe, imu_corner_hz=told_hz) if airframe.imu_corner_hz is None and told_hz > 0.0 else airframe
-
-
 def _fit_all(
     flights: Flights, sessions: Sequence[int], options: LearnOptions, context: LearnContext
 ) -> tuple[list[Fitted], list[Refusal]]:
@@ -266,28 +258,31 @@ def _entries(fitted: Sequence[Fitted], options: LearnOptions, sessions: Sequence
     deciding = {monitor.name for monitor, _ in fitted if monitor.decides}
     shares = Counter(_sharing(name) for name in deciding or axes)
     for monitor, scores in fitted:
-        name = monitor.name
-        threshold = threshold_of(
-            scores,
-            flights=len(sessions),
-            sessions=len(set(sessions)),
-            budget_per_hour=options.alarms_per_hour / len(shares) / max(1, shares[_sharing(name)]) / axes[name],
-            guard=monitor.guard,
-            rule=options.rule,
-        )
-        yield MonitorEntry(spec=monitor.spec, threshold=threshold, scores=plain_scores(scores))
+        name, counts = monitor.name, (len(sessions), len(set(sessions)))
+        budget = options.alarms_per_hour / len(shares) / max(1, shares[_sharing(name)]) / axes[name]
+        yield _entry(monitor.spec, scores, *counts, budget, options.rule)
+
+
+def _entry(
+    spec: Any, scores: Scores, flights: int, sessions: int, budget_per_hour: float, rule: ThresholdRule
+) -> MonitorEntry:
+    """A fit with its threshold, and the scores to six digits."""
+    threshold = threshold_of(
+        scores,
+        flights=flights,
+        sessions=sessions,
+        budget_per_hour=budget_per_hour,
+        guard=monitor_of(spec).guard,
+        rule=rule,
+    )
+    maxima, spans_s = (tuple(float(f"{x:.6g}") for x in part.tolist()) for part in (scores.maxima, scores.spans_s))
+    return MonitorEntry(spec=spec, threshold=threshold, scores=HealthyScores(maxima=maxima, spans_s=spans_s))
 
 
 def _sharing(name: str) -> str:
     """With whom a monitor shares the budget: alone, or with all that find no propeller."""
     kind = by_name(name).kind
     return name if kind is FaultKind.PROPELLER else "others"
-
-
-def plain_scores(scores: Scores) -> HealthyScores:
-    """Scores as a baseline keeps them, to six digits."""
-    maxima, spans_s = (tuple(float(f"{x:.6g}") for x in part.tolist()) for part in (scores.maxima, scores.spans_s))
-    return HealthyScores(maxima=maxima, spans_s=spans_s)
 
 
 def sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers: int = 0) -> tuple[SourceLog, ...]:
@@ -341,16 +336,11 @@ def _extended(
         else:
             fresh = [score(monitor_of(spec), flight) for flight in rows]
         scores = pooled([Scores(ratio * np.array(entry.scores.maxima), np.array(entry.scores.spans_s)), *fresh])
-        threshold = threshold_of(
-            scores,
-            flights=sum(log.propellers == propellers for log in old) + len(learnt),
-            sessions=len(before | set(sessions)),
-            budget_per_hour=entry.threshold.budget_per_hour,
-            guard=monitor_of(spec).guard,
-            rule=entry.threshold.rule,
-        )
-        spec = spec if new_propellers else monitor_of(spec).extended(rows, len(before))
-        entries.append(MonitorEntry(spec=spec, threshold=threshold, scores=plain_scores(scores)))
+        if not new_propellers:
+            spec = monitor_of(spec).extended(rows, len(before))
+        same_set = sum(log.propellers == propellers for log in old) + len(learnt)
+        told = entry.threshold
+        entries.append(_entry(spec, scores, same_set, len(before | set(sessions)), told.budget_per_hour, told.rule))
     fresh_print = fingerprint_of(rows, baseline.airframe.layout)
     longer = baseline.model_copy(
         update={

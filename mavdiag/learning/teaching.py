@@ -64,7 +64,7 @@ def taught(
                 if not robust:
                     raise
                 left_out.append(str(error))
-            give_back()
+        give_back()
         return flights
 
     flights = flown(_without(held, repeated(held), shelf, robust, left_out))
@@ -96,11 +96,10 @@ def believing(found: Taught, shelf: Shelf) -> Taught:
         jitter=max(part.jitter for part in parts),
         resolution_rad_s=max(part.resolution_rad_s for part in parts),
     )
-    front, flights = replace(found.front, align=replace(found.front.align, quality=quality)), list[LearntFlight]()
-    for held, _ in flown:
-        flights.append(airborne(front, held, shelf))
-        give_back()
-    return replace(found, front=front, flights=tuple(flights))
+    front = replace(found.front, align=replace(found.front.align, quality=quality))
+    flights = tuple(airborne(front, held, shelf) for held, _ in flown)
+    give_back()
+    return replace(found, front=front, flights=flights)
 
 
 def one_vehicle(found: Taught, layout: RotorLayout | None, *, robust: bool) -> Taught:

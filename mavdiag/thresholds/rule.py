@@ -1,18 +1,15 @@
 """What a healthy vehicle allows: the threshold of a statistic from its own healthy flights, for a budget of alarms.
 
-One rule for every monitor. The statistic is scored on flights that its fit did not see, cut into blocks of 10 s of
-judged time, and the blocks' maxima x carry a Gumbel law (maxima of light-tailed statistics tend to it; Coles, An
-Introduction to Statistical Modeling of Extreme Values, 2001, ch. 3). The maximum of a block of length L lies
-beta ln(L/B) above that of a block of length B = 10 s:
+The maxima x of blocks of 10 s of judged time that no fit saw carry a Gumbel law (Coles, An Introduction to Statistical
+Modeling of Extreme Values, 2001, ch. 3); that of a block of length L lies beta ln(L/B) above that of B = 10 s:
 
     beta = max(sd(x) sqrt(6)/pi, s |mean(x)|),    s = 0.1 min(1, sqrt(20/n)) for n blocks
     mu = mean(x) - 0.5772 sd(x) sqrt(6)/pi - beta mean(ln(L/B))                                   (moments)
     threshold = mu + beta ln(1/(r B)),    r alarms in a second of judged time
 
-The floor on beta is for few blocks: a handful of like maxima does not prove a thin tail. **Its price:** a budget of
-0.05 alarms an hour from a minute of flight is an extrapolation by ten beta, not evidence. T hours without an alarm
-exclude, at 95 %, only rates above 3/T (`demonstrated_per_hour`). The named alternative, the largest healthy maximum,
-alarms in one of n + 1 equal healthy flights.
+**Its price:** a budget of 0.05 alarms an hour from a minute of flight is an extrapolation by ten beta, not evidence.
+T hours without an alarm exclude, at 95 %, only rates above 3/T (`demonstrated_per_hour`). The named alternative, the
+largest healthy maximum, alarms in one of n + 1 equal healthy flights.
 """
 
 import math
@@ -78,9 +75,11 @@ class Threshold:
 
     def statement(self) -> str:
         """One sentence: what is asked for, and what is shown."""
-        sessions = f"{self.sessions} session{'' if self.sessions == 1 else 's'}"
-        flights = f"{self.flights} flight{'' if self.flights == 1 else 's'} in {sessions} ({self.hours:.3g} h)"
-        basis = f"{self.blocks} healthy blocks of {self.block_s:g} s from {flights}"
+        flights, sessions = (
+            f"{count} {what}{'s' * (count != 1)}"
+            for count, what in ((self.flights, "flight"), (self.sessions, "session"))
+        )
+        basis = f"{self.blocks} healthy blocks of {self.block_s:g} s from {flights} in {sessions} ({self.hours:.3g} h)"
         shown = f"{self.exceeding or 'none'} of them above it"
         if self.demonstrated_per_hour < WORTH_SAYING_PER_HOUR:
             shown += f", so at 95 % fewer than {self.demonstrated_per_hour:.2g} alarms/h"
@@ -108,12 +107,6 @@ def threshold_of(
     """The threshold that scores of healthy flights allow.
 
     budget_per_hour: this monitor's share. sessions: that the flights were flown in; None for one each.
-
-    >>> maxima = np.random.default_rng(5).gumbel(1.0, 0.2, 200)   # 200 blocks, mu 1 and beta 0.2
-    >>> found = threshold_of(Scores(maxima, np.full(200, 10.0)), flights=20, budget_per_hour=0.36)   # 1 in 1000 blocks
-    >>> round(found.value, 1), round(1.0 + 0.2 * math.log(1000), 1), round(found.demonstrated_per_hour, 1)
-    (2.5, 2.4, 5.4)
-
     Raises UsageError for a budget that is not positive, IdentificationError for scores that are not finite.
     """
     if not (math.isfinite(budget_per_hour) and budget_per_hour > 0):
@@ -153,21 +146,14 @@ def threshold_of(
 
 
 def poisson_upper(events: int, confidence: float = 0.95) -> float:
-    """Upper limit on the expected number of events after `events` were seen: the m at which P(<= events | m) = 5 %.
-
-    >>> [round(poisson_upper(k), 2) for k in (0, 1, 5)]
-    [3.0, 4.74, 10.51]
-    """
+    """Upper limit on the expected number of events after `events` were seen: the m at which P(<= events | m) = 5 %."""
     from scipy.special import gammaincinv  # half the chi-squared quantile of 2 events + 2 degrees of freedom
 
     return float(gammaincinv(events + 1, confidence))
 
 
 def flights_for_guarantee(false_alarms: float = 0.05, confidence: float = 0.95) -> int:
-    """Healthy flights after which, with this confidence, the maximum rule's false-alarm share is below the bound.
-
-    The 95/95 guarantee of METHOD section 4: 1 - 0.95^n >= 0.95, n = 59.
-    """
+    """Healthy flights that bound the maximum rule's false-alarm share: METHOD section 4, 1 - 0.95^n >= 0.95, n = 59."""
     return math.ceil(math.log(1.0 - confidence) / math.log(1.0 - false_alarms))
 
 

@@ -10,7 +10,7 @@ from made_baselines import ALWAYS, FRAME, NOW, healthy
 
 from mavdiag.errors import InputError
 from mavdiag.learning import LearnOptions, airborne, front_for, learn
-from mavdiag.learning.guards import Kind, far_blocks, repeated, upsets
+from mavdiag.learning.guards import far_blocks, repeated, upsets
 from mavdiag.learning.teaching import taught
 from mavdiag.logs.part import between
 from mavdiag.rows.align import Grid
@@ -104,7 +104,7 @@ def test_a_flight_that_counts_twice_is_refused(again: str) -> None:
     if again == "part":
         copy = replace(copy, telemetry=between(copy.telemetry, 15.0, None))
     (found,) = repeated([*flights, copy])
-    assert (found.number, found.log, found.kind) == (2, "copy", Kind.REPEATED)
+    assert (found.number, found.log) == (2, "copy")
     says = {
         "file": "the same file as flight0",
         "content": "the same flight as flight0",
