@@ -22,7 +22,7 @@ MOTORS_MOST = 8  # that are listed by number; more do not fit into a text (our c
 MOSTLY = 0.9  # of what was judged: a monitor that judged more has judged the flight (our choice)
 TYPES = {"F1": "an edge cut", "F2": "a crack", "F3": "surface unbalance"}
 
-#: What each monitor looks at, for a reader who meets its name for the first time.
+#: What each monitor looks at.
 OBSERVES = {
     "fsd": "how long the body rate differs from the model's (the thesis's rule)",
     "innovation": "motion that is predicted badly one step ahead",
@@ -39,11 +39,8 @@ OBSERVES = {
 
 #: The verdicts in short, in the order in which they ask for attention.
 VERDICTS = {
-    "error": "not readable",
-    "fault": "fault",
-    "suspected": "suspected",
-    "not_judgeable": "not judgeable",
-    "healthy": "healthy",
+    name: name.replace("_", " ").replace("error", "not readable")
+    for name in ("error", "fault", "suspected", "not_judgeable", "healthy")
 }
 
 

@@ -36,10 +36,9 @@ from mavdiag.chain import front_of
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
 from mavdiag.learning.flights import HeldLog, LearntFlight, airborne, give_back, hold, sessions_of
-from mavdiag.learning.guards import repeated, upsets
 from mavdiag.learning.rotors import of_log_kind, with_rotors
 from mavdiag.learning.suspicions import courses, grade_of, least_damage, suspicions
-from mavdiag.learning.teaching import believing, one_vehicle, refuse, taught
+from mavdiag.learning.teaching import believing, one_vehicle, refuse, repeated, taught, upsets
 from mavdiag.link.profiles import PROFILES
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
@@ -54,6 +53,7 @@ from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima, pooled, s
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
 
 ALL_MONITORS = tuple(BY_NAME)
+TOOL = f"mavdiag {__version__}"
 MOST_SAID = 2  # findings that are told in full (our choice)
 
 
@@ -68,7 +68,7 @@ class LearnOptions:
     rule, alarms_per_hour: how thresholds follow from healthy maxima, and the budget of all deciding monitors together.
     sessions: how many sessions the flights were flown in, in equal parts and in their order; None for what their
         wall-clock times say, and for one each where a log has none.
-    robust: what the guards of teaching find is left out instead of refused (see `mavdiag.learning.guards`).
+    robust: what the guards of teaching find is left out instead of refused (see `mavdiag.learning.teaching`).
     """
 
     axes: tuple[Axis, ...] = (Axis.ROLL, Axis.PITCH)
@@ -101,8 +101,7 @@ def thesis_options(airframe: Airframe | None = None, axes: tuple[Axis, ...] = (A
     )
 
 
-Fitted: TypeAlias = tuple[Monitor[Any], Scores]
-"""A monitor by its fit to all flights, and what its statistic reached on flights that a fit did not see."""
+Fitted: TypeAlias = tuple[Monitor[Any], Scores]  # by its fit to all flights, and on flights that a fit did not see
 
 
 def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Baseline:
@@ -133,29 +132,17 @@ def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: She
         found = one_vehicle(found, airframe.layout, robust=options.robust)
     front, learnt, rows = found.front, found.flights, [flight.rows for flight in found.flights]
     sessions = sessions_of([flight.label for flight in learnt], options.sessions)
-    context = LearnContext(
-        airframe=airframe,
-        imu_corner_hz=airframe.imu_corner_hz or (link.corner_hz(first.parameters) if link is not None else None),
-        dt_s=front.align.dt_s,
-        window=front.rates.window,
-        axes=options.axes,
-        method=options.method,
-        order=options.order,
-        margin_rule=options.margin_rule,
-    )
+    corner_hz = airframe.imu_corner_hz or (link.corner_hz(first.parameters) if link is not None else None)
+    thesis = options.axes, options.method, options.order, options.margin_rule
+    context = LearnContext(airframe, corner_hz, front.align.dt_s, front.rates.window, *thesis)
     fitted, refusals = _fit_all(rows, sessions, options, context)
     if not fitted:
         reasons = "; ".join(f"{refusal.monitor}: {refusal.reason}" for refusal in refusals)
         raise IdentificationError(f"no monitor can judge such flights ({reasons})")
+    how = {name: getattr(front.align, name) for name in ("dt_s", "grid", "max_gap_s")}
     baseline = Baseline(
         airframe=airframe,
-        link=Link(
-            profile=first.profile,
-            dt_s=front.align.dt_s,
-            grid=front.align.grid,
-            max_gap_s=front.align.max_gap_s,
-            gate=front.gate,
-        ),
+        link=Link(profile=first.profile, gate=front.gate, **how),
         window=Window(samples=front.rates.window, order=2),
         link_quality=front.align.quality,
         monitors=tuple(_entries(fitted, options, sessions)),
@@ -163,18 +150,14 @@ def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: She
         envelope=covered_by(rows),
         healthy_hours=sum(flight.judged_s for flight in learnt) / 3600,
         provenance=Provenance(
-            logs=sources(learnt, sessions),
-            created=created,
-            tool=f"mavdiag {__version__}",
-            left_out=found.left_out,
-            notes=found.notes,
+            logs=_sources(learnt, sessions), created=created, tool=TOOL, left_out=found.left_out, notes=found.notes
         ),
         fingerprint=fingerprint_of(rows, airframe.layout),
     )
-    return sealed(assessed(baseline, learnt))
+    return sealed(_assessed(baseline, learnt))
 
 
-def assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
+def _assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
     """The baseline with what these flights of it say of its worth, and without monitors that cannot alarm.
 
     Raises IdentificationError if none is left.
@@ -285,7 +268,7 @@ def _sharing(name: str) -> str:
     return name if kind is FaultKind.PROPELLER else "others"
 
 
-def sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers: int = 0) -> tuple[SourceLog, ...]:
+def _sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers: int = 0) -> tuple[SourceLog, ...]:
     """The flights as a baseline names them. propellers: number of the set that they flew with."""
     return tuple(
         SourceLog(
@@ -301,7 +284,7 @@ def sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers
 
 
 def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool = False, created: str) -> Baseline:
-    """The baseline with more healthy flights of its airframe. created: time stamp to record, ISO 8601 UTC.
+    """The baseline with more healthy flights of its airframe; created: as of `learn`.
 
     new_propellers: they were flown with a new set; one hover of 15 s is enough.
     Raises InputError, naming the flight, for one that is in it already, is named twice, never flies or falls, or is of
@@ -350,11 +333,11 @@ def _extended(
             "fingerprint": fresh_print if new_propellers or known is None else merged(known, fresh_print),
             "healthy_hours": baseline.healthy_hours + sum(flight.judged_s for flight in learnt) / 3600,
             "provenance": baseline.provenance.model_copy(
-                update={"logs": (*old, *sources(learnt, sessions, propellers)), "created": created}
+                update={"logs": (*old, *_sources(learnt, sessions, propellers)), "created": created}
             ),
         }
     )
-    return sealed(assessed(longer, learnt))
+    return sealed(_assessed(longer, learnt))
 
 
 def _check(baseline: Baseline, flights: Sequence[HeldLog]) -> None:

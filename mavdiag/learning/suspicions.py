@@ -29,7 +29,7 @@ from mavdiag.airframe.trim import MOST_LOSS, loss_of, rises
 from mavdiag.baseline import Baseline, Grade, LeastDamage
 from mavdiag.errors import IdentificationError
 from mavdiag.learning.flights import LearntFlight
-from mavdiag.learning.guards import Finding
+from mavdiag.learning.teaching import Finding
 from mavdiag.monitors import monitor_of
 from mavdiag.monitors.fitting import judged_together
 from mavdiag.monitors.rotor_signature import RotorSignatureSpec
