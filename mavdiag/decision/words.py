@@ -140,22 +140,23 @@ def headline(verdict: "LogVerdict") -> str:
 
 def evidence_sentence(verdict: "LogVerdict") -> str:
     """What the verdict rests on, one sentence; empty where nothing was judged."""
+    told = sorted(verdict.monitors, key=_ratio, reverse=True)
     if verdict.verdict == "suspected":
         return f"What was suspected: {own_reason(verdict)}."
     if verdict.verdict == "healthy":
-        decided = [monitor for monitor in verdict.monitors if monitor.decides and monitor.maximum is not None]
-        if not decided:
-            return ""
-        nearest = max(decided, key=_ratio)
-        share = f"{nearest.name}, with {100 * _ratio(nearest):.0f} % of it"
-        return f"The deciding monitor that came nearest to its threshold is {share}."
+        decided = (
+            f"{one.name}, with {100 * _ratio(one):.0f} % of it"
+            for one in told
+            if one.decides and one.maximum is not None
+        )
+        nearest = next(decided, "")
+        return f"The deciding monitor that came nearest to its threshold is {nearest}." if nearest else ""
     if verdict.verdict != "fault":
         return ""
-    above = sorted((monitor for monitor in verdict.monitors if _ratio(monitor) > 1), key=_ratio, reverse=True)
-    told = ", ".join(f"{monitor.name} {_ratio(monitor):.1f} times" for monitor in above) or "none at the end"
+    above = ", ".join(f"{one.name} {_ratio(one):.1f} times" for one in told if _ratio(one) > 1) or "none at the end"
     events = [judged.event for judged in verdict.events]
     doubt = f" This alone does not tell the cause ({text})." if (text := _doubt(events)) else ""
-    return f"Above their thresholds: {told} ({_count(events)} of single monitors).{doubt}"
+    return f"Above their thresholds: {above} ({_count(events)} of single monitors).{doubt}"
 
 
 def advice(verdict: "LogVerdict") -> str:

@@ -32,17 +32,12 @@ from mavdiag.learning.flights import LearntFlight
 from mavdiag.learning.teaching import Finding
 from mavdiag.monitors import monitor_of
 from mavdiag.monitors.fitting import judged_together
-from mavdiag.monitors.rotor_signature import RotorSignatureSpec
-from mavdiag.monitors.rotor_trim import RotorTrimSpec
-from mavdiag.monitors.unbalance import UnbalanceSpec
-from mavdiag.monitors.vibration_level import VibrationLevelSpec
 from mavdiag.rows.windows import window_rows
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import G_MM_PER_KG_M, NS_PER_S, RPM
 
 STEADY = ("rotor_signature", "unbalance", "vibration_level")  # alike in every healthy flight, whatever is flown
 TRIMS = ("rotor_trim", "trim_step")
-SHAKING = "accelerometer"
 PART_S = 5  # of a course: shorter parts have no median to compare
 SPLITS = 200  # of a course that are tried
 SPREADS = 5.0
@@ -123,7 +118,9 @@ def _shaking(number: int, flight: LearntFlight) -> Course:
         t_s.append(block.t_ns[: count * second : second][whole] / NS_PER_S)
         value.append(np.sqrt(parts.mean(axis=1)[whole] / share[whole]))
     times = np.concatenate(t_s)
-    return Course(SHAKING, dt_s, number, flight.label.name, times, np.concatenate(value), np.empty((len(times), 0)))
+    return Course(
+        "accelerometer", dt_s, number, flight.label.name, times, np.concatenate(value), np.empty((len(times), 0))
+    )
 
 
 def suspicions(found: Sequence[Course], airframe: Airframe) -> tuple[Finding, ...]:
@@ -178,28 +175,26 @@ def _odd(found: Sequence[Course]) -> Iterator[Finding]:
 
 def _implausible(course: Course, found: Sequence[Course], airframe: Airframe) -> str:
     """What no healthy vehicle has, in a sentence; empty if there is nothing of it."""
-    match course.spec:
-        case float() as dt_s if airframe.hover_rad_s is not None:
+    spec = course.spec
+    match course.name:
+        case "accelerometer" if airframe.hover_rad_s is not None:
             # a line at f has (2 sin(pi f dt))^2 times its amplitude in second differences
-            passed = (2 * math.sin(airframe.hover_rad_s * dt_s / 2)) ** 2
+            passed = (2 * math.sin(airframe.hover_rad_s * spec / 2)) ** 2
             rms = np.concatenate([one.value for one in found if one.name == course.name])
-            return (
-                _too_unbalanced(float(np.median(rms)) / passed, airframe) if passed >= LEAST_PASSED and len(rms) else ""
-            )
-        case UnbalanceSpec() as spec:
-            return _too_unbalanced(math.sqrt(spec.power), airframe)
-        case VibrationLevelSpec() as spec:
-            return _too_unbalanced(spec.healthy, airframe)
-        case RotorTrimSpec() as spec:
+            if len(rms) and passed >= LEAST_PASSED:
+                return _too_unbalanced(float(np.median(rms)) / passed, airframe)
+        case "unbalance" | "vibration_level":
+            return _too_unbalanced(math.sqrt(spec.power) if course.name == "unbalance" else spec.healthy, airframe)
+        case "rotor_trim":
             rise = rises(np.array([spec.mean]), spec.layout, spec.spread)[0]
             rotor = int(np.abs(rise).argmax())
-            far = abs(rise[rotor]) > MOST_TRIM
-            return f"motor {rotor + 1} is commanded {100 * rise[rotor]:+.0f} % against the others" if far else ""
-        case RotorSignatureSpec() as spec:
+            if abs(rise[rotor]) > MOST_TRIM:
+                return f"motor {rotor + 1} is commanded {100 * rise[rotor]:+.0f} % against the others"
+        case "rotor_signature":
             unrest = math.sqrt((spec.motion.k0[0] + spec.motion.k0[1]) / 2)
-            rates = f"{unrest:.2f} rad/s, healthy vehicles leave less than {MOST_UNREST_RAD_S:g}"
-            text = f"the vehicle does not follow its set-points in calm flight: {rates}"
-            return text if unrest > MOST_UNREST_RAD_S else ""
+            if unrest > MOST_UNREST_RAD_S:
+                rates = f"{unrest:.2f} rad/s, healthy vehicles leave less than {MOST_UNREST_RAD_S:g}"
+                return f"the vehicle does not follow its set-points in calm flight: {rates}"
     return ""
 
 
@@ -208,9 +203,8 @@ def _too_unbalanced(m_s2: float, airframe: Airframe) -> str:
     found = _in_g_mm(m_s2, airframe)
     if found is None or airframe.mass_kg is None or airframe.hover_rad_s is None:
         return ""
-    rotors = 4 if airframe.layout is None else airframe.layout.rotors
     one = permissible_unbalance_g_mm(MOST_GRADE, airframe.hover_rad_s / RPM, 1e3 * ROTOR_SHARE * airframe.mass_kg)
-    most = math.sqrt(rotors) * one
+    most = math.sqrt(4 if airframe.layout is None else airframe.layout.rotors) * one
     said = f"unbalance of {found:.2g} g mm, rotors of grade {MOST_GRADE} have {most:.2g} together"
     return f"{said}: is a propeller broken?" if found > most else ""
 

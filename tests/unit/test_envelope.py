@@ -179,19 +179,6 @@ def test_each_value_counts_by_the_farthest_bin_behind_it(memory_s: float, wild: 
     assert sum(one.span_s for one in reasons.values()) == pytest.approx(0.01 * outside)
 
 
-def test_of_several_conditions_the_farthest_is_named() -> None:
-    tilt = Covered(Condition.TILT, 0.0, 0.2)
-    nose = np.zeros((1200, 3))
-    nose[:, 0] = 0.8  # e = 6 from 5 s on
-    nose[:, 2] = 0.01 * np.arange(1200) * 0.7  # e = 1.5
-    flight = rows_of(example_rows(1200, 0.01, setpoint=nose, rate=np.tile([1.0, 0.0, 0.7], (1200, 1))).block)
-    _, outside = ones_judged([tilt, YAW], flight, Ones({Condition.TILT, Condition.YAW_RATE}, 1.0))
-    assert {condition: one.excess for condition, one in outside.items()} == pytest.approx(
-        {Condition.YAW_RATE: 1.5, Condition.TILT: 6.0}
-    )
-    assert tilt.sentence(outside[Condition.TILT].value) == "tilt 0.8 rad, learnt up to 0.2"
-
-
 @cache
 def straight() -> Baseline:
     """Learnt from flights that hardly turn the nose."""

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flying_telemetry import flying, without
+from flying_telemetry import flying
 from made_baselines import FRAME, NOW
 
 from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline, MonitorEntry, dump, parse
-from mavdiag.errors import BaselineError, IdentificationError, InputError
+from mavdiag.errors import BaselineError, InputError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.learning.learn import extend
@@ -189,12 +189,6 @@ def test_new_propellers_bring_a_noise_of_their_own() -> None:
     assert (noisy.verdict, noisy.kind) == (Verdict.FAULT, FaultKind.SENSOR)
     before, after = (entry(made, "sensor_noise").scores for made in (old, new))
     assert after.maxima[: len(before.maxima)] == before.maxima  # they are relative to the propellers of their time
-
-
-def test_a_hover_that_is_too_short_for_a_trim_is_refused() -> None:
-    hops = without(reset(40, 1600), *((float(at), at + 1.5) for at in range(3, 16, 4)))
-    with pytest.raises(IdentificationError, match="no unbroken 5 s of flight to average the trim over; fly longer"):
-        extend(monday(), [flown(40, 0, hops)], new_propellers=True, created=NOW)
 
 
 Ran = tuple[int, str, str]

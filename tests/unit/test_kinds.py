@@ -138,12 +138,6 @@ def of(kind: type[Unbalance | RotorSignature | RotorTrim], ratio: float, *rotors
     return reading(kind.evidence, ratio, 0.5, rotors)
 
 
-def test_the_rotor_that_one_clear_monitor_points_at_is_named() -> None:
-    found = isolate([of(Unbalance, 3.0, *SHAKING)])
-    assert found.rotor == 2
-    assert found.confidence > 0.99
-
-
 def test_two_that_contradict_each_other_name_none() -> None:
     how = RotorEvidence(8.0)
     found = isolate([reading(how, 2.0, 0.5, (0.9, 0, 0, 0)), reading(how, 2.0, 0.5, (0, 0.9, 0, 0))])

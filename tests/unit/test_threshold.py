@@ -99,12 +99,6 @@ def test_b4_blocks_do_not_depend_on_chunks_and_run_through_segments() -> None:
     assert found.maxima.min() > 0.3
 
 
-def test_r9_the_floor_on_the_scale_fades_with_blocks() -> None:
-    """R9: a tenth of the mean stayed the least scale with any number of blocks."""
-    scales = [known(np.full(n, 10.0).tolist()).scale for n in (1, 20, 80, 2000)]
-    assert scales == pytest.approx([1.0, 1.0, 0.5, 0.1])
-
-
 def test_a_flight_is_scored_by_a_fit_that_did_not_see_it() -> None:
     seen: list[list[int]] = []
 
