@@ -83,11 +83,6 @@ def test_what_does_not_fit_is_refused_by_name(
     assert refusal(changed(baseline, *path, value=value)).startswith(field)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "null", "{}", "7", '{"schema": "mavdiag.baseline/2"}'])
-def test_other_texts_are_refused_in_one_line(text: str) -> None:
-    assert refusal(text)
-
-
 @given(st.text(max_size=40), st.integers(0, 400))
 def test_garbage_in_the_middle_never_raises_anything_else(garbage: str, at: int) -> None:
     text = dump(whole())
@@ -111,12 +106,3 @@ def test_a_chain_from_the_file_is_the_chain_that_was_learnt(tmp_path: Path) -> N
     assert isinstance(slot.monitor, RunLength)
     np.testing.assert_array_equal(slot.monitor.spec.model.a, spec.model.a)
     assert (slot.threshold, slot.decides) == (fml.value, True)  # it stands alone
-
-
-@pytest.mark.parametrize(("content", "says"), [(None, "no such file"), (b"\xff\xfe\x00", "not UTF-8 text")])
-def test_a_file_that_cannot_be_read_says_so(tmp_path: Path, content: bytes | None, says: str) -> None:
-    path = tmp_path / "b.json"
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(BaselineError, match=says):
-        Baseline.load(path)
