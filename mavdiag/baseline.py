@@ -201,26 +201,24 @@ class Baseline(Part):
         return max(one.propellers for one in self.provenance.logs)
 
     def same_session(self, started_ns: int) -> bool:
-        """Whether a flight of that time belongs to a session of the healthy flights with the present propellers.
-
-        started_ns: wall-clock time, unix epoch [ns]; 0 if it is not known, and then the answer is no.
-        """
+        """Whether a flight that began then [ns, unix epoch; 0: not known, and so no] is of a session with the present
+        propellers."""
         times = [one.started_ns for one in self.provenance.logs if one.propellers == self.propellers and one.started_ns]
         return bool(started_ns) and any(abs(started_ns - t_ns) <= SESSION_GAP_NS for t_ns in times)
 
     @property
     def layout_statement(self) -> str:
         """The rotor layout and where it is known from; or that it is unknown, what does not judge, the remedy."""
-        lost = f"; {', '.join(NEED_LAYOUT)} do not judge, and no rotor is named; name it with --layout or --airframe"
-        return self.airframe.layout_statement + (lost if self.airframe.layout is None else "")
+        if self.airframe.layout is not None:
+            return self.airframe.layout_statement
+        lost = f"{', '.join(NEED_LAYOUT)} do not judge, and no rotor is named; name it with --layout or --airframe"
+        return f"{self.airframe.layout_statement}; {lost}"
 
     @property
     def layout_doubt(self) -> str:
         """What must be said of a rotor layout that is unknown, though a monitor wants it, or doubtful; else empty."""
-        frame = self.airframe
-        if frame.layout is None:
-            return self.layout_statement if any(one.monitor in NEED_LAYOUT for one in self.not_judgeable) else ""
-        return self.layout_statement if frame.layout_warning else ""
+        wanted = self.airframe.layout is None and any(one.monitor in NEED_LAYOUT for one in self.not_judgeable)
+        return self.layout_statement if wanted or self.airframe.layout_warning else ""
 
     def needs(self) -> frozenset[Signal]:
         """The signals that its monitors rest on."""

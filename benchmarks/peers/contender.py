@@ -92,8 +92,9 @@ def calibrated(contender: Contender, learner: Learner, flights: Sequence[Flown])
     parts: list[Scores] = []
     for fold in range(FOLDS):
         scorer = learner([one for i, one in enumerate(flights) if i % FOLDS != fold])
-        parts += [block_scores(scorer(one)) for one in flights[fold::FOLDS]]
-    found = threshold_of(pooled(parts), flights=len(flights), budget_per_hour=BUDGET_PER_HOUR, rule=contender.rule)
+        parts += [block_scores(scorer(one), number) for number, one in list(enumerate(flights))[fold::FOLDS]]
+    sessions = [0] * len(flights)
+    found = threshold_of(pooled(parts), sessions=sessions, budget_per_hour=BUDGET_PER_HOUR, rule=contender.rule)
     return Watch(learner(flights), found.value)
 
 
@@ -109,9 +110,9 @@ class _Judged:
         yield Statistic(np.round(1e9 * t_s).astype(np.int64), float(t_s[1] - t_s[0]), x, np.isfinite(x), x, x)
 
 
-def block_scores(scored: Scored) -> Scores:
-    """The maximum of every 10 s of a flight, by the product's own rule."""
-    return score(_Judged(scored), ())
+def block_scores(scored: Scored, number: int) -> Scores:
+    """The maximum of every 10 s of the flight of that number, by the product's own rule."""
+    return score(_Judged(scored), (), number=number)
 
 
 def alarms(scored: Scored, threshold: float) -> tuple[Alarm, ...]:

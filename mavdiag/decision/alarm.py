@@ -5,15 +5,14 @@ of the alarm budget. So any one that decides may declare a fault, and the shares
 
     calm  < 0.7 <=  held  < 0.8 <=  raised  <= 1 <  over        the highest ratio of all slots
 
-A slot that does not decide raises a suspicion at most, and only when it is over. A fault is latched: nothing clears it
-in flight, and its end turns it into an open inspection, until it is acknowledged. When every slot that was over has
-been calm for 2 s, each by its own fresh values, the fault is only "no longer seen"; the next ratio above 1 begins
-another episode of it. Within an episode the most certain name of a rotor holds, and the next one may name another. A
-trim that the fall of a named rotor's command explains better than the rise of any does not count while a fault is held:
-that rotor is mended, or another one carries its load no longer.
+A slot that does not decide raises a suspicion at most, when it is over. A fault is latched: when every slot that was
+over has been calm for 2 s, each by its own fresh values, it is only "no longer seen"; the next ratio above 1 begins
+another episode. The end of a flight turns it into an open inspection, until it is acknowledged. Within an episode the
+most certain name of a rotor holds. A trim that the fall of a named rotor's command explains better than the rise of any
+does not count while a fault is held: that rotor is mended, or another one carries its load no longer.
 
-Time is looked at every 0.1 s of the vehicle's clock, when everything up to then is known. So the result does not depend
-on how the data were cut: a live link and its recording give the same events, rotors, types and severities.
+Time is looked at every 0.1 s of the vehicle's clock, when everything up to then is known, so that a live link and its
+recording give the same.
 """
 
 from collections.abc import Sequence
@@ -54,25 +53,17 @@ CORRECTED_NS = 5 * NS_PER_S
 NOTHING_SEEN = Diagnosis()
 
 
+_WAYS = (  # from these stages, at these heights: to which one, and why
+    ((Stage.QUIET, Stage.SUSPECTED), (Height.UNKNOWN,), Stage.NOT_JUDGED, "no monitor judges"),
+    ((Stage.NOT_JUDGED,), (Height.SETTLED, Height.CALM, Height.HELD), Stage.QUIET, "monitors judge"),
+    ((Stage.SUSPECTED,), (Height.SETTLED,), Stage.QUIET, "all monitors have been calm again"),
+    ((Stage.NOT_JUDGED, Stage.QUIET), (Height.RAISED,), Stage.SUSPECTED, "a monitor comes near its threshold"),
+    (set(Stage) - {Stage.FAULT}, (Height.OVER,), Stage.FAULT, "a monitor is above its threshold"),
+)
 #: Every other pair leaves the stage as it is: no height ends a fault or an inspection.
 NEXT: dict[tuple[Stage, Height], tuple[Stage, str]] = {
-    **{(stage, Height.UNKNOWN): (Stage.NOT_JUDGED, "no monitor judges") for stage in (Stage.QUIET, Stage.SUSPECTED)},
-    **{
-        (Stage.NOT_JUDGED, height): (Stage.QUIET, "monitors judge")
-        for height in (Height.SETTLED, Height.CALM, Height.HELD)
-    },
-    **{
-        (stage, Height.RAISED): (Stage.SUSPECTED, "a monitor comes near its threshold")
-        for stage in (Stage.NOT_JUDGED, Stage.QUIET)
-    },
-    **{
-        (stage, Height.OVER): (Stage.FAULT, "a monitor is above its threshold")
-        for stage in Stage
-        if stage is not Stage.FAULT
-    },
-    (Stage.SUSPECTED, Height.SETTLED): (Stage.QUIET, "all monitors have been calm again"),
+    (came, height): (stage, reason) for stages, heights, stage, reason in _WAYS for came in stages for height in heights
 }
-
 #: Heights that leave a stage as it is, whatever came before them; a fault is looked at every time while it is seen.
 LEFT_ALONE: dict[Stage, tuple[Height, ...]] = {
     Stage.NOT_JUDGED: (Height.UNKNOWN,),
@@ -131,9 +122,7 @@ class DecisionSpec:
             while told and (told[0].look <= look or last):
                 alarms.append(told.pop(0))
             if not alarms and height is not None and height in self._left_alone(state):
-                calm_ns = None if height != Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
-                if calm_ns != state.calm_ns or state.over_ns is not None:
-                    state = replace(state, calm_ns=calm_ns, over_ns=None)
+                state = _since(state, height, t_ns)
                 if last and state.diagnosis.stage not in (Stage.FAULT, Stage.INSPECT):
                     lead = looked.leads[number]
                     best = self._reading(lead, looked.readings[number, lead].tolist()) if lead >= 0 else None
@@ -302,18 +291,23 @@ def _ended(spans: tuple[RotorSpan, ...], t_ns: int) -> tuple[RotorSpan, ...]:
     return tuple(replace(one, end_ns=max(one.since_ns, t_ns)) if one.end_ns is None else one for one in spans)
 
 
+def _since(state: DecisionState, height: Height | int, t_ns: int) -> DecisionState:
+    """The state with the time since when all ratios are calm, and one is over."""
+    calm_ns = None if height != Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
+    over_ns = None if height != Height.OVER else t_ns if state.over_ns is None else state.over_ns
+    same = calm_ns == state.calm_ns and over_ns == state.over_ns
+    return state if same else replace(state, calm_ns=calm_ns, over_ns=over_ns)
+
+
 def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tuple[DecisionState, Height]:
     """How high the highest ratio is, and since when; see `DOUBT_NS` for what waits before it is over."""
     height = Height.UNKNOWN
     if any(reading.slot.decides for reading in fresh):
         height = max(height_of(reading.ratio, reading.slot.decides) for reading in fresh)
-    calm_ns = None if height is not Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
-    over_ns = None if height is not Height.OVER else t_ns if state.over_ns is None else state.over_ns
-    if calm_ns != state.calm_ns or over_ns != state.over_ns:
-        state = replace(state, calm_ns=calm_ns, over_ns=over_ns)
-    if calm_ns is not None and t_ns - calm_ns >= CLEAR_NS:
+    state = _since(state, height, t_ns)
+    if state.calm_ns is not None and t_ns - state.calm_ns >= CLEAR_NS:
         return state, Height.SETTLED
-    if over_ns is None or t_ns - over_ns >= DOUBT_NS or state.diagnosis.seen:
+    if state.over_ns is None or t_ns - state.over_ns >= DOUBT_NS or state.diagnosis.seen:
         return state, height
     kind = grown(None, fresh, 0)
     checked = any(one.slot.monitor.kind is FaultKind.SENSOR for one in fresh)  # without these nothing is waited for

@@ -1,18 +1,13 @@
 """Which fault it is and how severe: from what the monitors read after a declaration.
 
-Three features say it, each by first principles of what the fault does (T 3.2, 5.5.2-5.5.3; T reads them by eye):
-
     unbalance   U [g mm]     the vibration beyond the healthy one             mass that is gone
     motion      A [rad/s]    rms that the rotor's arm moves beyond the model  thrust that wanders
     rise        a [-]        how much more that rotor is commanded            lift that is lost
 
-Each fault is a Gaussian in x = (ln U, ln A, 100 a) with its own mean and covariance (quadratic discriminant analysis;
-covariances shrunk towards their mean, Friedman, J. Am. Stat. Assoc. 84 (1989), Eq 16). A feature that the link cannot
-give is left out of all of them. What lies too far from every known fault gets no name.
-
-**The parameters were trained on the emulator** (`benchmarks/train_fault_types.py`) with the nine faults of T Tables
-3.1-3.3 and their fitted fluctuation at full, half and no strength: a hint for the mechanic, no measurement. On a link
-of another profile or rate no type is named: at 100 Hz four of five names were wrong.
+Each fault (T 3.2, 5.5.2-5.5.3) is a Gaussian in x = (ln U, ln A, 100 a) with its own mean and covariance, shrunk
+towards their mean (quadratic discriminant analysis; Friedman, J. Am. Stat. Assoc. 84 (1989), Eq 16). They were trained
+on the emulator (`benchmarks/train_fault_types.py`): a hint for the mechanic, no measurement. A feature that is missing
+is left out of all of them; what lies too far from every fault gets no name, and none is given on another kind of link.
 """
 
 import json

@@ -1,21 +1,15 @@
 """What kind of fault it is, and which rotor has it: the evidence of all slots, put into one answer or "unknown".
 
-The gravest of what the alarms of the monitors above their thresholds mean holds (`mavdiag.monitors.base.FaultKind`). It
-may grow while a fault lasts, and never shrinks. A propeller fault becomes a sensor fault only within 10 s of its
-declaration: what a sensor does to the propeller monitors shows before the slow checks of the sensors have spoken.
+The gravest of what the alarms of the monitors above their thresholds mean holds (`mavdiag.monitors.base.FaultKind`); it
+never shrinks. A propeller fault becomes a sensor fault only within 10 s of its declaration.
 
     logit_j = sum over monitors of  w_m g_m e_mj,    p = softmax(logit),    named if max p >= 0.9
 
 e_mj: a monitor's evidence for rotor j. w_m: logits that a unit of it is worth (`Monitor.evidence`), chosen on emulated
-flights so that a name at p = 0.9 is right in 99 of 100. g_m = 0..1: a monitor counts for nothing below half of its
-threshold and in full at it. A rotor is named while that is certain, and only then:
-
-    a sensor is at fault                   no rotor, and a name that was given is withdrawn
-    a sensor's check is at 0.85 or above    no new name: what the propeller monitors see may be the sensor
-    an upset, or the loss of control       no new name: the one that was given before it is kept
-    a gross loss of thrust                 the name that was given, else the one that the loss itself shows
-
-An upset begins where a monitor of the loss of control, or of thrust, is at half its threshold.
+flights so that a name at p = 0.9 is right in 99 of 100. g_m = 0..1: nothing below half of its threshold, all at it. No
+rotor is named of a sensor fault, nor anew while a sensor's check is at 0.85 or above, in an upset (a monitor of the
+loss of control or of thrust at half its threshold) or a loss of control. Of a gross loss of thrust the name that was
+given stays, else the one that the loss itself shows.
 """
 
 import math

@@ -22,7 +22,7 @@ MOTORS_MOST = 8  # that are listed by number; more do not fit into a text (our c
 MOSTLY = 0.9  # of what was judged: a monitor that judged more has judged the flight (our choice)
 TYPES = {"F1": "an edge cut", "F2": "a crack", "F3": "surface unbalance"}
 
-#: What each monitor looks at, for a reader who meets its name for the first time.
+#: What each monitor looks at.
 OBSERVES = {
     "fsd": "how long the body rate differs from the model's (the thesis's rule)",
     "innovation": "motion that is predicted badly one step ahead",
@@ -39,11 +39,8 @@ OBSERVES = {
 
 #: The verdicts in short, in the order in which they ask for attention.
 VERDICTS = {
-    "error": "not readable",
-    "fault": "fault",
-    "suspected": "suspected",
-    "not_judgeable": "not judgeable",
-    "healthy": "healthy",
+    name: name.replace("_", " ").replace("error", "not readable")
+    for name in ("error", "fault", "suspected", "not_judgeable", "healthy")
 }
 
 
@@ -51,9 +48,6 @@ def finding_words(finding: Diagnosis, most: int = 80) -> str:
     """What was found, in at most so many characters: "motor 3 lost 19% thrust", "rotor unknown: vibrates 2.6x".
 
     What does not fit is left out: the type of the fault first, then that the rotor is unknown.
-
-    >>> print(finding_words(Diagnosis(Stage.FAULT, monitor="rotor_trim", statistic=0.235, threshold=0.1, rotor=3)))
-    motor 3 lost 19% thrust
     """
     graded = finding.fault_type or "" if finding.stage is Stage.FAULT else ""
     graded += f"/SV{finding.severity}" if graded and finding.severity is not None else ""
@@ -146,22 +140,23 @@ def headline(verdict: "LogVerdict") -> str:
 
 def evidence_sentence(verdict: "LogVerdict") -> str:
     """What the verdict rests on, one sentence; empty where nothing was judged."""
+    told = sorted(verdict.monitors, key=_ratio, reverse=True)
     if verdict.verdict == "suspected":
         return f"What was suspected: {own_reason(verdict)}."
     if verdict.verdict == "healthy":
-        decided = [monitor for monitor in verdict.monitors if monitor.decides and monitor.maximum is not None]
-        if not decided:
-            return ""
-        nearest = max(decided, key=_ratio)
-        share = f"{nearest.name}, with {100 * _ratio(nearest):.0f} % of it"
-        return f"The deciding monitor that came nearest to its threshold is {share}."
+        decided = (
+            f"{one.name}, with {100 * _ratio(one):.0f} % of it"
+            for one in told
+            if one.decides and one.maximum is not None
+        )
+        nearest = next(decided, "")
+        return f"The deciding monitor that came nearest to its threshold is {nearest}." if nearest else ""
     if verdict.verdict != "fault":
         return ""
-    above = sorted((monitor for monitor in verdict.monitors if _ratio(monitor) > 1), key=_ratio, reverse=True)
-    told = ", ".join(f"{monitor.name} {_ratio(monitor):.1f} times" for monitor in above) or "none at the end"
+    above = ", ".join(f"{one.name} {_ratio(one):.1f} times" for one in told if _ratio(one) > 1) or "none at the end"
     events = [judged.event for judged in verdict.events]
     doubt = f" This alone does not tell the cause ({text})." if (text := _doubt(events)) else ""
-    return f"Above their thresholds: {told} ({_count(events)} of single monitors).{doubt}"
+    return f"Above their thresholds: {above} ({_count(events)} of single monitors).{doubt}"
 
 
 def advice(verdict: "LogVerdict") -> str:

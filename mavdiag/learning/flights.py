@@ -160,7 +160,7 @@ def give_back() -> None:
 def front_for(flights: Iterable[Log | HeldLog], window_s: float, gate: GateSpec | None = None) -> Front:
     """The front that suits all the flights. gate: what counts as flying, None for what their profile has.
 
-    Raises InputError, naming the flight, if one lacks the gyro or comes over another kind of link or at another rate.
+    Raises InputError, naming the flight, if one lacks the gyro, or is of another link or rate.
     """
     shelf = Shelf(IN_MEMORY)
     held = [hold(flight, shelf) for flight in flights]
@@ -176,9 +176,7 @@ def front_for(flights: Iterable[Log | HeldLog], window_s: float, gate: GateSpec 
     silent = [flight for flight in held if Signal.THRUST_SETPOINT not in flight.signals]
     if front.gate.min_thrust is None or len(silent) < len(held):
         return front
-    # A fifth of what the gyro shakes for most of the calmest flight tells flight from ground where no thrust does: the
-    # motors' vibration makes tens of the noise at rest.
-    levels = []
+    levels = []  # where no thrust does, a fifth of what the gyro shakes in the calmest flight tells flight from ground
     for flight in silent:
         noise = [shake(rows.block.rate, dt_s) for rows in _pieces(front, flight.open().telemetry)]
         found = np.concatenate([np.empty(0), *noise])
@@ -189,8 +187,8 @@ def front_for(flights: Iterable[Log | HeldLog], window_s: float, gate: GateSpec 
 
 def _common_grid(flights: Sequence[HeldLog]) -> tuple[float, Grid]:
     """Median of the flights' mean gyro periods [s], and the grid that suits all."""
-    native = all(flight.grid is Grid.NATIVE for flight in flights)
-    return float(np.median([flight.dt_s for flight in flights])), Grid.NATIVE if native else Grid.RESAMPLED
+    grid = Grid.NATIVE if all(flight.grid is Grid.NATIVE for flight in flights) else Grid.RESAMPLED
+    return float(np.median([flight.dt_s for flight in flights])), grid
 
 
 def odd_rate(flights: Sequence[HeldLog], window_s: float) -> tuple[int, str] | None:

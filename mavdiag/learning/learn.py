@@ -3,7 +3,9 @@
     all flights             -> the fits that the baseline holds, and one fit without each fold (`Monitor.fit`)
     each flight, once more  -> its block maxima by the fits that did not see it (`thresholds.heldout`)
 
-A single flight is cut into pieces, and each is judged by a fit to the rest.
+A single flight is cut into pieces, and each is judged by a fit to the rest. More flights (`extend`), which no fit has
+seen, add to what thresholds, envelope and healthy trim rest on. New propellers change the trim, the vibration and what
+the sensors feel of it: one short hover tells what these are now, and the old flights how much they vary.
 """
 
 from collections import Counter
@@ -15,8 +17,9 @@ import numpy as np
 
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.fingerprint import fingerprint_of
+from mavdiag.airframe.fingerprint import Outcome, compare, fingerprint_of, merged
 from mavdiag.baseline import (
+    SESSION_GAP_NS,
     Baseline,
     HealthyScores,
     Link,
@@ -25,17 +28,19 @@ from mavdiag.baseline import (
     Refusal,
     SourceLog,
     Window,
+    check_link,
     sealed,
     without_mute,
 )
+from mavdiag.chain import front_of
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
-from mavdiag.learning.flights import LearntFlight, give_back, hold, sessions_of
+from mavdiag.learning.flights import HeldLog, LearntFlight, airborne, give_back, hold, sessions_of
 from mavdiag.learning.rotors import of_log_kind, with_rotors
 from mavdiag.learning.suspicions import courses, grade_of, least_damage, suspicions
-from mavdiag.learning.teaching import believing, one_vehicle, taught
+from mavdiag.learning.teaching import believing, one_vehicle, refuse, repeated, taught, upsets
 from mavdiag.link.profiles import PROFILES
-from mavdiag.monitors import BY_NAME, by_name
+from mavdiag.monitors import BY_NAME, by_name, monitor_of
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
 from mavdiag.monitors.conditions import covered_by
 from mavdiag.monitors.fitting import judged_together
@@ -43,10 +48,12 @@ from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.rows.front import Rows
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Axis, Log
-from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima
+from mavdiag.thresholds.envelope import Covered
+from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima, pooled, score
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
 
 ALL_MONITORS = tuple(BY_NAME)
+TOOL = f"mavdiag {__version__}"
 MOST_SAID = 2  # findings that are told in full (our choice)
 
 
@@ -61,7 +68,7 @@ class LearnOptions:
     rule, alarms_per_hour: how thresholds follow from healthy maxima, and the budget of all deciding monitors together.
     sessions: how many sessions the flights were flown in, in equal parts and in their order; None for what their
         wall-clock times say, and for one each where a log has none.
-    robust: what the guards of teaching find is left out instead of refused (see `mavdiag.learning.guards`).
+    robust: what the guards of teaching find is left out instead of refused (see `mavdiag.learning.teaching`).
     """
 
     axes: tuple[Axis, ...] = (Axis.ROLL, Axis.PITCH)
@@ -94,8 +101,7 @@ def thesis_options(airframe: Airframe | None = None, axes: tuple[Axis, ...] = (A
     )
 
 
-Fitted: TypeAlias = tuple[Monitor[Any], Scores]
-"""A monitor by its fit to all flights, and what its statistic reached on flights that a fit did not see."""
+Fitted: TypeAlias = tuple[Monitor[Any], Scores]  # by its fit to all flights, and on flights that a fit did not see
 
 
 def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Baseline:
@@ -110,15 +116,15 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
 
 
 def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: Shelf) -> Baseline:
-    held = []
-    for log in logs:
-        held.append(hold(log, shelf))
-        del log
-        give_back()
+    held = [hold(log, shelf) for log in logs]
+    give_back()
     if not held:
         raise InputError("no healthy flight to learn from")
-    first = held[0].label
-    airframe = _filtered(of_log_kind(options.airframe, first.profile), first)
+    first, link = held[0].label, PROFILES.get(held[0].label.profile)
+    airframe, told_hz = of_log_kind(options.airframe, first.profile), 0.0
+    if link is not None and airframe.imu_corner_hz is None:
+        told_hz = first.parameters.get(link.imu_corner_parameter, 0.0)
+    airframe = replace(airframe, imu_corner_hz=told_hz) if told_hz > 0.0 else airframe
     found = believing(taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf), shelf)
     airframe, ordered = with_rotors(airframe, found.flights)
     found = replace(found, flights=tuple(ordered))
@@ -126,30 +132,17 @@ def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: She
         found = one_vehicle(found, airframe.layout, robust=options.robust)
     front, learnt, rows = found.front, found.flights, [flight.rows for flight in found.flights]
     sessions = sessions_of([flight.label for flight in learnt], options.sessions)
-    link = PROFILES.get(first.profile)
-    context = LearnContext(
-        airframe=airframe,
-        imu_corner_hz=airframe.imu_corner_hz or (link.corner_hz(first.parameters) if link is not None else None),
-        dt_s=front.align.dt_s,
-        window=front.rates.window,
-        axes=options.axes,
-        method=options.method,
-        order=options.order,
-        margin_rule=options.margin_rule,
-    )
+    corner_hz = airframe.imu_corner_hz or (link.corner_hz(first.parameters) if link is not None else None)
+    thesis = options.axes, options.method, options.order, options.margin_rule
+    context = LearnContext(airframe, corner_hz, front.align.dt_s, front.rates.window, *thesis)
     fitted, refusals = _fit_all(rows, sessions, options, context)
     if not fitted:
         reasons = "; ".join(f"{refusal.monitor}: {refusal.reason}" for refusal in refusals)
         raise IdentificationError(f"no monitor can judge such flights ({reasons})")
+    how = {name: getattr(front.align, name) for name in ("dt_s", "grid", "max_gap_s")}
     baseline = Baseline(
         airframe=airframe,
-        link=Link(
-            profile=first.profile,
-            dt_s=front.align.dt_s,
-            grid=front.align.grid,
-            max_gap_s=front.align.max_gap_s,
-            gate=front.gate,
-        ),
+        link=Link(profile=first.profile, gate=front.gate, **how),
         window=Window(samples=front.rates.window, order=2),
         link_quality=front.align.quality,
         monitors=tuple(_entries(fitted, options, sessions)),
@@ -157,18 +150,14 @@ def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: She
         envelope=covered_by(rows),
         healthy_hours=sum(flight.judged_s for flight in learnt) / 3600,
         provenance=Provenance(
-            logs=sources(learnt, sessions),
-            created=created,
-            tool=f"mavdiag {__version__}",
-            left_out=found.left_out,
-            notes=found.notes,
+            logs=_sources(learnt, sessions), created=created, tool=TOOL, left_out=found.left_out, notes=found.notes
         ),
         fingerprint=fingerprint_of(rows, airframe.layout),
     )
-    return sealed(assessed(baseline, learnt))
+    return sealed(_assessed(baseline, learnt))
 
 
-def assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
+def _assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
     """The baseline with what these flights of it say of its worth, and without monitors that cannot alarm.
 
     Raises IdentificationError if none is left.
@@ -191,13 +180,6 @@ def assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
             "grade": grade_of(least, weak=bool(weak), blind=[one.monitor for one in refusals]),
         }
     )
-
-
-def _filtered(airframe: Airframe, flight: Log) -> Airframe:
-    """The airframe with the corner of its IMU's filter, where it was not told and the vehicle's parameters have it."""
-    name = PROFILES[flight.profile].imu_corner_parameter if flight.profile in PROFILES else ""
-    told_hz = flight.parameters.get(name, 0.0)
-    return replace(airframe, imu_corner_hz=told_hz) if airframe.imu_corner_hz is None and told_hz > 0.0 else airframe
 
 
 def _fit_all(
@@ -261,15 +243,21 @@ def _entries(fitted: Sequence[Fitted], options: LearnOptions, sessions: Sequence
     deciding = {monitor.name for monitor, _ in fitted if monitor.decides}
     shares = Counter(_sharing(name) for name in deciding or axes)
     for monitor, scores in fitted:
-        name = monitor.name
-        threshold = threshold_of(
-            scores,
-            sessions=sessions,
-            budget_per_hour=options.alarms_per_hour / len(shares) / max(1, shares[_sharing(name)]) / axes[name],
-            prior=monitor.prior,
-            rule=options.rule,
-        )
-        yield MonitorEntry(spec=monitor.spec, threshold=threshold, scores=plain_scores(scores))
+        budget = options.alarms_per_hour / len(shares) / max(1, shares[_sharing(monitor.name)]) / axes[monitor.name]
+        yield _entry(monitor.spec, scores, sessions, budget, options.rule)
+
+
+def _entry(
+    spec: Any, scores: Scores, sessions: Sequence[int], budget_per_hour: float, rule: ThresholdRule
+) -> MonitorEntry:
+    """A fit with its threshold, and the scores to six digits."""
+    prior = monitor_of(spec).prior
+    threshold = threshold_of(scores, sessions=sessions, budget_per_hour=budget_per_hour, prior=prior, rule=rule)
+    maxima, spans_s = (tuple(float(f"{x:.6g}") for x in part.tolist()) for part in (scores.maxima, scores.spans_s))
+    flights = tuple(scores.flights.tolist())
+    return MonitorEntry(
+        spec=spec, threshold=threshold, scores=HealthyScores(maxima=maxima, spans_s=spans_s, flights=flights)
+    )
 
 
 def _sharing(name: str) -> str:
@@ -278,13 +266,7 @@ def _sharing(name: str) -> str:
     return name if kind is FaultKind.PROPELLER else "others"
 
 
-def plain_scores(scores: Scores) -> HealthyScores:
-    """Scores as a baseline keeps them, to six digits."""
-    maxima, spans_s = (tuple(float(f"{x:.6g}") for x in part.tolist()) for part in (scores.maxima, scores.spans_s))
-    return HealthyScores(maxima=maxima, spans_s=spans_s, flights=tuple(scores.flights.tolist()))
-
-
-def sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers: int = 0) -> tuple[SourceLog, ...]:
+def _sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers: int = 0) -> tuple[SourceLog, ...]:
     """The flights as a baseline names them. propellers: number of the set that they flew with."""
     return tuple(
         SourceLog(
@@ -297,3 +279,107 @@ def sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers
         )
         for one, session in zip(flights, sessions, strict=True)
     )
+
+
+def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool = False, created: str) -> Baseline:
+    """The baseline with more healthy flights of its airframe; created: as of `learn`.
+
+    new_propellers: they were flown with a new set; one hover of 15 s is enough.
+    Raises InputError, naming the flight, for one that is in it already, is named twice, never flies or falls, or is of
+    another vehicle; BaselineError for one over another link; IdentificationError for one too short for a monitor.
+    """
+    with Shelf() as shelf:
+        return _extended(baseline, [hold(flight, shelf) for flight in flights], shelf, new_propellers, created)
+
+
+def _extended(
+    baseline: Baseline, flights: Sequence[HeldLog], shelf: Shelf, new_propellers: bool, created: str
+) -> Baseline:
+    if not flights:
+        raise InputError("no healthy flight to add; name one or more logs")
+    _check(baseline, flights)
+    front, known = front_of(baseline), baseline.fingerprint
+    learnt = [airborne(front, flight, shelf) for flight in flights]
+    refuse(upsets(learnt))
+    if known is not None and not new_propellers:
+        for one in learnt:
+            likeness = compare(known, one.rows, baseline.airframe.layout)
+            if likeness.outcome is Outcome.FAR:
+                raise InputError(f"{one.label.name}: another vehicle: {likeness.sentence(baseline.airframe.name)}")
+    old, rows = baseline.provenance.logs, [flight.rows for flight in learnt]
+    propellers = baseline.propellers + new_propellers
+    sessions, before = _sessions(baseline, [flight.label for flight in flights]), {log.session for log in old}
+    entries = []
+    for entry in baseline.monitors:
+        spec, ratio = entry.spec, 1.0
+        if new_propellers:
+            spec, ratio, fresh = _moved(baseline, entry, rows)
+        else:
+            fresh = [score(monitor_of(spec), flight, number=len(old) + i) for i, flight in enumerate(rows)]
+        held = entry.scores
+        scores = pooled([Scores(ratio * np.array(held.maxima), np.array(held.spans_s), np.array(held.flights)), *fresh])
+        if not new_propellers:
+            spec = monitor_of(spec).extended(rows, len(before))
+        told, all_sessions = entry.threshold, [*(log.session for log in old), *sessions]
+        entries.append(_entry(spec, scores, all_sessions, told.budget_per_hour, told.rule))
+    fresh_print = fingerprint_of(rows, baseline.airframe.layout)
+    longer = baseline.model_copy(
+        update={
+            "monitors": tuple(entries),
+            "envelope": _joined(baseline.envelope, covered_by(rows)),
+            # new propellers have a trim and noise of their own
+            "fingerprint": fresh_print if new_propellers or known is None else merged(known, fresh_print),
+            "healthy_hours": baseline.healthy_hours + sum(flight.judged_s for flight in learnt) / 3600,
+            "provenance": baseline.provenance.model_copy(
+                update={"logs": (*old, *_sources(learnt, sessions, propellers)), "created": created}
+            ),
+        }
+    )
+    return sealed(_assessed(longer, learnt))
+
+
+def _check(baseline: Baseline, flights: Sequence[HeldLog]) -> None:
+    known = {one.sha256 for one in baseline.provenance.logs if one.sha256}
+    for flight in flights:
+        if flight.label.sha256 in known:
+            raise InputError(f"{flight.label.name}: is in the baseline already; leave it out")
+        check_link(baseline, profile=flight.label.profile, dt_s=flight.dt_s)
+    refuse(repeated(flights))
+
+
+def _sessions(baseline: Baseline, flights: Sequence[Log]) -> list[int]:
+    """The session of each new flight: that of the nearest flight of the baseline within an hour, else a new one."""
+    logs = baseline.provenance.logs
+    first = max(one.session for one in logs) + 1
+    numbers = [first + number for number in sessions_of(flights)]
+    for i, flight in enumerate(flights):
+        apart = [(abs(one.started_ns - flight.started_ns), one.session) for one in logs if one.started_ns]
+        if flight.started_ns and apart and min(apart)[0] <= SESSION_GAP_NS:
+            numbers[i] = min(apart)[1]
+    return numbers
+
+
+def _moved(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> tuple[Any, float, list[Scores]]:
+    """The fit for new propellers, the factor of the old scores, and the new flights' scores.
+
+    The healthy level is that of the new flights. Each is scored by a fit to the others, or to its other pieces.
+    """
+    airframe, monitor, fresh = baseline.airframe, monitor_of(entry.spec), list[Scores]()
+    context = LearnContext(airframe, airframe.imu_corner_hz, baseline.link.dt_s, baseline.window.samples)
+    spec, ratio = monitor.renewed(flights, context)
+    first = len(baseline.provenance.logs)
+    numbers = {id(flight): first + i for i, flight in enumerate(flights)}  # pieces are of the first
+    for left_out, rest in folds(flights):
+        held_out = monitor_of(spec if spec == entry.spec else monitor.renewed(rest, context)[0])
+        fresh += [score(held_out, flight, number=numbers.get(id(flight), first)) for flight in left_out]
+    return spec, ratio, fresh
+
+
+def _joined(one: Sequence[Covered], other: Sequence[Covered]) -> tuple[Covered, ...]:
+    """What both covered together; a condition that one does not carry restricts as the other says."""
+    spans = {covered.condition: covered for covered in one}
+    for covered in other:
+        known = spans.get(covered.condition, covered)
+        low, high = min(known.low, covered.low), max(known.high, covered.high)
+        spans[covered.condition] = Covered(covered.condition, low, high)
+    return tuple(spans.values())

@@ -1,23 +1,18 @@
 """What the fitted monitors say of the flights that they were fitted to: damage among them, and what would be noticed.
 
-The figures are `Course`s: the statistic of a monitor once a second, by the fit to all flights. Three things speak
-against a teaching set; the baseline is then `weak`:
+The figures are `Course`s: the statistic of a monitor once a second. Three things make a baseline `weak`:
 
-    a change      one flight's course, cut in two where it differs most: the second part's median lies above the
-                  first's by a ratio of 2 (a rotor's command moves by 0.03 of hover) and by 5 spreads, s^2 = floor^2 +
-                  (1.48 MAD)^2 of what is left: a maximum-type two-sample test with a robust scale
-    an odd flight its median lies above the median of the other flights' by a ratio of 2 (0.04 of hover) and by 5 of
-                  their spreads
-    physics       more unbalance than ISO 1940-1 G40 permits, a rotor that is trimmed far from the others, or a calm
-                  flight that does not follow its set-points
+    a change       one flight's course, cut in two where it differs most: the second part's median lies above the
+                   first's by a ratio of 2 (a rotor's command moves by 0.03 of hover) and by 5 spreads, s^2 = floor^2 +
+                   (1.48 MAD)^2 of what is left: a maximum-type two-sample test with a robust scale
+    an odd flight  its median lies above that of the others by a ratio of 2 (0.04 of hover) and by 5 of their spreads
+    physics        more unbalance than ISO 1940-1 G40 permits, a rotor trimmed far from the others, or a calm flight
+                   that does not follow its set-points
 
-A rotor that loses the share e of its thrust is commanded more (`airframe.trim.rise_of`), and the rise of this rotor
-that a monitor of the trim shows is so much higher. An unbalance that was not there adds to the vibration as power does:
+The least damage that is noticed in 95 % of the seconds lifts the 5 % quantile of the courses to the threshold of
+another session: the rise of a rotor that lost the share e of its thrust (`airframe.trim.rise_of`), or an unbalance U:
 
-    v^2 = v_healthy^2 + x^2,   x = U Omega^2/m      [m/s^2] of an unbalance U
-
-So the least e and U that a baseline would notice need no search: of the courses 95 % are above the 5 % quantile q, and
-what lifts q to the threshold of another session is noticed in 95 % of the seconds of flight.
+    v^2 = v_healthy^2 + x^2,   x = U Omega^2/m      [m/s^2]
 """
 
 import math
@@ -34,20 +29,15 @@ from mavdiag.airframe.trim import MOST_LOSS, loss_of, rises
 from mavdiag.baseline import Baseline, Grade, LeastDamage
 from mavdiag.errors import IdentificationError
 from mavdiag.learning.flights import LearntFlight
-from mavdiag.learning.guards import Finding, Kind
+from mavdiag.learning.teaching import Finding
 from mavdiag.monitors import monitor_of
 from mavdiag.monitors.fitting import judged_together
-from mavdiag.monitors.rotor_signature import RotorSignatureSpec
-from mavdiag.monitors.rotor_trim import RotorTrimSpec
-from mavdiag.monitors.unbalance import UnbalanceSpec
-from mavdiag.monitors.vibration_level import VibrationLevelSpec
 from mavdiag.rows.windows import window_rows
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import G_MM_PER_KG_M, NS_PER_S, RPM
 
 STEADY = ("rotor_signature", "unbalance", "vibration_level")  # alike in every healthy flight, whatever is flown
 TRIMS = ("rotor_trim", "trim_step")
-SHAKING = "accelerometer"
 PART_S = 5  # of a course: shorter parts have no median to compare
 SPLITS = 200  # of a course that are tried
 SPREADS = 5.0
@@ -128,14 +118,16 @@ def _shaking(number: int, flight: LearntFlight) -> Course:
         t_s.append(block.t_ns[: count * second : second][whole] / NS_PER_S)
         value.append(np.sqrt(parts.mean(axis=1)[whole] / share[whole]))
     times = np.concatenate(t_s)
-    return Course(SHAKING, dt_s, number, flight.label.name, times, np.concatenate(value), np.empty((len(times), 0)))
+    return Course(
+        "accelerometer", dt_s, number, flight.label.name, times, np.concatenate(value), np.empty((len(times), 0))
+    )
 
 
 def suspicions(found: Sequence[Course], airframe: Airframe) -> tuple[Finding, ...]:
     """What speaks against flights that were learnt: odd flights, physics, and changes within a flight."""
     odd = () if airframe.scope == "type" else _odd(found)  # vehicles of a type differ
     physics = {course.name: text for course in found if (text := _implausible(course, found, airframe))}
-    implausible = (Finding(0, "all flights", Kind.PHYSICS, text) for text in physics.values())
+    implausible = (Finding(0, "all flights", text) for text in physics.values())
     return (*odd, *implausible, *(one for one in map(_change, found) if one is not None))
 
 
@@ -156,7 +148,7 @@ def _change(course: Course) -> Finding | None:
         return None
     much = f"a motor is commanded {100 * moved:+.0f} %" if trim else f"{math.exp(moved):.2g} times what it was before"
     text = f"from {course.t_s[at]:.0f} s on: {course.name}: {much}: something changed in flight"
-    return Finding(course.number, course.log, Kind.CHANGE, text)
+    return Finding(course.number, course.log, text)
 
 
 def _odd(found: Sequence[Course]) -> Iterator[Finding]:
@@ -178,33 +170,31 @@ def _odd(found: Sequence[Course]) -> Iterator[Finding]:
             continue
         off_by = f"{100 * apart[number]:+.0f} % of hover" if trim else f"{math.exp(apart[number]):.2g} times"
         text = f"{name}: {off_by} against the other flights: is a propeller broken in one of them?"
-        yield Finding(same[number].number, same[number].log, Kind.GROUPS, text)
+        yield Finding(same[number].number, same[number].log, text)
 
 
 def _implausible(course: Course, found: Sequence[Course], airframe: Airframe) -> str:
     """What no healthy vehicle has, in a sentence; empty if there is nothing of it."""
-    match course.spec:
-        case float() as dt_s if airframe.hover_rad_s is not None:
+    spec = course.spec
+    match course.name:
+        case "accelerometer" if airframe.hover_rad_s is not None:
             # a line at f has (2 sin(pi f dt))^2 times its amplitude in second differences
-            passed = (2 * math.sin(airframe.hover_rad_s * dt_s / 2)) ** 2
+            passed = (2 * math.sin(airframe.hover_rad_s * spec / 2)) ** 2
             rms = np.concatenate([one.value for one in found if one.name == course.name])
-            return (
-                _too_unbalanced(float(np.median(rms)) / passed, airframe) if passed >= LEAST_PASSED and len(rms) else ""
-            )
-        case UnbalanceSpec() as spec:
-            return _too_unbalanced(math.sqrt(spec.power), airframe)
-        case VibrationLevelSpec() as spec:
-            return _too_unbalanced(spec.healthy, airframe)
-        case RotorTrimSpec() as spec:
+            if len(rms) and passed >= LEAST_PASSED:
+                return _too_unbalanced(float(np.median(rms)) / passed, airframe)
+        case "unbalance" | "vibration_level":
+            return _too_unbalanced(math.sqrt(spec.power) if course.name == "unbalance" else spec.healthy, airframe)
+        case "rotor_trim":
             rise = rises(np.array([spec.mean]), spec.layout, spec.spread)[0]
             rotor = int(np.abs(rise).argmax())
-            far = abs(rise[rotor]) > MOST_TRIM
-            return f"motor {rotor + 1} is commanded {100 * rise[rotor]:+.0f} % against the others" if far else ""
-        case RotorSignatureSpec() as spec:
+            if abs(rise[rotor]) > MOST_TRIM:
+                return f"motor {rotor + 1} is commanded {100 * rise[rotor]:+.0f} % against the others"
+        case "rotor_signature":
             unrest = math.sqrt((spec.motion.k0[0] + spec.motion.k0[1]) / 2)
-            rates = f"{unrest:.2f} rad/s, healthy vehicles leave less than {MOST_UNREST_RAD_S:g}"
-            text = f"the vehicle does not follow its set-points in calm flight: {rates}"
-            return text if unrest > MOST_UNREST_RAD_S else ""
+            if unrest > MOST_UNREST_RAD_S:
+                rates = f"{unrest:.2f} rad/s, healthy vehicles leave less than {MOST_UNREST_RAD_S:g}"
+                return f"the vehicle does not follow its set-points in calm flight: {rates}"
     return ""
 
 
@@ -213,9 +203,8 @@ def _too_unbalanced(m_s2: float, airframe: Airframe) -> str:
     found = _in_g_mm(m_s2, airframe)
     if found is None or airframe.mass_kg is None or airframe.hover_rad_s is None:
         return ""
-    rotors = 4 if airframe.layout is None else airframe.layout.rotors
     one = permissible_unbalance_g_mm(MOST_GRADE, airframe.hover_rad_s / RPM, 1e3 * ROTOR_SHARE * airframe.mass_kg)
-    most = math.sqrt(rotors) * one
+    most = math.sqrt(4 if airframe.layout is None else airframe.layout.rotors) * one
     said = f"unbalance of {found:.2g} g mm, rotors of grade {MOST_GRADE} have {most:.2g} together"
     return f"{said}: is a propeller broken?" if found > most else ""
 
@@ -255,9 +244,6 @@ def grade_of(least: LeastDamage, *, weak: bool, blind: Sequence[str] = ()) -> Gr
     The better of the two counts, and is B at most where the other is not seen at all. C where the link shows neither:
     such a baseline judges by motion alone. weak: its flights speak against it, which is D. blind: monitors that were
     fitted and cannot reach their threshold; where no monitor of the trim can, the trim scattered too much for any, D.
-
-    >>> grade_of(LeastDamage(thrust_loss=(0.05, 0.08, 0.05, 0.05), vibration_m_s2=1.0), weak=False)
-    'A'
     """
     sizes = [(max(least.thrust_loss), LOSS_LIMITS)] if least.thrust_loss else []
     sizes += [] if least.vibration_m_s2 is None else [(least.vibration_m_s2, VIBRATION_LIMITS_M_S2)]

@@ -7,14 +7,13 @@ there are as many, and each piece is scored by a fit to the rest. This is the on
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
-from typing import Any, Protocol, TypeAlias, overload
+from typing import Any, TypeAlias, overload
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
-from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, FloatArray, IntArray
 
 BLOCK_S = 10.0  # judged time of a block (our choice); 7 to 13 s change no verdict on the recorded flights
@@ -55,13 +54,6 @@ class Looks(Sequence[Rows]):
         return Looks(self.makers[at]) if isinstance(at, slice) else self.makers[at]()
 
 
-class Scored(Protocol):
-    """What can be scored: a monitor."""
-
-    def over(self, flight: Sequence[Rows]) -> Iterator[Statistic]:
-        """Judge a whole flight."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Scores:
     """What a statistic reached in healthy flight.
@@ -79,7 +71,7 @@ class Scores:
         return float(self.spans_s.sum())
 
 
-def score(monitor: Scored, flight: Sequence[Rows], block_s: float = BLOCK_S, number: int = 0) -> Scores:
+def score(monitor: Any, flight: Sequence[Rows], block_s: float = BLOCK_S, number: int = 0) -> Scores:
     """Block maxima of a monitor over one flight of that number (`maxima`)."""
     found = [(one.value[one.valid], one.period_s) for one in monitor.over(flight)] or [(np.empty(0), 0.0)]
     return maxima(np.concatenate([values for values, _ in found]), found[-1][1], block_s, number)

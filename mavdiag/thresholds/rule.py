@@ -111,9 +111,11 @@ class Threshold:
 
     def statement(self) -> str:
         """One sentence: what is asked for, and what is shown."""
-        sessions = f"{self.sessions} session{'' if self.sessions == 1 else 's'}"
-        flights = f"{self.flights} flight{'' if self.flights == 1 else 's'} in {sessions} ({self.hours:.3g} h)"
-        basis = f"{self.blocks} healthy blocks of {self.block_s:g} s from {flights}"
+        flights, sessions = (
+            f"{count} {what}{'s' * (count != 1)}"
+            for count, what in ((self.flights, "flight"), (self.sessions, "session"))
+        )
+        basis = f"{self.blocks} healthy blocks of {self.block_s:g} s from {flights} in {sessions} ({self.hours:.3g} h)"
         shown = f"{self.exceeding or 'none'} of them above it"
         if self.demonstrated_per_hour < WORTH_SAYING_PER_HOUR:
             shown += f", so at 95 % fewer than {self.demonstrated_per_hour:.2g} alarms/h"
