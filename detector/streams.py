@@ -20,7 +20,7 @@ from mavdiag.link.scale import gravity_of
 from mavdiag.link.wants import Want, wants_of
 from mavdiag.monitors import MONITORS
 from mavdiag.rows.gate import GateSpec
-from mavdiag.rows.grid import NATIVE_TOLERANCE
+from mavdiag.rows.grid import steps_of, usual_step
 from mavdiag.telemetry import FloatArray, Instant, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
@@ -101,25 +101,12 @@ class Meter:
         if last_ns - first_ns >= MEASURE_S * NS_PER_S:
             t_ns = np.concatenate(self._t_ns)
             self._steps.append((len(t_ns) - 1, float(last_ns - first_ns) / NS_PER_S))
-            period_s = _period_s(t_ns)
-            self.periods_s = () if period_s is None else (*self.periods_s, period_s)[-2:]
+            steps = steps_of(t_ns)
+            self.periods_s = (*self.periods_s, usual_step(steps) / NS_PER_S)[-2:] if len(steps) else ()
         elif last_ns >= first_ns and self._waiting <= _MOST:
             return
         # Measured; or a clock that jumped back, or stands still, starts the measurement anew.
         self._t_ns, self._waiting = [series.t_ns[-1:]], 1
-
-
-def _period_s(t_ns: IntArray) -> float | None:
-    """Period of a stream: the mean of its regular steps, as `measure_grid` takes it, so that losses do not stretch it.
-
-    A stream without regular steps has at least a median one.
-    """
-    steps = np.diff(np.unique(t_ns)).astype(np.float64)
-    if len(steps) == 0:
-        return None
-    median = float(np.median(steps))
-    regular = steps[np.abs(steps - median) <= NATIVE_TOLERANCE * median]
-    return float(np.mean(regular) if len(regular) else median) / NS_PER_S
 
 
 class Streams:

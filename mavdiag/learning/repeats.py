@@ -12,6 +12,7 @@ import numpy as np
 
 from mavdiag.learning.flights import IN_MEMORY, HeldLog, hold
 from mavdiag.learning.guards import Finding, Kind
+from mavdiag.rows.grid import median_step
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import FloatArray, IntArray, Log, Signal
 from mavdiag.units import NS_PER_S
@@ -81,7 +82,7 @@ def _compared(one: _Content, earlier: _Content, shared: frozenset[int]) -> Findi
     common = first[np.isin(one.runs, earlier.runs)]
     if len(common) == 0:
         return None
-    dt_s = float(np.median(np.diff(np.unique(t_ns)))) / NS_PER_S
+    dt_s = median_step([t_ns]) / NS_PER_S
     if len(common) * dt_s < SHARED_S:
         return None
     low_s, high_s = float(t_ns[common].min()) / NS_PER_S, float(t_ns[common + RUN - 1].max()) / NS_PER_S

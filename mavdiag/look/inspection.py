@@ -28,7 +28,7 @@ from mavdiag.look import figures
 from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.monitors.base import Monitor
 from mavdiag.monitors.vibration_band import corner_of
-from mavdiag.rows.grid import unbroken
+from mavdiag.rows.grid import mean_step, steps_of
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
@@ -55,7 +55,7 @@ _LEAST_HZ: Mapping[str, float] = {
 class Summary:
     """One signal as it arrives.
 
-    rate_hz: mean rate but for pauses (`rows.grid.unbroken`); None with fewer than two times, as the next two.
+    rate_hz: mean rate but for pauses (`rows.grid.mean_step`); None with fewer than two times, as the next two.
     jitter_ms: standard deviation of the steps that are no gaps. longest_gap_s: the longest step.
     gaps: steps of three usual ones or more. missing: share of the samples that the usual step would have brought, 0..1.
     repeated: samples with the time of another one.
@@ -222,12 +222,12 @@ def inspection_of(
 def summary(series: Series) -> Summary:
     """Figures of one signal, which has samples."""
     t_ns = np.unique(series.t_ns)
-    steps: FloatArray = np.diff(t_ns).astype(np.float64)
+    steps = steps_of(t_ns)
     rate = jitter = longest = None
     gaps, missing = 0, 0.0
     if len(steps):
         usual = float(np.median(steps))
-        rate, longest = float(NS_PER_S / unbroken(steps).mean()), float(steps.max()) / NS_PER_S
+        rate, longest = NS_PER_S / mean_step(steps), float(steps.max()) / NS_PER_S
         jitter = float(steps[steps < USUAL * usual].std()) / NS_PER_MS
         gaps = int(np.count_nonzero(steps >= USUAL * usual))
         missing = max(0.0, 1.0 - len(t_ns) / (float(t_ns[-1] - t_ns[0]) / usual + 1.0))
@@ -336,7 +336,7 @@ def _gyro_gaps(telemetry: Telemetry) -> FloatArray:
     gyro = telemetry.get(Signal.BODY_RATE)
     if gyro is None or len(gyro) < 2:
         return np.empty(0)
-    steps: FloatArray = np.diff(np.unique(gyro.t_ns)).astype(np.float64) / NS_PER_S
+    steps = steps_of(gyro.t_ns) / NS_PER_S
     return steps[steps > max(GAP_S, 1.5 * float(np.median(steps)))] if len(steps) else steps
 
 

@@ -153,7 +153,7 @@ def _per_command(flight: Sequence[Rows]) -> tuple[float, float]:
     """How many rows tell the specific force per command, and its sum."""
     count, total_ = 0, 0.0
     for block in (rows.block for rows in flight):
-        known = block.valid & block.finite_rate() & block.known(Signal.SPECIFIC_FORCE, ONLY_Z)
+        known = block.valid & np.isfinite(block.rate).all(axis=1) & block.known(Signal.SPECIFIC_FORCE, ONLY_Z)
         known = known & (block.thrust > MIN_THRUST)
         count += int(np.count_nonzero(known))
         total_ -= float(np.sum(block.force[known, 2] / block.thrust[known]))

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.rows.align import NEVER_NS, AlignSpec, AlignState
-from mavdiag.rows.block import Block
+from mavdiag.rows.block import Block, in_rotor_order
 from mavdiag.rows.gate import Border, GateSpec, GateState, hidden_flight
-from mavdiag.rows.outputs import in_rotor_order
 from mavdiag.rows.rates import RateBlock, RateSpec, RateState
 from mavdiag.telemetry import Series, Signal, Telemetry
 
@@ -21,9 +20,9 @@ class Rows:
     rates: RateBlock
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class FrontState:
-    """Memory of the alignment, the gate and the rate filters; changed in place."""
+    """Memory of the three steps, each changed in place."""
 
     align: AlignState
     gate: GateState
@@ -58,14 +57,10 @@ class Front:
         """Nothing more comes for now: the rows that the gate held back. Rows may go on later, as another span."""
         return state, tuple(self._told(state, self.gate.finish(state.gate)))
 
-    def whole(self, telemetry: Telemetry) -> tuple[Rows | Border, ...]:
-        """All that a whole flight gives."""
-        return tuple(self.pieces(self.align.believed(telemetry)))
-
     def pieces(self, telemetry: Telemetry, most: int = NEVER_NS) -> Iterator[Rows | Border]:
-        """The same of what is believed, at most about so many rows at a time, made as they are asked for."""
+        """All that a whole flight gives of what is believed of it, at most about so many rows at a time."""
         state = self.start()
-        self.align.take(state.align, telemetry)
+        self.align.take_log(state.align, telemetry)
         yield from self._ended(state, most)
 
     def _ended(self, state: FrontState, most: int = NEVER_NS) -> Iterator[Rows | Border]:
@@ -85,10 +80,9 @@ class Front:
 
 
 def warm() -> None:
-    """Compile what makes rows, or load it from where it is kept: by a second of a gyro, and a battery that goes on."""
+    """Compile what makes rows, or load it from where it is kept, by a second of a gyro."""
     t_ns = 10_000_000 * np.arange(100)
-    later_ns, rate = t_ns[:1] + 10**10, Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((100, 3)))
-    telemetry = Telemetry((rate, Series(Signal.VOLTAGE, later_ns, later_ns, np.ones((1, 1)))))
+    telemetry = Telemetry((Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((100, 3))),))
     front = Front(AlignSpec(0.01), GateSpec(), RateSpec.of(0.01, 5))
     front.step(front.start(), telemetry)
     hidden_flight(telemetry, front.gate, [(0, 0)])

@@ -21,8 +21,7 @@ from mavdiag.cli import app
 from mavdiag.errors import InputError, UsageError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.rows.block import Block
-from mavdiag.rows.outputs import in_rotor_order
+from mavdiag.rows.block import Block, in_rotor_order
 from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
 from mavdiag.testing import example_rows
 
