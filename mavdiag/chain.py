@@ -72,7 +72,7 @@ class ChainState:
 
     now_ns: vehicle time of the latest row.
     beginning: rows until there are enough to compare the vehicle; None afterwards. begun_s: valid time in them.
-    waiting: telemetry while the rate is not known yet to be the baseline's; None afterwards. chunks: since the last rows.
+    waiting: telemetry while the rate is not known to be the baseline's; None afterwards. chunks: since the last rows.
     refused: why the link is not the baseline's; empty if it is, or is not measured yet.
     """
 

@@ -33,7 +33,8 @@ import numpy as np
 from mavdiag.errors import InputError
 from mavdiag.jit import cached, cached_loop, inline, jit
 from mavdiag.rows.block import Block
-from mavdiag.rows.grid import Grid, measure_grid
+from mavdiag.rows.grid import Grid as Grid
+from mavdiag.rows.grid import measure_grid as measure_grid
 from mavdiag.rows.quality import (
     COLUMN,
     GLITCH_S,
@@ -112,7 +113,7 @@ class Streams(NamedTuple):
 
 
 class AlignState:
-    """All that the aligner remembers between chunks. reached: latest stamp of each stream that came, believed or not."""
+    """All that the aligner remembers between chunks. reached: latest stamp of each that came."""
 
     def __init__(self, limits_ns: IntArray) -> None:
         count, widths = len(STREAMS), (4, *WIDTHS[1:])
@@ -159,8 +160,10 @@ class AlignState:
         if place is None or not len(series):
             return
         rising = bool(np.all(series.t_ns[1:] > series.t_ns[:-1]))
-        kept = (series.t_ns, series.host_ns, series.values) if rising else tuple(
-            one.copy() for one in (series.t_ns, series.host_ns, series.values)
+        kept = (
+            (series.t_ns, series.host_ns, series.values)
+            if rising
+            else tuple(one.copy() for one in (series.t_ns, series.host_ns, series.values))
         )
         self._put(place, *kept)
         self.streams.marks[place, END] = len(series)
@@ -215,7 +218,9 @@ class AlignSpec:
     def limits_ns(self) -> IntArray:
         """How far samples reach, for each stream; then `BREAK` ... [ns]."""
         usable_s = max(self.max_gap_s, (min(MOST_LOST, GLITCH_S / self.dt_s) + 1.2) * self.dt_s)  # what a glitch leaves
-        reach_s = [max(span_s, usable_s) if place < THRUST else span_s for place, (_, span_s) in enumerate(REACH.values())]
+        reach_s = [
+            max(span_s, usable_s) if place < THRUST else span_s for place, (_, span_s) in enumerate(REACH.values())
+        ]
         settling = (self.break_s, self.reorder_s, usable_s, self.settle_gap_s, self.settle_start_s)
         spans_s = [self.break_s, self.break_s, *reach_s[2:], *settling]
         return np.array([NEVER_NS if span_s == math.inf else round(span_s * NS_PER_S) for span_s in spans_s])
@@ -364,7 +369,8 @@ def _merge(s: Streams, place: int, count: int, gyro: IntArray, gyro_ns: int, ste
             newest = at_ns
         elif at_ns < newest - s.limits_ns[REORDER] or at_ns <= marks[FLOOR]:
             continue
-        _move(s, place, i, i + 1, hi)
+        if hi < i:
+            _move(s, place, i, i + 1, hi)
         while at > lo and t[at - 1] > at_ns:
             t[at], t[at - 1] = t[at - 1], t[at]
             for column in range(v.shape[1]):

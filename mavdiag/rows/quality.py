@@ -56,7 +56,7 @@ SAME = 1e-6  # rad/s: rounding of a conversion, no step
 REORDER_S = 0.05  # a stamp that leaps ahead by more must be followed by others (our choice, as rows wait for samples)
 
 # Greatest size that a sensor of a small vehicle measures (gyros end at 70 rad/s, accelerometers at 3900 m/s^2; commands
-# and outputs at 1), and a leap that is believed at any rate, for a flight may be livelier than the healthy (our choice).
+# and outputs at 1), and a leap that is believed at any rate, for flights may be livelier than these (our choice).
 RANGES = {
     Signal.BODY_RATE: (100.0, 0.0),
     Signal.SPECIFIC_FORCE: (4000.0, 0.0),
@@ -152,7 +152,7 @@ class LinkQuality(BaseModel):
         habit = next((one for one in self.habits if (one.signal, len(one.leap)) == (signal, columns)), None)
         if habit is not None:
             period_s, pause_s, quietest = habit.period_s, habit.pause_s, min(habit.quiet)
-            rule[LEARNT : LEAP] = (
+            rule[LEARNT:LEAP] = (
                 1.0,
                 period_s * NS_PER_S,
                 forgetting(JITTER_S, period_s),
@@ -175,7 +175,9 @@ class LinkQuality(BaseModel):
 # the jitter, how many samples that leap may be lost, spans of stamps [ns], whether zeros are dead, below which value
 # nothing moves, variance of the jitter and step beyond which the gyro is doubted, whether a column leads.
 GYRO, ANGLE, HOLDS, MUST_BE_FINITE, NOT_ZERO, RESTS, GREATEST = range(7)
-LEARNT, PERIOD, ALPHA, PATIENCE, BACK, EARLY_NS, AHEAD, ZERO_IS_DEAD, LOWEST, MOST_JITTER, MOST_STEP, LEADING = range(7, 19)
+LEARNT, PERIOD, ALPHA, PATIENCE, BACK, EARLY_NS, AHEAD, ZERO_IS_DEAD, LOWEST, MOST_JITTER, MOST_STEP, LEADING = range(
+    7, 19
+)
 LEAP = 19
 # Places in the figures: jitter, and how far the latest samples leapt; then of each column the last believed value, its
 # slope [1/ns], the value that came last, and the smallest step. In the counts: samples so far; stamps of the last one
@@ -249,12 +251,10 @@ def _leap(s: Samples, i: int) -> float:
 @inline
 def _usual(s: Samples, i: int, span_ns: int) -> bool:
     """Whether neither stamp nor values leap by more than is believed after one period: the usual case."""
-    if not -s.rule[BACK] <= span_ns <= s.rule[EARLY_NS]:
-        return False
+    usual = -s.rule[BACK] <= span_ns <= s.rule[EARLY_NS]
     for column in range(s.columns):
-        if abs(_away(s, column, s.v[i, column], span_ns)) > s.rule[LEAP + column]:
-            return False
-    return True
+        usual = usual and not abs(_away(s, column, s.v[i, column], span_ns)) > s.rule[LEAP + column]
+    return usual
 
 
 @jit
@@ -457,7 +457,7 @@ NO_FIGURES, NO_RUNS = np.empty(0), np.empty(0, dtype=np.int64)
 
 
 def believed(quality: LinkQuality, telemetry: Telemetry) -> Telemetry:
-    """A whole log without its lost samples, nan where it is dead; the gyro with a fourth column, a place in `DOUBTS`."""
+    """A log without its lost samples, nan where it is dead; the gyro with a fourth column, a place in `DOUBTS`."""
     looked = []
     for series in telemetry.series:
         columns = series.values.shape[1]
@@ -535,7 +535,11 @@ def _between(series: Series, first_ns: int, last_ns: int) -> Series:
 def _watched(habit: Habit, series: Series) -> tuple[FloatArray, IntArray]:
     """`seen` and `runs` of `look_at`, of the samples that are not lost by what the habit says of leaps."""
     columns, runs = series.values.shape[1], np.empty(len(series), dtype=np.int64)
-    rule, memory, seen = LinkQuality(habits=(habit,)).rule(series.signal, columns), Memory(columns), np.zeros(columns + 3)
+    rule, memory, seen = (
+        LinkQuality(habits=(habit,)).rule(series.signal, columns),
+        Memory(columns),
+        np.zeros(columns + 3),
+    )
     for first in range(0, len(series), PIECE):
         at = slice(first, first + PIECE)
         _looked(rule, memory, Series(series.signal, series.t_ns[at], series.host_ns[at], series.values[at]), seen, runs)
