@@ -16,7 +16,6 @@ from mavdiag.link.samples import joined
 from mavdiag.link.wants import LABELS
 from mavdiag.monitors import NEED_LAYOUT
 from mavdiag.rows.gate import HIDDEN_S, SHOWS_FLIGHT, hidden_flight
-from mavdiag.rows.quality import believed
 from mavdiag.telemetry import Instant, Telemetry
 from mavdiag.units import NS_PER_S
 
@@ -157,8 +156,8 @@ class _Sight:
 
     def _hidden(self) -> str:
         front = self._chain.front
-        telemetry = believed(front.align.quality, joined([piece for _, piece in self._pieces]))
-        found = hidden_flight(telemetry, front.gate, self._spans)
+        telemetry = joined([piece for _, piece in self._pieces])
+        found = hidden_flight(telemetry, front.gate, front.align.quality, self._spans)
         return found[-1].reason if found and self._pieces[-1][0] / NS_PER_S - found[-1].end_s < 1.0 else ""
 
 

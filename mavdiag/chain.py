@@ -43,13 +43,11 @@ MEASURED_S = 2.0  # of gyro samples that a live link's rate is measured by (our 
 class ChainOutput:
     """What one chunk brought.
 
-    events: alarms of monitors that opened (end_ns None) or closed.
-    changes: of the decision.
-    flight_s: new flight time, take-offs and all.
-    judged_s: by how much `ChainState.judged_s` grew; a value may judge what was flown before it.
+    events: alarms of monitors that opened (end_ns None) or closed. changes: of the decision.
+    flight_s: new flight time, take-offs and all. judged_s: by how much `ChainState.judged_s` grew.
     now_ns: vehicle time of the latest row; None if none came.
     likeness: whether it is the baseline's vehicle, once, when 20 s of flight are there; None at other times.
-    pieces: the rows with their statistics, for figures and displays (`mavdiag.traces`).
+    pieces: the rows with their statistics (`mavdiag.traces`).
     """
 
     events: tuple[Event, ...] = ()
@@ -257,10 +255,7 @@ class Chain:
 
 
 def warm() -> None:
-    """Compile what judges, or load it from where it is kept, before time counts.
-
-    The first time after an installation it takes about a minute of processor time, later half a second.
-    """
+    """Compile what judges (about a minute of processor time), or load it from where it is kept (half a second)."""
     warm_rows()
     warm_samples()
     warm_kernel()
@@ -277,13 +272,9 @@ def front_of(baseline: Baseline) -> Front:
 def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None) -> Chain:
     """The chain that judges by a baseline.
 
-    profile: of the data, if it is known.
-
     started_ns: wall-clock time of the flight, unix epoch [ns]; 0 if it is not known. In a session of the healthy
-    flights nothing is allowed for what another session may shift.
-
-    A monitor that does not decide (the thesis's rule, which alarms on trajectories that its flights did not have) does
-    so where it stands alone.
+    flights nothing is allowed for what another session may shift. profile: of the data, if it is known.
+    A monitor that does not decide (the thesis's rule) does so where it stands alone.
     """
     order = [monitor.name for monitor in MONITORS]
     entries = sorted(baseline.monitors, key=lambda entry: order.index(entry.spec.kind))
@@ -291,14 +282,10 @@ def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None
     alone = not any(monitor.decides for monitor in monitors)
     same, link, whose = baseline.same_session(started_ns), baseline.link, baseline.airframe
     coaxial = whose.layout is not None and whose.layout.coaxial  # the arm is told, no rotor
+    thresholds = [entry.threshold.within(same_session=same) for entry in entries]
     slots = tuple(
-        Slot(
-            monitor,
-            entry.threshold.within(same_session=same),
-            monitor.decides or alone,
-            None if coaxial else monitor.evidence,
-        )
-        for monitor, entry in zip(monitors, entries, strict=True)
+        Slot(monitor, threshold, monitor.decides or alone, None if coaxial else monitor.evidence)
+        for monitor, threshold in zip(monitors, thresholds, strict=True)
     )
     moves = any(monitor.feature == "motion" for monitor in monitors)
     known = known_fault_types(whose.classifier, link.profile, 1.0 / link.dt_s) if moves else ()

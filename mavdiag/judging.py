@@ -17,10 +17,10 @@ from mavdiag.errors import InputError
 from mavdiag.kernel import Account, Piece, Stretch
 from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
-from mavdiag.rows.align import measure_grid
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.gate import Hidden, hidden_flight
+from mavdiag.rows.grid import measure_grid
 from mavdiag.rows.upsets import Upset, motion_of, upset_in
 from mavdiag.telemetry import Axis, FloatArray, Log, Signal, Telemetry, pandas_module
 from mavdiag.units import NS_PER_S
@@ -218,13 +218,13 @@ def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> Ju
         return refused(refusal, 1 / dt_s)
     if log.motor_order:  # its outputs are by motor already
         chain = replace(chain, front=replace(chain.front, outputs=None))
-    telemetry = chain.front.align.believed(log.telemetry)
     run = _Run(log, chain, chain.start(), judged_share)
-    run.take(telemetry, keep=keep)
+    run.take(log.telemetry, keep=keep)
     alike = run.likeness.sentence(baseline.airframe.name)
     if run.likeness.outcome is Outcome.FAR:
         return refused(f"another vehicle: {alike}", 1 / dt_s)
-    evidence = _Evidence.of(run, hidden_flight(telemetry, chain.front.gate, run.spans))
+    front = chain.front
+    evidence = _Evidence.of(run, hidden_flight(log.telemetry, front.gate, front.align.quality, run.spans))
     verdict, reason = evidence.verdict()
     spans = run.changes[-1].rotors if run.changes else ()
     rotors = tuple(NamedRotor(span.rotor, span.since_ns / NS_PER_S, _seconds(span.end_ns)) for span in spans)

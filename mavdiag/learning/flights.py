@@ -184,7 +184,7 @@ def airborne(front: Front, flight: Log | HeldLog, shelf: Shelf | None = None) ->
 
 
 def _pieces(front: Front, telemetry: Telemetry) -> Iterable[Rows]:
-    parts = front.pieces(front.align.believed(telemetry), PIECE_ROWS)
+    parts = front.pieces(telemetry, PIECE_ROWS)
     return (part for part in parts if not isinstance(part, Border))
 
 

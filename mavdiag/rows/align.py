@@ -38,42 +38,43 @@ from mavdiag.rows.grid import measure_grid as measure_grid
 from mavdiag.rows.quality import (
     COLUMN,
     GLITCH_S,
-    LEAP,
     MOST_LOST,
     RUNS,
     TURN,
     LinkQuality,
     Samples,
-    believed,
     look_at,
 )
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
-# Of each signal its columns (those of outputs are the sent ones) and how far its samples reach [s]. Up to THRUST they
-# are interpolated where two samples this near, or as near as the gyro's, surround the row: a slow command stream may
-# have 4 Hz; the others hold their last value for so long: ACTUATOR comes at 10-50 Hz, VIBRATION at 2-10 Hz, a battery
-# changes slowly (our choices). Logs write ARMED only when it changes.
-REACH = {
-    Signal.BODY_RATE: (3, 0.0),
-    Signal.ATTITUDE_SETPOINT: (3, 0.0),
-    Signal.SPECIFIC_FORCE: (3, 0.0),
-    Signal.TORQUE_COMMAND: (3, 0.25),
-    Signal.RATE_SETPOINT: (3, 0.25),
-    Signal.ATTITUDE: (3, 0.25),
-    Signal.THRUST_SETPOINT: (1, 1.0),
-    Signal.HEIGHT: (1, 2.0),
-    Signal.VOLTAGE: (1, 10.0),
-    Signal.ARMED: (1, math.inf),
-    Signal.VIBRATION: (3, 1.0),
-    Signal.ACTUATOR: (0, 1.0),
+# Of each signal its name in `Block`, its columns (of outputs the sent ones; the gyro's last is its doubt), and
+# how far its samples reach [s]. Up to THRUST they are interpolated where two samples this near, or as near as the
+# gyro's, surround the row: a slow command stream may have 4 Hz; the others hold their last value for so long: ACTUATOR
+# comes at 10-50 Hz, VIBRATION at 2-10 Hz, a battery changes slowly (our choices). Logs write ARMED when it changes.
+SIGNALS = {
+    Signal.BODY_RATE: ("rate", 4, 0.0),
+    Signal.ATTITUDE_SETPOINT: ("setpoint", 3, 0.0),
+    Signal.SPECIFIC_FORCE: ("force", 3, 0.0),
+    Signal.TORQUE_COMMAND: ("torque", 3, 0.25),
+    Signal.RATE_SETPOINT: ("rate_setpoint", 3, 0.25),
+    Signal.ATTITUDE: ("attitude", 3, 0.25),
+    Signal.THRUST_SETPOINT: ("thrust", 1, 1.0),
+    Signal.HEIGHT: ("height", 1, 2.0),
+    Signal.VOLTAGE: ("voltage", 1, 10.0),
+    Signal.ARMED: ("armed", 1, math.inf),
+    Signal.VIBRATION: ("vibration", 3, 1.0),
+    Signal.ACTUATOR: ("actuator", 0, 1.0),
 }
-STREAMS = tuple(REACH)
+STREAMS = tuple(SIGNALS)
 USED = frozenset(STREAMS)
 PLACES = {signal: place for place, signal in enumerate(STREAMS)}
 GYRO, SETPOINT, ATTITUDE, THRUST, OUTPUTS = 0, 1, 5, 6, 11
-WIDTHS = tuple(width for width, _ in REACH.values())
-FIRST = np.cumsum((0, 4, *WIDTHS[1:-1]))  # row of x that each signal's columns begin with; the gyro has its doubt, too
+NAMES, WIDTHS, REACHES_S = zip(*SIGNALS.values(), strict=True)
+FIRST = np.cumsum((0, *WIDTHS[:-1]))  # row of x that each signal's columns begin with
+COLUMNS = {name: slice(at, at + width or None) for name, at, width in zip(NAMES, FIRST, WIDTHS, strict=True)}
+COLUMNS |= {"rate": slice(0, 3), "actuator": slice(FIRST[OUTPUTS], None), "doubt": 3}
+COLUMNS |= {name: int(at) for name, at, width in zip(NAMES, FIRST, WIDTHS, strict=True) if width == 1}
 
 NEVER_NS = 2**62
 ORDER_NS = 5 * NS_PER_MS  # our choice
@@ -81,7 +82,7 @@ CALM_NS = 10 * NS_PER_S  # after a late sample, until the link counts as orderly
 BEGIN_NS = NS_PER_S  # after the first gyro sample, likewise; nothing is judged so early (our choice)
 MISSING = 1.5  # usual steps: in a longer one a sample is missing
 SLOWER = 1.0625  # by how much the usual step may grow with each chunk, so that losses do not stretch it (our choice)
-ROOM = 4  # times the samples that are kept: how long an array is made (our choice)
+ROOM = 500  # samples more than twice those that are kept: how long an array is made (our choice)
 # Of each stream: its samples in its arrays, those that may still be needed; end of those that came since; how many of
 # these wait for later ones to be believed; latest time seen; earlier samples and this one are settled, what comes for
 # them is dropped; usual step, 0 while it is not known [ns].
@@ -116,15 +117,14 @@ class AlignState:
     """All that the aligner remembers between chunks. reached: latest stamp of each that came."""
 
     def __init__(self, limits_ns: IntArray) -> None:
-        count, widths = len(STREAMS), (4, *WIDTHS[1:])
+        count = len(STREAMS)
         marks, now = np.zeros((count, STEP + 1), dtype=np.int64), np.full(BLANK + 2, -NEVER_NS)
-        marks[:, [NEWEST, FLOOR]], now[SEGMENT], now[CALM] = -NEVER_NS, -1, NEVER_NS
-        times, hosts = tuple(np.empty(0, np.int64) for _ in STREAMS), tuple(np.empty(0, np.int64) for _ in STREAMS)
-        values = tuple(np.empty((0, width)) for width in widths)
+        marks[:, [NEWEST, FLOOR]], now[[SEGMENT, CALM]] = -NEVER_NS, (-1, NEVER_NS)
+        times, hosts = (tuple(np.empty(0, np.int64) for _ in STREAMS) for _ in range(2))
+        values = tuple(np.empty((0, width)) for width in WIDTHS)
         knows = np.zeros((count, 0)), np.zeros((count, 0)), np.zeros((count, 0), dtype=np.int64)
         self.streams = Streams(times, hosts, values, marks, *knows, np.zeros((count, 3)), now, limits_ns)
         self.reached = [-NEVER_NS] * count
-        self._learn_widths(4)
 
     @property
     def last_ns(self) -> int:
@@ -133,65 +133,49 @@ class AlignState:
 
     def append(self, series: Series, quality: LinkQuality) -> None:
         """Put samples behind those that came. Raises InputError if their columns are others than before."""
-        place, count = PLACES.get(series.signal), len(series)
+        place, count, columns = PLACES.get(series.signal), len(series), series.values.shape[1]
         if place is None or not count:
             return
-        streams, columns = self.streams, series.values.shape[1]
-        width = streams.values[place].shape[1] - (place == GYRO)
-        if not len(streams.times[place]) or columns != width:
-            if columns != width and (place != OUTPUTS or len(streams.times[place])):
-                raise InputError(f"{series.signal} has {columns} columns in place of {width}")
-            self._learn_widths(columns)
-            streams = self.streams
-            rule = quality.rule(series.signal, columns)
-            streams.rules[place, : len(rule)] = rule
-        end = int(streams.marks[place, END])
-        if end + count > len(streams.times[place]):
-            streams, end = self._make_room(place, count, columns + (place == GYRO))
-        to = slice(end, end + count)
+        end = int(self.streams.marks[place, END])
+        if end + count > len(self.streams.times[place]) or columns != self.streams.values[place].shape[1] - (
+            place == GYRO
+        ):
+            end = self._make_room(place, series, quality)
+        to, streams = slice(end, end + count), self.streams
         streams.times[place][to], streams.hosts[place][to] = series.t_ns, series.host_ns
         streams.values[place][to, :columns] = series.values
         streams.marks[place, END] = end + count
         self.reached[place] = max(self.reached[place], int(series.t_ns[-1]))
 
-    def adopt(self, series: Series) -> None:
-        """Take all samples of a log that are believed; in its own arrays, where they are in order."""
-        place = PLACES.get(series.signal)
-        if place is None or not len(series):
-            return
-        rising = bool(np.all(series.t_ns[1:] > series.t_ns[:-1]))
-        kept = (
-            (series.t_ns, series.host_ns, series.values)
-            if rising
-            else tuple(one.copy() for one in (series.t_ns, series.host_ns, series.values))
-        )
-        self._put(place, *kept)
-        self.streams.marks[place, END] = len(series)
-
-    def _make_room(self, place: int, count: int, width: int) -> tuple[Streams, int]:
+    def _make_room(self, place: int, series: Series, quality: LinkQuality) -> int:
+        """Longer arrays, and for the first samples a rule; returns where the next samples are put."""
         lo, hi, end = self.streams.marks[place, : END + 1].tolist()
-        kept, room = end - lo, ROOM * (end - lo + count)
-        times, hosts, values = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty((room, width))
-        if kept:
-            for new, old in zip((times, hosts, values), self.streams[:3], strict=True):
-                new[:kept] = old[place][lo:end]
-        self._put(place, times, hosts, values)
+        columns, kept, before = series.values.shape[1], end - lo, [part[place] for part in self.streams[:3]]
+        if len(before[0]) == 0:
+            rule = quality.rule(series.signal, columns)
+            sizes = {"rules": len(rule), "figures": COLUMN + 4 * columns, "counts": RUNS + 1 + columns}
+            tables = {name: getattr(self.streams, name) for name in sizes}
+            more = {name: max(0, sizes[name] - table.shape[1]) for name, table in tables.items()}
+            self.streams = self.streams._replace(
+                **{name: np.pad(table, ((0, 0), (0, more[name]))) for name, table in tables.items()}
+            )
+            self.streams.rules[place, : len(rule)] = rule
+        width = columns + (place == GYRO)
+        if width != before[2].shape[1] and (len(before[0]) or place != OUTPUTS):
+            raise InputError(
+                f"{series.signal} has {columns} columns in place of {before[2].shape[1] - (place == GYRO)}"
+            )
+        room = ROOM + 2 * (kept + len(series))
+        grown = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty((room, width))
+        for new, old in zip(grown, before, strict=True):
+            new[:kept] = old[lo:end] if kept else 0
+        arrays = ((*old[:place], new, *old[place + 1 :]) for old, new in zip(self.streams[:3], grown, strict=True))
+        self.streams = Streams(*arrays, *self.streams[3:])
         self.streams.marks[place, : END + 1] = 0, hi - lo, kept
-        return self.streams, kept
-
-    def _put(self, place: int, *arrays: IntArray | FloatArray) -> None:
-        pairs = zip(self.streams[:3], arrays, strict=True)
-        self.streams = Streams(*((*old[:place], new, *old[place + 1 :]) for old, new in pairs), *self.streams[3:])
-
-    def _learn_widths(self, columns: int) -> None:
-        """Rules and memories that are wide enough for so many columns."""
-        sizes = {"rules": LEAP + 4 * columns + 1, "figures": COLUMN + 4 * columns, "counts": RUNS + 1 + columns}
-        wider = {name: size - getattr(self.streams, name).shape[1] for name, size in sizes.items()}
-        more = {name: np.pad(getattr(self.streams, name), ((0, 0), (0, max(by, 0)))) for name, by in wider.items()}
-        self.streams = self.streams._replace(**more)
+        return kept
 
 
-@dataclass(frozen=True, slots=False)
+@dataclass(frozen=True)
 class AlignSpec:
     """Grid and limits; all spans in seconds of the vehicle's clock. Raises InputError on an impossible period.
 
@@ -215,19 +199,17 @@ class AlignSpec:
             raise InputError(f"sample time {self.dt_s} s must lie between 0 and {self.break_s} s")
 
     @cached_property
-    def limits_ns(self) -> IntArray:
+    def limits_ns(self) -> list[int]:
         """How far samples reach, for each stream; then `BREAK` ... [ns]."""
         usable_s = max(self.max_gap_s, (min(MOST_LOST, GLITCH_S / self.dt_s) + 1.2) * self.dt_s)  # what a glitch leaves
-        reach_s = [
-            max(span_s, usable_s) if place < THRUST else span_s for place, (_, span_s) in enumerate(REACH.values())
-        ]
+        reach_s = [max(span_s, usable_s) if place < THRUST else span_s for place, span_s in enumerate(REACHES_S)]
         settling = (self.break_s, self.reorder_s, usable_s, self.settle_gap_s, self.settle_start_s)
         spans_s = [self.break_s, self.break_s, *reach_s[2:], *settling]
-        return np.array([NEVER_NS if span_s == math.inf else round(span_s * NS_PER_S) for span_s in spans_s])
+        return [NEVER_NS if span_s == math.inf else round(span_s * NS_PER_S) for span_s in spans_s]
 
     def start(self) -> AlignState:
         """A fresh state: no sample yet."""
-        return AlignState(self.limits_ns)
+        return AlignState(np.array(self.limits_ns))
 
     def step(self, state: AlignState, telemetry: Telemetry) -> list[Block]:
         """Take in a chunk, return the rows that it completes, in blocks of one segment."""
@@ -238,59 +220,32 @@ class AlignSpec:
         """The end of a log: what waited for late samples comes out."""
         return list(self.rows(state, NEVER_NS))
 
-    def believed(self, telemetry: Telemetry) -> Telemetry:
-        """What is believed of a whole log."""
-        return believed(self.quality, telemetry)
-
     def append(self, state: AlignState, telemetry: Telemetry) -> None:
         """Keep a chunk for the next `take`."""
         for series in telemetry.series:
             state.append(series, self.quality)
 
-    def take(self, state: AlignState) -> int:
-        """Believe and sort what came; returns up to when rows are complete [ns]."""
-        steps = np.empty((3, int((state.streams.marks[:, END] - state.streams.marks[:, HI]).max())), dtype=np.int64)
-        until_ns = _take(state.streams, steps, True, self.grid is Grid.NATIVE, self.dt_s * NS_PER_S)
-        state.reached = state.streams.marks[:, NEWEST].tolist()
+    def take(self, state: AlignState, *, live: bool = True) -> int:
+        """Believe and sort what came; returns up to when rows are complete [ns]. A log's rows always wait."""
+        marks, hurries = state.streams.marks, live and self.grid is Grid.NATIVE
+        room = np.empty((3, int((marks[:, END] - marks[:, HI]).max())), dtype=np.int64)
+        until_ns = _take(state.streams, room, hurries, self.dt_s * NS_PER_S)
+        state.reached = marks[:, NEWEST].tolist()
         return until_ns
 
-    def take_log(self, state: AlignState, telemetry: Telemetry) -> None:
-        """Take in what is believed of a whole log."""
-        for series in telemetry.series:
-            state.adopt(series)
-        steps = np.empty((3, max((len(one) for one in telemetry.series), default=0)), dtype=np.int64)
-        _take(state.streams, steps, False, self.grid is Grid.NATIVE, self.dt_s * NS_PER_S)
-
-    def rows(self, state: AlignState, until_ns: int, most: int = NEVER_NS) -> Iterator[Block]:
-        """The rows up to a time, a block of each segment, or of at most about so many rows."""
+    def rows(self, state: AlignState, until_ns: int) -> Iterator[Block]:
+        """The rows up to a time, a block of each segment."""
         dt_ns, resampled, more = self.dt_s * NS_PER_S, self.grid is Grid.RESAMPLED, True
         while more:
-            t_ns, x, flags, more = _rows(state.streams, until_ns, dt_ns, resampled, most)
+            t_ns, x, flags, more = _rows(state.streams, until_ns, dt_ns, resampled)
             if len(t_ns):
-                yield Block(
-                    int(state.streams.now[SEGMENT]),
-                    self.dt_s,
-                    t_ns,
-                    x[4:7].T,
-                    x[0:3].T,
-                    x[7:10].T,
-                    x[10:13].T,
-                    x[13:16].T,
-                    x[19],
-                    x[16:19].T,
-                    x[20],
-                    x[21],
-                    x[22],
-                    x[23:26].T,
-                    x[26:].T,
-                    flags[0],
-                    flags[1],
-                    x[3],
-                )
+                columns = {name: x[at].T for name, at in COLUMNS.items()}
+                segment = int(state.streams.now[SEGMENT])
+                yield Block(segment, self.dt_s, t_ns, valid=flags[0], setpoint_valid=flags[1], **columns)
 
     def reached_ns(self, state: AlignState) -> int:
         """No row later than this comes of what was appended [ns]."""
-        newest, limits, calm_ns = state.reached, self.limits_list, int(state.streams.now[CALM])
+        newest, limits, calm_ns = state.reached, self.limits_ns, int(state.streams.now[CALM])
         gyro_ns = newest[GYRO]
         safe = max(gyro_ns, max(newest) - limits[BREAK]) - limits[REORDER]
         found = max(safe, gyro_ns - ORDER_NS) if self.grid is Grid.NATIVE and gyro_ns > calm_ns else safe
@@ -298,11 +253,6 @@ class AlignSpec:
             if -NEVER_NS < newest[place] < found and safe < newest[place] + limits[place]:
                 found = newest[place]
         return found
-
-    @cached_property
-    def limits_list(self) -> list[int]:
-        """The same limits as Python's numbers."""
-        return list(map(int, self.limits_ns))
 
 
 @jit
@@ -398,19 +348,18 @@ def _latest(s: Streams) -> int:
 
 
 @cached_loop
-def _take(s: Streams, room: IntArray, live: bool, native: bool, dt_ns: float) -> int:
-    """Take in what came, not yet believed if live; returns up to when rows are complete. room: (3, ..)."""
+def _take(s: Streams, room: IntArray, hurries: bool, dt_ns: float) -> int:
+    """Take in what came; returns up to when rows are complete. room: (3, ..)."""
     late, gyro_ns, fresh, most_ns = False, s.marks[GYRO, NEWEST], 0, 2 * s.limits_ns[BREAK]
     if _latest(s) - most_ns > s.now[LAST]:  # samples without a row (B22), but for one that rows may need
         for place in range(len(s.marks)):
             before_ns = max(s.now[LAST], s.marks[place, NEWEST] - most_ns)
             _settle(s, place, _behind(s, place, s.marks[place, LO], before_ns))
     for place in range(len(s.marks)):
-        count = s.marks[place, END] - s.marks[place, HI]
-        if count == 0:
-            continue
         first = s.marks[place, HI]
-        count = _believe(s, place) if live else count
+        if first == s.marks[place, END]:
+            continue
+        count = _believe(s, place)
         if place == GYRO:
             fresh = count
             for i in range(fresh):
@@ -420,7 +369,7 @@ def _take(s: Streams, room: IntArray, live: bool, native: bool, dt_ns: float) ->
         s.now[CALM] = room[1, 0] + BEGIN_NS
     if late:
         s.now[CALM] = max(s.now[CALM], s.marks[GYRO, NEWEST] + CALM_NS)
-    return _horizon(s, native, dt_ns)
+    return _horizon(s, hurries, dt_ns)
 
 
 @jit
@@ -442,7 +391,7 @@ def _whole_ns(s: Streams, place: int, since_ns: int, most_ns: float) -> int:
 
 
 @jit
-def _horizon(s: Streams, native: bool, dt_ns: float) -> int:
+def _horizon(s: Streams, hurries: bool, dt_ns: float) -> int:
     """Rows up to here are complete: every sample that they need has come, or cannot come any more.
 
     All samples up to `safe` have come. If only the gyro stops, the time of the others shows it after `break_s`.
@@ -451,7 +400,7 @@ def _horizon(s: Streams, native: bool, dt_ns: float) -> int:
     if gyro_ns == -NEVER_NS:
         return -NEVER_NS
     found = safe = max(gyro_ns, _latest(s) - s.limits_ns[BREAK]) - s.limits_ns[REORDER]
-    hurries = native and gyro_ns > s.now[CALM]
+    hurries = hurries and gyro_ns > s.now[CALM]
     if hurries:
         found = max(safe, min(gyro_ns - ORDER_NS, _whole_ns(s, GYRO, safe, dt_ns)))
     for place in range(SETPOINT, THRUST):
@@ -470,9 +419,7 @@ def _horizon(s: Streams, native: bool, dt_ns: float) -> int:
 
 
 @cached
-def _rows(
-    s: Streams, until_ns: int, dt_ns: float, resampled: bool, most: int
-) -> tuple[IntArray, FloatArray, BoolArray, bool]:
+def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool) -> tuple[IntArray, FloatArray, BoolArray, bool]:
     """Times of the next rows of one segment, their signals (from `FIRST` on), whether gyro and set-point may be used.
 
     On a native grid every sample is a row, but for one that is nearer than half a period to the last row, and what is
@@ -484,7 +431,7 @@ def _rows(
     if first >= hi or t[first] > until_ns:
         return np.empty(0, dtype=np.int64), np.empty((0, 0)), np.empty((0, 0), dtype=np.bool_), False
     stop, broken = first + 1, t[first] - s.now[DONE] > break_ns
-    while stop < hi and stop - first < most and t[stop] <= until_ns and t[stop] - t[stop - 1] <= break_ns:
+    while stop < hi and t[stop] <= until_ns and t[stop] - t[stop - 1] <= break_ns:
         stop += 1
     last, count = t[first] if broken else s.now[LAST], 0
     if resampled:

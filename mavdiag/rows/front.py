@@ -1,5 +1,6 @@
 """Telemetry to rows of flight and their rates: alignment, gate and rate filters in a row, for judging and learning."""
 
+import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
@@ -58,13 +59,15 @@ class Front:
         return state, tuple(self._told(state, self.gate.finish(state.gate)))
 
     def pieces(self, telemetry: Telemetry, most: int = NEVER_NS) -> Iterator[Rows | Border]:
-        """All that a whole flight gives of what is believed of it, at most about so many rows at a time."""
+        """All that a whole flight gives, at most about so many rows at a time."""
         state = self.start()
-        self.align.take_log(state.align, telemetry)
-        yield from self._ended(state, most)
+        for part in in_pieces(telemetry, most):
+            self.align.append(state.align, part)
+            yield from self._rows(state, self.align.rows(state.align, self.align.take(state.align, live=False)))
+        yield from self._ended(state)
 
-    def _ended(self, state: FrontState, most: int = NEVER_NS) -> Iterator[Rows | Border]:
-        yield from self._rows(state, self.align.rows(state.align, NEVER_NS, most))
+    def _ended(self, state: FrontState) -> Iterator[Rows | Border]:
+        yield from self._rows(state, self.align.finish(state.align))
         yield from self._told(state, self.gate.finish(state.gate))
 
     def _rows(self, state: FrontState, blocks: Iterable[Block]) -> Iterator[Rows | Border]:
@@ -79,10 +82,23 @@ class Front:
                 yield Rows(in_rotor_order(part, self.outputs), self.rates.step(state.rates, part))
 
 
+def in_pieces(telemetry: Telemetry, most: int) -> Iterator[Telemetry]:
+    """A log cut by the vehicle's time, each piece with so many samples of the gyro; none is left behind."""
+    times = [np.minimum.accumulate(series.t_ns[::-1])[::-1] for series in telemetry.series]
+    gyro = next(
+        (t_ns for series, t_ns in zip(telemetry, times, strict=True) if series.signal is Signal.BODY_RATE), None
+    )
+    edges = np.empty(0, dtype=np.int64) if gyro is None else gyro[most::most]
+    cuts = [[0, *t_ns.searchsorted(edges).tolist(), len(t_ns)] for t_ns in times]
+    for bounds in zip(*map(itertools.pairwise, cuts), strict=True):
+        parts = [(one, slice(*ends)) for one, ends in zip(telemetry, bounds, strict=True)]
+        yield Telemetry(tuple(Series(one.signal, one.t_ns[at], one.host_ns[at], one.values[at]) for one, at in parts))
+
+
 def warm() -> None:
     """Compile what makes rows, or load it from where it is kept, by a second of a gyro."""
     t_ns = 10_000_000 * np.arange(100)
     telemetry = Telemetry((Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((100, 3))),))
     front = Front(AlignSpec(0.01), GateSpec(), RateSpec.of(0.01, 5))
     front.step(front.start(), telemetry)
-    hidden_flight(telemetry, front.gate, [(0, 0)])
+    hidden_flight(telemetry, front.gate, front.align.quality, [(0, 0)])

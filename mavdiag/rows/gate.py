@@ -24,7 +24,7 @@ import numpy as np
 
 from mavdiag.jit import cached_loop, jit
 from mavdiag.rows.block import Block
-from mavdiag.rows.quality import DOUBTS, Doubt
+from mavdiag.rows.quality import DOUBTS, Doubt, LinkQuality, believed
 from mavdiag.rows.windows import window_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -265,14 +265,17 @@ class Hidden:
         return self.end_s - self.begin_s
 
 
-def hidden_flight(telemetry: Telemetry, gate: GateSpec, spans: Sequence[tuple[int, int]]) -> tuple[Hidden, ...]:
+def hidden_flight(
+    telemetry: Telemetry, gate: GateSpec, quality: LinkQuality, spans: Sequence[tuple[int, int]]
+) -> tuple[Hidden, ...]:
     """Where a vehicle that had taken off flew on though the gate passed no rows, in order of time.
 
     The gyro ends while thrust, outputs, height and HEARTBEAT say that it flies; the thrust reads low while the outputs
     (or the gyro's motion, where no output is known) are what they were in flight; it reads disarmed while its thrust is
-    up and it moves. telemetry: what is believed. spans: first and last row of what flew [ns].
+    up and it moves. spans: first and last row of what flew [ns].
     """
-    tallies = {one.signal: _tally(one) for one in telemetry.series if one.signal in SHOWS_FLIGHT and len(one)}
+    telemetry = believed(quality, Telemetry(tuple(one for one in telemetry if one.signal in SHOWS_FLIGHT)))
+    tallies = {one.signal: _tally(one) for one in telemetry}
     bins: IntArray = np.unique(np.concatenate([np.empty(0, np.int64), *(numbers for numbers, _ in tallies.values())]))
     bins = bins[bins > spans[0][0] // HIDDEN_BIN_NS] if spans else bins[:0]
     if not len(bins):

@@ -43,37 +43,6 @@ def test_every_condition_is_what_its_definition_says(rate_hz: float, broken: boo
         assert np.isfinite(values).any(), condition
 
 
-def test_tilt_is_that_of_the_mean_set_point_of_five_seconds() -> None:
-    lean = np.tile([0.03, -0.04, 0.0], (800, 1))
-    lean[::2] += [0.2, 0.0, 0.0]  # what swings about the mean is no tilt
-    lean[1::2] -= [0.2, 0.0, 0.0]
-    found = seen(Condition.TILT, setpoint=lean)
-    assert np.isnan(found[: TILT_BINS - 1]).all()
-    np.testing.assert_allclose(found[TILT_BINS - 1 :], 0.05, rtol=1e-9)
-
-
-def test_throttle_is_the_mean_of_what_is_known() -> None:
-    half = np.where(np.arange(800) % 2, 0.4, np.nan)
-    np.testing.assert_allclose(seen(Condition.THROTTLE, thrust=half), 0.4)
-
-
-def test_a_commanded_turn_is_a_rate_and_an_acceleration() -> None:
-    t = 0.01 * np.arange(800)
-    swing = np.stack((0.2 * np.sin(4 * t), np.zeros(800), np.zeros(800)), axis=1)
-    rate = seen(Condition.COMMANDED_RATE, setpoint=swing)
-    acceleration = seen(Condition.COMMANDED_ACCELERATION, setpoint=swing)
-    assert rate.max() == pytest.approx(0.8, rel=0.01)
-    assert np.nanmax(acceleration) == pytest.approx(3.2, rel=0.03)
-    assert np.isnan(acceleration[0])  # nothing lies before the first bin
-
-
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_a_steady_turn_is_a_yaw_rate(sign: float) -> None:
-    t = 0.01 * np.arange(800)
-    nose = np.stack((0 * t, 0 * t, sign * 0.7 * t), axis=1)
-    np.testing.assert_allclose(seen(Condition.YAW_RATE, setpoint=nose), 0.7, rtol=1e-6)
-
-
 def test_a_nose_that_turns_without_a_command_is_no_condition() -> None:
     """A damaged rotor turns it; before there is a slope of the command, and where none is known, the gyro tells."""
     spun = np.tile([0.0, 0.0, 5.0], (800, 1))
@@ -93,26 +62,6 @@ def test_after_a_step_of_the_heading_the_gyro_tells_for_two_seconds() -> None:
     np.testing.assert_array_equal(found[1:40], 0.0)
 
 
-def test_without_a_heading_the_gyro_tells_the_yaw_rate() -> None:
-    unknown = np.zeros(800, dtype=np.bool_)
-    found = seen(Condition.YAW_RATE, setpoint_valid=unknown, rate=np.tile([0.0, 0.0, -0.4], (800, 1)))
-    np.testing.assert_allclose(found, 0.4)
-
-
-def test_height_is_the_least_of_a_bin() -> None:
-    height: FloatArray = np.linspace(2.0, 2.0 + 1.5 * 7.99, 800)
-    np.testing.assert_allclose(seen(Condition.HEIGHT, height=height)[:3], [2.0, 2.15, 2.3])
-
-
-def test_what_the_link_does_not_carry_is_nan() -> None:
-    nothing = {c: seen(c) for c in (Condition.THROTTLE, Condition.HEIGHT)}
-    assert all(np.isnan(values).all() for values in nothing.values())
-    silent = np.zeros(800, dtype=np.bool_)
-    for condition in (Condition.TILT, Condition.COMMANDED_RATE, Condition.COMMANDED_ACCELERATION):
-        assert np.isnan(seen(condition, setpoint_valid=silent)).all()
-        assert np.isfinite(seen(condition)).any()
-
-
 def test_a_gap_is_not_known_and_leaves_no_trace() -> None:
     block = made_block(1500, 0.01, seed=2)
     valid = np.ones(1500, dtype=np.bool_)
@@ -125,8 +74,3 @@ def test_a_gap_is_not_known_and_leaves_no_trace() -> None:
     after = broken.end_ns > block.t_ns[700] + (TILT_BINS + 3) * BIN_S * 1e9
     assert after.any()
     np.testing.assert_array_equal(broken.values[after], whole.values[after])
-
-
-def test_no_bin_comes_before_it_is_whole() -> None:
-    assert len(measured(rows_of(example_rows(8, 0.01).block)).end_ns) == 0
-    assert len(measured(rows_of(example_rows(13, 0.01).block)).end_ns) == 1  # ten rows, two for the rates, one beyond

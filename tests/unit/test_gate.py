@@ -153,23 +153,6 @@ def test_what_comes_out(name: str) -> None:
     assert spans(spec, blocks) == expected
 
 
-def test_a_dip_is_judged_and_a_take_off_is_not() -> None:
-    parts = TRIMMED.step(TRIMMED.start(), block(DIP))
-    valid = np.concatenate([one.valid for one in parts if isinstance(one, Block)])
-    np.testing.assert_array_equal(valid, np.arange(len(valid)) >= 300)
-    first = TRIMMED.step(TRIMMED.start(), block(hop()))[0]
-    assert isinstance(first, Block)
-    assert first.settled_ns == DT_NS * 1000  # no sooner than a second after the data began
-    resumed = [
-        one
-        for part in CASES["what flies after a break has not taken off, and the break is no landing"][1:2]
-        for one in part
-    ]
-    state = TRIMMED.start()
-    out = [one for part in resumed for one in TRIMMED.step(state, part)]
-    assert all(one.valid.all() for one in out if isinstance(one, Block) and one.segment == 1)
-
-
 def test_low_rows_of_a_tumble_are_held_back_for_little_more_than_a_second() -> None:
     """And from then on not at all; all of them are judged."""
     thrust, gyro, state, released = (
