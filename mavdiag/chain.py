@@ -19,7 +19,7 @@ from mavdiag.decision.alarm import NOTHING_SEEN, DecisionSpec, DecisionState
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event
 from mavdiag.decision.grading import known_fault_types
 from mavdiag.errors import BaselineError
-from mavdiag.kernel import LOOK_NS, VALUES, Account, Gauge, Kernel, Memory, Piece, Slot
+from mavdiag.kernel import LOOK_NS, Account, Gauge, Kernel, Memory, Piece, Slot
 from mavdiag.kernel import warm as warm_kernel
 from mavdiag.link.samples import joined
 from mavdiag.link.samples import warm as warm_samples
@@ -95,11 +95,6 @@ class ChainState:
     def judged_s(self) -> float:
         """Flown time that any slot that decides about propellers judged, since the start [s]."""
         return self.memory.judged * self.kernel.dt_s
-
-    @property
-    def silent(self) -> list[bool]:
-        """Of each slot whether it has judged nothing so far."""
-        return [not values for values in self.memory.tally[:, VALUES].tolist()]
 
     @property
     def accounts(self) -> tuple[Account, ...]:

@@ -26,12 +26,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.jit import cached, cached_loop, inline, jit
+from mavdiag.jit import allocating, cached, cached_loop, inline, jit
 from mavdiag.rows.block import Block
 from mavdiag.rows.grid import Grid as Grid
 from mavdiag.rows.grid import measure_grid as measure_grid
@@ -82,7 +82,7 @@ CALM_NS = 10 * NS_PER_S  # after a late sample, until the link counts as orderly
 BEGIN_NS = NS_PER_S  # after the first gyro sample, likewise; nothing is judged so early (our choice)
 MISSING = 1.5  # usual steps: in a longer one a sample is missing
 SLOWER = 1.0625  # by how much the usual step may grow with each chunk, so that losses do not stretch it (our choice)
-ROOM = 500  # samples more than twice those that are kept: how long an array is made (our choice)
+ROOM = 400  # samples more than half as many again as are kept: how long an array is made (our choice)
 # Of each stream: its samples in its arrays, those that may still be needed; end of those that came since; how many of
 # these wait for later ones to be believed; latest time seen; earlier samples and this one are settled, what comes for
 # them is dropped; usual step, 0 while it is not known [ns].
@@ -136,43 +136,46 @@ class AlignState:
         place, count, columns = PLACES.get(series.signal), len(series), series.values.shape[1]
         if place is None or not count:
             return
-        end = int(self.streams.marks[place, END])
-        if end + count > len(self.streams.times[place]) or columns != self.streams.values[place].shape[1] - (
-            place == GYRO
-        ):
-            end = self._make_room(place, series, quality)
+        if not len(self.streams.times[place]):
+            self._begin(place, columns, quality.rule(series.signal, columns))
+        width, end = self.streams.values[place].shape[1] - (place == GYRO), int(self.streams.marks[place, END])
+        if columns != width:
+            raise InputError(f"{series.signal} has {columns} columns in place of {width}")
+        if end + count > len(self.streams.times[place]):
+            end = self._make_room(place, count)
         to, streams = slice(end, end + count), self.streams
         streams.times[place][to], streams.hosts[place][to] = series.t_ns, series.host_ns
         streams.values[place][to, :columns] = series.values
         streams.marks[place, END] = end + count
         self.reached[place] = max(self.reached[place], int(series.t_ns[-1]))
 
-    def _make_room(self, place: int, series: Series, quality: LinkQuality) -> int:
-        """Longer arrays, and for the first samples a rule; returns where the next samples are put."""
-        lo, hi, end = self.streams.marks[place, : END + 1].tolist()
-        columns, kept, before = series.values.shape[1], end - lo, [part[place] for part in self.streams[:3]]
-        if len(before[0]) == 0:
-            rule = quality.rule(series.signal, columns)
-            sizes = {"rules": len(rule), "figures": COLUMN + 4 * columns, "counts": RUNS + 1 + columns}
-            tables = {name: getattr(self.streams, name) for name in sizes}
-            more = {name: max(0, sizes[name] - table.shape[1]) for name, table in tables.items()}
-            self.streams = self.streams._replace(
-                **{name: np.pad(table, ((0, 0), (0, more[name]))) for name, table in tables.items()}
+    def _begin(self, place: int, columns: int, rule: FloatArray) -> None:
+        """Learn of the first samples of a stream what is believed of it; outputs have as many columns as they have."""
+        rules, figures, counts = (
+            np.pad(table, ((0, 0), (0, max(0, size - table.shape[1]))))
+            for table, size in zip(
+                self.streams[4:7], (len(rule), COLUMN + 4 * columns, RUNS + 1 + columns), strict=True
             )
-            self.streams.rules[place, : len(rule)] = rule
-        width = columns + (place == GYRO)
-        if width != before[2].shape[1] and (len(before[0]) or place != OUTPUTS):
-            raise InputError(
-                f"{series.signal} has {columns} columns in place of {before[2].shape[1] - (place == GYRO)}"
-            )
-        room = ROOM + 2 * (kept + len(series))
-        grown = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty((room, width))
-        for new, old in zip(grown, before, strict=True):
-            new[:kept] = old[lo:end] if kept else 0
-        arrays = ((*old[:place], new, *old[place + 1 :]) for old, new in zip(self.streams[:3], grown, strict=True))
-        self.streams = Streams(*arrays, *self.streams[3:])
+        )
+        rules[place, : len(rule)], values = rule, self.streams.values
+        values = (*values[:OUTPUTS], np.empty((0, columns))) if place == OUTPUTS else values
+        self.streams = self.streams._replace(values=values, rules=rules, figures=figures, counts=counts)
+
+    def _make_room(self, place: int, count: int) -> int:
+        """Move the samples that are kept to the front, of longer arrays if need be; returns where the next are put."""
+        (times, hosts, values), (lo, hi, end) = self.streams[:3], self.streams.marks[place, : END + 1].tolist()
+        kept, width, room = end - lo, values[place].shape[1], len(times[place])
+        olds = times[place], hosts[place], values[place]
+        if kept + count + ROOM // 2 > room:
+            room = ROOM + 3 * (kept + count) // 2
+            times = (*times[:place], np.empty(room, dtype=np.int64), *times[place + 1 :])
+            hosts = (*hosts[:place], np.empty(room, dtype=np.int64), *hosts[place + 1 :])
+            values = (*values[:place], np.empty((room, width)), *values[place + 1 :])
+            self.streams = self.streams._replace(times=times, hosts=hosts, values=values)
+        for new, old in zip((times[place], hosts[place], values[place]), olds, strict=True):
+            new[:kept] = old[lo:end]
         self.streams.marks[place, : END + 1] = 0, hi - lo, kept
-        return kept
+        return int(kept)
 
 
 @dataclass(frozen=True)
@@ -239,7 +242,7 @@ class AlignSpec:
         while more:
             t_ns, x, flags, more = _rows(state.streams, until_ns, dt_ns, resampled)
             if len(t_ns):
-                columns = {name: x[at].T for name, at in COLUMNS.items()}
+                columns: dict[str, Any] = {name: x[at].T for name, at in COLUMNS.items()}
                 segment = int(state.streams.now[SEGMENT])
                 yield Block(segment, self.dt_s, t_ns, valid=flags[0], setpoint_valid=flags[1], **columns)
 
@@ -255,24 +258,10 @@ class AlignSpec:
         return found
 
 
-@jit
-def _middle(steps: IntArray, count: int) -> int:
-    """The lower middle one of so many, by Hoare's selection; changes their order."""
-    place, low, high = (count - 1) // 2, 0, count - 1
-    while low < high:
-        pivot, i, j = steps[place], low, high
-        while i <= j:
-            while steps[i] < pivot:
-                i += 1
-            while steps[j] > pivot:
-                j -= 1
-            if i <= j:
-                steps[i], steps[j] = steps[j], steps[i]
-                i += 1
-                j -= 1
-        low = i if j < place else low
-        high = j if place < i else high
-    return int(steps[place])
+@allocating
+def _middle(steps: IntArray) -> int:
+    """The lower middle one."""
+    return int(np.sort(steps)[(len(steps) - 1) // 2])
 
 
 @jit
@@ -334,7 +323,7 @@ def _merge(s: Streams, place: int, count: int, gyro: IntArray, gyro_ns: int, ste
     _move(s, place, begin + count, marks[END], hi)
     marks[END] += hi - begin - count
     if risen and risen == expected:  # all new and in order
-        middle = _middle(steps, risen)
+        middle = _middle(steps[:risen])
         marks[STEP] = min(middle, int(SLOWER * marks[STEP])) if marks[STEP] else middle
     return bool(late)
 

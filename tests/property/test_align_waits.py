@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_telemetry import cut
 
-from mavdiag.rows.align import NEVER_NS, AlignSpec, Grid
+from mavdiag.rows.align import GYRO, NEVER_NS, NEWEST, AlignSpec, Grid
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 
@@ -72,15 +72,15 @@ def run(spec: AlignSpec, chunks: list[Telemetry]) -> tuple[dict[str, FloatArray]
     """All rows; and after each chunk the gyro's newest sample and by how much the rows are behind it, (n, 2) [ns]."""
     state, blocks, behind = spec.start(), list[Block](), list[tuple[int, int]]()
     for chunk in chunks:
-        reached_ns = spec.reached_ns(state, [in_order(chunk)])
         before_ns = state.last_ns
-        found = spec.step(state, chunk)
+        spec.append(state, chunk)
+        reached_ns = spec.reached_ns(state)
+        found = list(spec.rows(state, spec.take(state)))
         blocks += found
-        if found and before_ns > -NEVER_NS:
-            assert reached_ns is not None
+        if found and before_ns > -NEVER_NS and all(np.all(np.diff(one.t_ns) >= 0) for one in chunk.series):
             assert int(found[-1].t_ns[-1]) <= reached_ns
         if state.last_ns > -NEVER_NS:
-            newest = state.newest_ns(Signal.BODY_RATE)
+            newest = int(state.streams.marks[GYRO, NEWEST])
             behind.append((newest, newest - state.last_ns))
     return table([*blocks, *spec.finish(state)]), np.array(behind)
 

@@ -117,7 +117,7 @@ def test_without_setpoints_the_rows_flow_and_memory_stays_bounded() -> None:
     for i in range(50):
         t = clock(1000) + i * 1_000_000_000
         blocks += SPEC.step(state, Telemetry((series(Signal.BODY_RATE, t, ramp(t)),)))
-    assert len(state.times[GYRO]) <= 6000
+    assert len(state.streams.times[GYRO]) <= 6000
     assert len(column(blocks, "t_ns")) == 50_000 - 5  # the gyro must be 5 ms further
     assert column(blocks, "valid")[1001:].all()
     assert not column(blocks, "setpoint_valid").any()
@@ -204,7 +204,7 @@ def test_b22_memory_stays_bounded_when_the_gyro_stops_and_others_go_on() -> None
         later = clock(1000) + i * 1_000_000_000
         chunk = [series(s, later, ramp(later)) for s in (Signal.ATTITUDE_SETPOINT, Signal.SPECIFIC_FORCE)]
         extra += SPEC.step(state, Telemetry(tuple(chunk)))
-    assert sum(len(times) for times in state.times) < 15_000
+    assert sum(len(times) for times in state.streams.times) < 15_000
     assert np.array_equal(column([*blocks, *extra], "t_ns"), t)  # the last rows do not wait for ever
     t = clock(1000) + 40_000_000_000
     found = SPEC.step(state, linear_flight(t, t))
