@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavdiag.rows.rates import body_rates
 from mavdiag.telemetry import FloatArray, Series
 from mavdiag.units import NS_PER_S, G
 
@@ -89,7 +90,8 @@ def gyro_checks(gyro: Series, attitude: Series) -> tuple[AxisCheck, ...]:
     used = (steps < USUAL * np.median(steps)) & (t[:-1] > turned[0][0]) & (t[1:] < turned[0][-1])
     if np.count_nonzero(used) < LEAST_STEPS:
         return ()
-    slopes = _body_rates(0.5 * (angles[1:] + angles[:-1]), np.diff(angles, axis=0) / steps[:, None])
+    middle, slopes = 0.5 * (angles[1:] + angles[:-1]), np.diff(angles, axis=0) / steps[:, None]
+    slopes = np.stack(body_rates(middle[:, 0], middle[:, 1], *slopes.T), axis=1)
     fastest = np.argsort(np.where(used, np.abs(slopes).max(axis=1), -1.0))[-min(MOST_STEPS, int(used.sum())) :]
     slopes, begin, end = slopes[fastest], t[:-1][fastest], t[1:][fastest]
     means = [_means(turned, begin + lag, end + lag) for lag in LAGS_S]
@@ -134,12 +136,3 @@ def _means(turned: tuple[FloatArray, FloatArray], start: FloatArray, end: FloatA
     t, angle = turned
     change = [np.interp(end, t, column) - np.interp(start, t, column) for column in angle.T]
     return np.stack(change, axis=1) / (end - start)[:, None]
-
-
-def _body_rates(angles: FloatArray, slopes: FloatArray) -> FloatArray:
-    """W(phi, theta) times the slopes of roll, pitch and yaw, (n, 3)."""
-    phi, theta = angles[:, 0], angles[:, 1]
-    dphi, dtheta, dpsi = slopes.T
-    turn = np.cos(theta) * dpsi
-    p, q = dphi - np.sin(theta) * dpsi, np.cos(phi) * dtheta + np.sin(phi) * turn
-    return np.stack((p, q, np.cos(phi) * turn - np.sin(phi) * dtheta), axis=1)

@@ -21,6 +21,7 @@ from mavdiag.monitors.columns import ATTITUDE, FORCE, LEVEL, RATE, SIGNAL, SOUND
 from mavdiag.monitors.fitting import of_each, three, traced
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.front import Rows
+from mavdiag.rows.rates import body_rates
 from mavdiag.telemetry import FloatArray, Signal, Three
 from mavdiag.thresholds.guard import Guard
 
@@ -264,14 +265,7 @@ def _gyro_errors(rows: FloatArray, tick: int, dt_s: float) -> FloatArray:
     known &= (np.abs(rows[:, 6:8]) < STEEP_RAD).all(axis=1) & (np.abs(rows[:, :3]) < FAST_RAD_S).all(axis=1)
     ticks = rows[:, :9].reshape(-1, tick, 9)[known.reshape(-1, tick).all(axis=1)]
     mean, span_s = ticks.mean(axis=1), max(1, tick - 1) * dt_s
-    dphi, dtheta, dpsi = ((ticks[:, -1, 6:] - ticks[:, 0, 6:]) / span_s).T
-    phi, theta = mean[:, 6], mean[:, 7]
-    turn = np.cos(theta) * dpsi
-    rates = (
-        dphi - np.sin(theta) * dpsi,
-        np.cos(phi) * dtheta + np.sin(phi) * turn,
-        np.cos(phi) * turn - np.sin(phi) * dtheta,
-    )
+    rates = body_rates(mean[:, 6], mean[:, 7], *((ticks[:, -1, 6:] - ticks[:, 0, 6:]) / span_s).T)
     (x, y, z), (sin_phi, sin_theta) = np.moveaxis(ticks[:, :, 3:6], 2, 0), np.moveaxis(np.sin(ticks[:, :, 6:8]), 2, 0)
     down = np.cos(ticks[:, :, 7]) * (sin_phi * y + np.cos(ticks[:, :, 6]) * z) - sin_theta * x
     return np.column_stack((mean[:, :3] - np.column_stack(rates), (down + GRAVITY).mean(axis=1)))

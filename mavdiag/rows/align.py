@@ -35,16 +35,7 @@ from mavdiag.jit import allocating, cached, cached_loop, inline, jit
 from mavdiag.rows.block import Block
 from mavdiag.rows.grid import Grid as Grid
 from mavdiag.rows.grid import measure_grid as measure_grid
-from mavdiag.rows.quality import (
-    COLUMN,
-    GLITCH_S,
-    MOST_LOST,
-    RUNS,
-    TURN,
-    LinkQuality,
-    Samples,
-    look_at,
-)
+from mavdiag.rows.quality import COLUMN, GLITCH_S, MOST_LOST, RUNS, TURN, LinkQuality, Samples, look_at
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
@@ -72,9 +63,9 @@ PLACES = {signal: place for place, signal in enumerate(STREAMS)}
 GYRO, SETPOINT, ATTITUDE, THRUST, OUTPUTS = 0, 1, 5, 6, 11
 NAMES, WIDTHS, REACHES_S = zip(*SIGNALS.values(), strict=True)
 FIRST = np.cumsum((0, *WIDTHS[:-1]))  # row of x that each signal's columns begin with
-COLUMNS = {name: slice(at, at + width or None) for name, at, width in zip(NAMES, FIRST, WIDTHS, strict=True)}
-COLUMNS |= {"rate": slice(0, 3), "actuator": slice(FIRST[OUTPUTS], None), "doubt": 3}
-COLUMNS |= {name: int(at) for name, at, width in zip(NAMES, FIRST, WIDTHS, strict=True) if width == 1}
+COLUMNS: dict[str, Any] = {
+    name: int(at) if width == 1 else slice(at, at + width) for name, at, width in zip(NAMES, FIRST, WIDTHS, strict=True)
+} | {"rate": slice(0, 3), "doubt": 3, "actuator": slice(FIRST[OUTPUTS], None)}
 
 NEVER_NS = 2**62
 ORDER_NS = 5 * NS_PER_MS  # our choice

@@ -19,6 +19,7 @@ What the gate cannot see as flight, since its own inputs fail, `hidden_flight` f
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -131,13 +132,16 @@ class GateSpec:
             if now[AIRBORNE]:
                 out += [*self._break_off(state), Border(int(now[LAST_NS]))]
             now[[SOURCE, SOURCE_NS]], state.tail = (block.segment, block.t_ns[0]), state.tail[:0]
-        told, trim_ns = self._told(state, block), round(self.trim_end_s * NS_PER_S)
+        trim_ns = round(self.trim_end_s * NS_PER_S)
         height, thrust = (-math.inf if one is None else float(one) for one in (self.min_height_m, self.min_thrust))
         limits = height, thrust, self.need_armed, block.dt_s, round(self.trim_start_s * NS_PER_S)
         axes, outputs = np.ascontiguousarray(block.rate.T), np.ascontiguousarray(block.actuator.T)
-        signals, marks = (axes, block.height, block.thrust, block.armed, outputs), (block.valid, block.doubt)
+        signals, marks = (
+            (axes, block.height, block.thrust, block.armed, outputs),
+            (block.valid, block.doubt, self._told(state, block)),
+        )
         while first < n:
-            took, stop, landed = _follow(now, limits, block.t_ns, signals, marks, told, first)
+            took, stop, landed = _follow(now, limits, block.t_ns, signals, marks, first)
             if took < stop:
                 state.rows.append(block.rows(took, stop, int(now[SPAN]), int(now[SETTLED_NS])))
             out += state.release(int(now[LAST_NS]) - trim_ns)
@@ -187,21 +191,13 @@ def _idle(outputs: FloatArray, i: int) -> bool:
 
 
 @cached_loop
-def _follow(
-    now: IntArray,
-    limits: tuple[float, float, bool, float, int],
-    t_ns: IntArray,
-    signals: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
-    marks: tuple[BoolArray, FloatArray],
-    told: BoolArray,
-    first: int,
-) -> tuple[int, int, bool]:
+def _follow(now: IntArray, limits: Any, t_ns: IntArray, signals: Any, marks: Any, first: int) -> tuple[int, int, bool]:
     """Follow the rows from the first on, up to a landing or their end; returns which may be flight, and if it landed.
 
     Where no thrust set-point is known, outputs that all idle are those of a vehicle on the ground.
     """
     least_height, least_thrust, need_armed, dt_s, trim_ns = limits
-    (rate, height, thrust, armed, outputs), (valid, doubt), took = signals, marks, first
+    (rate, height, thrust, armed, outputs), (valid, doubt, told), took = signals, marks, first
     for i in range(first, len(t_ns)):
         t, low = t_ns[i], height[i] < least_height or thrust[i] < least_thrust
         if math.isfinite(thrust[i]):

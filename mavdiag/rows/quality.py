@@ -217,7 +217,6 @@ class Samples(NamedTuple):
 
 @inline
 def _short(s: Samples, step: float) -> float:
-    """A step; of an angle the short way round."""
     if s.rule[ANGLE] == 0.0 or abs(step) <= math.pi:
         return step
     return float(step - TURN * np.round(step / TURN))
@@ -240,7 +239,6 @@ def _size(s: Samples, column: int, away: float, span_ns: int) -> float:
 
 @jit
 def _leap(s: Samples, i: int) -> float:
-    """The largest of all columns of a sample."""
     found, span_ns = 0.0, s.t_ns[i] - s.counts[LAST_NS]
     for column in range(s.columns):
         size = _size(s, column, _away(s, column, s.v[i, column], span_ns), span_ns)
@@ -254,7 +252,7 @@ def _usual(s: Samples, i: int, span_ns: int) -> bool:
     usual = -s.rule[BACK] <= span_ns <= s.rule[EARLY_NS]
     for column in range(s.columns):
         usual = usual and not abs(_away(s, column, s.v[i, column], span_ns)) > s.rule[LEAP + column]
-    return usual
+    return bool(usual)
 
 
 @jit
@@ -489,7 +487,7 @@ def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]
     for telemetry, spans_ns in flights:
         for series in telemetry.series:
             if series.signal in RANGES:
-                inside = [_between(_measurable(series), *span) for span in spans_ns]
+                inside = [_between(series, *span) for span in spans_ns]
                 flown.setdefault(series.signal, []).extend(one for one in inside if len(one) > 1)
     habits, jitter, steps = [], 0.0, [0.0]
     for signal, parts in flown.items():
@@ -511,18 +509,13 @@ def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]
     return LinkQuality(habits=tuple(habits), jitter=jitter, resolution_rad_s=resolution)
 
 
-def _measurable(series: Series) -> Series:
-    """Without what no sensor measures; the same where there is nothing of it."""
+def _between(series: Series, first_ns: int, last_ns: int) -> Series:
+    """What a sensor can measure in a span of flight, in order of time, each time once."""
     most, finite, wrong = RANGES[series.signal][0], series.signal in FINITE, np.zeros(len(series), dtype=np.bool_)
     for column in series.values.T:
         wrong |= (np.abs(column) > most) | (np.isnan(column) & finite)
-    if not wrong.any():
-        return series
-    return Series(series.signal, series.t_ns[~wrong], series.host_ns[~wrong], series.values[~wrong])
-
-
-def _between(series: Series, first_ns: int, last_ns: int) -> Series:
-    """Its samples within a span of flight, in order of time, each time once."""
+    if wrong.any():
+        series = Series(series.signal, series.t_ns[~wrong], series.host_ns[~wrong], series.values[~wrong])
     t_ns = series.t_ns
     if np.all(t_ns[1:] > t_ns[:-1]):  # a part of the same memory
         at: IntArray | slice = slice(int(t_ns.searchsorted(first_ns)), int(t_ns.searchsorted(last_ns, side="right")))

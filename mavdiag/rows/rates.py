@@ -93,8 +93,8 @@ class RateSpec:
         known = min(len(block), max(0, len(block) + int(state.memory[ROWS]) - self.window + 1))
         out, t_ns, flags = np.empty((9, known)), np.empty(known, np.int64), np.empty((2, known), np.bool_)
         signals = np.ascontiguousarray(block.rate.T), np.ascontiguousarray(block.setpoint.T)
-        usable = block.valid, block.setpoint_valid
-        _filter(state.memory, state.times, self.weights, block.t_ns, signals, usable, out, t_ns, flags)
+        came = block.t_ns, *signals, block.valid, block.setpoint_valid
+        _filter((state.memory, state.times), self.weights, came, (out, t_ns, flags))
         return RateBlock(block.segment, block.dt_s, t_ns, out[:3].T, out[3:6].T, out[6:].T, flags[0], flags[1])
 
 
@@ -142,19 +142,11 @@ def _move_on(mem: FloatArray, signal: int, newest: float, rows: int, window: int
 
 
 @cached_loop
-def _filter(
-    mem: FloatArray,
-    times: IntArray,
-    weights: tuple[float, float, float],
-    row_ns: IntArray,
-    signals: tuple[FloatArray, FloatArray],
-    usable: tuple[BoolArray, BoolArray],
-    out: FloatArray,
-    t_ns: IntArray,
-    flags: BoolArray,
-) -> None:
+def _filter(state: Any, weights: tuple[float, float, float], rows_in: Any, made: Any) -> None:
     """u, y and gyro of the rows whose window is complete, with their times and flags."""
-    window, (middle, bend, slope), (rate, setpoint), (valid, commanded) = len(times), weights, signals, usable
+    (mem, times), (middle, bend, slope), (out, t_ns, flags) = state, weights, made
+    row_ns, rate, setpoint, valid, commanded = rows_in
+    window = len(times)
     for i in range(len(row_ns)):
         rows = int(mem[ROWS])
         times[rows % window], centre = row_ns[i], (rows + window - window // 2) % window

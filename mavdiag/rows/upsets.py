@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -53,9 +54,9 @@ def motion_of(block: Block) -> FloatArray:
     bin_ns = round(bin_s * NS_PER_S)
     found = np.zeros((int(block.t_ns[-1] // bin_ns - block.t_ns[0] // bin_ns) + 1, 10))
     found[:, 0], found[:, 2] = block.segment, bin_s
-    signals = (block.rate, block.force, block.attitude, block.setpoint)
-    rate, force, attitude, setpoint = (np.ascontiguousarray(one.T) for one in signals)
-    return found[: _sum_bins(block.t_ns, bin_ns, rate, force, attitude, setpoint, block.setpoint_valid, found)]
+    signals = block.rate, block.force, block.attitude, block.setpoint
+    columns = tuple(np.ascontiguousarray(one.T) for one in signals)
+    return found[: _sum_bins(block.t_ns, bin_ns, columns, block.setpoint_valid, found)]
 
 
 @jit
@@ -66,18 +67,9 @@ def _thrust(angle: FloatArray, i: int) -> tuple[float, float, float]:
 
 
 @cached_loop
-def _sum_bins(
-    t_ns: IntArray,
-    bin_ns: int,
-    rate: FloatArray,
-    force: FloatArray,
-    attitude: FloatArray,
-    setpoint: FloatArray,
-    setpoint_valid: BoolArray,
-    found: FloatArray,
-) -> int:
-    """Sums of each bin that has rows; returns how many there are. Signals are (3, n), a direction is of length 1."""
-    place, looked = -1, -1
+def _sum_bins(t_ns: IntArray, bin_ns: int, signals: Any, setpoint_valid: BoolArray, found: FloatArray) -> int:
+    """Sums of each bin that has rows; returns how many there are. Signals are (3, n)."""
+    (rate, force, attitude, setpoint), place, looked = signals, -1, -1
     for i in range(len(t_ns)):
         if place < 0 or t_ns[i] // bin_ns != found[place, 1]:
             place += 1

@@ -1,7 +1,6 @@
 """A row waits only for what is missing, and what waits for it is worth it: the rows are those of the whole log."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_telemetry import cut
@@ -160,20 +159,3 @@ def test_an_orderly_stream_leaves_its_rows_at_once() -> None:
     np.testing.assert_array_equal(judged[:, 1], np.maximum(reached, 6_000_000))
     before = behind[behind[:, 0] < START_NS + 1_000_000_000]
     assert before[-100:, 1].min() >= 50_000_000
-
-
-@pytest.mark.parametrize("signal", MISSED)
-def test_a_missing_place_is_waited_for_and_the_late_sample_counts(signal: Signal) -> None:
-    """The sample at 4 s comes late by 44 ms."""
-    hole_ns = START_NS + 4_000_000_000
-    telemetry = arrived(2)
-    parts = []
-    for one in telemetry.series:
-        host = one.host_ns + 44_000_000 * ((one.t_ns == hole_ns) & (one.signal is signal))
-        order = np.argsort(host, kind="stable")
-        parts.append(Series(one.signal, one.t_ns[order], host[order], one.values[order]))
-    found, behind = run(SPEC, cut(Telemetry(tuple(parts)), ticks(2_000_000)))
-    assert_equal(found, run(SPEC, [telemetry])[0])
-    waiting = behind[(behind[:, 0] >= hole_ns + 20_000_000) & (behind[:, 0] < hole_ns + 44_000_000)]
-    assert len(waiting) == 12
-    assert ((waiting[:, 0] - waiting[:, 1]) < hole_ns).all()

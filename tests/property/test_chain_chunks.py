@@ -75,17 +75,6 @@ def test_l5_any_cut_gives_the_same_events_and_changes(
     assert_same(run(chain(grid, trim_end_s), cut(hard_flight(seed), cuts)), uncut(seed, grid, trim_end_s))
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_the_hard_flight_has_what_it_should(seed: int) -> None:
-    events, changes, _ = uncut(seed, Grid.NATIVE, 0.0)
-    assert {one.rotor for one in events} >= {2, 3}
-    assert {"innovation", "rotor_trim"} <= {one.monitor for one in events}
-    assert {Stage.QUIET, Stage.FAULT, Stage.INSPECT} <= {one.stage for one in changes}
-    assert Stage.NOT_JUDGED not in {one.stage for one in changes}  # neither a landing nor a break withdraws it
-    assert {one.rotor for one in changes} == {None, 2, 3}
-    assert [span.rotor for span in changes[-1].rotors] == [2, 3]
-
-
 def joined(*flights: Telemetry, armed: tuple[tuple[float, float], ...]) -> Telemetry:
     """Flights in a row, at 100 Hz; armed in these spans [s] since the start."""
     parts, shift = [], 0

@@ -186,15 +186,6 @@ def test_b2_a_force_gap_is_not_bridged_and_a_signal_without_a_column_is_unknown(
     assert all(block.known(Signal.BODY_RATE) is block.valid for block in blocks)
 
 
-def test_a_vehicle_that_logs_one_axis_of_the_accelerometer_is_known_by_that_axis() -> None:
-    t = clock(300)
-    force = np.column_stack((np.full((300, 2), np.nan), np.full(300, -9.81)))
-    telemetry = Telemetry((*linear_flight(t, t).series, series(Signal.SPECIFIC_FORCE, t, force)))
-    (block,) = SPEC.step(SPEC.start(), telemetry)
-    assert not block.known(Signal.SPECIFIC_FORCE).any()
-    assert block.known(Signal.SPECIFIC_FORCE, slice(2, 3)).all()
-
-
 def test_b22_memory_stays_bounded_when_the_gyro_stops_and_others_go_on() -> None:
     t = clock(1000)
     state = SPEC.start()

@@ -1,32 +1,16 @@
 """Conditions of flight: each by its definition, on fast and slow links, with unknown signals and gaps."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from made_conditions import column, made_block, measured, rows_of, slowly, spoilt
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made_conditions import Ones, column, made_block, measured, ones_judged, rows_of, slowly, spoilt
 
-from mavdiag.monitors.conditions import TILT_BINS
-from mavdiag.rows.conditions import BIN_S, Condition
-from mavdiag.telemetry import BoolArray, FloatArray
+from mavdiag.rows.conditions import Condition
 from mavdiag.testing import example_rows
+from mavdiag.thresholds.envelope import Covered
 
 RATES_HZ = (10, 12.5, 20, 33, 50, 100, 400, 1000)
-
-
-def seen(
-    condition: Condition,
-    *,
-    setpoint: FloatArray | None = None,
-    setpoint_valid: BoolArray | None = None,
-    rate: FloatArray | None = None,
-    thrust: FloatArray | None = None,
-    height: FloatArray | None = None,
-) -> FloatArray:
-    """A condition of 8 s at 100 Hz with these signals."""
-    block = example_rows(800, 0.01, setpoint=setpoint, setpoint_valid=setpoint_valid, rate=rate, thrust=thrust).block
-    block = block if height is None else replace(block, height=height)
-    return column(measured(rows_of(block)), condition)
 
 
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
@@ -43,34 +27,51 @@ def test_every_condition_is_what_its_definition_says(rate_hz: float, broken: boo
         assert np.isfinite(values).any(), condition
 
 
-def test_a_nose_that_turns_without_a_command_is_no_condition() -> None:
-    """A damaged rotor turns it; before there is a slope of the command, and where none is known, the gyro tells."""
-    spun = np.tile([0.0, 0.0, 5.0], (800, 1))
-    found = seen(Condition.YAW_RATE, rate=spun)
-    assert found[0] == 5.0
-    np.testing.assert_array_equal(found[1:], 0.0)
-    slow = np.stack((np.zeros(800), np.zeros(800), 0.001 * np.arange(800)), axis=1)
-    np.testing.assert_allclose(seen(Condition.YAW_RATE, setpoint=slow, rate=spun)[1:], 0.1, rtol=1e-6)
-
-
 def test_after_a_step_of_the_heading_the_gyro_tells_for_two_seconds() -> None:
     step = np.zeros((800, 3))
     step[405:, 2] = 1.5  # 15 rad/s in the bin that ends at 4.1 s
-    found = seen(Condition.YAW_RATE, setpoint=step, rate=np.tile([0.0, 0.0, -0.8], (800, 1)))
+    block = example_rows(800, 0.01, setpoint=step, rate=np.tile([0.0, 0.0, -0.8], (800, 1))).block
+    found = column(measured(rows_of(block)), Condition.YAW_RATE)
     np.testing.assert_allclose(found[40:60], 0.8)
     np.testing.assert_array_equal(found[60:], 0.0)
     np.testing.assert_array_equal(found[1:40], 0.0)
 
 
-def test_a_gap_is_not_known_and_leaves_no_trace() -> None:
-    block = made_block(1500, 0.01, seed=2)
-    valid = np.ones(1500, dtype=np.bool_)
-    valid[600:700] = False
-    whole, broken = measured(rows_of(block)), measured(rows_of(replace(block, valid=valid)))
-    np.testing.assert_array_equal(whole.end_ns, broken.end_ns)
-    inside = (broken.end_ns > block.t_ns[610]) & (broken.end_ns <= block.t_ns[690])
-    assert inside.any()
-    assert np.isnan(broken.values[inside]).all()
-    after = broken.end_ns > block.t_ns[700] + (TILT_BINS + 3) * BIN_S * 1e9
-    assert after.any()
-    np.testing.assert_array_equal(broken.values[after], whole.values[after])
+N = 900
+PERIODS_S = (0.0025, 0.01, 0.02, 0.05, 0.1)
+NARROW = tuple(
+    Covered(condition, low, high)
+    for condition, low, high in (
+        (Condition.TILT, 0.0, 0.05),
+        (Condition.THROTTLE, 0.49, 0.51),
+        (Condition.COMMANDED_RATE, 0.0, 0.3),
+        (Condition.YAW_RATE, 0.0, 0.2),
+        (Condition.HEIGHT, 1.0, 2.0),
+    )
+)
+
+cuts = st.lists(st.integers(1, N - 1), max_size=40)
+
+
+@given(seed=st.integers(0, 50), edges=cuts, dt_s=st.sampled_from(PERIODS_S), broken=st.booleans())
+def test_any_cut_gives_exactly_the_same_bins(seed: int, edges: list[int], dt_s: float, broken: bool) -> None:
+    block = made_block(N, dt_s, seed)
+    block = spoilt(block, seed) if broken else block
+    expected, found = measured(rows_of(block)), measured(rows_of(block, edges))
+    assert len(expected.end_ns) > 10
+    np.testing.assert_array_equal(found.end_ns, expected.end_ns)
+    np.testing.assert_array_equal(found.values, expected.values)
+
+
+@settings(max_examples=60)
+@given(seed=st.integers(0, 50), edges=cuts, dt_s=st.sampled_from(PERIODS_S), memory_s=st.sampled_from([0.5, 1.0, 5.0]))
+def test_any_cut_gives_the_same_limits(seed: int, edges: list[int], dt_s: float, memory_s: float) -> None:
+    """The factor near the envelope, what is outside, and for how long."""
+    block = made_block(N, dt_s, seed)
+    for conditions in (set(Condition), {Condition.YAW_RATE}):
+        monitor = Ones(conditions, memory_s)
+        (expected, outside), (found, other) = (ones_judged(NARROW, rows_of(block, cut), monitor) for cut in ([], edges))
+        for name in ("t_ns", "value", "valid"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        assert other == outside
+    assert ones_judged(NARROW, rows_of(block), Ones(Condition, memory_s))[1], "some of it must be outside"

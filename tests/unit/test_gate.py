@@ -153,22 +153,6 @@ def test_what_comes_out(name: str) -> None:
     assert spans(spec, blocks) == expected
 
 
-def test_low_rows_of_a_tumble_are_held_back_for_little_more_than_a_second() -> None:
-    """And from then on not at all; all of them are judged."""
-    thrust, gyro, state, released = (
-        levels((1000, 0.5), (4000, 0.0)),
-        np.r_[np.zeros(1000), tumble(4000)],
-        THRUST.start(),
-        [],
-    )
-    for first in range(0, 5000, 100):
-        rows = slice(first, first + 100)
-        out = THRUST.step(state, block(thrust[rows], gyro=gyro[rows], first=first))
-        assert bool(out) == (not 1000 <= first < 2100)
-        released += out
-    assert sum(len(one) for one in released if isinstance(one, Block)) == 5000
-
-
 @settings(max_examples=40)
 @given(edges=st.lists(st.integers(1, 11_999), max_size=30), seed=st.integers(0, 9))
 def test_any_cut_gives_the_same_flight(edges: list[int], seed: int) -> None:
