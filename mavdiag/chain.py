@@ -141,6 +141,8 @@ class Chain:
             return state, ChainOutput()
         if state.waiting is not None:
             state.waiting = [*state.waiting, telemetry][-MOST_UNMEASURED:]
+            if _gyro_s(state.waiting) < MEASURED_S:
+                return state, ChainOutput()
             telemetry = joined(state.waiting)
             refused = self.refusal(telemetry, MEASURED_S)
             if refused is not None:
@@ -247,6 +249,13 @@ class Chain:
             self.front.align.append(state.front.align, telemetry)
         state.waiting, state.chunks = state.waiting and [], 0
         return self.front.step(state.front, Telemetry())[1]
+
+
+def _gyro_s(pieces: Sequence[Telemetry]) -> float:
+    """How far the gyro's samples reach at most, by the first and the last of each piece [s]."""
+    series = [gyro for one in pieces if (gyro := one.get(Signal.BODY_RATE)) is not None and len(gyro)]
+    ends_ns = [int(gyro.t_ns[at]) for gyro in series for at in (0, -1)]
+    return (max(ends_ns) - min(ends_ns)) / NS_PER_S if ends_ns else 0.0
 
 
 def warm() -> None:

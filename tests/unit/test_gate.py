@@ -12,6 +12,7 @@ from made_telemetry import DT_NS
 from mavdiag.rows.block import Block
 from mavdiag.rows.gate import Border, GateSpec
 from mavdiag.telemetry import FloatArray
+from mavdiag.testing import example_rows
 
 
 def block(
@@ -24,27 +25,10 @@ def block(
 ) -> Block:
     """Rows at 1 kHz. gyro: (n,) roll rate [rad/s]."""
     n = len(thrust)
-    none3, none = np.full((n, 3), np.nan), np.full(n, np.nan)
-    return Block(
-        segment=segment,
-        dt_s=0.001,
-        t_ns=DT_NS * np.arange(first, first + n, dtype=np.int64),
-        setpoint=none3,
-        rate=none3 if gyro is None else np.outer(gyro, [1.0, 0.0, 0.0]),
-        force=none3,
-        torque=none3,
-        rate_setpoint=none3,
-        thrust=thrust,
-        attitude=none3,
-        height=none,
-        voltage=none,
-        armed=none if armed is None else armed,
-        vibration=none3,
-        actuator=np.empty((n, 0)),
-        valid=np.ones(n, dtype=np.bool_),
-        setpoint_valid=np.ones(n, dtype=np.bool_),
-        doubt=np.zeros(n),
-    )
+    rate = np.outer(np.zeros(n) if gyro is None else gyro, [1.0, 0.0, 0.0])
+    rows = example_rows(n, 0.001, segment=segment, thrust=thrust, rate=rate).block
+    t_ns = DT_NS * np.arange(first, first + n, dtype=np.int64)
+    return dataclasses.replace(rows, t_ns=t_ns, armed=np.full(n, np.nan) if armed is None else armed)
 
 
 def spans(spec: GateSpec, blocks: list[Block]) -> list[tuple[int, ...]]:
@@ -129,21 +113,13 @@ CASES = {
         [block(UP), block(UP, first=5000, segment=1)],
         [(0, 0, 999), (999,), (1, 5000, 5999)],
     ),
-    "no border follows the ground": (
-        THRUST,
-        [block(0 * UP), block(0 * UP, first=5000, segment=1)],
-        [],
-    ),
+    "no border follows the ground": (THRUST, [block(0 * UP), block(0 * UP, first=5000, segment=1)], []),
     "a signal that is never sent passes": (
         GateSpec(min_thrust=0.1, min_height_m=0.4),
         [block(np.nan * UP)],
         [(0, 0, 999)],
     ),
-    "a signal that is unknown for a while passes": (
-        THRUST,
-        [block(np.r_[UP, np.nan * UP])],
-        [(0, 0, 1999)],
-    ),
+    "a signal that is unknown for a while passes": (THRUST, [block(np.r_[UP, np.nan * UP])], [(0, 0, 1999)]),
 }
 
 
