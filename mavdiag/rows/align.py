@@ -269,7 +269,6 @@ def _believe(s: Streams, place: int) -> int:
 
 @jit
 def _move(s: Streams, place: int, first: int, stop: int, to: int) -> None:
-    """Move samples to the front."""
     for i in range(first, stop if to < first else first):
         s.times[place][to], s.hosts[place][to] = s.times[place][i], s.hosts[place][i]
         for column in range(s.values[place].shape[1]):
@@ -439,7 +438,7 @@ def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool) -> tuple[Int
 
 @inline
 def _turn(before: float, after: float) -> float:
-    """Full turns that a step of an angle seems to jump by."""
+    """Full turns that a step of an angle jumps by."""
     step = after - before
     return 0.0 if abs(step) <= math.pi else float(-np.round(step / TURN))
 

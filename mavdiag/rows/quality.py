@@ -144,7 +144,7 @@ class LinkQuality(BaseModel):
     resolution_rad_s: float = 0.0
 
     def rule(self, signal: Signal, columns: int) -> FloatArray:
-        """What is believed of a signal: `LEARNT` and its fellows, then `Habit.limits`; but its range 0 if unlearnt."""
+        """What is believed of a signal: `GYRO` and its fellows, then `Habit.limits`; if unlearnt up to its range, then 0."""
         rule = np.zeros(LEAP + 4 * columns + 1)
         kinds = (ANGLES, HELD, FINITE, NEVER_ZERO, MAY_REST)
         rule[GYRO : RESTS + 1] = signal is Signal.BODY_RATE, *(signal in kind for kind in kinds)
@@ -224,7 +224,6 @@ def _short(s: Samples, step: float) -> float:
 
 @inline
 def _away(s: Samples, column: int, value: float, span_ns: int) -> float:
-    """How far a value is from where those before it lead."""
     at = COLUMN + column
     return _short(s, value - s.mem[at] - s.mem[at + s.columns] * span_ns)
 
@@ -310,7 +309,6 @@ def _decide(s: Samples, there: int, i: int) -> tuple[int, bool]:
 
 @inline
 def _believe(s: Samples, i: int) -> None:
-    """Make a sample the last one that is believed."""
     span_ns = s.t_ns[i] - s.counts[LAST_NS]
     share = 1.0 / span_ns if span_ns != 0 and s.rule[LEADING] else 0.0
     for column in range(s.columns):

@@ -16,11 +16,10 @@ from made_baselines import whole
 from made_telemetry import cut
 from mavdiag.chain import chain_of, warm
 from mavdiag import kernel
-from mavdiag.rows import align, gate, quality, rates
+from mavdiag.rows import align, gate, rates
 
 baseline = whole()
-kernels = [kernel.judge, quality._look_at, rates._filter, gate._classify]
-kernels += [align._merge, align._horizon, align._place, align._fill]
+kernels = [kernel.judge, align._take, align._rows, gate._follow, rates._filter]
 warm()
 chain = chain_of(baseline)
 state, telemetry = chain.start(), flying(3000, 7)
