@@ -144,7 +144,7 @@ class LinkQuality(BaseModel):
     resolution_rad_s: float = 0.0
 
     def rule(self, signal: Signal, columns: int) -> FloatArray:
-        """What is believed of a signal: `GYRO` and its fellows, then `Habit.limits`; if unlearnt up to its range, then 0."""
+        """What is believed of a signal: `GYRO` and its fellows, then `Habit.limits`; 0 where nothing was learnt."""
         rule = np.zeros(LEAP + 4 * columns + 1)
         kinds = (ANGLES, HELD, FINITE, NEVER_ZERO, MAY_REST)
         rule[GYRO : RESTS + 1] = signal is Signal.BODY_RATE, *(signal in kind for kind in kinds)
