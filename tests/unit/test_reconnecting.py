@@ -24,7 +24,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     one = Clock()
-    monkeypatch.setattr("mavdiag.link.ports.stream.time.monotonic", one)
+    monkeypatch.setattr("mavdiag.link.ports.base.time.monotonic", one)
     return one
 
 

@@ -10,9 +10,11 @@ Datagrams are read many at a time, by recvmmsg(2): a call for each one of them t
 import ctypes
 import os
 import socket
+import struct
 import sys
 import time
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from functools import lru_cache
 from itertools import repeat
 
 import numpy as np
@@ -26,14 +28,16 @@ STRANGERS_HZ = 20_000.0  # datagrams that are read of all strangers while any pe
 STRANGERS_BURST = 1024.0
 UNIT_BYTES = 64  # a large datagram counts as several: once for each so many bytes
 
-_DATAGRAM_MAX = 65_535
+_ROOM = 65_536  # of a datagram
 _DRAIN_MAX = 1024  # datagrams per call, so that a flood cannot hold the caller
 _BUFFER_BYTES = 8 << 20  # seconds of 2000 datagrams/s; Linux accounts for several hundred bytes each
 _SO_RCVBUFFORCE = 33  # <asm-generic/socket.h>: beyond net.core.rmem_max, for the privileged
-_SO_RXQ_OVFL = 40  # <asm-generic/socket.h>: datagrams dropped so far, given with the next one that is read
+_SO_MEMINFO, _DROPS = (
+    55,
+    8,
+)  # <asm-generic/socket.h>, <linux/sock_diag.h>: nine numbers, of which one is SK_MEMINFO_DROPS
 AT_ONCE = 64  # datagrams in one call
-PEERS_KNOWN = 1024  # addresses that are kept taken apart
-_NAME_BYTES, _CONTROL_BYTES = 28, socket.CMSG_SPACE(4)  # of a sockaddr_in6; of the overflow count
+_NAME_BYTES = 28  # of a sockaddr_in6
 # <sys/socket.h>, struct mmsghdr: where a message goes, and how long it is.
 _HEADER = np.dtype(
     [
@@ -49,67 +53,53 @@ class _Mailbag:
     """Room for the datagrams of one call."""
 
     def __init__(self) -> None:
-        self._data = np.empty((AT_ONCE, _DATAGRAM_MAX + 1), np.uint8)  # what is not touched costs nothing
-        self._names, self._control = np.zeros((AT_ONCE, _NAME_BYTES), np.uint8), np.zeros(_CONTROL_BYTES, np.uint8)
-        self._places = np.array([(row.ctypes.data, _DATAGRAM_MAX) for row in self._data], np.uintp)
+        self._data = np.empty((AT_ONCE, _ROOM), np.uint8)  # what is not touched costs nothing
+        self._names = np.zeros((AT_ONCE, _NAME_BYTES), np.uint8)
+        self._places = np.array([(row.ctypes.data, _ROOM) for row in self._data], np.uintp)
         self._headers = np.zeros(AT_ONCE, _HEADER)
         self._headers["name"] = [row.ctypes.data for row in self._names]
         self._headers["places"] = [row.ctypes.data for row in self._places]
         self._headers["place_count"] = 1
-        self._headers["control"][0] = self._control.ctypes.data
-        self._peers: dict[bytes, SocketAddress] = {}
 
     def take(self, fileno: int, most: int) -> tuple[list[bytes], list[SocketAddress]]:
         """What is there, at most so many, and the sender of each. Raises OSError."""
-        headers = self._headers
-        headers["name_bytes"], headers["control_bytes"][0] = _NAME_BYTES, _CONTROL_BYTES
-        place, flags = ctypes.c_void_p(headers.ctypes.data), socket.MSG_DONTWAIT
-        count = _receive_many(fileno, place, min(most, AT_ONCE), flags, None)
+        self._headers["name_bytes"] = _NAME_BYTES
+        place = ctypes.c_void_p(self._headers.ctypes.data)
+        count = _receive_many(fileno, place, min(most, AT_ONCE), socket.MSG_DONTWAIT, None)
         if count < 0:
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
-        sizes = headers["size"][:count].tolist()
-        longest = max(1, *sizes)
-        data, names = self._data[:count, :longest].tobytes(), self._names[:count].tobytes()
-        places = range(0, count * longest, longest)
-        pieces = [data[at : at + size] for at, size in zip(places, sizes, strict=True)]
-        own = names[:_NAME_BYTES]
-        if names == own * count:
-            return pieces, [self._peer(own)] * count
-        return pieces, [self._peer(names[at : at + _NAME_BYTES]) for at in range(0, len(names), _NAME_BYTES)]
+        sizes, data = self._headers["size"][:count].tolist(), memoryview(self._data).cast("B")
+        names = self._names[:count].tobytes()
+        pieces = [bytes(data[at : at + size]) for at, size in zip(range(0, count * _ROOM, _ROOM), sizes, strict=True)]
+        return pieces, [_peer(names[at : at + _NAME_BYTES]) for at in range(0, len(names), _NAME_BYTES)]
 
-    @property
-    def overflowed(self) -> int | None:
-        """How many datagrams the system has thrown away at the socket of the latest call; None if it did not say."""
-        told = int(self._headers["control_bytes"][0]) >= socket.CMSG_LEN(4)
-        kind = self._control[8:16].view("i4").tolist()
-        return int(self._control[16:20].view("u4")[0]) if told and kind == [socket.SOL_SOCKET, _SO_RXQ_OVFL] else None
 
-    def _peer(self, name: bytes) -> SocketAddress:
-        """An address as the socket module has it."""
-        found = self._peers.get(name)
-        if found is None:
-            if len(self._peers) >= PEERS_KNOWN:
-                self._peers.clear()
-            family, port = int.from_bytes(name[:2], sys.byteorder), int.from_bytes(name[2:4], "big")
-            if family == socket.AF_INET:
-                found = (socket.inet_ntop(socket.AF_INET, name[4:8]), port)
-            else:
-                flow, scope = int.from_bytes(name[4:8], "big"), int.from_bytes(name[24:28], sys.byteorder)
-                found = (socket.inet_ntop(socket.AF_INET6, name[8:24]), port, flow, scope)
-            self._peers[name] = found
-        return found
+@lru_cache(maxsize=1024)
+def _peer(name: bytes) -> SocketAddress:
+    """A sockaddr as the socket module has it."""
+    family, port = int.from_bytes(name[:2], sys.byteorder), int.from_bytes(name[2:4], "big")
+    if family == socket.AF_INET:
+        return socket.inet_ntop(socket.AF_INET, name[4:8]), port
+    flow, scope = int.from_bytes(name[4:8], "big"), int.from_bytes(name[24:28], sys.byteorder)
+    return socket.inet_ntop(socket.AF_INET6, name[8:24]), port, flow, scope
 
 
 class _Udp(Endpoint):
-    """What both directions share: one non-blocking socket, its large buffer and its overflow count."""
+    """What both directions share: one non-blocking socket and its large buffer."""
 
     datagrams = True
 
     def __init__(self, address: str, family: socket.AddressFamily, clock: Clock) -> None:
         super().__init__(address, clock)
         self._socket, self._mail = _udp_socket(family), _Mailbag()
-        self._lost: dict[int, int] = {}  # datagrams that the system threw away, by descriptor of an open socket
-        self._lost_before = 0  # by closed ones
+        self._lost: dict[int, int] = {}  # datagrams that the system threw away, by descriptor
+
+    def _attach(self, place: Callable[[SocketAddress], None], to: SocketAddress) -> None:
+        try:
+            place(to)
+        except OSError as error:
+            self._socket.close()
+            raise link_error(self.address, error) from error
 
     def filenos(self) -> tuple[int, ...]:
         """The socket's descriptor."""
@@ -130,12 +120,8 @@ class _Udp(Endpoint):
         try:
             while units >= 1.0:
                 taken, peers = self._mail.take(link.fileno(), int(units))
-                now_ns = self._clock()
-                if (lost := self._mail.overflowed) is not None:
-                    self._lost[link.fileno()] = lost
-                    self._count.overflowed = self._lost_before + sum(self._lost.values())
+                chunks += zip(taken, repeat(self._clock()))
                 self._note_senders(dict.fromkeys(peers))
-                chunks += zip(taken, repeat(now_ns))
                 sources += peers
                 units -= len(taken) + sum(map(len, taken)) // UNIT_BYTES
                 if len(taken) < AT_ONCE:
@@ -144,6 +130,9 @@ class _Udp(Endpoint):
             pass
         except OSError:  # an earlier datagram came back refused, or the network is down: nothing was received
             self._refused()
+        lost = struct.unpack("9I", link.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 36))[_DROPS]
+        self._count.overflowed += lost - self._lost.get(link.fileno(), 0)
+        self._lost[link.fileno()] = lost
         return units
 
     def _note_senders(self, peers: Iterable[SocketAddress]) -> None:
@@ -159,21 +148,14 @@ class UdpIn(_Udp):
     Raises LinkError if the port cannot be bound.
     """
 
-    def __init__(
-        self, address: str, family: socket.AddressFamily, local: SocketAddress, clock: Clock, fresh_s: float
-    ) -> None:
+    def __init__(self, address: str, family: socket.AddressFamily, local: SocketAddress, clock: Clock) -> None:
         super().__init__(address, family, clock)
-        self._fresh_s = fresh_s
         self._peers: dict[SocketAddress, float] = {}  # when each sent last [s], monotonic clock
         self._trusted: dict[SocketAddress, socket.socket] = {}
         self._newly = False  # a peer has got its own socket, and what it sent before may wait in the common one
         self._units, self._filled_s = STRANGERS_BURST, time.monotonic()
-        try:
-            self._socket.bind(local)
-        except OSError as error:
-            self._socket.close()
-            raise link_error(address, error) from error
-        self._address = f"{address.rpartition(':')[0]}:{self._socket.getsockname()[1]}"
+        self._attach(self._socket.bind, local)
+        self.address = f"{address.rpartition(':')[0]}:{self._socket.getsockname()[1]}"
 
     @property
     def connected(self) -> bool:
@@ -212,7 +194,7 @@ class UdpIn(_Udp):
         super().trust(sources, alone=alone)
         for gone in [peer for peer in self._trusted if peer not in sources]:
             link = self._trusted.pop(gone)
-            self._lost_before += self._lost.pop(link.fileno(), 0)
+            self._lost.pop(link.fileno(), None)
             link.close()
         for peer in sources:
             if peer not in self._trusted and len(self._trusted) < TRUSTED_MAX and self._socket.fileno() >= 0:
@@ -229,17 +211,13 @@ class UdpIn(_Udp):
             self._newly = False
         for link in self._trusted.values():
             self._read(link, chunks, sources, _DRAIN_MAX)
-        if self._trusted and self._refilled() >= 1.0:
-            self._units = self._read(self._socket, chunks, sources, self._units)
-        self.sources = sources
-        return chunks
-
-    def _refilled(self) -> float:
-        """How many datagrams of strangers may be read now."""
         now_s = time.monotonic()
         self._units = min(STRANGERS_BURST, self._units + STRANGERS_HZ * (now_s - self._filled_s))
         self._filled_s = now_s
-        return self._units
+        if self._trusted and self._units >= 1.0:
+            self._units = self._read(self._socket, chunks, sources, self._units)
+        self.sources = sources
+        return chunks
 
     def _note_senders(self, peers: Iterable[SocketAddress]) -> None:
         for peer in peers:
@@ -248,7 +226,7 @@ class UdpIn(_Udp):
                 self._peers[peer] = time.monotonic()
 
     def _fresh_peers(self) -> list[SocketAddress]:
-        horizon = time.monotonic() - self._fresh_s
+        horizon = time.monotonic() - PEER_FRESH_S
         for peer in [peer for peer, sent in self._peers.items() if sent < horizon and peer not in self._trusted]:
             del self._peers[peer]
         return list(self._peers)
@@ -260,11 +238,7 @@ class UdpOut(_Udp):
     def __init__(self, address: str, family: socket.AddressFamily, remote: SocketAddress, clock: Clock) -> None:
         super().__init__(address, family, clock)
         self._answered = True
-        try:
-            self._socket.connect(remote)
-        except OSError as error:
-            self._socket.close()
-            raise link_error(address, error) from error
+        self._attach(self._socket.connect, remote)
 
     @property
     def connected(self) -> bool:
@@ -295,10 +269,9 @@ class UdpOut(_Udp):
 
 
 def _udp_socket(family: socket.AddressFamily) -> socket.socket:
-    """A socket that never waits, with a large buffer and an overflow count."""
+    """A socket that never waits, with a large buffer."""
     link = socket.socket(family, socket.SOCK_DGRAM)
     link.setblocking(False)
-    link.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
     try:
         link.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER_BYTES)
     except PermissionError:
