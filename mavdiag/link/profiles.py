@@ -5,7 +5,7 @@ autopilot is one row of `_ROWS`, and its number in `mavdiag.link.messages.Autopi
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import isfinite
@@ -13,7 +13,7 @@ from math import isfinite
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.link.codec import AUTOPILOT, Frame, Frames, frames_of, layout_of, message_name
+from mavdiag.link.codec import AUTOPILOT, Frames, layout_of, message_name
 from mavdiag.link.messages import Autopilot, MavType, MessageId
 from mavdiag.link.scale import CONTRARY, scale_of
 from mavdiag.rows.gate import GateSpec
@@ -28,18 +28,13 @@ SELDOM = 4  # an IMU message that comes so many times more seldom than another i
 
 
 #: Messages with a gyro and an accelerometer, in order of preference after a profile's own, and what one count is in
-#: m/s^2 and in rad/s.
+#: m/s^2 and in rad/s; RAW_IMU has no unit: the profile says.
 IMU_MESSAGES: Mapping[MessageId, tuple[float, float] | None] = {
     MessageId.HIGHRES_IMU: (1.0, 1.0),
-    MessageId.SCALED_IMU: (MILLI * G, MILLI),
-    MessageId.SCALED_IMU2: (MILLI * G, MILLI),
-    MessageId.SCALED_IMU3: (MILLI * G, MILLI),
-    MessageId.RAW_IMU: None,  # without unit: the profile says
+    **dict.fromkeys((MessageId.SCALED_IMU, MessageId.SCALED_IMU2, MessageId.SCALED_IMU3), (MILLI * G, MILLI)),
+    MessageId.RAW_IMU: None,
 }
-
-#: Body rates without accelerometer, as the estimator has them; read only where no message of `IMU_MESSAGES` comes.
-LAST_RESORT = MessageId.ATTITUDE
-
+LAST_RESORT = MessageId.ATTITUDE  # body rates without accelerometer; read only where none of `IMU_MESSAGES` comes
 
 _BEAT = ("type", "autopilot")
 _HEARTBEAT = layout_of(MessageId.HEARTBEAT).record_dtype(*((name, 1) for name in _BEAT))
@@ -48,17 +43,12 @@ _RAW_IMU = layout_of(MessageId.RAW_IMU).record_dtype(("time_usec", 1), ("xacc", 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What the frames of one vehicle's autopilot show of its profile.
+    """What the frames of one vehicle's autopilot show of its profile; NaN without RAW_IMU."""
 
-    autopilots: what its heartbeats name it, MAV_AUTOPILOT. counts: how many frames of each message.
-    weight: median size of RAW_IMU's acceleration, in counts, for a vehicle feels its own weight; period_us: its median
-    period [us]; NaN without RAW_IMU.
-    """
-
-    autopilots: frozenset[int]
-    counts: Mapping[int, int]
-    weight: float
-    period_us: float
+    autopilots: frozenset[int]  # what its heartbeats name it, MAV_AUTOPILOT
+    counts: Mapping[int, int]  # how many frames of each message
+    weight: float  # median size of RAW_IMU's acceleration, in counts, for a vehicle feels its own weight
+    period_us: float  # median period of RAW_IMU
 
     def weighs(self, span: tuple[float, float]) -> bool:
         """Whether one g is within this span of counts."""
@@ -97,36 +87,24 @@ class Stamp(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Profile:
-    """How one kind of vehicle sends what the diagnosis needs.
+    """How one kind of vehicle sends what the diagnosis needs."""
 
-    name: how users and baselines call it. autopilot: MAV_AUTOPILOT of its heartbeat.
-    recognise: whether the frames of a vehicle are of this profile.
-    setpoint, imu, actuator, rotor_speed: the messages to use.
-    accel_unit, gyro_unit: one count of the IMU message's acceleration [m/s^2] and rate [rad/s].
-    rate_hz: nominal rate of the pair of set-point and IMU message. stamp: what the IMU message's own time means.
-    imu_corner_hz: corner of the low-pass filter in the IMU stream by default, None if vibration passes.
-    imu_corner_parameter: the autopilot's parameter of that corner [Hz], 0 for none; empty where there is none.
-    vibration: whether its VIBRATION message carries acceleration per axis.
-    actuator_span: the actuator message's values for 0 and for full output; ACTUATOR_OUTPUT_STATUS is told by its own.
-    gate: what counts as flying; the same live and in a .tlog.
-    """
-
-    name: str
-    autopilot: int
-    recognise: Callable[[Evidence], bool]
+    name: str  # how users and baselines call it
+    autopilot: int  # MAV_AUTOPILOT of its heartbeat
+    recognise: Callable[[Evidence], bool]  # whether the frames of a vehicle are of this profile
     imu: MessageId
-    accel_unit: float
-    gyro_unit: float
-    rate_hz: float
-    imu_corner_hz: float | None
-    stamp: Stamp
-    vibration: bool
+    accel_unit: float  # one count of the IMU message [m/s^2]
+    gyro_unit: float  # one count of it [rad/s]
+    rate_hz: float  # nominal rate of the pair of set-point and IMU message
+    imu_corner_hz: float | None  # of the low-pass filter in the IMU stream by default, None if vibration passes
+    stamp: Stamp  # what the IMU message's own time means
+    vibration: bool  # whether its VIBRATION message carries acceleration per axis
     actuator: MessageId
-    actuator_span: tuple[float, float]
+    actuator_span: tuple[float, float]  # values for 0 and for full output; ACTUATOR_OUTPUT_STATUS is told by its own
     rotor_speed: MessageId
     setpoint: MessageId = MessageId.ATTITUDE_TARGET
-    gate: GateSpec = LIVE_GATE
-    imu_corner_parameter: str = ""
+    gate: GateSpec = LIVE_GATE  # what counts as flying; the same live and in a .tlog
+    imu_corner_parameter: str = ""  # the autopilot's parameter of that corner [Hz], 0 for none; empty without
 
     @property
     def messages(self) -> frozenset[int]:
@@ -220,36 +198,24 @@ def profile_named(name: str) -> Profile:
     return PROFILES[name]
 
 
-@dataclass(frozen=True, slots=True)
-class Recognised:
-    """The profile that a vehicle's frames show; None if they show none, and the reason, one sentence."""
-
-    profile: Profile | None
-    reason: str = ""
-
-
-def detect_profile(frames: Sequence[Frame] | Sequence[Frames], profiles: Iterable[Profile] = _ROWS) -> Recognised:
-    """The first of the profiles that one vehicle's frames fit; never a guess. They may come in several pieces."""
-    singly = [one for one in frames if isinstance(one, Frame)]
-    seen = evidence_of([one for one in frames if isinstance(one, Frames)] or [frames_of(singly)])
+def detect_profile(pieces: Iterable[Frames], profiles: Iterable[Profile] = _ROWS) -> tuple[Profile | None, str]:
+    """The first of the profiles that one vehicle's frames fit, never a guess; or None and why, one sentence."""
+    seen = evidence_of(pieces)
     found = next((profile for profile in profiles if profile.recognise(seen)), None)
     if found is not None:
-        return Recognised(found)
+        return found, ""
     imu = [message_name(message) for message in IMU_MESSAGES if seen.counts.get(message)]
     if isfinite(seen.weight):
         why = f"RAW_IMU counts {seen.weight:.0f} at rest, {scale_of(seen.weight)}; only 1000 and 2048 are read"
-    elif imu:
-        why = f"it sends {', '.join(imu)} and its autopilot is not known"
     else:
-        why = "it sends no IMU message and its autopilot is not known"
-    return Recognised(None, f"its link profile is not clear: {why}; give --profile")
+        why = f"it sends {', '.join(imu) or 'no IMU message'} and its autopilot is not known"
+    return None, f"its link profile is not clear: {why}; give --profile"
 
 
 def scale_doubt(profile: Profile, gravity_g: float) -> str:
     """What speaks against the profile's accelerometer scale, in a few words; empty if nothing does.
 
-    gravity_g: what the vehicle feels, by that scale, while it stands or hovers. A profile whose scale would explain it
-    is named; nothing is rescaled.
+    gravity_g: what the vehicle feels, by that scale, while it stands or hovers.
 
     >>> scale_doubt(PROFILES["qdrone2"], 2.05), scale_doubt(PROFILES["qdrone2"], 1.1)
     ('2.0 g: --profile spec', '')

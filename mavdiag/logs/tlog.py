@@ -193,10 +193,9 @@ def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], li
         own = [piece.where(piece.rows["sender"] >> 8 == sysid) for piece in pieces]
         if sysid == sysids[-1]:
             pieces.clear()
-        recognised = detect_profile(own)
-        known = recognised.profile if profile is None else profile_named(profile)
+        known, why = detect_profile(own) if profile is None else (profile_named(profile), "")
         if known is None:
-            raise InputError(f"{path}: vehicle {sysid}: {recognised.reason}")
+            raise InputError(f"{path}: vehicle {sysid}: {why}")
         parameters = parameters_in((frame for frame in named if frame.sysid == sysid), known.autopilot)
         name = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}"
         telemetry = _converted(own, known)

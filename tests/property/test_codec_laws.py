@@ -73,4 +73,4 @@ def test_datagrams_at_once_are_heard_as_one_by_one(datagrams: list[tuple[bytes, 
     assert list(whole.take_datagrams(chunks, sources)) == each
     assert (whole.count, whole.senders) == (single.count, single.senders)
     for sender in single.senders:
-        assert whole.heard.get(*sender) == single.heard.get(*sender)
+        assert whole.heard.source(sender[0] << 8 | sender[1]) == single.heard.source(sender[0] << 8 | sender[1])

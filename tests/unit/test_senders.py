@@ -53,9 +53,9 @@ def test_a_second_source_is_not_heard_while_the_first_is_alive() -> None:
     assert not heard(senders, KEY, 1, S, THERE)
     assert heard(senders, KEY, 1, 2 * S, HERE)
     assert not heard(senders, KEY, 2, 4 * S, THERE)
-    one = senders.get(1, 1)
-    assert one is not None
-    assert (one.source, one.intruder, one.count.received) == (HERE, Intruder(THERE, 2), 2)
+    count = senders.count(KEY)
+    assert count is not None
+    assert (senders.source(KEY), senders.intruder(KEY), count.received) == (HERE, Intruder(THERE, 2), 2)
 
 
 def test_senders_are_bounded_and_those_that_sent_most_stay() -> None:
@@ -68,10 +68,9 @@ def test_senders_are_bounded_and_those_that_sent_most_stay() -> None:
         if key != KEY:
             heard(senders, key, 0, 0, THERE)
         assert len(senders) <= SENDERS_MAX
-    genuine, kept = senders.get(1, 1), senders.get(7, 1)
+    genuine = senders.count(KEY)
     assert genuine is not None
-    assert kept is not None
-    assert (genuine.count.received, kept.source) == (50, HERE)
+    assert (genuine.received, senders.source(7 << 8 | 1)) == (50, HERE)
 
 
 @pytest.mark.parametrize(
@@ -89,9 +88,7 @@ def test_senders_are_bounded_and_those_that_sent_most_stay() -> None:
 def test_running_numbers_of_one_sender_follow_on(numbers: list[int], sound: bool) -> None:
     senders = Senders()
     assert all(heard(senders, KEY, seq, 0, HERE) for seq in numbers)
-    sender = senders.get(1, 1)
-    assert sender is not None
-    assert sender.sound is sound
+    assert senders.sound(KEY) is sound
 
 
 def test_made_up_senders_and_unknown_ids_cost_bounded_memory() -> None:
