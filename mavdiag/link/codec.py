@@ -162,6 +162,8 @@ class Frames:
     def by_sysid(self) -> dict[int, "Frames"]:
         """Those of each system id, by rising number."""
         sysids = (self.rows["sender"] >> 8).astype(np.uint8)
+        if len(sysids) and (sysids == sysids[0]).all():
+            return {int(sysids[0]): self}
         order, counts = np.argsort(sysids, kind="stable"), np.bincount(sysids)
         ends = np.cumsum(counts)
         found = np.flatnonzero(counts).tolist()

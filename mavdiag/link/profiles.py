@@ -24,6 +24,7 @@ MILLI_G, IIM_42652 = (700.0, 1431.0), (1431.0, 2900.0)  # counts of 1 g: about 1
 # Our choices: armed, more than idle thrust, and five seconds for the climb. Live, an alert must not wait for an end.
 LIVE_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=5.0)
 ARDUPILOT_PERIOD_US = 2500  # Copter's loop period at its usual 400 Hz; RAW_IMU cannot be faster
+WEIGHED = 65_536  # RAW_IMUs that tell a log's unit and rate: a minute at 1 kHz (our choice)
 SELDOM = 4  # an IMU message that comes so many times more seldom than another is not preferred to it (our choice)
 
 
@@ -55,27 +56,46 @@ class Evidence:
         return span[0] <= self.weight < span[1]
 
 
-def beats_of(frames: Frames) -> Counter[tuple[int, int]]:
-    """How often each MAV_TYPE and MAV_AUTOPILOT comes in the heartbeats of autopilots, not of stations or computers."""
-    record = frames.of(MessageId.HEARTBEAT, compid=AUTOPILOT).records(_HEARTBEAT)
-    beats = Counter(zip(*(record[name].tolist() for name in _BEAT), strict=True))
-    companions = (MavType.GCS, MavType.ONBOARD_CONTROLLER)
-    return Counter({beat: n for beat, n in beats.items() if beat[0] not in companions and beat[1] != Autopilot.INVALID})
+class Witness:
+    """Gathers what the frames of one vehicle show, piece by piece, in order of arrival.
 
+    counts: its autopilot's frames by message. beats: how often each MAV_TYPE and MAV_AUTOPILOT comes in the heartbeats
+    of autopilots, not of stations or computers.
+    """
 
-def evidence_of(pieces: Iterable[Frames]) -> Evidence:
-    """What the frames of one vehicle show, in several pieces, in order of arrival."""
-    counts, beats, raw = Counter[int](), Counter[tuple[int, int]](), [np.empty(0, _RAW_IMU)]
-    for piece in pieces:
-        counts += piece.counts()
-        beats += beats_of(piece)
-        raw.append(piece.of(MessageId.RAW_IMU, compid=AUTOPILOT).records(_RAW_IMU))
-    record, weight, period_us = np.concatenate(raw), float("nan"), float("nan")
-    if len(record):
-        weight = float(np.median(np.linalg.norm(record["xacc"].astype(np.float64), axis=1)))
-    if len(record) > 1:
-        period_us = float(np.median(np.diff(record["time_usec"].astype(np.int64))))
-    return Evidence(frozenset(autopilot for _, autopilot in beats), counts, weight, period_us)
+    def __init__(self) -> None:
+        self.counts, self.beats = Counter[int](), Counter[tuple[int, int]]()
+        self._raw = np.empty(0, _RAW_IMU)
+
+    def take(self, frames: Frames) -> "Witness":
+        """Take in the next frames; returns itself."""
+        self.counts += frames.counts()
+        record = frames.of(MessageId.HEARTBEAT, compid=AUTOPILOT).records(_HEARTBEAT)
+        for kind, autopilot in zip(*(record[name].tolist() for name in _BEAT), strict=True):
+            if kind not in (MavType.GCS, MavType.ONBOARD_CONTROLLER) and autopilot != Autopilot.INVALID:
+                self.beats[kind, autopilot] += 1
+        if len(self._raw) < WEIGHED:
+            raw = frames.of(MessageId.RAW_IMU, compid=AUTOPILOT).where(slice(WEIGHED - len(self._raw)))
+            self._raw = np.concatenate((self._raw, raw.records(_RAW_IMU)))
+        return self
+
+    @property
+    def mav_type(self) -> int | None:
+        """MAV_TYPE by most of its heartbeats; None without any."""
+        kinds = Counter[int]()
+        for (kind, _), count in self.beats.items():
+            kinds[kind] += count
+        return kinds.most_common(1)[0][0] if kinds else None
+
+    @property
+    def evidence(self) -> Evidence:
+        """What it shows so far."""
+        record, weight, period_us = self._raw, float("nan"), float("nan")
+        if len(record):
+            weight = float(np.median(np.linalg.norm(record["xacc"].astype(np.float64), axis=1)))
+        if len(record) > 1:
+            period_us = float(np.median(np.diff(record["time_usec"].astype(np.int64))))
+        return Evidence(frozenset(autopilot for _, autopilot in self.beats), self.counts, weight, period_us)
 
 
 class Stamp(StrEnum):
@@ -198,9 +218,9 @@ def profile_named(name: str) -> Profile:
     return PROFILES[name]
 
 
-def detect_profile(pieces: Iterable[Frames], profiles: Iterable[Profile] = _ROWS) -> tuple[Profile | None, str]:
+def detect_profile(witness: Witness, profiles: Iterable[Profile] = _ROWS) -> tuple[Profile | None, str]:
     """The first of the profiles that one vehicle's frames fit, never a guess; or None and why, one sentence."""
-    seen = evidence_of(pieces)
+    seen = witness.evidence
     found = next((profile for profile in profiles if profile.recognise(seen)), None)
     if found is not None:
         return found, ""

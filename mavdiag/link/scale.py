@@ -7,7 +7,6 @@ change of attitude: their ratio gives its scale and sign, and the shift at which
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from mavdiag.telemetry import FloatArray, Series
 from mavdiag.units import NS_PER_S, G
@@ -76,7 +75,8 @@ def gyro_checks(gyro: Series, attitude: Series) -> tuple[AxisCheck, ...]:
         return ()
     angles, t = np.unwrap(attitude.values[first], axis=0), (t_ns - t_ns[0]) / NS_PER_S
     gyro_s, rate = (gyro_ns - t_ns[0]) / NS_PER_S, gyro.values[own]
-    turned = cumulative_trapezoid(rate, gyro_s, axis=0, initial=0.0)
+    trapezia = 0.5 * (rate[1:] + rate[:-1]) * np.diff(gyro_s)[:, None]
+    turned = np.vstack((np.zeros((1, 3)), np.cumsum(trapezia, axis=0)))
     steps = np.diff(t)
     used = (steps < USUAL * np.median(steps)) & (t[:-1] > gyro_s[0]) & (t[1:] < gyro_s[-1])
     if np.count_nonzero(used) < LEAST_STEPS:

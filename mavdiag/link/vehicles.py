@@ -16,7 +16,16 @@ import numpy as np
 from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.link.codec import AUTOPILOT, MSGIDS, NO_FRAMES, Decoder, Frame, Frames, field_index, frames_of, layout_of
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
-from mavdiag.link.profiles import IMU_MESSAGES, LAST_RESORT, PROFILES, Profile, by_attitude, detect_profile, with_imu
+from mavdiag.link.profiles import (
+    IMU_MESSAGES,
+    LAST_RESORT,
+    PROFILES,
+    Profile,
+    Witness,
+    by_attitude,
+    detect_profile,
+    with_imu,
+)
 from mavdiag.link.samples import SampleDecoder, SampleState, joined, warm
 from mavdiag.link.sequence import Intruder, LinkCount, Source
 from mavdiag.link.signing import Signing
@@ -361,7 +370,7 @@ class LinkDecoder:
             waiting.reason, waiting.frames = refused, []
             return []
         if profile is None:
-            profile, waiting.reason = detect_profile([frames_of([waiting.beat, *waiting.frames])])
+            profile, waiting.reason = detect_profile(Witness().take(frames_of([waiting.beat, *waiting.frames])))
         if profile is None:
             return []
         self.vehicles[sysid] = VehicleStream(profile)

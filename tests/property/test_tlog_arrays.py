@@ -14,7 +14,7 @@ from shared_data import shared
 
 from mavdiag.link.codec import MSGIDS, Encoder, frames_of, layout_of
 from mavdiag.link.messages import MavType, MessageId
-from mavdiag.link.profiles import detect_profile, with_imu
+from mavdiag.link.profiles import Witness, detect_profile, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState
 from mavdiag.link.sequence import SENDERS_MAX
 from mavdiag.link.signing import Signing
@@ -150,7 +150,7 @@ def harmed(data: bytes, rng: np.random.Generator) -> bytes:
 def telemetry_framewise(data: bytes) -> tuple[int, Telemetry]:
     """When vehicle 1's first frame came, and its flight, frame by frame."""
     own = [frame for frame in decode_framewise(data).frames if frame.sysid == 1]
-    profile = detect_profile([frames_of(own)])[0]
+    profile = detect_profile(Witness().take(frames_of(own)))[0]
     assert profile is not None
     return own[0].host_ns, SampleDecoder(
         with_imu(profile, Counter(frame.msgid for frame in own if frame.compid == 1))

@@ -68,7 +68,7 @@ class _Mailbag:
         count = _receive_many(fileno, place, min(most, AT_ONCE), socket.MSG_DONTWAIT, None)
         if count < 0:
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
-        sizes, data = self._headers["size"][:count].tolist(), memoryview(self._data).cast("B")
+        sizes, data = self._headers["size"][:count].tolist(), self._data.data.cast("B")
         names = self._names[:count].tobytes()
         pieces = [bytes(data[at : at + size]) for at, size in zip(range(0, count * _ROOM, _ROOM), sizes, strict=True)]
         return pieces, [_peer(names[at : at + _NAME_BYTES]) for at in range(0, len(names), _NAME_BYTES)]
