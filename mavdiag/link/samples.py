@@ -233,25 +233,49 @@ def warm() -> None:
 
 
 def joined(pieces: Iterable[Telemetry]) -> Telemetry:
-    """One telemetry from consecutive pieces: each signal's rows, end to end. Signals sampled together share times."""
-    runs: dict[Signal, list[Series]] = {}
-    times, whole, piece, count = list[IntArray](), list[Series](), Telemetry(), 0
+    """One telemetry from consecutive pieces: each signal's rows, end to end; signals with the same times share them.
+
+    The columns grow in place and an iterator's pieces are given up one by one, so that memory holds nothing twice.
+    """
+    columns: dict[Signal, list[_Column]] = {}
+    counts: dict[Signal, int] = {}
     for piece in pieces:
-        count += 1
+        new: dict[int, _Column] = {}
         for series in piece.series:
-            runs.setdefault(series.signal, []).append(series)
-    if count == 1:
-        return piece
-    for signal in (one for one in Signal if one in runs):
-        run = runs.pop(signal)
-        columns = [np.concatenate([getattr(series, name) for series in run]) for name in ("t_ns", "host_ns", "values")]
-        whole.append(Series(signal, _shared(columns[0], times), _shared(columns[1], times), columns[2]))
-    return Telemetry(tuple(whole))
+            arrays, count = (series.t_ns, series.host_ns, series.values), counts.get(series.signal, 0)
+            held = columns.get(series.signal) or [new.setdefault(id(one), _Column(one)) for one in arrays]
+            columns[series.signal] = [column.with_tail(one, count) for column, one in zip(held, arrays, strict=True)]
+            counts[series.signal] = count + len(series)
+    found = (
+        (signal, (column.first(counts[signal]) for column in columns[signal])) for signal in Signal if signal in columns
+    )
+    return Telemetry(tuple(Series(signal, *arrays) for signal, arrays in found))
+
+
+class _Column:
+    """Rows that grow; those of several signals as long as they are the same."""
+
+    def __init__(self, like: NDArray[Any], rows: NDArray[Any] | None = None) -> None:
+        self.rows = np.empty((0, *like.shape[1:]), like.dtype) if rows is None else rows
+        self.tail = like[:0]  # what was added last
+
+    def first(self, count: int) -> NDArray[Any]:
+        """So many of the rows."""
+        return self.rows if len(self.rows) == count else self.rows[:count]
+
+    def with_tail(self, tail: NDArray[Any], count: int) -> "_Column":
+        """A column of its first `count` rows and these: itself, if it has them or ends there."""
+        if len(self.rows) == count + len(tail) and self.tail is tail:
+            return self
+        own = self if len(self.rows) == count else _Column(tail, self.rows[:count].copy())
+        own.rows.resize((count + len(tail), *tail.shape[1:]), refcheck=False)
+        own.rows[count:], own.tail = tail, tail
+        return own
 
 
 def _shared(t_ns: IntArray, known: list[IntArray]) -> IntArray:
-    """These times, in the array that has them already if one does; few of them are not looked for."""
-    found = next((other for other in known if len(t_ns) > LARGE and np.array_equal(t_ns, other)), t_ns)
+    """These times, in the array that has them already if one does."""
+    found = next((other for other in known if np.array_equal(t_ns, other)), t_ns)
     known += [t_ns] if found is t_ns else []
     return found
 

@@ -19,7 +19,7 @@ from mavdiag.link.codec import NO_FRAMES, STAMP_BYTES, Decoder, Frame, Frames
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Witness, detect_profile, profile_named, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState, joined
-from mavdiag.link.sequence import LinkCount
+from mavdiag.link.sequence import FRAME, LinkCount
 from mavdiag.link.vehicles import parameters_in
 from mavdiag.logs.log import TLOG_BYTES, WINDOW_BYTES, LogKind, opened, windows_of
 from mavdiag.telemetry import Log, Telemetry
@@ -37,6 +37,10 @@ class _Sender(Witness):
     def __init__(self, heard_ns: int) -> None:
         super().__init__()
         self.heard_ns, self.parameters = heard_ns, list[Frame]()
+
+
+_KEPT = ["host_ns", "body", "stop", "row", "sender"]  # of a file's frames, until they are converted
+_LEAN = np.dtype([(name, FRAME[name]) for name in _KEPT])
 
 
 class _Piece(NamedTuple):
@@ -122,7 +126,8 @@ def decode_windows(windows: Iterable[bytes], *, keep: bool = True) -> TlogConten
             system.take(own).parameters += own.of(MessageId.PARAM_VALUE)
         first_ns.append(int(frames.rows["host_ns"].min()))
         last_ns.append(int(frames.rows["host_ns"].max()))
-        pieces.append(_Piece(frames if keep else Frames(np.empty(0, np.uint8), frames.rows), at, len(frames.data)))
+        held = frames if keep else Frames(NO_FRAMES.data, frames.rows[_KEPT].astype(_LEAN))
+        pieces.append(_Piece(held, at, len(frames.data)))
 
     for window in windows:
         take(window)
@@ -216,7 +221,9 @@ def _converted(path: Path, pieces: list[_Piece], sysid: int, decoder: SampleDeco
             data = np.frombuffer(file.read(size), np.uint8)
             if len(data) < size:
                 raise InputError(f"{path}: it became shorter while it was read; read it again")
-            own = Frames(data, frames.rows).by_sysid()
+            rows = np.zeros(len(frames), FRAME)
+            rows[_KEPT] = frames.rows
+            own = Frames(data, rows).by_sysid()
             state, telemetry = decoder.step(state, own.get(sysid, NO_FRAMES))
             yield telemetry
 
