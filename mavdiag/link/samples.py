@@ -33,7 +33,7 @@ PULSE_LEAST_US = 800.0  # no pulse is shorter (our choice: the shortest disarmed
 DSHOT_FULL = 2047.0  # the largest of its 11 bits
 SQUARED = (1e-2, 1e2)  # length of a quaternion, squared: beyond it is none, but a damaged frame with a right checksum
 DISARMED_NS = 3 * NS_PER_S // 2  # without an armed heartbeat before a disarmed one is believed: they come each second
-LARGE = 10_000  # rows: beyond it signals share times, and none keeps the memory of another alive
+LARGE = 10_000  # rows: beyond it signals share times
 BODY_RATE_BITS = TargetMask.BODY_ROLL_RATE | TargetMask.BODY_PITCH_RATE | TargetMask.BODY_YAW_RATE
 
 
@@ -195,13 +195,11 @@ class SampleDecoder:
         table = (self._lookup, self._sources, self._parts, _WIDTHS)
         memory = (after.timeline.records, after.memory)
         t_ns, host_ns, values, filled = _convert(some.data, some.rows, given_ns, table, memory)
-        series, known, large = [], list[IntArray](), len(some) > LARGE
+        series = []
         for signal, width, (first, place, count) in zip(_SIGNALS, _COLUMNS, filled.tolist(), strict=True):
             if count:
                 at_ns, came_ns = t_ns[first : first + count], host_ns[first : first + count]
                 block = values[place : place + count * width].reshape(count, width)
-                if large:
-                    at_ns, came_ns, block = _shared(at_ns.copy(), known), _shared(came_ns.copy(), known), block.copy()
                 series.append(Series(signal, at_ns, came_ns, block))
         return after, Telemetry(tuple(series))
 
@@ -233,31 +231,42 @@ def warm() -> None:
 
 
 def joined(pieces: Iterable[Telemetry]) -> Telemetry:
-    """One telemetry from consecutive pieces: each signal's rows, end to end; signals with the same times share them.
+    """One telemetry from consecutive pieces: each signal's rows, end to end; long columns that are the same are shared.
 
     The columns grow in place and an iterator's pieces are given up one by one, so that memory holds nothing twice.
     """
     columns: dict[Signal, list[_Column]] = {}
     counts: dict[Signal, int] = {}
-    for piece in pieces:
-        new: dict[int, _Column] = {}
+    alone: Telemetry | None = None
+    for number, piece in enumerate(pieces):
+        alone = None if number else piece
+        new = list[_Column]()
         for series in piece.series:
             arrays, count = (series.t_ns, series.host_ns, series.values), counts.get(series.signal, 0)
-            held = columns.get(series.signal) or [new.setdefault(id(one), _Column(one)) for one in arrays]
+            held = columns.get(series.signal) or [_column(one, new) for one in arrays]
             columns[series.signal] = [column.with_tail(one, count) for column, one in zip(held, arrays, strict=True)]
             counts[series.signal] = count + len(series)
-    found = (
-        (signal, (column.first(counts[signal]) for column in columns[signal])) for signal in Signal if signal in columns
-    )
-    return Telemetry(tuple(Series(signal, *arrays) for signal, arrays in found))
+    if alone is not None:
+        return alone
+    series, known = list[Series](), list[NDArray[Any]]()
+    for signal in (one for one in Signal if one in columns):
+        whole = (column.first(counts[signal]) for column in columns.pop(signal))
+        series.append(Series(signal, *(_shared(one, known) for one in whole)))
+    return Telemetry(tuple(series))
+
+
+def _shared(like: NDArray[Any], known: list[NDArray[Any]]) -> NDArray[Any]:
+    """An array that is the same, if there is one; few rows are not looked for."""
+    found = next((one for one in known if len(like) > LARGE and np.array_equal(one, like)), like)
+    known += [like] if found is like else []
+    return found
 
 
 class _Column:
-    """Rows that grow; those of several signals as long as they are the same."""
+    """Rows that grow; those of several signals as long as they are the same. tail: what was added last."""
 
-    def __init__(self, like: NDArray[Any], rows: NDArray[Any] | None = None) -> None:
-        self.rows = np.empty((0, *like.shape[1:]), like.dtype) if rows is None else rows
-        self.tail = like[:0]  # what was added last
+    def __init__(self, tail: NDArray[Any], rows: NDArray[Any]) -> None:
+        self.tail, self.rows = tail, rows
 
     def first(self, count: int) -> NDArray[Any]:
         """So many of the rows."""
@@ -265,7 +274,7 @@ class _Column:
 
     def with_tail(self, tail: NDArray[Any], count: int) -> "_Column":
         """A column of its first `count` rows and these: itself, if it has them or ends there."""
-        if len(self.rows) == count + len(tail) and self.tail is tail:
+        if len(self.rows) == count + len(tail) and np.array_equal(self.tail, tail):
             return self
         own = self if len(self.rows) == count else _Column(tail, self.rows[:count].copy())
         own.rows.resize((count + len(tail), *tail.shape[1:]), refcheck=False)
@@ -273,10 +282,11 @@ class _Column:
         return own
 
 
-def _shared(t_ns: IntArray, known: list[IntArray]) -> IntArray:
-    """These times, in the array that has them already if one does."""
-    found = next((other for other in known if np.array_equal(t_ns, other)), t_ns)
-    known += [t_ns] if found is t_ns else []
+def _column(like: NDArray[Any], known: list[_Column]) -> _Column:
+    """A column to begin with these rows; few of them are not looked for in others."""
+    found = next((one for one in known if len(like) > LARGE and np.array_equal(one.tail, like)), None)
+    if found is None:
+        known.append(found := _Column(like, np.empty((0, *like.shape[1:]), like.dtype)))
     return found
 
 

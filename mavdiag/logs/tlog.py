@@ -123,7 +123,8 @@ def decode_windows(windows: Iterable[bytes], *, keep: bool = True) -> TlogConten
             return
         for sysid, own in frames.by_sysid().items():
             system = systems.setdefault(sysid, _Sender(int(own.rows["host_ns"][0])))
-            system.take(own).parameters += own.of(MessageId.PARAM_VALUE)
+            system.take(own)
+            system.parameters += own.of(MessageId.PARAM_VALUE)
         first_ns.append(int(frames.rows["host_ns"].min()))
         last_ns.append(int(frames.rows["host_ns"].max()))
         held = frames if keep else Frames(NO_FRAMES.data, frames.rows[_KEPT].astype(_LEAN))
