@@ -72,10 +72,9 @@ _FRAME_CLASSES = {b"QUAD": 1, b"HEXA": 2, b"OCTA": 3, b"OCTA_QUAD": 4, b"Y6": 5,
 def read_dataflash(path: Path) -> Log:
     """Read a DataFlash log of ArduPilot, of any era that describes itself. Profile "ardupilot-log".
 
-    Samples are as recorded, not resampled. Several IMUs: the first. ACTUATOR has one column per motor, in the order of
-    the SERVOn_FUNCTION parameters where the log has them, and otherwise one per output channel up to the last one in
-    use. ARMED has a row for each change. Raises InputError for a file that is unreadable, of another kind, or without a
-    known signal.
+    ACTUATOR has one column per motor, in the order of the SERVOn_FUNCTION parameters where the log has them, and
+    otherwise one per output channel up to the last one in use. ARMED has a row for each change. Raises InputError for a
+    file that is unreadable, of another kind, or without a known signal.
     """
     walk, digest = Walk(WANTED), hashlib.sha256()
     for window in windows_of(path):

@@ -186,8 +186,3 @@ def test_what_stays_open_is_a_note(
     log = read_log(written(tmp_path / "F0.mat", changed(one=change)))
     assert any(note in one for one in log.notes), log.notes
     assert (log.telemetry.get(Signal.ROTOR_SPEED) is None) == (absent is Signal.ROTOR_SPEED)
-
-
-def test_a_missing_rotor_line_is_a_note(tmp_path: Path) -> None:
-    log = read_log(written(tmp_path / "F0.mat", flight(12.0, 4, line=0.0)))
-    assert log.notes == ("no rotor line near 150 or 300 Hz in the accelerometer: another speed, or another vehicle",)
