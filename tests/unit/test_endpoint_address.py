@@ -5,21 +5,7 @@ import os
 import pytest
 
 from mavdiag.errors import LinkError, UsageError
-from mavdiag.link.ports import Address, Kind, open_endpoint, parse_address
-
-
-@pytest.mark.parametrize(
-    ("text", "address"),
-    [
-        ("udpin:127.0.0.1:14550", Address(Kind.UDP_IN, "127.0.0.1", 14550)),
-        ("udpout:companion.local:14551", Address(Kind.UDP_OUT, "companion.local", 14551)),
-        ("tcp:[::1]:5760", Address(Kind.TCP_CLIENT, "::1", 5760)),
-        ("tcpin:0.0.0.0:0", Address(Kind.TCP_SERVER, "0.0.0.0", 0)),
-        ("/dev/ttyUSB0,921600", Address(Kind.SERIAL, "/dev/ttyUSB0", 921600)),
-    ],
-)
-def test_an_address_is_taken_apart(text: str, address: Address) -> None:
-    assert parse_address(text) == address
+from mavdiag.link.ports import open_endpoint
 
 
 @pytest.mark.parametrize(

@@ -14,14 +14,6 @@ def timesync(tc1_ns: int, ts1_ns: int, host_ns: int, compid: int = 1) -> Frame:
     return frame
 
 
-def test_it_is_asked_every_ten_seconds_while_the_vehicle_is_there() -> None:
-    state, asked = Timesync(), []
-    for k in range(600):
-        state, messages = exchanged(state, (), k * S // 10, alive=k < 300)
-        asked += [(k / 10, message) for message in messages]
-    assert asked == [(s, TimesyncMessage(0, int(s * S))) for s in (0.0, 10.0, 20.0)]
-
-
 def test_round_trip_and_offset_follow_from_the_answer() -> None:
     state, _ = exchanged(Timesync(), (), 100 * S, alive=True)
     answer = timesync(5 * S + 10_000_000, 100 * S, 100 * S + 30_000_000)
