@@ -235,58 +235,28 @@ def joined(pieces: Iterable[Telemetry]) -> Telemetry:
 
     The columns grow in place and an iterator's pieces are given up one by one, so that memory holds nothing twice.
     """
-    columns: dict[Signal, list[_Column]] = {}
-    counts: dict[Signal, int] = {}
-    alone: Telemetry | None = None
+    columns, alone = dict[Signal, list[NDArray[Any]]](), Telemetry()
     for number, piece in enumerate(pieces):
-        alone = None if number else piece
-        new = list[_Column]()
+        alone = Telemetry() if number else piece
         for series in piece.series:
-            arrays, count = (series.t_ns, series.host_ns, series.values), counts.get(series.signal, 0)
-            held = columns.get(series.signal) or [_column(one, new) for one in arrays]
-            columns[series.signal] = [column.with_tail(one, count) for column, one in zip(held, arrays, strict=True)]
-            counts[series.signal] = count + len(series)
-    if alone is not None:
+            arrays = (series.t_ns, series.host_ns, series.values)
+            held = columns.setdefault(series.signal, [np.empty((0, *one.shape[1:]), one.dtype) for one in arrays])
+            for column, more in zip(held, arrays, strict=True):
+                count = len(column)
+                column.resize((count + len(more), *more.shape[1:]), refcheck=False)
+                column[count:] = more
+    if alone.series:
         return alone
-    series, known = list[Series](), list[NDArray[Any]]()
+    found, known = list[Series](), list[NDArray[Any]]()
     for signal in (one for one in Signal if one in columns):
-        whole = (column.first(counts[signal]) for column in columns.pop(signal))
-        series.append(Series(signal, *(_shared(one, known) for one in whole)))
-    return Telemetry(tuple(series))
+        found.append(Series(signal, *(_shared(one, known) for one in columns.pop(signal))))
+    return Telemetry(tuple(found))
 
 
 def _shared(like: NDArray[Any], known: list[NDArray[Any]]) -> NDArray[Any]:
     """An array that is the same, if there is one; few rows are not looked for."""
     found = next((one for one in known if len(like) > LARGE and np.array_equal(one, like)), like)
     known += [like] if found is like else []
-    return found
-
-
-class _Column:
-    """Rows that grow; those of several signals as long as they are the same. tail: what was added last."""
-
-    def __init__(self, tail: NDArray[Any], rows: NDArray[Any]) -> None:
-        self.tail, self.rows = tail, rows
-
-    def first(self, count: int) -> NDArray[Any]:
-        """So many of the rows."""
-        return self.rows if len(self.rows) == count else self.rows[:count]
-
-    def with_tail(self, tail: NDArray[Any], count: int) -> "_Column":
-        """A column of its first `count` rows and these: itself, if it has them or ends there."""
-        if len(self.rows) == count + len(tail) and np.array_equal(self.tail, tail):
-            return self
-        own = self if len(self.rows) == count else _Column(tail, self.rows[:count].copy())
-        own.rows.resize((count + len(tail), *tail.shape[1:]), refcheck=False)
-        own.rows[count:], own.tail = tail, tail
-        return own
-
-
-def _column(like: NDArray[Any], known: list[_Column]) -> _Column:
-    """A column to begin with these rows; few of them are not looked for in others."""
-    found = next((one for one in known if len(like) > LARGE and np.array_equal(one.tail, like)), None)
-    if found is None:
-        known.append(found := _Column(like, np.empty((0, *like.shape[1:]), like.dtype)))
     return found
 
 
