@@ -88,10 +88,10 @@ def _integers(names: str, *others: tuple[str, Any, int]) -> np.dtype[np.void]:
     return np.dtype([*((name, "i8") for name in names.split()), *others])
 
 
-# Where one message's counter stands: the message plus one, 0 for none; whether it has begun; highest count so far, as
-# sent; how often it has wrapped; when it was last received in line; the most that it was ahead of the receiver's clock,
-# which drift takes back slowly; and the other clock that its latest samples show, with how many in a row agree on it.
-_READING = _integers("msgid used raw turns host_ns line_ns rival_ns rival_host_ns rivals")
+# Where one message's counter stands: the message plus one, 0 for none; whether it has begun; highest count so far, with
+# its turns; when it was last received in line; the most that it was ahead of the receiver's clock, which drift takes
+# back slowly; and the other clock that its latest samples show, with how many in a row agree on it.
+_READING = _integers("msgid used count host_ns line_ns rival_ns rival_host_ns rivals")
 # How far the receiver's clock leads one of the vehicle's: whether it was seen, in which second first, with which lead;
 # and the latest seconds in which it was seen, each at its place modulo `SECONDS`, with their least leads.
 _LEAD = _integers("seen first_s first_ns", ("seconds", "i8", SECONDS), ("least", "i8", SECONDS))
@@ -107,10 +107,8 @@ _MEM = _integers(
     ("seen_ns", "i8", 2),
     ("high_ns", "i8", 2),
 )
-_TIME = _integers(
-    "", ("mem", _MEM, 1), ("readings", _READING, MESSAGES_MAX), ("leads", _LEAD, len(Clock)),
-    ("offsets", _OFFSET, len(Clock)),
-)  # fmt: skip
+_CLOCKS = (("leads", _LEAD, len(Clock)), ("offsets", _OFFSET, len(Clock)))
+_TIME = _integers("", ("mem", _MEM, 1), ("readings", _READING, MESSAGES_MAX), *_CLOCKS)
 
 
 def _fresh() -> IntArray:
@@ -189,11 +187,15 @@ def stamp(
         return int(mem.t_ns)
     raw = min(max(count, 0), HIGHEST_NS // tick)
     ambiguous = 0 < turn * tick < _DAY_NS  # its first reading alone does not give the time since boot
-    reading = readings[_place(readings, msgid)]
+    place = 0  # of the message's reading, the last one where there is no room for one more
+    while place < len(readings) - 1 and readings[place].msgid not in (0, msgid + 1):
+        place += 1
+    reading = readings[place]
+    reading.msgid = msgid + 1
     sort, clock_ns = _BROKEN_OFF, NEVER
     if reading.used:
         sort, clock_ns = _unwrapped(mem, reading, tick, turn, raw, now_ns)
-        if sort == _BROKEN_OFF and (reading.raw * tick >= EPOCH_NS) != (raw * tick >= EPOCH_NS):
+        if sort == _BROKEN_OFF and (reading.count * tick >= EPOCH_NS) != (raw * tick >= EPOCH_NS):
             reading.used = 0  # it went over from time since boot to unix time or back, which is no reboot
     if not reading.used:
         if not _begin(reading, leads, tick, turn, ambiguous, raw, count > raw, now_ns):
@@ -229,16 +231,6 @@ def _clock_of(tick: int, ambiguous: bool, clock_ns: int) -> int:
 
 
 @jit
-def _place(readings: Records, msgid: int) -> int:
-    """Where a message's reading is, or can be: the last place where there is no room for one more."""
-    for k in range(len(readings)):
-        if readings[k].msgid == msgid + 1 or readings[k].msgid == 0:
-            readings[k].msgid = msgid + 1
-            return k
-    return len(readings) - 1
-
-
-@jit
 def _begin(
     reading: Fields, leads: Records, tick: int, turn: int, ambiguous: bool, raw: int, beyond: bool, now_ns: int
 ) -> bool:
@@ -247,34 +239,33 @@ def _begin(
     beyond: the count was garbage beyond `HIGHEST_NS`. Returns whether it can be placed: a counter that wraps often
     needs the time since boot that the others show.
     """
-    first, wrapped = raw, 0
+    first = raw
     if ambiguous:
         shown = leads[_BOOT_MS] if leads[_BOOT_MS].seen else leads[_BOOT_US]
         if not shown.seen:
             return False
-        wrapped = max(0, int(np.rint((now_ns - _least(shown) - raw * tick) / (turn * tick))))
+        first += turn * max(0, int(np.rint((now_ns - _least(shown) - raw * tick) / (turn * tick))))
     else:
         own = leads[_clock_of(tick, ambiguous, raw * tick)]
         if own.seen and (beyond or raw * tick - (now_ns - _least(own)) > LATE_NS):
             first = max(0, now_ns - _least(own)) // tick
-    clock_ns = min(first * tick + wrapped * turn * tick, HIGHEST_NS)
-    reading.used, reading.raw, reading.turns, reading.host_ns, reading.rivals = 1, first, wrapped, now_ns, 0
-    reading.line_ns = clock_ns - now_ns + (now_ns >> DRIFT_SHIFT)
+    reading.used, reading.count, reading.host_ns, reading.rivals = 1, first, now_ns, 0
+    reading.line_ns = min(first * tick, HIGHEST_NS) - now_ns + (now_ns >> DRIFT_SHIFT)
     return True
 
 
 @jit
 def _unwrapped(mem: Fields, reading: Fields, tick: int, turn: int, raw: int, now_ns: int) -> tuple[int, int]:
     """What the stamp is, and the message's own clock [ns]. The reading goes on, unless the counter has broken off."""
-    ahead_of_it = reading.turns * turn
     elapsed_ns = max(now_ns - reading.host_ns, 0)
-    step = raw - reading.raw
+    step = raw - reading.count
     if turn:
+        step = raw - reading.count % turn
         shorter = (step + turn // 2) % turn - turn // 2  # the shorter way round
         if abs(shorter * tick - elapsed_ns) <= WRAP_SLACK_NS:
             step = shorter
-    clock_ns = (reading.raw + ahead_of_it + step) * tick
-    if (clock_ns >= EPOCH_NS) != ((reading.raw + ahead_of_it) * tick >= EPOCH_NS):
+    clock_ns = (reading.count + step) * tick
+    if (clock_ns >= EPOCH_NS) != (reading.count * tick >= EPOCH_NS):
         return _BROKEN_OFF, clock_ns
     ahead_ns = clock_ns - now_ns + (now_ns >> DRIFT_SHIFT)
     beyond_ns = step * tick - elapsed_ns  # of what the receiver's clock explains
@@ -292,10 +283,7 @@ def _unwrapped(mem: Fields, reading: Fields, tick: int, turn: int, raw: int, now
     elif step * tick < -LATE_NS:
         return _BROKEN_OFF if elapsed_ns >= SILENT_NS else _LEFT_OUT, clock_ns
     reading.host_ns, reading.line_ns, reading.rivals = now_ns, max(reading.line_ns, ahead_ns), 0
-    if step > 0:
-        if turn:
-            reading.turns += (reading.raw + step - raw) // turn
-        reading.raw = raw
+    reading.count += max(step, 0)
     return _IN_LINE, clock_ns
 
 
@@ -323,7 +311,14 @@ def _placed(mem: Fields, leads: Records, offsets: Records, clock_ns: int, now_ns
         mem.reference = clock
         if mem.t_ns != NEVER:
             mem.base_ns = mem.t_ns + max(now_ns - mem.host_ns, REBOOT_GAP_NS) - clock_ns
-    _watch(leads[clock], now_ns - clock_ns, now_ns // NS_PER_S)
+    lead, lead_ns, second = leads[clock], now_ns - clock_ns, now_ns // NS_PER_S
+    if not lead.seen:
+        lead.seen, lead.first_s, lead.first_ns = 1, second, lead_ns
+    k = second % SECONDS
+    if second > lead.seconds[k]:
+        lead.seconds[k], lead.least[k] = second, lead_ns
+    elif second == lead.seconds[k]:
+        lead.least[k] = min(lead.least[k], lead_ns)
     t_ns = clock_ns if clock == mem.reference else NEVER
     for other in range(len(leads)):
         if other != mem.reference and leads[other].seen:
@@ -343,18 +338,6 @@ def _placed(mem: Fields, leads: Records, offsets: Records, clock_ns: int, now_ns
                 mem.rivals = 0
         mem.high_ns[epoch] = max(mem.high_ns[epoch], clock_ns)
     return t_ns
-
-
-@jit
-def _watch(lead: Fields, lead_ns: int, second: int) -> None:
-    """Take a sample into the leads of its clock."""
-    if not lead.seen:
-        lead.seen, lead.first_s, lead.first_ns = 1, second, lead_ns
-    k = second % SECONDS
-    if second > lead.seconds[k]:
-        lead.seconds[k], lead.least[k] = second, lead_ns
-    elif second == lead.seconds[k]:
-        lead.least[k] = min(lead.least[k], lead_ns)
 
 
 @jit

@@ -185,11 +185,9 @@ class Senders:
     def intruder(self, key: int) -> Intruder | None:
         """Who else uses a sender's name; None if nobody does."""
         row = self._row(key)
-        return (
-            Intruder(self._sources[int(row["intruder"])], int(row["refused"]))
-            if row is not None and row["refused"]
-            else None
-        )
+        if row is None or not row["refused"]:
+            return None
+        return Intruder(self._sources[int(row["intruder"])], int(row["refused"]))
 
     def sound(self, key: int) -> bool:
         """Whether a sender's numbers are those of one sender.
