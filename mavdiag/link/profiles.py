@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import isfinite
+from typing import Self
 
 import numpy as np
 
@@ -42,32 +43,17 @@ _HEARTBEAT = layout_of(MessageId.HEARTBEAT).record_dtype(*((name, 1) for name in
 _RAW_IMU = layout_of(MessageId.RAW_IMU).record_dtype(("time_usec", 1), ("xacc", 3))
 
 
-@dataclass(frozen=True, slots=True)
 class Evidence:
-    """What the frames of one vehicle's autopilot show of its profile; NaN without RAW_IMU."""
+    """What the frames of one vehicle's autopilot show of its profile, gathered piece by piece, in order of arrival.
 
-    autopilots: frozenset[int]  # what its heartbeats name it, MAV_AUTOPILOT
-    counts: Mapping[int, int]  # how many frames of each message
-    weight: float  # median size of RAW_IMU's acceleration, in counts, for a vehicle feels its own weight
-    period_us: float  # median period of RAW_IMU
-
-    def weighs(self, span: tuple[float, float]) -> bool:
-        """Whether one g is within this span of counts."""
-        return span[0] <= self.weight < span[1]
-
-
-class Witness:
-    """Gathers what the frames of one vehicle show, piece by piece, in order of arrival.
-
-    counts: its autopilot's frames by message. beats: how often each MAV_TYPE and MAV_AUTOPILOT comes in the heartbeats
-    of autopilots, not of stations or computers.
+    counts: of each message. beats: of each MAV_TYPE and MAV_AUTOPILOT in its heartbeats, not a station's or computer's.
     """
 
     def __init__(self) -> None:
         self.counts, self.beats = Counter[int](), Counter[tuple[int, int]]()
         self._raw = np.empty(0, _RAW_IMU)
 
-    def take(self, frames: Frames) -> "Witness":
+    def take(self, frames: Frames) -> Self:
         """Take in the next frames; returns itself."""
         self.counts += frames.counts()
         record = frames.of(MessageId.HEARTBEAT, compid=AUTOPILOT).records(_HEARTBEAT)
@@ -88,14 +74,25 @@ class Witness:
         return kinds.most_common(1)[0][0] if kinds else None
 
     @property
-    def evidence(self) -> Evidence:
-        """What it shows so far."""
-        record, weight, period_us = self._raw, float("nan"), float("nan")
-        if len(record):
-            weight = float(np.median(np.linalg.norm(record["xacc"].astype(np.float64), axis=1)))
-        if len(record) > 1:
-            period_us = float(np.median(np.diff(record["time_usec"].astype(np.int64))))
-        return Evidence(frozenset(autopilot for _, autopilot in self.beats), self.counts, weight, period_us)
+    def autopilots(self) -> frozenset[int]:
+        """What its heartbeats name it, MAV_AUTOPILOT."""
+        return frozenset(autopilot for _, autopilot in self.beats)
+
+    @property
+    def weight(self) -> float:
+        """Median size of RAW_IMU's acceleration, in counts, for a vehicle feels its own weight; NaN without it."""
+        sizes = np.linalg.norm(self._raw["xacc"].astype(np.float64), axis=1)
+        return float(np.median(sizes)) if len(sizes) else float("nan")
+
+    @property
+    def period_us(self) -> float:
+        """Median period of RAW_IMU; NaN without it."""
+        steps = np.diff(self._raw["time_usec"].astype(np.int64))
+        return float(np.median(steps)) if len(steps) else float("nan")
+
+    def weighs(self, span: tuple[float, float]) -> bool:
+        """Whether one g is within this span of counts."""
+        return span[0] <= self.weight < span[1]
 
 
 class Stamp(StrEnum):
@@ -218,9 +215,8 @@ def profile_named(name: str) -> Profile:
     return PROFILES[name]
 
 
-def detect_profile(witness: Witness, profiles: Iterable[Profile] = _ROWS) -> tuple[Profile | None, str]:
+def detect_profile(seen: Evidence, profiles: Iterable[Profile] = _ROWS) -> tuple[Profile | None, str]:
     """The first of the profiles that one vehicle's frames fit, never a guess; or None and why, one sentence."""
-    seen = witness.evidence
     found = next((profile for profile in profiles if profile.recognise(seen)), None)
     if found is not None:
         return found, ""

@@ -20,8 +20,8 @@ from mavdiag.link.profiles import (
     IMU_MESSAGES,
     LAST_RESORT,
     PROFILES,
+    Evidence,
     Profile,
-    Witness,
     by_attitude,
     detect_profile,
     with_imu,
@@ -370,7 +370,7 @@ class LinkDecoder:
             waiting.reason, waiting.frames = refused, []
             return []
         if profile is None:
-            profile, waiting.reason = detect_profile(Witness().take(frames_of([waiting.beat, *waiting.frames])))
+            profile, waiting.reason = detect_profile(Evidence().take(frames_of([waiting.beat, *waiting.frames])))
         if profile is None:
             return []
         self.vehicles[sysid] = VehicleStream(profile)

@@ -17,7 +17,7 @@ from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError
 from mavdiag.link.codec import NO_FRAMES, STAMP_BYTES, Decoder, Frame, Frames
 from mavdiag.link.messages import MessageId
-from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Witness, detect_profile, profile_named, with_imu
+from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Evidence, detect_profile, profile_named, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState, joined
 from mavdiag.link.sequence import FRAME, LinkCount
 from mavdiag.link.vehicles import parameters_in
@@ -31,7 +31,7 @@ _WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
 )
 
 
-class _Sender(Witness):
+class _System(Evidence):
     """A system id of a log, and when its first frame came [ns]."""
 
     def __init__(self, heard_ns: int) -> None:
@@ -56,7 +56,7 @@ class TlogContent:
     """What a telemetry log holds."""
 
     pieces: list[_Piece]  # frames that any profile reads, of all senders, in order; without the bytes if from a file
-    systems: Mapping[int, _Sender]  # by system id
+    systems: Mapping[int, _System]  # by system id
     span_ns: int  # from the earliest of these frames to the latest
     size: int  # bytes of the file
     records: int  # sound frames of any kind
@@ -114,7 +114,7 @@ def read_content(path: Path) -> TlogContent:
 
 def decode_windows(windows: Iterable[bytes], *, keep: bool = True) -> TlogContent:
     """As `decode_tlog`, for a log that comes in windows, wherever they cut it. keep: the bytes, too."""
-    decoder, pieces, systems = Decoder(_WANTED, stamped=True), list[_Piece](), dict[int, _Sender]()
+    decoder, pieces, systems = Decoder(_WANTED, stamped=True), list[_Piece](), dict[int, _System]()
     first_ns, last_ns = list[int](), list[int]()
 
     def take(window: bytes, *, last: bool = False) -> None:
@@ -122,7 +122,7 @@ def decode_windows(windows: Iterable[bytes], *, keep: bool = True) -> TlogConten
         if not len(frames):
             return
         for sysid, own in frames.by_sysid().items():
-            system = systems.setdefault(sysid, _Sender(int(own.rows["host_ns"][0])))
+            system = systems.setdefault(sysid, _System(int(own.rows["host_ns"][0])))
             system.take(own)
             system.parameters += own.of(MessageId.PARAM_VALUE)
         first_ns.append(int(frames.rows["host_ns"].min()))

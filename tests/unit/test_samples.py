@@ -10,7 +10,7 @@ import pytest
 from mavdiag.link.clock import MS_32
 from mavdiag.link.codec import Decoder, Encoder, Frame, frames_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
-from mavdiag.link.profiles import PROFILES, Evidence, Witness, detect_profile, with_imu
+from mavdiag.link.profiles import PROFILES, Evidence, detect_profile, with_imu
 from mavdiag.link.samples import SOURCES, Form, Part, SampleDecoder, SampleState, Source, euler_angles, joined
 from mavdiag.telemetry import FloatArray, Signal, Telemetry
 
@@ -212,7 +212,7 @@ def test_profile_by_what_is_sent(autopilot: int, imu: MessageId, weight: int, pe
     vehicle = Vehicle()
     frames = [vehicle.frame(MessageId.HEARTBEAT, MavType.QUADROTOR, autopilot, 0, 0, 4, 3)]
     frames += [vehicle.frame(imu, period_us * k, 30, -20, -weight) for k in range(20)]
-    assert detect_profile(Witness().take(frames_of(frames))) == (PROFILES[name], "")
+    assert detect_profile(Evidence().take(frames_of(frames))) == (PROFILES[name], "")
 
 
 @pytest.mark.parametrize(
@@ -228,7 +228,7 @@ def test_b18_an_unknown_vehicle_is_not_a_qdrone2(imu: MessageId, weight: int, wo
     vehicle = Vehicle()
     frames = [vehicle.frame(MessageId.HEARTBEAT, MavType.QUADROTOR, 0, 0, 0, 4, 3)]
     frames += [vehicle.frame(imu, 1000 * k, 3, -2, -weight) for k in range(20)]
-    profile, reason = detect_profile(Witness().take(frames_of(frames)))
+    profile, reason = detect_profile(Evidence().take(frames_of(frames)))
     assert profile is None
     assert words in reason
     assert reason.endswith("give --profile")
@@ -263,5 +263,5 @@ def test_an_autopilot_is_added_by_one_row() -> None:
     row = replace(PROFILES["px4"], name="made", autopilot=99, recognise=recognise, imu=MessageId.SCALED_IMU)
     vehicle = Vehicle()
     frames = [vehicle.frame(MessageId.HEARTBEAT, MavType.QUADROTOR, 99, 0, 0, 4, 3)]
-    assert detect_profile(Witness().take(frames_of(frames)), (row, *PROFILES.values()))[0] is row
-    assert detect_profile(Witness().take(frames_of(frames)))[0] is None
+    assert detect_profile(Evidence().take(frames_of(frames)), (row, *PROFILES.values()))[0] is row
+    assert detect_profile(Evidence().take(frames_of(frames)))[0] is None
