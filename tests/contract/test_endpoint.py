@@ -125,11 +125,6 @@ def test_a_message_stays_one_chunk_where_the_link_keeps_bounds(link: Link) -> No
     assert received == [1, 17, 280]
 
 
-def test_silence_is_an_empty_answer_after_the_time_asked(link: Link) -> None:
-    assert link.near.receive(0.0) == []
-    assert link.near.receive(0.02) == []
-
-
 def test_each_chunk_carries_the_host_clock(link: Link) -> None:
     stamps: list[int] = []
     for _ in range(3):
@@ -175,9 +170,3 @@ def test_waiting_tells_which_of_several_can_be_read(link: Link) -> None:
         assert wait([quiet, link.near], PATIENCE_S) == [link.near]
         other.send(b"now")
         assert set(wait([quiet, link.near], PATIENCE_S)) == {quiet, link.near}
-
-
-def test_leaving_the_context_closes(link: Link) -> None:
-    with link.near as endpoint:
-        assert endpoint.connected
-    assert not link.near.connected

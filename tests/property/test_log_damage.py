@@ -25,7 +25,7 @@ from mavdiag.logs.crazyflie import read_crazyflie
 from mavdiag.logs.dataflash import read_dataflash
 from mavdiag.logs.dronepropa import read_dronepropa
 from mavdiag.logs.ulog import read_ulog
-from mavdiag.telemetry import Log, Signal
+from mavdiag.telemetry import Log
 
 PID = CrazyflieEvent(9, "fixedFrequency", tuple(f"controller.{name}(f)" for name in ("r_roll", "r_pitch", "r_yaw")))
 MARK = CrazyflieEvent(7, "mark", ("mode(B)",))
@@ -75,7 +75,6 @@ CYCLES = [
 ULOG = ulog(
     [SENSORS, SETPOINT, STATUS, UTC], [*CYCLES[:6], ulog_message("S", b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"), *CYCLES[6:]]
 )
-ULOG_RECORDS = ULOG.index(CYCLES[0])
 
 ROWS = {name: table[:, 3000:3600] for name, table in flight(5.0, 9).items()}
 PACKED = mat_content(ROWS)
@@ -127,13 +126,6 @@ def test_no_damage_is_a_crash(path: Path, kind: str, data: st.DataObject) -> Non
     damaged = flipped(content, bits)
     for one in (damaged, damaged[:place], content[:place] + garbage + content[place:], content[:head] + garbage):
         read(path, kind, one)
-
-
-@given(bit=st.integers(8 * DATAFLASH.index(FUNCTION), 8 * len(DATAFLASH) - 1))
-def test_a_flipped_bit_in_dataflash_records_costs_few_of_them(path: Path, bit: int) -> None:
-    log = read(path, "DataFlash", flipped(DATAFLASH, [bit]))
-    assert log is not None
-    assert len(log[Signal.BODY_RATE]) >= COUNT - 3
 
 
 @given(kept=st.integers(0, len(PACKED) - 1), bits=st.lists(st.integers(128 * 8, 8 * len(PACKED) - 1), min_size=1))

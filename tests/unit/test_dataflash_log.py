@@ -21,11 +21,7 @@ PARM = DataFlashMessage(32, "PARM", "QNf", "TimeUS,Name,Value")
 ARM = DataFlashMessage(186, "ARM", "QB", "TimeUS,ArmState")
 EV = DataFlashMessage(13, "EV", "B", "Id")
 GPS = DataFlashMessage(90, "GPS", "QBIH", "TimeUS,Status,GMS,GWk")
-OLD_IMU = DataFlashMessage(131, "IMU", "Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
-OLD_IMU2 = DataFlashMessage(135, "IMU2", "Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
 OLD_RATE = DataFlashMessage(29, "RATE", "Ifffffffff", f"TimeMS,{RATE_FIELDS}")
-OLD_CURR = DataFlashMessage(166, "CURR", "Ih", "TimeMS,Volt")
-OLD_CTUN = DataFlashMessage(4, "CTUN", "Ihf", "TimeMS,ThrOut,Alt")
 
 
 def imu(time_us: int, rate: float = 0.0, instance: int = 0) -> bytes:
@@ -49,16 +45,6 @@ def test_format_characters_carry_their_multiplier_and_angles_become_radians(tmp_
     assert first(log, Signal.ATTITUDE) == pytest.approx([math.radians(a) for a in (11, -4, 10)])
     assert log.telemetry.need(Signal.ATTITUDE).t_ns.tolist() == [5_000_000]
     assert log.profile == "ardupilot-log"
-
-
-def test_only_the_first_imu_is_taken(tmp_path: Path) -> None:
-    new = read(tmp_path, dataflash([IMU], [imu(1, 0.5, 1), imu(2, 0.25, 0), imu(3, 0.5, 1)]))
-    assert first(new, Signal.BODY_RATE) == [0.25, 0, 0]
-    assert len(new.telemetry.need(Signal.BODY_RATE)) == 1
-    records = [OLD_IMU2.record(1, 0.5, 0, 0, 0, 0, 0), OLD_IMU.record(1, 0.25, 0, 0, 0, 0, 0)]
-    old = read(tmp_path, dataflash([OLD_IMU, OLD_IMU2], records))
-    assert first(old, Signal.BODY_RATE) == [0.25, 0, 0]
-    assert old.telemetry.need(Signal.BODY_RATE).t_ns.tolist() == [1_000_000]
 
 
 def turning(message: DataFlashMessage, *values: float) -> list[bytes]:

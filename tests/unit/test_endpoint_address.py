@@ -1,7 +1,5 @@
 """Addresses: what is understood, and one line of advice for each way to get one wrong."""
 
-import os
-
 import pytest
 
 from mavdiag.errors import LinkError, UsageError
@@ -44,14 +42,3 @@ def test_what_cannot_be_opened_is_a_link_error_of_one_line(address: str, advice:
     with pytest.raises(LinkError, match=advice) as caught:
         open_endpoint(address)
     assert "\n" not in str(caught.value)
-
-
-def test_a_serial_device_is_held_alone() -> None:
-    master, slave = os.openpty()
-    address = f"{os.ttyname(slave)},57600"
-    try:
-        with open_endpoint(address), pytest.raises(LinkError, match="device is busy"):
-            open_endpoint(address)
-    finally:
-        os.close(master)
-        os.close(slave)

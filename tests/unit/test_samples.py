@@ -2,7 +2,7 @@
 
 from collections import Counter
 from dataclasses import replace
-from math import pi, radians
+from math import pi
 
 import numpy as np
 import pytest
@@ -54,14 +54,6 @@ def quaternion(roll: float, pitch: float, yaw: float) -> FloatArray:
     return product
 
 
-IMU_CASES = [
-    ("qdrone2", MessageId.RAW_IMU, 1e-3 * G, 1e-3),
-    ("ardupilot", MessageId.RAW_IMU, 1e-3 * G, 1e-3),
-    ("spec", MessageId.RAW_IMU, G / 2048, radians(1 / 16.4)),
-    ("px4", MessageId.HIGHRES_IMU, 1.0, 1.0),
-]
-
-
 def test_setpoint_angles_rates_and_thrust() -> None:
     q = tuple(quaternion(0.2, -0.1, 1.0).tolist())
     telemetry = telemetry_of([Vehicle().frame(MessageId.ATTITUDE_TARGET, 7_001, 0, q, 0.1, 0.2, 0.3, 0.55)])
@@ -91,21 +83,6 @@ def test_what_the_type_mask_ignores_is_no_sample(mask: TargetMask, absent: set[S
     telemetry = telemetry_of(frames)
     for signal in (Signal.ATTITUDE_SETPOINT, Signal.RATE_SETPOINT, Signal.THRUST_SETPOINT):
         assert len(telemetry.need(signal)) == (1 if signal in absent else 2)
-
-
-def test_unsound_numbers_are_dropped_and_counted() -> None:
-    vehicle, nan = Vehicle(), float("nan")
-    frames = [
-        vehicle.frame(MessageId.ATTITUDE_TARGET, 1, 0, (0.0,) * 4, 0, 0, 0, 0.5),
-        vehicle.frame(MessageId.ATTITUDE_TARGET, 2, 0, LEVEL, nan, 0, 0, 0.5),
-        vehicle.frame(MessageId.ATTITUDE_TARGET, 3, TargetMask.ATTITUDE, (nan,) * 4, 0, 0, 0, float("inf")),
-        vehicle.frame(MessageId.ATTITUDE_TARGET, 4, 0, LEVEL, 0, 0, 0, 0.5),
-    ]
-    state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), frames)
-    assert telemetry.need(Signal.ATTITUDE_SETPOINT).t_ns.tolist() == [2_000_000, 4_000_000]
-    assert telemetry.need(Signal.RATE_SETPOINT).t_ns.tolist() == [1_000_000, 3_000_000, 4_000_000]
-    assert telemetry.need(Signal.THRUST_SETPOINT).t_ns.tolist() == [1_000_000, 2_000_000, 4_000_000]
-    assert state.dropped == 3
 
 
 def test_slow_signals() -> None:

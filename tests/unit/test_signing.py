@@ -6,7 +6,7 @@ import pymavlink.dialects.v20.ardupilotmega as dialect
 
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import MessageId
-from mavdiag.link.signing import STALE, Refusal, Signing, stamp_at
+from mavdiag.link.signing import Refusal, Signing, stamp_at
 
 KEY = hashlib.sha256(b"correct horse").digest()
 NOW_NS = 1_800_000_000 * 1_000_000_000
@@ -74,15 +74,6 @@ def test_every_bit_of_a_signed_frame_is_protected() -> None:
         changed[place] ^= 1
         assert not signing.genuine(bytes(changed)), place
         assert signing.refused == {Refusal.FORGED: 1}
-
-
-def test_each_stream_has_its_own_stamps() -> None:
-    signing, decoder = verifier()
-    slow = beats(5, Signing(KEY, stamp=NOW - STALE // 2))
-    assert len(heard(decoder, *beats(5, Signing(KEY, stamp=NOW)))) == 5
-    assert len(heard(decoder, *beats(5, Signing(KEY, link_id=1, stamp=NOW - STALE // 2)))) == 5
-    assert heard(decoder, *slow) == []
-    assert signing.refused == {Refusal.REPLAYED: 5}
 
 
 def test_unsigned_and_mavlink_1_are_refused_with_a_key() -> None:

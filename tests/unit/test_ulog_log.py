@@ -32,7 +32,6 @@ OLD_SETPOINT = ULogTopic(
 ATTITUDE = ULogTopic(3, "vehicle_attitude", (STAMP, ("uint64_t", "timestamp_sample"), ("float[4]", "q")))
 MOTORS = ULogTopic(4, "actuator_motors", (STAMP, ("float[12]", "control")))
 OUTPUTS = ULogTopic(5, "actuator_outputs", (STAMP, ("float[16]", "output")))
-ESC = ULogTopic(6, "esc_report", (("int32_t", "esc_rpm"), ("float", "esc_current")))
 STATUS = ULogTopic(7, "vehicle_status", (STAMP, ("uint8_t", "arming_state")))
 POSITION = ULogTopic(8, "vehicle_local_position", (STAMP, ("float", "z")))
 GPS = ULogTopic(9, "vehicle_gps_position", (STAMP, ("uint64_t", "time_utc_usec")))
@@ -68,14 +67,6 @@ def test_topics_become_signals_in_si_and_frd(
     log = read(tmp_path, ulog([topic], [topic.record(*record) for record in records]))
     np.testing.assert_allclose(log[signal].values, values, atol=1e-6)
     assert (log.profile, log.started_ns) == ("px4-log", 0)
-
-
-def test_a_sample_has_the_time_at_which_it_was_taken(tmp_path: Path) -> None:
-    records = [sensors(2_000, 0.5, -300), sensors(6_000, 0.5, 2**31 - 1), ATTITUDE.record(2_000, 1_900, 1, 0, 0, 0)]
-    log = read(tmp_path, ulog([SENSORS, ATTITUDE], records))
-    assert log[Signal.BODY_RATE].t_ns.tolist() == [2_000_000, 6_000_000]
-    assert log[Signal.SPECIFIC_FORCE].t_ns.tolist() == [1_700_000]  # the second was never taken
-    assert log[Signal.ATTITUDE].t_ns.tolist() == [1_900_000]
 
 
 @pytest.mark.parametrize(

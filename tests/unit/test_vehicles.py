@@ -3,12 +3,11 @@
 import pytest
 from memory_port import memory_pair
 
-from mavdiag.errors import InputError
 from mavdiag.link.codec import Encoder, message_name
 from mavdiag.link.link import Link
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
 from mavdiag.link.profiles import PROFILES
-from mavdiag.link.vehicles import Ack, Command, LinkDecoder, VehicleStream
+from mavdiag.link.vehicles import Ack, Command, LinkDecoder
 from mavdiag.telemetry import Signal
 
 S = 1_000_000_000
@@ -74,17 +73,6 @@ def test_b18_a_vehicle_of_unknown_profile_waits_and_says_why() -> None:
     assert "give --profile" in decoder.waiting[1]
 
 
-def test_b19_an_imu_message_that_comes_seldom_is_not_taken_for_the_profiles_own() -> None:
-    stream, sender, decoder = VehicleStream(PROFILES["ardupilot"]), Sender(), LinkDecoder(PROFILES["ardupilot"])
-    few = [frame for chunk in sender.chunks(10, MessageId.SCALED_IMU2) for frame in decoder.decoder.feed(*chunk)]
-    raw = [frame for chunk in sender.chunks(20) for frame in decoder.decoder.feed(*chunk)]
-    assert stream.step(few).get(Signal.BODY_RATE) is None
-    assert len(stream.step(raw)["body_rate"]) == 20
-    many = [frame for chunk in sender.chunks(90, MessageId.SCALED_IMU2) for frame in decoder.decoder.feed(*chunk)]
-    assert stream.step(many).get(Signal.BODY_RATE) is None
-    assert stream.profile is PROFILES["ardupilot"]
-
-
 def test_acknowledgements_and_commands_are_handed_out() -> None:
     decoder, sender, station = LinkDecoder(PROFILES["ardupilot"]), Sender(), Encoder(255, 190)
     run(decoder, sender.chunks(5))
@@ -127,23 +115,6 @@ def test_a_link_is_iterated() -> None:
         assert link.stream is not None
     assert not near.connected
     far.close()
-
-
-def test_a_link_without_a_vehicle_says_why() -> None:
-    near, far = memory_pair()
-    link = Link(near)
-    with pytest.raises(InputError, match="nothing was received"):
-        link.record(0.01)
-    far.send(Encoder(255, 190).encode(MessageId.ATTITUDE, 1))
-    with pytest.raises(InputError, match="system ids 255 send"):
-        link.record(0.01)
-    for sender in (Sender(1), Sender(2)):
-        for data, _ in sender.chunks(300):
-            far.send(data)
-    with pytest.raises(InputError, match="vehicles 1, 2; choose one"):
-        link.record(2.0)
-    far.close()
-    link.close()
 
 
 def attitudes(sender: Sender, n: int) -> list[tuple[bytes, int]]:
