@@ -141,8 +141,7 @@ def _starts(body: bytes, sizes: dict[int, int]) -> dict[int, list[int] | IntArra
     return dict(found)
 
 
-# It has no arming state; the limits are those that the recorded flights were found to need (height 0.38 m, thrust 25000
-# of 65535, 0.5 s and 0.6 s off the ends).
+# It has no arming state; the limits are those that the recorded flights were found to need.
 KIND = LogKind(
     "Crazyflie",
     lambda head: head[:1] == bytes([TOKEN]),

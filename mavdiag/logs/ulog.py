@@ -41,8 +41,7 @@ PWM_ZERO_US, PWM_SPAN_US, PWM_LEAST_US = 1000.0, 1000.0, 800.0
 UTC_PLAUSIBLE_US = 10**15  # September 2001: a receiver without a fix reports 0
 
 READ_ALLOWANCE = 8  # a sound file is read once; a run of zeros, byte by byte, costs five times its length
-HEAD_BYTES = 16  # of the file
-HEADER_BYTES = 3  # of a message
+HEAD_BYTES, HEADER_BYTES = 16, 3  # of the file; of a message
 DEFINITIONS_END = (b"A", b"L", b"C")  # types of messages: subscription, text, text with a tag
 COMPARED_AT_ONCE = 32  # definitions that are compared in the time of reading a byte (our estimate)
 MAX_FIELDS = 65_535  # a ULog message is at most this many bytes (its length is a u16)
