@@ -44,16 +44,13 @@ _pack_header = struct.Struct("<BBBBBBHB").pack  # without the marker and with th
 
 
 class Frame(NamedTuple):
-    """One received message: its number, its sender and that one's running number, and when it was received [ns].
-
-    payload: as on the wire, with the trimmed zeros put back and unknown extensions cut off.
-    """
+    """One received message: its number, its sender and that one's running number, and when it was received [ns]."""
 
     msgid: int
     sysid: int
     compid: int
     seq: int
-    payload: bytes
+    payload: bytes  # as on the wire, with the trimmed zeros put back and unknown extensions cut off
     host_ns: int
 
     @property
@@ -367,8 +364,7 @@ def _find(
 ) -> tuple[int, int]:
     """Write down the frames; returns how many, and how many bytes are done with.
 
-    chunks: (3, k) their sizes, times of arrival [ns] and sources. whole: none of them goes on in the next one, else
-    there is one chunk. gap: bytes before each frame.
+    chunks: (3, k) sizes, times of arrival [ns] and sources. whole: none goes on in the next one, else there is one.
     """
     count = end = 0
     for k in range(chunks.shape[1]):
@@ -381,7 +377,10 @@ def _find(
             if after == _NOT_YET:
                 break
             if after > at:
-                found[count].host_ns = chunks[1, k] if gap == 0 else _stamp(data, at) * NS_PER_US
+                time_us = np.int64(0)  # of the record of a log
+                for j in range(at - gap, at):
+                    time_us = time_us << 8 | np.int64(data[j])
+                found[count].host_ns = time_us * NS_PER_US if gap else chunks[1, k]
                 found[count].source = chunks[2, k]
                 count, at = count + 1, after + gap
                 continue
@@ -390,15 +389,6 @@ def _find(
         if not whole:
             return count, min(max(at - gap, 0), end)
     return count, end
-
-
-@jit
-def _stamp(data: Bytes, begin: int) -> int:
-    """The time stamp of a record of a log [us]."""
-    time_us = np.int64(0)
-    for k in range(begin - STAMP_BYTES, begin):
-        time_us = time_us << 8 | np.int64(data[k])
-    return int(time_us)
 
 
 @jit
@@ -413,10 +403,7 @@ def _take(
     tally: IntArray,
     frame: Any,
 ) -> int:
-    """Write down the frame that begins at a marker, and return the place behind it; `begin` if there is none.
-
-    whole: the data goes on no further; else `_NOT_YET` says that more bytes must decide.
-    """
+    """Write down the frame that begins at a marker; returns the place behind it, `begin` for none, or `_NOT_YET`."""
     zero = np.int64(0)  # `zero +` makes a byte a signed number for numba
     if gap and (data[begin - 8] != 0 or data[begin - 7] >= LATEST_US >> 48):
         return begin

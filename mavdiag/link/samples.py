@@ -263,8 +263,7 @@ def _shared(like: NDArray[Any], known: list[NDArray[Any]]) -> NDArray[Any]:
 def euler_angles(q: FloatArray) -> FloatArray:
     """Roll, pitch, yaw [rad], (n, 3), of quaternions w, x, y, z (n, 4); NaN for a length outside of 0.1 to 10.
 
-    Body to world, order z-y-x. Pitch's denominator is the hypotenuse of roll's pair, so that nothing is divided or
-    clipped and the length of q does not matter.
+    Body to world, order z-y-x. The length of q does not matter.
     """
     angles = np.empty((len(q), 3))
     _fill_angles(q, angles)
@@ -298,7 +297,6 @@ def _count(payload: Bytes, at: int, size: int) -> int:
 
 @jit
 def _number(payload: Bytes, floats: Any, at: int, part: Any) -> float:
-    """A field of a part's kind at this place. Floating ones lie at multiples of four."""
     if part.kind == 32:
         return np.float64(floats[at // 4])
     value = _count(payload, at, part.size)
@@ -307,7 +305,6 @@ def _number(payload: Bytes, floats: Any, at: int, part: Any) -> float:
 
 @jit
 def _pulses(payload: Bytes, part: Any, out: FloatArray) -> None:
-    """Pulses as shares of the full output, 0..1; an output that is not in use (0 us) becomes 0."""
     for k in range(ACTUATORS):
         at = part.at + 2 * k if k < 8 else part.beside + 2 * (k - 8)
         out[k] = min(max((_count(payload, at, 2) - part.zero) * part.unit, 0.0), 1.0)
@@ -315,10 +312,9 @@ def _pulses(payload: Bytes, part: Any, out: FloatArray) -> None:
 
 @jit
 def _outputs(payload: Bytes, floats: Any, part: Any, out: FloatArray) -> None:
-    """PX4 sends what its driver gets, and no unit: told by the values of each message (REVIEW H2).
+    """PX4 sends what its driver gets, and no unit: told by the values of each message.
 
-    Nothing above 1: shares, as in simulation. No output below 800: microseconds; an unused one rests at 900 or 1000.
-    Else DShot, where unused ones are 0. PX4 fills `active` with the number of outputs; what is behind them are zeros.
+    Nothing above 1: shares, as in simulation. No output below 800: microseconds. Else DShot, where unused ones are 0.
     """
     number = _count(payload, part.beside, 4)
     highest, least, low, span = 0.0, PULSE_LEAST_US, 0.0, DSHOT_FULL
@@ -417,8 +413,7 @@ def _convert(
     table: tuple[NDArray[np.int16], Any, Any, IntArray],
     memory: tuple[tuple[Any, Any, Any, Any], Any],
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
-    """Times, times of arrival and values of all signals, one behind the other; and of each signal where its rows
-    and its values begin, and how many rows there are."""
+    """Times, times of arrival and values of all signals; and where each one's rows and values begin, and how many."""
     lookup, sources, parts, widths = table
     time, own = memory[0], memory[1][0]
     filled = _room(rows, lookup, sources, parts, widths)

@@ -276,8 +276,7 @@ def _hear(
     flags: NDArray[np.uint8],
     used: int,
 ) -> tuple[int, int, bool]:
-    """See `Senders.hear`. Returns how many frames are done, for there may be no room for one more sender; how many
-    senders there are; and whether anybody sent in a name that is ours."""
+    """How many frames are done before there is no room for one more sender; how many senders; if any used our name."""
     odd = False
     for k in range(first, len(rows)):
         frame = rows[k]

@@ -123,7 +123,7 @@ def _event_type(content: bytes, position: int) -> tuple[int, np.dtype[np.void], 
     return number, np.dtype([("id", "<u2"), ("time", "<u8"), *variables.items()]), position
 
 
-def _starts(body: bytes, sizes: dict[int, int]) -> dict[int, list[int] | IntArray]:
+def _starts(body: bytes, sizes: dict[int, int]) -> dict[int, IntArray]:
     """Where the records of each type begin. Raises InputError at an undeclared id or a record that is cut short."""
     number = int.from_bytes(body[:2], "little")
     if number in sizes and len(body) % sizes[number] == 0:  # the usual log has one type: no walk is needed
@@ -138,7 +138,7 @@ def _starts(body: bytes, sizes: dict[int, int]) -> dict[int, list[int] | IntArra
             raise InputError(f"the record at byte {position} of the data is of no declared type or cut short")
         found[number].append(position)
         position += sizes[number]
-    return dict(found)
+    return {number: np.array(starts, np.int64) for number, starts in found.items()}
 
 
 # It has no arming state; the limits are those that the recorded flights were found to need.

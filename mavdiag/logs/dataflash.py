@@ -131,7 +131,12 @@ class Walk:
                 break
             position = -position  # behind a declaration
             self._learn(data, position - FMT_BYTES)
-        self._gather(data, octets, found[:count])
+        places = found[:count]
+        for kind, (starts, records) in self._gathered.items():
+            at = places[octets[places + 2] == kind]
+            if len(at):
+                starts += (at + self._base).data
+                records += gather(data, self._formats[kind].layout(), at).view(np.uint8).data
         self._lost = bool(data[sound_end:].strip(b"\0\xff")) or (self._lost and not sound_end)
         self._sound_end = self._base + sound_end if sound_end else self._sound_end
         self._carry = data[position:]
@@ -166,15 +171,6 @@ class Walk:
         if form.name in self._wanted and form.sound:
             self._taken[kind] = True
             self._gathered[kind] = bytearray(), bytearray()
-
-    def _gather(self, data: bytes, octets: NDArray[np.uint8], places: IntArray) -> None:
-        """Copy the records that were found in a piece out of it."""
-        kinds = octets[places + 2]
-        for kind, (starts, records) in self._gathered.items():
-            at = places[kinds == kind]
-            if len(at):
-                starts += (at + self._base).data
-                records += gather(data, self._formats[kind].layout(), at).view(np.uint8).data
 
 
 @cached
@@ -256,7 +252,8 @@ def read_dataflash(path: Path) -> Log:
     tables, notes = walk.finish()
     parameters = _parameters(tables)
     functions = output_functions(parameters)
-    motors = _motor_channels(functions)
+    first = {functions[n]: n for n in sorted(functions, reverse=True) if n <= MAX_CHANNELS}
+    motors = [first[wanted] for wanted in COPTER_MOTORS if wanted in first]  # channels by motor; of several the first
     found = read_rows(_ROWS, tables.values())
     loop, outputs = _rate_loop(tables, found.get(Signal.BODY_RATE)), _actuator(tables, motors, functions)
     series = (*found.values(), *loop, *outputs, *_armed(tables))
@@ -292,15 +289,10 @@ def _rate_unit(table: Table, t_ns: IntArray, gyro: Series | None) -> float:
     if gyro is None:
         return DEG
     low, high = max(t_ns[0], gyro.t_ns[0]), min(t_ns[-1], gyro.t_ns[-1])
-    said = _mean_size(table.columns(("R", "P", "Y"))[(t_ns >= low) & (t_ns <= high)])
-    measured = _mean_size(gyro.values[(gyro.t_ns >= low) & (gyro.t_ns <= high)]) / DEG
-    return DEG / 100 if said > 10 * measured > 0 else DEG
-
-
-def _mean_size(values: FloatArray) -> float:
-    """Mean absolute value of the finite ones; 0 if there is none."""
-    finite = np.abs(values[np.isfinite(values)])
-    return float(finite.mean()) if len(finite) else 0.0
+    told = table.columns(("R", "P", "Y"))[(t_ns >= low) & (t_ns <= high)]
+    seen = gyro.values[(gyro.t_ns >= low) & (gyro.t_ns <= high)] / DEG
+    said, measured = (np.abs(one[np.isfinite(one)]) for one in (told, seen))
+    return DEG / 100 if len(said) and len(measured) and said.mean() > 10 * measured.mean() > 0 else DEG
 
 
 def _actuator(tables: Tables, motors: Sequence[int], functions: Mapping[int, int]) -> tuple[Series, ...]:
@@ -345,12 +337,6 @@ def _mav_type(texts: Table, parameters: Mapping[str, float]) -> int | None:
     if name == b"rover" and frame_class == _ROVER_BOAT:
         return _BOAT
     return _FIRMWARE_TYPES.get(name, _COPTER_TYPES.get(frame_class))
-
-
-def _motor_channels(functions: Mapping[int, int]) -> list[int]:
-    """Output channels by motor number; empty where no function is a motor's. Of several of one motor the first."""
-    first = {functions[n]: n for n in sorted(functions, reverse=True) if n <= MAX_CHANNELS}
-    return [first[wanted] for wanted in COPTER_MOTORS if wanted in first]
 
 
 def _armed(tables: Tables) -> tuple[Series, ...]:

@@ -109,13 +109,13 @@ def scaled(*factors: float) -> Conversion:
     return lambda stored: stored * np.array(factors)
 
 
-def gather(data: bytes, layout: np.dtype[np.void], starts: Sequence[int] | IntArray) -> NDArray[np.void]:
+def gather(data: bytes, layout: np.dtype[np.void], starts: IntArray) -> NDArray[np.void]:
     """The records of one layout that start at these bytes, copied into an array (n,). Each must be whole."""
     size = layout.itemsize
     if len(starts) == 0:
         return np.empty(0, layout)
     anywhere = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))  # a record at every byte, none copied
-    records: NDArray[np.void] = anywhere[np.asarray(starts)].view(layout)
+    records: NDArray[np.void] = anywhere[starts].view(layout)
     return records
 
 

@@ -67,11 +67,6 @@ def _pulses(output: FloatArray) -> FloatArray:
     return np.maximum(_moving(pulses) - PWM_ZERO_US, 0.0) / PWM_SPAN_US
 
 
-def _in_use(values: FloatArray) -> FloatArray:
-    """Columns that are ever a number: PX4 fills unused outputs with NaN."""
-    return _moving(values[:, np.isfinite(values).any(axis=0)])
-
-
 def _moving(values: FloatArray) -> FloatArray:
     """The columns up to the last that ever changes: what stands still behind the motors is none (all, if none does)."""
     moves = np.flatnonzero((values[1:] != values[:-1]).any(axis=0))
@@ -103,7 +98,12 @@ _ROWS = (
     Row(Signal.SPECIFIC_FORCE, ACCELEROMETER, _elements("accelerometer_m_s2", 3)),
     Row(Signal.SPECIFIC_FORCE, "vehicle_acceleration", _elements("xyz", 3)),
     Row(Signal.ATTITUDE, "vehicle_attitude", _elements("q", 4), euler_angles),
-    Row(Signal.ACTUATOR, "actuator_motors", _elements("control", 12), _in_use),
+    Row(
+        Signal.ACTUATOR,
+        "actuator_motors",
+        _elements("control", 12),
+        lambda values: _moving(values[:, np.isfinite(values).any(axis=0)]),
+    ),
     Row(Signal.ACTUATOR, "actuator_outputs", _elements("output", 16), _pulses),
     Row(Signal.ROTOR_SPEED, "esc_status", _elements("esc", 8, ".esc_rpm"), _turning),
     Row(Signal.HEIGHT, "vehicle_local_position", ("z",), np.negative),
