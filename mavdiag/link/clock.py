@@ -2,16 +2,13 @@
 
 Counters are milliseconds or microseconds since boot, in 32 bits (a turn is 49.7 days or 71.6 minutes) or 64, or
 microseconds since 1970. The receiver's clock decides between a wrap, a reboot and a leap; it never adds its jitter to a
-stamp. A stamp up to a second older than the highest keeps its place; what is further out of line, or leaps ahead of all
-that the receiver's clock explains, is left out until others follow it. The vehicle starts anew when its old clock was
-silent and three frames in a row agree on a new clock that goes on.
+stamp. What is out of line is left out until others follow it.
 
 Clocks. The first stamped message's clock is the timeline; the others are laid over it. A message stamped c arrives at
 h = c + origin + delay, delay >= 0: the least h - c of a window, the clock's lead, is its origin to within the least
-delay, and the difference of two leads is the offset of two clocks, without the receiver's jitter and drift. Quartz
-drifts by tens of parts in a million: 50 ppm are 180 ms in an hour. The window slides by whole seconds of the receiver's
-clock; within a second the offset goes on a straight line, never faster than `SLEW_NS`. Clocks since boot that begin
-together, but for whole turns, count as one until their leads have moved apart.
+delay, and the difference of two leads is the offset of two clocks. The window slides by whole seconds of the receiver's
+clock; within a second the offset goes on a straight line. Clocks since boot that begin together count as one until
+their leads have moved apart.
 
 TIMESYNC (https://mavlink.io/en/services/timesync.html) is answered and asked; what it tells is shown and not used.
 """
@@ -84,7 +81,7 @@ Fields: TypeAlias = Any  # one of these records, as numba has it
 Records: TypeAlias = NDArray[Any]
 
 
-def _integers(names: str, *others: tuple[str, Any, int]) -> np.dtype[np.void]:
+def _integers(names: str, *others: tuple[str, Any, Any]) -> np.dtype[np.void]:
     return np.dtype([*((name, "i8") for name in names.split()), *others])
 
 
@@ -108,7 +105,7 @@ _MEM = _integers(
     ("high_ns", "i8", 2),
 )
 _CLOCKS = (("leads", _LEAD, len(Clock)), ("offsets", _OFFSET, len(Clock)))
-_TIME = _integers("", ("mem", _MEM, 1), ("readings", _READING, MESSAGES_MAX), *_CLOCKS)
+_TIME = _integers("", ("mem", _MEM, (1,)), ("readings", _READING, MESSAGES_MAX), *_CLOCKS)
 
 
 def _fresh() -> IntArray:
@@ -175,11 +172,10 @@ _IN_LINE, _LEFT_OUT, _BROKEN_OFF = 0, 1, 2  # what a stamp is
 def stamp(
     records: tuple[Records, Records, Records, Records], msgid: int, tick: int, turn: int, count: int, now_ns: int
 ) -> int:
-    """The vehicle's time of one frame [ns]; `NEVER` if it is left out, `REBOOT` if the vehicle has started anew.
+    """The vehicle's time of one frame [ns]; `NEVER` if it is left out, `REBOOT` if it must be given again as the first.
 
-    The frame of a reboot is the first one of the new clocks: it must be given again. records: of `VehicleTime`. msgid,
-    tick, turn: the message and its `Counter`; a tick of 0 for one without a time of its own, which gets the latest time
-    known. count: as it was sent. now_ns: when it was received.
+    records: of `VehicleTime`. tick, turn: the message's `Counter`; a tick of 0 for one without a time of its own, which
+    gets the latest time known. count: as it was sent. now_ns: when it was received.
     """
     mems, readings, leads, offsets = records
     mem = mems[0]
@@ -234,10 +230,9 @@ def _clock_of(tick: int, ambiguous: bool, clock_ns: int) -> int:
 def _begin(
     reading: Fields, leads: Records, tick: int, turn: int, ambiguous: bool, raw: int, beyond: bool, now_ns: int
 ) -> bool:
-    """Where a counter stood before its first sample: there, unless it is ahead of what other messages show.
+    """Begin a counter at its first sample, or at what others show if it is ahead of them; whether it can be placed.
 
-    beyond: the count was garbage beyond `HIGHEST_NS`. Returns whether it can be placed: a counter that wraps often
-    needs the time since boot that the others show.
+    beyond: the count was garbage beyond `HIGHEST_NS`. A counter that wraps often needs the time that others show.
     """
     first = raw
     if ambiguous:

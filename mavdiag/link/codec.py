@@ -112,11 +112,7 @@ def frame_length(data: bytes, start: int) -> int | None:
 
 
 def split_frames(data: bytes) -> tuple[list[bytes], bytes]:
-    """The frames of a byte stream, bytes between them as messages of their own, and the beginning of the next frame.
-
-    >>> split_frames(b"ab" + bytes.fromhex("fe00000101000000fe"))
-    ([b'ab', b'\\xfe\\x00\\x00\\x01\\x01\\x00\\x00\\x00'], b'\\xfe')
-    """
+    """The frames of a byte stream, bytes between them as messages of their own, and the beginning of the next frame."""
     found: list[bytes] = []
     at = garbage = 0
     while at < len(data):
@@ -153,18 +149,16 @@ class Frames:
 
     def of(self, *msgids: int, compid: int | None = None) -> "Frames":
         """Those of some messages. compid: and of this component of any vehicle; None for all."""
-        chosen = np.isin(self.rows["row"], [ROWS[msgid] for msgid in msgids])
+        chosen = np.zeros(len(self), np.bool_)
+        for msgid in msgids:
+            chosen |= self.rows["row"] == ROWS[msgid]
         return self.where(chosen if compid is None else chosen & (self.rows["sender"] & 0xFF == compid))
 
     def by_sysid(self) -> dict[int, "Frames"]:
         """Those of each system id, by rising number."""
         sysids = (self.rows["sender"] >> 8).astype(np.uint8)
-        if len(sysids) and (sysids == sysids[0]).all():
-            return {int(sysids[0]): self}
-        order, counts = np.argsort(sysids, kind="stable"), np.bincount(sysids)
-        ends = np.cumsum(counts)
-        found = np.flatnonzero(counts).tolist()
-        return {sysid: self.where(order[ends[sysid] - counts[sysid] : ends[sysid]]) for sysid in found}
+        found = np.flatnonzero(np.bincount(sysids)).tolist()
+        return {sysid: self.where(sysids == sysid) if len(found) > 1 else self for sysid in found}
 
     def counts(self, compid: int = AUTOPILOT) -> Counter[int]:
         """How many of each message came from a component."""

@@ -99,9 +99,7 @@ class Senders:
         self._senders, self._seen = np.zeros(SENDERS_MAX, _SENDER), np.zeros((SENDERS_MAX, len(msgids)), np.int64)
         self._places, self._flags = np.zeros(1 << 16, np.uint16), np.zeros(1 << 16, np.uint8)
         self._used = 0
-        self._numbers: dict[Source, int] = {None: 0}
-        self._sources: dict[int, Source] = {0: None}
-        self._latest = 0  # number of a source
+        self._sources: dict[int, Source] = {0: None}  # by their numbers
 
     def __len__(self) -> int:
         return self._used
@@ -121,18 +119,14 @@ class Senders:
 
     def numbers(self, sources: Iterable[Source]) -> list[int]:
         """The numbers that stand for sources in `FRAME`: those of frames that are heard before the next call."""
-        if len(self._numbers) >= SOURCES_MAX:
+        if len(self._sources) >= SOURCES_MAX:
             used = self._senders[: self._used]
             held = {0, *used["source"].tolist(), *used["intruder"].tolist()}
             self._sources = {number: source for number, source in self._sources.items() if number in held}
-            self._numbers = {source: number for number, source in self._sources.items()}
-        found = []
-        for source in sources:
-            if source not in self._numbers:
-                self._latest += 1
-                self._numbers[source], self._sources[self._latest] = self._latest, source
-            found.append(self._numbers[source])
-        return found
+        some = list(sources)
+        numbers = [0 if source is None else hash(source) & 0x7FFF_FFFF for source in some]  # text is hashed by secret
+        self._sources.update(zip(numbers, some, strict=True))
+        return numbers
 
     def hear(self, data: NDArray[np.uint8], rows: NDArray[np.void]) -> None:
         """Count these frames, in order of arrival, and note in `heard` what becomes of each.

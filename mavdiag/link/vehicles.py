@@ -97,10 +97,7 @@ def command_in(frame: Frame) -> tuple[int, Command] | None:
 
 
 def parameters_asked(frame: Frame) -> int | None:
-    """The vehicle about whose on-board computer's parameters a frame asks; None if it does not.
-
-    PARAM_REQUEST_LIST may be addressed to all components.
-    """
+    """The vehicle about whose on-board computer's parameters a frame asks, maybe of all components; None if none."""
     if frame.msgid not in PARAMETER_REQUESTS:
         return None
     system, component = (int(frame.fields[place]) for place in _TARGETS[frame.msgid])
@@ -221,12 +218,9 @@ class LinkDecoder:
     """Bytes of one link to what each of its vehicles sent.
 
     profile: of all vehicles; None to recognise each by its frames. only: the one system id to follow, None for all.
-    datagrams: whether a chunk of bytes holds whole frames; what a datagram leaves unfinished is never joined to the
-    next one, which may be of another sender.
-    careful: whether a vehicle must show that it is one before it enters; else one heartbeat will do.
-    most: how many may enter. signing, passed: as in `Decoder`.
-    ours: keys (system id << 8 | component id) in whose name nobody else is heard.
-    decoder: of the link's frames, for its counts. vehicles: the stream of each vehicle that has entered, by system id.
+    datagrams: whether a chunk holds whole frames. careful: a vehicle must show that it is one before it enters.
+    most: how many may enter. signing, passed: as in `Decoder`. ours: keys (system id << 8 | component id) in whose name
+    nobody else is heard. decoder: of the link's frames. vehicles: those that have entered, by system id.
     """
 
     def __init__(
@@ -285,17 +279,12 @@ class LinkDecoder:
     def feed(
         self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()
     ) -> dict[int, Received]:
-        """Take bytes, each with its time of arrival [ns]; return what is new, by system id.
-
-        Only vehicles that have entered are in the result; one that enters now brings its latest frames along.
-        sources: where each of the chunks comes from; empty for a link with one other end.
-        """
+        """Take bytes, each with time of arrival [ns] and source; return what is new, by vehicle that has entered."""
         self.take(chunks, now_ns, sources)
         return {sysid: self.received(sysid) for sysid in sorted(self._unread)}
 
     def take(self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()) -> None:
-        """Take bytes as `feed` does; what is for or from vehicles that have entered waits for `received`, which need
-        not be called after each `take`."""
+        """Take bytes as `feed` does; what is for or from vehicles that have entered waits for `received`."""
         if self._datagrams:
             taken = [self.decoder.take_datagrams(chunks, sources)]
         else:
@@ -336,10 +325,7 @@ class LinkDecoder:
         self._unread.pop(sysid, None)
 
     def _uncontested(self, sysid: int, frames: Frames) -> list[Frames]:
-        """Without the autopilot's frames that two senders claim by one running number.
-
-        Once that has happened, the latest frame waits for the one that may contest it.
-        """
+        """Without the autopilot's frames that two senders claim; then the latest one waits for what may contest it."""
         contested = self.decoder.heard.contested(sysid << 8 | AUTOPILOT)
         if contested is None:
             return [frames]

@@ -115,7 +115,7 @@ def read_content(path: Path) -> TlogContent:
 def decode_windows(windows: Iterable[bytes], *, keep: bool = True) -> TlogContent:
     """As `decode_tlog`, for a log that comes in windows, wherever they cut it. keep: the bytes, too."""
     decoder, pieces, systems = Decoder(_WANTED, stamped=True), list[_Piece](), dict[int, _System]()
-    first_ns, last_ns = list[int](), list[int]()
+    seen_ns = list[int]()
 
     def take(window: bytes, *, last: bool = False) -> None:
         at, frames = decoder.size, decoder.take_stream(window, last=last)
@@ -125,15 +125,14 @@ def decode_windows(windows: Iterable[bytes], *, keep: bool = True) -> TlogConten
             system = systems.setdefault(sysid, _System(int(own.rows["host_ns"][0])))
             system.take(own)
             system.parameters += own.of(MessageId.PARAM_VALUE)
-        first_ns.append(int(frames.rows["host_ns"].min()))
-        last_ns.append(int(frames.rows["host_ns"].max()))
+        seen_ns.extend((int(frames.rows["host_ns"].min()), int(frames.rows["host_ns"].max())))
         held = frames if keep else Frames(NO_FRAMES.data, frames.rows[_KEPT].astype(_LEAN))
         pieces.append(_Piece(held, at, len(frames.data)))
 
     for window in windows:
         take(window)
     take(b"", last=True)
-    span_ns = max(last_ns, default=0) - min(first_ns, default=0)
+    span_ns = max(seen_ns, default=0) - min(seen_ns, default=0)
     counts = (decoder.size, decoder.records, decoder.garbage_bytes, decoder.senders, decoder.size - decoder.sound_end)
     return TlogContent(pieces, systems, span_ns, *counts)
 

@@ -7,11 +7,12 @@ import errno
 import os
 import select
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import Self, TypeAlias
+from typing import TypeAlias
 
 from mavdiag.errors import LinkError
 
@@ -55,7 +56,7 @@ class Traffic:
     turned_away: int = 0  # clients of a server that were too many, idle, or sent nothing but garbage
 
 
-class Endpoint(ABC):
+class Endpoint(AbstractContextManager["Endpoint"]):
     """One end of a link. Once it is open, nothing that the peer or the wire does raises.
 
     address: in the notation of `open_endpoint`, with the port that was really bound.
@@ -113,9 +114,6 @@ class Endpoint(ABC):
     def _drain(self) -> list[Chunk]:
         """Take what is there without waiting; reconnect if it is time to."""
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
 
@@ -162,7 +160,7 @@ class Stream:
             return False
 
 
-class Reconnecting(Endpoint, ABC):
+class Reconnecting(Endpoint):
     """One stream that is opened again, while it is polled, after it has ended: see `RETRY_S`."""
 
     def __init__(self, address: str, clock: Clock) -> None:

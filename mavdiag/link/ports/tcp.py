@@ -67,10 +67,7 @@ class _Client(Stream):
 
 
 class TcpServer(Endpoint):
-    """Accepts up to `CLIENTS_MAX` clients; sends to all, and receives of all, cut between their frames.
-
-    Raises LinkError if the port cannot be bound.
-    """
+    """Accepts up to `CLIENTS_MAX` clients; sends to all, and receives of all, cut between their frames."""
 
     def __init__(self, address: str, family: socket.AddressFamily, local: SocketAddress, clock: Clock) -> None:
         super().__init__(address, clock)

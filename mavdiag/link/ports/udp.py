@@ -88,10 +88,7 @@ class _Udp(Endpoint):
 
 
 class UdpIn(_Udp):
-    """Listens on one port and answers the peers that sent: at most `PEERS_MAX`, each for `PEER_FRESH_S` of silence.
-
-    Raises LinkError if the port cannot be bound.
-    """
+    """Listens on one port and answers the peers that sent: at most `PEERS_MAX`, each for `PEER_FRESH_S` of silence."""
 
     def __init__(self, address: str, family: socket.AddressFamily, local: SocketAddress, clock: Clock) -> None:
         super().__init__(address, family, clock)
@@ -225,10 +222,9 @@ def _udp_socket(family: socket.AddressFamily) -> socket.socket:
 
 
 def _beside(bound: Sequence[socket.socket], peer: SocketAddress) -> socket.socket | None:
-    """A socket on the same port that gets what this peer sends; None if the system has none left.
+    """A socket on the port of these that gets what this peer sends; None if the system has none left.
 
-    bound: all that have the port, the listening one first. All must allow it to be shared as another one is bound;
-    afterwards it is theirs alone again.
+    All must allow the port to be shared as another one is bound; afterwards it is theirs alone again.
     """
     link = _udp_socket(bound[0].family)
     try:
