@@ -12,7 +12,7 @@ BODY_RATE is the unfiltered gyro of the first IMU (rows 27 to 29), which the the
 (rows 5 to 7) is a profile of its own. ARMED is true in the commander's state 5 only.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -61,15 +61,26 @@ _RULE = "the rows are not those of DronePropA"
 
 
 class _Recording:
-    """The three matrices with a row for each sample, from x forward, y left, z up to FRD.
+    """The three matrices as far as all reach, with a row for each sample, from x forward, y left, z up to FRD.
 
     q, c, s: by the numbers of rows, (n, k) of QDrone_data, commander_data and stabilizer_data; NaN for what cannot be.
     rates: (n, 3) gyro of the first IMU [rad/s]: raw, and behind the flight software's low-pass, 120 rad/s, order 2.
     speeds_are_certain: whether copies of the motor commands stand beside the ESCs' rows in the order of the table.
     """
 
-    def __init__(self, matrices: Sequence[FloatArray]) -> None:
-        self.q, self.c, self.s = (partial(_rows, matrix) for matrix in matrices)
+    def __init__(self, matrices: Mapping[str, FloatArray]) -> None:
+        count = min(map(len, matrices.values()))
+        if count < MIN_SAMPLES:
+            raise InputError(f"only {count} samples: download it again")
+        # NaN stands for what is infinite (ESCs are divided by zero until their first telemetry) or damaged.
+        tables = [np.where(np.abs(matrices[name][:count]) < MAX_VALUE, matrices[name][:count], np.nan) for name in ROWS]
+        t_s = tables[0][:, 0]
+        if not ((np.abs(t_s) < MAX_TIME_S).all() and (np.diff(np.rint(t_s * NS_PER_S)) > 0).all()):
+            raise InputError("its time does not increase from sample to sample")
+        skews_s = [float(np.nan_to_num(np.abs(table[:, 0] - t_s)).max()) for table in tables]
+        told = ((name, skew_s) for name, skew_s in zip(ROWS, skews_s, strict=True) if skew_s > SKEW_S)
+        self.notes = [f"{one} has times that differ from QDrone_data's by up to {skew_s:.3g} s" for one, skew_s in told]
+        self.q, self.c, self.s = (partial(_rows, table) for table in tables)
         self.t_ns: IntArray = np.rint(self.q(1)[:, 0] * NS_PER_S).astype(np.int64)
         self.dt_s = float(np.median(np.diff(self.q(1)[:, 0])))
         self.flying: BoolArray = self.c(2)[:, 0] == FLIGHT_STATE
@@ -121,7 +132,6 @@ class _Recording:
         return np.asarray(values[first + width] - values[first]).T
 
     def turns(self, angle: FloatArray) -> FloatArray:
-        """As `over_windows` of angles, within half a turn."""
         return (self.over_windows(angle) + np.pi) % (2 * np.pi) - np.pi
 
 
@@ -146,32 +156,13 @@ def read_dronepropa(path: Path, profile: str | None = None) -> Log:
     data = read_bytes(path)
     with usable_as("DronePropA recording", path):
         matrices, notes = read_matrices(data, ROWS)
-        recording, skewed = _recording(matrices)
+        recording = _Recording(matrices)
         values = recording.values()
-        notes += (*skewed, *_check(recording, values))
+        notes += (*recording.notes, *_check(recording, values))
     if profile == FILTERED_PROFILE:
         values[Signal.BODY_RATE] = recording.rates["filtered"]
     series = tuple(recorded(signal, recording.t_ns, found) for signal, found in values.items())
     return Log(path.name, sha256_of(data), profile or PROFILE, Telemetry(series), notes=notes)
-
-
-def _recording(matrices: Mapping[str, FloatArray]) -> tuple[_Recording, list[str]]:
-    """The matrices as far as all three reach, by the time of QDrone_data, and what is wrong with their times.
-
-    NaN stands for what is infinite (the ESCs' rows are divided by zero until their first telemetry) or damaged.
-    """
-    count = min(len(matrix) for matrix in matrices.values())
-    if count < MIN_SAMPLES:
-        raise InputError(f"only {count} samples: download it again")
-    tables = {name: matrices[name][:count] for name in ROWS}
-    tables = {name: np.where(np.abs(table) < MAX_VALUE, table, np.nan) for name, table in tables.items()}
-    t_s = tables["QDrone_data"][:, 0]
-    if not ((np.abs(t_s) < MAX_TIME_S).all() and (np.diff(np.rint(t_s * NS_PER_S)) > 0).all()):
-        raise InputError("its time does not increase from sample to sample")
-    skews_s = {name: float(np.nan_to_num(np.abs(table[:, 0] - t_s)).max()) for name, table in tables.items()}
-    told = ((name, skew_s) for name, skew_s in skews_s.items() if skew_s > SKEW_S)
-    notes = [f"{name} has times that differ from QDrone_data's by up to {skew_s:.3g} s" for name, skew_s in told]
-    return _Recording(list(tables.values())), notes
 
 
 def _check(recording: _Recording, values: Mapping[Signal, FloatArray]) -> tuple[str, ...]:

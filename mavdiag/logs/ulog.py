@@ -73,6 +73,11 @@ def _moving(values: FloatArray) -> FloatArray:
     return values[:, : int(moves[-1]) + 1] if len(moves) else values
 
 
+def _in_use(values: FloatArray) -> FloatArray:
+    """Columns that are ever a number: PX4 fills unused outputs with NaN."""
+    return _moving(values[:, np.isfinite(values).any(axis=0)])
+
+
 def _turning(values: FloatArray) -> FloatArray:
     """Columns that ever turn, from rpm of either sign to rad/s."""
     return np.abs(values[:, (values != 0).any(axis=0)]) * RPM
@@ -98,14 +103,14 @@ _ROWS = (
     Row(Signal.SPECIFIC_FORCE, ACCELEROMETER, _elements("accelerometer_m_s2", 3)),
     Row(Signal.SPECIFIC_FORCE, "vehicle_acceleration", _elements("xyz", 3)),
     Row(Signal.ATTITUDE, "vehicle_attitude", _elements("q", 4), euler_angles),
-    Row(
-        Signal.ACTUATOR,
-        "actuator_motors",
-        _elements("control", 12),
-        lambda values: _moving(values[:, np.isfinite(values).any(axis=0)]),
-    ),
+    Row(Signal.ACTUATOR, "actuator_motors", _elements("control", 12), _in_use),
     Row(Signal.ACTUATOR, "actuator_outputs", _elements("output", 16), _pulses),
-    Row(Signal.ROTOR_SPEED, "esc_status", _elements("esc", 8, ".esc_rpm"), _turning),
+    Row(
+        Signal.ROTOR_SPEED,
+        "esc_status",
+        _elements("esc", 8, ".esc_rpm"),
+        lambda rpm: np.abs(rpm[:, (rpm != 0).any(axis=0)]) * RPM,
+    ),
     Row(Signal.HEIGHT, "vehicle_local_position", ("z",), np.negative),
     Row(Signal.VOLTAGE, "battery_status", ("voltage_v",)),
     Row(Signal.ARMED, "vehicle_status", ("arming_state",), lambda state: np.where(state == ARMED_STATE, 1.0, 0.0)),
