@@ -99,7 +99,9 @@ class Senders:
         self._senders, self._seen = np.zeros(SENDERS_MAX, _SENDER), np.zeros((SENDERS_MAX, len(msgids)), np.int64)
         self._places, self._flags = np.zeros(1 << 16, np.uint16), np.zeros(1 << 16, np.uint8)
         self._used = 0
-        self._sources: dict[int, Source] = {0: None}  # by their numbers
+        self._numbers: dict[Source, int] = {None: 0}
+        self._sources: dict[int, Source] = {0: None}
+        self._latest = 0  # number of a source
 
     def __len__(self) -> int:
         return self._used
@@ -123,10 +125,14 @@ class Senders:
             used = self._senders[: self._used]
             held = {0, *used["source"].tolist(), *used["intruder"].tolist()}
             self._sources = {number: source for number, source in self._sources.items() if number in held}
-        some = list(sources)
-        numbers = [0 if source is None else hash(source) & 0x7FFF_FFFF for source in some]  # text is hashed by secret
-        self._sources.update(zip(numbers, some, strict=True))
-        return numbers
+            self._numbers = {source: number for number, source in self._sources.items()}
+        found = []
+        for source in sources:
+            if source not in self._numbers:
+                self._latest += 1
+                self._numbers[source], self._sources[self._latest] = self._latest, source
+            found.append(self._numbers[source])
+        return found
 
     def hear(self, data: NDArray[np.uint8], rows: NDArray[np.void]) -> None:
         """Count these frames, in order of arrival, and note in `heard` what becomes of each.

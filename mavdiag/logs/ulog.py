@@ -105,12 +105,7 @@ _ROWS = (
     Row(Signal.ATTITUDE, "vehicle_attitude", _elements("q", 4), euler_angles),
     Row(Signal.ACTUATOR, "actuator_motors", _elements("control", 12), _in_use),
     Row(Signal.ACTUATOR, "actuator_outputs", _elements("output", 16), _pulses),
-    Row(
-        Signal.ROTOR_SPEED,
-        "esc_status",
-        _elements("esc", 8, ".esc_rpm"),
-        lambda rpm: np.abs(rpm[:, (rpm != 0).any(axis=0)]) * RPM,
-    ),
+    Row(Signal.ROTOR_SPEED, "esc_status", _elements("esc", 8, ".esc_rpm"), _turning),
     Row(Signal.HEIGHT, "vehicle_local_position", ("z",), np.negative),
     Row(Signal.VOLTAGE, "battery_status", ("voltage_v",)),
     Row(Signal.ARMED, "vehicle_status", ("arming_state",), lambda state: np.where(state == ARMED_STATE, 1.0, 0.0)),
