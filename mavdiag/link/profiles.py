@@ -25,7 +25,7 @@ MILLI_G, IIM_42652 = (700.0, 1431.0), (1431.0, 2900.0)  # counts of 1 g: about 1
 # Our choices: armed, more than idle thrust, and five seconds for the climb. Live, an alert must not wait for an end.
 LIVE_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=5.0)
 ARDUPILOT_PERIOD_US = 2500  # Copter's loop period at its usual 400 Hz; RAW_IMU cannot be faster
-WEIGHED = 65_536  # RAW_IMUs that tell a log's unit and rate: a minute at 1 kHz (our choice)
+WEIGHED = 16_384  # RAW_IMUs that tell a log's unit and rate: 16 s at 1 kHz (our choice)
 SELDOM = 4  # an IMU message that comes so many times more seldom than another is not preferred to it (our choice)
 
 
