@@ -20,7 +20,7 @@ from mavdiag.link.link import Link, open_link
 from mavdiag.link.messages import Component, MavResult
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.sequence import LinkCount
-from mavdiag.link.wants import Asked, Asker, Want, wants_of
+from mavdiag.link.wants import Asker, Want, wants_of
 from mavdiag.logs.part import read_part
 from mavdiag.logs.tlog import read_content
 from mavdiag.look.inspection import inspection_of
@@ -123,15 +123,15 @@ def _counts(link: Link) -> dict[int, int]:
 
 def _ask(link: Link, vehicle: int) -> tuple[str, ...]:
     """Ask for streams and parameters; what came of it, a line for each stream."""
-    asker, asked = Asker(vehicle, link.signing), Asked()
+    asker = Asker(vehicle, link.signing)
     wants: tuple[Want, ...] = ()
     since: dict[int, int] = {}
     began = time.monotonic()
 
     def request() -> None:
-        nonlocal asker, asked, wants, since
+        nonlocal asker, wants, since
         now = Instant(time.monotonic_ns())
-        asked, frames = asker.beat(asked, now)
+        frames = asker.beat(now)
         if link.stream is not None and time.monotonic() - began > LISTEN_S:
             profile = link.stream.profile
             if not wants:
@@ -141,16 +141,14 @@ def _ask(link: Link, vehicle: int) -> tuple[str, ...]:
                 since = _counts(link)
             rates = {msgid: count / LISTEN_S for msgid, count in since.items()}
             came = {msgid for msgid, count in _counts(link).items() if count > since.get(msgid, 0)}
-            rates |= {want.msgid: want.ask_hz for want in wants if want.msgid in came.intersection(asked.streams)}
-            asked, more = asker.stream(asked, wants, rates, now)
-            asked, names = asker.read(asked, profile.autopilot, link.stream.parameters, now)
-            frames += more + names
+            rates |= {want.msgid: want.ask_hz for want in wants if want.msgid in came.intersection(asker.streams)}
+            frames += asker.stream(wants, rates, now) + asker.read(profile.autopilot, link.stream.parameters, now)
         link.send(frames)
 
     link.record(LISTEN_S + ASK_S, request)
     known = {result.value: result.name for result in MavResult}
     results = dict.fromkeys(known.get(ack.result, f"result {ack.result}") for ack in link.acks)
     answers = f"the autopilot answered {', '.join(results)}" if results else "no answer came"
-    names = ", ".join(message_name(msgid) for msgid in asked.streams)
+    names = ", ".join(message_name(msgid) for msgid in asker.streams)
     read = f"{len(link.stream.parameters) if link.stream else 0} parameters read"
     return (f"asked for {names}: {answers}" if names else "asked for no stream: all come", read)
