@@ -111,7 +111,9 @@ def counted(changes: Sequence[Change]) -> str:
 def turning_nose(turning: Log, healthy: Log, weak: Log, plan: Sequence[Stretch]) -> None:
     """A link with set-point and gyro only, on a vehicle whose nose follows its path."""
     whole = learn([turning], LearnOptions(), created=STAMP)
-    fits = ", ".join(f"{spec.axis} {spec.model.r2t:.4f}" for spec, _ in whole.fsd)
+    fits = ", ".join(
+        f"{spec.axis} {spec.model.r2t:.4f}" for spec in (entry.spec for entry in whole.monitors) if spec.kind == "fsd"
+    )
     print(f"turning nose, learnt whole: R_T^2 {fits or 'no model'}; layout {layout_of(whole)}")
     for one in whole.not_judgeable:
         print(f"  {one.monitor}: {one.reason}")

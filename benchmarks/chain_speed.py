@@ -53,7 +53,7 @@ def chain_seconds(baseline: Baseline, pieces: list[Telemetry]) -> float:
 def peer_seconds(baseline: Baseline, telemetry: Telemetry) -> float:
     """CPU time of filters and models by scipy, all at once."""
     setpoint, gyro = telemetry[Signal.ATTITUDE_SETPOINT].values, telemetry[Signal.BODY_RATE].values
-    window, model = baseline.window, baseline.fsd[0][0].model
+    window, model = baseline.window, baseline.monitors[0].spec.model
     started = time.process_time()
     u = savgol_filter(setpoint, window.samples, window.order, deriv=1, delta=baseline.link.dt_s, axis=0)
     y = savgol_filter(gyro, window.samples, window.order, axis=0)

@@ -30,7 +30,7 @@ def longest_run(seed: int, text: str) -> float:
     """Longest run above the margin in one healthy flight [s]."""
     baseline = parse(text)
     rows = rows_of(front_of(baseline), as_flight(PlantConfig(drone=1, seed=seed), FLIGHT_S).telemetry)
-    spec = baseline.fsd[0][0]
+    spec = baseline.monitors[0].spec
     return float(longest_runs([residuals(rows, Axis.ROLL, spec.model.model())], spec.margin_rad_s)[0])
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mavdiag.airframe.propellers import FaultType
-from mavdiag.decision.grading import SCHEMA, WAIT_S, FaultCloud, FaultTypes, Features, Gathered, assess
+from mavdiag.decision.grading import WAIT_S, FaultCloud, FaultTypes, Gathered, assess
 from mavdiag.learning import rows_of
 from mavdiag.logs import gate_for
 from mavdiag.monitors.base import LearnContext, Monitor, Rows
@@ -96,7 +96,7 @@ def features(monitors: Sequence[Monitor[Any]], rows: Sequence[Rows], rotor: int)
                     figures = [np.nan, np.nan, len(level), np.square(level).sum(), level[-1]]
                     sums = np.array([*figures, *rotors[-1], *rotors.sum(axis=0)])
                     gathered = gathered.add(str(monitor.feature), sums, 1 << 62)
-        out[k] = gathered.features(rotor).vector
+        out[k] = gathered.features(rotor)
     return out
 
 
@@ -138,9 +138,9 @@ def report(x: FloatArray) -> None:
     for k, after_s in enumerate(AFTER_S):
         right = np.zeros((len(STRENGTHS), 4))
         for left_out in range(len(x)):
-            known = FaultTypes(after_s, tuple(clouds(np.delete(x, left_out, axis=0)[:, :, k])), "")
+            known = FaultTypes(after_s, tuple(clouds(np.delete(x, left_out, axis=0)[:, :, k])))
             for i, (_, code) in enumerate(FAULTS):
-                found = assess(features_of(x[left_out, i, k]), known)
+                found = assess(x[left_out, i, k], known)
                 kind = found.fault_type is not None and found.fault_type.value == code[:2]
                 apart = 9 if found.severity is None else abs(found.severity - int(code[-1]))
                 right[i // len(FAULT_CODES)] += (kind, kind and apart == 0, apart <= 1, found.fault_type is None)
@@ -149,12 +149,6 @@ def report(x: FloatArray) -> None:
                 f"{name} {share:.3f}" for name, share in zip(("type", "class", "+-1", "unnamed"), row, strict=True)
             )
             print(f"{after_s:g} s after, fluctuation {strength:g}: {figures}")
-
-
-def features_of(x: FloatArray) -> Features:
-    """The features that give this x."""
-    told = [float(v) if np.isfinite(v) else None for v in (np.exp(x[0]), np.exp(x[1]), x[2] / 100)]
-    return Features(*told)
 
 
 def text_of(x: FloatArray) -> str:
@@ -177,7 +171,8 @@ def text_of(x: FloatArray) -> str:
     ]
     trained_on = f"emulated QDrone 2, {len(x)} airframes, seeds {SEED} to {SEED + len(x) - 1}"
     link = {"profiles": [PROFILE], "rate_hz": 1.0 / DT_S}
-    return json.dumps({"schema": SCHEMA, "trained_on": trained_on, **link, "tables": tables}, indent=1) + "\n"
+    head = {"schema": "mavdiag.fault_types/1", "trained_on": trained_on}
+    return json.dumps({**head, **link, "tables": tables}, indent=1) + "\n"
 
 
 def main() -> None:

@@ -1,8 +1,7 @@
 """The baseline artefact `mavdiag.baseline/3`: what a healthy airframe looks like over one link, and at what price.
 
 It is a contract: the airframe, the link profile and rate, each monitor's fit and threshold with the flights that
-support it, where the data came from, and a digest over all of it. Loading validates everything and refuses what does
-not fit, naming the field; `check_link` refuses another link.
+support it, where the data came from, and a digest over all of it. Loading refuses what does not fit, naming the field.
 """
 
 import hashlib
@@ -19,6 +18,7 @@ from pydantic import (
     Field,
     TypeAdapter,
     ValidationError,
+    ValidatorFunctionWrapHandler,
     field_serializer,
     field_validator,
     model_validator,
@@ -40,36 +40,34 @@ from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.rule import Threshold, ThresholdRule, flights_for_guarantee
 from mavdiag.units import NS_PER_S
 
-SCHEMA = "mavdiag.baseline/3"
 SESSION_GAP_NS = 3_600 * NS_PER_S  # flights farther apart are of two sessions (our choice)
 RATE_TOLERANCE = NATIVE_TOLERANCE
 REMEDY = "make the baseline anew with `mavdiag identify`"
-
-
-Grade: TypeAlias = Literal["A", "B", "C", "D"]
-"""What a baseline is worth, by the least damage that it notices (`mavdiag.learning.suspicions`)."""
+Grade: TypeAlias = Literal["A", "B", "C", "D"]  # by the least damage that it notices (`mavdiag.learning.suspicions`)
 
 
 class Part(BaseModel):
     """What all of them share."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
+
+    @field_validator("*", mode="wrap")
+    @classmethod
+    def _by_place(cls, value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
+        """A value that refuses itself is refused with its place."""
+        try:
+            return handler(value)
+        except MavdiagError as error:
+            raise ValueError(str(error)) from error
 
 
 class Link(Part):
-    """How the streams reach us.
-
-    profile: link profile or kind of log.
-    dt_s: row period [s].
-    grid: how rows are placed.
-    max_gap_s: longest gap that is interpolated [s].
-    gate: what counts as flying.
-    """
+    """How the streams reach us: the profile of the link or kind of log, and how rows are made of it."""
 
     profile: str
-    dt_s: Positive
+    dt_s: Positive  # row period
     grid: Grid
-    max_gap_s: Positive
+    max_gap_s: Positive  # that is interpolated
     gate: GateSpec
 
 
@@ -92,22 +90,13 @@ class HealthyScores(Part):
     maxima: tuple[float, ...]
     spans_s: tuple[Positive, ...]
 
-    @model_validator(mode="after")
-    def _fits(self) -> "HealthyScores":
-        if len(self.maxima) != len(self.spans_s):
-            raise ValueError("maxima and spans must be equally many")
-        return self
-
 
 class MonitorEntry(Part):
-    """A monitor's fit, of the type that its class names, and the threshold of its statistic.
-
-    scores: what the threshold follows from; None in a baseline of an older schema, which cannot be extended.
-    """
+    """A monitor's fit, of the type that its class names, the threshold of its statistic, and what it follows from."""
 
     spec: Any
     threshold: Threshold
-    scores: HealthyScores | None = None
+    scores: HealthyScores = HealthyScores(maxima=(), spans_s=())
 
     @field_validator("spec", mode="before")
     @classmethod
@@ -116,7 +105,10 @@ class MonitorEntry(Part):
             return value
         if not isinstance(value, dict) or not isinstance(value.get("kind"), str):
             raise ValueError("a monitor's fit must be an object with a kind")
-        return _adapter(value["kind"]).validate_python(value)
+        try:
+            return _adapter(value["kind"]).validate_python(value)
+        except MavdiagError as error:
+            raise ValueError(str(error)) from error
 
     @field_serializer("spec")
     def _plain(self, value: Any) -> Any:
@@ -136,19 +128,13 @@ class Refusal(Part):
 
 
 class LeastDamage(Part):
-    """The least damage of one rotor that is noticed in 95 % of the time, by any monitor.
+    """The least damage of one rotor that is noticed in 95 % of the time, by any monitor."""
 
-    thrust_loss: share of its thrust that rotor 1, 2, ... loses; empty if no monitor sees a trim.
-    vibration_m_s2: amplitude of what shakes the airframe [m/s^2], whichever the rotor; None if none feels it.
-    unbalance_g_mm: the same as an unbalance; None if mass and rotor speed are not known.
-    """
-
-    thrust_loss: tuple[NotNegative, ...] = ()
-    vibration_m_s2: NotNegative | None = None
-    unbalance_g_mm: NotNegative | None = None
+    thrust_loss: tuple[NotNegative, ...] = ()  # share of its thrust that rotor 1, 2, ... loses; empty if not seen
+    vibration_m_s2: NotNegative | None = None  # amplitude of what shakes the airframe; None if none feels it
+    unbalance_g_mm: NotNegative | None = None  # the same; None if mass and rotor speed are not known
 
     def __str__(self) -> str:
-        """In words, for a person."""
         parts = []
         if self.thrust_loss:
             each = ", ".join(f"{100 * one:.2g} % (motor {j})" for j, one in enumerate(self.thrust_loss, 1))
@@ -161,62 +147,35 @@ class LeastDamage(Part):
 
 
 class SourceLog(Part):
-    """One healthy flight that the baseline rests on.
-
-    started_ns: wall-clock time of its beginning, unix epoch [ns]; 0 if it is not known.
-    session: number of the session that it was flown in.
-    propellers: number of the propeller set, 0 for the first.
-    """
+    """One healthy flight that the baseline rests on."""
 
     name: str
     sha256: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")]
     judged_s: NotNegative
-    started_ns: Annotated[int, Field(ge=0)] = 0
+    started_ns: Annotated[int, Field(ge=0)] = 0  # unix epoch; 0 if it is not known
     session: Annotated[int, Field(ge=0)] = 0
-    propellers: Annotated[int, Field(ge=0)] = 0
+    propellers: Annotated[int, Field(ge=0)] = 0  # number of the set, 0 for the first
 
 
 class Provenance(Part):
-    """Where the baseline came from.
-
-    created: ISO 8601, UTC.
-    vehicle: system id, where it was learnt live; 0 where it was not.
-    left_out: parts and logs that were given but not learnt, and why.
-    notes: what was odd about the flights though they were learnt.
-    """
+    """Where the baseline came from."""
 
     logs: Annotated[tuple[SourceLog, ...], Field(min_length=1)]
-    created: str
+    created: str  # ISO 8601, UTC
     tool: str
-    vehicle: Annotated[int, Field(ge=0, le=255)] = 0
-    left_out: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    vehicle: Annotated[int, Field(ge=0, le=255)] = 0  # system id, where it was learnt live
+    left_out: tuple[str, ...] = ()  # parts and logs that were given but not learnt, and why
+    notes: tuple[str, ...] = ()  # what was odd about the flights though they were learnt
 
 
 class Baseline(Part):
-    """The whole artefact.
-
-    airframe: whose it is.
-    link, window: how rows are made.
-    link_quality: which samples of the link are believed.
-    monitors: what judges by it.
-    not_judgeable: monitors that cannot work on such flights, and why.
-    envelope: the conditions that the healthy flights covered.
-    healthy_hours: flight that it was learnt from.
-    provenance: where it came from.
-    fingerprint: what its flights showed of the vehicle; None if nothing, or in an older file.
-    least_damage, grade: the least damage that it notices, and A to D for it; None in an older file.
-    weak: what its own flights say against it, such as a propeller that broke in one of them; empty if nothing.
-    digest: over all the rest.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
+    """The whole artefact."""
 
     schema_id: Literal["mavdiag.baseline/3"] = Field(alias="schema", default="mavdiag.baseline/3")
     airframe: Airframe
     link: Link
     window: Window
-    link_quality: LinkQuality = LinkQuality()
+    link_quality: LinkQuality = LinkQuality()  # which samples of the link are believed
     monitors: Annotated[tuple[MonitorEntry, ...], Field(min_length=1)]
     not_judgeable: tuple[Refusal, ...]
     envelope: tuple[Covered, ...] = ()
@@ -225,13 +184,8 @@ class Baseline(Part):
     fingerprint: Fingerprint | None = None
     least_damage: LeastDamage | None = None
     grade: Grade | None = None
-    weak: str = ""
-    digest: str = ""
-
-    @property
-    def fsd(self) -> tuple[tuple[Any, Threshold], ...]:
-        """The thesis's monitors, one an axis: their `RunLengthSpec`, and the threshold, which is the FML [s]."""
-        return tuple((entry.spec, entry.threshold) for entry in self.monitors if entry.spec.kind == "fsd")
+    weak: str = ""  # what its own flights say against it, such as a propeller that broke in one of them
+    digest: str = ""  # over all the rest
 
     @property
     def propellers(self) -> int:
@@ -239,26 +193,24 @@ class Baseline(Part):
         return max(one.propellers for one in self.provenance.logs)
 
     def same_session(self, started_ns: int) -> bool:
-        """Whether a flight of that time belongs to a session of the healthy flights with the present propellers.
-
-        started_ns: wall-clock time, unix epoch [ns]; 0 if it is not known, and then the answer is no.
-        """
+        """Whether a flight that began then [ns, unix epoch; 0: not known, and so no] is of a session with the present
+        propellers."""
         times = [one.started_ns for one in self.provenance.logs if one.propellers == self.propellers and one.started_ns]
         return bool(started_ns) and any(abs(started_ns - t_ns) <= SESSION_GAP_NS for t_ns in times)
 
     @property
     def layout_statement(self) -> str:
         """The rotor layout and where it is known from; or that it is unknown, what does not judge, the remedy."""
-        lost = f"; {', '.join(NEED_LAYOUT)} do not judge, and no rotor is named; name it with --layout or --airframe"
-        return self.airframe.layout_statement + (lost if self.airframe.layout is None else "")
+        if self.airframe.layout is not None:
+            return self.airframe.layout_statement
+        lost = f"{', '.join(NEED_LAYOUT)} do not judge, and no rotor is named; name it with --layout or --airframe"
+        return f"{self.airframe.layout_statement}; {lost}"
 
     @property
     def layout_doubt(self) -> str:
         """What must be said of a rotor layout that is unknown, though a monitor wants it, or doubtful; else empty."""
-        frame = self.airframe
-        if frame.layout is None:
-            return self.layout_statement if any(one.monitor in NEED_LAYOUT for one in self.not_judgeable) else ""
-        return self.layout_statement if frame.layout_warning else ""
+        wanted = self.airframe.layout is None and any(one.monitor in NEED_LAYOUT for one in self.not_judgeable)
+        return self.layout_statement if wanted or self.airframe.layout_warning else ""
 
     def needs(self) -> frozenset[Signal]:
         """The signals that its monitors rest on."""
@@ -279,7 +231,6 @@ class Baseline(Part):
         write_atomically(Path(path), dump(self))
 
     def __str__(self) -> str:
-        """What it says, for a person: whose it is, what judges at which price, and what does not."""
         frame, link = self.airframe, self.link
         lines = [
             f"airframe   {frame.name} ({frame.scope})",
@@ -288,13 +239,13 @@ class Baseline(Part):
             f"window     {self.window.samples} samples, order {self.window.order}",
         ]
         for entry in self.monitors:
-            monitor = monitor_of(entry.spec)
+            monitor, threshold = monitor_of(entry.spec), entry.threshold
             name = monitor.name if monitor.axis is None else f"{monitor.name} {monitor.axis}"
             over = f" of |r| above {monitor.reference:.4f} rad/s" if monitor.reference else ""
-            lines.append(f"{name:<15} threshold {entry.threshold.value:.4g} {monitor.unit}{over}")
-            lines.append(f"{'':<15} {entry.threshold.statement()}")
-            if entry.threshold.session_allowance > 0:
-                within = entry.threshold.within(same_session=True)
+            lines.append(f"{name:<15} threshold {threshold.value:.4g} {monitor.unit}{over}")
+            lines.append(f"{'':<15} {threshold.statement()}")
+            if threshold.session_allowance > 0:
+                within = threshold.within(same_session=True)
                 lines.append(f"{'':<15} {within:.4g} in a session of these flights; another may differ")
         for covered in self.envelope:
             advice = covered.advice()
@@ -303,29 +254,22 @@ class Baseline(Part):
         lines.append(f"support    {len(self.provenance.logs)} flights, {self.healthy_hours:.3f} h of flight")
         lines += [f"left out   {one}" for one in self.provenance.left_out]
         lines += [f"note       {one}" for one in self.provenance.notes]
-        lines += [f"made       {self.provenance.created} by {self.provenance.tool}", *self._worth()]
+        lines.append(f"made       {self.provenance.created} by {self.provenance.tool}")
+        if self.grade is not None:
+            lines.append(f"grade      {self.grade}" + (f": {self.weak}" if self.weak else ""))
+            lines.append(f"notices    {self.least_damage}; in 95 % of the time")
+            lines.append(f"better     with {self._advice()}")
         return "\n".join(map(printable, lines))
-
-    def _worth(self) -> list[str]:
-        """The grade, the least damage that it would notice, and what would make it better; nothing of an older file."""
-        if self.grade is None or self.least_damage is None:
-            return []
-        return [
-            f"grade      {self.grade}" + (f": {self.weak}" if self.weak else ""),
-            f"notices    {self.least_damage}; in 95 % of the time",
-            f"better     with {self._advice()}",
-        ]
 
     def _advice(self) -> str:
         """What would make it better."""
         if self.weak:
             return "flights whose propellers are sound and whose air is calm: look at what is named above"
-        names = {entry.spec.kind for entry in self.monitors}
-        guards = [by_name(name).guard for name in names]
-        days = max(one.enough_sessions for one in guards) - len({one.session for one in self.provenance.logs})
-        advice = []
-        missing = flights_for_guarantee() - len(self.provenance.logs)
-        if missing > 0 and any(entry.threshold.rule is ThresholdRule.MAXIMUM for entry in self.monitors):
+        names, flights, advice = {entry.spec.kind for entry in self.monitors}, len(self.provenance.logs), list[str]()
+        days = max(by_name(name).guard.enough_sessions for name in names)
+        days -= len({one.session for one in self.provenance.logs})
+        by_maximum = any(entry.threshold.rule is ThresholdRule.MAXIMUM for entry in self.monitors)
+        if by_maximum and (missing := flights_for_guarantee() - flights) > 0:
             advice.append(f"{missing} more flights, for a 95/95 guarantee by the longest healthy run")
         elif days > 0:
             advice.append(f"healthy flights of {days} more day{'s' if days > 1 else ''} (`mavdiag baseline extend`)")
@@ -353,41 +297,16 @@ def dump(baseline: Baseline) -> str:
 def parse(text: str) -> Baseline:
     """A baseline from its JSON text. Raises BaselineError, naming the field that does not fit."""
     try:
-        raw = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise BaselineError(f"not a baseline: the text is no JSON ({error}); {REMEDY}") from error
-    found = raw.get("schema") if isinstance(raw, dict) else None
-    if found != SCHEMA:
-        raise BaselineError(f"schema: {found!r} instead of {SCHEMA!r}; {REMEDY}")
-    baseline = validated(raw)
-    if baseline.digest != _digest(baseline):
-        raise BaselineError("digest: the file was changed after it was made; make it anew with `mavdiag identify`")
-    return baseline
-
-
-def validated(raw: dict[str, Any]) -> Baseline:
-    """A baseline from plain values, its digest unchecked. Raises BaselineError, naming the field."""
-    try:
-        return Baseline.model_validate(raw)
-    except MavdiagError as error:  # from a specification that checks itself
-        raise BaselineError(f"{_place(raw)}: {error}; {REMEDY}") from error
+        baseline = Baseline.model_validate(json.loads(text))
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         where = ".".join(str(step) for step in first["loc"]) or "baseline"
-        raise BaselineError(f"{where}: {first['msg']}; {REMEDY}") from error
-
-
-def _place(raw: dict[str, Any]) -> str:
-    """Where a value refuses itself: the first entry that does, else the airframe."""
-    entries = raw.get("monitors")
-    for number, entry in enumerate(entries if isinstance(entries, list) else ()):
-        try:
-            MonitorEntry.model_validate(entry)
-        except MavdiagError:
-            return f"monitors.{number}.spec"
-        except ValidationError:
-            continue
-    return "airframe"
+        raise BaselineError(f"{where}: {first['msg'].removeprefix('Value error, ')}; {REMEDY}") from error
+    except (ValueError, RecursionError) as error:
+        raise BaselineError(f"not a baseline: the text is no JSON ({error}); {REMEDY}") from error
+    if baseline.digest != _digest(baseline):
+        raise BaselineError("digest: the file was changed after it was made; make it anew with `mavdiag identify`")
+    return baseline
 
 
 def without_mute(monitors: Iterable[MonitorEntry], remedy: str) -> tuple[tuple[MonitorEntry, ...], tuple[Refusal, ...]]:
@@ -414,14 +333,6 @@ def check_link(baseline: Baseline, *, profile: str, dt_s: float) -> None:
 
 
 def _digest(baseline: Baseline) -> str:
-    content: dict[str, Any] = baseline.model_dump(mode="json", by_alias=True, exclude={"digest"})
-    for name in ("left_out", "notes"):  # fields that older files do not have count only where they say something
-        if not content["provenance"][name]:
-            del content["provenance"][name]
-    for name in ("fingerprint", "least_damage", "grade", "weak"):
-        if not content[name]:
-            del content[name]
-    if not content["provenance"]["vehicle"]:
-        del content["provenance"]["vehicle"]
+    content = baseline.model_dump(mode="json", by_alias=True, exclude={"digest"})
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()

@@ -12,7 +12,7 @@ from mavdiag.commandline import say
 from mavdiag.commands import options as opt
 from mavdiag.commands.progress import each, followed
 from mavdiag.face import now
-from mavdiag.learning.extend import extend as extended
+from mavdiag.learning.learn import extend as extended
 from mavdiag.learning.suspicions import accepted
 from mavdiag.logs.part import read_part
 from mavdiag.storage import check_output

@@ -5,21 +5,14 @@ of the alarm budget. So any one that decides may declare a fault, and the shares
 
     calm  < 0.7 <=  held  < 0.8 <=  raised  <= 1 <  over        the highest ratio of all slots
 
-A fault has a kind: what the alarms that declared it mean (`mavdiag.decision.kinds`), which also says when a rotor is
-named.
+A slot that does not decide raises a suspicion at most, when it is over. A fault is latched: when every slot that was
+over has been calm for 2 s, each by its own fresh values, it is only "no longer seen"; the next ratio above 1 begins
+another episode. The end of a flight turns it into an open inspection, until it is acknowledged. Within an episode the
+most certain name of a rotor holds. A trim that the fall of a named rotor's command explains better than the rise of any
+does not count while a fault is held: that rotor is mended, or another one carries its load no longer.
 
-A fault is latched: nothing clears it in flight, and its end turns it into an open inspection, which lasts through later
-flights until it is acknowledged. A calm time is the end of a transient, not of a damage. So when every slot that was
-over has been calm for 2 s, each by its own fresh values, the fault is only "no longer seen"; the next ratio above 1
-begins another episode of it. Within an episode the most certain name of a rotor holds, and the next one may name
-another. While no deciding slot has judged for a second and no fault is held, the stage is "not judged". A slot that
-does not decide raises a suspicion at most, and only when it is over.
-
-A rotor that was named and whose command falls is mended, or another one carries its load no longer: a trim that such a
-fall explains better than the rise of any rotor does not count while the fault is held.
-
-Time is looked at every 0.1 s of the vehicle's clock, when everything up to then is known. So the result does not depend
-on how the data were cut: a live link and its recording give the same events, rotors, types and severities.
+Time is looked at every 0.1 s of the vehicle's clock, when everything up to then is known, so that a live link and its
+recording give the same.
 """
 
 from collections.abc import Sequence
@@ -60,23 +53,18 @@ CORRECTED_NS = 5 * NS_PER_S
 NOTHING_SEEN = Diagnosis()
 
 
+_WAYS = (  # from these stages, at these heights: to which one, and why
+    ((Stage.QUIET, Stage.SUSPECTED), (Height.UNKNOWN,), Stage.NOT_JUDGED, "no monitor judges"),
+    ((Stage.NOT_JUDGED,), (Height.SETTLED, Height.CALM, Height.HELD), Stage.QUIET, "monitors judge"),
+    ((Stage.SUSPECTED,), (Height.SETTLED,), Stage.QUIET, "all monitors have been calm again"),
+    ((Stage.NOT_JUDGED, Stage.QUIET), (Height.RAISED,), Stage.SUSPECTED, "a monitor comes near its threshold"),
+    (set(Stage) - {Stage.FAULT}, (Height.OVER,), Stage.FAULT, "a monitor is above its threshold"),
+)
+#: Every other pair leaves the stage as it is: no height ends a fault or an inspection.
 NEXT: dict[tuple[Stage, Height], tuple[Stage, str]] = {
-    (Stage.NOT_JUDGED, Height.SETTLED): (Stage.QUIET, "monitors judge"),
-    (Stage.NOT_JUDGED, Height.CALM): (Stage.QUIET, "monitors judge"),
-    (Stage.NOT_JUDGED, Height.HELD): (Stage.QUIET, "monitors judge"),
-    (Stage.NOT_JUDGED, Height.RAISED): (Stage.SUSPECTED, "a monitor comes near its threshold"),
-    (Stage.NOT_JUDGED, Height.OVER): (Stage.FAULT, "a monitor is above its threshold"),
-    (Stage.QUIET, Height.UNKNOWN): (Stage.NOT_JUDGED, "no monitor judges"),
-    (Stage.QUIET, Height.RAISED): (Stage.SUSPECTED, "a monitor comes near its threshold"),
-    (Stage.QUIET, Height.OVER): (Stage.FAULT, "a monitor is above its threshold"),
-    (Stage.SUSPECTED, Height.UNKNOWN): (Stage.NOT_JUDGED, "no monitor judges"),
-    (Stage.SUSPECTED, Height.OVER): (Stage.FAULT, "a monitor is above its threshold"),
-    (Stage.SUSPECTED, Height.SETTLED): (Stage.QUIET, "all monitors have been calm again"),
-    (Stage.INSPECT, Height.OVER): (Stage.FAULT, "a monitor is above its threshold"),
+    (came, height): (stage, reason) for stages, heights, stage, reason in _WAYS for came in stages for height in heights
 }
-"""Every other pair leaves the stage as it is: no height ends a fault or an inspection."""
-
-
+#: Heights that leave a stage as it is, whatever came before them; a fault is looked at every time while it is seen.
 LEFT_ALONE: dict[Stage, tuple[Height, ...]] = {
     Stage.NOT_JUDGED: (Height.UNKNOWN,),
     Stage.QUIET: (Height.CALM, Height.HELD),
@@ -84,18 +72,14 @@ LEFT_ALONE: dict[Stage, tuple[Height, ...]] = {
     Stage.FAULT: (),
     Stage.INSPECT: (Height.UNKNOWN, Height.CALM, Height.HELD, Height.RAISED),
 }
-"""Heights that leave a stage as it is, whatever came before them; a fault is looked at every time while it is seen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Episode:
     """A time in which a fault is seen.
 
-    begun_ns: when it was declared or came back. ended_ns: since when it is calm, once it is no longer seen.
-    over: the deciding slots that were over, by name and axis.
-    calm_ns: since when all of these are calm; None if they are not.
-    lead: by how much the named rotor led the next when it was most certain [logits].
-    gathered, graded: what was gathered, and how many of the fixed times have passed.
+    over: the deciding slots that were over. calm_ns: since when all of these are calm. ended_ns: the same, once it is
+    no longer seen. lead: of the named rotor when it was most certain [logits]. graded: fixed times that have passed.
     """
 
     begun_ns: int
@@ -138,15 +122,15 @@ class DecisionSpec:
             while told and (told[0].look <= look or last):
                 alarms.append(told.pop(0))
             if not alarms and height is not None and height in self._left_alone(state):
-                calm_ns = None if height != Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
-                if calm_ns != state.calm_ns or state.over_ns is not None:
-                    state = replace(state, calm_ns=calm_ns, over_ns=None)
+                state = _since(state, height, t_ns)
                 if last and state.diagnosis.stage not in (Stage.FAULT, Stage.INSPECT):
                     lead = looked.leads[number]
                     best = self._reading(lead, looked.readings[number, lead].tolist()) if lead >= 0 else None
                     state = replace(state, diagnosis=_shown(state.diagnosis, best))
                 continue
-            state, change = self._decide(state, self._fresh(looked.readings[number], t_ns), t_ns)
+            rows = enumerate(looked.readings[number].tolist())
+            fresh = [self._reading(slot, row) for slot, row in rows if t_ns / LOOK_NS - row[AT] <= STALE_LOOKS]
+            state, change = self._decide(state, fresh, t_ns)
             if state.diagnosis.stage is Stage.FAULT:
                 state, graded = self._grade(state, looked.sums[number], t_ns)
                 change = change or graded
@@ -187,14 +171,6 @@ class DecisionSpec:
         if held.stage is Stage.FAULT and not held.seen and (not episode or episode.graded >= len(self.known)):
             return LEFT_ALONE[Stage.INSPECT]  # like it, a fault that is not seen waits for a ratio above 1
         return LEFT_ALONE[held.stage]
-
-    def _fresh(self, readings: FloatArray, t_ns: int) -> list[Reading]:
-        """The slots that count now, and their readings."""
-        return [
-            self._reading(number, row)
-            for number, row in enumerate(readings.tolist())
-            if t_ns / LOOK_NS - row[AT] <= STALE_LOOKS
-        ]
 
     def _reading(self, number: int, row: Sequence[float]) -> Reading:
         slot = self.slots[number]
@@ -274,13 +250,11 @@ class DecisionSpec:
 
 def height_of(ratio: float, decides: bool) -> Height:
     """The height of one slot's ratio."""
-    if not decides:
-        return Height.RAISED if ratio > 1.0 else Height.CALM
     if ratio > 1.0:
-        return Height.OVER
-    if ratio >= RAISED_FROM:
-        return Height.RAISED
-    return Height.HELD if ratio >= CALM_BELOW else Height.CALM
+        return Height.OVER if decides else Height.RAISED
+    if not decides or ratio < CALM_BELOW:
+        return Height.CALM
+    return Height.RAISED if ratio >= RAISED_FROM else Height.HELD
 
 
 def landed(held: Diagnosis, t_ns: int) -> Diagnosis:
@@ -296,10 +270,9 @@ def landed(held: Diagnosis, t_ns: int) -> Diagnosis:
 def _falls(reading: Reading, held: Diagnosis) -> bool:
     """Whether the fall of a rotor's command that was named explains a trim better than the rise of any rotor."""
     a = reading.rotors
-    if reading.direct or not a:
+    if reading.direct or not a or -min(a) < max(a):
         return False
-    lowest = min(a)
-    return -lowest >= max(a) and any(a.index(lowest) + 1 == span.rotor for span in held.rotors)
+    return a.index(min(a)) + 1 in [span.rotor for span in held.rotors]
 
 
 def _with_rotor(now: Diagnosis, rotor: int, begun_ns: int, t_ns: int) -> tuple[RotorSpan, ...]:
@@ -318,18 +291,23 @@ def _ended(spans: tuple[RotorSpan, ...], t_ns: int) -> tuple[RotorSpan, ...]:
     return tuple(replace(one, end_ns=max(one.since_ns, t_ns)) if one.end_ns is None else one for one in spans)
 
 
+def _since(state: DecisionState, height: Height | int, t_ns: int) -> DecisionState:
+    """The state with the time since when all ratios are calm, and one is over."""
+    calm_ns = None if height != Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
+    over_ns = None if height != Height.OVER else t_ns if state.over_ns is None else state.over_ns
+    same = calm_ns == state.calm_ns and over_ns == state.over_ns
+    return state if same else replace(state, calm_ns=calm_ns, over_ns=over_ns)
+
+
 def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tuple[DecisionState, Height]:
     """How high the highest ratio is, and since when; see `DOUBT_NS` for what waits before it is over."""
     height = Height.UNKNOWN
     if any(reading.slot.decides for reading in fresh):
         height = max(height_of(reading.ratio, reading.slot.decides) for reading in fresh)
-    calm_ns = None if height is not Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
-    over_ns = None if height is not Height.OVER else t_ns if state.over_ns is None else state.over_ns
-    if calm_ns != state.calm_ns or over_ns != state.over_ns:
-        state = replace(state, calm_ns=calm_ns, over_ns=over_ns)
-    if calm_ns is not None and t_ns - calm_ns >= CLEAR_NS:
+    state = _since(state, height, t_ns)
+    if state.calm_ns is not None and t_ns - state.calm_ns >= CLEAR_NS:
         return state, Height.SETTLED
-    if over_ns is None or t_ns - over_ns >= DOUBT_NS or state.diagnosis.seen:
+    if state.over_ns is None or t_ns - state.over_ns >= DOUBT_NS or state.diagnosis.seen:
         return state, height
     kind = grown(None, fresh, 0)
     checked = any(one.slot.monitor.kind is FaultKind.SENSOR for one in fresh)  # without these nothing is waited for
@@ -346,25 +324,18 @@ def _leading(it: Diagnosis, fresh: Sequence[Reading]) -> Diagnosis:
         fresh = [one for one in fresh if it.seen and one.ratio > 1.0 and one.slot.decides and _speaks(one, it)]
         if not fresh:
             return it
-    return _shown(it, max(fresh, key=_rank, default=None))
-
-
-def _rank(reading: Reading) -> tuple[Height, bool, float]:
-    return height_of(reading.ratio, reading.slot.decides), reading.slot.decides, reading.ratio
+    ranks = [(height_of(one.ratio, one.slot.decides), one.slot.decides, one.ratio) for one in fresh]
+    return _shown(it, fresh[ranks.index(max(ranks))] if ranks else None)
 
 
 def _shown(it: Diagnosis, best: Reading | None) -> Diagnosis:
     if best is None:
         return replace(it, monitor=None, axis=None, unit="", statistic=NAN, threshold=NAN)
-    (name, axis), threshold = best.slot.key, best.slot.threshold
-    evidence = max(best.value, best.ratio * threshold)
-    return replace(it, monitor=name, axis=axis, unit=best.slot.monitor.unit, statistic=evidence, threshold=threshold)
+    slot, (name, axis), evidence = best.slot, best.slot.key, max(best.value, best.ratio * best.slot.threshold)
+    return replace(it, monitor=name, axis=axis, unit=slot.monitor.unit, statistic=evidence, threshold=slot.threshold)
 
 
 def _speaks(reading: Reading, it: Diagnosis) -> bool:
     """Whether evidence is of the fault's kind, and may stand beside the name of a rotor: a trim shows one alone."""
-    if reading.slot.monitor.kind is not it.kind:
-        return False
-    if it.rotor is None or reading.direct or not reading.rotors:
-        return True
-    return reading.rotors.index(max(reading.rotors)) + 1 == it.rotor
+    own = it.rotor is None or reading.direct or not reading.rotors
+    return reading.slot.monitor.kind is it.kind and (own or reading.rotors.index(max(reading.rotors)) + 1 == it.rotor)

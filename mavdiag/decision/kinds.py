@@ -1,29 +1,21 @@
 """What kind of fault it is, and which rotor has it: the evidence of all slots, put into one answer or "unknown".
 
-The kind follows from the monitors above their thresholds: the gravest of what their alarms mean holds, in the order
-propeller fault, sensor fault, loss of control, gross loss of thrust (`mavdiag.monitors.base.FaultKind`). It may grow
-while a fault lasts, and never shrinks. A propeller fault becomes a sensor fault only within 10 s of its declaration,
-because what a sensor does to the propeller monitors shows before the slow checks of the sensors have spoken.
+The gravest of what the alarms of the monitors above their thresholds mean holds (`mavdiag.monitors.base.FaultKind`); it
+never shrinks. A propeller fault becomes a sensor fault only within 10 s of its declaration.
 
     logit_j = sum over monitors of  w_m g_m e_mj,    p = softmax(logit),    named if max p >= 0.9
 
-e_mj: a monitor's evidence for rotor j, as its statistic gives it. w_m: how many logits a unit of it is worth; each
-monitor states it (`Monitor.evidence`), chosen on emulated flights so that a name at p = 0.9 is right in 99 of 100.
-g_m = 0..1: a monitor counts for nothing below half of its threshold and in full at it, so that the noise of one that
-finds nothing cannot outweigh one that does. A rotor is named while that is certain, and only then:
-
-    a sensor is at fault                   no rotor, and a name that was given is withdrawn
-    a sensor's check is at 0.85 or above    no new name: what the propeller monitors see may be the sensor
-    an upset, or the loss of control       no new name: the one that was given before it is kept
-    a gross loss of thrust                 the name that was given, else the one that the loss itself shows
-
-An upset begins where a monitor of the loss of control, or of thrust, is at half its threshold: this is its only
-measure.
+e_mj: a monitor's evidence for rotor j. w_m: logits that a unit of it is worth (`Monitor.evidence`), chosen on emulated
+flights so that a name at p = 0.9 is right in 99 of 100. g_m = 0..1: nothing below half of its threshold, all at it. No
+rotor is named of a sensor fault, nor anew while a sensor's check is at 0.85 or above, in an upset (a monitor of the
+loss of control or of thrust at half its threshold) or a loss of control. Of a gross loss of thrust the name that was
+given stays, else the one that the loss itself shows.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from mavdiag.kernel import Slot
 from mavdiag.monitors.base import FaultKind
@@ -39,11 +31,8 @@ LOSSES = (FaultKind.LOSS_OF_CONTROL, FaultKind.GROSS_LOSS)
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A slot's latest look that had a valid value.
-
-    ratio: highest statistic over threshold in the look. value: the last statistic in it.
-    rotors: the last evidence for each rotor; empty if the slot has none.
-    """
+    """A slot's latest look that had a valid value: the highest statistic over threshold, the last statistic in it, and
+    the last evidence for each rotor, empty if the slot has none."""
 
     slot: Slot
     ratio: float
@@ -53,8 +42,8 @@ class Reading:
     @property
     def unit(self) -> float:
         """Logits that a unit of its evidence is worth; 0 if it tells nothing of rotors."""
-        how, known = self.slot.evidence, self.rotors and all(math.isfinite(x) for x in self.rotors)
-        if how is None or not known:
+        how = self.slot.evidence
+        if how is None or not self.rotors or not all(map(math.isfinite, self.rotors)):
             return 0.0
         return how.weight / (self.slot.threshold if how.relative else 1.0)
 
@@ -63,9 +52,12 @@ class Reading:
         """It observes a damaged rotor itself, or tells nothing of rotors."""
         return self.slot.evidence is None or self.slot.evidence.direct
 
+    def at_least(self, share: float, *kinds: FaultKind) -> bool:
+        """Whether a monitor of one of these kinds is at such a share of its threshold."""
+        return self.slot.monitor.kind in kinds and self.ratio >= share
 
-@dataclass(frozen=True, slots=True)
-class Isolation:
+
+class Isolation(NamedTuple):
     """Which rotor it is.
 
     rotor: from 1; None if the evidence fits more than one, or if there is none.
@@ -81,7 +73,9 @@ class Isolation:
 def isolate(readings: Sequence[Reading]) -> Isolation:
     """Put the evidence together. Evidence on fewer rotors than the most is of another layout, and does not count."""
     most = max((len(reading.rotors) for reading in readings), default=0)
-    observed = any(reading.ratio > 1 and reading.direct and _sure(reading) for reading in readings)
+    observed = any(
+        one.ratio > 1 and one.direct and one.unit > 0 and _sure(one.unit, one.rotors) >= NAME_AT for one in readings
+    )
     logits = [0.0] * most
     for reading in readings:
         gate = min(max((reading.ratio - SILENT_BELOW) / (1.0 - SILENT_BELOW), 0.0), 1.0)
@@ -90,21 +84,15 @@ def isolate(readings: Sequence[Reading]) -> Isolation:
             logits = [a + unit * b for a, b in zip(logits, reading.rotors, strict=True)]
     if not any(logits):
         return Isolation()
-    highest = max(logits)
-    confidence = 1.0 / math.fsum(math.exp(one - highest) for one in logits)
-    lead = highest - sorted(logits)[-2] if len(logits) > 1 else 0.0
-    return Isolation(logits.index(highest) + 1 if confidence >= NAME_AT else None, confidence, lead)
+    first, second = sorted(logits, reverse=True)[:2] if most > 1 else (logits[0], logits[0])
+    sure = _sure(1.0, logits)
+    return Isolation(logits.index(first) + 1 if sure >= NAME_AT else None, sure, first - second)
 
 
-def _sure(reading: Reading) -> bool:
-    """Whether a monitor names a rotor by itself."""
-    unit, highest = reading.unit, max(reading.rotors, default=0.0)
-    return unit > 0 and math.fsum(math.exp(unit * (x - highest)) for x in reading.rotors) <= 1.0 / NAME_AT
-
-
-def upset(readings: Sequence[Reading]) -> bool:
-    """Whether the vehicle is on its way out of control."""
-    return any(reading.slot.monitor.kind in LOSSES and reading.ratio >= UPSET_FROM for reading in readings)
+def _sure(unit: float, evidence: Sequence[float]) -> float:
+    """Share of the likeliest rotor."""
+    highest = max(evidence)
+    return 1.0 / math.fsum(math.exp(unit * (x - highest)) for x in evidence)
 
 
 def grown(kind: FaultKind | None, readings: Sequence[Reading], lasted_ns: int) -> FaultKind:
@@ -118,7 +106,9 @@ def grown(kind: FaultKind | None, readings: Sequence[Reading], lasted_ns: int) -
 def named(kind: FaultKind, readings: Sequence[Reading], has_name: bool) -> Isolation:
     """Which rotor the evidence of this moment names, if any may be named. has_name: a rotor was named before."""
     lost = kind is FaultKind.GROSS_LOSS and not has_name
-    doubtful = any(one.slot.monitor.kind is FaultKind.SENSOR and one.ratio >= DOUBTFUL_FROM for one in readings)
-    if not lost and (kind is not FaultKind.PROPELLER or doubtful or upset(readings)):
+    doubtful = any(
+        one.at_least(DOUBTFUL_FROM, FaultKind.SENSOR) or one.at_least(UPSET_FROM, *LOSSES) for one in readings
+    )
+    if not lost and (kind is not FaultKind.PROPELLER or doubtful):
         return Isolation()
     return isolate([one for one in readings if one.slot.monitor.kind is kind and one.slot.evidence is not None])

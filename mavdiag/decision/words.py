@@ -22,7 +22,7 @@ MOTORS_MOST = 8  # that are listed by number; more do not fit into a text (our c
 MOSTLY = 0.9  # of what was judged: a monitor that judged more has judged the flight (our choice)
 TYPES = {"F1": "an edge cut", "F2": "a crack", "F3": "surface unbalance"}
 
-#: What each monitor looks at, for a reader who meets its name for the first time.
+#: What each monitor looks at.
 OBSERVES = {
     "fsd": "how long the body rate differs from the model's (the thesis's rule)",
     "innovation": "motion that is predicted badly one step ahead",
@@ -39,36 +39,36 @@ OBSERVES = {
 
 #: The verdicts in short, in the order in which they ask for attention.
 VERDICTS = {
-    "error": "not readable",
-    "fault": "fault",
-    "suspected": "suspected",
-    "not_judgeable": "not judgeable",
-    "healthy": "healthy",
+    name: name.replace("_", " ").replace("error", "not readable")
+    for name in ("error", "fault", "suspected", "not_judgeable", "healthy")
 }
 
 
-def finding_words(finding: Change | Diagnosis, most: int = 80) -> str:
+def finding_words(finding: Diagnosis, most: int = 80) -> str:
     """What was found, in at most so many characters: "motor 3 lost 19% thrust", "rotor unknown: vibrates 2.6x".
 
     What does not fit is left out: the type of the fault first, then that the rotor is unknown.
-
-    >>> print(finding_words(Diagnosis(Stage.FAULT, monitor="rotor_trim", statistic=0.235, threshold=0.1, rotor=3)))
-    motor 3 lost 19% thrust
     """
     graded = finding.fault_type or "" if finding.stage is Stage.FAULT else ""
     graded += f"/SV{finding.severity}" if graded and finding.severity is not None else ""
-    phrase, whose = _phrase(finding), ""
+    monitor = BY_NAME.get(finding.monitor or "")
+    template, phrase, whose = "" if monitor is None else monitor.phrase, "", ""
+    if math.isfinite(finding.statistic) and finding.threshold > 0:
+        rise = max(finding.statistic, 0.0)
+        times = rise / finding.threshold
+        shown = ">99" if times > 99 else f"{times:.0f}" if times >= 9.95 else f"{times:.1f}"
+        phrase = template.format(times=shown, lost=f"{100.0 * loss_of(rise):.0f}")
     if finding.rotor is not None:
         whose = f"motor {finding.rotor} "
     elif finding.axis is not None:
         whose = f"{finding.axis} "
-    elif finding.kind in (None, FaultKind.PROPELLER) and phrase != _template(finding):  # it tells of what a rotor does
+    elif finding.kind in (None, FaultKind.PROPELLER) and phrase != template:  # it tells of what a rotor does
         whose = "rotor unknown: "
     told = (whose + ", ".join(part for part in (phrase, graded) if part), whose + phrase, phrase or whose)
     return next((text.strip() for text in told if len(text.strip()) <= most), told[-1].strip()[:most])
 
 
-def motors_words(finding: Change | Diagnosis) -> str:
+def motors_words(finding: Diagnosis) -> str:
     """The rotors that were named: "motor 1", "motors 1,4"; what else is to be looked at where none was."""
     rotors = sorted({span.rotor for span in finding.rotors})
     if len(rotors) > MOTORS_MOST:
@@ -81,11 +81,7 @@ def motors_words(finding: Change | Diagnosis) -> str:
 
 
 def stage_line(stage: str, reason: str, rotor: int | None = None, kind: str | None = None) -> str:
-    """A stage of the decision in one line, by the kind of its fault where it is known.
-
-    >>> stage_line("fault", "a monitor is above its threshold", 2)
-    'fault: a monitor is above its threshold, rotor 2'
-    """
+    """A stage of the decision in one line, by the kind of its fault where it is known."""
     return f"{kind or stage}: {reason}" + ("" if rotor is None else f", rotor {rotor}")
 
 
@@ -124,57 +120,61 @@ def fault_reason(kind: FaultKind | None, faults: Sequence[Change], events: Seque
 def headline(verdict: "LogVerdict") -> str:
     """The verdict in one sentence."""
     judged = f"{verdict.judged_s:.0f} s of {verdict.flown_s:.0f} s of flight were judged"
-    sentences = {
-        "error": f"This file could not be read: {verdict.reason}.",
-        "not_judgeable": f"This flight cannot be judged by this baseline: {own_reason(verdict)}.",
-        "healthy": f"No fault was found; {judged}.",
-        "suspected": f"A fault is suspected, none was declared; {judged}.",
-    }
     if verdict.verdict != "fault":
-        return sentences[verdict.verdict]
-    kind = verdict.kind or FaultKind.PROPELLER
+        return {
+            "error": f"This file could not be read: {verdict.reason}.",
+            "not_judgeable": f"This flight cannot be judged by this baseline: {own_reason(verdict)}.",
+            "healthy": f"No fault was found; {judged}.",
+            "suspected": f"A fault is suspected, none was declared; {judged}.",
+        }[verdict.verdict]
+    kind, graded = verdict.kind or FaultKind.PROPELLER, ""
     near = {FaultKind.PROPELLER: "of", FaultKind.GROSS_LOSS: "at"}.get(kind)
     where = f" {near} rotor {verdict.rotor}" if verdict.rotor is not None and near else ""
     since = "" if verdict.since_s is None else f", declared first at {verdict.since_s:.1f} s of the vehicle's clock"
-    return f"A {kind}{where} was found{_graded(verdict, kind)}{since}; {judged}."
+    for change in verdict.changes:  # the type that was named last
+        if kind is FaultKind.PROPELLER is change.kind and change.stage is Stage.FAULT and change.fault_type is not None:
+            severity = "" if change.severity is None else f", severity {change.severity} of 3"
+            graded = f", most like {TYPES.get(change.fault_type, 'type')} ({change.fault_type}{severity})"
+    return f"A {kind}{where} was found{graded}{since}; {judged}."
 
 
 def evidence_sentence(verdict: "LogVerdict") -> str:
     """What the verdict rests on, one sentence; empty where nothing was judged."""
+    told = sorted(verdict.monitors, key=_ratio, reverse=True)
     if verdict.verdict == "suspected":
         return f"What was suspected: {own_reason(verdict)}."
     if verdict.verdict == "healthy":
-        decided = [monitor for monitor in verdict.monitors if monitor.decides and monitor.maximum is not None]
-        nearest = max(decided, key=_ratio, default=None)
-        if nearest is None:
-            return ""
-        share = 100 * _ratio(nearest)
-        return f"The deciding monitor that came nearest to its threshold is {nearest.name}, with {share:.0f} % of it."
+        decided = (
+            f"{one.name}, with {100 * _ratio(one):.0f} % of it"
+            for one in told
+            if one.decides and one.maximum is not None
+        )
+        nearest = next(decided, "")
+        return f"The deciding monitor that came nearest to its threshold is {nearest}." if nearest else ""
     if verdict.verdict != "fault":
         return ""
-    above = sorted((monitor for monitor in verdict.monitors if _ratio(monitor) > 1), key=_ratio, reverse=True)
-    told = ", ".join(f"{monitor.name} {_ratio(monitor):.1f} times" for monitor in above) or "none at the end"
+    above = ", ".join(f"{one.name} {_ratio(one):.1f} times" for one in told if _ratio(one) > 1) or "none at the end"
     events = [judged.event for judged in verdict.events]
     doubt = f" This alone does not tell the cause ({text})." if (text := _doubt(events)) else ""
-    return f"Above their thresholds: {told} ({_count(events)} of single monitors).{doubt}"
+    return f"Above their thresholds: {above} ({_count(events)} of single monitors).{doubt}"
 
 
 def advice(verdict: "LogVerdict") -> str:
     """What to do now, one sentence."""
-    if verdict.verdict == "fault" and verdict.kind is FaultKind.SENSOR:
-        return "Before the next flight, check the inertial sensor and its mount; no propeller is blamed."
-    if verdict.verdict == "fault" and verdict.kind not in (None, FaultKind.PROPELLER):
-        return "Do not fly before the cause is known: look at motors, controllers, propellers and their wiring."
-    rotor = verdict.rotor
-    first = "the propellers" if rotor is None else f"the propeller of rotor {rotor} first, then the others"
+    first = f"the propeller of rotor {verdict.rotor} first, then the others" if verdict.rotor else "the propellers"
+    what = verdict.verdict.value
+    if what == "fault" and verdict.kind not in (None, FaultKind.PROPELLER):
+        what = "sensor" if verdict.kind is FaultKind.SENSOR else "loss"
     return {
         "fault": f"Before the next flight, look at {first}: nicks, cracks, a bent blade, a loose or changed propeller.",
+        "sensor": "Before the next flight, check the inertial sensor and its mount; no propeller is blamed.",
+        "loss": "Do not fly before the cause is known: look at motors, controllers, propellers and their wiring.",
         "suspected": "Look at the propellers and judge the next flight too: it may be a manoeuvre that was not learnt.",
         "healthy": "Damage that is smaller than the thresholds can find is not excluded; this is no proof of health.",
         "not_judgeable": "`mavdiag inspect LOG --baseline FILE` says which message or parameter is missing, and what "
         "the log shows by itself.",
         "error": "Check the file; the other logs of this page are not affected.",
-    }[verdict.verdict]
+    }[what]
 
 
 def unjudged(verdict: "LogVerdict") -> tuple[str, ...]:
@@ -186,16 +186,6 @@ def unjudged(verdict: "LogVerdict") -> tuple[str, ...]:
 def own_reason(verdict: "LogVerdict") -> str:
     """The reason without the notes, which stand by themselves."""
     return verdict.reason.removesuffix("; ".join(("", *verdict.notes)))
-
-
-def _graded(verdict: "LogVerdict", kind: FaultKind) -> str:
-    """The type that was named last."""
-    faults = [change for change in verdict.changes if change.stage is Stage.FAULT and change.kind is verdict.kind]
-    last = next((change for change in reversed(faults) if change.fault_type is not None), None)
-    if kind is not FaultKind.PROPELLER or last is None or last.fault_type is None:
-        return ""
-    severity = "" if last.severity is None else f", severity {last.severity} of 3"
-    return f", most like {TYPES.get(last.fault_type, 'type')} ({last.fault_type}{severity})"
 
 
 def _doubt(events: Sequence[Event]) -> str:
@@ -210,18 +200,3 @@ def _count(events: Sequence[Event]) -> str:
 
 def _ratio(monitor: "MonitorSummary") -> float:
     return 0.0 if monitor.maximum is None or not monitor.threshold else monitor.maximum / monitor.threshold
-
-
-def _template(finding: Change | Diagnosis) -> str:
-    monitor = BY_NAME.get(finding.monitor or "")
-    return "" if monitor is None else monitor.phrase
-
-
-def _phrase(finding: Change | Diagnosis) -> str:
-    """The leading monitor's phrase with its figure; empty where that is not known."""
-    if not (math.isfinite(finding.statistic) and finding.threshold > 0):
-        return ""
-    rise = max(finding.statistic, 0.0)
-    times = rise / finding.threshold
-    shown = ">99" if times > 99 else f"{times:.0f}" if times >= 9.95 else f"{times:.1f}"
-    return _template(finding).format(times=shown, lost=f"{100.0 * loss_of(rise):.0f}")

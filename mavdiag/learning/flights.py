@@ -1,19 +1,19 @@
 """Healthy flights before anything is learnt: the link they came over, and their rows of flight.
 
-Their signals and rows are put on a shelf, which is a file if they are many, so that of many flights one is in memory at
-a time. A flight is read once; its rows are looked at several times (guards, fits, scores), mapped anew for each look.
+Signals and rows are put on a shelf, which is a file if they are many: a flight is read once, its rows are mapped anew
+for each look (guards, fits, scores), and of many flights one is in memory at a time.
 """
 
-from collections.abc import Callable, Hashable, Iterable, Sequence
+import ctypes
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, overload
+from functools import partial
 
 import numpy as np
 
 from mavdiag.baseline import SESSION_GAP_NS
 from mavdiag.errors import InputError
 from mavdiag.logs import gate_for
-from mavdiag.monitors.fitting import Remembering
 from mavdiag.rows.align import USED, AlignSpec, Grid, measure_grid
 from mavdiag.rows.block import COLUMNS, Block, in_rotor_order
 from mavdiag.rows.front import Front, Rows
@@ -23,6 +23,7 @@ from mavdiag.rows.rates import RateBlock, RateSpec
 from mavdiag.rows.savgol import window_samples
 from mavdiag.storage import Arrays, Shelf
 from mavdiag.telemetry import Log, Series, Signal, Telemetry
+from mavdiag.thresholds.heldout import Looks
 from mavdiag.units import NS_PER_S
 
 MIN_FLIGHT_S = 2.0  # less airborne flight than this teaches nothing (our choice)
@@ -31,16 +32,14 @@ SHAKE_SHARE = 0.2  # of the usual noise of the gyro in flight; at rest it has a 
 SLOW_SETPOINT_PERIODS = 2.5  # a set-point stream slower than the gyro has gaps by nature (our choice)
 PIECE_ROWS = 60_000  # that are made and looked at together (our choice: 20 MB)
 IN_MEMORY = 1 << 62  # bytes
+RATE_COLUMNS = tuple(column.name for column in fields(RateBlock))[2:]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldLog:
-    """A log whose signals are aside.
+    """A log whose signals are aside: the log without them, what they are, and `get` for their times and values.
 
-    label: the log without its signals.
-    dt_s, grid: mean gyro period [s], and how rows are placed.
-    setpoint_s: median period of its set-points [s]; 0 without any.
-    signals, get: which signals they are, and their times and values.
+    dt_s, grid: mean gyro period [s], and how rows are placed. setpoint_s: period of the set-points [s]; 0 without any.
     """
 
     label: Log
@@ -60,8 +59,7 @@ class HeldLog:
         """The log without what lies between two times [s of the vehicle's clock]; None for its start or its end."""
         low, high, parts = -np.inf if from_s is None else from_s, np.inf if to_s is None else to_s, []
         for series in self.open().telemetry.series:
-            t_s = series.t_ns / NS_PER_S
-            kept = (t_s < low) | (t_s >= high)
+            kept = (series.t_s < low) | (series.t_s >= high)
             parts += [series.t_ns[kept], series.values[kept]]
         return replace(self, get=shelf.put(parts))
 
@@ -82,66 +80,11 @@ def hold(log: Log | HeldLog, shelf: Shelf) -> HeldLog:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Chunk:
-    """Rows on a shelf: segment and period, and the arrays of their block and rates."""
-
-    segment: int
-    dt_s: float
-    get: Callable[[], Arrays]
-
-    @classmethod
-    def of(cls, rows: Rows, shelf: Shelf) -> "_Chunk":
-        arrays = [getattr(rows.block, name) for name in COLUMNS]
-        arrays += [getattr(rows.rates, column.name) for column in fields(RateBlock)[2:]]
-        return cls(rows.block.segment, rows.block.dt_s, shelf.put(arrays))
-
-    def rows(self, outputs: tuple[int, ...] | None) -> Rows:
-        arrays = self.get()
-        block = Block(self.segment, self.dt_s, *arrays[: len(COLUMNS)])
-        return Rows(in_rotor_order(block, outputs), RateBlock(self.segment, self.dt_s, *arrays[len(COLUMNS) :]))
-
-
-class HeldRows(Remembering):
-    """The rows of a flight on a shelf. Each look gives new ones, that take memory only as long as they are held.
-
-    outputs: the output, from 1, that drives each rotor; None where the rows have them in order as they come.
-    """
-
-    def __init__(self, chunks: tuple[_Chunk, ...], outputs: tuple[int, ...] | None = None) -> None:
-        self._chunks, self._outputs = chunks, outputs
-        self._answers: dict[Hashable, Any] = {}
-
-    def by_rotor(self, outputs: tuple[int, ...]) -> "HeldRows":
-        """The same rows, their outputs in the order of the rotors."""
-        return HeldRows(self._chunks, outputs)
-
-    def once(self, key: Hashable, find: Callable[[Sequence[Rows]], Any]) -> Any:
-        """What `find` gives of this flight, and the same for the same key later on."""
-        if key not in self._answers:
-            self._answers[key] = find(self)
-        return self._answers[key]
-
-    def __len__(self) -> int:
-        return len(self._chunks)
-
-    @overload
-    def __getitem__(self, at: int) -> Rows: ...
-
-    @overload
-    def __getitem__(self, at: slice) -> Sequence[Rows]: ...
-
-    def __getitem__(self, at: int | slice) -> Rows | Sequence[Rows]:
-        if isinstance(at, slice):
-            return HeldRows(self._chunks[at], self._outputs)
-        return self._chunks[at].rows(self._outputs)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class LearntFlight:
     """A flight, its rows of flying in order, and how long of them may be judged [s]."""
 
     held: HeldLog
-    rows: HeldRows
+    rows: Looks
     judged_s: float
 
     @property
@@ -149,12 +92,12 @@ class LearntFlight:
         """The log without its signals."""
         return self.held.label
 
-    @property
-    def flight(self) -> Log:
-        """The log with its signals."""
-        return self.held.open()
+    def by_rotor(self, outputs: tuple[int, ...] | None) -> "LearntFlight":
+        """The flight with its outputs by rotor; a log that has them by motor already stays as it is."""
+        if outputs is None or self.label.motor_order:
+            return self
+        return replace(self, rows=Looks(partial(_in_order, outputs, make) for make in self.rows.makers))
 
-    @property
     def spans_ns(self) -> list[tuple[int, int]]:
         """First and last time of each span of flight that may be judged [ns]."""
         spans: dict[int, tuple[int, int]] = {}
@@ -172,18 +115,30 @@ def airborne(front: Front, flight: Log | HeldLog, shelf: Shelf | None = None) ->
     Raises InputError, naming it, if there is hardly any.
     """
     shelf = shelf or Shelf(IN_MEMORY)
-    held, chunks, judged = hold(flight, shelf), [], 0
+    held, makers, judged = hold(flight, shelf), list[Callable[[], Rows]](), 0
     for rows in _pieces(front, held.open().telemetry):
         judged += int(np.count_nonzero(rows.rates.valid))
-        chunks.append(_Chunk.of(rows, shelf))
+        arrays = [getattr(rows.block, name) for name in COLUMNS] + [getattr(rows.rates, name) for name in RATE_COLUMNS]
+        makers.append(partial(_rows, rows.block.segment, rows.block.dt_s, shelf.put(arrays)))
     judged_s = judged * front.align.dt_s
     if judged_s < MIN_FLIGHT_S:
         never = "" if judged_s else " (never armed, or no thrust)"
         raise InputError(f"{held.label.name}: only {judged_s:.1f} s of airborne flight{never}, too short to learn from")
-    return LearntFlight(held, HeldRows(tuple(chunks)), judged_s)
+    return LearntFlight(held, Looks(makers), judged_s)
 
 
-def _pieces(front: Front, telemetry: Telemetry) -> Iterable[Rows]:
+def _rows(segment: int, dt_s: float, get: Callable[[], Arrays]) -> Rows:
+    arrays = get()
+    block = Block(segment, dt_s, *arrays[: len(COLUMNS)])
+    return Rows(block, RateBlock(segment, dt_s, *arrays[len(COLUMNS) :]))
+
+
+def _in_order(outputs: tuple[int, ...], make: Callable[[], Rows]) -> Rows:
+    rows = make()
+    return Rows(in_rotor_order(rows.block, outputs), rows.rates)
+
+
+def _pieces(front: Front, telemetry: Telemetry) -> Iterator[Rows]:
     parts = front.pieces(telemetry, PIECE_ROWS)
     return (part for part in parts if not isinstance(part, Border))
 
@@ -193,10 +148,17 @@ def rows_of(front: Front, telemetry: Telemetry) -> tuple[Rows, ...]:
     return tuple(_pieces(front, telemetry))
 
 
+def give_back() -> None:
+    """Give memory that was freed back to the system, where the C library keeps it (glibc: half of a long log)."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
+
+
 def front_for(flights: Iterable[Log | HeldLog], window_s: float, gate: GateSpec | None = None) -> Front:
     """The front that suits all the flights. gate: what counts as flying, None for what their profile has.
 
-    Raises InputError, naming the flight, if one lacks the gyro or comes over another kind of link or at another rate.
+    Raises InputError, naming the flight, if one lacks the gyro, or is of another link or rate.
     """
     shelf = Shelf(IN_MEMORY)
     held = [hold(flight, shelf) for flight in flights]
@@ -212,9 +174,7 @@ def front_for(flights: Iterable[Log | HeldLog], window_s: float, gate: GateSpec 
     silent = [flight for flight in held if Signal.THRUST_SETPOINT not in flight.signals]
     if front.gate.min_thrust is None or len(silent) < len(held):
         return front
-    # A fifth of what the gyro shakes for most of the calmest flight tells flight from ground where no thrust does: the
-    # motors' vibration makes tens of the noise at rest.
-    levels = []
+    levels = []  # where no thrust does, a fifth of what the gyro shakes in the calmest flight tells flight from ground
     for flight in silent:
         noise = [shake(rows.block.rate, dt_s) for rows in _pieces(front, flight.open().telemetry)]
         found = np.concatenate([np.empty(0), *noise])
@@ -225,8 +185,8 @@ def front_for(flights: Iterable[Log | HeldLog], window_s: float, gate: GateSpec 
 
 def _common_grid(flights: Sequence[HeldLog]) -> tuple[float, Grid]:
     """Median of the flights' mean gyro periods [s], and the grid that suits all."""
-    native = all(flight.grid is Grid.NATIVE for flight in flights)
-    return float(np.median([flight.dt_s for flight in flights])), Grid.NATIVE if native else Grid.RESAMPLED
+    grid = Grid.NATIVE if all(flight.grid is Grid.NATIVE for flight in flights) else Grid.RESAMPLED
+    return float(np.median([flight.dt_s for flight in flights])), grid
 
 
 def odd_rate(flights: Sequence[HeldLog], window_s: float) -> tuple[int, str] | None:

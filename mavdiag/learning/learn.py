@@ -3,20 +3,23 @@
     all flights             -> the fits that the baseline holds, and one fit without each fold (`Monitor.fit`)
     each flight, once more  -> its block maxima by the fits that did not see it (`thresholds.heldout`)
 
-A single flight is cut into pieces, and each is judged by a fit to the rest.
+A single flight is cut into pieces, and each is judged by a fit to the rest. More flights (`extend`), which no fit has
+seen, add to what thresholds, envelope and healthy trim rest on. New propellers change the trim, the vibration and what
+the sensors feel of it: one short hover tells what these are now, and the old flights how much they vary.
 """
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.fingerprint import fingerprint_of
+from mavdiag.airframe.fingerprint import Outcome, compare, fingerprint_of, merged
 from mavdiag.baseline import (
+    SESSION_GAP_NS,
     Baseline,
     HealthyScores,
     Link,
@@ -25,17 +28,19 @@ from mavdiag.baseline import (
     Refusal,
     SourceLog,
     Window,
+    check_link,
     sealed,
     without_mute,
 )
+from mavdiag.chain import front_of
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
-from mavdiag.learning.flights import LearntFlight, hold, sessions_of
+from mavdiag.learning.flights import HeldLog, LearntFlight, airborne, give_back, hold, sessions_of
 from mavdiag.learning.rotors import of_log_kind, with_rotors
 from mavdiag.learning.suspicions import courses, grade_of, least_damage, suspicions
-from mavdiag.learning.teaching import believing, one_vehicle, taught
+from mavdiag.learning.teaching import believing, one_vehicle, refuse, repeated, taught, upsets
 from mavdiag.link.profiles import PROFILES
-from mavdiag.monitors import BY_NAME, by_name
+from mavdiag.monitors import BY_NAME, by_name, monitor_of
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
 from mavdiag.monitors.conditions import covered_by
 from mavdiag.monitors.fitting import judged_together
@@ -43,29 +48,27 @@ from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.rows.front import Rows
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Axis, Log
-from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima
+from mavdiag.thresholds.envelope import Covered
+from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima, pooled, score
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
 
 ALL_MONITORS = tuple(BY_NAME)
+TOOL = f"mavdiag {__version__}"
 MOST_SAID = 2  # findings that are told in full (our choice)
 
 
 @dataclass(frozen=True, slots=True)
 class LearnOptions:
-    """How to learn.
+    """How to learn. Raises UsageError for a monitor that there is not, or a budget that is not positive.
 
-    axes: the axes that the thesis's monitor models and watches.
-    method, order: how its models are fitted.
+    axes, method, order, margin_rule: of the thesis's monitor: what it models and watches, how, and its margin.
     window_s: Savitzky-Golay window [s].
-    margin_rule: the margin of the thesis's monitor.
     airframe: the vehicle, as far as it is known.
     monitors: names of the monitors to use.
-    rule: how thresholds follow from healthy maxima.
-    alarms_per_hour: budget of all deciding monitors together.
+    rule, alarms_per_hour: how thresholds follow from healthy maxima, and the budget of all deciding monitors together.
     sessions: how many sessions the flights were flown in, in equal parts and in their order; None for what their
         wall-clock times say, and for one each where a log has none.
-    robust: what the guards of teaching find is left out instead of refused (see `mavdiag.learning.guards`).
-    Raises UsageError for a monitor that there is not, or a budget that is not positive.
+    robust: what the guards of teaching find is left out instead of refused (see `mavdiag.learning.teaching`).
     """
 
     axes: tuple[Axis, ...] = (Axis.ROLL, Axis.PITCH)
@@ -98,23 +101,15 @@ def thesis_options(airframe: Airframe | None = None, axes: tuple[Axis, ...] = (A
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fitted:
-    """A monitor by its fit to all flights, and what its statistic reached on flights that a fit did not see."""
-
-    monitor: Monitor[Any]
-    scores: Scores
+Fitted: TypeAlias = tuple[Monitor[Any], Scores]  # by its fit to all flights, and on flights that a fit did not see
 
 
 def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Baseline:
     """A baseline from healthy flights. created: time stamp to record, ISO 8601 UTC.
 
-    Each flight is taken once, and put aside on a shelf that goes to disk if there are many: flights that are read as
-    they are taken, `(read_log(path) for path in paths)`, are never in memory together.
-
-    A monitor that cannot work on such flights is recorded with its reason, and hinders no other.
-    Raises InputError if a flight lacks the gyro or never flies, and IdentificationError if no monitor can work; both
-    say what to do.
+    Each flight is taken once, and put aside: flights that are read as they are taken, `(read_log(path) for path in
+    paths)`, are never in memory together. A monitor that cannot work on such flights is recorded with its reason.
+    Raises InputError if a flight lacks the gyro or never flies, and IdentificationError if no monitor can work.
     """
     with Shelf() as shelf:
         return _learnt(flights, options, created, shelf)
@@ -122,42 +117,32 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
 
 def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: Shelf) -> Baseline:
     held = [hold(log, shelf) for log in logs]
+    give_back()
     if not held:
         raise InputError("no healthy flight to learn from")
-    first = held[0].label
-    airframe = _filtered(of_log_kind(options.airframe, first.profile), first)
-    found = taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf)
-    found = believing(found, shelf)
+    first, link = held[0].label, PROFILES.get(held[0].label.profile)
+    airframe, told_hz = of_log_kind(options.airframe, first.profile), 0.0
+    if link is not None and airframe.imu_corner_hz is None:
+        told_hz = first.parameters.get(link.imu_corner_parameter, 0.0)
+    airframe = replace(airframe, imu_corner_hz=told_hz) if told_hz > 0.0 else airframe
+    found = believing(taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf), shelf)
     airframe, ordered = with_rotors(airframe, found.flights)
     found = replace(found, flights=tuple(ordered))
     if airframe.scope != "type":
         found = one_vehicle(found, airframe.layout, robust=options.robust)
     front, learnt, rows = found.front, found.flights, [flight.rows for flight in found.flights]
     sessions = sessions_of([flight.label for flight in learnt], options.sessions)
-    link = PROFILES.get(first.profile)
-    context = LearnContext(
-        airframe=airframe,
-        imu_corner_hz=airframe.imu_corner_hz or (link.corner_hz(first.parameters) if link is not None else None),
-        dt_s=front.align.dt_s,
-        window=front.rates.window,
-        axes=options.axes,
-        method=options.method,
-        order=options.order,
-        margin_rule=options.margin_rule,
-    )
+    corner_hz = airframe.imu_corner_hz or (link.corner_hz(first.parameters) if link is not None else None)
+    thesis = options.axes, options.method, options.order, options.margin_rule
+    context = LearnContext(airframe, corner_hz, front.align.dt_s, front.rates.window, *thesis)
     fitted, refusals = _fit_all(rows, sessions, options, context)
     if not fitted:
         reasons = "; ".join(f"{refusal.monitor}: {refusal.reason}" for refusal in refusals)
         raise IdentificationError(f"no monitor can judge such flights ({reasons})")
+    how = {name: getattr(front.align, name) for name in ("dt_s", "grid", "max_gap_s")}
     baseline = Baseline(
         airframe=airframe,
-        link=Link(
-            profile=first.profile,
-            dt_s=front.align.dt_s,
-            grid=front.align.grid,
-            max_gap_s=front.align.max_gap_s,
-            gate=front.gate,
-        ),
+        link=Link(profile=first.profile, gate=front.gate, **how),
         window=Window(samples=front.rates.window, order=2),
         link_quality=front.align.quality,
         monitors=tuple(_entries(fitted, options, sessions)),
@@ -165,18 +150,14 @@ def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: She
         envelope=covered_by(rows),
         healthy_hours=sum(flight.judged_s for flight in learnt) / 3600,
         provenance=Provenance(
-            logs=sources(learnt, sessions),
-            created=created,
-            tool=f"mavdiag {__version__}",
-            left_out=found.left_out,
-            notes=found.notes,
+            logs=_sources(learnt, sessions), created=created, tool=TOOL, left_out=found.left_out, notes=found.notes
         ),
         fingerprint=fingerprint_of(rows, airframe.layout),
     )
-    return sealed(assessed(baseline, learnt))
+    return sealed(_assessed(baseline, learnt))
 
 
-def assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
+def _assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
     """The baseline with what these flights of it say of its worth, and without monitors that cannot alarm.
 
     Raises IdentificationError if none is left.
@@ -201,16 +182,9 @@ def assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
     )
 
 
-def _filtered(airframe: Airframe, flight: Log) -> Airframe:
-    """The airframe with the corner of its IMU's filter, where it was not told and the vehicle's parameters have it."""
-    name = PROFILES[flight.profile].imu_corner_parameter if flight.profile in PROFILES else ""
-    told_hz = flight.parameters.get(name, 0.0)
-    return replace(airframe, imu_corner_hz=told_hz) if airframe.imu_corner_hz is None and told_hz > 0.0 else airframe
-
-
 def _fit_all(
     flights: Flights, sessions: Sequence[int], options: LearnOptions, context: LearnContext
-) -> tuple[list[_Fitted], list[Refusal]]:
+) -> tuple[list[Fitted], list[Refusal]]:
     """Every named monitor that can work on these flights, and the reason of each that cannot."""
     pairs, found, refused = list(folds(flights, sessions=sessions)), {}, dict[type[Monitor[Any]], str]()
     kinds = tuple(dict.fromkeys(map(by_name, options.monitors)))
@@ -227,24 +201,23 @@ def _fit_all(
         for flight in left_out:
             for monitor, scores in zip(monitors, _scores(monitors, flight), strict=True):
                 parts[type(monitor)].append((monitor.axis, scores))
-    fitted, refusals = list[_Fitted](), list[Refusal]()
-    unknown = context.airframe.layout_basis if context.airframe.layout is None else ""
+    fitted, refusals = list[Fitted](), list[Refusal]()
+    basis = context.airframe.layout_basis if context.airframe.layout is None else ""
+    unknown = f" ({basis})" if basis else ""
     for kind in kinds:
+        monitors = list(map(kind, found[kind][0])) if kind in found else []
         try:
             scored = by_axis(parts[kind]) if kind in found else {}
+            reasons = [refused[kind] + unknown * ("layout" in refused[kind])] if kind in refused else []
         except IdentificationError as error:
-            refused[kind] = str(error)
-        if kind in refused:
-            reasons = [refused[kind] + (f" ({unknown})" if unknown and "layout" in refused[kind] else "")]
-        else:
-            monitors = list(map(kind, found[kind][0]))
-            axes = [monitor.axis for monitor in monitors]
-            fitted += [_Fitted(monitor, scored[monitor.axis]) for monitor in monitors if monitor.axis in scored]
-            reasons = [
-                f"{axis}: too little healthy flight to score it; fly longer" for axis in axes if axis not in scored
-            ]
+            scored, reasons, monitors = {}, [str(error)], []
+        fitted += [(monitor, scored[monitor.axis]) for monitor in monitors if monitor.axis in scored]
+        short = "too little healthy flight to score it; fly longer"
+        reasons += [f"{monitor.axis}: {short}" for monitor in monitors if monitor.axis not in scored]
+        if kind is RunLength and monitors:
             flat = "it cannot be modelled; fly a trajectory that moves this axis"
-            reasons += [f"{axis}: {flat}" for axis in (options.axes if kind is RunLength else ()) if axis not in axes]
+            modelled = [monitor.axis for monitor in monitors]
+            reasons += [f"{axis}: {flat}" for axis in options.axes if axis not in modelled]
         refusals += [Refusal(monitor=kind.name, reason=reason) for reason in reasons]
     return fitted, refusals
 
@@ -259,25 +232,34 @@ def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows]) -> list[Sc
     return [maxima(np.concatenate(parts), period_s) for parts, period_s in zip(values, periods_s, strict=True)]
 
 
-def _entries(fitted: Sequence[_Fitted], options: LearnOptions, sessions: Sequence[int]) -> Iterator[MonitorEntry]:
+def _entries(fitted: Sequence[Fitted], options: LearnOptions, sessions: Sequence[int]) -> Iterator[MonitorEntry]:
     """Specification and threshold of each monitor. The budget is shared by those that decide, and then by axes.
 
     The monitors of sensors and losses have one share together: what finds propellers stays sharp.
     """
-    axes = Counter(one.monitor.name for one in fitted)
-    deciding = {one.monitor.name for one in fitted if one.monitor.decides}
+    axes = Counter(monitor.name for monitor, _ in fitted)
+    deciding = {monitor.name for monitor, _ in fitted if monitor.decides}
     shares = Counter(_sharing(name) for name in deciding or axes)
-    for one in fitted:
-        name = one.monitor.name
-        threshold = threshold_of(
-            one.scores,
-            flights=len(sessions),
-            sessions=len(set(sessions)),
-            budget_per_hour=options.alarms_per_hour / len(shares) / max(1, shares[_sharing(name)]) / axes[name],
-            guard=one.monitor.guard,
-            rule=options.rule,
-        )
-        yield MonitorEntry(spec=one.monitor.spec, threshold=threshold, scores=plain_scores(one.scores))
+    for monitor, scores in fitted:
+        name, counts = monitor.name, (len(sessions), len(set(sessions)))
+        budget = options.alarms_per_hour / len(shares) / max(1, shares[_sharing(name)]) / axes[name]
+        yield _entry(monitor.spec, scores, *counts, budget, options.rule)
+
+
+def _entry(
+    spec: Any, scores: Scores, flights: int, sessions: int, budget_per_hour: float, rule: ThresholdRule
+) -> MonitorEntry:
+    """A fit with its threshold, and the scores to six digits."""
+    threshold = threshold_of(
+        scores,
+        flights=flights,
+        sessions=sessions,
+        budget_per_hour=budget_per_hour,
+        guard=monitor_of(spec).guard,
+        rule=rule,
+    )
+    maxima, spans_s = (tuple(float(f"{x:.6g}") for x in part.tolist()) for part in (scores.maxima, scores.spans_s))
+    return MonitorEntry(spec=spec, threshold=threshold, scores=HealthyScores(maxima=maxima, spans_s=spans_s))
 
 
 def _sharing(name: str) -> str:
@@ -286,13 +268,7 @@ def _sharing(name: str) -> str:
     return name if kind is FaultKind.PROPELLER else "others"
 
 
-def plain_scores(scores: Scores) -> HealthyScores:
-    """Scores as a baseline keeps them, to six digits."""
-    maxima, spans_s = (tuple(float(f"{x:.6g}") for x in part.tolist()) for part in (scores.maxima, scores.spans_s))
-    return HealthyScores(maxima=maxima, spans_s=spans_s)
-
-
-def sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers: int = 0) -> tuple[SourceLog, ...]:
+def _sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers: int = 0) -> tuple[SourceLog, ...]:
     """The flights as a baseline names them. propellers: number of the set that they flew with."""
     return tuple(
         SourceLog(
@@ -305,3 +281,105 @@ def sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers
         )
         for one, session in zip(flights, sessions, strict=True)
     )
+
+
+def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool = False, created: str) -> Baseline:
+    """The baseline with more healthy flights of its airframe; created: as of `learn`.
+
+    new_propellers: they were flown with a new set; one hover of 15 s is enough.
+    Raises InputError, naming the flight, for one that is in it already, is named twice, never flies or falls, or is of
+    another vehicle; BaselineError for one over another link; IdentificationError for one too short for a monitor.
+    """
+    with Shelf() as shelf:
+        return _extended(baseline, [hold(flight, shelf) for flight in flights], shelf, new_propellers, created)
+
+
+def _extended(
+    baseline: Baseline, flights: Sequence[HeldLog], shelf: Shelf, new_propellers: bool, created: str
+) -> Baseline:
+    if not flights:
+        raise InputError("no healthy flight to add; name one or more logs")
+    _check(baseline, flights)
+    front, known = front_of(baseline), baseline.fingerprint
+    learnt = [airborne(front, flight, shelf) for flight in flights]
+    refuse(upsets(learnt))
+    if known is not None and not new_propellers:
+        for one in learnt:
+            likeness = compare(known, one.rows, baseline.airframe.layout)
+            if likeness.outcome is Outcome.FAR:
+                raise InputError(f"{one.label.name}: another vehicle: {likeness.sentence(baseline.airframe.name)}")
+    old, rows = baseline.provenance.logs, [flight.rows for flight in learnt]
+    propellers = baseline.propellers + new_propellers
+    sessions, before = _sessions(baseline, [flight.label for flight in flights]), {log.session for log in old}
+    entries = []
+    for entry in baseline.monitors:
+        spec, ratio = entry.spec, 1.0
+        if new_propellers:
+            spec, ratio, fresh = _moved(baseline, entry, rows)
+        else:
+            fresh = [score(monitor_of(spec), flight) for flight in rows]
+        scores = pooled([Scores(ratio * np.array(entry.scores.maxima), np.array(entry.scores.spans_s)), *fresh])
+        if not new_propellers:
+            spec = monitor_of(spec).extended(rows, len(before))
+        same_set = sum(log.propellers == propellers for log in old) + len(learnt)
+        told = entry.threshold
+        entries.append(_entry(spec, scores, same_set, len(before | set(sessions)), told.budget_per_hour, told.rule))
+    fresh_print = fingerprint_of(rows, baseline.airframe.layout)
+    longer = baseline.model_copy(
+        update={
+            "monitors": tuple(entries),
+            "envelope": _joined(baseline.envelope, covered_by(rows)),
+            # new propellers have a trim and noise of their own
+            "fingerprint": fresh_print if new_propellers or known is None else merged(known, fresh_print),
+            "healthy_hours": baseline.healthy_hours + sum(flight.judged_s for flight in learnt) / 3600,
+            "provenance": baseline.provenance.model_copy(
+                update={"logs": (*old, *_sources(learnt, sessions, propellers)), "created": created}
+            ),
+        }
+    )
+    return sealed(_assessed(longer, learnt))
+
+
+def _check(baseline: Baseline, flights: Sequence[HeldLog]) -> None:
+    known = {one.sha256 for one in baseline.provenance.logs if one.sha256}
+    for flight in flights:
+        if flight.label.sha256 in known:
+            raise InputError(f"{flight.label.name}: is in the baseline already; leave it out")
+        check_link(baseline, profile=flight.label.profile, dt_s=flight.dt_s)
+    refuse(repeated(flights))
+
+
+def _sessions(baseline: Baseline, flights: Sequence[Log]) -> list[int]:
+    """The session of each new flight: that of the nearest flight of the baseline within an hour, else a new one."""
+    logs = baseline.provenance.logs
+    first = max(one.session for one in logs) + 1
+    numbers = [first + number for number in sessions_of(flights)]
+    for i, flight in enumerate(flights):
+        apart = [(abs(one.started_ns - flight.started_ns), one.session) for one in logs if one.started_ns]
+        if flight.started_ns and apart and min(apart)[0] <= SESSION_GAP_NS:
+            numbers[i] = min(apart)[1]
+    return numbers
+
+
+def _moved(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> tuple[Any, float, list[Scores]]:
+    """The fit for new propellers, the factor of the old scores, and the new flights' scores.
+
+    The healthy level is that of the new flights. Each is scored by a fit to the others, or to its other pieces.
+    """
+    airframe, monitor, fresh = baseline.airframe, monitor_of(entry.spec), list[Scores]()
+    context = LearnContext(airframe, airframe.imu_corner_hz, baseline.link.dt_s, baseline.window.samples)
+    spec, ratio = monitor.renewed(flights, context)
+    for left_out, rest in folds(flights):
+        held_out = spec if spec == entry.spec else monitor.renewed(rest, context)[0]
+        fresh += [score(monitor_of(held_out), flight) for flight in left_out]
+    return spec, ratio, fresh
+
+
+def _joined(one: Sequence[Covered], other: Sequence[Covered]) -> tuple[Covered, ...]:
+    """What both covered together; a condition that one does not carry restricts as the other says."""
+    spans = {covered.condition: covered for covered in one}
+    for covered in other:
+        known = spans.get(covered.condition, covered)
+        low, high = min(known.low, covered.low), max(known.high, covered.high)
+        spans[covered.condition] = Covered(covered.condition, low, high)
+    return tuple(spans.values())

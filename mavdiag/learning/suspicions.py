@@ -1,28 +1,18 @@
 """What the fitted monitors say of the flights that they were fitted to: damage among them, and what would be noticed.
 
-The figures are `Course`s: the statistic of a monitor once a second, by the fit to all flights, so that a ratio of two
-of its values does not depend on how large the fit takes health to be. Three things speak against a teaching set; the
-baseline is then `weak`:
+The figures are `Course`s: the statistic of a monitor once a second. Three things make a baseline `weak`:
 
-    a change      one flight's course, cut in two where it differs most: the second part's median lies above the
-                  first's by a ratio of 2 (a rotor's command moves by 0.03 of hover) and by 5 spreads, s^2 = floor^2 +
-                  (1.48 MAD)^2 of what is left: a maximum-type two-sample test with a robust scale
-    an odd flight its median lies above the median of the other flights' by a ratio of 2 (0.04 of hover) and by 5 of
-                  their spreads
-    physics       more unbalance than ISO 1940-1 G40 permits, a rotor that is trimmed far from the others, or a calm
-                  flight that does not follow its set-points
+    a change       one flight's course, cut in two where it differs most: the second part's median lies above the
+                   first's by a ratio of 2 (a rotor's command moves by 0.03 of hover) and by 5 spreads, s^2 = floor^2 +
+                   (1.48 MAD)^2 of what is left: a maximum-type two-sample test with a robust scale
+    an odd flight  its median lies above that of the others by a ratio of 2 (0.04 of hover) and by 5 of their spreads
+    physics        more unbalance than ISO 1940-1 G40 permits, a rotor trimmed far from the others, or a calm flight
+                   that does not follow its set-points
 
-One flight that was broken from its start to its end can be told by physics alone.
+The least damage that is noticed in 95 % of the seconds lifts the 5 % quantile of the courses to the threshold of
+another session: the rise of a rotor that lost the share e of its thrust (`airframe.trim.rise_of`), or an unbalance U:
 
-The least damage that a baseline would notice is put into the healthy flights by what the monitors are made of, and held
-against their thresholds of another session. A rotor that loses the share e of its thrust is commanded more
-(`airframe.trim.rise_of`), and the rise of this rotor that a monitor of the trim shows is so much higher. An unbalance
-that was not there adds to the vibration as power does, for its phase is any:
-
-    v^2 = v_healthy^2 + x^2,   x = U Omega^2/m      [m/s^2] of an unbalance U
-
-So the least e and U need no search: of the courses 95 % are above the 5 % quantile q, and what lifts q to the threshold
-is noticed in 95 % of the seconds of flight. What a monitor cannot reach (`Monitor.reach`) is not noticed.
+    v^2 = v_healthy^2 + x^2,   x = U Omega^2/m      [m/s^2]
 """
 
 import math
@@ -39,20 +29,15 @@ from mavdiag.airframe.trim import MOST_LOSS, loss_of, rises
 from mavdiag.baseline import Baseline, Grade, LeastDamage
 from mavdiag.errors import IdentificationError
 from mavdiag.learning.flights import LearntFlight
-from mavdiag.learning.guards import Finding, Kind
+from mavdiag.learning.teaching import Finding
 from mavdiag.monitors import monitor_of
 from mavdiag.monitors.fitting import judged_together
-from mavdiag.monitors.rotor_signature import RotorSignatureSpec
-from mavdiag.monitors.rotor_trim import RotorTrimSpec
-from mavdiag.monitors.unbalance import UnbalanceSpec
-from mavdiag.monitors.vibration_level import VibrationLevelSpec
 from mavdiag.rows.windows import window_rows
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import G_MM_PER_KG_M, NS_PER_S, RPM
 
 STEADY = ("rotor_signature", "unbalance", "vibration_level")  # alike in every healthy flight, whatever is flown
 TRIMS = ("rotor_trim", "trim_step")
-SHAKING = "accelerometer"
 PART_S = 5  # of a course: shorter parts have no median to compare
 SPLITS = 200  # of a course that are tried
 SPREADS = 5.0
@@ -75,11 +60,9 @@ GRADES: tuple[Grade, ...] = ("A", "B", "C", "D")
 class Course:
     """A figure of one flight, once a second: the statistic of a monitor, or what the accelerometer shakes.
 
-    name: the monitor's, or "accelerometer". spec: the monitor's fit; the row period [s] of the accelerometer.
-    number, log: of which flight.
-    t_s: (k,) vehicle's clock. value: (k,) the statistic; the rms of the second differences of the specific force along
-    x and y [m/s^2]. rises: (k, n) of the n rotors' commands, by a monitor of the
-    trim [fraction of hover]; (k, 0) by another.
+    spec: the monitor's fit; the row period [s] of the accelerometer. number, log: of which flight. t_s: (k,).
+    value: (k,) the statistic; the rms of the second differences of the specific force along x and y [m/s^2].
+    rises: (k, n) of the n rotors' commands, by a monitor of the trim [fraction of hover]; (k, 0) by another.
     """
 
     name: str
@@ -93,7 +76,11 @@ class Course:
     @property
     def figures(self) -> FloatArray:
         """(k, c) what is compared: rises of the rotors, or the statistic's logarithm."""
-        return self.rises if self.rises.shape[1] else np.log(np.maximum(self.value, TINY))[:, None]
+        return self.rises if self.name in TRIMS else np.log(np.maximum(self.value, TINY))[:, None]
+
+    def limits(self, rise: float, ratio: float) -> tuple[float, float]:
+        """The least difference of figures that counts, and the least spread that is believed."""
+        return (rise, RISE_FLOOR) if self.name in TRIMS else (math.log(ratio), LOG_FLOOR)
 
 
 def courses(specs: Sequence[Any], flights: Sequence[LearntFlight]) -> tuple[Course, ...]:
@@ -131,20 +118,22 @@ def _shaking(number: int, flight: LearntFlight) -> Course:
         t_s.append(block.t_ns[: count * second : second][whole] / NS_PER_S)
         value.append(np.sqrt(parts.mean(axis=1)[whole] / share[whole]))
     times = np.concatenate(t_s)
-    return Course(SHAKING, dt_s, number, flight.label.name, times, np.concatenate(value), np.empty((len(times), 0)))
+    return Course(
+        "accelerometer", dt_s, number, flight.label.name, times, np.concatenate(value), np.empty((len(times), 0))
+    )
 
 
 def suspicions(found: Sequence[Course], airframe: Airframe) -> tuple[Finding, ...]:
     """What speaks against flights that were learnt: odd flights, physics, and changes within a flight."""
-    changed = [one for one in map(_change, found) if one is not None]
     odd = () if airframe.scope == "type" else _odd(found)  # vehicles of a type differ
-    return (*odd, *_implausible(found, airframe), *changed)
+    physics = {course.name: text for course in found if (text := _implausible(course, found, airframe))}
+    implausible = (Finding(0, "all flights", text) for text in physics.values())
+    return (*odd, *implausible, *(one for one in map(_change, found) if one is not None))
 
 
 def _change(course: Course) -> Finding | None:
     """The clearest change within a flight."""
-    x, trim = course.figures, bool(course.rises.shape[1])
-    least, floor = (CHANGE_RISE, RISE_FLOOR) if trim else (math.log(CHANGE_RATIO), LOG_FLOOR)
+    x, trim, (least, floor) = course.figures, course.name in TRIMS, course.limits(CHANGE_RISE, CHANGE_RATIO)
     best: tuple[float, float, int] = (0.0, 0.0, 0)
     for at in np.unique(np.linspace(PART_S, len(x) - PART_S, SPLITS).astype(np.int64)) if len(x) >= 2 * PART_S else ():
         before, after = np.median(x[:at], axis=0), np.median(x[at:], axis=0)
@@ -157,71 +146,56 @@ def _change(course: Course) -> Finding | None:
     sure_of, moved, at = best
     if sure_of < SPREADS:
         return None
-    place = f"from {course.t_s[at]:.0f} s on"
-    name = course.name
     much = f"a motor is commanded {100 * moved:+.0f} %" if trim else f"{math.exp(moved):.2g} times what it was before"
-    return Finding(course.number, course.log, Kind.CHANGE, f"{place}: {name}: {much}: something changed in flight")
+    text = f"from {course.t_s[at]:.0f} s on: {course.name}: {much}: something changed in flight"
+    return Finding(course.number, course.log, text)
 
 
 def _odd(found: Sequence[Course]) -> Iterator[Finding]:
-    """The oddest flight by each monitor, if it is odd."""
+    """The oddest flight by each monitor, if it is odd: how far its median lies from that of the others."""
     for name in dict.fromkeys(one.name for one in found if one.name != "trim_step"):
-        same = [one for one in found if one.name == name and len(one.t_s) >= PART_S]
+        same, trim = [one for one in found if one.name == name and len(one.t_s) >= PART_S], name in TRIMS
         if len(same) < 2:
             continue
-        trim = name in TRIMS
-        least, floor = (ODD_RISE, RISE_FLOOR) if trim else (math.log(ODD_RATIO), LOG_FLOOR)
-        middle = np.array([np.median(one.figures, axis=0) for one in same])
-        apart = [_apart(middle, number, least, floor) for number in range(len(same))]
-        number = int(np.argmax([abs(one) if trim else one for one in apart]))
+        least, floor = same[0].limits(ODD_RISE, ODD_RATIO)
+        middle, apart = np.array([np.median(one.figures, axis=0) for one in same]), list[float]()
+        for number in range(len(same)):
+            rest = np.delete(middle, number, axis=0)
+            off = middle[number] - np.median(rest, axis=0)
+            spread = np.hypot(1.4826 * np.median(np.abs(rest - np.median(rest, axis=0)), axis=0), floor)
+            off = np.where(np.abs(off) >= np.maximum(least, SPREADS * spread), off, 0.0)
+            apart.append(float(off[np.abs(off).argmax()]))
+        number = int(np.argmax(np.abs(apart) if trim else apart))
         if abs(apart[number]) < least or (apart[number] < 0 and not trim):
             continue
-        off = f"{100 * apart[number]:+.0f} % of hover" if trim else f"{math.exp(apart[number]):.2g} times"
-        text = f"{name}: {off} against the other flights: is a propeller broken in one of them?"
-        yield Finding(same[number].number, same[number].log, Kind.GROUPS, text)
+        off_by = f"{100 * apart[number]:+.0f} % of hover" if trim else f"{math.exp(apart[number]):.2g} times"
+        text = f"{name}: {off_by} against the other flights: is a propeller broken in one of them?"
+        yield Finding(same[number].number, same[number].log, text)
 
 
-def _apart(middle: FloatArray, number: int, least: float, floor: float) -> float:
-    """How far a flight's median lies from that of the others, of the figure in which it is farthest; 0 if not far."""
-    rest = np.delete(middle, number, axis=0)
-    off = middle[number] - np.median(rest, axis=0)
-    spread = np.hypot(1.4826 * np.median(np.abs(rest - np.median(rest, axis=0)), axis=0), floor)
-    off = np.where(np.abs(off) >= np.maximum(least, SPREADS * spread), off, 0.0)
-    return float(off[np.abs(off).argmax()])
-
-
-def _implausible(found: Sequence[Course], airframe: Airframe) -> Iterator[Finding]:
-    """What no healthy vehicle has."""
-    for course in {one.name: one for one in found}.values():
-        spec, text = course.spec, ""
-        match spec:
-            case float():
-                same = np.concatenate([one.value for one in found if one.name == course.name])
-                text = _too_shaky(same, spec, airframe)
-            case UnbalanceSpec():
-                text = _too_unbalanced(math.sqrt(spec.power), airframe)
-            case VibrationLevelSpec():
-                text = _too_unbalanced(spec.healthy, airframe)
-            case RotorTrimSpec():
-                rise = rises(np.array([spec.mean]), spec.layout, spec.spread)[0]
-                rotor = int(np.abs(rise).argmax())
-                if abs(rise[rotor]) > MOST_TRIM:
-                    text = f"motor {rotor + 1} is commanded {100 * rise[rotor]:+.0f} % against the others"
-            case RotorSignatureSpec():
-                unrest = math.sqrt((spec.motion.k0[0] + spec.motion.k0[1]) / 2)
-                if unrest > MOST_UNREST_RAD_S:
-                    rates = f"{unrest:.2f} rad/s, healthy vehicles leave less than {MOST_UNREST_RAD_S:g}"
-                    text = f"the vehicle does not follow its set-points in calm flight: {rates}"
-        if text:
-            yield Finding(0, "all flights", Kind.PHYSICS, text)
-
-
-def _too_shaky(rms: FloatArray, dt_s: float, airframe: Airframe) -> str:
-    """As `_too_unbalanced`, from second differences: a line at f has (2 sin(pi f dt))^2 times its amplitude in them."""
-    if not len(rms) or airframe.hover_rad_s is None:
-        return ""
-    passed = (2 * math.sin(airframe.hover_rad_s * dt_s / 2)) ** 2
-    return _too_unbalanced(float(np.median(rms)) / passed, airframe) if passed >= LEAST_PASSED else ""
+def _implausible(course: Course, found: Sequence[Course], airframe: Airframe) -> str:
+    """What no healthy vehicle has, in a sentence; empty if there is nothing of it."""
+    spec = course.spec
+    match course.name:
+        case "accelerometer" if airframe.hover_rad_s is not None:
+            # a line at f has (2 sin(pi f dt))^2 times its amplitude in second differences
+            passed = (2 * math.sin(airframe.hover_rad_s * spec / 2)) ** 2
+            rms = np.concatenate([one.value for one in found if one.name == course.name])
+            if len(rms) and passed >= LEAST_PASSED:
+                return _too_unbalanced(float(np.median(rms)) / passed, airframe)
+        case "unbalance" | "vibration_level":
+            return _too_unbalanced(math.sqrt(spec.power) if course.name == "unbalance" else spec.healthy, airframe)
+        case "rotor_trim":
+            rise = rises(np.array([spec.mean]), spec.layout, spec.spread)[0]
+            rotor = int(np.abs(rise).argmax())
+            if abs(rise[rotor]) > MOST_TRIM:
+                return f"motor {rotor + 1} is commanded {100 * rise[rotor]:+.0f} % against the others"
+        case "rotor_signature":
+            unrest = math.sqrt((spec.motion.k0[0] + spec.motion.k0[1]) / 2)
+            if unrest > MOST_UNREST_RAD_S:
+                rates = f"{unrest:.2f} rad/s, healthy vehicles leave less than {MOST_UNREST_RAD_S:g}"
+                return f"the vehicle does not follow its set-points in calm flight: {rates}"
+    return ""
 
 
 def _too_unbalanced(m_s2: float, airframe: Airframe) -> str:
@@ -229,40 +203,38 @@ def _too_unbalanced(m_s2: float, airframe: Airframe) -> str:
     found = _in_g_mm(m_s2, airframe)
     if found is None or airframe.mass_kg is None or airframe.hover_rad_s is None:
         return ""
-    rotors = 4 if airframe.layout is None else airframe.layout.rotors
     one = permissible_unbalance_g_mm(MOST_GRADE, airframe.hover_rad_s / RPM, 1e3 * ROTOR_SHARE * airframe.mass_kg)
-    most = math.sqrt(rotors) * one
+    most = math.sqrt(4 if airframe.layout is None else airframe.layout.rotors) * one
     said = f"unbalance of {found:.2g} g mm, rotors of grade {MOST_GRADE} have {most:.2g} together"
     return f"{said}: is a propeller broken?" if found > most else ""
 
 
 def _in_g_mm(m_s2: float, airframe: Airframe) -> float | None:
     """The unbalance that makes a vibration; None where mass and rotor speed are not known."""
-    if airframe.mass_kg is None or airframe.hover_rad_s is None:
+    if airframe.mass_kg is None or airframe.hover_rad_s is None or not math.isfinite(m_s2):
         return None
     return G_MM_PER_KG_M * airframe.mass_kg / airframe.hover_rad_s**2 * m_s2
 
 
 def least_damage(found: Sequence[Course], limits: Mapping[str, float], airframe: Airframe) -> LeastDamage:
     """The least damage that is noticed in 95 % of the time. limits: thresholds of the monitors, by name."""
-    rises, vibration = [], [math.inf]
+    least, vibration = [], [math.inf]
     for name, limit in limits.items():
         same = [one for one in found if one.name == name and len(one.t_s)]
         if not same or limit >= monitor_of(same[0].spec).reach:
             continue
         if name in TRIMS:
-            rises.append(limit - np.quantile(np.concatenate([one.rises for one in same]), MISSED, axis=0))
+            least.append(limit - np.quantile(np.concatenate([one.rises for one in same]), MISSED, axis=0))
         elif name in ("unbalance", "vibration_level"):
             scale = same[0].spec.scale if name == "unbalance" else 1.0
             usual = float(np.quantile(np.concatenate([one.value for one in same]), MISSED))
             vibration.append(math.sqrt(max(limit**2 - usual**2, 0.0)) / scale)
-    least = np.maximum(np.min(rises, axis=0), 0.0) if rises else np.empty(0)
-    m_s2 = min(vibration)
+    m_s2, thrust = min(vibration), np.maximum(np.min(least, axis=0), 0.0).tolist() if least else []
     g_mm = _in_g_mm(m_s2, airframe)
     return LeastDamage(
-        thrust_loss=tuple(float(f"{loss_of(a):.3g}") for a in least.tolist()),
+        thrust_loss=tuple(float(f"{loss_of(a):.3g}") for a in thrust),
         vibration_m_s2=float(f"{m_s2:.3g}") if math.isfinite(m_s2) else None,
-        unbalance_g_mm=None if g_mm is None or not math.isfinite(g_mm) else float(f"{g_mm:.3g}"),
+        unbalance_g_mm=None if g_mm is None else float(f"{g_mm:.3g}"),
     )
 
 
@@ -272,11 +244,6 @@ def grade_of(least: LeastDamage, *, weak: bool, blind: Sequence[str] = ()) -> Gr
     The better of the two counts, and is B at most where the other is not seen at all. C where the link shows neither:
     such a baseline judges by motion alone. weak: its flights speak against it, which is D. blind: monitors that were
     fitted and cannot reach their threshold; where no monitor of the trim can, the trim scattered too much for any, D.
-
-    >>> grade_of(LeastDamage(thrust_loss=(0.05, 0.08, 0.05, 0.05), vibration_m_s2=1.0), weak=False)
-    'A'
-    >>> grade_of(LeastDamage(), weak=False, blind=("rotor_trim",)), grade_of(LeastDamage(), weak=False)
-    ('D', 'C')
     """
     sizes = [(max(least.thrust_loss), LOSS_LIMITS)] if least.thrust_loss else []
     sizes += [] if least.vibration_m_s2 is None else [(least.vibration_m_s2, VIBRATION_LIMITS_M_S2)]
@@ -290,9 +257,9 @@ def grade_of(least: LeastDamage, *, weak: bool, blind: Sequence[str] = ()) -> Gr
 
 
 def accepted(baseline: Baseline, how: str) -> Baseline:
-    """The baseline, if it is worth to judge by. how: what takes it all the same.
+    """The baseline, if it is worth to judge by; raises IdentificationError with the reason for one of grade D.
 
-    Raises IdentificationError for one of grade D, with the reason.
+    how: what takes it all the same.
     """
     if baseline.grade != "D":
         return baseline

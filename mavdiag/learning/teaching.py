@@ -1,27 +1,287 @@
-"""Healthy flights made ready to be learnt: what the guards find is refused with its remedy, or left out."""
+"""Healthy flights made ready to be learnt: what the guards find is refused with its remedy, or left out.
 
-from collections.abc import Callable, Iterable, Sequence
+A log with its crash inside, the same flight twice, a stretch far from all the rest, two vehicles taken for one: each
+would be learnt without a word. A guard returns `Finding`s: what should not be learnt, where it is, and what to do about
+it. All limits are our choices; `benchmarks/broken_teaching.py` has what they find.
+"""
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.trim import LEVEL_RATIO, shown_trim
 from mavdiag.errors import InputError
-from mavdiag.learning.flights import IN_MEMORY, HeldLog, LearntFlight, airborne, front_for, hold, odd_rate
-from mavdiag.learning.guards import Finding, far_blocks, trim_groups, upsets
-from mavdiag.learning.repeats import repeated
-from mavdiag.rows.front import Front
+from mavdiag.learning.flights import IN_MEMORY, HeldLog, LearntFlight, airborne, front_for, give_back, hold, odd_rate
+from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
-from mavdiag.rows.quality import learnt_quality
+from mavdiag.rows.quality import LinkQuality, learnt_quality
+from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
+from mavdiag.rows.windows import window_mean, window_rows
 from mavdiag.storage import Shelf
-from mavdiag.telemetry import Log
+from mavdiag.telemetry import FloatArray, IntArray, Log, Signal, Telemetry
+from mavdiag.units import NS_PER_S
 
+RUN = 16  # consecutive gyro samples that two flights do not have in common by chance (our choice)
+RUN_CHANGES = 12  # of them that differ from the one before, for a gyro at rest repeats itself (our choice)
+SHARED_S = 1.0  # of common runs that make an overlap (our choice)
+ALL_SHARED = 0.95  # of a flight's runs: the flight counts twice (our choice)
+ODD = 0x9E3779B97F4A7C15  # the golden ratio times 2^64: a multiplier that spreads bits (Knuth, TAOCP 3, 6.4)
+
+BLOCK_S = 5.0  # of flight (our choice)
+WINDOW_S = 0.5  # a block's figure is the median over these, so that the spike of a landing does not count (our choice)
+MIN_BLOCKS = 6  # fewer have no rest to be far from (our choice)
+FAR_SPREADS = 5.0  # robust standard deviations above the median (our choice)
+FAR_RATIO = 4.0  # least ratio of noise to what is expected (our choice)
+FAR_ERROR = 12.0  # least ratio of the rate error: a fast square among hovers has 4 (our choice)
+LEAST_ERROR_RAD_S = 0.5  # rate error below which nothing is far: gusts are many times a calm hover's (our choice)
+FAR_LEVEL = 1.5  # least ratio of thrust to the median (our choice)
+
+GROUP_DISTANCE = 0.03  # of the hover command; one airframe's recorded sessions lie up to 0.023 apart (our choice)
+NOTED_DISTANCE = 0.005  # of the hover command: as much as new propellers make (our choice)
+GROUP_RATIO = 6.0  # of the distance to the spread within the groups (our choice)
 MAX_ROUNDS = 5  # of cutting and looking again; what is far may hide what is less far (our choice)
+GROUP_FLOOR = 0.001  # of the hover command: no mean over a flight is more certain (our choice)
 
-Guard = Callable[[Sequence[LearntFlight]], tuple[Finding, ...]]
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something among the healthy flights that should not be learnt.
+
+    number, log: of the flight among those given, from 0, for two may have one name; and its name.
+    text: what was seen, with figures, without the name.
+    from_s, to_s: the part to leave out [s of the vehicle's clock]; None for the start or the end of the log.
+    refuses: it must not be learnt; else it is only noted.
+    """
+
+    number: int
+    log: str
+    text: str
+    from_s: float | None = None
+    to_s: float | None = None
+    refuses: bool = True
+
+    @property
+    def place(self) -> str:
+        """The part to leave out, in words."""
+        if self.from_s is None:
+            return "the whole log" if self.to_s is None else f"all before {self.to_s:.1f} s"
+        return f"all from {self.from_s:.1f} s on" if self.to_s is None else f"{self.from_s:.1f} to {self.to_s:.1f} s"
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it."""
+        if self.from_s is None and self.to_s is None:
+            return "take this log out, or leave it out with --robust"
+        cut = f"cut the log before {self.from_s:.1f} s" if self.to_s is None else f"cut {self.place} out of the log"
+        return f"{cut}, or leave this part out with --robust"
+
+    def __str__(self) -> str:
+        return f"{self.log}: {self.text}"
+
+
+def repeated(flights: Iterable[Log | HeldLog]) -> tuple[Finding, ...]:
+    """Flights that an earlier one holds already: the same file, the same gyro samples, or a part of them.
+
+    A copy in another container, or a part of a log, has the same gyro values, while their stamps may differ.
+    """
+    shelf, found, files = Shelf(IN_MEMORY), list[Finding](), dict[str, str]()
+    held = [hold(flight, shelf) for flight in flights]
+    runs = [_runs(_gyro(flight)[1]) for flight in held]
+    hashes = np.concatenate([np.empty(0, dtype=np.int64), *(one for one, _ in runs)])
+    owners = np.repeat(np.arange(len(runs)), [len(one) for one, _ in runs])
+    _, first, which = np.unique(hashes, return_index=True, return_inverse=True)
+    earliest = owners[first][which]  # the first flight that holds each run
+    for number, flight in enumerate(held):
+        name, sha256, starts = flight.label.name, flight.label.sha256, runs[number][1]
+        if sha256 and sha256 in files:
+            found.append(Finding(number, name, f"the same file as {files[sha256]}"))
+            continue
+        files[sha256] = name
+        whose = earliest[owners == number]
+        common = starts[whose < number]
+        if not len(common):
+            continue
+        t_ns, other = _gyro(flight)[0], int(np.bincount(whose[whose < number]).argmax())
+        dt_s = float(np.median(np.diff(np.unique(t_ns)))) / NS_PER_S
+        text = f"{len(common) * dt_s:.1f} s of it are in {held[other].label.name} as well"
+        if len(common) == len(starts) == len(runs[other][1]):
+            found.append(Finding(number, name, f"the same flight as {held[other].label.name}"))
+        elif len(common) > ALL_SHARED * len(starts):
+            found.append(Finding(number, name, text))
+        elif len(common) * dt_s >= SHARED_S:
+            low_s, high_s = float(t_ns[common].min()) / NS_PER_S, float(t_ns[common + RUN - 1].max()) / NS_PER_S
+            found.append(Finding(number, name, text, low_s, high_s + dt_s))
+    return tuple(found)
+
+
+def _gyro(flight: HeldLog) -> tuple[IntArray, FloatArray]:
+    """Times and values of a flight's gyro, without negative zeros."""
+    gyro = flight.open().telemetry.need(Signal.BODY_RATE)
+    return gyro.t_ns, np.ascontiguousarray(gyro.values, dtype=np.float64) + 0.0
+
+
+def _runs(values: FloatArray) -> tuple[IntArray, IntArray]:
+    """A hash of each run of `RUN` samples that move, (m,), and the sample that each begins with, (m,).
+
+    h_i = sum_k c_k mix(sum_j c_j words_(i+k),j), modulo 2^64
+    """
+    count = max(len(values) - RUN + 1, 0)
+    rows, hashes = np.zeros(len(values), dtype=np.uint64), np.zeros(count, dtype=np.uint64)
+    for word in values.view(np.uint64).T:
+        rows = (rows ^ word) * np.uint64(ODD)
+        rows ^= rows >> np.uint64(29)
+    for k in range(RUN):
+        hashes = hashes * np.uint64(ODD) + rows[k : k + count]
+    changes = np.concatenate(([0], np.cumsum(np.any(np.diff(values, axis=0) != 0, axis=1))))
+    moving = np.flatnonzero(changes[RUN - 1 :] - changes[:count] >= RUN_CHANGES) if count else np.empty(0, np.int64)
+    return hashes[moving].view(np.int64), moving
+
+
+def upsets(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
+    """The upset of each flight that has one, from its first sign to its last, with two seconds around."""
+    seen = (upset_in(motion_of(rows.block) for rows in flight.rows if len(rows.block)) for flight in flights)
+    return tuple(
+        Finding(
+            number,
+            flights[number].label.name,
+            upset.text,
+            upset.begin_s - MARGIN_S,
+            None if upset.ends else upset.end_s + MARGIN_S,
+        )
+        for number, upset in enumerate(seen)
+        if upset is not None
+    )
+
+
+def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
+    """Stretches whose gyro noise, rate error or thrust lies far from that of all other stretches.
+
+    Noise and rate error grow with what is commanded; they are compared with sqrt(a^2 + (b u)^2), u the rms of the
+    commanded rates, a their median over the calmer half of the blocks and b u that over the busier half. Far is above
+    4 times the median, for the error 12 times, and above 5 robust standard deviations (1.48 times the median of what
+    lies above the median). Lower noise is not far, nor a rate error below 0.5 rad/s, which gusts give. Thrust is far at
+    1.5 times or a 1.5th.
+    """
+    blocks = [(number, *block) for number, flight in enumerate(flights) for block in _blocks(flight.rows)]
+    if len(blocks) < MIN_BLOCKS:
+        return ()
+    table = np.array(blocks)
+    values, far = _compared(table[:, 3:6], table[:, 6]), list[tuple[int, float, float, str]]()
+    limits = {"gyro noise": FAR_RATIO, "rate error": FAR_ERROR, "thrust": FAR_LEVEL}
+    for column, (name, least) in enumerate(limits.items()):
+        size = np.abs(values[:, column]) if name == "thrust" else values[:, column]
+        above = size[size > 0]
+        limit = max(math.log(least), FAR_SPREADS * 1.4826 * float(np.median(above)) if len(above) else 0.0)
+        loud = (size > limit) & ~((table[:, 3 + column] < math.log(LEAST_ERROR_RAD_S)) & (name == "rate error"))
+        for i in np.flatnonzero(loud).tolist():
+            number, from_s, to_s = table[i, :3].tolist()
+            text = f"{name} {math.exp(values[i, column]):.2g} times that of the other flights' blocks"
+            far.append((int(number), from_s, to_s, text))
+    found = list[Finding]()  # blocks that follow each other make one
+    for number, from_s, to_s, text in sorted(far, key=lambda block: block[:2]):
+        last = found[-1] if found and found[-1].number == number else None
+        if last is not None and last.from_s is not None and last.to_s is not None and from_s <= last.to_s + BLOCK_S:
+            found[-1] = replace(last, to_s=max(last.to_s, to_s))
+        else:
+            found.append(Finding(number, flights[number].label.name, text, from_s, to_s))
+    return tuple(replace(one, text=f"{one.place}: {one.text}") for one in found)
+
+
+def _blocks(flight: Sequence[Rows]) -> Iterator[tuple[float, ...]]:
+    """Of each few seconds: start and end [s], logarithms of gyro noise, rate error and thrust, rms commanded rate."""
+    for block, rates in ((rows.block, rows.rates) for rows in flight):
+        noise, size = np.square(np.diff(block.rate, n=2, axis=0)).sum(axis=1), window_rows(BLOCK_S, block.dt_s)
+        # a last block that is shorter than half belongs to the one before
+        for first, stop in itertools.pairwise([*range(0, max(1, len(block) - size // 2), size), len(block)]):
+            if np.count_nonzero(block.valid[first:stop]) < 0.5 * size:
+                continue
+            low_ns, high_ns = block.t_ns[[first, stop - 1]].tolist()
+            inside = slice(*np.searchsorted(rates.t_ns, [low_ns, high_ns + 1]).tolist())
+            known, u = rates.commanded[inside], rates.u[inside]
+            error = np.where(known, np.square(rates.y[inside] - u).sum(axis=1), np.nan)
+            busy = math.sqrt(float(np.square(u[known]).sum(axis=1).mean())) if known.any() else 0.0
+            quick = np.where(block.valid[first + 2 : stop], noise[first : stop - 2], np.nan)
+            thrust = _median(block.thrust[first:stop][block.valid[first:stop]])
+            figures = _typical(quick, block.dt_s), _typical(error, block.dt_s), thrust
+            logs = (math.log(x) if x > 0 else math.nan for x in figures)
+            yield low_ns / NS_PER_S, high_ns / NS_PER_S, *logs, busy
+
+
+def _compared(logs: FloatArray, busy: FloatArray) -> FloatArray:
+    """(b, 3) logarithms against what is expected, their median taken out."""
+    logs = logs.copy()
+    calm, lively = busy <= np.median(busy), (busy >= np.median(busy)) & (busy > 0)
+    for column in (0, 1):
+        at_rest = _median(np.exp(logs[calm, column]))
+        share = _median(np.exp(logs[lively, column]) / busy[lively]) if lively.any() else 0.0
+        logs[:, column] -= np.log(np.hypot(at_rest, share * busy) + np.finfo(float).tiny)
+    return np.asarray(logs - [_median(column) for column in logs.T], dtype=np.float64)
+
+
+def _median(x: FloatArray) -> float:
+    known = x[np.isfinite(x)]
+    return float(np.median(known)) if len(known) else 0.0
+
+
+def _typical(squares: FloatArray, dt_s: float) -> float:
+    """Median over windows of their rms, (n,); NaN if no window is whole."""
+    window = window_rows(WINDOW_S, dt_s)
+    means = window_mean(squares[:, None], window)[:: max(1, window // 2), 0]
+    known = means[np.isfinite(means)]
+    return math.sqrt(float(np.median(known))) if len(known) else math.nan
+
+
+def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> tuple[Finding, ...]:
+    """Flights whose mean trims fall into two groups: two airframes, or two sets of propellers.
+
+    The groups are apart if the distance of their means is at least 6 times the spread within them and 0.03 of the hover
+    command, roll and pitch counting a third. With 0.005 it is noted, and so it is if a group has one flight alone.
+    """
+    if layout is None:
+        return ()
+    known, means = list[int](), list[FloatArray]()
+    for number, flight in enumerate(flights):
+        shown = [trim[where] for trim, where in (shown_trim(rows.block, layout) for rows in flight.rows)]
+        if sum(map(len, shown)):
+            known.append(number)
+            means.append(np.concatenate(shown).mean(axis=0))
+    if len(known) < 3:
+        return ()
+    weight = np.array([1.0 / LEVEL_RATIO, 1.0 / LEVEL_RATIO, 1.0])
+    trims = np.array(means) * weight
+    distance, spread, odd = max((_split(trims, axis) for axis in range(3)), key=lambda split: split[0] / split[1])
+    if distance < max(NOTED_DISTANCE, GROUP_RATIO * spread):
+        return ()
+    refuses = distance >= GROUP_DISTANCE and 2 <= len(odd) <= len(known) - 2
+    names = [flights[known[i]].label.name for i in odd]
+    groups = trims[odd].mean(axis=0) / weight, np.delete(trims, odd, axis=0).mean(axis=0) / weight
+    one, rest = ("/".join(f"{x:+.3f}" for x in trim) for trim in groups)
+    text = (
+        f"the mean trims of the flights fall into two groups: roll, pitch, yaw {one} in {', '.join(names)} and {rest} "
+        "in the others: two airframes, sets of propellers or sessions"
+    )
+    found = [Finding(known[i], name, text, refuses=refuses) for i, name in zip(odd, names, strict=True)]
+    return tuple(found if refuses else found[:1])
+
+
+def _split(trims: FloatArray, axis: int) -> tuple[float, float, list[int]]:
+    """Distance of the two groups that the widest gap along an axis makes, the spread within, and the smaller group."""
+    order = np.argsort(trims[:, axis], kind="stable")
+    at = int(np.diff(trims[order, axis]).argmax()) + 1
+    low, high = order[:at], order[at:]
+    apart = trims[high].mean(axis=0) - trims[low].mean(axis=0)
+    within = np.concatenate([trims[group] - trims[group].mean(axis=0) for group in (low, high)])
+    spread = math.hypot(math.sqrt(float(np.square(within).sum()) / max(1, len(trims) - 2)), GROUP_FLOOR)
+    return float(np.linalg.norm(apart)), spread, sorted((low if len(low) < len(high) else high).tolist())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taught:
-    """front: what makes the rows. flights: what is learnt. left_out, notes: as in `baseline.Provenance`."""
+    """The front that makes the rows, and what is learnt. left_out, notes: as in `baseline.Provenance`."""
 
     front: Front
     flights: tuple[LearntFlight, ...]
@@ -42,24 +302,34 @@ def taught(
     Raises InputError with file, place and remedy for what a guard refuses; with `robust` it is left out instead, and
     InputError says so only if nothing remains.
     """
-    shelf = shelf or Shelf(IN_MEMORY)
-    left_out: list[str] = []
+    shelf, left_out = shelf or Shelf(IN_MEMORY), list[str]()
     held = [hold(log, shelf) for log in logs]
     while robust and len(held) > 2 and (odd := odd_rate(held, window_s)) is not None:
-        del held[odd[0]]
         left_out.append(f"all of {odd[1]}")
+        del held[odd[0]]
     front = front_for(held, window_s, gate)
-    held = _without(held, repeated(held), shelf, robust, left_out)
-    flights = _flown(front, held, shelf, None if not robust else left_out)
-    guards: tuple[Guard, ...] = (upsets, far_blocks)
-    for guard in guards:
+
+    def flown(logs: Iterable[HeldLog]) -> list[LearntFlight]:
+        flights = []
+        for log in logs:
+            try:
+                flights.append(airborne(front, log, shelf))
+            except InputError as error:
+                if not robust:
+                    raise
+                left_out.append(str(error))
+        give_back()
+        return flights
+
+    flights = flown(_without(held, repeated(held), shelf, robust, left_out))
+    for guard in (upsets, far_blocks):
         for _ in range(MAX_ROUNDS):  # the guard looks again at what remains
             findings = guard(flights)
             if not findings:
                 break
             kept = _without([flight.held for flight in flights], findings, shelf, robust, left_out)
             same = {id(flight.held): [flight] for flight in flights}
-            flights = [one for log in kept for one in same.get(id(log)) or _flown(front, [log], shelf, left_out)]
+            flights = [one for log in kept for one in same.get(id(log)) or flown([log])]
     if not flights:
         raise InputError(f"no healthy flight remains to learn from ({'; '.join(left_out)}); record others")
     return Taught(front, tuple(flights), tuple(left_out))
@@ -67,55 +337,52 @@ def taught(
 
 def believing(found: Taught, shelf: Shelf) -> Taught:
     """The flights with only those samples that they themselves, taken together, make believable, as in judging."""
-    quality = learnt_quality((flight.flight.telemetry, flight.spans_ns) for flight in found.flights)
+    flown = [(flight.held, flight.spans_ns()) for flight in found.flights]
+    parts = [  # signal by signal, so that no more of the flights is in memory
+        learnt_quality(
+            (Telemetry(tuple(one for one in held.open().telemetry if one.signal is signal)), spans)
+            for held, spans in flown
+        )
+        for signal in dict.fromkeys(signal for held, _ in flown for signal in held.signals)
+    ]
+    quality = LinkQuality(
+        habits=tuple(habit for part in parts for habit in part.habits),
+        jitter=max(part.jitter for part in parts),
+        resolution_rad_s=max(part.resolution_rad_s for part in parts),
+    )
     front = replace(found.front, align=replace(found.front.align, quality=quality))
-    return replace(found, front=front, flights=tuple(airborne(front, flight.held, shelf) for flight in found.flights))
+    flights = tuple(airborne(front, held, shelf) for held, _ in flown)
+    give_back()
+    return replace(found, front=front, flights=flights)
 
 
 def one_vehicle(found: Taught, layout: RotorLayout | None, *, robust: bool) -> Taught:
     """The flights of one vehicle and set of propellers, by their trims; raises InputError as `taught` does."""
     findings = trim_groups(found.flights, layout)
-    odd = [finding for finding in findings if finding.refuses]
+    odd = {finding.number: finding for finding in findings if finding.refuses}
     if odd and not robust:
-        raise InputError(f"{_sentence(odd)}; or learn a type with --fleet")
-    away = {finding.number for finding in odd}
+        raise InputError(f"{_sentence(list(odd.values()))}; or learn a type with --fleet")
     return replace(
         found,
-        flights=tuple(flight for number, flight in enumerate(found.flights) if number not in away),
-        left_out=(*found.left_out, *map(str, odd)),
+        flights=tuple(flight for number, flight in enumerate(found.flights) if number not in odd),
+        left_out=(*found.left_out, *map(str, odd.values())),
         notes=(*found.notes, *(str(finding) for finding in findings if not finding.refuses)),
     )
-
-
-def _flown(front: Front, logs: Iterable[HeldLog], shelf: Shelf, left_out: list[str] | None) -> list[LearntFlight]:
-    """The flying parts. left_out: takes the reason of what does not fly; None raises it."""
-    flights = []
-    for log in logs:
-        try:
-            flights.append(airborne(front, log, shelf))
-        except InputError as error:
-            if left_out is None:
-                raise
-            left_out.append(str(error))
-    return flights
 
 
 def _without(
     logs: Sequence[HeldLog], findings: Sequence[Finding], shelf: Shelf, robust: bool, left_out: list[str]
 ) -> list[HeldLog]:
-    """The logs without what the findings name, of which `left_out` takes a sentence each.
-
-    Raises InputError unless `robust`.
-    """
+    """The logs without what the findings name, of which `left_out` takes a sentence each; refused unless `robust`."""
     if not robust:
         refuse(findings)
     left_out += [f"{finding.log}, {finding.place}: {finding.text}" for finding in findings]
     kept = []
     for number, log in enumerate(logs):
-        parts = [finding for finding in findings if finding.number == number]
-        if not any(part.from_s is None and part.to_s is None for part in parts):
-            for part in parts:
-                log = log.without(part.from_s, part.to_s, shelf)
+        places = [(finding.from_s, finding.to_s) for finding in findings if finding.number == number]
+        if (None, None) not in places:
+            for place in places:
+                log = log.without(*place, shelf)
             kept.append(log)
     return kept
 

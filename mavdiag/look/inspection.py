@@ -17,8 +17,8 @@ from mavdiag.airframe.trim import SIGNALS
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.learning.flights import LearntFlight, airborne, front_for
-from mavdiag.learning.guards import upsets
 from mavdiag.learning.rotors import of_log_kind, with_rotors
+from mavdiag.learning.teaching import upsets
 from mavdiag.link.codec import message_name
 from mavdiag.link.profiles import PROFILES, scale_doubt
 from mavdiag.link.scale import CONTRARY, AxisCheck, gravity_of, gyro_checks

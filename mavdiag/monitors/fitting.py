@@ -1,7 +1,6 @@
 """What fits to healthy flights share: answers that a flight keeps, traces, and how large a residual may be."""
 
 import itertools
-from abc import abstractmethod
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import Any, TypeVar
 
@@ -12,6 +11,7 @@ from mavdiag.monitors.columns import columns_of
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, Three
+from mavdiag.thresholds.heldout import Looks
 
 MEMORY_S = 0.35  # of the mean square of the command (METHOD section 4)
 MIN_SHARE = 0.05  # of the mean square, left to k0 however busy the set-point (our choice)
@@ -22,17 +22,9 @@ LIMIT, MOST = 6.0, 1e6
 Found = TypeVar("Found")
 
 
-class Remembering(Sequence[Rows]):
-    """The rows of a flight that keeps what was found in it, for fits to other sets of flights with it."""
-
-    @abstractmethod
-    def once(self, key: Hashable, find: Callable[[Sequence[Rows]], Any]) -> Any:
-        """What `find` gives of this flight, and the same for the same key later on."""
-
-
 def of_each(flights: Flights, key: Hashable, find: Callable[[Sequence[Rows]], Found]) -> list[Found]:
     """What `find` gives of each flight, from memory where the flight keeps it. key: of all that it depends on."""
-    return [flight.once(key, find) if isinstance(flight, Remembering) else find(flight) for flight in flights]
+    return [flight.once(key, find) if isinstance(flight, Looks) else find(flight) for flight in flights]
 
 
 def commanded(flight: Sequence[Rows]) -> bool:

@@ -1,16 +1,13 @@
 """The envelope of a baseline: the conditions that its healthy flights covered, and what holds beside them.
 
-A threshold speaks for the conditions under which it was learnt. For a condition c with the largest healthy value C (or
-what counts as nothing, if that is more), and e = (c - C)/(R C):
+For a condition c with the largest healthy value C (or what counts as nothing, if that is more), and e = (c - C)/(R C):
 
     e <= 0         inside: the threshold as it was learnt
     0 < e <= 1     near: the threshold times 1 + R e = c/C; what a linear model leaves grows no faster than its input
     e > 1          outside, from (1 + R) C on: not judged
 
-R is the room of the condition. It counts what was flown in the memory of the monitor's statistic. A statistic that is a
-time (FSD) does not grow so: near, its threshold stays as it was learnt. A value that was reached once and lies far
-beyond all others was no manoeuvre: a wrong sample widens nothing. A condition that no healthy flight told of, or that
-the link does not carry now, restricts nothing.
+R is the room of the condition. A statistic that is a time (FSD) does not grow so. A condition that no healthy flight
+told of, or that the link does not carry now, restricts nothing.
 """
 
 from collections.abc import Sequence
@@ -31,13 +28,10 @@ EVENT_BINS = 50  # on each side of the largest; the longest memory of a conditio
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """How a condition is compared.
+    """How a condition is compared: which side is limited, the unit in a text, and what to fly to cover more.
 
-    side: which side is limited; "both" takes the span between.
     least: what counts as covered anyway: up to here, from here on, or so large a share about the middle of a span
         (our choices; below half a metre the ground blows back).
-    unit: as a text gives it.
-    remedy: what to fly to cover more.
     room: R, how far "near" reaches, as a share of what is covered (our choices).
     """
 
@@ -72,59 +66,47 @@ class Covered:
 
     def borders(self) -> tuple[float, float, float]:
         """Where e is 0 below and above, infinite on a side that is not limited, and how far from there it is 1."""
-        rule = RULES[self.condition]
-        low, high = self._limits()
+        (low, high), rule = self._limits(), RULES[self.condition]
         if rule.side == "both":
             return low, high, rule.room * (high - low)
         if rule.side == "upper":
             return -np.inf, high, rule.room * high
         return (low, np.inf, rule.room * low) if low > 0 else (-np.inf, np.inf, 1.0)
 
-    def sentence(self, value: float) -> str:
-        """What was flown and what was learnt: "yaw rate 1.8 rad/s, learnt up to 0.3".
-
-        >>> Covered(Condition.YAW_RATE, 0.0, 0.3).sentence(1.81)
-        'yaw rate 1.8 rad/s, learnt up to 0.3'
-        """
-        rule = RULES[self.condition]
-        unit = f" {rule.unit}" if rule.unit else ""
-        return f"{self.condition} {_figure(value, 3 if rule.side == 'both' else 2)}{unit}, learnt {self._span()}"
-
-    def __str__(self) -> str:
-        unit = RULES[self.condition].unit
-        return f"{self.condition} {self._span()}" + (f" {unit}" if unit else "")
-
-    def advice(self) -> str | None:
-        """What would widen it; None if the flights covered more than nothing."""
-        rule = RULES[self.condition]
-        if rule.side == "upper":
-            return rule.remedy if self.high <= rule.least else None
-        narrow = rule.side == "both" and self.high - self.low <= 2 * rule.least * self._middle
-        return rule.remedy if narrow else None
-
-    def _span(self) -> str:
-        side, (low, high) = RULES[self.condition].side, self._limits()
-        if side == "both":
-            return f"{_figure(low, 3)} to {_figure(high, 3)}"
-        return f"up to {_figure(high, 2)}" if side == "upper" else f"from {_figure(low, 2)}"
-
     def _limits(self) -> tuple[float, float]:
         """What counts as covered."""
-        rule = RULES[self.condition]
+        rule, middle = RULES[self.condition], 0.5 * (self.low + self.high)
         if rule.side == "upper":
             return self.low, max(self.high, rule.least)
         if rule.side == "lower":
             return min(self.low, rule.least), self.high
-        reach = max(0.5 * (self.high - self.low), rule.least * abs(self._middle), 1e-9)
-        return self._middle - reach, self._middle + reach
+        reach = max(0.5 * (self.high - self.low), rule.least * abs(middle), 1e-9)
+        return middle - reach, middle + reach
 
-    @property
-    def _middle(self) -> float:
-        return 0.5 * (self.low + self.high)
+    def sentence(self, value: float) -> str:
+        """What was flown and what was learnt: "yaw rate 1.8 rad/s, learnt up to 0.3"."""
+        rule = RULES[self.condition]
+        return f"{self.condition} {_figure(value, rule)} {rule.unit}".rstrip() + f", learnt {self._span()}"
+
+    def __str__(self) -> str:
+        return f"{self.condition} {self._span()} {RULES[self.condition].unit}".rstrip()
+
+    def _span(self) -> str:
+        rule, (low, high) = RULES[self.condition], self._limits()
+        if rule.side == "both":
+            return f"{_figure(low, rule)} to {_figure(high, rule)}"
+        return f"up to {_figure(high, rule)}" if rule.side == "upper" else f"from {_figure(low, rule)}"
+
+    def advice(self) -> str | None:
+        """What would widen it; None if the flights covered more than nothing."""
+        rule = RULES[self.condition]
+        spread = {"upper": self.high, "both": (self.high - self.low) / (self.high + self.low or 1.0)}
+        return rule.remedy if spread.get(rule.side, np.inf) <= rule.least else None
 
 
-def _figure(value: float, digits: int) -> str:
-    """A value to so many digits, and never with an exponent for a large one."""
+def _figure(value: float, rule: _Rule) -> str:
+    """A value to two digits, of a span to three, and never with an exponent for a large one."""
+    digits = 3 if rule.side == "both" else 2
     return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}"
 
 

@@ -10,13 +10,9 @@ class Guard:
     """What a monitor knows that its few healthy flights cannot show; in the statistic's unit.
 
     few_sessions: added with flights of one session, and linearly less up to `enough_sessions`, where it is zero.
-    enough_sessions: from so many sessions on nothing is added.
-    few_flights: added with one flight, in scales (beta) of the healthy maxima; linearly less up to `enough_flights`.
-    enough_flights: from so many flights on nothing is added for them.
-    above_mean: least distance from the mean healthy maximum.
-    least: least threshold at all.
+    few_flights: the same for flights, in scales (beta) of the healthy maxima.
+    above_mean, least: least distance from the mean healthy maximum, and least threshold at all.
     scale_share: least beta as a share of the mean maximum.
-    Raises UsageError if one is negative.
     """
 
     few_sessions: float = 0.0
@@ -28,9 +24,8 @@ class Guard:
     scale_share: float = 0.1
 
     def __post_init__(self) -> None:
-        figures = (self.few_sessions, self.few_flights, self.above_mean, self.least, self.scale_share)
-        if min(figures) < 0 or min(self.enough_sessions, self.enough_flights) < 2:
-            raise UsageError("a guard's figures must not be negative, and enough sessions or flights are at least 2")
+        if min(self.few_sessions, self.few_flights, self.above_mean, self.least, self.scale_share) < 0:
+            raise UsageError("a guard's figures must not be negative")
 
     def scales(self, flights: int) -> float:
         """How many scales are added for having only that many flights."""

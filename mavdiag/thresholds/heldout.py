@@ -4,16 +4,16 @@ With several flights each is scored by a fit to the others. A single flight is c
 there are as many, and each piece is scored by a fit to the rest. This is the only place that makes blocks.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import NamedTuple, Protocol, TypeAlias, overload
+from functools import partial
+from typing import Any, TypeAlias, overload
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
-from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, FloatArray
 
 BLOCK_S = 10.0  # judged time of a block (our choice); 7 to 13 s change no verdict on the recorded flights
@@ -23,20 +23,40 @@ PIECES = 5  # of a single flight, one per block at most (our choice)
 Flights: TypeAlias = Sequence[Sequence[Rows]]
 
 
-class Scored(Protocol):
-    """What can be scored: a monitor."""
+class Looks(Sequence[Rows]):
+    """The rows of a flight, each made anew for a look, so that they take memory only as long as they are held.
 
-    def over(self, flight: Sequence[Rows]) -> Iterator[Statistic]:
-        """Judge a whole flight."""
+    remembers: it keeps what was found in it, for fits to other sets of flights with it.
+    """
+
+    def __init__(self, makers: Iterable[Callable[[], Rows]], remembers: bool = True) -> None:
+        self.makers, self._remembers = tuple(makers), remembers
+        self._answers: dict[Hashable, Any] = {}
+
+    def once(self, key: Hashable, find: Callable[[Sequence[Rows]], Any]) -> Any:
+        """What `find` gives of this flight, and the same for the same key later on."""
+        if not self._remembers:
+            return find(self)
+        if key not in self._answers:
+            self._answers[key] = find(self)
+        return self._answers[key]
+
+    def __len__(self) -> int:
+        return len(self.makers)
+
+    @overload
+    def __getitem__(self, at: int) -> Rows: ...
+
+    @overload
+    def __getitem__(self, at: slice) -> Sequence[Rows]: ...
+
+    def __getitem__(self, at: int | slice) -> Rows | Sequence[Rows]:
+        return Looks(self.makers[at]) if isinstance(at, slice) else self.makers[at]()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scores:
-    """What a statistic reached in healthy flight.
-
-    maxima: (b,) its highest valid value in each block.
-    spans_s: (b,) judged time of each block [s].
-    """
+    """What a statistic reached in healthy flight: its maxima in b blocks, (b,), and their judged time [s], (b,)."""
 
     maxima: FloatArray
     spans_s: FloatArray
@@ -47,20 +67,17 @@ class Scores:
         return float(self.spans_s.sum())
 
 
-def score(monitor: Scored, flight: Sequence[Rows], block_s: float = BLOCK_S) -> Scores:
+def score(monitor: Any, flight: Sequence[Rows], block_s: float = BLOCK_S) -> Scores:
     """Block maxima of a monitor over one flight (`maxima`)."""
-    values, period_s = [np.empty(0)], 0.0
-    for statistic in monitor.over(flight):
-        values.append(statistic.value[statistic.valid])
-        period_s = statistic.period_s
-    return maxima(np.concatenate(values), period_s, block_s)
+    found = [(one.value[one.valid], one.period_s) for one in monitor.over(flight)] or [(np.empty(0), 0.0)]
+    return maxima(np.concatenate([values for values, _ in found]), found[-1][1], block_s)
 
 
 def maxima(x: FloatArray, period_s: float, block_s: float = BLOCK_S) -> Scores:
     """Block maxima of the valid values of one flight, each of which stands for so much time.
 
     A block holds `block_s` of judged time, whatever lies between; a remainder shorter than half a block belongs to the
-    block before it. Only valid values count, so warm-up, gaps and ground do not.
+    block before it.
     """
     if len(x) == 0:
         return Scores(np.empty(0), np.empty(0))
@@ -80,11 +97,11 @@ def by_axis(parts: Iterable[tuple[Axis | None, Scores]]) -> dict[Axis | None, Sc
     """The scores of each axis that has any. Raises IdentificationError if there are none."""
     found: dict[Axis | None, list[Scores]] = {}
     for axis, scores in parts:
-        found.setdefault(axis, []).append(scores)
-    joined = {axis: pooled(scores) for axis, scores in found.items() if any(len(one.maxima) for one in scores)}
-    if not joined:
+        if len(scores.maxima):
+            found.setdefault(axis, []).append(scores)
+    if not found:
         raise IdentificationError("the healthy flights are too short to score the statistic on; fly longer")
-    return joined
+    return {axis: pooled(scores) for axis, scores in found.items()}
 
 
 def folds(
@@ -98,45 +115,10 @@ def folds(
     order = {group: number for number, group in enumerate(dict.fromkeys(groups))}
     count = min(MAX_FOLDS, len(order))
     for fold in range(count):
-        left_out = [flight for flight, group in zip(flights, groups, strict=True) if order[group] % count == fold]
-        yield left_out, [flight for flight, group in zip(flights, groups, strict=True) if order[group] % count != fold]
-
-
-class _Place(NamedTuple):
-    """Rows [first, stop) of rows with a number, as a segment that begins at a time [ns]."""
-
-    number: int
-    first: int
-    stop: int
-    segment: int
-    from_ns: int = int(np.iinfo(np.int64).min)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Cut(Sequence[Rows]):
-    """Parts of the rows of a flight, made as they are looked at."""
-
-    flight: Sequence[Rows]
-    places: tuple[_Place, ...]
-
-    def __len__(self) -> int:
-        return len(self.places)
-
-    @overload
-    def __getitem__(self, at: int) -> Rows: ...
-
-    @overload
-    def __getitem__(self, at: slice) -> Sequence[Rows]: ...
-
-    def __getitem__(self, at: int | slice) -> Rows | Sequence[Rows]:
-        if isinstance(at, slice):
-            return _Cut(self.flight, self.places[at])
-        number, first, stop, segment, from_ns = self.places[at]
-        rows = self.flight[number]
-        rates, lag = rows.rates, len(rows.block) - len(rows.rates)
-        kept = slice(max(first - lag, int(rates.t_ns.searchsorted(from_ns)), 0), max(stop - lag, 0))
-        columns = (getattr(rates, column.name)[kept] for column in fields(RateBlock)[2:])
-        return Rows(rows.block.rows(first, stop, segment), RateBlock(segment, rates.dt_s, *columns))
+        parts: tuple[list[Sequence[Rows]], list[Sequence[Rows]]] = [], []
+        for flight, group in zip(flights, groups, strict=True):
+            parts[order[group] % count != fold].append(flight)
+        yield parts
 
 
 def _pieces(flight: Sequence[Rows], block_s: float) -> Iterator[tuple[Flights, Flights]]:
@@ -150,14 +132,25 @@ def _pieces(flight: Sequence[Rows], block_s: float) -> Iterator[tuple[Flights, F
     edges = judged_ns[np.linspace(0, len(judged_ns) - 1, count + 1).round().astype(np.int64)].tolist()
     edges[-1] += 1
     for low_ns, high_ns, hop in zip(edges[:-1], edges[1:], hops if len(hops) == count else [None] * count, strict=True):
-        part, rest = list[_Place](), list[_Place]()
+        part, rest = list[Callable[[], Rows]](), list[Callable[[], Rows]]()
         for number, (segment, t_ns, _, _) in enumerate(looks):
             if hop is not None:  # each is a piece
-                (part if segment == hop else rest).append(_Place(number, 0, len(t_ns), segment))
+                (part if segment == hop else rest).append(partial(_cut, flight, number, 0, len(t_ns), segment))
                 continue
             first, stop = np.searchsorted(t_ns, [low_ns, high_ns]).tolist()
-            rest.append(_Place(number, 0, first, 3 * segment))
-            part.append(_Place(number, first, stop, 3 * segment + 1, low_ns))
-            rest.append(_Place(number, stop, len(t_ns), 3 * segment + 2, high_ns))
-        cuts = (_Cut(flight, tuple(place for place in places if place.stop > place.first)) for places in (part, rest))
-        yield [next(cuts)], [next(cuts)]
+            places = ((rest, 0, first), (part, first, stop), (rest, stop, len(t_ns)))
+            for third, (found, start, end) in enumerate(places):
+                if end > start:
+                    from_ns = (None, low_ns, high_ns)[third]
+                    found.append(partial(_cut, flight, number, start, end, 3 * segment + third, from_ns))
+        yield [Looks(part, remembers=False)], [Looks(rest, remembers=False)]
+
+
+def _cut(flight: Sequence[Rows], number: int, first: int, stop: int, segment: int, from_ns: int | None = None) -> Rows:
+    """Rows [first, stop) of rows with a number, as a segment that begins at a time [ns]."""
+    rows = flight[number]
+    rates, lag = rows.rates, len(rows.block) - len(rows.rates)
+    begin = 0 if from_ns is None else int(rates.t_ns.searchsorted(from_ns))
+    kept = slice(max(first - lag, begin, 0), max(stop - lag, 0))
+    columns = (getattr(rates, column.name)[kept] for column in fields(RateBlock)[2:])
+    return Rows(rows.block.rows(first, stop, segment), RateBlock(segment, rates.dt_s, *columns))

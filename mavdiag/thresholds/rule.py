@@ -1,23 +1,15 @@
 """What a healthy vehicle allows: the threshold of a statistic from its own healthy flights, for a budget of alarms.
 
-One rule for every monitor. The statistic is scored on flights that its fit did not see, cut into blocks of 10 s of
-judged time, and the blocks' maxima x carry a Gumbel law (extreme-value theory: maxima of light-tailed statistics tend
-to it; Coles, An Introduction to Statistical Modeling of Extreme Values, 2001, ch. 3). The maximum of a block of length
-L lies beta ln(L/B) above that of a block of length B = 10 s, so a short block counts as what it is:
+The maxima x of blocks of 10 s of judged time that no fit saw carry a Gumbel law (Coles, An Introduction to Statistical
+Modeling of Extreme Values, 2001, ch. 3); that of a block of length L lies beta ln(L/B) above that of B = 10 s:
 
     beta = max(sd(x) sqrt(6)/pi, s |mean(x)|),    s = 0.1 min(1, sqrt(20/n)) for n blocks
     mu = mean(x) - 0.5772 sd(x) sqrt(6)/pi - beta mean(ln(L/B))                                   (moments)
     threshold = mu + beta ln(1/(r B)),    r alarms in a second of judged time
 
-The threshold is linear in the statistic: in its logarithm a tail as heavy as the budget is far would be allowed.
-The floor on beta is for few blocks: a handful of like maxima does not prove a thin tail; it fades as blocks come (its
-share 0.1, the 20 blocks and the other small-sample allowances are our choices, made on recorded healthy flights).
-L-moments would scatter alike for the Gumbel law with tens of blocks. A third parameter (GEV, or a generalised Pareto
-tail above a level) is not offered: tens of blocks do not show its shape.
-
-**Its price.** A budget of 0.05 alarms an hour from a minute of flight is an extrapolation by ten beta, not evidence.
-What the flights themselves show is `demonstrated_per_hour`: T hours without an alarm exclude, at 95 %, only rates above
-3/T. The named alternative, the largest healthy maximum, alarms in one of n + 1 equal healthy flights.
+**Its price:** a budget of 0.05 alarms an hour from a minute of flight is an extrapolation by ten beta, not evidence.
+T hours without an alarm exclude, at 95 %, only rates above 3/T (`demonstrated_per_hour`). The named alternative, the
+largest healthy maximum, alarms in one of n + 1 equal healthy flights.
 """
 
 import math
@@ -51,20 +43,12 @@ class Threshold:
     """A threshold and what supports it.
 
     value: the monitor alarms when its statistic is strictly above it.
-    rule: how it follows from the healthy maxima.
-    location, scale: mu and beta of the block maxima; for the maximum rule their mean, and 0.
-    standard_error: of the extreme-value level, for independent blocks.
-    allowance: what the guard added to that level.
-    session_allowance: the part of the value that stands for what another session (battery, propellers, payload) may
-        shift, as long as few sessions were seen; in a session of the healthy flights the value is less by it.
-    blocks: healthy blocks that support it.
-    block_s: judged time of a whole block [s].
-    flights: flights that they come from.
-    sessions: sessions that these were flown in.
-    hours: judged healthy time, that is valid values times the span that each stands for.
-    exceeding: healthy blocks above the value.
-    budget_per_hour: alarms asked for, in an hour of judged time.
-    demonstrated_per_hour: alarms in an hour that this time excludes at 95 %.
+    location, scale, standard_error: mu and beta of the block maxima, and of the level; by the maximum rule mean and 0.
+    allowance: what the guard added to that level. session_allowance: the part of the value that stands for what another
+        session (battery, propellers, payload) may shift; in a session of the healthy flights the value is less by it.
+    blocks, block_s: healthy blocks that support it, and judged time of a whole one [s]. exceeding: how many above it.
+    flights, sessions, hours: that they come from, and judged healthy time.
+    budget_per_hour: alarms asked for in an hour of judged time. demonstrated_per_hour: what it excludes at 95 %.
     false_alarms_per_flight: 1/(n + 1), the price of the maximum rule.
     """
 
@@ -91,9 +75,11 @@ class Threshold:
 
     def statement(self) -> str:
         """One sentence: what is asked for, and what is shown."""
-        sessions = f"{self.sessions} session{'' if self.sessions == 1 else 's'}"
-        flights = f"{self.flights} flight{'' if self.flights == 1 else 's'} in {sessions} ({self.hours:.3g} h)"
-        basis = f"{self.blocks} healthy blocks of {self.block_s:g} s from {flights}"
+        flights, sessions = (
+            f"{count} {what}{'s' * (count != 1)}"
+            for count, what in ((self.flights, "flight"), (self.sessions, "session"))
+        )
+        basis = f"{self.blocks} healthy blocks of {self.block_s:g} s from {flights} in {sessions} ({self.hours:.3g} h)"
         shown = f"{self.exceeding or 'none'} of them above it"
         if self.demonstrated_per_hour < WORTH_SAYING_PER_HOUR:
             shown += f", so at 95 % fewer than {self.demonstrated_per_hour:.2g} alarms/h"
@@ -118,15 +104,9 @@ def threshold_of(
     guard: Guard = NO_GUARD,
     rule: ThresholdRule = ThresholdRule.GUMBEL,
 ) -> Threshold:
-    """The threshold that scores of healthy flights allow. budget_per_hour: this monitor's share.
+    """The threshold that scores of healthy flights allow.
 
-    sessions: that the flights were flown in; None for one each.
-
-    >>> maxima = np.random.default_rng(5).gumbel(1.0, 0.2, 200)   # 200 blocks, mu 1 and beta 0.2
-    >>> found = threshold_of(Scores(maxima, np.full(200, 10.0)), flights=20, budget_per_hour=0.36)   # 1 in 1000 blocks
-    >>> round(found.value, 1), round(1.0 + 0.2 * math.log(1000), 1), round(found.demonstrated_per_hour, 1)
-    (2.5, 2.4, 5.4)
-
+    budget_per_hour: this monitor's share. sessions: that the flights were flown in; None for one each.
     Raises UsageError for a budget that is not positive, IdentificationError for scores that are not finite.
     """
     if not (math.isfinite(budget_per_hour) and budget_per_hour > 0):
@@ -166,26 +146,14 @@ def threshold_of(
 
 
 def poisson_upper(events: int, confidence: float = 0.95) -> float:
-    """Upper limit on the expected number of events after `events` were seen: 3.0 for none, 4.7 for one.
-
-    The m at which P(at most `events` | m) = 1 - confidence.
-
-    >>> [round(poisson_upper(k), 2) for k in (0, 1, 5)]
-    [3.0, 4.74, 10.51]
-    """
+    """Upper limit on the expected number of events after `events` were seen: the m at which P(<= events | m) = 5 %."""
     from scipy.special import gammaincinv  # half the chi-squared quantile of 2 events + 2 degrees of freedom
 
     return float(gammaincinv(events + 1, confidence))
 
 
 def flights_for_guarantee(false_alarms: float = 0.05, confidence: float = 0.95) -> int:
-    """Healthy flights after which, with this confidence, the maximum rule's false-alarm share is below the bound.
-
-    The 95/95 guarantee of METHOD section 4: 1 - 0.95^n >= 0.95.
-
-    >>> flights_for_guarantee()
-    59
-    """
+    """Healthy flights that bound the maximum rule's false-alarm share: METHOD section 4, 1 - 0.95^n >= 0.95, n = 59."""
     return math.ceil(math.log(1.0 - confidence) / math.log(1.0 - false_alarms))
 
 

@@ -144,7 +144,7 @@ def test_a_ground_station_behind_acknowledges_and_a_stranger_on_an_unsigned_link
 
 def change(stage: Stage, *rotors: int) -> Change:
     spans = tuple(RotorSpan(rotor, 0) for rotor in rotors)
-    given = (0, stage, "made", None, None, "", 0.0, 0.0, rotors[-1] if rotors else None, None, None, None)
+    given = (stage, "made", 0, None, None, "", 0.0, 0.0, rotors[-1] if rotors else None, None, None, None)
     return Change(*given, kind=FaultKind.PROPELLER, rotors=spans)
 
 

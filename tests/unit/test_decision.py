@@ -48,12 +48,6 @@ def stages(changes: tuple[Change, ...]) -> list[Stage]:
     return [change.stage for change in changes]
 
 
-def test_a_calm_flight_becomes_quiet_and_no_more() -> None:
-    state, events, changes = decided(values(profile((10, 0.3))), values(profile((10, 2.0))))
-    assert (stages(changes), events) == ([Stage.QUIET], ())
-    assert (state.diagnosis.monitor, state.diagnosis.statistic) == ("unbalance", 0.3)  # 0.6 of its threshold
-
-
 def test_one_monitor_above_its_threshold_is_a_fault_and_names_the_rotor() -> None:
     state, events, changes = decided(values(profile((3, 0.3), (3, 2.1)), rotor=2), values(profile((6, 1.0)), None))
     assert stages(changes) == [Stage.QUIET, Stage.FAULT]

@@ -57,11 +57,6 @@ def test_what_counts_as_nothing_is_covered_anyway() -> None:
     assert excess(full, 0.3, 0.5, 0.2) == pytest.approx([0.0, 0.0, 1.0])
 
 
-def test_what_is_unknown_restricts_nothing() -> None:
-    for condition in Condition:
-        assert excess(Covered(condition, 0.5, 1.0), np.nan) == [0.0]
-
-
 @pytest.mark.parametrize(("low", "high"), [(1.0, 0.5), (np.nan, 1.0), (0.0, np.inf)])
 def test_what_is_no_span_is_refused(low: float, high: float) -> None:
     with pytest.raises(InputError, match="envelope: yaw rate from"):
@@ -155,16 +150,6 @@ def turned(yaw_rate: FloatArray) -> list[Rows]:
 IN_TURNS = Ones({Condition.YAW_RATE}, 1.0)
 
 
-@pytest.mark.parametrize(("rate", "factor"), [(0.3, 1.0), (0.4, 1.0), (0.5, 1.25), (0.59, 1.475)])
-def test_near_the_envelope_the_threshold_grows_with_the_condition(rate: float, factor: float) -> None:
-    """c/C, written as a statistic that is divided by it."""
-    found, outside = ones_judged([YAW], turned(np.full(400, rate)), IN_TURNS)
-    assert found.valid.all()
-    assert outside == {}
-    np.testing.assert_allclose(found.value[200:], 1.0 / factor, rtol=1e-6)
-    np.testing.assert_allclose(found.level, 1.0)  # severity stays what was measured
-
-
 @pytest.mark.parametrize("rate", [0.61, 1.8, 30.0])
 def test_outside_nothing_is_judged_and_it_is_said(rate: float) -> None:
     found, outside = ones_judged([YAW], turned(np.full(400, rate)), IN_TURNS)
@@ -173,26 +158,6 @@ def test_outside_nothing_is_judged_and_it_is_said(rate: float) -> None:
     told = outside[Condition.YAW_RATE]
     assert told.value == pytest.approx(rate)
     assert told.span_s == pytest.approx(0.01 * np.count_nonzero(~found.valid))
-
-
-@pytest.mark.parametrize(("covered", "condition"), [([YAW], Condition.TILT), ([], Condition.YAW_RATE)])
-def test_a_slot_that_does_not_depend_on_it_is_left_alone(covered: list[Covered], condition: Condition) -> None:
-    found, outside = ones_judged(covered, turned(np.full(400, 5.0)), Ones({condition}, 1.0))
-    assert found.valid.all()
-    np.testing.assert_allclose(found.value, 1.0)
-    assert outside == {}
-
-
-@pytest.mark.parametrize("memory_s", [0.5, 1.0, 2.5])
-def test_a_turn_counts_as_long_as_the_statistic_remembers_it(memory_s: float) -> None:
-    rate = np.zeros(800)
-    rate[300:350] = 2.0
-    found, outside = ones_judged([YAW], turned(rate), Ones({Condition.YAW_RATE}, memory_s))
-    silent = np.flatnonzero(~found.valid)
-    assert 300 <= silent[0] <= 300 + 25  # a bin, the delay of the rates, and a bin of reserve
-    assert 350 + 100 * memory_s - 10 <= silent[-1] + 1 <= 350 + 100 * memory_s + 10
-    assert (np.diff(silent) == 1).all()
-    assert outside[Condition.YAW_RATE].span_s == pytest.approx(0.01 * len(silent))
 
 
 @pytest.mark.parametrize("memory_s", [0.35, 1.0, 10.0])
@@ -212,19 +177,6 @@ def test_each_value_counts_by_the_farthest_bin_behind_it(memory_s: float, wild: 
         assert valid == (far <= 1.0)
         outside += far > 1.0
     assert sum(one.span_s for one in reasons.values()) == pytest.approx(0.01 * outside)
-
-
-def test_of_several_conditions_the_farthest_is_named() -> None:
-    tilt = Covered(Condition.TILT, 0.0, 0.2)
-    nose = np.zeros((1200, 3))
-    nose[:, 0] = 0.8  # e = 6 from 5 s on
-    nose[:, 2] = 0.01 * np.arange(1200) * 0.7  # e = 1.5
-    flight = rows_of(example_rows(1200, 0.01, setpoint=nose, rate=np.tile([1.0, 0.0, 0.7], (1200, 1))).block)
-    _, outside = ones_judged([tilt, YAW], flight, Ones({Condition.TILT, Condition.YAW_RATE}, 1.0))
-    assert {condition: one.excess for condition, one in outside.items()} == pytest.approx(
-        {Condition.YAW_RATE: 1.5, Condition.TILT: 6.0}
-    )
-    assert tilt.sentence(outside[Condition.TILT].value) == "tilt 0.8 rad, learnt up to 0.2"
 
 
 @cache
@@ -272,13 +224,6 @@ def test_a_damaged_rotor_inside_the_envelope_is_found_and_named(rotor: int) -> N
     assert found.verdict is Verdict.FAULT
     assert f"rotor {rotor}" in found.reason
     assert {one.outside_s for one in found.monitors} == {0.0}
-
-
-def test_a_damaged_rotor_is_found_before_the_turn_though_nothing_is_judged_in_it() -> None:
-    found = flight(75, 1.8, weak_rotor=2)
-    assert found.verdict is Verdict.FAULT
-    assert "rotor 2" in found.reason
-    assert min(one.t_s for one in found.events) < TURN_S
 
 
 def test_a_link_that_carries_no_heading_and_no_height_is_judged_all_the_same() -> None:

@@ -8,12 +8,9 @@ import pytest
 from flying_telemetry import START_NS, flying
 from made_baselines import ALWAYS, FRAME, NOW, healthy
 
-from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import InputError
 from mavdiag.learning import LearnOptions, airborne, front_for, learn
-from mavdiag.learning.guards import Kind, far_blocks, trim_groups, upsets
-from mavdiag.learning.repeats import repeated
-from mavdiag.learning.teaching import taught
+from mavdiag.learning.teaching import far_blocks, repeated, taught, upsets
 from mavdiag.logs.part import between
 from mavdiag.rows.align import Grid
 from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
@@ -87,16 +84,6 @@ def test_a_log_that_ends_in_a_fall_is_refused_with_place_and_remedy(
     assert "left out   flight0" in str(baseline)
 
 
-def test_an_upset_in_the_middle_is_cut_out_and_the_rest_is_learnt() -> None:
-    crash = changed(healthy(1, 6000)[0], Signal.BODY_RATE, 20.0, 22.0, tumbling)
-    (found,) = upsets([airborne(front_for([crash], 0.1, ALWAYS), crash)])
-    assert "has an upset in it" in found.text
-    assert found.from_s == pytest.approx(18.8, abs=0.5)
-    assert found.to_s == pytest.approx(25.2, abs=0.5)
-    assert "cut 1" in found.remedy
-    assert learn([crash, *healthy(2)], ROBUST, created=NOW).provenance.logs[0].judged_s == pytest.approx(51, abs=3)
-
-
 def test_the_spike_of_a_landing_is_no_crash() -> None:
     """8 to 11 rad/s for some tens of milliseconds at touch-down (METHOD section 5)."""
     landed = changed(healthy(1)[0], Signal.BODY_RATE, 29.85, 29.95, lambda rate: rate + 11.0)
@@ -116,7 +103,7 @@ def test_a_flight_that_counts_twice_is_refused(again: str) -> None:
     if again == "part":
         copy = replace(copy, telemetry=between(copy.telemetry, 15.0, None))
     (found,) = repeated([*flights, copy])
-    assert (found.number, found.log, found.kind) == (2, "copy", Kind.REPEATED)
+    assert (found.number, found.log) == (2, "copy")
     says = {
         "file": "the same file as flight0",
         "content": "the same flight as flight0",
@@ -188,14 +175,6 @@ def test_one_odd_flight_or_a_small_distance_is_noted(other: int, rise: float) ->
     assert len(found.provenance.logs) == 3 + other
     assert "two groups" in found.provenance.notes[0]
     assert "note       odd0" in str(found)
-
-
-def test_flights_of_one_vehicle_make_no_groups() -> None:
-    flights = healthy(6)
-    front = front_for(flights, 0.1, ALWAYS)
-    rows = [airborne(front, one) for one in flights]
-    assert trim_groups(rows, layout_named("x")) == ()
-    assert trim_groups(rows, None) == ()
 
 
 def slower(log: Log, factor: float, jitter: bool) -> Log:

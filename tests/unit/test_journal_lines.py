@@ -24,7 +24,7 @@ WHEN = When(NOW, 1, 62_500_000_000)
 FOUND: dict[str, Any] = {"monitor": "fsd", "axis": Axis.ROLL, "statistic": 0.41, "threshold": 0.12}
 FOUND |= dict.fromkeys(("rotor", "fault_type", "severity", "confidence"))
 EVENT = Event(start_ns=60_000_000_000, end_ns=62_000_000_000, level=0.05, **FOUND)
-CHANGE = Change(60_000_000_000, Stage.SUSPECTED, "fsd is above its threshold", unit="s", **FOUND)
+CHANGE = Change(Stage.SUSPECTED, "fsd is above its threshold", unit="s", t_ns=60_000_000_000, **FOUND)
 CONTRACT = {"t_s", "end_s", "fsd_s", "fml_s", *FOUND}
 
 

@@ -19,10 +19,9 @@ from made_baselines import FRAME, NOW, healthy
 
 from mavdiag.baseline import Baseline, dump
 from mavdiag.errors import UsageError
-from mavdiag.learning import LearnOptions, airborne, front_for, learn
+from mavdiag.learning import LearnOptions, learn
 from mavdiag.learning import flights as flights_module
-from mavdiag.learning.extend import extend
-from mavdiag.rows.block import COLUMNS
+from mavdiag.learning.learn import extend
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Log
 
@@ -86,21 +85,6 @@ def test_what_robust_teaching_leaves_out_is_left_out_on_disk_too() -> None:
     assert len(found.provenance.left_out) == 2
 
 
-def test_rows_on_disk_are_the_rows() -> None:
-    log = Log("f", "", "px4", without(flying(2000, 3), (5.0, 8.0)))
-    front = front_for([log], 0.1)
-    with Shelf(0) as shelf:
-        expected, found = airborne(front, log), airborne(front, log, shelf)
-        assert found.judged_s == expected.judged_s
-        for one, other in zip(found.rows, expected.rows, strict=True):
-            for name in COLUMNS:
-                np.testing.assert_array_equal(getattr(one.block, name), getattr(other.block, name))
-            np.testing.assert_array_equal(one.rates.u, other.rates.u)
-            assert (one.block.segment, one.rates.dt_s) == (other.block.segment, other.rates.dt_s)
-        turned = found.rows.by_rotor((2, 1, 3, 4))[0].block.actuator
-        np.testing.assert_array_equal(turned[:, :2], found.rows[0].block.actuator[:, 1::-1])
-
-
 def test_few_flights_are_in_memory_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     signals: list[weakref.ref[Any]] = []
     looks: dict[int, list[weakref.ref[Any]]] = {}
@@ -115,15 +99,15 @@ def test_few_flights_are_in_memory_at_a_time(monkeypatch: pytest.MonkeyPatch) ->
             del telemetry
             gc.collect()
 
-    def watched(self: Any, outputs: tuple[int, ...] | None) -> Any:
-        rows = make(self, outputs)
-        looks.setdefault(id(self), []).append(weakref.ref(rows.block.rate))
+    def watched(*told: Any) -> Any:
+        rows = make(*told)
+        looks.setdefault(id(told[-1]), []).append(weakref.ref(rows.block.rate))
         alive = [chunk for chunk, found in looks.items() if any(look() is not None for look in found)]
         most["rows"] = max(most["rows"], len(alive))
         return rows
 
-    make = flights_module._Chunk.rows
-    monkeypatch.setattr(flights_module._Chunk, "rows", watched)
+    make = flights_module._rows
+    monkeypatch.setattr(flights_module, "_rows", watched)
     without_models = tuple(name for name in OPTIONS.monitors if name not in ("fsd", "innovation"))  # these look ahead
     on_disk(lambda: learn(flights(), LearnOptions(airframe=FRAME, monitors=without_models), created=NOW))
     assert most["signals"] <= 2  # the one that is taken in, and the next

@@ -124,7 +124,7 @@ def test_several_logs_begin_with_a_table_that_leads_to_each_and_equal_values_giv
 
 def test_each_verdict_has_its_sentence_and_advice() -> None:
     change = Change(
-        2_000_000_000, Stage.FAULT, "", "unbalance", None, "", 2.0, 1.0, 3, 0.9, "F2", 2, FaultKind.PROPELLER
+        Stage.FAULT, "", 0, "unbalance", None, "", 2.0, 1.0, 3, 0.9, "F2", 2, FaultKind.PROPELLER, t_ns=2_000_000_000
     )
     plain = {verdict: LogVerdict("a", verdict, "because", 9.0, 10.0) for verdict in Verdict}
     blade = replace(plain[Verdict.FAULT], changes=(change,), kind=FaultKind.PROPELLER, since_s=2.0, rotor=3)
