@@ -9,16 +9,13 @@ from typing import TYPE_CHECKING, Any
 from mavdiag.decision.alarm import Event
 
 if TYPE_CHECKING:
-    from mavdiag.judging import LogVerdict, MonitorSummary
+    from mavdiag.judging import LogVerdict
 
 DIGITS = 9  # of a figure, where it is not given to its last bit
 
 
 def plain(value: Any, digits: int | None = None) -> Any:
-    """The value as JSON has it: dataclasses and mappings become objects, tuples lists, what is not finite null.
-
-    digits: that a number keeps; None for all.
-    """
+    """The value as JSON has it: dataclasses and mappings are objects. digits: that a number keeps; None for all."""
     if is_dataclass(value):
         return {field.name: plain(getattr(value, field.name), digits) for field in fields(value)}
     if isinstance(value, Mapping):
@@ -43,16 +40,16 @@ def number(value: float | None) -> float | None:
 
 def event_json(t_s: float, end_s: float | None, event: Event) -> dict[str, Any]:
     """An event. t_s, end_s: of the vehicle's clock [s]; fsd_s, fml_s: of the thesis's monitor, else null."""
+    figures = {"statistic": number(event.statistic), "threshold": number(event.threshold)}
     thesis = event.monitor == "fsd"
     return {
         "t_s": round(t_s, 6),
         "end_s": _rounded(end_s),
         "monitor": event.monitor,
         "axis": event.axis,
-        "statistic": number(event.statistic),
-        "threshold": number(event.threshold),
-        "fsd_s": number(event.statistic) if thesis else None,
-        "fml_s": number(event.threshold) if thesis else None,
+        **figures,
+        "fsd_s": figures["statistic"] if thesis else None,
+        "fml_s": figures["threshold"] if thesis else None,
         "rotor": event.rotor,
         "fault_type": event.fault_type,
         "severity": event.severity,
@@ -79,21 +76,20 @@ def verdict_json(verdict: "LogVerdict") -> dict[str, Any]:
         "flown_s": round(verdict.flown_s, 3),
         "profile": verdict.profile,
         "rate_hz": round(verdict.rate_hz, 3),
-        "monitors": {monitor.name: _monitor_json(monitor) for monitor in verdict.monitors},
+        "monitors": {
+            monitor.name: {
+                "max": number(monitor.maximum),
+                "threshold": number(monitor.threshold),
+                "unit": monitor.unit,
+                "alarms": monitor.alarms,
+                "judged_s": round(monitor.judged_s, 3),
+                "not_judged": monitor.not_judged,
+                "outside_s": round(monitor.outside_s, 3),
+                "axis": monitor.axis,
+            }
+            for monitor in verdict.monitors
+        },
         "events": [event_json(judged.t_s, judged.end_s, judged.event) for judged in verdict.events],
-    }
-
-
-def _monitor_json(monitor: "MonitorSummary") -> dict[str, Any]:
-    return {
-        "max": number(monitor.maximum),
-        "threshold": number(monitor.threshold),
-        "unit": monitor.unit,
-        "alarms": monitor.alarms,
-        "judged_s": round(monitor.judged_s, 3),
-        "not_judged": monitor.not_judged,
-        "outside_s": round(monitor.outside_s, 3),
-        "axis": monitor.axis,
     }
 
 

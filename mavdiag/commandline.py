@@ -22,10 +22,7 @@ INTERRUPTED = 130
 
 
 def application(summary: str, name: str | None = None, cls: type[TyperGroup] | None = None) -> typer.Typer:
-    """A command-line application in one style: plain help, no tracebacks, no shell-completion options.
-
-    name: of the program, where it is one and answers --version. cls: how its sub-commands are chosen.
-    """
+    """A command-line application in one style. name: of the program, where it is one and answers --version."""
     app = typer.Typer(
         help=summary,
         cls=cls,
@@ -82,13 +79,11 @@ def run(app: typer.Typer, name: str) -> NoReturn:
 
 @contextmanager
 def stop_signals() -> Iterator[Callable[[], bool]]:
-    """Let SIGINT, SIGTERM and SIGHUP ask for an end instead of ending the process at once; yields whether one came.
-
-    SIGHUP is left alone where it is ignored, as `nohup` has it.
-    """
+    """Let SIGINT, SIGTERM and SIGHUP ask for an end instead of ending the process at once; yields whether one came."""
     caught: list[int] = []
-    hung_up = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
-    numbers = (signal.SIGINT, signal.SIGTERM, *hung_up)
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as `nohup` has it
+        numbers.append(signal.SIGHUP)
     before = {number: signal.signal(number, lambda n, _: caught.append(n)) for number in numbers}
     try:
         yield lambda: bool(caught)

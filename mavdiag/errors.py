@@ -7,8 +7,7 @@
     ├── LinkError                the link: a port that is busy or gone, a peer that cannot be reached
     └── IdentificationError      the data cannot carry the model asked for: too short, not excited, unstable
 
-Every message is one line that says what to do. Anything else that escapes is a bug. The wire never raises:
-malformed bytes are counted and dropped.
+Every message is one line that says what to do. The wire never raises: malformed bytes are counted and dropped.
 """
 
 

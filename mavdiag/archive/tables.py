@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from mavdiag.archive.figures import Window, WindowMonitor
-from mavdiag.archive.job import Answer
+from mavdiag.archive.scan import Answer
 from mavdiag.decision.alarm import Stage
 from mavdiag.errors import missing_extra
 from mavdiag.judging import LogVerdict
@@ -94,16 +94,12 @@ def write_parquet(path: Path, rows: Sequence[Row]) -> None:
 
     Parquet has only text: of the name of a file that is no UTF-8 the bytes become escapes.
     """
-    check_parquet()
     import pyarrow
     from pyarrow.parquet import write_table
 
     def text(value: Value) -> Value:
-        return (
-            value.encode(errors="surrogateescape").decode(errors="backslashreplace")
-            if isinstance(value, str)
-            else value
-        )
+        raw = value.encode(errors="surrogateescape") if isinstance(value, str) else None
+        return value if raw is None else raw.decode(errors="backslashreplace")
 
     types = {str: pyarrow.string(), float: pyarrow.float64(), int: pyarrow.int64()}
     schema = pyarrow.schema([(name, types[kind]) for name, kind in COLUMNS.items()])

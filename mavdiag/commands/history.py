@@ -2,7 +2,6 @@
 
 import importlib
 import json
-import shutil
 import sys
 import time
 from contextlib import AbstractContextManager
@@ -14,16 +13,16 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from mavdiag.archive.figures import FlightRecord
-from mavdiag.archive.job import Answer, Options, Question
+from mavdiag.archive.job import Options, Question
+from mavdiag.archive.scan import Answer
 from mavdiag.archive.tables import write_csv
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say
 from mavdiag.commands import options as opt
-from mavdiag.commands.many import How, judging
+from mavdiag.commands.many import judging
 from mavdiag.errors import UsageError, missing_extra
 from mavdiag.history import show as shown
-from mavdiag.history.stretches import Mark, MarkKind
-from mavdiag.history.warn import Overview, overview_of
+from mavdiag.history.warn import Mark, MarkKind, Overview, overview_of
 from mavdiag.printable import printable
 from mavdiag.units import NS_PER_S
 
@@ -88,8 +87,9 @@ def add(
     name = reference.airframe.name if airframe is None else airframe
     if not name.strip():
         raise UsageError("the airframe needs a name; give --airframe NAME")
-    failed, found, how = 0, opt.find_logs(logs)[0].logs, How(jobs, scheduler, cache, no_cache or again)
-    with _open(database, create=True) as history, judging(found, question, how) as (answers, tell):
+    failed, found = 0, opt.find_logs(logs)[0].logs
+    how = judging(found, question, scheduler or jobs, cache, no_cache=no_cache or again)
+    with _open(database, create=True) as history, how as (answers, tell):
         for answer in answers:
             failed += answer.record.flight is None
             tell(f"{answer.path}: {_added(history, answer, name, again)}")
@@ -102,7 +102,7 @@ def list_flights(
 ) -> None:
     """List the flights that are kept, with the statistic that came nearest to its threshold."""
     with _open(database) as history:
-        kept = [history.flights(name) for name in _names(history, airframe)]
+        kept = [history.flights(name) for name in history.names(airframe)]
     numbered = [(number, record) for flights in kept for number, record in enumerate(flights, 1)]
     if csv_file is not None:
         rows = (row for number, record in numbered for row in shown.flight_rows(number, record))
@@ -120,7 +120,7 @@ def show(
     Exit code 1 if a statistic reaches its threshold soon, or the last flight is a fault; else 0.
     """
     with _open(database) as history:
-        names = _names(history, airframe)
+        names = history.names(airframe)
         found = [overview_of(name, history.flights(name), history.marks(name)) for name in names]
     if csv_file is not None:
         write_csv(csv_file, (row for overview in found for row in shown.trend_rows(overview)), shown.TREND_COLUMNS)
@@ -128,7 +128,7 @@ def show(
         if as_json:
             say(json.dumps(shown.overview_json(overview)))
         else:
-            _print_lines(overview)
+            _print(overview)
     raise typer.Exit(1 if any(overview.warned or overview.faulty for overview in found) else 0)
 
 
@@ -177,15 +177,6 @@ def _open(database: str, *, create: bool = False, write: bool = False) -> "Abstr
     return opened
 
 
-def _names(history: "History", airframe: str | None) -> tuple[str, ...]:
-    names = history.airframes()
-    if airframe is None:
-        return names
-    if airframe not in names:
-        raise UsageError(f"no airframe {airframe!r} in the history; there is {', '.join(names) or 'none yet'}")
-    return (airframe,)
-
-
 def _time(text: str) -> int:
     try:
         at = datetime.fromisoformat(text)
@@ -204,9 +195,14 @@ def _flight_line(number: int, record: FlightRecord) -> str:
     return f"{told}, {record.log}"
 
 
-def _print_lines(overview: Overview) -> None:
+def _print(overview: Overview) -> None:
     """Drawn on a terminal, in its width; plain lines elsewhere."""
-    drawn = sys.stdout.isatty()
-    for text, loud in shown.lines_of(overview, shutil.get_terminal_size().columns if drawn else None):
-        line = printable(text)
-        typer.echo(typer.style(line, fg=typer.colors.RED, bold=True) if loud and drawn else line)
+    if not sys.stdout.isatty():
+        return say("\n".join(line.text for line in shown.lines_of(overview)))
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(highlight=False)
+    for text, loud in shown.lines_of(overview, console.width):
+        console.print(Text(printable(text), style="bold red" if loud else ""))
+    return None

@@ -110,10 +110,7 @@ def make_baseline(
     to_s: float | None = None,
     columns: Path | None = None,
 ) -> Baseline:
-    """A baseline from log files, stamped with the time of now. Raises InputError or IdentificationError.
-
-    logs: files, folders with all logs below them, patterns. columns: column map, where they are CSV recordings.
-    """
+    """A baseline from log files, folders and patterns, stamped with the time of now. columns: map of CSV recordings."""
     found, mapped = opt.find_logs(logs, columns)
     paths = found.paths()
     flights = (read_part(path, vehicle, from_s, to_s, mapped) for path in each(paths, "read", sizes_of(paths)))

@@ -8,13 +8,14 @@ from typing import Annotated
 import typer
 
 from mavdiag.archive.figures import Window
-from mavdiag.archive.job import Answer, Options, Question
+from mavdiag.archive.job import Options, Question
+from mavdiag.archive.scan import Answer
 from mavdiag.archive.tables import Row, check_parquet, rows_of, write_csv, write_parquet
 from mavdiag.as_json import number, verdict_json
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands import options as opt
-from mavdiag.commands.many import How, judging
+from mavdiag.commands.many import judging
 from mavdiag.judging import JUDGED_SHARE, Verdict, exit_code
 from mavdiag.logs.part import check_times
 from mavdiag.storage import check_output
@@ -59,7 +60,8 @@ def scan(
     found, mapped = opt.find_logs(logs, columns)
     question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped, judged_share))
     verdicts, rows, before = list[Verdict](), list[Row](), 0
-    with judging(found.logs, question, How(jobs, scheduler, cache, no_cache), quiet=as_json) as (answers, tell):
+    how = judging(found.logs, question, scheduler or jobs, cache, no_cache=no_cache, quiet=as_json)
+    with how as (answers, tell):
         for answer in answers:
             tell(_json_line(answer) if as_json else _lines(answer))
             verdicts.append(answer.record.verdict.verdict)

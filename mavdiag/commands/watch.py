@@ -11,6 +11,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.commandline import stop_signals
 from mavdiag.commands import options as opt
 from mavdiag.errors import UsageError
+from mavdiag.link.keys import read_key
 from mavdiag.link.ports import open_endpoint
 from mavdiag.link.signing import Signing, stamp_at
 from mavdiag.telemetry import Axis
@@ -55,7 +56,10 @@ def watch(
                 raise UsageError("--baseline and --signing-key are for a link; a journal has its verdicts")
             with closing(watching.Journal(Path(source))) as journal:
                 return watching.follow(journal, vehicle, ended)
-        judged_by, key = None if baseline is None else Baseline.load(baseline), opt.read_signing_key(signing_key)
+        judged_by, key = (
+            None if baseline is None else Baseline.load(baseline),
+            None if signing_key is None else read_key(signing_key),
+        )
 
         def signing() -> Signing | None:
             return None if key is None else Signing(key, stamp=stamp_at(time.time_ns()))

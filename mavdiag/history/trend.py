@@ -1,10 +1,9 @@
 """Where a statistic is heading from flight to flight, when it would reach its threshold, and where it jumped. Pure.
 
-A series holds the share z = peak/threshold of each flight; 1 is the threshold. Flights of one session (a battery, a
-day, a place) share an error, so they become one value y, their median, at their mean flight number x. With c flights
-and errors within and between sessions of like size, its variance is
+A series holds the share z = peak/threshold of each flight. The c flights of a session share an error, so they become
+one value y, their median, at their mean flight number x, with
 
-    var(y) = s^2 (1 + 1/c)/2                                        (the like size is our choice; measured: 0.5 to 3)
+    var(y) = s^2 (1 + 1/c)/2                    (errors within and between sessions of like size; measured: 0.5 to 3)
 
 The present level a and the growth b of a flight are a line, fitted by weighted least squares with older sessions
 discounted, x_n the newest flight, and Huber's weights h against single odd sessions (Huber, Robust Statistics, 1981,
@@ -19,19 +18,15 @@ a trend hardly touches. The flights that remain until the line reaches 1 are R =
 
     (1 - a - b R)^2 <= q^2 (Vaa + 2 R Vab + R^2 Vbb)
 
-**Change points.** At each border k between sessions a step d is tested in a line over the sessions of at most 30
-flights on either side, least squares with the weights of `Sessions`:
+**Change points.** At each border k between sessions a step d is tested in a line over the sessions of at most WINDOW
+flights on either side, least squares with the weights of `Sessions`; se(d) is from the scatter of neighbours' steps:
 
     [ y ] ~ [ 1  x - x_k  (x > x_k) ] (a, b, d)',    t_k = d / se(d)
 
-se(d) uses the scatter of steps between neighbouring sessions over the whole stretch, which neither a trend nor a few
-jumps raise. y is held within 3 of these scales of the running median of five sessions, so that one odd session is no
-jump. The border with the largest |t_k| is a change point if it is above LIMIT and the step larger than 0.05 of the
-threshold; its windows then end there, and the search goes on, until there is none left.
-
-**Its price**: LIMIT is for at most one false change point in a hundred series of 200 healthy flights;
-`benchmarks/history_wear.py` counts them. A jump shows only when three sessions after it are there, and if it is larger
-than about four scales; a wear that bends sharply within 30 flights may look like one.
+y is held within ODD scales of the running median of five sessions, so that one odd session is no jump. The border with
+the largest |t_k| is a change point if it is above LIMIT and the step larger than LEAST_STEP; its windows then end
+there, and the search goes on. **Its price**: at most one false change point in a hundred series of 200 healthy flights
+(`benchmarks/history_wear.py`); a jump shows only when three sessions after it are there.
 """
 
 import math
@@ -85,9 +80,8 @@ class Remaining:
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """The line at the newest flight.
+    """The line at the newest flight: share of the threshold now, its growth a flight, and variances of both.
 
-    level: share of the threshold now. slope: its growth a flight. level_variance, covariance, slope_variance: of both.
     scale: standard deviation of a session of one flight. sessions: that it rests on.
     """
 
@@ -119,7 +113,7 @@ class Trend:
             return Remaining(estimate, 0.0, math.inf)
         first = (linear - math.sqrt(root)) / square if square else constant / (2 * linear)
         second = (linear + math.sqrt(root)) / square if square > 0 else math.inf
-        return Remaining(estimate, max(first, 0.0), max(second, 0.0))
+        return Remaining(estimate, min(max(first, 0.0), estimate), max(second, estimate))
 
 
 def sessions_of(number: Sequence[int] | IntArray, session: Sequence[int] | IntArray, share: FloatArray) -> Sessions:
