@@ -80,10 +80,11 @@ def run_all(
             if result is not None or workers == 1:
                 yield task, _done(function(task) if result is None else result)
                 continue
-            if executor is None:
+            if executor is not None:
+                yield from ended(executor.in_flight - 1)
+            if executor is None:  # not yet, or it broke
                 opened = dask_executor(workers) if isinstance(workers, str) else local_executor(workers)
                 executor = stack.enter_context(opened)
-            yield from ended(executor.in_flight - 1)
             running[_submitted(executor, function, task)] = task
         yield from ended(0)
 

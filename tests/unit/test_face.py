@@ -110,14 +110,6 @@ def test_five_lines_from_healthy_flights_to_a_verdict(tmp_path: Path) -> None:
     assert verdict.events[0].event.rotor == 3
 
 
-def test_the_events_of_a_verdict_are_a_table() -> None:
-    pytest.importorskip("pandas", reason="it is no requirement")
-    verdict = md.judge(md.Log("weak", "", "px4", flying(3000, 5, weak_rotor=3, rise=0.2)), whole())
-    frame = verdict.to_frame()
-    assert len(frame) == len(verdict.events) > 0
-    assert list(frame.columns)[:3] == ["t_s", "end_s", "monitor"]
-
-
 def test_a_watch_gives_what_the_verdict_on_the_log_gives() -> None:
     telemetry = flying(3000, 5, weak_rotor=3, rise=0.2)
     watch, news = md.Watch(whole()), list[Change | Event]()
