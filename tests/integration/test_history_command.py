@@ -165,13 +165,6 @@ def test_what_cannot_be_is_said_in_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_sqlalchemy_the_extra_is_named(mavdiag: Any, wearing: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "mavdiag.history.store", None)
-    code, _, err = mavdiag("history", "--database", wearing)
-    assert (code, err.count("\n")) == (2, 1)
-    assert "pip install 'mavdiag[history]'" in err
-
-
 def test_the_commands_start_without_a_database_library() -> None:
     code = "import mavdiag.cli, sys; print(*{'sqlalchemy', 'psycopg'} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == ""

@@ -60,16 +60,6 @@ def test_what_names_no_log_is_trouble_and_an_error_where_all_are_needed(tmp_path
         logs_named([tmp_path / argument]).paths()
 
 
-def test_links_that_go_round_end_and_a_linked_folder_is_taken_once(tmp_path: Path) -> None:
-    tree(tmp_path, "a/1.tlog", "a/b/2.tlog")
-    (tmp_path / "a" / "b" / "up").symlink_to(tmp_path / "a")
-    (tmp_path / "a" / "copy.tlog").symlink_to(tmp_path / "a" / "1.tlog")
-    (tmp_path / "a" / "gone.tlog").symlink_to(tmp_path / "absent")
-    (tmp_path / "again").symlink_to(tmp_path / "a")
-    assert below(tmp_path, ".") == ["a/1.tlog", "a/b/2.tlog", "a/copy.tlog"]
-    assert logs_named([tmp_path]).skipped == 1
-
-
 def test_a_folder_that_cannot_be_read_is_trouble_and_loses_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -82,6 +82,10 @@ def test_the_folder_is_that_of_the_xdg_specification(tmp_path: Path, monkeypatch
     open_cache(None, "scope")
     assert (tmp_path / "home" / ".cache" / "mavdiag" / "scan" / "scope").is_dir()
     (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    warned: list[str] = []
+    assert open_cache(None, "scope", warned.append).get(DIGEST) is None
+    assert warned[0].startswith("answers are not kept: ")
     with pytest.raises(UsageError, match=r"file: no folder to keep answers in .*--no-cache"):
         open_cache(tmp_path / "file", "scope")
 

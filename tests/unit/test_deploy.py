@@ -1,14 +1,11 @@
 """The files that a service or a container is made from, as far as they can be checked without installing them."""
 
-import importlib.util
 import json
 import re
 import shutil
 import subprocess
-import sys
 from configparser import RawConfigParser
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -98,23 +95,3 @@ def test_the_variables_named_there_are_settings(path: Path) -> None:
     named = {name.lower() for name in set_there(path.read_text())}
     assert named
     assert named <= {*Settings.model_fields, "config"}
-
-
-@pytest.fixture
-def check_wheels() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("check_wheels", ROOT / "deploy" / "check_wheels.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules["check_wheels"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.mark.realtime
-def test_debian_on_arm64_needs_no_compiler(check_wheels: ModuleType) -> None:
-    found = check_wheels.resolve("arm64", "3.11")
-    if found.offline:
-        pytest.skip("the package index cannot be reached")
-    assert found.problem == ""
-    assert any(wheel.startswith("scipy-") and "aarch64" in wheel for wheel in found.wheels)
-    assert all(wheel.endswith(".whl") for wheel in found.wheels)

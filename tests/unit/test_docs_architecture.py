@@ -77,11 +77,6 @@ def test_what_shows_how_to_add_a_thing_is_there(cell: str) -> None:
         assert re.search(rf"^(def|class|from \w+ import) {name}\b", text, re.MULTILINE), f"{path}: {name}"
 
 
-def test_the_tests_named_are_there() -> None:
-    for path in re.findall(r"`(tests/[a-z_/]+\.py)`", PAGE):
-        assert (ROOT / path).is_file(), path
-
-
 @contextmanager
 def calls() -> Iterator[list[str]]:
     """Modules of the steps that are called: the streaming steps of the drawing, and the parts of the decision."""

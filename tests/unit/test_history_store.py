@@ -122,18 +122,6 @@ def test_a_reader_needs_no_rights_to_write(tmp_path: Path) -> None:
     assert path.stat().st_mtime_ns == before
 
 
-def test_a_row_that_does_not_fit_is_an_error_of_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "h.sqlite"
-    with open_history(str(path), create=True) as history:
-        history.add(record(1))
-    with sqlite3.connect(path) as connection:
-        connection.execute("UPDATE mavdiag_flight SET verdict = 'fine'")
-    connection.close()
-    with pytest.raises(UsageError, match="validation error") as caught, open_history(str(path)) as history:
-        history.flights("one")
-    assert "\n" not in str(caught.value)
-
-
 @pytest.mark.parametrize(
     "database", ["postgresql://me:secret@127.0.0.1:1/fleet", "postgresql://me:secret@127.0.0.1:port/fleet"]
 )

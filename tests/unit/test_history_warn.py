@@ -43,15 +43,6 @@ def test_wear_is_warned_of_5_to_40_flights_before_its_threshold(power: float, se
     assert 5 <= 150 - found <= 40
 
 
-def test_a_jump_half_way_is_a_change_point_and_no_warning() -> None:
-    rng = np.random.default_rng(7)
-    share = series(0.3 + 0.03 * rng.standard_normal(120) + 0.35 * (np.arange(120) >= 60), a_session=1)
-    found = review(share)
-    assert found.warned_at is None
-    assert found.outlook is Outlook.GROWN
-    assert [abs(one.number - 61) <= 1 for one in found.changes] == [True]
-
-
 def test_a_warning_stands_while_the_level_does_and_ends_when_it_falls_back() -> None:
     slow = np.concatenate((worn(150, 1.0, 1)[:140], np.full(10, 0.93)))
     found = review(series(slow))
@@ -60,15 +51,6 @@ def test_a_warning_stands_while_the_level_does_and_ends_when_it_falls_back() -> 
     assert found.warned_at < 140
     assert review(series(np.concatenate((slow, np.full(60, 0.4))))).outlook is Outlook.STEADY
     assert review(series(np.concatenate((slow, np.full(40, 1.1))))).outlook is Outlook.REACHED
-
-
-def test_what_was_warned_of_does_not_depend_on_later_flights() -> None:
-    share = worn(150, 1.5, 3)
-    found = warned_at(series(share))
-    assert found is not None
-    assert warned_at(series(share[:found])) == found
-    assert warned_at(series(share[: found - 1])) is None
-    assert warned_at(series(share), before=found) is None
 
 
 def test_marks_and_other_baselines_begin_a_stretch() -> None:

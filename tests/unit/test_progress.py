@@ -2,11 +2,10 @@
 
 import io
 import sys
-from typing import Any
 
 import pytest
 
-from mavdiag.commands.progress import SLOW_S, each, shown, working
+from mavdiag.commands.progress import shown
 
 ERASED = "\x1b[1A\x1b[2K"  # up to the line of the bar, and away with it
 
@@ -64,31 +63,3 @@ def test_a_bar_on_a_terminal_is_one_line_makes_room_and_goes_away(
     assert "1 of 3, 0.2 a second, 0:00:25 left" in after
     assert after.count("\n") == 1  # before it is erased
     assert after.endswith(ERASED)
-
-
-def test_one_item_needs_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = on_terminal(monkeypatch)
-    assert list(each([1], "read")) == [1]
-    with shown("judged", [1.0]) as progress:
-        progress.add(1.0)
-    assert terminal.getvalue() == ""
-    assert list(each([1, 2], "read", [5.0, 6.0])) == [1, 2]
-    assert terminal.getvalue() != ""
-
-
-@pytest.mark.parametrize("slow", [True, False])
-def test_what_takes_long_is_told_where_no_terminal_is(
-    slow: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    class Timer:
-        """One that is over at once, or never."""
-
-        def __init__(self, after_s: float, act: Any, args: Any, kwargs: Any) -> None:
-            assert after_s == SLOW_S
-            self.start = (lambda: act(*args, **kwargs)) if slow else (lambda: None)
-            self.cancel = self.join = lambda: None
-
-    monkeypatch.setattr("mavdiag.commands.progress.Timer", Timer)
-    with working("compiling ..."):
-        pass
-    assert capsys.readouterr() == ("", "compiling ...\n" if slow else "")

@@ -41,14 +41,6 @@ def test_a_file_is_replaced_whole_and_nothing_is_left_beside_it(tmp_path: Path) 
     assert [one.name for one in tmp_path.iterdir()] == ["b.json"]
 
 
-def test_what_is_no_text_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "b").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="not UTF-8"):
-        read_text(tmp_path / "b")
-    with pytest.raises(InputError, match="no such file"):
-        read_text(tmp_path / "absent")
-
-
 @pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
 def test_a_new_file_has_the_users_mode_and_one_that_is_replaced_keeps_its_own(
     tmp_path: Path, umask: int, mode: int

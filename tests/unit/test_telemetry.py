@@ -27,10 +27,3 @@ def test_a_series_by_its_name(name: str) -> None:
 def test_what_is_not_there_says_what_is(name: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         LOG[name]
-
-
-def test_values_print_in_one_short_line() -> None:
-    assert repr(RATE) == "<Series body_rate: 2 x 3 [rad/s] in 0.500 s>"
-    assert repr(LOG.telemetry) == "<Telemetry: body_rate (2), actuator (2)>"
-    assert repr(LOG) == "<Log flight.bin: profile ardupilot-log, 2 signals>"
-    assert repr(Telemetry()) == "<Telemetry: empty>"
