@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
 from mavdiag.decision.alarm import Event
+from mavdiag.units import NS_PER_S
 
 if TYPE_CHECKING:
     from mavdiag.judging import LogVerdict
@@ -67,8 +68,8 @@ def verdict_json(verdict: "LogVerdict") -> dict[str, Any]:
         "since_s": _rounded(verdict.since_s),
         "rotor": verdict.rotor,
         "rotors": [
-            {"rotor": named.rotor, "since_s": round(named.since_s, 6), "end_s": _rounded(named.end_s)}
-            for named in verdict.rotors
+            {"rotor": span.rotor, "since_s": _seconds(span.since_ns), "end_s": _seconds(span.end_ns)}
+            for span in verdict.rotors
         ],
         "reason": verdict.reason,
         "notes": list(verdict.notes),
@@ -95,3 +96,7 @@ def verdict_json(verdict: "LogVerdict") -> dict[str, Any]:
 
 def _rounded(t_s: float | None) -> float | None:
     return None if t_s is None else round(t_s, 6)
+
+
+def _seconds(t_ns: int | None) -> float | None:
+    return None if t_ns is None else round(t_ns / NS_PER_S, 6)

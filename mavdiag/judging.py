@@ -10,7 +10,7 @@ from mavdiag.airframe.fingerprint import Likeness, Outcome, compare
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput, ChainState, chain_of
-from mavdiag.decision.diagnosis import Change, Event, Stage
+from mavdiag.decision.diagnosis import Change, Event, RotorSpan, Stage
 from mavdiag.decision.words import fault_reason
 from mavdiag.errors import InputError
 from mavdiag.kernel import Account, Piece, Stretch
@@ -78,15 +78,6 @@ class JudgedEvent:
 
 
 @dataclass(frozen=True, slots=True)
-class NamedRotor:
-    """A rotor that was named, from 1, and the span of it [s of the vehicle's clock]; end_s None if it lasted."""
-
-    rotor: int
-    since_s: float
-    end_s: float | None
-
-
-@dataclass(frozen=True, slots=True)
 class LogVerdict:
     """The verdict on one log.
 
@@ -112,7 +103,7 @@ class LogVerdict:
     kind: FaultKind | None = None
     since_s: float | None = None
     rotor: int | None = None
-    rotors: tuple[NamedRotor, ...] = ()
+    rotors: tuple[RotorSpan, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.log}: {self.verdict.value}, {self.reason}"
@@ -234,8 +225,7 @@ class _Run:
         verdict, reason = self._answer()
         if kind is None and verdict is Verdict.FAULT and self.upset is not None:
             kind, since = FaultKind.LOSS_OF_CONTROL, self.upset.begin_s
-        spans = self.changes[-1].rotors if self.changes else ()
-        rotors = tuple(NamedRotor(span.rotor, span.since_ns / NS_PER_S, _seconds(span.end_ns)) for span in spans)
+        rotors = self.changes[-1].rotors if self.changes else ()
         return LogVerdict(
             self.log.name,
             verdict,

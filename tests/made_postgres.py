@@ -30,9 +30,10 @@ def postgres() -> Iterator[str]:
     if user is not None:
         os.chown(home, user, -1)
     try:
-        made = [programs[-1] / "initdb", "-D", home / "data", "-U", "owner", "-A", "trust", "-N", "-E", "UTF8"]
+        made = [str(programs[-1] / "initdb"), "-D", str(home / "data"), *"-U owner -A trust -N -E UTF8".split()]
         subprocess.run([*made, "--locale=C"], user=user, cwd=home, check=True, capture_output=True, timeout=120)
-        run = [programs[-1] / "postgres", "-D", home / "data", "-c", "listen_addresses=", "-c", "fsync=off", "-k", home]
+        run: list[str | Path] = [programs[-1] / "postgres", "-D", home / "data", "-k", home]
+        run += ["-c", "listen_addresses=", "-c", "fsync=off"]
         quiet = subprocess.DEVNULL
         server = subprocess.Popen(run, user=user, cwd=home, stdout=quiet, stderr=quiet)
         try:

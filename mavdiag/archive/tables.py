@@ -14,6 +14,7 @@ from mavdiag.errors import missing_extra
 from mavdiag.judging import LogVerdict
 from mavdiag.monitors import MONITORS
 from mavdiag.storage import write_atomically
+from mavdiag.units import NS_PER_S
 
 Value: TypeAlias = str | float | int | None
 Row: TypeAlias = Mapping[str, Value]  # by the names of columns; what is not known may be left out
@@ -34,8 +35,11 @@ def rows_of(answer: Answer) -> Iterator[Row]:
     """The rows of a log, by COLUMNS: one for each of its windows, or one where it has none."""
     verdict = answer.verdict
     faults = [change for change in verdict.changes if change.stage is Stage.FAULT and change.kind is verdict.kind]
-    ends = ("" if span.end_s is None else f" to {span.end_s:.1f} s" for span in verdict.rotors)
-    spans = (f"{span.rotor} from {span.since_s:.1f} s{end}" for span, end in zip(verdict.rotors, ends, strict=True))
+    spans = [
+        f"{span.rotor} from {span.since_ns / NS_PER_S:.1f} s"
+        + ("" if span.end_ns is None else f" to {span.end_ns / NS_PER_S:.1f} s")
+        for span in verdict.rotors
+    ]
     of_log = {
         "log": verdict.log,
         "sha256": answer.record.digest or None,

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
+from typer import Argument, Option
 
 from mavdiag.archive.figures import FlightRecord
 from mavdiag.archive.job import Options, Question
@@ -19,7 +20,7 @@ from mavdiag.archive.tables import write_csv
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say
 from mavdiag.commands import options as opt
-from mavdiag.commands.many import judging
+from mavdiag.commands.scan import judging
 from mavdiag.errors import UsageError, missing_extra
 from mavdiag.history import show as shown
 from mavdiag.history.warn import Mark, MarkKind, Overview, overview_of
@@ -31,11 +32,9 @@ if TYPE_CHECKING:
 
 FILE = "mavdiag-history.sqlite"
 
-Database: TypeAlias = Annotated[
-    str, typer.Option(metavar="FILE|URL", help="SQLite file, or postgresql://user@host/name for a fleet.")
-]
-AirframeName: TypeAlias = Annotated[str | None, typer.Option("--airframe", metavar="NAME", help="Only this airframe.")]
-CsvFile: TypeAlias = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write a table, too.")]
+Database: TypeAlias = Annotated[str, Option(metavar="FILE|URL", help="SQLite, or postgresql://user@host/name.")]
+AirframeName: TypeAlias = Annotated[str | None, Option("--airframe", metavar="NAME", help="Only this airframe.")]
+CsvFile: TypeAlias = Annotated[Path | None, Option("--csv", metavar="FILE", help="Write a table, too.")]
 
 app = application("Keep the judged flights of airframes, draw their trends, warn before a threshold is reached.")
 
@@ -61,18 +60,13 @@ def overview(
 
 @app.command()
 def add(
-    logs: Annotated[list[Path], typer.Argument(help="Logs to judge and to keep, folders of them, or patterns.")],
+    logs: Annotated[list[Path], Argument(help="Logs to judge and to keep, folders of them, or patterns.")],
     baseline: opt.BaselineFile,
-    airframe: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Whose flights they are; else the baseline's airframe.")
-    ] = None,
+    airframe: Annotated[str | None, Option(metavar="NAME", help="Whose they are; else the baseline's.")] = None,
     database: Database = FILE,
-    again: Annotated[bool, typer.Option("--again", help="Judge and replace flights that are there already.")] = False,
+    again: Annotated[bool, Option("--again", help="Judge and replace flights that are there already.")] = False,
     vehicle: opt.Vehicle = None,
-    at: Annotated[
-        str | None,
-        typer.Option(metavar="TIME", help="When logs without a clock were flown, ISO 8601.  [default: when added]"),
-    ] = None,
+    at: Annotated[str | None, Option(metavar="TIME", help="When logs without a clock were flown, ISO 8601.")] = None,
     jobs: opt.Jobs = None,
     scheduler: opt.Scheduler = None,
     cache: opt.CacheFolder = None,
@@ -134,13 +128,11 @@ def show(
 
 @app.command()
 def mark(
-    airframe: Annotated[str, typer.Option(metavar="NAME", help="Whose it is.")],
-    new_propellers: Annotated[bool, typer.Option("--new-propellers", help="The propellers are new.")] = False,
-    repair: Annotated[bool, typer.Option("--repair", help="Something else was repaired.")] = False,
-    at: Annotated[
-        str | None, typer.Option(metavar="TIME", help="When, ISO 8601 (UTC if it names no zone); else now.")
-    ] = None,
-    note: Annotated[str, typer.Option(metavar="TEXT", help="What else there is to say.")] = "",
+    airframe: Annotated[str, Option(metavar="NAME", help="Whose it is.")],
+    new_propellers: Annotated[bool, Option("--new-propellers", help="The propellers are new.")] = False,
+    repair: Annotated[bool, Option("--repair", help="Something else was repaired.")] = False,
+    at: Annotated[str | None, Option(metavar="TIME", help="When, ISO 8601 (UTC if without zone); else now.")] = None,
+    note: Annotated[str, Option(metavar="TEXT", help="What else there is to say.")] = "",
     database: Database = FILE,
 ) -> None:
     """Tell that an airframe was worked on: its trends begin anew there."""

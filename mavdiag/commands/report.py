@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from mavdiag.archive.paths import Named
 from mavdiag.baseline import Baseline
@@ -27,14 +27,10 @@ PAGE = Path("report.html")
 
 
 def report(
-    logs: Annotated[
-        list[Path] | None, typer.Argument(metavar="LOG|DIR", help="Logs to judge; folders; quoted patterns.")
-    ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.html", help="Page to write.")] = PAGE,
-    baseline: Annotated[Path | None, typer.Option(help="Baseline made by `mavdiag identify`.")] = None,
-    campaign: Annotated[
-        Path | None, typer.Option(metavar="FILE.jsonl", help="Results of `sitl-plant campaign`, instead of logs.")
-    ] = None,
+    logs: Annotated[list[Path] | None, Argument(metavar="LOG|DIR", help="Logs, folders, quoted patterns.")] = None,
+    output: Annotated[Path, Option("-o", "--output", metavar="FILE.html", help="Page to write.")] = PAGE,
+    baseline: Annotated[Path | None, Option(help="Baseline made by `mavdiag identify`.")] = None,
+    campaign: Annotated[Path | None, Option(metavar="FILE.jsonl", help="Results of `sitl-plant campaign`.")] = None,
     vehicle: opt.Vehicle = None,
     columns: opt.Columns = None,
 ) -> None:

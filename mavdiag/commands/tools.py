@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from mavdiag.airframe.balance import Grade, assess_unbalance, grade_named, unbalance_g_mm
 from mavdiag.as_json import json_line
@@ -15,11 +16,9 @@ from mavdiag.inspections import ask
 
 
 def ack(
-    journal: Annotated[Path, typer.Argument(metavar="JOURNAL", help="The journal of the detector.")],
-    vehicle: Annotated[
-        int | None, typer.Option(metavar="SYSID", help="Whose inspection.  [default: the only one that is open]")
-    ] = None,
-    by: Annotated[str | None, typer.Option(metavar="NAME", help="Who looked.  [default: the user]")] = None,
+    journal: Annotated[Path, Argument(metavar="JOURNAL", help="The journal of the detector.")],
+    vehicle: Annotated[int | None, Option(metavar="SYSID", help="Whose.  [default: the only open one]")] = None,
+    by: Annotated[str | None, Option(metavar="NAME", help="Who looked.  [default: the user]")] = None,
 ) -> None:
     """Acknowledge the inspection that a fault left open: the vehicle was looked at.
 
@@ -31,11 +30,11 @@ def ack(
 
 
 def balance(
-    mass_g: Annotated[float, typer.Option(metavar="G", help="Unbalanced mass, e.g. what a nick removed.")],
-    radius_mm: Annotated[float, typer.Option(metavar="MM", help="Its distance from the axis.")],
-    rpm: Annotated[float, typer.Option(metavar="RPM", help="Rotor speed.")] = 10_000.0,
-    rotor_mass_g: Annotated[float, typer.Option(metavar="G", help="Mass of all that rotates.")] = 30.0,
-    grade: Annotated[str, typer.Option(metavar="GRADE", help="Balance quality grade.")] = Grade.G6_3.value,
+    mass_g: Annotated[float, Option(metavar="G", help="Unbalanced mass, e.g. what a nick removed.")],
+    radius_mm: Annotated[float, Option(metavar="MM", help="Its distance from the axis.")],
+    rpm: Annotated[float, Option(metavar="RPM", help="Rotor speed.")] = 10_000.0,
+    rotor_mass_g: Annotated[float, Option(metavar="G", help="Mass of all that rotates.")] = 30.0,
+    grade: Annotated[str, Option(metavar="GRADE", help="Balance quality grade.")] = Grade.G6_3.value,
     as_json: AsJson = False,
 ) -> None:
     """Hold an unbalance against ISO 1940-1. Exit code 0 if it is permissible, else 1."""

@@ -10,14 +10,13 @@ the present level, b its growth a flight, r the level of the stretch's first fli
     q - r >= HALF (1 - r)                 and so is the median q of the last ten flights, in part.
 
 A warning stands until the level falls back below KEPT of the way. **Its price** (benchmarks/history_wear.py): less
-than 1 in 100 healthy airframes with scatter as recorded is warned of in 200 flights, over all their statistics. Wear that
-jumps over its last fifth comes without a warning, and wear that slows down is warned of early.
+than 1 in 100 healthy airframes is warned of in 200 flights. Wear that jumps over its last fifth comes without a
+warning, and wear that slows down is warned of early.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import pairwise
 
 import numpy as np
 
@@ -161,22 +160,17 @@ def stretches_of(flights: Sequence[FlightRecord], marks: Sequence[Mark]) -> tupl
 
     After a mark that is newer than all flights the last stretch has none yet.
     """
-
-    def done(after_ns: int, until_ns: int | None) -> str:
-        marked = (mark for mark in marks if mark.t_ns > after_ns and (until_ns is None or mark.t_ns <= until_ns))
-        return ", ".join(dict.fromkeys(mark.kind.value for mark in marked))
-
-    if not flights:
-        return ()
-    found: list[Stretch] = []
-    begin, why = 0, ""
-    for place, (before, after) in enumerate(pairwise(flights), 1):
-        if reason := done(before.t_ns, after.t_ns) or ("new baseline" if before.baseline != after.baseline else ""):
+    found, begin, why = list[Stretch](), 0, ""
+    for place, before in enumerate(flights, 1):
+        after = flights[place] if place < len(flights) else None
+        until_ns = np.inf if after is None else after.t_ns
+        marked = dict.fromkeys(mark.kind.value for mark in marks if before.t_ns < mark.t_ns <= until_ns)
+        other = after is not None and after.baseline != before.baseline
+        reason = ", ".join(marked) or ("new baseline" if other else "")
+        if reason or after is None:
             found.append(Stretch(begin + 1, why, tuple(flights[begin:place])))
             begin, why = place, reason
-    found.append(Stretch(begin + 1, why, tuple(flights[begin:])))
-    later = done(flights[-1].t_ns, None)
-    return (*found, Stretch(len(flights) + 1, later, ())) if later else tuple(found)
+    return (*found, Stretch(begin + 1, why, ())) if why else tuple(found)
 
 
 def series_of(stretch: Stretch) -> tuple[Series, ...]:
