@@ -30,7 +30,12 @@ def postgres() -> Iterator[str]:
     if user is not None:
         os.chown(home, user, -1)
     try:
-        made = [str(programs[-1] / "initdb"), "-D", str(home / "data"), *"-U owner -A trust -N -E UTF8".split()]
+        made = [
+            str(programs[-1] / "initdb"),
+            "-D",
+            str(home / "data"),
+            *["-U", "owner", "-A", "trust", "-N", "-E", "UTF8"],
+        ]
         subprocess.run([*made, "--locale=C"], user=user, cwd=home, check=True, capture_output=True, timeout=120)
         run: list[str | Path] = [programs[-1] / "postgres", "-D", home / "data", "-k", home]
         run += ["-c", "listen_addresses=", "-c", "fsync=off"]
