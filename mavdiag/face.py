@@ -57,9 +57,7 @@ def learn(
     """A baseline from healthy flights: logs, or files, folders and patterns like "healthy/*.tlog".
 
     airframe: a value, the name of one that is shipped, or a TOML file; None for what the flights themselves show.
-    name: what to call it, instead of the airframe's own name. vehicle: MAVLink system id, where files hold several.
-    created: time stamp to record, ISO 8601 UTC; the present time if None.
-    robust: leave out falls, copies and the like instead of refusing them.
+    created: time stamp to record, ISO 8601 UTC. robust: leave out falls, copies and the like instead of refusing them.
     Raises InputError, IdentificationError or UsageError, in one line that says what to do.
     """
     chosen = with_airframe(options or LearnOptions(), airframe, name)
@@ -79,7 +77,7 @@ def judge(
     """The verdict on one flight: a log or its path, by a baseline or its file.
 
     judged_share: of the flown time that must be judged before a flight is called healthy, 0..1.
-    Raises InputError or BaselineError if a file cannot be read. A log that cannot be judged is a verdict, with reason.
+    Raises InputError or BaselineError if a file cannot be read; a log that cannot be judged is a verdict, with reason.
     """
     log = flight if isinstance(flight, Log) else replace(read_log(flight, vehicle=vehicle), name=str(flight))
     return judging.judge(log, _loaded(baseline), judged_share)
@@ -121,10 +119,7 @@ def rates(flight: Source, axis: Axis | str, window_s: float = 0.1) -> FlightRate
 
 
 class Watch:
-    """A live flight judged by a baseline: the same chain as in the detector and in `judge`, without texts.
-
-    profile: name of the link profile of the telemetry; None if it is not known.
-    """
+    """A live flight judged by a baseline: the same chain as in the detector. profile: of the link, if it is known."""
 
     def __init__(self, baseline: Baseline | str | Path, profile: str | None = None) -> None:
         self._chain = chain_of(_loaded(baseline), time.time_ns(), profile)
@@ -135,8 +130,7 @@ class Watch:
     def step(self, telemetry: Telemetry) -> tuple[Event | Change, ...]:
         """Take what has arrived; return the monitors' alarms and the changes of the decision, in order of time.
 
-        The first two seconds are measured before anything is judged. Raises BaselineError if the telemetry has another
-        rate or profile than the baseline; the next call measures anew.
+        Raises BaselineError if the telemetry, after two seconds, has another rate or profile than the baseline.
         """
         self._state, self.output = self._chain.step(self._state, telemetry)
         if self._state.refused:

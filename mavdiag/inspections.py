@@ -24,9 +24,8 @@ WHOSE_BYTES = 200  # of a name, at most
 
 
 class Inspection(BaseModel, frozen=True, extra="forbid"):
-    """One of them. vehicle: system id. declared: when it was written first, ISO 8601 UTC.
+    """One of them; rotors that were named, in order, and the latest. declared: when it was written first, ISO 8601 UTC.
 
-    rotors: that were named, in order. rotor: the latest, None if it is not known.
     baseline, propellers: digest of what the vehicle was judged by, and the number of its propeller set.
     """
 
@@ -82,17 +81,14 @@ def ask(journal: Path, vehicle: int | None, whose: str) -> Inspection:
 
 
 class Inspections:
-    """Those of one detector, beside its journal (None keeps none). warn: takes a line about trouble.
-
-    Raises InputError if the file is damaged.
-    """
+    """Those of one detector, beside its journal (None keeps none). Raises InputError if the file is damaged."""
 
     def __init__(self, journal: Path | None, warn: Callable[[str], None]) -> None:
         self._journal, self._warn = journal, warn
         self._open = {} if journal is None else read_open(journal)
 
     def held(self, vehicle: int, propellers: int | None) -> Diagnosis:
-        """What is known of a vehicle from before. propellers: number of its present set, None if it is not known."""
+        """What is known of a vehicle from before. propellers: number of its present set, if it is known."""
         known = self._open.get(vehicle)
         if known is not None and propellers is not None and propellers > known.propellers:
             self.close(vehicle)

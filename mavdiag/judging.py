@@ -45,10 +45,8 @@ class Verdict(StrEnum):
 class MonitorSummary:
     """One monitor over the whole log, on the axis where it came nearest to its threshold.
 
-    maximum: highest judged statistic; None if it never judged. threshold, unit: of the statistic.
-    alarms: its events on all axes. decides: its alarm is a fault by itself.
-    not_judged: why it did not judge for the longest; None if it judged all the flight but its warm-up.
-    judged_s, outside_s: time that it judged, and flight time outside of the envelope [s].
+    maximum: highest judged statistic, or None. alarms: its events on all axes. decides: its alarm is a fault by itself.
+    not_judged: why it did not judge for the longest. judged_s, outside_s: time judged, and outside of the envelope [s].
     """
 
     name: str
@@ -79,14 +77,12 @@ class JudgedEvent:
 
 @dataclass(frozen=True, slots=True)
 class LogVerdict:
-    """The verdict on one log.
+    """The verdict on one log. rate_hz: of the gyro. changes: the decision's log.
 
-    flown_s: time in the air, without take-offs and landings; what nobody could judge, as without a gyro, is in it.
+    flown_s: in the air, without take-offs and landings; what nobody could judge, as without a gyro, is in it.
     judged_s: how much of it any monitor that decides about propellers judged.
-    rate_hz: of the gyro stream. changes: the decision's log.
     notes: what a reader must know of the log or the baseline, one sentence each; the reason has them, too.
-    kind: the gravest kind of fault that was declared; None if none was. since_s: when, of the vehicle's clock.
-    rotor, rotors: the one that was named last, None without one; and every one, in order of time.
+    kind, since_s: the gravest kind of fault that was declared, and when, of the vehicle's clock; rotor: named last.
     """
 
     log: str
@@ -111,10 +107,7 @@ class LogVerdict:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedFlight:
-    """A verdict and what the chain showed on the way.
-
-    chain: None if the log could not be judged at all. unjudged: what of the flown time was not judged.
-    """
+    """A verdict and what the chain showed on the way; chain is None if the log could not be judged at all."""
 
     verdict: LogVerdict
     chain: Chain | None = None
@@ -126,7 +119,6 @@ def judge(log: Log, baseline: Baseline, judged_share: float = JUDGED_SHARE) -> L
     """Run the chain over a log. A log that the baseline cannot judge is `not_judgeable`, with the reason.
 
     judged_share: of the flown time that must be judged before a flight is called healthy, 0..1.
-    Rows are made and judged some thousands at a time, so that it takes little memory beside the log's own.
     """
     return judge_in_full(log, baseline, judged_share, keep=False).verdict
 
@@ -171,11 +163,7 @@ def _layout_notes(log: Log, baseline: Baseline) -> tuple[str, ...]:
 
 
 class _Run:
-    """What the chain made of a whole log, or of as much as shows that it is another vehicle.
-
-    kept: all values, if they are wanted. likeness: how it compares with the vehicle of the baseline.
-    events: each once, in order of time. flown_s, judged_s, takeoff_s: as of the verdict [s].
-    """
+    """What the chain made of a whole log, or of as much as shows that it is another vehicle."""
 
     def __init__(self, log: Log, chain: Chain, judged_share: float, keep: bool) -> None:
         self.log, self.chain, self.judged_share, self.keep = log, chain, judged_share, keep

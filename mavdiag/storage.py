@@ -29,10 +29,7 @@ ALIGN_BYTES = 64  # of an array in that file
 
 @contextmanager
 def open_regular(path: Path, most_bytes: int) -> Iterator[BinaryIO]:
-    """A file to read, which is a regular one and has at most so many bytes: no device without end, no pipe to wait for.
-
-    Raises InputError, naming it, if it is no such file or cannot be opened.
-    """
+    """A regular file of at most so many bytes: no device without end, no pipe to wait for. Raises InputError."""
     try:
         file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
     except FileNotFoundError as error:
@@ -78,10 +75,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 
 def check_output(path: Path) -> None:
-    """Raise UsageError unless a file can be written at this path: new, or a regular file that may be replaced.
-
-    Writing replaces a file by a new one, which would turn a device or a link into a plain file.
-    """
+    """Raise UsageError unless a file can be written here: new, or a regular one that may be replaced by a new one."""
     if path.is_symlink() or (path.exists() and not path.is_file()):
         kind = "a symbolic link" if path.is_symlink() else "a folder" if path.is_dir() else "not a regular file"
         raise UsageError(f"{path}: is {kind}; name a file to write")
@@ -135,8 +129,7 @@ class Shelf:
     def put(self, arrays: Sequence[NDArray[Any]]) -> Callable[[], Arrays]:
         """Keep these arrays. What is returned gives them, read-only, as often as it is called while the shelf is open.
 
-        Those in the file take memory where they are touched, until the last of them is dropped. An array whose rows are
-        all alike takes the place of one. Raises UsageError if the disk is full.
+        An array whose rows are all alike takes the place of one. Raises UsageError if the disk is full.
         """
         size = sum(one.nbytes for one in arrays)
         if size <= self._left:

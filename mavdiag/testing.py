@@ -25,10 +25,9 @@ def example_rows(
     rate: FloatArray | None = None,
     **columns: FloatArray | BoolArray | None,
 ) -> Rows:
-    """n rows of one segment with the columns of `Block` given, (n, k) each.
+    """n rows of one segment with the columns of `Block` given, (n, k) each; other signals are absent.
 
-    The set-point is at rest if not given, other signals are absent. The gyro, if not given, turns the nose as the
-    set-point commands and is at rest about the other axes. Rates by Savitzky-Golay filters of 5 samples.
+    The set-point is at rest if not given; the gyro turns the nose as it commands. Rate filters of 5 samples.
     """
     wide, narrow, always = np.full((n, 3), np.nan), np.full(n, np.nan), np.ones(n, dtype=np.bool_)
     turning = np.zeros((n, 3))

@@ -16,10 +16,9 @@ from mavdiag.units import NS_PER_S
 
 @dataclass(frozen=True, slots=True)
 class SlotFigures:
-    """One monitor over a flight, on one axis (None: of the whole vehicle). unit, threshold: as it was judged.
+    """One monitor over a flight, on one axis (None: the whole vehicle), with the threshold that judged it.
 
-    median, peak: where it is valid; None if it never was. The peak of `fsd` is the longest run [s].
-    judged_s: time that it judged [s].
+    median, peak: where it is valid, or None; the peak of `fsd` is the longest run [s]. judged_s: that it judged [s].
     """
 
     monitor: str
@@ -33,14 +32,11 @@ class SlotFigures:
 
 @dataclass(frozen=True, slots=True)
 class FlightRecord:
-    """What is kept of a judged flight.
+    """What is kept of a judged flight; verdict, reason, judged_s as in `LogVerdict`.
 
-    airframe, log: the name that the history goes by, and what the log was called when it was added.
-    content: the hash of its file, and the vehicle in it, whether that was named or not.
-    started_ns, added_ns: wall-clock time of its first record (0 if unknown) and of its judging, unix epoch [ns].
-    baseline: digest of the baseline that judged it. verdict, reason, judged_s: as in `LogVerdict`.
-    rotor_trim: by how much each rotor's command rose against the baseline, median over the flight [fraction of hover];
-        empty where the trim was not judged.
+    content: the hash of its file, and the vehicle in it. baseline: digest of the one that judged it.
+    started_ns, added_ns: of its first record (0 if unknown) and of its judging, unix epoch [ns].
+    rotor_trim: rise of each rotor's command, median over the flight [fraction of hover]; empty where it was not judged.
     """
 
     airframe: str
@@ -73,10 +69,8 @@ class WindowMonitor:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A part of a flight.
+    """A part of a flight, by the vehicle's clock [s]; windows begin at multiples of their length.
 
-    from_s, to_s: of the vehicle's clock [s]; windows begin at multiples of their length.
-    verdict: fault while one was declared, suspected while one was; healthy if enough of what was flown was judged.
     flown_s, judged_s: time in the air, and how much of it any monitor that decides about propellers judged [s].
     ratio, monitor: the highest ratio of a deciding monitor to its threshold, and whose it is; None if none judged.
     """

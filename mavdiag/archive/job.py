@@ -30,12 +30,9 @@ RECORD_BYTES = 64 << 20  # of one answer; a flight of an hour with an alarm a se
 class Options:
     """What changes the answer beside the log and the baseline.
 
-    vehicle: MAVLink system id, where a log holds several.
     from_s, to_s: the part of the log to judge, of the vehicle's clock [s]. windows_s: of windows to judge besides [s].
-    columns: of logs that are CSV recordings.
     judged_share: of the flown time that must be judged before a log is called healthy, 0..1.
-    figures: what the history keeps of a flight is wanted, too.
-    flown_ns: when a log without a clock was flown, unix epoch [ns]; 0 if that is not known.
+    figures: what the history keeps is wanted, too. flown_ns: when a log without a clock was flown [ns]; 0 if unknown.
     """
 
     vehicle: int | None = None
@@ -50,11 +47,9 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What is asked of every log.
+    """What is asked of every log. version: of the code that asks; a worker of another version must not answer.
 
-    baseline: its content, with every task, for what a worker holds is lost with it.
-    version: of the code that asks; a worker of another version must not answer.
-    scope: what the answers are kept under, 20 hexadecimal digits; the log's digest is the rest of the key.
+    baseline: its content, with every task, for what a worker holds is lost with it. scope: what answers are kept under.
     """
 
     baseline: str
@@ -72,11 +67,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """The answer for one content, wherever it lies: without the name of a log or an airframe.
-
-    digest: SHA-256 of the file's content; empty if it could not be read.
-    windows, flight: empty or None if they were not asked for.
-    """
+    """The answer for one content, wherever it lies. digest: of the file, SHA-256; empty if it could not be read."""
 
     digest: str
     verdict: LogVerdict
@@ -90,10 +81,7 @@ def refused(reason: str) -> Record:
 
 
 class Cache:
-    """Answers to one question by the digests of the logs, a small file each; in memory where there is no folder.
-
-    warn: is told once if they cannot be written.
-    """
+    """Answers to one question by the digests of the logs, a small file each; in memory where there is no folder."""
 
     def __init__(self, folder: Path | None = None, warn: Callable[[str], None] = lambda text: None) -> None:
         self._folder, self._warn, self._held = folder, warn, dict[str, Record]()
@@ -130,17 +118,17 @@ def open_cache(folder: Path | None, scope: str, warn: Callable[[str], None] = la
     """
     told, trouble = os.environ.get("XDG_CACHE_HOME", ""), "cannot be written (no permission)"
     own = Path(told) if Path(told).is_absolute() else Path("~/.cache").expanduser()  # a relative one is to be ignored
-    chosen = own / "mavdiag" if folder is None else folder
-    mine = chosen / "scan" / scope
+    mine = (own / "mavdiag" if folder is None else folder) / "scan" / scope
     try:
         mine.mkdir(parents=True, exist_ok=True)
         if os.access(mine, os.W_OK | os.X_OK):
             return Cache(mine, warn)
     except OSError as error:
         trouble = f"no folder to keep answers in ({error.strerror or error})"
+    trouble = f"{mine.parents[1]}: {trouble}; name another with --cache, or use --no-cache"
     if folder is not None:
-        raise UsageError(f"{folder}: {trouble}; name another with --cache, or use --no-cache")
-    warn(f"answers are not kept: {chosen}: {trouble}; name another with --cache, or use --no-cache")
+        raise UsageError(trouble)
+    warn(f"answers are not kept: {trouble}")
     return Cache()
 
 

@@ -60,10 +60,7 @@ def logs_named(arguments: Iterable[str | Path], is_log: IsLog = is_log) -> Found
 
 
 def _below(path: Path, seen: set[tuple[int, int]], is_log: IsLog) -> Iterator[Named | None]:
-    """The logs that a file or folder is or has, by name; None for a file that is none. seen: folders so far.
-
-    A file that cannot be read may be a log.
-    """
+    """The logs that a file or folder is or has, by name; None for a file that is none. An unreadable one may be."""
     if not path.is_dir():
         try:
             yield Named(path) if path.is_file() and path.stat().st_size and is_log(path) else None

@@ -24,10 +24,7 @@ DIED = "the process that judged it died, perhaps for want of memory; judge it al
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The answer for one of the logs that were asked for, under its path as named.
-
-    fresh: it was judged now; False if it was kept from before, or another log has the same content.
-    """
+    """The answer for a log, under its path as named. fresh: False if it was kept, or is that of a copy."""
 
     path: Path
     record: Record
@@ -56,10 +53,9 @@ def scan(
     cache: Cache | None = None,
     warn: Callable[[str], None] = lambda text: None,
 ) -> Generator[Answer, None, None]:
-    """The answers in the order of the logs, each as soon as it and all before it are there.
+    """The answers in the order of the logs, each as soon as it and all before it are there; they are kept as they come.
 
-    workers, warn: as of `run_all`. cache: answers from before, and where new ones are kept as they come.
-    Raises UsageError or LinkError if the workers cannot go on.
+    workers, warn: as of `run_all`. Raises UsageError or LinkError if the workers cannot go on.
     """
     kept = cache or Cache()
     seen: list[str | Record] = []  # of each log so far: its digest, or why it has none

@@ -61,11 +61,7 @@ def axes_of(choice: AxisChoice) -> tuple[Axis, ...]:
 
 
 def parse_order(text: str) -> Order:
-    """Three whole numbers. Raises UsageError, showing the notation.
-
-    >>> parse_order("2,2,1")
-    (2, 2, 1)
-    """
+    """Three whole numbers. Raises UsageError, showing the notation."""
     if not re.fullmatch(r"\s*\d+\s*,\s*\d+\s*,\s*\d+\s*", text):
         raise UsageError(f"order {text!r}: write three whole numbers like 2,2,1 (na,nb,nk)")
     na, nb, nk = map(int, text.split(","))
@@ -82,10 +78,7 @@ def is_endpoint(source: str) -> bool:
 
 
 def find_logs(arguments: Iterable[str | Path], columns: Path | None = None) -> tuple[Found, ColumnMap | None]:
-    """The logs that arguments name, and the map in a file of the columns of CSV recordings, if they are such.
-
-    How many files were skipped goes to stderr.
-    """
+    """The logs that arguments name, and the column map of CSV recordings; stderr gets how many were skipped."""
     mapped = None if columns is None else load_column_map(columns)
     found = logs_named(arguments, is_log if mapped is None else is_csv)
     if found.skipped:

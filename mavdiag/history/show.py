@@ -162,10 +162,7 @@ def _drawing(overview: Overview, width: int) -> tuple[str, ...]:
 
 
 def _chart(share: FloatArray, borders: Sequence[int], width: int) -> Iterator[str]:
-    """Shares as dots over the flights, with the threshold as a line and borders of stretches as bars.
-
-    share: (n,), NaN where nothing was judged. borders: places in it where a stretch begins.
-    """
+    """Shares (n,) as dots over the flights, with the threshold as a line and the places of borders as bars."""
     n, across, judged = max(len(share), 1), max(width - LABEL, 1), np.flatnonzero(np.isfinite(share))
     top = min(max(TOP, 1.05 * float(share[judged].max(initial=0.0))), MOST)
     columns, rows = ACROSS * across, DOWN * HEIGHT
@@ -182,9 +179,5 @@ def _chart(share: FloatArray, borders: Sequence[int], width: int) -> Iterator[st
 
 
 def day(t_ns: int) -> str:
-    """The day of a time, UTC.
-
-    >>> day(1_767_225_600_000_000_000)
-    '2026-01-01'
-    """
+    """The day of a time, UTC."""
     return datetime.fromtimestamp(t_ns / NS_PER_S, UTC).date().isoformat()

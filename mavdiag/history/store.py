@@ -104,9 +104,8 @@ class History:
 def open_history(database: str, *, create: bool = False, write: bool = False) -> Iterator[History]:
     """A history, by the path of its SQLite file or a URL such as postgresql://user@host/fleet.
 
-    write: something will be kept: the database gets its tables, and an SQLite file is locked from the begin of each
-        transaction. create: also make the SQLite file if there is none. A reader changes nothing.
-    Raises UsageError if it cannot be used, also out of the block.
+    write: the database gets its tables, and an SQLite file is locked from the begin of each transaction. create: also
+    make the SQLite file. Raises UsageError if it cannot be used, also out of the block.
     """
     url, write = address_of(database), create or write
     is_file = url.get_backend_name() == "sqlite"

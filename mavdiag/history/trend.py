@@ -12,21 +12,18 @@ ch. 7: k = 1.345 standard deviations):
     [ y ] ~ [ 1  x - x_n ] [ a ]        w = h(r) 2c/(1 + c) exp((x - x_n)/MEMORY)
                            [ b ]        cov(a, b) = s^2 (X'WX)^-1 X'W V W X (X'WX)^-1,    V = diag((1 + 1/c)/2)
 
-s is the larger of two robust scales: of the residuals, and of the steps between sessions that follow each other, which
-a trend hardly touches. The flights that remain until the line reaches 1 are R = (1 - a)/b; their interval is Fieller's
-(J. R. Stat. Soc. B 16 (1954) 175): all R at which a + b R is not distinguishable from 1,
-
-    (1 - a - b R)^2 <= q^2 (Vaa + 2 R Vab + R^2 Vbb)
+s is the larger of two robust scales: of the residuals, and of the steps between sessions that follow each other. The
+flights that remain until the line reaches 1 are R = (1 - a)/b; their interval is Fieller's (J. R. Stat. Soc. B 16
+(1954) 175): all R at which (1 - a - b R)^2 <= q^2 (Vaa + 2 R Vab + R^2 Vbb).
 
 **Change points.** At each border k between sessions a step d is tested in a line over the sessions of at most WINDOW
-flights on either side, least squares with the weights of `Sessions`; se(d) is from the scatter of neighbours' steps:
+flights on either side, least squares with the weights of `Sessions`:
 
-    [ y ] ~ [ 1  x - x_k  (x > x_k) ] (a, b, d)',    t_k = d / se(d)
+    [ y ] ~ [ 1  x - x_k  (x > x_k) ] (a, b, d)',    t_k = d / se(d), se(d) by the scatter of neighbours' steps
 
-y is held within ODD scales of the running median of five sessions, so that one odd session is no jump. The border with
-the largest |t_k| is a change point if it is above LIMIT and the step larger than LEAST_STEP; its windows then end
-there, and the search goes on. **Its price**: at most one false change point in a hundred series of 200 healthy flights
-(`benchmarks/history_wear.py`); a jump shows only when three sessions after it are there.
+y is held within ODD scales of the running median of five sessions. The border with the largest |t_k| is a change point
+if it is above LIMIT and the step above LEAST_STEP; its windows then end there, and the search goes on. **Its price**:
+one false change point in a hundred series of 200 healthy flights (`benchmarks/history_wear.py`).
 """
 
 import math
@@ -94,12 +91,7 @@ class Trend:
     sessions: int
 
     def remaining(self, quantile: float = NORMAL_90) -> Remaining | None:
-        """Flights until the level is the threshold; None if it does not grow. quantile: of the normal law.
-
-        >>> found = Trend(0.8, 0.01, 1e-4, 0.0, 1e-7, 0.05, 20).remaining()
-        >>> [round(one, 1) for one in (found.low, found.flights, found.high)]
-        [18.1, 20.0, 22.0]
-        """
+        """Flights until the level is the threshold; None if it does not grow. quantile: of the normal law."""
         if self.slope <= 0:
             return None
         gap, q2 = 1.0 - self.level, quantile**2
@@ -117,12 +109,7 @@ class Trend:
 
 
 def sessions_of(number: Sequence[int] | IntArray, session: Sequence[int] | IntArray, share: FloatArray) -> Sessions:
-    """Put flights together by session; those without a share (NaN) are left out. All (n,), in order of time.
-
-    >>> found = sessions_of([1, 2, 3, 4], [0, 0, 0, 1], np.array([0.5, 0.9, 0.6, np.nan]))
-    >>> found.number.tolist(), found.share.tolist(), found.flights.tolist()
-    ([2.0], [0.6], [3.0])
-    """
+    """Put flights (n,), in order of time, together by session; those without a share (NaN) are left out."""
     known = np.isfinite(share)
     x, y, group = np.asarray(number, dtype=np.float64)[known], share[known], np.asarray(session)[known]
     cuts = np.flatnonzero(np.diff(group)) + 1
@@ -173,14 +160,7 @@ class Change:
 
 
 def changes_of(sessions: Sessions) -> tuple[Change, ...]:
-    """The change points, in order.
-
-    >>> rng = np.random.default_rng(3)
-    >>> share = 0.4 + 0.03 * rng.standard_normal(60) + 0.3 * (np.arange(60) >= 40)
-    >>> found = changes_of(Sessions(np.arange(1.0, 61.0), share, np.ones(60)))
-    >>> [(change.number, round(change.step, 1)) for change in found]
-    [(41, 0.3)]
-    """
+    """The change points, in order."""
     m = len(sessions)
     if m < 2 * LEAST_BESIDE:
         return ()

@@ -61,10 +61,7 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Flights that one baseline judged, with no mark between them, in order of time.
-
-    first: number of the first one in the whole history, from 1. began: why it begins; empty for the first stretch.
-    """
+    """Flights that one baseline judged, with no mark between them. first: number in the history, from 1; began: why."""
 
     first: int
     began: str
@@ -73,9 +70,8 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
-    """One statistic over the n flights of a stretch.
+    """One statistic over the n flights of a stretch. threshold: the highest that judged any of them.
 
-    threshold: the highest that judged any of them: that of a flight on another day than the healthy ones.
     number, session: (n,) of the flight in its stretch, from 1; flights within an hour are of one session.
     peak: (n,) of the statistic; NaN where it was not judged.
     """
@@ -115,9 +111,8 @@ WARNS = (Outlook.WARNING, Outlook.REACHED)
 
 @dataclass(frozen=True, slots=True)
 class Review:
-    """What is found of one statistic in one stretch.
+    """What is found of one statistic in one stretch. trend, remaining: at the newest flight that it judged.
 
-    trend, remaining: at the newest flight that it judged; None with too few, or if it does not grow.
     warned_at: number of the flight since which it is warned of; None if it is not. changes: where it jumped.
     """
 
@@ -131,10 +126,9 @@ class Review:
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """One airframe: its flights in order of time, what of them may be compared, and what is found in the last stretch.
+    """One airframe: its flights, what of them may be compared, and what is found in the last stretch, nearest first.
 
-    found: its series, nearest to the threshold first. rotor_growth: by how much each rotor's trim rose from the first
-        ten to the last ten flights of the stretch [fraction of hover]; empty if not known.
+    rotor_growth: rise of each rotor's trim from the first to the last ten flights of the stretch [fraction of hover].
     """
 
     airframe: str
@@ -156,10 +150,7 @@ class Overview:
 
 
 def stretches_of(flights: Sequence[FlightRecord], marks: Sequence[Mark]) -> tuple[Stretch, ...]:
-    """Cut a history, in order of time, at marks and at changes of the baseline.
-
-    After a mark that is newer than all flights the last stretch has none yet.
-    """
+    """Cut a history at marks and changes of the baseline; after a mark newer than all flights the last one is empty."""
     found, begin, why = list[Stretch](), 0, ""
     for place, before in enumerate(flights, 1):
         after = flights[place] if place < len(flights) else None
@@ -219,10 +210,7 @@ def review(series: Series) -> Review:
 
 
 def warned_at(series: Series, *, before: int | None = None) -> int | None:
-    """Number of the first flight after which the series was warned of; None if it never was.
-
-    before: look at no flight from this number on.
-    """
+    """Number of the first flight, before `before`, after which the series was warned of; None if it never was."""
     share, row = series.share, 0
     first = _first_level(share)
     if first is None:

@@ -33,13 +33,6 @@ def test_a_folder_is_all_logs_below_it_by_name_and_what_is_no_log_is_counted(tmp
     assert found.skipped == 3
 
 
-def test_a_file_that_was_named_is_taken_whatever_is_in_it(tmp_path: Path) -> None:
-    tree(tmp_path, "notes.txt")
-    found = logs_named([tmp_path / "notes.txt", tmp_path / "absent.tlog"])
-    assert [one.path.name for one in found.logs] == ["notes.txt", "absent.tlog"]
-    assert (found.skipped, [one.trouble for one in found.logs]) == (0, ["", ""])
-
-
 def test_a_pattern_is_what_it_matches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tree(tmp_path, "a/1.tlog", "a/2.tlog", "b/3.tlog", "b/notes.txt", "c[1].tlog")
     assert below(tmp_path, "*/*.tlog") == ["a/1.tlog", "a/2.tlog", "b/3.tlog"]

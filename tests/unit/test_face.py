@@ -14,7 +14,7 @@ from made_telemetry import cut, flight
 
 import mavdiag as md
 from mavdiag.decision.alarm import Change, Event, Stage
-from mavdiag.errors import BaselineError, InputError, UsageError
+from mavdiag.errors import BaselineError, UsageError
 from mavdiag.telemetry import Telemetry
 
 HEAVY = {"numpy", "scipy", "pydantic", "pymavlink", "control", "matplotlib", "pandas", "rich", "typer", "numba"}
@@ -80,12 +80,6 @@ def test_a_watch_gives_what_the_verdict_on_the_log_gives() -> None:
     closed = watch.end_flight()
     assert [one.end_ns is not None for one in closed if isinstance(one, Event)] == [True]
     assert str(watch.diagnosis) == "inspect: the flight with the fault has ended, rotor 3"
-
-
-def test_a_log_that_cannot_be_judged_is_a_verdict_and_a_missing_file_an_error(tmp_path: Path) -> None:
-    assert md.judge(md.Log("x", "", "qdrone2", flying(3000, 5)), whole()).verdict == "not_judgeable"
-    with pytest.raises(InputError, match=r"absent\.tlog: no such file"):
-        md.judge(tmp_path / "absent.tlog", whole())
 
 
 def fed(watch: md.Watch, telemetry: Telemetry) -> list[int]:

@@ -10,7 +10,7 @@ import pytest
 from made_history import record, records
 from made_postgres import postgres
 
-from mavdiag.errors import InputError, MavdiagError, UsageError
+from mavdiag.errors import MavdiagError, UsageError
 from mavdiag.judging import Verdict
 
 pytest.importorskip("sqlalchemy", reason="the history is an extra")
@@ -84,28 +84,6 @@ def test_a_database_of_another_schema_is_refused(database: str) -> None:
     engine.dispose()
     with pytest.raises(UsageError, match=r"of schema 0001.*add the logs to a new history"), open_history(database):
         pass
-
-
-def test_what_is_no_history_is_said_in_one_line(tmp_path: Path) -> None:
-    other, folder = tmp_path / "other", tmp_path / "folder"
-    other.write_text("no database at all, but long enough to be looked at\n" * 20)
-    folder.mkdir()
-    cases = {
-        str(tmp_path / "none.sqlite"): "no history there",
-        str(folder): "is a folder",
-        str(other): "file is not a database",
-        str(tmp_path / "nowhere" / "h.sqlite"): "no history there",
-        "": "name the history",
-        "mysql://a@b/c": "an SQLite file or a postgresql",
-        "sqlite://": "an SQLite file or a postgresql",
-    }
-    for database, words in cases.items():
-        with pytest.raises((UsageError, InputError), match=words) as caught, open_history(database):
-            pass
-        assert "\n" not in str(caught.value)
-    with pytest.raises(UsageError, match="there is no folder"), open_history(f"{tmp_path}/a/b", create=True):
-        pass
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "other"]
 
 
 def test_a_reader_needs_no_rights_to_write(tmp_path: Path) -> None:

@@ -77,13 +77,3 @@ def test_no_series_is_too_odd_for_a_trend_and_its_changes(share: list[float]) ->
         assert math.isfinite(trend.level)
         assert trend.slope_variance > 0
     assert all(1 < one.number <= len(share) for one in changes_of(sessions))
-
-
-@pytest.mark.parametrize("slope", [0.0, 0.004])
-def test_a_jump_is_found_where_it_is_beside_any_trend(slope: float) -> None:
-    rng = np.random.default_rng(4)
-    x = np.arange(120)
-    share = 0.3 + slope * x + 0.02 * rng.standard_normal(120) - 0.2 * (x >= 50)
-    (found,) = changes_of(one_each(share))
-    assert abs(found.number - 51) <= 1
-    assert found.step == pytest.approx(-0.2, abs=0.05)
