@@ -21,11 +21,20 @@ ERROR = 2
 INTERRUPTED = 130
 
 
-def application(summary: str, name: str | None = None, cls: type[TyperGroup] | None = None) -> typer.Typer:
-    """A command-line application in one style. name: of the program, where it is one and answers --version."""
+class _ShowByDefault(TyperGroup):
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        named = bool(args) and args[0] in (*self.commands, "--help")
+        return super().parse_args(ctx, args if named else ["show", *args])
+
+
+def application(summary: str, name: str | None = None, *, show_by_default: bool = False) -> typer.Typer:
+    """A command-line application in one style. name: of the program, where it is one and answers --version.
+
+    show_by_default: the sub-command `show` is meant where none is named.
+    """
     app = typer.Typer(
         help=summary,
-        cls=cls,
+        cls=_ShowByDefault if show_by_default else None,
         add_completion=False,
         no_args_is_help=True,
         rich_markup_mode=None,

@@ -100,11 +100,6 @@ class Series:
         """Of the values; empty for a pure number."""
         return _UNITS.get(self.signal, "")
 
-    def __repr__(self) -> str:
-        span_s = float(self.t_s.max() - self.t_s.min()) if len(self) else 0.0
-        unit = f" [{self.unit}]" if self.unit else ""
-        return f"<Series {self.signal}: {len(self)} x {self.values.shape[1]}{unit} in {span_s:.3f} s>"
-
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Telemetry:
@@ -132,9 +127,6 @@ class Telemetry:
 
     def __iter__(self) -> Iterator[Series]:
         return iter(self.series)
-
-    def __repr__(self) -> str:
-        return f"<Telemetry: {', '.join(f'{one.signal} ({len(one)})' for one in self.series) or 'empty'}>"
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -36,26 +36,11 @@ Database: TypeAlias = Annotated[str, Option(metavar="FILE|URL", help="SQLite, or
 AirframeName: TypeAlias = Annotated[str | None, Option("--airframe", metavar="NAME", help="Only this airframe.")]
 CsvFile: TypeAlias = Annotated[Path | None, Option("--csv", metavar="FILE", help="Write a table, too.")]
 
-app = application("Keep the judged flights of airframes, draw their trends, warn before a threshold is reached.")
-
-
-@app.callback(invoke_without_command=True, no_args_is_help=False)
-def overview(
-    context: typer.Context,
-    airframe: AirframeName = None,
-    database: Database = FILE,
-    as_json: opt.AsJson = False,
-    csv_file: CsvFile = None,
-) -> None:
-    """Keep the judged flights of airframes, draw their trends, warn before a threshold is reached.
-
-    Without a command: `show`.
-    """
-    name = context.invoked_subcommand
-    if name is None:
-        show(airframe, database, as_json, csv_file)
-    elif airframe is not None or database != FILE or as_json or csv_file is not None:
-        raise UsageError(f"options belong behind the command, as in `mavdiag history {name} --airframe NAME`")
+app = application(
+    "Keep the judged flights of airframes, draw their trends, warn before a threshold is reached.\n\n"
+    "Without a command: `show`.",
+    show_by_default=True,
+)
 
 
 @app.command()

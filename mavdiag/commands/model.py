@@ -12,11 +12,10 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 import typer
 from typer import Argument, Option
-from typer.core import TyperGroup
 
-from mavdiag import commandline
 from mavdiag.as_json import json_line, plain
 from mavdiag.baseline import Baseline
+from mavdiag.commandline import application
 from mavdiag.commands import options as opt
 from mavdiag.commands.progress import working
 from mavdiag.errors import BaselineError, IdentificationError, InputError, UsageError
@@ -42,16 +41,7 @@ MIN_WINDOW = 5  # samples: the shortest Savitzky-Golay window of a parabola that
 PASSED = 0.5  # cycles a window: above it the slope and the smoothing filter no longer pass alike (our choice)
 
 
-class _ShowByDefault(TyperGroup):
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        if args and args[0] not in (*self.commands, "--help"):
-            args = ["show", *args]
-        return super().parse_args(ctx, args)
-
-
-app = commandline.application(
-    "Look at a model: `model FILE` shows that of a baseline, or one fitted to a log.", cls=_ShowByDefault
-)
+app = application("Look at a model: `model FILE` shows that of a baseline, or fits one to a log.", show_by_default=True)
 
 LogFile: TypeAlias = Annotated[Path, Argument(metavar="LOG", help="Log of a flight.")]
 OneAxis: TypeAlias = Annotated[Axis, Option(help="Body axis.")]

@@ -1,7 +1,7 @@
-"""What is shown of an airframe: sentences, a drawing in a width, JSON, and rows of CSV. Pure."""
+"""What is shown of an airframe: sentences and drawings, JSON, and rows of CSV. Pure."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
@@ -9,9 +9,8 @@ import numpy as np
 
 from mavdiag.archive.figures import FlightRecord
 from mavdiag.as_json import DIGITS, plain
-from mavdiag.braille import ACROSS, DOWN, cells, character
 from mavdiag.history.trend import Remaining
-from mavdiag.history.warn import WARNS, Outlook, Overview, Review, series_of
+from mavdiag.history.warn import WARNS, Outlook, Overview, Review
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
 
@@ -23,9 +22,7 @@ TREND_COLUMNS = (
     *("airframe", "flights", "monitor", "axis", "unit", "threshold", "outlook", "level", "growth", "growth_error"),
     *("remaining", "remaining_low", "remaining_high", "warned_at", "changes"),
 )
-HEIGHT = 7  # lines of a chart
-LABEL = 6  # width of its scale
-TOP, MOST = 1.15, 2.0  # of the threshold: a chart's least height, and where what is higher is drawn
+LEVELS = "▁▂▃▄▅▆▇█"
 FAR = 1000  # flights: beyond it a number is no forecast
 
 
@@ -99,7 +96,7 @@ def _trend_json(found: Review) -> dict[str, Any]:
 
 
 def lines_of(overview: Overview, width: int | None = None) -> tuple[Line, ...]:
-    """What is said of an airframe. width: of the terminal, for a drawing; None for lines without one."""
+    """What is said of an airframe. width: of the terminal, where each statistic is drawn; None for no drawings."""
     lines = [Line(_headline(overview), overview.faulty)]
     if unknown := sum(not flight.started_ns for flight in overview.flights):
         lines.append(Line(f"  {unknown} without a clock in the log, placed by when they were added; --at tells when"))
@@ -109,14 +106,16 @@ def lines_of(overview: Overview, width: int | None = None) -> tuple[Line, ...]:
             lines.append(Line(f"  {place}, {len(stretch.flights)} flights"))
         elif stretch.began:
             lines.append(Line(f"  {stretch.began} after the last flight: no trend yet"))
-    trends = [found for found in overview.found if found.trend is not None]
-    lines += [Line(f"  {_sentence(found)}", found.outlook in WARNS) for found in trends]
+    for found in (found for found in overview.found if found.trend is not None):
+        lines.append(Line(f"  {_sentence(found)}", found.outlook in WARNS))
+        if width is not None:
+            lines.append(Line(f"    {sparkline(found.series.share, width - 4)}", found.outlook in WARNS))
     if few := [found.series.name for found in overview.found if found.trend is None]:
         lines.append(Line(f"  {Outlook.TOO_FEW.value}: {', '.join(few)}"))
     if overview.rotor_growth:
         rises = ", ".join(f"rotor {n} {rise:+.4f}" for n, rise in enumerate(overview.rotor_growth, 1))
         lines.append(Line(f"  trim since the stretch began [fraction of hover]: {rises}"))
-    return (*lines, *(map(Line, _drawing(overview, width)) if width is not None and overview.found else ()))
+    return tuple(lines)
 
 
 def _headline(overview: Overview) -> str:
@@ -149,33 +148,16 @@ def _flights(remaining: Remaining) -> str:
     return f"{best} flights ({low} to {high if math.isfinite(remaining.high) else 'no end'})"
 
 
-def _drawing(overview: Overview, width: int) -> tuple[str, ...]:
-    """The chart of the statistic that is nearest, over all stretches."""
-    name, parts = overview.found[0].series.name, list[FloatArray]()
-    for stretch in overview.stretches:
-        same = (series.share for series in series_of(stretch) if series.name == name)
-        parts.append(next(same, np.full(len(stretch.flights), np.nan)))
-    share = np.concatenate(parts)
-    borders = [stretch.first - 1 for stretch in overview.stretches if stretch.began and stretch.flights]
-    numbers = f"{'':{LABEL}}1{len(share):>{max(width - LABEL - 1, 1)}}"
-    return (f"  {name}, peak over threshold by flight", *_chart(share, borders, width), numbers)
+def sparkline(share: FloatArray, width: int) -> str:
+    """The highest share of each span of flights; a full block is the threshold. NaN is a blank.
 
-
-def _chart(share: FloatArray, borders: Sequence[int], width: int) -> Iterator[str]:
-    """Shares (n,) as dots over the flights, with the threshold as a line and the places of borders as bars."""
-    n, across, judged = max(len(share), 1), max(width - LABEL, 1), np.flatnonzero(np.isfinite(share))
-    top = min(max(TOP, 1.05 * float(share[judged].max(initial=0.0))), MOST)
-    columns, rows = ACROSS * across, DOWN * HEIGHT
-    dots = np.zeros((rows, columns), dtype=np.bool_)
-    row = (share[judged].clip(0.0) / top * rows).astype(np.int64).clip(max=rows - 1)
-    dots[rows - 1 - row, judged * columns // n] = True
-    at = HEIGHT - 1 - min(int(1.0 / top * HEIGHT), HEIGHT - 1)
-    bars = {border * across // n for border in borders}
-    for number, marks in enumerate(cells(dots)):
-        label = "1.00" if number == at else "0.00" if number == HEIGHT - 1 else ""
-        empty = ["│" if cell in bars else "┄" if number == at else " " for cell in range(across)]
-        text = "".join(character(mark, blank) for mark, blank in zip(marks, empty, strict=True))
-        yield f"{label:>{LABEL - 1}} {text}".rstrip()
+    >>> sparkline(np.array([0.1, 0.3, 0.5, np.nan, 0.9, 1.2]), 6)
+    '▁▃▄ ██'
+    """
+    spans = np.array_split(share, max(min(width, len(share)), 1))
+    highest = (float(span[np.isfinite(span)].max(initial=-1.0)) for span in spans)
+    steps = ((peak, math.ceil(peak * len(LEVELS)) - 1) for peak in highest)
+    return "".join(" " if peak < 0 else LEVELS[min(max(step, 0), len(LEVELS) - 1)] for peak, step in steps)
 
 
 def day(t_ns: int) -> str:

@@ -136,8 +136,7 @@ def test_a_terminal_gets_a_drawing_in_its_width(wearing: Path, width: int) -> No
     os.close(ours)
     assert run.wait() == 1
     plain = re.sub(r"\x1b\[[0-9;]*m", "", text.decode())
-    assert "┄" in plain
-    assert "1.00" in plain
+    assert any(set("▅▆▇█") <= set(line) for line in plain.splitlines())
     assert max(map(len, plain.splitlines())) <= width
     assert "\x1b[1;31m" in text.decode()
 
@@ -147,7 +146,7 @@ def test_a_terminal_gets_a_drawing_in_its_width(wearing: Path, width: int) -> No
     [
         ((), "no history there; make one with `mavdiag history add`"),
         (("list", "--csv"), "'--csv' requires an argument"),
-        (("--airframe", "x", "list"), "options belong behind the command"),
+        (("--airframe", "x", "list"), "unexpected extra argument"),
         (("mark", "--airframe", "x"), "say what was done"),
         (("mark", "--airframe", "x", "--repair", "--at", "yesterday"), "write it like 2026-03-01"),
         (("show", "--database", "postgresql://me:secret@127.0.0.1:1/fleet"), "Connection refused"),
