@@ -2,20 +2,10 @@
 
 import numpy as np
 import pytest
-from made_telemetry import flight
 
-from mavdiag.errors import InputError
-from mavdiag.logs.part import between
 from mavdiag.look.inspection import summary
 from mavdiag.telemetry import Series, Signal
 from mavdiag.units import NS_PER_S
-
-
-def test_r4_the_text_of_an_empty_part_names_only_what_was_asked_for() -> None:
-    with pytest.raises(InputError) as caught:
-        between(flight(800, 1), 99999.0, None)
-    assert "from 99999 s of the vehicle's clock; it goes from" in str(caught.value)
-    assert "None" not in str(caught.value)
 
 
 def test_r8_the_rate_is_the_mean_rate_and_not_that_of_the_median_step() -> None:

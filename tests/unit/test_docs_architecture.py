@@ -25,7 +25,6 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 STAGES = ("mavdiag.rows.align", "mavdiag.rows.gate", "mavdiag.rows.rates", "mavdiag.kernel", "mavdiag.decision.alarm")
 INSIDE = ("kinds", "grading")  # of the decision, in the order of the drawing
-PACKAGES = {path.stem for name in ("mavdiag", "detector", "sitl_plant") for path in (ROOT / name).iterdir()}
 
 
 def table(heading: str, column: int) -> list[str]:

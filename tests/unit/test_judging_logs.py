@@ -11,7 +11,6 @@ from made_baselines import FRAME, NOW, healthy, logged, plain, thesis, trim, who
 from made_statistics import assert_alike
 from made_telemetry import flight
 
-from mavdiag.airframe.airframe import Airframe
 from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Stage
@@ -19,8 +18,7 @@ from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, exit_code, judge, judge_in_full
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.monitors.base import FaultKind
-from mavdiag.rows.gate import GateSpec
-from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 ALL = (0.0, 1e9)
@@ -241,25 +239,3 @@ def test_f2_ground_time_at_the_start_of_a_log_is_not_compared_with_flight(span_s
     quiet = changed(flying(6000, 1), Signal.BODY_RATE, 0.0, 99.0, 0.0)
     other = Telemetry(tuple(one for one in quiet.series if one.signal is not Signal.THRUST_SETPOINT))
     assert judge(logged(other), base).verdict is Verdict.NOT_JUDGEABLE
-
-
-@pytest.mark.parametrize(
-    ("layout", "frame", "named"),
-    [("octo-x", (3, 1), True), ("x8", (4, 1), False), ("y6", (5, 0), False), ("deca-x", (14, 1), True)],
-)
-def test_a_frame_by_its_parameters_is_judged_and_two_rotors_on_an_arm_are_not_told_apart(
-    layout: str, frame: tuple[int, int], named: bool
-) -> None:
-    parameters = {"FRAME_CLASS": float(frame[0]), "FRAME_TYPE": float(frame[1])}
-    airframe = Airframe(name=layout, gate=GateSpec())
-    flights = [
-        Log(f"f{k}", f"{k:064x}", "ardupilot", flying(3000, 100 + k, layout=layout), parameters=parameters)
-        for k in range(3)
-    ]
-    baseline = learn(flights, LearnOptions(airframe=airframe, monitors=("rotor_trim",)), created=NOW)
-    assert baseline.airframe.layout is not None
-    assert baseline.airframe.layout.name == layout
-    assert judge(replace(flights[0], telemetry=flying(3000, 7, layout=layout)), baseline).verdict is Verdict.HEALTHY
-    weak = judge(replace(flights[0], telemetry=flying(3000, 7, weak_rotor=2, rise=0.4, layout=layout)), baseline)
-    assert weak.verdict is Verdict.FAULT, weak.reason
-    assert {one.rotor for one in weak.changes} - {None} == ({2} if named else set())
