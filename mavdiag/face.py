@@ -11,8 +11,8 @@ from mavdiag import judging, learning
 from mavdiag import logs as log_files
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_from, with_layout
-from mavdiag.archive.job import Options, Question
 from mavdiag.archive.paths import logs_named
+from mavdiag.archive.scan import Options, Question
 from mavdiag.archive.scan import scan as archive
 from mavdiag.baseline import Baseline
 from mavdiag.chain import ChainOutput, chain_of

@@ -10,7 +10,7 @@ from flying_telemetry import flying
 from made_baselines import FRAME, NOW
 from scipy.spatial.transform import Rotation
 
-from mavdiag.archive.job import Options, Question
+from mavdiag.archive.scan import Options, Question
 from mavdiag.baseline import Baseline
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.codec import Encoder

@@ -5,21 +5,84 @@
 A log that cannot be read is answered as an error; so is one whose judging ends its worker. Nothing else is lost by it.
 """
 
+import hashlib
+import json
+import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import closing
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import asdict, dataclass, replace
+from functools import cache, lru_cache, partial
+from io import BufferedReader
 from pathlib import Path
-from typing import NamedTuple
+from typing import cast
 
-from mavdiag.archive.job import Cache, Question, Record, digest_of, judge_file, refused
+from pydantic import TypeAdapter, ValidationError
+from pydantic_core import to_json
+
+from mavdiag.archive.figures import FlightRecord, Window, record_of, windows_of
 from mavdiag.archive.paths import Named
 from mavdiag.archive.pool import died, run_all
-from mavdiag.errors import InputError, MavdiagError
-from mavdiag.judging import LogVerdict
+from mavdiag.archive.sources import judging_version
+from mavdiag.baseline import Baseline, dump, parse
+from mavdiag.errors import InputError, LinkError, MavdiagError, UsageError
+from mavdiag.judging import JUDGED_SHARE, LogVerdict, Verdict, judge, judge_in_full
+from mavdiag.logs.csv_columns import ColumnMap
+from mavdiag.logs.part import read_part
+from mavdiag.storage import open_regular, read_text, write_atomically
 
+MOST_BYTES = 1 << 40  # the readers know how long a log of their kind may be
+RECORD_BYTES = 64 << 20  # of one answer; a flight of an hour with an alarm a second has 1 MB (our choice)
 DIED = "the process that judged it died, perhaps for want of memory; judge it alone, or a part of it (--from, --to)"
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What changes the answer beside the log and the baseline.
+
+    from_s, to_s: the part of the log to judge, of the vehicle's clock [s]. windows_s: of windows to judge besides [s].
+    judged_share: of the flown time that must be judged before a log is called healthy, 0..1.
+    figures: what the history keeps is wanted, too. flown_ns: when a log without a clock was flown [ns]; 0 if unknown.
+    """
+
+    vehicle: int | None = None
+    from_s: float | None = None
+    to_s: float | None = None
+    windows_s: float | None = None
+    columns: ColumnMap | None = None
+    judged_share: float = JUDGED_SHARE
+    figures: bool = False
+    flown_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is asked of every log. version: of the code that asks; a worker of another version must not answer.
+
+    baseline: its content, with every task, for what a worker holds is lost with it. scope: what answers are kept under.
+    """
+
+    baseline: str
+    options: Options
+    version: str
+    scope: str
+
+    @classmethod
+    def of(cls, baseline: Baseline, options: Options) -> "Question":
+        """The question about a baseline, asked by this code."""
+        version = judging_version()
+        content = to_json([baseline.digest, options, version], inf_nan_mode="constants")
+        return cls(dump(baseline), options, version, hashlib.sha256(content).hexdigest()[:20])
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """The answer for one content, wherever it lies. digest: of the file, SHA-256; empty if it could not be read."""
+
+    digest: str
+    verdict: LogVerdict
+    windows: tuple[Window, ...] = ()
+    flight: FlightRecord | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,14 +99,99 @@ class Answer:
         return replace(self.record.verdict, log=str(self.path))
 
 
-class _Task(NamedTuple):
-    digest: str
-    path: str
+def refused(reason: str) -> Record:
+    """The record of a log that cannot be judged for an error. reason: a sentence."""
+    return Record("", LogVerdict("", Verdict.ERROR, " ".join(reason.split())))
 
 
-class _Found(NamedTuple):
-    record: Record
-    fresh: bool
+class Cache:
+    """Answers to one question by the digests of the logs, a small file each; in memory where there is no folder."""
+
+    def __init__(self, folder: Path | None = None, warn: Callable[[str], None] = lambda text: None) -> None:
+        self._folder, self._warn, self._held = folder, warn, dict[str, Record]()
+
+    def get(self, digest: str) -> Record | None:
+        """The answer for a content; None if there is none, or its file is damaged."""
+        if digest in self._held or self._folder is None:
+            return self._held.get(digest)
+        try:
+            record = _adapter().validate_json(read_text(self._folder / f"{digest}.json", RECORD_BYTES))
+        except (InputError, ValidationError):
+            return None
+        return record if record.digest == digest else None
+
+    def put(self, digest: str, record: Record) -> None:
+        """Keep what was answered for a content at once; an error only as long as this program runs."""
+        if self._folder is not None and record.digest:
+            try:
+                return write_atomically(
+                    self._folder / f"{record.digest}.json", json.dumps(asdict(record)), durable=False
+                )
+            except UsageError as error:
+                self._folder = None
+                self._warn(f"answers are not kept any more: {error}")
+        if record.digest in ("", digest):  # else the file was changed before it was judged
+            self._held[digest] = record
+        return None
+
+
+def open_cache(folder: Path | None, scope: str, warn: Callable[[str], None] = lambda text: None) -> Cache:
+    """The answers of a scope below a folder, which is made; None for the user's own (XDG Base Directory Specification).
+
+    Raises UsageError if a folder that was named cannot be used; of the user's own that is told.
+    """
+    told, trouble = os.environ.get("XDG_CACHE_HOME", ""), "cannot be written (no permission)"
+    own = Path(told) if Path(told).is_absolute() else Path("~/.cache").expanduser()  # a relative one is to be ignored
+    mine = (own / "mavdiag" if folder is None else folder) / "scan" / scope
+    try:
+        mine.mkdir(parents=True, exist_ok=True)
+        if os.access(mine, os.W_OK | os.X_OK):
+            return Cache(mine, warn)
+    except OSError as error:
+        trouble = f"no folder to keep answers in ({error.strerror or error})"
+    trouble = f"{mine.parents[1]}: {trouble}; name another with --cache, or use --no-cache"
+    if folder is not None:
+        raise UsageError(trouble)
+    warn(f"answers are not kept: {trouble}")
+    return Cache()
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file's content, hexadecimal. Raises InputError if it cannot be read."""
+    try:
+        with open_regular(path, MOST_BYTES) as file:
+            return hashlib.file_digest(cast(BufferedReader, file), "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def judge_file(path: str, question: Question) -> Record:
+    """The task of a worker: read a log and judge it. A log that cannot be read is a record with the reason.
+
+    Raises LinkError if this process has other code, or computes with other packages, than the one that asks.
+    """
+    if judging_version() != question.version:
+        raise LinkError("a worker has another version of mavdiag, numpy or scipy; install the same ones everywhere")
+    options, baseline = question.options, _parsed(question.baseline)
+    try:
+        log = read_part(Path(path), options.vehicle, options.from_s, options.to_s, options.columns)
+        log = replace(log, started_ns=log.started_ns or options.flown_ns)
+        if options.windows_s is None and not options.figures:
+            return Record(log.sha256, replace(judge(log, baseline, options.judged_share), log=""))
+        flight = judge_in_full(log, baseline, options.judged_share)
+    except InputError as error:
+        return refused(str(error).removeprefix(f"{path}: "))
+    windows = () if options.windows_s is None else windows_of(flight, options.windows_s, options.judged_share)
+    kept = record_of(log, flight, baseline) if options.figures else None
+    return Record(log.sha256, replace(flight.verdict, log=""), windows, kept)
+
+
+_parsed = lru_cache(maxsize=2)(parse)  # a worker gets the same baseline with every task
+
+
+@cache
+def _adapter() -> TypeAdapter[Record]:
+    return TypeAdapter(Record)
 
 
 def scan(
@@ -59,39 +207,43 @@ def scan(
     """
     kept = cache or Cache()
     seen: list[str | Record] = []  # of each log so far: its digest, or why it has none
-    found, finished = dict[str, _Found](), set[str]()
+    digest_at, found = dict[str, str](), dict[str, Record]()
+    before, finished = set[str](), set[str]()
 
-    def tasks() -> Iterator[_Task]:
+    def tasks() -> Iterator[str]:
         asked = set[str]()
         for log in logs:
             seen.append(_digest(log))
-            digest = seen[-1]
+            digest, path = seen[-1], str(log.path.absolute())
             if isinstance(digest, str) and digest not in asked:
                 asked.add(digest)
-                yield _Task(digest, str(log.path.absolute()))
+                digest_at[path] = digest
+                yield path
 
-    def known(task: _Task) -> _Found | None:
-        record = kept.get(task.digest)
-        return None if record is None else _Found(record, fresh=False)
+    def known(path: str) -> Record | None:
+        record = kept.get(digest_at[path])
+        before.update(() if record is None else (digest_at[path],))
+        return record
 
     def ready(first: int) -> Iterator[Answer]:
         for log, digest in zip(logs[first:], seen[first:], strict=False):
             if isinstance(digest, Record):
                 yield Answer(log.path, digest, fresh=True)
             elif digest in found:
-                yield Answer(log.path, *found.pop(digest))
+                yield Answer(log.path, found.pop(digest), fresh=digest not in before)
             elif digest in finished:  # a copy; of a file that was changed before it was judged nothing is kept
                 yield Answer(log.path, kept.get(digest) or judge_file(str(log.path.absolute()), question), fresh=False)
             else:
                 return
 
     count = 0
-    with closing(run_all(partial(_judged, question), tasks(), workers, known=known, warn=warn)) as ended:
-        for task, future in ended:
-            found[task.digest] = _result(future)
-            finished.add(task.digest)
-            if found[task.digest].fresh:
-                kept.put(task.digest, found[task.digest].record)
+    with closing(run_all(partial(judge_file, question=question), tasks(), workers, known=known, warn=warn)) as ended:
+        for path, future in ended:
+            digest = digest_at.pop(path)
+            found[digest] = _record(future)
+            finished.add(digest)
+            if digest not in before:
+                kept.put(digest, found[digest])
             for answer in ready(count):
                 count += 1
                 yield answer
@@ -105,15 +257,11 @@ def _digest(log: Named) -> str | Record:
         return refused(str(error).removeprefix(f"{log.path}: "))
 
 
-def _judged(question: Question, task: _Task) -> _Found:
-    return _Found(judge_file(task.path, question), fresh=True)
-
-
-def _result(future: Future[_Found]) -> _Found:
+def _record(future: Future[Record]) -> Record:
     error = future.exception()
     if error is None:
         return future.result()
     if isinstance(error, MavdiagError):
         raise error
     fault = f"a fault of mavdiag or of a worker, please report it: {type(error).__name__}: {error}"
-    return _Found(refused(DIED if died(error) else fault), fresh=True)
+    return refused(DIED if died(error) else fault)

@@ -14,8 +14,7 @@ import typer
 from typer import Argument, Option
 
 from mavdiag.archive.figures import FlightRecord
-from mavdiag.archive.job import Options, Question
-from mavdiag.archive.scan import Answer
+from mavdiag.archive.scan import Answer, Options, Question
 from mavdiag.archive.tables import write_csv
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say

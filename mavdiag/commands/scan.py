@@ -13,9 +13,8 @@ import typer
 from typer import Argument, Option
 
 from mavdiag.archive.figures import Window
-from mavdiag.archive.job import Cache, Options, Question, open_cache
 from mavdiag.archive.paths import Named
-from mavdiag.archive.scan import Answer
+from mavdiag.archive.scan import Answer, Cache, Options, Question, open_cache
 from mavdiag.archive.scan import scan as archive
 from mavdiag.archive.tables import Row, check_parquet, rows_of, write_csv, write_parquet
 from mavdiag.as_json import number, verdict_json

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_archive import MONITORS, START_US, archive_baseline, asked, made
 
-from mavdiag.archive.job import Cache, Options, Question, Record, digest_of, judge_file, open_cache
-from mavdiag.archive.scan import Answer
+from mavdiag.archive.scan import Answer, Cache, Options, Question, Record, digest_of, judge_file, open_cache
 from mavdiag.archive.sources import digest_of_sources, judging_version
 from mavdiag.as_json import verdict_json
 from mavdiag.decision.alarm import Change
@@ -56,7 +55,7 @@ def test_every_option_the_baseline_and_the_code_make_another_question(monkeypatc
     scopes = [asked(option).scope for option in options]
     other = archive_baseline().model_copy(update={"digest": "sha256:other"})
     scopes.append(Question.of(other, Options()).scope)
-    monkeypatch.setattr("mavdiag.archive.job.judging_version", lambda: "other")
+    monkeypatch.setattr("mavdiag.archive.scan.judging_version", lambda: "other")
     scopes.append(asked().scope)
     assert len(set(scopes)) == len(scopes)
     assert asked().scope == asked().scope

@@ -17,10 +17,9 @@ from made_archive import asked, content, made
 
 from mavdiag.archive import pool
 from mavdiag.archive import scan as module
-from mavdiag.archive.job import Question, Record, digest_of, judge_file, open_cache
 from mavdiag.archive.paths import logs_named
 from mavdiag.archive.pool import TaskExecutor, run_all
-from mavdiag.archive.scan import scan
+from mavdiag.archive.scan import Question, Record, digest_of, judge_file, open_cache, scan
 from mavdiag.errors import LinkError, UsageError
 from mavdiag.judging import LogVerdict, Verdict
 
@@ -35,7 +34,7 @@ def in_drawn_order(seed: int, deadly: frozenset[str]) -> Callable[..., Iterator[
             out += [] if task is None else [task]
             if out and (task is None or len(out) == 4):
                 chosen, future = out.pop(int(order.integers(len(out)))), Future[Any]()
-                if Path(chosen.path).name in deadly:
+                if Path(chosen).name in deadly:
                     future.set_exception(BrokenExecutor("a process died"))
                 else:
                     future.set_result(known(chosen) or function(chosen))
@@ -107,7 +106,7 @@ def test_a_file_that_changes_while_it_is_judged_answers_for_itself_only(
         return judge_file(path, question)
 
     monkeypatch.setattr(module, "judge_file", changing)
-    monkeypatch.setattr(module, "digest_of", lambda path: digest_of(copy))
+    monkeypatch.setattr(module, "digest_of", lambda path, now=digest_of: now(copy))
     cache = open_cache(tmp_path / "cache", asked().scope)
     answers = list(scan(logs_named([a, copy]).logs, asked(), 1, cache))
     assert [answer.record.digest for answer in answers] == [digest_of(a), digest_of(copy)]

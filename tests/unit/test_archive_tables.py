@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 from made_archive import MONITORS, asked, made
 
-from mavdiag.archive.job import Options, judge_file, refused
-from mavdiag.archive.scan import Answer
+from mavdiag.archive.scan import Answer, Options, judge_file, refused
 from mavdiag.archive.tables import COLUMNS, rows_of, write_csv, write_parquet
 from mavdiag.monitors import BY_NAME
 
