@@ -4,18 +4,18 @@
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 import typer
-from typer.core import TyperGroup
+from typer import Argument, Option
 
-from mavdiag import commandline
 from mavdiag.as_json import json_line, plain
 from mavdiag.baseline import Baseline
+from mavdiag.commandline import application
 from mavdiag.commands import options as opt
 from mavdiag.commands.progress import working
 from mavdiag.errors import BaselineError, IdentificationError, InputError, UsageError
@@ -26,12 +26,12 @@ from mavdiag.identify.lab.drawing import draw_model
 from mavdiag.identify.lab.figures import Figure, ModelFigures, model_figures
 from mavdiag.identify.lab.frequency import FrequencyResponse, compare, estimate_response
 from mavdiag.identify.lab.published import ASSUMED_DT_S, THESIS_PITCH, THESIS_ROLL
-from mavdiag.identify.lab.sweep import SweepRow, best_row, order_sweep, window_sweep
+from mavdiag.identify.lab.sweep import best_row, order_sweep, window_sweep
 from mavdiag.identify.validate import ResidualReport, examine_residual, one_step_report, validate
 from mavdiag.logs.log import read_bytes
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.storage import check_output
-from mavdiag.telemetry import Axis, FloatArray, Log
+from mavdiag.telemetry import Axis
 
 SETTLE_S = 1.0  # of each stretch that the fit figures leave out: it may begin in motion
 WINDOWS_S = (0.02, 0.05, 0.1, 0.2, 0.4)
@@ -41,54 +41,38 @@ MIN_WINDOW = 5  # samples: the shortest Savitzky-Golay window of a parabola that
 PASSED = 0.5  # cycles a window: above it the slope and the smoothing filter no longer pass alike (our choice)
 
 
-class _ShowByDefault(TyperGroup):
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        if args and args[0] not in (*self.commands, "--help"):
-            args = ["show", *args]
-        return super().parse_args(ctx, args)
+app = application("Look at a model: `model FILE` shows that of a baseline, or fits one to a log.", show_by_default=True)
 
-
-app = commandline.application(
-    "Look at a model: `model FILE` shows that of a baseline, or one fitted to a log.", cls=_ShowByDefault
-)
-
-LogFile: TypeAlias = Annotated[Path, typer.Argument(metavar="LOG", help="Log of a flight.")]
-OneAxis: TypeAlias = Annotated[Axis, typer.Option(help="Body axis.")]
-Methods: TypeAlias = Annotated[opt.MethodChoice, typer.Option("--method", help="How the model is fitted.")]
-
-
-def models_of(baseline: Baseline) -> dict[Axis, ModelRecord]:
-    """The models of a baseline's axes: those of its fsd monitors. Raises BaselineError if it has none."""
-    specs = (entry.spec for entry in baseline.monitors)
-    found = {spec.axis: spec.model for spec in specs if isinstance(spec, RunLengthSpec)}
-    if not found:
-        raise BaselineError("the baseline has no fsd monitor, so no model; `mavdiag model LOG` fits one to a flight")
-    return found
+LogFile: TypeAlias = Annotated[Path, Argument(metavar="LOG", help="Log of a flight.")]
+OneAxis: TypeAlias = Annotated[Axis, Option(help="Body axis.")]
+Methods: TypeAlias = Annotated[opt.MethodChoice, Option("--method", help="How the model is fitted.")]
 
 
 @app.command()
 def show(
-    file: Annotated[Path, typer.Argument(metavar="BASELINE|LOG", help="Baseline, or log to fit a model to.")],
-    axis: Annotated[opt.AxisChoice, typer.Option(help="Axes to show.")] = "both",
+    file: Annotated[Path, Argument(metavar="BASELINE|LOG", help="Baseline, or log to fit a model to.")],
+    axis: Annotated[opt.AxisChoice, Option(help="Axes to show.")] = "both",
     order: opt.Orders = "2,2,1",
     method: Methods = "sriv",
     window: opt.WindowS = 0.1,
     vehicle: opt.Vehicle = None,
-    plot: Annotated[
-        Path | None, typer.Option(metavar="FILE.svg", help="Draw Bode, step response, poles, residual correlation.")
-    ] = None,
+    plot: Annotated[Path | None, Option(metavar="FILE.svg", help="Draw Bode, step response, poles, residual.")] = None,
     as_json: opt.AsJson = False,
 ) -> None:
     """Print poles, damping, bandwidth, margins and DC gain with standard errors. Options of the fit are for a log."""
     if plot is not None:
         check_output(plot)
+    flights: dict[Axis, FlightRates] = {}
     if _is_baseline(file):
-        models = {
-            name: record.model() for name, record in models_of(Baseline.load(file)).items() if name in opt.axes_of(axis)
-        }
+        specs = (entry.spec for entry in Baseline.load(file).monitors)
+        known = {spec.axis: spec.model for spec in specs if isinstance(spec, RunLengthSpec)}
+        if not known:
+            raise BaselineError(
+                "the baseline has no fsd monitor, so no model; `mavdiag model LOG` fits one to a flight"
+            )
+        models = {name: record.model() for name, record in known.items() if name in opt.axes_of(axis)}
         if not models:
             raise UsageError(f"{file}: has no model of the {axis} axis; choose another --axis")
-        flights: dict[Axis, FlightRates] = {}
     else:
         log = read_log(file, vehicle=vehicle)
         flights = {name: rates(log, name, window) for name in opt.axes_of(axis)}
@@ -96,7 +80,7 @@ def show(
     for name, model in models.items():
         figures = model_figures(model)
         told = {"axis": name, **asdict(ModelRecord.of(model)), **asdict(figures)}
-        typer.echo(json_line(told) if as_json else "\n".join(_lines(name, model, figures)))
+        typer.echo(json_line(told) if as_json else _text_of(name, model, figures))
         if plot is not None:
             path = plot if len(models) == 1 else plot.with_stem(f"{plot.stem}-{name}")
             shown = (_residual(model, flights[name]), _response(flights[name], window)) if flights else (None, None)
@@ -106,10 +90,10 @@ def show(
 @app.command()
 def sweep(
     log: LogFile,
-    over: Annotated[Literal["order", "window"], typer.Option(help="What to vary (T 5.3, 5.4).")] = "order",
+    over: Annotated[Literal["order", "window"], Option(help="What to vary (T 5.3, 5.4).")] = "order",
     axis: OneAxis = Axis.ROLL,
     validation: Annotated[
-        Path | None, typer.Option("--validate", metavar="LOG", help="Another flight, that decides.")
+        Path | None, Option("--validate", metavar="LOG", help="Another flight, that decides.")
     ] = None,
     order: opt.Orders = "2,2,1",
     method: Methods = "sriv",
@@ -121,27 +105,28 @@ def sweep(
     train = read_log(log, vehicle=vehicle)
     other = None if validation is None else read_log(validation, vehicle=vehicle)
     dt_s, chosen = rates(train, axis).dt_s, opt.parse_order(order)
-
-    def pair(source: Log, window_s: float) -> tuple[list[FloatArray], list[FloatArray]]:
-        flight = rates(source, axis, window_s)
-        return flight.u, flight.y
-
     with working("fitting a model for each; this takes a minute or more ..."):
         if over == "order":
-            held_out = None if other is None else pair(other, window)
-            rows = order_sweep(pair(train, window), held_out, dt=dt_s, method=method)
+            held_out = None if other is None else rates(other, axis, window)[:2]
+            rows = order_sweep(rates(train, axis, window)[:2], held_out, dt=dt_s, method=method)
         else:
             rows = window_sweep(
-                lambda n: pair(train, n * dt_s),
+                lambda n: rates(train, axis, n * dt_s)[:2],
                 sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S}),
                 dt=dt_s,
                 order=chosen,
                 method=method,
-                prepare_validation=None if other is None else lambda n: pair(other, n * dt_s),
+                prepare_validation=None if other is None else lambda n: rates(other, axis, n * dt_s)[:2],
             )
     best = best_row(rows)
     known = sorted((row for row in rows if row.model), key=lambda row: (row is best, row.score), reverse=True)
-    _print([_sweep_line(row, best=row is best) for row in (rows if as_json else known[:SHOWN_ROWS])], as_json=as_json)
+    lines = []
+    for row in rows if as_json else known[:SHOWN_ROWS]:
+        fitted = {name: getattr(row.model, name, None) for name in ("r2t", "yic")}
+        line = {"order": ",".join(map(str, row.order)), "window": row.window or None}
+        line |= plain({**fitted, "r2t_validation": row.r2t_validation}) | {"best": row is best}
+        lines.append(line | ({"refused": row.refused} if row.refused else {}))
+    _print(lines, as_json=as_json)
     if not as_json:
         typer.echo(f"{len(rows) - len(known)} of {len(rows)} could not be identified; --json prints all, with reasons")
 
@@ -167,8 +152,8 @@ def compare_models(
         raise IdentificationError(f"{log}: no stretch of {2 * RESPONSE_WINDOW_S:g} s; record a longer flight")
     lines = []
     for name, model in models.items():
-        gap, fitness = compare(measured, model), validate(model, flight.u, flight.y, SETTLE_S)
-        lines.append({"model": name, "r2t": fitness.r2t, **asdict(gap)})
+        fitness = validate(model, flight.u, flight.y, SETTLE_S)
+        lines.append({"model": name, "r2t": fitness.r2t, **asdict(compare(measured, model))})
     _print(lines, as_json=as_json)
     if len(models) == 1 and not as_json:
         typer.echo(f"the thesis's models are of roll and pitch at 1 kHz; this is {axis} at {1 / flight.dt_s:.0f} Hz")
@@ -178,8 +163,8 @@ def compare_models(
 def track(
     log: LogFile,
     axis: OneAxis = Axis.ROLL,
-    every: Annotated[float, typer.Option(metavar="S", help="Flight time between two lines.")] = 5.0,
-    memory: Annotated[float, typer.Option(metavar="S", help="Memory of the estimate.")] = 10.0,
+    every: Annotated[float, Option(metavar="S", help="Flight time between two lines.")] = 5.0,
+    memory: Annotated[float, Option(metavar="S", help="Memory of the estimate.")] = 10.0,
     order: opt.Orders = "2,2,1",
     window: opt.WindowS = 0.1,
     vehicle: opt.Vehicle = None,
@@ -239,22 +224,18 @@ def _response(flight: FlightRates, window_s: float) -> FrequencyResponse | None:
     return FrequencyResponse(*cut, found.averages)
 
 
-def _lines(axis: Axis, model: ArxModel, figures: ModelFigures) -> list[str]:
+def _text_of(axis: Axis, model: ArxModel, figures: ModelFigures) -> str:
     order = ",".join(map(str, model.order))
     lines = [f"{axis}: {model.method} {order}, {1 / model.dt:.1f} Hz, R_T2 {model.r2t:.4f}, {model.samples} samples"]
     for pole in figures.poles:
         place = _text(pole.real) + (f" ± j ({_text(pole.imaginary)})" if pole.imaginary.value else "")
         lines.append(f"  pole            {place}: {_text(pole.natural_hz)} Hz, damping {_text(pole.damping)}")
-    return [
-        *lines,
-        f"  DC gain         {_text(figures.dc_gain)}",
-        f"  bandwidth       {_text(figures.bandwidth_hz)} Hz (-3 dB)",
-        f"  gain margin     {_text(figures.gain_margin_db)} dB",
-        f"  phase margin    {_text(figures.phase_margin_deg)} °",
-        f"  modulus margin  {_text(figures.modulus_margin)}",
-        "  margins are of the loop that unit feedback closes to this model",
-        f"  standard errors from {figures.errors_from}",
-    ]
+    rows = [("DC gain", figures.dc_gain, ""), ("bandwidth", figures.bandwidth_hz, " Hz (-3 dB)")]
+    rows += [("gain margin", figures.gain_margin_db, " dB"), ("phase margin", figures.phase_margin_deg, " °")]
+    rows.append(("modulus margin", figures.modulus_margin, ""))
+    lines += [f"  {name:<15} {_text(figure)}{unit}" for name, figure, unit in rows]
+    lines.append("  margins are of the loop that unit feedback closes to this model")
+    return "\n".join([*lines, f"  standard errors from {figures.errors_from}"])
 
 
 def _text(figure: Figure) -> str:
@@ -267,25 +248,16 @@ def _text(figure: Figure) -> str:
     return f"{figure.value:.{places}f} ± {figure.standard_error:.{places}f}"
 
 
-def _sweep_line(row: SweepRow, *, best: bool) -> dict[str, Any]:
-    fitted = {name: getattr(row.model, name, None) for name in ("r2t", "yic")}
-    figures = plain({**fitted, "r2t_validation": row.r2t_validation})
-    reason = {"refused": row.refused} if row.refused else {}
-    return {"order": ",".join(map(str, row.order)), "window": row.window or None, **figures, "best": best, **reason}
-
-
-def _print(lines: Sequence[dict[str, Any]], *, as_json: bool) -> None:
+def _print(lines: Sequence[Mapping[str, Any]], *, as_json: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
     if as_json:
-        for line in lines:
-            typer.echo(json_line(line))
-        return
+        return typer.echo("\n".join(map(json_line, lines)))
     table = Table(*(lines[0] if lines else ()), box=None, padding=(0, 2, 0, 0))
     for line in lines:
         table.add_row(*map(_cell, line.values()))
-    Console(highlight=False).print(table)
+    return Console(highlight=False).print(table)
 
 
 def _cell(value: object) -> str:
