@@ -9,7 +9,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
-import numpy as np
 import typer
 from typer.core import TyperGroup
 
@@ -21,11 +20,11 @@ from mavdiag.commands.progress import working
 from mavdiag.errors import BaselineError, IdentificationError, InputError, UsageError
 from mavdiag.face import FlightRates, rates, read_log
 from mavdiag.identify import ArxModel, Method, ModelRecord, fit
-from mavdiag.identify.lab import recursive
 from mavdiag.identify.lab.drawing import draw_model
 from mavdiag.identify.lab.figures import Figure, ModelFigures, model_figures
 from mavdiag.identify.lab.frequency import FrequencyResponse, compare, estimate_response
 from mavdiag.identify.lab.published import ASSUMED_DT_S, THESIS_PITCH, THESIS_ROLL
+from mavdiag.identify.lab.recursive import track as track_model
 from mavdiag.identify.lab.sweep import SweepRow, best_row, order_sweep, window_sweep
 from mavdiag.identify.validate import ResidualReport, examine_residual, one_step_report, validate
 from mavdiag.logs.log import read_bytes
@@ -192,18 +191,13 @@ def track(
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
     if not (every >= flight.dt_s and memory > flight.dt_s):
         raise UsageError(f"--every and --memory must be longer than the sample time of {flight.dt_s:g} s")
-    spec = recursive.RecursiveSpec(opt.parse_order(order), forgetting=1.0 - flight.dt_s / memory)
-    state, count, flown, lines = recursive.start(spec), max(1, round(every / flight.dt_s)), 0, []
-    for u, y in zip(flight.u, flight.y, strict=True):
-        state = recursive.new_segment(state)
-        for first in range(0, len(u), count):
-            state = recursive.step(spec, state, u[first : first + count], y[first : first + count])
-            flown += len(u[first : first + count])
-            model = recursive.snapshot(spec, state, flight.dt_s)
-            found = model_figures(model)
-            figures = {"pole_hz": found.poles[0].natural_hz, "damping": found.poles[0].damping}  # of the slowest
-            line = {"flight_s": round(flown * flight.dt_s, 3), "dc_gain": found.dc_gain}
-            lines.append({**line, **figures, "stable": model.stable})
+    count, lines = max(1, round(every / flight.dt_s)), []
+    told = {"dt": flight.dt_s, "forgetting": 1.0 - flight.dt_s / memory}
+    for flown, model in track_model(flight.u, flight.y, opt.parse_order(order), every=count, **told):
+        found = model_figures(model)
+        figures = {"pole_hz": found.poles[0].natural_hz, "damping": found.poles[0].damping}  # of the slowest
+        line = {"flight_s": round(flown * flight.dt_s, 3), "dc_gain": found.dc_gain}
+        lines.append({**line, **figures, "stable": model.stable})
     _print(lines, as_json=as_json)
 
 
@@ -233,10 +227,7 @@ def _response(flight: FlightRates, window_s: float) -> FrequencyResponse | None:
     segment = round(RESPONSE_WINDOW_S / flight.dt_s)
     if max(map(len, flight.u)) < 2 * segment:
         return None
-    found = estimate_response(flight.u, flight.y, dt=flight.dt_s, segment=segment)
-    n = int(np.searchsorted(found.frequency_hz, PASSED / window_s))
-    cut = (found.frequency_hz[:n], found.response[:n], found.coherence[:n], found.relative_error[:n])
-    return FrequencyResponse(*cut, found.averages)
+    return estimate_response(flight.u, flight.y, dt=flight.dt_s, segment=segment, most_hz=PASSED / window_s)
 
 
 def _lines(axis: Axis, model: ArxModel, figures: ModelFigures) -> list[str]:

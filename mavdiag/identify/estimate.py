@@ -25,13 +25,11 @@ def fit(
 ) -> ArxModel:
     """Identify A(z^-1) y = B(z^-1) u + e from one record or several (T 4.1.2, 5.4).
 
-    u, y: (n,) each, or sequences of such arrays, one per flight: their rows are stacked and none reaches from one
-    flight into the next. order: (na, nb, nk). dt: sample time [s]. method: "sriv" (default; unbiased with noise on
-    the output) or "ls" (the thesis's least squares). Offsets are not removed. settle_s: seconds at the start of each
-    record that r2t, nrmse_fit, mse and yic leave out, because the simulation starts from rest and a record that is cut
-    out of a flight does not; the estimate itself uses every row and, by SRIV, leaves initial states free. figures:
-    False leaves the standard errors and figures of fit unknown, which takes half the time. near: a model of the same
-    order that was fitted to nearly the same data, from which SRIV begins.
+    u, y: (n,) each, or sequences of such arrays, one per flight: none reaches from one into the next. Offsets are not
+    removed. order: (na, nb, nk). dt: sample time [s]. method: "sriv" (unbiased with noise on the output) or "ls" (the
+    thesis's least squares). settle_s: seconds at the start of each record that the figures of fit leave out, because
+    the simulation starts from rest. figures: False leaves standard errors and figures of fit unknown, which takes half
+    the time. near: a model of the same order, fitted to nearly the same data, from which SRIV begins.
 
     >>> rng = np.random.default_rng(1)
     >>> u = rng.standard_normal(500)
@@ -40,8 +38,8 @@ def fit(
     >>> model.a.round(6).tolist(), model.b.round(6).tolist(), round(model.dc_gain, 3)
     ([1.0, -1.2, 0.52], [0.0, 0.5, 0.25], 2.344)
 
-    Raises IdentificationError, saying what to do, if an argument is impossible, the data are too short, constant, hold
-    NaN or do not excite the model, or the model found is unstable.
+    Raises IdentificationError if an argument is impossible, the data are too short, constant, hold NaN or do not excite
+    the model, or the model found is unstable.
     """
     order = check_order(order)
     if method not in (Method.LS, Method.SRIV):

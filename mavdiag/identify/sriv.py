@@ -50,13 +50,10 @@ LEAST_DIAGONAL = 1e-8  # of a column beside the others; with less the columns ar
 def sriv(segments: Sequence[Segment], order: Order, figures: bool = True, near: FloatArray | None = None) -> Estimate:
     """SRIV estimate over all segments, started from least squares, or from a theta that is near already.
 
-    Both ways end at the same theta, to a thousandth of its standard error for white noise.
-
     covariance: right for output noise of any colour; nan without `figures`. loss: mean squared output error with the
-    initial state of each segment free. If the iteration does not settle, which happens where the order is not that of
-    the data, it is finished by Gauss-Newton steps on the same equations. `converged` is False if those do not settle
-    either: such data, or such an order, hardly tell the parameters apart.
-    Raises IdentificationError if they cannot tell them apart at all.
+    initial state of each segment free. What does not settle is finished by Gauss-Newton steps on the same equations;
+    `converged` is False if those do not settle either: the data hardly tell the parameters apart.
+    Raises IdentificationError if they do not tell them apart at all.
     """
     data = _by_length(segments)
     settled = False
@@ -90,9 +87,8 @@ def reflect_poles(a: FloatArray) -> FloatArray:
 class _Point:
     """A stable theta with its loss (mean squared output error, initial states free) and two ways on from it.
 
-    refined: the SRIV solution with filter and instruments from theta. descent: the Gauss-Newton solution. Both stand
-    still at the same theta. inverse: (Z_f' Z_f)^-1. errors: standard errors of theta if the noise were white.
-    rows: residuals in the loss.
+    refined: the SRIV solution with filter and instruments from theta. descent: the Gauss-Newton solution.
+    inverse: (Z_f' Z_f)^-1. errors: standard errors of theta if the noise were white. rows: residuals in the loss.
     """
 
     theta: FloatArray
@@ -167,8 +163,7 @@ def _by_length(segments: Sequence[Segment]) -> list[Segment]:
 def _filtered(group: Segment, order: Order, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f] of a group, (c, m, rows), and a basis of the responses F, (rows, na).
 
-    1/A is linear and does not change with time: a filtered lagged signal is the lagged filtered signal, but for a free
-    response, which is projected out anyway. So each signal is filtered once.
+    A filtered lagged signal is the lagged filtered signal, but for a free response, which is projected out anyway.
     """
     from scipy.signal import lfilter  # 0.8 s to import: only offline work pays it
 

@@ -1,5 +1,4 @@
-"""What the rows of one flight, a block a segment, show without a baseline, as values. Nothing here is a verdict: there
-is nothing to compare with but the limits that autopilots publish."""
+"""What the rows of one flight, a block a segment, show without a baseline, as values. Nothing here is a verdict."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -61,9 +60,9 @@ class Vibration:
 
 @dataclass(frozen=True, slots=True)
 class RotorLine:
-    """The strongest line in the spectrum of the accelerometer's x and y, or why none can be seen.
+    """The strongest line in the spectrum of the accelerometer's x and y, or the reason why none can be seen.
 
-    hz, db: where it is, and how far above its neighbourhood; NaN if there is none, and then the reason says why.
+    hz, db: where it is, and how far above its neighbourhood; NaN if there is none.
     harmonics: which of 2 and 3 times its frequency stand out as well.
     told_hz: as `told_hz`. from_hz, to_hz: where it was looked for.
     """
@@ -120,10 +119,7 @@ def output_loads(flight: Sequence[Block], motors: Sequence[int]) -> tuple[Output
 
 
 def trim(flight: Sequence[Block], layout: RotorLayout) -> Mapping[str, float] | None:
-    """Mean roll, pitch and yaw trim of the rotors, as a share of the hover command (`airframe.trim`).
-
-    None where neither outputs nor torque commands show it.
-    """
+    """Mean roll, pitch and yaw trim of the rotors [fraction of hover]; None where nothing shows it."""
     values = [value[known] for value, known in (shown_trim(block, layout) for block in flight)]
     if not sum(map(len, values)):
         return None

@@ -127,18 +127,11 @@ class MessageRate:
 class Inspection:
     """All that is told of a log or a link; its fields are those of the JSON.
 
-    source: as it was given. span_s: from its first to its last sample.
-    flight_s: valid time in flight; 0 if none. no_flight: why there is none; empty if there is.
-    upset: when and how it fell or tumbled, one sentence; empty if it did not.
+    flight_s: valid time in flight; 0 if none. no_flight: why there is none. upset: when and how it fell or tumbled.
     gyro_gaps, lost_s: gaps of the gyro longer than 35 ms, and their time in all.
     messages, link: each message of a link; frames received, lost, reordered and duplicated; None for a log without.
-    asked: what the autopilot answered to our requests, one sentence each; empty if nothing was asked.
+    asked: what the autopilot answered to our requests, one sentence each.
     clock: None where nothing came with a time of arrival of its own.
-    rotors: what is known of the rotors' layout, one sentence.
-    loads, trim: of the motors; empty or None where outputs and torque commands are missing.
-    vibration: by the autopilot's own message; None without it.
-    line: the rotors' line in the accelerometer; None without flight.
-    baseline: whether it is of this link; empty without one.
     """
 
     log: str
@@ -182,8 +175,7 @@ def inspection_of(
 ) -> Inspection:
     """Look at a log, or at what came of a link. told: what is known of its vehicle; `Airframe()` for nothing.
 
-    baseline: its monitors are told; None for all monitors.
-    count, rates_hz: of the autopilot's frames; the rate of each message by its number. asked: as in `Inspection`.
+    baseline: its monitors are told; None for all monitors. count, rates_hz: of the autopilot's frames, by message.
     """
     airframe, learnt, no_flight = rotors_of(log, told)
     signals = tuple(summary(series) for series in log.telemetry.series if len(series))
@@ -274,11 +266,7 @@ def units_of(log: Log) -> Units:
 
 
 def rotors_of(log: Log, told: Airframe) -> tuple[Airframe, LearntFlight | None, str]:
-    """The airframe with its rotors as `learn` finds them, the flight by rotor, and why there is none.
-
-    Its rotors are as told, as of every vehicle that writes such logs, by the vehicle's parameters, or by what the
-    outputs do in flight.
-    """
+    """The airframe with its rotors as `learn` finds them, the flight by rotor, and why there is none."""
     told = of_log_kind(told, log.profile)
     try:
         airframe, flights = with_rotors(told, [airborne(front_for([log], WINDOW_S, told.gate), log)])
@@ -334,9 +322,9 @@ def _by_second(t_ns: IntArray) -> tuple[IntArray, IntArray, IntArray]:
 def _gyro_gaps(telemetry: Telemetry) -> FloatArray:
     """The gaps of the gyro that are too long to be interpolated [s]."""
     gyro = telemetry.get(Signal.BODY_RATE)
-    if gyro is None or len(gyro) < 2:
-        return np.empty(0)
-    steps: FloatArray = np.diff(np.unique(gyro.t_ns)).astype(np.float64) / NS_PER_S
+    steps: FloatArray = np.empty(0)
+    if gyro is not None:
+        steps = np.diff(np.unique(gyro.t_ns)).astype(np.float64) / NS_PER_S
     return steps[steps > max(GAP_S, 1.5 * float(np.median(steps)))] if len(steps) else steps
 
 

@@ -1,10 +1,8 @@
 """The results of `sitl-plant campaign`: read and checked where they come in, and drawn.
 
-Each line of the file is one JSON object; its shape is `sitl_plant.campaign.worker.FlightResult`. Only the fields that
-are drawn are read, so that a file of a newer version can be drawn too.
+Each line is one JSON object, as `sitl_plant.campaign.worker.FlightResult`; only the fields that are drawn are read.
 """
 
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,10 +30,12 @@ LIGHT = 0.55  # share of a row from which on its cell is dark and its number whi
 _FAULT = re.compile(r"F[123]/SV[123]")
 
 
-class Answer(BaseModel):
-    """What the diagnosis answered; fields as in the campaign's `Answer`."""
-
+class _Line(BaseModel):
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+
+class Answer(_Line):
+    """What the diagnosis answered; fields as in the campaign's `Answer`."""
 
     kind: Annotated[str, Field(max_length=60)]
     rotor: int | None = None
@@ -43,10 +43,8 @@ class Answer(BaseModel):
     severity: int | None = None
 
 
-class CampaignFlight(BaseModel):
+class CampaignFlight(_Line):
     """One flight of a campaign; fields as in the campaign's `FlightResult`."""
-
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
     record: Literal["flight"]
     key: str
@@ -84,10 +82,8 @@ class CampaignFlight(BaseModel):
         return self.answer.fault_type or self.answer.kind
 
 
-class _Learnt(BaseModel):
-    """A line that holds a baseline; nothing of it is drawn."""
-
-    record: Literal["learn"]
+class _Learnt(_Line):
+    record: Literal["learn"]  # a line that holds a baseline; nothing of it is drawn
 
 
 _LINE = TypeAdapter[CampaignFlight | _Learnt](Annotated[CampaignFlight | _Learnt, Field(discriminator="record")])
@@ -116,8 +112,7 @@ class Roc:
     """Receiver operating characteristic of the score: a flight is flagged if its score is above a limit.
 
     false_share, true_share: (n,) share of the healthy and of the damaged flights, for a limit that falls.
-    area: under the curve, 0..1: the chance that a damaged flight scores higher than a healthy one.
-    at_threshold: both shares at the limit 1, which is the threshold in use.
+    area: under the curve, 0..1. at_threshold: both shares at the limit 1, which is the threshold in use.
     """
 
     false_share: FloatArray
@@ -139,7 +134,7 @@ def read_campaign(path: Path) -> Campaign:
 
 
 def parse_campaign(text: str) -> Campaign:
-    """The results in a text of lines. Raises InputError if there is no flight among them."""
+    """Read the results in a text of lines. Raises InputError if there is no flight among them."""
     flights: dict[str, CampaignFlight] = {}
     unread = 0
     for line in filter(str.strip, text.splitlines()):
@@ -151,7 +146,7 @@ def parse_campaign(text: str) -> Campaign:
         if isinstance(found, CampaignFlight):
             flights[found.key] = found
     if not flights:
-        what = "is a campaign's summary" if _is_summary(text) else "holds no flight of a campaign"
+        what = "is a campaign's summary" if '"detection"' in text else "holds no flight of a campaign"
         raise InputError(f"{what}; {REMEDY}")
     return Campaign(tuple(flights.values()), unread)
 
@@ -313,11 +308,3 @@ def _matrix(pairs: Sequence[tuple[str, str]], order: Sequence[str], across: str,
         for cause, row in zip(true, counts, strict=True)
     )
     return figure, f"{words}.", ""
-
-
-def _is_summary(text: str) -> bool:
-    try:
-        found = json.loads(text)
-    except (ValueError, RecursionError):
-        return False
-    return isinstance(found, dict) and "detection" in found

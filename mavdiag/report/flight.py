@@ -25,12 +25,8 @@ OF_LOG = ("attitude", "height", "link")  # pictures that need no judging
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightReport:
-    """One flight of a page.
-
-    verdict: with its monitors, events and notes.
-    sha256: of the log; empty if it has none. profile: of its link. started_ns: unix epoch [ns]; 0 if it is not known.
-    link: each signal as it came. pictures: in the order of the page.
-    """
+    """The verdict on a flight; the digest of its log, its link's profile, its start (unix epoch [ns]; 0 if it is not
+    known), each signal as it came, and the pictures in the order of the page."""
 
     verdict: LogVerdict
     sha256: str = ""

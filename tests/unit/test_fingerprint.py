@@ -19,6 +19,7 @@ from mavdiag.airframe.fingerprint import (
     beginning,
     compare,
     fingerprint_of,
+    joined,
     traits,
 )
 from mavdiag.airframe.layout import layout_named
@@ -139,14 +140,14 @@ def test_chunks_change_nothing() -> None:
         pieces += [one for one in parts if isinstance(one, Rows)]
     pieces += [one for one in front.finish(state)[1] if isinstance(one, Rows)]
     assert len(pieces) > 50
-    assert traits(pieces, X) == pytest.approx(traits(flight, X), nan_ok=True)
+    assert traits(joined(pieces), X) == pytest.approx(traits(joined(flight), X), nan_ok=True)
     assert compare(learnt(), pieces, X) == compare(learnt(), flight, X)
-    seconds = sum(int(block.valid.sum()) for block in beginning(pieces, 8.0)[0]) * 0.01
+    seconds = sum(int(block.valid.sum()) for block in beginning(pieces, 8.0)) * 0.01
     assert seconds == pytest.approx(8.0, abs=0.02)
 
 
 def test_an_unknown_layout_leaves_the_other_traits_and_nothing_speaks_against_an_empty_flight() -> None:
-    found = dict(zip((one.name for one in TRAITS), traits(flying_rows(flying(3000, 7)), None), strict=True))
+    found = dict(zip((one.name for one in TRAITS), traits(joined(flying_rows(flying(3000, 7))), None), strict=True))
     assert np.isnan(found["yaw trim"])
     assert np.isfinite(found["gyro noise p"])
     assert found["motors"] == 4
@@ -190,7 +191,7 @@ def test_a_noise_below_the_resolution_of_its_signal_is_the_resolution_s(noise: f
     coarse = Telemetry(
         tuple(dataclasses.replace(force, values=values) if one is force else one for one in telemetry.series)
     )
-    seen = dict(zip((one.name for one in TRAITS), traits(flying_rows(coarse), X), strict=True))
+    seen = dict(zip((one.name for one in TRAITS), traits(joined(flying_rows(coarse)), X), strict=True))
     expected = [np.log(digit * np.sqrt(0.5)) if np.isfinite(seen["accelerometer noise x"]) else np.nan] * 3
     np.testing.assert_allclose([seen[f"accelerometer noise {axis}"] for axis in "xyz"], expected, atol=0.2)
 

@@ -25,7 +25,7 @@ def test_orders_that_cannot_be_identified_carry_their_reason() -> None:
     rng = np.random.default_rng(4)
     grows = ArxModel(np.array([1.0, -1.02]), np.array([0.0, 1.0]), 0.01, (1, 1, 1), Method.PUBLISHED)
     u = rng.standard_normal(300)
-    rows = order_sweep((u, grows.simulate(u)), dt=0.01, method="ls", na=[1], nb=[1, 2], nk=[1])
+    rows = order_sweep((u, grows.simulate(u)), dt=0.01, method="ls", orders=[(1, 1, 1), (1, 2, 1)])
     assert [row.model for row in rows] == [None, None]
     assert "unstable" in rows[0].refused
     assert rows[0].score == -np.inf
@@ -35,7 +35,7 @@ def test_orders_that_cannot_be_identified_carry_their_reason() -> None:
 
 def test_without_validation_flights_the_training_fit_is_the_score() -> None:
     train = record(WELL, 1000, 0.1, 5)
-    (row,) = order_sweep((train.u, train.y), dt=0.01, na=[2], nb=[2], nk=[1])
+    (row,) = order_sweep((train.u, train.y), dt=0.01, orders=[(2, 2, 1)])
     assert row.model is not None
     assert row.refused == ""
     assert row.score == row.model.r2t

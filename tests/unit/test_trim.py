@@ -13,7 +13,8 @@ from mavdiag.airframe.trim import (
     TILT_TRIM,
     YAW_FLOOR,
     rises,
-    source_of,
+    source_among,
+    sources_of,
     spread_of,
     trim_of,
 )
@@ -69,12 +70,14 @@ def test_idle_unknown_or_lacking_outputs_give_no_trim() -> None:
 def test_outputs_are_preferred_to_commands() -> None:
     rng, frame = np.random.default_rng(1), layout_named("crazyflie")
     outputs, torque, thrust = rng.normal(0.5, 0.01, (9, 4)), rng.normal(0.0, 0.01, (9, 3)), np.full(9, 0.5)
-    assert source_of([[example_rows(9, torque=torque, thrust=thrust, actuator=outputs)]], frame) == "actuator"
-    assert source_of([[example_rows(9, torque=torque, thrust=thrust)]], frame) == "torque"
-    with pytest.raises(InputError, match="outputs of 4 motors that move above idle"):
-        source_of([[example_rows(9)]], frame)
-    with pytest.raises(InputError, match="outputs of 4 motors that move"):
-        source_of([[example_rows(9, actuator=np.ones((9, 4)))]], frame)  # all of them say 100 %, all flight
+    both = example_rows(9, torque=torque, thrust=thrust, actuator=outputs)
+    commands = example_rows(9, torque=torque, thrust=thrust)
+    assert source_among([sources_of([both], frame)], frame) == "actuator"
+    assert source_among([sources_of([commands], frame)], frame) == "torque"
+    full = example_rows(9, actuator=np.ones((9, 4)))  # all of them say 100 %, all flight
+    for rows in (example_rows(9), full):
+        with pytest.raises(InputError, match="outputs of 4 motors that move above idle"):
+            source_among([sources_of([rows], frame)], frame)
 
 
 @given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=5, max_size=5))

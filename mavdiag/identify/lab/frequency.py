@@ -21,15 +21,11 @@ class FrequencyResponse:
     """H1 estimate S_uy/S_uu over frequency; noise on y does not bias it, noise on u does.
 
     frequency_hz: (f,). response: (f,) complex, unit of y per unit of u. coherence: (f,) 0..1.
-    relative_error: (f,) standard deviation of |response| over |response|, sqrt((1 - g)/(2 g averages)) with g the
-    coherence (Bendat and Piersol, Random Data 4e, Table 9.6). averages: effective number of independent segments.
     """
 
     frequency_hz: FloatArray
     response: "NDArray[np.complex128]"
     coherence: FloatArray
-    relative_error: FloatArray
-    averages: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +39,14 @@ class ResponseGap:
     highest_hz: float
 
 
-def estimate_response(u: Records, y: Records, *, dt: float, segment: int = 1024) -> FrequencyResponse:
+def estimate_response(
+    u: Records, y: Records, *, dt: float, segment: int = 1024, most_hz: float = np.inf
+) -> FrequencyResponse:
     """Estimate the response from u to y by Welch's averaging: Hann windows, half overlap, means removed.
 
     u, y: one record each, (n,), or one per flight; flights are averaged, never joined. dt: sample time [s].
-    segment: samples per window; the resolution is 1/(segment dt), and a response longer than a window is smeared.
-    Raises IdentificationError if no record holds two windows, or as `fit` does for data that do not pair up.
+    segment: samples per window. most_hz: frequencies from there on are left out. Raises IdentificationError if no
+    record holds two windows, or as `fit` does for data that do not pair up.
     """
     from scipy.signal import csd  # 0.8 s to import: only offline work pays it
 
@@ -56,17 +54,15 @@ def estimate_response(u: Records, y: Records, *, dt: float, segment: int = 1024)
     if segment < 8 or not records:
         raise IdentificationError(f"no record holds two windows of {segment} samples; use a shorter window")
     counts = [2 * len(one) // segment - 1 for one in records]
-    windowed = [
-        [csd(*pair, 1 / dt, nperseg=segment)[1] for pair in ((s.u, s.u), (s.y, s.y), (s.u, s.y))] for s in records
-    ]
+    pairs = [[(one.u, one.u), (one.y, one.y), (one.u, one.y)] for one in records]
+    windowed = [[csd(*pair, 1 / dt, nperseg=segment)[1] for pair in three] for three in pairs]
     uu, yy, uy = np.einsum("r,rsf->sf", counts, np.array(windowed, dtype=np.complex128))
     if np.any(uu.real <= 0.0) or np.any(yy.real <= 0.0):
         raise IdentificationError("u or y has no power at some frequency; check that the signals are alive")
     coherence = np.clip(np.abs(uy) ** 2 / (uu * yy).real, 1e-12, 1.0)
-    averages = 9.0 / 11.0 * sum(counts)  # half-overlapping Hann windows are not independent (Welch 1967)
-    error = np.sqrt((1.0 - coherence) / (2.0 * coherence * averages))
     frequency = np.fft.rfftfreq(segment, dt).astype(np.float64)
-    return FrequencyResponse(frequency, uy / uu.real, coherence, error, averages)
+    use = frequency < most_hz
+    return FrequencyResponse(frequency[use], (uy / uu.real)[use], coherence[use])
 
 
 def model_response(model: ArxModel, frequency_hz: FloatArray) -> "NDArray[np.complex128]":
@@ -86,10 +82,6 @@ def compare(measured: FrequencyResponse, model: ArxModel, min_coherence: float =
         raise IdentificationError(f"no frequency reaches a coherence of {min_coherence}; fly a richer input")
     frequency = measured.frequency_hz[use]
     ratio = measured.response[use] / model_response(model, frequency)
-    return ResponseGap(
-        gain_db=float(np.sqrt(np.mean((20.0 * np.log10(np.abs(ratio))) ** 2))),
-        phase_deg=float(np.sqrt(np.mean(np.degrees(np.angle(ratio)) ** 2))),
-        lines=len(frequency),
-        lowest_hz=float(frequency[0]),
-        highest_hz=float(frequency[-1]),
-    )
+    gain_db = float(np.sqrt(np.mean((20.0 * np.log10(np.abs(ratio))) ** 2)))
+    phase_deg = float(np.sqrt(np.mean(np.degrees(np.angle(ratio)) ** 2)))
+    return ResponseGap(gain_db, phase_deg, len(frequency), float(frequency[0]), float(frequency[-1]))

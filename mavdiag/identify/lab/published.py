@@ -1,9 +1,8 @@
 """The two models that the thesis prints (T Eq 5.1, 5.2), kept for comparison. Nothing is judged with them.
 
-They cannot be used as they stand. Their sample time is not stated, and their gains at zero frequency, 194 and 317,
-are not those of a rate that follows its reference, which is near 1. So each one carries an explicit input scale. The
-scales 1/75 and 1/298 are fitted (our estimate, not the thesis's); with them the models explain about 0.55 (roll) and
-0.85 (pitch) of the output variance of the emulated aircraft, without them R_T^2 is about -3e3 and -7e4.
+Their sample time is not stated, and their gains at zero frequency, 194 and 317, are not near 1, as those of a rate that
+follows its reference. So each carries an input scale, fitted by us: with it they explain about 0.55 (roll) and 0.85
+(pitch) of the output variance of the emulated aircraft, without it R_T^2 is about -3e3 and -7e4.
 """
 
 from dataclasses import dataclass, replace

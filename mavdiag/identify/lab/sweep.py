@@ -15,12 +15,13 @@ from mavdiag.identify.validate import validate
 Flights: TypeAlias = tuple[Records, Records]  # u and y
 Prepare: TypeAlias = Callable[[int], Flights]  # window in samples -> u and y filtered with it
 
-NA, NB, NK = range(1, 4), range(1, 6), range(5)  # T 5.4 tried 2 and 3 poles, numerators 0-4, delays 0-4
+#: T 5.4 tried 2 and 3 poles, numerators 0-4, delays 0-4.
+ORDERS: tuple[Order, ...] = tuple(product(range(1, 4), range(1, 6), range(5)))
 
 
 @dataclass(frozen=True, slots=True)
 class SweepRow:
-    """One candidate. model is None where identification refused, and `refused` then says why, else it is empty.
+    """One candidate. model is None where identification refused, and `refused` then says why.
 
     window: samples, 0 in an order sweep. r2t_validation: R_T^2 on the validation flights, nan without them.
     """
@@ -56,16 +57,10 @@ def order_sweep(
     *,
     dt: float,
     method: Method | str = Method.SRIV,
-    na: Iterable[int] = NA,
-    nb: Iterable[int] = NB,
-    nk: Iterable[int] = NK,
+    orders: Iterable[Order] = ORDERS,
 ) -> tuple[SweepRow, ...]:
-    """Fit every order on the training flights (u, y) and judge it on the validation flights; one row per order.
-
-    An order that cannot be identified, or is unstable, as the thesis found with three poles, is a row with its reason.
-    Raises IdentificationError only if the validation flights themselves cannot be used.
-    """
-    return tuple(_row(train, validation, order, dt, method) for order in product(na, nb, nk))
+    """Fit each order on the training flights (u, y) and judge it on the validation flights; a row for each."""
+    return tuple(_row(train, validation, order, dt, method) for order in orders)
 
 
 def window_sweep(
@@ -79,8 +74,7 @@ def window_sweep(
 ) -> tuple[SweepRow, ...]:
     """Fit one order at each filter window (T Fig 5.5); `prepare` filters the training flights with a window.
 
-    Both R_T^2 are taken against data filtered with the row's own window, as in the thesis: a wide window also makes
-    the target easier. Raises IdentificationError only if the validation flights cannot be used.
+    Both R_T^2 are taken against data filtered with the row's own window, as in the thesis.
     """
     held_out = prepare_validation
     return tuple(
@@ -90,10 +84,10 @@ def window_sweep(
 
 
 def best_row(rows: Iterable[SweepRow], tolerance: float = 0.01) -> SweepRow:
-    """The row with the lowest YIC among those whose R_T^2 is within `tolerance` of the best.
+    """The row with the lowest YIC among those whose R_T^2 is within `tolerance` (our choice) of the best.
 
-    Young's practice: fit decides first, then how well the parameters are known, which punishes extra ones. The
-    tolerance is our choice. Raises IdentificationError if no row has a model.
+    Young's practice: fit decides first, then how well the parameters are known. Raises IdentificationError if no row
+    has a model.
     """
     usable = [(row, row.model.yic) for row in rows if row.model is not None]
     if not usable:
