@@ -3,13 +3,12 @@
 import json
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
 
 from mavdiag.commands.inspect import inspect
-from mavdiag.errors import InputError, UsageError
+from mavdiag.errors import InputError
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
 from mavdiag.link.ports import open_endpoint
@@ -171,29 +170,3 @@ def test_a_fresh_ardupilot_link_is_asked_for_streams_and_rotors_and_nothing_is_s
     place = field_index(MessageId.COMMAND_LONG, "command")
     commands = {frame.fields[place] for frame in vehicle.heard if frame.msgid == MessageId.COMMAND_LONG}
     assert commands == {MavCmd.SET_MESSAGE_INTERVAL}
-
-
-class OtherCounts(FreshArduPilot):
-    """Its RAW_IMU is in counts of a sensor of 8 g."""
-
-    COUNTS = 4096
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._rates = {MessageId.RAW_IMU: 100.0}
-
-
-@pytest.mark.realtime
-def test_a_raw_imu_of_unknown_scale_is_named_by_gravity(capsys: pytest.CaptureFixture[str]) -> None:
-    def look(address: str) -> None:
-        with pytest.raises(InputError, match="counts 4096 at rest, 16 bits over 8 g; only 1000 and 2048 are read"):
-            inspect([address], duration=2.0)
-        inspect([address], duration=2.0, profile="ardupilot")
-
-    beside(OtherCounts(), look)
-    assert "gravity: 4.10 g, wrong scale, or never at rest" in capsys.readouterr().out
-
-
-def test_ask_is_for_a_link(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="--ask is for a link"):
-        inspect([str(tmp_path / "flight.tlog")], ask=True)

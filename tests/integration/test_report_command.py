@@ -11,7 +11,6 @@ from shared_data import shared
 from typer.testing import CliRunner
 
 from mavdiag import cli
-from mavdiag.demo import command
 from mavdiag.errors import MavdiagError
 from mavdiag.face import learn
 from mavdiag.judging import judge_in_full
@@ -116,14 +115,3 @@ def test_a_long_flight_has_no_longer_page() -> None:
     short, long = size(5000), size(30_000)
     assert long < 1.5 * short  # six times as long a flight
     assert long < 900_000
-
-
-def test_the_demo_ends_with_a_report_of_its_flight(
-    tmp_path: Path, baseline: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(command, "read_log", lambda path: healthy(1)[0])
-    page = tmp_path / "new folder" / "demo-report.html"
-    command._print_report(tmp_path / "flight.tlog", baseline, page)
-    said = capsys.readouterr().out
-    assert f"its report: {page}" in said
-    assert "Flight report: the demo's flight" in page_at(page).said

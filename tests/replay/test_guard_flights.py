@@ -40,12 +40,6 @@ def test_the_healthy_flights_of_e8_teach_and_so_do_four_of_them() -> None:
         assert found.left_out == ()
 
 
-@pytest.mark.parametrize("name", ["healthy_quad3kg_sq1", "healthy_quad3kg_sq5", "healthy_jsonplant2_sq1"])
-def test_healthy_flights_of_a_real_autopilot_teach(name: str) -> None:
-    log = read_log(shared(f"data/arducopter_sitl/{name}.tlog"))
-    assert taught([log], 0.1, None, robust=False).left_out == ()
-
-
 def test_a_real_flight_teaches_up_to_its_upset_and_is_refused_with_it() -> None:
     log = read_log(shared("data/ardupilot_real/log171.bin"))
     assert taught([part(log, 75, 217)], 0.1, None, robust=False).left_out == ()

@@ -77,14 +77,6 @@ def test_the_example_of_the_page_is_an_airframe(tmp_path: Path) -> None:
         assert f"`{name}`" in page
 
 
-def test_effects_say_the_same_as_places(tmp_path: Path) -> None:
-    effects = [(-3, 2, 1), (3, -2, 1), (3, 2, -1), (-3, -2, -1)]
-    rows = "".join(f"[[rotors]]\nroll = {r}\npitch = {p}\nyaw = {y}\n" for r, p, y in effects)
-    layout = load_airframe(written(tmp_path, f'name = "a"\n{rows}')).layout
-    assert layout is not None
-    np.testing.assert_allclose(layout.mixing, layout_named("x").mixing, atol=1e-8)
-
-
 PLACE = '[[rotors]]\nx_m = 1\ny_m = 1\nspin = "cw"\n'
 REFUSED = [
     ("", "name: Field required"),

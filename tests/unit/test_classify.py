@@ -59,28 +59,6 @@ def test_separate_types_are_named_with_confidence(seed: int) -> None:
         assert found.confidence > 0.9
 
 
-def test_a_line_without_noise_gives_every_severity() -> None:
-    rising = [Example(FaultPoint(3.0, 2.0 * level), F3, level, float(level)) for level in (1, 2, 3) for _ in range(3)]
-    other = [Example(FaultPoint(1.5, 1.0), F1, 1) for _ in range(3)]
-    plane = fit_plane(rising + other)
-    (trend,) = plane.trends  # F1 was not weighed
-    assert trend.slope == pytest.approx(2.0)
-    assert trend.intercept == pytest.approx(0.0, abs=1e-12)
-    for level in (1, 2, 3):
-        found = classify(plane, FaultPoint(3.0, 2.0 * level))
-        assert (found.fault_type, found.severity) == (F3, level)
-    assert classify(plane, FaultPoint(1.5, 1.0)).severity is None
-
-
-def test_a_trace_like_none_of_the_known_ones_is_unknown() -> None:
-    plane = fit_plane(examples(1, flights=6))
-    found = at(4.0, 3.0, plane)
-    assert found.outcome is Outcome.FAR
-    assert (found.fault_type, found.confidence, found.severity) == (None, None, None)
-    assert found.distance is not None
-    assert found.distance > 4
-
-
 @pytest.mark.parametrize("duration", [0.2, 1.0])
 def test_a_run_that_does_not_exceed_the_fml_is_noise(duration: float) -> None:
     plane = fit_plane(examples(1, flights=3))

@@ -1,6 +1,5 @@
 """The demo's processes and its kept baseline."""
 
-import os
 import time
 from pathlib import Path
 
@@ -39,17 +38,6 @@ def test_b15_the_timeout_is_of_the_whole_wait_and_not_of_each_line(module: str) 
         one.wait_for("first", 20.0)
         with pytest.raises(LinkError, match="did not get ready: tick"):
             one.wait_for("ready", 1.0)
-
-
-def test_baselines_of_other_versions_stay_while_they_are_used(tmp_path: Path) -> None:
-    from mavdiag.demo.command import delete_unused
-
-    now_s = 1.8e9
-    for name, days in (("demo-fused-1-a.json", 1), ("demo-fused-2-b.json", 100), ("other.json", 100)):
-        (tmp_path / name).write_text("{}")
-        os.utime(tmp_path / name, (now_s - 86_400 * days,) * 2)
-    delete_unused(tmp_path, now_s)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["demo-fused-1-a.json", "other.json"]
 
 
 def test_b25_the_kept_baseline_belongs_to_the_sources_that_made_it(

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from flying_telemetry import START_NS, flying, flying_front, flying_rows
-from made_baselines import FRAME, NOW, healthy, logged, whole
+from made_baselines import FRAME, NOW, logged, whole
 from made_telemetry import cut
 from shared_data import shared
 
@@ -23,7 +23,6 @@ from mavdiag.airframe.fingerprint import (
     traits,
 )
 from mavdiag.airframe.layout import layout_named
-from mavdiag.baseline import dump, parse
 from mavdiag.errors import InputError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
@@ -119,18 +118,6 @@ def test_another_vehicle_is_not_judged_and_a_near_one_has_a_note(flight: Telemet
     assert "another vehicle" not in damaged.reason
 
 
-def test_the_fingerprint_is_kept_in_the_baseline() -> None:
-    baseline = learn(healthy(3), LearnOptions(airframe=FRAME, monitors=("rotor_trim",)), created=NOW)
-    assert baseline.fingerprint is not None
-    assert baseline.fingerprint.flights == 3
-    assert parse(dump(baseline)).fingerprint == baseline.fingerprint
-
-
-def test_a_baseline_without_a_fingerprint_judges_as_before() -> None:
-    old = whole().model_copy(update={"fingerprint": None})
-    assert judge(logged(flying(3000, 7)), old).verdict is Verdict.HEALTHY
-
-
 def test_chunks_change_nothing() -> None:
     telemetry = flying(3000, 7, weak_rotor=1, rise=0.1)
     flight, front = flying_rows(telemetry), flying_front()
@@ -152,15 +139,6 @@ def test_an_unknown_layout_leaves_the_other_traits_and_nothing_speaks_against_an
     assert np.isfinite(found["gyro noise p"])
     assert found["motors"] == 4
     assert compare(Fingerprint((Figure("yaw trim", 0.0, 0.01),), 1), [], X) == Likeness(Outcome.ALIKE)
-
-
-def test_more_flights_make_a_narrower_spread_but_no_certainty() -> None:
-    one = fingerprint_of([flying_rows(flying(3000, 100))], X)
-    assert one is not None
-    spread = {figure.name: figure.spread for figure in one.figures}
-    assert spread["yaw trim"] == pytest.approx(0.002, rel=0.02)  # and what it varies by within the flight
-    many = {figure.name: figure.spread for figure in learnt().figures}
-    assert 0 < many["yaw trim"] < spread["yaw trim"]
 
 
 def test_what_a_trait_varies_by_as_the_vehicle_flies_is_its_spread() -> None:

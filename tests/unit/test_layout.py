@@ -13,7 +13,6 @@ from mavdiag.errors import UsageError
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
-from sitl_plant.vehicle import allocation, qdrone2
 
 #: Where each rotor is, seen from above: (x forward, y right),
 #: and how it turns, + counter-clockwise. From each vehicle's own drawing.
@@ -57,10 +56,6 @@ def test_signs_follow_from_where_the_rotors_are(name: str) -> None:
     assert layout.coaxial == (name in ("x8", "y6", "y6b"))
     C = layout.unmixing / np.linalg.norm(layout.unmixing, axis=0)
     assert (C.T @ C - 2 * np.eye(n)).max() < 0.95  # each rotor has a direction of its own
-
-
-def test_the_thesis_frame_is_the_plant_s() -> None:
-    assert np.array_equal(np.sign(allocation(qdrone2())[1:].T), layout_named("qdrone2").mixing)
 
 
 def test_a_layout_must_command_all_three_axes_and_be_scaled() -> None:

@@ -114,13 +114,3 @@ def test_the_bound_is_over_all_matrices_of_a_file(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("mavdiag.logs.matlab.MAX_BYTES", 8 * 1000 * (3 + len(ROWS["two"])) - 1)
     with pytest.raises(InputError, match="two is too long to be a flight"):
         read_matrices(content(rows), WANTED)
-
-
-def test_both_byte_orders_are_read(tmp_path: Path) -> None:
-    """A matrix of the other order, written by hand: MATLAB on big-endian machines wrote such files."""
-    values = np.arange(6.0)
-    parts = struct.pack(">IIII", 6, 8, 6, 0) + struct.pack(">IIii", 5, 8, 2, 3)
-    parts += struct.pack(">HH4s", 3, 1, b"two\0") + struct.pack(">II", 9, 48) + values.astype(">f8").tobytes()
-    data = b"MATLAB 5.0".ljust(124) + b"\x01\x00MI" + struct.pack(">II", 14, len(parts)) + parts
-    np.testing.assert_array_equal(read_matrices(data, {"two": 2})[0]["two"], values.reshape(3, 2))
-    np.testing.assert_array_equal(by_scipy(data, tmp_path)["two"].T, values.reshape(3, 2))

@@ -79,12 +79,6 @@ def test_without_the_correlations_the_report_says_so() -> None:
     assert rough.dc_gain.standard_error > 2 * known.dc_gain.standard_error
 
 
-def test_a_pole_at_zero_and_a_gain_that_never_drops_have_no_figure() -> None:
-    found = model_figures(ArxModel(np.array([1.0, 0.0]), np.array([0.0, 1.0]), DT, (1, 1, 1), Method.PUBLISHED))
-    assert found.poles[0].natural_hz.value is None
-    assert found.bandwidth_hz.value is None
-
-
 def test_a_picture_is_drawn_with_and_without_a_residual(tmp_path: Path) -> None:
     train = record(WELL, 800, 0.1, 0)
     model = fit(train.u, train.y, dt=DT)

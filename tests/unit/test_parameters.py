@@ -182,13 +182,6 @@ def test_a_dataflash_log_carries_the_last_value_of_each_parameter(tmp_path: Path
     assert not read_log(path).motor_order
 
 
-def test_several_outputs_of_one_motor_do_not_shift_the_others(tmp_path: Path) -> None:
-    records = [PARM.record(2, name.encode(), value) for name, value in servos(33, 33, 34, 35, 36).items()]
-    path = tmp_path / "log.bin"
-    path.write_bytes(dataflash([PARM, RCOU], [*records, RCOU.record(3, 1100, 1200, 1300, 1400, 1500, 0)]))
-    assert read_log(path).telemetry.need(Signal.ACTUATOR).values[0].tolist() == pytest.approx([0.1, 0.3, 0.4, 0.5])
-
-
 def parameter(kind: str, name: str, value: float) -> bytes:
     """A ULog parameter message."""
     key, number = f"{kind} {name}".encode(), struct.pack("<i" if kind == "int32_t" else "<f", value)

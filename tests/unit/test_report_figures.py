@@ -13,13 +13,12 @@ from scipy.signal import welch
 
 from mavdiag.airframe.fingerprint import joined
 from mavdiag.airframe.layout import layout_named
-from mavdiag.airframe.propellers import FaultType, propeller
 from mavdiag.face import rates
 from mavdiag.identify import Method, fit
 from mavdiag.identify.validate import validate
 from mavdiag.look.figures import spectrum_of
 from mavdiag.report.campaign import roc_of
-from mavdiag.report.residuals import longest_by_column, moment_of, ratio_of, runs_of, unbalance_of
+from mavdiag.report.residuals import longest_by_column, moment_of, runs_of
 from mavdiag.report.rotors import shift_of
 from mavdiag.report.signals import sweep_of
 from mavdiag.report.style import envelope
@@ -56,13 +55,6 @@ def test_an_envelope_keeps_the_extremes_and_invents_nothing(n: int, columns: int
             assert np.nanmax(shown) == known.max()
     if len(known):
         assert np.nanmin(envelope(t, y, columns)[1]) == known.min()
-
-
-def test_a_gap_in_time_is_not_drawn_across() -> None:
-    t = np.concatenate((np.arange(500.0), np.arange(2000.0, 2500.0)))
-    for filled in (False, True):
-        for times, columns in ((t, 50), (t, 5000), (np.repeat(t, 3), 5000)):
-            assert np.isnan(envelope(times, np.ones(len(times)), columns, filled=filled)[1]).any()
 
 
 def test_the_runs_are_those_that_a_walk_over_the_residual_finds() -> None:
@@ -135,24 +127,6 @@ def test_the_shift_of_a_weak_rotor_is_its_rise() -> None:
     assert int(np.argmax(shift.mean(None))) == 2
     assert not shift.beyond_health
     assert np.isnan(shift.shift[:100]).all()  # no 5 s yet
-
-
-def test_the_ratio_is_nan_where_nothing_was_judged() -> None:
-    for trace in traces()[1]:
-        t_s, ratio = ratio_of(trace)
-        assert len(t_s) == len(ratio)
-        np.testing.assert_array_equal(np.isfinite(ratio), trace.found.valid)
-    verdict = cracked()[1].verdict
-    highest_of = {one.slot.key: np.nanmax(ratio_of(one)[1]) for one in traces()[1] if one.found.valid.any()}
-    for one in verdict.monitors:
-        if one.maximum is not None:
-            assert highest_of[one.name, one.axis] == pytest.approx(one.maximum / one.threshold)
-
-
-def test_the_unbalance_is_near_the_propellers() -> None:
-    found = unbalance_of(traces()[1], ONSET_S + 1.0)
-    assert found == pytest.approx(propeller(FaultType.CRACK, 2).unbalance_g_mm, rel=0.3)
-    assert unbalance_of([], None) is None
 
 
 @given(st.lists(st.integers(0, 20), min_size=1, max_size=40), st.lists(st.integers(0, 20), min_size=1, max_size=40))

@@ -7,22 +7,17 @@ from pathlib import Path
 
 import pytest
 from flying_telemetry import flying, without
-from made_baselines import FRAME, healthy, logged, plain, whole
+from made_baselines import healthy, logged, plain, whole
 from made_telemetry import flight
 from page_reading import Page, check
 
-from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
-from mavdiag.decision.alarm import Change, Stage
-from mavdiag.decision.words import OBSERVES, advice, evidence_sentence, headline
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, judge_in_full
-from mavdiag.monitors import BY_NAME
-from mavdiag.monitors.base import FaultKind
 from mavdiag.report.campaign import Campaign, parse_campaign, read_campaign
 from mavdiag.report.flight import FlightReport, flight_report
 from mavdiag.report.page import Made, campaign_page, flights_page
-from mavdiag.report.style import Drawn, embedded, picture, sheet
+from mavdiag.report.style import Drawn, picture, sheet
 from mavdiag.telemetry import Log, Signal
 
 MADE = Made("2026-01-01T00:00:00+00:00", "baseline.json")
@@ -91,13 +86,6 @@ def test_a_log_that_carries_less_says_what_is_not_drawn(log: Log, reason: str) -
     assert reason in page.said
 
 
-def test_a_baseline_without_rotors_says_so() -> None:
-    bare = whole().model_copy(update={"airframe": Airframe(name="bare", gate=FRAME.gate)})
-    missing = {one.key: one.not_drawn for one in report_of(healthy(1)[0], bare).pictures if one.not_drawn}
-    assert all("layout is not known" in missing[key] for key in ("airframe", "trim", "trim-bars"))
-    assert "emulated QDrone 2 alone" in missing["severity"]
-
-
 def test_no_text_from_outside_is_markup() -> None:
     log = replace(healthy(1)[0], name=f"{HOSTILE}.tlog", notes=(HOSTILE, "b"), parameters={HOSTILE: 1.0})
     flight_there = report_of(log, whole(), figures=False)
@@ -122,38 +110,11 @@ def test_several_logs_begin_with_a_table_that_leads_to_each_and_equal_values_giv
     assert dots() == dots()
 
 
-def test_each_verdict_has_its_sentence_and_advice() -> None:
-    change = Change(
-        2_000_000_000, Stage.FAULT, "", "unbalance", None, "", 2.0, 1.0, 3, 0.9, "F2", 2, FaultKind.PROPELLER
-    )
-    plain = {verdict: LogVerdict("a", verdict, "because", 9.0, 10.0) for verdict in Verdict}
-    blade = replace(plain[Verdict.FAULT], changes=(change,), kind=FaultKind.PROPELLER, since_s=2.0, rotor=3)
-    assert set(OBSERVES) == set(BY_NAME)
-    told = {verdict: f"{headline(one)} {evidence_sentence(one)} {advice(one)}" for verdict, one in plain.items()}
-    assert len(set(told.values())) == len(Verdict)
-    assert {v for v, text in told.items() if "because" in text} == set(Verdict) - {Verdict.FAULT, Verdict.HEALTHY}
-    assert "no proof of health" in told[Verdict.HEALTHY]
-    assert "healthy" not in told[Verdict.SUSPECTED]
-    assert all(words in headline(blade) for words in ("rotor 3", "F2, severity 2 of 3", "2.0 s"))
-    assert "rotor" not in headline(replace(blade, kind=FaultKind.SENSOR)) + advice(
-        replace(blade, kind=FaultKind.SENSOR)
-    )
-
-
 @picture("link")
 def dots() -> Drawn:
     figure = sheet(2.0)
     figure.subplots().plot([1, 2], [3, 4], "o")
     return figure, "words & <more>", ""
-
-
-def test_a_drawing_has_its_own_ids_in_a_page() -> None:
-    svg = dots().svg
-    first, second = embedded(svg, "a"), embedded(svg, "b")
-    ids = Page(first + second).ids
-    assert len(ids) == len(set(ids)) > 2
-    assert "<metadata" not in svg
-    assert "words &amp; &lt;more&gt;" in svg
 
 
 def results() -> str:

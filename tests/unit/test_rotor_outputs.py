@@ -22,7 +22,6 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.rows.block import Block
-from mavdiag.rows.outputs import in_rotor_order
 from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
 from mavdiag.testing import example_rows
 
@@ -107,14 +106,6 @@ def test_a_servo_that_follows_as_a_motor_does_leaves_the_layout_unknown() -> Non
     assert (named.layout, named.outputs) == (layout_named("x"), (2, 3, 4, 5))
 
 
-def test_named_outputs_that_do_not_move_are_said() -> None:
-    flight = made_flight(layout_named("x"), 9)
-    found = detect_layout([flight], outputs=(3, 4, 5, 6))
-    assert found.layout is None
-    assert (found.idle, found.reason) == ((3, 4), "the outputs of the rotors 3, 4 do not move")
-    assert contradicts(found, layout_named("x")) == found.reason
-
-
 def test_without_yaw_the_finding_says_that_the_senses_were_not_seen() -> None:
     found = detect_layout([unyawed(layout_named("x"), 3)])
     assert found.layout is layout_named("x")
@@ -138,17 +129,6 @@ def test_what_is_told_is_held_against_the_flights() -> None:
         found = contradicts(detect_layout([flight], known), layout)
         assert words in found
         assert bool(words) == bool(found)
-
-
-def test_rows_come_in_the_order_of_the_rotors_once() -> None:
-    outputs = np.arange(12.0).reshape(3, 4)
-    block = example_rows(3, actuator=outputs).block
-    assert in_rotor_order(block, None) is block
-    assert in_rotor_order(block, (3, 1)).actuator.tolist() == outputs[:, [2, 0]].tolist()
-    short = in_rotor_order(block, (4, 6)).actuator
-    assert short[:, 0].tolist() == outputs[:, 3].tolist()
-    assert np.isnan(short[:, 1]).all()
-    assert in_rotor_order(example_rows(3).block, (4, 6)).actuator.shape == (3, 0)
 
 
 def shifted(telemetry: Telemetry, *, seed: int = 0) -> Telemetry:
@@ -267,11 +247,6 @@ def test_identify_says_an_unknown_layout_in_a_line_of_its_own(
     assert "\nrotor layout unknown: " in shown.stdout
 
 
-def test_contradictory_parameters_stand_in_the_reason() -> None:
-    logs = [replace(one, parameters={**COPTER_X, **SERVOS_5, "SERVO9_FUNCTION": 33.0}) for one in silent(2)]
-    assert "unknown: the parameters contradict themselves: SERVOn_FUNCTION has the motors 1, 1," in str(taught(logs))
-
-
 def test_outputs_of_an_airframe_file(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text('name = "a"\nlayout = "x"\noutputs = [5, 6, 8, 7]\n')
@@ -289,9 +264,3 @@ def test_outputs_of_an_airframe_file(tmp_path: Path) -> None:
         with_layout(Airframe(name="a", layout=layout_named("x")), "plus")
     with pytest.raises(UsageError, match="no layout 'y'"):
         with_layout(UNKNOWN, "y")
-
-
-def test_identify_takes_a_layout_by_name() -> None:
-    result = CliRunner().invoke(app, ["identify", "absent.bin", "-o", "b.json", "--layout", "hexa"])
-    assert result.exit_code != 0
-    assert "no layout 'hexa': use one of qdrone2" in str(result.exception)

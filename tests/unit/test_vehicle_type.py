@@ -1,18 +1,16 @@
 """Only multirotors are judged: what a boat, a plane or a helicopter is answered, in every kind of log and on a link."""
 
-import json
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_baselines import whole
 from made_logs import DataFlashMessage, ULogTopic, dataflash, ulog, ulog_message
 from typer.testing import CliRunner
 
 import mavdiag as md
 from mavdiag.airframe.vehicle_type import MULTIROTORS, refusal
-from mavdiag.cli import app, main
+from mavdiag.cli import main
 from mavdiag.errors import InputError
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import MessageId
@@ -94,11 +92,6 @@ def test_a_multirotor_beside_a_boat_is_read_and_the_boat_is_told(tmp_path: Path)
         md.read_log(path, vehicle=1)
 
 
-def test_one_wrong_heartbeat_among_many_is_outvoted(tmp_path: Path) -> None:
-    wrong = [(5, Encoder(1, 1).encode(MessageId.HEARTBEAT, 11, 3, 128, 0, 4, 3))]
-    assert md.read_log(tlog(tmp_path / "a.tlog", wrong, stream(2))).mav_type == 2
-
-
 @pytest.mark.parametrize(
     ("texts", "parameters", "kind"),
     [
@@ -161,15 +154,3 @@ def test_on_a_link_only_a_multirotor_enters(careful: bool) -> None:
         decoder.feed([(frame, 1_000 * t_us)], 1_000 * t_us)
     assert list(decoder.vehicles) == [7]
     assert decoder.waiting == {1: BOAT}
-
-
-def test_a_scan_of_a_folder_goes_on_behind_a_boat(tmp_path: Path) -> None:
-    (tmp_path / "logs").mkdir()
-    tlog(tmp_path / "logs" / "a.tlog", stream(11))
-    tlog(tmp_path / "logs" / "b.tlog", stream(2))
-    whole().save(tmp_path / "baseline.json")
-    command = ["scan", str(tmp_path / "logs"), "--baseline", str(tmp_path / "baseline.json"), "--json"]
-    found = [json.loads(line) for line in RUN.invoke(app, command).stdout.splitlines() if line.startswith("{")]
-    assert BOAT in found[0]["reason"]
-    assert found[0]["verdict"] == "error"
-    assert found[1]["verdict"] == "not_judgeable"
