@@ -30,15 +30,10 @@ class Segment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """theta: (na + nb,), with its covariance. loss: mean square of the estimator's residuals. rows: how many there are.
-
-    iterations, converged: of the estimator's own loop.
-    """
+    """theta: (na + nb,), with its covariance. iterations, converged: of the estimator's own loop."""
 
     theta: FloatArray
     covariance: FloatArray
-    loss: float
-    rows: int
     iterations: int = 0
     converged: bool = True
 
@@ -156,7 +151,7 @@ def solve(Z: FloatArray, Phi: FloatArray, target: FloatArray, tolerance: float) 
 
 
 def least_squares(segments: Sequence[Segment], order: Order) -> Estimate:
-    """Least-squares estimate over the rows of all segments: covariance = (Phi' Phi)^-1 e'e/(n - d); loss V = e'e/n.
+    """Least-squares estimate over the rows of all segments: covariance = (Phi' Phi)^-1 e'e/(n - d).
 
     Raises IdentificationError if the regressors are linearly dependent.
     """
@@ -165,5 +160,4 @@ def least_squares(segments: Sequence[Segment], order: Order) -> Estimate:
     R = triangle(stacked.T)
     Phi, target = R[:, :d], R[:, d]
     theta, spread = solve(Phi, Phi, target, n * EPSILON)
-    squares = float(np.sum((target - Phi @ theta) ** 2))
-    return Estimate(theta, spread * squares / (n - d), squares / n, n)
+    return Estimate(theta, spread * float(np.sum((target - Phi @ theta) ** 2)) / (n - d))

@@ -59,12 +59,11 @@ def fit(
     if not figures:
         return bare
     measured, simulated = free_run(bare, segments, settle_s)
-    error, d, n, loss = measured - simulated, len(estimate.theta), estimate.rows, estimate.loss
+    error = measured - simulated
     with np.errstate(all="ignore"):  # a perfect fit, or a parameter of 0
         unsure = float(np.mean(np.diag(estimate.covariance) / estimate.theta**2))
         share = float(np.var(error) / np.var(measured))
         yic = float(np.sum(np.log(np.maximum((share, unsure), 0.0)))) if math.isfinite(unsure) else math.inf
-        aic = float(np.log(loss)) + 2 * d / n
     return replace(
         bare,
         standard_errors=np.empty(0),
@@ -73,8 +72,6 @@ def fit(
         nrmse_fit=nrmse_percent(measured, simulated),
         mse=float(np.mean(error**2)),
         yic=yic,
-        aic=aic,
-        fpe=loss * (1 + d / n) / (1 - d / n),
         samples=sum(len(segment) for segment in segments),
         iterations=estimate.iterations,
         converged=estimate.converged,

@@ -45,9 +45,8 @@ class ArxModel:
 
     Fit on the training data, nan where unknown. With e_sim = y - simulate(u), each segment from rest, all pooled:
     r2t: R_T^2 = 1 - var(e_sim)/var(y). nrmse_fit: 100 (1 - |e_sim| / |y - mean y|) [percent]. mse: mean e_sim^2.
-    yic: Young's information criterion, ln(var(e_sim)/var(y)) + ln(mean(se^2/theta^2)). aic: ln V + 2d/n and fpe:
-    V (1 + d/n)/(1 - d/n) with n residuals, V the mean square of the method's own: the one-step error for LS, the output
-    error with free initial states for SRIV. samples: rows of training data. iterations, converged: of SRIV.
+    yic: Young's information criterion, ln(var(e_sim)/var(y)) + ln(mean(se^2/theta^2)). samples: rows of training data.
+    iterations, converged: of SRIV.
 
     Raises IdentificationError if the coefficients do not fit the order, are not finite, or dt is not positive. It may
     be unstable, as published models are, but `fit` never returns such a one.
@@ -64,8 +63,6 @@ class ArxModel:
     nrmse_fit: float = math.nan
     mse: float = math.nan
     yic: float = math.nan
-    aic: float = math.nan
-    fpe: float = math.nan
     samples: int = 0
     iterations: int = 0
     converged: bool = True

@@ -50,9 +50,8 @@ LEAST_DIAGONAL = 1e-8  # of a column beside the others; with less the columns ar
 def sriv(segments: Sequence[Segment], order: Order, figures: bool = True, near: FloatArray | None = None) -> Estimate:
     """SRIV estimate over all segments, started from least squares, or from a theta that is near already.
 
-    covariance: right for output noise of any colour; nan without `figures`. loss: mean squared output error with the
-    initial state of each segment free. What does not settle is finished by Gauss-Newton steps on the same equations;
-    `converged` is False if those do not settle either: the data hardly tell the parameters apart.
+    covariance: right for output noise of any colour; nan without `figures`. What does not settle is finished by
+    Gauss-Newton steps on the same equations; `converged` is False if those do not settle either.
     Raises IdentificationError if they do not tell them apart at all.
     """
     data = _by_length(segments)
@@ -68,7 +67,7 @@ def sriv(segments: Sequence[Segment], order: Order, figures: bool = True, near: 
         point, more, settled = _descend(data, order, point)
         iterations += more
     covariance = _coloured(data, order, point) if figures else np.full_like(point.inverse, np.nan)
-    return Estimate(point.theta, covariance, point.loss, point.rows, iterations, settled)
+    return Estimate(point.theta, covariance, iterations, settled)
 
 
 def reflect_poles(a: FloatArray) -> FloatArray:

@@ -9,6 +9,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from mavdiag.airframe.propellers import FaultType, propeller
 from mavdiag.drawing import Colour
@@ -112,9 +114,8 @@ def moment_of(rates: Sequence[RateTrace]) -> tuple[float, float]:
 @picture("rates")
 def rates_picture(rates: Sequence[RateTrace], columns: int = COLUMNS) -> Drawn:
     """Ten seconds of all modelled axes, about the longest FSD."""
-    rates = _judged(rates)
+    rates, figure, several = _by_axis(rates)
     start_s, stop_s = moment_of(rates)
-    figure, several = panels(0.5 + 1.6 * len(rates), len(rates))
     for axes, trace in zip(several, rates, strict=True):
         t_s = trace.t_ns / NS_PER_S
         part = slice(*np.searchsorted(t_s, (start_s, stop_s)))
@@ -135,8 +136,7 @@ def rates_picture(rates: Sequence[RateTrace], columns: int = COLUMNS) -> Drawn:
 @picture("residual")
 def residual_picture(rates: Sequence[RateTrace], columns: int = COLUMNS) -> Drawn:
     """The residual of all modelled axes over the flight; hatched, so that it shows in grey, where FSD exceeds FML."""
-    rates = _judged(rates)
-    figure, several = panels(0.5 + 1.6 * len(rates), len(rates))
+    rates, figure, several = _by_axis(rates)
     hatched: Any = {"facecolor": "none", "edgecolor": Colour.FAULT, "hatch": "////", "linewidth": 0.0, "alpha": 0.7}
     words = []
     for axes, trace in zip(several, rates, strict=True):
@@ -157,8 +157,7 @@ def residual_picture(rates: Sequence[RateTrace], columns: int = COLUMNS) -> Draw
 @picture("fsd")
 def fsd_picture(rates: Sequence[RateTrace], columns: int = COLUMNS) -> Drawn:
     """The runs of all modelled axes over the flight."""
-    rates = _judged(rates)
-    figure, several = panels(0.5 + 1.5 * len(rates), len(rates))
+    rates, figure, several = _by_axis(rates)
     for axes, trace in zip(several, rates, strict=True):
         _, end_s, fsd_s, _ = longest_by_column(runs_of(trace), columns)
         longer = fsd_s > trace.fml_s
@@ -237,8 +236,12 @@ def unbalance_of(slots: Sequence[SlotTrace], since_s: float | None) -> float | N
     return None
 
 
+def _by_axis(rates: Sequence[RateTrace]) -> tuple[list[RateTrace], Figure, list[Axes]]:
+    judged = _judged(rates)
+    return judged, *panels(0.5 + 1.6 * len(judged), len(judged))
+
+
 def _judged(rates: Sequence[RateTrace]) -> list[RateTrace]:
-    """Those that judged any of the flight."""
     found = [trace for trace in rates if trace.judged.any()]
     if not found:
         raise NotDrawn(NO_MODEL)

@@ -4,7 +4,6 @@
 stands for a span of time and shows all values in it: a spike of one sample is not lost.
 """
 
-import itertools
 import math
 import textwrap
 from collections.abc import Sequence
@@ -206,19 +205,14 @@ def _wrapped(head: str, text: str, style: str, width: int) -> list[Text]:
     """A text of any length as lines of the width, the later ones indented as far as the head goes."""
     parts = textwrap.wrap(printable(text), max(width - len(head), 1)) or [""]
     heads = [head, *[" " * len(head)] * (len(parts) - 1)]
-    lines = [Text(before + part, style=style, no_wrap=True) for before, part in zip(heads, parts, strict=True)]
-    for line in lines:
-        line.truncate(width, overflow="ellipsis")  # of characters that are two cells wide
-    return lines
+    return [_cut(before + part, width, style) for before, part in zip(heads, parts, strict=True)]
 
 
 def _strip(shown: StripView, view: View, width: int) -> list[Text]:
     lines = strip(shown, view.from_s, view.to_s, width - MARGIN, STRIP_ROWS)
     scale = (f"{shown.high:+.2g}", shown.name, shown.unit, f"{shown.low:+.2g}")
-    return [
-        Text(f"{words:>{MARGIN - 1}.{MARGIN - 1}} ", no_wrap=True, style="dim").append_text(line)
-        for words, line in zip(scale, lines, strict=True)
-    ]
+    heads = (Text(f"{words:>{MARGIN - 1}.{MARGIN - 1}} ", no_wrap=True, style="dim") for words in scale)
+    return [head.append_text(line) for head, line in zip(heads, lines, strict=True)]
 
 
 def strip(shown: StripView, from_s: float, to_s: float, width: int, rows: int) -> list[Text]:
@@ -244,26 +238,17 @@ def strip(shown: StripView, from_s: float, to_s: float, width: int, rows: int) -
 
 
 def _dots(at: FloatArray, share: FloatArray, columns: int, rows: int, step: int) -> BoolArray:
-    """Which dots a curve sets, (rows, columns), from the top. at: (n,) columns. share: (n,) of the height, NaN breaks.
-
-    A column without samples is filled, unless a break is in it, and neighbours meet.
-    """
-    inside, known = (at >= 0) & (at < columns), np.isfinite(share)
-    row = np.clip(np.round(share[inside & known] * (rows - 1)), 0, rows - 1).astype(np.int64)
-    top, bottom = np.full(columns, rows), np.full(columns, -1)
-    np.minimum.at(top, at[inside & known].astype(np.int64), row)
-    np.maximum.at(bottom, at[inside & known].astype(np.int64), row)
-    breaks = np.unique(at[inside & ~known])
-    for before, after in itertools.pairwise(np.flatnonzero(bottom >= 0)):
-        if after - before > 1 and not ((breaks > before) & (breaks < after)).any():
-            between = np.arange(before + 1, after)
-            top[between] = bottom[between] = np.round(np.interp(between, (before, after), (bottom[before], top[after])))
-    for before, after in itertools.pairwise(np.flatnonzero(bottom >= 0)):
-        if after == before + 1:
-            top[after] = min(top[after], bottom[before] + 1)
-            bottom[after] = max(bottom[after], top[before] - 1)
-    every = np.arange(rows)[:, None]
-    dots: BoolArray = (every >= top) & (every <= bottom) & (np.arange(columns) % step == 0)
+    """Which dots a curve sets, (rows, columns), from the top. at: (n,) columns. share: (n,) of the height, or NaN."""
+    points = np.stack((at, np.clip(share, 0.0, 1.0) * (rows - 1)))
+    legs = np.diff(points, axis=1)
+    counts = np.ceil(np.abs(legs).max(axis=0, initial=0.0))
+    counts = np.where(np.isfinite(counts), np.maximum(counts, 1), 0).astype(np.int64)
+    along = (np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)) / np.repeat(counts, counts)
+    line = np.hstack((points, np.repeat(points[:, :-1], counts, axis=1) + along * np.repeat(legs, counts, axis=1)))
+    line = line[:, (line[0] >= 0) & (line[0] < columns) & np.isfinite(line[1])]
+    dots = np.zeros((rows, columns), dtype=np.bool_)
+    dots[np.round(line[1]).astype(np.int64), line[0].astype(np.int64)] = True
+    dots[:, np.arange(columns) % step != 0] = False
     return dots
 
 
@@ -274,14 +259,16 @@ def _levels(levels: Sequence[Level], width: int) -> Table:
     for level in levels:
         row = Table.grid(padding=(0, 1))
         if level.reason:
-            words = Text(f"not judged: {printable(level.reason)}", style="dim", no_wrap=True)
-            words.truncate(room + FIGURES_WIDTH + 1, overflow="ellipsis")
-            row.add_row(words)
+            row.add_row(_cut(f"not judged: {printable(level.reason)}", room + FIGURES_WIDTH + 1, "dim"))
         else:
             colour = "red" if level.value > level.threshold else "green"
             bar = Bar(2 * level.threshold or 1.0, 0, max(level.value, 0.0), width=room, color=colour)
-            figures = Text(f"{level.value:8.3g} of {level.threshold:.3g} {level.unit}", no_wrap=True)
-            figures.truncate(FIGURES_WIDTH, overflow="ellipsis")
-            row.add_row(bar, figures)
+            row.add_row(bar, _cut(f"{level.value:8.3g} of {level.threshold:.3g} {level.unit}", FIGURES_WIDTH))
         table.add_row(Text(f"{level.name:<{NAME_WIDTH}.{NAME_WIDTH}}", no_wrap=True), row)
     return table
+
+
+def _cut(words: str, width: int, style: str = "") -> Text:
+    text = Text(words, style=style, no_wrap=True)
+    text.truncate(width, overflow="ellipsis")  # characters may be two cells wide
+    return text

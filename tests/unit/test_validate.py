@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from identification_data import ROLL, WELL, octave, record
 from numpy.testing import assert_allclose
-from scipy.stats import chi2
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import fit
@@ -26,31 +25,31 @@ def test_octave_residual_figures(index: int) -> None:
     assert report.acf_band99 == pytest.approx(case["conf99_band"], rel=1e-4)
     assert_allclose(report.acf, case["res_acf"], atol=1e-9)
     assert_allclose(report.ccf, case["res_ccf_pos"], atol=1e-9)
-    assert report.ljung_box_q == pytest.approx(case["ljung_box_Q25"], rel=1e-8)
-    assert report.ljung_box_p == pytest.approx(chi2.sf(report.ljung_box_q, 25), rel=1e-9)
 
 
 def test_only_the_true_structure_leaves_a_white_independent_residual() -> None:
     u, y = next((u, y) for case, u, y in map(octave, range(24)) if case["output"] == "y_eqnoise")
-    true = one_step_report(fit(u, y, (2, 2, 1), dt=0.001, method="ls"), u, y)
-    assert true.white
-    assert true.independent
-    late = one_step_report(fit(u, y, (2, 2, 2), dt=0.001, method="ls"), u, y)
-    assert not late.independent
-    low = one_step_report(fit(u, y, (1, 1, 1), dt=0.001, method="ls"), u, y)
-    assert not low.white
+    outside = []
+    for order in ((2, 2, 1), (2, 2, 2), (1, 1, 1)):  # true, late, low
+        report = one_step_report(fit(u, y, order, dt=0.001, method="ls"), u, y)
+        bands = (report.acf[1:], report.acf_band99), (report.ccf, report.ccf_band99)
+        outside.append([int(np.count_nonzero(np.abs(values) > band)) for values, band in bands])
+    assert max(outside[0]) <= 2
+    assert outside[1][1] > 2
+    assert outside[2][0] > 2
 
 
-def test_the_tests_reject_a_true_model_about_as_often_as_they_say() -> None:
-    trials, white, independent = 400, 0, 0
-    for seed in range(trials):
+def test_the_bands_hold_99_percent_of_what_a_true_model_shows() -> None:
+    inside = np.zeros(2)
+    for seed in range(200):
         rng = np.random.default_rng(seed)
         u = np.convolve(rng.standard_normal(1049), np.ones(50) / 50, "valid")  # as slow as flight data
         report = examine_residual(rng.standard_normal(1000), u)
-        white += report.white
-        independent += report.independent
-    assert 0.97 <= white / trials <= 1.0
-    assert 0.97 <= independent / trials <= 1.0
+        inside += [
+            np.mean(np.abs(report.acf[1:]) <= report.acf_band99),
+            np.mean(np.abs(report.ccf) <= report.ccf_band99),
+        ]
+    assert np.all(inside / 200 > 0.98)
 
 
 def test_validation_pools_flights() -> None:
