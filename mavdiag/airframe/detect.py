@@ -46,10 +46,8 @@ TINY = 1e-300
 
 @dataclass(frozen=True, slots=True)
 class LayoutFinding:
-    """What flights say about the layout.
+    """What flights say: the known layout that fits, None if none does or it stays unclear, and why, in one sentence.
 
-    layout: the known layout that fits; None if none does, or it stays unclear.
-    reason: why, in one sentence.
     likeness: (name, likeness in -1..1) of the known layouts with as many rotors, best first; empty without a fit.
     outputs: the outputs that move as motors do, from 1, by rotor of the layout; rising if none is named.
     idle: rotors whose output was named and does not move.
@@ -144,9 +142,7 @@ def moving_outputs(blocks: Iterable[Block]) -> list[int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """The regression of some outputs on a driver, all together.
-
-    effects: (3, outputs) change of the outputs for one standard deviation of the driver's change about each axis.
+    """effects: (3, outputs) change of the outputs for one standard deviation of the driver's change about each axis.
     F: (3,) of roll, pitch and yaw: over all outputs, how far the driver's effect stands out of the noise.
     followed: (outputs,) how far the effect of all three stands out of the noise of an output, an F value too.
     explained: share of the outputs' changes.

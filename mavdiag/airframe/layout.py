@@ -85,11 +85,7 @@ def layout_at(name: str, places: Sequence[Place]) -> RotorLayout:
 
 
 def layout_of_effects(name: str, effects: Sequence[tuple[float, float, float]]) -> RotorLayout:
-    """The layout of (roll, pitch, yaw) effects in any scale. Raises UsageError as `RotorLayout` does.
-
-    >>> layout_of_effects("x", [(-3, 2, 1), (3, -2, 1), (3, 2, -1), (-3, -2, -1)]).signs[0]
-    (-1.0, 1.0, 1.0)
-    """
+    """The layout of (roll, pitch, yaw) effects in any scale. Raises UsageError as `RotorLayout` does."""
     B = np.array(effects, dtype=np.float64)
     rms = np.sqrt(np.square(B).mean(axis=0))
     return RotorLayout(name, tuple((r, p, y) for r, p, y in (B / np.where(rms > 0, rms, 1.0)).tolist()))

@@ -81,11 +81,7 @@ def airframe_from(text: str) -> Airframe:
 
 
 def airframe_named(name: str) -> Airframe:
-    """Read one of `BUILTIN`. Raises UsageError for another name.
-
-    >>> airframe_named("qdrone2").layout.rotors
-    4
-    """
+    """Read one of `BUILTIN`. Raises UsageError for another name."""
     if name not in BUILTIN:
         raise UsageError(f"no airframe {name!r}: use one of {', '.join(BUILTIN)}")
     file = resources.files("mavdiag.airframe") / f"{name}.toml"

@@ -38,11 +38,7 @@ SIGNALS: dict[Source, frozenset[Signal]] = {
 
 
 def rise_of(loss: float) -> float:
-    """By how much a rotor is commanded more [fraction of hover] that lost this share of its thrust, below 1.
-
-    >>> rise_of(0.2), loss_of(0.25)
-    (0.25, 0.2)
-    """
+    """By how much a rotor is commanded more [fraction of hover] that lost this share of its thrust, below 1."""
     return loss / (1.0 - loss)
 
 

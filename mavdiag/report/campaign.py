@@ -169,7 +169,7 @@ def roc_of(healthy: Sequence[float], damaged: Sequence[float]) -> Roc:
 
 def campaign_pictures(campaign: Campaign) -> tuple[Picture, ...]:
     """All of a campaign, in the order of the page."""
-    return (_roc(campaign), _severity(campaign), _latency(campaign), _confusion(campaign), _rotors(campaign))
+    return (_roc(campaign), _severity(campaign), _latency(campaign), _confusion(campaign))
 
 
 @picture("campaign-roc")
@@ -269,26 +269,12 @@ def _latency(campaign: Campaign) -> Drawn:
 
 @picture("campaign-confusion")
 def _confusion(campaign: Campaign) -> Drawn:
+    """The counts of each pair of what was true and what was answered."""
     pairs = [(flight.cause[:2] if flight.of_thesis else flight.cause, flight.answered) for flight in campaign.flights]
     pairs.sort(key=lambda pair: (not pair[0].startswith("F"), pair[0] == HEALTHY, pair[0]))
-    order = [*ORDER, *sorted({answer for _, answer in pairs} - {*ORDER, *LAST}), *LAST]
-    return _matrix(pairs, order, "answered", "true")
-
-
-@picture("campaign-rotors")
-def _rotors(campaign: Campaign) -> Drawn:
-    named = [flight for flight in campaign.faulty if flight.latency_s is not None]
-    if not named:
-        raise NotDrawn("no damage of a propeller was found, so no rotor could be named")
-    pairs = sorted((str(flight.rotor), str(flight.answer.rotor or "none")) for flight in named)
-    order = sorted({answer for _, answer in pairs}, key=lambda answer: (answer == "none", answer))
-    return _matrix(pairs, order, "named rotor", "damaged rotor")
-
-
-def _matrix(pairs: Sequence[tuple[str, str]], order: Sequence[str], across: str, down: str) -> Drawn:
-    """The counts of each pair of what was true and what was answered."""
+    answers = {answer for _, answer in pairs}
+    columns = [answer for answer in (*ORDER, *sorted(answers - {*ORDER, *LAST}), *LAST) if answer in answers]
     true = tuple(dict.fromkeys(cause for cause, _ in pairs))
-    columns = [answer for answer in order if answer in {other for _, other in pairs}]
     counts = np.array([[pairs.count((cause, answer)) for answer in columns] for cause in true])
     share = counts / counts.sum(axis=1, keepdims=True)
     figure = sheet(1.1 + 0.3 * len(true))
@@ -299,7 +285,7 @@ def _matrix(pairs: Sequence[tuple[str, str]], order: Sequence[str], across: str,
         axes.text(column + 0.5, row + 0.5, str(count or ""), ha="center", va="center", color=ink)
     axes.set_yticks(np.arange(len(true)) + 0.5, true)
     axes.set_xticks(np.arange(len(columns)) + 0.5, [answer.replace(" ", "\n", 1) for answer in columns])
-    axes.set(xlabel=across, ylabel=down)
+    axes.set(xlabel="answered", ylabel="true")
     axes.invert_yaxis()
     axes.grid(visible=False)
     axes.tick_params(length=0)

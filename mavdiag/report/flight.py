@@ -20,7 +20,7 @@ from mavdiag.rows.block import Block
 from mavdiag.telemetry import Log
 from mavdiag.traces import rate_traces, slot_traces
 
-OF_LOG = ("attitude", "height", "link")  # pictures that need no judging
+OF_LOG = ("attitude", "height")  # pictures that need no judging
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +68,6 @@ def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) 
     drawn = (
         rotors.airframe_picture(frame.layout, shift, since_s, verdict.rotor),
         residuals.evidence_picture(slots, columns),
-        rotors.bars_picture(shift, since_s),
         rotors.trim_picture(shift, columns),
         residuals.rates_picture(rates, columns),
         residuals.residual_picture(rates, columns),
@@ -79,7 +78,6 @@ def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) 
         signals.windows_picture(sweeps, dt_s, baseline.window.samples * baseline.link.dt_s),
         signals.attitude_picture(telemetry, columns),
         signals.height_picture(telemetry, columns),
-        signals.link_picture(telemetry, columns),
     )
     return tuple(_explained(picture, baseline, judged) for picture in drawn)
 

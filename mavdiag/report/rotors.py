@@ -10,14 +10,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import shown_trim
 from mavdiag.drawing import Colour, RotorMark, airframe_svg
 from mavdiag.monitors.rotor_trim import RotorTrimSpec
-from mavdiag.report import style
-from mavdiag.report.style import COLUMNS, LIMIT, LINES, Drawn, NotDrawn, Picture, envelope, panels, picture, sheet
+from mavdiag.report.style import (
+    COLUMNS,
+    LIMIT,
+    LINES,
+    Drawn,
+    NotDrawn,
+    Picture,
+    envelope,
+    legend_above,
+    panels,
+    picture,
+)
 from mavdiag.rows.block import Block
 from mavdiag.rows.windows import window_all, window_mean, window_rows
 from mavdiag.telemetry import FloatArray
@@ -48,26 +57,6 @@ class RotorShift:
         use = late if late.any() else known
         return self.shift[use].mean(axis=0) if use.any() else np.full(self.shift.shape[1], np.nan)
 
-    def words(self, since_s: float | None) -> str:
-        """The mean of each rotor."""
-        mean = enumerate(self.mean(since_s).tolist(), start=1)
-        return ", ".join(f"rotor {i} {_signed(100 * value)}" for i, value in mean) + " of hover."
-
-    @property
-    def note(self) -> str:
-        """What a caption says of the limit and of health."""
-        if self.limit is not None:
-            return "What stays within the dashed lines is what wind, propellers and sessions do to a healthy vehicle."
-        known = "The baseline knows no healthy trim, so the airframe's own asymmetry is in it too."
-        return "" if self.beyond_health else known
-
-    def label(self, axes: Axes) -> None:
-        """Label the ordinate and draw the limits."""
-        axes.set_ylabel(f"command be{'yond health' if self.beyond_health else 'side the mean'}\n[% of hover]")
-        if self.limit is not None:
-            LIMIT.across(axes, 100 * self.limit, "threshold of rotor_trim")
-            LIMIT.across(axes, -100 * self.limit)
-
 
 def shift_of(
     blocks: Sequence[Block], layout: RotorLayout, healthy: RotorTrimSpec | None, threshold: float | None = None
@@ -90,33 +79,21 @@ def shift_of(
 @picture("trim")
 def trim_picture(found: RotorShift | None, columns: int = COLUMNS) -> Drawn:
     """The shift of every rotor over the flight."""
-    found = _known(found)
+    if found is None or not np.isfinite(found.shift).any():
+        raise NotDrawn(NO_LAYOUT if found is None else NO_TRIM)
     figure, (axes,) = panels(2.6)
     for number, shift in enumerate(found.shift.T):
         LINES[number % len(LINES)].draw(axes, *envelope(found.t_s, 100 * shift, columns), f"rotor {number + 1}")
-    found.label(axes)
-    style.legend_above(axes, 5)
-    return figure, found.words(None), found.note
-
-
-@picture("trim-bars")
-def bars_picture(found: RotorShift | None, since_s: float | None) -> Drawn:
-    """The mean shift of every rotor as bars. since_s: when a fault was declared; None if none was."""
-    found = _known(found)
-    mean = 100 * found.mean(since_s)
-    figure = sheet(2.2)
-    axes = figure.subplots()
-    place = np.arange(1, len(mean) + 1)
-    bars = axes.bar(place, mean, color=Colour.RESIDUAL, edgecolor=Colour.REFERENCE, width=0.6)
-    bars[int(np.argmax(mean))].set(hatch="///")
-    axes.bar_label(bars, [_signed(value) for value in mean.tolist()], padding=2)
-    axes.axhline(0.0, color=Colour.REFERENCE, linewidth=0.8)
-    found.label(axes)
-    axes.set_xticks(place, [f"rotor {number}" for number in place])
-    axes.margins(y=0.25)
-    axes.grid(visible=False, axis="x")
-    after = "" if since_s is None else f" after {since_s:.1f} s, when a fault was declared"
-    return figure, found.words(since_s), f"{found.note} Mean of the flight{after}.".strip()
+    axes.set_ylabel(f"command be{'yond health' if found.beyond_health else 'side the mean'}\n[% of hover]")
+    note = "The baseline knows no healthy trim, so the airframe's own asymmetry is in it too."
+    note = "" if found.beyond_health else note
+    if found.limit is not None:
+        LIMIT.across(axes, 100 * found.limit, "threshold of rotor_trim")
+        LIMIT.across(axes, -100 * found.limit)
+        note = "What stays within the dashed lines is what wind, propellers and sessions do to a healthy vehicle."
+    legend_above(axes, 5)
+    mean = enumerate(found.mean(None).tolist(), start=1)
+    return figure, ", ".join(f"rotor {i} {_signed(100 * value)}" for i, value in mean) + " of hover.", note
 
 
 def airframe_picture(
@@ -132,12 +109,6 @@ def airframe_picture(
         marks[rotor] = RotorMark(Colour.FAULT, labels[rotor], "fault")
     named = "No rotor is named." if rotor is None else f"Rotor {rotor} is the one that the diagnosis names (filled)."
     return Picture("airframe", named, airframe_svg(layout, marks, title=f"Airframe. {named}"))
-
-
-def _known(found: RotorShift | None) -> RotorShift:
-    if found is None or not np.isfinite(found.shift).any():
-        raise NotDrawn(NO_LAYOUT if found is None else NO_TRIM)
-    return found
 
 
 def _signed(percent: float) -> str:

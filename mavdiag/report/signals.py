@@ -1,6 +1,5 @@
-"""The signals of a flight as the log has them: attitude and height (T Fig 5.3 and 5.4), the steps of the gyro, the
-spectrum of the accelerometer with the rotors' line and its harmonics (T Fig 3.14), and how the filter window changes
-the fit of the model (T Fig 5.5)."""
+"""The signals of a flight: attitude and height (T Fig 5.3, 5.4), the spectrum of the accelerometer with the rotors'
+line and its harmonics (T Fig 3.14), and how the filter window changes the fit of the model (T Fig 5.5)."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,7 +9,6 @@ import numpy as np
 from mavdiag.identify import Method, Order
 from mavdiag.identify.lab.sweep import SweepRow, window_sweep
 from mavdiag.look.figures import HARMONICS, SPECTRUM_S, Spectrum
-from mavdiag.look.inspection import USUAL
 from mavdiag.monitors.run_length import MIN_PIECE_S
 from mavdiag.report import style
 from mavdiag.report.style import COLUMNS, LINES, MEASURED, Drawn, NotDrawn, envelope, panels, picture, sheet
@@ -18,7 +16,7 @@ from mavdiag.rows.block import Block
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.windows import spans
 from mavdiag.telemetry import Axis, FloatArray, Series, Signal, Telemetry
-from mavdiag.units import DEG, NS_PER_MS, NS_PER_S
+from mavdiag.units import DEG
 
 LEAST_HZ = 2.0  # of a spectrum: below it is the flight itself
 NAMED_AT = ("data", "axes fraction")
@@ -56,29 +54,6 @@ def attitude_picture(telemetry: Telemetry, columns: int = COLUMNS) -> Drawn:
     most = ((name, np.nanmax(np.abs(series.values[:, :2]), axis=0, initial=0.0) / DEG) for series, _, name in shown)
     words = "; ".join(f"{name}: roll within {roll:.0f}°, pitch within {pitch:.0f}°" for name, (roll, pitch) in most)
     return figure, f"{words}.", "" if len(shown) == 2 else f"This log carries the {shown[0][2]} angles only."
-
-
-@picture("link")
-def link_picture(telemetry: Telemetry, columns: int = COLUMNS) -> Drawn:
-    """The longest step of the gyro in each column of the flight."""
-    gyro = telemetry.get(Signal.BODY_RATE)
-    if gyro is None or len(gyro) < 3:
-        raise NotDrawn("the log carries no gyro")
-    t_ns = np.unique(gyro.t_ns)
-    if len(t_ns) < 3:
-        raise NotDrawn("the gyro's samples have one time")
-    steps, ends_s = np.diff(t_ns) / NS_PER_MS, t_ns[1:] / NS_PER_S
-    _, first = style.columns_of(ends_s, columns)
-    longest_ms, usual_ms = np.maximum.reduceat(steps, first), float(np.median(steps))
-    most_ms = float(longest_ms.max())
-    figure, (axes,) = panels(1.9)
-    MEASURED.draw(axes, ends_s[first], longest_ms)
-    axes.set_ylabel("longest step [ms]")
-    if most_ms > USUAL * usual_ms:
-        style.plain_log(axes)
-    else:
-        axes.set_ylim(0.0, USUAL * usual_ms)
-    return figure, f"Longest step {most_ms:.1f} ms, usual {usual_ms:.2f} ms.", ""
 
 
 def folded(hz: float, rate_hz: float) -> float:

@@ -17,7 +17,7 @@ from mavdiag.judging import judge_in_full
 from mavdiag.report.flight import flight_report
 from mavdiag.report.page import Made, flights_page
 
-SECTIONS = 14
+SECTIONS = 12
 
 
 def run(*arguments: object) -> str:
@@ -59,7 +59,7 @@ def test_logs_of_each_kind_have_a_page(log: str, own: str | None, tmp_path: Path
     assert len([one for tag, name, one in page.attributes if (tag, name) == ("figure", "id")]) == SECTIONS, figures
     drawn = len(page.drawings)
     assert drawn + page.said.count("Not drawn: ") == SECTIONS
-    assert drawn >= (9 if own else 3)  # attitude, height or link, and the airframe, can always be drawn
+    assert drawn >= (7 if own else 2)  # attitude or height, and the airframe, can always be drawn
     assert ("A propeller fault of rotor" in page.said) == (own is not None)
     assert out.stat().st_size < 1_000_000
 

@@ -11,7 +11,7 @@ import pytest
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.airframe.load import BUILTIN, airframe_from, airframe_named, load_airframe
-from mavdiag.errors import InputError, UsageError
+from mavdiag.errors import InputError
 from mavdiag.rows.gate import GateSpec
 from mavdiag.units import RPM
 from sitl_plant.vehicle import qdrone2
@@ -109,17 +109,3 @@ def test_what_is_wrong_is_named_with_its_file(tmp_path: Path, text: str, reason:
         airframe_from(str(path))
     assert str(caught.value).startswith(f"{path}: {reason}")
     assert "\n" not in str(caught.value)
-
-
-def test_what_is_no_airframe_is_told_with_the_choice(tmp_path: Path) -> None:
-    for text in ("qdrone3", str(tmp_path), str(tmp_path / "none.toml"), ""):
-        with pytest.raises(UsageError, match=r"give a TOML file or one of crazyflie, qdrone2, qdrone2-recorded$"):
-            airframe_from(text)
-    with pytest.raises(UsageError, match="use one of crazyflie, qdrone2"):
-        airframe_named("hexa")
-    with pytest.raises(InputError, match="no such file"):
-        load_airframe(tmp_path / "none.toml")
-    binary = tmp_path / "flight.bin"
-    binary.write_bytes(b"\xa3\x95\x80\xff")
-    with pytest.raises(InputError, match="not UTF-8 text"):
-        load_airframe(binary)

@@ -8,7 +8,7 @@ from typing import Any
 import control
 import numpy as np
 import pytest
-from identification_data import ROLL, WELL, octave, record
+from identification_data import WELL, octave, record
 from numpy.testing import assert_allclose, assert_array_equal
 from pydantic import TypeAdapter
 
@@ -97,20 +97,6 @@ def test_python_control_agrees(order: tuple[int, int, int]) -> None:
     u = np.random.default_rng(1).standard_normal(80)
     response = control.forced_response(transfer, 0.02 * np.linspace(0.0, 79.0, 80), u)
     assert_allclose(np.ravel(response.outputs), model.simulate(u), atol=1e-9)
-
-
-def test_prediction_and_simulation_use_the_past_that_is_given() -> None:
-    data = record(WELL, 50, 0.3, 6)
-    predicted, t = WELL.predict(data.u, data.y), 20
-    assert predicted.shape == (48,)
-    by_hand = 0.5 * data.u[t - 1] + 0.25 * data.u[t - 2] + 1.2 * data.y[t - 1] - 0.52 * data.y[t - 2]
-    assert predicted[t - 2] == pytest.approx(by_hand)
-    assert_allclose(WELL.predict(data.u, data.clean), data.clean[2:], atol=1e-12)
-    with pytest.raises(IdentificationError, match="one length"):
-        WELL.predict(data.u[:2], data.y[:2])
-    long = record(ROLL, 400, 0.0, 7)
-    warm = ROLL.simulate(long.u[100:], past_u=long.u[:100], past_y=long.clean[:100])
-    assert_allclose(warm, long.clean[100:], atol=1e-10)
 
 
 def good() -> tuple[FloatArray, FloatArray]:

@@ -59,15 +59,6 @@ def test_separate_types_are_named_with_confidence(seed: int) -> None:
         assert found.confidence > 0.9
 
 
-@pytest.mark.parametrize("duration", [0.2, 1.0])
-def test_a_run_that_does_not_exceed_the_fml_is_noise(duration: float) -> None:
-    plane = fit_plane(examples(1, flights=3))
-    assert classify(plane, FaultPoint(duration, 5.0)) == Classification(Outcome.NOT_SIGNIFICANT)
-    noisy = [*examples(1, flights=3), Example(FaultPoint(duration, 5.0), F1, 1, 1.0)]
-    assert fit_plane(noisy).clusters == plane.clusters
-    assert fit_plane(noisy).ignored == 1
-
-
 ratios = st.floats(1.05, 50.0)
 points = st.builds(FaultPoint, ratios, ratios)
 ANCHORS = [

@@ -38,20 +38,3 @@ def test_b15_the_timeout_is_of_the_whole_wait_and_not_of_each_line(module: str) 
         one.wait_for("first", 20.0)
         with pytest.raises(LinkError, match="did not get ready: tick"):
             one.wait_for("ready", 1.0)
-
-
-def test_b25_the_kept_baseline_belongs_to_the_sources_that_made_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from mavdiag.archive.sources import digest_of_sources
-
-    package = tmp_path / "made_package"
-    package.mkdir()
-    (package / "__init__.py").write_text("")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    first = digest_of_sources(["made_package"], ("__pycache__",))
-    assert first == digest_of_sources(["made_package"], ("__pycache__",))
-    (package / "vehicle.toml").write_text("mass = 1")
-    second = digest_of_sources(["made_package"], ("__pycache__",))
-    (package / "vehicle.toml").write_text("mass = 2")
-    assert len({first, second, digest_of_sources(["made_package"], ("__pycache__",))}) == 3

@@ -12,7 +12,6 @@ from shared_data import shared
 
 from mavdiag.airframe.fingerprint import (
     TRAITS,
-    Figure,
     Fingerprint,
     Likeness,
     Outcome,
@@ -23,7 +22,6 @@ from mavdiag.airframe.fingerprint import (
     traits,
 )
 from mavdiag.airframe.layout import layout_named
-from mavdiag.errors import InputError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.learning.flights import front_for, rows_of
@@ -133,14 +131,6 @@ def test_chunks_change_nothing() -> None:
     assert seconds == pytest.approx(8.0, abs=0.02)
 
 
-def test_an_unknown_layout_leaves_the_other_traits_and_nothing_speaks_against_an_empty_flight() -> None:
-    found = dict(zip((one.name for one in TRAITS), traits(joined(flying_rows(flying(3000, 7))), None), strict=True))
-    assert np.isnan(found["yaw trim"])
-    assert np.isfinite(found["gyro noise p"])
-    assert found["motors"] == 4
-    assert compare(Fingerprint((Figure("yaw trim", 0.0, 0.01),), 1), [], X) == Likeness(Outcome.ALIKE)
-
-
 def test_what_a_trait_varies_by_as_the_vehicle_flies_is_its_spread() -> None:
     """Half of the learnt flight shakes more: a flight that shakes as its calm half did is of the same vehicle."""
     learnt_flight, n = flying(4000, 7), 4000
@@ -220,9 +210,3 @@ def test_time_on_the_ground_is_not_compared_with_flight(learnt_s: float) -> None
         verdict = judge(grounded(7, seconds), baseline)
         assert verdict.verdict is Verdict.HEALTHY, verdict.reason
         assert "another vehicle" not in verdict.reason
-
-
-@pytest.mark.parametrize("figures", [(0.0, 0.0), (0.0, -1.0), (float("nan"), 1.0), (0.0, float("inf"))])
-def test_a_figure_without_a_spread_is_refused(figures: tuple[float, float]) -> None:
-    with pytest.raises(InputError, match="fingerprint: trim_roll"):
-        Figure("trim_roll", *figures)

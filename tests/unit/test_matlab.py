@@ -105,12 +105,3 @@ def test_what_cannot_be_used_is_one_line(data: bytes, reason: str) -> None:
     with pytest.raises(InputError, match=reason) as caught:
         read_matrices(data, WANTED)
     assert "\n" not in str(caught.value)
-
-
-def test_the_bound_is_over_all_matrices_of_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    rows = {"one": np.zeros((3, 1000)), "two": np.zeros((len(ROWS["two"]), 1000))}
-    monkeypatch.setattr("mavdiag.logs.matlab.MAX_BYTES", 8 * 1000 * (3 + len(ROWS["two"])))
-    assert len(read_matrices(content(rows), WANTED)[0]) == 2
-    monkeypatch.setattr("mavdiag.logs.matlab.MAX_BYTES", 8 * 1000 * (3 + len(ROWS["two"])) - 1)
-    with pytest.raises(InputError, match="two is too long to be a flight"):
-        read_matrices(content(rows), WANTED)

@@ -14,8 +14,7 @@ from mavdiag.airframe.layout import LAYOUTS, Place, layout_at, layout_named
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Autopilot, MavType, MessageId
-from mavdiag.link.profiles import PROFILES
-from mavdiag.link.vehicles import MOST_PARAMETERS, LinkDecoder, VehicleStream, parameters_in
+from mavdiag.link.vehicles import LinkDecoder, parameters_in
 from mavdiag.logs import read_log
 from mavdiag.logs.tlog import decode_tlog, tlog_record
 from mavdiag.telemetry import Signal
@@ -232,14 +231,3 @@ def test_a_link_carries_the_parameters_that_pass_by_before_the_vehicle_entered_a
     assert received[1].parameters == named
     again = decoder.feed([(value(Encoder(1, 1), "FRAME_TYPE", 0.0, REAL32), 4_000_000_000)], 4_000_000_000)
     assert again[1].parameters == {**named, "FRAME_TYPE": 0.0}
-
-
-def test_made_up_parameters_cost_a_bounded_amount() -> None:
-    encoder = Encoder(1, 1)
-    frames = decode_tlog(
-        b"".join(tlog_record(1, value(encoder, f"P{n}", 1.0, REAL32)) for n in range(MOST_PARAMETERS + 1))
-    ).frames
-    stream = VehicleStream(PROFILES["ardupilot"])
-    for some in (frames[:-1], frames[-1:]):
-        stream.step(some)
-        assert len(stream.parameters) == MOST_PARAMETERS

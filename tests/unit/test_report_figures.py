@@ -5,21 +5,18 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from flying_telemetry import flying, flying_rows
 from hypothesis import given
 from hypothesis import strategies as st
 from made_report import DOCS, ONSET_S, RATE_HZ, ROTOR, cracked, script
 from scipy.signal import welch
 
 from mavdiag.airframe.fingerprint import joined
-from mavdiag.airframe.layout import layout_named
 from mavdiag.face import rates
 from mavdiag.identify import Method, fit
 from mavdiag.identify.validate import validate
 from mavdiag.look.figures import spectrum_of
 from mavdiag.report.campaign import roc_of
 from mavdiag.report.residuals import longest_by_column, moment_of, runs_of
-from mavdiag.report.rotors import shift_of
 from mavdiag.report.signals import sweep_of
 from mavdiag.report.style import envelope
 from mavdiag.rows.block import Block
@@ -114,19 +111,6 @@ def test_the_window_sweep_fits_what_identify_fits() -> None:
     model = fit(flight.u, flight.y, (2, 2, 1), dt=flight.dt_s)
     assert row.model is not None
     assert row.model.r2t == pytest.approx(validate(model, flight.u, flight.y).r2t, abs=0.02)
-
-
-def test_the_shift_of_a_weak_rotor_is_its_rise() -> None:
-    blocks = joined(flying_rows(flying(2000, seed=4, weak_rotor=3, rise=0.2)))
-    shift = shift_of(blocks, layout_named("x"), None)
-    outputs = np.array([0.5, 0.5, 0.6, 0.5])
-    B = layout_named("x").mixing
-    beside = B @ np.linalg.pinv(B) @ (outputs / outputs.mean() - 1)
-    np.testing.assert_allclose(shift.mean(None), beside / 0.75, atol=0.01)
-    assert shift_of(blocks, layout_named("x"), None, 0.05).limit == 0.05  # the monitor's own scale
-    assert int(np.argmax(shift.mean(None))) == 2
-    assert not shift.beyond_health
-    assert np.isnan(shift.shift[:100]).all()  # no 5 s yet
 
 
 @given(st.lists(st.integers(0, 20), min_size=1, max_size=40), st.lists(st.integers(0, 20), min_size=1, max_size=40))

@@ -9,7 +9,6 @@ import pytest
 from flying_telemetry import flying
 from made_baselines import ALWAYS, NOW
 from test_layout import made_flight
-from typer.testing import CliRunner
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.detect import contradicts, detect_layout
@@ -17,7 +16,6 @@ from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named
 from mavdiag.airframe.load import load_airframe, with_layout
 from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline, dump, parse
-from mavdiag.cli import app
 from mavdiag.errors import InputError, UsageError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
@@ -94,16 +92,6 @@ def test_what_the_flights_hardly_show_is_never_another_layout(name: str) -> None
             outputs = 0.5 * (1 + torque @ layout.mixing.T + rng.normal(0, noise, (2000, layout.rotors)))
             found.append(detect_layout([example_rows(2000, actuator=outputs, torque=torque).block]).layout)
     assert set(found) == {layout, None}
-
-
-def test_a_servo_that_follows_as_a_motor_does_leaves_the_layout_unknown() -> None:
-    flight = made_flight(layout_named("x"), 9)
-    gimbal = 0.5 - 2.0 * flight.torque[:, :1]
-    found = detect_layout([wide(flight, 1, 2, 3, 4, gimbal)])
-    assert found.layout is None
-    assert found.reason == "5 outputs move (1, 2, 3, 4, 5) and no known layout has so many rotors"
-    named = detect_layout([wide(flight, gimbal, 1, 2, 3, 4)], outputs=(2, 3, 4, 5))
-    assert (named.layout, named.outputs) == (layout_named("x"), (2, 3, 4, 5))
 
 
 def test_without_yaw_the_finding_says_that_the_senses_were_not_seen() -> None:
@@ -202,13 +190,6 @@ def test_told_wins_over_parameters_and_parameters_over_flights_and_a_contradicti
     assert "the log is of another rotor layout: plus by the vehicle's parameters" in other.reason
 
 
-def test_parameters_that_name_dead_outputs_lose_their_outputs_not_their_layout() -> None:
-    servos = {f"SERVO{n}_FUNCTION": 32.0 + n for n in (1, 2, 3, 4)}
-    frame = taught(flights(2, parameters={**COPTER_X, **servos})).airframe
-    assert frame.layout is layout_named("x")
-    assert frame.outputs == (5, 6, 7, 8)
-
-
 def silent(count: int) -> list[Log]:
     """Flights without outputs."""
     return [
@@ -231,20 +212,6 @@ def test_an_unknown_layout_is_loud_in_the_baseline_and_in_every_verdict() -> Non
     assert found["notes"] == [line]
     unconcerned = learn(silent(2), LearnOptions(airframe=UNKNOWN, monitors=("innovation",)), created=NOW)
     assert judge(silent(1)[0], unconcerned).notes == ()
-
-
-@pytest.mark.parametrize("as_json", [False, True])
-def test_identify_says_an_unknown_layout_in_a_line_of_its_own(
-    as_json: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("mavdiag.commands.identify.read_part", lambda *_: silent(1)[0])
-    arguments = ["identify", "made.tlog", "-o", str(tmp_path / "b.json"), *(["--json"] if as_json else [])]
-    result = CliRunner().invoke(app, [*arguments, "--monitors", "rotor_trim,innovation"])
-    assert result.exit_code == 0, result.output
-    lines = (result.stderr if as_json else result.stdout).splitlines()
-    assert [one for one in lines if one.startswith("rotor layout unknown: the data carry no rotor outputs")]
-    shown = CliRunner().invoke(app, ["baseline", "show", str(tmp_path / "b.json")])
-    assert "\nrotor layout unknown: " in shown.stdout
 
 
 def test_outputs_of_an_airframe_file(tmp_path: Path) -> None:

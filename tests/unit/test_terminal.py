@@ -37,15 +37,6 @@ def test_a_spike_of_one_sample_is_seen() -> None:
     assert (lines[0][:19] + lines[0][21:]).strip() == ""
 
 
-def test_nan_breaks_a_line_and_a_gap_without_samples_does_not() -> None:
-    t_s = np.arange(11.0)
-    broken = np.zeros(11)
-    broken[4:7] = np.nan
-    (with_break,), (whole,) = drawn(t_s, broken, 11.0, 1), drawn(t_s, np.zeros(11), 11.0, 1)
-    assert " " not in whole[:36]
-    assert with_break[15:24].strip() == ""
-
-
 @given(
     width=st.integers(20, 200),
     texts=st.lists(st.text(max_size=200), max_size=12),

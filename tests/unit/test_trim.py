@@ -9,13 +9,10 @@ from hypothesis import strategies as st
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.airframe.trim import (
-    LEVEL_RATIO,
     TILT_TRIM,
-    YAW_FLOOR,
     rises,
     source_among,
     sources_of,
-    spread_of,
     trim_of,
 )
 from mavdiag.errors import InputError
@@ -45,14 +42,6 @@ def test_the_rises_are_weighted_least_squares(frame: str, shift: list[float], le
     found = rises(np.array([shift]), layout, CALM, np.array([lean]))
     expected = [by_lstsq(np.array(shift), effects[:, j], spread) for j in range(layout.rotors)]
     np.testing.assert_allclose(found, [expected], rtol=1e-9, atol=1e-12)
-
-
-def test_the_spread_has_a_floor_for_yaw_and_a_ratio_for_the_others() -> None:
-    assert spread_of(np.zeros((5, 3))) == pytest.approx((3 * YAW_FLOOR, 3 * YAW_FLOOR, YAW_FLOOR))
-    rng = np.random.default_rng(1)
-    found = spread_of(rng.normal(0.0, [0.2, 0.01, 0.05], (20_000, 3)))
-    assert found[2] == pytest.approx(np.hypot(0.05, YAW_FLOOR), rel=0.02)
-    assert found[:2] == pytest.approx((0.2, LEVEL_RATIO * found[2]), rel=0.02)
 
 
 def test_idle_unknown_or_lacking_outputs_give_no_trim() -> None:
