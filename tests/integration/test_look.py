@@ -40,15 +40,6 @@ def test_the_rotor_line_stands_at_the_speed_that_the_rotors_tell() -> None:
     assert look.line.hz == pytest.approx(look.line.told_hz, rel=0.03)
 
 
-def test_the_load_of_each_motor_is_its_mean_over_the_mean_of_all() -> None:
-    log = logged(flying(3000, seed=3))
-    look = inspection_of(log, Airframe())
-    outputs = log[Signal.ACTUATOR].values
-    expected = outputs.mean(axis=0) / outputs.mean() - 1
-    np.testing.assert_allclose([one.over_mean for one in look.loads], expected, atol=2e-3)
-    assert sum(one.over_mean for one in look.loads) == pytest.approx(0.0, abs=1e-9)
-
-
 def changed(log: Log, signal: Signal, values: np.ndarray) -> Log:
     series = tuple(
         Series(one.signal, one.t_ns, one.host_ns, values) if one.signal is signal else one for one in log.telemetry

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from made_archive import content
-from made_baselines import healthy, whole
+from made_baselines import whole
 from page_reading import Page, check
 from shared_data import shared
 from typer.testing import CliRunner
@@ -13,9 +13,6 @@ from typer.testing import CliRunner
 from mavdiag import cli
 from mavdiag.errors import MavdiagError
 from mavdiag.face import learn
-from mavdiag.judging import judge_in_full
-from mavdiag.report.flight import flight_report
-from mavdiag.report.page import Made, flights_page
 
 SECTIONS = 12
 
@@ -104,14 +101,3 @@ def test_what_cannot_be_done_is_one_line(
         run(*arguments)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "report.html").exists()
-
-
-def test_a_long_flight_has_no_longer_page() -> None:
-    def size(n: int) -> int:
-        (log,) = healthy(1, n)
-        report = flight_report(log, whole(), judge_in_full(log, whole()))
-        return len(flights_page([report], whole(), Made("", "")).encode())
-
-    short, long = size(5000), size(30_000)
-    assert long < 1.5 * short  # six times as long a flight
-    assert long < 900_000

@@ -51,19 +51,6 @@ def test_flights_are_stacked_and_never_joined() -> None:
     assert_allclose(found.theta, expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("method", ["ls", "sriv"])
-def test_neither_order_nor_units_of_flights_matter(method: str) -> None:
-    one, two = record(WELL, 1600, 0.1, 1), record(WELL, 1500, 0.1, 2)
-    forward = fit([one.u, two.u], [one.y, two.y], dt=0.01, method=method)
-    backward = fit([two.u, one.u], [two.y, one.y], dt=0.01, method=method)
-    assert_allclose(forward.theta, backward.theta, atol=1e-9)
-    scaled = fit([1e-3 * one.u, 1e-3 * two.u], [50 * one.y, 50 * two.y], dt=0.01, method=method)
-    assert_allclose(scaled.a, forward.a, rtol=1e-8)
-    assert_allclose(scaled.b, forward.b * 5e4, rtol=1e-8)
-    assert scaled.nrmse_fit == pytest.approx(forward.nrmse_fit, rel=1e-9)
-    assert scaled.yic == pytest.approx(forward.yic, rel=1e-6)
-
-
 @pytest.mark.parametrize(
     ("a", "b", "dt", "order", "match"),
     [

@@ -88,16 +88,3 @@ def test_the_gap_tells_a_good_model_from_a_bad_one() -> None:
     assert compare(measured, late).phase_deg > 10 * good.phase_deg
     weak = ArxModel(WELL.a, 0.5 * WELL.b, 0.01, (2, 2, 1), Method.PUBLISHED)
     assert compare(measured, weak).gain_db == pytest.approx(20 * np.log10(2), abs=0.3)
-
-
-def test_flights_are_averaged_and_what_shows_no_response_is_refused() -> None:
-    one, two, short = (record(WELL, n, 0.1, n) for n in (4096, 2048, 300))
-    both = estimate_response([one.u, two.u, short.u], [one.y, two.y, short.y], dt=0.01, segment=512)
-    without = estimate_response([one.u, two.u], [one.y, two.y], dt=0.01, segment=512, most_hz=20.0)
-    assert_allclose(both.response[: len(without.response)], without.response)
-    assert without.frequency_hz[-1] < 20.0 < both.frequency_hz[-1]
-    with pytest.raises(IdentificationError, match="two windows"):
-        estimate_response(short.u, short.y, dt=0.01, segment=512)
-    unrelated = [np.random.default_rng(seed).standard_normal(20_000) for seed in (4, 5)]
-    with pytest.raises(IdentificationError, match="coherence"):
-        compare(estimate_response(*unrelated, dt=0.01, segment=256), WELL)

@@ -14,7 +14,7 @@ from page_reading import Page, check
 from mavdiag.baseline import Baseline
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, judge_in_full
-from mavdiag.report.campaign import Campaign, parse_campaign, read_campaign
+from mavdiag.report.campaign import parse_campaign, read_campaign
 from mavdiag.report.flight import FlightReport, flight_report
 from mavdiag.report.page import Made, campaign_page, flights_page
 from mavdiag.report.style import Drawn, picture, sheet
@@ -142,15 +142,6 @@ def test_a_campaign_is_drawn_from_its_results() -> None:
     assert f"Of 24 judged flights with a damaged propeller {found} had an alarm" in page.said
     assert {f"campaign-{name}" for name in ("roc", "severity", "latency", "confusion")} <= set(page.ids)
     assert len(page.drawings) == 4
-
-
-def test_a_campaign_without_faults_or_scores_says_so() -> None:
-    flights = parse_campaign(results()).flights
-    healthy_only = Campaign(tuple(one for one in flights if one.cause == "healthy"))
-    said = check(campaign_page(healthy_only, "x", MADE.created)).said
-    assert said.count("Not drawn: ") == 3
-    old = Campaign(tuple(one.model_copy(update={"score_before": None, "score_after": None}) for one in flights))
-    assert "no healthy flight has a score" in check(campaign_page(old, "x", MADE.created)).said
 
 
 @pytest.mark.parametrize(

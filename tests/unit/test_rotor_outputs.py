@@ -94,13 +94,6 @@ def test_what_the_flights_hardly_show_is_never_another_layout(name: str) -> None
     assert set(found) == {layout, None}
 
 
-def test_without_yaw_the_finding_says_that_the_senses_were_not_seen() -> None:
-    found = detect_layout([unyawed(layout_named("x"), 3)])
-    assert found.layout is layout_named("x")
-    assert found.reason.endswith("the senses of rotation were not seen, for the flights hardly yaw")
-    assert "senses" not in detect_layout([made_flight(layout_named("x"), 3, yaw=1.0)]).reason
-
-
 def test_what_is_told_is_held_against_the_flights() -> None:
     x, flight = layout_named("x"), made_flight(layout_named("x"), 3, yaw=1.0)
     fits = RotorLayout("own", tuple((1.05 * r if i % 2 else 0.9474 * r, p, y) for i, (r, p, y) in enumerate(x.signs)))
