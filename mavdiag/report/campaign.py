@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.errors import InputError
-from mavdiag.report.residuals import MARKERS, NAMES
+from mavdiag.report.pictures import MARKERS, NAMES
 from mavdiag.report.style import LINES, Drawn, NotDrawn, Picture, legend_above, picture, sheet
 from mavdiag.storage import open_regular
 from mavdiag.telemetry import FloatArray

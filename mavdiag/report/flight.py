@@ -14,7 +14,7 @@ from mavdiag.look.inspection import Summary, summary
 from mavdiag.monitors.base import FaultKind
 from mavdiag.monitors.rotor_trim import RotorTrimSpec
 from mavdiag.monitors.run_length import RunLengthSpec
-from mavdiag.report import residuals, rotors, signals
+from mavdiag.report import pictures
 from mavdiag.report.style import COLUMNS, Picture
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import Log
@@ -55,9 +55,9 @@ def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) 
     specs = [entry.spec for entry in baseline.monitors]
     healthy = next((spec for spec in specs if isinstance(spec, RotorTrimSpec)), None)
     threshold = next((one.threshold for one in verdict.monitors if one.name == "rotor_trim"), None)
-    shift = None if frame.layout is None else rotors.shift_of(blocks, frame.layout, healthy, threshold)
+    shift = None if frame.layout is None else pictures.shift_of(blocks, frame.layout, healthy, threshold)
     sweeps = {
-        spec.axis: signals.sweep_of(blocks, spec.axis, spec.model.order, spec.model.method, baseline.window.order)
+        spec.axis: pictures.sweep_of(blocks, spec.axis, spec.model.order, spec.model.method, baseline.window.order)
         for spec in specs
         if isinstance(spec, RunLengthSpec) and blocks
     }
@@ -66,18 +66,18 @@ def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) 
     corner_hz = frame.imu_corner_hz or (None if profile is None else profile.imu_corner_hz)
     line = _rotor_line(log, frame, blocks, corner_hz)
     drawn = (
-        rotors.airframe_picture(frame.layout, shift, since_s, verdict.rotor),
-        residuals.evidence_picture(slots, columns),
-        rotors.trim_picture(shift, columns),
-        residuals.rates_picture(rates, columns),
-        residuals.residual_picture(rates, columns),
-        residuals.fsd_picture(rates, columns),
-        residuals.plane_picture(rates, frame.classifier),
-        residuals.severity_picture(rates, slots, since_s, frame.classifier),
-        signals.spectrum_picture(spectrum_of(blocks), line, corner_hz, 1 / dt_s),
-        signals.windows_picture(sweeps, dt_s, baseline.window.samples * baseline.link.dt_s),
-        signals.attitude_picture(telemetry, columns),
-        signals.height_picture(telemetry, columns),
+        pictures.airframe_picture(frame.layout, shift, since_s, verdict.rotor),
+        pictures.evidence_picture(slots, columns),
+        pictures.trim_picture(shift, columns),
+        pictures.rates_picture(rates, columns),
+        pictures.residual_picture(rates, columns),
+        pictures.fsd_picture(rates, columns),
+        pictures.plane_picture(rates, frame.classifier),
+        pictures.severity_picture(rates, slots, since_s, frame.classifier),
+        pictures.spectrum_picture(spectrum_of(blocks), line, corner_hz, 1 / dt_s),
+        pictures.windows_picture(sweeps, dt_s, baseline.window.samples * baseline.link.dt_s),
+        pictures.attitude_picture(telemetry, columns),
+        pictures.height_picture(telemetry, columns),
     )
     return tuple(_explained(picture, baseline, judged) for picture in drawn)
 
@@ -90,7 +90,7 @@ def _explained(picture: Picture, baseline: Baseline, judged: JudgedFlight) -> Pi
         return replace(picture, not_drawn="this flight could not be judged: the verdict says why")
     reasons = [one.not_judged for one in judged.verdict.monitors if one.name == "fsd" and one.not_judged]
     reasons += [one.reason for one in baseline.not_judgeable if one.monitor == "fsd"]
-    if picture.not_drawn != residuals.NO_MODEL or not reasons:
+    if picture.not_drawn != pictures.NO_MODEL or not reasons:
         return picture
     return replace(picture, not_drawn=f"the fsd monitor did not judge: {reasons[0]}")
 

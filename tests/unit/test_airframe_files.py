@@ -98,6 +98,9 @@ REFUSED = [
     (f'name = "a"\n{PLACE}[[rotors]]\nx_m=1\ny_m=1\nspin="left"', "rotors.2.spin: Input should be 'cw' or 'ccw'"),
     ('name = "a"\n[[rotors]]\nroll=1\npitch=1\nx_m=1', "rotors.1.yaw: Field required"),
     ('name = "a"\nrotors = 4', "rotors: Input should be a valid list"),
+    ('name = "a"\nlayout = "x"\noutputs = [1, 2, 3]', "outputs: airframe: 3 outputs for 4 rotors"),
+    ('name = "a"\nlayout = "x"\noutputs = [1, 2, 3, 3]', "outputs: airframe: outputs count from 1"),
+    ('name = "a"\nlayout = "x"\noutputs = [0, 1, 2, 3]', "outputs.1: Input should be greater"),
     ("name = ", "not TOML: "),
 ]
 

@@ -100,6 +100,9 @@ def test_l6_a_live_link_and_a_log_find_the_same(rows: int) -> None:
         pieces = [flight.rows(i, min(i + rows, len(flight))) for i in range(0, len(flight), rows)]
         assert detect_layout(pieces) == detect_layout([flight])
         assert detect_layout(pieces).layout is layout_named(name)
+        with pytest.MonkeyPatch.context() as patch:  # and some thousand rows are in memory at a time
+            patch.setattr("mavdiag.airframe.detect.PIECE_ROWS", 500)
+            assert detect_layout(pieces).likeness[0][1] == pytest.approx(detect_layout([flight]).likeness[0][1])
 
 
 def test_l6_outputs_that_never_move_come_late_or_are_missing_are_left_out() -> None:

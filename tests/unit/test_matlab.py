@@ -44,17 +44,6 @@ def last_element(data: bytes) -> int:
     return begin
 
 
-@pytest.mark.parametrize("dtype", ["f8", "f4", "i2", "u1"])
-def test_every_place_of_the_cut_keeps_the_whole_samples_before_it(dtype: str) -> None:
-    values = RNG.integers(0, 100, (3, 40)).astype(dtype)
-    data = content({"one": values}, compressed=False)
-    for cut in range(1, 120 * values.itemsize):
-        count = min(40, (120 * values.itemsize - max(0, cut - -values.nbytes % 8)) // (3 * values.itemsize))
-        if count:
-            found, _ = read_matrices(data[:-cut], {"one": 3})
-            np.testing.assert_array_equal(found["one"], values.T[:count])
-
-
 @pytest.mark.parametrize("missing", [1, 2, 3, 4])
 def test_an_incomplete_checksum_is_a_note(missing: int) -> None:
     """As of F0_SV0_SP1_t3_D1_R1.mat, which strict readers refuse: with the length that belongs to it, or cut off."""

@@ -1,26 +1,23 @@
 """The rotor layout from an autopilot's own parameters, which come from every kind of log and from a link."""
 
 import math
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_logs import DataFlashMessage, ULogTopic, dataflash, ulog, ulog_message
+from made_logs import DataFlashMessage, dataflash
 
 from mavdiag.airframe.layout import LAYOUTS, Place, layout_at, layout_named
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Autopilot, MavType, MessageId
-from mavdiag.link.vehicles import LinkDecoder, parameters_in
+from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.logs import read_log
-from mavdiag.logs.tlog import decode_tlog, tlog_record
-from mavdiag.telemetry import Signal
 
 COPTER_X = {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0}
-INT32, REAL32 = 6, 9
+REAL32 = 9
 PLACES = ((0.15, 0.2, 0.05), (-0.15, -0.2, 0.05), (0.15, -0.2, -0.05), (-0.15, 0.2, -0.05))  # x, y, KM: PX4's quad x
 
 
@@ -158,8 +155,6 @@ def test_px4_rotors_are_places_and_senses_and_its_groups_of_outputs_must_agree()
 
 PARM = DataFlashMessage(32, "PARM", "QNf", "TimeUS,Name,Value")
 RCOU = DataFlashMessage(33, "RCOU", "QHHHHHH", "TimeUS,C1,C2,C3,C4,C5,C6")
-MOTORS = ULogTopic(4, "actuator_motors", (("uint64_t", "timestamp"), ("float[12]", "control")))
-PULSES = ULogTopic(5, "actuator_outputs", (("uint64_t", "timestamp"), ("float[16]", "output")))
 
 
 def test_a_dataflash_log_carries_the_last_value_of_each_parameter(tmp_path: Path) -> None:
@@ -173,42 +168,9 @@ def test_a_dataflash_log_carries_the_last_value_of_each_parameter(tmp_path: Path
     assert not read_log(path).motor_order
 
 
-def parameter(kind: str, name: str, value: float) -> bytes:
-    """A ULog parameter message."""
-    key, number = f"{kind} {name}".encode(), struct.pack("<i" if kind == "int32_t" else "<f", value)
-    return ulog_message("P", struct.pack("<B", len(key)) + key + number)
-
-
-def test_a_ulog_carries_its_first_parameters_and_their_changes_and_its_columns_are_outputs(tmp_path: Path) -> None:
-    path = tmp_path / "log.ulg"
-    data = [parameter("float", "CA_ROTOR0_PX", 0.1), parameter("int32_t", "CA_ROTOR_COUNT", 4)]
-    content = ulog([MOTORS], [MOTORS.record(1, *[0.5] * 12), parameter("int32_t", "CA_ROTOR_COUNT", 6)])
-    head = 16  # bytes before the definitions
-    path.write_bytes(content[:head] + b"".join(data) + content[head:])
-    log = read_log(path)
-    assert (log.parameters, log.motor_order) == ({"CA_ROTOR0_PX": pytest.approx(0.1), "CA_ROTOR_COUNT": 6.0}, True)
-    path.write_bytes(ulog([PULSES], [PULSES.record(t, 0, 0, 1500, 900, 1200 + t, *[0] * 11) for t in (1, 2)]))
-    log = read_log(path)
-    assert log.telemetry.need(Signal.ACTUATOR).values[0].tolist() == pytest.approx([0, 0, 0.5, 0, 0.201])
-    assert not log.motor_order
-
-
 def value(encoder: Encoder, name: str, number: float, kind: int) -> bytes:
     """A PARAM_VALUE as the autopilot of the encoder's user would send it."""
     return encoder.encode(MessageId.PARAM_VALUE, name.encode(), number, kind, 100, 0xFFFF)
-
-
-@pytest.mark.parametrize("autopilot", [Autopilot.ARDUPILOTMEGA, Autopilot.PX4])
-def test_integers_are_cast_by_ardupilot_and_copied_by_px4(autopilot: Autopilot) -> None:
-    encoder, whole = Encoder(1, 1), {"FRAME_CLASS": 2, "A_NAME_OF_SIXTEE": 1_000_003, "SMALL": 0}
-    copied = {name: float(np.array([number], dtype="<i4").view("<f4")[0]) for name, number in whole.items()}
-    sent = copied if autopilot is Autopilot.PX4 else whole
-    frames = [value(encoder, name, number, INT32) for name, number in sent.items()]
-    frames += [value(encoder, "REAL", 0.25, REAL32), value(encoder, "BROKEN", float("nan"), REAL32)]
-    frames.append(value(Encoder(1, 191), "FRAME_CLASS", 7.0, REAL32))  # of another component
-    content = decode_tlog(b"".join(tlog_record(1, one) for one in frames))
-    assert len(content.frames) == len(frames)
-    assert parameters_in(content.frames, autopilot) == {**whole, "REAL": 0.25}
 
 
 def test_a_link_carries_the_parameters_that_pass_by_before_the_vehicle_entered_and_after() -> None:

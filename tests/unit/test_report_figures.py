@@ -16,8 +16,7 @@ from mavdiag.identify import Method, fit
 from mavdiag.identify.validate import validate
 from mavdiag.look.figures import spectrum_of
 from mavdiag.report.campaign import roc_of
-from mavdiag.report.residuals import longest_by_column, moment_of, runs_of
-from mavdiag.report.signals import sweep_of
+from mavdiag.report.pictures import longest_by_column, moment_of, runs_of, sweep_of
 from mavdiag.report.style import envelope
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import Axis, FloatArray, Signal

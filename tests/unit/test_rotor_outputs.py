@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,10 +12,10 @@ from test_layout import made_flight
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.detect import contradicts, detect_layout
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named
-from mavdiag.airframe.load import load_airframe, with_layout
+from mavdiag.airframe.load import with_layout
 from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline, dump, parse
-from mavdiag.errors import InputError, UsageError
+from mavdiag.errors import UsageError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.rows.block import Block
@@ -207,19 +206,7 @@ def test_an_unknown_layout_is_loud_in_the_baseline_and_in_every_verdict() -> Non
     assert judge(silent(1)[0], unconcerned).notes == ()
 
 
-def test_outputs_of_an_airframe_file(tmp_path: Path) -> None:
-    path = tmp_path / "a.toml"
-    path.write_text('name = "a"\nlayout = "x"\noutputs = [5, 6, 8, 7]\n')
-    assert load_airframe(path).outputs == (5, 6, 8, 7)
-    refused = {
-        "[1, 2, 3]": "3 outputs for 4 rotors",
-        "[1, 2, 3, 3]": "each rotor has its own",
-        "[0, 1, 2, 3]": "outputs.1: Input should be greater",
-    }
-    for outputs, says in refused.items():
-        path.write_text(f'name = "a"\nlayout = "x"\noutputs = {outputs}\n')
-        with pytest.raises(InputError, match=says):
-            load_airframe(path)
+def test_an_airframe_has_the_layout_of_its_file_or_the_one_that_is_told() -> None:
     with pytest.raises(UsageError, match="airframe a has the layout x, not plus: give one of them"):
         with_layout(Airframe(name="a", layout=layout_named("x")), "plus")
     with pytest.raises(UsageError, match="no layout 'y'"):

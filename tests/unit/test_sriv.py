@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 from identification_data import ROLL, WELL, record
-from numpy.testing import assert_allclose
 from scipy.signal import lfilter
 from shared_data import shared
 
@@ -105,15 +104,6 @@ def flown(seed: int, n: int) -> Segment:
     y = lfilter([0.0, 0.01, -0.006], [1.0, -1.9, 0.905], u)
     y += 0.05 * lfilter([0.2], [1.0, -0.8], rng.normal(size=n + 50))
     return Segment(u[50:], np.asarray(y[50:]))
-
-
-def test_without_a_basis_the_columns_are_reduced_by_reflections(monkeypatch: pytest.MonkeyPatch) -> None:
-    segments = tuple(flown(seed, n) for seed, n in enumerate((900, 900, 700, 321, 900)))
-    by_cholesky = sriv(segments, (2, 2, 1))
-    monkeypatch.setattr("mavdiag.identify.sriv._by_cholesky", lambda *_: None)
-    by_reflections = sriv(segments, (2, 2, 1))
-    assert_allclose(by_cholesky.theta, by_reflections.theta, rtol=1e-8)
-    assert_allclose(by_cholesky.covariance, by_reflections.covariance, rtol=1e-6)
 
 
 def test_a_fit_that_begins_near_ends_where_the_other_one_does_and_a_bad_start_does_no_harm() -> None:
