@@ -32,7 +32,6 @@ _SAME = 1e-3  # of an axis or of the thrust coefficients: closer ones are the sa
 
 
 # FRAME_TYPE by FRAME_CLASS. The V's two rear rotors turn it more than its two front ones.
-_CLASSES = {1: "quad", 2: "hexa", 3: "octa", 4: "X8", 5: "Y6", 12: "dodecahexa", 14: "deca"}
 _X8 = (45, -45, -135, 135, -45, 45, 135, -135)
 _X8_BETAFLIGHT = (135, 45, -135, -45, 135, 45, -135, -45)
 _FRAMES: Mapping[tuple[int, int], RotorLayout] = {
@@ -73,10 +72,8 @@ _FRAMES: Mapping[tuple[int, int], RotorLayout] = {
 
 @dataclass(frozen=True, slots=True)
 class ParameterFinding:
-    """What the parameters say of the rotors.
+    """The layout and the output, from 1, of motor 1, 2, ...; None if the parameters do not say it, or contradict it.
 
-    layout: None if they do not say it, or contradict themselves.
-    outputs: the output, from 1, of motor 1, 2, ...; None likewise.
     reason: what both rest on, or why one is not known; empty if the parameters say nothing of rotors.
     """
 
@@ -127,10 +124,7 @@ def _copter_layout(parameters: Mapping[str, float]) -> tuple[RotorLayout | None,
         return None, "FRAME_CLASS and FRAME_TYPE are no whole numbers"
     told = f"FRAME_CLASS {frame_class}, FRAME_TYPE {frame_type}"
     layout = _FRAMES.get((frame_class, frame_type))
-    if layout is None:
-        kind = _CLASSES.get(frame_class, "a class without a table")
-        return None, f"the geometry of {told} ({kind}) is not known here"
-    return layout, f"the vehicle's parameters {told}"
+    return layout, f"the vehicle's parameters {told}" if layout else f"the geometry of {told} is not known here"
 
 
 def _old_layout(parameters: Mapping[str, float], mav_type: int | None) -> tuple[RotorLayout | None, str]:

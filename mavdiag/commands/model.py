@@ -25,7 +25,8 @@ from mavdiag.identify.lab.figures import Figure, ModelFigures, model_figures
 from mavdiag.identify.lab.frequency import FrequencyResponse, compare, estimate_response
 from mavdiag.identify.lab.published import ASSUMED_DT_S, THESIS_PITCH, THESIS_ROLL
 from mavdiag.identify.lab.recursive import track as track_model
-from mavdiag.identify.lab.sweep import SweepRow, best_row, order_sweep, window_sweep
+from mavdiag.identify.lab.sweep import ORDERS, SweepRow, best_row
+from mavdiag.identify.lab.sweep import sweep as fit_each
 from mavdiag.identify.validate import ResidualReport, examine_residual, one_step_report, validate
 from mavdiag.logs.log import read_bytes
 from mavdiag.monitors.run_length import RunLengthSpec
@@ -127,17 +128,12 @@ def sweep(
 
     with working("fitting a model for each; this takes a minute or more ..."):
         if over == "order":
-            held_out = None if other is None else pair(other, window)
-            rows = order_sweep(pair(train, window), held_out, dt=dt_s, method=method)
+            flights = pair(train, window), None if other is None else pair(other, window)
+            rows = fit_each(((one, 0, *flights) for one in ORDERS), dt=dt_s, method=method)
         else:
-            rows = window_sweep(
-                lambda n: pair(train, n * dt_s),
-                sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S}),
-                dt=dt_s,
-                order=chosen,
-                method=method,
-                prepare_validation=None if other is None else lambda n: pair(other, n * dt_s),
-            )
+            counts = sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S})
+            each = ((n, pair(train, n * dt_s), None if other is None else pair(other, n * dt_s)) for n in counts)
+            rows = fit_each(((chosen, *one) for one in each), dt=dt_s, method=method)
     best = best_row(rows)
     known = sorted((row for row in rows if row.model), key=lambda row: (row is best, row.score), reverse=True)
     _print([_sweep_line(row, best=row is best) for row in (rows if as_json else known[:SHOWN_ROWS])], as_json=as_json)

@@ -32,10 +32,9 @@ HARMONICS = 3
 
 @dataclass(frozen=True, slots=True)
 class OutputLoad:
-    """One motor's output in flight, 0..1; over_mean: its mean over that of all, less 1.
+    """One motor's output in flight, 0..1; its mean over that of all, less 1; share of the flight at an end.
 
     number: of the rotor where the layout is known, else of the output, from 1.
-    full_share, idle_share: of the flight, at its upper or lower end.
     """
 
     number: int
@@ -47,10 +46,7 @@ class OutputLoad:
 
 @dataclass(frozen=True, slots=True)
 class Vibration:
-    """Level of the autopilot's own message, median and 95th percentile of x, y, z [m/s^2].
-
-    above_usual, above_high: share of the time in which an axis is above 30 or 60 m/s^2.
-    """
+    """Median and 95th percentile of x, y, z [m/s^2]; share of the time with an axis above 30 or 60 m/s^2."""
 
     median: tuple[float, ...]
     high: tuple[float, ...]
@@ -78,7 +74,7 @@ class RotorLine:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spectrum:
-    """frequency_hz: (n,). power: (n, 2) density of x and y [(m/s^2)^2/Hz]. averaged: number of windows."""
+    """power: (n, 2) density of x and y [(m/s^2)^2/Hz]. averaged: number of windows."""
 
     frequency_hz: FloatArray
     power: FloatArray

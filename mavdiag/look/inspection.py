@@ -1,5 +1,4 @@
-"""What a log or a link shows without a judgement, as values: signals, clock, units, rotors, the flight, and what each
-monitor lacks. It never says that a vehicle is well: without a baseline there is nothing that could show it."""
+"""What a log or a link shows without a judgement: signals, clock, units, rotors, flight, what each monitor lacks."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -79,8 +78,7 @@ class Summary:
 class Clock:
     """The vehicle's clock beside the receiver's.
 
-    behind_s: receiver's time less the vehicle's, at the fastest transport.
-    drift_ppm: by how much that grows; None within less than `DRIFT_S`.
+    behind_s: receiver's time less the vehicle's, at the fastest transport; drift_ppm: by how much that grows.
     spread_ms: how much later than the fastest a sample may come (95 %).
     signals_ms: by how much later than the gyro each signal comes, at the fastest; other clocks and stamps show here.
     """
@@ -93,11 +91,7 @@ class Clock:
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """Whether the units are what they are taken for.
-
-    gravity_g: what the vehicle feels, by the accelerometer's scale; None without one. gravity: one phrase.
-    gyro: each axis beside the slope of the attitude; empty without either.
-    """
+    """What the vehicle feels by the accelerometer's scale, in one phrase too; the gyro beside the attitude's slope."""
 
     gravity_g: float | None
     gravity: str
@@ -234,7 +228,7 @@ def clock_of(telemetry: Telemetry) -> Clock | None:
     gyro = telemetry.get(Signal.BODY_RATE)
     if gyro is None or len(gyro) < LEAST_CLOCK or np.array_equal(gyro.t_ns, gyro.host_ns):
         return None
-    behind = _behind_s(gyro)
+    behind = (gyro.host_ns - gyro.t_ns) / NS_PER_S
     seconds, order, starts = _by_second(gyro.t_ns)
     least = np.minimum.reduceat(behind[order], starts)
     known = len(least) >= DRIFT_S
@@ -245,7 +239,7 @@ def clock_of(telemetry: Telemetry) -> Clock | None:
         float(behind.min()),
         1e6 * float(slope) if known else None,
         1e3 * float(np.percentile(late - late.min(), LATE_SHARE)),
-        {series.signal.value: 1e3 * float(_behind_s(series).min() - behind.min()) for series in others},
+        {one.signal.value: float((one.host_ns - one.t_ns).min() / NS_PER_MS - 1e3 * behind.min()) for one in others},
     )
 
 
@@ -305,10 +299,6 @@ def baseline_statement(baseline: Baseline, log: Log, found: Sequence[Summary]) -
     except BaselineError as error:
         return str(error)
     return "of this link" if rate_hz else "of this profile; no gyro came to compare the rate"
-
-
-def _behind_s(series: Series) -> FloatArray:
-    return np.asarray((series.host_ns - series.t_ns) / NS_PER_S)
 
 
 def _by_second(t_ns: IntArray) -> tuple[IntArray, IntArray, IntArray]:

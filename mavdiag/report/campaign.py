@@ -35,26 +35,21 @@ class _Line(BaseModel):
 
 
 class Answer(_Line):
-    """What the diagnosis answered; fields as in the campaign's `Answer`."""
+    """What the diagnosis answered."""
 
     kind: Annotated[str, Field(max_length=60)]
-    rotor: int | None = None
     fault_type: Annotated[str, Field(max_length=20)] | None = None
-    severity: int | None = None
 
 
 class CampaignFlight(_Line):
-    """One flight of a campaign; fields as in the campaign's `FlightResult`."""
+    """One flight of a campaign."""
 
     record: Literal["flight"]
     key: str
     cause: Annotated[str, Field(max_length=60)]
-    rotor: int
     phenomenology: float
     verdict: str
-    flown_s: float
     healthy_s: float
-    onset_s: float | None
     episodes: int
     latency_s: float | None
     answer: Answer

@@ -27,7 +27,7 @@ from mavdiag.airframe.propellers import FaultType, propeller
 from mavdiag.airframe.trim import shown_trim
 from mavdiag.drawing import Colour, RotorMark, airframe_svg
 from mavdiag.identify import Method, Order
-from mavdiag.identify.lab.sweep import SweepRow, window_sweep
+from mavdiag.identify.lab.sweep import SweepRow, sweep
 from mavdiag.look.figures import HARMONICS, SPECTRUM_S, Spectrum
 from mavdiag.monitors.rotor_trim import RotorTrimSpec
 from mavdiag.monitors.run_length import MIN_PIECE_S
@@ -453,7 +453,7 @@ def sweep_of(
         return us, ys
 
     counts = sorted({max(round(span / dt_s) | 1, LEAST, polynomial + 1 | 1) for span in WINDOWS_S})
-    return window_sweep(prepare, counts, dt=dt_s, order=order, method=method)
+    return sweep(((order, count, prepare(count), None) for count in counts), dt=dt_s, method=method)
 
 
 @picture("windows")

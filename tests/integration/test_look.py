@@ -168,18 +168,6 @@ def test_log171_is_seen_to_tumble_with_a_motor_at_its_limit() -> None:
     assert "no output reached an end" in earlier
 
 
-def test_a_motor_that_stands_at_a_limit_of_the_mixer_is_at_its_end() -> None:
-    """The limit is 0.85, as MOT_SPIN_MAX and the like make it; a set-point that stands at its own mean is none."""
-    log = logged(flying(3000, seed=3))
-    outputs = log[Signal.ACTUATOR].values.copy()
-    outputs[-300:, 2] = 0.85
-    outputs[-300:, 3] = 0.12
-    outputs[:300] = 0.5
-    loads = inspection_of(changed(log, Signal.ACTUATOR, outputs), Airframe()).loads
-    ends = [(one.full_share > 0.1, one.idle_share > 0.1) for one in loads]
-    assert ends == [(False, False), (False, False), (True, False), (False, True)]
-
-
 def test_outputs_that_are_no_motors_are_not_told_as_such() -> None:
     """An output at zero, one that stands still and one that idles beside four motors whose layout is not known."""
     log = logged(flying(3000, seed=3))

@@ -9,7 +9,6 @@ from scipy.signal import lfilter
 
 from mavdiag.airframe.detect import detect_layout
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named
-from mavdiag.errors import UsageError
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
@@ -56,15 +55,6 @@ def test_signs_follow_from_where_the_rotors_are(name: str) -> None:
     assert layout.coaxial == (name in ("x8", "y6", "y6b"))
     C = layout.unmixing / np.linalg.norm(layout.unmixing, axis=0)
     assert (C.T @ C - 2 * np.eye(n)).max() < 0.95  # each rotor has a direction of its own
-
-
-def test_a_layout_must_command_all_three_axes_and_be_scaled() -> None:
-    with pytest.raises(UsageError, match="independently"):
-        RotorLayout("pair", ((1, 0, 0), (-1, 0, 0)))
-    with pytest.raises(UsageError, match="must sum to 4"):
-        RotorLayout("x", tuple((2 * r, p, y) for r, p, y in layout_named("x").signs))
-    with pytest.raises(UsageError, match="no layout 'hexa': use one of qdrone2, "):
-        layout_named("hexa")
 
 
 def made_flight(layout: RotorLayout, seed: int, *, driver: str = "torque", yaw: float = 0.2) -> Block:

@@ -9,7 +9,7 @@ from identification_data import WELL, record
 from numpy.testing import assert_allclose
 
 from mavdiag.errors import UsageError
-from mavdiag.identify import ArxModel, Method, ModelRecord, fit
+from mavdiag.identify import ArxModel, Method, fit
 from mavdiag.identify.lab.drawing import draw_model
 from mavdiag.identify.lab.figures import ModelFigures, model_figures
 from mavdiag.identify.validate import examine_residual
@@ -58,25 +58,6 @@ def test_standard_errors_by_the_delta_method_are_the_scatter_of_repeated_experim
     table = np.array([numbers(model_figures(model)) for model in models])
     scatter, stated = table[:, :, 0].std(axis=0, ddof=1), table[:, :, 1].mean(axis=0)
     assert_allclose(stated, scatter, rtol=0.35)
-
-
-def test_without_the_correlations_the_report_says_so() -> None:
-    train = record(WELL, 1500, 0.1, 0)
-    stored = ModelRecord.of(fit(train.u, train.y, dt=DT))
-    bare = ModelRecord(
-        a=stored.a,
-        b=stored.b,
-        dt_s=DT,
-        order=stored.order,
-        method=stored.method,
-        standard_errors=stored.standard_errors,
-    )
-    known, rough = model_figures(stored.model()), model_figures(bare.model())
-    assert known.errors_from == "the covariance of the parameters"
-    assert "correlations are not known" in rough.errors_from
-    assert known.dc_gain.standard_error is not None
-    assert rough.dc_gain.standard_error is not None
-    assert rough.dc_gain.standard_error > 2 * known.dc_gain.standard_error
 
 
 def test_a_picture_is_drawn_with_and_without_a_residual(tmp_path: Path) -> None:

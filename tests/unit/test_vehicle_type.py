@@ -88,15 +88,11 @@ def test_a_multirotor_beside_a_boat_is_read_and_the_boat_is_told(tmp_path: Path)
     [
         (["ArduCopter V4.5.6 (bbf0b066)"], {"FRAME_CLASS": 1.0}, 2),
         (["ArduCopter V4.3.6 (0c5e999c)"], {"FRAME_CLASS": 4.0}, 14),
-        (["ArduCopter V4.3.6 (0c5e999c)"], {}, None),
         (["APM:Copter V3.3-dev (ae3192b8)", "PX4: 6013 NuttX: 1e53", "Frame: QUAD"], {"FRAME": 1.0}, 2),
         (["APM:Copter V3.4.6 (1)", "Frame: Y6"], {"FRAME": 10.0}, 13),
         (["Rover is a word"], {}, None),
         (["ArduRover V4.2.3 (3fc3011a)"], {"FRAME_CLASS": 2.0}, "a boat (MAV_TYPE 11)"),
-        (["APM:Rover V3.1.0 (1)"], {}, "a rover (MAV_TYPE 10)"),
         (["ArduPlane V4.5.1 (1)"], {"Q_ENABLE": 1.0}, "a plane (MAV_TYPE 1)"),
-        (["ArduSub V4.1.0 (1)"], {"FRAME_CONFIG": 1.0}, "a submarine (MAV_TYPE 12)"),
-        (["AntennaTracker V1.1.0 (1)"], {}, "an antenna tracker (MAV_TYPE 5)"),
         (["ArduCopter V4.4.0 (1)"], {"FRAME_CLASS": 6.0}, "a helicopter (MAV_TYPE 4)"),
     ],
 )
