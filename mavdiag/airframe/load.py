@@ -38,12 +38,9 @@ class _Effect(_Table):
     yaw: float
 
 
-def _kind_of_rotor(raw: Any) -> str:
-    return "effect" if isinstance(raw, dict) and raw.keys() & {"roll", "pitch", "yaw"} else "place"
-
-
 _Rotor: TypeAlias = Annotated[
-    Annotated[_Place, Tag("place")] | Annotated[_Effect, Tag("effect")], Discriminator(_kind_of_rotor)
+    Annotated[_Place, Tag("place")] | Annotated[_Effect, Tag("effect")],
+    Discriminator(lambda raw: "effect" if isinstance(raw, dict) and raw.keys() & {"roll", "pitch", "yaw"} else "place"),
 ]
 
 

@@ -41,10 +41,6 @@ NEARLY_SETTLED = 0.1  # the same, where no step lowers the loss any more (the gr
 STEP_RELATIVE = 1e-9  # of the parameter itself counts as settled too: data without noise
 MAX_DESCENT, MAX_HALVINGS = 15, 6  # Gauss-Newton steps, and halvings of one (our choice)
 MAX_RADIUS = 0.99999  # reflected poles stay this far inside the unit circle (our choice)
-TOGETHER = 4096  # rows of one product: they fit the cache and stay below the size that BLAS threads (our choice)
-EVERY = 16  # of the rows that make the basis: they span what all rows span (our choice)
-LEAST_SHARE = 1e-3  # of a basis vector in the rows; with less the basis does not suit them (our choice)
-LEAST_DIAGONAL = 1e-8  # of a column beside the others; with less the columns are dependent (our choice)
 
 
 def sriv(segments: Sequence[Segment], order: Order, figures: bool = True, near: FloatArray | None = None) -> Estimate:
@@ -177,38 +173,11 @@ def _filtered(group: Segment, order: Order, theta: FloatArray) -> tuple[FloatArr
 
 
 def _reduced(columns: FloatArray, free: FloatArray, na: int) -> FloatArray:
-    """R of the columns [Z_f Phi_f y_f] with their free responses taken out.
-
-    By a Cholesky factor of the products in a basis in which the columns are nearly orthonormal, so that nothing is lost
-    by squaring; by reflections where there is no such basis: data without noise.
-    """
+    """R of the columns [Z_f Phi_f y_f] with their free responses taken out."""
     c = len(columns)
-    R = _by_cholesky(columns, free)
-    if R is None:
-        R = triangle((columns - (columns @ free) @ free.T).reshape(c, -1).T)
+    R = triangle((columns - (columns @ free) @ free.T).reshape(c, -1).T)
     d = c - na - 1
     return R[:, [*range(d), *range(d, d + na), *range(na, d), c - 1]]
-
-
-def _by_cholesky(columns: FloatArray, free: FloatArray) -> FloatArray | None:
-    rows = columns.reshape(len(columns), -1)
-    basis = triangle(rows[:, ::EVERY].T)
-    diagonal = np.abs(np.diag(basis))
-    if len(basis) < len(rows) or not (diagonal > LEAST_DIAGONAL * np.linalg.norm(basis, axis=0)).all():
-        return None
-    T = np.linalg.inv(basis).T
-    products = np.zeros((len(rows), len(rows)))
-    for first in range(0, rows.shape[1], TOGETHER):
-        whitened = T @ rows[:, first : first + TOGETHER]
-        products += whitened @ whitened.T
-    parts = T @ (columns @ free).reshape(len(rows), -1)  # of each segment in its free responses: no error of the model
-    products -= parts @ parts.T
-    try:
-        root = np.linalg.cholesky(products).T
-    except np.linalg.LinAlgError:
-        return None
-    suits = np.diag(root).min() > LEAST_SHARE * np.sqrt(np.diag(products).max())
-    return np.asarray(root @ basis, dtype=np.float64) if suits else None
 
 
 def _coloured(data: Sequence[Segment], order: Order, point: _Point) -> FloatArray:

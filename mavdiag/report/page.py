@@ -18,7 +18,6 @@ from markupsafe import Markup, escape
 from mavdiag import __version__
 from mavdiag.baseline import Baseline
 from mavdiag.decision import words
-from mavdiag.judging import MonitorSummary
 from mavdiag.link.wants import LABELS
 from mavdiag.printable import printable
 from mavdiag.report.campaign import HEALTHY, Campaign, campaign_pictures
@@ -94,8 +93,16 @@ def _templates() -> Environment:
         keep_trailing_newline=True,
         finalize=lambda value: value if isinstance(value, Markup) else printable(str(value)),
     )
-    found.filters |= {"code": _with_code, "signal": lambda name: LABELS.get(name, name.replace("_", " "))}
-    found.filters |= {"fixed": _fixed, "short": _short, "utc": _utc, "ratio": _over}
+    found.filters |= {
+        "code": _with_code,
+        "fixed": lambda value, places: "-" if value is None else f"{value:.{places}f}",
+        "ratio": lambda monitor: monitor.maximum is not None and monitor.maximum > monitor.threshold,
+        "short": lambda path: path if len(path) <= SHORT else f"…{path[-SHORT:]}",
+        "signal": lambda name: LABELS.get(name, name.replace("_", " ")),
+        "utc": lambda t_ns: datetime.datetime.fromtimestamp(t_ns // NS_PER_S, datetime.UTC).isoformat(
+            timespec="seconds"
+        ),
+    }
     found.globals |= {"words": words, "drawing": lambda svg, prefix: Markup(embedded(svg, prefix)), "EVENTS": EVENTS}
     return found
 
@@ -105,25 +112,9 @@ def _with_code(text: str) -> Markup:
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(printable(text)))))
 
 
-def _fixed(value: float | None, places: int) -> str:
-    return "-" if value is None else f"{value:.{places}f}"
-
-
-def _over(monitor: MonitorSummary) -> bool:
-    return monitor.maximum is not None and monitor.maximum > monitor.threshold
-
-
-def _utc(t_ns: int) -> str:
-    return datetime.datetime.fromtimestamp(t_ns // NS_PER_S, datetime.UTC).isoformat(timespec="seconds")
-
-
 def _names(paths: Sequence[str]) -> list[str]:
     """The paths without the folder that all of them share."""
     folders = [path.split("/")[:-1] for path in paths]
     alike = (len(set(parts)) == 1 for parts in zip(*folders, strict=False))
     shared = sum(1 for _ in itertools.takewhile(bool, alike))
     return ["/".join(path.split("/")[shared:]) for path in paths]
-
-
-def _short(path: str) -> str:
-    return path if len(path) <= SHORT else f"…{path[-SHORT:]}"

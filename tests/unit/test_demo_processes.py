@@ -23,17 +23,13 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 @pytest.mark.realtime
-def test_b15_a_process_that_died_is_not_waited_for(module: str) -> None:
+def test_b15_a_process_that_died_is_not_waited_for_and_a_timeout_is_of_the_whole_wait(module: str) -> None:
     with child(module, "0") as one:
         assert one.wait_for("last", 20.0) == "last line"
         begun = time.monotonic()
         with pytest.raises(LinkError, match="made_program stopped: last line"):
             one.wait_for("ready", 20.0)
         assert time.monotonic() - begun < 10.0
-
-
-@pytest.mark.realtime
-def test_b15_the_timeout_is_of_the_whole_wait_and_not_of_each_line(module: str) -> None:
     with child(module, "100") as one:
         one.wait_for("first", 20.0)
         with pytest.raises(LinkError, match="did not get ready: tick"):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavdiag.airframe.layout import LAYOUTS, Place, RotorLayout, layout_at, layout_named
-from mavdiag.drawing import SIZE, Colour, RotorMark, airframe_svg
+from mavdiag.drawing import SIZE, RotorMark, airframe_svg
 
 SVG = "{http://www.w3.org/2000/svg}"
 COAXIAL = layout_at("y6", [Place(x, y, spin) for x, y in ((1, 1), (1, -1), (-1, 0)) for spin in ("cw", "ccw")])
@@ -49,15 +49,6 @@ def test_the_rotors_are_where_the_vehicle_has_them_and_turn_as_it_says() -> None
     text = airframe_svg(layout_named("x"))
     assert "rotor 1 front right, turns counter-clockwise" in text
     assert "rotor 3 front left, turns clockwise" in text
-
-
-def test_a_mark_fills_and_labels_its_rotor_only() -> None:
-    root = ElementTree.fromstring(airframe_svg(layout_named("x"), {3: RotorMark(Colour.FAULT, "+11 %", "suspected")}))
-    groups = {one.attrib["data-rotor"]: one for one in root.iter(f"{SVG}g") if "data-rotor" in one.attrib}
-    assert [disc_of(one)["fill"] for one in groups.values()] == ["none", "none", Colour.FAULT, "none"]
-    assert groups["3"].attrib["class"] == "rotor suspected"
-    assert groups["3"].attrib["id"] == "airframe-rotor-3"
-    assert [one.text for one in groups["3"].iter(f"{SVG}text")] == ["3", "+11 %"]
 
 
 @given(st.text(), st.text())

@@ -8,7 +8,6 @@ import pytest
 from flying_telemetry import START_NS, flying, flying_front, flying_rows
 from made_baselines import FRAME, NOW, logged, whole
 from made_telemetry import cut
-from shared_data import shared
 
 from mavdiag.airframe.fingerprint import (
     TRAITS,
@@ -24,9 +23,6 @@ from mavdiag.airframe.fingerprint import (
 from mavdiag.airframe.layout import layout_named
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.learning.flights import front_for, rows_of
-from mavdiag.logs import read_log
-from mavdiag.logs.part import between
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
 
@@ -162,22 +158,6 @@ def test_a_noise_below_the_resolution_of_its_signal_is_the_resolution_s(noise: f
     seen = dict(zip((one.name for one in TRAITS), traits(joined(flying_rows(coarse)), X), strict=True))
     expected = [np.log(digit * np.sqrt(0.5)) if np.isfinite(seen["accelerometer noise x"]) else np.nan] * 3
     np.testing.assert_allclose([seen[f"accelerometer noise {axis}"] for axis in "xyz"], expected, atol=0.2)
-
-
-@pytest.mark.parametrize("name", ["ap463_hil_healthy", "px4_hil_healthy"])
-def test_thirty_seconds_of_a_vehicle_are_enough_to_know_it_again(name: str) -> None:
-    """Real autopilots: learnt from 30 s, compared with the 20 s that follow, all through a flight."""
-    log = read_log(shared(f"data/autopilots_in_the_loop/{name}.tlog"))
-    front, found = front_for([log], 0.1), []
-    times = log[Signal.BODY_RATE].t_s
-    for begin in np.arange(times.min(), times.max() - 60.0, 40.0).tolist():
-        one, other = (rows_of(front, between(log.telemetry, begin + a, begin + b)) for a, b in ((0, 35), (30, 55)))
-        spans = [sum(int(rows.block.valid.sum()) for rows in each) * front.align.dt_s for each in (one, other)]
-        fingerprint = fingerprint_of([one], X)
-        if spans[0] > 25.0 and spans[1] > 15.0 and fingerprint is not None:
-            found.append(compare(fingerprint, other, X).outcome)
-    assert len(found) >= 5
-    assert set(found) == {Outcome.ALIKE}
 
 
 def grounded(seed: int, ground_s: float) -> Log:
