@@ -1,17 +1,14 @@
 """Find the rotor layout, and which outputs are motors, from flights: how outputs change with roll, pitch and yaw.
 
-The drivers x of roll, pitch and yaw are the first of these that the vehicle sends: its torque command; its rate error
-(set-point minus gyro, to which the rate controller answers); the angular acceleration that the outputs make some lag
-later, the one that explains most. With w = o/mean(o) - 1 of the outputs o that move, and changes over 0.1 s, so that
-trims and drifts do not count:
+With w = o/mean(o) - 1 of the outputs o that move, the drivers x of roll, pitch and yaw (the torque command; else the
+rate error; else the angular acceleration, some lag later), and changes over 0.1 s, so that trims do not count:
 
     [ dx_roll  dx_pitch  dx_yaw ] @ B_fit' = [ dw_1 ... dw_n ]      least squares, all three together
     likeness = sum_k e_k cos(B_fit column k, B column k) / sum_k e_k
 
 e_k: the energy that driver k explains, 0 if it is not excited (F < 10). A layout of which an excited column points the
 other way gets that column's cosine instead. A layout is named if its likeness reaches 0.85 and lacks half as much to 1
-as the next one. Drivers that move together leave B_fit open in one direction: so it must besides, with the best gains
-of its axes, lose at most half as much of the explained energy as any other.
+as the next one, and if it loses, with the best gains of its axes, at most half as much of the energy as any other.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -67,14 +64,11 @@ def detect_layout(
 ) -> LayoutFinding:
     """Find the known layout that healthy flying fits. outputs: those that drive rotor 1, 2, ...; None to find them too.
 
-    An output is a motor if its mean in flight is above 0.05, it moves, and the drivers move it (F >= 10). All that move
-    are tried first; then the one that follows the drivers least is left out, again and again, while it does not follow
-    them. The motors must follow four times as much (F) as any output left out; they are the rotors in rising order of
-    their outputs. If no layout reaches 0.85 so, yaw is excited too and the drivers do not move together, that order is
-    sought in which one of `NUMBERED` fits best; it must meet the same limits.
-
-    The blocks are gone through several times, some thousand rows in memory at a time; any cut of the rows into blocks
-    gives the same answer. Blind spots: servos that follow the drivers as motors do; a vehicle that hardly turns.
+    All outputs that move are tried first; then the one that follows the drivers least is left out while it does not
+    follow them (F < 10). Motors must follow four times as much as any output left out. If no layout fits in rising
+    order of the outputs, yaw is excited and the drivers do not move together, that order is sought in which one of
+    `NUMBERED` fits. The blocks are gone through several times; any cut of the rows into blocks gives the same answer.
+    Blind spots: servos that follow the drivers as motors do; a vehicle that hardly turns.
     """
     blocks = tuple(blocks) if isinstance(blocks, Iterator) else blocks
     moving = moving_outputs(blocks)
@@ -143,10 +137,9 @@ def moving_outputs(blocks: Iterable[Block]) -> list[int]:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
     """effects: (3, outputs) change of the outputs for one standard deviation of the driver's change about each axis.
-    F: (3,) of roll, pitch and yaw: over all outputs, how far the driver's effect stands out of the noise.
-    followed: (outputs,) how far the effect of all three stands out of the noise of an output, an F value too.
-    explained: share of the outputs' changes.
-    spread: (3, 3) mean products of the drivers' changes, each over its standard deviation.
+
+    F: (3,) over all outputs, how far the effect stands out of the noise; followed: (outputs,) likewise of each.
+    explained: share of the outputs' changes. spread: (3, 3) mean products of the drivers' standardised changes.
     """
 
     driver: str

@@ -1,16 +1,9 @@
 """Does a flight look like the vehicle that a baseline was learnt from? The answer comes before any judgement.
 
-A fingerprint is of each of `TRAITS` the mean over healthy flights and the spread between them. A damaged rotor must not
-be taken for another vehicle, so only that counts which damage to one rotor does not do:
-
-- It shifts the trim along the rotor's own pattern: the best rise of one rotor is taken out of the shift. A rise of less
-  than 0.025 shows no damage, and then the whole shift counts, unless vibration is higher: a blade may drag more.
-- It raises vibration and costs thrust: only lower noise and a lower hover throttle count.
-- It does not change how many motors there are.
-- Trim and throttle of a vehicle that tumbles say nothing: only calm seconds count.
-
-What is far (`FAR`) is beyond all that sessions of one vehicle were seen to do, and the flight is refused. What is near
-(`NEAR`) is significant against the learnt flights alone: it is judged, with a note.
+A fingerprint is of each of `TRAITS` the mean over healthy flights and the spread between them. A damaged rotor is no
+other vehicle, so only that counts which damage to one rotor does not do. It shifts the trim along the rotor's own
+pattern: the best rise of one rotor is taken out of the shift, unless it is less than 0.025 and vibration is no higher.
+It raises vibration and costs thrust: only lower noise and a lower throttle count. Only calm seconds count.
 """
 
 import itertools
@@ -115,11 +108,11 @@ class Fingerprint:
 
 
 class Outcome(StrEnum):
-    """What a comparison says."""
+    """FAR: beyond all that sessions of one vehicle were seen to do; it is refused. NEAR: judged, with a note."""
 
     ALIKE = "alike"
-    NEAR = "near"  # judged, with a note
-    FAR = "far"  # another vehicle
+    NEAR = "near"
+    FAR = "far"
 
 
 @dataclass(frozen=True, slots=True)

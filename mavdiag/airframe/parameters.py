@@ -1,11 +1,10 @@
 """The rotor layout and its outputs from the autopilot's own parameters, where these state both with certainty.
 
-ArduPilot: FRAME_CLASS and FRAME_TYPE name a table of motors (AP_MotorsMatrix.cpp, setup_quad_matrix and its likes);
-SERVOn_FUNCTION 33 to 40 puts motor 1 to 8 on output n (82 to 85: motor 9 to 12), any other function makes it no motor.
-Up to Copter 3.4 FRAME was the type, the class was another firmware, and the functions were RCn_FUNCTION.
-PX4: CA_ROTOR_COUNT, and for rotor n from 0 its place CA_ROTORn_PX, _PY [m] (FRD: forward, right) and its moment
-coefficient CA_ROTORn_KM, "positive for a rotor with CCW rotation" (control_allocator/module.yaml) seen from above,
-which turns the nose to the right; <group>_FUNCn 101 to 112 puts motor 1 to 12 on output n of that group.
+ArduPilot: FRAME_CLASS and FRAME_TYPE name a table of motors (AP_MotorsMatrix.cpp); SERVOn_FUNCTION 33 to 40 puts motor
+1 to 8 on output n (82 to 85: motor 9 to 12). Up to Copter 3.4 FRAME was the type, and the functions RCn_FUNCTION.
+PX4: CA_ROTOR_COUNT, and for rotor n from 0 its place CA_ROTORn_PX, _PY [m] (FRD) and its moment coefficient
+CA_ROTORn_KM, positive for CCW seen from above (control_allocator/module.yaml), which turns the nose to the right;
+<group>_FUNCn 101 to 112 puts motor 1 to 12 on output n of that group.
 """
 
 import math

@@ -5,10 +5,8 @@
     (1 - e)(1 + a) = 1
 
 o: motor outputs 0..1; or m itself from torque commands over thrust (a Crazyflie logs no outputs). a_j: least-squares
-rise of rotor j alone that explains a shift m, c_j its column of C. e: the share of its thrust that a rotor lost which
-is commanded the share a more: autopilots linearise, so thrust goes with the command. A recorded ArduCopter's motors at
-0.95, 0.90 and 0.80 rise by 0.054, 0.110 and 0.237. Where outputs go with the speed of the rotor the loss is nearly
-twice as much.
+rise of rotor j alone that explains a shift m, c_j its column of C. e: share of its thrust that a rotor lost which is
+commanded the share a more: autopilots linearise. Where outputs go with its speed, the loss is nearly twice as much.
 """
 
 from collections.abc import Sequence

@@ -1,15 +1,13 @@
 """SRIV: Young's simplified refined instrumental variable estimator, for noise on the output.
 
-The model is y = (B/A) u + e with e on the output. Least squares regresses on noisy past outputs and is biased; SRIV
-replaces them by instruments, the outputs that the last model simulates from u alone, and filters everything by 1/A,
-which makes the estimate efficient for white e and consistent for coloured e (P. C. Young, Recursive Estimation and
-Time-Series Analysis 2e, ch. 7; the data-based mechanistic school of T 4.1.1):
+y = (B/A) u + e. The noisy past outputs of least squares are replaced by instruments, the outputs x that the last model
+simulates from u alone, and everything is filtered by 1/A (P. C. Young, Recursive Estimation and Time-Series Analysis
+2e, ch. 7; the data-based mechanistic school of T 4.1.1):
 
     Z_f' Phi_f theta = Z_f' y_f     Phi_f = 1/A [ -y(t-1)     .. -y(t-na)      u(t-nk) .. u(t-nk-nb+1) ]
     x = (B/A) u                     Z_f   = 1/A [ -x(t-1)     .. -x(t-na)      u(t-nk) .. u(t-nk-nb+1) ]
 
-y(t) = phi(t)' theta + A e(t) holds on every complete row, wherever a segment begins. What the filter does not know, its
-state before the first row, adds a free response F x0 with unknown x0 (na,); F is projected out of every column.
+The filter's state before the first row of a segment adds a free response F x0: F is projected out of every column.
 """
 
 from collections.abc import Sequence
@@ -183,10 +181,9 @@ def _reduced(columns: FloatArray, free: FloatArray, na: int) -> FloatArray:
 def _coloured(data: Sequence[Segment], order: Order, point: _Point) -> FloatArray:
     """Covariance of an SRIV estimate, (na + nb, na + nb), whatever the spectrum of its output error.
 
-    cov theta = M S M with M = (Z_f' Z_f)^-1 and S = sum_k r_e(k) sum_t z_f(t) z_f(t + k)': the first-order covariance
-    of an instrumental variable estimate (Soderstrom and Stoica, System Identification, ch. 8), which is M var(e) for
-    white e. r_e is the autocovariance of the residual under a Bartlett window of sqrt(n) lags, n samples in all (our
-    choice; the window must reach over the smoothing filter).
+    cov theta = M S M with M = (Z_f' Z_f)^-1 and S = sum_k r_e(k) sum_t z_f(t) z_f(t + k)' (Soderstrom and Stoica,
+    System Identification, ch. 8). r_e: autocovariance of the residual under a Bartlett window of sqrt(n) lags (our
+    choice).
     """
     from scipy.signal import fftconvolve  # 0.8 s to import: only offline work pays it
 

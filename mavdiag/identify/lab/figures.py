@@ -1,7 +1,6 @@
 """What a control engineer reads off a model: poles, damping, bandwidth, margins, DC gain, each with a standard error.
 
-The standard errors follow from the covariance of the parameters by the delta method: the change of a figure along each
-principal direction of the covariance, for a hundredth of a standard deviation, summed in squares.
+By the delta method: the change along each principal direction of the parameters' covariance, summed in squares.
 """
 
 import warnings

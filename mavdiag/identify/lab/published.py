@@ -1,8 +1,7 @@
 """The two models that the thesis prints (T Eq 5.1, 5.2), kept for comparison. Nothing is judged with them.
 
-Their sample time is not stated, and their gains at zero frequency, 194 and 317, are not near 1, as those of a rate that
-follows its reference. So each carries an input scale, fitted by us: with it they explain about 0.55 (roll) and 0.85
-(pitch) of the output variance of the emulated aircraft, without it R_T^2 is about -3e3 and -7e4.
+Their sample time is not stated, and their gains at zero frequency are 194 and 317. So each carries an input scale,
+fitted by us: with it they explain about 0.55 (roll) and 0.85 (pitch) of the emulated aircraft's output variance.
 """
 
 from dataclasses import dataclass, replace
