@@ -11,7 +11,7 @@ from mavdiag.airframe.fingerprint import Outcome, compare, fingerprint_of
 from mavdiag.airframe.load import airframe_named
 from mavdiag.errors import InputError
 from mavdiag.learning import airborne, front_for
-from mavdiag.learning.teaching import one_vehicle, taught
+from mavdiag.learning.teaching import taught
 from mavdiag.logs import read_log
 from mavdiag.logs.part import between
 from mavdiag.rows.front import Rows
@@ -28,16 +28,6 @@ def crazypad(folder: str) -> tuple[Log, ...]:
 
 def part(log: Log, from_s: float | None, to_s: float | None) -> Log:
     return replace(log, telemetry=between(log.telemetry, from_s, to_s))
-
-
-def test_the_healthy_flights_of_e8_teach_and_so_do_four_of_them() -> None:
-    """Two sessions with trims of their own, but one airframe."""
-    flights = crazypad("normal_flight")
-    for left_out in (None, *flights):
-        kept = [one for one in flights if one is not left_out]
-        found = one_vehicle(taught(kept, 0.1, None, robust=False), CRAZYFLIE, robust=False)
-        assert len(found.flights) == len(kept)
-        assert found.left_out == ()
 
 
 def test_a_real_flight_teaches_up_to_its_upset_and_is_refused_with_it() -> None:

@@ -1,6 +1,5 @@
 """Airframe files: what they say, and what is refused."""
 
-import math
 import re
 from dataclasses import fields
 from pathlib import Path
@@ -14,7 +13,6 @@ from mavdiag.airframe.load import BUILTIN, airframe_from, airframe_named, load_a
 from mavdiag.errors import InputError
 from mavdiag.rows.gate import GateSpec
 from mavdiag.units import RPM
-from sitl_plant.vehicle import qdrone2
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -30,15 +28,6 @@ def test_shipped_airframes_have_a_layout(name: str) -> None:
     assert airframe_from(name) == airframe_named(name)
     assert airframe_named(name).layout == layout_named(name.removesuffix("-recorded"))
     assert sorted(BUILTIN) == sorted(p.stem for p in (ROOT / "mavdiag" / "airframe").glob("*.toml"))
-
-
-def test_the_shipped_qdrone2_is_the_vehicle_of_the_plant() -> None:
-    found, vehicle = airframe_named("qdrone2"), qdrone2()
-    assert found.mass_kg == vehicle.body.mass_kg
-    assert found.hover_rad_s is not None
-    assert found.hover_rad_s == pytest.approx(10_000 * math.pi / 30)
-    lift = 4 * vehicle.propulsion.thrust_coefficient_n_s2 * found.hover_rad_s**2
-    assert lift == pytest.approx(vehicle.body.mass_kg * 9.81, rel=1e-3)
 
 
 def test_every_key_arrives_and_what_a_file_leaves_out_is_not_known(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from identification_data import ROLL, WELL, octave, record
+from identification_data import ROLL, octave, record
 from numpy.testing import assert_allclose
 
 from mavdiag.errors import IdentificationError
@@ -50,17 +50,6 @@ def test_the_bands_hold_99_percent_of_what_a_true_model_shows() -> None:
             np.mean(np.abs(report.ccf) <= report.ccf_band99),
         ]
     assert np.all(inside / 200 > 0.98)
-
-
-def test_validation_pools_flights() -> None:
-    one, two = record(WELL, 400, 0.2, 1), record(WELL, 300, 0.2, 2)
-    pooled = validate(WELL, [one.u, two.u], [one.y, two.y])
-    errors = np.r_[one.y - one.clean, two.y - two.clean]
-    assert pooled.samples == 700
-    assert pooled.mse == pytest.approx(np.mean(errors**2))
-    assert pooled.r2t == pytest.approx(1 - errors.var() / np.r_[one.y, two.y].var())
-    with pytest.raises(IdentificationError, match="NaN"):
-        validate(WELL, one.u, np.full(400, np.nan))
 
 
 def test_records_that_begin_in_motion_may_settle_first() -> None:
