@@ -27,10 +27,7 @@ LABEL_FROM = 20.0  # radius of a rotor from which on its label fits into it; els
 
 
 class Colour(StrEnum):
-    """The palette of Okabe and Ito (Color Universal Design, 2008), which the colour-blind can tell apart, by meaning.
-
-    Two names for one colour are the same colour on purpose: they are not drawn in one figure.
-    """
+    """The palette of Okabe and Ito (Color Universal Design, 2008), which all people can tell apart, by meaning."""
 
     REFERENCE = "#000000"  # what was commanded
     MEASURED = "#0072B2"  # blue

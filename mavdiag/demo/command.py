@@ -1,7 +1,4 @@
-"""`mavdiag demo`: the emulator and the detector as two processes over MAVLink, received by a ground station (edge).
-
-Its two baselines are learnt once from flights of the emulator and kept in the user's cache.
-"""
+"""`mavdiag demo`: the emulator and the detector as two processes over MAVLink, received by a ground station (edge)."""
 
 import os
 import tempfile

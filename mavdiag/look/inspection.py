@@ -52,13 +52,11 @@ _LEAST_HZ: Mapping[str, float] = {
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """One signal as it arrives.
+    """One signal as it arrives; rate, jitter and longest gap are None with fewer than two times.
 
-    rate_hz: mean rate but for pauses (`rows.grid.unbroken`); None with fewer than two times, as the next two.
-    jitter_ms: standard deviation of the steps that are no gaps. longest_gap_s: the longest step.
-    gaps: steps of three usual ones or more. missing: share of the samples that the usual step would have brought, 0..1.
-    repeated: samples with the time of another one.
-    lowest, highest: of each column; None where a column holds no number.
+    rate_hz: mean rate but for pauses. jitter_ms: standard deviation of the steps that are no gaps. gaps: steps of three
+    usual ones or more. missing: share of the samples that the usual step would have brought, 0..1. repeated: samples
+    with the time of another one. lowest, highest: of each column; None where a column holds no number.
     """
 
     signal: str
@@ -100,7 +98,7 @@ class Units:
 
 @dataclass(frozen=True, slots=True)
 class MonitorState:
-    """One monitor, by its names in a baseline and in a text; what it lacks and what gives it, one phrase each."""
+    """One monitor, by its names in a baseline and in a text; what it lacks and what gives it."""
 
     monitor: str
     label: str

@@ -108,6 +108,18 @@ def test_l6_outputs_that_never_move_come_late_or_are_missing_are_left_out() -> N
     assert detect_layout([replace(flight, actuator=outputs, torque=torque)]).layout is layout_named("x")
 
 
+def test_l6_a_yawing_flight_does_not_hide_roll_and_pitch() -> None:
+    """L6: the drivers are correlated in turns; each alone would take the effect of the others."""
+    rng = np.random.default_rng(7)
+    for name in ("x", "plus", "hexa-x"):
+        layout = layout_named(name)
+        torque = rng.normal(0, 0.02, (3000, 3)) @ np.array([[1, 0.6, 0.5], [0, 1, 0.6], [0, 0, 1]])
+        outputs = 0.5 * (1 + torque @ layout.mixing.T)
+        found = detect_layout([example_rows(3000, 0.01, actuator=outputs, torque=torque).block])
+        assert found.layout is layout
+        assert found.likeness[0][1] == pytest.approx(1.0, abs=1e-6)
+
+
 def test_what_stays_unclear_is_not_named() -> None:
     rng = np.random.default_rng(3)
     x = layout_named("x")
