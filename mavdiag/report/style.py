@@ -19,14 +19,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import NullFormatter
 
 from mavdiag.drawing import Colour
 from mavdiag.telemetry import FloatArray, IntArray
 
 FOLDER = Path(__file__).parent
 WIDTH_IN = 7.6
-FEW_DECADES = 100.0
 PX_PER_PT = 4 / 3
 NO_LABEL = "_nolegend_"  # how matplotlib calls a line that no legend has
 LONG_PATH = 2000  # characters of a line of data, whose points are too near to each other to need hundredths
@@ -146,11 +145,9 @@ def panels(height_in: float, rows: int = 1) -> tuple[Figure, list[Axes]]:
 
 
 def plain_log(axes: Axes) -> None:
-    """A logarithmic ordinate with plain numbers: at its decades, or at 1, 2 and 5 where it has few."""
+    """A logarithmic ordinate with plain numbers."""
     axes.set_yscale("log")
-    low, high = axes.get_ylim()
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0,) if high > FEW_DECADES * low else (1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 

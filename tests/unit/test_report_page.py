@@ -15,8 +15,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, judge_in_full
 from mavdiag.report.campaign import parse_campaign, read_campaign
-from mavdiag.report.flight import FlightReport, flight_report
-from mavdiag.report.page import Made, campaign_page, flights_page
+from mavdiag.report.page import FlightReport, Made, campaign_page, flight_report, flights_page
 from mavdiag.report.style import Drawn, picture, sheet
 from mavdiag.telemetry import Log, Signal
 
