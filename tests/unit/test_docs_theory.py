@@ -12,7 +12,7 @@ import pytest
 from pydantic import BaseModel
 
 from mavdiag.airframe.propellers import PROPELLERS
-from mavdiag.identify.lab.published import THESIS_PITCH, THESIS_ROLL, ReferenceModel
+from mavdiag.identify.lab.comparison import THESIS_PITCH, THESIS_ROLL, ReferenceModel
 from mavdiag.rows.savgol import coefficients
 from mavdiag.telemetry import FloatArray
 from mavdiag.thresholds.rule import false_alarms_per_flight

@@ -7,8 +7,7 @@ from numpy.testing import assert_allclose
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method, Order, fit
-from mavdiag.identify.lab.frequency import estimate_response, model_response
-from mavdiag.identify.lab.recursive import track
+from mavdiag.identify.lab.comparison import estimate_response, model_response, track
 
 
 def last(*pairs: Record, order: Order = (2, 2, 1), forgetting: float = 1.0) -> ArxModel:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavdiag.errors import UsageError
+from mavdiag.identify.lab.comparison import MIN_COHERENCE, FrequencyResponse, model_response
 from mavdiag.identify.lab.figures import deviations
-from mavdiag.identify.lab.frequency import MIN_COHERENCE, FrequencyResponse, model_response
 from mavdiag.identify.model import ArxModel
 from mavdiag.identify.validate import ResidualReport
 from mavdiag.telemetry import FloatArray

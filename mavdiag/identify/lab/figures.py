@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavdiag.identify.arx import polynomials
-from mavdiag.identify.lab.frequency import model_response
+from mavdiag.identify.lab.comparison import model_response
 from mavdiag.identify.model import ArxModel
 from mavdiag.telemetry import FloatArray
 
