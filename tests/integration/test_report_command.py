@@ -83,13 +83,11 @@ def test_a_folder_makes_one_page_and_a_bad_file_does_not_lose_the_others(tmp_pat
     ("arguments", "reason"),
     [
         ((), "name logs and --baseline FILE"),
-        (("x.tlog",), "name logs and --baseline FILE"),
         (("x.tlog", "--baseline", "gone.json"), "gone.json: no such file"),
         (("--campaign", "gone.jsonl"), "gone.jsonl: no such file"),
         (("x.tlog", "--campaign", "c.jsonl"), "neither logs nor --baseline"),
         (("x.tlog", "-o", "no-folder/x.html"), "no folder"),
         (("empty", "--baseline", "baseline.json"), "no log there; name files, a folder, or a pattern"),
-        (("gone.tlog", "--baseline", "baseline.json"), "no such file"),
     ],
 )
 def test_what_cannot_be_done_is_one_line(

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method, Order, fit
 from mavdiag.identify.lab.comparison import estimate_response, model_response, track
+from mavdiag.identify.lab.sweep import ORDERS, best_row, sweep
 
 
 def last(*pairs: Record, order: Order = (2, 2, 1), forgetting: float = 1.0) -> ArxModel:
@@ -72,3 +73,23 @@ def test_a_measured_response_lies_within_its_stated_error() -> None:
     # coherence of y = G u + e, both white: |G|^2 / (|G|^2 + var e)
     expected = np.abs(truth) ** 2 / (np.abs(truth) ** 2 + 0.09 * data.clean.var())
     assert_allclose(measured.coherence[use], expected[use], atol=0.12)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_order_that_made_the_data_is_chosen(seed: int) -> None:
+    train, other = record(WELL, 1500, 0.1, seed), record(WELL, 1000, 0.1, seed + 100)
+    rows = sweep(((one, 0, (train.u, train.y), (other.u, other.y)) for one in ORDERS), dt=0.01)
+    assert len(rows) == 3 * 5 * 5
+    assert best_row(rows).order == (2, 2, 1)
+
+
+def test_orders_that_cannot_be_identified_carry_their_reason() -> None:
+    rng = np.random.default_rng(4)
+    grows = ArxModel(np.array([1.0, -1.02]), np.array([0.0, 1.0]), 0.01, (1, 1, 1), Method.PUBLISHED)
+    u = rng.standard_normal(300)
+    flights = u, grows.simulate(u)
+    rows = sweep(((one, 0, flights, None) for one in ((1, 1, 1), (1, 2, 1))), dt=0.01, method="ls")
+    assert [row.model for row in rows] == [None, None]
+    assert "unstable" in rows[0].refused
+    with pytest.raises(IdentificationError, match="no candidate"):
+        best_row(rows)
