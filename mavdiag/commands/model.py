@@ -9,7 +9,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
-import numpy as np
 import typer
 from typer import Argument, Option
 
@@ -21,12 +20,11 @@ from mavdiag.commands.progress import working
 from mavdiag.errors import BaselineError, IdentificationError, InputError, UsageError
 from mavdiag.face import FlightRates, rates, read_log
 from mavdiag.identify import ArxModel, Method, ModelRecord, fit
-from mavdiag.identify.lab import recursive
+from mavdiag.identify.lab import comparison
 from mavdiag.identify.lab.drawing import draw_model
 from mavdiag.identify.lab.figures import Figure, ModelFigures, model_figures
-from mavdiag.identify.lab.frequency import FrequencyResponse, compare, estimate_response
-from mavdiag.identify.lab.published import ASSUMED_DT_S, THESIS_PITCH, THESIS_ROLL
-from mavdiag.identify.lab.sweep import best_row, order_sweep, window_sweep
+from mavdiag.identify.lab.sweep import ORDERS, best_row
+from mavdiag.identify.lab.sweep import sweep as fit_each
 from mavdiag.identify.validate import ResidualReport, examine_residual, one_step_report, validate
 from mavdiag.logs.log import read_bytes
 from mavdiag.monitors.run_length import RunLengthSpec
@@ -105,19 +103,16 @@ def sweep(
     train = read_log(log, vehicle=vehicle)
     other = None if validation is None else read_log(validation, vehicle=vehicle)
     dt_s, chosen = rates(train, axis).dt_s, opt.parse_order(order)
+
     with working("fitting a model for each; this takes a minute or more ..."):
         if over == "order":
-            held_out = None if other is None else rates(other, axis, window)[:2]
-            rows = order_sweep(rates(train, axis, window)[:2], held_out, dt=dt_s, method=method)
+            flights = rates(train, axis, window)[:2], None if other is None else rates(other, axis, window)[:2]
+            rows = fit_each(((one, 0, *flights) for one in ORDERS), dt=dt_s, method=method)
         else:
-            rows = window_sweep(
-                lambda n: rates(train, axis, n * dt_s)[:2],
-                sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S}),
-                dt=dt_s,
-                order=chosen,
-                method=method,
-                prepare_validation=None if other is None else lambda n: rates(other, axis, n * dt_s)[:2],
-            )
+            counts = sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S})
+            others = (None if other is None else rates(other, axis, n * dt_s)[:2] for n in counts)
+            each = ((n, rates(train, axis, n * dt_s)[:2], held_out) for n, held_out in zip(counts, others, strict=True))
+            rows = fit_each(((chosen, *one) for one in each), dt=dt_s, method=method)
     best = best_row(rows)
     known = sorted((row for row in rows if row.model), key=lambda row: (row is best, row.score), reverse=True)
     lines = []
@@ -144,16 +139,16 @@ def compare_models(
     """Compare the fit, and the thesis's published model, with the frequency response that the data show."""
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
     models = {f"fit {method} {order}": _fitted(flight, order, method)}
-    published = {model.axis: model for model in (THESIS_ROLL, THESIS_PITCH)}.get(axis)
-    if published is not None and math.isclose(flight.dt_s, ASSUMED_DT_S, rel_tol=0.02):
+    published = {model.axis: model for model in (comparison.THESIS_ROLL, comparison.THESIS_PITCH)}.get(axis)
+    if published is not None and math.isclose(flight.dt_s, comparison.ASSUMED_DT_S, rel_tol=0.02):
         models[published.source] = published.scaled
     measured = _response(flight, window)
     if measured is None:
         raise IdentificationError(f"{log}: no stretch of {2 * RESPONSE_WINDOW_S:g} s; record a longer flight")
     lines = []
     for name, model in models.items():
-        fitness = validate(model, flight.u, flight.y, SETTLE_S)
-        lines.append({"model": name, "r2t": fitness.r2t, **asdict(compare(measured, model))})
+        gap, fitness = comparison.compare(measured, model), validate(model, flight.u, flight.y, SETTLE_S)
+        lines.append({"model": name, "r2t": fitness.r2t, **asdict(gap)})
     _print(lines, as_json=as_json)
     if len(models) == 1 and not as_json:
         typer.echo(f"the thesis's models are of roll and pitch at 1 kHz; this is {axis} at {1 / flight.dt_s:.0f} Hz")
@@ -177,18 +172,13 @@ def track(
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
     if not (every >= flight.dt_s and memory > flight.dt_s):
         raise UsageError(f"--every and --memory must be longer than the sample time of {flight.dt_s:g} s")
-    spec = recursive.RecursiveSpec(opt.parse_order(order), forgetting=1.0 - flight.dt_s / memory)
-    state, count, flown, lines = recursive.start(spec), max(1, round(every / flight.dt_s)), 0, []
-    for u, y in zip(flight.u, flight.y, strict=True):
-        state = recursive.new_segment(state)
-        for first in range(0, len(u), count):
-            state = recursive.step(spec, state, u[first : first + count], y[first : first + count])
-            flown += len(u[first : first + count])
-            model = recursive.snapshot(spec, state, flight.dt_s)
-            found = model_figures(model)
-            figures = {"pole_hz": found.poles[0].natural_hz, "damping": found.poles[0].damping}  # of the slowest
-            line = {"flight_s": round(flown * flight.dt_s, 3), "dc_gain": found.dc_gain}
-            lines.append({**line, **figures, "stable": model.stable})
+    count, lines = max(1, round(every / flight.dt_s)), []
+    told = {"dt": flight.dt_s, "forgetting": 1.0 - flight.dt_s / memory}
+    for flown, model in comparison.track(flight.u, flight.y, opt.parse_order(order), every=count, **told):
+        found = model_figures(model)
+        figures = {"pole_hz": found.poles[0].natural_hz, "damping": found.poles[0].damping}  # of the slowest
+        line = {"flight_s": round(flown * flight.dt_s, 3), "dc_gain": found.dc_gain}
+        lines.append({**line, **figures, "stable": model.stable})
     _print(lines, as_json=as_json)
 
 
@@ -213,15 +203,12 @@ def _residual(model: ArxModel, flight: FlightRates) -> ResidualReport:
     return examine_residual((y - model.simulate(u))[settled:], u[settled:])
 
 
-def _response(flight: FlightRates, window_s: float) -> FrequencyResponse | None:
+def _response(flight: FlightRates, window_s: float) -> comparison.FrequencyResponse | None:
     """The measured frequency response, as far as the filters pass it; None if the flight is too short for one."""
     segment = round(RESPONSE_WINDOW_S / flight.dt_s)
     if max(map(len, flight.u)) < 2 * segment:
         return None
-    found = estimate_response(flight.u, flight.y, dt=flight.dt_s, segment=segment)
-    n = int(np.searchsorted(found.frequency_hz, PASSED / window_s))
-    cut = (found.frequency_hz[:n], found.response[:n], found.coherence[:n], found.relative_error[:n])
-    return FrequencyResponse(*cut, found.averages)
+    return comparison.estimate_response(flight.u, flight.y, dt=flight.dt_s, segment=segment, most_hz=PASSED / window_s)
 
 
 def _text_of(axis: Axis, model: ArxModel, figures: ModelFigures) -> str:

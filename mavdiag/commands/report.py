@@ -19,7 +19,7 @@ from mavdiag.storage import check_output, write_atomically
 from mavdiag.telemetry import Log
 
 if TYPE_CHECKING:
-    from mavdiag.report.flight import FlightReport
+    from mavdiag.report.page import FlightReport
 
 DRAWN = 40  # logs of one page that have figures, so that the page stays small (our choice)
 LEAST_POINTS = 120
@@ -68,8 +68,7 @@ def report(
 
 def write_report(log: Log, baseline: Baseline, baseline_path: Path, output: Path) -> LogVerdict:
     """Judge one log, write its page, return the verdict. Raises UsageError if it cannot be written."""
-    from mavdiag.report.flight import flight_report
-    from mavdiag.report.page import Made, flights_page
+    from mavdiag.report.page import Made, flight_report, flights_page
 
     judged = judge_in_full(log, baseline)
     page = flights_page([flight_report(log, baseline, judged)], baseline, Made(now(), str(baseline_path)))
@@ -81,7 +80,7 @@ def _flight(
     named: Named, baseline: Baseline, vehicle: int | None, columns: ColumnMap | None, points: int, *, figures: bool
 ) -> "FlightReport":
     """One bad log is reported and does not lose the others. points: across a figure."""
-    from mavdiag.report.flight import FlightReport, flight_report
+    from mavdiag.report.page import FlightReport, flight_report
 
     try:
         if named.trouble:
