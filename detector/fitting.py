@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
-from typing import TypeAlias
 
 from detector.values import LearningFailed
 from mavdiag.airframe.airframe import Airframe
@@ -22,7 +21,7 @@ from mavdiag.telemetry import Log, Telemetry
 LIMIT_S = 300.0  # longer than any fit takes on a small companion computer (our choice)
 NICENESS = 10  # the receive loop comes first
 
-Outcome: TypeAlias = Baseline | LearningFailed
+Outcome = Baseline | LearningFailed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,8 +55,7 @@ def fit_baseline(job: FittingJob) -> Outcome:
     return sealed(baseline.model_copy(update={"provenance": provenance}))
 
 
-def _prepare() -> None:
-    """The process: Ctrl-C goes to both processes, but is the daemon's business."""
+def _prepare() -> None:  # the process: Ctrl-C goes to both, but is the daemon's business
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     os.nice(NICENESS)

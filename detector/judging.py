@@ -6,7 +6,6 @@ from detector.alerts import Kind, Notice, label_of
 from detector.config import SessionSettings
 from detector.streams import Streams
 from detector.values import EventClosed, EventOpened, Note, Record
-from mavdiag.airframe.fingerprint import Outcome
 from mavdiag.baseline import Baseline, without_mute
 from mavdiag.chain import Chain, ChainOutput, chain_of
 from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Stage, landed
@@ -82,8 +81,7 @@ class Judge:
         return output
 
     def finish(self) -> tuple[Record, ...]:
-        """The watch ends: the rows that waited are judged, and events that are still open are recorded with the end
-        not seen. What was declared stays, as an open inspection."""
+        """The watch ends: judge the rows that waited, and record the open events with their end not seen."""
         self._memory, output = self.chain.finish(self._memory)
         self._count(output)
         diagnosis, held = self.diagnosis, self.landed()
@@ -121,8 +119,7 @@ class Judge:
         return self._unjudged
 
     def _count(self, output: ChainOutput) -> None:
-        self.judged_s += output.judged_s
-        self.flight_s += output.flight_s
+        self.judged_s, self.flight_s = self.judged_s + output.judged_s, self.flight_s + output.flight_s
 
 
 class _Sight:
@@ -171,7 +168,7 @@ def unjudged_s(account: Account) -> dict[str, float]:
 def rescaled(baseline: Baseline, scale: float) -> Baseline:
     """The baseline with all thresholds times a factor, without monitors that could not reach theirs then.
 
-    Its digest stays that of the file. Raises BaselineError if no monitor is left.
+    Raises BaselineError if no monitor is left.
     """
     if scale == 1.0:
         return baseline
@@ -206,12 +203,6 @@ def records_of(output: ChainOutput, whose: str) -> tuple[Record, ...]:
     return (*events, *output.changes, *((Note(differs),) if differs else ()))
 
 
-def vehicle_notices(output: ChainOutput) -> list[Notice]:
-    """What is said, once, of a vehicle that is another than the baseline's."""
-    far = output.likeness is not None and output.likeness.outcome is Outcome.FAR
-    return [Notice(Kind.OTHER_VEHICLE)] if far else []
-
-
 def layout_notices(baseline: Baseline) -> list[Notice]:
     """What is said, once for each baseline, of a rotor layout that is unknown or that its flights contradict."""
     if not baseline.layout_doubt:
@@ -223,8 +214,7 @@ def layout_notices(baseline: Baseline) -> list[Notice]:
 
 
 def notes_on(baseline: Baseline, chain: Chain, settings: SessionSettings) -> list[Note]:
-    """What the journal gets as judging begins: monitors that the settings silence, doubts about the rotor layout, and
-    names in `suspect` that no monitor of the chain has."""
+    """Monitors that the settings silence, doubts about the layout, names in `suspect` that no monitor has."""
     lost = rescaled(baseline, settings.threshold_scale).not_judgeable[len(baseline.not_judgeable) :]
     notes = [Note(f"{refusal.monitor} not judged: {refusal.reason}") for refusal in lost]
     known = frozenset[str]().union(*(_names(slot) for slot in chain.slots))

@@ -1,11 +1,9 @@
 """Asking an autopilot for the streams that the monitors need, and saying plainly what came of it.
 
-A stream that is missing, or whose measured rate lies outside of what will do, is asked for by SET_MESSAGE_INTERVAL: at
-once, then after the pauses of `PAUSES_S`, every 30 s in the end. Tries are forgotten once a rate was right for 5 s, so
-that a ground station that sets its own rates now and then is answered at once each time; but never is one message asked
-for more than once in 2 s, and one that is changed again before it held for 5 s is asked for ever more seldom: two that
-set the same rate must not fight. A refusal is an answer: it is not asked again. Where the autopilot does not send the
-IMU message of its profile, those of `Want.others` are asked for in turn. Only what was *measured* counts as got.
+A stream that is missing, or whose measured rate will not do, is asked for by SET_MESSAGE_INTERVAL: at once, then after
+the pauses of `PAUSES_S`. Tries are forgotten once a rate was right for 5 s; one that is changed again before is asked
+for ever more seldom, for two that set the same rate must not fight. A refusal is an answer. Where the autopilot does
+not send the IMU message of its profile, those of `Want.others` are asked for in turn. Only what was *measured* counts.
 """
 
 from collections import defaultdict
@@ -71,7 +69,7 @@ class _Ask:
 
 
 class Negotiation:
-    """All that was asked so far of one autopilot. autopilot: MAV_AUTOPILOT, whose parameters are named."""
+    """All that was asked so far of one autopilot. autopilot: MAV_AUTOPILOT."""
 
     def __init__(self, autopilot: int = 0) -> None:
         self._autopilot = autopilot

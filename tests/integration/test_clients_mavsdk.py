@@ -18,7 +18,7 @@ from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.plugins.action import ActionError
 from mavsdk.plugins.failure import FailureType, FailureUnit
 from mavsdk.plugins.mission_raw import MissionItem
-from plant_process import ALERT, companion, flying
+from plant_process import flying
 
 from sitl_plant.autopilot.stream import HOME_ALT_M, HOME_LAT_DEG, HOME_LON_DEG
 
@@ -101,22 +101,6 @@ def test_mavsdk_sets_a_rate_and_gets_it() -> None:
 
     with flying() as (address,):
         assert asyncio.run(ask(address)) == pytest.approx(20.0, rel=0.05)
-
-
-def test_mavsdk_hears_the_alert_of_a_companion() -> None:
-    async def hear(address: str, companion_address: str) -> str:
-        async with ground_station() as mavsdk:
-            telemetry = await connected(mavsdk, address)
-            texts = telemetry.subscribe_status_text()
-            with companion(companion_address) as alerter:
-                waiting = asyncio.create_task(take(texts, 1))
-                while not waiting.done():
-                    alerter.alert()
-                    await asyncio.sleep(0.2)
-            return waiting.result()[0].text
-
-    with flying(links=2) as (address, companion_address):
-        assert asyncio.run(hear(address, companion_address)) == ALERT
 
 
 METRE_DEG = 1.0 / 111_195.0

@@ -71,17 +71,6 @@ def test_a_link_that_must_be_spoken_to_first_gets_heartbeats_and_nothing_else(
     assert Counter((frame.msgid, frame.sysid) for frame in frames) == {(MessageId.HEARTBEAT, sysid): 6}
 
 
-def test_every_sample_that_came_is_counted_once(benches: Benches) -> None:
-    vehicle = MadeVehicle(1)
-    bench = benches(Settings(connect=UDP_IN, learn=500.0), vehicle)
-    bench.run(30.0)
-    [figures] = bench.daemon.fleet.figures()
-    assert figures.received == 2 * vehicle.sent + vehicle.sent // 100
-    assert figures.lost == 0
-    assert bench.daemon.fleet.vehicles[1].session.streams.gyro.samples == vehicle.sent
-    assert figures.gyro_hz == pytest.approx(100.0)
-
-
 def test_two_vehicles_on_one_link_have_a_session_each(benches: Benches, tmp_path: Path) -> None:
     fitter = FakeFitter(baseline_for())
     settings = Settings(connect=UDP_IN, learn=5.0, save=tmp_path / "b.json")
@@ -109,24 +98,6 @@ def test_the_profile_follows_what_the_vehicle_sends(benches: Benches, autopilot:
     faulted = bench.daemon.fleet.vehicles[1].session.state is State.FAULTED
     assert faulted == (profile != "qdrone2")
     assert any(text.startswith("PROP OFF: link.profile") for text in texts(received(bench.far))) == faulted
-
-
-def test_missing_streams_are_asked_of_the_autopilot(benches: Benches) -> None:
-    bench = benches(Settings(connect=UDP_IN, learn=5.0))
-    vehicle = MadeVehicle(3, Autopilot.ARDUPILOTMEGA)
-    for _ in range(5):
-        bench.far.send(vehicle.heartbeat())
-        bench.run(1.0)
-    asked = of(received(bench.far), MessageId.COMMAND_LONG)
-    names = ("command", "target_system", "target_component", "param1", "param2")
-    places = [field_index(MessageId.COMMAND_LONG, name) for name in names]
-    assert [[int(frame.fields[place]) for place in places] for frame in asked][:5] == [
-        [MavCmd.SET_MESSAGE_INTERVAL, 3, 1, MessageId.ATTITUDE_TARGET, 10_000],
-        [MavCmd.SET_MESSAGE_INTERVAL, 3, 1, MessageId.RAW_IMU, 10_000],
-        [MavCmd.SET_MESSAGE_INTERVAL, 3, 1, MessageId.SERVO_OUTPUT_RAW, 40_000],
-        [MavCmd.SET_MESSAGE_INTERVAL, 3, 1, MessageId.VIBRATION, 200_000],
-        [MavCmd.SET_MESSAGE_INTERVAL, 3, 1, MessageId.ATTITUDE, 40_000],
-    ]
 
 
 def test_commands_for_others_are_ignored_and_ours_are_declined(benches: Benches) -> None:

@@ -1,10 +1,8 @@
 """The detector as a service: checked beforehand, supervised, stopped in an alert, with a full disk and dead links."""
 
-import json
 import resource
 import signal
 import socket
-import subprocess
 import time
 from pathlib import Path
 
@@ -97,44 +95,6 @@ def test_health_tells_a_daemon_that_works_from_one_that_hangs_or_is_gone() -> No
     run = ran("--working", *metrics)
     assert run.returncode == 1
     assert "Connection refused" in run.stdout
-
-
-@pytest.mark.realtime
-def test_sigterm_in_an_alert_loses_no_event(baseline: Path, tmp_path: Path) -> None:
-    journal, vehicle = tmp_path / "j.jsonl", MadeVehicle(1)
-    with (
-        running("--baseline", str(baseline), *UDP, "--journal", str(journal)) as (child, first),
-        open_endpoint(f"udpout:127.0.0.1:{port_of(first)}") as far,
-    ):
-        until(far, vehicle, "monitoring")
-        until(far, vehicle, "FAULT", 6.0)  # nothing is judged in the first seconds of a flight
-        vehicle.turning = 0.5
-        assert any("FAULT" in text for text in until(far, vehicle, "FAULT"))
-        code, _ = ended(child, signal.SIGTERM)
-    lines = [json.loads(line) for line in journal.read_text().splitlines()]
-    kinds = [line["kind"] for line in lines]
-    assert code == 0
-    assert kinds[-1] == "stop"
-    opened = [line for line in lines if line["kind"] == "opened"]
-    closed = [line for line in lines if line["kind"] == "event"]
-    assert len(opened) == 1
-    assert [(line["monitor"], line["t_s"], line["end_s"]) for line in closed] == [("fsd", opened[0]["t_s"], None)]
-    assert closed[0]["statistic"] >= opened[0]["statistic"]
-    assert any(line["kind"] == "text" and "FAULT" in line["text"] for line in lines)
-
-
-@pytest.mark.realtime
-def test_nohup_keeps_it_from_ending_with_its_terminal() -> None:
-    def ignore() -> None:
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)
-
-    with running(*LEARNING, before=ignore) as (child, _):
-        child.send_signal(signal.SIGHUP)
-        with pytest.raises(subprocess.TimeoutExpired):
-            child.wait(1.0)
-        code, rest = ended(child, signal.SIGTERM)
-    assert code == 0
-    assert "stopped after" in rest
 
 
 @pytest.mark.realtime

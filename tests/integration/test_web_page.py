@@ -4,7 +4,6 @@ Pictures of it are left in build/screenshots.
 """
 
 import json
-import os
 import signal
 import time
 from collections.abc import Iterator
@@ -188,7 +187,8 @@ def test_a_server_that_is_killed_costs_the_page_no_event(chromium: Any, process:
     open_page(chromium, process)
     write(1, 300)
     wait_for(lambda: shown(300))
-    os.kill(process.pid or 0, signal.SIGKILL)
+    assert process._process is not None
+    process._process.kill()
     wait_for(lambda: "no connection" in text(chromium, "#connection"))
     write(301, 1500)
     wait_for(lambda: shown(1500))
@@ -199,32 +199,6 @@ def test_a_server_that_is_killed_costs_the_page_no_event(chromium: Any, process:
 
 def host_now() -> Instant:
     return Instant(time.monotonic_ns())
-
-
-@pytest.mark.parametrize(("name", "width", "scheme"), [("dark", 1400, "dark"), ("phone", 390, "light")])
-def test_it_fits_a_phone_and_follows_the_scheme(
-    chromium: Any, process: ServerProcess, name: str, width: int, scheme: str
-) -> None:
-    look = {"width": width, "height": 1150, "deviceScaleFactor": 1, "mobile": False}
-    chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", look)
-    wanted = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
-    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", wanted)
-    open_page(chromium, process)
-    give(process, fleet(1, 2))
-    wait_for(lambda: text(chromium, "#vehicles [aria-selected=true] .name").endswith("Vehicle 1"))
-    parts = [now(1, 4 * k, Level.SUSPECTED, 2, "PROP suspect motor 2 weak 11%") for k in range(100)]
-    give(process, about(1), *parts, *(entry(k, f"PROP note {k}") for k in range(1, 30)))
-    wait_for(lambda: text(chromium, "#level-text") == "Suspected")
-    wait_for(lambda: len(rows(chromium)) == 29)
-    wide = "return document.documentElement.scrollWidth <= document.documentElement.clientWidth"
-    fits, ground = chromium.execute_script(wide), "return getComputedStyle(document.body).backgroundColor"
-    shades = [int(one) for one in chromium.execute_script(ground)[4:-1].split(",")]
-    picture(chromium, name)
-    chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
-    assert fits
-    assert (sum(shades) < 380) == (scheme == "dark")
-    assert complaints(chromium, process) == []
 
 
 def test_an_alert_of_the_detector_is_on_the_page(chromium: Any, tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """The live page's server as a process: what it refuses, what a reconnect gets, and how it lives and dies."""
 
-import os
 import signal
 import socket
 import time
@@ -107,15 +106,15 @@ def test_the_server_is_started_again_and_the_daemon_only_says_so() -> None:
     process = ServerProcess(Place("127.0.0.1", 0, None), "r1", lines.append)
     process.start()
     try:
-        port, pid = process.place.port, process.pid
+        port, killed = process.place.port, process._process
+        assert killed is not None
         assert process.look(now())[0]
-        os.kill(pid or 0, signal.SIGKILL)
+        killed.kill()
         wait_for(lambda: process.look(now())[0])
         wait_for(lambda: process.look(now()) and len(lines) == 2, "it says that it serves again")
         assert "its process ended (exit code -9); it is started again, the watch goes on" in lines[0]
         assert lines[1] == f"web page: http://127.0.0.1:{port}/ is served again"
         assert asked(port).status == 200
-        assert process.pid != pid
     finally:
         process.close()
 
@@ -139,15 +138,3 @@ def test_the_server_ends_with_the_daemon_whatever_ends_that(number: signal.Signa
             return one.connect_ex(("127.0.0.1", port)) != 0
 
     wait_for(gone)
-
-
-def test_ctrl_c_in_a_terminal_is_quiet() -> None:
-    """A terminal sends it to both processes."""
-    with running(*LEARNING, "--web", "0", before=os.setsid) as (child, _):
-        assert child.stderr is not None
-        child.stderr.readline()
-        os.killpg(child.pid, signal.SIGINT)
-        _, rest = child.communicate(timeout=PATIENCE_S)
-    assert child.returncode == 0
-    assert len(rest.splitlines()) == 1
-    assert "stopped after" in rest

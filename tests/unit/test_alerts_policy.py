@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from detector.alerts import TEXT_BYTES, Kind, Notice, Presenter, Telling
-from detector.streams import Reason
 from detector.values import Effect, SendText, TextSuppressed
 from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
 from mavdiag.monitors import MONITORS, by_name
@@ -125,21 +124,6 @@ def test_an_alert_is_never_cut_whatever_its_figures(
         assert not said.endswith("..")
         if stage is Stage.FAULT:
             assert not text(given, replace(given, seen=False), given).endswith("..")
-
-
-def test_u4_nothing_is_ever_called_clear_or_over() -> None:
-    for policy in POLICY.values():
-        assert not {"clear", "over", "healthy"} & set(policy.template.lower().replace(":", "").split())
-
-
-@pytest.mark.parametrize("reason", Reason)
-def test_a_reason_is_never_cut(reason: Reason) -> None:
-    """With its figure, or after the longest progress that it can follow."""
-    words = {Kind.WAITING: (f"{reason} (1000 Hz)",), Kind.LEARNING: ("75", f": {reason}")}
-    if reason in (Reason.NOT_ARMED, Reason.NOT_AIRBORNE, Reason.GAPS):
-        words[Kind.MONITORING] = (f": {reason}",)
-    for kind, parts in words.items():
-        assert not Notice(kind, parts).text.endswith(".."), kind
 
 
 @given(words=st.lists(st.text(max_size=80), min_size=2, max_size=2), kind=st.sampled_from(Kind))

@@ -24,7 +24,6 @@ def written(folder: Path, text: str) -> Path:
         ("lern = 30", "unknown key 'lern'; known are learn, negotiate, "),
         ("learn = -1", "learn: Input should be greater than 0"),
         ("learn = 10\nvehicle = 256", "vehicle: "),
-        ("learn = 10\nnamed_values_axis = 'sideways'", "named_values_axis: "),
         ("learn = 10\ntwins_hz = 5", "unknown key 'twins_hz'"),
         ("learn = 10\ntexts_per_minute = 1000", "texts_per_minute: "),
         ("learn = 10", "learn needs save: a FILE that keeps what is learned"),
@@ -87,7 +86,7 @@ def test_what_the_example_comments_out_is_a_default_or_valid(tmp_path: Path) -> 
     text = re.sub(r"^(save|airframe|layout|name) = .*$", "", text, flags=re.MULTILINE)
     settings = load_settings(written(tmp_path, text), {})
     for name, field in Settings.model_fields.items():
-        if field.default not in (None, ()) and name not in ("vehicles", "journal_fsync", "named_values_axis"):
+        if field.default not in (None, ()) and name != "vehicles":
             assert getattr(settings, name) == field.default, name
     assert settings.vehicles[3].baseline == Path("/var/lib/mavdiag/vehicle-3.json")
 

@@ -35,16 +35,6 @@ def environ(manager: socket.socket, **more: str) -> dict[str, str]:
     return {"NOTIFY_SOCKET": str(manager.getsockname()), **more}
 
 
-def test_each_fact_is_a_datagram_and_a_status_is_said_once(manager: socket.socket) -> None:
-    notifier = Notifier(environ(manager, WATCHDOG_USEC="30000000"))
-    notifier.ready()
-    notifier.status("one\nline", alive=True)
-    notifier.status("one\nline", alive=True)
-    notifier.stopping()
-    notifier.close()
-    assert told(manager) == ["READY=1", "WATCHDOG=1", "STATUS=one line", "WATCHDOG=1", "STOPPING=1"]
-
-
 def test_an_abstract_socket_is_reached() -> None:
     name = f"mavdiag-test-{os.getpid()}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as one:

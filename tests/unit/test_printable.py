@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from datetime import UTC, datetime
-from pathlib import Path
 
 import pytest
 from made_session import baseline_for
@@ -14,15 +13,11 @@ from detector.journal import When, line, mark
 from detector.states import State
 from detector.values import Note, SendText, StateChanged
 from mavdiag import commandline
-from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import parse
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Severity
-from mavdiag.look.inspection import MessageRate, MonitorState, Units, inspection_of
-from mavdiag.look.words import in_full
 from mavdiag.printable import printable
-from mavdiag.telemetry import Log, Telemetry
 from mavdiag.terminal.ground_station import GroundStation
 
 EVIL = "\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
@@ -76,22 +71,6 @@ def test_lines_of_the_journal() -> None:
         assert EVIL in json.loads(text).values()
 
 
-def test_what_inspect_says_of_a_log() -> None:
-    log = Log(f"{EVIL}.tlog", "", EVIL, Telemetry(), notes=(EVIL,))
-    found = replace(
-        inspection_of(log, Airframe(), asked=(EVIL,)),
-        baseline=EVIL,
-        upset=EVIL,
-        rotors=EVIL,
-        no_flight=EVIL,
-        monitors=(MonitorState(EVIL, EVIL, works=False, missing=(EVIL,)),),
-        units=Units(None, EVIL, ()),
-        messages=(MessageRate(1, EVIL, 1.0),),
-    )
-    assert not steering(in_full(found))
-    assert "forged line" in in_full(found)
-
-
 def test_texts_that_the_demo_hears() -> None:
     near, far = memory_pair()
     far.send(Encoder(1, 191).statustext(Severity.CRITICAL, EVIL[:40]))
@@ -109,10 +88,3 @@ def test_labels_of_the_metrics_come_from_no_wire() -> None:
     raw["monitors"][0]["spec"]["kind"] = EVIL
     with pytest.raises(BaselineError, match=r"monitors\.0"):
         parse(json.dumps(raw))
-
-
-def test_no_module_prints_past_the_one_function() -> None:
-    """`typer.echo` is for JSON and for what is ours; the daemon has one such call."""
-    root = Path(__file__).resolve().parents[2]
-    lines = [text for path in (root / "detector").rglob("*.py") for text in path.read_text().splitlines()]
-    assert [text.strip() for text in lines if "typer.echo(" in text] == ["typer.echo(example_text(), nl=False)"]

@@ -73,37 +73,6 @@ def test_it_learns_then_watches_then_alerts_and_never_says_that_it_is_clear() ->
     assert any(isinstance(effect, Baseline) for _, effect in story.log)
 
 
-@pytest.mark.parametrize(("words", "reason"), [({"armed": False}, "not armed"), ({"thrust": 0.05}, "not airborne")])
-def test_learning_pauses_on_the_ground_and_says_why(words: dict[str, float], reason: str) -> None:
-    story = Story()
-    story.fly(10.0)
-    before = story.state.collection.seconds
-    story.fly(10.0, **words)  # type: ignore[arg-type]  # the options have two types
-    assert story.state.collection.seconds == before
-    percent = int(100 * before / (story.spec.settings.learn or 0))
-    assert percent % 25  # what is said is how far it is, not the last quarter
-    assert f"PROP learning {percent}%: {reason}" in story.texts
-    assert story.state.reason.endswith(reason)
-    story.fly(13.0)
-    assert story.at(State.FITTING)
-
-
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
-        ({"without": (Signal.ATTITUDE_SETPOINT,)}, "no attitude set-points"),
-        ({"without": (Signal.BODY_RATE,)}, "no gyro"),
-        ({"every": 5}, "gyro rate too low (20 Hz)"),
-    ],
-)
-def test_it_waits_for_what_it_needs_and_names_it(options: dict[str, object], reason: str) -> None:
-    story = Story()
-    story.fly(6.0, **options)  # type: ignore[arg-type]  # the options have several types
-    assert story.at(State.WAITING)
-    assert story.state.reason == reason
-    assert f"PROP waiting: {reason}" in story.texts
-
-
 def faulty(seconds: int = 120, **changes: object) -> Story:
     """A session that has declared a fault."""
     story = watching(seconds, **changes)
@@ -238,20 +207,6 @@ def test_missing_streams_are_asked_for_and_what_came_is_told() -> None:
     assert "PROP got ATTITUDE_TARGET 100, RAW_IMU 100" in story.texts
 
 
-def asked_of(story: Story, msgid: int) -> list[float]:
-    return [at for at, effect in story.log if isinstance(effect, AskInterval) and effect.msgid == msgid]
-
-
-def test_a_denied_stream_is_not_asked_for_again() -> None:
-    story = Story()
-    without = (Signal.ATTITUDE_SETPOINT,)
-    story.fly(2.3, without=without)
-    story.acknowledge(Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED))
-    story.fly(60.0, without=without)
-    assert len(asked_of(story, MessageId.ATTITUDE_TARGET)) == 1
-    assert any("ATTITUDE_TARGET: the autopilot answered DENIED" in str(effect) for _, effect in story.log)
-
-
 def ardupilot(*names: str) -> SessionSpec:
     return SessionSpec(PROFILES["ardupilot"], baseline_for("ardupilot", names=names))
 
@@ -288,11 +243,11 @@ def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
     story = Story()
     story.fly(26.0)
     assert story.at(State.FITTING)
-    collected = story.state.collection.seconds
+    collected = story.state.flight_s
     story.answer(LearningFailed("roll: the input is not exciting enough"))
     assert story.at(State.LEARNING)
     assert story.session.working
-    assert story.state.collection.seconds >= collected >= 20.0
+    assert story.state.flight_s >= collected >= 20.0
     assert "PROP not learned, goes on: roll: the input is no.." in story.texts
     effects = story.fly(25.0)
     [job] = [effect for effect in effects if isinstance(effect, Learn)]
@@ -328,17 +283,6 @@ def test_l4_a_take_off_is_silent_and_what_lasts_is_told_after_it() -> None:
     assert loud(effects) == []
     assert story.state.diagnosis.stage is Stage.NOT_JUDGED
     assert loud(story.fly(2.0, push=0.5)) != []
-
-
-def test_an_event_that_is_open_at_the_end_is_told_with_its_end_unseen() -> None:
-    story = watching()
-    story.fly(2.0, push=0.5)
-    closed, change = story.session.finish()
-    assert isinstance(change, Change)
-    assert change.stage is Stage.INSPECT
-    assert isinstance(closed, EventClosed)
-    assert closed.event.end_ns is None
-    assert closed.event.statistic > 1.5
 
 
 def test_the_named_values_come_five_times_a_second_and_carry_the_figures() -> None:
@@ -389,16 +333,6 @@ def test_a_scale_that_gravity_contradicts_is_told_with_the_profile_to_try_and_no
         story.passed += 25
         story.give(weighing(1.02, 0.25 * number))
     assert story.at(State.MONITORING)
-
-
-def test_a_gyro_that_another_message_carries_is_told_once() -> None:
-    story = Story(SessionSpec(QDRONE2, baseline_for()))
-    for number in range(20):
-        story.passed += 25
-        story.give(replace(weighing(1.0, 0.25 * number), imu=MessageId.ATTITUDE))
-    notes = [effect.text for _, effect in story.log if isinstance(effect, Note) and "read from" in effect.text]
-    assert len(notes) == 1
-    assert notes[0].startswith("the gyro is read from ATTITUDE, for RAW_IMU does not come: the estimator's rates")
 
 
 HIDDEN: dict[str, dict[str, Any]] = {

@@ -1,6 +1,5 @@
 """What the live page is told on a virtual clock: entries always, figures while somebody looks."""
 
-import importlib.util
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -15,15 +14,13 @@ from made_telemetry import cut, flight
 from made_vehicle import START_NS, Bench, MadeVehicle
 
 from detector.config import SessionSettings, Settings
-from detector.figures import VehicleFigures
-from detector.values import SessionSpec
-from detector.web.child import Place, ServerProcess
+from detector.values import SessionSpec, VehicleFigures
+from detector.web.child import ServerProcess
 from detector.web.feed import Feed
-from detector.web.snapshot import BIN_NS, Json, Level, Snapshots, about, strips_of
+from detector.web.snapshot import Json, Level, Snapshots, about, strips_of
 from mavdiag.airframe.layout import layout_named
 from mavdiag.as_json import json_line
 from mavdiag.chain import Chain, chain_of
-from mavdiag.errors import UsageError
 from mavdiag.kernel import Piece
 from mavdiag.link.profiles import PROFILES
 from mavdiag.telemetry import Axis, Instant, Signal
@@ -131,13 +128,6 @@ def test_a_child_that_began_anew_gets_everything_that_is_kept(bench: Bench, chil
     child.says = ["watch 1"]
     bench.run(1.0)
     assert child.of("A")
-
-
-def test_without_the_library_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    process = ServerProcess(Place("127.0.0.1", 0, None), "r", lambda line: None)
-    with pytest.raises(UsageError, match=r"^--web needs aiohttp, .* pip install 'mavdiag\[web\]'$"):
-        process.start()
 
 
 def test_what_pages_say_cannot_load_or_stop_it(bench: Bench, child: FakeChild) -> None:
@@ -260,18 +250,6 @@ def test_any_cut_gives_the_same_points(judged: tuple[Chain, list[Piece]], size: 
     assert [one["axis"] for one in whole] == [Axis.ROLL, Axis.PITCH]
     for number, one in enumerate(whole):
         assert merged([part[number] for part in parts]) == merged([one])
-
-
-def test_no_peak_is_lost_and_there_are_few_points(judged: tuple[Chain, list[Piece]]) -> None:
-    chain, pieces = judged
-    rows = sum(len(piece.rows.rates) for piece in pieces)
-    for number, strip in enumerate(strips_of(slot_traces(chain, pieces))):
-        signal = np.concatenate([piece.found[number].signal for piece in pieces])
-        t_ns = np.concatenate([piece.found[number].t_ns for piece in pieces])
-        assert max(strip["high"]) == pytest.approx(float(signal.max()), abs=1e-5)
-        assert min(strip["low"]) == pytest.approx(float(signal.min()), abs=1e-5)
-        assert strip["bins"] == sorted(set((t_ns // BIN_NS).tolist()))
-        assert len(strip["bins"]) <= rows / 4
 
 
 def test_a_model_that_runs_away_gives_figures_all_the_same(judged: tuple[Chain, list[Piece]]) -> None:
