@@ -8,7 +8,6 @@ import http.client
 from collections.abc import Iterator
 
 from detector.config import Settings, split_address
-from detector.journal import check_appendable
 from detector.judging import rescaled
 from detector.web.child import Place, check_installed, read_token
 from mavdiag.airframe.airframe import Airframe
@@ -63,7 +62,8 @@ def _files_and_ports(settings: Settings) -> Iterator[str]:
         ("record", settings.record, settings.record_mb, settings.record_keep),
     ):
         if path is not None:
-            check_appendable(path, f"--{option}")
+            if not path.is_fifo():
+                check_output(path)
             yield f"{option:<10} {path}, at most {keep + 1} files of {mb:g} MB"
     if settings.metrics is not None:
         host, port = split_address(settings.metrics, "metrics")

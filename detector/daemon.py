@@ -126,7 +126,7 @@ class Daemon:
         )
         self._guard = Guard(self.fleet.link, self._signing)
         self._files = {name: file for name, file in (("journal", journal), ("record", recorder)) if file is not None}
-        self._reporter = Reporter([taker for taker in (journal, web) if taker], host.say, self._when, settings.save)
+        self._reporter = Reporter([file.write for file in (journal, web) if file], host.say, self._when, settings.save)
         self._inspections = inspections or Inspections(None, host.say)
         self._senders: dict[int, MavlinkSender] = {}
         self._requests = Requests(self.fleet, settings.keep_rates, self._sender, self._signing)

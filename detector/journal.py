@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import BinaryIO
 
 from detector.values import Effect, EventClosed, EventOpened, Note, Record, SendText, StateChanged, TextSuppressed
 from mavdiag.as_json import event_json, plain
@@ -132,19 +132,6 @@ def older(path: Path, number: int) -> Path:
     return path.with_suffix(f".{number}{path.suffix}")
 
 
-def check_appendable(path: Path, option: str) -> None:
-    """Raise UsageError, naming the option, unless a file at this path can be appended to or made. It is not opened."""
-    place = path if path.exists() else path.parent
-    if path.is_dir() or not place.exists():
-        raise UsageError(_refused(path, option, "is a folder" if path.is_dir() else f"there is no folder {place}"))
-    if not os.access(place, os.W_OK):
-        raise UsageError(_refused(path, option, "no permission"))
-
-
-def _refused(path: Path, option: str, reason: str) -> str:
-    return f"{path}: cannot be written ({reason}); choose another {option} file"
-
-
 class Appender:
     """A file that is appended to, each entry whole at once. It has one writer; a pipe that is full loses entries.
 
@@ -162,7 +149,7 @@ class Appender:
             self._file = self._open()
         except OSError as error:
             reason = _REASONS.get(error.errno or 0, error.strerror or str(error))
-            raise UsageError(_refused(path, option, reason)) from error
+            raise UsageError(f"{path}: cannot be written ({reason}); choose another {option} file") from error
         self._torn = False  # the last entry was written only in part
         self._failing = 0  # entries in a row that could not be written
         self.lost = 0  # entries that could not be written, so far
@@ -250,7 +237,7 @@ class Journal(Appender):
         super().__init__(path, "--journal", warn, limit_mb, keep)
         self._due = False
 
-    def write(self, text: str, *, urgent: bool = False) -> None:
+    def write(self, text: str, urgent: bool = False) -> None:
         """Append one line. urgent: it is about an alert."""
         self.append(text.encode() + b"\n", after_torn=b"\n")
         self._due = self._due or urgent
@@ -291,23 +278,20 @@ class Recorder(Appender):
         super().close()
 
 
-class Lines(Protocol):
-    """Who takes the journal's lines: the journal, the live page."""
-
-    def write(self, text: str, *, urgent: bool = False) -> None:
-        """Take one. urgent: it is about an alert."""
-
-
 class Reporter:
-    """Writes to the log (`say`), and to those who take the journal's lines.
+    """Writes to the log (`say`), and to those who take the journal's lines, each with whether it is about an alert.
 
     when: the time of a line about a vehicle (None: about the daemon). save: file for learned baselines; None for none.
     """
 
     def __init__(
-        self, lines: Iterable[Lines], say: Callable[[str], None], when: Callable[[int | None], When], save: Path | None
+        self,
+        takers: Iterable[Callable[[str, bool], None]],
+        say: Callable[[str], None],
+        when: Callable[[int | None], When],
+        save: Path | None,
     ) -> None:
-        self._lines, self._say, self._when, self._path = tuple(lines), say, when, save
+        self._takers, self._say, self._when, self._path = tuple(takers), say, when, save
         self._saved: dict[int, Path] = {}
 
     def record(self, sysid: int, effect: Effect) -> None:
@@ -315,15 +299,15 @@ class Reporter:
         if isinstance(effect, Record):
             when = self._when(sysid)
             kind, content, words = _told(effect, when)
-            for taker in self._lines:
-                taker.write(mark(kind, when, content), urgent=is_urgent(effect))
+            for take in self._takers:
+                take(mark(kind, when, content), is_urgent(effect))
             for part in words.splitlines():
                 self._say(f"vehicle {sysid}: {part}")
 
     def mark(self, kind: str, content: Content) -> None:
         """A line about the daemon itself."""
-        for taker in self._lines:
-            taker.write(mark(kind, self._when(None), content))
+        for take in self._takers:
+            take(mark(kind, self._when(None), content), False)
 
     def save(self, sysid: int, baseline: Baseline) -> None:
         """Keep a learned baseline: the first vehicle's under the name asked for, another's with its id in it."""

@@ -42,7 +42,7 @@ class Feed:
         """Where the page is, for a person."""
         return self._child.where
 
-    def write(self, text: str, *, urgent: bool = False) -> None:
+    def write(self, text: str, urgent: bool = False) -> None:
         """Take an entry of the journal."""
         self._entries.append(text)
         self._count += 1

@@ -48,37 +48,6 @@ def test_check_tells_what_a_start_would_do_and_opens_nothing(baseline: Path, tmp
     assert sorted(tmp_path.iterdir()) == before
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--baseline", "absent.json"), "absent.json: no such file"),
-        (("--learn", "9", "--save", "b.json", "--forward", "udpout:no.such.host.invalid:1"), "unknown host"),
-        (("--learn", "9", "--save", "b.json", "--record", "."), "is a folder"),
-        (("--learn", "9", "--save", "absent/b.json"), "there is no folder absent"),
-    ],
-)
-def test_check_refuses_what_a_start_would_refuse(options: tuple[str, ...], words: str) -> None:
-    run = ran("--check", *options)
-    assert run.returncode == 2
-    assert words in run.stderr
-    assert len(run.stderr.splitlines()) == 1
-
-
-@pytest.mark.realtime
-def test_a_service_manager_hears_when_it_is_ready_alive_and_stopping(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
-        manager.bind(str(tmp_path / "notify"))
-        manager.settimeout(PATIENCE_S)
-        environ = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "30000000"}
-        with running(*LEARNING, environ=environ) as (child, _):
-            found = [manager.recv(4096).decode() for _ in range(4)]
-            code, _ = ended(child, signal.SIGTERM)
-            while found[-1] != "STOPPING=1":
-                found.append(manager.recv(4096).decode())
-    assert code == 0
-    assert found[:4] == ["READY=1", "WATCHDOG=1", "STATUS=no vehicle was received yet", "WATCHDOG=1"]
-
-
 @pytest.mark.realtime
 def test_health_tells_a_daemon_that_works_from_one_that_hangs_or_is_gone() -> None:
     metrics = ("--metrics", str(free_port()))

@@ -16,16 +16,13 @@ from made_session import baseline_for
 from made_vehicle import MadeVehicle
 from web_page import SCREENSHOTS, browser, give, serving, wait_for
 
-from detector.fleet import Fleet
 from detector.states import State
-from detector.values import SessionSpec
 from detector.web.child import ServerProcess
-from detector.web.feed import Feed
 from detector.web.snapshot import Level
 from mavdiag.airframe.layout import layout_named
 from mavdiag.drawing import airframe_svg
 from mavdiag.link.ports import open_endpoint
-from mavdiag.telemetry import Axis, Instant
+from mavdiag.telemetry import Axis
 
 pytestmark = pytest.mark.realtime
 HOSTILE = '<img src=x onerror="window.hurt=1"><script>window.hurt=1</script>\u202e{{7*7}}'
@@ -167,38 +164,6 @@ def test_hostile_texts_stay_text(chromium: Any, process: ServerProcess) -> None:
     assert chromium.execute_script(refused) == "refused"  # trusted types: no text becomes markup by mistake
     inline = "const s = document.createElement('script'); try { s.text = 'window.hurt = 1' } catch {}\n"
     assert chromium.execute_script(f"{inline}document.body.append(s); return window.hurt || 0") == 0
-
-
-def test_a_server_that_is_killed_costs_the_page_no_event(chromium: Any, process: ServerProcess) -> None:
-    """The daemon's end goes on writing; the server is started again on its port, and the browser finds it by itself."""
-    feed, nobody = (
-        Feed(process, host_now()),
-        Fleet(lambda sysid, profile: SessionSpec(profile), profile=None, only=None, datagrams=True),
-    )
-
-    def write(first: int, last: int) -> None:
-        for number in range(first, last + 1):
-            feed.write(entry(number).split(" ", 2)[2])
-
-    def shown(newest: int) -> bool:
-        feed.look(nobody, (), host_now())
-        return rows(chromium)[:1] == [newest]
-
-    open_page(chromium, process)
-    write(1, 300)
-    wait_for(lambda: shown(300))
-    assert process._process is not None
-    process._process.kill()
-    wait_for(lambda: "no connection" in text(chromium, "#connection"))
-    write(301, 1500)
-    wait_for(lambda: shown(1500))
-    assert chromium.execute_script("return mavdiag.entries.map((one) => one.number)") == list(range(1, 1501))
-    assert text(chromium, "#connection") == "live"
-    assert "not kept" not in text(chromium, "#events-count")
-
-
-def host_now() -> Instant:
-    return Instant(time.monotonic_ns())
 
 
 def test_an_alert_of_the_detector_is_on_the_page(chromium: Any, tmp_path: Path) -> None:

@@ -77,20 +77,6 @@ def test_h15_an_alert_reads_as_a_pilot_can_use_it() -> None:
         assert not set("<>") & set(text(finding(monitor.name, None, 2.1, 2.0)))
 
 
-def test_what_lasts_of_a_fault_is_told_by_its_motors() -> None:
-    spans = (RotorSpan(4, 0, 5), RotorSpan(1, 7))
-    fault = replace(finding("rotor_trim", None, 0.2, 0.1, (1, None, None)), rotors=spans)
-    assert text(replace(fault, seen=False)) == "PROP no longer seen: motors 1,4"
-    assert text(replace(fault, stage=Stage.INSPECT)) == "PROP motors 1,4: inspect before flight"
-    assert text(finding(stage=Stage.INSPECT)) == "PROP rotor unknown: inspect before flight"
-    assert text(finding("sensor_drift", stage=Stage.INSPECT)) == "PROP IMU: inspect before flight"
-    one = finding("rotor_trim", cause=(1, None, None), stage=Stage.INSPECT)
-    assert text(one) == "PROP motor 1: inspect before flight"
-    many = tuple(RotorSpan(rotor, 0) for rotor in range(1, 13))
-    assert text(replace(one, rotors=many[:8])) == "PROP motors 1,2,3,4,5,6,7,8: inspect before flight"
-    assert text(replace(one, rotors=many)) == "PROP 12 motors: inspect before flight"
-
-
 def kinds(*diagnoses: Diagnosis) -> list[Kind]:
     """What is said of one diagnosis after the other."""
     telling = Telling()
@@ -148,16 +134,6 @@ def test_news_about_a_lasting_matter_waits_two_seconds_and_is_not_lost() -> None
         effects = say(presenter, tick / 10, pitch)
         said += [tick / 10 for effect in effects if isinstance(effect, SendText)]
     assert said == [2.0]
-
-
-def test_chatter_cannot_use_up_the_budget_of_faults() -> None:
-    presenter, said = Presenter(per_minute=10), 0
-    for second in range(40):
-        effects = say(presenter, 2.0 * second % 59, Notice(Kind.RATES, (str(second),)))
-        said += sum(isinstance(effect, SendText) for effect in effects)
-    assert said == 5
-    effects = say(presenter, 59.0, FAULT)
-    assert isinstance(effects[0], SendText)
 
 
 def test_a_lasting_matter_that_the_budget_holds_back_is_counted_once_and_said_later() -> None:

@@ -6,7 +6,6 @@ import threading
 import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,8 +15,6 @@ from made_vehicle import Bench, MadeVehicle
 from detector.check import hindrance
 from detector.config import Settings
 from detector.metrics import Metrics
-from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
-from mavdiag.monitors.base import FaultKind
 
 
 @pytest.fixture
@@ -64,22 +61,6 @@ def test_the_figures_of_a_flight_are_on_the_page(metrics: Metrics) -> None:
     assert 0.0 <= value(text, 'statistic_ratio{axis="roll",monitor="fsd",vehicle="1"}') < 1.0
     assert value(text, 'link_connected{link="vehicle"}') == 1
     assert value(text, 'link_dropped{link="behind 1 memory:near"}') == 0
-    assert value(text, "session_working") == 1
-
-
-def test_u4_the_verdict_has_a_metric_of_its_own_with_kind_and_rotor(metrics: Metrics) -> None:
-    """`mavdiag_healthy` was 1 during an alert, and no metric had a rotor."""
-    bench = flown(metrics)
-    (figures,) = bench.daemon.figures().vehicles
-    spans = (RotorSpan(1, 0, 5), RotorSpan(4, 7))
-    held = Diagnosis(Stage.FAULT, kind=FaultKind.PROPELLER, rotor=4, seen=True, rotors=spans)
-    metrics.show(replace(bench.daemon.figures(), vehicles=(replace(figures, diagnosis=held),)), 0)
-    text = page(metrics)
-    bench.close()
-    assert value(text, 'verdict{vehicle="1",verdict="fault"}') == 1
-    assert value(text, 'verdict{vehicle="1",verdict="quiet"}') == 0
-    assert value(text, 'fault{kind="propeller fault",rotor="1",vehicle="1"}') == 0
-    assert value(text, 'fault{kind="propeller fault",rotor="4",vehicle="1"}') == 1
     assert value(text, "session_working") == 1
 
 

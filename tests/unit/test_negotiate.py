@@ -11,7 +11,7 @@ from detector.values import AskInterval, Note
 from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId
 from mavdiag.link.profiles import LAST_RESORT
 from mavdiag.link.vehicles import Ack
-from mavdiag.link.wants import Reading, Want, telling
+from mavdiag.link.wants import Want
 from mavdiag.monitors import MONITORS
 from mavdiag.telemetry import Instant, Signal
 
@@ -98,31 +98,3 @@ def test_another_imu_message_is_asked_for_where_the_profiles_own_is_not_to_be_ha
         talk.wait(1.0, Seen(GYRO, 0.0), acks=acks)
     order = list(dict.fromkeys(msgid for _, msgid in talk.asked))
     assert order == [MessageId.RAW_IMU, MessageId.HIGHRES_IMU, LAST_RESORT]
-
-
-def read_all(autopilot: int, vehicle: dict[str, float], seconds: float = 60.0) -> tuple[dict[str, float], list[str]]:
-    """What a vehicle with these parameters comes to tell, and every name that was asked for."""
-    reading, known, asked = Reading(), dict[str, float](), list[str]()
-    for tick in range(round(seconds / TICK_S)):
-        reading, names = reading.step(autopilot, known, Instant(round(tick * TICK_S * 1e9)))
-        assert len(names) <= 4
-        asked += names
-        known |= {name: vehicle[name] for name in names if name in vehicle}
-    return known, asked
-
-
-def test_parameters_are_read_by_name_and_those_that_do_not_come_three_times() -> None:
-    vehicle = {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0, "INS_GYRO_FILTER": 20.0}
-    known, asked = read_all(Autopilot.ARDUPILOTMEGA, vehicle)
-    assert known == vehicle
-    assert all(asked.count(name) == 1 for name in vehicle)
-    assert {asked.count(name) for name in telling(Autopilot.ARDUPILOTMEGA, {}) if name not in vehicle} == {3}
-
-
-def test_the_places_of_a_px4s_rotors_are_read_once_their_number_is_known() -> None:
-    vehicle = {"CA_ROTOR_COUNT": 4.0} | {f"CA_ROTOR{n}_{part}": 0.1 for n in range(4) for part in ("PX", "PY", "KM")}
-    known, asked = read_all(Autopilot.PX4, vehicle)
-    assert known == vehicle
-    assert "CA_ROTOR4_PX" not in asked
-    assert "CA_ROTOR11_PX" in telling(Autopilot.PX4, {"CA_ROTOR_COUNT": 1e6})
-    assert "CA_ROTOR12_PX" not in telling(Autopilot.PX4, {"CA_ROTOR_COUNT": 1e6})

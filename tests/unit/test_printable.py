@@ -6,19 +6,15 @@ from datetime import UTC, datetime
 
 import pytest
 from made_session import baseline_for
-from memory_port import memory_pair
 
 import detector.__main__ as command
 from detector.journal import When, line, mark
 from detector.states import State
 from detector.values import Note, SendText, StateChanged
 from mavdiag import commandline
-from mavdiag.baseline import parse
-from mavdiag.errors import BaselineError, InputError
-from mavdiag.link.codec import Encoder
+from mavdiag.errors import InputError
 from mavdiag.link.messages import Severity
 from mavdiag.printable import printable
-from mavdiag.terminal.ground_station import GroundStation
 
 EVIL = "\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
 
@@ -69,22 +65,3 @@ def test_lines_of_the_journal() -> None:
         assert text.isascii()
         assert text.isprintable()
         assert EVIL in json.loads(text).values()
-
-
-def test_texts_that_the_demo_hears() -> None:
-    near, far = memory_pair()
-    far.send(Encoder(1, 191).statustext(Severity.CRITICAL, EVIL[:40]))
-    station = GroundStation(near)
-    station.listen(0.0)
-    (text,) = station.texts
-    assert not steering(text.text, keep="")
-    near.close()
-    far.close()
-
-
-def test_labels_of_the_metrics_come_from_no_wire() -> None:
-    """Vehicles are numbers, states and monitors are names of ours: a baseline with another monitor is refused."""
-    raw = json.loads(json.dumps(baseline_for().model_dump(mode="json", by_alias=True)))
-    raw["monitors"][0]["spec"]["kind"] = EVIL
-    with pytest.raises(BaselineError, match=r"monitors\.0"):
-        parse(json.dumps(raw))

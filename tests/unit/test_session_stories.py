@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from made_session import FML_S, Story, baseline_for, outcome_of
-from pydantic import TypeAdapter
 
 from detector.alerts import label_of
 from detector.config import SessionSettings
@@ -26,13 +25,11 @@ from detector.values import (
     SendText,
     SessionSpec,
 )
-from mavdiag.airframe.airframe import Airframe
-from mavdiag.baseline import Baseline, Refusal
+from mavdiag.baseline import Baseline
 from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.vehicles import Ack
-from mavdiag.monitors import NEED_LAYOUT
 from mavdiag.telemetry import Axis, Series, Signal, Telemetry
 from mavdiag.units import G
 
@@ -171,27 +168,6 @@ def test_b6_a_throttled_link_is_judged_again_within_three_seconds_of_the_right_r
     assert State.FAULTED not in story.states
 
 
-def without_layout(**airframe: object) -> Story:
-    """A session whose baseline has these things to say of the airframe, and lost the monitors that need a layout."""
-    lost = tuple(Refusal(monitor=name, reason="the rotor layout is not known") for name in NEED_LAYOUT)
-    frame = TypeAdapter(Airframe).validate_python({"name": "made", **airframe})
-    baseline = baseline_for().model_copy(update={"airframe": frame, "not_judgeable": lost})
-    return Story(SessionSpec(QDRONE2, baseline))
-
-
-def test_an_unknown_layout_is_said_once_as_judging_begins() -> None:
-    story = without_layout(layout_basis="5 outputs move")
-    effects = story.fly(20.0)
-    said = [one for one in effects if isinstance(one, SendText) and "layout" in one.text]
-    assert said == [SendText(Severity.WARNING, "PROP rotor layout unknown: 3 monitors off")]
-    notes = [one.text for one in effects if isinstance(one, Note) and "layout" in one.text]
-    assert notes == [
-        "rotor layout unknown: 5 outputs move; rotor_signature, rotor_trim, trim_step do not judge, "
-        "and no rotor is named; name it with --layout or --airframe"
-    ]
-    assert not [text for text in texts(watching().fly(10.0)) if "layout" in text]
-
-
 def test_missing_streams_are_asked_for_and_what_came_is_told() -> None:
     story = Story()
     effects = story.fly(3.0, without=(Signal.ATTITUDE_SETPOINT, Signal.BODY_RATE))
@@ -209,21 +185,6 @@ def test_missing_streams_are_asked_for_and_what_came_is_told() -> None:
 
 def ardupilot(*names: str) -> SessionSpec:
     return SessionSpec(PROFILES["ardupilot"], baseline_for("ardupilot", names=names))
-
-
-def test_b16_the_streams_of_the_baselines_monitors_are_asked_for_at_their_rates() -> None:
-    story = Story(ardupilot("fsd", "rotor_trim", "vibration_level"))
-    story.fly(4.0, without=(Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT))
-    asked = {effect.msgid: 1e6 / effect.interval_us for _, effect in story.log if isinstance(effect, AskInterval)}
-    assert asked.keys() == {
-        MessageId.RAW_IMU,
-        MessageId.ATTITUDE_TARGET,
-        MessageId.SERVO_OUTPUT_RAW,
-        MessageId.VIBRATION,
-    }
-    assert asked[MessageId.RAW_IMU] == asked[MessageId.ATTITUDE_TARGET] == 100
-    assert 10 <= asked[MessageId.SERVO_OUTPUT_RAW] <= 50
-    assert 2 <= asked[MessageId.VIBRATION] <= 10
 
 
 def test_l2_what_the_optional_streams_lack_is_told_and_hinders_nothing() -> None:
@@ -252,21 +213,6 @@ def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
     effects = story.fly(25.0)
     [job] = [effect for effect in effects if isinstance(effect, Learn)]
     assert len(job.telemetry.need(Signal.BODY_RATE)) == pytest.approx(40 * 100, abs=10)
-
-
-def test_learning_that_failed_three_times_is_off_until_the_vehicle_starts_anew() -> None:
-    story = Story(seconds=300)
-    for flight_s in (26.0, 25.0, 25.0):
-        story.fly(flight_s)
-        story.answer(LearningFailed("roll: the input is not exciting enough"))
-    assert story.at(State.FAULTED)
-    assert "PROP OFF: cannot learn: roll: the input is not e.." in story.texts
-    story.fly(30.0)
-    assert story.at(State.FAULTED)
-    story.reboots = 1
-    story.fly(5.0)
-    assert story.at(State.LEARNING)
-    assert story.session.working
 
 
 def loud(effects: list[Effect]) -> list[str]:
@@ -354,16 +300,3 @@ def test_c1_a_vehicle_that_flies_and_is_not_judged_is_told(reason: str) -> None:
     story.fly(6.0)
     assert story.state.reason.startswith("monitoring")
     assert not any("not judged: it" in text for text in texts(story.fly(10.0)))
-
-
-@pytest.mark.parametrize("armed", [True, False])
-def test_c1_a_vehicle_that_has_landed_does_not_fly(armed: bool) -> None:
-    story = watching()
-    story.fly(20.0)
-    for _ in range(200):
-        came = story._chunk(10, 0.0, armed, 0.0, 1).series
-        still = [replace(one, values=0.01 * one.values) if one.signal is Signal.BODY_RATE else one for one in came]
-        story.passed += 10
-        story.give(Inbox(Telemetry(tuple(still)), alive=True))
-    assert not any("not judged: it" in text for text in story.texts)
-    assert story.state.reason == f"monitoring: not {'airborne' if armed else 'armed'}"

@@ -27,12 +27,6 @@ def test_every_other_host_is_refused(host: str) -> None:
         assert judged(LOCAL, host=host) is Answer.REFUSED
 
 
-def test_on_all_addresses_the_address_is_a_number() -> None:
-    """A name can be made to point here; the number in an address bar cannot."""
-    assert judged(OPEN, host="192.168.1.7:8080", authorization=f"Bearer {OPEN.token}") is Answer.PASS
-    assert judged(OPEN, host="drone.example:8080", authorization=f"Bearer {OPEN.token}") is Answer.REFUSED
-
-
 @pytest.mark.parametrize(
     ("headers", "path", "answer"),
     [
