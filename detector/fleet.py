@@ -27,12 +27,12 @@ from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder
 from mavdiag.telemetry import Instant, Series, Signal
 from mavdiag.units import NS_PER_S
 
-SHARE = 0.5  # of a tick that may be used before the other vehicles wait (our choice: the machine has more to do)
+SHARE = 0.25  # of a tick that may be used before the other vehicles wait (our choice: the machine has more to do)
 MOST_S = 2.0  # one vehicle a look that has waited so long is judged all the same (our choice: what is kept is bounded)
 STOP_S = 5.0  # in which what waits is judged when the daemon stops (our choice: half of what the stop may take)
 LEVELS_S = (0.15, 0.3, 0.6, 1.2, 2.4)  # delays that are worth a line in the log (our choice)
 QUIET_S = 10.0  # between two such lines (our choice)
-EARLY_NS = NS_PER_S // 100  # a turn may come so much before the data do that it waits for (our choice)
+EARLY_NS = NS_PER_S // 200  # a turn may come so much before the data that it waits for (our choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,16 +52,17 @@ class Vehicle:
     def __init__(self, spec: SessionSpec, now: Instant) -> None:
         self.session, self.turn = Session(spec, now), now  # turn: when it had its last one
         self.due_ns = now.ns  # when it has the next one, if there is time
+        self.judged_ns: int | None = None  # the vehicle's time up to which was judged
         self.outcome: Baseline | LearningFailed | None = None  # of its last `Learn`, until the session gets it
         self.events = 0  # that were opened, so far
         self.timesync = Timesync()  # asked and answered where we may negotiate
 
-    def wait(self, gyro: Series | None, judged_ns: int | None) -> None:
-        """Set the next turn: once the samples that follow these may fill a look at them."""
+    def wait(self, judged_ns: int | None) -> None:
+        """Set the next turn: once the samples that follow those judged now fill the next 0.1 s."""
         self.due_ns = self.turn.ns
-        if gyro is not None and len(gyro) and judged_ns is not None and self.session.state is State.MONITORING:
-            lacking_ns = LOOK_NS - judged_ns % LOOK_NS - max(0, int(gyro.t_ns[-1]) - judged_ns) - EARLY_NS
-            self.due_ns += max(0, lacking_ns)
+        if judged_ns is not None and judged_ns != self.judged_ns and self.session.state is State.MONITORING:
+            self.due_ns += max(0, LOOK_NS - judged_ns % LOOK_NS - EARLY_NS)
+        self.judged_ns = judged_ns
 
 
 def due_turns(
@@ -196,7 +197,7 @@ class Fleet:
             vehicle.timesync, messages = exchanged(vehicle.timesync, received.frames, now.ns, alive=alive)
             effects = (*effects, *messages)
         gyro, judged_ns = came.get(Signal.BODY_RATE), session.judge.now_ns if session.judge else None
-        vehicle.wait(gyro, judged_ns)
+        vehicle.wait(judged_ns)
         return Turn(sysid, effects, received.commands, gyro, judged_ns)
 
     def _parted(self, sysid: int, now: Instant, work: Callable[[int, Instant], Turn]) -> Turn:

@@ -10,6 +10,7 @@ from made_vehicle import Bench, FakeFitter, MadeVehicle, VirtualHost, received
 from memory_port import MemoryEndpoint
 
 from detector.config import Settings, VehicleSettings
+from detector.notify import Notifier
 from mavdiag.link.codec import Encoder, Frame, decode_statustext, field_index
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, Severity
 from mavdiag.logs.tlog import read_tlog
@@ -142,22 +143,21 @@ def test_l9_the_recording_reads_back_as_the_flight_that_was_received(benches: Be
     assert len(log.telemetry.need(Signal.BODY_RATE)) == vehicle.sent
 
 
-class SlowHost(VirtualHost):
+class SlowManager(Notifier):
     """Every look with a heartbeat takes 0.1 s longer than it may."""
 
-    looks = 0
+    host, looks = VirtualHost(), 0
 
-    def cpu_s(self) -> float:
+    def status(self, status: str, *, alive: bool) -> None:
         self.looks += 1
-        self.ns += 100_000_000
-        return 0.0
+        self.host.ns += 100_000_000
 
 
 def test_l11_looks_that_come_late_are_counted_and_told(benches: Benches) -> None:
-    host = SlowHost()
-    bench = benches(Settings(connect=UDP_IN, learn=5.0, tick_s=0.04), host=host)
-    bench.daemon.run(lambda: host.looks >= 5)
-    assert "5 looks came late, by 0.06 s at most" in host.lines[-1]
+    slow = SlowManager({})
+    bench = benches(Settings(connect=UDP_IN, learn=5.0, tick_s=0.04), host=slow.host, notifier=slow)
+    bench.daemon.run(lambda: slow.looks >= 5)
+    assert "5 looks came late, by 0.06 s at most" in slow.host.lines[-1]
     assert bench.daemon.figures().late == 5
 
 
