@@ -156,7 +156,6 @@ class _Matter:
     offered: Instant  # when it was offered last
 
     def due(self, notice: Notice, now: Instant) -> bool:
-        """Whether there is something to say; what is offered once always has."""
         policy = notice.kind.value
         if not policy.again_s:
             return True

@@ -24,6 +24,7 @@ LOOPBACK = "127.0.0.1"
 Positive = Annotated[float, Field(gt=0)]
 SystemId = Annotated[int, Field(ge=1, le=255)]
 Kept = Annotated[int, Field(ge=0, le=1000)]
+Text = Annotated[str, Field(min_length=1)]
 
 
 def _option(metavar: str | None, text: str, *names: str) -> Any:
@@ -68,18 +69,11 @@ class Settings(SessionSettings):
     vehicles: Mapping[SystemId, VehicleSettings] = Field(default_factory=dict)  # by system id
     save: Annotated[Path | None, _option("FILE", "Keep what was learned; where it is there, judge by it.")] = None
     accept: bool = False  # whether a learned baseline of grade D is taken, too
-    airframe: Annotated[
-        str | None, _option("NAME|FILE.toml", "What is learned about: its rotors, mass, hover speed and gate.")
-    ] = None
+    airframe: Annotated[str | None, _option("NAME|FILE.toml", "Rotors, mass, ... of what is learned about.")] = None
     layout: Annotated[str | None, _option("NAME", _LAYOUT, "--layout", "--frame")] = None
-    name: Annotated[
-        Annotated[str, Field(min_length=1)] | None,
-        _option("LABEL", 'Label of what is learned.  [default: "vehicle" and its id]'),
-    ] = None
+    name: Annotated[Text | None, _option("LABEL", 'Of what is learned.  [default: "vehicle" and its id]')] = None
     forward: Annotated[tuple[str, ...], _option("ENDPOINT", _FORWARD)] = ()
-    keep_rates: Annotated[
-        bool, _option(None, "Keep back what from there would change the rates needed here.", "--keep-rates")
-    ] = False
+    keep_rates: Annotated[bool, _option(None, "Keep back their requests for other rates.", "--keep-rates")] = False
     journal: Annotated[Path | None, _option("FILE.jsonl", "Append every event as a line.")] = None
     journal_mb: Positive = 100.0  # size at which a new one is begun
     journal_keep: Kept = 9  # old ones that stay
@@ -88,17 +82,11 @@ class Settings(SessionSettings):
     record_keep: Kept = 9  # old ones that stay
     metrics: Annotated[str | None, _option("HOST:PORT", "Serve Prometheus figures; a bare port is on loopback.")] = None
     web: Annotated[str | None, _option("HOST:PORT", _WEB)] = None
-    web_token_file: Annotated[
-        Path | None, _option("FILE", "The token that the live page asks for: a file of mode 0600.")
-    ] = None
+    web_token_file: Annotated[Path | None, _option("FILE", "Token of the live page: a file of mode 0600.")] = None
     vehicle: Annotated[SystemId | None, _option("SYSID", "Watch this system id only.")] = None
-    signing_key: Annotated[
-        Path | None, _option("FILE", "Key of MAVLink 2 signing: sign, and refuse what is not signed.")
-    ] = None
+    signing_key: Annotated[Path | None, _option("FILE", "Key of MAVLink 2 signing; refuse what is unsigned.")] = None
     max_vehicles: SystemId = 128  # further ones are not watched
-    profile: Annotated[
-        str | None, _option("NAME", "qdrone2, spec, ardupilot or px4.  [default: what the vehicle sends]")
-    ] = None
+    profile: Annotated[str | None, _option("NAME", "qdrone2, spec, ardupilot or px4.  [default: as sent]")] = None
     tick_s: Annotated[float, Field(ge=0.005, le=0.5)] = 0.05  # how often the daemon looks at its links
 
     @model_validator(mode="after")

@@ -166,18 +166,18 @@ class Daemon:
 
     def tick(self) -> None:
         """One look: take what came, let the sessions go on, do what they want."""
-        now = self._now()
+        now, begun_s = self._now(), self._host.cpu_s()
         chunks, sources = self._chunks()
         known = len(self.fleet.vehicles)
         for sysid, outcome in self._fitter.poll():
             self.fleet.vehicles[sysid].outcome = outcome
-        turns = self.fleet.step(chunks, now, sources, spent_s=lambda: self._now() - now)
+        turns = self.fleet.step(chunks, now, sources, spent_s=lambda: self._host.cpu_s() - begun_s)
         self._relay.pass_on(self._passed)
         self._passed.clear()
         self._report_new(known)
         self._carry_out(turns)
         if self._metrics is not None:
-            self._metrics.observe(turns, self._host.now_ns())
+            self._metrics.observe(turns)
         if self._web is not None:
             self._web.look(self.fleet, turns, now)
             for sysid in self._web.acknowledged():
@@ -207,7 +207,7 @@ class Daemon:
             self._host.cpu_s(),
             tuple((name, file.lost) for name, file in self._files.items()),
             self._guard.refused,
-            self.fleet.delay.longest_s,
+            self.fleet.longest_s,
         )
 
     def _now(self) -> Instant:
@@ -294,7 +294,7 @@ class Daemon:
                 self._metrics.show(figures, self._host.now_ns())
             if self._web is not None:
                 self._web.show(self.fleet, figures, now)
-        if text := self.fleet.delay.news(now):
+        if text := self.fleet.delay_news(now):
             self._host.say(text)
         sessions = [vehicle.session for vehicle in self.fleet.vehicles.values()]
         states = Counter(session.state for session in sessions)

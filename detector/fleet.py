@@ -27,11 +27,12 @@ from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder
 from mavdiag.telemetry import Instant, Series, Signal
 from mavdiag.units import NS_PER_S
 
-SHARE = 0.25  # of a tick that may be used before the other vehicles wait (our choice: the machine has more to do)
+SHARE = 0.3  # of a tick, in processor time, before the other vehicles wait (our choice: the machine has more to do)
 MOST_S = 2.0  # one vehicle a look that has waited so long is judged all the same (our choice: what is kept is bounded)
 STOP_S = 5.0  # in which what waits is judged when the daemon stops (our choice: half of what the stop may take)
-LEVELS_S = (0.15, 0.3, 0.6, 1.2, 2.4)  # delays that are worth a line in the log (our choice)
+SLOW_S = 0.3  # a delay that is worth a line in the log (our choice)
 QUIET_S = 10.0  # between two such lines (our choice)
+FORGET_NS = NS_PER_S  # a sample without a verdict for so long gets none: nothing is judged (our choice)
 EARLY_NS = NS_PER_S // 200  # a turn may come so much before the data that it waits for (our choice)
 
 
@@ -42,8 +43,7 @@ class Turn:
     vehicle: int  # system id
     effects: tuple[Effect, ...]  # what its session wants done
     commands: tuple[Command, ...] = ()  # of others to its companion, which we are
-    gyro: Series | None = None  # that it took in
-    judged_ns: int | None = None  # the vehicle's time up to which was judged
+    latency_s: float | None = None  # from the arrival of the first gyro sample of what was judged; None if nothing was
 
 
 class Vehicle:
@@ -53,16 +53,25 @@ class Vehicle:
         self.session, self.turn = Session(spec, now), now  # turn: when it had its last one
         self.due_ns = now.ns  # when it has the next one, if there is time
         self.judged_ns: int | None = None  # the vehicle's time up to which was judged
+        self.first_ns: int | None = None  # when the first gyro sample came that was not judged then (host)
         self.outcome: Baseline | LearningFailed | None = None  # of its last `Learn`, until the session gets it
         self.events = 0  # that were opened, so far
         self.timesync = Timesync()  # asked and answered where we may negotiate
 
-    def wait(self, judged_ns: int | None) -> None:
-        """Set the next turn: once the samples that follow those judged now fill the next 0.1 s."""
-        self.due_ns = self.turn.ns
+    def wait(self, gyro: Series | None, judged_ns: int | None, now_ns: int) -> float | None:
+        """Set the next turn, once samples may fill the next 0.1 s; return how long those that are judged now took [s].
+
+        gyro: what came of it. judged_ns: the vehicle's time up to which was judged.
+        """
+        latency_s, self.due_ns = None, now_ns
+        if self.first_ns is None or now_ns - self.first_ns > FORGET_NS:
+            self.first_ns = int(gyro.host_ns[0]) if gyro is not None and len(gyro) else None
         if judged_ns is not None and judged_ns != self.judged_ns and self.session.state is State.MONITORING:
             self.due_ns += max(0, LOOK_NS - judged_ns % LOOK_NS - EARLY_NS)
+            latency_s = None if self.first_ns is None else (now_ns - self.first_ns) / NS_PER_S
+            self.first_ns = None
         self.judged_ns = judged_ns
+        return latency_s
 
 
 def due_turns(
@@ -89,24 +98,6 @@ def due_turns(
         if has_time() or (none_yet and waited_s > MOST_S):
             none_yet = False
             yield sysid, waited_s
-
-
-class Delay:
-    """By how much verdicts come later than at the tick. longest_s: the longest that a vehicle waited lately."""
-
-    def __init__(self) -> None:
-        self.longest_s, self._level = 0.0, 0  # how many of `LEVELS_S` it passed when it was told last
-        self._told: Instant | None = None
-
-    def news(self, now: Instant) -> str:
-        """Begin a new measurement; return the line for the log, empty if there is nothing new to tell."""
-        longest_s, self.longest_s = self.longest_s, 0.0
-        level = sum(longest_s > level_s for level_s in LEVELS_S)
-        if level == self._level or (self._told is not None and now - self._told < QUIET_S):
-            return ""
-        self._level, self._told = level, now
-        text = f"much to do: each vehicle is judged every {longest_s:.2f} s, so verdicts come that much later"
-        return text if level else "every vehicle is judged in every look again"
 
 
 class Fleet:
@@ -136,7 +127,8 @@ class Fleet:
             profile, only, datagrams, careful=True, most=most, signing=signing, passed=passed, ours=ours
         )
         self.vehicles: dict[int, Vehicle] = {}  # those that are watched, by system id
-        self.budget_s, self.delay = budget_s, Delay()
+        self.budget_s, self.longest_s = budget_s, 0.0  # longest that a vehicle waited for its turn lately
+        self._slow: tuple[bool, Instant] | None = None  # what was told of that last, and when
         self._spec_of = spec_of
         self._left: set[int] = set()
 
@@ -150,7 +142,8 @@ class Fleet:
     ) -> list[Turn]:
         """Take bytes with their time of arrival. Time alone changes things: call it regularly, without bytes too.
 
-        sources: where each chunk comes from; empty for a link with one other end. spent_s: since the look began [s].
+        sources: where each chunk comes from; empty for a link with one other end.
+        spent_s: processor time since the look began [s].
         """
         self.link.take(chunks, now.ns, sources)
         for sysid in self.link.vehicles.keys() - self.vehicles.keys() - self._left:
@@ -172,8 +165,18 @@ class Fleet:
             due, now, self.link.source, lambda: self.budget_s is None or spent_s() < self.budget_s
         ):
             turns.append(self._parted(sysid, now, self._turn))
-            self.delay.longest_s = max(self.delay.longest_s, waited_s)
+            self.longest_s = max(self.longest_s, waited_s)
         return turns
+
+    def delay_news(self, now: Instant) -> str:
+        """Measure anew how late verdicts come; return a line for the log, empty if there is nothing new to tell."""
+        (was_slow, told), longest_s = self._slow or (False, None), self.longest_s
+        self.longest_s, slow = 0.0, longest_s > SLOW_S
+        if slow == was_slow or (told is not None and now - told < QUIET_S):
+            return ""
+        self._slow = (slow, now)
+        text = f"much to do: each vehicle is judged every {longest_s:.2f} s, so verdicts come that much later"
+        return text if slow else "every vehicle is judged in time again"
 
     def finish(self, now: Instant, *, spent_s: Callable[[], float] = lambda: 0.0) -> list[Turn]:
         """Judge what waits, for `STOP_S` at most, and what is left to say when the daemon stops."""
@@ -196,9 +199,9 @@ class Fleet:
         if session.spec.settings.negotiate:
             vehicle.timesync, messages = exchanged(vehicle.timesync, received.frames, now.ns, alive=alive)
             effects = (*effects, *messages)
-        gyro, judged_ns = came.get(Signal.BODY_RATE), session.judge.now_ns if session.judge else None
-        vehicle.wait(judged_ns)
-        return Turn(sysid, effects, received.commands, gyro, judged_ns)
+        judged_ns = session.judge.memory.now_ns if session.judge else None
+        latency_s = vehicle.wait(came.get(Signal.BODY_RATE), judged_ns, now.ns)
+        return Turn(sysid, effects, received.commands, latency_s)
 
     def _parted(self, sysid: int, now: Instant, work: Callable[[int, Instant], Turn]) -> Turn:
         """What comes of one vehicle's work. An error of the program takes this vehicle off, and no other."""
@@ -221,7 +224,7 @@ class Fleet:
         """Where one vehicle stands."""
         vehicle, count = self.vehicles[sysid], self.link.count(sysid)
         session, judge = vehicle.session, vehicle.session.judge
-        valid = [gauge for gauge in judge.gauges if gauge.valid] if judge else []
+        valid = [gauge for gauge in judge.latest.gauges if gauge.valid] if judge else []
         return VehicleFigures(
             sysid,
             session.state,

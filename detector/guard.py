@@ -35,7 +35,6 @@ class _Known:
     told: set[str] = field(default_factory=set)
 
     def news(self, what: str) -> bool:
-        """Whether it was not told before; from now on it was."""
         new = what not in self.told
         self.told.add(what)
         return new

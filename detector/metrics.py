@@ -8,12 +8,11 @@ import asyncio
 import itertools
 import threading
 import time
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 
-import numpy as np
-from prometheus_client import CollectorRegistry
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
+from prometheus_client import CollectorRegistry, Histogram
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from prometheus_client.registry import Collector
 
@@ -22,14 +21,11 @@ from detector.states import State
 from detector.values import DaemonFigures, VehicleFigures, is_working
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.errors import LinkError
-from mavdiag.telemetry import IntArray, Series
 from mavdiag.units import NS_PER_S
 
 CONNECTIONS = 16  # at a time: for a further one the oldest is closed (our choice)
 REQUEST_S = 2.0  # for a whole request, and for its answer (our choice)
 REQUEST_BYTES = 8192
-AWAITED_MOST = 8192  # samples that may wait for their verdict: several seconds (our choice)
-FORGET_NS = NS_PER_S  # a sample without a verdict for so long gets none: nothing is judged (our choice)
 BOUNDS_S = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.15, 0.2, 0.5, 1.0)  # upper ends of the bins of a latency
 
 #: Each figure: what it says, and its labels. Label sets are bounded by the settings and the registry of monitors.
@@ -39,10 +35,7 @@ GAUGES: dict[str, tuple[str, tuple[str, ...]]] = {
     "late_ticks": ("Looks at the links that came too late.", ()),
     "cpu_seconds": ("Processor time used by the daemon.", ()),
     "datagrams_overflowed": ("Datagrams of the vehicle's link that the system dropped.", ()),
-    "turn_delay_seconds": (
-        "Longest that a vehicle waited for its turn in the last second; one look, unless there is much to do.",
-        (),
-    ),
+    "turn_delay_seconds": ("Longest that a vehicle waited for its turn in the last second.", ()),
     "link_connected": ("1 if somebody is at the other end, as far as this side can know.", ("link",)),
     "link_sent": ("Messages handed to the system.", ("link",)),
     "link_dropped": ("Messages that could not be sent.", ("link",)),
@@ -66,59 +59,16 @@ COUNTERS: dict[str, tuple[str, tuple[str, ...]]] = {
 Sample = tuple[str, tuple[str, ...], float]
 
 
-class Awaiting:
-    """Gyro samples that came and are not yet judged, by the vehicle's clock and by when they came (host)."""
-
-    def __init__(self) -> None:
-        self.t_ns: IntArray = np.empty(0, dtype=np.int64)
-        self.host_ns = self.t_ns
-
-    def step(self, gyro: Series | None, judged_ns: int | None, now_ns: int) -> IntArray:
-        """Take in new samples; return when those came that have their verdict now.
-
-        judged_ns: the vehicle's time up to which was judged, None for nothing. now_ns: host clock.
-        """
-        t_ns, host_ns = self.t_ns, self.host_ns
-        if gyro is not None and len(gyro):
-            t_ns, host_ns = np.append(t_ns, gyro.t_ns)[-AWAITED_MOST:], np.append(host_ns, gyro.host_ns)[-AWAITED_MOST:]
-        fresh = host_ns >= now_ns - FORGET_NS
-        judged = np.zeros(len(t_ns), dtype=np.bool_) if judged_ns is None else t_ns <= judged_ns
-        self.t_ns, self.host_ns = t_ns[fresh & ~judged], host_ns[fresh & ~judged]
-        return host_ns[judged & fresh]
-
-
-class LatencyCounts:
-    """A histogram with the bins of `BOUNDS_S` and one beyond. counts: samples in each bin. sum_s: of all latencies."""
-
-    def __init__(self) -> None:
-        self.counts = np.zeros(len(BOUNDS_S) + 1, dtype=np.int64)
-        self.sum_s = 0.0
-
-    def add(self, arrived_ns: IntArray, now_ns: int) -> None:
-        """Count samples that came at these times and are judged now (host clock)."""
-        if len(arrived_ns):
-            latency_s = (now_ns - arrived_ns) / NS_PER_S
-            # A new array, for the server's thread may hold the old one.
-            self.counts = self.counts + np.bincount(np.searchsorted(BOUNDS_S, latency_s), minlength=len(self.counts))
-            self.sum_s += float(latency_s.sum())
-
-    def family(self, name: str, text: str) -> HistogramMetricFamily:
-        """As Prometheus has it."""
-        sums = itertools.accumulate(self.counts.tolist())
-        bins = zip((*(f"{bound:g}" for bound in BOUNDS_S), "+Inf"), sums, strict=True)
-        return HistogramMetricFamily(f"mavdiag_{name}_seconds", text, list(bins), self.sum_s)
-
-
 class Metrics(Collector):
     """Serves http://HOST:PORT/metrics. Raises LinkError if the port cannot be had."""
 
     def __init__(self, host: str, port: int) -> None:
         # All figures of a moment, that moment (monotonic clock), and what was counted by then; nothing changes them.
-        self._shown: tuple[DaemonFigures, int, dict[tuple[str, ...], int], tuple[Metric, ...]] | None = None
+        self._shown: tuple[DaemonFigures, int, dict[tuple[str, ...], int]] | None = None
         self._events: Counter[tuple[str, ...]] = Counter()
-        self._look, self._verdict = LatencyCounts(), LatencyCounts()
-        self._awaiting: defaultdict[int, Awaiting] = defaultdict(Awaiting)
         registry = CollectorRegistry()
+        text = "From the arrival of the first gyro sample that is judged at once to its verdict."
+        self._latency = Histogram("mavdiag_verdict_latency_seconds", text, buckets=BOUNDS_S, registry=registry)
         registry.register(self)
         try:
             self._server = _Server(host, port, lambda: generate_latest(registry))
@@ -129,28 +79,23 @@ class Metrics(Collector):
 
     def show(self, figures: DaemonFigures, now_ns: int) -> None:
         """Hand all figures over. now_ns: monotonic clock."""
-        latencies = (
-            self._look.family("look_latency", "From the arrival of a gyro sample to the end of its look."),
-            self._verdict.family("verdict_latency", "From the arrival of a gyro sample to its verdict."),
-        )
-        self._shown = (figures, now_ns, dict(self._events), latencies)
+        self._shown = (figures, now_ns, dict(self._events))
 
     def count_event(self, vehicle: int, monitor: str) -> None:
         """One more alarm."""
         self._events[str(vehicle), monitor] += 1
 
-    def observe(self, turns: Iterable[Turn], now_ns: int) -> None:
-        """Count how long the samples of a look waited. now_ns: its end, monotonic clock."""
+    def observe(self, turns: Iterable[Turn]) -> None:
+        """Count how long what was judged waited."""
         for turn in turns:
-            if turn.gyro is not None:
-                self._look.add(turn.gyro.host_ns, now_ns)
-            self._verdict.add(self._awaiting[turn.vehicle].step(turn.gyro, turn.judged_ns, now_ns), now_ns)
+            if turn.latency_s is not None:
+                self._latency.observe(turn.latency_s)
 
     def collect(self) -> Iterator[Metric]:
         """All figures, as Prometheus asks for them (from its own thread)."""
         if self._shown is None:
             return
-        figures, at_ns, events, latencies = self._shown
+        figures, at_ns, events = self._shown
         counts: list[Sample] = [
             *(("entries_lost", (name,), count) for name, count in figures.lost_entries),
             *(("frames_refused", (cause,), count) for cause, count in figures.refused),
@@ -164,7 +109,6 @@ class Metrics(Collector):
         for name, values, value in itertools.chain(_daemon(figures, age_s), counts):
             families[name].add_metric(values, value)
         yield from families.values()
-        yield from latencies
 
 
 def _daemon(figures: DaemonFigures, age_s: float) -> Iterator[Sample]:
@@ -226,7 +170,6 @@ class _Server:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop answering."""
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(timeout=REQUEST_S + 1.0)
         self._server.close()

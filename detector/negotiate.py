@@ -43,20 +43,16 @@ class _Ask:
 
     @property
     def refused(self) -> bool:
-        """Whether the autopilot refused it."""
         return self.answer in _REFUSED
 
     def due(self, now: Instant) -> bool:
-        """Whether it may be asked for."""
         pause_s = PAUSES_S[min(self.tries, len(PAUSES_S) - 1)]
         return not self.refused and (self.at is None or now - self.at >= pause_s)
 
     def vain(self, now: Instant) -> bool:
-        """Whether a message that does not come is not to be had."""
         return self.refused or (self.tries >= VAIN and self.due(now))
 
     def look(self, right: bool, now: Instant) -> None:
-        """Take another look at its rate."""
         if not right:
             if self.right_since is not None:
                 self.right_since = None

@@ -3,9 +3,8 @@
 `now` is the host's clock and rules what is said and given up; the judgement itself runs on the vehicle's clock.
 """
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import ClassVar, Final
+from typing import Final
 
 from detector.alerts import Kind, NamedValues, Notice, Presenter, Telling
 from detector.judging import Judge, chain_for, layout_notices, notes_on, records_of, words_of
@@ -66,7 +65,7 @@ class Session:
     @property
     def diagnosis(self) -> Diagnosis:
         """What is held of the vehicle now."""
-        return self._held if self.judge is None else self.judge.diagnosis
+        return self._held if self.judge is None else self.judge.memory.diagnosis
 
     @property
     def working(self) -> bool:
@@ -79,7 +78,8 @@ class Session:
         self._link(inbox, now)
         self._reboot(inbox)
         self._observe(inbox, now)
-        self.HANDLERS[self.state](self, inbox, now)
+        if self.state is not State.LOST:
+            getattr(self, f"_{self.state}")(inbox, now)
         armed = inbox.telemetry.get(Signal.ARMED)
         if armed is not None and len(armed):
             was_armed, self._armed = self._armed, bool(armed.values[-1, 0] >= ARMED_FROM)
@@ -264,7 +264,7 @@ class Session:
         output = judge.step(inbox.telemetry, now)
         self._record(judge, output)
         self._effects += self._named_values.step(output, now)
-        if not (why := judge.hidden):
+        if not (why := judge.sight.hidden):
             return self._idle(judge, now)
         if (reason := f"not judged: {why}") != self.reason:
             self._effects.append(Note(reason))
@@ -286,24 +286,12 @@ class Session:
         self._effects += [Note(f"{label} not judged: {why}") for label, why in unjudged.items() if (label, why) in news]
         why = short = ""
         if now - judge.judged >= IDLE_S and (ground or not unjudged):
-            why = short = f": {ground.text if ground else judge.diagnosis.reason or Reason.GAPS}"
+            why = short = f": {ground.text if ground else judge.memory.diagnosis.reason or Reason.GAPS}"
         elif unjudged:
             why, short = words_of(unjudged)
         self.reason, self._unjudged = f"monitoring{why}", unjudged
-        if judge.diagnosis.stage not in (Stage.FAULT, Stage.INSPECT) or unjudged:
+        if judge.memory.diagnosis.stage not in (Stage.FAULT, Stage.INSPECT) or unjudged:
             self._say(Kind.MONITORING, short, key=short)
 
     def _faulted(self, inbox: Inbox, now: Instant) -> None:
         self._say(Kind.OFF, self.reason)
-
-    def _lost(self, inbox: Inbox, now: Instant) -> None:
-        pass
-
-    HANDLERS: ClassVar[Mapping[State, "Callable[[Session, Inbox, Instant], None]"]] = {
-        State.WAITING: _waiting,
-        State.LEARNING: _learning,
-        State.FITTING: _fitting,
-        State.MONITORING: _monitoring,
-        State.LOST: _lost,
-        State.FAULTED: _faulted,
-    }

@@ -117,5 +117,5 @@ def _split(host: str) -> tuple[str, int]:
 
 
 def _same(given: str, known: str) -> bool:
-    """Whether they are equal, in constant time. A header's bytes that are no UTF-8 are lone surrogates in its text."""
+    # In constant time. A header's bytes that are no UTF-8 are lone surrogates in its text.
     return hmac.compare_digest(given.encode(errors="surrogatepass"), known.encode(errors="surrogatepass"))

@@ -109,7 +109,7 @@ class Snapshots:
             self._rows = now if pieces else self._rows
             self._seen |= {number: _seen(trace, now) for number, trace in enumerate(traces) if len(trace.found)}
             slots, strips = self._slots(judge, session, now), strips_of(traces)
-            self._accounts = judge.accounts
+            self._accounts = judge.memory.accounts
         known = (seen.rises for seen in self._seen.values() if seen.rises and seen.value is not None)
         rates = [(LABELS[Signal(name)], round(hertz, 1)) for name, hertz in figures.rates]
         link = {"silent_s": round(now - session.latest, 2), "rates": rates} | _picked(figures.timesync, "round_trip_s")
@@ -130,7 +130,7 @@ class Snapshots:
         ground = session.streams.on_ground(judge.chain.front.gate)
         idle = ground.text if ground else session.reason if session.state is not State.MONITORING else ""
         slots = []
-        for number, (slot, account) in enumerate(zip(judge.chain.slots, judge.accounts, strict=True)):
+        for number, (slot, account) in enumerate(zip(judge.chain.slots, judge.memory.accounts, strict=True)):
             seen = self._seen.get(number)
             held_s = STALE_S + HELD * (seen.period_s if seen else 0.0)
             if seen is not None and seen.value is not None and now - seen.at <= held_s and not stale:

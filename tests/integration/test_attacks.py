@@ -2,10 +2,7 @@
 
 import itertools
 import json
-import signal
-import socket
 import struct
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -14,7 +11,6 @@ from typing import Any
 import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
-from detector_process import ended, port_of, running
 from fastcrc.crc16 import mcrf4xx
 from made_session import baseline_for
 from made_vehicle import Bench, FakeFitter, MadeVehicle, VirtualHost, received
@@ -326,23 +322,3 @@ def test_nothing_else_is_ever_sent_over_a_long_story(tmp_path: Path) -> None:
     told = "\n".join(bench.host.lines)
     assert all(words in told for words in ("PROP FAULT", "inspect before flight", "link lost", "link back", "rebooted"))
     bench.close()
-
-
-@pytest.mark.realtime
-def test_sigterm_ends_the_daemon_amid_a_flood() -> None:
-    with (
-        running("--connect", UDP_IN, "--learn", "5", "--save", "b.json") as (child, line),
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link,
-    ):
-        link.connect(("127.0.0.1", port_of(line)))
-        senders = itertools.product(range(1, 256), range(1, 256))
-        frames = [Encoder(*sender).encode(MessageId.HEARTBEAT, 2, 3, 128, 0, 4, 3) for sender in senders]
-        until = time.monotonic() + 3.0
-        for frame in itertools.cycle(frames):
-            link.send(frame)
-            if time.monotonic() > until:
-                break
-        began = time.monotonic()
-        code, _ = ended(child, signal.SIGTERM)
-        assert code == 0
-        assert time.monotonic() - began < 10.0  # took over 60 s before; the figure is measured by benchmarks/attacks.py

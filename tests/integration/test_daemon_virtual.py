@@ -228,14 +228,6 @@ def test_vehicles_beyond_the_bound_are_not_watched_and_that_is_said_once(benches
     assert words == ["vehicle 3: not watched: there are 2 vehicles already (max_vehicles)"]
 
 
-def test_a_boat_is_not_watched_and_that_is_said_once(benches: Benches) -> None:
-    bench = benches(judging(), MadeVehicle(1), MadeVehicle(2, kind=11), baseline=baseline_for())
-    bench.run(8.0)
-    assert set(bench.daemon.fleet.vehicles) == {1}
-    words = [line for line in bench.host.lines if "vehicle 2" in line]
-    assert words == ["vehicle 2: not watched: a boat (MAV_TYPE 11): mavdiag judges multirotors only"]
-
-
 def test_each_vehicle_of_a_fleet_is_judged_by_its_own_baseline(benches: Benches) -> None:
     own = {2: baseline_for(names=("rotor_trim",)), 3: baseline_for()}
     table = {sysid: VehicleSettings(baseline=Path("b.json")) for sysid in own}

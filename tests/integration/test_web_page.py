@@ -1,7 +1,4 @@
-"""The live page in Debian's Chromium: what a user sees, how soon, and that no text from outside does anything.
-
-Pictures of it are left in build/screenshots.
-"""
+"""The live page in Debian's Chromium: what a user sees, how soon, and that no text from outside does anything."""
 
 import json
 import signal
@@ -14,7 +11,7 @@ import pytest
 from detector_process import ended, port_of, running, until
 from made_session import baseline_for
 from made_vehicle import MadeVehicle
-from web_page import SCREENSHOTS, browser, give, serving, wait_for
+from web_page import browser, give, serving, wait_for
 
 from detector.states import State
 from detector.web.child import ServerProcess
@@ -113,11 +110,6 @@ def rows(chromium: Any) -> list[int]:
     return found
 
 
-def picture(chromium: Any, name: str) -> None:
-    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
-    chromium.save_screenshot(str(SCREENSHOTS / f"{name}.png"))
-
-
 def complaints(chromium: Any, process: ServerProcess) -> list[str]:
     """What the browser says of this page; a server of another test has ended."""
     said = [one["message"] for one in chromium.get_log("browser")]
@@ -144,7 +136,6 @@ def test_a_fault_is_seen_at_the_rotor_the_bar_and_the_strip(chromium: Any, proce
     painted = """const canvas = document.querySelector('canvas.residual'), context = canvas.getContext('2d');
         return context.getImageData(0, 0, canvas.width, canvas.height).data.some((one) => one > 0)"""
     wait_for(lambda: chromium.execute_script(painted))
-    picture(chromium, "fault")
     assert complaints(chromium, process) == []
 
 
@@ -187,7 +178,6 @@ def test_an_alert_of_the_detector_is_on_the_page(chromium: Any, tmp_path: Path) 
         wait_for(lambda: text(chromium, "#level-text") == "Fault")
         assert said.removeprefix("PROP FAULT ") in text(chromium, "#alert")
         assert found[0] - heard_ms < 10_000
-        picture(chromium, "detector")
         code, _ = ended(child, signal.SIGTERM)
     assert code == 0
     wait_for(lambda: "no connection" in text(chromium, "#connection"))

@@ -126,16 +126,6 @@ def test_l8_a_fault_that_lasts_is_repeated_after_5_15_60_s_and_then_every_minute
     assert said == [0.0, 5.0, 15.0, 60.0, 120.0, 180.0, 240.0]
 
 
-def test_news_about_a_lasting_matter_waits_two_seconds_and_is_not_lost() -> None:
-    presenter = Presenter()
-    say(presenter, 0.0, FAULT)
-    pitch, said = Notice(Kind.FAULT, ("pitch x",), "pitch"), []
-    for tick in range(1, 40):
-        effects = say(presenter, tick / 10, pitch)
-        said += [tick / 10 for effect in effects if isinstance(effect, SendText)]
-    assert said == [2.0]
-
-
 def test_a_lasting_matter_that_the_budget_holds_back_is_counted_once_and_said_later() -> None:
     presenter = Presenter(per_minute=4)
     for at in (0.0, 3.0):

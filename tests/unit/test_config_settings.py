@@ -65,21 +65,6 @@ def test_the_example_is_valid_and_shows_every_setting(tmp_path: Path) -> None:
     assert shown == set(Settings.model_fields) - {"vehicles"}
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("[vehicles.300]\nbaseline = 'b'", "vehicles.300: Input should be less than or equal to 255"),
-        ("[vehicles.3]\nbasline = 'b'", "vehicles.3.baseline: Field required"),
-        ("[vehicles.3]\nbaseline = 'b'\nrate = 3", "unknown key 'vehicles.3.rate'; known are baseline"),
-        ("[vehicles.x]\nbaseline = 'b'", "vehicles.x: "),
-    ],
-)
-def test_what_is_wrong_with_a_vehicle_is_named(tmp_path: Path, text: str, words: str) -> None:
-    with pytest.raises(UsageError) as caught:
-        load_settings(written(tmp_path, text), {})
-    assert words in str(caught.value)
-
-
 def test_what_was_learned_is_found_again_by_its_vehicle(tmp_path: Path) -> None:
     made = learn(healthy(1), LearnOptions(airframe=FRAME, monitors=("rotor_trim",)), created=NOW)
     path = tmp_path / "learned.json"

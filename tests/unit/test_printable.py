@@ -1,19 +1,13 @@
 """Each path by which a text from the wire or a file reaches a terminal, the journal or the metrics is safe."""
 
-import json
 from dataclasses import replace
-from datetime import UTC, datetime
 
 import pytest
 from made_session import baseline_for
 
 import detector.__main__ as command
-from detector.journal import When, line, mark
-from detector.states import State
-from detector.values import Note, SendText, StateChanged
 from mavdiag import commandline
 from mavdiag.errors import InputError
-from mavdiag.link.messages import Severity
 from mavdiag.printable import printable
 
 EVIL = "\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
@@ -52,16 +46,3 @@ def test_what_daemon_commands_and_baselines_say(capsys: pytest.CaptureFixture[st
     assert "forged line" in out
     assert "forged line" in err
     assert not steering(out + err)
-
-
-def test_lines_of_the_journal() -> None:
-    when = When(datetime(2026, 5, 1, tzinfo=UTC), 1, 5)
-    records = (
-        Note(EVIL),
-        SendText(Severity.INFO, EVIL),
-        StateChanged(State.WAITING, State.LOST, EVIL),
-    )
-    for text in (*(line(one, when) for one in records), mark("note", when, {"text": EVIL})):
-        assert text.isascii()
-        assert text.isprintable()
-        assert EVIL in json.loads(text).values()

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_session import FML_S, Story, baseline_for, outcome_of
+from made_session import Story, baseline_for, outcome_of
 
 from detector.alerts import label_of
 from detector.config import SessionSettings
@@ -21,15 +21,13 @@ from detector.values import (
     Learn,
     LearningFailed,
     Note,
-    SendFloat,
     SendText,
     SessionSpec,
 )
 from mavdiag.baseline import Baseline
 from mavdiag.decision.diagnosis import Change, Stage
-from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
+from mavdiag.link.messages import MessageId, Severity
 from mavdiag.link.profiles import PROFILES
-from mavdiag.link.vehicles import Ack
 from mavdiag.telemetry import Axis, Series, Signal, Telemetry
 from mavdiag.units import G
 
@@ -168,21 +166,6 @@ def test_b6_a_throttled_link_is_judged_again_within_three_seconds_of_the_right_r
     assert State.FAULTED not in story.states
 
 
-def test_missing_streams_are_asked_for_and_what_came_is_told() -> None:
-    story = Story()
-    effects = story.fly(3.0, without=(Signal.ATTITUDE_SETPOINT, Signal.BODY_RATE))
-    assert [e for e in effects if isinstance(e, AskInterval)] == [
-        AskInterval(MessageId.ATTITUDE_TARGET, 1000),
-        AskInterval(MessageId.RAW_IMU, 1000),
-        AskInterval(MessageId.SERVO_OUTPUT_RAW, 40_000),
-        AskInterval(MessageId.ATTITUDE, 40_000),
-    ]
-    for _ in range(4):
-        story.acknowledge(Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.ACCEPTED))
-    story.fly(6.0)
-    assert "PROP got ATTITUDE_TARGET 100, RAW_IMU 100" in story.texts
-
-
 def ardupilot(*names: str) -> SessionSpec:
     return SessionSpec(PROFILES["ardupilot"], baseline_for("ardupilot", names=names))
 
@@ -213,35 +196,6 @@ def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
     effects = story.fly(25.0)
     [job] = [effect for effect in effects if isinstance(effect, Learn)]
     assert len(job.telemetry.need(Signal.BODY_RATE)) == pytest.approx(40 * 100, abs=10)
-
-
-def loud(effects: list[Effect]) -> list[str]:
-    return [e.text for e in effects if isinstance(e, SendText) and e.severity <= Severity.CRITICAL]
-
-
-def test_l4_a_take_off_is_silent_and_what_lasts_is_told_after_it() -> None:
-    baseline = baseline_for()
-    gate = replace(baseline.link.gate, trim_start_s=3.0)
-    settled = baseline.model_copy(update={"link": baseline.link.model_copy(update={"gate": gate})})
-    story = Story(SessionSpec(QDRONE2, settled))
-    story.fly(20.0, armed=False)
-    effects = story.fly(2.5, push=0.5)
-    assert loud(effects) == []
-    assert story.state.diagnosis.stage is Stage.NOT_JUDGED
-    assert loud(story.fly(2.0, push=0.5)) != []
-
-
-def test_the_named_values_come_five_times_a_second_and_carry_the_figures() -> None:
-    story = watching()
-    story.fly(2.0, push=0.5)
-    floats = [(at, e) for at, e in story.log if isinstance(e, SendFloat) and at > 6.0]
-    assert {e.name for _, e in floats} == {"PF_RES", "PF_MARG", "PF_FSD", "PF_FML"}
-    times = sorted({at for at, _ in floats})
-    assert {round(b - a, 2) for a, b in itertools.pairwise(times)} == {0.2}
-    last = {e.name: e.value for _, e in floats}
-    assert last["PF_RES"] == pytest.approx(0.5, abs=0.1)
-    assert last["PF_FML"] == FML_S
-    assert last["PF_FSD"] > FML_S
 
 
 def test_events_do_not_depend_on_how_often_the_session_steps() -> None:

@@ -1,7 +1,6 @@
 """Who may read the live page: by the address it is on, the headers of a request, and the token."""
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -9,7 +8,6 @@ from hypothesis import strategies as st
 
 from detector.config import load_settings
 from detector.web.access import Access, Answer
-from detector.web.child import read_token
 from mavdiag.errors import UsageError
 
 LOCAL = Access("127.0.0.1", 8080)
@@ -63,26 +61,6 @@ def test_elsewhere_than_on_loopback_a_token_is_needed(web: str) -> None:
     with pytest.raises(UsageError, match=r"name a --web-token-file FILE, or 127\.0\.0\.1$"):
         load_settings(None, {"learn": 9.0, "save": "b.json", "web": web})
     assert load_settings(None, {"learn": 9.0, "save": "b.json", "web": web, "web_token_file": "t"}).web == web
-
-
-@pytest.mark.parametrize(
-    ("content", "mode", "words"),
-    [
-        ("short\n", 0o600, "16 or more ASCII characters"),
-        ("long enough but with blanks\n", 0o600, "without blanks"),
-        ("äöüäöüäöüäöüäöüäöü\n", 0o600, "ASCII"),
-        ("one-line-of-the-two\nand-another-line-of-it\n", 0o600, "is one line"),
-        ("0123456789abcdef\n", 0o644, "others may read the web token; run `chmod 600"),
-    ],
-)
-def test_a_token_file_keeps_the_rules_of_a_key_file(tmp_path: Path, content: str, mode: int, words: str) -> None:
-    path = tmp_path / "token"
-    path.write_text(content)
-    path.chmod(mode)
-    with pytest.raises(UsageError) as error:
-        read_token(path)
-    assert words in str(error.value)
-    assert len(str(error.value).splitlines()) == 1
 
 
 @given(st.text(st.characters(codec=None), max_size=20), st.sampled_from(["authorization", "cookie", "host", "token"]))

@@ -112,14 +112,6 @@ def test_a_child_without_room_loses_figures_and_no_entry(bench: Bench, child: Fa
     assert any("FAULT" in str(one.get("text")) for one in child.of("J"))
 
 
-def test_what_pages_say_cannot_load_or_stop_it(bench: Bench, child: FakeChild) -> None:
-    child.says = ["watch " + " ".join(str(k) for k in range(300)), "", "watch x -1 99999999999999999999", "listening 1"]
-    bench.run(2.0)
-    child.says = ["watch 77 1"]
-    bench.run(2.0)
-    assert {one["vehicle"] for one in child.of("N")} <= {1, 2}
-
-
 # --- One vehicle's figures
 
 
