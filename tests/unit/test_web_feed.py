@@ -112,9 +112,6 @@ def test_a_child_without_room_loses_figures_and_no_entry(bench: Bench, child: Fa
     assert any("FAULT" in str(one.get("text")) for one in child.of("J"))
 
 
-# --- One vehicle's figures
-
-
 @dataclass
 class Watched:
     """A made flight, and what the page shows of it."""
@@ -148,10 +145,6 @@ def watched() -> Watched:
     return Watched(Story(SessionSpec(PROFILES["qdrone2"], baseline, settings)))
 
 
-def reasons(shown: dict[str, Any]) -> list[str]:
-    return [slot["reason"] for slot in shown["slots"]]
-
-
 def test_a_flight_from_waiting_to_a_fault_and_to_the_ground(watched: Watched) -> None:
     first = watched.after(0.6)
     assert (first["level"], first["state"]) == (Level.NOT_JUDGED, "waiting")
@@ -167,7 +160,7 @@ def test_a_flight_from_waiting_to_a_fault_and_to_the_ground(watched: Watched) ->
     assert found["sentence"] == "roll attitude unlike the model"
     ground = watched.after(10.0, outputs=True, armed=False)
     assert ground["level"] == Level.NOT_JUDGED
-    assert set(reasons(ground)) == {"not armed", "no VIBRATION"}
+    assert {slot["reason"] for slot in ground["slots"]} == {"not armed", "no VIBRATION"}
     assert all(slot["value"] is None for slot in ground["slots"])
 
 
