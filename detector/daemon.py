@@ -224,12 +224,10 @@ class Daemon:
         for file in self._files.values():
             file.flush()
 
-    def _note(self, text: str) -> None:
-        self._reporter.mark("note", {"text": text})
-        self._host.say(text)
-
     def _sender(self, vehicle: int) -> MavlinkSender:
-        return self._senders.setdefault(vehicle, MavlinkSender(vehicle, self._signing))
+        if vehicle not in self._senders:
+            self._senders[vehicle] = MavlinkSender(vehicle, self._signing)
+        return self._senders[vehicle]
 
     def _spec(self, sysid: int, profile: Profile) -> SessionSpec | None:
         baseline = self._baselines.get(sysid) or self._baseline
@@ -257,7 +255,8 @@ class Daemon:
         failure = None if self._kept is None else self._kept.step(self._unix_ns())
         self._carry_out(turns)
         for text in filter(None, (*texts, failure)):
-            self._note(text)
+            self._reporter.mark("note", {"text": text})
+            self._host.say(text)
 
     def _acknowledge(self, sysid: int, whose: str) -> None:
         vehicle = self.fleet.vehicles.get(sysid)
@@ -272,11 +271,13 @@ class Daemon:
             if (sysid, reason) not in self._unclear and len(self._unclear) < UNCLEAR_MOST:
                 self._host.say(f"vehicle {sysid}: not watched: {reason}")
                 self._unclear.add((sysid, reason))
+        if len(self.fleet.vehicles) == known:
+            return
         new = list(self.fleet.vehicles.items())[known:]
         for sysid, vehicle in new:
             self._host.say(f"vehicle {sysid}: received, profile {vehicle.session.spec.profile.name}")
         shared = len(self.fleet.vehicles.keys() - self._baselines.keys())
-        if new and shared > 1 and self._baseline and self._baseline.airframe.scope == "airframe":
+        if shared > 1 and self._baseline and self._baseline.airframe.scope == "airframe":
             advice = "choose one with --vehicle, or give each its own in [vehicles.N]"
             name = self._baseline.airframe.name
             self._host.say(f"the baseline is of one airframe ({name}), but several fly; {advice}")
@@ -322,9 +323,10 @@ class Daemon:
                 self._reporter.record(turn.vehicle, effect)
 
     def _act(self, sysid: int, effect: Effect) -> None:
-        for frame in self._sender(sysid).to_all(effect):
+        sender = self._sender(sysid)
+        for frame in sender.to_all(effect):
             self._relay.send_to_all(frame)
-        for frame in self._sender(sysid).to_vehicle(effect):
+        for frame in sender.to_vehicle(effect):
             self._link.send(frame)
         match effect:
             case AskInterval(msgid, interval_us):

@@ -230,7 +230,6 @@ class Fleet:
             session.state,
             received=count.received if count else 0,
             lost=count.lost if count else 0,
-            gyro_hz=session.streams.gyro.rate_hz,
             judged_s=judge.judged_s if judge else 0.0,
             events=vehicle.events,
             flight_s=judge.flight_s if judge else 0.0,

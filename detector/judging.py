@@ -177,25 +177,20 @@ def records_of(output: ChainOutput, whose: str) -> tuple[Record, ...]:
     return (*events, *output.changes, *((Note(differs),) if differs else ()))
 
 
-def layout_notices(baseline: Baseline) -> list[Notice]:
-    """What is said, once for each baseline, of a rotor layout that is unknown or that its flights contradict."""
-    if not baseline.layout_doubt:
-        return []
-    if baseline.airframe.layout is not None:
-        return [Notice(Kind.OTHER_LAYOUT, (baseline.airframe.layout.name,))]
-    lost = sum(refusal.monitor in NEED_LAYOUT for refusal in baseline.not_judgeable)
-    return [Notice(Kind.NO_LAYOUT, (str(lost),))]
-
-
-def notes_on(baseline: Baseline, chain: Chain, settings: SessionSettings) -> list[Note]:
-    """Monitors that the settings silence, doubts about the layout, names in `suspect` that no monitor has."""
+def beginning(baseline: Baseline, chain: Chain, settings: SessionSettings) -> tuple[list[Note], list[Notice]]:
+    """What is recorded and said as judging begins: monitors that the settings silence, doubts about the rotor layout,
+    and names in `suspect` that no monitor has."""
     lost = rescaled(baseline, settings.threshold_scale).not_judgeable[len(baseline.not_judgeable) :]
-    notes = [Note(f"{refusal.monitor} not judged: {refusal.reason}") for refusal in lost]
     known = frozenset[str]().union(*(_names(slot) for slot in chain.slots))
-    notes += [Note(baseline.layout_doubt)] if baseline.layout_doubt else []
-    return notes + [
-        Note(f"suspect: the baseline has no monitor {name!r}") for name in settings.suspect if name not in known
-    ]
+    notes = [Note(f"{refusal.monitor} not judged: {refusal.reason}") for refusal in lost]
+    notes += [Note(f"suspect: the baseline has no monitor {name!r}") for name in settings.suspect if name not in known]
+    if not baseline.layout_doubt:
+        return notes, []
+    notes.append(Note(baseline.layout_doubt))
+    if baseline.airframe.layout is not None:
+        return notes, [Notice(Kind.OTHER_LAYOUT, (baseline.airframe.layout.name,))]
+    off = sum(refusal.monitor in NEED_LAYOUT for refusal in baseline.not_judgeable)
+    return notes, [Notice(Kind.NO_LAYOUT, (str(off),))]
 
 
 def words_of(unjudged: dict[str, str]) -> tuple[str, str]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Final
 
 from detector.alerts import Kind, NamedValues, Notice, Presenter, Telling
-from detector.judging import Judge, chain_for, layout_notices, notes_on, records_of, words_of
+from detector.judging import Judge, beginning, chain_for, records_of, words_of
 from detector.negotiate import Negotiation
 from detector.states import TABLE, State, Trigger, advance
 from detector.streams import Demand, Hindrance, Reason, Streams
@@ -200,8 +200,8 @@ class Session:
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error))
             self.judge = Judge(self.baseline, chain, now, self._landed())
-            self._effects += notes_on(self.baseline, chain, self._settings)
-            self._notices += layout_notices(self.baseline)
+            notes, notices = beginning(self.baseline, chain, self._settings)
+            self._effects, self._notices = [*self._effects, *notes], [*self._notices, *notices]
         lack = self._lack(inbox)
         if lack is None or lack.reason in (Reason.MEASURING, Reason.NO_GYRO, Reason.NO_SETPOINTS):
             self._waited = [*self._waited, inbox.telemetry][-WAITED_CHUNKS:]

@@ -144,7 +144,6 @@ class VehicleFigures:
     state: State
     received: int  # frames of its autopilot
     lost: int
-    gyro_hz: float
     judged_s: float
     events: int
     flight_s: float = 0.0

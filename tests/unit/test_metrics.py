@@ -70,7 +70,7 @@ def test_the_latency_of_every_look_is_counted(metrics: Metrics) -> None:
     judge = bench.daemon.fleet.vehicles[1].session.judge
     bench.close()
     assert judge is not None
-    assert count == pytest.approx(10 * judge.flight_s, abs=15)
+    assert count == pytest.approx(10 * judge.flight_s, abs=25)  # the first seconds are judged at once
     # The bench's clock stands still within a look: a sample waits for the filter's half window and for whole looks.
     assert value(text, 'verdict_latency_seconds_bucket{le="0.2"}') > 0.8 * count
 

@@ -134,7 +134,7 @@ class Watched:
 
     def shown(self, *pieces: Piece) -> Json:
         session = self.story.session
-        figures = VehicleFigures(1, session.state, 10, 0, 100.0, 1.0, 0)
+        figures = VehicleFigures(1, session.state, 10, 0, 1.0, 0)
         return self.snapshots.next(figures, session, pieces, self.story.now)
 
 
