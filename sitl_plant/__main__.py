@@ -23,17 +23,13 @@ from sitl_plant.emulator import FlightReport, Link, fly, record_flight
 from sitl_plant.hil.command import serve_ardupilot, serve_hil, serve_px4
 from sitl_plant.options import STARTING, FlightPlan, TruthFile, parse_speed, with_flight
 from sitl_plant.plant import Plant, PlantSamples
-from sitl_plant.stand import stand
 from sitl_plant.truth import Truth, truth_file
 
 RECORD_S = 60.0  # a recorded flight, unless --duration says otherwise
 
 app = commandline.application("Fly an emulated multirotor with propeller faults over MAVLink.", "sitl-plant")
-app.command()(campaign)
-app.command()(stand)
-app.command()(serve_ardupilot)
-app.command()(serve_px4)
-app.command()(serve_hil)
+for command in (campaign, serve_ardupilot, serve_px4, serve_hil):
+    app.command()(command)
 
 
 @app.command()
@@ -81,7 +77,7 @@ def run(
                 kept.step(time.time_ns())
 
         report = fly(plant, plan.dialect, links, duration_s=plan.duration_s, speed=pace, stop=stop, watch=watch)
-    typer.echo(_concluded(report, as_json))
+    typer.echo(json.dumps({"event": "landed"} | asdict(report)) if as_json else _concluded(report))
 
 
 @app.command()
@@ -121,9 +117,7 @@ def _announced(plan: FlightPlan, addresses: list[str], as_json: bool) -> str:
     return f"{config.vehicle.name} number {config.drone} flies {path}{fault}; {link}"
 
 
-def _concluded(report: FlightReport, as_json: bool) -> str:
-    if as_json:
-        return json.dumps({"event": "landed"} | asdict(report))
+def _concluded(report: FlightReport) -> str:
     return (
         f"{report.flown_s:.1f} s flown in {report.wall_s:.1f} s at {100 * report.cpu_s / report.wall_s:.0f} % CPU; "
         f"{report.messages} messages sent, {report.dropped} dropped, {report.received} received; "

@@ -1,7 +1,6 @@
 """One specimen of a vehicle type: what manufacture, age, the day, new propellers and wear made of the file's numbers.
 
-Drones 1 (aged), 2 and 3 (new) are the three of T 4.4 and always come out the same; `draw_airframe` gives as many
-others as a Monte Carlo study needs. The spreads are estimates; no measurement of them is known to us.
+Drones 1 (aged), 2 and 3 (new) are the three of T 4.4. The spreads are estimates; no measurement of them is known to us.
 """
 
 import math

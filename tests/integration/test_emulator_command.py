@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,11 +12,7 @@ import pytest
 from mavdiag.link.codec import Decoder, field_index
 from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import open_endpoint
-from mavdiag.logs.tlog import read_tlog
-from mavdiag.telemetry import Signal
 from sitl_plant.__main__ import main
-from sitl_plant.autopilot.dialect import dialect_named
-from sitl_plant.vehicle import vehicle_named
 
 PATIENCE_S = 90.0
 
@@ -53,18 +48,6 @@ def test_the_same_options_give_the_same_file_and_another_seed_another(tmp_path: 
     assert (lines[0]["seed"], lines[0]["started_unix_ns"]) == (5, None)
     assert (lines[2]["t_s"], lines[2]["fault"], lines[2]["rotor"]) == (1.0, "F2/SV2", 3)
     assert [line["fault_present"] for line in lines if line["record"] == "state"] == [False, True]
-
-
-@pytest.mark.parametrize("profile", ["qdrone2", "ardupilot", "px4"])
-def test_a_recording_reads_back_as_the_flight_of_its_profile(tmp_path: Path, profile: str) -> None:
-    path = tmp_path / "flight.tlog"
-    done = sitl_plant("record", "-o", str(path), "--duration", "3", "--profile", profile, "--rate", "100")
-    assert done.returncode == 0, done.stderr
-    log = read_tlog(path)
-    assert log.profile == profile
-    for wanted in (Signal.ATTITUDE_SETPOINT, Signal.BODY_RATE, Signal.ACTUATOR, Signal.ROTOR_SPEED, Signal.ARMED):
-        assert len(log.telemetry.need(wanted)) >= 2, wanted
-    assert len(log.telemetry.need(Signal.BODY_RATE)) == 300
 
 
 @pytest.mark.parametrize(
@@ -143,13 +126,3 @@ def test_a_signal_ends_the_flight_in_good_order(number: signal.Signals, tmp_path
     assert flight.returncode == 0
     assert json.loads(output)["event"] == "landed"
     assert [line["record"] for line in read_lines(truth)][:2] == ["flight", "state"]
-
-
-def test_vehicles_have_the_system_id_that_is_asked_for(tmp_path: Path) -> None:
-    for number in (1, 7):
-        path = tmp_path / f"{number}.tlog"
-        assert sitl_plant("record", "-o", str(path), "--duration", "2", "--system-id", str(number)).returncode == 0
-        assert read_tlog(path).vehicle == number
-    for profile, name in (("ardupilot", "SYSID_THISMAV"), ("px4", "MAV_SYS_ID"), ("qdrone2", "SYSID_THISMAV")):
-        rows = replace(dialect_named(profile), sysid=7).parameters_of(vehicle_named("qdrone2"))
-        assert [row.value for row in rows if row.name == name] == [7]

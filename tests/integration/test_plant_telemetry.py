@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 from made_telemetry import ROUNDING
 
-from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.samples import SampleDecoder, SampleState, joined
 from mavdiag.telemetry import Signal, Telemetry
 from sitl_plant.autopilot.dialect import dialect_named
-from sitl_plant.autopilot.telemetry import LinkSpec, TelemetryStream, flight_telemetry, telemetry_digest, until_ground
+from sitl_plant.autopilot.telemetry import LinkSpec, TelemetryStream, flight_telemetry, telemetry_digest
 from sitl_plant.emulator import recorded
 from sitl_plant.options import FlightPlan
-from sitl_plant.physics.faults import Injection, RotorDamage
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 
 SECONDS = 3.0
@@ -81,20 +79,3 @@ def test_loss_takes_its_share_and_repeats_with_the_seed() -> None:
     assert set(holed.need(Signal.BODY_RATE).t_ns) < set(whole.need(Signal.BODY_RATE).t_ns)
     assert telemetry_digest(holed) == telemetry_digest(again)
     assert telemetry_digest(holed) != telemetry_digest(whole)
-
-
-def test_a_flight_ends_where_it_meets_the_ground() -> None:
-    config = PlantConfig(injections=(Injection(RotorDamage(0.0, 0.0, ejected=True), 1, 2.0),), seed=3)
-    telemetry, flown_s = flight_telemetry(config, 6.0)
-    assert 2.1 < flown_s < 3.5
-    assert telemetry.need(Signal.HEIGHT).values.min() > 0.0
-    assert until_ground(flown()) == len(flown())
-
-
-def test_nonsense_is_refused() -> None:
-    with pytest.raises(UsageError, match="loss"):
-        LinkSpec(loss=1.0)
-    with pytest.raises(UsageError, match="rate"):
-        LinkSpec("px4", 1000.0)
-    with pytest.raises(UsageError, match="at least 1 ms"):
-        flight_telemetry(CONFIG, 0.0)

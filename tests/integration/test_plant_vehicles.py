@@ -14,7 +14,7 @@ from mavdiag.link.samples import SampleDecoder, SampleState
 from mavdiag.telemetry import Signal, Telemetry
 from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.emulator import recorded
-from sitl_plant.options import FlightPlan, flight_plan
+from sitl_plant.options import FlightPlan
 from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import Vehicle, load_vehicle, vehicle_from
 
@@ -71,21 +71,3 @@ def test_all_rotors_reach_the_receiver(name: str, profile: str, rate_hz: float, 
     else:
         places = [frame.fields[field_index(MessageId.ESC_STATUS, "index")] for frame in frames if frame.msgid == 291]
         assert places == [0, 4] * 50
-
-
-def test_a_take_off_is_told_as_it_is() -> None:
-    plan = flight_plan(takeoff=True, duration=24.0, profile="ardupilot")
-    frames = frames_of(plan.config, "ardupilot", 100.0, 24.0)
-    heard = telemetry_of(frames, "ardupilot")
-    armed, thrust, height = (heard.need(one) for one in (Signal.ARMED, Signal.THRUST_SETPOINT, Signal.HEIGHT))
-    on = np.flatnonzero(armed.values[:, 0])
-    assert armed.host_ns[on[[0, -1]]] * 1e-9 == pytest.approx([2.0, 22.0], abs=1.1)
-    assert thrust.values[thrust.host_ns < 2_000_000_000].max() == 0.0
-    assert thrust.values[(thrust.host_ns > 2e9) & (thrust.host_ns < 4e9)].max() < 0.01
-    assert thrust.values[(thrust.host_ns > 5e9) & (thrust.host_ns < 15e9)].min() > 0.1
-    assert height.values[height.host_ns < 4e9].max() < 0.01 < 0.9 < height.values.max()
-    landed = [frame.fields[field_index(245, "landed_state")] for frame in frames if frame.msgid == 245]
-    assert [one for one, before in zip(landed, [None, *landed], strict=False) if one != before] == [1, 2, 1]
-    beats = [frame.fields for frame in frames if frame.msgid == MessageId.HEARTBEAT]
-    state, mode = (field_index(MessageId.HEARTBEAT, name) for name in ("system_status", "base_mode"))
-    assert (beats[0][state], beats[0][mode], beats[10][state], beats[10][mode]) == (3, 1, 4, 0x81)

@@ -79,23 +79,6 @@ def test_integration_is_of_fourth_order() -> None:
     assert np.all(orders < 4.3), orders
 
 
-def test_drag_is_relative_to_the_wind() -> None:
-    """A body that moves with the air feels only gravity."""
-    x, dx = state(), np.empty((1, RIGID))
-    x[3:6] = wind = np.array([1.0, -2.0, 0.5])
-    derivative(x, np.zeros((STAGES, WRENCH)), 0, body(np.eye(3), drag=3.0, hub_moment=1.0), NO_GROUND, wind, dx, 0)
-    np.testing.assert_allclose(dx[0, 3:6], [0.0, 0.0, GRAVITY], atol=1e-12)
-    np.testing.assert_allclose(dx[0, 10:], 0.0, atol=1e-12)
-
-
-def test_spinning_up_the_rotors_turns_the_body_the_other_way() -> None:
-    """Without an external torque, I_z omega_z + h is kept."""
-    wrench = np.zeros((STAGES, WRENCH))
-    wrench[:, 7] = 0.04  # dh/dt
-    x = run(state(), body(np.diag([0.01, 0.01, 0.02])), wrench, 0.5)
-    assert x[12] == pytest.approx(-0.04 * 0.5 / 0.02, rel=1e-9)
-
-
 BOX = body(np.diag([0.0112, 0.0104, 0.0182]))
 REST = np.zeros((STAGES, WRENCH))
 

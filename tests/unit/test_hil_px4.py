@@ -5,7 +5,7 @@ from itertools import chain
 
 import numpy as np
 import pytest
-from hil_bytes import controls_bytes, frames_in, mavlink_bytes
+from hil_bytes import controls_bytes, frames_in
 
 from mavdiag.link.codec import Decoder
 from sitl_plant.hil.px4 import WANTED, Bridge
@@ -13,7 +13,6 @@ from sitl_plant.hil.simulation import Simulation, output_map
 from sitl_plant.plant import PlantConfig
 
 RATE_HZ = 250
-HOME = (47.397742, 8.545594)
 
 
 def bridge() -> Bridge:
@@ -75,25 +74,3 @@ def test_controls_turn_the_motors_only_if_armed() -> None:
     assert not link.answered
     assert rows[-1][13] < -20, "climbs, in cm/s down"
     assert rows[-1][10] > 488_010
-
-
-@pytest.mark.parametrize(
-    ("kind", "autopilot", "base_mode", "in_hil"),
-    [(18, 8, 0, None), (2, 12, 81, False), (2, 12, 81 | 32, True)],
-    ids=["companion computer", "HIL mode off", "HIL mode on"],
-)
-def test_a_heartbeat_tells_of_hil_mode(kind: int, autopilot: int, base_mode: int, in_hil: bool | None) -> None:
-    link = bridge()
-    hear(link, mavlink_bytes(0, 0, kind, autopilot, base_mode, 4, 3))
-    assert link.in_hil is in_hil
-
-
-def test_a_restarted_autopilot_finds_the_vehicle_on_the_ground() -> None:
-    link = bridge()
-    hear(link, controls_bytes(0, [0.62] * 4))
-    sent(link, 100)
-    risen_s = link.simulation.takeoff_s
-    assert risen_s is not None
-    link.restart()
-    assert (link.restarts, link.lockstep, link.simulation.takeoff_s) == (1, False, None)
-    assert of(sent(link, 1), 107)[0][0] < 10_000

@@ -59,13 +59,6 @@ def test_px4s_file_has_the_tabs_of_qgroundcontrol_and_the_geometry() -> None:
     assert all(("." in value) == (kind == "9") for value, kind in found.values())
 
 
-def test_a_flight_controllers_file_leaves_its_real_outputs_alone() -> None:
-    text = parameter_file(qdrone2(), "px4", hardware=True)
-    assert "SYS_HITL\t1\t6" in text
-    assert "HIL_ACT_FUNC1\t101\t6" in text
-    assert "PWM_MAIN" not in text
-
-
 def test_a_vehicle_that_does_not_tell_its_outputs_is_refused() -> None:
     with pytest.raises(UsageError, match=r"add a table \[hil\]"):
         output_map(replace(qdrone2(), hil=None), "ardupilot")

@@ -54,14 +54,6 @@ def test_wind_leans_the_vehicle_by_its_drag() -> None:
     assert pitch.mean() == pytest.approx(math.atan(0.25 * 3.0 / (1.504 * 9.81)), rel=0.1)
 
 
-def test_a_fresh_battery_is_full() -> None:
-    """A hover of 30 s, 10 of them before t = 0, draws about 25 A: 0.21 A h, at 0.45 V/(A h)."""
-    plant = Plant(HOVER)
-    used = plant.advance(20_000).battery_v[-1000:].mean()
-    plant.renew_battery()
-    assert plant.advance(1000).battery_v.mean() - used == pytest.approx(0.45 * 25 * 30 / 3600, abs=0.015)
-
-
 @pytest.mark.parametrize(
     ("injection", "says"),
     [(Injection(RotorDamage(0.9), 9), "rotor must be 1 to 4"), (Injection(RotorDamage(0.9), 1, 0.0, 0.1), "end_s")],

@@ -12,7 +12,7 @@ from sitl_plant.physics.dynamics import STAGES, WRENCH
 from sitl_plant.physics.faults import rotor_condition
 from sitl_plant.physics.kernel import Model
 from sitl_plant.physics.parameters import STEP_S, make_model
-from sitl_plant.physics.rotors import Condition, RotorState, advance_noise, advance_rotors
+from sitl_plant.physics.rotors import Condition, RotorState, advance_rotors
 from sitl_plant.physics.trajectory import Shape, path
 from sitl_plant.vehicle import allocation, qdrone2
 
@@ -46,13 +46,6 @@ def test_speed_step_is_the_motor_exponential() -> None:
     np.testing.assert_allclose(state.speed, HOVER * (1 - math.exp(-t / lag)), rtol=1e-12)
     turned = HOVER * (t - lag * (1 - math.exp(-t / lag)))
     np.testing.assert_allclose(state.azimuth, turned % (2 * math.pi), atol=1e-9)
-
-
-def test_four_rotors_at_ten_thousand_rpm_carry_the_vehicle() -> None:
-    model, condition = make()
-    wrench = step(rest(HOVER), model, condition, np.full(4, HOVER))
-    assert -wrench[0, 2] == pytest.approx(1.504 * 9.81, rel=0.001)
-    np.testing.assert_allclose(wrench[0, 3:7], 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("rotor", range(4))
@@ -101,40 +94,3 @@ def test_lift_and_mass_torques_oppose_each_other() -> None:
         mass_torque, lift_torque = mass - still, lift - still
         cosine = mass_torque @ lift_torque / np.linalg.norm(mass_torque) / np.linalg.norm(lift_torque)
         assert cosine == pytest.approx(-1.0, abs=1e-6)
-
-
-def test_drag_torque_is_thrust_over_the_motor_constant() -> None:
-    """Rotors 1 and 4 turn clockwise, so their drag turns the body counter-clockwise (T Eq 2.4, 2.5)."""
-    model, condition = make()
-    condition.drag_gain[0] = 1.5
-    wrench = step(rest(HOVER), model, condition, np.full(4, HOVER))
-    assert wrench[0, 5] == pytest.approx(-0.5 * K_F * HOVER**2 / RATIO, rel=1e-9)
-
-
-def test_crack_lag_delays_thrust_by_its_time_constant() -> None:
-    model, condition = make()
-    condition.thrust_lag[:] = 0.012
-    state = rest(HOVER)
-    state.thrust[:] = 0.0
-    for _ in range(24):
-        wrench = step(state, model, condition, np.full(4, HOVER))
-    assert -wrench[2, 2] == pytest.approx(4 * K_F * HOVER**2 * (1 - math.exp(-2.0)), rel=1e-9)
-
-
-@pytest.mark.parametrize(("corner_hz", "seed"), [(6.0, 1), (25.0, 2)])
-def test_fluctuation_has_unit_variance_and_its_corner(corner_hz: float, seed: int) -> None:
-    """An Ornstein-Uhlenbeck process: variance 1, correlation exp(-2 pi f_c t)."""
-    model, condition = make()
-    condition.fluctuation_decay[:] = math.exp(-2 * math.pi * corner_hz * STEP_S)
-    state, n = rest(), 80_000
-    normals = np.random.default_rng(seed).standard_normal((n, 8))
-    values = np.empty((n, 4))
-    for row in range(n):
-        advance_noise(state, model.rotors, condition, normals, row)
-        values[row] = state.fluctuation
-    independent = 4 * n * STEP_S * math.pi * corner_hz  # number of independent values, T / (2 tau) each rotor
-    assert np.mean(values**2) == pytest.approx(1.0, abs=4 * math.sqrt(2 / independent))
-    lag = round(0.5 / (2 * math.pi * corner_hz) / STEP_S)
-    correlation = np.mean(values[lag:] * values[:-lag])
-    expected = math.exp(-2 * math.pi * corner_hz * lag * STEP_S)
-    assert correlation == pytest.approx(expected, abs=4 * math.sqrt(2 / independent))

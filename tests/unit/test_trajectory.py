@@ -19,16 +19,6 @@ def at(p: Path, t: float) -> FloatArray:
     return out
 
 
-def test_square_has_four_equal_sides_and_sharp_corners() -> None:
-    p = path(Shape.SQUARE, 1.0, 0.5, 0.0, 1.5)
-    corners = [at(p, t)[:3] for t in (0.0, 2.0, 4.0, 6.0, 8.0)]
-    np.testing.assert_allclose(
-        corners, [[0, 0, -1.5], [1, 0, -1.5], [1, 1, -1.5], [0, 1, -1.5], [0, 0, -1.5]], atol=1e-12
-    )
-    np.testing.assert_allclose(at(p, 1.999)[3:5], [0.5, 0.0])
-    np.testing.assert_allclose(at(p, 2.001)[3:5], [0.0, 0.5])
-
-
 @given(
     st.sampled_from([Shape.SQUARE, Shape.CIRCLE]),
     st.floats(0.5, 5.0),
@@ -40,14 +30,6 @@ def test_speed_along_the_path_is_constant(shape: Shape, size: float, speed: floa
     assert np.linalg.norm(at(path(shape, size, speed, heading, 1.0), t)[3:6]) == pytest.approx(speed)
 
 
-def test_before_the_start_it_hovers_at_the_first_point() -> None:
-    for shape in Shape:
-        p = path(shape, 2.0, 0.5, 0.7, 1.0)
-        waiting, started = at(p, -0.5), at(p, 0.0)
-        np.testing.assert_allclose(waiting[:3], started[:3], atol=1e-12)
-        np.testing.assert_array_equal(waiting[3:6], 0.0)
-
-
 @pytest.mark.parametrize("nose", list(Nose))
 @pytest.mark.parametrize("shape", list(Shape))
 def test_yaw_rate_is_the_slope_of_yaw_which_stays_within_pi(shape: Shape, nose: Nose) -> None:
@@ -57,21 +39,6 @@ def test_yaw_rate_is_the_slope_of_yaw_which_stays_within_pi(shape: Shape, nose: 
         slope = (after[6] - before[6] + math.pi) % (2 * math.pi) - math.pi
         assert slope / (2 * h) == pytest.approx(here[7], abs=1e-3)
         assert -math.pi <= here[6] < math.pi
-
-
-def test_a_flight_from_the_ground_climbs_flies_and_comes_down() -> None:
-    end = 60.0 - landing_time(1.0)
-    p = path(Shape.SQUARE, 1.0, 0.5, 0.0, 1.0, takeoff=True, land_s=end)
-    rows = np.array([at(p, t) for t in np.arange(-1.0, 60.0, 0.01)])
-    height, motors = -rows[:, 2], rows[:, 8]
-    assert height[:500].max() == 0.0  # until 4 s
-    np.testing.assert_allclose(np.abs(np.diff(height)).max(), 0.005, rtol=1e-9)  # 0.5 m/s
-    assert height.max() == 1.0
-    assert [motors[0], *motors[1:][np.diff(motors) > 0]] == [0, 1, FLYING, 3, 4]
-    assert motors[-100] == 4
-    flown = at(path(Shape.SQUARE, 1.0, 0.5, 0.0, 1.0), 5.0)
-    np.testing.assert_allclose(at(p, p.start + 5.0), flown)
-    np.testing.assert_allclose(rows[-1, :2], at(path(Shape.SQUARE, 1.0, 0.5, 0.0, 1.0), end - p.start)[:2])
 
 
 RECORDED = [shape for shape in Shape if shape.recorded]

@@ -7,12 +7,10 @@ import pytest
 from plant_cases import fly, quiet_airframe
 from scipy.signal import welch
 
-from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.air import Turbulence, dryden
 from sitl_plant.plant import PlantConfig
 
-FT = 0.3048
 STEP_S = 0.02
 MODEL = dryden(5.0, 1.0)
 
@@ -39,18 +37,6 @@ def test_spectra_are_those_published(gusts: FloatArray, axis: int) -> None:
         band = (hz >= low) & (hz < 2 * low)
         expected = 2 * math.pi * published(2 * math.pi * hz[band], axis)
         assert density[band].mean() == pytest.approx(expected.mean(), rel=0.1), low
-
-
-def test_how_time_is_cut_changes_nothing() -> None:
-    whole, parts = (Turbulence(MODEL, 0.4, 0.001, np.random.default_rng(9)) for _ in range(2))
-    cut = np.concatenate([parts.draw(n) for n in (1, 0, 499, 300, 1, 199)])
-    np.testing.assert_array_equal(cut, whole.draw(1000))
-
-
-@pytest.mark.parametrize("w20", [-1.0, 31.0, math.nan])
-def test_a_wind_that_the_model_does_not_know_is_refused(w20: float) -> None:
-    with pytest.raises(UsageError, match="W20 of 0 to 30"):
-        PlantConfig(turbulence_m_s=w20)
 
 
 @pytest.mark.parametrize("w20", [5.0, 8.0])
