@@ -26,6 +26,7 @@ from sitl_plant.plant import Plant, PlantSamples
 from sitl_plant.truth import Truth, truth_file
 
 RECORD_S = 60.0  # a recorded flight, unless --duration says otherwise
+_LINKS = "udpout:H:P, udpin:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD; repeat it for several links."
 
 app = commandline.application("Fly an emulated multirotor with propeller faults over MAVLink.", "sitl-plant")
 for command in (campaign, serve_ardupilot, serve_px4, serve_hil):
@@ -36,21 +37,11 @@ for command in (campaign, serve_ardupilot, serve_px4, serve_hil):
 @with_flight
 def run(
     plan: FlightPlan,
-    out: Annotated[
-        list[str],
-        Option(
-            metavar="ENDPOINT",
-            help="udpout:H:P, udpin:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD; repeat it for several links.",
-        ),
-    ] = ["udpout:127.0.0.1:14550"],  # noqa: B006  # typer copies its defaults
+    out: Annotated[list[str], Option(metavar="ENDPOINT", help=_LINKS)] = ["udpout:127.0.0.1:14550"],  # noqa: B006
     speed: Annotated[str, Option(metavar="X|max", help="Flight seconds a second.")] = "1",
-    fresh: Annotated[
-        bool, Option("--fresh-link", help="Send unasked only what the real autopilot of the profile does.")
-    ] = False,
+    fresh: Annotated[bool, Option("--fresh-link", help="Send unasked only what the real autopilot does.")] = False,
     truth: TruthFile = None,
-    signing_key: Annotated[
-        Path | None, Option(metavar="FILE", help="Key of MAVLink 2 signing: sign, and refuse what is not signed.")
-    ] = None,
+    signing_key: Annotated[Path | None, Option(metavar="FILE", help="Sign, and refuse what is not signed.")] = None,
     as_json: Annotated[bool, Option("--json", help="Print start and end as JSON lines on stdout.")] = False,
 ) -> None:
     """Fly in real time until the duration is over, or until SIGINT or SIGTERM. Exit code 0, or 2 for an error."""

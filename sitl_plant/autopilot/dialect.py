@@ -57,53 +57,50 @@ class Parameters:
 
     def __init__(self, rows: Sequence[Parameter], encoding: Encoding = Encoding.CAST) -> None:
         kind = {Encoding.BYTES: Kind.INT32, Encoding.FLOAT: Kind.REAL32}.get(encoding)
-        self._bytewise = encoding is Encoding.BYTES
-        self._rows = {row.name: row for row in rows}
-        self._kinds = {row.name: kind if kind and row.kind is not Kind.REAL32 else row.kind for row in rows}
-        self._names = list(self._rows)
-        self._values = {row.name: row.value for row in rows}
+        self._bytewise, self._whole = encoding is Encoding.BYTES, {r.name for r in rows if r.kind is not Kind.REAL32}
+        self._rows = {row.name: row._replace(kind=kind) if kind and row.name in self._whole else row for row in rows}
 
     def value(self, name: str, default: float = 0.0) -> float:
         """The value in force; the default for a name that there is not."""
-        return self._values.get(name, default)
+        return self._rows[name].value if name in self._rows else default
 
     def change(self, name: str, value: float) -> bool:
         """Whether a value was taken: the name is known, can be set, and the value is within its span."""
         row = self._rows.get(name)
-        taken = row is not None and row.span is not None and row.span[0] <= value <= row.span[1]
-        if row is not None and taken:
-            self._values[name] = value if row.kind is Kind.REAL32 else float(round(value))
-        return taken
+        if row is None or row.span is None or not row.span[0] <= value <= row.span[1]:
+            return False
+        self._rows[name] = row._replace(value=float(round(value)) if name in self._whole else value)
+        return True
 
     def all(self, link: int) -> list[Action]:
         """The answer to PARAM_REQUEST_LIST."""
-        return [action for name in self._names for action in self._told(link, name)]
+        return [action for name in self._rows for action in self._told(link, name)]
 
     def read(self, link: int, frame: Frame) -> list[Action]:
         """The answer to PARAM_REQUEST_READ, by index or by name; nothing for an unknown one."""
         index = integer(frame, "param_index")
-        names = [_name(frame)] if index < 0 else self._names[index : index + 1]
+        names = [_name(frame)] if index < 0 else list(self._rows)[index : index + 1]
         return self._told(link, *names)
 
     def set(self, link: int, frame: Frame) -> list[Action]:
         """The answer to PARAM_SET; nothing for an unknown name."""
         name, value = _name(frame), number(frame, "param_value")
-        kind = self._kinds.get(name)
-        if kind is None:
-            return []
-        if self._bytewise and kind is not Kind.REAL32:
-            value = float(struct.unpack_from("<i", frame.payload)[0])  # param_value is first on the wire
-        if not self._bytewise or integer(frame, "param_type") == kind:
-            self.change(name, value)
+        if name in self._rows:
+            kind = self._rows[name].kind
+            if self._bytewise and kind is not Kind.REAL32:
+                value = float(struct.unpack_from("<i", frame.payload)[0])  # param_value is first on the wire
+            if not self._bytewise or integer(frame, "param_type") == kind:
+                self.change(name, value)
         return self._told(link, name)
 
     def _told(self, link: int, name: str = "") -> list[Action]:
         if name not in self._rows:
             return []
-        kind, value = self._kinds[name], self._values[name]
-        if self._bytewise and kind is not Kind.REAL32:
+        row, place = self._rows[name], list(self._rows).index(name)
+        value = row.value
+        if self._bytewise and row.kind is not Kind.REAL32:
             value = struct.unpack("<f", struct.pack("<i", round(value)))[0]
-        return [Reply(link, MessageId.PARAM_VALUE, (name, value, kind, len(self._names), self._names.index(name)))]
+        return [Reply(link, MessageId.PARAM_VALUE, (name, value, row.kind, len(self._rows), place))]
 
 
 def _name(frame: Frame) -> str:

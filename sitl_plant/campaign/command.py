@@ -10,32 +10,24 @@ import typer
 from typer import Option
 
 from mavdiag.commands.progress import Shown, shown
-from sitl_plant.campaign.plan import PRESETS, Design, make_plan, with_conditions
+from sitl_plant.campaign.plan import FACTORS, PRESETS, Design, make_plan, with_conditions
 from sitl_plant.options import VehicleName
 from sitl_plant.vehicle import vehicle_from
 
+_RESULTS = "Results, one a line; a re-run goes on."
+_LEVELS = f"Levels of {', '.join(FACTORS)}; repeatable."
+
 
 def campaign(
-    output: Annotated[
-        Path, Option("-o", "--output", metavar="FILE.jsonl", help="Results, one a line; a re-run goes on.")
-    ] = Path("campaign.jsonl"),
+    output: Annotated[Path, Option("-o", "--output", metavar="FILE.jsonl", help=_RESULTS)] = Path("campaign.jsonl"),
     preset: Annotated[Literal["quick", "full", "conditions"], Option(help="Size and levels to start from.")] = "quick",
     flights: Annotated[int | None, Option(metavar="N", help="Flights with a cause.")] = None,
     hours: Annotated[float | None, Option(metavar="H", help="Healthy flight.")] = None,
     airframes: Annotated[int | None, Option(metavar="N", help="Specimens, every second one aged.")] = None,
-    learn: Annotated[
-        Literal["mixed", "square"] | None,
-        Option(help="Learn from mixed flights, or from T's square alone.  [default: the preset's]"),
-    ] = None,
+    learn: Annotated[Literal["mixed", "square"] | None, Option(help="From mixed flights, or T's square alone.")] = None,
     learn_flights: Annotated[int | None, Option(metavar="N", help="Healthy flights for a baseline.")] = None,
     duration: Annotated[float | None, Option(metavar="S", help="Length of each flight.")] = None,
-    conditions: Annotated[
-        list[str],
-        Option(
-            metavar="FACTOR=LEVEL,..",
-            help="Levels of cause, rotor, phenomenology, condition, manoeuvre, wind, payload, link, loss; repeatable.",
-        ),
-    ] = [],  # noqa: B006  # typer copies its defaults
+    conditions: Annotated[list[str], Option(metavar="FACTOR=LEVEL,..", help=_LEVELS)] = [],  # noqa: B006  # copied
     vehicle: VehicleName = "qdrone2",
     seed: Annotated[int, Option(min=0, help="Equal seeds give equal numbers.")] = 0,
     workers: Annotated[int, Option(min=1, max=256, help="Processes on this machine.")] = 2,

@@ -131,12 +131,13 @@ def summarise(results: Results) -> Row:
         "flights": len(flights),
         "unjudged": _counts(f"{flight.verdict}: {flight.reason}" for flight in flights if flight.verdict in UNJUDGED),
         "healthy_hours": hours,
-        "chance": _chance(judged, faulty),
+        "chance": _chance(hours, judged, faulty),
         "alarms": _by_factor(_ALARM_FACTORS, judged, _alarms),
         "detection": _by_factor(_FAULT_FACTORS, faulty, _detection),
         "monitors": [
-            {"name": name, "rate": poisson(before, hours), "detected": _after(name, faulty)}
+            {"name": name, "rate": poisson(before, hours), "detected": wilson(sum(own), len(own))}
             for name, before, _ in _by_monitor(judged)
+            for own in [[one.after > 0 for flight in faulty for one in flight.monitors if one.name == name]]
         ],
         "answers": [_answer(name, causes[name]) for name in CAUSES if name in causes],
         "conditions": [_condition(name, conditions[name]) for name in CONDITIONS if name in conditions],
@@ -146,14 +147,6 @@ def summarise(results: Results) -> Row:
 
 def _share(flights: Flights, hit: Callable[[FlightResult], bool]) -> Share:
     return wilson(sum(map(hit, flights)), len(flights))
-
-
-def _detected(flight: FlightResult) -> bool:
-    return flight.latency_s is not None
-
-
-def _alarmed(flight: FlightResult) -> bool:
-    return flight.episodes > 0
 
 
 def _judged(flights: Flights) -> list[FlightResult]:
@@ -196,8 +189,7 @@ def _natural(level: str) -> tuple[float, str]:
         return math.inf, level
 
 
-def _chance(judged: Flights, faulty: Flights) -> float:
-    hours = _hours(judged)
+def _chance(hours: float, judged: Flights, faulty: Flights) -> float:
     after_h = [(flight.flown_s - flight.onset_s) / S_PER_H for flight in faulty if flight.onset_s is not None]
     if not (hours and after_h):
         return 0.0
@@ -212,11 +204,6 @@ def _by_monitor(flights: Flights) -> Iterable[tuple[str, int, float]]:
         yield name, sum(monitor.before for monitor in own), sum(monitor.judged_s for monitor in own) / S_PER_H
 
 
-def _after(name: str, flights: Flights) -> Share:
-    own = [monitor.after > 0 for flight in flights for monitor in flight.monitors if monitor.name == name]
-    return wilson(sum(own), len(own))
-
-
 def _condition(name: str, flights: Flights) -> Row:
     healthy, faulty = [flight for flight in flights if flight.cause == HEALTHY], _faulty(flights)
     flown_h = sum(flight.flown_s for flight in healthy) / S_PER_H
@@ -226,7 +213,7 @@ def _condition(name: str, flights: Flights) -> Row:
         scaled = [flight for flight in faulty if flight.phenomenology == scale]
         judged = _judged(scaled)
         declared = _share(judged, lambda flight: flight.declared_s is not None)
-        found = {"detected": _share(judged, _detected), "declared": declared}
+        found = {"detected": _share(judged, lambda flight: flight.latency_s is not None), "declared": declared}
         detection.append({"phenomenology": scale, "flights": len(scaled), **found})
     return {
         "condition": name,
@@ -246,7 +233,7 @@ def _condition(name: str, flights: Flights) -> Row:
 
 def _alarms(flights: Flights) -> Row:
     rate = poisson(sum(flight.episodes for flight in flights), _hours(flights))
-    return {"rate": rate, "flights": _share(flights, _alarmed)}
+    return {"rate": rate, "flights": _share(flights, lambda flight: flight.episodes > 0)}
 
 
 def _detection(flights: Flights) -> Row:
@@ -257,8 +244,8 @@ def _detection(flights: Flights) -> Row:
         return _share(naming, lambda flight: bool(getattr(flight.answer, name) == true(flight)))
 
     return {
-        "detected": _share(flights, _detected),
-        "early": sum(map(_alarmed, flights)),
+        "detected": _share(flights, lambda flight: flight.latency_s is not None),
+        "early": sum(flight.episodes > 0 for flight in flights),
         "latency_median_s": float(np.median(latencies)) if latencies else None,
         "latency_p90_s": float(np.percentile(latencies, 90)) if latencies else None,
         "rotor_right": right("rotor", lambda flight: flight.rotor),
@@ -274,7 +261,7 @@ def _answer(name: str, flights: Flights) -> Row:
         "cause": name,
         "flights": len(flights),
         "answers": _counts(flight.answer.kind for flight in flights),
-        "early": sum(map(_alarmed, flights)),
+        "early": sum(flight.episodes > 0 for flight in flights),
         "right": _share(_judged(flights), lambda flight: flight.answer.kind == group.right),
         "named": sum(flight.answer.rotor is not None for flight in flights),
     }

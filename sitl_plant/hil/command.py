@@ -81,9 +81,7 @@ def hil_options(
     turbulence: options.W20 = 0.0,
     payload: options.PayloadKg = 0.0,
     seed: Annotated[int, Option(help="Equal seeds and equal commands give equal flights.")] = 0,
-    duration: Annotated[
-        float | None, Option(metavar="S", help="End after so much flight time.  [default: run until stopped]")
-    ] = None,
+    duration: Annotated[float | None, Option(metavar="S", help="Flight time.  [default: run until stopped]")] = None,
     truth: options.TruthFile = None,
     print_parameters: Annotated[str | None, Option(metavar="ardupilot|px4", help=_PRINTED)] = None,
 ) -> HilOptions:

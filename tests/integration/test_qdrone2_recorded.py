@@ -132,8 +132,11 @@ def test_yaw_cycles_at_24_hz_on_the_ground_with_a_saturated_torque_and_not_in_fl
     assert power[0, near].sum() > 1000 * power[1, near].sum()
 
 
-def test_the_motors_report_in_turn_and_too_much() -> None:
+def test_the_motors_report_in_turn_and_too_much_and_the_gyro_has_the_steps_of_the_recordings() -> None:
     samples, log = flight("t1-sp2", 2, 732)
+    np.testing.assert_allclose(log.gyro / 1.3316e-4, np.rint(log.gyro / 1.3316e-4), atol=1e-6)
+    np.testing.assert_array_equal(samples.gyro, log.gyro[:, 0])
+    np.testing.assert_array_equal(log.gyro[0::2], log.gyro[1::2])
     assert np.all(np.isnan(log.esc[:990]))
     assert not np.any(np.isnan(log.esc[1040:]))
     changed = np.diff(log.esc[CUT_MS:40_000], axis=0) != 0.0

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from plant_cases import fly, nominal_airframe, quaternion_rotation
-from scipy.stats import expon, kstest, uniform
+from scipy.stats import kstest, uniform
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.air import dryden
 from sitl_plant.physics.airframe import NO_PAYLOAD, Payload, drone, in_session_number, with_propellers
-from sitl_plant.physics.kernel import OUTAGE_S, Outages, Streams
+from sitl_plant.physics.kernel import Streams
 from sitl_plant.physics.parameters import body_with_payload, initial_state, make_model, reload
 from sitl_plant.physics.trajectory import Shape, path
 from sitl_plant.plant import PlantConfig
@@ -38,16 +38,6 @@ def test_a_session_is_drawn_by_its_number_and_the_airframe() -> None:
     assert in_session_number(DRONE, 1, 0.01).thrust_coefficient_n_s2.tolist() != first.thrust_coefficient_n_s2.tolist()
     with pytest.raises(UsageError, match="session must be zero or more"):
         in_session_number(DRONE, -1)
-
-
-def test_outages_are_a_poisson_process_of_uniform_lengths() -> None:
-    outages = Outages(3.0, np.random.default_rng(8))
-    t_s = np.arange(0.0, 20 * 3600.0, 0.05)
-    lost = outages.during(t_s)
-    spans = np.array(outages._spans[:-1])
-    assert kstest(spans[1:, 0] - spans[:-1, 1], expon(scale=20.0).cdf).pvalue > 0.01
-    assert kstest(spans[:, 1] - spans[:, 0], uniform(OUTAGE_S[0], OUTAGE_S[1] - OUTAGE_S[0]).cdf).pvalue > 0.01
-    assert lost.mean() == pytest.approx(1.15 / (20 + 1.15), rel=0.1)
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -12,18 +12,12 @@ from sitl_plant.physics.airframe import draw_airframe
 from sitl_plant.physics.dynamics import GRAVITY, RIGID
 from sitl_plant.physics.faults import Injection, SensorFault, sensor_condition
 from sitl_plant.physics.parameters import specimen_of
-from sitl_plant.physics.rotors import RotorState
 from sitl_plant.physics.sensors import (
     CHANNELS,
-    HARMONICS,
-    IMUS,
     Imu,
     ImuState,
     SensorCondition,
-    TwinImu,
-    TwinImuState,
     advance_imu,
-    advance_imus,
     butterworth,
     butterworth3,
     feel,
@@ -32,8 +26,6 @@ from sitl_plant.physics.sensors import (
     mode,
 )
 from sitl_plant.vehicle import vehicle_named
-
-HEALTHY = sensor_condition(())
 
 
 def imu(noise: float = 0.0) -> Imu:
@@ -104,35 +96,6 @@ def test_the_filter_is_the_bilinear_transform_of_a_driven_mode(hz: float, dampin
 
 
 VEHICLE = vehicle_named("qdrone2-recorded")
-LSB = 1.3316e-4  # DronePropA, from published samples: 250 deg/s over 2^15
-RANGE = 4.363
-
-
-def plain() -> TwinImu:
-    """Both IMUs without vibration, noise or bias."""
-    filters = np.array([butterworth3(125.0, 0.001)] * 3 + [butterworth3(400.0, 0.001)] * 3)
-    nothing = np.zeros((IMUS, CHANNELS))
-    line = np.zeros((IMUS, CHANNELS, HARMONICS, 4, 2))
-    span, lsb = np.repeat([4.3633231, 156.9064], 3), np.repeat([LSB, 0.0047884], 3)
-    shape = high_pass(40.0, 0.001)
-    return TwinImu(np.zeros((IMUS, 3)), nothing, nothing, nothing, line, 942.0, shape, filters, span, lsb, 2)
-
-
-def read_sensors(truth: FloatArray) -> FloatArray:
-    """Readings (n, 2, 6) while both IMUs feel truth (n,) on every channel."""
-    shapes = (IMUS * CHANNELS, 2), (IMUS * CHANNELS, 3), (CHANNELS,), (IMUS, CHANNELS), (HARMONICS, 4, 2)
-    state = TwinImuState(*(np.zeros(shape) for shape in shapes))
-    still, imu, healthy = RotorState(*(np.zeros(4) for _ in range(5))), plain(), sensor_condition(())
-    out, normals = np.empty((len(truth), IMUS, CHANNELS)), np.zeros((1, 24))
-    for step, value in enumerate(truth):
-        felt = np.full((IMUS, CHANNELS), value)
-        advance_imus(state, imu, healthy, felt, still, normals, 0, step, 0.001)
-        out[step] = state.reading
-    return out
-
-
-def tone(frequency_hz: float, amplitude: float = 0.5) -> FloatArray:
-    return np.asarray(amplitude * np.sin(2 * np.pi * frequency_hz * np.arange(4000) / 1000 + 0.4))
 
 
 @pytest.mark.parametrize("corner", [40.0, 125.0, 400.0])
@@ -147,16 +110,6 @@ def test_filters_are_those_of_scipy(corner: float) -> None:
     np.testing.assert_allclose([*high_pass(corner, 0.001)], [*numerator, *denominator[1:]], atol=1e-12)
     numerator, denominator = butter(2, corner, fs=1000.0)
     np.testing.assert_allclose([*butterworth(corner, 0.001)], [*numerator, *denominator[1:]], atol=1e-12)
-
-
-def test_the_gyro_has_the_steps_and_the_range_of_the_recordings() -> None:
-    out = read_sensors(tone(3.0, 6.0))
-    counts = out[:, :, :3] / LSB
-    np.testing.assert_allclose(counts, np.rint(counts), atol=1e-6)
-    assert np.abs(out[:, :, :3]).max() == pytest.approx(RANGE, abs=1e-3)
-    assert np.abs(out[:, :, 3:]).max() > 5.9
-    steps = out[:, :, 3:] / 0.0047884
-    np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
 
 
 def test_specimens_are_the_measured_ones_or_drawn_between_them() -> None:

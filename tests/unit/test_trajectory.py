@@ -7,10 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.trajectory import FLYING, REFERENCE, Nose, Path, Shape, landing_time, path, reference
-from sitl_plant.plant import PlantConfig
+from sitl_plant.physics.trajectory import FLYING, REFERENCE, Nose, Path, Shape, path, reference
 
 
 def at(p: Path, t: float) -> FloatArray:
@@ -81,11 +79,3 @@ def test_the_limiter_holds_and_rates_are_slopes(shape: Shape) -> None:
     np.testing.assert_allclose(slope[steady], rows[:-1][steady, 3:6], atol=1e-9)
     np.testing.assert_allclose(nose[steady], rows[:-1][steady, 7], atol=1e-9)
     assert np.all(rows[:, 8] == FLYING)
-
-
-def test_a_flight_that_is_too_short_is_refused_by_its_own_heights() -> None:
-    needed = 4.0 + 0.2 / 0.5 + 2.0 + landing_time(0.8)
-    assert landing_time(5.0, Shape.T4_SP1) == landing_time(0.8)
-    PlantConfig(trajectory="t4-sp1", altitude_m=5.0, start="ground", landed_s=needed + 0.01)
-    with pytest.raises(UsageError, match=f"needs {needed:.1f} s"):
-        PlantConfig(trajectory="t4-sp1", altitude_m=5.0, start="ground", landed_s=needed - 0.01)

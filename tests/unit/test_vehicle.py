@@ -10,7 +10,6 @@ from plant_cases import nominal_airframe
 
 from mavdiag.errors import InputError, UsageError
 from sitl_plant import vehicle as vehicle_module
-from sitl_plant.physics.airframe import draw_airframe
 from sitl_plant.vehicle import allocation, load_vehicle, qdrone2, shipped_vehicles, vehicle_from
 
 SOURCE = (Path(vehicle_module.__file__).parent / "qdrone2.toml").read_text(encoding="utf-8")
@@ -82,23 +81,6 @@ def test_unusable_file_is_refused_by_field(tmp_path: Path, old: str, new: str, n
         load_vehicle(edited(tmp_path, old, new))
     assert named in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("seed", [11])
-def test_airframes_spread_as_the_file_says(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    new = [draw_airframe(qdrone2(), aged=False, rng=rng) for _ in range(500)]
-    aged = [draw_airframe(qdrone2(), aged=True, rng=rng) for _ in range(500)]
-    new_lag, aged_lag = (np.array([a.motor_lag_s for a in fleet]) / 0.025 for fleet in (new, aged))
-    assert new_lag.std() == pytest.approx(0.03, rel=0.1)
-    assert aged_lag.std() == pytest.approx(0.03 * 1.6 * 1.06, rel=0.1)
-    assert aged_lag.mean() == pytest.approx(1.06, abs=0.005)
-    thrust = np.array([a.thrust_coefficient_n_s2 for a in aged]) / 3.364e-6
-    assert thrust.mean() == pytest.approx(0.985, abs=0.002)
-    for fleet, limit in ((new, 0.18), (aged, 0.27)):
-        unbalance = np.hypot(*np.concatenate([a.unbalance_g_mm for a in fleet]).T)
-        assert unbalance.max() <= limit
-        assert unbalance.max() > 0.97 * limit
 
 
 def test_shipped_vehicles_can_be_had_by_name_or_file(tmp_path: Path) -> None:
