@@ -1,13 +1,11 @@
 """A tiny campaign: the same numbers however many work on it, and going on where it stopped."""
 
 import json
-import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +21,7 @@ from sitl_plant.__main__ import main
 from sitl_plant.campaign import worker
 from sitl_plant.campaign.plan import Design, make_plan
 from sitl_plant.campaign.summary import summarise
-from sitl_plant.campaign.worker import Journal, Results, local_executor, run_campaign, source_key
+from sitl_plant.campaign.worker import Journal, Results, local_executor, run_campaign
 
 TINY = Design(
     seed=4, airframes=1, learn_flights=2, learn="square", flights=3, hours=0.003, duration_s=12.0,
@@ -148,18 +146,6 @@ def test_conditions_are_flown_judged_and_told(tmp_path: Path, monkeypatch: pytes
         assert all(0.0 <= one["judged_share"] <= 1.0 for one in row["monitors"])
     again = run(tmp_path / "results.jsonl", design)
     assert (again.reused, again.flights) == (5, results.flights)
-
-
-def test_b14_a_retrained_classifier_makes_another_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for package in ("mavdiag", "sitl_plant"):
-        shutil.copytree(str(resources.files(package)), tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
-    before = source_key()
-    monkeypatch.setattr(resources, "files", lambda package: tmp_path / package)
-    assert source_key.__wrapped__() == before
-    (tmp_path / "mavdiag" / "commands" / "scan.py").write_text("")  # an edge
-    assert source_key.__wrapped__() == before
-    (tmp_path / "mavdiag" / "decision" / "fault_types.json").write_text("{}")
-    assert source_key.__wrapped__() != before
 
 
 def test_b13_fresh_keeps_the_results_if_the_scheduler_cannot_be_used(

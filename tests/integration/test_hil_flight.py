@@ -182,10 +182,8 @@ def test_a_flight_controller_in_hil_mode_in_real_time() -> None:
 
 BAD = [
     (["serve-ardupilot", "--listen", "tcpin:127.0.0.1:9002"], "write udpin:HOST:PORT"),
-    (["serve-ardupilot", "--fault", "F9/SV9"], "no fault"),
     (["serve-ardupilot", "--fault", "F1/SV1", "--rotor", "7"], "rotor must be 1 to 4"),
     (["serve-ardupilot", "--print-parameters", "betaflight"], "give ardupilot or px4"),
-    (["serve-ardupilot", "--onset", "nan", "--fault", "F1/SV1"], "--onset must be"),
     (["serve-ardupilot", "--truth", "/no/such/folder/t.jsonl", "--listen", "udpin:127.0.0.1:0"], "choose another"),
     (["serve-px4", "--rate", "5"], "rate"),
     (["serve-hil", "/dev/no-such-tty,921600"], "no such device"),

@@ -28,11 +28,6 @@ def words(seed: int, task: FlightTask) -> list[int]:
     return [int(word) for word in task_sequence(seed, task).generate_state(4)]
 
 
-def test_a_longer_campaign_begins_with_a_shorter_one() -> None:
-    short, long = (make_plan(Design(flights=n, hours=0.0)).flights for n in (40, 90))
-    assert long[:40] == short
-
-
 def test_every_cause_meets_every_rotor_and_scale_equally_often() -> None:
     flights = make_plan(Design(flights=12 * len(CAUSES), hours=0.0)).flights
     assert set(Counter((flight.cause, flight.rotor) for flight in flights).values()) == {3}

@@ -18,7 +18,6 @@ from sitl_plant.physics.dynamics import (
     WRENCH,
     Body,
     Ground,
-    derivative,
     grip,
     rk4_step,
 )
@@ -116,15 +115,6 @@ def test_friction_holds_below_its_limit_without_creeping(push: tuple[float, floa
     settled = x[:3].copy()
     run(x, BOX, wrench, 10.0, ground=plane)
     np.testing.assert_allclose(x[:3], settled, atol=1e-9)
-
-
-def test_the_ground_never_pulls() -> None:
-    x, dx = state(), np.empty((1, RIGID))
-    x[2], x[5] = 0.5e-3, -2.0  # still below the plane, leaving fast
-    derivative(x, REST, 0, BOX, NO_GROUND, np.zeros(3), dx, 0)
-    before = dx.copy()
-    derivative(x, REST, 0, BOX, ground(), np.zeros(3), dx, 0)
-    np.testing.assert_array_equal(dx, before)
 
 
 K_F, RATIO, HOVER = 3.364e-6, 68.9055, 1047.2

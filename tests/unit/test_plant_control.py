@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from plant_cases import nominal_airframe
 
 from mavdiag.telemetry import FloatArray
@@ -18,18 +16,9 @@ from sitl_plant.physics.control import (
     low_pass_transition,
     second_order,
 )
-from sitl_plant.physics.dynamics import wrapped
 from sitl_plant.physics.parameters import make_model
 from sitl_plant.physics.trajectory import DISARMED, FLYING, IDLE, LANDING, SHUTDOWN, Shape, path
 from sitl_plant.vehicle import qdrone2, vehicle_named
-
-
-@given(st.floats(-50.0, 50.0))
-def test_wrapped_angle_is_the_same_direction(angle: float) -> None:
-    assert -math.pi <= wrapped(angle) < math.pi + 1e-12
-    assert math.cos(wrapped(angle)) == pytest.approx(math.cos(angle), abs=1e-9)
-    assert math.sin(wrapped(angle)) == pytest.approx(math.sin(angle), abs=1e-9)
-
 
 WEIGHT = 1.504 * 9.81
 
