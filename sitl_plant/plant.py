@@ -130,10 +130,7 @@ class PlantConfig:
 
 
 class Change(NamedTuple):
-    """One change in flight, in effect from flight time `t_ns` on; an injection from its own onset on.
-
-    what: a cause, or what else the truth file records, with its `values`.
-    """
+    """One change in flight, in effect from flight time `t_ns` on; an injection from its own onset on."""
 
     t_ns: int
     what: Injection | Literal["clear", "wind", "battery"]
@@ -205,10 +202,7 @@ class RecordedLog:
 
 
 class Plant:
-    """A vehicle at the first point of its path: hovering in trim, or standing on the ground, as its configuration says.
-
-    Before t = 0 it stays there for 10 s that are not shown.
-    """
+    """A vehicle at the first point of its path: hovering in trim, or standing on the ground."""
 
     def __init__(self, config: PlantConfig) -> None:
         self.config = config
@@ -253,10 +247,7 @@ class Plant:
         return self._run(steps, np.array(np.broadcast_to(held, (max(steps, 0), self.rotors)), order="C"))
 
     def inject(self, injection: Injection) -> None:
-        """Add a cause to those that are there; an onset that is past means from the next step on.
-
-        Raises UsageError for a rotor that is not there, or a cause that would be over.
-        """
+        """Add a cause; an onset that is past means from the next step on. Raises UsageError for one that cannot be."""
         now_s = self._step * STEP_S
         if injection.end_s <= now_s:
             raise UsageError(f"end_s must be later than the present {now_s:g} s, not {injection.end_s:g}")

@@ -274,10 +274,7 @@ class Hil:
 
 @dataclass(frozen=True, slots=True, config={"extra": STRICT})
 class Vehicle:
-    """A type of multirotor, as its file describes it.
-
-    recorded: controller and sensors of its recordings, flown in place of the thesis's; None for the thesis's.
-    """
+    """A type of multirotor, as its file describes it."""
 
     name: str
     body: Body
@@ -290,7 +287,7 @@ class Vehicle:
     control: Control
     spread: Spread
     wind: Wind
-    recorded: RecordedSet | None = None
+    recorded: RecordedSet | None = None  # flown in place of the thesis's controller and sensors
     hil: Hil | None = None  # what an autopilot outside needs; None if none can fly it
 
     @model_validator(mode="after")
@@ -331,8 +328,8 @@ def allocation(vehicle: Vehicle) -> FloatArray:
     [ tau_y ]   [  x_i          ...]
     [ tau_z ]   [ -sign_i / K   ...]                      K = thrust per torque, 68.9055 1/m
 
-    T works in a frame with y to the left and z up: its Eq 2.3 and 2.4 are the negative of rows three and four.
-    The last row is 1/K as in T Eq 2.7; T Eq 2.6 prints K there, and only 2.7 and its inverse 2.8 agree.
+    T has y to the left and z up: its Eq 2.3 and 2.4 are the negative of rows three and four. T Eq 2.6 prints K in the
+    last row; only 2.7 and its inverse 2.8 agree.
     """
     hubs = np.array([rotor.position_m for rotor in vehicle.rotors])
     signs = np.array([rotor.sign for rotor in vehicle.rotors])

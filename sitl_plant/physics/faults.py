@@ -69,16 +69,13 @@ class SensorFault:
 
 @dataclass(frozen=True, slots=True)
 class Injection:
-    """A cause, present from onset_s to end_s of flight time. rotor: 1..n as in T Eq 2.2-2.4; unused for sensors.
-
-    angle_rad: direction of the damage in the rotor's frame; None lets the plant draw it from its seed.
-    """
+    """A cause, present from onset_s to end_s of flight time. rotor: 1..n as in T Eq 2.2-2.4; unused for sensors."""
 
     cause: RotorDamage | SensorFault
     rotor: int = 1
     onset_s: float = 0.0
     end_s: float = math.inf
-    angle_rad: float | None = None
+    angle_rad: float | None = None  # of the damage in the rotor's frame; None lets the plant draw it
     name: str | None = None  # what the truth file calls it, as the code of a fault; None for a cause without a name
 
     def __post_init__(self) -> None:

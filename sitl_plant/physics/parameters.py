@@ -277,10 +277,7 @@ def recorded_set(
 
 
 def specimen_of(airframe: Airframe, recorded: RecordedSet) -> Specimen:
-    """The levels of an airframe: those of its name in the file, or drawn between the extremes that were measured.
-
-    The draw follows from the airframe's own constants, so a specimen keeps its levels from flight to flight.
-    """
+    """The levels of an airframe: those of its name in the file, or drawn by its constants between the extremes."""
     known = {specimen.name: specimen for specimen in recorded.specimens}
     if airframe.name in known:
         return known[airframe.name]
