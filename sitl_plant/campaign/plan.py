@@ -389,11 +389,12 @@ def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTas
 
     vehicle, days = built(design.vehicle, name), Counter[int]()
     another_day = condition.session or condition.propellers > 0.0 or condition.wear_per_h > 0.0
-    learning = {
-        (airframe, link): _learning(design, airframe, _built_link(link, condition), vehicle)
-        for airframe in range(design.airframes)
-        for link in design.link
-    }
+    learning = {}
+    for link, spec in ((link, parse_link(link)) for link in design.link):
+        rate_hz, profile = condition.rate_hz, spec.profile
+        built_link = link if rate_hz is None else f"{profile}@{LinkSpec(profile, rate_hz).rate_hz:g}"
+        for airframe in range(design.airframes):
+            learning[airframe, link] = _learning(design, airframe, built_link, vehicle)
     causes = [HEALTHY] * count if kind == HEALTHY else column("cause", design.cause)
     met = Counter(causes)
     rotors, scales = within_causes("rotor", design.rotors), within_causes("phenomenology", design.phenomenology)
@@ -420,11 +421,6 @@ def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTas
         )
         days[airframe] += 1
     return flights
-
-
-def _built_link(link: str, condition: Condition) -> str:
-    profile = parse_link(link).profile
-    return link if condition.rate_hz is None else f"{profile}@{LinkSpec(profile, condition.rate_hz).rate_hz:g}"
 
 
 def _learning(design: Design, airframe: int, link: str, vehicle: Vehicle) -> LearnTask:

@@ -125,14 +125,23 @@ def summarise(results: Results) -> Row:
     faulty, hours = _faulty(judged), _hours(judged)
     conditions = _levels(flights, lambda flight: flight.conditions.condition)
     causes = _levels(flights, lambda flight: flight.cause)
+    after_h = [(flight.flown_s - flight.onset_s) / S_PER_H for flight in faulty if flight.onset_s is not None]
+    expected = sum(flight.episodes for flight in judged) / hours * float(np.mean(after_h)) if hours and after_h else 0.0
     return {
         "seed": results.plan.design.seed,
         "airframes": results.plan.design.airframes,
         "flights": len(flights),
         "unjudged": _counts(f"{flight.verdict}: {flight.reason}" for flight in flights if flight.verdict in UNJUDGED),
         "healthy_hours": hours,
-        "chance": _chance(hours, judged, faulty),
-        "alarms": _by_factor(_ALARM_FACTORS, judged, _alarms),
+        "chance": 1.0 - math.exp(-expected),
+        "alarms": _by_factor(
+            _ALARM_FACTORS,
+            judged,
+            lambda some: {
+                "rate": poisson(sum(flight.episodes for flight in some), _hours(some)),
+                "flights": _share(some, lambda flight: flight.episodes > 0),
+            },
+        ),
         "detection": _by_factor(_FAULT_FACTORS, faulty, _detection),
         "monitors": [
             {"name": name, "rate": poisson(before, hours), "detected": wilson(sum(own), len(own))}
@@ -189,13 +198,6 @@ def _natural(level: str) -> tuple[float, str]:
         return math.inf, level
 
 
-def _chance(hours: float, judged: Flights, faulty: Flights) -> float:
-    after_h = [(flight.flown_s - flight.onset_s) / S_PER_H for flight in faulty if flight.onset_s is not None]
-    if not (hours and after_h):
-        return 0.0
-    return 1.0 - math.exp(-sum(flight.episodes for flight in judged) / hours * float(np.mean(after_h)))
-
-
 def _by_monitor(flights: Flights) -> Iterable[tuple[str, int, float]]:
     """Name of each monitor, its alarms before an onset, and the hours that it judged."""
     found = [monitor for flight in flights for monitor in flight.monitors]
@@ -229,11 +231,6 @@ def _condition(name: str, flights: Flights) -> Row:
         ],
         "detection": detection,
     }
-
-
-def _alarms(flights: Flights) -> Row:
-    rate = poisson(sum(flight.episodes for flight in flights), _hours(flights))
-    return {"rate": rate, "flights": _share(flights, lambda flight: flight.episodes > 0)}
 
 
 def _detection(flights: Flights) -> Row:

@@ -188,24 +188,6 @@ def _copy_to(source: FloatArray, rows: FloatArray, row: int, column: int) -> Non
         rows[row, column + i] = source[i]
 
 
-@jit
-def _log(state: State, own: Recorded, log: FloatArray, row: int) -> None:
-    seen, reading = own.estimates, own.imu_state.reading
-    for k in range(sensors.IMUS):
-        _copy_to(seen.angle[k], log, row, 3 * k)
-        _copy_to(seen.rate[k], log, row, 6 + 3 * k)
-        _copy_to(seen.acceleration[k], log, row, 12 + 3 * k)
-        _copy_to(reading[k, :3], log, row, 18 + 3 * k)
-        _copy_to(reading[k, 3:], log, row, 24 + 3 * k)
-    _copy_to(state.control.asked, log, row, 30)
-    _copy_to(state.control.wrench[1:], log, row, 33)
-    _copy_to(state.control.wrench[:1], log, row, 36)
-    _copy_to(state.control.pid, log, row, 37)
-    _copy_to(state.control.desired, log, row, 41)
-    _copy_to(state.mocap.pose, log, row, 45)
-    _copy_to(own.esc, log, row, LOG)
-
-
 @inline
 def _record(state: State, own: Recorded | None, row: int, rows: Rows) -> None:
     _copy(state.control.setpoint, rows.setpoint, row)
@@ -218,7 +200,20 @@ def _record(state: State, own: Recorded | None, row: int, rows: Rows) -> None:
     rows.thrust[row], rows.motors[row] = state.control.wrench[0], state.control.motors[0]
     rows.battery_v[row], rows.charge_ah[row] = state.battery[0], state.battery[1]
     if own is not None:
-        _log(state, own, rows.log, row)
+        log, seen, reading = rows.log, own.estimates, own.imu_state.reading
+        for k in range(sensors.IMUS):
+            _copy_to(seen.angle[k], log, row, 3 * k)
+            _copy_to(seen.rate[k], log, row, 6 + 3 * k)
+            _copy_to(seen.acceleration[k], log, row, 12 + 3 * k)
+            _copy_to(reading[k, :3], log, row, 18 + 3 * k)
+            _copy_to(reading[k, 3:], log, row, 24 + 3 * k)
+        _copy_to(state.control.asked, log, row, 30)
+        _copy_to(state.control.wrench[1:], log, row, 33)
+        _copy_to(state.control.wrench[:1], log, row, 36)
+        _copy_to(state.control.pid, log, row, 37)
+        _copy_to(state.control.desired, log, row, 41)
+        _copy_to(state.mocap.pose, log, row, 45)
+        _copy_to(own.esc, log, row, LOG)
 
 
 @inline

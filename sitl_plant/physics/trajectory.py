@@ -241,8 +241,15 @@ def _nose(path: Path, u: float, v: float, t: float) -> tuple[float, float]:
 
 @jit
 def _along(path: Path, t: float) -> tuple[float, float, float, float]:
-    if path.shape == SQUARE:
-        return _square(path.size, path.speed, t)
+    if path.shape == SQUARE:  # ahead, right, back, left; the corners are sharp, so the velocity jumps there (T 5.2)
+        side, distance = path.size, (path.speed * t) % (4.0 * path.size)
+        edge = int(distance / side) % 4
+        along = distance - edge * side
+        if edge == 0:
+            return along, 0.0, path.speed, 0.0
+        if edge == 1:
+            return side, along, 0.0, path.speed
+        return (side - along, side, -path.speed, 0.0) if edge == 2 else (0.0, side - along, 0.0, -path.speed)
     radius = 0.5 * path.size
     rate = path.speed / radius
     a = rate * t
@@ -253,21 +260,6 @@ def _along(path: Path, t: float) -> tuple[float, float, float, float]:
     rate /= np.sqrt(2.0)
     x, y = radius * np.sin(a), 0.5 * radius * np.sin(2.0 * a)
     return x, y, radius * rate * np.cos(a), radius * rate * np.cos(2.0 * a)
-
-
-@jit
-def _square(side: float, speed: float, t: float) -> tuple[float, float, float, float]:
-    """Ahead, right, back, left; the corners are sharp, so the velocity jumps there (T 5.2)."""
-    distance = (speed * t) % (4.0 * side)
-    edge = int(distance / side) % 4
-    along = distance - edge * side
-    if edge == 0:
-        return along, 0.0, speed, 0.0
-    if edge == 1:
-        return side, along, 0.0, speed
-    if edge == 2:
-        return side - along, side, -speed, 0.0
-    return 0.0, side - along, 0.0, -speed
 
 
 @jit
