@@ -11,9 +11,9 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.jit import cached, jit
-from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
-from mavdiag.monitors.columns import LEVEL, RATE, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
+from mavdiag.jit import cached
+from mavdiag.monitors.base import Begin, FaultKind, Flights, LearnContext, Monitor
+from mavdiag.monitors.columns import LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.fitting import of_each, traced
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.front import Rows
@@ -28,8 +28,8 @@ AXES = 6  # gyro x, y, z and accelerometer x, y, z
 LEAST_RATE_HZ = 98.0  # below it the difference is the flight's own motion (our choice)
 LOWPASS_SHARE = 0.2  # of the rate: a stream that is low-passed below it has lost its noise (our choice)
 LIMIT = 6.0  # healthy rms; a difference is cut here, so that one knock is no noise (our choice)
-LEAST_POWER = 1e-12  # of the healthy power; keeps a logarithm finite
 MIN_ROWS = 500  # our choice
+RUN, MEAN = 0, 1  # places in the memory: how many rows in a row are known, and the mean of the squares
 
 Six: TypeAlias = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
 
@@ -47,45 +47,33 @@ class SensorNoiseSpec:
     window_s: Positive = WINDOW_S
 
 
-# Places in the memory: how many rows in a row are known, the last 4 rows, and the mean of the squares.
-RUN, ROWS, MEAN = 0, 1, 1 + ORDER * AXES
-
-
-@jit
-def _difference(mem: FloatArray, axis: int, value: float) -> float:
-    """The fourth difference of an axis, after its next value."""
-    first = ROWS + axis * ORDER
-    a, b, c, d = mem[first], mem[first + 1], mem[first + 2], mem[first + 3]
-    mem[first], mem[first + 1], mem[first + 2], mem[first + 3] = b, c, d, value
-    return float(value - 4.0 * d + 6.0 * c - 4.0 * b + a)
-
-
 @cached
-def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
-    """The lead of the noisiest axis at each row. par: rows of the window, and the healthy rms."""
+def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
+    """The lead of the noisiest axis at each row. par: rows of the window, and one over the healthy rms."""
     window = int(par[0])
-    for i in range(x.shape[1]):
-        known = flags[VALID, i] > 0.5
-        for axis in range(AXES):
-            known = known and math.isfinite(x[RATE + axis, i])
-        mem[RUN] = mem[RUN] + 1.0 if known else 0.0
+    for i in range(first, x.shape[1]):
+        k, good = i - first, x[VALID, i] > 0.5
+        for axis in range(RATE, RATE + AXES):
+            good = good and math.isfinite(x[axis, i])
+        mem[RUN] = mem[RUN] + 1.0 if good else 0.0
         whole = mem[RUN] > ORDER
-        for axis in range(AXES):
-            d = _difference(mem, axis, x[RATE + axis, i] if known else 0.0)
-            z = min(abs(d) / par[1 + axis], LIMIT)
+        for j in range(AXES):
+            row = RATE + j
+            d = x[row, i] - 4.0 * x[row, i - 1] + 6.0 * x[row, i - 2] - 4.0 * x[row, i - 3] + x[row, i - 4]
+            z = min(abs(d) * par[1 + j], LIMIT)
+            mem[MEAN + FRESH + j] = z * z
             if out.shape[0] > TRACE:
-                out[TRACE + axis, i] = d if whole else math.nan
-            mem[MEAN + FRESH + axis] = z * z
-        full = push(mem, MEAN, window, AXES, whole)
-        first, second = -math.inf, -math.inf
-        for axis in range(AXES):
-            power = total(mem, MEAN, AXES, axis) / window
-            second = max(second, min(first, power))
-            first = max(first, power)
-        first, second = math.log(max(first, LEAST_POWER)), math.log(max(second, LEAST_POWER))
-        value = max(first - 2.0 * max(second, 0.0), 0.0)
-        out[VALUE, i], out[SOUND, i], out[LEVEL, i], out[SIGNAL, i], at[i] = value, full, value, first, i
-    return len(at)
+                out[TRACE + j, k] = d if whole else math.nan
+        out[SOUND, k], at[k] = push(mem, MEAN, window, AXES, whole), k
+        highest, second = 0.0, 0.0
+        for j in range(AXES):
+            power = total(mem, MEAN, AXES, j)
+            second = max(second, min(highest, power))
+            highest = max(highest, power)
+        others = max(second / window, 1.0)
+        lead = highest / (window * others * others)
+        out[VALUE, k] = out[LEVEL, k] = math.log(lead) if lead > 1.0 else 0.0
+    return x.shape[1] - first
 
 
 class SensorNoise(Monitor[SensorNoiseSpec]):
@@ -96,22 +84,11 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
 
     L_1st and L_2nd are the highest and the second highest of the six: nothing is left where a second axis rises by
     more than the root of the highest one's power, as all do with an unbalanced rotor. The fourth difference passes what
-    is above a quarter of the rate and hardly any motion. `level` equals the statistic, `signal` is L_1st.
+    is above a quarter of the rate and hardly any motion.
 
     Warm-up: 4 rows and 0.5 s. Latency: the share of the window that lifts the mean, 0.2 s for noise of 6 times the
-    healthy rms and more. False alarms: see `thresholds`; the threshold is never less than 2.4, 11 times the power. An
-    airframe that resonates along one axis only could raise it without a sensor at fault; knocks are cut. Blind spots:
+    healthy rms and more. False alarms: an airframe that resonates along one axis only; knocks are cut. Blind spots:
     noise below the vibration of the rotors; two axes at once; streams that are low-passed or slower than 100 Hz.
-
-    >>> from mavdiag.testing import example_context, example_rows
-    >>> rng = np.random.default_rng(8)
-    >>> rate, force = rng.normal(0, 0.01, (1000, 3)), rng.normal(0, 0.1, (1000, 3))
-    >>> monitor = SensorNoise(*SensorNoise.fit([[example_rows(1000, rate=rate, force=force)]], example_context()))
-    >>> rate[:, 1] += rng.normal(0, 0.1, 1000)
-    >>> _, alone = monitor.step(monitor.start(), example_rows(1000, rate=rate, force=force))
-    >>> _, shaken = monitor.step(monitor.start(), example_rows(1000, rate=rate, force=10 * force))
-    >>> bool(alone.value[-1] > 1.5), float(shaken.value[-1])
-    (True, 0.0)
     """
 
     name = "sensor_noise"
@@ -125,6 +102,7 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
     spec_type = SensorNoiseSpec
     unit = "ln of power"
     reach = 2.0 * math.log(LIMIT)  # the logarithm of the power at which differences are cut: 3.58
+    run = staticmethod(run)
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorNoiseSpec, ...]:
@@ -148,15 +126,11 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
         (new,) = self.fit(flights, context)
         return new, 1.0
 
-    def parameters(self, dt_s: float) -> FloatArray:
-        """Rows of the window, healthy rms."""
-        return np.array([window_rows(self.spec.window_s, dt_s), *self.spec.rms])
-
-    def memory(self, dt_s: float) -> FloatArray:
+    def begin(self, dt_s: float) -> Begin:
         """No row yet."""
-        return np.zeros(MEAN + mean_size(window_rows(self.spec.window_s, dt_s), AXES))
-
-    run = staticmethod(run)
+        window = window_rows(self.spec.window_s, dt_s)
+        par = np.array([window, *(1.0 / rms for rms in self.spec.rms)])
+        return Begin(par, np.zeros(MEAN + mean_size(window, AXES)), ORDER)
 
 
 def _squares(flight: Sequence[Rows]) -> tuple[int, FloatArray]:

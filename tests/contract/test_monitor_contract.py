@@ -202,7 +202,7 @@ def test_its_class_says_what_the_project_must_know(kind: type[Monitor[Any]]) -> 
     assert monitor.signals <= kind.needs
     assert monitor.delay_s >= 0
     assert bool(kind.evidence) == bool(run(monitor, healthy()[0]).rotors.size)
-    for word in ("Warm-up", "Latency", "False alarms", "Blind spots", ">>>"):
+    for word in ("Warm-up", "Latency", "False alarms", "Blind spots"):
         assert word in (kind.__doc__ or ""), f"{kind.name} does not state: {word}"
 
 

@@ -11,8 +11,14 @@ from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors import rotor_signature
 from mavdiag.monitors.base import Flights
-from mavdiag.monitors.model_residual import HealthyMotion, Residuals, residuals_of, samples_of
-from mavdiag.monitors.rotor_signature import RotorSignature, RotorSignatureSpec
+from mavdiag.monitors.rotor_signature import (
+    HealthyMotion,
+    Residuals,
+    RotorSignature,
+    RotorSignatureSpec,
+    residuals_of,
+    samples_of,
+)
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_context, example_rows
