@@ -60,7 +60,7 @@ def rate_traces(chain: Chain, pieces: Sequence[Piece]) -> tuple[RateTrace, ...]:
     for number, slot in enumerate(chain.slots):
         if not isinstance(slot.monitor, RunLength):
             continue
-        axis, found = slot.monitor.axis, joined([piece.found[number] for piece in pieces])
+        axis, found = slot.monitor.spec.axis, joined([piece.found[number] for piece in pieces])
         segment = _column([np.full(len(block), block.segment) for block in rates], np.int64)
         u, y = (_column([getattr(block, name)[:, axis.column] for block in rates]) for name in ("u", "y"))
         rows = (segment, found.t_ns, u, y, y - found.signal, found.value, found.valid)

@@ -35,7 +35,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         out[SOUND, k] = push(mem, 0, WINDOW, 1, good)
         out[VALUE, k] = out[LEVEL, k] = abs(total(mem, 0, 1, 0) / WINDOW - par[0])
         at[k] = k
-    return x.shape[1] - first
+    return len(at)
 
 
 class MadeUp(Monitor[HeightSpec]):

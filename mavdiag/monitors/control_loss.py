@@ -41,7 +41,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         sound = x[COMMANDED, i] > 0.5 and math.isfinite(fast + left)
         out[VALUE, k] = out[LEVEL, k] = math.sqrt(min(fast, left)) if sound else 0.0
         out[SOUND, k], at[k] = sound, k
-    return x.shape[1] - known
+    return len(at) - (known - first)
 
 
 class ControlLoss(Monitor[ControlLossSpec]):

@@ -61,6 +61,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Signal, Three
 from mavdiag.thresholds.guard import Guard
 
+MOST_RISE = rise_of(MOST_LOSS)
 WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
 TICK_S, PART_S = 0.5, 0.1  # a value twice a second, of parts longer than a rotor's lag (our choices)
 # G, of hover: where a turn takes so much its tick counts half. In the loop the law errs by a fifth (ArduCopter) and a
@@ -310,7 +311,7 @@ class TrimMonitor(Monitor[Spec]):
     evidence = RotorEvidence(10.0, relative=True, direct=False)  # a lead of 0.12 was right in each of 35 recorded cuts
     needs_layout = True
     unit = "fraction of hover"
-    reach = rise_of(MOST_LOSS)  # of a rotor that lost a third of its thrust
+    reach = MOST_RISE  # of a rotor that lost a third of its thrust
 
     def __init__(self, spec: Spec) -> None:
         super().__init__(spec)

@@ -125,7 +125,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
             count = peak = 0.0
         out[VALUE, k], out[SOUND, k], out[LEVEL, k], out[RESIDUAL, k], at[k] = count * dt_s, sound, peak, r, k
     mem[COUNT], mem[PEAK] = count, peak
-    return x.shape[1] - known
+    return len(at) - (known - first)
 
 
 class RunLength(Monitor[RunLengthSpec]):

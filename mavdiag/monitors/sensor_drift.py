@@ -245,7 +245,7 @@ def _biases(flight: Sequence[Rows], tick: int) -> FloatArray:
     found, rest = [np.empty((0, 4))], np.empty((0, 10))
     for begins, block in ((begins, rows.block) for begins, rows in parted(flight)):
         fresh = np.column_stack((block.rate, block.force, block.attitude, block.valid))
-        rows = fresh if begins else np.concatenate((rest, fresh))
+        rows = np.asarray(fresh if begins else np.concatenate((rest, fresh)), dtype=np.float64)
         n = len(rows) // tick * tick
         found.append(_gyro_errors(rows[:n], tick, block.dt_s))
         rest = rows[n:]

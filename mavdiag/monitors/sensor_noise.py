@@ -73,7 +73,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         others = max(second / window, 1.0)
         lead = highest / (window * others * others)
         out[VALUE, k] = out[LEVEL, k] = math.log(lead) if lead > 1.0 else 0.0
-    return x.shape[1] - first
+    return len(at)
 
 
 class SensorNoise(Monitor[SensorNoiseSpec]):

@@ -76,7 +76,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         for rotor in range(rotors.shape[1]):
             rotors[k, rotor] = par[LOST + 2 * rotor] * p + par[LOST + 2 * rotor + 1] * q
         out[VALUE, k], out[LEVEL, k] = value, loss
-    return x.shape[1] - first
+    return len(at)
 
 
 class ThrustLoss(Monitor[ThrustLossSpec]):

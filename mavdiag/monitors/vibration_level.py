@@ -51,7 +51,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         full = push(mem, 0, window, 1, good)
         mean = total(mem, 0, 1, 0) / window
         out[VALUE, k], out[SOUND, k], out[LEVEL, k], at[k] = mean, full, mean - healthy, k
-    return x.shape[1] - first
+    return len(at)
 
 
 class VibrationLevel(Monitor[VibrationLevelSpec]):

@@ -12,7 +12,7 @@ from detector.streams import Streams
 from mavdiag.chain import chain_of
 from mavdiag.errors import BaselineError
 from mavdiag.link.profiles import PROFILES
-from mavdiag.monitors.trim import MOST_RISE
+from mavdiag.monitors.rotor_trim import MOST_RISE
 from mavdiag.telemetry import FloatArray, Instant, Series, Signal, Telemetry
 
 
