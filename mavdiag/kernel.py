@@ -19,23 +19,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+import mavdiag.monitors.columns as col
 from mavdiag.jit import allocating, cached, jit
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import FaultKind, Monitor, RotorEvidence
-from mavdiag.monitors.columns import (
-    COVERED,
-    DOUBT,
-    LEVEL,
-    PLACES,
-    SETPOINT,
-    SOUND,
-    TRIM_CONDITIONS,
-    TRIM_MEMORY_S,
-    VALID,
-    VALUE,
-    columns_of,
-    no_past,
-)
 from mavdiag.monitors.conditions import COUNT, conditions_memory, most_bins, take_rows
 from mavdiag.rows.conditions import BIN_S, Condition
 from mavdiag.rows.front import Rows
@@ -48,9 +35,7 @@ from mavdiag.units import NS_PER_S
 LOOK_NS = NS_PER_S // 10  # time between two looks (our choice)
 STALE_LOOKS = 10  # a slot whose last valid value is older does not count (our choice)
 CALM_BELOW, RAISED_FROM = 0.7, 0.8  # of the threshold (our choice); one emulated flight in 62 healthy h was suspected
-LATE_NS = (
-    NS_PER_S  # by so much a value may come after the rows of its time: half a filter's window at most (our choice)
-)
+LATE_NS = NS_PER_S  # so much a value may come after the rows of its time: half a filter's window (our choice)
 WAITING = "waiting for enough unbroken flight"  # why a monitor does not judge although its signals are known
 NAN, NEVER = float("nan"), -1e18
 RANK = 1e9  # more than any ratio: of two at the same height the one that decides leads
@@ -69,16 +54,12 @@ class Height(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slot:
-    """A monitor and its threshold; its ratio is its value over its threshold.
-
-    decides: its alarm is a fault by itself; else it is a suspicion.
-    evidence: how it tells of rotors; None if it does not.
-    """
+    """A monitor and its threshold; its ratio is its value over its threshold."""
 
     monitor: Monitor[Any]
     threshold: float
-    decides: bool
-    evidence: RotorEvidence | None = None
+    decides: bool  # its alarm is a fault by itself; else it is a suspicion
+    evidence: RotorEvidence | None = None  # how it tells of rotors; None if it does not
 
     @property
     def key(self) -> tuple[str, Axis | None]:
@@ -158,7 +139,7 @@ def _take_bins(x: Any, times: Any, bins: Any, limits: FloatArray, mem: FloatArra
             begin = seen_from(ends_ns, begin, numbers[BINS], t_ns[i], numbers[TRIMS_NS])
             stop = seen_from(ends_ns, stop, numbers[BINS], t_ns[i], numbers[BINS_NS])
             at = farthest(values, begin, stop, numbers[TRIMS])
-            x[COVERED, first + i] = at[0] < 0 or values[at[0], COUNT + at[1]] <= 1.0
+            x[col.COVERED, first + i] = at[0] < 0 or values[at[0], COUNT + at[1]] <= 1.0
     return anywhere
 
 
@@ -181,9 +162,9 @@ def _check_rows(x: Any, t_ns: IntArray, failed: IntArray, checks: IntArray, coun
                     known = known and np.isfinite(x[k, first + i])
             if not known:
                 failed[i] |= 1 << number
-                missing[number] += x[VALID, first + i] > 0.5
+                missing[number] += x[col.VALID, first + i] > 0.5
     for i in range(len(t_ns)):
-        doubts[int(x[DOUBT, first + i])] += 1
+        doubts[int(x[col.DOUBT, first + i])] += 1
         if t_ns[i] >= n[SETTLED]:
             open_ns[n[OPEN_ROWS]], bits[n[OPEN_ROWS]] = t_ns[i], failed[i]
             n[OPEN_ROWS] += 1
@@ -229,9 +210,9 @@ def _let_count(
             if worst[0] >= 0:
                 far = conditions[worst[0], COUNT + worst[1]]
                 room = 1.0 + limits[worst[1], 3] * min(far, 1.0) if plan[slot, GROWS] else 1.0
-        out[VALUE, number] /= room
+        out[col.VALUE, number] /= room
         if far > 1.0:
-            out[SOUND, number] = 0.0
+            out[col.SOUND, number] = 0.0
             outside[slot, worst[1], BEYOND] += 1.0
             if far > outside[slot, worst[1], EXCESS]:
                 outside[slot, worst[1], EXCESS] = far
@@ -249,7 +230,7 @@ def _take_values(
     record = looks[0, slot]
     highest, last, last_level, count, squares = record[0], record[1], record[4], record[2], record[3]
     for number in range(len(stamps)):
-        t, value, level, above = stamps[number], out[VALUE, number], out[LEVEL, number], False
+        t, value, level, above = stamps[number], out[col.VALUE, number], out[col.LEVEL, number], False
         while t_ns[at[number] + shift] > until:  # the first look from the row's own on
             look, until = look + 1, until + LOOK_NS
         if (look + 1 if t + delay > until else look) != own:
@@ -257,7 +238,7 @@ def _take_values(
             own = look + 1 if t + delay > until else look
             record = looks[own, slot]
             highest, last, last_level, count, squares = record[0], record[1], record[4], record[2], record[3]
-        if out[SOUND, number] > 0.5:
+        if out[col.SOUND, number] > 0.5:
             ratio, above = value / threshold, value > threshold
             highest = highest if highest >= ratio else ratio
             last, last_level, count, squares = value, level, count + 1.0, squares + level * level
@@ -280,7 +261,7 @@ def _cover(plan: IntArray, slot: int, out: FloatArray, stamps: IntArray, opened:
     """Mark the open rows (bit 62) that a valid value of this slot judged: the first one after a row, in its reach."""
     (open_ns, bits), row = opened, 0
     for k in range(len(stamps)):
-        if out[SOUND, k] < 0.5:
+        if out[col.SOUND, k] < 0.5:
             continue
         while row < rows and open_ns[row] <= stamps[k]:
             if stamps[k] - open_ns[row] < plan[slot, REACH] and not bits[row] & plan[slot, NEEDS]:
@@ -418,28 +399,22 @@ class Piece:
         for slot, count, out in zip(self.slots, self.counts.tolist(), self.out, strict=True):
             if count:
                 monitor, latest = slot.monitor, out[:, count - 1].tolist()
-                figures = (latest[VALUE], slot.threshold, latest[monitor.shown], monitor.reference)
-                found.append(Gauge(*slot.key, monitor.unit, *figures, valid=latest[SOUND] > 0.5))
+                figures = (latest[col.VALUE], slot.threshold, latest[monitor.shown], monitor.reference)
+                found.append(Gauge(*slot.key, monitor.unit, *figures, valid=latest[col.SOUND] > 0.5))
         return tuple(found)
 
 
 @dataclass(frozen=True, slots=True)
 class Looked:
-    """Looks that are whole. first: number of the first one; the number times `LOOK_NS` is its vehicle time.
+    """Looks that are whole."""
 
-    readings: (looks, slots, ..) as `RATIO` and its fellows say. sums: (looks, slots, ..) as `HIGHEST` and its fellows.
-    heights, leads: how high the highest fresh ratio of each look is, and whose, -1 for none; a height is None where it
-        is to be found anew. alarms: what opened or closed, in order of looks.
-    end_ns: vehicle time of the last look, where it is none of every 0.1 s.
-    """
-
-    first: int = 0
-    readings: FloatArray = field(default_factory=lambda: np.empty((0, 0, READ_ROTORS)))
-    sums: FloatArray = field(default_factory=lambda: np.empty((0, 0, EVIDENCE)))
-    heights: Sequence[int | None] = ()
-    leads: Sequence[int] = ()
-    alarms: tuple[Alarm, ...] = ()
-    end_ns: int | None = None
+    first: int = 0  # number of the first one; the number times `LOOK_NS` is its vehicle time
+    readings: FloatArray = field(default_factory=lambda: np.empty((0, 0, READ_ROTORS)))  # (looks, slots, `RATIO`..)
+    sums: FloatArray = field(default_factory=lambda: np.empty((0, 0, EVIDENCE)))  # (looks, slots, `HIGHEST`..)
+    heights: Sequence[int | None] = ()  # of the highest fresh ratio; None where it is to be found anew
+    leads: Sequence[int] = ()  # whose it is, -1 for none
+    alarms: tuple[Alarm, ...] = ()  # what opened or closed, in order of looks
+    end_ns: int | None = None  # vehicle time of the last look, where it is none of every 0.1 s
 
 
 @dataclass(frozen=True, slots=True)
@@ -453,21 +428,15 @@ class Outside:
 
 @dataclass(frozen=True, slots=True)
 class Account:
-    """How long a slot judged, and why it did not.
+    """How long a slot judged, and why it did not."""
 
-    flight_s: flight time so far.
-    judged_s: time that its valid values stand for.
-    peak: highest valid statistic; None if there was none.
-    missing: flight time with a valid gyro in which what it takes of a signal was unknown, and flight time in which the
-        gyro is there but must not be judged (`rows.quality.Doubt`), by the reason as a person reads it [s].
-    outside: time that it did not judge because a condition was outside of the envelope, and how far that was.
-    """
-
-    flight_s: float = 0.0
-    judged_s: float = 0.0
-    peak: float | None = None
+    flight_s: float = 0.0  # flight time so far
+    judged_s: float = 0.0  # time that its valid values stand for
+    peak: float | None = None  # highest valid statistic
+    # Flight time with a valid gyro in which what it takes of a signal was unknown, and flight time in which the gyro is
+    # there but must not be judged (`rows.quality.Doubt`), by the reason as a person reads it [s].
     missing: dict[str, float] = field(default_factory=dict)
-    outside: dict[Condition, Outside] = field(default_factory=dict)
+    outside: dict[Condition, Outside] = field(default_factory=dict)  # the envelope did not let it judge
 
     @property
     def outside_s(self) -> float:
@@ -490,39 +459,28 @@ Stretch = tuple[int, int]
 
 @dataclass(slots=True, eq=False)
 class Memory:
-    """All that the pass remembers; it is changed in place.
+    """All that the pass remembers; it is changed in place."""
 
-    mem, past, latest, alarms, alarms_ns: of the present segment: the loops' memory, latest columns, latest readings,
-        open alarms.
-    tally, outside, missing, doubts, rows: what was counted since the start, of slots, conditions, checks and doubts.
-    bins_ns, bins: of conditions that may still count. looks: records of the next two looks.
-    next_look: number of the first look that is not whole; None before the first row. told: alarms of looks to come.
-    open_ns, bits: rows that later values may still reach back to, and the checks that they fail.
-    flown, judged: rows in the air, without take-offs, and how many of them any slot that decides about propellers
-        judged: that lie in the window of a valid value of it, as far as it knew its signals there.
-    unjudged: the stretches that nothing can reach any more, in order of time.
-    """
-
-    mem: FloatArray
+    mem: FloatArray  # of the present segment: the loops' memory, latest columns and readings, open alarms
     past: FloatArray
     latest: FloatArray
     alarms: FloatArray
     alarms_ns: IntArray
-    tally: FloatArray
+    tally: FloatArray  # what was counted since the start: of slots, conditions, checks and doubts
     outside: FloatArray
     missing: IntArray
     doubts: IntArray
-    bins_ns: IntArray
+    bins_ns: IntArray  # of conditions that may still count
     bins: FloatArray
-    looks: FloatArray
-    open_ns: IntArray
+    looks: FloatArray  # records of the next two looks
+    open_ns: IntArray  # rows that later values may still reach back to, and the checks that they fail
     bits: IntArray
-    next_look: int | None = None
-    told: tuple[Alarm, ...] = ()
+    next_look: int | None = None  # number of the first look that is not whole; None before the first row
+    told: tuple[Alarm, ...] = ()  # of looks to come
     rows: int = 0
-    flown: int = 0
-    judged: int = 0
-    unjudged: tuple[Stretch, ...] = ()
+    flown: int = 0  # rows in the air, without take-offs
+    judged: int = 0  # those in the window of a valid value of a slot that decides about propellers and knew its signals
+    unjudged: tuple[Stretch, ...] = ()  # the stretches that nothing can reach any more, in order of time
 
 
 class Kernel:
@@ -549,7 +507,7 @@ class Kernel:
         self._fixed = (plan, thresholds, checked, limits, np.concatenate([np.empty(0), *own]))
         self._tellers = int(plan[:, ROTORS].max(initial=-1)) + 1
         bins_ns = round((delay_s + BIN_S) * NS_PER_S)  # from so long on a bin is known
-        self._bins = (_bits(TRIM_CONDITIONS), round(TRIM_MEMORY_S * NS_PER_S), bins_ns)
+        self._bins = (_bits(col.TRIM_CONDITIONS), round(col.TRIM_MEMORY_S * NS_PER_S), bins_ns)
         self._late_ns = int(plan[plan[:, OWN] > 0, REACH].max(initial=0)) + LATE_NS
         self._longest_ns = int(plan[:, MEMORY_NS].max(initial=0)) + bins_ns + round(BIN_S * NS_PER_S)
 
@@ -574,7 +532,7 @@ class Kernel:
         tally, outside, alarms = np.zeros((slots, 2)), np.zeros((slots, COUNT, 3)), np.zeros((slots, 4))
         latest[:, AT], tally[:, PEAK] = NEVER, -np.inf
         counts = np.zeros(len(self._bit), dtype=np.int64), np.zeros(len(DOUBTS), dtype=np.int64)
-        segment = self._start.copy(), no_past(self._back), latest, alarms, np.zeros((slots, 2), dtype=np.int64)
+        segment = self._start.copy(), col.no_past(self._back), latest, alarms, np.zeros((slots, 2), dtype=np.int64)
         bins = never, np.empty((0, 2 * COUNT))
         return Memory(*segment, tally, outside, *counts, *bins, self._records(2), never, never)
 
@@ -588,7 +546,7 @@ class Kernel:
 
     def step(self, memory: Memory, rows: Rows) -> tuple[Looked, Piece]:
         """Take the next rows of the segment; return the looks that they make whole, and all values."""
-        block, columns, slots = rows.block, columns_of(rows, memory.past), len(self.slots)
+        block, columns, slots = rows.block, col.columns_of(rows, memory.past), len(self.slots)
         n, times = len(block), (block.t_ns.copy(), rows.rates.t_ns.copy())  # a log's cannot always be written
         first_ns, now_ns = int(times[0][0]), int(times[0][-1])
         first = -(-first_ns // LOOK_NS) if memory.next_look is None else memory.next_look
@@ -680,8 +638,8 @@ NO_ROTORS = np.empty((0, 0))
 def _check(slot: Slot, signal: Signal) -> tuple[int, int]:
     """How it is seen in a column that what a slot takes of a signal is known."""
     if signal in (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT):
-        return -1, VALID if signal is Signal.BODY_RATE else SETPOINT
-    first, stop = PLACES[signal]
+        return -1, col.VALID if signal is Signal.BODY_RATE else col.SETPOINT
+    first, stop = col.PLACES[signal]
     cut = slot.monitor.takes.get(signal, slice(None))
     return first + (cut.start or 0), stop if cut.stop is None else first + cut.stop
 

@@ -19,25 +19,17 @@ from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RateTrace:
-    """The rates of one axis beside the model's (T Fig 5.6 to 5.8), in order of time; segments follow each other.
-
-    segment: (n,) which stretch without a break a row is of.
-    t_ns: (n,) vehicle time.
-    commanded, measured, simulated: (n,) body rate [rad/s]; commanded is 0 where no set-point is known.
-    fsd_s: (n,) time above the margin without a break, so far [s].
-    judged: (n,) False where nothing may be concluded.
-    margin_rad_s, fml_s: of the baseline.
-    """
+    """The rates of one axis beside the model's (T Fig 5.6 to 5.8), (n,) each in order of time."""
 
     axis: Axis
-    segment: IntArray
+    segment: IntArray  # which stretch without a break a row is of
     t_ns: IntArray
-    commanded: FloatArray
+    commanded: FloatArray  # body rates [rad/s]; commanded is 0 where no set-point is known
     measured: FloatArray
     simulated: FloatArray
-    fsd_s: FloatArray
-    judged: BoolArray
-    margin_rad_s: float
+    fsd_s: FloatArray  # time above the margin without a break, so far
+    judged: BoolArray  # False where nothing may be concluded
+    margin_rad_s: float  # of the baseline
     fml_s: float
 
     @property

@@ -26,8 +26,6 @@ from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
-__all__ = ["FaultKind", "Feature", "Flights", "LearnContext", "Monitor", "RotorEvidence", "Rows", "segments"]
-
 Spec = TypeVar("Spec")
 Flights: TypeAlias = Sequence[Sequence[Rows]]
 """Flights as monitors are fitted to them: for each flight its rows of flying, in order."""
@@ -40,27 +38,18 @@ def segments(flight: Sequence[Rows]) -> list[list[Rows]]:
 
 @dataclass(frozen=True, slots=True)
 class LearnContext:
-    """What is known beside the flights.
-
-    airframe: the vehicle, as far as it is known.
-    imu_corner_hz: corner of the low-pass filter in the IMU stream; None if it has none.
-    dt_s, window: row period [s], and rows of the Savitzky-Golay filters.
-    axes, margin_rule: what the fsd monitor models, and its margin: "p90" or "max" (T 4.4.3, Algorithm 1).
-    method, order: how ARX models are fitted.
-    figures: standard errors and figures of fit are wanted; a fit that only scores flights needs none.
-    near: the monitor's fits to all flights, for one to some of them to begin from.
-    """
+    """What is known beside the flights."""
 
     airframe: Airframe
-    imu_corner_hz: float | None
-    dt_s: float
-    window: int
-    axes: tuple[Axis, ...] = (Axis.ROLL, Axis.PITCH)
-    method: Method = Method.SRIV
+    imu_corner_hz: float | None  # of the low-pass filter in the IMU stream; None if it has none
+    dt_s: float  # row period
+    window: int  # rows of the Savitzky-Golay filters
+    axes: tuple[Axis, ...] = (Axis.ROLL, Axis.PITCH)  # that the fsd monitor models
+    method: Method = Method.SRIV  # of ARX models
     order: Order = (2, 2, 1)
-    margin_rule: str = "p90"
-    figures: bool = True
-    near: tuple[Any, ...] = ()
+    margin_rule: str = "p90"  # or "max", the margin of the fsd monitor (T 4.4.3, Algorithm 1)
+    figures: bool = True  # standard errors and figures of fit are wanted; a fit that only scores flights needs none
+    near: tuple[Any, ...] = ()  # the monitor's fits to all flights, for one to some of them to begin from
 
     @property
     def layout(self) -> RotorLayout:
@@ -84,15 +73,13 @@ class LearnContext:
 class RotorEvidence:
     """How a monitor's `rotors` count when a rotor is named.
 
-    weight: logits per unit of evidence.
-    relative: the evidence counts in units of the monitor's threshold.
-    direct: it observes the damaged rotor itself. Other evidence counts only while no direct monitor above its threshold
-    is sure of a rotor: a blade with more drag has the others commanded more.
+    Evidence that is not direct counts only while no direct monitor above its threshold is sure of a rotor: a blade with
+    more drag has the others commanded more.
     """
 
-    weight: float
-    relative: bool = False
-    direct: bool = True
+    weight: float  # logits per unit of evidence
+    relative: bool = False  # the evidence counts in units of the monitor's threshold
+    direct: bool = True  # it observes the damaged rotor itself
 
 
 class FaultKind(StrEnum):
@@ -130,63 +117,37 @@ State: TypeAlias = tuple[FloatArray, FloatArray, FloatArray] | None
 
 
 class Monitor(ABC, Generic[Spec]):
-    """One statistic; of one body axis, or of the whole vehicle. What depends on the fit is set in `__init__`.
+    """One statistic; of one body axis, or of the whole vehicle. What depends on the fit is set in `__init__`."""
 
-    name: key in the baseline, the journal and the scan report.
-    label: how a text for a pilot calls it, at most 10 characters.
-    phrase: what a text for a pilot says of its alarm, with {times} its threshold or {lost} percent of thrust, if any.
-    needs: every signal that its value may rest on; a value is not valid where one is unknown.
-    depends: the conditions that raise its statistic in healthy flight; outside of what the healthy flights covered of
-        them it does not judge (`thresholds.envelope`).
-    decides: its alarm is a fault by itself; else it is a suspicion that another monitor must confirm.
-    kind: what its alarm means.
-    clear_s: how long its statistic must have been back before its event closes.
-    guard: what its few healthy flights cannot show.
-    evidence: how it knows about rotors; None if it does not.
-    needs_layout: it cannot be fitted where the rotor layout is not known.
-    doubt: what a verdict adds where no deciding monitor without a doubt has an alarm; empty if nothing.
-    run: its equation, compiled (`monitors.columns`).
-    by_rates: its values are about the times of rates, which are known half a filter window later than rows.
-    shown: row of its values that a display draws.
-    spec_type: the frozen dataclass of its fit, with `kind: Literal[name]`; what the baseline stores.
-    unit: of the statistic and of its threshold.
-    feature: what its level means for the fault, a name of `Feature`; None if nothing.
-    reach: what the statistic can come to, whatever breaks; a threshold there would never be passed.
-    memory_s: how long what was flown stays in the statistic [s].
-    signals: those that this fit rests on; fewer than `needs` where it chose between them.
-    takes: which columns of a signal it takes, where not all.
-    axis: the body axis that the statistic is about. reference: what a display compares it with; 0 if nothing.
-    delay_s: how much later than its time stamp a value is known [s]. rotors: for how many rotors it gives evidence.
-    """
-
-    name: ClassVar[str]
-    label: ClassVar[str]
-    phrase: ClassVar[str] = ""
-    needs: ClassVar[frozenset[Signal]]
-    depends: ClassVar[frozenset[Condition]] = frozenset()
-    decides: ClassVar[bool] = True
-    kind: ClassVar[FaultKind] = FaultKind.PROPELLER
-    clear_s: ClassVar[float] = 2.0  # our choice
-    guard: ClassVar[Guard] = Guard()
-    evidence: ClassVar[RotorEvidence | None] = None
-    needs_layout: ClassVar[bool] = False
-    doubt: ClassVar[str] = ""
-    run: ClassVar[Loop]
-    by_rates: ClassVar[bool] = False
-    shown: ClassVar[int] = VALUE
-    spec_type: ClassVar[type[Any]]
-    unit: str
-    feature: str | None = None
-    reach: float = math.inf
-    memory_s: float = 1.0
-    takes: Mapping[Signal, slice] = MappingProxyType({})
-    axis: Axis | None = None
-    reference: float = 0.0
+    name: ClassVar[str]  # key in the baseline, the journal and the scan report
+    label: ClassVar[str]  # how a text for a pilot calls it, at most 10 characters
+    phrase: ClassVar[str] = ""  # what it says of its alarm, with {times} its threshold or {lost} percent of thrust
+    needs: ClassVar[frozenset[Signal]]  # that its value may rest on; a value is not valid where one is unknown
+    depends: ClassVar[frozenset[Condition]] = frozenset()  # conditions that raise it in health (`thresholds.envelope`)
+    decides: ClassVar[bool] = True  # its alarm is a fault by itself; else it is a suspicion, to be confirmed
+    kind: ClassVar[FaultKind] = FaultKind.PROPELLER  # what its alarm means
+    clear_s: ClassVar[float] = 2.0  # how long it must have been back before its event closes (our choice)
+    guard: ClassVar[Guard] = Guard()  # what its few healthy flights cannot show
+    evidence: ClassVar[RotorEvidence | None] = None  # how it knows about rotors; None if it does not
+    needs_layout: ClassVar[bool] = False  # it cannot be fitted where the rotor layout is not known
+    doubt: ClassVar[str] = ""  # what a verdict adds where no deciding monitor without a doubt has an alarm
+    run: ClassVar[Loop]  # its equation, compiled
+    by_rates: ClassVar[bool] = False  # its values are about the times of rates, known half a filter window later
+    shown: ClassVar[int] = VALUE  # row of its values that a display draws
+    spec_type: ClassVar[type[Any]]  # the frozen dataclass of its fit, with `kind: Literal[name]`, in the baseline
+    unit: str  # of the statistic and of its threshold
+    feature: str | None = None  # what its level means for the fault, a name of `Feature`
+    reach: float = math.inf  # what the statistic can come to; a threshold there would never be passed
+    memory_s: float = 1.0  # how long what was flown stays in the statistic
+    takes: Mapping[Signal, slice] = MappingProxyType({})  # which columns of a signal it takes, where not all
+    axis: Axis | None = None  # the body axis that it is about
+    reference: float = 0.0  # what a display compares it with; 0 if nothing
 
     def __init__(self, spec: Spec) -> None:
         layout: RotorLayout | None = getattr(spec, "layout", None)
-        self.spec, self.rotors, self.signals = spec, 0 if layout is None else layout.rotors, self.needs
-        self.delay_s = float(getattr(spec, "delay_s", 0.0))
+        self.spec, self.signals = spec, self.needs  # signals: that this fit rests on, where it chose between them
+        self.rotors = 0 if layout is None else layout.rotors  # for how many it gives evidence
+        self.delay_s = float(getattr(spec, "delay_s", 0.0))  # how much later than its time stamp a value is known
 
     @classmethod
     @abstractmethod
@@ -202,14 +163,11 @@ class Monitor(ABC, Generic[Spec]):
         """What `run` works with, at a row period [s]."""
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[Spec, float]:
-        """Its fit once the propellers are new, and the factor of scores that the old ones gave. Raises as `fit`.
-
-        flights: healthy ones with the new propellers. Most fits do not rest on propellers, and stay.
-        """
+        """Its fit of healthy flights with new propellers, and the factor of scores that the old ones gave."""
         return self.spec, 1.0
 
     def extended(self, flights: Flights, sessions: int) -> Spec:
-        """Its fit with a further session of healthy flights. sessions: how many it rests on. Raises as `fit`."""
+        """Its fit with a further session of healthy flights. sessions: how many it rests on."""
         return self.spec
 
     def period_s(self, dt_s: float) -> float:

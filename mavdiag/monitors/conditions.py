@@ -11,21 +11,9 @@ from typing import Any
 
 import numpy as np
 
+import mavdiag.monitors.columns as col
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import parted
-from mavdiag.monitors.columns import (
-    COMMANDED,
-    HEADING,
-    HEIGHT,
-    LEAN,
-    RATE,
-    SETPOINT,
-    THRUST,
-    VALID,
-    U,
-    columns_of,
-    no_past,
-)
 from mavdiag.rows.conditions import BIN_S, Condition
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, IntArray
@@ -72,16 +60,16 @@ def _take_row(mem: FloatArray, number: int, x: FloatArray, i: int) -> None:
             mem[at + j] = 0.0
         mem[at + LOW] = math.nan
     mem[at + HEADED] = math.nan
-    if x[VALID, i] < 0.5:
+    if x[col.VALID, i] < 0.5:
         return
-    if x[SETPOINT, i] > 0.5:
-        _add(mem, at, x[LEAN, i], 0)
-        _add(mem, at, x[LEAN + 1, i], 1)
-        mem[at + HEADED] = x[HEADING, i]
-    _add(mem, at, x[THRUST, i], 2)
-    _add(mem, at, x[RATE + 2, i], 3)
-    if not x[HEIGHT, i] >= mem[at + LOW]:  # the first, or a lower one
-        mem[at + LOW] = x[HEIGHT, i] if math.isfinite(x[HEIGHT, i]) else mem[at + LOW]
+    if x[col.SETPOINT, i] > 0.5:
+        _add(mem, at, x[col.LEAN, i], 0)
+        _add(mem, at, x[col.LEAN + 1, i], 1)
+        mem[at + HEADED] = x[col.HEADING, i]
+    _add(mem, at, x[col.THRUST, i], 2)
+    _add(mem, at, x[col.RATE + 2, i], 3)
+    if not x[col.HEIGHT, i] >= mem[at + LOW]:  # the first, or a lower one
+        mem[at + LOW] = x[col.HEIGHT, i] if math.isfinite(x[col.HEIGHT, i]) else mem[at + LOW]
 
 
 @jit
@@ -144,7 +132,7 @@ def take_rows(
                 k += 1
             mem[BIN], mem[MOST] = number, math.nan
         for j in range(2):
-            rate = x[U + j, i] if x[COMMANDED, i] > 0.5 else math.nan
+            rate = x[col.U + j, i] if x[col.COMMANDED, i] > 0.5 else math.nan
             mem[NEWEST + j] = rate
             if not mem[MOST] >= abs(rate) and math.isfinite(rate):
                 mem[MOST] = abs(rate)
@@ -174,7 +162,7 @@ def measure(flight: Sequence[Rows]) -> Iterator[Conditions]:
     mem = conditions_memory()
     for begins, rows in parted(flight):
         mem = conditions_memory() if begins else mem
-        columns, most = columns_of(rows, no_past(0)), most_bins(rows.rates.t_ns)
+        columns, most = col.columns_of(rows, col.no_past(0)), most_bins(rows.rates.t_ns)
         end_ns, values = np.empty(most, dtype=np.int64), np.empty((most, COUNT))
         times = rows.block.t_ns.copy(), rows.rates.t_ns.copy()  # what is mapped from a file cannot be written
         count = _measured(mem, columns.x, columns.known, times, end_ns, values)

@@ -12,14 +12,14 @@ import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify.arx import triangle
-from mavdiag.jit import cached
+from mavdiag.jit import allocating, cached
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, segments
 from mavdiag.monitors.columns import COMMANDED, GYRO, LEVEL, SOUND, VALUE, Floats, Ints, U
 from mavdiag.monitors.fitting import MEMORY_S, commanded, cut_to_share, of_each, smoothed, three, variance_law
 from mavdiag.monitors.spec import Delay, NotNegative, Positive, spec
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
-from mavdiag.rows.running import FRESH, follow, mean_size, push, total
+from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.rows.windows import forgetting, window_all, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
 
@@ -46,47 +46,51 @@ Four: TypeAlias = tuple[float, float, float, float]
 
 @spec
 class InnovationSpec:
-    """Healthy prediction of roll, pitch and yaw rate, in that order.
-
-    dt_s: row period [s].
-    mean: healthy mean gyro [rad/s].
-    a, b: of each axis a_1..a_4 and b_1..b_4.
-    k0, k1: variance of the innovation at rest [(rad/s)^2], and per mean square of the commanded rate.
-    window_s, memory_s: lengths of the mean and of the memory of the command [s].
-    delay_s: half the window of the rate filters [s].
-    """
+    """Healthy prediction of roll, pitch and yaw rate, in that order."""
 
     kind: Literal["innovation"] = "innovation"
     dt_s: Positive
-    mean: Three
-    a: tuple[Four, Four, Four]
+    mean: Three  # healthy mean gyro [rad/s]
+    a: tuple[Four, Four, Four]  # of each axis a_1..a_4
     b: tuple[Four, Four, Four]
-    k0: tuple[Positive, Positive, Positive]
-    k1: tuple[NotNegative, NotNegative, NotNegative]
+    k0: tuple[Positive, Positive, Positive]  # variance of the innovation at rest [(rad/s)^2]
+    k1: tuple[NotNegative, NotNegative, NotNegative]  # and per mean square of the commanded rate
     window_s: Positive = WINDOW_S
-    memory_s: Positive = MEMORY_S
-    delay_s: Delay = 0.0
+    memory_s: Positive = MEMORY_S  # of the command
+    delay_s: Delay = 0.0  # half the window of the rate filters
+
+
+@allocating
+def _squares(par: Floats, mem: Floats, x: Floats, known: int) -> Floats:
+    """z^2 of the three axes, (3, n)."""
+    out = np.empty((3, x.shape[1] - known))
+    for axis in range(3):
+        of, busy, to = par[AXES + axis * OF_AXIS : AXES + (axis + 1) * OF_AXIS], mem[BUSY + axis], out[axis]
+        u, y, mean, alpha = x[U + axis, known - LAG :], x[GYRO + axis, known - LAG :], of[MEAN_AT], par[ALPHA]
+        for k in range(len(to)):
+            e = y[k + LAG] - mean
+            for j in range(LAG):
+                e += of[A + j] * (y[k + LAG - 1 - j] - mean) - of[B + j] * u[k + LAG - 1 - j]
+            command = u[k + LAG] if math.isfinite(u[k + LAG]) else 0.0
+            busy += alpha * (command * command - busy)
+            to[k] = min(e * e / (of[K0] + of[K1] * busy), MOST * MOST)
+        mem[BUSY + axis] = busy
+    return out
 
 
 @cached
 def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The level at each row whose commanded rate became known."""
-    window, row = int(par[WINDOW]), MEAN + FRESH
-    for i in range(known, x.shape[1]):
-        k, good, same, usual, most = i - known, x[COMMANDED, i] > 0.5, True, 0.0, 0.0
+    window, row, squares = int(par[WINDOW]), MEAN + FRESH, _squares(par, mem, x, known)
+    for k in range(squares.shape[1]):
+        i, sum_, same, usual, most, level = known + k, 0.0, True, 0.0, 0.0, 0.0
         for axis in range(3):
-            of, u, y = AXES + axis * OF_AXIS, x[U + axis, i], x[GYRO + axis, i]
-            good, same = good and math.isfinite(u) and math.isfinite(y), same and y == x[GYRO + axis, i - 1]
-            busy = follow(mem, BUSY + axis, u * u if math.isfinite(u) else 0.0, par[ALPHA])
-            e = y - par[of + MEAN_AT]
-            for j in range(LAG):
-                e += par[of + A + j] * (x[GYRO + axis, i - 1 - j] - par[of + MEAN_AT])
-                e -= par[of + B + j] * x[U + axis, i - 1 - j]
-            square = min(e * e / (par[of + K0] + par[of + K1] * busy), MOST * MOST)
-            usual, most = usual + min(square, LIMIT * LIMIT), most + square
+            sum_, same = sum_ + x[U + axis, i] + x[GYRO + axis, i], same and x[GYRO + axis, i] == x[GYRO + axis, i - 1]
+            usual, most = usual + min(squares[axis, k], LIMIT * LIMIT), most + squares[axis, k]
         mem[SAME] = mem[SAME] + 1.0 if same else 0.0
-        mem[GOOD] = mem[GOOD] + 1.0 if good and mem[SAME] < STILL_ROWS else 0.0
-        sound, level = mem[GOOD] > LAG, 0.0
+        good = x[COMMANDED, i] > 0.5 and math.isfinite(sum_) and mem[SAME] < STILL_ROWS
+        mem[GOOD] = mem[GOOD] + 1.0 if good else 0.0
+        sound = mem[GOOD] > LAG
         if sound:  # the last second of *valid* rows: a gap within a segment does not start the window anew
             mem[row], mem[row + 1], mem[row + 2] = usual, most - usual, 1.0 if most > usual else 0.0
             sound = push(mem, MEAN, window, 3, True)
@@ -94,7 +98,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
             sum_ = total(mem, MEAN, 3, 0) + (total(mem, MEAN, 3, 1) if many else 0.0)
             level = math.sqrt(max(sum_, 0.0) / (3 * window))
         out[VALUE, k], out[SOUND, k], out[LEVEL, k], at[k] = level, sound, level, k
-    return len(at) - (known - first)
+    return squares.shape[1]
 
 
 class Innovation(Monitor[InnovationSpec]):
@@ -176,17 +180,12 @@ class Innovation(Monitor[InnovationSpec]):
 
 
 class _Pairs(NamedTuple):
-    """n rows and the 4 before them.
+    """n rows and the 4 before them."""
 
-    u, y: (4 + n, 3) commanded and measured rate [rad/s].
-    valid: (n,) the row and the 4 before it may be judged.
-    busy: (n, 3) exponential mean of u^2.
-    """
-
-    u: FloatArray
+    u: FloatArray  # (4 + n, 3) commanded and measured rate [rad/s]
     y: FloatArray
-    valid: BoolArray
-    busy: FloatArray
+    valid: BoolArray  # (n,) the row and the 4 before it may be judged
+    busy: FloatArray  # (n, 3) exponential mean of u^2
 
 
 def _training_pairs(flights: Flights) -> list[_Pairs]:

@@ -19,9 +19,9 @@ motion that began before the first row cannot be simulated: the first 1.5 s of a
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -86,23 +86,16 @@ PASTS = STATES + 3 * OF_STATE
 
 @spec
 class HealthyMotion:
-    """How the healthy airframe answers.
-
-    dt_s: row period [s]. stride: rows from one sample to the next. window: rows of the rate filters, odd.
-    roll, pitch: rate [rad/s] on commanded rate.
-    heave: vertical acceleration [m/s^2] on thrust 0..1, both less their 1 s mean.
-    k0, k1: variance of the residuals of roll, pitch and heave at rest, and per mean square of what was commanded.
-    Raises InputError for an even window.
-    """
+    """How the healthy airframe answers. Raises InputError for an even window."""
 
     dt_s: Positive
-    stride: Annotated[int, Field(ge=1)]
-    window: int
-    roll: ModelRecord
+    stride: Annotated[int, Field(ge=1)]  # rows from one sample to the next
+    window: int  # rows of the rate filters, odd
+    roll: ModelRecord  # rate [rad/s] on commanded rate
     pitch: ModelRecord
-    heave: ModelRecord
-    k0: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
-    k1: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
+    heave: ModelRecord  # vertical acceleration [m/s^2] on thrust 0..1, both less their 1 s mean
+    k0: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)  # variance of the residuals at rest
+    k1: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)  # per mean square of what was commanded
 
     def __post_init__(self) -> None:
         if self.window % 2 == 0:
@@ -140,51 +133,53 @@ class RotorSignatureSpec:
 
 
 @summing
-def _smooth(par: Floats, taps: int, x: Floats, row: int, begin: int, length: int) -> float:
+def _dot(taps: Floats, values: Floats) -> float:
     found = 0.0
-    for k in range(length):
-        found += par[taps + k] * x[row, begin + k]
+    for k in range(len(taps)):
+        found += taps[k] * values[k]
     return found
 
 
 @jit
 def _channel(par: Floats, mem: Floats, i: int, command: float, measured: float, moved: float, known: bool) -> None:
     """Take a channel's next sample. moved: what makes its residual larger."""
-    of, at = CHANNELS + OF_PAR * i, STATES + OF_STATE * i
-    f = free_run(par, int(par[of + MODEL]), int(par[of + ORDER]), mem, int(par[of + OWN]), command)
+    own, state = par[CHANNELS + OF_PAR * i : HEAD], mem[STATES + OF_STATE * i : PASTS]
+    drift, slow = par[DRIFT], par[FOLLOW]
+    f = free_run(par, int(own[MODEL]), int(own[ORDER]), mem, int(own[OWN]), command)
     r = measured - f if known else 0.0  # what is not known is not unexplained
-    r -= follow(mem, at + SLOW, r, par[DRIFT])
+    state[SLOW] += drift * (r - state[SLOW])
+    r -= state[SLOW]
     if par[FOLLOWS] > 0.5:  # what the errors of gain and speed, as known before this sample, explain of it
-        df = (f - mem[at + SIMULATED]) * par[SPEED]
-        mem[at + SIMULATED] = f
-        f -= follow(mem, at + TREND, f, par[DRIFT])
-        df -= follow(mem, at + TREND + 1, df, par[DRIFT])
+        df, prior = (f - state[SIMULATED]) * par[SPEED], own[PRIOR]
+        state[SIMULATED] = f
+        state[TREND] += drift * (f - state[TREND])
+        state[TREND + 1] += drift * (df - state[TREND + 1])
+        f, df = f - state[TREND], df - state[TREND + 1]
         # [ mean f f + prior   mean f df          ] [ g ]   [ mean f r  ]
         # [ mean f df          mean df df + prior ] [ h ] = [ mean df r ]
-        own, prior = at + PRODUCTS, par[of + PRIOR]
-        ff, fd, dd, fr, dr = mem[own] + prior, mem[own + 1], mem[own + 2] + prior, mem[own + 3], mem[own + 4]
-        explained = ((dd * fr - fd * dr) * f + (ff * dr - fd * fr) * df) / (ff * dd - fd * fd)
-        follow(mem, own, f * f, par[FOLLOW])
-        follow(mem, own + 1, f * df, par[FOLLOW])
-        follow(mem, own + 2, df * df, par[FOLLOW])
-        follow(mem, own + 3, f * r, par[FOLLOW])
-        follow(mem, own + 4, df * r, par[FOLLOW])
+        ff, fd, dd = state[PRODUCTS], state[PRODUCTS + 1], state[PRODUCTS + 2]
+        fr, dr = state[PRODUCTS + 3], state[PRODUCTS + 4]
+        g, h = (dd + prior) * fr - fd * dr, (ff + prior) * dr - fd * fr
+        explained = (g * f + h * df) / ((ff + prior) * (dd + prior) - fd * fd)
+        state[PRODUCTS], state[PRODUCTS + 1] = ff + slow * (f * f - ff), fd + slow * (f * df - fd)
+        state[PRODUCTS + 2] = dd + slow * (df * df - dd)
+        state[PRODUCTS + 3], state[PRODUCTS + 4] = fr + slow * (f * r - fr), dr + slow * (df * r - dr)
         r -= explained
-    n = r / math.sqrt(par[of + K0] + par[of + K1] * follow(mem, at + BUSY, moved * moved, par[MEMORY]))
+    state[BUSY] += par[MEMORY] * (moved * moved - state[BUSY])
+    n = r / math.sqrt(own[K0] + own[K1] * state[BUSY])
     if abs(n) > JOLT:
-        most = JOLT * math.sqrt(max(mem[at + UNREST], 1.0))
+        most = JOLT * math.sqrt(max(state[UNREST], 1.0))
         n = min(max(n, -most), most)
-    follow(mem, at + UNREST, n * n, par[FOLLOW])
-    mem[at + R], mem[at + N] = r, n
+    state[UNREST] += slow * (n * n - state[UNREST])
+    state[R], state[N] = r, n
 
 
 @jit
 def _sample(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
     """The residuals at a row; whether all is known. What is no number counts as zero; heave and thrust as they were."""
-    length, taps = int(par[LENGTH]), int(par[TAPS])
+    taps, begin = par[int(par[TAPS]) : int(par[TAPS]) + int(par[LENGTH])], i - int(par[LENGTH]) + 1
     u0, u1, y0, y1 = x[U, i], x[U + 1, i], x[Y, i], x[Y + 1, i]
-    heave = _smooth(par, taps, x, FORCE + 2, i - length + 1, length)
-    thrust = _smooth(par, taps, x, THRUST, i - length + 1, length)
+    heave, thrust = _dot(taps, x[FORCE + 2, begin : i + 1]), _dot(taps, x[THRUST, begin : i + 1])
     known = x[COMMANDED, i] > 0.5 and math.isfinite(u0 + u1 + y0 + y1 + heave) and mem[SEEN] >= par[SETTLE]
     known_thrust = math.isfinite(thrust)
     u0, u1 = u0 if math.isfinite(u0) else 0.0, u1 if math.isfinite(u1) else 0.0
@@ -345,11 +340,9 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
 
     def begin(self, dt_s: float) -> Begin:
         """No row yet; the window holds what healthy samples have on average."""
-        spec, motion, effects = self.spec, self.spec.motion, _effects(self.spec.layout)
-        across = np.column_stack((-effects[:, 1], effects[:, 0]))
-        patterns = np.column_stack((_square(effects).T, _square(across).T, _signs(effects).T)).ravel()
+        spec, motion = self.spec, self.spec.motion
         taps: FloatArray = coefficients(motion.window, min(2, motion.window - 1))[0]
-        return _begin(motion, True, motion.stride, taps, (spec.samples, spec.least), patterns)
+        return _begin(motion, True, motion.stride, taps, (spec.samples, spec.least), _patterns(spec.layout).ravel())
 
 
 def _begin(
@@ -386,19 +379,13 @@ def samples_of(flight: Sequence[Rows], stride: int, window: int) -> list[FloatAr
     return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Residuals:
-    """What the models do not explain of the samples of a segment.
+class Residuals(NamedTuple):
+    """What the models do not explain of the samples of a segment."""
 
-    r: (k, 3) residuals of roll and pitch rate [rad/s] and heave [m/s^2]. n: (k, 3) the same, normalised.
-    busy: (k, 3) exponential mean square of what was commanded.
-    valid: (k,) all that it rests on was known.
-    """
-
-    r: FloatArray
-    n: FloatArray
-    busy: FloatArray
-    valid: BoolArray
+    r: FloatArray  # (k, 3) residuals of roll and pitch rate [rad/s] and heave [m/s^2]
+    n: FloatArray  # (k, 3) the same, normalised
+    busy: FloatArray  # (k, 3) exponential mean square of what was commanded
+    valid: BoolArray  # (k,) all that it rests on was known
 
 
 def residuals_of(motion: HealthyMotion, samples: FloatArray, follows: bool = True) -> Residuals:
@@ -430,23 +417,13 @@ def _felt(flight: Sequence[Rows]) -> bool:
     return any((block.valid & np.isfinite(block.force[:, 2])).any() for block in flown)
 
 
-def _effects(layout: RotorLayout) -> FloatArray:
-    """What a rise of each rotor's thrust does, (rotors, 3): unit vector in roll and pitch, and -1 for a_z (FRD)."""
+def _patterns(layout: RotorLayout) -> FloatArray:
+    """See `OF_ROTOR`. A rise of a rotor's thrust moves roll and pitch along its arm, and a_z by -1 (FRD)."""
     arms = layout.mixing[:, :2] / np.linalg.norm(layout.mixing[:, :2], axis=1, keepdims=True)
-    return np.column_stack((arms, -np.ones(layout.rotors)))
-
-
-def _square(effects: FloatArray) -> FloatArray:
-    """(3, rotors): turns means of roll^2, pitch^2 and roll pitch into the mean square along each arm."""
-    a, b = effects[:, 0], effects[:, 1]
-    return np.stack((a * a, b * b, 2 * a * b))
-
-
-def _signs(effects: FloatArray) -> FloatArray:
-    """(3, rotors): turns the correlations of roll-pitch, roll-heave and pitch-heave into S_j."""
-    a, b, h = (effects / np.abs(effects).max(axis=0)).T  # equal weights on an X; on a plus the idle axis drops out
-    weights = np.stack((a * b, a * h, b * h))
-    return np.asarray(weights / np.abs(weights).sum(axis=0), dtype=np.float64)
+    squares = [(a * a, b * b, 2 * a * b) for a, b in (arms.T, (-arms[:, 1], arms[:, 0]))]
+    a, b = (arms / np.abs(arms).max(axis=0)).T  # equal weights on an X; on a plus the idle axis drops out
+    signs = np.stack((a * b, -a, -b))
+    return np.vstack((*squares, signs / np.abs(signs).sum(axis=0))).T
 
 
 def _pieces(samples: Sequence[FloatArray], period_s: float) -> list[FloatArray]:

@@ -21,47 +21,20 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
+import mavdiag.airframe.trim as trims
+import mavdiag.monitors.columns as col
 from mavdiag.airframe.layout import RotorLayout
-from mavdiag.airframe.trim import (
-    MIN_OUTPUT,
-    MOST_LOSS,
-    SIGNALS,
-    TILT_TRIM,
-    YAW_FLOOR,
-    Source,
-    rise_of,
-    source_among,
-    sources_of,
-    spread_of,
-    tilt_of,
-    trim_of,
-)
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import allocating, cached, jit
 from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
-from mavdiag.monitors.columns import (
-    COVERED,
-    LEAN,
-    LEVEL,
-    OUTPUTS,
-    RATE,
-    SOUND,
-    THRUST,
-    TORQUE,
-    TRACE,
-    TRIM_CONDITIONS,
-    VALID,
-    VALUE,
-    Floats,
-    Ints,
-)
+from mavdiag.monitors.columns import Floats, Ints
 from mavdiag.monitors.fitting import of_each, three
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Signal, Three
 from mavdiag.thresholds.guard import Guard
 
-MOST_RISE = rise_of(MOST_LOSS)
+MOST_RISE = trims.rise_of(trims.MOST_LOSS)
 WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
 TICK_S, PART_S = 0.5, 0.1  # a value twice a second, of parts longer than a rotor's lag (our choices)
 # G, of hover: where a turn takes so much its tick counts half. In the loop the law errs by a fifth (ArduCopter) and a
@@ -85,23 +58,14 @@ Spec = TypeVar("Spec", bound="TrimSpec")
 
 @spec
 class TrimSpec:
-    """What every fit of the trim holds.
-
-    layout: where the rotors are.
-    source: where the trim comes from: the motors' outputs, or the torque commands over the thrust.
-    mean: healthy roll, pitch and yaw trim [fraction of hover].
-    spread: of the 5 s means of roll, pitch and yaw trim about the mean, or about the reference [fraction of hover].
-    turn: b1 and b2, the yaw trim that a yaw rate of 1 rad/s and a yaw acceleration of 1 rad/s^2 take.
-    window_s: length of the means [s].
-    Raises InputError if the layout gives no trim of that source.
-    """
+    """What every fit of the trim holds. Raises InputError if the layout gives no trim of that source."""
 
     kind: str
     layout: RotorLayout
-    source: Source
-    mean: Three = (0.0, 0.0, 0.0)
-    turn: tuple[float, float] = (0.0, 0.0)
-    spread: tuple[Positive, Positive, Positive]
+    source: trims.Source  # where the trim comes from: the motors' outputs, or the torque commands over the thrust
+    mean: Three = (0.0, 0.0, 0.0)  # healthy roll, pitch and yaw trim [fraction of hover]
+    turn: tuple[float, float] = (0.0, 0.0)  # b1 and b2
+    spread: tuple[Positive, Positive, Positive]  # of the 5 s means about the mean, or about the reference
     window_s: Positive = WINDOW_S
 
     def __post_init__(self) -> None:
@@ -122,34 +86,34 @@ def _trim(par: Floats, x: Floats, i: int) -> tuple[float, float, float]:
     """Trim of a row [fraction of hover], not finite where it is unknown (`airframe.trim.trim_of`)."""
     roll, pitch, yaw, rotors, level = 0.0, 0.0, 0.0, int(par[ROTORS]), 0.0
     if par[TORQUES] > 0.5:
-        share = 1.0 / x[THRUST, i] if x[THRUST, i] > MIN_OUTPUT else math.nan
-        roll, pitch, yaw = x[TORQUE, i] * par[GAIN], x[TORQUE + 1, i] * par[GAIN + 1], x[TORQUE + 2, i] * par[GAIN + 2]
-        return roll * share, pitch * share, yaw * share
-    if x.shape[0] < OUTPUTS + rotors:
+        share = 1.0 / x[col.THRUST, i] if x[col.THRUST, i] > trims.MIN_OUTPUT else math.nan
+        roll, pitch = x[col.TORQUE, i] * par[GAIN], x[col.TORQUE + 1, i] * par[GAIN + 1]
+        return roll * share, pitch * share, x[col.TORQUE + 2, i] * par[GAIN + 2] * share
+    if x.shape[0] < col.OUTPUTS + rotors:
         return math.nan, math.nan, math.nan
     for rotor in range(rotors):
-        output, at = x[OUTPUTS + rotor, i], UNMIXING + rotor
+        output, at = x[col.OUTPUTS + rotor, i], UNMIXING + rotor
         level += output
         roll, pitch = roll + par[at] * output, pitch + par[at + rotors] * output
         yaw += par[at + 2 * rotors] * output
-    share = rotors / level if level > MIN_OUTPUT * rotors else math.nan
+    share = rotors / level if level > trims.MIN_OUTPUT * rotors else math.nan
     return roll * share - par[SUM], pitch * share - par[SUM + 1], yaw * share - par[SUM + 2]
 
 
 @jit
 def take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
     """Take a row; True where it completes a tick, whose parts stand at `_found_at`, and `mem[KNOWN]` if it is whole."""
-    to, (roll, pitch, yaw), rate = SUMS + 6 * (2 + int(mem[PART])), _trim(par, x, i), x[RATE + 2, i]
+    to, (roll, pitch, yaw), rate = SUMS + 6 * (2 + int(mem[PART])), _trim(par, x, i), x[col.RATE + 2, i]
     if mem[ROW] == 0.0:
         for j in range(6):
             mem[to + j] = 0.0
         if mem[PART] == 0.0:
             mem[KNOWN] = mem[MOVED] = 0.0
             mem[FIRST], mem[FIRST + 1], mem[FIRST + 2] = roll, pitch, yaw
-    if x[VALID, i] > 0.5 and math.isfinite(roll + pitch + yaw + rate):
+    if x[col.VALID, i] > 0.5 and math.isfinite(roll + pitch + yaw + rate):
         mem[KNOWN] += 1.0
         mem[to], mem[to + 1], mem[to + 2] = mem[to] + roll, mem[to + 1] + pitch, mem[to + 2] + yaw
-        mem[to + 3], mem[to + 4] = mem[to + 3] + x[LEAN, i], mem[to + 4] + x[LEAN + 1, i]
+        mem[to + 3], mem[to + 4] = mem[to + 3] + x[col.LEAN, i], mem[to + 4] + x[col.LEAN + 1, i]
         mem[to + 5] += rate
         if roll != mem[FIRST] or pitch != mem[FIRST + 1] or yaw != mem[FIRST + 2]:
             mem[MOVED] = 1.0
@@ -246,7 +210,7 @@ def window_means(par: Floats, mem: Floats, back: int, means: Floats) -> None:
 @jit
 def rise(par: Floats, rotor: int, shift: Floats, tilted: bool) -> float:
     """The rise of one rotor that explains a shift of trim and lean, (5,) (`airframe.trim`). tilted: the lean counts."""
-    rotors, more = int(par[ROTORS]), TILT_TRIM**2 * (shift[3] ** 2 + shift[4] ** 2) if tilted else 0.0
+    rotors, more = int(par[ROTORS]), trims.TILT_TRIM**2 * (shift[3] ** 2 + shift[4] ** 2) if tilted else 0.0
     above, below = 0.0, 0.0
     for j in range(3):
         column = par[UNMIXING + j * rotors + rotor]
@@ -268,20 +232,20 @@ def highest_rise(par: Floats, shift: Floats, tilted: bool) -> float:
 def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rotors: Floats, k: int) -> None:
     """A value of a shift; for a fit the tick's yaw trim, yaw rate and acceleration, usable ticks, window and shift."""
     parts, found = int(par[PARTS]), _found_at(par)
-    out[VALUE, k] = out[LEVEL, k] = highest_rise(par, shift, True)
-    out[SOUND, k] = sound
+    out[col.VALUE, k] = out[col.LEVEL, k] = highest_rise(par, shift, True)
+    out[col.SOUND, k] = sound
     for rotor in range(rotors.shape[1]):
         rotors[k, rotor] = rise(par, rotor, shift, False)
-    if out.shape[0] > TRACE:
+    if out.shape[0] > col.TRACE:
         means = np.empty(5)
         window_means(par, mem, 0, means)
         for j in range(3):
             mean = 0.0
             for part in range(parts):
                 mean += mem[found + 7 * part + (2 if j == 0 else 4 + j)]
-            out[TRACE + j, k], out[TRACE + 7 + j, k] = mean / parts, shift[j]
-            out[TRACE + 4 + j, k] = means[j] if mem[RUN] >= par[WINDOW] else math.nan
-        out[TRACE + 3, k] = mem[RUN]
+            out[col.TRACE + j, k], out[col.TRACE + 7 + j, k] = mean / parts, shift[j]
+            out[col.TRACE + 4 + j, k] = means[j] if mem[RUN] >= par[WINDOW] else math.nan
+        out[col.TRACE + 3, k] = mem[RUN]
 
 
 @cached
@@ -291,7 +255,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
     for i in range(first, x.shape[1]):
         if not take_row(par, mem, x, i):
             continue
-        take_tick(par, mem, mem[KNOWN] > 0.5 and x[COVERED, i] > 0.5)
+        take_tick(par, mem, mem[KNOWN] > 0.5 and x[col.COVERED, i] > 0.5)
         sound = mem[RUN] >= par[WINDOW]
         window_means(par, mem, 0, shift)
         for j in range(5):
@@ -307,7 +271,7 @@ class TrimMonitor(Monitor[Spec]):
 
     phrase = "lost {lost}% thrust"
     needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT})
-    depends = TRIM_CONDITIONS
+    depends = col.TRIM_CONDITIONS
     evidence = RotorEvidence(10.0, relative=True, direct=False)  # a lead of 0.12 was right in each of 35 recorded cuts
     needs_layout = True
     unit = "fraction of hover"
@@ -315,15 +279,15 @@ class TrimMonitor(Monitor[Spec]):
 
     def __init__(self, spec: Spec) -> None:
         super().__init__(spec)
-        self.signals = SIGNALS[spec.source]
+        self.signals = trims.SIGNALS[spec.source]
         self.takes = {Signal.ACTUATOR: slice(0, spec.layout.rotors)}  # those that move a rotor
         self.memory_s = spec.window_s + TICK_S
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[Spec, ...]:
         """What a turn takes, mean over flights of their mean trims, and the spread about it or about the reference."""
-        layout, dt_s, before = context.layout, context.dt_s, (YAW_FLOOR, YAW_FLOOR, YAW_FLOOR)
-        source = source_among(of_each(flights, layout, lambda flight: sources_of(flight, layout)), layout)
+        layout, dt_s, before = context.layout, context.dt_s, (trims.YAW_FLOOR, trims.YAW_FLOOR, trims.YAW_FLOOR)
+        source = trims.source_among(of_each(flights, layout, lambda flight: trims.sources_of(flight, layout)), layout)
         parts = of_each(flights, (layout, source), lambda flight: _parts_of(flight, layout, source))
         still = cls(cls.spec_type(layout=layout, source=source, spread=before))
         turned = cls(replace(still.spec, turn=_turn_of([still._walked(one, dt_s) for one in parts], dt_s)))
@@ -342,7 +306,7 @@ class TrimMonitor(Monitor[Spec]):
         for x in flight:
             begun, n = self.begin(part_s), x.shape[1]
             begun.par[TORQUES], begun.par[GAIN : GAIN + 3] = 1.0, 1.0
-            out, rotors, at = np.zeros((TRACE + 10, n)), np.empty((n, self.rotors)), np.empty(n, dtype=np.int64)
+            out, rotors, at = np.zeros((col.TRACE + 10, n)), np.empty((n, self.rotors)), np.empty(n, dtype=np.int64)
             found.append(out[:, : self.run(begun.par, begun.mem, x, 0, 0, out, rotors, at)])
         return found
 
@@ -413,7 +377,7 @@ class RotorTrim(TrimMonitor[RotorTrimSpec]):
     @classmethod
     def spread(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
         """Of all windows of all flights about the mean."""
-        return spread_of(np.concatenate([_windows_of(flight) for flight in flights]) - mean)
+        return trims.spread_of(np.concatenate([_windows_of(flight) for flight in flights]) - mean)
 
 
 def _tick_shape(dt_s: float) -> tuple[int, int]:
@@ -422,7 +386,7 @@ def _tick_shape(dt_s: float) -> tuple[int, int]:
     return max(2, round(TICK_S / (rows * dt_s))), rows
 
 
-def _parts_of(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> list[FloatArray]:
+def _parts_of(flight: Sequence[Rows], layout: RotorLayout, source: trims.Source) -> list[FloatArray]:
     """The parts of ticks of each segment as rows that come so seldom: x of `monitors.columns`.
 
     Their trim stands for torque commands at a thrust of 1, so that `run` makes the same ticks of them as of the rows.
@@ -431,17 +395,18 @@ def _parts_of(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> li
     for segment in segments(flight):
         parts, rest = list[FloatArray](), np.empty((0, 7))
         for block in (rows.block for rows in segment):
-            size, (trim, known) = _tick_shape(block.dt_s)[1], trim_of(block, layout, source)
+            size, (trim, known) = _tick_shape(block.dt_s)[1], trims.trim_of(block, layout, source)
             known = known & np.isfinite(block.rate[:, 2])
-            fresh = np.column_stack((trim, tilt_of(block), np.nan_to_num(block.rate[:, 2]), known))
+            fresh = np.column_stack((trim, trims.tilt_of(block), np.nan_to_num(block.rate[:, 2]), known))
             each = np.asarray(np.concatenate((rest, fresh)), dtype=np.float64)
             n = len(each) // size
             parts.append(each[: n * size].reshape(n, size, 7).mean(axis=1))
             rest = each[n * size :]
         columns = np.concatenate(parts).T
-        x = np.zeros((OUTPUTS, columns.shape[1]))
-        x[TORQUE:THRUST], x[LEAN : LEAN + 2], x[RATE + 2] = columns[:3], columns[3:5], columns[5]
-        x[THRUST], x[COVERED], x[VALID] = 1.0, 1.0, columns[6] > 1.0 - 0.5 / size  # all of its rows are known
+        x = np.zeros((col.OUTPUTS, columns.shape[1]))
+        x[col.TORQUE : col.THRUST], x[col.LEAN : col.LEAN + 2], x[col.RATE + 2] = columns[:3], columns[3:5], columns[5]
+        x[col.THRUST], x[col.COVERED] = 1.0, 1.0
+        x[col.VALID] = columns[6] > 1.0 - 0.5 / size  # all of its rows are known
         found.append(x)
     return found
 
@@ -460,21 +425,22 @@ def _turn_of(flights: Sequence[Sequence[FloatArray]], dt_s: float) -> tuple[floa
     yaw, turning = np.concatenate(means)[:, 0], np.concatenate(means)[:, 1:]
     turn, trust = PRIOR, np.diag(PRIOR_SD**-2.0)
     for _ in range(3):  # the noise is what the law before leaves; the ticks of a window count as one
-        noise = max(float(np.square(yaw - turning @ turn).sum()) / max(len(yaw), 1), YAW_FLOOR**2) * window
+        noise = max(float(np.square(yaw - turning @ turn).sum()) / max(len(yaw), 1), trims.YAW_FLOOR**2) * window
         turn = np.linalg.solve(turning.T @ turning / noise + trust, turning.T @ yaw / noise + trust @ PRIOR)
     return float(turn[0]), float(turn[1])
 
 
 def _unbroken(segment: FloatArray, least: int) -> list[FloatArray]:
     """Yaw trim, yaw rate and acceleration of runs of usable ticks, (n, 3) each, of at least so many."""
-    ticks = segment[TRACE : TRACE + 4, segment[TRACE + 3] > 0].T
+    ticks = segment[col.TRACE : col.TRACE + 4, segment[col.TRACE + 3] > 0].T
     runs = np.split(ticks, np.flatnonzero(ticks[1:, 3] == 1) + 1)
     return [run[:, :3] for run in runs if len(run) >= least]
 
 
 def _windows_of(flight: Sequence[FloatArray]) -> FloatArray:
     """Roll, pitch and yaw trim of all full windows of a flight, (k, 3)."""
-    windows = np.concatenate([np.empty((3, 0)), *(segment[TRACE + 4 : TRACE + 7] for segment in flight)], axis=1).T
+    means = (segment[col.TRACE + 4 : col.TRACE + 7] for segment in flight)
+    windows = np.concatenate([np.empty((3, 0)), *means], axis=1).T
     return np.asarray(windows[np.isfinite(windows[:, 0])], dtype=np.float64)
 
 

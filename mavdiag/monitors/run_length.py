@@ -44,20 +44,14 @@ class MarginRule(StrEnum):
 
 @spec
 class RunLengthSpec:
-    """One axis of the healthy airframe. The FML is the monitor's threshold.
-
-    axis: the modelled body axis.
-    model: rate on commanded rate, at the row period.
-    margin_rad_s: what healthy |r| stays below, by `margin_rule` [rad/s].
-    delay_s: half the window of the rate filters [s].
-    """
+    """One axis of the healthy airframe. The FML is the monitor's threshold."""
 
     kind: Literal["fsd"] = "fsd"
     axis: Axis
-    model: ModelRecord
-    margin_rad_s: Positive
+    model: ModelRecord  # rate on commanded rate, at the row period
+    margin_rad_s: Positive  # what healthy |r| stays below, by the rule
     margin_rule: MarginRule = MarginRule.PERCENTILE_90
-    delay_s: Delay = 0.0
+    delay_s: Delay = 0.0  # half the window of the rate filters
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,10 +78,12 @@ def free_run(par: FloatArray, taps: int, order: int, mem: FloatArray, past: int,
 
     taps: where b_0 .. b_order and a_1 .. a_order stand. past: where s_1 .. s_order do.
     """
-    y = par[taps] * u + mem[past]
+    own, state = par[taps : taps + 2 * order + 1], mem[past : past + order]
+    b, a = own[: order + 1], own[order:]
+    y = b[0] * u + state[0]
     for k in range(1, order):
-        mem[past + k - 1] = par[taps + k] * u - par[taps + order + k] * y + mem[past + k]
-    mem[past + order - 1] = par[taps + order] * u - par[taps + 2 * order] * y
+        state[k - 1] = b[k] * u - a[k] * y + state[k]
+    state[order - 1] = b[order] * u - a[order] * y
     return float(y)
 
 

@@ -49,22 +49,15 @@ ROWS, SOUND_ROWS, SUMS, ANGLE, TICKS, HISTORY = 0, 1, 2, 10, 14, 15
 
 @spec
 class SensorDriftSpec:
-    """Healthy agreement.
-
-    dt_s: row period [s].
-    bias: healthy mean of gyro less attitude rate [rad/s].
-    vertical: healthy mean of the vertical specific force beyond -g [m/s^2].
-    tilt, heading: healthy rms of the disagreement over 15 s [rad].
-    lift: healthy rms of the 4 s means of the vertical specific force [m/s^2].
-    """
+    """Healthy agreement."""
 
     kind: Literal["sensor_drift"] = "sensor_drift"
     dt_s: Positive
-    bias: Three
-    vertical: float
-    tilt: Positive
+    bias: Three  # mean of gyro less attitude rate [rad/s]
+    vertical: float  # mean of the vertical specific force beyond -g [m/s^2]
+    tilt: Positive  # rms of the disagreement over 15 s [rad]
     heading: Positive
-    lift: Positive
+    lift: Positive  # rms of the 4 s means of the vertical specific force [m/s^2]
 
     @property
     def tick(self) -> int:

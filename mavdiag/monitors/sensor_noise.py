@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.jit import cached
+from mavdiag.jit import allocating, cached
 from mavdiag.monitors.base import Begin, FaultKind, Flights, LearnContext, Monitor
 from mavdiag.monitors.columns import LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.fitting import of_each, traced
@@ -36,38 +36,42 @@ Six: TypeAlias = tuple[Positive, Positive, Positive, Positive, Positive, Positiv
 
 @spec
 class SensorNoiseSpec:
-    """Healthy noise.
-
-    rms: of the fourth difference of gyro x, y, z [rad/s] and accelerometer x, y, z [m/s^2].
-    window_s: length of the means [s].
-    """
+    """Healthy noise."""
 
     kind: Literal["sensor_noise"] = "sensor_noise"
-    rms: Six
+    rms: Six  # of the fourth difference of gyro x, y, z [rad/s] and accelerometer x, y, z [m/s^2]
     window_s: Positive = WINDOW_S
+
+
+@allocating
+def _differences(x: Floats, first: int) -> Floats:
+    """The fourth differences of the six axes, (6, n)."""
+    out = np.empty((AXES, x.shape[1] - first))
+    for axis in range(AXES):
+        row, to = x[RATE + axis, first - ORDER :], out[axis]
+        for k in range(len(to)):
+            to[k] = row[k + 4] - 4.0 * row[k + 3] + 6.0 * row[k + 2] - 4.0 * row[k + 1] + row[k]
+    return out
 
 
 @cached
 def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The lead of the noisiest axis at each row. par: rows of the window, and one over the healthy rms."""
-    window = int(par[0])
-    for i in range(first, x.shape[1]):
-        k, good = i - first, x[VALID, i] > 0.5
-        for axis in range(RATE, RATE + AXES):
-            good = good and math.isfinite(x[axis, i])
-        mem[RUN] = mem[RUN] + 1.0 if good else 0.0
+    window, d = int(par[0]), _differences(x, first)
+    for k in range(len(at)):
+        sum_ = 0.0
+        for axis in range(AXES):
+            sum_ += x[RATE + axis, first + k]
+            z = min(abs(d[axis, k]) * par[1 + axis], LIMIT)
+            mem[MEAN + FRESH + axis] = z * z
+        mem[RUN] = mem[RUN] + 1.0 if x[VALID, first + k] > 0.5 and math.isfinite(sum_) else 0.0
         whole = mem[RUN] > ORDER
-        for j in range(AXES):
-            row = RATE + j
-            d = x[row, i] - 4.0 * x[row, i - 1] + 6.0 * x[row, i - 2] - 4.0 * x[row, i - 3] + x[row, i - 4]
-            z = min(abs(d) * par[1 + j], LIMIT)
-            mem[MEAN + FRESH + j] = z * z
-            if out.shape[0] > TRACE:
-                out[TRACE + j, k] = d if whole else math.nan
+        for axis in range(AXES if out.shape[0] > TRACE else 0):
+            out[TRACE + axis, k] = d[axis, k] if whole else math.nan
         out[SOUND, k], at[k] = push(mem, MEAN, window, AXES, whole), k
         highest, second = 0.0, 0.0
-        for j in range(AXES):
-            power = total(mem, MEAN, AXES, j)
+        for axis in range(AXES):
+            power = total(mem, MEAN, AXES, axis)
             second = max(second, min(highest, power))
             highest = max(highest, power)
         others = max(second / window, 1.0)

@@ -43,15 +43,11 @@ USUAL, MEAN = 0, 1
 
 @spec
 class ThrustLossSpec:
-    """Healthy thrust.
-
-    layout: where the rotors are; None if it is not known.
-    per_command: healthy mean of the upward specific force per collective command [m/s^2].
-    """
+    """Healthy thrust."""
 
     kind: Literal["thrust_loss"] = "thrust_loss"
-    layout: RotorLayout | None
-    per_command: Positive
+    layout: RotorLayout | None  # None if it is not known
+    per_command: Positive  # mean of the upward specific force per collective command [m/s^2]
 
 
 @cached

@@ -80,27 +80,19 @@ def _carries_line(rate_hz: float) -> bool:
 class UnbalanceSpec:
     """Healthy vibration on one link.
 
-    dt_s: row period [s].
-    corner_hz: of the high-pass.
-    layout: where the rotors are; None if it is not known.
-    covariance, spread: healthy mean of gz ax and gz ay, and standard deviation of its window means [m/s^2 rad/s].
-    turning: healthy mean of the turning part ax ay' - ay ax' [(m/s^2)^2].
-    power: healthy mean of ax^2 + ay^2 [(m/s^2)^2].
-    mass_kg, hover_rad_s: mass, and the rotor speed that carries it; with both the statistic is in g mm, else in m/s^2.
-    window_s: length of the means [s].
     Raises InputError if there is one of mass and rotor speed alone, or the corner is above half the rate.
     """
 
     kind: Literal["unbalance"] = "unbalance"
     dt_s: Positive
-    corner_hz: Positive
-    layout: RotorLayout | None
-    covariance: tuple[float, float]
-    spread: tuple[Positive, Positive]
-    turning: float
-    power: Positive
-    mass_kg: Positive | None = None
-    hover_rad_s: Positive | None = None
+    corner_hz: Positive  # of the high-pass
+    layout: RotorLayout | None  # None if it is not known
+    covariance: tuple[float, float]  # healthy mean of gz ax and gz ay [m/s^2 rad/s]
+    spread: tuple[Positive, Positive]  # standard deviation of its window means
+    turning: float  # healthy mean of the turning part ax ay' - ay ax' [(m/s^2)^2]
+    power: Positive  # healthy mean of ax^2 + ay^2 [(m/s^2)^2]
+    mass_kg: Positive | None = None  # with both the statistic is in g mm, else in m/s^2
+    hover_rad_s: Positive | None = None  # rotor speed that carries the mass
     window_s: Positive = WINDOW_S
 
     def __post_init__(self) -> None:
@@ -129,22 +121,22 @@ class UnbalanceSpec:
 
 
 @summing
-def _convolve(taps: Floats, rows: Floats, first: int, out: Floats) -> None:
-    """Scalar products of the taps with the rows up to each one from `first` on."""
-    begin = first - taps.shape[0] + 1
+def _convolve(taps: Floats, rows: Floats, out: Floats) -> None:
+    """Scalar products of the taps with as many rows, from each row on."""
     for i in range(out.shape[0]):
         found = 0.0
         for k in range(taps.shape[0]):
-            found += taps[k] * rows[begin + i + k]
+            found += taps[k] * rows[i + k]
         out[i] = found
 
 
 @allocating
 def _filtered(taps: Floats, x: Floats, first: int) -> Floats:
     """ax, ay and gz after the high-pass, (3, n)."""
-    out = np.empty((3, x.shape[1] - first))
-    for signal in range(3):
-        _convolve(taps, x[RATE + 2 if signal == 2 else FORCE + signal], first, out[signal])
+    out, begin = np.empty((3, x.shape[1] - first)), first - len(taps) + 1
+    _convolve(taps, x[FORCE, begin:], out[0])
+    _convolve(taps, x[FORCE + 1, begin:], out[1])
+    _convolve(taps, x[RATE + 2, begin:], out[2])
     return out
 
 
