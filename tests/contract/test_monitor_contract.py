@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_monitor import MadeUp
 from made_telemetry import cut
-from pydantic import TypeAdapter
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
@@ -103,18 +102,6 @@ def test_inputs_are_left_alone(kind: type[Monitor[Any]]) -> None:
 
 
 @every_monitor
-def test_a_statistic_has_one_row_a_time(kind: type[Monitor[Any]]) -> None:
-    for found in built(kind).over(flying_rows(rough_flight(2))):
-        n = len(found)
-        assert all(getattr(found, name).shape[0] == n for name in ARRAYS[:5])
-        assert found.rotors.ndim == 2
-        assert found.rotors.shape[0] in (0, n)  # (0, 0): it knows nothing of rotors
-        assert bool(np.all(np.diff(found.t_ns) > 0))
-        if n > 1:
-            assert float(np.median(np.diff(found.t_ns))) == pytest.approx(1e9 * found.period_s)
-
-
-@every_monitor
 def test_what_must_not_be_judged_is_not(kind: type[Monitor[Any]]) -> None:
     rows = flying_rows(rough_flight(3))
     may = {int(t) for one in rows for t in one.block.t_ns[one.block.valid]}
@@ -174,14 +161,6 @@ def test_a_number_that_is_none_is_not_judged(kind: type[Monitor[Any]]) -> None:
         assert spoilt.any(), signal
         assert not found.valid[spoilt].any(), signal
         assert np.isfinite(found.value[found.valid]).all(), signal
-
-
-@every_monitor
-def test_a_fit_survives_json(kind: type[Monitor[Any]]) -> None:
-    adapter: TypeAdapter[Any] = TypeAdapter(kind.spec_type)
-    for spec in specs(kind):
-        assert spec.kind == kind.name
-        assert adapter.validate_json(adapter.dump_json(spec)) == spec
 
 
 @every_monitor

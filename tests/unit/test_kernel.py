@@ -15,7 +15,6 @@ from made_statistics import alarms_of, looked_of
 from made_telemetry import flight
 
 from mavdiag.chain import Chain, chain_of
-from mavdiag.decision.diagnosis import Event
 from mavdiag.kernel import LOOK_NS, Account, Alarm, Looked, Piece, Stretch
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import IntArray
@@ -128,8 +127,3 @@ def test_gauges_show_the_latest_value() -> None:
         assert (gauge.threshold, gauge.unit) == (slot.threshold, slot.monitor.unit)
     assert START_NS % LOOK_NS == 0
     assert DT_NS > 0
-
-
-def test_an_event_is_one_line_for_a_person() -> None:
-    one = Event("fsd", None, 10**9, 2 * 10**9, 0.41, 0.12, 0.1, rotor=2)
-    assert str(one) == "fsd 0.41 > 0.12 from 1.00 s to 2.00 s, rotor 2"

@@ -9,10 +9,9 @@ from flying_telemetry import flying, flying_rows
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavdiag.errors import IdentificationError, InputError
+from mavdiag.errors import IdentificationError
 from mavdiag.identify import Method
 from mavdiag.identify.model import ModelRecord
-from mavdiag.monitors import run_length
 from mavdiag.monitors.run_length import (
     MarginRule,
     Residual,
@@ -20,7 +19,6 @@ from mavdiag.monitors.run_length import (
     RunLengthSpec,
     margin_of,
     residuals,
-    training_pieces,
 )
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
@@ -60,11 +58,6 @@ def test_the_margin_is_hazen_s_90th_percentile_of_the_size() -> None:
     assert margin_of([[piece(r)]], MarginRule.MAXIMUM) == 5.0
 
 
-def test_no_judged_rows_is_an_error_that_says_so() -> None:
-    with pytest.raises(InputError, match="no judged rows"):
-        margin_of([[]])
-
-
 def test_b4_a_chunk_does_not_end_a_run() -> None:
     """B4: runs were counted in every chunk for itself, and a flight has two of them."""
     (rows,) = (one for one in flying_rows(flying(2000, 1)) if len(one.block) > 1000)
@@ -91,16 +84,6 @@ def _part(rows: Rows, low: int, high: int) -> RateBlock:
     )
 
 
-def test_b10_every_flight_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """B10: the model was of the first flights; now a like share of every flight is taken."""
-    monkeypatch.setattr(run_length, "TRAIN_ROWS", 2000)
-    flights = [flying_rows(flying(2000, seed)) for seed in range(4)]
-    (spec,) = RunLength.fit(flights, replace(CONTEXT, axes=(Axis.ROLL,)))
-    (backwards,) = RunLength.fit(flights[::-1], replace(CONTEXT, axes=(Axis.ROLL,)))
-    assert spec.model.samples == backwards.model.samples < 2100
-    np.testing.assert_allclose(spec.model.a, backwards.model.a, rtol=1e-6)
-
-
 def test_an_axis_that_cannot_be_learnt_does_not_veto_the_other() -> None:
     rows = flying_rows(flying(3000, 2))
     for one in rows:
@@ -120,15 +103,3 @@ def test_a_gyro_that_turns_against_its_set_point_is_refused() -> None:
         np.negative(one.rates.u, out=one.rates.u)
     with pytest.raises(IdentificationError, match="sign conventions"):
         RunLength.fit([rows], CONTEXT)
-
-
-def test_b2_rows_without_a_set_point_train_and_judge_nothing() -> None:
-    """B2: the gyro goes on, the set-point does not."""
-    rng = np.random.default_rng(4)
-    there = np.arange(2000) < 1000
-    rows = example_rows(2000, rate=rng.normal(0, 0.01, (2000, 3)), setpoint_valid=there)
-    assert [len(u) for u, _ in training_pieces([rows], Axis.ROLL)] == [996]
-    spec = RunLength.fit([flying_rows(flying(2000, 5))], CONTEXT)[0]
-    monitor = RunLength(spec)
-    _, found = monitor.step(monitor.start(), rows)
-    assert int(found.valid.sum()) == 996
