@@ -126,7 +126,7 @@ loop = joined_loops([monitor.run for monitor in MONITORS])
 def _take_bins(x: Any, times: Any, bins: Any, limits: FloatArray, mem: FloatArray, numbers: IntArray) -> int:
     """Measure the conditions, and flag what trims were learnt in; return the bits of those beyond what was learnt."""
     t_ns, (ends_ns, values), known, first = times[0], bins, numbers[BINS], numbers[BEFORE]
-    at, anywhere, begin, stop = (0, 0), 0, 0, 0
+    anywhere, begin, stop, covered = 0, -1, -1, True
     numbers[BINS] = take_rows(mem, x, first, first + numbers[LAG], times, ends_ns, values, known)
     for number in range(numbers[BINS]):
         for condition in range(COUNT):
@@ -136,10 +136,13 @@ def _take_bins(x: Any, times: Any, bins: Any, limits: FloatArray, mem: FloatArra
                 anywhere |= 1 << condition
     if anywhere & numbers[TRIMS]:
         for i in range(len(t_ns)):
-            begin = seen_from(ends_ns, begin, numbers[BINS], t_ns[i], numbers[TRIMS_NS])
-            stop = seen_from(ends_ns, stop, numbers[BINS], t_ns[i], numbers[BINS_NS])
-            at = farthest(values, begin, stop, numbers[TRIMS])
-            x[col.COVERED, first + i] = at[0] < 0 or values[at[0], COUNT + at[1]] <= 1.0
+            left = seen_from(ends_ns, max(begin, 0), numbers[BINS], t_ns[i], numbers[TRIMS_NS])
+            right = seen_from(ends_ns, max(stop, 0), numbers[BINS], t_ns[i], numbers[BINS_NS])
+            if left != begin or right != stop:
+                begin, stop = left, right
+                at = farthest(values, begin, stop, numbers[TRIMS])
+                covered = at[0] < 0 or values[at[0], COUNT + at[1]] <= 1.0
+            x[col.COVERED, first + i] = covered
     return anywhere
 
 
@@ -205,8 +208,11 @@ def _let_count(
         left = seen_from(ends_ns, max(first, 0), known, stamps[number], plan[slot, MEMORY_NS])
         right = seen_from(ends_ns, max(stop, 0), known, stamps[number], n[BINS_NS])
         if left != first or right != stop:
+            begin = left if first < 0 or 0 <= worst[0] < left else max(stop, left)  # the worst so far left, or it stays
+            newer = farthest(conditions, begin, right, depends)
+            if begin == left or worst[0] < 0 or (newer[0] >= 0 and conditions[newer[0], COUNT + newer[1]] > far):
+                worst = newer
             first, stop, far, room = left, right, 0.0, 1.0
-            worst = farthest(conditions, first, stop, depends)
             if worst[0] >= 0:
                 far = conditions[worst[0], COUNT + worst[1]]
                 room = 1.0 + limits[worst[1], 3] * min(far, 1.0) if plan[slot, GROWS] else 1.0

@@ -1,8 +1,4 @@
-"""The control-loss monitor: the vehicle turns fast, and nobody commanded it.
-
-Beyond some rate an attitude controller has lost the vehicle, whatever the reason. What the other monitors say from then
-on is about the upset and no longer about its cause.
-"""
+"""The control-loss monitor: the vehicle turns fast, and nobody commanded it."""
 
 import math
 from typing import Literal
@@ -49,8 +45,8 @@ class ControlLoss(Monitor[ControlLossSpec]):
 
         s = min(|y|, |y - u|)          y: smoothed gyro, u: commanded body rate, as the model relates them
 
-    A set-point that jumps makes |y - u| large while the body turns slowly, and a commanded flip makes |y| large; only
-    an upset makes both large. Above half its threshold no rotor is named any longer (`mavdiag.decision.alarm`).
+    A set-point that jumps makes |y - u| large, and a commanded flip |y|; only an upset makes both large. Above half its
+    threshold no rotor is named any longer: the other monitors are about the upset then, and not about its cause.
 
     Warm-up: one SG window, and the blanked first second of a segment. Latency: half an SG window (50 ms), plus the
     time to reach the rate: 0.2 s after a quadrotor lost a propeller. False alarms: hard landings and catches that the

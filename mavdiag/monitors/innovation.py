@@ -1,7 +1,6 @@
 """The innovation monitor: how badly one step ahead of the gyro is predicted, against healthy flight.
 
-The one-step prediction follows the measured rate, so a slow disturbance explains itself away and what is left is what
-is new in each sample. That makes it the monitor for upsets and for a rough, fast-fluctuating rotor.
+The prediction follows the measured rate, so what is left is what is new in each sample: an upset, a rough rotor.
 """
 
 import math
@@ -106,15 +105,13 @@ class Innovation(Monitor[InnovationSpec]):
 
         e(t) = A(z^-1) y(t) - B(z^-1) u(t),    z = e / sqrt(k0 + k1 EMA_0.35s(u^2)),    s = sqrt(mean_1s,3 axes z^2)
 
-    u: commanded rate (derivative of the attitude set-point), y: raw gyro less its healthy mean, one ARX(4, 4, 1) by
-    least squares for each of p, q, r. k0 and k1 by non-negative least squares of e^2, so a sharp manoeuvre that the
-    healthy flights had does not count. What z^2 is beyond 36 counts where more than 7 rows of the second have it, as a
-    glitch of three samples has not; and a row whose gyro is that of the three before is left out.
+    u: commanded rate, y: raw gyro less its healthy mean, one ARX(4, 4, 1) by least squares for each axis. What z^2 is
+    beyond 36 counts where more than 7 rows of the second have it, as a glitch of three samples has not; a row whose
+    gyro is that of the three before is left out.
 
     Warm-up: half an SG window, 4 rows and 1 s; after a gap of less than a second only the first two. Latency: half an
-    SG window and up to 1 s. False alarms: aerobatics, landings and wind that the healthy flights lacked raise it.
-    Blind spots: a weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller cuts; the threshold catches
-    none); anything slow.
+    SG window and up to 1 s. False alarms: aerobatics, landings and wind that the healthy flights lacked. Blind spots:
+    a weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller cuts); anything slow.
     """
 
     name = "innovation"

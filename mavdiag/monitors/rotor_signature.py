@@ -204,18 +204,21 @@ def _sample(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
 @jit
 def _push(mem: Floats, known: bool, window: int, least: int, means: int, recent: int) -> None:
     """Put the sample into the windows; healthy values where it is not known."""
-    roll, pitch, heave = STATES, STATES + OF_STATE, STATES + 2 * OF_STATE
+    states, to, level = (
+        mem[STATES:PASTS],
+        mem[means + FRESH : means + FRESH + 6],
+        mem[recent + FRESH : recent + FRESH + 3],
+    )
     mem[RUN] = mem[RUN] + 1.0 if known else 0.0
-    for j in range(6):
-        mem[means + FRESH + j] = HEALTHY[j]
-    for j in range(3):
-        mem[recent + FRESH + j] = 0.0
     if known:
-        p, q, w, to = mem[roll + N], mem[pitch + N], mem[heave + N], means + FRESH
-        mem[to], mem[to + 1], mem[to + 2] = p * p, q * q, p * q
-        mem[to + 3], mem[to + 4], mem[to + 5] = w * w, p * w, q * w
-        p, q, to = mem[roll + R], mem[pitch + R], recent + FRESH
-        mem[to], mem[to + 1], mem[to + 2] = p * p, q * q, p * q
+        p, q, w = states[N], states[OF_STATE + N], states[2 * OF_STATE + N]
+        to[0], to[1], to[2], to[3], to[4], to[5] = p * p, q * q, p * q, w * w, p * w, q * w
+        p, q = states[R], states[OF_STATE + R]
+        level[0], level[1], level[2] = p * p, q * q, p * q
+    else:
+        level[:] = 0.0
+        for j in range(6):
+            to[j] = HEALTHY[j]
     push(mem, means, window, 6, True)
     push(mem, recent, least, 3, True)
 
@@ -223,25 +226,25 @@ def _push(mem: Floats, known: bool, window: int, least: int, means: int, recent:
 @jit
 def _judge(par: Floats, mem: Floats, means: int, recent: int, out: Floats, rotors: Floats, k: int) -> None:
     """The statistic of the present window."""
-    share, at = 1.0 / par[SAMPLES], means + FRESH + 6  # of the sums
-    rr, pp, rp = share * mem[at], share * mem[at + 1], share * mem[at + 2]
+    share, sums = 1.0 / par[SAMPLES], mem[means + FRESH + 6 : means + FRESH + 12]
+    rr, pp, rp, patterns = share * sums[0], share * sums[1], share * sums[2], par[int(par[PATTERNS]) :]
     roll, pitch = math.sqrt(max(rr, LEAST_POWER)), math.sqrt(max(pp, LEAST_POWER))
-    heave = math.sqrt(max(share * mem[at + 3], LEAST_POWER))
-    roll_pitch, roll_heave = rp / (roll * pitch), share * mem[at + 4] / (roll * heave)
-    pitch_heave, best, most, highest = share * mem[at + 5] / (pitch * heave), -1, 0.0, -1.0
+    heave = math.sqrt(max(share * sums[3], LEAST_POWER))
+    roll_pitch, roll_heave = rp / (roll * pitch), share * sums[4] / (roll * heave)
+    pitch_heave, best, most, highest = share * sums[5] / (pitch * heave), 0, -1.0, -1.0
     for rotor in range(rotors.shape[1]):
-        of = int(par[PATTERNS]) + OF_ROTOR * rotor
-        likeness = par[of + SIGNS] * roll_pitch + par[of + SIGNS + 1] * roll_heave + par[of + SIGNS + 2] * pitch_heave
-        along = par[of + ALONG] * rr + par[of + ALONG + 1] * pp + par[of + ALONG + 2] * rp
-        across = par[of + ACROSS] * rr + par[of + ACROSS + 1] * pp + par[of + ACROSS + 2] * rp
+        own = patterns[OF_ROTOR * rotor : OF_ROTOR * (rotor + 1)]
+        likeness = own[SIGNS] * roll_pitch + own[SIGNS + 1] * roll_heave + own[SIGNS + 2] * pitch_heave
+        along = own[ALONG] * rr + own[ALONG + 1] * pp + own[ALONG + 2] * rp
+        across = own[ACROSS] * rr + own[ACROSS + 1] * pp + own[ACROSS + 2] * rp
         power = max(along, 0.0) / max(across, 1.0)
         rotors[k, rotor] = likeness
-        if best < 0 or power > most or likeness > rotors[k, best]:  # else it cannot be higher
+        if power > most or likeness > rotors[k, best]:  # else it cannot be higher
             strength = math.sqrt(power) * math.exp(LIKENESS_WEIGHT * likeness)
             if strength > highest:
                 best, most, highest = rotor, power, strength
-    of, at, least = int(par[PATTERNS]) + OF_ROTOR * best + ALONG, recent + FRESH + 3, par[LEAST]
-    square = (par[of] * mem[at] + par[of + 1] * mem[at + 1] + par[of + 2] * mem[at + 2]) / least
+    own, sums = patterns[OF_ROTOR * best + ALONG :], mem[recent + FRESH + 3 : recent + FRESH + 6]
+    square = (own[0] * sums[0] + own[1] * sums[1] + own[2] * sums[2]) / par[LEAST]
     out[VALUE, k], out[LEVEL, k] = highest, math.sqrt(max(square, 0.0))
 
 
@@ -276,17 +279,14 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
         S_j   = weighted mean over the pairs of roll, pitch, heave of  sign_j cor_10s(n, n')
         statistic = max_j A_j / max(1, B_j) exp(2 S_j)
 
-    A is about 0.7 to 1.5 in healthy flight, S below 0.3; a wandering rotor has S near 0.7. Gusts push along and across
-    every arm alike, so they raise A and B together, and a fault must be larger to be seen in wind. It is METHOD section
-    4's E > .. and S > .. as one figure, so that one threshold can be set on it; on the linear scale, because in the
-    logarithm the calm flights widen the healthy law more than the busy ones raise it. Healthy values stand for the rows
-    of a window that are missing or not valid. `level` is the arm's rms over 3 s before normalising [rad/s], which
-    grades the damage; `rotors` are the S_j.
+    A is about 0.7 to 1.5 in healthy flight, S below 0.3; a wandering rotor has S near 0.7. Gusts raise A and B
+    together, so a fault must be larger to be seen in wind. It is METHOD section 4's E > .. and S > .. as one figure.
+    Healthy values stand for the rows of a window that are missing or not valid. `level` is the arm's rms over 3 s
+    before normalising [rad/s], which grades the damage; `rotors` are the S_j.
 
-    Warm-up: half an SG window, 1.5 s to settle, then 3 s unbroken and valid. Latency: 50 ms and the time until the
-    rms is there: about 0.4 s for a thrust that wanders by 6 %, 1 s for 3 %. False alarms: jolts beside the centre.
-    Blind spots: a rotor that is weak but steady (the trim shows it), balanced damage, vibration; in wind of 5 m/s a
-    crack of half the fitted strength is near the threshold.
+    Warm-up: half an SG window, 1.5 s to settle, then 3 s unbroken and valid. Latency: 50 ms and about 0.4 s for a
+    thrust that wanders by 6 %, 1 s for 3 %. False alarms: jolts beside the centre. Blind spots: a rotor that is weak
+    but steady, balanced damage, vibration; in wind of 5 m/s a crack of half the fitted strength is near the threshold.
     """
 
     name = "rotor_signature"

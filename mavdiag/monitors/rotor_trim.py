@@ -349,17 +349,14 @@ class RotorTrim(TrimMonitor[RotorTrimSpec]):
         m: trim averaged over 5 s,    mu: the healthy one,    a_j: rise of rotor j that explains m - mu
         statistic = max_j a_j,    rotor = argmax_j a_j
 
-    m is the mean of ten ticks, each the median of half a second without what a turn takes of the yaw trim; the more a
-    turn takes, the less its tick counts. A payload, a weak battery or a shifted centre of mass move roll and pitch, not
-    yaw; these have at least three times yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which
-    rotor it is. Wind that holds the vehicle tilted tips the rotor discs too: the spread of roll and pitch has 0.3 times
-    the commanded tilt of the same 5 s added in squares, but not where a rotor is named. `level` is the same amplitude,
-    which grades the damage; `rotors` are the a_j. In a session of the healthy flights the threshold is lower
-    (`Threshold.session_allowance`).
+    A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
+    yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. Wind tips the rotor discs:
+    the spread of roll and pitch has 0.3 times the commanded tilt of the same 5 s added in squares, but not where a
+    rotor is named. `rotors` are the a_j.
 
-    Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: two flights from two sessions are the worst
-    basis; a change of propellers or of the centre of mass raises it without a fault. Blind spots: hops shorter than 5
-    s; vibration without loss of thrust; all rotors ageing alike; a rotor whose outputs saturate.
+    Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: a change of propellers or of the centre of
+    mass; two flights from two sessions are the worst basis. Blind spots: hops shorter than 5 s; vibration without loss
+    of thrust; all rotors ageing alike; a rotor whose outputs saturate.
     """
 
     name = "rotor_trim"

@@ -127,16 +127,15 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
 class RunLength(Monitor[RunLengthSpec]):
     """Statistic: the fault signature duration FSD, the time [s] that |r| has been above the margin without a break.
 
-    With r = y - y_sim (free run) of one axis and the margin M from healthy flights,
-        FSD(k) = dt * (number of consecutive judged rows up to k with |r| > M),
-    compared with the fault minimal latency FML, the longest healthy run. A single outlier cannot raise it, however
-    large: it takes a run. `level` is the highest |r| - M of the run so far [rad/s], `signal` is r.
+        FSD(k) = dt * (number of consecutive judged rows up to k with |r| > M),    r = y - y_sim
+
+    M: margin of healthy flights; the threshold is the fault minimal latency FML, the longest healthy run. `level` is
+    the highest |r| - M of the run so far [rad/s], `signal` is r.
 
     Warm-up: one SG window, and the blanked first second of a segment. Latency: half an SG window (50 ms), plus FML.
     False alarms: with FML the maximum of n healthy flights, one healthy flight in n + 1 of equal length alarms (METHOD
-    section 4). Wind, payload and trajectories that the healthy flights did not have raise it without any fault, so it
-    decides only where it is the only monitor. Blind spots: vibration (the window passes 1.2 % of a 1/rev force at 167
-    Hz), a weak rotor that an integrator trims away, anything with a trace shorter than FML.
+    section 4), and more in wind or on other trajectories, so it decides only where it is the only monitor. Blind spots:
+    vibration (the window passes 1.2 % of a 1/rev force at 167 Hz), a weak rotor that an integrator trims away.
     """
 
     name = "fsd"

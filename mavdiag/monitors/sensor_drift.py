@@ -1,9 +1,7 @@
 """The sensor-drift monitor: gyro, accelerometer and estimated attitude contradict each other.
 
-Three facts of kinematics hold whatever the propellers, the wind and the payload do. The integral of the gyro is the
-change of the attitude. A vehicle that goes on flying is not accelerated for long, so along the vertical the
-accelerometer reads g on average. And an estimator that must correct the attitude against its gyro again and again to
-the same side has two sensors that disagree.
+Whatever propellers, wind and payload do, the integral of the gyro is the change of the attitude, and along the vertical
+the accelerometer reads g on average.
 """
 
 import math
@@ -176,16 +174,13 @@ class SensorDrift(Monitor[SensorDriftSpec]):
         s = max( |dE|/(tilt + e), |dY|/(heading + e), |V|/lift ),    e = 0.01 R + 0.004 rad/s L
 
     dE, dY: change of their 2 s means over L = 15 s, or over as much as there is since the last gap; R: angle that the
-    vehicle turned in it, of which a healthy gyro may be wrong by 1 %; and its bias may be wrong by 4 mrad/s. |V|: the
-    smaller of two 4 s means, one after the other, where both have the same sign, so that the start of a climb does not
-    count.
+    vehicle turned in it. |V|: the smaller of two 4 s means, one after the other, where both have the same sign, so that
+    the start of a climb does not count.
 
-    Warm-up: 4 s without a gap, 8 s for V. Latency: where the estimator's time constant is 8 s, a gyro bias of
-    0.05 rad/s takes 6 s and a drift of 0.002 rad/s^2 15 s; a vertical bias of 0.5 m/s^2 takes 6 s.
-    False alarms: a mount that slips, cameras that jump; never below 2.5, which is 0.18 rad in 15 s or 0.2 m/s^2.
-    Blind spots: a gyro's scale, unless the vehicle turns; a horizontal accelerometer bias below 1 m/s^2 (to a filter it
-    is tilt, and a flight against wind looks the same); what was there when the flight began; attitudes beyond 40
-    degrees.
+    Warm-up: 4 s without a gap, 8 s for V. Latency: a gyro bias of 0.05 rad/s takes 6 s, a drift of 0.002 rad/s^2 15 s,
+    a vertical bias of 0.5 m/s^2 6 s. False alarms: a mount that slips, cameras that jump. Blind spots: a gyro's scale,
+    unless the vehicle turns; a horizontal accelerometer bias below 1 m/s^2; what was there when the flight began;
+    attitudes beyond 40 degrees.
     """
 
     name = "sensor_drift"

@@ -1,8 +1,4 @@
-"""The sensor-noise monitor: one axis of gyro or accelerometer turned noisy, and no other noticed.
-
-Whatever shakes an airframe is felt by several axes at once: a rotor's unbalance turns, so x and y feel it alike, and
-it reaches the gyro through the arms. Noise that only one axis of one sensor has comes from that axis.
-"""
+"""The sensor-noise monitor: one axis of gyro or accelerometer turned noisy, and no other noticed."""
 
 import math
 from collections.abc import Sequence
@@ -84,15 +80,14 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
     """Statistic: by how much the noise of one sensor axis rose while the others did not [ln of power].
 
         d = fourth difference of the axis,    L_i = ln(mean_0.5s d_i^2 / healthy),    i = gyro x, y, z, accel x, y, z
-        s = max(0, L_1st - 2 max(0, L_2nd))
+        s = max(0, L_1st - 2 max(0, L_2nd))           the highest and the second highest of the six
 
-    L_1st and L_2nd are the highest and the second highest of the six: nothing is left where a second axis rises by
-    more than the root of the highest one's power, as all do with an unbalanced rotor. The fourth difference passes what
-    is above a quarter of the rate and hardly any motion.
+    Whatever shakes an airframe is felt by several axes at once: nothing is left where a second axis rises by more than
+    the root of the highest one's power. The difference passes what is above a quarter of the rate, and hardly motion.
 
-    Warm-up: 4 rows and 0.5 s. Latency: the share of the window that lifts the mean, 0.2 s for noise of 6 times the
-    healthy rms and more. False alarms: an airframe that resonates along one axis only; knocks are cut. Blind spots:
-    noise below the vibration of the rotors; two axes at once; streams that are low-passed or slower than 100 Hz.
+    Warm-up: 4 rows and 0.5 s. Latency: 0.2 s for noise of 6 times the healthy rms. False alarms: an airframe that
+    resonates along one axis only; knocks are cut. Blind spots: noise below the vibration of the rotors; two axes at
+    once; streams that are low-passed or slower than 100 Hz.
     """
 
     name = "sensor_noise"

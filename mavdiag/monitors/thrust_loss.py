@@ -1,8 +1,4 @@
-"""The thrust-loss monitor: thrust that was there a moment ago is gone, and the vehicle falls to one side.
-
-A propeller that leaves takes its share of the lift with it at once. The accelerometer feels less than what the
-collective command gave until now, and the airframe turns towards the empty arm before any controller can answer.
-"""
+"""The thrust-loss monitor: thrust that was there a moment ago is gone, and the vehicle falls to one side."""
 
 import math
 from collections.abc import Sequence
@@ -81,9 +77,8 @@ class ThrustLoss(Monitor[ThrustLossSpec]):
         k = (-f_z)/(per_command T),    loss = 1 - mean_0.1s(-f_z)/(mean_0.1s(T) per_command EMA_3s(k))
         s = max(0, min(loss, 0.1 s |omega|))          T: collective command, omega: gyro, mean of its size over 0.1 s
 
-    A battery, a payload or another pilot change k slowly; a motor that lags a step of the command has the loss for a
-    moment but does not turn the vehicle. `level` is the loss. `rotors`: cosine between the mean of p, q and what a loss
-    of rotor j alone turns, -(its roll and pitch effects).
+    A battery, a payload or another pilot change k slowly; a motor that lags a step of the command does not turn the
+    vehicle. `level` is the loss. `rotors`: cosine between the mean of p, q and what a loss of rotor j alone turns.
 
     Warm-up: 0.1 s. Latency: 0.2 s. False alarms: a loss of less than 0.3 is never one. Blind spots: a vehicle that
     tumbles, above 8 rad/s; one of six or more rotors that flies on without one; a weak propeller (see rotor_trim).

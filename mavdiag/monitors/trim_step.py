@@ -1,7 +1,6 @@
 """The trim-step monitor: within a flight one rotor came to be commanded more than the minute before.
 
-A session's own offset (battery, propellers, payload) is in the trim from the first second, and a battery that empties
-moves it slowly. A blade that breaks moves it at once. So the trim is compared with that of the same flight before.
+A session's own offset is in the trim from the first second, and a battery moves it slowly; a blade that breaks at once.
 """
 
 from collections.abc import Sequence

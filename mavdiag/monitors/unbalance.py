@@ -1,7 +1,6 @@
 """The unbalance monitor: how much unbalance turns with the rotors, and on which of them it sits.
 
-An unbalanced rotor shakes the airframe once per revolution, with a force U Omega^2 that follows from first principles
-(T 3.1.1). That is the strong evidence for every fault that takes mass off a blade; a crack hardly does.
+An unbalanced rotor shakes the airframe once per revolution, with a force U Omega^2 (T 3.1.1).
 """
 
 import math
@@ -209,20 +208,16 @@ class Unbalance(Monitor[UnbalanceSpec]):
 
         U_app = 1e6 m sqrt(mean(ax^2 + ay^2)) / Omega^2        ax, ay above 60 Hz; m, Omega: of the hover trim
 
-    The corner is 0.36 of the rotor's frequency where that is known and lower. Several unbalanced rotors add as squares.
-    Without mass and rotor speed it is the vibration itself [m/s^2]. `level` is the part above the healthy one,
-    sqrt(U_app^2 - U_healthy^2): the fault's own unbalance. `rotors` give its place, in -1..1. With the angle of rotor
-    j's force turning by s_j (+1 clockwise from above), it makes the airframe yaw in step with itself:
+    The corner is 0.36 of the rotor's frequency where that is known and lower. Without mass and rotor speed it is the
+    vibration itself [m/s^2]. `level` is the fault's own unbalance, sqrt(U_app^2 - U_healthy^2). `rotors` give its
+    place, in -1..1. With the angle of rotor j's force turning by s_j (+1 clockwise from above):
         cov(gz, ax) ~ -s_j x_j,  cov(gz, ay) ~ -s_j y_j,  mean(ax(t-1) ay(t) - ay(t-1) ax(t)) ~ s_j sin(Omega dt)
-    after subtracting the airframe's own healthy values (METHOD section 4 has gz of T's frame, whose z is up). The
-    third, the sense of turning, separates neighbours even if gyro and accelerometer are filtered differently by a
-    millisecond, which turns the first two by 60 degrees. evidence = (cosine to rotor j + s_j turning)/2, less where the
-    shift is small.
+    after subtracting the airframe's own healthy values. The third, the sense of turning, separates neighbours even if
+    gyro and accelerometer are filtered differently by a millisecond, which turns the first two by 60 degrees.
 
-    Warm-up: 60 ms of filter, half a second, unbroken and valid. Latency: 30 ms and the share of the window that lifts
-    the mean square over the threshold, (threshold^2 - healthy^2)/fault^2 of it. False alarms: another session's
-    propellers. Blind spots: cracks (0.22 g mm is what a healthy rotor may have); streams that are low-passed; below 400
-    Hz the line is folded into the band above a quarter of the rate, or out of it.
+    Warm-up: 60 ms of filter, half a second, unbroken and valid. Latency: 30 ms and (threshold^2 - healthy^2)/fault^2 of
+    the window. False alarms: another session's propellers. Blind spots: cracks (0.22 g mm is what a healthy rotor may
+    have); streams that are low-passed; below 400 Hz the line is folded into the band, or out of it.
     """
 
     name = "unbalance"

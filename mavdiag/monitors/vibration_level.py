@@ -1,7 +1,6 @@
 """Vibration as the autopilot measures it: the VIBRATION message, where the IMU stream itself is low-passed.
 
-ArduPilot filters RAW_IMU at 20 Hz, so a rotor's unbalance (100-200 Hz) is gone from it. Its VIBRATION message is made
-before that filter and passes 30-150 Hz at 95 % (METHOD section 4).
+ArduPilot makes it before the 20 Hz filter of RAW_IMU; it passes 30-150 Hz at 95 % (METHOD section 4).
 """
 
 import math
@@ -55,14 +54,10 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
 
 
 class VibrationLevel(Monitor[VibrationLevelSpec]):
-    """Statistic: the 5 s mean of |VIBRATION|, the norm of its x, y and z [m/s^2].
-
-    The message comes a few times a second; its last value holds between, and no longer than the rows allow it.
-    `level` is the rise over the healthy mean.
+    """Statistic: the 5 s mean of |VIBRATION|, of its x, y and z [m/s^2]; `level` is the rise over the healthy one.
 
     Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: wind, landing gear contact and loose
-    mounts; the threshold is never less than 0.5 m/s^2 above the mean healthy maximum. Blind spots: a propeller that
-    lost thrust but kept its balance; clipped accelerometers.
+    mounts. Blind spots: a propeller that lost thrust but kept its balance; clipped accelerometers.
     """
 
     name = "vibration_level"
