@@ -5,9 +5,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavdiag.monitors.run_length import Residual
+from mavdiag.errors import InputError
+from mavdiag.identify import ArxModel
+from mavdiag.monitors.base import segments
+from mavdiag.monitors.run_length import MarginRule
+from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import spans
-from mavdiag.telemetry import BoolArray, FloatArray
+from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residual:
+    """The residual of one segment: t_ns, r [rad/s], valid: (n,)."""
+
+    t_ns: IntArray
+    r: FloatArray
+    valid: BoolArray
+    dt_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,3 +66,27 @@ def longest_runs(flights: Sequence[Sequence[Residual]], margin: float) -> FloatA
     return np.array(
         [max((run.fsd_s for one in flight for run in runs(one, margin)), default=0.0) for flight in flights]
     )
+
+
+def margin_of(flights: Sequence[Sequence[Residual]], rule: MarginRule = MarginRule.PERCENTILE_90) -> float:
+    """Margin [rad/s] over all judged rows of all flights. Raises InputError if there are none.
+
+    The percentile is Hazen's, which MATLAB's prctile uses.
+    """
+    pooled = np.concatenate([np.empty(0), *(np.abs(one.r[one.valid]) for flight in flights for one in flight)])
+    if len(pooled) == 0:
+        raise InputError("the healthy flights have no judged rows: are they long enough and airborne?")
+    return float(pooled.max() if rule is MarginRule.MAXIMUM else np.percentile(pooled, 90, method="hazen"))
+
+
+def residuals(flight: Sequence[Rows], axis: Axis, model: ArxModel) -> list[Residual]:
+    """Free-run residual of each segment of a flight."""
+    found = []
+    for segment in segments(flight):
+        rates = [rows.rates for rows in segment if len(rows.rates)]
+        if rates:
+            t_ns, valid = (np.concatenate([getattr(one, name) for one in rates]) for name in ("t_ns", "commanded"))
+            u, y = (np.concatenate([getattr(one, name)[:, axis.column] for one in rates]) for name in ("u", "y"))
+            rest = np.full(len(model.b), u[0]), np.full(len(model.a), np.nan_to_num(y[0]))
+            found.append(Residual(t_ns, y - model.simulate(u, *rest), valid, rates[0].dt_s))
+    return found

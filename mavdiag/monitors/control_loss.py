@@ -5,11 +5,10 @@ from typing import Literal
 
 import numpy as np
 
-from mavdiag.errors import InputError
 from mavdiag.jit import cached
 from mavdiag.monitors.base import Begin, FaultKind, Flights, LearnContext, Monitor
 from mavdiag.monitors.columns import COMMANDED, LEVEL, SOUND, VALUE, Floats, Ints, U, Y
-from mavdiag.monitors.fitting import commanded, of_each
+from mavdiag.monitors.fitting import need_commanded
 from mavdiag.monitors.spec import Delay, spec
 from mavdiag.telemetry import Signal
 from mavdiag.thresholds.guard import Guard
@@ -68,8 +67,7 @@ class ControlLoss(Monitor[ControlLossSpec]):
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[ControlLossSpec, ...]:
         """Nothing is fitted; the healthy flights set the threshold. Raises InputError without gyro or set-point."""
         context.need_rate(MIN_RATE_HZ)
-        if not any(of_each(flights, "commanded", commanded)):
-            raise InputError("no flight with a gyro and an attitude set-point")
+        need_commanded(flights)
         return (ControlLossSpec(delay_s=context.delay_s),)
 
     def begin(self, dt_s: float) -> Begin:

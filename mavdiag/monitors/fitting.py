@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from mavdiag.errors import InputError
 from mavdiag.monitors.base import Flights, Monitor, walk
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -29,9 +30,10 @@ def of_each(flights: Flights, key: Hashable, find: Callable[[Sequence[Rows]], Fo
     return [flight.once(key, find) if isinstance(flight, Remembering) else find(flight) for flight in flights]
 
 
-def commanded(flight: Sequence[Rows]) -> bool:
-    """Whether a flight has rows whose gyro and set-point may be compared."""
-    return any(rows.rates.commanded.any() for rows in flight)
+def need_commanded(flights: Flights) -> None:
+    """Raises InputError if no flight has rows whose gyro and set-point may be compared."""
+    if not any(of_each(flights, "commanded", lambda flight: any(rows.rates.commanded.any() for rows in flight))):
+        raise InputError("no flight with a gyro and an attitude set-point")
 
 
 def traced(monitor: Monitor[Any], flight: Sequence[Rows], more: int) -> Iterator[FloatArray]:

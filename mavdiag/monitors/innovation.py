@@ -14,7 +14,7 @@ from mavdiag.identify.arx import triangle
 from mavdiag.jit import allocating, cached
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, segments
 from mavdiag.monitors.columns import COMMANDED, GYRO, LEVEL, SOUND, VALUE, Floats, Ints, U
-from mavdiag.monitors.fitting import MEMORY_S, commanded, cut_to_share, of_each, smoothed, three, variance_law
+from mavdiag.monitors.fitting import MEMORY_S, cut_to_share, need_commanded, of_each, smoothed, three, variance_law
 from mavdiag.monitors.spec import Delay, NotNegative, Positive, spec
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
@@ -132,8 +132,7 @@ class Innovation(Monitor[InnovationSpec]):
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[InnovationSpec, ...]:
         """Identify the healthy one-step prediction, of a like share of every flight's rows."""
-        if not any(of_each(flights, "commanded", commanded)):
-            raise InputError("no flight with a gyro and an attitude set-point")
+        need_commanded(flights)
         if 1 / context.dt_s < MIN_RATE_HZ:
             rate_hz = 1 / context.dt_s
             raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; a one-step prediction needs {MIN_RATE_HZ:.0f} Hz")

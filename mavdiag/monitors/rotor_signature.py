@@ -34,7 +34,7 @@ from mavdiag.identify.model import ModelRecord
 from mavdiag.jit import cached, jit, summing
 from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
 from mavdiag.monitors.columns import COMMANDED, FORCE, LEVEL, OUTPUTS, SOUND, THRUST, TRACE, VALUE, Floats, Ints, U, Y
-from mavdiag.monitors.fitting import MEMORY_S, commanded, cut_to_share, of_each, smoothed, three, variance_law
+from mavdiag.monitors.fitting import MEMORY_S, cut_to_share, need_commanded, of_each, smoothed, three, variance_law
 from mavdiag.monitors.run_length import at_rest, free_run, taps_of
 from mavdiag.monitors.spec import NotNegative, Positive, spec
 from mavdiag.rows.conditions import Condition
@@ -317,8 +317,7 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[RotorSignatureSpec, ...]:
         """Identify the healthy motion."""
         layout, stride, dt_s = context.layout, max(1, round(SAMPLE_S / context.dt_s)), context.dt_s
-        if not any(of_each(flights, "commanded", commanded)):
-            raise InputError("no flight with a gyro and an attitude set-point")
+        need_commanded(flights)
         if 1 / dt_s < 0.98 * MIN_RATE_HZ:
             raise InputError(f"the gyro comes at {1 / dt_s:.3g} Hz; {MIN_RATE_HZ:.0f} Hz are needed, better 100")
         if not any(of_each(flights, "felt z", _felt)):

@@ -8,7 +8,7 @@ rate at rest in it; what that start gets wrong has died out by the end of the se
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from enum import StrEnum
 from typing import Literal
 
@@ -18,14 +18,14 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import ArxModel, fit
 from mavdiag.identify.model import ModelRecord
 from mavdiag.jit import cached, jit
-from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, segments
+from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor
 from mavdiag.monitors.columns import COMMANDED, LEVEL, RESIDUAL, SOUND, VALUE, Floats, Ints, U, Y
-from mavdiag.monitors.fitting import cut_to_share
+from mavdiag.monitors.fitting import cut_to_share, traced
 from mavdiag.monitors.spec import Delay, Positive, spec
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import spans
-from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray, Signal
+from mavdiag.telemetry import Axis, FloatArray, Signal
 
 TRAIN_ROWS = 60_000  # one minute at 1 kHz: beyond it a model's standard errors no longer matter (our choice)
 SETTLE_S = 1.0  # of each stretch that does not count in the figures of fit: it may begin in motion (our choice)
@@ -52,16 +52,6 @@ class RunLengthSpec:
     margin_rad_s: Positive  # what healthy |r| stays below, by the rule
     margin_rule: MarginRule = MarginRule.PERCENTILE_90
     delay_s: Delay = 0.0  # half the window of the rate filters
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Residual:
-    """The residual of one segment: t_ns, r [rad/s], valid: (n,)."""
-
-    t_ns: IntArray
-    r: FloatArray
-    valid: BoolArray
-    dt_s: float
 
 
 def taps_of(model: ModelRecord) -> list[float]:
@@ -161,17 +151,16 @@ class RunLength(Monitor[RunLengthSpec]):
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[RunLengthSpec, ...]:
         """Model and margin of each axis that can be learnt. Raises with the reasons if none can."""
-        found, reasons = [], []
+        found, reasons, rule = list[RunLengthSpec](), [], MarginRule(context.margin_rule)
         for axis in context.axes:
             try:
-                model = _train(flights, axis, context)
-                rule = MarginRule(context.margin_rule)
-                margin = margin_of([residuals(flight, axis, model) for flight in flights], rule)
+                record = ModelRecord.of(_train(flights, axis, context))
+                fit_ = RunLengthSpec(
+                    axis=axis, model=record, margin_rad_s=1.0, margin_rule=rule, delay_s=context.delay_s
+                )
+                found.append(replace(fit_, margin_rad_s=_margin(cls(fit_), flights)))
             except (InputError, IdentificationError) as error:
                 reasons.append(str(error))
-                continue
-            record, delay_s = ModelRecord.of(model), context.delay_s
-            found.append(RunLengthSpec(axis=axis, model=record, margin_rad_s=margin, margin_rule=rule, delay_s=delay_s))
         if not found:
             raise IdentificationError("; ".join(reasons) or "no axis to model")
         return tuple(found)
@@ -184,28 +173,14 @@ class RunLength(Monitor[RunLengthSpec]):
         return Begin(par, np.zeros(PAST + order))
 
 
-def margin_of(flights: Sequence[Sequence[Residual]], rule: MarginRule = MarginRule.PERCENTILE_90) -> float:
-    """Margin [rad/s] over all judged rows of all flights. Raises InputError if there are none.
-
-    The percentile is Hazen's, which MATLAB's prctile uses.
-    """
-    pooled = np.concatenate([np.empty(0), *(np.abs(one.r[one.valid]) for flight in flights for one in flight)])
-    if len(pooled) == 0:
+def _margin(monitor: RunLength, flights: Flights) -> float:
+    """Margin [rad/s] over all judged rows of all flights; the percentile is Hazen's, which MATLAB's prctile uses."""
+    pieces = [piece for flight in flights for piece in traced(monitor, flight, 0)]
+    levels = np.concatenate([np.empty(0), *(np.abs(piece[RESIDUAL, piece[SOUND] > 0.5]) for piece in pieces)])
+    if len(levels) == 0:
         raise InputError("the healthy flights have no judged rows: are they long enough and airborne?")
-    return float(pooled.max() if rule is MarginRule.MAXIMUM else np.percentile(pooled, 90, method="hazen"))
-
-
-def residuals(flight: Sequence[Rows], axis: Axis, model: ArxModel) -> list[Residual]:
-    """Free-run residual of each segment of a flight."""
-    found = []
-    for segment in segments(flight):
-        rates = [rows.rates for rows in segment if len(rows.rates)]
-        if rates:
-            t_ns, valid = (np.concatenate([getattr(one, name) for one in rates]) for name in ("t_ns", "commanded"))
-            u, y = (np.concatenate([getattr(one, name)[:, axis.column] for one in rates]) for name in ("u", "y"))
-            rest = np.full(len(model.b), u[0]), np.full(len(model.a), np.nan_to_num(y[0]))
-            found.append(Residual(t_ns, y - model.simulate(u, *rest), valid, rates[0].dt_s))
-    return found
+    most = monitor.spec.margin_rule is MarginRule.MAXIMUM
+    return float(levels.max() if most else np.percentile(levels, 90, method="hazen"))
 
 
 def training_pieces(flight: Sequence[Rows], axis: Axis) -> list[tuple[FloatArray, FloatArray]]:

@@ -18,6 +18,7 @@ from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor
 from mavdiag.monitors.columns import FORCE, LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.fitting import of_each, traced
 from mavdiag.monitors.spec import Positive, spec
+from mavdiag.rows.block import Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
@@ -243,7 +244,7 @@ class Unbalance(Monitor[UnbalanceSpec]):
 
         Raises InputError if the link does not carry a rotor's vibration.
         """
-        if not any(of_each(flights, "felt x and y", _felt)):
+        if not any(of_each(flights, "felt x and y", lambda flight: any(_felt(rows.block) for rows in flight))):
             raise InputError("no flight with an accelerometer along x and y")
         airframe = context.airframe
         both = airframe.mass_kg is not None and airframe.hover_rad_s is not None
@@ -297,9 +298,8 @@ def _patterns(layout: RotorLayout | None) -> FloatArray:
     return np.column_stack(((pattern / np.linalg.norm(pattern, axis=0)).T, -np.sign(yaw)))
 
 
-def _felt(flight: Sequence[Rows]) -> bool:
-    """Whether a flight has an accelerometer along x and y."""
-    return any((rows.block.valid & rows.block.known(Signal.SPECIFIC_FORCE, ONLY_X_Y)).any() for rows in flight)
+def _felt(block: Block) -> bool:
+    return bool((block.valid & block.known(Signal.SPECIFIC_FORCE, ONLY_X_Y)).any())
 
 
 def _means(spec: UnbalanceSpec, flight: Sequence[Rows]) -> FloatArray:

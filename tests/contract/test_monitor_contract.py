@@ -132,14 +132,6 @@ def test_what_it_does_not_need_may_be_absent(kind: type[Monitor[Any]]) -> None:
 
 
 @every_monitor
-def test_the_statistic_is_finite_where_it_is_valid(kind: type[Monitor[Any]]) -> None:
-    found = run(built(kind), flying_rows(rough_flight(4)))
-    for name in ("value", "level", "signal", "rotors"):
-        values = getattr(found, name)
-        assert np.isfinite(values[found.valid] if len(values) else values).all(), name
-
-
-@every_monitor
 def test_a_number_that_is_none_is_not_judged(kind: type[Monitor[Any]]) -> None:
     columns = {
         Signal.BODY_RATE: "rate",

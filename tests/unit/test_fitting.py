@@ -20,7 +20,6 @@ from mavdiag.monitors.fitting import variance_law
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.sensor_noise import SensorNoise
 from mavdiag.monitors.thrust_loss import ThrustLoss
-from mavdiag.monitors.unbalance import UnbalanceSpec
 from mavdiag.monitors.vibration_level import VibrationLevel
 from mavdiag.rows.front import Rows
 
@@ -113,18 +112,6 @@ def test_a_spec_that_describes_nothing_is_refused_by_its_field(kind: str, field:
 
 
 def test_what_fits_together_is_checked_together() -> None:
-    for frame, rate_hz, mass_kg in (("x", 1000.0, 1.5), ("x", 100.0, None)):
-        with pytest.raises(InputError, match="unbalance: "):
-            UnbalanceSpec(
-                dt_s=1 / rate_hz,
-                corner_hz=60.0,
-                layout=layout_named(frame),
-                covariance=(0.0, 0.0),
-                spread=(1.0, 1.0),
-                turning=0.0,
-                power=1.0,
-                mass_kg=mass_kg,
-            )
     with pytest.raises(InputError, match="not known"):
         replace(SPECS["rotor_trim"], source="torque")
     with pytest.raises(InputError, match="odd"):

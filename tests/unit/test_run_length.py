@@ -1,6 +1,5 @@
-"""Runs above the margin by a plain count, margins and longest runs of healthy flights, and the fit of both axes."""
+"""Runs above the margin by a plain count, the margin of healthy flights, and the fit of both axes."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -12,28 +11,15 @@ from hypothesis import strategies as st
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import Method
 from mavdiag.identify.model import ModelRecord
-from mavdiag.monitors.run_length import (
-    MarginRule,
-    Residual,
-    RunLength,
-    RunLengthSpec,
-    margin_of,
-    residuals,
-)
+from mavdiag.monitors.run_length import RunLength, RunLengthSpec
 from mavdiag.rows.front import Rows
-from mavdiag.rows.rates import RateBlock
-from mavdiag.telemetry import Axis, FloatArray
+from mavdiag.telemetry import Axis
 from mavdiag.testing import example_context, example_rows
 
 DT_S = 0.01
 CONTEXT = replace(example_context(), window=11)
 
 levels = st.lists(st.tuples(st.sampled_from([0.0, 0.5, 1.0, 1.5, -2.0]), st.booleans()), min_size=1, max_size=60)
-
-
-def piece(r: FloatArray) -> Residual:
-    n = len(r)
-    return Residual(np.arange(n, dtype=np.int64) * 10_000_000, r, np.ones(n, dtype=np.bool_), DT_S)
 
 
 @given(rows=levels)
@@ -52,36 +38,12 @@ def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[fl
 
 
 def test_the_margin_is_hazen_s_90th_percentile_of_the_size() -> None:
-    r = np.array([-3.0, 1.0, 2.0, -5.0, 4.0])
-    assert margin_of([[piece(r)]]) == 5.0  # Hazen: p = (i - 0.5)/n, so 90 % of five values is the fifth
-    assert margin_of([[piece(np.arange(1.0, 11.0))]]) == 9.5
-    assert margin_of([[piece(r)]], MarginRule.MAXIMUM) == 5.0
-
-
-def test_b4_a_chunk_does_not_end_a_run() -> None:
-    """B4: runs were counted in every chunk for itself, and a flight has two of them."""
-    (rows,) = (one for one in flying_rows(flying(2000, 1)) if len(one.block) > 1000)
-    (whole,) = RunLength.fit([[rows]], CONTEXT)[:1]
-    model = whole.model.model()
-    cut = [
-        Rows(rows.block.rows(low, high), _part(rows, low, high))
-        for low, high in itertools.pairwise((0, 700, 701, 1990))
-    ]
-    (one,), (other,) = (residuals(flight, Axis.ROLL, model) for flight in ([rows], cut))
-    np.testing.assert_array_equal(one.r, other.r)
-    assert one.valid.tolist() == other.valid.tolist()
-
-
-def _part(rows: Rows, low: int, high: int) -> RateBlock:
-    rates, kept = rows.rates, slice(low, high)
-    return replace(
-        rates,
-        t_ns=rates.t_ns[kept],
-        u=rates.u[kept],
-        y=rates.y[kept],
-        valid=rates.valid[kept],
-        commanded=rates.commanded[kept],
-    )
+    rows = flying_rows(flying(2000, 1))
+    for rule, expected in (("p90", 90), ("max", 100)):
+        (spec,) = RunLength.fit([rows], replace(CONTEXT, axes=(Axis.ROLL,), margin_rule=rule))
+        found = list(RunLength(spec).over(rows))
+        levels = np.abs(np.concatenate([one.signal[one.valid] for one in found]))
+        assert spec.margin_rad_s == pytest.approx(np.percentile(levels, expected, method="hazen"), rel=1e-9)
 
 
 def test_an_axis_that_cannot_be_learnt_does_not_veto_the_other() -> None:
