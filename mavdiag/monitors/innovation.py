@@ -97,7 +97,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
             sum_ = total(mem, MEAN, 3, 0) + (total(mem, MEAN, 3, 1) if many else 0.0)
             level = math.sqrt(max(sum_, 0.0) / (3 * window))
         out[VALUE, k], out[SOUND, k], out[LEVEL, k], at[k] = level, sound, level, k
-    return squares.shape[1]
+    return len(at) - (known - first)
 
 
 class Innovation(Monitor[InnovationSpec]):
