@@ -18,7 +18,7 @@ class Statistic:
     value: (n,) in the monitor's unit; it is compared with the threshold.
     valid: (n,) False where nothing may be concluded.
     level: (n,) a second figure that describes an alarm (for the fsd monitor the excess over the margin [rad/s]).
-    signal: (n,) what the statistic is made of, for a display (for the fsd monitor the residual [rad/s]).
+    signal: (n,) what a display draws: of the fsd monitor the residual [rad/s], else the value.
     rotors: (n, R) evidence for each rotor, dimensionless; (n, 0) if the monitor knows nothing of rotors.
     """
 
