@@ -26,7 +26,7 @@ from mavdiag.link.wants import LABELS, log_remedy, messages_of, remedy
 from mavdiag.look import figures
 from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.monitors.base import Monitor
-from mavdiag.monitors.vibration_band import corner_of
+from mavdiag.monitors.unbalance import corner_of
 from mavdiag.rows.grid import mean_step, steps_of
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S

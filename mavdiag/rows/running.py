@@ -31,12 +31,18 @@ def push(mem: FloatArray, at: int, window: int, columns: int, good: bool) -> boo
     if place == window:
         place = 0
         for column in range(columns):
-            first, sum_ = ring + column * window, 0.0
-            for row in range(first, first + window):
-                sum_ += mem[row]
-            mem[sums + column] = sum_
-    mem[at], mem[at + 1] = place, mem[at + 1] + 1.0 if good else 0.0
+            mem[sums + column] = _sum(mem[ring + column * window : ring + (column + 1) * window])
+    mem[at] = place
+    mem[at + 1] = mem[at + 1] + 1.0 if good else 0.0
     return bool(mem[at + 1] >= window)
+
+
+@summing
+def _sum(values: FloatArray) -> float:
+    found = 0.0
+    for i in range(len(values)):
+        found += values[i]
+    return found
 
 
 @jit

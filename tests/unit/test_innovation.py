@@ -6,11 +6,13 @@ from flying_telemetry import body_rates
 from scipy.optimize import nnls
 from scipy.signal import lfilter
 
+from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors import innovation
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.innovation import Innovation, InnovationSpec
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_context, example_rows
 
 DT_S = 0.01
@@ -73,6 +75,71 @@ def test_the_fit_is_least_squares_and_the_variance_non_negative() -> None:
         assert spec.a[k][0] == pytest.approx(-0.7, abs=0.1)
 
 
+def test_a_rough_flight_shows_in_proportion() -> None:
+    spec = fit([[responding(8000, seed)] for seed in range(2)])
+    calm = read(spec, responding(4000, 5))
+    rough = read(spec, responding(4000, 5, noise=0.06))
+    assert float(np.median(calm.value[calm.valid])) == pytest.approx(1.0, abs=0.1)
+    assert float(np.median(rough.value[rough.valid])) == pytest.approx(3.0, abs=0.3)
+
+
+def test_a_gyro_bias_like_the_healthy_one_does_not_count() -> None:
+    spec = fit([[responding(6000, 6, bias=0.05)]])
+    assert spec.mean == pytest.approx((0.05, 0.05, 0.05), abs=0.02)
+    found = read(spec, responding(3000, 7, bias=0.05))
+    assert float(np.median(found.value[found.valid])) == pytest.approx(1.0, abs=0.1)
+
+
+def test_an_axis_that_is_never_commanded_is_predicted_from_itself() -> None:
+    rows = example_rows(3000, DT_S, rate=np.random.default_rng(8).normal(0, 0.1, (3000, 3)))
+    spec = fit([[rows]])
+    assert spec.b == ((0.0,) * 4,) * 3
+    assert spec.k1 == (0.0, 0.0, 0.0)
+
+
+def spoilt(rate: FloatArray) -> FloatArray:
+    rate = rate.copy()
+    rate[600] = np.nan
+    rate[900] = 1e300
+    return rate
+
+
+def test_broken_samples_leave_no_trace() -> None:
+    spec, rng = fit([[responding(6000, 9)]]), np.random.default_rng(10)
+    rate = rng.normal(0, 0.02, (2000, 3))
+    valid = np.ones(2000, dtype=bool)
+    valid[[600, 900]] = False
+    clean = read(spec, example_rows(2000, DT_S, rate=rate, valid=valid))
+    broken = read(spec, example_rows(2000, DT_S, rate=spoilt(rate), valid=valid))
+    np.testing.assert_array_equal(broken.valid, clean.valid)
+    assert not broken.valid[600:604].any()
+    assert broken.valid[620:890].all()  # the window goes on with the valid rows
+    np.testing.assert_allclose(broken.value[broken.valid], clean.value[clean.valid], rtol=1e-9)
+
+
+def test_one_wild_sample_adds_no_more_than_its_bound() -> None:
+    spec = fit([[responding(6000, 11)]])
+    rate = np.random.default_rng(12).normal(0, 0.02, (3000, 3))
+    wild = rate.copy()
+    wild[1000] = 1e300
+    calm, shocked = (read(spec, example_rows(3000, DT_S, rate=x)) for x in (rate, wild))
+    assert np.isfinite(shocked.value).all()
+    assert shocked.value[:1200].max() < (calm.value[:1200].max() ** 2 + 5 * 36.0 / 100) ** 0.5 + 0.01  # 5 rows feel it
+    np.testing.assert_allclose(shocked.value[1200:], calm.value[1200:], atol=1e-3)
+
+
+def test_refusals() -> None:
+    with pytest.raises(IdentificationError, match="500 are needed"):
+        fit([[responding(300, 13)]])
+    with pytest.raises(IdentificationError, match="constant"):
+        fit([[example_rows(2000)]])
+    slow = example_rows(2000, 0.1, rate=np.random.default_rng(14).normal(0, 0.1, (2000, 3)))
+    with pytest.raises(InputError, match="10 Hz"):
+        fit([[slow]], 0.1)
+    with pytest.raises(InputError, match="no flight with a gyro and an attitude set-point"):
+        fit([[example_rows(2)]])
+
+
 def test_b10_every_flight_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     """B10: the fit took the first flights until a limit of rows; now a like share of every flight."""
     calm, rough = [responding(4000, 20)], [responding(4000, 21, noise=0.2)]
@@ -80,3 +147,14 @@ def test_b10_every_flight_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     one, other = fit([calm, rough]), fit([rough, calm])
     assert one.k0 == pytest.approx(other.k0, rel=1e-6)
     assert one.k0[0] > 10 * fit([calm]).k0[0]
+
+
+def test_b2_a_set_point_that_stops_is_not_judged() -> None:
+    """B2: without a set-point there is no prediction."""
+    rows = responding(3000, 22)
+    stopped = np.arange(3000) < 1500
+    spec = fit([[responding(6000, 23)]])
+    silent = example_rows(3000, DT_S, setpoint=rows.block.setpoint, rate=rows.block.rate, setpoint_valid=stopped)
+    found = read(spec, silent)
+    assert found.valid[:1400].any()
+    assert not found.valid[1500:].any()

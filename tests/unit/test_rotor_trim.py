@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 from made_thresholds import calibrated
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
+from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import FloatArray
+from mavdiag.telemetry import FloatArray, Signal
 from mavdiag.testing import example_context, example_rows
 
 CALM = (0.03, 0.03, 0.01)
@@ -51,6 +52,15 @@ def test_the_rise_and_its_rotor_come_out_exactly(frame: str, which: int, rise: f
     np.testing.assert_array_equal(found.level, found.value)
 
 
+def test_a_shifted_centre_of_mass_counts_little() -> None:
+    shift = np.array([0.06, 0.04, 0.0])  # roll and pitch only
+    w = layout_named("x").mixing @ shift
+    found = read(spec_of(), [example_rows(600, actuator=fluttering(0.5 * (1 + w)))])
+    weak = read(spec_of(), [example_rows(600, actuator=fluttering(0.5 * np.array([1.2, 1.0, 1.0, 1.0])))])
+    assert found.value[-1] < 0.1
+    assert weak.value[-1] > 0.15
+
+
 def test_torque_commands_give_the_same_as_outputs() -> None:
     frame = layout_named("crazyflie")
     gain = np.array([0.25, 0.25, 0.5]) * 65534 / 65535
@@ -77,6 +87,46 @@ def test_it_finds_the_weak_rotor_that_healthy_flights_lack() -> None:
     assert calm.value[calm.valid].max() < threshold.value
 
 
+def damaged(outputs: FloatArray) -> FloatArray:
+    outputs = outputs.copy()
+    outputs[700:710] = np.nan
+    outputs[1400] = np.inf
+    outputs[1401] = 0.0  # all motors off for a row
+    return outputs
+
+
+def test_broken_outputs_are_not_judged_and_leave_no_trace() -> None:
+    sound = np.random.default_rng(5).normal(0.5, 0.01, (2500, 4))
+    clean, broken = (read(spec_of(), [example_rows(2500, actuator=x)]) for x in (sound, damaged(sound)))
+    assert clean.valid[9:].all()  # ticks of half a second
+    assert not broken.valid[14:24].any()
+    assert not broken.valid[28:38].any()
+    assert broken.valid[38:].all()
+    # The first tick after a break has no part before it; from the second on nothing is left of the break.
+    np.testing.assert_allclose(broken.value[38], clean.value[38], atol=1e-3)
+    np.testing.assert_allclose(broken.value[39:], clean.value[39:], atol=1e-12)
+
+
+def test_why_it_cannot_judge() -> None:
+    outputs = np.random.default_rng(1).normal(0.5, 0.01, (1000, 4))
+    with pytest.raises(InputError, match="layout"):
+        fit([[example_rows(1000, actuator=outputs)]], None)
+    for rows in (
+        example_rows(1000),
+        example_rows(1000, actuator=outputs[:, :3]),
+        example_rows(1000, actuator=0 * outputs),
+    ):
+        with pytest.raises(InputError, match="outputs of 4 motors"):
+            fit([[rows]], "x")
+    by_torque = example_rows(1000, torque=0.1 * outputs[:, :3], thrust=np.full(1000, 0.5))
+    with pytest.raises(InputError, match="mixing is known"):
+        fit([[by_torque]], "x")
+    assert RotorTrim(fit([[by_torque]], "crazyflie")).signals == {Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT}
+    assert RotorTrim(fit([[example_rows(1000, actuator=outputs)]], "x")).signals == {Signal.ACTUATOR}
+    with pytest.raises(IdentificationError, match="no unbroken 5 s"):
+        fit([[example_rows(300, actuator=outputs[:300])]], "x")
+
+
 def turning(seconds: float, seed: int, law: tuple[float, float], nose: float = 1.0) -> Rows:
     """A vehicle whose nose turns to and fro, commanded by b1 r + b2 dr/dt of hover."""
     rng, n = np.random.default_rng(seed), round(seconds / 0.01)
@@ -96,6 +146,11 @@ def test_what_a_turn_takes_is_learnt_and_taken_off(law: tuple[float, float]) -> 
     assert calm.value[calm.valid].max() < RotorTrim.guard.least
     straight = replace(spec, turn=(0.0, 0.0))
     assert read(straight, [turning(60, 2, law)]).value.max() > 2 * calm.value[calm.valid].max()
+
+
+def test_a_nose_that_hardly_turns_leaves_the_law_near_its_prior() -> None:
+    """The noise of the gyro looks like a turn that takes nothing."""
+    assert fit([[turning(60, 3, (0.1, 0.05), nose=0.001)]], "x").turn == pytest.approx((0.0, 0.04), abs=0.01)
 
 
 def test_sudden_turns_explain_themselves_whenever_a_tick_begins() -> None:

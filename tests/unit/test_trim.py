@@ -16,8 +16,7 @@ from mavdiag.airframe.trim import (
     trim_of,
 )
 from mavdiag.errors import InputError
-from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
-from mavdiag.monitors.trim import highest_rise, rise
+from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec, highest_rise, rise
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
 
@@ -72,7 +71,7 @@ def test_outputs_are_preferred_to_commands() -> None:
 @given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=5, max_size=5))
 def test_the_compiled_rise_is_that_of_arrays(frame: str, shift: list[float]) -> None:
     layout, both = layout_named(frame), np.array([shift])
-    par = RotorTrim(RotorTrimSpec(layout=layout, source="actuator", spread=CALM)).parameters(0.01)
+    par = RotorTrim(RotorTrimSpec(layout=layout, source="actuator", spread=CALM)).begin(0.01).par
     expected = rises(both[:, :3], layout, CALM, both[:, 3:])[0]
     found = [rise(par, rotor, both[0], True) for rotor in range(layout.rotors)]
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)

@@ -8,8 +8,7 @@ import pytest
 from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import InputError
 from mavdiag.monitors.base import Flights
-from mavdiag.monitors.unbalance import Unbalance, UnbalanceSpec
-from mavdiag.monitors.vibration_band import corner_of
+from mavdiag.monitors.unbalance import Unbalance, UnbalanceSpec, corner_of
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_context, example_rows
