@@ -1,9 +1,5 @@
 """`nox` runs what CI runs, in the environment that the Makefile sets up."""
 
-import os
-import sys
-from pathlib import Path
-
 import nox
 
 nox.options.sessions = ["check"]
@@ -15,23 +11,6 @@ CORE = ("tests/unit", "tests/replay")  # what the lowest versions are tried on
 @nox.session
 def check(session: nox.Session) -> None:
     session.run("bash", ".ci/run", external=True)
-
-
-@nox.session(venv_backend="venv")
-def clients(session: nox.Session) -> None:
-    """The test with mavsdk 3, which excludes mavsdk 4 and therefore gets an environment of its own."""
-    session.install("mavsdk<4")
-    python = Path(session.bin) / "python"
-    session.run(
-        sys.executable,
-        "-m",
-        "pytest",
-        "-n",
-        "0",
-        "tests/integration/test_clients_mavsdk3.py",
-        external=True,
-        env={"MAVDIAG_MAVSDK3": str(python), "PATH": os.environ["PATH"]},
-    )
 
 
 @nox.session

@@ -17,12 +17,13 @@ import numpy as np
 from recorded_flights import BINS, total_cut_mm
 from rich.console import Console
 from rich.table import Table
+from thesis_runs import Residual, longest_runs, margin_of, residuals
 
 from mavdiag.identify import ArxModel, fit
 from mavdiag.learning import LearntFlight, airborne, front_for
 from mavdiag.logs import read_log
-from mavdiag.monitors.base import Rows
-from mavdiag.monitors.run_length import Residual, longest_runs, margin_of, residuals, training_pieces
+from mavdiag.monitors.run_length import training_pieces
+from mavdiag.rows.front import Rows
 from mavdiag.telemetry import Axis, FloatArray
 
 Residuals = Callable[[Sequence[Rows], Axis, ArxModel], list[Residual]]

@@ -15,8 +15,7 @@ from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 
-from mavdiag.logs.dataflash import WANTED, read_dataflash
-from mavdiag.logs.dataflash_records import Walk
+from mavdiag.logs.dataflash import WANTED, Walk, read_dataflash
 from mavdiag.logs.log import Table, windows_of
 
 REPEATS = 20

@@ -24,6 +24,7 @@ import numpy as np
 from crazypad_thesis import one_step
 from rich.console import Console
 from rich.table import Table
+from thesis_runs import Residual, longest_runs, margin_of, residuals
 
 from mavdiag.baseline import Baseline
 from mavdiag.errors import InputError
@@ -32,7 +33,7 @@ from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearntFlight, airborne, front_for
 from mavdiag.logs import read_log
 from mavdiag.logs.dronepropa import FILTERED_PROFILE, PROFILE
-from mavdiag.monitors.run_length import Residual, longest_runs, margin_of, residuals, training_pieces
+from mavdiag.monitors.run_length import training_pieces
 from mavdiag.telemetry import Axis, FloatArray
 
 __all__ = ["Line", "Name", "table_of"]

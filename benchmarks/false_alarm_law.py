@@ -13,11 +13,11 @@ from functools import partial
 
 import numpy as np
 from emulated import as_flight
+from thesis_runs import longest_runs, residuals
 
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.chain import front_of
 from mavdiag.learning import learn, rows_of, thesis_options
-from mavdiag.monitors.run_length import longest_runs, residuals
 from mavdiag.telemetry import Axis
 from sitl_plant.plant import PlantConfig
 

@@ -41,7 +41,7 @@ from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, airborne, learn
 from mavdiag.logs import read_log
 from mavdiag.monitors import monitor_of
-from mavdiag.monitors.model_residual import residuals_of, samples_of
+from mavdiag.monitors.rotor_signature import residuals_of, samples_of
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Log

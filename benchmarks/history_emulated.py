@@ -22,7 +22,7 @@ import numpy as np
 
 from mavdiag.archive.figures import FlightRecord, record_of
 from mavdiag.baseline import Baseline
-from mavdiag.history.stretches import WATCHED
+from mavdiag.history.warn import WATCHED
 from mavdiag.judging import judge_in_full
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.telemetry import FloatArray, Log

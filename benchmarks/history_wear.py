@@ -33,9 +33,8 @@ from rich.table import Table
 from scipy.stats import beta
 
 from mavdiag.archive.figures import FlightRecord
-from mavdiag.history.stretches import Series, Stretch, series_of
 from mavdiag.history.trend import changes_of, sessions_of
-from mavdiag.history.warn import GROWN, HORIZON, PROGRESS, warned_at
+from mavdiag.history.warn import GROWN, HORIZON, PROGRESS, Series, Stretch, series_of, warned_at
 from mavdiag.judging import Verdict
 from mavdiag.telemetry import Axis, FloatArray
 

@@ -24,7 +24,7 @@ from rich.table import Table
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import fit
-from mavdiag.identify.lab.sweep import window_sweep
+from mavdiag.identify.lab.sweep import sweep
 from mavdiag.identify.validate import r_squared
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import coefficients
@@ -111,7 +111,11 @@ def window_table(flight_s: float, noise: float = 0.1) -> Table:
     train, validation = (fly(drone, drone, flight_s).noisy(noise, rng) for drone in (2, 1))
     table = Table("window", *(f"{method}, {noise:g} rad/s" for method in ("ls", "sriv")))
     columns = [
-        window_sweep(train.rates, WINDOWS, dt=DT_S, method=method, prepare_validation=validation.rates)
+        sweep(
+            (((2, 2, 1), window, train.rates(window), validation.rates(window)) for window in WINDOWS),
+            dt=DT_S,
+            method=method,
+        )
         for method in ("ls", "sriv")
     ]
     for rows in zip(*columns, strict=True):

@@ -56,7 +56,7 @@ from rich.table import Table
 from scipy.optimize import brentq
 from scipy.stats import nct, ncx2, norm, t
 
-from mavdiag.airframe.trim import source_of, trim_of
+from mavdiag.airframe.trim import source_among, sources_of, trim_of
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.chain import front_of
 from mavdiag.decision.diagnosis import Stage
@@ -201,7 +201,7 @@ def trim_covariance(baseline: Baseline, flights: Sequence[Log]) -> FloatArray:
     front, layout, means = front_of(baseline), baseline.airframe.layout, []
     assert layout is not None
     for rows in (rows_of(front, log.telemetry) for log in flights):
-        source = source_of([rows], layout)
+        source = source_among([sources_of(rows, layout)], layout)
         trims = [trim_of(one.block, layout, source) for one in rows]
         trim = np.concatenate([values[known] for values, known in trims])
         size = round(TRIM_S / rows[0].block.dt_s)

@@ -15,8 +15,7 @@ from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight, judge_in_full
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.report.flight import flight_report
-from mavdiag.report.page import Made, flights_page
+from mavdiag.report.page import Made, flight_report, flights_page
 from mavdiag.telemetry import Log
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
 from sitl_plant.plant import PlantConfig

@@ -71,7 +71,7 @@ class Record:
         """Note the rows that this look judged. lead_ns: of the host's clock over the vehicle's."""
         for vehicle in fleet.vehicles.values():
             judge = vehicle.session.judge
-            now_ns = None if judge is None else judge.now_ns
+            now_ns = None if judge is None else judge.memory.now_ns
             if now_ns is None or judge is None:
                 continue
             if self.judged_ns is not None and 0 < now_ns - self.judged_ns < NS_PER_S:

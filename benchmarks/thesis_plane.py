@@ -10,11 +10,11 @@ from collections import Counter
 
 import numpy as np
 from thesis_plane_rules import Example, FaultPoint, HealthyScale, classify, fault_point, fit_plane
+from thesis_runs import Residual, longest_runs, margin_of, runs
 
 from mavdiag.airframe.propellers import PROPELLERS
 from mavdiag.errors import InputError
 from mavdiag.identify import ArxModel, fit
-from mavdiag.monitors.run_length import Residual, longest_runs, margin_of, runs
 from mavdiag.rows.savgol import coefficients, window_samples
 from mavdiag.telemetry import FloatArray
 from sitl_plant.plant import Plant, PlantConfig

@@ -30,9 +30,10 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TypeAlias
 
+from thesis_runs import Run
+
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.errors import InputError, UsageError
-from mavdiag.monitors.run_length import Run
 
 __all__ = [
     "Classification",

@@ -29,10 +29,11 @@ import numpy as np
 from emulated import as_flight
 from rich.console import Console
 from rich.table import Table
+from thesis_runs import Residual, longest_runs, margin_of, residuals, runs
 
 from mavdiag.identify import ArxModel, Method, fit
 from mavdiag.learning import LearntFlight, airborne, front_for
-from mavdiag.monitors.run_length import Residual, longest_runs, margin_of, residuals, runs, training_pieces
+from mavdiag.monitors.run_length import training_pieces
 from mavdiag.rows.windows import spans
 from mavdiag.telemetry import Axis, FloatArray, Signal
 from sitl_plant.plant import PlantConfig

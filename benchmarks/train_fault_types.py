@@ -19,12 +19,12 @@ from mavdiag.airframe.propellers import FaultType
 from mavdiag.decision.grading import WAIT_S, FaultCloud, FaultTypes, Gathered, assess
 from mavdiag.learning import rows_of
 from mavdiag.logs import gate_for
-from mavdiag.monitors.base import LearnContext, Monitor, Rows
+from mavdiag.monitors.base import LearnContext, Monitor
 from mavdiag.monitors.rotor_signature import RotorSignature
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.unbalance import Unbalance
 from mavdiag.rows.align import AlignSpec, Grid
-from mavdiag.rows.front import Front
+from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import window_samples
 from mavdiag.telemetry import FloatArray

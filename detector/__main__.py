@@ -1,7 +1,6 @@
 """The `mavdiag-detector` command (edge): watch vehicles over MAVLink and report a damaged propeller.
 
-Exit codes: 0 stopped by SIGINT or SIGTERM; 1 not working (--working); 2 a wrong option, baseline or address, in
-one line on stderr. The options are those of `detector.config`, and the few that stand here.
+Its options are those of `detector.config`, and the few that stand here.
 """
 
 import contextlib
@@ -15,9 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
-from typer.models import OptionInfo
 
-from detector.config import SessionSettings, Settings, collect_values, example_text, load_settings, split_address
+from detector.config import Settings, collect_values, example_text, load_settings, options, split_address
 from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
 from detector.journal import Journal, Recorder, kept_baselines
@@ -27,13 +25,12 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.chain import warm
 from mavdiag.inspections import Inspections
-from mavdiag.link.keys import KeptSigning, open_signing
+from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
 from mavdiag.printable import printable
 from mavdiag.telemetry import Instant
 
 if TYPE_CHECKING:
-    from detector.metrics import Metrics
     from detector.web.feed import Feed
 
 COMPILE_S = 3.0  # of processor time before it is said; to load what was compiled takes half a second (our choice)
@@ -41,22 +38,23 @@ COMPILE_S = 3.0  # of processor time before it is said; to load what was compile
 app = commandline.application("Watch vehicles over MAVLink for damaged propellers.")
 
 
+def _flag(name: str, text: str) -> Any:
+    return typer.Option(name, help=text)
+
+
 def detect(
     config: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="Settings; options given here win over it.")
     ] = None,
     reset_stamp: Annotated[
-        bool,
-        typer.Option("--reset-stamp", help="Forget the signing stamp that is kept: once, after the clock was ahead."),
+        bool, _flag("--reset-stamp", "Forget the signing stamp that is kept: once, after the clock was ahead.")
     ] = False,
     check: Annotated[
-        bool, typer.Option("--check", help="Check the settings and files, print what a start would do, and exit.")
+        bool, _flag("--check", "Check the settings and files, print what a start would do, and exit.")
     ] = False,
-    print_config: Annotated[
-        bool, typer.Option("--print-config", help="Print a documented configuration file, and exit.")
-    ] = False,
+    print_config: Annotated[bool, _flag("--print-config", "Print a documented configuration file, and exit.")] = False,
     working: Annotated[
-        bool, typer.Option("--working", help="Ask the daemon that serves --metrics whether it works: exit code 0 or 1.")
+        bool, _flag("--working", "Ask the daemon that serves --metrics whether it works: exit code 0 or 1.")
     ] = False,
     version: Annotated[bool, commandline.version_option("mavdiag-detector")] = False,
     **given: Any,
@@ -74,44 +72,24 @@ def detect(
     if print_config:
         typer.echo(example_text(), nl=False)
     elif working:
-        _working(config, given)
+        from detector.check import ask_working  # only if asked for: the import takes its time
+
+        metrics = collect_values(config, given, os.environ)[0].get("metrics")
+        reason = ask_working(None if metrics is None else str(metrics))
+        commandline.say(f"not working: {reason}" if reason else "working")
+        raise typer.Exit(1 if reason else 0)
     elif check:
         from detector.check import plan
 
         settings = load_settings(config, given, os.environ)
-        commandline.say(plan(settings, *_baselines(settings), _airframe(settings)))
+        commandline.say("\n".join(plan(settings, *_baselines(settings), _airframe(settings))))
     else:
         _serve(load_settings(config, given, os.environ), reset_stamp=reset_stamp)
 
 
-def _with_settings() -> inspect.Signature:
-    """The signature with the options of all settings: each but flags and lists is a string until pydantic parses it."""
-    parameters = []
-    for name in (*Settings.__annotations__, *SessionSettings.__annotations__):
-        field = Settings.model_fields.get(name)
-        option = next((data for data in field.metadata if isinstance(data, OptionInfo)), None) if field else None
-        if field is not None and option is not None:
-            kind = list[str] if isinstance(field.default, tuple) else bool if field.annotation is bool else str
-            annotation: Any = Annotated[kind | None, option]
-            parameters.append(
-                inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
-            )
-    own = [parameter for parameter in inspect.signature(detect).parameters.values() if parameter.name != "given"]
-    return inspect.Signature([*own, *parameters])
-
-
-detect.__signature__ = _with_settings()  # type: ignore[attr-defined]  # of a function: inspect reads it
+own = [parameter for parameter in inspect.signature(detect).parameters.values() if parameter.name != "given"]
+detect.__signature__ = inspect.Signature([*own, *options()])  # type: ignore[attr-defined]  # of a function
 app.command()(detect)
-
-
-def _working(config: Path | None, given: dict[str, object]) -> None:
-    from detector.check import ask_working  # only if asked for: the import takes its time
-
-    values, _ = collect_values(config, given, os.environ)
-    metrics = values.get("metrics")
-    works, words = ask_working(None if metrics is None else str(metrics))
-    commandline.say(words)
-    raise typer.Exit(0 if works else 1)
 
 
 def _serve(settings: Settings, *, reset_stamp: bool) -> None:
@@ -121,19 +99,27 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
         baseline, baselines = _baselines(settings)
         airframe = _airframe(settings)
         _warm()
-        signing = _signing(settings, stack, reset=reset_stamp)
+        signing, journal, recorder, metrics, web = None, None, None, None, None
+        if settings.signing_key is not None:
+            kept = open_signing(settings.signing_key, "detector", time.time_ns(), reset=reset_stamp)
+            signing = stack.enter_context(closing(kept))
+            if signing.doubt:
+                _say(signing.doubt)
         link = stack.enter_context(open_endpoint(settings.connect))
         behind = [stack.enter_context(open_endpoint(address, absent_ok=True)) for address in settings.forward]
-        journal, recorder, metrics = None, None, None
         if settings.journal is not None:
-            kept = (settings.journal_mb, settings.journal_keep, settings.journal_fsync)
-            journal = stack.enter_context(closing(Journal(settings.journal, _say, *kept)))
+            sizes = settings.journal_mb, settings.journal_keep
+            journal = stack.enter_context(closing(Journal(settings.journal, _say, *sizes)))
         if settings.record is not None:
             epoch_ns, sizes = time.time_ns() - time.monotonic_ns(), (settings.record_mb, settings.record_keep)
             recorder = stack.enter_context(closing(Recorder(settings.record, epoch_ns, _say, *sizes)))
         if settings.metrics is not None:
-            metrics = stack.enter_context(closing(_metrics(settings.metrics)))
-        daemon = Daemon(
+            from detector.metrics import Metrics  # only if asked for: the import takes its time
+
+            metrics = stack.enter_context(closing(Metrics(*split_address(settings.metrics, "metrics"))))
+        if settings.web is not None:
+            web = stack.enter_context(closing(_web(settings, settings.web)))
+        Daemon(
             settings,
             Host(_say),
             link,
@@ -145,12 +131,11 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
             journal=journal,
             recorder=recorder,
             metrics=metrics,
-            web=None if settings.web is None else stack.enter_context(closing(_web(settings, settings.web))),
+            web=web,
             notifier=notifier,
             signing=signing,
             inspections=Inspections(settings.journal, _say),
-        )
-        daemon.run(stop)
+        ).run(stop)
 
 
 def _warm() -> None:
@@ -170,15 +155,6 @@ def _warm() -> None:
         done.set()
 
 
-def _signing(settings: Settings, stack: ExitStack, *, reset: bool) -> KeptSigning | None:
-    if settings.signing_key is None:
-        return None
-    signing = stack.enter_context(closing(open_signing(settings.signing_key, "detector", time.time_ns(), reset=reset)))
-    if signing.doubt:
-        _say(signing.doubt)
-    return signing
-
-
 def _baselines(settings: Settings) -> tuple[Baseline | None, dict[int, Baseline]]:
     """The baseline for all vehicles, and those of single ones, by system id; what was learned earlier among them."""
     baseline = None if settings.baseline is None else Baseline.load(settings.baseline)
@@ -190,21 +166,16 @@ def _baselines(settings: Settings) -> tuple[Baseline | None, dict[int, Baseline]
 
 def _airframe(settings: Settings) -> Airframe | None:
     """What the user said of the vehicle that is learned about; None for nothing."""
-    from mavdiag.airframe.load import airframe_from, with_layout
+    if settings.airframe is None and settings.layout is None:
+        return None
+    from mavdiag.airframe.load import airframe_from, with_layout  # only if asked for
 
-    told = None if settings.airframe is None else airframe_from(settings.airframe)
-    return told if settings.layout is None else with_layout(told or Airframe(), settings.layout)
-
-
-def _metrics(address: str) -> "Metrics":
-    from detector.metrics import Metrics  # only if asked for: the import takes its time
-
-    return Metrics(*split_address(address, "metrics"))
+    told = Airframe() if settings.airframe is None else airframe_from(settings.airframe)
+    return told if settings.layout is None else with_layout(told, settings.layout)
 
 
 def _web(settings: Settings, address: str) -> "Feed":
-    """The live page, once it is served."""
-    from detector.web.child import Place, ServerProcess, read_token  # only if asked for: the import takes its time
+    from detector.web.child import Place, ServerProcess, read_token  # only if asked for
     from detector.web.feed import Feed
 
     token = None if settings.web_token_file is None else read_token(settings.web_token_file)

@@ -1,13 +1,8 @@
 """What is said to the operator, how loudly and how often: a table, and a presenter that keeps to it.
 
-A text is one STATUSTEXT of at most 50 bytes. A *lasting* matter is offered at every step: it is said when it begins,
-when what it is about changes, and at the times after its beginning that the table gives. It is over once it was not
-offered for 5 s. Anything else is offered once and said once. Nothing of a kind is said twice within 2 s (MAVProxy drops
-identical texts within that time), and all texts of a vehicle keep to a budget a minute, half of it for declared faults
-and half for the rest. What the budget holds back is counted and recorded.
-
-What is said of a fault are the differences of the diagnosis (`Telling`). Nothing is ever called clear: a fault that is
-not seen any longer lasts, and after the flight it is an inspection.
+A *lasting* matter is offered at every step. It is said when it begins, when what it is about changes, and at the times
+that the table gives; it is over once it was not offered for 5 s. Anything else is offered and said once. All texts of a
+vehicle keep to a budget a minute, half of it for declared faults; what that holds back is counted and recorded.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,15 +27,11 @@ LULL_S = 5.0  # a lasting matter that is offered again within so long goes on wh
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """How a kind is said.
-
-    again_s: times after its beginning at which a lasting matter is said again; from the last on it is said again and
-        again, as far apart as the last two (or as the only one from the beginning). Empty for what is said once.
-    """
+    """How a kind is said."""
 
     severity: Severity  # of the STATUSTEXT
     template: str  # takes the notice's words
-    again_s: tuple[float, ...] = ()
+    again_s: tuple[float, ...] = ()  # after its beginning; then as far apart as the last two. Empty: said once
 
     def times(self, begun_s: float) -> int:
         """How often a matter that began so long ago ought to have been said.
@@ -59,8 +50,7 @@ _ALERT_S = (5.0, 15.0, 60.0, 120.0)  # then every 60 s
 
 
 class Kind(Enum):
-    """What a text is about. Times are our choices; the severities follow what ground stations do with them (they pop up
-    0 to 3)."""
+    """What a text is about. Times are our choices; ground stations pop up the severities 0 to 3."""
 
     FAULT = Policy(Severity.CRITICAL, "PROP FAULT {}", _ALERT_S)  # what was found
     SENSOR = Policy(Severity.CRITICAL, "PROP SENSOR FAULT {}", _ALERT_S)  # what was found
@@ -122,21 +112,6 @@ def label_of(monitor: str) -> str:
     return BY_NAME[monitor].label if monitor in BY_NAME else monitor[:10]
 
 
-def figure(value: float, decimals: int = 2) -> str:
-    """A number in at most six characters.
-
-    >>> [figure(x) for x in (0.118, 12.345, 4321.0, 5e6, float("nan"))]
-    ['0.12', '12.3', '4321', '>9999', '?']
-    """
-    if value != value:
-        return "?"
-    size = abs(value)
-    if size >= 9999.5:
-        return ">9999" if value > 0 else "<-9999"
-    places = decimals if size < 9.995 else min(decimals, 1) if size < 99.95 else 0
-    return f"{value:.{places}f}"
-
-
 class Telling:
     """The differences of the diagnosis, as they are told."""
 
@@ -146,24 +121,23 @@ class Telling:
 
     def step(self, diagnosis: Diagnosis, arming: int) -> list[Notice]:
         """What is to be said of a diagnosis now. arming: number of the present one."""
+        if diagnosis.stage not in (Stage.FAULT, Stage.INSPECT, Stage.SUSPECTED):
+            self._told, self._loud = diagnosis, diagnosis.seen
+            return []
         told, motors = self._told, motors_words(diagnosis)
         news = told.stage is not Stage.FAULT or (diagnosis.kind, motors) != (told.kind, motors_words(told))
         self._loud = diagnosis.seen and (news or (self._loud and told.seen))
         self._told = diagnosis
-        match diagnosis.stage:
-            case Stage.FAULT if self._loud:
-                kind = _DECLARED.get(diagnosis.kind, Kind.FAULT)
-                return [_finding(kind, diagnosis, f"{diagnosis.kind} {motors}")]
-            case Stage.FAULT if diagnosis.seen:
-                return [_finding(Kind.AGAIN, diagnosis)]
-            case Stage.FAULT:
-                named = diagnosis.rotor is not None or diagnosis.kind is FaultKind.SENSOR
-                return [Notice(Kind.UNSEEN, (motors if named else "the fault",), motors)]
-            case Stage.INSPECT:
-                return [Notice(Kind.INSPECT, (motors,), f"{motors} {arming}")]
-            case Stage.SUSPECTED:
-                return [_finding(Kind.SUSPECT, diagnosis)]
-        return []
+        if diagnosis.stage is Stage.SUSPECTED:
+            return [_finding(Kind.SUSPECT, diagnosis)]
+        if diagnosis.stage is Stage.INSPECT:
+            return [Notice(Kind.INSPECT, (motors,), f"{motors} {arming}")]
+        if self._loud:
+            return [_finding(_DECLARED.get(diagnosis.kind, Kind.FAULT), diagnosis, f"{diagnosis.kind} {motors}")]
+        if diagnosis.seen:
+            return [_finding(Kind.AGAIN, diagnosis)]
+        named = diagnosis.rotor is not None or diagnosis.kind is FaultKind.SENSOR
+        return [Notice(Kind.UNSEEN, (motors if named else "the fault",), motors)]
 
 
 def _finding(kind: Kind, diagnosis: Diagnosis, key: str = "") -> Notice:
@@ -182,7 +156,6 @@ class _Matter:
     offered: Instant  # when it was offered last
 
     def due(self, notice: Notice, now: Instant) -> bool:
-        """Whether there is something to say; what is offered once always has."""
         policy = notice.kind.value
         if not policy.again_s:
             return True
@@ -201,7 +174,6 @@ class Presenter:
 
     def present(self, notices: Sequence[Notice], now: Instant) -> list[Effect]:
         """Say what is to be said of the notices of this step, loudest first."""
-        self._sent = [(loud, at) for loud, at in self._sent if now - at < MINUTE_S]
         effects: list[Effect] = []
         for notice in sorted(notices, key=lambda notice: notice.kind.value.severity):
             before = self._said.get(notice.kind)
@@ -216,14 +188,14 @@ class Presenter:
         return effects
 
     def _say(self, notice: Notice, before: _Matter | None, now: Instant) -> list[Effect]:
-        policy = notice.kind.value
+        policy, matter = notice.kind.value, (notice.kind, notice.key)
         loud = policy.severity <= Severity.CRITICAL
+        self._sent = [(was_loud, at) for was_loud, at in self._sent if now - at < MINUTE_S]
         spent = sum(was_loud == loud for was_loud, _ in self._sent) >= self._per_minute // 2
         if spent or (before is not None and now - before.at < GAP_S):
-            if policy.again_s and (notice.kind, notice.key) in self._held:
+            if policy.again_s and matter in self._held:
                 return []
-            if policy.again_s:
-                self._held.add((notice.kind, notice.key))
+            self._held |= {matter} if policy.again_s else set()
             self.suppressed += 1
             return [TextSuppressed(notice.text, self.suppressed)]
         begun = now if before is None else before.begun
@@ -236,25 +208,23 @@ class Presenter:
 class NamedValues:
     """The figures of the thesis rule as NAMED_VALUE_FLOAT, a few times a second.
 
-    PF_RES  [rad/s] residual of largest magnitude since the last one sent, as sampled once a step
-    PF_MARG [rad/s] its margin
-    PF_FSD  [s] longest fault signature duration since the last one sent, as sampled once a step
-    PF_FML  [s] its limit
+    PF_RES [rad/s] residual of largest magnitude and PF_FSD [s] longest fault signature duration since the last ones
+    sent, as sampled once a step; PF_MARG [rad/s] and PF_FML [s] their limits.
 
-    period_s: how often. axis: whose figures; of another axis if that one is not judged.
+    Of roll, or of another axis if roll is not judged. period_s: how often.
     """
 
     NAMES = ("PF_RES", "PF_MARG", "PF_FSD", "PF_FML")  # at most 10 bytes: NAMED_VALUE_FLOAT.name
 
-    def __init__(self, period_s: float = 0.2, axis: Axis = Axis.ROLL) -> None:
-        self._period_s, self._axis = period_s, axis
+    def __init__(self, period_s: float = 0.2) -> None:
+        self._period_s = period_s
         self._sent: Instant | None = None
         self._residual = self._fsd_s = 0.0
 
     def step(self, output: ChainOutput, now: Instant) -> list[SendFloat]:
         """Take in the gauges of a step; return the floats that are to be sent."""
         thesis = [gauge for gauge in output.gauges if gauge.monitor == "fsd"]
-        gauge = next((gauge for gauge in thesis if gauge.axis is self._axis), thesis[0] if thesis else None)
+        gauge = next((gauge for gauge in thesis if gauge.axis is Axis.ROLL), thesis[0] if thesis else None)
         if gauge is None or output.now_ns is None:
             return []
         self._residual = max(self._residual, gauge.signal, key=abs)

@@ -7,7 +7,6 @@ running daemon, by its metrics, whether it does its work; it says nothing about 
 import http.client
 from collections.abc import Iterator
 
-from detector.appender import check_appendable
 from detector.config import Settings, split_address
 from detector.judging import rescaled
 from detector.web.child import Place, check_installed, read_token
@@ -23,17 +22,13 @@ TIMEOUT_S = 3.0
 ANY = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # who listens everywhere is asked on loopback
 
 
-def plan(settings: Settings, baseline: Baseline | None, own: dict[int, Baseline], airframe: Airframe | None) -> str:
+def plan(
+    settings: Settings, baseline: Baseline | None, own: dict[int, Baseline], airframe: Airframe | None
+) -> Iterator[str]:
     """What a start would do, line by line; baselines and airframe as they were loaded.
 
     Raises UsageError, LinkError or BaselineError where it could not.
     """
-    return "\n".join(_lines(settings, baseline, own, airframe))
-
-
-def _lines(
-    settings: Settings, baseline: Baseline | None, own: dict[int, Baseline], airframe: Airframe | None
-) -> Iterator[str]:
     check_address(settings.connect)
     yield f"link       {settings.connect}"
     rest = "" if settings.baseline or settings.learn else " that have a baseline here"
@@ -45,26 +40,30 @@ def _lines(
         yield f"signing    by {settings.signing_key}; unsigned frames are refused"
     if baseline is not None:
         yield f"judges by  {settings.baseline or settings.save}: {_summary(baseline, settings)}"
-    if settings.learn is not None and baseline is None:
+    elif settings.learn is not None and settings.save is not None:
+        check_output(settings.save)
         about = f" about {airframe.name}" if airframe else ""
-        yield f"learns     from {settings.learn:g} s of healthy flight{about}{_saving(settings)}"
-    for sysid, one in own.items():
+        yield f"learns     from {settings.learn:g} s of healthy flight{about}, kept in {settings.save}"
+    for sysid, known in own.items():
         named = settings.vehicles.get(sysid)
         source = named.baseline if named else "what was learned earlier"
-        yield f"vehicle {sysid:<3}by {source}: {_summary(one, settings)}"
+        yield f"vehicle {sysid:<3}by {source}: {_summary(known, settings)}"
     if settings.threshold_scale != 1.0:
         yield f"thresholds times {settings.threshold_scale:g}"
+    kept = "; keeps the rates that it needs" if settings.keep_rates else ""
     for address in settings.forward:
-        kept = "; keeps the rates that it needs" if settings.keep_rates else ""
         yield f"forwards   {address}{kept}{_absence(address)}"
-    if settings.parameters:
-        yield "parameters MD_LEARN_S and MD_THR_SCALE can be set by anybody on these links"
+    yield from _files_and_ports(settings)
+
+
+def _files_and_ports(settings: Settings) -> Iterator[str]:
     for option, path, mb, keep in (
         ("journal", settings.journal, settings.journal_mb, settings.journal_keep),
         ("record", settings.record, settings.record_mb, settings.record_keep),
     ):
         if path is not None:
-            check_appendable(path, f"--{option}")
+            if not path.is_fifo():
+                check_output(path)
             yield f"{option:<10} {path}, at most {keep + 1} files of {mb:g} MB"
     if settings.metrics is not None:
         host, port = split_address(settings.metrics, "metrics")
@@ -77,11 +76,10 @@ def _lines(
 
 
 def _absence(address: str) -> str:
-    """A device behind may come later. Raises LinkError for an unknown host."""
     try:
         check_address(address)
     except LinkError as error:
-        if not address.startswith("/"):
+        if not address.startswith("/"):  # a device may come later
             raise
         return f"; not now ({error})"
     return ""
@@ -91,21 +89,12 @@ def _summary(baseline: Baseline, settings: Settings) -> str:
     judging = len(rescaled(baseline, settings.threshold_scale).monitors)
     if settings.profile is not None:
         check_link(baseline, profile=settings.profile, dt_s=baseline.link.dt_s)
-    return (
-        f"{baseline.airframe.name}, {baseline.link.profile} at {1 / baseline.link.dt_s:.0f} Hz, "
-        f"{judging} monitors" + (f", grade {baseline.grade}" if baseline.grade else "")
-    )
+    link, grade = baseline.link, f", grade {baseline.grade}" if baseline.grade else ""
+    return f"{baseline.airframe.name}, {link.profile} at {1 / link.dt_s:.0f} Hz, {judging} monitors{grade}"
 
 
-def _saving(settings: Settings) -> str:
-    if settings.save is None:
-        return "; the result is not kept"
-    check_output(settings.save)
-    return f", kept in {settings.save}"
-
-
-def ask_working(metrics: str | None) -> tuple[bool, str]:
-    """Whether the daemon that serves its figures there works, and why, in one line.
+def ask_working(metrics: str | None) -> str:
+    """Why the daemon that serves its figures there does not work, in one line; empty if it does.
 
     Raises UsageError if there is no address.
     """
@@ -117,23 +106,23 @@ def ask_working(metrics: str | None) -> tuple[bool, str]:
         connection.request("GET", "/metrics")
         page = connection.getresponse().read().decode(errors="replace")
     except (OSError, http.client.HTTPException) as error:
-        return False, f"not working: {metrics} does not answer ({error})"
+        return f"{metrics} does not answer ({error})"
     finally:
         connection.close()
-    return working(page)
+    return hindrance(page)
 
 
-def working(page: str) -> tuple[bool, str]:
+def hindrance(page: str) -> str:
     """The same, from a page of figures.
 
-    >>> working("mavdiag_session_working 1.0\\nmavdiag_figures_age_seconds 0.4\\n")
-    (True, 'working')
+    >>> hindrance("mavdiag_session_working 1.0\\nmavdiag_figures_age_seconds 0.4\\n")
+    ''
     """
     found = dict(line.split(" ", 1) for line in page.splitlines() if line.startswith("mavdiag_") and " " in line)
     try:
         works, age_s = float(found["mavdiag_session_working"]), float(found["mavdiag_figures_age_seconds"])
     except (KeyError, ValueError):
-        return False, "not working: no figures of a detector that looks at its links"
+        return "no figures of a detector that looks at its links"
     if age_s > FRESH_S:
-        return False, f"not working: the loop hangs since {age_s:.0f} s"
-    return (True, "working") if works else (False, "not working: all sessions are off; the journal says why")
+        return f"the loop hangs since {age_s:.0f} s"
+    return "" if works else "all sessions are off; the journal says why"

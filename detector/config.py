@@ -1,23 +1,22 @@
 """The daemon's settings: one validated value from a TOML file, the environment and the command line, which wins.
 
-Each setting is one field, with its option of the command line where it has one. Unknown names are refused.
-`detector/example.toml` documents every setting.
+Each setting is one field, with its option of the command line where it has one; `detector/example.toml` documents it.
 """
 
+import inspect
 from collections.abc import Mapping
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 import typer
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from typer.models import OptionInfo
 
 from detector.web.access import is_loopback
 from mavdiag.errors import InputError, UsageError
 from mavdiag.link.ports import parse_address
 from mavdiag.link.profiles import profile_named
 from mavdiag.storage import read_toml
-from mavdiag.telemetry import Axis
 
 ENVIRONMENT = "MAVDIAG_DETECTOR_"  # prefix of the variables that set a setting; ..._CONFIG names the file
 LOOPBACK = "127.0.0.1"
@@ -25,6 +24,7 @@ LOOPBACK = "127.0.0.1"
 Positive = Annotated[float, Field(gt=0)]
 SystemId = Annotated[int, Field(ge=1, le=255)]
 Kept = Annotated[int, Field(ge=0, le=1000)]
+Text = Annotated[str, Field(min_length=1)]
 
 
 def _option(metavar: str | None, text: str, *names: str) -> Any:
@@ -35,14 +35,6 @@ _CONNECT = "udpin:H:P, udpout:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD.  [defau
 _LAYOUT = "Its rotor layout, as in `mavdiag identify`.  [default: what it shows]"
 _FORWARD = "A further link that gets vehicle and alerts, e.g. a ground station; repeatable."
 _WEB = "Serve the live page; a bare port is on loopback, elsewhere it needs a token."
-
-
-class Fsync(StrEnum):
-    """When the journal is written through to the disk."""
-
-    ALERT = "alert"  # after alarms and texts of at least WARNING, once a look: they survive a power cut
-    ALWAYS = "always"  # after every look that wrote a line
-    NEVER = "never"  # when the system likes
 
 
 class SessionSettings(BaseModel):
@@ -59,7 +51,6 @@ class SessionSettings(BaseModel):
     suspect: tuple[str, ...] = ()  # monitors ("fsd", "fsd.pitch") that only raise a suspicion
     texts_per_minute: Annotated[int, Field(ge=4, le=120)] = 30  # half for declared faults, half for the rest
     named_values_hz: Annotated[float, Field(gt=0, le=20)] = 5.0  # rate of the NAMED_VALUE_FLOATs
-    named_values_axis: Axis = Axis.ROLL  # whose figures they carry
 
 
 class VehicleSettings(BaseModel):
@@ -78,39 +69,24 @@ class Settings(SessionSettings):
     vehicles: Mapping[SystemId, VehicleSettings] = Field(default_factory=dict)  # by system id
     save: Annotated[Path | None, _option("FILE", "Keep what was learned; where it is there, judge by it.")] = None
     accept: bool = False  # whether a learned baseline of grade D is taken, too
-    airframe: Annotated[
-        str | None, _option("NAME|FILE.toml", "What is learned about: its rotors, mass, hover speed and gate.")
-    ] = None
+    airframe: Annotated[str | None, _option("NAME|FILE.toml", "Rotors, mass, ... of what is learned about.")] = None
     layout: Annotated[str | None, _option("NAME", _LAYOUT, "--layout", "--frame")] = None
-    name: Annotated[
-        Annotated[str, Field(min_length=1)] | None,
-        _option("LABEL", 'Label of what is learned.  [default: "vehicle" and its id]'),
-    ] = None
+    name: Annotated[Text | None, _option("LABEL", 'Of what is learned.  [default: "vehicle" and its id]')] = None
     forward: Annotated[tuple[str, ...], _option("ENDPOINT", _FORWARD)] = ()
-    keep_rates: Annotated[
-        bool, _option(None, "Keep back what from there would change the rates needed here.", "--keep-rates")
-    ] = False
-    parameters: bool = False  # whether a few settings can be changed by the MAVLink parameter protocol
+    keep_rates: Annotated[bool, _option(None, "Keep back their requests for other rates.", "--keep-rates")] = False
     journal: Annotated[Path | None, _option("FILE.jsonl", "Append every event as a line.")] = None
     journal_mb: Positive = 100.0  # size at which a new one is begun
     journal_keep: Kept = 9  # old ones that stay
-    journal_fsync: Fsync = Fsync.ALERT
     record: Annotated[Path | None, _option("FILE.tlog", "Append every frame that the link brings.")] = None
     record_mb: Positive = 1000.0  # size at which a new one is begun: some 3 h of 1 kHz
     record_keep: Kept = 9  # old ones that stay
     metrics: Annotated[str | None, _option("HOST:PORT", "Serve Prometheus figures; a bare port is on loopback.")] = None
     web: Annotated[str | None, _option("HOST:PORT", _WEB)] = None
-    web_token_file: Annotated[
-        Path | None, _option("FILE", "The token that the live page asks for: a file of mode 0600.")
-    ] = None
+    web_token_file: Annotated[Path | None, _option("FILE", "Token of the live page: a file of mode 0600.")] = None
     vehicle: Annotated[SystemId | None, _option("SYSID", "Watch this system id only.")] = None
-    signing_key: Annotated[
-        Path | None, _option("FILE", "Key of MAVLink 2 signing: sign, and refuse what is not signed.")
-    ] = None
+    signing_key: Annotated[Path | None, _option("FILE", "Key of MAVLink 2 signing; refuse what is unsigned.")] = None
     max_vehicles: SystemId = 128  # further ones are not watched
-    profile: Annotated[
-        str | None, _option("NAME", "qdrone2, spec, ardupilot or px4.  [default: what the vehicle sends]")
-    ] = None
+    profile: Annotated[str | None, _option("NAME", "qdrone2, spec, ardupilot or px4.  [default: as sent]")] = None
     tick_s: Annotated[float, Field(ge=0.005, le=0.5)] = 0.05  # how often the daemon looks at its links
 
     @model_validator(mode="after")
@@ -127,6 +103,19 @@ class Settings(SessionSettings):
         return self
 
 
+def options() -> list[inspect.Parameter]:
+    """The settings that have an option: each but flags and lists is a string until pydantic parses it."""
+    found = []
+    for name in (*Settings.__annotations__, *SessionSettings.__annotations__):
+        field = Settings.model_fields.get(name)
+        option = next((data for data in field.metadata if isinstance(data, OptionInfo)), None) if field else None
+        if field is not None and option is not None:
+            kind = list[str] if isinstance(field.default, tuple) else bool if field.annotation is bool else str
+            annotation: Any = Annotated[kind | None, option]
+            found.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation))
+    return found
+
+
 def example_text() -> str:
     """The documented example of a configuration file."""
     return Path(__file__).with_name("example.toml").read_text(encoding="utf-8")
@@ -137,10 +126,8 @@ def collect_values(
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """What was said, by key, before it is validated; and where each was said, for an error ("" for an option).
 
-    path: a TOML file, None for none, or for the one that the environment names.
-    overrides: what the command line said (None: nothing).
-    environ: the environment; only names with the prefix `ENVIRONMENT` count, and empty values do not.
-    Raises UsageError, naming the key.
+    path: a TOML file, None for none, or for the one that the environment names. overrides: what the command line said
+    (None: nothing). environ: empty values do not count. Raises UsageError, naming the key.
     """
     given = {name: text for name, text in environ.items() if name.startswith(ENVIRONMENT) and text.strip()}
     named = given.pop(f"{ENVIRONMENT}CONFIG", None)

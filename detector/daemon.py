@@ -1,11 +1,11 @@
 """The daemon (edge): one loop on one thread that looks at its links every few hundredths of a second.
 
-It lets what arrives wait in the system's buffers between two looks, which costs far less than waking for every
-datagram. Heartbeats come from the same loop and ask the session first: a daemon that hangs, or a session that cannot do
-its work, falls silent.
+What arrives waits in the system's buffers between two looks. Heartbeats come from the same loop and ask the session
+first: a daemon that hangs, or a session that cannot do its work, falls silent.
 """
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -13,7 +13,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from detector.config import Settings
-from detector.figures import DaemonFigures, LinkFigures
 from detector.fitting import FittingJob, ProcessFitter
 from detector.fleet import SHARE, Fleet, Turn
 from detector.guard import Guard
@@ -23,7 +22,18 @@ from detector.relay import Relay
 from detector.requests import Handled, Requests
 from detector.sender import MavlinkSender
 from detector.states import State
-from detector.values import AskInterval, Effect, EventOpened, Learn, Note, SessionSpec
+from detector.values import (
+    AskInterval,
+    DaemonFigures,
+    Effect,
+    EventOpened,
+    Learn,
+    LinkFigures,
+    Note,
+    SessionSpec,
+    is_working,
+    status_line,
+)
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
@@ -76,7 +86,6 @@ class Daemon:
     """Links on one side, sessions (`fleet`) on the other. `run` it, or `tick` it from a test.
 
     baseline: what every vehicle is judged by that has none of its own in `baselines`, by system id.
-    notifier: tells the service manager; None for nobody. inspections: those that are open; None keeps none.
     """
 
     def __init__(
@@ -99,8 +108,8 @@ class Daemon:
         inspections: Inspections | None = None,
     ) -> None:
         self._settings, self._host, self._link, self._behind = settings, host, link, tuple(behind)
-        self._baseline, self._baselines, self._fitter, self._metrics = baseline, dict(baselines or {}), fitter, metrics
-        self._airframe, self._notifier, self._web = airframe, notifier or Notifier({}), web
+        self._baseline, self._baselines, self._fitter = baseline, dict(baselines or {}), fitter
+        self._airframe, self._notifier, self._metrics, self._web = airframe, notifier or Notifier({}), metrics, web
         self._relay = Relay(link, behind, recorder=recorder, upward=self._upward)
         self._kept, self._signing = signing, None if signing is None else signing.signing
         kind, self._passed = parse_address(settings.connect).kind, list[tuple[bytes, int]]()
@@ -113,18 +122,16 @@ class Daemon:
             most=settings.max_vehicles,
             budget_s=SHARE * settings.tick_s,
             signing=self._signing,
-            passed=self._passed if self._relay.wants else None,
+            passed=self._passed if behind or recorder is not None else None,
         )
         self._guard = Guard(self.fleet.link, self._signing)
         self._files = {name: file for name, file in (("journal", journal), ("record", recorder)) if file is not None}
-        self._reporter = Reporter([taker for taker in (journal, web) if taker], host.say, self._when, settings.save)
+        self._reporter = Reporter([file.write for file in (journal, web) if file], host.say, self._when, settings.save)
         self._inspections = inspections or Inspections(None, host.say)
         self._senders: dict[int, MavlinkSender] = {}
-        self._requests = Requests(self.fleet, settings, self._sender, self._signing)
+        self._requests = Requests(self.fleet, settings.keep_rates, self._sender, self._signing)
         self._started = self._beat_at = self._now()
-        self._late, self._latest_s = 0, 0.0
-        self._unclear: dict[int, str] = {}
-        self._unclear_told = 0
+        self._late, self._latest_s, self._unclear = 0, 0.0, set[tuple[int, str]]()
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Look at the links until `stop` says so; then look once more and write the summary."""
@@ -145,32 +152,32 @@ class Daemon:
 
     def begin(self) -> None:
         """Say that the links are open."""
-        learn_s, own = self._settings.learn or 0, len(self._baselines)
-        goal = "watching by its baseline" if self._baseline else f"learning from {learn_s:g} s of healthy flight"
-        if own:
-            whose = f"{own} vehicle{'s' if own > 1 else ''} by a baseline of its own"
-            goal = f"{goal}, {whose}" if self._baseline or learn_s else f"watching {whose}"
+        learn_s, own = self._settings.learn, len(self._baselines)
+        goals = ["watching by its baseline"] if self._baseline else []
+        goals += [f"learning from {learn_s:g} s of healthy flight"] if learn_s and not self._baseline else []
+        whose = f"{own} vehicle{'s' if own > 1 else ''} by a baseline of its own"
+        goals += [whose if goals else f"watching {whose}"] if own else []
         behind = "".join(f", forwarding to {endpoint.address}" for endpoint in self._behind)
         self._reporter.mark("start", {"version": __version__, "connect": self._link.address})
-        self._host.say(f"ready: {self._link.address}{behind}, {goal}")
+        self._host.say(f"ready: {self._link.address}{behind}, {', '.join(goals)}")
         if self._web is not None:
             self._host.say(f"web page: {self._web.where}")
         self._notifier.ready()
 
     def tick(self) -> None:
         """One look: take what came, let the sessions go on, do what they want."""
-        now = self._now()
+        now, begun_s = self._now(), self._host.cpu_s()
         chunks, sources = self._chunks()
         known = len(self.fleet.vehicles)
         for sysid, outcome in self._fitter.poll():
             self.fleet.vehicles[sysid].outcome = outcome
-        turns = self.fleet.step(chunks, now, sources, spent_s=lambda: self._now() - now)
+        turns = self.fleet.step(chunks, now, sources, spent_s=lambda: self._host.cpu_s() - begun_s)
         self._relay.pass_on(self._passed)
         self._passed.clear()
         self._report_new(known)
         self._carry_out(turns)
         if self._metrics is not None:
-            self._metrics.observe(turns, self._host.now_ns())
+            self._metrics.observe(turns)
         if self._web is not None:
             self._web.look(self.fleet, turns, now)
             for sysid in self._web.acknowledged():
@@ -193,10 +200,15 @@ class Daemon:
 
     def figures(self) -> DaemonFigures:
         """Where it stands."""
-        links = (LinkFigures(link.address, link.connected, link.traffic) for link in (self._link, *self._behind))
-        lost = tuple((name, file.lost) for name, file in self._files.items())
-        counts = (self._late, self._host.cpu_s(), lost, self._guard.refused, self.fleet.delay.longest_s)
-        return DaemonFigures(self.fleet.figures(), tuple(links), *counts)
+        return DaemonFigures(
+            self.fleet.figures(),
+            tuple(LinkFigures(link.address, link.connected, link.traffic) for link in (self._link, *self._behind)),
+            self._late,
+            self._host.cpu_s(),
+            tuple((name, file.lost) for name, file in self._files.items()),
+            self._guard.refused,
+            self.fleet.longest_s,
+        )
 
     def _now(self) -> Instant:
         return Instant(self._host.now_ns())
@@ -212,16 +224,12 @@ class Daemon:
         for file in self._files.values():
             file.flush()
 
-    def _note(self, text: str) -> None:
-        """About the daemon, in the journal and the log."""
-        self._reporter.mark("note", {"text": text})
-        self._host.say(text)
-
     def _sender(self, vehicle: int) -> MavlinkSender:
-        return self._senders.setdefault(vehicle, MavlinkSender(vehicle, self._signing))
+        if vehicle not in self._senders:
+            self._senders[vehicle] = MavlinkSender(vehicle, self._signing)
+        return self._senders[vehicle]
 
     def _spec(self, sysid: int, profile: Profile) -> SessionSpec | None:
-        """By the vehicle's own baseline; None, and said, if it has none and there is nothing for all."""
         baseline = self._baselines.get(sysid) or self._baseline
         held = self._inspections.held(sysid, None if baseline is None else baseline.propellers)
         if baseline is None and self._settings.learn is None:
@@ -230,7 +238,6 @@ class Daemon:
         return SessionSpec(profile, baseline, self._settings, self._unix_ns() - self._host.now_ns(), held)
 
     def _chunks(self) -> tuple[list[Chunk], list[Source]]:
-        """What waits at the vehicle's link, and where each chunk comes from (empty if there is one other end)."""
         chunks, sources = list[Chunk](), list[Source]()
         for _ in range(DRAINS):
             more = self._link.receive(0.0)
@@ -241,7 +248,6 @@ class Daemon:
         return chunks, sources
 
     def _watch(self, now: Instant) -> None:
-        """Tell what somebody tries, and let no flood hide the vehicles; once a second."""
         self._link.trust(self._guard.sources(now, PEER_FRESH_S), alone=self._signing is not None)
         turns, texts = self._guard.look(now, self._link.traffic.turned_away)
         for sysid, whose in self._inspections.acknowledged():
@@ -249,10 +255,10 @@ class Daemon:
         failure = None if self._kept is None else self._kept.step(self._unix_ns())
         self._carry_out(turns)
         for text in filter(None, (*texts, failure)):
-            self._note(text)
+            self._reporter.mark("note", {"text": text})
+            self._host.say(text)
 
     def _acknowledge(self, sysid: int, whose: str) -> None:
-        """Somebody has looked at a vehicle, which may not be there now."""
         vehicle = self.fleet.vehicles.get(sysid)
         if vehicle is not None:
             self._carry_out([Turn(sysid, vehicle.session.acknowledge(whose))])
@@ -261,17 +267,17 @@ class Daemon:
             self._reporter.mark("note", {"text": f"inspection of vehicle {sysid} acknowledged by {whose}"})
 
     def _report_new(self, known: int) -> None:
-        """Name the vehicles that are new, and say once why another is not watched."""
         for sysid, reason in self.fleet.link.waiting.items():
-            if self._unclear.get(sysid) != reason and self._unclear_told < UNCLEAR_MOST:
+            if (sysid, reason) not in self._unclear and len(self._unclear) < UNCLEAR_MOST:
                 self._host.say(f"vehicle {sysid}: not watched: {reason}")
-                self._unclear_told += 1
-            self._unclear[sysid] = reason
+                self._unclear.add((sysid, reason))
+        if len(self.fleet.vehicles) == known:
+            return
         new = list(self.fleet.vehicles.items())[known:]
         for sysid, vehicle in new:
             self._host.say(f"vehicle {sysid}: received, profile {vehicle.session.spec.profile.name}")
         shared = len(self.fleet.vehicles.keys() - self._baselines.keys())
-        if new and shared > 1 and self._baseline and self._baseline.airframe.scope == "airframe":
+        if shared > 1 and self._baseline and self._baseline.airframe.scope == "airframe":
             advice = "choose one with --vehicle, or give each its own in [vehicles.N]"
             name = self._baseline.airframe.name
             self._host.say(f"the baseline is of one airframe ({name}), but several fly; {advice}")
@@ -283,17 +289,20 @@ class Daemon:
                 self._relay.send_to_all(self._sender(sysid).heartbeat(vehicle.session.state))
         if self._announces and not self.fleet.vehicles:
             self._link.send(self._sender(self._settings.vehicle or FIRST_VEHICLE).heartbeat(State.WAITING))
-        figures = self.figures()
-        if text := self.fleet.delay.news(now):
+        if self._metrics is not None or self._web is not None:
+            figures = self.figures()
+            if self._metrics is not None:
+                self._metrics.show(figures, self._host.now_ns())
+            if self._web is not None:
+                self._web.show(self.fleet, figures, now)
+        if text := self.fleet.delay_news(now):
             self._host.say(text)
-        if self._metrics is not None:
-            self._metrics.show(figures, self._host.now_ns())
-        if self._web is not None:
-            self._web.show(self.fleet, figures, now)
-        self._notifier.status(figures.status, alive=figures.working)
+        sessions = [vehicle.session for vehicle in self.fleet.vehicles.values()]
+        states = Counter(session.state for session in sessions)
+        judged_s = sum(session.judge.judged_s for session in sessions if session.judge)
+        self._notifier.status(status_line(states, judged_s), alive=is_working(states))
 
     def _upward(self, frames: list[bytes], behind: Endpoint) -> Iterable[bytes]:
-        """What of a link behind goes to the vehicle; what is for us is answered."""
         handled = self._requests.from_behind(frames, self._now())
         self._answer(handled, behind.send)
         return handled.passed
@@ -312,15 +321,12 @@ class Daemon:
             for effect in turn.effects:
                 self._act(turn.vehicle, effect)
                 self._reporter.record(turn.vehicle, effect)
-            if turn.parameter_requests:
-                handled = self._requests.parameters(turn.vehicle, turn.parameter_requests, self._now())
-                self._answer(handled, self._link.send)
 
     def _act(self, sysid: int, effect: Effect) -> None:
-        """The effects that do something."""
-        for frame in self._sender(sysid).to_all(effect):
+        sender = self._sender(sysid)
+        for frame in sender.to_all(effect):
             self._relay.send_to_all(frame)
-        for frame in self._sender(sysid).to_vehicle(effect):
+        for frame in sender.to_vehicle(effect):
             self._link.send(frame)
         match effect:
             case AskInterval(msgid, interval_us):

@@ -1,17 +1,16 @@
 """Making a baseline beside the daemon (edge): in a process of its own, so that the receive loop never stalls."""
 
+import contextlib
 import multiprocessing
 import os
 import signal
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from typing import TypeAlias
 
 from detector.values import LearningFailed
 from mavdiag.airframe.airframe import Airframe
@@ -22,7 +21,7 @@ from mavdiag.telemetry import Log, Telemetry
 LIMIT_S = 300.0  # longer than any fit takes on a small companion computer (our choice)
 NICENESS = 10  # the receive loop comes first
 
-Outcome: TypeAlias = Baseline | LearningFailed
+Outcome = Baseline | LearningFailed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,66 +55,65 @@ def fit_baseline(job: FittingJob) -> Outcome:
     return sealed(baseline.model_copy(update={"provenance": provenance}))
 
 
-def _prepare() -> None:
-    """The process: Ctrl-C goes to both processes, but is the daemon's business."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _work(job: FittingJob, answer: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to both processes, but is the daemon's business
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     os.nice(NICENESS)
+    answer.send(fit_baseline(job))
 
 
 class ProcessFitter:
-    """One process that fits, one job after the other; it ends when nothing is left to do."""
+    """Fits one job after the other, each in a process of its own."""
 
     def __init__(self, limit_s: float = LIMIT_S, clock: Callable[[], float] = time.monotonic) -> None:
         self._limit_s, self._clock = limit_s, clock
-        self._pool: ProcessPoolExecutor | None = None
-        self._processes: list[BaseProcess] = []  # of the pool, which begins them with its first job
-        self._running: dict[int, tuple[Future[Outcome], float]] = {}
+        self._waiting: list[FittingJob] = []
+        self._running: tuple[int, BaseProcess, Connection, float] | None = None
 
     def begin(self, job: FittingJob) -> None:
-        """Start on a job; one at a time for each vehicle."""
-        # The process inherits the block, so that Ctrl-C cannot end it before it is prepared. The tracker, which
-        # multiprocessing starts before the first process, would lift the block again.
-        resource_tracker.ensure_running()
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _prepare)
-        others = multiprocessing.active_children()
-        self._running[job.vehicle] = (self._pool.submit(fit_baseline, job), self._clock())
-        self._processes += [one for one in multiprocessing.active_children() if one not in others]
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        """Start on a job, or put it behind the present one."""
+        self._waiting.append(job)
+        self._next()
 
     def poll(self) -> list[tuple[int, Outcome]]:
-        """Outcomes since the last call. A job that takes too long has failed, and those behind it with it."""
-        if any(self._clock() - since > self._limit_s for _, since in self._running.values()):
-            self._end_process()
-        done = [(vehicle, _outcome(future)) for vehicle, (future, _) in self._running.items() if future.done()]
-        for vehicle, _ in done:
-            del self._running[vehicle]
-        if self._pool is not None and not self._running:
-            self._pool.shutdown(wait=False)
-            self._pool = None
-            self._processes.clear()
-        return done
+        """Outcomes since the last call, by system id. A job that takes too long has failed."""
+        if self._running is None:
+            return []
+        vehicle, _, answer, since_s = self._running
+        outcome: Outcome = LearningFailed("the fitting process ended early or took too long; fly on to try again")
+        if answer.poll():
+            with contextlib.suppress(EOFError):  # it ended without an answer
+                outcome = answer.recv()
+        elif self._clock() - since_s <= self._limit_s:
+            return []
+        self._end_process()
+        self._next()
+        return [(vehicle, outcome)]
 
     def close(self) -> None:
         """Give up what is not done."""
+        self._waiting.clear()
         self._end_process()
-        self._running.clear()
+
+    def _next(self) -> None:
+        if self._running is not None or not self._waiting:
+            return
+        job, context = self._waiting.pop(0), multiprocessing.get_context("spawn")
+        answer, end = context.Pipe(duplex=False)
+        # The process inherits the block, so that Ctrl-C cannot end it before it ignores that. The tracker, which
+        # multiprocessing starts before the first process, would lift the block again.
+        resource_tracker.ensure_running()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        process = context.Process(target=_work, args=(job, end), daemon=True)
+        process.start()
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        end.close()
+        self._running = (job.vehicle, process, answer, self._clock())
 
     def _end_process(self) -> None:
-        for process in self._processes:
+        if self._running is not None:
+            _, process, answer, _ = self._running
+            answer.close()
             process.terminate()
-        self._processes.clear()
-        if self._pool is not None:
-            self._pool.shutdown(wait=False)
-            self._pool = None
-
-
-def _outcome(future: "Future[Outcome]") -> Outcome:
-    error = future.exception()
-    if error is None:
-        return future.result()
-    if isinstance(error, BrokenProcessPool):
-        return LearningFailed("the fitting process ended early or took too long; fly on to try again")
-    return LearningFailed(f"the fit failed ({type(error).__name__}: {error}); fly on to try again")
+            process.join()
+            self._running = None

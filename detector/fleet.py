@@ -1,39 +1,39 @@
 """The vehicles of one link and their sessions: bytes and `now` in, effects out. No clock, no socket.
 
-Under load fewer vehicles are judged in each look, and each with more data (`due_turns`): nothing is lost, and verdicts
-come later. How much later is told. Each source has one vehicle judged before any source has its second: who makes up
-vehicles delays those of his own source.
+A vehicle has its turn when its data may fill the next 0.1 s that its monitors look at, or when something else came.
+Under load fewer vehicles have theirs in each look at the link, and each with more data (`due_turns`): nothing is lost,
+and verdicts come later, which is told.
 """
 
 import traceback
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import TypeAlias
 
-from detector.figures import VehicleFigures
 from detector.session import Session
+from detector.states import State
 from detector.streams import METERED
-from detector.values import Effect, EventOpened, Inbox, LearningFailed, Note, SessionSpec
+from detector.values import Effect, EventOpened, Inbox, LearningFailed, Note, SessionSpec, VehicleFigures
 from mavdiag.baseline import Baseline
+from mavdiag.kernel import LOOK_NS
 from mavdiag.link.clock import Timesync, exchanged
-from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
 from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder
 from mavdiag.telemetry import Instant, Series, Signal
+from mavdiag.units import NS_PER_S
 
-SHARE = 0.5  # of a tick that may be used before the other vehicles wait (our choice: the machine has more to do)
+SHARE = 0.3  # of a tick, in processor time, before the other vehicles wait (our choice: the machine has more to do)
 MOST_S = 2.0  # one vehicle a look that has waited so long is judged all the same (our choice: what is kept is bounded)
 STOP_S = 5.0  # in which what waits is judged when the daemon stops (our choice: half of what the stop may take)
-LEVELS_S = (0.15, 0.3, 0.6, 1.2, 2.4)  # delays that are worth a line in the log (our choice)
+SLOW_S = 0.3  # a delay that is worth a line in the log (our choice)
 QUIET_S = 10.0  # between two such lines (our choice)
-
-SpecOf: TypeAlias = Callable[[int, Profile], SessionSpec | None]
+FORGET_NS = NS_PER_S  # a sample without a verdict for so long gets none: nothing is judged (our choice)
+EARLY_NS = NS_PER_S // 200  # a turn may come so much before the data that it waits for (our choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,9 +43,7 @@ class Turn:
     vehicle: int  # system id
     effects: tuple[Effect, ...]  # what its session wants done
     commands: tuple[Command, ...] = ()  # of others to its companion, which we are
-    parameter_requests: tuple[Frame, ...] = ()  # of others about its companion's parameters
-    gyro: Series | None = None  # that it took in
-    judged_ns: int | None = None  # the vehicle's time up to which was judged
+    latency_s: float | None = None  # from the arrival of the first gyro sample of what was judged; None if nothing was
 
 
 class Vehicle:
@@ -53,16 +51,27 @@ class Vehicle:
 
     def __init__(self, spec: SessionSpec, now: Instant) -> None:
         self.session, self.turn = Session(spec, now), now  # turn: when it had its last one
+        self.due_ns = now.ns  # when it has the next one, if there is time
+        self.judged_ns: int | None = None  # the vehicle's time up to which was judged
+        self.first_ns: int | None = None  # when the first gyro sample came that was not judged then (host)
         self.outcome: Baseline | LearningFailed | None = None  # of its last `Learn`, until the session gets it
         self.events = 0  # that were opened, so far
         self.timesync = Timesync()  # asked and answered where we may negotiate
 
-    def restart(self, spec: SessionSpec, now: Instant) -> tuple[Effect, ...]:
-        """Begin a new session in place of the present one; return what that leaves to record."""
-        left, before = self.session.finish(), self.session
-        self.session, self.outcome = Session(replace(spec, held=before.diagnosis), now), None
-        self.session.reboots = before.reboots
-        return left
+    def wait(self, gyro: Series | None, judged_ns: int | None, now_ns: int) -> float | None:
+        """Set the next turn, once samples may fill the next 0.1 s; return how long those that are judged now took [s].
+
+        gyro: what came of it. judged_ns: the vehicle's time up to which was judged.
+        """
+        latency_s, self.due_ns = None, now_ns
+        if self.first_ns is None or now_ns - self.first_ns > FORGET_NS:
+            self.first_ns = int(gyro.host_ns[0]) if gyro is not None and len(gyro) else None
+        if judged_ns is not None and judged_ns != self.judged_ns and self.session.state is State.MONITORING:
+            self.due_ns += max(0, LOOK_NS - judged_ns % LOOK_NS - EARLY_NS)
+            latency_s = None if self.first_ns is None else (now_ns - self.first_ns) / NS_PER_S
+            self.first_ns = None
+        self.judged_ns = judged_ns
+        return latency_s
 
 
 def due_turns(
@@ -72,7 +81,7 @@ def due_turns(
     has_time: Callable[[], bool] = lambda: True,
 ) -> Iterator[tuple[int, float]]:
     """System ids with the time since they were judged [s], in rounds: of each source the vehicle that waited longest,
-    then of each source the second, and so on. The source that had no turn for the longest time is the first.
+    then of each source the second, and so on: who makes up vehicles delays those of his own source.
 
     has_time: whether a look has time for another vehicle; one that waited for `MOST_S` has its turn all the same.
 
@@ -83,31 +92,12 @@ def due_turns(
     queues: defaultdict[Source, list[int]] = defaultdict(list)
     for sysid in sorted(judged, key=lambda sysid: judged[sysid].ns):
         queues[source_of(sysid)].append(sysid)
-    rounds = zip_longest(*sorted(queues.values(), key=lambda queue: judged[queue[-1]].ns))
-    waited, none_yet = [(sysid, now - judged[sysid]) for each in rounds for sysid in each if sysid is not None], True
-    for sysid, span_s in waited:
-        if has_time() or (none_yet and span_s > MOST_S):
+    rounds, none_yet = zip_longest(*sorted(queues.values(), key=lambda queue: judged[queue[-1]].ns)), True
+    for sysid in (sysid for each in rounds for sysid in each if sysid is not None):
+        waited_s = now - judged[sysid]
+        if has_time() or (none_yet and waited_s > MOST_S):
             none_yet = False
-            yield sysid, span_s
-
-
-class Delay:
-    """By how much verdicts come later than at the tick. longest_s: the longest that a vehicle waited lately."""
-
-    def __init__(self) -> None:
-        self.longest_s = 0.0
-        self._level = 0  # how many of `LEVELS_S` it passed when it was told last
-        self._told: Instant | None = None
-
-    def news(self, now: Instant) -> str:
-        """Begin a new measurement; return the line for the log, empty if there is nothing new to tell."""
-        longest_s, self.longest_s = self.longest_s, 0.0
-        level = sum(longest_s > level_s for level_s in LEVELS_S)
-        if level == self._level or (self._told is not None and now - self._told < QUIET_S):
-            return ""
-        self._level, self._told = level, now
-        text = f"much to do: each vehicle is judged every {longest_s:.2f} s, so verdicts come that much later"
-        return text if level else "every vehicle is judged in every look again"
+            yield sysid, waited_s
 
 
 class Fleet:
@@ -122,7 +112,7 @@ class Fleet:
 
     def __init__(
         self,
-        spec_of: SpecOf,
+        spec_of: Callable[[int, Profile], SessionSpec | None],
         *,
         profile: Profile | None,
         only: int | None,
@@ -137,7 +127,8 @@ class Fleet:
             profile, only, datagrams, careful=True, most=most, signing=signing, passed=passed, ours=ours
         )
         self.vehicles: dict[int, Vehicle] = {}  # those that are watched, by system id
-        self.budget_s, self.delay = budget_s, Delay()
+        self.budget_s, self.longest_s = budget_s, 0.0  # longest that a vehicle waited for its turn lately
+        self._slow: tuple[bool, Instant] | None = None  # what was told of that last, and when
         self._spec_of = spec_of
         self._left: set[int] = set()
 
@@ -152,8 +143,7 @@ class Fleet:
         """Take bytes with their time of arrival. Time alone changes things: call it regularly, without bytes too.
 
         sources: where each chunk comes from; empty for a link with one other end.
-        spent_s: time since the look began [s]; vehicles for which there is none left have their turn in a later step,
-            but for one that has waited for `MOST_S`.
+        spent_s: processor time since the look began [s].
         """
         self.link.take(chunks, now.ns, sources)
         for sysid in self.link.vehicles.keys() - self.vehicles.keys() - self._left:
@@ -165,55 +155,63 @@ class Fleet:
                 self.vehicles[sysid] = Vehicle(spec, now)
         for sysid in self._left:
             self.link.leave(sysid)
-        turns: list[Turn] = []
-        for sysid, waited_s in self._due(now, lambda: self.budget_s is None or spent_s() < self.budget_s):
+        due = {
+            sysid: vehicle.turn
+            for sysid, vehicle in self.vehicles.items()
+            if vehicle.due_ns <= now.ns or vehicle.outcome is not None
+        }
+        turns = []
+        for sysid, waited_s in due_turns(
+            due, now, self.link.source, lambda: self.budget_s is None or spent_s() < self.budget_s
+        ):
             turns.append(self._parted(sysid, now, self._turn))
-            self.delay.longest_s = max(self.delay.longest_s, waited_s)
+            self.longest_s = max(self.longest_s, waited_s)
         return turns
 
+    def delay_news(self, now: Instant) -> str:
+        """Measure anew how late verdicts come; return a line for the log, empty if there is nothing new to tell."""
+        (was_slow, told), longest_s = self._slow or (False, None), self.longest_s
+        self.longest_s, slow = 0.0, longest_s > SLOW_S
+        if slow == was_slow or (told is not None and now - told < QUIET_S):
+            return ""
+        self._slow = (slow, now)
+        text = f"much to do: each vehicle is judged every {longest_s:.2f} s, so verdicts come that much later"
+        return text if slow else "every vehicle is judged in time again"
+
     def finish(self, now: Instant, *, spent_s: Callable[[], float] = lambda: 0.0) -> list[Turn]:
-        """Judge what waits, and what is left to say when the daemon stops.
-
-        spent_s: time since the end began [s]; what still waits after `STOP_S` is not judged.
-        """
-        turns = [self._parted(sysid, now, self._turn) for sysid, _ in self._due(now, lambda: spent_s() < STOP_S)]
+        """Judge what waits, for `STOP_S` at most, and what is left to say when the daemon stops."""
+        waiting = {sysid: vehicle.turn for sysid, vehicle in self.vehicles.items()}
+        due = due_turns(waiting, now, self.link.source, lambda: spent_s() < STOP_S)
+        turns = [self._parted(sysid, now, self._turn) for sysid, _ in due]
         return [*turns, *(self._parted(sysid, now, self._last_turn) for sysid in self.vehicles)]
-
-    def _due(self, now: Instant, has_time: Callable[[], bool]) -> Iterator[tuple[int, float]]:
-        judged = {sysid: vehicle.turn for sysid, vehicle in self.vehicles.items()}
-        return due_turns(judged, now, self.link.source, has_time)
 
     def _last_turn(self, sysid: int, now: Instant) -> Turn:
         return Turn(sysid, self.vehicles[sysid].session.finish())
 
     def _turn(self, sysid: int, now: Instant) -> Turn:
         vehicle, stream, received = self.vehicles[sysid], self.link.vehicles[sysid], self.link.received(sysid)
-        session, alive = vehicle.session, received.present
-        came = (
-            received.telemetry,
-            alive,
-            stream.state.timeline.reboots,
-            received.acks,
-            vehicle.outcome,
-            received.parameters,
-        )
+        session, came, alive = vehicle.session, received.telemetry, received.present
+        reboots, imu = stream.state.timeline.reboots, stream.profile.imu
+        inbox = Inbox(came, alive, reboots, received.acks, vehicle.outcome, received.parameters, imu)
         vehicle.outcome = None
-        effects = session.step(Inbox(*came, stream.profile.imu), now)
+        effects = session.step(inbox, now)
         vehicle.events += sum(isinstance(effect, EventOpened) for effect in effects)
         if session.spec.settings.negotiate:
             vehicle.timesync, messages = exchanged(vehicle.timesync, received.frames, now.ns, alive=alive)
             effects = (*effects, *messages)
-        gyro, judged_ns = received.telemetry.get(Signal.BODY_RATE), session.judge.now_ns if session.judge else None
-        return Turn(sysid, effects, received.commands, received.parameter_requests, gyro, judged_ns)
+        judged_ns = session.judge.memory.now_ns if session.judge else None
+        latency_s = vehicle.wait(came.get(Signal.BODY_RATE), judged_ns, now.ns)
+        return Turn(sysid, effects, received.commands, latency_s)
 
     def _parted(self, sysid: int, now: Instant, work: Callable[[int, Instant], Turn]) -> Turn:
         """What comes of one vehicle's work. An error of the program takes this vehicle off, and no other."""
-        self.vehicles[sysid].turn = now
+        vehicle = self.vehicles[sysid]
+        vehicle.turn, vehicle.due_ns = now, now.ns
         try:
             return work(sysid, now)
         except Exception as error:  # noqa: BLE001  # whatever is wrong with one vehicle, the others are watched on
             place = traceback.extract_tb(error.__traceback__)[-1]
-            effects = self.vehicles[sysid].session.broken(f"{type(error).__name__}: internal error", now)
+            effects = vehicle.session.broken(f"{type(error).__name__}: internal error", now)
             where = f"{Path(place.filename).name}:{place.lineno}"
             note = Note(f"watching vehicle {sysid} ended by an error of the program: {error!r} at {where}")
             return Turn(sysid, (note, *effects) if effects else ())
@@ -226,13 +224,12 @@ class Fleet:
         """Where one vehicle stands."""
         vehicle, count = self.vehicles[sysid], self.link.count(sysid)
         session, judge = vehicle.session, vehicle.session.judge
-        valid = [gauge for gauge in judge.gauges if gauge.valid] if judge else []
+        valid = [gauge for gauge in judge.latest.gauges if gauge.valid] if judge else []
         return VehicleFigures(
             sysid,
             session.state,
             received=count.received if count else 0,
             lost=count.lost if count else 0,
-            gyro_hz=session.streams.gyro.rate_hz,
             judged_s=judge.judged_s if judge else 0.0,
             events=vehicle.events,
             flight_s=judge.flight_s if judge else 0.0,

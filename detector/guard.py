@@ -1,8 +1,5 @@
 """What somebody tries on a link is told, once each: a second sender in a vehicle's name or in ours, stamps that leap,
-refused signatures, strangers that take up the connections of a server.
-
-No clock, no socket: the link's counts and `now` in, effects out.
-"""
+refused signatures, strangers that take up the connections of a server. No clock, no socket."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -27,37 +24,20 @@ LEAPS = 3  # stamps that leap before they are told: one is a damaged frame (our 
 
 @dataclass(slots=True)
 class _Known:
-    """What is known of one vehicle: its source, new beginnings and clashes of its numbers, disarmed heartbeats amid
-    armed ones, for how many looks they went on, how many stamps leapt when that was told, and what was told."""
+    """What was seen of one vehicle at the look before."""
 
     source: Source = None
-    restarts: int = 0
-    clashes: int = 0
-    contrary: int = 0
-    looks: int = 0
-    leaps: int = 0
+    restarts: int = 0  # of its running numbers
+    clashes: int = 0  # ... two frames of one number
+    contrary: int = 0  # disarmed heartbeats amid armed ones
+    looks: int = 0  # for how many looks these went on
+    leaps: int = 0  # stamps that leapt when that was told
     told: set[str] = field(default_factory=set)
 
     def news(self, what: str) -> bool:
-        """Whether it was not told before; from now on it was."""
         new = what not in self.told
         self.told.add(what)
         return new
-
-
-@dataclass(slots=True)
-class _Count:
-    """A count that is told when it has grown, at most every `AGAIN_S`."""
-
-    told: int = 0
-    at: Instant | None = None
-
-    def news(self, count: int, now: Instant) -> bool:
-        """Whether it is to be told."""
-        if count <= self.told or (self.at is not None and now - self.at < AGAIN_S):
-            return False
-        self.told, self.at = count, now
-        return True
 
 
 class Guard:
@@ -66,7 +46,7 @@ class Guard:
     def __init__(self, link: LinkDecoder, signing: Signing | None) -> None:
         self._link, self._signing = link, signing
         self._known: dict[int, _Known] = {}
-        self._refused, self._turned_away = _Count(), _Count()
+        self._counts: dict[str, tuple[int, Instant]] = {}  # what was told of a count last, and when
 
     def sources(self, now: Instant, within_s: float) -> list[SocketAddress]:
         """Where the vehicles are heard from that were heard lately."""
@@ -79,26 +59,32 @@ class Guard:
         for sysid in self._link.vehicles:
             effects = tuple(self._second(sysid, self._known.setdefault(sysid, _Known())))
             turns += [Turn(sysid, effects)] if effects else []
-        if self._turned_away.news(turned_away, now):
+        if self._grown("turned away", turned_away, now):
             texts.append(f"{turned_away} connections were turned away or ended: too many, idle, or nothing but garbage")
         refused = {} if self._signing is None else self._signing.refused
-        if self._refused.news(sum(refused.values()), now):
+        if self._grown("refused", sum(refused.values()), now):
             texts.append(self.summary() + (f"; {STALE_ADVICE}" if refused.get(Refusal.STALE) else ""))
         return turns, texts
+
+    def _grown(self, what: str, count: int, now: Instant) -> bool:
+        told, at = self._counts.get(what, (0, None))
+        if count <= told or (at is not None and now - at < AGAIN_S):
+            return False
+        self._counts[what] = (count, now)
+        return True
 
     @property
     def refused(self) -> tuple[tuple[str, int], ...]:
         """Frames that were not heard so far, by cause."""
-        link, counts = self._link, list[tuple[str, int]]()
+        link, counts = self._link, dict[str, int]()
         for sysid, stream in link.vehicles.items():
             intruder, impostor, count = link.intruder(sysid), link.impostor(sysid), link.count(sysid)
-            counts.append((f"in the name of vehicle {sysid} from elsewhere", intruder.frames if intruder else 0))
-            counts.append((f"in our own name {sysid}/{OURS}", impostor.frames if impostor else 0))
-            clashes = count.clashes if count else 0
-            counts.append((f"in the name of vehicle {sysid} with the number of another frame", clashes))
-            counts.append((f"of vehicle {sysid} whose stamps leap", stream.state.timeline.leaps))
-        signatures = [] if self._signing is None else [(str(cause), n) for cause, n in self._signing.refused.items()]
-        return (*(entry for entry in counts if entry[1]), *signatures)
+            counts[f"in the name of vehicle {sysid} from elsewhere"] = intruder.frames if intruder else 0
+            counts[f"in our own name {sysid}/{OURS}"] = impostor.frames if impostor else 0
+            counts[f"in the name of vehicle {sysid} with the number of another frame"] = count.clashes if count else 0
+            counts[f"of vehicle {sysid} whose stamps leap"] = stream.state.timeline.leaps
+        signatures = {} if self._signing is None else self._signing.refused
+        return (*(entry for entry in counts.items() if entry[1]), *((str(cause), n) for cause, n in signatures.items()))
 
     def summary(self) -> str:
         """What was refused so far, in one line; empty if nothing was."""
@@ -127,7 +113,6 @@ class Guard:
             yield SendText(Severity.WARNING, f"PROP stamps leap: {leaps} dropped; two senders?")
 
     def _numbers(self, sysid: int, known: _Known, count: LinkCount) -> Iterable[Effect]:
-        """What a vehicle's running numbers show second after second: new beginnings, or two frames of one number."""
         contrary = self._link.vehicles[sysid].state.contrary
         odd = count.restarts - known.restarts >= RESTARTS or count.clashes > known.clashes or contrary > known.contrary
         known.looks = known.looks + 1 if odd else 0

@@ -7,18 +7,23 @@ opened     the same at its beginning, with the figures of that moment and end_s 
 state      from, to, reason          text        severity, text            suppressed   text, count
 stage      the decision: stage, reason, the evidence that it rests on, and every rotor that was named with its span
 baseline   digest, airframe, layout  note        text                      start, stop  of the daemon
+
+What cannot be written is counted and reported once, and the next entry is tried again: nothing here stops the daemon.
 """
 
+import contextlib
+import errno
+import fcntl
 import json
+import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+import stat
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Protocol
+from typing import BinaryIO
 
-from detector.appender import Appender
-from detector.config import Fsync
 from detector.values import Effect, EventClosed, EventOpened, Note, Record, SendText, StateChanged, TextSuppressed
 from mavdiag.as_json import event_json, plain
 from mavdiag.baseline import Baseline
@@ -27,7 +32,12 @@ from mavdiag.errors import UsageError
 from mavdiag.link.messages import Severity
 from mavdiag.units import NS_PER_S, NS_PER_US
 
+MB = 1_000_000
 FRAME_BYTES = 8  # the shortest MAVLink frame; what is shorter is no frame
+_REASONS = {errno.ENXIO: "nobody reads this pipe", errno.EWOULDBLOCK: "another program writes it"}
+_ALERTS = (Stage.SUSPECTED, Stage.FAULT, Stage.INSPECT)
+
+Content = dict[str, object]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,61 +51,61 @@ class When:
 
 def line(record: Record, when: When) -> str:
     """One line of the journal, without its newline."""
-    kind, content = _content(record, when)
+    kind, content, _ = _told(record, when)
     return mark(kind, when, content)
 
 
-def mark(kind: str, when: When, content: dict[str, object]) -> str:
+def mark(kind: str, when: When, content: Content) -> str:
     """A line of any content, as about the daemon itself."""
-    head: dict[str, object] = {"kind": kind, "utc": _iso(when.utc), "vehicle": when.vehicle}
+    head: Content = {"kind": kind, "utc": _iso(when.utc), "vehicle": when.vehicle}
     if when.vehicle_ns is not None:
         head["vehicle_s"] = _s(when.vehicle_ns)
     return json.dumps({**head, **content}, allow_nan=False)
 
 
-def _content(record: Record, when: When) -> tuple[str, dict[str, object]]:
+def _told(record: Record, when: When) -> tuple[str, Content, str]:
+    """Kind and content of a record's line, and its words in the log, empty for none."""
     match record:
         case EventClosed(event):
-            return "event", _event(event, when)
+            return "event", _event(event, when), ""
         case EventOpened(event):
-            return "opened", _event(event, when)
+            return "opened", _event(event, when), ""
         case StateChanged(old, new, reason):
-            return "state", {"from": old, "to": new, "reason": reason}
-        case Change():
-            return "stage", _stage(record)
+            return "state", {"from": old, "to": new, "reason": reason}, f"{old} -> {new}: {reason}"
+        case Change(stage=stage, reason=reason):
+            return "stage", _stage(record), f"decision: {stage}, {reason}"
         case SendText(severity, text):
-            return "text", {"severity": int(severity), "text": text}
+            return "text", {"severity": int(severity), "text": text}, f"{severity.name} {text!r}"
         case TextSuppressed(text, count):
-            return "suppressed", {"text": text, "count": count}
+            return "suppressed", {"text": text, "count": count}, f"held back {text!r} ({count} so far)"
         case Baseline():
             named = record.airframe.name
-            return "baseline", {"digest": record.digest, "airframe": named, "layout": record.layout_statement}
+            content: Content = {"digest": record.digest, "airframe": named, "layout": record.layout_statement}
+            return "baseline", content, str(record)
         case Note(text):
-            return "note", {"text": text}
+            return "note", {"text": text}, text
 
 
-def _event(event: Event, when: When) -> dict[str, object]:
+def _event(event: Event, when: When) -> Content:
     end_s = None if event.end_ns is None else event.end_ns / NS_PER_S
-    content = dict[str, object](event_json(event.start_ns / NS_PER_S, end_s, event))
+    content = Content(event_json(event.start_ns / NS_PER_S, end_s, event))
     if when.vehicle_ns is not None:
         since = timedelta(seconds=(when.vehicle_ns - event.start_ns) / NS_PER_S)
         content["start_utc"] = _iso(when.utc - since)
     return content
 
 
-def _stage(change: Change) -> dict[str, object]:
+def _stage(change: Change) -> Content:
     names = ("stage", "reason", "monitor", "axis", "statistic", "threshold", "rotor")
-    held: dict[str, object] = plain({name: getattr(change, name) for name in names} | {"fault_kind": change.kind})
-    spans = [
-        {"rotor": span.rotor, "since_s": _s(span.since_ns), "end_s": None if span.end_ns is None else _s(span.end_ns)}
-        for span in change.rotors
-    ]
-    declared_s = None if change.declared_ns is None else _s(change.declared_ns)
-    return {"t_s": _s(change.t_ns)} | held | {"seen": change.seen, "declared_s": declared_s, "rotors": spans}
+    held: Content = plain({name: getattr(change, name) for name in names} | {"fault_kind": change.kind})
+    spans = [{"rotor": span.rotor, "since_s": _s(span.since_ns), "end_s": _s(span.end_ns)} for span in change.rotors]
+    return (
+        {"t_s": _s(change.t_ns)} | held | {"seen": change.seen, "declared_s": _s(change.declared_ns), "rotors": spans}
+    )
 
 
-def _s(t_ns: int) -> float:
-    return round(t_ns / NS_PER_S, 6)
+def _s(t_ns: int | None) -> float | None:
+    return None if t_ns is None else round(t_ns / NS_PER_S, 6)
 
 
 def _iso(at: datetime) -> str:
@@ -105,50 +115,142 @@ def _iso(at: datetime) -> str:
 def is_urgent(record: Record) -> bool:
     """Whether a record is about an alert: an alarm, a suspicion or fault, a text of at least WARNING."""
     match record:
-        case EventOpened() | EventClosed():
-            return True
         case Change(stage=stage):
-            return stage in (Stage.SUSPECTED, Stage.FAULT, Stage.INSPECT)
+            return stage in _ALERTS
         case SendText(severity, _):
             return severity <= Severity.WARNING
         case _:
-            return False
+            return isinstance(record, EventOpened | EventClosed)
 
 
-class Journal(Appender):
-    """A file that lines are appended to. See `Appender` for what may go wrong.
+def older(path: Path, number: int) -> Path:
+    """The name of an old file; the kind stays at the end.
 
-    fsync: when it is written through to the disk; `flush` does it, once for all lines of a look.
+    >>> older(Path("flight.tlog"), 2).name
+    'flight.2.tlog'
+    """
+    return path.with_suffix(f".{number}{path.suffix}")
+
+
+class Appender:
+    """A file that is appended to, each entry whole at once. It has one writer; a pipe that is full loses entries.
+
+    option: the command-line option that names it. warn: called once when writing begins to fail, and once when it works
+    again. limit_mb: size that it does not exceed; None for no limit. keep: how many old ones stay.
+    Raises UsageError if the file cannot be opened.
     """
 
     def __init__(
-        self,
-        path: Path,
-        warn: Callable[[str], None],
-        limit_mb: float | None = None,
-        keep: int = 0,
-        fsync: Fsync = Fsync.ALERT,
+        self, path: Path, option: str, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0
     ) -> None:
-        super().__init__(path, "--journal", warn, limit_mb, keep)
-        self._fsync, self._due = fsync, False
+        self._path, self._name, self._warn = path, f"{option.removeprefix('--')} {path}", warn
+        self._limit_bytes, self._keep = float("inf") if limit_mb is None else limit_mb * MB, keep
+        try:
+            self._file = self._open()
+        except OSError as error:
+            reason = _REASONS.get(error.errno or 0, error.strerror or str(error))
+            raise UsageError(f"{path}: cannot be written ({reason}); choose another {option} file") from error
+        self._torn = False  # the last entry was written only in part
+        self._failing = 0  # entries in a row that could not be written
+        self.lost = 0  # entries that could not be written, so far
 
-    def write(self, text: str, *, urgent: bool = False) -> None:
+    def append(self, data: bytes, after_torn: bytes = b"", entries: int = 1) -> None:
+        """Append an entry, or several, or count them as lost. after_torn: what goes before if the last one was torn."""
+        data = (after_torn if self._torn else b"") + data
+        try:
+            if self._regular and self._size > 0 and self._size + len(data) > self._limit_bytes:
+                self._rotate()
+            written = self._file.write(data) or 0  # None from a pipe that is full
+        except OSError as error:
+            self._failed(error.strerror or str(error), entries)
+            return
+        self._size += written
+        if written < len(data):
+            self._torn = self._torn or written > 0
+            self._failed("not all of it fitted", entries)
+            return
+        if self._failing:
+            self._warn(f"{self._name}: writing again; {self._failing} entries were lost")
+        self._torn, self._failing = False, 0
+
+    def sync(self) -> None:
+        """Write through to the disk; what that cannot do counts as a lost entry. A pipe or device is left alone."""
+        if self._regular:
+            try:
+                os.fsync(self._file.fileno())
+            except OSError as error:
+                self._failed(error.strerror or str(error))
+
+    def close(self) -> None:
+        """Write through and close the file."""
+        self.sync()
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+    def _open(self) -> BinaryIO:
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC
+        file = os.fdopen(os.open(self._path, flags, 0o666), "ab", buffering=0)
+        status = os.fstat(file.fileno())
+        regular = stat.S_ISREG(status.st_mode)
+        if regular:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                file.close()
+                raise
+            except OSError:  # the file system has no locks
+                pass
+            with contextlib.suppress(OSError):  # let a new name survive a power cut, where the file system can do that
+                folder = os.open(self._path.parent, os.O_RDONLY | os.O_DIRECTORY)
+                try:
+                    os.fsync(folder)
+                finally:
+                    os.close(folder)
+        self._regular, self._size = regular, status.st_size
+        return file
+
+    def _rotate(self) -> None:
+        """Number the old files one higher and begin a new one. Raises OSError; the present file is kept then."""
+        if self._path.exists():  # it is gone if the last attempt failed half-way
+            for number in range(self._keep - 1, 0, -1):
+                if older(self._path, number).exists():
+                    older(self._path, number).replace(older(self._path, number + 1))
+            if self._keep:
+                self._path.replace(older(self._path, 1))
+            else:
+                self._path.unlink()
+        new = self._open()
+        self._file.close()
+        self._file, self._torn = new, False
+
+    def _failed(self, reason: str, entries: int = 1) -> None:
+        if not self._failing:
+            self._warn(f"{self._name}: cannot be written ({reason}); watching goes on without it")
+        self._failing += entries
+        self.lost += entries
+
+
+class Journal(Appender):
+    """A file that lines are appended to. `flush` writes alerts through to the disk, once for all lines of a look."""
+
+    def __init__(self, path: Path, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0) -> None:
+        super().__init__(path, "--journal", warn, limit_mb, keep)
+        self._due = False
+
+    def write(self, text: str, urgent: bool = False) -> None:
         """Append one line. urgent: it is about an alert."""
         self.append(text.encode() + b"\n", after_torn=b"\n")
-        self._due = self._due or self._fsync is Fsync.ALWAYS or (urgent and self._fsync is Fsync.ALERT)
+        self._due = self._due or urgent
 
     def flush(self) -> None:
-        """Write through what was written since the last call, if it is to be."""
+        """Write through what was written since the last call, if an alert is among it."""
         if self._due:
             self.sync()
         self._due = False
 
 
 class Recorder(Appender):
-    """A telemetry log (.tlog) of all frames received. See `Appender` for what may go wrong.
-
-    epoch_ns: what the host clock must be set forward by to be unix time [ns].
-    """
+    """A telemetry log (.tlog) of all frames received. epoch_ns: unix time less the host's clock [ns]."""
 
     def __init__(
         self, path: Path, epoch_ns: int, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0
@@ -156,8 +258,7 @@ class Recorder(Appender):
         from mavdiag.logs.tlog import tlog_record  # only with a recording: it brings the readers of logs
 
         super().__init__(path, "--record", warn, limit_mb, keep)
-        self._record = tlog_record
-        self._epoch_ns = epoch_ns
+        self._record, self._epoch_ns = tlog_record, epoch_ns
         self._records: list[bytes] = []
 
     def write(self, frames: Iterable[bytes], host_ns: int) -> None:
@@ -177,43 +278,36 @@ class Recorder(Appender):
         super().close()
 
 
-class Lines(Protocol):
-    """Who takes the journal's lines: the journal, the live page."""
-
-    def write(self, text: str, *, urgent: bool = False) -> None:
-        """Take one. urgent: it is about an alert."""
-
-
 class Reporter:
-    """Writes to the log, and to those who take the journal's lines.
+    """Writes to the log (`say`), and to those who take the journal's lines, each with whether it is about an alert.
 
-    lines: these; there may be none.
-    say: takes a log line.
-    when: the time of a line about a vehicle (None: about the daemon).
-    save: file for learned baselines, None to keep none.
+    when: the time of a line about a vehicle (None: about the daemon). save: file for learned baselines; None for none.
     """
 
     def __init__(
-        self, lines: Sequence[Lines], say: Callable[[str], None], when: Callable[[int | None], When], save: Path | None
+        self,
+        takers: Iterable[Callable[[str, bool], None]],
+        say: Callable[[str], None],
+        when: Callable[[int | None], When],
+        save: Path | None,
     ) -> None:
-        self._lines, self._say, self._when, self._path = tuple(lines), say, when, save
+        self._takers, self._say, self._when, self._path = tuple(takers), say, when, save
         self._saved: dict[int, Path] = {}
 
     def record(self, sysid: int, effect: Effect) -> None:
         """The effects that are worth a line, in the journal and, most of them, in the log."""
-        if not isinstance(effect, Record):
-            return
-        if self._lines:
-            text, urgent = line(effect, self._when(sysid)), is_urgent(effect)
-            for taker in self._lines:
-                taker.write(text, urgent=urgent)
-        for words in _log_lines(effect):
-            self._say(f"vehicle {sysid}: {words}")
+        if isinstance(effect, Record):
+            when = self._when(sysid)
+            kind, content, words = _told(effect, when)
+            for take in self._takers:
+                take(mark(kind, when, content), is_urgent(effect))
+            for part in words.splitlines():
+                self._say(f"vehicle {sysid}: {part}")
 
-    def mark(self, kind: str, content: dict[str, object]) -> None:
+    def mark(self, kind: str, content: Content) -> None:
         """A line about the daemon itself."""
-        for taker in self._lines:
-            taker.write(mark(kind, self._when(None), content))
+        for take in self._takers:
+            take(mark(kind, self._when(None), content), False)
 
     def save(self, sysid: int, baseline: Baseline) -> None:
         """Keep a learned baseline: the first vehicle's under the name asked for, another's with its id in it."""
@@ -240,21 +334,3 @@ def kept_baselines(path: Path) -> dict[int, tuple[Path, Baseline]]:
     beside = [near for near in path.parent.iterdir() if own.fullmatch(near.name)] if path.parent.is_dir() else []
     loaded = [(file, Baseline.load(file)) for file in (path, *sorted(beside)) if file.is_file()]
     return {baseline.provenance.vehicle: (file, baseline) for file, baseline in reversed(loaded)}
-
-
-def _log_lines(record: Record) -> list[str]:
-    match record:
-        case StateChanged(old, new, reason):
-            return [f"{old} -> {new}: {reason}"]
-        case Change(stage=stage, reason=reason):
-            return [f"decision: {stage}, {reason}"]
-        case SendText(severity, text):
-            return [f"{severity.name} {text!r}"]
-        case Baseline():
-            return str(record).splitlines()
-        case Note(text):
-            return [text]
-        case TextSuppressed(text, count):
-            return [f"held back {text!r} ({count} so far)"]
-        case _:
-            return []

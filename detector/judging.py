@@ -6,17 +6,15 @@ from detector.alerts import Kind, Notice, label_of
 from detector.config import SessionSettings
 from detector.streams import Streams
 from detector.values import EventClosed, EventOpened, Note, Record
-from mavdiag.airframe.fingerprint import Outcome
 from mavdiag.baseline import Baseline, without_mute
 from mavdiag.chain import Chain, ChainOutput, chain_of
 from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Stage, landed
 from mavdiag.errors import BaselineError
-from mavdiag.kernel import Account, Gauge, Piece, Slot
+from mavdiag.kernel import Account, Piece, Slot
 from mavdiag.link.samples import joined
 from mavdiag.link.wants import LABELS
 from mavdiag.monitors import NEED_LAYOUT
 from mavdiag.rows.gate import HIDDEN_S, SHOWS_FLIGHT, hidden_flight
-from mavdiag.rows.quality import believed
 from mavdiag.telemetry import Instant, Telemetry
 from mavdiag.units import NS_PER_S
 
@@ -36,72 +34,46 @@ class Judge:
         self.judged = now  # when anything was judged last (host)
         self.judged_s = self.flight_s = 0.0  # flight time in which a deciding monitor judged, and all, so far
         self.pieces: tuple[Piece, ...] = ()  # what the latest step gave, for a display
-        self._latest = ChainOutput()
+        self.latest = ChainOutput()  # that had rows
         self._asked, self._unjudged = now, dict[str, str]()  # monitors that do not judge, as asked for last
-        self._memory = chain.start(held)
-        self._sight = _Sight(chain)
-
-    @property
-    def hidden(self) -> str:
-        """Why nothing is judged although it flies; empty if it is judged, or does not fly."""
-        return self._sight.hidden
-
-    @property
-    def gauges(self) -> tuple[Gauge, ...]:
-        """The latest value of every monitor that has one."""
-        return self._latest.gauges
-
-    @property
-    def diagnosis(self) -> Diagnosis:
-        """What is held of the vehicle now."""
-        return self._memory.diagnosis
-
-    @property
-    def now_ns(self) -> int | None:
-        """Vehicle time of the latest row."""
-        return self._memory.now_ns
-
-    @property
-    def accounts(self) -> tuple[Account, ...]:
-        """What each monitor judged so far."""
-        return self._memory.accounts
+        self.memory = chain.start(held)
+        self.sight = _Sight(chain)  # its `hidden` says why nothing is judged although it flies
 
     def step(self, telemetry: Telemetry, now: Instant) -> ChainOutput:
         """Judge the next telemetry."""
-        self._memory, output = self.chain.step(self._memory, telemetry)
+        self.memory, output = self.chain.step(self.memory, telemetry)
         self.judged = now if output.judged_s > 0 else self.judged
         self._count(output)
-        self._latest, self.pieces = output if output.pieces else self._latest, output.pieces
-        self._sight.step(telemetry, output)
+        self.latest, self.pieces = output if output.pieces else self.latest, output.pieces
+        self.sight.step(telemetry, output)
         return output
 
     def end_flight(self) -> ChainOutput:
         """The flight cannot be followed any longer: what is open is closed."""
-        self._memory, output = self.chain.end_flight(self._memory)
-        self._latest, self.pieces = ChainOutput(), ()
+        self.memory, output = self.chain.end_flight(self.memory)
+        self.latest, self.pieces = ChainOutput(), ()
         return output
 
     def finish(self) -> tuple[Record, ...]:
-        """The watch ends: the rows that waited are judged, and events that are still open are recorded with the end
-        not seen. What was declared stays, as an open inspection."""
-        self._memory, output = self.chain.finish(self._memory)
+        """The watch ends: judge the rows that waited, and record the open events with their end not seen."""
+        self.memory, output = self.chain.finish(self.memory)
         self._count(output)
-        diagnosis, held = self.diagnosis, self.landed()
+        diagnosis, held = self.memory.diagnosis, self.landed()
         changes = output.changes
         if diagnosis.stage is Stage.FAULT:
-            changes = (*changes, Change.of(held, self.now_ns or 0))
-        self._memory = self.chain.renewed(self._memory, held)
+            changes = (*changes, Change.of(held, self.memory.now_ns or 0))
+        self.memory = self.chain.renewed(self.memory, held)
         latest = {(event.monitor, event.axis, event.start_ns): event for event in output.events}
         return (*(EventClosed(event) for event in latest.values()), *changes)
 
     def landed(self) -> Diagnosis:
         """What outlasts the flight: an open inspection."""
-        open_ = self.diagnosis.stage in (Stage.FAULT, Stage.INSPECT)
-        return landed(self.diagnosis, self.now_ns or 0) if open_ else NOTHING_SEEN
+        open_ = self.memory.diagnosis.stage in (Stage.FAULT, Stage.INSPECT)
+        return landed(self.memory.diagnosis, self.memory.now_ns or 0) if open_ else NOTHING_SEEN
 
     def acknowledge(self) -> tuple[Change, ...]:
         """Somebody has looked at the vehicle."""
-        self._memory, output = self.chain.acknowledge(self._memory)
+        self.memory, output = self.chain.acknowledge(self.memory)
         return output.changes
 
     def not_judged(self, streams: Streams, now: Instant) -> dict[str, str]:
@@ -112,7 +84,7 @@ class Judge:
         if streams.began is None or now - streams.began < STREAM_S or now - self._asked < ASK_S:
             return self._unjudged
         self._asked, self._unjudged = now, {}
-        for slot, account in zip(self.chain.slots, self.accounts, strict=True):
+        for slot, account in zip(self.chain.slots, self.memory.accounts, strict=True):
             label = label_of(slot.monitor.name)
             if missing := streams.missing(slot.monitor.signals):
                 self._unjudged[label] = f"no {LABELS[missing]}"
@@ -121,8 +93,7 @@ class Judge:
         return self._unjudged
 
     def _count(self, output: ChainOutput) -> None:
-        self.judged_s += output.judged_s
-        self.flight_s += output.flight_s
+        self.judged_s, self.flight_s = self.judged_s + output.judged_s, self.flight_s + output.flight_s
 
 
 class _Sight:
@@ -136,7 +107,6 @@ class _Sight:
         self._looked_ns = 0
 
     def step(self, telemetry: Telemetry, output: ChainOutput) -> None:
-        """Take in what came, and what the chain made of it."""
         series = tuple(part for part in telemetry.series if part.signal in SHOWS_FLIGHT and len(part))
         if not series:
             return
@@ -157,8 +127,8 @@ class _Sight:
 
     def _hidden(self) -> str:
         front = self._chain.front
-        telemetry = believed(front.align.quality, joined([piece for _, piece in self._pieces]))
-        found = hidden_flight(telemetry, front.gate, self._spans)
+        telemetry = joined([piece for _, piece in self._pieces])
+        found = hidden_flight(telemetry, front.gate, front.align.quality, self._spans)
         return found[-1].reason if found and self._pieces[-1][0] / NS_PER_S - found[-1].end_s < 1.0 else ""
 
 
@@ -171,7 +141,7 @@ def unjudged_s(account: Account) -> dict[str, float]:
 def rescaled(baseline: Baseline, scale: float) -> Baseline:
     """The baseline with all thresholds times a factor, without monitors that could not reach theirs then.
 
-    Its digest stays that of the file. Raises BaselineError if no monitor is left.
+    Raises BaselineError if no monitor is left.
     """
     if scale == 1.0:
         return baseline
@@ -206,32 +176,20 @@ def records_of(output: ChainOutput, whose: str) -> tuple[Record, ...]:
     return (*events, *output.changes, *((Note(differs),) if differs else ()))
 
 
-def vehicle_notices(output: ChainOutput) -> list[Notice]:
-    """What is said, once, of a vehicle that is another than the baseline's."""
-    far = output.likeness is not None and output.likeness.outcome is Outcome.FAR
-    return [Notice(Kind.OTHER_VEHICLE)] if far else []
-
-
-def layout_notices(baseline: Baseline) -> list[Notice]:
-    """What is said, once for each baseline, of a rotor layout that is unknown or that its flights contradict."""
-    if not baseline.layout_doubt:
-        return []
-    if baseline.airframe.layout is not None:
-        return [Notice(Kind.OTHER_LAYOUT, (baseline.airframe.layout.name,))]
-    lost = sum(refusal.monitor in NEED_LAYOUT for refusal in baseline.not_judgeable)
-    return [Notice(Kind.NO_LAYOUT, (str(lost),))]
-
-
-def notes_on(baseline: Baseline, chain: Chain, settings: SessionSettings) -> list[Note]:
-    """What the journal gets as judging begins: monitors that the settings silence, doubts about the rotor layout, and
-    names in `suspect` that no monitor of the chain has."""
+def beginning(baseline: Baseline, chain: Chain, settings: SessionSettings) -> tuple[list[Note], list[Notice]]:
+    """What is recorded and said as judging begins: monitors that the settings silence, doubts about the rotor layout,
+    and names in `suspect` that no monitor has."""
     lost = rescaled(baseline, settings.threshold_scale).not_judgeable[len(baseline.not_judgeable) :]
-    notes = [Note(f"{refusal.monitor} not judged: {refusal.reason}") for refusal in lost]
     known = frozenset[str]().union(*(_names(slot) for slot in chain.slots))
-    notes += [Note(baseline.layout_doubt)] if baseline.layout_doubt else []
-    return notes + [
-        Note(f"suspect: the baseline has no monitor {name!r}") for name in settings.suspect if name not in known
-    ]
+    notes = [Note(f"{refusal.monitor} not judged: {refusal.reason}") for refusal in lost]
+    notes += [Note(f"suspect: the baseline has no monitor {name!r}") for name in settings.suspect if name not in known]
+    if not baseline.layout_doubt:
+        return notes, []
+    notes.append(Note(baseline.layout_doubt))
+    if baseline.airframe.layout is not None:
+        return notes, [Notice(Kind.OTHER_LAYOUT, (baseline.airframe.layout.name,))]
+    off = sum(refusal.monitor in NEED_LAYOUT for refusal in baseline.not_judgeable)
+    return notes, [Notice(Kind.NO_LAYOUT, (str(off),))]
 
 
 def words_of(unjudged: dict[str, str]) -> tuple[str, str]:

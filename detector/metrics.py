@@ -1,80 +1,62 @@
-"""Figures for Prometheus (edge). Imported only if they are asked for.
+"""Figures for Prometheus (edge). Imported only if they are asked for. docs/detector.md lists the figures.
 
-Label sets are bounded: vehicles by the setting `max_vehicles`, monitors by the registry, links and files by the
-settings. docs/detector.md lists the figures. The server's own thread sees only what the loop has handed over, whole; it
-holds few connections, each for a short time, so that who begins requests and ends none costs nothing.
+The server's own thread sees only what the loop has handed over, whole; it holds few connections, each for a short time,
+so that who begins requests and ends none costs nothing.
 """
 
 import asyncio
 import itertools
 import threading
 import time
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 
-import numpy as np
-from prometheus_client import CollectorRegistry
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
+from prometheus_client import CollectorRegistry, Histogram
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from prometheus_client.registry import Collector
 
-from detector.figures import DaemonFigures, VehicleFigures
 from detector.fleet import Turn
 from detector.states import State
+from detector.values import DaemonFigures, VehicleFigures, is_working
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.errors import LinkError
-from mavdiag.telemetry import IntArray, Series
 from mavdiag.units import NS_PER_S
 
 CONNECTIONS = 16  # at a time: for a further one the oldest is closed (our choice)
 REQUEST_S = 2.0  # for a whole request, and for its answer (our choice)
 REQUEST_BYTES = 8192
-AWAITED_MOST = 8192  # samples that may wait for their verdict: several seconds (our choice)
-FORGET_NS = NS_PER_S  # a sample without a verdict for so long gets none: nothing is judged (our choice)
 BOUNDS_S = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.15, 0.2, 0.5, 1.0)  # upper ends of the bins of a latency
 
-
-class Awaiting:
-    """Gyro samples that came and are not yet judged, by the vehicle's clock and by when they came (host)."""
-
-    def __init__(self) -> None:
-        self.t_ns: IntArray = np.empty(0, dtype=np.int64)
-        self.host_ns = self.t_ns
-
-    def step(self, gyro: Series | None, judged_ns: int | None, now_ns: int) -> IntArray:
-        """Take in new samples; return when those came that have their verdict now.
-
-        judged_ns: the vehicle's time up to which was judged, None for nothing. now_ns: host clock.
-        """
-        t_ns, host_ns = self.t_ns, self.host_ns
-        if gyro is not None and len(gyro):
-            t_ns, host_ns = np.append(t_ns, gyro.t_ns)[-AWAITED_MOST:], np.append(host_ns, gyro.host_ns)[-AWAITED_MOST:]
-        fresh = host_ns >= now_ns - FORGET_NS
-        judged = np.zeros(len(t_ns), dtype=np.bool_) if judged_ns is None else t_ns <= judged_ns
-        self.t_ns, self.host_ns = t_ns[fresh & ~judged], host_ns[fresh & ~judged]
-        return host_ns[judged & fresh]
-
-
-class LatencyCounts:
-    """A histogram with the bins of `BOUNDS_S` and one beyond. counts: samples in each bin. sum_s: of all latencies."""
-
-    def __init__(self) -> None:
-        self.counts = np.zeros(len(BOUNDS_S) + 1, dtype=np.int64)
-        self.sum_s = 0.0
-
-    def add(self, arrived_ns: IntArray, now_ns: int) -> None:
-        """Count samples that came at these times and are judged now (host clock)."""
-        if len(arrived_ns):
-            latency_s = (now_ns - arrived_ns) / NS_PER_S
-            # A new array, for the server's thread may hold the old one.
-            self.counts = self.counts + np.bincount(np.searchsorted(BOUNDS_S, latency_s), minlength=len(self.counts))
-            self.sum_s += float(latency_s.sum())
-
-    def family(self, name: str, text: str) -> HistogramMetricFamily:
-        """As Prometheus has it."""
-        sums = itertools.accumulate(self.counts.tolist())
-        bins = zip((*(f"{bound:g}" for bound in BOUNDS_S), "+Inf"), sums, strict=True)
-        return HistogramMetricFamily(f"mavdiag_{name}_seconds", text, list(bins), self.sum_s)
+#: Each figure: what it says, and its labels. Label sets are bounded by the settings and the registry of monitors.
+GAUGES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "session_working": ("1 unless all sessions are off; no word about the vehicles.", ()),
+    "figures_age_seconds": ("Time since the loop set these figures; 1 at most while it goes on.", ()),
+    "late_ticks": ("Looks at the links that came too late.", ()),
+    "cpu_seconds": ("Processor time used by the daemon.", ()),
+    "datagrams_overflowed": ("Datagrams of the vehicle's link that the system dropped.", ()),
+    "turn_delay_seconds": ("Longest that a vehicle waited for its turn in the last second.", ()),
+    "link_connected": ("1 if somebody is at the other end, as far as this side can know.", ("link",)),
+    "link_sent": ("Messages handed to the system.", ("link",)),
+    "link_dropped": ("Messages that could not be sent.", ("link",)),
+    "state": ("1 for the state that the session is in.", ("vehicle", "state")),
+    "verdict": ("1 for what is held of the vehicle.", ("vehicle", "verdict")),
+    "fault": ("Of a fault or an open inspection: 1 while it is seen, 0 when not.", ("vehicle", "kind", "rotor")),
+    "frames_received": ("Frames received from the autopilot.", ("vehicle",)),
+    "frames_lost": ("Frames lost on the way, by their sequence numbers.", ("vehicle",)),
+    "stream_hertz": ("Measured rate of a stream.", ("vehicle", "stream")),
+    "judged_seconds": ("Flight time judged.", ("vehicle",)),
+    "judged_share": ("Flight time judged, of all flight time of this session.", ("vehicle",)),
+    "statistic_ratio": ("Statistic over threshold; absent while it is not valid.", ("vehicle", "monitor", "axis")),
+    "timesync_round_trip_seconds": ("Round trip of the latest TIMESYNC, to within a look.", ("vehicle",)),
+    "clock_drift_ppm": ("Drift between the clocks of the vehicle's messages, where there are two.", ("vehicle",)),
+}
+COUNTERS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "entries_lost": ("Entries that could not be written.", ("file",)),
+    "frames_refused": ("Frames that were not heard.", ("cause",)),
+    "events": ("Alarms of the monitors.", ("vehicle", "monitor")),
+}
+Sample = tuple[str, tuple[str, ...], float]
 
 
 class Metrics(Collector):
@@ -82,125 +64,71 @@ class Metrics(Collector):
 
     def __init__(self, host: str, port: int) -> None:
         # All figures of a moment, that moment (monotonic clock), and what was counted by then; nothing changes them.
-        self._shown: tuple[DaemonFigures, int, dict[tuple[str, str], int], tuple[Metric, ...]] | None = None
-        self._events: Counter[tuple[str, str]] = Counter()
-        self._look, self._verdict = LatencyCounts(), LatencyCounts()
-        self._awaiting: defaultdict[int, Awaiting] = defaultdict(Awaiting)
+        self._shown: tuple[DaemonFigures, int, dict[tuple[str, ...], int]] | None = None
+        self._events: Counter[tuple[str, ...]] = Counter()
         registry = CollectorRegistry()
+        text = "From the arrival of the first gyro sample that is judged at once to its verdict."
+        self._latency = Histogram("mavdiag_verdict_latency_seconds", text, buckets=BOUNDS_S, registry=registry)
         registry.register(self)
         try:
             self._server = _Server(host, port, lambda: generate_latest(registry))
         except OSError as error:
-            raise LinkError(
-                f"metrics on {host}:{port}: {error.strerror or error}; name another --metrics HOST:PORT"
-            ) from error
-
-    @property
-    def port(self) -> int:
-        """The port that was really bound."""
-        return self._server.port
+            reason = error.strerror or error
+            raise LinkError(f"metrics on {host}:{port}: {reason}; name another --metrics HOST:PORT") from error
+        self.port, self.close = self._server.port, self._server.close  # the port that was really bound
 
     def show(self, figures: DaemonFigures, now_ns: int) -> None:
         """Hand all figures over. now_ns: monotonic clock."""
-        latencies = (
-            self._look.family("look_latency", "From the arrival of a gyro sample to the end of its look."),
-            self._verdict.family("verdict_latency", "From the arrival of a gyro sample to its verdict."),
-        )
-        self._shown = (figures, now_ns, dict(self._events), latencies)
+        self._shown = (figures, now_ns, dict(self._events))
 
     def count_event(self, vehicle: int, monitor: str) -> None:
         """One more alarm."""
         self._events[str(vehicle), monitor] += 1
 
-    def observe(self, turns: Iterable[Turn], now_ns: int) -> None:
-        """Count how long the samples of a look waited. now_ns: its end, monotonic clock."""
+    def observe(self, turns: Iterable[Turn]) -> None:
+        """Count how long what was judged waited."""
         for turn in turns:
-            if turn.gyro is not None:
-                self._look.add(turn.gyro.host_ns, now_ns)
-            self._verdict.add(self._awaiting[turn.vehicle].step(turn.gyro, turn.judged_ns, now_ns), now_ns)
-
-    def close(self) -> None:
-        """Stop serving."""
-        self._server.close()
+            if turn.latency_s is not None:
+                self._latency.observe(turn.latency_s)
 
     def collect(self) -> Iterator[Metric]:
         """All figures, as Prometheus asks for them (from its own thread)."""
         if self._shown is None:
             return
-        figures, at_ns, events, latencies = self._shown
+        figures, at_ns, events = self._shown
+        counts: list[Sample] = [
+            *(("entries_lost", (name,), count) for name, count in figures.lost_entries),
+            *(("frames_refused", (cause,), count) for cause, count in figures.refused),
+            *(("events", labels, count) for labels, count in events.items()),
+        ]
+        families: dict[str, GaugeMetricFamily | CounterMetricFamily] = {
+            **{name: GaugeMetricFamily(f"mavdiag_{name}", text, labels=of) for name, (text, of) in GAUGES.items()},
+            **{name: CounterMetricFamily(f"mavdiag_{name}", text, labels=of) for name, (text, of) in COUNTERS.items()},
+        }
         age_s = (time.monotonic_ns() - at_ns) / NS_PER_S
-        working = float(figures.working)
-        delay = "Longest that a vehicle waited for its turn in the last second; one look, unless there is much to do."
-        overflowed = figures.links[0].traffic.overflowed
-        for name, text, value in (
-            ("session_working", "1 unless all sessions are off; no word about the vehicles.", working),
-            ("figures_age_seconds", "Time since the loop set these figures; 1 at most while it goes on.", age_s),
-            ("late_ticks", "Looks at the links that came too late.", figures.late),
-            ("cpu_seconds", "Processor time used by the daemon.", figures.cpu_s),
-            ("datagrams_overflowed", "Datagrams of the vehicle's link that the system dropped.", overflowed),
-            ("turn_delay_seconds", delay, figures.delay_s),
-        ):
-            yield GaugeMetricFamily(f"mavdiag_{name}", text, value)
-        lost = [((name,), count) for name, count in figures.lost_entries]
-        refused = [((cause,), count) for cause, count in figures.refused]
-        for name, text, labels, counts in (
-            ("entries_lost", "Entries that could not be written.", ("file",), lost),
-            ("frames_refused", "Frames that were not heard.", ("cause",), refused),
-            ("events", "Alarms of the monitors.", ("vehicle", "monitor"), events.items()),
-        ):
-            family = CounterMetricFamily(f"mavdiag_{name}", text, labels=labels)
-            for values, count in counts:
-                family.add_metric(values, count)
-            yield family
-        yield from _links(figures)
-        yield from _vehicles(figures.vehicles)
-        yield from latencies
+        for name, values, value in itertools.chain(_daemon(figures, age_s), counts):
+            families[name].add_metric(values, value)
+        yield from families.values()
 
 
-def _links(figures: DaemonFigures) -> Iterator[Metric]:
-    texts = {
-        "connected": "1 if somebody is at the other end, as far as this side can know.",
-        "sent": "Messages handed to the system.",
-        "dropped": "Messages that could not be sent.",
-    }
-    families = {name: GaugeMetricFamily(f"mavdiag_link_{name}", text, labels=["link"]) for name, text in texts.items()}
+def _daemon(figures: DaemonFigures, age_s: float) -> Iterator[Sample]:
+    yield "session_working", (), is_working([vehicle.state for vehicle in figures.vehicles])
+    yield "figures_age_seconds", (), age_s
+    yield "late_ticks", (), figures.late
+    yield "cpu_seconds", (), figures.cpu_s
+    yield "datagrams_overflowed", (), figures.links[0].traffic.overflowed
+    yield "turn_delay_seconds", (), figures.delay_s
     for number, link in enumerate(figures.links):
-        label = ["vehicle" if number == 0 else f"behind {number} {link.address}"]
-        families["connected"].add_metric(label, link.connected)
-        families["sent"].add_metric(label, link.traffic.sent)
-        families["dropped"].add_metric(label, link.traffic.dropped)
-    yield from families.values()
+        label = ("vehicle" if number == 0 else f"behind {number} {link.address}",)
+        yield "link_connected", label, link.connected
+        yield "link_sent", label, link.traffic.sent
+        yield "link_dropped", label, link.traffic.dropped
+    for vehicle in figures.vehicles:
+        for name, labels, value in _vehicle(vehicle):
+            yield name, (str(vehicle.vehicle), *labels), value
 
 
-# Of each vehicle: the name of a figure, what it says, and its labels beside the vehicle.
-_OF_A_VEHICLE: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    ("state", "1 for the state that the session is in.", ("state",)),
-    ("verdict", "1 for what is held of the vehicle.", ("verdict",)),
-    ("fault", "Of a fault or an open inspection: 1 while it is seen, 0 when it is not.", ("kind", "rotor")),
-    ("frames_received", "Frames received from the autopilot.", ()),
-    ("frames_lost", "Frames lost on the way, by their sequence numbers.", ()),
-    ("stream_hertz", "Measured rate of a stream.", ("stream",)),
-    ("judged_seconds", "Flight time judged.", ()),
-    ("judged_share", "Flight time judged, of all flight time of this session.", ()),
-    ("statistic_ratio", "Statistic over threshold; absent while it is not valid.", ("monitor", "axis")),
-    ("timesync_round_trip_seconds", "Round trip of the latest TIMESYNC, to within a look.", ()),
-    ("clock_drift_ppm", "Drift between the clocks of the vehicle's messages, where there are two.", ()),
-)
-
-
-def _vehicles(vehicles: Iterable[VehicleFigures]) -> Iterator[Metric]:
-    families = {
-        name: GaugeMetricFamily(f"mavdiag_{name}", text, labels=["vehicle", *labels])
-        for name, text, labels in _OF_A_VEHICLE
-    }
-    for vehicle in vehicles:
-        for name, labels, value in _samples(vehicle):
-            families[name].add_metric([str(vehicle.vehicle), *labels], value)
-    yield from families.values()
-
-
-def _samples(vehicle: VehicleFigures) -> Iterator[tuple[str, tuple[str, ...], float]]:
-    """Name, further labels and value of each figure of a vehicle."""
+def _vehicle(vehicle: VehicleFigures) -> Iterator[Sample]:
     held, timesync = vehicle.diagnosis, vehicle.timesync
     for state in State:
         yield "state", (state.value,), state is vehicle.state
@@ -242,7 +170,6 @@ class _Server:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop answering."""
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(timeout=REQUEST_S + 1.0)
         self._server.close()

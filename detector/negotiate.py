@@ -1,11 +1,9 @@
 """Asking an autopilot for the streams that the monitors need, and saying plainly what came of it.
 
-A stream that is missing, or whose measured rate lies outside of what will do, is asked for by SET_MESSAGE_INTERVAL: at
-once, then after the pauses of `PAUSES_S`, every 30 s in the end. Tries are forgotten once a rate was right for 5 s, so
-that a ground station that sets its own rates now and then is answered at once each time; but never is one message asked
-for more than once in 2 s, and one that is changed again before it held for 5 s is asked for ever more seldom: two that
-set the same rate must not fight. A refusal is an answer: it is not asked again. Where the autopilot does not send the
-IMU message of its profile, those of `Want.others` are asked for in turn. Only what was *measured* counts as got.
+A stream that is missing, or whose measured rate will not do, is asked for by SET_MESSAGE_INTERVAL: at once, then after
+the pauses of `PAUSES_S`. Tries are forgotten once a rate was right for 5 s; one that is changed again before is asked
+for ever more seldom, for two that set the same rate must not fight. A refusal is an answer. Where the autopilot does
+not send the IMU message of its profile, those of `Want.others` are asked for in turn. Only what was *measured* counts.
 """
 
 from collections import defaultdict
@@ -45,20 +43,16 @@ class _Ask:
 
     @property
     def refused(self) -> bool:
-        """Whether the autopilot refused it."""
         return self.answer in _REFUSED
 
     def due(self, now: Instant) -> bool:
-        """Whether it may be asked for."""
         pause_s = PAUSES_S[min(self.tries, len(PAUSES_S) - 1)]
         return not self.refused and (self.at is None or now - self.at >= pause_s)
 
     def vain(self, now: Instant) -> bool:
-        """Whether a message that does not come is not to be had."""
         return self.refused or (self.tries >= VAIN and self.due(now))
 
     def look(self, right: bool, now: Instant) -> None:
-        """Take another look at its rate."""
         if not right:
             if self.right_since is not None:
                 self.right_since = None
@@ -71,7 +65,7 @@ class _Ask:
 
 
 class Negotiation:
-    """All that was asked so far of one autopilot. autopilot: MAV_AUTOPILOT, whose parameters are named."""
+    """All that was asked so far of one autopilot. autopilot: MAV_AUTOPILOT."""
 
     def __init__(self, autopilot: int = 0) -> None:
         self._autopilot = autopilot

@@ -1,7 +1,4 @@
-"""What systemd is told (edge): readiness, state and the watchdog, as datagrams to the socket that it names.
-
-The protocol is sd_notify(3): NOTIFY_SOCKET names the socket, WATCHDOG_USEC how long it waits for a sign of life.
-"""
+"""What systemd is told (edge), by sd_notify(3): readiness, state and the watchdog."""
 
 import contextlib
 import os
@@ -10,10 +7,7 @@ from collections.abc import Mapping
 
 
 class Notifier:
-    """Speaks to the service manager, or to nobody if there is none. Nothing here raises or waits.
-
-    environ: the environment that the manager made.
-    """
+    """Speaks to the service manager, or to nobody if `environ` names none. Nothing here raises or waits."""
 
     def __init__(self, environ: Mapping[str, str]) -> None:
         place = environ.get("NOTIFY_SOCKET", "")

@@ -1,19 +1,15 @@
-"""Further links behind the daemon: they get the vehicle's frames and the daemon's own, and can answer.
+"""Further links behind the daemon: they get the vehicle's frames, but for those refused, and the daemon's own.
 
-Frames are passed on as they came, if they passed: none that was refused. What a ground station sends goes to the
-vehicle unchanged: whoever forwards to an endpoint gives it that right.
+What a ground station sends goes to the vehicle unchanged: whoever forwards to an endpoint gives it that right.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import groupby
 from operator import itemgetter
-from typing import TypeAlias
 
 from detector.journal import Recorder
 from mavdiag.link.codec import frame_length
 from mavdiag.link.ports import Endpoint
-
-Upward: TypeAlias = Callable[[list[bytes], Endpoint], Iterable[bytes]]
 
 DATAGRAM_BYTES = 1_400  # what every network carries in one piece (Ethernet's 1,500 less the headers and a tunnel's)
 
@@ -21,8 +17,7 @@ DATAGRAM_BYTES = 1_400  # what every network carries in one piece (Ethernet's 1,
 class FrameSplitter:
     """One direction of a link in frames. Bytes that begin no frame are handed on one by one.
 
-    datagrams: every chunk stands alone, for it may be another peer's: an incomplete frame at its end is dropped. In a
-    byte stream it waits for its rest, at most 280 bytes.
+    datagrams: every chunk stands alone: an incomplete frame at its end is dropped. In a stream it waits for its rest.
     """
 
     def __init__(self, *, datagrams: bool) -> None:
@@ -58,24 +53,21 @@ class Relay:
     """Between the vehicle's link and the links behind the daemon.
 
     recorder: a file that gets what the vehicle's link brings. upward: sees what a link behind brought, and returns what
-    of it goes to the vehicle. wants: whether anybody gets the vehicle's frames.
+    of it goes to the vehicle.
     """
 
     def __init__(
         self,
         main: Endpoint,
         behind: Sequence[Endpoint],
-        *,
         recorder: Recorder | None = None,
-        upward: Upward = lambda frames, behind: frames,
+        upward: Callable[[list[bytes], Endpoint], Iterable[bytes]] = lambda frames, behind: frames,
     ) -> None:
         self._main, self._behind, self._recorder, self._upward = main, tuple(behind), recorder, upward
-        self.wants = bool(self._behind) or recorder is not None
         self._up = [FrameSplitter(datagrams=endpoint.address.startswith("udp")) for endpoint in behind]
 
     def pass_on(self, frames: Sequence[tuple[bytes, int]]) -> None:
-        """The frames of the vehicle's link, each with its time of arrival [ns], go to every link behind; what these
-        bring goes to the vehicle's link."""
+        """Pass frames, each with its time of arrival [ns], to every link behind, and back what these bring."""
         if self._recorder is not None:
             for host_ns, group in groupby(frames, itemgetter(1)):
                 self._recorder.write([frame for frame, _ in group], host_ns)

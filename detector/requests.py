@@ -1,40 +1,27 @@
-"""What ground stations ask of the detector: its own parameters, commands, and rates that it keeps. No clock, no socket.
-
-Frames go in with `now`; what is passed on, what is answered and what the daemon has to do come out.
+"""What ground stations ask of the detector: commands, and rates that it keeps. No clock, no socket.
 
 Kept back (`keep_rates`) are two requests, addressed to the autopilot or to everybody. SET_MESSAGE_INTERVAL of a message
 that is needed here is answered with COMMAND_ACK "denied", in the autopilot's name: a ground station takes an answer
 only from the component that it asked. REQUEST_DATA_STREAM of a group that holds such a message has no answer; one for
 all groups becomes requests for those that hold none.
-
-The parameters are those of component 191, by the MAVLink parameter protocol. Two can be set; the others are figures to
-read. A value that is refused is answered with the value in force. Nothing here is sent to the autopilot.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from math import isfinite
+from dataclasses import dataclass
+from typing import Any
 
-from detector.config import Settings
-from detector.figures import VehicleFigures
 from detector.fleet import Fleet, Turn
 from detector.sender import MavlinkSender
-from detector.session import Session
-from detector.states import State
 from detector.values import Effect, Note
-from mavdiag.baseline import Baseline
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index, message_name
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.signing import Signing
-from mavdiag.link.vehicles import COMMANDS, PARAMETER_REQUESTS, Command, command_in, parameters_asked
+from mavdiag.link.vehicles import COMMANDS, Command, command_in
 from mavdiag.link.wants import messages_of
 from mavdiag.telemetry import Instant
 
 NOTED_MOST = 64  # requests that were kept back are named once each, as long as they are so few (our choice)
-NOTHING_TO_JUDGE_BY = "there is no baseline to go back to"
-WHILE_LEARNING = "it can be set when learning is over"
-REAL32 = 9  # MAV_PARAM_TYPE_REAL32: all of our parameters are floats
 
 #: Messages that carry a request for a rate.
 GUARDED = COMMANDS | {MessageId.REQUEST_DATA_STREAM}
@@ -52,7 +39,6 @@ GROUPS: Mapping[int, frozenset[int]] = {
     11: frozenset(),  # EXTRA2
     12: frozenset((MessageId.VIBRATION, MessageId.ESC_TELEMETRY_1_TO_4, MessageId.ESC_STATUS)),  # EXTRA3
 }
-_TARGETS = ("target_system", "target_component")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,33 +53,6 @@ class Handled:
         return Handled(self.passed + other.passed, self.answers + other.answers, self.turns + other.turns)
 
 
-@dataclass(frozen=True, slots=True)
-class OwnParameter:
-    """One parameter of ours."""
-
-    name: str  # at most 16 bytes
-    value: Callable[[Session, VehicleFigures], float] = field(repr=False)  # what it is now
-    span: tuple[float, float] | None = None  # what it may be set to; None if it is only read
-
-
-def _learn_s(session: Session, figures: VehicleFigures) -> float:
-    return session.spec.settings.learn or 0.0 if session.baseline is None else 0.0
-
-
-PARAMETERS = (
-    OwnParameter("MD_LEARN_S", _learn_s, (0.0, 3600.0)),
-    OwnParameter("MD_THR_SCALE", lambda session, figures: session.spec.settings.threshold_scale, (0.5, 4.0)),
-    OwnParameter("MD_STATE", lambda session, figures: float(list(State).index(session.state))),
-    OwnParameter("MD_VERDICT", lambda session, figures: float(list(Stage).index(session.diagnosis.stage))),
-    OwnParameter("MD_ROTOR", lambda session, figures: float(session.diagnosis.rotor or 0)),
-    OwnParameter("MD_GYRO_HZ", lambda session, figures: figures.gyro_hz),
-    OwnParameter("MD_JUDGED_S", lambda session, figures: figures.judged_s),
-    OwnParameter("MD_ALARMS", lambda session, figures: float(figures.events)),
-    OwnParameter("MD_LOST", lambda session, figures: float(figures.lost)),
-)
-_BY_NAME: Mapping[object, OwnParameter] = {parameter.name: parameter for parameter in PARAMETERS}
-
-
 class Requests:
     """Answers for all vehicles of a fleet. sender: encodes for a vehicle's detector, by system id.
 
@@ -101,12 +60,11 @@ class Requests:
     """
 
     def __init__(
-        self, fleet: Fleet, settings: Settings, sender: Callable[[int], MavlinkSender], signing: Signing | None = None
+        self, fleet: Fleet, keep_rates: bool, sender: Callable[[int], MavlinkSender], signing: Signing | None = None
     ) -> None:
-        self._fleet, self._settings, self._sender, self._signing = fleet, settings, sender, signing
-        self._decoder = Decoder(GUARDED | PARAMETER_REQUESTS)
+        self._fleet, self._keep_rates, self._sender, self._signing = fleet, keep_rates, sender, signing
+        self._decoder = Decoder(GUARDED)
         self._noted: set[tuple[int, ...]] = set()
-        self._before: dict[int, Baseline] = {}  # what was judged by before learning anew
         self._autopilots: dict[int, Encoder] = {}  # of the answers in an autopilot's name
 
     def from_behind(self, messages: Iterable[bytes], now: Instant) -> Handled:
@@ -114,19 +72,15 @@ class Requests:
         handled = Handled()
         for message in messages:
             frames = self._decoder.feed_datagram(message, now.ns)
-            handled += self._from_behind(frames[0], message, now) if frames else Handled((message,))
+            kept = self._kept(frames[0]) if frames and self._keep_rates else None
+            command = command_in(frames[0]) if frames else None
+            if kept is not None:
+                handled += kept
+            elif command is not None:
+                handled += Handled((message,)) + self.command(command[1], command[0])
+            else:
+                handled += Handled((message,))
         return handled
-
-    def _from_behind(self, frame: Frame, message: bytes, now: Instant) -> Handled:
-        asked = parameters_asked(frame)
-        if asked is not None:
-            return Handled((message,)) + self.parameters(asked, (frame,), now)
-        kept = self._kept(frame) if self._settings.keep_rates else None
-        if kept is not None:
-            return kept + Handled(turns=self._kept_back(frame))
-        command = command_in(frame)
-        answer = Handled() if command is None else self.command(command[1], command[0])
-        return Handled((message,)) + answer
 
     def command(self, command: Command, sysid: int, *, trusted: bool = True) -> Handled:
         """A command for a vehicle's detector. It takes one: an inspection is acknowledged.
@@ -142,61 +96,10 @@ class Requests:
             effects, result = session.acknowledge(whose), MavResult.ACCEPTED if was_open else MavResult.FAILED
         elif command.command == MavCmd.USER_1:
             result = MavResult.DENIED
-            if self._note_once(sysid, command.sysid, command.compid):
+            if self._is_new(sysid, command.sysid, command.compid):
                 effects = (Note(f"acknowledged by {whose} on a link that is not signed: refused, it may be forged"),)
         turns = (Turn(sysid, effects),) if effects else ()
         return Handled((), (self._sender(sysid).answer(command, result),), turns)
-
-    def parameters(self, sysid: int, frames: Iterable[Frame], now: Instant) -> Handled:
-        """Requests about a vehicle's detector's parameters. One for a parameter that is not there gets no answer."""
-        if not self._settings.parameters or sysid not in self._fleet.vehicles:
-            return Handled()
-        answers, effects = list[bytes](), list[Effect]()
-        for frame in frames:
-            shown = PARAMETERS if frame.msgid == MessageId.PARAM_REQUEST_LIST else self._named(frame)
-            if shown and frame.msgid == MessageId.PARAM_SET:
-                effects += self._set(sysid, shown[0], _field(frame, "param_value"), now)
-            for parameter in shown:
-                fields = (self._value(sysid, parameter), REAL32, len(PARAMETERS), PARAMETERS.index(parameter))
-                answers.append(self._sender(sysid).frame(MessageId.PARAM_VALUE, parameter.name, *fields))
-        return Handled((), tuple(answers), (Turn(sysid, tuple(effects)),) if effects else ())
-
-    def _named(self, frame: Frame) -> tuple[OwnParameter, ...]:
-        number = -1 if frame.msgid == MessageId.PARAM_SET else _field(frame, "param_index")
-        if isinstance(number, int) and 0 <= number < len(PARAMETERS):
-            return (PARAMETERS[number],)
-        found = _BY_NAME.get(_field(frame, "param_id")) if number == -1 else None
-        return () if found is None else (found,)
-
-    def _value(self, sysid: int, parameter: OwnParameter) -> float:
-        return parameter.value(self._fleet.vehicles[sysid].session, self._fleet.figures_of(sysid))
-
-    def _set(self, sysid: int, parameter: OwnParameter, value: object, now: Instant) -> tuple[Effect, ...]:
-        """Set a parameter: the session begins anew with what is left of the old one. A refusal is recorded."""
-        name, span, before = parameter.name, parameter.span, self._value(sysid, parameter)
-        if not isinstance(value, float) or value == before:
-            return ()
-        vehicle = self._fleet.vehicles[sysid]
-        spec, present, refused, changed = vehicle.session.spec, vehicle.session.baseline, "", {}
-        baseline = present
-        if span is None:
-            refused = "it can only be read"
-        elif not (isfinite(value) and span[0] <= value <= span[1]):
-            refused = f"it may be {span[0]:g} to {span[1]:g}"
-        elif name == "MD_THR_SCALE":
-            changed, refused = {"threshold_scale": value}, WHILE_LEARNING if present is None else ""
-        elif value > 0:
-            changed, baseline = {"learn": value}, None
-        else:
-            baseline = self._before.get(sysid)
-            refused = "" if baseline else NOTHING_TO_JUDGE_BY
-        if refused:
-            return (Note(f"{name} {value:g} refused: {refused}"),)
-        if present is not None:
-            self._before[sysid] = present
-        settings = spec.settings.model_copy(update=changed)
-        left = vehicle.restart(replace(spec, baseline=baseline, settings=settings), now)
-        return (*left, Note(f"{name} set from {before:g} to {value:g}"))
 
     def _kept(self, frame: Frame) -> Handled | None:
         """What becomes of a request for a rate that is needed here; None if it is passed on."""
@@ -207,45 +110,45 @@ class Requests:
         vehicle = _addressed(frame, needed)
         if vehicle is None:
             return None
+        passed, answers = list[bytes](), list[bytes]()
         if frame.msgid == MessageId.REQUEST_DATA_STREAM:
             group = _field(frame, "req_stream_id")
             held = [number for number, messages in GROUPS.items() if messages & needed[vehicle]]
-            if group == ALL_GROUPS and held:
-                to, how = (vehicle, Component.AUTOPILOT1), ("req_message_rate", "start_stop")
-                rate = [int(frame.fields[field_index(frame.msgid, name)]) for name in how]
+            if not held or group not in (ALL_GROUPS, *held):
+                return None
+            if group == ALL_GROUPS:
+                to, rate = (
+                    (vehicle, Component.AUTOPILOT1),
+                    (_field(frame, "req_message_rate"), _field(frame, "start_stop")),
+                )
                 others = (group for group in GROUPS if group not in held)
-                return Handled(tuple(self._sender(vehicle).frame(frame.msgid, *to, group, *rate) for group in others))
-            return Handled() if group in held else None
-        command, msgid = _field(frame, "command"), _field(frame, "param1")
-        if command != MavCmd.SET_MESSAGE_INTERVAL or msgid not in needed[vehicle]:
+                passed += [self._sender(vehicle).frame(frame.msgid, *to, group, *rate) for group in others]
+        elif _field(frame, "command") != MavCmd.SET_MESSAGE_INTERVAL or _field(frame, "param1") not in needed[vehicle]:
             return None
-        encoder = self._autopilots.setdefault(vehicle, Encoder(vehicle, Component.AUTOPILOT1, self._signing))
-        denied = (MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED, 0, 0, frame.sysid, frame.compid)
-        return Handled(answers=(encoder.encode(MessageId.COMMAND_ACK, *denied),))
+        else:
+            encoder = self._autopilots.setdefault(vehicle, Encoder(vehicle, Component.AUTOPILOT1, self._signing))
+            denied = (MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED, 0, 0, frame.sysid, frame.compid)
+            answers.append(encoder.encode(MessageId.COMMAND_ACK, *denied))
+        turns: tuple[Turn, ...] = ()
+        if self._is_new(frame.sysid, frame.compid, frame.msgid):
+            who = f"{message_name(frame.msgid)} of {frame.sysid}/{frame.compid}"
+            turns = (Turn(vehicle, (Note(f"{who} would change rates that are needed; kept back"),)),)
+        return Handled(tuple(passed), tuple(answers), turns)
 
-    def _kept_back(self, frame: Frame) -> tuple[Turn, ...]:
-        """What is recorded of a request that was kept back: the first of a kind from each sender."""
-        if not self._note_once(frame.sysid, frame.compid, frame.msgid):
-            return ()
-        who = f"{message_name(frame.msgid)} of {frame.sysid}/{frame.compid}"
-        note = Note(f"{who} would change rates that are needed; kept back")
-        return tuple(Turn(sysid, (note,)) for sysid in list(self._fleet.vehicles)[:1])
-
-    def _note_once(self, *kind: int) -> bool:
-        if kind in self._noted or len(self._noted) >= NOTED_MOST:
-            return False
-        self._noted.add(kind)
-        return True
+    def _is_new(self, *kind: int) -> bool:
+        new = kind not in self._noted and len(self._noted) < NOTED_MOST
+        self._noted |= {kind} if new else set()
+        return new
 
 
 def _addressed(frame: Frame, needed: Mapping[int, Collection[int]]) -> int | None:
-    """The vehicle whose autopilot a request for a rate is addressed to; None if none that is watched is.
+    """The watched vehicle whose autopilot a request for a rate is addressed to; None if none is.
 
     A request to all systems (0) counts as one to the only vehicle; on a link of several it passes.
     """
     if frame.msgid not in GUARDED:
         return None
-    system, component = (_field(frame, name) for name in _TARGETS)
+    system, component = _field(frame, "target_system"), _field(frame, "target_component")
     if component not in (Component.ALL, Component.AUTOPILOT1):
         return None
     if system == 0 and len(needed) == 1:
@@ -253,7 +156,5 @@ def _addressed(frame: Frame, needed: Mapping[int, Collection[int]]) -> int | Non
     return system if isinstance(system, int) and system in needed else None
 
 
-def _field(frame: Frame, name: str) -> object:
-    """A field of a message; a text without its padding."""
-    value = frame.fields[field_index(frame.msgid, name)]
-    return value.partition(b"\0")[0].decode("latin-1") if isinstance(value, bytes) else value
+def _field(frame: Frame, name: str) -> Any:
+    return frame.fields[field_index(frame.msgid, name)]

@@ -1,7 +1,5 @@
 """What the detector sends, as MAVLink frames: it is component 191 of the vehicle's system."""
 
-from collections.abc import Mapping
-
 from detector.states import State
 from detector.values import AskInterval, AskParameters, Effect, SendFloat, SendText
 from mavdiag.link.clock import TimesyncMessage
@@ -15,19 +13,12 @@ from mavdiag.units import NS_PER_MS
 MAVLINK_VERSION = 3  # HEARTBEAT.mavlink_version: what pymavlink and the autopilots fill in
 _MS_TURN = 1 << 32
 
-# MAV_STATE in the heartbeat; a faulted session has none, because it sends none.
-_CALIBRATING, _STANDBY, _ACTIVE = 2, 3, 4
-HEALTH: Mapping[State, int] = {
-    State.WAITING: _STANDBY,
-    State.LEARNING: _CALIBRATING,
-    State.FITTING: _CALIBRATING,
-    State.MONITORING: _ACTIVE,
-    State.LOST: _STANDBY,
-}
+# MAV_STATE in the heartbeat: 2 calibrating, 3 standby, 4 active; a faulted session has none, because it sends none.
+HEALTH = {State.WAITING: 3, State.LEARNING: 2, State.FITTING: 2, State.MONITORING: 4, State.LOST: 3}
 
 
 class MavlinkSender:
-    """Encodes for one vehicle, with its own sequence numbers. vehicle: system id. signing: signs what is sent."""
+    """Encodes for one vehicle, with its own sequence numbers. vehicle: system id."""
 
     def __init__(self, vehicle: int, signing: Signing | None = None) -> None:
         self._autopilot = (vehicle, Component.AUTOPILOT1)
@@ -38,7 +29,7 @@ class MavlinkSender:
         return self._encoder.encode(msgid, *fields)
 
     def heartbeat(self, state: State) -> bytes:
-        """HEARTBEAT of a healthy session. Raises KeyError for a faulted one: it must send none."""
+        """HEARTBEAT of a session that works. Raises KeyError for a faulted one: it must send none."""
         kinds = (MavType.ONBOARD_CONTROLLER, Autopilot.INVALID)
         return self.frame(MessageId.HEARTBEAT, *kinds, 0, 0, HEALTH[state], MAVLINK_VERSION)
 

@@ -1,19 +1,18 @@
 """One vehicle's session, sans I/O: `session.step(inbox, now) -> effects`.
 
-What may follow what is in `states`, what is said and how often in `alerts`. `now` is the host's clock and rules what is
-said and given up; the judgement itself runs on the vehicle's clock.
+`now` is the host's clock and rules what is said and given up; the judgement itself runs on the vehicle's clock.
 """
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import ClassVar, Final
+from typing import Final
 
-from detector.alerts import Kind, NamedValues, Notice, Presenter, Telling, figure
-from detector.judging import Judge, chain_for, layout_notices, notes_on, records_of, vehicle_notices, words_of
+from detector.alerts import Kind, NamedValues, Notice, Presenter, Telling
+from detector.judging import Judge, beginning, chain_for, records_of, words_of
 from detector.negotiate import Negotiation
 from detector.states import TABLE, State, Trigger, advance
-from detector.streams import Collection, Demand, Hindrance, Reason, Streams
+from detector.streams import Demand, Hindrance, Reason, Streams
 from detector.values import AskParameters, Effect, Inbox, Learn, LearningFailed, Note, SessionSpec, StateChanged
+from mavdiag.airframe.fingerprint import Outcome
 from mavdiag.baseline import check_link
 from mavdiag.chain import ChainOutput
 from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Stage
@@ -45,7 +44,7 @@ class Session:
         self.judge: Judge | None = None  # the chain at work
         self._held = spec.held  # what is known of the vehicle while there is no chain: an open inspection
         self._presenter, self._telling = Presenter(settings.texts_per_minute), Telling()
-        self._named_values = NamedValues(1.0 / settings.named_values_hz, settings.named_values_axis)
+        self._named_values = NamedValues(1.0 / settings.named_values_hz)
         self._armed, self._armings = False, 0
         self._looked = Instant(0)  # when it was asked what the streams lack
         self._unjudged: dict[str, str] = {}  # monitors that were said not to judge, with the reason
@@ -56,18 +55,17 @@ class Session:
         self._begin_learning()
 
     def _begin_link(self) -> None:
-        """What was measured and asked for is of the link before."""
         self.streams, self._negotiation, self._reading = Streams(), Negotiation(self.spec.profile.autopilot), Reading()
         # The first telemetry, while its rates are measured: judging begins with it, as a scan of the recording does.
         self._waited: list[Telemetry] = []
 
     def _begin_learning(self) -> None:
-        self.collection, self._failed = Collection(FITS * (self._settings.learn or 0.0)), 0
+        self._flight, self.flight_s, self._failed = list[Telemetry](), 0.0, 0  # healthy flight; fits that failed
 
     @property
     def diagnosis(self) -> Diagnosis:
         """What is held of the vehicle now."""
-        return self._held if self.judge is None else self.judge.diagnosis
+        return self._held if self.judge is None else self.judge.memory.diagnosis
 
     @property
     def working(self) -> bool:
@@ -80,7 +78,8 @@ class Session:
         self._link(inbox, now)
         self._reboot(inbox)
         self._observe(inbox, now)
-        self.HANDLERS[self.state](self, inbox, now)
+        if self.state is not State.LOST:
+            getattr(self, f"_{self.state}")(inbox, now)
         armed = inbox.telemetry.get(Signal.ARMED)
         if armed is not None and len(armed):
             was_armed, self._armed = self._armed, bool(armed.values[-1, 0] >= ARMED_FROM)
@@ -101,10 +100,7 @@ class Session:
         return () if self.judge is None else self.judge.finish()
 
     def acknowledge(self, whose: str) -> tuple[Effect, ...]:
-        """Somebody has looked at the vehicle: an open inspection is closed. whose: who says so, for the journal.
-
-        Nothing but a note comes of it where none is open: a fault in flight cannot be acknowledged.
-        """
+        """Close an open inspection; a fault in flight cannot be acknowledged. whose: who says so, for the journal."""
         held = self.diagnosis
         if held.stage is not Stage.INSPECT:
             why = "the vehicle flies with the fault" if held.stage is Stage.FAULT else "no inspection is open"
@@ -119,13 +115,11 @@ class Session:
         return (Note(f"inspection of {motors} acknowledged by {whose}"), *changes, told)
 
     def _landed(self) -> Diagnosis:
-        """What outlasts a chain: an open inspection."""
         if self.judge is not None:
             return self.judge.landed()
         return self._held if self._held.stage is Stage.INSPECT else NOTHING_SEEN
 
     def _move(self, trigger: Trigger, reason: str = "") -> None:
-        """Go where the table says. reason: in place of the trigger's own text."""
         old, self.state, self.reason = self.state, advance(self.state, trigger), reason or trigger.value
         self._effects.append(StateChanged(old, self.state, self.reason))
 
@@ -142,7 +136,7 @@ class Session:
             silent_s, self.latest = now - self.latest, now
             if self.state is State.LOST:
                 self._move(Trigger.LINK_BACK)
-                self._say(Kind.LINK_BACK, figure(silent_s, 1))
+                self._say(Kind.LINK_BACK, f"{silent_s:.0f}" if silent_s >= 99.95 else f"{silent_s:.1f}")
         elif now - self.latest > limit_s and Trigger.LINK_LOST in TABLE[self.state]:
             self._stop_judging()
             self._move(Trigger.LINK_LOST, f"nothing came for {limit_s:g} s")
@@ -150,7 +144,6 @@ class Session:
             self._say(Kind.LINK_LOST)
 
     def _reboot(self, inbox: Inbox) -> None:
-        """What was measured, collected or judged belongs to the time before; the baseline stays."""
         if inbox.reboots == self.reboots or Trigger.REBOOT not in TABLE[self.state]:
             return
         self._effects += self.finish()
@@ -161,16 +154,15 @@ class Session:
         self._say(Kind.REBOOT)
 
     def _observe(self, inbox: Inbox, now: Instant) -> None:
-        """Measure the streams, and ask for what they lack."""
         if self.state is State.LOST:
             return
         streams, profile, own = self.streams, self._profile(inbox), self.spec.profile
         had_gyro, had_doubt = streams.gyro.samples > 0, streams.scale_doubt
         streams.observe(inbox.telemetry, now, profile)
         if streams.gyro.samples and not had_gyro and profile.imu != own.imu:
+            text = f"the gyro is read from {message_name(profile.imu)}, for {message_name(own.imu)} does not come"
             poor = ": the estimator's rates, filtered, at a low rate and without accelerometer"
-            why = f"for {message_name(own.imu)} does not come{poor * (profile.imu == LAST_RESORT)}"
-            self._effects.append(Note(f"the gyro is read from {message_name(profile.imu)}, {why}"))
+            self._effects.append(Note(text + poor * (profile.imu == LAST_RESORT)))
         if streams.scale_doubt and not had_doubt:
             felt = f"but {streams.scale_doubt}"
             self._effects.append(Note(f"the vehicle does not feel 1 g by the scale of the profile {own.name}, {felt}"))
@@ -189,7 +181,7 @@ class Session:
         judge, profile = self.judge, self._profile(inbox)
         rests_on = (id(self.baseline), id(judge and judge.chain), profile.imu)
         if self._demanded is None or self._demanded[0] != rests_on:
-            judged = [] if judge is None else [frozenset(slot.monitor.signals) for slot in judge.chain.slots]
+            judged = [slot.monitor.signals for slot in judge.chain.slots] if judge else []
             self._demanded = (rests_on, Demand.of(self._settings, profile, self.baseline, judged))
         return self._demanded[1]
 
@@ -208,8 +200,8 @@ class Session:
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error))
             self.judge = Judge(self.baseline, chain, now, self._landed())
-            self._effects += notes_on(self.baseline, chain, self._settings)
-            self._notices += layout_notices(self.baseline)
+            notes, notices = beginning(self.baseline, chain, self._settings)
+            self._effects, self._notices = [*self._effects, *notes], [*self._notices, *notices]
         lack = self._lack(inbox)
         if lack is None or lack.reason in (Reason.MEASURING, Reason.NO_GYRO, Reason.NO_SETPOINTS):
             self._waited = [*self._waited, inbox.telemetry][-WAITED_CHUNKS:]
@@ -231,13 +223,16 @@ class Session:
             return self._move(Trigger.STREAMS_LOST, lack.text)
         profile, goal_s = self.spec.profile, (self._settings.learn or 0.0) * (1 + self._failed)
         ground = self.streams.on_ground(profile.gate)
+        gyro = inbox.telemetry.get(Signal.BODY_RATE)
         if ground is None:
-            self.collection.add(inbox.telemetry, (self.streams.gyro.periods_s or (0.0,))[-1])
-        if self.collection.seconds >= goal_s:
+            self._flight.append(inbox.telemetry)
+            self.flight_s += (0 if gyro is None else len(gyro)) * (self.streams.gyro.periods_s or (0.0,))[-1]
+        if self.flight_s >= goal_s:
             self._move(Trigger.COLLECTED)
-            self._effects.append(Learn(profile.name, self.collection.telemetry, inbox.parameters))
+            self._flight = [joined(self._flight)]
+            self._effects.append(Learn(profile.name, self._flight[0], inbox.parameters))
             return self._say(Kind.FITTING)
-        percent = int(100 * self.collection.seconds / goal_s)
+        percent = int(100 * self.flight_s / goal_s)
         shown, why = percent - percent % PROGRESS_STEP, f": {ground.text}" if ground else ""
         self.reason = f"{percent} % of {goal_s:g} s{why}"
         return self._say(Kind.LEARNING, str(percent), why, key=f"{shown}{why}")
@@ -269,50 +264,34 @@ class Session:
         output = judge.step(inbox.telemetry, now)
         self._record(judge, output)
         self._effects += self._named_values.step(output, now)
-        if judge.hidden:
-            return self._hidden(judge.hidden)
-        return self._idle(judge, now)
+        if not (why := judge.sight.hidden):
+            return self._idle(judge, now)
+        if (reason := f"not judged: {why}") != self.reason:
+            self._effects.append(Note(reason))
+        self.reason = reason
+        return self._say(Kind.HIDDEN, why, key=why)
 
     def _record(self, judge: Judge, output: ChainOutput) -> None:
         self._effects += records_of(output, judge.baseline.airframe.name)
-        self._notices += vehicle_notices(output)
+        if output.likeness is not None and output.likeness.outcome is Outcome.FAR:
+            self._say(Kind.OTHER_VEHICLE)
 
     def _stop_judging(self) -> None:
-        """What is open is closed: it must not come back with the next flight. A fault becomes an open inspection."""
         if self.judge is not None:
             self._record(self.judge, self.judge.end_flight())
 
-    def _hidden(self, why: str) -> None:
-        reason = f"not judged: {why}"
-        self._effects += [Note(reason)] if reason != self.reason else []
-        self.reason = reason
-        self._say(Kind.HIDDEN, why, key=why)
-
     def _idle(self, judge: Judge, now: Instant) -> None:
-        """Say why nothing is judged if nothing is, and which monitors do not judge; what is found is said elsewhere."""
         ground, unjudged = self.streams.on_ground(judge.chain.front.gate), judge.not_judged(self.streams, now)
         news = unjudged.items() - self._unjudged.items()
         self._effects += [Note(f"{label} not judged: {why}") for label, why in unjudged.items() if (label, why) in news]
         why = short = ""
         if now - judge.judged >= IDLE_S and (ground or not unjudged):
-            why = short = f": {ground.text if ground else judge.diagnosis.reason or Reason.GAPS}"
+            why = short = f": {ground.text if ground else judge.memory.diagnosis.reason or Reason.GAPS}"
         elif unjudged:
             why, short = words_of(unjudged)
         self.reason, self._unjudged = f"monitoring{why}", unjudged
-        if judge.diagnosis.stage not in (Stage.FAULT, Stage.INSPECT) or unjudged:
+        if judge.memory.diagnosis.stage not in (Stage.FAULT, Stage.INSPECT) or unjudged:
             self._say(Kind.MONITORING, short, key=short)
 
     def _faulted(self, inbox: Inbox, now: Instant) -> None:
         self._say(Kind.OFF, self.reason)
-
-    def _lost(self, inbox: Inbox, now: Instant) -> None:
-        pass
-
-    HANDLERS: ClassVar[Mapping[State, "Callable[[Session, Inbox, Instant], None]"]] = {
-        State.WAITING: _waiting,
-        State.LEARNING: _learning,
-        State.FITTING: _fitting,
-        State.MONITORING: _monitoring,
-        State.LOST: _lost,
-        State.FAULTED: _faulted,
-    }

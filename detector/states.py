@@ -62,11 +62,3 @@ def advance(state: State, trigger: Trigger) -> State:
         return TABLE[state][trigger]
     except KeyError:
         raise ValueError(f"no transition from {state.name} by {trigger.name}") from None
-
-
-def diagram() -> str:
-    """The table as a Mermaid state diagram, for the documentation."""
-    lines = ["stateDiagram-v2", f"    [*] --> {State.WAITING}"]
-    for state, row in TABLE.items():
-        lines += [f"    {state} --> {target}: {trigger}" for trigger, target in row.items()]
-    return "\n".join(lines) + "\n"

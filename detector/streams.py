@@ -1,7 +1,6 @@
-"""What comes from a vehicle, and what is missing: the rates of its streams, armed, airborne, and the flight so far.
+"""What comes from a vehicle, and what is missing: the rates of its streams, armed, airborne.
 
-"Not yet" is an answer, with its reason; see `Reason`. The gyro is mandatory, and so are set-points where nothing can be
-done without them. All other streams are optional: their lack is told and hinders nothing.
+The gyro is mandatory, and so are set-points where nothing can be done without them. The lack of others is told only.
 """
 
 from collections import deque
@@ -15,12 +14,11 @@ import numpy as np
 from detector.config import SessionSettings
 from mavdiag.baseline import RATE_TOLERANCE, Baseline
 from mavdiag.link.profiles import Profile, scale_doubt
-from mavdiag.link.samples import joined
 from mavdiag.link.scale import gravity_of
 from mavdiag.link.wants import Want, wants_of
 from mavdiag.monitors import MONITORS
 from mavdiag.rows.gate import GateSpec
-from mavdiag.rows.grid import NATIVE_TOLERANCE
+from mavdiag.rows.grid import steps_of, usual_step
 from mavdiag.telemetry import FloatArray, Instant, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
@@ -38,7 +36,6 @@ STEADY = 5  # measurements that the steady rate is the mean of
 SLOWER = 8.0  # two steps in a row so many times the period are another rate: losses hardly make them (our choice)
 WEIGH_S, WEIGH_SAMPLES = 1.0, 20  # of the accelerometer, before its scale is believed (our choice)
 _MOST = 100_000  # samples that are kept of one measurement
-_PIECES = 64  # chunks that are joined into one, so that a long collection stays a short list
 
 
 class Reason(StrEnum):
@@ -101,25 +98,12 @@ class Meter:
         if last_ns - first_ns >= MEASURE_S * NS_PER_S:
             t_ns = np.concatenate(self._t_ns)
             self._steps.append((len(t_ns) - 1, float(last_ns - first_ns) / NS_PER_S))
-            period_s = _period_s(t_ns)
-            self.periods_s = () if period_s is None else (*self.periods_s, period_s)[-2:]
+            steps = steps_of(t_ns)
+            self.periods_s = (*self.periods_s, usual_step(steps) / NS_PER_S)[-2:] if len(steps) else ()
         elif last_ns >= first_ns and self._waiting <= _MOST:
             return
         # Measured; or a clock that jumped back, or stands still, starts the measurement anew.
         self._t_ns, self._waiting = [series.t_ns[-1:]], 1
-
-
-def _period_s(t_ns: IntArray) -> float | None:
-    """Period of a stream: the mean of its regular steps, as `measure_grid` takes it, so that losses do not stretch it.
-
-    A stream without regular steps has at least a median one.
-    """
-    steps = np.diff(np.unique(t_ns)).astype(np.float64)
-    if len(steps) == 0:
-        return None
-    median = float(np.median(steps))
-    regular = steps[np.abs(steps - median) <= NATIVE_TOLERANCE * median]
-    return float(np.mean(regular) if len(regular) else median) / NS_PER_S
 
 
 class Streams:
@@ -150,7 +134,6 @@ class Streams:
             self._weigh(force, profile)
 
     def _weigh(self, force: Series, profile: Profile) -> None:
-        """What the accelerometer feels, of a vehicle that stands or hovers; what is doubtful is weighed again."""
         if not self._weighed:
             self._weighed_since_ns = int(force.t_ns[0])
         self._weighed.append(force.values[:_MOST])
@@ -181,7 +164,7 @@ class Streams:
         return next((signal for signal in METERED if signal in signals and self._meters[signal].latest is None), None)
 
     def on_ground(self, gate: GateSpec) -> Hindrance | None:
-        """Why the vehicle does not count as flying, None if it does. What it never says passes, as in the gate."""
+        """Why the vehicle does not count as flying; None if it does, or never says."""
         if gate.need_armed and self.armed < 0.5:
             return Hindrance(Reason.NOT_ARMED)
         if gate.min_thrust is not None and self.thrust < gate.min_thrust:
@@ -204,12 +187,9 @@ class Demand:
 
     @classmethod
     def of(
-        cls, settings: SessionSettings, profile: Profile, baseline: Baseline | None, judged: Sequence[frozenset[Signal]]
+        cls, settings: SessionSettings, profile: Profile, baseline: Baseline | None, judged: Sequence[Container[Signal]]
     ) -> "Demand":
-        """What learning needs, or judging by a baseline: the rates of its rows and the signals of its monitors.
-
-        judged: the signals of each monitor at work.
-        """
+        """What learning needs, or judging by a baseline. judged: the signals of each monitor at work."""
         least_hz, ask_hz = settings.min_rate_hz, settings.ask_hz or profile.rate_hz
         if baseline is None:
             needs = frozenset[Signal]().union(*(monitor.needs for monitor in MONITORS))
@@ -245,34 +225,3 @@ class Demand:
 
     def _slow(self, periods_s: Sequence[float]) -> bool:
         return all(period_s * self.least_hz > 1.0 for period_s in periods_s)
-
-
-class Collection:
-    """Healthy flight to learn from, so far. keep_s: what is older than the latest so many seconds goes."""
-
-    def __init__(self, keep_s: float = float("inf")) -> None:
-        self._keep_s = keep_s
-        self._whole: list[tuple[Telemetry, float]] = []  # chunks joined, each with its length [s]
-        self._recent: list[Telemetry] = []  # the latest chunks, not yet joined
-        self._recent_s = 0.0
-
-    @property
-    def seconds(self) -> float:
-        """Length by the gyro samples [s]."""
-        return sum(seconds for _, seconds in self._whole) + self._recent_s
-
-    @property
-    def telemetry(self) -> Telemetry:
-        """All of it as one."""
-        return joined((*(piece for piece, _ in self._whole), *self._recent))
-
-    def add(self, telemetry: Telemetry, period_s: float) -> None:
-        """Take a chunk of flight. period_s: of the gyro."""
-        gyro = telemetry.get(Signal.BODY_RATE)
-        self._recent_s += (0 if gyro is None else len(gyro)) * period_s
-        self._recent.append(telemetry)
-        if len(self._recent) >= _PIECES:
-            self._whole.append((joined(self._recent), self._recent_s))
-            self._recent, self._recent_s = [], 0.0
-            while sum(seconds for _, seconds in self._whole[1:]) > self._keep_s:
-                del self._whole[0]

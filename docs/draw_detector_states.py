@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from detector.alerts import Kind, Policy
-from detector.states import diagram
+from detector.states import TABLE, State
 
 PAGE = Path(__file__).parent / "detector-states.md"
 TEXT = """# The detector's session
@@ -24,6 +24,14 @@ stream that stops leads to `waiting`, never to `faulted`.
 |---|---|---|---|
 {texts}
 """
+
+
+def diagram() -> str:
+    """The table of states as a Mermaid state diagram."""
+    lines = ["stateDiagram-v2", f"    [*] --> {State.WAITING}"]
+    for state, row in TABLE.items():
+        lines += [f"    {state} --> {target}: {trigger}" for trigger, target in row.items()]
+    return "\n".join(lines) + "\n"
 
 
 def page() -> str:

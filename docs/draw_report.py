@@ -13,7 +13,7 @@ from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight, judge_in_full
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.report.residuals import evidence_picture, residual_picture
+from mavdiag.report.pictures import evidence_picture, residual_picture
 from mavdiag.telemetry import Log
 from mavdiag.traces import rate_traces, slot_traces
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest

@@ -34,21 +34,8 @@ try:
 except PackageNotFoundError:  # a bare checkout on the path, not installed
     __version__ = "0+unknown"
 
-__all__ = [
-    "Airframe",
-    "Baseline",
-    "Log",
-    "Watch",
-    "__version__",
-    "identify",
-    "judge",
-    "learn",
-    "open_link",
-    "rates",
-    "read_log",
-    "scan",
-    "vehicle_stream",
-]
+__all__ = ["Airframe", "Baseline", "Log", "Watch", "__version__", "identify", "judge", "learn", "open_link"]
+__all__ += ["rates", "read_log", "scan", "vehicle_stream"]
 
 _HOME = {
     **dict.fromkeys(("Watch", "judge", "learn", "rates", "read_log", "scan"), "mavdiag.face"),

@@ -7,18 +7,16 @@ from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
 from mavdiag.decision.alarm import Event
+from mavdiag.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from mavdiag.judging import LogVerdict, MonitorSummary
+    from mavdiag.judging import LogVerdict
 
 DIGITS = 9  # of a figure, where it is not given to its last bit
 
 
 def plain(value: Any, digits: int | None = None) -> Any:
-    """The value as JSON has it: dataclasses and mappings become objects, tuples lists, what is not finite null.
-
-    digits: that a number keeps; None for all.
-    """
+    """The value as JSON has it: dataclasses and mappings are objects. digits: that a number keeps; None for all."""
     if is_dataclass(value):
         return {field.name: plain(getattr(value, field.name), digits) for field in fields(value)}
     if isinstance(value, Mapping):
@@ -43,16 +41,16 @@ def number(value: float | None) -> float | None:
 
 def event_json(t_s: float, end_s: float | None, event: Event) -> dict[str, Any]:
     """An event. t_s, end_s: of the vehicle's clock [s]; fsd_s, fml_s: of the thesis's monitor, else null."""
+    figures = {"statistic": number(event.statistic), "threshold": number(event.threshold)}
     thesis = event.monitor == "fsd"
     return {
         "t_s": round(t_s, 6),
         "end_s": _rounded(end_s),
         "monitor": event.monitor,
         "axis": event.axis,
-        "statistic": number(event.statistic),
-        "threshold": number(event.threshold),
-        "fsd_s": number(event.statistic) if thesis else None,
-        "fml_s": number(event.threshold) if thesis else None,
+        **figures,
+        "fsd_s": figures["statistic"] if thesis else None,
+        "fml_s": figures["threshold"] if thesis else None,
         "rotor": event.rotor,
         "fault_type": event.fault_type,
         "severity": event.severity,
@@ -70,8 +68,8 @@ def verdict_json(verdict: "LogVerdict") -> dict[str, Any]:
         "since_s": _rounded(verdict.since_s),
         "rotor": verdict.rotor,
         "rotors": [
-            {"rotor": named.rotor, "since_s": round(named.since_s, 6), "end_s": _rounded(named.end_s)}
-            for named in verdict.rotors
+            {"rotor": span.rotor, "since_s": _seconds(span.since_ns), "end_s": _seconds(span.end_ns)}
+            for span in verdict.rotors
         ],
         "reason": verdict.reason,
         "notes": list(verdict.notes),
@@ -79,23 +77,26 @@ def verdict_json(verdict: "LogVerdict") -> dict[str, Any]:
         "flown_s": round(verdict.flown_s, 3),
         "profile": verdict.profile,
         "rate_hz": round(verdict.rate_hz, 3),
-        "monitors": {monitor.name: _monitor_json(monitor) for monitor in verdict.monitors},
+        "monitors": {
+            monitor.name: {
+                "max": number(monitor.maximum),
+                "threshold": number(monitor.threshold),
+                "unit": monitor.unit,
+                "alarms": monitor.alarms,
+                "judged_s": round(monitor.judged_s, 3),
+                "not_judged": monitor.not_judged,
+                "outside_s": round(monitor.outside_s, 3),
+                "axis": monitor.axis,
+            }
+            for monitor in verdict.monitors
+        },
         "events": [event_json(judged.t_s, judged.end_s, judged.event) for judged in verdict.events],
-    }
-
-
-def _monitor_json(monitor: "MonitorSummary") -> dict[str, Any]:
-    return {
-        "max": number(monitor.maximum),
-        "threshold": number(monitor.threshold),
-        "unit": monitor.unit,
-        "alarms": monitor.alarms,
-        "judged_s": round(monitor.judged_s, 3),
-        "not_judged": monitor.not_judged,
-        "outside_s": round(monitor.outside_s, 3),
-        "axis": monitor.axis,
     }
 
 
 def _rounded(t_s: float | None) -> float | None:
     return None if t_s is None else round(t_s, 6)
+
+
+def _seconds(t_ns: int | None) -> float | None:
+    return None if t_ns is None else round(t_ns / NS_PER_S, 6)

@@ -32,8 +32,8 @@ from mavdiag.monitors.spec import NotNegative, Positive
 from mavdiag.printable import printable
 from mavdiag.rows.align import Grid
 from mavdiag.rows.gate import GateSpec
+from mavdiag.rows.grid import NATIVE_TOLERANCE, rate_tolerance
 from mavdiag.rows.quality import LinkQuality
-from mavdiag.rows.tolerance import NATIVE_TOLERANCE, rate_tolerance
 from mavdiag.storage import read_text, write_atomically
 from mavdiag.telemetry import Signal
 from mavdiag.thresholds.envelope import Covered

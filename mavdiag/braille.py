@@ -11,13 +11,7 @@ _BITS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))  # of each dot, by 
 
 
 def cells(dots: NDArray[np.bool_]) -> NDArray[Any]:
-    """The dots of each character as bits, (h, w). dots: (4 h, 2 w), from the top.
-
-    >>> dots = np.zeros((4, 2), dtype=np.bool_)
-    >>> dots[0, 0] = dots[3, 1] = True
-    >>> [[character(one) for one in row] for row in cells(dots)]
-    [['⢁']]
-    """
+    """The dots of each character as bits, (h, w). dots: (4 h, 2 w), from the top."""
     bits = np.zeros((dots.shape[0] // DOWN, dots.shape[1] // ACROSS), dtype=np.int64)
     for across in range(ACROSS):
         for down in range(DOWN):

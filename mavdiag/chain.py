@@ -2,10 +2,7 @@
 
     telemetry ─ front ─▶ rows ─ kernel ─▶ looks ─ decision ─▶ events, changes
 
-All memory is in the state. Chunks wait until they bring the rows of the next look, every 0.1 s, for until then nothing
-can be decided. So a chain that is fed more often costs what one does that is fed ten times a second, and decides as
-early.
-
+Chunks wait in the front until they bring the rows of the next look, every 0.1 s, for until then nothing can be decided.
 The first 2 s wait until the gyro's rate is measured: a link that is not the baseline's is refused, by one rule for a
 log and a live vehicle (`Chain.refusal`), and is measured again every 2 s.
 """
@@ -22,18 +19,18 @@ from mavdiag.decision.alarm import NOTHING_SEEN, DecisionSpec, DecisionState
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event
 from mavdiag.decision.grading import known_fault_types
 from mavdiag.errors import BaselineError
-from mavdiag.kernel import LOOK_NS, VALUES, Account, Gauge, Kernel, Memory, Piece, Slot
+from mavdiag.kernel import LOOK_NS, Account, Gauge, Kernel, Memory, Piece, Slot
 from mavdiag.kernel import warm as warm_kernel
 from mavdiag.link.samples import joined
 from mavdiag.link.samples import warm as warm_samples
 from mavdiag.monitors import MONITORS, monitor_of
-from mavdiag.rows.align import AlignSpec, measure_grid
+from mavdiag.rows.align import AlignSpec
 from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.front import warm as warm_rows
 from mavdiag.rows.gate import Border
-from mavdiag.rows.grid import LEAST_SAMPLES
+from mavdiag.rows.grid import LEAST_SAMPLES, measure_grid, steps_of
 from mavdiag.rows.rates import RateSpec
-from mavdiag.telemetry import FloatArray, Signal, Telemetry
+from mavdiag.telemetry import Signal, Telemetry
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.units import NS_PER_S
 
@@ -46,13 +43,11 @@ MEASURED_S = 2.0  # of gyro samples that a live link's rate is measured by (our 
 class ChainOutput:
     """What one chunk brought.
 
-    events: alarms of monitors that opened (end_ns None) or closed.
-    changes: of the decision.
-    flight_s: new flight time, take-offs and all.
-    judged_s: by how much `ChainState.judged_s` grew; a value may judge what was flown before it.
+    events: alarms of monitors that opened (end_ns None) or closed. changes: of the decision.
+    flight_s: new flight time, take-offs and all. judged_s: by how much `ChainState.judged_s` grew.
     now_ns: vehicle time of the latest row; None if none came.
     likeness: whether it is the baseline's vehicle, once, when 20 s of flight are there; None at other times.
-    pieces: the rows with their statistics, for figures and displays (`mavdiag.traces`).
+    pieces: the rows with their statistics (`mavdiag.traces`).
     """
 
     events: tuple[Event, ...] = ()
@@ -69,15 +64,13 @@ class ChainOutput:
         return self.pieces[-1].gauges if self.pieces else ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class ChainState:
-    """Memory of the front and the kernel, which a step changes in place, and of the decision.
+    """Memory of the front, the kernel and the decision; a step changes it in place.
 
     now_ns: vehicle time of the latest row.
-    beginning: rows until there are enough to compare the vehicle; None afterwards.
-    begun_s: valid time in them.
-    waiting: telemetry that does not reach the next look yet.
-    measured: the rate of the live link is known to be the baseline's.
+    beginning: rows until there are enough to compare the vehicle; None afterwards. begun_s: valid time in them.
+    waiting: telemetry while the rate is not known to be the baseline's; None afterwards. chunks: since the last rows.
     refused: why the link is not the baseline's; empty if it is, or is not measured yet.
     """
 
@@ -86,10 +79,10 @@ class ChainState:
     memory: Memory
     decision: DecisionState
     now_ns: int | None = None
-    beginning: tuple[Rows, ...] | None = ()
+    beginning: list[Rows] | None = None
     begun_s: float = 0.0
-    waiting: tuple[Telemetry, ...] = ()
-    measured: bool = False
+    waiting: list[Telemetry] | None = field(default_factory=list)
+    chunks: int = 0
     refused: str = ""
 
     @property
@@ -104,11 +97,6 @@ class ChainState:
         return self.memory.judged * self.kernel.dt_s
 
     @property
-    def silent(self) -> list[bool]:
-        """Of each slot whether it has judged nothing so far."""
-        return [not values for values in self.memory.tally[:, VALUES].tolist()]
-
-    @property
     def accounts(self) -> tuple[Account, ...]:
         """How long each slot judged since the start, and why it did not."""
         return self.kernel.accounts(self.memory)
@@ -120,8 +108,7 @@ class Chain:
 
     covered: conditions that the baseline's flights covered.
     fingerprint, layout: of the baseline's vehicle, to compare the flight with; None to compare nothing.
-    baseline: whose it is; None where no link is refused.
-    profile: of the data; None if it is not known.
+    baseline: whose it is; None where no link is refused. profile: of the data; None if it is not known.
     """
 
     front: Front
@@ -145,50 +132,58 @@ class Chain:
 
     def start(self, held: Diagnosis = NOTHING_SEEN) -> ChainState:
         """Nothing seen yet. held: what is known from before, as `landed` has it."""
-        return ChainState(self.kernel, self.front.start(), self.kernel.start(), DecisionState(held))
+        beginning = None if self.fingerprint is None else list[Rows]()
+        return ChainState(self.kernel, self.front.start(), self.kernel.start(), DecisionState(held), None, beginning)
 
     def step(self, state: ChainState, telemetry: Telemetry) -> tuple[ChainState, ChainOutput]:
         """Take in a chunk of telemetry; return what it brought."""
-        waiting = (*state.waiting, telemetry) if telemetry.series else state.waiting
-        if not waiting:
+        if not telemetry.series:
             return state, ChainOutput()
-        state = replace(state, waiting=waiting[-MOST_UNMEASURED:])
-        if not state.measured:
-            state = self._measured(state)
-        if not state.measured or not self._due(state):
-            return state, ChainOutput()
-        return self.judge(*self._taken(state))
+        if state.waiting is not None:
+            state.waiting = [*state.waiting, telemetry][-MOST_UNMEASURED:]
+            if _gyro_s(state.waiting) < MEASURED_S:
+                return state, ChainOutput()
+            telemetry = joined(state.waiting)
+            refused = self.refusal(telemetry, MEASURED_S)
+            if refused is not None:
+                state.refused, state.waiting = refused, [] if refused else None
+            if state.waiting is not None:
+                return state, ChainOutput()
+        align = state.front.align
+        self.front.align.append(align, telemetry)
+        state.chunks += 1
+        if state.chunks < MOST_WAITING and self.front.align.reached_ns(align) // LOOK_NS <= align.last_ns // LOOK_NS:
+            return state, ChainOutput()  # nothing can be decided before the rows of the next look
+        return self.judge(state, self._taken(state))
 
     def end_flight(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
         """The link was lost or the watch ends: close what is open. Rows may go on later."""
-        state, parts = self._taken(state)
-        front, rest = self.front.settle(state.front)
-        parts = (*parts, *rest)
+        parts = (*self._taken(state), *self.front.settle(state.front)[1])
         ends = [int(part.block.t_ns[-1]) for part in parts if isinstance(part, Rows) and len(part.block)]
         end_ns = ends[-1] if ends else state.now_ns
-        return self.judge(replace(state, front=front), parts if end_ns is None else (*parts, Border(end_ns)))
+        return self.judge(state, parts if end_ns is None else (*parts, Border(end_ns)))
 
     def acknowledge(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
         """Somebody has looked at the vehicle: an open inspection is closed."""
-        decision, _, changes = self.decision.acknowledge(state.decision, state.now_ns or 0)
-        return replace(state, decision=decision), ChainOutput(changes=changes)
+        state.decision, _, changes = self.decision.acknowledge(state.decision, state.now_ns or 0)
+        return state, ChainOutput(changes=changes)
 
     def finish(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
         """The end of a log: the last rows, and events that are still open, with end_ns None."""
-        state, parts = self._taken(state)
-        front, rest = self.front.finish(state.front)
-        state, output = self.judge(replace(state, front=front), (*parts, *rest))
+        state, output = self.judge(state, (*self._taken(state), *self.front.finish(state.front)[1]))
         if state.now_ns is None:
             return state, output
-        decision, events, changes = self.decision.step(state.decision, self.kernel.close(state.memory, state.now_ns))
-        lasting = self.decision.named(decision, self.kernel.open_alarms(state.memory))
+        last = self.kernel.close(state.memory, state.now_ns)
+        state.decision, events, changes = self.decision.step(state.decision, last)
+        lasting = self.decision.named(state.decision, self.kernel.open_alarms(state.memory))
         events, changes = (*output.events, *events, *lasting), (*output.changes, *changes)
-        return replace(state, decision=decision), replace(output, events=events, changes=changes)
+        return state, replace(output, events=events, changes=changes)
 
     def renewed(self, state: ChainState, held: Diagnosis) -> ChainState:
         """After `finish`, for what may follow. held: what is known from before."""
         self.kernel.restart(state.memory)
-        return replace(state, decision=DecisionState(held))
+        state.decision = DecisionState(held)
+        return state
 
     def refusal(self, telemetry: Telemetry, least_s: float = 0.0) -> str | None:
         """Why data do not suit the baseline, a sentence; empty if they do, None if they are too few to tell.
@@ -197,10 +192,7 @@ class Chain:
         if neither its mean nor its median is the baseline's.
         """
         series = telemetry.get(Signal.BODY_RATE)
-        stamps = np.empty(0, dtype=np.int64) if series is None else series.t_ns
-        if not np.all(stamps[1:] > stamps[:-1]):
-            stamps = np.unique(stamps)
-        steps: FloatArray = np.diff(stamps) / NS_PER_S
+        steps = steps_of(np.empty(0, dtype=np.int64) if series is None else series.t_ns) / NS_PER_S
         steps = steps[steps <= self.front.align.break_s]
         if len(steps) + 1 < LEAST_SAMPLES or float(np.sum(steps)) < least_s:
             return None
@@ -217,77 +209,57 @@ class Chain:
 
     def judge(self, state: ChainState, parts: Sequence[Rows | Border]) -> tuple[ChainState, ChainOutput]:
         """Take in rows that its front made."""
-        output = ChainOutput()
+        events, changes, pieces, likeness = list[Event](), list[Change](), list[Piece](), None
+        rows, judged, memory, now_ns = state.memory.rows, state.memory.judged, state.memory, None
         for part in parts:
             if isinstance(part, Border):
-                left = self.kernel.close(state.memory, part.t_ns)
-                ended = self.kernel.open_alarms(state.memory, ended=True)
-                decision, events, changes = self.decision.end_flight(state.decision, left, ended, part.t_ns)
-                self.kernel.restart(state.memory)
-                state = replace(state, decision=decision)
-                output = replace(output, events=(*output.events, *events), changes=(*output.changes, *changes))
+                left, ended = self.kernel.close(memory, part.t_ns), self.kernel.open_alarms(memory, ended=True)
+                state.decision, told, changed = self.decision.end_flight(state.decision, left, ended, part.t_ns)
+                self.kernel.restart(memory)
             elif len(part.block):
-                state, output = self._rows(state, part, output)
-        return state, output
+                looked, piece = self.kernel.step(memory, part)
+                state.decision, told, changed = self.decision.step(state.decision, looked)
+                state.now_ns = now_ns = int(part.block.t_ns[-1])
+                likeness = self._compared(state, part) or likeness
+                pieces.append(piece)
+            else:
+                continue
+            events += told
+            changes += changed
+        spans_s = (memory.rows - rows) * self.kernel.dt_s, (memory.judged - judged) * self.kernel.dt_s
+        return state, ChainOutput(tuple(events), tuple(changes), *spans_s, now_ns, likeness, tuple(pieces))
 
-    def _rows(self, state: ChainState, rows: Rows, before: ChainOutput) -> tuple[ChainState, ChainOutput]:
-        memory, judged = state.memory, state.memory.judged
-        looked, piece = self.kernel.step(memory, rows)
-        decision, events, changes = self.decision.step(state.decision, looked)
-        now_ns, dt_s = int(rows.block.t_ns[-1]), self.kernel.dt_s
-        beginning, begun_s, likeness = self._compared(state, rows)
-        output = ChainOutput(
-            (*before.events, *events),
-            (*before.changes, *changes),
-            before.flight_s + len(rows.block) * dt_s,
-            before.judged_s + (memory.judged - judged) * dt_s,
-            now_ns,
-            likeness or before.likeness,
-            (*before.pieces, piece),
-        )
-        told = (now_ns, beginning, begun_s, state.waiting, state.measured)
-        return ChainState(self.kernel, state.front, memory, decision, *told), output
-
-    def _compared(self, state: ChainState, rows: Rows) -> tuple[tuple[Rows, ...] | None, float, Likeness | None]:
-        """The rows to compare the vehicle by, their valid time, and the answer as soon as there are enough."""
+    def _compared(self, state: ChainState, rows: Rows) -> Likeness | None:
+        """How the vehicle compares, as soon as there are enough rows."""
         if state.beginning is None or self.fingerprint is None:
-            return None, state.begun_s, None
+            return None
         count = int(np.count_nonzero(rows.block.valid))
         if count == 0 and not (state.beginning and state.beginning[-1].block.valid.any()):
-            return state.beginning, state.begun_s, None  # nothing is measured in it; one such block parts the others
-        beginning, begun_s = (*state.beginning, rows), state.begun_s + count * rows.block.dt_s
-        if begun_s < FIRST_S:
-            return beginning, begun_s, None
-        return None, state.begun_s, compare(self.fingerprint, beginning, self.layout)
+            return None  # nothing is measured in it; one such block parts the others
+        state.beginning.append(rows)
+        if state.begun_s + count * rows.block.dt_s < FIRST_S:
+            state.begun_s += count * rows.block.dt_s
+            return None
+        beginning, state.beginning = state.beginning, None
+        return compare(self.fingerprint, beginning, self.layout)
 
-    def _measured(self, state: ChainState) -> ChainState:
-        """Whether what waits is of the baseline's link; of another one it is dropped."""
-        refused = self.refusal(joined(state.waiting), MEASURED_S)
-        if refused is None:
-            return state
-        return replace(state, measured=not refused, refused=refused, waiting=() if refused else state.waiting)
+    def _taken(self, state: ChainState) -> tuple[Rows | Border, ...]:
+        """The rows that all that came makes."""
+        for telemetry in state.waiting or ():
+            self.front.align.append(state.front.align, telemetry)
+        state.waiting, state.chunks = state.waiting and [], 0
+        return self.front.step(state.front, Telemetry())[1]
 
-    def _due(self, state: ChainState) -> bool:
-        """Whether what waits may bring rows up to the next look, or more of it must not wait."""
-        row_ns = state.front.align.last_ns
-        if len(state.waiting) >= MOST_WAITING:
-            return True
-        newest_ns = self.front.align.reached_ns(state.front.align, state.waiting)
-        return newest_ns is not None and newest_ns // LOOK_NS > row_ns // LOOK_NS
 
-    def _taken(self, state: ChainState) -> tuple[ChainState, tuple[Rows | Border, ...]]:
-        """The rows that all that waits makes."""
-        if not state.waiting:
-            return state, ()
-        front, parts = self.front.step(state.front, joined(state.waiting))
-        return replace(state, front=front, waiting=()), parts
+def _gyro_s(pieces: Sequence[Telemetry]) -> float:
+    """How far the gyro's samples reach at most, by the first and the last of each piece [s]."""
+    series = [gyro for one in pieces if (gyro := one.get(Signal.BODY_RATE)) is not None and len(gyro)]
+    ends_ns = [int(gyro.t_ns[at]) for gyro in series for at in (0, -1)]
+    return (max(ends_ns) - min(ends_ns)) / NS_PER_S if ends_ns else 0.0
 
 
 def warm() -> None:
-    """Compile what judges, or load it from where it is kept, before time counts.
-
-    The first time after an installation it takes about a minute of processor time, later half a second.
-    """
+    """Compile what judges (about a minute of processor time), or load it from where it is kept (half a second)."""
     warm_rows()
     warm_samples()
     warm_kernel()
@@ -304,13 +276,9 @@ def front_of(baseline: Baseline) -> Front:
 def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None) -> Chain:
     """The chain that judges by a baseline.
 
-    profile: of the data, if it is known.
-
     started_ns: wall-clock time of the flight, unix epoch [ns]; 0 if it is not known. In a session of the healthy
-    flights nothing is allowed for what another session may shift.
-
-    A monitor that does not decide (the thesis's rule, which alarms on trajectories that its flights did not have) does
-    so where it stands alone.
+    flights nothing is allowed for what another session may shift. profile: of the data, if it is known.
+    A monitor that does not decide (the thesis's rule) does so where it stands alone.
     """
     order = [monitor.name for monitor in MONITORS]
     entries = sorted(baseline.monitors, key=lambda entry: order.index(entry.spec.kind))
@@ -318,14 +286,10 @@ def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None
     alone = not any(monitor.decides for monitor in monitors)
     same, link, whose = baseline.same_session(started_ns), baseline.link, baseline.airframe
     coaxial = whose.layout is not None and whose.layout.coaxial  # the arm is told, no rotor
+    thresholds = [entry.threshold.within(same_session=same) for entry in entries]
     slots = tuple(
-        Slot(
-            monitor,
-            entry.threshold.within(same_session=same),
-            monitor.decides or alone,
-            None if coaxial else monitor.evidence,
-        )
-        for monitor, entry in zip(monitors, entries, strict=True)
+        Slot(monitor, threshold, monitor.decides or alone, None if coaxial else monitor.evidence)
+        for monitor, threshold in zip(monitors, thresholds, strict=True)
     )
     moves = any(monitor.feature == "motion" for monitor in monitors)
     known = known_fault_types(whose.classifier, link.profile, 1.0 / link.dt_s) if moves else ()

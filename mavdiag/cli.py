@@ -3,7 +3,7 @@
 from typing import NoReturn
 
 from mavdiag import commandline
-from mavdiag.commands import ack, balance, baseline, history, identify, inspect, model, report, scan, shim, warm, watch
+from mavdiag.commands import baseline, history, identify, inspect, model, report, scan, shim, tools, watch
 from mavdiag.demo import command as demo
 
 app = commandline.application("Find a damaged propeller: learn a healthy airframe, judge its flights by it.", "mavdiag")
@@ -12,11 +12,11 @@ app.command("scan")(scan.scan)
 app.command("report")(report.report)
 app.command("look")(inspect.inspect)
 app.command("demo")(demo.demo)
-app.command("balance")(balance.balance)
+app.command("balance")(tools.balance)
 app.command("inspect")(inspect.inspect)
 app.command("watch")(watch.watch)
-app.command("ack")(ack.ack)
-app.command("warm")(warm.warm)
+app.command("ack")(tools.ack)
+app.command("warm")(tools.warm)
 app.command("shim")(shim.shim)
 app.add_typer(baseline.app, name="baseline")
 app.add_typer(model.app, name="model")

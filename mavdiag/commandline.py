@@ -21,14 +21,20 @@ ERROR = 2
 INTERRUPTED = 130
 
 
-def application(summary: str, name: str | None = None, cls: type[TyperGroup] | None = None) -> typer.Typer:
-    """A command-line application in one style: plain help, no tracebacks, no shell-completion options.
+class _ShowByDefault(TyperGroup):
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        named = bool(args) and args[0] in (*self.commands, "--help")
+        return super().parse_args(ctx, args if named else ["show", *args])
 
-    name: of the program, where it is one and answers --version. cls: how its sub-commands are chosen.
+
+def application(summary: str, name: str | None = None, *, show_by_default: bool = False) -> typer.Typer:
+    """A command-line application in one style. name: of the program, where it is one and answers --version.
+
+    show_by_default: the sub-command `show` is meant where none is named.
     """
     app = typer.Typer(
         help=summary,
-        cls=cls,
+        cls=_ShowByDefault if show_by_default else None,
         add_completion=False,
         no_args_is_help=True,
         rich_markup_mode=None,
@@ -82,13 +88,11 @@ def run(app: typer.Typer, name: str) -> NoReturn:
 
 @contextmanager
 def stop_signals() -> Iterator[Callable[[], bool]]:
-    """Let SIGINT, SIGTERM and SIGHUP ask for an end instead of ending the process at once; yields whether one came.
-
-    SIGHUP is left alone where it is ignored, as `nohup` has it.
-    """
+    """Let SIGINT, SIGTERM and SIGHUP ask for an end instead of ending the process at once; yields whether one came."""
     caught: list[int] = []
-    hung_up = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
-    numbers = (signal.SIGINT, signal.SIGTERM, *hung_up)
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as `nohup` has it
+        numbers.append(signal.SIGHUP)
     before = {number: signal.signal(number, lambda n, _: caught.append(n)) for number in numbers}
     try:
         yield lambda: bool(caught)

@@ -1,9 +1,7 @@
-"""The drawing of an airframe as SVG, from its rotor layout; and the colours of all figures. Text in, text out.
+"""The drawing of an airframe as SVG, seen from above with its nose up; and the colours of all figures.
 
-The vehicle is seen from above with its nose up. A rotor has its number, its sense of rotation, and a fill and a label
-from the caller. The SVG holds no style attribute and no script: a page may restyle it by its classes and ids, and a
-strict Content-Security-Policy lets it pass. What has no fill of its own is drawn in `currentColor`. Its elements are in
-drawing.svg, a template.
+The SVG holds no style attribute and no script: a page may restyle it by its classes and ids, and a strict
+Content-Security-Policy lets it pass. Its elements are in drawing.svg, a template.
 """
 
 import math
@@ -29,10 +27,7 @@ LABEL_FROM = 20.0  # radius of a rotor from which on its label fits into it; els
 
 
 class Colour(StrEnum):
-    """The palette of Okabe and Ito (Color Universal Design, 2008), which the colour-blind can tell apart, by meaning.
-
-    Two names for one colour are the same colour on purpose: they are not drawn in one figure.
-    """
+    """The palette of Okabe and Ito (Color Universal Design, 2008), which all people can tell apart, by meaning."""
 
     REFERENCE = "#000000"  # what was commanded
     MEASURED = "#0072B2"  # blue
@@ -47,12 +42,7 @@ class Colour(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RotorMark:
-    """What is shown of one rotor.
-
-    fill: None for none.
-    label: a short text in the disc, such as "+11 %".
-    kind: a further class of its group, such as "suspected"; letters, digits and hyphens.
-    """
+    """What is shown of one rotor: its fill, a short text in the disc, and a further class of its group."""
 
     fill: Colour | None = None
     label: str = ""
@@ -62,12 +52,7 @@ class RotorMark:
 def rotor_places(layout: RotorLayout) -> tuple[Place, ...]:
     """Where the rotors are, in the units in which the outermost one is 1 from the centre.
 
-    A layout knows lengths only up to one scale for each axis, so an airframe that is longer than wide is drawn square.
     Rotors that share a place, as on coaxial arms, are set apart along the circle.
-
-    >>> from mavdiag.airframe.layout import layout_named
-    >>> [(round(one.x_m, 2), round(one.y_m, 2), one.spin) for one in rotor_places(layout_named("x"))][:2]
-    [(0.71, 0.71, 'ccw'), (-0.71, -0.71, 'ccw')]
     """
     points = [(pitch, -roll) for roll, pitch, _ in layout.signs]
     reach = max(math.hypot(*point) for point in points)
@@ -85,8 +70,8 @@ def rotor_places(layout: RotorLayout) -> tuple[Place, ...]:
 def where(place: Place) -> str:
     """A rotor's place in words.
 
-    >>> where(Place(0.7, -0.7, "cw")), where(Place(1.0, 0.0, "ccw")), where(Place(0.0, 0.0, "cw"))
-    ('front left', 'front', 'centre')
+    >>> where(Place(0.7, -0.7, "cw")), where(Place(0.0, 0.0, "cw"))
+    ('front left', 'centre')
     """
     length = math.hypot(place.x_m, place.y_m)
     along = "front" if place.x_m > 0.2 * length else "rear" if place.x_m < -0.2 * length else ""
@@ -104,13 +89,10 @@ def text_colour(fill: Colour | None) -> str:
 def airframe_svg(
     layout: RotorLayout, marks: Mapping[int, RotorMark] | None = None, *, title: str = "", prefix: str = "airframe"
 ) -> str:
-    """The drawing as an `<svg>` element that can stand in a page or in a file.
+    """Draw an `<svg>` element that can stand in a page or in a file.
 
-    marks: what is shown of a rotor, by its number from 1; rotors without one are plain.
-    title: its accessible name; without it, the layout's name.
-    prefix: of all ids: `PREFIX-rotor-3` is the group of rotor 3. Another one for each drawing of a page.
-    Classes: `airframe`; `body`, `arm`, `forward`; `rotor` with `data-rotor` and the mark's kind, in it `rotor-disc`,
-    `rotor-spin`, `rotor-number`, `rotor-label`.
+    marks: what is shown of a rotor, by its number from 1. title: its accessible name; without it, the layout's name.
+    prefix: of all ids, `PREFIX-rotor-3` for the group of rotor 3; another one for each drawing of a page.
     """
     places, marks, middle = rotor_places(layout), marks or {}, SIZE / 2
     points = [(middle + REACH * place.y_m, middle - REACH * place.x_m) for place in places]

@@ -1,14 +1,6 @@
-"""The error tree, split by who is at fault.
+"""The error tree, split by who is at fault. Every message is one line that says what to do.
 
-    MavdiagError                 base; never raised itself
-    ├── UsageError               you: an argument, an address, a configuration value
-    ├── InputError               the file or the data: damaged, empty, of another kind, a needed signal missing
-    │   └── BaselineError        the baseline artefact: wrong schema, digest, identity; names the field
-    ├── LinkError                the link: a port that is busy or gone, a peer that cannot be reached
-    └── IdentificationError      the data cannot carry the model asked for: too short, not excited, unstable
-
-Every message is one line that says what to do. Anything else that escapes is a bug. The wire never raises:
-malformed bytes are counted and dropped.
+The wire never raises: malformed bytes are counted and dropped.
 """
 
 
@@ -17,7 +9,7 @@ class MavdiagError(Exception):
 
 
 class UsageError(MavdiagError):
-    """The caller asked for something that cannot be: a bad argument, address or configuration value."""
+    """You asked for what cannot be: a bad argument, address or configuration value."""
 
 
 def missing_extra(what: str, package: str, extra: str) -> UsageError:
@@ -26,7 +18,7 @@ def missing_extra(what: str, package: str, extra: str) -> UsageError:
 
 
 class InputError(MavdiagError):
-    """A file or a data set cannot be used as it is."""
+    """A file or a data set is damaged, empty, of another kind, or lacks a signal that is needed."""
 
 
 class BaselineError(InputError):
@@ -38,4 +30,4 @@ class LinkError(MavdiagError):
 
 
 class IdentificationError(MavdiagError):
-    """The data cannot carry the model that was asked for."""
+    """The data cannot carry the model that was asked for: too short, not excited, unstable."""

@@ -1,14 +1,9 @@
-"""What `import mavdiag as md` offers beside its values: short ways for a notebook (edge: files and the clock).
-
-Nothing is decided here. Each function reads what it was given, fills in the present time where a time stamp is wanted,
-and calls the part that does the work.
-"""
+"""What `import mavdiag as md` offers beside its values: short ways for a notebook (edge: files and the clock)."""
 
 import datetime
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -16,9 +11,8 @@ from mavdiag import judging, learning
 from mavdiag import logs as log_files
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_from, with_layout
-from mavdiag.archive.job import Options, Question
 from mavdiag.archive.paths import logs_named
-from mavdiag.archive.pool import in_this_process, local_executor
+from mavdiag.archive.scan import Options, Question
 from mavdiag.archive.scan import scan as archive
 from mavdiag.baseline import Baseline
 from mavdiag.chain import ChainOutput, chain_of
@@ -34,12 +28,7 @@ Source: TypeAlias = Log | str | Path  # a log, or where it is
 
 
 class FlightRates(NamedTuple):
-    """Rates of one axis while it flew, one array a stretch without a break.
-
-    u: commanded rate of each stretch, (n,) [rad/s].
-    y: measured rate of each stretch, (n,) [rad/s].
-    dt_s: sample time [s].
-    """
+    """Commanded (u) and measured (y) rate of one axis, an array for each stretch without a break [rad/s]."""
 
     u: list[FloatArray]
     y: list[FloatArray]
@@ -65,15 +54,10 @@ def learn(
     created: str | None = None,
     robust: bool = False,
 ) -> Baseline:
-    """A baseline from healthy flights.
+    """A baseline from healthy flights: logs, or files, folders and patterns like "healthy/*.tlog".
 
-    flights: logs, or files, folders and patterns like "healthy/*.tlog".
     airframe: a value, the name of one that is shipped, or a TOML file; None for what the flights themselves show.
-    name: what to call it, instead of the airframe's own name.
-    options: how to learn.
-    vehicle: MAVLink system id, where files hold several.
-    created: time stamp to record, ISO 8601 UTC; the present time if None.
-    robust: leave out falls, copies and the like instead of refusing them.
+    created: time stamp to record, ISO 8601 UTC. robust: leave out falls, copies and the like instead of refusing them.
     Raises InputError, IdentificationError or UsageError, in one line that says what to do.
     """
     chosen = with_airframe(options or LearnOptions(), airframe, name)
@@ -93,7 +77,7 @@ def judge(
     """The verdict on one flight: a log or its path, by a baseline or its file.
 
     judged_share: of the flown time that must be judged before a flight is called healthy, 0..1.
-    Raises InputError or BaselineError if a file cannot be read. A log that cannot be judged is a verdict, with reason.
+    Raises InputError or BaselineError if a file cannot be read; a log that cannot be judged is a verdict, with reason.
     """
     log = flight if isinstance(flight, Log) else replace(read_log(flight, vehicle=vehicle), name=str(flight))
     return judging.judge(log, _loaded(baseline), judged_share)
@@ -107,27 +91,20 @@ def scan(
     jobs: int = 1,
     judged_share: float = judging.JUDGED_SHARE,
 ) -> Iterator[LogVerdict]:
-    """The verdicts on many logs, in their order, each as soon as it is there.
+    """The verdicts on many logs (files, folders, patterns), in their order, each as soon as it is there.
 
-    flights: files, folders with all logs below them, and patterns like "flights/**/*.tlog".
-    baseline: a baseline, or its file.
-    vehicle: MAVLink system id, where files hold several.
-    judged_share: as in `judge`.
     jobs: worker processes. With more than one, a script must do its work under `if __name__ == "__main__":`.
     A log that cannot be read is a verdict `error`, and loses nothing. Raises BaselineError for the baseline.
     """
     named = logs_named([flights] if isinstance(flights, str | Path) else flights).logs
     question = Question.of(_loaded(baseline), Options(vehicle, judged_share=judged_share))
-    opened = partial(local_executor, jobs) if jobs > 1 else in_this_process
-    for answer in archive(named, question, opened):
-        yield answer.verdict
+    return (answer.verdict for answer in archive(named, question, jobs))
 
 
 def rates(flight: Source, axis: Axis | str, window_s: float = 0.1) -> FlightRates:
     """Commanded and measured body rate of one axis, while flying, on one grid: what `md.identify` takes.
 
-    axis: "roll", "pitch" or "yaw". window_s: Savitzky-Golay window of both [s]. There is one array for each unbroken
-    stretch of two seconds or more, always in a list, since many flights have several.
+    window_s: Savitzky-Golay window of both [s]. There is one array for each unbroken stretch of two seconds or more.
     Raises InputError if no stretch is long enough, UsageError for an axis that there is not.
     """
     if axis not in tuple(Axis):
@@ -142,11 +119,7 @@ def rates(flight: Source, axis: Axis | str, window_s: float = 0.1) -> FlightRate
 
 
 class Watch:
-    """A live flight judged by a baseline: the same chain as in the detector and in `judge`, without texts.
-
-    baseline: a baseline, or its file.
-    profile: name of the link profile of the telemetry; None if it is not known.
-    """
+    """A live flight judged by a baseline: the same chain as in the detector. profile: of the link, if it is known."""
 
     def __init__(self, baseline: Baseline | str | Path, profile: str | None = None) -> None:
         self._chain = chain_of(_loaded(baseline), time.time_ns(), profile)
@@ -157,8 +130,7 @@ class Watch:
     def step(self, telemetry: Telemetry) -> tuple[Event | Change, ...]:
         """Take what has arrived; return the monitors' alarms and the changes of the decision, in order of time.
 
-        The first two seconds are measured before anything is judged. Raises BaselineError if the telemetry has another
-        rate or profile than the baseline; the next call measures anew.
+        Raises BaselineError if the telemetry, after two seconds, has another rate or profile than the baseline.
         """
         self._state, self.output = self._chain.step(self._state, telemetry)
         if self._state.refused:
@@ -182,10 +154,7 @@ class Watch:
 def with_airframe(
     options: LearnOptions, airframe: Airframe | str | Path | None, name: str | None, layout: str | None = None
 ) -> LearnOptions:
-    """The options with an airframe (a value, a name, a TOML file), a name for it and the name of a rotor layout.
-
-    None leaves what they say. Raises UsageError or InputError if there is no such airframe or layout.
-    """
+    """The options with an airframe (a value, a name, a TOML file), a name for it and the name of a rotor layout."""
     if airframe is not None:
         value = airframe if isinstance(airframe, Airframe) else airframe_from(str(airframe))
         options = replace(options, airframe=value)
@@ -200,7 +169,6 @@ def now() -> str:
 
 
 def _logs(source: Source, vehicle: int | None) -> Iterator[Log]:
-    """The logs that a source names, read one by one. Raises InputError if there are none."""
     if isinstance(source, Log):
         yield source
         return

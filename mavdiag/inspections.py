@@ -3,7 +3,6 @@
     JOURNAL.open     all of them, JSON; the detector alone writes it
     JOURNAL.ack-N    who acknowledges that of vehicle N; `mavdiag ack` writes it, the detector takes it
 
-Each file is written atomically, and there is at most one inspection and one acknowledgement for each of 255 vehicles.
 An inspection is the vehicle's, whatever baseline it is judged by later; only a newer set of propellers closes it.
 """
 
@@ -11,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Stage
 from mavdiag.decision.diagnosis import RotorSpan
@@ -22,20 +21,15 @@ from mavdiag.storage import read_text, write_atomically
 
 OPEN_BYTES = 1 << 20
 WHOSE_BYTES = 200  # of a name, at most
-VEHICLES = range(1, 256)
 
 
-class Inspection(BaseModel):
-    """One of them.
+class Inspection(BaseModel, frozen=True, extra="forbid"):
+    """One of them; rotors that were named, in order, and the latest. declared: when it was written first, ISO 8601 UTC.
 
-    vehicle: system id. declared: when it was written first, ISO 8601 UTC.
-    rotors: that were named, in order. rotor: the latest, None if it is not known.
     baseline, propellers: digest of what the vehicle was judged by, and the number of its propeller set.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    vehicle: Annotated[int, Field(ge=VEHICLES.start, lt=VEHICLES.stop)]
+    vehicle: Annotated[int, Field(ge=1, le=255)]
     declared: str
     kind: FaultKind
     rotors: Annotated[tuple[int, ...], Field(max_length=64)]
@@ -51,16 +45,11 @@ class Inspection(BaseModel):
         return Diagnosis(Stage.INSPECT, why, rotor=self.rotor, kind=self.kind, rotors=spans)
 
     def __str__(self) -> str:
-        """One line for a person."""
         return f"vehicle {self.vehicle}: {motors_words(self.diagnosis)} ({self.kind}, declared at {self.declared})"
 
 
-class _File(BaseModel):
-    """What JOURNAL.open holds."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    inspections: Annotated[tuple[Inspection, ...], Field(max_length=len(VEHICLES))] = ()
+class _File(BaseModel, frozen=True, extra="forbid"):
+    inspections: Annotated[tuple[Inspection, ...], Field(max_length=255)] = ()
 
 
 def read_open(journal: Path) -> dict[int, Inspection]:
@@ -92,17 +81,14 @@ def ask(journal: Path, vehicle: int | None, whose: str) -> Inspection:
 
 
 class Inspections:
-    """Those of one detector. journal: they are kept beside it; None keeps none. warn: takes a line about trouble.
-
-    Raises InputError if the file is damaged.
-    """
+    """Those of one detector, beside its journal (None keeps none). Raises InputError if the file is damaged."""
 
     def __init__(self, journal: Path | None, warn: Callable[[str], None]) -> None:
         self._journal, self._warn = journal, warn
         self._open = {} if journal is None else read_open(journal)
 
     def held(self, vehicle: int, propellers: int | None) -> Diagnosis:
-        """What is known of a vehicle from before. propellers: number of its present set, None if it is not known."""
+        """What is known of a vehicle from before. propellers: number of its present set, if it is known."""
         known = self._open.get(vehicle)
         if known is not None and propellers is not None and propellers > known.propellers:
             self.close(vehicle)
@@ -150,13 +136,11 @@ class Inspections:
         return found
 
     def _write(self) -> None:
-        """A disk that is full or read-only must not stop the watch."""
-        if self._journal is None:
-            return
-        content = _File(inspections=tuple(self._open.values()))
+        content = _File(inspections=tuple(self._open.values())).model_dump_json(indent=1)
         try:
-            write_atomically(_beside(self._journal, "open"), content.model_dump_json(indent=1) + "\n")
-        except UsageError as error:
+            if self._journal is not None:
+                write_atomically(_beside(self._journal, "open"), content + "\n")
+        except UsageError as error:  # a disk that is full or read-only must not stop the watch
             self._warn(f"open inspections are not kept: {error}")
 
 

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal, ParamSpec, TypeVar, cast
+from typing import Any, Literal, ParamSpec, Protocol, TypeVar, cast
 
 import numba
 
@@ -22,52 +22,40 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def jit(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile `function` when a compiled function first calls it. No fast-math: results are reproducible."""
-    return _compiled(function, inline="never")
+class Decorator(Protocol):
+    """What compiles a function and keeps its signature."""
+
+    def __call__(self, function: Callable[P, R], /) -> Callable[P, R]:
+        """The compiled function."""
 
 
-def summing(function: Callable[P, R]) -> Callable[P, R]:
-    """As `jit`, where sums may be formed in any order: several terms at a time, always in the same way."""
-    return _compiled(function, inline="never", fastmath={"reassoc", "contract", "nsz"})
-
-
-def allocating(function: Callable[P, R]) -> Callable[P, R]:
-    """As `jit`, for a function that makes arrays."""
-    return _compiled(function, inline="never", _nrt=True)
-
-
-def inline(function: Callable[P, R]) -> Callable[P, R]:
-    """As `jit`, but merged into its caller: no cost for passing large tuples."""
-    return _compiled(function, inline="always")
-
-
-def cached(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile on the first call and keep the machine code on disk, where there is a place for it."""
-    return _kept(function)
-
-
-def cached_loop(function: Callable[P, R]) -> Callable[P, R]:
-    """As `cached`, for a function that makes no arrays."""
-    return _kept(function, _nrt=False)
-
-
-def _kept(function: Callable[P, R], **more: Any) -> Callable[P, R]:
-    options: Any = {"error_model": "numpy", **more}
-    try:
-        compiled: Any = numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # nowhere to keep it
-        return cast(Callable[P, R], numba.njit(**options)(function))
-    if hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT=1
-        kept = compiled._cache  # noqa: SLF001  # numba has no other way in
-        own_key = kept._index_key  # noqa: SLF001
-        kept._index_key = lambda *asked: (*own_key(*asked), _digest(compiled))  # noqa: SLF001
-    return cast(Callable[P, R], compiled)
-
-
-def _compiled(function: Callable[P, R], inline: Literal["never", "always"], **more: Any) -> Callable[P, R]:
+def _compiled(inline: Literal["never", "always"] = "never", **more: Any) -> Decorator:
     options: Any = {"error_model": "numpy", "inline": inline, "_nrt": False, **more}
-    return cast(Callable[P, R], numba.njit(**options)(function))
+    return cast(Decorator, numba.njit(**options))
+
+
+def _kept(**more: Any) -> Decorator:
+    def keep(function: Callable[P, R]) -> Callable[P, R]:
+        options: Any = {"error_model": "numpy", **more}
+        try:
+            compiled: Any = numba.njit(cache=True, **options)(function)
+        except RuntimeError:  # nowhere to keep it
+            return cast(Callable[P, R], numba.njit(**options)(function))
+        if hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT=1
+            kept = compiled._cache  # noqa: SLF001  # numba has no other way in
+            own_key = kept._index_key  # noqa: SLF001
+            kept._index_key = lambda *asked: (*own_key(*asked), _digest(compiled))  # noqa: SLF001
+        return cast(Callable[P, R], compiled)
+
+    return keep
+
+
+jit = _compiled()  # when a compiled function first calls it; no fast-math: results are reproducible
+summing = _compiled(fastmath={"reassoc", "contract", "nsz"})  # sums in any order, always in the same one
+allocating = _compiled(_nrt=True)  # as `jit`, for a function that makes arrays
+inline = _compiled("always")  # as `jit`, but merged into its caller: no cost for passing large tuples
+cached = _kept()  # on the first call; the machine code stays on disk, where there is a place for it
+cached_loop = _kept(_nrt=False)  # as `cached`, for a function that makes no arrays
 
 
 def _digest(compiled: Any) -> str:

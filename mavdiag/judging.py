@@ -1,9 +1,8 @@
 """Judge a whole log by a baseline: one verdict, with its reason, for every log that can be opened."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 
@@ -11,25 +10,24 @@ from mavdiag.airframe.fingerprint import Likeness, Outcome, compare
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput, ChainState, chain_of
-from mavdiag.decision.diagnosis import Change, Event, Stage
+from mavdiag.decision.diagnosis import Change, Event, RotorSpan, Stage
 from mavdiag.decision.words import fault_reason
 from mavdiag.errors import InputError
 from mavdiag.kernel import Account, Piece, Stretch
 from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
-from mavdiag.rows.align import measure_grid
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
-from mavdiag.rows.gate import Hidden, hidden_flight
-from mavdiag.rows.upsets import Upset, motion_of, upset_in
-from mavdiag.telemetry import Axis, FloatArray, Log, Signal, Telemetry, pandas_module
+from mavdiag.rows.gate import hidden_flight
+from mavdiag.rows.grid import measure_grid
+from mavdiag.rows.upsets import motion_of, upset_in
+from mavdiag.telemetry import Axis, FloatArray, Log, Signal
 from mavdiag.units import NS_PER_S
 
 PIECE_ROWS = 8000  # rows that are judged together (our choice: 6,000 to 12,000 take the same time)
 MIN_JUDGED_S = 1.0  # less judged time supports no verdict (our choice)
 MOST_STRETCHES = 3  # that were not judged, which a reason names (our choice)
 NEVER_FLEW = "never airborne: no armed flight with thrust"
-LIKE = Likeness(Outcome.ALIKE)
 JUDGED_SHARE = 0.8  # of the flown time that must be judged for "healthy", unless told otherwise (our choice)
 
 
@@ -47,14 +45,8 @@ class Verdict(StrEnum):
 class MonitorSummary:
     """One monitor over the whole log, on the axis where it came nearest to its threshold.
 
-    name, axis: whose it is.
-    maximum: highest judged statistic; None if it never judged.
-    threshold, unit: of the statistic.
-    alarms: its events on all axes.
-    judged_s: time that it judged [s].
-    not_judged: why it did not judge for the longest; None if it judged all the flight but its warm-up.
-    outside_s: flight time outside of the envelope [s].
-    decides: its alarm is a fault by itself.
+    maximum: highest judged statistic, or None. alarms: its events on all axes. decides: its alarm is a fault by itself.
+    not_judged: why it did not judge for the longest. judged_s, outside_s: time judged, and outside of the envelope [s].
     """
 
     name: str
@@ -68,6 +60,11 @@ class MonitorSummary:
     decides: bool = True
     outside_s: float = 0.0
 
+    @property
+    def ratio(self) -> float:
+        """The highest statistic over its threshold; 0 if it never judged."""
+        return (self.maximum or 0.0) / self.threshold
+
 
 @dataclass(frozen=True, slots=True)
 class JudgedEvent:
@@ -79,27 +76,13 @@ class JudgedEvent:
 
 
 @dataclass(frozen=True, slots=True)
-class NamedRotor:
-    """A rotor that was named, from 1, and the span of it [s of the vehicle's clock]; end_s None if it lasted."""
-
-    rotor: int
-    since_s: float
-    end_s: float | None
-
-
-@dataclass(frozen=True, slots=True)
 class LogVerdict:
-    """The verdict on one log.
+    """The verdict on one log. rate_hz: of the gyro. changes: the decision's log.
 
-    flown_s: time in the air, without take-offs and landings; what nobody could judge, as without a gyro, is in it.
+    flown_s: in the air, without take-offs and landings; what nobody could judge, as without a gyro, is in it.
     judged_s: how much of it any monitor that decides about propellers judged.
-    rate_hz: of the gyro stream.
-    changes: the decision's log.
     notes: what a reader must know of the log or the baseline, one sentence each; the reason has them, too.
-    kind: the gravest kind of fault that was declared; None if none was.
-    since_s: when it was declared first, of the vehicle's clock.
-    rotor: the one that was named last; None without one.
-    rotors: every one that was named, in order of time.
+    kind, since_s: the gravest kind of fault that was declared, and when, of the vehicle's clock; rotor: named last.
     """
 
     log: str
@@ -116,28 +99,15 @@ class LogVerdict:
     kind: FaultKind | None = None
     since_s: float | None = None
     rotor: int | None = None
-    rotors: tuple[NamedRotor, ...] = ()
+    rotors: tuple[RotorSpan, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.log}: {self.verdict.value}, {self.reason}"
 
-    def to_frame(self) -> Any:
-        """The events as a pandas DataFrame, one row each. Raises UsageError if pandas is not installed."""
-        pandas = pandas_module()
-        names = ("monitor", "axis", "statistic", "threshold", "rotor", "fault_type", "severity", "confidence", "kind")
-        rows = [
-            {"t_s": one.t_s, "end_s": one.end_s, **{name: getattr(one.event, name) for name in names}}
-            for one in self.events
-        ]
-        return pandas.DataFrame(rows, columns=["t_s", "end_s", *names])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedFlight:
-    """A verdict and what the chain showed on the way.
-
-    chain: None if the log could not be judged at all. unjudged: what of the flown time was not judged.
-    """
+    """A verdict and what the chain showed on the way; chain is None if the log could not be judged at all."""
 
     verdict: LogVerdict
     chain: Chain | None = None
@@ -149,63 +119,15 @@ def judge(log: Log, baseline: Baseline, judged_share: float = JUDGED_SHARE) -> L
     """Run the chain over a log. A log that the baseline cannot judge is `not_judgeable`, with the reason.
 
     judged_share: of the flown time that must be judged before a flight is called healthy, 0..1.
-    Rows are made and judged some thousands at a time, so that it takes little memory beside the log's own.
     """
-    return _judged(log, baseline, judged_share, keep=False).verdict
+    return judge_in_full(log, baseline, judged_share, keep=False).verdict
 
 
-def judge_in_full(log: Log, baseline: Baseline, judged_share: float = JUDGED_SHARE) -> JudgedFlight:
+def judge_in_full(
+    log: Log, baseline: Baseline, judged_share: float = JUDGED_SHARE, *, keep: bool = True
+) -> JudgedFlight:
     """As `judge`, and keep all that `mavdiag.traces` draws from; it takes as much memory as the rows."""
-    return _judged(log, baseline, judged_share, keep=True)
 
-
-@dataclass(slots=True)
-class _Run:
-    """What the chain made of a whole log.
-
-    kept: all values, if they are wanted. spans: first and last row of each part of it that flew [ns].
-    motion: of its rows, for `rows.upsets`. likeness: how it compares with the vehicle of the baseline.
-    """
-
-    log: Log
-    chain: Chain
-    state: ChainState
-    judged_share: float
-    found: list[Event] = field(default_factory=list)
-    changes: list[Change] = field(default_factory=list)
-    kept: list[Piece] = field(default_factory=list)
-    spans: list[Stretch] = field(default_factory=list)
-    motion: list[FloatArray] = field(default_factory=list)
-    likeness: Likeness = LIKE
-
-    def take(self, telemetry: Telemetry, *, keep: bool) -> None:
-        """Judge all of it, or as much as shows that it is another vehicle."""
-        for part in self.chain.front.pieces(telemetry, PIECE_ROWS):
-            if isinstance(part, Rows) and len(part.block):
-                self._flew(part.block)
-            self._add(*self.chain.judge(self.state, (part,)), keep)
-            if self.likeness.outcome is Outcome.FAR:
-                return
-        if self.state.beginning and self.chain.fingerprint is not None:
-            self.likeness = compare(self.chain.fingerprint, self.state.beginning, self.chain.layout)
-        self._add(*self.chain.finish(self.state), keep)
-
-    def _add(self, state: ChainState, output: ChainOutput, keep: bool) -> None:
-        self.state, self.likeness = state, output.likeness or self.likeness
-        self.found += output.events
-        self.changes += output.changes
-        self.kept += output.pieces if keep else ()
-
-    def _flew(self, block: Block) -> None:
-        first, last = int(block.t_ns[0]), int(block.t_ns[-1])
-        if self.spans and first - self.spans[-1][1] <= NS_PER_S:
-            self.spans[-1] = (self.spans[-1][0], last)
-        else:
-            self.spans.append((first, last))
-        self.motion.append(motion_of(block))
-
-
-def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> JudgedFlight:
     def refused(reason: str, rate_hz: float = 0.0) -> JudgedFlight:
         return JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=rate_hz))
 
@@ -218,40 +140,18 @@ def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> Ju
         return refused(refusal, 1 / dt_s)
     if log.motor_order:  # its outputs are by motor already
         chain = replace(chain, front=replace(chain.front, outputs=None))
-    telemetry = chain.front.align.believed(log.telemetry)
-    run = _Run(log, chain, chain.start(), judged_share)
-    run.take(telemetry, keep=keep)
+    run = _Run(log, chain, judged_share, keep)
     alike = run.likeness.sentence(baseline.airframe.name)
     if run.likeness.outcome is Outcome.FAR:
         return refused(f"another vehicle: {alike}", 1 / dt_s)
-    evidence = _Evidence.of(run, hidden_flight(telemetry, chain.front.gate, run.spans))
-    verdict, reason = evidence.verdict()
-    spans = run.changes[-1].rotors if run.changes else ()
-    rotors = tuple(NamedRotor(span.rotor, span.since_ns / NS_PER_S, _seconds(span.end_ns)) for span in spans)
-    kinds = [change.kind for change in run.changes if change.kind is not None]
-    kind = max(kinds, key=lambda one: one.rank, default=None)
-    since = next((change.t_ns / NS_PER_S for change in run.changes if change.stage is Stage.FAULT), None)
-    if kind is None and verdict is Verdict.FAULT and evidence.upset is not None:
-        kind, since = FaultKind.LOSS_OF_CONTROL, evidence.upset.begin_s
     notes = (*((alike,) if alike else ()), *log.notes, *_layout_notes(log, baseline))
-    found = LogVerdict(
-        log.name,
-        verdict,
-        "; ".join((reason, *notes)),
-        min(evidence.judged_s, evidence.flown_s),
-        evidence.flown_s,
-        log.profile,
-        1 / dt_s,
-        evidence.monitors,
-        tuple(JudgedEvent(event.start_ns / NS_PER_S, _seconds(event.end_ns), event) for event in evidence.events),
-        tuple(run.changes),
-        notes,
-        kind,
-        since,
-        rotors[-1].rotor if rotors else None,
-        rotors,
-    )
-    return JudgedFlight(found, chain, tuple(run.kept), run.state.memory.unjudged)
+    return JudgedFlight(run.verdict(notes, 1 / dt_s), chain, tuple(run.kept), run.state.memory.unjudged)
+
+
+def exit_code(verdicts: Sequence[Verdict]) -> int:
+    """Exit code of a scan: the first of 2 error, 1 fault, 4 suspected, 3 not judgeable that occurs, else 0."""
+    order = ((Verdict.ERROR, 2), (Verdict.FAULT, 1), (Verdict.SUSPECTED, 4), (Verdict.NOT_JUDGEABLE, 3))
+    return next((code for verdict, code in order if verdict in verdicts), 0)
 
 
 def _layout_notes(log: Log, baseline: Baseline) -> tuple[str, ...]:
@@ -262,54 +162,92 @@ def _layout_notes(log: Log, baseline: Baseline) -> tuple[str, ...]:
     return tuple(note for note in (baseline.layout_doubt, differ) if note)
 
 
-def exit_code(verdicts: Sequence[Verdict]) -> int:
-    """Exit code of a scan: the first of 2 error, 1 fault, 4 suspected, 3 not judgeable that occurs, else 0."""
-    order = ((Verdict.ERROR, 2), (Verdict.FAULT, 1), (Verdict.SUSPECTED, 4), (Verdict.NOT_JUDGEABLE, 3))
-    return next((code for verdict, code in order if verdict in verdicts), 0)
+class _Run:
+    """What the chain made of a whole log, or of as much as shows that it is another vehicle."""
 
+    def __init__(self, log: Log, chain: Chain, judged_share: float, keep: bool) -> None:
+        self.log, self.chain, self.judged_share, self.keep = log, chain, judged_share, keep
+        self.state, self.likeness = chain.start(), Likeness(Outcome.ALIKE)
+        self.changes, self.kept = list[Change](), list[Piece]()
+        self._found, self._motion, self._spans = list[Event](), list[FloatArray](), list[Stretch]()
+        for part in chain.front.pieces(log.telemetry, PIECE_ROWS):
+            if isinstance(part, Rows) and len(part.block):
+                self._flew(part.block)
+            self._take(*chain.judge(self.state, (part,)))
+            if self.likeness.outcome is Outcome.FAR:
+                return
+        if self.state.beginning and chain.fingerprint is not None:
+            self.likeness = compare(chain.fingerprint, self.state.beginning, chain.layout)
+        self._take(*chain.finish(self.state))
+        self._settle()
 
-@dataclass(frozen=True, slots=True)
-class _Evidence:
-    """What a verdict rests on: the run, each event once, and what was flown, judged and hidden [s]."""
+    def _take(self, state: ChainState, output: ChainOutput) -> None:
+        self.state, self.likeness = state, output.likeness or self.likeness
+        self._found += output.events
+        self.changes += output.changes
+        self.kept += output.pieces if self.keep else ()
 
-    run: _Run
-    events: tuple[Event, ...]
-    monitors: tuple[MonitorSummary, ...]
-    upset: Upset | None
-    hidden: Sequence[Hidden]
-    judged_s: float
-    flown_s: float
-    takeoff_s: float
+    def _flew(self, block: Block) -> None:
+        first, last = int(block.t_ns[0]), int(block.t_ns[-1])
+        if self._spans and first - self._spans[-1][1] <= NS_PER_S:
+            first, _ = self._spans.pop()
+        self._spans.append((first, last))
+        self._motion.append(motion_of(block))
 
-    @classmethod
-    def of(cls, run: _Run, hidden: Sequence[Hidden]) -> "_Evidence":
-        latest = {(event.monitor, event.axis, event.start_ns): event for event in run.found}
-        events = sorted(latest.values(), key=lambda event: (event.start_ns, event.monitor, str(event.axis)))
-        memory, dt_s = run.state.memory, run.chain.kernel.dt_s
-        monitors = _summaries(run.chain, run.state.accounts, events)
-        run.chain.kernel.restart(memory)  # what no value reaches any more is not judged
-        flown_s = memory.flown * dt_s + sum(one.span_s for one in hidden)
-        spans_s = memory.judged * dt_s, flown_s, (memory.rows - memory.flown) * dt_s
-        return cls(run, tuple(events), monitors, upset_in(run.motion), hidden, *spans_s)
+    def _settle(self) -> None:
+        latest = {(event.monitor, event.axis, event.start_ns): event for event in self._found}
+        self.events = sorted(latest.values(), key=lambda event: (event.start_ns, event.monitor, str(event.axis)))
+        self.monitors = _summaries(self.chain, self.state.accounts, self.events)
+        self.upset, front = upset_in(self._motion), self.chain.front
+        self.hidden = hidden_flight(self.log.telemetry, front.gate, front.align.quality, self._spans)
+        memory, dt_s = self.state.memory, self.chain.kernel.dt_s
+        self.chain.kernel.restart(memory)  # what no value reaches any more is not judged
+        self.flown_s = memory.flown * dt_s + sum(one.span_s for one in self.hidden)
+        self.judged_s = min(memory.judged * dt_s, self.flown_s)
+        self.takeoff_s = (memory.rows - memory.flown) * dt_s
 
-    def verdict(self) -> tuple[Verdict, str]:
+    def verdict(self, notes: tuple[str, ...], rate_hz: float) -> LogVerdict:
+        kind = _gravest(self.changes)
+        since = next((change.t_ns / NS_PER_S for change in self.changes if change.stage is Stage.FAULT), None)
+        verdict, reason = self._answer()
+        if kind is None and verdict is Verdict.FAULT and self.upset is not None:
+            kind, since = FaultKind.LOSS_OF_CONTROL, self.upset.begin_s
+        rotors = self.changes[-1].rotors if self.changes else ()
+        return LogVerdict(
+            self.log.name,
+            verdict,
+            "; ".join((reason, *notes)),
+            self.judged_s,
+            self.flown_s,
+            self.log.profile,
+            rate_hz,
+            self.monitors,
+            tuple(JudgedEvent(event.start_ns / NS_PER_S, _seconds(event.end_ns), event) for event in self.events),
+            tuple(self.changes),
+            notes,
+            kind,
+            since,
+            rotors[-1].rotor if rotors else None,
+            rotors,
+        )
+
+    def _answer(self) -> tuple[Verdict, str]:
         """A fault if one was declared or the flight has an upset, healthy only if enough of it was judged."""
-        faults = [change for change in self.run.changes if change.stage is Stage.FAULT]
-        upset = "" if self.upset is None else self.upset.text
+        faults = [change for change in self.changes if change.stage is Stage.FAULT]
+        upset, share = "" if self.upset is None else self.upset.text, self._share()
         if faults:
-            kinds = [change.kind for change in faults if change.kind is not None]
-            told = fault_reason(max(kinds, key=lambda one: one.rank, default=None), faults, self.events)
-            return Verdict.FAULT, "; ".join(filter(None, (told + self._when(faults[0].t_ns), upset, self._share())))
+            told = fault_reason(_gravest(faults), faults, self.events) + self._when(faults[0].t_ns)
+            return Verdict.FAULT, "; ".join(filter(None, (told, upset, share)))
         if upset:
-            return Verdict.FAULT, f"{FaultKind.LOSS_OF_CONTROL}: {upset}; {self._share()}"
+            return Verdict.FAULT, f"{FaultKind.LOSS_OF_CONTROL}: {upset}; {share}"
         if self.flown_s == 0:
             only = f"only {self.takeoff_s:.1f} s of take-off or start" if self.takeoff_s else NEVER_FLEW
             return Verdict.NOT_JUDGEABLE, only
         if suspicion := self._suspicion():
-            return Verdict.SUSPECTED, f"{suspicion}; {self._share()}"
-        if self.judged_s < max(MIN_JUDGED_S, self.run.judged_share * self.flown_s):
-            return Verdict.NOT_JUDGEABLE, self._share()
-        return Verdict.HEALTHY, f"no alarm; {self._share()}"
+            return Verdict.SUSPECTED, f"{suspicion}; {share}"
+        if self.judged_s < max(MIN_JUDGED_S, self.judged_share * self.flown_s):
+            return Verdict.NOT_JUDGEABLE, share
+        return Verdict.HEALTHY, f"no alarm; {share}"
 
     def _suspicion(self) -> str:
         """What was suspected though no fault was declared; empty if nothing was."""
@@ -319,25 +257,24 @@ class _Evidence:
             single = all(not monitor.decides for monitor in self.monitors if monitor.alarms)
             own = ", which decides nothing alone" if single else ""
             return f"{count}{own}{self._when(self.events[0].start_ns)}"
-        near = next((change for change in self.run.changes if change.stage is Stage.SUSPECTED), None)
+        near = next((change for change in self.changes if change.stage is Stage.SUSPECTED), None)
         if near is None:
             return ""
-        ratios = {one.name: (one.maximum or 0.0) / one.threshold for one in self.monitors if one.decides}
-        name = max(ratios, key=lambda one: ratios[one], default="a monitor")
-        return f"{name} came to {100 * ratios.get(name, 0.0):.0f} % of its threshold{self._when(near.t_ns)}"
+        ratio, name = max(((one.ratio, one.name) for one in self.monitors if one.decides), default=(0.0, "a monitor"))
+        return f"{name} came to {100 * ratio:.0f} % of its threshold{self._when(near.t_ns)}"
 
     def _share(self) -> str:
         """How much of the flight was judged, by what, and why the rest was not."""
-        judged_s, least = min(self.judged_s, self.flown_s), self.run.judged_share
-        share = judged_s / self.flown_s if self.flown_s else 0.0
+        share = self.judged_s / self.flown_s if self.flown_s else 0.0
         own = [one for one in self.monitors if one.decides and by_name(one.name).kind is FaultKind.PROPELLER]
         spoken = ", ".join(one.name for one in own if one.judged_s >= MIN_JUDGED_S)
-        text = f"judged {judged_s:.1f} s of {self.flown_s:.1f} s ({100 * share:.0f} %)"
+        text = f"judged {self.judged_s:.1f} s of {self.flown_s:.1f} s ({100 * share:.0f} %)"
         text += f" by {spoken}" if spoken else ""
         text += f", without {self.takeoff_s:.1f} s of take-off or start" if self.takeoff_s >= 0.1 else ""
         why = [f"{one.reason} {self._between(one.begin_s, one.end_s)}" for one in self.hidden]
+        least = self.judged_share
         if 0 < share < least:
-            spans = [(begin / NS_PER_S, end / NS_PER_S) for begin, end in self.run.state.memory.unjudged]
+            spans = [(begin / NS_PER_S, end / NS_PER_S) for begin, end in self.state.memory.unjudged]
             spans = [span for span in spans if span[1] - span[0] >= MIN_JUDGED_S]
             longest = sorted(spans, key=lambda span: span[0] - span[1])[:MOST_STRETCHES]
             why += [f"nothing judged {self._between(*span)}" for span in sorted(longest)]
@@ -348,26 +285,28 @@ class _Evidence:
 
     def _when(self, t_ns: int) -> str:
         """A time of the vehicle's clock, and of the log where it begins at another one."""
-        t_s, begin_s = t_ns / NS_PER_S, float(np.min(self.run.log.telemetry.need(Signal.BODY_RATE).t_ns)) / NS_PER_S
+        t_s, begin_s = t_ns / NS_PER_S, float(np.min(self.log.telemetry.need(Signal.BODY_RATE).t_ns)) / NS_PER_S
         into = f" of the vehicle's clock, {t_s - begin_s:.1f} s into the log" if begin_s >= 1 else ""
         return f", first at {t_s:.2f} s{into}"
 
     def _between(self, begin_s: float, end_s: float) -> str:
-        """A stretch of the vehicle's clock."""
-        last_s = max(int(np.max(series.t_ns)) for series in self.run.log.telemetry.series if len(series)) / NS_PER_S
+        last_s = max(int(np.max(series.t_ns)) for series in self.log.telemetry.series if len(series)) / NS_PER_S
         return f"from {begin_s:.1f} s" + ("" if end_s > last_s - 1.0 else f" to {end_s:.1f} s")
 
 
+def _gravest(changes: Sequence[Change]) -> FaultKind | None:
+    kinds = (change.kind for change in changes if change.kind is not None)
+    return max(kinds, key=lambda kind: kind.rank, default=None)
+
+
 def _summaries(chain: Chain, accounts: Sequence[Account], events: Sequence[Event]) -> tuple[MonitorSummary, ...]:
-    """Each monitor, on the axis where it came nearest to its threshold."""
     nearest: dict[str, MonitorSummary] = {}
     for slot, account in zip(chain.slots, accounts, strict=True):
         name, axis = slot.key
         alarms = sum(event.monitor == name for event in events)
         highest = (account.peak, slot.threshold, slot.monitor.unit, alarms, account.judged_s)
         one = MonitorSummary(name, axis, *highest, why_not(chain, account), slot.decides, account.outside_s)
-        old = nearest.get(name)
-        if old is None or (one.maximum or 0.0) / one.threshold > (old.maximum or 0.0) / old.threshold:
+        if name not in nearest or one.ratio > nearest[name].ratio:
             nearest[name] = one
     return tuple(nearest.values())
 

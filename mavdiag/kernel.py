@@ -3,9 +3,8 @@
     rows ─▶ columns x ─▶ bins of conditions ─▶ each slot: its monitor's loop ─▶ value, as the envelope lets it count
          ─▶ a record for each slot and look (0.1 s), alarms, and how long each slot judged
 
-A slot is a monitor with its threshold; its ratio is its value over its threshold. A value belongs to the first look at
-which it is known: its time stamp and the monitor's delay have passed, and its row has come. So no look depends on how
-the rows were cut. All of a segment's memory is in a few arrays, which are copied once a pass.
+A value belongs to the first look at which it is known: its time stamp and the monitor's delay have passed, and its row
+has come. So no look depends on how the rows were cut. All of a segment's memory is in a few arrays.
 
 An alarm opens at the first valid value strictly above the threshold, so its start is the time of detection. It closes
 when the value has come back and stayed there for `Monitor.clear_s`; what happens within that time belongs to it.
@@ -20,22 +19,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+import mavdiag.monitors.columns as col
 from mavdiag.jit import allocating, cached, jit
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import FaultKind, Monitor, RotorEvidence
-from mavdiag.monitors.columns import (
-    COVERED,
-    DOUBT,
-    LEVEL,
-    PLACES,
-    SETPOINT,
-    SOUND,
-    TRIM_CONDITIONS,
-    TRIM_MEMORY_S,
-    VALID,
-    VALUE,
-    columns_of,
-)
 from mavdiag.monitors.conditions import COUNT, conditions_memory, most_bins, take_rows
 from mavdiag.rows.conditions import BIN_S, Condition
 from mavdiag.rows.front import Rows
@@ -48,9 +35,7 @@ from mavdiag.units import NS_PER_S
 LOOK_NS = NS_PER_S // 10  # time between two looks (our choice)
 STALE_LOOKS = 10  # a slot whose last valid value is older does not count (our choice)
 CALM_BELOW, RAISED_FROM = 0.7, 0.8  # of the threshold (our choice); one emulated flight in 62 healthy h was suspected
-LATE_NS = (
-    NS_PER_S  # by so much a value may come after the rows of its time: half a filter's window at most (our choice)
-)
+LATE_NS = NS_PER_S  # so much a value may come after the rows of its time: half a filter's window (our choice)
 WAITING = "waiting for enough unbroken flight"  # why a monitor does not judge although its signals are known
 NAN, NEVER = float("nan"), -1e18
 RANK = 1e9  # more than any ratio: of two at the same height the one that decides leads
@@ -69,16 +54,12 @@ class Height(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slot:
-    """A monitor and its threshold.
-
-    decides: its alarm is a fault by itself; else it is a suspicion.
-    evidence: how it tells of rotors; None if it does not.
-    """
+    """A monitor and its threshold; its ratio is its value over its threshold."""
 
     monitor: Monitor[Any]
     threshold: float
-    decides: bool
-    evidence: RotorEvidence | None = None
+    decides: bool  # its alarm is a fault by itself; else it is a suspicion
+    evidence: RotorEvidence | None = None  # how it tells of rotors; None if it does not
 
     @property
     def key(self) -> tuple[str, Axis | None]:
@@ -108,17 +89,18 @@ START, ABOVE = range(2)
 # What is counted of a slot: valid values, the highest; of a condition: values outside, the farthest and its excess.
 VALUES, PEAK = range(2)
 BEYOND, FARTHEST, EXCESS = range(3)
-# Numbers of a pass. In: columns without rates, number of the first look, time from which rows count as flown, and
-# before which no value reaches back, bits and memory of the conditions of trims, age from which on a bin is known.
-# In and out: bins, open rows. Out: alarms told, open rows that are out of reach, rows flown and covered.
-LAG, FIRST_LOOK, SETTLED, LATE, TRIMS, TRIMS_NS, BINS_NS, BINS, OPEN_ROWS, TOLD, GONE, FLOWN, COVERED_ROWS = range(13)
+# Numbers of a pass. In: columns of before, and without rates; number of the first look; times from which rows count as
+# flown, and before which no value reaches back; bits and memory of the conditions of trims; age from which on a bin is
+# known. In and out: bins, open rows. Out: alarms told, open rows that are out of reach, rows flown and covered.
+BEFORE, LAG, FIRST_LOOK, SETTLED, LATE, TRIMS, TRIMS_NS, BINS_NS, BINS, OPEN_ROWS, TOLD, GONE, FLOWN = range(13)
+COVERED_ROWS, NUMBERS = 13, 14
 
 
 def joined_loops(runs: Sequence[Callable[..., int]]) -> Callable[..., int]:
     """One compiled function that calls the loop of the monitor with a number."""
 
     @allocating
-    def none(kind: int, par: Any, mem: Any, x: Any, flags: Any, lag: int, out: Any, rotors: Any, at: Any) -> int:
+    def none(kind: int, par: Any, mem: Any, x: Any, first: int, known: int, out: Any, rotors: Any, at: Any) -> int:
         return 0
 
     found: Callable[..., int] = none
@@ -129,10 +111,10 @@ def joined_loops(runs: Sequence[Callable[..., int]]) -> Callable[..., int]:
 
 def _or_else(this: int, run: Callable[..., int], others: Callable[..., int]) -> Callable[..., int]:
     @allocating
-    def either(kind: int, par: Any, mem: Any, x: Any, flags: Any, lag: int, out: Any, rotors: Any, at: Any) -> int:
+    def either(kind: int, par: Any, mem: Any, x: Any, first: int, known: int, out: Any, rotors: Any, at: Any) -> int:
         if kind == this:
-            return run(par, mem, x, flags, lag, out, rotors, at)
-        return others(kind, par, mem, x, flags, lag, out, rotors, at)
+            return run(par, mem, x, first, known, out, rotors, at)
+        return others(kind, par, mem, x, first, known, out, rotors, at)
 
     return either
 
@@ -141,13 +123,11 @@ loop = joined_loops([monitor.run for monitor in MONITORS])
 
 
 @jit
-def _take_bins(
-    x: Any, flags: Any, times: Any, bins: Any, limits: FloatArray, mem: FloatArray, numbers: IntArray
-) -> int:
+def _take_bins(x: Any, times: Any, bins: Any, limits: FloatArray, mem: FloatArray, numbers: IntArray) -> int:
     """Measure the conditions, and flag what trims were learnt in; return the bits of those beyond what was learnt."""
-    (t_ns, rates_ns), (ends_ns, values), known = times, bins, numbers[BINS]
-    at, anywhere, first, stop = (0, 0), 0, 0, 0
-    numbers[BINS] = take_rows(mem, 0, x, flags, numbers[LAG], t_ns, rates_ns, ends_ns, values, known)
+    t_ns, (ends_ns, values), known, first = times[0], bins, numbers[BINS], numbers[BEFORE]
+    anywhere, begin, stop, covered = 0, -1, -1, True
+    numbers[BINS] = take_rows(mem, x, first, first + numbers[LAG], times, ends_ns, values, known)
     for number in range(numbers[BINS]):
         for condition in range(COUNT):
             if number >= known:
@@ -156,41 +136,42 @@ def _take_bins(
                 anywhere |= 1 << condition
     if anywhere & numbers[TRIMS]:
         for i in range(len(t_ns)):
-            first = seen_from(ends_ns, first, numbers[BINS], t_ns[i], numbers[TRIMS_NS])
-            stop = seen_from(ends_ns, stop, numbers[BINS], t_ns[i], numbers[BINS_NS])
-            at = farthest(values, first, stop, numbers[TRIMS])
-            flags[COVERED, i] = at[0] < 0 or values[at[0], COUNT + at[1]] <= 1.0
+            left = seen_from(ends_ns, max(begin, 0), numbers[BINS], t_ns[i], numbers[TRIMS_NS])
+            right = seen_from(ends_ns, max(stop, 0), numbers[BINS], t_ns[i], numbers[BINS_NS])
+            if left != begin or right != stop:
+                begin, stop = left, right
+                at = farthest(values, begin, stop, numbers[TRIMS])
+                covered = at[0] < 0 or values[at[0], COUNT + at[1]] <= 1.0
+            x[col.COVERED, first + i] = covered
     return anywhere
 
 
 @jit
-def _check_rows(
-    x: Any, flags: Any, t_ns: IntArray, checks: IntArray, counts: Any, opened: Any, numbers: IntArray
-) -> None:
+def _check_rows(x: Any, t_ns: IntArray, failed: IntArray, checks: IntArray, counts: Any, opened: Any, n: Any) -> None:
     """Count the rows that fail a check, and open those in the air for the values that are to judge them.
 
-    checks: (n, 2) rows of x that must be finite; or -1 and a flag. A failed one is a bit.
+    checks: (n, 2) rows of x that must be finite; or -1 and a flag. A failed one is a bit. failed: room for these.
     """
-    (missing, doubts), (open_ns, bits) = counts, opened
-    for i in range(len(t_ns)):
-        failed = 0
-        for number in range(len(checks)):
-            first, stop = checks[number, 0], min(checks[number, 1], len(x))
-            known = first < stop
-            if first < 0:
-                known = flags[checks[number, 1], i] > 0.5
+    (missing, doubts), (open_ns, bits), first = counts, opened, n[BEFORE]
+    failed[:] = 0
+    for number in range(len(checks)):
+        row, stop = checks[number, 0], min(checks[number, 1], len(x))
+        for i in range(len(t_ns)):
+            known = row < stop
+            if row < 0:
+                known = x[checks[number, 1], first + i] > 0.5
             else:
-                for row in range(first, stop):
-                    known = known and np.isfinite(x[row, i])
+                for k in range(row, stop):
+                    known = known and np.isfinite(x[k, first + i])
             if not known:
-                failed |= 1 << number
-                if flags[VALID, i] > 0.5:
-                    missing[number] += 1
-        doubts[int(flags[DOUBT, i])] += 1
-        if t_ns[i] >= numbers[SETTLED]:
-            open_ns[numbers[OPEN_ROWS]], bits[numbers[OPEN_ROWS]] = t_ns[i], failed
-            numbers[OPEN_ROWS] += 1
-            numbers[FLOWN] += 1
+                failed[i] |= 1 << number
+                missing[number] += x[col.VALID, first + i] > 0.5
+    for i in range(len(t_ns)):
+        doubts[int(x[col.DOUBT, first + i])] += 1
+        if t_ns[i] >= n[SETTLED]:
+            open_ns[n[OPEN_ROWS]], bits[n[OPEN_ROWS]] = t_ns[i], failed[i]
+            n[OPEN_ROWS] += 1
+            n[FLOWN] += 1
 
 
 @jit
@@ -211,83 +192,82 @@ def _alarm(
             tops[k, 0], tops[k, 1] = value, level
             figures[slot, OPEN], figures[slot, TOP], figures[slot, TOP_LEVEL], k = 1.0, value, level, k + 1
             times[slot, START] = t_ns
-        figures[slot, TOP], figures[slot, TOP_LEVEL] = (
-            max(figures[slot, TOP], value),
-            max(figures[slot, TOP_LEVEL], level),
-        )
-        times[slot, ABOVE] = t_ns
+        figures[slot, TOP] = max(figures[slot, TOP], value)
+        figures[slot, TOP_LEVEL], times[slot, ABOVE] = max(figures[slot, TOP_LEVEL], level), t_ns
     return k
 
 
 @jit
+def _let_count(
+    plan: Any, slot: int, stamps: IntArray, bins: Any, anywhere: int, limits: Any, out: Any, outside: Any, n: Any
+) -> None:
+    """Let a slot's values count as the envelope has it: less where a condition is near its limits, not beyond them."""
+    (ends_ns, conditions), depends, known = bins, plan[slot, DEPENDS] & anywhere, n[BINS]
+    first, stop, far, room, worst = -1, -1, 0.0, 1.0, (-1, 0)
+    for number in range(len(stamps) if depends else 0):
+        left = seen_from(ends_ns, max(first, 0), known, stamps[number], plan[slot, MEMORY_NS])
+        right = seen_from(ends_ns, max(stop, 0), known, stamps[number], n[BINS_NS])
+        if left != first or right != stop:
+            begin = left if first < 0 or 0 <= worst[0] < left else max(stop, left)  # the worst so far left, or it stays
+            newer = farthest(conditions, begin, right, depends)
+            if begin == left or worst[0] < 0 or (newer[0] >= 0 and conditions[newer[0], COUNT + newer[1]] > far):
+                worst = newer
+            first, stop, far, room = left, right, 0.0, 1.0
+            if worst[0] >= 0:
+                far = conditions[worst[0], COUNT + worst[1]]
+                room = 1.0 + limits[worst[1], 3] * min(far, 1.0) if plan[slot, GROWS] else 1.0
+        out[col.VALUE, number] /= room
+        if far > 1.0:
+            out[col.SOUND, number] = 0.0
+            outside[slot, worst[1], BEYOND] += 1.0
+            if far > outside[slot, worst[1], EXCESS]:
+                outside[slot, worst[1], EXCESS] = far
+                outside[slot, worst[1], FARTHEST] = conditions[worst[0], worst[1]]
+
+
+@jit
 def _take_values(
-    slot: int,
-    count: int,
-    fixed: Any,
-    times: Any,
-    bins: Any,
-    anywhere: int,
-    values: Any,
-    looks: FloatArray,
-    alarm: Any,
-    told: Any,
-    tally: Any,
-    numbers: IntArray,
+    slot: int, fixed: Any, t_ns: IntArray, values: Any, looks: FloatArray, alarm: Any, told: Any, judged: Any, n: Any
 ) -> int:
-    """Let a slot's new values count as the envelope has it, and note them in their looks; return the alarms told."""
-    plan, thresholds, limits = fixed
-    (t_ns, rates_ns), (ends_ns, conditions), (out, rotors, at, stamps) = times, bins, values
-    (judged, outside), k, known, width = tally, numbers[TOLD], numbers[BINS], rotors.shape[1]
-    depends, shift = plan[slot, DEPENDS] & anywhere, numbers[LAG] if plan[slot, BY_RATES] else 0
-    look, until, first, stop, far, room, worst = 0, numbers[FIRST_LOOK] * LOOK_NS, -1, -1, 0.0, 1.0, (-1, 0)
-    for number in range(count):
-        t = rates_ns[at[number]] if plan[slot, BY_RATES] else t_ns[at[number]]
-        stamps[number] = t
-        if depends:
-            left = seen_from(ends_ns, max(first, 0), known, t, plan[slot, MEMORY_NS])
-            right = seen_from(ends_ns, max(stop, 0), known, t, numbers[BINS_NS])
-            if left != first or right != stop:
-                first, stop, far, room = left, right, 0.0, 1.0
-                worst = farthest(conditions, first, stop, depends)
-                if worst[0] >= 0:
-                    far = conditions[worst[0], COUNT + worst[1]]
-                    room = 1.0 + limits[worst[1], 3] * min(far, 1.0) if plan[slot, GROWS] else 1.0
-            out[VALUE, number] /= room
-            if far > 1.0:
-                out[SOUND, number] = 0.0
-                outside[slot, worst[1], BEYOND] += 1.0
-                if far > outside[slot, worst[1], EXCESS]:
-                    outside[slot, worst[1], EXCESS] = far
-                    outside[slot, worst[1], FARTHEST] = conditions[worst[0], worst[1]]
+    """Note a slot's new values in their looks, and what they do to its alarm; return the alarms told."""
+    (plan, thresholds), (out, rotors, at, stamps), k = fixed, values, n[TOLD]
+    shift, delay, threshold = n[LAG] if plan[slot, BY_RATES] else 0, plan[slot, DELAY], thresholds[slot]
+    look, until, own, width, many, peak = 0, n[FIRST_LOOK] * LOOK_NS, 0, rotors.shape[1], 0.0, judged[slot, PEAK]
+    record = looks[0, slot]
+    highest, last, last_level, count, squares = record[0], record[1], record[4], record[2], record[3]
+    for number in range(len(stamps)):
+        t, value, level, above = stamps[number], out[col.VALUE, number], out[col.LEVEL, number], False
         while t_ns[at[number] + shift] > until:  # the first look from the row's own on
             look, until = look + 1, until + LOOK_NS
-        own = look + 1 if t + plan[slot, DELAY] > until else look
-        value, level, above = out[VALUE, number], out[LEVEL, number], False
-        if out[SOUND, number] > 0.5:
-            ratio, above = value / thresholds[slot], value > thresholds[slot]
-            if not looks[own, slot, HIGHEST] >= ratio:
-                looks[own, slot, HIGHEST] = ratio
-            looks[own, slot, LAST], looks[own, slot, LAST_LEVEL] = value, level
-            looks[own, slot, JUDGED] += 1.0
-            looks[own, slot, SQUARES] += level * level
+        if (look + 1 if t + delay > until else look) != own:
+            record[0], record[1], record[4], record[2], record[3] = highest, last, last_level, count, squares
+            own = look + 1 if t + delay > until else look
+            record = looks[own, slot]
+            highest, last, last_level, count, squares = record[0], record[1], record[4], record[2], record[3]
+        if out[col.SOUND, number] > 0.5:
+            ratio, above = value / threshold, value > threshold
+            highest = highest if highest >= ratio else ratio
+            last, last_level, count, squares = value, level, count + 1.0, squares + level * level
             for rotor in range(width):
-                looks[own, slot, EVIDENCE + rotor] = rotors[number, rotor]
-                looks[own, slot, EVIDENCE + width + rotor] += rotors[number, rotor]
-            judged[slot, VALUES] += 1.0
-            judged[slot, PEAK] = max(judged[slot, PEAK], value)
-        elif np.isnan(looks[own, slot, HIGHEST]):
-            looks[own, slot, HIGHEST] = -1.0
+                record[EVIDENCE + rotor] = rotors[number, rotor]
+                record[EVIDENCE + width + rotor] += rotors[number, rotor]
+            many, peak = many + 1.0, max(peak, value)
+        elif np.isnan(highest):
+            highest = -1.0
         if above or alarm[0][slot, OPEN] > 0.5:
             k = _alarm(alarm, plan, told, k, slot, own, t, above, value, level)
+    record[0], record[1], record[4], record[2], record[3] = highest, last, last_level, count, squares
+    judged[slot, VALUES] += many
+    judged[slot, PEAK] = peak
     return int(k)
 
 
 @jit
-def _cover(plan: IntArray, slot: int, count: int, out: FloatArray, stamps: IntArray, opened: Any, rows: int) -> None:
+def _cover(plan: IntArray, slot: int, out: FloatArray, stamps: IntArray, opened: Any, rows: int) -> None:
     """Mark the open rows (bit 62) that a valid value of this slot judged: the first one after a row, in its reach."""
     (open_ns, bits), row = opened, 0
-    for k in range(count):
-        if out[SOUND, k] < 0.5:
+    for k in range(len(stamps)):
+        if out[col.SOUND, k] < 0.5:
             continue
         while row < rows and open_ns[row] <= stamps[k]:
             if stamps[k] - open_ns[row] < plan[slot, REACH] and not bits[row] & plan[slot, NEEDS]:
@@ -340,28 +320,29 @@ def compiled() -> Callable[..., None]:
 
     @cached
     def run(
-        fixed: Any, state: Any, columns: Any, times: Any, bins: Any, values: Any, looked: Any, opened: Any, numbers: Any
+        fixed: Any, state: Any, x: Any, times: Any, bins: Any, values: Any, looked: Any, opened: Any, numbers: Any
     ) -> None:
         """Take the next rows. What is remembered is changed in place, and so are the numbers of the pass."""
-        (plan, thresholds, checks, limits, par), (x, flags), (t_ns, _) = fixed, columns, times
+        (plan, thresholds, checks, limits, par), (t_ns, rates_ns) = fixed, times
         mem, latest, alarms, alarms_ns, tally, outside, missing, doubts = state
         (out, rotors, none, at, counts), (looks, readings, heights, leads, told, told_ns) = values, looked
-        anywhere = _take_bins(x, flags, times, bins, limits, mem, numbers) if limits[0, 3] >= 0.0 else 0
-        _check_rows(x, flags, t_ns, checks, (missing, doubts), opened, numbers)
-        stamps = np.empty(len(t_ns), dtype=np.int64)
+        first, all_stamps = numbers[BEFORE], np.empty(len(t_ns), dtype=np.int64)
+        anywhere = _take_bins(x, times, bins, limits, mem, numbers) if limits[0, 3] >= 0.0 else 0
+        _check_rows(x, t_ns, all_stamps, checks, (missing, doubts), opened, numbers)
         for slot in range(len(plan)):
             evidence = rotors[plan[slot, ROTORS]] if plan[slot, ROTORS] >= 0 else none
             own_par = par[plan[slot, PAR] : plan[slot, PAR_END]]
             own_mem = mem[plan[slot, MEM] : plan[slot, MEM_END]]
-            count = loop(plan[slot, KIND], own_par, own_mem, x, flags, numbers[LAG], out[slot], evidence, at[slot])
-            counts[slot] = count
-            written, alarm, counted = (out[slot], evidence, at[slot], stamps), (alarms, alarms_ns), (tally, outside)
-            own_fixed, telling = (plan, thresholds, limits), (told, told_ns)
-            numbers[TOLD] = _take_values(
-                slot, count, own_fixed, times, bins, anywhere, written, looks, alarm, telling, counted, numbers
-            )
+            kind, known = plan[slot, KIND], first + numbers[LAG]
+            count = loop(kind, own_par, own_mem, x, first, known, out[slot], evidence, at[slot])
+            counts[slot], stamps, own_ns = count, all_stamps[:count], rates_ns if plan[slot, BY_RATES] else t_ns
+            for k in range(count):
+                stamps[k] = own_ns[at[slot, k]]
+            _let_count(plan, slot, stamps, bins, anywhere, limits, out[slot], outside, numbers)
+            written, alarm, telling = (out[slot], evidence, at[slot], stamps), (alarms, alarms_ns), (told, told_ns)
+            numbers[TOLD] = _take_values(slot, (plan, thresholds), t_ns, written, looks, alarm, telling, tally, numbers)
             if plan[slot, OWN]:
-                _cover(plan, slot, count, out[slot], stamps, opened, numbers[OPEN_ROWS])
+                _cover(plan, slot, out[slot], stamps, opened, numbers[OPEN_ROWS])
         _close_rows(opened, numbers)
         _read_looks(plan, looks, latest, (readings, heights, leads), numbers[FIRST_LOOK])
 
@@ -411,7 +392,11 @@ class Piece:
     @cached_property
     def found(self) -> tuple[Statistic, ...]:
         """The statistic of each slot."""
-        return tuple(self._statistic(number) for number in range(len(self.slots)))
+        found = list[Statistic]()
+        for slot, out, at, count, own in zip(self.slots, self.out, self.at, self.counts, self.plan, strict=True):
+            rotors = self.rotors[own[ROTORS], :count] if own[ROTORS] >= 0 else np.empty((count, 0))
+            found.append(slot.monitor.statistic(self.rows, out[:, :count], rotors, at[:count]))
+        return tuple(found)
 
     @property
     def gauges(self) -> tuple[Gauge, ...]:
@@ -419,37 +404,23 @@ class Piece:
         found = []
         for slot, count, out in zip(self.slots, self.counts.tolist(), self.out, strict=True):
             if count:
-                monitor, (value, sound, _, signal) = slot.monitor, out[:, count - 1].tolist()
-                figures = (value, slot.threshold, signal, monitor.reference)
-                found.append(Gauge(*slot.key, monitor.unit, *figures, valid=sound > 0.5))
+                monitor, latest = slot.monitor, out[:, count - 1].tolist()
+                figures = (latest[col.VALUE], slot.threshold, latest[monitor.shown], monitor.reference)
+                found.append(Gauge(*slot.key, monitor.unit, *figures, valid=latest[col.SOUND] > 0.5))
         return tuple(found)
-
-    def _statistic(self, number: int) -> Statistic:
-        monitor, count, place = self.slots[number].monitor, self.counts[number], self.plan[number, ROTORS]
-        times = self.rows.rates.t_ns if monitor.by_rates else self.rows.block.t_ns
-        value, sound, level, signal = self.out[number, :, :count]
-        rotors = self.rotors[place, :count] if place >= 0 else np.empty((count, 0))
-        period_s = monitor.period_s(self.rows.block.dt_s)
-        return Statistic(times[self.at[number, :count]], period_s, value, sound > 0.5, level, signal, rotors)
 
 
 @dataclass(frozen=True, slots=True)
 class Looked:
-    """Looks that are whole. first: number of the first one; the number times `LOOK_NS` is its vehicle time.
+    """Looks that are whole."""
 
-    readings: (looks, slots, ..) as `RATIO` and its fellows say. sums: (looks, slots, ..) as `HIGHEST` and its fellows.
-    heights, leads: how high the highest fresh ratio of each look is, and whose, -1 for none; a height is None where it
-        is to be found anew. alarms: what opened or closed, in order of looks.
-    end_ns: vehicle time of the last look, where it is none of every 0.1 s.
-    """
-
-    first: int = 0
-    readings: FloatArray = field(default_factory=lambda: np.empty((0, 0, READ_ROTORS)))
-    sums: FloatArray = field(default_factory=lambda: np.empty((0, 0, EVIDENCE)))
-    heights: Sequence[int | None] = ()
-    leads: Sequence[int] = ()
-    alarms: tuple[Alarm, ...] = ()
-    end_ns: int | None = None
+    first: int = 0  # number of the first one; the number times `LOOK_NS` is its vehicle time
+    readings: FloatArray = field(default_factory=lambda: np.empty((0, 0, READ_ROTORS)))  # (looks, slots, `RATIO`..)
+    sums: FloatArray = field(default_factory=lambda: np.empty((0, 0, EVIDENCE)))  # (looks, slots, `HIGHEST`..)
+    heights: Sequence[int | None] = ()  # of the highest fresh ratio; None where it is to be found anew
+    leads: Sequence[int] = ()  # whose it is, -1 for none
+    alarms: tuple[Alarm, ...] = ()  # what opened or closed, in order of looks
+    end_ns: int | None = None  # vehicle time of the last look, where it is none of every 0.1 s
 
 
 @dataclass(frozen=True, slots=True)
@@ -463,21 +434,15 @@ class Outside:
 
 @dataclass(frozen=True, slots=True)
 class Account:
-    """How long a slot judged, and why it did not.
+    """How long a slot judged, and why it did not."""
 
-    flight_s: flight time so far.
-    judged_s: time that its valid values stand for.
-    peak: highest valid statistic; None if there was none.
-    missing: flight time with a valid gyro in which what it takes of a signal was unknown, and flight time in which the
-        gyro is there but must not be judged (`rows.quality.Doubt`), by the reason as a person reads it [s].
-    outside: time that it did not judge because a condition was outside of the envelope, and how far that was.
-    """
-
-    flight_s: float = 0.0
-    judged_s: float = 0.0
-    peak: float | None = None
+    flight_s: float = 0.0  # flight time so far
+    judged_s: float = 0.0  # time that its valid values stand for
+    peak: float | None = None  # highest valid statistic
+    # Flight time with a valid gyro in which what it takes of a signal was unknown, and flight time in which the gyro is
+    # there but must not be judged (`rows.quality.Doubt`), by the reason as a person reads it [s].
     missing: dict[str, float] = field(default_factory=dict)
-    outside: dict[Condition, Outside] = field(default_factory=dict)
+    outside: dict[Condition, Outside] = field(default_factory=dict)  # the envelope did not let it judge
 
     @property
     def outside_s(self) -> float:
@@ -500,37 +465,28 @@ Stretch = tuple[int, int]
 
 @dataclass(slots=True, eq=False)
 class Memory:
-    """All that the pass remembers; it is changed in place.
+    """All that the pass remembers; it is changed in place."""
 
-    mem, latest, alarms, alarms_ns: of the present segment: the loops' memory, latest readings, open alarms.
-    tally, outside, missing, doubts, rows: what was counted since the start, of slots, conditions, checks and doubts.
-    bins_ns, bins: of conditions that may still count. looks: records of the next two looks.
-    next_look: number of the first look that is not whole; None before the first row. told: alarms of looks to come.
-    open_ns, bits: rows that later values may still reach back to, and the checks that they fail.
-    flown, judged: rows in the air, without take-offs, and how many of them any slot that decides about propellers
-        judged: that lie in the window of a valid value of it, as far as it knew its signals there.
-    unjudged: the stretches that nothing can reach any more, in order of time.
-    """
-
-    mem: FloatArray
+    mem: FloatArray  # of the present segment: the loops' memory, latest columns and readings, open alarms
+    past: FloatArray
     latest: FloatArray
     alarms: FloatArray
     alarms_ns: IntArray
-    tally: FloatArray
+    tally: FloatArray  # what was counted since the start: of slots, conditions, checks and doubts
     outside: FloatArray
     missing: IntArray
     doubts: IntArray
-    bins_ns: IntArray
+    bins_ns: IntArray  # of conditions that may still count
     bins: FloatArray
-    looks: FloatArray
-    open_ns: IntArray
+    looks: FloatArray  # records of the next two looks
+    open_ns: IntArray  # rows that later values may still reach back to, and the checks that they fail
     bits: IntArray
-    next_look: int | None = None
-    told: tuple[Alarm, ...] = ()
+    next_look: int | None = None  # number of the first look that is not whole; None before the first row
+    told: tuple[Alarm, ...] = ()  # of looks to come
     rows: int = 0
-    flown: int = 0
-    judged: int = 0
-    unjudged: tuple[Stretch, ...] = ()
+    flown: int = 0  # rows in the air, without take-offs
+    judged: int = 0  # those in the window of a valid value of a slot that decides about propellers and knew its signals
+    unjudged: tuple[Stretch, ...] = ()  # the stretches that nothing can reach any more, in order of time
 
 
 class Kernel:
@@ -545,9 +501,10 @@ class Kernel:
         self._needs = [sorted(slot.monitor.signals) for slot in slots]
         checks = dict.fromkeys(_check(slot, signal) for slot in slots for signal in sorted(slot.monitor.signals))
         self._bit = {check: number for number, check in enumerate(checks)}
-        own = [slot.monitor.parameters_at(dt_s) for slot in slots]
-        memories = [conditions_memory(), *(slot.monitor.memory(dt_s) for slot in slots)]
-        self._start, self._rotors = np.concatenate(memories), max((slot.monitor.rotors for slot in slots), default=0)
+        begun = [slot.monitor.begin(dt_s) for slot in slots]
+        own, memories = [one.par for one in begun], [conditions_memory(), *(one.mem for one in begun)]
+        self._back, self._start = max((one.back for one in begun), default=0), np.concatenate(memories)
+        self._rotors = max((slot.monitor.rotors for slot in slots), default=0)
         plan = self._plan(np.cumsum([0, *map(len, own)]), np.cumsum(list(map(len, memories))))
         limits = limits_of(covered)
         limits[:, 3] = limits[:, 3] if covered else -1.0
@@ -556,7 +513,7 @@ class Kernel:
         self._fixed = (plan, thresholds, checked, limits, np.concatenate([np.empty(0), *own]))
         self._tellers = int(plan[:, ROTORS].max(initial=-1)) + 1
         bins_ns = round((delay_s + BIN_S) * NS_PER_S)  # from so long on a bin is known
-        self._bins = (_bits(TRIM_CONDITIONS), round(TRIM_MEMORY_S * NS_PER_S), bins_ns)
+        self._bins = (_bits(col.TRIM_CONDITIONS), round(col.TRIM_MEMORY_S * NS_PER_S), bins_ns)
         self._late_ns = int(plan[plan[:, OWN] > 0, REACH].max(initial=0)) + LATE_NS
         self._longest_ns = int(plan[:, MEMORY_NS].max(initial=0)) + bins_ns + round(BIN_S * NS_PER_S)
 
@@ -581,7 +538,7 @@ class Kernel:
         tally, outside, alarms = np.zeros((slots, 2)), np.zeros((slots, COUNT, 3)), np.zeros((slots, 4))
         latest[:, AT], tally[:, PEAK] = NEVER, -np.inf
         counts = np.zeros(len(self._bit), dtype=np.int64), np.zeros(len(DOUBTS), dtype=np.int64)
-        segment = self._start.copy(), latest, alarms, np.zeros((slots, 2), dtype=np.int64)
+        segment = self._start.copy(), col.no_past(self._back), latest, alarms, np.zeros((slots, 2), dtype=np.int64)
         bins = never, np.empty((0, 2 * COUNT))
         return Memory(*segment, tally, outside, *counts, *bins, self._records(2), never, never)
 
@@ -589,13 +546,13 @@ class Kernel:
         """At the border of a segment: only what was counted stays, and no value reaches back over it."""
         memory.unjudged = _stretches(memory.unjudged, memory.open_ns, self.dt_s)
         fresh = self.start()
-        for name in ("mem", "latest", "alarms", "alarms_ns", "bins_ns", "bins", "looks", "open_ns", "bits"):
+        for name in ("mem", "past", "latest", "alarms", "alarms_ns", "bins_ns", "bins", "looks", "open_ns", "bits"):
             setattr(memory, name, getattr(fresh, name))
         memory.next_look, memory.told = None, ()
 
     def step(self, memory: Memory, rows: Rows) -> tuple[Looked, Piece]:
         """Take the next rows of the segment; return the looks that they make whole, and all values."""
-        block, columns, slots = rows.block, columns_of(rows), len(self.slots)
+        block, columns, slots = rows.block, col.columns_of(rows, memory.past), len(self.slots)
         n, times = len(block), (block.t_ns.copy(), rows.rates.t_ns.copy())  # a log's cannot always be written
         first_ns, now_ns = int(times[0][0]), int(times[0][-1])
         first = -(-first_ns // LOOK_NS) if memory.next_look is None else memory.next_look
@@ -611,21 +568,18 @@ class Kernel:
         out, rotors = np.empty((slots, 4, n)), np.empty((self._tellers, n, self._rotors))
         at, counts = np.empty((slots, n), dtype=np.int64), np.zeros(slots, dtype=np.int64)
         late_ns = now_ns - self._late_ns
-        numbers = np.array(
-            [columns.lag, first, block.settled_ns, late_ns, *self._bins, known, opened, 0, 0, 0, 0], dtype=np.int64
-        )
+        numbers, lag = np.zeros(NUMBERS, dtype=np.int64), columns.known - columns.first
+        numbers[: OPEN_ROWS + 1] = columns.first, lag, first, block.settled_ns, late_ns, *self._bins, known, opened
         state = (memory.mem, memory.latest, memory.alarms, memory.alarms_ns)
         counted = (memory.tally, memory.outside, memory.missing, memory.doubts)
         looked = (looks, readings, found[0], found[1], *told)
         values = (out, rotors, NO_ROTORS, at, counts)
-        judge(
-            self._fixed, (*state, *counted), (columns.x, columns.flags), times, bins, values, looked, rows_open, numbers
-        )
+        judge(self._fixed, (*state, *counted), columns.x, times, bins, values, looked, rows_open, numbers)
         known, opened, tells, gone, flown, covered = numbers[BINS:].tolist()
         if tells:
             pairs = zip(told[1][:tells].tolist(), told[0][:tells].tolist(), strict=True)
             memory.told += tuple(Alarm(first + look, *whose, *high) for (look, *whose), high in pairs)
-        memory.next_look = first + done
+        memory.past, memory.next_look = columns.past, first + done
         alarms = tuple(sorted((one for one in memory.told if one.look < memory.next_look), key=lambda one: one.look))
         memory.told = tuple(one for one in memory.told if one.look >= memory.next_look)
         memory.bins_ns, memory.bins, memory.looks = bins[0][:known], bins[1][:known], looks[done:]
@@ -690,9 +644,9 @@ NO_ROTORS = np.empty((0, 0))
 def _check(slot: Slot, signal: Signal) -> tuple[int, int]:
     """How it is seen in a column that what a slot takes of a signal is known."""
     if signal in (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT):
-        return -1, VALID if signal is Signal.BODY_RATE else SETPOINT
-    first, stop = PLACES[signal]
-    cut = slot.monitor.columns(signal)
+        return -1, col.VALID if signal is Signal.BODY_RATE else col.SETPOINT
+    first, stop = col.PLACES[signal]
+    cut = slot.monitor.takes.get(signal, slice(None))
     return first + (cut.start or 0), stop if cut.stop is None else first + cut.stop
 
 

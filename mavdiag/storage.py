@@ -3,10 +3,9 @@
 A `Shelf` puts arrays aside that are too many for the memory.
 """
 
-import fcntl
 import math
-import mmap
 import os
+import secrets
 import stat
 import tempfile
 import tomllib
@@ -26,15 +25,11 @@ TOML_BYTES = 32 << 10  # the longest of ours has 7 kB; tomllib takes seconds for
 TEXT_BYTES = 8 << 20  # baselines have some hundred kilobytes (our choice)
 SHELF_BYTES = 32 << 20  # of arrays that a shelf keeps in memory before it opens its file (our choice)
 ALIGN_BYTES = 64  # of an array in that file
-FEW = 100  # rows that are looked at before all of them
 
 
 @contextmanager
 def open_regular(path: Path, most_bytes: int) -> Iterator[BinaryIO]:
-    """A file to read, which is a regular one and has at most so many bytes: no device without end, no pipe to wait for.
-
-    Raises InputError, naming it, if it is no such file or cannot be opened.
-    """
+    """A regular file of at most so many bytes: no device without end, no pipe to wait for. Raises InputError."""
     try:
         file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
     except FileNotFoundError as error:
@@ -80,10 +75,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 
 def check_output(path: Path) -> None:
-    """Raise UsageError unless a file can be written at this path: new, or a regular file that may be replaced.
-
-    Writing replaces a file by a new one, which would turn a device or a link into a plain file.
-    """
+    """Raise UsageError unless a file can be written here: new, or a regular one that may be replaced by a new one."""
     if path.is_symlink() or (path.exists() and not path.is_file()):
         kind = "a symbolic link" if path.is_symlink() else "a folder" if path.is_dir() else "not a regular file"
         raise UsageError(f"{path}: is {kind}; name a file to write")
@@ -99,64 +91,21 @@ def write_atomically(path: Path, content: str | bytes, *, durable: bool = True) 
     durable: wait until the disk has it; without, a loss of power may leave an empty file.
     """
     check_output(path)
-    temporary = path.with_name(f".{path.name}.tmp")
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
-        with _locked_anew(temporary) as file:
-            file.write(content.encode() if isinstance(content, str) else content)
-            file.flush()
-            if durable:
-                os.fsync(file.fileno())
-            if path.exists():
-                os.fchmod(file.fileno(), stat.S_IMODE(path.stat().st_mode))
+        try:
+            with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
+                file.write(content.encode() if isinstance(content, str) else content)
+                file.flush()
+                if durable:
+                    os.fsync(file.fileno())
+                if path.exists():
+                    os.fchmod(file.fileno(), stat.S_IMODE(path.stat().st_mode))
             temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
     except OSError as error:
         raise UsageError(f"{path}: cannot be written ({error.strerror or error}); name another file") from error
-
-
-@contextmanager
-def _locked_anew(path: Path) -> Iterator[BinaryIO]:
-    """A new file of this name, locked until it is closed; what an earlier program left there is removed first.
-
-    Another writer of the same name is waited for. If the block fails, the file is removed. Raises OSError.
-    """
-    while True:
-        try:
-            file = os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666), "wb")
-        except FileExistsError:
-            _remove_left(path)
-            continue
-        with file:
-            fcntl.flock(file, fcntl.LOCK_EX)
-            if not _is_at(file.fileno(), path):  # another one took it for a file that was left
-                continue
-            try:
-                yield file
-            finally:
-                if _is_at(file.fileno(), path):  # not renamed: the block failed
-                    path.unlink()
-            return
-
-
-def _remove_left(path: Path) -> None:
-    """Remove a file once nobody holds its lock. Raises OSError."""
-    try:
-        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    except FileNotFoundError:
-        return
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        if _is_at(handle, path):
-            path.unlink()
-    finally:
-        os.close(handle)
-
-
-def _is_at(handle: int, path: Path) -> bool:
-    """Whether an open file has this name still."""
-    try:
-        return os.path.samestat(os.fstat(handle), path.stat(follow_symlinks=False))
-    except FileNotFoundError:
-        return False
 
 
 class Shelf:
@@ -173,10 +122,6 @@ class Shelf:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Give the file back; what it kept is gone, but for arrays that are still held."""
         if self._file is not None:
             self._file.close()
             self._file = None
@@ -184,8 +129,7 @@ class Shelf:
     def put(self, arrays: Sequence[NDArray[Any]]) -> Callable[[], Arrays]:
         """Keep these arrays. What is returned gives them, read-only, as often as it is called while the shelf is open.
 
-        Those in the file take memory where they are touched, until the last of them is dropped. An array whose rows are
-        all alike takes the place of one. Raises UsageError if the disk is full.
+        An array whose rows are all alike takes the place of one. Raises UsageError if the disk is full.
         """
         size = sum(one.nbytes for one in arrays)
         if size <= self._left:
@@ -195,31 +139,25 @@ class Shelf:
         try:
             return self._written(arrays)
         except OSError as error:
-            folder = tempfile.gettempdir()
-            raise UsageError(
-                f"{folder}: no room to put {size >> 20} MB aside ({error.strerror or error}); set TMPDIR to a folder "
-                "with more"
-            ) from error
+            room = f"no room to put {size >> 20} MB aside ({error.strerror or error})"
+            raise UsageError(f"{tempfile.gettempdir()}: {room}; set TMPDIR to a folder with more") from error
 
     def _written(self, arrays: Sequence[NDArray[Any]]) -> Callable[[], Arrays]:
         file = self._file = self._file or tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # as long as the shelf is
-        start, rows = self._end, [one[: len(one) if _varies(one) else 1].copy(order="K") for one in arrays]
         places = []
-        for row in rows:
-            places.append(self._end - start)
-            self._write(file, np.ascontiguousarray(row.T).reshape(-1).view(np.uint8).data)  # column by column
-            self._write(file, memoryview(bytes(-self._end % ALIGN_BYTES)))
-        length = self._end - start
-        self._write(file, memoryview(bytes(-self._end % mmap.ALLOCATIONGRANULARITY)))
-        kept = [(at, row.shape, row.dtype, one.shape) for at, row, one in zip(places, rows, arrays, strict=True)]
+        for array in arrays:
+            rows = array if _varies(array) else array[:1]
+            places.append((self._end, rows.dtype, rows.shape, array.shape))
+            columns = memoryview(np.ascontiguousarray(rows.T).reshape(-1).view(np.uint8).data)
+            for data in (columns, memoryview(bytes(-len(columns) % ALIGN_BYTES))):
+                self._write(file, data)
 
         def get() -> Arrays:
-            data = mmap.mmap(file.fileno(), length, offset=start, access=mmap.ACCESS_READ) if length else b""
             return tuple(
-                np.broadcast_to(np.frombuffer(data, dtype, math.prod(shape), at).reshape(shape[::-1]).T, whole)
+                np.broadcast_to(np.memmap(file, dtype, "r", at, shape, "F"), whole)
                 if math.prod(shape)
                 else np.empty(whole, dtype)
-                for at, shape, dtype, whole in kept
+                for at, dtype, shape, whole in places
             )
 
         return get
@@ -232,9 +170,9 @@ class Shelf:
 
 
 def _varies(array: NDArray[Any]) -> bool:
-    few = array[:: len(array) // FEW or 1]
-    return not (_alike(few) and _alike(array))
-
-
-def _alike(rows: NDArray[Any]) -> bool:
-    return np.array_equal(rows, np.broadcast_to(rows[:1], rows.shape), equal_nan=rows.dtype.kind == "f")
+    """Whether the rows differ; a few of them tell mostly."""
+    few = array[:: len(array) // 100 or 1]
+    return not all(
+        np.array_equal(rows, np.broadcast_to(rows[:1], rows.shape), equal_nan=rows.dtype.kind == "f")
+        for rows in (few, array)
+    )

@@ -1,19 +1,14 @@
-"""The values that cross module boundaries: one time type, one telemetry shape, one log, array aliases.
+"""The values that cross module boundaries, in SI units and in the body frame FRD (x forward, y right, z down)."""
 
-Everything here is in SI units and in the body frame FRD (x forward, y right, z down). Bytes become these values in
-`mavdiag.link.samples` and in the readers of `mavdiag.logs`, and nowhere else.
-"""
-
-import importlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mavdiag.errors import InputError, UsageError
+from mavdiag.errors import InputError
 from mavdiag.units import NS_PER_S
 
 FloatArray: TypeAlias = NDArray[np.float64]
@@ -24,13 +19,7 @@ Three: TypeAlias = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, order=True)
 class Instant:
-    """A point in time, in nanoseconds of one clock. Spans are plain float seconds.
-
-    >>> Instant(2_000_000_000) - Instant(500_000_000)
-    1.5
-    >>> Instant(0) + 0.25
-    Instant(ns=250000000)
-    """
+    """A point in time, in nanoseconds of one clock. Spans are plain float seconds."""
 
     ns: int
 
@@ -42,7 +31,7 @@ class Instant:
 
 
 class Axis(StrEnum):
-    """A body axis, by the name of the rotation about it. Its value indexes nothing: use `Axis.column`."""
+    """A body axis, by the name of the rotation about it."""
 
     ROLL = "roll"
     PITCH = "pitch"
@@ -55,7 +44,7 @@ class Axis(StrEnum):
 
 
 class Signal(StrEnum):
-    """What a series measures. The comment gives the columns and their unit."""
+    """What a series measures. The comment gives its columns and their unit."""
 
     ATTITUDE_SETPOINT = "attitude_setpoint"  # roll, pitch, yaw [rad]
     RATE_SETPOINT = "rate_setpoint"  # p, q, r [rad/s]
@@ -72,42 +61,21 @@ class Signal(StrEnum):
     ARMED = "armed"  # 0 or 1
 
 
-_RPY, _XYZ, _PQR = ("roll", "pitch", "yaw"), ("x", "y", "z"), ("p", "q", "r")
-_NUMBERED: tuple[str, ...] = ()  # as many columns as the vehicle has outputs or rotors
-_UNIT_AND_COLUMNS = {
-    Signal.ATTITUDE_SETPOINT: ("rad", _RPY),
-    Signal.RATE_SETPOINT: ("rad/s", _PQR),
-    Signal.THRUST_SETPOINT: ("", ("thrust",)),
-    Signal.TORQUE_COMMAND: ("", _RPY),
-    Signal.BODY_RATE: ("rad/s", _PQR),
-    Signal.SPECIFIC_FORCE: ("m/s^2", _XYZ),
-    Signal.ATTITUDE: ("rad", _RPY),
-    Signal.ACTUATOR: ("", _NUMBERED),
-    Signal.ROTOR_SPEED: ("rad/s", _NUMBERED),
-    Signal.VIBRATION: ("m/s^2", _XYZ),
-    Signal.HEIGHT: ("m", ("height",)),
-    Signal.VOLTAGE: ("V", ("voltage",)),
-    Signal.ARMED: ("", ("armed",)),
+_UNITS = {
+    **dict.fromkeys((Signal.ATTITUDE_SETPOINT, Signal.ATTITUDE), "rad"),
+    **dict.fromkeys((Signal.RATE_SETPOINT, Signal.BODY_RATE, Signal.ROTOR_SPEED), "rad/s"),
+    **dict.fromkeys((Signal.SPECIFIC_FORCE, Signal.VIBRATION), "m/s^2"),
+    Signal.HEIGHT: "m",
+    Signal.VOLTAGE: "V",
 }
-
-
-def pandas_module() -> Any:
-    """pandas, which is no requirement. Raises UsageError if it is not installed."""
-    try:
-        return importlib.import_module("pandas")
-    except ImportError as error:
-        raise UsageError("to_frame needs pandas, which is not installed: pip install pandas") from error
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Series:
     """One signal over a span of time, as it came: gaps, jitter and order untouched.
 
-    signal: what it measures.
-    t_ns: (n,) vehicle clock [ns], counter wraps removed.
-    host_ns: (n,) clock of the receiver or recorder [ns].
-    values: (n, k), the columns and units that `Signal` gives.
-    Raises InputError if the lengths differ.
+    t_ns, host_ns: (n,) clocks of the vehicle, counter wraps removed, and of the receiver or recorder [ns].
+    values: (n, k), the columns and units that `Signal` gives. Raises InputError if the lengths differ.
     """
 
     signal: Signal
@@ -129,32 +97,13 @@ class Series:
 
     @property
     def unit(self) -> str:
-        """Unit of the values; empty for a pure number."""
-        return _UNIT_AND_COLUMNS[self.signal][0]
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """A name for each column: roll, pitch, yaw and the like; outputs and rotors count from 1."""
-        named = _UNIT_AND_COLUMNS[self.signal][1]
-        return named or tuple(str(number) for number in range(1, self.values.shape[1] + 1))
-
-    def to_frame(self) -> Any:
-        """A pandas.DataFrame: the columns, with `t_s` as the index. Raises UsageError if pandas is not installed."""
-        pandas = pandas_module()
-        return pandas.DataFrame(self.values, index=pandas.Index(self.t_s, name="t_s"), columns=list(self.columns))
-
-    def __repr__(self) -> str:
-        span_s = float(self.t_s.max() - self.t_s.min()) if len(self) else 0.0
-        unit = f" [{self.unit}]" if self.unit else ""
-        return f"<Series {self.signal}: {len(self)} x {self.values.shape[1]}{unit} in {span_s:.3f} s>"
+        """Of the values; empty for a pure number."""
+        return _UNITS.get(self.signal, "")
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Telemetry:
-    """What one vehicle sent in a span of time: a whole log, or what arrived since the last look at a live link.
-
-    series: at most one per signal; a signal that did not occur is absent.
-    """
+    """What one vehicle sent in a span of time: at most one series per signal; what did not occur is absent."""
 
     series: tuple[Series, ...] = ()
 
@@ -179,24 +128,18 @@ class Telemetry:
     def __iter__(self) -> Iterator[Series]:
         return iter(self.series)
 
-    def __repr__(self) -> str:
-        return f"<Telemetry: {', '.join(f'{one.signal} ({len(one)})' for one in self.series) or 'empty'}>"
-
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Log:
     """One vehicle's flight, from a file or from a live link.
 
-    name: what to call it in a report (a file's name).
-    sha256: of the whole file, hexadecimal; empty where there is no file.
-    profile: link profile that its signals follow, a key of `mavdiag.link.profiles.PROFILES`, or that of a log format.
-    telemetry: its signals.
+    name, sha256: what to call it (a file's name), and of the whole file, hexadecimal; empty where there is no file.
+    profile: that its signals follow, a key of `mavdiag.link.profiles.PROFILES`, or that of a log format.
     started_ns: wall-clock time of the first record, unix epoch [ns]; 0 if the file does not say.
     notes: what is wrong with the file though it can be used, one sentence each.
-    parameters: the autopilot's own parameters by name, as far as the log or link carries them; the latest values.
+    parameters: the autopilot's own, by name, as far as the log or link carries them; the latest values.
     motor_order: whether the columns of ACTUATOR are the motors in their order, and not the outputs of the autopilot.
-    mav_type: MAV_TYPE of the vehicle; None where the log does not say.
-    vehicle: MAVLink system id; None for a log of a kind that holds one vehicle.
+    mav_type, vehicle: MAV_TYPE and MAVLink system id; None where the log does not say.
     """
 
     name: str

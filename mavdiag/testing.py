@@ -1,6 +1,7 @@
 """Rows from plain arrays: for the examples in the docstrings, and for tests."""
 
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
@@ -22,44 +23,29 @@ def example_rows(
     segment: int = 0,
     setpoint: FloatArray | None = None,
     rate: FloatArray | None = None,
-    actuator: FloatArray | None = None,
-    torque: FloatArray | None = None,
-    thrust: FloatArray | None = None,
-    attitude: FloatArray | None = None,
-    vibration: FloatArray | None = None,
-    force: FloatArray | None = None,
-    valid: BoolArray | None = None,
-    setpoint_valid: BoolArray | None = None,
+    **columns: FloatArray | BoolArray | None,
 ) -> Rows:
-    """n rows of one segment with the signals given, (n, k) each, in the units of `Block`.
+    """n rows of one segment with the columns of `Block` given, (n, k) each; other signals are absent.
 
-    The set-point is at rest if not given, other signals are absent. The gyro, if not given, turns the nose as the
-    set-point commands and is at rest about the other axes. Rates by Savitzky-Golay filters of 5 samples.
+    The set-point is at rest if not given; the gyro turns the nose as it commands. Rate filters of 5 samples.
     """
-    absent, still, always = np.full((n, 3), np.nan), np.zeros((n, 3)), np.ones(n, dtype=np.bool_)
+    wide, narrow, always = np.full((n, 3), np.nan), np.full(n, np.nan), np.ones(n, dtype=np.bool_)
     turning = np.zeros((n, 3))
     if setpoint is not None and n > 1:
         turning[:, 2] = np.gradient(setpoint[:, 2], dt_s)
-    block = Block(
-        segment=segment,
-        dt_s=dt_s,
-        t_ns=round(segment * 1e12) + np.round(np.arange(n) * dt_s * 1e9).astype(np.int64),
-        setpoint=still if setpoint is None else setpoint,
-        rate=turning if rate is None else rate,
-        force=absent if force is None else force,
-        torque=absent if torque is None else torque,
-        rate_setpoint=absent,
-        thrust=absent[:, 0] if thrust is None else thrust,
-        attitude=absent if attitude is None else attitude,
-        height=absent[:, 0],
-        voltage=absent[:, 0],
-        armed=np.ones(n),
-        vibration=absent if vibration is None else vibration,
-        actuator=np.empty((n, 0)) if actuator is None else actuator,
-        valid=always if valid is None else valid,
-        setpoint_valid=always if setpoint_valid is None else setpoint_valid,
-        doubt=np.zeros(n),
-    )
+    made: dict[str, Any] = {
+        "setpoint": np.zeros((n, 3)) if setpoint is None else setpoint,
+        "rate": turning if rate is None else rate,
+        **dict.fromkeys(("force", "torque", "rate_setpoint", "attitude", "vibration"), wide),
+        **dict.fromkeys(("thrust", "height", "voltage"), narrow),
+        "armed": np.ones(n),
+        "actuator": np.empty((n, 0)),
+        "doubt": np.zeros(n),
+        **dict.fromkeys(("valid", "setpoint_valid"), always),
+        **{name: column for name, column in columns.items() if column is not None},
+    }
+    t_ns = round(segment * 1e12) + np.round(np.arange(n) * dt_s * 1e9).astype(np.int64)
+    block = Block(segment=segment, dt_s=dt_s, t_ns=t_ns, **made)
     spec = RateSpec.of(dt_s, WINDOW)
     return Rows(block, spec.step(spec.start(), block))
 

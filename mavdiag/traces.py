@@ -19,25 +19,17 @@ from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RateTrace:
-    """The rates of one axis beside the model's (T Fig 5.6 to 5.8), in order of time; segments follow each other.
-
-    segment: (n,) which stretch without a break a row is of.
-    t_ns: (n,) vehicle time.
-    commanded, measured, simulated: (n,) body rate [rad/s]; commanded is 0 where no set-point is known.
-    fsd_s: (n,) time above the margin without a break, so far [s].
-    judged: (n,) False where nothing may be concluded.
-    margin_rad_s, fml_s: of the baseline.
-    """
+    """The rates of one axis beside the model's (T Fig 5.6 to 5.8), (n,) each in order of time."""
 
     axis: Axis
-    segment: IntArray
+    segment: IntArray  # which stretch without a break a row is of
     t_ns: IntArray
-    commanded: FloatArray
+    commanded: FloatArray  # body rates [rad/s]; commanded is 0 where no set-point is known
     measured: FloatArray
     simulated: FloatArray
-    fsd_s: FloatArray
-    judged: BoolArray
-    margin_rad_s: float
+    fsd_s: FloatArray  # time above the margin without a break, so far
+    judged: BoolArray  # False where nothing may be concluded
+    margin_rad_s: float  # of the baseline
     fml_s: float
 
     @property
@@ -60,7 +52,7 @@ def rate_traces(chain: Chain, pieces: Sequence[Piece]) -> tuple[RateTrace, ...]:
     for number, slot in enumerate(chain.slots):
         if not isinstance(slot.monitor, RunLength):
             continue
-        axis, found = slot.monitor.axis, joined([piece.found[number] for piece in pieces])
+        axis, found = slot.monitor.spec.axis, joined([piece.found[number] for piece in pieces])
         segment = _column([np.full(len(block), block.segment) for block in rates], np.int64)
         u, y = (_column([getattr(block, name)[:, axis.column] for block in rates]) for name in ("u", "y"))
         rows = (segment, found.t_ns, u, y, y - found.signal, found.value, found.valid)

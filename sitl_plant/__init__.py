@@ -1,10 +1,6 @@
-"""A software-in-the-loop multirotor, by default a QDrone 2, seen over MAVLink.
+"""A software-in-the-loop multirotor, by default a QDrone 2, seen over MAVLink; `sitl_plant.plant.Plant` is its core.
 
-Flight dynamics, control, sensors and propeller faults:
-
-    trajectory ▶ controller ▶ mixer ▶ rotors × faults ▶ rigid body ▶ sensors ▶ attitude estimate ┐
-         ▲                                                                └─ motion capture ─────┤
-         └───────────────────────────────────────────────────────────────────────────────────────┘
-
-`sitl_plant.plant` has the one class to use, `Plant`.
+trajectory ▶ controller ▶ mixer ▶ rotors × faults ▶ rigid body ▶ sensors ▶ attitude estimate ┐
+     ▲                                                                └─ motion capture ─────┤
+     └───────────────────────────────────────────────────────────────────────────────────────┘
 """

@@ -23,38 +23,25 @@ from sitl_plant.emulator import FlightReport, Link, fly, record_flight
 from sitl_plant.hil.command import serve_ardupilot, serve_hil, serve_px4
 from sitl_plant.options import STARTING, FlightPlan, TruthFile, parse_speed, with_flight
 from sitl_plant.plant import Plant, PlantSamples
-from sitl_plant.stand import stand
 from sitl_plant.truth import Truth, truth_file
 
 RECORD_S = 60.0  # a recorded flight, unless --duration says otherwise
+_LINKS = "udpout:H:P, udpin:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD; repeat it for several links."
 
 app = commandline.application("Fly an emulated multirotor with propeller faults over MAVLink.", "sitl-plant")
-app.command()(campaign)
-app.command()(stand)
-app.command()(serve_ardupilot)
-app.command()(serve_px4)
-app.command()(serve_hil)
+for command in (campaign, serve_ardupilot, serve_px4, serve_hil):
+    app.command()(command)
 
 
 @app.command()
 @with_flight
 def run(
     plan: FlightPlan,
-    out: Annotated[
-        list[str],
-        Option(
-            metavar="ENDPOINT",
-            help="udpout:H:P, udpin:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD; repeat it for several links.",
-        ),
-    ] = ["udpout:127.0.0.1:14550"],  # noqa: B006  # typer copies its defaults
+    out: Annotated[list[str], Option(metavar="ENDPOINT", help=_LINKS)] = ["udpout:127.0.0.1:14550"],  # noqa: B006
     speed: Annotated[str, Option(metavar="X|max", help="Flight seconds a second.")] = "1",
-    fresh: Annotated[
-        bool, Option("--fresh-link", help="Send unasked only what the real autopilot of the profile does.")
-    ] = False,
+    fresh: Annotated[bool, Option("--fresh-link", help="Send unasked only what the real autopilot does.")] = False,
     truth: TruthFile = None,
-    signing_key: Annotated[
-        Path | None, Option(metavar="FILE", help="Key of MAVLink 2 signing: sign, and refuse what is not signed.")
-    ] = None,
+    signing_key: Annotated[Path | None, Option(metavar="FILE", help="Sign, and refuse what is not signed.")] = None,
     as_json: Annotated[bool, Option("--json", help="Print start and end as JSON lines on stdout.")] = False,
 ) -> None:
     """Fly in real time until the duration is over, or until SIGINT or SIGTERM. Exit code 0, or 2 for an error."""
@@ -81,7 +68,7 @@ def run(
                 kept.step(time.time_ns())
 
         report = fly(plant, plan.dialect, links, duration_s=plan.duration_s, speed=pace, stop=stop, watch=watch)
-    typer.echo(_concluded(report, as_json))
+    typer.echo(json.dumps({"event": "landed"} | asdict(report)) if as_json else _concluded(report))
 
 
 @app.command()
@@ -121,9 +108,7 @@ def _announced(plan: FlightPlan, addresses: list[str], as_json: bool) -> str:
     return f"{config.vehicle.name} number {config.drone} flies {path}{fault}; {link}"
 
 
-def _concluded(report: FlightReport, as_json: bool) -> str:
-    if as_json:
-        return json.dumps({"event": "landed"} | asdict(report))
+def _concluded(report: FlightReport) -> str:
     return (
         f"{report.flown_s:.1f} s flown in {report.wall_s:.1f} s at {100 * report.cpu_s / report.wall_s:.0f} % CPU; "
         f"{report.messages} messages sent, {report.dropped} dropped, {report.received} received; "

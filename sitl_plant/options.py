@@ -50,9 +50,7 @@ class FlightPlan:
 
 def flight_plan(
     vehicle: VehicleName = "qdrone2",
-    as_recorded: Annotated[
-        bool, Option("--as-recorded", help="Controller and sensors of the QDrone 2's public recordings.")
-    ] = False,
+    as_recorded: Annotated[bool, Option("--as-recorded", help="The QDrone 2 of the public recordings.")] = False,
     drone: Drone = 1,
     trajectory: Annotated[Shape, Option(help="Path to fly.")] = Shape.SQUARE,
     nose: Annotated[Nose, Option(help="Nose to one side, along the path, or turning steadily.")] = Nose.FIXED,
@@ -61,12 +59,8 @@ def flight_plan(
     rotor: Annotated[int, Option(help=_ROTOR)] = 1,
     onset: Onset = 0.0,
     phenomenology: Phenomenology = 1.0,
-    rate: Annotated[
-        float | None, Option(metavar="HZ", help="Rate of setpoint and IMU messages.  [default: the profile's]")
-    ] = None,
-    duration: Annotated[
-        float | None, Option(metavar="S", help="Flight time.  [default: run until stopped, record 60 s]")
-    ] = None,
+    rate: Annotated[float | None, Option(metavar="HZ", help="Of set-point and IMU.  [default: the profile's]")] = None,
+    duration: Annotated[float | None, Option(metavar="S", help="Flight time.  [default: open; record 60 s]")] = None,
     seed: Annotated[int, Option(help="Equal seeds give equal flights, bit for bit.")] = 0,
     wind: Wind = 0.0,
     turbulence: W20 = 0.0,
@@ -74,18 +68,14 @@ def flight_plan(
     pickup: Annotated[float, Option(metavar="KG", help="Point mass taken up in flight.")] = 0.0,
     pickup_at: Annotated[float, Option(metavar="S", help="Flight time at which it is taken up.")] = 10.0,
     pickup_beside: Annotated[float, Option(metavar="MM", help="How far to the right it hangs.")] = 20.0,
-    drop_at: Annotated[
-        float | None, Option(metavar="S", help="Flight time at which it is dropped.  [default: never]")
-    ] = None,
+    drop_at: Annotated[float | None, Option(metavar="S", help="When it is dropped.  [default: never]")] = None,
     outages: Annotated[
         float, Option(metavar="PER_MIN", help="How often motion capture is lost, for 0.3 to 2 s.")
     ] = 0.0,
     session: Annotated[
-        int, Option(help="Day of the specimen: 0 as drawn; others have battery, trim and bias of their own.")
+        int, Option(help="Day of the specimen: 0 as drawn; others have their own battery and trim.")
     ] = 0,
-    propellers: Annotated[
-        float, Option(metavar="PERCENT", help="New healthy propellers, one set a session; thrust +- this.")
-    ] = 0.0,
+    propellers: Annotated[float, Option(metavar="PERCENT", help="New healthy propellers; thrust +- this.")] = 0.0,
     profile: Annotated[str, Option(metavar="NAME", help=f"Link profile: {', '.join(DIALECTS)}.")] = "qdrone2",
     system_id: Annotated[int, Option(metavar="N", min=1, max=255, help="MAVLink system id of the vehicle.")] = 1,
 ) -> FlightPlan:

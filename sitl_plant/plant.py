@@ -3,7 +3,6 @@
     plant = Plant(PlantConfig(drone=1, fault="F2/SV2", rotor=3, onset_s=10.0, seed=7))
     samples = plant.advance(1000)          # one second, flown by the thesis's cascade
     samples = plant.drive(duty, 4)         # four steps with these motor commands, from whatever autopilot
-    plant.inject(fault_injection("F2/SV2", rotor=3))       # from the next step on
 
 Equal configurations give equal bits, however the flight is cut into calls of `advance` and `drive`. What is changed in
 flight takes effect with the next step.
@@ -80,16 +79,15 @@ class PlantConfig:
             raise UsageError(
                 "a commanded flight starts on the ground and lands when told to; not with recorded vehicles"
             )
-        if ground and not self.altitude_m > 0.0:
-            raise UsageError(f"altitude_m must be positive for a start on the ground, not {self.altitude_m:g}")
+        for name in ("speed_m_s", "size_m", "heading_rad", "altitude_m", "wind_m_s", "wind_towards_rad"):
+            value, positive = getattr(self, name), name in ("speed_m_s", "size_m") or (ground and name == "altitude_m")
+            if not math.isfinite(value) or (positive and value <= 0.0):
+                more = " and positive" if positive else ""
+                raise UsageError(f"{name} must be finite{more}, not {value:g}")
         flight = self.path()
         if ground and flight.land < flight.start:
             shortest = flight.start + landing_time(self.altitude_m, Shape(self.trajectory))
             raise UsageError(f"a flight with take-off and landing needs {shortest:.1f} s, not {self.landed_s:g}")
-        for name in ("speed_m_s", "size_m", "heading_rad", "altitude_m", "wind_m_s", "wind_towards_rad"):
-            value = getattr(self, name)
-            if not math.isfinite(value) or (name in ("speed_m_s", "size_m") and value <= 0.0):
-                raise UsageError(f"{name} must be a finite number, and speed and size positive, not {value:g}")
         if self.outages_per_min and recorded is not None:
             raise UsageError("the recorded QDrone 2 does not fly through outages of motion capture; leave them out")
         if self.seed < 0:
@@ -111,7 +109,7 @@ class PlantConfig:
         shape, form = Shape(self.trajectory), (self.size_m, self.speed_m_s, self.heading_rad, self.altitude_m)
         land_s = math.inf if self.landed_s is None else self.landed_s - landing_time(self.altitude_m, shape)
         recorded, ground = self.flown_vehicle.recorded, self.start == "ground"
-        ground_s = (recorded.ground.arm_s, recorded.ground.lift_s) if recorded else (ARM_S, LIFT_S)
+        ground_s = (recorded.arm_s, recorded.lift_s) if recorded else (ARM_S, LIFT_S)
         return path(shape, *form, Nose(self.nose), ground, land_s if ground else math.inf, ground_s)
 
     @property
@@ -132,10 +130,7 @@ class PlantConfig:
 
 
 class Change(NamedTuple):
-    """One change in flight, in effect from flight time `t_ns` on; an injection from its own onset on.
-
-    what: a cause, or what else the truth file records, with its `values`.
-    """
+    """One change in flight, in effect from flight time `t_ns` on; an injection from its own onset on."""
 
     t_ns: int
     what: Injection | Literal["clear", "wind", "battery"]
@@ -207,28 +202,23 @@ class RecordedLog:
 
 
 class Plant:
-    """A vehicle at the first point of its path: hovering in trim, or standing on the ground, as its configuration says.
-
-    Before t = 0 it stays there for 10 s that are not shown.
-    """
+    """A vehicle at the first point of its path: hovering in trim, or standing on the ground."""
 
     def __init__(self, config: PlantConfig) -> None:
         self.config = config
         self.airframe = config.airframe or drone(config.vehicle, config.drone)
         self.rotors = rotors = len(self.airframe.vehicle.rotors)
-        gusts, towards, vehicle = config.gusts(), config.wind_towards_rad, self.airframe.vehicle
-        turbulence = None if gusts is None else (gusts, towards)
+        gusts, wind = config.gusts(), _wind(config.wind_m_s, config.wind_towards_rad)
+        turbulence = None if gusts is None else (gusts, config.wind_towards_rad)
         self._streams = Streams(config.seed, STEP_S, turbulence, config.outages_per_min)
         azimuth = self._streams.angle.uniform(0.0, 2.0 * np.pi, rotors)
         self._step, self._loaded = -SETTLING_STEPS, False
         self._set_injections(self._placed(config.all_injections()))
-        wind = _wind(config.wind_m_s, towards)
         self._model: Model = make_model(self.airframe, config.payload, config.path(), wind, gusts is not None)
         self._state = initial_state(self._model, azimuth, self.airframe.charge_used_ah)
         self._own: Recorded | None = None
-        if vehicle.recorded is not None:
-            args = self.airframe, vehicle.recorded, self._model, self._state, config.seed
-            self._own, own_noise = recorded_set(*args)
+        if self.airframe.vehicle.recorded is not None:
+            self._own, own_noise = recorded_set(self.airframe, self._model, self._state, config.seed)
             self._streams.take_imus(own_noise)
         self._changes: deque[Change] = deque(maxlen=CHANGES_MAX)
         self.advance(SETTLING_STEPS)
@@ -257,10 +247,7 @@ class Plant:
         return self._run(steps, np.array(np.broadcast_to(held, (max(steps, 0), self.rotors)), order="C"))
 
     def inject(self, injection: Injection) -> None:
-        """Add a cause to those that are there; an onset that is past means from the next step on.
-
-        Raises UsageError for a rotor that is not there, or a cause that would be over.
-        """
+        """Add a cause; an onset that is past means from the next step on. Raises UsageError for one that cannot be."""
         now_s = self._step * STEP_S
         if injection.end_s <= now_s:
             raise UsageError(f"end_s must be later than the present {now_s:g} s, not {injection.end_s:g}")
@@ -326,7 +313,10 @@ class Plant:
     def _run(self, steps: int, commands: FloatArray) -> PlantSamples:
         if steps < 0:
             raise UsageError(f"cannot advance by {steps} steps")
-        first, done, rows = self._step, 0, self._empty_rows(steps)
+        wide = {"setpoint": 3, "rate_setpoint": 3, "imu": 6, "attitude": ESTIMATE, "rigid": RIGID}
+        wide |= {"rotor_speed": self.rotors, "duty": self.rotors, "log": LOG + self.rotors if self._own else 0}
+        rows = Rows(*(np.empty((steps, wide[name]) if name in wide else steps) for name in Rows._fields))
+        first, done = self._step, 0
         while done < steps:
             if self._step >= self._changes_at:
                 self._renew_condition()
@@ -337,12 +327,12 @@ class Plant:
             fly(block, self._model, self._own, self._rotors, self._sensors, self._state)
             self._step += count
             done += count
-        return _samples(rows, first, self._model)
-
-    def _empty_rows(self, steps: int) -> Rows:
-        wide = {"setpoint": 3, "rate_setpoint": 3, "imu": 6, "attitude": ESTIMATE, "rigid": RIGID}
-        wide |= {"rotor_speed": self.rotors, "duty": self.rotors, "log": 0 if self._own is None else LOG + self.rotors}
-        return Rows(*(np.empty((steps, wide[name]) if name in wide else steps) for name in Rows._fields))
+        t_ns = (first + np.arange(steps, dtype=np.int64)) * STEP_NS
+        thrust = rows.thrust / (self._model.controller.full_thrust * self.rotors)
+        motors, reported = rows.motors.astype(np.int64), rows.log[:, LOG:] if self._own else rows.rotor_speed
+        truth = rows.rigid[:, 6:10], rows.rigid[:, :3], rows.rigid[:, 3:6], rows.rigid[:, 10:13], rows.rotor_speed
+        sensed = rows.imu[:, :3], rows.imu[:, 3:], rows.attitude, rows.duty, rows.battery_v, rows.charge_ah, motors
+        return PlantSamples(t_ns, rows.setpoint, rows.rate_setpoint, thrust, *sensed, *truth, reported, rows.log)
 
     def _renew_condition(self) -> None:
         spans = [injection.span(STEP_S) for injection in self._injections]
@@ -367,27 +357,3 @@ class Plant:
 def _wind(speed_m_s: float, towards_rad: float) -> FloatArray:
     """(3,) world NED [m/s]."""
     return speed_m_s * np.array([math.cos(towards_rad), math.sin(towards_rad), 0.0])
-
-
-def _samples(rows: Rows, first: int, model: Model) -> PlantSamples:
-    full = model.controller.full_thrust * len(model.rotors.sign)
-    return PlantSamples(
-        t_ns=(first + np.arange(len(rows.thrust), dtype=np.int64)) * STEP_NS,
-        setpoint=rows.setpoint,
-        rate_setpoint=rows.rate_setpoint,
-        thrust_setpoint=rows.thrust / full,
-        gyro=rows.imu[:, :3],
-        accel=rows.imu[:, 3:],
-        attitude=rows.attitude,
-        duty=rows.duty,
-        battery_v=rows.battery_v,
-        charge_ah=rows.charge_ah,
-        motors=rows.motors.astype(np.int64),
-        quaternion=rows.rigid[:, 6:10],
-        position=rows.rigid[:, :3],
-        velocity=rows.rigid[:, 3:6],
-        omega=rows.rigid[:, 10:13],
-        rotor_speed=rows.rotor_speed,
-        esc_speed=rows.log[:, LOG:] if rows.log.shape[1] else rows.rotor_speed,
-        log=rows.log,
-    )

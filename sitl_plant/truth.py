@@ -3,9 +3,7 @@
 {"record": "flight", ...}     once: the configuration
 {"record": "state", ...}      every second of flight: truth, SI units, body FRD, world NED
 {"record": "onset", ...}      when the fault begins, or a cause that was injected in flight
-{"record": "clear", ...}      when all causes are taken away in flight
-{"record": "wind", ...}       when the wind is set in flight
-{"record": "battery", ...}    when a fresh battery is put in
+{"record": "clear", ...}      when all causes are taken away in flight; "wind", "battery": set anew in flight
 """
 
 import json
@@ -39,7 +37,6 @@ class Truth:
         self._tell([self.head()])
 
     def _tell(self, lines: list[str]) -> None:
-        """So that a reader sees them at once."""
         if self._file is not None and lines:
             self._file.write("\n".join(lines) + "\n")
             self._file.flush()
@@ -75,26 +72,23 @@ class Truth:
                 self._causes.clear()
             lines.append(self._line(what, t_ns, dict(values)))
         for row, t_ns in enumerate(samples.t_ns.tolist()):
-            began = (cause for cause in self._causes if t_ns - STEP_NS < _ns(cause.onset_s) <= t_ns)
-            lines += [self._onset(t_ns, cause) for cause in began]
+            for cause in self._causes:
+                if t_ns - STEP_NS < _ns(cause.onset_s) <= t_ns:
+                    rotor = None if isinstance(cause.cause, SensorFault) else cause.rotor
+                    told: dict[str, object] = {"fault": cause.name, "rotor": rotor, "cause": asdict(cause.cause)}
+                    lines.append(self._line("onset", t_ns, told))
             if t_ns % STATE_EVERY_NS == 0:
-                lines.append(self._state(samples, row, t_ns))
+                present = any(_ns(cause.onset_s) <= t_ns < _ns(cause.end_s) for cause in self._causes)
+                state = {"record": "state", "t_s": t_ns * 1e-9, "fault_present": present}
+                columns = {"position_m": samples.position, "velocity_m_s": samples.velocity}
+                columns |= {"quaternion": samples.quaternion, "omega_rad_s": samples.omega}
+                columns |= {"rotor_speed_rad_s": samples.rotor_speed, "battery_v": samples.battery_v}
+                lines.append(json.dumps(state | {name: column[row].tolist() for name, column in columns.items()}))
         return lines
-
-    def _onset(self, t_ns: int, cause: Injection) -> str:
-        rotor = None if isinstance(cause.cause, SensorFault) else cause.rotor
-        return self._line("onset", t_ns, {"fault": cause.name, "rotor": rotor, "cause": asdict(cause.cause)})
 
     def _line(self, record: str, t_ns: int, values: dict[str, object]) -> str:
         unix_ns = None if self._started_unix_ns is None else self._started_unix_ns + t_ns
         return json.dumps({"record": record, "t_s": t_ns * 1e-9, **values, "unix_ns": unix_ns})
-
-    def _state(self, samples: PlantSamples, row: int, t_ns: int) -> str:
-        present = any(_ns(cause.onset_s) <= t_ns < _ns(cause.end_s) for cause in self._causes)
-        columns = {"position_m": samples.position, "velocity_m_s": samples.velocity, "quaternion": samples.quaternion}
-        columns |= {"omega_rad_s": samples.omega, "rotor_speed_rad_s": samples.rotor_speed}
-        truth = {name: column[row].tolist() for name, column in {**columns, "battery_v": samples.battery_v}.items()}
-        return json.dumps({"record": "state", "t_s": t_ns * 1e-9, "fault_present": present, **truth})
 
 
 def _ns(t_s: float) -> float:

@@ -1,8 +1,7 @@
 """Vehicles are data: a TOML file with every number and its source becomes these frozen values.
 
-Body frame FRD, origin at the geometric centre. Rotor count and geometry come from the file, so a hexacopter or an
-octocopter is another file. A file may name another vehicle as its `base` and state only what differs. What the file
-says is the *type*; one specimen of it is drawn in `sitl_plant.physics.airframe`.
+Body frame FRD, origin at the geometric centre. A file may name another vehicle as its `base` and state only what
+differs. What the file says is the *type*; one specimen of it is drawn in `sitl_plant.physics.airframe`.
 """
 
 import math
@@ -21,7 +20,7 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import Place, layout_at
 from mavdiag.airframe.load import airframe_named
 from mavdiag.errors import InputError, UsageError
-from mavdiag.storage import TOML_BYTES, parse_toml, read_text
+from mavdiag.storage import parse_toml, read_toml
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import G
 
@@ -189,93 +188,6 @@ class Wind:
 
 
 @dataclass(frozen=True, slots=True, config={"extra": STRICT})
-class Gains:
-    """The manufacturer's cascade. pid rows are P, D, I; D acts on the measured rate."""
-
-    angle: Positive
-    rate_damping: NotNegative
-    yaw_rate: Positive
-    rate_limit_rad_s: Positive
-    torque_per_rate: PositiveVector
-    torque_per_acceleration: Gain3
-    torque_limit_n_m: PositiveVector
-    horizontal_pid: Gain3
-    altitude_pid: Gain3
-    yaw_pid: Gain3
-    trim_n: Positive
-    tilt_limit_rad: Positive
-    integral_limit: PositiveVector
-
-
-@dataclass(frozen=True, slots=True, config={"extra": STRICT})
-class Feedback:
-    """Second-order filters, natural frequency [rad/s] and damping ratio, and the complementary filter's gains."""
-
-    rate: Range
-    accel: Range
-    velocity: Range
-    complementary_p: NotNegative
-    complementary_i: NotNegative
-
-
-@dataclass(frozen=True, slots=True, config={"extra": STRICT})
-class Motors:
-    """Thrust of a rotor by motor voltage, F = a V^2 + b V + c, as the controller believes."""
-
-    thrust_map: tuple[Positive, NotNegative, Finite]
-    thrust_over_command: Positive  # what the rotor really lifts at that voltage
-    command_delay_s: NotNegative  # from the duty to the voltage
-
-
-@dataclass(frozen=True, slots=True, config={"extra": STRICT})
-class Sensors:
-    """Both IMUs: IMU 0 is the one that a link carries."""
-
-    positions_m: tuple[Vector, Vector]
-    gyro_period_s: Positive
-    gyro_filter_hz: Positive
-    gyro_range_rad_s: Positive
-    gyro_lsb_rad_s: Positive
-    gyro_bias_rms_rad_s: NotNegative
-    accel_filter_hz: Positive
-    accel_range_m_s2: Positive
-    accel_lsb_m_s2: Positive
-
-
-@dataclass(frozen=True, slots=True, config={"extra": STRICT})
-class Vibration:
-    """What the IMU's mount adds in hover. All levels are rms as recorded, behind filter and hold."""
-
-    gyro_line: Range  # lowest and highest of the roll gyro's line at one per revolution among specimens [rad/s]
-    gyro_broad: Range  # of its broad part, 50 to 100 Hz [rad/s]
-    gyro_axes: PositiveVector  # relative to roll
-    accel_axes: PositiveVector  # of the accelerometer's line [m/s^2]
-    accel_broad: NotNegative  # of all axes, 50 to 100 Hz [m/s^2]
-    broad_corner_hz: Positive  # the broad part is white above it
-    second_imu: Positive  # levels of IMU 1 relative to IMU 0
-    second_harmonic: NotNegative  # at two per revolution relative to one per revolution, before the filter
-    session_rms: NotNegative  # how much the line differs from flight to flight, of its logarithm
-
-
-@dataclass(frozen=True, slots=True, config={"extra": STRICT})
-class Esc:
-    """Telemetry of the motors' controllers: one motor after the other, held until the next."""
-
-    frame_s: Positive  # from one motor to the next
-    over_read: Positive  # reported over true speed
-    first_s: NotNegative  # flight time of the first frame in a flight from the ground
-
-
-@dataclass(frozen=True, slots=True, config={"extra": STRICT})
-class GroundPhase:
-    """When the motors start and lift, and what they are commanded to lift in between."""
-
-    arm_s: Positive
-    lift_s: Positive
-    thrust_n: Positive
-
-
-@dataclass(frozen=True, slots=True, config={"extra": STRICT})
 class Specimen:
     """A drone whose levels are known, by the name of its airframe. gyro_bias_roll: of IMU 0 and 1 [rad/s]."""
 
@@ -290,16 +202,55 @@ class Specimen:
 class RecordedSet:
     """In place of the thesis's cascade and IMU: controller, IMUs, motors and ESC telemetry of the recorded QDrone 2.
 
-    It flew the public recordings; every number and its source stand in `qdrone2-recorded.toml`.
+    It flew the public recordings; every number and its source stand in `qdrone2-recorded.toml`. Filters are natural
+    frequency [rad/s] and damping ratio; levels of vibration are rms as recorded in hover, behind filter and hold.
     """
 
-    gains: Gains
-    feedback: Feedback
-    motors: Motors
-    sensors: Sensors
-    vibration: Vibration
-    esc: Esc
-    ground: GroundPhase
+    angle_gain: Positive  # of the manufacturer's cascade; pid rows are P, D, I; D acts on the measured rate
+    rate_damping: NotNegative
+    yaw_rate_gain: Positive
+    rate_limit_rad_s: Positive
+    torque_per_rate: PositiveVector
+    torque_per_acceleration: Gain3
+    torque_limit_n_m: PositiveVector
+    horizontal_pid: Gain3
+    altitude_pid: Gain3
+    yaw_pid: Gain3
+    trim_n: Positive
+    tilt_limit_rad: Positive
+    integral_limit: PositiveVector
+    rate_filter: Range
+    accel_filter: Range
+    velocity_filter: Range
+    complementary_p: NotNegative
+    complementary_i: NotNegative
+    thrust_map: tuple[Positive, NotNegative, Finite]  # F = a V^2 + b V + c of a rotor, as the controller believes
+    thrust_over_command: Positive  # what the rotor really lifts at that voltage
+    command_delay_s: NotNegative  # from the duty to the voltage
+    imu_positions_m: tuple[Vector, Vector]  # IMU 0 is the one that a link carries
+    gyro_period_s: Positive
+    gyro_filter_hz: Positive
+    gyro_range_rad_s: Positive
+    gyro_lsb_rad_s: Positive
+    gyro_bias_rms_rad_s: NotNegative
+    accel_filter_hz: Positive
+    accel_range_m_s2: Positive
+    accel_lsb_m_s2: Positive
+    gyro_line: Range  # lowest and highest of the roll gyro's line at one per revolution among specimens [rad/s]
+    gyro_broad: Range  # of its broad part, 50 to 100 Hz [rad/s]
+    gyro_axes: PositiveVector  # relative to roll
+    accel_axes: PositiveVector  # of the accelerometer's line [m/s^2]
+    accel_broad: NotNegative  # of all axes, 50 to 100 Hz [m/s^2]
+    broad_corner_hz: Positive  # the broad part is white above it
+    second_imu: Positive  # levels of IMU 1 relative to IMU 0
+    second_harmonic: NotNegative  # at two per revolution relative to one per revolution, before the filter
+    session_rms: NotNegative  # how much the line differs from flight to flight, of its logarithm
+    esc_frame_s: Positive  # telemetry: from one motor to the next
+    esc_over_read: Positive  # reported over true speed
+    esc_first_s: NotNegative  # flight time of the first frame in a flight from the ground
+    arm_s: Positive  # when the motors start
+    lift_s: Positive
+    ground_thrust_n: Positive  # commanded in between
     specimens: Annotated[tuple[Specimen, ...], Field(max_length=100)] = ()
 
 
@@ -323,10 +274,7 @@ class Hil:
 
 @dataclass(frozen=True, slots=True, config={"extra": STRICT})
 class Vehicle:
-    """A type of multirotor, as its file describes it.
-
-    recorded: controller and sensors of its recordings, flown in place of the thesis's; None for the thesis's.
-    """
+    """A type of multirotor, as its file describes it."""
 
     name: str
     body: Body
@@ -339,7 +287,7 @@ class Vehicle:
     control: Control
     spread: Spread
     wind: Wind
-    recorded: RecordedSet | None = None
+    recorded: RecordedSet | None = None  # flown in place of the thesis's controller and sensors
     hil: Hil | None = None  # what an autopilot outside needs; None if none can fly it
 
     @model_validator(mode="after")
@@ -380,21 +328,12 @@ def allocation(vehicle: Vehicle) -> FloatArray:
     [ tau_y ]   [  x_i          ...]
     [ tau_z ]   [ -sign_i / K   ...]                      K = thrust per torque, 68.9055 1/m
 
-    T works in a frame with y to the left and z up: its Eq 2.3 and 2.4 are the negative of rows three and four.
-    The last row is 1/K as in T Eq 2.7; T Eq 2.6 prints K there, and only 2.7 and its inverse 2.8 agree.
+    T has y to the left and z up: its Eq 2.3 and 2.4 are the negative of rows three and four. T Eq 2.6 prints K in the
+    last row; only 2.7 and its inverse 2.8 agree.
     """
     hubs = np.array([rotor.position_m for rotor in vehicle.rotors])
     signs = np.array([rotor.sign for rotor in vehicle.rotors])
     return np.vstack([np.ones(len(hubs)), -hubs[:, 1], hubs[:, 0], -signs / vehicle.propulsion.thrust_per_torque_1_m])
-
-
-def load_vehicle(path: Path) -> Vehicle:
-    """Read a vehicle file. Raises InputError, naming the file and the field, if it cannot be used."""
-    try:
-        text = read_text(path, TOML_BYTES)
-    except InputError as error:
-        raise InputError(f"vehicle file {error}") from error
-    return _parse(text, path.name)
 
 
 def shipped_vehicles() -> tuple[str, ...]:
@@ -408,7 +347,12 @@ def vehicle_named(name: str) -> Vehicle:
     """A vehicle of this package. Raises UsageError, listing the names, if there is none."""
     if name not in shipped_vehicles():
         raise UsageError(f"no vehicle {name!r}: give a FILE.toml or one of {', '.join(shipped_vehicles())}")
-    return _parse((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"), name)
+    return _parsed(_shipped_table(name), name)
+
+
+def load_vehicle(path: Path) -> Vehicle:
+    """Read a vehicle file. Raises InputError, naming the file and the field, if it cannot be used."""
+    return _parsed(_with_base(read_toml(path), path.name), path.name)
 
 
 def vehicle_from(text: str) -> Vehicle:
@@ -421,28 +365,28 @@ def qdrone2() -> Vehicle:
     return vehicle_named("qdrone2")
 
 
-def _parse(text: str, name: str) -> Vehicle:
+def _parsed(table: dict[str, Any], name: str) -> Vehicle:
     try:
-        return TypeAdapter(Vehicle).validate_python(_table(text, name))
+        return TypeAdapter(Vehicle).validate_python(table)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "vehicle"
         raise InputError(f"{name}: {where}: {first['msg']}") from error
 
 
-def _table(text: str, name: str) -> dict[str, Any]:
-    table = parse_toml(text, name)
+def _shipped_table(name: str) -> dict[str, Any]:
+    return _with_base(parse_toml((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"), name), name)
+
+
+def _with_base(table: dict[str, Any], name: str) -> dict[str, Any]:
     base = table.pop("base", None)
     if base is None:
         return table
     if base not in shipped_vehicles():
         raise InputError(f"{name}: base: give one of {', '.join(shipped_vehicles())}, not {base!r}")
-    return _merged(_table((_FOLDER / f"{base}.toml").read_text(encoding="utf-8"), base), table)
+    return _merged(_shipped_table(base), table)
 
 
 def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    merged = {**base, **own}
-    for name in base.keys() & own.keys():
-        if isinstance(base[name], dict) and isinstance(own[name], dict):
-            merged[name] = _merged(base[name], own[name])
-    return merged
+    both = {name for name in base.keys() & own.keys() if isinstance(base[name], dict) and isinstance(own[name], dict)}
+    return {**base, **own, **{name: _merged(base[name], own[name]) for name in both}}

@@ -8,34 +8,22 @@ from pathlib import Path
 import numpy as np
 from flying_telemetry import flying
 from made_baselines import FRAME, NOW
+from scipy.spatial.transform import Rotation
 
-from mavdiag.archive.job import Options, Question
+from mavdiag.archive.scan import Options, Question
 from mavdiag.baseline import Baseline
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Autopilot, MavType, MessageId
 from mavdiag.logs import read_log
 from mavdiag.logs.tlog import tlog_record
-from mavdiag.telemetry import FloatArray, Signal
+from mavdiag.telemetry import Signal
 
 __all__ = ["MONITORS", "START_US", "archive_baseline", "asked", "content", "made"]
 
 START_US = 1_763_000_000_000_000
 MONITORS = ("fsd", "innovation", "sensor_noise")
 ARMED = 128
-
-
-def _quaternion(angles: FloatArray) -> FloatArray:
-    """(4,) w, x, y, z of roll, pitch and yaw."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(angles / 2), np.sin(angles / 2)
-    return np.array(
-        (
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        )
-    )
 
 
 @cache
@@ -49,10 +37,11 @@ def content(seed: int, n: int = 1500, shaken_from: int | None = None) -> bytes:
     if shaken_from is not None:
         rates[shaken_from:] += np.random.default_rng(seed).normal(0.0, 0.4, (n - shaken_from, 3))
     setpoint, force = telemetry[Signal.ATTITUDE_SETPOINT].values, telemetry[Signal.SPECIFIC_FORCE].values
+    attitude = Rotation.from_euler("ZYX", setpoint[:, ::-1]).as_quat(scalar_first=True)
     for k in range(n):
         time_us = START_US + 10_000 * k
         frames = [
-            encoder.encode(MessageId.ATTITUDE_TARGET, 5_000 + 10 * k, 0, tuple(_quaternion(setpoint[k])), 0, 0, 0, 0.5),
+            encoder.encode(MessageId.ATTITUDE_TARGET, 5_000 + 10 * k, 0, tuple(attitude[k]), 0, 0, 0, 0.5),
             encoder.encode(
                 MessageId.HIGHRES_IMU, 5_000_000 + 10_000 * k, *force[k], *rates[k], 0, 0, 0, 0, 0, 0, 0, 63, 0
             ),

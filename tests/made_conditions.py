@@ -74,13 +74,7 @@ class Ones(ControlLoss):
 
     def __init__(self, depends: Iterable[Condition], memory_s: float, unit: str = "rad/s") -> None:
         super().__init__(ControlLossSpec())
-        self._memory_s = memory_s
-        self.depends, self.unit = frozenset(depends), unit  # type: ignore[misc]
-
-    @property
-    def memory_s(self) -> float:
-        """As told."""
-        return self._memory_s
+        self.depends, self.unit, self.memory_s = frozenset(depends), unit, memory_s  # type: ignore[misc]
 
 
 def ones_judged(

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mavdiag.archive.figures import FlightRecord, SlotFigures
-from mavdiag.history.stretches import Series
+from mavdiag.history.warn import Series
 from mavdiag.judging import Verdict
 from mavdiag.telemetry import Axis, FloatArray
 from mavdiag.units import NS_PER_S

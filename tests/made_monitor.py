@@ -7,11 +7,11 @@ import numpy as np
 
 from mavdiag.errors import InputError
 from mavdiag.jit import cached
-from mavdiag.monitors.base import Flights, LearnContext, Monitor
-from mavdiag.monitors.columns import FORCE, LEVEL, SIGNAL, SOUND, VALID, VALUE, Floats, Ints
+from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor
+from mavdiag.monitors.columns import FORCE, LEVEL, SOUND, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.spec import spec
 from mavdiag.rows.running import FRESH, mean_size, push, total
-from mavdiag.telemetry import FloatArray, Signal
+from mavdiag.telemetry import Signal
 
 WINDOW = 100
 
@@ -25,16 +25,16 @@ class HeightSpec:
 
 
 @cached
-def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The mean's distance from the healthy one at each row."""
-    for i in range(x.shape[1]):
-        known = flags[VALID, i] > 0.5
+    for k in range(x.shape[1] - first):
+        i, good = first + k, x[VALID, first + k] > 0.5
         for axis in range(3):
-            known = known and math.isfinite(x[FORCE + axis, i])
+            good = good and math.isfinite(x[FORCE + axis, i])
         mem[FRESH] = x[FORCE + 2, i]
-        out[SOUND, i] = push(mem, 0, WINDOW, 1, known)
-        out[VALUE, i] = out[LEVEL, i] = out[SIGNAL, i] = abs(total(mem, 0, 1, 0) / WINDOW - par[0])
-        at[i] = i
+        out[SOUND, k] = push(mem, 0, WINDOW, 1, good)
+        out[VALUE, k] = out[LEVEL, k] = abs(total(mem, 0, 1, 0) / WINDOW - par[0])
+        at[k] = k
     return len(at)
 
 
@@ -42,9 +42,6 @@ class MadeUp(Monitor[HeightSpec]):
     """Mean vertical acceleration over 1 s, to show that a new monitor is one class.
 
     Warm-up: 1 s. Latency: 1 s. False alarms: many. Blind spots: all.
-
-    >>> MadeUp(HeightSpec()).unit
-    'm/s^2'
     """
 
     name = "made_up"
@@ -63,10 +60,6 @@ class MadeUp(Monitor[HeightSpec]):
             raise InputError("no accelerometer")
         return (HeightSpec(mean=float(down.mean())),)
 
-    def parameters(self, dt_s: float) -> FloatArray:
-        """The healthy mean."""
-        return np.array([self.spec.mean])
-
-    def memory(self, dt_s: float) -> FloatArray:
-        """An empty mean."""
-        return np.zeros(mean_size(WINDOW, 1))
+    def begin(self, dt_s: float) -> Begin:
+        """The healthy mean; an empty mean."""
+        return Begin(np.array([self.spec.mean]), np.zeros(mean_size(WINDOW, 1)))

@@ -130,9 +130,7 @@ LEARNING = SessionSpec(PROFILES["qdrone2"], None, SessionSettings(learn=20.0))
 class Story:
     """One session and its vehicle. `fly` lets time pass; `log` keeps every effect with the time it came at [s]."""
 
-    spec: SessionSpec = field(
-        default_factory=lambda: SessionSpec(PROFILES["qdrone2"], None, SessionSettings(learn=20.0))
-    )
+    spec: SessionSpec = LEARNING
     seconds: int = 120
     seed: int = 1
     chunk_s: float = 0.1

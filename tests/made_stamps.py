@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from mavdiag.link.clock import NEVER, REBOOT, Counter, VehicleTime, stamp
+from mavdiag.link.clock import REBOOT, Counter, VehicleTime, stamp
 from mavdiag.telemetry import IntArray
 
 Stream = tuple[Counter, IntArray, IntArray]  # counts and times of arrival [ns]
@@ -39,10 +39,3 @@ def taken(*streams: Stream, time: VehicleTime | None = None, size: int = 1 << 30
         times[some] = found
     ends = np.cumsum([len(raw) for _, raw, _ in streams])
     return time, np.split(times, ends[:-1])
-
-
-def in_line(counter: Counter, raw: object, host_ns: object, time: VehicleTime | None = None) -> list[int]:
-    """The times of the stamps of one message that are in line [ns]."""
-    _, (t_ns,) = taken((counter, np.asarray(raw, np.int64), np.asarray(host_ns, np.int64)), time=time)
-    found: list[int] = t_ns[t_ns > NEVER].tolist()
-    return found

@@ -18,16 +18,6 @@ def series(signal: Signal, t_ns: IntArray, values: FloatArray) -> Series:
     return Series(signal, t_ns, t_ns + 5_000_000, values)
 
 
-def assert_same_telemetry(one: Telemetry, other: Telemetry) -> None:
-    """The same signals at the same times; values but for rounding, for they may be computed in other lengths."""
-    assert {series.signal for series in one} == {series.signal for series in other}
-    for series in one:
-        same = other.need(series.signal)
-        np.testing.assert_array_equal(series.t_ns, same.t_ns)
-        np.testing.assert_array_equal(series.host_ns, same.host_ns)
-        np.testing.assert_allclose(series.values, same.values, rtol=0.0, atol=ROUNDING)
-
-
 def setpoints(n: int, seed: int) -> FloatArray:
     """(n, 3) attitude set-points [rad]: smooth random steps, about 0.1 rad."""
     rng = np.random.default_rng(seed)

@@ -60,17 +60,17 @@ class FakeFitter(ProcessFitter):
         super().__init__()
         self.outcome = outcome
         self.jobs: list[FittingJob] = []
-        self._waiting: list[tuple[int, int]] = []
+        self._looks: list[tuple[int, int]] = []
         self.closed = False
 
     def begin(self, job: FittingJob) -> None:
         self.jobs.append(job)
-        self._waiting.append((2, job.vehicle))
+        self._looks.append((2, job.vehicle))
 
     def poll(self) -> list[tuple[int, Outcome]]:
-        self._waiting = [(looks - 1, vehicle) for looks, vehicle in self._waiting]
-        done = [(vehicle, self.outcome) for looks, vehicle in self._waiting if looks <= 0 and self.outcome is not None]
-        self._waiting = [one for one in self._waiting if one[0] > 0]
+        self._looks = [(looks - 1, vehicle) for looks, vehicle in self._looks]
+        done = [(vehicle, self.outcome) for looks, vehicle in self._looks if looks <= 0 and self.outcome is not None]
+        self._looks = [one for one in self._looks if one[0] > 0]
         return done
 
     def close(self) -> None:

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from thesis_runs import exceedances
 
 from mavdiag.airframe.load import airframe_named
 from mavdiag.decision.alarm import Stage
 from mavdiag.identify import ArxModel, fit
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.monitors.run_length import exceedances
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
 from peers.contender import Learner, Scored, Scorer

@@ -1,8 +1,6 @@
 """Who may read the live page: the rules for the address, the headers of a request and the token. Values in and out.
 
-A page in the user's own browser may ask any address, loopback too. `Host` tells a name that was made to point here
-(DNS rebinding), `Origin` and `Sec-Fetch-Site` tell another site's script. A token is asked for where others can reach
-the port.
+`Host` tells a name that was made to point here (DNS rebinding), `Origin` and `Sec-Fetch-Site` another site's script.
 """
 
 import hashlib
@@ -17,8 +15,8 @@ ACKNOWLEDGE = "/acknowledge"  # the one path that is posted to: it changes somet
 _LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
 _ANYWHERE = ("0.0.0.0", "::")
 
-#: Of every answer. Nothing is loaded from elsewhere, no script or style stands in the page itself, texts cannot become
-#: markup (trusted types; `drawing` makes the airframe's SVG), and no other site may frame or read it.
+#: Of every answer. Nothing is loaded from elsewhere, texts cannot become markup (trusted types; `drawing` makes the
+#: airframe's SVG), and no other site may frame or read it.
 HEADERS: Mapping[str, str] = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
@@ -88,7 +86,6 @@ class Access:
         return Answer.PASS if by_cookie or by_bearer else Answer.NO_TOKEN
 
     def _knows(self, host: str) -> bool:
-        """Whether a Host header names this server. A rebound name is a name: addresses as such cannot be rebound."""
         name, port = _split(host)
         known = (self.host.lower(), *(_LOCAL_NAMES if is_loopback(self.host) else ()))
         anywhere = self.host in _ANYWHERE and (name == "localhost" or _is_address(name))
@@ -96,10 +93,7 @@ class Access:
 
 
 def _of_this_page(path: str, host: str, headers: Mapping[str, str]) -> bool:
-    """Whether the request comes from this page itself, from the user, or from a program that is no browser.
-
-    Another site may have a link to the page, which holds nothing; what it holds comes by requests of its own.
-    """
+    """Whether a request comes from this page, from the user, or from no browser; other sites may link to the page."""
     origin, site = headers.get("origin"), headers.get("sec-fetch-site", "none")
     if origin is not None and origin.lower() != f"http://{host.lower()}":
         return False
@@ -116,7 +110,6 @@ def _is_address(name: str) -> bool:
 
 
 def _split(host: str) -> tuple[str, int]:
-    """Name and port of a Host header; port 80 where it has none, -1 where it is malformed."""
     name, colon, port = host.lower().rpartition(":")
     if not colon or host.endswith("]"):
         return host.lower().strip("[]"), 80
@@ -124,5 +117,5 @@ def _split(host: str) -> tuple[str, int]:
 
 
 def _same(given: str, known: str) -> bool:
-    """Whether they are equal, in constant time. A header's bytes that are no UTF-8 are lone surrogates in its text."""
+    # In constant time. A header's bytes that are no UTF-8 are lone surrogates in its text.
     return hmac.compare_digest(given.encode(errors="surrogatepass"), known.encode(errors="surrogatepass"))

@@ -1,7 +1,7 @@
 """The process of the live page's server, and its pipes (edge). Nothing here waits, but `start` does once.
 
-It is started with the daemon's own interpreter and path, and is told by lines. It ends when its stdin does: when the
-daemon closes it, and when the daemon is killed. One that ends by itself is started again, after a pause that doubles.
+It is told by lines, and ends when its stdin does: when the daemon closes it, and when the daemon is killed. One that
+ends by itself is started again, after a pause.
 """
 
 import contextlib
@@ -20,8 +20,7 @@ from mavdiag.link.keys import read_secret
 from mavdiag.telemetry import Instant
 
 START_S = 20.0  # until it listens, at the start (our choice: an import on a slow companion takes some seconds)
-AGAIN_S, AGAIN_MOST_S = 1.0, 60.0  # pause before it is started again, the first and the longest (our choice)
-STEADY_S = 60.0  # after so long the pause begins anew
+AGAIN_S = 5.0  # pause before it is started again (our choice)
 END_S = 1.0
 READ_BYTES = 65_536
 TOKEN_LEAST = 16  # characters
@@ -30,11 +29,11 @@ COMMAND = ("-P", "-m", "detector.web.server")  # -P: not what lies in the presen
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the page is served."""
+    """Where the page is served. port: 0 for a free one. token: that it asks for; None for none."""
 
     host: str
-    port: int  # 0 for a free one
-    token: str | None  # that it asks for; None for none
+    port: int
+    token: str | None
 
     @property
     def url(self) -> str:
@@ -58,15 +57,14 @@ def check_installed() -> None:
 
 
 class ServerProcess:
-    """The process. `start` it; it is started again by `look`. run: of the daemon. say: takes a log line."""
+    """The process. run: of the daemon. say: takes a log line."""
 
     def __init__(self, place: Place, run: str, say: Callable[[str], None]) -> None:
         self.place, self._run, self._say = place, run, say
         self._process: subprocess.Popen[bytes] | None = None
         self._stdin = self._stdout = -1  # its descriptors, which never block
         self._unsent, self._unread = b"", b""
-        self._begun: Instant | None = None
-        self._pause_s, self._again = AGAIN_S, Instant(0)
+        self._again = Instant(0)
         self._fresh = self._told = False  # it began anew and knows nothing; that it ended was said
 
     def start(self) -> None:
@@ -82,11 +80,6 @@ class ServerProcess:
         self.place = replace(self.place, port=int(rest))
 
     @property
-    def pid(self) -> int | None:
-        """Of the process; None while there is none."""
-        return None if self._process is None else self._process.pid
-
-    @property
     def where(self) -> str:
         """Where the page is, for a person; the token itself is not shown."""
         return self.place.url if self.place.token is None else f"{self.place.url}?token=TOKEN"
@@ -96,13 +89,17 @@ class ServerProcess:
         if self._process is None and now - self._again >= 0:
             with contextlib.suppress(LinkError):  # no memory, no process: later
                 self._spawn()
-        if self._process is None:
+        if (process := self._process) is None:
             return False, []
-        self._begun = self._begun or now
         lines = self._read()
         self._flush()
-        if self._process.poll() is not None:
-            self._ended(self._process.returncode, now)
+        if process.poll() is not None:
+            self.close()
+            self._again = now + AGAIN_S
+            if not self._told:  # once until it works again
+                code = process.returncode
+                self._say(f"web page: its process ended (exit code {code}); it is started again, the watch goes on")
+            self._told = True
             return False, []
         if self._told and any(line.startswith("listening") for line in lines):
             self._say(f"web page: {self.place.url} is served again")
@@ -139,7 +136,7 @@ class ServerProcess:
             process = subprocess.Popen([sys.executable, *COMMAND], stdin=pipe, stdout=pipe, bufsize=0, env=environ)
         except OSError as error:
             raise LinkError(f"web page: its process cannot be started ({error.strerror or error})") from error
-        self._process, self._begun, self._unread, self._fresh = process, None, b"", True
+        self._process, self._unread, self._fresh = process, b"", True
         self._stdin, self._stdout = (stream.fileno() for stream in (process.stdin, process.stdout) if stream)
         for descriptor in (self._stdin, self._stdout):
             os.set_blocking(descriptor, False)
@@ -147,18 +144,7 @@ class ServerProcess:
         self._unsent = f"{json.dumps(told)}\n".encode()
         self._flush()
 
-    def _ended(self, code: int, now: Instant) -> None:
-        """It ended by itself: said once until it works again."""
-        lasted_s = now - self._begun if self._begun is not None else 0.0
-        self.close()
-        self._pause_s = AGAIN_S if lasted_s > STEADY_S else min(AGAIN_MOST_S, 2.0 * self._pause_s)
-        self._again = now + self._pause_s
-        if not self._told:
-            self._say(f"web page: its process ended (exit code {code}); it is started again, the watch goes on")
-        self._told = True
-
     def _flush(self) -> bool:
-        """Write what was given, as far as there is room; whether that is all."""
         try:
             while self._unsent:
                 self._unsent = self._unsent[os.write(self._stdin, self._unsent) :]
@@ -170,7 +156,6 @@ class ServerProcess:
         return True
 
     def _read(self) -> list[str]:
-        """Whole lines that it said since the last call."""
         with contextlib.suppress(BlockingIOError):
             self._unread += os.read(self._stdout, READ_BYTES)
         *lines, self._unread = self._unread.split(b"\n")

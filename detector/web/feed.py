@@ -1,15 +1,14 @@
 """What the live page is told, and when (edge): entries of the journal at once, figures only while somebody looks.
 
-Nothing waits. Entries are numbered and kept, so that a server that was started again, or was slow, gets them all;
-figures that find no room are left out.
+Nothing waits. A server that was started again, or was slow, gets all entries; figures that find no room are left out.
 """
 
 from collections import deque
 from collections.abc import Sequence
 from itertools import islice
 
-from detector.figures import DaemonFigures
 from detector.fleet import Fleet, Turn
+from detector.values import DaemonFigures
 from detector.web.board import KEPT, is_vehicle
 from detector.web.child import ServerProcess
 from detector.web.snapshot import Snapshots, about, fleet_now
@@ -25,10 +24,7 @@ WATCHED_MOST = 8  # vehicles that are shown at a time, so that pages cannot load
 
 
 class Feed:
-    """The daemon's end. It takes the reporter's lines (`write`); `look` after each look, `show` once a second.
-
-    child: who serves the page. began: now.
-    """
+    """The daemon's end. child: who serves the page. began: now."""
 
     def __init__(self, child: ServerProcess, began: Instant) -> None:
         self._child, self._began = child, began
@@ -39,7 +35,6 @@ class Feed:
         self._snapshots: dict[int, Snapshots] = {}
         self._about: dict[int, Chain | None] = {}
         self._shown = began
-        self._fleet = ""
         self._acknowledged: list[int] = []
 
     @property
@@ -47,8 +42,8 @@ class Feed:
         """Where the page is, for a person."""
         return self._child.where
 
-    def write(self, text: str, *, urgent: bool = False) -> None:
-        """Take an entry of the journal, one line of JSON. urgent: all are, here."""
+    def write(self, text: str, urgent: bool = False) -> None:
+        """Take an entry of the journal."""
         self._entries.append(text)
         self._count += 1
 
@@ -58,7 +53,6 @@ class Feed:
         if fresh:
             self._given, self._watched = 0, ()
             self._about.clear()
-            self._put("F", self._fleet)
         for line in lines:
             self._heard(line)
         for turn in turns if self._watched else ():
@@ -74,8 +68,7 @@ class Feed:
     def show(self, fleet: Fleet, figures: DaemonFigures, now: Instant) -> None:
         """The vehicles and links, once a second."""
         sessions = {sysid: vehicle.session for sysid, vehicle in fleet.vehicles.items()}
-        self._fleet = json_line(fleet_now(figures, sessions, now, self._began))
-        self._put("F", self._fleet)
+        self._put("F", json_line(fleet_now(figures, sessions, now, self._began)))
 
     def acknowledged(self) -> list[int]:
         """The vehicles whose inspection was acknowledged on the page since the last call."""
@@ -97,11 +90,9 @@ class Feed:
             self._snapshots = {sysid: self._snapshots.get(sysid) or Snapshots() for sysid in self._watched}
 
     def _put(self, head: str, content: str) -> bool:
-        return bool(content) and self._child.put(f"{head} {content}\n".encode())
+        return self._child.put(f"{head} {content}\n".encode())
 
     def _give(self) -> None:
-        """Hand over entries, as far as there is room; those that are no longer kept are left out, as their numbers
-        tell."""
         while self._given < self._count:
             oldest = self._count - len(self._entries) + 1
             first = max(self._given + 1, oldest)

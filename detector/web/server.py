@@ -3,8 +3,7 @@
     python -m detector.web.server      not for people: the daemon starts it
 
 Its first line on stdin is a JSON object with host, port, token and run. It answers `listening PORT`, or `refused
-REASON` and ends; later it says `watch VEHICLE ...` whenever that changes, and `ack VEHICLE`. It ends when stdin does,
-so it never outlives the daemon.
+REASON` and ends; later it says `watch VEHICLE ...` whenever that changes, and `ack VEHICLE`. It ends when stdin does.
 """
 
 import asyncio
@@ -100,7 +99,6 @@ class Server:
         return web.Response(body=body, content_type=kind, charset="utf-8")
 
     async def _acknowledge(self, request: web.Request) -> web.Response:
-        """Somebody has looked at a vehicle. The journal tells what came of it."""
         vehicle = request.query.get("vehicle", "")
         if not is_vehicle(vehicle):
             raise web.HTTPBadRequest(reason="name a vehicle: ?vehicle=1")
@@ -121,7 +119,9 @@ class Server:
             await response.write(b"retry: 1000\n\n")
             while True:
                 if not (data := reader.next()):
-                    data = b"" if await _within(event, ALIVE_S) else b":\n\n"
+                    with contextlib.suppress(TimeoutError):
+                        await asyncio.wait_for(event.wait(), ALIVE_S)
+                    data = b"" if event.is_set() else b":\n\n"
                 event.clear()
                 if data:
                     await asyncio.wait_for(response.write(data), STUCK_S)
@@ -133,19 +133,10 @@ class Server:
             self._tell()
 
     def _tell(self) -> None:
-        """Tell the daemon whom somebody looks at, if that changed."""
         watched = self._board.watched
         if watched != self._told:
             self._told = watched
             _to_daemon(" ".join(("watch", *map(str, watched))))
-
-
-async def _within(event: asyncio.Event, limit_s: float) -> bool:
-    try:
-        await asyncio.wait_for(event.wait(), limit_s)
-    except TimeoutError:
-        return False
-    return True
 
 
 def _said(status: int, text: str) -> web.Response:

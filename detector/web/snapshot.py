@@ -4,9 +4,8 @@
     now     where it stands, a few times a second while somebody looks, with what came since the last one
     fleet   all vehicles and links, once a second
 
-A *strip* is the residual of the thesis rule and its run lengths, one point for each `BIN_NS` of vehicle time: bins are
-numbered by vehicle time over `BIN_NS`, low and high are the least and the greatest residual in it [rad/s], fsd_s the
-longest run above the margin, and no peak is lost. A bin that the next strip continues is put together with it.
+A *strip* is the residual of the thesis rule, one point for each `BIN_NS` of vehicle time: bin is its number, low and
+high are the least and the greatest residual in it [rad/s], fsd_s the longest run above the margin.
 """
 
 import math
@@ -18,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from detector.alerts import label_of
-from detector.figures import DaemonFigures, VehicleFigures
 from detector.judging import Judge, unjudged_s
 from detector.session import Session
 from detector.states import State
+from detector.values import DaemonFigures, VehicleFigures
 from mavdiag.chain import Chain
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.decision.words import finding_words, motors_words
@@ -110,7 +109,7 @@ class Snapshots:
             self._rows = now if pieces else self._rows
             self._seen |= {number: _seen(trace, now) for number, trace in enumerate(traces) if len(trace.found)}
             slots, strips = self._slots(judge, session, now), strips_of(traces)
-            self._accounts = judge.accounts
+            self._accounts = judge.memory.accounts
         known = (seen.rises for seen in self._seen.values() if seen.rises and seen.value is not None)
         rates = [(LABELS[Signal(name)], round(hertz, 1)) for name, hertz in figures.rates]
         link = {"silent_s": round(now - session.latest, 2), "rates": rates} | _picked(figures.timesync, "round_trip_s")
@@ -131,7 +130,7 @@ class Snapshots:
         ground = session.streams.on_ground(judge.chain.front.gate)
         idle = ground.text if ground else session.reason if session.state is not State.MONITORING else ""
         slots = []
-        for number, (slot, account) in enumerate(zip(judge.chain.slots, judge.accounts, strict=True)):
+        for number, (slot, account) in enumerate(zip(judge.chain.slots, judge.memory.accounts, strict=True)):
             seen = self._seen.get(number)
             held_s = STALE_S + HELD * (seen.period_s if seen else 0.0)
             if seen is not None and seen.value is not None and now - seen.at <= held_s and not stale:
@@ -153,7 +152,6 @@ def _seen(trace: SlotTrace, now: Instant) -> _Seen:
 
 
 def _why(account: Account, before: Account) -> str:
-    """What took most of the last moments of a monitor that does not judge."""
     spans, old = unjudged_s(account), unjudged_s(before)
     grown = {reason: span_s - old.get(reason, 0.0) for reason, span_s in spans.items()}
     reason = max(grown, key=lambda reason: grown[reason], default=WAITING)

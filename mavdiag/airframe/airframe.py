@@ -1,7 +1,7 @@
 """An airframe as a value: what is known of a vehicle beside its link and its flights.
 
-It comes from a TOML file (`load_airframe`), from the few that are shipped (`airframe_named`), or from what its flights
-show. Nothing is taken over in silence: what is not known is None, and the monitors that need it say so.
+It comes from a TOML file (`airframe.load`) or from what its flights show. What is not known is None, and the monitors
+that need it say so.
 """
 
 import math
@@ -18,19 +18,17 @@ Scope: TypeAlias = Literal["airframe", "type"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Airframe:
-    """One vehicle, or a type from several of them (T 4.4.1).
+    """One vehicle, or a type from several of them (T 4.4.1). Raises UsageError if it cannot be.
 
     name: what reports call it.
     scope: "airframe" for one vehicle, "type" for several of one make.
-    layout: rotor layout; None if it is not known.
     outputs: the vehicle's output, from 1, that drives rotor 1, 2, ...; None if rotor j is on output j.
     layout_basis: where the layout comes from; why it is not known, if it is not; empty if nobody has said.
     layout_warning: what speaks against the layout; empty if nothing does.
-    mass_kg: take-off mass; None if it is not known.
-    hover_rad_s: rotor speed that carries it [rad/s]; None if it is not known.
+    hover_rad_s: rotor speed that carries it [rad/s].
     imu_corner_hz: corner of the low-pass filter in its IMU stream; None if the link profile's holds.
     gate: what counts as flying; None if the default of the link or log format holds.
-    classifier: name of the trained fault types that hold for it; None if there are none.
+    classifier: name of the trained fault types that hold for it.
     """
 
     name: str = UNNAMED
@@ -46,14 +44,10 @@ class Airframe:
     classifier: str | None = None
 
     def __post_init__(self) -> None:
-        self._check_outputs()
         for name in ("mass_kg", "hover_rad_s", "imu_corner_hz"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise UsageError(f"airframe: {name} must be a positive number, not {value}")
-
-    def _check_outputs(self) -> None:
-        """Raises UsageError unless each rotor has an output of its own."""
         if self.outputs is None:
             return
         if self.layout is not None and len(self.outputs) != self.layout.rotors:

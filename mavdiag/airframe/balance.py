@@ -1,12 +1,11 @@
-"""Balance quality of a rotor by ISO 1940-1 (T 3.1.1, 3.2, Eq 3.1-3.6). The thesis's propellers are in `propellers`.
+"""Balance quality of a rotor by ISO 1940-1 (T 3.1.1, 3.2, Eq 3.1-3.6). Raises UsageError on values that cannot be.
 
     U     = m r                      unbalance of a mass m that is missing or added at radius r     T Eq 3.1
-    e_per = G / Omega = 9549 G / n   [um], the same number in g mm per kg of rotor; n in rpm        T Eq 3.3
+    e_per = G / Omega = 9549 G / n   [um, the same in g mm per kg of rotor]; n in rpm               T Eq 3.3
     U_per = e_per m_rotor            what grade G permits                                           T Eq 3.2
     F     = U Omega^2                force that turns with the rotor                                T 3.1.1
 
-T Eq 3.3 prints 9594 and calls the speed Omega: 9549 = 60 x 1000 / (2 pi) belongs there, with the speed in rpm. Only
-so does it agree with T Eq 3.2 and with its result of 6 um.
+T Eq 3.3 prints 9594 for 9549 = 60 x 1000 / (2 pi), and calls the speed in rpm Omega.
 """
 
 import math
@@ -42,11 +41,7 @@ class Grade(StrEnum):
 
 
 def grade_named(text: str) -> Grade:
-    """The grade of a text such as "G6.3", "g 6.3" or "6.3". Raises UsageError, with the grades there are.
-
-    >>> grade_named("6.3")
-    <Grade.G6_3: 'G6.3'>
-    """
+    """Find the grade of a text such as "G6.3", "g 6.3" or "6.3"."""
     try:
         return Grade("G" + text.strip().upper().removeprefix("G").strip())
     except ValueError:
@@ -54,44 +49,28 @@ def grade_named(text: str) -> Grade:
 
 
 def unbalance_g_mm(mass_g: float, radius_mm: float) -> float:
-    """U = m r [g mm] of one mass (T Eq 3.1). Raises UsageError on negative or infinite values."""
-    _check("mass", mass_g, "g", zero=True)
-    _check("radius", radius_mm, "mm", zero=True)
-    return mass_g * radius_mm
+    """U = m r [g mm] of one mass (T Eq 3.1)."""
+    return _checked("mass", mass_g, "g", zero=True) * _checked("radius", radius_mm, "mm", zero=True)
 
 
 def permissible_specific_um(grade: Grade, speed_rpm: float) -> float:
-    """e_per = 9549 G / n [um, or g mm/kg] (T Eq 3.3 with its slip removed). Raises UsageError on nonsense."""
+    """e_per = 9549 G / n [um, or g mm/kg] (T Eq 3.3)."""
     return 1e3 * grade.mm_s / _angular_speed(speed_rpm)
 
 
 def permissible_unbalance_g_mm(grade: Grade, speed_rpm: float, rotor_mass_g: float) -> float:
-    """U_per = e_per m [g mm] (T Eq 3.2). The rotor is all that turns: propeller, adapter and bell.
-
-    >>> round(permissible_unbalance_g_mm(Grade.G6_3, 10_000, 30.0), 3)              # T Eq 3.6
-    0.18
-
-    Raises UsageError unless speed and mass are positive.
-    """
-    _check("rotor mass", rotor_mass_g, "g")
-    return permissible_specific_um(grade, speed_rpm) * rotor_mass_g * 1e-3  # g mm/kg x kg
+    """U_per = e_per m [g mm] (T Eq 3.2). The rotor is all that turns: propeller, adapter and bell."""
+    return permissible_specific_um(grade, speed_rpm) * _checked("rotor mass", rotor_mass_g, "g") * 1e-3
 
 
 def unbalance_force_n(unbalance_g_mm: float, speed_rpm: float) -> float:
-    """U Omega^2 [N], the force that turns with the rotor (T 3.1.1). Raises UsageError on nonsense.
-
-    >>> round(unbalance_force_n(5.1, 10_000), 2)                                    # T Table 3.2, F1/SV2
-    5.59
-    """
-    _check("unbalance", unbalance_g_mm, "g mm", zero=True)
-    return unbalance_g_mm / G_MM_PER_KG_M * _angular_speed(speed_rpm) ** 2
+    """U Omega^2 [N] (T 3.1.1)."""
+    return _checked("unbalance", unbalance_g_mm, "g mm", zero=True) / G_MM_PER_KG_M * _angular_speed(speed_rpm) ** 2
 
 
 @dataclass(frozen=True, slots=True)
 class BalanceReport:
-    """An unbalance held against a grade: U, U_per, e, e_per, e Omega, G; the finest grade that it satisfies (None
-    beyond G4000), U / U_per, and U Omega^2.
-    """
+    """U, U_per, e, e_per, e Omega, G; the finest grade that is met (None beyond G4000), U / U_per, and U Omega^2."""
 
     unbalance_g_mm: float
     permissible_g_mm: float
@@ -105,47 +84,37 @@ class BalanceReport:
 
     @property
     def within(self) -> bool:
-        """Whether the unbalance is permitted by the grade."""
+        """Whether the grade permits the unbalance."""
         return _within(self.level_mm_s, self.grade)
 
     @property
     def sentence(self) -> str:
         """One line for a person."""
-        verdict = "within" if self.within else "exceeds"
-        met = f"meets {self.met}" if self.met is not None else f"beyond {Grade.G4000}"
         return (
-            f"{self.unbalance_g_mm:.3g} g mm {verdict} {self.grade}: {self.ratio:.2f} x the permissible "
-            f"{self.permissible_g_mm:.3g} g mm, {met}"
+            f"{self.unbalance_g_mm:.3g} g mm {'within' if self.within else 'exceeds'} {self.grade}: {self.ratio:.2f} x "
+            f"the permissible {self.permissible_g_mm:.3g} g mm, "
+            f"{f'beyond {Grade.G4000}' if self.met is None else f'meets {self.met}'}"
         )
 
 
 def assess_unbalance(
     unbalance_g_mm: float, *, rotor_mass_g: float, speed_rpm: float, grade: Grade = Grade.G6_3
 ) -> BalanceReport:
-    """Hold an unbalance against a grade, whether it was weighed (`unbalance_g_mm`) or estimated from vibration.
+    """Hold an unbalance [g mm] against a grade.
 
-    >>> report = assess_unbalance(0.22, rotor_mass_g=30.0, speed_rpm=10_000)        # T Table 3.2, F2/SV1
-    >>> report.sentence
+    >>> assess_unbalance(0.22, rotor_mass_g=30.0, speed_rpm=10_000).sentence        # T Table 3.2, F2/SV1
     '0.22 g mm exceeds G6.3: 1.22 x the permissible 0.18 g mm, meets G16'
-
-    Raises UsageError unless the unbalance is zero or more and mass and speed are positive.
     """
     force_n = unbalance_force_n(unbalance_g_mm, speed_rpm)
     permissible_g_mm = permissible_unbalance_g_mm(grade, speed_rpm, rotor_mass_g)
-    level = unbalance_g_mm / rotor_mass_g * _angular_speed(speed_rpm)  # g mm over g is mm
+    specific_um = 1e3 * unbalance_g_mm / rotor_mass_g
+    level = 1e-3 * specific_um * _angular_speed(speed_rpm)
     if not math.isfinite(level):
         raise UsageError(f"{unbalance_g_mm:g} g mm on a rotor of {rotor_mass_g:g} g is no rotor: check the units")
-    return BalanceReport(
-        unbalance_g_mm=unbalance_g_mm,
-        permissible_g_mm=permissible_g_mm,
-        specific_um=1e3 * unbalance_g_mm / rotor_mass_g,
-        permissible_um=permissible_specific_um(grade, speed_rpm),
-        level_mm_s=level,
-        grade=grade,
-        met=min((one for one in Grade if _within(level, one)), key=lambda one: one.mm_s, default=None),
-        ratio=level / grade.mm_s,
-        force_n=force_n,
-    )
+    permissible_um = permissible_specific_um(grade, speed_rpm)
+    met = min((one for one in Grade if _within(level, one)), key=lambda one: one.mm_s, default=None)
+    told = (unbalance_g_mm, permissible_g_mm, specific_um, permissible_um, level)
+    return BalanceReport(*told, grade, met, level / grade.mm_s, force_n)
 
 
 def _within(level_mm_s: float, grade: Grade) -> bool:
@@ -153,12 +122,12 @@ def _within(level_mm_s: float, grade: Grade) -> bool:
 
 
 def _angular_speed(speed_rpm: float) -> float:
-    _check("speed", speed_rpm, "rpm")
-    if speed_rpm > FASTEST_RPM:
+    if _checked("speed", speed_rpm, "rpm") > FASTEST_RPM:
         raise UsageError(f"speed must be at most {FASTEST_RPM:.0e} rpm, not {speed_rpm:g}")
     return speed_rpm * RPM
 
 
-def _check(name: str, value: float, unit: str, *, zero: bool = False) -> None:
+def _checked(name: str, value: float, unit: str, *, zero: bool = False) -> float:
     if not (math.isfinite(value) and (value > 0.0 or (zero and value == 0.0))):
         raise UsageError(f"{name} must be {f'0 {unit} or more' if zero else f'above 0 {unit}'}, not {value:g}")
+    return value

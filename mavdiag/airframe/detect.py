@@ -1,6 +1,14 @@
-"""Find the rotor layout from flights: how the outputs change with the commands of roll, pitch and yaw.
+"""Find the rotor layout, and which outputs are motors, from flights: how outputs change with roll, pitch and yaw.
 
-Which outputs are motors is found as well.
+With w = o/mean(o) - 1 of the outputs o that move, the drivers x of roll, pitch and yaw (the torque command; else the
+rate error; else the angular acceleration, some lag later), and changes over 0.1 s, so that trims do not count:
+
+    [ dx_roll  dx_pitch  dx_yaw ] @ B_fit' = [ dw_1 ... dw_n ]      least squares, all three together
+    likeness = sum_k e_k cos(B_fit column k, B column k) / sum_k e_k
+
+e_k: the energy that driver k explains, 0 if it is not excited (F < 10). A layout of which an excited column points the
+other way gets that column's cosine instead. A layout is named if its likeness reaches 0.85 and lacks half as much to 1
+as the next one, and if it loses, with the best gains of its axes, at most half as much of the energy as any other.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -12,12 +20,13 @@ from scipy.optimize import linear_sum_assignment, nnls
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout
 from mavdiag.airframe.trim import MIN_OUTPUT
 from mavdiag.rows.block import Block
-from mavdiag.telemetry import BoolArray, FloatArray
+from mavdiag.telemetry import FloatArray
 
 SPAN_S = 0.1  # changes over this time: longer than output periods and motor lag, shorter than trims (our choice)
 LAGS_S = (0.0, 0.02, 0.04, 0.06, 0.1, 0.15)  # of the acceleration: motor lag and gyro filter (our choice)
 MIN_CHANGES = 40  # spans without overlap (our choice)
 TOGETHER = 4096  # rows of one product: below the size that BLAS threads (our choice)
+PIECE_ROWS = 1 << 16  # that are in memory at a time (our choice)
 SINGULAR = 1e-12  # of the largest eigenvalue of the drivers' products: below it there is no direction
 DRIVERS = ("torque command", "rate error", "angular acceleration")
 MIN_EXPLAINED = 0.1  # share of the outputs' changes that the drivers must explain (our choice)
@@ -29,14 +38,13 @@ MAX_TOGETHER = 10.0  # variance inflation factor above which drivers are not tol
 MIN_GAP = 4.0  # how many times more the least of the motors must follow than any output left out (our choice)
 FEWEST = 3  # rotors that can command roll, pitch and yaw, with the thrust left over
 NUMBERED = ("x", "plus", "hexa-x", "hexa-plus", "octo-x", "octo-plus")  # whose order names the rotors of another one
+TINY = 1e-300
 
 
 @dataclass(frozen=True, slots=True)
 class LayoutFinding:
-    """What flights say about the layout.
+    """What flights say: the known layout that fits, None if none does or it stays unclear, and why, in one sentence.
 
-    layout: the known layout that fits; None if none does, or it stays unclear.
-    reason: why, in one sentence.
     likeness: (name, likeness in -1..1) of the known layouts with as many rotors, best first; empty without a fit.
     outputs: the outputs that move as motors do, from 1, by rotor of the layout; rising if none is named.
     idle: rotors whose output was named and does not move.
@@ -54,32 +62,13 @@ def detect_layout(
     known: Sequence[RotorLayout] = tuple(LAYOUTS.values()),
     outputs: Sequence[int] | None = None,
 ) -> LayoutFinding:
-    """The known layout that healthy flying fits, from the rows of one or more flights.
+    """Find the known layout that healthy flying fits. outputs: those that drive rotor 1, 2, ...; None to find them too.
 
-    outputs: those that drive rotor 1, 2, ... where it is known; None to find them as well.
-
-    The drivers x of roll, pitch and yaw are the first of these that the vehicle sends: its torque command; its rate
-    error (set-point minus gyro, to which the rate controller answers); the angular acceleration that the outputs make
-    some lag later. With w = o/mean(o) - 1 of the outputs o that move, and changes over 0.1 s, so that trims and drifts
-    do not count:
-
-        [ dx_roll  dx_pitch  dx_yaw ] @ B_fit' = [ dw_1 ... dw_n ]      least squares, all three together
-        likeness = sum_k e_k cos(B_fit column k, B column k) / sum_k e_k
-
-    e_k: the energy that driver k explains, 0 if it is not excited (F < 10). A layout of which an excited column
-    points the other way gets that column's cosine instead. The lag is the one that explains most. A layout is named if
-    its likeness reaches 0.85 and lacks half as much to 1 as the next one. Drivers that move together leave B_fit open
-    in one direction. So a layout must besides, with the best gains of its axes, lose at most half as much of the
-    explained energy as any other.
-
-    An output is a motor if its mean in flight is above 0.05, it moves, and the drivers move it (F >= 10). All that move
-    are tried first; then the one that follows the drivers least is left out, again and again, while it does not follow
-    them. The motors must follow four times as much (F) as any output left out; they are the rotors in rising order of
-    their outputs. If no layout reaches 0.85 so, yaw is excited too and the drivers do not move together, that order is
-    sought in which one of `NUMBERED` fits best; it must meet the same limits.
-
-    The blocks are gone through several times, one stretch in memory at a time. Any cut of the rows into blocks gives
-    the same answer. Blind spots: servos that follow the drivers as motors do; a vehicle that hardly turns.
+    All outputs that move are tried first; then the one that follows the drivers least is left out while it does not
+    follow them (F < 10). Motors must follow four times as much as any output left out. If no layout fits in rising
+    order of the outputs, yaw is excited and the drivers do not move together, that order is sought in which one of
+    `NUMBERED` fits. The blocks are gone through several times; any cut of the rows into blocks gives the same answer.
+    Blind spots: servos that follow the drivers as motors do; a vehicle that hardly turns.
     """
     blocks = tuple(blocks) if isinstance(blocks, Iterator) else blocks
     moving = moving_outputs(blocks)
@@ -110,28 +99,29 @@ def detect_layout(
 
 
 def contradicts(finding: LayoutFinding, layout: RotorLayout) -> str:
-    """Why flights speak against a layout that was told, in one sentence; empty if they do not.
+    """Say in one sentence why flights speak against a layout that was told; empty if they do not.
 
     finding: of `detect_layout`, with that layout among the known ones. They do if its likeness is below -0.5, if it is
     below 0.85 and another layout is named, or if not as many outputs as it has rotors move as motors do.
     """
     likeness = dict(finding.likeness)
+    own = likeness.get(layout.name, 0.0)
     if finding.idle:
         return finding.reason
-    if likeness.get(layout.name, 0.0) >= MIN_LIKENESS:
+    if own >= MIN_LIKENESS:
         return ""
     if finding.layout is not None and not finding.layout.alike(layout):
-        own = f" ({layout.name} {likeness[layout.name]:.2f})" if layout.name in likeness else ""
-        return f"the flights look like {finding.layout.name}, not {layout.name}{own}: {finding.reason}"
-    if likeness.get(layout.name, 0.0) < -CONTRARY:
-        return f"the outputs do not move as {layout.name} would (likeness {likeness[layout.name]:.2f})"
+        beside = f" ({layout.name} {own:.2f})" if layout.name in likeness else ""
+        return f"the flights look like {finding.layout.name}, not {layout.name}{beside}: {finding.reason}"
+    if own < -CONTRARY:
+        return f"the outputs do not move as {layout.name} would (likeness {own:.2f})"
     if finding.likeness and layout.name not in likeness and finding.likeness[0][1] >= MIN_LIKENESS:
         return f"{len(finding.outputs)} outputs move as motors do, {layout.name} has {layout.rotors} rotors"
     return ""
 
 
 def moving_outputs(blocks: Iterable[Block]) -> list[int]:
-    """Columns of the outputs that change in valid rows and carry: those that stand still or idle are no motors."""
+    """List the columns of the outputs that change in valid rows and carry: what stands still or idles is no motor."""
     width = max((block.actuator.shape[1] for block in blocks if len(block)), default=0)
     low, high, total, count = np.array([[np.inf], [-np.inf], [0.0], [0.0]]) * np.ones(width)
     for block in blocks:
@@ -145,15 +135,11 @@ def moving_outputs(blocks: Iterable[Block]) -> list[int]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit:
-    """The regression of some outputs, all together.
+class _Fit:
+    """effects: (3, outputs) change of the outputs for one standard deviation of the driver's change about each axis.
 
-    driver: what they were explained by.
-    effects: (3, outputs) change of the outputs for one standard deviation of each driver's change.
-    F: (3,) of roll, pitch and yaw: over all outputs, how far the driver's effect stands out of the noise.
-    followed: (outputs,) of each output: how far the effect of all drivers stands out of its noise, an F value too.
-    explained: share of the outputs' changes.
-    spread: (3, 3) mean products of the drivers' changes, each over its standard deviation.
+    F: (3,) over all outputs, how far the effect stands out of the noise; followed: (outputs,) likewise of each.
+    explained: share of the outputs' changes. spread: (3, 3) mean products of the drivers' standardised changes.
     """
 
     driver: str
@@ -163,17 +149,9 @@ class Fit:
     explained: float
     spread: FloatArray
 
-    @property
-    def together(self) -> float:
-        """The largest variance inflation factor: how much less is known of a driver for moving with the others."""
-        return float(np.diag(np.linalg.pinv(self.spread)).max())
-
     def lost(self, mixing: FloatArray) -> float:
-        """How much of the explained energy a layout cannot explain, 0..1, whatever gains its axes have.
-
-        mixing: (outputs, 3), see `RotorLayout.mixing`.
-        """
-        # least g >= 0 of  tr (E - diag(g) B')' S (E - diag(g) B'),  E effects, B mixing, S spread: a normal equation
+        """How much of the explained energy the mixing B of a layout cannot explain, 0..1, whatever gains g it has."""
+        # least g >= 0 of  tr (E - diag(g) B')' S (E - diag(g) B'),  E effects, S spread: a normal equation
         S, E, B = self.spread, self.effects, mixing
         total = float(np.einsum("kr,kl,lr->", E, S, E))
         M, v = S * (B.T @ B), np.einsum("kl,lr,rk->k", S, E, B)
@@ -182,115 +160,97 @@ class Fit:
         return float((total - 2 * g @ v + g @ M @ g) / total) if total > 0 else 1.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Stretch:
-    """Unbroken rows. w: (n, outputs) o/mean(o) - 1, nan where a row is not judged or the motors do not carry.
-
-    drivers: (3, n, 3), in the order of `DRIVERS`, nan where unknown.
-    """
-
-    dt_s: float
-    w: FloatArray
-    drivers: FloatArray
+def _drivers(block: Block) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n, 3) each, in the order of `DRIVERS`, nan where unknown; the gyro in place of its differences."""
+    return block.torque, block.rate_setpoint - block.rate, block.rate
 
 
-def _stretches(blocks: Iterable[Block], columns: Sequence[int]) -> Iterator[_Stretch]:
-    """One after the other, made anew: of many flights one is in memory, if the blocks come from where they are kept."""
-    run: list[Block] = []
+def _shares(block: Block, columns: Sequence[int]) -> FloatArray:
+    """w, (n, outputs): nan where a row is not judged or the motors do not carry."""
+    outputs = np.full((len(block), len(columns)), np.nan)
+    there = [i for i, column in enumerate(columns) if column < block.actuator.shape[1]]
+    outputs[:, there] = np.where(block.valid[:, None], block.actuator[:, [columns[i] for i in there]], np.nan)
+    mean = outputs.mean(axis=1, keepdims=True)
+    return np.asarray(outputs / np.where(mean > MIN_OUTPUT, mean, np.nan) - 1.0)
+
+
+def _pieces(
+    blocks: Iterable[Block], columns: Sequence[int], driver: int, reach_s: float
+) -> Iterator[tuple[float, FloatArray]]:
+    """Period and [ w x ] of unbroken rows, `PIECE_ROWS` at a time; what a change reaches over comes twice."""
+    rows, last = list[FloatArray](), None
     for block in blocks:
         if not len(block):
             continue
-        if run and not (block.segment == run[-1].segment and 0 < block.t_ns[0] - run[-1].t_ns[-1] < 2.5e9 * block.dt_s):
-            yield _stretch(run, columns)
-            run = []
-        run.append(block)
-    if run:
-        yield _stretch(run, columns)
+        if last is not None and not (
+            block.segment == last.segment and 0 < block.t_ns[0] - last.t_ns[-1] < 2.5e9 * block.dt_s
+        ):
+            yield last.dt_s, np.concatenate(rows)
+            rows, last = [], None
+        x = _drivers(block)[driver]
+        if driver == len(DRIVERS) - 1:
+            x = np.diff(x, axis=0, prepend=np.full((1, 3), np.nan) if last is None else last.rate[-1:])
+        rows.append(np.hstack([_shares(block, columns), x]))
+        last = block
+        while sum(map(len, rows)) >= PIECE_ROWS:
+            table = np.concatenate(rows)
+            yield block.dt_s, table[:PIECE_ROWS]
+            rows = [table[PIECE_ROWS - round(SPAN_S / block.dt_s) - round(reach_s / block.dt_s) :]]
+    if last is not None:
+        yield last.dt_s, np.concatenate(rows)
 
 
-def _stretch(run: Sequence[Block], columns: Sequence[int]) -> _Stretch:
-    outputs = np.full((sum(map(len, run)), len(columns)), np.nan)
-    rate, wanted, torque = (
-        np.concatenate([getattr(block, name) for block in run]) for name in ("rate", "rate_setpoint", "torque")
-    )
-    row = 0
-    for block in run:
-        there = [i for i, column in enumerate(columns) if column < block.actuator.shape[1]]
-        judged: BoolArray = block.valid[:, None]
-        outputs[row : row + len(block), there] = np.where(
-            judged, block.actuator[:, [columns[i] for i in there]], np.nan
-        )
-        row += len(block)
-    mean = outputs.mean(axis=1, keepdims=True)
-    w = outputs / np.where(mean > MIN_OUTPUT, mean, np.nan) - 1.0
-    return _Stretch(run[0].dt_s, w, np.stack([torque, wanted - rate, np.diff(rate, axis=0, prepend=np.nan)]))
+def _fit(blocks: Iterable[Block], columns: Sequence[int]) -> _Fit | None:
+    """The fit of these outputs to the first driver that half of the judged rows carry; None if there is too little.
 
-
-def _fit(blocks: Iterable[Block], columns: Sequence[int]) -> Fit | None:
-    """The fit of these outputs to the first driver that the data carry; None if there is too little of it.
-
-    Of the acceleration the lag that explains most is taken.
+    By running sums of [ dW dX 1 ]' [ dW dX 1 ], for each lag.
     """
     judged, known = 0, np.zeros(len(DRIVERS), dtype=np.int64)
-    for one in _stretches(blocks, columns):
-        flown = np.isfinite(one.w[:, 0])
-        judged += int(flown.sum())
-        known += (flown & np.isfinite(one.drivers).all(axis=2)).sum(axis=1)
+    for block in blocks:
+        flown = np.isfinite(_shares(block, columns)[:, 0])
+        judged += int(np.count_nonzero(flown))
+        known += [np.count_nonzero(flown & np.isfinite(x).all(axis=1)) for x in _drivers(block)]
     carried = np.flatnonzero(2 * known > judged).tolist()
     if not carried:
         return None
-    driver = carried[0]
-    sums = [_Sums(len(columns), lag_s) for lag_s in (LAGS_S if driver == len(DRIVERS) - 1 else LAGS_S[:1])]
-    for one in _stretches(blocks, columns):
-        for found in sums:
-            found.add(one.w, one.drivers[driver], one.dt_s)
-    fits = [found.fit(DRIVERS[driver]) for found in sums]
+    lags_s = LAGS_S if carried[0] == len(DRIVERS) - 1 else LAGS_S[:1]
+    outputs, overlap = len(columns), 1
+    products = np.zeros((len(lags_s), outputs + 4, outputs + 4))
+    for dt_s, table in _pieces(blocks, columns, carried[0], lags_s[-1]):
+        span = max(1, round(SPAN_S / dt_s))
+        n, overlap = len(table) - span - round(lags_s[-1] / dt_s), max(overlap, span)
+        for sums, lag in zip(products, (round(lag_s / dt_s) for lag_s in lags_s if n > 0), strict=False):
+            w, x = table[: span + n, :outputs], table[lag : lag + span + n, outputs:]
+            changes = np.hstack([w[span:] - w[:n], x[span:] - x[:n], np.ones((n, 1))])
+            changes = changes[np.isfinite(changes).all(axis=1)]
+            for first in range(0, len(changes), TOGETHER):
+                part = changes[first : first + TOGETHER]
+                sums += part.T @ part
+    fits = [_solved(sums, overlap, DRIVERS[carried[0]]) for sums in products]
     return max((fit for fit in fits if fit is not None), key=lambda fit: fit.explained, default=None)
 
 
-class _Sums:
-    """Sums over stretches for the least squares of the outputs' changes W on those of a driver X, some lag later.
-
-    rows: how many there are. total: (3,) sum of X. products: of [ W X ] with itself.
-    """
-
-    def __init__(self, outputs: int, lag_s: float) -> None:
-        self._rows, self._overlap, self._lag_s = 0, 1, lag_s
-        self._total, self._products = np.zeros(3), np.zeros((outputs + 3, outputs + 3))
-
-    def add(self, w: FloatArray, x: FloatArray, dt_s: float) -> None:
-        """Take a stretch."""
-        span, lag = max(1, round(SPAN_S / dt_s)), round(self._lag_s / dt_s)
-        n, self._overlap = len(w) - span - lag, max(self._overlap, span)
-        if n > 0:
-            both = np.hstack([w[span : span + n] - w[:n], x[span + lag :] - x[lag : lag + n]])
-            both = both[np.isfinite(both).all(axis=1)]
-            self._rows += len(both)
-            self._total += both[:, -3:].sum(axis=0)
-            for first in range(0, len(both), TOGETHER):
-                part = both[first : first + TOGETHER]
-                self._products += part.T @ part
-
-    def fit(self, driver: str) -> Fit | None:
-        """The fit; None if there is too little of it."""
-        n, (ww, wx, xx) = self._rows, (self._products[:-3, :-3], self._products[:-3, -3:], self._products[-3:, -3:])
-        total = float(np.trace(ww))
-        if n < MIN_CHANGES * self._overlap or total == 0:
-            return None
-        scale = np.sqrt(np.maximum(np.diag(xx) / n - np.square(self._total / n), 0.0))
-        scale = np.where(scale > 0, scale, 1.0)
-        wx, xx = wx / scale, xx / scale / scale[:, None]
-        # [ X'X ] effects = [ X'W ]; drivers that move together by nature leave the smallest effects
-        effects = np.linalg.pinv(xx, rcond=SINGULAR, hermitian=True) @ wx.T
-        explained = np.einsum("kr,kl,lr->r", effects, xx, effects)
-        left = np.maximum(np.diag(ww) - 2 * np.einsum("kr,rk->r", effects, wx) + explained, 0.0)
-        noise = self._overlap * left.sum() / (n * len(ww)) * np.diag(np.linalg.pinv(xx))  # of an effect; spans overlap
-        F = np.asarray(np.square(effects).mean(axis=1) / np.maximum(noise, 1e-300), dtype=np.float64)
-        followed = np.asarray(explained / 3 / np.maximum(self._overlap * left / n, 1e-300), dtype=np.float64)
-        return Fit(driver, np.asarray(effects), F, followed, 1 - float(left.sum()) / total, np.asarray(xx / n))
+def _solved(products: FloatArray, overlap: int, driver: str) -> _Fit | None:
+    """The least squares of these products; None if there is too little of them. overlap: rows of a change."""
+    ww, wx, xx, total = products[:-4, :-4], products[:-4, -4:-1], products[-4:-1, -4:-1], products[-4:-1, -1]
+    n = int(products[-1, -1])
+    moved = float(np.trace(ww))
+    if n < MIN_CHANGES * overlap or moved == 0:
+        return None
+    scale = np.sqrt(np.maximum(np.diag(xx) / n - np.square(total / n), 0.0))
+    scale = np.where(scale > 0, scale, 1.0)
+    wx, xx = wx / scale, xx / scale / scale[:, None]
+    # [ X'X ] effects = [ X'W ]; drivers that move together by nature leave the smallest effects
+    effects = np.asarray(np.linalg.pinv(xx, rcond=SINGULAR, hermitian=True) @ wx.T)
+    explained = np.einsum("kr,kl,lr->r", effects, xx, effects)
+    left = np.maximum(np.diag(ww) - 2 * np.einsum("kr,rk->r", effects, wx) + explained, 0.0)
+    noise = overlap * left.sum() / (n * len(ww)) * np.diag(np.linalg.pinv(xx))  # of an effect; spans overlap
+    F = np.asarray(np.square(effects).mean(axis=1) / np.maximum(noise, TINY), dtype=np.float64)
+    followed = np.asarray(explained / 3 / np.maximum(overlap * left / n, TINY), dtype=np.float64)
+    return _Fit(driver, effects, F, followed, 1 - float(left.sum()) / moved, np.asarray(xx / n))
 
 
-def _found(fit: Fit | None, columns: Sequence[int], known: Sequence[RotorLayout]) -> LayoutFinding:
+def _found(fit: _Fit | None, columns: Sequence[int], known: Sequence[RotorLayout]) -> LayoutFinding:
     """What the fit of these outputs says, the rotors in their order."""
     outputs = tuple(column + 1 for column in columns)
     candidates = [layout for layout in known if layout.rotors == len(columns)]
@@ -305,34 +265,34 @@ def _found(fit: Fit | None, columns: Sequence[int], known: Sequence[RotorLayout]
     return replace(_named(candidates, fit), outputs=outputs)
 
 
-def _named(candidates: Sequence[RotorLayout], fit: Fit) -> LayoutFinding:
-    ranked = sorted(((layout.name, _likeness(fit, layout)) for layout in candidates), key=lambda row: -row[1])
-    name, best = ranked[0]
-    second = ranked[1] if len(ranked) > 1 else None
-    scores = f"{name} {best:.2f}" + (f", next {second[0]} {second[1]:.2f}" if second else "")
-    if best < MIN_LIKENESS or (second is not None and 1 - best > MAX_MISFIT * (1 - second[1])):
-        return LayoutFinding(None, f"no known layout fits clearly ({scores})", tuple(ranked))
-    layout = next(one for one in candidates if one.name == name)
-    rivals = [fit.lost(one.mixing) for one in candidates if one.name != name]
-    if fit.lost(layout.mixing) > MAX_MISFIT * min(rivals, default=1.0):
+def _named(candidates: Sequence[RotorLayout], fit: _Fit) -> LayoutFinding:
+    ranked = sorted(((_likeness(fit, layout), layout) for layout in candidates), key=lambda row: -row[0])
+    likeness = tuple((layout.name, share) for share, layout in ranked)
+    (name, best), second = likeness[0], likeness[1:2]
+    scores = f"{name} {best:.2f}" + "".join(f", next {other} {share:.2f}" for other, share in second)
+    if best < MIN_LIKENESS or any(1 - best > MAX_MISFIT * (1 - share) for _, share in second):
+        return LayoutFinding(None, f"no known layout fits clearly ({scores})", likeness)
+    lost = [fit.lost(layout.mixing) for _, layout in ranked]
+    if lost[0] > MAX_MISFIT * min(lost[1:], default=1.0):
         reason = f"roll, pitch and yaw moved together, so that several layouts fit ({scores}); fly them apart"
-        return LayoutFinding(None, reason, tuple(ranked))
+        return LayoutFinding(None, reason, likeness)
     unseen = "" if fit.F[2] >= MIN_F else "; the senses of rotation were not seen, for the flights hardly yaw"
-    return LayoutFinding(layout, f"found from outputs and {fit.driver} ({scores}){unseen}", tuple(ranked))
+    return LayoutFinding(ranked[0][1], f"found from outputs and {fit.driver} ({scores}){unseen}", likeness)
 
 
-def _likeness(fit: Fit, layout: RotorLayout) -> float:
+def _likeness(fit: _Fit, layout: RotorLayout) -> float:
     size, B = np.linalg.norm(fit.effects, axis=1), layout.mixing
-    cosines = np.einsum("kr,rk->k", fit.effects, B) / np.maximum(size * np.linalg.norm(B, axis=0), 1e-300)
+    cosines = np.einsum("kr,rk->k", fit.effects, B) / np.maximum(size * np.linalg.norm(B, axis=0), TINY)
     excited = fit.F >= MIN_F
     lowest = float(cosines[excited].min())
     return lowest if lowest < 0 else float(np.average(cosines[excited], weights=np.square(size[excited])))
 
 
-def _reordered(fit: Fit, columns: Sequence[int], known: Sequence[RotorLayout]) -> LayoutFinding | None:
+def _reordered(fit: _Fit, columns: Sequence[int], known: Sequence[RotorLayout]) -> LayoutFinding | None:
     """The layout that fits in another order of the outputs; None if none does, or an axis is not excited."""
     candidates = {one.name: one for one in known if one.name in NUMBERED and one.rotors == len(columns)}
-    if not candidates or fit.explained < MIN_EXPLAINED or fit.F.min() < MIN_F or fit.together > MAX_TOGETHER:
+    inflation = float(np.diag(np.linalg.pinv(fit.spread)).max())  # of the variance, for drivers that move together
+    if not candidates or fit.explained < MIN_EXPLAINED or fit.F.min() < MIN_F or inflation > MAX_TOGETHER:
         return None
     orders, turned = {}, []
     for name, layout in candidates.items():

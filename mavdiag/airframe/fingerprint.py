@@ -1,25 +1,15 @@
 """Does a flight look like the vehicle that a baseline was learnt from? The answer comes before any judgement.
 
-A fingerprint is what the healthy flights showed of the vehicle: of each of `TRAITS` its mean and its spread between
-flights. A flight that is far from it is of another vehicle. The difficulty is a damaged rotor, which must not be taken
-for another vehicle. So only that counts which damage to one rotor does not do:
-
-- Damage shifts the trim along the rotor's own pattern: the best rise of one rotor is taken out of the shift. A rise of
-  less than 0.025 shows no damage, and then the whole shift counts, unless vibration is higher: a blade may drag more.
-- Damage raises vibration: only lower noise counts.
-- Damage costs thrust: a lower hover throttle counts, a higher one is only noted.
-- Damage hardly changes how the vehicle follows its commands, nor how many motors it has.
-- Trim and throttle of a vehicle that tumbles say nothing: only calm seconds count.
-
-Sessions of one vehicle differ as well, in battery, payload and propellers. What is far (`FAR`) is beyond all that they
-were seen to do, and the flight is refused. What is near (`NEAR`) is significant against the learnt flights alone: it is
-judged, with a note, and may be another specimen of the type, new propellers or a new load.
+A fingerprint is of each of `TRAITS` the mean over healthy flights and the spread between them. A damaged rotor is no
+other vehicle, so only that counts which damage to one rotor does not do. It shifts the trim along the rotor's own
+pattern: the best rise of one rotor is taken out of the shift, unless it is less than 0.025 and vibration is no higher.
+It raises vibration and costs thrust: only lower noise and a lower throttle count. Only calm seconds count.
 """
 
 import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -30,13 +20,13 @@ from mavdiag.airframe.trim import LEVEL_RATIO, MIN_OUTPUT, rises, shown_trim
 from mavdiag.errors import InputError
 from mavdiag.rows.block import COLUMNS, Block
 from mavdiag.rows.front import Rows
-from mavdiag.rows.rates import RateBlock
-from mavdiag.rows.windows import spans, window_all, window_mean, window_rows
+from mavdiag.rows.windows import window_all, window_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray
 
 FIRST_S = 20.0  # of judged flight that is compared (our choice)
 PART_S = 10.0  # of a learnt flight, by which its spread is measured: half of that, so that 30 s have three (our choice)
 MOST_PARTS = 12  # of a flight: enough to see what it varies by (our choice)
+WHOLE_S = 300.0  # a longer flight is known by its parts alone, so that it need not be in memory (our choice)
 SIGNIFICANT = 5.0  # spreads (our choice)
 FAR_SPREADS = 8.0  # spreads (our choice)
 FAR_TRIM = 0.04  # of the hover command, roll and pitch counting a third; recorded sessions and weights stay below 0.03
@@ -49,14 +39,6 @@ TRIM_S = 1.0  # of one mean of the trim (our choice)
 NOISE_WINDOW_S = 0.5  # of one rms of noise (our choice)
 CALM_SHARE = 0.2  # the quantile of these rms that stands for calm flight (our choice)
 RESOLUTION_SHARE = 0.05  # of the steps of a signal that may be smaller than its resolution (our choice)
-SLOW_S = 0.3  # means of the rates that are compared for the gain (our choice)
-MOST_LAG_S = 0.4  # between commanded and measured rate (our choice)
-GAIN_CORRELATION = 0.9  # of commanded and measured slow rates; with less the gain is that of noise (our choice)
-TURN_S = 0.1  # means of the gyro whose difference is the angular acceleration (our choice)
-TURN_LAG_S = 0.2  # between outputs and acceleration (our choice)
-TURN_CORRELATION = 0.7  # of outputs and acceleration (our choice)
-LAG_STEP_S = 0.02
-PIECE_S = 2.0  # shortest unbroken flight that gives a slope (our choice)
 ALIKE = 0.7  # of the logarithm of a motor's level over the motors' median: half to twice (our choice)
 MOVES = 0.2  # of the busiest motor's rms (our choice)
 
@@ -65,8 +47,8 @@ MOVES = 0.2  # of the busiest motor's rms (our choice)
 class Trait:
     """One figure of a vehicle, and how much lower or higher than the learnt one is near and far.
 
-    name: how a text calls it. log: it is a natural logarithm, and a text gives the ratio.
     floor: of its spread between flights: what those of one emulated airframe differ by, in payload and wind (estimate).
+    log: it is a natural logarithm, and a text gives the ratio.
     """
 
     name: str
@@ -77,8 +59,16 @@ class Trait:
     far_high: float = math.inf
     log: bool = True
 
+    def words(self, learnt: float, spread: float, seen: float) -> str:
+        """How it differs."""
+        if self.log:
+            return f"{self.name} {math.exp(seen - learnt):.2g} times the learnt"
+        if self.name == "motors":
+            return f"{seen:.0f} motors (learnt {learnt:.0f})"
+        return f"{self.name} {seen:+.3f} (learnt {learnt:+.3f} +- {spread:.3f})"
 
-_1_5, _2, _4, _20 = map(math.log, (1.5, 2, 4, 20))
+
+_1_5, _2, _20 = map(math.log, (1.5, 2, 20))
 
 #: What `traits` gives, in this order; the limits are ours, held against recorded sessions, cuts, tape and weights.
 TRAITS = (
@@ -88,10 +78,6 @@ TRAITS = (
     # are quieter by 7
     *(Trait(f"gyro noise {axis}", 0.1, near_low=_2, far_low=_20) for axis in "pqr"),
     *(Trait(f"accelerometer noise {axis}", 0.1, near_low=_2, far_low=_20) for axis in "xyz"),
-    # of slow measured rates on slow commanded rates
-    *(Trait(f"{axis} gain", 0.1, _1_5, _1_5, _2, _2) for axis in ("roll", "pitch")),
-    # angular acceleration for a unit of trim [rad/s^2]
-    *(Trait(f"{axis} authority", 0.2, math.inf, _2, _4, _4) for axis in ("roll", "pitch")),
     # median mean output, or thrust set-point
     Trait("hover throttle", 0.03, math.log(1.15), math.log(1.4), _1_5),
     # outputs that move like motors, whatever the layout; one that hangs follows no command
@@ -102,10 +88,7 @@ TRIM, NOISE = slice(0, 3), slice(3, 9)
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One trait of a vehicle: its name, its mean over the flights, and its spread between them.
-
-    Raises InputError if they cannot be.
-    """
+    """One trait of a vehicle: its mean over the flights and its spread between them. Raises InputError on others."""
 
     name: str
     mean: float
@@ -125,11 +108,11 @@ class Fingerprint:
 
 
 class Outcome(StrEnum):
-    """What a comparison says."""
+    """FAR: beyond all that sessions of one vehicle were seen to do; it is refused. NEAR: judged, with a note."""
 
     ALIKE = "alike"
-    NEAR = "near"  # judged, with a note
-    FAR = "far"  # another vehicle
+    NEAR = "near"
+    FAR = "far"
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +123,7 @@ class Likeness:
     differing: tuple[str, ...] = ()
 
     def sentence(self, whose: str) -> str:
-        """For a report; empty if the flight looks like that vehicle. whose: its name."""
+        """Say it for a report; empty if the flight looks like that vehicle. whose: its name."""
         if self.outcome is Outcome.ALIKE:
             return ""
         figures = ", ".join(self.differing)
@@ -154,18 +137,21 @@ def fingerprint_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout | None
     """The fingerprint of the vehicle of some healthy flights; None if they show no trait.
 
     spread^2 = (floor^2 + sum over flights of (x - mean)^2)/n + within^2 for n flights: the floor stands for one more
-    flight, so few flights have a spread that is not smaller than it ought to be. within^2: the variance of the trait
-    between parts of one flight, for what is compared is a part, and some traits follow what is flown in it.
+    flight. within^2: the variance of the trait between parts of one flight, for what is compared is a part.
     """
-    found = np.array([traits(flight, layout) for flight in flights])
-    parts = [traits_of_parts(flight, layout, PART_S) for flight in flights]
+    found, varied = [], []
+    for flight in flights:
+        parts = list(_parts(flight))
+        whole = parts if sum(len(rows.block) * rows.block.dt_s for rows in flight) > WHOLE_S else joined(flight)
+        found.append(traits(whole, layout))
+        varied.append(np.array([traits([part], layout) for part in parts]).reshape(-1, len(TRAITS)))
     figures = []
-    for i, (trait, column) in enumerate(zip(TRAITS, found.T, strict=True)):
+    for i, (trait, column) in enumerate(zip(TRAITS, np.array(found).T, strict=True)):
         known = column[np.isfinite(column)]
         if len(known):
             mean = float(known.mean())
             between = (trait.floor**2 + float(np.square(known - mean).sum())) / len(known)
-            figures.append(Figure(trait.name, mean, math.sqrt(between + _within([one[:, i] for one in parts]))))
+            figures.append(Figure(trait.name, mean, math.sqrt(between + _within([one[:, i] for one in varied]))))
     return Fingerprint(tuple(figures), len(flights)) if figures else None
 
 
@@ -196,11 +182,10 @@ def compare(fingerprint: Fingerprint, flight: Sequence[Rows], layout: RotorLayou
 
     A flight that shows none of the traits is alike: nothing speaks against it.
     """
-    blocks, rates = beginning(flight, FIRST_S)
-    seen = _traits(blocks, rates, layout)
+    seen = traits(beginning(flight, FIRST_S), layout)
     known = {figure.name: (figure.mean, figure.spread) for figure in fingerprint.figures}
-    learnt = np.array([known.get(trait.name, (math.nan, 1.0)) for trait in TRAITS])
-    shift, spread = seen - learnt[:, 0], learnt[:, 1]
+    learnt, spread = np.array([known.get(trait.name, (math.nan, 1.0)) for trait in TRAITS]).T
+    shift = seen - learnt
     far, near = _trim_differs(shift, spread, layout)
     worst = int(np.argmax(np.abs(shift[TRIM]) / spread[TRIM]))
     far_at, near_at = [worst] if far else [], [worst] if near and not far else []
@@ -211,7 +196,8 @@ def compare(fingerprint: Fingerprint, flight: Sequence[Rows], layout: RotorLayou
         elif size >= max(trait.near_low if lower else trait.near_high, SIGNIFICANT * spread[i]):
             near_at.append(i)
     outcome = Outcome.FAR if far_at else Outcome.NEAR if near_at else Outcome.ALIKE
-    return Likeness(outcome, tuple(_words(TRAITS[i], learnt[i], float(seen[i])) for i in (*far_at, *near_at)))
+    figures = np.stack((learnt, spread, seen)).T.tolist()
+    return Likeness(outcome, tuple(TRAITS[i].words(*figures[i]) for i in (*far_at, *near_at)))
 
 
 def _trim_differs(shift: FloatArray, spread: FloatArray, layout: RotorLayout | None) -> tuple[bool, bool]:
@@ -237,15 +223,6 @@ def _without_rotor(shift: FloatArray, spread: FloatArray, layout: RotorLayout) -
     return float(rise[best]), rests[:, best]
 
 
-def _words(trait: Trait, learnt: FloatArray, seen: float) -> str:
-    mean, spread = learnt.tolist()
-    if trait.log:
-        return f"{trait.name} {math.exp(seen - mean):.2g} times the learnt"
-    if trait.name == "motors":
-        return f"{seen:.0f} motors (learnt {mean:.0f})"
-    return f"{trait.name} {seen:+.3f} (learnt {mean:+.3f} +- {spread:.3f})"
-
-
 def joined(flight: Sequence[Rows]) -> list[Block]:
     """The rows of a flight, one block a segment."""
     out = []
@@ -262,75 +239,52 @@ def _widened(x: FloatArray, columns: int) -> FloatArray:
     return np.pad(x, ((0, 0), (0, columns - x.shape[1])), constant_values=np.nan)
 
 
-def joined_rates(flight: Sequence[Rows]) -> list[RateBlock]:
-    """The rates of a flight, one block a segment."""
-    out = []
-    for segment, rows in itertools.groupby(flight, key=lambda one: one.block.segment):
-        blocks = [one.rates for one in rows]
-        columns = (np.concatenate([getattr(block, field.name) for block in blocks]) for field in fields(RateBlock)[2:])
-        out.append(RateBlock(segment, blocks[0].dt_s, *columns))
-    return out
-
-
-def _between(rates: RateBlock, first_ns: int, stop_ns: int) -> RateBlock:
-    part = slice(*np.searchsorted(rates.t_ns, (first_ns, stop_ns)).tolist())
-    return RateBlock(rates.segment, rates.dt_s, *(getattr(rates, field.name)[part] for field in fields(RateBlock)[2:]))
-
-
-def beginning(flight: Sequence[Rows], span_s: float) -> tuple[list[Block], list[RateBlock]]:
-    """The first rows of a flight that hold so much valid flight [s], one block a segment, and their rates."""
-    seen_s, enough = 0.0, 0
+def beginning(flight: Sequence[Rows], span_s: float) -> list[Block]:
+    """The first rows of a flight that hold so much valid flight [s], one block a segment."""
+    seen_s, enough, found = 0.0, 0, list[Block]()
     while enough < len(flight) and seen_s <= span_s:
         seen_s += np.count_nonzero(flight[enough].block.valid) * flight[enough].block.dt_s
         enough += 1
-    first = flight[: enough + 2]  # rates come half a window later, with the next rows
-    blocks, rates = joined(first), joined_rates(first)
-    for i, block in enumerate(blocks):
+    for block in joined(flight[:enough]):
         stop = int(np.searchsorted(np.cumsum(block.valid) * block.dt_s, span_s, side="right"))
         if stop < len(block):
-            until = _between(rates[i], int(block.t_ns[0]), int(block.t_ns[stop]))
-            return [*blocks[:i], block.rows(0, stop)], [*rates[:i], until]
+            return [*found, block.rows(0, stop)]
+        found.append(block)
         span_s -= np.count_nonzero(block.valid) * block.dt_s
-    return blocks, rates
+    return found
 
 
-def traits(flight: Sequence[Rows], layout: RotorLayout | None) -> FloatArray:
+def _parts(flight: Sequence[Rows]) -> Iterator[Block]:
+    """Parts of `PART_S`, at most `MOST_PARTS` over the whole flight, one in memory at a time."""
+    sizes = [(one.block.segment, len(one.block), one.block.dt_s) for one in flight]
+    stops = np.cumsum([size for _, size, _ in sizes])
+    places, begin = [], 0
+    for (_, dt_s), some in itertools.groupby(sizes, key=lambda one: (one[0], one[2])):
+        end, length = begin + sum(size for _, size, _ in some), window_rows(PART_S, dt_s)
+        places += [(first, first + length) for first in range(begin, end - length + 1, length)]
+        begin = end
+    most = min(len(places), MOST_PARTS)
+    for first, stop in (places[i * len(places) // most] for i in range(most)):
+        low, high = np.searchsorted(stops, (first, stop - 1), side="right").tolist()
+        offset = first - int(stops[low]) + sizes[low][1]
+        yield joined(flight[low : high + 1])[0].rows(offset, offset + stop - first)
+
+
+def traits(blocks: Sequence[Block], layout: RotorLayout | None) -> FloatArray:
     """The figures of a flight, (len(TRAITS),), NaN where it does not show them. layout: None if it is not known."""
-    return _traits(joined(flight), joined_rates(flight), layout)
-
-
-def traits_of_parts(flight: Sequence[Rows], layout: RotorLayout | None, span_s: float) -> FloatArray:
-    """The figures of parts of a flight that are so long [s] each, (parts, len(TRAITS)): what a vehicle varies by as it
-    flies. At most `MOST_PARTS`, over the whole flight; none of a flight that is shorter."""
-    places = [
-        (block.rows(first, first + length), rates)
-        for block, rates in zip(joined(flight), joined_rates(flight), strict=True)
-        if (length := window_rows(span_s, block.dt_s))
-        for first in range(0, len(block) - length + 1, length)
-    ]
-    some = min(len(places), MOST_PARTS)
-    found = [np.empty((0, len(TRAITS)))]
-    for block, rates in (places[i * len(places) // some] for i in range(some)):
-        found.append(_traits([block], [_between(rates, int(block.t_ns[0]), int(block.t_ns[-1]))], layout)[None])
-    return np.concatenate(found)
-
-
-def _traits(blocks: Sequence[Block], rates: Sequence[RateBlock], layout: RotorLayout | None) -> FloatArray:
     calm = [_calm(block) for block in blocks]
-    trims = [] if layout is None else [shown_trim(block, layout) for block in blocks]
     seconds = [np.empty((0, 3))]
-    for block, ok, (trim, known) in zip(blocks, calm, trims, strict=False):
-        window = window_rows(TRIM_S, block.dt_s)
-        seconds.append(window_mean(trim, window)[window_all(known & ok, window)][:: max(1, window // 4)])
+    for block, ok in zip(blocks, calm, strict=True):
+        if layout is None:
+            break
+        window, (values, known) = window_rows(TRIM_S, block.dt_s), shown_trim(block, layout)
+        seconds.append(window_mean(values, window)[window_all(known & ok, window)][:: max(1, window // 4)])
     trim = np.concatenate(seconds)
-    turning = [(block, values, known) for block, (values, known) in zip(blocks, trims, strict=False)]
     return np.array(
         [
             *(np.median(trim, axis=0) if len(trim) else np.full(3, np.nan)),
             *_noise([(block.rate, block.valid, block.dt_s) for block in blocks]),
             *_noise([(block.force, block.valid & np.isfinite(block.force[:, 2]), block.dt_s) for block in blocks]),
-            *(_gain(rates, axis) for axis in (0, 1)),
-            *(_authority(turning, axis) for axis in (0, 1)),
             _throttle(blocks, calm, layout),
             _motors(blocks),
         ]
@@ -366,49 +320,6 @@ def _noise(signals: Sequence[tuple[FloatArray, BoolArray, float]]) -> FloatArray
         calm = max(float(np.quantile(square, CALM_SHARE)), resolution**2 / 2) if len(square) else 0.0
         found.append(0.5 * math.log(calm) if calm > 0 else math.nan)
     return np.array(found)
-
-
-def _gain(rates: Sequence[RateBlock], axis: int) -> float:
-    """Logarithm of the gain of slow measured rates on slow commanded ones."""
-    pairs = []
-    for block in rates:
-        for first, stop in _pieces(block.commanded, block.dt_s):
-            both = np.stack((block.u[first:stop, axis], block.y[first:stop, axis]), axis=1)
-            slow = window_mean(both, window_rows(SLOW_S, block.dt_s))
-            pairs.append((slow - slow.mean(axis=0)).T)
-    return _slope(pairs, rates[0].dt_s, MOST_LAG_S, GAIN_CORRELATION) if pairs else math.nan
-
-
-def _authority(turning: Sequence[tuple[Block, FloatArray, BoolArray]], axis: int) -> float:
-    """Logarithm of the angular acceleration for a unit of trim."""
-    pairs = []
-    for block, trim, known in turning:
-        window = window_rows(TURN_S, block.dt_s)
-        for first, stop in _pieces(known & block.valid, block.dt_s):
-            rate = window_mean(block.rate[first:stop, axis : axis + 1], window)[:, 0]
-            faster = (rate[window:] - rate[:-window]) / (window * block.dt_s)
-            command = window_mean(trim[first:stop, axis : axis + 1], 2 * window)[: len(faster), 0]
-            pairs.append(np.stack((command - command.mean(), faster[: len(command)] - faster.mean())))
-    return _slope(pairs, turning[0][0].dt_s, TURN_LAG_S, TURN_CORRELATION) if pairs else math.nan
-
-
-def _pieces(known: BoolArray, dt_s: float) -> list[tuple[int, int]]:
-    return [(first, stop) for first, stop in spans(known) if stop - first > window_rows(PIECE_S, dt_s)]
-
-
-def _slope(pairs: Sequence[FloatArray], dt_s: float, most_lag_s: float, least: float) -> float:
-    """Logarithm of the least-squares slope of y on x, (2, n), at the lag where they correlate best; NaN if below
-    `least`."""
-    best, slope = 0.0, math.nan
-    for lag in range(0, window_rows(most_lag_s, dt_s) + 1, window_rows(LAG_STEP_S, dt_s)):
-        lagged = [(x[: len(x) - lag], y[lag:]) for x, y in pairs if len(x) > 2 * lag]
-        # einsum and not @: BLAS threads for so many rows, which costs more than it saves
-        xx, xy, yy = (
-            sum(float(np.einsum("n,n->", pair[i], pair[j])) for pair in lagged) for i, j in ((0, 0), (0, 1), (1, 1))
-        )
-        if xx > 0 and yy > 0 and xy / math.sqrt(xx * yy) > best:
-            best, slope = xy / math.sqrt(xx * yy), xy / xx
-    return math.log(slope) if best >= least else math.nan
 
 
 def _throttle(blocks: Sequence[Block], calm: Sequence[BoolArray], layout: RotorLayout | None) -> float:

@@ -1,8 +1,7 @@
 """Where the rotors are and which way they turn: the mixing of roll, pitch and yaw.
 
 A layout is a table of effects: what the thrust of one rotor does to the vehicle, in FRD (roll right, pitch nose up,
-yaw nose right are positive). Rotors are numbered from 1 as the vehicle numbers its outputs. Everything that names a
-rotor, in a monitor or in an alert, means this number. `mavdiag.airframe.detect` finds a layout from flights.
+yaw nose right are positive). Rotors are numbered from 1 as the vehicle numbers its outputs.
 """
 
 import math
@@ -22,10 +21,9 @@ COLUMN_TOLERANCE = 1e-3  # of a column's scale: digits that a hand-written file 
 class RotorLayout:
     """Rotor geometry of any number of rotors.
 
-    name: what reports call it.
     signs: per rotor its (roll, pitch, yaw) effect; the squares of each column sum to the number of rotors.
     torque_gain: share of a motor's full output that a full-scale (roll, pitch, yaw) torque command adds; None where
-    the mixing is not known; then trims follow only from its outputs.
+    the mixing is not known.
     Raises UsageError if it cannot command roll, pitch and yaw independently, or the columns are not so scaled.
     """
 
@@ -67,10 +65,7 @@ class RotorLayout:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """One rotor in body FRD, from the centre of gravity.
-
-    x_m: forward. y_m: to the right. spin: sense of rotation seen from above.
-    """
+    """One rotor in body FRD from the centre of gravity: forward, to the right, sense of rotation seen from above."""
 
     x_m: float
     y_m: float
@@ -90,21 +85,16 @@ def layout_at(name: str, places: Sequence[Place]) -> RotorLayout:
 
 
 def layout_of_effects(name: str, effects: Sequence[tuple[float, float, float]]) -> RotorLayout:
-    """The layout of (roll, pitch, yaw) effects in any scale. Raises UsageError as `RotorLayout` does.
-
-    >>> layout_of_effects("x", [(-3, 2, 1), (3, -2, 1), (3, 2, -1), (-3, -2, -1)]).signs[0]
-    (-1.0, 1.0, 1.0)
-    """
-    B = np.array(effects, dtype=np.float64).reshape(-1, 3)
-    rms = np.sqrt(np.square(B).mean(axis=0)) if len(B) else np.zeros(3)
-    B = B / np.where(rms > 0, rms, 1.0)
-    return RotorLayout(name, tuple((float(r), float(p), float(y)) for r, p, y in B))
+    """The layout of (roll, pitch, yaw) effects in any scale. Raises UsageError as `RotorLayout` does."""
+    B = np.array(effects, dtype=np.float64)
+    rms = np.sqrt(np.square(B).mean(axis=0))
+    return RotorLayout(name, tuple((r, p, y) for r, p, y in (B / np.where(rms > 0, rms, 1.0)).tolist()))
 
 
 def ring(name: str, *angles_deg: float, cw: tuple[int, ...], yaw: tuple[float, ...] = ()) -> RotorLayout:
-    """Rotors on a circle, by angle from the nose to the right [deg]; cw: numbers of those that turn clockwise.
+    """The layout of rotors on a circle, by angle from the nose to the right [deg].
 
-    yaw: how much each of them turns the vehicle, where they differ. Raises UsageError if they cannot command all axes.
+    cw: numbers of those that turn clockwise. yaw: how much each of them turns the vehicle, where they differ.
     """
     effects = [
         (-round(math.sin(math.radians(deg)), 9), round(math.cos(math.radians(deg)), 9), -size if i in cw else size)

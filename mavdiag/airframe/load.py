@@ -1,9 +1,7 @@
-"""Airframes from TOML files: the file of a user, or one of those that are shipped in this folder.
+"""Airframes from TOML files: the file of a user, or one of those that are shipped in this folder (docs/airframe.md).
 
-Their keys are those of `_File`, with an example in docs/airframe.md. A rotor is either where it is (x_m, y_m, spin, in
-FRD from the centre of gravity, seen from above) or what its thrust does (roll, pitch, yaw, in any scale). Every key
-may be left out but the name. What is left out is not known, and nothing is taken in its place. An unknown key is an
-error.
+A rotor is either where it is (x_m, y_m, spin, in FRD from the centre of gravity, seen from above) or what its thrust
+does (roll, pitch, yaw, in any scale). What a file leaves out is not known, and an unknown key is an error.
 """
 
 from dataclasses import replace
@@ -11,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, NonNegativeFloat, PositiveFloat, Tag, ValidationError
 
 from mavdiag.airframe.airframe import Airframe, Scope
 from mavdiag.airframe.layout import LAYOUTS, Place, RotorLayout, layout_at, layout_named, layout_of_effects
@@ -23,61 +21,54 @@ from mavdiag.units import RPM
 #: Names of the airframes that are shipped.
 BUILTIN = ("crazyflie", "qdrone2", "qdrone2-recorded")
 
-Finite: TypeAlias = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Positive: TypeAlias = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
-NotNegative: TypeAlias = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
-
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class _Place(_Table):
-    x_m: Finite
-    y_m: Finite
+    x_m: float
+    y_m: float
     spin: Literal["cw", "ccw"]
 
 
 class _Effect(_Table):
-    roll: Finite
-    pitch: Finite
-    yaw: Finite
-
-
-def _kind_of_rotor(raw: Any) -> str:
-    return "effect" if isinstance(raw, dict) and raw.keys() & {"roll", "pitch", "yaw"} else "place"
+    roll: float
+    pitch: float
+    yaw: float
 
 
 _Rotor: TypeAlias = Annotated[
-    Annotated[_Place, Tag("place")] | Annotated[_Effect, Tag("effect")], Discriminator(_kind_of_rotor)
+    Annotated[_Place, Tag("place")] | Annotated[_Effect, Tag("effect")],
+    Discriminator(lambda raw: "effect" if isinstance(raw, dict) and raw.keys() & {"roll", "pitch", "yaw"} else "place"),
 ]
 
 
 class _Gate(_Table):
-    min_height_m: Finite | None = None
-    min_thrust: Annotated[float, Field(strict=True, ge=0, le=1)] | None = None
-    need_armed: Annotated[bool, Field(strict=True)] = True
-    trim_start_s: NotNegative = 3.0
-    trim_end_s: NotNegative = 0.0
+    min_height_m: float | None = None
+    min_thrust: Annotated[float, Field(ge=0, le=1)] | None = None
+    need_armed: bool = True
+    trim_start_s: NonNegativeFloat = 3.0
+    trim_end_s: NonNegativeFloat = 0.0
 
 
 class _File(_Table):
     name: Annotated[str, Field(min_length=1)]
     scope: Scope = "airframe"
     layout: str | None = None
-    rotors: tuple[_Rotor, ...] = ()
-    outputs: tuple[Annotated[int, Field(strict=True, ge=1, le=32)], ...] | None = None
-    mass_kg: Positive | None = None
-    hover_rpm: Positive | None = None
-    imu_corner_hz: Positive | None = None
+    rotors: list[_Rotor] = []
+    outputs: list[Annotated[int, Field(ge=1, le=32)]] | None = None
+    mass_kg: PositiveFloat | None = None
+    hover_rpm: PositiveFloat | None = None
+    imu_corner_hz: PositiveFloat | None = None
     gate: _Gate | None = None
     classifier: str | None = None
 
 
 def airframe_from(text: str) -> Airframe:
-    """The airframe that a user means: one of `BUILTIN`, or the path of a TOML file.
+    """Read the airframe that a user means: one of `BUILTIN`, or the path of a TOML file.
 
-    Raises UsageError, with the names there are, if it is neither, and InputError as `load_airframe` does.
+    Raises UsageError if it is neither, and InputError as `load_airframe` does.
     """
     if text in BUILTIN:
         return airframe_named(text)
@@ -87,11 +78,7 @@ def airframe_from(text: str) -> Airframe:
 
 
 def airframe_named(name: str) -> Airframe:
-    """One of `BUILTIN`. Raises UsageError, with the names there are, for another name.
-
-    >>> airframe_named("qdrone2").layout.rotors
-    4
-    """
+    """Read one of `BUILTIN`. Raises UsageError for another name."""
     if name not in BUILTIN:
         raise UsageError(f"no airframe {name!r}: use one of {', '.join(BUILTIN)}")
     file = resources.files("mavdiag.airframe") / f"{name}.toml"
@@ -99,7 +86,7 @@ def airframe_named(name: str) -> Airframe:
 
 
 def with_layout(airframe: Airframe, name: str) -> Airframe:
-    """The airframe with a known rotor layout, told by its name. Raises UsageError, with the names there are."""
+    """The airframe with a known rotor layout. Raises UsageError if there is none of that name, or it has another."""
     layout = layout_named(name)
     if airframe.layout is not None and airframe.layout.signs != layout.signs:
         raise UsageError(
@@ -114,30 +101,30 @@ def load_airframe(path: Path) -> Airframe:
 
 
 def _parse(table: dict[str, Any], file: str) -> Airframe:
+    about = ""
     try:
         found = _File.model_validate(table)
+        about = "rotors" if found.rotors else "layout"
+        layout = _layout(found)
+        about = "outputs"
+        return Airframe(
+            **found.model_dump(include={"name", "scope", "mass_kg", "imu_corner_hz", "classifier"}),
+            layout=layout,
+            outputs=None if found.outputs is None else tuple(found.outputs),
+            hover_rad_s=None if found.hover_rpm is None else found.hover_rpm * RPM,
+            gate=None if found.gate is None else GateSpec(**found.gate.model_dump()),
+        )
     except ValidationError as error:
         first = error.errors()[0]
         steps = [step for step in first["loc"] if step not in ("place", "effect")]
         key = ".".join(str(step + 1) if isinstance(step, int) else step for step in steps)  # rotors count from 1
         reason = "no such key" if first["type"] == "extra_forbidden" else first["msg"]
         raise InputError(f"{file}: {key}: {reason}") from error
-    about = "rotors" if found.rotors else "layout"
-    try:
-        layout = _layout(found)
-        about = "outputs"
-        return Airframe(
-            **found.model_dump(include={"name", "scope", "outputs", "mass_kg", "imu_corner_hz", "classifier"}),
-            layout=layout,
-            hover_rad_s=None if found.hover_rpm is None else found.hover_rpm * RPM,
-            gate=None if found.gate is None else GateSpec(**found.gate.model_dump()),
-        )
     except UsageError as error:
         raise InputError(f"{file}: {about}: {error}") from error
 
 
 def _layout(found: _File) -> RotorLayout | None:
-    """The layout of a file, None if it has none. Raises UsageError if it cannot be."""
     if found.layout is not None:
         if found.rotors:
             raise UsageError("give either rotors or the name of a layout, not both")

@@ -1,18 +1,15 @@
-"""The rotor layout from the autopilot's own parameters: what its mixer is set to do, and on which outputs.
+"""The rotor layout and its outputs from the autopilot's own parameters, where these state both with certainty.
 
-ArduPilot: FRAME_CLASS and FRAME_TYPE name a table of motors (AP_MotorsMatrix.cpp, setup_quad_matrix and its likes);
-SERVOn_FUNCTION 33 to 40 puts motor 1 to 8 on output n (82 to 85: motor 9 to 12), any other function makes it no motor.
-Up to Copter 3.4 FRAME was the type, the class was another firmware, and the functions were RCn_FUNCTION.
-PX4: CA_ROTOR_COUNT, and for rotor n from 0 its place CA_ROTORn_PX, _PY [m] (FRD: forward, right) and its moment
-coefficient CA_ROTORn_KM, "positive for a rotor with CCW rotation" (control_allocator/module.yaml) seen from above,
-which turns the nose to the right; <group>_FUNCn 101 to 112 puts motor 1 to 12 on output n of that group.
-
-Only what can be stated with certainty is: tables on a circle, rotors of one kind that push up.
+ArduPilot: FRAME_CLASS and FRAME_TYPE name a table of motors (AP_MotorsMatrix.cpp); SERVOn_FUNCTION 33 to 40 puts motor
+1 to 8 on output n (82 to 85: motor 9 to 12). Up to Copter 3.4 FRAME was the type, and the functions RCn_FUNCTION.
+PX4: CA_ROTOR_COUNT, and for rotor n from 0 its place CA_ROTORn_PX, _PY [m] (FRD) and its moment coefficient
+CA_ROTORn_KM, positive for CCW seen from above (control_allocator/module.yaml), which turns the nose to the right;
+<group>_FUNCn 101 to 112 puts motor 1 to 12 on output n of that group.
 """
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,13 +30,7 @@ _UP = (0.0, 0.0, -1.0)  # CA_ROTORn_AX, _AY, _AZ by default
 _SAME = 1e-3  # of an axis or of the thrust coefficients: closer ones are the same (our choice)
 
 
-def _twice(*angles_deg: float) -> tuple[float, ...]:
-    """Two rotors on each arm, one above the other."""
-    return tuple(deg for deg in angles_deg for _ in range(2))
-
-
 # FRAME_TYPE by FRAME_CLASS. The V's two rear rotors turn it more than its two front ones.
-_CLASSES = {1: "quad", 2: "hexa", 3: "octa", 4: "X8", 5: "Y6", 12: "dodecahexa", 14: "deca"}
 _X8 = (45, -45, -135, 135, -45, 45, 135, -135)
 _X8_BETAFLIGHT = (135, 45, -135, -45, 135, 45, -135, -45)
 _FRAMES: Mapping[tuple[int, int], RotorLayout] = {
@@ -65,13 +56,13 @@ _FRAMES: Mapping[tuple[int, int], RotorLayout] = {
     (4, 2): ring("x8-v", *_X8, cw=(2, 4, 6, 8), yaw=(0.7981, 0.7981, 1.0, 1.0, 0.7981, 0.7981, 1.0, 1.0)),
     (4, 3): ring("x8-h", *_X8, cw=(1, 3, 5, 7)),
     (4, 12): ring("x8-betaflight", *_X8_BETAFLIGHT, cw=(1, 4, 6, 7)),
-    (4, 14): ring("x8-clockwise", *_twice(45, 135, -135, -45), cw=(2, 3, 6, 7)),
+    (4, 14): ring("x8-clockwise", 45, 45, 135, 135, -135, -135, -45, -45, cw=(2, 3, 6, 7)),
     (4, 18): ring("x8-betaflight-reversed", *_X8_BETAFLIGHT, cw=(2, 3, 5, 8)),
     **{(5, kind): layout_named("y6") for kind in range(22)},
     (5, 10): layout_named("y6b"),
     (5, 11): ring("y6f", 180, 60, -60, 180, 60, -60, cw=(4, 5, 6)),
-    (12, 0): ring("dodecahexa-plus", *_twice(0, 60, 120, 180, -120, -60), cw=(2, 3, 6, 7, 10, 11)),
-    (12, 1): ring("dodecahexa-x", *_twice(30, 90, 150, -150, -90, -30), cw=(2, 3, 6, 7, 10, 11)),
+    (12, 0): ring("dodecahexa-plus", 0, 0, 60, 60, 120, 120, 180, 180, -120, -120, -60, -60, cw=(2, 3, 6, 7, 10, 11)),
+    (12, 1): ring("dodecahexa-x", 30, 30, 90, 90, 150, 150, -150, -150, -90, -90, -30, -30, cw=(2, 3, 6, 7, 10, 11)),
     (14, 0): layout_named("deca-plus"),
     (14, 1): layout_named("deca-x"),
     (14, 14): layout_named("deca-x"),
@@ -80,10 +71,8 @@ _FRAMES: Mapping[tuple[int, int], RotorLayout] = {
 
 @dataclass(frozen=True, slots=True)
 class ParameterFinding:
-    """What the parameters say of the rotors.
+    """The layout and the output, from 1, of motor 1, 2, ...; None if the parameters do not say it, or contradict it.
 
-    layout: None if they do not say it, or contradict themselves.
-    outputs: the output, from 1, of motor 1, 2, ...; None likewise.
     reason: what both rest on, or why one is not known; empty if the parameters say nothing of rotors.
     """
 
@@ -93,15 +82,13 @@ class ParameterFinding:
 
 
 def layout_from_parameters(parameters: Mapping[str, float], mav_type: int | None = None) -> ParameterFinding:
-    """What an autopilot's parameters say of its rotors. parameters: by name; integers as floats.
+    """Read what an autopilot's parameters, by name and as floats, say of its rotors.
 
-    mav_type: MAV_TYPE of the vehicle, which older ArduPilots tell besides; None if it is not known. What is not finite,
-    or beyond what such a parameter can be, counts as not told.
+    mav_type: MAV_TYPE of the vehicle, which older ArduPilots tell besides. What is not finite, or beyond what such a
+    parameter can be, counts as not told.
 
     >>> layout_from_parameters({"FRAME_CLASS": 1, "FRAME_TYPE": 0}).layout.name
     'plus'
-    >>> layout_from_parameters({"FRAME_CLASS": 1}).reason
-    'FRAME_TYPE is not among the parameters'
     """
     px4, copter = "CA_ROTOR_COUNT" in parameters, "FRAME_CLASS" in parameters
     if px4 and copter:
@@ -125,7 +112,7 @@ def output_functions(parameters: Mapping[str, float]) -> dict[int, int]:
 def _whole(parameters: Mapping[str, float], name: str) -> int | None:
     """A parameter that is a whole number; None if it is not told, or cannot be one."""
     value = parameters.get(name, math.nan)
-    return int(value) if math.isfinite(value) and abs(value) <= _LARGEST and value == int(value) else None
+    return int(value) if abs(value) <= _LARGEST and value == int(value) else None
 
 
 def _copter_layout(parameters: Mapping[str, float]) -> tuple[RotorLayout | None, str]:
@@ -136,19 +123,15 @@ def _copter_layout(parameters: Mapping[str, float]) -> tuple[RotorLayout | None,
         return None, "FRAME_CLASS and FRAME_TYPE are no whole numbers"
     told = f"FRAME_CLASS {frame_class}, FRAME_TYPE {frame_type}"
     layout = _FRAMES.get((frame_class, frame_type))
-    if layout is None:
-        kind = _CLASSES.get(frame_class, "a class without a table")
-        return None, f"the geometry of {told} ({kind}) is not known here"
-    return layout, f"the vehicle's parameters {told}"
+    return layout, f"the vehicle's parameters {told}" if layout else f"the geometry of {told} is not known here"
 
 
 def _old_layout(parameters: Mapping[str, float], mav_type: int | None) -> tuple[RotorLayout | None, str]:
     """By FRAME, as Copter up to 3.4 has it. It has one type for all classes, and only a quad is told by MAV_TYPE."""
     frame_type = _whole(parameters, "FRAME")
-    if frame_type is None:
+    if frame_type not in _OLD_FRAMES or mav_type != QUAD:
         return None, ""
-    layout = _FRAMES.get((1, frame_type)) if mav_type == QUAD and frame_type in _OLD_FRAMES else None
-    return layout, "" if layout is None else f"the vehicle's parameter FRAME {frame_type} of a quad"
+    return _FRAMES[1, frame_type], f"the vehicle's parameter FRAME {frame_type} of a quad"
 
 
 def _with_outputs(layout: RotorLayout | None, reason: str, motors: Mapping[int, int], source: str) -> ParameterFinding:
@@ -156,13 +139,11 @@ def _with_outputs(layout: RotorLayout | None, reason: str, motors: Mapping[int, 
     if not motors:
         return ParameterFinding(layout, None, reason)
     found = sorted(motors.values())
-    expected = list(range(1, (layout.rotors if layout is not None else len(found)) + 1))
-    if found != expected:
-        listed = ", ".join(map(str, found))
-        wrong = f"{source} has the motors {listed}" + (f", {layout.name} has {layout.rotors}" if layout else "")
+    if found != list(range(1, (layout.rotors if layout is not None else len(found)) + 1)):
+        wrong = f"{source} has the motors {', '.join(map(str, found))}"
+        wrong += f", {layout.name} has {layout.rotors}" if layout else ""
         return ParameterFinding(reason=f"the parameters contradict themselves: {wrong}")
-    by_motor = {motor: output for output, motor in motors.items()}
-    return ParameterFinding(layout, tuple(by_motor[motor] for motor in expected), reason)
+    return ParameterFinding(layout, tuple(sorted(motors, key=motors.__getitem__)), reason)
 
 
 def _px4(parameters: Mapping[str, float]) -> ParameterFinding:
@@ -173,43 +154,41 @@ def _px4(parameters: Mapping[str, float]) -> ParameterFinding:
         motor = (_whole(parameters, name) or 0) - _PX4_MOTOR_1 + 1 if found else 0
         if found and 1 <= motor <= _MOST_ROTORS:
             groups.setdefault(found[1], {})[int(found[2])] = motor
-    if any(motors != next(iter(groups.values())) for motors in groups.values()):
+    group, motors = next(iter(groups.items()), ("", {}))
+    if any(others != motors for others in groups.values()):
         several = f"{reason}; the outputs are not known: motors on {', '.join(sorted(groups))}"
         return ParameterFinding(layout, None, several)
-    motors = next(iter(groups.values()), {})
-    return _with_outputs(layout, reason, motors, f"{next(iter(groups), '')}_FUNCn")
+    return _with_outputs(layout, reason, motors, f"{group}_FUNCn")
 
 
 def _px4_layout(parameters: Mapping[str, float]) -> tuple[RotorLayout | None, str]:
-    count = _whole(parameters, "CA_ROTOR_COUNT")
-    if count is None or not 0 < count <= _MOST_ROTORS:
-        return None, f"CA_ROTOR_COUNT {parameters['CA_ROTOR_COUNT']:g} is no number of rotors (1 to {_MOST_ROTORS})"
-    if parameters.get("CA_AIRFRAME", _AIRFRAME_MULTIROTOR) != _AIRFRAME_MULTIROTOR:
-        return None, f"CA_AIRFRAME {parameters['CA_AIRFRAME']:g} is no multirotor"
-    names = [f"CA_ROTOR{n}_{part}" for n in range(count) for part in ("PX", "PY", "KM")]
-    if missing := [name for name in names if not abs(parameters.get(name, math.inf)) <= _LARGEST]:
-        return None, f"{missing[0]} is not among the parameters"
-    if odd := _odd(parameters, count):
+    count = _whole(parameters, "CA_ROTOR_COUNT") or 0
+    if odd := next(_px4_doubts(parameters, count), ""):
         return None, odd
-    rows = np.array([parameters[name] for name in names]).reshape(count, 3)
-    effects = [(-y, x, moment) for x, y, moment in rows.tolist()]  # of thrust along -z; the body turns against CW
-    try:
-        layout = layout_of_effects(f"px4-{count}", effects)
+    place = [[parameters[f"CA_ROTOR{n}_{part}"] for part in ("PX", "PY", "KM")] for n in range(count)]
+    try:  # the effects of thrust along -z; the body turns against CW
+        layout = layout_of_effects(f"px4-{count}", [(-y, x, moment) for x, y, moment in place])
     except UsageError as error:
         return None, f"the parameters CA_ROTORn make no layout ({error})"
     told = f"the vehicle's parameters CA_ROTOR0 to CA_ROTOR{count - 1}"
     return next((one for one in LAYOUTS.values() if one.alike(layout)), layout), told
 
 
-def _odd(parameters: Mapping[str, float], count: int) -> str:
-    """Why these rotors are more than places and senses; empty if they are not."""
+def _px4_doubts(parameters: Mapping[str, float], count: int) -> Iterator[str]:
+    """Why these rotors are not known, or are more than places and senses."""
+    if not 0 < count <= _MOST_ROTORS:
+        yield f"CA_ROTOR_COUNT {parameters['CA_ROTOR_COUNT']:g} is no number of rotors (1 to {_MOST_ROTORS})"
+    if parameters.get("CA_AIRFRAME", _AIRFRAME_MULTIROTOR) != _AIRFRAME_MULTIROTOR:
+        yield f"CA_AIRFRAME {parameters['CA_AIRFRAME']:g} is no multirotor"
+    for name in (f"CA_ROTOR{n}_{part}" for n in range(count) for part in ("PX", "PY", "KM")):
+        if not abs(parameters.get(name, math.inf)) <= _LARGEST:
+            yield f"{name} is not among the parameters"
     for n in range(count):
         axis = [parameters.get(f"CA_ROTOR{n}_{part}", up) for part, up in zip(("AX", "AY", "AZ"), _UP, strict=True)]
         if not np.allclose(axis, _UP, atol=_SAME):
-            return f"rotor {n + 1} does not push straight up (CA_ROTOR{n}_AX, _AY, _AZ)"
+            yield f"rotor {n + 1} does not push straight up (CA_ROTOR{n}_AX, _AY, _AZ)"
         if parameters[f"CA_ROTOR{n}_KM"] == 0.0:
-            return f"CA_ROTOR{n}_KM is 0: the rotor's sense is not known"
+            yield f"CA_ROTOR{n}_KM is 0: the rotor's sense is not known"
     thrust = [parameters[name] for n in range(count) if (name := f"CA_ROTOR{n}_CT") in parameters]
     if thrust and max(thrust) > min(thrust) * (1 + _SAME):
-        return "the rotors differ in thrust (CA_ROTORn_CT)"
-    return ""
+        yield "the rotors differ in thrust (CA_ROTORn_CT)"

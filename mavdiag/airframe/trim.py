@@ -2,17 +2,11 @@
 
     w_i = o_i/mean(o) - 1,    m = C w,    C = pinv(B), B the layout's signs
     a_j = c_j' W m / (c_j' W c_j),    W = diag(1/sd^2)
-
-o: motor outputs 0..1; or m itself from torque commands over thrust (a Crazyflie logs no outputs). a_j is the least-
-squares rise of rotor j alone that explains a shift m, c_j its column of C.
-
-A rotor that lost the share e of its thrust carries as much when it is commanded the share a more. Thrust goes with the
-command, for autopilots linearise it:
-
     (1 - e)(1 + a) = 1
 
-A recorded ArduCopter's motors at 0.95, 0.90 and 0.80 rise by 0.054, 0.110 and 0.237, by this law 0.053, 0.111 and
-0.250. Where outputs go with the speed of the rotor, T ~ w^2, the same rise is a loss of nearly twice as much.
+o: motor outputs 0..1; or m itself from torque commands over thrust (a Crazyflie logs no outputs). a_j: least-squares
+rise of rotor j alone that explains a shift m, c_j its column of C. e: share of its thrust that a rotor lost which is
+commanded the share a more: autopilots linearise. Where outputs go with its speed, the loss is nearly twice as much.
 """
 
 from collections.abc import Sequence
@@ -42,11 +36,7 @@ SIGNALS: dict[Source, frozenset[Signal]] = {
 
 
 def rise_of(loss: float) -> float:
-    """By how much a rotor is commanded more [fraction of hover] that lost this share of its thrust, below 1.
-
-    >>> rise_of(0.2), loss_of(0.25)
-    (0.25, 0.2)
-    """
+    """By how much a rotor is commanded more [fraction of hover] that lost this share of its thrust, below 1."""
     return loss / (1.0 - loss)
 
 
@@ -57,17 +47,12 @@ def loss_of(rise: float) -> float:
 
 def sources_of(flight: Sequence[Rows], layout: RotorLayout) -> BoolArray:
     """(2,) whether a flight shows a trim by each of `SOURCES`: outputs that stand still show none."""
-    return np.array([any(_moves(rows.block, layout, source) for rows in flight) for source in SOURCES])
 
+    def moves(block: Block, source: Source) -> bool:
+        trim, known = trim_of(block, layout, source)
+        return bool((trim[known] != trim[known][:1]).any())
 
-def _moves(block: Block, layout: RotorLayout, source: Source) -> bool:
-    trim, known = trim_of(block, layout, source)
-    return bool((trim[known] != trim[known][:1]).any())
-
-
-def source_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout) -> Source:
-    """As `source_among`, of flights."""
-    return source_among([sources_of(flight, layout) for flight in flights], layout)
+    return np.array([any(moves(rows.block, source) for rows in flight) for source in SOURCES])
 
 
 def source_among(shown: Sequence[BoolArray], layout: RotorLayout) -> Source:
@@ -123,12 +108,7 @@ def tilt_of(block: Block) -> FloatArray:
 
 def spread_of(shifts: FloatArray) -> Three:
     """Root mean squares of healthy shifts, (n, 3); yaw's is widened, the others' are at least three times it."""
-    return spread_from(np.mean(np.square(shifts), axis=0))
-
-
-def spread_from(squares: FloatArray) -> Three:
-    """As `spread_of`, from the mean squares of the shifts, (3,)."""
-    roll, pitch, yaw = np.sqrt(squares).tolist()
+    roll, pitch, yaw = np.sqrt(np.mean(np.square(shifts), axis=0)).tolist()
     yaw = float(np.hypot(yaw, YAW_FLOOR))
     return max(roll, LEVEL_RATIO * yaw), max(pitch, LEVEL_RATIO * yaw), yaw
 
@@ -137,8 +117,7 @@ def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, ti
     """The rise of each rotor that explains a shift of the trim alone, (n, 3) -> (n, rotors) [fraction of hover].
 
     tilt: (n, 2) by how much the commanded tilt differs [rad]: wind that holds a vehicle tilted tips the rotor discs
-    too, so 0.3 times the tilt is added in squares to the spread of roll and pitch. Without it roll and pitch count in
-    full, which tells rotors of one sense of rotation apart.
+    too, so 0.3 times the tilt is added in squares to the spread of roll and pitch.
     """
     C, leaning = layout.unmixing, TILT_TRIM**2 * np.square(tilt).sum(axis=1)
     W = 1.0 / (np.square(spread) + leaning[:, None] * np.array([1.0, 1.0, 0.0]))

@@ -1,8 +1,6 @@
-"""From a judged flight to what is kept of it: the figures of a history, and windows of equal length. Pure.
+"""From a judged flight to what is kept of it: the figures of a history, and windows of equal length. Pure."""
 
-Both come from the one pass that judged the flight.
-"""
-
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,11 +16,9 @@ from mavdiag.units import NS_PER_S
 
 @dataclass(frozen=True, slots=True)
 class SlotFigures:
-    """One monitor on one axis over a flight; axis is None where the monitor is about the whole vehicle.
+    """One monitor over a flight, on one axis (None: the whole vehicle), with the threshold that judged it.
 
-    unit, threshold: of the statistic, as the flight was judged.
-    median, peak: where it is valid; None if it never was. The peak of `fsd` is the longest run [s].
-    judged_s: time that it judged [s].
+    median, peak: where it is valid, or None; the peak of `fsd` is the longest run [s]. judged_s: that it judged [s].
     """
 
     monitor: str
@@ -36,15 +32,11 @@ class SlotFigures:
 
 @dataclass(frozen=True, slots=True)
 class FlightRecord:
-    """What is kept of a judged flight.
+    """What is kept of a judged flight; verdict, reason, judged_s as in `LogVerdict`.
 
-    airframe: the name that the history goes by. log: what the log was called when it was added.
-    content: what it is known by, whether its vehicle was named or not: the hash of its file, and the vehicle in it.
-    started_ns: wall-clock time of its first record, unix epoch [ns]; 0 if that is not known.
-    added_ns: when it was judged [ns]; it stands for the start where that is not known.
-    baseline: digest of the baseline that judged it. verdict, reason, judged_s: as in `LogVerdict`.
-    rotor_trim: by how much each rotor's command rose against the baseline, median over the flight [fraction of hover];
-        empty where the trim was not judged.
+    content: the hash of its file, and the vehicle in it. baseline: digest of the one that judged it.
+    started_ns, added_ns: of its first record (0 if unknown) and of its judging, unix epoch [ns].
+    rotor_trim: rise of each rotor's command, median over the flight [fraction of hover]; empty where it was not judged.
     """
 
     airframe: str
@@ -77,13 +69,9 @@ class WindowMonitor:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A part of a flight.
+    """A part of a flight, by the vehicle's clock [s]; windows begin at multiples of their length.
 
-    from_s, to_s: of the vehicle's clock [s]; windows begin at multiples of their length.
-    verdict: fault while one was declared, suspected while one was; healthy if enough of what was flown in it was
-        judged, as of a whole log; else not judgeable.
-    flown_s: time in the air, without take-offs and landings [s].
-    judged_s: how much of it any monitor that decides about propellers judged [s].
+    flown_s, judged_s: time in the air, and how much of it any monitor that decides about propellers judged [s].
     ratio, monitor: the highest ratio of a deciding monitor to its threshold, and whose it is; None if none judged.
     """
 
@@ -105,6 +93,7 @@ def record_of(
     content = log.sha256 if log.vehicle is None else f"{log.sha256}:{log.vehicle}"
     trims = (trace.found for trace in traces if isinstance(trace.slot.monitor, RotorTrim))
     trim = next((found for found in trims if found.rotors.shape[1] and found.valid.any()), None)
+    verdict = judged.verdict
     return FlightRecord(
         airframe,
         log.name,
@@ -112,9 +101,9 @@ def record_of(
         log.started_ns,
         added_ns,
         baseline.digest,
-        judged.verdict.verdict,
-        judged.verdict.reason,
-        judged.verdict.judged_s,
+        verdict.verdict,
+        verdict.reason,
+        verdict.judged_s,
         tuple(_slot_figures(trace) for trace in traces),
         () if trim is None else tuple(np.median(trim.rotors[trim.valid], axis=0).tolist()),
     )
@@ -128,50 +117,48 @@ def _slot_figures(trace: SlotTrace) -> SlotFigures:
 
 
 def windows_of(flight: JudgedFlight, span_s: float, judged_share: float = JUDGED_SHARE) -> tuple[Window, ...]:
-    """The windows in which the vehicle flew, in order of time.
-
-    span_s: their length, 1 s or more [s]. judged_share: as for a whole log.
-    """
+    """The windows of so many seconds (1 or more) in which the vehicle flew, in order of time."""
     pieces = [piece for piece in flight.pieces if len(piece.rows.block)]
     if flight.chain is None or not pieces:
         return ()
-    span_ns, blocks = round(span_s * NS_PER_S), [piece.rows.block for piece in pieces]
+    blocks, traces = [piece.rows.block for piece in pieces], slot_traces(flight.chain, pieces)
     t_ns = np.concatenate([block.t_ns for block in blocks])
     settled = np.concatenate([block.t_ns >= block.settled_ns for block in blocks])
     judged = settled.copy()
     for begin_ns, end_ns in flight.unjudged:
         judged[t_ns.searchsorted(begin_ns) : t_ns.searchsorted(end_ns, side="right")] = False
-    changes = flight.verdict.changes
-    ends_ns = [*(change.t_ns for change in changes[1:]), int(t_ns[-1])]
-    traces, found = slot_traces(flight.chain, pieces), []
+    span_ns, found = round(span_s * NS_PER_S), []
     for k in np.unique(t_ns // span_ns).tolist():
         edges = (k * span_ns, (k + 1) * span_ns)
         rows = slice(*t_ns.searchsorted(edges))
-        flown_s, covered_s = (blocks[0].dt_s * int(kind[rows].sum()) for kind in (settled, judged))
-        held = {
-            change.stage
-            for change, end_ns in zip(changes, ends_ns, strict=False)
-            if change.t_ns < edges[1] and max(end_ns, change.t_ns) >= edges[0]
-        }
-        least_s = max(min(MIN_JUDGED_S, span_s / 2), judged_share * flown_s)
-        verdict = Verdict.HEALTHY if covered_s >= least_s else Verdict.NOT_JUDGEABLE
+        flown_s, judged_s = (blocks[0].dt_s * int(kind[rows].sum()) for kind in (settled, judged))
+        enough = judged_s >= max(min(MIN_JUDGED_S, span_s / 2), judged_share * flown_s)
+        held = set(_held(flight, edges, int(t_ns[-1])))
+        verdict = Verdict.HEALTHY if enough else Verdict.NOT_JUDGEABLE
         if held & {Stage.FAULT, Stage.SUSPECTED}:
             verdict = Verdict.FAULT if Stage.FAULT in held else Verdict.SUSPECTED
-        shown = [(trace.slot, _shown(trace, edges)) for trace in traces]
-        ratios = [(one.ratio, one.name) for slot, one in shown if slot.decides and one.ratio is not None]
+        shown = [(trace.slot.decides, _shown(trace, edges)) for trace in traces]
+        ratios = [(one.ratio, one.name) for decides, one in shown if decides and one.ratio is not None]
         ratio, whose = max((pair for pair in ratios if np.isfinite(pair[0])), default=(None, None))
         monitors: dict[str, WindowMonitor] = {}
         for _, one in shown:
             other = monitors.get(one.name, one)
             peak = max((peak for peak in (one.ratio, other.ratio) if peak is not None), default=None)
             monitors[one.name] = WindowMonitor(one.name, max(one.judged_s, other.judged_s), peak)
-        told = (verdict, flown_s, covered_s, ratio, whose)
-        found.append(Window(k * span_s, (k + 1) * span_s, *told, tuple(monitors.values())))
+        figures = (verdict, flown_s, judged_s, ratio, whose)
+        found.append(Window(k * span_s, (k + 1) * span_s, *figures, tuple(monitors.values())))
     return tuple(found)
 
 
+def _held(flight: JudgedFlight, edges: tuple[int, int], last_ns: int) -> Iterator[Stage]:
+    """The stages of the decision between two times."""
+    changes = flight.verdict.changes
+    for change, end_ns in zip(changes, [*(change.t_ns for change in changes[1:]), last_ns], strict=False):
+        if change.t_ns < edges[1] and max(end_ns, change.t_ns) >= edges[0]:
+            yield change.stage
+
+
 def _shown(trace: SlotTrace, edges: tuple[int, int]) -> WindowMonitor:
-    """What a slot shows between two times."""
     rows = slice(*trace.found.t_ns.searchsorted(edges))
     ratio = trace.found.value[rows][trace.found.valid[rows]] / trace.slot.threshold
     judged_s, highest = len(ratio) * trace.found.period_s, float(ratio.max()) if len(ratio) else None

@@ -8,6 +8,7 @@ from mavdiag.errors import InputError
 from mavdiag.logs import is_log
 
 IsLog = Callable[[Path], bool]
+NOTHING = "no log there; name files, a folder, or a pattern like 'flights/*.tlog'"
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,23 +21,13 @@ class Named:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What arguments name.
-
-    logs: in the order of the arguments, within a folder by name.
-    skipped: files of folders and patterns that are no flight logs.
-    """
+    """The logs that arguments name, in their order, within a folder by name. skipped: files that are no flight logs."""
 
     logs: tuple[Named, ...]
     skipped: int = 0
 
-    @property
-    def skipped_sentence(self) -> str:
-        """That files were left out; empty if none was."""
-        plural = "s" if self.skipped > 1 else ""
-        return f"{self.skipped} file{plural} skipped that are no flight logs" if self.skipped else ""
-
     def paths(self) -> tuple[Path, ...]:
-        """The logs themselves, where one that cannot be read is an error. Raises InputError for the first of them."""
+        """The logs themselves. Raises InputError for the first that cannot be read."""
         for log in self.logs:
             if log.trouble:
                 raise InputError(f"{log.path}: {log.trouble}")
@@ -53,40 +44,23 @@ def logs_named(arguments: Iterable[str | Path], is_log: IsLog = is_log) -> Found
     logs: list[Named] = []
     skipped = 0
     for argument in map(Path, arguments):
-        if argument.is_dir():
-            found = list(_below(argument, set(), is_log))
-        elif any(sign in str(argument) for sign in "*?[") and not _exists(argument):
-            found = list(_matching(argument, is_log))
-        else:
-            found = [Named(argument)]
+        found: list[Named | None] = [Named(argument)]
+        try:
+            if argument.is_dir():
+                found = list(_below(argument, set(), is_log))
+            elif any(sign in str(argument) for sign in "*?[") and not argument.exists():
+                matches = sorted(Path(argument.anchor).glob(str(argument.relative_to(argument.anchor))))
+                found = [log for path in matches for log in _below(path, set(), is_log)]
+        except (OSError, ValueError) as error:  # a name that is too long, a pattern that is none
+            found = [Named(argument, f"no pattern to look for files by ({error})")]
         taken = [log for log in found if log is not None]
         skipped += len(found) - len(taken)
-        logs += taken or [Named(argument, "no log there; name files, a folder, or a pattern like 'flights/*.tlog'")]
+        logs += taken or [Named(argument, NOTHING)]
     return Found(tuple(logs), skipped)
 
 
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists()
-    except (OSError, ValueError):  # too long, or with a zero byte; reading it says so
-        return False
-
-
-def _matching(pattern: Path, is_log: IsLog) -> Iterator[Named | None]:
-    try:
-        matches = sorted(Path(pattern.anchor).glob(str(pattern.relative_to(pattern.anchor))))
-    except (OSError, ValueError) as error:
-        yield Named(pattern, f"no pattern to look for files by ({error})")
-        return
-    for path in matches:
-        yield from _below(path, set(), is_log)
-
-
 def _below(path: Path, seen: set[tuple[int, int]], is_log: IsLog) -> Iterator[Named | None]:
-    """The logs that a file or folder is or has, by name; None for a file that is none. seen: folders so far.
-
-    A file that cannot be read may be a log.
-    """
+    """The logs that a file or folder is or has, by name; None for a file that is none. An unreadable one may be."""
     if not path.is_dir():
         try:
             yield Named(path) if path.is_file() and path.stat().st_size and is_log(path) else None

@@ -1,46 +1,119 @@
-"""Workers (edge): processes of this machine, those of a Dask cluster, or none."""
+"""Many tasks on workers (edge): processes of this machine, those of a Dask cluster, or this process alone."""
 
 import logging
 import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any, ParamSpec, TypeVar
+from typing import TypeVar
 
-from mavdiag.errors import InputError, LinkError, missing_extra
+from mavdiag.errors import LinkError, UsageError, missing_extra
 
-P = ParamSpec("P")
-T = TypeVar("T")
-#: Of a worker: one thread of arithmetic; and glibc keeps the arrays' memory for the next log instead of giving it back
-#: to the system, which makes a third of the page faults and half of the system's time (measured).
-ENVIRONMENT: Mapping[str, str] = MappingProxyType(
-    {
-        **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"),
-        "MALLOC_MMAP_THRESHOLD_": str(32 << 20),
-        "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
-    }
-)
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+# Of a worker: one thread of arithmetic; and glibc keeps the arrays' memory for the next task instead of giving it back
+# to the system, which makes a third of the page faults and half of the system's time (measured).
+ENVIRONMENT = {
+    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"),
+    "MALLOC_MMAP_THRESHOLD_": str(32 << 20),
+    "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
+}
 PATIENCE_S = 10.0  # for a scheduler to answer
+QUIET_S = 15.0  # without an answer, until it is looked whether there is any worker (our choice)
 
 
 @dataclass(frozen=True, slots=True)
 class TaskExecutor:
-    """Where the tasks run.
-
-    pool: processes, a cluster, or none. in_flight: how many tasks to submit at a time, so that no worker waits.
-    killed: errors that say that a task's workers died, one after the other.
-    manned: whether there is any worker; a pool of processes tells by an error if there is none.
-    """
+    """Where tasks run. in_flight: how many are handed out at a time. manned: whether there is any worker."""
 
     pool: Executor
     in_flight: int
-    killed: tuple[type[Exception], ...] = ()
     manned: Callable[[], bool] = lambda: True
+
+
+def run_all(
+    function: Callable[[Task], Result],
+    tasks: Iterable[Task],
+    workers: int | str,
+    *,
+    known: Callable[[Task], Result | None] = lambda task: None,
+    warn: Callable[[str], None] = lambda text: None,
+) -> Generator[tuple[Task, Future[Result]], None, None]:
+    """Call a function for every task; give each task with its finished future, in the order in which they end.
+
+    workers: how many processes of this machine (1: this process itself), or the address of a Dask scheduler.
+    known: the result of a task that need not run, else None. warn: is told once if a cluster has no worker left.
+    Tasks are taken as workers get free. What a worker had that died is run again, each task alone; the future of one
+    that ends this worker, too, holds BrokenExecutor. Raises UsageError or LinkError if there are no workers.
+    """
+    running = dict[Future[Result], Task]()
+    deserted = False
+    with ExitStack() as stack:
+        executor: TaskExecutor | None = None
+
+        def ended(most: int) -> Iterator[tuple[Task, Future[Result]]]:
+            """Those that end until only so many are left."""
+            nonlocal executor, deserted
+            while len(running) > most:
+                done, _ = wait(running, QUIET_S, FIRST_COMPLETED)
+                if not (done or deserted or executor is None or executor.manned()):
+                    deserted = True
+                    warn("no worker is left; waiting for another one (Ctrl-C stops, what is finished is kept)")
+                if any(future.cancelled() for future in done):
+                    raise LinkError(
+                        "the scheduler went away or gave up the work; start it, and run this again to go on"
+                    )
+                broken = {future for future in done if isinstance(future.exception(), BrokenExecutor)}
+                yield from [(running.pop(future), future) for future in done - broken]
+                if broken:
+                    stack.close()
+                    executor, lost = None, list(running.values())
+                    running.clear()
+                    yield from ((task, _alone(function, task)) for task in lost)
+
+        for task in tasks:
+            result = known(task)
+            if result is not None or workers == 1:
+                yield task, _done(function(task) if result is None else result)
+                continue
+            if executor is not None:
+                yield from ended(executor.in_flight - 1)
+            if executor is None:  # not yet, or it broke
+                opened = dask_executor(workers) if isinstance(workers, str) else local_executor(workers)
+                executor = stack.enter_context(opened)
+            running[_submitted(executor, function, task)] = task
+        yield from ended(0)
+
+
+def _done(result: Result) -> Future[Result]:
+    future = Future[Result]()
+    future.set_result(result)
+    return future
+
+
+def _submitted(executor: TaskExecutor, function: Callable[[Task], Result], task: Task) -> Future[Result]:
+    try:
+        return executor.pool.submit(function, task)
+    except BrokenExecutor as error:
+        future = Future[Result]()
+        future.set_exception(error)
+        return future
+
+
+def _alone(function: Callable[[Task], Result], task: Task) -> Future[Result]:
+    with local_executor(1) as executor:
+        future = executor.pool.submit(function, task)
+        wait([future])
+        return future
+
+
+def died(error: BaseException) -> bool:
+    """Whether a future's error says that its worker died, or had too little memory."""
+    return isinstance(error, (BrokenExecutor, MemoryError)) or type(error).__name__ == "KilledWorker"  # of Dask
 
 
 @contextmanager
@@ -72,10 +145,15 @@ def _start(pool: Executor, workers: int) -> None:
     """Start the workers with SIGINT blocked, which they inherit: Ctrl-C goes to the whole group of processes."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        for _ in range(workers):  # a pool starts one more with each task, while none is idle
-            pool.submit(os.getpid)
+        started = [
+            pool.submit(os.getpid) for _ in range(workers)
+        ]  # a pool starts one more with each, while none is idle
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    try:
+        started[0].result()
+    except BrokenExecutor as error:
+        raise UsageError("the worker processes end before they have anything to do; use --jobs 1") from error
 
 
 def _settle() -> None:
@@ -90,32 +168,14 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-class _Here(Executor):
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Run it at once; what is no InputError is raised here and now."""
-        future: Future[Any] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except InputError as error:
-            future.set_exception(error)
-        return future
-
-
-@contextmanager
-def in_this_process() -> Iterator[TaskExecutor]:
-    """No worker: each task is done when it is submitted."""
-    yield TaskExecutor(_Here(), 1)
-
-
 @contextmanager
 def dask_executor(address: str) -> Iterator[TaskExecutor]:
-    """The workers of a Dask scheduler. They need the same version of this package and of what the tasks need.
+    """The workers of a Dask scheduler, which need the same versions of this package and of what the tasks need.
 
-    What a lost worker had to do is done again by another one. Raises UsageError without Dask, LinkError if the
-    scheduler cannot be reached or has no workers.
+    Raises UsageError without Dask, LinkError if the scheduler cannot be reached or has no workers.
     """
     try:
-        from distributed import Client, KilledWorker
+        from distributed import Client
     except ImportError as error:
         raise missing_extra("--scheduler", "Dask", "fleet") from error
     try:
@@ -129,21 +189,10 @@ def dask_executor(address: str) -> Iterator[TaskExecutor]:
         except (OSError, TimeoutError):  # then the scheduler has gone, and the tasks say so
             return True
 
-    with _without_tracebacks(), client:
+    for name in ("distributed", "distributed.client"):  # of a connection that is lost: what follows is an error of ours
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    with client:
         threads = sum(client.nthreads().values())
         if not threads:
             raise LinkError(f"the Dask scheduler at {address} has no workers; start some with `dask worker {address}`")
-        yield TaskExecutor(client.get_executor(pure=False), 2 * threads, (KilledWorker,), manned)
-
-
-@contextmanager
-def _without_tracebacks() -> Iterator[None]:
-    """Of a connection that is lost: what follows from it is an error of ours."""
-    levels = {name: logging.getLogger(name).level for name in ("distributed", "distributed.client")}
-    for name in levels:
-        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        for name, level in levels.items():
-            logging.getLogger(name).setLevel(level)
+        yield TaskExecutor(client.get_executor(pure=False), 2 * threads, manned)

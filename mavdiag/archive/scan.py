@@ -1,172 +1,267 @@
 """Many logs to answers (edge): each content judged once, by several workers; each log answered once, in their order.
 
-    logs ─ mark ─▶ seen? ─ yes ─ digest ─▶ known? ─ yes ─▶ answer
-                     └─ no ─────────────────┴─ no ─ judge ─▶ keep ─▶ answers of all logs with this content
+    logs ─ digest ─▶ known? ─ no ─▶ judge ─▶ keep ─▶ answers of all logs with this content
 
-The mark is of a file's size and ends, so it costs nothing; a log that shares it with no other is read only once.
 A log that cannot be read is answered as an error; so is one whose judging ends its worker. Nothing else is lost by it.
 """
 
-from collections import Counter, deque
+import hashlib
+import json
+import os
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
-from contextlib import AbstractContextManager
-from functools import cache as memoise
+from concurrent.futures import Future
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from functools import cache, lru_cache, partial
+from io import BufferedReader
+from pathlib import Path
+from typing import cast
 
-from mavdiag.archive.job import Answer, Cache, Question, Record, digest_of, judge_file, mark_of, refused
+from pydantic import TypeAdapter, ValidationError
+from pydantic_core import to_json
+
+from mavdiag.archive.figures import FlightRecord, Window, record_of, windows_of
 from mavdiag.archive.paths import Named
-from mavdiag.archive.pool import TaskExecutor
+from mavdiag.archive.pool import died, run_all
+from mavdiag.archive.sources import judging_version
+from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.errors import InputError, LinkError, MavdiagError, UsageError
+from mavdiag.judging import JUDGED_SHARE, LogVerdict, Verdict, judge, judge_in_full
+from mavdiag.logs.csv_columns import ColumnMap
+from mavdiag.logs.part import read_part
+from mavdiag.storage import open_regular, read_text, write_atomically
 
-QUIET_S = 15.0  # without an answer, until it is looked whether there is any worker (our choice)
-MOST_IDLE = 3  # times that workers may die without work (our choice)
+MOST_BYTES = 1 << 40  # the readers know how long a log of their kind may be
+RECORD_BYTES = 64 << 20  # of one answer; a flight of an hour with an alarm a second has 1 MB (our choice)
 DIED = "the process that judged it died, perhaps for want of memory; judge it alone, or a part of it (--from, --to)"
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What changes the answer beside the log and the baseline.
+
+    from_s, to_s: the part of the log to judge, of the vehicle's clock [s]. windows_s: of windows to judge besides [s].
+    judged_share: of the flown time that must be judged before a log is called healthy, 0..1.
+    figures: what the history keeps is wanted, too. flown_ns: when a log without a clock was flown [ns]; 0 if unknown.
+    """
+
+    vehicle: int | None = None
+    from_s: float | None = None
+    to_s: float | None = None
+    windows_s: float | None = None
+    columns: ColumnMap | None = None
+    judged_share: float = JUDGED_SHARE
+    figures: bool = False
+    flown_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is asked of every log. version: of the code that asks; a worker of another version must not answer.
+
+    baseline: its content, with every task, for what a worker holds is lost with it. scope: what answers are kept under.
+    """
+
+    baseline: str
+    options: Options
+    version: str
+    scope: str
+
+    @classmethod
+    def of(cls, baseline: Baseline, options: Options) -> "Question":
+        """The question about a baseline, asked by this code."""
+        version = judging_version()
+        content = to_json([baseline.digest, options, version], inf_nan_mode="constants")
+        return cls(dump(baseline), options, version, hashlib.sha256(content).hexdigest()[:20])
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """The answer for one content, wherever it lies. digest: of the file, SHA-256; empty if it could not be read."""
+
+    digest: str
+    verdict: LogVerdict
+    windows: tuple[Window, ...] = ()
+    flight: FlightRecord | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The answer for a log, under its path as named. fresh: False if it was kept, or is that of a copy."""
+
+    path: Path
+    record: Record
+    fresh: bool
+
+    @property
+    def verdict(self) -> LogVerdict:
+        """With the name of the log."""
+        return replace(self.record.verdict, log=str(self.path))
+
+
+def refused(reason: str) -> Record:
+    """The record of a log that cannot be judged for an error. reason: a sentence."""
+    return Record("", LogVerdict("", Verdict.ERROR, " ".join(reason.split())))
+
+
+class Cache:
+    """Answers to one question by the digests of the logs, a small file each; in memory where there is no folder."""
+
+    def __init__(self, folder: Path | None = None, warn: Callable[[str], None] = lambda text: None) -> None:
+        self._folder, self._warn, self._held = folder, warn, dict[str, Record]()
+
+    def get(self, digest: str) -> Record | None:
+        """The answer for a content; None if there is none, or its file is damaged."""
+        if digest in self._held or self._folder is None:
+            return self._held.get(digest)
+        try:
+            record = _adapter().validate_json(read_text(self._folder / f"{digest}.json", RECORD_BYTES))
+        except (InputError, ValidationError):
+            return None
+        return record if record.digest == digest else None
+
+    def put(self, digest: str, record: Record) -> None:
+        """Keep what was answered for a content at once; an error only as long as this program runs."""
+        if self._folder is not None and record.digest:
+            try:
+                return write_atomically(
+                    self._folder / f"{record.digest}.json", json.dumps(asdict(record)), durable=False
+                )
+            except UsageError as error:
+                self._folder = None
+                self._warn(f"answers are not kept any more: {error}")
+        if record.digest in ("", digest):  # else the file was changed before it was judged
+            self._held[digest] = record
+        return None
+
+
+def open_cache(folder: Path | None, scope: str, warn: Callable[[str], None] = lambda text: None) -> Cache:
+    """The answers of a scope below a folder, which is made; None for the user's own (XDG Base Directory Specification).
+
+    Raises UsageError if a folder that was named cannot be used; of the user's own that is told.
+    """
+    told, trouble = os.environ.get("XDG_CACHE_HOME", ""), "cannot be written (no permission)"
+    own = Path(told) if Path(told).is_absolute() else Path("~/.cache").expanduser()  # a relative one is to be ignored
+    mine = (own / "mavdiag" if folder is None else folder) / "scan" / scope
+    try:
+        mine.mkdir(parents=True, exist_ok=True)
+        if os.access(mine, os.W_OK | os.X_OK):
+            return Cache(mine, warn)
+    except OSError as error:
+        trouble = f"no folder to keep answers in ({error.strerror or error})"
+    trouble = f"{mine.parents[1]}: {trouble}; name another with --cache, or use --no-cache"
+    if folder is not None:
+        raise UsageError(trouble)
+    warn(f"answers are not kept: {trouble}")
+    return Cache()
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file's content, hexadecimal. Raises InputError if it cannot be read."""
+    try:
+        with open_regular(path, MOST_BYTES) as file:
+            return hashlib.file_digest(cast(BufferedReader, file), "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def judge_file(path: str, question: Question) -> Record:
+    """The task of a worker: read a log and judge it. A log that cannot be read is a record with the reason.
+
+    Raises LinkError if this process has other code, or computes with other packages, than the one that asks.
+    """
+    if judging_version() != question.version:
+        raise LinkError("a worker has another version of mavdiag, numpy or scipy; install the same ones everywhere")
+    options, baseline = question.options, _parsed(question.baseline)
+    try:
+        log = read_part(Path(path), options.vehicle, options.from_s, options.to_s, options.columns)
+        log = replace(log, started_ns=log.started_ns or options.flown_ns)
+        if options.windows_s is None and not options.figures:
+            return Record(log.sha256, replace(judge(log, baseline, options.judged_share), log=""))
+        flight = judge_in_full(log, baseline, options.judged_share)
+    except InputError as error:
+        return refused(str(error).removeprefix(f"{path}: "))
+    windows = () if options.windows_s is None else windows_of(flight, options.windows_s, options.judged_share)
+    kept = record_of(log, flight, baseline) if options.figures else None
+    return Record(log.sha256, replace(flight.verdict, log=""), windows, kept)
+
+
+_parsed = lru_cache(maxsize=2)(parse)  # a worker gets the same baseline with every task
+
+
+@cache
+def _adapter() -> TypeAdapter[Record]:
+    return TypeAdapter(Record)
 
 
 def scan(
     logs: Sequence[Named],
     question: Question,
-    opened: Callable[[], AbstractContextManager[TaskExecutor]],
+    workers: int | str = 1,
     cache: Cache | None = None,
     warn: Callable[[str], None] = lambda text: None,
 ) -> Generator[Answer, None, None]:
-    """The answers in the order of the logs, each as soon as it and all before it are there.
+    """The answers in the order of the logs, each as soon as it and all before it are there; they are kept as they come.
 
-    opened: opens the workers, if any log must be judged; again if a worker died.
-    cache: answers from before, and where new ones are kept as they come.
-    warn: is told once if they cannot be kept, and if no worker is left.
-    Raises UsageError or LinkError if the workers cannot go on.
+    workers, warn: as of `run_all`. Raises UsageError or LinkError if the workers cannot go on.
     """
-    return _Scan(logs, question, cache, warn).answers(opened)
+    kept = cache or Cache()
+    seen: list[str | Record] = []  # of each log so far: its digest, or why it has none
+    digest_at, found = dict[str, str](), dict[str, Record]()
+    before, finished = set[str](), set[str]()
+
+    def tasks() -> Iterator[str]:
+        asked = set[str]()
+        for log in logs:
+            seen.append(_digest(log))
+            digest, path = seen[-1], str(log.path.absolute())
+            if isinstance(digest, str) and digest not in asked:
+                asked.add(digest)
+                digest_at[path] = digest
+                yield path
+
+    def known(path: str) -> Record | None:
+        record = kept.get(digest_at[path])
+        before.update(() if record is None else (digest_at[path],))
+        return record
+
+    def ready(first: int) -> Iterator[Answer]:
+        for log, digest in zip(logs[first:], seen[first:], strict=False):
+            if isinstance(digest, Record):
+                yield Answer(log.path, digest, fresh=True)
+            elif digest in found:
+                yield Answer(log.path, found.pop(digest), fresh=digest not in before)
+            elif digest in finished:  # a copy; of a file that was changed before it was judged nothing is kept
+                yield Answer(log.path, kept.get(digest) or judge_file(str(log.path.absolute()), question), fresh=False)
+            else:
+                return
+
+    count = 0
+    with closing(run_all(partial(judge_file, question=question), tasks(), workers, known=known, warn=warn)) as ended:
+        for path, future in ended:
+            digest = digest_at.pop(path)
+            found[digest] = _record(future)
+            finished.add(digest)
+            if digest not in before:
+                kept.put(digest, found[digest])
+            for answer in ready(count):
+                count += 1
+                yield answer
+    yield from ready(count)
 
 
-class _Scan:
-    """What is still to be done, what is being done, and who waits for whose answer; logs go by their numbers."""
+def _digest(log: Named) -> str | Record:
+    try:
+        return refused(log.trouble) if log.trouble else digest_of(log.path)
+    except InputError as error:
+        return refused(str(error).removeprefix(f"{log.path}: "))
 
-    def __init__(
-        self, logs: Sequence[Named], question: Question, cache: Cache | None, warn: Callable[[str], None]
-    ) -> None:
-        self._logs, self._question, self._cache, self._warn = logs, question, cache, warn
-        self._marks = [mark_of(log.path) for log in logs]
-        seen = {mark for mark, count in Counter(self._marks).items() if count > 1}
-        seen |= frozenset() if cache is None else cache.marks()
-        doubtful = [mark in seen and not log.trouble for mark, log in zip(self._marks, logs, strict=True)]
-        self._digest = memoise(lambda number: digest_of(logs[number].path) if doubtful[number] else "")
-        self._todo = deque(range(len(logs)))
-        self._suspects = set[int]()  # one of them ended a worker: each is judged alone
-        self._running = dict[Future[Record], int]()
-        self._copies = dict[str, list[int]]()  # logs that wait for the answer of a content, by its digest
-        self._known = dict[str, Record]()  # answers that are not in the cache, by digest
-        self._deserted = False  # no worker is left, and that was told
-        self._answers = dict[int, Answer]()  # that wait for those before them
-        self._yielded = 0
 
-    def answers(self, opened: Callable[[], AbstractContextManager[TaskExecutor]]) -> Generator[Answer, None, None]:
-        idle = 0
-        while self._todo:
-            if self._is_answered(self._todo[0]):
-                self._todo.popleft()
-                yield from self._ready()
-                continue
-            try:
-                with opened() as executor:
-                    while self._todo or self._running:
-                        self._step(executor)
-                        yield from self._ready()
-            except BrokenExecutor as error:
-                idle = 0 if self._running else idle + 1
-                if idle == MOST_IDLE:
-                    words = "the worker processes end before they have anything to do; use --jobs 1"
-                    raise UsageError(words) from error
-                self._suspect()
-                yield from self._ready()
-
-    def _ready(self) -> Iterator[Answer]:
-        while self._yielded in self._answers:
-            yield self._answers.pop(self._yielded)
-            self._yielded += 1
-
-    def _step(self, executor: TaskExecutor) -> None:
-        """Hand out one log, or wait for an answer if the workers have enough to do."""
-        alone = self._suspects.intersection((*self._running.values(), *list(self._todo)[:1]))
-        if not self._todo or len(self._running) >= (1 if alone else executor.in_flight):
-            return self._collect(executor)
-        number = self._todo[0]
-        if not self._is_answered(number):
-            future = executor.pool.submit(judge_file, str(self._logs[number].path.absolute()), self._question)
-            self._running[future] = number
-            self._copies.setdefault(self._digest(number), [])
-        self._todo.popleft()
-        return None
-
-    def _is_answered(self, number: int) -> bool:
-        """Whether a log needs no judging of its own: its answer is known, or that of its content is on the way."""
-        log, digest = self._logs[number], self._digest(number)
-        if number in self._suspects:
-            return False
-        known = refused(log.trouble) if log.trouble else self._known.get(digest) if digest else None
-        if known is None and digest and self._cache is not None:
-            known = self._cache.get(self._marks[number], digest)
-        if known is not None:
-            self._answers[number] = Answer(log.path, known, fresh=bool(log.trouble))
-        elif digest and digest in self._copies:
-            self._copies[digest].append(number)
-        else:
-            return False
-        return True
-
-    def _collect(self, executor: TaskExecutor) -> None:
-        done, _ = wait(self._running, timeout=QUIET_S, return_when=FIRST_COMPLETED)
-        if not done and not executor.manned() and not self._deserted:
-            self._deserted = True
-            self._warn("no worker is left; waiting for another one (Ctrl-C stops, what is finished is kept)")
-        broken = {one for one in done if not one.cancelled() and isinstance(one.exception(), BrokenExecutor)}
-        for future in done - broken:
-            number = self._running.pop(future)
-            self._settle(number, self._record(number, future, executor.killed))
-        if broken:
-            raise BrokenExecutor
-
-    def _record(self, number: int, future: Future[Record], killed: tuple[type[Exception], ...]) -> Record:
-        if future.cancelled():
-            raise LinkError("the scheduler went away or gave up the work; start it, and scan again to go on")
-        error = future.exception()
-        if error is None:
-            return future.result()
-        if isinstance(error, InputError):
-            reason = str(error).removeprefix(f"{self._logs[number].path.absolute()}: ")
-        elif isinstance(error, MavdiagError):
-            raise error
-        elif isinstance(error, (MemoryError, *killed)):
-            reason = DIED
-        else:
-            reason = f"a fault of mavdiag or of a worker, please report it: {type(error).__name__}: {error}"
-        return refused(" ".join(reason.split()))
-
-    def _suspect(self) -> None:
-        """A worker died: who was alone has ended it; of several each is judged alone."""
-        numbers = list(self._running.values())
-        self._running.clear()
-        if len(numbers) == 1:
-            return self._settle(numbers[0], refused(DIED))
-        self._suspects.update(numbers)
-        return self._todo.extendleft(reversed(numbers))
-
-    def _settle(self, number: int, record: Record) -> None:
-        """A log has its answer, and all that have the same content with it. An error is not kept beyond this scan."""
-        digest = self._digest(number)
-        if record.digest and self._cache is not None:
-            try:
-                self._cache.put(self._marks[number], record)
-            except UsageError as error:
-                self._cache = None
-                self._warn(f"answers are not kept any more: {error}")
-        if digest and record.digest in ("", digest) and (self._cache is None or not record.digest):
-            self._known[digest] = record
-        self._suspects.discard(number)
-        self._answers[number] = Answer(self._logs[number].path, record, fresh=True)
-        for copy in self._copies.pop(digest, []):
-            if record.digest in ("", digest):
-                self._answers[copy] = Answer(self._logs[copy].path, record, fresh=False)
-            else:  # the file was changed before it was judged; the others were perhaps not
-                self._todo.append(copy)
+def _record(future: Future[Record]) -> Record:
+    error = future.exception()
+    if error is None:
+        return future.result()
+    if isinstance(error, MavdiagError):
+        raise error
+    fault = f"a fault of mavdiag or of a worker, please report it: {type(error).__name__}: {error}"
+    return refused(DIED if died(error) else fault)

@@ -1,5 +1,4 @@
-"""Which code made an answer (edge): a digest of the sources and of what they compute with, so that answers of another
-version are never mixed in."""
+"""Which code made an answer (edge): a digest of sources and of what they compute with, so that answers never mix."""
 
 import hashlib
 from collections.abc import Iterator, Sequence
@@ -8,18 +7,10 @@ from importlib import metadata, resources
 from importlib.resources.abc import Traversable
 
 COMPUTED_BY = ("numpy", "scipy", "numba", "pymavlink", "pyulog")  # whose versions may change a figure
-# What cannot change a verdict: bytecode, what is above judging, and what only draws or learns.
-UNRELATED = (
-    *("__pycache__", "py.typed", "__main__.py", "mavdiag/__init__.py", "mavdiag/cli.py", "mavdiag/commandline.py"),
-    *("mavdiag/commands", "mavdiag/demo", "mavdiag/face.py", "mavdiag/as_json.py"),
-    *("mavdiag/terminal", "mavdiag/drawing.py", "mavdiag/learning", "mavdiag/testing.py", "mavdiag/link/ports"),
-    *(f"mavdiag/{name}" for name in ("history", "look", "report")),
-    *(f"mavdiag/archive/{name}.py" for name in ("paths", "pool", "scan", "sources", "tables")),
-)
 
 
-def digest_of_sources(packages: Sequence[str], unrelated: Sequence[str]) -> str:
-    """A digest of all sources and data of packages, and of the versions of what computes, 16 hexadecimal digits.
+def digest_of_sources(packages: Sequence[str], unrelated: Sequence[str] = ("__pycache__",)) -> str:
+    """A digest of all sources and data of packages and of the versions of what computes, 16 hexadecimal digits.
 
     unrelated: ends of the paths that are left out.
     """
@@ -32,8 +23,8 @@ def digest_of_sources(packages: Sequence[str], unrelated: Sequence[str]) -> str:
 
 @cache
 def judging_version() -> str:
-    """The digest of all code that a verdict follows from."""
-    return digest_of_sources(("mavdiag",), UNRELATED)
+    """The digest of this package."""
+    return digest_of_sources(("mavdiag",))
 
 
 def _version(name: str) -> str:

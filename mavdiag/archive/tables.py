@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import TypeAlias
 
 from mavdiag.archive.figures import Window, WindowMonitor
-from mavdiag.archive.job import Answer
+from mavdiag.archive.scan import Answer
 from mavdiag.decision.alarm import Stage
 from mavdiag.errors import missing_extra
 from mavdiag.judging import LogVerdict
 from mavdiag.monitors import MONITORS
 from mavdiag.storage import write_atomically
+from mavdiag.units import NS_PER_S
 
 Value: TypeAlias = str | float | int | None
 Row: TypeAlias = Mapping[str, Value]  # by the names of columns; what is not known may be left out
@@ -34,8 +35,11 @@ def rows_of(answer: Answer) -> Iterator[Row]:
     """The rows of a log, by COLUMNS: one for each of its windows, or one where it has none."""
     verdict = answer.verdict
     faults = [change for change in verdict.changes if change.stage is Stage.FAULT and change.kind is verdict.kind]
-    ends = ("" if span.end_s is None else f" to {span.end_s:.1f} s" for span in verdict.rotors)
-    spans = (f"{span.rotor} from {span.since_s:.1f} s{end}" for span, end in zip(verdict.rotors, ends, strict=True))
+    spans = [
+        f"{span.rotor} from {span.since_ns / NS_PER_S:.1f} s"
+        + ("" if span.end_ns is None else f" to {span.end_ns / NS_PER_S:.1f} s")
+        for span in verdict.rotors
+    ]
     of_log = {
         "log": verdict.log,
         "sha256": answer.record.digest or None,
@@ -94,16 +98,12 @@ def write_parquet(path: Path, rows: Sequence[Row]) -> None:
 
     Parquet has only text: of the name of a file that is no UTF-8 the bytes become escapes.
     """
-    check_parquet()
     import pyarrow
     from pyarrow.parquet import write_table
 
     def text(value: Value) -> Value:
-        return (
-            value.encode(errors="surrogateescape").decode(errors="backslashreplace")
-            if isinstance(value, str)
-            else value
-        )
+        raw = value.encode(errors="surrogateescape") if isinstance(value, str) else None
+        return value if raw is None else raw.decode(errors="backslashreplace")
 
     types = {str: pyarrow.string(), float: pyarrow.float64(), int: pyarrow.int64()}
     schema = pyarrow.schema([(name, types[kind]) for name, kind in COLUMNS.items()])

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from mavdiag import commandline
 from mavdiag.baseline import Baseline
@@ -19,7 +19,7 @@ from mavdiag.storage import check_output
 
 app = commandline.application("Look into a baseline file, or add healthy flights to it.")
 
-File = Annotated[Path, typer.Argument(help="Baseline made by `mavdiag identify`.")]
+File = Annotated[Path, Argument(help="Baseline made by `mavdiag identify`.")]
 
 
 @app.command()
@@ -38,11 +38,9 @@ def check(file: File) -> None:
 @app.command()
 def extend(
     file: File,
-    logs: Annotated[list[Path], typer.Argument(help="Logs of more healthy flights of the same airframe.")],
+    logs: Annotated[list[Path], Argument(help="Logs of more healthy flights of the same airframe.")],
     output: opt.BaselineOutput,
-    new_propellers: Annotated[
-        bool, typer.Option("--new-propellers", help="They were flown with new propellers; a hover of 15 s is enough.")
-    ] = False,
+    new_propellers: Annotated[bool, Option("--new-propellers", help="With new ones; 15 s of hover do.")] = False,
     accept: opt.Accept = False,
     vehicle: opt.Vehicle = None,
     from_s: opt.FromS = None,

@@ -2,7 +2,6 @@
 
 import importlib
 import json
-import shutil
 import sys
 import time
 from contextlib import AbstractContextManager
@@ -12,18 +11,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
+from typer import Argument, Option
 
 from mavdiag.archive.figures import FlightRecord
-from mavdiag.archive.job import Answer, Options, Question
+from mavdiag.archive.scan import Answer, Options, Question
 from mavdiag.archive.tables import write_csv
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say
 from mavdiag.commands import options as opt
-from mavdiag.commands.many import How, judging
+from mavdiag.commands.scan import judging
 from mavdiag.errors import UsageError, missing_extra
 from mavdiag.history import show as shown
-from mavdiag.history.stretches import Mark, MarkKind
-from mavdiag.history.warn import Overview, overview_of
+from mavdiag.history.warn import Mark, MarkKind, Overview, overview_of
 from mavdiag.printable import printable
 from mavdiag.units import NS_PER_S
 
@@ -32,48 +31,26 @@ if TYPE_CHECKING:
 
 FILE = "mavdiag-history.sqlite"
 
-Database: TypeAlias = Annotated[
-    str, typer.Option(metavar="FILE|URL", help="SQLite file, or postgresql://user@host/name for a fleet.")
-]
-AirframeName: TypeAlias = Annotated[str | None, typer.Option("--airframe", metavar="NAME", help="Only this airframe.")]
-CsvFile: TypeAlias = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write a table, too.")]
+Database: TypeAlias = Annotated[str, Option(metavar="FILE|URL", help="SQLite, or postgresql://user@host/name.")]
+AirframeName: TypeAlias = Annotated[str | None, Option("--airframe", metavar="NAME", help="Only this airframe.")]
+CsvFile: TypeAlias = Annotated[Path | None, Option("--csv", metavar="FILE", help="Write a table, too.")]
 
-app = application("Keep the judged flights of airframes, draw their trends, warn before a threshold is reached.")
-
-
-@app.callback(invoke_without_command=True, no_args_is_help=False)
-def overview(
-    context: typer.Context,
-    airframe: AirframeName = None,
-    database: Database = FILE,
-    as_json: opt.AsJson = False,
-    csv_file: CsvFile = None,
-) -> None:
-    """Keep the judged flights of airframes, draw their trends, warn before a threshold is reached.
-
-    Without a command: `show`.
-    """
-    name = context.invoked_subcommand
-    if name is None:
-        show(airframe, database, as_json, csv_file)
-    elif airframe is not None or database != FILE or as_json or csv_file is not None:
-        raise UsageError(f"options belong behind the command, as in `mavdiag history {name} --airframe NAME`")
+app = application(
+    "Keep the judged flights of airframes, draw their trends, warn before a threshold is reached.\n\n"
+    "Without a command: `show`.",
+    show_by_default=True,
+)
 
 
 @app.command()
 def add(
-    logs: Annotated[list[Path], typer.Argument(help="Logs to judge and to keep, folders of them, or patterns.")],
+    logs: Annotated[list[Path], Argument(help="Logs to judge and to keep, folders of them, or patterns.")],
     baseline: opt.BaselineFile,
-    airframe: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Whose flights they are; else the baseline's airframe.")
-    ] = None,
+    airframe: Annotated[str | None, Option(metavar="NAME", help="Whose they are; else the baseline's.")] = None,
     database: Database = FILE,
-    again: Annotated[bool, typer.Option("--again", help="Judge and replace flights that are there already.")] = False,
+    again: Annotated[bool, Option("--again", help="Judge and replace flights that are there already.")] = False,
     vehicle: opt.Vehicle = None,
-    at: Annotated[
-        str | None,
-        typer.Option(metavar="TIME", help="When logs without a clock were flown, ISO 8601.  [default: when added]"),
-    ] = None,
+    at: Annotated[str | None, Option(metavar="TIME", help="When logs without a clock were flown, ISO 8601.")] = None,
     jobs: opt.Jobs = None,
     scheduler: opt.Scheduler = None,
     cache: opt.CacheFolder = None,
@@ -88,8 +65,9 @@ def add(
     name = reference.airframe.name if airframe is None else airframe
     if not name.strip():
         raise UsageError("the airframe needs a name; give --airframe NAME")
-    failed, found, how = 0, opt.find_logs(logs)[0].logs, How(jobs, scheduler, cache, no_cache or again)
-    with _open(database, create=True) as history, judging(found, question, how) as (answers, tell):
+    failed, found = 0, opt.find_logs(logs)[0].logs
+    how = judging(found, question, scheduler or jobs, cache, no_cache=no_cache or again)
+    with _open(database, create=True) as history, how as (answers, tell):
         for answer in answers:
             failed += answer.record.flight is None
             tell(f"{answer.path}: {_added(history, answer, name, again)}")
@@ -102,7 +80,7 @@ def list_flights(
 ) -> None:
     """List the flights that are kept, with the statistic that came nearest to its threshold."""
     with _open(database) as history:
-        kept = [history.flights(name) for name in _names(history, airframe)]
+        kept = [history.flights(name) for name in history.names(airframe)]
     numbered = [(number, record) for flights in kept for number, record in enumerate(flights, 1)]
     if csv_file is not None:
         rows = (row for number, record in numbered for row in shown.flight_rows(number, record))
@@ -120,7 +98,7 @@ def show(
     Exit code 1 if a statistic reaches its threshold soon, or the last flight is a fault; else 0.
     """
     with _open(database) as history:
-        names = _names(history, airframe)
+        names = history.names(airframe)
         found = [overview_of(name, history.flights(name), history.marks(name)) for name in names]
     if csv_file is not None:
         write_csv(csv_file, (row for overview in found for row in shown.trend_rows(overview)), shown.TREND_COLUMNS)
@@ -128,19 +106,17 @@ def show(
         if as_json:
             say(json.dumps(shown.overview_json(overview)))
         else:
-            _print_lines(overview)
+            _print(overview)
     raise typer.Exit(1 if any(overview.warned or overview.faulty for overview in found) else 0)
 
 
 @app.command()
 def mark(
-    airframe: Annotated[str, typer.Option(metavar="NAME", help="Whose it is.")],
-    new_propellers: Annotated[bool, typer.Option("--new-propellers", help="The propellers are new.")] = False,
-    repair: Annotated[bool, typer.Option("--repair", help="Something else was repaired.")] = False,
-    at: Annotated[
-        str | None, typer.Option(metavar="TIME", help="When, ISO 8601 (UTC if it names no zone); else now.")
-    ] = None,
-    note: Annotated[str, typer.Option(metavar="TEXT", help="What else there is to say.")] = "",
+    airframe: Annotated[str, Option(metavar="NAME", help="Whose it is.")],
+    new_propellers: Annotated[bool, Option("--new-propellers", help="The propellers are new.")] = False,
+    repair: Annotated[bool, Option("--repair", help="Something else was repaired.")] = False,
+    at: Annotated[str | None, Option(metavar="TIME", help="When, ISO 8601 (UTC if without zone); else now.")] = None,
+    note: Annotated[str, Option(metavar="TEXT", help="What else there is to say.")] = "",
     database: Database = FILE,
 ) -> None:
     """Tell that an airframe was worked on: its trends begin anew there."""
@@ -177,15 +153,6 @@ def _open(database: str, *, create: bool = False, write: bool = False) -> "Abstr
     return opened
 
 
-def _names(history: "History", airframe: str | None) -> tuple[str, ...]:
-    names = history.airframes()
-    if airframe is None:
-        return names
-    if airframe not in names:
-        raise UsageError(f"no airframe {airframe!r} in the history; there is {', '.join(names) or 'none yet'}")
-    return (airframe,)
-
-
 def _time(text: str) -> int:
     try:
         at = datetime.fromisoformat(text)
@@ -204,9 +171,14 @@ def _flight_line(number: int, record: FlightRecord) -> str:
     return f"{told}, {record.log}"
 
 
-def _print_lines(overview: Overview) -> None:
+def _print(overview: Overview) -> None:
     """Drawn on a terminal, in its width; plain lines elsewhere."""
-    drawn = sys.stdout.isatty()
-    for text, loud in shown.lines_of(overview, shutil.get_terminal_size().columns if drawn else None):
-        line = printable(text)
-        typer.echo(typer.style(line, fg=typer.colors.RED, bold=True) if loud and drawn else line)
+    if not sys.stdout.isatty():
+        return say("\n".join(line.text for line in shown.lines_of(overview)))
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(highlight=False)
+    for text, loud in shown.lines_of(overview, console.width):
+        console.print(Text(printable(text), style="bold red" if loud else ""))
+    return None

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from mavdiag.airframe.layout import LAYOUTS
 from mavdiag.airframe.load import BUILTIN
@@ -25,46 +26,28 @@ from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule
 
 
 def identify(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(help="Logs of healthy flights: .tlog, .bin, .ulg, Crazyflie, DronePropA; folders; patterns."),
-    ],
+    logs: Annotated[list[Path], Argument(help="Logs of healthy flights, of any kind; folders; patterns.")],
     output: opt.BaselineOutput,
-    method: Annotated[opt.MethodChoice, typer.Option(help="sriv is unbiased under noise.")] = "sriv",
+    method: Annotated[opt.MethodChoice, Option(help="sriv is unbiased under noise.")] = "sriv",
     order: opt.Orders = "2,2,1",
-    axis: Annotated[opt.AxisChoice, typer.Option(help="Axes to model and to watch.")] = "both",
+    axis: Annotated[opt.AxisChoice, Option(help="Axes to model and to watch.")] = "both",
     window: opt.WindowS = 0.1,
-    margin: Annotated[MarginRule, typer.Option(help="Margin on |r|.")] = MarginRule.PERCENTILE_90,
-    monitors: Annotated[
-        str, typer.Option(metavar="NAMES", help=f"Comma-separated: {', '.join(ALL_MONITORS)}; or all, or thesis.")
-    ] = "all",
+    margin: Annotated[MarginRule, Option(help="Margin on |r|.")] = MarginRule.PERCENTILE_90,
+    monitors: Annotated[str, Option(metavar="NAMES", help=f"{', '.join(ALL_MONITORS)}; or all, or thesis.")] = "all",
     alarms_per_hour: Annotated[
-        float, typer.Option(metavar="X", help="False-alarm budget of all monitors together.")
+        float, Option(metavar="X", help="False-alarm budget of all together.")
     ] = BUDGET_PER_HOUR,
-    rule: Annotated[
-        ThresholdRule, typer.Option(help="Thresholds by the budget, or the healthy maximum.")
-    ] = ThresholdRule.GUMBEL,
+    rule: Annotated[ThresholdRule, Option(help="By the budget, or the healthy maximum.")] = ThresholdRule.GUMBEL,
     airframe: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE.toml", help=f"The vehicle: {', '.join(BUILTIN)}, or a file.  [default: unknown]"
-        ),
+        str | None, Option(metavar="NAME|FILE.toml", help=f"One of {', '.join(BUILTIN)}, or a file.")
     ] = None,
-    layout: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help=f"Rotor layout: {', '.join(LAYOUTS)}.  [default: parameters, else flights]"),
-    ] = None,
-    name: Annotated[str | None, typer.Option(metavar="LABEL", help="What to call the airframe.")] = None,
-    fleet: Annotated[bool, typer.Option("--fleet", help="The logs are of several vehicles of one type.")] = False,
+    layout: Annotated[str | None, Option(metavar="NAME", help=f"Rotor layout: {', '.join(LAYOUTS)}.")] = None,
+    name: Annotated[str | None, Option(metavar="LABEL", help="What to call the airframe.")] = None,
+    fleet: Annotated[bool, Option("--fleet", help="The logs are of several vehicles of one type.")] = False,
     sessions: Annotated[
-        int | None,
-        typer.Option(
-            min=1, metavar="N", help="Sessions that the logs are from, in their order.  [default: by their times]"
-        ),
+        int | None, Option(min=1, metavar="N", help="Sessions of the logs.  [default: by time]")
     ] = None,
-    robust: Annotated[
-        bool, typer.Option("--robust", help="Leave out what is no healthy flight (falls, copies) instead of refusing.")
-    ] = False,
+    robust: Annotated[bool, Option("--robust", help="Leave out falls, copies and the like.")] = False,
     accept: opt.Accept = False,
     vehicle: opt.Vehicle = None,
     from_s: opt.FromS = None,
@@ -110,10 +93,7 @@ def make_baseline(
     to_s: float | None = None,
     columns: Path | None = None,
 ) -> Baseline:
-    """A baseline from log files, stamped with the time of now. Raises InputError or IdentificationError.
-
-    logs: files, folders with all logs below them, patterns. columns: column map, where they are CSV recordings.
-    """
+    """A baseline from log files, folders and patterns, stamped with the time of now. columns: map of CSV recordings."""
     found, mapped = opt.find_logs(logs, columns)
     paths = found.paths()
     flights = (read_part(path, vehicle, from_s, to_s, mapped) for path in each(paths, "read", sizes_of(paths)))

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_from, with_layout
@@ -16,11 +17,12 @@ from mavdiag.commands import options as opt
 from mavdiag.commands.progress import each
 from mavdiag.errors import InputError, UsageError
 from mavdiag.link.codec import message_name
+from mavdiag.link.keys import read_key
 from mavdiag.link.link import Link, open_link
 from mavdiag.link.messages import Component, MavResult
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.sequence import LinkCount
-from mavdiag.link.wants import Asked, Asker, Want, wants_of
+from mavdiag.link.wants import Asker, wants_of
 from mavdiag.logs.part import read_part
 from mavdiag.logs.tlog import read_content
 from mavdiag.look.inspection import inspection_of
@@ -37,21 +39,18 @@ COMPANION_OF = 1  # as whose companion we speak on a link before a vehicle is kn
 
 def inspect(
     sources: Annotated[
-        list[str],
-        typer.Argument(metavar="LOG|DIR|ENDPOINT...", help="Logs, folders, patterns; or one link."),
+        list[str], typer.Argument(metavar="LOG|DIR|ENDPOINT...", help="Logs, folders, patterns; or one link.")
     ],
-    duration: Annotated[float, typer.Option(metavar="S", help="How long to listen to an endpoint.")] = 5.0,
-    ask: Annotated[
-        bool, typer.Option("--ask", help="Ask the vehicle for the streams that are missing, and for its rotors.")
-    ] = False,
-    baseline: Annotated[Path | None, typer.Option(metavar="FILE", help="Show the monitors of this baseline.")] = None,
+    duration: Annotated[float, Option(metavar="S", help="How long to listen to an endpoint.")] = 5.0,
+    ask: Annotated[bool, Option("--ask", help="Ask the vehicle for missing streams, and for its rotors.")] = False,
+    baseline: Annotated[Path | None, Option(metavar="FILE", help="Show the monitors of this baseline.")] = None,
     columns: opt.Columns = None,
     airframe: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE.toml", help="The vehicle.  [default: what the log itself shows]")
+        str | None, Option(metavar="NAME|FILE.toml", help="The vehicle.  [default: what the log itself shows]")
     ] = None,
     layout: opt.Layout = None,
     vehicle: opt.Vehicle = None,
-    profile: Annotated[str | None, typer.Option(metavar="NAME", help="Link profile, where it is not clear.")] = None,
+    profile: Annotated[str | None, Option(metavar="NAME", help="Link profile, where it is not clear.")] = None,
     signing_key: opt.SigningKey = None,
     from_s: opt.FromS = None,
     to_s: opt.ToS = None,
@@ -73,7 +72,8 @@ def inspect(
     if live:
         if len(sources) > 1:
             raise UsageError("name one link, or logs")
-        with open_link(live[0], vehicle, profile, opt.read_signing_key(signing_key)) as link:
+        key = None if signing_key is None else read_key(signing_key)
+        with open_link(live[0], vehicle, profile, key) as link:
             asked = _ask(link, vehicle or COMPANION_OF) if ask else ()
             log, rates_hz = _heard(link, duration)
             found = inspection_of(log, told, live[0], judged_by, link.count, rates_hz, asked)
@@ -123,34 +123,30 @@ def _counts(link: Link) -> dict[int, int]:
 
 def _ask(link: Link, vehicle: int) -> tuple[str, ...]:
     """Ask for streams and parameters; what came of it, a line for each stream."""
-    asker, asked = Asker(vehicle, link.signing), Asked()
-    wants: tuple[Want, ...] = ()
-    since: dict[int, int] = {}
+    asker = Asker(vehicle, link.signing)
+    since: dict[int, int] | None = None
     began = time.monotonic()
+    needs = frozenset[Signal]().union(*(monitor.needs for monitor in MONITORS))
 
     def request() -> None:
-        nonlocal asker, asked, wants, since
+        nonlocal asker, since
         now = Instant(time.monotonic_ns())
-        asked, frames = asker.beat(asked, now)
+        frames = asker.beat(now)
         if link.stream is not None and time.monotonic() - began > LISTEN_S:
+            if since is None:
+                asker, since = Asker(link.vehicle or vehicle, link.signing), _counts(link)
             profile = link.stream.profile
-            if not wants:
-                asker = Asker(link.vehicle or vehicle, link.signing)
-                needs = frozenset[Signal]().union(*(monitor.needs for monitor in MONITORS))
-                wants = wants_of(profile, needs, (profile.rate_hz, LEAST_HZ, float("inf")), LEAST_HZ)
-                since = _counts(link)
+            wants = wants_of(profile, needs, (profile.rate_hz, LEAST_HZ, float("inf")), LEAST_HZ)
             rates = {msgid: count / LISTEN_S for msgid, count in since.items()}
             came = {msgid for msgid, count in _counts(link).items() if count > since.get(msgid, 0)}
-            rates |= {want.msgid: want.ask_hz for want in wants if want.msgid in came.intersection(asked.streams)}
-            asked, more = asker.stream(asked, wants, rates, now)
-            asked, names = asker.read(asked, profile.autopilot, link.stream.parameters, now)
-            frames += more + names
+            rates |= {want.msgid: want.ask_hz for want in wants if want.msgid in came.intersection(asker.streams)}
+            frames += asker.stream(wants, rates, now) + asker.read(profile.autopilot, link.stream.parameters, now)
         link.send(frames)
 
     link.record(LISTEN_S + ASK_S, request)
     known = {result.value: result.name for result in MavResult}
     results = dict.fromkeys(known.get(ack.result, f"result {ack.result}") for ack in link.acks)
     answers = f"the autopilot answered {', '.join(results)}" if results else "no answer came"
-    names = ", ".join(message_name(msgid) for msgid in asked.streams)
+    names = ", ".join(message_name(msgid) for msgid in asker.streams)
     read = f"{len(link.stream.parameters) if link.stream else 0} parameters read"
     return (f"asked for {names}: {answers}" if names else "asked for no stream: all come", read)

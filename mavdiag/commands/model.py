@@ -4,34 +4,32 @@
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
-import numpy as np
 import typer
-from typer.core import TyperGroup
+from typer import Argument, Option
 
-from mavdiag import commandline
 from mavdiag.as_json import json_line, plain
 from mavdiag.baseline import Baseline
+from mavdiag.commandline import application
 from mavdiag.commands import options as opt
 from mavdiag.commands.progress import working
 from mavdiag.errors import BaselineError, IdentificationError, InputError, UsageError
 from mavdiag.face import FlightRates, rates, read_log
 from mavdiag.identify import ArxModel, Method, ModelRecord, fit
-from mavdiag.identify.lab import recursive
+from mavdiag.identify.lab import comparison
 from mavdiag.identify.lab.drawing import draw_model
 from mavdiag.identify.lab.figures import Figure, ModelFigures, model_figures
-from mavdiag.identify.lab.frequency import FrequencyResponse, compare, estimate_response
-from mavdiag.identify.lab.published import ASSUMED_DT_S, THESIS_PITCH, THESIS_ROLL
-from mavdiag.identify.lab.sweep import SweepRow, best_row, order_sweep, window_sweep
+from mavdiag.identify.lab.sweep import ORDERS, best_row
+from mavdiag.identify.lab.sweep import sweep as fit_each
 from mavdiag.identify.validate import ResidualReport, examine_residual, one_step_report, validate
 from mavdiag.logs.log import read_bytes
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.storage import check_output
-from mavdiag.telemetry import Axis, FloatArray, Log
+from mavdiag.telemetry import Axis
 
 SETTLE_S = 1.0  # of each stretch that the fit figures leave out: it may begin in motion
 WINDOWS_S = (0.02, 0.05, 0.1, 0.2, 0.4)
@@ -41,54 +39,38 @@ MIN_WINDOW = 5  # samples: the shortest Savitzky-Golay window of a parabola that
 PASSED = 0.5  # cycles a window: above it the slope and the smoothing filter no longer pass alike (our choice)
 
 
-class _ShowByDefault(TyperGroup):
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        if args and args[0] not in (*self.commands, "--help"):
-            args = ["show", *args]
-        return super().parse_args(ctx, args)
+app = application("Look at a model: `model FILE` shows that of a baseline, or fits one to a log.", show_by_default=True)
 
-
-app = commandline.application(
-    "Look at a model: `model FILE` shows that of a baseline, or one fitted to a log.", cls=_ShowByDefault
-)
-
-LogFile: TypeAlias = Annotated[Path, typer.Argument(metavar="LOG", help="Log of a flight.")]
-OneAxis: TypeAlias = Annotated[Axis, typer.Option(help="Body axis.")]
-Methods: TypeAlias = Annotated[opt.MethodChoice, typer.Option("--method", help="How the model is fitted.")]
-
-
-def models_of(baseline: Baseline) -> dict[Axis, ModelRecord]:
-    """The models of a baseline's axes: those of its fsd monitors. Raises BaselineError if it has none."""
-    specs = (entry.spec for entry in baseline.monitors)
-    found = {spec.axis: spec.model for spec in specs if isinstance(spec, RunLengthSpec)}
-    if not found:
-        raise BaselineError("the baseline has no fsd monitor, so no model; `mavdiag model LOG` fits one to a flight")
-    return found
+LogFile: TypeAlias = Annotated[Path, Argument(metavar="LOG", help="Log of a flight.")]
+OneAxis: TypeAlias = Annotated[Axis, Option(help="Body axis.")]
+Methods: TypeAlias = Annotated[opt.MethodChoice, Option("--method", help="How the model is fitted.")]
 
 
 @app.command()
 def show(
-    file: Annotated[Path, typer.Argument(metavar="BASELINE|LOG", help="Baseline, or log to fit a model to.")],
-    axis: Annotated[opt.AxisChoice, typer.Option(help="Axes to show.")] = "both",
+    file: Annotated[Path, Argument(metavar="BASELINE|LOG", help="Baseline, or log to fit a model to.")],
+    axis: Annotated[opt.AxisChoice, Option(help="Axes to show.")] = "both",
     order: opt.Orders = "2,2,1",
     method: Methods = "sriv",
     window: opt.WindowS = 0.1,
     vehicle: opt.Vehicle = None,
-    plot: Annotated[
-        Path | None, typer.Option(metavar="FILE.svg", help="Draw Bode, step response, poles, residual correlation.")
-    ] = None,
+    plot: Annotated[Path | None, Option(metavar="FILE.svg", help="Draw Bode, step response, poles, residual.")] = None,
     as_json: opt.AsJson = False,
 ) -> None:
     """Print poles, damping, bandwidth, margins and DC gain with standard errors. Options of the fit are for a log."""
     if plot is not None:
         check_output(plot)
+    flights: dict[Axis, FlightRates] = {}
     if _is_baseline(file):
-        models = {
-            name: record.model() for name, record in models_of(Baseline.load(file)).items() if name in opt.axes_of(axis)
-        }
+        specs = (entry.spec for entry in Baseline.load(file).monitors)
+        known = {spec.axis: spec.model for spec in specs if isinstance(spec, RunLengthSpec)}
+        if not known:
+            raise BaselineError(
+                "the baseline has no fsd monitor, so no model; `mavdiag model LOG` fits one to a flight"
+            )
+        models = {name: record.model() for name, record in known.items() if name in opt.axes_of(axis)}
         if not models:
             raise UsageError(f"{file}: has no model of the {axis} axis; choose another --axis")
-        flights: dict[Axis, FlightRates] = {}
     else:
         log = read_log(file, vehicle=vehicle)
         flights = {name: rates(log, name, window) for name in opt.axes_of(axis)}
@@ -96,7 +78,7 @@ def show(
     for name, model in models.items():
         figures = model_figures(model)
         told = {"axis": name, **asdict(ModelRecord.of(model)), **asdict(figures)}
-        typer.echo(json_line(told) if as_json else "\n".join(_lines(name, model, figures)))
+        typer.echo(json_line(told) if as_json else _text_of(name, model, figures))
         if plot is not None:
             path = plot if len(models) == 1 else plot.with_stem(f"{plot.stem}-{name}")
             shown = (_residual(model, flights[name]), _response(flights[name], window)) if flights else (None, None)
@@ -106,10 +88,10 @@ def show(
 @app.command()
 def sweep(
     log: LogFile,
-    over: Annotated[Literal["order", "window"], typer.Option(help="What to vary (T 5.3, 5.4).")] = "order",
+    over: Annotated[Literal["order", "window"], Option(help="What to vary (T 5.3, 5.4).")] = "order",
     axis: OneAxis = Axis.ROLL,
     validation: Annotated[
-        Path | None, typer.Option("--validate", metavar="LOG", help="Another flight, that decides.")
+        Path | None, Option("--validate", metavar="LOG", help="Another flight, that decides.")
     ] = None,
     order: opt.Orders = "2,2,1",
     method: Methods = "sriv",
@@ -122,26 +104,24 @@ def sweep(
     other = None if validation is None else read_log(validation, vehicle=vehicle)
     dt_s, chosen = rates(train, axis).dt_s, opt.parse_order(order)
 
-    def pair(source: Log, window_s: float) -> tuple[list[FloatArray], list[FloatArray]]:
-        flight = rates(source, axis, window_s)
-        return flight.u, flight.y
-
     with working("fitting a model for each; this takes a minute or more ..."):
         if over == "order":
-            held_out = None if other is None else pair(other, window)
-            rows = order_sweep(pair(train, window), held_out, dt=dt_s, method=method)
+            flights = rates(train, axis, window)[:2], None if other is None else rates(other, axis, window)[:2]
+            rows = fit_each(((one, 0, *flights) for one in ORDERS), dt=dt_s, method=method)
         else:
-            rows = window_sweep(
-                lambda n: pair(train, n * dt_s),
-                sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S}),
-                dt=dt_s,
-                order=chosen,
-                method=method,
-                prepare_validation=None if other is None else lambda n: pair(other, n * dt_s),
-            )
+            counts = sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S})
+            others = (None if other is None else rates(other, axis, n * dt_s)[:2] for n in counts)
+            each = ((n, rates(train, axis, n * dt_s)[:2], held_out) for n, held_out in zip(counts, others, strict=True))
+            rows = fit_each(((chosen, *one) for one in each), dt=dt_s, method=method)
     best = best_row(rows)
     known = sorted((row for row in rows if row.model), key=lambda row: (row is best, row.score), reverse=True)
-    _print([_sweep_line(row, best=row is best) for row in (rows if as_json else known[:SHOWN_ROWS])], as_json=as_json)
+    lines = []
+    for row in rows if as_json else known[:SHOWN_ROWS]:
+        fitted = {name: getattr(row.model, name, None) for name in ("r2t", "yic")}
+        line = {"order": ",".join(map(str, row.order)), "window": row.window or None}
+        line |= plain({**fitted, "r2t_validation": row.r2t_validation}) | {"best": row is best}
+        lines.append(line | ({"refused": row.refused} if row.refused else {}))
+    _print(lines, as_json=as_json)
     if not as_json:
         typer.echo(f"{len(rows) - len(known)} of {len(rows)} could not be identified; --json prints all, with reasons")
 
@@ -159,15 +139,15 @@ def compare_models(
     """Compare the fit, and the thesis's published model, with the frequency response that the data show."""
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
     models = {f"fit {method} {order}": _fitted(flight, order, method)}
-    published = {model.axis: model for model in (THESIS_ROLL, THESIS_PITCH)}.get(axis)
-    if published is not None and math.isclose(flight.dt_s, ASSUMED_DT_S, rel_tol=0.02):
+    published = {model.axis: model for model in (comparison.THESIS_ROLL, comparison.THESIS_PITCH)}.get(axis)
+    if published is not None and math.isclose(flight.dt_s, comparison.ASSUMED_DT_S, rel_tol=0.02):
         models[published.source] = published.scaled
     measured = _response(flight, window)
     if measured is None:
         raise IdentificationError(f"{log}: no stretch of {2 * RESPONSE_WINDOW_S:g} s; record a longer flight")
     lines = []
     for name, model in models.items():
-        gap, fitness = compare(measured, model), validate(model, flight.u, flight.y, SETTLE_S)
+        gap, fitness = comparison.compare(measured, model), validate(model, flight.u, flight.y, SETTLE_S)
         lines.append({"model": name, "r2t": fitness.r2t, **asdict(gap)})
     _print(lines, as_json=as_json)
     if len(models) == 1 and not as_json:
@@ -178,8 +158,8 @@ def compare_models(
 def track(
     log: LogFile,
     axis: OneAxis = Axis.ROLL,
-    every: Annotated[float, typer.Option(metavar="S", help="Flight time between two lines.")] = 5.0,
-    memory: Annotated[float, typer.Option(metavar="S", help="Memory of the estimate.")] = 10.0,
+    every: Annotated[float, Option(metavar="S", help="Flight time between two lines.")] = 5.0,
+    memory: Annotated[float, Option(metavar="S", help="Memory of the estimate.")] = 10.0,
     order: opt.Orders = "2,2,1",
     window: opt.WindowS = 0.1,
     vehicle: opt.Vehicle = None,
@@ -192,18 +172,13 @@ def track(
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
     if not (every >= flight.dt_s and memory > flight.dt_s):
         raise UsageError(f"--every and --memory must be longer than the sample time of {flight.dt_s:g} s")
-    spec = recursive.RecursiveSpec(opt.parse_order(order), forgetting=1.0 - flight.dt_s / memory)
-    state, count, flown, lines = recursive.start(spec), max(1, round(every / flight.dt_s)), 0, []
-    for u, y in zip(flight.u, flight.y, strict=True):
-        state = recursive.new_segment(state)
-        for first in range(0, len(u), count):
-            state = recursive.step(spec, state, u[first : first + count], y[first : first + count])
-            flown += len(u[first : first + count])
-            model = recursive.snapshot(spec, state, flight.dt_s)
-            found = model_figures(model)
-            figures = {"pole_hz": found.poles[0].natural_hz, "damping": found.poles[0].damping}  # of the slowest
-            line = {"flight_s": round(flown * flight.dt_s, 3), "dc_gain": found.dc_gain}
-            lines.append({**line, **figures, "stable": model.stable})
+    count, lines = max(1, round(every / flight.dt_s)), []
+    told = {"dt": flight.dt_s, "forgetting": 1.0 - flight.dt_s / memory}
+    for flown, model in comparison.track(flight.u, flight.y, opt.parse_order(order), every=count, **told):
+        found = model_figures(model)
+        figures = {"pole_hz": found.poles[0].natural_hz, "damping": found.poles[0].damping}  # of the slowest
+        line = {"flight_s": round(flown * flight.dt_s, 3), "dc_gain": found.dc_gain}
+        lines.append({**line, **figures, "stable": model.stable})
     _print(lines, as_json=as_json)
 
 
@@ -228,33 +203,26 @@ def _residual(model: ArxModel, flight: FlightRates) -> ResidualReport:
     return examine_residual((y - model.simulate(u))[settled:], u[settled:])
 
 
-def _response(flight: FlightRates, window_s: float) -> FrequencyResponse | None:
+def _response(flight: FlightRates, window_s: float) -> comparison.FrequencyResponse | None:
     """The measured frequency response, as far as the filters pass it; None if the flight is too short for one."""
     segment = round(RESPONSE_WINDOW_S / flight.dt_s)
     if max(map(len, flight.u)) < 2 * segment:
         return None
-    found = estimate_response(flight.u, flight.y, dt=flight.dt_s, segment=segment)
-    n = int(np.searchsorted(found.frequency_hz, PASSED / window_s))
-    cut = (found.frequency_hz[:n], found.response[:n], found.coherence[:n], found.relative_error[:n])
-    return FrequencyResponse(*cut, found.averages)
+    return comparison.estimate_response(flight.u, flight.y, dt=flight.dt_s, segment=segment, most_hz=PASSED / window_s)
 
 
-def _lines(axis: Axis, model: ArxModel, figures: ModelFigures) -> list[str]:
+def _text_of(axis: Axis, model: ArxModel, figures: ModelFigures) -> str:
     order = ",".join(map(str, model.order))
     lines = [f"{axis}: {model.method} {order}, {1 / model.dt:.1f} Hz, R_T2 {model.r2t:.4f}, {model.samples} samples"]
     for pole in figures.poles:
         place = _text(pole.real) + (f" ± j ({_text(pole.imaginary)})" if pole.imaginary.value else "")
         lines.append(f"  pole            {place}: {_text(pole.natural_hz)} Hz, damping {_text(pole.damping)}")
-    return [
-        *lines,
-        f"  DC gain         {_text(figures.dc_gain)}",
-        f"  bandwidth       {_text(figures.bandwidth_hz)} Hz (-3 dB)",
-        f"  gain margin     {_text(figures.gain_margin_db)} dB",
-        f"  phase margin    {_text(figures.phase_margin_deg)} °",
-        f"  modulus margin  {_text(figures.modulus_margin)}",
-        "  margins are of the loop that unit feedback closes to this model",
-        f"  standard errors from {figures.errors_from}",
-    ]
+    rows = [("DC gain", figures.dc_gain, ""), ("bandwidth", figures.bandwidth_hz, " Hz (-3 dB)")]
+    rows += [("gain margin", figures.gain_margin_db, " dB"), ("phase margin", figures.phase_margin_deg, " °")]
+    rows.append(("modulus margin", figures.modulus_margin, ""))
+    lines += [f"  {name:<15} {_text(figure)}{unit}" for name, figure, unit in rows]
+    lines.append("  margins are of the loop that unit feedback closes to this model")
+    return "\n".join([*lines, f"  standard errors from {figures.errors_from}"])
 
 
 def _text(figure: Figure) -> str:
@@ -267,25 +235,16 @@ def _text(figure: Figure) -> str:
     return f"{figure.value:.{places}f} ± {figure.standard_error:.{places}f}"
 
 
-def _sweep_line(row: SweepRow, *, best: bool) -> dict[str, Any]:
-    fitted = {name: getattr(row.model, name, None) for name in ("r2t", "yic")}
-    figures = plain({**fitted, "r2t_validation": row.r2t_validation})
-    reason = {"refused": row.refused} if row.refused else {}
-    return {"order": ",".join(map(str, row.order)), "window": row.window or None, **figures, "best": best, **reason}
-
-
-def _print(lines: Sequence[dict[str, Any]], *, as_json: bool) -> None:
+def _print(lines: Sequence[Mapping[str, Any]], *, as_json: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
     if as_json:
-        for line in lines:
-            typer.echo(json_line(line))
-        return
+        return typer.echo("\n".join(map(json_line, lines)))
     table = Table(*(lines[0] if lines else ()), box=None, padding=(0, 2, 0, 0))
     for line in lines:
         table.add_row(*map(_cell, line.values()))
-    Console(highlight=False).print(table)
+    return Console(highlight=False).print(table)
 
 
 def _cell(value: object) -> str:

@@ -5,61 +5,54 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
-import typer
+from typer import Option
 
 from mavdiag.archive.paths import Found, logs_named
 from mavdiag.commandline import say
 from mavdiag.errors import UsageError
 from mavdiag.identify import Order
-from mavdiag.link.keys import read_key
 from mavdiag.logs import is_log
 from mavdiag.logs.csv_columns import ColumnMap, is_csv, load_column_map
 from mavdiag.telemetry import Axis
 
 Accept: TypeAlias = Annotated[
-    bool,
-    typer.Option("--accept", help="Write a baseline of grade D, too: its flights speak against it, or it is blind."),
+    bool, Option("--accept", help="Write a baseline of grade D, too: its flights speak against it, or it is blind.")
 ]
-AsJson: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON, one object a line.")]
-BaselineFile: TypeAlias = Annotated[Path, typer.Option(help="Baseline made by `mavdiag identify`.")]
-BaselineOutput: TypeAlias = Annotated[Path, typer.Option("-o", "--output", help="Baseline file to write.")]
+AsJson: TypeAlias = Annotated[bool, Option("--json", help="Print JSON, one object a line.")]
+AxisChoice: TypeAlias = Literal["roll", "pitch", "both"]
+BaselineFile: TypeAlias = Annotated[Path, Option(help="Baseline made by `mavdiag identify`.")]
+BaselineOutput: TypeAlias = Annotated[Path, Option("-o", "--output", help="Baseline file to write.")]
 CacheFolder: TypeAlias = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="Keep answers there.  [default: ~/.cache/mavdiag]")
+    Path | None, Option(metavar="DIR", help="Keep answers there.  [default: ~/.cache/mavdiag]")
 ]
 Columns: TypeAlias = Annotated[
-    Path | None,
-    typer.Option(metavar="MAP.toml", help="The logs are CSV recordings; the file says which column is what."),
+    Path | None, Option(metavar="MAP.toml", help="The logs are CSV recordings; the file says which column is what.")
 ]
 FromS: TypeAlias = Annotated[
-    float | None, typer.Option("--from", metavar="S", help="Start at this time of the vehicle's clock.")
+    float | None, Option("--from", metavar="S", help="Start at this time of the vehicle's clock.")
 ]
 Jobs: TypeAlias = Annotated[
-    int | None, typer.Option(min=1, metavar="N", help="Worker processes.  [default: as many as processors]")
+    int | None, Option(min=1, metavar="N", help="Worker processes.  [default: as many as processors]")
 ]
 Layout: TypeAlias = Annotated[
-    str | None, typer.Option("--layout", "--frame", metavar="NAME", help="Rotor layout.  [default: what is found]")
+    str | None, Option("--layout", "--frame", metavar="NAME", help="Rotor layout.  [default: what is found]")
 ]
-NoCache: TypeAlias = Annotated[bool, typer.Option("--no-cache", help="Judge all anew, and keep nothing.")]
-Orders: TypeAlias = Annotated[str, typer.Option("--order", metavar="NA,NB,NK", help="Model order.")]
+MethodChoice: TypeAlias = Literal["sriv", "ls"]  # values of `identify.Method`
+NoCache: TypeAlias = Annotated[bool, Option("--no-cache", help="Judge all anew, and keep nothing.")]
+Orders: TypeAlias = Annotated[str, Option("--order", metavar="NA,NB,NK", help="Model order.")]
 Scheduler: TypeAlias = Annotated[
-    str | None, typer.Option(metavar="ADDRESS", help="Judge on the workers of this Dask scheduler instead.")
+    str | None, Option(metavar="ADDRESS", help="Judge on the workers of this Dask scheduler instead.")
 ]
 SigningKey: TypeAlias = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Hear only what is signed with this key (MAVLink 2 signing).")
+    Path | None, Option(metavar="FILE", help="Hear only what is signed with this key (MAVLink 2 signing).")
 ]
-ToS: TypeAlias = Annotated[
-    float | None, typer.Option("--to", metavar="S", help="Stop at this time of the vehicle's clock.")
-]
+ToS: TypeAlias = Annotated[float | None, Option("--to", metavar="S", help="Stop at this time of the vehicle's clock.")]
 Vehicle: TypeAlias = Annotated[
-    int | None, typer.Option(metavar="SYSID", help="System id, where a .tlog or a link carries several.")
+    int | None, Option(metavar="SYSID", help="System id, where a .tlog or a link carries several.")
 ]
-WindowS: TypeAlias = Annotated[float, typer.Option("--window", metavar="S", help="Savitzky-Golay window.")]
+WindowS: TypeAlias = Annotated[float, Option("--window", metavar="S", help="Savitzky-Golay window.")]
 
 _SCHEME = re.compile(r"[a-z]{2,}:")
-
-
-AxisChoice: TypeAlias = Literal["roll", "pitch", "both"]
-MethodChoice: TypeAlias = Literal["sriv", "ls"]  # values of `identify.Method`
 
 
 def axes_of(choice: AxisChoice) -> tuple[Axis, ...]:
@@ -68,15 +61,11 @@ def axes_of(choice: AxisChoice) -> tuple[Axis, ...]:
 
 
 def parse_order(text: str) -> Order:
-    """Three whole numbers. Raises UsageError, showing the notation.
-
-    >>> parse_order("2,2,1")
-    (2, 2, 1)
-    """
-    parts = text.split(",")
-    if len(parts) != 3 or not all(part.strip().isdecimal() for part in parts):
+    """Three whole numbers. Raises UsageError, showing the notation."""
+    if not re.fullmatch(r"\s*\d+\s*,\s*\d+\s*,\s*\d+\s*", text):
         raise UsageError(f"order {text!r}: write three whole numbers like 2,2,1 (na,nb,nk)")
-    return int(parts[0]), int(parts[1]), int(parts[2])
+    na, nb, nk = map(int, text.split(","))
+    return na, nb, nk
 
 
 def is_endpoint(source: str) -> bool:
@@ -89,17 +78,10 @@ def is_endpoint(source: str) -> bool:
 
 
 def find_logs(arguments: Iterable[str | Path], columns: Path | None = None) -> tuple[Found, ColumnMap | None]:
-    """The logs that arguments name, and the column map of CSV recordings, if they are such. columns: its file.
-
-    How many files were skipped goes to stderr.
-    """
+    """The logs that arguments name, and the column map of CSV recordings; stderr gets how many were skipped."""
     mapped = None if columns is None else load_column_map(columns)
     found = logs_named(arguments, is_log if mapped is None else is_csv)
     if found.skipped:
-        say(found.skipped_sentence, err=True)
+        plural = "s" if found.skipped > 1 else ""
+        say(f"{found.skipped} file{plural} skipped that are no flight logs", err=True)
     return found, mapped
-
-
-def read_signing_key(file: Path | None) -> bytes | None:
-    """The key of a file, if there is one."""
-    return None if file is None else read_key(file)

@@ -4,6 +4,7 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from datetime import timedelta
 from pathlib import Path
 from threading import Timer
 from typing import TYPE_CHECKING, TypeVar
@@ -17,21 +18,6 @@ T = TypeVar("T")
 FIRST_LINE_S, LINE_S = 10.0, 30.0  # a log file of a nightly run is not filled with lines (our choice)
 SLOW_S = 2.0  # without a word is long for who waits (our choice)
 BAR = 24  # characters
-
-
-def told(done: int, total: int, share: float, elapsed_s: float) -> str:
-    """How far it is, how fast, and how long it takes still. share: of all work, 0..1. elapsed_s: so far [s].
-
-    >>> told(30, 120, 0.25, 60.0)
-    '30 of 120, 0.5 a second, 3 min 0 s left'
-    """
-    words = f"{done} of {total}"
-    if done == 0 or elapsed_s <= 0 or share <= 0:
-        return words
-    left_s = round(elapsed_s * (1.0 - share) / share)
-    hours, minutes = divmod(left_s // 60, 60)
-    left = f"{hours} h {minutes} min" if hours else f"{minutes} min {left_s % 60} s" if minutes else f"{left_s} s"
-    return f"{words}, {done / elapsed_s:.2g} a second, {left} left"
 
 
 class Shown:
@@ -48,7 +34,10 @@ class Shown:
         self._done += 1
         self._finished += size
         elapsed_s = time.monotonic() - self._started
-        words = told(self._done, self._total, self._finished / self._work, elapsed_s)
+        words = f"{self._done} of {self._total}"
+        if elapsed_s > 0 and self._finished > 0:
+            left = timedelta(seconds=round(elapsed_s * max(self._work / self._finished - 1.0, 0.0)))
+            words += f", {self._done / elapsed_s:.2g} a second, {left} left"
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=self._finished, words=words)
         elif elapsed_s >= self._next_s and self._done < self._total:
@@ -82,15 +71,8 @@ def shown(text: str, sizes: Sequence[float], *, quiet: bool = False) -> Iterator
 
 
 def sizes_of(paths: Iterable[Path]) -> tuple[float, ...]:
-    """The sizes of files, as how much work they are [bytes]; 1 for what cannot be looked at."""
-
-    def size(path: Path) -> float:
-        try:
-            return float(path.stat().st_size) or 1.0
-        except (OSError, ValueError):
-            return 1.0
-
-    return tuple(map(size, paths))
+    """The sizes of files, as how much work they are [bytes]; 1 for what is no file."""
+    return tuple(float(path.stat().st_size) or 1.0 if path.is_file() else 1.0 for path in paths)
 
 
 def each(items: Sequence[T], text: str, sizes: Sequence[float] | None = None) -> Iterator[T]:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from mavdiag.archive.paths import Named
 from mavdiag.baseline import Baseline
@@ -19,23 +19,18 @@ from mavdiag.storage import check_output, write_atomically
 from mavdiag.telemetry import Log
 
 if TYPE_CHECKING:
-    from mavdiag.report.flight import FlightReport
+    from mavdiag.report.page import FlightReport
 
 DRAWN = 40  # logs of one page that have figures, so that the page stays small (our choice)
 LEAST_POINTS = 120
+PAGE = Path("report.html")
 
 
 def report(
-    logs: Annotated[
-        list[Path] | None, typer.Argument(metavar="LOG|DIR", help="Logs to judge; folders; quoted patterns.")
-    ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.html", help="Page to write.")] = Path(
-        "report.html"
-    ),
-    baseline: Annotated[Path | None, typer.Option(help="Baseline made by `mavdiag identify`.")] = None,
-    campaign: Annotated[
-        Path | None, typer.Option(metavar="FILE.jsonl", help="Results of `sitl-plant campaign`, instead of logs.")
-    ] = None,
+    logs: Annotated[list[Path] | None, Argument(metavar="LOG|DIR", help="Logs, folders, quoted patterns.")] = None,
+    output: Annotated[Path, Option("-o", "--output", metavar="FILE.html", help="Page to write.")] = PAGE,
+    baseline: Annotated[Path | None, Option(help="Baseline made by `mavdiag identify`.")] = None,
+    campaign: Annotated[Path | None, Option(metavar="FILE.jsonl", help="Results of `sitl-plant campaign`.")] = None,
     vehicle: opt.Vehicle = None,
     columns: opt.Columns = None,
 ) -> None:
@@ -61,22 +56,19 @@ def report(
     points = max(LEAST_POINTS, COLUMNS // max(1, len(found.logs) // 4))  # fewer where many logs share a page
     reports = [
         _flight(named, reference, vehicle, mapped, points, figures=number < DRAWN)
-        for number, named in enumerate(each(found.logs, "drawn", sizes_of([named.path for named in found.logs])))
+        for number, named in enumerate(each(found.logs, "drawn", sizes_of(named.path for named in found.logs)))
     ]
     verdicts = [flight.verdict for flight in reports]
     if all(verdict.verdict is Verdict.ERROR for verdict in verdicts):
         more = f"; nor could {len(reports) - 1} others be read" if len(reports) > 1 else ""
         raise InputError(f"{verdicts[0].log}: {verdicts[0].reason}{more}")
     write_atomically(output, page.flights_page(reports, reference, page.Made(now(), str(baseline))))
-    for verdict in verdicts:
-        say(f"{verdict.log}: {verdict.verdict}")
-    return say(f"written to {output}")
+    return say("\n".join([*(f"{verdict.log}: {verdict.verdict}" for verdict in verdicts), f"written to {output}"]))
 
 
 def write_report(log: Log, baseline: Baseline, baseline_path: Path, output: Path) -> LogVerdict:
     """Judge one log, write its page, return the verdict. Raises UsageError if it cannot be written."""
-    from mavdiag.report.flight import flight_report
-    from mavdiag.report.page import Made, flights_page
+    from mavdiag.report.page import Made, flight_report, flights_page
 
     judged = judge_in_full(log, baseline)
     page = flights_page([flight_report(log, baseline, judged)], baseline, Made(now(), str(baseline_path)))
@@ -88,13 +80,13 @@ def _flight(
     named: Named, baseline: Baseline, vehicle: int | None, columns: ColumnMap | None, points: int, *, figures: bool
 ) -> "FlightReport":
     """One bad log is reported and does not lose the others. points: across a figure."""
-    from mavdiag.report.flight import FlightReport, flight_report
+    from mavdiag.report.page import FlightReport, flight_report
 
-    trouble = named.trouble
     try:
-        if not trouble:
-            log = read_part(named.path, vehicle, columns=columns)
-            return flight_report(log, baseline, judge_in_full(log, baseline), points, figures=figures)
+        if named.trouble:
+            raise InputError(named.trouble)
+        log = read_part(named.path, vehicle, columns=columns)
+        return flight_report(log, baseline, judge_in_full(log, baseline), points, figures=figures)
     except InputError as error:
-        trouble = str(error).removeprefix(f"{named.path}: ")
-    return FlightReport(LogVerdict(str(named.path), Verdict.ERROR, trouble))
+        reason = str(error).removeprefix(f"{named.path}: ")
+        return FlightReport(LogVerdict(str(named.path), Verdict.ERROR, reason))

@@ -1,30 +1,34 @@
 """`mavdiag scan`: judge logs by a baseline."""
 
 import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from mavdiag.archive.figures import Window
-from mavdiag.archive.job import Answer, Options, Question
+from mavdiag.archive.paths import Named
+from mavdiag.archive.scan import Answer, Cache, Options, Question, open_cache
+from mavdiag.archive.scan import scan as archive
 from mavdiag.archive.tables import Row, check_parquet, rows_of, write_csv, write_parquet
 from mavdiag.as_json import number, verdict_json
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands import options as opt
-from mavdiag.commands.many import How, judging
+from mavdiag.commands.progress import shown, sizes_of
 from mavdiag.judging import JUDGED_SHARE, Verdict, exit_code
 from mavdiag.logs.part import check_times
 from mavdiag.storage import check_output
 
 
 def scan(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(help="Logs to judge: .tlog, .bin, .ulg, Crazyflie, DronePropA; folders; quoted patterns."),
-    ],
+    logs: Annotated[list[Path], Argument(help="Logs to judge, of any kind; folders; quoted patterns.")],
     baseline: opt.BaselineFile,
     as_json: opt.AsJson = False,
     vehicle: opt.Vehicle = None,
@@ -32,13 +36,11 @@ def scan(
     to_s: opt.ToS = None,
     columns: opt.Columns = None,
     judged_share: Annotated[
-        float, typer.Option(min=0.0, max=1.0, metavar="SHARE", help="Of the flown time, judged: less is not healthy.")
+        float, Option(min=0.0, max=1.0, metavar="SHARE", help="Of the flown time, judged: less is not healthy.")
     ] = JUDGED_SHARE,
-    windows: Annotated[
-        float | None, typer.Option(metavar="S", min=1.0, help="Judge each log in windows of this length besides.")
-    ] = None,
-    csv: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a table, one row a log or window.")] = None,
-    parquet: Annotated[Path | None, typer.Option(metavar="FILE", help="The same table as Parquet.")] = None,
+    windows: Annotated[float | None, Option(metavar="S", min=1.0, help="Judge windows of this length, too.")] = None,
+    csv: Annotated[Path | None, Option(metavar="FILE", help="Write a table, one row a log or window.")] = None,
+    parquet: Annotated[Path | None, Option(metavar="FILE", help="The same table as Parquet.")] = None,
     jobs: opt.Jobs = None,
     scheduler: opt.Scheduler = None,
     cache: opt.CacheFolder = None,
@@ -59,7 +61,8 @@ def scan(
     found, mapped = opt.find_logs(logs, columns)
     question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped, judged_share))
     verdicts, rows, before = list[Verdict](), list[Row](), 0
-    with judging(found.logs, question, How(jobs, scheduler, cache, no_cache), quiet=as_json) as (answers, tell):
+    how = judging(found.logs, question, scheduler or jobs, cache, no_cache=no_cache, quiet=as_json)
+    with how as (answers, tell):
         for answer in answers:
             tell(_json_line(answer) if as_json else _lines(answer))
             verdicts.append(answer.record.verdict.verdict)
@@ -72,6 +75,32 @@ def scan(
     if parquet is not None:
         write_parquet(parquet, rows)
     raise typer.Exit(exit_code(verdicts))
+
+
+@contextmanager
+def judging(
+    logs: Sequence[Named],
+    question: Question,
+    workers: int | str | None,
+    cache: Path | None,
+    *,
+    no_cache: bool,
+    quiet: bool = False,
+) -> Iterator[tuple[Iterator[Answer], Callable[[str], None]]]:
+    """The answers in order, and what prints lines beside the progress. quiet: no progress where no terminal is."""
+    sizes = sizes_of(log.path for log in logs)
+    with shown("judged", sizes, quiet=quiet) as progress:
+        warn = partial(progress.say, err=True)
+        kept = Cache() if no_cache else open_cache(cache, question.scope, warn)
+        chosen = workers if isinstance(workers, str) else min(workers or os.cpu_count() or 1, len(logs))
+
+        def counted() -> Iterator[Answer]:
+            for answer, size in zip(run, sizes, strict=True):
+                progress.add(size)
+                yield answer
+
+        with closing(archive(logs, question, chosen, kept, warn)) as run:
+            yield counted(), progress.say
 
 
 def _json_line(answer: Answer) -> str:

@@ -1,15 +1,16 @@
 """`mavdiag shim`: a bad link between two endpoints, to see what a link does to a verdict."""
 
 import time
-from dataclasses import fields
+from dataclasses import asdict
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from mavdiag.commandline import stop_signals
 from mavdiag.link.codec import split_frames
 from mavdiag.link.ports import Endpoint, open_endpoint, wait
-from mavdiag.link.shim import Impairment, Shim, ShimCount
+from mavdiag.link.shim import Impairment, Shim
 
 LOOK_S = 0.001  # how often it looks whether a message is due
 
@@ -17,8 +18,7 @@ LOOK_S = 0.001  # how often it looks whether a message is due
 class Passage:
     """One direction: what is received at one end goes through a shim to the other. Byte streams are cut into frames.
 
-    What came since the last step is taken to have come evenly: on a machine that is busy for 0.2 s hundreds of messages
-    are read at once, and jitter within a few milliseconds would shuffle all of them.
+    What came since the last step is taken to have come evenly, for a busy machine reads hundreds of messages at once.
     """
 
     def __init__(self, source: Endpoint, target: Endpoint, through: Shim) -> None:
@@ -44,17 +44,17 @@ class Passage:
 
 
 def shim(
-    vehicle: Annotated[str, typer.Argument(metavar="IN", help="The vehicle's side: udpin:127.0.0.1:14550, ...")],
-    daemon: Annotated[str, typer.Argument(metavar="OUT", help="The other side: udpout:127.0.0.1:14551, ...")],
-    loss: Annotated[float, typer.Option(metavar="P", help="Probability that a message is lost.")] = 0.0,
-    jitter: Annotated[float, typer.Option(metavar="MS", help="The delay varies by so much, up and down.")] = 0.0,
-    reorder: Annotated[int, typer.Option(metavar="DEPTH", help="Messages that may overtake one.")] = 0,
-    duplicate: Annotated[float, typer.Option(metavar="P", help="Probability that a message comes twice.")] = 0.0,
-    corrupt: Annotated[float, typer.Option(metavar="P", help="Probability that one bit of it is changed.")] = 0.0,
-    rate: Annotated[float | None, typer.Option(metavar="BYTES_PER_S", help="What the line carries.")] = None,
-    delay: Annotated[float, typer.Option(metavar="MS", help="How long a message takes.")] = 0.0,
-    seed: Annotated[int, typer.Option(metavar="N", help="The same seed gives the same fate to the same messages.")] = 0,
-    both: Annotated[bool, typer.Option("--both", help="Impair the way back to the vehicle as well.")] = False,
+    vehicle: Annotated[str, Argument(metavar="IN", help="The vehicle's side: udpin:127.0.0.1:14550, ...")],
+    daemon: Annotated[str, Argument(metavar="OUT", help="The other side: udpout:127.0.0.1:14551, ...")],
+    loss: Annotated[float, Option(metavar="P", help="Probability that a message is lost.")] = 0.0,
+    jitter: Annotated[float, Option(metavar="MS", help="The delay varies by so much, up and down.")] = 0.0,
+    reorder: Annotated[int, Option(metavar="DEPTH", help="Messages that may overtake one.")] = 0,
+    duplicate: Annotated[float, Option(metavar="P", help="Probability that a message comes twice.")] = 0.0,
+    corrupt: Annotated[float, Option(metavar="P", help="Probability that one bit of it is changed.")] = 0.0,
+    rate: Annotated[float | None, Option(metavar="BYTES_PER_S", help="What the line carries.")] = None,
+    delay: Annotated[float, Option(metavar="MS", help="How long a message takes.")] = 0.0,
+    seed: Annotated[int, Option(metavar="N", help="The same seed gives the same fate to the same messages.")] = 0,
+    both: Annotated[bool, Option("--both", help="Impair the way back to the vehicle as well.")] = False,
 ) -> None:
     """Pass messages between two endpoints both ways, and impair those that come from IN. Ctrl-C ends it."""
     bad = Impairment(loss, jitter / 1e3, reorder, duplicate, corrupt, rate, delay / 1e3)
@@ -67,9 +67,4 @@ def shim(
                 way.step(time.monotonic_ns())
             wait((near, far), LOOK_S)
     for name, way in zip(("from IN to OUT", "from OUT to IN"), ways, strict=True):
-        typer.echo(f"{name}: {_words(way.shim.count)}")
-
-
-def _words(count: ShimCount) -> str:
-    names = [field.name for field in fields(ShimCount)]
-    return ", ".join(f"{getattr(count, name)} {name}" for name in names)
+        typer.echo(f"{name}: {', '.join(f'{count} {what}' for what, count in asdict(way.shim.count).items())}")

@@ -5,12 +5,13 @@ from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import stop_signals
 from mavdiag.commands import options as opt
 from mavdiag.errors import UsageError
+from mavdiag.link.keys import read_key
 from mavdiag.link.ports import open_endpoint
 from mavdiag.link.signing import Signing, stamp_at
 from mavdiag.telemetry import Axis
@@ -20,18 +21,12 @@ SPAN_S = 20.0
 
 
 def watch(
-    source: Annotated[
-        str, typer.Argument(metavar="ENDPOINT|JOURNAL", help="udpin:127.0.0.1:14551, ... or a detector's journal.")
-    ],
-    baseline: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Judge the vehicle here, too: strips and every monitor.")
-    ] = None,
+    source: Annotated[str, Argument(metavar="ENDPOINT|JOURNAL", help="A link, or a detector's journal.")],
+    baseline: Annotated[Path | None, Option(metavar="FILE", help="Judge here, too: strips and monitors.")] = None,
     vehicle: opt.Vehicle = None,
-    axis: Annotated[Axis, typer.Option(help="Whose rates the strips show.")] = Axis.ROLL,
-    span: Annotated[float, typer.Option(min=1.0, metavar="S", help="How much of the flight the strips show.")] = SPAN_S,
-    duration: Annotated[
-        float | None, typer.Option(min=0.0, metavar="S", help="Stop after so long.  [default: at Ctrl-C]")
-    ] = None,
+    axis: Annotated[Axis, Option(help="Whose rates the strips show.")] = Axis.ROLL,
+    span: Annotated[float, Option(min=1.0, metavar="S", help="How much of the flight the strips show.")] = SPAN_S,
+    duration: Annotated[float | None, Option(min=0.0, metavar="S", help="Stop after so long.")] = None,
     signing_key: opt.SigningKey = None,
 ) -> None:
     """Watch a flight: a link with its detector's alerts, or the journal that a detector writes.
@@ -55,7 +50,10 @@ def watch(
                 raise UsageError("--baseline and --signing-key are for a link; a journal has its verdicts")
             with closing(watching.Journal(Path(source))) as journal:
                 return watching.follow(journal, vehicle, ended)
-        judged_by, key = None if baseline is None else Baseline.load(baseline), opt.read_signing_key(signing_key)
+        judged_by, key = (
+            None if baseline is None else Baseline.load(baseline),
+            None if signing_key is None else read_key(signing_key),
+        )
 
         def signing() -> Signing | None:
             return None if key is None else Signing(key, stamp=stamp_at(time.time_ns()))

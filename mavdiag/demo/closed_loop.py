@@ -30,10 +30,9 @@ class Flight:
     @property
     def arguments(self) -> tuple[str, ...]:
         """As arguments of the emulator."""
-        flight = ("--duration", f"{self.duration_s:g}", "--seed", str(self.seed))
-        if self.fault is None:
-            return flight
-        return (*flight, "--fault", self.fault, "--rotor", str(self.rotor), "--onset", f"{self.onset_s:g}")
+        fault = () if self.fault is None else ("--fault", self.fault, "--rotor", f"{self.rotor}")
+        onset = () if self.fault is None else ("--onset", f"{self.onset_s:g}")
+        return ("--duration", f"{self.duration_s:g}", "--seed", str(self.seed), *fault, *onset)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,14 +1,9 @@
-"""`mavdiag demo`: the emulator and the detector as two processes over MAVLink, received by a ground station (edge).
-
-Its two baselines are learnt once from flights of the emulator and kept in the user's cache.
-"""
+"""`mavdiag demo`: the emulator and the detector as two processes over MAVLink, received by a ground station (edge)."""
 
 import os
 import tempfile
-import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -45,7 +40,6 @@ DETECTOR, THESIS = "detector: ", "thesis rule: "
 HEALTHY_FLIGHTS = 60  # one false alarm of the thesis rule in 61 flights of equal length, METHOD section 4
 FUSED_FLIGHTS = 20  # of them that teach all monitors: their thresholds follow from a law, not from the highest value
 HEALTHY_S = 40.0
-UNUSED_S = 30 * 86_400.0  # after which a baseline is deleted (our choice)
 
 
 def demo(
@@ -109,15 +103,13 @@ def thesis_rule(baseline: Baseline) -> Baseline:
 def own_baselines(*, quiet: bool) -> tuple[Path, Path]:
     """The demo's two baselines, of all monitors and of the thesis rule, learnt once from flights of the emulator.
 
-    They are kept in the user's cache, and learnt again after any change of the sources that make them. Those of other
-    versions, which may be running, are deleted when they were not used for a month.
+    They are kept in the user's cache, and learnt again after any change of the sources that make them.
     """
     cache, digest = cache_folder(), digest_of_sources(("mavdiag", "sitl_plant"), ("__pycache__",))
     fused, thesis = (cache / f"demo-{name}-{__version__}-{digest}.json" for name in ("fused", "thesis"))
     if _usable(fused) and _usable(thesis):
         return fused, thesis
     cache.mkdir(parents=True, exist_ok=True)
-    delete_unused(cache, time.time())
     if not quiet:
         typer.echo(f"recording {HEALTHY_FLIGHTS} healthy flights of {HEALTHY_S:g} s, as fast as they go ...")
     with tempfile.TemporaryDirectory() as folder:
@@ -133,28 +125,16 @@ def own_baselines(*, quiet: bool) -> tuple[Path, Path]:
     return fused, thesis
 
 
-def delete_unused(cache: Path, now_s: float) -> None:
-    """Delete the demo's baselines that were not used for UNUSED_S. now_s: unix time [s]."""
-    for kept in cache.glob("demo-*.json"):
-        with suppress(FileNotFoundError):  # another demo was quicker
-            if now_s - kept.stat().st_mtime > UNUSED_S:
-                kept.unlink()
-
-
 def cache_folder() -> Path:
     """Where the demo keeps what it made."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mavdiag"
 
 
 def _usable(path: Path) -> bool:
-    """Whether there is one, and it can be read; then it is marked as used now."""
     try:
-        usable = bool(thesis_rule(Baseline.load(path)).monitors)
+        return bool(thesis_rule(Baseline.load(path)).monitors)
     except BaselineError:
         return False
-    with suppress(OSError):
-        os.utime(path)
-    return usable
 
 
 def _record(folder: Path, first: int, count: int) -> None:
@@ -164,10 +144,7 @@ def _record(folder: Path, first: int, count: int) -> None:
 
 
 def watch(loop: Loop, flight: Flight, *, quiet: bool) -> list[Change]:
-    """Listen until the flight is over, showing it if there is somebody to show it to.
-
-    Returns how the decision of the thesis rule changed.
-    """
+    """Show the flight until it is over, if there is somebody to show it to; return the changes of the thesis rule."""
     from mavdiag.terminal.watching import listen
 
     def view(events: Sequence["Line"]) -> "View":
@@ -203,13 +180,13 @@ def _print_result(result: DemoResult, flight: Flight, changes: Sequence[Change])
     else:
         last = [text.text for text in result.alerts if text.t_s >= onset_s][-1]
         say(f"detector: alerted {result.detected_s - onset_s:.2f} s after the onset; it ends with {last!r}")
-    faults = (one for one in changes if one.stage is Stage.FAULT and one.t_ns / NS_PER_S >= onset_s)
-    if (thesis := next(faults, None)) is None:
-        say("thesis rule: it did not alarm after the onset")
-    else:
+    faults = [one for one in changes if one.stage is Stage.FAULT and one.t_ns / NS_PER_S >= onset_s]
+    for thesis in faults[:1]:
         after_s = thesis.t_ns / NS_PER_S - onset_s
         evidence = f"FSD {thesis.statistic:.3f} s > FML {thesis.threshold:.3f} s on {thesis.axis}"
         say(f"thesis rule: {evidence}, {after_s:.2f} s after the onset; it names no rotor and no type")
+    if not faults:
+        say("thesis rule: it did not alarm after the onset")
     if result.good:
         say("before the onset nothing was alerted: the loop is closed")
     else:

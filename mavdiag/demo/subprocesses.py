@@ -46,10 +46,7 @@ class Child:
         return self._process.poll() is None
 
     def wait_for(self, text: str, timeout_s: float) -> str:
-        """The first new line that holds `text`.
-
-        Raises LinkError with the last line if none comes within `timeout_s` in all, or as soon as the process ended.
-        """
+        """Wait for a new line that holds `text`. Raises LinkError with the last line if it ends or takes longer."""
         until = time.monotonic() + timeout_s
         while True:
             ended = not self.running  # looked at before the lines: its last ones still count

@@ -1,8 +1,7 @@
-"""What is shown of an airframe: sentences and drawings that keep to a width, JSON, and rows of CSV. Pure."""
+"""What is shown of an airframe: sentences and drawings, JSON, and rows of CSV. Pure."""
 
 import math
-import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
@@ -10,8 +9,6 @@ import numpy as np
 
 from mavdiag.archive.figures import FlightRecord
 from mavdiag.as_json import DIGITS, plain
-from mavdiag.braille import ACROSS, DOWN, cells, character
-from mavdiag.history.stretches import Stretch, series_of
 from mavdiag.history.trend import Remaining
 from mavdiag.history.warn import WARNS, Outlook, Overview, Review
 from mavdiag.telemetry import FloatArray
@@ -26,10 +23,6 @@ TREND_COLUMNS = (
     *("remaining", "remaining_low", "remaining_high", "warned_at", "changes"),
 )
 LEVELS = "▁▂▃▄▅▆▇█"
-HEIGHT = 7  # lines of a chart
-LABEL = 6  # width of its scale
-TOP, MOST = 1.15, 2.0  # of the threshold: a chart's least height, and where what is higher is drawn
-NARROW = 60  # a narrower terminal gets no sparklines
 FAR = 1000  # flights: beyond it a number is no forecast
 
 
@@ -41,7 +34,7 @@ class Line(NamedTuple):
 
 
 def flight_json(number: int, record: FlightRecord) -> dict[str, Any]:
-    """A flight. number: in the history of its airframe, from 1. What is not finite becomes null, as in all JSON."""
+    """A flight. number: in the history of its airframe, from 1."""
     told = {name: getattr(record, name) for name in ("t_ns", "log", "content", "baseline", "verdict", "reason")}
     judged = {"judged_s": record.judged_s, "monitors": record.slots, "rotor_trim": record.rotor_trim}
     found: dict[str, Any] = plain({"airframe": record.airframe, "flight": number, **told, **judged}, DIGITS)
@@ -52,11 +45,11 @@ def flight_rows(number: int, record: FlightRecord) -> Iterator[dict[str, Any]]:
     """A row for each monitor and axis, and for each rotor's trim; one with neither for a flight that has none."""
     told = flight_json(number, record)
     head = {name: told[name] for name in FLIGHT_COLUMNS[:7]} | {"flight_judged_s": told["judged_s"]}
-    trims = (
+    trims = [
         {"monitor": f"trim of rotor {rotor}", "unit": "fraction of hover", "median": trim}
         for rotor, trim in enumerate(told["rotor_trim"], 1)
-    )
-    for figures in (*told["monitors"], *trims) if told["monitors"] else (*trims, {}):
+    ]
+    for figures in [*told["monitors"], *trims] or [{}]:
         yield head | figures
 
 
@@ -103,28 +96,38 @@ def _trend_json(found: Review) -> dict[str, Any]:
 
 
 def lines_of(overview: Overview, width: int | None = None) -> tuple[Line, ...]:
-    """What is said of an airframe. width: of the terminal; None for plain lines without drawings."""
+    """What is said of an airframe. width: of the terminal, where each statistic is drawn; None for no drawings."""
     lines = [Line(_headline(overview), overview.faulty)]
     if unknown := sum(not flight.started_ns for flight in overview.flights):
         lines.append(Line(f"  {unknown} without a clock in the log, placed by when they were added; --at tells when"))
-    lines += [Line(f"  {_began(stretch, n)}") for n, stretch in enumerate(overview.stretches, 1) if stretch.began]
+    for number, stretch in enumerate(overview.stretches, 1):
+        if stretch.began and stretch.flights:
+            place = f"stretch {number} from flight {stretch.first} ({stretch.began})"
+            lines.append(Line(f"  {place}, {len(stretch.flights)} flights"))
+        elif stretch.began:
+            lines.append(Line(f"  {stretch.began} after the last flight: no trend yet"))
     for found in (found for found in overview.found if found.trend is not None):
-        loud = found.outlook in WARNS
-        lines.append(Line(f"  {sentence(found)}", loud))
-        if width is not None and width >= NARROW:
-            lines.append(Line(f"    {sparkline(found.series.share, width - 4)}", loud))
+        lines.append(Line(f"  {_sentence(found)}", found.outlook in WARNS))
+        if width is not None:
+            lines.append(Line(f"    {sparkline(found.series.share, width - 4)}", found.outlook in WARNS))
     if few := [found.series.name for found in overview.found if found.trend is None]:
         lines.append(Line(f"  {Outlook.TOO_FEW.value}: {', '.join(few)}"))
     if overview.rotor_growth:
         rises = ", ".join(f"rotor {n} {rise:+.4f}" for n, rise in enumerate(overview.rotor_growth, 1))
         lines.append(Line(f"  trim since the stretch began [fraction of hover]: {rises}"))
-    if width is None:
-        return tuple(lines)
-    lines += map(Line, _drawing(overview, width) if overview.found else ())
-    return tuple(part for line in lines for part in _wrapped(line, width))
+    return tuple(lines)
 
 
-def sentence(found: Review) -> str:
+def _headline(overview: Overview) -> str:
+    flights = overview.flights
+    if not flights:
+        return f"{overview.airframe}: no flights"
+    count, last = f"{len(flights)} flight{'' if len(flights) == 1 else 's'}", flights[-1].verdict.value
+    span = f"{day(flights[0].t_ns)} to {day(flights[-1].t_ns)}"
+    return f"{overview.airframe}: {count}, {span}; the last one {last.replace('_', ' ')}"
+
+
+def _sentence(found: Review) -> str:
     """One statistic: how near it is, where it is heading, since when that is warned of, and where it jumped."""
     series, trend = found.series, found.trend
     told = f"{series.name}: {found.outlook.value}"
@@ -139,6 +142,12 @@ def sentence(found: Review) -> str:
     return told + "".join(f"; jumped by {change.step:+.2f} at flight {change.number}" for change in found.changes)
 
 
+def _flights(remaining: Remaining) -> str:
+    numbers = (remaining.flights, remaining.low, remaining.high)
+    best, low, high = (f"{value:.0f}" if value <= FAR else f"over {FAR}" for value in numbers)
+    return f"{best} flights ({low} to {high if math.isfinite(remaining.high) else 'no end'})"
+
+
 def sparkline(share: FloatArray, width: int) -> str:
     """The highest share of each span of flights; a full block is the threshold. NaN is a blank.
 
@@ -151,72 +160,6 @@ def sparkline(share: FloatArray, width: int) -> str:
     return "".join(" " if peak < 0 else LEVELS[min(max(step, 0), len(LEVELS) - 1)] for peak, step in steps)
 
 
-def chart(share: FloatArray, borders: Sequence[int], width: int, height: int = HEIGHT) -> tuple[str, ...]:
-    """Shares as dots over the flights, with the threshold as a line and borders of stretches as bars.
-
-    share: (n,), NaN where nothing was judged. borders: places in it where a stretch begins.
-    """
-    n, across, judged = max(len(share), 1), max(width - LABEL, 1), np.flatnonzero(np.isfinite(share))
-    top = min(max(TOP, 1.05 * float(share[judged].max(initial=0.0))), MOST)
-    columns, rows = ACROSS * across, DOWN * height
-    dots = np.zeros((rows, columns), dtype=np.bool_)
-    row = (share[judged].clip(0.0) / top * rows).astype(np.int64).clip(max=rows - 1)
-    dots[rows - 1 - row, judged * columns // n] = True
-    at = height - 1 - min(int(1.0 / top * height), height - 1)
-    bars = {border * across // n for border in borders}
-    lines = []
-    for number, marks in enumerate(cells(dots)):
-        label = "1.00" if number == at else "0.00" if number == height - 1 else ""
-        empty = ["│" if cell in bars else "┄" if number == at else " " for cell in range(across)]
-        text = "".join(character(mark, blank) for mark, blank in zip(marks, empty, strict=True))
-        lines.append(f"{label:>{LABEL - 1}} {text}".rstrip())
-    return tuple(lines)
-
-
 def day(t_ns: int) -> str:
-    """The day of a time, UTC.
-
-    >>> day(1_767_225_600_000_000_000)
-    '2026-01-01'
-    """
+    """The day of a time, UTC."""
     return datetime.fromtimestamp(t_ns / NS_PER_S, UTC).date().isoformat()
-
-
-def _headline(overview: Overview) -> str:
-    flights = overview.flights
-    if not flights:
-        return f"{overview.airframe}: no flights"
-    count, last = f"{len(flights)} flight{'' if len(flights) == 1 else 's'}", flights[-1].verdict.value
-    span = f"{day(flights[0].t_ns)} to {day(flights[-1].t_ns)}"
-    return f"{overview.airframe}: {count}, {span}; the last one {last.replace('_', ' ')}"
-
-
-def _began(stretch: Stretch, place: int) -> str:
-    if not stretch.flights:
-        return f"{stretch.began} after the last flight: no trend yet"
-    return f"stretch {place} from flight {stretch.first} ({stretch.began}), {len(stretch.flights)} flights"
-
-
-def _flights(remaining: Remaining) -> str:
-    numbers = (remaining.flights, remaining.low, remaining.high)
-    best, low, high = (f"{value:.0f}" if value <= FAR else f"over {FAR}" for value in numbers)
-    return f"{best} flights ({low} to {high if math.isfinite(remaining.high) else 'no end'})"
-
-
-def _drawing(overview: Overview, width: int) -> tuple[str, ...]:
-    """The chart of the statistic that is nearest, over all stretches."""
-    name, parts = overview.found[0].series.name, list[FloatArray]()
-    for stretch in overview.stretches:
-        same = (series.share for series in series_of(stretch) if series.name == name)
-        parts.append(next(same, np.full(len(stretch.flights), np.nan)))
-    share = np.concatenate(parts)
-    borders = [stretch.first - 1 for stretch in overview.stretches if stretch.began and stretch.flights]
-    numbers = f"{'':{LABEL}}1{len(share):>{max(width - LABEL - 1, 1)}}"
-    return (f"  {name}, peak over threshold by flight", *chart(share, borders, width), numbers)
-
-
-def _wrapped(line: Line, width: int) -> list[Line]:
-    if len(line.text) <= width:
-        return [line]
-    indent = line.text[: len(line.text) - len(line.text.lstrip())] + "  " if width > NARROW else ""
-    return [Line(part, line.loud) for part in textwrap.wrap(line.text, max(width, 1), subsequent_indent=indent)]

@@ -7,7 +7,7 @@ things. All that SQLAlchemy reports comes out as UsageError in one line; a passw
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_type_hints
 
 import sqlalchemy as sa
 from pydantic import TypeAdapter, ValidationError
@@ -18,35 +18,25 @@ from sqlalchemy.types import TypeEngine
 
 from mavdiag.archive.figures import FlightRecord
 from mavdiag.errors import InputError, UsageError, missing_extra
-from mavdiag.history.stretches import Mark
+from mavdiag.history.warn import Mark, MarkKind
+from mavdiag.judging import Verdict
 
 METADATA = sa.MetaData()
 SCHEMA = "2"  # of these tables
 
 
-def _table(name: str, **kinds: TypeEngine[Any]) -> sa.Table:
-    columns = (
-        sa.Column(column, kind, nullable=False, index=column == "airframe", unique=column == "content")
-        for column, kind in kinds.items()
-    )
+def _table(name: str, kept: type) -> sa.Table:
+    """A column for each field of a value."""
+    kinds: dict[type, TypeEngine[Any]] = {int: sa.BigInteger(), float: sa.Float(53)}
+    kinds |= dict.fromkeys((str, Verdict, MarkKind), sa.Text())
+    columns: list[sa.Column[Any]] = []
+    for field, kind in get_type_hints(kept).items():
+        unique, index = field == "content", field == "airframe"
+        columns.append(sa.Column(field, kinds.get(kind, sa.JSON()), nullable=False, index=index, unique=unique))
     return sa.Table(f"mavdiag_{name}", METADATA, sa.Column("id", sa.Integer, primary_key=True), *columns)
 
 
-FLIGHT = _table(
-    "flight",
-    airframe=sa.String(200),
-    content=sa.String(100),
-    log=sa.Text(),
-    started_ns=sa.BigInteger(),
-    added_ns=sa.BigInteger(),
-    baseline=sa.String(100),
-    verdict=sa.String(20),
-    reason=sa.Text(),
-    judged_s=sa.Float(53),
-    slots=sa.JSON(),
-    rotor_trim=sa.JSON(),
-)
-MARK = _table("mark", airframe=sa.String(200), t_ns=sa.BigInteger(), kind=sa.String(40), note=sa.Text())
+FLIGHT, MARK = _table("flight", FlightRecord), _table("mark", Mark)
 VERSION = sa.Table("mavdiag_version", METADATA, sa.Column("version_num", sa.String(32), primary_key=True))
 MAKE_LOCK = 0x6D617664  # of PostgreSQL: two that make the tables at once wait for each other
 BUSY_S = 30  # how long SQLite waits for another that writes (our choice)
@@ -66,10 +56,7 @@ class History:
             return connection.scalar(sa.select(FLIGHT.c.airframe).where(FLIGHT.c.content == content))
 
     def add(self, record: FlightRecord, *, again: bool = False) -> bool:
-        """Keep a flight. False, and nothing is changed, if it is there already; with `again` the new one replaces it.
-
-        Raises UsageError if the database fails.
-        """
+        """Keep a flight. False, with nothing changed, if it is there already; with `again` the new one replaces it."""
         try:
             with self._engine.begin() as connection:
                 if again:
@@ -83,16 +70,19 @@ class History:
 
     def mark(self, mark: Mark) -> None:
         """Keep a maintenance mark. Raises UsageError for an airframe without flights."""
-        names = self.airframes()
-        if mark.airframe not in names:
-            raise UsageError(f"no airframe {mark.airframe!r} in the history; there is {', '.join(names) or 'none'}")
+        self.names(mark.airframe)
         with self._engine.begin() as connection:
             connection.execute(sa.insert(MARK).values(_MARKS.dump_python(mark, mode="json")))
 
-    def airframes(self) -> tuple[str, ...]:
-        """Names of those that have flights, in order."""
+    def names(self, airframe: str | None = None) -> tuple[str, ...]:
+        """Airframes that have flights, in order; or the one asked for. Raises UsageError if there is no such."""
         with self._engine.begin() as connection:
-            return tuple(sorted(connection.scalars(sa.select(FLIGHT.c.airframe).distinct())))
+            known = tuple(sorted(connection.scalars(sa.select(FLIGHT.c.airframe).distinct())))
+        if airframe is None:
+            return known
+        if airframe not in known:
+            raise UsageError(f"no airframe {airframe!r} in the history; there is {', '.join(known) or 'none yet'}")
+        return (airframe,)
 
     def flights(self, airframe: str) -> tuple[FlightRecord, ...]:
         """All of an airframe, in order of time; those without a time by when they were added."""
@@ -114,20 +104,22 @@ class History:
 def open_history(database: str, *, create: bool = False, write: bool = False) -> Iterator[History]:
     """A history, by the path of its SQLite file or a URL such as postgresql://user@host/fleet.
 
-    create: make the SQLite file if there is none.
-    write: something will be kept: the database gets its tables, and an SQLite file is locked from the begin of each
-        transaction. `create` implies it. A reader changes nothing.
-    Raises UsageError if it cannot be used, also out of the block.
+    write: the database gets its tables, and an SQLite file is locked from the begin of each transaction. create: also
+    make the SQLite file. Raises UsageError if it cannot be used, also out of the block.
     """
-    url = address_of(database)
+    url, write = address_of(database), create or write
     is_file = url.get_backend_name() == "sqlite"
     shown = url.database or "" if is_file else url.render_as_string(hide_password=True)
     if is_file:
-        _check_file(Path(url.database or ""), create)
+        _check_file(Path(shown), create)
+    busy = {"connect_args": {"timeout": BUSY_S, "isolation_level": None}} if is_file else {}
     try:
-        engine = _engine(url, "BEGIN IMMEDIATE" if create or write else "BEGIN")
+        engine = sa.create_engine(url, poolclass=NullPool, **busy)
+        if is_file:  # a reader must not need rights to write
+            begin = "BEGIN IMMEDIATE" if write else "BEGIN"
+            sa.event.listen(engine, "begin", lambda connection: connection.exec_driver_sql(begin))
         try:
-            _check_tables(engine, shown, write=create or write)
+            _check_tables(engine, shown, write=write)
             yield History(engine)
         finally:
             engine.dispose()
@@ -139,11 +131,7 @@ def open_history(database: str, *, create: bool = False, write: bool = False) ->
 
 
 def address_of(database: str) -> URL:
-    """What SQLAlchemy connects to. Raises UsageError for an address of another kind of database.
-
-    >>> address_of("fleet.sqlite").render_as_string(), address_of("postgres://me@host/fleet").render_as_string()
-    ('sqlite:///fleet.sqlite', 'postgresql+psycopg://me@host/fleet')
-    """
+    """What SQLAlchemy connects to. Raises UsageError for an address of another kind of database."""
     if not database:
         raise UsageError("name the history: a file, or a URL like postgresql://user@host/name")
     if "://" not in database:
@@ -162,25 +150,11 @@ def address_of(database: str) -> URL:
 
 def _check_file(path: Path, create: bool) -> None:
     if path.exists() and not path.is_file():
-        kind = "a folder" if path.is_dir() else "not a regular file"
-        raise UsageError(f"{path}: is {kind}; name the file of a history")
+        raise UsageError(f"{path}: is {'a folder' if path.is_dir() else 'not a regular file'}; name a history's file")
     if not path.exists() and not create:
         raise InputError(f"{path}: no history there; make one with `mavdiag history add`, or name it by --database")
     if not path.parent.is_dir():
         raise UsageError(f"{path}: there is no folder {path.parent}; make it, or name another file")
-
-
-def _engine(url: URL, begin: str) -> sa.Engine:
-    """begin: how SQLite begins a transaction; a reader must not need rights to write."""
-    if url.get_backend_name() != "sqlite":
-        return sa.create_engine(url, poolclass=NullPool)
-    engine = sa.create_engine(url, poolclass=NullPool, connect_args={"timeout": BUSY_S, "isolation_level": None})
-
-    @sa.event.listens_for(engine, "begin")
-    def begun(connection: sa.Connection) -> None:
-        connection.exec_driver_sql(begin)
-
-    return engine
 
 
 def _check_tables(engine: sa.Engine, shown: str, *, write: bool) -> None:

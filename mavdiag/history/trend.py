@@ -1,10 +1,9 @@
 """Where a statistic is heading from flight to flight, when it would reach its threshold, and where it jumped. Pure.
 
-A series holds the share z = peak/threshold of each flight; 1 is the threshold. Flights of one session (a battery, a
-day, a place) share an error, so they become one value y, their median, at their mean flight number x. With c flights
-and errors within and between sessions of like size, its variance is
+A series holds the share z = peak/threshold of each flight. The c flights of a session share an error, so they become
+one value y, their median, at their mean flight number x, with
 
-    var(y) = s^2 (1 + 1/c)/2                                        (the like size is our choice; measured: 0.5 to 3)
+    var(y) = s^2 (1 + 1/c)/2                    (errors within and between sessions of like size; measured: 0.5 to 3)
 
 The present level a and the growth b of a flight are a line, fitted by weighted least squares with older sessions
 discounted, x_n the newest flight, and Huber's weights h against single odd sessions (Huber, Robust Statistics, 1981,
@@ -13,25 +12,18 @@ ch. 7: k = 1.345 standard deviations):
     [ y ] ~ [ 1  x - x_n ] [ a ]        w = h(r) 2c/(1 + c) exp((x - x_n)/MEMORY)
                            [ b ]        cov(a, b) = s^2 (X'WX)^-1 X'W V W X (X'WX)^-1,    V = diag((1 + 1/c)/2)
 
-s is the larger of two robust scales: of the residuals, and of the steps between sessions that follow each other, which
-a trend hardly touches. The flights that remain until the line reaches 1 are R = (1 - a)/b; their interval is Fieller's
-(J. R. Stat. Soc. B 16 (1954) 175): all R at which a + b R is not distinguishable from 1,
+s is the larger of two robust scales: of the residuals, and of the steps between sessions that follow each other. The
+flights that remain until the line reaches 1 are R = (1 - a)/b; their interval is Fieller's (J. R. Stat. Soc. B 16
+(1954) 175): all R at which (1 - a - b R)^2 <= q^2 (Vaa + 2 R Vab + R^2 Vbb).
 
-    (1 - a - b R)^2 <= q^2 (Vaa + 2 R Vab + R^2 Vbb)
-
-**Change points.** At each border k between sessions a step d is tested in a line over the sessions of at most 30
+**Change points.** At each border k between sessions a step d is tested in a line over the sessions of at most WINDOW
 flights on either side, least squares with the weights of `Sessions`:
 
-    [ y ] ~ [ 1  x - x_k  (x > x_k) ] (a, b, d)',    t_k = d / se(d)
+    [ y ] ~ [ 1  x - x_k  (x > x_k) ] (a, b, d)',    t_k = d / se(d), se(d) by the scatter of neighbours' steps
 
-se(d) uses the scatter of steps between neighbouring sessions over the whole stretch, which neither a trend nor a few
-jumps raise. y is held within 3 of these scales of the running median of five sessions, so that one odd session is no
-jump. The border with the largest |t_k| is a change point if it is above LIMIT and the step larger than 0.05 of the
-threshold; its windows then end there, and the search goes on, until there is none left.
-
-**Its price**: LIMIT is for at most one false change point in a hundred series of 200 healthy flights;
-`benchmarks/history_wear.py` counts them. A jump shows only when three sessions after it are there, and if it is larger
-than about four scales; a wear that bends sharply within 30 flights may look like one.
+y is held within ODD scales of the running median of five sessions. The border with the largest |t_k| is a change point
+if it is above LIMIT and the step above LEAST_STEP; its windows then end there, and the search goes on. **Its price**:
+one false change point in a hundred series of 200 healthy flights (`benchmarks/history_wear.py`).
 """
 
 import math
@@ -85,9 +77,8 @@ class Remaining:
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """The line at the newest flight.
+    """The line at the newest flight: share of the threshold now, its growth a flight, and variances of both.
 
-    level: share of the threshold now. slope: its growth a flight. level_variance, covariance, slope_variance: of both.
     scale: standard deviation of a session of one flight. sessions: that it rests on.
     """
 
@@ -100,12 +91,7 @@ class Trend:
     sessions: int
 
     def remaining(self, quantile: float = NORMAL_90) -> Remaining | None:
-        """Flights until the level is the threshold; None if it does not grow. quantile: of the normal law.
-
-        >>> found = Trend(0.8, 0.01, 1e-4, 0.0, 1e-7, 0.05, 20).remaining()
-        >>> [round(one, 1) for one in (found.low, found.flights, found.high)]
-        [18.1, 20.0, 22.0]
-        """
+        """Flights until the level is the threshold; None if it does not grow. quantile: of the normal law."""
         if self.slope <= 0:
             return None
         gap, q2 = 1.0 - self.level, quantile**2
@@ -119,16 +105,11 @@ class Trend:
             return Remaining(estimate, 0.0, math.inf)
         first = (linear - math.sqrt(root)) / square if square else constant / (2 * linear)
         second = (linear + math.sqrt(root)) / square if square > 0 else math.inf
-        return Remaining(estimate, max(first, 0.0), max(second, 0.0))
+        return Remaining(estimate, min(max(first, 0.0), estimate), max(second, estimate))
 
 
 def sessions_of(number: Sequence[int] | IntArray, session: Sequence[int] | IntArray, share: FloatArray) -> Sessions:
-    """Put flights together by session; those without a share (NaN) are left out. All (n,), in order of time.
-
-    >>> found = sessions_of([1, 2, 3, 4], [0, 0, 0, 1], np.array([0.5, 0.9, 0.6, np.nan]))
-    >>> found.number.tolist(), found.share.tolist(), found.flights.tolist()
-    ([2.0], [0.6], [3.0])
-    """
+    """Put flights (n,), in order of time, together by session; those without a share (NaN) are left out."""
     known = np.isfinite(share)
     x, y, group = np.asarray(number, dtype=np.float64)[known], share[known], np.asarray(session)[known]
     cuts = np.flatnonzero(np.diff(group)) + 1
@@ -179,14 +160,7 @@ class Change:
 
 
 def changes_of(sessions: Sessions) -> tuple[Change, ...]:
-    """The change points, in order.
-
-    >>> rng = np.random.default_rng(3)
-    >>> share = 0.4 + 0.03 * rng.standard_normal(60) + 0.3 * (np.arange(60) >= 40)
-    >>> found = changes_of(Sessions(np.arange(1.0, 61.0), share, np.ones(60)))
-    >>> [(change.number, round(change.step, 1)) for change in found]
-    [(41, 0.3)]
-    """
+    """The change points, in order."""
     m = len(sessions)
     if m < 2 * LEAST_BESIDE:
         return ()

@@ -1,21 +1,17 @@
-"""All that is found of an airframe, and when to warn that a trend reaches its threshold. Pure.
+"""What is found of an airframe: which flights may be compared, where each statistic is heading, and when to warn. Pure.
 
-With a the present level, b its growth a flight, r the level of the stretch's first flights (all shares of the
-threshold, `trend`), a statistic is warned of if it is so at each of the last three flights that it judged:
+A trend does not go on over new propellers, a repair or another baseline: there a new stretch of flights begins. With a
+the present level, b its growth a flight, r the level of the stretch's first flights (all shares of the threshold,
+`trend`), a statistic is warned of if it is so at each of the last three flights that it judged:
 
     a + b HORIZON >= 1                    the line reaches the threshold within the horizon,
     (a - r)/(1 - r) >= PROGRESS           most of the way from the first flights to the threshold is gone,
     a - r >= GROWN s                      and that is more than the scatter of a session,
     q - r >= HALF (1 - r)                 and so is the median q of the last ten flights, in part.
 
-Without the second a jump, which looks steep at first, would be warned of at once; without the third a healthy statistic
-that is always near its threshold. A warning stands until the level falls back below KEPT of the way.
-
-**Its price** (benchmarks/history_wear.py, docs/results.md): the figures were fitted to drawn histories whose wear
-reaches the threshold after 150 flights, and judged by others. Of healthy airframes with scatter as recorded fewer than
-1 in 100 are warned of in 200 flights, over all their statistics. Wear that jumps over its last fifth comes without a
-warning, and wear that slows down is warned of early. The first 20 flights of a stretch are its first level, and not
-warned of. A warning does not say which rotor it is, or why.
+A warning stands until the level falls back below KEPT of the way. **Its price** (benchmarks/history_wear.py): less
+than 1 in 100 healthy airframes is warned of in 200 flights. Wear that jumps over its last fifth comes without a
+warning, and wear that slows down is warned of early.
 """
 
 from collections.abc import Sequence
@@ -25,10 +21,12 @@ from enum import StrEnum
 import numpy as np
 
 from mavdiag.archive.figures import FlightRecord
-from mavdiag.history.stretches import Mark, Series, Stretch, series_of, stretches_of
+from mavdiag.baseline import SESSION_GAP_NS
 from mavdiag.history.trend import Change, Remaining, Trend, changes_of, sessions_of, trend_of
 from mavdiag.judging import Verdict
-from mavdiag.telemetry import FloatArray
+from mavdiag.monitors import BY_NAME
+from mavdiag.monitors.base import FaultKind
+from mavdiag.telemetry import Axis, FloatArray, IntArray
 
 HORIZON = 40.0  # flights ahead
 PROGRESS = 0.8  # share of the way that must be gone
@@ -39,6 +37,62 @@ HALF, RECENT = 0.5, 10  # share of the way that the median of so many flights mu
 KEPT = 0.6  # share of the way below which the level must fall back for a warning to be over
 FEW = 10  # flights at either end of a stretch whose medians are compared (our choice)
 SURE = 3.0  # standard errors of the level from which it is called grown (our choice)
+STEPS = ("trim_step",)  # shows what happens within a flight; wear does not raise it
+WATCHED = tuple(name for name, monitor in BY_NAME.items() if monitor.kind is FaultKind.PROPELLER and name not in STEPS)
+"""The monitors whose trend is watched: those of propellers."""
+
+
+class MarkKind(StrEnum):
+    """What was done to an airframe between flights. No trend goes on over it."""
+
+    NEW_PROPELLERS = "new propellers"
+    REPAIR = "repair"
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A maintenance mark. t_ns: when it was done, unix epoch [ns]."""
+
+    airframe: str
+    t_ns: int
+    kind: MarkKind
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Flights that one baseline judged, with no mark between them. first: number in the history, from 1; began: why."""
+
+    first: int
+    began: str
+    flights: tuple[FlightRecord, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """One statistic over the n flights of a stretch. threshold: the highest that judged any of them.
+
+    number, session: (n,) of the flight in its stretch, from 1; flights within an hour are of one session.
+    peak: (n,) of the statistic; NaN where it was not judged.
+    """
+
+    monitor: str
+    axis: Axis | None
+    unit: str
+    threshold: float
+    number: IntArray
+    session: IntArray
+    peak: FloatArray
+
+    @property
+    def name(self) -> str:
+        """Monitor and axis."""
+        return self.monitor if self.axis is None else f"{self.monitor} {self.axis}"
+
+    @property
+    def share(self) -> FloatArray:
+        """(n,) peak over threshold: 1 is the threshold."""
+        return self.peak / self.threshold
 
 
 class Outlook(StrEnum):
@@ -57,12 +111,9 @@ WARNS = (Outlook.WARNING, Outlook.REACHED)
 
 @dataclass(frozen=True, slots=True)
 class Review:
-    """What is found of one statistic in one stretch.
+    """What is found of one statistic in one stretch. trend, remaining: at the newest flight that it judged.
 
-    trend: at the newest flight that it judged; None with too few.
-    remaining: flights from then until it reaches the threshold; None if it does not grow.
-    warned_at: number of the flight since which it is warned of; None if it is not.
-    changes: where it jumped.
+    warned_at: number of the flight since which it is warned of; None if it is not. changes: where it jumped.
     """
 
     series: Series
@@ -75,12 +126,9 @@ class Review:
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """One airframe.
+    """One airframe: its flights, what of them may be compared, and what is found in the last stretch, nearest first.
 
-    flights: all of them, in order of time. stretches: what of them may be compared; trends are those of the last one.
-    found: its series, nearest to the threshold first.
-    rotor_growth: by how much each rotor's trim rose from the first ten to the last ten flights of the stretch [fraction
-        of hover]; empty if not known.
+    rotor_growth: rise of each rotor's trim from the first to the last ten flights of the stretch [fraction of hover].
     """
 
     airframe: str
@@ -99,6 +147,38 @@ class Overview:
         """Whether the last flight is a fault, and nothing was mended or changed since."""
         last = self.stretches[-1].flights if self.stretches else ()
         return bool(last) and last[-1].verdict is Verdict.FAULT
+
+
+def stretches_of(flights: Sequence[FlightRecord], marks: Sequence[Mark]) -> tuple[Stretch, ...]:
+    """Cut a history at marks and changes of the baseline; after a mark newer than all flights the last one is empty."""
+    found, begin, why = list[Stretch](), 0, ""
+    for place, before in enumerate(flights, 1):
+        after = flights[place] if place < len(flights) else None
+        until_ns = np.inf if after is None else after.t_ns
+        marked = dict.fromkeys(mark.kind.value for mark in marks if before.t_ns < mark.t_ns <= until_ns)
+        other = after is not None and after.baseline != before.baseline
+        reason = ", ".join(marked) or ("new baseline" if other else "")
+        if reason or after is None:
+            found.append(Stretch(begin + 1, why, tuple(flights[begin:place])))
+            begin, why = place, reason
+    return (*found, Stretch(begin + 1, why, ())) if why else tuple(found)
+
+
+def series_of(stretch: Stretch) -> tuple[Series, ...]:
+    """The series of the watched monitors that judged at least one flight, in the order of the baseline."""
+    flights, n = stretch.flights, len(stretch.flights)
+    times = np.array([flight.started_ns for flight in flights], dtype=np.int64)
+    together = (times[1:] > 0) & (times[:-1] > 0) & (np.diff(times) <= SESSION_GAP_NS)
+    session = np.concatenate(([0], np.cumsum(~together))).astype(np.int64)[:n]
+    figures = [{(slot.monitor, slot.axis): slot for slot in flight.slots} for flight in flights]
+    found = []
+    for key in dict.fromkeys(key for slots in figures for key in slots if key[0] in WATCHED):
+        there = [slots[key] for slots in figures if key in slots]
+        peak = np.array([slots[key].peak if key in slots else None for slots in figures], dtype=np.float64)
+        if np.isfinite(peak).any():
+            threshold = max(slot.threshold for slot in there)
+            found.append(Series(*key, there[-1].unit, threshold, np.arange(1, n + 1), session, peak))
+    return tuple(found)
 
 
 def overview_of(airframe: str, flights: Sequence[FlightRecord], marks: Sequence[Mark]) -> Overview:
@@ -130,10 +210,7 @@ def review(series: Series) -> Review:
 
 
 def warned_at(series: Series, *, before: int | None = None) -> int | None:
-    """Number of the first flight after which the series was warned of; None if it never was.
-
-    before: look at no flight from this number on.
-    """
+    """Number of the first flight, before `before`, after which the series was warned of; None if it never was."""
     share, row = series.share, 0
     first = _first_level(share)
     if first is None:

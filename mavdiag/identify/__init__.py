@@ -14,9 +14,7 @@ from mavdiag.identify.model import Order as Order
 
 
 class _CallablePackage(ModuleType):
-    """This package, with a call. Type checkers do not see it: typed code calls `fit`."""
-
-    __call__ = staticmethod(fit)
+    __call__ = staticmethod(fit)  # type checkers do not see it: typed code calls `fit`
 
 
 sys.modules[__name__].__class__ = _CallablePackage

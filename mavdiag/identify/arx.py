@@ -1,9 +1,6 @@
-"""Training data, checked and stacked but never joined, and least squares on it, the thesis's estimator (T 4.1.2).
+"""Training data, checked, and least squares on it, the thesis's estimator (T 4.1.2). It is biased by output noise."""
 
-Least squares is biased when the noise sits on the output: see `sriv`.
-"""
-
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -33,16 +30,10 @@ class Segment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """Raw outcome of an estimator.
-
-    theta: (na + nb,) parameters. covariance: of theta. loss: mean square of its own residual. rows: number of those
-    residuals. iterations, converged: of the estimator's own loop, 0 and True without one.
-    """
+    """theta: (na + nb,), with its covariance. iterations, converged: of the estimator's own loop."""
 
     theta: FloatArray
     covariance: FloatArray
-    loss: float
-    rows: int
     iterations: int = 0
     converged: bool = True
 
@@ -57,7 +48,8 @@ def to_segments(u: Records, y: Records, order: Order) -> tuple[Segment, ...]:
         raise IdentificationError(f"{len(us)} records of u and {len(ys)} of y: give one of each per segment")
     segments = tuple(Segment(*pair) for pair in zip(us, ys, strict=True))
     for i, segment in enumerate(segments, start=1):
-        _check(segment, order, f"segment {i}" if len(us) > 1 else "the data")
+        for wrong in _faults(segment, order, f"segment {i}" if len(us) > 1 else "the data"):
+            raise IdentificationError(wrong)
     parameters, rows = order[0] + order[1], sum(len(segment) - reach(order) for segment in segments)
     if rows < MIN_ROWS_PER_PARAMETER * parameters:
         raise IdentificationError(
@@ -74,16 +66,16 @@ def _records(values: Records) -> list[FloatArray]:
     return [np.asarray(record, dtype=np.float64) for record in (values if several else [values])]
 
 
-def _check(segment: Segment, order: Order, name: str) -> None:
+def _faults(segment: Segment, order: Order, name: str) -> Iterator[str]:
     u, y, lag = segment.u, segment.y, reach(order)
     if u.ndim != 1 or y.ndim != 1:
-        raise IdentificationError(f"{name}: give u and y as one-dimensional arrays, not {u.shape} and {y.shape}")
+        yield f"{name}: give u and y as one-dimensional arrays, not {u.shape} and {y.shape}"
     if len(u) != len(y):
-        raise IdentificationError(f"{name}: u has {len(u)} samples and y has {len(y)}; align them first")
+        yield f"{name}: u has {len(u)} samples and y has {len(y)}; align them first"
     if len(y) <= lag:
-        raise IdentificationError(f"{name} is too short: {len(y)} samples, order {order} needs more than {lag}")
+        yield f"{name} is too short: {len(y)} samples, order {order} needs more than {lag}"
     if not (np.isfinite(u).all() and np.isfinite(y).all()):
-        raise IdentificationError(f"{name} holds NaN or infinite samples; split the data there into segments")
+        yield f"{name} holds NaN or infinite samples; split the data there into segments"
 
 
 def reach(order: Order) -> int:
@@ -116,8 +108,7 @@ def polynomials(theta: FloatArray, order: Order) -> tuple[FloatArray, FloatArray
 def triangle(rows: FloatArray) -> FloatArray:
     """R of rows = Q R, (n, c) -> (min(n, c), c): all that a linear fit needs to know of any number of rows.
 
-    Sums of products of columns are those of R's columns, but nothing was squared to get there. In blocks, so that it
-    stays in the cache and in one thread: R of stacked Rs is R of the whole.
+    In blocks, so that it stays in the cache and in one thread: R of stacked Rs is R of the whole.
     """
     n, c = rows.shape
     whole = n // BLOCK_ROWS
@@ -130,8 +121,7 @@ def triangle(rows: FloatArray) -> FloatArray:
 def check_excitation(segments: Sequence[Segment], order: Order) -> None:
     """Raise IdentificationError unless u is persistently exciting of order na + nb.
 
-    That many parameters can be told apart only if the covariance of na + nb successive inputs has full rank (Ljung,
-    System Identification 2e, sec. 13.2). The rank is taken at double precision: noise on u passes.
+    The covariance of as many successive inputs must have full rank (Ljung, System Identification 2e, sec. 13.2).
     """
     needed = order[0] + order[1]
     usable = [lagged(segment.u, 0, needed, needed - 1) for segment in segments if len(segment) >= needed]
@@ -146,8 +136,8 @@ def check_excitation(segments: Sequence[Segment], order: Order) -> None:
 def solve(Z: FloatArray, Phi: FloatArray, target: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
     """Solve Z' Phi theta = Z' target; return theta (d,) and (Z' Z)^-1 (d, d). Z = Phi is least squares.
 
-    By an orthogonal factor of Z, so that no covariance is ever squared: slow flight data at 1 kHz are nearly collinear.
-    Raises IdentificationError if a column is nothing but the others to `tolerance`.
+    By an orthogonal factor of Z: slow flight data at 1 kHz are nearly collinear. Raises IdentificationError if a column
+    is nothing but the others to `tolerance`.
     """
     scale = np.linalg.norm(Z, axis=0)
     if not (np.isfinite(scale).all() and np.all(scale > 0.0)):
@@ -161,9 +151,8 @@ def solve(Z: FloatArray, Phi: FloatArray, target: FloatArray, tolerance: float) 
 
 
 def least_squares(segments: Sequence[Segment], order: Order) -> Estimate:
-    """Least-squares estimate over the stacked rows of all segments; no row reaches over a boundary.
+    """Least-squares estimate over the rows of all segments: covariance = (Phi' Phi)^-1 e'e/(n - d).
 
-    covariance = (Phi' Phi)^-1 e'e/(n - d); loss V = e'e/n.
     Raises IdentificationError if the regressors are linearly dependent.
     """
     stacked = np.concatenate([np.vstack(regressors(segment, order)) for segment in segments], axis=1)  # [ Phi  y ]'
@@ -171,5 +160,4 @@ def least_squares(segments: Sequence[Segment], order: Order) -> Estimate:
     R = triangle(stacked.T)
     Phi, target = R[:, :d], R[:, d]
     theta, spread = solve(Phi, Phi, target, n * EPSILON)
-    squares = float(np.sum((target - Phi @ theta) ** 2))
-    return Estimate(theta, spread * squares / (n - d), squares / n, n)
+    return Estimate(theta, spread * float(np.sum((target - Phi @ theta) ** 2)) / (n - d))

@@ -25,13 +25,11 @@ def fit(
 ) -> ArxModel:
     """Identify A(z^-1) y = B(z^-1) u + e from one record or several (T 4.1.2, 5.4).
 
-    u, y: (n,) each, or sequences of such arrays, one per flight: their rows are stacked and none reaches from one
-    flight into the next. order: (na, nb, nk). dt: sample time [s]. method: "sriv" (default; unbiased with noise on
-    the output) or "ls" (the thesis's least squares). Offsets are not removed. settle_s: seconds at the start of each
-    record that r2t, nrmse_fit, mse and yic leave out, because the simulation starts from rest and a record that is cut
-    out of a flight does not; the estimate itself uses every row and, by SRIV, leaves initial states free. figures:
-    False leaves the standard errors and figures of fit unknown, which takes half the time. near: a model of the same
-    order that was fitted to nearly the same data, from which SRIV begins.
+    u, y: (n,) each, or sequences of such arrays, one per flight: none reaches from one into the next. Offsets are not
+    removed. order: (na, nb, nk). dt: sample time [s]. method: "sriv" (unbiased with noise on the output) or "ls" (the
+    thesis's least squares). settle_s: seconds at the start of each record that the figures of fit leave out, because
+    the simulation starts from rest. figures: False leaves standard errors and figures of fit unknown, which takes half
+    the time. near: a model of the same order, fitted to nearly the same data, from which SRIV begins.
 
     >>> rng = np.random.default_rng(1)
     >>> u = rng.standard_normal(500)
@@ -40,8 +38,8 @@ def fit(
     >>> model.a.round(6).tolist(), model.b.round(6).tolist(), round(model.dc_gain, 3)
     ([1.0, -1.2, 0.52], [0.0, 0.5, 0.25], 2.344)
 
-    Raises IdentificationError, saying what to do, if an argument is impossible, the data are too short, constant, hold
-    NaN or do not excite the model, or the model found is unstable.
+    Raises IdentificationError if an argument is impossible, the data are too short, constant, hold NaN or do not excite
+    the model, or the model found is unstable.
     """
     order = check_order(order)
     if method not in (Method.LS, Method.SRIV):
@@ -61,12 +59,11 @@ def fit(
     if not figures:
         return bare
     measured, simulated = free_run(bare, segments, settle_s)
-    error, d, n, loss = measured - simulated, len(estimate.theta), estimate.rows, estimate.loss
+    error = measured - simulated
     with np.errstate(all="ignore"):  # a perfect fit, or a parameter of 0
         unsure = float(np.mean(np.diag(estimate.covariance) / estimate.theta**2))
         share = float(np.var(error) / np.var(measured))
         yic = float(np.sum(np.log(np.maximum((share, unsure), 0.0)))) if math.isfinite(unsure) else math.inf
-        aic = float(np.log(loss)) + 2 * d / n
     return replace(
         bare,
         standard_errors=np.empty(0),
@@ -75,8 +72,6 @@ def fit(
         nrmse_fit=nrmse_percent(measured, simulated),
         mse=float(np.mean(error**2)),
         yic=yic,
-        aic=aic,
-        fpe=loss * (1 + d / n) / (1 - d / n),
         samples=sum(len(segment) for segment in segments),
         iterations=estimate.iterations,
         converged=estimate.converged,

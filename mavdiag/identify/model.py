@@ -26,13 +26,6 @@ class Method(StrEnum):
     PUBLISHED = "published"  # printed in the thesis
 
 
-def read_only(values: FloatArray) -> FloatArray:
-    """A float copy of `values` that cannot be written."""
-    copy = np.array(values, dtype=np.float64)
-    copy.setflags(write=False)
-    return copy
-
-
 def check_order(order: Order) -> Order:
     """The order as three plain integers. Raises IdentificationError unless na >= 1, nb >= 1 and nk >= 0."""
     whole = len(order) == 3 and all(isinstance(n, int | np.integer) and not isinstance(n, bool) for n in order)
@@ -43,7 +36,7 @@ def check_order(order: Order) -> Order:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArxModel:
-    """A(z^-1) y(t) = B(z^-1) u(t) + e(t), T Eq 4.1-4.5.
+    """A(z^-1) y(t) = B(z^-1) u(t) + e(t), T Eq 4.1-4.5, with read-only arrays.
 
     a: (na + 1,), a[0] == 1. b: (nk + nb,) with nk leading zeros; unit of y per unit of u. dt: sample time [s].
     order: (na, nb, nk). covariance: (d, d) of the d = na + nb estimates a1..a_na, b_nk..b_{nk+nb-1}, nan if unknown: by
@@ -52,14 +45,11 @@ class ArxModel:
 
     Fit on the training data, nan where unknown. With e_sim = y - simulate(u), each segment from rest, all pooled:
     r2t: R_T^2 = 1 - var(e_sim)/var(y). nrmse_fit: 100 (1 - |e_sim| / |y - mean y|) [percent]. mse: mean e_sim^2.
-    yic: Young's information criterion, ln(var(e_sim)/var(y)) + ln(mean(se^2/theta^2)). aic: ln V + 2d/n and fpe:
-    V (1 + d/n)/(1 - d/n) with n residuals, where V is the mean square of the method's own: the one-step error for LS,
-    the output error with free initial states for SRIV. So compare orders with them, not methods. samples: rows of
-    training data. iterations, converged: of SRIV; 0 and True where nothing iterates.
+    yic: Young's information criterion, ln(var(e_sim)/var(y)) + ln(mean(se^2/theta^2)). samples: rows of training data.
+    iterations, converged: of SRIV.
 
-    The arrays are copied and made read-only. Raises IdentificationError if the coefficients do not fit the order, are
-    not finite, or dt is not positive. A model with a pole on or outside the unit circle may be built, since published
-    ones exist, but `fit` never returns one.
+    Raises IdentificationError if the coefficients do not fit the order, are not finite, or dt is not positive. It may
+    be unstable, as published models are, but `fit` never returns such a one.
     """
 
     a: FloatArray
@@ -73,8 +63,6 @@ class ArxModel:
     nrmse_fit: float = math.nan
     mse: float = math.nan
     yic: float = math.nan
-    aic: float = math.nan
-    fpe: float = math.nan
     samples: int = 0
     iterations: int = 0
     converged: bool = True
@@ -85,10 +73,12 @@ class ArxModel:
         covariance = self.covariance if len(self.covariance) else np.full((d, d), np.nan)
         errors = self.standard_errors if len(self.standard_errors) else np.sqrt(np.maximum(np.diag(covariance), 0.0))
         arrays = {"a": self.a, "b": self.b, "standard_errors": errors, "covariance": covariance}
-        for name, values in arrays.items():
-            object.__setattr__(self, name, read_only(values))
         if [values.shape for values in arrays.values()] != [(na + 1,), (nb + nk,), (d,), (d, d)]:
             raise IdentificationError(f"order {self.order} needs {na + 1} a, {nb + nk} b and {d} standard errors")
+        for name, values in arrays.items():
+            copy = np.array(values, dtype=np.float64)
+            copy.setflags(write=False)
+            object.__setattr__(self, name, copy)
         if not (np.isfinite(self.a).all() and np.isfinite(self.b).all()):
             raise IdentificationError("the coefficients of a model must be finite numbers")
         if self.a[0] != 1.0 or np.any(self.b[:nk] != 0.0):
@@ -126,8 +116,7 @@ class ArxModel:
     def simulate(self, u: FloatArray, past_u: FloatArray | None = None, past_y: FloatArray | None = None) -> FloatArray:
         """Free-run output for the inputs u, (n,) -> (n,): no measured output enters (T 5.5).
 
-        Without a past the model starts from rest. past_u, past_y: inputs and outputs before u[0], oldest first; as
-        many of the last rows as the model reaches back are used, missing ones count as zero.
+        past_u, past_y: inputs and outputs before u[0], oldest first; missing ones count as zero.
         """
         from scipy.signal import lfilter, lfiltic  # 0.8 s to import: only offline work pays it
 
@@ -139,8 +128,7 @@ class ArxModel:
     def predict(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """One-step prediction from the measured past, (n,), (n,) -> (n - lag,): row i predicts y[i + lag].
 
-        yhat(t) = b_nk u(t - nk) + .. - a1 y(t - 1) - ..; the first `lag` rows have no complete past and are left out.
-        Raises IdentificationError if the lengths differ or n <= lag.
+        yhat(t) = b_nk u(t - nk) + .. - a1 y(t - 1) - .. Raises IdentificationError if the lengths differ or n <= lag.
         """
         if u.shape != y.shape or u.ndim != 1 or len(y) <= self.lag:
             raise IdentificationError(f"a prediction needs u and y of one length above {self.lag}")
@@ -158,10 +146,8 @@ class ArxModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelRecord:
-    """An ArxModel as a baseline stores it: plain numbers, no array; None or empty where a figure is not known.
+    """An ArxModel as a baseline stores it: plain numbers; None or empty where a figure is not known.
 
-    a, b, order, method, standard_errors, covariance (by rows), r2t, nrmse_fit, mse, samples: as in `ArxModel`.
-    dt_s: sample time [s].
     Raises IdentificationError if the numbers are not those of a model.
     """
 
@@ -184,6 +170,7 @@ class ModelRecord:
     def of(cls, model: ArxModel) -> "ModelRecord":
         """The record of a model."""
         known, correlated = (bool(np.isfinite(one).all()) for one in (model.standard_errors, model.covariance))
+        r2t, fit, mse = (one if math.isfinite(one) else None for one in (model.r2t, model.nrmse_fit, model.mse))
         return cls(
             a=tuple(model.a.tolist()),
             b=tuple(model.b.tolist()),
@@ -192,9 +179,9 @@ class ModelRecord:
             method=model.method,
             standard_errors=tuple(model.standard_errors.tolist()) if known else (),
             covariance=tuple(map(tuple, model.covariance.tolist())) if correlated else (),
-            r2t=_finite(model.r2t),
-            nrmse_fit=_finite(model.nrmse_fit),
-            mse=_finite(model.mse),
+            r2t=r2t,
+            nrmse_fit=fit,
+            mse=mse,
             samples=model.samples,
         )
 
@@ -205,7 +192,3 @@ class ModelRecord:
         return ArxModel(
             a, b, self.dt_s, self.order, self.method, errors, covariance, r2t, fit, mse, samples=self.samples
         )
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

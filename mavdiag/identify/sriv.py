@@ -1,15 +1,13 @@
 """SRIV: Young's simplified refined instrumental variable estimator, for noise on the output.
 
-The model is y = (B/A) u + e with e on the output. Least squares regresses on noisy past outputs and is biased; SRIV
-replaces them by instruments, the outputs that the last model simulates from u alone, and filters everything by 1/A,
-which makes the estimate efficient for white e and consistent for coloured e (P. C. Young, Recursive Estimation and
-Time-Series Analysis 2e, ch. 7; the data-based mechanistic school of T 4.1.1):
+y = (B/A) u + e. The noisy past outputs of least squares are replaced by instruments, the outputs x that the last model
+simulates from u alone, and everything is filtered by 1/A (P. C. Young, Recursive Estimation and Time-Series Analysis
+2e, ch. 7; the data-based mechanistic school of T 4.1.1):
 
     Z_f' Phi_f theta = Z_f' y_f     Phi_f = 1/A [ -y(t-1)     .. -y(t-na)      u(t-nk) .. u(t-nk-nb+1) ]
     x = (B/A) u                     Z_f   = 1/A [ -x(t-1)     .. -x(t-na)      u(t-nk) .. u(t-nk-nb+1) ]
 
-y(t) = phi(t)' theta + A e(t) holds on every complete row, wherever a segment begins. What the filter does not know, its
-state before the first row, adds a free response F x0 with unknown x0 (na,); F is projected out of every column.
+The filter's state before the first row of a segment adds a free response F x0: F is projected out of every column.
 """
 
 from collections.abc import Sequence
@@ -41,22 +39,14 @@ NEARLY_SETTLED = 0.1  # the same, where no step lowers the loss any more (the gr
 STEP_RELATIVE = 1e-9  # of the parameter itself counts as settled too: data without noise
 MAX_DESCENT, MAX_HALVINGS = 15, 6  # Gauss-Newton steps, and halvings of one (our choice)
 MAX_RADIUS = 0.99999  # reflected poles stay this far inside the unit circle (our choice)
-TOGETHER = 4096  # rows of one product: they fit the cache and stay below the size that BLAS threads (our choice)
-EVERY = 16  # of the rows that make the basis: they span what all rows span (our choice)
-LEAST_SHARE = 1e-3  # of a basis vector in the rows; with less the basis does not suit them (our choice)
-LEAST_DIAGONAL = 1e-8  # of a column beside the others; with less the columns are dependent (our choice)
 
 
 def sriv(segments: Sequence[Segment], order: Order, figures: bool = True, near: FloatArray | None = None) -> Estimate:
     """SRIV estimate over all segments, started from least squares, or from a theta that is near already.
 
-    Both ways end at the same theta, to a thousandth of its standard error for white noise.
-
-    covariance: right for output noise of any colour; nan without `figures`. loss: mean squared output error with the
-    initial state of each segment free. If the iteration does not settle, which happens where the order is not that of
-    the data, it is finished by Gauss-Newton steps on the same equations. `converged` is False if those do not settle
-    either: such data, or such an order, hardly tell the parameters apart.
-    Raises IdentificationError if they cannot tell them apart at all.
+    covariance: right for output noise of any colour; nan without `figures`. What does not settle is finished by
+    Gauss-Newton steps on the same equations; `converged` is False if those do not settle either.
+    Raises IdentificationError if they do not tell them apart at all.
     """
     data = _by_length(segments)
     settled = False
@@ -71,7 +61,7 @@ def sriv(segments: Sequence[Segment], order: Order, figures: bool = True, near: 
         point, more, settled = _descend(data, order, point)
         iterations += more
     covariance = _coloured(data, order, point) if figures else np.full_like(point.inverse, np.nan)
-    return Estimate(point.theta, covariance, point.loss, point.rows, iterations, settled)
+    return Estimate(point.theta, covariance, iterations, settled)
 
 
 def reflect_poles(a: FloatArray) -> FloatArray:
@@ -90,9 +80,8 @@ def reflect_poles(a: FloatArray) -> FloatArray:
 class _Point:
     """A stable theta with its loss (mean squared output error, initial states free) and two ways on from it.
 
-    refined: the SRIV solution with filter and instruments from theta. descent: the Gauss-Newton solution. Both stand
-    still at the same theta. inverse: (Z_f' Z_f)^-1. errors: standard errors of theta if the noise were white.
-    rows: residuals in the loss.
+    refined: the SRIV solution with filter and instruments from theta. descent: the Gauss-Newton solution.
+    inverse: (Z_f' Z_f)^-1. errors: standard errors of theta if the noise were white. rows: residuals in the loss.
     """
 
     theta: FloatArray
@@ -167,8 +156,7 @@ def _by_length(segments: Sequence[Segment]) -> list[Segment]:
 def _filtered(group: Segment, order: Order, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f] of a group, (c, m, rows), and a basis of the responses F, (rows, na).
 
-    1/A is linear and does not change with time: a filtered lagged signal is the lagged filtered signal, but for a free
-    response, which is projected out anyway. So each signal is filtered once.
+    A filtered lagged signal is the lagged filtered signal, but for a free response, which is projected out anyway.
     """
     from scipy.signal import lfilter  # 0.8 s to import: only offline work pays it
 
@@ -183,47 +171,19 @@ def _filtered(group: Segment, order: Order, theta: FloatArray) -> tuple[FloatArr
 
 
 def _reduced(columns: FloatArray, free: FloatArray, na: int) -> FloatArray:
-    """R of the columns [Z_f Phi_f y_f] with their free responses taken out.
-
-    By a Cholesky factor of the products in a basis in which the columns are nearly orthonormal, so that nothing is lost
-    by squaring; by reflections where there is no such basis: data without noise.
-    """
+    """R of the columns [Z_f Phi_f y_f] with their free responses taken out."""
     c = len(columns)
-    R = _by_cholesky(columns, free)
-    if R is None:
-        R = triangle((columns - (columns @ free) @ free.T).reshape(c, -1).T)
+    R = triangle((columns - (columns @ free) @ free.T).reshape(c, -1).T)
     d = c - na - 1
     return R[:, [*range(d), *range(d, d + na), *range(na, d), c - 1]]
-
-
-def _by_cholesky(columns: FloatArray, free: FloatArray) -> FloatArray | None:
-    rows = columns.reshape(len(columns), -1)
-    basis = triangle(rows[:, ::EVERY].T)
-    diagonal = np.abs(np.diag(basis))
-    if len(basis) < len(rows) or not (diagonal > LEAST_DIAGONAL * np.linalg.norm(basis, axis=0)).all():
-        return None
-    T = np.linalg.inv(basis).T
-    products = np.zeros((len(rows), len(rows)))
-    for first in range(0, rows.shape[1], TOGETHER):
-        whitened = T @ rows[:, first : first + TOGETHER]
-        products += whitened @ whitened.T
-    parts = T @ (columns @ free).reshape(len(rows), -1)  # of each segment in its free responses: no error of the model
-    products -= parts @ parts.T
-    try:
-        root = np.linalg.cholesky(products).T
-    except np.linalg.LinAlgError:
-        return None
-    suits = np.diag(root).min() > LEAST_SHARE * np.sqrt(np.diag(products).max())
-    return np.asarray(root @ basis, dtype=np.float64) if suits else None
 
 
 def _coloured(data: Sequence[Segment], order: Order, point: _Point) -> FloatArray:
     """Covariance of an SRIV estimate, (na + nb, na + nb), whatever the spectrum of its output error.
 
-    cov theta = M S M with M = (Z_f' Z_f)^-1 and S = sum_k r_e(k) sum_t z_f(t) z_f(t + k)': the first-order covariance
-    of an instrumental variable estimate (Soderstrom and Stoica, System Identification, ch. 8), which is M var(e) for
-    white e. r_e is the autocovariance of the residual under a Bartlett window of sqrt(n) lags, n samples in all (our
-    choice; the window must reach over the smoothing filter).
+    cov theta = M S M with M = (Z_f' Z_f)^-1 and S = sum_k r_e(k) sum_t z_f(t) z_f(t + k)' (Soderstrom and Stoica,
+    System Identification, ch. 8). r_e: autocovariance of the residual under a Bartlett window of sqrt(n) lags (our
+    choice).
     """
     from scipy.signal import fftconvolve  # 0.8 s to import: only offline work pays it
 

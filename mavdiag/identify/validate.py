@@ -1,4 +1,4 @@
-"""How good is a model: fit figures on other flights, and tests of its residual (T 4.1.3, Model validation)."""
+"""How good is a model: fit figures on other flights, and correlations of its residual (T 4.1.3, Model validation)."""
 
 import math
 from collections.abc import Sequence
@@ -13,13 +13,13 @@ from mavdiag.identify.model import ArxModel
 from mavdiag.telemetry import FloatArray
 
 LAGS = 25  # the usual depth of such tests, also MATLAB's resid default
-SIGNIFICANCE = 0.01  # chance that one test rejects a true model
+Z99 = NormalDist().inv_cdf(0.995)  # deviations to both sides that hold 99 %
 
 
 def r_squared(y: FloatArray, y_sim: FloatArray) -> float:
-    """R_T^2 = 1 - var(y - y_sim)/var(y), both (n,): 1 is perfect, 0 is no better than a constant (T 5.4).
+    """R_T^2 = 1 - var(y - y_sim)/var(y), both (n,), blind to a constant offset (T 5.4).
 
-    Blind to a constant offset. Raises IdentificationError if y is constant.
+    Raises IdentificationError if y is constant.
     """
     return 1.0 - float(np.var(y - y_sim)) / _some(float(np.var(y)))
 
@@ -75,47 +75,29 @@ def validate(model: ArxModel, u: Records, y: Records, settle_s: float = 0.0) -> 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualReport:
-    """Whiteness of a residual and its independence of the input (Ljung, System Identification 2e, sec. 16.6).
+    """Correlations of a residual e with itself and with the input u (Ljung, System Identification 2e, sec. 16.6).
 
-    acf: (lags + 1,) autocorrelation of e at lags 0..lags. ccf: (lags + 1,) correlation of e(t) with u(t - lag).
-    acf_band99: half width that holds 99 % of the values of a white residual, 2.58/sqrt(n).
-    ccf_band99: the same for ccf, widened for coloured e and u, 2.58 sqrt(sum_k r_e(k) r_u(k) / n).
-    ljung_box_q, ljung_box_p: portmanteau statistic over all lags, and its tail in chi^2(lags); parameters are not
-    subtracted from the degrees of freedom. white: ljung_box_p >= 1 %. independent: no ccf beyond the 1 % limit for
-    all lags together (Bonferroni). A true model fails either test in about 1 % of cases.
+    acf, ccf: (lags + 1,) of e(t) with e(t - lag), and of e(t) with u(t - lag), lag = 0..lags.
+    acf_band99, ccf_band99: half widths that hold 99 % of a true model's values.
     """
 
-    samples: int
     acf: FloatArray
     ccf: FloatArray
     acf_band99: float
     ccf_band99: float
-    ljung_box_q: float
-    ljung_box_p: float
-    white: bool
-    independent: bool
 
 
 def examine_residual(e: FloatArray, u: FloatArray, lags: int = LAGS) -> ResidualReport:
-    """Test a residual e against white noise and against the input u at the same rows, both (n,).
+    """Correlate a residual e with itself and with the input u at the same rows, both (n,).
 
-    Q = n (n + 2) sum_k acf(k)^2 / (n - k), k = 1..lags (Ljung and Box, Biometrika 65, 1978).
     Raises IdentificationError if the lengths differ, n <= 2 lags, or either is constant.
     """
-    from scipy.special import gammaincc  # tail of chi^2; only offline work needs it
-
-    n = len(e)
-    if u.shape != e.shape or e.ndim != 1 or n <= 2 * lags:
+    if u.shape != e.shape or e.ndim != 1 or len(e) <= 2 * lags:
         raise IdentificationError(f"the residual tests need e and u of one length above {2 * lags}")
     acf, ccf, input_acf = (_correlations(x, z, lags) for x, z in ((e, e), (e, u), (u, u)))
-    q = n * (n + 2) * float(np.sum(acf[1:] ** 2 / (n - np.arange(1, lags + 1))))
-    p = float(gammaincc(lags / 2, q / 2))
-    # Bartlett: var ccf = sum over k = -lags..lags of r_e(k) r_u(k) / n
-    deviation = math.sqrt(max(1.0, 2 * float(acf @ input_acf) - 1.0) / n)
-    z99 = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2)
-    limit = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2 / (lags + 1)) * deviation
-    independent = bool(np.max(np.abs(ccf)) <= limit)
-    return ResidualReport(n, acf, ccf, z99 / math.sqrt(n), z99 * deviation, q, p, p >= SIGNIFICANCE, independent)
+    # Bartlett: var ccf = sum over k = -lags..lags of r_e(k) r_u(k) / n, for coloured e and u
+    widened = math.sqrt(max(1.0, 2 * float(acf @ input_acf) - 1.0))
+    return ResidualReport(acf, ccf, Z99 / math.sqrt(len(e)), Z99 * widened / math.sqrt(len(e)))
 
 
 def _correlations(x: FloatArray, z: FloatArray, lags: int) -> FloatArray:
@@ -128,10 +110,8 @@ def _correlations(x: FloatArray, z: FloatArray, lags: int) -> FloatArray:
 
 
 def one_step_report(model: ArxModel, u: FloatArray, y: FloatArray, lags: int = LAGS) -> ResidualReport:
-    """Residual tests of the one-step prediction error over the rows that have a complete past. u, y: (n,).
+    """Examine the one-step prediction error, which least squares makes white, over the rows with a complete past.
 
-    This is the residual that least squares makes white. A SRIV model describes y from u alone: examine
-    y - model.simulate(u) instead, whose independence of u is what counts.
-    Raises IdentificationError as `ArxModel.predict` and `examine_residual` do.
+    u, y: (n,). Of a SRIV model examine y - model.simulate(u) instead: its independence of u is what counts.
     """
     return examine_residual(y[model.lag :] - model.predict(u, y), u[model.lag :], lags)

@@ -15,13 +15,12 @@ from mavdiag.baseline import SESSION_GAP_NS
 from mavdiag.errors import InputError
 from mavdiag.logs import gate_for
 from mavdiag.rows.align import USED, AlignSpec, Grid, measure_grid
-from mavdiag.rows.block import COLUMNS, Block
+from mavdiag.rows.block import COLUMNS, Block, in_rotor_order
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import Border, GateSpec, shake
-from mavdiag.rows.outputs import in_rotor_order
+from mavdiag.rows.grid import median_step, rate_tolerance
 from mavdiag.rows.rates import RateBlock, RateSpec
 from mavdiag.rows.savgol import window_samples
-from mavdiag.rows.tolerance import rate_tolerance
 from mavdiag.storage import Arrays, Shelf
 from mavdiag.telemetry import Log, Series, Signal, Telemetry
 from mavdiag.thresholds.heldout import Looks
@@ -74,8 +73,7 @@ def hold(log: Log | HeldLog, shelf: Shelf) -> HeldLog:
     except InputError as error:
         raise InputError(f"{log.name}: {error}") from error
     used = [one for one in log.telemetry.series if one.signal in USED]
-    setpoints = [np.diff(np.unique(one.t_ns)) for one in used if one.signal is Signal.ATTITUDE_SETPOINT]
-    setpoint_s = float(np.median(setpoints[0])) / NS_PER_S if setpoints and len(setpoints[0]) else 0.0
+    setpoint_s = median_step([one.t_ns for one in used if one.signal is Signal.ATTITUDE_SETPOINT]) / NS_PER_S
     get = shelf.put([array for one in used for array in (one.t_ns, one.values)])
     label = replace(log, telemetry=Telemetry())
     return HeldLog(label, dt_s, grid, setpoint_s, tuple(one.signal for one in used), get)
@@ -141,7 +139,7 @@ def _in_order(outputs: tuple[int, ...], make: Callable[[], Rows]) -> Rows:
 
 
 def _pieces(front: Front, telemetry: Telemetry) -> Iterator[Rows]:
-    parts = front.pieces(front.align.believed(telemetry), PIECE_ROWS)
+    parts = front.pieces(telemetry, PIECE_ROWS)
     return (part for part in parts if not isinstance(part, Border))
 
 

@@ -1,28 +1,16 @@
 """One vehicle's time from the counters of its messages, frame by frame: wraps, late frames, leaps, reboots, drift.
 
-Counters. A vehicle stamps its messages with milliseconds or microseconds since boot, in 32 bits (which wrap after 49.7
-days or 71.6 minutes) or 64, and some of them with microseconds of the unix epoch. How often a counter of 71.6 minutes
-had wrapped before its first message follows from the vehicle's other messages. The receiver's clock only decides
-between a wrap, a reboot and a leap; it never adds its jitter to a stamp. A stamp up to a second older than the highest
-is a late frame and keeps its place; one further out of line, or that leaps ahead of all that the receiver's clock
-explains, is left out until others follow it: a forged or damaged frame must not make the genuine ones old.
+Counters are milliseconds or microseconds since boot, in 32 bits (a turn is 49.7 days or 71.6 minutes) or 64, or
+microseconds since 1970. The receiver's clock decides between a wrap, a reboot and a leap; it never adds its jitter to a
+stamp. What is out of line is left out until others follow it.
 
-Reboots. The vehicle starts anew when its old clock has been silent, for a second if the new clock is no further than a
-reboot in that silence can have brought it, else for ten, and three frames in a row agree on a new clock that goes on.
-So a slower second path, or old frames sent again, are no reboot, and there is at most one a second.
+Clocks. The first stamped message's clock is the timeline; the others are laid over it. A message stamped c arrives at
+h = c + origin + delay, delay >= 0: the least h - c of a window, the clock's lead, is its origin to within the least
+delay, and the difference of two leads is the offset of two clocks. The window slides by whole seconds of the receiver's
+clock; within a second the offset goes on a straight line. Clocks since boot that begin together count as one until
+their leads have moved apart.
 
-Clocks. The timeline is the clock of the first stamped message; the others are laid over it. A message stamped c_ns
-arrives at host_ns = c_ns + (origin of its clock) + delay, delay >= 0. The least host_ns - c_ns of a window, the clock's
-lead, is its origin to within the least delay; the difference of two leads is the offset of two clocks, without the
-receiver's jitter and drift. Quartz drifts by tens of parts in a million: 50 ppm are 180 ms in an hour. The window
-slides by whole seconds of the receiver's clock; within a second the offset goes on a straight line, never faster than
-`SLEW_NS`. Clocks since boot that are within a second of each other, but for whole turns of the one of 49.7 days, count
-as one: their stamps stay exactly as sent until their leads have moved apart by more than changing delays explain.
-
-Asking. TIMESYNC (message 111, https://mavlink.io/en/services/timesync.html) tells what the vehicle's clock shows now. A
-request has tc1 = 0 and the sender's time in ts1; the answer repeats ts1 and has the answerer's time in tc1 [ns]. It is
-read at a look at the link, so a round trip is known to within a tick. It is shown and not used: laying the stamps over
-each other does better.
+TIMESYNC (https://mavlink.io/en/services/timesync.html) is answered and asked; what it tells is shown and not used.
 """
 
 from collections.abc import Iterable
@@ -39,8 +27,7 @@ from mavdiag.link.messages import Component, MessageId
 from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
-# Choices, not measurements, but for the drift of quartz: links reorder within less, vehicles take longer to boot, and
-# no stream pauses so long.
+# Choices, not measurements, but for the drift of quartz.
 LATE_NS = NS_PER_S  # a stamp may be this much older than the one before and still be a late frame
 WRAP_SLACK_NS = 60 * NS_PER_S  # a wrap must agree with the receiver's clock this well, or it is a reboot
 JUMP_SLACK_NS = 3600 * NS_PER_S  # beyond the receiver's clock by more: another clock, not a pause
@@ -65,6 +52,7 @@ NEVER = -(1 << 62)  # stands for "no time known" [ns]
 REBOOT = NEVER - 1  # stands for "the vehicle has started anew"
 MESSAGES_MAX = 32  # that are stamped, of one vehicle: there are 18
 SECONDS = WINDOW + 3  # of leads that there is room for: a window with both its ends, and one more
+_DAY_NS = 86_400 * NS_PER_S
 
 
 class Clock(IntEnum):
@@ -84,54 +72,46 @@ class Counter:
     turn: int
 
 
-MS_32 = Counter(NS_PER_MS, 1 << 32)  # time_boot_ms: wraps after 49.7 days
-US_32 = Counter(NS_PER_US, 1 << 32)  # SERVO_OUTPUT_RAW.time_usec: wraps after 71.6 minutes
+MS_32 = Counter(NS_PER_MS, 1 << 32)  # time_boot_ms
+US_32 = Counter(NS_PER_US, 1 << 32)  # SERVO_OUTPUT_RAW.time_usec
 US_64 = Counter(NS_PER_US, 0)  # time_usec: since boot or since 1970
 TURN_NS = MS_32.turn * MS_32.tick_ns
 
 Fields: TypeAlias = Any  # one of these records, as numba has it
 Records: TypeAlias = NDArray[Any]
 
-# Where one message's counter stands: the message plus one, 0 for none; whether it has begun; highest count so far, as
-# sent; how often it has wrapped; when it was last received in line; the most that it was ahead of the receiver's clock,
-# which drift takes back slowly; and the other clock that its latest samples show, with how many in a row agree on it.
-_READINGS = ("msgid", "used", "raw", "turns", "host_ns", "line_ns", "rival_ns", "rival_host_ns", "rivals")
-_READING = np.dtype([(name, "i8") for name in _READINGS])
-# How far the receiver's clock leads one of the vehicle's: in which second it was seen first, with which lead; and the
-# latest seconds in which it was seen, ascending, each with its least lead.
-_LEADS = np.dtype(
-    [("first_s", "i8"), ("first_ns", "i8"), ("count", "i8"), ("seconds", "i8", SECONDS), ("least", "i8", SECONDS)]
-)
+
+def _integers(names: str, *others: tuple[str, Any, Any]) -> np.dtype[np.void]:
+    return np.dtype([*((name, "i8") for name in names.split()), *others])
+
+
+# Where one message's counter stands: the message plus one, 0 for none; whether it has begun; highest count so far, with
+# its turns; when it was last received in line; the most that it was ahead of the receiver's clock, which drift takes
+# back slowly; and the other clock that its latest samples show, with how many in a row agree on it.
+_READING = _integers("msgid used count host_ns line_ns rival_ns rival_host_ns rivals")
+# How far the receiver's clock leads one of the vehicle's: whether it was seen, in which second first, with which lead;
+# and the latest seconds in which it was seen, each at its place modulo `SECONDS`, with their least leads.
+_LEAD = _integers("seen first_s first_ns", ("seconds", "i8", SECONDS), ("least", "i8", SECONDS))
 # What lays a clock over the reference in one second of the receiver's clock: what to add at its beginning and its end;
 # whether it counts as one clock with the reference, but for whole turns; the part of its lead that is a delay of its
 # messages; seconds in a row in which a shared clock was apart; and when it began, or was set last, and what it was.
-_OFFSETS = ("known", "second", "begin_ns", "end_ns", "shared", "zeroed", "zero_ns", "odd", "since_s", "since_ns")
-_OFFSET = np.dtype([(name, "i8") for name in _OFFSETS])
+_OFFSET = _integers("known second begin_ns end_ns shared zeroed zero_ns odd since_s since_ns")
 # The vehicle: the clock that the others are laid over, -1 before the first stamp; what to add to it; latest time known;
-# when the last stamp was received; when the last stamp in line was, and the highest stamp, of the clock since boot and
-# of unix time; another clock that may take over; how often it started anew, and samples left out because they leap.
-_MEM = np.dtype(
-    [
-        *((name, "i8") for name in ("reference", "base_ns", "t_ns", "host_ns")),
-        *((name, "i8", 2) for name in ("seen_ns", "high_ns")),
-        *((name, "i8") for name in ("rival_ns", "rival_host_ns", "rivals", "reboots", "leaps")),
-    ]
+# when the last stamp was received; another clock that may take over; how often it started anew, and samples left out
+# because they leap; when the last stamp in line was, and the highest stamp, of the clock since boot and of unix time.
+_MEM = _integers(
+    "reference base_ns t_ns host_ns rival_ns rival_host_ns rivals reboots leaps",
+    ("seen_ns", "i8", 2),
+    ("high_ns", "i8", 2),
 )
-
-
-_TIME = np.dtype(
-    [
-        ("mem", _MEM),
-        ("readings", _READING, MESSAGES_MAX),
-        *((name, kind, len(Clock)) for name, kind in (("leads", _LEADS), ("offsets", _OFFSET))),
-    ]
-)
+_CLOCKS = (("leads", _LEAD, len(Clock)), ("offsets", _OFFSET, len(Clock)))
+_TIME = _integers("", ("mem", _MEM, (1,)), ("readings", _READING, MESSAGES_MAX), *_CLOCKS)
 
 
 def _fresh() -> IntArray:
     words = np.zeros(_TIME.itemsize // 8, np.int64)
-    mem = words.view(_TIME)["mem"]
-    mem["reference"], mem["t_ns"] = -1, NEVER
+    record = words.view(_TIME)
+    record["mem"]["reference"], record["mem"]["t_ns"], record["leads"]["seconds"] = -1, NEVER, NEVER
     return words
 
 
@@ -142,42 +122,37 @@ class VehicleTime:
     words: IntArray = field(default_factory=_fresh)
 
     @property
-    def mem(self) -> Records:
-        """(1,) the vehicle."""
-        return self.words.view(_TIME)["mem"]
-
-    @property
     def records(self) -> tuple[Records, Records, Records, Records]:
         """(1,) the vehicle; (32,) the counters of its messages; (4,) leads and offsets, by `Clock`: for `stamp`."""
-        record = self.words.view(_TIME)
-        return record["mem"], record["readings"][0], record["leads"][0], record["offsets"][0]
+        record = self.words.view(_TIME)[0]
+        return record["mem"], record["readings"], record["leads"], record["offsets"]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, VehicleTime) and np.array_equal(self.words, other.words)
 
-    def __hash__(self) -> int:
-        return hash(self.words.tobytes())
+    def _told(self, name: str) -> int:
+        return int(self.records[0][name][0])
 
     @property
     def t_ns(self) -> int | None:
         """Latest time known [ns], None before the first stamp."""
-        latest = int(self.mem["t_ns"][0])
+        latest = self._told("t_ns")
         return None if latest == NEVER else latest
 
     @property
     def host_ns(self) -> int:
         """When the last stamp was received [ns]."""
-        return int(self.mem["host_ns"][0])
+        return self._told("host_ns")
 
     @property
     def reboots(self) -> int:
         """How often the vehicle started anew."""
-        return int(self.mem["reboots"][0])
+        return self._told("reboots")
 
     @property
     def leaps(self) -> int:
         """Samples left out because their stamps leap, so far."""
-        return int(self.mem["leaps"][0])
+        return self._told("leaps")
 
     @property
     def drift_ppm(self) -> float | None:
@@ -190,20 +165,17 @@ class VehicleTime:
 
 
 _BOOT_MS, _BOOT_US, _BOOT_US_32, _UNIX = (int(clock) for clock in Clock)
-_DAY_NS = 86_400 * NS_PER_S
 _IN_LINE, _LEFT_OUT, _BROKEN_OFF = 0, 1, 2  # what a stamp is
-_STRAY, _RIVAL, _REBOOT = 0, 1, 2  # what a stamp out of line is
 
 
 @jit
 def stamp(
     records: tuple[Records, Records, Records, Records], msgid: int, tick: int, turn: int, count: int, now_ns: int
 ) -> int:
-    """The vehicle's time of one frame [ns]; `NEVER` if it is left out, `REBOOT` if the vehicle has started anew.
+    """The vehicle's time of one frame [ns]; `NEVER` if it is left out, `REBOOT` if it must be given again as the first.
 
-    The frame of a reboot is the first one of the new clocks: it must be given again. records: of `VehicleTime`. msgid,
-    tick, turn: the message and its `Counter`; a tick of 0 for one without a time of its own, which gets the latest time
-    known. count: as it was sent. now_ns: when it was received.
+    records: of `VehicleTime`. tick, turn: the message's `Counter`; a tick of 0 for one without a time of its own, which
+    gets the latest time known. count: as it was sent. now_ns: when it was received.
     """
     mems, readings, leads, offsets = records
     mem = mems[0]
@@ -211,11 +183,15 @@ def stamp(
         return int(mem.t_ns)
     raw = min(max(count, 0), HIGHEST_NS // tick)
     ambiguous = 0 < turn * tick < _DAY_NS  # its first reading alone does not give the time since boot
-    reading = readings[_place(readings, msgid)]
+    place = 0  # of the message's reading, the last one where there is no room for one more
+    while place < len(readings) - 1 and readings[place].msgid not in (0, msgid + 1):
+        place += 1
+    reading = readings[place]
+    reading.msgid = msgid + 1
     sort, clock_ns = _BROKEN_OFF, NEVER
     if reading.used:
         sort, clock_ns = _unwrapped(mem, reading, tick, turn, raw, now_ns)
-        if sort == _BROKEN_OFF and (reading.raw * tick >= EPOCH_NS) != (raw * tick >= EPOCH_NS):
+        if sort == _BROKEN_OFF and (reading.count * tick >= EPOCH_NS) != (raw * tick >= EPOCH_NS):
             reading.used = 0  # it went over from time since boot to unix time or back, which is no reboot
     if not reading.used:
         if not _begin(reading, leads, tick, turn, ambiguous, raw, count > raw, now_ns):
@@ -223,14 +199,22 @@ def stamp(
         sort, clock_ns = _unwrapped(mem, reading, tick, turn, raw, now_ns)
     if sort == _IN_LINE:
         return int(_placed(mem, leads, offsets, clock_ns, now_ns, _clock_of(tick, ambiguous, clock_ns)))
-    if sort == _BROKEN_OFF:
-        what = _out_of_line(mem, raw * tick, now_ns)
-        if what == _REBOOT:
-            _start_anew(mem, readings, leads, offsets)
-            return REBOOT
-        if what == _STRAY:
-            reading.host_ns = now_ns  # the next decision is due after another second
+    if sort == _BROKEN_OFF and _rebooted(mem, reading, raw * tick, now_ns):
+        _start_anew(mem, readings, leads, offsets)
+        return REBOOT
     return NEVER
+
+
+@jit
+def _start_anew(mem: Fields, readings: Records, leads: Records, offsets: Records) -> None:
+    mem.reference, mem.base_ns, mem.rivals = -1, 0, 0
+    mem.reboots += 1
+    mem.seen_ns[:], mem.high_ns[:] = 0, 0
+    for reading in readings:
+        reading.used = 0
+    for clock in range(len(leads)):
+        leads[clock].seen = offsets[clock].known = 0
+        leads[clock].seconds[:] = NEVER
 
 
 @jit
@@ -243,53 +227,40 @@ def _clock_of(tick: int, ambiguous: bool, clock_ns: int) -> int:
 
 
 @jit
-def _place(readings: Records, msgid: int) -> int:
-    """Where a message's reading is, or can be: the last place where there is no room for one more."""
-    for k in range(len(readings)):
-        if readings[k].msgid == msgid + 1 or readings[k].msgid == 0:
-            readings[k].msgid = msgid + 1
-            return k
-    return len(readings) - 1
-
-
-@jit
 def _begin(
     reading: Fields, leads: Records, tick: int, turn: int, ambiguous: bool, raw: int, beyond: bool, now_ns: int
 ) -> bool:
-    """Where a counter stood before its first sample: there, unless it is ahead of what other messages show.
+    """Begin a counter at its first sample, or at what others show if it is ahead of them; whether it can be placed.
 
-    beyond: the count was garbage beyond `HIGHEST_NS`. Returns whether it can be placed: a counter that wraps often
-    needs the time since boot that the others show.
+    beyond: the count was garbage beyond `HIGHEST_NS`. A counter that wraps often needs the time that others show.
     """
-    first, wrapped = raw, 0
+    first = raw
     if ambiguous:
-        shown = leads[_BOOT_MS] if leads[_BOOT_MS].count else leads[_BOOT_US]
-        if not shown.count:
+        shown = leads[_BOOT_MS] if leads[_BOOT_MS].seen else leads[_BOOT_US]
+        if not shown.seen:
             return False
-        since_boot_ns = now_ns - _least(shown)
-        wrapped = max(0, int(np.rint((since_boot_ns - raw * tick) / (turn * tick))))
+        first += turn * max(0, int(np.rint((now_ns - _least(shown) - raw * tick) / (turn * tick))))
     else:
         own = leads[_clock_of(tick, ambiguous, raw * tick)]
-        if own.count and (beyond or raw * tick - (now_ns - _least(own)) > LATE_NS):
+        if own.seen and (beyond or raw * tick - (now_ns - _least(own)) > LATE_NS):
             first = max(0, now_ns - _least(own)) // tick
-    clock_ns = min(first * tick + wrapped * turn * tick, HIGHEST_NS)
-    reading.used, reading.raw, reading.turns, reading.host_ns, reading.rivals = 1, first, wrapped, now_ns, 0
-    reading.line_ns = clock_ns - now_ns + (now_ns >> DRIFT_SHIFT)
+    reading.used, reading.count, reading.host_ns, reading.rivals = 1, first, now_ns, 0
+    reading.line_ns = min(first * tick, HIGHEST_NS) - now_ns + (now_ns >> DRIFT_SHIFT)
     return True
 
 
 @jit
 def _unwrapped(mem: Fields, reading: Fields, tick: int, turn: int, raw: int, now_ns: int) -> tuple[int, int]:
     """What the stamp is, and the message's own clock [ns]. The reading goes on, unless the counter has broken off."""
-    ahead_of_it = reading.turns * turn
     elapsed_ns = max(now_ns - reading.host_ns, 0)
-    step = raw - reading.raw
+    step = raw - reading.count
     if turn:
+        step = raw - reading.count % turn
         shorter = (step + turn // 2) % turn - turn // 2  # the shorter way round
         if abs(shorter * tick - elapsed_ns) <= WRAP_SLACK_NS:
             step = shorter
-    clock_ns = (reading.raw + ahead_of_it + step) * tick
-    if (clock_ns >= EPOCH_NS) != ((reading.raw + ahead_of_it) * tick >= EPOCH_NS):
+    clock_ns = (reading.count + step) * tick
+    if (clock_ns >= EPOCH_NS) != (reading.count * tick >= EPOCH_NS):
         return _BROKEN_OFF, clock_ns
     ahead_ns = clock_ns - now_ns + (now_ns >> DRIFT_SHIFT)
     beyond_ns = step * tick - elapsed_ns  # of what the receiver's clock explains
@@ -307,47 +278,25 @@ def _unwrapped(mem: Fields, reading: Fields, tick: int, turn: int, raw: int, now
     elif step * tick < -LATE_NS:
         return _BROKEN_OFF if elapsed_ns >= SILENT_NS else _LEFT_OUT, clock_ns
     reading.host_ns, reading.line_ns, reading.rivals = now_ns, max(reading.line_ns, ahead_ns), 0
-    if step > 0:
-        if turn:
-            reading.turns += (reading.raw + step - raw) // turn
-        reading.raw = raw
+    reading.count += max(step, 0)
     return _IN_LINE, clock_ns
 
 
 @jit
-def _out_of_line(mem: Fields, clock_ns: int, now_ns: int) -> int:
-    """What a stamp out of line is taken for: a stray, a clock that may take over, or the vehicle that started anew."""
+def _rebooted(mem: Fields, reading: Fields, clock_ns: int, now_ns: int) -> bool:
+    """Whether a stamp out of line is the last of several that show that the vehicle has started anew."""
     silent_ns = now_ns - mem.seen_ns[int(clock_ns >= EPOCH_NS)]
-    young = clock_ns <= silent_ns + UPTIME_SLACK_NS
-    if silent_ns < (SILENT_NS if young else GONE_NS):
-        return _STRAY
+    early = silent_ns < (SILENT_NS if clock_ns <= silent_ns + UPTIME_SLACK_NS else GONE_NS)
     advance_ns = clock_ns - mem.rival_ns
-    if mem.rivals == 0:
-        mem.rivals = 1
-    elif abs(advance_ns - (now_ns - mem.rival_host_ns)) > LATE_NS:
-        mem.rivals = 0
-        return _STRAY
-    elif advance_ns < AGREED_STEP_NS:
-        return _RIVAL
-    elif mem.rivals + 1 == AGREEING:
-        return _REBOOT
-    else:
-        mem.rivals += 1
+    if early or (mem.rivals and abs(advance_ns - (now_ns - mem.rival_host_ns)) > LATE_NS):
+        mem.rivals = mem.rivals if early else 0
+        reading.host_ns = now_ns  # the next decision is due after another second
+        return False
+    if mem.rivals and advance_ns < AGREED_STEP_NS:
+        return False
+    mem.rivals += 1
     mem.rival_ns, mem.rival_host_ns = clock_ns, now_ns
-    return _RIVAL
-
-
-@jit
-def _start_anew(mem: Fields, readings: Records, leads: Records, offsets: Records) -> None:
-    """The clocks are new, and the time goes on with the receiver's, by a second at least."""
-    mem.reference, mem.base_ns, mem.rivals = -1, 0, 0
-    mem.reboots += 1
-    for k in range(2):
-        mem.seen_ns[k] = mem.high_ns[k] = 0
-    for reading in readings:
-        reading.used = 0
-    for clock in range(len(leads)):
-        leads[clock].count = offsets[clock].known = 0
+    return bool(mem.rivals == AGREEING)
 
 
 @jit
@@ -357,14 +306,21 @@ def _placed(mem: Fields, leads: Records, offsets: Records, clock_ns: int, now_ns
         mem.reference = clock
         if mem.t_ns != NEVER:
             mem.base_ns = mem.t_ns + max(now_ns - mem.host_ns, REBOOT_GAP_NS) - clock_ns
-    _watch(leads, clock, clock_ns, now_ns)
+    lead, lead_ns, second = leads[clock], now_ns - clock_ns, now_ns // NS_PER_S
+    if not lead.seen:
+        lead.seen, lead.first_s, lead.first_ns = 1, second, lead_ns
+    k = second % SECONDS
+    if second > lead.seconds[k]:
+        lead.seconds[k], lead.least[k] = second, lead_ns
+    elif second == lead.seconds[k]:
+        lead.least[k] = min(lead.least[k], lead_ns)
     t_ns = clock_ns if clock == mem.reference else NEVER
     for other in range(len(leads)):
-        if other != mem.reference and leads[other].count:
-            laid_ns = _follow(offsets[other], leads[other], leads[mem.reference], mem.reference, other, now_ns)
+        if other != mem.reference and leads[other].seen:
+            boot = mem.reference != _UNIX and other != _UNIX
+            laid_ns = _follow(offsets[other], leads[other], leads[mem.reference], boot, now_ns)
             if other == clock and laid_ns != NEVER:
                 t_ns = clock_ns + min(max(laid_ns, -HIGHEST_NS), HIGHEST_NS)
-    _forget(leads)
     if t_ns != NEVER:
         t_ns += mem.base_ns
         mem.t_ns = max(mem.t_ns, t_ns)
@@ -380,77 +336,44 @@ def _placed(mem: Fields, leads: Records, offsets: Records, clock_ns: int, now_ns
 
 
 @jit
-def _least(lead: Fields) -> Any:
-    least = lead.least[0]
-    for k in range(1, lead.count):
-        least = min(least, lead.least[k])
-    return least
+def _least(lead: Fields, since_s: int = NEVER + 1, until_s: int = HIGHEST_NS) -> int:
+    """The least lead of a clock over [since_s, until_s) [ns]; `NEVER` without any."""
+    found = NEVER
+    for k in range(SECONDS):
+        if since_s <= lead.seconds[k] < until_s and (found == NEVER or lead.least[k] < found):
+            found = lead.least[k]
+    return int(found)
 
 
 @jit
-def _watch(leads: Records, clock: int, clock_ns: int, now_ns: int) -> None:
-    """Take a sample into the leads of its clock."""
-    lead, second, found_ns = leads[clock], now_ns // NS_PER_S, now_ns - clock_ns
-    if lead.count == 0:
-        lead.first_s, lead.first_ns = second, found_ns
-    k = lead.count
-    while k > 0 and lead.seconds[k - 1] > second:
-        k -= 1
-    if k > 0 and lead.seconds[k - 1] == second:
-        lead.least[k - 1] = min(lead.least[k - 1], found_ns)
-        return
-    for j in range(lead.count, k, -1):  # there is room: `_forget` leaves a window of them
-        lead.seconds[j], lead.least[j] = lead.seconds[j - 1], lead.least[j - 1]
-    lead.count += 1
-    lead.seconds[k], lead.least[k] = second, found_ns
+def _lag(own: Fields, base: Fields, since_s: int, until_s: int) -> int:
+    """The least lead of the clock less that of the reference over [since_s, until_s) [ns]; `NEVER` without either."""
+    found, least = _least(own, since_s, until_s), _least(base, since_s, until_s)
+    return NEVER if found == NEVER or least == NEVER else found - least
 
 
 @jit
-def _forget(leads: Records) -> None:
-    """Drop the seconds that no window will use any more; the latest one of each clock stays."""
-    since_s = NEVER
-    for lead in leads:
-        if lead.count:
-            since_s = max(since_s, lead.seconds[lead.count - 1] - WINDOW)
-    for lead in leads:
-        old = 0
-        while old < lead.count - 1 and lead.seconds[old] < since_s:
-            old += 1
-        if old:
-            for k in range(old, lead.count):
-                lead.seconds[k - old], lead.least[k - old] = lead.seconds[k], lead.least[k]
-            lead.count -= old
-
-
-@jit
-def _follow(offset: Fields, own: Fields, base: Fields, reference: int, clock: int, now_ns: int) -> int:
+def _follow(offset: Fields, own: Fields, base: Fields, boot: bool, now_ns: int) -> int:
     """Bring an offset on by the seconds that are new; what it is at this time [ns], `NEVER` while it is not known."""
-    boot = reference != _UNIX and clock != _UNIX
-    first_s, first_ns = max(own.first_s, base.first_s), own.first_ns - base.first_ns
+    first_s = max(own.first_s, base.first_s)
     second = offset.second if offset.known else first_s - 1
     found_ns = _at(offset, now_ns) if offset.known else NEVER
     while True:
-        following, other = _after(own, second), _after(base, second)
-        if following == NEVER or NEVER < other < following:
-            following = other
-        if following == NEVER:
+        following = HIGHEST_NS  # the first second after this one in which either clock was seen
+        for k in range(SECONDS):
+            if second < own.seconds[k] < following:
+                following = own.seconds[k]
+            if second < base.seconds[k] < following:
+                following = base.seconds[k]
+        if following == HIGHEST_NS:
             return found_ns
         second = following
         if offset.known:
             _go_on(offset, own, base, first_s, second)
         else:
-            _lay(offset, own, base, boot, first_s, first_ns, second)
+            _lay(offset, own, base, boot, first_s, second)
         if offset.known and second <= now_ns // NS_PER_S:
             found_ns = _at(offset, now_ns)
-
-
-@jit
-def _after(lead: Fields, second: int) -> int:
-    """The first second after this one in which a clock was seen; `NEVER` if there is none."""
-    for k in range(lead.count):
-        if lead.seconds[k] > second:
-            return int(lead.seconds[k])
-    return NEVER
 
 
 @jit
@@ -461,22 +384,9 @@ def _at(offset: Fields, now_ns: int) -> int:
 
 
 @jit
-def _lag(own: Fields, base: Fields, since_s: int, until_s: int) -> int:
-    """The least lead of the clock less that of the reference over [since_s, until_s) [ns]; `NEVER` without either."""
-    found = NEVER
-    for k in range(own.count):
-        if since_s <= own.seconds[k] < until_s and (found == NEVER or own.least[k] < found):
-            found = own.least[k]
-    least = NEVER
-    for k in range(base.count):
-        if since_s <= base.seconds[k] < until_s and (least == NEVER or base.least[k] < least):
-            least = base.least[k]
-    return NEVER if found == NEVER or least == NEVER else int(found - least)
-
-
-@jit
-def _lay(offset: Fields, own: Fields, base: Fields, boot: bool, first_s: int, first_ns: int, second: int) -> None:
+def _lay(offset: Fields, own: Fields, base: Fields, boot: bool, first_s: int, second: int) -> None:
     """Lay a clock over the reference for the first time, if enough is known in this second."""
+    first_ns = own.first_ns - base.first_ns
     at_ns = int(np.rint(first_ns / TURN_NS)) * TURN_NS
     offset.shared, offset.zeroed, offset.zero_ns, offset.odd = 1, 0, 0, 0
     if not (boot and abs(first_ns - at_ns) < TOGETHER_NS):
@@ -520,7 +430,6 @@ def _go_on(offset: Fields, own: Fields, base: Fields, first_s: int, second: int)
 
 
 EVERY_NS = 10 * NS_PER_S  # our choice: it is only a figure
-
 _TC1, _TS1 = (field_index(MessageId.TIMESYNC, name) for name in ("tc1", "ts1"))
 
 
@@ -534,16 +443,12 @@ class TimesyncMessage:
 
 @dataclass(frozen=True, slots=True)
 class Timesync:
-    """What is known by it.
+    """What is known by TIMESYNC; None before the first request and the first answer."""
 
-    asked_ns: when a request was sent last (host), None for never. open: it has not been answered.
-    round_trip_s: of the latest answer; offset_s: the vehicle's clock less ours at that time; None if none came.
-    """
-
-    asked_ns: int | None = None
-    open: bool = False
+    asked_ns: int | None = None  # when a request was sent last (host)
+    open: bool = False  # it has not been answered
     round_trip_s: float | None = None
-    offset_s: float | None = None
+    offset_s: float | None = None  # the vehicle's clock less ours
 
 
 def exchanged(
@@ -553,19 +458,17 @@ def exchanged(
 
     now_ns: on the host's clock. alive: the vehicle sent something, so that asking it makes sense.
     """
-    wanted: int | None = None
+    answers: tuple[TimesyncMessage, ...] = ()
     for frame in frames:
         if frame.msgid != MessageId.TIMESYNC or frame.compid != Component.AUTOPILOT1:
             continue
-        fields = frame.fields
-        tc1_ns, ts1_ns = int(fields[_TC1]), int(fields[_TS1])
+        tc1_ns, ts1_ns = int(frame.fields[_TC1]), int(frame.fields[_TS1])
         if tc1_ns == 0:
-            wanted = ts1_ns
+            answers = (TimesyncMessage(now_ns, ts1_ns),)
         elif state.open and ts1_ns == state.asked_ns:
             took_ns = max(0, frame.host_ns - ts1_ns)
             offset_s = (tc1_ns - ts1_ns - took_ns / 2) / NS_PER_S
             state = replace(state, open=False, round_trip_s=took_ns / NS_PER_S, offset_s=offset_s)
-    answers = () if wanted is None else (TimesyncMessage(now_ns, wanted),)
     if not alive or (state.asked_ns is not None and now_ns - state.asked_ns < EVERY_NS):
         return state, answers
     return replace(state, asked_ns=now_ns, open=True), (*answers, TimesyncMessage(0, now_ns))

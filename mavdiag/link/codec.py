@@ -1,12 +1,8 @@
 """MAVLink 1 and 2 frames to values and back: the only module that knows pymavlink.
 
-Of pymavlink only the generated dialect is used: the wire format and the checksum seed of each message. One compiled
-loop finds the frames, in what a link brings and in a telemetry log. It never raises on input: what is not a frame is
-counted and skipped, and scanning resumes right after the false marker, so that one fake header cannot swallow the good
-frames behind it. The encoder raises UsageError for what cannot be sent.
-
-Checksums are taken eight bytes at a time by tables ("slicing by eight", Kounavis and Berry 2005).
-Wire format: https://mavlink.io/en/guide/serialization.html
+Of pymavlink only the generated dialect is used. One compiled loop finds the frames (https://mavlink.io/en/guide/serialization.html).
+It never raises on input: what is not a frame is counted, and scanning resumes right behind the false marker. Checksums
+are taken eight bytes at a time by tables ("slicing by eight", Kounavis and Berry 2005).
 """
 
 import struct
@@ -48,16 +44,13 @@ _pack_header = struct.Struct("<BBBBBBHB").pack  # without the marker and with th
 
 
 class Frame(NamedTuple):
-    """One received message: its number, its sender and that one's running number, and when it was received [ns].
-
-    payload: as on the wire, with the trimmed zeros put back and unknown extensions cut off.
-    """
+    """One received message: its number, its sender and that one's running number, and when it was received [ns]."""
 
     msgid: int
     sysid: int
     compid: int
     seq: int
-    payload: bytes
+    payload: bytes  # as on the wire, with the trimmed zeros put back and unknown extensions cut off
     host_ns: int
 
     @property
@@ -67,24 +60,20 @@ class Frame(NamedTuple):
 
 
 def _generated_layout(message: type[dialect.MAVLink_message]) -> Layout:
-    wire = message.ordered_fieldnames
-    return Layout(
-        message.msgname,
-        tuple(message.fieldnames),
-        tuple(message.lengths[wire.index(name)] for name in message.fieldnames),
-        tuple(message.fieldnames.index(name) for name in wire),
-        message.unpacker,
-        bytes([message.crc_extra]),
-    )
+    wire, names = message.ordered_fieldnames, message.fieldnames
+    sizes, order = [message.lengths[wire.index(name)] for name in names], [names.index(name) for name in wire]
+    seed = bytes([message.crc_extra])
+    return Layout(message.msgname, tuple(names), tuple(sizes), tuple(order), message.unpacker, seed)
 
 
 _LAYOUTS: Mapping[int, Layout] = {
     **{number: _generated_layout(message) for number, message in dialect.mavlink_map.items()},
     **EXTRA_LAYOUTS,
 }
-#: The message of each row of `FRAME`; the last one stands for all that are unknown.
-MSGIDS = (*sorted(_LAYOUTS), UNKNOWN)
-#: The row of each message.
+MSGIDS = (
+    *sorted(_LAYOUTS),
+    UNKNOWN,
+)  # the message of each row of `FRAME`; the last one stands for all that are unknown
 ROWS = {msgid: row for row, msgid in enumerate(MSGIDS)}
 # By message: its row, the byte that its definition adds to the checksum; -1 in the last ones, for all ids beyond.
 _KNOWN = np.full((max(_LAYOUTS) + 2, 2), -1, np.int16)
@@ -107,37 +96,23 @@ def message_name(msgid: int) -> str:
 
 
 def field_index(msgid: int, name: str) -> int:
-    """Place of a field (of an array: its first element) in `Frame.fields`; look it up once, outside the loop.
-
-    >>> field_index(MessageId.ATTITUDE_TARGET, "type_mask")
-    9
-
-    Raises UsageError if there is no such message or field.
-    """
+    """Place of a field (of an array: its first element) in `Frame.fields`. Raises UsageError if there is none."""
     return layout_of(msgid).place(name)
 
 
 def frame_length(data: bytes, start: int) -> int | None:
-    """Bytes of the frame that starts here (1 for a byte that starts none), None if too few are there to say.
-
-    MAVLink serialization: v1 is 0xFE with 8 bytes around the payload, v2 is 0xFD with 12, and 13 more if signed.
-    """
-    magic = data[start]
-    if magic not in (0xFE, 0xFD):
+    """Bytes of the frame that starts here (1 for a byte that starts none), None if too few are there to say."""
+    if data[start] not in (_V1, _V2):
         return 1
     if len(data) < start + 3:
         return None
-    if magic == 0xFE:
-        return data[start + 1] + 8
-    return data[start + 1] + (25 if data[start + 2] & 1 else 12)
+    if data[start] == _V1:
+        return data[start + 1] + _SHORTEST_V1
+    return data[start + 1] + _SHORTEST_V2 + (SEAL_BYTES if data[start + 2] & SIGNED_FLAG else 0)
 
 
 def split_frames(data: bytes) -> tuple[list[bytes], bytes]:
-    """The frames of a byte stream, bytes between them as messages of their own, and the beginning of the next frame.
-
-    >>> split_frames(b"ab" + bytes.fromhex("fe00000101000000fe"))
-    ([b'ab', b'\\xfe\\x00\\x00\\x01\\x01\\x00\\x00\\x00'], b'\\xfe')
-    """
+    """The frames of a byte stream, bytes between them as messages of their own, and the beginning of the next frame."""
     found: list[bytes] = []
     at = garbage = 0
     while at < len(data):
@@ -153,13 +128,10 @@ def split_frames(data: bytes) -> tuple[list[bytes], bytes]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """Many received messages, in order of arrival; iterates them one by one, as `Frame`.
+    """Many received messages, in order of arrival; iterates them one by one, as `Frame`."""
 
-    data: the bytes that they lie in. rows: (n,) where, and from whom, see `sequence.FRAME`.
-    """
-
-    data: Bytes
-    rows: NDArray[np.void]
+    data: Bytes  # that they lie in
+    rows: NDArray[np.void]  # (n,) where, and from whom, see `sequence.FRAME`
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -177,18 +149,16 @@ class Frames:
 
     def of(self, *msgids: int, compid: int | None = None) -> "Frames":
         """Those of some messages. compid: and of this component of any vehicle; None for all."""
-        chosen, *others = (self.rows["row"] == ROWS[msgid] for msgid in msgids)
-        for other in others:
-            chosen |= other
+        chosen = np.zeros(len(self), np.bool_)
+        for msgid in msgids:
+            chosen |= self.rows["row"] == ROWS[msgid]
         return self.where(chosen if compid is None else chosen & (self.rows["sender"] & 0xFF == compid))
 
     def by_sysid(self) -> dict[int, "Frames"]:
         """Those of each system id, by rising number."""
         sysids = (self.rows["sender"] >> 8).astype(np.uint8)
-        order, counts = np.argsort(sysids, kind="stable"), np.bincount(sysids)
-        ends = np.cumsum(counts)
-        found = np.flatnonzero(counts).tolist()
-        return {sysid: self.where(order[ends[sysid] - counts[sysid] : ends[sysid]]) for sysid in found}
+        found = np.flatnonzero(np.bincount(sysids)).tolist()
+        return {sysid: self.where(sysids == sysid) if len(found) > 1 else self for sysid in found}
 
     def counts(self, compid: int = AUTOPILOT) -> Counter[int]:
         """How many of each message came from a component."""
@@ -205,7 +175,9 @@ class Frames:
 
 
 def frames_of(frames: Iterable[Frame]) -> Frames:
-    """As columns what came one by one."""
+    """As columns what came one by one, if it did."""
+    if isinstance(frames, Frames):
+        return frames
     some = list(frames)
     rows = np.zeros(len(some), FRAME)
     msgids, sysids, compids, seqs, payloads, host_ns = zip(*some, strict=True) if some else ((),) * 6
@@ -224,9 +196,8 @@ class Decoder:
     """Bytes in, frames out, for one link or one telemetry log. At most 289 bytes are kept between calls.
 
     wanted: message ids to hand out, None for all of the dialect; others are checked and counted all the same.
+    signing: lets only genuine frames pass. passed: gets the bytes of every frame that passes, and its time of arrival.
     stamped: a time stamp stands before each frame, as in a telemetry log; then garbage is searched to its end.
-    signing: lets only genuine frames pass; None passes all.
-    passed: gets the bytes of every frame that passes, wanted or not, with its time of arrival; None for nobody.
     heard: the senders. records: frames so far. size: bytes done with; sound_end: place behind the last frame in them.
     """
 
@@ -277,11 +248,8 @@ class Decoder:
 
     def take_datagrams(self, chunks: Iterable[tuple[bytes, int]], sources: Sequence[Source] = ()) -> Frames:
         """As `feed_datagram`, for many datagrams, each with its time of arrival [ns]. sources: where each is from."""
-        some = list(chunks)
-        sizes, times = [len(data) for data, _ in some], [host_ns for _, host_ns in some]
-        return self._scan(
-            b"".join([data for data, _ in some]), sizes, times, sources or (None,) * len(some), whole=True
-        )[0]
+        data, times = zip(*chunks, strict=True) if (chunks := list(chunks)) else ((), ())
+        return self._scan(b"".join(data), [*map(len, data)], times, sources or (None,) * len(data), whole=True)[0]
 
     def _scan(
         self, data: bytes, sizes: Sequence[int], times: Sequence[int], sources: Sequence[Source], *, whole: bool
@@ -319,10 +287,7 @@ class Decoder:
 
 
 class Encoder:
-    """Values in, MAVLink 2 frames out, with this sender's own running sequence number.
-
-    signing: signs them; None leaves them unsigned.
-    """
+    """Values in, MAVLink 2 frames out, with this sender's own running sequence number. signing: signs them."""
 
     def __init__(self, sysid: int, compid: int, signing: Signing | None = None) -> None:
         if not (0 < sysid < 256 and 0 < compid < 256):
@@ -331,24 +296,16 @@ class Encoder:
         self._signing, self._flags = signing, 0 if signing is None else SIGNED_FLAG
 
     def encode(self, msgid: int, *fields: Argument) -> bytes:
-        """One frame from the fields as declared; trailing ones left out are zero.
-
-        Integers are rounded and saturated to their field, text is cut to it. Raises UsageError for an unknown message,
-        too many fields, an array of the wrong length, or a value that its field cannot hold at all.
-        """
-        layout = layout_of(msgid)
-        return self._frame(msgid, layout, layout.pack(fields))
-
-    def encode_payload(self, msgid: int, payload: bytes) -> bytes:
-        """One frame from a whole payload, as `Frame.payload` has it. Raises UsageError for an unknown message."""
-        return self._frame(msgid, layout_of(msgid), payload)
+        """One frame from the fields as declared; trailing ones left out are zero. Raises as `Layout.pack`."""
+        return self.encode_payload(msgid, layout_of(msgid).pack(fields))
 
     def statustext(self, severity: Severity, text: str) -> bytes:
         """A STATUSTEXT frame; text beyond 50 bytes is cut, at a whole character."""
         return self.encode(MessageId.STATUSTEXT, severity, cut(text, TEXT_BYTES))
 
-    def _frame(self, msgid: int, layout: Layout, payload: bytes) -> bytes:
-        payload = payload.rstrip(b"\0") or b"\0"
+    def encode_payload(self, msgid: int, payload: bytes) -> bytes:
+        """One frame from a whole payload, as `Frame.payload` has it. Raises UsageError for an unknown message."""
+        layout, payload = layout_of(msgid), payload.rstrip(b"\0") or b"\0"
         seq = self._seq
         self._seq = (seq + 1) & 0xFF
         sender = (seq, self._sysid, self._compid)
@@ -359,15 +316,12 @@ class Encoder:
 
 @dataclass(frozen=True, slots=True)
 class StatusText:
-    """A STATUSTEXT as received: MAV_SEVERITY, and one piece of a text.
-
-    chunk_id: 0 for a text in one piece, else the same for all pieces; chunk_seq: number of the piece.
-    """
+    """A STATUSTEXT as received: MAV_SEVERITY, and one piece of a text."""
 
     severity: int
     text: str
-    chunk_id: int
-    chunk_seq: int
+    chunk_id: int  # 0 for a text in one piece, else the same for all pieces
+    chunk_seq: int  # number of the piece
 
 
 def decode_statustext(frame: Frame) -> StatusText:
@@ -383,11 +337,9 @@ def decode_statustext(frame: Frame) -> StatusText:
 def _tables() -> NDArray[np.uint16]:
     """(8, 256): what a byte makes of the checksum that stands 0 to 7 bytes behind it (CRC-16/MCRF4XX)."""
     tables = np.zeros((8, 256), np.uint16)
-    for byte in range(256):
-        crc = byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (0x8408 if crc & 1 else 0)  # 0x1021, bits in reverse
-        tables[0, byte] = crc
+    tables[0] = np.arange(256)
+    for _ in range(8):
+        tables[0] = tables[0] >> np.uint16(1) ^ np.where(tables[0] & 1, np.uint16(0x8408), 0)  # 0x1021, bits in reverse
     for k in range(1, 8):
         tables[k] = tables[k - 1] >> np.uint16(8) ^ tables[0, tables[k - 1] & 0xFF]
     return tables
@@ -406,8 +358,7 @@ def _find(
 ) -> tuple[int, int]:
     """Write down the frames; returns how many, and how many bytes are done with.
 
-    chunks: (3, k) their sizes, times of arrival [ns] and sources. whole: none of them goes on in the next one, else
-    there is one chunk. gap: bytes before each frame.
+    chunks: (3, k) sizes, times of arrival [ns] and sources. whole: none goes on in the next one, else there is one.
     """
     count = end = 0
     for k in range(chunks.shape[1]):
@@ -420,7 +371,10 @@ def _find(
             if after == _NOT_YET:
                 break
             if after > at:
-                found[count].host_ns = chunks[1, k] if gap == 0 else _stamp(data, at) * NS_PER_US
+                time_us = np.int64(0)  # of the record of a log
+                for j in range(at - gap, at):
+                    time_us = time_us << 8 | np.int64(data[j])
+                found[count].host_ns = time_us * NS_PER_US if gap else chunks[1, k]
                 found[count].source = chunks[2, k]
                 count, at = count + 1, after + gap
                 continue
@@ -429,15 +383,6 @@ def _find(
         if not whole:
             return count, min(max(at - gap, 0), end)
     return count, end
-
-
-@jit
-def _stamp(data: Bytes, begin: int) -> int:
-    """The time stamp of a record of a log [us]."""
-    time_us = np.int64(0)
-    for k in range(begin - STAMP_BYTES, begin):
-        time_us = time_us << 8 | np.int64(data[k])
-    return int(time_us)
 
 
 @jit
@@ -452,10 +397,7 @@ def _take(
     tally: IntArray,
     frame: Any,
 ) -> int:
-    """Write down the frame that begins at a marker, and return the place behind it; `begin` if there is none.
-
-    whole: the data goes on no further; else `_NOT_YET` says that more bytes must decide.
-    """
+    """Write down the frame that begins at a marker; returns the place behind it, `begin` for none, or `_NOT_YET`."""
     zero = np.int64(0)  # `zero +` makes a byte a signed number for numba
     if gap and (data[begin - 8] != 0 or data[begin - 7] >= LATEST_US >> 48):
         return begin

@@ -33,8 +33,7 @@ def read_key(path: Path) -> bytes:
 def read_secret(path: Path, name: str, form: str) -> bytes:
     """The one line of a file that holds a secret. name, form: what it is called, and what it should hold.
 
-    Raises UsageError unless it is a regular file of the user's own (or root's), with one line, that nobody else may
-    read.
+    Raises UsageError unless it is a regular file of the user's own (or root's) that nobody else may read.
     """
     try:
         with open_regular(path, FILE_BYTES) as file:
@@ -55,9 +54,9 @@ def read_secret(path: Path, name: str, form: str) -> bytes:
 class KeptSigning:
     """A `Signing` whose time stamp outlives the process. Call `step` regularly, and `close` at the end.
 
-    What is kept is ahead of every stamp in use, so that a restart never uses one again, whatever ended the process.
-    path: where the stamp is kept. reset: forget what is kept, and begin with the wall clock. doubt: what is wrong with
-    the stamp that was kept, and the remedy; empty if nothing is. Raises UsageError if it cannot be read or written.
+    What is kept in `path` is ahead of every stamp in use, so that a restart never uses one again. reset: begin with the
+    wall clock. doubt: what is wrong with the stamp that was kept, and the remedy; empty if nothing is.
+    Raises UsageError if it cannot be read or written.
     """
 
     def __init__(self, key: bytes, path: Path, unix_ns: int, *, reset: bool = False) -> None:
@@ -91,11 +90,9 @@ class KeptSigning:
 
 
 def open_signing(path: Path, user: str, unix_ns: int, *, reset: bool = False) -> KeptSigning:
-    """The key of a file with the stamp kept beside it, in `<file>.<user>.stamp`.
+    """The key of a file with the stamp kept beside it, in `<file>.<user>.stamp`. user: which program.
 
-    user: which program: two that share a key send as different components, and each keeps a stamp of its own.
-    unix_ns: the wall clock [ns]. reset: forget the stamp that is kept.
-    Raises UsageError for a key or stamp that cannot be used.
+    unix_ns: the wall clock [ns]. reset: forget the stamp that is kept. Raises UsageError for one that cannot be used.
     """
     return KeptSigning(read_key(path), path.with_name(f"{path.name}.{user}.stamp"), unix_ns, reset=reset)
 

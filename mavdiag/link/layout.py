@@ -30,22 +30,14 @@ _INTEGERS = {
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """One message on the wire.
-
-    name: of the message.
-    names: fields as declared.
-    sizes: places that each takes in a flat tuple.
-    order: declared index of each wire field.
-    packer: the wire format.
-    crc_extra: the one-byte checksum seed, different for each definition of a message.
-    """
+    """One message on the wire."""
 
     name: str
-    names: tuple[str, ...]
-    sizes: tuple[int, ...]
-    order: tuple[int, ...]
+    names: tuple[str, ...]  # fields as declared
+    sizes: tuple[int, ...]  # places that each takes in a flat tuple
+    order: tuple[int, ...]  # declared index of each wire field
     packer: struct.Struct
-    crc_extra: bytes
+    crc_extra: bytes  # the one-byte checksum seed, different for each definition of a message
 
     @property
     def codes(self) -> tuple[str, ...]:
@@ -65,10 +57,9 @@ class Layout:
         return struct.calcsize("<" + "".join(self.codes[:place])), self.codes[place]
 
     def record_dtype(self, *columns: tuple[str, int]) -> np.dtype[np.void]:
-        """How numpy reads payloads as records of some columns.
+        """How numpy reads payloads as records of some columns (field, count): so many places from the field on.
 
-        columns: (field, count); a column of count > 1 takes that many consecutive places from the field on, all of one
-        type. Raises UsageError if there is no such field, or the places differ in type.
+        Raises UsageError if there is no such field, or the places differ in type.
         """
         formats, offsets = [], []
         for name, count in columns:
@@ -86,8 +77,10 @@ class Layout:
         Integers are rounded and saturated, text is cut. Raises UsageError for too many fields, an array of the wrong
         length, or a value that its field cannot hold at all.
         """
-        if len(fields) != len(self.names):
-            fields = self._complete(fields)
+        if len(fields) > len(self.names):
+            raise UsageError(f"{self.name} has {len(self.names)} fields, not {len(fields)}")
+        if len(fields) < len(self.names):
+            fields = [*fields, *(0 if size == 1 else (0,) * size for size in self.sizes[len(fields) :])]
         places: list[Argument] = []
         for index in self.order:
             if self.sizes[index] == 1:
@@ -97,22 +90,12 @@ class Layout:
         try:
             return self.packer.pack(*places)  # the common case: everything fits as it is
         except (struct.error, OverflowError):
-            return self._pack_fitted(places)
-
-    def _complete(self, fields: Sequence[Argument]) -> Sequence[Argument]:
-        if len(fields) > len(self.names):
-            raise UsageError(f"{self.name} has {len(self.names)} fields, not {len(fields)}")
-        zeros: list[Argument] = [0 if size == 1 else (0,) * size for size in self.sizes[len(fields) :]]
-        return [*fields, *zeros]
-
-    def _pack_fitted(self, places: Sequence[Argument]) -> bytes:
-        codes = self.codes
-        if len(codes) != len(places):
-            raise UsageError(
-                f"{self.name} takes {len(codes)} values in all, not {len(places)}: an array is too long or short"
-            )
+            pass
+        if len(self.codes) != len(places):
+            wanted = f"{self.name} takes {len(self.codes)} values in all, not {len(places)}"
+            raise UsageError(f"{wanted}: an array is too long or short")
         try:
-            return self.packer.pack(*(_fit(code, place) for code, place in zip(codes, places, strict=True)))
+            return self.packer.pack(*(_fit(code, place) for code, place in zip(self.codes, places, strict=True)))
         except (struct.error, TypeError, ValueError) as error:
             raise UsageError(f"{self.name}: {error}") from error
 
@@ -142,11 +125,7 @@ def _fit(code: str, value: Argument) -> FieldValue:
 
 
 def cut(text: str, size: int) -> bytes:
-    """The text in UTF-8 within `size` bytes, cut at a whole character.
-
-    >>> cut("a\u00e9", 2)
-    b'a'
-    """
+    """The text in UTF-8 within `size` bytes, cut at a whole character."""
     return text.encode()[:size].decode(errors="ignore").encode()
 
 
@@ -178,8 +157,6 @@ def defined(name: str, *fields: str) -> Layout:
     )
 
 
-_ESC_COUNTS = ("uint8_t index", "uint64_t time_usec", "uint16_t counter", "uint8_t count", "uint8_t connection_type")
-_ESC_STATES = ("uint8_t info", "uint16_t failure_flags[4]", "uint32_t error_count[4]", "int16_t temperature[4]")
 _ROTORS = ("int32_t rpm[4]", "float voltage[4]", "float current[4]")
 _VERSIONS = ("uint16_t version", "uint16_t min_version", "uint16_t max_version")
 _HASHES = ("uint8_t spec_version_hash[8]", "uint8_t library_version_hash[8]")
@@ -188,8 +165,7 @@ _MODE = ("uint32_t custom_mode", "uint32_t properties", "char mode_name[35]")
 
 #: Messages of common.xml that the dialect shipped with pymavlink 2.4 leaves out.
 EXTRA_LAYOUTS: Mapping[int, Layout] = {
-    MessageId.ESC_INFO: defined("ESC_INFO", *_ESC_COUNTS, *_ESC_STATES),
-    MessageId.ESC_STATUS: defined("ESC_STATUS", *_ESC_COUNTS[:2], *_ROTORS),
+    MessageId.ESC_STATUS: defined("ESC_STATUS", "uint8_t index", "uint64_t time_usec", *_ROTORS),
     MessageId.PROTOCOL_VERSION: defined("PROTOCOL_VERSION", *_VERSIONS, *_HASHES),
     MessageId.AVAILABLE_MODES: defined("AVAILABLE_MODES", *_MODES, *_MODE),
 }

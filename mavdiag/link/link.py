@@ -28,11 +28,10 @@ PATIENCE_S = 5.0  # how long a vehicle without a clear profile is waited for (ou
 
 
 def open_link(address: str, vehicle: int | None = None, profile: str | None = None, key: bytes | None = None) -> "Link":
-    """Open one end of a link and follow one vehicle on it.
+    """Open one end of a link (see `mavdiag.link.ports`) and follow one vehicle on it.
 
-    address: see `mavdiag.link.ports`. vehicle: its system id; None takes the only one there is. profile: name of its
-    link profile; None finds it by what it sends. key: of MAVLink 2 signing, 32 bytes, as `keys.read_key` has it: only
-    what is signed with it is heard.
+    vehicle: its system id; None takes the only one there is. profile: name of its link profile; None finds it by what
+    it sends. key: of MAVLink 2 signing, 32 bytes: only what is signed with it is heard.
     Raises UsageError for a malformed address or an unknown profile, LinkError for a port that cannot be opened.
     """
     chosen = None if profile is None else profile_named(profile)
@@ -43,8 +42,7 @@ def open_link(address: str, vehicle: int | None = None, profile: str | None = No
 class Link:
     """One vehicle on a live link. It iterates what came since the last time, for as long as it is open.
 
-    endpoint: an open port; it is closed with the link. vehicle, profile: as in `open_link`. signing: lets only genuine
-    frames pass. acks: what the autopilot answered to our commands so far.
+    endpoint: an open port; it is closed with the link. acks: what the autopilot answered to our commands so far.
     """
 
     def __init__(
@@ -55,13 +53,8 @@ class Link:
         signing: Signing | None = None,
     ) -> None:
         self._endpoint, self._vehicle, self.signing = endpoint, vehicle, signing
-        self.acks: tuple[Ack, ...] = ()
+        self.address, self.close, self.acks = endpoint.address, endpoint.close, tuple[Ack, ...]()
         self._decoder = LinkDecoder(profile, vehicle, endpoint.datagrams, signing=signing)
-
-    @property
-    def address(self) -> str:
-        """The address, with the port that was really bound."""
-        return self._endpoint.address
 
     @property
     def vehicle(self) -> int | None:
@@ -131,10 +124,6 @@ class Link:
         notes = () if telemetry.series else (SILENT_NOTE,)
         name, stream = f"{self.address} vehicle {self._vehicle}", self.stream
         return Log(name, "", stream.profile.name, telemetry, notes=notes, parameters=stream.parameters)
-
-    def close(self) -> None:
-        """Close the port."""
-        self._endpoint.close()
 
     def __enter__(self) -> Self:
         return self

@@ -5,15 +5,16 @@ autopilot is one row of `_ROWS`, and its number in `mavdiag.link.messages.Autopi
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import isfinite
+from typing import Self
 
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.link.codec import AUTOPILOT, Frame, Frames, frames_of, layout_of, message_name
+from mavdiag.link.codec import AUTOPILOT, Frames, layout_of, message_name
 from mavdiag.link.messages import Autopilot, MavType, MessageId
 from mavdiag.link.scale import CONTRARY, scale_of
 from mavdiag.rows.gate import GateSpec
@@ -24,68 +25,74 @@ MILLI_G, IIM_42652 = (700.0, 1431.0), (1431.0, 2900.0)  # counts of 1 g: about 1
 # Our choices: armed, more than idle thrust, and five seconds for the climb. Live, an alert must not wait for an end.
 LIVE_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=5.0)
 ARDUPILOT_PERIOD_US = 2500  # Copter's loop period at its usual 400 Hz; RAW_IMU cannot be faster
+WEIGHED = 16_384  # RAW_IMUs that tell a log's unit and rate: 16 s at 1 kHz (our choice)
 SELDOM = 4  # an IMU message that comes so many times more seldom than another is not preferred to it (our choice)
 
 
 #: Messages with a gyro and an accelerometer, in order of preference after a profile's own, and what one count is in
-#: m/s^2 and in rad/s.
+#: m/s^2 and in rad/s; RAW_IMU has no unit: the profile says.
 IMU_MESSAGES: Mapping[MessageId, tuple[float, float] | None] = {
     MessageId.HIGHRES_IMU: (1.0, 1.0),
-    MessageId.SCALED_IMU: (MILLI * G, MILLI),
-    MessageId.SCALED_IMU2: (MILLI * G, MILLI),
-    MessageId.SCALED_IMU3: (MILLI * G, MILLI),
-    MessageId.RAW_IMU: None,  # without unit: the profile says
+    **dict.fromkeys((MessageId.SCALED_IMU, MessageId.SCALED_IMU2, MessageId.SCALED_IMU3), (MILLI * G, MILLI)),
+    MessageId.RAW_IMU: None,
 }
-
-#: Body rates without accelerometer, as the estimator has them; read only where no message of `IMU_MESSAGES` comes.
-LAST_RESORT = MessageId.ATTITUDE
-
+LAST_RESORT = MessageId.ATTITUDE  # body rates without accelerometer; read only where none of `IMU_MESSAGES` comes
 
 _BEAT = ("type", "autopilot")
 _HEARTBEAT = layout_of(MessageId.HEARTBEAT).record_dtype(*((name, 1) for name in _BEAT))
 _RAW_IMU = layout_of(MessageId.RAW_IMU).record_dtype(("time_usec", 1), ("xacc", 3))
 
 
-@dataclass(frozen=True, slots=True)
 class Evidence:
-    """What the frames of one vehicle's autopilot show of its profile.
+    """What the frames of one vehicle's autopilot show of its profile, gathered piece by piece, in order of arrival.
 
-    autopilots: what its heartbeats name it, MAV_AUTOPILOT. counts: how many frames of each message.
-    weight: median size of RAW_IMU's acceleration, in counts, for a vehicle feels its own weight; period_us: its median
-    period [us]; NaN without RAW_IMU.
+    counts: of each message. beats: of each MAV_TYPE and MAV_AUTOPILOT in its heartbeats, not a station's or computer's.
     """
 
-    autopilots: frozenset[int]
-    counts: Mapping[int, int]
-    weight: float
-    period_us: float
+    def __init__(self) -> None:
+        self.counts, self.beats = Counter[int](), Counter[tuple[int, int]]()
+        self._raw = np.empty(0, _RAW_IMU)
+
+    def take(self, frames: Frames) -> Self:
+        """Take in the next frames; returns itself."""
+        self.counts += frames.counts()
+        record = frames.of(MessageId.HEARTBEAT, compid=AUTOPILOT).records(_HEARTBEAT)
+        for kind, autopilot in zip(*(record[name].tolist() for name in _BEAT), strict=True):
+            if kind not in (MavType.GCS, MavType.ONBOARD_CONTROLLER) and autopilot != Autopilot.INVALID:
+                self.beats[kind, autopilot] += 1
+        if len(self._raw) < WEIGHED:
+            raw = frames.of(MessageId.RAW_IMU, compid=AUTOPILOT).where(slice(WEIGHED - len(self._raw)))
+            self._raw = np.concatenate((self._raw, raw.records(_RAW_IMU)))
+        return self
+
+    @property
+    def mav_type(self) -> int | None:
+        """MAV_TYPE by most of its heartbeats; None without any."""
+        kinds = Counter[int]()
+        for (kind, _), count in self.beats.items():
+            kinds[kind] += count
+        return kinds.most_common(1)[0][0] if kinds else None
+
+    @property
+    def autopilots(self) -> frozenset[int]:
+        """What its heartbeats name it, MAV_AUTOPILOT."""
+        return frozenset(autopilot for _, autopilot in self.beats)
+
+    @property
+    def weight(self) -> float:
+        """Median size of RAW_IMU's acceleration, in counts, for a vehicle feels its own weight; NaN without it."""
+        sizes = np.linalg.norm(self._raw["xacc"].astype(np.float64), axis=1)
+        return float(np.median(sizes)) if len(sizes) else float("nan")
+
+    @property
+    def period_us(self) -> float:
+        """Median period of RAW_IMU; NaN without it."""
+        steps = np.diff(self._raw["time_usec"].astype(np.int64))
+        return float(np.median(steps)) if len(steps) else float("nan")
 
     def weighs(self, span: tuple[float, float]) -> bool:
         """Whether one g is within this span of counts."""
         return span[0] <= self.weight < span[1]
-
-
-def beats_of(frames: Frames) -> Counter[tuple[int, int]]:
-    """How often each MAV_TYPE and MAV_AUTOPILOT comes in the heartbeats of autopilots, not of stations or computers."""
-    record = frames.of(MessageId.HEARTBEAT, compid=AUTOPILOT).records(_HEARTBEAT)
-    beats = Counter(zip(*(record[name].tolist() for name in _BEAT), strict=True))
-    companions = (MavType.GCS, MavType.ONBOARD_CONTROLLER)
-    return Counter({beat: n for beat, n in beats.items() if beat[0] not in companions and beat[1] != Autopilot.INVALID})
-
-
-def evidence_of(pieces: Iterable[Frames]) -> Evidence:
-    """What the frames of one vehicle show, in several pieces, in order of arrival."""
-    counts, beats, raw = Counter[int](), Counter[tuple[int, int]](), [np.empty(0, _RAW_IMU)]
-    for piece in pieces:
-        counts += piece.counts()
-        beats += beats_of(piece)
-        raw.append(piece.of(MessageId.RAW_IMU, compid=AUTOPILOT).records(_RAW_IMU))
-    record, weight, period_us = np.concatenate(raw), float("nan"), float("nan")
-    if len(record):
-        weight = float(np.median(np.linalg.norm(record["xacc"].astype(np.float64), axis=1)))
-    if len(record) > 1:
-        period_us = float(np.median(np.diff(record["time_usec"].astype(np.int64))))
-    return Evidence(frozenset(autopilot for _, autopilot in beats), counts, weight, period_us)
 
 
 class Stamp(StrEnum):
@@ -97,36 +104,24 @@ class Stamp(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Profile:
-    """How one kind of vehicle sends what the diagnosis needs.
+    """How one kind of vehicle sends what the diagnosis needs."""
 
-    name: how users and baselines call it. autopilot: MAV_AUTOPILOT of its heartbeat.
-    recognise: whether the frames of a vehicle are of this profile.
-    setpoint, imu, actuator, rotor_speed: the messages to use.
-    accel_unit, gyro_unit: one count of the IMU message's acceleration [m/s^2] and rate [rad/s].
-    rate_hz: nominal rate of the pair of set-point and IMU message. stamp: what the IMU message's own time means.
-    imu_corner_hz: corner of the low-pass filter in the IMU stream by default, None if vibration passes.
-    imu_corner_parameter: the autopilot's parameter of that corner [Hz], 0 for none; empty where there is none.
-    vibration: whether its VIBRATION message carries acceleration per axis.
-    actuator_span: the actuator message's values for 0 and for full output; ACTUATOR_OUTPUT_STATUS is told by its own.
-    gate: what counts as flying; the same live and in a .tlog.
-    """
-
-    name: str
-    autopilot: int
-    recognise: Callable[[Evidence], bool]
+    name: str  # how users and baselines call it
+    autopilot: int  # MAV_AUTOPILOT of its heartbeat
+    recognise: Callable[[Evidence], bool]  # whether the frames of a vehicle are of this profile
     imu: MessageId
-    accel_unit: float
-    gyro_unit: float
-    rate_hz: float
-    imu_corner_hz: float | None
-    stamp: Stamp
-    vibration: bool
+    accel_unit: float  # one count of the IMU message [m/s^2]
+    gyro_unit: float  # one count of it [rad/s]
+    rate_hz: float  # nominal rate of the pair of set-point and IMU message
+    imu_corner_hz: float | None  # of the low-pass filter in the IMU stream by default, None if vibration passes
+    stamp: Stamp  # what the IMU message's own time means
+    vibration: bool  # whether its VIBRATION message carries acceleration per axis
     actuator: MessageId
-    actuator_span: tuple[float, float]
+    actuator_span: tuple[float, float]  # values for 0 and for full output; ACTUATOR_OUTPUT_STATUS is told by its own
     rotor_speed: MessageId
     setpoint: MessageId = MessageId.ATTITUDE_TARGET
-    gate: GateSpec = LIVE_GATE
-    imu_corner_parameter: str = ""
+    gate: GateSpec = LIVE_GATE  # what counts as flying; the same live and in a .tlog
+    imu_corner_parameter: str = ""  # the autopilot's parameter of that corner [Hz], 0 for none; empty without
 
     @property
     def messages(self) -> frozenset[int]:
@@ -220,36 +215,23 @@ def profile_named(name: str) -> Profile:
     return PROFILES[name]
 
 
-@dataclass(frozen=True, slots=True)
-class Recognised:
-    """The profile that a vehicle's frames show; None if they show none, and the reason, one sentence."""
-
-    profile: Profile | None
-    reason: str = ""
-
-
-def detect_profile(frames: Sequence[Frame] | Sequence[Frames], profiles: Iterable[Profile] = _ROWS) -> Recognised:
-    """The first of the profiles that one vehicle's frames fit; never a guess. They may come in several pieces."""
-    singly = [one for one in frames if isinstance(one, Frame)]
-    seen = evidence_of([one for one in frames if isinstance(one, Frames)] or [frames_of(singly)])
+def detect_profile(seen: Evidence, profiles: Iterable[Profile] = _ROWS) -> tuple[Profile | None, str]:
+    """The first of the profiles that one vehicle's frames fit, never a guess; or None and why, one sentence."""
     found = next((profile for profile in profiles if profile.recognise(seen)), None)
     if found is not None:
-        return Recognised(found)
+        return found, ""
     imu = [message_name(message) for message in IMU_MESSAGES if seen.counts.get(message)]
     if isfinite(seen.weight):
         why = f"RAW_IMU counts {seen.weight:.0f} at rest, {scale_of(seen.weight)}; only 1000 and 2048 are read"
-    elif imu:
-        why = f"it sends {', '.join(imu)} and its autopilot is not known"
     else:
-        why = "it sends no IMU message and its autopilot is not known"
-    return Recognised(None, f"its link profile is not clear: {why}; give --profile")
+        why = f"it sends {', '.join(imu) or 'no IMU message'} and its autopilot is not known"
+    return None, f"its link profile is not clear: {why}; give --profile"
 
 
 def scale_doubt(profile: Profile, gravity_g: float) -> str:
     """What speaks against the profile's accelerometer scale, in a few words; empty if nothing does.
 
-    gravity_g: what the vehicle feels, by that scale, while it stands or hovers. A profile whose scale would explain it
-    is named; nothing is rescaled.
+    gravity_g: what the vehicle feels, by that scale, while it stands or hovers.
 
     >>> scale_doubt(PROFILES["qdrone2"], 2.05), scale_doubt(PROFILES["qdrone2"], 1.1)
     ('2.0 g: --profile spec', '')

@@ -1,8 +1,7 @@
-"""Frames to telemetry in SI, by one table: what each message means, and how its fields become signals.
+"""Frames to telemetry in SI and FRD, by one table: what each message means, and how its fields become signals.
 
-Everything is in the body frame FRD already: MAVLink has it so. A new message is a row of `SOURCES`, and its number in
-`mavdiag.link.messages.MessageId`. When a frame was is in `clock`. One compiled loop takes the frames of a vehicle in
-order of arrival and writes each signal's samples one behind the other; so how the frames are cut into blocks does not
+A new message is a row of `SOURCES`, and its number in `mavdiag.link.messages.MessageId`. When a frame was is in
+`clock`. One compiled loop takes the frames of a vehicle in order of arrival; how they are cut into blocks does not
 matter.
 """
 
@@ -34,7 +33,7 @@ PULSE_LEAST_US = 800.0  # no pulse is shorter (our choice: the shortest disarmed
 DSHOT_FULL = 2047.0  # the largest of its 11 bits
 SQUARED = (1e-2, 1e2)  # length of a quaternion, squared: beyond it is none, but a damaged frame with a right checksum
 DISARMED_NS = 3 * NS_PER_S // 2  # without an armed heartbeat before a disarmed one is believed: they come each second
-LARGE = 10_000  # rows: beyond it signals share times, and none keeps the memory of another alive
+LARGE = 10_000  # rows: beyond it signals share times
 BODY_RATE_BITS = TargetMask.BODY_ROLL_RATE | TargetMask.BODY_PITCH_RATE | TargetMask.BODY_YAW_RATE
 
 
@@ -52,98 +51,68 @@ class Form(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One signal of a message.
-
-    first: its first field; the others of the same type stand behind it. form: how they become columns.
-    unit: of one count, or the name of that of the profile. unless: (field, bits): a row with any of them is without it.
-    beside: another field that the form needs; of `ROTORS` the number of the first rotor may stand here.
-    """
+    """One signal of a message."""
 
     signal: Signal
-    first: str
+    first: str  # its first field; the others of the same type stand behind it
     form: Form = Form.VECTOR
-    unit: float | str = 1.0
-    unless: tuple[str, int] | None = None
-    beside: str | int = 0
+    unit: float | str = 1.0  # of one count, or the name of that of the profile
+    unless: tuple[str, int] | None = None  # field and bits: a row with any of them is without the signal
+    beside: str | int = 0  # another field that the form needs; of `ROTORS` maybe the number of the first rotor
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """One message that is read, and the signals in it.
-
-    time: the field that counts time, and how; None for a message that has no time.
-    chosen_by: it is read by the profiles that use this message; None for all profiles.
-    """
+    """One message that is read, and the signals in it."""
 
     message: int
     parts: tuple[Part, ...]
-    time: tuple[str, Counter] | None = None
-    chosen_by: int | None = None
+    time: tuple[str, Counter] | None = None  # the field that counts time, and how
+    chosen_by: int | None = None  # it is read by the profiles that use this message; None for all profiles
 
 
 _M, _S = MessageId, Signal
 _BOOT_MS, _USEC, _USEC_32 = ("time_boot_ms", MS_32), ("time_usec", US_64), ("time_usec", US_32)
 _ATTITUDE = Part(_S.ATTITUDE, "roll")
+_TARGETS = (
+    Part(_S.ATTITUDE_SETPOINT, "q", Form.ANGLES, unless=("type_mask", TargetMask.ATTITUDE)),
+    Part(_S.RATE_SETPOINT, "body_roll_rate", unless=("type_mask", BODY_RATE_BITS)),
+    Part(_S.THRUST_SETPOINT, "thrust", unless=("type_mask", TargetMask.THROTTLE)),
+)
+_PULSES = Part(_S.ACTUATOR, "servo1_raw", Form.PULSES, unless=("port", 0xFF), beside="servo9_raw")
+_OUTPUTS = Part(_S.ACTUATOR, "actuator", Form.OUTPUTS, beside="active")
 _ESCS = (_M.ESC_TELEMETRY_1_TO_4, _M.ESC_TELEMETRY_5_TO_8, _M.ESC_TELEMETRY_9_TO_12)
 
 
-def _imu(message: MessageId, time: tuple[str, Counter], *, numbered: bool = False) -> Source:
-    """numbered: the message tells which sensor it is of; the first one is read."""
-    unless = ("id", 0xFF) if numbered else None
+def _imu(message: MessageId, time: tuple[str, Counter], unless: tuple[str, int] | None = None) -> Source:
     rate = Part(_S.BODY_RATE, "xgyro", unit="gyro_unit", unless=unless)
-    return Source(
-        message, (rate, Part(_S.SPECIFIC_FORCE, "xacc", unit="accel_unit", unless=unless)), time, chosen_by=message
-    )
+    force = Part(_S.SPECIFIC_FORCE, "xacc", unit="accel_unit", unless=unless)
+    return Source(message, (rate, force), time, chosen_by=message)
 
 
-def _telemetry_of_escs(message: MessageId, first: int) -> Source:
-    part = Part(_S.ROTOR_SPEED, "rpm", Form.ROTORS, RPM, beside=first)
-    return Source(message, (part,), chosen_by=_M.ESC_TELEMETRY_1_TO_4)
+def _speeds(beside: str | int) -> tuple[Part, ...]:
+    return (Part(_S.ROTOR_SPEED, "rpm", Form.ROTORS, RPM, beside=beside),)
 
 
-#: Every message that is read, in any profile.
+#: Every message that is read, in any profile. Where several sensors are numbered in one message, the first is read.
 SOURCES: tuple[Source, ...] = (
-    Source(
-        _M.ATTITUDE_TARGET,
-        (
-            Part(_S.ATTITUDE_SETPOINT, "q", Form.ANGLES, unless=("type_mask", TargetMask.ATTITUDE)),
-            Part(_S.RATE_SETPOINT, "body_roll_rate", unless=("type_mask", BODY_RATE_BITS)),
-            Part(_S.THRUST_SETPOINT, "thrust", unless=("type_mask", TargetMask.THROTTLE)),
-        ),
-        _BOOT_MS,
-        chosen_by=_M.ATTITUDE_TARGET,
-    ),
-    _imu(_M.RAW_IMU, _USEC, numbered=True),
+    Source(_M.ATTITUDE_TARGET, _TARGETS, _BOOT_MS, _M.ATTITUDE_TARGET),
+    _imu(_M.RAW_IMU, _USEC, ("id", 0xFF)),
     _imu(_M.SCALED_IMU, _BOOT_MS),
     _imu(_M.SCALED_IMU2, _BOOT_MS),
     _imu(_M.SCALED_IMU3, _BOOT_MS),
-    _imu(_M.HIGHRES_IMU, _USEC, numbered=True),
+    _imu(_M.HIGHRES_IMU, _USEC, ("id", 0xFF)),
     Source(_M.ATTITUDE, (_ATTITUDE,), _BOOT_MS),
     # In place of the row above, where the gyro is read from it too.
-    Source(_M.ATTITUDE, (_ATTITUDE, Part(_S.BODY_RATE, "rollspeed")), _BOOT_MS, chosen_by=_M.ATTITUDE),
+    Source(_M.ATTITUDE, (_ATTITUDE, Part(_S.BODY_RATE, "rollspeed")), _BOOT_MS, _M.ATTITUDE),
     Source(_M.LOCAL_POSITION_NED, (Part(_S.HEIGHT, "z", unit=-1.0),), _BOOT_MS),
     Source(_M.SYS_STATUS, (Part(_S.VOLTAGE, "voltage_battery", Form.VOLTAGE, 1e-3),)),
     Source(_M.HEARTBEAT, (Part(_S.ARMED, "base_mode", Form.ARMED, beside="type"),)),
-    Source(
-        _M.SERVO_OUTPUT_RAW,
-        (Part(_S.ACTUATOR, "servo1_raw", Form.PULSES, unless=("port", 0xFF), beside="servo9_raw"),),
-        _USEC_32,
-        chosen_by=_M.SERVO_OUTPUT_RAW,
-    ),
-    Source(
-        _M.ACTUATOR_OUTPUT_STATUS,
-        (Part(_S.ACTUATOR, "actuator", Form.OUTPUTS, beside="active"),),
-        _USEC,
-        chosen_by=_M.ACTUATOR_OUTPUT_STATUS,
-    ),
-    Source(_M.VIBRATION, (Part(_S.VIBRATION, "vibration_x"),), _USEC, chosen_by=_M.VIBRATION),
-    Source(
-        _M.ESC_STATUS,
-        (Part(_S.ROTOR_SPEED, "rpm", Form.ROTORS, RPM, beside="index"),),
-        _USEC,
-        chosen_by=_M.ESC_STATUS,
-    ),
-    *(_telemetry_of_escs(message, 4 * k) for k, message in enumerate(_ESCS)),
+    Source(_M.SERVO_OUTPUT_RAW, (_PULSES,), _USEC_32, _M.SERVO_OUTPUT_RAW),
+    Source(_M.ACTUATOR_OUTPUT_STATUS, (_OUTPUTS,), _USEC, _M.ACTUATOR_OUTPUT_STATUS),
+    Source(_M.VIBRATION, (Part(_S.VIBRATION, "vibration_x"),), _USEC, _M.VIBRATION),
+    Source(_M.ESC_STATUS, _speeds("index"), _USEC, _M.ESC_STATUS),
+    *(Source(message, _speeds(4 * k), chosen_by=_ESCS[0]) for k, message in enumerate(_ESCS)),
 )
 
 _SIGNALS, _NO_TIMES = tuple(Signal), np.empty(0, np.int64)
@@ -193,20 +162,18 @@ class SampleState:
         return int(self.memory["contrary"][0])
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, SampleState) and hash(self) == hash(other)
-
-    def __hash__(self) -> int:
-        return hash((self.timeline, self.memory.tobytes()))
+        return (
+            isinstance(other, SampleState)
+            and self.timeline == other.timeline
+            and self.memory.tobytes() == other.memory.tobytes()
+        )
 
 
 class SampleDecoder:
     """Turns one vehicle's frames into telemetry, by its profile. Holds nothing but the profile; the state is passed.
 
-    profile: how the vehicle sends.
-    table: the messages that are known.
-    wanted: the message ids that it reads, for the decoder of frames.
-    Only the autopilot's own frames (component 1) count. Frames of SERVO_OUTPUT_RAW are left out until another message
-    has given the time since boot. Raises UsageError for a row whose message has no such fields.
+    table: the messages that are known. wanted: the message ids that it reads, for the decoder of frames.
+    Only the autopilot's own frames (component 1) count. Raises UsageError for a row whose message has no such fields.
     """
 
     def __init__(self, profile: Profile, table: Iterable[Source] = SOURCES) -> None:
@@ -223,18 +190,16 @@ class SampleDecoder:
         self, state: SampleState, frames: Sequence[Frame] | Frames, given_ns: IntArray = _NO_TIMES
     ) -> tuple[SampleState, Telemetry]:
         """Take the next frames of one vehicle, in order of arrival. given_ns: (n,) their vehicle times, if known."""
-        some = frames if isinstance(frames, Frames) else frames_of(frames)
+        some = frames_of(frames)
         after = SampleState(VehicleTime(state.timeline.words.copy()), state.memory.copy())
         table = (self._lookup, self._sources, self._parts, _WIDTHS)
         memory = (after.timeline.records, after.memory)
         t_ns, host_ns, values, filled = _convert(some.data, some.rows, given_ns, table, memory)
-        series, known, large = [], list[IntArray](), len(some) > LARGE
+        series = []
         for signal, width, (first, place, count) in zip(_SIGNALS, _COLUMNS, filled.tolist(), strict=True):
             if count:
                 at_ns, came_ns = t_ns[first : first + count], host_ns[first : first + count]
                 block = values[place : place + count * width].reshape(count, width)
-                if large:
-                    at_ns, came_ns, block = _shared(at_ns.copy(), known), _shared(came_ns.copy(), known), block.copy()
                 series.append(Series(signal, at_ns, came_ns, block))
         return after, Telemetry(tuple(series))
 
@@ -243,8 +208,9 @@ def _counted(row: Source) -> tuple[int, ...]:
     layout = layout_of(row.message)
     if row.time is None:
         return (layout.packer.size, 0, 0, 0, 0)
-    at, code = layout.offset(row.time[0])
-    return (layout.packer.size, row.time[1].tick_ns, row.time[1].turn, at, calcsize("<" + code))
+    (name, counter), size = row.time, layout.packer.size
+    at, code = layout.offset(name)
+    return (size, counter.tick_ns, counter.turn, at, calcsize("<" + code))
 
 
 def _laid(profile: Profile, msgid: int, part: Part) -> tuple[float, ...]:
@@ -260,44 +226,44 @@ def _laid(profile: Profile, msgid: int, part: Part) -> tuple[float, ...]:
 
 def warm() -> None:
     """Compile what finds and converts frames, or load it from disk, before the first comes: seconds, or half of one."""
-    found = Decoder().feed(Encoder(1, 1).encode(MessageId.HEARTBEAT), 0)
-    SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), found)
+    SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), Decoder().feed(Encoder(1, 1).encode(MessageId.HEARTBEAT), 0))
     euler_angles(np.empty((0, 4)))
 
 
 def joined(pieces: Iterable[Telemetry]) -> Telemetry:
-    """One telemetry from consecutive pieces: each signal's rows, end to end.
+    """One telemetry from consecutive pieces: each signal's rows, end to end; long columns that are the same are shared.
 
-    Signals that are sampled together share their times. An iterator's pieces are given up one by one, so that memory
-    does not hold all of them twice.
+    The columns grow in place and an iterator's pieces are given up one by one, so that memory holds nothing twice.
     """
-    runs: dict[Signal, list[Series]] = {}
-    times, whole, piece, count = list[IntArray](), list[Series](), Telemetry(), 0
-    for piece in pieces:
-        count += 1
+    columns, alone = dict[Signal, list[NDArray[Any]]](), Telemetry()
+    for number, piece in enumerate(pieces):
+        alone = Telemetry() if number else piece
         for series in piece.series:
-            runs.setdefault(series.signal, []).append(series)
-    if count == 1:
-        return piece
-    for signal in (one for one in Signal if one in runs):
-        run = runs.pop(signal)
-        columns = [np.concatenate([getattr(series, name) for series in run]) for name in ("t_ns", "host_ns", "values")]
-        whole.append(Series(signal, _shared(columns[0], times), _shared(columns[1], times), columns[2]))
-    return Telemetry(tuple(whole))
+            arrays = (series.t_ns, series.host_ns, series.values)
+            held = columns.setdefault(series.signal, [np.empty((0, *one.shape[1:]), one.dtype) for one in arrays])
+            for column, more in zip(held, arrays, strict=True):
+                count = len(column)
+                column.resize((count + len(more), *more.shape[1:]), refcheck=False)
+                column[count:] = more
+    if alone.series:
+        return alone
+    found, known = list[Series](), list[NDArray[Any]]()
+    for signal in (one for one in Signal if one in columns):
+        found.append(Series(signal, *(_shared(one, known) for one in columns.pop(signal))))
+    return Telemetry(tuple(found))
 
 
-def _shared(t_ns: IntArray, known: list[IntArray]) -> IntArray:
-    """These times, in the array that has them already if one does; few of them are not looked for."""
-    found = next((other for other in known if len(t_ns) > LARGE and np.array_equal(t_ns, other)), t_ns)
-    known += [t_ns] if found is t_ns else []
+def _shared(like: NDArray[Any], known: list[NDArray[Any]]) -> NDArray[Any]:
+    """An array that is the same, if there is one; few rows are not looked for."""
+    found = next((one for one in known if len(like) > LARGE and np.array_equal(one, like)), like)
+    known += [like] if found is like else []
     return found
 
 
 def euler_angles(q: FloatArray) -> FloatArray:
     """Roll, pitch, yaw [rad], (n, 3), of quaternions w, x, y, z (n, 4); NaN for a length outside of 0.1 to 10.
 
-    Body to world, order z-y-x. Pitch's denominator is the hypotenuse of roll's pair, so that nothing is divided or
-    clipped and the length of q does not matter.
+    Body to world, order z-y-x. The length of q does not matter.
     """
     angles = np.empty((len(q), 3))
     _fill_angles(q, angles)
@@ -331,7 +297,6 @@ def _count(payload: Bytes, at: int, size: int) -> int:
 
 @jit
 def _number(payload: Bytes, floats: Any, at: int, part: Any) -> float:
-    """A field of a part's kind at this place. Floating ones lie at multiples of four."""
     if part.kind == 32:
         return np.float64(floats[at // 4])
     value = _count(payload, at, part.size)
@@ -340,7 +305,6 @@ def _number(payload: Bytes, floats: Any, at: int, part: Any) -> float:
 
 @jit
 def _pulses(payload: Bytes, part: Any, out: FloatArray) -> None:
-    """Pulses as shares of the full output, 0..1; an output that is not in use (0 us) becomes 0."""
     for k in range(ACTUATORS):
         at = part.at + 2 * k if k < 8 else part.beside + 2 * (k - 8)
         out[k] = min(max((_count(payload, at, 2) - part.zero) * part.unit, 0.0), 1.0)
@@ -348,10 +312,9 @@ def _pulses(payload: Bytes, part: Any, out: FloatArray) -> None:
 
 @jit
 def _outputs(payload: Bytes, floats: Any, part: Any, out: FloatArray) -> None:
-    """PX4 sends what its driver gets, and no unit: told by the values of each message (REVIEW H2).
+    """PX4 sends what its driver gets, and no unit: told by the values of each message.
 
-    Nothing above 1: shares, as in simulation. No output below 800: microseconds; an unused one rests at 900 or 1000.
-    Else DShot, where unused ones are 0. PX4 fills `active` with the number of outputs; what is behind them are zeros.
+    Nothing above 1: shares, as in simulation. No output below 800: microseconds. Else DShot, where unused ones are 0.
     """
     number = _count(payload, part.beside, 4)
     highest, least, low, span = 0.0, PULSE_LEAST_US, 0.0, DSHOT_FULL
@@ -404,11 +367,12 @@ def _filled(payload: Bytes, floats: Any, part: Any, host_ns: int, memory: Any, o
         return _rotors(payload, floats, part, memory, out)
     if part.form == Form.ARMED:
         return _heartbeat(payload, part, host_ns, memory, out)
+    if part.form == Form.VOLTAGE and _count(payload, part.at, 2) == UNKNOWN_MV:
+        return False
     if part.form == Form.ANGLES:
         at, one = part.at // 4, np.float64(1.0)  # not in single precision
-        out[0], out[1], out[2] = _angles(
-            one * floats[at], one * floats[at + 1], one * floats[at + 2], one * floats[at + 3]
-        )
+        q = one * floats[at], one * floats[at + 1], one * floats[at + 2], one * floats[at + 3]
+        out[0], out[1], out[2] = _angles(q[0], q[1], q[2], q[3])
     elif part.form == Form.PULSES:
         _pulses(payload, part, out)
     elif part.form == Form.OUTPUTS:
@@ -416,8 +380,6 @@ def _filled(payload: Bytes, floats: Any, part: Any, host_ns: int, memory: Any, o
     else:
         for k in range(part.width):
             out[k] = part.unit * _number(payload, floats, part.at + part.size * k, part)
-        if part.form == Form.VOLTAGE and _count(payload, part.at, 2) == UNKNOWN_MV:
-            return False
     whole = True
     for k in range(part.width):
         whole = whole and math.isfinite(out[k])
@@ -443,13 +405,6 @@ def _room(rows: NDArray[Any], lookup: NDArray[np.int16], sources: Any, parts: An
     return room
 
 
-@jit
-def _read(data: Bytes, frame: Any, length: int, payload: Bytes) -> None:
-    """Copy a payload; what is behind its end was trimmed, and is zero."""
-    for k in range(length):
-        payload[k] = data[frame.body + k] if frame.body + k < frame.stop else 0
-
-
 @cached
 def _convert(
     data: Bytes,
@@ -458,8 +413,7 @@ def _convert(
     table: tuple[NDArray[np.int16], Any, Any, IntArray],
     memory: tuple[tuple[Any, Any, Any, Any], Any],
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
-    """Times, times of arrival and values of all signals, one behind the other; and of each signal where its rows
-    and its values begin, and how many rows there are."""
+    """Times, times of arrival and values of all signals; and where each one's rows and values begin, and how many."""
     lookup, sources, parts, widths = table
     time, own = memory[0], memory[1][0]
     filled = _room(rows, lookup, sources, parts, widths)
@@ -474,7 +428,8 @@ def _convert(
         if lookup[frame.row] < 0 or frame.sender & 0xFF != AUTOPILOT:
             continue
         source = sources[lookup[frame.row]]
-        _read(data, frame, source.length, payload)
+        for j in range(source.length):  # what is behind a payload's end was trimmed, and is zero
+            payload[j] = data[frame.body + j] if frame.body + j < frame.stop else 0
         if len(given_ns):
             at_ns, own.armed_ns = given_ns[k - 1], NEVER  # of one sender: no heartbeat is doubted
         else:

@@ -1,14 +1,14 @@
 """Are the units what they are taken for? Gravity weighs the accelerometer, the attitude's slope the gyro.
 
-A vehicle that stands or hovers feels 1 g, whatever the units of its messages are. RAW_IMU has none by definition: how
-many counts 1 g is tells what the counts are. The gyro integrates to the change of attitude: how much it is of that
-change gives its scale and sign, and the shift at which both agree best its delay.
+A vehicle that stands or hovers feels 1 g: how many counts that is tells what the counts are. The gyro integrates to the
+change of attitude: their ratio gives its scale and sign, and the shift at which both agree best its delay.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from mavdiag.rows.rates import body_rates
 from mavdiag.telemetry import FloatArray, Series
 from mavdiag.units import NS_PER_S, G
 
@@ -43,10 +43,8 @@ _RATES = (
 def scale_of(counts: float) -> str:
     """What counts of 1 g are.
 
-    >>> scale_of(2061.0)
-    '16 bits over 16 g (IIM-42652, ICM-20689, MPU-6000)'
-    >>> scale_of(3000.0)
-    'of no known scale'
+    >>> scale_of(2061.0), scale_of(3000.0)
+    ('16 bits over 16 g (IIM-42652, ICM-20689, MPU-6000)', 'of no known scale')
     """
     return next((name for one, name in _SCALES if abs(counts / one - 1.0) <= ALIKE), "of no known scale")
 
@@ -58,45 +56,41 @@ def gravity_of(force: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True)
 class AxisCheck:
-    """The gyro about one axis (roll, pitch or yaw) beside the slope of the attitude.
-
-    scale: gyro over slope, with its sign; None where the axis hardly moved or both do not belong together.
-    delay_s: how much later the gyro is stamped; None likewise. correlation: of both at that delay; 0 where the axis
-    hardly moved. verdict: one phrase.
-    """
+    """The gyro about one axis (roll, pitch or yaw) beside the slope of the attitude."""
 
     axis: str
-    scale: float | None
-    delay_s: float | None
-    correlation: float
-    verdict: str
+    scale: float | None  # gyro over slope, with its sign; None where the axis hardly moved or both do not agree
+    delay_s: float | None  # how much later the gyro is stamped; None likewise
+    correlation: float  # of both at that delay; 0 where the axis hardly moved
+    verdict: str  # one phrase
 
 
 def gyro_checks(gyro: Series, attitude: Series) -> tuple[AxisCheck, ...]:
     """Scale, sign and delay of the gyro, by axis; empty where too little of either came.
 
-    The slope of the attitude between two of its samples, as body rates (W of the order yaw, pitch, roll), is compared
-    with the mean gyro in between, shifted.
+    The slope of the attitude between two of its samples, as body rates, is compared with the mean gyro in between.
     """
     t_ns, first = np.unique(attitude.t_ns, return_index=True)
-    angles = np.unwrap(attitude.values[first], axis=0)
     gyro_ns, own = np.unique(gyro.t_ns, return_index=True)
     if len(t_ns) < LEAST_STEPS or len(gyro_ns) < LEAST_STEPS:
         return ()
-    t, start_ns = (t_ns - t_ns[0]) / NS_PER_S, t_ns[0]
-    turned = _integral((gyro_ns - start_ns) / NS_PER_S, gyro.values[own])
+    angles, t = np.unwrap(attitude.values[first], axis=0), (t_ns - t_ns[0]) / NS_PER_S
+    gyro_s, rate = (gyro_ns - t_ns[0]) / NS_PER_S, gyro.values[own]
+    trapezia = 0.5 * (rate[1:] + rate[:-1]) * np.diff(gyro_s)[:, None]
+    turned = np.vstack((np.zeros((1, 3)), np.cumsum(trapezia, axis=0)))
     steps = np.diff(t)
-    used = (steps < USUAL * np.median(steps)) & (t[:-1] > turned[0][0]) & (t[1:] < turned[0][-1])
+    used = (steps < USUAL * np.median(steps)) & (t[:-1] > gyro_s[0]) & (t[1:] < gyro_s[-1])
     if np.count_nonzero(used) < LEAST_STEPS:
         return ()
-    slopes = _body_rates(0.5 * (angles[1:] + angles[:-1]), np.diff(angles, axis=0) / steps[:, None])
+    middle, slopes = 0.5 * (angles[1:] + angles[:-1]), np.diff(angles, axis=0) / steps[:, None]
+    slopes = np.stack(body_rates(middle[:, 0], middle[:, 1], *slopes.T), axis=1)
     fastest = np.argsort(np.where(used, np.abs(slopes).max(axis=1), -1.0))[-min(MOST_STEPS, int(used.sum())) :]
-    slopes, begin, end = slopes[fastest], t[:-1][fastest], t[1:][fastest]
-    means = [_means(turned, begin + lag, end + lag) for lag in LAGS_S]
-    return tuple(
-        _axis_check(name, slopes[:, k], np.array([mean[:, k] for mean in means]))
-        for k, name in enumerate(("roll", "pitch", "yaw"))
-    )
+    times = LAGS_S[:, None] + t[fastest], LAGS_S[:, None] + t[fastest + 1]
+    span_s, checks = steps[fastest], []
+    for k, name in enumerate(("roll", "pitch", "yaw")):
+        begin, end = (np.interp(at, gyro_s, turned[:, k]) for at in times)
+        checks.append(_axis_check(name, slopes[fastest, k], (end - begin) / span_s))
+    return tuple(checks)
 
 
 def _axis_check(name: str, slope: FloatArray, shifted: FloatArray) -> AxisCheck:
@@ -119,27 +113,5 @@ def _verdict(scale: float) -> str:
     sign = "turns the wrong way; " if scale < 0 else ""
     if abs(abs(scale) - 1.0) <= SCALE_OK:
         return f"{sign}scale right" if sign else "right"
-    named = next((name for one, name in _RATES if abs(abs(scale) / one - 1.0) <= SCALE_OK), "")
-    return f"{sign}wrong scale" + (f": {named}" if named else "")
-
-
-def _integral(t: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Angle turned since the first sample, (n, 3), by the trapezoidal rule; with its times."""
-    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t)[:, None]
-    return t, np.vstack((np.zeros((1, 3)), np.cumsum(steps, axis=0)))
-
-
-def _means(turned: tuple[FloatArray, FloatArray], start: FloatArray, end: FloatArray) -> FloatArray:
-    """(n, 3) mean rates between two times each."""
-    t, angle = turned
-    change = [np.interp(end, t, column) - np.interp(start, t, column) for column in angle.T]
-    return np.stack(change, axis=1) / (end - start)[:, None]
-
-
-def _body_rates(angles: FloatArray, slopes: FloatArray) -> FloatArray:
-    """W(phi, theta) times the slopes of roll, pitch and yaw, (n, 3)."""
-    phi, theta = angles[:, 0], angles[:, 1]
-    dphi, dtheta, dpsi = slopes.T
-    turn = np.cos(theta) * dpsi
-    p, q = dphi - np.sin(theta) * dpsi, np.cos(phi) * dtheta + np.sin(phi) * turn
-    return np.stack((p, q, np.cos(phi) * turn - np.sin(phi) * dtheta), axis=1)
+    named = next((f": {name}" for one, name in _RATES if abs(abs(scale) / one - 1.0) <= SCALE_OK), "")
+    return f"{sign}wrong scale{named}"

@@ -3,10 +3,9 @@
 A swapped pair is one reordered frame and no loss; a repeated frame is one duplicate; a sender that starts its count
 again is a restart, not a loss of two hundred. In eight bits a gap of 256 n frames looks like none.
 
-A sender is heard from one source (a network address) as long as it is heard there: frames in its name from another are
-refused, and so is everything in a name that is ours. Where somebody forges the source too, two different frames of one
-running number, one right after the other, show it: neither is believed. Made-up senders cost a bounded amount: those
-that sent least make room.
+A sender is heard from one source (a network address) as long as it is heard there; everything in a name that is ours is
+refused. Two different frames of one running number, one right after the other, show two senders: neither is believed.
+Made-up senders cost a bounded amount: those that sent least make room.
 """
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
@@ -20,8 +19,7 @@ from mavdiag.jit import cached, jit
 from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_S
 
-Source: TypeAlias = Hashable | None
-"""Where bytes came from: an address, or None on a link that has one end only."""
+Source: TypeAlias = Hashable | None  # where bytes came from: an address, or None on a link that has one end only
 
 WINDOW = 64  # frames: how late one may come and still be known as late (a choice: 25 ms of 2,500 messages a second)
 NEAR = 32  # places: a line that swaps frames moves them by less; of random numbers three in four are farther off
@@ -44,44 +42,39 @@ FRAME = np.dtype(
 
 # One sender. sums: checksum of the latest frame of each number, plus 1; missed: how many frames had been received when
 # a number was missed, plus 1; contested: numbers of clashes that nobody has looked at yet.
+_COUNTS = ("received", "lost", "reordered", "duplicated", "restarts", "clashes")
+_OTHERS = ("key", "source", "heard_ns", "next", "jumps", "far", "intruder", "refused")
 _SENDER = np.dtype(
     [
-        *((name, "i8") for name in ("key", "source", "heard_ns", "next", "received", "lost", "reordered")),
-        *((name, "i8") for name in ("duplicated", "restarts", "jumps", "far", "clashes", "intruder", "refused")),
-        *(("missed", "i8", 256), ("sums", "i4", 256), ("contested", "i4", 256)),
+        *((name, "i8") for name in _COUNTS + _OTHERS),
+        ("missed", "i8", 256),
+        ("sums", "i4", 256),
+        ("contested", "i4", 256),
     ]
 )
 
 
 @dataclass(frozen=True, slots=True)
 class LinkCount:
-    """What came from one sender so far, in frames.
-
-    lost: net of those that came late after all (reordered). duplicated: that came twice. restarts: how often it began
-    its count again. by_message: of each message id. clashes: whose number another, different frame had just had.
-    """
+    """What came from one sender so far, in frames."""
 
     received: int
-    lost: int
+    lost: int  # net of those that came late after all (reordered)
     reordered: int
     duplicated: int
-    restarts: int
+    restarts: int  # how often it began its count again
     by_message: Mapping[int, int]
-    clashes: int = 0
+    clashes: int = 0  # whose number another, different frame had just had
 
 
 @dataclass(frozen=True, slots=True)
 class DecoderCount:
-    """What a decoder made of its input so far, besides the frames themselves.
+    """What a decoder made of its input so far, besides the frames themselves."""
 
-    garbage_bytes: outside any accepted frame. bad_crc, incompatible: seeming frames with a wrong checksum, or with
-    incompatibility flags that we do not know. unknown: frames outside the dialect.
-    """
-
-    garbage_bytes: int
+    garbage_bytes: int  # outside any accepted frame
     bad_crc: int
-    incompatible: int
-    unknown: int
+    incompatible: int  # seeming frames with incompatibility flags that we do not know
+    unknown: int  # frames outside the dialect
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,26 +85,11 @@ class Intruder:
     frames: int
 
 
-@dataclass(frozen=True, slots=True)
-class Sender:
-    """One sender as it stands.
-
-    source: where it is heard from. intruder: who else uses its name, if anybody does.
-    sound: whether its numbers are those of one sender: of eight frames or more most follow on, or of three all; or of
-        32 frames three quarters are no farther off than a line moves them that swaps frames.
-    """
-
-    source: Source
-    intruder: Intruder | None
-    sound: bool
-    count: LinkCount
-
-
 class Senders:
-    """All senders of one link, at most `SENDERS_MAX`, by system and component id.
+    """All senders of one link, at most `SENDERS_MAX`, by key: system id << 8 | component id.
 
     msgids: message of each row; the last one stands for all that are unknown.
-    impostors: who sent in a name that is ours, by key (system id << 8 | component id).
+    impostors: who sent in a name that is ours, by key.
     """
 
     def __init__(self, msgids: Sequence[int] = (0,)) -> None:
@@ -124,6 +102,9 @@ class Senders:
         self._numbers: dict[Source, int] = {None: 0}
         self._sources: dict[int, Source] = {0: None}
         self._latest = 0  # number of a source
+
+    def __len__(self) -> int:
+        return self._used
 
     def keep(self, key: int) -> None:
         """Let a sender never make room."""
@@ -140,18 +121,17 @@ class Senders:
 
     def numbers(self, sources: Iterable[Source]) -> list[int]:
         """The numbers that stand for sources in `FRAME`: those of frames that are heard before the next call."""
-        if len(self._numbers) >= SOURCES_MAX:
+        if len(self._sources) >= SOURCES_MAX:
             used = self._senders[: self._used]
             held = {0, *used["source"].tolist(), *used["intruder"].tolist()}
-            self._numbers = {source: number for source, number in self._numbers.items() if number in held}
-            self._sources = {number: source for source, number in self._numbers.items()}
+            self._sources = {number: source for number, source in self._sources.items() if number in held}
+            self._numbers = {source: number for number, source in self._sources.items()}
         found = []
         for source in sources:
-            number = self._numbers.get(source)
-            if number is None:
-                number = self._latest = self._latest + 1
-                self._numbers[source], self._sources[number] = number, source
-            found.append(number)
+            if source not in self._numbers:
+                self._latest += 1
+                self._numbers[source], self._sources[self._latest] = self._latest, source
+            found.append(self._numbers[source])
         return found
 
     def hear(self, data: NDArray[np.uint8], rows: NDArray[np.void]) -> None:
@@ -172,10 +152,9 @@ class Senders:
 
     def admits(self, row: np.void) -> bool:
         """Whether the sender of a frame may come from where it came."""
-        key, place = row["sender"], int(self._places[row["sender"]])
-        if not place:
-            return not self._flags[key] & _OURS
-        sender = self._senders[place - 1]
+        sender = self._row(int(row["sender"]))
+        if sender is None:
+            return not self._flags[row["sender"]] & _OURS
         return bool(sender["source"] == row["source"] or row["host_ns"] - sender["heard_ns"] >= _PINNED_NS)
 
     def _make_room(self) -> None:
@@ -189,48 +168,60 @@ class Senders:
         self._places[:] = 0
         self._places[self._senders["key"][: self._used]] = 1 + np.arange(self._used)
 
-    def __len__(self) -> int:
-        return self._used
+    def _row(self, key: int) -> np.void | None:
+        place = int(self._places[key])
+        return self._senders[place - 1] if place else None
 
-    def get(self, sysid: int, compid: int) -> Sender | None:
-        """One sender; None if it is not followed."""
-        place = int(self._places[sysid << 8 | compid]) - 1
-        if place < 0:
+    def source(self, key: int) -> Source:
+        """Where a sender is heard from; None if it is not followed."""
+        row = self._row(key)
+        return None if row is None else self._sources[int(row["source"])]
+
+    def heard_ns(self, key: int) -> int:
+        """When a sender was last heard [ns]; -1 if it is not followed."""
+        row = self._row(key)
+        return -1 if row is None else int(row["heard_ns"])
+
+    def intruder(self, key: int) -> Intruder | None:
+        """Who else uses a sender's name; None if nobody does."""
+        row = self._row(key)
+        if row is None or not row["refused"]:
             return None
-        row = self._senders[place]
-        received, jumps, far = int(row["received"]), int(row["jumps"]), int(row["far"])
+        return Intruder(self._sources[int(row["intruder"])], int(row["refused"]))
+
+    def sound(self, key: int) -> bool:
+        """Whether a sender's numbers are those of one sender.
+
+        Of eight frames or more most follow on, or of three all; or of 32 frames three quarters are no farther off than
+        a line moves them that swaps frames.
+        """
+        row = self._row(key)
+        received, jumps, far = (0, 0, 0) if row is None else (int(row[name]) for name in ("received", "jumps", "far"))
         in_order = received >= 3 and 2 * jumps < received - 1 and (received >= 8 or jumps == 0)
-        sound = in_order or (received >= NEAR and 4 * far <= received)
-        refused = int(row["refused"])
-        intruder = Intruder(self._sources[int(row["intruder"])], refused) if refused else None
-        return Sender(self._sources[int(row["source"])], intruder, sound, self._count(place))
+        return in_order or (received >= NEAR and 4 * far <= received)
 
-    def heard_from(self, sysid: int, compid: int) -> tuple[Source, int]:
-        """Where a sender is heard from, and when it was last [ns]; (None, -1) if it is not followed."""
-        place = int(self._places[sysid << 8 | compid])
-        row = self._senders[place - 1]
-        return (self._sources[int(row["source"])], int(row["heard_ns"])) if place else (None, -1)
-
-    def contested(self, sysid: int, compid: int) -> IntArray | None:
+    def contested(self, key: int) -> IntArray | None:
         """The numbers that two senders claimed since the last call; None if that has never happened."""
-        place = int(self._places[sysid << 8 | compid])
-        if not place or not self._senders["clashes"][place - 1]:
+        row = self._row(key)
+        if row is None or not row["clashes"]:
             return None
-        numbers = self._senders["contested"][place - 1]
-        found = np.flatnonzero(numbers)
-        numbers[:] = 0
+        found = np.flatnonzero(row["contested"])
+        row["contested"][:] = 0
         return found
+
+    def count(self, key: int) -> LinkCount | None:
+        """Figures of one sender; None if it is not followed."""
+        row = self._row(key)
+        if row is None:
+            return None
+        seen = self._seen[self._places[key] - 1]
+        by_message = {self._msgids[at]: int(seen[at]) for at in np.flatnonzero(seen).tolist()}
+        return LinkCount(by_message=by_message, **{name: int(row[name]) for name in _COUNTS})
 
     def counts(self) -> dict[tuple[int, int], LinkCount]:
         """Figures of each sender, by (system id, component id)."""
         keys = self._senders["key"][: self._used].tolist()
-        return {(key >> 8, key & 0xFF): self._count(place) for place, key in enumerate(keys)}
-
-    def _count(self, place: int) -> LinkCount:
-        row, seen = self._senders[place], self._seen[place]
-        by_message = {self._msgids[at]: int(seen[at]) for at in np.flatnonzero(seen).tolist()}
-        names = ("received", "lost", "reordered", "duplicated", "restarts", "clashes")
-        return LinkCount(by_message=by_message, **{name: int(row[name]) for name in names})
+        return {(key >> 8, key & 0xFF): count for key in keys if (count := self.count(key))}
 
 
 Fields: TypeAlias = Any  # one record, as numba has it
@@ -257,8 +248,7 @@ def _jump(sender: Fields, seq: int) -> None:
             sender.missed[(seq - back) % 256] = received + 1
     else:
         sender.restarts += 1
-        for number in range(256):
-            sender.missed[number] = 0
+        sender.missed[:] = 0
     sender.next = (seq + 1) % 256
 
 
@@ -286,8 +276,7 @@ def _hear(
     flags: NDArray[np.uint8],
     used: int,
 ) -> tuple[int, int, bool]:
-    """See `Senders.hear`. Returns how many frames are done, for there may be no room for one more sender; how many
-    senders there are; and whether anybody sent in a name that is ours."""
+    """How many frames are done before there is no room for one more sender; how many senders; if any used our name."""
     odd = False
     for k in range(first, len(rows)):
         frame = rows[k]

@@ -1,9 +1,7 @@
 """A bad link in a box: what a radio, a router or a noisy cable does to messages, on a virtual clock and from a seed.
 
 In this order: a message is lost, changed in one bit, sent twice, overtaken by the next ones, queued for a line of so
-many bytes a second, and delayed. Jitter is drawn for each message by itself, as the network emulator of Linux does, so
-messages that follow each other faster than it overtake each other as well. What happens to a message depends on the
-seed and on the messages before it, not on how often `due` is asked.
+many bytes a second, and delayed with a jitter of its own, as the network emulator of Linux does.
 """
 
 import heapq
@@ -19,20 +17,14 @@ QUEUE_NS = NS_PER_S  # what would wait longer for the line is thrown away (our c
 
 @dataclass(frozen=True, slots=True)
 class Impairment:
-    """What a link does to messages. Raises UsageError, naming the field, for an impossible value.
+    """What a link does to messages. Raises UsageError, naming the field, for an impossible value."""
 
-    loss, duplicate, corrupt: probabilities, 0..1.
-    delay_s, jitter_s: a message takes delay_s give or take jitter_s, or from 0 to twice jitter_s if that is more [s].
-    reorder: by how many following messages one is overtaken at most; by each number down to none equally often.
-    rate: bytes a second; None for no limit.
-    """
-
-    loss: float = 0.0
-    jitter_s: float = 0.0
-    reorder: int = 0
+    loss: float = 0.0  # probability, as of the next two
+    jitter_s: float = 0.0  # a message takes delay_s give or take it, or from 0 to twice jitter_s if that is more
+    reorder: int = 0  # by how many following messages one is overtaken at most; by each number equally often
     duplicate: float = 0.0
     corrupt: float = 0.0
-    rate: float | None = None
+    rate: float | None = None  # bytes a second; None for no limit
     delay_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -50,19 +42,15 @@ class Impairment:
 
 @dataclass(slots=True)
 class ShimCount:
-    """What became of the messages so far.
-
-    offered, passed: that came in, and went out (second copies included). lost: by chance; overflowed: because the line
-    was too slow. duplicated: sent twice. corrupted: changed in a bit. reordered: that went out after a later one.
-    """
+    """What became of the messages so far."""
 
     offered: int = 0
-    passed: int = 0
-    lost: int = 0
-    overflowed: int = 0
+    passed: int = 0  # second copies included
+    lost: int = 0  # by chance
+    overflowed: int = 0  # lost because the line was too slow
     duplicated: int = 0
-    corrupted: int = 0
-    reordered: int = 0
+    corrupted: int = 0  # changed in a bit
+    reordered: int = 0  # went out after a later one
 
 
 class Shim:

@@ -1,12 +1,8 @@
 """MAVLink 2 message signing, sans I/O: seals for what goes out, and a check of what comes in.
 
 A signed frame ends with 13 bytes: link id, time stamp (48 bits, 10 us since 2015-01-01), and the first 6 bytes of
-SHA-256 over the key, the frame and both. Who has no key can neither make such a frame nor, as each stream's stamps must
-rise, send an old one again. Signing hides nothing.
-
-Specification: https://mavlink.io/en/guide/message_signing.html. Stricter than it: a key refuses every unsigned frame,
-RADIO_STATUS of a telemetry radio too. pymavlink's own check is not used, because it keeps a stamp before it has
-compared the signature: one forged frame stops a genuine stream for good.
+SHA-256 over the key, the frame and both; each stream's stamps must rise. As https://mavlink.io/en/guide/message_signing.html,
+but a key refuses every unsigned frame. pymavlink's own check keeps a stamp before it has compared the signature.
 """
 
 import hashlib
@@ -40,21 +36,15 @@ class Refusal(StrEnum):
 
 
 def stamp_at(unix_ns: int) -> int:
-    """Unix time [ns] as a time stamp [10 us since 2015-01-01], within its 48 bits.
-
-    >>> stamp_at(1_420_070_400 * 1_000_000_000 + 25_000)
-    2
-    """
+    """Unix time [ns] as a time stamp [10 us since 2015-01-01], within its 48 bits."""
     return min(max(0, unix_ns - _EPOCH_NS) // _TICK_NS, _HIGHEST)
 
 
 class Signing:
-    """One holder of a key, for all frames that it sends and receives.
+    """One holder of a key (32 bytes), for all frames that it sends, with this link id, and receives.
 
-    key: 32 bytes. link_id: of what it sends.
-    stamp: the newest time stamp, sent or accepted [10 us]; nothing older is sent any more. Kept from an earlier run.
+    stamp: the newest time stamp, sent or accepted [10 us]; nothing older is sent any more.
     accepted: frames that were genuine so far. refused: those that were not, by the cause.
-    Raises UsageError for a key or link id of another size.
     """
 
     def __init__(self, key: bytes, *, link_id: int = 0, stamp: int = 0) -> None:

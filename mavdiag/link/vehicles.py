@@ -1,12 +1,8 @@
 """From the bytes of a link to its vehicles: one a system id, each with its own profile, clock and state.
 
 A vehicle enters with a heartbeat of its autopilot (component 1) that says it is a multirotor, once its frames show its
-profile. Ground stations, cameras and other companions on the link are no vehicles. No clock, no socket: bytes and `now`
-in, values out.
-
-Made-up senders cost a bounded amount: of each one that has not entered the last 4,096 frames are kept, and 32,768 of
-all together. A careful decoder lets a vehicle enter only with two like heartbeats, a fraction of a second to some
-seconds apart, and running numbers that are one sender's; and at most so many as it is told.
+profile. No clock, no socket: bytes and `now` in, values out. Made-up senders cost a bounded amount; a careful decoder
+lets a vehicle enter only with two like heartbeats and running numbers that are one sender's.
 """
 
 import math
@@ -24,6 +20,7 @@ from mavdiag.link.profiles import (
     IMU_MESSAGES,
     LAST_RESORT,
     PROFILES,
+    Evidence,
     Profile,
     by_attitude,
     detect_profile,
@@ -45,28 +42,24 @@ CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choic
 LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
 USEFUL_FRAMES = 20  # of an IMU message, before it is taken at once (our choice)
 CHOICE_S = 1.0  # for which the choice stays open otherwise, from the first IMU message of any kind on (our choice)
-# Commands and parameter requests for one vehicle's computer that are handed out at a time, so that a flood is not
-# answered (our choice).
-REQUESTS_MAX = 16
+REQUESTS_MAX = 16  # for one vehicle's computer that are handed out at a time, so a flood is not answered (our choice)
 MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up ones cost little (our choice)
 
-#: Messages that carry a command.
+#: Messages that carry a command, and those that ask for parameters or set one.
 COMMANDS = frozenset({MessageId.COMMAND_LONG, MessageId.COMMAND_INT})
-#: Messages that ask for parameters, or set one.
 PARAMETER_REQUESTS = frozenset({MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_REQUEST_READ, MessageId.PARAM_SET})
 _TALK = COMMANDS | PARAMETER_REQUESTS | {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}
 _TALKS = np.isin(MSGIDS, list(_TALK))  # by row of a message
 
 _KIND = slice(field_index(MessageId.HEARTBEAT, "type"), field_index(MessageId.HEARTBEAT, "autopilot") + 1)
-_TARGETS = ("target_system", "target_component")
 _ACK = tuple(field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result", "target_component"))
-_TARGETS_OF: Mapping[int, list[int]] = {
-    msgid: [field_index(msgid, name) for name in _TARGETS] for msgid in COMMANDS | PARAMETER_REQUESTS
+_TARGETS: Mapping[int, list[int]] = {
+    msgid: [field_index(msgid, name) for name in ("target_system", "target_component")]
+    for msgid in COMMANDS | PARAMETER_REQUESTS
 }
 _PARAM_NAME = field_index(MessageId.PARAM_VALUE, "param_id")
 _PARAM_VALUE, _PARAM_TYPE = (layout_of(MessageId.PARAM_VALUE).offset(name)[0] for name in ("param_value", "param_type"))
 _INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE, in the bytes of the float
-_COMMAND_OF: Mapping[int, int] = {msgid: field_index(msgid, "command") for msgid in COMMANDS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,35 +91,30 @@ def command_in(frame: Frame) -> tuple[int, Command] | None:
     """A command to a vehicle's on-board computer, with the vehicle's system id; None for any other frame."""
     if frame.msgid not in COMMANDS:
         return None
-    fields = frame.fields
-    system, component = (int(fields[place]) for place in _TARGETS_OF[frame.msgid])
-    command = Command(int(fields[_COMMAND_OF[frame.msgid]]), frame.sysid, frame.compid)
+    system, component = (int(frame.fields[place]) for place in _TARGETS[frame.msgid])
+    command = Command(int(frame.fields[field_index(frame.msgid, "command")]), frame.sysid, frame.compid)
     return (system, command) if component == Component.ONBOARD_COMPUTER else None
 
 
 def parameters_asked(frame: Frame) -> int | None:
-    """The vehicle about whose on-board computer's parameters a frame asks; None if it does not.
-
-    PARAM_REQUEST_LIST may be addressed to all components.
-    """
+    """The vehicle about whose on-board computer's parameters a frame asks, maybe of all components; None if none."""
     if frame.msgid not in PARAMETER_REQUESTS:
         return None
-    system, component = (int(frame.fields[place]) for place in _TARGETS_OF[frame.msgid])
+    system, component = (int(frame.fields[place]) for place in _TARGETS[frame.msgid])
     everybody = frame.msgid == MessageId.PARAM_REQUEST_LIST and component == Component.ALL
     return system if component == Component.ONBOARD_COMPUTER or everybody else None
 
 
 def parameters_in(frames: Iterable[Frame], autopilot: int) -> dict[str, float]:
-    """The latest value of each parameter in the frames of one vehicle's autopilot (component 1), by name.
+    """The latest value of each parameter in the frames of one vehicle's autopilot (MAV_AUTOPILOT), by name.
 
-    PARAM_VALUE carries every value in a float field. PX4 puts the bytes of an integer there; ArduPilot, and what else
-    is not PX4, casts the integer to a float (MAVLink parameter protocol, "parameter encoding"). Values that are not
-    finite are left out. autopilot: MAV_AUTOPILOT.
+    PARAM_VALUE carries every value in a float field. PX4 puts the bytes of an integer there; all others cast the
+    integer to a float (MAVLink parameter protocol, "parameter encoding"). Values that are not finite are left out.
     """
     found: dict[str, float] = {}
     for frame in frames:
         if frame.msgid == MessageId.PARAM_VALUE and frame.compid == AUTOPILOT:
-            name, (kind,) = frame.fields[_PARAM_NAME], struct.unpack_from("B", frame.payload, _PARAM_TYPE)
+            name, kind = frame.fields[_PARAM_NAME], frame.payload[_PARAM_TYPE]
             form = _INTEGERS.get(kind, "<f") if autopilot == Autopilot.PX4 else "<f"
             (value,) = struct.unpack_from(form, frame.payload, _PARAM_VALUE)
             text = name.partition(b"\0")[0].decode("latin-1") if isinstance(name, bytes) else ""
@@ -139,7 +127,7 @@ class VehicleStream:
     """One vehicle's frames to telemetry, on one clock.
 
     profile: how it sends; while no gyro sample has come, its IMU message is replaced by another that does come.
-    state: of its conversion. parameters: of its autopilot that passed by so far, by name.
+    parameters: of its autopilot that passed by so far, by name.
     """
 
     def __init__(self, profile: Profile) -> None:
@@ -156,7 +144,7 @@ class VehicleStream:
 
     def step(self, frames: Frames | Sequence[Frame]) -> Telemetry:
         """Take the vehicle's next frames, in order of arrival."""
-        some = frames if isinstance(frames, Frames) else frames_of(frames)
+        some = frames_of(frames)
         if not self._settled and len(some):
             self._choose_imu(some)
         if told := parameters_in(some.of(MessageId.PARAM_VALUE), self.profile.autopilot):
@@ -192,22 +180,16 @@ class _Waiting:
     checked_ns: int | None = None  # when its profile was looked for last
     reason: str = ""  # why it waits though its autopilot was received
 
-    def note(self, frames: Iterable[Frame]) -> None:
-        """Take in heartbeats."""
-        for frame in frames:
-            if frame.msgid == MessageId.HEARTBEAT:
-                kind, autopilot = frame.fields[_KIND]
-                if autopilot != Autopilot.INVALID and kind not in (MavType.GCS, MavType.ONBOARD_CONTROLLER):
-                    self._count(frame)
-
-    def _count(self, beat: Frame) -> None:
-        before, (least_s, most_s) = self.beat, BEATS_S
-        like = before is not None and beat.fields[_KIND] == before.fields[_KIND]
-        span_s = 0.0 if before is None else (beat.host_ns - before.host_ns) / NS_PER_S
-        if before is None or not like or span_s > most_s:
-            self.beat, self.beats = beat, 1
-        elif span_s >= least_s:
-            self.beat, self.beats = beat, self.beats + 1
+    def note(self, frame: Frame) -> None:
+        """Take in a heartbeat."""
+        kind, autopilot = frame.fields[_KIND]
+        if autopilot == Autopilot.INVALID or kind in (MavType.GCS, MavType.ONBOARD_CONTROLLER):
+            return
+        span_s = math.inf if self.beat is None else (frame.host_ns - self.beat.host_ns) / NS_PER_S
+        if self.beat is None or frame.fields[_KIND] != self.beat.fields[_KIND] or span_s > BEATS_S[1]:
+            self.beat, self.beats = frame, 1
+        elif span_s >= BEATS_S[0]:
+            self.beat, self.beats = frame, self.beats + 1
 
 
 @dataclass(slots=True)
@@ -221,33 +203,24 @@ class _Unread:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Received:
-    """What came from, or for, one vehicle since the last call.
+    """What came from, or for, one vehicle since the last call."""
 
-    frames: those of its system id, any component, that are no measurements, in order of arrival. telemetry: what its
-    autopilot measured. present: whether that sent any frames. acks: its answers to our commands. parameters: its own
-    that passed by since the vehicle entered, by name. commands, parameter_requests: of others, to its on-board computer
-    and about that one's parameters.
-    """
-
-    frames: tuple[Frame, ...] = ()
+    frames: tuple[Frame, ...] = ()  # of its system id, any component, that are no measurements, in order of arrival
     telemetry: Telemetry = field(default_factory=Telemetry)
-    present: bool = False
-    acks: tuple[Ack, ...] = ()
-    commands: tuple[Command, ...] = ()
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    parameter_requests: tuple[Frame, ...] = ()
+    present: bool = False  # its autopilot sent frames
+    acks: tuple[Ack, ...] = ()  # its answers to our commands
+    commands: tuple[Command, ...] = ()  # of others, to its on-board computer
+    parameters: Mapping[str, float] = field(default_factory=dict)  # its own that passed by since it entered
+    parameter_requests: tuple[Frame, ...] = ()  # of others, about its on-board computer's parameters
 
 
 class LinkDecoder:
     """Bytes of one link to what each of its vehicles sent.
 
     profile: of all vehicles; None to recognise each by its frames. only: the one system id to follow, None for all.
-    datagrams: whether a chunk of bytes holds whole frames; what a datagram leaves unfinished is never joined to the
-    next one, which may be of another sender.
-    careful: whether a vehicle must show that it is one before it enters; else one heartbeat will do.
-    most: how many may enter. signing, passed: as in `Decoder`.
-    ours: keys (system id << 8 | component id) in whose name nobody else is heard.
-    decoder: of the link's frames, for its counts. vehicles: the stream of each vehicle that has entered, by system id.
+    datagrams: whether a chunk holds whole frames. careful: a vehicle must show that it is one before it enters.
+    most: how many may enter. signing, passed: as in `Decoder`. ours: keys (system id << 8 | component id) in whose name
+    nobody else is heard. decoder: of the link's frames. vehicles: those that have entered, by system id.
     """
 
     def __init__(
@@ -281,21 +254,19 @@ class LinkDecoder:
 
     def count(self, sysid: int) -> LinkCount | None:
         """What came from one vehicle's autopilot so far; None if nothing did."""
-        sender = self.decoder.heard.get(sysid, AUTOPILOT)
-        return None if sender is None else sender.count
+        return self.decoder.heard.count(sysid << 8 | AUTOPILOT)
 
     def heard_since(self, host_ns: int) -> list[int]:
         """The vehicles whose autopilots were heard at this time or later [ns]."""
-        return [sysid for sysid in self.vehicles if self.decoder.heard.heard_from(sysid, AUTOPILOT)[1] >= host_ns]
+        return [sysid for sysid in self.vehicles if self.decoder.heard.heard_ns(sysid << 8 | AUTOPILOT) >= host_ns]
 
     def source(self, sysid: int, compid: int = AUTOPILOT) -> Source:
         """Where a vehicle's autopilot, or another sender, is heard from; None on a link with one other end."""
-        return self.decoder.heard.heard_from(sysid, compid)[0]
+        return self.decoder.heard.source(sysid << 8 | compid)
 
     def intruder(self, sysid: int) -> Intruder | None:
         """Who else sends as a vehicle's autopilot; None if nobody does."""
-        sender = self.decoder.heard.get(sysid, AUTOPILOT)
-        return None if sender is None else sender.intruder
+        return self.decoder.heard.intruder(sysid << 8 | AUTOPILOT)
 
     def impostor(self, sysid: int) -> Intruder | None:
         """Who sends in our name as a vehicle's on-board computer; None if nobody does."""
@@ -308,17 +279,12 @@ class LinkDecoder:
     def feed(
         self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()
     ) -> dict[int, Received]:
-        """Take bytes, each with its time of arrival [ns]; return what is new, by system id.
-
-        Only vehicles that have entered are in the result; one that enters now brings its latest frames along.
-        sources: where each of the chunks comes from; empty for a link with one other end.
-        """
+        """Take bytes, each with time of arrival [ns] and source; return what is new, by vehicle that has entered."""
         self.take(chunks, now_ns, sources)
         return {sysid: self.received(sysid) for sysid in sorted(self._unread)}
 
     def take(self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()) -> None:
-        """Take bytes as `feed` does; what is for or from vehicles that have entered waits for `received`, which need
-        not be called after each `take`."""
+        """Take bytes as `feed` does; what is for or from vehicles that have entered waits for `received`."""
         if self._datagrams:
             taken = [self.decoder.take_datagrams(chunks, sources)]
         else:
@@ -326,16 +292,14 @@ class LinkDecoder:
             taken = [self.decoder.take_stream(*chunk, end) for chunk, end in zip(chunks, ends, strict=False)]
         for frames in taken:
             for sysid, own in frames.by_sysid().items() if len(frames) else ():
-                if sysid and self._only in (None, sysid):
-                    self._take_own(sysid, own, now_ns)
+                if not sysid or self._only not in (None, sysid):
+                    continue
+                pieces = self._uncontested(sysid, own)
+                if sysid not in self.vehicles:
+                    pieces = self._enter(sysid, pieces, now_ns)
+                if sysid in self.vehicles:
+                    self._unread.setdefault(sysid, _Unread()).pieces += pieces
             self._take_talk(frames.where(_TALKS[frames.rows["row"]]))
-
-    def _take_own(self, sysid: int, frames: Frames, now_ns: int) -> None:
-        pieces = self._uncontested(sysid, frames)
-        if sysid not in self.vehicles:
-            pieces = self._enter(sysid, pieces, now_ns)
-        if sysid in self.vehicles:
-            self._unread.setdefault(sysid, _Unread()).pieces += pieces
 
     def _take_talk(self, frames: Iterable[Frame]) -> None:
         """Hand out what is addressed to on-board computers; at most `REQUESTS_MAX` of a kind to each."""
@@ -361,11 +325,8 @@ class LinkDecoder:
         self._unread.pop(sysid, None)
 
     def _uncontested(self, sysid: int, frames: Frames) -> list[Frames]:
-        """Without the autopilot's frames that two senders claim by one running number.
-
-        Once that has happened, the latest frame waits for the one that may contest it.
-        """
-        contested = self.decoder.heard.contested(sysid, AUTOPILOT)
+        """Without the autopilot's frames that two senders claim; then the latest one waits for what may contest it."""
+        contested = self.decoder.heard.contested(sysid << 8 | AUTOPILOT)
         if contested is None:
             return [frames]
         sound = []
@@ -382,20 +343,20 @@ class LinkDecoder:
         kept = min(WAITING_FRAMES, WAITING_IN_ALL // len(self._waiting))
         frames = [frame for piece in pieces for frame in piece if frame.compid == AUTOPILOT]
         waiting.frames = [*waiting.frames, *frames][-kept:]
-        waiting.note(frames)
+        for frame in frames:
+            if frame.msgid == MessageId.HEARTBEAT:
+                waiting.note(frame)
         watched = now_ns - waiting.since_ns >= WATCH_S * NS_PER_S or len(waiting.frames) >= min(kept, CLEAR_FRAMES)
         if waiting.beat is None or (self._profile is None and not watched) or not self._may_enter(sysid, waiting):
             return []
         if waiting.checked_ns is not None and now_ns - waiting.checked_ns < RECHECK_S * NS_PER_S:
             return []
-        waiting.checked_ns = now_ns
+        waiting.checked_ns, profile = now_ns, self._profile
         if refused := refusal(int(waiting.beat.fields[_KIND][0])):
             waiting.reason, waiting.frames = refused, []
             return []
-        profile = self._profile
         if profile is None:
-            recognised = detect_profile([waiting.beat, *waiting.frames])
-            profile, waiting.reason = recognised.profile, recognised.reason
+            profile, waiting.reason = detect_profile(Evidence().take(frames_of([waiting.beat, *waiting.frames])))
         if profile is None:
             return []
         self.vehicles[sysid] = VehicleStream(profile)
@@ -405,10 +366,8 @@ class LinkDecoder:
 
     def _may_enter(self, sysid: int, waiting: _Waiting) -> bool:
         """Whether one that sends a vehicle's heartbeat is taken for a vehicle, and there is room for it."""
-        if self._careful:
-            sender = self.decoder.heard.get(sysid, AUTOPILOT)
-            if waiting.beats < 2 or sender is None or not sender.sound:
-                return False
+        if self._careful and (waiting.beats < 2 or not self.decoder.heard.sound(sysid << 8 | AUTOPILOT)):
+            return False
         if len(self.vehicles) >= self._most:
             waiting.reason, waiting.frames = f"there are {self._most} vehicles already (max_vehicles)", []
             return False

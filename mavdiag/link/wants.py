@@ -1,15 +1,12 @@
 """What a diagnosis asks of a vehicle: streams and parameters, by which messages, how fast, and what gives them unasked.
 
-Messages are asked for by MAV_CMD_SET_MESSAGE_INTERVAL, which changes no parameter; parameters are read by
-PARAM_REQUEST_READ, a few at a time, and never set: an autopilot need not know them, or answer. Rates that were asked
-for stay until the autopilot starts anew or somebody else sets them. What gives a message without a request is `remedy`,
-from the stream groups of ArduPilot (GCS_MAVLink_Copter.cpp, `STREAM_...`), the MAVLink modes of PX4 (mavlink_main.cpp,
-`configure_streams_to_default`) and the logging masks of both (LOG_BITMASK, SDLOG_PROFILE). Sans-I/O: what came and
-`now` in, frames to send out.
+Messages are asked for by MAV_CMD_SET_MESSAGE_INTERVAL, which changes no parameter; parameters are read, never set. What
+gives a message without a request is from ArduPilot's stream groups (GCS_MAVLink_Copter.cpp, `STREAM_...`), PX4's
+MAVLink modes (mavlink_main.cpp) and the logging masks of both. Sans-I/O: what came and `now` in, frames to send out.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId
@@ -25,6 +22,7 @@ _SLOW: Mapping[Signal, tuple[float, float]] = {
     Signal.ATTITUDE: (25.0, 10.0),
 }
 
+_M = MessageId
 # Asked for in this order where the profile's own IMU message is refused or does not come.
 _GYROS = (MessageId.HIGHRES_IMU, MessageId.SCALED_IMU, LAST_RESORT)
 
@@ -43,23 +41,15 @@ LABELS: Mapping[Signal, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Want:
-    """One stream.
-
-    signal: what it carries.
-    msgid: its message.
-    ask_hz: rate to ask for.
-    least_hz, most_hz: measured rates that will do.
-    mandatory: whether nothing is judged without it; the lack of another one is told and hinders nothing.
-    others: messages that carry it too, in order of preference, for an autopilot that does not send `msgid`.
-    """
+    """One stream."""
 
     signal: Signal
     msgid: int
     ask_hz: float
-    least_hz: float
+    least_hz: float  # measured rates that will do
     most_hz: float = float("inf")
-    mandatory: bool = False
-    others: tuple[int, ...] = ()
+    mandatory: bool = False  # nothing is judged without it; the lack of another one is told and hinders nothing
+    others: tuple[int, ...] = ()  # messages that carry it too, in order of preference
 
 
 def wants_of(
@@ -71,8 +61,7 @@ def wants_of(
 ) -> tuple[Want, ...]:
     """The streams to ask for, by the signals that are needed.
 
-    imu_hz: rate to ask for, least and most that will do. setpoint_hz: least rate of the set-points.
-    setpoints: whether the set-points are mandatory, as the gyro is.
+    imu_hz: rate to ask for, least and most that will do. setpoint_hz: least rate of the set-points, mandatory or not.
     """
     others = tuple(message for message in _GYROS if message != profile.imu)
     messages = messages_of(profile)
@@ -85,11 +74,10 @@ def wants_of(
 
 def messages_of(profile: Profile) -> dict[Signal, MessageId]:
     """The message that each signal comes by; a signal that the link does not carry is absent."""
+    targets = (Signal.ATTITUDE_SETPOINT, Signal.THRUST_SETPOINT, Signal.RATE_SETPOINT)
     messages = {
         Signal.BODY_RATE: profile.imu,
-        Signal.ATTITUDE_SETPOINT: profile.setpoint,
-        Signal.THRUST_SETPOINT: profile.setpoint,
-        Signal.RATE_SETPOINT: profile.setpoint,
+        **dict.fromkeys(targets, profile.setpoint),
         Signal.ACTUATOR: profile.actuator,
         Signal.ROTOR_SPEED: profile.rotor_speed,
         Signal.ATTITUDE: MessageId.ATTITUDE,
@@ -99,46 +87,38 @@ def messages_of(profile: Profile) -> dict[Signal, MessageId]:
     return messages if profile.imu == LAST_RESORT else messages | {Signal.SPECIFIC_FORCE: profile.imu}
 
 
-_RAW_SENS, _RC_CHAN, _EXTRA1, _EXTRA3 = (f"SRn_{group}" for group in ("RAW_SENS", "RC_CHAN", "EXTRA1", "EXTRA3"))
 _ON_REQUEST = "a request only: mavdiag-detector asks, and so does `mavdiag inspect --ask`"
 _PX4_ONBOARD = "MAV_0_MODE 2 (Onboard) with enough MAV_0_RATE, or a request"
+_PX4_MESSAGES = (_M.ATTITUDE_TARGET, _M.HIGHRES_IMU, _M.ATTITUDE, _M.ACTUATOR_OUTPUT_STATUS)
 
 #: What makes an autopilot send a message without being asked; SRn is of the serial port n, 0 for USB.
 _GIVES: Mapping[int, Mapping[int, str]] = {
     Autopilot.ARDUPILOTMEGA: {
-        MessageId.ATTITUDE_TARGET: _ON_REQUEST,
-        MessageId.HIGHRES_IMU: _ON_REQUEST,
-        MessageId.RAW_IMU: _RAW_SENS,
-        MessageId.SCALED_IMU: _ON_REQUEST,
-        MessageId.SCALED_IMU2: _RAW_SENS,
-        MessageId.SCALED_IMU3: _RAW_SENS,
-        MessageId.SERVO_OUTPUT_RAW: _RC_CHAN,
-        MessageId.ATTITUDE: _EXTRA1,
-        MessageId.VIBRATION: _EXTRA3,
-        MessageId.ESC_TELEMETRY_1_TO_4: f"{_EXTRA3}, and ESCs with telemetry (SERVO_BLH_AUTO, SERVO_DSHOT_ESC)",
+        **dict.fromkeys((_M.ATTITUDE_TARGET, _M.HIGHRES_IMU, _M.SCALED_IMU), _ON_REQUEST),
+        **dict.fromkeys((_M.RAW_IMU, _M.SCALED_IMU2, _M.SCALED_IMU3), "SRn_RAW_SENS"),
+        _M.SERVO_OUTPUT_RAW: "SRn_RC_CHAN",
+        _M.ATTITUDE: "SRn_EXTRA1",
+        _M.VIBRATION: "SRn_EXTRA3",
+        _M.ESC_TELEMETRY_1_TO_4: "SRn_EXTRA3, and ESCs with telemetry (SERVO_BLH_AUTO, SERVO_DSHOT_ESC)",
     },
     Autopilot.PX4: {
-        MessageId.ATTITUDE_TARGET: _PX4_ONBOARD,
-        MessageId.HIGHRES_IMU: _PX4_ONBOARD,
-        MessageId.ATTITUDE: _PX4_ONBOARD,
-        MessageId.ACTUATOR_OUTPUT_STATUS: _PX4_ONBOARD,
-        MessageId.ESC_STATUS: f"{_PX4_ONBOARD}, and ESCs with telemetry",
+        **dict.fromkeys(_PX4_MESSAGES, _PX4_ONBOARD),
+        _M.ESC_STATUS: f"{_PX4_ONBOARD}, and ESCs with telemetry",
     },
 }
 
+_S = Signal
 #: What makes an autopilot log a signal, by the profile of its log.
 _LOGS: Mapping[str, Mapping[Signal, str]] = {
     "ardupilot-log": {
-        Signal.BODY_RATE: "LOG_BITMASK bit 7 (IMU), better 18 (fast IMU)",
-        Signal.SPECIFIC_FORCE: "LOG_BITMASK bit 7 (IMU), better 18 (fast IMU)",
-        Signal.ATTITUDE_SETPOINT: "LOG_BITMASK bit 0 (fast attitude)",
-        Signal.ATTITUDE: "LOG_BITMASK bit 0 (fast attitude)",
-        Signal.THRUST_SETPOINT: "LOG_BITMASK bit 4 (control tuning)",
-        Signal.ACTUATOR: "LOG_BITMASK bit 10 (RC output)",
-        Signal.VIBRATION: "LOG_BITMASK bit 7 (IMU)",
+        **dict.fromkeys((_S.BODY_RATE, _S.SPECIFIC_FORCE), "LOG_BITMASK bit 7 (IMU), better 18 (fast IMU)"),
+        **dict.fromkeys((_S.ATTITUDE_SETPOINT, _S.ATTITUDE), "LOG_BITMASK bit 0 (fast attitude)"),
+        _S.THRUST_SETPOINT: "LOG_BITMASK bit 4 (control tuning)",
+        _S.ACTUATOR: "LOG_BITMASK bit 10 (RC output)",
+        _S.VIBRATION: "LOG_BITMASK bit 7 (IMU)",
     },
     "px4-log": dict.fromkeys(
-        (Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.ATTITUDE_SETPOINT, Signal.THRUST_SETPOINT, Signal.ACTUATOR),
+        (_S.BODY_RATE, _S.SPECIFIC_FORCE, _S.ATTITUDE_SETPOINT, _S.THRUST_SETPOINT, _S.ACTUATOR),
         "SDLOG_PROFILE bit 4 (high rate)",
     ),
 }
@@ -199,50 +179,40 @@ class Reading:
         return Reading({**self.tries, **{name: tries[name] + 1 for name in due}}, now), tuple(due)
 
 
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """What was asked so far.
-
-    beat: when the last heartbeat went out.
-    reading: the parameters.
-    streams: tries and the time of the last one, by message.
-    """
-
-    beat: Instant | None = None
-    reading: Reading = field(default_factory=Reading)
-    streams: Mapping[int, tuple[int, Instant]] = field(default_factory=dict)
-
-
 class Asker:
-    """Asks one vehicle. vehicle: its system id, whose on-board computer we are. signing: signs what is sent."""
+    """Asks one vehicle, by its system id, whose on-board computer we are.
+
+    signing: signs what is sent. streams: tries and the time of the last one, by message.
+    """
 
     def __init__(self, vehicle: int, signing: Signing | None = None) -> None:
         self._encoder = Encoder(vehicle, Component.ONBOARD_COMPUTER, signing)
         self._target = (vehicle, Component.AUTOPILOT1)
+        self._beat: Instant | None = None
+        self._reading = Reading()
+        self.streams: dict[int, tuple[int, Instant]] = {}
 
-    def beat(self, asked: Asked, now: Instant) -> tuple[Asked, list[bytes]]:
+    def beat(self, now: Instant) -> list[bytes]:
         """A heartbeat each second."""
-        if asked.beat is not None and now - asked.beat < BEAT_S:
-            return asked, []
+        if self._beat is not None and now - self._beat < BEAT_S:
+            return []
+        self._beat = now
         kind = (MavType.ONBOARD_CONTROLLER, Autopilot.INVALID, 0, 0, STANDBY, MAVLINK_VERSION)
-        return replace(asked, beat=now), [self._encoder.encode(MessageId.HEARTBEAT, *kind)]
+        return [self._encoder.encode(MessageId.HEARTBEAT, *kind)]
 
-    def read(self, asked: Asked, autopilot: int, known: Mapping[str, float], now: Instant) -> tuple[Asked, list[bytes]]:
+    def read(self, autopilot: int, known: Mapping[str, float], now: Instant) -> list[bytes]:
         """The parameters that tell rotors and filter, until they are known. known: those that came."""
-        reading, names = asked.reading.step(autopilot, known, now)
-        request = (MessageId.PARAM_REQUEST_READ, *self._target)
-        return replace(asked, reading=reading), [self._encoder.encode(*request, name, -1) for name in names]
+        self._reading, names = self._reading.step(autopilot, known, now)
+        return [self._encoder.encode(MessageId.PARAM_REQUEST_READ, *self._target, name, -1) for name in names]
 
-    def stream(
-        self, asked: Asked, wants: Sequence[Want], rates_hz: Mapping[int, float], now: Instant
-    ) -> tuple[Asked, list[bytes]]:
+    def stream(self, wants: Sequence[Want], rates_hz: Mapping[int, float], now: Instant) -> list[bytes]:
         """The streams that do not come, or too slowly. rates_hz: of what comes, by message."""
-        frames, streams = [], dict(asked.streams)
+        frames = []
         for want in wants:
-            tries, at = streams.get(want.msgid, (0, now))
+            tries, at = self.streams.get(want.msgid, (0, now))
             due = tries == 0 or (tries < TRIES and now - at >= AGAIN_S)
             if rates_hz.get(want.msgid, 0.0) < want.least_hz and due:
-                streams[want.msgid] = (tries + 1, now)
+                self.streams[want.msgid] = (tries + 1, now)
                 interval = (MavCmd.SET_MESSAGE_INTERVAL, 0, want.msgid, round(1e6 / want.ask_hz))
                 frames.append(self._encoder.encode(MessageId.COMMAND_LONG, *self._target, *interval))
-        return replace(asked, streams=streams), frames
+        return frames

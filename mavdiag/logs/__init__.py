@@ -30,10 +30,8 @@ def read_log(
 ) -> Log:
     """Read a flight from a .tlog, DataFlash .bin, .ulg, Crazyflie or DronePropA log, chosen by its content.
 
-    vehicle: MAVLink system id to read where a file can hold several; None takes the only one there is.
-    profile: link profile of a .tlog where its messages do not show it, or one of the variants of another kind, which
-        know their own.
-    columns: the file is a CSV recording with these columns; None for any other log.
+    vehicle: MAVLink system id to read where a file can hold several. profile: link profile of a .tlog whose messages do
+    not show it, or a variant of another kind. columns: the file is a CSV recording with these columns.
     Raises InputError, in one line, for a file that is absent, empty, damaged beyond use or of another kind, and for a
     vehicle that is no multirotor.
     """

@@ -4,12 +4,9 @@ Layout, little endian: 0xBC, u16 version, u16 number of event types; for each ty
 variables, each `name(c)`, NUL, with `c` a code of Python's struct; then records of u16 id, u64 time [us] and the
 variables; then the CRC-32 of everything before it.
 
-Frame. The firmware's body frame is x forward, y left, z up, but its attitude is the "legacy" one, with pitch inverted:
-nose up is positive, and `controller.r_pitch` is already -gyro.y (crazyflie-firmware, controller_pid.c). So roll and
-pitch are those of FRD as logged, and only yaw changes sign. `controller.cmd_yaw` is negated by the firmware and is that
-of FRD too: positive commands raise the rotors that turn the nose right. Raw sensor axes (gyro.*, acc.*) change the
-signs of y and z. The recorded flights agree: over 77 of them d(setpoint)/dt and the gyro correlate by at least +0.54 on
-roll and pitch, and the vehicle accelerates by -7.7 m/s^2 along x for 1 rad of pitch (nose up brakes).
+Frame. The firmware's body frame is x forward, y left, z up, but its attitude is the "legacy" one, with pitch inverted
+(crazyflie-firmware, controller_pid.c): roll and pitch are those of FRD as logged, and only yaw changes sign, but for
+`controller.cmd_yaw`, which the firmware negates. Raw sensor axes (gyro.*, acc.*) change the signs of y and z.
 """
 
 import re
@@ -70,10 +67,8 @@ _ROWS = (
 
 
 def read_crazyflie(path: Path) -> Log:
-    """Read a uSD-card log of a Crazyflie, version 2. Profile "crazyflie"; the file does not say when it was started.
+    """Read a uSD-card log of a Crazyflie, version 2; the x and y specific force are NaN unless `acc.*` is in the log.
 
-    All signals of a record share its time stamp; nothing is resampled. Only the vertical specific force is logged by
-    the PID controller's group, so the x and y columns of that signal are NaN unless `acc.*` is in the log.
     Raises InputError for a file that is unreadable, truncated, damaged, of another version, or without a known signal.
     """
     data = read_bytes(path)
@@ -93,10 +88,7 @@ def read_crazyflie(path: Path) -> Log:
 
 
 def _tables(content: bytes) -> list[Table]:
-    """The records by event type, in the order in which the header declares the types; types without records left out.
-
-    Raises InputError if the header or a record does not make sense.
-    """
+    """The records by event type. Raises InputError if the header or a record does not make sense."""
     types, position = dict[int, np.dtype[np.void]](), FIXED_HEADER_BYTES
     try:
         for _ in range(int.from_bytes(content[3:5], "little")):
@@ -131,7 +123,7 @@ def _event_type(content: bytes, position: int) -> tuple[int, np.dtype[np.void], 
     return number, np.dtype([("id", "<u2"), ("time", "<u8"), *variables.items()]), position
 
 
-def _starts(body: bytes, sizes: dict[int, int]) -> dict[int, list[int] | IntArray]:
+def _starts(body: bytes, sizes: dict[int, int]) -> dict[int, IntArray]:
     """Where the records of each type begin. Raises InputError at an undeclared id or a record that is cut short."""
     number = int.from_bytes(body[:2], "little")
     if number in sizes and len(body) % sizes[number] == 0:  # the usual log has one type: no walk is needed
@@ -146,11 +138,10 @@ def _starts(body: bytes, sizes: dict[int, int]) -> dict[int, list[int] | IntArra
             raise InputError(f"the record at byte {position} of the data is of no declared type or cut short")
         found[number].append(position)
         position += sizes[number]
-    return dict(found)
+    return {number: np.array(starts, np.int64) for number, starts in found.items()}
 
 
-# It has no arming state; the limits are those that the recorded flights were found to need (height 0.38 m, thrust 25000
-# of 65535, 0.5 s and 0.6 s off the ends).
+# It has no arming state; the limits are those that the recorded flights were found to need.
 KIND = LogKind(
     "Crazyflie",
     lambda head: head[:1] == bytes([TOKEN]),

@@ -1,23 +1,7 @@
 """CSV recordings, whatever wrote them: a column map, a TOML file, says which column is which signal, in which unit.
 
-[time]
-column = "timestamp"          # a name of the header, or a number from 1 where there is none
-unit = "us"                   # s, ms, us or ns; "rate_hz = 200" in place of both where no column has the time
-
-[body_rate]                   # a name of `telemetry.Signal`; body_rate is needed
-columns = ["gyro_x", "-gyro_y", "-gyro_z"]   # FRD: forward, right, down; a minus turns the direction
-unit = "deg/s"
-
-[specific_force]
-columns = ["acc_x", "-acc_y", "-acc_z"]      # (0, 0, -9.81) at rest in FRD
-unit = "g"
-
-[file]                        # may be left out
-delimiter = ","
-skip_lines = 0                # before the header
-header = true
-
-No CSV file is recognised by its content; it takes the map.
+It has a table for each signal (columns, with a minus where one turns the other way in FRD, and unit), one for the time
+(column and unit, or rate_hz), and maybe one for the file. No CSV file is recognised by its content; it takes the map.
 """
 
 import csv
@@ -85,10 +69,6 @@ class _Columns(_Part):
     columns: Annotated[tuple[Column, ...], Field(min_length=1, max_length=16)]
     unit: str = ""
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(column.removeprefix("-") for column in self.columns)
-
     def factors(self, signal: Signal) -> FloatArray:
         signs = [-1.0 if column.startswith("-") else 1.0 for column in self.columns]
         return np.array(signs) * _UNITS[signal][1][self.unit]
@@ -127,11 +107,7 @@ def is_csv(path: Path) -> bool:
 
 
 def parse_column_map(text: str) -> ColumnMap:
-    """A column map from the text of its file. Raises InputError, naming the field.
-
-    >>> parse_column_map('[time]\\nrate_hz = 100\\n[body_rate]\\ncolumns = ["p", "-q", "r"]\\nunit = "rad/s"').signals
-    {<Signal.BODY_RATE: 'body_rate'>: _Columns(columns=('p', '-q', 'r'), unit='rad/s')}
-    """
+    """A column map from the text of its file. Raises InputError, naming the field."""
     return _map("column map", parse_toml(text, "column map"))
 
 
@@ -189,7 +165,7 @@ def _table(path: Path, text: str, columns: ColumnMap) -> FloatArray:
     delimiter, header = columns.file.delimiter, columns.file.header
     there = [cell.strip() for cell in next(csv.reader([head], delimiter=delimiter), [])]
     wanted = [] if columns.time.column is None else [columns.time.column]
-    wanted += [name for part in columns.signals.values() for name in part.names]
+    wanted += [name.removeprefix("-") for part in columns.signals.values() for name in part.columns]
     places = [_place(path, name, there, header=header) for name in wanted]
     body = rest if header else text
     if not body.strip():

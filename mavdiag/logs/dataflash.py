@@ -1,23 +1,33 @@
 """ArduPilot DataFlash logs (.bin): the messages of any era become one vehicle's telemetry, in SI and FRD.
 
+Every record is A3 95, a type byte and a body. Records of type 0x80 (FMT) give each type its length, its name, a format
+of one character per field, and the fields' labels; a type keeps its first sound definition, for a later one is damage.
+The type's length tells where the next record begins. After damage the chain resumes at the next A3 95 of a known type;
+a last record that is cut short is dropped. Records carry no checksum: a flipped bit in a value is a wrong value.
+
 Eras differ: `TimeMS` or `TimeUS`, `IMU2` or an instance field, centi-degrees or degrees per second in RATE. Each is
-decided from the file itself. What is damaged is skipped (see `mavdiag.logs.dataflash_records`).
+decided from the file itself.
 """
 
 import hashlib
 import math
 import re
-from collections.abc import Mapping, Sequence
+import struct
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from math import isfinite
 from pathlib import Path
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavdiag.airframe.parameters import COPTER_MOTORS, output_functions
 from mavdiag.errors import InputError
-from mavdiag.logs.dataflash_records import HEADER, Walk
-from mavdiag.logs.log import RECORDED_GATE, LogKind, Row, Table, read_rows, recorded, windows_of
-from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
+from mavdiag.jit import cached
+from mavdiag.logs.log import RECORDED_GATE, LogKind, Row, Table, gather, read_rows, recorded, windows_of
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_MS, NS_PER_S, NS_PER_US
 
 PROFILE = "ardupilot-log"
@@ -34,6 +44,165 @@ GPS_EPOCH_UNIX_S = 315_964_800
 WEEK_S = 604_800
 LEAP_SECONDS = ((1930, 18), (1851, 17), (1695, 16))  # GPS - UTC from this GPS week on (IERS bulletin C), to the week
 GPS_FIX_3D = 3
+
+HEADER = b"\xa3\x95"
+HEADER_BYTES = 3
+FMT_TYPE = 0x80
+FMT_BODY = struct.Struct("<BB4s16s64s")  # type, length, name, format, labels
+FMT_BYTES = HEADER_BYTES + FMT_BODY.size
+
+# Format characters (ArduPilot, AP_Logger/LogStructure.h): numpy layout, and what a stored unit is worth.
+_LAYOUTS = {
+    "a": "(32,)<i2", "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "q": "<i8", "Q": "<u8",
+    "f": "<f4", "d": "<f8", "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "M": "u1",
+    "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4",
+}  # fmt: skip
+_SIZES = {character: np.dtype(layout).itemsize for character, layout in _LAYOUTS.items()}
+_MULTIPLIERS = {"c": 0.01, "C": 0.01, "e": 0.01, "E": 0.01, "L": 1e-7}
+_TIMES = {"TimeUS": NS_PER_US, "TimeMS": NS_PER_MS}
+_INSTANCES = ("I", "IMU", "Inst", "Instance")
+
+#: The messages by name; one without time or fields for each that is absent.
+Tables: TypeAlias = defaultdict[str, Table]
+
+
+class Format(NamedTuple):
+    """One message type: length of a record with its header, name, and a character and a label for each field."""
+
+    length: int
+    name: str
+    characters: str
+    labels: tuple[str, ...]
+
+    @property
+    def sound(self) -> bool:
+        """Whether the characters add up to the length. Records of a type that is not are stepped over, not read."""
+        sizes = [_SIZES.get(character, 256) for character in self.characters]  # too much if unknown
+        return HEADER_BYTES + sum(sizes) == self.length and len(self.labels) == len(self.characters)
+
+    def layout(self) -> np.dtype[np.void]:
+        """A record as numpy has it, fields f0, f1, … by label. Only of a sound type."""
+        fields = [(f"f{i}", _LAYOUTS[character]) for i, character in enumerate(self.characters)]
+        return np.dtype([("header", f"V{HEADER_BYTES}"), *fields])
+
+
+def table_of(form: Format, starts: IntArray, records: NDArray[np.void]) -> Table:
+    """The records of one type; of those that carry the instance of a sensor, only those of the lowest one."""
+    fields = {label: records[f"f{place}"] for place, label in enumerate(form.labels)}
+    units = {label: _MULTIPLIERS.get(c) for label, c in zip(form.labels, form.characters, strict=True)}
+    table = Table(form.name, None, fields, {label: unit for label, unit in units.items() if unit}, starts)
+    instance = next((found for found in map(table.integers, _INSTANCES) if found is not None), None)
+    if instance is not None and (instance != instance.min()).any():
+        first = instance == instance.min()
+        whole = records.view(f"V{records.itemsize}")  # copied in one piece each, not field by field
+        return table_of(form, starts[first], whole[first].view(records.dtype))
+    stamps = ((table.integers(label), unit_ns) for label, unit_ns in _TIMES.items())
+    return replace(table, t_ns=next((stamp * unit_ns for stamp, unit_ns in stamps if stamp is not None), None))
+
+
+class Walk:
+    """The records of the wanted messages, taken from a file that is fed piece by piece. wanted: their names."""
+
+    def __init__(self, wanted: Collection[str]) -> None:
+        self._wanted = wanted
+        self._formats: dict[int, Format] = {}
+        self._lengths = np.zeros(256, np.int64)  # by type; 0 for unknown
+        self._lengths[FMT_TYPE] = FMT_BYTES
+        self._taken = np.zeros(256, np.bool_)  # whether records of a type are gathered
+        # Places in the file (int64) and records, by type, in the order of their declaration. As bytes, for arrays that
+        # grow would be held twice.
+        self._gathered: dict[int, tuple[bytearray, bytearray]] = {}
+        self._base = 0  # place in the file where the present piece starts
+        self._carry = b""  # the end of the last piece, where a record may have begun
+        self._sound_end = 0  # place in the file behind the last whole record of a known type
+        self._sound = 0  # bytes in such records so far
+        self._lost = False  # whether anything but padding was behind it
+
+    def feed(self, data: bytes) -> None:
+        """Take in the next piece of the file. Never raises on content."""
+        data = self._carry + data
+        octets, found = np.frombuffer(data, np.uint8), np.empty(len(data) // HEADER_BYTES + 1, np.int64)
+        position = count = sound_end = 0
+        while True:
+            at = _follow(octets, position, self._lengths, self._taken, found[count:])
+            position, more, end, sound = at.tolist()
+            count, sound_end, self._sound = count + more, max(sound_end, end), self._sound + sound
+            if position >= 0:
+                break
+            position = -position  # behind a declaration
+            self._learn(data, position - FMT_BYTES)
+        places = found[:count]
+        for kind, (starts, records) in self._gathered.items():
+            at = places[octets[places + 2] == kind]
+            if len(at):
+                starts += (at + self._base).data
+                records += gather(data, self._formats[kind].layout(), at).view(np.uint8).data
+        self._lost = bool(data[sound_end:].strip(b"\0\xff")) or (self._lost and not sound_end)
+        self._sound_end = self._base + sound_end if sound_end else self._sound_end
+        self._carry = data[position:]
+        self._base += position
+
+    def finish(self) -> tuple[Tables, tuple[str, ...]]:
+        """The tables by name, and what is wrong with the file, one sentence each.
+
+        Of several instances of a sensor the first is kept; of two types with one name, the first that has records.
+        """
+        found: Tables = defaultdict(lambda: Table("", None, {}))
+        for kind, (starts, records) in self._gathered.items():
+            form = self._formats[kind]
+            if starts and form.name not in found:
+                stored = np.frombuffer(records, form.layout())
+                found[form.name] = table_of(form, np.frombuffer(starts, np.int64), stored)
+        lost = self._base + len(self._carry) - self._sound_end
+        cut = f"it ends within a record, {lost} bytes are lost: the recording was cut off"
+        between = self._sound_end - self._sound
+        damaged = f"{between} bytes of it are no records of a known type and were skipped"
+        return found, tuple(note for note, told in ((damaged, between), (cut, self._lost)) if told)
+
+    def _learn(self, data: bytes, position: int) -> None:
+        """Take in the FMT record at `position`."""
+        kind, length, *texts = FMT_BODY.unpack_from(data, position + HEADER_BYTES)
+        name, characters, labels = (raw.partition(b"\0")[0].decode("latin-1") for raw in texts)
+        form = Format(length, name, characters, tuple(labels.split(",")))
+        known = self._formats.get(kind)
+        if kind == FMT_TYPE or form.length < HEADER_BYTES or (known is not None and known.sound):
+            return
+        self._formats[kind], self._lengths[kind] = form, form.length
+        if form.name in self._wanted and form.sound:
+            self._taken[kind] = True
+            self._gathered[kind] = bytearray(), bytearray()
+
+
+@cached
+def _follow(data: NDArray[np.uint8], position: int, lengths: IntArray, taken: BoolArray, found: IntArray) -> IntArray:
+    """Follow the chain of records from a place on, up to a declaration or to where a record may go on behind the data.
+
+    found: gets the places of the records that are taken. Returns (4,): where to go on, negative behind a declaration;
+    how many were found; behind the last whole record of a known type, or 0; bytes in such records.
+    """
+    count, end, sound, size = 0, 0, 0, len(data)
+    while position <= size - 3:
+        if data[position] != 0xA3 or data[position + 1] != 0x95:
+            position += 1
+            continue
+        kind = data[position + 2]
+        length = lengths[kind]
+        if position + length > size:
+            break
+        if length == 0:
+            position += 1
+            continue
+        if taken[kind]:
+            found[count] = position
+            count += 1
+        position += length
+        sound += length
+        end = position
+        if kind == 0x80:
+            return np.array([-position, count, end, sound])
+    while position < size and (data[position] != 0xA3 or (position + 1 < size and data[position + 1] != 0x95)):
+        position += 1  # where the next record may begin that the data does not hold whole
+    return np.array([position, count, end, sound])
 
 
 def _wrapped(degrees: FloatArray) -> FloatArray:
@@ -72,10 +241,9 @@ _FRAME_CLASSES = {b"QUAD": 1, b"HEXA": 2, b"OCTA": 3, b"OCTA_QUAD": 4, b"Y6": 5,
 def read_dataflash(path: Path) -> Log:
     """Read a DataFlash log of ArduPilot, of any era that describes itself. Profile "ardupilot-log".
 
-    Samples are as recorded, not resampled. Several IMUs: the first. ACTUATOR has one column per motor, in the order of
-    the SERVOn_FUNCTION parameters where the log has them, and otherwise one per output channel up to the last one in
-    use. ARMED has a row for each change. Raises InputError for a file that is unreadable, of another kind, or without a
-    known signal.
+    ACTUATOR has one column per motor, in the order of the SERVOn_FUNCTION parameters where the log has them, and
+    otherwise one per output channel up to the last one in use. ARMED has a row for each change. Raises InputError for a
+    file that is unreadable, of another kind, or without a known signal.
     """
     walk, digest = Walk(WANTED), hashlib.sha256()
     for window in windows_of(path):
@@ -84,22 +252,23 @@ def read_dataflash(path: Path) -> Log:
     tables, notes = walk.finish()
     parameters = _parameters(tables)
     functions = output_functions(parameters)
-    motors = _motor_channels(functions)
+    first = {functions[n]: n for n in sorted(functions, reverse=True) if n <= MAX_CHANNELS}
+    motors = [first[wanted] for wanted in COPTER_MOTORS if wanted in first]  # channels by motor; of several the first
     found = read_rows(_ROWS, tables.values())
     loop, outputs = _rate_loop(tables, found.get(Signal.BODY_RATE)), _actuator(tables, motors, functions)
     series = (*found.values(), *loop, *outputs, *_armed(tables))
     if not series:
         raise InputError(f"{path}: not a usable DataFlash log: no record of a known signal; check that logging was on")
     named = (path.name, digest.hexdigest(), PROFILE)
-    kind = _mav_type(tables.get("MSG"), parameters)
+    kind = _mav_type(tables["MSG"], parameters)
     return Log(*named, Telemetry(series), _started_ns(tables, series), notes, parameters, bool(motors), kind)
 
 
-def _rate_loop(tables: Mapping[str, Table], gyro: Series | None) -> tuple[Series, ...]:
+def _rate_loop(tables: Tables, gyro: Series | None) -> tuple[Series, ...]:
     """Rate setpoints and torque commands of the RATE message."""
-    table = tables.get("RATE")
+    table = tables["RATE"]
     fields = ("RDes", "PDes", "YDes", "ROut", "POut", "YOut", "R", "P", "Y")
-    if table is None or table.t_ns is None or not table.has(*fields):
+    if table.t_ns is None or not table.has(*fields):
         return ()
     unit = _rate_unit(table, table.t_ns, gyro)
     output_unit = 1.0 if unit == DEG else 1 / CENTIDEGREE_OUTPUT
@@ -120,25 +289,18 @@ def _rate_unit(table: Table, t_ns: IntArray, gyro: Series | None) -> float:
     if gyro is None:
         return DEG
     low, high = max(t_ns[0], gyro.t_ns[0]), min(t_ns[-1], gyro.t_ns[-1])
-    said = _mean_size(table.columns(("R", "P", "Y"))[(t_ns >= low) & (t_ns <= high)])
-    measured = _mean_size(gyro.values[(gyro.t_ns >= low) & (gyro.t_ns <= high)]) / DEG
-    return DEG / 100 if said > 10 * measured > 0 else DEG
+    told = table.columns(("R", "P", "Y"))[(t_ns >= low) & (t_ns <= high)]
+    seen = gyro.values[(gyro.t_ns >= low) & (gyro.t_ns <= high)] / DEG
+    said, measured = (np.abs(one[np.isfinite(one)]) for one in (told, seen))
+    return DEG / 100 if len(said) and len(measured) and said.mean() > 10 * measured.mean() > 0 else DEG
 
 
-def _mean_size(values: FloatArray) -> float:
-    """Mean absolute value of the finite ones; 0 if there is none."""
-    finite = np.abs(values[np.isfinite(values)])
-    return float(finite.mean()) if len(finite) else 0.0
-
-
-def _actuator(tables: Mapping[str, Table], motors: Sequence[int], functions: Mapping[int, int]) -> tuple[Series, ...]:
+def _actuator(tables: Tables, motors: Sequence[int], functions: Mapping[int, int]) -> tuple[Series, ...]:
     """The motors' outputs from RCOU: (pulse - 1000 us) / 1000 us; 0 for an idle output (0 us) and for no motor's.
 
     motors: output channels by motor; empty if they are not known. Then those that have a function are no motors.
     """
-    table, others = tables.get("RCOU"), () if motors else tuple(functions)
-    if table is None or table.t_ns is None:
-        return ()
+    table, others = tables["RCOU"], () if motors else tuple(functions)
     prefix = "Ch" if table.has("Ch1") else "C"
     present = [n for n in range(1, MAX_CHANNELS + 1) if table.has(f"{prefix}{n}")]
     channels = [n for n in motors if n in present]
@@ -146,24 +308,24 @@ def _actuator(tables: Mapping[str, Table], motors: Sequence[int], functions: Map
         pulses = {n: table.column(f"{prefix}{n}") for n in present if n not in others}
         moving = [n for n, pulse in pulses.items() if np.ptp(pulse)] or [n for n in pulses if pulses[n].any()]
         channels = [n for n in present if n <= max(moving, default=0)]
-    if not channels:
+    if not channels or table.t_ns is None:
         return ()
     pulse_us = table.columns([f"{prefix}{n}" for n in channels]) * [n not in others for n in channels]
     return (recorded(Signal.ACTUATOR, table.t_ns, np.maximum(pulse_us - PWM_ZERO_US, 0.0) / PWM_SPAN_US),)
 
 
-def _parameters(tables: Mapping[str, Table]) -> dict[str, float]:
+def _parameters(tables: Tables) -> dict[str, float]:
     """The last value of each parameter; empty where the log has none."""
-    table = tables.get("PARM")
-    if table is None or not table.has("Value") or not table.has("Name", kinds="S"):
+    table = tables["PARM"]
+    if not table.has("Value") or not table.has("Name", kinds="S"):
         return {}
     names = (name.decode("latin-1") for name in table.fields["Name"].tolist())
     return {name: value for name, value in zip(names, table.column("Value").tolist(), strict=True) if isfinite(value)}
 
 
-def _mav_type(texts: Table | None, parameters: Mapping[str, float]) -> int | None:
+def _mav_type(texts: Table, parameters: Mapping[str, float]) -> int | None:
     """MAV_TYPE by the firmware's name and its frame; None where the log does not say."""
-    if texts is None or not texts.has("Message", kinds="S"):
+    if not texts.has("Message", kinds="S"):
         return None
     said = b"\n".join(texts.fields["Message"].tolist())
     firmware, frame = _FIRMWARE.search(said), _FRAME.search(said)
@@ -177,33 +339,27 @@ def _mav_type(texts: Table | None, parameters: Mapping[str, float]) -> int | Non
     return _FIRMWARE_TYPES.get(name, _COPTER_TYPES.get(frame_class))
 
 
-def _motor_channels(functions: Mapping[int, int]) -> list[int]:
-    """Output channels by motor number; empty where no function is a motor's. Of several of one motor the first."""
-    first = {functions[n]: n for n in sorted(functions, reverse=True) if n <= MAX_CHANNELS}
-    return [first[wanted] for wanted in COPTER_MOTORS if wanted in first]
-
-
-def _armed(tables: Mapping[str, Table]) -> tuple[Series, ...]:
+def _armed(tables: Tables) -> tuple[Series, ...]:
     """Arming changes, from ARM or else from EV. Early EV records carry no time: theirs is the last IMU record's."""
-    arm, event, clock = (tables.get(name) for name in ("ARM", "EV", "IMU"))
-    if arm is not None and arm.has("ArmState"):
+    arm, event, clock = (tables[name] for name in ("ARM", "EV", "IMU"))
+    if arm.has("ArmState"):
         armed = np.minimum(arm.column("ArmState"), 1.0)
         return () if arm.t_ns is None else (recorded(Signal.ARMED, arm.t_ns, armed),)
-    number = None if event is None else event.integers("Id")
-    if event is None or number is None:
+    number, t_ns = event.integers("Id"), event.t_ns
+    if number is None:
         return ()
-    t_ns, change = event.t_ns, np.isin(number, (EVENT_ARMED, EVENT_DISARMED))
-    if t_ns is None and clock is not None and clock.t_ns is not None:
+    change = np.isin(number, (EVENT_ARMED, EVENT_DISARMED))
+    if t_ns is None and clock.t_ns is not None:
         t_ns = clock.t_ns[np.maximum(np.searchsorted(clock.starts, event.starts) - 1, 0)]
     if t_ns is None or not change.any():
         return ()
     return (recorded(Signal.ARMED, t_ns[change], (number[change] == EVENT_ARMED).astype(np.float64)),)
 
 
-def _started_ns(tables: Mapping[str, Table], series: tuple[Series, ...]) -> int:
+def _started_ns(tables: Tables, series: tuple[Series, ...]) -> int:
     """Unix time of the first sample [ns], by the first three-dimensional GPS fix; 0 if there is none."""
-    table = tables.get("GPS")
-    if table is None or not table.has("Status"):
+    table = tables["GPS"]
+    if not table.has("Status"):
         return 0
     # Of the old era TimeMS is the time of the week, and T the time since boot.
     for names, boot_unit_ns in ((("GWk", "GMS", "TimeUS"), NS_PER_US), (("Week", "TimeMS", "T"), NS_PER_MS)):
@@ -211,7 +367,7 @@ def _started_ns(tables: Mapping[str, Table], series: tuple[Series, ...]) -> int:
         if week is None or tow_ms is None or boot is None:
             continue
         fixed = np.flatnonzero((table.column("Status") >= GPS_FIX_3D) & (week >= LEAP_SECONDS[-1][0]))
-        if len(fixed) == 0:
+        if not len(fixed):
             return 0
         at = int(fixed[0])
         weeks = int(week[at])

@@ -1,26 +1,18 @@
 """Recordings of the QDrone 2 in DronePropA: MATLAB files with QDrone_data, commander_data and stabilizer_data.
 
 DronePropA (Mendeley Data, 10.17632/ftdyxrr3c5.1, CC BY 4.0) holds 130 flights of three QDrone 2, healthy and with the
-thesis's nine faults, at 1 kHz. It is tested on made files of the same layout, for no raw flight was at hand, and every
-file is asked whether it follows the table of its rows (`_check`).
+thesis's nine faults, at 1 kHz. Every file is asked whether it follows the table of its rows (`_check`).
 
-Rows, from 1. The published table (Data in Brief, 10.1016/j.dib.2025.111589) names about half of them. The others follow
-from the manufacturer's public hover-test model (Quanser Academic Resources, QD2_DroneStack_PID_2021a) and from
-published statistics of the recordings. The manufacturer's frame is x forward, y left, z up: vectors and angles about y
-and z change their sign on the way to FRD.
+Rows, from 1. The published table (Data in Brief, 10.1016/j.dib.2025.111589) names about half of them; the others follow
+from the manufacturer's public hover-test model (QD2_DroneStack_PID_2021a) and published statistics. The manufacturer's
+frame is x forward, y left, z up. Rows 20 to 23 are the commands of motors 1 to 4, numbered as in the thesis; their
+copies are rows 53, 51, 49 and 47 (the published table has 49 and 51 the other way round).
 
-Motors. Rows 20 to 23 are the commands of motors 1 to 4: rear right, front right, rear left, front left, as in the
-thesis. Their copies are rows 53, 51, 49 and 47; the published table has rows 49 and 51 the other way round.
-
-Which gyro. BODY_RATE is the unfiltered gyro of the first IMU (rows 27 to 29). The thesis's residual fits it: from its
-published noise a one-step prediction leaves 0.8 to 1.6 mrad/s behind a Savitzky-Golay window of 101 samples, as Fig 5.7
-shows, and 20 times less on the filtered gyro (rows 5 to 7). That one is a profile of its own.
-
-Flight. ARMED is true in the commander's state 5 only, so that idling, take-off and landing are never judged. On the
-ground the motors turn for seven seconds with a limit cycle of the yaw torque at 24 Hz.
+BODY_RATE is the unfiltered gyro of the first IMU (rows 27 to 29), which the thesis's residual fits; the filtered one
+(rows 5 to 7) is a profile of its own. ARMED is true in the commander's state 5 only.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -64,32 +56,36 @@ SLOPE = (0.7, 1.4)  # of the attitude's change on the integrated gyro
 CLEAR = 0.5  # correlation that settles a sign
 STRAIGHT = 0.9  # correlation that settles a scale: noise on the gyro alone lowers the slope below it
 SAME = 0.99  # correlation of two records of one signal
-LINES_HZ = ((125.0, 175.0), (250.0, 350.0))  # hover, by the accelerometer of 115 of 130 flights, and its double
-FLOOR_HZ = (60.0, 450.0)
-LINE_RATIO = 5.0  # peak over the median of the spectrum
-LINE_SEGMENT = 1024  # samples of a spectrum: 1 Hz at 1 kHz
-
 _AXES = ("roll", "pitch", "yaw")
 _RULE = "the rows are not those of DronePropA"
 
 
 class _Recording:
-    """The three matrices with a row for each sample, from x forward, y left, z up to FRD.
+    """The three matrices as far as all reach, with a row for each sample, from x forward, y left, z up to FRD.
 
     q, c, s: by the numbers of rows, (n, k) of QDrone_data, commander_data and stabilizer_data; NaN for what cannot be.
-    t_ns: (n,). dt_s: sample time [s]. flying: (n,) not on the ground, taking off or landing.
     rates: (n, 3) gyro of the first IMU [rad/s]: raw, and behind the flight software's low-pass, 120 rad/s, order 2.
-    imu_attitude: (n, 3) roll, pitch and yaw that the first IMU estimates [rad]; its yaw drifts.
     speeds_are_certain: whether copies of the motor commands stand beside the ESCs' rows in the order of the table.
     """
 
-    def __init__(self, matrices: Sequence[FloatArray]) -> None:
-        self.q, self.c, self.s = (partial(_rows, matrix) for matrix in matrices)
+    def __init__(self, matrices: Mapping[str, FloatArray]) -> None:
+        count = min(map(len, matrices.values()))
+        if count < MIN_SAMPLES:
+            raise InputError(f"only {count} samples: download it again")
+        # NaN stands for what is infinite (ESCs are divided by zero until their first telemetry) or damaged.
+        tables = [np.where(np.abs(matrices[name][:count]) < MAX_VALUE, matrices[name][:count], np.nan) for name in ROWS]
+        t_s = tables[0][:, 0]
+        if not ((np.abs(t_s) < MAX_TIME_S).all() and (np.diff(np.rint(t_s * NS_PER_S)) > 0).all()):
+            raise InputError("its time does not increase from sample to sample")
+        skews_s = [float(np.nan_to_num(np.abs(table[:, 0] - t_s)).max()) for table in tables]
+        told = ((name, skew_s) for name, skew_s in zip(ROWS, skews_s, strict=True) if skew_s > SKEW_S)
+        self.notes = [f"{one} has times that differ from QDrone_data's by up to {skew_s:.3g} s" for one, skew_s in told]
+        self.q, self.c, self.s = (partial(_rows, table) for table in tables)
         self.t_ns: IntArray = np.rint(self.q(1)[:, 0] * NS_PER_S).astype(np.int64)
         self.dt_s = float(np.median(np.diff(self.q(1)[:, 0])))
         self.flying: BoolArray = self.c(2)[:, 0] == FLIGHT_STATE
         self.rates = {"raw": self.q(27, 28, 29) * FRD, "filtered": self.q(5, 6, 7) * FRD}
-        self.imu_attitude = self.q(2, 3, 4) * FRD
+        self.imu_attitude = self.q(2, 3, 4) * FRD  # as the first IMU estimates it; its yaw drifts
         commands, copies = (rows[self.flying].T for rows in (self.q(20, 21, 22, 23), self.q(53, 51, 49, 47)))
         self.speeds_are_certain = all(_fit(x, y)[1] > SAME for x, y in zip(commands, copies, strict=True))
 
@@ -136,7 +132,6 @@ class _Recording:
         return np.asarray(values[first + width] - values[first]).T
 
     def turns(self, angle: FloatArray) -> FloatArray:
-        """As `over_windows` of angles, within half a turn."""
         return (self.over_windows(angle) + np.pi) % (2 * np.pi) - np.pi
 
 
@@ -145,11 +140,7 @@ def _rows(matrix: FloatArray, *numbers: int) -> FloatArray:
 
 
 def full_thrust_n(volt: float = NOMINAL_V) -> float:
-    """Thrust of all four motors at full duty [N].
-
-    >>> round(full_thrust_n(), 2)
-    38.56
-    """
+    """Thrust of all four motors at full duty [N]."""
     a, b, c = THRUST_N_PER_V
     return 4 * (a * volt**2 + b * volt + c)
 
@@ -157,7 +148,6 @@ def full_thrust_n(volt: float = NOMINAL_V) -> float:
 def read_dronepropa(path: Path, profile: str | None = None) -> Log:
     """Read a recording. profile: "dronepropa" for the raw gyro (None as well), "dronepropa-filtered" for the filtered.
 
-    All signals have a sample each ms; values that are no number are NaN. Rotors are numbered as in the thesis.
     Raises InputError for a file that is unreadable, damaged, of another content, or that contradicts the table of its
     rows; a file that is only cut off is read as far as it reaches, with a note. UsageError for another profile.
     """
@@ -166,34 +156,13 @@ def read_dronepropa(path: Path, profile: str | None = None) -> Log:
     data = read_bytes(path)
     with usable_as("DronePropA recording", path):
         matrices, notes = read_matrices(data, ROWS)
-        recording, skewed = _recording(matrices)
+        recording = _Recording(matrices)
         values = recording.values()
-        notes += (*skewed, *_check(recording, values))
+        notes += (*recording.notes, *_check(recording, values))
     if profile == FILTERED_PROFILE:
         values[Signal.BODY_RATE] = recording.rates["filtered"]
     series = tuple(recorded(signal, recording.t_ns, found) for signal, found in values.items())
     return Log(path.name, sha256_of(data), profile or PROFILE, Telemetry(series), notes=notes)
-
-
-def _recording(matrices: Mapping[str, FloatArray]) -> tuple[_Recording, list[str]]:
-    """The matrices as far as all three reach, and what is wrong with their times.
-
-    Raises InputError if the time makes no sense. The matrices are records of one another sample by sample (the copies
-    in them are equal), so their rows are paired by number, and time is that of QDrone_data. NaN stands for what is
-    infinite (the ESCs' rows are divided by zero until their first telemetry) or damaged.
-    """
-    count = min(len(matrix) for matrix in matrices.values())
-    if count < MIN_SAMPLES:
-        raise InputError(f"only {count} samples: download it again")
-    tables = {name: matrices[name][:count] for name in ROWS}
-    tables = {name: np.where(np.abs(table) < MAX_VALUE, table, np.nan) for name, table in tables.items()}
-    t_s = tables["QDrone_data"][:, 0]
-    if not ((np.abs(t_s) < MAX_TIME_S).all() and (np.diff(np.rint(t_s * NS_PER_S)) > 0).all()):
-        raise InputError("its time does not increase from sample to sample")
-    skews_s = {name: float(np.nan_to_num(np.abs(table[:, 0] - t_s)).max()) for name, table in tables.items()}
-    told = ((name, skew_s) for name, skew_s in skews_s.items() if skew_s > SKEW_S)
-    notes = [f"{name} has times that differ from QDrone_data's by up to {skew_s:.3g} s" for name, skew_s in told]
-    return _Recording(list(tables.values())), notes
 
 
 def _check(recording: _Recording, values: Mapping[Signal, FloatArray]) -> tuple[str, ...]:
@@ -203,11 +172,8 @@ def _check(recording: _Recording, values: Mapping[Signal, FloatArray]) -> tuple[
         _check_gravity(force)
         return (f"less than {MIN_FLIGHT_S:g} s in flight: signs and motor order could not be checked",)
     _check_gravity(force[flying])
-    notes = [
-        *_check_gyros(recording),
-        *_check_order(values[Signal.ACTUATOR][flying], values[Signal.TORQUE_COMMAND][flying]),
-        *_check_line(force[flying], recording.dt_s),
-    ]
+    order = _check_order(values[Signal.ACTUATOR][flying], values[Signal.TORQUE_COMMAND][flying])
+    notes = [*_check_gyros(recording), *order]
     _check_references(recording, values)
     if not recording.speeds_are_certain:
         notes.append("rows 20 to 23 are not rows 53, 51, 49 and 47: the speeds of the ESCs were left out")
@@ -275,21 +241,6 @@ def _check_order(outputs: FloatArray, torque: FloatArray) -> list[str]:
     return notes
 
 
-def _check_line(force: FloatArray, dt_s: float) -> list[str]:
-    """The rotors' line, or its double, stands out of the accelerometer's spectrum."""
-    from scipy.signal import welch  # not at the start of a program that reads no such file
-
-    known = force[np.isfinite(force).all(axis=1)]
-    if len(known) < LINE_SEGMENT:
-        return ["too few samples of the accelerometer to look for the rotors' line"]
-    hz, density = welch(known, 1 / dt_s, nperseg=LINE_SEGMENT, axis=0)
-    power = density.sum(axis=1)
-    floor, *peaks = (power[(hz >= low) & (hz <= high)] for low, high in (FLOOR_HZ, *LINES_HZ))
-    if len(floor) and max(peak.max(initial=0.0) for peak in peaks) > LINE_RATIO * float(np.median(floor)) > 0:
-        return []
-    return ["no rotor line near 150 or 300 Hz in the accelerometer: another speed, or another vehicle"]
-
-
 def _fit(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     """Slope of y on x and their correlation over what is finite, both (n,); zeros if one of them stands still."""
     known = np.isfinite(x) & np.isfinite(y)
@@ -302,8 +253,8 @@ def _fit(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     return xy / xx, xy / float(np.sqrt(xx * yy))
 
 
-# State 5 begins at the end of the take-off; 3 s into it the flights are some 14 s old, which is what the recordings'
-# own plots advise to leave out, and its last second leads into the landing. Both spans are our choice.
+# 3 s into state 5 the flights are some 14 s old, which is what the recordings' own plots advise to leave out, and its
+# last second leads into the landing. Both spans are our choice.
 KIND = LogKind(
     "DronePropA",
     is_mat,

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeAlias
+from typing import BinaryIO, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,52 +30,36 @@ Conversion: TypeAlias = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class LogKind:
-    """One kind of log; every reader module exposes its own as KIND.
+    """One kind of log; every reader module exposes its own as KIND."""
 
-    name: for messages. recognise: whether a file's first bytes are of this kind. read: the reader.
-    profiles: that of every such log, and others that can be asked for; none where the file's messages show it.
-    gate: what counts as flying in it; None where the profile's holds.
-    airframe_name: of the one airframe that writes such logs; None if it may be any.
-    """
-
-    name: str
-    recognise: Callable[[bytes], bool]
+    name: str  # for messages
+    recognise: Callable[[bytes], bool]  # whether a file's first bytes are of this kind
     read: Reader
-    profiles: tuple[str, ...] = ()
-    gate: GateSpec | None = None
-    airframe_name: str | None = None
+    profiles: tuple[str, ...] = ()  # that of every such log, and others that can be asked for; () if messages show it
+    gate: GateSpec | None = None  # what counts as flying in it; None where the profile's holds
+    airframe_name: str | None = None  # of the one airframe that writes such logs; None if it may be any
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """How one signal is made.
-
-    table: by its name; empty for any. fields: one for each column; None: not logged, the column is NaN.
-    convert: from the fields (n, k) to SI and FRD.
-    integer_unit: what a plain integer counts in, where the format of a field depends on the era.
-    """
+    """How one signal is made."""
 
     signal: Signal
-    table: str
-    fields: tuple[str | None, ...]
-    convert: Conversion = lambda stored: stored
-    integer_unit: float = 1.0
+    table: str  # by its name; empty for any
+    fields: tuple[str | None, ...]  # one for each column; None: not logged, the column is NaN
+    convert: Conversion = lambda stored: stored  # from the fields (n, k) to SI and FRD
+    integer_unit: float = 1.0  # what a plain integer counts in, where the format of a field depends on the era
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """Records of one kind, n of them in the order of the file.
-
-    t_ns: (n,) vehicle clock; None if they carry no time.
-    fields: what is stored, (n,) by name. units: of those whose format tells one.
-    starts: (n,) their places in the file; empty where nobody asks.
-    """
+    """Records of one kind, n of them in the order of the file."""
 
     name: str
-    t_ns: IntArray | None
-    fields: Mapping[str, NDArray[np.generic]]
-    units: Mapping[str, float] = field(default_factory=dict)
-    starts: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    t_ns: IntArray | None  # (n,) vehicle clock; None if they carry no time
+    fields: Mapping[str, NDArray[np.generic]]  # what is stored, (n,) by name
+    units: Mapping[str, float] = field(default_factory=dict)  # of those whose format tells one
+    starts: IntArray = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) places in the file, if asked for
 
     def has(self, *names: str, kinds: str = "iuf") -> bool:
         """Whether all these fields are there, numbers of one column: damage can make a text or an array of one."""
@@ -121,25 +105,17 @@ def read_rows(rows: Sequence[Row], tables: Iterable[Table]) -> dict[Signal, Seri
 
 
 def scaled(*factors: float) -> Conversion:
-    """Fields times a factor for each column, or one for all.
-
-    >>> scaled(1.0, -1.0)(np.array([[2.0, 3.0]])).tolist()
-    [[2.0, -3.0]]
-    """
+    """Fields times a factor for each column, or one for all."""
     return lambda stored: stored * np.array(factors)
 
 
-def gather(data: bytes, layout: np.dtype[np.void], starts: Sequence[int] | IntArray) -> NDArray[np.void]:
-    """The records of one layout that start at these bytes, copied into an array (n,). Each must be whole.
-
-    >>> gather(b"-\\x01\\x02--\\x03\\x04", np.dtype([("a", "u1"), ("b", "u1")]), [1, 5])["b"].tolist()
-    [2, 4]
-    """
+def gather(data: bytes, layout: np.dtype[np.void], starts: IntArray) -> NDArray[np.void]:
+    """The records of one layout that start at these bytes, copied into an array (n,). Each must be whole."""
     size = layout.itemsize
     if len(starts) == 0:
         return np.empty(0, layout)
     anywhere = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))  # a record at every byte, none copied
-    records: NDArray[np.void] = anywhere[np.asarray(starts)].view(layout)
+    records: NDArray[np.void] = anywhere[starts].view(layout)
     return records
 
 
@@ -169,13 +145,20 @@ def read_bytes(path: Path, limit: int = -1) -> bytes:
 
 def windows_of(path: Path, size: int = WINDOW_BYTES, most: int = LOG_BYTES) -> Iterator[bytes]:
     """The content of a log piece by piece, in order. Raises InputError if it cannot be read, is empty or too large."""
+    with opened(path, most) as file:
+        window = file.read(size)
+        if not window:
+            raise InputError(f"{path}: the file is empty; record the flight again")
+        while window:
+            yield window
+            window = file.read(size)
+
+
+@contextmanager
+def opened(path: Path, most: int = LOG_BYTES) -> Iterator[BinaryIO]:
+    """A log to read from. Raises InputError if it cannot be read or is too large."""
     try:
         with open_regular(path, most) as file:
-            window = file.read(size)
-            if not window:
-                raise InputError(f"{path}: the file is empty; record the flight again")
-            while window:
-                yield window
-                window = file.read(size)
+            yield file
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error

@@ -1,9 +1,8 @@
 """Matrices out of MATLAB files of version 5, as far as a file reaches; `scipy.io` reads them.
 
 Layout (MathWorks, "MAT-File Format"): a header of 128 bytes, then elements of a tag (u32 type, u32 bytes) and their
-data; a compressed element holds one zlib stream with one matrix element inside, column after column. scipy reads no
-file that is cut off, and a file may claim any size: so the elements are handed to it one by one, inflated within a
-bound, and filled up to the length that they claim.
+data. scipy reads no file that is cut off, and a file may claim any size: so the elements are handed to it one by one,
+inflated within a bound, and filled up to the length that they claim.
 """
 
 import struct
@@ -37,12 +36,9 @@ def is_mat(head: bytes) -> bool:
 
 
 def read_matrices(data: bytes, wanted: Mapping[str, int]) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
-    """The wanted matrices of a file by name, and what is wrong with it though it can be used, one sentence each.
+    """The wanted matrices (rows by name) of a file as (n, rows), and what is wrong with it, one sentence each.
 
-    wanted: names, and how many rows each must have. Other variables are passed over. A matrix (n, rows) has a row for
-    each column of the file, up to where the file was cut off.
-    Raises InputError if a file is of another version or damaged, or one of the matrices is absent, of another shape or
-    too long.
+    Raises InputError if a file is of another version or damaged, or a matrix is absent, of another shape or too long.
     """
     if data.startswith(NEWER):
         raise InputError("it is of MATLAB's version 7.3; save it again with -v7")

@@ -38,13 +38,16 @@ def between(telemetry: Telemetry, from_s: float | None, to_s: float | None) -> T
     if from_s is None and to_s is None:
         return telemetry
     low, high = (-math.inf if from_s is None else from_s), (math.inf if to_s is None else to_s)
-    kept = tuple(_cut(series, low * NS_PER_S, high * NS_PER_S) for series in telemetry.series)
-    if not any(len(series) for series in kept):
+    kept = []
+    for series in telemetry:
+        inside = (series.t_ns >= low * NS_PER_S) & (series.t_ns < high * NS_PER_S)
+        kept.append(Series(series.signal, series.t_ns[inside], series.host_ns[inside], series.values[inside]))
+    if not any(map(len, kept)):
         times = np.concatenate([np.empty(0), *(series.t_s for series in telemetry.series)])
         span = f"it goes from {times.min():.1f} to {times.max():.1f} s" if len(times) else "it is empty"
         wanted = " ".join(f"{word} {t:g} s" for word, t in (("from", from_s), ("to", to_s)) if t is not None)
         raise InputError(f"no data {wanted} of the vehicle's clock; {span}")
-    return Telemetry(kept)
+    return Telemetry(tuple(kept))
 
 
 def check_times(from_s: float | None, to_s: float | None) -> None:
@@ -52,8 +55,3 @@ def check_times(from_s: float | None, to_s: float | None) -> None:
     for name, value in (("--from", from_s), ("--to", to_s)):
         if value is not None and not math.isfinite(value):
             raise UsageError(f"{name} {value}: give a time in seconds of the vehicle's clock")
-
-
-def _cut(series: Series, low_ns: float, high_ns: float) -> Series:
-    keep = (series.t_ns >= low_ns) & (series.t_ns < high_ns)
-    return Series(series.signal, series.t_ns[keep], series.host_ns[keep], series.values[keep])

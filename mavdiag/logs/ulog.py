@@ -1,7 +1,6 @@
 """PX4 ULog files (.ulg), parsed by pyulog: the topics of any PX4 since 2016 become one vehicle's telemetry.
 
-PX4 logs SI units in FRD, so most topics are taken as they are. Where a topic says when its sample was taken, that time
-is used, and otherwise the time of its publication. Dropouts of the logger stay what they are: gaps between time stamps.
+PX4 logs SI units in FRD. Where a topic says when its sample was taken, that time is used, else that of its publication.
 Damaged parts are skipped as pyulog skips them.
 """
 
@@ -42,8 +41,7 @@ PWM_ZERO_US, PWM_SPAN_US, PWM_LEAST_US = 1000.0, 1000.0, 800.0
 UTC_PLAUSIBLE_US = 10**15  # September 2001: a receiver without a fix reports 0
 
 READ_ALLOWANCE = 8  # a sound file is read once; a run of zeros, byte by byte, costs five times its length
-HEAD_BYTES = 16  # of the file
-HEADER_BYTES = 3  # of a message
+HEAD_BYTES, HEADER_BYTES = 16, 3  # of the file; of a message
 DEFINITIONS_END = (b"A", b"L", b"C")  # types of messages: subscription, text, text with a tag
 COMPARED_AT_ONCE = 32  # definitions that are compared in the time of reading a byte (our estimate)
 MAX_FIELDS = 65_535  # a ULog message is at most this many bytes (its length is a u16)
@@ -69,15 +67,15 @@ def _pulses(output: FloatArray) -> FloatArray:
     return np.maximum(_moving(pulses) - PWM_ZERO_US, 0.0) / PWM_SPAN_US
 
 
-def _in_use(values: FloatArray) -> FloatArray:
-    """Columns that are ever a number: PX4 fills unused outputs with NaN."""
-    return _moving(values[:, np.isfinite(values).any(axis=0)])
-
-
 def _moving(values: FloatArray) -> FloatArray:
     """The columns up to the last that ever changes: what stands still behind the motors is none (all, if none does)."""
     moves = np.flatnonzero((values[1:] != values[:-1]).any(axis=0))
     return values[:, : int(moves[-1]) + 1] if len(moves) else values
+
+
+def _in_use(values: FloatArray) -> FloatArray:
+    """Columns that are ever a number: PX4 fills unused outputs with NaN."""
+    return _moving(values[:, np.isfinite(values).any(axis=0)])
 
 
 def _turning(values: FloatArray) -> FloatArray:
@@ -124,8 +122,10 @@ def read_ulog(path: Path) -> Log:
     InputError for a file that is unreadable, of another kind, damaged beyond use, or without a known signal.
     """
     data = read_bytes(path)
+    digest = sha256_of(data)
     with usable_as("ULog", path):
         content, parameters, notes = _content(data)
+        del data
         topics = _tables(content)
         found = read_rows(_ROWS, topics.values())
         if not found:
@@ -133,14 +133,13 @@ def read_ulog(path: Path) -> Log:
     series = tuple(found.values())
     motors = Signal.ACTUATOR in found and "actuator_motors" in topics
     started_ns, kind = _started_ns(topics, series), _mav_type(topics, parameters)
-    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), started_ns, notes, parameters, motors, kind)
+    return Log(path.name, digest, PROFILE, Telemetry(series), started_ns, notes, parameters, motors, kind)
 
 
 class _Metered(io.BytesIO):
     """A file in memory that may be read only so much: after some damage pyulog steps back for ever.
 
-    A read brings the end nearer, so it is enough to count at each step. since: where the last step led; from there on
-    the messages were read one after the other.
+    since: where the last step led; from there on the messages were read one after the other.
     """
 
     def __init__(self, data: bytes, log: ULog) -> None:
@@ -153,8 +152,8 @@ class _Metered(io.BytesIO):
     def seek(self, offset: int, whence: int = io.SEEK_SET, /) -> int:
         """As of any file. Raises InputError when the allowance is used up, or for messages that are too large.
 
-        pyulog steps back to the first subscription or text, where the definitions end, and expands them afterwards:
-        they are checked before, if there are others than at the last check, for what that costs of the allowance.
+        pyulog steps back to the first subscription or text and expands the definitions afterwards: they are checked
+        before, if there are others than at the last check.
         """
         self._left -= self.tell() - self.since + 1
         self.since = super().seek(offset, whence)
@@ -184,10 +183,7 @@ class _Reading(ULog):
 
 
 def _content(data: bytes) -> tuple[Mapping[str, ULog.Data], dict[str, float], tuple[str, ...]]:
-    """The topics of interest by name, the last value of each parameter, and what is wrong with the file.
-
-    Raises InputError if pyulog cannot make sense of the file.
-    """
+    """The topics of interest by name, the last value of each parameter, and what is wrong with the file."""
     try:
         with redirect_stdout(io.StringIO()):  # pyulog prints its warnings
             log = _Reading(_without_holes(data))
@@ -205,10 +201,7 @@ def _content(data: bytes) -> tuple[Mapping[str, ULog.Data], dict[str, float], tu
 
 
 def _without_holes(data: bytes) -> bytes:
-    """The file with its long runs of zeros shortened: a logger reserves space ahead, and pyulog goes byte by byte.
-
-    What is left of a run is longer than any message, so that none begins or ends elsewhere.
-    """
+    """The file with its long runs of zeros shortened, not below any message: pyulog goes through them byte by byte."""
     whole = len(data) // BLOCK_BYTES
     filled = np.frombuffer(data, np.uint64, whole * BLOCK_BYTES // 8).reshape(whole, BLOCK_BYTES // 8).any(axis=1)
     since = np.arange(whole) - np.maximum.accumulate(np.where(filled, np.arange(whole), -1))  # zero blocks up to here

@@ -1,5 +1,4 @@
-"""What the rows of one flight, a block a segment, show without a baseline, as values. Nothing here is a verdict: there
-is nothing to compare with but the limits that autopilots publish."""
+"""What the rows of one flight, a block a segment, show without a baseline, as values. Nothing here is a verdict."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -33,10 +32,9 @@ HARMONICS = 3
 
 @dataclass(frozen=True, slots=True)
 class OutputLoad:
-    """One motor's output in flight, 0..1; over_mean: its mean over that of all, less 1.
+    """One motor's output in flight, 0..1; its mean over that of all, less 1; share of the flight at an end.
 
     number: of the rotor where the layout is known, else of the output, from 1.
-    full_share, idle_share: of the flight, at its upper or lower end.
     """
 
     number: int
@@ -48,10 +46,7 @@ class OutputLoad:
 
 @dataclass(frozen=True, slots=True)
 class Vibration:
-    """Level of the autopilot's own message, median and 95th percentile of x, y, z [m/s^2].
-
-    above_usual, above_high: share of the time in which an axis is above 30 or 60 m/s^2.
-    """
+    """Median and 95th percentile of x, y, z [m/s^2]; share of the time with an axis above 30 or 60 m/s^2."""
 
     median: tuple[float, ...]
     high: tuple[float, ...]
@@ -61,9 +56,9 @@ class Vibration:
 
 @dataclass(frozen=True, slots=True)
 class RotorLine:
-    """The strongest line in the spectrum of the accelerometer's x and y, or why none can be seen.
+    """The strongest line in the spectrum of the accelerometer's x and y, or the reason why none can be seen.
 
-    hz, db: where it is, and how far above its neighbourhood; NaN if there is none, and then the reason says why.
+    hz, db: where it is, and how far above its neighbourhood; NaN if there is none.
     harmonics: which of 2 and 3 times its frequency stand out as well.
     told_hz: as `told_hz`. from_hz, to_hz: where it was looked for.
     """
@@ -79,7 +74,7 @@ class RotorLine:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spectrum:
-    """frequency_hz: (n,). power: (n, 2) density of x and y [(m/s^2)^2/Hz]. averaged: number of windows."""
+    """power: (n, 2) density of x and y [(m/s^2)^2/Hz]. averaged: number of windows."""
 
     frequency_hz: FloatArray
     power: FloatArray
@@ -120,10 +115,7 @@ def output_loads(flight: Sequence[Block], motors: Sequence[int]) -> tuple[Output
 
 
 def trim(flight: Sequence[Block], layout: RotorLayout) -> Mapping[str, float] | None:
-    """Mean roll, pitch and yaw trim of the rotors, as a share of the hover command (`airframe.trim`).
-
-    None where neither outputs nor torque commands show it.
-    """
+    """Mean roll, pitch and yaw trim of the rotors [fraction of hover]; None where nothing shows it."""
     values = [value[known] for value, known in (shown_trim(block, layout) for block in flight)]
     if not sum(map(len, values)):
         return None

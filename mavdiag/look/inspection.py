@@ -1,5 +1,4 @@
-"""What a log or a link shows without a judgement, as values: signals, clock, units, rotors, the flight, and what each
-monitor lacks. It never says that a vehicle is well: without a baseline there is nothing that could show it."""
+"""What a log or a link shows without a judgement: signals, clock, units, rotors, flight, what each monitor lacks."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,8 +26,8 @@ from mavdiag.link.wants import LABELS, log_remedy, messages_of, remedy
 from mavdiag.look import figures
 from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.monitors.base import Monitor
-from mavdiag.monitors.vibration_band import corner_of
-from mavdiag.rows.grid import unbroken
+from mavdiag.monitors.unbalance import corner_of
+from mavdiag.rows.grid import mean_step, steps_of
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
@@ -53,13 +52,11 @@ _LEAST_HZ: Mapping[str, float] = {
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """One signal as it arrives.
+    """One signal as it arrives; rate, jitter and longest gap are None with fewer than two times.
 
-    rate_hz: mean rate but for pauses (`rows.grid.unbroken`); None with fewer than two times, as the next two.
-    jitter_ms: standard deviation of the steps that are no gaps. longest_gap_s: the longest step.
-    gaps: steps of three usual ones or more. missing: share of the samples that the usual step would have brought, 0..1.
-    repeated: samples with the time of another one.
-    lowest, highest: of each column; None where a column holds no number.
+    rate_hz: mean rate but for pauses. jitter_ms: standard deviation of the steps that are no gaps. gaps: steps of three
+    usual ones or more. missing: share of the samples that the usual step would have brought, 0..1. repeated: samples
+    with the time of another one. lowest, highest: of each column; None where a column holds no number.
     """
 
     signal: str
@@ -79,8 +76,7 @@ class Summary:
 class Clock:
     """The vehicle's clock beside the receiver's.
 
-    behind_s: receiver's time less the vehicle's, at the fastest transport.
-    drift_ppm: by how much that grows; None within less than `DRIFT_S`.
+    behind_s: receiver's time less the vehicle's, at the fastest transport; drift_ppm: by how much that grows.
     spread_ms: how much later than the fastest a sample may come (95 %).
     signals_ms: by how much later than the gyro each signal comes, at the fastest; other clocks and stamps show here.
     """
@@ -93,11 +89,7 @@ class Clock:
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """Whether the units are what they are taken for.
-
-    gravity_g: what the vehicle feels, by the accelerometer's scale; None without one. gravity: one phrase.
-    gyro: each axis beside the slope of the attitude; empty without either.
-    """
+    """What the vehicle feels by the accelerometer's scale, in one phrase too; the gyro beside the attitude's slope."""
 
     gravity_g: float | None
     gravity: str
@@ -106,7 +98,7 @@ class Units:
 
 @dataclass(frozen=True, slots=True)
 class MonitorState:
-    """One monitor, by its names in a baseline and in a text; what it lacks and what gives it, one phrase each."""
+    """One monitor, by its names in a baseline and in a text; what it lacks and what gives it."""
 
     monitor: str
     label: str
@@ -127,18 +119,11 @@ class MessageRate:
 class Inspection:
     """All that is told of a log or a link; its fields are those of the JSON.
 
-    source: as it was given. span_s: from its first to its last sample.
-    flight_s: valid time in flight; 0 if none. no_flight: why there is none; empty if there is.
-    upset: when and how it fell or tumbled, one sentence; empty if it did not.
+    flight_s: valid time in flight; 0 if none. no_flight: why there is none. upset: when and how it fell or tumbled.
     gyro_gaps, lost_s: gaps of the gyro longer than 35 ms, and their time in all.
     messages, link: each message of a link; frames received, lost, reordered and duplicated; None for a log without.
-    asked: what the autopilot answered to our requests, one sentence each; empty if nothing was asked.
+    asked: what the autopilot answered to our requests, one sentence each.
     clock: None where nothing came with a time of arrival of its own.
-    rotors: what is known of the rotors' layout, one sentence.
-    loads, trim: of the motors; empty or None where outputs and torque commands are missing.
-    vibration: by the autopilot's own message; None without it.
-    line: the rotors' line in the accelerometer; None without flight.
-    baseline: whether it is of this link; empty without one.
     """
 
     log: str
@@ -182,8 +167,7 @@ def inspection_of(
 ) -> Inspection:
     """Look at a log, or at what came of a link. told: what is known of its vehicle; `Airframe()` for nothing.
 
-    baseline: its monitors are told; None for all monitors.
-    count, rates_hz: of the autopilot's frames; the rate of each message by its number. asked: as in `Inspection`.
+    baseline: its monitors are told; None for all monitors. count, rates_hz: of the autopilot's frames, by message.
     """
     airframe, learnt, no_flight = rotors_of(log, told)
     signals = tuple(summary(series) for series in log.telemetry.series if len(series))
@@ -222,12 +206,12 @@ def inspection_of(
 def summary(series: Series) -> Summary:
     """Figures of one signal, which has samples."""
     t_ns = np.unique(series.t_ns)
-    steps: FloatArray = np.diff(t_ns).astype(np.float64)
+    steps = steps_of(t_ns)
     rate = jitter = longest = None
     gaps, missing = 0, 0.0
     if len(steps):
         usual = float(np.median(steps))
-        rate, longest = float(NS_PER_S / unbroken(steps).mean()), float(steps.max()) / NS_PER_S
+        rate, longest = NS_PER_S / mean_step(steps), float(steps.max()) / NS_PER_S
         jitter = float(steps[steps < USUAL * usual].std()) / NS_PER_MS
         gaps = int(np.count_nonzero(steps >= USUAL * usual))
         missing = max(0.0, 1.0 - len(t_ns) / (float(t_ns[-1] - t_ns[0]) / usual + 1.0))
@@ -242,7 +226,7 @@ def clock_of(telemetry: Telemetry) -> Clock | None:
     gyro = telemetry.get(Signal.BODY_RATE)
     if gyro is None or len(gyro) < LEAST_CLOCK or np.array_equal(gyro.t_ns, gyro.host_ns):
         return None
-    behind = _behind_s(gyro)
+    behind = (gyro.host_ns - gyro.t_ns) / NS_PER_S
     seconds, order, starts = _by_second(gyro.t_ns)
     least = np.minimum.reduceat(behind[order], starts)
     known = len(least) >= DRIFT_S
@@ -253,7 +237,7 @@ def clock_of(telemetry: Telemetry) -> Clock | None:
         float(behind.min()),
         1e6 * float(slope) if known else None,
         1e3 * float(np.percentile(late - late.min(), LATE_SHARE)),
-        {series.signal.value: 1e3 * float(_behind_s(series).min() - behind.min()) for series in others},
+        {one.signal.value: float((one.host_ns - one.t_ns).min() / NS_PER_MS - 1e3 * behind.min()) for one in others},
     )
 
 
@@ -274,11 +258,7 @@ def units_of(log: Log) -> Units:
 
 
 def rotors_of(log: Log, told: Airframe) -> tuple[Airframe, LearntFlight | None, str]:
-    """The airframe with its rotors as `learn` finds them, the flight by rotor, and why there is none.
-
-    Its rotors are as told, as of every vehicle that writes such logs, by the vehicle's parameters, or by what the
-    outputs do in flight.
-    """
+    """The airframe with its rotors as `learn` finds them, the flight by rotor, and why there is none."""
     told = of_log_kind(told, log.profile)
     try:
         airframe, flights = with_rotors(told, [airborne(front_for([log], WINDOW_S, told.gate), log)])
@@ -319,10 +299,6 @@ def baseline_statement(baseline: Baseline, log: Log, found: Sequence[Summary]) -
     return "of this link" if rate_hz else "of this profile; no gyro came to compare the rate"
 
 
-def _behind_s(series: Series) -> FloatArray:
-    return np.asarray((series.host_ns - series.t_ns) / NS_PER_S)
-
-
 def _by_second(t_ns: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """The seconds since the first sample that have any, the samples' order by second, and where each begins in it."""
     second = (t_ns - t_ns[0]) // NS_PER_S
@@ -336,7 +312,7 @@ def _gyro_gaps(telemetry: Telemetry) -> FloatArray:
     gyro = telemetry.get(Signal.BODY_RATE)
     if gyro is None or len(gyro) < 2:
         return np.empty(0)
-    steps: FloatArray = np.diff(np.unique(gyro.t_ns)).astype(np.float64) / NS_PER_S
+    steps = steps_of(gyro.t_ns) / NS_PER_S
     return steps[steps > max(GAP_S, 1.5 * float(np.median(steps)))] if len(steps) else steps
 
 

@@ -19,8 +19,6 @@ from mavdiag.monitors.trim_step import TrimStep
 from mavdiag.monitors.unbalance import Unbalance
 from mavdiag.monitors.vibration_level import VibrationLevel
 
-__all__ = ["BY_NAME", "MONITORS", "NEED_LAYOUT", "by_name", "monitor_of"]
-
 MONITORS: tuple[type[Monitor[Any]], ...] = (
     RunLength,
     Innovation,
@@ -41,11 +39,7 @@ NEED_LAYOUT = tuple(monitor.name for monitor in MONITORS if monitor.needs_layout
 
 
 def by_name(name: str) -> type[Monitor[Any]]:
-    """The monitor of that name. Raises UsageError, listing the names, if there is none.
-
-    >>> by_name("fsd").label
-    'FSD'
-    """
+    """The monitor of that name. Raises UsageError, listing the names, if there is none."""
     if name not in BY_NAME:
         raise UsageError(f"no monitor {name}; there are {', '.join(BY_NAME)}")
     return BY_NAME[name]

@@ -1,18 +1,17 @@
 """What a monitor is: one file in this folder, and one line in `mavdiag.monitors.MONITORS`.
 
-A monitor turns rows into a statistic. Everything that the rest of the project must know about it stands in its class:
-its name, unit and label, the signals it needs, how its healthy scores differ, what it knows about rotors, how it is
-fitted to healthy flights. The registry builds from that the baseline's schema, the chain, learning, isolation, the
-texts, the streams that the detector asks for, and the contract tests.
+A monitor turns rows into a statistic. Everything that the rest of the project must know about it stands in its class;
+the registry builds from that the baseline's schema, the chain, learning, isolation, the texts and the contract tests.
 """
 
 import itertools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
+from types import MappingProxyType
+from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -20,28 +19,14 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import InputError
 from mavdiag.identify import Method, Order
-from mavdiag.monitors.columns import Columns, Kernel, columns_of
-from mavdiag.rows.block import ALL
+from mavdiag.monitors.columns import SOUND, VALUE, Columns, Loop, columns_of, no_past
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, FloatArray, Signal
-from mavdiag.thresholds.rule import Prior
-
-__all__ = [
-    "FaultKind",
-    "Feature",
-    "Flights",
-    "LearnContext",
-    "Monitor",
-    "RotorEvidence",
-    "Rows",
-    "segments",
-]
+from mavdiag.thresholds.rule import USUAL, Prior
 
 Spec = TypeVar("Spec")
-
-
 Flights: TypeAlias = Sequence[Sequence[Rows]]
 """Flights as monitors are fitted to them: for each flight its rows of flying, in order."""
 
@@ -53,29 +38,18 @@ def segments(flight: Sequence[Rows]) -> list[list[Rows]]:
 
 @dataclass(frozen=True, slots=True)
 class LearnContext:
-    """What is known beside the flights.
-
-    airframe: the vehicle, as far as it is known.
-    imu_corner_hz: corner of the low-pass filter in the IMU stream; None if it has none.
-    dt_s: row period [s].
-    window: samples of the Savitzky-Golay filters.
-    axes: the axes that the fsd monitor models.
-    method, order: how ARX models are fitted.
-    margin_rule: "p90" or "max", the margin of the fsd monitor (T 4.4.3, Algorithm 1).
-    figures: standard errors and figures of fit are wanted; a fit that only scores flights needs none.
-    near: the monitor's fits to all flights, for one to some of them to begin from.
-    """
+    """What is known beside the flights."""
 
     airframe: Airframe
-    imu_corner_hz: float | None
-    dt_s: float
-    window: int
-    axes: tuple[Axis, ...] = (Axis.ROLL, Axis.PITCH)
-    method: Method = Method.SRIV
+    imu_corner_hz: float | None  # of the low-pass filter in the IMU stream; None if it has none
+    dt_s: float  # row period
+    window: int  # rows of the Savitzky-Golay filters
+    axes: tuple[Axis, ...] = (Axis.ROLL, Axis.PITCH)  # that the fsd monitor models
+    method: Method = Method.SRIV  # of ARX models
     order: Order = (2, 2, 1)
-    margin_rule: str = "p90"
-    figures: bool = True
-    near: tuple[Any, ...] = ()
+    margin_rule: str = "p90"  # or "max", the margin of the fsd monitor (T 4.4.3, Algorithm 1)
+    figures: bool = True  # standard errors and figures of fit are wanted; a fit that only scores flights needs none
+    near: tuple[Any, ...] = ()  # the monitor's fits to all flights, for one to some of them to begin from
 
     @property
     def layout(self) -> RotorLayout:
@@ -83,6 +57,11 @@ class LearnContext:
         if self.airframe.layout is None:
             raise InputError("the rotor layout is not known; name the airframe")
         return self.airframe.layout
+
+    @property
+    def delay_s(self) -> float:
+        """Half the window of the rate filters [s]."""
+        return self.window // 2 * self.dt_s
 
     def need_rate(self, least_hz: float) -> None:
         """Raises InputError if rows come more seldom."""
@@ -94,16 +73,13 @@ class LearnContext:
 class RotorEvidence:
     """How a monitor's `rotors` count when a rotor is named.
 
-    weight: logits per unit of evidence.
-    relative: the evidence counts in units of the monitor's threshold.
-    direct: it observes the damaged rotor itself. Evidence that is not direct counts only while no direct monitor that
-    is above its threshold is sure of a rotor: a trim shows which rotor is commanded more, and a blade with more drag
-    has the others commanded more.
+    Evidence that is not direct counts only while no direct monitor above its threshold is sure of a rotor: a blade with
+    more drag has the others commanded more.
     """
 
-    weight: float
-    relative: bool = False
-    direct: bool = True
+    weight: float  # logits per unit of evidence
+    relative: bool = False  # the evidence counts in units of the monitor's threshold
+    direct: bool = True  # it observes the damaged rotor itself
 
 
 class FaultKind(StrEnum):
@@ -128,47 +104,50 @@ class Feature:
     RISE = "rise"  # share of the hover command, from `rotors`
 
 
+class Begin(NamedTuple):
+    """What a loop reads of its fit, what it remembers before a segment, and how many earlier columns it looks at."""
+
+    par: FloatArray
+    mem: FloatArray
+    back: int = 0
+
+
+State: TypeAlias = tuple[FloatArray, FloatArray, FloatArray] | None
+"""Of one monitor: parameters, memory, latest columns; None before the first row of a segment."""
+
+
 class Monitor(ABC, Generic[Spec]):
-    """One statistic; `axis` is None where it concerns the whole vehicle.
+    """One statistic; of one body axis, or of the whole vehicle. What depends on the fit is set in `__init__`."""
 
-    name: key in the baseline, the journal and the scan report.
-    label: how a text for a pilot calls it, at most 10 characters.
-    phrase: what a text for a pilot says of its alarm, with {times} its threshold or {lost} percent of thrust, if any.
-    needs: every signal that its value may rest on; a value is not valid where one is unknown (see `signals`).
-    depends: the conditions that raise its statistic in healthy flight; outside of what the healthy flights covered of
-        them it does not judge (`thresholds.envelope`).
-    decides: its alarm is a fault by itself; else it is a suspicion that another monitor must confirm.
-    kind: what its alarm means.
-    clear_s: how long its statistic must have been back before its event closes.
-    prior: how its healthy maxima differ before any flight tells.
-    evidence: how it knows about rotors; None if it does not.
-    feature: what its level means for the fault, a name of `Feature`; None if nothing.
-    needs_layout: it cannot be fitted where the rotor layout is not known.
-    doubt: what a verdict adds where no deciding monitor without a doubt has an alarm; empty if nothing.
-    run: its equation, compiled (`monitors.columns`).
-    by_rates: its values are about the times of rates, which are known half a filter window later than rows.
-    spec_type: the frozen dataclass of its fit, with `kind: Literal[name]`; what the baseline stores.
-    """
-
-    name: ClassVar[str]
-    label: ClassVar[str]
-    phrase: ClassVar[str] = ""
-    needs: ClassVar[frozenset[Signal]]
-    depends: ClassVar[frozenset[Condition]] = frozenset()
-    decides: ClassVar[bool] = True
-    kind: ClassVar[FaultKind] = FaultKind.PROPELLER
-    clear_s: ClassVar[float] = 2.0  # our choice
-    prior: ClassVar[Prior] = Prior()
-    evidence: ClassVar[RotorEvidence | None] = None
-    needs_layout: ClassVar[bool] = False
-    doubt: ClassVar[str] = ""
-    run: ClassVar[Kernel]
-    by_rates: ClassVar[bool] = False
-    spec_type: ClassVar[type[Any]]
+    name: ClassVar[str]  # key in the baseline, the journal and the scan report
+    label: ClassVar[str]  # how a text for a pilot calls it, at most 10 characters
+    phrase: ClassVar[str] = ""  # what it says of its alarm, with {times} its threshold or {lost} percent of thrust
+    needs: ClassVar[frozenset[Signal]]  # that its value may rest on; a value is not valid where one is unknown
+    depends: ClassVar[frozenset[Condition]] = frozenset()  # conditions that raise it in health (`thresholds.envelope`)
+    decides: ClassVar[bool] = True  # its alarm is a fault by itself; else it is a suspicion, to be confirmed
+    kind: ClassVar[FaultKind] = FaultKind.PROPELLER  # what its alarm means
+    clear_s: ClassVar[float] = 2.0  # how long it must have been back before its event closes (our choice)
+    prior: ClassVar[Prior] = USUAL  # how its healthy maxima differ, before any flight tells
+    evidence: ClassVar[RotorEvidence | None] = None  # how it knows about rotors; None if it does not
+    needs_layout: ClassVar[bool] = False  # it cannot be fitted where the rotor layout is not known
+    doubt: ClassVar[str] = ""  # what a verdict adds where no deciding monitor without a doubt has an alarm
+    run: ClassVar[Loop]  # its equation, compiled
+    by_rates: ClassVar[bool] = False  # its values are about the times of rates, known half a filter window later
+    shown: ClassVar[int] = VALUE  # row of its values that a display draws
+    spec_type: ClassVar[type[Any]]  # the frozen dataclass of its fit, with `kind: Literal[name]`, in the baseline
+    unit: str  # of the statistic and of its threshold
+    feature: str | None = None  # what its level means for the fault, a name of `Feature`
+    reach: float = math.inf  # what the statistic can come to; a threshold there would never be passed
+    memory_s: float = 1.0  # how long what was flown stays in the statistic
+    takes: Mapping[Signal, slice] = MappingProxyType({})  # which columns of a signal it takes, where not all
+    axis: Axis | None = None  # the body axis that it is about
+    reference: float = 0.0  # what a display compares it with; 0 if nothing
 
     def __init__(self, spec: Spec) -> None:
-        self.spec = spec
-        self._parameters: dict[float, FloatArray] = {}
+        layout: RotorLayout | None = getattr(spec, "layout", None)
+        self.spec, self.signals = spec, self.needs  # signals: that this fit rests on, where it chose between them
+        self.rotors = 0 if layout is None else layout.rotors  # for how many it gives evidence
+        self.delay_s = float(getattr(spec, "delay_s", 0.0))  # how much later than its time stamp a value is known
 
     @classmethod
     @abstractmethod
@@ -179,111 +158,69 @@ class Monitor(ABC, Generic[Spec]):
         name), if it cannot work on such flights.
         """
 
-    def renewed(self, flights: Flights, context: LearnContext) -> tuple[Spec, float]:
-        """Its fit once the propellers are new, and the factor of scores that the old ones gave.
+    @abstractmethod
+    def begin(self, dt_s: float) -> Begin:
+        """What `run` works with, at a row period [s]."""
 
-        flights: healthy ones with the new propellers. Raises as `fit`. Most fits do not rest on propellers, and stay.
-        """
+    def renewed(self, flights: Flights, context: LearnContext) -> tuple[Spec, float]:
+        """Its fit of healthy flights with new propellers, and the factor of scores that the old ones gave."""
         return self.spec, 1.0
 
     def extended(self, flights: Flights, sessions: int) -> Spec:
-        """Its fit with a further session of healthy flights. sessions: how many it rests on. Raises as `fit`."""
+        """Its fit with a further session of healthy flights. sessions: how many it rests on."""
         return self.spec
-
-    @property
-    @abstractmethod
-    def unit(self) -> str:
-        """Unit of the statistic and of its threshold."""
-
-    @property
-    def signals(self) -> frozenset[Signal]:
-        """The signals that this fit rests on; fewer than `needs` where it chose between them."""
-        return self.needs
-
-    def columns(self, signal: Signal) -> slice:
-        """Which columns of a signal it takes."""
-        return ALL
-
-    @property
-    def axis(self) -> Axis | None:
-        """The body axis that the statistic is about."""
-        return None
-
-    @property
-    def reference(self) -> float:
-        """What its `signal` is compared with, for a display; 0 if with nothing."""
-        return 0.0
-
-    @property
-    def delay_s(self) -> float:
-        """How much later than its time stamp a value is known [s]: the fit's `delay_s`, if it has one."""
-        return float(getattr(self.spec, "delay_s", 0.0))
-
-    @property
-    def reach(self) -> float:
-        """What the statistic can come to, whatever breaks; a threshold at or above it would never be passed."""
-        return math.inf
-
-    @property
-    def memory_s(self) -> float:
-        """How long what was flown stays in the statistic [s]."""
-        return 1.0
-
-    @property
-    def feature(self) -> str | None:
-        """What its level means for the fault, a name of `Feature`; None if nothing."""
-        return None
-
-    @property
-    def rotors(self) -> int:
-        """For how many rotors it gives evidence: those of the fit's layout, if it has one."""
-        layout: RotorLayout | None = getattr(self.spec, "layout", None)
-        return 0 if layout is None else layout.rotors
 
     def period_s(self, dt_s: float) -> float:
         """Span of flight that one value stands for [s], at a row period."""
         return dt_s
 
-    @abstractmethod
-    def parameters(self, dt_s: float) -> FloatArray:
-        """What `run` reads of its fit, at a row period [s]."""
+    def start(self) -> State:
+        """A fresh state, before the first row of a segment."""
+        return None
 
-    @abstractmethod
-    def memory(self, dt_s: float) -> FloatArray:
-        """What `run` remembers, before the first row of a segment."""
+    def step(self, state: State, rows: Rows) -> tuple[State, Statistic]:
+        """Take the next rows of the same segment. Any cut into chunks gives the same values."""
+        par, mem, back = self.begin(rows.block.dt_s)
+        mem, past = (mem, no_past(back)) if state is None else (state[1].copy(), state[2])
+        columns = columns_of(rows, past)
+        return (par, mem, columns.past), self.judge(par, mem, rows, columns)[0]
 
-    def parameters_at(self, dt_s: float) -> FloatArray:
-        """`parameters`, computed once."""
-        if dt_s not in self._parameters:
-            self._parameters[dt_s] = self.parameters(dt_s)
-        return self._parameters[dt_s]
+    def judge(
+        self, par: FloatArray, mem: FloatArray, rows: Rows, columns: Columns, more: int = 0
+    ) -> tuple[Statistic, FloatArray]:
+        """Its statistic of some rows, and what the loop wrote, with so many inner figures, (4 + more, k)."""
+        n = len(rows.block)
+        out, rotors, at = np.zeros((4 + more, n)), np.empty((n, self.rotors)), np.empty(n, dtype=np.int64)
+        count = self.run(par, mem, columns.x, columns.first, columns.known, out, rotors, at)
+        return self.statistic(rows, out[:, :count], rotors[:count], at[:count]), out[:, :count]
 
-    def start(self) -> FloatArray:
-        """A fresh state, before the first row of a segment: nothing, until the row period is known."""
-        return np.empty(0)
-
-    def step(self, state: FloatArray, rows: Rows) -> tuple[FloatArray, Statistic]:
-        """Take the next rows of the same segment. Any cut into chunks gives the same values.
-
-        The chain calls `start` at the border of every segment and flight; a monitor need not look for it.
-        """
-        return self.judge(state, rows, columns_of(rows))
-
-    def judge(self, state: FloatArray, rows: Rows, columns: Columns) -> tuple[FloatArray, Statistic]:
-        """As `step`, with the columns of the rows at hand."""
-        dt_s, n = rows.block.dt_s, columns.flags.shape[1]
-        memory = state.copy() if len(state) else self.memory(dt_s)
-        out, rotors, at = np.empty((4, n)), np.empty((n, self.rotors)), np.empty(n, dtype=np.int64)
-        count = self.run(self.parameters_at(dt_s), memory, columns.x, columns.flags, columns.lag, out, rotors, at)
-        t_ns = rows.rates.t_ns if self.by_rates else rows.block.t_ns
-        value, sound, level, signal = out[:, :count]
-        found = Statistic(t_ns[at[:count]], self.period_s(dt_s), value, sound > 0.5, level, signal, rotors[:count])
-        return memory, found
+    def statistic(self, rows: Rows, out: FloatArray, rotors: FloatArray, at: Any) -> Statistic:
+        """What a loop wrote, with its times."""
+        t_ns, dt_s = rows.rates.t_ns if self.by_rates else rows.block.t_ns, rows.block.dt_s
+        return Statistic(t_ns[at], self.period_s(dt_s), out[VALUE], out[SOUND] > 0.5, out[2], out[self.shown], rotors)
 
     def over(self, flight: Sequence[Rows]) -> Iterator[Statistic]:
         """Judge a whole flight, from a fresh state at every segment."""
-        for segment in segments(flight):
-            state = self.start()
-            for rows in segment:
-                state, statistic = self.step(state, rows)
-                yield statistic
+        return (found for ((found, _),) in walk([self], flight))
+
+
+def parted(flight: Sequence[Rows]) -> Iterator[tuple[bool, Rows]]:
+    """The rows of a flight one after the other, and whether a segment begins with them."""
+    segment = None
+    for rows in flight:
+        yield rows.block.segment != segment, rows
+        segment = rows.block.segment
+
+
+def walk(
+    monitors: Sequence[Monitor[Any]], flight: Sequence[Rows], more: int = 0
+) -> Iterator[list[tuple[Statistic, FloatArray]]]:
+    """Of each piece of a flight what each monitor judges (`Monitor.judge`), from a fresh state at every segment."""
+    begun, past = list[Begin](), no_past(0)
+    for begins, rows in parted(flight):
+        if begins:
+            begun = [monitor.begin(rows.block.dt_s) for monitor in monitors]
+            past = no_past(max((one.back for one in begun), default=0))
+        columns, pairs = columns_of(rows, past), zip(monitors, begun, strict=True)
+        yield [monitor.judge(one.par, one.mem, rows, columns, more) for monitor, one in pairs]
+        past = columns.past

@@ -1,11 +1,5 @@
 """The conditions of flight (`rows.conditions`) from the columns of rows: a running figure like a monitor's.
 
-    yaw rate = min(|r|, max over 2 s of |d psi/dt|)      r: gyro, mean of the bin;  psi: commanded heading, over 0.1 s
-
-Some autopilots step the commanded heading (PX4 offboard), and the vehicle turns there as fast as it can: r tells how
-fast. A damaged rotor may yaw the vehicle: that is no condition, and psi, which the rotor does not move, limits it.
-Where the link carries no commanded heading, r counts alone.
-
 Rows are put into the bins of their times as they come. The rates of a bin come half a window later; with the first rate
 of the next one a bin is whole.
 """
@@ -13,11 +7,13 @@ of the next one a bin is whole.
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+import mavdiag.monitors.columns as col
 from mavdiag.jit import cached, jit
-from mavdiag.monitors.columns import COMMANDED, HEADING, HEIGHT, LEAN, RATE, SETPOINT, THRUST, VALID, U, columns_of
+from mavdiag.monitors.base import parted
 from mavdiag.rows.conditions import BIN_S, Condition
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, IntArray
@@ -55,115 +51,97 @@ def _add(mem: FloatArray, at: int, value: float, j: int) -> None:
 
 
 @jit
-def _take_row(mem: FloatArray, own: int, number: int, x: FloatArray, flags: FloatArray, i: int) -> None:
+def _take_row(mem: FloatArray, number: int, x: FloatArray, i: int) -> None:
     """Put a row into its bin."""
-    at = own + ROWS + number % OPEN_BINS * WIDTH
+    at = ROWS + number % OPEN_BINS * WIDTH
     if mem[at] != number:
         mem[at] = number
         for j in range(SUMS, LOW):
             mem[at + j] = 0.0
         mem[at + LOW] = math.nan
     mem[at + HEADED] = math.nan
-    if flags[VALID, i] < 0.5:
+    if x[col.VALID, i] < 0.5:
         return
-    if flags[SETPOINT, i] > 0.5:
-        _add(mem, at, x[LEAN, i], 0)
-        _add(mem, at, x[LEAN + 1, i], 1)
-        mem[at + HEADED] = x[HEADING, i]
-    _add(mem, at, x[THRUST, i], 2)
-    _add(mem, at, x[RATE + 2, i], 3)
-    if not x[HEIGHT, i] >= mem[at + LOW]:  # the first, or a lower one
-        mem[at + LOW] = x[HEIGHT, i] if math.isfinite(x[HEIGHT, i]) else mem[at + LOW]
+    if x[col.SETPOINT, i] > 0.5:
+        _add(mem, at, x[col.LEAN, i], 0)
+        _add(mem, at, x[col.LEAN + 1, i], 1)
+        mem[at + HEADED] = x[col.HEADING, i]
+    _add(mem, at, x[col.THRUST, i], 2)
+    _add(mem, at, x[col.RATE + 2, i], 3)
+    if not x[col.HEIGHT, i] >= mem[at + LOW]:  # the first, or a lower one
+        mem[at + LOW] = x[col.HEIGHT, i] if math.isfinite(x[col.HEIGHT, i]) else mem[at + LOW]
 
 
 @jit
-def _finish(mem: FloatArray, own: int, values: FloatArray, k: int) -> None:
+def _finish(mem: FloatArray, values: FloatArray, k: int) -> None:
     """The conditions of the bin of the newest rate, to row k."""
-    at, past = own + ROWS + int(mem[own + BIN]) % OPEN_BINS * WIDTH, own + PAST
-    known = mem[at] == mem[own + BIN]
-    place = past + 3 * (int(mem[own + BINS]) % TILT_BINS)
-    mem[own + BINS] += 1.0
+    at, past = ROWS + int(mem[BIN]) % OPEN_BINS * WIDTH, PAST
+    known = mem[at] == mem[BIN]
+    place = past + 3 * (int(mem[BINS]) % TILT_BINS)
+    mem[BINS] += 1.0
     heading = mem[at + HEADED] if known else math.nan
-    turned = abs(heading - mem[own + EDGE + 2]) / BIN_S
+    turned = abs(heading - mem[EDGE + 2]) / BIN_S
     mem[place + 2] = turned
     for j in range(2):
         mem[place + j] = mem[at + SUMS + j] / mem[at + COUNTS + j] if known else math.nan  # 0/0 is nan
     roll, pitch, most = 0.0, 0.0, -1.0
     for back in range(TILT_BINS):
-        one = past + 3 * ((int(mem[own + BINS]) - 1 - back + TILT_BINS) % TILT_BINS)
+        one = past + 3 * ((int(mem[BINS]) - 1 - back + TILT_BINS) % TILT_BINS)
         roll, pitch = roll + mem[one], pitch + mem[one + 1]
         if back < TURN_BINS and mem[one + 2] > most:
             most = mem[one + 2]
     values[k, 0] = math.hypot(roll / TILT_BINS, pitch / TILT_BINS)
     values[k, 1] = mem[at + SUMS + 2] / mem[at + COUNTS + 2] if known else math.nan
-    values[k, 2] = mem[own + MOST]
+    values[k, 2] = mem[MOST]
     sharpest = math.nan
     for j in range(2):
-        step = abs(mem[own + NEWEST + j] - mem[own + EDGE + j]) / BIN_S
+        step = abs(mem[NEWEST + j] - mem[EDGE + j]) / BIN_S
         if not sharpest >= step and math.isfinite(step):
             sharpest = step
-        mem[own + EDGE + j] = mem[own + NEWEST + j]
+        mem[EDGE + j] = mem[NEWEST + j]
     values[k, 3] = sharpest
     turning = abs(mem[at + SUMS + 3] / mem[at + COUNTS + 3]) if known else math.nan
     values[k, 4] = min(turning, most) if most >= 0.0 and math.isfinite(turning) else turning
     values[k, 5] = mem[at + LOW] if known else math.nan
-    mem[own + EDGE + 2] = heading
+    mem[EDGE + 2] = heading
 
 
 @jit
 def take_rows(
-    mem: FloatArray,
-    own: int,
-    x: FloatArray,
-    flags: FloatArray,
-    lag: int,
-    t_ns: IntArray,
-    rates_ns: IntArray,
-    end_ns: IntArray,
-    values: FloatArray,
-    k: int,
+    mem: FloatArray, x: FloatArray, first: int, known: int, times: Any, end_ns: IntArray, values: FloatArray, k: int
 ) -> int:
     """Take the next rows; put the bins that they complete to `end_ns` and `values` from k on, return where they end.
 
-    own: where the memory begins. values: (bins, COUNT or more), in the order of `Condition`; nan where unknown.
+    times: of rows and of rates. values: (bins, COUNT or more), in the order of `Condition`; nan where unknown.
     """
-    row_bin = row_until = number = until = 0
-    for i in range(x.shape[1]):
-        if t_ns[i] >= row_until:
-            row_bin = t_ns[i] // BIN_NS
+    (t_ns, rates_ns), row_bin, row_until, number, until = times, 0, 0, 0, 0
+    for i in range(first, x.shape[1]):
+        if t_ns[i - first] >= row_until:
+            row_bin = t_ns[i - first] // BIN_NS
             row_until = (row_bin + 1) * BIN_NS
-        _take_row(mem, own, row_bin, x, flags, i)
-        if i < lag:
+        _take_row(mem, row_bin, x, i)
+        if i < known:
             continue
-        if rates_ns[i - lag] >= until:
-            number = rates_ns[i - lag] // BIN_NS
+        if rates_ns[i - known] >= until:
+            number = rates_ns[i - known] // BIN_NS
             until = (number + 1) * BIN_NS
-        if mem[own + BIN] != number:
-            if mem[own + BIN] >= 0.0:
-                end_ns[k] = (int(mem[own + BIN]) + 1) * BIN_NS
-                _finish(mem, own, values, k)
+        if mem[BIN] != number:
+            if mem[BIN] >= 0.0:
+                end_ns[k] = (int(mem[BIN]) + 1) * BIN_NS
+                _finish(mem, values, k)
                 k += 1
-            mem[own + BIN], mem[own + MOST] = number, math.nan
+            mem[BIN], mem[MOST] = number, math.nan
         for j in range(2):
-            rate = x[U + j, i] if flags[COMMANDED, i] > 0.5 else math.nan
-            mem[own + NEWEST + j] = rate
-            if not mem[own + MOST] >= abs(rate) and math.isfinite(rate):
-                mem[own + MOST] = abs(rate)
+            rate = x[col.U + j, i] if x[col.COMMANDED, i] > 0.5 else math.nan
+            mem[NEWEST + j] = rate
+            if not mem[MOST] >= abs(rate) and math.isfinite(rate):
+                mem[MOST] = abs(rate)
     return k
 
 
 @cached
-def _measured(
-    mem: FloatArray,
-    x: FloatArray,
-    flags: FloatArray,
-    lag: int,
-    t_ns: IntArray,
-    rates_ns: IntArray,
-    end_ns: IntArray,
-    values: FloatArray,
-) -> int:
-    return take_rows(mem, 0, x, flags, lag, t_ns, rates_ns, end_ns, values, 0)
+def _measured(mem: FloatArray, x: FloatArray, known: int, times: Any, end_ns: IntArray, values: FloatArray) -> int:
+    return take_rows(mem, x, 0, known, times, end_ns, values, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,16 +157,15 @@ def most_bins(rates_ns: IntArray) -> int:
     return int((rates_ns[-1] - rates_ns[0]) // BIN_NS) + 2 if len(rates_ns) else 0
 
 
-def measure(segments: Iterable[Rows]) -> Iterator[Conditions]:
+def measure(flight: Sequence[Rows]) -> Iterator[Conditions]:
     """The bins of rows that follow each other; a new segment begins anew."""
-    segment, mem = None, np.empty(0)
-    for rows in segments:
-        if rows.block.segment != segment:
-            segment, mem = rows.block.segment, conditions_memory()
-        columns, most = columns_of(rows), most_bins(rows.rates.t_ns)
+    mem = conditions_memory()
+    for begins, rows in parted(flight):
+        mem = conditions_memory() if begins else mem
+        columns, most = col.columns_of(rows, col.no_past(0)), most_bins(rows.rates.t_ns)
         end_ns, values = np.empty(most, dtype=np.int64), np.empty((most, COUNT))
         times = rows.block.t_ns.copy(), rows.rates.t_ns.copy()  # what is mapped from a file cannot be written
-        count = _measured(mem, columns.x, columns.flags, columns.lag, *times, end_ns, values)
+        count = _measured(mem, columns.x, columns.known, times, end_ns, values)
         yield Conditions(end_ns[:count], values[:count])
 
 

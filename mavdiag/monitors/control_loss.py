@@ -1,21 +1,16 @@
-"""The control-loss monitor: the vehicle turns fast, and nobody commanded it.
-
-Beyond some rate an attitude controller has lost the vehicle, whatever the reason: a rotor without thrust, a collision,
-a sensor that lies. What the other monitors say from then on is about the upset and no longer about its cause.
-"""
+"""The control-loss monitor: the vehicle turns fast, and nobody commanded it."""
 
 import math
 from typing import Literal
 
 import numpy as np
 
-from mavdiag.errors import InputError
 from mavdiag.jit import cached
-from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
-from mavdiag.monitors.columns import COMMANDED, LEVEL, SIGNAL, SOUND, VALUE, Floats, Ints, U, Y
-from mavdiag.monitors.fitting import commanded, of_each
+from mavdiag.monitors.base import Begin, FaultKind, Flights, LearnContext, Monitor
+from mavdiag.monitors.columns import COMMANDED, LEVEL, SOUND, VALUE, Floats, Ints, U, Y
+from mavdiag.monitors.fitting import need_commanded
 from mavdiag.monitors.spec import Delay, spec
-from mavdiag.telemetry import FloatArray, Signal
+from mavdiag.telemetry import Signal
 from mavdiag.thresholds.rule import Prior
 
 LEAST_RAD_S = 7.0  # 400 deg/s beyond the command; emulated flights whose position jumps reach 5.7 (our choice)
@@ -31,18 +26,17 @@ class ControlLossSpec:
 
 
 @cached
-def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The rate without a command at each row whose rates became known."""
-    for i in range(lag, x.shape[1]):
-        k, fast, left, sound = i - lag, 0.0, 0.0, flags[COMMANDED, i] > 0.5
+    for i in range(known, x.shape[1]):
+        k, fast, left = i - known, 0.0, 0.0
         for axis in range(3):
             y, apart = x[Y + axis, i], x[Y + axis, i] - x[U + axis, i]
             fast, left = fast + y * y, left + apart * apart
-        value = min(math.sqrt(fast), math.sqrt(left))
-        sound = sound and math.isfinite(fast + left)
-        out[VALUE, k] = out[LEVEL, k] = value if sound else 0.0
-        out[SOUND, k], out[SIGNAL, k], at[k] = sound, math.sqrt(fast) if sound else 0.0, k
-    return len(at) - lag
+        sound = x[COMMANDED, i] > 0.5 and math.isfinite(fast + left)
+        out[VALUE, k] = out[LEVEL, k] = math.sqrt(min(fast, left)) if sound else 0.0
+        out[SOUND, k], at[k] = sound, k
+    return len(at) - (known - first)
 
 
 class ControlLoss(Monitor[ControlLossSpec]):
@@ -50,22 +44,12 @@ class ControlLoss(Monitor[ControlLossSpec]):
 
         s = min(|y|, |y - u|)          y: smoothed gyro, u: commanded body rate, as the model relates them
 
-    A set-point that jumps makes |y - u| large while the body turns slowly, and a commanded flip makes |y| large while
-    |y - u| stays small; only an upset makes both large. `level` equals the statistic, `signal` is |y|. Above half its
-    threshold no rotor is named any longer (`mavdiag.decision.alarm`).
+    A set-point that jumps makes |y - u| large, and a commanded flip |y|; only an upset makes both large. Above half its
+    threshold no rotor is named any longer: the other monitors are about the upset then, and not about its cause.
 
     Warm-up: one SG window, and the blanked first second of a segment. Latency: half an SG window (50 ms), plus the
-    time to reach the rate: 0.2 s after a quadrotor lost a propeller. False alarms: see `thresholds`; the threshold is
-    never less than 7 rad/s. Hard landings and catches that the gate does not keep out raise it. Blind spots: a loss
-    of control that is slow, such as a fall without turning or a yaw spin below that rate.
-
-    >>> from mavdiag.testing import example_rows
-    >>> rate = np.zeros((300, 3))
-    >>> rate[200:, 0] = np.linspace(0.0, 12.0, 100)
-    >>> monitor = ControlLoss(ControlLossSpec())
-    >>> _, found = monitor.step(monitor.start(), example_rows(300, rate=rate))
-    >>> float(found.value[100]), float(found.value[-1].round(0))
-    (0.0, 12.0)
+    time to reach the rate: 0.2 s after a quadrotor lost a propeller. False alarms: hard landings and catches that the
+    gate does not keep out. Blind spots: a loss of control that is slow, such as a fall without turning.
     """
 
     name = "control_loss"
@@ -77,21 +61,15 @@ class ControlLoss(Monitor[ControlLossSpec]):
     by_rates = True
     spec_type = ControlLossSpec
     unit = "rad/s"
+    run = staticmethod(run)
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[ControlLossSpec, ...]:
         """Nothing is fitted; the healthy flights set the threshold. Raises InputError without gyro or set-point."""
         context.need_rate(MIN_RATE_HZ)
-        if not any(of_each(flights, "commanded", commanded)):
-            raise InputError("no flight with a gyro and an attitude set-point")
-        return (ControlLossSpec(delay_s=context.window // 2 * context.dt_s),)
+        need_commanded(flights)
+        return (ControlLossSpec(delay_s=context.delay_s),)
 
-    def parameters(self, dt_s: float) -> FloatArray:
-        """None."""
-        return np.empty(0)
-
-    def memory(self, dt_s: float) -> FloatArray:
+    def begin(self, dt_s: float) -> Begin:
         """Nothing is remembered."""
-        return np.empty(0)
-
-    run = staticmethod(run)
+        return Begin(np.empty(0), np.empty(0))

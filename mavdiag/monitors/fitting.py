@@ -1,13 +1,12 @@
 """What fits to healthy flights share: answers that a flight keeps, traces, and how large a residual may be."""
 
-import itertools
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
 
-from mavdiag.monitors.base import Flights, Monitor
-from mavdiag.monitors.columns import columns_of
+from mavdiag.errors import InputError
+from mavdiag.monitors.base import Flights, Monitor, walk
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, Three
@@ -15,10 +14,6 @@ from mavdiag.thresholds.heldout import Looks
 
 MEMORY_S = 0.35  # of the mean square of the command (METHOD section 4)
 MIN_SHARE = 0.05  # of the mean square, left to k0 however busy the set-point (our choice)
-# Healthy rms; what is larger counts only where more rows have it than a glitch spoils. A Gaussian residual reaches it
-# in years (our choice).
-LIMIT, MOST = 6.0, 1e6
-
 Found = TypeVar("Found")
 
 
@@ -27,35 +22,20 @@ def of_each(flights: Flights, key: Hashable, find: Callable[[Sequence[Rows]], Fo
     return [flight.once(key, find) if isinstance(flight, Looks) else find(flight) for flight in flights]
 
 
-def commanded(flight: Sequence[Rows]) -> bool:
-    """Whether a flight has rows whose gyro and set-point may be compared."""
-    return any(rows.rates.commanded.any() for rows in flight)
+def need_commanded(flights: Flights) -> None:
+    """Raises InputError if no flight has rows whose gyro and set-point may be compared."""
+    if not any(of_each(flights, "commanded", lambda flight: any(rows.rates.commanded.any() for rows in flight))):
+        raise InputError("no flight with a gyro and an attitude set-point")
 
 
 def traced(monitor: Monitor[Any], flight: Sequence[Rows], more: int) -> Iterator[FloatArray]:
-    """What `run` writes of each segment: value, sound, level, signal, and so many inner figures, (4 + more, k)."""
-    for _, segment in itertools.groupby(flight, key=lambda rows: rows.block.segment):
-        parts, mem = [], None
-        for rows in segment:
-            dt_s, columns = rows.block.dt_s, columns_of(rows)
-            mem, n = monitor.memory(dt_s) if mem is None else mem, len(rows.block)
-            out, rotors, at = np.empty((4 + more, n)), np.empty((n, monitor.rotors)), np.empty(n, dtype=np.int64)
-            par = monitor.parameters(dt_s)
-            count = monitor.run(par, mem, columns.x, columns.flags, columns.lag, out, rotors, at)
-            parts.append(out[:, :count].copy())
-        yield np.concatenate(parts, axis=1)
+    """What `run` writes of each piece, with so many inner figures, (4 + more, k)."""
+    return (out for ((_, out),) in walk([monitor], flight, more))
 
 
 def judged_together(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows]) -> Iterator[list[Statistic]]:
     """Of each piece of a flight the statistic of each monitor, from a fresh state at every segment."""
-    for _, segment in itertools.groupby(flight, key=lambda rows: rows.block.segment):
-        states = [monitor.start() for monitor in monitors]
-        for rows in segment:
-            columns, found = columns_of(rows), []
-            for i, monitor in enumerate(monitors):
-                states[i], statistic = monitor.judge(states[i], rows, columns)
-                found.append(statistic)
-            yield found
+    return ([statistic for statistic, _ in found] for found in walk(monitors, flight))
 
 
 def smoothed(x: FloatArray, alpha: float, start: FloatArray | None = None) -> FloatArray:
@@ -78,22 +58,15 @@ def three(values: Sequence[float] | FloatArray) -> Three:
 def cut_to_share(lengths: Sequence[int], most: int, least: int = 1) -> list[int]:
     """How many rows to take of pieces of these lengths, `most` in all: the same share of each, at least `least` rows.
 
-    So every flight counts, and a fit of a type is not one of its first vehicle.
-
-    >>> cut_to_share([100, 300], 200), cut_to_share([100, 300], 1000), cut_to_share([100, 300], 200, least=80)
-    ([50, 150], [100, 300], [80, 150])
+    >>> cut_to_share([100, 300], 200), cut_to_share([100, 300], 200, least=80)
+    ([50, 150], [80, 150])
     """
     share = min(1.0, most / max(1, sum(lengths)))
     return [min(length, max(least, round(share * length))) for length in lengths]
 
 
 def variance_law(squares: FloatArray, busy: FloatArray) -> tuple[float, float]:
-    """k0 and k1 >= 0 of r^2 = k0 + k1 busy, (n,) each, by non-negative least squares; k0 at least 5 % of mean(r^2).
-
-    >>> busy = np.array([0.0, 1.0, 2.0, 3.0])
-    >>> [round(k, 6) for k in variance_law(1.0 + 0.5 * busy, busy)]
-    [1.0, 0.5]
-    """
+    """k0 and k1 >= 0 of r^2 = k0 + k1 busy, (n,) each, by non-negative least squares; k0 at least 5 % of mean(r^2)."""
     mean, size = float(squares.mean()), float(busy.mean())
     if size == 0.0:
         return mean, 0.0

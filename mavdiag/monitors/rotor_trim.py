@@ -1,102 +1,447 @@
 """The rotor-trim monitor: one rotor is commanded more, against the others, than it was when all were healthy.
 
 A controller with an integrator hides a weak rotor from its own attitude error: it commands more. That command is the
-evidence, and it names the rotor (METHOD section 5). It does not show why: a changed propeller, a payload hung off
-the centre or a damaged blade all shift the trim.
+evidence, and it names the rotor (METHOD section 5). It does not show why.
+
+    g = b1 r + b2 dr/dt,    tick = median over its parts of m_yaw - g,    weight = 1/(1 + (max |g|/G)^2)
+
+A vehicle whose nose turns has its rotors commanded apart: a steady turn against the drag of its rotation, the start and
+the stop of a turn for its inertia. A tick has five parts of 0.1 s, and g is taken off each of them: means of both sides
+obey the law however fast the nose turns, medians would not. The median then hides a few wild samples. b1 and b2 are
+fitted to the ticks of the healthy flights by least squares (REVIEW H1: 5 s means of a real ArduCopter's healthy yaw
+trim 0.131 -> 0.009). The law errs by a share of g, so a window is the mean of its ticks weighted as above, where the
+tick before counts too, for rotors lag.
 """
 
+import math
+from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Literal
+from dataclasses import replace
+from typing import Literal, TypeVar
 
 import numpy as np
 
-import mavdiag.monitors.trim as trim
-from mavdiag.airframe.trim import spread_of
-from mavdiag.jit import cached
-from mavdiag.monitors.base import Feature
-from mavdiag.monitors.columns import COVERED, LEVEL, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
-from mavdiag.monitors.spec import spec
-from mavdiag.telemetry import FloatArray, Three
+import mavdiag.airframe.trim as trims
+import mavdiag.monitors.columns as col
+from mavdiag.airframe.layout import RotorLayout
+from mavdiag.errors import IdentificationError, InputError
+from mavdiag.jit import allocating, cached, jit
+from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
+from mavdiag.monitors.columns import Floats, Ints
+from mavdiag.monitors.fitting import of_each, three
+from mavdiag.monitors.spec import Positive, spec
+from mavdiag.rows.front import Rows
+from mavdiag.telemetry import FloatArray, Signal, Three
 from mavdiag.thresholds.rule import Prior
+
+MOST_RISE = trims.rise_of(trims.MOST_LOSS)
+WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
+TICK_S, PART_S = 0.5, 0.1  # a value twice a second, of parts longer than a rotor's lag (our choices)
+# G, of hover: where a turn takes so much its tick counts half. In the loop the law errs by a fifth (ArduCopter) and a
+# sixth (PX4, which steps its heading) of what a turn takes: here by 0.004, as a tick scatters anyway (our choice).
+TURN_TRIM = 0.02
+# What is held of b1 [1/(rad/s)] and b2 [1/(rad/s^2)] before any flight, and its standard deviation. b2 is I_zz over
+# weight and drag arm of the rotors, 0.04 for a QDrone 2 and an ArduCopter of 3 kg; b1 is 0.11 for the latter.
+PRIOR, PRIOR_SD = np.array([0.0, 0.04]), np.array([0.1, 0.04])
+# Places in the parameters: 1 for torque commands, how many rotors; parts of a tick, rows of a part, row period, ticks
+# of a window; of the spec turn, mean and spread; gains of torque commands; what a monitor has of its own; the sums of
+# the unmixing C, and C itself, (3, rotors).
+TORQUES, ROTORS, PARTS, ROWS, DT, WINDOW, TURN, MEAN, SPREAD, GAIN, OWN = *range(7), 8, 11, 14, 17
+SUM, UNMIXING = 20, 23
+# And in the memory: parts of the tick, rows of the part, known ones of the tick, whether a trim changed, the first one;
+# usable ticks in a row, ticks so far, weight of the last; what a monitor has of its own; then the parts, the last two
+# of the tick before in front.
+PART, ROW, KNOWN, MOVED, FIRST, RUN, TICKS, WEIGHT, MINE, SUMS = *range(5), 7, 8, 9, 10, 20
+
+Spec = TypeVar("Spec", bound="TrimSpec")
 
 
 @spec
-class RotorTrimSpec(trim.TrimSpec):
-    """Healthy trim. spread: of the 5 s means of roll, pitch and yaw trim about `mean` [fraction of hover]."""
+class TrimSpec:
+    """What every fit of the trim holds. Raises InputError if the layout gives no trim of that source."""
+
+    kind: str
+    layout: RotorLayout
+    source: trims.Source  # where the trim comes from: the motors' outputs, or the torque commands over the thrust
+    mean: Three = (0.0, 0.0, 0.0)  # healthy roll, pitch and yaw trim [fraction of hover]
+    turn: tuple[float, float] = (0.0, 0.0)  # b1 and b2
+    spread: tuple[Positive, Positive, Positive]  # of the 5 s means about the mean, or about the reference
+    window_s: Positive = WINDOW_S
+
+    def __post_init__(self) -> None:
+        if self.source == "torque" and self.layout.torque_gain is None:
+            lacking = f"what a torque command does to the motors of {self.layout.name}"
+            raise InputError(f"{self.kind}: {lacking} is not known")
+
+
+@spec
+class RotorTrimSpec(TrimSpec):
+    """Healthy trim."""
 
     kind: Literal["rotor_trim"] = "rotor_trim"
 
 
+@jit
+def _trim(par: Floats, x: Floats, i: int) -> tuple[float, float, float]:
+    """Trim of a row [fraction of hover], not finite where it is unknown (`airframe.trim.trim_of`)."""
+    roll, pitch, yaw, rotors, level = 0.0, 0.0, 0.0, int(par[ROTORS]), 0.0
+    if par[TORQUES] > 0.5:
+        share = 1.0 / x[col.THRUST, i] if x[col.THRUST, i] > trims.MIN_OUTPUT else math.nan
+        roll, pitch = x[col.TORQUE, i] * par[GAIN], x[col.TORQUE + 1, i] * par[GAIN + 1]
+        return roll * share, pitch * share, x[col.TORQUE + 2, i] * par[GAIN + 2] * share
+    if x.shape[0] < col.OUTPUTS + rotors:
+        return math.nan, math.nan, math.nan
+    for rotor in range(rotors):
+        output, at = x[col.OUTPUTS + rotor, i], UNMIXING + rotor
+        level += output
+        roll, pitch = roll + par[at] * output, pitch + par[at + rotors] * output
+        yaw += par[at + 2 * rotors] * output
+    share = rotors / level if level > trims.MIN_OUTPUT * rotors else math.nan
+    return roll * share - par[SUM], pitch * share - par[SUM + 1], yaw * share - par[SUM + 2]
+
+
+@jit
+def take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
+    """Take a row; True where it completes a tick, whose parts stand at `_found_at`, and `mem[KNOWN]` if it is whole."""
+    to, (roll, pitch, yaw), rate = SUMS + 6 * (2 + int(mem[PART])), _trim(par, x, i), x[col.RATE + 2, i]
+    if mem[ROW] == 0.0:
+        for j in range(6):
+            mem[to + j] = 0.0
+        if mem[PART] == 0.0:
+            mem[KNOWN] = mem[MOVED] = 0.0
+            mem[FIRST], mem[FIRST + 1], mem[FIRST + 2] = roll, pitch, yaw
+    if x[col.VALID, i] > 0.5 and math.isfinite(roll + pitch + yaw + rate):
+        mem[KNOWN] += 1.0
+        mem[to], mem[to + 1], mem[to + 2] = mem[to] + roll, mem[to + 1] + pitch, mem[to + 2] + yaw
+        mem[to + 3], mem[to + 4] = mem[to + 3] + x[col.LEAN, i], mem[to + 4] + x[col.LEAN + 1, i]
+        mem[to + 5] += rate
+        if roll != mem[FIRST] or pitch != mem[FIRST + 1] or yaw != mem[FIRST + 2]:
+            mem[MOVED] = 1.0
+    mem[ROW] += 1.0
+    if mem[ROW] < par[ROWS]:
+        return False
+    mem[ROW], mem[PART] = 0.0, mem[PART] + 1.0
+    if mem[PART] < par[PARTS]:
+        return False
+    whole = mem[KNOWN] >= par[PARTS] * par[ROWS] and mem[MOVED] > 0.5
+    mem[PART], mem[KNOWN] = 0.0, 1.0 if whole else 0.0
+    _find(par, mem, whole)
+    return True
+
+
+@jit
+def _found_at(par: Floats) -> int:
+    """Where the parts of the last tick stand: of each trim, lean, yaw rate and acceleration."""
+    return SUMS + 6 * (int(par[PARTS]) + 2) + int(par[PARTS])
+
+
+@jit
+def _find(par: Floats, mem: Floats, whole: bool) -> None:
+    """From sums to the parts of a tick; zero where it is not whole.
+
+    The acceleration is the slope from the part before to the part after, so the parts of a tick end one part before its
+    last row. Before the first whole tick there is what it begins with.
+    """
+    parts, rows, out = int(par[PARTS]), int(par[ROWS]), _found_at(par)
+    for j in range(6 * parts):
+        mem[SUMS + 12 + j] = mem[SUMS + 12 + j] / rows if whole else math.nan
+    for part in range(2):
+        for j in range(6 if whole and math.isnan(mem[SUMS + 6 * part + 5]) else 0):
+            mem[SUMS + 6 * part + j] = mem[SUMS + 12 + j]
+    for part in range(parts):
+        for j in range(6):
+            mem[out + 7 * part + j] = mem[SUMS + 6 * (part + 1) + j] if whole else 0.0
+        slope = (mem[SUMS + 6 * (part + 2) + 5] - mem[SUMS + 6 * part + 5]) / (2 * rows * par[DT])
+        mem[out + 7 * part + 6] = slope if whole else 0.0
+    for j in range(12):
+        mem[SUMS + j] = mem[SUMS + 6 * parts + j]
+
+
+@jit
+def _median(mem: Floats, at: int, count: int) -> float:
+    """Median of so many values, which are sorted on the way."""
+    for i in range(1, count):
+        value, j = mem[at + i], i
+        while j > 0 and mem[at + j - 1] > value:
+            mem[at + j] = mem[at + j - 1]
+            j -= 1
+        mem[at + j] = value
+    return float(0.5 * (mem[at + (count - 1) // 2] + mem[at + count // 2]))
+
+
+@jit
+def take_tick(par: Floats, mem: Floats, usable: bool) -> None:
+    """Put the tick whose parts were found into the windows, without what the turn takes of its yaw trim."""
+    parts, found = int(par[PARTS]), _found_at(par)
+    scratch, most = found - parts, 0.0
+    to = found + 7 * parts + 6 * (int(mem[TICKS]) % (2 * int(par[WINDOW])))
+    for j in range(5):
+        for part in range(parts):
+            of = found + 7 * part
+            taken = par[TURN] * mem[of + 5] + par[TURN + 1] * mem[of + 6]
+            most = max(most, abs(taken))
+            mem[scratch + part] = mem[of + j] - (taken if j == 2 else 0.0)
+        mem[to + j] = _median(mem, scratch, parts)
+    weight = 1.0 / (1.0 + (most / TURN_TRIM) ** 2)
+    counts = min(weight, mem[WEIGHT]) if mem[TICKS] > 0.0 else weight  # rotors lag
+    for j in range(5):
+        mem[to + j] *= counts
+    mem[to + 5], mem[WEIGHT] = counts, weight
+    mem[TICKS] += 1.0
+    mem[RUN] = mem[RUN] + 1.0 if usable else 0.0
+
+
+@jit
+def window_means(par: Floats, mem: Floats, back: int, means: Floats) -> None:
+    """Weighted means of trim and lean, (5,), over the ticks of a window that ended so many ticks ago."""
+    window, ring = int(par[WINDOW]), _found_at(par) + 7 * int(par[PARTS])
+    first, weight = int(mem[TICKS]) - back - window, 0.0
+    for j in range(5):
+        means[j] = 0.0
+    for tick in range(first, first + window):
+        at = ring + 6 * (tick % (2 * window))
+        weight += mem[at + 5]
+        for j in range(5):
+            means[j] += mem[at + j]
+    for j in range(5):
+        means[j] /= weight
+
+
+@jit
+def rise(par: Floats, rotor: int, shift: Floats, tilted: bool) -> float:
+    """The rise of one rotor that explains a shift of trim and lean, (5,) (`airframe.trim`). tilted: the lean counts."""
+    rotors, more = int(par[ROTORS]), trims.TILT_TRIM**2 * (shift[3] ** 2 + shift[4] ** 2) if tilted else 0.0
+    above, below = 0.0, 0.0
+    for j in range(3):
+        column = par[UNMIXING + j * rotors + rotor]
+        weight = column / ((more if j < 2 else 0.0) + par[SPREAD + j] ** 2)
+        above, below = above + weight * shift[j], below + weight * column
+    return float(above / below)
+
+
+@jit
+def highest_rise(par: Floats, shift: Floats, tilted: bool) -> float:
+    """The largest of all rotors."""
+    found = -math.inf
+    for rotor in range(int(par[ROTORS])):
+        found = max(found, rise(par, rotor, shift, tilted))
+    return found
+
+
+@allocating
+def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rotors: Floats, k: int) -> None:
+    """A value of a shift; for a fit the tick's yaw trim, yaw rate and acceleration, usable ticks, window and shift."""
+    parts, found = int(par[PARTS]), _found_at(par)
+    out[col.VALUE, k] = out[col.LEVEL, k] = highest_rise(par, shift, True)
+    out[col.SOUND, k] = sound
+    for rotor in range(rotors.shape[1]):
+        rotors[k, rotor] = rise(par, rotor, shift, False)
+    if out.shape[0] > col.TRACE:
+        means = np.empty(5)
+        window_means(par, mem, 0, means)
+        for j in range(3):
+            mean = 0.0
+            for part in range(parts):
+                mean += mem[found + 7 * part + (2 if j == 0 else 4 + j)]
+            out[col.TRACE + j, k], out[col.TRACE + 7 + j, k] = mean / parts, shift[j]
+            out[col.TRACE + 4 + j, k] = means[j] if mem[RUN] >= par[WINDOW] else math.nan
+        out[col.TRACE + 3, k] = mem[RUN]
+
+
 @cached
-def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The best single-rotor rise at the end of each tick."""
     k, shift = 0, np.empty(5)
-    for i in range(x.shape[1]):
-        if not trim.take_row(par, mem, x, i, flags[VALID, i] > 0.5):
+    for i in range(first, x.shape[1]):
+        if not take_row(par, mem, x, i):
             continue
-        trim.take_tick(par, mem, mem[trim.KNOWN] > 0.5 and flags[COVERED, i] > 0.5)
-        sound = mem[trim.RUN] >= par[trim.WINDOW]
+        take_tick(par, mem, mem[KNOWN] > 0.5 and x[col.COVERED, i] > 0.5)
+        sound = mem[RUN] >= par[WINDOW]
+        window_means(par, mem, 0, shift)
         for j in range(5):
-            healthy = par[trim.MEAN + j] if j < 3 else 0.0
-            shift[j] = trim.window_mean(par, mem, 0, j) - healthy if sound else 0.0
-        value = trim.highest_rise(par, shift, True)
-        for rotor in range(rotors.shape[1]):
-            rotors[k, rotor] = trim.rise(par, rotor, shift, False)
-        out[VALUE, k], out[SOUND, k], out[LEVEL, k], out[SIGNAL, k], at[k] = value, sound, value, shift[2], i
-        if out.shape[0] > TRACE:
-            trim.trace_tick(par, mem, out, k)
+            shift[j] = shift[j] - (par[MEAN + j] if j < 3 else 0.0) if sound else 0.0
+        write(par, mem, shift, sound, out, rotors, k)
+        at[k] = i - first
         k += 1
     return k
 
 
-class RotorTrim(trim.TrimMonitor[RotorTrimSpec]):
+class TrimMonitor(Monitor[Spec]):
+    """A monitor of the trim; its `rotors` are the rises that would explain a shift."""
+
+    phrase = "lost {lost}% thrust"
+    needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT})
+    depends = col.TRIM_CONDITIONS
+    evidence = RotorEvidence(10.0, relative=True, direct=False)  # a lead of 0.12 was right in each of 35 recorded cuts
+    needs_layout = True
+    unit = "fraction of hover"
+    reach = MOST_RISE  # of a rotor that lost a third of its thrust
+
+    def __init__(self, spec: Spec) -> None:
+        super().__init__(spec)
+        self.signals = trims.SIGNALS[spec.source]
+        self.takes = {Signal.ACTUATOR: slice(0, spec.layout.rotors)}  # those that move a rotor
+        self.memory_s = spec.window_s + TICK_S
+
+    @classmethod
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[Spec, ...]:
+        """What a turn takes, mean over flights of their mean trims, and the spread about it or about the reference."""
+        layout, dt_s, before = context.layout, context.dt_s, (trims.YAW_FLOOR, trims.YAW_FLOOR, trims.YAW_FLOOR)
+        source = trims.source_among(of_each(flights, layout, lambda flight: trims.sources_of(flight, layout)), layout)
+        parts = of_each(flights, (layout, source), lambda flight: _parts_of(flight, layout, source))
+        still = cls(cls.spec_type(layout=layout, source=source, spread=before))
+        turned = cls(replace(still.spec, turn=_turn_of([still._walked(one, dt_s) for one in parts], dt_s)))
+        walked = [turned._walked(flight, dt_s) for flight in parts]
+        mean = _mean_of(walked)
+        return (replace(turned.spec, mean=mean, spread=cls.spread(walked, mean)),)
+
+    @classmethod
+    @abstractmethod
+    def spread(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
+        """Spread of what it judges of healthy flights. Raises IdentificationError. flights: (rows of `write`, k)."""
+
+    def _walked(self, flight: Sequence[FloatArray], dt_s: float) -> list[FloatArray]:
+        """What `run` writes of each segment of a flight's parts, with the figures of `write`."""
+        part_s, found = _tick_shape(dt_s)[1] * dt_s, []
+        for x in flight:
+            begun, n = self.begin(part_s), x.shape[1]
+            begun.par[TORQUES], begun.par[GAIN : GAIN + 3] = 1.0, 1.0
+            out, rotors, at = np.zeros((col.TRACE + 10, n)), np.empty((n, self.rotors)), np.empty(n, dtype=np.int64)
+            found.append(out[:, : self.run(begun.par, begun.mem, x, 0, 0, out, rotors, at)])
+        return found
+
+    def renewed(self, flights: Flights, context: LearnContext) -> tuple[Spec, float]:
+        """With the trim of the new propellers; how much it varies stays."""
+        return replace(self.spec, mean=self._mean(flights)), 1.0
+
+    def extended(self, flights: Flights, sessions: int) -> Spec:
+        """With the mean over sessions, the new one among them."""
+        mean = np.array(self.spec.mean)
+        return replace(self.spec, mean=three(mean + (np.array(self._mean(flights)) - mean) / (sessions + 1)))
+
+    def _mean(self, flights: Flights) -> Three:
+        dt_s, spec = next((rows.block.dt_s for flight in flights for rows in flight), TICK_S), self.spec
+        return _mean_of([self._walked(_parts_of(flight, spec.layout, spec.source), dt_s) for flight in flights])
+
+    def period_s(self, dt_s: float) -> float:
+        """A tick [s]."""
+        return math.prod(_tick_shape(dt_s)) * dt_s
+
+    def own(self, tick_s: float) -> tuple[float, float, float]:
+        """What the monitor reads of its own (`OWN`)."""
+        return 0.0, 0.0, 0.0
+
+    def begin(self, dt_s: float) -> Begin:
+        """No row yet."""
+        spec, layout, (parts, rows) = self.spec, self.spec.layout, _tick_shape(dt_s)
+        window = max(1, round(spec.window_s / self.period_s(dt_s)))
+        head = [spec.source == "torque", layout.rotors, parts, rows, dt_s, window]
+        gain, C = layout.torque_gain or (0.0, 0.0, 0.0), layout.unmixing
+        learnt = [*spec.turn, *spec.mean, *spec.spread, *gain, *self.own(self.period_s(dt_s))]
+        mem = np.zeros(SUMS + 6 * (parts + 2) + 8 * parts + 12 * window)
+        mem[SUMS : SUMS + 12] = np.nan
+        return Begin(np.array([*head, *learnt, *C.sum(axis=1), *C.ravel()]), mem)
+
+
+class RotorTrim(TrimMonitor[RotorTrimSpec]):
     """Statistic: the rise of ONE rotor's command that explains the trim shift best [fraction of hover].
 
-        m: trim averaged over 5 s,    mu: the healthy one,    a_j: rise of rotor j that explains m - mu (`trim`)
+        m: trim averaged over 5 s,    mu: the healthy one,    a_j: rise of rotor j that explains m - mu
         statistic = max_j a_j,    rotor = argmax_j a_j
 
-    m is the mean of ten ticks, each the median of half a second without what a turn takes of the yaw trim
-    (`monitors.trim`), so that a few wild samples move nothing; the more a turn takes, the less its tick counts.
-
     A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
-    yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. Wind that holds the
-    vehicle tilted tips the rotor discs too: the spread of roll and pitch has 0.3 times the commanded tilt of the same
-    5 s added in squares, but not where a rotor is named. `level` is the same amplitude, which grades the damage;
-    `signal` is the yaw trim's shift; `rotors` are the a_j. In a session of the healthy flights the
-    threshold is lower (`Threshold.session_allowance`).
+    yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. Wind tips the rotor discs:
+    the spread of roll and pitch has 0.3 times the commanded tilt of the same 5 s added in squares, but not where a
+    rotor is named. `rotors` are the a_j.
 
-    Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: see `thresholds`; two flights from two
-    sessions are the worst basis. Blind spots: hops shorter than 5 s; vibration without loss of thrust; all rotors
-    ageing alike; a rotor whose outputs saturate. A change of propellers or of the centre of mass raises it without a
-    fault.
-
-    >>> from mavdiag.airframe.layout import layout_named
-    >>> from mavdiag.testing import example_rows
-    >>> outputs = np.random.default_rng(3).normal([0.5, 0.55, 0.5, 0.5], 0.02, (1000, 4))   # rotor 2 works harder
-    >>> x, still = layout_named("x"), (0.0, 0.0, 0.0)
-    >>> healthy = RotorTrimSpec(layout=x, source="actuator", mean=still, spread=(0.03, 0.03, 0.01))
-    >>> monitor = RotorTrim(healthy)
-    >>> _, found = monitor.step(monitor.start(), example_rows(1000, 0.01, actuator=outputs))
-    >>> float(found.value[-1].round(2)), int(found.rotors[-1].argmax()) + 1, found.valid[[8, 9]].tolist()
-    (0.1, 2, [False, True])
+    Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: a change of propellers or of the centre of
+    mass; two flights from two sessions are the worst basis. Blind spots: hops shorter than 5 s; vibration without loss
+    of thrust; all rotors ageing alike; a rotor whose outputs saturate.
     """
 
     name = "rotor_trim"
     label = "rotor trim"
-    phrase = "lost {lost}% thrust"
     # Emulated quad- and hexarotors have 0.007 to 0.019 between sessions with new propellers, whose thrust differs by
     # up to 3 %, and 0.001 between flights of one session; other winds make more (our choice). 0.02 is what wind makes.
     prior = Prior(0.013, 0.004, 0.001, shares=False, least=0.02)
     spec_type = RotorTrimSpec
     feature = Feature.RISE
     doubt = "trim shift: propeller, payload or session"  # a trim alone tells no more
+    run = staticmethod(run)
 
     @classmethod
-    def spread_of(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
-        """Of all windows of all flights about the mean.
+    def spread(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
+        """Of all windows of all flights about the mean."""
+        return trims.spread_of(np.concatenate([_windows_of(flight) for flight in flights]) - mean)
 
-        sd_yaw is widened by 0.002, sd_roll and sd_pitch are at least 3 sd_yaw.
-        """
-        return spread_of(np.concatenate([trim.windows_of(flight) for flight in flights]) - mean)
 
-    run = staticmethod(run)
+def _tick_shape(dt_s: float) -> tuple[int, int]:
+    """Parts of a tick, at least 2, and rows of a part."""
+    rows = max(1, round(PART_S / dt_s))
+    return max(2, round(TICK_S / (rows * dt_s))), rows
+
+
+def _parts_of(flight: Sequence[Rows], layout: RotorLayout, source: trims.Source) -> list[FloatArray]:
+    """The parts of ticks of each segment as rows that come so seldom: x of `monitors.columns`.
+
+    Their trim stands for torque commands at a thrust of 1, so that `run` makes the same ticks of them as of the rows.
+    """
+    found = []
+    for segment in segments(flight):
+        parts, rest = list[FloatArray](), np.empty((0, 7))
+        for block in (rows.block for rows in segment):
+            size, (trim, known) = _tick_shape(block.dt_s)[1], trims.trim_of(block, layout, source)
+            known = known & np.isfinite(block.rate[:, 2])
+            fresh = np.column_stack((trim, trims.tilt_of(block), np.nan_to_num(block.rate[:, 2]), known))
+            each = np.asarray(np.concatenate((rest, fresh)), dtype=np.float64)
+            n = len(each) // size
+            parts.append(each[: n * size].reshape(n, size, 7).mean(axis=1))
+            rest = each[n * size :]
+        columns = np.concatenate(parts).T
+        x = np.zeros((col.OUTPUTS, columns.shape[1]))
+        x[col.TORQUE : col.THRUST], x[col.LEAN : col.LEAN + 2], x[col.RATE + 2] = columns[:3], columns[3:5], columns[5]
+        x[col.THRUST], x[col.COVERED] = 1.0, 1.0
+        x[col.VALID] = columns[6] > 1.0 - 0.5 / size  # all of its rows are known
+        found.append(x)
+    return found
+
+
+def _turn_of(flights: Sequence[Sequence[FloatArray]], dt_s: float) -> tuple[float, float]:
+    """b1 and b2 of healthy flights, each as `TrimMonitor._walked` gives it.
+
+    Means of the ticks about their flight's own, so that no session's offset counts, with `PRIOR` held against them:
+    where the nose hardly turned, it stays.
+    """
+    means, window = [np.empty((0, 3))], max(1, round(WINDOW_S / (math.prod(_tick_shape(dt_s)) * dt_s)))
+    for flight in flights:
+        runs = [run for segment in flight for run in _unbroken(segment, window)]
+        if runs:
+            means.append(np.concatenate(runs) - np.concatenate(runs).mean(axis=0))
+    yaw, turning = np.concatenate(means)[:, 0], np.concatenate(means)[:, 1:]
+    turn, trust = PRIOR, np.diag(PRIOR_SD**-2.0)
+    for _ in range(3):  # the noise is what the law before leaves; the ticks of a window count as one
+        noise = max(float(np.square(yaw - turning @ turn).sum()) / max(len(yaw), 1), trims.YAW_FLOOR**2) * window
+        turn = np.linalg.solve(turning.T @ turning / noise + trust, turning.T @ yaw / noise + trust @ PRIOR)
+    return float(turn[0]), float(turn[1])
+
+
+def _unbroken(segment: FloatArray, least: int) -> list[FloatArray]:
+    """Yaw trim, yaw rate and acceleration of runs of usable ticks, (n, 3) each, of at least so many."""
+    ticks = segment[col.TRACE : col.TRACE + 4, segment[col.TRACE + 3] > 0].T
+    runs = np.split(ticks, np.flatnonzero(ticks[1:, 3] == 1) + 1)
+    return [run[:, :3] for run in runs if len(run) >= least]
+
+
+def _windows_of(flight: Sequence[FloatArray]) -> FloatArray:
+    """Roll, pitch and yaw trim of all full windows of a flight, (k, 3)."""
+    means = (segment[col.TRACE + 4 : col.TRACE + 7] for segment in flight)
+    windows = np.concatenate([np.empty((3, 0)), *means], axis=1).T
+    return np.asarray(windows[np.isfinite(windows[:, 0])], dtype=np.float64)
+
+
+def _mean_of(flights: Sequence[Sequence[FloatArray]]) -> Three:
+    """Mean over flights of their mean trims. Raises IdentificationError if none has a full window."""
+    means = [windows.mean(axis=0) for windows in map(_windows_of, flights) if len(windows)]
+    if not means:
+        raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight to average the trim over; fly longer")
+    return three(np.mean(means, axis=0))

@@ -1,12 +1,9 @@
 """The sensor-drift monitor: gyro, accelerometer and estimated attitude contradict each other.
 
-Three facts of kinematics hold whatever the propellers, the wind and the payload do. The integral of the gyro is the
-change of the attitude. A vehicle that goes on flying is not accelerated for long, so along the vertical the
-accelerometer reads g on average. And an estimator that must correct the attitude against its gyro, by accelerometer or
-cameras, again and again to the same side, has two sensors that disagree.
+Whatever propellers, wind and payload do, the integral of the gyro is the change of the attitude, and along the vertical
+the accelerometer reads g on average.
 """
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,11 +13,13 @@ import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import cached, jit
-from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
-from mavdiag.monitors.columns import ATTITUDE, FORCE, LEVEL, RATE, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
+from mavdiag.monitors.base import Begin, FaultKind, Flights, LearnContext, Monitor, parted
+from mavdiag.monitors.columns import ATTITUDE, FORCE, LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.fitting import of_each, three, traced
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.front import Rows
+from mavdiag.rows.rates import body_rates
+from mavdiag.rows.running import past_size, shift
 from mavdiag.telemetry import FloatArray, Signal, Three
 from mavdiag.thresholds.rule import Prior
 
@@ -38,58 +37,60 @@ LEAST_VERTICAL = 0.08  # m/s^2 (our choice)
 STEEP_RAD, FAST_RAD_S = 0.7, 6.0  # beyond it small angles do not hold, and an upset begins (our choice)
 LIMIT = 1e6  # a value is cut here
 GRAVITY = 9.80665
+SINE, COSINE = (tuple(1.0 / math.factorial(k) for k in range(first, -1, -2)) for first in (15, 14))
 COLUMNS = 5  # of the history: tilt about two axes, heading, vertical acceleration, turned angle
 MIN_RATE_HZ = 20.0  # below it turns are not followed from sample to sample (our choice)
+# Places in the parameters; and in the memory: rows of the tick and valid ones, sums of the tick, angles since the last
+# gap, ticks since then, the history of each column.
+DT, TICK, MEAN, LAG, LIFT, VERTICAL, BIAS, SPREADS = *range(7), 9
+ROWS, SOUND_ROWS, SUMS, ANGLE, TICKS, HISTORY = 0, 1, 2, 10, 14, 15
 
 
 @spec
 class SensorDriftSpec:
-    """Healthy agreement.
-
-    dt_s: row period [s].
-    bias: healthy mean of gyro less attitude rate [rad/s].
-    vertical: healthy mean of the vertical specific force beyond -g [m/s^2].
-    tilt, heading: healthy rms of the disagreement over 15 s [rad].
-    lift: healthy rms of the 4 s means of the vertical specific force [m/s^2].
-    """
+    """Healthy agreement."""
 
     kind: Literal["sensor_drift"] = "sensor_drift"
     dt_s: Positive
-    bias: Three
-    vertical: float
-    tilt: Positive
+    bias: Three  # mean of gyro less attitude rate [rad/s]
+    vertical: float  # mean of the vertical specific force beyond -g [m/s^2]
+    tilt: Positive  # rms of the disagreement over 15 s [rad]
     heading: Positive
-    lift: Positive
+    lift: Positive  # rms of the 4 s means of the vertical specific force [m/s^2]
 
     @property
     def tick(self) -> int:
         """Rows per value."""
         return max(1, round(TICK_S / self.dt_s))
 
-    def ticks(self, span_s: float) -> int:
-        """Values in a span."""
-        return max(1, round(span_s / (self.tick * self.dt_s)))
 
-
-# Places in the parameters; and in the memory: rows of the tick and valid ones, sums of the tick, angles since the last
-# gap, ticks since then, the history.
-DT, TICK, MEAN, LAG, LIFT, VERTICAL, BIAS, SPREADS = *range(7), 9
-ROWS, SOUND_ROWS, SUMS, ANGLE, TICKS, HISTORY = 0, 1, 2, 10, 14, 15
+@jit
+def _sine_cosine(angle: float) -> tuple[float, float]:
+    """Of a small angle, by their series: below 0.7 rad right to 1e-14."""
+    sine, cosine, square = 0.0, 0.0, angle * angle
+    for k in range(8):
+        sine, cosine = SINE[k] - sine * square, COSINE[k] - cosine * square
+    return sine * angle, cosine
 
 
 @jit
-def _felt(par: FloatArray, mem: FloatArray, x: FloatArray, i: int, valid: bool) -> bool:
-    """Add a row to its tick: what the gyro turns and what is seen . True where it is the tick's last one."""
-    p, q, r = x[RATE, i] - par[BIAS], x[RATE + 1, i] - par[BIAS + 1], x[RATE + 2, i] - par[BIAS + 2]
-    phi, theta, psi = x[ATTITUDE, i], x[ATTITUDE + 1, i], x[ATTITUDE + 2, i]
-    ax, ay, az = x[FORCE, i], x[FORCE + 1, i], x[FORCE + 2, i]
-    known = valid and abs(phi) < STEEP_RAD and abs(theta) < STEEP_RAD and math.isfinite(ax + ay + az + psi)
-    for axis in range(3):
-        known = known and abs(x[RATE + axis, i]) < FAST_RAD_S
-    if known:
-        c, s, sin_phi, cos_phi = math.cos(psi), math.sin(psi), math.sin(phi), math.cos(phi)
-        turn = (q * sin_phi + r * cos_phi) / math.cos(theta)
-        down = math.cos(theta) * (sin_phi * ay + cos_phi * az) - math.sin(theta) * ax
+def _add_rows(par: Floats, mem: Floats, x: Floats, begin: int, stop: int) -> None:
+    """Add rows to their tick: what the gyro turns and what is seen."""
+    c, s, phi, theta, psi = math.nan, math.nan, math.nan, math.nan, math.nan
+    sin_phi, cos_phi, sin_theta, cos_theta, upright = 0.0, 1.0, 0.0, 1.0, GRAVITY - par[VERTICAL]
+    for i in range(begin, stop):
+        p, q, r = x[RATE, i], x[RATE + 1, i], x[RATE + 2, i]
+        ax, ay, az = x[FORCE, i], x[FORCE + 1, i], x[FORCE + 2, i]
+        good = abs(x[ATTITUDE, i]) < STEEP_RAD and abs(x[ATTITUDE + 1, i]) < STEEP_RAD and x[VALID, i] > 0.5
+        good = good and abs(p) < FAST_RAD_S and abs(q) < FAST_RAD_S and abs(r) < FAST_RAD_S
+        if not (good and math.isfinite(ax + ay + az + x[ATTITUDE + 2, i])):
+            continue
+        if x[ATTITUDE, i] != phi or x[ATTITUDE + 1, i] != theta or x[ATTITUDE + 2, i] != psi:  # else it was repeated
+            phi, theta, psi = x[ATTITUDE, i], x[ATTITUDE + 1, i], x[ATTITUDE + 2, i]
+            (sin_phi, cos_phi), (sin_theta, cos_theta) = _sine_cosine(phi), _sine_cosine(theta)
+            c, s = math.cos(psi), math.sin(psi)
+        p, q, r = p - par[BIAS], q - par[BIAS + 1], r - par[BIAS + 2]
+        turn = (q * sin_phi + r * cos_phi) / cos_theta
         mem[SUMS] += p * c - q * s
         mem[SUMS + 1] += p * s + q * c
         mem[SUMS + 2] += turn
@@ -97,71 +98,68 @@ def _felt(par: FloatArray, mem: FloatArray, x: FloatArray, i: int, valid: bool) 
         mem[SUMS + 4] += phi * c - theta * s
         mem[SUMS + 5] += phi * s + theta * c
         mem[SUMS + 6] += psi
-        mem[SUMS + 7] += down + (GRAVITY - par[VERTICAL])
+        mem[SUMS + 7] += cos_theta * (sin_phi * ay + cos_phi * az) - sin_theta * ax + upright
         mem[SOUND_ROWS] += 1.0
-    mem[ROWS] += 1.0
-    return bool(mem[ROWS] >= par[TICK])
 
 
 @jit
-def _mean(mem: FloatArray, length: int, last: int, count: int, column: int) -> float:
-    """Mean of so many ticks of the history, up to the tick `last`."""
+def _mean(mem: Floats, newest: int, back: int, count: int) -> float:
+    """Mean of so many ticks of a column, the last of them so long before the newest."""
     found = 0.0
-    for number in range(last - count + 1, last + 1):
-        found += mem[HISTORY + number % length * COLUMNS + column]
+    for place in range(newest - back - count + 1, newest - back + 1):
+        found += mem[place]
     return found / count
 
 
 @jit
-def _walk(par: FloatArray, mem: FloatArray, whole: bool, found: FloatArray) -> bool:
+def _walk(par: Floats, mem: Floats, whole: bool, found: Floats) -> bool:
     """Take a tick, whose means stand at `SUMS`: |dE|, |dY|, |V| and what is excused, e; whether they count."""
     mean, lag, lift, span_s = int(par[MEAN]), int(par[LAG]), int(par[LIFT]), par[TICK] * par[DT]
-    length = lag + 2 * mean + 1
+    length, newest = lag + 2 * mean + 1, HISTORY
     for j in range(4):
         found[j] = 0.0
-        mem[ANGLE + j] = mem[ANGLE + j] if whole else 0.0
+        mem[ANGLE + j] = mem[ANGLE + j] + mem[SUMS + j] * span_s if whole else 0.0
     if not whole:
         mem[TICKS] = 0.0
         return False
-    last = int(mem[TICKS])
-    row = HISTORY + last % length * COLUMNS
-    for j in range(4):
-        mem[ANGLE + j] += mem[SUMS + j] * span_s
-        mem[row + j] = mem[SUMS + 4 + j] - (mem[ANGLE + j] if j < 3 else 0.0)
-    mem[row + 4] = mem[ANGLE + 3]
-    mem[TICKS] = last + 1.0
-    now = last - mean + 1  # windows are counted by their first tick
-    if now >= mean:
-        then = max(now - lag, 0)
-        before = then + mean - 1
-        north = _mean(mem, length, last, mean, 0) - _mean(mem, length, before, mean, 0)
-        east = _mean(mem, length, last, mean, 1) - _mean(mem, length, before, mean, 1)
+    for j in range(COLUMNS):
+        value = mem[ANGLE + 3] if j == 4 else mem[SUMS + 4 + j] - (mem[ANGLE + j] if j < 3 else 0.0)
+        newest = shift(mem, HISTORY + j * (1 + 2 * length), length, value) + length - 1
+    mem[TICKS] += 1.0
+    ticks, of = int(mem[TICKS]), 1 + 2 * length
+    newest -= (COLUMNS - 1) * of
+    if ticks >= 2 * mean:
+        apart = min(lag, ticks - mean)  # ticks between the windows
+        north = _mean(mem, newest, 0, mean) - _mean(mem, newest, apart, mean)
+        east = _mean(mem, newest + of, 0, mean) - _mean(mem, newest + of, apart, mean)
         found[0] = math.hypot(north, east)
-        found[1] = abs(_mean(mem, length, last, mean, 2) - _mean(mem, length, before, mean, 2))
-        turned = _mean(mem, length, last, mean, 4) - _mean(mem, length, before, mean, 4)
-        found[3] = TURN_SHARE * turned + (now - then) * (USUAL_BIAS * span_s)
-    if last + 1 >= 2 * lift:
-        late, early = _mean(mem, length, last, lift, 3), _mean(mem, length, last - lift, lift, 3)
+        found[1] = abs(_mean(mem, newest + 2 * of, 0, mean) - _mean(mem, newest + 2 * of, apart, mean))
+        turned = _mean(mem, newest + 4 * of, 0, mean) - _mean(mem, newest + 4 * of, apart, mean)
+        found[3] = TURN_SHARE * turned + apart * (USUAL_BIAS * span_s)
+    if ticks >= 2 * lift:
+        late, early = _mean(mem, newest + 3 * of, 0, lift), _mean(mem, newest + 3 * of, lift, lift)
         found[2] = min(abs(late), abs(early)) if late * early > 0.0 else 0.0
-    return last + 1 >= 2 * mean
+    return ticks >= 2 * mean
 
 
 @cached
-def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The greatest disagreement every 0.1 s, at the time of the newest row that it rests on."""
-    k, found = 0, np.empty(4)
-    for i in range(x.shape[1]):
-        if not _felt(par, mem, x, i, flags[VALID, i] > 0.5):
-            continue
+    k, found, tick, begin, columns = 0, np.empty(4), int(par[TICK]), first, x.shape[1]
+    while begin < columns:
+        stop = min(begin + tick - int(mem[ROWS]), columns)
+        _add_rows(par, mem, x, begin, stop)
+        mem[ROWS] += stop - begin
+        begin = stop
+        if mem[ROWS] < tick:
+            break
         for j in range(8):
-            mem[SUMS + j] /= par[TICK]
-        out[SOUND, k] = _walk(par, mem, mem[SOUND_ROWS] >= par[TICK], found)
-        mem[ROWS] = mem[SOUND_ROWS] = 0.0
-        for j in range(8):
-            mem[SUMS + j] = 0.0
+            mem[SUMS + j] /= tick
+        out[SOUND, k] = _walk(par, mem, mem[SOUND_ROWS] >= tick, found)
+        mem[: SUMS + 8] = 0.0
         angle = max(found[0] / (par[SPREADS] + found[3]), found[1] / (par[SPREADS + 1] + found[3]))
         value = min(max(angle, found[2] / par[SPREADS + 2]), LIMIT)
-        out[VALUE, k], out[LEVEL, k], out[SIGNAL, k], at[k] = value, value, found[0], i
+        out[VALUE, k], out[LEVEL, k], at[k] = value, value, stop - 1 - first
         for j in range(4 if out.shape[0] > TRACE else 0):
             out[TRACE + j, k] = found[j]
         k += 1
@@ -177,26 +175,13 @@ class SensorDrift(Monitor[SensorDriftSpec]):
         s = max( |dE|/(tilt + e), |dY|/(heading + e), |V|/lift ),    e = 0.01 R + 0.004 rad/s L
 
     dE, dY: change of their 2 s means over L = 15 s, or over as much as there is since the last gap; R: angle that the
-    vehicle turned in it, of which a healthy gyro may be wrong by 1 %; and its bias may be wrong by 4 mrad/s. |V|: the
-    smaller of two 4 s means, one after the other, where both have the same sign, so that the start of a climb does not
-    count. Propellers, wind and payload do not enter. `level` equals the statistic, `signal` is |dE| [rad].
+    vehicle turned in it. |V|: the smaller of two 4 s means, one after the other, where both have the same sign, so that
+    the start of a climb does not count.
 
-    Warm-up: 4 s without a gap, 8 s for V. Latency: where the estimator's time constant is 8 s, a gyro bias of
-    0.05 rad/s takes 6 s and a drift of 0.002 rad/s^2 15 s; a vertical bias of 0.5 m/s^2 takes 6 s.
-    False alarms: see `thresholds`; the threshold is never less than 2.5, which is 0.18 rad in 15 s or 0.2 m/s^2. A
-    mount that slips or cameras that jump raise it too. Blind spots: a gyro's scale, unless the vehicle turns; a
-    horizontal accelerometer bias below 1 m/s^2 (to a filter it is tilt, and a flight against wind looks the same);
-    an accelerometer's horizontal scale; what was there when the flight began; attitudes beyond 40 degrees.
-
-    >>> from mavdiag.testing import example_context, example_rows
-    >>> rng, still = np.random.default_rng(9), np.tile([0.0, 0.0, -GRAVITY], (3000, 1))
-    >>> rate, attitude = rng.normal(0, 0.003, (3000, 3)), np.zeros((3000, 3))
-    >>> healthy = example_rows(3000, rate=rate, force=still, attitude=attitude)
-    >>> monitor = SensorDrift(*SensorDrift.fit([[healthy]], example_context()))
-    >>> rate[2000:, 0] += 0.05
-    >>> _, found = monitor.step(monitor.start(), example_rows(3000, rate=rate, force=still, attitude=attitude))
-    >>> bool(found.value[190] < 2.0), bool(found.value[-1] > 5.0)
-    (True, True)
+    Warm-up: 4 s without a gap, 8 s for V. Latency: a gyro bias of 0.05 rad/s takes 6 s, a drift of 0.002 rad/s^2 15 s,
+    a vertical bias of 0.5 m/s^2 6 s. False alarms: a mount that slips, cameras that jump. Blind spots: a gyro's scale,
+    unless the vehicle turns; a horizontal accelerometer bias below 1 m/s^2; what was there when the flight began;
+    attitudes beyond 40 degrees.
     """
 
     name = "sensor_drift"
@@ -208,6 +193,7 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     spec_type = SensorDriftSpec
     unit = "x healthy rms"
     reach = LIMIT  # where a value is cut
+    run = staticmethod(run)
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorDriftSpec, ...]:
@@ -219,42 +205,39 @@ class SensorDrift(Monitor[SensorDriftSpec]):
             raise InputError("no flight with a gyro, an accelerometer and an attitude estimate")
         mean = biases.mean(axis=0)
         unbiased = replace(still, bias=three(mean[:3]), vertical=float(mean[3]))
-        found = [_squares(unbiased, flight) for flight in flights]
-        count = sum(ticks for ticks, _ in found)
+        count, squares = 0, np.zeros(3)
+        for found in (one for flight in flights for one in traced(cls(unbiased), flight, 4)):
+            disagreement = found[TRACE:, found[SOUND] > 0.5]
+            disagreement[:2] = np.maximum(disagreement[:2] - disagreement[3], 0.0)  # beyond what is excused
+            count, squares = count + disagreement.shape[1], squares + np.square(disagreement[:3]).sum(axis=1)
         if not count:
             raise IdentificationError(f"no unbroken {2 * MEAN_S:g} s of flight; fly longer")
-        rms = np.sqrt(np.sum([squares for _, squares in found], axis=0) / count)
-        tilt, heading, lift = np.maximum(rms, (LEAST_ANGLE, LEAST_ANGLE, LEAST_VERTICAL)).tolist()
+        least = (LEAST_ANGLE, LEAST_ANGLE, LEAST_VERTICAL)
+        tilt, heading, lift = np.maximum(np.sqrt(squares / count), least).tolist()
         return (replace(unbiased, tilt=tilt, heading=heading, lift=lift),)
 
     def period_s(self, dt_s: float) -> float:
         """A tick [s]."""
         return self.spec.tick * self.spec.dt_s
 
-    def parameters(self, dt_s: float) -> FloatArray:
-        """See `SPREADS`."""
-        spec = self.spec
-        spans = [spec.ticks(span_s) for span_s in (MEAN_S, LAG_S, VERTICAL_S)]
-        return np.array([spec.dt_s, spec.tick, *spans, spec.vertical, *spec.bias, spec.tilt, spec.heading, spec.lift])
-
-    def memory(self, dt_s: float) -> FloatArray:
+    def begin(self, dt_s: float) -> Begin:
         """No row yet."""
-        return np.zeros(HISTORY + COLUMNS * (self.spec.ticks(LAG_S) + 2 * self.spec.ticks(MEAN_S) + 1))
-
-    run = staticmethod(run)
+        spec, tick_s = self.spec, self.spec.tick * self.spec.dt_s
+        mean, lag, lift = (max(1, round(span_s / tick_s)) for span_s in (MEAN_S, LAG_S, VERTICAL_S))
+        spreads = spec.tilt, spec.heading, spec.lift
+        par = np.array([spec.dt_s, spec.tick, mean, lag, lift, spec.vertical, *spec.bias, *spreads])
+        return Begin(par, np.zeros(HISTORY + COLUMNS * past_size(lag + 2 * mean + 1)))
 
 
 def _biases(flight: Sequence[Rows], tick: int) -> FloatArray:
     """(n, 4) of whole ticks: gyro less the rate of the attitude, and vertical specific force beyond -g."""
-    found = [np.empty((0, 4))]
-    for _, segment in itertools.groupby(flight, key=lambda rows: rows.block.segment):
-        rest = np.empty((0, 10))
-        for block in (rows.block for rows in segment):
-            each = np.column_stack((block.rate, block.force, block.attitude, block.valid))
-            rows = np.concatenate((rest, np.asarray(each, dtype=np.float64)))
-            n = len(rows) // tick * tick
-            found.append(_gyro_errors(rows[:n], tick, block.dt_s))
-            rest = rows[n:]
+    found, rest = [np.empty((0, 4))], np.empty((0, 10))
+    for begins, block in ((begins, rows.block) for begins, rows in parted(flight)):
+        fresh = np.column_stack((block.rate, block.force, block.attitude, block.valid))
+        rows = np.asarray(fresh if begins else np.concatenate((rest, fresh)), dtype=np.float64)
+        n = len(rows) // tick * tick
+        found.append(_gyro_errors(rows[:n], tick, block.dt_s))
+        rest = rows[n:]
     return np.concatenate(found)
 
 
@@ -264,24 +247,7 @@ def _gyro_errors(rows: FloatArray, tick: int, dt_s: float) -> FloatArray:
     known &= (np.abs(rows[:, 6:8]) < STEEP_RAD).all(axis=1) & (np.abs(rows[:, :3]) < FAST_RAD_S).all(axis=1)
     ticks = rows[:, :9].reshape(-1, tick, 9)[known.reshape(-1, tick).all(axis=1)]
     mean, span_s = ticks.mean(axis=1), max(1, tick - 1) * dt_s
-    dphi, dtheta, dpsi = ((ticks[:, -1, 6:] - ticks[:, 0, 6:]) / span_s).T
-    phi, theta = mean[:, 6], mean[:, 7]
-    turn = np.cos(theta) * dpsi
-    rates = (
-        dphi - np.sin(theta) * dpsi,
-        np.cos(phi) * dtheta + np.sin(phi) * turn,
-        np.cos(phi) * turn - np.sin(phi) * dtheta,
-    )
+    rates = np.column_stack(body_rates(mean[:, 6], mean[:, 7], *((ticks[:, -1, 6:] - ticks[:, 0, 6:]) / span_s).T))
     (x, y, z), (sin_phi, sin_theta) = np.moveaxis(ticks[:, :, 3:6], 2, 0), np.moveaxis(np.sin(ticks[:, :, 6:8]), 2, 0)
     down = np.cos(ticks[:, :, 7]) * (sin_phi * y + np.cos(ticks[:, :, 6]) * z) - sin_theta * x
-    return np.column_stack((mean[:, :3] - np.column_stack(rates), (down + GRAVITY).mean(axis=1)))
-
-
-def _squares(spec: SensorDriftSpec, flight: Sequence[Rows]) -> tuple[int, FloatArray]:
-    """How many ticks of a flight count, and the sums of squares of |dE|, |dY| and |V| beyond what is excused, (3,)."""
-    count, squares = 0, np.zeros(3)
-    for found in traced(SensorDrift(spec), flight, 4):
-        disagreement = found[TRACE:, found[SOUND] > 0.5]
-        disagreement[:2] = np.maximum(disagreement[:2] - disagreement[3], 0.0)
-        count, squares = count + disagreement.shape[1], squares + np.square(disagreement[:3]).sum(axis=1)
-    return count, squares
+    return np.column_stack((mean[:, :3] - rates, (down + GRAVITY).mean(axis=1)))

@@ -1,8 +1,4 @@
-"""The sensor-noise monitor: one axis of gyro or accelerometer turned noisy, and no other noticed.
-
-Whatever shakes an airframe is felt by several axes at once: a rotor's unbalance turns, so x and y feel it alike, and
-it reaches the gyro through the arms. Noise that only one axis of one sensor has comes from that axis.
-"""
+"""The sensor-noise monitor: one axis of gyro or accelerometer turned noisy, and no other noticed."""
 
 import math
 from collections.abc import Sequence
@@ -11,9 +7,9 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.jit import cached, jit
-from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
-from mavdiag.monitors.columns import LEVEL, RATE, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
+from mavdiag.jit import allocating, cached
+from mavdiag.monitors.base import Begin, FaultKind, Flights, LearnContext, Monitor
+from mavdiag.monitors.columns import LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.fitting import of_each, traced
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.front import Rows
@@ -28,63 +24,55 @@ AXES = 6  # gyro x, y, z and accelerometer x, y, z
 LEAST_RATE_HZ = 98.0  # below it the difference is the flight's own motion (our choice)
 LOWPASS_SHARE = 0.2  # of the rate: a stream that is low-passed below it has lost its noise (our choice)
 LIMIT = 6.0  # healthy rms; a difference is cut here, so that one knock is no noise (our choice)
-LEAST_POWER = 1e-12  # of the healthy power; keeps a logarithm finite
 MIN_ROWS = 500  # our choice
+RUN, MEAN = 0, 1  # places in the memory: how many rows in a row are known, and the mean of the squares
 
 Six: TypeAlias = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
 
 
 @spec
 class SensorNoiseSpec:
-    """Healthy noise.
-
-    rms: of the fourth difference of gyro x, y, z [rad/s] and accelerometer x, y, z [m/s^2].
-    window_s: length of the means [s].
-    """
+    """Healthy noise."""
 
     kind: Literal["sensor_noise"] = "sensor_noise"
-    rms: Six
+    rms: Six  # of the fourth difference of gyro x, y, z [rad/s] and accelerometer x, y, z [m/s^2]
     window_s: Positive = WINDOW_S
 
 
-# Places in the memory: how many rows in a row are known, the last 4 rows, and the mean of the squares.
-RUN, ROWS, MEAN = 0, 1, 1 + ORDER * AXES
-
-
-@jit
-def _difference(mem: FloatArray, axis: int, value: float) -> float:
-    """The fourth difference of an axis, after its next value."""
-    first = ROWS + axis * ORDER
-    a, b, c, d = mem[first], mem[first + 1], mem[first + 2], mem[first + 3]
-    mem[first], mem[first + 1], mem[first + 2], mem[first + 3] = b, c, d, value
-    return float(value - 4.0 * d + 6.0 * c - 4.0 * b + a)
+@allocating
+def _differences(x: Floats, first: int) -> Floats:
+    """The fourth differences of the six axes, (6, n)."""
+    out = np.empty((AXES, x.shape[1] - first))
+    for axis in range(AXES):
+        row, to = x[RATE + axis, first - ORDER :], out[axis]
+        for k in range(len(to)):
+            to[k] = row[k + 4] - 4.0 * row[k + 3] + 6.0 * row[k + 2] - 4.0 * row[k + 1] + row[k]
+    return out
 
 
 @cached
-def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
-    """The lead of the noisiest axis at each row. par: rows of the window, and the healthy rms."""
-    window = int(par[0])
-    for i in range(x.shape[1]):
-        known = flags[VALID, i] > 0.5
+def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
+    """The lead of the noisiest axis at each row. par: rows of the window, and one over the healthy rms."""
+    window, d = int(par[0]), _differences(x, first)
+    for k in range(len(at)):
+        sum_ = 0.0
         for axis in range(AXES):
-            known = known and math.isfinite(x[RATE + axis, i])
-        mem[RUN] = mem[RUN] + 1.0 if known else 0.0
-        whole = mem[RUN] > ORDER
-        for axis in range(AXES):
-            d = _difference(mem, axis, x[RATE + axis, i] if known else 0.0)
-            z = min(abs(d) / par[1 + axis], LIMIT)
-            if out.shape[0] > TRACE:
-                out[TRACE + axis, i] = d if whole else math.nan
+            sum_ += x[RATE + axis, first + k]
+            z = min(abs(d[axis, k]) * par[1 + axis], LIMIT)
             mem[MEAN + FRESH + axis] = z * z
-        full = push(mem, MEAN, window, AXES, whole)
-        first, second = -math.inf, -math.inf
+        mem[RUN] = mem[RUN] + 1.0 if x[VALID, first + k] > 0.5 and math.isfinite(sum_) else 0.0
+        whole = mem[RUN] > ORDER
+        for axis in range(AXES if out.shape[0] > TRACE else 0):
+            out[TRACE + axis, k] = d[axis, k] if whole else math.nan
+        out[SOUND, k], at[k] = push(mem, MEAN, window, AXES, whole), k
+        highest, second = 0.0, 0.0
         for axis in range(AXES):
-            power = total(mem, MEAN, AXES, axis) / window
-            second = max(second, min(first, power))
-            first = max(first, power)
-        first, second = math.log(max(first, LEAST_POWER)), math.log(max(second, LEAST_POWER))
-        value = max(first - 2.0 * max(second, 0.0), 0.0)
-        out[VALUE, i], out[SOUND, i], out[LEVEL, i], out[SIGNAL, i], at[i] = value, full, value, first, i
+            power = total(mem, MEAN, AXES, axis)
+            second = max(second, min(highest, power))
+            highest = max(highest, power)
+        others = max(second / window, 1.0)
+        lead = highest / (window * others * others)
+        out[VALUE, k] = out[LEVEL, k] = math.log(lead) if lead > 1.0 else 0.0
     return len(at)
 
 
@@ -92,26 +80,14 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
     """Statistic: by how much the noise of one sensor axis rose while the others did not [ln of power].
 
         d = fourth difference of the axis,    L_i = ln(mean_0.5s d_i^2 / healthy),    i = gyro x, y, z, accel x, y, z
-        s = max(0, L_1st - 2 max(0, L_2nd))
+        s = max(0, L_1st - 2 max(0, L_2nd))           the highest and the second highest of the six
 
-    L_1st and L_2nd are the highest and the second highest of the six: nothing is left where a second axis rises by
-    more than the root of the highest one's power, as all do with an unbalanced rotor. The fourth difference passes what
-    is above a quarter of the rate and hardly any motion. `level` equals the statistic, `signal` is L_1st.
+    Whatever shakes an airframe is felt by several axes at once: nothing is left where a second axis rises by more than
+    the root of the highest one's power. The difference passes what is above a quarter of the rate, and hardly motion.
 
-    Warm-up: 4 rows and 0.5 s. Latency: the share of the window that lifts the mean, 0.2 s for noise of 6 times the
-    healthy rms and more. False alarms: see `thresholds`; the threshold is never less than 2.4, 11 times the power. An
-    airframe that resonates along one axis only could raise it without a sensor at fault; knocks are cut. Blind spots:
-    noise below the vibration of the rotors; two axes at once; streams that are low-passed or slower than 100 Hz.
-
-    >>> from mavdiag.testing import example_context, example_rows
-    >>> rng = np.random.default_rng(8)
-    >>> rate, force = rng.normal(0, 0.01, (1000, 3)), rng.normal(0, 0.1, (1000, 3))
-    >>> monitor = SensorNoise(*SensorNoise.fit([[example_rows(1000, rate=rate, force=force)]], example_context()))
-    >>> rate[:, 1] += rng.normal(0, 0.1, 1000)
-    >>> _, alone = monitor.step(monitor.start(), example_rows(1000, rate=rate, force=force))
-    >>> _, shaken = monitor.step(monitor.start(), example_rows(1000, rate=rate, force=10 * force))
-    >>> bool(alone.value[-1] > 1.5), float(shaken.value[-1])
-    (True, 0.0)
+    Warm-up: 4 rows and 0.5 s. Latency: 0.2 s for noise of 6 times the healthy rms. False alarms: an airframe that
+    resonates along one axis only; knocks are cut. Blind spots: noise below the vibration of the rotors; two axes at
+    once; streams that are low-passed or slower than 100 Hz.
     """
 
     name = "sensor_noise"
@@ -125,6 +101,7 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
     spec_type = SensorNoiseSpec
     unit = "ln of power"
     reach = 2.0 * math.log(LIMIT)  # the logarithm of the power at which differences are cut: 3.58
+    run = staticmethod(run)
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorNoiseSpec, ...]:
@@ -148,15 +125,11 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
         (new,) = self.fit(flights, context)
         return new, 1.0
 
-    def parameters(self, dt_s: float) -> FloatArray:
-        """Rows of the window, healthy rms."""
-        return np.array([window_rows(self.spec.window_s, dt_s), *self.spec.rms])
-
-    def memory(self, dt_s: float) -> FloatArray:
+    def begin(self, dt_s: float) -> Begin:
         """No row yet."""
-        return np.zeros(MEAN + mean_size(window_rows(self.spec.window_s, dt_s), AXES))
-
-    run = staticmethod(run)
+        window = window_rows(self.spec.window_s, dt_s)
+        par = np.array([window, *(1.0 / rms for rms in self.spec.rms)])
+        return Begin(par, np.zeros(MEAN + mean_size(window, AXES)), ORDER)
 
 
 def _squares(flight: Sequence[Rows]) -> tuple[int, FloatArray]:

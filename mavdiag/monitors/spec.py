@@ -20,14 +20,6 @@ def spec(made: Made) -> Made:
     """A class as a frozen dataclass of finite numbers within their bounds.
 
     Made in Python, it raises InputError, naming its kind and the field; where it is read, pydantic's ValidationError.
-
-    >>> @spec
-    ... class Window:
-    ...     kind: str = "example"
-    ...     length_s: Positive
-    >>> Window(length_s=-1.0)
-    Traceback (most recent call last):
-    mavdiag.errors.InputError: example: length_s: Input should be greater than 0
     """
     config = ConfigDict(extra="forbid", allow_inf_nan=False)
     found: Any = dataclass(frozen=True, kw_only=True, slots=True, config=config)(made)

@@ -1,7 +1,6 @@
 """The trim-step monitor: within a flight one rotor came to be commanded more than the minute before.
 
-A session's own offset (battery, propellers, payload) is in the trim from the first second, and a battery that empties
-moves it slowly. A blade that breaks moves it at once. So the trim is compared with that of the same flight before.
+A session's own offset is in the trim from the first second, and a battery moves it slowly; a blade that breaks at once.
 """
 
 from collections.abc import Sequence
@@ -9,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 
-import mavdiag.monitors.trim as trim
+import mavdiag.monitors.rotor_trim as trim
 from mavdiag.airframe.trim import spread_of
 from mavdiag.errors import IdentificationError
 from mavdiag.jit import cached, jit
-from mavdiag.monitors.columns import COVERED, LEVEL, SIGNAL, SOUND, TRACE, VALID, VALUE, Floats, Ints
+from mavdiag.monitors.columns import COVERED, SOUND, TRACE, Floats, Ints
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.telemetry import FloatArray, Three
 from mavdiag.thresholds.rule import Prior
@@ -22,28 +21,24 @@ MEMORY_S = 30.0  # of the reference (our choice)
 DRIFT_PER_S = 3e-4  # of hover: no faster does the reference follow. A pack empties some 1e-5 a second (our choice)
 HOLD = 0.012  # of hover: the reference waits while a shift is larger, so that a fault is not taken in (our choice)
 HOLD_S = 120.0  # of judged flight it waits, for what a vehicle has carried so long is its own (our choice)
-SESSION = 0.06  # of hover: a rise against the healthy trim that a session explains, as rotor_trim's guard has it
+SESSION = 0.06  # of hover: a rise against the healthy trim that a session explains (our choice)
+# Places of its own: in the parameters how fast and how far the reference follows in a tick, and the length of a
+# tick; in the memory the reference (trim and lean), the way back from it to where the trim was healthy
+# (zero while that is the reference itself), judged flight since it waits, 1 if there is one.
+FOLLOW, MOST, TICK_S = trim.OWN, trim.OWN + 1, trim.OWN + 2
+REFERENCE, BACK, HELD, THERE = trim.MINE, trim.MINE + 5, trim.MINE + 8, trim.MINE + 9
 
 
 @spec
 class TrimStepSpec(trim.TrimSpec):
     """How much the trim moves within a healthy flight.
 
-    spread: of the 5 s means of roll, pitch and yaw trim about the reference [fraction of hover].
-    memory_s: of the reference [s].
-    drift_per_s: largest drift that is followed [fraction of hover a second].
+    memory_s: of the reference [s]. drift_per_s: largest drift that is followed [fraction of hover a second].
     """
 
     kind: Literal["trim_step"] = "trim_step"
     memory_s: Positive = MEMORY_S
     drift_per_s: Positive = DRIFT_PER_S
-
-
-# Places of its own: in the parameters how fast and how far the reference follows in a tick, and the length of a
-# tick; in the memory the reference (trim and lean), the way back from it to where the trim was healthy
-# (zero while that is the reference itself), judged flight since it waits, 1 if there is one.
-FOLLOW, MOST, TICK_S = trim.OWN, trim.OWN + 1, trim.OWN + 2
-REFERENCE, BACK, HELD, THERE = trim.MINE, trim.MINE + 5, trim.MINE + 8, trim.MINE + 9
 
 
 @jit
@@ -63,22 +58,24 @@ def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> boo
     before: room for that of the window before.
     """
     window = int(par[trim.WINDOW])
-    judged = mem[trim.RUN] >= 2 * window
     for j in range(5):
         shift[j] = 0.0
-        if judged and mem[THERE] < 0.5:
-            mem[REFERENCE + j] = trim.window_mean(par, mem, window, j)
-            shift[j] = mem[REFERENCE + j] - (par[trim.MEAN + j] if j < 3 else 0.0)
-    if not judged:
+    if mem[trim.RUN] < 2 * window:
         return False
+    trim.window_means(par, mem, 0, shift)
+    trim.window_means(par, mem, window, before)
     if mem[THERE] < 0.5:
-        far = trim.highest_rise(par, shift, False) > SESSION
-        for j in range(3):
-            mem[BACK + j] = -shift[j] if far else 0.0
+        for j in range(5):
+            mem[REFERENCE + j] = before[j]
+            before[j] -= par[trim.MEAN + j] if j < 3 else 0.0
+        far = trim.highest_rise(par, before, False) > SESSION
+        for j in range(5):
+            if j < 3:
+                mem[BACK + j] = -before[j] if far else 0.0
+            before[j] = mem[REFERENCE + j]
         mem[HELD], mem[THERE] = 0.0, 1.0
     for j in range(5):
-        shift[j] = trim.window_mean(par, mem, 0, j) - mem[REFERENCE + j]
-        before[j] = trim.window_mean(par, mem, window, j) - mem[REFERENCE + j]
+        shift[j], before[j] = shift[j] - mem[REFERENCE + j], before[j] - mem[REFERENCE + j]
     share = _share(par, mem, shift)
     for j in range(3):
         shift[j] -= share * mem[BACK + j]
@@ -99,30 +96,22 @@ def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> boo
 
 
 @cached
-def run(par: Floats, mem: Floats, x: Floats, flags: Floats, lag: int, out: Floats, rotors: Floats, at: Ints) -> int:
+def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The best single-rotor rise at the end of each tick."""
     k, shift, before = 0, np.empty(5), np.empty(5)
-    for i in range(x.shape[1]):
-        if not trim.take_row(par, mem, x, i, flags[VALID, i] > 0.5):
-            continue
-        trim.take_tick(par, mem, mem[trim.KNOWN] > 0.5 and flags[COVERED, i] > 0.5)
-        out[SOUND, k] = _take_window(par, mem, shift, before)
-        value = trim.highest_rise(par, shift, True)
-        for rotor in range(rotors.shape[1]):
-            rotors[k, rotor] = trim.rise(par, rotor, shift, False)
-        out[VALUE, k], out[LEVEL, k], out[SIGNAL, k], at[k] = value, value, shift[2], i
-        if out.shape[0] > TRACE:
-            trim.trace_tick(par, mem, out, k)
-            for j in range(3):
-                out[TRACE + 7 + j, k] = shift[j]
-        k += 1
+    for i in range(first, x.shape[1]):
+        if trim.take_row(par, mem, x, i):
+            trim.take_tick(par, mem, mem[trim.KNOWN] > 0.5 and x[COVERED, i] > 0.5)
+            trim.write(par, mem, shift, _take_window(par, mem, shift, before), out, rotors, k)
+            at[k] = i - first
+            k += 1
     return k
 
 
 class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     """Statistic: the rise of ONE rotor's command against the same flight before [fraction of hover].
 
-        m: trim averaged over 5 s as rotor_trim has it,    a_j: rise of rotor j that explains m - m_ref (`trim`)
+        m: trim averaged over 5 s as rotor_trim has it,    a_j: rise of rotor j that explains m - m_ref
         statistic = max_j a_j
         m_ref <- m_ref + clip((m(t - 5 s) - m_ref) dt/30 s, +-0.0003 dt)    while both are within 0.012
 
@@ -131,40 +120,29 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     A shift that stays for two minutes of judged flight becomes the reference. From then on, and where a flight begins
     with more than a session explains, what leads back to where the trim was healthy does not count: m - m_ref is taken
     from the nearest point of the way there, so that a repair in flight is no fault of the other rotors. `level` equals
-    the statistic, `signal` is the yaw trim's shift, `rotors` are the a_j.
+    the statistic, `rotors` are the a_j.
 
-    Warm-up: 10 s of unbroken valid flight as the envelope covers it. Latency: up to 5 s.
-    False alarms: see `thresholds`; a payload that is picked up shifts roll and pitch, which count little. Blind spots:
-    damage that was there at take-off (the rotor-trim monitor sees it) or grows slowly, and hops shorter than 10 s.
-
-    >>> from mavdiag.airframe.layout import layout_named
-    >>> from mavdiag.testing import example_rows
-    >>> outputs = np.random.default_rng(3).normal(0.5, 0.02, (4000, 4)) + [0.02, 0.0, 0.0, 0.0]
-    >>> outputs[2000:, 1] += 0.05   # rotor 2 breaks after 20 s; rotor 1 was weak from the start
-    >>> monitor = TrimStep(TrimStepSpec(layout=layout_named("x"), source="actuator", spread=(0.03, 0.03, 0.01)))
-    >>> _, found = monitor.step(monitor.start(), example_rows(4000, 0.01, actuator=outputs))
-    >>> [float(x.round(2)) for x in (found.value[20:40].max(), found.value[60])], int(found.rotors[60].argmax()) + 1
-    ([0.0, 0.1], 2)
+    Warm-up: 10 s of unbroken valid flight as the envelope covers it. Latency: up to 5 s. False alarms: a payload that
+    is picked up shifts roll and pitch, which count little. Blind spots: damage that was there at take-off (the
+    rotor-trim monitor sees it) or grows slowly, and hops shorter than 10 s.
     """
 
     name = "trim_step"
     label = "trim step"
-    phrase = "lost {lost}% thrust"
     prior = Prior(flight=0.3, block=0.3, least=0.01)  # half of what a trim must allow for wind (our choice)
     spec_type = TrimStepSpec
+    run = staticmethod(run)
 
     @classmethod
-    def spread_of(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
+    def spread(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
         """Of healthy shifts within flights."""
-        segments = (segment for flight in flights for segment in flight)
-        shifts = [segment[TRACE + 7 : TRACE + 10, segment[SOUND] > 0.5] for segment in segments]
+        walked = [segment for flight in flights for segment in flight]
+        shifts = [segment[TRACE + 7 : TRACE + 10, segment[SOUND] > 0.5] for segment in walked]
         found = np.concatenate([np.empty((3, 0)), *shifts], axis=1).T
         if len(found) == 0:
             raise IdentificationError(f"no unbroken {2 * trim.WINDOW_S:g} s of flight to compare trims in; fly longer")
         return spread_of(found)
 
-    def own(self, tick_s: float) -> tuple[float, float, float, float]:
+    def own(self, tick_s: float) -> tuple[float, float, float]:
         """See `TICK_S`."""
-        return tick_s / self.spec.memory_s, self.spec.drift_per_s * tick_s, tick_s, 0.0
-
-    run = staticmethod(run)
+        return tick_s / self.spec.memory_s, self.spec.drift_per_s * tick_s, tick_s

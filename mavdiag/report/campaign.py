@@ -1,10 +1,8 @@
 """The results of `sitl-plant campaign`: read and checked where they come in, and drawn.
 
-Each line of the file is one JSON object; its shape is `sitl_plant.campaign.worker.FlightResult`. Only the fields that
-are drawn are read, so that a file of a newer version can be drawn too.
+Each line is one JSON object, as `sitl_plant.campaign.worker.FlightResult`; only the fields that are drawn are read.
 """
 
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.errors import InputError
-from mavdiag.report.residuals import MARKERS, NAMES
+from mavdiag.report.pictures import MARKERS, NAMES
 from mavdiag.report.style import LINES, Drawn, NotDrawn, Picture, legend_above, picture, sheet
 from mavdiag.storage import open_regular
 from mavdiag.telemetry import FloatArray
@@ -32,31 +30,26 @@ LIGHT = 0.55  # share of a row from which on its cell is dark and its number whi
 _FAULT = re.compile(r"F[123]/SV[123]")
 
 
-class Answer(BaseModel):
-    """What the diagnosis answered; fields as in the campaign's `Answer`."""
-
+class _Line(BaseModel):
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+
+class Answer(_Line):
+    """What the diagnosis answered."""
 
     kind: Annotated[str, Field(max_length=60)]
-    rotor: int | None = None
     fault_type: Annotated[str, Field(max_length=20)] | None = None
-    severity: int | None = None
 
 
-class CampaignFlight(BaseModel):
-    """One flight of a campaign; fields as in the campaign's `FlightResult`."""
-
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+class CampaignFlight(_Line):
+    """One flight of a campaign."""
 
     record: Literal["flight"]
     key: str
     cause: Annotated[str, Field(max_length=60)]
-    rotor: int
     phenomenology: float
     verdict: str
-    flown_s: float
     healthy_s: float
-    onset_s: float | None
     episodes: int
     latency_s: float | None
     answer: Answer
@@ -84,10 +77,8 @@ class CampaignFlight(BaseModel):
         return self.answer.fault_type or self.answer.kind
 
 
-class _Learnt(BaseModel):
-    """A line that holds a baseline; nothing of it is drawn."""
-
-    record: Literal["learn"]
+class _Learnt(_Line):
+    record: Literal["learn"]  # a line that holds a baseline; nothing of it is drawn
 
 
 _LINE = TypeAdapter[CampaignFlight | _Learnt](Annotated[CampaignFlight | _Learnt, Field(discriminator="record")])
@@ -116,8 +107,7 @@ class Roc:
     """Receiver operating characteristic of the score: a flight is flagged if its score is above a limit.
 
     false_share, true_share: (n,) share of the healthy and of the damaged flights, for a limit that falls.
-    area: under the curve, 0..1: the chance that a damaged flight scores higher than a healthy one.
-    at_threshold: both shares at the limit 1, which is the threshold in use.
+    area: under the curve, 0..1. at_threshold: both shares at the limit 1, which is the threshold in use.
     """
 
     false_share: FloatArray
@@ -139,7 +129,7 @@ def read_campaign(path: Path) -> Campaign:
 
 
 def parse_campaign(text: str) -> Campaign:
-    """The results in a text of lines. Raises InputError if there is no flight among them."""
+    """Read the results in a text of lines. Raises InputError if there is no flight among them."""
     flights: dict[str, CampaignFlight] = {}
     unread = 0
     for line in filter(str.strip, text.splitlines()):
@@ -151,7 +141,7 @@ def parse_campaign(text: str) -> Campaign:
         if isinstance(found, CampaignFlight):
             flights[found.key] = found
     if not flights:
-        what = "is a campaign's summary" if _is_summary(text) else "holds no flight of a campaign"
+        what = "is a campaign's summary" if '"detection"' in text else "holds no flight of a campaign"
         raise InputError(f"{what}; {REMEDY}")
     return Campaign(tuple(flights.values()), unread)
 
@@ -174,7 +164,7 @@ def roc_of(healthy: Sequence[float], damaged: Sequence[float]) -> Roc:
 
 def campaign_pictures(campaign: Campaign) -> tuple[Picture, ...]:
     """All of a campaign, in the order of the page."""
-    return (_roc(campaign), _severity(campaign), _latency(campaign), _confusion(campaign), _rotors(campaign))
+    return (_roc(campaign), _severity(campaign), _latency(campaign), _confusion(campaign))
 
 
 @picture("campaign-roc")
@@ -274,26 +264,12 @@ def _latency(campaign: Campaign) -> Drawn:
 
 @picture("campaign-confusion")
 def _confusion(campaign: Campaign) -> Drawn:
+    """The counts of each pair of what was true and what was answered."""
     pairs = [(flight.cause[:2] if flight.of_thesis else flight.cause, flight.answered) for flight in campaign.flights]
     pairs.sort(key=lambda pair: (not pair[0].startswith("F"), pair[0] == HEALTHY, pair[0]))
-    order = [*ORDER, *sorted({answer for _, answer in pairs} - {*ORDER, *LAST}), *LAST]
-    return _matrix(pairs, order, "answered", "true")
-
-
-@picture("campaign-rotors")
-def _rotors(campaign: Campaign) -> Drawn:
-    named = [flight for flight in campaign.faulty if flight.latency_s is not None]
-    if not named:
-        raise NotDrawn("no damage of a propeller was found, so no rotor could be named")
-    pairs = sorted((str(flight.rotor), str(flight.answer.rotor or "none")) for flight in named)
-    order = sorted({answer for _, answer in pairs}, key=lambda answer: (answer == "none", answer))
-    return _matrix(pairs, order, "named rotor", "damaged rotor")
-
-
-def _matrix(pairs: Sequence[tuple[str, str]], order: Sequence[str], across: str, down: str) -> Drawn:
-    """The counts of each pair of what was true and what was answered."""
+    answers = {answer for _, answer in pairs}
+    columns = [answer for answer in (*ORDER, *sorted(answers - {*ORDER, *LAST}), *LAST) if answer in answers]
     true = tuple(dict.fromkeys(cause for cause, _ in pairs))
-    columns = [answer for answer in order if answer in {other for _, other in pairs}]
     counts = np.array([[pairs.count((cause, answer)) for answer in columns] for cause in true])
     share = counts / counts.sum(axis=1, keepdims=True)
     figure = sheet(1.1 + 0.3 * len(true))
@@ -304,7 +280,7 @@ def _matrix(pairs: Sequence[tuple[str, str]], order: Sequence[str], across: str,
         axes.text(column + 0.5, row + 0.5, str(count or ""), ha="center", va="center", color=ink)
     axes.set_yticks(np.arange(len(true)) + 0.5, true)
     axes.set_xticks(np.arange(len(columns)) + 0.5, [answer.replace(" ", "\n", 1) for answer in columns])
-    axes.set(xlabel=across, ylabel=down)
+    axes.set(xlabel="answered", ylabel="true")
     axes.invert_yaxis()
     axes.grid(visible=False)
     axes.tick_params(length=0)
@@ -313,11 +289,3 @@ def _matrix(pairs: Sequence[tuple[str, str]], order: Sequence[str], across: str,
         for cause, row in zip(true, counts, strict=True)
     )
     return figure, f"{words}.", ""
-
-
-def _is_summary(text: str) -> bool:
-    try:
-        found = json.loads(text)
-    except (ValueError, RecursionError):
-        return False
-    return isinstance(found, dict) and "detection" in found

@@ -1,8 +1,7 @@
 """How every figure looks, how long lines are made short, and how a figure becomes SVG that can stand in a page.
 
-The colours are those of `mavdiag.drawing`, which people who are blind to a colour tell apart. None stands alone: each
-line has a stroke of its own as well, so a figure can be read in grey. Text stays text. figures.mplstyle has sizes and
-fonts, captions.toml what a figure is called and shows.
+The colours are those of `mavdiag.drawing`; each line has a stroke of its own as well, so a figure can be read in grey.
+figures.mplstyle has sizes and fonts, captions.toml what a figure is called and shows.
 """
 
 import io
@@ -20,14 +19,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import NullFormatter
 
 from mavdiag.drawing import Colour
 from mavdiag.telemetry import FloatArray, IntArray
 
 FOLDER = Path(__file__).parent
 WIDTH_IN = 7.6
-FEW_DECADES = 100.0
 PX_PER_PT = 4 / 3
 NO_LABEL = "_nolegend_"  # how matplotlib calls a line that no legend has
 LONG_PATH = 2000  # characters of a line of data, whose points are too near to each other to need hundredths
@@ -75,6 +73,12 @@ LINES = (
 )
 
 
+@cache
+def captions() -> Mapping[str, Mapping[str, str]]:
+    """Title, caption and the thesis's number of each figure, by its key."""
+    return tomllib.loads((FOLDER / "captions.toml").read_text(encoding="utf-8"))
+
+
 @dataclass(frozen=True, slots=True)
 class Picture:
     """A figure of a page, or why there is none.
@@ -109,12 +113,6 @@ class NotDrawn(Exception):  # noqa: N818  # no error: the reason, a phrase, stan
     """Why a picture is not drawn."""
 
 
-@cache
-def captions() -> Mapping[str, Mapping[str, str]]:
-    """Title, caption and the thesis's number of each figure, by its key."""
-    return tomllib.loads((FOLDER / "captions.toml").read_text(encoding="utf-8"))
-
-
 def picture(key: str) -> Callable[[Callable[P, Drawn]], Callable[P, Picture]]:
     """Make a picture of what a function draws, in the style of all pages; or of why it raises `NotDrawn`."""
 
@@ -147,11 +145,9 @@ def panels(height_in: float, rows: int = 1) -> tuple[Figure, list[Axes]]:
 
 
 def plain_log(axes: Axes) -> None:
-    """A logarithmic ordinate with plain numbers: at its decades, or at 1, 2 and 5 where it has few."""
+    """A logarithmic ordinate with plain numbers."""
     axes.set_yscale("log")
-    low, high = axes.get_ylim()
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0,) if high > FEW_DECADES * low else (1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
@@ -165,26 +161,18 @@ def legend_above(axes: Axes, columns: int = 4, named: Mapping[str, Any] | None =
 def envelope(
     t: FloatArray, y: FloatArray, columns: int = COLUMNS, *, filled: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """The lowest and the highest value of each column of pixels: what the eye sees of a long line is the same.
+    """Thin a line to the lowest and the highest value of each column of pixels: the eye sees the same.
 
-    At most two points a column and one for each gap; as it is where it is short already. t: (n,) not falling. y: (n,);
-    nan leaves a gap, which stays one if it fills a column. Every value that is returned is one of y's, and the lowest
-    and the highest of all y are among them. filled: from below, so that the highest of each column is enough.
-
-    >>> t, y = envelope(np.arange(1000.0), np.tile([0.0, 1.0], 500), columns=4)
-    >>> len(t), y.tolist()
-    (8, [0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0])
+    t: (n,) not falling. y: (n,); nan leaves a gap, which stays one if it fills a column. At most two points a column
+    and one for each gap; as it is where it is short already. filled: from below, so that the highest is enough.
     """
     if len(t) <= (1 if filled else 2) * columns:
         return _with_breaks(t, y)
     column, first = columns_of(t, columns)
     last, high = np.append(first[1:], len(t)) - 1, np.fmax.reduceat(y, first)
     times, values = t[first][:, None], high[:, None]
-    if not filled:
-        low, falling = (
-            np.fmin.reduceat(y, first),
-            y[last] < y[first],
-        )  # the order of both, so that slopes look as they are
+    if not filled:  # the order of both, so that slopes look as they are
+        low, falling = np.fmin.reduceat(y, first), y[last] < y[first]
         times = np.stack((t[first], (t[first] + t[last]) / 2), axis=1)
         values = np.stack((np.where(falling, high, low), np.where(falling, low, high)), axis=1)
     empty = np.flatnonzero(np.diff(column[first]) > 1) + 1
@@ -217,7 +205,7 @@ def embedded(svg: str, prefix: str) -> str:
 def _svg(figure: Figure, title: str, description: str) -> str:
     """A figure as SVG with words for those who cannot see it, without what a page cannot have twice or need not have.
 
-    Fewer digits than anybody can see, and the font's name once, at the root. The same values give the same bytes.
+    The same values give the same bytes.
     """
     FigureCanvasSVG(figure)
     out = io.StringIO()

@@ -1,149 +1,182 @@
 """Bring the streams of one vehicle onto one uniform grid: `AlignSpec.start`, `.step`, `.finish`.
 
 The gyro is the master: rows come where it has samples, whatever else is sent. On a *native* grid every row is one gyro
-sample, untouched, and the other signals are brought to its time; lost samples become rows of their own, so the grid
-stays uniform without ever slipping against the vehicle's clock. On a *resampled* grid (senders with uneven periods) all
-signals are interpolated to a fixed period. Which one a link needs is measured by `measure_grid` and kept in the
-baseline.
+sample, untouched, and the other signals are brought to its time; lost samples become rows of their own. On a
+*resampled* grid (senders with uneven periods) all signals are interpolated to a fixed period. Which one a link needs is
+measured by `measure_grid` and kept in the baseline.
 
 What is not believed never comes so far (`rows.quality`), and what is invented is never judged. A row inside a gyro gap
 longer than `max_gap_s`, or than a glitch leaves, and `settle_gap_s` after it, is marked invalid; a gap longer than
 `break_s` starts a new segment, whose first `settle_start_s` are invalid. Gaps up to 35 ms may be interpolated at 100
 Hz, longer ones plus 0.3 s are blanked, start-up takes 1 s (METHOD section 4). The set-point has the same limits and a
-mark of its own. Every other signal is nan where it is unknown: where no two samples within its limit surround the row,
-or where the last value is older than its limit.
+mark of its own. Every other signal is nan where no two samples within its limit surround the row, or where the last
+value is older than its limit.
 
-Samples may arrive out of order by up to `reorder_s`; later ones and duplicates are dropped. A row waits that long for
-its samples, and for the next sample of an interpolated signal until that sample could not be used any more. So the
-result does not depend on how the telemetry was cut into chunks, as long as no stream lags the gyro by more than
-`reorder_s`.
+Samples may be out of order by up to `reorder_s`; later ones and duplicates are dropped. A row waits that long for its
+samples, and for the next sample of an interpolated signal until that sample could not be used any more. So the result
+does not depend on how the telemetry was cut into chunks, as long as no stream lags the gyro by more than `reorder_s`.
 
 A link is orderly while every sample comes before the gyro is `ORDER_NS` further than its time. On a native grid and an
 orderly link a row waits only for what is missing: it comes out when the gyro is so much further, if gyro and
-interpolated signals miss no sample up to it. On a link that stops being orderly the aligner cannot see that a held
-signal misses a sample, or that a stopped one has begun again. So the first such sample that comes late counts in a log
-from its own time on, and live from the next row on; then rows wait for all for `CALM_NS`.
+interpolated signals miss no sample up to it. The first sample of a held signal that comes late counts in a log from its
+own time on, and live from the next row on; then rows wait for all for `CALM_NS`.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.jit import cached, cached_loop, inline, jit
+from mavdiag.jit import allocating, cached, cached_loop, inline, jit
 from mavdiag.rows.block import Block
-from mavdiag.rows.grid import Grid, measure_grid
-from mavdiag.rows.quality import GLITCH_S, MOST_LOST, LinkQuality, Memories, believed
+from mavdiag.rows.grid import Grid as Grid
+from mavdiag.rows.grid import measure_grid as measure_grid
+from mavdiag.rows.quality import COLUMN, GLITCH_S, MOST_LOST, RUNS, TURN, LinkQuality, Samples, look_at
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
-__all__ = ["USED", "AlignSpec", "AlignState", "Grid", "measure_grid"]
-
-# Interpolated to the row where two samples this near surround it [s]; a slow command stream may have 4 Hz (our choice).
-LINEAR = {  # or max_gap_s if longer
-    Signal.SPECIFIC_FORCE: 0.0,
-    Signal.TORQUE_COMMAND: 0.25,
-    Signal.RATE_SETPOINT: 0.25,
-    Signal.ATTITUDE: 0.25,
+# Of each signal its name in `Block`, its columns (of outputs the sent ones; the gyro's last is its doubt), and
+# how far its samples reach [s]. Up to THRUST they are interpolated where two samples this near, or as near as the
+# gyro's, surround the row: a slow command stream may have 4 Hz; the others hold their last value for so long: ACTUATOR
+# comes at 10-50 Hz, VIBRATION at 2-10 Hz, a battery changes slowly (our choices). Logs write ARMED when it changes.
+SIGNALS = {
+    Signal.BODY_RATE: ("rate", 4, 0.0),
+    Signal.ATTITUDE_SETPOINT: ("setpoint", 3, 0.0),
+    Signal.SPECIFIC_FORCE: ("force", 3, 0.0),
+    Signal.TORQUE_COMMAND: ("torque", 3, 0.25),
+    Signal.RATE_SETPOINT: ("rate_setpoint", 3, 0.25),
+    Signal.ATTITUDE: ("attitude", 3, 0.25),
+    Signal.THRUST_SETPOINT: ("thrust", 1, 1.0),
+    Signal.HEIGHT: ("height", 1, 2.0),
+    Signal.VOLTAGE: ("voltage", 1, 10.0),
+    Signal.ARMED: ("armed", 1, math.inf),
+    Signal.VIBRATION: ("vibration", 3, 1.0),
+    Signal.ACTUATOR: ("actuator", 0, 1.0),
 }
-# How long the last value holds [s]: ACTUATOR comes at 10-50 Hz, VIBRATION at 2-10 Hz, a battery changes slowly (our
-# choices). Logs write ARMED only when it changes.
-HELD = {
-    Signal.THRUST_SETPOINT: 1.0,
-    Signal.HEIGHT: 2.0,
-    Signal.VOLTAGE: 10.0,
-    Signal.ARMED: math.inf,
-    Signal.VIBRATION: 1.0,
-    Signal.ACTUATOR: 1.0,
-}
-STREAMS = (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, *LINEAR, *HELD)
+STREAMS = tuple(SIGNALS)
 USED = frozenset(STREAMS)
 PLACES = {signal: place for place, signal in enumerate(STREAMS)}
-GYRO, SETPOINT, ATTITUDE, THRUST = (
-    PLACES[one] for one in (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.ATTITUDE, Signal.THRUST_SETPOINT)
-)  # from THRUST on signals are held
-WIDTHS = (
-    4,
-    3,
-    3,
-    3,
-    3,
-    3,
-    1,
-    1,
-    1,
-    1,
-    3,
-    0,
-)  # columns; the gyro's last is its doubt; those of outputs are the sent ones
+GYRO, SETPOINT, ATTITUDE, THRUST, OUTPUTS = 0, 1, 5, 6, 11
+NAMES, WIDTHS, REACHES_S = zip(*SIGNALS.values(), strict=True)
 FIRST = np.cumsum((0, *WIDTHS[:-1]))  # row of x that each signal's columns begin with
+COLUMNS: dict[str, Any] = {
+    name: int(at) if width == 1 else slice(at, at + width) for name, at, width in zip(NAMES, FIRST, WIDTHS, strict=True)
+} | {"rate": slice(0, 3), "doubt": 3, "actuator": slice(FIRST[OUTPUTS], None)}
 
 NEVER_NS = 2**62
 ORDER_NS = 5 * NS_PER_MS  # our choice
 CALM_NS = 10 * NS_PER_S  # after a late sample, until the link counts as orderly again (our choice)
 BEGIN_NS = NS_PER_S  # after the first gyro sample, likewise; nothing is judged so early (our choice)
-TURN = 2 * math.pi
 MISSING = 1.5  # usual steps: in a longer one a sample is missing
 SLOWER = 1.0625  # by how much the usual step may grow with each chunk, so that losses do not stretch it (our choice)
-# Of each stream: its samples in its arrays, those that may still be needed; latest time seen; earlier samples and this
-# one are settled, what comes for them is dropped; usual step, 0 while it is not known [ns].
-LO, HI, NEWEST, FLOOR, STEP = range(5)
-# Behind the limits of the streams.
-BREAK, REORDER, USABLE, SETTLE_GAP, SETTLE_START = range(len(STREAMS), len(STREAMS) + 5)
+ROOM = 400  # samples more than half as many again as are kept: how long an array is made (our choice)
+# Of each stream: its samples in its arrays, those that may still be needed; end of those that came since; how many of
+# these wait for later ones to be believed; latest time seen; earlier samples and this one are settled, what comes for
+# them is dropped; usual step, 0 while it is not known [ns].
+LO, HI, END, WAITED, NEWEST, FLOOR, STEP = range(7)
+BREAK, REORDER, USABLE, SETTLE_GAP, SETTLE_START = range(len(STREAMS), len(STREAMS) + 5)  # behind limits of streams
+# Number of the segment; time of the last row; gyro samples up to here are dealt with; from here on the link is orderly;
+# until when gyro and set-point are not used.
+SEGMENT, LAST, DONE, CALM, BLANK = range(5)
+
+
+class Streams(NamedTuple):
+    """Samples of each signal by their place in `STREAMS`; compiled loops change them in place.
+
+    times, hosts, values: (n,), (n,), (n, k) in order of time, strictly rising up to `HI`; behind it in order of
+    arrival. marks: `LO` ... of each. rules, figures, counts: of each what `rows.quality` knows. turns: full turns that
+    belong to the first sample of an angle. now: `SEGMENT` ... limits_ns: how far samples reach, then `BREAK` ...
+    """
+
+    times: tuple[IntArray, ...]
+    hosts: tuple[IntArray, ...]
+    values: tuple[FloatArray, ...]
+    marks: IntArray
+    rules: FloatArray
+    figures: FloatArray
+    counts: IntArray
+    turns: FloatArray
+    now: IntArray
+    limits_ns: IntArray
 
 
 class AlignState:
-    """All that the aligner remembers between chunks; changed in place.
+    """All that the aligner remembers between chunks. reached: latest stamp of each that came."""
 
-    times, values: (n,) and (n, k) samples of each stream, in order of time, times strictly rising. marks: `LO` ... of
-    each. turns: (3,) full turns that belong to the first sample of an angle.
-    segment: number of the present one. last_ns: time of the last row. done_ns: gyro samples up to here are dealt with.
-    calm_ns: from here on the link is orderly. blank_ns: (2,) until when gyro and set-point are not used.
-    """
+    def __init__(self, limits_ns: IntArray) -> None:
+        count = len(STREAMS)
+        marks, now = np.zeros((count, STEP + 1), dtype=np.int64), np.full(BLANK + 2, -NEVER_NS)
+        marks[:, [NEWEST, FLOOR]], now[[SEGMENT, CALM]] = -NEVER_NS, (-1, NEVER_NS)
+        times, hosts = (tuple(np.empty(0, np.int64) for _ in STREAMS) for _ in range(2))
+        values = tuple(np.empty((0, width)) for width in WIDTHS)
+        knows = np.zeros((count, 0)), np.zeros((count, 0)), np.zeros((count, 0), dtype=np.int64)
+        self.streams = Streams(times, hosts, values, marks, *knows, np.zeros((count, 3)), now, limits_ns)
+        self.reached = [-NEVER_NS] * count
 
-    __slots__ = (
-        "blank_ns",
-        "calm_ns",
-        "done_ns",
-        "last_ns",
-        "marks",
-        "memories",
-        "segment",
-        "times",
-        "turns",
-        "values",
-    )
+    @property
+    def last_ns(self) -> int:
+        """Time of the last row [ns]."""
+        return int(self.streams.now[LAST])
 
-    def __init__(self) -> None:
-        self.times: list[IntArray] = [np.empty(0, dtype=np.int64) for _ in STREAMS]
-        self.values: list[FloatArray] = [np.empty((0, width)) for width in WIDTHS]
-        self.marks: IntArray = np.tile(np.array([0, 0, -NEVER_NS, -NEVER_NS, 0]), (len(STREAMS), 1))
-        self.turns: FloatArray = np.zeros((len(STREAMS), 3))
-        self.memories: Memories = {}
-        self.segment, self.last_ns, self.done_ns, self.calm_ns = -1, -NEVER_NS, -NEVER_NS, NEVER_NS
-        self.blank_ns: IntArray = np.full(2, -NEVER_NS)
+    def append(self, series: Series, quality: LinkQuality) -> None:
+        """Put samples behind those that came. Raises InputError if their columns are others than before."""
+        place, count, columns = PLACES.get(series.signal), len(series), series.values.shape[1]
+        if place is None or not count:
+            return
+        if not len(self.streams.times[place]):
+            self._begin(place, columns, quality.rule(series.signal, columns))
+        width, end = self.streams.values[place].shape[1] - (place == GYRO), int(self.streams.marks[place, END])
+        if columns != width:
+            raise InputError(f"{series.signal} has {columns} columns in place of {width}")
+        if end + count > len(self.streams.times[place]):
+            end = self._make_room(place, count)
+        to, streams = slice(end, end + count), self.streams
+        streams.times[place][to], streams.hosts[place][to] = series.t_ns, series.host_ns
+        streams.values[place][to, :columns] = series.values
+        streams.marks[place, END] = end + count
+        self.reached[place] = max(self.reached[place], int(series.t_ns[-1]))
 
-    def newest_ns(self, signal: Signal) -> int:
-        """Latest time seen of a signal [ns]."""
-        return int(self.marks[PLACES[signal], NEWEST])
+    def _begin(self, place: int, columns: int, rule: FloatArray) -> None:
+        """Learn of the first samples of a stream what is believed of it; outputs have as many columns as they have."""
+        rules, figures, counts = (
+            np.pad(table, ((0, 0), (0, max(0, size - table.shape[1]))))
+            for table, size in zip(
+                self.streams[4:7], (len(rule), COLUMN + 4 * columns, RUNS + 1 + columns), strict=True
+            )
+        )
+        rules[place, : len(rule)], values = rule, self.streams.values
+        values = (*values[:OUTPUTS], np.empty((0, columns))) if place == OUTPUTS else values
+        self.streams = self.streams._replace(values=values, rules=rules, figures=figures, counts=counts)
+
+    def _make_room(self, place: int, count: int) -> int:
+        """Move the samples that are kept to the front, of longer arrays if need be; returns where the next are put."""
+        (times, hosts, values), (lo, hi, end) = self.streams[:3], self.streams.marks[place, : END + 1].tolist()
+        kept, width, room = end - lo, values[place].shape[1], len(times[place])
+        olds = times[place], hosts[place], values[place]
+        if kept + count + ROOM // 2 > room:
+            room = ROOM + 3 * (kept + count) // 2
+            times = (*times[:place], np.empty(room, dtype=np.int64), *times[place + 1 :])
+            hosts = (*hosts[:place], np.empty(room, dtype=np.int64), *hosts[place + 1 :])
+            values = (*values[:place], np.empty((room, width)), *values[place + 1 :])
+            self.streams = self.streams._replace(times=times, hosts=hosts, values=values)
+        for new, old in zip((times[place], hosts[place], values[place]), olds, strict=True):
+            new[:kept] = old[lo:end]
+        self.streams.marks[place, : END + 1] = 0, hi - lo, kept
+        return int(kept)
 
 
 @dataclass(frozen=True)
 class AlignSpec:
     """Grid and limits; all spans in seconds of the vehicle's clock. Raises InputError on an impossible period.
 
-    dt_s: row period.
-    grid: how rows are placed.
-    max_gap_s: longest gap of gyro and set-point that is interpolated and used.
-    settle_gap_s: what is not used after a longer gap.
-    settle_start_s: what is not used after a start or a break.
-    break_s: longest gap within a segment; how long a row waits for a set-point.
-    reorder_s: how late a sample may come.
-    quality: what healthy flights showed of the link; samples that do not fit it are not believed (`rows.quality`).
+    dt_s: row period. grid: how rows are placed. max_gap_s: longest gap of gyro and set-point that is interpolated.
+    settle_gap_s, settle_start_s: what is not used after a longer gap, and after a start or a break. break_s: longest
+    gap within a segment; how long a row waits for a set-point. reorder_s: how late a sample may come.
+    quality: what healthy flights showed of the link.
     """
 
     dt_s: float
@@ -159,223 +192,167 @@ class AlignSpec:
         if not 0 < self.dt_s < self.break_s:
             raise InputError(f"sample time {self.dt_s} s must lie between 0 and {self.break_s} s")
 
-    @property
-    def usable_gap_s(self) -> float:
-        """Longest gap of gyro and set-point that is interpolated and used: a glitch leaves none that is longer."""
-        return max(self.max_gap_s, (min(MOST_LOST, GLITCH_S / self.dt_s) + 1.2) * self.dt_s)
-
     @cached_property
-    def limits_ns(self) -> IntArray:
+    def limits_ns(self) -> list[int]:
         """How far samples reach, for each stream; then `BREAK` ... [ns]."""
-        linear_s = [max(span_s, self.usable_gap_s) for span_s in LINEAR.values()]
-        settling = (self.usable_gap_s, self.settle_gap_s, self.settle_start_s)
-        spans_s = [self.break_s, self.break_s, *linear_s, *HELD.values(), self.break_s, self.reorder_s, *settling]
-        return np.array([NEVER_NS if span_s == math.inf else round(span_s * NS_PER_S) for span_s in spans_s])
+        usable_s = max(self.max_gap_s, (min(MOST_LOST, GLITCH_S / self.dt_s) + 1.2) * self.dt_s)  # what a glitch leaves
+        reach_s = [max(span_s, usable_s) if place < THRUST else span_s for place, span_s in enumerate(REACHES_S)]
+        settling = (self.break_s, self.reorder_s, usable_s, self.settle_gap_s, self.settle_start_s)
+        spans_s = [self.break_s, self.break_s, *reach_s[2:], *settling]
+        return [NEVER_NS if span_s == math.inf else round(span_s * NS_PER_S) for span_s in spans_s]
 
     def start(self) -> AlignState:
         """A fresh state: no sample yet."""
-        return AlignState()
+        return AlignState(np.array(self.limits_ns))
 
     def step(self, state: AlignState, telemetry: Telemetry) -> list[Block]:
         """Take in a chunk, return the rows that it completes, in blocks of one segment."""
-        self.take(state, believed(self.quality, telemetry, state.memories))
-        native, streams = self.grid is Grid.NATIVE, self._streams(state)
-        blocks = list(self.rows(state, _horizon(streams, state.calm_ns, native, self.dt_s * NS_PER_S)))
-        most_ns = 2 * int(self.limits_ns[BREAK])  # of samples without a row (B22)
-        if int(state.marks[:, NEWEST].max()) - most_ns > state.last_ns:
-            _forget(streams, state.last_ns, most_ns)
-        return blocks
+        self.append(state, telemetry)
+        return list(self.rows(state, self.take(state)))
 
     def finish(self, state: AlignState) -> list[Block]:
         """The end of a log: what waited for late samples comes out."""
         return list(self.rows(state, NEVER_NS))
 
-    def believed(self, telemetry: Telemetry) -> Telemetry:
-        """What is believed of a whole log."""
-        return believed(self.quality, telemetry)
-
-    def take(self, state: AlignState, telemetry: Telemetry) -> None:
-        """Take in what is believed of a chunk."""
-        gyro, before_ns, late = telemetry.get(Signal.BODY_RATE), int(state.marks[GYRO, NEWEST]), False
-        fresh, hosts = (NO_TIMES, NO_TIMES) if gyro is None else (gyro.t_ns, gyro.host_ns)
-        reorder_ns = int(self.limits_ns[REORDER])
+    def append(self, state: AlignState, telemetry: Telemetry) -> None:
+        """Keep a chunk for the next `take`."""
         for series in telemetry.series:
-            place = PLACES.get(series.signal)
-            if place is not None and len(series):
-                _make_room(state, place, series)
-                came = series.t_ns, series.host_ns, series.values
-                stream, steps = (state.times[place], state.values[place]), np.empty(len(series), dtype=np.int64)
-                late |= _merge(stream, state.marks[place], came, (fresh, hosts), before_ns, reorder_ns, steps)
-        if len(fresh) and state.calm_ns == NEVER_NS:
-            state.calm_ns = int(fresh[0]) + BEGIN_NS
-        if late:
-            state.calm_ns = max(state.calm_ns, int(state.marks[GYRO, NEWEST]) + CALM_NS)
+            state.append(series, self.quality)
 
-    def rows(self, state: AlignState, until_ns: int, most: int = NEVER_NS) -> Iterator[Block]:
-        """The rows up to a time, a block of each segment, or of at most about so many rows."""
-        dt_ns, resampled = self.dt_s * NS_PER_S, self.grid is Grid.RESAMPLED
-        while True:
-            done_ns, streams = state.done_ns, self._streams(state)
-            t_ns, broken, state.done_ns = _place(streams, done_ns, state.last_ns, until_ns, dt_ns, resampled, most)
-            if broken:
-                state.segment, state.blank_ns[0] = state.segment + 1, t_ns[0] + self.limits_ns[SETTLE_START]
+    def take(self, state: AlignState, *, live: bool = True) -> int:
+        """Believe and sort what came; returns up to when rows are complete [ns]. A log's rows always wait."""
+        marks, hurries = state.streams.marks, live and self.grid is Grid.NATIVE
+        room = np.empty((3, int((marks[:, END] - marks[:, HI]).max())), dtype=np.int64)
+        until_ns = _take(state.streams, room, hurries, self.dt_s * NS_PER_S)
+        state.reached = marks[:, NEWEST].tolist()
+        return until_ns
+
+    def rows(self, state: AlignState, until_ns: int) -> Iterator[Block]:
+        """The rows up to a time, a block of each segment."""
+        dt_ns, resampled, more = self.dt_s * NS_PER_S, self.grid is Grid.RESAMPLED, True
+        while more:
+            t_ns, x, flags, more = _rows(state.streams, until_ns, dt_ns, resampled)
             if len(t_ns):
-                yield self._filled(state, streams, t_ns)
-            elif state.done_ns == done_ns:
-                return
+                columns: dict[str, Any] = {name: x[at].T for name, at in COLUMNS.items()}
+                segment = int(state.streams.now[SEGMENT])
+                yield Block(segment, self.dt_s, t_ns, valid=flags[0], setpoint_valid=flags[1], **columns)
 
-    def reached_ns(self, state: AlignState, chunks: Sequence[Telemetry]) -> int | None:
-        """No row later than this comes of the next chunks [ns]; None if they hold no sample."""
-        newest: list[int] = state.marks[:, NEWEST].tolist()
-        came = [one for chunk in chunks for one in chunk.series if one.signal in PLACES and len(one)]
-        if not came:
-            return None
-        for series in came:
-            newest[PLACES[series.signal]] = max(newest[PLACES[series.signal]], int(series.t_ns[-1]))
-        limits: list[int] = self.limits_ns.tolist()
-        gyro_ns, hurries = newest[GYRO], self.grid is Grid.NATIVE and newest[GYRO] > state.calm_ns
+    def reached_ns(self, state: AlignState) -> int:
+        """No row later than this comes of what was appended [ns]."""
+        newest, limits, calm_ns = state.reached, self.limits_ns, int(state.streams.now[CALM])
+        gyro_ns = newest[GYRO]
         safe = max(gyro_ns, max(newest) - limits[BREAK]) - limits[REORDER]
-        sent = [place for place in range(SETPOINT, THRUST) if newest[place] > -NEVER_NS]
-        waited = [newest[place] for place in sent if safe < newest[place] + limits[place]]
-        return min(max(safe, gyro_ns - ORDER_NS) if hurries else safe, *waited, NEVER_NS)
-
-    def _streams(self, state: AlignState) -> "_Streams":
-        times, values = tuple(state.times), tuple(state.values)
-        return _Streams(times, values, state.marks, state.turns, state.blank_ns, self.limits_ns)
-
-    def _filled(self, state: AlignState, streams: "_Streams", t_ns: IntArray) -> Block:
-        """The rows at these times."""
-        outputs = state.values[-1].shape[1]
-        x, flags = np.empty((int(FIRST[-1]) + outputs, len(t_ns))), np.empty((2, len(t_ns)), dtype=np.bool_)
-        _fill(streams, t_ns, x, flags)
-        state.last_ns = int(t_ns[-1])
-        return Block(
-            segment=state.segment,
-            dt_s=self.dt_s,
-            t_ns=t_ns,
-            rate=x[0:3].T,
-            doubt=x[3],
-            setpoint=x[4:7].T,
-            force=x[7:10].T,
-            torque=x[10:13].T,
-            rate_setpoint=x[13:16].T,
-            attitude=x[16:19].T,
-            thrust=x[19],
-            height=x[20],
-            voltage=x[21],
-            armed=x[22],
-            vibration=x[23:26].T,
-            actuator=x[26:].T,
-            valid=flags[0],
-            setpoint_valid=flags[1],
-        )
+        found = max(safe, gyro_ns - ORDER_NS) if self.grid is Grid.NATIVE and gyro_ns > calm_ns else safe
+        for place in range(SETPOINT, THRUST):
+            if -NEVER_NS < newest[place] < found and safe < newest[place] + limits[place]:
+                found = newest[place]
+        return found
 
 
-NO_TIMES = np.empty(0, dtype=np.int64)
-
-
-class _Streams(NamedTuple):
-    """What compiled loops read and change of `AlignState`, and `AlignSpec.limits_ns`."""
-
-    times: tuple[IntArray, ...]
-    values: tuple[FloatArray, ...]
-    marks: IntArray
-    turns: FloatArray
-    blank_ns: IntArray
-    limits_ns: IntArray
-
-
-def _make_room(state: AlignState, place: int, series: Series) -> None:
-    """Arrays that have room for more samples; those of the first ones themselves where they are in order."""
-    lo, hi = state.marks[place, :2].tolist()
-    columns, before = series.values.shape[1], state.values[place].shape[1]
-    if columns != before and (hi > 0 or place < len(STREAMS) - 1):
-        raise InputError(f"{series.signal} has {columns} columns in place of {before}")
-    if hi + len(series) <= len(state.times[place]):
-        return
-    if hi == 0 and bool(np.all(series.t_ns[1:] > series.t_ns[:-1])):
-        state.times[place], state.values[place] = series.t_ns, series.values
-        return
-    room = len(series) + 2 * (hi - lo)
-    times, values = np.empty(room, dtype=np.int64), np.empty((room, columns))
-    if hi:
-        times[: hi - lo], values[: hi - lo] = state.times[place][lo:hi], state.values[place][lo:hi]
-    state.times[place], state.values[place] = times, values
-    state.marks[place, :2] = 0, hi - lo
+@allocating
+def _middle(steps: IntArray) -> int:
+    """The lower middle one."""
+    return int(np.sort(steps)[(len(steps) - 1) // 2])
 
 
 @jit
-def _middle(steps: IntArray, count: int) -> int:
-    """The lower middle one of so many, by Hoare's selection; changes their order."""
-    place, low, high = (count - 1) // 2, 0, count - 1
-    while low < high:
-        pivot, i, j = steps[place], low, high
-        while i <= j:
-            while steps[i] < pivot:
-                i += 1
-            while steps[j] > pivot:
-                j -= 1
-            if i <= j:
-                steps[i], steps[j] = steps[j], steps[i]
-                i += 1
-                j -= 1
-        low = i if j < place else low
-        high = j if place < i else high
-    return int(steps[place])
+def _believe(s: Streams, place: int) -> int:
+    """Move the believed ones of the samples that came behind the others, then what waits; returns how many they are."""
+    first, last, v = s.marks[place, HI], s.marks[place, END], s.values[place][s.marks[place, HI] : s.marks[place, END]]
+    t_ns, host_ns, columns = s.times[place][first:last], s.hosts[place][first:last], v.shape[1] - (place == GYRO)
+    samples = Samples(columns, s.rules[place], s.figures[place], s.counts[place], t_ns, host_ns, v)
+    kept, done, there = look_at(samples, s.marks[place, WAITED], s.turns[place][:0], s.counts[place][:0])
+    _move(s, place, first + done, first + there, first + kept)
+    s.marks[place, WAITED], s.marks[place, END] = there - done, first + kept + there - done
+    return int(kept)
 
 
-@cached_loop
-def _merge(
-    stream: tuple[IntArray, FloatArray],
-    marks: IntArray,
-    came: tuple[IntArray, IntArray, FloatArray],
-    gyro: tuple[IntArray, IntArray],
-    gyro_ns: int,
-    reorder_ns: int,
-    steps: IntArray,
-) -> bool:
-    """Take in new samples of a stream; whether one is late. Of equal times the last to come counts.
+@jit
+def _move(s: Streams, place: int, first: int, stop: int, to: int) -> None:
+    for i in range(first, stop if to < first else first):
+        s.times[place][to], s.hosts[place][to] = s.times[place][i], s.hosts[place][i]
+        for column in range(s.values[place].shape[1]):
+            s.values[place][to, column] = s.values[place][i, column]
+        to += 1
 
-    stream: its times and values; marks: of it. came: times of vehicle and receiver, and values; they may be the
-    stream's own arrays, if it begins. gyro: likewise what the gyro brings with this chunk, after gyro_ns. steps: room.
+
+@jit
+def _merge(s: Streams, place: int, count: int, gyro: IntArray, gyro_ns: int, steps: IntArray) -> bool:
+    """Sort in the samples that came; whether one is late. Of equal times the last to come counts.
+
+    gyro: (2, m) times of vehicle and receiver of what the gyro brings, after gyro_ns. steps: room.
     """
-    (t, v), (came_t, came_host, came_v), (gyro_t, gyro_host) = stream, came, gyro
-    lo, hi, newest, late, behind, risen = marks[LO], marks[HI], marks[NEWEST], False, 0, 0
-    expected = len(came_t) if hi > lo else len(came_t) - 1
-    for i in range(len(came_t)):
-        while behind < len(gyro_t) and gyro_host[behind] < came_host[i]:
-            gyro_ns = max(gyro_ns, gyro_t[behind])
+    t, host, v, marks = s.times[place], s.hosts[place], s.values[place], s.marks[place]
+    lo, hi, begin, newest, late, behind, risen = marks[LO], marks[HI], marks[HI], marks[NEWEST], False, 0, 0
+    expected = count if hi > lo else count - 1
+    for i in range(begin, begin + count):
+        while behind < gyro.shape[1] and gyro[1, behind] < host[i]:
+            gyro_ns = max(gyro_ns, gyro[0, behind])
             behind += 1
-        late = late or came_t[i] <= gyro_ns - ORDER_NS
-        at_ns, at = came_t[i], hi
+        at_ns, at = t[i], hi
+        late = late or at_ns <= gyro_ns - ORDER_NS
         if at_ns > newest:
             if hi > lo:
                 steps[risen] = at_ns - t[hi - 1]
                 risen += 1
             newest = at_ns
-        elif at_ns < newest - reorder_ns or at_ns <= marks[FLOOR]:
+        elif at_ns < newest - s.limits_ns[REORDER] or at_ns <= marks[FLOOR]:
             continue
-        else:
-            while at > lo and t[at - 1] >= at_ns:
-                at -= 1
-        if at == hi or t[at] != at_ns:
-            for k in range(hi, at, -1):
-                t[k] = t[k - 1]
-                for column in range(v.shape[1]):
-                    v[k, column] = v[k - 1, column]
-            hi += 1
-        t[at] = at_ns
-        for column in range(v.shape[1]):
-            v[at, column] = came_v[i, column]
+        if hi < i:
+            _move(s, place, i, i + 1, hi)
+        while at > lo and t[at - 1] > at_ns:
+            t[at], t[at - 1] = t[at - 1], t[at]
+            for column in range(v.shape[1]):
+                v[at, column], v[at - 1, column] = v[at - 1, column], v[at, column]
+            at -= 1
+        hi += 1
+        if at > lo and t[at - 1] == at_ns:
+            _move(s, place, at, hi, at - 1)
+            hi -= 1
     marks[HI], marks[NEWEST] = hi, newest
+    _move(s, place, begin + count, marks[END], hi)
+    marks[END] += hi - begin - count
     if risen and risen == expected:  # all new and in order
-        middle = _middle(steps, risen)
+        middle = _middle(steps[:risen])
         marks[STEP] = min(middle, int(SLOWER * marks[STEP])) if marks[STEP] else middle
-    return late
+    return bool(late)
 
 
 @jit
-def _whole_ns(s: _Streams, place: int, since_ns: int, most_ns: float) -> int:
+def _latest(s: Streams) -> int:
+    latest = -NEVER_NS
+    for place in range(len(s.marks)):
+        latest = max(latest, s.marks[place, NEWEST])
+    return int(latest)
+
+
+@cached_loop
+def _take(s: Streams, room: IntArray, hurries: bool, dt_ns: float) -> int:
+    """Take in what came; returns up to when rows are complete. room: (3, ..)."""
+    late, gyro_ns, fresh, most_ns = False, s.marks[GYRO, NEWEST], 0, 2 * s.limits_ns[BREAK]
+    if _latest(s) - most_ns > s.now[LAST]:  # samples without a row (B22), but for one that rows may need
+        for place in range(len(s.marks)):
+            before_ns = max(s.now[LAST], s.marks[place, NEWEST] - most_ns)
+            _settle(s, place, _behind(s, place, s.marks[place, LO], before_ns))
+    for place in range(len(s.marks)):
+        first = s.marks[place, HI]
+        if first == s.marks[place, END]:
+            continue
+        count = _believe(s, place)
+        if place == GYRO:
+            fresh = count
+            for i in range(fresh):
+                room[1, i], room[2, i] = s.times[GYRO][first + i], s.hosts[GYRO][first + i]
+        late |= _merge(s, place, count, room[1:, :fresh], gyro_ns, room[0])
+    if fresh and s.now[CALM] == NEVER_NS:
+        s.now[CALM] = room[1, 0] + BEGIN_NS
+    if late:
+        s.now[CALM] = max(s.now[CALM], s.marks[GYRO, NEWEST] + CALM_NS)
+    return _horizon(s, hurries, dt_ns)
+
+
+@jit
+def _whole_ns(s: Streams, place: int, since_ns: int, most_ns: float) -> int:
     """Up to where no sample is missing among those after `since_ns`; that time itself if that is not known.
 
     A sample is missing in a step above 1.5 of the usual one, or of `most_ns` if that is shorter.
@@ -392,19 +369,17 @@ def _whole_ns(s: _Streams, place: int, since_ns: int, most_ns: float) -> int:
     return int(t[last])
 
 
-@cached_loop
-def _horizon(s: _Streams, calm_ns: int, native: bool, dt_ns: float) -> int:
+@jit
+def _horizon(s: Streams, hurries: bool, dt_ns: float) -> int:
     """Rows up to here are complete: every sample that they need has come, or cannot come any more.
 
     All samples up to `safe` have come. If only the gyro stops, the time of the others shows it after `break_s`.
     """
-    gyro_ns = latest = s.marks[GYRO, NEWEST]
+    gyro_ns = s.marks[GYRO, NEWEST]
     if gyro_ns == -NEVER_NS:
         return -NEVER_NS
-    for place in range(len(s.marks)):
-        latest = max(latest, s.marks[place, NEWEST])
-    found = safe = max(gyro_ns, latest - s.limits_ns[BREAK]) - s.limits_ns[REORDER]
-    hurries = native and gyro_ns > calm_ns
+    found = safe = max(gyro_ns, _latest(s) - s.limits_ns[BREAK]) - s.limits_ns[REORDER]
+    hurries = hurries and gyro_ns > s.now[CALM]
     if hurries:
         found = max(safe, min(gyro_ns - ORDER_NS, _whole_ns(s, GYRO, safe, dt_ns)))
     for place in range(SETPOINT, THRUST):
@@ -423,51 +398,53 @@ def _horizon(s: _Streams, calm_ns: int, native: bool, dt_ns: float) -> int:
 
 
 @cached
-def _place(
-    s: _Streams, done_ns: int, last_ns: int, until_ns: int, dt_ns: float, resampled: bool, most: int
-) -> tuple[IntArray, bool, int]:
-    """Times of the next rows, whether they begin a segment, and the last gyro sample that is dealt with.
+def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool) -> tuple[IntArray, FloatArray, BoolArray, bool]:
+    """Times of the next rows of one segment, their signals (from `FIRST` on), whether gyro and set-point may be used.
 
     On a native grid every sample is a row, but for one that is nearer than half a period to the last row, and what is
-    missing between two is filled evenly. last_ns: of the last row.
+    missing between two is filled evenly. The last: whether gyro samples are left.
     """
     t, first, hi, break_ns = s.times[GYRO], s.marks[GYRO, LO], s.marks[GYRO, HI], s.limits_ns[BREAK]
-    while first < hi and t[first] <= done_ns:
+    while first < hi and t[first] <= s.now[DONE]:
         first += 1
     if first >= hi or t[first] > until_ns:
-        return np.empty(0, dtype=np.int64), False, done_ns
-    broken = t[first] - done_ns > break_ns
-    stop = first + 1
-    while stop < hi and stop - first < most and t[stop] <= until_ns and t[stop] - t[stop - 1] <= break_ns:
+        return np.empty(0, dtype=np.int64), np.empty((0, 0)), np.empty((0, 0), dtype=np.bool_), False
+    stop, broken = first + 1, t[first] - s.now[DONE] > break_ns
+    while stop < hi and t[stop] <= until_ns and t[stop] - t[stop - 1] <= break_ns:
         stop += 1
+    last, count = t[first] if broken else s.now[LAST], 0
     if resampled:
         step_ns = int(np.round(dt_ns))
-        begin = t[first] if broken else last_ns + step_ns
-        return np.arange(begin, t[stop - 1] + 1, step_ns), broken, int(t[stop - 1])
-    last = t[first] if broken else last_ns
-    rows, count = np.empty(int((t[stop - 1] - last) / dt_ns) + 2 * (stop - first) + 2, dtype=np.int64), 0
+        rows = np.arange(last if broken else last + step_ns, t[stop - 1] + 1, step_ns)
+        count = len(rows)
+    else:
+        rows = np.empty(int((t[stop - 1] - last) / dt_ns) + 2 * (stop - first) + 2, dtype=np.int64)
+        if broken:
+            rows[0], count = last, 1
+        for i in range(first, stop):
+            steps, begin = int(np.round((t[i] - last) / dt_ns)), last
+            for k in range(1, steps + 1):
+                rows[count] = last = t[i] if k == steps else begin + int(np.round(k * (t[i] - begin) / steps))
+                count += 1
     if broken:
-        rows[0], count = last, 1
-    for i in range(first, stop):
-        steps = int(np.round((t[i] - last) / dt_ns))
-        for k in range(1, steps):
-            rows[count] = last + int(np.round(k * (t[i] - last) / steps))
-            count += 1
-        if steps >= 1:
-            rows[count], last = t[i], t[i]
-            count += 1
-    return rows[:count], broken, int(t[stop - 1])
+        s.now[SEGMENT], s.now[BLANK] = s.now[SEGMENT] + 1, rows[0] + s.limits_ns[SETTLE_START]
+    s.now[DONE] = t[stop - 1]
+    x, flags = np.empty((FIRST[-1] + s.values[-1].shape[1], count)), np.empty((2, count), dtype=np.bool_)
+    if count:
+        _fill(s, rows[:count], x, flags)
+        s.now[LAST] = rows[count - 1]
+    return rows[:count], x, flags, stop < hi and t[stop] <= until_ns
 
 
 @inline
 def _turn(before: float, after: float) -> float:
-    """Full turns that a step of an angle seems to jump by."""
+    """Full turns that a step of an angle jumps by."""
     step = after - before
     return 0.0 if abs(step) <= math.pi else float(-np.round(step / TURN))
 
 
 @jit
-def _behind(s: _Streams, place: int, at: int, row_ns: int) -> int:
+def _behind(s: Streams, place: int, at: int, row_ns: int) -> int:
     """The last sample up to a row, from one before it on; of an angle with the full turns that belong to it."""
     t, v, hi = s.times[place], s.values[place], s.marks[place, HI]
     while at + 1 < hi and t[at + 1] <= row_ns:
@@ -479,22 +456,14 @@ def _behind(s: _Streams, place: int, at: int, row_ns: int) -> int:
 
 
 @jit
-def _settle(s: _Streams, place: int, at: int) -> None:
+def _settle(s: Streams, place: int, at: int) -> None:
     """Leave out the samples before this one."""
     if at > s.marks[place, LO]:
         s.marks[place, LO], s.marks[place, FLOOR] = at, s.times[place][at]
 
 
-@cached_loop
-def _forget(s: _Streams, last_ns: int, most_ns: int) -> None:
-    """Leave out samples that are so much older than the newest, but for the one that a row after them needs."""
-    for place in range(len(s.marks)):
-        before_ns = max(last_ns, s.marks[place, NEWEST] - most_ns)
-        _settle(s, place, _behind(s, place, s.marks[place, LO], before_ns))
-
-
-@cached_loop
-def _fill(s: _Streams, rows: IntArray, x: FloatArray, flags: BoolArray) -> None:
+@jit
+def _fill(s: Streams, rows: IntArray, x: FloatArray, flags: BoolArray) -> None:
     """Read all streams at the times of rows; what lies before the last row is settled.
 
     x: a row for each column of a stream, from FIRST on. flags: whether gyro and set-point may be used.
@@ -504,7 +473,7 @@ def _fill(s: _Streams, rows: IntArray, x: FloatArray, flags: BoolArray) -> None:
 
 
 @jit
-def _hold(s: _Streams, place: int, rows: IntArray, x: FloatArray) -> int:
+def _hold(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
     """The last value at each row, nan where it is older than the limit; returns the last sample that was read."""
     t, v, at, hi, limit_ns = s.times[place], s.values[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
     i = 0
@@ -525,7 +494,7 @@ def _hold(s: _Streams, place: int, rows: IntArray, x: FloatArray) -> int:
 
 
 @jit
-def _interpolate(s: _Streams, place: int, rows: IntArray, x: FloatArray, flags: BoolArray) -> int:
+def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray, flags: BoolArray) -> int:
     """The value between the samples around each row; returns the last sample before the last row.
 
     Where they are farther apart than the limit, gyro and set-point keep the last value, others are nan.
@@ -558,11 +527,11 @@ def _interpolate(s: _Streams, place: int, rows: IntArray, x: FloatArray, flags: 
 
 
 @inline
-def _usable(s: _Streams, place: int, row_ns: int, gap: int, doubted: bool) -> bool:
+def _usable(s: Streams, place: int, row_ns: int, gap: int, doubted: bool) -> bool:
     """Whether a row is outside of gaps and of what must settle after them; what follows a doubt is as after a gap."""
     if doubted:
         gap = max(gap, s.limits_ns[USABLE] + 1)
     if gap > s.limits_ns[USABLE]:
         settle = s.limits_ns[SETTLE_START] if gap > s.limits_ns[BREAK] else s.limits_ns[SETTLE_GAP]
-        s.blank_ns[place] = max(s.blank_ns[place], row_ns + settle)
-    return bool(row_ns > s.blank_ns[place])
+        s.now[BLANK + place] = max(s.now[BLANK + place], row_ns + settle)
+    return bool(row_ns > s.now[BLANK + place])

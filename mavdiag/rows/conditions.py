@@ -1,14 +1,12 @@
 """Under which conditions a vehicle flies, ten times a second: what the envelope of a baseline is made of.
 
-A condition is measured from commands and slow signals, not from what the monitors judge, so that a damaged rotor does
-not move it. One that the link does not carry is nan and restricts nothing. The figures follow from whole bins of 0.1 s
-of the vehicle's clock, so any cut of the rows into chunks gives the same ones.
+They are measured from commands and slow signals, so that a damaged rotor does not move them. One that the link does not
+carry is nan and restricts nothing.
 
     yaw rate = min(|r|, max over 2 s of |d psi/dt|)      r: gyro, mean of the bin;  psi: commanded heading, over 0.1 s
 
 Some autopilots step the commanded heading (PX4 offboard), and the vehicle turns there as fast as it can: r tells how
-fast. A damaged rotor may yaw the vehicle: that is no condition, and psi, which the rotor does not move, limits it.
-Where the link carries no commanded heading, r counts alone.
+fast. A damaged rotor may yaw the vehicle: that is no condition, and psi limits it. Without psi r counts alone.
 """
 
 from enum import StrEnum

@@ -1,14 +1,14 @@
 """Telemetry to rows of flight and their rates: alignment, gate and rate filters in a row, for judging and learning."""
 
+import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from mavdiag.rows.align import NEVER_NS, AlignSpec, AlignState
-from mavdiag.rows.block import Block
+from mavdiag.rows.block import Block, in_rotor_order
 from mavdiag.rows.gate import Border, GateSpec, GateState, hidden_flight
-from mavdiag.rows.outputs import in_rotor_order
 from mavdiag.rows.rates import RateBlock, RateSpec, RateState
 from mavdiag.telemetry import Series, Signal, Telemetry
 
@@ -21,9 +21,9 @@ class Rows:
     rates: RateBlock
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class FrontState:
-    """Memory of the alignment, the gate and the rate filters; changed in place."""
+    """Memory of the three steps, each changed in place."""
 
     align: AlignState
     gate: GateState
@@ -58,18 +58,16 @@ class Front:
         """Nothing more comes for now: the rows that the gate held back. Rows may go on later, as another span."""
         return state, tuple(self._told(state, self.gate.finish(state.gate)))
 
-    def whole(self, telemetry: Telemetry) -> tuple[Rows | Border, ...]:
-        """All that a whole flight gives."""
-        return tuple(self.pieces(self.align.believed(telemetry)))
-
     def pieces(self, telemetry: Telemetry, most: int = NEVER_NS) -> Iterator[Rows | Border]:
-        """The same of what is believed, at most about so many rows at a time, made as they are asked for."""
+        """All that a whole flight gives, at most about so many rows at a time."""
         state = self.start()
-        self.align.take(state.align, telemetry)
-        yield from self._ended(state, most)
+        for part in in_pieces(telemetry, most):
+            self.align.append(state.align, part)
+            yield from self._rows(state, self.align.rows(state.align, self.align.take(state.align, live=False)))
+        yield from self._ended(state)
 
-    def _ended(self, state: FrontState, most: int = NEVER_NS) -> Iterator[Rows | Border]:
-        yield from self._rows(state, self.align.rows(state.align, NEVER_NS, most))
+    def _ended(self, state: FrontState) -> Iterator[Rows | Border]:
+        yield from self._rows(state, self.align.finish(state.align))
         yield from self._told(state, self.gate.finish(state.gate))
 
     def _rows(self, state: FrontState, blocks: Iterable[Block]) -> Iterator[Rows | Border]:
@@ -84,11 +82,23 @@ class Front:
                 yield Rows(in_rotor_order(part, self.outputs), self.rates.step(state.rates, part))
 
 
+def in_pieces(telemetry: Telemetry, most: int) -> Iterator[Telemetry]:
+    """A log cut by the vehicle's time, each piece with so many samples of the gyro; none is left behind."""
+    times = [np.minimum.accumulate(series.t_ns[::-1])[::-1] for series in telemetry.series]
+    gyro = next(
+        (t_ns for series, t_ns in zip(telemetry, times, strict=True) if series.signal is Signal.BODY_RATE), None
+    )
+    edges = np.empty(0, dtype=np.int64) if gyro is None else gyro[most::most]
+    cuts = [[0, *t_ns.searchsorted(edges).tolist(), len(t_ns)] for t_ns in times]
+    for bounds in zip(*map(itertools.pairwise, cuts), strict=True):
+        parts = [(one, slice(*ends)) for one, ends in zip(telemetry, bounds, strict=True)]
+        yield Telemetry(tuple(Series(one.signal, one.t_ns[at], one.host_ns[at], one.values[at]) for one, at in parts))
+
+
 def warm() -> None:
-    """Compile what makes rows, or load it from where it is kept: by a second of a gyro, and a battery that goes on."""
+    """Compile what makes rows, or load it from where it is kept, by a second of a gyro."""
     t_ns = 10_000_000 * np.arange(100)
-    later_ns, rate = t_ns[:1] + 10**10, Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((100, 3)))
-    telemetry = Telemetry((rate, Series(Signal.VOLTAGE, later_ns, later_ns, np.ones((1, 1)))))
+    telemetry = Telemetry((Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((100, 3))),))
     front = Front(AlignSpec(0.01), GateSpec(), RateSpec.of(0.01, 5))
     front.step(front.start(), telemetry)
-    hidden_flight(telemetry, front.gate, [(0, 0)])
+    hidden_flight(telemetry, front.gate, front.align.quality, [(0, 0)])

@@ -13,18 +13,19 @@ limit (*low*) the rows are held back until the matter is decided:
     loud for LOUD_S, later than QUIET_S         it tumbles: the rows come out, and the next low ones are not held back
 
 A row is loud above QUIET_RAD_S. At the end of the data what was loud for LOUD_S, and in its last CALM_S, was flight.
-
 What the gate cannot see as flight, since its own inputs fail, `hidden_flight` finds in a whole log: nobody judged it.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from mavdiag.jit import cached_loop
+from mavdiag.jit import cached_loop, jit
 from mavdiag.rows.block import Block
-from mavdiag.rows.quality import DOUBTS, Doubt
+from mavdiag.rows.quality import DOUBTS, Doubt, LinkQuality, believed
 from mavdiag.rows.windows import window_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -35,7 +36,6 @@ BACK_S = 0.5  # a touch-down's blips of thrust last up to 0.2 s (recorded ArduCo
 CALM_S = 0.5  # of a touch-down whose QUIET_S the data did not wait for (our choice)
 LOUD_S = 0.1  # so that one wrong sample decides nothing (our choice)
 START_NS = NS_PER_S  # of any data no row is valid yet (`AlignSpec.settle_start_s`)
-DISARMED, LOW, UP = 0, 1, 2  # what a row is
 SHAKE_S = 0.5  # of one figure of the noise (our choice)
 THRUST_LOST_NS = 2 * NS_PER_S  # a thrust that was known and is not for longer is lost (our choice)
 HIDDEN_S = 3.0  # shorter stretches may be a touch-down, or motors that run down (our choice)
@@ -44,47 +44,60 @@ SHOWS_FLIGHT = (Signal.BODY_RATE, Signal.THRUST_SETPOINT, Signal.ACTUATOR, Signa
 FLIES = 0.5  # of the outputs, or of the motion, that are usual in the flight (our choice)
 HELD_BINS = 2  # for so long the last thrust and outputs hold
 IDLE_OUTPUT = 0.15  # ArduPilot's MOT_SPIN_MIN by default: a motor that carries is above it
+THRUST_CODE, NEVER_NS = DOUBTS.index(Doubt.THRUST), -(2**62)
+
+# The segment of the rows before the gate, its first row; whether it is in the air; whether the data broke off in the
+# air, so that what flies next has not taken off; number of the flying span; when thrust was known last; until when rows
+# are invalid; until when it takes off, or the data begin; the last row that flew; rows that are held back, and how many
+# of them were flight.
+SOURCE, SOURCE_NS, AIRBORNE, RESUMES, SPAN, THRUST_NS, BLANK_NS, SETTLED_NS, LAST_NS, QUEUED, KEPT = range(11)
+# Whether thrust or height of a vehicle in the air is low, since when; the last loud row, or the first low one; since
+# when they are back; how many rows were loud later than QUIET_S, and at all; whether it tumbles.
+LOW, BEGUN_NS, LOUD_NS, UP_NS, LATE, LOUD, TUMBLES = range(11, 18)
 
 
 @dataclass(frozen=True, slots=True)
 class Border:
-    """A flying span has ended, by a landing or a break; the next rows have another segment.
-
-    t_ns: vehicle time of the last row that flew.
-    """
+    """A flying span has ended, by a landing or a break. t_ns: vehicle time of the last row that flew."""
 
     t_ns: int
 
 
-@dataclass(slots=True, eq=False)
 class GateState:
-    """The rows held back, and the present flying span; changed in place."""
+    """The rows held back, the gyro of the last SHAKE_S, and `SOURCE` ...; changed in place."""
 
-    held: list[Block] = field(default_factory=list)  # flight, held back by `trim_end_s`
-    source: int = -1  # segment of the rows before the gate
-    source_ns: int = 0  # its first row
-    airborne: bool = False
-    resumes: bool = False  # the data broke off in the air: what flies next has not taken off
-    span: int = -1  # number of the flying span
-    thrust_ns: int | None = None  # when the thrust was known last
-    blank_ns: int = 0  # until then rows are invalid
-    settled_ns: int = 0  # until then it takes off, or the data begin
-    last_ns: int = 0  # time of the last row that flew
-    low: "_Low | None" = None  # since thrust or height is low
-    tail: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # gyro of the last SHAKE_S, for `least_shake`
+    def __init__(self) -> None:
+        self.rows: list[Block] = []
+        self.tail: FloatArray = np.empty((0, 3))
+        self.now: IntArray = np.zeros(TUMBLES + 1, dtype=np.int64)
+        self.now[[SOURCE, SPAN, THRUST_NS]] = -1, -1, NEVER_NS
 
+    def release(self, until_ns: int) -> list[Block]:
+        """Give away what flew up to a time."""
+        out, kept = list[Block](), int(self.now[KEPT])
+        while kept and self.rows:
+            block = self.rows.pop(0)
+            stop = min(kept, int(block.t_ns.searchsorted(until_ns, side="right")))
+            out += [block.rows(0, stop)] if stop else []
+            kept -= stop
+            if stop < len(block):
+                self.rows.insert(0, block.rows(stop, len(block)))
+                break
+        self.now[[QUEUED, KEPT]] -= self.now[KEPT] - kept
+        return out
 
-@dataclass(slots=True, eq=False)
-class _Low:
-    """A vehicle in the air with low thrust or height."""
+    def land(self, *, resumes: bool) -> None:
+        """What is held back is dropped."""
+        self.rows, self.now[[QUEUED, KEPT, LOW, AIRBORNE]] = [], 0
+        self.now[RESUMES] = resumes
 
-    begun_ns: int
-    loud_ns: int  # time of the last loud row, or of the first low one
-    up_ns: int | None = None  # since when they are back, but not for BACK_S
-    rows: list[Block] = field(default_factory=list)  # undecided
-    loud: int = 0  # loud rows
-    late: int = 0  # those later than QUIET_S
-    tumbles: bool = False
+    def flew(self) -> bool:
+        """Whether low rows that nothing follows were flight."""
+        now = self.now
+        if now[TUMBLES] or now[UP_NS] > NEVER_NS:
+            return True
+        last = self.rows[-1]
+        return bool(now[LOUD] * last.dt_s >= LOUD_S and last.t_ns[-1] - now[LOUD_NS] < CALM_S * NS_PER_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,11 +109,8 @@ class GateSpec:
     doubtful. In place of an unknown thrust the outputs are asked: while all of them idle, nothing flies. A vehicle that
     sends neither thrust nor height takes off when its gyro begins to shake.
 
-    min_height_m: above take-off.
-    min_thrust: collective set-point, 0..1.
-    need_armed: HEARTBEAT says armed.
-    trim_start_s: start of a span that is marked invalid.
-    trim_end_s: end of a span that is dropped.
+    min_height_m: above take-off. min_thrust: collective set-point, 0..1. need_armed: HEARTBEAT says armed.
+    trim_start_s, trim_end_s: start of a span that is marked invalid, end of it that is dropped.
     least_shake: where thrust and height are not known a take-off begins with this gyro noise (`shake`) [rad/s].
     """
 
@@ -117,68 +127,47 @@ class GateSpec:
 
     def step(self, state: GateState, block: Block) -> list[Block | Border]:
         """The next rows that fly, renumbered by flying span, held back by `trim_end_s`."""
-        out: list[Block | Border] = []
-        if block.segment != state.source:
-            out += self._interrupted(state)
-            state.source, state.source_ns, state.tail = block.segment, int(block.t_ns[0]), state.tail[:0]
-        kinds = self._kinds(block)
-        block = self._without_thrust(state, block)
-        shakes = self._shakes(state, block)
-        for first, stop in _runs(kinds):
-            if kinds[first] == UP:
-                if not (state.airborne or state.resumes):
-                    first += _first(shakes[first:stop])
-                if first < stop:
-                    self._fly(state, block, first, stop)
-            elif not state.airborne:
-                state.resumes = False
-            elif kinds[first] == DISARMED:
-                out += self._land(state)
-            else:
-                out += self._sink(state, block, first, stop)
-        return [*out, *self._release(state)]
+        out, now, first, n = list[Block | Border](), state.now, 0, len(block)
+        if block.segment != now[SOURCE]:
+            if now[AIRBORNE]:
+                out += [*self._break_off(state), Border(int(now[LAST_NS]))]
+            now[[SOURCE, SOURCE_NS]], state.tail = (block.segment, block.t_ns[0]), state.tail[:0]
+        trim_ns = round(self.trim_end_s * NS_PER_S)
+        height, thrust = (-math.inf if one is None else float(one) for one in (self.min_height_m, self.min_thrust))
+        limits = height, thrust, self.need_armed, block.dt_s, round(self.trim_start_s * NS_PER_S)
+        axes, outputs = np.ascontiguousarray(block.rate.T), np.ascontiguousarray(block.actuator.T)
+        signals, marks = (
+            (axes, block.height, block.thrust, block.armed, outputs),
+            (block.valid, block.doubt, self._told(state, block)),
+        )
+        while first < n:
+            took, stop, landed = _follow(now, limits, block.t_ns, signals, marks, first)
+            if took < stop:
+                state.rows.append(block.rows(took, stop, int(now[SPAN]), int(now[SETTLED_NS])))
+            out += state.release(int(now[LAST_NS]) - trim_ns)
+            if landed:
+                state.land(resumes=False)
+                out.append(Border(int(now[LAST_NS])))
+            first = stop + 1
+        return out
 
     def finish(self, state: GateState) -> list[Block]:
         """The end of the data. What was held back was still flying, so it is judged, but for a landing that began."""
-        if state.low is not None and not _flew(state.low):
-            parts = self._land(state)
-            state.resumes = True
-            return [part for part in parts if isinstance(part, Block)]
-        return _break_off(state)
+        if not state.now[LOW] or state.flew():
+            return self._break_off(state) if state.now[AIRBORNE] else []
+        out = state.release(int(state.now[LAST_NS]) - round(self.trim_end_s * NS_PER_S))
+        state.land(resumes=True)
+        return out
 
-    def _interrupted(self, state: GateState) -> Iterator[Block | Border]:
-        if state.airborne:
-            yield from _break_off(state)
-            yield Border(state.last_ns)
+    def _break_off(self, state: GateState) -> list[Block]:
+        """The data end, or break off: all that flew comes out."""
+        if state.now[LOW] and state.rows and state.flew():
+            state.now[KEPT], state.now[LAST_NS] = state.now[QUEUED], state.rows[-1].t_ns[-1]
+        out = state.release(int(state.now[LAST_NS]))
+        state.land(resumes=True)
+        return out
 
-    def _kinds(self, block: Block) -> IntArray:
-        """(n,) DISARMED, LOW or UP."""
-        kinds = np.empty(len(block), dtype=np.int64)
-        height, thrust = (-np.inf if one is None else float(one) for one in (self.min_height_m, self.min_thrust))
-        outputs = np.ascontiguousarray(block.actuator.T)
-        _classify(height, thrust, self.need_armed, block.height, block.thrust, block.armed, outputs, kinds)
-        return kinds
-
-    def _without_thrust(self, state: GateState, block: Block) -> Block:
-        """Rows whose thrust was known before and is lost must not be judged, for their landing is not seen."""
-        known = np.isfinite(block.thrust)
-        if self.min_thrust is None or (state.thrust_ns is None and not known.any()):
-            return block
-        if np.count_nonzero(known) == len(known):
-            state.thrust_ns = int(block.t_ns[-1])
-            return block
-        first_ns = int(block.t_ns[0]) if state.thrust_ns is None else state.thrust_ns
-        last_ns = np.maximum.accumulate(np.where(known, block.t_ns, first_ns))
-        state.thrust_ns = int(last_ns[-1])
-        lost = block.t_ns - last_ns > THRUST_LOST_NS
-        if self.min_height_m is not None:
-            lost &= np.isnan(block.height)
-        if not lost.any():
-            return block
-        doubt = np.where(lost & (block.doubt == 0), DOUBTS.index(Doubt.THRUST), block.doubt)
-        return replace(block, valid=block.valid & ~lost, doubt=doubt)
-
-    def _shakes(self, state: GateState, block: Block) -> BoolArray:
+    def _told(self, state: GateState, block: Block) -> BoolArray:
         """(n,) the rows that tell of flight: by thrust, height or the shaking of the gyro in the half second before."""
         if self.least_shake is None:
             return np.ones(len(block), dtype=np.bool_)
@@ -192,76 +181,64 @@ class GateSpec:
         state.tail = rates[-(window_rows(SHAKE_S, block.dt_s) + 1) :]
         return told
 
-    def _fly(self, state: GateState, block: Block, first: int, stop: int) -> None:
-        if not state.airborne:
-            state.blank_ns = state.settled_ns = int(block.t_ns[first])
-            if not state.resumes:
-                state.blank_ns += round(self.trim_start_s * NS_PER_S)
-                state.settled_ns = max(state.source_ns + START_NS, state.blank_ns)
-            state.airborne, state.resumes, state.span = True, False, state.span + 1
-        low = state.low
-        if low is not None:
-            low.up_ns = int(block.t_ns[first]) if low.up_ns is None else low.up_ns
-            if not (block.t_ns[first:stop] - low.up_ns >= BACK_S * NS_PER_S).any():
-                _hold(state, low, block, first, stop)
-                return
-            _keep(state, low.rows)
-            state.low = None
-        _keep(state, [_cut(state, block, first, stop)])
 
-    def _sink(self, state: GateState, block: Block, first: int, stop: int) -> list[Block | Border]:
-        """Low rows of a vehicle in the air: hold them back, let them out or end the span."""
-        t_ns = block.t_ns[first:stop]
-        low = state.low = state.low or _Low(int(t_ns[0]), int(t_ns[0]))
-        loud_ns = np.maximum.accumulate(np.where(_loud(block, first, stop), t_ns, low.loud_ns))
-        over = _first(t_ns - loud_ns >= QUIET_S * NS_PER_S)
-        if over:
-            low.up_ns = None
-            _hold(state, low, block, first, first + over)
-        return self._land(state) if over < len(t_ns) else []
-
-    def _land(self, state: GateState) -> list[Block | Border]:
-        """The span is over: its last `trim_end_s` are dropped, and what was held back undecided."""
-        done = self._release(state)
-        state.low, state.held, state.airborne = None, [], False
-        return [*done, Border(state.last_ns)]
-
-    def _release(self, state: GateState) -> list[Block]:
-        """Let go of the rows that are `trim_end_s` older than the newest."""
-        held, state.held = state.held, []
-        if not held or self.trim_end_s == 0:
-            return held
-        safe_ns, done = int(held[-1].t_ns[-1]) - round(self.trim_end_s * NS_PER_S), []
-        for block in held:
-            stop = int(np.searchsorted(block.t_ns, safe_ns, side="right"))
-            done += [block.rows(0, stop)] if stop else []
-            state.held += [block.rows(stop, len(block))] if stop < len(block) else []
-        return done
+@jit
+def _idle(outputs: FloatArray, i: int) -> bool:
+    for k in range(len(outputs)):
+        if not outputs[k, i] <= IDLE_OUTPUT:
+            return False
+    return len(outputs) > 0
 
 
 @cached_loop
-def _classify(
-    least_height: float,
-    least_thrust: float,
-    need_armed: bool,
-    height: FloatArray,
-    thrust: FloatArray,
-    armed: FloatArray,
-    outputs: FloatArray,
-    kinds: IntArray,
-) -> None:
-    """What each row is. Where no thrust set-point is known, outputs that all idle are those of a vehicle on the ground.
+def _follow(now: IntArray, limits: Any, t_ns: IntArray, signals: Any, marks: Any, first: int) -> tuple[int, int, bool]:
+    """Follow the rows from the first on, up to a landing or their end; returns which may be flight, and if it landed.
 
-    outputs: (k, n). kinds: (n,) DISARMED, LOW or UP.
+    Where no thrust set-point is known, outputs that all idle are those of a vehicle on the ground.
     """
-    for i in range(len(kinds)):
-        low = height[i] < least_height or thrust[i] < least_thrust
-        if least_thrust > -np.inf and thrust[i] != thrust[i] and len(outputs):
-            idle = True
-            for k in range(len(outputs)):
-                idle = idle and outputs[k, i] <= IDLE_OUTPUT
-            low = low or idle
-        kinds[i] = DISARMED if need_armed and armed[i] < 0.5 else LOW if low else UP
+    least_height, least_thrust, need_armed, dt_s, trim_ns = limits
+    (rate, height, thrust, armed, outputs), (valid, doubt, told), took = signals, marks, first
+    for i in range(first, len(t_ns)):
+        t, low = t_ns[i], height[i] < least_height or thrust[i] < least_thrust
+        if math.isfinite(thrust[i]):
+            now[THRUST_NS] = t
+        elif least_thrust > -math.inf:
+            low = low or _idle(outputs, i)
+            unseen = not math.isfinite(height[i]) or least_height == -math.inf
+            if unseen and now[THRUST_NS] > NEVER_NS and t - now[THRUST_NS] > THRUST_LOST_NS:
+                valid[i], doubt[i] = False, doubt[i] if doubt[i] > 0.0 else THRUST_CODE
+        disarmed = need_armed and armed[i] < 0.5
+        if not now[AIRBORNE]:
+            if disarmed or low:
+                now[RESUMES] = 0
+            if disarmed or low or not (now[RESUMES] or told[i]):
+                took = i + 1
+                continue
+            now[BLANK_NS] = now[SETTLED_NS] = t
+            if not now[RESUMES]:
+                now[BLANK_NS] += trim_ns
+                now[SETTLED_NS] = max(now[SOURCE_NS] + START_NS, now[BLANK_NS])
+            now[AIRBORNE], now[RESUMES], now[SPAN] = 1, 0, now[SPAN] + 1
+        size = max(abs(rate[0, i]), abs(rate[1, i]), abs(rate[2, i]))
+        loud = size > QUIET_RAD_S and math.isfinite(rate[0, i] + rate[1, i] + rate[2, i])
+        if low and not now[LOW]:
+            now[LOW], now[BEGUN_NS], now[LOUD_NS], now[LATE], now[LOUD], now[TUMBLES] = 1, t, t, 0, 0, 0
+        if disarmed or (low and not loud and t - now[LOUD_NS] >= QUIET_S * NS_PER_S):
+            return took, i, True
+        if low:
+            now[UP_NS] = NEVER_NS
+        elif now[LOW]:
+            now[UP_NS] = t if now[UP_NS] == NEVER_NS else now[UP_NS]
+            now[LOW] = t - now[UP_NS] < BACK_S * NS_PER_S
+        now[QUEUED] += 1
+        valid[i] = valid[i] and t >= now[BLANK_NS]
+        if now[LOW] and loud:
+            now[LATE] += t - now[BEGUN_NS] > QUIET_S * NS_PER_S
+            now[LOUD], now[LOUD_NS] = now[LOUD] + 1, t
+            now[TUMBLES] = now[LATE] * dt_s >= LOUD_S
+        if not now[LOW] or now[TUMBLES]:
+            now[KEPT], now[LAST_NS] = now[QUEUED], t
+    return took, len(t_ns), False
 
 
 def shake(rate: FloatArray, dt_s: float) -> FloatArray:
@@ -270,73 +247,9 @@ def shake(rate: FloatArray, dt_s: float) -> FloatArray:
     return np.sqrt(np.maximum(window_mean(squares[:, None], window_rows(SHAKE_S, dt_s))[:, 0], 0.0))
 
 
-def _runs(kinds: IntArray) -> list[tuple[int, int]]:
-    """Spans [first, stop) of equal values."""
-    if np.count_nonzero(kinds == kinds[0]) == len(kinds):
-        return [(0, len(kinds))]
-    edges: IntArray = np.flatnonzero(kinds[1:] != kinds[:-1]) + 1
-    starts = [0, *edges.tolist()]
-    return list(zip(starts, [*edges.tolist(), len(kinds)], strict=True))
-
-
-def _hold(state: GateState, low: _Low, block: Block, first: int, stop: int) -> None:
-    """Keep more undecided rows; all of them come out as soon as it tumbles."""
-    t_ns, loud = block.t_ns[first:stop], _loud(block, first, stop)
-    low.late += int(np.count_nonzero(loud & (t_ns - low.begun_ns > QUIET_S * NS_PER_S)))
-    low.loud += int(np.count_nonzero(loud))
-    low.loud_ns = int(t_ns[loud][-1]) if loud.any() else low.loud_ns
-    low.rows.append(_cut(state, block, first, stop))
-    low.tumbles = low.tumbles or low.late * block.dt_s >= LOUD_S
-    if low.tumbles:
-        _keep(state, low.rows)
-        low.rows = []
-
-
-def _loud(block: Block, first: int, stop: int) -> BoolArray:
-    return np.asarray(np.maximum.reduce(np.abs(block.rate[first:stop]), axis=1) > QUIET_RAD_S, dtype=np.bool_)
-
-
-def _first(flags: BoolArray) -> int:
-    """Place of the first that is True; their number if none is."""
-    return int(flags.argmax()) if flags.any() else len(flags)
-
-
-def _cut(state: GateState, block: Block, first: int, stop: int) -> Block:
-    """Rows of the present span, invalid while it takes off."""
-    rows = block.rows(first, stop, state.span, state.settled_ns)
-    if rows.t_ns[0] < state.blank_ns:
-        rows = replace(rows, valid=rows.valid & (rows.t_ns >= state.blank_ns))
-    return rows
-
-
-def _keep(state: GateState, rows: Sequence[Block]) -> None:
-    """Take rows that flew."""
-    if rows:
-        state.held, state.last_ns = [*state.held, *rows], int(rows[-1].t_ns[-1])
-
-
-def _break_off(state: GateState) -> list[Block]:
-    """The data end, or break off: all that flew comes out."""
-    if not state.airborne:
-        return []
-    if state.low is not None and _flew(state.low):
-        _keep(state, state.low.rows)
-    held = state.held
-    state.held, state.low, state.airborne, state.resumes = [], None, False, True
-    return held
-
-
-def _flew(low: _Low) -> bool:
-    """Whether undecided rows that nothing follows were flight."""
-    if low.tumbles or low.up_ns is not None or not low.rows:
-        return low.tumbles or low.up_ns is not None
-    calm_ns = int(low.rows[-1].t_ns[-1]) - low.loud_ns
-    return low.loud * low.rows[0].dt_s >= LOUD_S and calm_ns < CALM_S * NS_PER_S
-
-
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """A part of a log in which the vehicle flew and nobody could judge it. begin_s, end_s: of the vehicle's clock."""
+    """A part of a log in which the vehicle flew and nobody could judge it [s of the vehicle's clock]."""
 
     begin_s: float
     end_s: float
@@ -348,14 +261,17 @@ class Hidden:
         return self.end_s - self.begin_s
 
 
-def hidden_flight(telemetry: Telemetry, gate: GateSpec, spans: Sequence[tuple[int, int]]) -> tuple[Hidden, ...]:
+def hidden_flight(
+    telemetry: Telemetry, gate: GateSpec, quality: LinkQuality, spans: Sequence[tuple[int, int]]
+) -> tuple[Hidden, ...]:
     """Where a vehicle that had taken off flew on though the gate passed no rows, in order of time.
 
     The gyro ends while thrust, outputs, height and HEARTBEAT say that it flies; the thrust reads low while the outputs
     (or the gyro's motion, where no output is known) are what they were in flight; it reads disarmed while its thrust is
-    up and it moves. telemetry: what is believed. spans: first and last row of what flew [ns].
+    up and it moves. spans: first and last row of what flew [ns].
     """
-    tallies = {one.signal: _tally(one) for one in telemetry.series if one.signal in SHOWS_FLIGHT and len(one)}
+    telemetry = believed(quality, Telemetry(tuple(one for one in telemetry if one.signal in SHOWS_FLIGHT)))
+    tallies = {one.signal: _tally(one) for one in telemetry}
     bins: IntArray = np.unique(np.concatenate([np.empty(0, np.int64), *(numbers for numbers, _ in tallies.values())]))
     bins = bins[bins > spans[0][0] // HIDDEN_BIN_NS] if spans else bins[:0]
     if not len(bins):
@@ -389,10 +305,9 @@ def hidden_flight(telemetry: Telemetry, gate: GateSpec, spans: Sequence[tuple[in
 
 def _tally(series: Series) -> tuple[IntArray, FloatArray]:
     """Numbers of the bins of a signal, one may come again, and the sums of `_tally_runs` in each."""
-    t_ns = np.ascontiguousarray(series.t_ns)
-    runs = 1 + int(np.count_nonzero(np.diff(t_ns // HIDDEN_BIN_NS)))
+    runs = 1 + int(np.count_nonzero(np.diff(series.t_ns // HIDDEN_BIN_NS)))
     numbers, sums = np.empty(runs, dtype=np.int64), np.zeros((runs, 7))
-    _tally_runs(t_ns, np.ascontiguousarray(series.values, dtype=np.float64), numbers, sums)
+    _tally_runs(series.t_ns, series.values, numbers, sums)
     return numbers, sums
 
 

@@ -1,5 +1,7 @@
-"""How often the gyro of a vehicle comes, and whether its samples are uniform enough to be rows themselves."""
+"""How often samples come, and whether those of the gyro are uniform enough to be rows themselves."""
 
+import math
+from collections.abc import Sequence
 from enum import StrEnum
 
 import numpy as np
@@ -8,13 +10,14 @@ from mavdiag.errors import InputError
 from mavdiag.telemetry import FloatArray, IntArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["NATIVE_TOLERANCE", "Grid", "measure_grid", "unbroken"]
-
-NATIVE_TOLERANCE = 0.25  # of a period: a sample this near to its place counts as uniform (our choice)
+UNIFORM = 0.25  # of a period: a sample this near to its place counts as uniform (our choice)
 NATIVE_SHARE = 0.99  # of the steps that must be uniform for a native grid (our choice)
 LEAST_SAMPLES = 20  # that a rate is measured by (our choice)
 PAUSE_NS = NS_PER_S  # a longer step is a pause, as between two flights, and says nothing of the rate (our choice)
 SLOW = 3.0  # nor does one of so many medians, in a stream that is slower than that (our choice)
+NATIVE_TOLERANCE = 0.02  # of the row period: the poles of a model shift by as much (our choice)
+ATTENUATION = 0.01  # change of a gain within the pass band that a fit does not notice (our choice)
+WIDEST = 0.2  # of the period; beyond it the noise above the pass band differs, too (our choice)
 
 
 class Grid(StrEnum):
@@ -24,39 +27,68 @@ class Grid(StrEnum):
     RESAMPLED = "resampled"  # fixed period, linear interpolation
 
 
-def unbroken(steps_ns: FloatArray) -> FloatArray:
-    """The steps between samples [ns] without the pauses: what a rate is measured by."""
-    return steps_ns[steps_ns <= max(PAUSE_NS, SLOW * float(np.median(steps_ns)))]
+def steps_of(t_ns: IntArray) -> FloatArray:
+    """The steps between stamps in order of time, each time once [ns]."""
+    rising = bool(np.all(t_ns[1:] > t_ns[:-1]))
+    return np.diff(t_ns if rising else np.unique(t_ns)).astype(np.float64)
+
+
+def median_step(times: Sequence[IntArray]) -> float:
+    """Median step of one stream in several pieces [ns]; 0 where there is none."""
+    steps = np.concatenate([np.empty(0), *(steps_of(t_ns) for t_ns in times)])
+    return float(np.median(steps, overwrite_input=True)) if len(steps) else 0.0
+
+
+def usual_step(steps: FloatArray) -> float:
+    """Mean of the steps within 25 % of their median, so that losses do not stretch it; of all if there are none."""
+    median = float(np.median(steps))
+    usual = steps[np.abs(steps - median) <= UNIFORM * median]
+    return float(np.mean(usual if len(usual) else steps))
+
+
+def mean_step(steps: FloatArray) -> float:
+    """Mean of the steps but the pauses."""
+    return float(np.mean(steps[steps <= max(PAUSE_NS, SLOW * float(np.median(steps)))]))
 
 
 def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
     """Period [s] of the gyro stream, and whether its samples are uniform enough to be rows themselves.
 
-    The period of a uniform stream is the mean of the steps within 25 % of their median, so losses do not stretch it; of
-    any other the mean of all steps but pauses above 1 s. A sample whose stamp alone is out of order does not count.
-    Raises InputError if there are fewer than 20 gyro samples.
+    It is the usual step of a uniform stream, else the mean one. A sample whose stamp alone is out of order does not
+    count. Raises InputError if there are fewer than 20 gyro samples.
     """
     t = telemetry.need(Signal.BODY_RATE).t_ns
     if np.count_nonzero(t[1:] > t[:-1]) < len(t) - 1:
         t = np.unique(_well_dated(t))
     if len(t) < LEAST_SAMPLES:
         raise InputError(f"only {len(t)} gyro samples: at least {LEAST_SAMPLES} are needed to measure the rate")
-    steps = np.diff(t).astype(np.float64)
-    median = float(np.median(steps))
-    usual = steps[np.abs(steps - median) <= NATIVE_TOLERANCE * median]
-    dt_ns = float(np.mean(usual if len(usual) else steps))
+    steps = steps_of(t)
+    dt_ns = usual_step(steps)
     places = np.maximum(np.round(steps / dt_ns), 1.0)
-    uniform = np.abs(steps - places * dt_ns) <= NATIVE_TOLERANCE * dt_ns
-    if float(np.mean(uniform)) >= NATIVE_SHARE:
+    if float(np.mean(np.abs(steps - places * dt_ns) <= UNIFORM * dt_ns)) >= NATIVE_SHARE:
         return dt_ns / NS_PER_S, Grid.NATIVE
-    return float(np.mean(unbroken(steps))) / NS_PER_S, Grid.RESAMPLED
+    return mean_step(steps) / NS_PER_S, Grid.RESAMPLED
 
 
 def _well_dated(t_ns: IntArray) -> IntArray:
-    """Stamps, in the order in which they came, without those that are in no order with the two before and after.
-
-    Two samples that changed places are kept.
-    """
+    """Stamps as they came, without those in no order with the two before and after; two that changed places stay."""
     before, at, after = t_ns[1:-3], t_ns[2:-2], t_ns[3:-1]
     wrong = (before < after) & ((at < np.minimum(before, t_ns[:-4])) | (at > np.maximum(after, t_ns[4:])))
     return t_ns[np.concatenate(([True] * 2, ~wrong, [True] * 2))] if len(t_ns) > 4 else t_ns
+
+
+def rate_tolerance(grid: Grid, dt_s: float, window_s: float) -> float:
+    """Greatest relative difference of mean gyro periods that a model of rows bears.
+
+    dt_s: row period [s]. window_s: length of the Savitzky-Golay filter [s]. Native rows are the samples themselves: at
+    (1 + d) dt each pole z = exp(s dt) is at s/(1 + d). Resampled rows have one period; linear interpolation passes
+    sinc(f T)^2 of a sine between samples T apart, about 1 - (pi f T)^2/3, of which (1 + d) T changes 2/3 (pi f T)^2 d,
+    at the filter's corner f of about 1/window (R. W. Schafer, IEEE Signal Processing Magazine 28(4), 2011, Eq 5).
+
+    >>> [round(rate_tolerance(Grid.RESAMPLED, dt_s, 0.1), 3) for dt_s in (0.02, 0.01, 0.004)]
+    [0.038, 0.152, 0.2]
+    """
+    if grid is Grid.NATIVE:
+        return NATIVE_TOLERANCE
+    loss = 2.0 / 3.0 * (math.pi * dt_s / max(window_s, dt_s)) ** 2
+    return min(WIDEST, max(NATIVE_TOLERANCE, ATTENUATION / loss))

@@ -1,27 +1,20 @@
 """From aligned rows to the pair that the model relates: commanded body rate u and measured body rate y (T 4.3.4).
 
-The set-point is an attitude in Euler angles, the gyro measures body rates. Savitzky-Golay filters of one window of
-2m + 1 rows and order 2 give the value and the slope of the angles at the centre of the window, and W(phi, theta) turns
-the slopes into body rates (the kinematics of the order yaw, pitch, roll):
-
-    p = dphi - sin(theta) dpsi
-    q = cos(phi) dtheta + sin(phi) cos(theta) dpsi
-    r = -sin(phi) dtheta + cos(phi) cos(theta) dpsi
-
-The gyro is smoothed by the same window, so u and y have the same delay of m rows. Output row i belongs to input row
-i + m; a new segment starts the filters afresh.
+Savitzky-Golay filters of one window of 2m + 1 rows and order 2 give value and slope of the commanded Euler angles at
+the centre of the window, and W(phi, theta) (`body_rates`) turns the slopes into body rates. The gyro is smoothed by the
+same window. Output row i belongs to input row i + m; a new segment starts the filters afresh.
 
 Value and slope at the centre follow from the moments M_j = sum of k^j x over the window, k = -m..m (T Eq 4.11):
 
     value = c_0 M_0 + c_2 M_2,    slope = M_1/(sum of k^2)/dt
 
 Moments run: without the oldest row, M_1 <- M_1 - M_0 and M_2 <- M_2 - 2 M_1 + M_0 move the window on by one, then the
-newest row is added. They are formed anew at fixed rows of a segment, so that what is rounded does not grow, and any cut
-of the rows gives the same bits.
+newest row is added. They are formed anew at fixed rows of a segment, so that what is rounded does not grow.
 """
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -43,14 +36,9 @@ SPOILT, VALUES, SLOPES, ROWS, SOUND, WANTED, HISTORY = 18, 24, 30, 36, 37, 38, 3
 class RateBlock:
     """Consecutive rows of one segment.
 
-    segment: as in `Block`.
-    dt_s: row period [s].
-    t_ns: (n,) vehicle time.
     u: (n, 3) commanded body rates p, q, r [rad/s]; finite, 0 where no set-point is known.
-    y: (n, 3) measured body rates, smoothed [rad/s].
-    gyro: (n, 3) the same as they were measured.
-    valid: (n,) the gyro was valid in the whole window.
-    commanded: (n,) so were gyro and set-point: u and y may be compared.
+    y: (n, 3) measured body rates, smoothed [rad/s]. gyro: the same as they were measured.
+    valid: (n,) the gyro was valid in the whole window. commanded: so were gyro and set-point: u and y may be compared.
     """
 
     segment: int
@@ -68,8 +56,6 @@ class RateBlock:
 
 class RateState:
     """What the filters remember of a segment; changed in place. times: (window,) of the last rows [ns]."""
-
-    __slots__ = ("memory", "segment", "times")
 
     def __init__(self, window: int) -> None:
         self.segment = -1
@@ -92,10 +78,8 @@ class RateSpec:
         """Filters for a sample time [s], an odd window [rows] and a polynomial order, 1 or 2. Raises UsageError."""
         if order not in (1, 2) or not (math.isfinite(dt_s) and dt_s > 0):
             raise UsageError(f"rates need a polynomial order of 1 or 2 and a positive sample time, not {order}, {dt_s}")
-        filters = coefficients(window, order)
-        middle, bend = filters[0, window // 2], filters[0, -1] - filters[0, window // 2]
-        m = window // 2
-        return cls(window, (float(middle), float(bend / m**2), float(filters[1, -1] / m / dt_s)))
+        (value, slope, *_), m = coefficients(window, order), window // 2
+        return cls(window, (float(value[m]), float((value[-1] - value[m]) / m**2), float(slope[-1] / m / dt_s)))
 
     def start(self) -> RateState:
         """A fresh state, before the first row."""
@@ -109,82 +93,79 @@ class RateSpec:
         known = min(len(block), max(0, len(block) + int(state.memory[ROWS]) - self.window + 1))
         out, t_ns, flags = np.empty((9, known)), np.empty(known, np.int64), np.empty((2, known), np.bool_)
         signals = np.ascontiguousarray(block.rate.T), np.ascontiguousarray(block.setpoint.T)
-        usable = block.valid, block.setpoint_valid
-        _filter(state.memory, state.times, self.weights, block.t_ns, signals, usable, out, t_ns, flags)
+        came = block.t_ns, *signals, block.valid, block.setpoint_valid
+        _filter((state.memory, state.times), self.weights, came, (out, t_ns, flags))
         return RateBlock(block.segment, block.dt_s, t_ns, out[:3].T, out[3:6].T, out[6:].T, flags[0], flags[1])
+
+
+def body_rates(phi: Any, theta: Any, dphi: Any, dtheta: Any, dpsi: Any) -> tuple[Any, Any, Any]:
+    """p, q, r of roll and pitch [rad] and the slopes of roll, pitch and yaw (kinematics of the order yaw, pitch, roll).
+
+    Numbers or arrays:    [p]   [ 1   0          -sin theta          ] [dphi  ]
+                          [q] = [ 0   cos phi    sin phi cos theta   ] [dtheta]
+                          [r]   [ 0   -sin phi   cos phi cos theta   ] [dpsi  ]
+    """
+    sin_phi, cos_phi, turn = np.sin(phi), np.cos(phi), np.cos(theta) * dpsi
+    return dphi - np.sin(theta) * dpsi, cos_phi * dtheta + sin_phi * turn, cos_phi * turn - sin_phi * dtheta
+
+
+_turned = jit(body_rates)
 
 
 @jit
 def _finite(value: float) -> float:
-    """A value, or 0 in place of what is no number."""
     return value if math.isfinite(value) else 0.0
 
 
+@jit
+def _move_on(mem: FloatArray, signal: int, newest: float, rows: int, window: int) -> None:
+    """Take the newest row of a signal into its moments."""
+    place, m, at, history = rows % window, window // 2, 3 * signal, HISTORY + signal * window
+    oldest = _finite(mem[history + place])
+    mem[history + place] = newest
+    mem[SPOILT + signal] = max(mem[SPOILT + signal] - 1.0, 0.0)
+    if not math.isfinite(newest):
+        newest, mem[SPOILT + signal] = 0.0, float(window)
+    if rows % (ANEW * window) == window - 1:
+        m0 = m1 = m2 = 0.0
+        for k in range(window):
+            value, away = _finite(mem[history + (place + 1 + k) % window]), float(k - m)
+            m0 += value
+            m1 += away * value
+            m2 += away * away * value
+    else:
+        m0, m1, m2 = mem[at] - oldest, mem[at + 1] + m * oldest, mem[at + 2] - m * m * oldest
+        m2 += m0 - 2.0 * m1 + m * m * newest
+        m1 += m * newest - m0
+        m0 += newest
+    mem[at], mem[at + 1], mem[at + 2] = m0, m1, m2
+
+
 @cached_loop
-def _filter(
-    mem: FloatArray,
-    times: IntArray,
-    weights: tuple[float, float, float],
-    row_ns: IntArray,
-    signals: tuple[FloatArray, FloatArray],
-    usable: tuple[BoolArray, BoolArray],
-    out: FloatArray,
-    t_ns: IntArray,
-    flags: BoolArray,
-) -> None:
+def _filter(state: Any, weights: tuple[float, float, float], rows_in: Any, made: Any) -> None:
     """u, y and gyro of the rows whose window is complete, with their times and flags."""
-    window, m = len(times), len(times) // 2
-    (middle, bend, slope), (rate, setpoint), (valid, setpoint_valid) = weights, signals, usable
+    (mem, times), (middle, bend, slope), (out, t_ns, flags) = state, weights, made
+    row_ns, rate, setpoint, valid, commanded = rows_in
+    window = len(times)
     for i in range(len(row_ns)):
         rows = int(mem[ROWS])
-        place, centre = rows % window, (rows + window - m) % window
-        times[place] = row_ns[i]
+        times[rows % window], centre = row_ns[i], (rows + window - window // 2) % window
         mem[ROWS] += 1.0
         mem[SOUND] = mem[SOUND] + 1.0 if valid[i] else 0.0
-        mem[WANTED] = mem[WANTED] + 1.0 if valid[i] and setpoint_valid[i] else 0.0
+        mem[WANTED] = mem[WANTED] + 1.0 if valid[i] and commanded[i] else 0.0
         for signal in range(SIGNALS):
-            newest = rate[signal, i] if signal < 3 else setpoint[signal - 3, i]
-            mem[SPOILT + signal] = max(mem[SPOILT + signal] - 1.0, 0.0)
-            history, at = HISTORY + signal * window, 3 * signal
-            oldest = _finite(mem[history + place])
-            mem[history + place] = newest
-            if not math.isfinite(newest):
-                newest, mem[SPOILT + signal] = 0.0, float(window)
-            if rows % (ANEW * window) == window - 1:
-                m0 = m1 = m2 = 0.0
-                for k in range(window):
-                    value, away = _finite(mem[history + (place + 1 + k) % window]), float(k - m)
-                    m0 += value
-                    m1 += away * value
-                    m2 += away * away * value
-            else:
-                m0, m1, m2 = mem[at] - oldest, mem[at + 1] + m * oldest, mem[at + 2] - m * m * oldest
-                m2 += m0 - 2.0 * m1 + m * m * newest
-                m1 += m * newest - m0
-                m0 += newest
-            mem[at], mem[at + 1], mem[at + 2] = m0, m1, m2
-            spoilt = mem[SPOILT + signal] > 0.0
-            mem[VALUES + signal] = np.nan if spoilt else middle * m0 + bend * m2
-            mem[SLOPES + signal] = np.nan if spoilt else slope * m1
+            _move_on(mem, signal, rate[signal, i] if signal < 3 else setpoint[signal - 3, i], rows, window)
+            spoilt = np.nan if mem[SPOILT + signal] > 0.0 else 0.0
+            mem[VALUES + signal] = middle * mem[3 * signal] + bend * mem[3 * signal + 2] + spoilt
+            mem[SLOPES + signal] = slope * mem[3 * signal + 1] + spoilt
         done = i - (len(row_ns) - len(t_ns))
         if done < 0:
             continue
         t_ns[done] = times[centre]
         flags[0, done], flags[1, done] = mem[SOUND] >= window, mem[WANTED] >= window
-        #     [ 1   0          -sin theta          ]
-        # W = [ 0   cos phi    sin phi cos theta   ]
-        #     [ 0   -sin phi   cos phi cos theta   ]
-        phi, theta, roll, pitch, yaw = (
-            mem[VALUES + 3],
-            mem[VALUES + 4],
-            mem[SLOPES + 3],
-            mem[SLOPES + 4],
-            mem[SLOPES + 5],
+        out[0, done], out[1, done], out[2, done] = _turned(
+            mem[VALUES + 3], mem[VALUES + 4], mem[SLOPES + 3], mem[SLOPES + 4], mem[SLOPES + 5]
         )
-        sin_phi, cos_phi, turn = math.sin(phi), math.cos(phi), math.cos(theta) * yaw
-        out[0, done] = roll - math.sin(theta) * yaw
-        out[1, done] = cos_phi * pitch + sin_phi * turn
-        out[2, done] = cos_phi * turn - sin_phi * pitch
         for axis in range(3):
             out[3 + axis, done] = mem[VALUES + axis]
             out[6 + axis, done] = mem[HISTORY + axis * window + centre]

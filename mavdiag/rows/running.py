@@ -19,27 +19,30 @@ def mean_size(window: int, columns: int) -> int:
 def push(mem: FloatArray, at: int, window: int, columns: int, good: bool) -> bool:
     """Take the values that were put to `at + FRESH` as a row of a window; a bad row counts as zero.
 
-    Returns whether all rows of the window are there and good. Sums over the window stand behind the values: `total`.
-    They are formed anew each time the window is through, so that what is rounded does not grow.
+    Returns whether all rows of the window are there and good. Sums over the window stand behind the values (`total`),
+    formed anew each time the window is through, so that what is rounded does not grow.
     """
     sums, ring, place = at + FRESH + columns, at + FRESH + 2 * columns, int(mem[at])
     for column in range(columns):
-        value = mem[at + FRESH + column] if good else 0.0
-        old = ring + column * window + place
+        value, old = mem[at + FRESH + column] if good else 0.0, ring + column * window + place
         mem[sums + column] += value - mem[old]
         mem[old] = value
     place += 1
     if place == window:
         place = 0
         for column in range(columns):
-            first = ring + column * window
-            sum_ = 0.0
-            for row in range(first, first + window):
-                sum_ += mem[row]
-            mem[sums + column] = sum_
+            mem[sums + column] = _sum(mem[ring + column * window : ring + (column + 1) * window])
     mem[at] = place
     mem[at + 1] = mem[at + 1] + 1.0 if good else 0.0
     return bool(mem[at + 1] >= window)
+
+
+@summing
+def _sum(values: FloatArray) -> float:
+    found = 0.0
+    for i in range(len(values)):
+        found += values[i]
+    return found
 
 
 @jit
@@ -55,17 +58,10 @@ def past_size(length: int) -> int:
 
 @jit
 def shift(mem: FloatArray, at: int, length: int, value: float) -> int:
-    """Take a value; return where the last `length` ones lie in a row, the oldest first.
-
-    Each is written twice, a length apart, so that a window never wraps.
-    """
+    """Take a value; return where the last `length` ones lie in a row: each is written twice, a length apart."""
     place = int(mem[at])
-    mem[at + 1 + place] = value
-    mem[at + 1 + place + length] = value
-    place += 1
-    if place == length:
-        place = 0
-    mem[at] = place
+    mem[at + 1 + place] = mem[at + 1 + place + length] = value
+    mem[at] = place = (place + 1) % length
     return at + 1 + place
 
 

@@ -6,19 +6,15 @@ import numpy as np
 
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 
-__all__ = ["Statistic"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Statistic:
-    """A monitor's statistic over consecutive rows of one segment; n values, n may be 0.
+    """A monitor's n values over consecutive rows of one segment.
 
-    t_ns: (n,) vehicle time.
-    period_s: span of flight that one value stands for [s]; n valid values are n period_s of judged time.
-    value: (n,) in the monitor's unit; it is compared with the threshold.
-    valid: (n,) False where nothing may be concluded.
-    level: (n,) a second figure that describes an alarm (for the fsd monitor the excess over the margin [rad/s]).
-    signal: (n,) what the statistic is made of, for a display (for the fsd monitor the residual [rad/s]).
+    t_ns: vehicle time. period_s: span of flight that one value stands for [s].
+    value: in the monitor's unit; it is compared with the threshold. valid: False where nothing may be concluded.
+    level: a second figure that describes an alarm (for the fsd monitor the excess over the margin [rad/s]).
+    signal: what a display draws: of the fsd monitor the residual [rad/s], else the value.
     rotors: (n, R) evidence for each rotor, dimensionless; (n, 0) if the monitor knows nothing of rotors.
     """
 
@@ -37,17 +33,3 @@ class Statistic:
     def judged_s(self) -> float:
         """Judged time in it [s]."""
         return float(np.count_nonzero(self.valid)) * self.period_s
-
-    def part(self, first: int, stop: int) -> "Statistic":
-        """The values [first, stop)."""
-        cut = slice(first, stop)
-        rotors = self.rotors[cut] if len(self.rotors) else self.rotors
-        return Statistic(
-            self.t_ns[cut],
-            self.period_s,
-            self.value[cut],
-            self.valid[cut],
-            self.level[cut],
-            self.signal[cut],
-            rotors,
-        )

@@ -4,13 +4,13 @@ Learning refuses such a flight, and judging calls it a loss of control, both by 
 signs are means over 0.4 s, while the vehicle counts as flying: free fall (hardly any specific force), thrust or
 ground above the vehicle (specific force towards its belly), an attitude far from the commanded one or upside down, and
 tumbling. A landing shows none of them: its spikes of 8 to 11 rad/s last some tens of milliseconds (METHOD section 5).
-A flight that flies flips on purpose has the same signs, for a baseline of it would say that flips are healthy.
 """
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -36,10 +36,7 @@ REST_S = 10.0  # less flight than this after it is left out with it (our choice)
 
 @dataclass(frozen=True, slots=True)
 class Upset:
-    """From the first sign to the last.
-
-    begin_s, end_s: of the vehicle's clock. ends: the flight ends in it. text: what was seen, a sentence.
-    """
+    """From the first sign to the last [s of the vehicle's clock]; whether the flight ends in it; a sentence."""
 
     begin_s: float
     end_s: float
@@ -57,10 +54,9 @@ def motion_of(block: Block) -> FloatArray:
     bin_ns = round(bin_s * NS_PER_S)
     found = np.zeros((int(block.t_ns[-1] // bin_ns - block.t_ns[0] // bin_ns) + 1, 10))
     found[:, 0], found[:, 2] = block.segment, bin_s
-    rate, force, attitude, setpoint = (
-        np.ascontiguousarray(one.T) for one in (block.rate, block.force, block.attitude, block.setpoint)
-    )
-    return found[: _sum_bins(block.t_ns, bin_ns, rate, force, attitude, setpoint, block.setpoint_valid, found)]
+    signals = block.rate, block.force, block.attitude, block.setpoint
+    columns = tuple(np.ascontiguousarray(one.T) for one in signals)
+    return found[: _sum_bins(block.t_ns, bin_ns, columns, block.setpoint_valid, found)]
 
 
 @jit
@@ -71,35 +67,24 @@ def _thrust(angle: FloatArray, i: int) -> tuple[float, float, float]:
 
 
 @cached_loop
-def _sum_bins(
-    t_ns: IntArray,
-    bin_ns: int,
-    rate: FloatArray,
-    force: FloatArray,
-    attitude: FloatArray,
-    setpoint: FloatArray,
-    setpoint_valid: BoolArray,
-    found: FloatArray,
-) -> int:
-    """Sums of each bin that has rows; returns how many there are. Signals are (3, n), a direction is of length 1."""
-    place, looked = -1, -1
+def _sum_bins(t_ns: IntArray, bin_ns: int, signals: Any, setpoint_valid: BoolArray, found: FloatArray) -> int:
+    """Sums of each bin that has rows; returns how many there are. Signals are (3, n)."""
+    (rate, force, attitude, setpoint), place, looked = signals, -1, -1
     for i in range(len(t_ns)):
         if place < 0 or t_ns[i] // bin_ns != found[place, 1]:
             place += 1
             found[place, 1] = t_ns[i] // bin_ns
-        bin_ = found[place]
-        bin_[3] += 1.0
-        bin_[4] += math.hypot(rate[0, i], rate[1, i])
-        square, down = 0.0, force[2, i]  # a vehicle that sends the z axis alone has that
+        bin_, square, down = found[place], 0.0, force[2, i]  # a vehicle that sends the z axis alone has that
         for axis in range(3):
             square += force[axis, i] ** 2 if math.isfinite(force[axis, i]) else 0.0
+        bin_[3] += 1.0
+        bin_[4] += math.hypot(rate[0, i], rate[1, i])
         bin_[5] += math.sqrt(square) / G if math.isfinite(down) else np.nan
         bin_[6] += down / G
         if t_ns[i] // LOOK_NS == looked:
             continue
         looked = t_ns[i] // LOOK_NS
-        x, y, z = _thrust(attitude, i)
-        x_wanted, y_wanted, z_wanted = _thrust(setpoint, i)
+        (x, y, z), (x_wanted, y_wanted, z_wanted) = _thrust(attitude, i), _thrust(setpoint, i)
         along = x * x_wanted + y * y_wanted + z * z_wanted
         bin_[7] += 1.0
         bin_[8] += math.acos(min(max(z, -1.0), 1.0)) if z == z else np.nan
@@ -109,42 +94,43 @@ def _sum_bins(
 
 def upset_in(motions: Iterable[FloatArray]) -> Upset | None:
     """The upset of a flight from its motion, in order of time; None if it has none."""
-    parts = list(motions)
-    motion = np.concatenate(parts) if parts else np.empty((0, 10))
+    motion = np.concatenate([np.empty((0, 10)), *motions])
     if not len(motion):
         return None
     starts = np.flatnonzero(np.any(np.diff(motion[:, :2], axis=0, prepend=-1.0) != 0, axis=1))
     sums = np.add.reduceat(motion[:, 3:], starts, axis=0)
     bin_s, number = motion[starts, 2], motion[starts, 1]
-    looks = np.maximum(sums[:, 4:5], 1.0)
-    means = np.hstack((sums[:, 1:4] / sums[:, :1], sums[:, 5:] / looks))
+    means = np.hstack((sums[:, 1:4] / sums[:, :1], sums[:, 5:] / np.maximum(sums[:, 4:5], 1.0)))
     unbroken = (np.diff(motion[starts, 0]) == 0) & (np.diff(number) == 1)
     edges = [0, *(np.flatnonzero(~unbroken) + 1).tolist(), len(starts)]
-    pieces = [(float(bin_s[a]), number[a:b] * bin_s[a], means[a:b]) for a, b in itertools.pairwise(edges)]
-    windows = [(size, t_s, window_mean(values, round(SIGN_S / size))) for size, t_s, values in pieces]
-    turning = np.concatenate([values[:, 0] for _, _, values in windows])
+    windows = [
+        (number[a:b] * bin_s[a], window_mean(means[a:b], round(SIGN_S / bin_s[a])))
+        for a, b in itertools.pairwise(edges)
+    ]
+    turning = np.concatenate([values[:, 0] for _, values in windows])
     turning = turning[np.isfinite(turning)]
     usual = float(np.quantile(turning, USUAL_SHARE)) if len(turning) else 0.0
-    signs = sorted(sign for _, t_s, values in windows for sign in _signs(t_s, values, usual))
-    if not signs:
+    found = sorted(sign for t_s, values in windows for sign in _signs(t_s, values, usual))
+    if not found:
         return None
-    begin_s, end_s = signs[0][0], max(stop for _, stop, _ in signs)
+    begin_s, end_s = found[0][0], max(stop for _, stop, _ in found)
     ends = float((number * bin_s)[-1]) < end_s + MARGIN_S + REST_S
     what = "ends in an upset" if ends else "has an upset in it"
-    return Upset(begin_s, end_s, ends, f"the flight {what}, at {begin_s:.1f} s: {signs[0][2]}")
+    return Upset(begin_s, end_s, ends, f"the flight {what}, at {begin_s:.1f} s: {found[0][2]}")
 
 
-def _signs(t_s: FloatArray, values: FloatArray, usual: float) -> Iterator[tuple[float, float, str]]:
-    """Start, end [s] and words of each sign. t_s: (n,) of bins. values: (m, 5) of the windows that begin with them."""
+def _signs(t_s: FloatArray, values: FloatArray, usual: float) -> list[tuple[float, float, str]]:
+    """Start, end [s] and words of each spell of a sign, with its greatest value. values: (m, 5) of windows from t_s."""
     turn, size, down, tilt, error = values.T
-    yield from _spells(t_s, turn > max(TUMBLE_RAD_S, TUMBLE_RATIO * usual), turn, "it turns at {:.1f} rad/s")
-    yield from _spells(t_s, size < FALL_G, -size, "free fall, specific force {:.2f} g")
-    yield from _spells(t_s, down > UPSIDE_DOWN_G, down, "upside down, specific force {:.1f} g towards the belly")
-    yield from _spells(t_s, tilt > TILT_RAD, np.degrees(tilt), "tilted by {:.0f} deg")
-    yield from _spells(t_s, error > ERROR_RAD, np.degrees(error), "attitude {:.0f} deg from its set-point")
-
-
-def _spells(t_s: FloatArray, sign: BoolArray, value: FloatArray, text: str) -> Iterator[tuple[float, float, str]]:
-    """Each spell of a sign over windows, with the size of its greatest value."""
-    for first, stop in spans(np.asarray(sign, dtype=np.bool_)):
-        yield float(t_s[first]), float(t_s[stop - 1]) + SIGN_S, text.format(abs(float(value[first:stop].max())))
+    signs = (
+        (turn, max(TUMBLE_RAD_S, TUMBLE_RATIO * usual), "it turns at {:.1f} rad/s"),
+        (-size, -FALL_G, "free fall, specific force {:.2f} g"),
+        (down, UPSIDE_DOWN_G, "upside down, specific force {:.1f} g towards the belly"),
+        (np.degrees(tilt), math.degrees(TILT_RAD), "tilted by {:.0f} deg"),
+        (np.degrees(error), math.degrees(ERROR_RAD), "attitude {:.0f} deg from its set-point"),
+    )
+    return [
+        (float(t_s[first]), float(t_s[stop - 1]) + SIGN_S, text.format(abs(float(value[first:stop].max()))))
+        for value, limit, text in signs
+        for first, stop in spans(np.asarray(value > limit, dtype=np.bool_))
+    ]

@@ -1,7 +1,6 @@
 """Windows over arrays, and a high-pass. What runs along a stream is in `rows.running`.
 
-Windows depend on their own rows alone, so a NaN spoils the windows that hold it and no other. numpy only: importing
-scipy.signal takes 0.8 s.
+Windows depend on their own rows alone, so a NaN spoils the windows that hold it and no other.
 """
 
 import math
@@ -19,13 +18,7 @@ BETA = 4.0  # of the Kaiser window: 45 dB of stop band (our choice)
 def highpass(corner: float, taps: int) -> FloatArray:
     """Linear-phase high-pass, (taps,), corner as a share of the sample rate; windowed sinc, unit gain at half the rate.
 
-    Its delay is (taps - 1)/2 samples; a constant does not pass. Read-only. Raises UsageError unless taps is odd and
-    above 2 and 0 < corner < 0.5.
-
-    >>> taps = highpass(0.06, 61)
-    >>> gain = abs(np.exp(-2j * np.pi * np.outer([0.0, 0.03, 0.06, 0.1, 0.167], np.arange(61))) @ taps)
-    >>> gain.round(2).tolist()
-    [0.0, 0.0, 0.5, 1.0, 1.0]
+    Its delay is (taps - 1)/2 samples. Read-only. Raises UsageError unless taps is odd, above 2 and 0 < corner < 0.5.
     """
     if taps < 3 or taps % 2 == 0 or not 0.0 < corner < 0.5:
         raise UsageError(
@@ -41,17 +34,12 @@ def highpass(corner: float, taps: int) -> FloatArray:
 
 
 def window_mean(x: FloatArray, window: int) -> FloatArray:
-    """Mean over each full window of rows, (n, k) -> (n - window + 1, k), none if there are fewer rows than that.
-
-    >>> window_mean(np.array([[1.0], [3.0], [5.0]]), 2)[:, 0].tolist()
-    [2.0, 4.0]
-    """
+    """Mean over each full window of rows, (n, k) -> (n - window + 1, k), none if there are fewer rows than that."""
     known, columns = max(0, len(x) - window + 1), x.shape[1]
     if known == 0:
         return np.empty((0, columns))
     # Each window is the end of one stretch of `window` rows and the begin of the next one.
-    count = -(-len(x) // window)
-    stretches = np.zeros((columns, count, window))
+    stretches = np.zeros((columns, -(-len(x) // window), window))
     stretches.reshape(columns, -1)[:, : len(x)] = x.T
     ends = np.empty(stretches.shape)
     np.add.accumulate(stretches[:, :, ::-1], axis=2, out=ends[:, :, ::-1])
@@ -65,12 +53,8 @@ def window_mean(x: FloatArray, window: int) -> FloatArray:
 
 def window_all(flags: BoolArray, window: int) -> BoolArray:
     """Whether each full window of flags is True throughout, (n,) -> (n - window + 1,)."""
-    known = max(0, len(flags) - window + 1)
-    if known == 0 or np.count_nonzero(flags) == len(flags):
-        return np.ones(known, dtype=np.bool_)
     bad = np.concatenate(([0], np.cumsum(~flags)))
-    whole: BoolArray = bad[window:] == bad[:known]
-    return whole
+    return np.asarray(bad[window:] == bad[: max(0, len(flags) - window + 1)], dtype=np.bool_)
 
 
 def spans(flags: BoolArray) -> list[tuple[int, int]]:
@@ -79,19 +63,13 @@ def spans(flags: BoolArray) -> list[tuple[int, int]]:
     >>> spans(np.array([True, False, True, True]))
     [(0, 1), (2, 4)]
     """
-    if not np.count_nonzero(flags):
-        return []
     edges = np.flatnonzero(np.diff(flags, prepend=False, append=False))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 @lru_cache(maxsize=64)
 def window_rows(window_s: float, dt_s: float) -> int:
-    """Rows in a window of `window_s` at a period of `dt_s` [s], at least 1. Raises UsageError if one is not positive.
-
-    >>> window_rows(5.0, 0.01)
-    500
-    """
+    """Rows in a window at a sample time [s], at least 1. Raises UsageError if one is not positive."""
     if not (math.isfinite(window_s) and window_s > 0 and math.isfinite(dt_s) and dt_s > 0):
         raise UsageError(f"window {window_s} s and sample time {dt_s} s must be positive")
     return max(1, round(window_s / dt_s))

@@ -35,10 +35,8 @@ class ReceivedText:
 class GroundStation:
     """What has been received so far.
 
-    judge: judges the vehicle here, too; None for nobody.
-    speak: send heartbeats, so that autopilots pass on texts to this link.
-    vehicle: the system id that is listened to; None for all.
-    signing: lets only genuine frames pass; None passes all.
+    judge: judges the vehicle here, too. speak: send heartbeats, so that autopilots pass on texts to this link.
+    vehicle: the system id that is listened to; None for all. signing: lets only genuine frames pass.
     texts: of the detectors, in order, each with the time of its own vehicle; the last ten thousand.
     figures: the latest NAMED_VALUE_FLOATs of the detector of the vehicle that is shown, by name.
     """
@@ -59,10 +57,7 @@ class GroundStation:
         self._decoder = Decoder(WANTED, signing=self.signing)
 
     def listen(self, timeout_s: float) -> list[ReceivedText | Change]:
-        """Take in what comes within `timeout_s`, or sooner; return the new texts, and changes of the judge's decision.
-
-        Raises as `LiveJudge.take`.
-        """
+        """Take in what comes within `timeout_s`, or sooner; return new texts, and changes of the judge's decision."""
         fresh: list[ReceivedText | Change] = []
         if self.speak and time.monotonic() >= self._beat_s:
             self._beat_s = time.monotonic() + BEAT_S

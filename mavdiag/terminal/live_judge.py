@@ -21,13 +21,9 @@ from mavdiag.units import NS_PER_S
 class LiveJudge:
     """The chain of a baseline at work on one vehicle of a link.
 
-    baseline: what is judged by.
-    span_s: how much of the flight `pieces` holds [s].
-    vehicle: its system id; None takes the only one there is.
-    datagrams: whether the link's chunks are datagrams.
-    began_ns: wall-clock time of the flight, unix epoch [ns].
-    signing: lets only genuine frames pass; None passes all.
-    pieces: what the chain made of the last seconds.
+    span_s: how much of the flight `pieces`, what the chain made of it, holds [s]. vehicle: its system id; None takes
+    the only one there is. datagrams: whether the link's chunks are datagrams. began_ns: start of the flight, unix
+    epoch [ns]. signing: lets only genuine frames pass.
     """
 
     baseline: Baseline
@@ -52,8 +48,7 @@ class LiveJudge:
     ) -> tuple[Change, ...]:
         """Take bytes of the link, each with its time of arrival [ns]; return the changes of the decision.
 
-        Raises InputError if there are several vehicles and none was named, BaselineError if the vehicle's link is not
-        the baseline's.
+        Raises InputError if there are several vehicles and none was named, BaselineError if the link is another.
         """
         received = self._decoder.feed(chunks, now_ns, sources)
         known = sorted(self._decoder.vehicles)

@@ -1,11 +1,9 @@
 """The picture of one vehicle in a terminal: headline, strips, monitors as bars, events, link.
 
-`View` says what is shown, `picture` lays it out within the size of the terminal. Nothing is read or judged here. Strips
-are curves in dots of Braille characters, so that a line moves smoothly. A column of dots stands for a span of time and
-shows all values in it, from the lowest to the highest: a spike of one sample is not lost.
+`View` says what is shown, `picture` lays it out. Strips are curves in dots of Braille characters. A column of dots
+stands for a span of time and shows all values in it: a spike of one sample is not lost.
 """
 
-import itertools
 import math
 import textwrap
 from collections.abc import Sequence
@@ -154,12 +152,6 @@ def line_for(news: ReceivedText | Change, text_from: str = "", change_from: str 
     return Line(news.t_ns / NS_PER_S, _SEVERITY.get(news.stage, Severity.INFO), f"{change_from}{words}")
 
 
-def rate_strips(judge: LiveJudge, axis: Axis) -> tuple[StripView, ...]:
-    """Of an axis with a model: measured and simulated rate (T Fig 5.6), and the residual with its margin (5.7)."""
-    traces = (trace for trace in rate_traces(judge.chain, judge.pieces) if trace.axis is axis and len(trace.t_ns))
-    return tuple(shown for trace in traces for shown in _strips_of(trace))
-
-
 def levels_of(judge: LiveJudge) -> tuple[Level, ...]:
     """Every monitor against its threshold; of one on two axes both."""
     found = []
@@ -181,6 +173,12 @@ def figure_levels(station: GroundStation) -> tuple[Level, ...]:
     )
 
 
+def rate_strips(judge: LiveJudge, axis: Axis) -> tuple[StripView, ...]:
+    """Of an axis with a model: measured and simulated rate (T Fig 5.6), and the residual with its margin (5.7)."""
+    traces = (trace for trace in rate_traces(judge.chain, judge.pieces) if trace.axis is axis and len(trace.t_ns))
+    return tuple(shown for trace in traces for shown in _strips_of(trace))
+
+
 def _strips_of(trace: RateTrace) -> tuple[StripView, StripView]:
     """No more rows than a strip can show: every n-th is kept, for what is filtered over 0.1 s has nothing between."""
     period_s = float(np.median(np.diff(trace.t_ns))) / NS_PER_S if len(trace.t_ns) > 1 else 1.0
@@ -188,13 +186,15 @@ def _strips_of(trace: RateTrace) -> tuple[StripView, StripView]:
     t_s, margin = trace.t_ns[thin] / NS_PER_S, trace.margin_rad_s
     measured, simulated = trace.measured[thin], trace.simulated[thin]
     residual = np.where(trace.judged, trace.residual, np.nan)[thin]
-    rates = (Curve(t_s, simulated, "cyan"), Curve(t_s, measured, "bright_white"))
     limits = (Curve(t_s, np.full(len(t_s), level), "red", dotted=True) for level in (-margin, margin))
     reach = max(LEAST_RATE, _highest(measured), _highest(simulated))
     far = max(OF_MARGIN * margin, _highest(residual))
+    rates = (Curve(t_s, simulated, "cyan"), Curve(t_s, measured, "bright_white"))
     beside = (*limits, Curve(t_s, residual, "yellow"))
-    name, unit = f"{trace.axis} rate", "rad/s"
-    return StripView(name, unit, rates, -reach, reach), StripView("residual", unit, beside, -far, far)
+    return (
+        StripView(f"{trace.axis} rate", "rad/s", rates, -reach, reach),
+        StripView("residual", "rad/s", beside, -far, far),
+    )
 
 
 def _highest(values: FloatArray) -> float:
@@ -205,19 +205,14 @@ def _wrapped(head: str, text: str, style: str, width: int) -> list[Text]:
     """A text of any length as lines of the width, the later ones indented as far as the head goes."""
     parts = textwrap.wrap(printable(text), max(width - len(head), 1)) or [""]
     heads = [head, *[" " * len(head)] * (len(parts) - 1)]
-    lines = [Text(before + part, style=style, no_wrap=True) for before, part in zip(heads, parts, strict=True)]
-    for line in lines:
-        line.truncate(width, overflow="ellipsis")  # of characters that are two cells wide
-    return lines
+    return [_cut(before + part, width, style) for before, part in zip(heads, parts, strict=True)]
 
 
 def _strip(shown: StripView, view: View, width: int) -> list[Text]:
     lines = strip(shown, view.from_s, view.to_s, width - MARGIN, STRIP_ROWS)
     scale = (f"{shown.high:+.2g}", shown.name, shown.unit, f"{shown.low:+.2g}")
-    return [
-        Text(f"{words:>{MARGIN - 1}.{MARGIN - 1}} ", no_wrap=True, style="dim").append_text(line)
-        for words, line in zip(scale, lines, strict=True)
-    ]
+    heads = (Text(f"{words:>{MARGIN - 1}.{MARGIN - 1}} ", no_wrap=True, style="dim") for words in scale)
+    return [head.append_text(line) for head, line in zip(heads, lines, strict=True)]
 
 
 def strip(shown: StripView, from_s: float, to_s: float, width: int, rows: int) -> list[Text]:
@@ -243,26 +238,17 @@ def strip(shown: StripView, from_s: float, to_s: float, width: int, rows: int) -
 
 
 def _dots(at: FloatArray, share: FloatArray, columns: int, rows: int, step: int) -> BoolArray:
-    """Which dots a curve sets, (rows, columns), from the top. at: (n,) columns. share: (n,) of the height, NaN breaks.
-
-    A column without samples is filled, unless a break is in it, and neighbours meet.
-    """
-    inside, known = (at >= 0) & (at < columns), np.isfinite(share)
-    row = np.clip(np.round(share[inside & known] * (rows - 1)), 0, rows - 1).astype(np.int64)
-    top, bottom = np.full(columns, rows), np.full(columns, -1)
-    np.minimum.at(top, at[inside & known].astype(np.int64), row)
-    np.maximum.at(bottom, at[inside & known].astype(np.int64), row)
-    breaks = np.unique(at[inside & ~known])
-    for before, after in itertools.pairwise(np.flatnonzero(bottom >= 0)):
-        if after - before > 1 and not ((breaks > before) & (breaks < after)).any():
-            between = np.arange(before + 1, after)
-            top[between] = bottom[between] = np.round(np.interp(between, (before, after), (bottom[before], top[after])))
-    for before, after in itertools.pairwise(np.flatnonzero(bottom >= 0)):
-        if after == before + 1:
-            top[after] = min(top[after], bottom[before] + 1)
-            bottom[after] = max(bottom[after], top[before] - 1)
-    every = np.arange(rows)[:, None]
-    dots: BoolArray = (every >= top) & (every <= bottom) & (np.arange(columns) % step == 0)
+    """Which dots a curve sets, (rows, columns), from the top. at: (n,) columns. share: (n,) of the height, or NaN."""
+    points = np.stack((at, np.clip(share, 0.0, 1.0) * (rows - 1)))
+    legs = np.diff(points, axis=1)
+    counts = np.ceil(np.abs(legs).max(axis=0, initial=0.0))
+    counts = np.where(np.isfinite(counts), np.maximum(counts, 1), 0).astype(np.int64)
+    along = (np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)) / np.repeat(counts, counts)
+    line = np.hstack((points, np.repeat(points[:, :-1], counts, axis=1) + along * np.repeat(legs, counts, axis=1)))
+    line = line[:, (line[0] >= 0) & (line[0] < columns) & np.isfinite(line[1])]
+    dots = np.zeros((rows, columns), dtype=np.bool_)
+    dots[np.round(line[1]).astype(np.int64), line[0].astype(np.int64)] = True
+    dots[:, np.arange(columns) % step != 0] = False
     return dots
 
 
@@ -273,14 +259,16 @@ def _levels(levels: Sequence[Level], width: int) -> Table:
     for level in levels:
         row = Table.grid(padding=(0, 1))
         if level.reason:
-            words = Text(f"not judged: {printable(level.reason)}", style="dim", no_wrap=True)
-            words.truncate(room + FIGURES_WIDTH + 1, overflow="ellipsis")
-            row.add_row(words)
+            row.add_row(_cut(f"not judged: {printable(level.reason)}", room + FIGURES_WIDTH + 1, "dim"))
         else:
             colour = "red" if level.value > level.threshold else "green"
             bar = Bar(2 * level.threshold or 1.0, 0, max(level.value, 0.0), width=room, color=colour)
-            figures = Text(f"{level.value:8.3g} of {level.threshold:.3g} {level.unit}", no_wrap=True)
-            figures.truncate(FIGURES_WIDTH, overflow="ellipsis")
-            row.add_row(bar, figures)
+            row.add_row(bar, _cut(f"{level.value:8.3g} of {level.threshold:.3g} {level.unit}", FIGURES_WIDTH))
         table.add_row(Text(f"{level.name:<{NAME_WIDTH}.{NAME_WIDTH}}", no_wrap=True), row)
     return table
+
+
+def _cut(words: str, width: int, style: str = "") -> Text:
+    text = Text(words, style=style, no_wrap=True)
+    text.truncate(width, overflow="ellipsis")  # characters may be two cells wide
+    return text

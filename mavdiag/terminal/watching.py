@@ -31,10 +31,7 @@ SILENT = "nothing was received yet; is the vehicle or the detector sending to th
 
 
 class Screen(ExitStack):
-    """A picture that is drawn again and again on a terminal; on anything else one line an event; silent if `quiet`.
-
-    draw: gives the picture, of all events so far; it is called only where there is a terminal.
-    """
+    """A picture of all events so far, drawn again and again on a terminal; on anything else one line an event."""
 
     def __init__(
         self, draw: Callable[[Sequence[Line]], View], *, quiet: bool = False, console: Console | None = None
@@ -99,7 +96,7 @@ def listen(
 ) -> list[Change]:
     """Show what a ground station hears until `ended`; return how the decision of its judge changed.
 
-    whose: what stands before the detector's texts, and before those changes. Raises as `GroundStation.listen`.
+    whose: what stands before the detector's texts, and before those changes.
     """
     changes: list[Change] = []
     with Screen(view, quiet=quiet) as screen:
@@ -123,7 +120,7 @@ def link_view(station: GroundStation, now_s: float, span_s: float, axis: Axis, e
 
 @dataclass(slots=True)
 class VehicleStory:
-    """What a journal says of one vehicle: the latest state of the session, stage of the decision and its reason."""
+    """What a journal says of one vehicle: the latest state of its session, stage of the decision and reason."""
 
     state: str = ""
     stage: str = ""
@@ -149,9 +146,8 @@ class VehicleStory:
 
 
 class Journal:
-    """The journal of a detector, followed while it is written: its vehicles, as far as it was read, over rotations too.
+    """The journal of a detector, followed while it is written, over rotations too.
 
-    It holds events and texts, no rates: a display of it has no strips.
     vehicles: by system id. damaged: lines that could not be read. Raises InputError if there is no such file.
     """
 

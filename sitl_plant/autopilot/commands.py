@@ -1,13 +1,11 @@
 """What the emulated autopilot does with the frames it receives: answer and obey what is meant for it, pass on the rest.
 
-Sans-I/O: frames in; replies, forwards and orders for the plant out. Routing follows ArduPilot's rules (developer
-documentation, "MAVLink Routing in ArduPilot"): a broadcast goes to every other link that is in use; a message with an
-address goes to the link over which that component sends; nothing goes back where it came from, and nothing that claims
-to come from the autopilot itself is believed.
+Sans-I/O. Routing follows ArduPilot's rules (developer documentation, "MAVLink Routing in ArduPilot"): a broadcast goes
+to every other link that is in use; a message with an address goes to the link over which that component sends; nothing
+goes back where it came from, and nothing that claims to come from the autopilot itself is believed.
 
 MAV_CMD_INJECT_FAILURE damages motors. While the parameter `SIM_PROP_FAULT` is 1 to 3, every failure but OK is a damaged
-propeller of the thesis: F1 to F3, with the severity `SIM_PROP_SEV`, SV1 to SV3. At 0, OFF stops the motor and SLOW lets
-it turn at nine tenths of its speed.
+propeller of the thesis: F1 to F3, with the severity `SIM_PROP_SEV`. At 0, OFF stops the motor and SLOW slows it down.
 """
 
 import math
@@ -18,11 +16,11 @@ from typing import Literal, TypeAlias
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
 from sitl_plant.autopilot.dialect import FAULT, SEVERITY, Dialect, Encoding, Firmware, Mode, Parameters
-from sitl_plant.autopilot.mission import Mission
+from sitl_plant.autopilot.mission import HANDLED, Mission
 from sitl_plant.autopilot.pilot import Pilot, Place, Waypoint
 from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.stream import HOME_ALT_M, to_local
-from sitl_plant.autopilot.wire import DEGREES, Action, Forward, Order, Reply, number, optional, order_of
+from sitl_plant.autopilot.wire import DEGREES, Action, Forward, Order, Reply, integer, number, optional, order_of
 from sitl_plant.physics.faults import Injection, RotorDamage, fault_injection
 from sitl_plant.physics.trajectory import Leg
 from sitl_plant.plant import PlantConfig, PlantSamples
@@ -65,29 +63,6 @@ class Autopilot:
         self._orders: list[PlantOrder] = []
         self._routes: dict[tuple[int, int], int] = {}
         self._told_ns, self._yaw = 0, 0.0
-        self._handlers: Mapping[int, Callable[[int, Frame, int], list[Action]]] = {
-            MessageId.COMMAND_LONG: self._command,
-            MessageId.COMMAND_INT: self._command,
-            MessageId.SET_MODE: self._set_mode,
-            MessageId.SET_POSITION_TARGET_LOCAL_NED: self._set_point,
-            MessageId.SET_POSITION_TARGET_GLOBAL_INT: self._set_point,
-            MessageId.PARAM_REQUEST_LIST: lambda link, frame, now_ns: self._parameters.all(link),
-            MessageId.PARAM_REQUEST_READ: lambda link, frame, now_ns: self._parameters.read(link, frame),
-            MessageId.PARAM_SET: lambda link, frame, now_ns: self._parameters.set(link, frame),
-            MessageId.TIMESYNC: self._tell_time,
-            MessageId.PING: self._ping,
-            MessageId.REQUEST_DATA_STREAM: self._set_stream,
-            **dict.fromkeys(self._mission.handled, self._mission.step),
-        }
-        self._commands: Mapping[int, Callable[[int, Order], _Answer]] = {
-            MavCmd.SET_MESSAGE_INTERVAL: self._set_interval,
-            MavCmd.GET_MESSAGE_INTERVAL: lambda link, order: self._tell_interval(link, order.whole(1)),
-            MavCmd.REQUEST_MESSAGE: self._request,
-            MavCmd.REQUEST_PROTOCOL_VERSION: lambda link, order: self._tell_protocol(link),
-            MavCmd.REQUEST_AUTOPILOT_CAPABILITIES: lambda link, order: self._tell_version(link),
-            MavCmd.GET_HOME_POSITION: lambda link, order: (self._schedules[link].ask_once(MessageId.HOME_POSITION), []),
-            MavCmd.INJECT_FAILURE: self._inject,
-        }
 
     @property
     def dialect(self) -> Dialect:
@@ -101,15 +76,14 @@ class Autopilot:
             return []
         if source in self._routes or len(self._routes) < ROUTES_MAX:
             self._routes[source] = link
-        system, component = (int(number(frame, name)) for name in ("target_system", "target_component"))  # 0: everyone
+        system, component = integer(frame, "target_system"), integer(frame, "target_component")  # 0: everyone
         actions: list[Action] = []
         if (system, component) != self._identity:
             ways = ((to, s, c) for (s, c), to in self._routes.items() if to != link)
             meant = {to for to, s, c in ways if system in (0, s) and component in (Component.ALL, c)}
             actions += [Forward(to, frame) for to in sorted(meant)]
         if system in (0, self._identity[0]) and component in (Component.ALL, self._identity[1]):
-            handler = self._handlers.get(frame.msgid)
-            actions += handler(link, frame, now_ns) if handler else []
+            actions += self._handle(link, frame, now_ns)
         return actions
 
     def watch(self, samples: PlantSamples) -> tuple[list[Action], list[PlantOrder]]:
@@ -118,7 +92,7 @@ class Autopilot:
         leg = self._pilot.step(samples)
         orders, self._orders = [*self._orders, *([leg] if leg is not None else [])], []
         actions = self._mission.tick(now_ns)
-        texts, reached = self._pilot.take_texts(), self._pilot.take_reached()
+        texts, reached = self._pilot.take_news()
         tells = now_ns - self._told_ns >= STATUS_NS and len(self._mission) > 0
         for link in sorted(set(self._routes.values())):
             actions += [Reply(link, MessageId.STATUSTEXT, (Severity.INFO, text)) for text in texts]
@@ -127,57 +101,84 @@ class Autopilot:
         self._told_ns = now_ns if tells else self._told_ns
         return actions, orders
 
-    def _command(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        order, replies = order_of(frame), list[Action]()
-        if order.command in self._commands:
-            result, replies = self._commands[order.command](link, order)
-        elif order.command in ORDERS:
-            result = ORDERS[order.command](self._pilot, self._firmware, order)
-        else:
-            result = MavResult.UNSUPPORTED
-        return [_ack(link, frame, order.command, result), *replies]
+    def _handle(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
+        parameters = self._parameters
+        match frame.msgid:
+            case MessageId.COMMAND_LONG | MessageId.COMMAND_INT:
+                order = order_of(frame)
+                result, replies = self._command(link, order)
+                return [_ack(link, frame, order.command, result), *replies]
+            case MessageId.SET_MODE:  # acknowledged as ArduPilot does: the message has no command
+                return [_ack(link, frame, frame.msgid, self._pilot.set_mode(integer(frame, "custom_mode")))]
+            case MessageId.SET_POSITION_TARGET_LOCAL_NED | MessageId.SET_POSITION_TARGET_GLOBAL_INT:
+                follow_set_point(self._pilot, frame, self._yaw)
+            case MessageId.PARAM_REQUEST_LIST:
+                return parameters.all(link)
+            case MessageId.PARAM_REQUEST_READ:
+                return parameters.read(link, frame)
+            case MessageId.PARAM_SET:
+                return parameters.set(link, frame)
+            case MessageId.TIMESYNC if not number(
+                frame, "tc1"
+            ):  # a request gets its ts1 back beside the vehicle's time
+                return [Reply(link, MessageId.TIMESYNC, (now_ns, integer(frame, "ts1")))]
+            case MessageId.PING if not optional(frame, "target_system"):
+                brought = integer(frame, "time_usec"), integer(frame, "seq")
+                return [Reply(link, MessageId.PING, (*brought, frame.sysid, frame.compid))]
+            case MessageId.REQUEST_DATA_STREAM:
+                names = ("req_stream_id", "req_message_rate", "start_stop")
+                stream, rate_hz, start = (integer(frame, name) for name in names)
+                streams = self._dialect.streams
+                messages = sum(streams.values(), ()) if stream == ALL_STREAMS else streams.get(stream, ())
+                if start in (0, 1):
+                    self._schedules[link].set_stream(messages, rate_hz * start)
+            case msgid if msgid in HANDLED:
+                return self._mission.step(link, frame, now_ns)
+        return []
 
-    def _set_interval(self, link: int, order: Order) -> _Answer:
-        return self._schedules[link].set_interval(order.whole(1), order.param[1] or 0.0), []
+    def _command(self, link: int, order: Order) -> _Answer:
+        schedule = self._schedules[link]
+        match order.command:
+            case MavCmd.SET_MESSAGE_INTERVAL:
+                return schedule.set_interval(order.whole(1), order.param[1] or 0.0), []
+            case MavCmd.GET_MESSAGE_INTERVAL:
+                return self._tell(link, MessageId.MESSAGE_INTERVAL, order.whole(1))
+            case MavCmd.REQUEST_MESSAGE:
+                return self._tell(link, order.whole(1), order.whole(2))
+            case MavCmd.REQUEST_PROTOCOL_VERSION:
+                return self._tell(link, MessageId.PROTOCOL_VERSION)
+            case MavCmd.REQUEST_AUTOPILOT_CAPABILITIES:
+                return self._tell(link, MessageId.AUTOPILOT_VERSION)
+            case MavCmd.GET_HOME_POSITION:
+                return self._tell(link, MessageId.HOME_POSITION)
+            case MavCmd.INJECT_FAILURE:
+                return self._inject(order), []
+        obeyed = ORDERS.get(order.command)
+        return (obeyed(self._pilot, self._firmware, order) if obeyed else MavResult.UNSUPPORTED), []
 
-    def _request(self, link: int, order: Order) -> _Answer:
-        match order.whole(1):
+    def _tell(self, link: int, msgid: int, wanted: int = 0) -> _Answer:
+        """REQUEST_MESSAGE. wanted: its second parameter."""
+        told: list[tuple[int | str | tuple[int, ...], ...]]
+        match msgid:
             case MessageId.AUTOPILOT_VERSION:
-                return self._tell_version(link)
+                can = ALWAYS | (BYTEWISE if self._firmware.encoding is Encoding.BYTES else C_CAST)
+                can |= IN_COMMAND if self._config.commanded else 0
+                told = [(can, VERSION, VERSION, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, UID)]
             case MessageId.PROTOCOL_VERSION:
-                return self._tell_protocol(link)
-            case MessageId.MESSAGE_INTERVAL:
-                return self._tell_interval(link, order.whole(2))
+                told = [(PROTOCOL, PROTOCOL, PROTOCOL)]
+            case MessageId.MESSAGE_INTERVAL:  # 0 means that the message is not carried
+                told = [(wanted, self._schedules[link].interval_us(wanted))]
             case MessageId.AVAILABLE_MODES:
-                return self._tell_modes(link, order.whole(2))
+                modes = list(enumerate(self._firmware.modes, start=1))
+                told = [(len(modes), n, 0, code.custom_mode, 0, code.name) for n, code in modes if wanted in (0, n)]
             case MessageId.MISSION_CURRENT:
                 return MavResult.ACCEPTED, [self._mission.current(link, self._pilot.first)]
-            case msgid:
+            case _:
                 return self._schedules[link].ask_once(msgid), []
+        replies: list[Action] = [Reply(link, msgid, fields) for fields in told]
+        return (MavResult.ACCEPTED if told else MavResult.DENIED), replies
 
-    def _tell_version(self, link: int) -> _Answer:
-        can = ALWAYS | (BYTEWISE if self._firmware.encoding is Encoding.BYTES else C_CAST)
-        can |= IN_COMMAND if self._config.commanded else 0
-        fields = (can, VERSION, VERSION, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, UID)
-        return MavResult.ACCEPTED, [Reply(link, MessageId.AUTOPILOT_VERSION, fields)]
-
-    def _tell_protocol(self, link: int) -> _Answer:
-        return MavResult.ACCEPTED, [Reply(link, MessageId.PROTOCOL_VERSION, (PROTOCOL, PROTOCOL, PROTOCOL))]
-
-    def _tell_interval(self, link: int, msgid: int) -> _Answer:
-        interval_us = self._schedules[link].interval_us(msgid)  # 0 means that the message is not carried
-        return MavResult.ACCEPTED, [Reply(link, MessageId.MESSAGE_INTERVAL, (msgid, interval_us))]
-
-    def _tell_modes(self, link: int, wanted: int) -> _Answer:
-        modes = self._firmware.modes
-        told: list[Action] = [
-            Reply(link, MessageId.AVAILABLE_MODES, (len(modes), number, 0, code.custom_mode, 0, code.name))
-            for number, code in enumerate(modes, start=1)
-            if wanted in (0, number)
-        ]
-        return (MavResult.ACCEPTED if told else MavResult.DENIED), told
-
-    def _inject(self, link: int, order: Order) -> _Answer:
+    def _inject(self, order: Order) -> MavResult:
         """INJECT_FAILURE: unit, type, instance (0 is every motor; without one, those of the mask)."""
         kind, mask, every = order.whole(2), order.whole(4), set(range(1, self._rotors + 1))
         fault, severity = (round(self._parameters.value(name)) for name in (FAULT, SEVERITY))
@@ -186,11 +187,11 @@ class Autopilot:
         else:
             motors = {order.whole(3)} if order.whole(3) else every
         if not self._parameters.value("SYS_FAILURE_EN", 1):
-            return MavResult.DENIED, []
+            return MavResult.DENIED
         if order.whole(1) != SYSTEM_MOTOR or (kind != OK and not fault and kind not in MOTORS):
-            return MavResult.UNSUPPORTED, []
+            return MavResult.UNSUPPORTED
         if not motors or not motors <= every:
-            return MavResult.DENIED, []
+            return MavResult.DENIED
         for motor in sorted(motors):
             self._failures.pop(motor, None)
             if kind != OK and fault:
@@ -200,15 +201,7 @@ class Autopilot:
                 name, damage = MOTORS[kind]
                 self._failures[motor] = Injection(damage, motor, name=name)
         self._orders += ["clear", *self._failures.values()]
-        return MavResult.ACCEPTED, []
-
-    def _set_mode(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        result = self._pilot.set_mode(int(number(frame, "custom_mode")))
-        return [_ack(link, frame, MessageId.SET_MODE, result)]  # as ArduPilot does: the message has no command
-
-    def _set_point(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        follow_set_point(self._pilot, frame, self._yaw)
-        return []
+        return MavResult.ACCEPTED
 
     def _plan(self, frames: tuple[Frame, ...]) -> bool:
         plan = waypoints([order_of(frame) for frame in frames], self._firmware)
@@ -216,37 +209,15 @@ class Autopilot:
             self._pilot.plan_mission(plan)
         return plan is not None
 
-    def _set_stream(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        stream, rate_hz, start = (number(frame, name) for name in ("req_stream_id", "req_message_rate", "start_stop"))
-        streams = self._dialect.streams
-        messages = sum(streams.values(), ()) if stream == ALL_STREAMS else streams.get(int(stream), ())
-        if start in (0, 1):
-            self._schedules[link].set_stream(messages, rate_hz * start)
-        return []
-
-    def _ping(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        if optional(frame, "target_system"):
-            return []
-        brought = int(number(frame, "time_usec")), int(number(frame, "seq"))
-        return [Reply(link, MessageId.PING, (*brought, frame.sysid, frame.compid))]
-
-    def _tell_time(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        """TIMESYNC: a request has tc1 = 0 and gets its ts1 back beside the vehicle's time."""
-        if number(frame, "tc1"):
-            return []
-        return [Reply(link, MessageId.TIMESYNC, (now_ns, int(number(frame, "ts1"))))]
-
 
 def _ack(link: int, frame: Frame, command: int, result: MavResult) -> Reply:
     return Reply(link, MessageId.COMMAND_ACK, (command, result, 0, 0, frame.sysid, frame.compid))
 
 
 def _height(order: Order, amsl: bool) -> float | None:
-    """Above home; None if it is not given."""
-    if order.z is None:
-        return None
+    """Above home; None if it is not given. amsl: it is above the sea wherever no frame says otherwise."""
     above_sea = amsl if order.frame is None else order.frame in ABOVE_SEA
-    return order.z - HOME_ALT_M if above_sea else order.z
+    return None if order.z is None else order.z - HOME_ALT_M * above_sea
 
 
 def _place(order: Order, firmware: Firmware, here: Place) -> Place | None:
@@ -254,7 +225,6 @@ def _place(order: Order, firmware: Firmware, here: Place) -> Place | None:
     if order.frame is not None and order.frame not in ABOVE_SEA + ABOVE_HOME:
         return None
     there = here[:2] if not order.x or not order.y else to_local(order.x, order.y)
-    # the altitude of DO_REPOSITION is above the sea wherever no frame says otherwise
     height = _height(order, firmware.amsl or order.command == MavCmd.DO_REPOSITION)
     return there[0], there[1], here[2] if height is None else -height
 
@@ -312,7 +282,6 @@ def waypoints(orders: Sequence[Order], firmware: Firmware) -> tuple[Waypoint, ..
 
 
 def _waypoint(seq: int, order: Order, here: Place, firmware: Firmware) -> tuple[Waypoint, ...] | None:
-    """What a mission item means after a place; None for one that cannot be flown."""
     place, wait_s, down = _place(order, firmware, here), order.param[0] or 0.0, Waypoint(lands=True, item=seq)
     if order.command in _GOES:
         climbs = order.command == MavCmd.NAV_TAKEOFF
@@ -329,7 +298,7 @@ def _waypoint(seq: int, order: Order, here: Place, firmware: Firmware) -> tuple[
 
 def follow_set_point(pilot: Pilot, frame: Frame, yaw_now: float) -> None:
     """Obey SET_POSITION_TARGET_LOCAL_NED or _GLOBAL_INT: its position, else its velocity."""
-    mask, kind = int(number(frame, "type_mask")), int(number(frame, "coordinate_frame"))
+    mask, kind = integer(frame, "type_mask"), integer(frame, "coordinate_frame")
     yaw = None if mask & NO_YAW else number(frame, "yaw")
     turn = yaw_now if kind in (BODY_NED, BODY_OFFSET_NED) else 0.0
     c, s = math.cos(turn), math.sin(turn)

@@ -1,13 +1,8 @@
 """How the emulated autopilots differ on the wire, beyond their link profile: modes, commands, parameters, one row each.
 
-Units, filter and stamps are those of `mavdiag.link.profiles`, so that what is sent is what is understood. Facts about
-ArduPilot Copter and PX4 were read in their sources and checked against their simulators (2026). Where the emulator
-departs from them, so that it is useful without being asked, the row says so. custom_mode of ArduPilot is the number of
-a mode (AP_Mode); PX4 packs a main mode into byte 2 and a sub mode into byte 3 (px4_custom_mode.h).
-
-Parameters are listed, read and set by the MAVLink parameter protocol. A set is checked against type and range; the
-answer is always the value in force. PARAM_VALUE carries every value in a float field: PX4 puts the bytes of an integer
-there, ArduPilot its value.
+Facts about ArduPilot Copter and PX4 were read in their sources and checked against their simulators (2026); where the
+emulator departs from them, so that it is useful without being asked, the row says so. custom_mode of ArduPilot is the
+number of a mode (AP_Mode); PX4 packs a main mode into byte 2 and a sub mode into byte 3 (px4_custom_mode.h).
 """
 
 import struct
@@ -18,17 +13,15 @@ from typing import NamedTuple
 
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.errors import UsageError
-from mavdiag.link.codec import Frame
+from mavdiag.link.codec import Frame, field_index
 from mavdiag.link.messages import MavResult, MessageId
 from mavdiag.link.profiles import PROFILES, Profile, Stamp, profile_named
 from sitl_plant.autopilot.schedule import Schedule
-from sitl_plant.autopilot.wire import Action, Reply, number, text
+from sitl_plant.autopilot.wire import Action, Reply, integer, number
 from sitl_plant.vehicle import Vehicle, airframe_of
 
 ESC_GROUP = 4  # rotors in one message of their speeds
 FRAME_CLASSES, FRAME_TYPES = {4: 1, 6: 2, 8: 3}, (0, 1)  # ArduPilot: quad, hexa, octa; plus, X
-
-
 # Parameters of the emulator's own: the propeller that INJECT_FAILURE damages, and 1 to turn the nose along a line.
 FAULT, SEVERITY, NOSE = "SIM_PROP_FAULT", "SIM_PROP_SEV", "SIM_NOSE"
 
@@ -60,55 +53,59 @@ class Parameter(NamedTuple):
 
 
 class Parameters:
-    """The parameters of one vehicle."""
+    """The parameters of one vehicle, by the MAVLink parameter protocol; the answer is always the value in force."""
 
     def __init__(self, rows: Sequence[Parameter], encoding: Encoding = Encoding.CAST) -> None:
         kind = {Encoding.BYTES: Kind.INT32, Encoding.FLOAT: Kind.REAL32}.get(encoding)
-        self._bytewise = encoding is Encoding.BYTES
-        self._rows = {row.name: row for row in rows}
-        self._kinds = {row.name: kind if kind and row.kind is not Kind.REAL32 else row.kind for row in rows}
-        self._names = list(self._rows)
-        self._values = {row.name: row.value for row in rows}
+        self._bytewise, self._whole = encoding is Encoding.BYTES, {r.name for r in rows if r.kind is not Kind.REAL32}
+        self._rows = {row.name: row._replace(kind=kind) if kind and row.name in self._whole else row for row in rows}
 
     def value(self, name: str, default: float = 0.0) -> float:
         """The value in force; the default for a name that there is not."""
-        return self._values.get(name, default)
+        return self._rows[name].value if name in self._rows else default
 
     def change(self, name: str, value: float) -> bool:
         """Whether a value was taken: the name is known, can be set, and the value is within its span."""
         row = self._rows.get(name)
         if row is None or row.span is None or not row.span[0] <= value <= row.span[1]:
             return False
-        self._values[name] = value if row.kind is Kind.REAL32 else float(round(value))
+        self._rows[name] = row._replace(value=float(round(value)) if name in self._whole else value)
         return True
 
     def all(self, link: int) -> list[Action]:
         """The answer to PARAM_REQUEST_LIST."""
-        return [self._reply(link, name) for name in self._names]
+        return [action for name in self._rows for action in self._told(link, name)]
 
     def read(self, link: int, frame: Frame) -> list[Action]:
         """The answer to PARAM_REQUEST_READ, by index or by name; nothing for an unknown one."""
-        index, name = int(number(frame, "param_index")), text(frame, "param_id")
-        if index >= 0:
-            name = self._names[index] if index < len(self._names) else ""
-        return [self._reply(link, name)] if name in self._rows else []
+        index = integer(frame, "param_index")
+        names = [_name(frame)] if index < 0 else list(self._rows)[index : index + 1]
+        return self._told(link, *names)
 
     def set(self, link: int, frame: Frame) -> list[Action]:
-        """The answer to PARAM_SET: the value in force; nothing for an unknown name."""
-        name, value = text(frame, "param_id"), number(frame, "param_value")
+        """The answer to PARAM_SET; nothing for an unknown name."""
+        name, value = _name(frame), number(frame, "param_value")
+        if name in self._rows:
+            kind = self._rows[name].kind
+            if self._bytewise and kind is not Kind.REAL32:
+                value = float(struct.unpack_from("<i", frame.payload)[0])  # param_value is first on the wire
+            if not self._bytewise or integer(frame, "param_type") == kind:
+                self.change(name, value)
+        return self._told(link, name)
+
+    def _told(self, link: int, name: str = "") -> list[Action]:
         if name not in self._rows:
             return []
-        if self._bytewise and self._kinds[name] is not Kind.REAL32:
-            value = float(struct.unpack_from("<i", frame.payload)[0])  # param_value is first on the wire
-        if not self._bytewise or int(number(frame, "param_type")) == self._kinds[name]:
-            self.change(name, value)
-        return [self._reply(link, name)]
-
-    def _reply(self, link: int, name: str) -> Reply:
-        kind, value = self._kinds[name], self._values[name]
-        if self._bytewise and kind is not Kind.REAL32:
+        row, place = self._rows[name], list(self._rows).index(name)
+        value = row.value
+        if self._bytewise and row.kind is not Kind.REAL32:
             value = struct.unpack("<f", struct.pack("<i", round(value)))[0]
-        return Reply(link, MessageId.PARAM_VALUE, (name, value, kind, len(self._names), self._names.index(name)))
+        return [Reply(link, MessageId.PARAM_VALUE, (name, value, row.kind, len(self._rows), place))]
+
+
+def _name(frame: Frame) -> str:
+    value = frame.fields[field_index(frame.msgid, "param_id")]
+    return value.partition(b"\0")[0].decode(errors="replace") if isinstance(value, bytes) else ""
 
 
 OWN_PARAMETERS = (
@@ -164,32 +161,30 @@ class Firmware:
         return next(code.custom_mode for code in self.modes if code.mode is mode)
 
 
-def _px4(main: int, sub: int = 0) -> int:
-    return main << 16 | sub << 24
-
-
-_COPTER_MODES = (
-    ModeCode(4, Mode.GUIDED, "GUIDED"),
-    ModeCode(5, Mode.HOLD, "LOITER"),
-    ModeCode(0, Mode.MANUAL, "STABILIZE"),
-    ModeCode(2, Mode.MANUAL, "ALT_HOLD"),
-    ModeCode(3, Mode.MISSION, "AUTO"),
-    ModeCode(6, Mode.RTL, "RTL"),
-    ModeCode(9, Mode.LAND, "LAND"),
-    ModeCode(16, Mode.HOLD, "POSHOLD"),
-    ModeCode(17, Mode.HOLD, "BRAKE"),
+_COPTER_MODES = tuple(
+    ModeCode(number, mode, name)
+    for mode, codes in (
+        (Mode.GUIDED, {4: "GUIDED"}),
+        (Mode.HOLD, {5: "LOITER", 16: "POSHOLD", 17: "BRAKE"}),
+        (Mode.MANUAL, {0: "STABILIZE", 2: "ALT_HOLD"}),
+        (Mode.MISSION, {3: "AUTO"}),
+        (Mode.RTL, {6: "RTL"}),
+        (Mode.LAND, {9: "LAND"}),
+    )
+    for number, name in codes.items()
 )
-_PX4_MODES = (
-    ModeCode(_px4(4, 3), Mode.HOLD, "Hold"),
-    ModeCode(_px4(6), Mode.GUIDED, "Offboard"),
-    ModeCode(_px4(1), Mode.MANUAL, "Manual"),
-    ModeCode(_px4(2), Mode.MANUAL, "Altitude"),
-    ModeCode(_px4(3), Mode.MANUAL, "Position"),
-    ModeCode(_px4(7), Mode.MANUAL, "Stabilized"),
-    ModeCode(_px4(4, 2), Mode.TAKEOFF, "Takeoff"),
-    ModeCode(_px4(4, 4), Mode.MISSION, "Mission"),
-    ModeCode(_px4(4, 5), Mode.RTL, "Return"),
-    ModeCode(_px4(4, 6), Mode.LAND, "Land"),
+_PX4_MODES = tuple(
+    ModeCode(main << 16 | sub << 24, mode, name)
+    for mode, codes in (
+        (Mode.HOLD, {(4, 3): "Hold"}),
+        (Mode.GUIDED, {(6, 0): "Offboard"}),
+        (Mode.MANUAL, {(1, 0): "Manual", (2, 0): "Altitude", (3, 0): "Position", (7, 0): "Stabilized"}),
+        (Mode.TAKEOFF, {(4, 2): "Takeoff"}),
+        (Mode.MISSION, {(4, 4): "Mission"}),
+        (Mode.RTL, {(4, 5): "Return"}),
+        (Mode.LAND, {(4, 6): "Land"}),
+    )
+    for (main, sub), name in codes.items()
 )
 
 SPEED_MOST, HEIGHT_MOST = 2.0, 50.0  # m/s that the thesis's cascade flies well; m

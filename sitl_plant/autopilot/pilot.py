@@ -1,7 +1,6 @@
 """The pilot of a commanded flight: arm, take off, go, hold, land, return, fly a mission, disarm.
 
-Sans-I/O: commands and samples in, a `Leg` for the plant out. A vehicle that follows a path of its own has a pilot that
-refuses what would change it. Its figures are our choice; those of ArduPilot and PX4 say so.
+Sans-I/O: commands and samples in, a `Leg` for the plant out. Figures are our choice; ArduPilot's and PX4's say so.
 """
 
 import math
@@ -72,15 +71,10 @@ class Pilot:
         if commanded:
             self._led()  # compiles it, which would take a second in flight
 
-    def take_texts(self) -> list[str]:
-        """What the pilot has to say since the last call."""
-        said, self._texts = self._texts, []
-        return said
-
-    def take_reached(self) -> list[int]:
-        """Items of the mission that were reached since the last call."""
-        reached, self._reached = self._reached, []
-        return reached
+    def take_news(self) -> tuple[list[str], list[int]]:
+        """What the pilot has to say since the last call, and which items of the mission were reached."""
+        news, self._texts, self._reached = (self._texts, self._reached), [], []
+        return news
 
     def plan_mission(self, waypoints: Iterable[Waypoint]) -> None:
         """Set what the mission is; it is flown once the mode says so and the vehicle is armed."""
@@ -182,13 +176,11 @@ class Pilot:
             return None
         if self._flies:
             self._idle_since_s = self._now_s
-        doing = self._doing
-        if doing is None:
-            if self.armed and self._now_s - self._idle_since_s > IDLE_S:
-                self.arm(False)
-        elif doing.lands:
-            if self._now_s - self._idle_since_s > LANDED_S:
-                self._finish(doing)
+        doing, idle_s = self._doing, self._now_s - self._idle_since_s
+        if doing is None or doing.lands:
+            if self.armed and idle_s > (IDLE_S if doing is None else LANDED_S):
+                if doing is not None:
+                    self._finish(doing)
                 self.arm(False)
         elif self._arrived():
             self._finish(doing)

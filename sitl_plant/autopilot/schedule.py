@@ -10,8 +10,6 @@ from mavdiag.telemetry import IntArray
 
 DEFAULT_INTERVAL, NEVER = 0, -1  # what SET_MESSAGE_INTERVAL means by these two intervals
 
-_NO_ROWS = np.empty(0, dtype=np.int64)
-
 
 @dataclass(slots=True)
 class _Beat:
@@ -26,7 +24,7 @@ class _Beat:
         """The first sample at or after each beat; several beats between two samples give one row."""
         beats = (int(t_ns[-1]) - self.origin_ns) // self.period_ns + 1
         if beats == self.beats:
-            return _NO_ROWS
+            return np.empty(0, dtype=np.int64)
         passed = np.empty(len(t_ns) + 1, dtype=np.int64)  # beats so far: before the block, and at each of its samples
         passed[0], passed[1:] = self.beats, (t_ns - self.origin_ns) // self.period_ns + 1
         self.beats = beats

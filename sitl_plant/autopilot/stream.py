@@ -1,9 +1,8 @@
 """From what the autopilot knows to MAVLink messages: each one of the schedule, made from the sample it is due at.
 
 A block of samples becomes one record array for each message, whole columns at a time: its bytes are the payloads on the
-wire, and the converters of `mavdiag.link` read the same records. A message gets its sequence number only when it is
-sent, because an answer may overtake it. The emulated vehicle flies by motion capture; what it knows of its place is
-told as an autopilot with a GPS tells it, on a plane that touches the earth at its home.
+wire, and the converters of `mavdiag.link` read the same records. The emulated vehicle flies by motion capture; what it
+knows of its place is told as an autopilot with a GPS tells it, on a plane that touches the earth at its home.
 """
 
 import math

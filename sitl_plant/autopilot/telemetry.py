@@ -37,10 +37,7 @@ class LinkSpec:
 
 
 class TelemetryStream:
-    """From samples to telemetry over one link, block by block. Equal seeds give equal stamps and losses.
-
-    How a flight is cut into blocks changes nothing.
-    """
+    """From samples to telemetry over one link, however it is cut into blocks; equal seeds give equal losses."""
 
     def __init__(self, link: LinkSpec, seed: int, rotors: int = 4) -> None:
         self._dialect, self._loss = dialect_named(link.profile), link.loss

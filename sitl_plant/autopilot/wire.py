@@ -52,11 +52,9 @@ def number(frame: Frame, name: str) -> float:
     return optional(frame, name) or 0
 
 
-def text(frame: Frame, name: str) -> str:
-    """A text from a frame, up to its first NUL; empty if there is none of that name."""
-    place = _place(frame.msgid, name)
-    value = frame.fields[place] if place is not None else b""
-    return value.partition(b"\0")[0].decode(errors="replace") if isinstance(value, bytes) else ""
+def integer(frame: Frame, name: str) -> int:
+    """As `number`, cut to an integer."""
+    return int(number(frame, name))
 
 
 class Order(NamedTuple):
@@ -76,11 +74,10 @@ class Order(NamedTuple):
 
 def order_of(frame: Frame) -> Order:
     """The order in COMMAND_LONG, COMMAND_INT, MISSION_ITEM or MISSION_ITEM_INT."""
-    kind, names = optional(frame, "frame"), ("x", "y", "z")
-    if frame.msgid == MessageId.COMMAND_LONG:
-        names = ("param5", "param6", "param7")
-    x, y, z = (optional(frame, name) for name in names)
+    long = frame.msgid == MessageId.COMMAND_LONG
+    kind = optional(frame, "frame")
+    x, y, z = (optional(frame, name) for name in (("param5", "param6", "param7") if long else ("x", "y", "z")))
     if frame.msgid in _INTEGERS:
         x, y = (None if value in (None, NOT_SET) else value * DEGREES for value in (x, y))
     given = tuple(optional(frame, f"param{n}") for n in range(1, 5))
-    return Order(int(number(frame, "command")), None if kind is None else int(kind), given, x, y, z)
+    return Order(integer(frame, "command"), None if kind is None else int(kind), given, x, y, z)

@@ -1,12 +1,9 @@
 """What a Monte Carlo campaign flies: causes, conditions and a design with levels for every factor become tasks.
 
-Every factor runs through its levels in blocks, each block in a random order of its own: so each level occurs equally
-often (rotor and phenomenology with every cause), factors are paired at random, and a longer campaign begins with the
-flights of a shorter one.
-
-Sizes of causes besides those of the nine faults, and of conditions, are estimates unless a source is named: they matter
-in flight, and it goes on. A condition is either of the flight (turbulence, a pick-up, ...) or of the
-airframe's build (resonance, filters, link). A baseline is learnt without the first and with the second.
+Every factor runs through its levels in blocks, each in a random order of its own: each level occurs equally often
+(rotor and phenomenology with every cause), and a longer campaign begins with the flights of a shorter one. Sizes of
+causes besides the nine faults, and of conditions, are estimates unless a source is named. A baseline is learnt with the
+conditions of the airframe's build (filters, mount, link) and without those of the flight.
 """
 
 import hashlib
@@ -17,11 +14,9 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
-import pydantic.dataclasses
-from pydantic import BeforeValidator
 
 from mavdiag.errors import UsageError
 from mavdiag.monitors.base import FaultKind
@@ -36,7 +31,7 @@ Level = TypeVar("Level")
 
 HEALTHY = "healthy"
 CALM = "calm"
-EVERY = "all"  # every condition
+EVERY = "all"  # every condition, every manoeuvre
 FLIGHTS_A_DAY = 4  # flights of one session, where a condition has other sessions (our choice)
 MOUNT_DAMPING = 0.1  # of isolators (estimate)
 
@@ -57,34 +52,28 @@ class Group(StrEnum):
 
 
 class Cause(NamedTuple):
-    """What goes wrong: one of T's faults, a damage, or a sensor fault on a random axis, offset and drift signed so."""
+    """What goes wrong; a sensor fault acts on a random axis, with a random sign of offset and drift."""
 
     group: Group
     what: Fault | RotorDamage | SensorFault
 
 
-_BLADES = {
-    "chipping": RotorDamage(1.0 - 0.03, 1.03, unbalance_g_mm=0.05 * 60.0),
-    "bending": RotorDamage(1.0 - 0.04, 1.05),
-    "added-mass": RotorDamage(unbalance_g_mm=0.05 * 50.0),
-    "texture": RotorDamage(0.97, 1.06),
-}
-_SENSORS = {
-    "gyro-bias": SensorFault("gyro", 0, offset=0.05),
-    "gyro-drift": SensorFault("gyro", 0, drift_per_s=0.002),
-    "gyro-scale": SensorFault("gyro", 0, scale=1.1),
-    "gyro-noise": SensorFault("gyro", 0, noise_rms=0.1),
-    "accel-bias": SensorFault("accel", 0, offset=0.5),
-    "accel-drift": SensorFault("accel", 0, drift_per_s=0.02),
-    "accel-scale": SensorFault("accel", 0, scale=1.1),
-    "accel-noise": SensorFault("accel", 0, noise_rms=1.0),
-}
 CAUSES: Mapping[str, Cause] = {
     **{fault.code: Cause(Group.FAULT, fault) for fault in FAULTS},
-    **{name: Cause(Group.BLADE, damage) for name, damage in _BLADES.items()},
+    "chipping": Cause(Group.BLADE, RotorDamage(1.0 - 0.03, 1.03, unbalance_g_mm=0.05 * 60.0)),
+    "bending": Cause(Group.BLADE, RotorDamage(1.0 - 0.04, 1.05)),
+    "added-mass": Cause(Group.BLADE, RotorDamage(unbalance_g_mm=0.05 * 50.0)),
+    "texture": Cause(Group.BLADE, RotorDamage(0.97, 1.06)),
     "motor-speed": Cause(Group.MOTOR, RotorDamage(speed_factor=0.97)),
     "ejection": Cause(Group.LOSS, RotorDamage(0.0, 0.0, ejected=True)),
-    **{name: Cause(Group.SENSOR, fault) for name, fault in _SENSORS.items()},
+    "gyro-bias": Cause(Group.SENSOR, SensorFault("gyro", 0, offset=0.05)),
+    "gyro-drift": Cause(Group.SENSOR, SensorFault("gyro", 0, drift_per_s=0.002)),
+    "gyro-scale": Cause(Group.SENSOR, SensorFault("gyro", 0, scale=1.1)),
+    "gyro-noise": Cause(Group.SENSOR, SensorFault("gyro", 0, noise_rms=0.1)),
+    "accel-bias": Cause(Group.SENSOR, SensorFault("accel", 0, offset=0.5)),
+    "accel-drift": Cause(Group.SENSOR, SensorFault("accel", 0, drift_per_s=0.02)),
+    "accel-scale": Cause(Group.SENSOR, SensorFault("accel", 0, scale=1.1)),
+    "accel-noise": Cause(Group.SENSOR, SensorFault("accel", 0, noise_rms=1.0)),
 }
 """Causes by name (T 1.2, Tables 3.1-3.3). Units: g mm; gyro in rad/s, accelerometer in m/s^2, drifts per second."""
 
@@ -116,11 +105,11 @@ def injections_of(
 
 
 class Manoeuvre(NamedTuple):
-    """A named path; nose as of `sitl_plant.physics.trajectory.Nose`."""
+    """A named path; shape and nose as of `sitl_plant.physics.trajectory`."""
 
     shape: str
     speed_m_s: float = 0.5
-    heading_rad: float = 0.0  # how far it is turned
+    heading_rad: float = 0.0
     nose: str = "fixed"
     takeoff: bool = False  # it begins and ends on the ground
 
@@ -162,11 +151,6 @@ class Condition:
     isolation: float | None = None  # share of the rotors' line in hover that a soft mount of the IMU passes
     rate_hz: float | None = None  # of the link
 
-    @property
-    def another_day(self) -> bool:
-        """Whether the flight belongs to another session than the baseline's flights."""
-        return self.session or self.propellers > 0.0 or self.wear_per_h > 0.0
-
 
 CONDITIONS: Mapping[str, Condition] = {
     CALM: Condition(),
@@ -187,13 +171,8 @@ CONDITIONS: Mapping[str, Condition] = {
     "resonance": Condition(resonance_hz=(165.0, 0.05)),  # on the rotors' line in hover, 167 Hz
     "isolation-10": Condition(isolation=1 / 10),
     "isolation-30": Condition(isolation=1 / 30),
-    "imu-20hz": Condition(filter_hz=20.0),
-    "imu-42hz": Condition(filter_hz=42.0),
-    "imu-98hz": Condition(filter_hz=98.0),
-    "imu-188hz": Condition(filter_hz=188.0),
-    "link-100hz": Condition(rate_hz=100.0),
-    "link-200hz": Condition(rate_hz=200.0),
-    "link-400hz": Condition(rate_hz=400.0),
+    **{f"imu-{hz:g}hz": Condition(filter_hz=hz) for hz in (20.0, 42.0, 98.0, 188.0)},
+    **{f"link-{hz:g}hz": Condition(rate_hz=hz) for hz in (100.0, 200.0, 400.0)},
 }
 """Conditions by name."""
 
@@ -222,10 +201,11 @@ def built(vehicle: Vehicle, condition: str) -> Vehicle:
     return vehicle if imu == vehicle.imu else replace(vehicle, imu=imu)
 
 
-def built_link(link: str, condition: str) -> str:
-    """The link as a condition has it. Raises UsageError for a rate that its profile does not grant."""
-    rate_hz, profile = CONDITIONS[condition].rate_hz, parse_link(link).profile
-    return link if rate_hz is None else f"{profile}@{LinkSpec(profile, rate_hz).rate_hz:g}"
+def _number(factor: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise UsageError(f"{factor} must be a number, not {text!r}") from None
 
 
 def parse_link(text: str) -> LinkSpec:
@@ -235,10 +215,7 @@ def parse_link(text: str) -> LinkSpec:
     LinkSpec(profile='ardupilot', rate_hz=100.0, loss=0.0)
     """
     profile, _, rate = text.partition("@")
-    try:
-        return LinkSpec(profile, float(rate) if rate else None)
-    except ValueError:
-        raise UsageError(f"link must be a number, not {rate!r}") from None
+    return LinkSpec(profile, _number("link", rate) if rate else None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,46 +245,12 @@ class FlightTask:
     session: int = 0  # 0 is that of the healthy flights learnt from, each other a day later
 
 
-def _numbers(factor: str, low: float, high: float) -> BeforeValidator:
-    def check(levels: Sequence[Any]) -> tuple[float, ...]:
-        texts = ", ".join(map(str, levels))
-        try:
-            values = tuple(map(float, levels))
-        except ValueError:
-            raise UsageError(f"{factor} must be a number, not {texts!r}") from None
-        if not all(low <= value <= high for value in values):
-            raise UsageError(f"{factor} must be {low:g} to {high:g}, not {texts}")
-        return values
-
-    return BeforeValidator(check)
-
-
-def _names(factor: str, table: Collection[str]) -> BeforeValidator:
-    def check(levels: Sequence[str]) -> tuple[str, ...]:
-        wanted = tuple(table) if list(levels) == [EVERY] else tuple(dict.fromkeys(levels))
-        if unknown := set(wanted) - set(table):
-            raise UsageError(f"no {factor} {min(unknown)!r}: give one of {', '.join(table)}")
-        return wanted
-
-    return BeforeValidator(check)
-
-
-def _links(levels: Sequence[str]) -> tuple[str, ...]:
-    for link in levels:
-        parse_link(link)
-    return tuple(levels)
-
-
-def _whole(levels: Sequence[Any] | None) -> tuple[int, ...] | None:
-    if levels is None or all(str(level).isdecimal() for level in levels):
-        return levels if levels is None else tuple(map(int, levels))
-    raise UsageError(f"rotor must be a whole number, not {', '.join(map(str, levels))}")
-
-
 FACTORS = ("cause", "rotor", "manoeuvre", "condition", "link", "phenomenology", "wind", "payload", "loss")
+_TABLES: Mapping[str, Collection[str]] = {"manoeuvre": MANOEUVRES, "condition": CONDITIONS}
+_SPANS = {"phenomenology": (0.0, 1.0), "wind": (0.0, 10.0), "payload": (0.0, 1000.0), "loss": (0.0, 0.9)}
 
 
-@pydantic.dataclasses.dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True)
 class Design:
     """Levels of every factor, and how much to fly. Raises UsageError for a level or a size that cannot be."""
 
@@ -318,16 +261,15 @@ class Design:
     flights: int = 138  # with a cause
     hours: float = 0.5  # of healthy flight, besides
     duration_s: float = 40.0
-    cause: Annotated[tuple[str, ...], BeforeValidator(causes_named)] = tuple(CAUSES)
-    rotor: Annotated[tuple[int, ...] | None, BeforeValidator(_whole)] = None  # None for every rotor of the vehicle
-    phenomenology: Annotated[tuple[float, ...], _numbers("phenomenology", 0.0, 1.0)] = (0.0, 0.5, 1.0)
-    manoeuvre: Annotated[tuple[str, ...], _names("manoeuvre", MANOEUVRES)] = USUAL
-    wind: Annotated[tuple[float, ...], _numbers("wind", 0.0, 10.0)] = (0.0, 1.0)
-    payload: Annotated[tuple[float, ...], _numbers("payload", 0.0, 1000.0)] = (0.0, 100.0)
-    link: Annotated[tuple[str, ...], BeforeValidator(_links)] = ("qdrone2@1000",)
-    loss: Annotated[tuple[float, ...], _numbers("loss", 0.0, 0.9)] = (0.0,)
-    # each with its share of flights and hours
-    condition: Annotated[tuple[str, ...], _names("condition", CONDITIONS)] = (CALM,)
+    cause: tuple[str, ...] = tuple(CAUSES)
+    rotor: tuple[int, ...] | None = None  # None for every rotor of the vehicle
+    phenomenology: tuple[float, ...] = (0.0, 0.5, 1.0)
+    manoeuvre: tuple[str, ...] = USUAL
+    wind: tuple[float, ...] = (0.0, 1.0)
+    payload: tuple[float, ...] = (0.0, 100.0)
+    link: tuple[str, ...] = ("qdrone2@1000",)
+    loss: tuple[float, ...] = (0.0,)
+    condition: tuple[str, ...] = (CALM,)  # each with its share of flights and hours
     vehicle: Vehicle = field(default_factory=qdrone2, repr=False)
 
     def __post_init__(self) -> None:
@@ -340,6 +282,15 @@ class Design:
             raise UsageError(f"a flight must last 10 to 600 s, not {self.duration_s:g}")
         if not set(self.rotors) <= set(range(1, len(self.vehicle.rotors) + 1)):
             raise UsageError(f"rotor must be 1 to {len(self.vehicle.rotors)}, not {', '.join(map(str, self.rotors))}")
+        for factor, (low, high) in _SPANS.items():
+            if not all(low <= value <= high for value in getattr(self, factor)):
+                levels = ", ".join(f"{value:g}" for value in getattr(self, factor))
+                raise UsageError(f"{factor} must be {low:g} to {high:g}, not {levels}")
+        for factor, table in _TABLES.items():
+            if unknown := set(getattr(self, factor)) - set(table):
+                raise UsageError(f"no {factor} {min(unknown)!r}: give one of {', '.join(table)}")
+        for link in self.link:
+            parse_link(link)
 
     @property
     def rotors(self) -> tuple[int, ...]:
@@ -365,13 +316,27 @@ PRESETS: Mapping[str, Design] = {
         learn_flights=5,
         flights=27 * len(CONDITIONS),
         hours=2.0 * len(CONDITIONS),
-        cause=(Group.FAULT,),
+        cause=causes_named([Group.FAULT]),
         manoeuvre=("square",),
         wind=(0.0,),
         payload=(0.0,),
         condition=tuple(CONDITIONS),
     ),
 }
+
+
+def _levels(factor: str, texts: list[str]) -> tuple[Any, ...]:
+    if factor in _SPANS:
+        return tuple(_number(factor, text) for text in texts)
+    if factor == "cause":
+        return causes_named(texts)
+    if factor in _TABLES and texts == [EVERY]:
+        return tuple(_TABLES[factor])
+    if factor == "rotor":
+        if not all(text.isdecimal() for text in texts):
+            raise UsageError(f"rotor must be a whole number, not {', '.join(texts)}")
+        return tuple(map(int, texts))
+    return tuple(texts) if factor == "link" else tuple(dict.fromkeys(texts))
 
 
 def with_conditions(design: Design, filters: Sequence[str]) -> Design:
@@ -384,9 +349,10 @@ def with_conditions(design: Design, filters: Sequence[str]) -> Design:
         factor, _, levels = (part.strip() for part in text.partition("="))
         if factor not in FACTORS:
             raise UsageError(f"no factor {factor!r}: give {', '.join(FACTORS)}")
-        changed[factor] = [level.strip() for level in levels.split(",") if level.strip()]
-        if not changed[factor]:
+        texts = [level.strip() for level in levels.split(",") if level.strip()]
+        if not texts:
             raise UsageError(f"--conditions {text}: give it as FACTOR=LEVEL,LEVEL")
+        changed[factor] = _levels(factor, texts)
     return replace(design, **changed)
 
 
@@ -401,8 +367,7 @@ class Plan:
 
 def make_plan(design: Design) -> Plan:
     """All tasks of a design. The same design makes the same plan."""
-    names = design.condition
-    flights: list[FlightTask] = []
+    names, flights = design.condition, list[FlightTask]()
     for number, name in enumerate(names):
         share, left = divmod(design.flights, len(names))
         flights += _flights(design, "cause", share + (number < left), name)
@@ -423,11 +388,13 @@ def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTas
         return [next(own[cause]) for cause in causes]
 
     vehicle, days = built(design.vehicle, name), Counter[int]()
-    learning = {
-        (airframe, link): _learning(design, airframe, built_link(link, name), vehicle)
-        for airframe in range(design.airframes)
-        for link in design.link
-    }
+    another_day = condition.session or condition.propellers > 0.0 or condition.wear_per_h > 0.0
+    learning = {}
+    for link, spec in ((link, parse_link(link)) for link in design.link):
+        rate_hz, profile = condition.rate_hz, spec.profile
+        built_link = link if rate_hz is None else f"{profile}@{LinkSpec(profile, rate_hz).rate_hz:g}"
+        for airframe in range(design.airframes):
+            learning[airframe, link] = _learning(design, airframe, built_link, vehicle)
     causes = [HEALTHY] * count if kind == HEALTHY else column("cause", design.cause)
     met = Counter(causes)
     rotors, scales = within_causes("rotor", design.rotors), within_causes("phenomenology", design.phenomenology)
@@ -449,7 +416,7 @@ def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTas
                 conditions=Conditions(manoeuvres[index], wind, payload, name),
                 loss=losses[index],
                 duration_s=condition.duration_s or design.duration_s,
-                session=1 + days[airframe] // FLIGHTS_A_DAY if condition.another_day else 0,
+                session=1 + days[airframe] // FLIGHTS_A_DAY if another_day else 0,
             )
         )
         days[airframe] += 1
@@ -483,7 +450,7 @@ def task_sequence(seed: int, task: LearnTask | FlightTask) -> np.random.SeedSequ
     """The random stream of a task, from the campaign's seed and what is flown alone.
 
     The link, the loss, the scale of the fitted terms and, for a flight, how was learnt are left out: campaigns that
-    differ in these only fly the same flights. Calm flights keep the streams that they had before there were conditions.
+    differ in these only fly the same flights.
     """
 
     def flown(conditions: Conditions) -> dict[str, Any]:

@@ -3,8 +3,7 @@
 share:  Wilson, JASA 22 (1927)
 rate:   chi2(0.025, 2k) / 2T  to  chi2(0.975, 2k + 2) / 2T                      Garwood, Biometrika 28 (1936)
 
-Flights of one airframe share its baseline, so they are not independent; the intervals do not know that. A summary and
-its rows are made of plain values, `Share`s and `Rate`s, under the names that its JSON has:
+Flights of one airframe share its baseline, so they are not independent; the intervals do not know that. The summary:
 
     healthy_hours  of healthy flights, and of the others up to their onset; alarms there are false
     chance         share of healthy stretches, as long as those after an onset, in which an alarm would begin
@@ -13,10 +12,9 @@ its rows are made of plain values, `Share`s and `Rate`s, under the names that it
                    ones; right: of those that name a rotor, a type or a severity, how many name the true one
     monitors       one monitor: its own false alarms in healthy flight, and T's faults that it found
     answers        how one cause was answered: counts by kind of answer; early: with an alarm before the onset; right:
-                   by the kind that is right for the group, of those judged; named: flights in which a rotor was named
+                   by the kind that is right for the group, of those judged; named: flights that name a rotor
     conditions     one condition: its healthy flights and hours, the decisions for a fault, the monitors, and T's faults
-                   at each scale of the fitted terms with an alarm or (declared) the decision "fault"
-    every          all conditions together
+                   at each scale of the fitted terms with an alarm or (declared) the decision "fault"; every: all
 """
 
 import math
@@ -35,8 +33,8 @@ from sitl_plant.campaign.worker import FlightResult, Results
 
 UNJUDGED = ("not_judgeable", "error")
 PIPED_WIDTH = 1000  # no column is cut where nobody looks at a screen; a table takes what it needs
-CELL = "fault, phenomenology"  # rows that make a table of their own
 Row: TypeAlias = dict[str, Any]
+Flights: TypeAlias = Sequence[FlightResult]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,15 +46,8 @@ class Share:
     low: float
     high: float
 
-    @property
-    def part(self) -> str:
-        """As text, and `interval` the interval."""
-        return f"{self.hits}/{self.of}" if self.of else "-"
-
-    @property
-    def interval(self) -> str:
-        """Its interval as text."""
-        return f"{self.low:.2f}-{self.high:.2f}"
+    def __str__(self) -> str:
+        return f"{self.hits}/{self.of}, {self.low:.2f}-{self.high:.2f}" if self.of else "-"
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,20 +59,17 @@ class Rate:
     low: float
     high: float | None
 
-    @property
-    def cells(self) -> tuple[str, str, str]:
-        """Count, rate and interval as text."""
+    def __str__(self) -> str:
         if self.high is None:
-            return str(self.count), "-", "-"
-        return str(self.count), f"{self.count / self.hours:.2f}", f"{self.low:.2f}-{self.high:.2f}"
+            return f"{self.count} in 0 h"
+        return f"{self.count} in {self.hours:.2f} h, {self.count / self.hours:.2f}/h, {self.low:.2f}-{self.high:.2f}"
 
 
 def wilson(hits: int, of: int) -> Share:
     """The share and its interval.
 
-    >>> share = wilson(8, 10)
-    >>> round(share.low, 3), round(share.high, 3)
-    (0.49, 0.943)
+    >>> print(wilson(8, 10))
+    8/10, 0.49-0.94
     """
     if of == 0:
         return Share(0, 0, 0.0, 1.0)
@@ -105,7 +93,6 @@ def poisson(count: int, hours: float) -> Rate:
     return Rate(count, hours, low, float(chi2.ppf(0.975, 2 * count + 2)) / (2 * hours))
 
 
-_Cells: TypeAlias = tuple[str, Sequence[str], Iterable[Sequence[str]]]  # title, headings, rows
 _Factors = Mapping[str, Callable[[FlightResult], str]]
 _SHARED: _Factors = {
     "condition": lambda flight: flight.conditions.condition,
@@ -125,7 +112,7 @@ _FAULT_FACTORS: _Factors = {
     "all": lambda flight: "all",
     "phenomenology": lambda flight: f"{flight.phenomenology:g}",
     "fault": lambda flight: flight.cause,
-    CELL: lambda flight: f"{flight.cause} x{flight.phenomenology:g}",
+    "fault, phenomenology": lambda flight: f"{flight.cause} x{flight.phenomenology:g}",
     "rotor": lambda flight: str(flight.rotor),
     **_SHARED,
 }
@@ -138,18 +125,28 @@ def summarise(results: Results) -> Row:
     faulty, hours = _faulty(judged), _hours(judged)
     conditions = _levels(flights, lambda flight: flight.conditions.condition)
     causes = _levels(flights, lambda flight: flight.cause)
+    after_h = [(flight.flown_s - flight.onset_s) / S_PER_H for flight in faulty if flight.onset_s is not None]
+    expected = sum(flight.episodes for flight in judged) / hours * float(np.mean(after_h)) if hours and after_h else 0.0
     return {
         "seed": results.plan.design.seed,
         "airframes": results.plan.design.airframes,
         "flights": len(flights),
         "unjudged": _counts(f"{flight.verdict}: {flight.reason}" for flight in flights if flight.verdict in UNJUDGED),
         "healthy_hours": hours,
-        "chance": _chance(judged, faulty),
-        "alarms": _by_factor(_ALARM_FACTORS, judged, _alarms),
+        "chance": 1.0 - math.exp(-expected),
+        "alarms": _by_factor(
+            _ALARM_FACTORS,
+            judged,
+            lambda some: {
+                "rate": poisson(sum(flight.episodes for flight in some), _hours(some)),
+                "flights": _share(some, lambda flight: flight.episodes > 0),
+            },
+        ),
         "detection": _by_factor(_FAULT_FACTORS, faulty, _detection),
         "monitors": [
-            {"name": name, "rate": poisson(before, hours), "detected": _after(name, faulty)}
+            {"name": name, "rate": poisson(before, hours), "detected": wilson(sum(own), len(own))}
             for name, before, _ in _by_monitor(judged)
+            for own in [[one.after > 0 for flight in faulty for one in flight.monitors if one.name == name]]
         ],
         "answers": [_answer(name, causes[name]) for name in CAUSES if name in causes],
         "conditions": [_condition(name, conditions[name]) for name in CONDITIONS if name in conditions],
@@ -157,27 +154,19 @@ def summarise(results: Results) -> Row:
     }
 
 
-def _share(flights: Sequence[FlightResult], hit: Callable[[FlightResult], bool]) -> Share:
+def _share(flights: Flights, hit: Callable[[FlightResult], bool]) -> Share:
     return wilson(sum(map(hit, flights)), len(flights))
 
 
-def _detected(flight: FlightResult) -> bool:
-    return flight.latency_s is not None
-
-
-def _alarmed(flight: FlightResult) -> bool:
-    return flight.episodes > 0
-
-
-def _judged(flights: Sequence[FlightResult]) -> list[FlightResult]:
+def _judged(flights: Flights) -> list[FlightResult]:
     return [flight for flight in flights if flight.verdict not in UNJUDGED]
 
 
-def _faulty(flights: Sequence[FlightResult]) -> list[FlightResult]:
+def _faulty(flights: Flights) -> list[FlightResult]:
     return [flight for flight in flights if flight.cause in CAUSES and CAUSES[flight.cause].group is Group.FAULT]
 
 
-def _hours(flights: Sequence[FlightResult]) -> float:
+def _hours(flights: Flights) -> float:
     return sum(flight.healthy_s for flight in flights) / S_PER_H
 
 
@@ -185,16 +174,14 @@ def _counts(names: Iterable[str]) -> tuple[tuple[str, int], ...]:
     return tuple(sorted(Counter(names).items(), key=lambda item: (-item[1], item[0])))
 
 
-def _levels(flights: Iterable[FlightResult], level_of: Callable[[FlightResult], str]) -> dict[str, list[FlightResult]]:
+def _levels(flights: Flights, level_of: Callable[[FlightResult], str]) -> dict[str, list[FlightResult]]:
     levels: dict[str, list[FlightResult]] = defaultdict(list)
     for flight in flights:
         levels[level_of(flight)].append(flight)
     return levels
 
 
-def _by_factor(
-    factors: _Factors, flights: Sequence[FlightResult], count: Callable[[Sequence[FlightResult]], Row]
-) -> list[Row]:
+def _by_factor(factors: _Factors, flights: Flights, count: Callable[[Flights], Row]) -> list[Row]:
     rows = []
     for factor, level_of in factors.items():
         levels = _levels(flights, level_of)
@@ -211,15 +198,7 @@ def _natural(level: str) -> tuple[float, str]:
         return math.inf, level
 
 
-def _chance(judged: Sequence[FlightResult], faulty: Sequence[FlightResult]) -> float:
-    hours = _hours(judged)
-    after_h = [(flight.flown_s - flight.onset_s) / S_PER_H for flight in faulty if flight.onset_s is not None]
-    if not (hours and after_h):
-        return 0.0
-    return 1.0 - math.exp(-sum(flight.episodes for flight in judged) / hours * float(np.mean(after_h)))
-
-
-def _by_monitor(flights: Sequence[FlightResult]) -> Iterable[tuple[str, int, float]]:
+def _by_monitor(flights: Flights) -> Iterable[tuple[str, int, float]]:
     """Name of each monitor, its alarms before an onset, and the hours that it judged."""
     found = [monitor for flight in flights for monitor in flight.monitors]
     for name in sorted({monitor.name for monitor in found}):
@@ -227,12 +206,7 @@ def _by_monitor(flights: Sequence[FlightResult]) -> Iterable[tuple[str, int, flo
         yield name, sum(monitor.before for monitor in own), sum(monitor.judged_s for monitor in own) / S_PER_H
 
 
-def _after(name: str, flights: Sequence[FlightResult]) -> Share:
-    own = [monitor.after > 0 for flight in flights for monitor in flight.monitors if monitor.name == name]
-    return wilson(sum(own), len(own))
-
-
-def _condition(name: str, flights: Sequence[FlightResult]) -> Row:
+def _condition(name: str, flights: Flights) -> Row:
     healthy, faulty = [flight for flight in flights if flight.cause == HEALTHY], _faulty(flights)
     flown_h = sum(flight.flown_s for flight in healthy) / S_PER_H
     judged_h = sum(flight.judged_s for flight in healthy) / S_PER_H
@@ -241,7 +215,7 @@ def _condition(name: str, flights: Sequence[FlightResult]) -> Row:
         scaled = [flight for flight in faulty if flight.phenomenology == scale]
         judged = _judged(scaled)
         declared = _share(judged, lambda flight: flight.declared_s is not None)
-        found = {"detected": _share(judged, _detected), "declared": declared}
+        found = {"detected": _share(judged, lambda flight: flight.latency_s is not None), "declared": declared}
         detection.append({"phenomenology": scale, "flights": len(scaled), **found})
     return {
         "condition": name,
@@ -259,12 +233,7 @@ def _condition(name: str, flights: Sequence[FlightResult]) -> Row:
     }
 
 
-def _alarms(flights: Sequence[FlightResult]) -> Row:
-    rate = poisson(sum(flight.episodes for flight in flights), _hours(flights))
-    return {"rate": rate, "flights": _share(flights, _alarmed)}
-
-
-def _detection(flights: Sequence[FlightResult]) -> Row:
+def _detection(flights: Flights) -> Row:
     latencies = [flight.latency_s for flight in flights if flight.latency_s is not None]
 
     def right(name: str, true: Callable[[FlightResult], object]) -> Share:
@@ -272,8 +241,8 @@ def _detection(flights: Sequence[FlightResult]) -> Row:
         return _share(naming, lambda flight: bool(getattr(flight.answer, name) == true(flight)))
 
     return {
-        "detected": _share(flights, _detected),
-        "early": sum(map(_alarmed, flights)),
+        "detected": _share(flights, lambda flight: flight.latency_s is not None),
+        "early": sum(flight.episodes > 0 for flight in flights),
         "latency_median_s": float(np.median(latencies)) if latencies else None,
         "latency_p90_s": float(np.percentile(latencies, 90)) if latencies else None,
         "rotor_right": right("rotor", lambda flight: flight.rotor),
@@ -282,14 +251,14 @@ def _detection(flights: Sequence[FlightResult]) -> Row:
     }
 
 
-def _answer(name: str, flights: Sequence[FlightResult]) -> Row:
+def _answer(name: str, flights: Flights) -> Row:
     group = CAUSES[name].group
     return {
         "group": group.value,
         "cause": name,
         "flights": len(flights),
         "answers": _counts(flight.answer.kind for flight in flights),
-        "early": sum(map(_alarmed, flights)),
+        "early": sum(flight.episodes > 0 for flight in flights),
         "right": _share(_judged(flights), lambda flight: flight.answer.kind == group.right),
         "named": sum(flight.answer.rotor is not None for flight in flights),
     }
@@ -300,13 +269,29 @@ def print_summary(summary: Row) -> None:
     console = Console()
     if not console.is_terminal:
         console = Console(width=PIPED_WIDTH)
-    for title, headings, rows in (*_condition_tables(summary), *_fault_tables(summary)):
-        table = Table(title=title, title_justify="left")
-        for i, heading in enumerate(headings):
-            table.add_column(heading, justify="right" if i else "left")
+    conditions = [*summary["conditions"], summary["every"]] if len(summary["conditions"]) > 1 else []
+    for title, rows in {
+        "Healthy flight by condition: alarms and decisions for a fault, by the hours judged": conditions,
+        "Healthy flight by monitor: share judged, and alarms": [
+            {"condition": row["condition"]}
+            | {own["name"]: f"{100 * own['judged_share']:.0f} % {own['rate'].count}" for own in row["monitors"]}
+            for row in conditions
+        ],
+        "T's nine faults by condition and fitted terms: with an alarm, and decided a fault, of those judged": [
+            {"condition": row["condition"], **own} for row in conditions for own in row["detection"]
+        ],
+        "False alarms in healthy flight (the time before an onset counts): episodes, and flights with any": (
+            summary["alarms"]
+        ),
+        f"T's nine faults; chance alone would be {100 * summary['chance']:.0f} %": summary["detection"],
+        "Monitors, each alone": summary["monitors"],
+        "Answers after the onset": summary["answers"],
+    }.items():
+        headings = dict.fromkeys(name for row in rows for name, cell in row.items() if not isinstance(cell, list))
+        table = Table(*headings, title=title, title_justify="left")
         for row in rows:
-            table.add_row(*row)
-        if table.row_count:
+            table.add_row(*(_text(row.get(name)) for name in headings))
+        if rows:
             console.print(table)
     console.print(
         f"seed {summary['seed']}, {summary['airframes']} airframes, {summary['flights']} flights, "
@@ -316,66 +301,9 @@ def print_summary(summary: Row) -> None:
         console.print(f"not judged: {count} flights, {reason}")
 
 
-def _condition_tables(summary: Row) -> Iterable[_Cells]:
-    rows: list[Row] = [*summary["conditions"], summary["every"]] if len(summary["conditions"]) > 1 else []
-    flown = [row for row in rows if row["flown_h"]]
-    names = sorted({monitor["name"] for row in flown for monitor in row["monitors"]})
-    scales = sorted({cell["phenomenology"] for row in rows for cell in row["detection"]})
-    hours, monitors, found = [], [], []
-    for row in flown:
-        condition, judged = row["condition"], f"{100 * row['judged_share']:.0f} %"
-        rates = *row["alarms"].cells, *row["faults"].cells
-        hours.append((condition, f"{row['flown_h']:.2f}", judged, *rates, row["flagged"].part))
-        shares = {own["name"]: f"{100 * own['judged_share']:.0f} % {own['rate'].count}" for own in row["monitors"]}
-        monitors.append((condition, *(shares.get(name, "-") for name in names)))
-    for row in rows:
-        parts = {own["phenomenology"]: f"{own['detected'].part}, {own['declared'].part}" for own in row["detection"]}
-        if parts:
-            found.append((row["condition"], *(parts.get(scale, "-") for scale in scales)))
-    title = "Healthy flight by condition: alarms and decisions for a fault, by the hours judged"
-    rate = ("per hour", "95 %")
-    yield title, ("condition", "flown h", "judged", "alarms", *rate, "faults", *rate, "flagged"), hours
-    yield "Healthy flight by monitor: share judged, and alarms", ("condition", *names), monitors
-    title = "T's nine faults by condition and fitted terms: flights with an alarm, and decided a fault, of those judged"
-    yield title, ("condition", *(f"x{scale:g}" for scale in scales)), found
-
-
-def _fault_tables(summary: Row) -> Iterable[_Cells]:
-    alarms, detection, answers = [], [], []
-    cells: dict[str, dict[str, str]] = defaultdict(dict)
-    for row in summary["alarms"]:
-        rate, share = row["rate"], row["flights"]
-        count, *per_hour = rate.cells
-        alarms.append((_level(row), count, f"{rate.hours:.2f}", *per_hour, share.part, share.interval))
-    for row in summary["detection"]:
-        share, level = row["detected"], row["level"]
-        if row["factor"] == CELL:
-            fault, _, scale = level.partition(" ")
-            cells[fault][scale] = share.part
-            continue
-        found = share.part, f"{share.hits / share.of:.2f}", share.interval, str(row["early"])
-        latencies = ("-" if row[name] is None else f"{row[name]:.2f}" for name in ("latency_median_s", "latency_p90_s"))
-        right = (row[f"{name}_right"].part for name in ("rotor", "type", "severity"))
-        detection.append((_level(row), *found, *latencies, *right))
-    for row in summary["answers"]:
-        kinds = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in row["answers"])
-        told = str(row["early"]), row["right"].part, row["right"].interval, str(row["named"])
-        answers.append((row["group"], row["cause"], str(row["flights"]), kinds, *told))
-    title = "False alarms in healthy flight (the time before an onset counts): episodes an hour, and flights with any"
-    yield title, ("condition", "alarms", "hours", "per hour", "95 %", "flights", "95 %"), alarms
-    shares, rights = ("detected", "share", "95 %", "early", "latency s", "90 %"), ("rotor", "type", "severity")
-    title = f"T's nine faults; chance alone would be {100 * summary['chance']:.0f} %"
-    yield title, ("condition", *shares, *rights), detection
-    scales = sorted({scale for own in cells.values() for scale in own})
-    lines = [(fault, *(own.get(scale, "-") for scale in scales)) for fault, own in cells.items()]
-    yield "Detected, by fault and fitted terms", ("fault", *scales), lines
-    monitors = [
-        (row["name"], *row["rate"].cells, row["detected"].part, row["detected"].interval) for row in summary["monitors"]
-    ]
-    yield "Monitors, each alone", ("monitor", "alarms", "per hour", "95 %", "faults detected", "95 %"), monitors
-    headings = ("group", "cause", "flights", "answers", "early", "right", "95 %", "rotor named")
-    yield "Answers after the onset", headings, answers
-
-
-def _level(row: Row) -> str:
-    return str(row["level"]) if row["factor"] in ("all", "fault", "flight") else f"{row['factor']} {row['level']}"
+def _text(cell: object) -> str:
+    if isinstance(cell, tuple):
+        return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in cell)
+    if isinstance(cell, float):
+        return f"{cell:.2f}"
+    return "-" if cell is None else str(cell)

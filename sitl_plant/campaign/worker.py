@@ -1,20 +1,19 @@
 """Run a campaign: its tasks over a pool of processes or a Dask cluster, with results kept as they come (edge).
 
-A task learns a baseline, or flies once and judges. Everything follows from the campaign's seed and the task, so it does
-not matter where it runs, or when. Every result is a line of JSON under a key, the digest of all that it follows from:
-seed, task, what was learnt for it, and the sources of both packages. What is in the file already is not flown again;
-lines of other campaigns, or of another version, stay in the file and are not counted.
+A task learns a baseline, or flies once and judges. Everything follows from the campaign's seed and the task. A result
+is a line of JSON under a key, the digest of all that it follows from, the sources of both packages among it. What is in
+the file already is not flown again; lines of other campaigns, or of another version, are not counted.
 """
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias, TypeVar
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
@@ -30,7 +29,7 @@ from mavdiag.judging import JudgedEvent, JudgedFlight, LogVerdict, Verdict, judg
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.telemetry import Log
 from mavdiag.units import NS_PER_S, S_PER_H
-from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
+from sitl_plant.autopilot.telemetry import flight_telemetry, telemetry_digest
 from sitl_plant.campaign.plan import (
     CONDITIONS,
     HEALTHY,
@@ -44,7 +43,6 @@ from sitl_plant.campaign.plan import (
     task_sequence,
 )
 from sitl_plant.physics.airframe import Airframe, Payload, PickUp, Wear, draw_airframe, in_session, with_propellers
-from sitl_plant.physics.faults import Injection
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import Vehicle, airframe_of
 
@@ -80,21 +78,21 @@ class LearnResult:
 
 @dataclass(frozen=True, slots=True)
 class MonitorResult:
-    """One monitor in one flight: its alarms before and after the onset, and the first of these after it [s]."""
+    """One monitor in one flight: alarms before and after the onset, the first of these after it, time judged [s]."""
 
     name: str
     before: int
     after: int
     latency_s: float | None
-    judged_s: float = 0.0  # time of the whole flight that it judged
+    judged_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What the diagnosis answered to the cause.
+    """What the diagnosis answered to the cause; rotor, type and severity by the most certain alarm that names one.
 
     kind: the verdict if it is no judgement; else the gravest `FaultKind` of the alarms after the onset, "suspicion" if
-    they declared none, "nothing" without an alarm. The others: of the most certain alarm after it that names one.
+    they declared none, "nothing" without an alarm.
     """
 
     kind: str
@@ -105,11 +103,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class FlightResult:
-    """One judged flight; all of a healthy one is before the onset.
-
-    score_before, score_after: highest statistic over its threshold, of the monitors that decide about propellers; None
-    where none of them judged.
-    """
+    """One judged flight; all of a healthy one is before the onset."""
 
     key: str
     index: int
@@ -130,16 +124,15 @@ class FlightResult:
     latency_s: float | None  # from the onset to the first alarm after it
     answer: Answer
     monitors: tuple[MonitorResult, ...]
-    session: int = 0  # as in the task
+    session: int = 0
     faults: int = 0  # how often the decision came to "fault" before the onset
     declared_s: float | None = None  # from it to the first "fault" after it
-    score_before: float | None = None
+    score_before: float | None = None  # highest statistic over its threshold, of the monitors of propellers
     score_after: float | None = None
     record: Literal["flight"] = "flight"
 
 
 Line: TypeAlias = LearnResult | FlightResult
-Result = TypeVar("Result", LearnResult, FlightResult)
 _LINE: TypeAdapter[Line] = TypeAdapter(Annotated[Line, Field(discriminator="record")])
 
 
@@ -149,9 +142,7 @@ def specimen(seed: int, number: int, aged: bool, vehicle: Vehicle) -> Airframe:
     return draw_airframe(vehicle, aged, rng, f"airframe {number}")
 
 
-def _config(
-    airframe: Airframe, flown: Conditions, duration_s: float, causes: tuple[Injection, ...], rng: np.random.Generator
-) -> PlantConfig:
+def _config(airframe: Airframe, flown: Conditions, duration_s: float, rng: np.random.Generator) -> PlantConfig:
     manoeuvre = MANOEUVRES[flown.manoeuvre]
     beside = rng.uniform(-PAYLOAD_OFFSET_M, PAYLOAD_OFFSET_M, 2).tolist()
     return PlantConfig(
@@ -165,18 +156,15 @@ def _config(
         wind_m_s=flown.wind_m_s,
         wind_towards_rad=float(rng.uniform(0.0, 2.0 * np.pi)),
         payload=Payload(flown.payload_g * 1e-3, (beside[0], beside[1], PAYLOAD_BELOW_M)),
-        injections=causes,
         seed=int(rng.integers(2**31)),
     )
 
 
-def _on_the_day(
-    seed: int, airframe: Airframe, number: int, session: int, condition: str
-) -> tuple[Airframe, Wear | None]:
-    row = CONDITIONS[condition]
-    if not session:
+def _on_the_day(seed: int, airframe: Airframe, task: FlightTask) -> tuple[Airframe, Wear | None]:
+    row, number = CONDITIONS[task.conditions.condition], task.learnt.airframe
+    if not task.session:
         return airframe, None
-    rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5E55, number, session]))
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5E55, number, task.session]))
     if row.session:
         airframe = in_session(airframe, rng)
     if row.propellers:
@@ -187,31 +175,33 @@ def _on_the_day(
     return airframe, Wear(tuple((row.wear_per_h * losses).tolist()), WEAR_H * float(rng.random()))
 
 
-def _pickup(condition: str, duration_s: float, rng: np.random.Generator) -> PickUp | None:
-    row = CONDITIONS[condition]
+def _pickup(task: FlightTask, rng: np.random.Generator) -> PickUp | None:
+    row = CONDITIONS[task.conditions.condition]
     if not row.pickup_g:
         return None
     angle, at_s, drop_s = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*PICKUP), rng.uniform(*DROP)
     beside = 1e-3 * row.pickup_offset_mm
     place = (float(beside * np.cos(angle)), float(beside * np.sin(angle)), PAYLOAD_BELOW_M)
-    end_s = float(duration_s * drop_s) if rng.random() < 0.5 else np.inf
-    return PickUp(Payload(row.pickup_g * 1e-3, place), float(duration_s * at_s), end_s)
+    end_s = float(task.duration_s * drop_s) if rng.random() < 0.5 else np.inf
+    return PickUp(Payload(row.pickup_g * 1e-3, place), float(task.duration_s * at_s), end_s)
 
 
-def _started_ns(task: LearnTask, session: int, number: int) -> int:
-    return START_NS + round((session * DAY_S + number * (task.duration_s + PAUSE_S)) * NS_PER_S)
+def _flown(
+    config: PlantConfig, task: LearnTask, duration_s: float, loss: float, name: str, session: int, number: int
+) -> tuple[Log, float]:
+    """A flight as a log with its place in the calendar, and its length [s]."""
+    link = replace(parse_link(task.link), loss=loss)
+    telemetry, flown_s = flight_telemetry(config, duration_s, link)
+    started_ns = START_NS + round((session * DAY_S + number * (task.duration_s + PAUSE_S)) * NS_PER_S)
+    return Log(name, telemetry_digest(telemetry), link.profile, telemetry, started_ns), flown_s
 
 
 def learn_task(key: str, seed: int, task: LearnTask) -> LearnResult:
     """Fly an airframe's healthy flights and learn from them."""
-    airframe, link = specimen(seed, task.airframe, task.aged, task.vehicle), parse_link(task.link)
-    flights = []
+    airframe, flights = specimen(seed, task.airframe, task.aged, task.vehicle), []
     for number, child in enumerate(task_sequence(seed, task).spawn(len(task.flights))):
-        config = _config(airframe, task.flights[number], task.duration_s, (), np.random.default_rng(child))
-        telemetry, _ = flight_telemetry(config, task.duration_s, link)
-        name = f"{airframe.name} healthy {number}"
-        started_ns = _started_ns(task, 0, number)
-        flights.append(Log(name, telemetry_digest(telemetry), link.profile, telemetry, started_ns))
+        config = _config(airframe, task.flights[number], task.duration_s, np.random.default_rng(child))
+        flights.append(_flown(config, task, task.duration_s, 0.0, f"{airframe.name} healthy {number}", 0, number)[0])
     try:
         baseline = learn(flights, LearnOptions(airframe=airframe_of(airframe.vehicle, airframe.name)), created=CREATED)
     except MavdiagError as error:
@@ -221,31 +211,29 @@ def learn_task(key: str, seed: int, task: LearnTask) -> LearnResult:
 
 def fly_task(key: str, seed: int, task: FlightTask, learnt: LearnResult) -> FlightResult:
     """Fly once and judge the flight by what was learnt of the airframe."""
-    drawn, condition = task.learnt, task.conditions.condition
-    airframe = specimen(seed, drawn.airframe, drawn.aged, drawn.vehicle)
-    airframe, wear = _on_the_day(seed, airframe, drawn.airframe, task.session, condition)
-    sequence = task_sequence(seed, task)
+    drawn, row, sequence = task.learnt, CONDITIONS[task.conditions.condition], task_sequence(seed, task)
+    airframe, wear = _on_the_day(seed, specimen(seed, drawn.airframe, drawn.aged, drawn.vehicle), task)
     rng, own = np.random.default_rng(sequence), np.random.default_rng(sequence.spawn(1)[0])
     onset_s = None if task.cause == HEALTHY else round(task.duration_s * float(rng.uniform(*ONSET)), 3)
     injections = injections_of(task.cause, task.rotor, onset_s or 0.0, task.phenomenology, rng)
-    row, config = CONDITIONS[condition], _config(airframe, task.conditions, task.duration_s, injections, rng)
-    pickup = _pickup(condition, task.duration_s, own)
     config = replace(
-        config, turbulence_m_s=row.turbulence_m_s, outages_per_min=row.outages_per_min, pickup=pickup, wear=wear
+        _config(airframe, task.conditions, task.duration_s, rng),
+        injections=injections,
+        turbulence_m_s=row.turbulence_m_s,
+        outages_per_min=row.outages_per_min,
+        pickup=_pickup(task, own),
+        wear=wear,
     )
-    spec = parse_link(task.learnt.link)
-    telemetry, flown_s = flight_telemetry(config, task.duration_s, LinkSpec(spec.profile, spec.rate_hz, task.loss))
-    started_ns = _started_ns(drawn, task.session, 0 if task.session else len(drawn.flights))
-    log = Log(f"flight {task.index}", telemetry_digest(telemetry), spec.profile, telemetry, started_ns)
-    if learnt.error:
-        reason = f"no baseline: {learnt.error}"
-        judged = JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile))
-    else:
+    number = 0 if task.session else len(drawn.flights)
+    log, flown_s = _flown(config, drawn, task.duration_s, task.loss, f"flight {task.index}", task.session, number)
+    verdict, reason = Verdict.NOT_JUDGEABLE, f"no baseline: {learnt.error}"
+    if not learnt.error:
         try:
-            judged = judge_in_full(log, parse(learnt.baseline))
+            return _line(key, task, judge_in_full(log, parse(learnt.baseline)), onset_s, flown_s)
         except MavdiagError as error:
-            judged = JudgedFlight(LogVerdict(log.name, Verdict.ERROR, str(error), profile=log.profile))
-    return _line(key, task, judged, onset_s, flown_s)
+            verdict, reason = Verdict.ERROR, str(error)
+    unjudged = JudgedFlight(LogVerdict(log.name, verdict, reason, profile=log.profile))
+    return _line(key, task, unjudged, onset_s, flown_s)
 
 
 def _line(key: str, task: FlightTask, judged: JudgedFlight, onset_s: float | None, flown_s: float) -> FlightResult:
@@ -259,16 +247,12 @@ def _line(key: str, task: FlightTask, judged: JudgedFlight, onset_s: float | Non
         early, own = ([event for event in part if event.event.monitor == monitor.name] for part in (before, after))
         counts = _episodes(early), _episodes(own), _latency(own, border_s)
         monitors.append(MonitorResult(monitor.name, *counts, round(monitor.judged_s, 3)))
+    names = ("index", "cause", "rotor", "phenomenology", "conditions", "loss", "session")
+    asked: dict[str, Any] = {name: getattr(task, name) for name in names}
     return FlightResult(
         key=key,
-        index=task.index,
         airframe=task.learnt.airframe,
-        cause=task.cause,
-        rotor=task.rotor,
-        phenomenology=task.phenomenology,
-        conditions=task.conditions,
         link=task.learnt.link,
-        loss=task.loss,
         flown_s=round(flown_s, 3),
         verdict=verdict.verdict.value,
         reason=verdict.reason,
@@ -279,11 +263,11 @@ def _line(key: str, task: FlightTask, judged: JudgedFlight, onset_s: float | Non
         latency_s=_latency(after, border_s),
         answer=_answer(verdict, after),
         monitors=tuple(monitors),
-        session=task.session,
         faults=sum(t_s < border_s for t_s in declared),
         declared_s=round(min(late), 3) if late else None,
         score_before=_score(judged, -np.inf, border_s),
         score_after=None if onset_s is None else _score(judged, border_s, np.inf),
+        **asked,
     )
 
 
@@ -341,7 +325,7 @@ def _answer(verdict: LogVerdict, after: Sequence[JudgedEvent]) -> Answer:
 
 @cache
 def source_key() -> str:
-    """A digest of the sources and data that results follow from: results of another version are never mixed in."""
+    """A digest of the sources and data that results follow from."""
     return digest_of_sources(("mavdiag", "sitl_plant"), UNRELATED)
 
 
@@ -412,10 +396,9 @@ def run_campaign(
     executor: TaskExecutor,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Results:
-    """Learn what is to be learnt, then fly.
+    """Learn what is to be learnt, then fly. Only the order of the lines in the file depends on the executor.
 
     progress: called with the stage, how many of its tasks are done, and how many there are.
-    The results do not depend on the executor; only the order of the lines in the file does.
     """
     seed = plan.design.seed
     learning = {task: task_key(seed, task) for task in plan.learning}
@@ -437,10 +420,10 @@ def run_campaign(
                 done += 1
                 progress(stage, done, len(jobs))
 
-    def of(kind: type[Result], keys: Iterable[str]) -> tuple[Result, ...]:
-        return tuple(line for key in keys if isinstance(line := journal.lines[key], kind))
-
     work("learning", {key: partial(learn_task, key, seed, task) for task, key in learning.items()})
-    learnt = dict(zip(learning, of(LearnResult, learning.values()), strict=True))
+    learnt = {task: line for task, key in learning.items() if isinstance(line := journal.lines[key], LearnResult)}
     work("flying", {key: partial(fly_task, key, seed, task, learnt[task.learnt]) for key, task in flights.items()})
-    return Results(plan, tuple(learnt.values()), of(FlightResult, flights), reused, others)
+    flown = (journal.lines[key] for key in flights)
+    return Results(
+        plan, tuple(learnt.values()), tuple(line for line in flown if isinstance(line, FlightResult)), reused, others
+    )

@@ -11,6 +11,7 @@ import json
 import struct
 from collections.abc import Hashable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from mavdiag.units import NS_PER_S
 from sitl_plant.hil.simulation import OutputMap, Simulation
@@ -22,12 +23,11 @@ LONGEST_S = 1.0  # of one frame: a smaller rate is no simulation
 _head = struct.Struct("<HHI")
 
 
-@dataclass(frozen=True, slots=True)
-class ServoFrame:
-    """One frame of ArduPilot. rate_hz: of its frames. count: its running number. pwm: (16,) or (32,) [us]."""
+class ServoFrame(NamedTuple):
+    """One frame of ArduPilot. rate_hz: of its frames. number: it runs on. pwm: (16,) or (32,) [us]."""
 
     rate_hz: int
-    count: int
+    number: int
     pwm: tuple[int, ...]
 
 
@@ -78,38 +78,35 @@ class Lockstep:
         self._peer: Hashable = None
         self._replaced: Hashable = None
         self._heard_s = 0.0
-        self._count: int | None = None
+        self._number: int | None = None
         self._answer = b""
         self._current_a = 0.0
 
     def feed(self, data: bytes, peer: Hashable, now_s: float) -> bytes | None:
         """The answer to a datagram of `peer`; None for no answer. now_s: any clock that only goes on."""
-        frame = servo_frame(data)
+        frame, counts = servo_frame(data), self.counts
         if frame is None:
-            self.counts.foreign += 1
+            counts.foreign += 1
             return None
         if peer == self._replaced and now_s - self._heard_s < SILENT_S:
-            self.counts.ignored += 1
+            counts.ignored += 1
             return None
         fresh = peer != self._peer
         if fresh:
             self._replaced, self._peer = self._peer, peer
         self._heard_s = now_s
-        self._answer = self._next(frame, fresh)
-        return self._answer
-
-    def _next(self, frame: ServoFrame, fresh: bool) -> bytes:
-        if frame.count == self._count and not fresh:
-            self.counts.resent += 1
+        if frame.number == self._number and not fresh:
+            counts.resent += 1
             return self._answer
-        if self._count is not None and (fresh or frame.count <= self._count):
-            self.counts.restarts += 1
+        if self._number is not None and (fresh or frame.number <= self._number):
+            counts.restarts += 1
             self._simulation.restart()
-        self._count = frame.count
-        self.counts.frames += 1
+        self._number = frame.number
+        counts.frames += 1
         before = self._simulation.now
         row = self._simulation.step(self._outputs.from_pwm(frame.pwm), 1.0 / frame.rate_hz)
         drawn_as, span_ns = 3600.0 * (row.charge_ah[0] - before.charge_ah[0]), row.t_ns[0] - before.t_ns[0]
         if span_ns > 0:  # else no step of the plant was due
             self._current_a = float(drawn_as / span_ns * NS_PER_S)
-        return answer(row, self._current_a)
+        self._answer = answer(row, self._current_a)
+        return self._answer

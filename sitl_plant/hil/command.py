@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, get_args
 
@@ -23,7 +22,7 @@ from mavdiag.link.ports import Endpoint, Kind, open_endpoint, parse_address
 from sitl_plant import options
 from sitl_plant.hil.ardupilot import Lockstep
 from sitl_plant.hil.px4 import WANTED, Bridge
-from sitl_plant.hil.simulation import FLYING_M, AutopilotName, OutputMap, Simulation, output_map, parameter_file
+from sitl_plant.hil.simulation import AutopilotName, OutputMap, Simulation, output_map, parameter_file
 from sitl_plant.physics.airframe import Payload
 from sitl_plant.physics.faults import Injection, fault_injection
 from sitl_plant.plant import PlantConfig
@@ -34,13 +33,6 @@ POLL_S = 0.2  # how often a signal is looked for
 PATIENCE_S = 1.0  # wall clock: a sensor message that was not answered for so long is followed by the next (our choice)
 SLIP_S = 0.1  # wall clock: what is later than this is not caught up
 _PRINTED = "Print the parameter file to load into the autopilot, and end."
-
-
-class OnsetFrom(StrEnum):
-    """From when --onset counts."""
-
-    TAKEOFF = "takeoff"
-    START = "start"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +59,7 @@ class HilOptions:
     ) -> Iterator[tuple[Endpoint, Simulation, Callable[[], bool]]]:
         """Open port, simulation and truth file, and say in one line who may connect where, and what will happen.
 
-        link, rate_hz: for the truth file.
+        The last of the values says whether to go on. link, rate_hz: for the truth file.
         """
         with open_endpoint(endpoint) as port, truth_file(self.truth) as lines, commandline.stop_signals() as stop:
             with working(options.STARTING):
@@ -75,7 +67,7 @@ class HilOptions:
                 simulation = Simulation(self.config, self.after_takeoff, watch)
             told = self.told.format(motor=outputs.motor(self.config.rotor)) or "healthy"
             typer.echo(f"{self.vehicle.name} stands ready, {told}; waiting for {autopilot} on {port.address}")
-            yield port, simulation, stop
+            yield port, simulation, lambda: simulation.t_s < self.duration_s and not stop()
 
 
 def hil_options(
@@ -83,18 +75,13 @@ def hil_options(
     drone: options.Drone = 1,
     fault: options.FaultCode = None,
     rotor: Annotated[int, Option(help="Damaged rotor, as the vehicle's file counts.")] = 1,
-    onset: options.Onset = 0.0,
-    onset_from: Annotated[
-        OnsetFrom, Option(help=f"Count --onset from the first {FLYING_M:g} m of height, or from the start.")
-    ] = OnsetFrom.TAKEOFF,
+    onset: Annotated[float, Option(metavar="S", help="When the fault begins, counted from the take-off.")] = 0.0,
     phenomenology: options.Phenomenology = 1.0,
     wind: options.Wind = 0.0,
     turbulence: options.W20 = 0.0,
     payload: options.PayloadKg = 0.0,
     seed: Annotated[int, Option(help="Equal seeds and equal commands give equal flights.")] = 0,
-    duration: Annotated[
-        float | None, Option(metavar="S", help="End after so much flight time.  [default: run until stopped]")
-    ] = None,
+    duration: Annotated[float | None, Option(metavar="S", help="Flight time.  [default: run until stopped]")] = None,
     truth: options.TruthFile = None,
     print_parameters: Annotated[str | None, Option(metavar="ardupilot|px4", help=_PRINTED)] = None,
 ) -> HilOptions:
@@ -103,8 +90,7 @@ def hil_options(
     wanted = next((name for name in get_args(AutopilotName) if name == print_parameters), None)
     if wanted != print_parameters:
         raise UsageError(f"no parameters for {print_parameters!r}: give ardupilot or px4")
-    kind, from_start = vehicle_from(vehicle), onset_from is OnsetFrom.START
-    later = () if fault is None or from_start else (fault_injection(fault, rotor, onset, phenomenology),)
+    kind = vehicle_from(vehicle)
     if not 1 <= rotor <= len(kind.rotors):
         raise UsageError(f"rotor must be 1 to {len(kind.rotors)}, not {rotor}")
     config = PlantConfig(
@@ -112,17 +98,15 @@ def hil_options(
         drone=drone,
         start="ground",
         trajectory="hover",
-        fault=fault if from_start else None,
         rotor=rotor,
-        onset_s=onset if from_start else 0.0,
         phenomenology=phenomenology,
         wind_m_s=wind,
         turbulence_m_s=turbulence,
         payload=Payload(payload),
         seed=seed,
     )
-    since = "start" if from_start else "take-off"
-    told = f"{fault} on rotor {rotor} (motor {{motor}}) {onset:g} s after the {since}" if fault else ""
+    later = () if fault is None else (fault_injection(fault, rotor, onset, phenomenology),)
+    told = f"{fault} on rotor {rotor} (motor {{motor}}) {onset:g} s after the take-off" if fault else ""
     return HilOptions(config, later, kind, math.inf if duration is None else duration, truth, told, wanted)
 
 
@@ -146,10 +130,18 @@ def serve_ardupilot(
     outputs = output_map(asked.vehicle, "ardupilot")
     if parse_address(listen).kind is not Kind.UDP_IN:
         raise UsageError(f"{listen}: the autopilot sends to a UDP port: write udpin:HOST:PORT")
-    with asked.serving(listen, "ardupilot-json", 1000.0, "ArduPilot", outputs) as (port, simulation, stop):
+    with asked.serving(listen, "ardupilot-json", 1000.0, "ArduPilot", outputs) as (port, simulation, goes_on):
         lockstep, started_s = Lockstep(simulation, outputs), time.monotonic()
-        serve_json(port, lockstep, simulation, duration_s=asked.duration_s, stop=stop, say=_say)
-    counts, took_s = lockstep.counts, time.monotonic() - started_s
+        counts = lockstep.counts
+        while goes_on():
+            for (data, _), peer in zip(port.receive(POLL_S), port.sources, strict=True):
+                foreign = counts.foreign
+                answer = lockstep.feed(data, peer, time.monotonic())
+                if answer is not None:
+                    port.answer(answer, peer)
+                elif counts.foreign == 1 > foreign:
+                    _say(f"ignored {len(data)} bytes that are no servo frame of ArduPilot, and shall ignore others too")
+    took_s = time.monotonic() - started_s
     typer.echo(
         f"{simulation.t_s:.1f} s flown in {took_s:.1f} s; {counts.frames} frames ({counts.frames / took_s:.0f}/s), "
         f"{counts.resent} answered again, {counts.restarts} restarts of the autopilot, "
@@ -188,12 +180,39 @@ def serve_hil(
 
 
 def _serve_mavlink(asked: HilOptions, address: str, rate_hz: float, *, period_s: float, hardware: bool) -> None:
+    """Fly PX4 over MAVLink. In simulation wait for the controls where they ask for it.
+
+    period_s: wall clock from one sensor message to the next in lockstep, 0 for as fast as it goes; else real time.
+    """
     if asked.print_parameters(hardware=hardware):
         return
     outputs, peer = output_map(asked.vehicle, "px4"), "a flight controller" if hardware else "PX4"
-    with asked.serving(address, "px4-hil", rate_hz, peer, outputs) as (endpoint, simulation, stop):
-        bridge, started_s, span = Bridge(simulation, outputs, rate_hz), time.monotonic(), asked.duration_s
-        serve_frames(endpoint, bridge, period_s=period_s, lockstep=not hardware, duration_s=span, stop=stop, say=_say)
+    with asked.serving(address, "px4-hil", rate_hz, peer, outputs) as (endpoint, simulation, goes_on):
+        bridge, decoder, started_s = Bridge(simulation, outputs, rate_hz), Decoder(WANTED), time.monotonic()
+        feed = decoder.feed_datagram if endpoint.datagrams else decoder.feed
+        flying, told, next_s = False, False, 0.0
+        sent_s: float | None = None  # when the last sensor message went out
+        while goes_on():
+            flying = flying and endpoint.connected
+            wait_s = _left_s(bridge, sent_s, next_s, lockstep=not hardware) if flying else POLL_S
+            for data, host_ns in endpoint.receive(wait_s):
+                for frame in feed(data, host_ns):
+                    bridge.hear(frame)
+            if not flying and endpoint.connected:
+                if sent_s is not None:
+                    bridge.restart()
+                flying, sent_s = True, time.monotonic()
+                next_s = sent_s
+            if flying and not _left_s(bridge, sent_s, next_s, lockstep=not hardware):
+                for message in bridge.advance():
+                    endpoint.send(message)
+                sent_s = time.monotonic()
+                next_s = max(
+                    next_s + (bridge.period_s if hardware or not bridge.lockstep else period_s), sent_s - SLIP_S
+                )
+            if hardware and not told and bridge.in_hil is False:
+                told = True
+                _say("the flight controller is not in HIL mode: load the file of --print-parameters px4 and restart it")
         traffic = endpoint.traffic
     typer.echo(
         f"{simulation.t_s:.1f} s flown in {time.monotonic() - started_s:.1f} s; {bridge.controls} motor commands, "
@@ -201,67 +220,8 @@ def _serve_mavlink(asked: HilOptions, address: str, rate_hz: float, *, period_s:
     )
 
 
-def serve_json(
-    port: Endpoint,
-    lockstep: Lockstep,
-    simulation: Simulation,
-    *,
-    duration_s: float,
-    stop: Callable[[], bool],
-    say: Callable[[str], None],
-) -> None:
-    """Answer ArduPilot until `duration_s` of flight or `stop`. say: is told of the first datagram that is no frame."""
-    while simulation.t_s < duration_s and not stop():
-        for (data, _), peer in zip(port.receive(POLL_S), port.sources, strict=True):
-            foreign = lockstep.counts.foreign
-            answer = lockstep.feed(data, peer, time.monotonic())
-            if answer is not None:
-                port.answer(answer, peer)
-            elif lockstep.counts.foreign == 1 > foreign:
-                say(f"ignored {len(data)} bytes that are no servo frame of ArduPilot, and shall ignore others silently")
-
-
-def serve_frames(
-    endpoint: Endpoint,
-    bridge: Bridge,
-    *,
-    period_s: float,
-    lockstep: bool,
-    duration_s: float,
-    stop: Callable[[], bool],
-    say: Callable[[str], None],
-) -> None:
-    """Fly PX4 over MAVLink until `duration_s` of flight or `stop`.
-
-    period_s: wall clock from one sensor message to the next in lockstep, 0 for as fast as it goes; else real time.
-    lockstep: wait for the controls where they ask for it; else say if an autopilot is not in HIL mode.
-    """
-    decoder, flying, told = Decoder(WANTED), False, False
-    feed = decoder.feed_datagram if endpoint.datagrams else decoder.feed
-    sent_s: float | None = None  # when the last sensor message went out, and the next is due
-    next_s = 0.0
-
-    def left_s() -> float:
-        """Until the next is due; while an answer to the last one is awaited, as long as patience goes."""
-        waits = lockstep and bridge.lockstep and not bridge.answered and sent_s is not None
-        until_s = max(next_s, (sent_s or 0.0) + PATIENCE_S) if waits else next_s
-        return min(POLL_S, max(0.0, until_s - time.monotonic()))
-
-    while bridge.simulation.t_s < duration_s and not stop():
-        flying = flying and endpoint.connected
-        for data, host_ns in endpoint.receive(left_s() if flying else POLL_S):
-            for frame in feed(data, host_ns):
-                bridge.hear(frame)
-        if not flying and endpoint.connected:
-            if sent_s is not None:
-                bridge.restart()
-            flying, sent_s = True, time.monotonic()
-            next_s = sent_s
-        if flying and not left_s():
-            for message in bridge.advance():
-                endpoint.send(message)
-            sent_s = time.monotonic()
-            next_s = max(next_s + (period_s if lockstep and bridge.lockstep else bridge.period_s), sent_s - SLIP_S)
-        if not (lockstep or told) and bridge.in_hil is False:
-            told = True
-            say("the flight controller is not in HIL mode: load the file of --print-parameters px4 and restart it")
+def _left_s(bridge: Bridge, sent_s: float | None, next_s: float, *, lockstep: bool) -> float:
+    """Until the next message is due; while an answer to the last one is awaited, as long as patience goes."""
+    waits = lockstep and bridge.lockstep and not bridge.answered and sent_s is not None
+    until_s = max(next_s, (sent_s or 0.0) + PATIENCE_S) if waits else next_s
+    return min(POLL_S, max(0.0, until_s - time.monotonic()))

@@ -19,6 +19,7 @@ from mavdiag.link.messages import Autopilot, MavCmd, MavType, MessageId, ModeFla
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import G
 from sitl_plant.autopilot.stream import to_global
+from sitl_plant.autopilot.wire import integer, number
 from sitl_plant.hil.simulation import OutputMap, Simulation
 from sitl_plant.plant import PlantSamples
 
@@ -32,13 +33,7 @@ FIELD_N = np.array([0.21523, 0.00771, 0.42741])  # gauss, NED
 COMPASS_RMS, PRESSURE_RMS_HPA = 0.001, 0.01
 SEA_HPA, TEMPERATURE_C = 1013.25, 20.0
 
-_CONTROLS = field_index(MessageId.HIL_ACTUATOR_CONTROLS, "controls")
-_FLAGS = field_index(MessageId.HIL_ACTUATOR_CONTROLS, "flags")
-_MODE = field_index(MessageId.HIL_ACTUATOR_CONTROLS, "mode")
-_COMMAND = field_index(MessageId.COMMAND_LONG, "command")
-_PARAM1 = field_index(MessageId.COMMAND_LONG, "param1")
-_AUTOPILOT = field_index(MessageId.HEARTBEAT, "autopilot")
-_BASE_MODE = field_index(MessageId.HEARTBEAT, "base_mode")
+_CONTROLS, _FLAGS, _MODE = (field_index(MessageId.HIL_ACTUATOR_CONTROLS, f) for f in ("controls", "flags", "mode"))
 
 
 class _Due(NamedTuple):
@@ -49,11 +44,10 @@ class _Due(NamedTuple):
 
 
 class Bridge:
-    """One simulation, flown over MAVLink. rate_hz: of HIL_SENSOR.
+    """One simulation, flown over MAVLink. rate_hz: of HIL_SENSOR. controls, restarts: of the autopilot so far.
 
-    period_s: of HIL_SENSOR. answered: whether controls came since the last `advance`. lockstep: whether they say that
-    PX4 waits for us. in_hil: what the last heartbeat of an autopilot says; None before the first. controls: messages so
-    far. restarts: of the autopilot.
+    answered: whether controls came since the last `advance`. lockstep: whether they say that PX4 waits for us.
+    in_hil: what the last heartbeat of an autopilot says; None before the first.
     """
 
     def __init__(self, simulation: Simulation, outputs: OutputMap, rate_hz: float) -> None:
@@ -87,11 +81,11 @@ class Bridge:
             self.lockstep = bool(int(fields[_FLAGS]) & LOCKSTEP)
             self.answered = True
             self.controls += 1
-        elif frame.msgid == MessageId.HEARTBEAT and fields[_AUTOPILOT] != Autopilot.INVALID:
-            self.in_hil = bool(int(fields[_BASE_MODE]) & ModeFlag.HIL_ENABLED)
-        elif frame.msgid == MessageId.COMMAND_LONG and fields[_COMMAND] == MavCmd.SET_MESSAGE_INTERVAL:
-            wanted, interval_us = float(fields[_PARAM1]), float(fields[_PARAM1 + 1])
-            if wanted == MessageId.HIL_STATE_QUATERNION and interval_us > 0.0:
+        elif frame.msgid == MessageId.HEARTBEAT and integer(frame, "autopilot") != Autopilot.INVALID:
+            self.in_hil = bool(integer(frame, "base_mode") & ModeFlag.HIL_ENABLED)
+        elif frame.msgid == MessageId.COMMAND_LONG and integer(frame, "command") == MavCmd.SET_MESSAGE_INTERVAL:
+            interval_us = number(frame, "param2")
+            if integer(frame, "param1") == MessageId.HIL_STATE_QUATERNION and interval_us > 0.0:
                 self._dues["truth"] = _Due(1e-6 * interval_us, self._dues["truth"].next_s)
 
     def advance(self) -> list[bytes]:
@@ -99,10 +93,8 @@ class Bridge:
         row = self.simulation.step(self._duties, self.period_s)
         self.answered = False
         sent = [self._sensor(row)]
-        if self._is_due("gps"):
-            sent.append(self._gps(row))
-        if self._is_due("truth"):
-            sent.append(self._truth(row))
+        sent += [self._gps(row)] if self._is_due("gps") else []
+        sent += [self._truth(row)] if self._is_due("truth") else []
         if self._is_due("beat"):
             sent.append(self._encoder.encode(MessageId.HEARTBEAT, MavType.GENERIC, Autopilot.INVALID, 0, 0, 4, 3))
         return sent

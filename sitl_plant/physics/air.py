@@ -116,9 +116,7 @@ class _Second:
     """sigma sqrt(T) (1 + sqrt(3) T s) / (1 + T s)^2, as two equal lags z_1, z_2 in a row:
 
     dz_1/dt = -z_1 / T + n / sqrt(T)    dz_2/dt = (z_1 - z_2) / T    y = sigma (sqrt(3) z_1 + (1 - sqrt(3)) z_2)
-
     Over a step of d = dt / T:  z_1' = a z_1 + e_1,  z_2' = a (z_2 + d z_1) + e_2,  a = exp(-d), and
-
     cov e_i e_j = integral from 0 to d of s^(i + j - 2) exp(-2 s) ds,    stationary: [[1/2, 1/4], [1/4, 1/4]]
     """
 
@@ -141,8 +139,7 @@ class _Second:
         return np.asarray(self._rms * (math.sqrt(3.0) * z1 + (1.0 - math.sqrt(3.0)) * z2))
 
 
-def _decayed(x: FloatArray, keep: float, last: float) -> FloatArray:
-    """y_k = keep y_(k-1) + x_k, from y_(-1) = last."""
+def _decayed(x: FloatArray, keep: float, last: float) -> FloatArray:  # y_k = keep y_(k-1) + x_k
     from scipy.signal import lfilter
 
     y, _ = lfilter([1.0], [1.0, -keep], x, zi=[keep * last])

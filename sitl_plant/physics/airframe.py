@@ -1,7 +1,6 @@
 """One specimen of a vehicle type: what manufacture, age, the day, new propellers and wear made of the file's numbers.
 
-Drones 1 (aged), 2 and 3 (new) are the three of T 4.4 and always come out the same; `draw_airframe` gives as many
-others as a Monte Carlo study needs. The spreads are estimates; no measurement of them is known to us.
+Drones 1 (aged), 2 and 3 (new) are the three of T 4.4. The spreads are estimates; no measurement of them is known to us.
 """
 
 import math
@@ -129,10 +128,9 @@ class Wear:
 
 
 def with_propellers(airframe: Airframe, spread: float, rng: np.random.Generator) -> Airframe:
-    """The airframe with a new healthy set of propellers.
+    """The airframe with a new healthy set of propellers: thrust times 1 ± `spread`, uniform; unbalance as permitted.
 
-    Each thrust coefficient is that of the old set times 1 ± `spread`, uniform; each unbalance is uniform up to the
-    permissible one, at any angle. Raises UsageError for a spread that is no small share.
+    Raises UsageError for a spread that is no small share.
     """
     if not 0.0 <= spread <= MOST_SPREAD:
         raise UsageError(f"propellers must spread by 0 to {MOST_SPREAD:g}, not {spread:g}")
@@ -161,8 +159,7 @@ def in_session(airframe: Airframe, rng: np.random.Generator) -> Airframe:
 def in_session_number(airframe: Airframe, session: int, spread: float = 0.0) -> Airframe:
     """The airframe in session 0, 1, 2, ...: 0 as it was drawn, the others by their number alone.
 
-    spread: above zero, each session has a new set of propellers, see `with_propellers`.
-    Raises UsageError for a negative number.
+    spread: above zero, each session has new propellers. Raises UsageError for a negative number.
     """
     if session < 0:
         raise UsageError(f"session must be zero or more, not {session}")

@@ -7,7 +7,6 @@ so pitch, yaw and height change sign. At rest the accelerometer reads (0, 0, -g)
     theta_acc = atan2(-a_x, a_y sin phi_acc + a_z cos phi_acc)                                     T Eq 2.32
     rate, acceleration = low-pass(gyro) and its slope, two states of one filter
     eta'      = W(eta) rate + (eta_seen - eta) / tau      gyro for the short term, the others for the long one
-
     theta_ref = -(P e_x + V e_vx + I ∫e_x)      nose up is positive, so ahead is negative          T Eq 2.27
     phi_ref   = +(P e_y + V e_vy + I ∫e_y)      right side down is positive, so right is positive  T Eq 2.26
     T_ref     = trim - (P e_z + V e_vz + I ∫e_z)            z is down, trim 0                      T Eq 2.25
@@ -17,19 +16,16 @@ so pitch, yaw and height change sign. At rest the accelerometer reads (0, 0, -g)
     F_i       = mixer @ [T_ref, tau]                                                               T Eq 2.43
     duty_i    = sqrt(F_i / K_F) / K_omega                                                          T Eq 2.44, 2.12
 
-Horizontal errors are turned by the yaw. Integrals are clamped (anti-windup); every command has a limit. The estimate is
+Horizontal errors are turned by the yaw; integrals are clamped (anti-windup); every command has a limit. The estimate is
 the nine-vector of T Eq 2.33: roll, pitch, yaw [rad], then rates and accelerations about the body axes.
 
-**The manufacturer's** flew the recordings, at 1 kHz. Its V acts on the measured speed alone (e_v = -v), it has a trim,
+**The manufacturer's** flew the recordings. Its V acts on the measured speed alone (e_v = -v; inferred), it has a trim,
 its attitude loop runs on a small thrust while the motors spin on the ground, and
 
     rate, acceleration = second-order low-pass of each gyro and its slope, wn 120 rad/s, zeta 1
-    angle     = complementary filter of each IMU: ∫ gyro + kp (seen - angle) + ki ∫(seen - angle); yaw: ∫ gyro
+    angle     = complementary filter of each IMU: ∫ gyro (unfiltered: inferred) + kp (seen - angle) + ki ∫(seen - angle)
     feedback: mean of both IMUs;  v = slope of a second-order low-pass of the cameras' pose, wn 50 rad/s
     duty_i    = V(F_i) / V_bat,  F = a V^2 + b V + c                  battery compensated
-
-That V acts on the measured speed and that the gyro enters the complementary filter unfiltered is inferred; the yaw gain
-is an estimate.
 """
 
 import math
@@ -171,11 +167,8 @@ def advance_estimate(
 
     reading: (6,) gyro and accelerometer, FRD. yaw_seen: from motion capture [rad].
     """
-    f11, f12, f21, f22 = estimator.gyro_filter
+    _low_pass(estimate[3:6], estimate[6:9], estimator.gyro_filter, reading)
     for i in range(3):
-        behind, slope = estimate[3 + i] - reading[i], estimate[6 + i]
-        estimate[3 + i] = reading[i] + f11 * behind + f12 * slope
-        estimate[6 + i] = f21 * behind + f22 * slope
         accel[i] += estimator.accel_gain * (reading[3 + i] - accel[i])
     phi_acc, theta_acc = tilt_from_accel(accel[0], accel[1], accel[2])
     phi, theta, psi = estimate[0], estimate[1], estimate[2]
@@ -271,8 +264,10 @@ def _outer_loop(
 
 
 @inline
-def _inner_loop(state: ControlState, gains: Controller, estimate: FloatArray) -> None:
-    """Attitude to rates to torques (T Eq 2.36, 2.40)."""
+def _inner_loop(
+    state: ControlState, gains: Controller, estimate: FloatArray, thrust_map: ThrustMap | None, volts: float
+) -> None:
+    """Attitude to rates to torques to duties (T Eq 2.36, 2.40, 2.43, 2.44)."""
     state.rate[2] = _clip(gains.yaw_rate * state.pid[3], -gains.rate_limit[2], gains.rate_limit[2])
     for axis in range(2):
         rate = gains.attitude_p * (state.setpoint[axis] - estimate[axis]) + gains.attitude_d * estimate[3 + axis]
@@ -281,10 +276,6 @@ def _inner_loop(state: ControlState, gains: Controller, estimate: FloatArray) ->
         torque = gains.rate_gain[axis, 0] * (state.rate[axis] - estimate[3 + axis])
         state.asked[axis] = torque + gains.rate_gain[axis, 1] * estimate[6 + axis]
         state.wrench[1 + axis] = _clip(state.asked[axis], -gains.torque_limit[axis], gains.torque_limit[axis])
-
-
-@inline
-def _mix(state: ControlState, gains: Controller, thrust_map: ThrustMap | None, volts: float) -> None:
     for i in range(len(state.duty)):
         force = 0.0
         for k in range(4):
@@ -338,5 +329,4 @@ def control(
     state.desired[0], state.desired[1], state.desired[2] = path[0], path[1], path[2]
     state.desired[3] = state.setpoint[2] = path[6]
     if state.motors[0] == FLYING or (state.motors[0] == IDLE and not loops_rest):
-        _inner_loop(state, gains, estimate)
-        _mix(state, gains, thrust_map, volts)
+        _inner_loop(state, gains, estimate, thrust_map, volts)

@@ -1,18 +1,14 @@
 """What can be made to go wrong in flight, as data: a cause, where, from when to when (T 1.2); T's nine propellers.
 
 A plant holds a tuple of `Injection`s. Between two onsets or ends nothing changes, so their effect is a pair of constant
-tables for the compiled loop: `Condition` for the rotors, `SensorCondition` for the IMU.
-
-Of T's nine damaged propellers, thrust loss and drag increase are from T or estimated from it; the unbalance is what T
+tables for the compiled loop. Thrust loss and drag increase are from T or estimated from it; the unbalance is what T
 Table 3.2 *prints*; what does not agree in T's tables is listed in `mavdiag.airframe.propellers`.
 
 Phenomenology, **fitted, not derived**: T's own flights show residuals far above what the physics alone gives, since the
 line at one per revolution hardly passes the 0.1 s smoothing window. A damaged propeller is therefore also given a slow
-random fluctuation of its thrust (Ornstein-Uhlenbeck, rms and corner below) and, for cracks, a lag of its thrust. These
-three columns were fitted so that T Fig 5.9, 5.10 and Table 5.2 come out: F1 short with a low margin, F2 long with a
-high one, F3 long with a margin that grows with severity. (For F3 a first fit had an rms of 3.0, 3.8, 5.0 %; the margin
-then grew, on means of four flights, in 18 of 20 trials; with 2.4, 3.8, 5.6 % it grew in 23 of 24.) `phenomenology`
-scales rms and lag; with 0 only the physics is left. Report results for 0, 0.5 and 1.
+random fluctuation of its thrust (Ornstein-Uhlenbeck) and, for cracks, a lag of it, fitted so that T Fig 5.9, 5.10 and
+Table 5.2 come out: F1 short with a low margin, F2 long with a high one, F3 long with a margin that grows with
+severity (in 23 of 24 trials). `phenomenology` scales rms and lag; with 0 only the physics is left. Report all three.
 """
 
 import math
@@ -73,16 +69,13 @@ class SensorFault:
 
 @dataclass(frozen=True, slots=True)
 class Injection:
-    """A cause, present from onset_s to end_s of flight time. rotor: 1..n as in T Eq 2.2-2.4; unused for sensors.
-
-    angle_rad: direction of the damage in the rotor's frame; None lets the plant draw it from its seed.
-    """
+    """A cause, present from onset_s to end_s of flight time. rotor: 1..n as in T Eq 2.2-2.4; unused for sensors."""
 
     cause: RotorDamage | SensorFault
     rotor: int = 1
     onset_s: float = 0.0
     end_s: float = math.inf
-    angle_rad: float | None = None
+    angle_rad: float | None = None  # of the damage in the rotor's frame; None lets the plant draw it
     name: str | None = None  # what the truth file calls it, as the code of a fault; None for a cause without a name
 
     def __post_init__(self) -> None:
@@ -162,36 +155,27 @@ def fault_injection(code: str, rotor: int, onset_s: float = 0.0, phenomenology: 
 def rotor_condition(airframe: Airframe, injections: Iterable[Injection], dt_s: float) -> Condition:
     """The rotors' condition under these causes. An injection without an angle acts at 0."""
     n = len(airframe.vehicle.rotors)
-    condition = Condition(
-        thrust_gain=np.ones(n),
-        drag_gain=np.ones(n),
-        speed_gain=np.ones(n),
-        unbalance=airframe.unbalance_g_mm * G_MM,
-        lift_offset=np.zeros((n, 2)),
-        fluctuation_rms=np.zeros(n),
-        fluctuation_decay=np.full(n, math.exp(-2.0 * math.pi * dt_s)),
-        thrust_lag=np.zeros(n),
-    )
+    healthy, unbalance, decay = np.ones(n), airframe.unbalance_g_mm * G_MM, np.full(n, math.exp(-2.0 * math.pi * dt_s))
+    gains = healthy.copy(), healthy.copy(), healthy.copy()
+    condition = Condition(*gains, unbalance, np.zeros((n, 2)), np.zeros(n), decay, np.zeros(n))
     for injection in injections:
-        if isinstance(injection.cause, RotorDamage):
-            _damage(condition, airframe, injection.cause, injection.rotor - 1, injection.angle_rad or 0.0, dt_s)
+        damage, i, angle = injection.cause, injection.rotor - 1, injection.angle_rad or 0.0
+        if not isinstance(damage, RotorDamage):
+            continue
+        direction = np.array([math.cos(angle), math.sin(angle)])
+        shift = (1.0 - damage.thrust_factor) * airframe.vehicle.propulsion.effective_radius_m
+        condition.thrust_gain[i] *= damage.thrust_factor
+        condition.drag_gain[i] *= damage.drag_factor
+        condition.speed_gain[i] *= damage.speed_factor
+        condition.unbalance[i] += damage.unbalance_g_mm * G_MM * direction
+        condition.lift_offset[i] += shift * direction
+        if damage.fluctuation_rms > 0.0:
+            condition.fluctuation_rms[i] = math.hypot(condition.fluctuation_rms[i], damage.fluctuation_rms)
+            condition.fluctuation_decay[i] = math.exp(-2.0 * math.pi * damage.fluctuation_corner_hz * dt_s)
+        condition.thrust_lag[i] += damage.thrust_lag_s
+        if damage.ejected:
+            condition.unbalance[i] = condition.lift_offset[i] = 0.0
     return condition
-
-
-def _damage(condition: Condition, airframe: Airframe, damage: RotorDamage, i: int, angle: float, dt_s: float) -> None:
-    direction = np.array([math.cos(angle), math.sin(angle)])
-    shift = (1.0 - damage.thrust_factor) * airframe.vehicle.propulsion.effective_radius_m
-    condition.thrust_gain[i] *= damage.thrust_factor
-    condition.drag_gain[i] *= damage.drag_factor
-    condition.speed_gain[i] *= damage.speed_factor
-    condition.unbalance[i] += damage.unbalance_g_mm * G_MM * direction
-    condition.lift_offset[i] += shift * direction
-    if damage.fluctuation_rms > 0.0:
-        condition.fluctuation_rms[i] = math.hypot(condition.fluctuation_rms[i], damage.fluctuation_rms)
-        condition.fluctuation_decay[i] = math.exp(-2.0 * math.pi * damage.fluctuation_corner_hz * dt_s)
-    condition.thrust_lag[i] += damage.thrust_lag_s
-    if damage.ejected:
-        condition.unbalance[i] = condition.lift_offset[i] = 0.0
 
 
 def sensor_condition(injections: Iterable[Injection]) -> SensorCondition:

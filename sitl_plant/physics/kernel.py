@@ -3,8 +3,7 @@
 Order within a step at time t_k: sensors read the state, the estimator and the controller act on it (or the given motor
 commands take the controller's place), everything is recorded, then noise, rotors and body advance to t_(k+1) with the
 new command. So a row of the output belongs to one instant. A recorded set (`Recorded`) has its own sensors, estimator
-and motors: these turn at the speed at which the rotor lifts what the manufacturer's map says of its voltage, times what
-it really lifts; the voltage follows the duty after a delay. Without one its steps are not compiled.
+and motors, whose voltage follows the duty after a delay. Without one its steps are not compiled.
 
 The random numbers of a flight come from one independent stream for each purpose, consumed in order of time. How a
 flight is cut into calls therefore changes nothing, and a purpose that is not asked for changes no other.
@@ -189,24 +188,6 @@ def _copy_to(source: FloatArray, rows: FloatArray, row: int, column: int) -> Non
         rows[row, column + i] = source[i]
 
 
-@jit
-def _log(state: State, own: Recorded, log: FloatArray, row: int) -> None:
-    seen, reading = own.estimates, own.imu_state.reading
-    for k in range(sensors.IMUS):
-        _copy_to(seen.angle[k], log, row, 3 * k)
-        _copy_to(seen.rate[k], log, row, 6 + 3 * k)
-        _copy_to(seen.acceleration[k], log, row, 12 + 3 * k)
-        _copy_to(reading[k, :3], log, row, 18 + 3 * k)
-        _copy_to(reading[k, 3:], log, row, 24 + 3 * k)
-    _copy_to(state.control.asked, log, row, 30)
-    _copy_to(state.control.wrench[1:], log, row, 33)
-    _copy_to(state.control.wrench[:1], log, row, 36)
-    _copy_to(state.control.pid, log, row, 37)
-    _copy_to(state.control.desired, log, row, 41)
-    _copy_to(state.mocap.pose, log, row, 45)
-    _copy_to(own.esc, log, row, LOG)
-
-
 @inline
 def _record(state: State, own: Recorded | None, row: int, rows: Rows) -> None:
     _copy(state.control.setpoint, rows.setpoint, row)
@@ -219,28 +200,44 @@ def _record(state: State, own: Recorded | None, row: int, rows: Rows) -> None:
     rows.thrust[row], rows.motors[row] = state.control.wrench[0], state.control.motors[0]
     rows.battery_v[row], rows.charge_ah[row] = state.battery[0], state.battery[1]
     if own is not None:
-        _log(state, own, rows.log, row)
+        log, seen, reading = rows.log, own.estimates, own.imu_state.reading
+        for k in range(sensors.IMUS):
+            _copy_to(seen.angle[k], log, row, 3 * k)
+            _copy_to(seen.rate[k], log, row, 6 + 3 * k)
+            _copy_to(seen.acceleration[k], log, row, 12 + 3 * k)
+            _copy_to(reading[k, :3], log, row, 18 + 3 * k)
+            _copy_to(reading[k, 3:], log, row, 24 + 3 * k)
+        _copy_to(state.control.asked, log, row, 30)
+        _copy_to(state.control.wrench[1:], log, row, 33)
+        _copy_to(state.control.wrench[:1], log, row, 36)
+        _copy_to(state.control.pid, log, row, 37)
+        _copy_to(state.control.desired, log, row, 41)
+        _copy_to(state.mocap.pose, log, row, 45)
+        _copy_to(own.esc, log, row, LOG)
 
 
 @inline
-def _command(
-    state: State, model: Model, own: Recorded | None, condition: rotors.Condition, step: int, command: FloatArray
+def _move(
+    state: State,
+    model: Model,
+    own: Recorded | None,
+    condition: rotors.Condition,
+    noise: Noise,
+    row: int,
+    step: int,
+    here: Scratch,
 ) -> None:
-    """The speeds that the duties ask for (T Eq 2.10), or at which the motors settle under the delayed duties."""
-    for i in range(len(command)):
+    """On to the next step, with the speeds that the duties ask for (T Eq 2.10), or to which the motors settle."""
+    for i in range(len(here.command)):
         if own is None:
             full = model.battery.speed_per_volt * state.battery[0]
-            command[i] = full * state.control.duty[i] * condition.speed_gain[i]
+            here.command[i] = full * state.control.duty[i] * condition.speed_gain[i]
         else:
             slots = len(own.queue)
             own.queue[step % slots, i] = state.control.duty[i]
             volts = own.queue[(step + 1) % slots, i] * state.battery[0]
             squared = own.squared_per_thrust * control.thrust_of(own.thrust_map, volts)
-            command[i] = np.sqrt(squared) * condition.speed_gain[i]
-
-
-@inline
-def _move(state: State, model: Model, condition: rotors.Condition, noise: Noise, row: int, here: Scratch) -> None:
+            here.command[i] = np.sqrt(squared) * condition.speed_gain[i]
     advance_wind(state.wind, model.air, noise.wind, row)
     rotors.advance_noise(state.rotors, model.rotors, condition, noise.rotors, row)
     rotors.advance_rotors(state.rotors, model.rotors, condition, here.command, model.dt, state.wrench)
@@ -269,8 +266,7 @@ def _steps(
         _sense(state, model, own, faults, noise, row, step, here)
         _decide(state, model, own, commands, row, step, here.path)
         _record(state, own, row, rows)
-        _command(state, model, own, condition, step, here.command)
-        _move(state, model, condition, noise, row, here)
+        _move(state, model, own, condition, noise, row, step, here)
 
 
 @cached

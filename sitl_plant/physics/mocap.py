@@ -1,8 +1,8 @@
 """Motion capture: cameras see markers, a rigid body is fitted to them, the pose arrives late (T 2.2).
 
 The fit is T Eq 2.21, min over R, t of sum |q_i - (R p_i + t)|^2, solved by Horn's quaternion method: the best rotation
-is the eigenvector of the largest eigenvalue of a symmetric 4 × 4 matrix. The eigenvalue is found by Newton's method
-from above and the eigenvector from the adjugate (D. Theobald, Acta Cryst. A61 (2005) 478-480).
+is the eigenvector of the largest eigenvalue of a symmetric 4 × 4 matrix, found by Newton's method from above, and from
+the adjugate (D. Theobald, Acta Cryst. A61 (2005) 478-480).
 """
 
 import math
@@ -65,24 +65,18 @@ def fit_pose(model: FloatArray, seen: FloatArray, visible: IntArray, fit: FloatA
             bound += 0.5 * (p_a * p_a + q_a * q_a)
             for b in range(3):
                 S[a, b] += p_a * (seen[i, b] - q_mean[b])
-    K = np.zeros((4, 4))
-    _horn_matrix(S, K)
-    _leading_eigenvector(K, bound, fit[6:10])
-    turned = rotate_to_world(fit, p_mean[0], p_mean[1], p_mean[2])
-    for a in range(3):
-        fit[a] = q_mean[a] - turned[a]
-    return True
-
-
-@jit
-def _horn_matrix(S: FloatArray, K: FloatArray) -> None:
-    """Horn's symmetric matrix of S = sum p q^T; the quaternion that maximises q^T K q is the best rotation."""
+    K = np.zeros((4, 4))  # Horn's: the quaternion that maximises q^T K q is the best rotation
     K[0, 0] = S[0, 0] + S[1, 1] + S[2, 2]
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
         K[0, a + 1] = K[a + 1, 0] = S[b, c] - S[c, b]
         K[a + 1, a + 1] = S[a, a] - S[b, b] - S[c, c]
         K[b + 1, c + 1] = K[c + 1, b + 1] = S[b, c] + S[c, b]
+    _leading_eigenvector(K, bound, fit[6:10])
+    turned = rotate_to_world(fit, p_mean[0], p_mean[1], p_mean[2])
+    for a in range(3):
+        fit[a] = q_mean[a] - turned[a]
+    return True
 
 
 @jit

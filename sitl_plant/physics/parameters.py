@@ -3,9 +3,8 @@
 A payload taken up in flight, or dropped, already moves as the vehicle does; the rotors keep their speed. With `shift`
 the way of the centre of gravity, v' = v + omega × shift and omega' = omega: momentum is kept, and nothing jerks.
 
-A recorded set follows from a vehicle file's `[recorded]` table and a specimen. Vibration levels are given as recorded,
-so they are divided here by what the on-chip filter and the hold leave of them. Which share a rotor has in the line, and
-at which phase, belongs to the specimen; the level also to the flight.
+Vibration levels of a recorded set are given as recorded, so they are divided here by what the on-chip filter and the
+hold leave of them. A rotor's share of the line, and its phase, belong to the specimen; the level also to the flight.
 """
 
 import math
@@ -13,6 +12,7 @@ import zlib
 
 import numpy as np
 
+from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import RPM
 from sitl_plant.physics import control, kernel, mocap, rotors, sensors
@@ -87,7 +87,7 @@ def make_model(
             accel_gain=1.0 - _decay(loops.accel_filter_hz),
             correction=STEP_S / loops.complementary_s,
         ),
-        controller=_controller(vehicle) if vehicle.recorded is None else _own_controller(vehicle, vehicle.recorded),
+        controller=_controller(vehicle),
         path=path,
     )
 
@@ -142,7 +142,7 @@ def _controller(vehicle: Vehicle) -> control.Controller:
     loops = (given.position, given.position, given.altitude, given.yaw)
     tilt, lift, turn = given.integral_limit_rad, given.thrust_limit_n[1], given.yaw_rate_limit_rad_s
     damped = np.array([[given.rate_p, given.rate_d], [given.rate_p, given.rate_d], [given.yaw_rate_p, 0.0]])
-    return control.Controller(
+    thesis = control.Controller(
         pose=np.array([[loop.p, loop.v, loop.i] for loop in loops]),
         trim=0.0,
         yaw_rate=1.0,
@@ -159,25 +159,24 @@ def _controller(vehicle: Vehicle) -> control.Controller:
         torque_limit=np.array(given.torque_limit_n_m),
         thrust_limit=np.array(given.thrust_limit_n),
     )
-
-
-def _own_controller(vehicle: Vehicle, recorded: RecordedSet) -> control.Controller:
-    gains, motors, volts = recorded.gains, recorded.motors, vehicle.battery.nominal_v
-    a, b, c = motors.thrust_map
-    loops = (gains.horizontal_pid, gains.horizontal_pid, gains.altitude_pid, gains.yaw_pid)
-    return _controller(vehicle)._replace(
-        pose=np.array([(p, d, i) for p, d, i in loops]),
-        trim=gains.trim_n,
-        yaw_rate=gains.yaw_rate,
-        attitude_p=gains.angle,
-        attitude_d=-gains.rate_damping,
-        rate_gain=np.column_stack([gains.torque_per_rate, -np.array(gains.torque_per_acceleration)]),
-        full_thrust=motors.thrust_over_command * (a * volts * volts + b * volts + c),
-        ground_thrust=recorded.ground.thrust_n,
-        tilt_limit=gains.tilt_limit_rad,
-        rate_limit=np.full(3, gains.rate_limit_rad_s),
-        integral_limit=np.array(gains.integral_limit)[[0, 0, 1, 2]],
-        torque_limit=np.array(gains.torque_limit_n_m),
+    own, volts = vehicle.recorded, vehicle.battery.nominal_v
+    if own is None:
+        return thesis
+    a, b, c = own.thrust_map
+    pids = (own.horizontal_pid, own.horizontal_pid, own.altitude_pid, own.yaw_pid)
+    return thesis._replace(
+        pose=np.array([(p, d, i) for p, d, i in pids]),
+        trim=own.trim_n,
+        yaw_rate=own.yaw_rate_gain,
+        attitude_p=own.angle_gain,
+        attitude_d=-own.rate_damping,
+        rate_gain=np.column_stack([own.torque_per_rate, -np.array(own.torque_per_acceleration)]),
+        full_thrust=own.thrust_over_command * (a * volts * volts + b * volts + c),
+        ground_thrust=own.ground_thrust_n,
+        tilt_limit=own.tilt_limit_rad,
+        rate_limit=np.full(3, own.rate_limit_rad_s),
+        integral_limit=np.array(own.integral_limit)[[0, 0, 1, 2]],
+        torque_limit=np.array(own.torque_limit_n_m),
     )
 
 
@@ -235,38 +234,42 @@ def reload(model: kernel.Model, state: kernel.State, airframe: Airframe, payload
 
 
 def recorded_set(
-    airframe: Airframe, recorded: RecordedSet, model: kernel.Model, state: kernel.State, seed: int
+    airframe: Airframe, model: kernel.Model, state: kernel.State, seed: int
 ) -> tuple[kernel.Recorded, np.random.Generator]:
     """The recorded set for one flight, and the stream of its sensors. `state` is set to its trim."""
+    recorded = airframe.vehicle.recorded
+    if recorded is None:
+        raise UsageError(f"{airframe.vehicle.name} has no table [recorded]")
     levels, session = np.random.SeedSequence([seed, FLIGHT_STREAM]).spawn(2)
-    scale = math.exp(recorded.vibration.session_rms * np.random.default_rng(levels).standard_normal())
-    motors, filters, flown, dt = recorded.motors, recorded.feedback, state.control, model.dt
-    n, z = len(flown.duty), np.zeros
-    queue = z((round(motors.command_delay_s / dt) + 1, n))
+    scale = math.exp(recorded.session_rms * np.random.default_rng(levels).standard_normal())
+    flown, dt, n, z = state.control, model.dt, len(state.control.duty), np.zeros
+    queue = z((round(recorded.command_delay_s / dt) + 1, n))
     flown.integral[:] = 0.0
     if flown.motors[0] == FLYING:
-        thrust = flown.wrench[0] / motors.thrust_over_command
+        thrust = flown.wrench[0] / recorded.thrust_over_command
         flown.integral[2] = model.controller.trim - thrust  # down is positive
         flown.wrench[0] = thrust
-        queue[:] = control.voltage_of(motors.thrust_map, thrust / n) / state.battery[0]
+        queue[:] = control.voltage_of(recorded.thrust_map, thrust / n) / state.battery[0]
     imus, channels = sensors.IMUS, sensors.IMUS * sensors.CHANNELS
     reading, angle, pose = z((imus, sensors.CHANNELS)), z((imus, 3)), state.mocap.pose
     reading[:, 5], angle[:, 2] = -GRAVITY, state.estimate[2]
-    accel, shaped, memory = reading[:, 3:].copy(), z((channels, 2)), z((channels, 3))
-    rate, slope, tilt = (control.second_order(*pair, dt) for pair in (filters.rate, filters.accel, filters.velocity))
-    still, correction = z((imus, 3)), z((imus, 2))
+    rate, slope, speed = (
+        control.second_order(*pair, dt)
+        for pair in (recorded.rate_filter, recorded.accel_filter, recorded.velocity_filter)
+    )
+    twin = sensors.TwinImuState(z((channels, 2)), z((channels, 3)), z(6), reading, z((sensors.HARMONICS, n, 2)))
+    accel, still = reading[:, 3:].copy(), [z((imus, 3)) for _ in range(3)]
+    lifted = recorded.thrust_over_command * airframe.battery_gain
     own = kernel.Recorded(
         imus=_imus(airframe, recorded, model, scale),
-        estimators=control.TwinEstimator(rate, slope, tilt, filters.complementary_p, filters.complementary_i),
-        thrust_map=motors.thrust_map,
-        squared_per_thrust=motors.thrust_over_command
-        * airframe.battery_gain
-        / airframe.vehicle.propulsion.thrust_coefficient_n_s2,
-        esc_period=max(1, round(recorded.esc.frame_s / dt)),
-        esc_first=round(recorded.esc.first_s / dt) if model.path.start > 0.0 else -(1 << 62),
-        over_read=recorded.esc.over_read,
-        imu_state=sensors.TwinImuState(shaped, memory, z(sensors.CHANNELS), reading, z((sensors.HARMONICS, n, 2))),
-        estimates=control.TwinEstimate(angle, still, still.copy(), accel, still.copy(), correction, pose.copy(), z(4)),
+        estimators=control.TwinEstimator(rate, slope, speed, recorded.complementary_p, recorded.complementary_i),
+        thrust_map=recorded.thrust_map,
+        squared_per_thrust=lifted / airframe.vehicle.propulsion.thrust_coefficient_n_s2,
+        esc_period=max(1, round(recorded.esc_frame_s / dt)),
+        esc_first=round(recorded.esc_first_s / dt) if model.path.start > 0.0 else -(1 << 62),
+        over_read=recorded.esc_over_read,
+        imu_state=twin,
+        estimates=control.TwinEstimate(angle, still[0], still[1], accel, still[2], z((imus, 2)), pose.copy(), z(4)),
         queue=queue,
         esc=np.full(n, np.nan),
     )
@@ -274,17 +277,14 @@ def recorded_set(
 
 
 def specimen_of(airframe: Airframe, recorded: RecordedSet) -> Specimen:
-    """The levels of an airframe: those of its name in the file, or drawn between the extremes that were measured.
-
-    The draw follows from the airframe's own constants, so a specimen keeps its levels from flight to flight.
-    """
+    """The levels of an airframe: those of its name in the file, or drawn by its constants between the extremes."""
     known = {specimen.name: specimen for specimen in recorded.specimens}
     if airframe.name in known:
         return known[airframe.name]
-    rng, levels = _specimen_stream(airframe, LEVELS), recorded.vibration
-    line, broad = (float(np.exp(rng.uniform(*np.log(extremes)))) for extremes in (levels.gyro_line, levels.gyro_broad))
-    bias = (recorded.sensors.gyro_bias_rms_rad_s * rng.standard_normal(sensors.IMUS)).tolist()
-    return Specimen(airframe.name, line, broad, (bias[0], bias[1]), levels.second_harmonic)
+    rng, extremes = _specimen_stream(airframe, LEVELS), (recorded.gyro_line, recorded.gyro_broad)
+    line, broad = (float(np.exp(rng.uniform(*np.log(pair)))) for pair in extremes)
+    bias = (recorded.gyro_bias_rms_rad_s * rng.standard_normal(sensors.IMUS)).tolist()
+    return Specimen(airframe.name, line, broad, (bias[0], bias[1]), recorded.second_harmonic)
 
 
 def _specimen_stream(airframe: Airframe, purpose: int) -> np.random.Generator:
@@ -301,45 +301,42 @@ def _kept(filters: FloatArray, frequency_hz: FloatArray, dt: float, held: int) -
 
 
 def _imus(airframe: Airframe, recorded: RecordedSet, model: kernel.Model, session: float) -> sensors.TwinImu:
-    chips, levels, specimen = recorded.sensors, recorded.vibration, specimen_of(airframe, recorded)
-    body, propulsion, chip = airframe.vehicle.body, airframe.vehicle.propulsion, airframe.vehicle.imu
-    hover = math.sqrt(GRAVITY * body.mass_kg / len(airframe.vehicle.rotors) / propulsion.thrust_coefficient_n_s2)
-    period = max(1, round(chips.gyro_period_s / model.dt))
-    corners = [chips.gyro_filter_hz] * 3 + [chips.accel_filter_hz] * 3
-    filters = np.array([sensors.butterworth3(corner_hz, model.dt) for corner_hz in corners])
-    shape, band_hz = sensors.high_pass(levels.broad_corner_hz, model.dt), np.linspace(*BAND_HZ, 101)
-    shaped, width = sensors.gain_of(shape, band_hz, model.dt), 2.0 * model.dt * (BAND_HZ[1] - BAND_HZ[0])
-    line = np.concatenate([specimen.gyro_line * np.array(levels.gyro_axes), levels.accel_axes])
-    broad = np.concatenate([specimen.gyro_broad * np.array(levels.gyro_axes), np.full(3, levels.accel_broad)])
+    specimen, propulsion, chip = specimen_of(airframe, recorded), airframe.vehicle.propulsion, airframe.vehicle.imu
+    n, dt = len(airframe.vehicle.rotors), model.dt
+    hover = math.sqrt(GRAVITY * airframe.vehicle.body.mass_kg / n / propulsion.thrust_coefficient_n_s2)
+    period = max(1, round(recorded.gyro_period_s / dt))
+    corners = [recorded.gyro_filter_hz] * 3 + [recorded.accel_filter_hz] * 3
+    filters = np.array([sensors.butterworth3(corner_hz, dt) for corner_hz in corners])
+    shape, band_hz = sensors.high_pass(recorded.broad_corner_hz, dt), np.linspace(*BAND_HZ, 101)
+    shaped, width = sensors.gain_of(shape, band_hz, dt), 2.0 * dt * (BAND_HZ[1] - BAND_HZ[0])
+    line = np.concatenate([specimen.gyro_line * np.array(recorded.gyro_axes), recorded.accel_axes])
+    broad = np.concatenate([specimen.gyro_broad * np.array(recorded.gyro_axes), np.full(3, recorded.accel_broad)])
     for channel, held in enumerate([period] * 3 + [1] * 3):
-        line[channel] /= _kept(filters[channel], np.array([hover / (2.0 * np.pi)]), model.dt, held)[0]
-        gain = shaped * _kept(filters[channel], band_hz, model.dt, held)
+        line[channel] /= _kept(filters[channel], np.array([hover / (2.0 * np.pi)]), dt, held)[0]
+        gain = shaped * _kept(filters[channel], band_hz, dt, held)
         broad[channel] /= math.sqrt(float(np.mean(gain**2)) * width)
-    ratio = np.array([1.0, levels.second_imu])
+    ratio, bias = np.array([1.0, recorded.second_imu]), np.zeros((sensors.IMUS, sensors.CHANNELS))
+    bias[:, 0] = specimen.gyro_bias_roll
     drawn = _specimen_stream(airframe, BIAS).standard_normal((sensors.IMUS, 2))
-    bias = np.zeros((sensors.IMUS, sensors.CHANNELS))
-    bias[:, 0], bias[:, 1:3] = specimen.gyro_bias_roll, chips.gyro_bias_rms_rad_s * drawn
-    white = math.sqrt(0.5 / model.dt) * np.repeat([chip.gyro_noise_density, chip.accel_noise_density], 3)
-    return sensors.TwinImu(
-        position=np.array(chips.positions_m) + model.mocap.centre,
-        bias=bias,
-        white=np.array([white] * sensors.IMUS),
-        broad=np.outer(ratio, broad),
-        line=_line(airframe, session * np.outer(ratio, line), specimen.second_harmonic),
-        hover=hover,
-        shape=shape,
-        filters=filters,
-        span=np.repeat([chips.gyro_range_rad_s, chips.accel_range_m_s2], 3),
-        lsb=np.repeat([chips.gyro_lsb_rad_s, chips.accel_lsb_m_s2], 3),
-        gyro_period=period,
-    )
-
-
-def _line(airframe: Airframe, level: FloatArray, second: float) -> FloatArray:
-    """(2, 6, 2, n, 2) amplitudes of the specimen's rotors; their squares sum to 2 level^2, (2, 6)."""
-    n, rng = len(airframe.vehicle.rotors), _specimen_stream(airframe, LINE)
+    bias[:, 1:3] = recorded.gyro_bias_rms_rad_s * drawn
+    white = math.sqrt(0.5 / dt) * np.repeat([chip.gyro_noise_density, chip.accel_noise_density], 3)
+    # amplitudes of the specimen's rotors, (2, 6, 2, n, 2); their squares sum to 2 level^2
+    rng = _specimen_stream(airframe, LINE)
     share = rng.uniform(0.5, 1.5, (sensors.IMUS, sensors.CHANNELS, sensors.HARMONICS, n))
     share /= np.sqrt((share**2).sum(axis=-1, keepdims=True))
     phase = rng.uniform(0.0, 2.0 * np.pi, share.shape)
-    amplitude = math.sqrt(2.0) * level[:, :, None, None] * np.array([1.0, second])[:, None] * share
-    return np.stack([amplitude * np.cos(phase), amplitude * np.sin(phase)], axis=-1)
+    level, harmonics = session * np.outer(ratio, line), np.array([1.0, specimen.second_harmonic])
+    amplitude = math.sqrt(2.0) * level[:, :, None, None] * harmonics[:, None] * share
+    return sensors.TwinImu(
+        position=np.array(recorded.imu_positions_m) + model.mocap.centre,
+        bias=bias,
+        white=np.array([white] * sensors.IMUS),
+        broad=np.outer(ratio, broad),
+        line=np.stack([amplitude * np.cos(phase), amplitude * np.sin(phase)], axis=-1),
+        hover=hover,
+        shape=shape,
+        filters=filters,
+        span=np.repeat([recorded.gyro_range_rad_s, recorded.accel_range_m_s2], 3),
+        lsb=np.repeat([recorded.gyro_lsb_rad_s, recorded.accel_lsb_m_s2], 3),
+        gyro_period=period,
+    )

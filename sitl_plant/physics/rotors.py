@@ -8,9 +8,8 @@ Per rotor i, with sign s (+1 clockwise seen from above) and azimuth theta:
     f     = U w^2 e(theta)                    in the rotor plane, from the hub
     T     = r_hub × f + d(theta) × (-F e_z)   mass and lift torques, opposed      T Eq 5.3-5.9
 
-`e(theta)` turns with the rotor. d is the offset of the centre of lift, in the direction of f: both point to the whole
-blade, so the two torques oppose each other as T 5.5.2 says. The phase is carried from step to step, so the line at one
-per revolution (167 Hz in hover) has its true amplitude U w^2 / m in the acceleration.
+`e(theta)` turns with the rotor; d is the offset of the centre of lift, in the direction of f. The phase is carried from
+step to step, so the line at one per revolution (167 Hz in hover) has its true amplitude U w^2 / m in the acceleration.
 """
 
 import math

@@ -5,9 +5,8 @@ The specific force at a point r from the centre of gravity is
     f = R^T (dv/dt - g) + domega/dt × r + omega × (omega × r)
 
 The thesis's vehicle has one IMU behind a second-order Butterworth low-pass. Between it and the airframe there may be a
-soft mount, or an arm that resonates: one mode driven by its base, the same for translation, roll and pitch (our
-choice), discretised by the bilinear transform, prewarped at w0. Yaw passes as it is: with the yaw rate behind a mode at
-50 or 25 Hz the yaw loop of the QDrone 2 oscillates.
+soft mount, or an arm that resonates: one mode driven by its base, bilinear, prewarped at w0, the same for translation,
+roll and pitch (our choice). Yaw passes as it is: behind a mode at 50 or 25 Hz the yaw loop of the QDrone 2 oscillates.
 
     H(s) = (2 zeta w0 s + w0^2) / (s^2 + 2 zeta w0 s + w0^2)
 
@@ -18,10 +17,8 @@ A vehicle as it was recorded has two IMUs, with
             + broad: high-passed white noise, times the mean of (w / w_hover)^2
     reading = steps( clip( hold( low-pass3( felt ) ) ) )
 
-Line and broad part are *levels set to the recordings*, not mechanics: the two IMUs of one drone differ by 2.2 there, so
-the mount makes them and not the rigid body, and they do not grow with damage. The force of an unbalanced propeller
-comes in beside them through the body. The gyro is sampled at 500 Hz and held: its low-pass runs here at 1 kHz and
-every second value is kept, so 300 Hz comes out at 200 Hz.
+Line and broad part are *levels set to the recordings*, not mechanics: they do not grow with damage. The gyro is sampled
+at 500 Hz and held: its low-pass runs here at 1 kHz and every second value is kept, so 300 Hz comes out at 200 Hz.
 """
 
 import math
@@ -205,27 +202,6 @@ def advance_imu(
 
 
 @jit
-def _turn(state: TwinImuState, imu: TwinImu, rotors: RotorState) -> float:
-    mean, n = 0.0, len(rotors.speed)
-    for r in range(n):
-        power = (rotors.speed[r] / imu.hover) ** 2
-        c, s = math.cos(rotors.azimuth[r]), math.sin(rotors.azimuth[r])
-        state.turns[0, r, 0], state.turns[0, r, 1] = power * c, power * s
-        state.turns[1, r, 0], state.turns[1, r, 1] = power * (c * c - s * s), power * 2.0 * s * c
-        mean += power / n
-    return mean
-
-
-@jit
-def _vibration(state: TwinImuState, imu: TwinImu, k: int, i: int, white: float, power: float) -> float:
-    value = imu.broad[k, i] * biquad(state.shaped, CHANNELS * k + i, 0, imu.shape, white) * power
-    for h in range(HARMONICS):
-        for r in range(state.turns.shape[1]):
-            value += imu.line[k, i, h, r, 0] * state.turns[h, r, 0] + imu.line[k, i, h, r, 1] * state.turns[h, r, 1]
-    return float(value)
-
-
-@jit
 def advance_imus(
     state: TwinImuState,
     imu: TwinImu,
@@ -241,17 +217,27 @@ def advance_imus(
 
     truth: (2, 6), what ideal sensors read. normals: (steps, 24): white and broad noise of IMU 0, then of IMU 1.
     """
-    power = _turn(state, imu, rotors)
+    mean, low, turns, n = 0.0, imu.filters, state.turns, len(rotors.speed)
+    for r in range(n):
+        power = (rotors.speed[r] / imu.hover) ** 2
+        c, s = math.cos(rotors.azimuth[r]), math.sin(rotors.azimuth[r])
+        turns[0, r, 0], turns[0, r, 1] = power * c, power * s
+        turns[1, r, 0], turns[1, r, 1] = power * (c * c - s * s), power * 2.0 * s * c
+        mean += power / n
     for k in range(IMUS):
         for i in range(CHANNELS):
-            at, j, low = 2 * CHANNELS * k + i, CHANNELS * k + i, imu.filters
+            at, j = 2 * CHANNELS * k + i, CHANNELS * k + i
             value, noise = truth[k, i], imu.white[k, i]
             if k == 0:
                 state.drifted[i] += condition.drift[i] * dt
                 value = condition.scale[i] * value + condition.offset[i] + state.drifted[i]
                 noise = math.sqrt(noise * noise + condition.noise[i] * condition.noise[i])
+            shaken = imu.broad[k, i] * biquad(state.shaped, j, 0, imu.shape, normals[row, at + CHANNELS]) * mean
+            for h in range(HARMONICS):
+                for r in range(n):
+                    shaken += imu.line[k, i, h, r, 0] * turns[h, r, 0] + imu.line[k, i, h, r, 1] * turns[h, r, 1]
             value += imu.bias[k, i] + noise * normals[row, at]
-            value += _vibration(state, imu, k, i, normals[row, at + CHANNELS], power)
+            value += shaken
             middle = low[i, 0] * value + state.memory[j, 0]
             state.memory[j, 0] = low[i, 0] * value - low[i, 1] * middle
             section = (low[i, 2], low[i, 3], low[i, 4], low[i, 5], low[i, 6])

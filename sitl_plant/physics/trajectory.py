@@ -1,21 +1,16 @@
 """Reference paths: square (T 5.2, Fig 5.3), hover, circle, figure-8, the recorded t1 to t5; take-off and landing.
 
 A path is a function of time: position and velocity in the horizontal plane, constant speed along the path, then turned
-by the heading. Before t = 0 the vehicle hovers at the first point of the path, or it stands there on the ground: then
-it arms, idles, climbs and begins the path at `Path.start`. At `Path.land` it stops where it is and descends. Figures
-of take-off and landing, and of the turning nose, are our choice. A commanded path is led along one `Leg` after another.
+by the heading. Before t = 0 the vehicle hovers at its first point, or stands there on the ground: then it arms, idles,
+climbs and begins the path at `Path.start`; at `Path.land` it stops and descends. A commanded path is led along one
+`Leg` after another. Figures of take-off and landing, and of the turning nose, are our choice.
 
-The five trajectories of DronePropA are set-points that step, and a limiter that moves towards them:
+The five trajectories of DronePropA are set-points that step every 10 s, and a limiter that moves towards them (SP1: 2
+m/s and 3.14 rad/s, SP2: 0.333 m/s and 0.52 rad/s). Order of the corners, way back and repetition are our choice.
 
-    t1  diagonals of a square, corners at +-1 m from its centre
-    t2  edges of the square (that it is the same square is inferred)
-    t3  climb from 0.2 to 0.8 m in steps of 0.2 m
-    t4  climb from 0.2 to 0.8 m at once
+    t1  diagonals of a square, corners at +-1 m            t3  climb from 0.2 to 0.8 m in steps of 0.2 m
+    t2  its edges (the same square: inferred)              t4  climb from 0.2 to 0.8 m at once
     t5  yaw by 45, -45, 90, -90 degrees
-
-SP1 limits the set-point to 2 m/s and 3.14 rad/s, SP2 to 0.333 m/s and 0.52 rad/s. A new set-point comes every 10 s, as
-plots of the recordings show. The order of the corners, the way back down and the repetition until the flight ends are
-our choice.
 """
 
 import math
@@ -246,8 +241,15 @@ def _nose(path: Path, u: float, v: float, t: float) -> tuple[float, float]:
 
 @jit
 def _along(path: Path, t: float) -> tuple[float, float, float, float]:
-    if path.shape == SQUARE:
-        return _square(path.size, path.speed, t)
+    if path.shape == SQUARE:  # ahead, right, back, left; the corners are sharp, so the velocity jumps there (T 5.2)
+        side, distance = path.size, (path.speed * t) % (4.0 * path.size)
+        edge = int(distance / side) % 4
+        along = distance - edge * side
+        if edge == 0:
+            return along, 0.0, path.speed, 0.0
+        if edge == 1:
+            return side, along, 0.0, path.speed
+        return (side - along, side, -path.speed, 0.0) if edge == 2 else (0.0, side - along, 0.0, -path.speed)
     radius = 0.5 * path.size
     rate = path.speed / radius
     a = rate * t
@@ -258,21 +260,6 @@ def _along(path: Path, t: float) -> tuple[float, float, float, float]:
     rate /= np.sqrt(2.0)
     x, y = radius * np.sin(a), 0.5 * radius * np.sin(2.0 * a)
     return x, y, radius * rate * np.cos(a), radius * rate * np.cos(2.0 * a)
-
-
-@jit
-def _square(side: float, speed: float, t: float) -> tuple[float, float, float, float]:
-    """Ahead, right, back, left; the corners are sharp, so the velocity jumps there (T 5.2)."""
-    distance = (speed * t) % (4.0 * side)
-    edge = int(distance / side) % 4
-    along = distance - edge * side
-    if edge == 0:
-        return along, 0.0, speed, 0.0
-    if edge == 1:
-        return side, along, 0.0, speed
-    if edge == 2:
-        return side - along, side, -speed, 0.0
-    return 0.0, side - along, 0.0, -speed
 
 
 @jit

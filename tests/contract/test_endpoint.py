@@ -51,7 +51,6 @@ class PtyMaster(Endpoint):
 class Link:
     near: Endpoint
     far: Endpoint
-    keeps_bounds: bool  # a message arrives as one chunk
 
 
 def ticking() -> Callable[[], int]:
@@ -62,21 +61,21 @@ def ticking() -> Callable[[], int]:
 def open_link(kind: str, stack: ExitStack) -> Link:
     if kind == "memory":
         one, other = memory_pair(capacity=1000, clock=ticking())
-        return Link(stack.enter_context(one), stack.enter_context(other), keeps_bounds=True)
+        return Link(stack.enter_context(one), stack.enter_context(other))
     if kind == "serial":
         master, slave = os.openpty()
         stack.callback(os.close, slave)
         distant = stack.enter_context(PtyMaster(master))
         device = stack.enter_context(open_endpoint(f"{os.ttyname(slave)},115200", clock=ticking()))
-        return Link(device, distant, keeps_bounds=False)
+        return Link(device, distant)
     listen, talk = kind.split("/")
     server = stack.enter_context(open_endpoint(f"{listen}:127.0.0.1:0", clock=ticking()))
     client = stack.enter_context(open_endpoint(server.address.replace(listen, talk), clock=ticking()))
-    return Link(server, client, keeps_bounds=listen == "udpin")
+    return Link(server, client)
 
 
 def reversed_link(link: Link) -> Link:
-    return Link(link.far, link.near, link.keeps_bounds)
+    return Link(link.far, link.near)
 
 
 @pytest.fixture(params=["memory", "udpin/udpout", "udpout/udpin", "tcpin/tcp", "tcp/tcpin", "serial"])
@@ -112,22 +111,6 @@ def test_messages_arrive_whole_and_in_order_in_both_directions(link: Link, seed:
         for message in messages:
             sender.send(message)
         assert collect(receiver, sum(map(len, messages))) == b"".join(messages)
-
-
-def test_a_message_stays_one_chunk_where_the_link_keeps_bounds(link: Link) -> None:
-    if not link.keeps_bounds:
-        pytest.skip("a byte stream")
-    for n in (1, 17, 280):
-        link.far.send(bytes(n))
-    received: list[int] = []
-    while len(received) < 3:
-        received += [len(data) for data, _ in link.near.receive(PATIENCE_S)]
-    assert received == [1, 17, 280]
-
-
-def test_silence_is_an_empty_answer_after_the_time_asked(link: Link) -> None:
-    assert link.near.receive(0.0) == []
-    assert link.near.receive(0.02) == []
 
 
 def test_each_chunk_carries_the_host_clock(link: Link) -> None:
@@ -175,9 +158,3 @@ def test_waiting_tells_which_of_several_can_be_read(link: Link) -> None:
         assert wait([quiet, link.near], PATIENCE_S) == [link.near]
         other.send(b"now")
         assert set(wait([quiet, link.near], PATIENCE_S)) == {quiet, link.near}
-
-
-def test_leaving_the_context_closes(link: Link) -> None:
-    with link.near as endpoint:
-        assert endpoint.connected
-    assert not link.near.connected

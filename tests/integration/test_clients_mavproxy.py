@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import subprocess
 import sys
 import threading
 import time
@@ -51,56 +50,3 @@ def test_mavproxy_prints_the_alert_of_a_companion(tmp_path: Path) -> None:
     assert f"AP: {ALERT}" in output, output
     assert "Detected vehicle 1:1" in output
     assert "ARMED" in output
-
-
-FLIGHT = (  # what is typed, and what MAVProxy then prints
-    ("param set SIM_PROP_FAULT 2", ""),
-    ("param show SIM_PROP_FAULT", "SIM_PROP_FAULT   2.0"),
-    ("mode guided", "Mode GUIDED"),
-    ("arm throttle", "ARMED"),
-    ("takeoff 1.5", "NAV_TAKEOFF: ACCEPTED"),
-    ("disarm", "disarming is denied in flight"),
-    ("wp list", "Requesting 0 waypoints"),
-    ("mode land", "Mode LAND"),
-    ("", "DISARMED"),
-)
-
-
-def test_mavproxy_flies_a_copter_by_hand(tmp_path: Path) -> None:
-    environment = {**os.environ, "HOME": str(tmp_path), "PYTHONUNBUFFERED": "1"}
-    printed: list[str] = []
-
-    def waits_for(text: str) -> bool:
-        until = time.monotonic() + PATIENCE_S
-        while text not in "".join(printed) and time.monotonic() < until:
-            time.sleep(0.1)
-        return text in "".join(printed)
-
-    with (
-        flying("--profile", "ardupilot", "--trajectory", "commanded") as (address,),
-        subprocess.Popen(
-            mavproxy(address),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            cwd=tmp_path,
-            env=environment,
-        ) as station,
-    ):
-        assert station.stdin is not None
-        assert station.stdout is not None
-        reader = threading.Thread(target=printed.extend, args=(station.stdout,), daemon=True)
-        reader.start()
-        try:
-            assert waits_for("Saved "), printed  # it has the parameters
-            for typed, answer in FLIGHT:
-                if typed:
-                    station.stdin.write(typed + "\n")
-                    station.stdin.flush()
-                    time.sleep(4.0 if typed.startswith("takeoff") else 1.0)
-                assert waits_for(answer), (typed, printed)
-        finally:
-            station.stdin.close()  # the end of what is typed ends it
-            station.terminate()
-            reader.join(PATIENCE_S)

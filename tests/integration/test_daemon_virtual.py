@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 from made_session import baseline_for
 from made_vehicle import Bench, FakeFitter, MadeVehicle, VirtualHost, received
+from memory_port import MemoryEndpoint
 
-from detector.config import Settings
-from detector.states import State
+from detector.config import Settings, VehicleSettings
+from detector.notify import Notifier
 from mavdiag.link.codec import Encoder, Frame, decode_statustext, field_index
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, Severity
 from mavdiag.logs.tlog import read_tlog
@@ -71,17 +72,6 @@ def test_a_link_that_must_be_spoken_to_first_gets_heartbeats_and_nothing_else(
     assert Counter((frame.msgid, frame.sysid) for frame in frames) == {(MessageId.HEARTBEAT, sysid): 6}
 
 
-def test_every_sample_that_came_is_counted_once(benches: Benches) -> None:
-    vehicle = MadeVehicle(1)
-    bench = benches(Settings(connect=UDP_IN, learn=500.0), vehicle)
-    bench.run(30.0)
-    [figures] = bench.daemon.fleet.figures()
-    assert figures.received == 2 * vehicle.sent + vehicle.sent // 100
-    assert figures.lost == 0
-    assert bench.daemon.fleet.vehicles[1].session.streams.gyro.samples == vehicle.sent
-    assert figures.gyro_hz == pytest.approx(100.0)
-
-
 def test_two_vehicles_on_one_link_have_a_session_each(benches: Benches, tmp_path: Path) -> None:
     fitter = FakeFitter(baseline_for())
     settings = Settings(connect=UDP_IN, learn=5.0, save=tmp_path / "b.json")
@@ -95,38 +85,6 @@ def test_two_vehicles_on_one_link_have_a_session_each(benches: Benches, tmp_path
     for sysid in (1, 2):  # one sequence for each, without a hole
         seqs = [frame.seq for frame in frames if frame.sysid == sysid]
         assert seqs == [(seqs[0] + k) % 256 for k in range(len(seqs))]
-
-
-@pytest.mark.parametrize(
-    ("autopilot", "profile"), [(Autopilot.ARDUPILOTMEGA, "ardupilot"), (Autopilot.GENERIC, "qdrone2")]
-)
-def test_the_profile_follows_what_the_vehicle_sends(benches: Benches, autopilot: Autopilot, profile: str) -> None:
-    bench = benches(
-        Settings(connect=UDP_IN, baseline=Path("b.json")), MadeVehicle(1, autopilot), baseline=baseline_for()
-    )
-    bench.run(3.0)
-    assert bench.daemon.fleet.vehicles[1].session.spec.profile.name == profile
-    faulted = bench.daemon.fleet.vehicles[1].session.state is State.FAULTED
-    assert faulted == (profile != "qdrone2")
-    assert any(text.startswith("PROP OFF: link.profile") for text in texts(received(bench.far))) == faulted
-
-
-def test_missing_streams_are_asked_of_the_autopilot(benches: Benches) -> None:
-    bench = benches(Settings(connect=UDP_IN, learn=5.0))
-    vehicle = MadeVehicle(3, Autopilot.ARDUPILOTMEGA)
-    for _ in range(5):
-        bench.far.send(vehicle.heartbeat())
-        bench.run(1.0)
-    asked = of(received(bench.far), MessageId.COMMAND_LONG)
-    names = ("command", "target_system", "target_component", "param1", "param2")
-    places = [field_index(MessageId.COMMAND_LONG, name) for name in names]
-    assert [[int(frame.fields[place]) for place in places] for frame in asked][:5] == [
-        [MavCmd.SET_MESSAGE_INTERVAL, 3, 1, MessageId.ATTITUDE_TARGET, 10_000],
-        [MavCmd.SET_MESSAGE_INTERVAL, 3, 1, MessageId.RAW_IMU, 10_000],
-        [MavCmd.SET_MESSAGE_INTERVAL, 3, 1, MessageId.SERVO_OUTPUT_RAW, 40_000],
-        [MavCmd.SET_MESSAGE_INTERVAL, 3, 1, MessageId.VIBRATION, 200_000],
-        [MavCmd.SET_MESSAGE_INTERVAL, 3, 1, MessageId.ATTITUDE, 40_000],
-    ]
 
 
 def test_commands_for_others_are_ignored_and_ours_are_declined(benches: Benches) -> None:
@@ -185,22 +143,21 @@ def test_l9_the_recording_reads_back_as_the_flight_that_was_received(benches: Be
     assert len(log.telemetry.need(Signal.BODY_RATE)) == vehicle.sent
 
 
-class SlowHost(VirtualHost):
+class SlowManager(Notifier):
     """Every look with a heartbeat takes 0.1 s longer than it may."""
 
-    looks = 0
+    host, looks = VirtualHost(), 0
 
-    def cpu_s(self) -> float:
+    def status(self, status: str, *, alive: bool) -> None:
         self.looks += 1
-        self.ns += 100_000_000
-        return 0.0
+        self.host.ns += 100_000_000
 
 
 def test_l11_looks_that_come_late_are_counted_and_told(benches: Benches) -> None:
-    host = SlowHost()
-    bench = benches(Settings(connect=UDP_IN, learn=5.0, tick_s=0.04), host=host)
-    bench.daemon.run(lambda: host.looks >= 5)
-    assert "5 looks came late, by 0.06 s at most" in host.lines[-1]
+    slow = SlowManager({})
+    bench = benches(Settings(connect=UDP_IN, learn=5.0, tick_s=0.04), host=slow.host, notifier=slow)
+    bench.daemon.run(lambda: slow.looks >= 5)
+    assert "5 looks came late, by 0.06 s at most" in slow.host.lines[-1]
     assert bench.daemon.figures().late == 5
 
 
@@ -221,3 +178,64 @@ def test_timesync_is_asked_rarely_and_answered(benches: Benches) -> None:
     [figures] = bench.daemon.fleet.figures()
     assert figures.timesync.round_trip_s is not None
     assert figures.timesync.offset_s is not None
+
+
+STATION = Encoder(255, Component.MISSIONPLANNER)
+US = (1, Component.ONBOARD_COMPUTER)
+
+
+def field(frame: Frame, name: str) -> object:
+    value = frame.fields[field_index(frame.msgid, name)]
+    return value.partition(b"\0")[0].decode() if isinstance(value, bytes) else value
+
+
+def judging(**more: object) -> Settings:
+    return Settings.model_validate({"connect": UDP_IN, "baseline": Path("b.json"), **more})
+
+
+def asked(bench: Bench, end: MemoryEndpoint, frame: bytes) -> list[Frame]:
+    """What comes back for a request."""
+    received(end)
+    end.send(frame)
+    bench.run(0.1)
+    return received(end)
+
+
+def test_rates_that_are_needed_are_kept_and_everything_else_passes(benches: Benches) -> None:
+    bench = benches(judging(keep_rates=True), MadeVehicle(1), baseline=baseline_for(), links_behind=1)
+    bench.run(4.0)
+    received(bench.far)
+    ours = STATION.encode(MessageId.COMMAND_LONG, 1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0, MessageId.RAW_IMU, 1_000_000)
+    other = STATION.encode(
+        MessageId.COMMAND_LONG, 1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0, MessageId.SYS_STATUS, 1_000_000
+    )
+    [ack] = of(asked(bench, bench.behind[0], ours), MessageId.COMMAND_ACK)
+    assert (field(ack, "result"), field(ack, "target_system")) == (MavResult.DENIED, 255)
+    asked(bench, bench.behind[0], other)
+    asked(bench, bench.behind[0], STATION.encode(MessageId.REQUEST_DATA_STREAM, 1, 1, 0, 4, 1))
+    frames = received(bench.far)
+    assert [field(one, "param1") for one in of(frames, MessageId.COMMAND_LONG)] == [MessageId.SYS_STATUS]
+    groups = of(frames, MessageId.REQUEST_DATA_STREAM)
+    assert {field(one, "req_stream_id") for one in groups} == {2, 6, 11}
+    assert {one.compid for one in groups} == {Component.ONBOARD_COMPUTER}
+
+
+def test_vehicles_beyond_the_bound_are_not_watched_and_that_is_said_once(benches: Benches) -> None:
+    bench = benches(Settings(connect=UDP_IN, learn=50.0, max_vehicles=2), *(MadeVehicle(k) for k in (1, 2, 3)))
+    bench.run(6.0)
+    assert set(bench.daemon.fleet.vehicles) == {1, 2}
+    words = [line for line in bench.host.lines if "vehicle 3" in line]
+    assert words == ["vehicle 3: not watched: there are 2 vehicles already (max_vehicles)"]
+
+
+def test_each_vehicle_of_a_fleet_is_judged_by_its_own_baseline(benches: Benches) -> None:
+    own = {2: baseline_for(names=("rotor_trim",)), 3: baseline_for()}
+    table = {sysid: VehicleSettings(baseline=Path("b.json")) for sysid in own}
+    bench = benches(Settings(connect=UDP_IN, vehicles=table), *(MadeVehicle(k) for k in (1, 2, 3)), baselines=own)
+    bench.run(4.0)
+    found = {sysid: vehicle.session.baseline for sysid, vehicle in bench.daemon.fleet.vehicles.items()}
+    assert found == own
+    words = [line for line in bench.host.lines if "vehicle 1" in line]
+    assert words == ["vehicle 1: not watched: it has no baseline; name one in [vehicles.1]"]
+    assert not any("but several fly" in line for line in bench.host.lines)
+    assert "watching 2 vehicles by a baseline of its own" in bench.host.lines[0]

@@ -12,11 +12,6 @@ from pathlib import Path
 import pytest
 from detector_process import PATIENCE_S, ended, port_of, ran, running
 
-from detector.fitting import FittingJob, Outcome, ProcessFitter
-from detector.values import LearningFailed
-from mavdiag.airframe.airframe import Airframe
-from mavdiag.telemetry import Telemetry
-
 LEARN, FREE = ("--learn", "10", "--save", "b.json"), ("--connect", "udpin:127.0.0.1:0")
 
 
@@ -69,19 +64,6 @@ def test_a_signal_stops_it_cleanly_with_a_summary_and_a_last_line(number: int, t
     assert len(rest.splitlines()) == 1
     assert "stopped after" in rest
     assert [json.loads(line)["kind"] for line in journal.read_text().splitlines()] == ["start", "stop"]
-
-
-def test_a_fit_in_a_process_of_its_own_comes_back_with_its_reason() -> None:
-    fitter, done = ProcessFitter(), list[tuple[int, Outcome]]()
-    fitter.begin(FittingJob(3, Airframe(), "qdrone2", Telemetry()))
-    give_up = time.monotonic() + PATIENCE_S
-    while not done and time.monotonic() < give_up:
-        done = fitter.poll()
-        time.sleep(0.02)
-    [(vehicle, outcome)] = done
-    assert vehicle == 3
-    assert isinstance(outcome, LearningFailed)
-    assert "no body rate in the data" in outcome.reason
 
 
 FITTING = """

@@ -1,10 +1,8 @@
 """The detector as a service: checked beforehand, supervised, stopped in an alert, with a full disk and dead links."""
 
-import json
 import resource
 import signal
 import socket
-import subprocess
 import time
 from pathlib import Path
 
@@ -50,37 +48,6 @@ def test_check_tells_what_a_start_would_do_and_opens_nothing(baseline: Path, tmp
     assert sorted(tmp_path.iterdir()) == before
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--baseline", "absent.json"), "absent.json: no such file"),
-        (("--learn", "9", "--save", "b.json", "--forward", "udpout:no.such.host.invalid:1"), "unknown host"),
-        (("--learn", "9", "--save", "b.json", "--record", "."), "is a folder"),
-        (("--learn", "9", "--save", "absent/b.json"), "there is no folder absent"),
-    ],
-)
-def test_check_refuses_what_a_start_would_refuse(options: tuple[str, ...], words: str) -> None:
-    run = ran("--check", *options)
-    assert run.returncode == 2
-    assert words in run.stderr
-    assert len(run.stderr.splitlines()) == 1
-
-
-@pytest.mark.realtime
-def test_a_service_manager_hears_when_it_is_ready_alive_and_stopping(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
-        manager.bind(str(tmp_path / "notify"))
-        manager.settimeout(PATIENCE_S)
-        environ = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "30000000"}
-        with running(*LEARNING, environ=environ) as (child, _):
-            found = [manager.recv(4096).decode() for _ in range(4)]
-            code, _ = ended(child, signal.SIGTERM)
-            while found[-1] != "STOPPING=1":
-                found.append(manager.recv(4096).decode())
-    assert code == 0
-    assert found[:4] == ["READY=1", "WATCHDOG=1", "STATUS=no vehicle was received yet", "WATCHDOG=1"]
-
-
 @pytest.mark.realtime
 def test_health_tells_a_daemon_that_works_from_one_that_hangs_or_is_gone() -> None:
     metrics = ("--metrics", str(free_port()))
@@ -97,44 +64,6 @@ def test_health_tells_a_daemon_that_works_from_one_that_hangs_or_is_gone() -> No
     run = ran("--working", *metrics)
     assert run.returncode == 1
     assert "Connection refused" in run.stdout
-
-
-@pytest.mark.realtime
-def test_sigterm_in_an_alert_loses_no_event(baseline: Path, tmp_path: Path) -> None:
-    journal, vehicle = tmp_path / "j.jsonl", MadeVehicle(1)
-    with (
-        running("--baseline", str(baseline), *UDP, "--journal", str(journal)) as (child, first),
-        open_endpoint(f"udpout:127.0.0.1:{port_of(first)}") as far,
-    ):
-        until(far, vehicle, "monitoring")
-        until(far, vehicle, "FAULT", 6.0)  # nothing is judged in the first seconds of a flight
-        vehicle.turning = 0.5
-        assert any("FAULT" in text for text in until(far, vehicle, "FAULT"))
-        code, _ = ended(child, signal.SIGTERM)
-    lines = [json.loads(line) for line in journal.read_text().splitlines()]
-    kinds = [line["kind"] for line in lines]
-    assert code == 0
-    assert kinds[-1] == "stop"
-    opened = [line for line in lines if line["kind"] == "opened"]
-    closed = [line for line in lines if line["kind"] == "event"]
-    assert len(opened) == 1
-    assert [(line["monitor"], line["t_s"], line["end_s"]) for line in closed] == [("fsd", opened[0]["t_s"], None)]
-    assert closed[0]["statistic"] >= opened[0]["statistic"]
-    assert any(line["kind"] == "text" and "FAULT" in line["text"] for line in lines)
-
-
-@pytest.mark.realtime
-def test_nohup_keeps_it_from_ending_with_its_terminal() -> None:
-    def ignore() -> None:
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)
-
-    with running(*LEARNING, before=ignore) as (child, _):
-        child.send_signal(signal.SIGHUP)
-        with pytest.raises(subprocess.TimeoutExpired):
-            child.wait(1.0)
-        code, rest = ended(child, signal.SIGTERM)
-    assert code == 0
-    assert "stopped after" in rest
 
 
 @pytest.mark.realtime

@@ -12,9 +12,8 @@ from mavdiag.baseline import Baseline
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
-from droneprop_table import Line, table_of
+from droneprop_table import table_of
 
-ROOT = Path(__file__).resolve().parents[2]
 FLIGHT_S = 25.0
 RISE = 0.3  # of the command of the front right rotor
 OWN = tuple(f"F0_SV0_SP1_t2_D1_R{number}.mat" for number in (1, 2, 3))
@@ -55,10 +54,9 @@ def baseline(folder: Path) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def lines(folder: Path, baseline: Path) -> dict[str, Line]:
+def test_the_table_has_a_line_for_each_recording(folder: Path, baseline: Path) -> None:
     found, _, _ = table_of(folder, Baseline.load(baseline))
-    return {one.name.label: one for one in found}
+    assert {one.name.label for one in found} >= {"healthy D1, R1", "healthy D2", "healthy D3", "F3/SV3"}
 
 
 def test_the_baseline_knows_the_vehicle_without_being_told(baseline: Path) -> None:
@@ -78,16 +76,3 @@ def test_scan_finds_the_weak_rotor_and_flags_no_healthy_flight(
     flagged = {Path(name).name for name, text in told.items() if text.startswith("fault")}
     assert (code, len(told), flagged) == (1, 7, {"F3_SV3_SP1_t2.mat"})
     assert "rotor 2" in next(text for text in told.values() if text.startswith("fault"))
-
-
-def test_one_step_follows_the_rotors_shake_and_free_run_does_not(
-    folder: Path, baseline: Path, lines: dict[str, Line]
-) -> None:
-    """As of the recordings: D1, which shakes most, has the largest one-step residual, whatever its propellers are."""
-    own, d2, d3 = (lines[label] for label in ("healthy D1, R1", "healthy D2", "healthy D3"))
-    assert own.one_step_p90 > 1.2 * d2.one_step_p90 > 1.2 * d3.one_step_p90
-    assert lines["F3/SV3"].one_step_p90 == pytest.approx(own.one_step_p90, rel=0.1)
-    assert own.free_run_rms == pytest.approx(d3.free_run_rms, rel=0.3)
-    filtered, _, _ = table_of(folder, Baseline.load(baseline), gyro="filtered")
-    assert filtered[0].one_step_p90 < own.one_step_p90 / 10
-    assert filtered[-1].verdict == lines["F3/SV3"].verdict  # by the raw gyro, as the baseline

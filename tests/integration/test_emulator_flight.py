@@ -8,7 +8,7 @@ import pytest
 from memory_port import MemoryEndpoint, memory_pair
 
 from mavdiag.link.codec import Decoder, Encoder, Frame, decode_statustext
-from mavdiag.link.messages import MavCmd, MessageId, Severity
+from mavdiag.link.messages import MessageId, Severity
 from sitl_plant.autopilot.dialect import DIALECTS
 from sitl_plant.emulator import FlightReport, Link, fly
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
@@ -70,24 +70,6 @@ def test_both_links_hear_the_whole_flight_without_a_gap(table: tuple[list[Link],
         assert client.decoder.senders[1, 1].lost == 0
     assert report.messages == sum(len(client.frames) for client in clients)
     assert (report.flown_s, report.dropped, report.received) == (2.0, 0, 0)
-
-
-def test_an_answer_comes_on_the_link_that_asked_and_in_its_numbering(table: tuple[list[Link], list[Client]]) -> None:
-    links, (station, companion) = table
-    station.say(
-        station.encoder.encode(
-            MessageId.COMMAND_LONG, 1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0, MessageId.RAW_IMU, 100_000.0
-        )
-    )
-    report = flown(links, 2.0)
-    counts = Counter(frame.msgid for frame in station.hear())
-    assert counts[MessageId.COMMAND_ACK] == 1
-    assert counts[MessageId.RAW_IMU] == pytest.approx(20, abs=1 + 200 * 0.2)  # the first block was at 200 Hz
-    assert station.decoder.senders[1, 1].lost == 0
-    untouched = Counter(frame.msgid for frame in companion.hear())
-    assert untouched[MessageId.RAW_IMU] == 400
-    assert untouched[MessageId.COMMAND_ACK] == 0
-    assert report.received == 1
 
 
 def test_an_alert_is_passed_on_in_its_senders_name(table: tuple[list[Link], list[Client]]) -> None:

@@ -5,6 +5,7 @@ import io
 import json
 import os
 import pty
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -134,11 +135,10 @@ def test_a_terminal_gets_a_drawing_in_its_width(wearing: Path, width: int) -> No
             break
     os.close(ours)
     assert run.wait() == 1
-    plain = text.decode().replace("\x1b[31m", "").replace("\x1b[1m", "").replace("\x1b[0m", "")
-    assert "┄" in plain
-    assert "1.00" in plain
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", text.decode())
+    assert any(set("▅▆▇█") <= set(line) for line in plain.splitlines())
     assert max(map(len, plain.splitlines())) <= width
-    assert "\x1b[31m" in text.decode()
+    assert "\x1b[1;31m" in text.decode()
 
 
 @pytest.mark.parametrize(
@@ -146,11 +146,15 @@ def test_a_terminal_gets_a_drawing_in_its_width(wearing: Path, width: int) -> No
     [
         ((), "no history there; make one with `mavdiag history add`"),
         (("list", "--csv"), "'--csv' requires an argument"),
-        (("--airframe", "x", "list"), "options belong behind the command"),
+        (("--airframe", "x", "list"), "unexpected extra argument"),
         (("mark", "--airframe", "x"), "say what was done"),
         (("mark", "--airframe", "x", "--repair", "--at", "yesterday"), "write it like 2026-03-01"),
         (("show", "--database", "postgresql://me:secret@127.0.0.1:1/fleet"), "Connection refused"),
         (("add", "x.tlog", "--baseline", "none.json"), "none.json: no such file"),
+        (("show", "--database", "/etc/passwd"), "file is not a database"),
+        (("show", "--database", "/tmp"), "/tmp: is a folder"),
+        (("show", "--database", "mysql://a@b/c"), "an SQLite file or a postgresql"),
+        (("show", "--database", ""), "name the history"),
     ],
 )
 def test_what_cannot_be_is_said_in_one_line(
@@ -162,15 +166,3 @@ def test_what_cannot_be_is_said_in_one_line(
     assert words in err
     assert "secret" not in err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_without_sqlalchemy_the_extra_is_named(mavdiag: Any, wearing: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "mavdiag.history.store", None)
-    code, _, err = mavdiag("history", "--database", wearing)
-    assert (code, err.count("\n")) == (2, 1)
-    assert "pip install 'mavdiag[history]'" in err
-
-
-def test_the_commands_start_without_a_database_library() -> None:
-    code = "import mavdiag.cli, sys; print(*{'sqlalchemy', 'psycopg'} & set(sys.modules))"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == ""

@@ -3,13 +3,11 @@
 import json
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
 
 from mavdiag.commands.inspect import inspect
-from mavdiag.errors import InputError, UsageError
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
 from mavdiag.link.ports import open_endpoint
@@ -18,48 +16,6 @@ from mavdiag.link.ports import open_endpoint
 def free_address() -> str:
     with open_endpoint("udpin:127.0.0.1:0") as endpoint:
         return endpoint.address
-
-
-def send(address: str, autopilot: int, stop: threading.Event) -> None:
-    """Heartbeats and attitudes of a vehicle that nobody has asked for more yet."""
-    encoder = Encoder(1, Component.AUTOPILOT1)
-    with open_endpoint(address.replace("udpin", "udpout")) as endpoint:
-        for count in range(10_000):
-            endpoint.send(encoder.encode(MessageId.HEARTBEAT, MavType.QUADROTOR, autopilot, 0, 0, 4, 3))
-            endpoint.send(encoder.encode(MessageId.ATTITUDE, 20 * count, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0))
-            if stop.wait(0.02):
-                return
-
-
-@pytest.mark.realtime
-@pytest.mark.parametrize(
-    ("autopilot", "words"),
-    [(19, "profile is not clear: it sends no IMU message and its autopilot is not known"), (3, "")],
-)
-def test_l10_a_vehicle_without_imu_is_never_called_a_qdrone2(
-    autopilot: int, words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    address, stop = free_address(), threading.Event()
-    sender = threading.Thread(target=send, args=(address, autopilot, stop))
-    sender.start()
-    try:
-        if words:
-            with pytest.raises(InputError, match=words):
-                inspect([address], duration=1.5)
-        else:
-            inspect([address], duration=1.5)
-    finally:
-        stop.set()
-        sender.join()
-    shown = capsys.readouterr().out
-    assert "qdrone2" not in shown
-    assert ("profile ardupilot" in shown) == (not words)
-
-
-@pytest.mark.realtime
-def test_a_link_on_which_nothing_comes_is_a_line_that_says_so() -> None:
-    with pytest.raises(InputError, match="nothing was received; is the vehicle sending"):
-        inspect([free_address()], duration=0.1)
 
 
 class FreshArduPilot:
@@ -171,29 +127,3 @@ def test_a_fresh_ardupilot_link_is_asked_for_streams_and_rotors_and_nothing_is_s
     place = field_index(MessageId.COMMAND_LONG, "command")
     commands = {frame.fields[place] for frame in vehicle.heard if frame.msgid == MessageId.COMMAND_LONG}
     assert commands == {MavCmd.SET_MESSAGE_INTERVAL}
-
-
-class OtherCounts(FreshArduPilot):
-    """Its RAW_IMU is in counts of a sensor of 8 g."""
-
-    COUNTS = 4096
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._rates = {MessageId.RAW_IMU: 100.0}
-
-
-@pytest.mark.realtime
-def test_a_raw_imu_of_unknown_scale_is_named_by_gravity(capsys: pytest.CaptureFixture[str]) -> None:
-    def look(address: str) -> None:
-        with pytest.raises(InputError, match="counts 4096 at rest, 16 bits over 8 g; only 1000 and 2048 are read"):
-            inspect([address], duration=2.0)
-        inspect([address], duration=2.0, profile="ardupilot")
-
-    beside(OtherCounts(), look)
-    assert "gravity: 4.10 g, wrong scale, or never at rest" in capsys.readouterr().out
-
-
-def test_ask_is_for_a_link(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="--ask is for a link"):
-        inspect([str(tmp_path / "flight.tlog")], ask=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle, received
-from test_daemon_requests import US, field, of
+from test_daemon_virtual import US, field, of
 from typer.testing import CliRunner
 
 from detector.config import Settings

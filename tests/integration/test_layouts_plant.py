@@ -37,15 +37,3 @@ def test_the_layout_of_a_shaken_vehicle_is_found(vehicle: str, layout: str, link
     assert found.layout is not None, found.reason
     assert found.layout.name == layout
     assert found.outputs == tuple(range(1, len(kind.rotors) + 1))
-
-
-@pytest.mark.parametrize(("trajectory", "nose"), [("square", "path"), ("circle", "path"), ("figure8", "path")])
-def test_an_octorotor_is_never_named_something_else(trajectory: str, nose: str) -> None:
-    """Round a square its roll and pitch move together, and it was an octo plus; on a circle four motors were a quad."""
-    config = PlantConfig(
-        drone=1, vehicle=vehicle_named("octo-x"), seed=3, wind_m_s=1.0, trajectory=trajectory, nose=nose
-    )
-    telemetry, _ = flight_telemetry(config, 30.0, LinkSpec("qdrone2"))
-    log = Log("octo", "", "qdrone2", telemetry)
-    found = detect_layout(rows.block for rows in rows_of(front_for([log], 0.1), log.telemetry))
-    assert found.layout is None or found.layout.name == "octo-x", found.reason

@@ -30,7 +30,7 @@ from mavdiag.link.codec import Decoder, Encoder
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.samples import SampleDecoder, SampleState
-from mavdiag.monitors.trim import TICK_S
+from mavdiag.monitors.rotor_trim import TICK_S
 from mavdiag.telemetry import Axis, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 

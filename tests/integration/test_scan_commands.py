@@ -122,16 +122,3 @@ def test_show_and_check(mavdiag: Any, baseline: Path, tmp_path: Path) -> None:
     code, out, err = mavdiag("baseline", "check", spoilt)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert f"{spoilt}: digest: " in err
-
-
-def test_extend(mavdiag: Any, baseline: Path, healthy: list[Path], crack: Path, tmp_path: Path) -> None:
-    """On recordings of the emulator, with their own times; `tests/unit/test_extend.py` has the cases."""
-    new = tmp_path / "new.json"
-    code, out, err = mavdiag("baseline", "extend", baseline, healthy[0], "-o", new)
-    assert (code, err) == (0, "")
-    assert "support    4 flights" in out
-    assert mavdiag("baseline", "check", new)[0] == 0
-    code, out, err = mavdiag("baseline", "extend", new, healthy[0], "-o", tmp_path / "x.json")
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert f"{healthy[0]}: is in the baseline already" in err
-    assert mavdiag("scan", crack, "--baseline", new)[0] == 1

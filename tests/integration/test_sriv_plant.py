@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mavdiag.identify import fit
-from mavdiag.identify.lab.published import THESIS_PITCH, THESIS_ROLL, ReferenceModel
+from mavdiag.identify.lab.comparison import THESIS_PITCH, THESIS_ROLL, ReferenceModel
 from mavdiag.identify.validate import r_squared, validate
 from mavdiag.rows.savgol import coefficients
 from mavdiag.telemetry import FloatArray

@@ -1,10 +1,6 @@
-"""The live page in Debian's Chromium: what a user sees, how soon, and that no text from outside does anything.
-
-Pictures of it are left in build/screenshots.
-"""
+"""The live page in Debian's Chromium: what a user sees, how soon, and that no text from outside does anything."""
 
 import json
-import os
 import signal
 import time
 from collections.abc import Iterator
@@ -15,18 +11,15 @@ import pytest
 from detector_process import ended, port_of, running, until
 from made_session import baseline_for
 from made_vehicle import MadeVehicle
-from web_page import SCREENSHOTS, browser, give, serving, wait_for
+from web_page import browser, give, serving, wait_for
 
-from detector.fleet import Fleet
 from detector.states import State
-from detector.values import SessionSpec
 from detector.web.child import ServerProcess
-from detector.web.feed import Feed
 from detector.web.snapshot import Level
 from mavdiag.airframe.layout import layout_named
 from mavdiag.drawing import airframe_svg
 from mavdiag.link.ports import open_endpoint
-from mavdiag.telemetry import Axis, Instant
+from mavdiag.telemetry import Axis
 
 pytestmark = pytest.mark.realtime
 HOSTILE = '<img src=x onerror="window.hurt=1"><script>window.hurt=1</script>\u202e{{7*7}}'
@@ -117,11 +110,6 @@ def rows(chromium: Any) -> list[int]:
     return found
 
 
-def picture(chromium: Any, name: str) -> None:
-    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
-    chromium.save_screenshot(str(SCREENSHOTS / f"{name}.png"))
-
-
 def complaints(chromium: Any, process: ServerProcess) -> list[str]:
     """What the browser says of this page; a server of another test has ended."""
     said = [one["message"] for one in chromium.get_log("browser")]
@@ -148,7 +136,6 @@ def test_a_fault_is_seen_at_the_rotor_the_bar_and_the_strip(chromium: Any, proce
     painted = """const canvas = document.querySelector('canvas.residual'), context = canvas.getContext('2d');
         return context.getImageData(0, 0, canvas.width, canvas.height).data.some((one) => one > 0)"""
     wait_for(lambda: chromium.execute_script(painted))
-    picture(chromium, "fault")
     assert complaints(chromium, process) == []
 
 
@@ -168,63 +155,6 @@ def test_hostile_texts_stay_text(chromium: Any, process: ServerProcess) -> None:
     assert chromium.execute_script(refused) == "refused"  # trusted types: no text becomes markup by mistake
     inline = "const s = document.createElement('script'); try { s.text = 'window.hurt = 1' } catch {}\n"
     assert chromium.execute_script(f"{inline}document.body.append(s); return window.hurt || 0") == 0
-
-
-def test_a_server_that_is_killed_costs_the_page_no_event(chromium: Any, process: ServerProcess) -> None:
-    """The daemon's end goes on writing; the server is started again on its port, and the browser finds it by itself."""
-    feed, nobody = (
-        Feed(process, host_now()),
-        Fleet(lambda sysid, profile: SessionSpec(profile), profile=None, only=None, datagrams=True),
-    )
-
-    def write(first: int, last: int) -> None:
-        for number in range(first, last + 1):
-            feed.write(entry(number).split(" ", 2)[2])
-
-    def shown(newest: int) -> bool:
-        feed.look(nobody, (), host_now())
-        return rows(chromium)[:1] == [newest]
-
-    open_page(chromium, process)
-    write(1, 300)
-    wait_for(lambda: shown(300))
-    os.kill(process.pid or 0, signal.SIGKILL)
-    wait_for(lambda: "no connection" in text(chromium, "#connection"))
-    write(301, 1500)
-    wait_for(lambda: shown(1500))
-    assert chromium.execute_script("return mavdiag.entries.map((one) => one.number)") == list(range(1, 1501))
-    assert text(chromium, "#connection") == "live"
-    assert "not kept" not in text(chromium, "#events-count")
-
-
-def host_now() -> Instant:
-    return Instant(time.monotonic_ns())
-
-
-@pytest.mark.parametrize(("name", "width", "scheme"), [("dark", 1400, "dark"), ("phone", 390, "light")])
-def test_it_fits_a_phone_and_follows_the_scheme(
-    chromium: Any, process: ServerProcess, name: str, width: int, scheme: str
-) -> None:
-    look = {"width": width, "height": 1150, "deviceScaleFactor": 1, "mobile": False}
-    chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", look)
-    wanted = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
-    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", wanted)
-    open_page(chromium, process)
-    give(process, fleet(1, 2))
-    wait_for(lambda: text(chromium, "#vehicles [aria-selected=true] .name").endswith("Vehicle 1"))
-    parts = [now(1, 4 * k, Level.SUSPECTED, 2, "PROP suspect motor 2 weak 11%") for k in range(100)]
-    give(process, about(1), *parts, *(entry(k, f"PROP note {k}") for k in range(1, 30)))
-    wait_for(lambda: text(chromium, "#level-text") == "Suspected")
-    wait_for(lambda: len(rows(chromium)) == 29)
-    wide = "return document.documentElement.scrollWidth <= document.documentElement.clientWidth"
-    fits, ground = chromium.execute_script(wide), "return getComputedStyle(document.body).backgroundColor"
-    shades = [int(one) for one in chromium.execute_script(ground)[4:-1].split(",")]
-    picture(chromium, name)
-    chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
-    assert fits
-    assert (sum(shades) < 380) == (scheme == "dark")
-    assert complaints(chromium, process) == []
 
 
 def test_an_alert_of_the_detector_is_on_the_page(chromium: Any, tmp_path: Path) -> None:
@@ -248,7 +178,6 @@ def test_an_alert_of_the_detector_is_on_the_page(chromium: Any, tmp_path: Path) 
         wait_for(lambda: text(chromium, "#level-text") == "Fault")
         assert said.removeprefix("PROP FAULT ") in text(chromium, "#alert")
         assert found[0] - heard_ms < 10_000
-        picture(chromium, "detector")
         code, _ = ended(child, signal.SIGTERM)
     assert code == 0
     wait_for(lambda: "no connection" in text(chromium, "#connection"))

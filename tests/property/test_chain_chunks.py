@@ -8,10 +8,10 @@ import pytest
 from flying_telemetry import DT_NS, START_NS, flying
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_baselines import thesis, whole
+from made_baselines import whole
 from made_flights import N, hard_flight
 from made_statistics import assert_alike
-from made_telemetry import cut, flight
+from made_telemetry import cut
 
 from mavdiag.chain import Chain, ChainState, chain_of
 from mavdiag.decision.diagnosis import Change, Event, Stage
@@ -75,24 +75,6 @@ def test_l5_any_cut_gives_the_same_events_and_changes(
     assert_same(run(chain(grid, trim_end_s), cut(hard_flight(seed), cuts)), uncut(seed, grid, trim_end_s))
 
 
-@pytest.mark.parametrize("every_ms", [40, 230, 1700])
-def test_l5_regular_chunks_give_the_same(every_ms: int) -> None:
-    """L5, as a daemon sees it."""
-    cuts = list(range(START_NS, START_NS + N * DT_NS, every_ms * 1_000_000))
-    assert_same(run(chain(Grid.NATIVE, 0.0), cut(hard_flight(1), cuts)), uncut(1, Grid.NATIVE, 0.0))
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_hard_flight_has_what_it_should(seed: int) -> None:
-    events, changes, _ = uncut(seed, Grid.NATIVE, 0.0)
-    assert {one.rotor for one in events} >= {2, 3}
-    assert {"innovation", "rotor_trim"} <= {one.monitor for one in events}
-    assert {Stage.QUIET, Stage.FAULT, Stage.INSPECT} <= {one.stage for one in changes}
-    assert Stage.NOT_JUDGED not in {one.stage for one in changes}  # neither a landing nor a break withdraws it
-    assert {one.rotor for one in changes} == {None, 2, 3}
-    assert [span.rotor for span in changes[-1].rotors] == [2, 3]
-
-
 def joined(*flights: Telemetry, armed: tuple[tuple[float, float], ...]) -> Telemetry:
     """Flights in a row, at 100 Hz; armed in these spans [s] since the start."""
     parts, shift = [], 0
@@ -141,23 +123,3 @@ def test_b3_the_end_of_a_watch_closes_what_is_open() -> None:
     assert all(one.end_ns is not None for one in output.events)
     assert (state.diagnosis.stage, state.diagnosis.rotor) == (Stage.INSPECT, 2)
     assert chain.end_flight(state)[1].events == ()
-
-
-@given(seed=st.integers(0, 5), edges=st.lists(st.integers(0, 9000), max_size=40))
-def test_any_cut_gives_the_same_events_at_a_kilohertz(seed: int, edges: list[int]) -> None:
-    """Losses, swaps, a gap of 80 ms and one of 1.3 s, and a push that must be found."""
-    rng = np.random.default_rng(seed)
-    push = np.zeros(9000)
-    push[4000:4500] = 0.2
-    parts = []
-    for one in flight(9000, seed, push=push).series:
-        keep = rng.random(len(one)) > 0.02
-        span = (one.t_ns - one.t_ns[0]) // 1_000_000
-        at = np.flatnonzero(keep & ~((span > 3000) & (span < 3080)) & ~((span > 6000) & (span < 7300)))
-        for i in rng.integers(0, len(at) - 1, 5):
-            at[[i, i + 1]] = at[[i + 1, i]]
-        parts.append(Series(one.signal, one.t_ns[at], np.sort(one.host_ns[at]), one.values[at]))
-    made, telemetry = chain_of(thesis()), Telemetry(tuple(parts))
-    expected = run(made, [telemetry])
-    assert_same(run(made, cut(telemetry, sorted(START_NS + edge * 1_000_000 for edge in edges))), expected)
-    assert any(one.axis == "roll" and one.statistic > 0.3 for one in expected[0])

@@ -87,15 +87,6 @@ def test_clocks_that_start_together_are_one_and_keep_their_stamps(ppm: float) ->
     assert laid.tolist() == (link.raw[1] * 1000).tolist()
 
 
-def test_one_clock_that_turns_out_to_be_two_is_followed_without_a_jump() -> None:
-    link = Link(3, (MS_32, 3 * S, 0.0), (US_64, 3 * S, 100.0), 1200)
-    _, _, laid = link.placed()
-    error = link.error_ns(3 * S, 0.0, laid)
-    assert np.abs(error).max() < 26_000_000  # APART_NS, and what is drifted until that is sure
-    assert np.abs(error[-50 * 300 :]).max() < 4_000_000
-    assert np.abs(np.diff(error)).max() <= 100_000
-
-
 @pytest.mark.parametrize("first", [0, 1])
 @pytest.mark.parametrize("turns", [1, 3])
 def test_a_vehicle_that_is_up_for_longer_than_49_days_has_one_clock(first: int, turns: int) -> None:

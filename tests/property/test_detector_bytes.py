@@ -11,23 +11,18 @@ from hypothesis import strategies as st
 from made_session import baseline_for
 from made_vehicle import MadeVehicle
 
-from detector.config import SessionSettings, Settings
+from detector.config import SessionSettings
 from detector.fleet import Fleet
-from detector.requests import GUARDED, PARAMETERS, Requests
-from detector.sender import MavlinkSender
 from detector.values import SendText, SessionSpec
-from mavdiag.link.codec import Decoder
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.samples import sources
-from mavdiag.link.vehicles import PARAMETER_REQUESTS
 from mavdiag.telemetry import Instant
 
 TICK_NS = 40_000_000
 COMMANDS = {MessageId.COMMAND_ACK, MessageId.COMMAND_LONG, MessageId.COMMAND_INT}
 HEARD = COMMANDS | {source.message for profile in PROFILES.values() for source in sources(profile)}
 MESSAGES = sorted(int(message) for message in HEARD if message in dialect.mavlink_map)
-ASKED = GUARDED | PARAMETER_REQUESTS
 
 
 def wild(sysid: int, compid: int, rng: np.random.Generator, messages: list[int] = MESSAGES) -> bytes:
@@ -69,25 +64,3 @@ def test_wild_frames_and_garbage_are_survived(seed: int, datagrams: bool, learni
                 assert not isinstance(effect, SendText) or 0 < len(effect.text.encode()) <= 50
     one.finish(now)
     assert 1 in one.vehicles
-
-
-@settings(max_examples=40)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_wild_requests_from_behind_are_survived_and_everything_passes_but_rates(seed: int) -> None:
-    rng, now = np.random.default_rng(seed), Instant(10**12)
-    one = fleet(True, lambda sysid, profile: SessionSpec(profile, baseline_for(), Settings(learn=2.0)))
-    vehicle = MadeVehicle(1)
-    for _ in range(40):
-        now = Instant(now.ns + TICK_NS)
-        one.step([(frame, now.ns) for frame in vehicle.samples(4)], now)
-    requests = Requests(one, Settings(learn=2.0, parameters=True, keep_rates=True), MavlinkSender)
-    messages = [wild(int(rng.integers(0, 256)), int(rng.integers(0, 256)), rng, sorted(ASKED)) for _ in range(60)]
-    messages += [rng.bytes(int(rng.integers(1, 300))) for _ in range(20)]
-    handled = requests.from_behind(messages, now)
-    kept_back = [message for message in messages if message not in handled.passed]
-    assert {message[7] for message in kept_back} <= {int(one) & 0xFF for one in GUARDED}
-    assert len(handled.answers) <= len(PARAMETERS) * len(messages)
-    decoder = Decoder()
-    for answer in handled.answers:
-        [frame] = decoder.feed_datagram(answer, 0)
-        assert frame.msgid in (MessageId.PARAM_VALUE, MessageId.COMMAND_ACK)

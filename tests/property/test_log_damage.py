@@ -1,8 +1,6 @@
 """Whatever happens to a log of any kind, its reader returns what is left or raises InputError, and comes back."""
 
-import io
 from collections.abc import Callable
-from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -21,15 +19,13 @@ from made_logs import (
     ulog_message,
     with_checksum,
 )
-from pyulog import ULog
-from shared_data import shared
 
 from mavdiag.errors import InputError
 from mavdiag.logs.crazyflie import read_crazyflie
 from mavdiag.logs.dataflash import read_dataflash
 from mavdiag.logs.dronepropa import read_dronepropa
-from mavdiag.logs.ulog import TOPICS, _content, read_ulog
-from mavdiag.telemetry import Log, Signal
+from mavdiag.logs.ulog import read_ulog
+from mavdiag.telemetry import Log
 
 PID = CrazyflieEvent(9, "fixedFrequency", tuple(f"controller.{name}(f)" for name in ("r_roll", "r_pitch", "r_yaw")))
 MARK = CrazyflieEvent(7, "mark", ("mode(B)",))
@@ -79,7 +75,6 @@ CYCLES = [
 ULOG = ulog(
     [SENSORS, SETPOINT, STATUS, UTC], [*CYCLES[:6], ulog_message("S", b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"), *CYCLES[6:]]
 )
-ULOG_RECORDS = ULOG.index(CYCLES[0])
 
 ROWS = {name: table[:, 3000:3600] for name, table in flight(5.0, 9).items()}
 PACKED = mat_content(ROWS)
@@ -133,84 +128,6 @@ def test_no_damage_is_a_crash(path: Path, kind: str, data: st.DataObject) -> Non
         read(path, kind, one)
 
 
-@given(kept=st.integers(0, len(CRAZYFLIE) + 3), bit=st.integers(0, 8 * len(CRAZYFLIE) + 31))
-def test_a_checksum_notices_a_cut_and_a_flipped_bit(path: Path, kept: int, bit: int) -> None:
-    whole = with_checksum(CRAZYFLIE)
-    for damaged in (whole[:kept], flipped(whole, [bit])):
-        path.write_bytes(damaged)
-        with pytest.raises(InputError):
-            read_crazyflie(path)
-
-
-@given(kept=st.integers(0, len(DATAFLASH)))
-def test_a_truncated_dataflash_log_keeps_its_whole_records(path: Path, kept: int) -> None:
-    log, cut = read(path, "DataFlash", DATAFLASH[:kept]), DATAFLASH[max(0, kept - 35) : kept]
-    whole = DATAFLASH[:kept].count(b"\xa3\x95\xa3") - int(kept < len(DATAFLASH) and b"\xa3\x95\xa3" in cut)
-    found = log.telemetry.get(Signal.BODY_RATE) if log is not None else None
-    assert (0 if found is None else len(found)) == whole
-
-
-@given(bit=st.integers(8 * DATAFLASH.index(FUNCTION), 8 * len(DATAFLASH) - 1))
-def test_a_flipped_bit_in_dataflash_records_costs_few_of_them(path: Path, bit: int) -> None:
-    log = read(path, "DataFlash", flipped(DATAFLASH, [bit]))
-    assert log is not None
-    assert len(log[Signal.BODY_RATE]) >= COUNT - 3
-
-
-@given(
-    characters=st.text("abBhHiIqQfdgnNZcCeELM?", min_size=7, max_size=7), values=st.binary(min_size=600, max_size=600)
-)
-def test_any_declared_dataflash_format_is_no_crash(path: Path, characters: str, values: bytes) -> None:
-    attitude = DataFlashMessage(70, "ATT", "Q" * 7, "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
-    arming = DataFlashMessage(71, "EV", "Q" * 7, "I,TimeMS,Id,A,B,C,D")
-    content = bytearray(dataflash([attitude, arming, IMU], []))
-    for message in (attitude, arming):
-        place = content.index(message.characters.encode(), content.index(message.labels.encode()) - 16)
-        content[place : place + 7] = characters.encode()
-        sizes = {"a": 64, "n": 4, "N": 16, "Z": 64, "b": 1, "B": 1, "M": 1, "h": 2, "H": 2, "c": 2, "C": 2, "g": 2}
-        length = 3 + sum(sizes.get(c, 8 if c in "qQd" else 4) for c in characters)
-        content[place - 5] = length & 0xFF
-        content += b"\xa3\x95" + bytes([message.kind]) + values[: length - 3]
-    read(path, "DataFlash", bytes(content))
-
-
-def same_as_pyulog(content: bytes) -> None:
-    """Every field of every topic of interest, its first instance, is what pyulog alone makes of it."""
-    found, parameters, notes = _content(content)
-    with redirect_stdout(io.StringIO()):
-        plain = ULog(io.BytesIO(content), list(TOPICS))
-    expected: dict[str, ULog.Data] = {}
-    for item in plain.data_list:
-        expected.setdefault(item.name, item)
-    assert list(found) == list(expected)
-    for name, item in found.items():
-        assert item.multi_id == expected[name].multi_id
-        assert list(item.data) == list(expected[name].data)
-        for field, column in item.data.items():
-            assert column.dtype == expected[name].data[field].dtype
-            assert column.tobytes() == expected[name].data[field].tobytes()
-    assert set(parameters) == set(plain.initial_parameters) | {name for _, name, _ in plain.changed_parameters}
-    assert any("damaged" in note for note in notes) == plain.file_corruption
-
-
-def test_a_recording_is_field_by_field_what_pyulog_reads() -> None:
-    same_as_pyulog(shared("data/px4_real/pyulog_sample.ulg").read_bytes())
-
-
-@given(garbage=st.binary(max_size=64), place=st.integers(ULOG_RECORDS, len(ULOG)), kept=st.integers(0, len(ULOG)))
-def test_a_damaged_ulog_is_field_by_field_what_pyulog_reads(garbage: bytes, place: int, kept: int) -> None:
-    same_as_pyulog((ULOG[:place] + garbage + ULOG[place:])[: ULOG_RECORDS + kept])
-
-
-@given(kept=st.integers(ULOG_RECORDS + 1, len(ULOG)))
-def test_only_a_ulog_that_ends_within_a_message_says_so(kept: int) -> None:
-    ends = {ULOG_RECORDS}
-    while max(ends) < len(ULOG):
-        ends.add(max(ends) + 3 + int.from_bytes(ULOG[max(ends) : max(ends) + 2], "little"))
-    notes = _content(ULOG[:kept])[2]
-    assert any("ends within a message" in note for note in notes) == (kept not in ends)
-
-
 @given(kept=st.integers(0, len(PACKED) - 1), bits=st.lists(st.integers(128 * 8, 8 * len(PACKED) - 1), min_size=1))
 def test_what_is_left_of_compressed_matrices_is_a_beginning_and_a_note(path: Path, kept: int, bits: list[int]) -> None:
     log = read(path, "DronePropA, compressed", PACKED[:kept])
@@ -221,12 +138,3 @@ def test_what_is_left_of_compressed_matrices_is_a_beginning_and_a_note(path: Pat
     log = read(path, "DronePropA, compressed", flipped(PACKED, list(set(bits))))
     if log is not None and not log.notes[1:]:  # the first note is that the flight is short
         np.testing.assert_array_equal(log["actuator"].values, ROWS["QDrone_data"][19:23].T)
-
-
-def test_values_of_any_size_are_masked(path: Path) -> None:
-    rows = {name: table.copy() for name, table in ROWS.items()}
-    for table in rows.values():
-        table[1:, 5], table[1:, 6], table[1:, 7] = 1e308, -np.inf, np.nan
-    log = read(path, "DronePropA", mat_content(rows))
-    assert log is not None
-    assert all(np.isnan(series.values[5:8]).all() for series in log.telemetry if series.signal != "armed")

@@ -5,9 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_telemetry import ROUNDING
 
-from mavdiag.link.codec import Decoder, Encoder, Frame
+from mavdiag.link.codec import Decoder, Encoder, Frame, frames_of
 from mavdiag.link.messages import MavType, MessageId
-from mavdiag.link.profiles import PROFILES, detect_profile
+from mavdiag.link.profiles import PROFILES, Evidence, detect_profile
 from mavdiag.link.samples import SampleDecoder, SampleState, joined
 from mavdiag.telemetry import Signal, Telemetry
 
@@ -95,5 +95,5 @@ def test_no_payload_raises(messages: list[int], seed: int) -> None:
         state, telemetry = SampleDecoder(profile).step(SampleState(), frames)
         assert state.dropped >= 0
         assert all(np.isfinite(s.values).all() for s in telemetry.series if s.signal is not Signal.ROTOR_SPEED)
-    found = detect_profile(frames)
-    assert (found.profile is None) == (found.reason != "")
+    found, reason = detect_profile(Evidence().take(frames_of(frames)))
+    assert (found is None) == (reason != "")

@@ -50,15 +50,6 @@ def test_the_torque_command_pushes_against_the_rate_error(number: int, axis: int
     assert correlation(np.diff(error)[rows[1:]], np.diff(command)[rows[1:]]) > 0.5  # changes: the integral part is slow
 
 
-@pytest.mark.parametrize("number", range(5))
-def test_turning_right_lowers_the_demand_to_turn_right(number: int) -> None:
-    telemetry = healthy(number)
-    rows = airborne(telemetry)
-    change = savgol_filter(telemetry.need(Signal.RATE_SETPOINT).values[:, 2], 21, 2, deriv=1, delta=DT_S)
-    rate = savgol_filter(telemetry.need(Signal.BODY_RATE).values[:, 2], 21, 2)
-    assert correlation(change[rows], rate[rows]) < -0.3
-
-
 def test_gravity_holds_the_vehicle_up() -> None:
     telemetry = healthy(0)
     force = telemetry.need(Signal.SPECIFIC_FORCE).values[airborne(telemetry), 2]

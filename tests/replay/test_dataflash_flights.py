@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from shared_data import shared
 
-from mavdiag.logs.dataflash import read_dataflash
-from mavdiag.logs.dataflash_records import Walk
+from mavdiag.logs.dataflash import Walk, read_dataflash
 from mavdiag.logs.log import Table
 from mavdiag.telemetry import FloatArray, Signal, Telemetry
 
@@ -64,18 +63,3 @@ def test_the_upset_of_the_real_flight_is_where_it_was() -> None:
     assert float(attitude.t_ns[over][0]) * 1e-9 == pytest.approx(240, abs=3)
     armed = real().need(Signal.ARMED)
     assert (armed.t_ns * 1e-9).tolist() == pytest.approx([72.6], abs=0.1)
-
-
-def test_the_old_rate_message_agrees_with_the_gyro() -> None:
-    path = shared(REAL)
-    table = tables(path, ["RATE"])["RATE"]
-    telemetry, t_ns = real(), table.t_ns
-    assert t_ns is not None
-    loiter = (t_ns > 80e9) & (t_ns < 215e9)
-    gyro = telemetry.need(Signal.BODY_RATE)
-    said = table.column("R")[loiter] * np.pi / 18_000
-    measured = np.interp(t_ns[loiter], gyro.t_ns, gyro.values[:, 0])
-    slope = float(said @ measured / (measured @ measured))  # below 1: vibration is in the IMU record and aliased
-    assert 0.5 < slope < 1.5
-    setpoint = telemetry.need(Signal.RATE_SETPOINT).values[loiter, 0]
-    assert float(np.corrcoef(setpoint, measured)[0, 1]) > 0.5

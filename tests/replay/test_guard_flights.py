@@ -11,7 +11,7 @@ from mavdiag.airframe.fingerprint import Outcome, compare, fingerprint_of
 from mavdiag.airframe.load import airframe_named
 from mavdiag.errors import InputError
 from mavdiag.learning import airborne, front_for
-from mavdiag.learning.teaching import one_vehicle, taught
+from mavdiag.learning.teaching import taught
 from mavdiag.logs import read_log
 from mavdiag.logs.part import between
 from mavdiag.rows.front import Rows
@@ -28,22 +28,6 @@ def crazypad(folder: str) -> tuple[Log, ...]:
 
 def part(log: Log, from_s: float | None, to_s: float | None) -> Log:
     return replace(log, telemetry=between(log.telemetry, from_s, to_s))
-
-
-def test_the_healthy_flights_of_e8_teach_and_so_do_four_of_them() -> None:
-    """Two sessions with trims of their own, but one airframe."""
-    flights = crazypad("normal_flight")
-    for left_out in (None, *flights):
-        kept = [one for one in flights if one is not left_out]
-        found = one_vehicle(taught(kept, 0.1, None, robust=False), CRAZYFLIE, robust=False)
-        assert len(found.flights) == len(kept)
-        assert found.left_out == ()
-
-
-@pytest.mark.parametrize("name", ["healthy_quad3kg_sq1", "healthy_quad3kg_sq5", "healthy_jsonplant2_sq1"])
-def test_healthy_flights_of_a_real_autopilot_teach(name: str) -> None:
-    log = read_log(shared(f"data/arducopter_sitl/{name}.tlog"))
-    assert taught([log], 0.1, None, robust=False).left_out == ()
 
 
 def test_a_real_flight_teaches_up_to_its_upset_and_is_refused_with_it() -> None:
@@ -81,11 +65,3 @@ def test_damage_and_load_do_not_make_e8_another_vehicle(folder: str) -> None:
         assert fingerprint is not None
         for log in crazypad(folder):
             assert compare(fingerprint, rows(log), CRAZYFLIE).outcome is not Outcome.FAR
-
-
-def test_a_flight_of_e8_that_was_left_out_is_e8() -> None:
-    healthy = [rows(log) for log in crazypad("normal_flight")]
-    for left_out in range(len(healthy)):
-        fingerprint = fingerprint_of([one for i, one in enumerate(healthy) if i != left_out], CRAZYFLIE)
-        assert fingerprint is not None
-        assert compare(fingerprint, healthy[left_out], CRAZYFLIE).outcome is Outcome.ALIKE

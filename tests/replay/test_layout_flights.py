@@ -8,9 +8,7 @@ import pytest
 from shared_data import shared
 
 from mavdiag.airframe.detect import detect_layout
-from mavdiag.airframe.layout import layout_named
 from mavdiag.airframe.load import airframe_named
-from mavdiag.airframe.parameters import ParameterFinding, layout_from_parameters
 from mavdiag.logs import read_log
 from mavdiag.rows.align import AlignSpec, measure_grid
 from mavdiag.rows.block import Block
@@ -68,20 +66,6 @@ def test_l6_every_part_of_a_flight_gives_the_layout_or_none(name: str, layout: s
     assert len(named) >= len(found) / 3  # the others say why not; a third of log171 is on the ground
     pieces = [one.rows(i, min(i + 4, len(one))) for one in blocks for i in range(0, len(one), 4)]
     assert detect_layout(pieces) == whole
-
-
-def test_the_parameters_of_a_log_and_its_outputs_say_the_same() -> None:
-    log = read_log(shared("data/arducopter_sitl/jsonplant_flight.bin"))
-    found = layout_from_parameters(log.parameters)
-    assert (found.layout, found.outputs) == (layout_named("x"), (1, 2, 3, 4))
-    assert detect_layout(flown(shared("data/arducopter_sitl/jsonplant_flight.bin"))).layout is found.layout
-
-
-def test_parameters_that_say_nothing_of_rotors_have_no_reason() -> None:
-    for name in ("ardupilot_real/log171.bin", "px4_real/pyulog_sample.ulg", "arducopter_live/locked_yaw_healthy.tlog"):
-        log = read_log(shared(f"data/{name}"))
-        assert len(log.parameters) > 20
-        assert layout_from_parameters(log.parameters) == ParameterFinding()
 
 
 @pytest.mark.parametrize("name", ["crazypad/normal_flight/E8_log00", "arducopter_live/turning_nose_healthy.tlog"])

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from detector.alerts import TEXT_BYTES, Kind, Notice, Presenter, Telling
-from detector.streams import Reason
 from detector.values import Effect, SendText, TextSuppressed
 from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
 from mavdiag.monitors import MONITORS, by_name
@@ -78,20 +77,6 @@ def test_h15_an_alert_reads_as_a_pilot_can_use_it() -> None:
         assert not set("<>") & set(text(finding(monitor.name, None, 2.1, 2.0)))
 
 
-def test_what_lasts_of_a_fault_is_told_by_its_motors() -> None:
-    spans = (RotorSpan(4, 0, 5), RotorSpan(1, 7))
-    fault = replace(finding("rotor_trim", None, 0.2, 0.1, (1, None, None)), rotors=spans)
-    assert text(replace(fault, seen=False)) == "PROP no longer seen: motors 1,4"
-    assert text(replace(fault, stage=Stage.INSPECT)) == "PROP motors 1,4: inspect before flight"
-    assert text(finding(stage=Stage.INSPECT)) == "PROP rotor unknown: inspect before flight"
-    assert text(finding("sensor_drift", stage=Stage.INSPECT)) == "PROP IMU: inspect before flight"
-    one = finding("rotor_trim", cause=(1, None, None), stage=Stage.INSPECT)
-    assert text(one) == "PROP motor 1: inspect before flight"
-    many = tuple(RotorSpan(rotor, 0) for rotor in range(1, 13))
-    assert text(replace(one, rotors=many[:8])) == "PROP motors 1,2,3,4,5,6,7,8: inspect before flight"
-    assert text(replace(one, rotors=many)) == "PROP 12 motors: inspect before flight"
-
-
 def kinds(*diagnoses: Diagnosis) -> list[Kind]:
     """What is said of one diagnosis after the other."""
     telling = Telling()
@@ -127,21 +112,6 @@ def test_an_alert_is_never_cut_whatever_its_figures(
             assert not text(given, replace(given, seen=False), given).endswith("..")
 
 
-def test_u4_nothing_is_ever_called_clear_or_over() -> None:
-    for policy in POLICY.values():
-        assert not {"clear", "over", "healthy"} & set(policy.template.lower().replace(":", "").split())
-
-
-@pytest.mark.parametrize("reason", Reason)
-def test_a_reason_is_never_cut(reason: Reason) -> None:
-    """With its figure, or after the longest progress that it can follow."""
-    words = {Kind.WAITING: (f"{reason} (1000 Hz)",), Kind.LEARNING: ("75", f": {reason}")}
-    if reason in (Reason.NOT_ARMED, Reason.NOT_AIRBORNE, Reason.GAPS):
-        words[Kind.MONITORING] = (f": {reason}",)
-    for kind, parts in words.items():
-        assert not Notice(kind, parts).text.endswith(".."), kind
-
-
 @given(words=st.lists(st.text(max_size=80), min_size=2, max_size=2), kind=st.sampled_from(Kind))
 def test_whatever_the_words_a_text_has_1_to_50_bytes(words: list[str], kind: Kind) -> None:
     count = kind.value.template.count("{}")
@@ -154,26 +124,6 @@ def test_l8_a_fault_that_lasts_is_repeated_after_5_15_60_s_and_then_every_minute
         effects = say(presenter, tick / 10, FAULT)
         said += [tick / 10 for effect in effects if isinstance(effect, SendText)]
     assert said == [0.0, 5.0, 15.0, 60.0, 120.0, 180.0, 240.0]
-
-
-def test_news_about_a_lasting_matter_waits_two_seconds_and_is_not_lost() -> None:
-    presenter = Presenter()
-    say(presenter, 0.0, FAULT)
-    pitch, said = Notice(Kind.FAULT, ("pitch x",), "pitch"), []
-    for tick in range(1, 40):
-        effects = say(presenter, tick / 10, pitch)
-        said += [tick / 10 for effect in effects if isinstance(effect, SendText)]
-    assert said == [2.0]
-
-
-def test_chatter_cannot_use_up_the_budget_of_faults() -> None:
-    presenter, said = Presenter(per_minute=10), 0
-    for second in range(40):
-        effects = say(presenter, 2.0 * second % 59, Notice(Kind.RATES, (str(second),)))
-        said += sum(isinstance(effect, SendText) for effect in effects)
-    assert said == 5
-    effects = say(presenter, 59.0, FAULT)
-    assert isinstance(effects[0], SendText)
 
 
 def test_a_lasting_matter_that_the_budget_holds_back_is_counted_once_and_said_later() -> None:

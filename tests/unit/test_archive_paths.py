@@ -31,15 +31,6 @@ def test_a_folder_is_all_logs_below_it_by_name_and_what_is_no_log_is_counted(tmp
     found = logs_named([tmp_path])
     assert below(tmp_path, ".") == ["a.tlog", "b/1.dat", "b/2.tlog", "z/y/x.tlog"]
     assert found.skipped == 3
-    assert found.skipped_sentence == "3 files skipped that are no flight logs"
-    assert logs_named([tmp_path / "b"]).skipped_sentence == "1 file skipped that are no flight logs"
-
-
-def test_a_file_that_was_named_is_taken_whatever_is_in_it(tmp_path: Path) -> None:
-    tree(tmp_path, "notes.txt")
-    found = logs_named([tmp_path / "notes.txt", tmp_path / "absent.tlog"])
-    assert [one.path.name for one in found.logs] == ["notes.txt", "absent.tlog"]
-    assert (found.skipped, [one.trouble for one in found.logs]) == (0, ["", ""])
 
 
 def test_a_pattern_is_what_it_matches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -60,16 +51,6 @@ def test_what_names_no_log_is_trouble_and_an_error_where_all_are_needed(tmp_path
     assert one.trouble.startswith("no log there; name files, a folder, or a pattern")
     with pytest.raises(InputError, match="no log there"):
         logs_named([tmp_path / argument]).paths()
-
-
-def test_links_that_go_round_end_and_a_linked_folder_is_taken_once(tmp_path: Path) -> None:
-    tree(tmp_path, "a/1.tlog", "a/b/2.tlog")
-    (tmp_path / "a" / "b" / "up").symlink_to(tmp_path / "a")
-    (tmp_path / "a" / "copy.tlog").symlink_to(tmp_path / "a" / "1.tlog")
-    (tmp_path / "a" / "gone.tlog").symlink_to(tmp_path / "absent")
-    (tmp_path / "again").symlink_to(tmp_path / "a")
-    assert below(tmp_path, ".") == ["a/1.tlog", "a/b/2.tlog", "a/copy.tlog"]
-    assert logs_named([tmp_path]).skipped == 1
 
 
 def test_a_folder_that_cannot_be_read_is_trouble_and_loses_nothing(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from made_archive import MONITORS, asked, made
 
-from mavdiag.archive.job import Answer, Options, judge_file, refused
+from mavdiag.archive.scan import Answer, Options, judge_file, refused
 from mavdiag.archive.tables import COLUMNS, rows_of, write_csv, write_parquet
 from mavdiag.monitors import BY_NAME
 
@@ -65,14 +65,6 @@ def test_csv_and_parquet_hold_the_same(answers: list[Answer], tmp_path: Path) ->
     assert table.to_pylist() == dicts(answers)
     write_parquet(tmp_path / "none.parquet", [])
     assert read_table(str(tmp_path / "none.parquet")).schema == table.schema
-
-
-def test_a_name_that_is_no_text_can_be_written(tmp_path: Path) -> None:
-    rows = list(rows_of(Answer(Path("caf\udce9.tlog"), refused("no such file"), fresh=True)))
-    write_csv(tmp_path / "a.csv", rows)
-    assert b"caf\xe9.tlog" in (tmp_path / "a.csv").read_bytes()
-    pytest.importorskip("pyarrow", reason="it is an extra")
-    write_parquet(tmp_path / "a.parquet", rows)
 
 
 def test_every_column_is_in_the_manual() -> None:

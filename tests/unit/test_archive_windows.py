@@ -8,9 +8,7 @@ from flying_telemetry import flying, without
 from made_baselines import logged, whole
 
 from mavdiag.archive.figures import windows_of
-from mavdiag.decision.alarm import Stage
 from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge_in_full
-from mavdiag.units import NS_PER_S
 
 NEW = flying(4000, 5, weak_rotor=3, rise=0.2)
 
@@ -45,20 +43,6 @@ def test_the_windows_add_up_to_the_accounts_of_the_flight(flight: JudgedFlight) 
     assert sum(one.judged_s for one in windows) == pytest.approx(flight.verdict.judged_s, abs=0.5)
     decided = [(one.maximum or 0.0) / one.threshold for one in flight.verdict.monitors if one.decides]
     assert max(one.ratio or 0.0 for one in windows) == pytest.approx(max(decided))
-
-
-def test_they_say_since_when(flight: JudgedFlight) -> None:
-    windows = windows_of(flight, 5.0)
-    onset_s = next(one.t_ns for one in flight.verdict.changes if one.stage is Stage.FAULT) / NS_PER_S
-    assert 22.0 < onset_s < 35.0
-    assert [one.verdict is Verdict.FAULT for one in windows] == [one.to_s > onset_s for one in windows]
-    before = [one for one in windows if one.to_s < onset_s and one.judged_s >= 0.8 * one.flown_s]
-    assert len(before) >= 3
-    assert {one.verdict for one in before} == {Verdict.HEALTHY}
-    for one in (one for one in windows if one not in before and one.to_s < onset_s):
-        assert one.verdict is Verdict.NOT_JUDGEABLE
-    assert all(one.ratio is not None and one.ratio < 1.0 for one in before)
-    assert next(one.monitor for one in windows if one.verdict is Verdict.FAULT) is not None
 
 
 def test_no_window_is_made_up_where_nothing_flew() -> None:

@@ -3,22 +3,19 @@
 import dataclasses
 import json
 import math
-import subprocess
-import sys
 from typing import Any
 
 import control
 import numpy as np
 import pytest
-from identification_data import ROLL, WELL, octave, record
+from identification_data import WELL, octave, record
 from numpy.testing import assert_allclose, assert_array_equal
 from pydantic import TypeAdapter
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method, ModelRecord, fit
 from mavdiag.identify.arx import Records
-from mavdiag.identify.lab.published import THESIS_PITCH, THESIS_ROLL, ReferenceModel
-from mavdiag.telemetry import Axis, FloatArray
+from mavdiag.telemetry import FloatArray
 
 
 @pytest.mark.parametrize("index", range(24))
@@ -31,12 +28,8 @@ def test_least_squares_is_octaves(index: int) -> None:
     tolerance = 2e-3 if case["nk"] == 0 else 1e-9
     assert_allclose(model.a, case["octave_arx_A"], atol=tolerance)
     assert_allclose(model.b[: len(case["octave_arx_B"])], case["octave_arx_B"], atol=tolerance)
-    if case["ls_loss"] < 1e-20:  # free of noise: residuals are rounding only
-        assert model.fpe < 1e-20
-    else:
+    if case["ls_loss"] >= 1e-20:  # free of noise residuals are rounding only
         assert_allclose(model.standard_errors, case["ls_se"], rtol=1e-8)
-        assert_allclose(model.fpe, case["fpe"], rtol=1e-9)
-        assert_allclose(model.aic, case["aic_matlab"], rtol=1e-9)
     y_sim = model.simulate(u)
     assert_allclose(abs(model.poles[0]), case["max_pole"], atol=1e-9)
     assert_allclose(y_sim[:10], case["sim_first10"], atol=1e-9)
@@ -54,34 +47,8 @@ def test_flights_are_stacked_and_never_joined() -> None:
         for t in range(2, len(data.y)):
             rows.append([-data.y[t - 1], -data.y[t - 2], data.u[t - 1], data.u[t - 2]])
             target.append(data.y[t])
-    expected, squares, _, _ = np.linalg.lstsq(np.array(rows), np.array(target), rcond=None)
+    expected, *_ = np.linalg.lstsq(np.array(rows), np.array(target), rcond=None)
     assert_allclose(found.theta, expected, atol=1e-12)
-    assert_allclose(found.fpe, squares[0] / 496 * (1 + 4 / 496) / (1 - 4 / 496), rtol=1e-9)
-
-
-@pytest.mark.parametrize("method", ["ls", "sriv"])
-def test_neither_order_nor_units_of_flights_matter(method: str) -> None:
-    one, two = record(WELL, 1600, 0.1, 1), record(WELL, 1500, 0.1, 2)
-    forward = fit([one.u, two.u], [one.y, two.y], dt=0.01, method=method)
-    backward = fit([two.u, one.u], [two.y, one.y], dt=0.01, method=method)
-    assert_allclose(forward.theta, backward.theta, atol=1e-9)
-    scaled = fit([1e-3 * one.u, 1e-3 * two.u], [50 * one.y, 50 * two.y], dt=0.01, method=method)
-    assert_allclose(scaled.a, forward.a, rtol=1e-8)
-    assert_allclose(scaled.b, forward.b * 5e4, rtol=1e-8)
-    assert scaled.nrmse_fit == pytest.approx(forward.nrmse_fit, rel=1e-9)
-    assert scaled.yic == pytest.approx(forward.yic, rel=1e-6)
-
-
-def test_a_model_is_frozen_and_does_not_alias_its_arguments() -> None:
-    a = np.array([1.0, -0.5])
-    model = ArxModel(a, np.array([0.0, 1.0]), 0.01, (1, 1, 1), Method.PUBLISHED)
-    a[1] = 3.0
-    assert model.a[1] == -0.5
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        model.dt = 1.0  # type: ignore[misc]  # the assignment under test
-    for array in (model.a, model.b, model.standard_errors):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 2.0
 
 
 @pytest.mark.parametrize(
@@ -104,15 +71,6 @@ def test_an_impossible_model_is_refused(
         ModelRecord(a=tuple(a), b=tuple(b), dt_s=dt, order=order, method=Method.PUBLISHED)
 
 
-def test_poles_and_gain() -> None:
-    assert_allclose(WELL.poles, [0.6 + 0.4j, 0.6 - 0.4j], atol=1e-12)
-    assert WELL.dc_gain == pytest.approx(0.75 / 0.32)
-    unstable = ArxModel(np.array([1.0, -1.0]), np.array([1.0]), 0.01, (1, 1, 0), Method.PUBLISHED)
-    assert (WELL.stable, unstable.stable, unstable.dc_gain) == (True, False, np.inf)
-    delay = ArxModel(np.array([1.0, 0.0, 0.0]), np.array([1.0]), 0.01, (2, 1, 0), Method.PUBLISHED)
-    assert_allclose(delay.poles, [0.0, 0.0])
-
-
 @pytest.mark.parametrize("order", [(2, 2, 1), (1, 3, 2), (3, 1, 0), (1, 1, 0)])
 def test_python_control_agrees(order: tuple[int, int, int]) -> None:
     na, nb, nk = order
@@ -126,20 +84,6 @@ def test_python_control_agrees(order: tuple[int, int, int]) -> None:
     u = np.random.default_rng(1).standard_normal(80)
     response = control.forced_response(transfer, 0.02 * np.linspace(0.0, 79.0, 80), u)
     assert_allclose(np.ravel(response.outputs), model.simulate(u), atol=1e-9)
-
-
-def test_prediction_and_simulation_use_the_past_that_is_given() -> None:
-    data = record(WELL, 50, 0.3, 6)
-    predicted, t = WELL.predict(data.u, data.y), 20
-    assert predicted.shape == (48,)
-    by_hand = 0.5 * data.u[t - 1] + 0.25 * data.u[t - 2] + 1.2 * data.y[t - 1] - 0.52 * data.y[t - 2]
-    assert predicted[t - 2] == pytest.approx(by_hand)
-    assert_allclose(WELL.predict(data.u, data.clean), data.clean[2:], atol=1e-12)
-    with pytest.raises(IdentificationError, match="one length"):
-        WELL.predict(data.u[:2], data.y[:2])
-    long = record(ROLL, 400, 0.0, 7)
-    warm = ROLL.simulate(long.u[100:], past_u=long.u[:100], past_y=long.clean[:100])
-    assert_allclose(warm, long.clean[100:], atol=1e-10)
 
 
 def good() -> tuple[FloatArray, FloatArray]:
@@ -195,12 +139,6 @@ def test_bad_arguments_are_refused(wrong: dict[str, Any], match: str) -> None:
         fit(*good(), **{"dt": 0.01, **wrong})
 
 
-def test_importing_identify_imports_neither_scipy_nor_control() -> None:
-    heavy = "{'scipy', 'control', 'matplotlib', 'numba'}"
-    code = f"import sys, mavdiag.identify; sys.exit(bool({heavy} & set(sys.modules)))"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
 def test_the_record_of_a_model_gives_the_model_back_also_through_json() -> None:
     model = fit(*good(), dt=0.01)
     stored = json.dumps(dataclasses.asdict(ModelRecord.of(model)), allow_nan=False)
@@ -211,22 +149,3 @@ def test_the_record_of_a_model_gives_the_model_back_also_through_json() -> None:
     bare = ModelRecord.of(WELL)
     assert (bare.r2t, bare.standard_errors, bare.covariance) == (None, (), ())
     assert math.isnan(bare.model().r2t)
-
-
-@pytest.mark.parametrize(
-    ("reference", "axis", "theta", "poles", "gain", "scale"),
-    [
-        (THESIS_ROLL, Axis.ROLL, (-1.5326, 0.5333, 0.0743, 0.0616), (0.9985, 0.5341), 194.14, 1 / 75),
-        (THESIS_PITCH, Axis.PITCH, (-1.9363, 0.9368, 0.1014, 0.0573), (0.9908, 0.9455), 317.40, 1 / 298),
-    ],
-)
-def test_the_models_that_the_thesis_prints(
-    reference: ReferenceModel, axis: Axis, theta: tuple[float, ...], poles: tuple[float, ...], gain: float, scale: float
-) -> None:
-    model = reference.model
-    assert (reference.axis, model.method, reference.input_scale) == (axis, Method.PUBLISHED, scale)
-    assert_array_equal(model.theta, theta)
-    assert_allclose(model.poles, poles, atol=5e-5)
-    assert model.dc_gain == pytest.approx(gain, abs=0.005)
-    u = np.random.default_rng(1).standard_normal(100)
-    assert_allclose(reference.scaled.simulate(u), scale * model.simulate(u), rtol=1e-9)

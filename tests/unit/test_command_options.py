@@ -1,36 +1,11 @@
 """Options of the commands: what is refused, in which words, and what a log's signals look like to `inspect`."""
 
-import math
-
 import numpy as np
 import pytest
-from made_telemetry import flight
 
-from mavdiag.errors import InputError, UsageError
-from mavdiag.logs.part import between
 from mavdiag.look.inspection import summary
 from mavdiag.telemetry import Series, Signal
 from mavdiag.units import NS_PER_S
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_r3_a_time_that_is_no_number_is_a_usage_error(value: float) -> None:
-    with pytest.raises(UsageError, match=r"--from (nan|inf): give a time in seconds"):
-        between(flight(800, 1), value, None)
-
-
-def test_r4_the_text_of_an_empty_part_names_only_what_was_asked_for() -> None:
-    with pytest.raises(InputError) as caught:
-        between(flight(800, 1), 99999.0, None)
-    assert "from 99999 s of the vehicle's clock; it goes from" in str(caught.value)
-    assert "None" not in str(caught.value)
-
-
-def test_r6_b20_a_column_without_a_number_is_told_and_warns_nobody() -> None:
-    values = np.column_stack((np.full(10, np.nan), np.arange(10.0)))
-    t_ns = np.arange(10, dtype=np.int64) * NS_PER_S // 100
-    found = summary(Series(Signal.ROTOR_SPEED, t_ns, t_ns, values))
-    assert (found.lowest, found.highest) == ((None, 0.0), (None, 9.0))
 
 
 def test_r8_the_rate_is_the_mean_rate_and_not_that_of_the_median_step() -> None:

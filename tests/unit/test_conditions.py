@@ -1,32 +1,16 @@
 """Conditions of flight: each by its definition, on fast and slow links, with unknown signals and gaps."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from made_conditions import column, made_block, measured, rows_of, slowly, spoilt
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made_conditions import Ones, column, made_block, measured, ones_judged, rows_of, slowly, spoilt
 
-from mavdiag.monitors.conditions import TILT_BINS
-from mavdiag.rows.conditions import BIN_S, Condition
-from mavdiag.telemetry import BoolArray, FloatArray
+from mavdiag.rows.conditions import Condition
 from mavdiag.testing import example_rows
+from mavdiag.thresholds.envelope import Covered
 
 RATES_HZ = (10, 12.5, 20, 33, 50, 100, 400, 1000)
-
-
-def seen(
-    condition: Condition,
-    *,
-    setpoint: FloatArray | None = None,
-    setpoint_valid: BoolArray | None = None,
-    rate: FloatArray | None = None,
-    thrust: FloatArray | None = None,
-    height: FloatArray | None = None,
-) -> FloatArray:
-    """A condition of 8 s at 100 Hz with these signals."""
-    block = example_rows(800, 0.01, setpoint=setpoint, setpoint_valid=setpoint_valid, rate=rate, thrust=thrust).block
-    block = block if height is None else replace(block, height=height)
-    return column(measured(rows_of(block)), condition)
 
 
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
@@ -43,90 +27,51 @@ def test_every_condition_is_what_its_definition_says(rate_hz: float, broken: boo
         assert np.isfinite(values).any(), condition
 
 
-def test_tilt_is_that_of_the_mean_set_point_of_five_seconds() -> None:
-    lean = np.tile([0.03, -0.04, 0.0], (800, 1))
-    lean[::2] += [0.2, 0.0, 0.0]  # what swings about the mean is no tilt
-    lean[1::2] -= [0.2, 0.0, 0.0]
-    found = seen(Condition.TILT, setpoint=lean)
-    assert np.isnan(found[: TILT_BINS - 1]).all()
-    np.testing.assert_allclose(found[TILT_BINS - 1 :], 0.05, rtol=1e-9)
-
-
-def test_throttle_is_the_mean_of_what_is_known() -> None:
-    half = np.where(np.arange(800) % 2, 0.4, np.nan)
-    np.testing.assert_allclose(seen(Condition.THROTTLE, thrust=half), 0.4)
-
-
-def test_a_commanded_turn_is_a_rate_and_an_acceleration() -> None:
-    t = 0.01 * np.arange(800)
-    swing = np.stack((0.2 * np.sin(4 * t), np.zeros(800), np.zeros(800)), axis=1)
-    rate = seen(Condition.COMMANDED_RATE, setpoint=swing)
-    acceleration = seen(Condition.COMMANDED_ACCELERATION, setpoint=swing)
-    assert rate.max() == pytest.approx(0.8, rel=0.01)
-    assert np.nanmax(acceleration) == pytest.approx(3.2, rel=0.03)
-    assert np.isnan(acceleration[0])  # nothing lies before the first bin
-
-
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_a_steady_turn_is_a_yaw_rate(sign: float) -> None:
-    t = 0.01 * np.arange(800)
-    nose = np.stack((0 * t, 0 * t, sign * 0.7 * t), axis=1)
-    np.testing.assert_allclose(seen(Condition.YAW_RATE, setpoint=nose), 0.7, rtol=1e-6)
-
-
-def test_a_nose_that_turns_without_a_command_is_no_condition() -> None:
-    """A damaged rotor turns it; before there is a slope of the command, and where none is known, the gyro tells."""
-    spun = np.tile([0.0, 0.0, 5.0], (800, 1))
-    found = seen(Condition.YAW_RATE, rate=spun)
-    assert found[0] == 5.0
-    np.testing.assert_array_equal(found[1:], 0.0)
-    slow = np.stack((np.zeros(800), np.zeros(800), 0.001 * np.arange(800)), axis=1)
-    np.testing.assert_allclose(seen(Condition.YAW_RATE, setpoint=slow, rate=spun)[1:], 0.1, rtol=1e-6)
-
-
 def test_after_a_step_of_the_heading_the_gyro_tells_for_two_seconds() -> None:
     step = np.zeros((800, 3))
     step[405:, 2] = 1.5  # 15 rad/s in the bin that ends at 4.1 s
-    found = seen(Condition.YAW_RATE, setpoint=step, rate=np.tile([0.0, 0.0, -0.8], (800, 1)))
+    block = example_rows(800, 0.01, setpoint=step, rate=np.tile([0.0, 0.0, -0.8], (800, 1))).block
+    found = column(measured(rows_of(block)), Condition.YAW_RATE)
     np.testing.assert_allclose(found[40:60], 0.8)
     np.testing.assert_array_equal(found[60:], 0.0)
     np.testing.assert_array_equal(found[1:40], 0.0)
 
 
-def test_without_a_heading_the_gyro_tells_the_yaw_rate() -> None:
-    unknown = np.zeros(800, dtype=np.bool_)
-    found = seen(Condition.YAW_RATE, setpoint_valid=unknown, rate=np.tile([0.0, 0.0, -0.4], (800, 1)))
-    np.testing.assert_allclose(found, 0.4)
+N = 900
+PERIODS_S = (0.0025, 0.01, 0.02, 0.05, 0.1)
+NARROW = tuple(
+    Covered(condition, low, high)
+    for condition, low, high in (
+        (Condition.TILT, 0.0, 0.05),
+        (Condition.THROTTLE, 0.49, 0.51),
+        (Condition.COMMANDED_RATE, 0.0, 0.3),
+        (Condition.YAW_RATE, 0.0, 0.2),
+        (Condition.HEIGHT, 1.0, 2.0),
+    )
+)
+
+cuts = st.lists(st.integers(1, N - 1), max_size=40)
 
 
-def test_height_is_the_least_of_a_bin() -> None:
-    height: FloatArray = np.linspace(2.0, 2.0 + 1.5 * 7.99, 800)
-    np.testing.assert_allclose(seen(Condition.HEIGHT, height=height)[:3], [2.0, 2.15, 2.3])
+@given(seed=st.integers(0, 50), edges=cuts, dt_s=st.sampled_from(PERIODS_S), broken=st.booleans())
+def test_any_cut_gives_exactly_the_same_bins(seed: int, edges: list[int], dt_s: float, broken: bool) -> None:
+    block = made_block(N, dt_s, seed)
+    block = spoilt(block, seed) if broken else block
+    expected, found = measured(rows_of(block)), measured(rows_of(block, edges))
+    assert len(expected.end_ns) > 10
+    np.testing.assert_array_equal(found.end_ns, expected.end_ns)
+    np.testing.assert_array_equal(found.values, expected.values)
 
 
-def test_what_the_link_does_not_carry_is_nan() -> None:
-    nothing = {c: seen(c) for c in (Condition.THROTTLE, Condition.HEIGHT)}
-    assert all(np.isnan(values).all() for values in nothing.values())
-    silent = np.zeros(800, dtype=np.bool_)
-    for condition in (Condition.TILT, Condition.COMMANDED_RATE, Condition.COMMANDED_ACCELERATION):
-        assert np.isnan(seen(condition, setpoint_valid=silent)).all()
-        assert np.isfinite(seen(condition)).any()
-
-
-def test_a_gap_is_not_known_and_leaves_no_trace() -> None:
-    block = made_block(1500, 0.01, seed=2)
-    valid = np.ones(1500, dtype=np.bool_)
-    valid[600:700] = False
-    whole, broken = measured(rows_of(block)), measured(rows_of(replace(block, valid=valid)))
-    np.testing.assert_array_equal(whole.end_ns, broken.end_ns)
-    inside = (broken.end_ns > block.t_ns[610]) & (broken.end_ns <= block.t_ns[690])
-    assert inside.any()
-    assert np.isnan(broken.values[inside]).all()
-    after = broken.end_ns > block.t_ns[700] + (TILT_BINS + 3) * BIN_S * 1e9
-    assert after.any()
-    np.testing.assert_array_equal(broken.values[after], whole.values[after])
-
-
-def test_no_bin_comes_before_it_is_whole() -> None:
-    assert len(measured(rows_of(example_rows(8, 0.01).block)).end_ns) == 0
-    assert len(measured(rows_of(example_rows(13, 0.01).block)).end_ns) == 1  # ten rows, two for the rates, one beyond
+@settings(max_examples=60)
+@given(seed=st.integers(0, 50), edges=cuts, dt_s=st.sampled_from(PERIODS_S), memory_s=st.sampled_from([0.5, 1.0, 5.0]))
+def test_any_cut_gives_the_same_limits(seed: int, edges: list[int], dt_s: float, memory_s: float) -> None:
+    """The factor near the envelope, what is outside, and for how long."""
+    block = made_block(N, dt_s, seed)
+    for conditions in (set(Condition), {Condition.YAW_RATE}):
+        monitor = Ones(conditions, memory_s)
+        (expected, outside), (found, other) = (ones_judged(NARROW, rows_of(block, cut), monitor) for cut in ([], edges))
+        for name in ("t_ns", "value", "valid"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        assert other == outside
+    assert ones_judged(NARROW, rows_of(block), Ones(Condition, memory_s))[1], "some of it must be outside"

@@ -24,7 +24,6 @@ def written(folder: Path, text: str) -> Path:
         ("lern = 30", "unknown key 'lern'; known are learn, negotiate, "),
         ("learn = -1", "learn: Input should be greater than 0"),
         ("learn = 10\nvehicle = 256", "vehicle: "),
-        ("learn = 10\nnamed_values_axis = 'sideways'", "named_values_axis: "),
         ("learn = 10\ntwins_hz = 5", "unknown key 'twins_hz'"),
         ("learn = 10\ntexts_per_minute = 1000", "texts_per_minute: "),
         ("learn = 10", "learn needs save: a FILE that keeps what is learned"),
@@ -59,52 +58,11 @@ def test_the_environment_can_say_all_of_it(tmp_path: Path) -> None:
     assert (settings.learn, settings.keep_rates, settings.suspect) == (30.0, True, ("fsd",))
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "words"),
-    [
-        ("LERN", "3", "MAVDIAG_DETECTOR_LERN: there is no such setting; known are learn, "),
-        ("VEHICLES", "3", "MAVDIAG_DETECTOR_VEHICLES: there is no such setting"),
-        ("LEARN", "soon", "MAVDIAG_DETECTOR_LEARN: learn: Input should be a valid number"),
-        ("CONFIG", "absent.toml", "absent.toml: no such file"),
-    ],
-)
-def test_what_is_wrong_in_the_environment_is_named(name: str, text: str, words: str) -> None:
-    with pytest.raises(UsageError) as caught:
-        load_settings(None, {"connect": "udpin:127.0.0.1:0"}, {f"MAVDIAG_DETECTOR_{name}": text})
-    assert words in str(caught.value)
-
-
 def test_the_example_is_valid_and_shows_every_setting(tmp_path: Path) -> None:
     settings = load_settings(written(tmp_path, example_text()), {})
     assert settings == Settings(learn=120.0, save=Path("/var/lib/mavdiag/learned.json"))
     shown = set(re.findall(r"^(?:# )?(\w+) = ", example_text(), re.MULTILINE))
     assert shown == set(Settings.model_fields) - {"vehicles"}
-
-
-def test_what_the_example_comments_out_is_a_default_or_valid(tmp_path: Path) -> None:
-    text = re.sub(r"^# (\[vehicles|\w+ = )", r"\1", example_text(), flags=re.MULTILINE)
-    text = re.sub(r"^learn = .*$", "", text, flags=re.MULTILINE)
-    text = re.sub(r"^(save|airframe|layout|name) = .*$", "", text, flags=re.MULTILINE)
-    settings = load_settings(written(tmp_path, text), {})
-    for name, field in Settings.model_fields.items():
-        if field.default not in (None, ()) and name not in ("vehicles", "journal_fsync", "named_values_axis"):
-            assert getattr(settings, name) == field.default, name
-    assert settings.vehicles[3].baseline == Path("/var/lib/mavdiag/vehicle-3.json")
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("[vehicles.300]\nbaseline = 'b'", "vehicles.300: Input should be less than or equal to 255"),
-        ("[vehicles.3]\nbasline = 'b'", "vehicles.3.baseline: Field required"),
-        ("[vehicles.3]\nbaseline = 'b'\nrate = 3", "unknown key 'vehicles.3.rate'; known are baseline"),
-        ("[vehicles.x]\nbaseline = 'b'", "vehicles.x: "),
-    ],
-)
-def test_what_is_wrong_with_a_vehicle_is_named(tmp_path: Path, text: str, words: str) -> None:
-    with pytest.raises(UsageError) as caught:
-        load_settings(written(tmp_path, text), {})
-    assert words in str(caught.value)
 
 
 def test_what_was_learned_is_found_again_by_its_vehicle(tmp_path: Path) -> None:

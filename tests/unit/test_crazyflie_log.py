@@ -44,30 +44,6 @@ def test_units_and_signs_are_si_and_frd(tmp_path: Path) -> None:
     assert log.started_ns == 0
 
 
-def test_a_signal_without_all_its_variables_is_absent(tmp_path: Path) -> None:
-    log = read_crazyflie(written(tmp_path, with_checksum(crazyflie_content([PID], RECORDS))))
-    assert log.telemetry.get(Signal.TORQUE_COMMAND) is None  # only cmd_yaw is there
-
-
-def test_other_events_between_the_records_change_nothing(tmp_path: Path) -> None:
-    plain = read_crazyflie(written(tmp_path, with_checksum(crazyflie_content([PID, MARK], RECORDS))))
-    mixed_records = (MARK.record(5, 1), RECORDS[0], MARK.record(5_000, 2), MARK.record(5_001, 3), RECORDS[1])
-    mixed = read_crazyflie(written(tmp_path, with_checksum(crazyflie_content([PID, MARK], mixed_records))))
-    assert [s.signal for s in mixed.telemetry.series] == [s.signal for s in plain.telemetry.series]
-    for ours, theirs in zip(mixed.telemetry.series, plain.telemetry.series, strict=True):
-        np.testing.assert_array_equal(ours.t_ns, theirs.t_ns)
-        np.testing.assert_array_equal(ours.values, theirs.values)
-
-
-def test_raw_sensor_axes_turn_about_x(tmp_path: Path) -> None:
-    raw = CrazyflieEvent(
-        1, "imu", tuple(f"{name}(f)" for name in ("gyro.x", "gyro.y", "gyro.z", "acc.x", "acc.y", "acc.z"))
-    )
-    log = read_crazyflie(written(tmp_path, with_checksum(crazyflie_content([raw], [raw.record(1, 1, 2, 3, 0, 0, 1)]))))
-    assert np.degrees(log.telemetry.need(Signal.BODY_RATE).values[0]) == pytest.approx([1, -2, -3])
-    assert log.telemetry.need(Signal.SPECIFIC_FORCE).values[0] == pytest.approx([0, 0, -9.80665])
-
-
 @pytest.mark.parametrize(
     ("content", "reason"),
     [

@@ -39,15 +39,6 @@ def test_units_and_directions_become_si_and_frd(tmp_path: Path) -> None:
     assert (log.profile, log.notes) == ("csv", ())
 
 
-def test_a_cell_that_is_no_number_is_unknown_and_told(tmp_path: Path) -> None:
-    rows = [f"{10 * k},1,2,3,10,{'' if k == 3 else 20}" for k in range(10)] + ["x,1,2,3,10,20", "110,,2,3,10,20"]
-    path = written(tmp_path, "time,p,q,r,m1,m2\n" + "\n".join(rows))
-    log = read_log(path, columns=parse_column_map(MAP))
-    assert len(log[Signal.BODY_RATE]) == 10
-    assert len(log[Signal.ACTUATOR]) == 10  # the third has none, the last row has
-    assert log.notes == ("2 of 12 rows have no time or no gyro and were left out",)
-
-
 def test_a_file_without_header_or_time_is_read_by_number_and_rate(tmp_path: Path) -> None:
     path = written(tmp_path, "comment\n1;2;3\n4;5;6\n7;8;9\n")
     text = '[time]\nrate_hz = 200\n[body_rate]\ncolumns = ["1", "2", "3"]\nunit = "rad/s"\n'
@@ -112,13 +103,3 @@ def test_what_is_no_sound_csv_file_is_one_line(tmp_path: Path, text: str) -> Non
     tracemalloc.stop()
     assert most < 4 * len(text) + 20_000_000
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
-def test_line_ends_of_all_systems_are_read(tmp_path: Path, end: str) -> None:
-    path = tmp_path / "flight.csv"
-    rows = ["m2,time,p,q,r,m1", "40,1000,90,180,-90,10", "50,1010,0,0,0,20", "50,1020,0,0,0,none"]
-    path.write_bytes(end.join(rows).encode())
-    log = read_log(path, columns=parse_column_map(MAP))
-    assert len(log[Signal.BODY_RATE]) == 3
-    assert len(log[Signal.ACTUATOR]) == 2

@@ -21,11 +21,7 @@ PARM = DataFlashMessage(32, "PARM", "QNf", "TimeUS,Name,Value")
 ARM = DataFlashMessage(186, "ARM", "QB", "TimeUS,ArmState")
 EV = DataFlashMessage(13, "EV", "B", "Id")
 GPS = DataFlashMessage(90, "GPS", "QBIH", "TimeUS,Status,GMS,GWk")
-OLD_IMU = DataFlashMessage(131, "IMU", "Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
-OLD_IMU2 = DataFlashMessage(135, "IMU2", "Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
 OLD_RATE = DataFlashMessage(29, "RATE", "Ifffffffff", f"TimeMS,{RATE_FIELDS}")
-OLD_CURR = DataFlashMessage(166, "CURR", "Ih", "TimeMS,Volt")
-OLD_CTUN = DataFlashMessage(4, "CTUN", "Ihf", "TimeMS,ThrOut,Alt")
 
 
 def imu(time_us: int, rate: float = 0.0, instance: int = 0) -> bytes:
@@ -51,27 +47,11 @@ def test_format_characters_carry_their_multiplier_and_angles_become_radians(tmp_
     assert log.profile == "ardupilot-log"
 
 
-def test_only_the_first_imu_is_taken(tmp_path: Path) -> None:
-    new = read(tmp_path, dataflash([IMU], [imu(1, 0.5, 1), imu(2, 0.25, 0), imu(3, 0.5, 1)]))
-    assert first(new, Signal.BODY_RATE) == [0.25, 0, 0]
-    assert len(new.telemetry.need(Signal.BODY_RATE)) == 1
-    records = [OLD_IMU2.record(1, 0.5, 0, 0, 0, 0, 0), OLD_IMU.record(1, 0.25, 0, 0, 0, 0, 0)]
-    old = read(tmp_path, dataflash([OLD_IMU, OLD_IMU2], records))
-    assert first(old, Signal.BODY_RATE) == [0.25, 0, 0]
-    assert old.telemetry.need(Signal.BODY_RATE).t_ns.tolist() == [1_000_000]
-
-
 def turning(message: DataFlashMessage, *values: float) -> list[bytes]:
     """Two records of RATE among those of an IMU that turns at 10 deg/s."""
     unit = 1 if message is OLD_RATE else 1_000
     turn = math.radians(10)
     return [imu(1_000, turn), message.record(2 * unit, *values), imu(3_000, turn), message.record(4 * unit, *values)]
-
-
-def test_rate_is_in_degrees_per_second_today(tmp_path: Path) -> None:
-    log = read(tmp_path, dataflash([RATE, IMU], turning(RATE, 20, 10, 0.1, 0, 0, 0, 0, 0, 0)))
-    assert first(log, Signal.RATE_SETPOINT) == pytest.approx([math.radians(20), 0, 0])
-    assert first(log, Signal.TORQUE_COMMAND) == pytest.approx([0.1, 0, 0])
 
 
 @pytest.mark.parametrize("message", [OLD_RATE, RATE])
@@ -81,51 +61,12 @@ def test_rate_was_in_hundredths_up_to_copter_3_3(tmp_path: Path, message: DataFl
     assert first(log, Signal.TORQUE_COMMAND) == pytest.approx([0.1, 0, 0])
 
 
-def test_plain_integers_of_the_old_era_are_hundredths_of_volts_and_thousandths_of_throttle(tmp_path: Path) -> None:
-    log = read(tmp_path, dataflash([OLD_CURR, OLD_CTUN], [OLD_CURR.record(1, 1652), OLD_CTUN.record(1, 396, 7.5)]))
-    assert first(log, Signal.VOLTAGE) == pytest.approx([16.52])
-    assert first(log, Signal.THRUST_SETPOINT) == pytest.approx([0.396])
-    assert first(log, Signal.HEIGHT) == [7.5]
-
-
 def test_outputs_follow_the_motor_functions(tmp_path: Path) -> None:
     functions = {1: 0, 2: 34, 3: 33, 4: 10, 5: 35}
     parameters = [PARM.record(1, f"SERVO{n}_FUNCTION".encode(), value) for n, value in functions.items()]
     outputs = RCOU.record(2, 1100, 1200, 1300, 1400, 1500, 0)
     log = read(tmp_path, dataflash([PARM, RCOU], [*parameters, outputs]))
     assert first(log, Signal.ACTUATOR) == pytest.approx([0.3, 0.2, 0.5])
-
-
-def test_without_a_motor_s_function_a_column_is_an_output_that_moves(tmp_path: Path) -> None:
-    """Not the gimbal on output 5 of a Copter 3.4, whose motors have no function, nor output 6, which never moves."""
-    log = read(tmp_path, dataflash([RCOU], [RCOU.record(2, 1100, 0, 1300, 900, 0, 0)]))
-    assert first(log, Signal.ACTUATOR) == pytest.approx([0.1, 0.0, 0.3, 0.0])
-    pulses = [RCOU.record(2, 1400, 1410, 1420, 1430, 1500, 1100), RCOU.record(3, 1410, 1400, 1430, 1420, 1600, 1100)]
-    log = read(tmp_path, dataflash([PARM, RCOU], [PARM.record(1, b"RC5_FUNCTION", 7.0), *pulses]))
-    np.testing.assert_allclose(log["actuator"].values[1], [0.41, 0.40, 0.43, 0.42], atol=1e-9)
-    assert not log.motor_order
-
-
-def test_arming_comes_from_its_message(tmp_path: Path) -> None:
-    log = read(tmp_path, dataflash([ARM, EV], [ARM.record(7, 1), EV.record(11), ARM.record(9, 0)]))
-    armed = log.telemetry.need(Signal.ARMED)
-    assert armed.t_ns.tolist() == [7_000, 9_000]
-    assert armed.values[:, 0].tolist() == [1, 0]
-
-
-def test_an_event_without_time_takes_that_of_the_imu_before_it(tmp_path: Path) -> None:
-    records = [imu(10), EV.record(25), imu(20), EV.record(10), imu(30), imu(40), EV.record(11)]
-    armed = read(tmp_path, dataflash([IMU, EV], records)).telemetry.need(Signal.ARMED)
-    assert armed.t_ns.tolist() == [20_000, 40_000]
-    assert armed.values[:, 0].tolist() == [1, 0]
-
-
-def test_gps_dates_the_first_sample(tmp_path: Path) -> None:
-    noon_2020 = 1_577_880_000  # 2020-01-01 12:00 UTC: GPS week 2086, and 18 leap seconds
-    tow_ms = (noon_2020 - 315_964_800 + 18 - 2086 * 604_800) * 1000
-    records = [imu(4_000_000), GPS.record(4_500_000, 1, 0, 0), GPS.record(5_000_000, 3, tow_ms, 2086)]
-    assert read(tmp_path, dataflash([IMU, GPS], records)).started_ns == (noon_2020 - 1) * 1_000_000_000
-    assert read(tmp_path, dataflash([IMU], [imu(1)])).started_ns == 0
 
 
 @pytest.mark.parametrize("content", [dataflash([IMU, ATT], []), b"\xa3\x95\x80\x80", b"\xa3\x95", b"text", b""])

@@ -3,31 +3,12 @@
 import multiprocessing
 import time
 
-import pytest
-from made_session import baseline_for
-
-from detector.fitting import FittingJob, ProcessFitter, fit_baseline
-from mavdiag import learning
+from detector.fitting import FittingJob, ProcessFitter
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.baseline import Baseline
-from mavdiag.learning import LearnOptions
-from mavdiag.telemetry import Log, Telemetry
+from mavdiag.telemetry import Telemetry
 
 AIRFRAME = Airframe(name="survey quad", mass_kg=1.2)
 JOB = FittingJob(1, AIRFRAME, "qdrone2", Telemetry())
-
-
-def test_b26_live_learning_has_the_options_of_identify(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It modelled two axes where `identify` models one: one flight gave two baselines."""
-    asked: list[LearnOptions] = []
-
-    def learn(logs: list[Log], options: LearnOptions, *, created: str) -> object:
-        asked.append(options)
-        return baseline_for()
-
-    monkeypatch.setattr(learning, "learn", learn)
-    assert isinstance(fit_baseline(JOB), Baseline)
-    assert asked == [LearnOptions(airframe=AIRFRAME)]
 
 
 def test_only_its_own_process_is_ended() -> None:

@@ -7,12 +7,11 @@ from made_baselines import trim
 from made_session import baseline_for
 
 from detector.config import SessionSettings
-from detector.judging import Judge, chain_for, rescaled
+from detector.judging import Judge, chain_for
 from detector.streams import Streams
 from mavdiag.chain import chain_of
 from mavdiag.errors import BaselineError
 from mavdiag.link.profiles import PROFILES
-from mavdiag.monitors.trim import MOST_RISE
 from mavdiag.telemetry import FloatArray, Instant, Series, Signal, Telemetry
 
 
@@ -25,18 +24,6 @@ def test_monitors_named_as_suspect_do_not_decide_as_long_as_another_does() -> No
     assert [b.threshold / a.threshold for a, b in zip(plain.slots, chain.slots, strict=True)] == [2.0, 2.0]
     with pytest.raises(BaselineError, match="suspect names every monitor that decides"):
         chain_for(baseline, SessionSettings(suspect=("unbalance", "rotor_trim")), 0)
-
-
-def test_a_monitor_that_cannot_reach_its_scaled_threshold_does_not_judge() -> None:
-    baseline = baseline_for(names=("unbalance", "rotor_trim"))
-    (limit,) = (one.threshold.value for one in baseline.monitors if one.spec.kind == "rotor_trim")
-    scale = 1.01 * MOST_RISE / limit
-    found = rescaled(baseline, scale)
-    assert [one.spec.kind for one in found.monitors] == ["unbalance"]
-    assert [one.monitor for one in found.not_judgeable[len(baseline.not_judgeable) :]] == ["rotor_trim"]
-    assert "cannot be reached" in found.not_judgeable[-1].reason
-    with pytest.raises(BaselineError, match="no monitor can judge: rotor_trim: its threshold"):
-        rescaled(baseline_for(names=("rotor_trim",)), scale)
 
 
 def test_a_flight_outside_of_the_envelope_says_which_condition_was_not_learnt() -> None:

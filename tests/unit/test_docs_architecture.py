@@ -25,7 +25,6 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 STAGES = ("mavdiag.rows.align", "mavdiag.rows.gate", "mavdiag.rows.rates", "mavdiag.kernel", "mavdiag.decision.alarm")
 INSIDE = ("kinds", "grading")  # of the decision, in the order of the drawing
-PACKAGES = {path.stem for name in ("mavdiag", "detector", "sitl_plant") for path in (ROOT / name).iterdir()}
 
 
 def table(heading: str, column: int) -> list[str]:
@@ -75,11 +74,6 @@ def test_what_shows_how_to_add_a_thing_is_there(cell: str) -> None:
     for path, name in shown:
         text = (ROOT / path).read_text()
         assert re.search(rf"^(def|class|from \w+ import) {name}\b", text, re.MULTILINE), f"{path}: {name}"
-
-
-def test_the_tests_named_are_there() -> None:
-    for path in re.findall(r"`(tests/[a-z_/]+\.py)`", PAGE):
-        assert (ROOT / path).is_file(), path
 
 
 @contextmanager

@@ -5,20 +5,16 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-from flying_telemetry import START_NS, flying, without
-from identification_data import WELL, record
+from flying_telemetry import START_NS, flying
 from made_archive import archive_baseline, made
 from made_baselines import FRAME, healthy, whole
 from made_logs import ULOG_HEAD
 from made_telemetry import cut, flight
 
 import mavdiag as md
-from mavdiag import face
 from mavdiag.decision.alarm import Change, Event, Stage
-from mavdiag.errors import BaselineError, InputError, UsageError
-from mavdiag.learning import LearnOptions
+from mavdiag.errors import BaselineError, UsageError
 from mavdiag.telemetry import Telemetry
 
 HEAVY = {"numpy", "scipy", "pydantic", "pymavlink", "control", "matplotlib", "pandas", "rich", "typer", "numba"}
@@ -35,15 +31,6 @@ def test_the_import_loads_nothing_heavy_and_every_name_is_there() -> None:
         md.absent  # noqa: B018
 
 
-def test_the_package_of_identification_can_be_called() -> None:
-    train = record(WELL, 600, 0.1, 0)
-    called = md.identify(train.u, train.y, order=(2, 2, 1), dt=0.01)  # type: ignore[operator]  # typed code calls fit
-    assert np.array_equal(called.a, md.identify.fit(train.u, train.y, (2, 2, 1), dt=0.01).a)
-    from mavdiag.identify import fit
-
-    assert fit is md.identify.fit
-
-
 def test_rates_of_a_log_carry_the_model_that_made_them() -> None:
     log = md.Log("made", "", "qdrone2", flight(20_000, 3))
     u, y, dt = md.rates(log, "roll", window_s=0.05)
@@ -54,28 +41,6 @@ def test_rates_of_a_log_carry_the_model_that_made_them() -> None:
     assert model.dc_gain == pytest.approx(1.0, abs=0.05)
     with pytest.raises(UsageError, match="sideways"):
         md.rates(log, "sideways")
-
-
-def test_sources_may_be_logs_files_folders_and_patterns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def made(path: str | Path, *, vehicle: int | None = None) -> md.Log:
-        return md.Log(Path(path).name, str(vehicle), "qdrone2", md.Log("", "", "", flight(10, 0)).telemetry)
-
-    monkeypatch.setattr(face, "read_log", made)
-    for name in ("b.tlog", "a.tlog", "c.bin"):
-        (tmp_path / name).write_bytes(ULOG_HEAD)
-    (tmp_path / "folder.tlog").mkdir()
-
-    def names(source: face.Source) -> list[str]:
-        return [log.name for log in face._logs(source, 7)]
-
-    assert names(tmp_path / "*.tlog") == [str(tmp_path / "a.tlog"), str(tmp_path / "b.tlog")]
-    assert len(names(str(tmp_path))) == 3
-    assert names(tmp_path / "c.bin") == [str(tmp_path / "c.bin")]
-    assert names(md.Log("given", "", "", flight(10, 0))) == ["given"]
-    monkeypatch.chdir(tmp_path)
-    assert names("*.bin") == ["c.bin"]
-    with pytest.raises(InputError, match="no log there"):
-        names("*.ulg")
 
 
 def test_all_logs_of_a_folder_are_judged_and_one_that_is_damaged_is_told(tmp_path: Path) -> None:
@@ -89,17 +54,6 @@ def test_all_logs_of_a_folder_are_judged_and_one_that_is_damaged_is_told(tmp_pat
     assert next(md.scan([paths[1]], archive_baseline())) == verdicts[1]
 
 
-def test_an_airframe_may_be_a_value_a_name_or_a_file_and_gets_a_label() -> None:
-    options = LearnOptions()
-    assert face.with_airframe(options, None, None) is options
-    named = face.with_airframe(options, "qdrone2", "drone 7").airframe
-    assert (named.name, named.layout is not None) == ("drone 7", True)
-    value = md.Airframe(name="mine", mass_kg=2.0)
-    assert face.with_airframe(options, value, None).airframe is value
-    with pytest.raises(UsageError, match="qdrone2"):
-        face.with_airframe(options, "absent", None)
-
-
 def test_five_lines_from_healthy_flights_to_a_verdict(tmp_path: Path) -> None:
     baseline = md.learn(healthy(3), FRAME, name="drone 7", created="2026-01-01T00:00:00+00:00")
     baseline.save(tmp_path / "b.json")
@@ -108,14 +62,6 @@ def test_five_lines_from_healthy_flights_to_a_verdict(tmp_path: Path) -> None:
     assert (str(verdict.verdict), baseline.airframe.name) == ("fault", "drone 7")
     assert str(verdict).startswith("weak: fault, rotor_trim 0.1")
     assert verdict.events[0].event.rotor == 3
-
-
-def test_the_events_of_a_verdict_are_a_table() -> None:
-    pytest.importorskip("pandas", reason="it is no requirement")
-    verdict = md.judge(md.Log("weak", "", "px4", flying(3000, 5, weak_rotor=3, rise=0.2)), whole())
-    frame = verdict.to_frame()
-    assert len(frame) == len(verdict.events) > 0
-    assert list(frame.columns)[:3] == ["t_s", "end_s", "monitor"]
 
 
 def test_a_watch_gives_what_the_verdict_on_the_log_gives() -> None:
@@ -134,12 +80,6 @@ def test_a_watch_gives_what_the_verdict_on_the_log_gives() -> None:
     closed = watch.end_flight()
     assert [one.end_ns is not None for one in closed if isinstance(one, Event)] == [True]
     assert str(watch.diagnosis) == "inspect: the flight with the fault has ended, rotor 3"
-
-
-def test_a_log_that_cannot_be_judged_is_a_verdict_and_a_missing_file_an_error(tmp_path: Path) -> None:
-    assert md.judge(md.Log("x", "", "qdrone2", flying(3000, 5)), whole()).verdict == "not_judgeable"
-    with pytest.raises(InputError, match=r"absent\.tlog: no such file"):
-        md.judge(tmp_path / "absent.tlog", whole())
 
 
 def fed(watch: md.Watch, telemetry: Telemetry) -> list[int]:
@@ -161,8 +101,3 @@ def test_1_a_watch_refuses_a_link_of_another_rate_or_profile() -> None:
         assert watch.diagnosis.stage == "not judged"
         assert says in watch.diagnosis.reason
         assert not watch.output.pieces
-
-
-def test_1_lost_samples_are_no_other_rate() -> None:
-    kept = without(flying(3000, 5), *((0.1 * k, 0.1 * k + 0.03) for k in range(300)))
-    assert max(fed(md.Watch(whole(), "px4"), kept)) > START_NS + 29 * 10**9

@@ -6,29 +6,23 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from flying_telemetry import START_NS, flying, flying_front, flying_rows
-from made_baselines import FRAME, NOW, healthy, logged, whole
+from made_baselines import FRAME, NOW, logged, whole
 from made_telemetry import cut
-from shared_data import shared
 
 from mavdiag.airframe.fingerprint import (
     TRAITS,
-    Figure,
     Fingerprint,
     Likeness,
     Outcome,
     beginning,
     compare,
     fingerprint_of,
+    joined,
     traits,
 )
 from mavdiag.airframe.layout import layout_named
-from mavdiag.baseline import dump, parse
-from mavdiag.errors import InputError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.learning.flights import front_for, rows_of
-from mavdiag.logs import read_log
-from mavdiag.logs.part import between
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
 
@@ -118,18 +112,6 @@ def test_another_vehicle_is_not_judged_and_a_near_one_has_a_note(flight: Telemet
     assert "another vehicle" not in damaged.reason
 
 
-def test_the_fingerprint_is_kept_in_the_baseline() -> None:
-    baseline = learn(healthy(3), LearnOptions(airframe=FRAME, monitors=("rotor_trim",)), created=NOW)
-    assert baseline.fingerprint is not None
-    assert baseline.fingerprint.flights == 3
-    assert parse(dump(baseline)).fingerprint == baseline.fingerprint
-
-
-def test_a_baseline_without_a_fingerprint_judges_as_before() -> None:
-    old = whole().model_copy(update={"fingerprint": None})
-    assert judge(logged(flying(3000, 7)), old).verdict is Verdict.HEALTHY
-
-
 def test_chunks_change_nothing() -> None:
     telemetry = flying(3000, 7, weak_rotor=1, rise=0.1)
     flight, front = flying_rows(telemetry), flying_front()
@@ -139,27 +121,10 @@ def test_chunks_change_nothing() -> None:
         pieces += [one for one in parts if isinstance(one, Rows)]
     pieces += [one for one in front.finish(state)[1] if isinstance(one, Rows)]
     assert len(pieces) > 50
-    assert traits(pieces, X) == pytest.approx(traits(flight, X), nan_ok=True)
+    assert traits(joined(pieces), X) == pytest.approx(traits(joined(flight), X), nan_ok=True)
     assert compare(learnt(), pieces, X) == compare(learnt(), flight, X)
-    seconds = sum(int(block.valid.sum()) for block in beginning(pieces, 8.0)[0]) * 0.01
+    seconds = sum(int(block.valid.sum()) for block in beginning(pieces, 8.0)) * 0.01
     assert seconds == pytest.approx(8.0, abs=0.02)
-
-
-def test_an_unknown_layout_leaves_the_other_traits_and_nothing_speaks_against_an_empty_flight() -> None:
-    found = dict(zip((one.name for one in TRAITS), traits(flying_rows(flying(3000, 7)), None), strict=True))
-    assert np.isnan(found["yaw trim"])
-    assert np.isfinite(found["gyro noise p"])
-    assert found["motors"] == 4
-    assert compare(Fingerprint((Figure("yaw trim", 0.0, 0.01),), 1), [], X) == Likeness(Outcome.ALIKE)
-
-
-def test_more_flights_make_a_narrower_spread_but_no_certainty() -> None:
-    one = fingerprint_of([flying_rows(flying(3000, 100))], X)
-    assert one is not None
-    spread = {figure.name: figure.spread for figure in one.figures}
-    assert spread["yaw trim"] == pytest.approx(0.002, rel=0.02)  # and what it varies by within the flight
-    many = {figure.name: figure.spread for figure in learnt().figures}
-    assert 0 < many["yaw trim"] < spread["yaw trim"]
 
 
 def test_what_a_trait_varies_by_as_the_vehicle_flies_is_its_spread() -> None:
@@ -190,25 +155,9 @@ def test_a_noise_below_the_resolution_of_its_signal_is_the_resolution_s(noise: f
     coarse = Telemetry(
         tuple(dataclasses.replace(force, values=values) if one is force else one for one in telemetry.series)
     )
-    seen = dict(zip((one.name for one in TRAITS), traits(flying_rows(coarse), X), strict=True))
+    seen = dict(zip((one.name for one in TRAITS), traits(joined(flying_rows(coarse)), X), strict=True))
     expected = [np.log(digit * np.sqrt(0.5)) if np.isfinite(seen["accelerometer noise x"]) else np.nan] * 3
     np.testing.assert_allclose([seen[f"accelerometer noise {axis}"] for axis in "xyz"], expected, atol=0.2)
-
-
-@pytest.mark.parametrize("name", ["ap463_hil_healthy", "px4_hil_healthy"])
-def test_thirty_seconds_of_a_vehicle_are_enough_to_know_it_again(name: str) -> None:
-    """Real autopilots: learnt from 30 s, compared with the 20 s that follow, all through a flight."""
-    log = read_log(shared(f"data/autopilots_in_the_loop/{name}.tlog"))
-    front, found = front_for([log], 0.1), []
-    times = log[Signal.BODY_RATE].t_s
-    for begin in np.arange(times.min(), times.max() - 60.0, 40.0).tolist():
-        one, other = (rows_of(front, between(log.telemetry, begin + a, begin + b)) for a, b in ((0, 35), (30, 55)))
-        spans = [sum(int(rows.block.valid.sum()) for rows in each) * front.align.dt_s for each in (one, other)]
-        fingerprint = fingerprint_of([one], X)
-        if spans[0] > 25.0 and spans[1] > 15.0 and fingerprint is not None:
-            found.append(compare(fingerprint, other, X).outcome)
-    assert len(found) >= 5
-    assert set(found) == {Outcome.ALIKE}
 
 
 def grounded(seed: int, ground_s: float) -> Log:
@@ -241,9 +190,3 @@ def test_time_on_the_ground_is_not_compared_with_flight(learnt_s: float) -> None
         verdict = judge(grounded(7, seconds), baseline)
         assert verdict.verdict is Verdict.HEALTHY, verdict.reason
         assert "another vehicle" not in verdict.reason
-
-
-@pytest.mark.parametrize("figures", [(0.0, 0.0), (0.0, -1.0), (float("nan"), 1.0), (0.0, float("inf"))])
-def test_a_figure_without_a_spread_is_refused(figures: tuple[float, float]) -> None:
-    with pytest.raises(InputError, match="fingerprint: trim_roll"):
-        Figure("trim_roll", *figures)

@@ -16,14 +16,12 @@ from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import InputError
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import LearnContext, segments
-from mavdiag.monitors.fitting import smoothed, variance_law
+from mavdiag.monitors.fitting import variance_law
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.sensor_noise import SensorNoise
 from mavdiag.monitors.thrust_loss import ThrustLoss
-from mavdiag.monitors.unbalance import UnbalanceSpec
 from mavdiag.monitors.vibration_level import VibrationLevel
 from mavdiag.rows.front import Rows
-from mavdiag.rows.windows import forgetting
 
 CONTEXT = LearnContext(Airframe(layout=layout_named("x")), None, DT_S, 11)
 
@@ -92,13 +90,6 @@ def test_the_trim_of_all_windows() -> None:
     assert spec.spread == pytest.approx((max(rms[0], 3 * yaw), max(rms[1], 3 * yaw), yaw), rel=0.05)
 
 
-def test_whole_records_are_smoothed_as_a_stream_is() -> None:
-    x, alpha, s = np.random.default_rng(1).normal(size=(50, 2)), forgetting(0.35, 0.01), np.array([1.0, -1.0])
-    for row, value in zip(x, smoothed(x, alpha, s), strict=True):
-        s = s + alpha * (row - s)
-        np.testing.assert_allclose(value, s, rtol=1e-12)
-
-
 SPECS = {kind.name: kind.fit(flights(), CONTEXT)[0] for kind in MONITORS if kind.name != "unbalance"}
 
 
@@ -106,18 +97,12 @@ SPECS = {kind.name: kind.fit(flights(), CONTEXT)[0] for kind in MONITORS if kind
     ("kind", "field", "value"),
     [
         ("fsd", "margin_rad_s", 0.0),
-        ("fsd", "delay_s", 61.0),
-        ("innovation", "a", ((0.0,) * 4,) * 2),
         ("innovation", "k0", (1.0, 0.0, 1.0)),
-        ("innovation", "k1", (-1.0, 0.0, 1.0)),
         ("rotor_signature", "window_s", 0.0),
         ("vibration_level", "healthy", math.nan),
-        ("rotor_trim", "spread", (0.0, 1.0, 1.0)),
         ("rotor_trim", "mean", (math.inf, 0.0, 0.0)),
-        ("trim_step", "drift_per_s", -1.0),
         ("sensor_noise", "rms", (1.0,) * 5),
         ("sensor_drift", "tilt", 0.0),
-        ("control_loss", "delay_s", -1.0),
         ("thrust_loss", "per_command", math.inf),
     ],
 )
@@ -127,18 +112,6 @@ def test_a_spec_that_describes_nothing_is_refused_by_its_field(kind: str, field:
 
 
 def test_what_fits_together_is_checked_together() -> None:
-    for frame, rate_hz, mass_kg in (("x", 1000.0, 1.5), ("x", 100.0, None)):
-        with pytest.raises(InputError, match="unbalance: "):
-            UnbalanceSpec(
-                dt_s=1 / rate_hz,
-                corner_hz=60.0,
-                layout=layout_named(frame),
-                covariance=(0.0, 0.0),
-                spread=(1.0, 1.0),
-                turning=0.0,
-                power=1.0,
-                mass_kg=mass_kg,
-            )
     with pytest.raises(InputError, match="not known"):
         replace(SPECS["rotor_trim"], source="torque")
     with pytest.raises(InputError, match="odd"):

@@ -12,6 +12,7 @@ from made_telemetry import DT_NS
 from mavdiag.rows.block import Block
 from mavdiag.rows.gate import Border, GateSpec
 from mavdiag.telemetry import FloatArray
+from mavdiag.testing import example_rows
 
 
 def block(
@@ -24,27 +25,10 @@ def block(
 ) -> Block:
     """Rows at 1 kHz. gyro: (n,) roll rate [rad/s]."""
     n = len(thrust)
-    none3, none = np.full((n, 3), np.nan), np.full(n, np.nan)
-    return Block(
-        segment=segment,
-        dt_s=0.001,
-        t_ns=DT_NS * np.arange(first, first + n, dtype=np.int64),
-        setpoint=none3,
-        rate=none3 if gyro is None else np.outer(gyro, [1.0, 0.0, 0.0]),
-        force=none3,
-        torque=none3,
-        rate_setpoint=none3,
-        thrust=thrust,
-        attitude=none3,
-        height=none,
-        voltage=none,
-        armed=none if armed is None else armed,
-        vibration=none3,
-        actuator=np.empty((n, 0)),
-        valid=np.ones(n, dtype=np.bool_),
-        setpoint_valid=np.ones(n, dtype=np.bool_),
-        doubt=np.zeros(n),
-    )
+    rate = np.outer(np.zeros(n) if gyro is None else gyro, [1.0, 0.0, 0.0])
+    rows = example_rows(n, 0.001, segment=segment, thrust=thrust, rate=rate).block
+    t_ns = DT_NS * np.arange(first, first + n, dtype=np.int64)
+    return dataclasses.replace(rows, t_ns=t_ns, armed=np.full(n, np.nan) if armed is None else armed)
 
 
 def spans(spec: GateSpec, blocks: list[Block]) -> list[tuple[int, ...]]:
@@ -129,21 +113,13 @@ CASES = {
         [block(UP), block(UP, first=5000, segment=1)],
         [(0, 0, 999), (999,), (1, 5000, 5999)],
     ),
-    "no border follows the ground": (
-        THRUST,
-        [block(0 * UP), block(0 * UP, first=5000, segment=1)],
-        [],
-    ),
+    "no border follows the ground": (THRUST, [block(0 * UP), block(0 * UP, first=5000, segment=1)], []),
     "a signal that is never sent passes": (
         GateSpec(min_thrust=0.1, min_height_m=0.4),
         [block(np.nan * UP)],
         [(0, 0, 999)],
     ),
-    "a signal that is unknown for a while passes": (
-        THRUST,
-        [block(np.r_[UP, np.nan * UP])],
-        [(0, 0, 1999)],
-    ),
+    "a signal that is unknown for a while passes": (THRUST, [block(np.r_[UP, np.nan * UP])], [(0, 0, 1999)]),
 }
 
 
@@ -151,39 +127,6 @@ CASES = {
 def test_what_comes_out(name: str) -> None:
     spec, blocks, expected = CASES[name]
     assert spans(spec, blocks) == expected
-
-
-def test_a_dip_is_judged_and_a_take_off_is_not() -> None:
-    parts = TRIMMED.step(TRIMMED.start(), block(DIP))
-    valid = np.concatenate([one.valid for one in parts if isinstance(one, Block)])
-    np.testing.assert_array_equal(valid, np.arange(len(valid)) >= 300)
-    first = TRIMMED.step(TRIMMED.start(), block(hop()))[0]
-    assert isinstance(first, Block)
-    assert first.settled_ns == DT_NS * 1000  # no sooner than a second after the data began
-    resumed = [
-        one
-        for part in CASES["what flies after a break has not taken off, and the break is no landing"][1:2]
-        for one in part
-    ]
-    state = TRIMMED.start()
-    out = [one for part in resumed for one in TRIMMED.step(state, part)]
-    assert all(one.valid.all() for one in out if isinstance(one, Block) and one.segment == 1)
-
-
-def test_low_rows_of_a_tumble_are_held_back_for_little_more_than_a_second() -> None:
-    """And from then on not at all; all of them are judged."""
-    thrust, gyro, state, released = (
-        levels((1000, 0.5), (4000, 0.0)),
-        np.r_[np.zeros(1000), tumble(4000)],
-        THRUST.start(),
-        [],
-    )
-    for first in range(0, 5000, 100):
-        rows = slice(first, first + 100)
-        out = THRUST.step(state, block(thrust[rows], gyro=gyro[rows], first=first))
-        assert bool(out) == (not 1000 <= first < 2100)
-        released += out
-    assert sum(len(one) for one in released if isinstance(one, Block)) == 5000
 
 
 @settings(max_examples=40)

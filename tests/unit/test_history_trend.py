@@ -68,18 +68,6 @@ def test_the_interval_of_the_remaining_flights_holds_what_cannot_be_told_from_th
             assert inside == (found.low <= ahead <= found.high)
 
 
-@given(shares, st.integers(1, 5))
-def test_every_judged_flight_is_in_one_session(share: list[float], size: int) -> None:
-    values = np.array(share)
-    found = sessions_of(range(len(share)), [n // size for n in range(len(share))], values)
-    known = np.isfinite(values)
-    assert found.flights.sum() == known.sum()
-    assert float(found.number @ found.flights) == pytest.approx(float(np.flatnonzero(known).sum()))
-    groups = [values[at : at + size] for at in range(0, len(share), size)]
-    medians = [float(np.median(one[np.isfinite(one)])) for one in groups if np.isfinite(one).any()]
-    assert found.share.tolist() == pytest.approx(medians)
-
-
 @given(shares)
 def test_no_series_is_too_odd_for_a_trend_and_its_changes(share: list[float]) -> None:
     sessions = one_each(np.array(share))
@@ -89,23 +77,3 @@ def test_no_series_is_too_odd_for_a_trend_and_its_changes(share: list[float]) ->
         assert math.isfinite(trend.level)
         assert trend.slope_variance > 0
     assert all(1 < one.number <= len(share) for one in changes_of(sessions))
-
-
-@pytest.mark.parametrize("slope", [0.0, 0.004])
-def test_a_jump_is_found_where_it_is_beside_any_trend(slope: float) -> None:
-    rng = np.random.default_rng(4)
-    x = np.arange(120)
-    share = 0.3 + slope * x + 0.02 * rng.standard_normal(120) - 0.2 * (x >= 50)
-    (found,) = changes_of(one_each(share))
-    assert abs(found.number - 51) <= 1
-    assert found.step == pytest.approx(-0.2, abs=0.05)
-
-
-def test_scatter_and_trends_have_no_change_points() -> None:
-    """The price that is stated: one series in a hundred. 100 series here, half of them with a trend."""
-    rng = np.random.default_rng(5)
-    found = 0
-    for trial in range(100):
-        rise = np.linspace(0.0, 0.5 * (trial % 2), 120)
-        found += bool(changes_of(one_each(0.4 + rise + 0.05 * rng.standard_normal(120))))
-    assert found <= 2

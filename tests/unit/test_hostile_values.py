@@ -14,7 +14,8 @@ from shared_data import shared
 
 import mavdiag as md
 from mavdiag.judging import LogVerdict
-from mavdiag.rows.quality import LinkQuality, Memories, believed, learnt_quality
+from mavdiag.rows.align import HI, LO, PLACES, AlignSpec
+from mavdiag.rows.quality import LinkQuality, learnt_quality
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 
 N, AT = 3000, 1600
@@ -142,19 +143,6 @@ def test_a_coarse_gyro_is_not_judged() -> None:
     assert judged_s(found, "innovation") < 2.5
 
 
-def test_a_bias_of_a_gyro_that_warms_up_is_no_fault() -> None:
-    def warm(t_ns: IntArray, values: FloatArray) -> None:
-        values[AT // 2 :, 0] += 0.01
-
-    found = judged(changed(calm(), Signal.BODY_RATE, warm))
-    assert found.kind is None
-
-
-def test_a_rotor_that_breaks_is_found_as_before() -> None:
-    found = judged(logged(flying(N, seed=8, weak_rotor=2, rise=0.08)))
-    assert highest(found)["rotor_trim"] > 1.0, found.reason
-
-
 def test_the_same_samples_are_believed_live_and_in_a_log() -> None:
     rng = np.random.default_rng(5)
     log = calm()
@@ -204,14 +192,16 @@ def smooth() -> LinkQuality:
 
 
 def kept(values: FloatArray, pieces: int = 1) -> set[int]:
-    """Numbers of the samples that are believed, of those that came in so many pieces."""
-    series, numbers = turning(), set()
-    memories: Memories = {}
+    """Numbers of the samples that are believed, of those that came in so many pieces, 5 ms before the gyro's."""
+    series, spec = turning(), AlignSpec(0.01, quality=smooth())
+    state, numbers = spec.start(), set[int]()
     for places in np.array_split(np.arange(len(values)), pieces):
         t_ns = series.t_ns[places]
-        piece = Telemetry((Series(series.signal, t_ns, t_ns, values[places]),))
-        found = believed(smooth(), piece, memories)
-        numbers |= {int(one) // 10_000_000 for known in found.series for one in known.t_ns}
+        spec.append(state, Telemetry((Series(series.signal, t_ns, t_ns, values[places]),)))
+        spec.take(state)
+        place = PLACES[series.signal]
+        first, last = state.streams.marks[place, [LO, HI]]
+        numbers |= {int(one) // 10_000_000 for one in state.streams.times[place][first:last]}
     return numbers
 
 
@@ -223,13 +213,6 @@ def test_a_set_point_that_turns_fast_hides_no_error_of_the_size_of_its_steps(
     values = turning().values.copy()
     values[at : at + samples, 0] += error
     assert set(range(len(values))) - kept(values) == set(range(at, at + samples))
-
-
-def test_what_a_believed_error_is_followed_by_is_not_taken_for_the_error() -> None:
-    values = turning().values.copy()
-    values[1000, 0] += 0.0004
-    values[1004, 0] += 1.3
-    assert set(range(len(values))) - kept(values) == {1004}
 
 
 def test_a_corner_and_a_step_of_the_set_point_are_believed() -> None:

@@ -81,7 +81,6 @@ def test_a_rough_flight_shows_in_proportion() -> None:
     rough = read(spec, responding(4000, 5, noise=0.06))
     assert float(np.median(calm.value[calm.valid])) == pytest.approx(1.0, abs=0.1)
     assert float(np.median(rough.value[rough.valid])) == pytest.approx(3.0, abs=0.3)
-    assert rough.signal[rough.valid].max() > 6.0
 
 
 def test_a_gyro_bias_like_the_healthy_one_does_not_count() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavdiag.identify.model import Method, ModelRecord
-from mavdiag.monitors.model_residual import HealthyMotion, residuals_of
+from mavdiag.monitors.rotor_signature import HealthyMotion, residuals_of
 from mavdiag.rows.windows import forgetting
 from mavdiag.telemetry import FloatArray
 

@@ -9,15 +9,12 @@ from typing import Any
 import pytest
 from made_session import baseline_for
 
-from detector.journal import Journal, Recorder, When, line
+from detector.journal import Journal, When, line
 from detector.states import State
 from detector.values import EventClosed, Note, Record, SendText, StateChanged, TextSuppressed
 from mavdiag.decision.alarm import Change, Event, Stage
-from mavdiag.link.codec import Encoder
-from mavdiag.link.messages import MessageId, Severity
-from mavdiag.logs.tlog import decode_tlog
+from mavdiag.link.messages import Severity
 from mavdiag.telemetry import Axis
-from mavdiag.units import NS_PER_S
 
 NOW = datetime(2026, 5, 1, 12, 0, 30, 250_000, tzinfo=UTC)
 WHEN = When(NOW, 1, 62_500_000_000)
@@ -91,15 +88,3 @@ def test_a_line_that_was_torn_does_not_spoil_the_next_one(tmp_path: Path) -> Non
     assert disk.content == b"first\nse\nfourth\n"
     assert len(warnings) == 2
     assert "writing again; 2 entries were lost" in warnings[1]
-
-
-def test_l9_a_recording_is_a_telemetry_log_of_whole_frames(tmp_path: Path) -> None:
-    path = tmp_path / "flight.tlog"
-    frames = [Encoder(1, 1).encode(MessageId.HEARTBEAT, 2, 0, 0, 0, 4, 3) for _ in range(3)]
-    recorder = Recorder(path, epoch_ns=1_700_000_000 * NS_PER_S, warn=lambda text: None)
-    recorder.write([*frames[:2], b"x"], 1_000_000_000)
-    recorder.write(frames[2:], 2_000_000_000)
-    recorder.close()
-    content = decode_tlog(path.read_bytes())
-    assert (content.records, content.damaged_bytes) == (3, 0)
-    assert [frame.host_ns for frame in content.frames] == [(1_700_000_000 + s) * NS_PER_S for s in (1, 1, 2)]

@@ -1,6 +1,5 @@
 """Verdicts on logs: a fault, healthy by whom, and not judgeable why."""
 
-import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -12,18 +11,14 @@ from made_baselines import FRAME, NOW, healthy, logged, plain, thesis, trim, who
 from made_statistics import assert_alike
 from made_telemetry import flight
 
-from mavdiag.airframe.airframe import Airframe
 from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline
-from mavdiag.chain import chain_of
 from mavdiag.decision.alarm import Stage
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, exit_code, judge, judge_in_full
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.logs.part import between
 from mavdiag.monitors.base import FaultKind
-from mavdiag.rows.gate import GateSpec
-from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 ALL = (0.0, 1e9)
@@ -57,17 +52,6 @@ def test_what_cannot_be_judged_says_why(telemetry: Telemetry, profile: str, reas
     assert "\n" not in verdict.reason
 
 
-def test_a_log_that_never_flies_is_not_judgeable() -> None:
-    grounded = Telemetry(
-        tuple(
-            type(one)(one.signal, one.t_ns, one.host_ns, 0 * one.values) if one.signal is Signal.ARMED else one
-            for one in flight(4000, 1)
-        )
-    )
-    verdict = judge(logged(grounded, "qdrone2"), thesis())
-    assert (verdict.verdict, verdict.reason) == (Verdict.NOT_JUDGEABLE, "never airborne: no armed flight with thrust")
-
-
 def test_b1_what_no_deciding_monitor_judged_is_not_healthy() -> None:
     """B1: `scan --monitors effort` called an 8 mm cut healthy, though the monitor gave no valid value."""
     short = judge(logged(flying(450, 1)), trim())
@@ -93,41 +77,6 @@ def test_b1_healthy_says_which_monitors_judged_for_how_long_and_which_did_not() 
     assert verdict_json(verdict)["flown_s"] == pytest.approx(24, abs=0.1)
 
 
-def test_r2_a_monitor_that_never_judged_has_no_maximum_but_a_reason() -> None:
-    """R2: max 0.0 for monitors that never judged."""
-    found = verdict_json(judge(logged(without(flying(2500, 1), ALL, signals=(Signal.VIBRATION,))), whole()))["monitors"]
-    assert found["vibration_level"] | {"threshold": 0} == {
-        "max": None,
-        "threshold": 0,
-        "unit": "m/s^2",
-        "alarms": 0,
-        "judged_s": 0.0,
-        "not_judged": "no vibration",
-        "outside_s": 0.0,
-        "axis": None,
-    }
-    assert found["rotor_trim"]["max"] > 0
-    assert found["rotor_trim"]["judged_s"] == pytest.approx(19.5, abs=1)
-    assert found["rotor_trim"]["not_judged"] is None
-
-
-def test_a_signal_that_stops_is_told_with_the_time_it_cost() -> None:
-    chain = chain_of(whole())
-    stopped = without(flying(3000, 1), (12.0, 30.0), signals=(Signal.ACTUATOR,))
-    state, _ = chain.step(chain.start(), stopped)
-    state, _ = chain.finish(state)
-    accounts = {slot.monitor.name: account for slot, account in zip(chain.slots, state.accounts, strict=True)}
-    assert accounts["rotor_trim"].judged_s == pytest.approx(6.5, abs=1.5)
-    assert accounts["rotor_trim"].not_judged["no actuator"] == pytest.approx(17, abs=1.5)
-    for account in accounts.values():
-        assert account.judged_s + sum(account.not_judged.values()) == pytest.approx(account.flight_s, abs=0.1)
-
-
-def test_notes_of_a_file_stand_in_the_reason() -> None:
-    log = replace(logged(flying(2500, 1)), notes=("the file ends within a record",))
-    assert judge(log, whole()).reason.endswith("; the file ends within a record")
-
-
 def test_the_exit_code_is_that_of_the_gravest_verdict() -> None:
     healthy, fault, unknown, error = Verdict.HEALTHY, Verdict.FAULT, Verdict.NOT_JUDGEABLE, Verdict.ERROR
     assert exit_code([healthy]) == 0
@@ -151,21 +100,6 @@ def test_the_pieces_that_a_log_is_judged_in_change_nothing(rows: int, monkeypatc
     for one, other in zip(found.monitors, expected.monitors, strict=True):
         assert one.maximum == pytest.approx(other.maximum, rel=1e-9)
         assert one.judged_s == pytest.approx(other.judged_s)
-
-
-def test_judging_a_longer_log_takes_no_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mavdiag.judging.PIECE_ROWS", 1000)
-    log, most, size = logged(flying(18_000, 5)), [], []
-    judge(replace(log, telemetry=between(log.telemetry, 0.0, 30.0)), whole())  # the first time loads
-    for seconds in (60.0, 180.0):
-        part = replace(log, telemetry=between(log.telemetry, 0.0, seconds))
-        size.append(sum(series.t_ns.nbytes + series.values.nbytes for series in part.telemetry))
-        tracemalloc.start()
-        judge(part, whole())
-        most.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-    grown = 1.5 * (size[1] - size[0])  # what is believed of it; its rows would take three times as much
-    assert most[1] - most[0] < grown
 
 
 def changed(telemetry: Telemetry, signal: Signal, from_s: float, to_s: float, values: FloatArray | float) -> Telemetry:
@@ -217,13 +151,6 @@ def test_f1_an_upset_is_a_loss_of_control_where_no_monitor_saw_a_fault() -> None
     assert verdict_json(verdict)["kind"] == "loss of control"
 
 
-def test_a_dip_of_thrust_ends_no_flight_and_hides_nothing() -> None:
-    dipped = changed(flying(3000, 1), Signal.THRUST_SETPOINT, 15.0, 15.8, 0.0)
-    whole_flight, with_dip = (judge(logged(one), flown()) for one in (flying(3000, 1), dipped))
-    assert with_dip.flown_s == pytest.approx(whole_flight.flown_s, abs=0.05)
-    assert with_dip.judged_s == pytest.approx(whole_flight.judged_s, abs=0.2)
-
-
 def one_stamp(telemetry: Telemetry) -> Telemetry:
     """Its gyro keeps one stamp from 18 s on."""
     parts = []
@@ -270,17 +197,6 @@ def test_c1_a_landing_with_the_motors_off_is_no_hidden_flight() -> None:
     assert verdict.flown_s == pytest.approx(20.0, abs=0.2)
 
 
-def test_bug_4_what_any_monitor_judged_counts_when_the_leading_one_stops() -> None:
-    stopped = without(flying(4000, 1), (20.0, 99.0), signals=(Signal.ATTITUDE_SETPOINT,))
-    stopped = without(stopped, (0.0, 20.0), signals=(Signal.ACTUATOR,))
-    base = learn(healthy(3), LearnOptions(airframe=FRAME, monitors=("innovation", "rotor_trim")), created=NOW)
-    verdict = judge(logged(stopped), base)
-    own = {one.name: one.judged_s for one in verdict.monitors}
-    assert max(own.values()) < 20.0
-    assert verdict.judged_s == pytest.approx(38.0, abs=1.5)
-    assert verdict.verdict is Verdict.HEALTHY
-
-
 def test_c3_alarms_of_monitors_that_do_not_decide_are_a_suspicion() -> None:
     base = learn(plain(3), LearnOptions(airframe=FRAME, monitors=("innovation", "fsd")), created=NOW)
     push = np.zeros(20_000)
@@ -290,19 +206,6 @@ def test_c3_alarms_of_monitors_that_do_not_decide_are_a_suspicion() -> None:
     assert (verdict.verdict, alarmed) == (Verdict.SUSPECTED, {"fsd"})
     assert verdict.reason.startswith("1 alarm of fsd, which decides nothing alone, first at 9.")
     assert "healthy" not in verdict.reason
-
-
-def test_u12_the_verdict_has_rotor_kind_and_times() -> None:
-    verdict = judge(logged(flying(4000, 5, weak_rotor=2, rise=0.2)), whole())
-    told = verdict_json(verdict)
-    assert (verdict.rotor, verdict.kind) == (2, FaultKind.PROPELLER)
-    assert (told["rotor"], told["kind"]) == (2, "propeller fault")
-    first = next(one for one in verdict.changes if one.stage is Stage.FAULT)
-    assert told["since_s"] == verdict.since_s == first.t_ns / NS_PER_S
-    assert [one["rotor"] for one in told["rotors"]] == [2]
-    assert told["rotors"][0]["since_s"] >= told["since_s"]
-    assert told["rotors"][0]["end_s"] is None
-    assert told["flown_s"] == pytest.approx(39.0, abs=0.1)
 
 
 def ground_first(telemetry: Telemetry, span_s: float) -> Telemetry:
@@ -336,25 +239,3 @@ def test_f2_ground_time_at_the_start_of_a_log_is_not_compared_with_flight(span_s
     quiet = changed(flying(6000, 1), Signal.BODY_RATE, 0.0, 99.0, 0.0)
     other = Telemetry(tuple(one for one in quiet.series if one.signal is not Signal.THRUST_SETPOINT))
     assert judge(logged(other), base).verdict is Verdict.NOT_JUDGEABLE
-
-
-@pytest.mark.parametrize(
-    ("layout", "frame", "named"),
-    [("octo-x", (3, 1), True), ("x8", (4, 1), False), ("y6", (5, 0), False), ("deca-x", (14, 1), True)],
-)
-def test_a_frame_by_its_parameters_is_judged_and_two_rotors_on_an_arm_are_not_told_apart(
-    layout: str, frame: tuple[int, int], named: bool
-) -> None:
-    parameters = {"FRAME_CLASS": float(frame[0]), "FRAME_TYPE": float(frame[1])}
-    airframe = Airframe(name=layout, gate=GateSpec())
-    flights = [
-        Log(f"f{k}", f"{k:064x}", "ardupilot", flying(3000, 100 + k, layout=layout), parameters=parameters)
-        for k in range(3)
-    ]
-    baseline = learn(flights, LearnOptions(airframe=airframe, monitors=("rotor_trim",)), created=NOW)
-    assert baseline.airframe.layout is not None
-    assert baseline.airframe.layout.name == layout
-    assert judge(replace(flights[0], telemetry=flying(3000, 7, layout=layout)), baseline).verdict is Verdict.HEALTHY
-    weak = judge(replace(flights[0], telemetry=flying(3000, 7, weak_rotor=2, rise=0.4, layout=layout)), baseline)
-    assert weak.verdict is Verdict.FAULT, weak.reason
-    assert {one.rotor for one in weak.changes} - {None} == ({2} if named else set())

@@ -1,6 +1,5 @@
 """The compiled pass against its definition: looks, alarms, what was judged; and that no cut of rows changes a bit."""
 
-import dataclasses
 import itertools
 from functools import cache
 
@@ -15,10 +14,10 @@ from made_statistics import alarms_of, looked_of
 from made_telemetry import flight
 
 from mavdiag.chain import Chain, chain_of
-from mavdiag.decision.diagnosis import Event
 from mavdiag.kernel import LOOK_NS, Account, Alarm, Looked, Piece, Stretch
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import IntArray
+from mavdiag.testing import rows_between
 from mavdiag.units import NS_PER_S
 
 Told = tuple[tuple[Alarm, ...], tuple[Account, ...], int, int, tuple[Stretch, ...]]
@@ -30,26 +29,15 @@ def segment(name: str) -> tuple[Chain, Rows]:
     made = chain_of(whole() if name == "whole" else thesis())
     push = np.where(np.arange(9000) // 700 % 3 == 1, 0.2, 0.0)
     telemetry = hard_flight(1) if name == "whole" else flight(9000, 1, push=push)
-    parts = [part for part in made.front.whole(telemetry) if isinstance(part, Rows)]
+    parts = [part for part in made.front.pieces(telemetry) if isinstance(part, Rows)]
     return made, max(parts, key=lambda part: len(part.block))
-
-
-def pieces_of(rows: Rows, edges: list[int]) -> list[Rows]:
-    """The rows of a segment, cut at will, each with the rates that it completes."""
-    lag = len(rows.block) - len(rows.rates)
-    out = []
-    for first, stop in itertools.pairwise(sorted({0, len(rows.block), *edges})):
-        kept = slice(max(first - lag, 0), max(stop - lag, 0))
-        rates = {one.name: getattr(rows.rates, one.name)[kept] for one in dataclasses.fields(rows.rates)[2:]}
-        out.append(Rows(rows.block.rows(first, stop), dataclasses.replace(rows.rates, **rates)))
-    return out
 
 
 def judged(name: str, edges: list[int]) -> tuple[list[Looked], list[Piece], Told]:
     made, rows = segment(name)
     memory, looked, pieces = made.kernel.start(), list[Looked](), list[Piece]()
-    for part in pieces_of(rows, edges):
-        more, piece = made.kernel.step(memory, part)
+    for cut in itertools.pairwise(sorted({0, len(rows.block), *edges})):
+        more, piece = made.kernel.step(memory, rows_between(rows, *cut))
         looked.append(more)
         pieces.append(piece)
     looked.append(made.kernel.close(memory, int(rows.block.t_ns[-1])))
@@ -128,8 +116,3 @@ def test_gauges_show_the_latest_value() -> None:
         assert (gauge.threshold, gauge.unit) == (slot.threshold, slot.monitor.unit)
     assert START_NS % LOOK_NS == 0
     assert DT_NS > 0
-
-
-def test_an_event_is_one_line_for_a_person() -> None:
-    one = Event("fsd", None, 10**9, 2 * 10**9, 0.41, 0.12, 0.1, rotor=2)
-    assert str(one) == "fsd 0.41 > 0.12 from 1.00 s to 2.00 s, rotor 2"

@@ -2,70 +2,59 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from identification_data import WELL, record
+from identification_data import WELL, Record, record
 from numpy.testing import assert_allclose
 
 from mavdiag.errors import IdentificationError
-from mavdiag.identify import ArxModel, Method, fit
-from mavdiag.identify.lab.frequency import compare, estimate_response, model_response
-from mavdiag.identify.lab.recursive import RecursiveSpec, new_segment, snapshot, start, step
+from mavdiag.identify import ArxModel, Method, Order, fit
+from mavdiag.identify.lab.comparison import estimate_response, model_response, track
+from mavdiag.identify.lab.sweep import ORDERS, best_row, sweep
 
 
-@pytest.mark.parametrize("order", [(1, 1, 1), (2, 2, 1), (2, 5, 0), (3, 2, 2)])
-def test_without_forgetting_it_is_batch_least_squares(order: tuple[int, int, int]) -> None:
+def last(*pairs: Record, order: Order = (2, 2, 1), forgetting: float = 1.0) -> ArxModel:
+    """The model at the end of these records."""
+    u, y = [one.u for one in pairs], [one.y for one in pairs]
+    return [model for _, model in track(u, y, order, dt=0.01, forgetting=forgetting, every=10_000)][-1]
+
+
+@pytest.mark.parametrize("order", [(1, 1, 1), (2, 5, 0), (3, 2, 2)])
+def test_without_forgetting_it_is_batch_least_squares(order: Order) -> None:
     one, two = record(WELL, 600, 0.2, 1), record(WELL, 500, 0.2, 2)
-    spec = RecursiveSpec(order, forgetting=1.0)
-    state = step(spec, start(spec), one.u, one.y)
-    state = step(spec, new_segment(state), two.u, two.y)
     batch = fit([one.u, two.u], [one.y, two.y], order, dt=0.01, method="ls")
-    tracked = snapshot(spec, state, 0.01)
+    tracked = last(one, two, order=order)
     assert_allclose(tracked.theta, batch.theta, atol=1e-6)
     assert_allclose(tracked.standard_errors, batch.standard_errors, rtol=0.05)
     assert tracked.method is Method.RLS
 
 
-@given(blocks=st.lists(st.integers(0, 30), max_size=8), seed=st.integers(0, 1000))
-def test_blocks_do_not_matter(blocks: list[int], seed: int) -> None:
-    data, spec = record(WELL, sum(blocks) + 1, 0.1, seed), RecursiveSpec(forgetting=0.99)
-    whole = step(spec, start(spec), data.u[:-1], data.y[:-1])
-    state, position = start(spec), 0
-    for size in blocks:
-        state = step(spec, state, data.u[position : position + size], data.y[position : position + size])
-        position += size
-    assert np.array_equal(state.theta, whole.theta)
-    assert np.array_equal(state.P, whole.P)
-    assert (state.loss, state.weight) == (whole.loss, whole.weight)
+def test_how_often_it_is_looked_at_does_not_matter() -> None:
+    data = record(WELL, 100, 0.1, 5)
+    often, once = (list(track(data.u, data.y, dt=0.01, forgetting=0.99, every=n)) for n in (7, 100))
+    assert [seen for seen, _ in often] == [*range(7, 100, 7), 100]
+    assert np.array_equal(often[-1][1].theta, once[-1][1].theta)
+    assert np.array_equal(often[-1][1].covariance, once[-1][1].covariance)
 
 
 def test_forgetting_follows_a_change_and_a_long_hover_does_not_wind_it_up() -> None:
     weaker = ArxModel(WELL.a, 0.7 * WELL.b, 0.01, (2, 2, 1), Method.PUBLISHED)
-    spec = RecursiveSpec(forgetting=0.99)
-    state = start(spec)
-    for model, seed in ((WELL, 3), (weaker, 4)):
-        data = record(model, 3000, 0.0, seed)
-        state = step(spec, new_segment(state), data.u, data.y)
-        assert_allclose(snapshot(spec, state, 0.01).theta, model.theta, atol=1e-6)
-    state = step(spec, state, np.zeros(20_000), np.zeros(20_000))
-    assert np.max(np.diag(state.P)) <= 1e8 / 0.99
+    before, after = record(WELL, 3000, 0.0, 3), record(weaker, 3000, 0.0, 4)
+    assert_allclose(last(before, after, forgetting=0.99).theta, weaker.theta, atol=1e-6)
+    still = Record(np.zeros(20_000), np.zeros(20_000), np.zeros(20_000))
     data = record(WELL, 2000, 0.05, 5)
-    state = step(spec, new_segment(state), data.u, data.y)
-    assert_allclose(snapshot(spec, state, 0.01).a, fit(data.u, data.y, dt=0.01, method="ls").a, atol=0.2)
+    found = last(before, still, data, forgetting=0.99)
+    assert_allclose(found.a, fit(data.u, data.y, dt=0.01, method="ls").a, atol=0.2)
 
 
 def test_what_a_recursive_estimate_refuses() -> None:
-    spec = RecursiveSpec()
-    with pytest.raises(IdentificationError, match="forgetting"):
-        RecursiveSpec(forgetting=0.0)
-    with pytest.raises(IdentificationError, match="whole numbers"):
-        RecursiveSpec(order=(0, 1, 1))
-    with pytest.raises(IdentificationError, match="one length"):
-        step(spec, start(spec), np.zeros(3), np.zeros(4))
-    with pytest.raises(IdentificationError, match="NaN"):
-        step(spec, start(spec), np.zeros(3), np.array([0.0, np.nan, 0.0]))
+    data = record(WELL, 100, 0.1, 1)
+    for u, y, order, forgetting, words in (
+        (data.u, data.y, (2, 2, 1), 0.0, "forgetting"),
+        (data.u, np.where(data.y == data.y[5], np.nan, data.y), (2, 2, 1), 0.9, "NaN"),
+    ):
+        with pytest.raises(IdentificationError, match=words):
+            list(track(u, y, order, dt=0.01, forgetting=forgetting, every=50))
     with pytest.raises(IdentificationError, match="too few"):
-        snapshot(spec, step(spec, start(spec), np.ones(4), np.ones(4)), 0.01)
+        list(track(data.u, data.y, dt=0.01, forgetting=1.0, every=5))
 
 
 def test_a_measured_response_lies_within_its_stated_error() -> None:
@@ -75,32 +64,32 @@ def test_a_measured_response_lies_within_its_stated_error() -> None:
     z = np.exp(2j * np.pi * measured.frequency_hz * 0.01)
     assert_allclose(truth, WELL.to_control()(z), rtol=1e-12)
     use = measured.frequency_hz > 0.5
-    off = (np.abs(measured.response[use] / truth[use]) - 1.0) / measured.relative_error[use]
+    averages = 9 / 11 * (2 * 60_000 // 512 - 1)  # half-overlapping Hann windows are not independent (Welch 1967)
+    coherence = measured.coherence[use]
+    # standard deviation of |response| over |response| (Bendat and Piersol, Random Data 4e, Table 9.6)
+    stated = np.sqrt((1.0 - coherence) / (2.0 * coherence * averages))
+    off = (np.abs(measured.response[use] / truth[use]) - 1.0) / stated
     assert np.sqrt(np.mean(off**2)) == pytest.approx(1.0, abs=0.3)
     # coherence of y = G u + e, both white: |G|^2 / (|G|^2 + var e)
     expected = np.abs(truth) ** 2 / (np.abs(truth) ** 2 + 0.09 * data.clean.var())
     assert_allclose(measured.coherence[use], expected[use], atol=0.12)
 
 
-def test_the_gap_tells_a_good_model_from_a_bad_one() -> None:
-    data = record(WELL, 30_000, 0.2, 2)
-    measured = estimate_response(data.u, data.y, dt=0.01, segment=256)
-    good = compare(measured, fit(data.u, data.y, dt=0.01))
-    assert good.gain_db < 0.6
-    assert good.phase_deg < 4.0
-    assert good.lines > 30
-    late = ArxModel(WELL.a, np.r_[0.0, WELL.b], 0.01, (2, 2, 2), Method.PUBLISHED)
-    assert compare(measured, late).phase_deg > 10 * good.phase_deg
-    weak = ArxModel(WELL.a, 0.5 * WELL.b, 0.01, (2, 2, 1), Method.PUBLISHED)
-    assert compare(measured, weak).gain_db == pytest.approx(20 * np.log10(2), abs=0.3)
+@pytest.mark.parametrize("seed", range(2))
+def test_the_order_that_made_the_data_is_chosen(seed: int) -> None:
+    train, other = record(WELL, 1500, 0.1, seed), record(WELL, 1000, 0.1, seed + 100)
+    rows = sweep(((one, 0, (train.u, train.y), (other.u, other.y)) for one in ORDERS), dt=0.01)
+    assert len(rows) == 3 * 5 * 5
+    assert best_row(rows).order == (2, 2, 1)
 
 
-def test_flights_are_averaged_and_what_shows_no_response_is_refused() -> None:
-    one, two, short = (record(WELL, n, 0.1, n) for n in (4096, 2048, 300))
-    both = estimate_response([one.u, two.u, short.u], [one.y, two.y, short.y], dt=0.01, segment=512)
-    assert both.averages == pytest.approx(9 / 11 * (15 + 7))
-    with pytest.raises(IdentificationError, match="two windows"):
-        estimate_response(short.u, short.y, dt=0.01, segment=512)
-    unrelated = [np.random.default_rng(seed).standard_normal(20_000) for seed in (4, 5)]
-    with pytest.raises(IdentificationError, match="coherence"):
-        compare(estimate_response(*unrelated, dt=0.01, segment=256), WELL)
+def test_orders_that_cannot_be_identified_carry_their_reason() -> None:
+    rng = np.random.default_rng(4)
+    grows = ArxModel(np.array([1.0, -1.02]), np.array([0.0, 1.0]), 0.01, (1, 1, 1), Method.PUBLISHED)
+    u = rng.standard_normal(300)
+    flights = u, grows.simulate(u)
+    rows = sweep(((one, 0, flights, None) for one in ((1, 1, 1), (1, 2, 1))), dt=0.01, method="ls")
+    assert [row.model for row in rows] == [None, None]
+    assert "unstable" in rows[0].refused
+    with pytest.raises(IdentificationError, match="no candidate"):
+        best_row(rows)

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 from flying_telemetry import flying
 
-from detector.alerts import Kind
-from detector.judging import records_of, vehicle_notices
+from detector.judging import records_of
 from detector.values import Note
 from mavdiag.airframe.fingerprint import Figure, Fingerprint, Outcome
 from mavdiag.chain import Chain, ChainOutput, chain_of
@@ -48,7 +47,6 @@ def test_another_vehicle_is_told_in_a_text_and_with_figures_in_the_journal() -> 
     other = replace(chain, fingerprint=Fingerprint(figures, 2))
     told = [one for one in steps(other, 40) if one.likeness is not None]
     assert [one.likeness.outcome for one in told if one.likeness] == [Outcome.FAR]
-    assert [notice.kind for one in told for notice in vehicle_notices(one)] == [Kind.OTHER_VEHICLE]
     notes = [one.text for output in told for one in records_of(output, "E8") if isinstance(one, Note)]
     assert len(notes) == 1
     assert notes[0].startswith("does not look like E8: ")

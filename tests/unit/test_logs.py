@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mavdiag.errors import InputError, UsageError
+from mavdiag.errors import InputError
 from mavdiag.logs import airframe_name_for, gate_for, kinds, read_log
 from mavdiag.logs.log import LogKind
 from mavdiag.rows.gate import GateSpec
@@ -49,8 +49,3 @@ def test_l4_take_off_is_trimmed_alike_live_and_in_logs() -> None:
     assert gate_for("qdrone2") == gate_for("px4") == live
     assert gate_for("crazyflie") == GateSpec(0.38, 0.38, False, 0.5, 0.6)
     assert [airframe_name_for(name) for name in ("crazyflie", "px4-log", "qdrone2")] == ["crazyflie", None, None]
-
-
-def test_a_gate_of_an_unknown_profile_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"no profile betaflight; there are .*qdrone2.*crazyflie"):
-        gate_for("betaflight")

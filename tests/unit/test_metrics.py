@@ -6,22 +6,14 @@ import threading
 import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle
 
-from detector.check import ask_working, working
 from detector.config import Settings
-from detector.fleet import Turn
 from detector.metrics import Metrics
-from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
-from mavdiag.errors import LinkError
-from mavdiag.monitors.base import FaultKind
-from mavdiag.telemetry import Series, Signal
 
 
 @pytest.fixture
@@ -71,67 +63,16 @@ def test_the_figures_of_a_flight_are_on_the_page(metrics: Metrics) -> None:
     assert value(text, "session_working") == 1
 
 
-def test_u4_the_verdict_has_a_metric_of_its_own_with_kind_and_rotor(metrics: Metrics) -> None:
-    """`mavdiag_healthy` was 1 during an alert, and no metric had a rotor."""
-    bench = flown(metrics)
-    (figures,) = bench.daemon.figures().vehicles
-    spans = (RotorSpan(1, 0, 5), RotorSpan(4, 7))
-    held = Diagnosis(Stage.FAULT, kind=FaultKind.PROPELLER, rotor=4, seen=True, rotors=spans)
-    metrics.show(replace(bench.daemon.figures(), vehicles=(replace(figures, diagnosis=held),)), 0)
-    text = page(metrics)
-    bench.close()
-    assert value(text, 'verdict{vehicle="1",verdict="fault"}') == 1
-    assert value(text, 'verdict{vehicle="1",verdict="quiet"}') == 0
-    assert value(text, 'fault{kind="propeller fault",rotor="1",vehicle="1"}') == 0
-    assert value(text, 'fault{kind="propeller fault",rotor="4",vehicle="1"}') == 1
-    assert value(text, "session_working") == 1
-
-
-def test_the_latency_counts_every_sample_that_was_judged(metrics: Metrics) -> None:
+def test_the_latency_of_every_look_is_counted(metrics: Metrics) -> None:
     bench = flown(metrics)
     text = page(metrics)
     count = value(text, "verdict_latency_seconds_count")
     judge = bench.daemon.fleet.vehicles[1].session.judge
     bench.close()
     assert judge is not None
+    assert count == pytest.approx(10 * judge.flight_s, abs=25)  # the first seconds are judged at once
     # The bench's clock stands still within a look: a sample waits for the filter's half window and for whole looks.
-    assert count == pytest.approx(100 * judge.flight_s, abs=150)
-    assert value(text, 'verdict_latency_seconds_bucket{le="0.15"}') > 0.8 * count
-    assert value(text, 'verdict_latency_seconds_bucket{le="+Inf"}') == count
-    assert value(text, "look_latency_seconds_count") == bench.vehicles[0].sent
-
-
-def test_before_the_first_look_there_is_nothing_and_that_is_not_working(metrics: Metrics) -> None:
-    assert "mavdiag_session_working" not in page(metrics)
-    works, words = ask_working(f"127.0.0.1:{metrics.port}")
-    assert not works
-    assert words == "not working: no figures of a detector that looks at its links"
-
-
-def test_a_port_that_is_taken_is_named(metrics: Metrics) -> None:
-    with pytest.raises(LinkError, match="name another --metrics HOST:PORT"):
-        Metrics("127.0.0.1", metrics.port)
-
-
-@pytest.mark.parametrize(
-    ("page", "words"),
-    [
-        ("mavdiag_session_working 1.0\nmavdiag_figures_age_seconds 0.2", "working"),
-        ("mavdiag_session_working 0.0\nmavdiag_figures_age_seconds 0.2", "not working: all sessions are off"),
-        ("mavdiag_session_working 1.0\nmavdiag_figures_age_seconds 61.2", "not working: the loop hangs since 61 s"),
-        ("mavdiag_session_working one\nmavdiag_figures_age_seconds 0.2", "not working: no figures of a detector"),
-        ("<html>another server</html>", "not working: no figures of a detector"),
-    ],
-)
-def test_the_verdict_of_a_page(page: str, words: str) -> None:
-    works, said = working(page)
-    assert said.startswith(words)
-    assert works == (words == "working")
-
-
-def gyro(*t_ns: int) -> Series:
-    times = np.array(t_ns, dtype=np.int64)
-    return Series(Signal.BODY_RATE, times, times, np.zeros((len(times), 3)))
+    assert value(text, 'verdict_latency_seconds_bucket{le="0.2"}') > 0.8 * count
 
 
 def test_requests_that_are_never_ended_cost_no_thread_and_hide_no_page(metrics: Metrics) -> None:
@@ -143,20 +84,4 @@ def test_requests_that_are_never_ended_cost_no_thread_and_hide_no_page(metrics: 
             begun.send(b"GET /metrics HTTP/1.1\r\nX: ")
         assert threading.active_count() == threads
         assert "mavdiag_state" in page(metrics)
-    bench.close()
-
-
-def test_a_page_is_of_one_moment(metrics: Metrics) -> None:
-    """What is counted after the figures were handed over is on the next page."""
-    bench = flown(metrics)
-    before = page(metrics)
-    metrics.count_event(1, "fsd")
-    metrics.observe([Turn(1, (), gyro=gyro(0), judged_ns=0)], 10**9)
-
-    def counted(text: str) -> list[str]:
-        return [line for line in text.splitlines() if line.startswith(("mavdiag_events", "mavdiag_look_latency"))]
-
-    assert counted(page(metrics)) == counted(before)
-    bench.run(2.0)
-    assert counted(page(metrics)) != counted(before)
     bench.close()

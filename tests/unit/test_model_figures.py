@@ -1,18 +1,14 @@
 """Poles, margins and bandwidth against known systems, and their standard errors against repeated experiments."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from identification_data import WELL, record
 from numpy.testing import assert_allclose
 
-from mavdiag.errors import UsageError
-from mavdiag.identify import ArxModel, Method, ModelRecord, fit
-from mavdiag.identify.lab.drawing import draw_model
+from mavdiag.identify import ArxModel, Method, fit
 from mavdiag.identify.lab.figures import ModelFigures, model_figures
-from mavdiag.identify.validate import examine_residual
 
 DT = 0.01
 
@@ -58,41 +54,3 @@ def test_standard_errors_by_the_delta_method_are_the_scatter_of_repeated_experim
     table = np.array([numbers(model_figures(model)) for model in models])
     scatter, stated = table[:, :, 0].std(axis=0, ddof=1), table[:, :, 1].mean(axis=0)
     assert_allclose(stated, scatter, rtol=0.35)
-
-
-def test_without_the_correlations_the_report_says_so() -> None:
-    train = record(WELL, 1500, 0.1, 0)
-    stored = ModelRecord.of(fit(train.u, train.y, dt=DT))
-    bare = ModelRecord(
-        a=stored.a,
-        b=stored.b,
-        dt_s=DT,
-        order=stored.order,
-        method=stored.method,
-        standard_errors=stored.standard_errors,
-    )
-    known, rough = model_figures(stored.model()), model_figures(bare.model())
-    assert known.errors_from == "the covariance of the parameters"
-    assert "correlations are not known" in rough.errors_from
-    assert known.dc_gain.standard_error is not None
-    assert rough.dc_gain.standard_error is not None
-    assert rough.dc_gain.standard_error > 2 * known.dc_gain.standard_error
-
-
-def test_a_pole_at_zero_and_a_gain_that_never_drops_have_no_figure() -> None:
-    found = model_figures(ArxModel(np.array([1.0, 0.0]), np.array([0.0, 1.0]), DT, (1, 1, 1), Method.PUBLISHED))
-    assert found.poles[0].natural_hz.value is None
-    assert found.bandwidth_hz.value is None
-
-
-def test_a_picture_is_drawn_with_and_without_a_residual(tmp_path: Path) -> None:
-    train = record(WELL, 800, 0.1, 0)
-    model = fit(train.u, train.y, dt=DT)
-    report = examine_residual(train.y - model.simulate(train.u), train.u)
-    draw_model(tmp_path / "model.svg", model, "roll", residual=report)
-    draw_model(tmp_path / "bare.svg", model, "roll")
-    whole, bare = ((tmp_path / name).read_text() for name in ("model.svg", "bare.svg"))
-    assert whole.startswith("<?xml")
-    assert len(whole) > len(bare)
-    with pytest.raises(UsageError, match=r"\.svg"):
-        draw_model(tmp_path / "model.jpeg2000", model, "roll")

@@ -9,9 +9,9 @@ import pytest
 from detector.negotiate import HELD_S, Negotiation
 from detector.values import AskInterval, Note
 from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId
-from mavdiag.link.profiles import LAST_RESORT, PROFILES
+from mavdiag.link.profiles import LAST_RESORT
 from mavdiag.link.vehicles import Ack
-from mavdiag.link.wants import Reading, Want, messages_of, remedy, telling
+from mavdiag.link.wants import Want
 from mavdiag.monitors import MONITORS
 from mavdiag.telemetry import Instant, Signal
 
@@ -90,14 +90,6 @@ def test_two_that_set_the_same_rate_do_not_fight(right_s: float) -> None:
     assert right_s < HELD_S
 
 
-def test_the_lack_of_a_stream_is_told_once_with_the_parameter_that_gives_it() -> None:
-    talk = Talk()
-    talk.wait(120.0, Seen(OUTPUTS, 0.0), Seen(GYRO, 100.0))
-    said = [one for one in talk.notes if "SERVO_OUTPUT_RAW" in one]
-    monitors = "monitors that need the actuator outputs do not judge"
-    assert said == [f"SERVO_OUTPUT_RAW does not come: {monitors}; what gives it: SRn_RC_CHAN"]
-
-
 @pytest.mark.parametrize("result", [MavResult.DENIED, None])
 def test_another_imu_message_is_asked_for_where_the_profiles_own_is_not_to_be_had(result: MavResult | None) -> None:
     talk = Talk()
@@ -106,41 +98,3 @@ def test_another_imu_message_is_asked_for_where_the_profiles_own_is_not_to_be_ha
         talk.wait(1.0, Seen(GYRO, 0.0), acks=acks)
     order = list(dict.fromkeys(msgid for _, msgid in talk.asked))
     assert order == [MessageId.RAW_IMU, MessageId.HIGHRES_IMU, LAST_RESORT]
-
-
-@pytest.mark.parametrize("name", ["ardupilot", "px4"])
-def test_every_message_that_a_monitor_may_need_has_a_remedy(name: str) -> None:
-    """Of the signals of all monitors but torque commands, which no MAVLink message carries."""
-    profile = PROFILES[name]
-    carried = messages_of(profile)
-    for signal in NEEDS & carried.keys():
-        assert remedy(profile.autopilot, carried[signal]), signal
-    assert NEEDS - carried.keys() <= {Signal.TORQUE_COMMAND, Signal.VIBRATION}
-
-
-def read_all(autopilot: int, vehicle: dict[str, float], seconds: float = 60.0) -> tuple[dict[str, float], list[str]]:
-    """What a vehicle with these parameters comes to tell, and every name that was asked for."""
-    reading, known, asked = Reading(), dict[str, float](), list[str]()
-    for tick in range(round(seconds / TICK_S)):
-        reading, names = reading.step(autopilot, known, Instant(round(tick * TICK_S * 1e9)))
-        assert len(names) <= 4
-        asked += names
-        known |= {name: vehicle[name] for name in names if name in vehicle}
-    return known, asked
-
-
-def test_parameters_are_read_by_name_and_those_that_do_not_come_three_times() -> None:
-    vehicle = {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0, "INS_GYRO_FILTER": 20.0}
-    known, asked = read_all(Autopilot.ARDUPILOTMEGA, vehicle)
-    assert known == vehicle
-    assert all(asked.count(name) == 1 for name in vehicle)
-    assert {asked.count(name) for name in telling(Autopilot.ARDUPILOTMEGA, {}) if name not in vehicle} == {3}
-
-
-def test_the_places_of_a_px4s_rotors_are_read_once_their_number_is_known() -> None:
-    vehicle = {"CA_ROTOR_COUNT": 4.0} | {f"CA_ROTOR{n}_{part}": 0.1 for n in range(4) for part in ("PX", "PY", "KM")}
-    known, asked = read_all(Autopilot.PX4, vehicle)
-    assert known == vehicle
-    assert "CA_ROTOR4_PX" not in asked
-    assert "CA_ROTOR11_PX" in telling(Autopilot.PX4, {"CA_ROTOR_COUNT": 1e6})
-    assert "CA_ROTOR12_PX" not in telling(Autopilot.PX4, {"CA_ROTOR_COUNT": 1e6})

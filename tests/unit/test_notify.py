@@ -1,6 +1,5 @@
 """What the service manager is told: a datagram for each fact, and no sign of life while nothing is done."""
 
-import os
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -33,26 +32,6 @@ def told(manager: socket.socket) -> list[str]:
 
 def environ(manager: socket.socket, **more: str) -> dict[str, str]:
     return {"NOTIFY_SOCKET": str(manager.getsockname()), **more}
-
-
-def test_each_fact_is_a_datagram_and_a_status_is_said_once(manager: socket.socket) -> None:
-    notifier = Notifier(environ(manager, WATCHDOG_USEC="30000000"))
-    notifier.ready()
-    notifier.status("one\nline", alive=True)
-    notifier.status("one\nline", alive=True)
-    notifier.stopping()
-    notifier.close()
-    assert told(manager) == ["READY=1", "WATCHDOG=1", "STATUS=one line", "WATCHDOG=1", "STOPPING=1"]
-
-
-def test_an_abstract_socket_is_reached() -> None:
-    name = f"mavdiag-test-{os.getpid()}"
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as one:
-        one.bind(f"\0{name}")
-        notifier = Notifier({"NOTIFY_SOCKET": f"@{name}"})
-        notifier.ready()
-        notifier.close()
-        assert one.recv(100) == b"READY=1"
 
 
 def test_the_daemon_gives_no_sign_of_life_while_all_sessions_are_off(manager: socket.socket) -> None:

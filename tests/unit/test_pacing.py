@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from detector.fleet import LEVELS_S, MOST_S, QUIET_S, Delay, due_turns
+from detector.fleet import due_turns
 from mavdiag.telemetry import Instant
 
 COST_S = 0.004
@@ -40,22 +40,3 @@ def test_many_take_turns_and_a_look_stays_short(seed: int) -> None:
     late = [max(waited[5:]) for waited in waits.values()]
     assert min(len(waited) for waited in waits.values()) > 15
     assert max(late) < 1.5 * np.mean(late) < 1.5
-
-
-def test_without_any_time_one_vehicle_a_look_has_its_turn_and_another_source_waits_no_longer_than_alone() -> None:
-    waits, _ = looks(128, 0, lambda sysid: int(sysid == 60), begun_s=TICK_S)
-    assert max(waits[60]) <= MOST_S + 2 * TICK_S
-    assert len(waits[60]) >= 9
-
-
-def test_the_delay_is_told_when_it_changes_and_not_too_often() -> None:
-    delay, told = Delay(), []
-    for longest_s, at_s in ((TICK_S, 0.0), (0.5, 1.0), (3.4, 2.0), (3.4, 1.0 + QUIET_S), (TICK_S, 2.0 + 2 * QUIET_S)):
-        delay.longest_s = longest_s
-        told.append(delay.news(Instant(0) + at_s))
-        assert delay.longest_s == 0.0
-    assert told[0] == told[2] == ""
-    assert "every 0.50 s" in told[1]
-    assert "every 3.40 s" in told[3]
-    assert "again" in told[4]
-    assert LEVELS_S[0] > TICK_S

@@ -11,9 +11,10 @@ from plant_cases import fly, quiet_airframe
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.airframe import Payload
+from sitl_plant.physics.airframe import Payload, PickUp
 from sitl_plant.physics.faults import Injection, RotorDamage, SensorFault
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
+from sitl_plant.vehicle import vehicle_named
 
 G = 9.81
 MASS = 1.504
@@ -34,15 +35,22 @@ BUSY = PlantConfig(
     onset_s=1.2345,
     wind_m_s=1.0,
     payload=Payload(0.1),
+    turbulence_m_s=8.0,
+    outages_per_min=20.0,
+    pickup=PickUp(Payload(0.2, (0.012, -0.016, 0.05)), 0.9, 1.4),
     injections=(Injection(SensorFault("gyro", 0, offset=0.1), onset_s=0.5, end_s=0.7),),
     seed=5,
+)
+RECORDED = PlantConfig(
+    vehicle=vehicle_named("qdrone2-recorded"), trajectory="t5-sp1", fault="F2/SV2", onset_s=1.2, seed=79, start="ground"
 )
 
 
 @pytest.mark.parametrize("cuts", [(2000,), (1, 3, 996, 0, 7, 993), (500,) * 4, (499, 1, 734, 1, 1, 764)])
-def test_flight_does_not_depend_on_how_it_is_cut(cuts: tuple[int, ...]) -> None:
-    plant = Plant(BUSY)
-    assert digest([plant.advance(n) for n in cuts]) == digest([Plant(BUSY).advance(2000)])
+@pytest.mark.parametrize("config", [BUSY, RECORDED], ids=["busy", "recorded"])
+def test_flight_does_not_depend_on_how_it_is_cut(config: PlantConfig, cuts: tuple[int, ...]) -> None:
+    plant = Plant(config)
+    assert digest([plant.advance(n) for n in cuts]) == digest([Plant(config).advance(2000)])
 
 
 def test_hover_takes_ten_thousand_rpm() -> None:

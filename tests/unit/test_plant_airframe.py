@@ -1,20 +1,18 @@
 """One specimen: sessions, propellers, wear; a payload taken up and dropped in flight."""
 
-import math
-
 import numpy as np
 import pytest
-from plant_cases import fly, nominal_airframe, quaternion_rotation, quiet_airframe
-from scipy.stats import expon, kstest, uniform
+from plant_cases import fly, nominal_airframe, quaternion_rotation
+from scipy.stats import kstest, uniform
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.air import dryden
-from sitl_plant.physics.airframe import NO_PAYLOAD, Payload, PickUp, drone, in_session_number, with_propellers
-from sitl_plant.physics.kernel import OUTAGE_S, Outages, Streams
+from sitl_plant.physics.airframe import NO_PAYLOAD, Payload, drone, in_session_number, with_propellers
+from sitl_plant.physics.kernel import Streams
 from sitl_plant.physics.parameters import body_with_payload, initial_state, make_model, reload
 from sitl_plant.physics.trajectory import Shape, path
-from sitl_plant.plant import Plant, PlantConfig
+from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import qdrone2
 
 DRONE = drone(qdrone2(), 2)
@@ -40,16 +38,6 @@ def test_a_session_is_drawn_by_its_number_and_the_airframe() -> None:
     assert in_session_number(DRONE, 1, 0.01).thrust_coefficient_n_s2.tolist() != first.thrust_coefficient_n_s2.tolist()
     with pytest.raises(UsageError, match="session must be zero or more"):
         in_session_number(DRONE, -1)
-
-
-def test_outages_are_a_poisson_process_of_uniform_lengths() -> None:
-    outages = Outages(3.0, np.random.default_rng(8))
-    t_s = np.arange(0.0, 20 * 3600.0, 0.05)
-    lost = outages.during(t_s)
-    spans = np.array(outages._spans[:-1])
-    assert kstest(spans[1:, 0] - spans[:-1, 1], expon(scale=20.0).cdf).pvalue > 0.01
-    assert kstest(spans[:, 1] - spans[:, 0], uniform(OUTAGE_S[0], OUTAGE_S[1] - OUTAGE_S[0]).cdf).pvalue > 0.01
-    assert lost.mean() == pytest.approx(1.15 / (20 + 1.15), rel=0.1)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -78,7 +66,6 @@ def test_what_is_asked_for_changes_no_other_stream() -> None:
 
 
 BESIDE = Payload(0.2, (0.012, -0.016, 0.05))  # 200 g, 20 mm beside the centre
-G = 9.81
 
 
 def test_two_payloads_are_point_masses_about_the_common_centre() -> None:
@@ -127,30 +114,3 @@ def test_momentum_and_angular_momentum_are_kept() -> None:
     p1, L1, p2, L2 = in_motion()
     np.testing.assert_allclose(p2, p1, atol=1e-12)
     np.testing.assert_allclose(L2, L1, atol=1e-12)
-
-
-def test_hover_carries_the_payload_while_it_hangs_and_trims_its_offset() -> None:
-    """K_F sum w^2 = m g, and the moments about the new centre vanish: rotors near the payload turn faster."""
-    pickup = PickUp(Payload(0.2, (0.0, 0.02, 0.05)), 10.0, 40.0)
-    samples = fly(PlantConfig(trajectory="hover", airframe=quiet_airframe(), pickup=pickup), 70.0)
-    thrust = 3.364e-6 * samples.rotor_speed**2
-    for at_s, mass in ((9.5, 1.504), (38.0, 1.704), (69.0, 1.504)):
-        assert thrust[round(at_s * 1000)].sum() == pytest.approx(mass * G, rel=0.003)
-    right, left = thrust[38_000, :2].sum(), thrust[38_000, 2:].sum()
-    assert right - left == pytest.approx(0.2 * G * 0.02 / 0.127, rel=0.03)
-    assert np.abs(samples.position[60_000:, :2]).max() < 0.02
-
-
-@pytest.mark.parametrize("cuts", [(3000,), (1000, 1, 999, 1000), (7, 993, 1000, 500, 500)])
-def test_how_the_flight_is_cut_changes_nothing(cuts: tuple[int, ...]) -> None:
-    pickup = PickUp(BESIDE, 1.0, 2.0)
-    config = PlantConfig(pickup=pickup, turbulence_m_s=8.0, outages_per_min=20.0, seed=4)
-    plant = Plant(config)
-    found = np.concatenate([plant.advance(n).gyro for n in cuts])
-    np.testing.assert_array_equal(found, fly(config, 3.0).gyro)
-
-
-@pytest.mark.parametrize(("at_s", "drop_s"), [(0.0, 5.0), (5.0, 5.0), (math.inf, math.inf)])
-def test_impossible_pick_ups_are_refused(at_s: float, drop_s: float) -> None:
-    with pytest.raises(UsageError, match="pick-up must be after the start"):
-        PickUp(BESIDE, at_s, drop_s)

@@ -5,27 +5,19 @@ import math
 import numpy as np
 import pytest
 from plant_cases import nominal_airframe
-from scipy.signal import bilinear, freqz, lfilter
+from scipy.signal import bilinear, freqz
 
-from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.airframe import draw_airframe
 from sitl_plant.physics.dynamics import GRAVITY, RIGID
 from sitl_plant.physics.faults import Injection, SensorFault, sensor_condition
 from sitl_plant.physics.parameters import specimen_of
-from sitl_plant.physics.rotors import RotorState
 from sitl_plant.physics.sensors import (
     CHANNELS,
-    HARMONICS,
-    IMUS,
-    YAW_RATE,
     Imu,
     ImuState,
     SensorCondition,
-    TwinImu,
-    TwinImuState,
     advance_imu,
-    advance_imus,
     butterworth,
     butterworth3,
     feel,
@@ -34,8 +26,6 @@ from sitl_plant.physics.sensors import (
     mode,
 )
 from sitl_plant.vehicle import vehicle_named
-
-HEALTHY = sensor_condition(())
 
 
 def imu(noise: float = 0.0) -> Imu:
@@ -77,20 +67,6 @@ def test_lever_arm_is_the_acceleration_of_a_point_on_the_body() -> None:
     np.testing.assert_allclose(truth[:3], [0.0, x[11], 0.0])
 
 
-@pytest.mark.parametrize("seed", [5])
-def test_noise_has_the_density_of_the_data_sheet(seed: int) -> None:
-    """3.8 mdps/sqrt(Hz), one-sided, below the filter corner; 3 dB less at 250 Hz."""
-    from scipy.signal import welch
-
-    density = 3.8e-3 * math.pi / 180
-    normals = np.random.default_rng(seed).standard_normal((40_000, CHANNELS))
-    out = read(imu(density * math.sqrt(500.0)), HEALTHY, np.zeros(CHANNELS), normals)
-    f, power = welch(out, fs=1000.0, nperseg=500, axis=0)
-    power = power.mean(axis=1)
-    assert power[(f > 5) & (f < 60)].mean() == pytest.approx(density**2, rel=0.05)
-    assert power[(f > 245) & (f < 255)].mean() == pytest.approx(density**2 / 2, rel=0.1)
-
-
 def test_sensor_faults_act_as_written() -> None:
     """reading = scale truth + offset + drift t, once the filter has settled; the other axes are untouched."""
     faults = (
@@ -119,60 +95,7 @@ def test_the_filter_is_the_bilinear_transform_of_a_driven_mode(hz: float, dampin
     assert gain_of(mode(hz, damping, DT), hz, DT) == pytest.approx(abs(line))
 
 
-def test_all_axes_but_yaw_pass_the_mount() -> None:
-    mount, z = mode(50.0, 0.1, DT), np.zeros
-    given = np.random.default_rng(2).standard_normal((400, 6))
-    direct = Imu(z(3), z(CHANNELS), z(CHANNELS), (1.0, 0.0, 0.0, 0.0, 0.0), mount)
-    state, felt = ImuState(z((CHANNELS, 2)), z(CHANNELS), z(CHANNELS), z((CHANNELS, 2))), np.empty((400, 6))
-    for row, truth in enumerate(given):
-        advance_imu(state, direct, HEALTHY, truth.copy(), z((1, 6)), 0, DT)
-        felt[row] = state.reading
-    b0, b1, b2, a1, a2 = mount
-    expected = lfilter([b0, b1, b2], [1.0, a1, a2], given, axis=0)
-    expected[:, YAW_RATE] = given[:, YAW_RATE]
-    np.testing.assert_allclose(felt, expected, atol=1e-12)
-
-
-def test_a_mode_that_the_sample_rate_cannot_carry_is_refused() -> None:
-    with pytest.raises(UsageError, match="resonance of 0 to 450 Hz"):
-        mode(480.0, 0.1, DT)
-
-
 VEHICLE = vehicle_named("qdrone2-recorded")
-LSB = 1.3316e-4  # DronePropA, from published samples: 250 deg/s over 2^15
-RANGE = 4.363
-
-
-def plain() -> TwinImu:
-    """Both IMUs without vibration, noise or bias."""
-    filters = np.array([butterworth3(125.0, 0.001)] * 3 + [butterworth3(400.0, 0.001)] * 3)
-    nothing = np.zeros((IMUS, CHANNELS))
-    line = np.zeros((IMUS, CHANNELS, HARMONICS, 4, 2))
-    span, lsb = np.repeat([4.3633231, 156.9064], 3), np.repeat([LSB, 0.0047884], 3)
-    shape = high_pass(40.0, 0.001)
-    return TwinImu(np.zeros((IMUS, 3)), nothing, nothing, nothing, line, 942.0, shape, filters, span, lsb, 2)
-
-
-def read_sensors(truth: FloatArray) -> FloatArray:
-    """Readings (n, 2, 6) while both IMUs feel truth (n,) on every channel."""
-    shapes = (IMUS * CHANNELS, 2), (IMUS * CHANNELS, 3), (CHANNELS,), (IMUS, CHANNELS), (HARMONICS, 4, 2)
-    state = TwinImuState(*(np.zeros(shape) for shape in shapes))
-    still, imu, healthy = RotorState(*(np.zeros(4) for _ in range(5))), plain(), sensor_condition(())
-    out, normals = np.empty((len(truth), IMUS, CHANNELS)), np.zeros((1, 24))
-    for step, value in enumerate(truth):
-        felt = np.full((IMUS, CHANNELS), value)
-        advance_imus(state, imu, healthy, felt, still, normals, 0, step, 0.001)
-        out[step] = state.reading
-    return out
-
-
-def tone(frequency_hz: float, amplitude: float = 0.5) -> FloatArray:
-    return np.asarray(amplitude * np.sin(2 * np.pi * frequency_hz * np.arange(4000) / 1000 + 0.4))
-
-
-def lines(signal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Frequencies and amplitudes, of whole 1 Hz bins, from the last 1 s."""
-    return np.arange(501.0), np.abs(np.fft.rfft(signal[-1000:])) / 500
 
 
 @pytest.mark.parametrize("corner", [40.0, 125.0, 400.0])
@@ -187,22 +110,6 @@ def test_filters_are_those_of_scipy(corner: float) -> None:
     np.testing.assert_allclose([*high_pass(corner, 0.001)], [*numerator, *denominator[1:]], atol=1e-12)
     numerator, denominator = butter(2, corner, fs=1000.0)
     np.testing.assert_allclose([*butterworth(corner, 0.001)], [*numerator, *denominator[1:]], atol=1e-12)
-
-
-def test_the_gyro_has_the_steps_and_the_range_of_the_recordings() -> None:
-    out = read_sensors(tone(3.0, 6.0))
-    counts = out[:, :, :3] / LSB
-    np.testing.assert_allclose(counts, np.rint(counts), atol=1e-6)
-    assert np.abs(out[:, :, :3]).max() == pytest.approx(RANGE, abs=1e-3)
-    assert np.abs(out[:, :, 3:]).max() > 5.9
-    steps = out[:, :, 3:] / 0.0047884
-    np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
-
-
-def test_300_hz_comes_out_of_the_gyro_at_200_hz() -> None:
-    """500 samples a second: 500 - 300 = 200."""
-    _, amplitude = lines(read_sensors(tone(300.0, 2.0))[:, 0, 0])
-    assert 100 + int(amplitude[100:251].argmax()) == 200
 
 
 def test_specimens_are_the_measured_ones_or_drawn_between_them() -> None:

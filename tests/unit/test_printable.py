@@ -1,29 +1,14 @@
 """Each path by which a text from the wire or a file reaches a terminal, the journal or the metrics is safe."""
 
-import json
 from dataclasses import replace
-from datetime import UTC, datetime
-from pathlib import Path
 
 import pytest
 from made_session import baseline_for
-from memory_port import memory_pair
 
 import detector.__main__ as command
-from detector.journal import When, line, mark
-from detector.states import State
-from detector.values import Note, SendText, StateChanged
 from mavdiag import commandline
-from mavdiag.airframe.airframe import Airframe
-from mavdiag.baseline import parse
-from mavdiag.errors import BaselineError, InputError
-from mavdiag.link.codec import Encoder
-from mavdiag.link.messages import Severity
-from mavdiag.look.inspection import MessageRate, MonitorState, Units, inspection_of
-from mavdiag.look.words import in_full
+from mavdiag.errors import InputError
 from mavdiag.printable import printable
-from mavdiag.telemetry import Log, Telemetry
-from mavdiag.terminal.ground_station import GroundStation
 
 EVIL = "\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
 
@@ -61,58 +46,3 @@ def test_what_daemon_commands_and_baselines_say(capsys: pytest.CaptureFixture[st
     assert "forged line" in out
     assert "forged line" in err
     assert not steering(out + err)
-
-
-def test_lines_of_the_journal() -> None:
-    when = When(datetime(2026, 5, 1, tzinfo=UTC), 1, 5)
-    records = (
-        Note(EVIL),
-        SendText(Severity.INFO, EVIL),
-        StateChanged(State.WAITING, State.LOST, EVIL),
-    )
-    for text in (*(line(one, when) for one in records), mark("note", when, {"text": EVIL})):
-        assert text.isascii()
-        assert text.isprintable()
-        assert EVIL in json.loads(text).values()
-
-
-def test_what_inspect_says_of_a_log() -> None:
-    log = Log(f"{EVIL}.tlog", "", EVIL, Telemetry(), notes=(EVIL,))
-    found = replace(
-        inspection_of(log, Airframe(), asked=(EVIL,)),
-        baseline=EVIL,
-        upset=EVIL,
-        rotors=EVIL,
-        no_flight=EVIL,
-        monitors=(MonitorState(EVIL, EVIL, works=False, missing=(EVIL,)),),
-        units=Units(None, EVIL, ()),
-        messages=(MessageRate(1, EVIL, 1.0),),
-    )
-    assert not steering(in_full(found))
-    assert "forged line" in in_full(found)
-
-
-def test_texts_that_the_demo_hears() -> None:
-    near, far = memory_pair()
-    far.send(Encoder(1, 191).statustext(Severity.CRITICAL, EVIL[:40]))
-    station = GroundStation(near)
-    station.listen(0.0)
-    (text,) = station.texts
-    assert not steering(text.text, keep="")
-    near.close()
-    far.close()
-
-
-def test_labels_of_the_metrics_come_from_no_wire() -> None:
-    """Vehicles are numbers, states and monitors are names of ours: a baseline with another monitor is refused."""
-    raw = json.loads(json.dumps(baseline_for().model_dump(mode="json", by_alias=True)))
-    raw["monitors"][0]["spec"]["kind"] = EVIL
-    with pytest.raises(BaselineError, match=r"monitors\.0"):
-        parse(json.dumps(raw))
-
-
-def test_no_module_prints_past_the_one_function() -> None:
-    """`typer.echo` is for JSON and for what is ours; the daemon has one such call."""
-    root = Path(__file__).resolve().parents[2]
-    lines = [text for path in (root / "detector").rglob("*.py") for text in path.read_text().splitlines()]
-    assert [text.strip() for text in lines if "typer.echo(" in text] == ["typer.echo(example_text(), nl=False)"]

@@ -2,11 +2,10 @@
 
 import io
 import sys
-from typing import Any
 
 import pytest
 
-from mavdiag.commands.progress import SLOW_S, each, shown, told, working
+from mavdiag.commands.progress import shown
 
 ERASED = "\x1b[1A\x1b[2K"  # up to the line of the bar, and away with it
 
@@ -36,19 +35,6 @@ def on_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     return made
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((0, 10, 0.0, 0.0), "0 of 10"),
-        ((5, 10, 0.1, 10.0), "5 of 10, 0.5 a second, 1 min 30 s left"),
-        ((1, 10000, 0.0001, 4.0), "1 of 10000, 0.25 a second, 11 h 6 min left"),
-        ((10, 10, 1.0, 10.0), "10 of 10, 1 a second, 0 s left"),
-    ],
-)
-def test_the_words(arguments: Any, words: str) -> None:
-    assert told(*arguments) == words
-
-
 @pytest.mark.parametrize("quiet", [False, True])
 def test_a_line_now_and_then_where_no_terminal_is(
     clock: list[float], capsys: pytest.CaptureFixture[str], quiet: bool
@@ -57,7 +43,7 @@ def test_a_line_now_and_then_where_no_terminal_is(
         for second in range(1, 101):
             clock[0] = float(second)
             progress.add(1.0)
-    left = {10: "1 min 30 s", 40: "1 min 0 s", 70: "30 s"}
+    left = {10: "0:01:30", 40: "0:01:00", 70: "0:00:30"}
     lines = [] if quiet else [f"judged: {n} of 100, 1 a second, {words} left" for n, words in left.items()]
     assert capsys.readouterr() == ("", "".join(f"{line}\n" for line in lines))
 
@@ -74,34 +60,6 @@ def test_a_bar_on_a_terminal_is_one_line_makes_room_and_goes_away(
     before, after = terminal.getvalue().split("an answer\n")
     assert before.endswith(ERASED)
     assert "━" in before
-    assert "1 of 3, 0.2 a second, 25 s left" in after
+    assert "1 of 3, 0.2 a second, 0:00:25 left" in after
     assert after.count("\n") == 1  # before it is erased
     assert after.endswith(ERASED)
-
-
-def test_one_item_needs_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = on_terminal(monkeypatch)
-    assert list(each([1], "read")) == [1]
-    with shown("judged", [1.0]) as progress:
-        progress.add(1.0)
-    assert terminal.getvalue() == ""
-    assert list(each([1, 2], "read", [5.0, 6.0])) == [1, 2]
-    assert terminal.getvalue() != ""
-
-
-@pytest.mark.parametrize("slow", [True, False])
-def test_what_takes_long_is_told_where_no_terminal_is(
-    slow: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    class Timer:
-        """One that is over at once, or never."""
-
-        def __init__(self, after_s: float, act: Any, args: Any, kwargs: Any) -> None:
-            assert after_s == SLOW_S
-            self.start = (lambda: act(*args, **kwargs)) if slow else (lambda: None)
-            self.cancel = self.join = lambda: None
-
-    monkeypatch.setattr("mavdiag.commands.progress.Timer", Timer)
-    with working("compiling ..."):
-        pass
-    assert capsys.readouterr() == ("", "compiling ...\n" if slow else "")

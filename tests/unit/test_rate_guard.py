@@ -5,8 +5,7 @@ from typing import Any
 
 import pytest
 
-from detector.config import Settings
-from detector.requests import GROUPS, Handled, Requests
+from detector.requests import Handled, Requests
 from detector.sender import MavlinkSender
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
@@ -19,7 +18,7 @@ STATION = Encoder(255, Component.MISSIONPLANNER)
 def handled(message: bytes, *vehicles: int) -> Handled:
     streams = {sysid: SimpleNamespace(profile=PROFILES["ardupilot"]) for sysid in vehicles}
     fleet: Any = SimpleNamespace(vehicles=dict.fromkeys(vehicles), link=SimpleNamespace(vehicles=streams))
-    requests = Requests(fleet, Settings(learn=1.0, keep_rates=True), MavlinkSender)
+    requests = Requests(fleet, True, MavlinkSender)
     return requests.from_behind([message], Instant(0))
 
 
@@ -79,13 +78,3 @@ def test_a_group_that_holds_what_is_needed_is_kept_back_and_noted(target: tuple[
     for number in (1, 12):
         found = handled(group(number, target), 1)
         assert (found.passed, found.answers, len(found.turns)) == ((), (), 1)
-
-
-def test_a_request_for_all_groups_becomes_requests_for_the_others() -> None:
-    found = handled(group(0), 1)
-    assert found.answers == ()
-    names = ("target_system", "req_stream_id", "req_message_rate", "start_stop")
-    places = [field_index(MessageId.REQUEST_DATA_STREAM, name) for name in names]
-    frames = [framed(message) for message in found.passed]
-    assert [tuple(frame.fields[place] for place in places) for frame in frames] == [(1, n, 4, 1) for n in (2, 6, 11)]
-    assert {2, 6, 11} | {1, 3, 10, 12} == set(GROUPS)

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
-from mavdiag.errors import UsageError
 from mavdiag.rows.block import Block
 from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import FloatArray
@@ -54,17 +53,6 @@ def test_any_cut_gives_the_same_bits(edges: list[int], window: int, seed: int) -
         np.testing.assert_array_equal(np.concatenate([getattr(one, name) for one in parts]), getattr(whole, name))
 
 
-def test_what_is_no_number_spoils_only_the_windows_that_hold_it() -> None:
-    rate = np.random.default_rng(2).normal(0, 1, (2000, 3))
-    holed = rate.copy()
-    holed[[700, 740], 1] = np.nan
-    clean, spoilt = (SPEC.step(SPEC.start(), block(np.zeros((2000, 3)), one)).y for one in (rate, holed))
-    bad = np.isnan(spoilt)
-    assert np.flatnonzero(bad.any(axis=0)).tolist() == [1]
-    assert np.flatnonzero(bad[:, 1]).tolist() == list(range(600, 741))
-    np.testing.assert_allclose(spoilt[~bad], clean[~bad], atol=1e-12)
-
-
 def test_l1_u_is_the_body_rate_of_a_vehicle_that_turns_and_leans() -> None:
     """Truth from rotations, whose logarithm of the change over one step is the body rate, and no formula of W."""
     t = np.arange(12_000, dtype=np.float64) * DT_S
@@ -90,9 +78,3 @@ def test_a_row_is_valid_and_commanded_only_with_its_whole_window_and_a_segment_b
     assert len(SPEC.step(state, rows.rows(0, 50, segment=7))) == 0
     again = SPEC.step(state, rows.rows(50, 101, segment=7))
     assert (len(again), int(again.t_ns[0])) == (1, int(rows.t_ns[50]))
-
-
-@pytest.mark.parametrize(("dt_s", "window", "order"), [(DT_S, 101, 3), (DT_S, 101, 0), (0.0, 101, 2), (DT_S, 100, 2)])
-def test_impossible_filters_are_refused(dt_s: float, window: int, order: int) -> None:
-    with pytest.raises(UsageError):
-        RateSpec.of(dt_s, window, order)

@@ -5,23 +5,18 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from flying_telemetry import flying, flying_rows
 from hypothesis import given
 from hypothesis import strategies as st
 from made_report import DOCS, ONSET_S, RATE_HZ, ROTOR, cracked, script
 from scipy.signal import welch
 
 from mavdiag.airframe.fingerprint import joined
-from mavdiag.airframe.layout import layout_named
-from mavdiag.airframe.propellers import FaultType, propeller
 from mavdiag.face import rates
 from mavdiag.identify import Method, fit
 from mavdiag.identify.validate import validate
 from mavdiag.look.figures import spectrum_of
 from mavdiag.report.campaign import roc_of
-from mavdiag.report.residuals import longest_by_column, moment_of, ratio_of, runs_of, unbalance_of
-from mavdiag.report.rotors import shift_of
-from mavdiag.report.signals import sweep_of
+from mavdiag.report.pictures import longest_by_column, moment_of, runs_of, sweep_of
 from mavdiag.report.style import envelope
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import Axis, FloatArray, Signal
@@ -56,13 +51,6 @@ def test_an_envelope_keeps_the_extremes_and_invents_nothing(n: int, columns: int
             assert np.nanmax(shown) == known.max()
     if len(known):
         assert np.nanmin(envelope(t, y, columns)[1]) == known.min()
-
-
-def test_a_gap_in_time_is_not_drawn_across() -> None:
-    t = np.concatenate((np.arange(500.0), np.arange(2000.0, 2500.0)))
-    for filled in (False, True):
-        for times, columns in ((t, 50), (t, 5000), (np.repeat(t, 3), 5000)):
-            assert np.isnan(envelope(times, np.ones(len(times)), columns, filled=filled)[1]).any()
 
 
 def test_the_runs_are_those_that_a_walk_over_the_residual_finds() -> None:
@@ -122,37 +110,6 @@ def test_the_window_sweep_fits_what_identify_fits() -> None:
     model = fit(flight.u, flight.y, (2, 2, 1), dt=flight.dt_s)
     assert row.model is not None
     assert row.model.r2t == pytest.approx(validate(model, flight.u, flight.y).r2t, abs=0.02)
-
-
-def test_the_shift_of_a_weak_rotor_is_its_rise() -> None:
-    blocks = joined(flying_rows(flying(2000, seed=4, weak_rotor=3, rise=0.2)))
-    shift = shift_of(blocks, layout_named("x"), None)
-    outputs = np.array([0.5, 0.5, 0.6, 0.5])
-    B = layout_named("x").mixing
-    beside = B @ np.linalg.pinv(B) @ (outputs / outputs.mean() - 1)
-    np.testing.assert_allclose(shift.mean(None), beside / 0.75, atol=0.01)
-    assert shift_of(blocks, layout_named("x"), None, 0.05).limit == 0.05  # the monitor's own scale
-    assert int(np.argmax(shift.mean(None))) == 2
-    assert not shift.beyond_health
-    assert np.isnan(shift.shift[:100]).all()  # no 5 s yet
-
-
-def test_the_ratio_is_nan_where_nothing_was_judged() -> None:
-    for trace in traces()[1]:
-        t_s, ratio = ratio_of(trace)
-        assert len(t_s) == len(ratio)
-        np.testing.assert_array_equal(np.isfinite(ratio), trace.found.valid)
-    verdict = cracked()[1].verdict
-    highest_of = {one.slot.key: np.nanmax(ratio_of(one)[1]) for one in traces()[1] if one.found.valid.any()}
-    for one in verdict.monitors:
-        if one.maximum is not None:
-            assert highest_of[one.name, one.axis] == pytest.approx(one.maximum / one.threshold)
-
-
-def test_the_unbalance_is_near_the_propellers() -> None:
-    found = unbalance_of(traces()[1], ONSET_S + 1.0)
-    assert found == pytest.approx(propeller(FaultType.CRACK, 2).unbalance_g_mm, rel=0.3)
-    assert unbalance_of([], None) is None
 
 
 @given(st.lists(st.integers(0, 20), min_size=1, max_size=40), st.lists(st.integers(0, 20), min_size=1, max_size=40))

@@ -2,27 +2,23 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from flying_telemetry import flying
 from made_baselines import ALWAYS, NOW
 from test_layout import made_flight
-from typer.testing import CliRunner
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.detect import contradicts, detect_layout
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named
-from mavdiag.airframe.load import load_airframe, with_layout
+from mavdiag.airframe.load import with_layout
 from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline, dump, parse
-from mavdiag.cli import app
-from mavdiag.errors import InputError, UsageError
+from mavdiag.errors import UsageError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.rows.block import Block
-from mavdiag.rows.outputs import in_rotor_order
 from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
 from mavdiag.testing import example_rows
 
@@ -97,31 +93,6 @@ def test_what_the_flights_hardly_show_is_never_another_layout(name: str) -> None
     assert set(found) == {layout, None}
 
 
-def test_a_servo_that_follows_as_a_motor_does_leaves_the_layout_unknown() -> None:
-    flight = made_flight(layout_named("x"), 9)
-    gimbal = 0.5 - 2.0 * flight.torque[:, :1]
-    found = detect_layout([wide(flight, 1, 2, 3, 4, gimbal)])
-    assert found.layout is None
-    assert found.reason == "5 outputs move (1, 2, 3, 4, 5) and no known layout has so many rotors"
-    named = detect_layout([wide(flight, gimbal, 1, 2, 3, 4)], outputs=(2, 3, 4, 5))
-    assert (named.layout, named.outputs) == (layout_named("x"), (2, 3, 4, 5))
-
-
-def test_named_outputs_that_do_not_move_are_said() -> None:
-    flight = made_flight(layout_named("x"), 9)
-    found = detect_layout([flight], outputs=(3, 4, 5, 6))
-    assert found.layout is None
-    assert (found.idle, found.reason) == ((3, 4), "the outputs of the rotors 3, 4 do not move")
-    assert contradicts(found, layout_named("x")) == found.reason
-
-
-def test_without_yaw_the_finding_says_that_the_senses_were_not_seen() -> None:
-    found = detect_layout([unyawed(layout_named("x"), 3)])
-    assert found.layout is layout_named("x")
-    assert found.reason.endswith("the senses of rotation were not seen, for the flights hardly yaw")
-    assert "senses" not in detect_layout([made_flight(layout_named("x"), 3, yaw=1.0)]).reason
-
-
 def test_what_is_told_is_held_against_the_flights() -> None:
     x, flight = layout_named("x"), made_flight(layout_named("x"), 3, yaw=1.0)
     fits = RotorLayout("own", tuple((1.05 * r if i % 2 else 0.9474 * r, p, y) for i, (r, p, y) in enumerate(x.signs)))
@@ -138,17 +109,6 @@ def test_what_is_told_is_held_against_the_flights() -> None:
         found = contradicts(detect_layout([flight], known), layout)
         assert words in found
         assert bool(words) == bool(found)
-
-
-def test_rows_come_in_the_order_of_the_rotors_once() -> None:
-    outputs = np.arange(12.0).reshape(3, 4)
-    block = example_rows(3, actuator=outputs).block
-    assert in_rotor_order(block, None) is block
-    assert in_rotor_order(block, (3, 1)).actuator.tolist() == outputs[:, [2, 0]].tolist()
-    short = in_rotor_order(block, (4, 6)).actuator
-    assert short[:, 0].tolist() == outputs[:, 3].tolist()
-    assert np.isnan(short[:, 1]).all()
-    assert in_rotor_order(example_rows(3).block, (4, 6)).actuator.shape == (3, 0)
 
 
 def shifted(telemetry: Telemetry, *, seed: int = 0) -> Telemetry:
@@ -222,13 +182,6 @@ def test_told_wins_over_parameters_and_parameters_over_flights_and_a_contradicti
     assert "the log is of another rotor layout: plus by the vehicle's parameters" in other.reason
 
 
-def test_parameters_that_name_dead_outputs_lose_their_outputs_not_their_layout() -> None:
-    servos = {f"SERVO{n}_FUNCTION": 32.0 + n for n in (1, 2, 3, 4)}
-    frame = taught(flights(2, parameters={**COPTER_X, **servos})).airframe
-    assert frame.layout is layout_named("x")
-    assert frame.outputs == (5, 6, 7, 8)
-
-
 def silent(count: int) -> list[Log]:
     """Flights without outputs."""
     return [
@@ -253,45 +206,8 @@ def test_an_unknown_layout_is_loud_in_the_baseline_and_in_every_verdict() -> Non
     assert judge(silent(1)[0], unconcerned).notes == ()
 
 
-@pytest.mark.parametrize("as_json", [False, True])
-def test_identify_says_an_unknown_layout_in_a_line_of_its_own(
-    as_json: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("mavdiag.commands.identify.read_part", lambda *_: silent(1)[0])
-    arguments = ["identify", "made.tlog", "-o", str(tmp_path / "b.json"), *(["--json"] if as_json else [])]
-    result = CliRunner().invoke(app, [*arguments, "--monitors", "rotor_trim,innovation"])
-    assert result.exit_code == 0, result.output
-    lines = (result.stderr if as_json else result.stdout).splitlines()
-    assert [one for one in lines if one.startswith("rotor layout unknown: the data carry no rotor outputs")]
-    shown = CliRunner().invoke(app, ["baseline", "show", str(tmp_path / "b.json")])
-    assert "\nrotor layout unknown: " in shown.stdout
-
-
-def test_contradictory_parameters_stand_in_the_reason() -> None:
-    logs = [replace(one, parameters={**COPTER_X, **SERVOS_5, "SERVO9_FUNCTION": 33.0}) for one in silent(2)]
-    assert "unknown: the parameters contradict themselves: SERVOn_FUNCTION has the motors 1, 1," in str(taught(logs))
-
-
-def test_outputs_of_an_airframe_file(tmp_path: Path) -> None:
-    path = tmp_path / "a.toml"
-    path.write_text('name = "a"\nlayout = "x"\noutputs = [5, 6, 8, 7]\n')
-    assert load_airframe(path).outputs == (5, 6, 8, 7)
-    refused = {
-        "[1, 2, 3]": "3 outputs for 4 rotors",
-        "[1, 2, 3, 3]": "each rotor has its own",
-        "[0, 1, 2, 3]": "outputs.1: Input should be greater",
-    }
-    for outputs, says in refused.items():
-        path.write_text(f'name = "a"\nlayout = "x"\noutputs = {outputs}\n')
-        with pytest.raises(InputError, match=says):
-            load_airframe(path)
+def test_an_airframe_has_the_layout_of_its_file_or_the_one_that_is_told() -> None:
     with pytest.raises(UsageError, match="airframe a has the layout x, not plus: give one of them"):
         with_layout(Airframe(name="a", layout=layout_named("x")), "plus")
     with pytest.raises(UsageError, match="no layout 'y'"):
         with_layout(UNKNOWN, "y")
-
-
-def test_identify_takes_a_layout_by_name() -> None:
-    result = CliRunner().invoke(app, ["identify", "absent.bin", "-o", "b.json", "--layout", "hexa"])
-    assert result.exit_code != 0
-    assert "no layout 'hexa': use one of qdrone2" in str(result.exception)

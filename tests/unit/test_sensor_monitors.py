@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 
-from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
-from mavdiag.errors import InputError
-from mavdiag.monitors.base import LearnContext
 from mavdiag.monitors.control_loss import ControlLoss, ControlLossSpec
 from mavdiag.monitors.sensor_drift import GRAVITY, SensorDrift, SensorDriftSpec
 from mavdiag.monitors.sensor_noise import SensorNoise, SensorNoiseSpec
@@ -19,10 +16,6 @@ DT_S = 0.01
 N = 4000
 AGREED = SensorDriftSpec(dt_s=DT_S, bias=(0.0, 0.0, 0.0), vertical=0.0, tilt=0.01, heading=0.01, lift=0.08)
 QUIET = SensorNoiseSpec(rms=(1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
-
-
-def context(dt_s: float = DT_S, corner_hz: float | None = None) -> LearnContext:
-    return LearnContext(Airframe(layout=layout_named("qdrone2")), corner_hz, dt_s, 11)
 
 
 def body_rates(angle: FloatArray) -> FloatArray:
@@ -79,26 +72,6 @@ def test_a_vertical_bias_counts_only_where_it_lasts() -> None:
     assert drift(angle, body_rates(angle), short).value.max() < 4.0 / 8.0 / 0.08 + 0.5  # half of it, over 4 s
 
 
-def test_a_gyro_scale_is_seen_in_a_turn_only() -> None:
-    angle, turning = attitude(), attitude(0.5)
-    assert drift(angle, 1.1 * body_rates(angle), level_force(angle)).value.max() < 3.0  # a tenth of the swings
-    assert drift(turning, 1.1 * body_rates(turning), level_force(turning)).value[-1] > 4.5
-
-
-def test_steep_and_fast_flight_is_not_judged() -> None:
-    angle = attitude()
-    rate = body_rates(angle)
-    rate[2000:2010, 0] = 7.0
-    found = drift(angle, rate, level_force(angle))
-    assert found.valid[199]
-    assert not found.valid[200]
-    assert not found.valid[239]  # it begins anew, and takes 4 s
-    assert found.valid[240]
-    steep = attitude()
-    steep[:, 0] = 0.8
-    assert not drift(steep, np.zeros((N, 3)), level_force(steep)).valid.any()
-
-
 def noise(rng: np.random.Generator, *loud: tuple[int, float]) -> Statistic:
     """White noise on six axes, some of them louder."""
     x = rng.normal(0.0, 1.0 / np.sqrt(70.0), (N, 6))  # 70: sum of squares of the fourth difference
@@ -116,25 +89,6 @@ def test_noise_of_one_axis_is_found_and_shaking_of_several_is_not(axis: int) -> 
     assert alone.value[-1] > 1.5
     both = noise(rng, (axis, 5.0), ((axis + 1) % 6, 3.0))
     assert both.value.max() < 1.5
-
-
-def test_a_knock_is_no_noise() -> None:
-    rng = np.random.default_rng(4)
-    x = rng.normal(0.0, 1.0 / np.sqrt(70.0), (N, 6))
-    x[2000:2004, 5] += 100.0
-    monitor = SensorNoise(QUIET)
-    found = monitor.step(monitor.start(), example_rows(N, 0.001, rate=x[:, :3], force=x[:, 3:]))[1]
-    assert found.value.max() < 1.5
-
-
-def test_streams_that_carry_no_noise_are_refused() -> None:
-    rows = example_rows(N, DT_S, rate=np.ones((N, 3)), force=np.ones((N, 3)))
-    with pytest.raises(InputError, match="low-passed at 15 Hz"):
-        SensorNoise.fit([[rows]], context(corner_hz=15.0))
-    with pytest.raises(InputError, match="50 Hz"):
-        SensorNoise.fit([[rows]], context(dt_s=0.02))
-    with pytest.raises(InputError, match="attitude estimate"):
-        SensorDrift.fit([[rows]], context())
 
 
 def test_only_a_turn_that_nobody_commanded_is_a_loss_of_control() -> None:

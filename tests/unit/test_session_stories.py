@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_session import FML_S, Story, baseline_for, outcome_of
-from pydantic import TypeAdapter
+from made_session import Story, baseline_for, outcome_of
 
 from detector.alerts import label_of
 from detector.config import SessionSettings
@@ -22,17 +21,13 @@ from detector.values import (
     Learn,
     LearningFailed,
     Note,
-    SendFloat,
     SendText,
     SessionSpec,
 )
-from mavdiag.airframe.airframe import Airframe
-from mavdiag.baseline import Baseline, Refusal
+from mavdiag.baseline import Baseline
 from mavdiag.decision.diagnosis import Change, Stage
-from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
+from mavdiag.link.messages import MessageId, Severity
 from mavdiag.link.profiles import PROFILES
-from mavdiag.link.vehicles import Ack
-from mavdiag.monitors import NEED_LAYOUT
 from mavdiag.telemetry import Axis, Series, Signal, Telemetry
 from mavdiag.units import G
 
@@ -71,37 +66,6 @@ def test_it_learns_then_watches_then_alerts_and_never_says_that_it_is_clear() ->
     ]
     assert story.state.diagnosis.stage is Stage.FAULT
     assert any(isinstance(effect, Baseline) for _, effect in story.log)
-
-
-@pytest.mark.parametrize(("words", "reason"), [({"armed": False}, "not armed"), ({"thrust": 0.05}, "not airborne")])
-def test_learning_pauses_on_the_ground_and_says_why(words: dict[str, float], reason: str) -> None:
-    story = Story()
-    story.fly(10.0)
-    before = story.state.collection.seconds
-    story.fly(10.0, **words)  # type: ignore[arg-type]  # the options have two types
-    assert story.state.collection.seconds == before
-    percent = int(100 * before / (story.spec.settings.learn or 0))
-    assert percent % 25  # what is said is how far it is, not the last quarter
-    assert f"PROP learning {percent}%: {reason}" in story.texts
-    assert story.state.reason.endswith(reason)
-    story.fly(13.0)
-    assert story.at(State.FITTING)
-
-
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
-        ({"without": (Signal.ATTITUDE_SETPOINT,)}, "no attitude set-points"),
-        ({"without": (Signal.BODY_RATE,)}, "no gyro"),
-        ({"every": 5}, "gyro rate too low (20 Hz)"),
-    ],
-)
-def test_it_waits_for_what_it_needs_and_names_it(options: dict[str, object], reason: str) -> None:
-    story = Story()
-    story.fly(6.0, **options)  # type: ignore[arg-type]  # the options have several types
-    assert story.at(State.WAITING)
-    assert story.state.reason == reason
-    assert f"PROP waiting: {reason}" in story.texts
 
 
 def faulty(seconds: int = 120, **changes: object) -> Story:
@@ -202,73 +166,8 @@ def test_b6_a_throttled_link_is_judged_again_within_three_seconds_of_the_right_r
     assert State.FAULTED not in story.states
 
 
-def without_layout(**airframe: object) -> Story:
-    """A session whose baseline has these things to say of the airframe, and lost the monitors that need a layout."""
-    lost = tuple(Refusal(monitor=name, reason="the rotor layout is not known") for name in NEED_LAYOUT)
-    frame = TypeAdapter(Airframe).validate_python({"name": "made", **airframe})
-    baseline = baseline_for().model_copy(update={"airframe": frame, "not_judgeable": lost})
-    return Story(SessionSpec(QDRONE2, baseline))
-
-
-def test_an_unknown_layout_is_said_once_as_judging_begins() -> None:
-    story = without_layout(layout_basis="5 outputs move")
-    effects = story.fly(20.0)
-    said = [one for one in effects if isinstance(one, SendText) and "layout" in one.text]
-    assert said == [SendText(Severity.WARNING, "PROP rotor layout unknown: 3 monitors off")]
-    notes = [one.text for one in effects if isinstance(one, Note) and "layout" in one.text]
-    assert notes == [
-        "rotor layout unknown: 5 outputs move; rotor_signature, rotor_trim, trim_step do not judge, "
-        "and no rotor is named; name it with --layout or --airframe"
-    ]
-    assert not [text for text in texts(watching().fly(10.0)) if "layout" in text]
-
-
-def test_missing_streams_are_asked_for_and_what_came_is_told() -> None:
-    story = Story()
-    effects = story.fly(3.0, without=(Signal.ATTITUDE_SETPOINT, Signal.BODY_RATE))
-    assert [e for e in effects if isinstance(e, AskInterval)] == [
-        AskInterval(MessageId.ATTITUDE_TARGET, 1000),
-        AskInterval(MessageId.RAW_IMU, 1000),
-        AskInterval(MessageId.SERVO_OUTPUT_RAW, 40_000),
-        AskInterval(MessageId.ATTITUDE, 40_000),
-    ]
-    for _ in range(4):
-        story.acknowledge(Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.ACCEPTED))
-    story.fly(6.0)
-    assert "PROP got ATTITUDE_TARGET 100, RAW_IMU 100" in story.texts
-
-
-def asked_of(story: Story, msgid: int) -> list[float]:
-    return [at for at, effect in story.log if isinstance(effect, AskInterval) and effect.msgid == msgid]
-
-
-def test_a_denied_stream_is_not_asked_for_again() -> None:
-    story = Story()
-    without = (Signal.ATTITUDE_SETPOINT,)
-    story.fly(2.3, without=without)
-    story.acknowledge(Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED))
-    story.fly(60.0, without=without)
-    assert len(asked_of(story, MessageId.ATTITUDE_TARGET)) == 1
-    assert any("ATTITUDE_TARGET: the autopilot answered DENIED" in str(effect) for _, effect in story.log)
-
-
 def ardupilot(*names: str) -> SessionSpec:
     return SessionSpec(PROFILES["ardupilot"], baseline_for("ardupilot", names=names))
-
-
-def test_b16_the_streams_of_the_baselines_monitors_are_asked_for_at_their_rates() -> None:
-    story = Story(ardupilot("fsd", "rotor_trim", "vibration_level"))
-    story.fly(4.0, without=(Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT))
-    asked = {effect.msgid: 1e6 / effect.interval_us for _, effect in story.log if isinstance(effect, AskInterval)}
-    assert asked.keys() == {
-        MessageId.RAW_IMU,
-        MessageId.ATTITUDE_TARGET,
-        MessageId.SERVO_OUTPUT_RAW,
-        MessageId.VIBRATION,
-    }
-    assert asked[MessageId.RAW_IMU] == asked[MessageId.ATTITUDE_TARGET] == 100
-    assert 10 <= asked[MessageId.SERVO_OUTPUT_RAW] <= 50
-    assert 2 <= asked[MessageId.VIBRATION] <= 10
 
 
 def test_l2_what_the_optional_streams_lack_is_told_and_hinders_nothing() -> None:
@@ -288,70 +187,15 @@ def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
     story = Story()
     story.fly(26.0)
     assert story.at(State.FITTING)
-    collected = story.state.collection.seconds
+    collected = story.state.flight_s
     story.answer(LearningFailed("roll: the input is not exciting enough"))
     assert story.at(State.LEARNING)
     assert story.session.working
-    assert story.state.collection.seconds >= collected >= 20.0
+    assert story.state.flight_s >= collected >= 20.0
     assert "PROP not learned, goes on: roll: the input is no.." in story.texts
     effects = story.fly(25.0)
     [job] = [effect for effect in effects if isinstance(effect, Learn)]
     assert len(job.telemetry.need(Signal.BODY_RATE)) == pytest.approx(40 * 100, abs=10)
-
-
-def test_learning_that_failed_three_times_is_off_until_the_vehicle_starts_anew() -> None:
-    story = Story(seconds=300)
-    for flight_s in (26.0, 25.0, 25.0):
-        story.fly(flight_s)
-        story.answer(LearningFailed("roll: the input is not exciting enough"))
-    assert story.at(State.FAULTED)
-    assert "PROP OFF: cannot learn: roll: the input is not e.." in story.texts
-    story.fly(30.0)
-    assert story.at(State.FAULTED)
-    story.reboots = 1
-    story.fly(5.0)
-    assert story.at(State.LEARNING)
-    assert story.session.working
-
-
-def loud(effects: list[Effect]) -> list[str]:
-    return [e.text for e in effects if isinstance(e, SendText) and e.severity <= Severity.CRITICAL]
-
-
-def test_l4_a_take_off_is_silent_and_what_lasts_is_told_after_it() -> None:
-    baseline = baseline_for()
-    gate = replace(baseline.link.gate, trim_start_s=3.0)
-    settled = baseline.model_copy(update={"link": baseline.link.model_copy(update={"gate": gate})})
-    story = Story(SessionSpec(QDRONE2, settled))
-    story.fly(20.0, armed=False)
-    effects = story.fly(2.5, push=0.5)
-    assert loud(effects) == []
-    assert story.state.diagnosis.stage is Stage.NOT_JUDGED
-    assert loud(story.fly(2.0, push=0.5)) != []
-
-
-def test_an_event_that_is_open_at_the_end_is_told_with_its_end_unseen() -> None:
-    story = watching()
-    story.fly(2.0, push=0.5)
-    closed, change = story.session.finish()
-    assert isinstance(change, Change)
-    assert change.stage is Stage.INSPECT
-    assert isinstance(closed, EventClosed)
-    assert closed.event.end_ns is None
-    assert closed.event.statistic > 1.5
-
-
-def test_the_named_values_come_five_times_a_second_and_carry_the_figures() -> None:
-    story = watching()
-    story.fly(2.0, push=0.5)
-    floats = [(at, e) for at, e in story.log if isinstance(e, SendFloat) and at > 6.0]
-    assert {e.name for _, e in floats} == {"PF_RES", "PF_MARG", "PF_FSD", "PF_FML"}
-    times = sorted({at for at, _ in floats})
-    assert {round(b - a, 2) for a, b in itertools.pairwise(times)} == {0.2}
-    last = {e.name: e.value for _, e in floats}
-    assert last["PF_RES"] == pytest.approx(0.5, abs=0.1)
-    assert last["PF_FML"] == FML_S
-    assert last["PF_FSD"] > FML_S
 
 
 def test_events_do_not_depend_on_how_often_the_session_steps() -> None:
@@ -391,16 +235,6 @@ def test_a_scale_that_gravity_contradicts_is_told_with_the_profile_to_try_and_no
     assert story.at(State.MONITORING)
 
 
-def test_a_gyro_that_another_message_carries_is_told_once() -> None:
-    story = Story(SessionSpec(QDRONE2, baseline_for()))
-    for number in range(20):
-        story.passed += 25
-        story.give(replace(weighing(1.0, 0.25 * number), imu=MessageId.ATTITUDE))
-    notes = [effect.text for _, effect in story.log if isinstance(effect, Note) and "read from" in effect.text]
-    assert len(notes) == 1
-    assert notes[0].startswith("the gyro is read from ATTITUDE, for RAW_IMU does not come: the estimator's rates")
-
-
 HIDDEN: dict[str, dict[str, Any]] = {
     "its thrust reads 0 while it flies": {"thrust": 0.0},
     "it reads disarmed while its thrust says that it flies": {"armed": False},
@@ -420,16 +254,3 @@ def test_c1_a_vehicle_that_flies_and_is_not_judged_is_told(reason: str) -> None:
     story.fly(6.0)
     assert story.state.reason.startswith("monitoring")
     assert not any("not judged: it" in text for text in texts(story.fly(10.0)))
-
-
-@pytest.mark.parametrize("armed", [True, False])
-def test_c1_a_vehicle_that_has_landed_does_not_fly(armed: bool) -> None:
-    story = watching()
-    story.fly(20.0)
-    for _ in range(200):
-        came = story._chunk(10, 0.0, armed, 0.0, 1).series
-        still = [replace(one, values=0.01 * one.values) if one.signal is Signal.BODY_RATE else one for one in came]
-        story.passed += 10
-        story.give(Inbox(Telemetry(tuple(still)), alive=True))
-    assert not any("not judged: it" in text for text in story.texts)
-    assert story.state.reason == f"monitoring: not {'airborne' if armed else 'armed'}"

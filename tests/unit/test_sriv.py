@@ -5,14 +5,13 @@ import json
 import numpy as np
 import pytest
 from identification_data import ROLL, WELL, record
-from numpy.testing import assert_allclose
 from scipy.signal import lfilter
 from shared_data import shared
 
 from mavdiag.identify import ArxModel, Method, fit
 from mavdiag.identify.arx import Segment, polynomials
-from mavdiag.identify.sriv import reflect_poles, sriv
-from mavdiag.identify.validate import examine_residual, nrmse_percent
+from mavdiag.identify.sriv import sriv
+from mavdiag.identify.validate import nrmse_percent
 from mavdiag.rows.savgol import coefficients
 
 
@@ -84,25 +83,6 @@ def test_flights_that_begin_in_motion_do_not_bias_it() -> None:
     assert np.all(rms < 1.4), rms
 
 
-def test_noise_free_data_give_the_model_to_rounding() -> None:
-    data = record(WELL, 500, 0.0, 3)
-    model = fit(data.u, data.y, dt=0.01)
-    assert_allclose(model.theta, WELL.theta, atol=1e-12)
-    assert model.r2t == pytest.approx(1.0, abs=1e-12)
-    assert model.method is Method.SRIV
-
-
-def test_its_output_error_is_white_and_independent_of_the_input() -> None:
-    data = record(WELL, 5000, 0.2, 5)
-    report = examine_residual(data.y - fit(data.u, data.y, dt=0.01).simulate(data.u), data.u)
-    assert report.white
-    assert report.independent
-    plain = fit(data.u, data.y, dt=0.01, method="ls")
-    biased = examine_residual(data.y - plain.simulate(data.u), data.u)
-    assert not biased.white
-    assert not biased.independent
-
-
 @pytest.mark.parametrize("order", [(1, 1, 1), (2, 5, 0), (3, 2, 1), (2, 1, 4)])
 def test_every_order_recovers_its_own_model(order: tuple[int, int, int]) -> None:
     na, nb, nk = order
@@ -116,25 +96,6 @@ def test_every_order_recovers_its_own_model(order: tuple[int, int, int]) -> None
     assert nrmse_percent(data.clean, found.simulate(data.u)) > 99.0
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_hardly_exciting_data_still_end_in_a_stable_model(seed: int) -> None:
-    # A step every 100 samples says almost nothing about the fast pole at 0.53.
-    rng = np.random.default_rng(seed)
-    u = np.repeat(rng.standard_normal(50), 100)
-    clean = ROLL.simulate(u)
-    model = fit(u, clean + 0.2 * clean.std() * rng.standard_normal(len(u)), dt=0.001)
-    assert model.stable
-    assert nrmse_percent(clean, model.simulate(u)) > 95.0
-
-
-def test_reflected_poles_are_inside_and_the_others_stay() -> None:
-    a = np.real(np.poly([1.25, 0.5, -2.0]))
-    assert_allclose(np.sort(np.roots(reflect_poles(a))), [-0.5, 0.5, 0.8], atol=1e-12)
-    assert np.all(np.abs(np.roots(reflect_poles(np.array([1.0, -2.0, 1.0])))) < 1.0)
-    stable = np.array([1.0, -0.5, 0.0])
-    assert reflect_poles(stable) is stable
-
-
 def flown(seed: int, n: int) -> Segment:
     """A segment that begins in motion."""
     rng = np.random.default_rng(seed)
@@ -143,15 +104,6 @@ def flown(seed: int, n: int) -> Segment:
     y = lfilter([0.0, 0.01, -0.006], [1.0, -1.9, 0.905], u)
     y += 0.05 * lfilter([0.2], [1.0, -0.8], rng.normal(size=n + 50))
     return Segment(u[50:], np.asarray(y[50:]))
-
-
-def test_without_a_basis_the_columns_are_reduced_by_reflections(monkeypatch: pytest.MonkeyPatch) -> None:
-    segments = tuple(flown(seed, n) for seed, n in enumerate((900, 900, 700, 321, 900)))
-    by_cholesky = sriv(segments, (2, 2, 1))
-    monkeypatch.setattr("mavdiag.identify.sriv._by_cholesky", lambda *_: None)
-    by_reflections = sriv(segments, (2, 2, 1))
-    assert_allclose(by_cholesky.theta, by_reflections.theta, rtol=1e-8)
-    assert_allclose(by_cholesky.covariance, by_reflections.covariance, rtol=1e-6)
 
 
 def test_a_fit_that_begins_near_ends_where_the_other_one_does_and_a_bad_start_does_no_harm() -> None:

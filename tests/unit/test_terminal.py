@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from memory_port import memory_pair
-from rich.console import Console, ConsoleDimensions
+from rich.console import Console
 
 from mavdiag.errors import InputError
 from mavdiag.link.codec import Encoder
@@ -35,24 +35,6 @@ def test_a_spike_of_one_sample_is_seen() -> None:
     assert lines[0].strip() != ""
     assert lines[0][19:21].strip() != ""
     assert (lines[0][:19] + lines[0][21:]).strip() == ""
-
-
-def test_nan_breaks_a_line_and_a_gap_without_samples_does_not() -> None:
-    t_s = np.arange(11.0)
-    broken = np.zeros(11)
-    broken[4:7] = np.nan
-    (with_break,), (whole,) = drawn(t_s, broken, 11.0, 1), drawn(t_s, np.zeros(11), 11.0, 1)
-    assert " " not in whole[:36]
-    assert with_break[15:24].strip() == ""
-
-
-def test_the_line_of_a_sine_stands_where_the_sine_is() -> None:
-    t_s = np.linspace(0.0, 10.0, 4000, endpoint=False)
-    lines = drawn(t_s, np.sin(2 * np.pi * t_s / 10))
-    assert lines[0][8:12].strip() != ""
-    assert lines[0][20:].strip() == ""
-    assert lines[3][:20].strip() == ""
-    assert lines[3][28:32].strip() != ""
 
 
 @given(
@@ -92,20 +74,6 @@ def test_a_small_terminal_shows_the_newest_alert_in_full(width: int, height: int
     assert len(lines) <= height
     shown = " ".join(" ".join(line.strip("│ ") for line in lines).split())
     assert all(words in shown for words in (" ".join(said.split()), "event 19", "motor 3 is weak"))
-
-
-def test_a_terminal_of_another_size_is_drawn_anew() -> None:
-    out = io.StringIO()
-    console = Console(width=80, height=24, file=out, force_terminal=True, get_time=iter(range(99)).__next__)
-    with Screen(lambda events: View("title", f"{len(events)} events", alert=False), console=console) as screen:
-        screen.show([], last=True)
-        assert "\x1b[2J" not in out.getvalue()
-        console.size = ConsoleDimensions(50, 12)
-        screen.show([Line(1.0, Severity.INFO, "news")], last=True)
-    before, after = out.getvalue().split("\x1b[2J")
-    assert "0 events" in before
-    assert "1 events" in after
-    assert ("─" * 60 in before, "─" * 60 in after) == (True, False)
 
 
 def test_the_time_and_figures_are_those_of_one_vehicle() -> None:

@@ -4,13 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mavdiag.errors import InputError
 from mavdiag.link.codec import UNKNOWN, Encoder
 from mavdiag.link.messages import MavType, MessageId
 from mavdiag.logs import read_log
 from mavdiag.logs.log import sha256_of
-from mavdiag.logs.tlog import decode_tlog, read_tlog, tlog_record, vehicle_stream
+from mavdiag.logs.tlog import decode_tlog, decode_windows, read_tlog, tlog_record, vehicle_stream
 from mavdiag.telemetry import Signal
 
 START_US = 1_763_000_000_000_000
@@ -127,3 +129,18 @@ def test_b18_a_log_of_an_unknown_vehicle_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"vehicle 1: its link profile is not clear.*give --profile"):
         read_log(path)
     assert read_log(path, profile="ardupilot").profile == "ardupilot"
+
+
+@given(st.lists(st.integers(1, 900), min_size=1, max_size=4), st.integers(0, 20))
+def test_how_a_damaged_log_is_cut_into_windows_does_not_matter(sizes: list[int], seed: int) -> None:
+    rng, pieces = np.random.default_rng(seed), records(1, 20) + records(7, 20)
+    whole = b"".join(pieces[int(k)] for k in rng.permutation(len(pieces)))
+    data = bytearray(whole[: len(whole) - seed] + rng.bytes(100) + whole)
+    for at in rng.integers(0, len(data), seed):
+        data[at] ^= 0x55
+    places = np.cumsum(np.resize(sizes, len(data) // min(sizes) + 1)).tolist()
+    windows = [bytes(data[first:last]) for first, last in zip([0, *places], [*places, len(data)], strict=True)]
+    one, other = decode_tlog(bytes(data)), decode_windows(windows)
+    assert one.frames == other.frames
+    assert (one.records, one.damaged_bytes, one.notes) == (other.records, other.damaged_bytes, other.notes)
+    assert one.senders == other.senders

@@ -7,26 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.trajectory import FLYING, REFERENCE, Nose, Path, Shape, landing_time, path, reference
-from sitl_plant.plant import PlantConfig
+from sitl_plant.physics.trajectory import FLYING, REFERENCE, Nose, Path, Shape, path, reference
 
 
 def at(p: Path, t: float) -> FloatArray:
     out = np.empty(REFERENCE)
     reference(p, t, out)
     return out
-
-
-def test_square_has_four_equal_sides_and_sharp_corners() -> None:
-    p = path(Shape.SQUARE, 1.0, 0.5, 0.0, 1.5)
-    corners = [at(p, t)[:3] for t in (0.0, 2.0, 4.0, 6.0, 8.0)]
-    np.testing.assert_allclose(
-        corners, [[0, 0, -1.5], [1, 0, -1.5], [1, 1, -1.5], [0, 1, -1.5], [0, 0, -1.5]], atol=1e-12
-    )
-    np.testing.assert_allclose(at(p, 1.999)[3:5], [0.5, 0.0])
-    np.testing.assert_allclose(at(p, 2.001)[3:5], [0.0, 0.5])
 
 
 @given(
@@ -40,14 +28,6 @@ def test_speed_along_the_path_is_constant(shape: Shape, size: float, speed: floa
     assert np.linalg.norm(at(path(shape, size, speed, heading, 1.0), t)[3:6]) == pytest.approx(speed)
 
 
-def test_before_the_start_it_hovers_at_the_first_point() -> None:
-    for shape in Shape:
-        p = path(shape, 2.0, 0.5, 0.7, 1.0)
-        waiting, started = at(p, -0.5), at(p, 0.0)
-        np.testing.assert_allclose(waiting[:3], started[:3], atol=1e-12)
-        np.testing.assert_array_equal(waiting[3:6], 0.0)
-
-
 @pytest.mark.parametrize("nose", list(Nose))
 @pytest.mark.parametrize("shape", list(Shape))
 def test_yaw_rate_is_the_slope_of_yaw_which_stays_within_pi(shape: Shape, nose: Nose) -> None:
@@ -57,21 +37,6 @@ def test_yaw_rate_is_the_slope_of_yaw_which_stays_within_pi(shape: Shape, nose: 
         slope = (after[6] - before[6] + math.pi) % (2 * math.pi) - math.pi
         assert slope / (2 * h) == pytest.approx(here[7], abs=1e-3)
         assert -math.pi <= here[6] < math.pi
-
-
-def test_a_flight_from_the_ground_climbs_flies_and_comes_down() -> None:
-    end = 60.0 - landing_time(1.0)
-    p = path(Shape.SQUARE, 1.0, 0.5, 0.0, 1.0, takeoff=True, land_s=end)
-    rows = np.array([at(p, t) for t in np.arange(-1.0, 60.0, 0.01)])
-    height, motors = -rows[:, 2], rows[:, 8]
-    assert height[:500].max() == 0.0  # until 4 s
-    np.testing.assert_allclose(np.abs(np.diff(height)).max(), 0.005, rtol=1e-9)  # 0.5 m/s
-    assert height.max() == 1.0
-    assert [motors[0], *motors[1:][np.diff(motors) > 0]] == [0, 1, FLYING, 3, 4]
-    assert motors[-100] == 4
-    flown = at(path(Shape.SQUARE, 1.0, 0.5, 0.0, 1.0), 5.0)
-    np.testing.assert_allclose(at(p, p.start + 5.0), flown)
-    np.testing.assert_allclose(rows[-1, :2], at(path(Shape.SQUARE, 1.0, 0.5, 0.0, 1.0), end - p.start)[:2])
 
 
 RECORDED = [shape for shape in Shape if shape.recorded]
@@ -114,11 +79,3 @@ def test_the_limiter_holds_and_rates_are_slopes(shape: Shape) -> None:
     np.testing.assert_allclose(slope[steady], rows[:-1][steady, 3:6], atol=1e-9)
     np.testing.assert_allclose(nose[steady], rows[:-1][steady, 7], atol=1e-9)
     assert np.all(rows[:, 8] == FLYING)
-
-
-def test_a_flight_that_is_too_short_is_refused_by_its_own_heights() -> None:
-    needed = 4.0 + 0.2 / 0.5 + 2.0 + landing_time(0.8)
-    assert landing_time(5.0, Shape.T4_SP1) == landing_time(0.8)
-    PlantConfig(trajectory="t4-sp1", altitude_m=5.0, start="ground", landed_s=needed + 0.01)
-    with pytest.raises(UsageError, match=f"needs {needed:.1f} s"):
-        PlantConfig(trajectory="t4-sp1", altitude_m=5.0, start="ground", landed_s=needed - 0.01)

@@ -9,17 +9,14 @@ from hypothesis import strategies as st
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.airframe.trim import (
-    LEVEL_RATIO,
     TILT_TRIM,
-    YAW_FLOOR,
     rises,
-    source_of,
-    spread_of,
+    source_among,
+    sources_of,
     trim_of,
 )
 from mavdiag.errors import InputError
-from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
-from mavdiag.monitors.trim import highest_rise, rise
+from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec, highest_rise, rise
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
 
@@ -46,14 +43,6 @@ def test_the_rises_are_weighted_least_squares(frame: str, shift: list[float], le
     np.testing.assert_allclose(found, [expected], rtol=1e-9, atol=1e-12)
 
 
-def test_the_spread_has_a_floor_for_yaw_and_a_ratio_for_the_others() -> None:
-    assert spread_of(np.zeros((5, 3))) == pytest.approx((3 * YAW_FLOOR, 3 * YAW_FLOOR, YAW_FLOOR))
-    rng = np.random.default_rng(1)
-    found = spread_of(rng.normal(0.0, [0.2, 0.01, 0.05], (20_000, 3)))
-    assert found[2] == pytest.approx(np.hypot(0.05, YAW_FLOOR), rel=0.02)
-    assert found[:2] == pytest.approx((0.2, LEVEL_RATIO * found[2]), rel=0.02)
-
-
 def test_idle_unknown_or_lacking_outputs_give_no_trim() -> None:
     layout, outputs = layout_named("x"), np.full((4, 4), 0.5)
     outputs[1] = 0.04
@@ -69,18 +58,20 @@ def test_idle_unknown_or_lacking_outputs_give_no_trim() -> None:
 def test_outputs_are_preferred_to_commands() -> None:
     rng, frame = np.random.default_rng(1), layout_named("crazyflie")
     outputs, torque, thrust = rng.normal(0.5, 0.01, (9, 4)), rng.normal(0.0, 0.01, (9, 3)), np.full(9, 0.5)
-    assert source_of([[example_rows(9, torque=torque, thrust=thrust, actuator=outputs)]], frame) == "actuator"
-    assert source_of([[example_rows(9, torque=torque, thrust=thrust)]], frame) == "torque"
-    with pytest.raises(InputError, match="outputs of 4 motors that move above idle"):
-        source_of([[example_rows(9)]], frame)
-    with pytest.raises(InputError, match="outputs of 4 motors that move"):
-        source_of([[example_rows(9, actuator=np.ones((9, 4)))]], frame)  # all of them say 100 %, all flight
+    both = example_rows(9, torque=torque, thrust=thrust, actuator=outputs)
+    commands = example_rows(9, torque=torque, thrust=thrust)
+    assert source_among([sources_of([both], frame)], frame) == "actuator"
+    assert source_among([sources_of([commands], frame)], frame) == "torque"
+    full = example_rows(9, actuator=np.ones((9, 4)))  # all of them say 100 %, all flight
+    for rows in (example_rows(9), full):
+        with pytest.raises(InputError, match="outputs of 4 motors that move above idle"):
+            source_among([sources_of([rows], frame)], frame)
 
 
 @given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=5, max_size=5))
 def test_the_compiled_rise_is_that_of_arrays(frame: str, shift: list[float]) -> None:
     layout, both = layout_named(frame), np.array([shift])
-    par = RotorTrim(RotorTrimSpec(layout=layout, source="actuator", spread=CALM)).parameters(0.01)
+    par = RotorTrim(RotorTrimSpec(layout=layout, source="actuator", spread=CALM)).begin(0.01).par
     expected = rises(both[:, :3], layout, CALM, both[:, 3:])[0]
     found = [rise(par, rotor, both[0], True) for rotor in range(layout.rotors)]
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)

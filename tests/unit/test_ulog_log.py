@@ -1,12 +1,7 @@
 """The ULog reader on logs written by hand: topics of several PX4 versions, times, and files that pyulog cannot take."""
 
 import math
-import struct
-import sys
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from types import FrameType
 
 import numpy as np
 import pytest
@@ -37,7 +32,6 @@ OLD_SETPOINT = ULogTopic(
 ATTITUDE = ULogTopic(3, "vehicle_attitude", (STAMP, ("uint64_t", "timestamp_sample"), ("float[4]", "q")))
 MOTORS = ULogTopic(4, "actuator_motors", (STAMP, ("float[12]", "control")))
 OUTPUTS = ULogTopic(5, "actuator_outputs", (STAMP, ("float[16]", "output")))
-ESC = ULogTopic(6, "esc_report", (("int32_t", "esc_rpm"), ("float", "esc_current")))
 STATUS = ULogTopic(7, "vehicle_status", (STAMP, ("uint8_t", "arming_state")))
 POSITION = ULogTopic(8, "vehicle_local_position", (STAMP, ("float", "z")))
 GPS = ULogTopic(9, "vehicle_gps_position", (STAMP, ("uint64_t", "time_utc_usec")))
@@ -75,34 +69,6 @@ def test_topics_become_signals_in_si_and_frd(
     assert (log.profile, log.started_ns) == ("px4-log", 0)
 
 
-def test_a_sample_has_the_time_at_which_it_was_taken(tmp_path: Path) -> None:
-    records = [sensors(2_000, 0.5, -300), sensors(6_000, 0.5, 2**31 - 1), ATTITUDE.record(2_000, 1_900, 1, 0, 0, 0)]
-    log = read(tmp_path, ulog([SENSORS, ATTITUDE], records))
-    assert log[Signal.BODY_RATE].t_ns.tolist() == [2_000_000, 6_000_000]
-    assert log[Signal.SPECIFIC_FORCE].t_ns.tolist() == [1_700_000]  # the second was never taken
-    assert log[Signal.ATTITUDE].t_ns.tolist() == [1_900_000]
-
-
-def test_rotor_speeds_come_from_nested_reports(tmp_path: Path) -> None:
-    fields = b"esc_status:uint64_t timestamp;esc_report[8] esc;"
-    body = struct.pack("<HQ", 1, 5) + b"".join(struct.pack("<if", rpm, 1.0) for rpm in (6000, -3000, 0, 0, 0, 0, 0, 0))
-    subscription = ulog_message("A", struct.pack("<BH", 0, 1) + b"esc_status")
-    content = ulog([], [ESC.definition(), ulog_message("F", fields), subscription, ulog_message("D", body)])
-    speeds = read(tmp_path, content)[Signal.ROTOR_SPEED].values[0].tolist()
-    assert speeds == pytest.approx([200 * math.pi, 100 * math.pi])
-
-
-def test_gps_dates_the_first_sample(tmp_path: Path) -> None:
-    records = [sensors(4_000_000), GPS.record(4_500_000, 0), GPS.record(5_000_000, 1_577_880_000_000_000)]
-    assert read(tmp_path, ulog([SENSORS, GPS], records)).started_ns == 1_577_879_999_000_000_000
-
-
-def test_nothing_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    unknown = ulog_message("D", struct.pack("<HQ", 99, 1))
-    read(tmp_path, ulog([SENSORS], [sensors(1), unknown, b"\0\0\0\0\0", sensors(2)]))
-    assert capsys.readouterr() == ("", "")
-
-
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
@@ -138,39 +104,3 @@ def test_l6_outputs_that_never_move_are_no_motors(tmp_path: Path) -> None:
     rows = [OUTPUTS.record(1_000 * k, 1100.0 + k, 1200.0, 1300.0 + k, *still, *(0.0,) * 11) for k in range(1, 9)]
     log = read(tmp_path, ulog([SENSORS, OUTPUTS], [sensors(1_000), *rows]))
     assert log["actuator"].values.shape == (8, 3)
-
-
-def calls_of(work: Callable[[], object]) -> int:
-    """How many functions are called in it: a measure of work that does not depend on the machine."""
-    count = 0
-
-    def counted(frame: FrameType, event: str, arg: object) -> None:
-        nonlocal count
-        count += event in ("call", "c_call")
-
-    sys.setprofile(counted)
-    try:
-        work()
-    finally:
-        sys.setprofile(None)
-    return count
-
-
-@pytest.mark.parametrize("where", [100, 199])
-def test_space_that_the_logger_reserved_costs_as_much_however_long_it_is(where: int, tmp_path: Path) -> None:
-    records, sync = [sensors(k) for k in range(1, 200)], ulog_message("S", b"\x2f\x73\x13\x20\x25\x0c\xbb\x12")
-    plain, steps = read(tmp_path, ulog([SENSORS], records)), []
-    for megabytes in (1, 8):
-        content = ulog([SENSORS], [*records[:where], bytes(megabytes << 20) + sync, *records[where:]])
-        np.testing.assert_array_equal(read(tmp_path, content)["body_rate"].values, plain["body_rate"].values)
-        steps.append(calls_of(partial(read, tmp_path, content)))
-    assert steps[1] <= 1.2 * steps[0]
-
-
-def test_parameters_that_are_not_set_are_left_out(tmp_path: Path) -> None:
-    def parameter(name: str, value: float) -> bytes:
-        key = f"float {name}".encode()
-        return ulog_message("P", bytes([len(key)]) + key + struct.pack("<f", value))
-
-    records = [parameter("A", NAN), parameter("B", math.inf), parameter("C", 2.0), sensors(1)]
-    assert read(tmp_path, ulog([SENSORS], records)).parameters == {"C": 2.0}

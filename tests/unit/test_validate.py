@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from identification_data import ROLL, WELL, octave, record
+from identification_data import ROLL, octave, record
 from numpy.testing import assert_allclose
-from scipy.stats import chi2
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import fit
-from mavdiag.identify.validate import examine_residual, nrmse_percent, one_step_report, r_squared, validate
+from mavdiag.identify.validate import examine_residual, one_step_report, validate
 
 
 @pytest.mark.parametrize("index", range(24))
@@ -26,52 +25,31 @@ def test_octave_residual_figures(index: int) -> None:
     assert report.acf_band99 == pytest.approx(case["conf99_band"], rel=1e-4)
     assert_allclose(report.acf, case["res_acf"], atol=1e-9)
     assert_allclose(report.ccf, case["res_ccf_pos"], atol=1e-9)
-    assert report.ljung_box_q == pytest.approx(case["ljung_box_Q25"], rel=1e-8)
-    assert report.ljung_box_p == pytest.approx(chi2.sf(report.ljung_box_q, 25), rel=1e-9)
 
 
 def test_only_the_true_structure_leaves_a_white_independent_residual() -> None:
     u, y = next((u, y) for case, u, y in map(octave, range(24)) if case["output"] == "y_eqnoise")
-    true = one_step_report(fit(u, y, (2, 2, 1), dt=0.001, method="ls"), u, y)
-    assert true.white
-    assert true.independent
-    late = one_step_report(fit(u, y, (2, 2, 2), dt=0.001, method="ls"), u, y)
-    assert not late.independent
-    low = one_step_report(fit(u, y, (1, 1, 1), dt=0.001, method="ls"), u, y)
-    assert not low.white
+    peaks = []  # of the correlations over their bands
+    for order in ((2, 2, 1), (2, 2, 2), (1, 1, 1)):  # true, late, low
+        report = one_step_report(fit(u, y, order, dt=0.001, method="ls"), u, y)
+        bands = (report.acf[1:], report.acf_band99), (report.ccf, report.ccf_band99)
+        peaks.append([float(np.abs(values).max()) / band for values, band in bands])
+    assert max(peaks[0]) < 1.3
+    assert peaks[1][1] > 2.0
+    assert peaks[2][0] > 2.0
 
 
-def test_the_tests_reject_a_true_model_about_as_often_as_they_say() -> None:
-    trials, white, independent = 400, 0, 0
-    for seed in range(trials):
+def test_the_bands_hold_99_percent_of_what_a_true_model_shows() -> None:
+    inside = np.zeros(2)
+    for seed in range(200):
         rng = np.random.default_rng(seed)
         u = np.convolve(rng.standard_normal(1049), np.ones(50) / 50, "valid")  # as slow as flight data
         report = examine_residual(rng.standard_normal(1000), u)
-        white += report.white
-        independent += report.independent
-    assert 0.97 <= white / trials <= 1.0
-    assert 0.97 <= independent / trials <= 1.0
-
-
-def test_fit_figures_by_hand() -> None:
-    y, y_sim = np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.5, 1.5, 2.5, 3.5])
-    assert r_squared(y, y_sim) == pytest.approx(1.0)  # blind to the offset
-    assert nrmse_percent(y, y_sim) == pytest.approx(100 * (1 - 1 / np.sqrt(5)))
-    assert r_squared(y, np.zeros(4)) == pytest.approx(0.0)
-    for figure in (r_squared, nrmse_percent):
-        with pytest.raises(IdentificationError, match="constant"):
-            figure(np.ones(4), y)
-
-
-def test_validation_pools_flights() -> None:
-    one, two = record(WELL, 400, 0.2, 1), record(WELL, 300, 0.2, 2)
-    pooled = validate(WELL, [one.u, two.u], [one.y, two.y])
-    errors = np.r_[one.y - one.clean, two.y - two.clean]
-    assert pooled.samples == 700
-    assert pooled.mse == pytest.approx(np.mean(errors**2))
-    assert pooled.r2t == pytest.approx(1 - errors.var() / np.r_[one.y, two.y].var())
-    with pytest.raises(IdentificationError, match="NaN"):
-        validate(WELL, one.u, np.full(400, np.nan))
+        inside += [
+            np.mean(np.abs(report.acf[1:]) <= report.acf_band99),
+            np.mean(np.abs(report.ccf) <= report.ccf_band99),
+        ]
+    assert np.all(inside / 200 > 0.98)
 
 
 def test_records_that_begin_in_motion_may_settle_first() -> None:
@@ -87,11 +65,3 @@ def test_records_that_begin_in_motion_may_settle_first() -> None:
     for settle_s, match in ((8.0, "lower it"), (-1.0, "0 or more"), (float("nan"), "0 or more")):
         with pytest.raises(IdentificationError, match=match):
             validate(ROLL, u, y, settle_s)
-
-
-def test_residuals_that_cannot_be_tested_are_refused() -> None:
-    for e, u in ((np.ones(100), np.arange(100.0)), (np.arange(100.0), np.ones(100))):
-        with pytest.raises(IdentificationError, match="constant"):
-            examine_residual(e, u)
-    with pytest.raises(IdentificationError, match="one length above 50"):
-        examine_residual(np.arange(50.0), np.arange(50.0))

@@ -1,16 +1,13 @@
 """Bytes of a link become vehicles: who enters, what is told of those who do not, and what is kept of made-up ones."""
 
-from collections import Counter
-
 import pytest
 from memory_port import memory_pair
 
-from mavdiag.errors import InputError
 from mavdiag.link.codec import Encoder, message_name
 from mavdiag.link.link import Link
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
-from mavdiag.link.profiles import PROFILES, with_imu
-from mavdiag.link.vehicles import Ack, Command, LinkDecoder, VehicleStream
+from mavdiag.link.profiles import PROFILES
+from mavdiag.link.vehicles import Ack, Command, LinkDecoder
 from mavdiag.telemetry import Signal
 
 S = 1_000_000_000
@@ -76,55 +73,6 @@ def test_b18_a_vehicle_of_unknown_profile_waits_and_says_why() -> None:
     assert "give --profile" in decoder.waiting[1]
 
 
-def test_b19_an_imu_message_that_comes_seldom_is_not_taken_for_the_profiles_own() -> None:
-    stream, sender, decoder = VehicleStream(PROFILES["ardupilot"]), Sender(), LinkDecoder(PROFILES["ardupilot"])
-    few = [frame for chunk in sender.chunks(10, MessageId.SCALED_IMU2) for frame in decoder.decoder.feed(*chunk)]
-    raw = [frame for chunk in sender.chunks(20) for frame in decoder.decoder.feed(*chunk)]
-    assert stream.step(few).get(Signal.BODY_RATE) is None
-    assert len(stream.step(raw)["body_rate"]) == 20
-    many = [frame for chunk in sender.chunks(90, MessageId.SCALED_IMU2) for frame in decoder.decoder.feed(*chunk)]
-    assert stream.step(many).get(Signal.BODY_RATE) is None
-    assert stream.profile is PROFILES["ardupilot"]
-
-
-@pytest.mark.parametrize("size", [1, 7, 600])
-def test_one_frame_of_a_slow_imu_message_does_not_settle_the_choice(size: int) -> None:
-    """RAW_IMU comes once a second and SCALED_IMU2 at 100 Hz: the log reader takes the second, and so does the link."""
-    sender, decoder = Sender(), LinkDecoder(PROFILES["ardupilot"])
-    chunks = []
-    for k in range(5):
-        chunks += sender.chunks(2 if k else 1)
-        chunks += sender.chunks(100, MessageId.SCALED_IMU2)
-    frames = [frame for chunk in chunks for frame in decoder.decoder.feed(*chunk)]
-    stream, samples = VehicleStream(PROFILES["ardupilot"]), 0
-    for at in range(0, len(frames), size):
-        gyro = stream.step(frames[at : at + size]).get(Signal.BODY_RATE)
-        samples += 0 if gyro is None else len(gyro)
-    assert (
-        stream.profile.imu
-        is with_imu(PROFILES["ardupilot"], Counter(frame.msgid for frame in frames)).imu
-        is MessageId.SCALED_IMU2
-    )
-    assert samples >= 470  # of 500
-
-
-def test_ground_stations_and_system_zero_are_no_vehicles() -> None:
-    decoder = LinkDecoder(PROFILES["ardupilot"])
-    station = Sender(255, autopilot=Autopilot.INVALID)
-    computer = Encoder(1, Component.ONBOARD_COMPUTER)
-    beat = computer.encode(MessageId.HEARTBEAT, MavType.ONBOARD_CONTROLLER, Autopilot.INVALID, 0, 0, 4, 3)
-    chunks = [(station.heartbeat(MavType.GCS), 0), (beat, 0), *Sender(255, Autopilot.INVALID).chunks(5)]
-    assert run(decoder, chunks) == 0
-    assert not decoder.vehicles
-
-
-def test_only_the_vehicle_wanted_enters() -> None:
-    decoder = LinkDecoder(only=7)
-    chunks = [pair for both in zip(Sender(1).chunks(200), Sender(7).chunks(200), strict=True) for pair in both]
-    assert run(decoder, chunks) == 200
-    assert list(decoder.vehicles) == [7]
-
-
 def test_acknowledgements_and_commands_are_handed_out() -> None:
     decoder, sender, station = LinkDecoder(PROFILES["ardupilot"]), Sender(), Encoder(255, 190)
     run(decoder, sender.chunks(5))
@@ -167,23 +115,6 @@ def test_a_link_is_iterated() -> None:
         assert link.stream is not None
     assert not near.connected
     far.close()
-
-
-def test_a_link_without_a_vehicle_says_why() -> None:
-    near, far = memory_pair()
-    link = Link(near)
-    with pytest.raises(InputError, match="nothing was received"):
-        link.record(0.01)
-    far.send(Encoder(255, 190).encode(MessageId.ATTITUDE, 1))
-    with pytest.raises(InputError, match="system ids 255 send"):
-        link.record(0.01)
-    for sender in (Sender(1), Sender(2)):
-        for data, _ in sender.chunks(300):
-            far.send(data)
-    with pytest.raises(InputError, match="vehicles 1, 2; choose one"):
-        link.record(2.0)
-    far.close()
-    link.close()
 
 
 def attitudes(sender: Sender, n: int) -> list[tuple[bytes, int]]:

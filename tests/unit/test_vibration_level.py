@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from made_thresholds import calibrated
 
-from mavdiag.errors import InputError
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
 from mavdiag.testing import example_context, example_rows
@@ -26,23 +25,9 @@ def test_the_statistic_is_the_mean_norm_of_five_seconds() -> None:
     assert int(found.valid.sum()) == 1001
 
 
-def test_before_the_first_message_nothing_is_judged() -> None:
-    vibration = np.full((1500, 3), 0.2)
-    vibration[:400] = np.nan
-    monitor = VibrationLevel(VibrationLevelSpec(healthy=0.3))
-    _, found = monitor.step(monitor.start(), example_rows(1500, vibration=vibration))
-    assert np.flatnonzero(found.valid)[0] == 899
-    assert np.isfinite(found.value).all()
-
-
 def test_a_still_vehicle_gets_room_of_half_a_metre_per_second_squared() -> None:
     flights = [[example_rows(3000, segment=i, vibration=np.full((3000, 3), 0.01))] for i in range(3)]
     monitor, threshold = calibrated(VibrationLevel, flights, example_context())
     spec = monitor.spec
     assert spec.healthy == pytest.approx(0.01 * np.sqrt(3))
     assert threshold.value == pytest.approx(spec.healthy + 0.5)
-
-
-def test_refusals() -> None:
-    with pytest.raises(InputError, match="no VIBRATION"):
-        fit([[example_rows(100)]])

@@ -75,10 +75,3 @@ def test_figures_go_to_those_who_look_at_the_vehicle_and_a_slow_page_loses_the_o
     late = events(board.enter(1, None).next())
     assert [event["event"] for event in late[:2]] == ["hello", "about"]
     assert late[-1]["data"] == "999"
-
-
-@given(st.text(alphabet=st.characters(exclude_characters="\n")))
-def test_no_line_breaks_it(line: str) -> None:
-    board = filled(3)
-    board.take(line)
-    assert board.newest >= 3

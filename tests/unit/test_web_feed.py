@@ -1,33 +1,25 @@
 """What the live page is told on a virtual clock: entries always, figures while somebody looks."""
 
-import importlib.util
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
 import pytest
-from made_baselines import thesis
 from made_session import Story, baseline_for
-from made_telemetry import cut, flight
 from made_vehicle import START_NS, Bench, MadeVehicle
 
 from detector.config import SessionSettings, Settings
-from detector.figures import VehicleFigures
-from detector.values import SessionSpec
-from detector.web.child import Place, ServerProcess
+from detector.values import SessionSpec, VehicleFigures
+from detector.web.child import ServerProcess
 from detector.web.feed import Feed
-from detector.web.snapshot import BIN_NS, Json, Level, Snapshots, about, strips_of
+from detector.web.snapshot import Json, Level, Snapshots, about
 from mavdiag.airframe.layout import layout_named
 from mavdiag.as_json import json_line
-from mavdiag.chain import Chain, chain_of
-from mavdiag.errors import UsageError
 from mavdiag.kernel import Piece
 from mavdiag.link.profiles import PROFILES
-from mavdiag.telemetry import Axis, Instant, Signal
-from mavdiag.traces import SlotTrace, slot_traces
+from mavdiag.telemetry import Instant
 
 SETTINGS = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
 
@@ -120,37 +112,6 @@ def test_a_child_without_room_loses_figures_and_no_entry(bench: Bench, child: Fa
     assert any("FAULT" in str(one.get("text")) for one in child.of("J"))
 
 
-def test_a_child_that_began_anew_gets_everything_that_is_kept(bench: Bench, child: FakeChild) -> None:
-    bench.run(6.0)
-    known = child.numbers
-    child.lines.clear()
-    child.fresh = True
-    bench.run(1.0)
-    assert child.numbers[: len(known)] == known
-    assert child.of("F")
-    child.says = ["watch 1"]
-    bench.run(1.0)
-    assert child.of("A")
-
-
-def test_without_the_library_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    process = ServerProcess(Place("127.0.0.1", 0, None), "r", lambda line: None)
-    with pytest.raises(UsageError, match=r"^--web needs aiohttp, .* pip install 'mavdiag\[web\]'$"):
-        process.start()
-
-
-def test_what_pages_say_cannot_load_or_stop_it(bench: Bench, child: FakeChild) -> None:
-    child.says = ["watch " + " ".join(str(k) for k in range(300)), "", "watch x -1 99999999999999999999", "listening 1"]
-    bench.run(2.0)
-    child.says = ["watch 77 1"]
-    bench.run(2.0)
-    assert {one["vehicle"] for one in child.of("N")} <= {1, 2}
-
-
-# --- One vehicle's figures
-
-
 @dataclass
 class Watched:
     """A made flight, and what the page shows of it."""
@@ -173,7 +134,7 @@ class Watched:
 
     def shown(self, *pieces: Piece) -> Json:
         session = self.story.session
-        figures = VehicleFigures(1, session.state, 10, 0, 100.0, 1.0, 0)
+        figures = VehicleFigures(1, session.state, 10, 0, 1.0, 0)
         return self.snapshots.next(figures, session, pieces, self.story.now)
 
 
@@ -182,10 +143,6 @@ def watched() -> Watched:
     baseline = baseline_for(names=("fsd", "rotor_trim", "vibration_level", "unbalance"))
     settings = SessionSettings(negotiate=False)
     return Watched(Story(SessionSpec(PROFILES["qdrone2"], baseline, settings)))
-
-
-def reasons(shown: dict[str, Any]) -> list[str]:
-    return [slot["reason"] for slot in shown["slots"]]
 
 
 def test_a_flight_from_waiting_to_a_fault_and_to_the_ground(watched: Watched) -> None:
@@ -203,7 +160,7 @@ def test_a_flight_from_waiting_to_a_fault_and_to_the_ground(watched: Watched) ->
     assert found["sentence"] == "roll attitude unlike the model"
     ground = watched.after(10.0, outputs=True, armed=False)
     assert ground["level"] == Level.NOT_JUDGED
-    assert set(reasons(ground)) == {"not armed", "no VIBRATION"}
+    assert {slot["reason"] for slot in ground["slots"]} == {"not armed", "no VIBRATION"}
     assert all(slot["value"] is None for slot in ground["slots"])
 
 
@@ -228,54 +185,3 @@ def test_what_a_vehicle_is_judged_by_is_told(watched: Watched) -> None:
 
 
 # --- The strips: the same points however the flight is cut, and no peak is lost
-
-
-@pytest.fixture(scope="module")
-def judged() -> tuple[Chain, list[Piece]]:
-    chain, telemetry = chain_of(thesis()), flight(6000, 5)
-    state, pieces = chain.start(), list[Piece]()
-    began_ns = int(telemetry[Signal.BODY_RATE].host_ns[0])
-    for chunk in cut(telemetry, [began_ns + k * 130_000_000 for k in range(1, 46)]):
-        state, output = chain.step(state, chunk)
-        pieces += output.pieces
-    return chain, pieces
-
-
-def merged(strips: list[Json]) -> dict[int, tuple[float, float, float, bool]]:
-    """As the page puts them together: points of one bin become one."""
-    found: dict[int, tuple[float, float, float, bool]] = {}
-    for strip in strips:
-        for i, number in enumerate(strip["bins"]):
-            low, high, fsd_s, valid = found.get(number, (np.inf, -np.inf, 0.0, False))
-            longest, judged = max(fsd_s, strip["fsd_s"][i]), valid or strip["judged"][i]
-            found[number] = min(low, strip["low"][i]), max(high, strip["high"][i]), longest, judged
-    return found
-
-
-@pytest.mark.parametrize("size", [1, 2, 7])
-def test_any_cut_gives_the_same_points(judged: tuple[Chain, list[Piece]], size: int) -> None:
-    chain, pieces = judged
-    whole = strips_of(slot_traces(chain, pieces))
-    parts = [strips_of(slot_traces(chain, pieces[i : i + size])) for i in range(0, len(pieces), size)]
-    assert [one["axis"] for one in whole] == [Axis.ROLL, Axis.PITCH]
-    for number, one in enumerate(whole):
-        assert merged([part[number] for part in parts]) == merged([one])
-
-
-def test_no_peak_is_lost_and_there_are_few_points(judged: tuple[Chain, list[Piece]]) -> None:
-    chain, pieces = judged
-    rows = sum(len(piece.rows.rates) for piece in pieces)
-    for number, strip in enumerate(strips_of(slot_traces(chain, pieces))):
-        signal = np.concatenate([piece.found[number].signal for piece in pieces])
-        t_ns = np.concatenate([piece.found[number].t_ns for piece in pieces])
-        assert max(strip["high"]) == pytest.approx(float(signal.max()), abs=1e-5)
-        assert min(strip["low"]) == pytest.approx(float(signal.min()), abs=1e-5)
-        assert strip["bins"] == sorted(set((t_ns // BIN_NS).tolist()))
-        assert len(strip["bins"]) <= rows / 4
-
-
-def test_a_model_that_runs_away_gives_figures_all_the_same(judged: tuple[Chain, list[Piece]]) -> None:
-    chain, pieces = judged
-    wild = [replace(one, signal=np.where(one.signal > 0, np.inf, np.nan)) for one in pieces[0].found]
-    for strip in strips_of([SlotTrace(slot, found) for slot, found in zip(chain.slots, wild, strict=True)]):
-        assert np.isfinite([*strip["low"], *strip["high"]]).all()

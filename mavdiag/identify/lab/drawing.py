@@ -1,7 +1,4 @@
-"""A model drawn: Bode diagram, step response, poles, and the correlations of its residual (edge: it writes a picture).
-
-By matplotlib, which python-control brings, without a window: the file's suffix chooses the format.
-"""
+"""A model drawn: Bode diagram, step response, poles, correlations of its residual (edge: it writes a picture)."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,8 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavdiag.errors import UsageError
+from mavdiag.identify.lab.comparison import MIN_COHERENCE, FrequencyResponse, model_response
 from mavdiag.identify.lab.figures import deviations
-from mavdiag.identify.lab.frequency import MIN_COHERENCE, FrequencyResponse, model_response
 from mavdiag.identify.model import ArxModel
 from mavdiag.identify.validate import ResidualReport
 from mavdiag.telemetry import FloatArray
@@ -33,8 +30,8 @@ def draw_model(
 ) -> None:
     """Write the picture. Bands and bars are one standard error; dashed lines hold 99 % of a true model's values.
 
-    residual: tests of y - y_sim, else its two panels are left out. measured: response of the data, drawn as dots.
-    Raises UsageError if the file's suffix is none that matplotlib writes, or the file cannot be written.
+    residual: tests of y - y_sim. measured: response of the data, drawn as dots. Raises UsageError if the file's suffix
+    is none that matplotlib writes, or the file cannot be written.
     """
     from matplotlib.figure import Figure
 
@@ -54,12 +51,12 @@ def draw_model(
     axes[1][1].plot(model.poles.real, model.poles.imag, "x")
     axes[1][1].set(xlabel="Re z", ylabel="Im z", aspect="equal", title="poles")
     if residual is not None:
-        with_itself = (axes[2][0], residual.acf, residual.acf_band99, "residual with itself")
-        with_input = (axes[2][1], residual.ccf, residual.ccf_band99, "residual with the input")
-        for panel, values, band, label in (with_itself, with_input):
+        for panel, values, band, label in (
+            (axes[2][0], residual.acf, residual.acf_band99, "residual with itself"),
+            (axes[2][1], residual.ccf, residual.ccf_band99, "residual with the input"),
+        ):
             panel.stem(np.arange(len(values)), values, basefmt=" ")
-            for limit in (-band, band):
-                panel.axhline(limit, linestyle="--", color="grey")
+            panel.hlines((-band, band), 0, len(values) - 1, linestyles="--", color="grey")
             panel.set(xlabel="lag [samples]", title=label)
     try:
         picture.savefig(path)

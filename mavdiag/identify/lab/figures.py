@@ -1,7 +1,6 @@
 """What a control engineer reads off a model: poles, damping, bandwidth, margins, DC gain, each with a standard error.
 
-The standard errors follow from the covariance of the parameters by the delta method: the change of a figure along each
-principal direction of the covariance, for a hundredth of a standard deviation, summed in squares.
+By the delta method: the change along each principal direction of the parameters' covariance, summed in squares.
 """
 
 import warnings
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavdiag.identify.arx import polynomials
-from mavdiag.identify.lab.frequency import model_response
+from mavdiag.identify.lab.comparison import model_response
 from mavdiag.identify.model import ArxModel
 from mavdiag.telemetry import FloatArray
 
@@ -26,7 +25,7 @@ DROP = 10 ** (-3 / 20)  # bandwidth: where the gain is 3 dB below the gain at re
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One figure; None where it does not exist. standard_error: in its unit; None where it is not known."""
+    """One figure and its standard error, in its unit; None where it does not exist, or is not known."""
 
     value: float | None
     standard_error: float | None
@@ -34,11 +33,9 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class PoleFigures:
-    """One pole of the discrete model, or a conjugate pair.
+    """One pole z of the discrete model, or a conjugate pair, of which imaginary is positive.
 
-    real, imaginary: of z; imaginary is 0 or positive.
-    natural_hz: |ln z| / (2 pi dt).
-    damping: ratio -Re(ln z) / |ln z|; 1 for a real pole between 0 and 1.
+    natural_hz: |ln z| / (2 pi dt). damping: ratio -Re(ln z) / |ln z|; 1 for a real pole between 0 and 1.
     """
 
     real: Figure
@@ -49,10 +46,9 @@ class PoleFigures:
 
 @dataclass(frozen=True, slots=True)
 class ModelFigures:
-    """The figures of a model T from commanded to measured rate.
+    """The figures of a model T from commanded to measured rate; dc_gain: B(1)/A(1).
 
-    dc_gain: B(1)/A(1).
-    bandwidth_hz: lowest frequency at which |T| is 3 dB below the DC gain; None if it never is.
+    bandwidth_hz: lowest frequency at which |T| is 3 dB below the DC gain.
     gain_margin_db, phase_margin_deg: of the loop L = T / (1 - T), which unit feedback closes to T.
     modulus_margin: least distance of L from -1, 1 / max |1 - T|; 0.5 and more is a robust loop.
     errors_from: what the standard errors rest on.
@@ -71,8 +67,7 @@ def model_figures(model: ArxModel) -> ModelFigures:
     """All figures of a model.
 
     >>> from mavdiag.identify.model import Method
-    >>> model = ArxModel(np.array([1, -0.9]), np.array([0, 0.1]), 0.01, (1, 1, 1), Method.PUBLISHED)
-    >>> found = model_figures(model)
+    >>> found = model_figures(ArxModel(np.array([1, -0.9]), np.array([0, 0.1]), 0.01, (1, 1, 1), Method.PUBLISHED))
     >>> round(found.poles[0].natural_hz.value, 3), round(found.dc_gain.value, 6), found.dc_gain.standard_error
     (1.677, 1.0, None)
     """
@@ -83,7 +78,10 @@ def model_figures(model: ArxModel) -> ModelFigures:
             warnings.simplefilter("ignore")  # of a pole at z = 0, which has no frequency; of the way control takes
             return _values(one, upper)
 
-    found = [_figure(*pair) for pair in zip(values(model), deviations(model, values), strict=True)]
+    found = [
+        Figure(value if np.isfinite(value) else None, error if np.isfinite((value, error)).all() else None)
+        for value, error in np.stack((values(model), deviations(model, values))).T.tolist()
+    ]
     poles = tuple(PoleFigures(*found[4 * i : 4 * i + 4]) for i in range(len(upper)))
     rests_on = "nothing: the model carries no standard errors"
     if np.isfinite(model.covariance).all():
@@ -95,9 +93,9 @@ def model_figures(model: ArxModel) -> ModelFigures:
 
 
 def deviations(model: ArxModel, values: Callable[[ArxModel], FloatArray]) -> FloatArray:
-    """Standard errors of any figures of a model, (k,); nan where the parameters' own are not known.
+    """Standard errors of any figures `values` of a model, (k,); nan where the parameters' own are not known.
 
-    values: the figures of a model, (k,). Where the correlations of the parameters are not known, none are assumed.
+    Where the correlations of the parameters are not known, none are assumed.
     """
     known = np.isfinite(model.covariance).all()
     covariance = model.covariance if known else np.diag(model.standard_errors**2)
@@ -114,14 +112,8 @@ def deviations(model: ArxModel, values: Callable[[ArxModel], FloatArray]) -> Flo
     return np.asarray(np.sqrt(squares), dtype=np.float64)
 
 
-def _figure(value: float, error: float) -> Figure:
-    exists, known = np.isfinite(value), np.isfinite(error)
-    return Figure(float(value) if exists else None, float(error) if exists and known else None)
-
-
 def _values(model: ArxModel, upper: "NDArray[np.complex128]") -> FloatArray:
-    """Of the poles next to these: real and imaginary part, natural frequency [Hz] and damping, one after another; then
-    DC gain, bandwidth [Hz], gain margin [dB], phase margin [deg], modulus margin; nan where there is none."""
+    """In the order of `PoleFigures`, of the poles next to these, and `ModelFigures`; nan where there is none."""
     import control
 
     natural, damping, poles = control.damp(model.to_control(), doprint=False)

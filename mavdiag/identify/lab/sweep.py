@@ -1,7 +1,7 @@
 """Sweeps over model orders and filter windows, the thesis's way to choose both (T 5.3, 5.4, Fig 5.5)."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
 from typing import TypeAlias
@@ -13,14 +13,15 @@ from mavdiag.identify.model import ArxModel, Method, Order
 from mavdiag.identify.validate import validate
 
 Flights: TypeAlias = tuple[Records, Records]  # u and y
-Prepare: TypeAlias = Callable[[int], Flights]  # window in samples -> u and y filtered with it
+Candidate: TypeAlias = tuple[Order, int, Flights, Flights | None]  # window in samples; training, validation flights
 
-NA, NB, NK = range(1, 4), range(1, 6), range(5)  # T 5.4 tried 2 and 3 poles, numerators 0-4, delays 0-4
+#: T 5.4 tried 2 and 3 poles, numerators 0-4, delays 0-4.
+ORDERS: tuple[Order, ...] = tuple(product(range(1, 4), range(1, 6), range(5)))
 
 
 @dataclass(frozen=True, slots=True)
 class SweepRow:
-    """One candidate. model is None where identification refused, and `refused` then says why, else it is empty.
+    """One candidate. model is None where identification refused, and `refused` then says why.
 
     window: samples, 0 in an order sweep. r2t_validation: R_T^2 on the validation flights, nan without them.
     """
@@ -39,61 +40,29 @@ class SweepRow:
         return self.model.r2t if math.isnan(self.r2t_validation) else self.r2t_validation
 
 
-def _row(
-    train: Flights, validation: Flights | None, order: Order, dt: float, method: Method | str, window: int = 0
-) -> SweepRow:
-    try:
-        model = fit(*train, order, dt=dt, method=method)
-    except IdentificationError as error:
-        return SweepRow(order, window, None, math.nan, str(error))
-    r2t = validate(model, *validation).r2t if validation is not None else math.nan
-    return SweepRow(order, window, model, r2t, "")
+def sweep(candidates: Iterable[Candidate], *, dt: float, method: Method | str = Method.SRIV) -> tuple[SweepRow, ...]:
+    """Fit each candidate on its training flights and judge it on its validation flights; a row for each.
 
-
-def order_sweep(
-    train: Flights,
-    validation: Flights | None = None,
-    *,
-    dt: float,
-    method: Method | str = Method.SRIV,
-    na: Iterable[int] = NA,
-    nb: Iterable[int] = NB,
-    nk: Iterable[int] = NK,
-) -> tuple[SweepRow, ...]:
-    """Fit every order on the training flights (u, y) and judge it on the validation flights; one row per order.
-
-    An order that cannot be identified, or is unstable, as the thesis found with three poles, is a row with its reason.
-    Raises IdentificationError only if the validation flights themselves cannot be used.
+    R_T^2 is taken against data filtered with the candidate's own window, as in the thesis (T Fig 5.5). Raises
+    IdentificationError only if validation flights cannot be used.
     """
-    return tuple(_row(train, validation, order, dt, method) for order in product(na, nb, nk))
-
-
-def window_sweep(
-    prepare: Prepare,
-    windows: Iterable[int],
-    *,
-    dt: float,
-    order: Order = (2, 2, 1),
-    method: Method | str = Method.SRIV,
-    prepare_validation: Prepare | None = None,
-) -> tuple[SweepRow, ...]:
-    """Fit one order at each filter window (T Fig 5.5); `prepare` filters the training flights with a window.
-
-    Both R_T^2 are taken against data filtered with the row's own window, as in the thesis: a wide window also makes
-    the target easier. Raises IdentificationError only if the validation flights cannot be used.
-    """
-    held_out = prepare_validation
-    return tuple(
-        _row(prepare(window), None if held_out is None else held_out(window), order, dt, method, window)
-        for window in windows
-    )
+    rows = []
+    for order, window, train, validation in candidates:
+        try:
+            model = fit(*train, order, dt=dt, method=method)
+        except IdentificationError as error:
+            rows.append(SweepRow(order, window, None, math.nan, str(error)))
+            continue
+        r2t = validate(model, *validation).r2t if validation is not None else math.nan
+        rows.append(SweepRow(order, window, model, r2t, ""))
+    return tuple(rows)
 
 
 def best_row(rows: Iterable[SweepRow], tolerance: float = 0.01) -> SweepRow:
-    """The row with the lowest YIC among those whose R_T^2 is within `tolerance` of the best.
+    """The row with the lowest YIC among those whose R_T^2 is within `tolerance` (our choice) of the best.
 
-    Young's practice: fit decides first, then how well the parameters are known, which punishes extra ones. The
-    tolerance is our choice. Raises IdentificationError if no row has a model.
+    Young's practice: fit decides first, then how well the parameters are known. Raises IdentificationError if no row
+    has a model.
     """
     usable = [(row, row.model.yic) for row in rows if row.model is not None]
     if not usable:

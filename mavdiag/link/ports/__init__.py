@@ -15,8 +15,9 @@ import os
 import re
 import socket
 import time
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from enum import StrEnum
+from typing import NamedTuple, TypeAlias
 
 from mavdiag.errors import LinkError, UsageError
 from mavdiag.link.ports.base import Chunk, Clock, Endpoint, SocketAddress, Traffic, link_error, wait
@@ -24,20 +25,9 @@ from mavdiag.link.ports.serial import Serial
 from mavdiag.link.ports.tcp import TcpClient, TcpServer
 from mavdiag.link.ports.udp import PEER_FRESH_S, UdpIn, UdpOut
 
-__all__ = [
-    "PEER_FRESH_S",
-    "Address",
-    "Chunk",
-    "Endpoint",
-    "Kind",
-    "SocketAddress",
-    "Traffic",
-    "check_address",
-    "open_endpoint",
-    "parse_address",
-    "wait",
-]
+__all__ = ["PEER_FRESH_S", "Chunk", "Endpoint", "SocketAddress", "Traffic", "wait"]
 
+_NetworkPort: TypeAlias = Callable[[str, socket.AddressFamily, SocketAddress, Clock], Endpoint]
 _NETWORK = re.compile(r"(?P<kind>udpin|udpout|tcp|tcpin):(?P<host>\[[0-9A-Fa-f:.%\w]+\]|[^:\[\]\s]+):(?P<port>\d{1,5})")
 _SERIAL = re.compile(r"(?P<device>/[^,\s]+),(?P<baud>[1-9]\d{0,7})")
 
@@ -52,13 +42,12 @@ class Kind(StrEnum):
     SERIAL = "serial"
 
 
-@dataclass(frozen=True, slots=True)
-class Address:
-    """An address taken apart: what it is of, host or device, port or baud."""
+class Address(NamedTuple):
+    """An address taken apart."""
 
     kind: Kind
-    place: str
-    number: int
+    place: str  # host or device
+    number: int  # port or baud
 
 
 def parse_address(text: str) -> Address:
@@ -93,34 +82,26 @@ def check_address(address: str) -> None:
         raise link_error(address, OSError(errno.EACCES if there else errno.ENOENT, ""))
 
 
-def open_endpoint(
-    address: str,
-    *,
-    clock: Clock = time.monotonic_ns,
-    peer_fresh_s: float = PEER_FRESH_S,
-    absent_ok: bool = False,
-) -> Endpoint:
+def open_endpoint(address: str, *, clock: Clock = time.monotonic_ns, absent_ok: bool = False) -> Endpoint:
     """Open one end of a link.
 
-    clock: the host clock that stamps what is received [ns]. peer_fresh_s: how long `udpin` answers a silent peer [s].
-    absent_ok: whether a serial device may come later.
+    clock: the host clock that stamps what is received [ns]. absent_ok: whether a serial device may come later.
     Raises UsageError for a malformed address; LinkError for a busy port, an unknown host, a missing device or a missing
     right. An absent peer is no error.
     """
     parsed = parse_address(address)
     if parsed.kind is Kind.SERIAL:
         return Serial(address, parsed.place, parsed.number, clock, absent_ok=absent_ok)
-    datagrams = parsed.kind in (Kind.UDP_IN, Kind.UDP_OUT)
-    family, place = _resolve(address, parsed, socket.SOCK_DGRAM if datagrams else socket.SOCK_STREAM)
-    match parsed.kind:
-        case Kind.UDP_IN:
-            return UdpIn(address, family, place, clock, peer_fresh_s)
-        case Kind.UDP_OUT:
-            return UdpOut(address, family, place, clock)
-        case Kind.TCP_CLIENT:
-            return TcpClient(address, family, place, clock)
-        case _:
-            return TcpServer(address, family, place, clock)
+    port, kind = _PORTS[parsed.kind]
+    return port(address, *_resolve(address, parsed, kind), clock)
+
+
+_PORTS: Mapping[Kind, tuple[_NetworkPort, socket.SocketKind]] = {
+    Kind.UDP_IN: (UdpIn, socket.SOCK_DGRAM),
+    Kind.UDP_OUT: (UdpOut, socket.SOCK_DGRAM),
+    Kind.TCP_CLIENT: (TcpClient, socket.SOCK_STREAM),
+    Kind.TCP_SERVER: (TcpServer, socket.SOCK_STREAM),
+}
 
 
 def _resolve(address: str, parsed: Address, kind: socket.SocketKind) -> tuple[socket.AddressFamily, SocketAddress]:

@@ -4,13 +4,15 @@ Edge module: file descriptors and the host clock live here and in the modules be
 """
 
 import errno
+import os
 import select
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import Self, TypeAlias
+from typing import TypeAlias
 
 from mavdiag.errors import LinkError
 
@@ -21,6 +23,8 @@ SocketAddress: TypeAlias = tuple[str | int | bytes, ...]  # as the socket module
 # An endpoint that lost its peer or device looks for it, while it is polled: after the first time, then after twice as
 # long each time, up to the second (our choices). It begins anew when a connection has lasted longer than that.
 RETRY_S, RETRY_MAX_S = 0.25, 4.0
+_READ_BYTES = 65_536
+_DRAIN_READS = 16  # reads per call, so that a flood cannot hold the caller
 
 _NO_DEVICE = "no such device: plug it in, or look for its name with `ls /dev/tty*`"
 _ADVICE = {
@@ -43,24 +47,19 @@ def link_error(address: str, error: OSError) -> LinkError:
 
 @dataclass(slots=True)
 class Traffic:
-    """What an endpoint did since it was opened.
+    """What an endpoint did since it was opened."""
 
-    received: chunks handed to the caller (datagrams, or reads of a byte stream). sent: messages handed to the system,
-    one count per peer; dropped: those that did not get that far, or that the peer's host refused. overflowed: datagrams
-    that the system threw away because nobody read them in time. turned_away: clients of a server that were turned away
-    or hung up on: too many, idle, or nothing but garbage.
-    """
-
-    received: int = 0
-    sent: int = 0
-    dropped: int = 0
-    overflowed: int = 0
-    turned_away: int = 0
+    received: int = 0  # chunks handed to the caller: datagrams, or reads of a byte stream
+    sent: int = 0  # messages handed to the system, one count per peer
+    dropped: int = 0  # those that did not get that far, or that the peer's host refused
+    overflowed: int = 0  # datagrams that the system threw away because nobody read them in time
+    turned_away: int = 0  # clients of a server that were too many, idle, or sent nothing but garbage
 
 
-class Endpoint(ABC):
+class Endpoint(AbstractContextManager["Endpoint"]):
     """One end of a link. Once it is open, nothing that the peer or the wire does raises.
 
+    address: in the notation of `open_endpoint`, with the port that was really bound.
     datagrams: whether a chunk is a datagram, so that what it leaves unfinished must not be joined to the next one.
     sources: the sender of each chunk that the latest `receive` returned; empty where there is one other end.
     """
@@ -69,16 +68,9 @@ class Endpoint(ABC):
     sources: Sequence[SocketAddress] = ()
 
     def __init__(self, address: str, clock: Clock) -> None:
-        self._address = address
-        self._clock = clock
-        self._count = Traffic()
+        self.address, self._clock, self._count = address, clock, Traffic()
         self._trust: Sequence[SocketAddress] = ()
         self._alone = False
-
-    @property
-    def address(self) -> str:
-        """The address in the notation of `open_endpoint`, with the port that was really bound."""
-        return self._address
 
     @property
     def traffic(self) -> Traffic:
@@ -103,10 +95,7 @@ class Endpoint(ABC):
         return chunks
 
     def trust(self, sources: Collection[SocketAddress], *, alone: bool) -> None:
-        """Name the senders that matter. Where strangers can send too, a flood of theirs does not hide these.
-
-        alone: only they are answered.
-        """
+        """Name the senders that a flood of strangers must not hide. alone: only they are answered."""
         self._trust, self._alone = tuple(sources), alone
 
     @abstractmethod
@@ -125,9 +114,6 @@ class Endpoint(ABC):
     def _drain(self) -> list[Chunk]:
         """Take what is there without waiting; reconnect if it is time to."""
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
 
@@ -143,3 +129,101 @@ def wait(endpoints: Iterable[Endpoint], timeout_s: float) -> list[Endpoint]:
         poll.register(fileno, select.POLLIN)
     ready = poll.poll(max(0.0, timeout_s) * 1e3)
     return list({id(owner[fileno]): owner[fileno] for fileno, _ in ready}.values())
+
+
+class Stream:
+    """One connected, non-blocking byte stream over a descriptor. Messages go out whole or not at all."""
+
+    def __init__(self, fileno: int, close: Callable[[], None]) -> None:
+        self.fileno, self.close = fileno, close
+        self._tail = b""  # the rest of a message that the system took only in part
+
+    def read(self, most_bytes: int = _READ_BYTES) -> bytes | None:
+        """What is there; b"" if nothing; None if the stream has ended."""
+        try:
+            return os.read(self.fileno, most_bytes) or None
+        except BlockingIOError:
+            return b""
+        except OSError:
+            return None
+
+    def write(self, data: bytes) -> bool:
+        """Whether the message was taken. If only part of it fits, the rest goes before the next message."""
+        try:
+            if self._tail:
+                self._tail = self._tail[os.write(self.fileno, self._tail) :]
+            if self._tail:
+                return False
+            self._tail = data[os.write(self.fileno, data) :]
+            return True
+        except OSError:  # full, or ended: the next read shows which
+            return False
+
+
+class Reconnecting(Endpoint):
+    """One stream that is opened again, while it is polled, after it has ended: see `RETRY_S`."""
+
+    def __init__(self, address: str, clock: Clock) -> None:
+        super().__init__(address, clock)
+        self._stream: Stream | None = None
+        self._retry_at = 0.0  # monotonic clock [s]; infinite once closed
+        self._opened_at, self._pause_s = 0.0, RETRY_S
+
+    @abstractmethod
+    def _open(self) -> Stream:
+        """Open the stream. Raises OSError."""
+
+    @property
+    def connected(self) -> bool:
+        """Whether the stream is open."""
+        return self._stream is not None
+
+    def filenos(self) -> tuple[int, ...]:
+        """The stream's descriptor, while there is one."""
+        return () if self._stream is None else (self._stream.fileno,)
+
+    def send(self, data: bytes) -> None:
+        """Send one message whole, or drop and count it."""
+        taken = self._stream is not None and self._stream.write(data)
+        self._count.sent += taken
+        self._count.dropped += not taken
+
+    def close(self) -> None:
+        """Close the stream for good."""
+        self._hang_up()
+        self._retry_at = float("inf")
+
+    def _begin(self) -> None:
+        self._stream, self._opened_at = self._open(), time.monotonic()
+
+    def _hang_up(self) -> None:
+        if self._stream is not None:
+            self._stream.close()
+            self._wait()
+        self._stream = None
+
+    def _wait(self) -> None:
+        """Set the time of the next try."""
+        now = time.monotonic()
+        if self._stream is not None and now - self._opened_at > RETRY_MAX_S:
+            self._pause_s = RETRY_S
+        self._retry_at = now + self._pause_s
+        self._pause_s = min(2.0 * self._pause_s, RETRY_MAX_S)
+
+    def _drain(self) -> list[Chunk]:
+        if self._stream is None and time.monotonic() >= self._retry_at:
+            try:
+                self._begin()
+            except OSError:  # still absent: the next retry may find it
+                self._wait()
+                return []
+        chunks: list[Chunk] = []
+        while self._stream is not None and len(chunks) < _DRAIN_READS:
+            data = self._stream.read()
+            if data is None:
+                self._hang_up()
+            elif data:
+                chunks.append((data, self._clock()))
+            else:
+                break
+        return chunks

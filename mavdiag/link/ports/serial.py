@@ -2,8 +2,7 @@
 
 import serial
 
-from mavdiag.link.ports.base import Clock, link_error
-from mavdiag.link.ports.stream import Reconnecting, Stream
+from mavdiag.link.ports.base import Clock, Reconnecting, Stream, link_error
 
 
 class Serial(Reconnecting):

@@ -4,8 +4,7 @@ import socket
 import time
 
 from mavdiag.link.codec import Decoder, split_frames
-from mavdiag.link.ports.base import Chunk, Clock, Endpoint, SocketAddress, link_error
-from mavdiag.link.ports.stream import Reconnecting, Stream
+from mavdiag.link.ports.base import Chunk, Clock, Endpoint, Reconnecting, SocketAddress, Stream, link_error
 
 CLIENTS_MAX = 16  # of a server: for a further one an idle one makes room, else that one is turned away
 IDLE_S = 5.0  # without a frame, before a client may have to make room (our choice)
@@ -39,42 +38,36 @@ class TcpClient(Reconnecting):
 
 
 class _Client(Stream):
-    """One client of a server. name: its address; heard_s: when its last frame came, or it did (monotonic clock)."""
+    """One client of a server."""
 
     def __init__(self, link: socket.socket, name: SocketAddress) -> None:
         super().__init__(link.fileno(), link.close)
-        self.name, self.heard_s = name, time.monotonic()
+        self.name, self.heard_s = name, time.monotonic()  # its address; when its last frame came, or it did
         self._begun = b""  # of a frame that is not yet complete
-        self._sound: list[tuple[bytes, int]] = []
-        self._decoder = Decoder((), passed=self._sound)
-        self._garbage = 0  # bytes since the last sound frame
+        self._decoder = Decoder(())
+        self._garbage_from = 0  # bytes up to its last sound frame
+
+    @property
+    def stuffed(self) -> bool:
+        """Whether it brings nothing but garbage."""
+        return self._decoder.size - self._garbage_from >= GARBAGE_BYTES
 
     def take(self, most_bytes: int) -> bytes | None:
         """What has come, cut between frames; None if the stream has ended, or brings nothing but garbage."""
         read = self.read(most_bytes)
         if not read:
             return read
+        frames = self._decoder.records
         self._decoder.feed(read, 0)
-        if self._sound:
-            self._garbage, self.heard_s = 0, time.monotonic()
-            self._sound.clear()
-        else:
-            self._garbage += len(read)
+        if self._decoder.records > frames:
+            self._garbage_from, self.heard_s = self._decoder.size, time.monotonic()
         data = self._begun + read
         _, self._begun = split_frames(data)
         return None if self.stuffed else data.removesuffix(self._begun)
 
-    @property
-    def stuffed(self) -> bool:
-        """Whether it brings nothing but garbage."""
-        return self._garbage >= GARBAGE_BYTES
-
 
 class TcpServer(Endpoint):
-    """Accepts up to `CLIENTS_MAX` clients; sends to all, and receives of all, cut between their frames.
-
-    Raises LinkError if the port cannot be bound.
-    """
+    """Accepts up to `CLIENTS_MAX` clients; sends to all, and receives of all, cut between their frames."""
 
     def __init__(self, address: str, family: socket.AddressFamily, local: SocketAddress, clock: Clock) -> None:
         super().__init__(address, clock)
@@ -87,7 +80,7 @@ class TcpServer(Endpoint):
         except OSError as error:
             self._listener.close()
             raise link_error(address, error) from error
-        self._address = f"{address.rpartition(':')[0]}:{self._listener.getsockname()[1]}"
+        self.address = f"{address.rpartition(':')[0]}:{self._listener.getsockname()[1]}"
 
     @property
     def connected(self) -> bool:

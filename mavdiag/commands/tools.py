@@ -1,0 +1,57 @@
+"""`mavdiag ack`, `balance` and `warm`: small commands of one call each."""
+
+import getpass
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Argument, Option
+
+from mavdiag.airframe.balance import Grade, assess_unbalance, grade_named, unbalance_g_mm
+from mavdiag.as_json import json_line
+from mavdiag.commands.options import AsJson
+from mavdiag.commands.progress import working
+from mavdiag.inspections import ask
+
+
+def ack(
+    journal: Annotated[Path, Argument(metavar="JOURNAL", help="The journal of the detector.")],
+    vehicle: Annotated[int | None, Option(metavar="SYSID", help="Whose.  [default: the only open one]")] = None,
+    by: Annotated[str | None, Option(metavar="NAME", help="Who looked.  [default: the user]")] = None,
+) -> None:
+    """Acknowledge the inspection that a fault left open: the vehicle was looked at.
+
+    A detector that runs takes it up within a second, says so, and writes it to its journal; another one at its next
+    start. A fault in flight cannot be acknowledged.
+    """
+    inspection = ask(journal, vehicle, f"mavdiag ack by {by or getpass.getuser()}")
+    typer.echo(f"{inspection}: handed to the detector; its journal tells what came of it")
+
+
+def balance(
+    mass_g: Annotated[float, Option(metavar="G", help="Unbalanced mass, e.g. what a nick removed.")],
+    radius_mm: Annotated[float, Option(metavar="MM", help="Its distance from the axis.")],
+    rpm: Annotated[float, Option(metavar="RPM", help="Rotor speed.")] = 10_000.0,
+    rotor_mass_g: Annotated[float, Option(metavar="G", help="Mass of all that rotates.")] = 30.0,
+    grade: Annotated[str, Option(metavar="GRADE", help="Balance quality grade.")] = Grade.G6_3.value,
+    as_json: AsJson = False,
+) -> None:
+    """Hold an unbalance against ISO 1940-1. Exit code 0 if it is permissible, else 1."""
+    unbalance = unbalance_g_mm(mass_g, radius_mm)
+    report = assess_unbalance(unbalance, rotor_mass_g=rotor_mass_g, speed_rpm=rpm, grade=grade_named(grade))
+    typer.echo(json_line(report) if as_json else report.sentence)
+    raise typer.Exit(0 if report.within else 1)
+
+
+def warm() -> None:
+    """Compile what judges and keep the machine code; after an installation, for every user that runs the detector.
+
+    The detector does so itself at its start. It takes about a minute of processor time, and half a second later on.
+    """
+    with working("compiling"):
+        from mavdiag import chain
+
+        started = time.monotonic()
+        chain.warm()
+    typer.echo(f"compiled, or loaded from where it is kept, in {time.monotonic() - started:.1f} s")
