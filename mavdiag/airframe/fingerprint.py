@@ -9,7 +9,7 @@ It raises vibration and costs thrust: only lower noise and a lower throttle coun
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -47,8 +47,7 @@ MOVES = 0.2  # of the busiest motor's rms (our choice)
 class Trait:
     """One figure of a vehicle, and how much lower or higher than the learnt one is near and far.
 
-    floor: of its spread between flights: what those of one emulated airframe differ by, in payload and wind (estimate).
-    log: it is a natural logarithm, and a text gives the ratio.
+    floor: of its spread between flights, by payload and wind (estimate). log: it is a natural logarithm.
     """
 
     name: str
@@ -178,10 +177,7 @@ def merged(one: Fingerprint, other: Fingerprint | None) -> Fingerprint:
 
 
 def compare(fingerprint: Fingerprint, flight: Sequence[Rows], layout: RotorLayout | None) -> Likeness:
-    """Compare the first 20 s of judged flight, in chunks of any size, with a fingerprint.
-
-    A flight that shows none of the traits is alike: nothing speaks against it.
-    """
+    """Compare the first 20 s of judged flight, in chunks of any size; one that shows none of the traits is alike."""
     seen = traits(beginning(flight, FIRST_S), layout)
     known = {figure.name: (figure.mean, figure.spread) for figure in fingerprint.figures}
     learnt, spread = np.array([known.get(trait.name, (math.nan, 1.0)) for trait in TRAITS]).T
@@ -228,15 +224,14 @@ def joined(flight: Sequence[Rows]) -> list[Block]:
     out = []
     for segment, rows in itertools.groupby(flight, key=lambda one: one.block.segment):
         blocks = [one.block for one in rows]
-        outputs = max(block.actuator.shape[1] for block in blocks)  # rows before the first message have no column
-        same = [replace(block, actuator=_widened(block.actuator, outputs)) for block in blocks]
-        columns = (np.concatenate([getattr(block, name) for block in same]) for name in COLUMNS)
-        out.append(blocks[0] if len(blocks) == 1 else Block(segment, blocks[0].dt_s, *columns))
+        width = max(block.actuator.shape[1] for block in blocks)  # rows before the first message have no column
+        columns = {name: [getattr(block, name) for block in blocks] for name in COLUMNS}
+        columns["actuator"] = [
+            np.pad(x, ((0, 0), (0, width - x.shape[1])), constant_values=np.nan) for x in columns["actuator"]
+        ]
+        whole = (np.concatenate(parts) for parts in columns.values())
+        out.append(blocks[0] if len(blocks) == 1 else Block(segment, blocks[0].dt_s, *whole))
     return out
-
-
-def _widened(x: FloatArray, columns: int) -> FloatArray:
-    return np.pad(x, ((0, 0), (0, columns - x.shape[1])), constant_values=np.nan)
 
 
 def beginning(flight: Sequence[Rows], span_s: float) -> list[Block]:
@@ -304,8 +299,7 @@ def _calm(block: Block) -> BoolArray:
 def _noise(signals: Sequence[tuple[FloatArray, BoolArray, float]]) -> FloatArray:
     """(3,) logarithm of the rms of second differences in the calmest fifth of half-second windows.
 
-    What is quieter than its resolution q shows q alone: a rounding has the variance q^2/12, a second difference six
-    times that. q: the smallest step between samples, but for a few that interpolation made.
+    At least that of a rounding to the smallest usual step q: its variance is q^2/12, that of second differences q^2/2.
     """
     squares, steps = [np.empty((0, 3))], [np.empty((0, 3))]
     for values, known, dt_s in signals:

@@ -19,11 +19,9 @@ COLUMN_TOLERANCE = 1e-3  # of a column's scale: digits that a hand-written file 
 
 @dataclass(frozen=True, slots=True)
 class RotorLayout:
-    """Rotor geometry of any number of rotors.
+    """The (roll, pitch, yaw) effects of each rotor; the squares of each column sum to the number of rotors.
 
-    signs: per rotor its (roll, pitch, yaw) effect; the squares of each column sum to the number of rotors.
-    torque_gain: share of a motor's full output that a full-scale (roll, pitch, yaw) torque command adds; None where
-    the mixing is not known.
+    torque_gain: share of a motor's full output that a full-scale torque command adds; None where that is not known.
     Raises UsageError if it cannot command roll, pitch and yaw independently, or the columns are not so scaled.
     """
 
@@ -73,9 +71,7 @@ class Place:
 
 
 def layout_at(name: str, places: Sequence[Place]) -> RotorLayout:
-    """The layout that follows from where the rotors are. Raises UsageError if they cannot command all three axes.
-
-    Thrust is along -z: torque = (x, y, 0) x (0, 0, -1) = (-y, x, 0). The body turns against the rotor.
+    """The layout of rotors at these places: torque = (x, y, 0) x (0, 0, -1) = (-y, x, 0), yaw against the rotor.
 
     >>> quad = [Place(1, 1, "ccw"), Place(-1, -1, "ccw"), Place(1, -1, "cw"), Place(-1, 1, "cw")]
     >>> layout_at("x", quad).signs

@@ -66,10 +66,7 @@ class _File(_Table):
 
 
 def airframe_from(text: str) -> Airframe:
-    """Read the airframe that a user means: one of `BUILTIN`, or the path of a TOML file.
-
-    Raises UsageError if it is neither, and InputError as `load_airframe` does.
-    """
+    """Read the airframe that a user means: one of `BUILTIN`, or a TOML file. Raises UsageError if it is neither."""
     if text in BUILTIN:
         return airframe_named(text)
     if not Path(text).is_file():

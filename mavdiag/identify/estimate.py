@@ -1,7 +1,7 @@
 """`fit`: from flights to a model, with its quality stated and an unusable result refused."""
 
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from mavdiag.errors import IdentificationError
 from mavdiag.identify.arx import Records, check_excitation, least_squares, polynomials, to_segments
 from mavdiag.identify.model import ArxModel, Method, Order, check_order
 from mavdiag.identify.sriv import sriv
-from mavdiag.identify.validate import free_run, nrmse_percent, r_squared
+from mavdiag.identify.validate import free_run
 
 
 def fit(
@@ -25,11 +25,10 @@ def fit(
 ) -> ArxModel:
     """Identify A(z^-1) y = B(z^-1) u + e from one record or several (T 4.1.2, 5.4).
 
-    u, y: (n,) each, or sequences of such arrays, one per flight: none reaches from one into the next. Offsets are not
-    removed. order: (na, nb, nk). dt: sample time [s]. method: "sriv" (unbiased with noise on the output) or "ls" (the
-    thesis's least squares). settle_s: seconds at the start of each record that the figures of fit leave out, because
-    the simulation starts from rest. figures: False leaves standard errors and figures of fit unknown, which takes half
-    the time. near: a model of the same order, fitted to nearly the same data, from which SRIV begins.
+    u, y: (n,) each, or sequences of such arrays, one per flight. Offsets are not removed. order: (na, nb, nk). dt:
+    sample time [s]. method: "sriv" (unbiased with noise on the output) or "ls" (the thesis's least squares). settle_s:
+    start of each record that the figures of fit leave out [s]. figures: False leaves standard errors and figures of
+    fit unknown, in half the time. near: a model of the same order and nearly the same data, from which SRIV begins.
 
     >>> rng = np.random.default_rng(1)
     >>> u = rng.standard_normal(500)
@@ -38,8 +37,7 @@ def fit(
     >>> model.a.round(6).tolist(), model.b.round(6).tolist(), round(model.dc_gain, 3)
     ([1.0, -1.2, 0.52], [0.0, 0.5, 0.25], 2.344)
 
-    Raises IdentificationError if an argument is impossible, the data are too short, constant, hold NaN or do not excite
-    the model, or the model found is unstable.
+    Raises IdentificationError if the data cannot carry the model, or the model found is unstable.
     """
     order = check_order(order)
     if method not in (Method.LS, Method.SRIV):
@@ -58,21 +56,16 @@ def fit(
         )
     if not figures:
         return bare
-    measured, simulated = free_run(bare, segments, settle_s)
-    error = measured - simulated
+    quality = free_run(bare, segments, settle_s)
     with np.errstate(all="ignore"):  # a perfect fit, or a parameter of 0
         unsure = float(np.mean(np.diag(estimate.covariance) / estimate.theta**2))
-        share = float(np.var(error) / np.var(measured))
-        yic = float(np.sum(np.log(np.maximum((share, unsure), 0.0)))) if math.isfinite(unsure) else math.inf
+        yic = float(np.sum(np.log(np.maximum((1.0 - quality.r2t, unsure), 0.0)))) if math.isfinite(unsure) else math.inf
     return replace(
         bare,
         standard_errors=np.empty(0),
         covariance=estimate.covariance,
-        r2t=r_squared(measured, simulated),
-        nrmse_fit=nrmse_percent(measured, simulated),
-        mse=float(np.mean(error**2)),
+        **{**asdict(quality), "samples": sum(map(len, segments))},
         yic=yic,
-        samples=sum(len(segment) for segment in segments),
         iterations=estimate.iterations,
         converged=estimate.converged,
     )

@@ -44,9 +44,7 @@ MAX_RADIUS = 0.99999  # reflected poles stay this far inside the unit circle (ou
 def sriv(segments: Sequence[Segment], order: Order, figures: bool = True, near: FloatArray | None = None) -> Estimate:
     """SRIV estimate over all segments, started from least squares, or from a theta that is near already.
 
-    covariance: right for output noise of any colour; nan without `figures`. What does not settle is finished by
-    Gauss-Newton steps on the same equations; `converged` is False if those do not settle either.
-    Raises IdentificationError if they do not tell them apart at all.
+    What does not settle is finished by Gauss-Newton steps. covariance: nan without `figures`.
     """
     data = _by_length(segments)
     settled = False
@@ -78,19 +76,15 @@ def reflect_poles(a: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Point:
-    """A stable theta with its loss (mean squared output error, initial states free) and two ways on from it.
-
-    refined: the SRIV solution with filter and instruments from theta. descent: the Gauss-Newton solution.
-    inverse: (Z_f' Z_f)^-1. errors: standard errors of theta if the noise were white. rows: residuals in the loss.
-    """
+    """A stable theta with its loss (mean squared output error, initial states free) and two ways on from it."""
 
     theta: FloatArray
-    refined: FloatArray
-    descent: FloatArray
-    inverse: FloatArray
-    errors: FloatArray
+    refined: FloatArray  # the SRIV solution with filter and instruments from theta
+    descent: FloatArray  # the Gauss-Newton solution
+    inverse: FloatArray  # (Z_f' Z_f)^-1
+    errors: FloatArray  # standard errors of theta if the noise were white
     loss: float
-    rows: int
+    rows: int  # residuals in the loss
 
     def settled(self, target: FloatArray, share: float) -> bool:
         """Whether the way to `target` is at most that share of the standard errors, or rounding."""
@@ -117,7 +111,7 @@ def _evaluate(data: Sequence[Segment], order: Order, theta: FloatArray) -> _Poin
 
 
 def _refine(data: Sequence[Segment], order: Order, point: _Point) -> tuple[_Point, int, bool]:
-    """SRIV proper: always the full step, unstable poles reflected. The last or else best point, iterations, settled."""
+    """SRIV proper, unstable poles reflected: the last or else best point, iterations, settled."""
     best, best_at, iteration = point, 0, 0
     while iteration < best_at + PATIENCE:
         if point.settled(point.refined, SETTLED) and point.loss <= best.loss * (1.0 + PROGRESS):
@@ -154,10 +148,7 @@ def _by_length(segments: Sequence[Segment]) -> list[Segment]:
 
 
 def _filtered(group: Segment, order: Order, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f] of a group, (c, m, rows), and a basis of the responses F, (rows, na).
-
-    A filtered lagged signal is the lagged filtered signal, but for a free response, which is projected out anyway.
-    """
+    """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f] of a group, (c, m, rows), and a basis of the responses F."""
     from scipy.signal import lfilter  # 0.8 s to import: only offline work pays it
 
     a, b = polynomials(theta, order)
@@ -179,11 +170,10 @@ def _reduced(columns: FloatArray, free: FloatArray, na: int) -> FloatArray:
 
 
 def _coloured(data: Sequence[Segment], order: Order, point: _Point) -> FloatArray:
-    """Covariance of an SRIV estimate, (na + nb, na + nb), whatever the spectrum of its output error.
+    """cov theta = M S M, M = (Z_f' Z_f)^-1, S = sum_k r_e(k) sum_t z_f(t) z_f(t + k)', (na + nb, na + nb).
 
-    cov theta = M S M with M = (Z_f' Z_f)^-1 and S = sum_k r_e(k) sum_t z_f(t) z_f(t + k)' (Soderstrom and Stoica,
-    System Identification, ch. 8). r_e: autocovariance of the residual under a Bartlett window of sqrt(n) lags (our
-    choice).
+    (Soderstrom and Stoica, System Identification, ch. 8). r_e: autocovariance of the residual under a Bartlett window
+    of sqrt(n) lags (our choice).
     """
     from scipy.signal import fftconvolve  # 0.8 s to import: only offline work pays it
 

@@ -104,16 +104,12 @@ class Campaign:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roc:
-    """Receiver operating characteristic of the score: a flight is flagged if its score is above a limit.
+    """Receiver operating characteristic of the score: a flight is flagged if its score is above a limit."""
 
-    false_share, true_share: (n,) share of the healthy and of the damaged flights, for a limit that falls.
-    area: under the curve, 0..1. at_threshold: both shares at the limit 1, which is the threshold in use.
-    """
-
-    false_share: FloatArray
-    true_share: FloatArray
-    area: float
-    at_threshold: tuple[float, float]
+    false_share: FloatArray  # (n,) of the healthy flights, for a limit that falls
+    true_share: FloatArray  # (n,) of the damaged ones
+    area: float  # under the curve, 0..1
+    at_threshold: tuple[float, float]  # both shares at the limit 1, which is the threshold in use
 
 
 def read_campaign(path: Path) -> Campaign:

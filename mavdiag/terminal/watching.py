@@ -27,7 +27,7 @@ JOURNAL_LOOK_S = 0.25
 EVENTS = 100  # that are kept; more do not fit on a screen
 JOURNAL_BYTES = 1 << 40  # there is no limit: it is read in pieces
 READ_BYTES = 1 << 20  # at a time
-SILENT = "nothing was received yet; is the vehicle or the detector sending to this address?"
+SILENT = "nothing was received; is the vehicle or the detector sending to this address?"
 
 
 class Screen(ExitStack):
@@ -83,7 +83,7 @@ def watch(station: GroundStation, address: str, axis: Axis, span_s: float, ended
 
     listen(station, view, ("", "") if station.judge is None else ("detector: ", "here: "), ended)
     if not station.heard:
-        raise InputError(f"{address}: nothing was received; is the vehicle or the detector sending to this address?")
+        raise InputError(f"{address}: {SILENT}")
 
 
 def listen(
@@ -214,10 +214,8 @@ def follow(journal: Journal, vehicle: int | None, ended: Callable[[], bool]) -> 
 
 def _journal_view(journal: Journal, vehicle: int | None, events: Sequence[Line]) -> View:
     chosen = {number: story for number, story in sorted(journal.vehicles.items()) if vehicle in (None, number)}
-    told = "; ".join(
-        f"vehicle {number}: {', '.join(filter(None, (story.state, story.stage, story.reason)))}"
-        for number, story in chosen.items()
-    )
+    says = ((number, ", ".join(filter(None, (one.state, one.stage, one.reason)))) for number, one in chosen.items())
+    told = "; ".join(f"vehicle {number}: {words}" for number, words in says)
     damaged = f"{journal.damaged} lines could not be read" if journal.damaged else ""
     alert = any(story.stage == Stage.FAULT for story in chosen.values())
     return View("journal", told or "no vehicle in the journal yet", alert, events=tuple(events), foot=damaged)

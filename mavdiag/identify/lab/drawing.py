@@ -28,11 +28,7 @@ def draw_model(
     residual: ResidualReport | None = None,
     measured: FrequencyResponse | None = None,
 ) -> None:
-    """Write the picture. Bands and bars are one standard error; dashed lines hold 99 % of a true model's values.
-
-    residual: tests of y - y_sim. measured: response of the data, drawn as dots. Raises UsageError if the file's suffix
-    is none that matplotlib writes, or the file cannot be written.
-    """
+    """Write the picture. Bands and bars are one standard error; dashed lines hold 99 % of a true model's values."""
     from matplotlib.figure import Figure
 
     rows = 2 if residual is None else 3

@@ -33,34 +33,25 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class PoleFigures:
-    """One pole z of the discrete model, or a conjugate pair, of which imaginary is positive.
-
-    natural_hz: |ln z| / (2 pi dt). damping: ratio -Re(ln z) / |ln z|; 1 for a real pole between 0 and 1.
-    """
+    """One pole z of the discrete model, or a conjugate pair, of which imaginary is positive."""
 
     real: Figure
     imaginary: Figure
-    natural_hz: Figure
-    damping: Figure
+    natural_hz: Figure  # |ln z| / (2 pi dt)
+    damping: Figure  # ratio -Re(ln z) / |ln z|; 1 for a real pole between 0 and 1
 
 
 @dataclass(frozen=True, slots=True)
 class ModelFigures:
-    """The figures of a model T from commanded to measured rate; dc_gain: B(1)/A(1).
-
-    bandwidth_hz: lowest frequency at which |T| is 3 dB below the DC gain.
-    gain_margin_db, phase_margin_deg: of the loop L = T / (1 - T), which unit feedback closes to T.
-    modulus_margin: least distance of L from -1, 1 / max |1 - T|; 0.5 and more is a robust loop.
-    errors_from: what the standard errors rest on.
-    """
+    """The figures of a model T from commanded to measured rate."""
 
     poles: tuple[PoleFigures, ...]
-    dc_gain: Figure
-    bandwidth_hz: Figure
-    gain_margin_db: Figure
-    phase_margin_deg: Figure
-    modulus_margin: Figure
-    errors_from: str
+    dc_gain: Figure  # B(1)/A(1)
+    bandwidth_hz: Figure  # lowest frequency at which |T| is 3 dB below the DC gain
+    gain_margin_db: Figure  # of the loop L = T / (1 - T), which unit feedback closes to T
+    phase_margin_deg: Figure  # likewise
+    modulus_margin: Figure  # least distance of L from -1, 1 / max |1 - T|; 0.5 and more is a robust loop
+    errors_from: str  # what the standard errors rest on
 
 
 def model_figures(model: ArxModel) -> ModelFigures:
@@ -93,10 +84,7 @@ def model_figures(model: ArxModel) -> ModelFigures:
 
 
 def deviations(model: ArxModel, values: Callable[[ArxModel], FloatArray]) -> FloatArray:
-    """Standard errors of any figures `values` of a model, (k,); nan where the parameters' own are not known.
-
-    Where the correlations of the parameters are not known, none are assumed.
-    """
+    """Standard errors of any figures `values` of a model, (k,); nan where the parameters' own are not known."""
     known = np.isfinite(model.covariance).all()
     covariance = model.covariance if known else np.diag(model.standard_errors**2)
     if not np.isfinite(covariance).all():

@@ -21,16 +21,13 @@ ORDERS: tuple[Order, ...] = tuple(product(range(1, 4), range(1, 6), range(5)))
 
 @dataclass(frozen=True, slots=True)
 class SweepRow:
-    """One candidate. model is None where identification refused, and `refused` then says why.
-
-    window: samples, 0 in an order sweep. r2t_validation: R_T^2 on the validation flights, nan without them.
-    """
+    """One candidate."""
 
     order: Order
-    window: int
-    model: ArxModel | None
-    r2t_validation: float
-    refused: str
+    window: int  # samples, 0 in an order sweep
+    model: ArxModel | None  # None where identification refused
+    r2t_validation: float  # R_T^2 on the validation flights, nan without them
+    refused: str  # why
 
     @property
     def score(self) -> float:
@@ -43,8 +40,7 @@ class SweepRow:
 def sweep(candidates: Iterable[Candidate], *, dt: float, method: Method | str = Method.SRIV) -> tuple[SweepRow, ...]:
     """Fit each candidate on its training flights and judge it on its validation flights; a row for each.
 
-    R_T^2 is taken against data filtered with the candidate's own window, as in the thesis (T Fig 5.5). Raises
-    IdentificationError only if validation flights cannot be used.
+    R_T^2 is taken against data filtered with the candidate's own window, as in the thesis (T Fig 5.5).
     """
     rows = []
     for order, window, train, validation in candidates:
@@ -59,13 +55,9 @@ def sweep(candidates: Iterable[Candidate], *, dt: float, method: Method | str = 
 
 
 def best_row(rows: Iterable[SweepRow], tolerance: float = 0.01) -> SweepRow:
-    """The row with the lowest YIC among those whose R_T^2 is within `tolerance` (our choice) of the best.
-
-    Young's practice: fit decides first, then how well the parameters are known. Raises IdentificationError if no row
-    has a model.
-    """
-    usable = [(row, row.model.yic) for row in rows if row.model is not None]
+    """The row with the lowest YIC among those whose R_T^2 is within `tolerance` (our choice) of the best."""
+    usable = {row: row.model.yic for row in rows if row.model is not None}
     if not usable:
         raise IdentificationError("no candidate could be identified; record longer or more excited flight")
-    limit = max(row.score for row, _ in usable) - tolerance
-    return min((pair for pair in usable if pair[0].score >= limit), key=lambda pair: pair[1])[0]
+    limit = max(row.score for row in usable) - tolerance
+    return min((row for row in usable if row.score >= limit), key=usable.__getitem__)
