@@ -1,8 +1,4 @@
-"""An airframe as a value: what is known of a vehicle beside its link and its flights.
-
-It comes from a TOML file (`airframe.load`) or from what its flights show. What is not known is None, and the monitors
-that need it say so.
-"""
+"""An airframe as a value: what is known of a vehicle beside its link and its flights; None where it is not known."""
 
 import math
 from dataclasses import dataclass

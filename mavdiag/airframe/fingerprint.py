@@ -45,18 +45,15 @@ MOVES = 0.2  # of the busiest motor's rms (our choice)
 
 @dataclass(frozen=True, slots=True)
 class Trait:
-    """One figure of a vehicle, and how much lower or higher than the learnt one is near and far.
-
-    floor: of its spread between flights, by payload and wind (estimate). log: it is a natural logarithm.
-    """
+    """One figure of a vehicle, and how much lower or higher than the learnt one is near and far."""
 
     name: str
-    floor: float
+    floor: float  # of its spread between flights, by payload and wind (estimate)
     near_low: float = math.inf
     near_high: float = math.inf
     far_low: float = math.inf
     far_high: float = math.inf
-    log: bool = True
+    log: bool = True  # it is a natural logarithm
 
     def words(self, learnt: float, spread: float, seen: float) -> str:
         """How it differs."""

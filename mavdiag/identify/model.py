@@ -108,10 +108,7 @@ class ArxModel:
         return float(np.sum(self.b)) / denominator if denominator != 0.0 else math.inf
 
     def simulate(self, u: FloatArray, past_u: FloatArray | None = None, past_y: FloatArray | None = None) -> FloatArray:
-        """Free-run output for the inputs u, (n,) -> (n,): no measured output enters (T 5.5).
-
-        past_u, past_y: inputs and outputs before u[0], oldest first; missing ones count as zero.
-        """
+        """Free-run output for the inputs u, (n,) -> (n,) (T 5.5). past_u, past_y: before u[0], oldest first; else 0."""
         from scipy.signal import lfilter, lfiltic  # 0.8 s to import: only offline work pays it
 
         newest_y = np.empty(0) if past_y is None else past_y[::-1][: len(self.a) - 1]

@@ -148,10 +148,7 @@ def inspection_of(
     rates_hz: Mapping[int, float] | None = None,
     asked: tuple[str, ...] = (),
 ) -> Inspection:
-    """Look at a log, or at what came of a link. told: what is known of its vehicle; `Airframe()` for nothing.
-
-    baseline: its monitors are told; None for all monitors. count, rates_hz: of the autopilot's frames, by message.
-    """
+    """Look at a log, or at what came of a link. told: what is known of its vehicle. baseline: its monitors are told."""
     airframe, learnt, no_flight = rotors_of(log, told)
     signals = tuple(summary(series) for series in log.telemetry.series if len(series))
     flight, layout = [] if learnt is None else joined(learnt.rows), airframe.layout

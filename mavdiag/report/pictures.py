@@ -28,7 +28,7 @@ from mavdiag.airframe.propellers import FaultType, propeller
 from mavdiag.airframe.trim import shown_trim
 from mavdiag.drawing import Colour, RotorMark, airframe_svg
 from mavdiag.identify import Method, Order
-from mavdiag.identify.lab.sweep import SweepRow, sweep
+from mavdiag.identify.estimate import SweepRow, sweep
 from mavdiag.look.figures import HARMONICS, SPECTRUM_S, Spectrum
 from mavdiag.monitors.rotor_trim import RotorTrimSpec
 from mavdiag.monitors.run_length import MIN_PIECE_S
@@ -51,12 +51,8 @@ NO_MODEL = "no axis could be compared with its model: it takes attitude set-poin
 CLASSIFIER = "qdrone2-emulated"  # the airframes that the classes hold for
 MOST_POINTS = 200  # of the plane (our choice)
 EXCESS = "highest residual above\nthe margin [rad/s]"
-NAMES = {
-    FaultType.EDGE_CUT: "F1 edge cut",
-    FaultType.CRACK: "F2 crack",
-    FaultType.SURFACE_UNBALANCE: "F3 surface unbalance",
-}
-MARKERS = {FaultType.EDGE_CUT: "o", FaultType.CRACK: "^", FaultType.SURFACE_UNBALANCE: "D"}
+NAMES = dict(zip(FaultType, ("F1 edge cut", "F2 crack", "F3 surface unbalance"), strict=True))
+MARKERS = dict(zip(FaultType, "o^D", strict=True))
 LEAST_HZ = 2.0  # of a spectrum: below it is the flight itself
 NAMED_AT = ("data", "axes fraction")
 WINDOWS_S = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
@@ -185,9 +181,7 @@ def runs_of(trace: RateTrace) -> FloatArray:
     outside = trace.judged & (excess > 0)
     edges = [0, *(np.flatnonzero(np.diff(trace.segment)) + 1).tolist(), len(outside)]
     pieces = [(low + first, low + stop) for low, high in pairwise(edges) for first, stop in spans(outside[low:high])]
-    found = [
-        (t_s[first], t_s[stop - 1], trace.fsd_s[first:stop].max(), excess[first:stop].max()) for first, stop in pieces
-    ]
+    found = [(t_s[a], t_s[b - 1], trace.fsd_s[a:b].max(), excess[a:b].max()) for a, b in pieces]
     return np.array(found, dtype=np.float64).reshape(-1, 4).T
 
 

@@ -150,8 +150,7 @@ def envelope(
 ) -> tuple[FloatArray, FloatArray]:
     """Thin a line to the lowest and the highest value of each column of pixels: the eye sees the same.
 
-    t: (n,) not falling. y: (n,); nan leaves a gap, which stays one if it fills a column. filled: from below, so that
-    the highest is enough.
+    t: (n,) not falling. y: (n,); nan leaves a gap. filled: from below, so that the highest is enough.
     """
     if len(t) <= (1 if filled else 2) * columns:
         return _with_breaks(t, y)

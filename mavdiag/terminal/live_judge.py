@@ -41,10 +41,7 @@ class LiveJudge:
     def take(
         self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()
     ) -> tuple[Change, ...]:
-        """Take bytes of the link, each with its time of arrival [ns]; return the changes of the decision.
-
-        Raises InputError if there are several vehicles and none was named, BaselineError if the link is another.
-        """
+        """Take bytes of the link, each with its time of arrival [ns]; return the changes of the decision."""
         received = self._decoder.feed(chunks, now_ns, sources)
         known = sorted(self._decoder.vehicles)
         if self.vehicle is None and len(known) > 1:

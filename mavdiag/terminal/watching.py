@@ -94,10 +94,7 @@ def listen(
     *,
     quiet: bool = False,
 ) -> list[Change]:
-    """Show what a ground station hears until `ended`; return how the decision of its judge changed.
-
-    whose: what stands before the detector's texts, and before those changes.
-    """
+    """Show what a ground station hears until `ended`, with `whose` before texts and changes; return the changes."""
     changes: list[Change] = []
     with Screen(view, quiet=quiet) as screen:
         last = False
@@ -146,10 +143,7 @@ class VehicleStory:
 
 
 class Journal:
-    """The journal of a detector, followed while it is written, over rotations too.
-
-    vehicles: by system id. damaged: lines that could not be read. Raises InputError if there is no such file.
-    """
+    """The journal of a detector, followed while it is written, over rotations too. vehicles: by system id."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._stack = path, ExitStack()
