@@ -92,10 +92,7 @@ def detect_layout(
 
 
 def contradicts(finding: LayoutFinding, layout: RotorLayout) -> str:
-    """Say in one sentence why flights speak against a layout that was told; empty if they do not.
-
-    They do if its likeness is below -0.5, or below 0.85 where another is named, or the number of motors is another.
-    """
+    """Say in one sentence why flights speak against a layout that was told; empty if they do not."""
     likeness = dict(finding.likeness)
     own = likeness.get(layout.name, 0.0)
     if finding.idle:

@@ -132,8 +132,7 @@ class Likeness:
 def fingerprint_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout | None) -> Fingerprint | None:
     """The fingerprint of the vehicle of some healthy flights; None if they show no trait.
 
-    spread^2 = (floor^2 + sum over flights of (x - mean)^2)/n + within^2 for n flights: the floor stands for one more
-    flight. within^2: the variance of the trait between parts of one flight, for what is compared is a part.
+    spread^2 = (floor^2 + sum over n flights of (x - mean)^2)/n + within^2, the variance between parts of one flight.
     """
     found, varied = [], []
     for flight in flights:
@@ -189,8 +188,7 @@ def compare(fingerprint: Fingerprint, flight: Sequence[Rows], layout: RotorLayou
         elif size >= max(trait.near_low if lower else trait.near_high, SIGNIFICANT * spread[i]):
             near_at.append(i)
     outcome = Outcome.FAR if far_at else Outcome.NEAR if near_at else Outcome.ALIKE
-    figures = np.stack((learnt, spread, seen)).T.tolist()
-    return Likeness(outcome, tuple(TRAITS[i].words(*figures[i]) for i in (*far_at, *near_at)))
+    return Likeness(outcome, tuple(TRAITS[i].words(learnt[i], spread[i], seen[i]) for i in (*far_at, *near_at)))
 
 
 def _trim_differs(shift: FloatArray, spread: FloatArray, layout: RotorLayout | None) -> tuple[bool, bool]:
@@ -294,10 +292,7 @@ def _calm(block: Block) -> BoolArray:
 
 
 def _noise(signals: Sequence[tuple[FloatArray, BoolArray, float]]) -> FloatArray:
-    """(3,) logarithm of the rms of second differences in the calmest fifth of half-second windows.
-
-    At least that of a rounding to the smallest usual step q: its variance is q^2/12, that of second differences q^2/2.
-    """
+    """(3,) log rms of second differences in the calmest fifth of windows, at least that of a rounding, q^2/2."""
     squares, steps = [np.empty((0, 3))], [np.empty((0, 3))]
     for values, known, dt_s in signals:
         steps.append(np.abs(np.diff(values, axis=0)[window_all(known, 2)]))

@@ -88,10 +88,7 @@ def layout_of_effects(name: str, effects: Sequence[tuple[float, float, float]]) 
 
 
 def ring(name: str, *angles_deg: float, cw: tuple[int, ...], yaw: tuple[float, ...] = ()) -> RotorLayout:
-    """The layout of rotors on a circle, by angle from the nose to the right [deg].
-
-    cw: numbers of those that turn clockwise. yaw: how much each of them turns the vehicle, where they differ.
-    """
+    """The layout of rotors on a circle, by angle from the nose to the right [deg]; cw: those that turn clockwise."""
     effects = [
         (-round(math.sin(math.radians(deg)), 9), round(math.cos(math.radians(deg)), 9), -size if i in cw else size)
         for i, (deg, size) in enumerate(zip(angles_deg, yaw or (1.0,) * len(angles_deg), strict=True), start=1)

@@ -108,12 +108,8 @@ def spread_of(shifts: FloatArray) -> Three:
 
 
 def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, tilt: FloatArray = NO_TILT) -> FloatArray:
-    """The rise of each rotor that explains a shift of the trim alone, (n, 3) -> (n, rotors) [fraction of hover].
-
-    tilt: (n, 2) by how much the commanded tilt differs [rad]: 0.3 of it widens the spread of roll and pitch.
-    """
+    """a_j of each shift, (n, 3) -> (n, rotors). tilt: (n, 2) [rad], 0.3 of it widens the spread of roll and pitch."""
     C, leaning = layout.unmixing, TILT_TRIM**2 * np.square(tilt).sum(axis=1)
     W = 1.0 / (np.square(spread) + leaning[:, None] * np.array([1.0, 1.0, 0.0]))
     # einsum and not @: BLAS rounds by the number of rows, and a cut must not change a value
-    found = np.einsum("nk,kr->nr", W * shift, C) / np.einsum("nk,kr->nr", W, C * C)
-    return np.asarray(found, dtype=np.float64)
+    return np.asarray(np.einsum("nk,kr->nr", W * shift, C) / np.einsum("nk,kr->nr", W, C * C), dtype=np.float64)

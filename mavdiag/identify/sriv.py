@@ -68,10 +68,9 @@ def reflect_poles(a: FloatArray) -> FloatArray:
     radius = np.abs(roots)
     if np.all(radius < 1.0):
         return a
-    outside = radius >= 1.0
-    mirrored = np.where(outside, roots / np.maximum(radius, 1.0) ** 2, roots)
-    mirrored = np.where(outside & (np.abs(mirrored) > MAX_RADIUS), roots / radius * MAX_RADIUS, mirrored)
-    return np.real(np.atleast_1d(np.poly(mirrored)))
+    far = np.maximum(radius, 1.0)
+    scale = np.where(radius < 1.0, 1.0, np.minimum(1.0 / far, MAX_RADIUS) / far)
+    return np.real(np.atleast_1d(np.poly(scale * roots)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,8 +94,7 @@ class _Point:
 def _evaluate(data: Sequence[Segment], order: Order, theta: FloatArray) -> _Point:
     """Solve Z_f' Phi_f refined = Z_f' y_f with filter and instruments from theta.
 
-    y_f - Phi_f theta is the output error e = y - x and -Z_f its gradient. So Z_f' e = 0, where SRIV stands still, is
-    where the mean squared output error is stationary, and theta + (Z_f' Z_f)^-1 Z_f' e is the Gauss-Newton step.
+    y_f - Phi_f theta is the output error e and -Z_f its gradient: (Z_f' Z_f)^-1 Z_f' e is the Gauss-Newton step.
     """
     n, d = sum(len(group.y) * (len(group) - reach(order)) for group in data), len(theta)
     R = np.concatenate([_reduced(*_filtered(group, order, theta), order[0]) for group in data])
@@ -193,5 +191,4 @@ def _coloured(data: Sequence[Segment], order: Order, point: _Point) -> FloatArra
     S = np.zeros((d, d))
     for Z in instruments:
         S += np.tensordot(Z, fftconvolve(Z, both_sides, mode="same", axes=2), ((1, 2), (1, 2)))
-    covariance: FloatArray = point.inverse @ (0.5 * (S + S.T)) @ point.inverse
-    return covariance
+    return np.asarray(point.inverse @ (0.5 * (S + S.T)) @ point.inverse, dtype=np.float64)

@@ -56,10 +56,7 @@ def free_run(model: ArxModel, segments: Sequence[Segment], settle_s: float = 0.0
 
 
 def validate(model: ArxModel, u: Records, y: Records, settle_s: float = 0.0) -> Validation:
-    """Judge a model on flights it was not trained on, as `free_run`. u, y: one record each, (n,), or one per flight.
-
-    Raises IdentificationError on data that `fit` would refuse.
-    """
+    """Judge a model on flights it was not trained on, as `free_run`. u, y: one record each, (n,), or one per flight."""
     return free_run(model, to_segments(u, y, model.order), settle_s)
 
 

@@ -190,5 +190,4 @@ def _above_neighbours(spectrum: Spectrum) -> FloatArray:
     around = zip(np.searchsorted(hz, hz - reach), np.searchsorted(hz, hz + reach), strict=True)
     floor = np.array([np.median(power[first:stop]) for first, stop in around])
     tiny = np.finfo(np.float64).tiny
-    excess: FloatArray = 10 * np.log10(np.maximum(power, tiny) / np.maximum(floor, tiny))
-    return excess
+    return np.asarray(10 * np.log10(np.maximum(power, tiny) / np.maximum(floor, tiny)), dtype=np.float64)

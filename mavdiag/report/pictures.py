@@ -5,9 +5,8 @@ What each rotor is commanded beside the others:
     m: trim averaged over 5 s,    mu: the healthy one,    w = B (m - mu) / b
 
 b: the mean of the diagonal of B B^+. So w_j is the rise of rotor j, beyond what it was in health, if it alone rose
-[fraction of hover], as the rotor-trim monitor has it. Then each monitor's statistic in shares of its threshold; the
-thesis's figures by axis: rates, residual and margin, FSD against FML (T Fig 5.6 to 5.9), and where the flight lies
-among the thesis's classes (T Fig 5.10, 5.12); spectrum (3.14), filter window (5.5), attitude and height (5.4, 5.3).
+[fraction of hover], as the rotor-trim monitor has it. Then each monitor's statistic in shares of its threshold, and the
+thesis's figures (captions.toml has their numbers).
 """
 
 import math

@@ -116,10 +116,7 @@ class View:
 
 
 def picture(view: View, width: int, height: int | None = None) -> Panel:
-    """The picture, `width` characters wide and at most `height` lines high; None for any height.
-
-    Where there is little room the newest events stay, then the monitors, then the strips.
-    """
+    """The picture; where `height` leaves little room the newest events stay, then the monitors, then the strips."""
     inner = max(width - FRAME, NARROWEST)
     head = _wrapped("", view.headline, "bold red" if view.alert else "bold green", inner)
     foot = [Text(printable(view.foot), style="dim", no_wrap=True, overflow="ellipsis")] if view.foot else []

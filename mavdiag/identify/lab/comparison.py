@@ -5,9 +5,8 @@ follows slow change (Ljung, System Identification 2e, Eq 11.12); with lambda = 1
 
     k = P phi / (lambda + phi' P phi),   theta += k (y - phi' theta),   P <- (P - k phi' P) / lambda
 
-The two models that the thesis prints (T Eq 5.1, 5.2). Their sample time is not stated, and their gains at rest are 194
-and 317. So each carries an input scale, fitted by us: with it they explain about 0.55 (roll) and 0.85 (pitch) of the
-emulated aircraft's output variance.
+The two models that the thesis prints (T Eq 5.1, 5.2), without a sample time. Each carries an input scale, fitted by us:
+with it they explain about 0.55 (roll) and 0.85 (pitch) of the emulated aircraft's output variance.
 """
 
 from collections.abc import Iterator
