@@ -24,7 +24,7 @@ from rich.table import Table
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import fit
-from mavdiag.identify.lab.sweep import sweep
+from mavdiag.identify.estimate import sweep
 from mavdiag.identify.validate import r_squared
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import coefficients

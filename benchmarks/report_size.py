@@ -15,7 +15,7 @@ from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight, judge_in_full
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.report.page import Made, flight_report, flights_page
+from mavdiag.report.page import flight_report, flights_page
 from mavdiag.telemetry import Log
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
 from sitl_plant.plant import PlantConfig
@@ -46,7 +46,7 @@ def memory_mb() -> float:
 
 def page_of(log: Log, baseline: Baseline, judged: JudgedFlight) -> str:
     """The page of one flight."""
-    return flights_page([flight_report(log, baseline, judged)], baseline, Made(CREATED, "baseline.json"))
+    return flights_page([flight_report(log, baseline, judged)], baseline, "baseline.json", CREATED)
 
 
 def main() -> None:

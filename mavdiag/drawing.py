@@ -50,10 +50,7 @@ class RotorMark:
 
 
 def rotor_places(layout: RotorLayout) -> tuple[Place, ...]:
-    """Where the rotors are, in the units in which the outermost one is 1 from the centre.
-
-    Rotors that share a place, as on coaxial arms, are set apart along the circle.
-    """
+    """Where the rotors are, the outermost one 1 from the centre; those of one place are set apart along the circle."""
     points = [(pitch, -roll) for roll, pitch, _ in layout.signs]
     reach = max(math.hypot(*point) for point in points)
     points = [(round(x / reach, 6), round(y / reach, 6)) for x, y in points]

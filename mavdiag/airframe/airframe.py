@@ -1,8 +1,4 @@
-"""An airframe as a value: what is known of a vehicle beside its link and its flights.
-
-It comes from a TOML file (`airframe.load`) or from what its flights show. What is not known is None, and the monitors
-that need it say so.
-"""
+"""An airframe as a value: what is known of a vehicle beside its link and its flights; None where it is not known."""
 
 import math
 from dataclasses import dataclass
@@ -18,30 +14,19 @@ Scope: TypeAlias = Literal["airframe", "type"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Airframe:
-    """One vehicle, or a type from several of them (T 4.4.1). Raises UsageError if it cannot be.
-
-    name: what reports call it.
-    scope: "airframe" for one vehicle, "type" for several of one make.
-    outputs: the vehicle's output, from 1, that drives rotor 1, 2, ...; None if rotor j is on output j.
-    layout_basis: where the layout comes from; why it is not known, if it is not; empty if nobody has said.
-    layout_warning: what speaks against the layout; empty if nothing does.
-    hover_rad_s: rotor speed that carries it [rad/s].
-    imu_corner_hz: corner of the low-pass filter in its IMU stream; None if the link profile's holds.
-    gate: what counts as flying; None if the default of the link or log format holds.
-    classifier: name of the trained fault types that hold for it.
-    """
+    """One vehicle, or a type from several of them (T 4.4.1). Raises UsageError if it cannot be."""
 
     name: str = UNNAMED
-    scope: Scope = "airframe"
+    scope: Scope = "airframe"  # of one vehicle, or of several of one make
     layout: RotorLayout | None = None
-    outputs: tuple[int, ...] | None = None
-    layout_basis: str = ""
-    layout_warning: str = ""
+    outputs: tuple[int, ...] | None = None  # from 1, of rotor 1, 2, ...; None if rotor j is on output j
+    layout_basis: str = ""  # where the layout comes from, or why it is not known
+    layout_warning: str = ""  # what speaks against the layout
     mass_kg: float | None = None
-    hover_rad_s: float | None = None
-    imu_corner_hz: float | None = None
-    gate: GateSpec | None = None
-    classifier: str | None = None
+    hover_rad_s: float | None = None  # rotor speed that carries it
+    imu_corner_hz: float | None = None  # of the low-pass in its IMU stream; None if the link profile's holds
+    gate: GateSpec | None = None  # what counts as flying; None if the default of the link or log format holds
+    classifier: str | None = None  # name of the trained fault types that hold for it
 
     def __post_init__(self) -> None:
         for name in ("mass_kg", "hover_rad_s", "imu_corner_hz"):

@@ -70,7 +70,7 @@ def unbalance_force_n(unbalance_g_mm: float, speed_rpm: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class BalanceReport:
-    """U, U_per, e, e_per, e Omega, G; the finest grade that is met (None beyond G4000), U / U_per, and U Omega^2."""
+    """U, U_per, e, e_per, e Omega, G; the finest grade that is met (None beyond G4000), U / U_per, U Omega^2."""
 
     unbalance_g_mm: float
     permissible_g_mm: float
@@ -85,7 +85,7 @@ class BalanceReport:
     @property
     def within(self) -> bool:
         """Whether the grade permits the unbalance."""
-        return _within(self.level_mm_s, self.grade)
+        return self.level_mm_s <= self.grade.mm_s * (1.0 + BORDER)
 
     @property
     def sentence(self) -> str:
@@ -112,13 +112,9 @@ def assess_unbalance(
     if not math.isfinite(level):
         raise UsageError(f"{unbalance_g_mm:g} g mm on a rotor of {rotor_mass_g:g} g is no rotor: check the units")
     permissible_um = permissible_specific_um(grade, speed_rpm)
-    met = min((one for one in Grade if _within(level, one)), key=lambda one: one.mm_s, default=None)
+    met = min((one for one in Grade if level <= one.mm_s * (1.0 + BORDER)), key=lambda one: one.mm_s, default=None)
     told = (unbalance_g_mm, permissible_g_mm, specific_um, permissible_um, level)
     return BalanceReport(*told, grade, met, level / grade.mm_s, force_n)
-
-
-def _within(level_mm_s: float, grade: Grade) -> bool:
-    return level_mm_s <= grade.mm_s * (1.0 + BORDER)
 
 
 def _angular_speed(speed_rpm: float) -> float:

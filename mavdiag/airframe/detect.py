@@ -43,18 +43,13 @@ TINY = 1e-300
 
 @dataclass(frozen=True, slots=True)
 class LayoutFinding:
-    """What flights say: the known layout that fits, None if none does or it stays unclear, and why, in one sentence.
-
-    likeness: (name, likeness in -1..1) of the known layouts with as many rotors, best first; empty without a fit.
-    outputs: the outputs that move as motors do, from 1, by rotor of the layout; rising if none is named.
-    idle: rotors whose output was named and does not move.
-    """
+    """What flights say: the known layout that fits, None if none does or it stays unclear, and why, in one sentence."""
 
     layout: RotorLayout | None
     reason: str
-    likeness: tuple[tuple[str, float], ...] = ()
-    outputs: tuple[int, ...] = ()
-    idle: tuple[int, ...] = ()
+    likeness: tuple[tuple[str, float], ...] = ()  # of the known layouts with as many rotors, -1..1, best first
+    outputs: tuple[int, ...] = ()  # that move as motors do, from 1, by rotor of the layout; rising if none is named
+    idle: tuple[int, ...] = ()  # rotors whose output was named and does not move
 
 
 def detect_layout(
@@ -64,11 +59,9 @@ def detect_layout(
 ) -> LayoutFinding:
     """Find the known layout that healthy flying fits. outputs: those that drive rotor 1, 2, ...; None to find them too.
 
-    All outputs that move are tried first; then the one that follows the drivers least is left out while it does not
-    follow them (F < 10). Motors must follow four times as much as any output left out. If no layout fits in rising
-    order of the outputs, yaw is excited and the drivers do not move together, that order is sought in which one of
-    `NUMBERED` fits. The blocks are gone through several times; any cut of the rows into blocks gives the same answer.
-    Blind spots: servos that follow the drivers as motors do; a vehicle that hardly turns.
+    All outputs that move are tried first; then the one that follows the drivers least is left out while F < 10. Motors
+    must follow four times as much as any output left out. If no layout fits in rising order of the outputs, that order
+    is sought in which one of `NUMBERED` fits. Blind spots: servos that follow the drivers; a vehicle that hardly turns.
     """
     blocks = tuple(blocks) if isinstance(blocks, Iterator) else blocks
     moving = moving_outputs(blocks)
@@ -99,11 +92,7 @@ def detect_layout(
 
 
 def contradicts(finding: LayoutFinding, layout: RotorLayout) -> str:
-    """Say in one sentence why flights speak against a layout that was told; empty if they do not.
-
-    finding: of `detect_layout`, with that layout among the known ones. They do if its likeness is below -0.5, if it is
-    below 0.85 and another layout is named, or if not as many outputs as it has rotors move as motors do.
-    """
+    """Say in one sentence why flights speak against a layout that was told; empty if they do not."""
     likeness = dict(finding.likeness)
     own = likeness.get(layout.name, 0.0)
     if finding.idle:
@@ -136,18 +125,14 @@ def moving_outputs(blocks: Iterable[Block]) -> list[int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """effects: (3, outputs) change of the outputs for one standard deviation of the driver's change about each axis.
-
-    F: (3,) over all outputs, how far the effect stands out of the noise; followed: (outputs,) likewise of each.
-    explained: share of the outputs' changes. spread: (3, 3) mean products of the drivers' standardised changes.
-    """
+    """Change of the outputs for one standard deviation of the driver's change about each axis."""
 
     driver: str
-    effects: FloatArray
-    F: FloatArray
-    followed: FloatArray
-    explained: float
-    spread: FloatArray
+    effects: FloatArray  # (3, outputs)
+    F: FloatArray  # (3,) how far the effect stands out of the noise over all outputs
+    followed: FloatArray  # (outputs,) the same of each
+    explained: float  # share of the outputs' changes
+    spread: FloatArray  # (3, 3) mean products of the drivers' standardised changes
 
     def lost(self, mixing: FloatArray) -> float:
         """How much of the explained energy the mixing B of a layout cannot explain, 0..1, whatever gains g it has."""
@@ -161,7 +146,7 @@ class _Fit:
 
 
 def _drivers(block: Block) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, 3) each, in the order of `DRIVERS`, nan where unknown; the gyro in place of its differences."""
+    """(n, 3) each, in the order of `DRIVERS`; the gyro in place of its differences."""
     return block.torque, block.rate_setpoint - block.rate, block.rate
 
 
@@ -201,10 +186,7 @@ def _pieces(
 
 
 def _fit(blocks: Iterable[Block], columns: Sequence[int]) -> _Fit | None:
-    """The fit of these outputs to the first driver that half of the judged rows carry; None if there is too little.
-
-    By running sums of [ dW dX 1 ]' [ dW dX 1 ], for each lag.
-    """
+    """The fit of these outputs to the first driver that half of the judged rows carry, by sums of products."""
     judged, known = 0, np.zeros(len(DRIVERS), dtype=np.int64)
     for block in blocks:
         flown = np.isfinite(_shares(block, columns)[:, 0])

@@ -9,7 +9,7 @@ It raises vibration and costs thrust: only lower noise and a lower throttle coun
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -45,19 +45,15 @@ MOVES = 0.2  # of the busiest motor's rms (our choice)
 
 @dataclass(frozen=True, slots=True)
 class Trait:
-    """One figure of a vehicle, and how much lower or higher than the learnt one is near and far.
-
-    floor: of its spread between flights: what those of one emulated airframe differ by, in payload and wind (estimate).
-    log: it is a natural logarithm, and a text gives the ratio.
-    """
+    """One figure of a vehicle, and how much lower or higher than the learnt one is near and far."""
 
     name: str
-    floor: float
+    floor: float  # of its spread between flights, by payload and wind (estimate)
     near_low: float = math.inf
     near_high: float = math.inf
     far_low: float = math.inf
     far_high: float = math.inf
-    log: bool = True
+    log: bool = True  # it is a natural logarithm
 
     def words(self, learnt: float, spread: float, seen: float) -> str:
         """How it differs."""
@@ -136,8 +132,7 @@ class Likeness:
 def fingerprint_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout | None) -> Fingerprint | None:
     """The fingerprint of the vehicle of some healthy flights; None if they show no trait.
 
-    spread^2 = (floor^2 + sum over flights of (x - mean)^2)/n + within^2 for n flights: the floor stands for one more
-    flight. within^2: the variance of the trait between parts of one flight, for what is compared is a part.
+    spread^2 = (floor^2 + sum over n flights of (x - mean)^2)/n + within^2, the variance between parts of one flight.
     """
     found, varied = [], []
     for flight in flights:
@@ -178,10 +173,7 @@ def merged(one: Fingerprint, other: Fingerprint | None) -> Fingerprint:
 
 
 def compare(fingerprint: Fingerprint, flight: Sequence[Rows], layout: RotorLayout | None) -> Likeness:
-    """Compare the first 20 s of judged flight, in chunks of any size, with a fingerprint.
-
-    A flight that shows none of the traits is alike: nothing speaks against it.
-    """
+    """Compare the first 20 s of judged flight, in chunks of any size; one that shows none of the traits is alike."""
     seen = traits(beginning(flight, FIRST_S), layout)
     known = {figure.name: (figure.mean, figure.spread) for figure in fingerprint.figures}
     learnt, spread = np.array([known.get(trait.name, (math.nan, 1.0)) for trait in TRAITS]).T
@@ -196,8 +188,7 @@ def compare(fingerprint: Fingerprint, flight: Sequence[Rows], layout: RotorLayou
         elif size >= max(trait.near_low if lower else trait.near_high, SIGNIFICANT * spread[i]):
             near_at.append(i)
     outcome = Outcome.FAR if far_at else Outcome.NEAR if near_at else Outcome.ALIKE
-    figures = np.stack((learnt, spread, seen)).T.tolist()
-    return Likeness(outcome, tuple(TRAITS[i].words(*figures[i]) for i in (*far_at, *near_at)))
+    return Likeness(outcome, tuple(TRAITS[i].words(learnt[i], spread[i], seen[i]) for i in (*far_at, *near_at)))
 
 
 def _trim_differs(shift: FloatArray, spread: FloatArray, layout: RotorLayout | None) -> tuple[bool, bool]:
@@ -228,15 +219,14 @@ def joined(flight: Sequence[Rows]) -> list[Block]:
     out = []
     for segment, rows in itertools.groupby(flight, key=lambda one: one.block.segment):
         blocks = [one.block for one in rows]
-        outputs = max(block.actuator.shape[1] for block in blocks)  # rows before the first message have no column
-        same = [replace(block, actuator=_widened(block.actuator, outputs)) for block in blocks]
-        columns = (np.concatenate([getattr(block, name) for block in same]) for name in COLUMNS)
-        out.append(blocks[0] if len(blocks) == 1 else Block(segment, blocks[0].dt_s, *columns))
+        width = max(block.actuator.shape[1] for block in blocks)  # rows before the first message have no column
+        columns = {name: [getattr(block, name) for block in blocks] for name in COLUMNS}
+        columns["actuator"] = [
+            np.pad(x, ((0, 0), (0, width - x.shape[1])), constant_values=np.nan) for x in columns["actuator"]
+        ]
+        whole = (np.concatenate(parts) for parts in columns.values())
+        out.append(blocks[0] if len(blocks) == 1 else Block(segment, blocks[0].dt_s, *whole))
     return out
-
-
-def _widened(x: FloatArray, columns: int) -> FloatArray:
-    return np.pad(x, ((0, 0), (0, columns - x.shape[1])), constant_values=np.nan)
 
 
 def beginning(flight: Sequence[Rows], span_s: float) -> list[Block]:
@@ -302,11 +292,7 @@ def _calm(block: Block) -> BoolArray:
 
 
 def _noise(signals: Sequence[tuple[FloatArray, BoolArray, float]]) -> FloatArray:
-    """(3,) logarithm of the rms of second differences in the calmest fifth of half-second windows.
-
-    What is quieter than its resolution q shows q alone: a rounding has the variance q^2/12, a second difference six
-    times that. q: the smallest step between samples, but for a few that interpolation made.
-    """
+    """(3,) log rms of second differences in the calmest fifth of windows, at least that of a rounding, q^2/2."""
     squares, steps = [np.empty((0, 3))], [np.empty((0, 3))]
     for values, known, dt_s in signals:
         steps.append(np.abs(np.diff(values, axis=0)[window_all(known, 2)]))

@@ -19,11 +19,9 @@ COLUMN_TOLERANCE = 1e-3  # of a column's scale: digits that a hand-written file 
 
 @dataclass(frozen=True, slots=True)
 class RotorLayout:
-    """Rotor geometry of any number of rotors.
+    """The (roll, pitch, yaw) effects of each rotor; the squares of each column sum to the number of rotors.
 
-    signs: per rotor its (roll, pitch, yaw) effect; the squares of each column sum to the number of rotors.
-    torque_gain: share of a motor's full output that a full-scale (roll, pitch, yaw) torque command adds; None where
-    the mixing is not known.
+    torque_gain: share of a motor's full output that a full-scale torque command adds; None where that is not known.
     Raises UsageError if it cannot command roll, pitch and yaw independently, or the columns are not so scaled.
     """
 
@@ -73,9 +71,7 @@ class Place:
 
 
 def layout_at(name: str, places: Sequence[Place]) -> RotorLayout:
-    """The layout that follows from where the rotors are. Raises UsageError if they cannot command all three axes.
-
-    Thrust is along -z: torque = (x, y, 0) x (0, 0, -1) = (-y, x, 0). The body turns against the rotor.
+    """The layout of rotors at these places: torque = (x, y, 0) x (0, 0, -1) = (-y, x, 0), yaw against the rotor.
 
     >>> quad = [Place(1, 1, "ccw"), Place(-1, -1, "ccw"), Place(1, -1, "cw"), Place(-1, 1, "cw")]
     >>> layout_at("x", quad).signs
@@ -92,10 +88,7 @@ def layout_of_effects(name: str, effects: Sequence[tuple[float, float, float]]) 
 
 
 def ring(name: str, *angles_deg: float, cw: tuple[int, ...], yaw: tuple[float, ...] = ()) -> RotorLayout:
-    """The layout of rotors on a circle, by angle from the nose to the right [deg].
-
-    cw: numbers of those that turn clockwise. yaw: how much each of them turns the vehicle, where they differ.
-    """
+    """The layout of rotors on a circle, by angle from the nose to the right [deg]; cw: those that turn clockwise."""
     effects = [
         (-round(math.sin(math.radians(deg)), 9), round(math.cos(math.radians(deg)), 9), -size if i in cw else size)
         for i, (deg, size) in enumerate(zip(angles_deg, yaw or (1.0,) * len(angles_deg), strict=True), start=1)

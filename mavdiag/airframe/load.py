@@ -66,21 +66,15 @@ class _File(_Table):
 
 
 def airframe_from(text: str) -> Airframe:
-    """Read the airframe that a user means: one of `BUILTIN`, or the path of a TOML file.
-
-    Raises UsageError if it is neither, and InputError as `load_airframe` does.
-    """
-    if text in BUILTIN:
-        return airframe_named(text)
-    if not Path(text).is_file():
-        raise UsageError(f"no airframe {text!r}: give a TOML file or one of {', '.join(BUILTIN)}")
-    return load_airframe(Path(text))
+    """Read the airframe that a user means: one of `BUILTIN`, or a TOML file. Raises UsageError if it is neither."""
+    named = text in BUILTIN or not Path(text).is_file()
+    return airframe_named(text) if named else load_airframe(Path(text))
 
 
 def airframe_named(name: str) -> Airframe:
     """Read one of `BUILTIN`. Raises UsageError for another name."""
     if name not in BUILTIN:
-        raise UsageError(f"no airframe {name!r}: use one of {', '.join(BUILTIN)}")
+        raise UsageError(f"no airframe {name!r}: give a TOML file or one of {', '.join(BUILTIN)}")
     file = resources.files("mavdiag.airframe") / f"{name}.toml"
     return _parse(parse_toml(file.read_text(encoding="utf-8"), file.name), file.name)
 
@@ -89,9 +83,8 @@ def with_layout(airframe: Airframe, name: str) -> Airframe:
     """The airframe with a known rotor layout. Raises UsageError if there is none of that name, or it has another."""
     layout = layout_named(name)
     if airframe.layout is not None and airframe.layout.signs != layout.signs:
-        raise UsageError(
-            f"airframe {airframe.name} has the layout {airframe.layout.name}, not {name}: give one of them"
-        )
+        told = airframe.layout.name
+        raise UsageError(f"airframe {airframe.name} has the layout {told}, not {name}: give one of them")
     return replace(airframe, layout=layout)
 
 

@@ -30,12 +30,14 @@ _UP = (0.0, 0.0, -1.0)  # CA_ROTORn_AX, _AY, _AZ by default
 _SAME = 1e-3  # of an axis or of the thrust coefficients: closer ones are the same (our choice)
 
 
-# FRAME_TYPE by FRAME_CLASS. The V's two rear rotors turn it more than its two front ones.
+# By FRAME_CLASS and FRAME_TYPE. The V's two rear rotors turn it more than its two front ones.
+_NAMED = {(1, 0): "plus", (1, 1): "x", (2, 0): "hexa-plus", (2, 1): "hexa-x", (3, 0): "octo-plus", (3, 1): "octo-x"}
+_NAMED |= {(4, 1): "x8", **{(5, kind): "y6" for kind in range(22)}, (5, 10): "y6b"}
+_NAMED |= {(14, 0): "deca-plus", (14, 1): "deca-x", (14, 14): "deca-x"}
 _X8 = (45, -45, -135, 135, -45, 45, 135, -135)
 _X8_BETAFLIGHT = (135, 45, -135, -45, 135, 45, -135, -45)
 _FRAMES: Mapping[tuple[int, int], RotorLayout] = {
-    (1, 0): layout_named("plus"),
-    (1, 1): layout_named("x"),
+    **{key: layout_named(name) for key, name in _NAMED.items()},
     (1, 2): ring("v", 45, -135, -45, 135, cw=(3, 4), yaw=(0.7981, 1.0, 0.7981, 1.0)),
     (1, 3): ring("h", 45, -135, -45, 135, cw=(1, 2)),
     (1, 6): ring("plus-reversed", 90, -90, 0, 180, cw=(1, 2)),
@@ -43,49 +45,33 @@ _FRAMES: Mapping[tuple[int, int], RotorLayout] = {
     (1, 13): ring("x-dji", 45, -45, -135, 135, cw=(2, 4)),
     (1, 14): ring("x-clockwise", 45, 135, -135, -45, cw=(2, 4)),
     (1, 18): ring("x-betaflight-reversed", 135, 45, -135, -45, cw=(2, 3)),
-    (2, 0): layout_named("hexa-plus"),
-    (2, 1): layout_named("hexa-x"),
     (2, 13): ring("hexa-x-dji", 30, -30, -90, -150, 150, 90, cw=(2, 4, 6)),
     (2, 14): ring("hexa-x-clockwise", 30, 90, 150, -150, -90, -30, cw=(2, 4, 6)),
-    (3, 0): layout_named("octo-plus"),
-    (3, 1): layout_named("octo-x"),
     (3, 13): ring("octo-x-dji", 22.5, -22.5, -67.5, -112.5, -157.5, 157.5, 112.5, 67.5, cw=(2, 4, 6, 8)),
     (3, 14): ring("octo-x-clockwise", 22.5, 67.5, 112.5, 157.5, -157.5, -112.5, -67.5, -22.5, cw=(2, 4, 6, 8)),
     (4, 0): ring("x8-plus", 0, -90, 180, 90, -90, 0, 90, 180, cw=(2, 4, 6, 8)),
-    (4, 1): layout_named("x8"),
     (4, 2): ring("x8-v", *_X8, cw=(2, 4, 6, 8), yaw=(0.7981, 0.7981, 1.0, 1.0, 0.7981, 0.7981, 1.0, 1.0)),
     (4, 3): ring("x8-h", *_X8, cw=(1, 3, 5, 7)),
     (4, 12): ring("x8-betaflight", *_X8_BETAFLIGHT, cw=(1, 4, 6, 7)),
     (4, 14): ring("x8-clockwise", 45, 45, 135, 135, -135, -135, -45, -45, cw=(2, 3, 6, 7)),
     (4, 18): ring("x8-betaflight-reversed", *_X8_BETAFLIGHT, cw=(2, 3, 5, 8)),
-    **{(5, kind): layout_named("y6") for kind in range(22)},
-    (5, 10): layout_named("y6b"),
     (5, 11): ring("y6f", 180, 60, -60, 180, 60, -60, cw=(4, 5, 6)),
     (12, 0): ring("dodecahexa-plus", 0, 0, 60, 60, 120, 120, 180, 180, -120, -120, -60, -60, cw=(2, 3, 6, 7, 10, 11)),
     (12, 1): ring("dodecahexa-x", 30, 30, 90, 90, 150, 150, -150, -150, -90, -90, -30, -30, cw=(2, 3, 6, 7, 10, 11)),
-    (14, 0): layout_named("deca-plus"),
-    (14, 1): layout_named("deca-x"),
-    (14, 14): layout_named("deca-x"),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterFinding:
-    """The layout and the output, from 1, of motor 1, 2, ...; None if the parameters do not say it, or contradict it.
-
-    reason: what both rest on, or why one is not known; empty if the parameters say nothing of rotors.
-    """
+    """The layout and the output, from 1, of motor 1, 2, ...; None if the parameters do not say it, or contradict it."""
 
     layout: RotorLayout | None = None
     outputs: tuple[int, ...] | None = None
-    reason: str = ""
+    reason: str = ""  # what both rest on, or why one is not known; empty if the parameters say nothing of rotors
 
 
 def layout_from_parameters(parameters: Mapping[str, float], mav_type: int | None = None) -> ParameterFinding:
-    """Read what an autopilot's parameters, by name and as floats, say of its rotors.
-
-    mav_type: MAV_TYPE of the vehicle, which older ArduPilots tell besides. What is not finite, or beyond what such a
-    parameter can be, counts as not told.
+    """Read what an autopilot's parameters, by name and as floats, say of its rotors. mav_type: MAV_TYPE, if known.
 
     >>> layout_from_parameters({"FRAME_CLASS": 1, "FRAME_TYPE": 0}).layout.name
     'plus'

@@ -56,10 +56,7 @@ def sources_of(flight: Sequence[Rows], layout: RotorLayout) -> BoolArray:
 
 
 def source_among(shown: Sequence[BoolArray], layout: RotorLayout) -> Source:
-    """The outputs where they are sent, for they are what the rotors really got. shown: `sources_of` each flight.
-
-    Raises InputError if there is neither.
-    """
+    """The outputs where they are sent, else the torques. shown: `sources_of` each flight. Raises InputError."""
     for number, source in enumerate(SOURCES):
         if any(one[number] for one in shown):
             return source
@@ -69,10 +66,7 @@ def source_among(shown: Sequence[BoolArray], layout: RotorLayout) -> Source:
 
 
 def trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
-    """Roll, pitch and yaw trim of each row, (n, 3) [fraction of hover], and where it may be used; zero elsewhere.
-
-    The same arrays for the same question; do not write to them.
-    """
+    """Roll, pitch and yaw trim of each row, (n, 3) [fraction of hover], and where it may be used; zero elsewhere."""
     return block.once((source, layout), lambda: (_by_outputs if source == "actuator" else _by_torques)(block, layout))
 
 
@@ -114,13 +108,8 @@ def spread_of(shifts: FloatArray) -> Three:
 
 
 def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, tilt: FloatArray = NO_TILT) -> FloatArray:
-    """The rise of each rotor that explains a shift of the trim alone, (n, 3) -> (n, rotors) [fraction of hover].
-
-    tilt: (n, 2) by how much the commanded tilt differs [rad]: wind that holds a vehicle tilted tips the rotor discs
-    too, so 0.3 times the tilt is added in squares to the spread of roll and pitch.
-    """
+    """a_j of each shift, (n, 3) -> (n, rotors). tilt: (n, 2) [rad], 0.3 of it widens the spread of roll and pitch."""
     C, leaning = layout.unmixing, TILT_TRIM**2 * np.square(tilt).sum(axis=1)
     W = 1.0 / (np.square(spread) + leaning[:, None] * np.array([1.0, 1.0, 0.0]))
     # einsum and not @: BLAS rounds by the number of rows, and a cut must not change a value
-    found = np.einsum("nk,kr->nr", W * shift, C) / np.einsum("nk,kr->nr", W, C * C)
-    return np.asarray(found, dtype=np.float64)
+    return np.asarray(np.einsum("nk,kr->nr", W * shift, C) / np.einsum("nk,kr->nr", W, C * C), dtype=np.float64)

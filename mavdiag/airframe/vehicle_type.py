@@ -1,7 +1,7 @@
 """Which kinds of vehicle are judged: multirotors, by MAV_TYPE of the MAVLink common dialect.
 
-Every monitor rests on fixed rotors that carry the vehicle all the time. A VTOL is refused too, for its rotors stop,
-tilt or idle in forward flight. A vehicle that does not say what it is, or says "generic", is taken for a multirotor.
+A VTOL is refused too, for its rotors stop, tilt or idle in forward flight. One that does not say what it is, or says
+"generic", is taken for a multirotor.
 """
 
 GENERIC, QUAD = 0, 2

@@ -20,11 +20,10 @@ from mavdiag.commands.progress import working
 from mavdiag.errors import BaselineError, IdentificationError, InputError, UsageError
 from mavdiag.face import FlightRates, rates, read_log
 from mavdiag.identify import ArxModel, Method, ModelRecord, fit
+from mavdiag.identify.estimate import ORDERS, best_row
+from mavdiag.identify.estimate import sweep as fit_each
 from mavdiag.identify.lab import comparison
-from mavdiag.identify.lab.drawing import draw_model
-from mavdiag.identify.lab.figures import Figure, ModelFigures, model_figures
-from mavdiag.identify.lab.sweep import ORDERS, best_row
-from mavdiag.identify.lab.sweep import sweep as fit_each
+from mavdiag.identify.lab.figures import Figure, ModelFigures, draw_model, model_figures
 from mavdiag.identify.validate import ResidualReport, examine_residual, one_step_report, validate
 from mavdiag.logs.log import read_bytes
 from mavdiag.monitors.run_length import RunLengthSpec

@@ -62,16 +62,16 @@ def report(
     if all(verdict.verdict is Verdict.ERROR for verdict in verdicts):
         more = f"; nor could {len(reports) - 1} others be read" if len(reports) > 1 else ""
         raise InputError(f"{verdicts[0].log}: {verdicts[0].reason}{more}")
-    write_atomically(output, page.flights_page(reports, reference, page.Made(now(), str(baseline))))
+    write_atomically(output, page.flights_page(reports, reference, str(baseline), now()))
     return say("\n".join([*(f"{verdict.log}: {verdict.verdict}" for verdict in verdicts), f"written to {output}"]))
 
 
 def write_report(log: Log, baseline: Baseline, baseline_path: Path, output: Path) -> LogVerdict:
     """Judge one log, write its page, return the verdict. Raises UsageError if it cannot be written."""
-    from mavdiag.report.page import Made, flight_report, flights_page
+    from mavdiag.report.page import flight_report, flights_page
 
     judged = judge_in_full(log, baseline)
-    page = flights_page([flight_report(log, baseline, judged)], baseline, Made(now(), str(baseline_path)))
+    page = flights_page([flight_report(log, baseline, judged)], baseline, str(baseline_path), now())
     write_atomically(output, page)
     return judged.verdict
 

@@ -76,10 +76,7 @@ class DemoResult:
 def closed_loop(
     flight: Flight, baseline: Path, judge: LiveJudge | None = None, record: Path | None = None
 ) -> Iterator[Loop]:
-    """Vehicle, detector and ground station over UDP on loopback, on ports of their own. Raises LinkError.
-
-    judge: judges the vehicle's streams at the ground station, too. record: where the detector keeps the flight.
-    """
+    """Vehicle, detector and ground station over UDP on loopback, on ports of their own. Raises LinkError."""
     kept = () if record is None else ("--record", str(record))
     with (
         open_endpoint("udpin:127.0.0.1:0") as endpoint,

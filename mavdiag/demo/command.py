@@ -1,6 +1,5 @@
 """`mavdiag demo`: the emulator and the detector as two processes over MAVLink, received by a ground station (edge)."""
 
-import os
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mavdiag import __version__
+from mavdiag.archive.scan import cache_folder
 from mavdiag.archive.sources import digest_of_sources
 from mavdiag.as_json import json_line
 from mavdiag.baseline import Baseline
@@ -90,7 +90,7 @@ def demo(
             typer.echo(json_line(told))
         else:
             _print_result(result, flight, changes)
-            _print_report(record, fused, report or cache_folder() / "demo-report.html")
+            _print_report(record, fused, report or _kept() / "demo-report.html")
     raise typer.Exit(0 if result.good else 1)
 
 
@@ -101,11 +101,8 @@ def thesis_rule(baseline: Baseline) -> Baseline:
 
 
 def own_baselines(*, quiet: bool) -> tuple[Path, Path]:
-    """The demo's two baselines, of all monitors and of the thesis rule, learnt once from flights of the emulator.
-
-    They are kept in the user's cache, and learnt again after any change of the sources that make them.
-    """
-    cache, digest = cache_folder(), digest_of_sources(("mavdiag", "sitl_plant"), ("__pycache__",))
+    """The demo's baselines, of all monitors and of the thesis rule, learnt anew after any change of the sources."""
+    cache, digest = _kept(), digest_of_sources(("mavdiag", "sitl_plant"), ("__pycache__",))
     fused, thesis = (cache / f"demo-{name}-{__version__}-{digest}.json" for name in ("fused", "thesis"))
     if _usable(fused) and _usable(thesis):
         return fused, thesis
@@ -125,9 +122,11 @@ def own_baselines(*, quiet: bool) -> tuple[Path, Path]:
     return fused, thesis
 
 
-def cache_folder() -> Path:
-    """Where the demo keeps what it made."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mavdiag"
+def _kept() -> Path:
+    folder = cache_folder()
+    if folder is None:
+        raise UsageError("no home folder to keep the demo's baselines in; set XDG_CACHE_HOME")
+    return folder
 
 
 def _usable(path: Path) -> bool:

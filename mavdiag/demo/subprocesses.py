@@ -13,7 +13,6 @@ from mavdiag.errors import LinkError
 
 GRACE_S = 3.0
 POLL_S = 0.05
-READ_BYTES = 1 << 20
 
 
 class Child:
@@ -31,8 +30,7 @@ class Child:
     def lines(self) -> list[str]:
         """The lines that it printed so far, read without moving the place at which it writes."""
         if not self._output.closed:
-            while more := os.pread(self._output.fileno(), READ_BYTES, len(self._printed)):
-                self._printed += more
+            self._printed = os.pread(self._output.fileno(), os.fstat(self._output.fileno()).st_size, 0)
         return self._printed.rpartition(b"\n")[0].decode(errors="replace").splitlines()
 
     @property

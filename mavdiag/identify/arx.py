@@ -39,10 +39,7 @@ class Estimate:
 
 
 def to_segments(u: Records, y: Records, order: Order) -> tuple[Segment, ...]:
-    """Pair u with y, record by record, and check that the data can carry `order`.
-
-    Raises IdentificationError if records do not pair up, differ in length, hold NaN, are too short, or are constant.
-    """
+    """Pair u with y, record by record. Raises IdentificationError unless the data can carry `order`."""
     us, ys = _records(u), _records(y)
     if len(us) != len(ys) or not us:
         raise IdentificationError(f"{len(us)} records of u and {len(ys)} of y: give one of each per segment")
@@ -106,10 +103,7 @@ def polynomials(theta: FloatArray, order: Order) -> tuple[FloatArray, FloatArray
 
 
 def triangle(rows: FloatArray) -> FloatArray:
-    """R of rows = Q R, (n, c) -> (min(n, c), c): all that a linear fit needs to know of any number of rows.
-
-    In blocks, so that it stays in the cache and in one thread: R of stacked Rs is R of the whole.
-    """
+    """R of rows = Q R, (n, c) -> (min(n, c), c), in blocks: R of stacked Rs is R of the whole."""
     n, c = rows.shape
     whole = n // BLOCK_ROWS
     if whole < 2:
@@ -119,10 +113,7 @@ def triangle(rows: FloatArray) -> FloatArray:
 
 
 def check_excitation(segments: Sequence[Segment], order: Order) -> None:
-    """Raise IdentificationError unless u is persistently exciting of order na + nb.
-
-    The covariance of as many successive inputs must have full rank (Ljung, System Identification 2e, sec. 13.2).
-    """
+    """Raise IdentificationError unless u is persistently exciting of order na + nb (Ljung, Sys. Id. 2e, 13.2)."""
     needed = order[0] + order[1]
     usable = [lagged(segment.u, 0, needed, needed - 1) for segment in segments if len(segment) >= needed]
     U = np.concatenate(usable, axis=1).T if usable else np.zeros((1, needed))
@@ -136,8 +127,7 @@ def check_excitation(segments: Sequence[Segment], order: Order) -> None:
 def solve(Z: FloatArray, Phi: FloatArray, target: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
     """Solve Z' Phi theta = Z' target; return theta (d,) and (Z' Z)^-1 (d, d). Z = Phi is least squares.
 
-    By an orthogonal factor of Z: slow flight data at 1 kHz are nearly collinear. Raises IdentificationError if a column
-    is nothing but the others to `tolerance`.
+    Raises IdentificationError if a column is nothing but the others to `tolerance`.
     """
     scale = np.linalg.norm(Z, axis=0)
     if not (np.isfinite(scale).all() and np.all(scale > 0.0)):
@@ -151,10 +141,7 @@ def solve(Z: FloatArray, Phi: FloatArray, target: FloatArray, tolerance: float) 
 
 
 def least_squares(segments: Sequence[Segment], order: Order) -> Estimate:
-    """Least-squares estimate over the rows of all segments: covariance = (Phi' Phi)^-1 e'e/(n - d).
-
-    Raises IdentificationError if the regressors are linearly dependent.
-    """
+    """Least-squares estimate over the rows of all segments: covariance = (Phi' Phi)^-1 e'e/(n - d)."""
     stacked = np.concatenate([np.vstack(regressors(segment, order)) for segment in segments], axis=1)  # [ Phi  y ]'
     d, n = order[0] + order[1], stacked.shape[1]
     R = triangle(stacked.T)

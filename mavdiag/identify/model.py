@@ -39,17 +39,11 @@ class ArxModel:
     """A(z^-1) y(t) = B(z^-1) u(t) + e(t), T Eq 4.1-4.5, with read-only arrays.
 
     a: (na + 1,), a[0] == 1. b: (nk + nb,) with nk leading zeros; unit of y per unit of u. dt: sample time [s].
-    order: (na, nb, nk). covariance: (d, d) of the d = na + nb estimates a1..a_na, b_nk..b_{nk+nb-1}, nan if unknown: by
-    SRIV for output noise of any colour; by LS for white noise in the equation, and it says nothing of the bias.
-    standard_errors: (d,) square roots of its diagonal.
-
-    Fit on the training data, nan where unknown. With e_sim = y - simulate(u), each segment from rest, all pooled:
-    r2t: R_T^2 = 1 - var(e_sim)/var(y). nrmse_fit: 100 (1 - |e_sim| / |y - mean y|) [percent]. mse: mean e_sim^2.
-    yic: Young's information criterion, ln(var(e_sim)/var(y)) + ln(mean(se^2/theta^2)). samples: rows of training data.
-    iterations, converged: of SRIV.
-
-    Raises IdentificationError if the coefficients do not fit the order, are not finite, or dt is not positive. It may
-    be unstable, as published models are, but `fit` never returns such a one.
+    order: (na, nb, nk). covariance: (d, d) of the d = na + nb estimates `theta`, nan if unknown: by SRIV for output
+    noise of any colour, by LS for white noise in the equation. standard_errors: (d,) square roots of its diagonal.
+    r2t, nrmse_fit, mse: of the training data, nan where unknown, as `Validation`. samples: rows of them.
+    yic: Young's information criterion, ln(1 - r2t) + ln(mean(se^2/theta^2)). iterations, converged: of SRIV.
+    Raises IdentificationError if the coefficients do not fit the order or are not finite. Only `fit` demands stability.
     """
 
     a: FloatArray
@@ -114,10 +108,7 @@ class ArxModel:
         return float(np.sum(self.b)) / denominator if denominator != 0.0 else math.inf
 
     def simulate(self, u: FloatArray, past_u: FloatArray | None = None, past_y: FloatArray | None = None) -> FloatArray:
-        """Free-run output for the inputs u, (n,) -> (n,): no measured output enters (T 5.5).
-
-        past_u, past_y: inputs and outputs before u[0], oldest first; missing ones count as zero.
-        """
+        """Free-run output for the inputs u, (n,) -> (n,) (T 5.5). past_u, past_y: before u[0], oldest first; else 0."""
         from scipy.signal import lfilter, lfiltic  # 0.8 s to import: only offline work pays it
 
         newest_y = np.empty(0) if past_y is None else past_y[::-1][: len(self.a) - 1]
@@ -126,10 +117,7 @@ class ArxModel:
         return np.asarray(lfilter(self.b, self.a, u, zi=initial)[0], dtype=np.float64)
 
     def predict(self, u: FloatArray, y: FloatArray) -> FloatArray:
-        """One-step prediction from the measured past, (n,), (n,) -> (n - lag,): row i predicts y[i + lag].
-
-        yhat(t) = b_nk u(t - nk) + .. - a1 y(t - 1) - .. Raises IdentificationError if the lengths differ or n <= lag.
-        """
+        """One-step prediction from the measured past, (n,), (n,) -> (n - lag,): row i predicts y[i + lag]."""
         if u.shape != y.shape or u.ndim != 1 or len(y) <= self.lag:
             raise IdentificationError(f"a prediction needs u and y of one length above {self.lag}")
         known = np.convolve(u, self.b)[: len(y)] - np.convolve(y, self.a)[: len(y)] + y
@@ -146,10 +134,7 @@ class ArxModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelRecord:
-    """An ArxModel as a baseline stores it: plain numbers; None or empty where a figure is not known.
-
-    Raises IdentificationError if the numbers are not those of a model.
-    """
+    """An ArxModel as a baseline stores it: plain numbers, checked; None or empty where a figure is not known."""
 
     a: tuple[float, ...]
     b: tuple[float, ...]

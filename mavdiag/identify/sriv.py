@@ -44,9 +44,7 @@ MAX_RADIUS = 0.99999  # reflected poles stay this far inside the unit circle (ou
 def sriv(segments: Sequence[Segment], order: Order, figures: bool = True, near: FloatArray | None = None) -> Estimate:
     """SRIV estimate over all segments, started from least squares, or from a theta that is near already.
 
-    covariance: right for output noise of any colour; nan without `figures`. What does not settle is finished by
-    Gauss-Newton steps on the same equations; `converged` is False if those do not settle either.
-    Raises IdentificationError if they do not tell them apart at all.
+    What does not settle is finished by Gauss-Newton steps. covariance: nan without `figures`.
     """
     data = _by_length(segments)
     settled = False
@@ -70,27 +68,22 @@ def reflect_poles(a: FloatArray) -> FloatArray:
     radius = np.abs(roots)
     if np.all(radius < 1.0):
         return a
-    outside = radius >= 1.0
-    mirrored = np.where(outside, roots / np.maximum(radius, 1.0) ** 2, roots)
-    mirrored = np.where(outside & (np.abs(mirrored) > MAX_RADIUS), roots / radius * MAX_RADIUS, mirrored)
-    return np.real(np.atleast_1d(np.poly(mirrored)))
+    far = np.maximum(radius, 1.0)
+    scale = np.where(radius < 1.0, 1.0, np.minimum(1.0 / far, MAX_RADIUS) / far)
+    return np.real(np.atleast_1d(np.poly(scale * roots)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Point:
-    """A stable theta with its loss (mean squared output error, initial states free) and two ways on from it.
-
-    refined: the SRIV solution with filter and instruments from theta. descent: the Gauss-Newton solution.
-    inverse: (Z_f' Z_f)^-1. errors: standard errors of theta if the noise were white. rows: residuals in the loss.
-    """
+    """A stable theta with its loss (mean squared output error, initial states free) and two ways on from it."""
 
     theta: FloatArray
-    refined: FloatArray
-    descent: FloatArray
-    inverse: FloatArray
-    errors: FloatArray
+    refined: FloatArray  # the SRIV solution with filter and instruments from theta
+    descent: FloatArray  # the Gauss-Newton solution
+    inverse: FloatArray  # (Z_f' Z_f)^-1
+    errors: FloatArray  # standard errors of theta if the noise were white
     loss: float
-    rows: int
+    rows: int  # residuals in the loss
 
     def settled(self, target: FloatArray, share: float) -> bool:
         """Whether the way to `target` is at most that share of the standard errors, or rounding."""
@@ -101,8 +94,7 @@ class _Point:
 def _evaluate(data: Sequence[Segment], order: Order, theta: FloatArray) -> _Point:
     """Solve Z_f' Phi_f refined = Z_f' y_f with filter and instruments from theta.
 
-    y_f - Phi_f theta is the output error e = y - x and -Z_f its gradient. So Z_f' e = 0, where SRIV stands still, is
-    where the mean squared output error is stationary, and theta + (Z_f' Z_f)^-1 Z_f' e is the Gauss-Newton step.
+    y_f - Phi_f theta is the output error e and -Z_f its gradient: (Z_f' Z_f)^-1 Z_f' e is the Gauss-Newton step.
     """
     n, d = sum(len(group.y) * (len(group) - reach(order)) for group in data), len(theta)
     R = np.concatenate([_reduced(*_filtered(group, order, theta), order[0]) for group in data])
@@ -117,7 +109,7 @@ def _evaluate(data: Sequence[Segment], order: Order, theta: FloatArray) -> _Poin
 
 
 def _refine(data: Sequence[Segment], order: Order, point: _Point) -> tuple[_Point, int, bool]:
-    """SRIV proper: always the full step, unstable poles reflected. The last or else best point, iterations, settled."""
+    """SRIV proper, unstable poles reflected: the last or else best point, iterations, settled."""
     best, best_at, iteration = point, 0, 0
     while iteration < best_at + PATIENCE:
         if point.settled(point.refined, SETTLED) and point.loss <= best.loss * (1.0 + PROGRESS):
@@ -154,10 +146,7 @@ def _by_length(segments: Sequence[Segment]) -> list[Segment]:
 
 
 def _filtered(group: Segment, order: Order, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f] of a group, (c, m, rows), and a basis of the responses F, (rows, na).
-
-    A filtered lagged signal is the lagged filtered signal, but for a free response, which is projected out anyway.
-    """
+    """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f] of a group, (c, m, rows), and a basis of the responses F."""
     from scipy.signal import lfilter  # 0.8 s to import: only offline work pays it
 
     a, b = polynomials(theta, order)
@@ -179,11 +168,10 @@ def _reduced(columns: FloatArray, free: FloatArray, na: int) -> FloatArray:
 
 
 def _coloured(data: Sequence[Segment], order: Order, point: _Point) -> FloatArray:
-    """Covariance of an SRIV estimate, (na + nb, na + nb), whatever the spectrum of its output error.
+    """cov theta = M S M, M = (Z_f' Z_f)^-1, S = sum_k r_e(k) sum_t z_f(t) z_f(t + k)', (na + nb, na + nb).
 
-    cov theta = M S M with M = (Z_f' Z_f)^-1 and S = sum_k r_e(k) sum_t z_f(t) z_f(t + k)' (Soderstrom and Stoica,
-    System Identification, ch. 8). r_e: autocovariance of the residual under a Bartlett window of sqrt(n) lags (our
-    choice).
+    (Soderstrom and Stoica, System Identification, ch. 8). r_e: autocovariance of the residual under a Bartlett window
+    of sqrt(n) lags (our choice).
     """
     from scipy.signal import fftconvolve  # 0.8 s to import: only offline work pays it
 
@@ -203,5 +191,4 @@ def _coloured(data: Sequence[Segment], order: Order, point: _Point) -> FloatArra
     S = np.zeros((d, d))
     for Z in instruments:
         S += np.tensordot(Z, fftconvolve(Z, both_sides, mode="same", axes=2), ((1, 2), (1, 2)))
-    covariance: FloatArray = point.inverse @ (0.5 * (S + S.T)) @ point.inverse
-    return covariance
+    return np.asarray(point.inverse @ (0.5 * (S + S.T)) @ point.inverse, dtype=np.float64)

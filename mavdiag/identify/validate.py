@@ -17,18 +17,12 @@ Z99 = NormalDist().inv_cdf(0.995)  # deviations to both sides that hold 99 %
 
 
 def r_squared(y: FloatArray, y_sim: FloatArray) -> float:
-    """R_T^2 = 1 - var(y - y_sim)/var(y), both (n,), blind to a constant offset (T 5.4).
-
-    Raises IdentificationError if y is constant.
-    """
+    """R_T^2 = 1 - var(y - y_sim)/var(y), both (n,), blind to a constant offset (T 5.4)."""
     return 1.0 - float(np.var(y - y_sim)) / _some(float(np.var(y)))
 
 
 def nrmse_percent(y: FloatArray, y_sim: FloatArray) -> float:
-    """Fit percentage 100 (1 - |y - y_sim| / |y - mean y|), both (n,) (T 4.1.3). Sees a constant offset.
-
-    Raises IdentificationError if y is constant.
-    """
+    """Fit percentage 100 (1 - |y - y_sim| / |y - mean y|), both (n,) (T 4.1.3). Sees a constant offset."""
     return 100.0 * (1.0 - float(np.linalg.norm(y - y_sim)) / _some(float(np.linalg.norm(y - np.mean(y)))))
 
 
@@ -48,50 +42,36 @@ class Validation:
     samples: int
 
 
-def free_run(model: ArxModel, segments: Sequence[Segment], settle_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Measured and simulated output of all segments, each from rest and without its first `settle_s` [s], (n,) both.
-
-    Raises IdentificationError if nothing is left.
-    """
+def free_run(model: ArxModel, segments: Sequence[Segment], settle_s: float = 0.0) -> Validation:
+    """Simulate each segment from rest; its first `settle_s` [s] do not count. All errors are pooled (T 5.3, 5.4)."""
     if not 0.0 <= settle_s < math.inf:
         raise IdentificationError(f"the settling time must be 0 or more, not {settle_s} s")
     skip = round(settle_s / model.dt)
     y = np.concatenate([segment.y[skip:] for segment in segments])
     if len(y) == 0:
         raise IdentificationError(f"no record is longer than the settling time of {settle_s} s; lower it")
-    return y, np.concatenate([model.simulate(segment.u)[skip:] for segment in segments])
+    simulated = np.concatenate([model.simulate(segment.u)[skip:] for segment in segments])
+    mse = float(np.mean((y - simulated) ** 2))
+    return Validation(r_squared(y, simulated), nrmse_percent(y, simulated), mse, len(y))
 
 
 def validate(model: ArxModel, u: Records, y: Records, settle_s: float = 0.0) -> Validation:
-    """Simulate the model on flights it was not trained on, each from rest, and pool the errors (T 5.3, 5.4).
-
-    u, y: one record each, (n,), or one per flight. settle_s: seconds at the start of each that are left out, for
-    records that begin in motion. Raises IdentificationError on data that `fit` would refuse.
-    """
-    measured, simulated = free_run(model, to_segments(u, y, model.order), settle_s)
-    mse = float(np.mean((measured - simulated) ** 2))
-    return Validation(r_squared(measured, simulated), nrmse_percent(measured, simulated), mse, len(measured))
+    """Judge a model on flights it was not trained on, as `free_run`. u, y: one record each, (n,), or one per flight."""
+    return free_run(model, to_segments(u, y, model.order), settle_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualReport:
-    """Correlations of a residual e with itself and with the input u (Ljung, System Identification 2e, sec. 16.6).
+    """Correlations of a residual e with itself and with the input u (Ljung, System Identification 2e, sec. 16.6)."""
 
-    acf, ccf: (lags + 1,) of e(t) with e(t - lag), and of e(t) with u(t - lag), lag = 0..lags.
-    acf_band99, ccf_band99: half widths that hold 99 % of a true model's values.
-    """
-
-    acf: FloatArray
-    ccf: FloatArray
-    acf_band99: float
+    acf: FloatArray  # (lags + 1,) of e(t) with e(t - lag), lag = 0..lags
+    ccf: FloatArray  # of e(t) with u(t - lag)
+    acf_band99: float  # half width that holds 99 % of a true model's values
     ccf_band99: float
 
 
 def examine_residual(e: FloatArray, u: FloatArray, lags: int = LAGS) -> ResidualReport:
-    """Correlate a residual e with itself and with the input u at the same rows, both (n,).
-
-    Raises IdentificationError if the lengths differ, n <= 2 lags, or either is constant.
-    """
+    """Correlate a residual e with itself and with the input u at the same rows, both (n,)."""
     if u.shape != e.shape or e.ndim != 1 or len(e) <= 2 * lags:
         raise IdentificationError(f"the residual tests need e and u of one length above {2 * lags}")
     acf, ccf, input_acf = (_correlations(x, z, lags) for x, z in ((e, e), (e, u), (u, u)))
@@ -110,8 +90,5 @@ def _correlations(x: FloatArray, z: FloatArray, lags: int) -> FloatArray:
 
 
 def one_step_report(model: ArxModel, u: FloatArray, y: FloatArray, lags: int = LAGS) -> ResidualReport:
-    """Examine the one-step prediction error, which least squares makes white, over the rows with a complete past.
-
-    u, y: (n,). Of a SRIV model examine y - model.simulate(u) instead: its independence of u is what counts.
-    """
+    """Examine the one-step prediction error, which least squares makes white. u, y: (n,)."""
     return examine_residual(y[model.lag :] - model.predict(u, y), u[model.lag :], lags)

@@ -32,12 +32,9 @@ HARMONICS = 3
 
 @dataclass(frozen=True, slots=True)
 class OutputLoad:
-    """One motor's output in flight, 0..1; its mean over that of all, less 1; share of the flight at an end.
+    """One motor's output in flight, 0..1; its mean over that of all, less 1; share of the flight at an end."""
 
-    number: of the rotor where the layout is known, else of the output, from 1.
-    """
-
-    number: int
+    number: int  # of the rotor where the layout is known, else of the output, from 1
     mean: float
     over_mean: float
     full_share: float
@@ -56,25 +53,20 @@ class Vibration:
 
 @dataclass(frozen=True, slots=True)
 class RotorLine:
-    """The strongest line in the spectrum of the accelerometer's x and y, or the reason why none can be seen.
+    """The strongest line in the spectrum of the accelerometer's x and y, or the reason why none can be seen."""
 
-    hz, db: where it is, and how far above its neighbourhood; NaN if there is none.
-    harmonics: which of 2 and 3 times its frequency stand out as well.
-    told_hz: as `told_hz`. from_hz, to_hz: where it was looked for.
-    """
-
-    hz: float
-    db: float
-    harmonics: tuple[int, ...]
-    told_hz: float
-    from_hz: float
+    hz: float  # where it is; NaN if there is none
+    db: float  # above its neighbourhood
+    harmonics: tuple[int, ...]  # which of 2 and 3 times its frequency stand out as well
+    told_hz: float  # as `told_hz`
+    from_hz: float  # where it was looked for
     to_hz: float
     reason: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spectrum:
-    """power: (n, 2) density of x and y [(m/s^2)^2/Hz]. averaged: number of windows."""
+    """Density of x and y over frequency, (n, 2) [(m/s^2)^2/Hz], averaged over so many windows."""
 
     frequency_hz: FloatArray
     power: FloatArray
@@ -82,10 +74,7 @@ class Spectrum:
 
 
 def told_hz(telemetry: Telemetry) -> float:
-    """Mean speed of the rotors that turn, as the vehicle tells it, in turns a second; NaN if it does not.
-
-    PX4's simulator makes ESC_STATUS up, as 6000 rpm of full output: that tells nothing.
-    """
+    """Mean speed of the rotors that turn, as the vehicle tells it [Hz]; NaN if it does not, or if PX4 makes it up."""
     speeds, outputs = telemetry.get(Signal.ROTOR_SPEED), telemetry.get(Signal.ACTUATOR)
     if speeds is None or not (np.nan_to_num(speeds.values) > 0).any():
         return math.nan
@@ -134,10 +123,7 @@ def vibration(flight: Sequence[Block]) -> Vibration | None:
 
 
 def spectrum_of(flight: Sequence[Block], least_s: float = SPECTRUM_S) -> Spectrum | None:
-    """Spectrum of the accelerometer's x and y, by Welch's averages (IEEE Trans. Audio Electroacoust. 15 (1967)).
-
-    least_s: of the unbroken stretches of flight that it is taken of [s]; None if there is none.
-    """
+    """Spectrum of the accelerometer's x and y, by Welch's averages over stretches of `least_s` [s] or more."""
     from scipy.signal import welch  # here, for it takes a second to load
 
     hz, power, averaged = np.empty(0), np.empty(0), 0
@@ -193,9 +179,8 @@ def _outputs(block: Block, motors: Sequence[int]) -> FloatArray:
     if block.actuator.shape[1] <= max(motors, default=-1) or not motors:
         return np.empty((0, len(motors)))
     outputs = block.actuator[:, list(motors)]
-    known = block.valid & np.isfinite(outputs).all(axis=1)
-    turning: FloatArray = outputs[known & (outputs.mean(axis=1) > MIN_OUTPUT)]
-    return turning
+    turning = block.valid & np.isfinite(outputs).all(axis=1) & (outputs.mean(axis=1) > MIN_OUTPUT)
+    return np.asarray(outputs[turning], dtype=np.float64)
 
 
 def _above_neighbours(spectrum: Spectrum) -> FloatArray:
@@ -205,5 +190,4 @@ def _above_neighbours(spectrum: Spectrum) -> FloatArray:
     around = zip(np.searchsorted(hz, hz - reach), np.searchsorted(hz, hz + reach), strict=True)
     floor = np.array([np.median(power[first:stop]) for first, stop in around])
     tiny = np.finfo(np.float64).tiny
-    excess: FloatArray = 10 * np.log10(np.maximum(power, tiny) / np.maximum(floor, tiny))
-    return excess
+    return np.asarray(10 * np.log10(np.maximum(power, tiny) / np.maximum(floor, tiny)), dtype=np.float64)

@@ -52,39 +52,29 @@ _LEAST_HZ: Mapping[str, float] = {
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """One signal as it arrives; rate, jitter and longest gap are None with fewer than two times.
-
-    rate_hz: mean rate but for pauses. jitter_ms: standard deviation of the steps that are no gaps. gaps: steps of three
-    usual ones or more. missing: share of the samples that the usual step would have brought, 0..1. repeated: samples
-    with the time of another one. lowest, highest: of each column; None where a column holds no number.
-    """
+    """One signal as it arrives; rate, jitter and longest gap are None with fewer than two times."""
 
     signal: str
     unit: str
     samples: int
-    rate_hz: float | None
-    jitter_ms: float | None
+    rate_hz: float | None  # mean but for pauses
+    jitter_ms: float | None  # standard deviation of the steps that are no gaps
     longest_gap_s: float | None
-    gaps: int
-    missing: float
-    repeated: int
-    lowest: tuple[float | None, ...]
+    gaps: int  # steps of three usual ones or more
+    missing: float  # share of the samples that the usual step would have brought, 0..1
+    repeated: int  # samples with the time of another one
+    lowest: tuple[float | None, ...]  # of each column; None where it holds no number
     highest: tuple[float | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """The vehicle's clock beside the receiver's.
+    """The vehicle's clock beside the receiver's."""
 
-    behind_s: receiver's time less the vehicle's, at the fastest transport; drift_ppm: by how much that grows.
-    spread_ms: how much later than the fastest a sample may come (95 %).
-    signals_ms: by how much later than the gyro each signal comes, at the fastest; other clocks and stamps show here.
-    """
-
-    behind_s: float
-    drift_ppm: float | None
-    spread_ms: float
-    signals_ms: Mapping[str, float]
+    behind_s: float  # receiver's time less the vehicle's, at the fastest transport
+    drift_ppm: float | None  # by how much that grows
+    spread_ms: float  # how much later than the fastest a sample may come (95 %)
+    signals_ms: Mapping[str, float]  # by how much later than the gyro each comes, at the fastest
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,30 +107,23 @@ class MessageRate:
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """All that is told of a log or a link; its fields are those of the JSON.
-
-    flight_s: valid time in flight; 0 if none. no_flight: why there is none. upset: when and how it fell or tumbled.
-    gyro_gaps, lost_s: gaps of the gyro longer than 35 ms, and their time in all.
-    messages, link: each message of a link; frames received, lost, reordered and duplicated; None for a log without.
-    asked: what the autopilot answered to our requests, one sentence each.
-    clock: None where nothing came with a time of arrival of its own.
-    """
+    """All that is told of a log or a link; its fields are those of the JSON."""
 
     log: str
     source: str
     profile: str
     span_s: float
-    flight_s: float
-    no_flight: str
-    upset: str
+    flight_s: float  # valid time in flight
+    no_flight: str  # why there is none
+    upset: str  # when and how it fell or tumbled
     notes: tuple[str, ...]
     signals: tuple[Summary, ...]
-    gyro_gaps: int
-    lost_s: float
+    gyro_gaps: int  # of more than 35 ms
+    lost_s: float  # in them
     messages: tuple[MessageRate, ...]
-    link: Mapping[str, int] | None
-    asked: tuple[str, ...]
-    clock: Clock | None
+    link: Mapping[str, int] | None  # frames received, lost, reordered and duplicated
+    asked: tuple[str, ...]  # what the autopilot answered to our requests, one sentence each
+    clock: Clock | None  # None where nothing came with a time of arrival of its own
     units: Units
     rotors: str
     loads: tuple[figures.OutputLoad, ...]
@@ -165,10 +148,7 @@ def inspection_of(
     rates_hz: Mapping[int, float] | None = None,
     asked: tuple[str, ...] = (),
 ) -> Inspection:
-    """Look at a log, or at what came of a link. told: what is known of its vehicle; `Airframe()` for nothing.
-
-    baseline: its monitors are told; None for all monitors. count, rates_hz: of the autopilot's frames, by message.
-    """
+    """Look at a log, or at what came of a link. told: what is known of its vehicle. baseline: its monitors are told."""
     airframe, learnt, no_flight = rotors_of(log, told)
     signals = tuple(summary(series) for series in log.telemetry.series if len(series))
     flight, layout = [] if learnt is None else joined(learnt.rows), airframe.layout

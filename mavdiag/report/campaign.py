@@ -104,16 +104,12 @@ class Campaign:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roc:
-    """Receiver operating characteristic of the score: a flight is flagged if its score is above a limit.
+    """Receiver operating characteristic of the score: a flight is flagged if its score is above a limit."""
 
-    false_share, true_share: (n,) share of the healthy and of the damaged flights, for a limit that falls.
-    area: under the curve, 0..1. at_threshold: both shares at the limit 1, which is the threshold in use.
-    """
-
-    false_share: FloatArray
-    true_share: FloatArray
-    area: float
-    at_threshold: tuple[float, float]
+    false_share: FloatArray  # (n,) of the healthy flights, for a limit that falls
+    true_share: FloatArray  # (n,) of the damaged ones
+    area: float  # under the curve, 0..1
+    at_threshold: tuple[float, float]  # both shares at the limit 1, which is the threshold in use
 
 
 def read_campaign(path: Path) -> Campaign:
@@ -186,8 +182,7 @@ def _roc(campaign: Campaign) -> Drawn:
         line.draw(axes, 100 * roc.false_share, 100 * roc.true_share, label)
         axes.plot(*(100 * at for at in roc.at_threshold), "s", color=line.color, markersize=6, clip_on=False)
     axes.plot((0, 100), (0, 100), color="#767676", linewidth=0.7, linestyle=":", label="chance")
-    labels = {"xlabel": "healthy flights flagged [%]", "ylabel": "damaged flights found [%]"}
-    axes.set(**labels, xlim=(-1, 101), ylim=(-1, 102))
+    axes.set(xlabel="healthy flights flagged [%]", ylabel="damaged flights found [%]", xlim=(-1, 101), ylim=(-1, 102))
     legend_above(axes, 2)
     words = "; ".join(
         f"terms x{scale:g}: area {roc.area:.3f} of {count} damaged and {len(healthy)} healthy flights"
@@ -202,7 +197,8 @@ def _roc(campaign: Campaign) -> Drawn:
 
 @picture("campaign-severity")
 def _severity(campaign: Campaign) -> Drawn:
-    flights = _some(campaign.faulty)
+    if not (flights := campaign.faulty):
+        raise NotDrawn(NO_FAULTS)
     figure = sheet(2.9)
     several = figure.subplots(1, len(campaign.scales), sharey=True, squeeze=False)[0]
     for axes, scale in zip(several, campaign.scales, strict=True):
@@ -223,12 +219,6 @@ def _severity(campaign: Campaign) -> Drawn:
     return figure, f"{found} of {len(flights)} damaged flights had an alarm after the onset.", ""
 
 
-def _some(flights: Sequence[CampaignFlight]) -> Sequence[CampaignFlight]:
-    if not flights:
-        raise NotDrawn(NO_FAULTS)
-    return flights
-
-
 def _share(flights: Sequence[CampaignFlight], cause: str, scale: float) -> tuple[float, float, float] | None:
     """Found share of one fault with Wilson's interval [%]; None without a flight."""
     from scipy.stats import binomtest
@@ -245,9 +235,11 @@ def _share(flights: Sequence[CampaignFlight], cause: str, scale: float) -> tuple
 def _latency(campaign: Campaign) -> Drawn:
     curves = []
     for kind in FaultType:
-        own = [flight.latency_s for flight in _some(campaign.faulty) if flight.cause.startswith(kind)]
+        own = [flight.latency_s for flight in campaign.faulty if flight.cause.startswith(kind)]
         if own:
             curves.append((kind, np.sort([latency_s for latency_s in own if latency_s is not None]), len(own)))
+    if not curves:
+        raise NotDrawn(NO_FAULTS)
     longest = 1.05 * max((float(times[-1]) for _, times, _ in curves if len(times)), default=1.0)
     figure = sheet(2.7)
     axes = figure.subplots()
@@ -255,8 +247,8 @@ def _latency(campaign: Campaign) -> Drawn:
         share = np.append(np.arange(len(times) + 1), len(times)) * (100 / count)
         x, label = [0.0, *times, longest], f"{NAMES[kind]} ({count} flights)"
         axes.step(x, share, where="post", color=line.color, linestyle=line.stroke, label=label)
-    labels = {"xlabel": "time from the onset to the first alarm [s]", "ylabel": "flights noticed [%]"}
-    axes.set(**labels, ylim=(0, 102), xlim=(0, longest))
+    axes.set(xlabel="time from the onset to the first alarm [s]", ylabel="flights noticed [%]")
+    axes.set(ylim=(0, 102), xlim=(0, longest))
     legend_above(axes, 3)
     medians = [f"{kind}: median {np.median(times):.2f} s" for kind, times, _ in curves if len(times)]
     return figure, f"{'; '.join(medians) or 'none noticed'}.", ""

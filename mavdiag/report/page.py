@@ -46,13 +46,12 @@ OF_LOG = ("attitude", "height")  # pictures that need no judging
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightReport:
-    """The verdict on a flight; the digest of its log, its link's profile, its start (unix epoch [ns]; 0 if it is not
-    known), each signal as it came, and the pictures in the order of the page."""
+    """What a page says of a flight; its pictures in the order of the page."""
 
     verdict: LogVerdict
     sha256: str = ""
     profile: str = ""
-    started_ns: int = 0
+    started_ns: int = 0  # unix epoch; 0 if it is not known
     link: tuple[Summary, ...] = ()
     pictures: tuple[Picture, ...] = ()
 
@@ -129,16 +128,8 @@ def _rotor_line(
     return None if heard.reason else (heard.hz, "what is heard, the strongest line above its neighbourhood")
 
 
-@dataclass(frozen=True, slots=True)
-class Made:
-    """When the page was made: ISO 8601, UTC. baseline_path: as it was given."""
-
-    created: str
-    baseline_path: str
-
-
-def flights_page(flights: Sequence[FlightReport], baseline: Baseline, made: Made) -> str:
-    """One page; of several flights it begins with a table of all. What asks for attention comes first."""
+def flights_page(flights: Sequence[FlightReport], baseline: Baseline, path: str, created: str) -> str:
+    """One page, what asks for attention first. path: of the baseline, as it was given. created: ISO 8601, UTC."""
     flights = sorted(flights, key=lambda flight: ORDER.index(flight.verdict.verdict))
     alone = len(flights) == 1
     name = Path(flights[0].verdict.log).name
@@ -151,7 +142,8 @@ def flights_page(flights: Sequence[FlightReport], baseline: Baseline, made: Made
         counts=", ".join(f"{counts[verdict]} {short}" for verdict, short in words.VERDICTS.items() if counts[verdict]),
         names=_names([flight.verdict.log for flight in flights]),
         baseline=baseline,
-        made=made,
+        baseline_path=path,
+        created=created,
     )
 
 
@@ -198,9 +190,7 @@ def _templates() -> Environment:
         "ratio": lambda monitor: monitor.maximum is not None and monitor.maximum > monitor.threshold,
         "short": lambda path: path if len(path) <= SHORT else f"…{path[-SHORT:]}",
         "signal": lambda name: LABELS.get(name, name.replace("_", " ")),
-        "utc": lambda t_ns: datetime.datetime.fromtimestamp(t_ns // NS_PER_S, datetime.UTC).isoformat(
-            timespec="seconds"
-        ),
+        "utc": lambda t_ns: datetime.datetime.fromtimestamp(t_ns // NS_PER_S, datetime.UTC).isoformat(),
     }
     found.globals |= {"words": words, "drawing": lambda svg, prefix: Markup(embedded(svg, prefix)), "EVENTS": EVENTS}
     return found

@@ -5,9 +5,8 @@ What each rotor is commanded beside the others:
     m: trim averaged over 5 s,    mu: the healthy one,    w = B (m - mu) / b
 
 b: the mean of the diagonal of B B^+. So w_j is the rise of rotor j, beyond what it was in health, if it alone rose
-[fraction of hover], as the rotor-trim monitor has it. Then each monitor's statistic in shares of its threshold; the
-thesis's figures by axis: rates, residual and margin, FSD against FML (T Fig 5.6 to 5.9), and where the flight lies
-among the thesis's classes (T Fig 5.10, 5.12); spectrum (3.14), filter window (5.5), attitude and height (5.4, 5.3).
+[fraction of hover], as the rotor-trim monitor has it. Then each monitor's statistic in shares of its threshold, and the
+thesis's figures (captions.toml has their numbers).
 """
 
 import math
@@ -21,13 +20,14 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.propellers import FaultType, propeller
 from mavdiag.airframe.trim import shown_trim
 from mavdiag.drawing import Colour, RotorMark, airframe_svg
 from mavdiag.identify import Method, Order
-from mavdiag.identify.lab.sweep import SweepRow, sweep
+from mavdiag.identify.estimate import SweepRow, sweep
 from mavdiag.look.figures import HARMONICS, SPECTRUM_S, Spectrum
 from mavdiag.monitors.rotor_trim import RotorTrimSpec
 from mavdiag.monitors.run_length import MIN_PIECE_S
@@ -50,12 +50,8 @@ NO_MODEL = "no axis could be compared with its model: it takes attitude set-poin
 CLASSIFIER = "qdrone2-emulated"  # the airframes that the classes hold for
 MOST_POINTS = 200  # of the plane (our choice)
 EXCESS = "highest residual above\nthe margin [rad/s]"
-NAMES = {
-    FaultType.EDGE_CUT: "F1 edge cut",
-    FaultType.CRACK: "F2 crack",
-    FaultType.SURFACE_UNBALANCE: "F3 surface unbalance",
-}
-MARKERS = {FaultType.EDGE_CUT: "o", FaultType.CRACK: "^", FaultType.SURFACE_UNBALANCE: "D"}
+NAMES = dict(zip(FaultType, ("F1 edge cut", "F2 crack", "F3 surface unbalance"), strict=True))
+MARKERS = dict(zip(FaultType, "o^D", strict=True))
 LEAST_HZ = 2.0  # of a spectrum: below it is the flight itself
 NAMED_AT = ("data", "axes fraction")
 WINDOWS_S = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
@@ -65,16 +61,12 @@ MOST_ROWS = 20_000  # of the flight that are fitted: seven fits of an axis take 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RotorShift:
-    """t_s: (n,) vehicle time [s]. shift: (n, rotors) w [fraction of hover], nan where unknown.
+    """The shift of every rotor over the flight."""
 
-    beyond_health: whether the healthy trim was taken off.
-    limit: the rotor-trim monitor's threshold [fraction of hover]; None without one.
-    """
-
-    t_s: FloatArray
-    shift: FloatArray
-    beyond_health: bool
-    limit: float | None = None
+    t_s: FloatArray  # (n,) vehicle time
+    shift: FloatArray  # (n, rotors) w [fraction of hover], nan where unknown
+    beyond_health: bool  # whether the healthy trim was taken off
+    limit: float | None = None  # the rotor-trim monitor's threshold [fraction of hover]
 
     def mean(self, since_s: float | None) -> FloatArray:
         """(rotors,) mean over the flight, or since a time if there is enough of it, nan if nothing is known."""
@@ -111,8 +103,7 @@ def trim_picture(found: RotorShift | None, columns: int = style.COLUMNS) -> Draw
     for number, shift in enumerate(found.shift.T):
         LINES[number % len(LINES)].draw(axes, *envelope(found.t_s, 100 * shift, columns), f"rotor {number + 1}")
     axes.set_ylabel(f"command be{'yond health' if found.beyond_health else 'side the mean'}\n[% of hover]")
-    note = "The baseline knows no healthy trim, so the airframe's own asymmetry is in it too."
-    note = "" if found.beyond_health else note
+    note = "" if found.beyond_health else "The baseline knows no healthy trim, so the airframe's own is in it too."
     if found.limit is not None:
         LIMIT.across(axes, 100 * found.limit, "threshold of rotor_trim")
         LIMIT.across(axes, -100 * found.limit)
@@ -184,17 +175,12 @@ def fault_classes() -> Mapping[FaultType, tuple[FloatArray, FloatArray]]:
 
 
 def runs_of(trace: RateTrace) -> FloatArray:
-    """Stretches of one axis outside of the margin, in order of time, (4, k); a run ends with its segment.
-
-    Rows: start and end [s], FSD [s], highest |r| - margin [rad/s].
-    """
+    """Start and end [s], FSD [s], highest |r| - margin [rad/s] of each run outside of the margin, (4, k)."""
     excess, t_s = np.abs(trace.residual) - trace.margin_rad_s, trace.t_ns / NS_PER_S
     outside = trace.judged & (excess > 0)
     edges = [0, *(np.flatnonzero(np.diff(trace.segment)) + 1).tolist(), len(outside)]
     pieces = [(low + first, low + stop) for low, high in pairwise(edges) for first, stop in spans(outside[low:high])]
-    found = [
-        (t_s[first], t_s[stop - 1], trace.fsd_s[first:stop].max(), excess[first:stop].max()) for first, stop in pieces
-    ]
+    found = [(t_s[a], t_s[b - 1], trace.fsd_s[a:b].max(), excess[a:b].max()) for a, b in pieces]
     return np.array(found, dtype=np.float64).reshape(-1, 4).T
 
 
@@ -385,7 +371,7 @@ def attitude_picture(telemetry: Telemetry, columns: int = style.COLUMNS) -> Draw
 
 
 def folded(hz: float, rate_hz: float) -> float:
-    """Where a line is seen in a stream that is sampled at this rate.
+    """Fold a frequency into a stream that is sampled at this rate.
 
     >>> folded(167.0, 1000.0), folded(167.0, 200.0)
     (167.0, 33.0)
@@ -397,11 +383,7 @@ def folded(hz: float, rate_hz: float) -> float:
 def spectrum_picture(
     spectrum: Spectrum | None, line: tuple[float, str] | None, corner_hz: float | None, rate_hz: float
 ) -> Drawn:
-    """The spectrum of the judged flight.
-
-    line: one per revolution [Hz], and where it is known from. corner_hz: of the low-pass in the stream; None if there
-    is none. rate_hz: of the samples.
-    """
+    """The spectrum of the judged flight. line: one per revolution [Hz], and where it is known from."""
     if spectrum is None:
         raise NotDrawn(f"no {SPECTRUM_S:g} s of flight without a break carries the accelerometer's x and y")
     use = spectrum.frequency_hz >= LEAST_HZ
@@ -421,7 +403,9 @@ def spectrum_picture(
         fold = "" if math.isclose(seen_hz, line[0]) else fold
         note = f"The line (dashed) is at {line[0]:.0f} Hz by {line[1]}{fold}."
     axes.set(xlabel="frequency [Hz]", ylabel="acceleration\n[m/s²/√Hz]", xlim=(0, rate_hz / 2))
-    style.plain_log(axes)
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
     legend_above(axes)
     note += "" if corner_hz is None else f" This stream is low-passed at {corner_hz:g} Hz: above it little is left."
     peak = f"Highest peak at {hz[density.max(axis=1).argmax()]:.0f} Hz."
@@ -431,10 +415,7 @@ def spectrum_picture(
 def sweep_of(
     blocks: Sequence[Block], axis: Axis, order: Order, method: Method, polynomial: int
 ) -> tuple[SweepRow, ...]:
-    """Fit a model of one axis to the beginning of the flight at each window; a row for each, in order.
-
-    blocks: one a segment. polynomial: order of the filter.
-    """
+    """Fit a model of one axis to the beginning of the flight at each window. polynomial: order of the filter."""
     dt_s, left, beginning = blocks[0].dt_s, MOST_ROWS, list[Block]()
     for block in blocks:
         beginning.append(block.rows(0, min(left, len(block))))
@@ -458,7 +439,7 @@ def sweep_of(
 
 @picture("windows")
 def windows_picture(sweeps: Mapping[Axis, Sequence[SweepRow]], dt_s: float, window_s: float) -> Drawn:
-    """R_T^2 against the window, by axis. dt_s: period of the rows. window_s: the baseline's."""
+    """R_T^2 against the window, by axis. window_s: the baseline's."""
     known = {
         axis: [(row.window * dt_s, row.model.r2t) for row in rows if row.model]
         for axis, rows in sweeps.items()

@@ -19,7 +19,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 
 from mavdiag.drawing import Colour
 from mavdiag.telemetry import FloatArray, IntArray
@@ -81,17 +80,12 @@ def captions() -> Mapping[str, Mapping[str, str]]:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A figure of a page, or why there is none.
+    """A figure of a page, or why there is none."""
 
-    key: its anchor in a page, letters and hyphens; its words stand under it in captions.toml.
-    note: what the caption says of this flight.
-    svg: the drawing; empty if there is none, and then not_drawn says why, as a phrase.
-    """
-
-    key: str
-    note: str = ""
+    key: str  # its anchor in a page; its words stand under it in captions.toml
+    note: str = ""  # what the caption says of this flight
     svg: str = ""
-    not_drawn: str = ""
+    not_drawn: str = ""  # why there is no drawing, as a phrase
 
     @property
     def title(self) -> str:
@@ -144,13 +138,6 @@ def panels(height_in: float, rows: int = 1) -> tuple[Figure, list[Axes]]:
     return figure, found
 
 
-def plain_log(axes: Axes) -> None:
-    """A logarithmic ordinate with plain numbers."""
-    axes.set_yscale("log")
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter(NullFormatter())
-
-
 def legend_above(axes: Axes, columns: int = 4, named: Mapping[str, Any] | None = None) -> None:
     """A legend above the axes, where it hides nothing. named: what it names, by label; None for what is in the axes."""
     what = axes.get_legend_handles_labels() if named is None else (list(named.values()), list(named))
@@ -163,8 +150,7 @@ def envelope(
 ) -> tuple[FloatArray, FloatArray]:
     """Thin a line to the lowest and the highest value of each column of pixels: the eye sees the same.
 
-    t: (n,) not falling. y: (n,); nan leaves a gap, which stays one if it fills a column. At most two points a column
-    and one for each gap; as it is where it is short already. filled: from below, so that the highest is enough.
+    t: (n,) not falling. y: (n,); nan leaves a gap. filled: from below, so that the highest is enough.
     """
     if len(t) <= (1 if filled else 2) * columns:
         return _with_breaks(t, y)
@@ -203,10 +189,7 @@ def embedded(svg: str, prefix: str) -> str:
 
 
 def _svg(figure: Figure, title: str, description: str) -> str:
-    """A figure as SVG with words for those who cannot see it, without what a page cannot have twice or need not have.
-
-    The same values give the same bytes.
-    """
+    """A figure as SVG with words for those who cannot see it, without what a page need not have."""
     FigureCanvasSVG(figure)
     out = io.StringIO()
     figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})

@@ -33,22 +33,16 @@ class ReceivedText:
 
 @dataclass(slots=True)
 class GroundStation:
-    """What has been received so far.
-
-    judge: judges the vehicle here, too. speak: send heartbeats, so that autopilots pass on texts to this link.
-    vehicle: the system id that is listened to; None for all. signing: lets only genuine frames pass.
-    texts: of the detectors, in order, each with the time of its own vehicle; the last ten thousand.
-    figures: the latest NAMED_VALUE_FLOATs of the detector of the vehicle that is shown, by name.
-    """
+    """What has been received so far."""
 
     endpoint: Endpoint
-    judge: LiveJudge | None = None
-    speak: bool = True
-    vehicle: int | None = None
-    signing: Signing | None = None
-    texts: list[ReceivedText] = field(default_factory=list)
+    judge: LiveJudge | None = None  # judges the vehicle here, too
+    speak: bool = True  # send heartbeats, so that autopilots pass on texts to this link
+    vehicle: int | None = None  # the system id that is listened to; None for all
+    signing: Signing | None = None  # lets only genuine frames pass
+    texts: list[ReceivedText] = field(default_factory=list)  # of the detectors, each with its own vehicle's time
+    figures: dict[str, float] = field(default_factory=dict)  # latest NAMED_VALUE_FLOATs of the vehicle that is shown
     _times: dict[int, float] = field(default_factory=dict)
-    figures: dict[str, float] = field(default_factory=dict)
     _decoder: Decoder = field(init=False)
     _encoder: Encoder = field(default_factory=lambda: Encoder(GCS_SYSID, Component.MISSIONPLANNER))
     _beat_s: float = 0.0

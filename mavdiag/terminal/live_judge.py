@@ -19,20 +19,15 @@ from mavdiag.units import NS_PER_S
 
 @dataclass(slots=True)
 class LiveJudge:
-    """The chain of a baseline at work on one vehicle of a link.
-
-    span_s: how much of the flight `pieces`, what the chain made of it, holds [s]. vehicle: its system id; None takes
-    the only one there is. datagrams: whether the link's chunks are datagrams. began_ns: start of the flight, unix
-    epoch [ns]. signing: lets only genuine frames pass.
-    """
+    """The chain of a baseline at work on one vehicle of a link."""
 
     baseline: Baseline
-    span_s: float
-    vehicle: int | None = None
-    datagrams: bool = True
-    began_ns: int = 0
-    signing: Signing | None = None
-    pieces: tuple[Piece, ...] = ()
+    span_s: float  # how much of the flight `pieces` holds
+    vehicle: int | None = None  # its system id; None takes the only one there is
+    datagrams: bool = True  # what the link's chunks are
+    began_ns: int = 0  # start of the flight, unix epoch
+    signing: Signing | None = None  # lets only genuine frames pass
+    pieces: tuple[Piece, ...] = ()  # what the chain made of the last seconds
     chain: Chain = field(init=False)
     _state: ChainState = field(init=False)
     _decoder: LinkDecoder = field(init=False)
@@ -46,10 +41,7 @@ class LiveJudge:
     def take(
         self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()
     ) -> tuple[Change, ...]:
-        """Take bytes of the link, each with its time of arrival [ns]; return the changes of the decision.
-
-        Raises InputError if there are several vehicles and none was named, BaselineError if the link is another.
-        """
+        """Take bytes of the link, each with its time of arrival [ns]; return the changes of the decision."""
         received = self._decoder.feed(chunks, now_ns, sources)
         known = sorted(self._decoder.vehicles)
         if self.vehicle is None and len(known) > 1:

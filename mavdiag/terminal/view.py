@@ -102,29 +102,21 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """All that is shown.
+    """All that is shown."""
 
-    title: of the frame. headline, alert: the finding in one sentence, and whether it is a fault.
-    from_s, to_s: the time that the strips span [s]. events: in order of time; the last ones are shown.
-    foot: about the link.
-    """
-
-    title: str = ""
-    headline: str = ""
-    alert: bool = False
-    from_s: float = 0.0
+    title: str = ""  # of the frame
+    headline: str = ""  # the finding in one sentence
+    alert: bool = False  # whether it is a fault
+    from_s: float = 0.0  # the time that the strips span
     to_s: float = 1.0
     strips: tuple[StripView, ...] = ()
     levels: tuple[Level, ...] = ()
-    events: tuple[Line, ...] = ()
-    foot: str = ""
+    events: tuple[Line, ...] = ()  # in order of time; the last ones are shown
+    foot: str = ""  # about the link
 
 
 def picture(view: View, width: int, height: int | None = None) -> Panel:
-    """The picture, `width` characters wide and at most `height` lines high; None for any height.
-
-    Where there is little room the newest events stay, then the monitors, then the strips.
-    """
+    """The picture; where `height` leaves little room the newest events stay, then the monitors, then the strips."""
     inner = max(width - FRAME, NARROWEST)
     head = _wrapped("", view.headline, "bold red" if view.alert else "bold green", inner)
     foot = [Text(printable(view.foot), style="dim", no_wrap=True, overflow="ellipsis")] if view.foot else []
@@ -167,16 +159,14 @@ def figure_levels(station: GroundStation) -> tuple[Level, ...]:
     figures = station.figures
     if not {"PF_RES", "PF_MARG", "PF_FSD", "PF_FML"} <= figures.keys():
         return ()
-    return (
-        Level("|residual|", abs(figures["PF_RES"]), figures["PF_MARG"], "rad/s"),
-        Level("FSD", figures["PF_FSD"], figures["PF_FML"], "s"),
-    )
+    residual = Level("|residual|", abs(figures["PF_RES"]), figures["PF_MARG"], "rad/s")
+    return residual, Level("FSD", figures["PF_FSD"], figures["PF_FML"], "s")
 
 
 def rate_strips(judge: LiveJudge, axis: Axis) -> tuple[StripView, ...]:
     """Of an axis with a model: measured and simulated rate (T Fig 5.6), and the residual with its margin (5.7)."""
-    traces = (trace for trace in rate_traces(judge.chain, judge.pieces) if trace.axis is axis and len(trace.t_ns))
-    return tuple(shown for trace in traces for shown in _strips_of(trace))
+    traces = rate_traces(judge.chain, judge.pieces)
+    return tuple(s for one in traces if one.axis is axis and len(one.t_ns) for s in _strips_of(one))
 
 
 def _strips_of(trace: RateTrace) -> tuple[StripView, StripView]:

@@ -27,7 +27,7 @@ JOURNAL_LOOK_S = 0.25
 EVENTS = 100  # that are kept; more do not fit on a screen
 JOURNAL_BYTES = 1 << 40  # there is no limit: it is read in pieces
 READ_BYTES = 1 << 20  # at a time
-SILENT = "nothing was received yet; is the vehicle or the detector sending to this address?"
+SILENT = "nothing was received; is the vehicle or the detector sending to this address?"
 
 
 class Screen(ExitStack):
@@ -83,7 +83,7 @@ def watch(station: GroundStation, address: str, axis: Axis, span_s: float, ended
 
     listen(station, view, ("", "") if station.judge is None else ("detector: ", "here: "), ended)
     if not station.heard:
-        raise InputError(f"{address}: nothing was received; is the vehicle or the detector sending to this address?")
+        raise InputError(f"{address}: {SILENT}")
 
 
 def listen(
@@ -94,10 +94,7 @@ def listen(
     *,
     quiet: bool = False,
 ) -> list[Change]:
-    """Show what a ground station hears until `ended`; return how the decision of its judge changed.
-
-    whose: what stands before the detector's texts, and before those changes.
-    """
+    """Show what a ground station hears until `ended`, with `whose` before texts and changes; return the changes."""
     changes: list[Change] = []
     with Screen(view, quiet=quiet) as screen:
         last = False
@@ -146,10 +143,7 @@ class VehicleStory:
 
 
 class Journal:
-    """The journal of a detector, followed while it is written, over rotations too.
-
-    vehicles: by system id. damaged: lines that could not be read. Raises InputError if there is no such file.
-    """
+    """The journal of a detector, followed while it is written, over rotations too. vehicles: by system id."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._stack = path, ExitStack()
@@ -214,10 +208,8 @@ def follow(journal: Journal, vehicle: int | None, ended: Callable[[], bool]) -> 
 
 def _journal_view(journal: Journal, vehicle: int | None, events: Sequence[Line]) -> View:
     chosen = {number: story for number, story in sorted(journal.vehicles.items()) if vehicle in (None, number)}
-    told = "; ".join(
-        f"vehicle {number}: {', '.join(filter(None, (story.state, story.stage, story.reason)))}"
-        for number, story in chosen.items()
-    )
+    says = ((number, ", ".join(filter(None, (one.state, one.stage, one.reason)))) for number, one in chosen.items())
+    told = "; ".join(f"vehicle {number}: {words}" for number, words in says)
     damaged = f"{journal.damaged} lines could not be read" if journal.damaged else ""
     alert = any(story.stage == Stage.FAULT for story in chosen.values())
     return View("journal", told or "no vehicle in the journal yet", alert, events=tuple(events), foot=damaged)

@@ -15,11 +15,11 @@ from mavdiag.baseline import Baseline
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, judge_in_full
 from mavdiag.report.campaign import parse_campaign, read_campaign
-from mavdiag.report.page import FlightReport, Made, campaign_page, flight_report, flights_page
+from mavdiag.report.page import FlightReport, campaign_page, flight_report, flights_page
 from mavdiag.report.style import Drawn, picture, sheet
 from mavdiag.telemetry import Log, Signal
 
-MADE = Made("2026-01-01T00:00:00+00:00", "baseline.json")
+CREATED = "2026-01-01T00:00:00+00:00"
 HOSTILE = "<script>alert(1)</script>\"'>&\u202e$x^2$<img src=x onerror=y>"
 SECTIONS = (
     *("airframe", "evidence", "trim", "rates", "residual", "fsd"),
@@ -38,7 +38,7 @@ def weak() -> FlightReport:
 
 @cache
 def weak_page() -> Page:
-    return check(flights_page([weak()], whole(), MADE))
+    return check(flights_page([weak()], whole(), "baseline.json", CREATED))
 
 
 def test_a_page_stands_alone_and_has_every_figure_or_its_reason() -> None:
@@ -80,7 +80,7 @@ def test_the_page_says_the_verdict_its_evidence_and_where_it_comes_from() -> Non
 )
 def test_a_log_that_carries_less_says_what_is_not_drawn(log: Log, reason: str) -> None:
     found = report_of(log, whole())
-    page = check(flights_page([found], whole(), MADE))
+    page = check(flights_page([found], whole(), "baseline.json", CREATED))
     assert [one.key for one in found.pictures] == list(SECTIONS)
     assert reason in page.said
 
@@ -91,7 +91,7 @@ def test_no_text_from_outside_is_markup() -> None:
     frame = whole().airframe
     outside = whole().model_copy(update={"airframe": replace(frame, name=HOSTILE, layout_basis=HOSTILE)})
     unread = FlightReport(LogVerdict(f"{HOSTILE}/x", Verdict.ERROR, HOSTILE))
-    text = flights_page([flight_there, unread], outside, replace(MADE, baseline_path=HOSTILE))
+    text = flights_page([flight_there, unread], outside, HOSTILE, CREATED)
     page = check(text)
     assert "img" not in page.tags
     assert "\u202e" not in text
@@ -100,12 +100,12 @@ def test_no_text_from_outside_is_markup() -> None:
 
 def test_several_logs_begin_with_a_table_that_leads_to_each_and_equal_values_give_equal_pages() -> None:
     flights = [weak(), FlightReport(LogVerdict("gone.bin", Verdict.ERROR, "no such file"))]
-    text = flights_page(flights, whole(), MADE)
+    text = flights_page(flights, whole(), "baseline.json", CREATED)
     page = check(text)
     assert {"#log-1", "#log-2"} <= set(page.addresses)
     assert "All logs: 1 not readable, 1 fault." in page.said
     assert "This file could not be read: no such file." in page.said
-    assert flights_page(flights, whole(), MADE) == text
+    assert flights_page(flights, whole(), "baseline.json", CREATED) == text
     assert dots() == dots()
 
 
@@ -136,7 +136,7 @@ def results() -> str:
 def test_a_campaign_is_drawn_from_its_results() -> None:
     campaign = parse_campaign(results())
     assert (len(campaign.flights), campaign.unread, len(campaign.faulty)) == (40, 1, 24)
-    page = check(campaign_page(campaign, HOSTILE, MADE.created))
+    page = check(campaign_page(campaign, HOSTILE, CREATED))
     found = sum(one.latency_s is not None for one in campaign.faulty)
     assert f"Of 24 judged flights with a damaged propeller {found} had an alarm" in page.said
     assert {f"campaign-{name}" for name in ("roc", "severity", "latency", "confusion")} <= set(page.ids)

@@ -5,9 +5,8 @@ follows slow change (Ljung, System Identification 2e, Eq 11.12); with lambda = 1
 
     k = P phi / (lambda + phi' P phi),   theta += k (y - phi' theta),   P <- (P - k phi' P) / lambda
 
-The two models that the thesis prints (T Eq 5.1, 5.2). Their sample time is not stated, and their gains at rest are 194
-and 317. So each carries an input scale, fitted by us: with it they explain about 0.55 (roll) and 0.85 (pitch) of the
-emulated aircraft's output variance.
+The two models that the thesis prints (T Eq 5.1, 5.2), without a sample time. Each carries an input scale, fitted by us:
+with it they explain about 0.55 (roll) and 0.85 (pitch) of the emulated aircraft's output variance.
 """
 
 from collections.abc import Iterator
@@ -29,10 +28,7 @@ MIN_COHERENCE = 0.6  # the usual floor of flight-test practice (Tischler and Rem
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrequencyResponse:
-    """H1 estimate S_uy/S_uu over frequency; noise on y does not bias it, noise on u does.
-
-    frequency_hz: (f,). response: (f,) complex, unit of y per unit of u. coherence: (f,) 0..1.
-    """
+    """H1 estimate S_uy/S_uu, (f,) each; noise on y does not bias it, noise on u does. coherence: 0..1."""
 
     frequency_hz: FloatArray
     response: "NDArray[np.complex128]"
@@ -56,8 +52,7 @@ def estimate_response(
     """Estimate the response from u to y by Welch's averaging: Hann windows, half overlap, means removed.
 
     u, y: one record each, (n,), or one per flight; flights are averaged, never joined. dt: sample time [s].
-    segment: samples per window. most_hz: frequencies from there on are left out. Raises IdentificationError if no
-    record holds two windows, or as `fit` does for data that do not pair up.
+    segment: samples per window. most_hz: frequencies from there on are left out.
     """
     from scipy.signal import csd  # 0.8 s to import: only offline work pays it
 
@@ -84,10 +79,7 @@ def model_response(model: ArxModel, frequency_hz: FloatArray) -> "NDArray[np.com
 
 
 def compare(measured: FrequencyResponse, model: ArxModel, min_coherence: float = MIN_COHERENCE) -> ResponseGap:
-    """The gap between model and measurement over the lines above 0 Hz with enough coherence.
-
-    Raises IdentificationError if no line has.
-    """
+    """The gap between model and measurement over the lines above 0 Hz with enough coherence."""
     use = (measured.coherence >= min_coherence) & (measured.frequency_hz > 0.0)
     if not use.any():
         raise IdentificationError(f"no frequency reaches a coherence of {min_coherence}; fly a richer input")
@@ -110,7 +102,6 @@ def track(
 
     forgetting: weight lambda of the past per sample, 0 < lambda <= 1; the memory is about 1/(1 - lambda) samples.
     The model may be unstable; its covariance is P times the weighted mean of the squared prediction error.
-    Raises IdentificationError on data that `fit` would refuse, and if it is asked before it has seen enough.
     """
     d = sum(check_order(order)[:2])
     if not 0.0 < forgetting <= 1.0:
