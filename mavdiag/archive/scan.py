@@ -135,14 +135,18 @@ class Cache:
         return None
 
 
+def own_cache() -> Path:
+    """The user's own folder for what is kept between runs (XDG Base Directory Specification)."""
+    told = os.environ.get("XDG_CACHE_HOME", "")  # a relative one is to be ignored
+    return (Path(told) if Path(told).is_absolute() else Path("~/.cache").expanduser()) / "mavdiag"
+
+
 def open_cache(folder: Path | None, scope: str, warn: Callable[[str], None] = lambda text: None) -> Cache:
     """The answers of a scope below a folder, which is made; None for the user's own (XDG Base Directory Specification).
 
     Raises UsageError if a folder that was named cannot be used; of the user's own that is told.
     """
-    told, trouble = os.environ.get("XDG_CACHE_HOME", ""), "cannot be written (no permission)"
-    own = Path(told) if Path(told).is_absolute() else Path("~/.cache").expanduser()  # a relative one is to be ignored
-    mine = (own / "mavdiag" if folder is None else folder) / "scan" / scope
+    trouble, mine = "cannot be written (no permission)", (folder or own_cache()) / "scan" / scope
     try:
         mine.mkdir(parents=True, exist_ok=True)
         if os.access(mine, os.W_OK | os.X_OK):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mavdiag import __version__
-from mavdiag.archive.scan import cache_folder
+from mavdiag.archive.scan import own_cache
 from mavdiag.archive.sources import digest_of_sources
 from mavdiag.as_json import json_line
 from mavdiag.baseline import Baseline
@@ -90,7 +90,7 @@ def demo(
             typer.echo(json_line(told))
         else:
             _print_result(result, flight, changes)
-            _print_report(record, fused, report or _kept() / "demo-report.html")
+            _print_report(record, fused, report or own_cache() / "demo-report.html")
     raise typer.Exit(0 if result.good else 1)
 
 
@@ -102,7 +102,7 @@ def thesis_rule(baseline: Baseline) -> Baseline:
 
 def own_baselines(*, quiet: bool) -> tuple[Path, Path]:
     """The demo's baselines, of all monitors and of the thesis rule, learnt anew after any change of the sources."""
-    cache, digest = _kept(), digest_of_sources(("mavdiag", "sitl_plant"), ("__pycache__",))
+    cache, digest = own_cache(), digest_of_sources(("mavdiag", "sitl_plant"), ("__pycache__",))
     fused, thesis = (cache / f"demo-{name}-{__version__}-{digest}.json" for name in ("fused", "thesis"))
     if _usable(fused) and _usable(thesis):
         return fused, thesis
@@ -120,13 +120,6 @@ def own_baselines(*, quiet: bool) -> tuple[Path, Path]:
         for path, options, flights in learnt:
             make_baseline(flights, with_airframe(options, "qdrone2", "qdrone2 drone 1")).save(path)
     return fused, thesis
-
-
-def _kept() -> Path:
-    folder = cache_folder()
-    if folder is None:
-        raise UsageError("no home folder to keep the demo's baselines in; set XDG_CACHE_HOME")
-    return folder
 
 
 def _usable(path: Path) -> bool:

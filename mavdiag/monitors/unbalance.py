@@ -226,7 +226,8 @@ class Unbalance(Monitor[UnbalanceSpec]):
     phrase = "vibrates {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE})
     depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
-    prior = Prior(session=0.25, flight=0.05, block=0.05)  # another session's propellers: emulated 0.03 to 0.3
+    # [g mm] An estimate: another session's propellers may have 0.18 g mm each (T Eq 3.6), at any angle.
+    prior = Prior(0.06, 0.02, 0.01, shares=False)
     evidence = RotorEvidence(8.0)  # the sense of turning and the place agree (1) or do not (0 and below)
     spec_type = UnbalanceSpec
     takes = MappingProxyType({Signal.SPECIFIC_FORCE: ONLY_X_Y})

@@ -66,7 +66,7 @@ class VibrationLevel(Monitor[VibrationLevelSpec]):
     needs = frozenset({Signal.VIBRATION})
     depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
     # An estimate: a vehicle in a simulator or on a calm day hardly vibrates, so 0.5 m/s^2 more is asked for at least.
-    prior = Prior(0.15, 0.1, 0.05, shares=False)  # [m/s^2] (our choice)
+    prior = Prior(0.1, 0.05, 0.02, shares=False)  # [m/s^2] (our choice)
     spec_type = VibrationLevelSpec
     unit = "m/s^2"
     reach = LIMIT_M_S2

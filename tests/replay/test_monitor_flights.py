@@ -92,5 +92,5 @@ def test_arducopter_hides_a_weak_motor_but_its_outputs_show_it(taught: str) -> N
         assert highest(fitted, flight(folder / f"healthy_quad3kg_{square}.tlog"))[0] < 0.1
         for share in ("080", "090"):
             ratio, rotor = highest(fitted, flight(folder / f"fault_quad3kg_m1_{share}_{square}.tlog"))
-            assert ratio > 1.5
+            assert ratio > 1.3  # after one flight, another session is allowed 0.07 of hover
             assert rotor == 1
