@@ -157,7 +157,8 @@ def told(encoder: Encoder, name: str, number: float, kind: int = REAL32) -> byte
 def test_integers_are_cast_by_ardupilot_and_copied_by_px4(autopilot: Autopilot) -> None:
     encoder, whole = Encoder(1, 1), {"FRAME_CLASS": 2.0, "A_NAME_OF_SIXTEE": 1_000_003.0, "SMALL": 0.0}
     copied = {name: struct.unpack("<f", struct.pack("<i", int(number)))[0] for name, number in whole.items()}
-    frames = [told(encoder, *one, INT32) for one in (copied if autopilot is Autopilot.PX4 else whole).items()]
+    sent = copied if autopilot is Autopilot.PX4 else whole
+    frames = [told(encoder, name, number, INT32) for name, number in sent.items()]
     frames += [told(encoder, "REAL", 0.25), told(encoder, "BROKEN", float("nan"))]
     frames.append(told(Encoder(1, 191), "FRAME_CLASS", 7.0))  # of another component
     assert parameters_in(Decoder().feed(b"".join(frames), 0), autopilot) == {**whole, "REAL": 0.25}
