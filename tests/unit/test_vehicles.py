@@ -98,7 +98,7 @@ def test_b28_a_truncated_datagram_is_not_joined_to_the_next() -> None:
     run(decoder, [*one.chunks(2), *other.chunks(2)])
     (whole, at), (cut, _) = other.chunks(1)[0], one.chunks(1)[0]
     assert run(decoder, [(cut[:-20], at), (whole, at)]) == 1
-    assert decoder.decoder.count.bad_crc == 0
+    assert 0 < decoder.decoder.garbage_bytes < 20
 
 
 def test_a_link_is_iterated() -> None:
