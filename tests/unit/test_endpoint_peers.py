@@ -27,9 +27,11 @@ def receive_all(endpoint: Endpoint, n_bytes: int, patience_s: float = 5.0) -> by
     return data
 
 
-@pytest.mark.parametrize("kind", ["udpin", "tcpin"])
-def test_an_answer_goes_to_the_one_that_asked(kind: str) -> None:
-    with open_endpoint(f"{kind}:127.0.0.1:0") as server, ExitStack() as stack:
+@pytest.mark.parametrize(("kind", "host"), [("udpin", "127.0.0.1"), ("udpin", "[::1]"), ("tcpin", "127.0.0.1")])
+def test_an_answer_goes_to_the_one_that_asked(kind: str, host: str) -> None:
+    if host == "[::1]" and not Path("/proc/net/if_inet6").exists():
+        pytest.skip("no IPv6 here")
+    with open_endpoint(f"{kind}:{host}:0") as server, ExitStack() as stack:
         far = server.address.replace(kind, {"udpin": "udpout", "tcpin": "tcp"}[kind])
         clients = [stack.enter_context(open_endpoint(far)) for _ in range(3)]
         for client in clients:
