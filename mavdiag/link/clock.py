@@ -140,6 +140,11 @@ class VehicleTime:
         return None if latest == NEVER else latest
 
     @property
+    def host_ns(self) -> int:
+        """When the last stamp was received [ns]."""
+        return self._told("host_ns")
+
+    @property
     def reboots(self) -> int:
         """How often the vehicle started anew."""
         return self._told("reboots")
