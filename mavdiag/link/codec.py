@@ -21,7 +21,7 @@ from mavdiag.errors import UsageError
 from mavdiag.jit import cached, jit
 from mavdiag.link.layout import EXTRA_LAYOUTS, Argument, FieldValue, Layout, cut
 from mavdiag.link.messages import Component, MessageId, Severity
-from mavdiag.link.sequence import FRAME, HEARD, REFUSED, DecoderCount, LinkCount, Senders, Source
+from mavdiag.link.sequence import FRAME, HEARD, REFUSED, LinkCount, Senders, Source
 from mavdiag.link.signing import SEAL_BYTES, SIGNED_FLAG, Signing
 from mavdiag.telemetry import BoolArray, IntArray
 from mavdiag.units import NS_PER_US
@@ -70,10 +70,8 @@ _LAYOUTS: Mapping[int, Layout] = {
     **{number: _generated_layout(message) for number, message in dialect.mavlink_map.items()},
     **EXTRA_LAYOUTS,
 }
-MSGIDS = (
-    *sorted(_LAYOUTS),
-    UNKNOWN,
-)  # the message of each row of `FRAME`; the last one stands for all that are unknown
+#: The message of each row of `FRAME`; the last one stands for all that are unknown.
+MSGIDS = (*sorted(_LAYOUTS), UNKNOWN)
 ROWS = {msgid: row for row, msgid in enumerate(MSGIDS)}
 # By message: its row, the byte that its definition adds to the checksum; -1 in the last ones, for all ids beyond.
 _KNOWN = np.full((max(_LAYOUTS) + 2, 2), -1, np.int16)
@@ -213,18 +211,12 @@ class Decoder:
         self.heard = Senders(MSGIDS)
         self._wanted = np.array([msgid != UNKNOWN and (wanted is None or msgid in wanted) for msgid in MSGIDS])
         self._pending = b""
-        self._tally = np.zeros(3, np.int64)  # wrong checksums, flags that we do not know, frames outside the dialect
         self.records = self.size = self.sound_end = self._sound = 0
 
     @property
     def senders(self) -> Mapping[tuple[int, int], LinkCount]:
         """Figures of each sender, by (system id, component id)."""
         return self.heard.counts()
-
-    @property
-    def count(self) -> DecoderCount:
-        """Figures of the whole link."""
-        return DecoderCount(self.garbage_bytes, *self._tally.tolist())
 
     @property
     def garbage_bytes(self) -> int:
@@ -257,7 +249,7 @@ class Decoder:
         """The wanted frames among chunks that lie one behind the other, and how many bytes are done with."""
         chunks = np.array([sizes, times, self.heard.numbers(sources)], np.int64)
         found, buffer = np.empty(len(data) // (_SHORTEST_V1 + self._gap) + 1, FRAME), np.frombuffer(data, np.uint8)
-        count, used = _find(buffer, chunks, whole, self._gap, _KNOWN, _tables(), self._tally, found)
+        count, used = _find(buffer, chunks, whole, self._gap, _KNOWN, _tables(), found)
         rows = found[:count]
         if count:
             self.sound_end = self.size + int(rows["after"][-1])
@@ -353,7 +345,6 @@ def _find(
     gap: int,
     known: NDArray[np.int16],
     tables: NDArray[np.uint16],
-    tally: IntArray,
     found: NDArray[Any],
 ) -> tuple[int, int]:
     """Write down the frames; returns how many, and how many bytes are done with.
@@ -367,7 +358,7 @@ def _find(
         while at < end:
             marker, after = data[at], at
             if marker in (_V1, _V2):
-                after = _take(data, at, end, whole, gap, known, tables, tally, found[count])
+                after = _take(data, at, end, whole, gap, known, tables, found[count])
             if after == _NOT_YET:
                 break
             if after > at:
@@ -394,7 +385,6 @@ def _take(
     gap: int,
     known: NDArray[np.int16],
     tables: NDArray[np.uint16],
-    tally: IntArray,
     frame: Any,
 ) -> int:
     """Write down the frame that begins at a marker; returns the place behind it, `begin` for none, or `_NOT_YET`."""
@@ -409,7 +399,6 @@ def _take(
         body, header, flags = begin + 10, begin + 4, zero + data[begin + 2]
         msgid = (zero + data[begin + 7]) | (zero + data[begin + 8]) << 8 | (zero + data[begin + 9]) << 16
     if flags > SIGNED_FLAG:
-        tally[1] += 1
         return begin
     stop = body + data[begin + 1]
     after = stop + 2 + SEAL_BYTES * flags
@@ -424,9 +413,7 @@ def _take(
         if after != end and (following >= end or (data[following] != _V1 and data[following] != _V2)):
             return begin
         row = known[len(known) - 1, 0]
-        tally[2] += 1
     elif _checksum(data, begin + 1, stop, seed, tables) != (zero + data[stop]) | (zero + data[stop + 1]) << 8:
-        tally[0] += 1
         return begin
     frame.begin, frame.body, frame.stop, frame.after, frame.row = begin, body, stop, after, row
     frame.sender = (zero + data[header + 1]) << 8 | (zero + data[header + 2])

@@ -7,8 +7,8 @@ with open_link("udpin:127.0.0.1:14550", vehicle=1) as link:
 
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
 from types import TracebackType
-from typing import Self
 
 from mavdiag.errors import InputError
 from mavdiag.link.ports import Endpoint, open_endpoint
@@ -39,7 +39,7 @@ def open_link(address: str, vehicle: int | None = None, profile: str | None = No
     return Link(open_endpoint(address), vehicle, chosen, signing)
 
 
-class Link:
+class Link(AbstractContextManager["Link"]):
     """One vehicle on a live link. It iterates what came since the last time, for as long as it is open.
 
     endpoint: an open port; it is closed with the link. acks: what the autopilot answered to our commands so far.
@@ -124,9 +124,6 @@ class Link:
         notes = () if telemetry.series else (SILENT_NOTE,)
         name, stream = f"{self.address} vehicle {self._vehicle}", self.stream
         return Log(name, "", stream.profile.name, telemetry, notes=notes, parameters=stream.parameters)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()

@@ -68,16 +68,6 @@ class LinkCount:
 
 
 @dataclass(frozen=True, slots=True)
-class DecoderCount:
-    """What a decoder made of its input so far, besides the frames themselves."""
-
-    garbage_bytes: int  # outside any accepted frame
-    bad_crc: int
-    incompatible: int  # seeming frames with incompatibility flags that we do not know
-    unknown: int  # frames outside the dialect
-
-
-@dataclass(frozen=True, slots=True)
 class Intruder:
     """Another source (the latest one) that sends in a sender's name, and how many frames of it were refused."""
 

@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeAlias
+from typing import Annotated, Literal, Self, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from mavdiag.errors import InputError
 from mavdiag.logs.log import LogKind, read_bytes, recorded, sha256_of
 from mavdiag.rows.gate import GateSpec
-from mavdiag.storage import parse_toml, read_toml
+from mavdiag.storage import TOML_BYTES, parse_toml, read_text
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Log, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_MS, NS_PER_S, NS_PER_US, RPM, G
 
@@ -98,7 +98,7 @@ class ColumnMap(_Part):
 
 def load_column_map(path: Path) -> ColumnMap:
     """A column map from its file. Raises InputError, naming file and field."""
-    return _map(str(path), read_toml(path))
+    return parse_column_map(read_text(path, TOML_BYTES), str(path))
 
 
 def is_csv(path: Path) -> bool:
@@ -106,12 +106,9 @@ def is_csv(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-def parse_column_map(text: str) -> ColumnMap:
+def parse_column_map(text: str, name: str = "column map") -> ColumnMap:
     """A column map from the text of its file. Raises InputError, naming the field."""
-    return _map("column map", parse_toml(text, "column map"))
-
-
-def _map(name: str, content: Mapping[str, Any]) -> ColumnMap:
+    content = parse_toml(text, name)
     tables = {key: content[key] for key in ("time", "file") if key in content}
     signals = {signal: content[signal] for signal in Signal if signal in content}
     if unknown := sorted(set(content) - set(tables) - set(signals)):

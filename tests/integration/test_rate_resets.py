@@ -1,6 +1,8 @@
 """A ground station that sets rates on the vehicle's link, against the daemon, on a virtual clock with the emulator."""
 
+from collections import Counter
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 from made_vehicle import Bench
@@ -9,8 +11,9 @@ from virtual_flight import GroundStation, VirtualFlight, healthy_flights, learnt
 from detector.config import Settings
 from detector.states import State
 from mavdiag.baseline import Baseline
-from mavdiag.link.codec import field_index
-from mavdiag.link.messages import MessageId
+from mavdiag.link.codec import Decoder, Frame, field_index
+from mavdiag.link.messages import MavCmd, MessageId
+from mavdiag.link.ports import Chunk
 from sitl_plant.plant import PlantConfig
 
 SETTLED_S = 15.0  # the live gate's 5 s, and the longest window
@@ -53,3 +56,27 @@ def test_l3_a_ground_station_that_resets_rates_every_10_s_costs_a_tenth_of_the_t
     assert len(station.times) == 4
     assert len(requests) == len(station.times)  # one each: it is answered, and nobody fights
     assert any("does a ground station set it? (MAVProxy: set streamrate -1)" in line for line in bench.host.lines)
+
+
+def test_what_tells_rotors_and_filter_is_read_while_it_learns_and_nothing_is_ever_set() -> None:
+    bench = Bench(Settings(connect="udpin:127.0.0.1:0", learn=500.0), links_behind=0)
+    heard: list[Frame] = []
+    decoder, receive = Decoder(), bench.far.receive
+
+    def listening(timeout_s: float) -> list[Chunk]:
+        chunks = receive(timeout_s)
+        heard.extend(frame for data, host_ns in chunks for frame in decoder.feed_datagram(data, host_ns))
+        return chunks
+
+    try:
+        with patch.object(bench.far, "receive", listening):
+            VirtualFlight(bench).fly(PlantConfig(seed=3), 8.0)
+        parameters = bench.daemon.fleet.link.vehicles[1].parameters
+    finally:
+        bench.close()
+    assert (parameters["FRAME_CLASS"], parameters["INS_GYRO_FILTER"]) == (1.0, 20.0)
+    assert {frame.msgid for frame in heard} <= SENT
+    names = Counter(frame.fields[NAME] for frame in heard if frame.msgid == MessageId.PARAM_REQUEST_READ)
+    assert max(names.values()) <= 3  # an output that this vehicle does not have
+    commands = {frame.fields[COMMAND] for frame in heard if frame.msgid == MessageId.COMMAND_LONG}
+    assert commands <= {MavCmd.SET_MESSAGE_INTERVAL}

@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mavdiag.errors import LinkError
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import Endpoint, open_endpoint
 from mavdiag.link.ports.tcp import CLIENTS_MAX
+from mavdiag.link.ports.udp import PEERS_MAX
 
 V1 = bytes.fromhex("fe09000101000000000002035104037ddd")
 V2 = Encoder(1, 1).encode(MessageId.HEARTBEAT, 2, 3, 81, 0, 4, 3)
@@ -25,9 +27,11 @@ def receive_all(endpoint: Endpoint, n_bytes: int, patience_s: float = 5.0) -> by
     return data
 
 
-@pytest.mark.parametrize("kind", ["udpin", "tcpin"])
-def test_an_answer_goes_to_the_one_that_asked(kind: str) -> None:
-    with open_endpoint(f"{kind}:127.0.0.1:0") as server, ExitStack() as stack:
+@pytest.mark.parametrize(("kind", "host"), [("udpin", "127.0.0.1"), ("udpin", "[::1]"), ("tcpin", "127.0.0.1")])
+def test_an_answer_goes_to_the_one_that_asked(kind: str, host: str) -> None:
+    if host == "[::1]" and not Path("/proc/net/if_inet6").exists():
+        pytest.skip("no IPv6 here")
+    with open_endpoint(f"{kind}:{host}:0") as server, ExitStack() as stack:
         far = server.address.replace(kind, {"udpin": "udpout", "tcpin": "tcp"}[kind])
         clients = [stack.enter_context(open_endpoint(far)) for _ in range(3)]
         for client in clients:
@@ -40,6 +44,21 @@ def test_an_answer_goes_to_the_one_that_asked(kind: str) -> None:
         assert [client.receive(0.02) for client in clients[:2]] == [[], []]
         server.answer(V1, ("127.0.0.1", 1))
         assert server.traffic.sent == server.traffic.dropped == 1
+
+
+def test_udpin_answers_those_that_it_heard_and_strangers_that_flood_take_no_ones_place() -> None:
+    with open_endpoint("udpin:127.0.0.1:0") as server, ExitStack() as stack:
+        far = server.address.replace("udpin", "udpout")
+        clients = [stack.enter_context(open_endpoint(far)) for _ in range(PEERS_MAX + 5)]
+        server.send(V2)
+        assert (server.traffic.sent, server.traffic.dropped) == (0, 1)
+        for client in clients:
+            client.send(V1)
+        assert len(receive_all(server, len(clients) * len(V1))) == len(clients) * len(V1)
+        server.send(V2)
+        assert server.traffic.sent == PEERS_MAX
+        assert receive_all(clients[0], len(V2)) == V2
+        assert clients[-1].receive(0.01) == []
 
 
 def test_every_datagram_is_received_or_counted_as_overflowed() -> None:
@@ -75,6 +94,26 @@ def test_udpout_counts_what_the_host_refused_and_recovers() -> None:
             server.send(V1)
             assert receive_all(client, len(V1)) == V1
             assert client.connected
+
+
+def test_a_tcp_client_waits_for_its_server_and_finds_it_again() -> None:
+    with open_endpoint("tcpin:127.0.0.1:0") as server:
+        address = server.address
+    with open_endpoint(address.replace("tcpin", "tcp")) as client:
+        assert client.receive(0.0) == []
+        assert not client.connected
+        client.send(V2)
+        assert client.traffic.dropped == 1
+        for _ in range(2):
+            with open_endpoint(address) as server:
+                until = time.monotonic() + 5.0
+                while not (client.connected and server.connected) and time.monotonic() < until:
+                    client.receive(0.05)
+                    server.receive(0.0)
+                server.send(V2)
+                assert receive_all(client, len(V2)) == V2
+            client.receive(0.05)
+            assert not client.connected
 
 
 def test_a_tcp_server_cuts_its_clients_between_frames() -> None:
@@ -153,6 +192,17 @@ def test_a_serial_device_that_is_unplugged_is_found_again(tmp_path: Path) -> Non
         finally:
             os.close(master)
             os.close(slave)
+
+
+def test_a_serial_device_is_held_alone() -> None:
+    master, slave = os.openpty()
+    address = f"{os.ttyname(slave)},57600"
+    try:
+        with open_endpoint(address), pytest.raises(LinkError, match="device is busy"):
+            open_endpoint(address)
+    finally:
+        os.close(master)
+        os.close(slave)
 
 
 def test_a_message_that_fits_only_in_part_is_never_torn() -> None:

@@ -3,10 +3,11 @@
 import hashlib
 
 import pymavlink.dialects.v20.ardupilotmega as dialect
+import pytest
 
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import MessageId
-from mavdiag.link.signing import Refusal, Signing, stamp_at
+from mavdiag.link.signing import STALE, Refusal, Signing, stamp_at
 
 KEY = hashlib.sha256(b"correct horse").digest()
 NOW_NS = 1_800_000_000 * 1_000_000_000
@@ -51,6 +52,12 @@ def test_a_heartbeat_is_sealed_as_the_specification_has_it() -> None:
     assert frame.hex() == body + link + stamp + signature
 
 
+def test_what_we_sign_pymavlink_accepts() -> None:
+    signing, mav = Signing(KEY, stamp=NOW), peer()
+    for frame in beats(300, signing):
+        assert [message.get_type() for message in mav.parse_buffer(frame) or ()] == ["HEARTBEAT"]
+
+
 def test_what_pymavlink_signs_we_accept() -> None:
     (signing, decoder), mav = verifier(), peer(link_id=9)
     assert [frame.seq for frame in heard(decoder, *(beat(mav) for _ in range(300)))] == [k % 256 for k in range(300)]
@@ -88,3 +95,31 @@ def test_unsigned_and_mavlink_1_are_refused_with_a_key() -> None:
     assert signing.refused == {Refusal.UNSIGNED: 2, Refusal.MAVLINK_1: 1}
     assert decoder.senders == {}
     assert len(heard(decoder, unsigned)) == 1
+
+
+def test_a_replayed_copy_of_a_signed_frame_is_refused_and_not_passed_on() -> None:
+    genuine, passed = beats(3, Signing(KEY, stamp=NOW)), list[tuple[bytes, int]]()
+    decoder = Decoder(signing=(signing := Signing(KEY, stamp=NOW)), passed=passed)
+    assert len(heard(decoder, *genuine, genuine[2], genuine[0])) == 3
+    assert passed == [(frame, 0) for frame in genuine]
+    assert signing.refused == {Refusal.REPLAYED: 2}
+
+
+def test_each_stream_has_its_own_stamps_and_a_new_one_older_than_a_minute_is_stale() -> None:
+    signing, decoder = verifier()
+    late = NOW - STALE // 2
+    assert len(heard(decoder, *beats(5, Signing(KEY, stamp=NOW)))) == 5
+    assert len(heard(decoder, *beats(5, Signing(KEY, link_id=1, stamp=late)))) == 5
+    assert heard(decoder, *beats(5, Signing(KEY, stamp=late))) == []
+    assert signing.refused == {Refusal.REPLAYED: 5}
+    assert heard(decoder, *beats(3, Signing(KEY, stamp=NOW - STALE - 10), compid=2)) == []
+    assert signing.refused[Refusal.STALE] == 3
+    assert len(heard(decoder, *beats(3, Signing(KEY, stamp=signing.stamp - STALE), compid=3))) == 3
+
+
+def test_holders_of_the_key_cannot_fill_the_memory_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mavdiag.link.signing.STREAMS_MAX", 10)
+    signing, decoder = verifier()
+    for compid in range(1, 21):
+        heard(decoder, *beats(1, Signing(KEY, stamp=NOW), compid))
+    assert (signing.accepted, signing.refused) == (10, {Refusal.STALE: 10})

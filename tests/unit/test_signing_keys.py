@@ -1,6 +1,7 @@
 """The key file and the stamp beside it: who may read it, what is in it, and that a restart uses no stamp again."""
 
 import hashlib
+import os
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,31 @@ def test_a_key_that_others_may_read_is_refused(tmp_path: Path, mode: int) -> Non
     with pytest.raises(UsageError, match=f"run `chmod 600 {path}`") as caught:
         read_key(path)
     assert "\n" not in str(caught.value)
+
+
+def test_another_users_key_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = os.stat_result((0o100600, 0, 0, 1, 12_345, 0, 0, 0, 0, 0))
+    monkeypatch.setattr("mavdiag.link.keys.os.fstat", lambda _: found)
+    with pytest.raises(UsageError, match="another user's"):
+        read_key(key_file(tmp_path))
+
+
+def test_what_is_no_regular_file_of_one_line_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    for name, why in (("fifo", "regular"), ("zero", "regular"), (".", "folder"), ("none", "no such file")):
+        with pytest.raises(UsageError, match=why):
+            read_key(tmp_path / name)
+    for content, why in ((b"x" * 5000, "too large"), (b"", "one line"), (b"\r\n", "one line"), (b"a\nb\n", "one line")):
+        with pytest.raises(UsageError, match=why):
+            read_key(key_file(tmp_path, content))
+
+
+@pytest.mark.parametrize("text", ["", "soon", "-5", "9" * 16, str(1 << 48), "1e9"])
+def test_a_damaged_stamp_is_told(tmp_path: Path, text: str) -> None:
+    (tmp_path / "key.detector.stamp").write_text(text)
+    with pytest.raises(UsageError, match="no time stamp"):
+        open_signing(key_file(tmp_path), "detector", NOW_NS)
 
 
 def test_a_restart_uses_no_stamp_again_even_if_the_clock_went_back(tmp_path: Path) -> None:

@@ -1,17 +1,22 @@
 """Telemetry logs made by hand: whole, damaged, of several vehicles, or something else altogether."""
 
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pymavlink import mavutil
 
 from mavdiag.errors import InputError
 from mavdiag.link.codec import UNKNOWN, Encoder
 from mavdiag.link.messages import MavType, MessageId
+from mavdiag.link.signing import Signing
 from mavdiag.logs import read_log
-from mavdiag.logs.log import sha256_of
+from mavdiag.logs.log import sha256_of, windows_of
 from mavdiag.logs.tlog import decode_tlog, decode_windows, read_tlog, tlog_record, vehicle_stream
 from mavdiag.telemetry import Signal
 
@@ -129,6 +134,54 @@ def test_b18_a_log_of_an_unknown_vehicle_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"vehicle 1: its link profile is not clear.*give --profile"):
         read_log(path)
     assert read_log(path, profile="ardupilot").profile == "ardupilot"
+
+
+def flight(rng: np.random.Generator) -> list[bytes]:
+    """Two vehicles: MAVLink 1 and 2, signed stretches, records lost, swapped, broken, and of another dialect."""
+    plain, other, sealing = Encoder(1, 1), Encoder(7, 1), Encoder(1, 1, Signing(bytes(32), stamp=START_US // 10))
+    old, found = dialect.MAVLink(None, srcSystem=1, srcComponent=1), list[bytes]()
+    for k in range(400):
+        time_us, boot_us = START_US + 10_000 * k + int(rng.integers(4000)), 5_000_000 + 10_000 * k
+        encoder, counts = sealing if 50 < k < 120 else plain, rng.integers(-900, 900, 9).tolist()
+        frames = [
+            encoder.encode(MessageId.ATTITUDE_TARGET, boot_us // 1000, 0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, k / 400),
+            encoder.encode(MessageId.RAW_IMU, boot_us, *counts[:6]),
+            other.encode(MessageId.RAW_IMU, boot_us, *counts),
+            dialect.mavlink_map[MessageId.RAW_IMU](boot_us + 5000, *counts).pack(old, force_mavlink1=True),
+        ]
+        if k % 50 == 0:
+            stranger = bytearray(encoder.encode(MessageId.STATUSTEXT, 6, b"text"))
+            stranger[7:10] = b"\xff\xff\x7f"
+            frames += [heartbeat(encoder), heartbeat(other), bytes(stranger)]
+        found += [tlog_record(time_us, bytes(frame)) for frame in frames if rng.random() > 0.02]
+    for k in rng.integers(0, len(found) - 1, 20).tolist():
+        found[k], found[k + 1] = found[k + 1], found[k]
+    for k in rng.integers(0, len(found), 20).tolist():
+        found[k] = found[k][:-1] + bytes([found[k][-1] ^ 1])
+    return found
+
+
+@pytest.mark.parametrize(("seed", "window"), [(0, 997), (1, 4096), (2, 20_011), (3, 1 << 21)])
+def test_a_log_of_several_windows_is_what_pymavlink_reads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int, window: int
+) -> None:
+    path = written(tmp_path, b"".join(flight(np.random.default_rng(seed))))
+    times, imu, thrust = list[int](), list[list[float]](), list[float]()
+    with closing(mavutil.mavlink_connection(str(path), dialect="ardupilotmega")) as theirs:
+        while message := theirs.recv_match(type=["RAW_IMU", "ATTITUDE_TARGET"]):
+            told = {name: float(value) for name, value in message.to_dict().items() if isinstance(value, int | float)}
+            if message.get_srcSystem() == 1 and message.get_type() == "RAW_IMU":
+                times.append(round(1e6 * message._timestamp) * 1000)
+                imu.append([1000 * told["time_usec"], *(1e-3 * told[f"{axis}gyro"] for axis in "xyz")])
+            elif message.get_srcSystem() == 1:
+                thrust.append(told["thrust"])
+    monkeypatch.setattr("mavdiag.logs.tlog.windows_of", partial(windows_of, size=window))
+    log = read_tlog(path, vehicle=1)
+    rate = log.telemetry.need(Signal.BODY_RATE)
+    assert len(times) > 700
+    assert rate.host_ns.tolist() == times
+    np.testing.assert_allclose(np.column_stack([rate.t_ns, rate.values]), imu)
+    assert log.telemetry.need(Signal.THRUST_SETPOINT).values[:, 0].tolist() == thrust
 
 
 @given(st.lists(st.integers(1, 900), min_size=1, max_size=4), st.integers(0, 20))

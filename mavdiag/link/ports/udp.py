@@ -3,12 +3,21 @@
 A flood hides nobody that `udpin` trusts: a trusted peer gets a socket of its own, connected to it, and with it a buffer
 of its own, for the kernel prefers a connected socket. The strangers share what is left: so many datagrams a second are
 read, and the rest overflows in the kernel, unread.
+
+Datagrams are read many at a time, by recvmmsg(2): a call for each one of them takes most of a receiver's time.
 """
 
+import ctypes
+import os
 import socket
 import struct
+import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Sequence
+from functools import lru_cache
+from itertools import repeat
+
+import numpy as np
 
 from mavdiag.link.ports.base import Chunk, Clock, Endpoint, SocketAddress, link_error
 
@@ -19,14 +28,58 @@ STRANGERS_HZ = 20_000.0  # datagrams that are read of all strangers while any pe
 STRANGERS_BURST = 1024.0
 UNIT_BYTES = 64  # a large datagram counts as several: once for each so many bytes
 
-_DATAGRAM_MAX = 65_535
+_ROOM = 65_536  # of a datagram
 _DRAIN_MAX = 1024  # datagrams per call, so that a flood cannot hold the caller
 _BUFFER_BYTES = 8 << 20  # seconds of 2000 datagrams/s; Linux accounts for several hundred bytes each
 _SO_RCVBUFFORCE = 33  # <asm-generic/socket.h>: beyond net.core.rmem_max, for the privileged
-_SO_MEMINFO, _DROPS = (
-    55,
-    8,
-)  # <asm-generic/socket.h>, <linux/sock_diag.h>: nine numbers, of which one is SK_MEMINFO_DROPS
+# <asm-generic/socket.h>, <linux/sock_diag.h>: nine numbers, of which one is SK_MEMINFO_DROPS
+_SO_MEMINFO, _DROPS = 55, 8
+AT_ONCE = 64  # datagrams in one call
+_NAME_BYTES = 28  # of a sockaddr_in6
+# <sys/socket.h>, struct mmsghdr: where a message goes, and how long it is.
+_HEADER = np.dtype(
+    [
+        *(("name", "P"), ("name_bytes", "u4"), ("places", "P"), ("place_count", "P"), ("control", "P")),
+        *(("control_bytes", "P"), ("flags", "P"), ("size", "u4")),
+    ],
+    align=True,
+)
+_receive_many = ctypes.CDLL(None, use_errno=True).recvmmsg
+
+
+class _Mailbag:
+    """Room for the datagrams of one call."""
+
+    def __init__(self) -> None:
+        self._data = np.empty((AT_ONCE, _ROOM), np.uint8)  # what is not touched costs nothing
+        self._names = np.zeros((AT_ONCE, _NAME_BYTES), np.uint8)
+        self._places = np.array([(row.ctypes.data, _ROOM) for row in self._data], np.uintp)
+        self._headers = np.zeros(AT_ONCE, _HEADER)
+        self._headers["name"] = [row.ctypes.data for row in self._names]
+        self._headers["places"] = [row.ctypes.data for row in self._places]
+        self._headers["place_count"] = 1
+
+    def take(self, fileno: int, most: int) -> tuple[list[bytes], list[SocketAddress]]:
+        """What is there, at most so many, and the sender of each. Raises OSError."""
+        self._headers["name_bytes"] = _NAME_BYTES
+        place = ctypes.c_void_p(self._headers.ctypes.data)
+        count = _receive_many(fileno, place, min(most, AT_ONCE), socket.MSG_DONTWAIT, None)
+        if count < 0:
+            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+        sizes, data = self._headers["size"][:count].tolist(), self._data.data.cast("B")
+        names = self._names[:count].tobytes()
+        pieces = [bytes(data[at : at + size]) for at, size in zip(range(0, count * _ROOM, _ROOM), sizes, strict=True)]
+        return pieces, [_peer(names[at : at + _NAME_BYTES]) for at in range(0, len(names), _NAME_BYTES)]
+
+
+@lru_cache(maxsize=1024)
+def _peer(name: bytes) -> SocketAddress:
+    """A sockaddr as the socket module has it."""
+    family, port = int.from_bytes(name[:2], sys.byteorder), int.from_bytes(name[2:4], "big")
+    if family == socket.AF_INET:
+        return socket.inet_ntop(socket.AF_INET, name[4:8]), port
+    flow, scope = int.from_bytes(name[4:8], "big"), int.from_bytes(name[24:28], sys.byteorder)
+    return socket.inet_ntop(socket.AF_INET6, name[8:24]), port, flow, scope
 
 
 class _Udp(Endpoint):
@@ -36,7 +89,7 @@ class _Udp(Endpoint):
 
     def __init__(self, address: str, family: socket.AddressFamily, clock: Clock) -> None:
         super().__init__(address, clock)
-        self._socket = _udp_socket(family)
+        self._socket, self._mail = _udp_socket(family), _Mailbag()
         self._lost: dict[int, int] = {}  # datagrams that the system threw away, by descriptor
 
     def _attach(self, place: Callable[[SocketAddress], None], to: SocketAddress) -> None:
@@ -62,19 +115,19 @@ class _Udp(Endpoint):
 
     def _read(self, link: socket.socket, chunks: list[Chunk], sources: list[SocketAddress], units: float) -> float:
         """Take what is there, as far as so many units allow; returns how many are left."""
-        first, take, clock = len(chunks), link.recvfrom, self._clock
         try:
             while units >= 1.0:
-                data, peer = take(_DATAGRAM_MAX)
-                chunks.append((data, clock()))
-                sources.append(peer)
-                units -= 1 + len(data) // UNIT_BYTES
+                taken, peers = self._mail.take(link.fileno(), int(units))
+                chunks += zip(taken, repeat(self._clock()))
+                self._note_senders(dict.fromkeys(peers))
+                sources += peers
+                units -= len(taken) + sum(map(len, taken)) // UNIT_BYTES
+                if len(taken) < AT_ONCE:
+                    break
         except BlockingIOError:
             pass
         except OSError:  # an earlier datagram came back refused, or the network is down: nothing was received
             self._refused()
-        if len(chunks) > first:
-            self._note_senders(dict.fromkeys(sources[first - len(chunks) :]))
         lost = struct.unpack("9I", link.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 36))[_DROPS]
         self._count.overflowed += lost - self._lost.get(link.fileno(), 0)
         self._lost[link.fileno()] = lost
