@@ -149,7 +149,7 @@ def threshold_of(
     >>> flights = np.repeat(np.arange(20), 20)
     >>> found = threshold_of(Scores(maxima, np.full(400, 10.0), flights), sessions=[n // 4 for n in range(20)])
     >>> round(found.mean, 2), round(found.block_scale, 2), round(found.value, 1), round(found.demonstrated_per_hour, 1)
-    (1.01, 0.03, 1.4, 2.7)
+    (1.01, 0.03, 1.5, 2.7)
     """
     if not (math.isfinite(budget_per_hour) and budget_per_hour > 0):
         raise UsageError(f"the budget must be a positive number of alarms per hour, not {budget_per_hour}")
