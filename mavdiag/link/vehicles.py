@@ -42,20 +42,20 @@ CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choic
 LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
 USEFUL_FRAMES = 20  # of an IMU message, before it is taken at once (our choice)
 CHOICE_S = 1.0  # for which the choice stays open otherwise, from the first IMU message of any kind on (our choice)
-REQUESTS_MAX = 16  # for one vehicle's computer that are handed out at a time, so a flood is not answered (our choice)
+REQUESTS_MAX = (
+    16  # commands for one vehicle's computer that are handed out at a time, so a flood is not answered (our choice)
+)
 MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up ones cost little (our choice)
 
-#: Messages that carry a command, and those that ask for parameters or set one.
+#: Messages that carry a command.
 COMMANDS = frozenset({MessageId.COMMAND_LONG, MessageId.COMMAND_INT})
-PARAMETER_REQUESTS = frozenset({MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_REQUEST_READ, MessageId.PARAM_SET})
-_TALK = COMMANDS | PARAMETER_REQUESTS | {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}
+_TALK = COMMANDS | {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}
 _TALKS = np.isin(MSGIDS, list(_TALK))  # by row of a message
 
 _KIND = slice(field_index(MessageId.HEARTBEAT, "type"), field_index(MessageId.HEARTBEAT, "autopilot") + 1)
 _ACK = tuple(field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result", "target_component"))
 _TARGETS: Mapping[int, list[int]] = {
-    msgid: [field_index(msgid, name) for name in ("target_system", "target_component")]
-    for msgid in COMMANDS | PARAMETER_REQUESTS
+    msgid: [field_index(msgid, name) for name in ("target_system", "target_component")] for msgid in COMMANDS
 }
 _PARAM_NAME = field_index(MessageId.PARAM_VALUE, "param_id")
 _PARAM_VALUE, _PARAM_TYPE = (layout_of(MessageId.PARAM_VALUE).offset(name)[0] for name in ("param_value", "param_type"))
@@ -94,15 +94,6 @@ def command_in(frame: Frame) -> tuple[int, Command] | None:
     system, component = (int(frame.fields[place]) for place in _TARGETS[frame.msgid])
     command = Command(int(frame.fields[field_index(frame.msgid, "command")]), frame.sysid, frame.compid)
     return (system, command) if component == Component.ONBOARD_COMPUTER else None
-
-
-def parameters_asked(frame: Frame) -> int | None:
-    """The vehicle about whose on-board computer's parameters a frame asks, maybe of all components; None if none."""
-    if frame.msgid not in PARAMETER_REQUESTS:
-        return None
-    system, component = (int(frame.fields[place]) for place in _TARGETS[frame.msgid])
-    everybody = frame.msgid == MessageId.PARAM_REQUEST_LIST and component == Component.ALL
-    return system if component == Component.ONBOARD_COMPUTER or everybody else None
 
 
 def parameters_in(frames: Iterable[Frame], autopilot: int) -> dict[str, float]:
@@ -198,7 +189,7 @@ class _Unread:
 
     pieces: list[Frames] = field(default_factory=list)
     commands: list[Command] = field(default_factory=list)
-    parameter_requests: list[Frame] = field(default_factory=list)
+    urgent: bool = False  # whether a command or a TIMESYNC waits, which want an answer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,7 +202,6 @@ class Received:
     acks: tuple[Ack, ...] = ()  # its answers to our commands
     commands: tuple[Command, ...] = ()  # of others, to its on-board computer
     parameters: Mapping[str, float] = field(default_factory=dict)  # its own that passed by since it entered
-    parameter_requests: tuple[Frame, ...] = ()  # of others, about its on-board computer's parameters
 
 
 class LinkDecoder:
@@ -302,14 +292,14 @@ class LinkDecoder:
             self._take_talk(frames.where(_TALKS[frames.rows["row"]]))
 
     def _take_talk(self, frames: Iterable[Frame]) -> None:
-        """Hand out what is addressed to on-board computers; at most `REQUESTS_MAX` of a kind to each."""
+        """Hand out the commands to on-board computers, at most `REQUESTS_MAX` to each; note who wants an answer."""
         for frame in frames:
             if (found := command_in(frame)) and found[0] in self.vehicles:
-                commands = self._unread.setdefault(found[0], _Unread()).commands
-                commands += [found[1]] if len(commands) < REQUESTS_MAX else []
-            elif (sysid := parameters_asked(frame)) in self.vehicles and sysid is not None:
-                requests = self._unread.setdefault(sysid, _Unread()).parameter_requests
-                requests += [frame] if len(requests) < REQUESTS_MAX else []
+                unread = self._unread.setdefault(found[0], _Unread())
+                unread.commands += [found[1]] if len(unread.commands) < REQUESTS_MAX else []
+                unread.urgent = True
+            elif frame.msgid == MessageId.TIMESYNC and frame.sysid in self._unread:
+                self._unread[frame.sysid].urgent = True
 
     def received(self, sysid: int) -> Received:
         """What waits of a vehicle that has entered."""
@@ -317,8 +307,11 @@ class LinkDecoder:
         talk = tuple(frame for piece in unread.pieces for frame in piece.where(_TALKS[piece.rows["row"]]))
         telemetry = joined(stream.step(piece) for piece in unread.pieces)
         present = any(bool((piece.rows["sender"] & 0xFF == AUTOPILOT).any()) for piece in unread.pieces)
-        requests = tuple(unread.parameter_requests)
-        return Received(talk, telemetry, present, acks_in(talk), tuple(unread.commands), stream.parameters, requests)
+        return Received(talk, telemetry, present, acks_in(talk), tuple(unread.commands), stream.parameters)
+
+    def urgent(self) -> set[int]:
+        """The vehicles for or from which something waits that wants an answer."""
+        return {sysid for sysid, unread in self._unread.items() if unread.urgent}
 
     def leave(self, sysid: int) -> None:
         """Drop what waits of a vehicle that nobody asks for."""
