@@ -88,3 +88,14 @@ def test_unsigned_and_mavlink_1_are_refused_with_a_key() -> None:
     assert signing.refused == {Refusal.UNSIGNED: 2, Refusal.MAVLINK_1: 1}
     assert decoder.senders == {}
     assert len(heard(decoder, unsigned)) == 1
+
+
+def test_a_replayed_copy_is_neither_heard_nor_passed_on() -> None:
+    passed: list[tuple[bytes, int]] = []
+    signing = Signing(KEY, stamp=NOW)
+    decoder = Decoder(signing=signing, passed=passed)
+    unsigned = Encoder(1, 1).encode(MessageId.HEARTBEAT, *HEARTBEAT)
+    first, second = beats(2, Signing(KEY, stamp=NOW))
+    assert len(heard(decoder, unsigned, first, second, first, second)) == 2
+    assert passed == [(first, 0), (second, 0)]
+    assert signing.refused == {Refusal.UNSIGNED: 1, Refusal.REPLAYED: 2}
