@@ -224,6 +224,11 @@ def test_all_is_read_and_none_starves_when_there_is_too_much_to_judge(
     monkeypatch.setattr(fleet, "take", slow_take)
     monkeypatch.setattr(fleet, "_turn", slow_turn)
     bench.run(8.0)
+    waits = []
+    for _ in range(50):
+        bench.run(TICK_S)
+        waits.append(fleet.longest_s)
+    assert 0.1 < max(waits) < 1.0
     figures = fleet.figures()
     assert [one.lost for one in figures] == [0] * 8
     assert max(one.judged_s for one in figures) - min(one.judged_s for one in figures) < 1.0
