@@ -163,9 +163,10 @@ def _look(
     fleet: Fleet, record: Record, chunks: list[tuple[bytes, int]], now_ns: int, base_ns: int
 ) -> list[tuple[int, str]]:
     """One look at the link; the texts of declared faults, with their time since the beginning."""
+    fleet.take(chunks, Instant(now_ns))
     said = [
         (now_ns - base_ns, effect.text)
-        for turn in fleet.step(chunks, Instant(now_ns))
+        for turn in fleet.judge(Instant(now_ns))
         for effect in turn.effects
         if isinstance(effect, SendText) and effect.severity <= Severity.CRITICAL
     ]

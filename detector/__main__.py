@@ -4,6 +4,7 @@ Its options are those of `detector.config`, and the few that stand here.
 """
 
 import contextlib
+import gc
 import inspect
 import os
 import threading
@@ -119,6 +120,7 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
             metrics = stack.enter_context(closing(Metrics(*split_address(settings.metrics, "metrics"))))
         if settings.web is not None:
             web = stack.enter_context(closing(_web(settings, settings.web)))
+        gc.freeze()  # what is there by now stays: to go through it again would hold up the link
         Daemon(
             settings,
             Host(_say),

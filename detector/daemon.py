@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from detector.config import Settings
 from detector.fitting import FittingJob, ProcessFitter
-from detector.fleet import SHARE, Fleet, Turn
+from detector.fleet import Fleet, Turn
 from detector.guard import Guard
 from detector.journal import Journal, Recorder, Reporter, When
 from detector.notify import Notifier
@@ -52,7 +52,10 @@ if TYPE_CHECKING:
     from detector.web.feed import Feed
 
 BEAT_S = 1.0
-DRAINS = 8  # looks at the vehicle's link in one tick, so that a backlog is worked off but cannot hold the loop
+DRAINS = 24  # reads of the vehicle's link in one tick: as many datagrams as the system keeps for us (our choice)
+LEAST = 0.3  # of a tick, in processor time, that judging has however much there is to read, and (our choice)
+MOST = 0.8  # of a tick, as the clock goes, in which vehicles are judged if there is time (our choice)
+STOP_S = 5.0  # in which what waits is judged when the daemon stops (our choice: half of what the stop may take)
 UNCLEAR_MOST = 32  # lines about vehicles that are not watched, so that made-up ones do not fill the log (our choice)
 FIRST_VEHICLE = 1  # as whose companion we announce ourselves on a link whose other end sends nothing before we do
 
@@ -120,7 +123,6 @@ class Daemon:
             only=settings.vehicle,
             datagrams=kind in (Kind.UDP_IN, Kind.UDP_OUT),
             most=settings.max_vehicles,
-            budget_s=SHARE * settings.tick_s,
             signing=self._signing,
             passed=self._passed if behind or recorder is not None else None,
         )
@@ -165,13 +167,13 @@ class Daemon:
         self._notifier.ready()
 
     def tick(self) -> None:
-        """One look: take what came, let the sessions go on, do what they want."""
-        now, begun_s = self._now(), self._host.cpu_s()
+        """One look: take what came, let the sessions go on as there is time, do what they want."""
+        now, known = self._now(), len(self.fleet.vehicles)
         chunks, sources = self._chunks()
-        known = len(self.fleet.vehicles)
+        self.fleet.take(chunks, now, sources)
         for sysid, outcome in self._fitter.poll():
             self.fleet.vehicles[sysid].outcome = outcome
-        turns = self.fleet.step(chunks, now, sources, spent_s=lambda: self._host.cpu_s() - begun_s)
+        turns = self.fleet.judge(now, self._time_to_judge(now))
         self._relay.pass_on(self._passed)
         self._passed.clear()
         self._report_new(known)
@@ -191,7 +193,7 @@ class Daemon:
     def end(self) -> None:
         """Judge what waits, record the open events, write the last line and the summary."""
         now = self._now()
-        self._carry_out(self.fleet.finish(now, spent_s=lambda: self._now() - now))
+        self._carry_out(self.fleet.finish(now, lambda: self._now() - now < STOP_S))
         self._fitter.close()
         summary = self._summary()
         self._reporter.mark("stop", {"summary": summary})
@@ -212,6 +214,11 @@ class Daemon:
 
     def _now(self) -> Instant:
         return Instant(self._host.now_ns())
+
+    def _time_to_judge(self, begun: Instant) -> Callable[[], bool]:
+        """Whether a tick that began then has time for another vehicle, once the link was read."""
+        host, tick_s, since_s = self._host, self._settings.tick_s, self._host.cpu_s()
+        return lambda: self._now() - begun < MOST * tick_s or host.cpu_s() - since_s < LEAST * tick_s
 
     def _when(self, sysid: int | None) -> When:
         timeline = None if sysid is None else self.fleet.link.vehicles[sysid].state.timeline

@@ -1,8 +1,9 @@
 """The vehicles of one link and their sessions: bytes and `now` in, effects out. No clock, no socket.
 
-A vehicle has its turn when its data may fill the next 0.1 s that its monitors look at, or when something else came.
-Under load fewer vehicles have theirs in each look at the link, and each with more data (`due_turns`): nothing is lost,
-and verdicts come later, which is told.
+What the link brings comes first (`take`); judging has the time that remains (`judge`). A vehicle has its turn when its
+data may fill the next 0.1 s that its monitors look at, or at once where something waits for an answer. Under load fewer
+vehicles have theirs in each look, and each with more data (`due_turns`): nothing is lost, and verdicts come later,
+which is told.
 """
 
 import traceback
@@ -27,9 +28,7 @@ from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder
 from mavdiag.telemetry import Instant, Series, Signal
 from mavdiag.units import NS_PER_S
 
-SHARE = 0.3  # of a tick, in processor time, before the other vehicles wait (our choice: the machine has more to do)
 MOST_S = 2.0  # one vehicle a look that has waited so long is judged all the same (our choice: what is kept is bounded)
-STOP_S = 5.0  # in which what waits is judged when the daemon stops (our choice: half of what the stop may take)
 SLOW_S = 0.3  # a delay that is worth a line in the log (our choice)
 QUIET_S = 10.0  # between two such lines (our choice)
 FORGET_NS = NS_PER_S  # a sample without a verdict for so long gets none: nothing is judged (our choice)
@@ -106,7 +105,6 @@ class Fleet:
     spec_of: what to do with the vehicle of a system id and profile; None for one that is left alone.
     profile: of all vehicles, None to go by what each sends. only: the one system id to watch, None for all.
     datagrams: whether a chunk of bytes holds whole frames. most: how many vehicles may enter.
-    budget_s: time after which no further vehicle is judged in a look; None for all vehicles in every look.
     signing, passed: as in `LinkDecoder`.
     """
 
@@ -118,7 +116,6 @@ class Fleet:
         only: int | None,
         datagrams: bool,
         most: int = VEHICLES_MAX,
-        budget_s: float | None = None,
         signing: Signing | None = None,
         passed: list[tuple[bytes, int]] | None = None,
     ) -> None:
@@ -127,24 +124,13 @@ class Fleet:
             profile, only, datagrams, careful=True, most=most, signing=signing, passed=passed, ours=ours
         )
         self.vehicles: dict[int, Vehicle] = {}  # those that are watched, by system id
-        self.budget_s, self.longest_s = budget_s, 0.0  # longest that a vehicle waited for its turn lately
+        self.longest_s = 0.0  # longest that a vehicle waited for its turn lately
         self._slow: tuple[bool, Instant] | None = None  # what was told of that last, and when
         self._spec_of = spec_of
         self._left: set[int] = set()
 
-    def step(
-        self,
-        chunks: Iterable[tuple[bytes, int]],
-        now: Instant,
-        sources: Sequence[Source] = (),
-        *,
-        spent_s: Callable[[], float] = lambda: 0.0,
-    ) -> list[Turn]:
-        """Take bytes with their time of arrival. Time alone changes things: call it regularly, without bytes too.
-
-        sources: where each chunk comes from; empty for a link with one other end.
-        spent_s: processor time since the look began [s].
-        """
+    def take(self, chunks: Iterable[tuple[bytes, int]], now: Instant, sources: Sequence[Source] = ()) -> None:
+        """Take bytes with their time of arrival. sources: of each chunk; empty for a link with one other end."""
         self.link.take(chunks, now.ns, sources)
         for sysid in self.link.vehicles.keys() - self.vehicles.keys() - self._left:
             spec = self._spec_of(sysid, self.link.vehicles[sysid].profile)
@@ -155,15 +141,17 @@ class Fleet:
                 self.vehicles[sysid] = Vehicle(spec, now)
         for sysid in self._left:
             self.link.leave(sysid)
+
+    def judge(self, now: Instant, has_time: Callable[[], bool] = lambda: True) -> list[Turn]:
+        """Give those their turn that are due, as in `due_turns`. Time alone changes things: call it regularly."""
+        urgent = self.link.urgent()
         due = {
             sysid: vehicle.turn
             for sysid, vehicle in self.vehicles.items()
-            if vehicle.due_ns <= now.ns or vehicle.outcome is not None
+            if vehicle.due_ns <= now.ns or vehicle.outcome is not None or sysid in urgent
         }
         turns = []
-        for sysid, waited_s in due_turns(
-            due, now, self.link.source, lambda: self.budget_s is None or spent_s() < self.budget_s
-        ):
+        for sysid, waited_s in due_turns(due, now, self.link.source, has_time):
             turns.append(self._parted(sysid, now, self._turn))
             self.longest_s = max(self.longest_s, waited_s)
         return turns
@@ -178,11 +166,12 @@ class Fleet:
         text = f"much to do: each vehicle is judged every {longest_s:.2f} s, so verdicts come that much later"
         return text if slow else "every vehicle is judged in time again"
 
-    def finish(self, now: Instant, *, spent_s: Callable[[], float] = lambda: 0.0) -> list[Turn]:
-        """Judge what waits, for `STOP_S` at most, and what is left to say when the daemon stops."""
+    def finish(self, now: Instant, has_time: Callable[[], bool] = lambda: True) -> list[Turn]:
+        """Judge what waits, while there is time, and what is left to say when the daemon stops."""
         waiting = {sysid: vehicle.turn for sysid, vehicle in self.vehicles.items()}
-        due = due_turns(waiting, now, self.link.source, lambda: spent_s() < STOP_S)
-        turns = [self._parted(sysid, now, self._turn) for sysid, _ in due]
+        turns = [
+            self._parted(sysid, now, self._turn) for sysid, _ in due_turns(waiting, now, self.link.source, has_time)
+        ]
         return [*turns, *(self._parted(sysid, now, self._last_turn) for sysid in self.vehicles)]
 
     def _last_turn(self, sysid: int, now: Instant) -> Turn:

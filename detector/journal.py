@@ -49,14 +49,8 @@ class When:
     vehicle_ns: int | None = None
 
 
-def line(record: Record, when: When) -> str:
-    """One line of the journal, without its newline."""
-    kind, content, _ = _told(record, when)
-    return mark(kind, when, content)
-
-
 def mark(kind: str, when: When, content: Content) -> str:
-    """A line of any content, as about the daemon itself."""
+    """One line of the journal, without its newline."""
     head: Content = {"kind": kind, "utc": _iso(when.utc), "vehicle": when.vehicle}
     if when.vehicle_ns is not None:
         head["vehicle_s"] = _s(when.vehicle_ns)

@@ -9,7 +9,7 @@ from typing import Final
 from detector.alerts import Kind, NamedValues, Notice, Presenter, Telling
 from detector.judging import Judge, beginning, chain_for, records_of, words_of
 from detector.negotiate import Negotiation
-from detector.states import TABLE, State, Trigger, advance
+from detector.states import TABLE, State, Trigger
 from detector.streams import Demand, Hindrance, Reason, Streams
 from detector.values import AskParameters, Effect, Inbox, Learn, LearningFailed, Note, SessionSpec, StateChanged
 from mavdiag.airframe.fingerprint import Outcome
@@ -120,7 +120,7 @@ class Session:
         return self._held if self._held.stage is Stage.INSPECT else NOTHING_SEEN
 
     def _move(self, trigger: Trigger, reason: str = "") -> None:
-        old, self.state, self.reason = self.state, advance(self.state, trigger), reason or trigger.value
+        old, self.state, self.reason = self.state, TABLE[self.state][trigger], reason or trigger.value
         self._effects.append(StateChanged(old, self.state, self.reason))
 
     def _say(self, kind: Kind, *words: str, key: str = "") -> None:

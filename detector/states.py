@@ -54,11 +54,3 @@ TABLE: Mapping[State, Mapping[Trigger, State]] = {
     # Another flight may do what this one could not; a vehicle that was swapped starts anew as well.
     State.FAULTED: {Trigger.REBOOT: State.WAITING},
 }
-
-
-def advance(state: State, trigger: Trigger) -> State:
-    """The next state. Raises ValueError for a trigger that the state does not know: a bug."""
-    try:
-        return TABLE[state][trigger]
-    except KeyError:
-        raise ValueError(f"no transition from {state.name} by {trigger.name}") from None

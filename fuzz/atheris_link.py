@@ -56,10 +56,12 @@ def one_input(data: bytes) -> None:
                 chunks += [(frame, now_ns) for frame in FLIGHT[before:flown]]
             case _:
                 now_ns += wire.PickValueInList(STEPS_NS)
-                fleet.step(chunks, Instant(now_ns))
+                fleet.take(chunks, Instant(now_ns))
+                fleet.judge(Instant(now_ns))
                 fleet.figures()
                 chunks = []
-    fleet.step(chunks, Instant(now_ns))
+    fleet.take(chunks, Instant(now_ns))
+    fleet.judge(Instant(now_ns))
     fleet.finish(Instant(now_ns))
 
 

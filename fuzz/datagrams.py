@@ -130,7 +130,8 @@ def fuzzed(count: int, seed: int, spoof: bool = False, progress: float = 0.0, a_
         between = max(1, len(hostile) // len(genuine))
         mixed = [one for k, frame in enumerate(genuine) for one in (frame, *hostile[k * between : (k + 1) * between])]
         mixed += hostile[len(genuine) * between :]
-        for turn in fleet.step([(data, now_ns) for data in mixed], Instant(now_ns)):
+        fleet.take([(data, now_ns) for data in mixed], Instant(now_ns))
+        for turn in fleet.judge(Instant(now_ns)):
             for effect in turn.effects:
                 events += isinstance(effect, EventOpened)
                 if isinstance(effect, SendText) and effect.severity <= Severity.WARNING:

@@ -60,7 +60,8 @@ def heard(frames: Iterable[tuple[int, bytes]], baseline: Baseline, shim: Shim | 
 
 def _look(fleet: Fleet, found: Heard, messages: Iterable[bytes], now_ns: int) -> None:
     host_ns = START_NS + now_ns
-    for turn in fleet.step([(data, host_ns) for data in messages], Instant(host_ns)):
+    fleet.take([(data, host_ns) for data in messages], Instant(host_ns))
+    for turn in fleet.judge(Instant(host_ns)):
         for effect in turn.effects:
             match effect:
                 case SendText():

@@ -42,7 +42,9 @@ CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choic
 LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
 USEFUL_FRAMES = 20  # of an IMU message, before it is taken at once (our choice)
 CHOICE_S = 1.0  # for which the choice stays open otherwise, from the first IMU message of any kind on (our choice)
-REQUESTS_MAX = 16  # for one vehicle's computer that are handed out at a time, so a flood is not answered (our choice)
+REQUESTS_MAX = (
+    16  # commands for one vehicle's computer that are handed out at a time, so a flood is not answered (our choice)
+)
 MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up ones cost little (our choice)
 
 #: Messages that carry a command.
@@ -187,6 +189,7 @@ class _Unread:
 
     pieces: list[Frames] = field(default_factory=list)
     commands: list[Command] = field(default_factory=list)
+    urgent: bool = False  # whether a command or a TIMESYNC waits, which want an answer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -286,10 +289,17 @@ class LinkDecoder:
                     pieces = self._enter(sysid, pieces, now_ns)
                 if sysid in self.vehicles:
                     self._unread.setdefault(sysid, _Unread()).pieces += pieces
-            for frame in frames.where(_TALKS[frames.rows["row"]]):
-                if (found := command_in(frame)) and found[0] in self.vehicles:
-                    commands = self._unread.setdefault(found[0], _Unread()).commands
-                    commands += [found[1]] if len(commands) < REQUESTS_MAX else []
+            self._take_talk(frames.where(_TALKS[frames.rows["row"]]))
+
+    def _take_talk(self, frames: Iterable[Frame]) -> None:
+        """Hand out the commands to on-board computers, at most `REQUESTS_MAX` to each; note who wants an answer."""
+        for frame in frames:
+            if (found := command_in(frame)) and found[0] in self.vehicles:
+                unread = self._unread.setdefault(found[0], _Unread())
+                unread.commands += [found[1]] if len(unread.commands) < REQUESTS_MAX else []
+                unread.urgent = True
+            elif frame.msgid == MessageId.TIMESYNC and frame.sysid in self._unread:
+                self._unread[frame.sysid].urgent = True
 
     def received(self, sysid: int) -> Received:
         """What waits of a vehicle that has entered."""
@@ -298,6 +308,10 @@ class LinkDecoder:
         telemetry = joined(stream.step(piece) for piece in unread.pieces)
         present = any(bool((piece.rows["sender"] & 0xFF == AUTOPILOT).any()) for piece in unread.pieces)
         return Received(talk, telemetry, present, acks_in(talk), tuple(unread.commands), stream.parameters)
+
+    def urgent(self) -> set[int]:
+        """The vehicles for or from which something waits that wants an answer."""
+        return {sysid for sysid, unread in self._unread.items() if unread.urgent}
 
     def leave(self, sysid: int) -> None:
         """Drop what waits of a vehicle that nobody asks for."""

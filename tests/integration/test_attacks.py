@@ -2,7 +2,10 @@
 
 import itertools
 import json
+import signal
+import socket
 import struct
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -11,6 +14,7 @@ from typing import Any
 import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
+from detector_process import ended, port_of, running
 from fastcrc.crc16 import mcrf4xx
 from made_session import baseline_for
 from made_vehicle import Bench, FakeFitter, MadeVehicle, VirtualHost, received
@@ -22,7 +26,7 @@ from detector.states import State
 from mavdiag.link.codec import Decoder, Encoder, field_index
 from mavdiag.link.keys import KeptSigning
 from mavdiag.link.messages import Component, MavCmd, MessageId, Severity
-from mavdiag.link.ports import SocketAddress
+from mavdiag.link.ports import SocketAddress, open_endpoint
 from mavdiag.link.ports.base import Chunk
 from mavdiag.link.signing import Refusal, Signing, stamp_at
 
@@ -322,3 +326,59 @@ def test_nothing_else_is_ever_sent_over_a_long_story(tmp_path: Path) -> None:
     told = "\n".join(bench.host.lines)
     assert all(words in told for words in ("PROP FAULT", "inspect before flight", "link lost", "link back", "rebooted"))
     bench.close()
+
+
+@pytest.mark.realtime
+def test_a_flood_hides_no_trusted_peer_and_moves_no_answer() -> None:
+    with (
+        open_endpoint(UDP_IN) as near,
+        open_endpoint(near.address.replace("udpin", "udpout")) as peer,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+    ):
+        peer.send(b"0")
+        near.receive(5.0)
+        (source,) = near.sources
+        place = ("127.0.0.1", int(near.address.rpartition(":")[2]))
+        got: list[int] = []
+        for k in range(1, 500):  # promoted amid its stream, which keeps its order
+            peer.send(b"%d" % k)
+            if k == 250:
+                near.trust([source], alone=True)
+        while chunks := near.receive(0.05):
+            got += [int(data) for data, _ in chunks]
+        assert got == list(range(1, 500))
+        for _ in range(60_000):
+            stranger.sendto(b"x" * 40, place)
+        for k in range(2000):
+            peer.send(b"%d" % k)
+        own, before = 0, time.monotonic()
+        for _ in range(20):
+            near.receive(0.0)
+            own += near.sources.count(source)
+        assert own == 2000
+        assert near.traffic.received < 20_000 + 30_000 * (time.monotonic() - before)
+        near.send(b"answer")
+        assert [data for data, _ in peer.receive(5.0)] == [b"answer"]
+        stranger.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            stranger.recv(100)
+
+
+@pytest.mark.realtime
+def test_sigterm_ends_the_daemon_amid_a_flood() -> None:
+    with (
+        running("--connect", UDP_IN, "--learn", "5", "--save", "b.json") as (child, line),
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link,
+    ):
+        link.connect(("127.0.0.1", port_of(line)))
+        senders = itertools.product(range(1, 256), range(1, 256))
+        frames = [Encoder(*sender).encode(MessageId.HEARTBEAT, 2, 3, 128, 0, 4, 3) for sender in senders]
+        until = time.monotonic() + 3.0
+        for frame in itertools.cycle(frames):
+            link.send(frame)
+            if time.monotonic() > until:
+                break
+        began = time.monotonic()
+        code, _ = ended(child, signal.SIGTERM)
+        assert code == 0
+        assert time.monotonic() - began < 10.0  # took over 60 s before

@@ -6,15 +6,16 @@ from pathlib import Path
 
 import pytest
 from made_session import baseline_for
-from made_vehicle import Bench, FakeFitter, MadeVehicle, VirtualHost, received
+from made_vehicle import TICK_S, Bench, FakeFitter, MadeVehicle, VirtualHost, received
 from memory_port import MemoryEndpoint
 
 from detector.config import Settings, VehicleSettings
+from detector.fleet import Turn
 from detector.notify import Notifier
 from mavdiag.link.codec import Encoder, Frame, decode_statustext, field_index
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, Severity
 from mavdiag.logs.tlog import read_tlog
-from mavdiag.telemetry import Signal
+from mavdiag.telemetry import Instant, Signal
 
 UDP_IN, UDP_OUT = "udpin:127.0.0.1:0", "udpout:127.0.0.1:14550"
 ACK_COMMAND, ACK_RESULT = (field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result"))
@@ -178,6 +179,60 @@ def test_timesync_is_asked_rarely_and_answered(benches: Benches) -> None:
     [figures] = bench.daemon.fleet.figures()
     assert figures.timesync.round_trip_s is not None
     assert figures.timesync.offset_s is not None
+
+
+def test_a_question_is_answered_in_the_next_look_whenever_the_vehicle_has_its_turn(benches: Benches) -> None:
+    vehicle = MadeVehicle(1)
+    bench = benches(judging(), vehicle, baseline=baseline_for())
+    bench.run(5.0)
+    for _ in range(5):
+        received(bench.far)
+        bench.far.send(STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.REQUEST_MESSAGE, 0, 148))
+        bench.far.send(vehicle.encoder.encode(MessageId.TIMESYNC, 0, 4711))
+        bench.run(TICK_S)
+        kinds = Counter(frame.msgid for frame in received(bench.far))
+        assert (kinds[MessageId.COMMAND_ACK], kinds[MessageId.TIMESYNC]) == (1, 1)
+
+
+class SlowHost(VirtualHost):
+    """A machine on which judging a vehicle takes 10 ms of the processor."""
+
+    cpu = 0.0
+
+    def cpu_s(self) -> float:
+        return self.cpu
+
+
+@pytest.mark.parametrize("reading_s", [0.0, 0.1])
+def test_all_is_read_and_none_starves_when_there_is_too_much_to_judge(
+    benches: Benches, monkeypatch: pytest.MonkeyPatch, reading_s: float
+) -> None:
+    """Two or four of eight vehicles have their turn in a look, also if reading alone takes longer than a look has."""
+    host, vehicles = SlowHost(), [MadeVehicle(sysid) for sysid in range(1, 9)]
+    bench = benches(judging(), *vehicles, baseline=baseline_for(), host=host)
+    fleet = bench.daemon.fleet
+    take, turn = fleet.take, fleet._turn
+
+    def slow_take(*given: object) -> None:
+        take(*given)  # type: ignore[arg-type]
+        host.ns += round(reading_s * 1e9)
+
+    def slow_turn(sysid: int, now: Instant) -> Turn:
+        host.ns, host.cpu = host.ns + 10_000_000, host.cpu + 0.01
+        return turn(sysid, now)
+
+    monkeypatch.setattr(fleet, "take", slow_take)
+    monkeypatch.setattr(fleet, "_turn", slow_turn)
+    bench.run(8.0)
+    waits = []
+    for _ in range(50):
+        bench.run(TICK_S)
+        waits.append(fleet.longest_s)
+    assert 0.1 < max(waits) < 1.0
+    figures = fleet.figures()
+    assert [one.lost for one in figures] == [0] * 8
+    assert max(one.judged_s for one in figures) - min(one.judged_s for one in figures) < 1.0
+    assert min(one.judged_s for one in figures) > 3.0
 
 
 STATION = Encoder(255, Component.MISSIONPLANNER)

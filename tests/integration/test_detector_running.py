@@ -48,6 +48,21 @@ def test_check_tells_what_a_start_would_do_and_opens_nothing(baseline: Path, tmp
     assert sorted(tmp_path.iterdir()) == before
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--baseline", "absent.json"), "absent.json: no such file"),
+        (("--learn", "9", "--save", "b.json", "--record", "."), "is a folder"),
+        (("--learn", "9", "--save", "absent/b.json"), "there is no folder absent"),
+    ],
+)
+def test_check_refuses_what_a_start_would_refuse(options: tuple[str, ...], words: str) -> None:
+    run = ran("--check", *options)
+    assert run.returncode == 2
+    assert words in run.stderr
+    assert len(run.stderr.splitlines()) == 1
+
+
 @pytest.mark.realtime
 def test_health_tells_a_daemon_that_works_from_one_that_hangs_or_is_gone() -> None:
     metrics = ("--metrics", str(free_port()))

@@ -1,13 +1,16 @@
 """Faults that the daemon survives: nothing is corrupted, and what it did before it does again."""
 
+import errno
 import json
+import os
 from collections.abc import Callable, Iterator
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import NoReturn
 
 import pytest
 from made_session import baseline_for
-from made_vehicle import RATE_HZ, TICK_S, Bench, MadeVehicle, VirtualHost, received
+from made_vehicle import RATE_HZ, TICK_S, Bench, FakeFitter, MadeVehicle, VirtualHost, received
 
 from detector.config import Settings
 from detector.states import State
@@ -99,3 +102,47 @@ def test_an_error_of_the_program_takes_one_vehicle_off_and_no_other(
     lines = [json.loads(one) for one in journal.read_text().splitlines()]
     assert [one for one in lines if one["vehicle"] == 2 and "KeyError('a bug')" in one.get("text", "")]
     assert lines[-1]["kind"] == "stop"
+
+
+class SteppedHost(VirtualHost):
+    """A machine whose wall clock is set by hand; the monotonic clock goes on."""
+
+    ahead = timedelta(0)
+
+    def utc(self) -> datetime:
+        return super().utc() + self.ahead
+
+
+@pytest.mark.parametrize("days", [-400, 400])
+def test_a_step_of_the_wall_clock_changes_nothing(watching: Callable[..., Bench], days: int) -> None:
+    host = SteppedHost()
+    bench = watching(host)
+    (before,) = bench.daemon.fleet.figures()
+    host.ahead = timedelta(days=days)
+    bench.run(5.0)
+    (after,) = bench.daemon.fleet.figures()
+    assert after.judged_s == pytest.approx(before.judged_s + 5.0, abs=0.1)
+    assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
+    assert finds_a_fault(bench)
+
+
+def test_a_baseline_that_finds_the_disk_full_leaves_the_old_one_and_watching_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "b.json"
+    baseline_for(rate_hz=200).save(path)
+    before = path.read_bytes()
+
+    def full(handle: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    settings = Settings(connect=UDP_IN, learn=5.0, save=path)
+    bench = Bench(settings, vehicles=[MadeVehicle(1)], fitter=FakeFitter(baseline_for()))
+    bench.run(12.0)
+    assert path.read_bytes() == before
+    assert [one.name for one in tmp_path.iterdir()] == ["b.json"]
+    assert any("baseline is not saved" in line and "No space left" in line for line in bench.host.lines)
+    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
+    assert finds_a_fault(bench)
+    bench.close()

@@ -59,7 +59,8 @@ def test_wild_frames_and_garbage_are_survived(seed: int, datagrams: bool, learni
         if rng.random() < 0.3:
             frames.insert(int(rng.integers(0, 5)), rng.bytes(int(rng.integers(0, 300))))
         now = Instant(now.ns + TICK_NS)
-        for turn in one.step([(frame, now.ns) for frame in frames], now):
+        one.take([(frame, now.ns) for frame in frames], now)
+        for turn in one.judge(now):
             for effect in turn.effects:
                 assert not isinstance(effect, SendText) or 0 < len(effect.text.encode()) <= 50
     one.finish(now)

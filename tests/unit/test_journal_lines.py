@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from made_session import baseline_for
 
-from detector.journal import Journal, When, line
+from detector.journal import Journal, Reporter, When
 from detector.states import State
 from detector.values import EventClosed, Note, Record, SendText, StateChanged, TextSuppressed
 from mavdiag.decision.alarm import Change, Event, Stage
@@ -23,6 +23,12 @@ FOUND |= dict.fromkeys(("rotor", "fault_type", "severity", "confidence"))
 EVENT = Event(start_ns=60_000_000_000, end_ns=62_000_000_000, level=0.05, **FOUND)
 CHANGE = Change(Stage.SUSPECTED, "fsd is above its threshold", unit="s", t_ns=60_000_000_000, **FOUND)
 CONTRACT = {"t_s", "end_s", "fsd_s", "fml_s", *FOUND}
+
+
+def line(record: Record, when: When) -> str:
+    lines: list[str] = []
+    Reporter([lambda text, urgent: lines.append(text)], lambda text: None, lambda sysid: when, None).record(2, record)
+    return lines[0]
 
 
 def test_an_event_has_the_contracts_fields_and_both_clocks() -> None:

@@ -1,6 +1,7 @@
 """Who may read the live page: by the address it is on, the headers of a request, and the token."""
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -8,6 +9,7 @@ from hypothesis import strategies as st
 
 from detector.config import load_settings
 from detector.web.access import Access, Answer
+from detector.web.child import read_token
 from mavdiag.errors import UsageError
 
 LOCAL = Access("127.0.0.1", 8080)
@@ -70,3 +72,21 @@ def test_no_header_leaves_the_rules_by_an_exception(text: str, where: str) -> No
         given = value if where == "token" else None
         cookie = headers.pop("cookie", None)
         assert OPEN.judge("GET", "/", headers, cookie, given) in (Answer.NO_TOKEN, Answer.REFUSED)
+
+
+@pytest.mark.parametrize(
+    ("content", "mode", "words"),
+    [
+        ("short\n", 0o600, "16 or more ASCII characters"),
+        ("long enough but with blanks\n", 0o600, "without blanks"),
+        ("0123456789abcdef\n", 0o644, "others may read the web token; run `chmod 600"),
+    ],
+)
+def test_a_token_file_keeps_the_rules_of_a_key_file(tmp_path: Path, content: str, mode: int, words: str) -> None:
+    path = tmp_path / "token"
+    path.write_text(content)
+    path.chmod(mode)
+    with pytest.raises(UsageError) as error:
+        read_token(path)
+    assert words in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
