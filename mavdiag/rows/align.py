@@ -252,7 +252,8 @@ class AlignSpec:
 @allocating
 def _middle(steps: IntArray) -> int:
     """The lower middle one."""
-    return int(np.sort(steps)[(len(steps) - 1) // 2])
+    middle = (len(steps) - 1) // 2
+    return int(np.partition(steps, middle)[middle])
 
 
 @jit

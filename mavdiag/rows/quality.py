@@ -190,6 +190,7 @@ STAMPS_CODE, RESOLUTION_CODE, FROZEN_CODE = (
     DOUBTS.index(one) for one in (Doubt.STAMPS, Doubt.RESOLUTION, Doubt.FROZEN)
 )
 PIECE = 1 << 16  # samples that learning looks at together
+TOGETHER = 64  # samples of the usual case that are looked at together
 
 
 class Memory:
@@ -245,13 +246,35 @@ def _leap(s: Samples, i: int) -> float:
     return found
 
 
-@inline
-def _usual(s: Samples, i: int, span_ns: int) -> bool:
-    """Whether neither stamp nor values leap by more than is believed after one period: the usual case."""
-    usual = -s.rule[BACK] <= span_ns <= s.rule[EARLY_NS]
-    for column in range(s.columns):
-        usual = usual and not abs(_away(s, column, s.v[i, column], span_ns)) > s.rule[LEAP + column]
-    return bool(usual)
+@jit
+def _plain(s: Samples, first: int, stop: int) -> int:
+    """Up to where no sample leaps and rows use each as it came: the usual case, looked at column by column."""
+    rule, mem, counts, columns, t_ns = s.rule, s.mem, s.counts, s.columns, s.t_ns
+    jitter, before_ns, shown, frozen = mem[JITTER], counts[CAME_NS], False, rule[LEAP + 4 * columns]
+    for i in range(first, stop):
+        jitter = _scatter(s, jitter, t_ns[i] - before_ns)
+        span_ns, before_ns = t_ns[i] - (before_ns if i > first else counts[LAST_NS]), t_ns[i]
+        if not -rule[BACK] <= span_ns <= rule[EARLY_NS] or (rule[GYRO] and jitter > rule[MOST_JITTER]):
+            stop = i
+            break
+    for column in range(columns):
+        at, run, before_ns, moves = COLUMN + column, counts[RUNS + 1 + column], counts[LAST_NS], True
+        last, slope, came = mem[at], mem[at + columns], mem[at + 2 * columns]
+        leap, leads, quiet = rule[LEAP + column], rule[LEAP + columns + column], rule[LEAP + 2 * columns + column]
+        alone, may_rest = rule[LEAP + 3 * columns + column], rule[ZERO_IS_DEAD] + rule[NOT_ZERO] == 0.0
+        if rule[GYRO] and not mem[at + 3 * columns] <= rule[MOST_STEP]:
+            return first
+        for i in range(first, stop):
+            value, span_ns = s.v[i, column], t_ns[i] - before_ns
+            run = run + 1 if not abs(value - came) > quiet else 0
+            if run > alone or abs(_short(s, value - last - slope * span_ns)) > leap:
+                stop = i
+                break
+            slope = _short(s, value - last) * (1.0 / span_ns) if leads and span_ns != 0 else 0.0
+            moves = moves and run <= frozen and (may_rest or 0.0 < abs(value) < np.inf)
+            last, came, before_ns = value, value, t_ns[i]
+        shown = shown or moves
+    return stop if shown else first
 
 
 @jit
@@ -308,38 +331,46 @@ def _decide(s: Samples, there: int, i: int) -> tuple[int, bool]:
 
 
 @inline
-def _believe(s: Samples, i: int) -> None:
-    span_ns = s.t_ns[i] - s.counts[LAST_NS]
+def _scatter(s: Samples, jitter: float, span_ns: int) -> float:
+    """Variance of the stamps after the next one; a step that is lost or misdated does not count."""
+    steps = span_ns / s.rule[PERIOD]
+    apart = steps - np.round(steps) if 0.0 < steps < MISSING else 0.0
+    return float(jitter + s.rule[ALPHA] * (apart * apart - jitter))
+
+
+@jit
+def _believe(s: Samples, first: int, stop: int) -> None:
+    """Remember the last of some samples, and its slope."""
+    i, several = stop - 1, stop - 1 > first
+    span_ns = s.t_ns[i] - (s.t_ns[i - 1] if several else s.counts[LAST_NS])
     share = 1.0 / span_ns if span_ns != 0 and s.rule[LEADING] else 0.0
     for column in range(s.columns):
         at, leads = COLUMN + column, share != 0.0 and s.rule[LEAP + s.columns + column]
-        s.mem[at + s.columns] = _short(s, s.v[i, column] - s.mem[at]) * share if leads else 0.0
+        before = s.v[i - 1, column] if several else s.mem[at]
+        s.mem[at + s.columns] = _short(s, s.v[i, column] - before) * share if leads else 0.0
         s.mem[at] = s.v[i, column]
     s.counts[LAST_NS] = s.t_ns[i]
 
 
-@inline
-def _measure(s: Samples, i: int) -> float:
-    """Count repetitions after a sample, and of the gyro follow jitter and finest step; returns the resolution."""
+@jit
+def _measure(s: Samples, first: int, stop: int) -> float:
+    """Count repetitions after some samples, and of the gyro follow jitter and finest step; returns the resolution."""
     mem, counts, columns, gyro = s.mem, s.counts, s.columns, s.rule[GYRO] > 0.0
-    same, coarsest = True, 0.0
+    coarsest, jitter, before_ns, same = 0.0, mem[JITTER], counts[CAME_NS], 1 << 62
     for column in range(columns):
-        came, finest = COLUMN + 2 * columns + column, COLUMN + 3 * columns + column
-        step = abs(s.v[i, column] - mem[came])
-        still = not step > s.rule[LEAP + 2 * columns + column] and counts[COUNT] > 0
-        same = same and still
-        counts[RUNS + 1 + column] = counts[RUNS + 1 + column] + 1 if still else 0
-        mem[came] = s.v[i, column]
+        at, run = COLUMN + 2 * columns + column, counts[RUNS + 1 + column]
+        came, finest, quiet = mem[at], mem[at + columns], s.rule[LEAP + 2 * columns + column]
+        for i in range(first, stop):
+            step = abs(s.v[i, column] - came)
+            run = run + 1 if not step > quiet and counts[COUNT] > 0 else 0
+            finest, came = min(finest, step) if step > SAME else finest, s.v[i, column]
+        mem[at], counts[RUNS + 1 + column], same = came, run, min(same, run)
         if gyro:
-            mem[finest] = min(mem[finest], step) if step > SAME else mem[finest]
-            coarsest = max(coarsest, mem[finest])
-    counts[RUNS] = counts[RUNS] + 1 if same else 0
-    if gyro:
-        steps = (s.t_ns[i] - counts[CAME_NS]) / s.rule[PERIOD]
-        apart = steps - np.round(steps) if 0.0 < steps < MISSING else 0.0  # else it is lost or misdated
-        mem[JITTER] += s.rule[ALPHA] * (apart * apart - mem[JITTER])
-    counts[CAME_NS] = s.t_ns[i]
-    counts[COUNT] += 1
+            mem[at + columns], coarsest = finest, max(coarsest, finest)
+    for i in range(first, stop if gyro else first):
+        jitter, before_ns = _scatter(s, jitter, s.t_ns[i] - before_ns), s.t_ns[i]
+    mem[JITTER], counts[RUNS], counts[CAME_NS] = jitter, same, s.t_ns[stop - 1]
+    counts[COUNT] += stop - first
     return coarsest if counts[COUNT] > RESOLUTION_SAMPLES and math.isfinite(coarsest) else 0.0
 
 
@@ -391,7 +422,7 @@ def _take(s: Samples, i: int, lost: bool, kept: int, seen: FloatArray, runs: Int
     if s.rule[GYRO]:
         s.v[i, s.columns] = 0.0
     if s.rule[LEARNT]:
-        finest = _measure(s, i)
+        finest = _measure(s, i, i + 1)
         if lost:
             return kept
         if len(seen):
@@ -429,8 +460,20 @@ def look_at(s: Samples, waited: int, seen: FloatArray, runs: IntArray) -> tuple[
         s.mem[COLUMN : COLUMN + 3 * s.columns], s.mem[COLUMN + 3 * s.columns : COLUMN + 4 * s.columns] = np.nan, np.inf
     kept = done = 0
     while done < there:
-        run, lost = 1, False
-        if s.rule[LEARNT] and not _usual(s, done, s.t_ns[done] - s.counts[LAST_NS]):
+        stop, run, lost = done, 1, False
+        if s.rule[LEARNT] and s.counts[COUNT] and not len(seen):
+            stop = _plain(s, done, min(done + TOGETHER, there))
+        if stop > done:
+            s.counts[ALONE] = 0
+            _believe(s, done, stop)
+            _measure(s, done, stop)
+            for i in range(done, stop):
+                s.v[i, s.columns :] = 0.0
+                _move(s, i, kept)
+                kept += 1
+            done = stop
+            continue
+        if s.rule[LEARNT]:
             misdated = _misdated(s, there, done)
             if misdated < 0:
                 break
@@ -439,10 +482,9 @@ def look_at(s: Samples, waited: int, seen: FloatArray, runs: IntArray) -> tuple[
                 run, lost = _decide(s, there, done)
                 if run == 0:
                     break
-        elif s.rule[LEARNT]:
-            s.counts[ALONE] = 0
-        for i in range(done, done + run if s.rule[LEARNT] and not lost else done):
-            _believe(s, i)
+        for i in range(done, done + run):
+            if s.rule[LEARNT] and not lost:
+                _believe(s, i, i + 1)
         for i in range(done, done + run):
             kept = _take(s, i, lost, kept, seen, runs)
         done += run
