@@ -105,7 +105,7 @@ class Streams(NamedTuple):
 
 
 class AlignState:
-    """All that the aligner remembers between chunks. reached: latest stamp of each that came."""
+    """All that the aligner remembers between chunks. reached, ends: latest stamp and `END` of each as it came."""
 
     def __init__(self, limits_ns: IntArray) -> None:
         count = len(STREAMS)
@@ -115,7 +115,7 @@ class AlignState:
         values = tuple(np.empty((0, width)) for width in WIDTHS)
         knows = np.zeros((count, 0)), np.zeros((count, 0)), np.zeros((count, 0), dtype=np.int64)
         self.streams = Streams(times, hosts, values, marks, *knows, np.zeros((count, 3)), now, limits_ns)
-        self.reached = [-NEVER_NS] * count
+        self.reached, self.ends = [-NEVER_NS] * count, [0] * count
 
     @property
     def last_ns(self) -> int:
@@ -124,20 +124,22 @@ class AlignState:
 
     def append(self, series: Series, quality: LinkQuality) -> None:
         """Put samples behind those that came. Raises InputError if their columns are others than before."""
-        place, count, columns = PLACES.get(series.signal), len(series), series.values.shape[1]
+        place, (count, columns) = PLACES.get(series.signal), series.values.shape
         if place is None or not count:
             return
         if not len(self.streams.times[place]):
             self._begin(place, columns, quality.rule(series.signal, columns))
-        width, end = self.streams.values[place].shape[1] - (place == GYRO), int(self.streams.marks[place, END])
+        streams, end = self.streams, self.ends[place]
+        width = streams.values[place].shape[1] - (place == GYRO)
         if columns != width:
             raise InputError(f"{series.signal} has {columns} columns in place of {width}")
-        if end + count > len(self.streams.times[place]):
+        if end + count > len(streams.times[place]):
             end = self._make_room(place, count)
-        to, streams = slice(end, end + count), self.streams
+            streams = self.streams
+        to = slice(end, end + count)
         streams.times[place][to], streams.hosts[place][to] = series.t_ns, series.host_ns
         streams.values[place][to, :columns] = series.values
-        streams.marks[place, END] = end + count
+        self.ends[place] = end + count
         self.reached[place] = max(self.reached[place], int(series.t_ns[-1]))
 
     def _begin(self, place: int, columns: int, rule: FloatArray) -> None:
@@ -154,7 +156,11 @@ class AlignState:
 
     def _make_room(self, place: int, count: int) -> int:
         """Move the samples that are kept to the front, of longer arrays if need be; returns where the next are put."""
-        (times, hosts, values), (lo, hi, end) = self.streams[:3], self.streams.marks[place, : END + 1].tolist()
+        (times, hosts, values), (lo, hi), end = (
+            self.streams[:3],
+            self.streams.marks[place, :END].tolist(),
+            self.ends[place],
+        )
         kept, width, room = end - lo, values[place].shape[1], len(times[place])
         olds = times[place], hosts[place], values[place]
         if kept + count + ROOM // 2 > room:
@@ -165,7 +171,7 @@ class AlignState:
             self.streams = self.streams._replace(times=times, hosts=hosts, values=values)
         for new, old in zip((times[place], hosts[place], values[place]), olds, strict=True):
             new[:kept] = old[lo:end]
-        self.streams.marks[place, : END + 1] = 0, hi - lo, kept
+        self.streams.marks[place, :END] = 0, hi - lo
         return int(kept)
 
 
@@ -222,9 +228,10 @@ class AlignSpec:
     def take(self, state: AlignState, *, live: bool = True) -> int:
         """Believe and sort what came; returns up to when rows are complete [ns]. A log's rows always wait."""
         marks, hurries = state.streams.marks, live and self.grid is Grid.NATIVE
+        marks[:, END] = state.ends
         room = np.empty((3, int((marks[:, END] - marks[:, HI]).max())), dtype=np.int64)
         until_ns = _take(state.streams, room, hurries, self.dt_s * NS_PER_S)
-        state.reached = marks[:, NEWEST].tolist()
+        state.reached, state.ends = marks[:, NEWEST].tolist(), marks[:, END].tolist()
         return until_ns
 
     def rows(self, state: AlignState, until_ns: int) -> Iterator[Block]:
@@ -489,7 +496,9 @@ def _hold(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
         elif at == hi:
             stop = len(rows)
         for column in range(v.shape[1]):
-            x[FIRST[place] + column, i:stop] = v[at, column] if known else np.nan
+            value = v[at, column] if known else np.nan
+            for k in range(i, stop):
+                x[FIRST[place] + column, k] = value
         i = stop
     return int(at)
 

@@ -271,8 +271,13 @@ def hidden_flight(
     up and it moves. spans: first and last row of what flew [ns].
     """
     shows = [one for one in telemetry if one.signal in SHOWS_FLIGHT and len(one)]
-    edges_ns = [time_ns for span in spans for time_ns in span] + [max((int(one.t_ns.max()) for one in shows), default=0)]
-    if 2 * sum(max(begin - end, 0) for end, begin in zip(edges_ns[1::2], edges_ns[2::2], strict=True)) < HIDDEN_S * NS_PER_S:
+    edges_ns = [time_ns for span in spans for time_ns in span] + [
+        max((int(one.t_ns.max()) for one in shows), default=0)
+    ]
+    if (
+        2 * sum(max(begin - end, 0) for end, begin in zip(edges_ns[1::2], edges_ns[2::2], strict=True))
+        < HIDDEN_S * NS_PER_S
+    ):
         return ()  # nor with what flew in between
     telemetry = believed(quality, Telemetry(tuple(shows)))
     tallies = {one.signal: _tally(one) for one in telemetry}
