@@ -1,25 +1,16 @@
 """Bring the streams of one vehicle onto one uniform grid: `AlignSpec.start`, `.step`, `.finish`.
 
-The gyro is the master: rows come where it has samples, whatever else is sent. On a *native* grid every row is one gyro
-sample, untouched, and the other signals are brought to its time; lost samples become rows of their own. On a
-*resampled* grid (senders with uneven periods) all signals are interpolated to a fixed period. Which one a link needs is
-measured by `measure_grid` and kept in the baseline.
+The gyro is the master. On a *native* grid every row is one of its samples, other signals are brought to its time, and
+lost samples become rows; on a *resampled* grid (uneven senders) all are interpolated to a fixed period. What is made
+up is not judged: a row inside a gyro gap longer than `max_gap_s`, or than a glitch leaves, and `settle_gap_s` after it,
+is invalid; a gap longer than `break_s` starts a segment, whose first `settle_start_s` are invalid (METHOD section 4).
+The set-point has the same limits and its own mark. Other signals are nan where no samples within their limit are near.
 
-What is not believed never comes so far (`rows.quality`), and what is invented is never judged. A row inside a gyro gap
-longer than `max_gap_s`, or than a glitch leaves, and `settle_gap_s` after it, is marked invalid; a gap longer than
-`break_s` starts a new segment, whose first `settle_start_s` are invalid. Gaps up to 35 ms may be interpolated at 100
-Hz, longer ones plus 0.3 s are blanked, start-up takes 1 s (METHOD section 4). The set-point has the same limits and a
-mark of its own. Every other signal is nan where no two samples within its limit surround the row, or where the last
-value is older than its limit.
-
-Samples may be out of order by up to `reorder_s`; later ones and duplicates are dropped. A row waits that long for its
-samples, and for the next sample of an interpolated signal until that sample could not be used any more. So the result
-does not depend on how the telemetry was cut into chunks, as long as no stream lags the gyro by more than `reorder_s`.
-
-A link is orderly while every sample comes before the gyro is `ORDER_NS` further than its time. On a native grid and an
-orderly link a row waits only for what is missing: it comes out when the gyro is so much further, if gyro and
-interpolated signals miss no sample up to it. The first sample of a held signal that comes late counts in a log from its
-own time on, and live from the next row on; then rows wait for all for `CALM_NS`.
+Samples may be out of order by up to `reorder_s`; later ones and duplicates are dropped. A row waits that long, and for
+the next sample of an interpolated signal while it may count, so that the result does not depend on the chunks. On a
+native grid and an orderly link (no sample comes after the gyro is `ORDER_NS` further) it waits for what is missing.
+The first sample of a held signal that comes late counts in a log from its own time on, and live from the next row on;
+then rows wait for all for `CALM_NS`.
 """
 
 import math
@@ -179,10 +170,9 @@ class AlignState:
 class AlignSpec:
     """Grid and limits; all spans in seconds of the vehicle's clock. Raises InputError on an impossible period.
 
-    dt_s: row period. grid: how rows are placed. max_gap_s: longest gap of gyro and set-point that is interpolated.
-    settle_gap_s, settle_start_s: what is not used after a longer gap, and after a start or a break. break_s: longest
-    gap within a segment; how long a row waits for a set-point. reorder_s: how late a sample may come.
-    quality: what healthy flights showed of the link.
+    max_gap_s: longest gap of gyro and set-point that is interpolated. settle_gap_s, settle_start_s: what is not used
+    after a longer gap, and after a start or a break. break_s: longest gap within a segment; how long a row waits for a
+    set-point. reorder_s: how late a sample may come. quality: what healthy flights showed of the link.
     """
 
     dt_s: float
@@ -361,10 +351,7 @@ def _take(s: Streams, room: IntArray, hurries: bool, dt_ns: float) -> int:
 
 @jit
 def _whole_ns(s: Streams, place: int, since_ns: int, most_ns: float) -> int:
-    """Up to where no sample is missing among those after `since_ns`; that time itself if that is not known.
-
-    A sample is missing in a step above 1.5 of the usual one, or of `most_ns` if that is shorter.
-    """
+    """Up to where no step after `since_ns` is above 1.5 of the usual one, or of `most_ns`; `since_ns` if not known."""
     t, lo, hi, usual_ns = s.times[place], s.marks[place, LO], s.marks[place, HI], min(s.marks[place, STEP], most_ns)
     first = lo
     while first < hi and t[first] <= since_ns:
@@ -472,10 +459,7 @@ def _settle(s: Streams, place: int, at: int) -> None:
 
 @jit
 def _fill(s: Streams, rows: IntArray, x: FloatArray, flags: BoolArray) -> None:
-    """Read all streams at the times of rows; what lies before the last row is settled.
-
-    x: a row for each column of a stream, from FIRST on. flags: whether gyro and set-point may be used.
-    """
+    """Read all streams at the times of rows into x and flags as `_rows` has them; what lies before is settled."""
     for place in range(len(s.marks)):
         _settle(s, place, _hold(s, place, rows, x) if place >= THRUST else _interpolate(s, place, rows, x, flags))
 
@@ -505,10 +489,7 @@ def _hold(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
 
 @jit
 def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray, flags: BoolArray) -> int:
-    """The value between the samples around each row; returns the last sample before the last row.
-
-    Where they are farther apart than the limit, gyro and set-point keep the last value, others are nan.
-    """
+    """The value between the samples around each row (too far apart: the last, or nan); returns the last one read."""
     t, v, at, hi, limit_ns = s.times[place], s.values[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
     angle, first, columns, turns = place in (SETPOINT, ATTITUDE), FIRST[place], v.shape[1], s.turns[place]
     for i in range(len(rows)):

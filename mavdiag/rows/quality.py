@@ -4,22 +4,15 @@ A sample is *lost* if it is no number, is beyond what any sensor measures, or le
 
     leap_i = |x_i - x_last - c (t_i - t_last)| / n > most,    n = max(1, |t_i - t_last|/T)          in some column
 
-x_last is the last sample that was believed, T the usual period, angles are taken the short way round; `most` is twice
-the healthy leap, or a small one. c is zero, or the slope between the two samples that were believed last, where the
-healthy signal leaps less by it (n (n + 1)/2 then stands for n). Samples that leap wait for the next ones: if after 3 of
-them (2 at 50 Hz and below) the signal leaps back, they were a glitch. If not, or if 5 of the 20 samples before leapt
-at least half as far, it is how the signal moves now. What holds its last value does not wait, and is lost. A sample
-whose stamp leaps, back by more than a period or ahead by more than ever, is lost until another one follows it.
+x_last is the last believed sample, T the usual period, `most` twice the healthy leap or a small one; c the slope of
+the two samples believed last where the healthy signal leaps less by it (n (n + 1)/2 then stands for n), else 0. What
+leaps waits: back after 3 samples (2 at 50 Hz and below) it was a glitch, else, or if 5 of the 20 before leapt half as
+far, it is how the signal moves. What holds its last value does not wait. A stamp that leaps is lost until one follows.
 
-A sample is *dead* if it repeats the one before (gyro and accelerometer: or changes by less than a twentieth of the
-quietest healthy noise) for four times as long as ever in health, but not above a second unless health did; the
-attitude's set-point for two samples more than it did; likewise one axis of gyro or accelerometer alone; and at once if
-all that the accelerometer, the outputs, the attitude or its set-point read is zero. Then it is unknown.
-
-The gyro is *doubted* (`Doubt`) where it is dead, where its time stamps scatter more about their grid than they did in
-health, and where its resolution is coarser. Rows keep it, and say why they must not be judged.
-
-Samples are looked at in the order in which they came, so that a log and a live link believe the same ones.
+A sample is *dead* if it repeats the one before for much longer than ever in health (gyro and accelerometer: each axis,
+within a twentieth of the quietest noise), and at once if all zero where no vehicle reads so. Then it is unknown. The
+gyro is *doubted* (`Doubt`) where it is dead, its stamps scatter or its resolution is coarser than in health: rows keep
+it, and say why. Samples are looked at in order of arrival, so that a log and a live link believe the same ones.
 """
 
 import math
@@ -114,10 +107,7 @@ class Habit(BaseModel):
     leads: tuple[bool, ...] = ()
 
     def limits(self) -> FloatArray:
-        """Of each column, in rows: the longest leap, whether it leads, the step of silence, how long it may repeat.
-
-        The last of all: how long all columns together may repeat.
-        """
+        """Longest leap, whether it leads, step of silence, longest repetition: of each column; the last also of all."""
         leap, longest = np.array(self.leap), np.array(self.still, dtype=np.float64)
         if self.signal in SENSORS:
             leap = np.where(leap > 0, FAR * leap, np.inf)  # one that never moved may do so
@@ -446,9 +436,8 @@ def _take(s: Samples, i: int, lost: bool, kept: int, seen: FloatArray, runs: Int
 def look_at(s: Samples, waited: int, seen: FloatArray, runs: IntArray) -> tuple[int, int, int]:
     """Move the samples that are believed to the front, as rows may use them.
 
-    waited: how many of them came before. seen: (columns + 3,) of those that are not lost the longest repetitions, the
-    highest variance of jitter and the last resolution, 0 if unknown; runs: how long each repeated. Both may be empty.
-    Returns how many are believed, how many are decided, and how many there are within range.
+    waited: how many came before. seen: (columns + 3,) of those not lost the longest repetitions, highest variance of
+    jitter, last resolution; runs: of each. Both may be empty. Returns how many are believed, decided, within range.
     """
     there = waited
     for i in range(waited, len(s.t_ns)):
@@ -482,9 +471,8 @@ def look_at(s: Samples, waited: int, seen: FloatArray, runs: IntArray) -> tuple[
                 run, lost = _decide(s, there, done)
                 if run == 0:
                     break
-        for i in range(done, done + run):
-            if s.rule[LEARNT] and not lost:
-                _believe(s, i, i + 1)
+        if s.rule[LEARNT] and not lost:
+            _believe(s, done, done + run)
         for i in range(done, done + run):
             kept = _take(s, i, lost, kept, seen, runs)
         done += run
@@ -568,11 +556,8 @@ def _between(series: Series, first_ns: int, last_ns: int) -> Series:
 def _watched(habit: Habit, series: Series) -> tuple[FloatArray, IntArray]:
     """`seen` and `runs` of `look_at`, of the samples that are not lost by what the habit says of leaps."""
     columns, runs = series.values.shape[1], np.empty(len(series), dtype=np.int64)
-    rule, memory, seen = (
-        LinkQuality(habits=(habit,)).rule(series.signal, columns),
-        Memory(columns),
-        np.zeros(columns + 3),
-    )
+    rule = LinkQuality(habits=(habit,)).rule(series.signal, columns)
+    memory, seen = Memory(columns), np.zeros(columns + 3)
     for first in range(0, len(series), PIECE):
         at = slice(first, first + PIECE)
         _looked(rule, memory, Series(series.signal, series.t_ns[at], series.host_ns[at], series.values[at]), seen, runs)

@@ -1,8 +1,7 @@
 """From aligned rows to the pair that the model relates: commanded body rate u and measured body rate y (T 4.3.4).
 
 Savitzky-Golay filters of one window of 2m + 1 rows and order 2 give value and slope of the commanded Euler angles at
-the centre of the window, and W(phi, theta) (`body_rates`) turns the slopes into body rates. The gyro is smoothed by the
-same window. Output row i belongs to input row i + m; a new segment starts the filters afresh.
+the centre of the window, and W(phi, theta) (`body_rates`) turns the slopes into body rates. The gyro has that window.
 
 Value and slope at the centre follow from the moments M_j = sum of k^j x over the window, k = -m..m (T Eq 4.11):
 
