@@ -102,8 +102,7 @@ class ChainState:
 class Chain:
     """The whole way from telemetry to alarms.
 
-    covered: by the baseline's flights. fingerprint, layout: of its vehicle, to compare with; None to compare nothing.
-    baseline: whose it is; None where no link is refused. profile: of the data; None if it is not known.
+    fingerprint, layout: of the baseline's vehicle; None to compare nothing. baseline: None where no link is refused.
     """
 
     front: Front
@@ -181,10 +180,9 @@ class Chain:
         return state
 
     def refusal(self, telemetry: Telemetry, least_s: float = 0.0) -> str | None:
-        """Why data do not suit the baseline, a sentence; empty if they do, None if they are too few to tell.
+        """Why data do not suit the baseline; empty if they do, None if too few (below `least_s` of gyro) to tell.
 
-        least_s: gyro samples must reach over so long. Some streams are irregular, or lose much: a rate is another one
-        if neither its mean nor its median is the baseline's.
+        Streams may be irregular, or lose much: neither mean nor median of another rate is the baseline's.
         """
         series = telemetry.get(Signal.BODY_RATE)
         steps = steps_of(np.empty(0, dtype=np.int64) if series is None else series.t_ns) / NS_PER_S
@@ -280,10 +278,9 @@ def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None
     alone = not any(monitor.decides for monitor in monitors)
     same, link, whose = baseline.same_session(started_ns), baseline.link, baseline.airframe
     coaxial = whose.layout is not None and whose.layout.coaxial  # the arm is told, no rotor
-    thresholds = [entry.threshold.within(same_session=same) for entry in entries]
     slots = tuple(
-        Slot(monitor, threshold, monitor.decides or alone, None if coaxial else monitor.evidence)
-        for monitor, threshold in zip(monitors, thresholds, strict=True)
+        Slot(one, entry.threshold.within(same_session=same), one.decides or alone, None if coaxial else one.evidence)
+        for one, entry in zip(monitors, entries, strict=True)
     )
     moves = any(monitor.feature == "motion" for monitor in monitors)
     known = known_fault_types(whose.classifier, link.profile, 1.0 / link.dt_s) if moves else ()
