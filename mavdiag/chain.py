@@ -2,9 +2,8 @@
 
     telemetry ─ front ─▶ rows ─ kernel ─▶ looks ─ decision ─▶ events, changes
 
-Chunks wait in the front until they bring the rows of the next look, every 0.1 s, for until then nothing can be decided.
-The first 2 s wait until the gyro's rate is measured: a link that is not the baseline's is refused, by one rule for a
-log and a live vehicle (`Chain.refusal`), and is measured again every 2 s.
+Chunks wait in the front until they bring the rows of the next look, every 0.1 s. The first 2 s wait until the gyro's
+rate is measured: a link that is not the baseline's is refused (`Chain.refusal`), and measured again every 2 s.
 """
 
 from collections.abc import Sequence
@@ -43,11 +42,9 @@ MEASURED_S = 2.0  # of gyro samples that a live link's rate is measured by (our 
 class ChainOutput:
     """What one chunk brought.
 
-    events: alarms of monitors that opened (end_ns None) or closed. changes: of the decision.
-    flight_s: new flight time, take-offs and all. judged_s: by how much `ChainState.judged_s` grew.
-    now_ns: vehicle time of the latest row; None if none came.
+    events: alarms that opened (end_ns None) or closed. changes: of the decision. flight_s, judged_s: that came.
+    now_ns: vehicle time of the latest row; None if none came. pieces: the rows with their statistics.
     likeness: whether it is the baseline's vehicle, once, when 20 s of flight are there; None at other times.
-    pieces: the rows with their statistics (`mavdiag.traces`).
     """
 
     events: tuple[Event, ...] = ()
@@ -68,10 +65,9 @@ class ChainOutput:
 class ChainState:
     """Memory of the front, the kernel and the decision; a step changes it in place.
 
-    now_ns: vehicle time of the latest row.
     beginning: rows until there are enough to compare the vehicle; None afterwards. begun_s: valid time in them.
     waiting: telemetry while the rate is not known to be the baseline's; None afterwards. chunks: since the last rows.
-    refused: why the link is not the baseline's; empty if it is, or is not measured yet.
+    refused: why the link is not the baseline's; empty if it is, or is not measured yet. now_ns: of the latest row.
     """
 
     kernel: Kernel
@@ -106,9 +102,7 @@ class ChainState:
 class Chain:
     """The whole way from telemetry to alarms.
 
-    covered: conditions that the baseline's flights covered.
-    fingerprint, layout: of the baseline's vehicle, to compare the flight with; None to compare nothing.
-    baseline: whose it is; None where no link is refused. profile: of the data; None if it is not known.
+    fingerprint, layout: of the baseline's vehicle; None to compare nothing. baseline: None where no link is refused.
     """
 
     front: Front
@@ -186,10 +180,9 @@ class Chain:
         return state
 
     def refusal(self, telemetry: Telemetry, least_s: float = 0.0) -> str | None:
-        """Why data do not suit the baseline, a sentence; empty if they do, None if they are too few to tell.
+        """Why data do not suit the baseline; empty if they do, None if too few (below `least_s` of gyro) to tell.
 
-        least_s: gyro samples must reach over so long. Some streams are irregular, or lose much: a rate is another one
-        if neither its mean nor its median is the baseline's.
+        Streams may be irregular, or lose much: neither mean nor median of another rate is the baseline's.
         """
         series = telemetry.get(Signal.BODY_RATE)
         steps = steps_of(np.empty(0, dtype=np.int64) if series is None else series.t_ns) / NS_PER_S
@@ -276,9 +269,8 @@ def front_of(baseline: Baseline) -> Front:
 def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None) -> Chain:
     """The chain that judges by a baseline.
 
-    started_ns: wall-clock time of the flight, unix epoch [ns]; 0 if it is not known. In a session of the healthy
-    flights nothing is allowed for what another session may shift. profile: of the data, if it is known.
-    A monitor that does not decide (the thesis's rule) does so where it stands alone.
+    started_ns: wall-clock time of the flight, unix epoch [ns]; 0 if not known. profile: of the data, if known. A
+    monitor that does not decide (the thesis's rule) does so where it stands alone.
     """
     order = [monitor.name for monitor in MONITORS]
     entries = sorted(baseline.monitors, key=lambda entry: order.index(entry.spec.kind))
@@ -286,10 +278,9 @@ def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None
     alone = not any(monitor.decides for monitor in monitors)
     same, link, whose = baseline.same_session(started_ns), baseline.link, baseline.airframe
     coaxial = whose.layout is not None and whose.layout.coaxial  # the arm is told, no rotor
-    thresholds = [entry.threshold.within(same_session=same) for entry in entries]
     slots = tuple(
-        Slot(monitor, threshold, monitor.decides or alone, None if coaxial else monitor.evidence)
-        for monitor, threshold in zip(monitors, thresholds, strict=True)
+        Slot(one, entry.threshold.within(same_session=same), one.decides or alone, None if coaxial else one.evidence)
+        for one, entry in zip(monitors, entries, strict=True)
     )
     moves = any(monitor.feature == "motion" for monitor in monitors)
     known = known_fault_types(whose.classifier, link.profile, 1.0 / link.dt_s) if moves else ()

@@ -24,7 +24,7 @@ from mavdiag.rows.upsets import motion_of, upset_in
 from mavdiag.telemetry import Axis, FloatArray, Log, Signal
 from mavdiag.units import NS_PER_S
 
-PIECE_ROWS = 8000  # rows that are judged together (our choice: 6,000 to 12,000 take the same time)
+PIECE_ROWS = 4000  # rows that are judged together (our choice: 3,000 to 6,000 take the same time)
 MIN_JUDGED_S = 1.0  # less judged time supports no verdict (our choice)
 MOST_STRETCHES = 3  # that were not judged, which a reason names (our choice)
 NEVER_FLEW = "never airborne: no armed flight with thrust"

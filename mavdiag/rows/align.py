@@ -1,25 +1,16 @@
 """Bring the streams of one vehicle onto one uniform grid: `AlignSpec.start`, `.step`, `.finish`.
 
-The gyro is the master: rows come where it has samples, whatever else is sent. On a *native* grid every row is one gyro
-sample, untouched, and the other signals are brought to its time; lost samples become rows of their own. On a
-*resampled* grid (senders with uneven periods) all signals are interpolated to a fixed period. Which one a link needs is
-measured by `measure_grid` and kept in the baseline.
+The gyro is the master. On a *native* grid every row is one of its samples, other signals are brought to its time, and
+lost samples become rows; on a *resampled* grid (uneven senders) all are interpolated to a fixed period. What is made
+up is not judged: a row inside a gyro gap longer than `max_gap_s`, or than a glitch leaves, and `settle_gap_s` after it,
+is invalid; a gap longer than `break_s` starts a segment, whose first `settle_start_s` are invalid (METHOD section 4).
+The set-point has the same limits and its own mark. Other signals are nan where no samples within their limit are near.
 
-What is not believed never comes so far (`rows.quality`), and what is invented is never judged. A row inside a gyro gap
-longer than `max_gap_s`, or than a glitch leaves, and `settle_gap_s` after it, is marked invalid; a gap longer than
-`break_s` starts a new segment, whose first `settle_start_s` are invalid. Gaps up to 35 ms may be interpolated at 100
-Hz, longer ones plus 0.3 s are blanked, start-up takes 1 s (METHOD section 4). The set-point has the same limits and a
-mark of its own. Every other signal is nan where no two samples within its limit surround the row, or where the last
-value is older than its limit.
-
-Samples may be out of order by up to `reorder_s`; later ones and duplicates are dropped. A row waits that long for its
-samples, and for the next sample of an interpolated signal until that sample could not be used any more. So the result
-does not depend on how the telemetry was cut into chunks, as long as no stream lags the gyro by more than `reorder_s`.
-
-A link is orderly while every sample comes before the gyro is `ORDER_NS` further than its time. On a native grid and an
-orderly link a row waits only for what is missing: it comes out when the gyro is so much further, if gyro and
-interpolated signals miss no sample up to it. The first sample of a held signal that comes late counts in a log from its
-own time on, and live from the next row on; then rows wait for all for `CALM_NS`.
+Samples may be out of order by up to `reorder_s`; later ones and duplicates are dropped. A row waits that long, and for
+the next sample of an interpolated signal while it may count, so that the result does not depend on the chunks. On a
+native grid and an orderly link (no sample comes after the gyro is `ORDER_NS` further) it waits for what is missing.
+The first sample of a held signal that comes late counts in a log from its own time on, and live from the next row on;
+then rows wait for all for `CALM_NS`.
 """
 
 import math
@@ -105,7 +96,7 @@ class Streams(NamedTuple):
 
 
 class AlignState:
-    """All that the aligner remembers between chunks. reached: latest stamp of each that came."""
+    """All that the aligner remembers between chunks. reached, ends: latest stamp and `END` of each as it came."""
 
     def __init__(self, limits_ns: IntArray) -> None:
         count = len(STREAMS)
@@ -115,7 +106,7 @@ class AlignState:
         values = tuple(np.empty((0, width)) for width in WIDTHS)
         knows = np.zeros((count, 0)), np.zeros((count, 0)), np.zeros((count, 0), dtype=np.int64)
         self.streams = Streams(times, hosts, values, marks, *knows, np.zeros((count, 3)), now, limits_ns)
-        self.reached = [-NEVER_NS] * count
+        self.reached, self.ends = [-NEVER_NS] * count, [0] * count
 
     @property
     def last_ns(self) -> int:
@@ -124,20 +115,22 @@ class AlignState:
 
     def append(self, series: Series, quality: LinkQuality) -> None:
         """Put samples behind those that came. Raises InputError if their columns are others than before."""
-        place, count, columns = PLACES.get(series.signal), len(series), series.values.shape[1]
+        place, (count, columns) = PLACES.get(series.signal), series.values.shape
         if place is None or not count:
             return
         if not len(self.streams.times[place]):
             self._begin(place, columns, quality.rule(series.signal, columns))
-        width, end = self.streams.values[place].shape[1] - (place == GYRO), int(self.streams.marks[place, END])
+        streams, end = self.streams, self.ends[place]
+        width = streams.values[place].shape[1] - (place == GYRO)
         if columns != width:
             raise InputError(f"{series.signal} has {columns} columns in place of {width}")
-        if end + count > len(self.streams.times[place]):
+        if end + count > len(streams.times[place]):
             end = self._make_room(place, count)
-        to, streams = slice(end, end + count), self.streams
+            streams = self.streams
+        to = slice(end, end + count)
         streams.times[place][to], streams.hosts[place][to] = series.t_ns, series.host_ns
         streams.values[place][to, :columns] = series.values
-        streams.marks[place, END] = end + count
+        self.ends[place] = end + count
         self.reached[place] = max(self.reached[place], int(series.t_ns[-1]))
 
     def _begin(self, place: int, columns: int, rule: FloatArray) -> None:
@@ -154,7 +147,11 @@ class AlignState:
 
     def _make_room(self, place: int, count: int) -> int:
         """Move the samples that are kept to the front, of longer arrays if need be; returns where the next are put."""
-        (times, hosts, values), (lo, hi, end) = self.streams[:3], self.streams.marks[place, : END + 1].tolist()
+        (times, hosts, values), (lo, hi), end = (
+            self.streams[:3],
+            self.streams.marks[place, :END].tolist(),
+            self.ends[place],
+        )
         kept, width, room = end - lo, values[place].shape[1], len(times[place])
         olds = times[place], hosts[place], values[place]
         if kept + count + ROOM // 2 > room:
@@ -165,7 +162,7 @@ class AlignState:
             self.streams = self.streams._replace(times=times, hosts=hosts, values=values)
         for new, old in zip((times[place], hosts[place], values[place]), olds, strict=True):
             new[:kept] = old[lo:end]
-        self.streams.marks[place, : END + 1] = 0, hi - lo, kept
+        self.streams.marks[place, :END] = 0, hi - lo
         return int(kept)
 
 
@@ -173,10 +170,9 @@ class AlignState:
 class AlignSpec:
     """Grid and limits; all spans in seconds of the vehicle's clock. Raises InputError on an impossible period.
 
-    dt_s: row period. grid: how rows are placed. max_gap_s: longest gap of gyro and set-point that is interpolated.
-    settle_gap_s, settle_start_s: what is not used after a longer gap, and after a start or a break. break_s: longest
-    gap within a segment; how long a row waits for a set-point. reorder_s: how late a sample may come.
-    quality: what healthy flights showed of the link.
+    max_gap_s: longest gap of gyro and set-point that is interpolated. settle_gap_s, settle_start_s: what is not used
+    after a longer gap, and after a start or a break. break_s: longest gap within a segment; how long a row waits for a
+    set-point. reorder_s: how late a sample may come. quality: what healthy flights showed of the link.
     """
 
     dt_s: float
@@ -222,9 +218,10 @@ class AlignSpec:
     def take(self, state: AlignState, *, live: bool = True) -> int:
         """Believe and sort what came; returns up to when rows are complete [ns]. A log's rows always wait."""
         marks, hurries = state.streams.marks, live and self.grid is Grid.NATIVE
+        marks[:, END] = state.ends
         room = np.empty((3, int((marks[:, END] - marks[:, HI]).max())), dtype=np.int64)
         until_ns = _take(state.streams, room, hurries, self.dt_s * NS_PER_S)
-        state.reached = marks[:, NEWEST].tolist()
+        state.reached, state.ends = marks[:, NEWEST].tolist(), marks[:, END].tolist()
         return until_ns
 
     def rows(self, state: AlignState, until_ns: int) -> Iterator[Block]:
@@ -252,7 +249,8 @@ class AlignSpec:
 @allocating
 def _middle(steps: IntArray) -> int:
     """The lower middle one."""
-    return int(np.sort(steps)[(len(steps) - 1) // 2])
+    middle = (len(steps) - 1) // 2
+    return int(np.partition(steps, middle)[middle])
 
 
 @jit
@@ -353,10 +351,7 @@ def _take(s: Streams, room: IntArray, hurries: bool, dt_ns: float) -> int:
 
 @jit
 def _whole_ns(s: Streams, place: int, since_ns: int, most_ns: float) -> int:
-    """Up to where no sample is missing among those after `since_ns`; that time itself if that is not known.
-
-    A sample is missing in a step above 1.5 of the usual one, or of `most_ns` if that is shorter.
-    """
+    """Up to where no step after `since_ns` is above 1.5 of the usual one, or of `most_ns`; `since_ns` if not known."""
     t, lo, hi, usual_ns = s.times[place], s.marks[place, LO], s.marks[place, HI], min(s.marks[place, STEP], most_ns)
     first = lo
     while first < hi and t[first] <= since_ns:
@@ -464,10 +459,7 @@ def _settle(s: Streams, place: int, at: int) -> None:
 
 @jit
 def _fill(s: Streams, rows: IntArray, x: FloatArray, flags: BoolArray) -> None:
-    """Read all streams at the times of rows; what lies before the last row is settled.
-
-    x: a row for each column of a stream, from FIRST on. flags: whether gyro and set-point may be used.
-    """
+    """Read all streams at the times of rows into x and flags as `_rows` has them; what lies before is settled."""
     for place in range(len(s.marks)):
         _settle(s, place, _hold(s, place, rows, x) if place >= THRUST else _interpolate(s, place, rows, x, flags))
 
@@ -488,17 +480,16 @@ def _hold(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
         elif at == hi:
             stop = len(rows)
         for column in range(v.shape[1]):
-            x[FIRST[place] + column, i:stop] = v[at, column] if known else np.nan
+            value = v[at, column] if known else np.nan
+            for k in range(i, stop):
+                x[FIRST[place] + column, k] = value
         i = stop
     return int(at)
 
 
 @jit
 def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray, flags: BoolArray) -> int:
-    """The value between the samples around each row; returns the last sample before the last row.
-
-    Where they are farther apart than the limit, gyro and set-point keep the last value, others are nan.
-    """
+    """The value between the samples around each row (too far apart: the last, or nan); returns the last one read."""
     t, v, at, hi, limit_ns = s.times[place], s.values[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
     angle, first, columns, turns = place in (SETPOINT, ATTITUDE), FIRST[place], v.shape[1], s.turns[place]
     for i in range(len(rows)):

@@ -19,18 +19,12 @@ class Block:
     A signal is nan in a row where it is unknown (see `rows.align`). Only the set-point stays finite; `setpoint_valid`
     says where it may be used. Arrays of several columns lie column by column in memory.
 
-    segment: number of the unbroken span of flight; it changes after every break and landing.
-    t_ns: vehicle time.
-    setpoint: commanded roll, pitch, yaw [rad], without jumps of 2 pi; 0 before the first, held in an outage.
-    rate: gyro [rad/s]. force: accelerometer [m/s^2]. torque: command, -1..1. rate_setpoint: commanded [rad/s].
-    thrust: collective set-point, 0..1. attitude: estimated roll, pitch, yaw [rad], without jumps of 2 pi.
-    height: above take-off [m]. voltage: of the battery [V]. armed: 0 or 1. vibration: VIBRATION message [m/s^2].
-    actuator: (n, outputs) 0..1; (n, 0) while the vehicle has sent none.
-    valid: the gyro may be judged: it is there, settled and airborne.
-    setpoint_valid: the set-point may be used: it is there and settled.
+    segment: number of the unbroken span of flight. t_ns: vehicle time. Columns and units of signals are those of
+    `Signal`; angles have no jumps of 2 pi. setpoint: of the attitude; 0 before the first, held in an outage.
+    actuator: (n, outputs); (n, 0) while the vehicle has sent none.
+    valid: the gyro may be judged: it is there, settled and airborne. setpoint_valid: it is there and settled.
     doubt: why the gyro, though it is there, must not be judged: a place in `rows.quality.DOUBTS`, 0 for none.
-    settled_ns: rows before it are of a take-off, or of the start of the data, which nobody judges.
-    answers: what was found in the rows so far (`once`).
+    settled_ns: rows before it are of a take-off, or of the start of the data. answers: what was found (`once`).
     """
 
     segment: int

@@ -1,12 +1,10 @@
 """Under which conditions a vehicle flies, ten times a second: what the envelope of a baseline is made of.
 
-They are measured from commands and slow signals, so that a damaged rotor does not move them. One that the link does not
-carry is nan and restricts nothing.
+They are of commands and slow signals, which a damaged rotor does not move. One that is not sent is nan: no limit.
 
     yaw rate = min(|r|, max over 2 s of |d psi/dt|)      r: gyro, mean of the bin;  psi: commanded heading, over 0.1 s
 
-Some autopilots step the commanded heading (PX4 offboard), and the vehicle turns there as fast as it can: r tells how
-fast. A damaged rotor may yaw the vehicle: that is no condition, and psi limits it. Without psi r counts alone.
+Where psi steps (PX4 offboard) r tells how fast; a damaged rotor may yaw the vehicle, and psi limits that.
 """
 
 from enum import StrEnum

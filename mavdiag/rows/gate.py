@@ -1,19 +1,14 @@
 """Judge only what flies: `GateSpec.start`, `.step`, `.finish` cut the flying spans out of the aligned rows.
 
-Take-off, touch-down and the ground are no healthy reference: a landing gives gyro spikes many times the size of a
-fault's trace (8-11 rad/s, METHOD section 5). Every flying span becomes a segment of its own, and a `Border` follows it.
-Its first `trim_start_s` are marked invalid; its last `trim_end_s` are dropped, which needs the rows to be held back by
-that long, so it is zero where the alert must not wait.
-
-A vehicle in the air lands by disarming or by quiet, never by a dip of its thrust. While thrust or height is below its
-limit (*low*) the rows are held back until the matter is decided:
+A landing gives gyro spikes many times the size of a fault's trace (8-11 rad/s, METHOD section 5). Flying spans are
+segments, and a `Border` follows each. Its first `trim_start_s` are invalid, its last `trim_end_s` are dropped: so long
+rows are held back. So they are while thrust or height is below its limit (*low*), until the matter is decided:
 
     disarmed, or QUIET_S without a loud row     it was the landing: the rows are dropped and the span ends
     thrust and height back for BACK_S           it was flight: the rows come out and are judged
     loud for LOUD_S, later than QUIET_S         it tumbles: the rows come out, and the next low ones are not held back
 
 A row is loud above QUIET_RAD_S. At the end of the data what was loud for LOUD_S, and in its last CALM_S, was flight.
-What the gate cannot see as flight, since its own inputs fail, `hidden_flight` finds in a whole log: nobody judged it.
 """
 
 import math
@@ -104,11 +99,8 @@ class GateState:
 class GateSpec:
     """What counts as flying. A limit of None is not asked for.
 
-    A signal that is unknown passes, be it never sent or too old: its lack must not stop the judging of a flight. But
-    where a thrust that was known is lost for 2 s the landing is not seen, unless the height shows it: those rows are
-    doubtful. In place of an unknown thrust the outputs are asked: while all of them idle, nothing flies. A vehicle that
-    sends neither thrust nor height takes off when its gyro begins to shake.
-
+    A signal that is unknown passes, but rows 2 s after a known thrust was lost are doubtful, unless height shows the
+    landing. In place of an unknown thrust the outputs are asked: while all of them idle, nothing flies.
     min_height_m: above take-off. min_thrust: collective set-point, 0..1. need_armed: HEARTBEAT says armed.
     trim_start_s, trim_end_s: start of a span that is marked invalid, end of it that is dropped.
     least_shake: where thrust and height are not known a take-off begins with this gyro noise (`shake`) [rad/s].
@@ -192,10 +184,7 @@ def _idle(outputs: FloatArray, i: int) -> bool:
 
 @cached_loop
 def _follow(now: IntArray, limits: Any, t_ns: IntArray, signals: Any, marks: Any, first: int) -> tuple[int, int, bool]:
-    """Follow the rows from the first on, up to a landing or their end; returns which may be flight, and if it landed.
-
-    Where no thrust set-point is known, outputs that all idle are those of a vehicle on the ground.
-    """
+    """Follow rows from the first on, up to a landing or their end; returns which may be flight, and if it landed."""
     least_height, least_thrust, need_armed, dt_s, trim_ns = limits
     (rate, height, thrust, armed, outputs), (valid, doubt, told), took = signals, marks, first
     for i in range(first, len(t_ns)):
@@ -266,11 +255,19 @@ def hidden_flight(
 ) -> tuple[Hidden, ...]:
     """Where a vehicle that had taken off flew on though the gate passed no rows, in order of time.
 
-    The gyro ends while thrust, outputs, height and HEARTBEAT say that it flies; the thrust reads low while the outputs
-    (or the gyro's motion, where no output is known) are what they were in flight; it reads disarmed while its thrust is
-    up and it moves. spans: first and last row of what flew [ns].
+    The gyro ends, the thrust reads low, or it reads disarmed, while the other signals are what they were in flight.
+    spans: first and last row of what flew [ns].
     """
-    telemetry = believed(quality, Telemetry(tuple(one for one in telemetry if one.signal in SHOWS_FLIGHT)))
+    shows = [one for one in telemetry if one.signal in SHOWS_FLIGHT and len(one)]
+    edges_ns = [time_ns for span in spans for time_ns in span] + [
+        max((int(one.t_ns.max()) for one in shows), default=0)
+    ]
+    if (
+        2 * sum(max(begin - end, 0) for end, begin in zip(edges_ns[1::2], edges_ns[2::2], strict=True))
+        < HIDDEN_S * NS_PER_S
+    ):
+        return ()  # nor with what flew in between
+    telemetry = believed(quality, Telemetry(tuple(shows)))
     tallies = {one.signal: _tally(one) for one in telemetry}
     bins: IntArray = np.unique(np.concatenate([np.empty(0, np.int64), *(numbers for numbers, _ in tallies.values())]))
     bins = bins[bins > spans[0][0] // HIDDEN_BIN_NS] if spans else bins[:0]

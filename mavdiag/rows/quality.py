@@ -4,22 +4,15 @@ A sample is *lost* if it is no number, is beyond what any sensor measures, or le
 
     leap_i = |x_i - x_last - c (t_i - t_last)| / n > most,    n = max(1, |t_i - t_last|/T)          in some column
 
-x_last is the last sample that was believed, T the usual period, angles are taken the short way round; `most` is twice
-the healthy leap, or a small one. c is zero, or the slope between the two samples that were believed last, where the
-healthy signal leaps less by it (n (n + 1)/2 then stands for n). Samples that leap wait for the next ones: if after 3 of
-them (2 at 50 Hz and below) the signal leaps back, they were a glitch. If not, or if 5 of the 20 samples before leapt
-at least half as far, it is how the signal moves now. What holds its last value does not wait, and is lost. A sample
-whose stamp leaps, back by more than a period or ahead by more than ever, is lost until another one follows it.
+x_last is the last believed sample, T the usual period, `most` twice the healthy leap or a small one; c the slope of
+the two samples believed last where the healthy signal leaps less by it (n (n + 1)/2 then stands for n), else 0. What
+leaps waits: back after 3 samples (2 at 50 Hz and below) it was a glitch, else, or if 5 of the 20 before leapt half as
+far, it is how the signal moves. What holds its last value does not wait. A stamp that leaps is lost until one follows.
 
-A sample is *dead* if it repeats the one before (gyro and accelerometer: or changes by less than a twentieth of the
-quietest healthy noise) for four times as long as ever in health, but not above a second unless health did; the
-attitude's set-point for two samples more than it did; likewise one axis of gyro or accelerometer alone; and at once if
-all that the accelerometer, the outputs, the attitude or its set-point read is zero. Then it is unknown.
-
-The gyro is *doubted* (`Doubt`) where it is dead, where its time stamps scatter more about their grid than they did in
-health, and where its resolution is coarser. Rows keep it, and say why they must not be judged.
-
-Samples are looked at in the order in which they came, so that a log and a live link believe the same ones.
+A sample is *dead* if it repeats the one before for much longer than ever in health (gyro and accelerometer: each axis,
+within a twentieth of the quietest noise), and at once if all zero where no vehicle reads so. Then it is unknown. The
+gyro is *doubted* (`Doubt`) where it is dead, its stamps scatter or its resolution is coarser than in health: rows keep
+it, and say why. Samples are looked at in order of arrival, so that a log and a live link believe the same ones.
 """
 
 import math
@@ -114,10 +107,7 @@ class Habit(BaseModel):
     leads: tuple[bool, ...] = ()
 
     def limits(self) -> FloatArray:
-        """Of each column, in rows: the longest leap, whether it leads, the step of silence, how long it may repeat.
-
-        The last of all: how long all columns together may repeat.
-        """
+        """Longest leap, whether it leads, step of silence, longest repetition: of each column; the last also of all."""
         leap, longest = np.array(self.leap), np.array(self.still, dtype=np.float64)
         if self.signal in SENSORS:
             leap = np.where(leap > 0, FAR * leap, np.inf)  # one that never moved may do so
@@ -190,6 +180,7 @@ STAMPS_CODE, RESOLUTION_CODE, FROZEN_CODE = (
     DOUBTS.index(one) for one in (Doubt.STAMPS, Doubt.RESOLUTION, Doubt.FROZEN)
 )
 PIECE = 1 << 16  # samples that learning looks at together
+TOGETHER = 64  # samples of the usual case that are looked at together
 
 
 class Memory:
@@ -245,13 +236,35 @@ def _leap(s: Samples, i: int) -> float:
     return found
 
 
-@inline
-def _usual(s: Samples, i: int, span_ns: int) -> bool:
-    """Whether neither stamp nor values leap by more than is believed after one period: the usual case."""
-    usual = -s.rule[BACK] <= span_ns <= s.rule[EARLY_NS]
-    for column in range(s.columns):
-        usual = usual and not abs(_away(s, column, s.v[i, column], span_ns)) > s.rule[LEAP + column]
-    return bool(usual)
+@jit
+def _plain(s: Samples, first: int, stop: int) -> int:
+    """Up to where no sample leaps and rows use each as it came: the usual case, looked at column by column."""
+    rule, mem, counts, columns, t_ns = s.rule, s.mem, s.counts, s.columns, s.t_ns
+    jitter, before_ns, shown, frozen = mem[JITTER], counts[CAME_NS], False, rule[LEAP + 4 * columns]
+    for i in range(first, stop):
+        jitter = _scatter(s, jitter, t_ns[i] - before_ns)
+        span_ns, before_ns = t_ns[i] - (before_ns if i > first else counts[LAST_NS]), t_ns[i]
+        if not -rule[BACK] <= span_ns <= rule[EARLY_NS] or (rule[GYRO] and jitter > rule[MOST_JITTER]):
+            stop = i
+            break
+    for column in range(columns):
+        at, run, before_ns, moves = COLUMN + column, counts[RUNS + 1 + column], counts[LAST_NS], True
+        last, slope, came = mem[at], mem[at + columns], mem[at + 2 * columns]
+        leap, leads, quiet = rule[LEAP + column], rule[LEAP + columns + column], rule[LEAP + 2 * columns + column]
+        alone, may_rest = rule[LEAP + 3 * columns + column], rule[ZERO_IS_DEAD] + rule[NOT_ZERO] == 0.0
+        if rule[GYRO] and not mem[at + 3 * columns] <= rule[MOST_STEP]:
+            return first
+        for i in range(first, stop):
+            value, span_ns = s.v[i, column], t_ns[i] - before_ns
+            run = run + 1 if not abs(value - came) > quiet else 0
+            if run > alone or abs(_short(s, value - last - slope * span_ns)) > leap:
+                stop = i
+                break
+            slope = _short(s, value - last) * (1.0 / span_ns) if leads and span_ns != 0 else 0.0
+            moves = moves and run <= frozen and (may_rest or 0.0 < abs(value) < np.inf)
+            last, came, before_ns = value, value, t_ns[i]
+        shown = shown or moves
+    return stop if shown else first
 
 
 @jit
@@ -308,38 +321,46 @@ def _decide(s: Samples, there: int, i: int) -> tuple[int, bool]:
 
 
 @inline
-def _believe(s: Samples, i: int) -> None:
-    span_ns = s.t_ns[i] - s.counts[LAST_NS]
+def _scatter(s: Samples, jitter: float, span_ns: int) -> float:
+    """Variance of the stamps after the next one; a step that is lost or misdated does not count."""
+    steps = span_ns / s.rule[PERIOD]
+    apart = steps - np.round(steps) if 0.0 < steps < MISSING else 0.0
+    return float(jitter + s.rule[ALPHA] * (apart * apart - jitter))
+
+
+@jit
+def _believe(s: Samples, first: int, stop: int) -> None:
+    """Remember the last of some samples, and its slope."""
+    i, several = stop - 1, stop - 1 > first
+    span_ns = s.t_ns[i] - (s.t_ns[i - 1] if several else s.counts[LAST_NS])
     share = 1.0 / span_ns if span_ns != 0 and s.rule[LEADING] else 0.0
     for column in range(s.columns):
         at, leads = COLUMN + column, share != 0.0 and s.rule[LEAP + s.columns + column]
-        s.mem[at + s.columns] = _short(s, s.v[i, column] - s.mem[at]) * share if leads else 0.0
+        before = s.v[i - 1, column] if several else s.mem[at]
+        s.mem[at + s.columns] = _short(s, s.v[i, column] - before) * share if leads else 0.0
         s.mem[at] = s.v[i, column]
     s.counts[LAST_NS] = s.t_ns[i]
 
 
-@inline
-def _measure(s: Samples, i: int) -> float:
-    """Count repetitions after a sample, and of the gyro follow jitter and finest step; returns the resolution."""
+@jit
+def _measure(s: Samples, first: int, stop: int) -> float:
+    """Count repetitions after some samples, and of the gyro follow jitter and finest step; returns the resolution."""
     mem, counts, columns, gyro = s.mem, s.counts, s.columns, s.rule[GYRO] > 0.0
-    same, coarsest = True, 0.0
+    coarsest, jitter, before_ns, same = 0.0, mem[JITTER], counts[CAME_NS], 1 << 62
     for column in range(columns):
-        came, finest = COLUMN + 2 * columns + column, COLUMN + 3 * columns + column
-        step = abs(s.v[i, column] - mem[came])
-        still = not step > s.rule[LEAP + 2 * columns + column] and counts[COUNT] > 0
-        same = same and still
-        counts[RUNS + 1 + column] = counts[RUNS + 1 + column] + 1 if still else 0
-        mem[came] = s.v[i, column]
+        at, run = COLUMN + 2 * columns + column, counts[RUNS + 1 + column]
+        came, finest, quiet = mem[at], mem[at + columns], s.rule[LEAP + 2 * columns + column]
+        for i in range(first, stop):
+            step = abs(s.v[i, column] - came)
+            run = run + 1 if not step > quiet and counts[COUNT] > 0 else 0
+            finest, came = min(finest, step) if step > SAME else finest, s.v[i, column]
+        mem[at], counts[RUNS + 1 + column], same = came, run, min(same, run)
         if gyro:
-            mem[finest] = min(mem[finest], step) if step > SAME else mem[finest]
-            coarsest = max(coarsest, mem[finest])
-    counts[RUNS] = counts[RUNS] + 1 if same else 0
-    if gyro:
-        steps = (s.t_ns[i] - counts[CAME_NS]) / s.rule[PERIOD]
-        apart = steps - np.round(steps) if 0.0 < steps < MISSING else 0.0  # else it is lost or misdated
-        mem[JITTER] += s.rule[ALPHA] * (apart * apart - mem[JITTER])
-    counts[CAME_NS] = s.t_ns[i]
-    counts[COUNT] += 1
+            mem[at + columns], coarsest = finest, max(coarsest, finest)
+    for i in range(first, stop if gyro else first):
+        jitter, before_ns = _scatter(s, jitter, s.t_ns[i] - before_ns), s.t_ns[i]
+    mem[JITTER], counts[RUNS], counts[CAME_NS] = jitter, same, s.t_ns[stop - 1]
+    counts[COUNT] += stop - first
     return coarsest if counts[COUNT] > RESOLUTION_SAMPLES and math.isfinite(coarsest) else 0.0
 
 
@@ -391,7 +412,7 @@ def _take(s: Samples, i: int, lost: bool, kept: int, seen: FloatArray, runs: Int
     if s.rule[GYRO]:
         s.v[i, s.columns] = 0.0
     if s.rule[LEARNT]:
-        finest = _measure(s, i)
+        finest = _measure(s, i, i + 1)
         if lost:
             return kept
         if len(seen):
@@ -415,9 +436,8 @@ def _take(s: Samples, i: int, lost: bool, kept: int, seen: FloatArray, runs: Int
 def look_at(s: Samples, waited: int, seen: FloatArray, runs: IntArray) -> tuple[int, int, int]:
     """Move the samples that are believed to the front, as rows may use them.
 
-    waited: how many of them came before. seen: (columns + 3,) of those that are not lost the longest repetitions, the
-    highest variance of jitter and the last resolution, 0 if unknown; runs: how long each repeated. Both may be empty.
-    Returns how many are believed, how many are decided, and how many there are within range.
+    waited: how many came before. seen: (columns + 3,) of those not lost the longest repetitions, highest variance of
+    jitter, last resolution; runs: of each. Both may be empty. Returns how many are believed, decided, within range.
     """
     there = waited
     for i in range(waited, len(s.t_ns)):
@@ -429,8 +449,20 @@ def look_at(s: Samples, waited: int, seen: FloatArray, runs: IntArray) -> tuple[
         s.mem[COLUMN : COLUMN + 3 * s.columns], s.mem[COLUMN + 3 * s.columns : COLUMN + 4 * s.columns] = np.nan, np.inf
     kept = done = 0
     while done < there:
-        run, lost = 1, False
-        if s.rule[LEARNT] and not _usual(s, done, s.t_ns[done] - s.counts[LAST_NS]):
+        stop, run, lost = done, 1, False
+        if s.rule[LEARNT] and s.counts[COUNT] and not len(seen):
+            stop = _plain(s, done, min(done + TOGETHER, there))
+        if stop > done:
+            s.counts[ALONE] = 0
+            _believe(s, done, stop)
+            _measure(s, done, stop)
+            for i in range(done, stop):
+                s.v[i, s.columns :] = 0.0
+                _move(s, i, kept)
+                kept += 1
+            done = stop
+            continue
+        if s.rule[LEARNT]:
             misdated = _misdated(s, there, done)
             if misdated < 0:
                 break
@@ -439,10 +471,8 @@ def look_at(s: Samples, waited: int, seen: FloatArray, runs: IntArray) -> tuple[
                 run, lost = _decide(s, there, done)
                 if run == 0:
                     break
-        elif s.rule[LEARNT]:
-            s.counts[ALONE] = 0
-        for i in range(done, done + run if s.rule[LEARNT] and not lost else done):
-            _believe(s, i)
+        if s.rule[LEARNT] and not lost:
+            _believe(s, done, done + run)
         for i in range(done, done + run):
             kept = _take(s, i, lost, kept, seen, runs)
         done += run
@@ -526,11 +556,8 @@ def _between(series: Series, first_ns: int, last_ns: int) -> Series:
 def _watched(habit: Habit, series: Series) -> tuple[FloatArray, IntArray]:
     """`seen` and `runs` of `look_at`, of the samples that are not lost by what the habit says of leaps."""
     columns, runs = series.values.shape[1], np.empty(len(series), dtype=np.int64)
-    rule, memory, seen = (
-        LinkQuality(habits=(habit,)).rule(series.signal, columns),
-        Memory(columns),
-        np.zeros(columns + 3),
-    )
+    rule = LinkQuality(habits=(habit,)).rule(series.signal, columns)
+    memory, seen = Memory(columns), np.zeros(columns + 3)
     for first in range(0, len(series), PIECE):
         at = slice(first, first + PIECE)
         _looked(rule, memory, Series(series.signal, series.t_ns[at], series.host_ns[at], series.values[at]), seen, runs)

@@ -1,8 +1,7 @@
 """From aligned rows to the pair that the model relates: commanded body rate u and measured body rate y (T 4.3.4).
 
 Savitzky-Golay filters of one window of 2m + 1 rows and order 2 give value and slope of the commanded Euler angles at
-the centre of the window, and W(phi, theta) (`body_rates`) turns the slopes into body rates. The gyro is smoothed by the
-same window. Output row i belongs to input row i + m; a new segment starts the filters afresh.
+the centre of the window, and W(phi, theta) (`body_rates`) turns the slopes into body rates. The gyro has that window.
 
 Value and slope at the centre follow from the moments M_j = sum of k^j x over the window, k = -m..m (T Eq 4.11):
 
@@ -118,18 +117,19 @@ def _finite(value: float) -> float:
 
 
 @jit
-def _move_on(mem: FloatArray, signal: int, newest: float, rows: int, window: int) -> None:
+def _move_on(mem: FloatArray, signal: int, newest: float, place: int, window: int, anew: bool) -> None:
     """Take the newest row of a signal into its moments."""
-    place, m, at, history = rows % window, window // 2, 3 * signal, HISTORY + signal * window
+    m, at, history = window // 2, 3 * signal, HISTORY + signal * window
     oldest = _finite(mem[history + place])
     mem[history + place] = newest
     mem[SPOILT + signal] = max(mem[SPOILT + signal] - 1.0, 0.0)
     if not math.isfinite(newest):
         newest, mem[SPOILT + signal] = 0.0, float(window)
-    if rows % (ANEW * window) == window - 1:
+    if anew:
         m0 = m1 = m2 = 0.0
         for k in range(window):
-            value, away = _finite(mem[history + (place + 1 + k) % window]), float(k - m)
+            place = place + 1 if place + 1 < window else 0
+            value, away = _finite(mem[history + place]), float(k - m)
             m0 += value
             m1 += away * value
             m2 += away * away * value
@@ -149,12 +149,14 @@ def _filter(state: Any, weights: tuple[float, float, float], rows_in: Any, made:
     window = len(times)
     for i in range(len(row_ns)):
         rows = int(mem[ROWS])
-        times[rows % window], centre = row_ns[i], (rows + window - window // 2) % window
+        place, anew = rows % window, rows % (ANEW * window) == window - 1
+        times[place], centre = row_ns[i], (rows + window - window // 2) % window
         mem[ROWS] += 1.0
         mem[SOUND] = mem[SOUND] + 1.0 if valid[i] else 0.0
         mem[WANTED] = mem[WANTED] + 1.0 if valid[i] and commanded[i] else 0.0
         for signal in range(SIGNALS):
-            _move_on(mem, signal, rate[signal, i] if signal < 3 else setpoint[signal - 3, i], rows, window)
+            newest = rate[signal, i] if signal < 3 else setpoint[signal - 3, i]
+            _move_on(mem, signal, newest, place, window, anew)
             spoilt = np.nan if mem[SPOILT + signal] > 0.0 else 0.0
             mem[VALUES + signal] = middle * mem[3 * signal] + bend * mem[3 * signal + 2] + spoilt
             mem[SLOPES + signal] = slope * mem[3 * signal + 1] + spoilt

@@ -1,7 +1,7 @@
 """Running figures of compiled loops: means over windows, and the last values in a row for a filter.
 
-The memory of a loop is one array of floats. Each figure has a part of it, from `at` on, as long as its `.._size` says
-and zero before the first value. A figure is a fold over its values, so any cut of them gives the same bits.
+The memory of a loop is one array; each figure has a part of it, from `at` on, zero before the first value. A figure is
+a fold over its values, so any cut of them gives the same bits.
 """
 
 from mavdiag.jit import jit, summing

@@ -1,7 +1,6 @@
 """Savitzky-Golay filters (T 4.3, Eq 4.6-4.14): a polynomial fitted to each window of 2m + 1 samples, at its centre.
 
-The output of input row i is known m samples later, the value as the slope, which is why the rate and the differentiated
-set-point are filtered with one window (T 4.3.4). Rows without a complete window give no output.
+Value and slope of input row i are known m samples later. Rows without a complete window give no output.
 """
 
 import math

@@ -14,8 +14,7 @@ class Statistic:
     t_ns: vehicle time. period_s: span of flight that one value stands for [s].
     value: in the monitor's unit; it is compared with the threshold. valid: False where nothing may be concluded.
     level: a second figure that describes an alarm (for the fsd monitor the excess over the margin [rad/s]).
-    signal: what a display draws: of the fsd monitor the residual [rad/s], else the value.
-    rotors: (n, R) evidence for each rotor, dimensionless; (n, 0) if the monitor knows nothing of rotors.
+    signal: what a display draws: the residual [rad/s] or the value. rotors: (n, R) evidence, or (n, 0).
     """
 
     t_ns: IntArray

@@ -1,9 +1,7 @@
-"""Falls and crashes: a flight that ends in an upset, or has one in its middle.
+"""Falls and crashes: a flight that ends in an upset, or has one in its middle. Learning refuses it; judging says so.
 
-Learning refuses such a flight, and judging calls it a loss of control, both by these signs and in these words. The
-signs are means over 0.4 s, while the vehicle counts as flying: free fall (hardly any specific force), thrust or
-ground above the vehicle (specific force towards its belly), an attitude far from the commanded one or upside down, and
-tumbling. A landing shows none of them: its spikes of 8 to 11 rad/s last some tens of milliseconds (METHOD section 5).
+The signs are means over 0.4 s, while the vehicle counts as flying. A landing shows none of them: its spikes of 8 to 11
+rad/s last some tens of milliseconds (METHOD section 5).
 """
 
 import itertools
@@ -45,7 +43,7 @@ class Upset:
 
 
 def motion_of(block: Block) -> FloatArray:
-    """What the signs are made of, (bins, 10), for `upset_in`: a few numbers for each 0.1 s of any rows.
+    """Make, for `upset_in`, (bins, 10) numbers of each 0.1 s of any rows.
 
     Segment, number of the bin, its length [s], its rows; the sums of turning rate [rad/s], size and z of the specific
     force [g]; the looks at its attitude, and the sums of tilt and attitude error [rad].

@@ -1,7 +1,4 @@
-"""Windows over arrays, and a high-pass. What runs along a stream is in `rows.running`.
-
-Windows depend on their own rows alone, so a NaN spoils the windows that hold it and no other.
-"""
+"""Windows over arrays, where a NaN spoils its own windows alone, and a high-pass. Streams: `rows.running`."""
 
 import math
 from functools import lru_cache
