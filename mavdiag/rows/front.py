@@ -10,7 +10,9 @@ from mavdiag.rows.align import NEVER_NS, AlignSpec, AlignState
 from mavdiag.rows.block import Block, in_rotor_order
 from mavdiag.rows.gate import Border, GateSpec, GateState, hidden_flight
 from mavdiag.rows.rates import RateBlock, RateSpec, RateState
-from mavdiag.telemetry import Series, Signal, Telemetry
+from mavdiag.telemetry import IntArray, Series, Signal, Telemetry
+
+LEAPT = 9  # samples whose median stamp counts where some go back: up to four in a row may leap (our choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +86,7 @@ class Front:
 
 def in_pieces(telemetry: Telemetry, most: int) -> Iterator[Telemetry]:
     """A log cut by the vehicle's time, each piece with so many samples of the gyro; none is left behind."""
-    times = [np.minimum.accumulate(series.t_ns[::-1])[::-1] for series in telemetry.series]
+    times = [_usual_times(series.t_ns) for series in telemetry.series]
     gyro = next(
         (t_ns for series, t_ns in zip(telemetry, times, strict=True) if series.signal is Signal.BODY_RATE), None
     )
@@ -93,6 +95,16 @@ def in_pieces(telemetry: Telemetry, most: int) -> Iterator[Telemetry]:
     for bounds in zip(*map(itertools.pairwise, cuts), strict=True):
         parts = [(one, slice(*ends)) for one, ends in zip(telemetry, bounds, strict=True)]
         yield Telemetry(tuple(Series(one.signal, one.t_ns[at], one.host_ns[at], one.values[at]) for one, at in parts))
+
+
+def _usual_times(t_ns: IntArray) -> IntArray:
+    """Times that never go back, in the order of the samples; a few stamps that leap do not count."""
+    if not (t_ns[1:] < t_ns[:-1]).any():
+        return t_ns
+    from scipy.ndimage import median_filter  # a log whose stamps go back is rare
+
+    usual: IntArray = median_filter(t_ns, LEAPT, mode="nearest")
+    return np.minimum.accumulate(usual[::-1])[::-1]
 
 
 def warm() -> None:

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from made_telemetry import ROUNDING, cut, series
 
 from mavdiag.rows.align import AlignSpec, Grid
-from mavdiag.rows.front import Front, Rows
+from mavdiag.rows.front import Front, Rows, in_pieces
 from mavdiag.rows.gate import Border, GateSpec
 from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import FloatArray, Series, Signal, Telemetry
@@ -122,3 +122,19 @@ def test_a_whole_log_in_pieces_gives_the_same(seed: int, most: int, grid: Grid, 
     assert found_story == story
     for name, column in table.items():
         np.testing.assert_allclose(found[name], column, rtol=0.0, atol=ROUNDING, err_msg=name)
+
+
+@given(seed=st.integers(0, 10_000), shift_s=st.sampled_from([-30.0, -1.0, 0.5, 60.0]))
+@settings(max_examples=20)
+def test_stamps_that_leap_move_no_piece_of_a_log(seed: int, shift_s: float) -> None:
+    rng, n = np.random.default_rng(seed), 20_000
+    t_ns = START_NS + 1_000_000 * np.arange(n, dtype=np.int64)
+    leapt = t_ns.copy()
+    leapt[rng.choice(n, 30, replace=False)] += round(shift_s * 1e9)
+    values = np.zeros((n, 3))
+    log = Telemetry((series(Signal.BODY_RATE, leapt, values), series(Signal.SPECIFIC_FORCE, t_ns, values)))
+    parts = list(in_pieces(log, 4000))
+    assert len(parts) == 5
+    for part in parts:
+        gyro, force = part.series
+        assert abs(len(gyro) - len(force)) < 10, f"seed {seed}, {len(gyro)} and {len(force)}"
