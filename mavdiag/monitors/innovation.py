@@ -117,8 +117,7 @@ class Innovation(Monitor[InnovationSpec]):
 
     name = "innovation"
     label = "innovation"
-    # Emulated vehicles have 0.03, 0.01, 0.01, real ones vary more; below 1.75 take-offs are suspected (our choices).
-    prior = Prior(session=0.15, block=0.08, least=1.75)
+    prior = Prior(session=0.15, block=0.08)  # emulated 0.03, 0.01, 0.01; real vehicles vary more (our choice)
     phrase = "attitude unlike the model"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     depends = frozenset({Condition.YAW_RATE, Condition.HEIGHT, Condition.THROTTLE, Condition.COMMANDED_ACCELERATION})
