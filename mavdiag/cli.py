@@ -3,13 +3,14 @@
 from typing import NoReturn
 
 from mavdiag import commandline
-from mavdiag.commands import baseline, history, identify, inspect, model, report, scan, shim, tools, watch
+from mavdiag.commands import baseline, export, history, identify, inspect, model, report, scan, shim, tools, watch
 from mavdiag.demo import command as demo
 
 app = commandline.application("Find a damaged propeller: learn a healthy airframe, judge its flights by it.", "mavdiag")
 app.command("identify")(identify.identify)
 app.command("scan")(scan.scan)
 app.command("report")(report.report)
+app.command("export")(export.export)
 app.command("look")(inspect.inspect)
 app.command("demo")(demo.demo)
 app.command("balance")(tools.balance)

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = (
     "README.md",
     *(f"docs/{name}.md" for name in ("operating", "detector", "airframe", "droneprop", "qdrone2-recorded")),
-    *(f"docs/{name}.md" for name in ("emulator", "hil", "links", "security")),
+    *(f"docs/{name}.md" for name in ("emulator", "hil", "links", "security", "flight-controller")),
     *(f"docs/{name}.md" for name in ("results", "theory")),
 )
 COMMAND = re.compile(r"(?:^|`|\$ )((?:mavdiag-detector|mavdiag|sitl-plant) [^`\n]*)", re.MULTILINE)

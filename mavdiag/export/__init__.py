@@ -1,0 +1,1 @@
+"""Baselines for those who judge without this package: a script for the flight controller."""

@@ -1,0 +1,453 @@
+-- Watches the propellers of one ArduPilot vehicle by a baseline of its healthy flights. It never steers.
+-- Made by `mavdiag export --lua` ({{ version }}); docs/flight-controller.md tells its parameters and texts.
+-- It holds for this vehicle alone. Do not change it: export it anew.
+local B = { -- trims are fractions of hover, by roll, pitch and yaw
+  digest = {{ baseline.digest }}, created = {{ baseline.provenance.created }},
+  airframe = {{ baseline.airframe.name }}, rotors = {{ rotors }},
+  gate = { -- less collective command, 0..1, or height [m] is no flight; not judged after take-off, before landing [s]
+    thrust = {{ gate.min_thrust or 0.0 }}, height = {{ -infinity if gate.min_height_m is none else gate.min_height_m }},
+    start = {{ gate.trim_start_s }}, stop = {{ gate.trim_end_s }},
+  },
+  -- What was learnt, {from, to, how far beyond it nothing is judged}: [rad], mean of 5 s; 0..1; [rad/s]; [m].
+  tilt = {{ envelope.tilt }}, throttle = {{ envelope.throttle }},
+  yaw_rate = {{ envelope["yaw rate"] }}, height = {{ envelope.height }},
+{% for name, entry in entries.items() %}
+  [{{ name }}] = { -- thresholds: {{ units[name] }}; weight of the evidence for a rotor [logits]
+    threshold = {{ entry.threshold.value }}, weight = {{ weights[name] }},
+{% if name != "rotor_trim" %}
+    window = {{ par[name][0] }}, -- rows
+{% else %}
+    parts = {{ par[name][2] }}, rows = {{ par[name][3] }}, window = {{ par[name][5] }}, -- of a tick; of a part; ticks
+    mean = {{ entry.spec.mean }}, -- of healthy flights
+    spread = {{ entry.spec.spread }},
+    turn = {{ entry.spec.turn }}, -- yaw trim by yaw rate [1/(rad/s)] and by its slope [1/(rad/s^2)]
+    turn_trim = {{ turning }}, tilt_trim = {{ trims.TILT_TRIM }}, -- of a tick that counts half; by lean [1/rad]
+    least = {{ trims.MIN_OUTPUT }}, sums = {{ unmixing.sum(axis=1) }}, -- mean output, 0..1
+    unmix = {{ unmixing }}, -- trim by output
+{% endif %}
+{% if name == "thrust_loss" %}
+    per_command = {{ par[name][1] }}, forget = {{ par[name][2] }}, -- upward force by command [m/s^2]; by row
+    per_rad_s = {{ loss.PER_RAD_S }}, tumbling = {{ loss.TUMBLING_RAD_S }}, -- share of thrust by body rate; [rad/s]
+    cut = {{ loss.CUT }}, least = {{ loss.MIN_THRUST }}, -- most force, of the healthy one; least command
+    falls = {{ par[name][3:] }}, -- roll and pitch of each rotor's loss
+{% endif %}
+  },
+{% endfor %}
+}
+
+local STEP, LOOK, NAN, HUGE = 50, 100, 0.0 / 0.0, math.huge -- ms between rows, and between decisions
+local R, MOTORS = B.rotors, {33, 34, 35, 36, 37, 38, 39, 40, 82, 83, 84, 85} -- SERVOn_FUNCTION of motor 1, 2, ...
+local max, min, abs = math.max, math.min, math.abs
+
+local function finite(x) return x - x == 0 end
+local function filled(count, value, width) -- a list; of lists, if a width is given
+  local list = {}
+  for i = 1, count do list[i] = width and filled(width, value) or value end
+  return list
+end
+
+-- Parameters of its own. PROP_OPEN: motor to be inspected, 100 if it is not known; 0 says that somebody has looked.
+local PARAM, UNNAMED = {}, 100
+assert(param:add_table({{ key }}, "PROP_", 4), "PROP: table key {{ key }} is taken")
+for i, one in ipairs({ {"ENABLE", 1}, {"SCALE", 1}, {"ARM", 1}, {"OPEN", 0} }) do
+  param:add_param({{ key }}, i, one[1], one[2])
+  PARAM[one[1]] = Parameter()
+  assert(PARAM[one[1]]:init("PROP_" .. one[1]), "PROP_" .. one[1] .. " is missing")
+end
+local scale, open = 1.0, PARAM.OPEN:get() or 0
+local function keep_open(value)
+  if open ~= value then PARAM.OPEN:set_and_save(value) end
+  open = value
+end
+
+-- Texts, at most one in 2 s. The one that waits gives way to what is as urgent.
+local CRITICAL, WARNING, INFO, waiting, severity, said = 2, 4, 6, nil, 6, -2000
+local function say(how, text)
+  if waiting == nil or how <= severity then waiting, severity = string.sub(text, 1, 50), how end
+end
+
+-- Slots: a monitor with its threshold; the highest ratio since the last decision, and the latest one with its time.
+local slots = {}
+local function slot_of(name)
+  if B[name] == nil then return nil end
+  slots[#slots + 1] = {name = name, threshold = B[name].threshold, weight = B[name].weight, rotors = filled(R, 0.0)}
+  return slots[#slots]
+end
+local vibration, trim, loss = slot_of("vibration_level"), slot_of("rotor_trim"), slot_of("thrust_loss")
+local function record(slot, value, far)
+  if far > 1.0 then return end
+  slot.fresh = value / (1.0 + 0.5 * far)
+  local ratio = slot.fresh / (slot.threshold * scale)
+  slot.highest = slot.highest and max(slot.highest, ratio) or ratio
+end
+
+-- Conditions of flight in bins of 0.1 s: how far they are from what was learnt, 0 inside, above 1 outside. A bin counts
+-- from 0.2 s after its end on, as in mavdiag.
+local bins, leans, bin, first_bin = filled(64, 0.0, 0), filled(50, NAN, 2), {}, 0
+local function excess(limits, value)
+  return max(0.0, max(value - limits[2], limits[1] - value) / limits[3]) -- nan is not known: inside
+end
+local function close_bin()
+  local one, roll, pitch = bins[bin.number % #bins + 1], 0.0, 0.0
+  local lean = leans[bin.number % #leans + 1]
+  lean[1], lean[2] = bin.roll / bin.leans, bin.pitch / bin.leans
+  for i = 1, #leans do roll, pitch = roll + leans[i][1], pitch + leans[i][2] end
+  one.stop = (bin.number + 1) * LOOK
+  one.level = max(excess(B.throttle, bin.thrust / bin.n), excess(B.height, bin.height))
+  one.all = max(one.level, excess(B.tilt, math.sqrt(roll * roll + pitch * pitch) / #leans),
+    excess(B.yaw_rate, abs(bin.yaw / bin.n)))
+  if one.all > 0.0 then bin.beyond = one.stop end
+end
+local function take_bin(row)
+  if bin.number ~= row.t // LOOK then
+    if bin.number and bin.number >= first_bin then close_bin() end
+    bin.number, bin.n, bin.leans, bin.height = row.t // LOOK, 0, 0, NAN
+    bin.roll, bin.pitch, bin.thrust, bin.yaw = 0.0, 0.0, 0.0, 0.0
+  end
+  if not row.valid then return end
+  local known = finite(row.roll + row.pitch)
+  if known then bin.leans, bin.roll, bin.pitch = bin.leans + 1, bin.roll + row.roll, bin.pitch + row.pitch end
+  bin.n, bin.thrust, bin.yaw = bin.n + 1, bin.thrust + row.thrust, bin.yaw + row.r
+  if finite(row.height) and not (row.height >= bin.height) then bin.height = row.height end
+end
+local function farthest(t, memory, which)
+  local far = 0.0
+  for i = 1, bin.beyond + memory > t and #bins or 0 do
+    local one = bins[i]
+    if one.stop + memory > t and one.stop + 2 * LOOK <= t then far = max(far, one[which]) end
+  end
+  return far
+end
+
+-- Vibration: mean of its size.
+local V = B.vibration_level or {window = 0}
+local levels, level_at, level_run = filled(V.window, 0.0), 0, 0
+local function judge_vibration(row)
+  local good, sum = row.valid and finite(row.vibration), 0.0
+  level_at, level_run = level_at % V.window + 1, good and level_run + 1 or 0
+  levels[level_at] = row.vibration
+  if level_run < V.window then return end
+  for i = 1, V.window do sum = sum + levels[i] end
+  record(vibration, sum / V.window, farthest(row.t, V.window * STEP, "level"))
+end
+
+-- Thrust loss: 1 - mean(-f_z)/(mean(T) per_command EMA(-f_z/(per_command T))), as far as the vehicle turns.
+local L = B.thrust_loss or {window = 0}
+local usual, pulls, pull_at, pull_run = 1.0, filled(L.window, 0.0, 5), 0, 0
+local function judge_thrust(row)
+  local up, thrust, turning = -row.fz, row.thrust, row.p * row.p + row.q * row.q + row.r * row.r
+  local good, n = row.valid and finite(turning + up) and thrust > L.least, L.window
+  if not good then up, thrust = L.per_command, 1.0 end
+  usual = usual + L.forget * (min(max(up / (L.per_command * thrust), 0.0), L.cut) - usual)
+  pull_at, pull_run = pull_at % n + 1, good and pull_run + 1 or 0
+  local pull, force, command, p, q, rate = pulls[pull_at], 0.0, 0.0, 0.0, 0.0, 0.0
+  pull[1], pull[2], pull[3], pull[4], pull[5] = up, thrust, row.p, row.q, math.sqrt(turning)
+  if pull_run < n then return end
+  for i = 1, n do
+    local one = pulls[i]
+    force, command, p, q, rate = force + one[1], command + one[2], p + one[3], q + one[4], rate + one[5] / n
+  end
+  local lost = 1.0 - force / (max(command, L.least * n) * L.per_command * max(usual, 1.0 / L.cut))
+  local size = max(math.sqrt(p * p + q * q), 1e-30)
+  for j = 1, #L.falls // 2 do loss.rotors[j] = (L.falls[2 * j - 1] * p + L.falls[2 * j] * q) / size end
+  record(loss, rate < L.tumbling and max(min(lost, L.per_rad_s * rate), 0.0) or 0.0, 0.0)
+end
+
+-- Rotor trim. A part has means of roll, pitch and yaw trim, lean and yaw rate, then the slope of that; the first two
+-- are the last ones of the tick before. A tick has medians of its parts without what a turn takes, times its weight.
+local T = B.rotor_trim or {parts = 0, window = 0}
+local parts, ticks, scratch, shift, now, first = filled(T.parts + 2, NAN, 7), filled(T.window, 0.0, 6), {}, {}, {}, {}
+local part, rows, known, moved, tick, tick_run, weight = 1, 0, 0, false, 0, 0, 0.0
+local function turned(one) return T.turn[1] * one[6] + T.turn[2] * one[7] end -- what a turn takes
+local function take_trim(row) -- [fraction of hover]
+  local level = 0.0
+  for j = 1, R do level = level + row[j] end
+  for axis = 1, 3 do
+    local sum = 0.0
+    for j = 1, R do sum = sum + T.unmix[axis][j] * row[j] end
+    now[axis] = level > T.least * R and sum * R / level - T.sums[axis] or NAN
+  end
+  now[4], now[5], now[6] = finite(row.roll) and row.roll or 0.0, finite(row.pitch) and row.pitch or 0.0, row.r
+end
+local function take_tick(whole)
+  local most, n = 0.0, T.parts
+  for i = 3, n + 2 do
+    for j = 1, 6 do parts[i][j] = whole and parts[i][j] / T.rows or NAN end
+  end
+  for i = 1, 2 do
+    for j = 1, whole and parts[i][6] ~= parts[i][6] and 6 or 0 do parts[i][j] = parts[3][j] end
+  end
+  for i = 2, n + 1 do
+    parts[i][7] = (parts[i + 1][6] - parts[i - 1][6]) / (2 * T.rows * STEP / 1000)
+    most = whole and max(most, abs(turned(parts[i]))) or 0.0
+  end
+  local own, one = 1.0 / (1.0 + (most / T.turn_trim) ^ 2), ticks[tick % T.window + 1]
+  one[6] = tick > 0 and min(own, weight) or own -- rotors lag
+  for j = 1, 5 do
+    for i = 1, n do scratch[i] = whole and parts[i + 1][j] - (j == 3 and turned(parts[i + 1]) or 0.0) or 0.0 end
+    table.sort(scratch)
+    one[j] = 0.5 * (scratch[(n + 1) // 2] + scratch[n // 2 + 1]) * one[6]
+  end
+  weight, tick = own, tick + 1
+  parts[1], parts[2], parts[n + 1], parts[n + 2] = parts[n + 1], parts[n + 2], parts[1], parts[2]
+end
+local function rise(j, leaning) -- of one rotor's command that explains the shift best
+  local above, below = 0.0, 0.0
+  for axis = 1, 3 do
+    local share = T.unmix[axis][j] / (T.spread[axis] ^ 2 + (axis < 3 and leaning or 0.0))
+    above, below = above + share * shift[axis], below + share * T.unmix[axis][j]
+  end
+  return above / below
+end
+local function judge_trim(row)
+  take_trim(row)
+  local sums = parts[part + 2]
+  for j = 1, rows == 0 and 6 or 0 do sums[j] = 0.0 end
+  if rows == 0 and part == 1 then known, moved, first[1], first[2], first[3] = 0, false, now[1], now[2], now[3] end
+  if row.valid and finite(now[1] + now[2] + now[3] + row.r) then
+    known, moved = known + 1, moved or now[1] ~= first[1] or now[2] ~= first[2] or now[3] ~= first[3]
+    for j = 1, 6 do sums[j] = sums[j] + now[j] end
+  end
+  rows = rows + 1
+  if rows < T.rows then return end
+  rows, part = 0, part + 1
+  if part <= T.parts then return end
+  part = 1
+  local whole = known >= T.parts * T.rows and moved
+  take_tick(whole)
+  tick_run = whole and farthest(row.t, 1000, "all") <= 1.0 and tick_run + 1 or 0
+  if tick_run < T.window then return end
+  for j = 1, 6 do
+    shift[j] = 0.0
+    for i = 1, T.window do shift[j] = shift[j] + ticks[i][j] end
+  end
+  for j = 1, 5 do shift[j] = shift[j] / shift[6] - (T.mean[j] or 0.0) end
+  local highest, leaning = -HUGE, T.tilt_trim ^ 2 * (shift[4] ^ 2 + shift[5] ^ 2)
+  for j = 1, R do trim.rotors[j], highest = rise(j, 0.0), max(highest, rise(j, leaning)) end
+  record(trim, highest, farthest(row.t, (T.window + 1) * T.parts * T.rows * STEP, "all"))
+end
+
+-- Decision: what is held of the vehicle. A fault is latched; a landing turns it into an open inspection.
+local CALM, RAISED, CLEAR, STALE, SURE, DOUBTFUL = {{ decision[0] }}, {{ decision[1] }}, {{ decision[2] }}, {{ decision[3] }}, {{ decision[4] }}, {{ decision[5] }} -- ratios, [ms], share, ratio
+local stage, calm, cleared, rotor, gross, seen, lead, named, over = "none", nil, nil, nil, false, false, 0.0, {}, {}
+local function motor() return rotor and "motor " .. rotor or "rotor unknown" end
+local function finding(slot)
+  local whose = rotor and "motor " .. rotor .. " " or "rotor unknown: "
+  if slot == trim then return whose .. string.format("lost %.0f%% thrust", 100.0 * trim.value / (1.0 + trim.value)) end
+  return whose .. string.format("%s %.1fx", slot == loss and "thrust" or "vibrates", min(slot.ratio, 99.0))
+end
+local function extremes(rotors) -- which rotors have the least and the most evidence
+  local least, most = 1, 1
+  for j = 2, R do least, most = rotors[j] < rotors[least] and j or least, rotors[j] > rotors[most] and j or most end
+  return least, most
+end
+local function falls() -- a named rotor is mended, or another one carries its load no longer
+  local least, most = extremes(trim.rotors)
+  return named[least] and -trim.rotors[least] >= trim.rotors[most]
+end
+local function isolate(slot) -- the rotor, or nil, and by how many logits it leads
+  local _, most = extremes(slot.rotors)
+  local unit, sum, second = slot.weight * min(max(2.0 * slot.ratio - 1.0, 0.0), 1.0), 0.0, -HUGE
+  if slot == trim then unit = unit / (slot.threshold * scale) end
+  for j = 1, R do
+    sum = sum + math.exp(unit * (slot.rotors[j] - slot.rotors[most]))
+    if j ~= most then second = max(second, slot.rotors[j]) end
+  end
+  return unit > 0.0 and 1.0 / sum >= SURE and most or nil, unit * (slot.rotors[most] - second)
+end
+local function follow(t) -- a fault that is seen; returns whether there is news
+  local all_calm, news, teller = true, false, nil
+  for _, slot in ipairs(slots) do
+    over[slot] = over[slot] or slot.now ~= nil and slot.now > 1.0
+    if over[slot] and (slot.now or 1.0) >= CALM then all_calm = false end
+  end
+  cleared = all_calm and (cleared or t) or nil
+  if cleared and t - cleared >= CLEAR then
+    seen = false
+    return say(INFO, "PROP no longer seen: " .. motor())
+  end
+  local lost = loss and loss.now or 0.0
+  if lost > 1.0 and not gross then gross, news = true, true end
+  if gross and not rotor then teller = loss
+  elseif not gross and lost < DOUBTFUL then teller = trim end
+  if teller and teller.now and teller.weight > 0.0 then
+    local at, by = isolate(teller)
+    if at and (rotor == nil or by > lead) then lead, news, rotor, named[at] = by, news or rotor ~= at, at, true end
+  end
+  return news
+end
+local function decide(t)
+  local height, best, before = 0, nil, stage -- 0 unknown, 1 calm, 2 held, 3 raised, 4 over
+  for _, slot in ipairs(slots) do
+    if slot.highest and slot.highest >= 0.0 then slot.ratio, slot.value, slot.at = slot.highest, slot.fresh, t end
+    slot.highest, slot.now = nil, nil
+    if t - slot.at <= STALE then
+      slot.now = slot == trim and falls() and 0.0 or slot.ratio
+      height = max(height, slot.now > 1.0 and 4 or slot.now >= RAISED and 3 or slot.now >= CALM and 2 or 1)
+      if best == nil or slot.now > best.now then best = slot end
+    end
+  end
+  calm = height == 1 and (calm or t) or nil
+  if height == 4 then stage, gross = "fault", stage == "fault" and gross
+  elseif height == 0 and (stage == "quiet" or stage == "suspected") then stage = "none"
+  elseif stage == "none" and (height == 1 or height == 2) or stage == "suspected" and calm and t - calm >= CLEAR then
+    stage = "quiet"
+  elseif height == 3 and (stage == "none" or stage == "quiet") then
+    stage = "suspected"
+    say(WARNING, "PROP suspect " .. finding(best))
+  end
+  if stage ~= "fault" then return end
+  local news = height == 4 and not seen
+  if news then seen, rotor, lead, cleared, over = true, nil, 0.0, nil, {} end
+  if not seen or not follow(t) and not news then return end
+  keep_open(rotor or UNNAMED)
+  if gross then say(CRITICAL, "PROP THRUST LOST " .. motor())
+  elseif before == "fault" and news then say(WARNING, "PROP seen again: " .. finding(best))
+  else say(CRITICAL, "PROP FAULT " .. finding(best)) end
+end
+
+-- A flight: its rows one after the other, and its end.
+local look, air, low = nil, false, false
+local function begin_flight(t)
+  for i = 1, #bins do bins[i].stop, bins[i].all, bins[i].level = -HUGE, 0.0, 0.0 end
+  for i = 1, #leans do leans[i][1], leans[i][2] = NAN, NAN end
+  for i = 1, #parts do parts[i][6] = NAN end
+  bin.number, bin.beyond, first_bin = nil, -HUGE, t // LOOK + 1
+  level_run, pull_run, usual, part, rows, tick, tick_run = 0, 0, 1.0, 1, 0, 0, 0
+  for _, slot in ipairs(slots) do slot.highest, slot.ratio, slot.value, slot.at = nil, 0.0, 0.0, -HUGE end
+  look, calm, air, low = nil, nil, true, false
+end
+local function judge(row)
+  local own = (row.t + LOOK - 1) // LOOK -- the look that its values belong to
+  take_bin(row)
+  for number = look or own, own - 1 do decide(number * LOOK) end
+  if vibration then judge_vibration(row) end
+  if trim then judge_trim(row) end
+  if loss then judge_thrust(row) end
+  look = own
+  if row.t % LOOK ~= 0 then return end
+  look = own + 1
+  decide(row.t)
+end
+local function end_flight(last)
+  if look and last > (look - 1) * LOOK then decide(last) end
+  air, seen = false, false
+  if stage ~= "fault" then
+    stage = stage == "inspect" and stage or "none"
+    return
+  end
+  stage = "inspect"
+  keep_open(rotor or UNNAMED)
+  say(WARNING, "PROP " .. motor() .. ": inspect before flight")
+end
+
+-- Gate: what flies. Rows wait for `stop`, and while thrust or height are low, until it is known whether it landed.
+local QUIET_RAD_S, QUIET, BACK, LOUD = {{ quiet[0] }}, {{ quiet[1] }}, {{ quiet[2] }}, {{ quiet[3] }} -- [rad/s], [ms]
+local start, stop = math.floor(B.gate.start * 1000 + 0.5), math.floor(B.gate.stop * 1000 + 0.5) -- [ms]
+local G, queue, head, queued, kept = B.gate, filled((stop + 3500) // STEP, 0.0, R), 0, 0, 0
+local blank, last, low_at, loud_at, up, late, tumbles = 0, 0, 0, 0, nil, 0, false
+local function gate(row)
+  local t, is_low, size = row.t, row.height < G.height or row.thrust < G.thrust, max(abs(row.p), abs(row.q), abs(row.r))
+  if not air then
+    if is_low or not row.armed then return end
+    begin_flight(t)
+    blank, queued, kept = t + start, 0, 0
+  end
+  local loud = size > QUIET_RAD_S and finite(row.p + row.q + row.r)
+  if is_low and not low then low, low_at, loud_at, late, tumbles = true, t, t, 0, false end
+  local landed = not row.armed or is_low and not loud and t - loud_at >= QUIET
+  if landed or queued + 1 >= #queue then return end_flight(last) end
+  up = not is_low and low and (up or t) or nil
+  if up then low = t - up < BACK end
+  queued, row.valid = queued + 1, row.valid and t >= blank
+  if low and loud then
+    late, loud_at = late + (t - low_at > QUIET and 1 or 0), t
+    tumbles = late * STEP >= LOUD
+  end
+  if not low or tumbles then kept, last = queued, t end
+  while kept > 0 and queue[head + 1].t <= last - stop do
+    judge(queue[head + 1])
+    head, queued, kept = (head + 1) % #queue, queued - 1, kept - 1
+  end
+end
+
+-- What the flight controller knows now; nan where it does not say.
+local newer, before = pcall(function() return ahrs:get_roll_rad() + ahrs:get_pitch_rad() end), nil -- names of 4.7
+local function read(row, t)
+  local gyro, accel, vibe = ahrs:get_gyro(), ahrs:get_accel(), ahrs:get_vibration()
+  row.t, row.armed, row.p, row.q, row.r = t, arming:is_armed(), NAN, NAN, NAN
+  if gyro then row.p, row.q, row.r = gyro:x(), gyro:y(), gyro:z() end
+  row.valid = finite(row.p + row.q + row.r) and (before == nil or t - before <= 3 * STEP) -- else the script was held up
+  row.fz, row.vibration = accel and accel:z() or NAN, vibe and vibe:length() or NAN
+  row.thrust, row.height = vehicle:get_control_output(3) or NAN, -(ahrs:get_relative_position_D_home() or NAN)
+  row.roll, before = (newer and ahrs:get_roll_rad() or not newer and ahrs:get_roll()) or NAN, t
+  row.pitch = (newer and ahrs:get_pitch_rad() or not newer and ahrs:get_pitch()) or NAN
+  for j = 1, R do
+    local pulse = SRV_Channels:get_output_pwm(MOTORS[j])
+    row[j] = pulse and max(pulse - 1000.0, 0.0) / 1000.0 or NAN
+  end
+  return row
+end
+
+-- Once a second: parameters, arming, named values and the log.
+local auth, rpm, names, format, next_s = arming:get_aux_auth_id(), {}, {}, string.rep("f", R), 0
+for j = 1, R do names[j] = "M" .. j end
+names = table.concat(names, ",")
+local function watch_parameters()
+  local wanted, factor = PARAM.OPEN:get(), PARAM.SCALE:get() or 1.0
+  scale = factor > 0.0 and factor or 1.0
+  if stage == "none" and open ~= 0 then -- kept over a restart
+    stage, rotor = "inspect", open < UNNAMED and math.floor(open) or nil
+    if rotor then named[rotor] = true end
+  end
+  if wanted == 0 and open ~= 0 and stage == "inspect" then
+    say(INFO, "PROP " .. motor() .. ": inspection acknowledged")
+    open, stage, rotor, named = 0, "none", nil, {}
+  end
+  if auth == nil then return end
+  local forbidden = open ~= 0 and PARAM.ARM:get() ~= 0 and PARAM.ENABLE:get() ~= 0
+  if not forbidden then return arming:set_aux_auth_passed(auth) end
+  arming:set_aux_auth_failed(auth, "PROP inspect " .. motor() .. ", PROP_OPEN=0")
+end
+local function shown(slot, name)
+  if slot == nil or slot.now == nil then return NAN end
+  gcs:send_named_float(name, slot.value)
+  return slot.value
+end
+local function tell()
+  local evidence, has_rpm = 0.0, false
+  for _, slot in ipairs(slots) do evidence = max(evidence, slot.now or 0.0) end
+  gcs:send_named_float("PF_EVID", evidence)
+  logger:write("PROP", "Evid,Vib,Trim,Loss,Motor,Open", "ffffBB", evidence, shown(vibration, "PF_VIB"),
+    shown(trim, "PF_TRIM"), shown(loss, "PF_LOSS"), rotor or 0, math.floor(open))
+  for j = 1, R do
+    local channel = SRV_Channels:find_channel(MOTORS[j])
+    local speed = channel and esc_telem and esc_telem:get_rpm(channel)
+    rpm[j], has_rpm = speed or NAN, has_rpm or speed
+  end
+  if has_rpm then logger:write("PRPM", names, format, table.unpack(rpm)) end
+end
+local function update()
+  local t = millis():toint()
+  if t >= next_s then
+    next_s = t + 1000
+    watch_parameters()
+    if air then tell() end
+  end
+  if PARAM.ENABLE:get() ~= 0 then
+    gate(read(queue[(head + queued) % #queue + 1], t))
+  elseif air then end_flight(last) end
+  if not air then queued, kept = 0, 0 end
+  if waiting == nil or t - said < 2000 then return end
+  gcs:send_text(severity, waiting)
+  waiting, said = nil, t
+end
+local function guarded() -- an error must not end the watch in silence
+  local sound, wrong = pcall(update)
+  if sound then return guarded, STEP end
+  gcs:send_text(WARNING, string.sub("PROP script: " .. tostring(wrong), 1, 50))
+  return guarded, 5000
+end
+say(INFO, "PROP watching by baseline " .. string.sub(string.match(B.digest, "[^:]*$"), 1, 8))
+if auth == nil then say(WARNING, "PROP cannot forbid arming: no slot is free") end
+return guarded()

@@ -1,0 +1,321 @@
+"""The applet for the flight controller judges as mavdiag does by the same monitors, and costs little."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from flying_telemetry import flying
+from made_controller import Controller
+from shared_data import shared
+from typer.testing import CliRunner
+
+import mavdiag as md
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.layout import RotorLayout, layout_named
+from mavdiag.baseline import Baseline, Link, MonitorEntry, Provenance, SourceLog
+from mavdiag.chain import chain_of
+from mavdiag.cli import app
+from mavdiag.decision.alarm import DecisionState
+from mavdiag.decision.diagnosis import Change
+from mavdiag.errors import MavdiagError, UsageError
+from mavdiag.export.lua import DT_S, WINDOW, applet
+from mavdiag.kernel import AT, LOOK_NS, RATIO, READ, Looked
+from mavdiag.logs.part import between
+from mavdiag.monitors import by_name, monitor_of
+from mavdiag.monitors.base import FaultKind, LearnContext
+from mavdiag.monitors.conditions import covered_by
+from mavdiag.monitors.trim_step import TrimStepSpec
+from mavdiag.rows.align import AlignSpec, Grid
+from mavdiag.rows.block import Block, in_rotor_order
+from mavdiag.rows.front import Front, Rows
+from mavdiag.rows.gate import Border, GateSpec
+from mavdiag.rows.rates import RateSpec
+from mavdiag.telemetry import Series, Signal, Telemetry
+from mavdiag.thresholds.heldout import Scores
+from mavdiag.thresholds.rule import threshold_of
+from mavdiag.units import NS_PER_MS
+
+FLOAT32 = 1e-4  # relative: what a flight controller's single precision may change
+GATE = GateSpec(min_thrust=0.1, trim_start_s=5.0, trim_end_s=0.6)
+TURN = np.where(np.arange(6000) % 2000 < 1000, 0.6, -0.6)  # of the nose, to and fro [rad/s]
+NAMES = ("vibration_level", "rotor_trim", "thrust_loss")
+
+
+def told(telemetry: Telemetry) -> Telemetry:
+    """What scripts can read: the attitude in place of the commanded one; stamps on whole milliseconds at first."""
+    gyro, attitude = telemetry.need(Signal.BODY_RATE), telemetry.get(Signal.ATTITUDE)
+    odd_ns = int(gyro.t_ns.min()) % NS_PER_MS
+    kept = [one for one in telemetry.series if one.signal is not Signal.ATTITUDE_SETPOINT]
+    kept += [] if attitude is None else [replace(attitude, signal=Signal.ATTITUDE_SETPOINT)]
+    return Telemetry(tuple(replace(one, t_ns=one.t_ns - odd_ns) for one in kept))
+
+
+def pieces(front: Front, telemetry: Telemetry) -> Iterator[Rows | Border]:
+    """Its rows, without a commanded heading."""
+    for part in front.step(front.start(), telemetry)[1]:  # what waits at the end of a log waits on
+        if isinstance(part, Rows):
+            setpoint = part.block.setpoint.copy()
+            setpoint[:, 2] = np.nan
+            part = replace(part, block=replace(part.block, setpoint=setpoint))
+        yield part
+
+
+def baseline_of(telemetry: Telemetry, layout: RotorLayout, gate: GateSpec, outputs: tuple[int, ...] | None) -> Baseline:
+    """The applet's monitors fitted to one healthy flight, at its rate; thresholds from its own values."""
+    airframe, align = Airframe(name="recorded", layout=layout, outputs=outputs), AlignSpec(DT_S, Grid.RESAMPLED)
+    front = Front(align, gate, RateSpec.of(DT_S, WINDOW.samples), outputs)
+    rows = [part for part in pieces(front, told(telemetry)) if isinstance(part, Rows) and len(part.block)]
+    entries = []
+    for name in NAMES:
+        try:
+            (spec,) = by_name(name).fit([rows], LearnContext(airframe, None, DT_S, WINDOW.samples))
+        except MavdiagError:
+            continue
+        found = [one.value[one.valid] for one in monitor_of(spec).over(rows)]
+        maxima = np.array([float(np.concatenate(found).max())])
+        scores = Scores(maxima, np.array([10.0]), np.array([0]))
+        entries.append(MonitorEntry(spec=spec, threshold=threshold_of(scores, sessions=[0], prior=by_name(name).prior)))
+    return Baseline(
+        airframe=airframe,
+        link=Link(profile="ardupilot", dt_s=DT_S, grid=Grid.RESAMPLED, max_gap_s=align.max_gap_s, gate=gate),
+        window=WINDOW,
+        monitors=tuple(entries),
+        not_judgeable=(),
+        envelope=covered_by([rows]),
+        healthy_hours=0.1,
+        provenance=Provenance(logs=(SourceLog(name="healthy", sha256="", judged_s=60.0),), created="2026", tool="test"),
+    )
+
+
+@dataclass
+class Judged:
+    """What one way of judging made of a flight: ratio and value by monitor and time [ms]; stage, rotor and kind."""
+
+    values: dict[tuple[str, int], tuple[float, float]] = field(default_factory=dict)
+    stages: list[tuple[str, int | None, bool]] = field(default_factory=list)
+
+    def stage(self, name: str, rotor: int | None, gross: bool) -> None:
+        name, gross = str(name).replace("not judged", "none"), gross and name == "fault"
+        now = (name, rotor if name in ("fault", "inspect") else None, gross)
+        if self.stages[-1:] != [now]:
+            self.stages.append(now)
+
+
+def by_python(baseline: Baseline, telemetry: Telemetry) -> Judged:
+    """The kernel and the decision."""
+    chain, found = chain_of(baseline), Judged(stages=[("none", None, False)])
+    memory, state = chain.kernel.start(), DecisionState()
+
+    def note(looked: Looked, changes: Sequence[Change]) -> None:
+        for number, readings in enumerate(looked.readings):
+            look = looked.first + number if looked.end_ns is None else looked.end_ns / LOOK_NS
+            for slot, reading in zip(chain.slots, readings.tolist(), strict=True):
+                if reading[AT] == look:
+                    at_ms = round(look * LOOK_NS / NS_PER_MS)
+                    found.values[slot.key[0], at_ms] = reading[RATIO], reading[READ]
+        for change in changes:
+            found.stage(change.stage, change.rotor, change.kind is FaultKind.GROSS_LOSS)
+
+    for part in pieces(chain.front, telemetry):
+        if isinstance(part, Border):
+            left, ended = chain.kernel.close(memory, part.t_ns), chain.kernel.open_alarms(memory, ended=True)
+            state, _, changes = chain.decision.end_flight(state, left, ended, part.t_ns)
+            chain.kernel.restart(memory)
+            note(left, changes)
+            found.stage(state.diagnosis.stage, state.diagnosis.rotor, False)
+        elif len(part.block):
+            looked, _ = chain.kernel.step(memory, part)
+            state, _, changes = chain.decision.step(state, looked)
+            note(looked, changes)
+    return found
+
+
+def by_applet(baseline: Baseline, telemetry: Telemetry) -> tuple[Judged, Controller]:
+    """The script on the rows before the gate."""
+    chain, found, controller = chain_of(baseline), Judged(stages=[("none", None, False)]), Controller(applet(baseline))
+    align = chain.front.align
+    for block in align.step(align.start(), telemetry):
+        for ms, row in rows_of(block, baseline):
+            controller.play(ms, row)
+            for name, (at, ratio, value) in controller.slots.items():
+                if at > 0:
+                    found.values[name, round(at)] = ratio, value
+            found.stage(controller.held("stage"), controller.held("rotor"), controller.held("gross"))
+    return found, controller
+
+
+def rows_of(block: Block, baseline: Baseline) -> Iterator[tuple[int, dict[str, float | bool | None]]]:
+    """What the API tells at each row: nil where the row does not know."""
+    block, lean = in_rotor_order(block, baseline.airframe.outputs), block.setpoint[:, :2].copy()
+    lean[~block.setpoint_valid] = np.nan
+    rate = np.where(block.valid[:, None], block.rate, np.nan)
+    columns = (rate, block.force[:, 2:], block.vibration, block.thrust[:, None], lean, -block.height[:, None])
+    names = ["p", "q", "r", "fz", "vx", "vy", "vz", "thrust", "roll", "pitch", "down"]
+    table = np.concatenate((*columns, 1000.0 + 1000.0 * block.actuator), axis=1).tolist()
+    names += [f"o{j}" for j in range(block.actuator.shape[1])]
+    armed = ~(block.armed < 0.5) | (not baseline.link.gate.need_armed)
+    for t_ns, row, flies in zip(block.t_ns.tolist(), table, armed.tolist(), strict=True):
+        values = {name: None if math.isnan(value) else value for name, value in zip(names, row, strict=True)}
+        yield round(t_ns / NS_PER_MS), {**values, "armed": flies}
+
+
+def unbroken(telemetry: Telemetry) -> Telemetry:
+    """Its longest part without a break of the gyro."""
+    t_ns = np.unique(telemetry.need(Signal.BODY_RATE).t_ns)
+    edges = np.concatenate(([0], np.flatnonzero(np.diff(t_ns) > 0.9e9) + 1, [len(t_ns)]))
+    longest = int(np.argmax(np.diff(t_ns[np.append(edges[:-1], len(t_ns) - 1)])))
+    stop = t_ns[edges[longest + 1] - 1]
+    return between(telemetry, float(t_ns[edges[longest]]) / 1e9 - 1e-6, float(stop) / 1e9 + 1e-6)
+
+
+def both(baseline: Baseline, telemetry: Telemetry) -> tuple[Judged, Controller]:
+    """Judge both ways, and hold one against the other."""
+    telemetry = told(unbroken(telemetry))
+    wanted, (found, controller) = by_python(baseline, telemetry), by_applet(baseline, telemetry)
+    assert set(wanted.values) == set(found.values)
+    for key, figures in wanted.values.items():
+        assert found.values[key] == pytest.approx(figures, rel=FLOAT32, abs=1e-9), key
+    assert found.stages == wanted.stages
+    assert controller.sent.most <= 10_000  # 20,000 at 10 Hz
+    texts = controller.texts
+    assert all(len(text) <= 50 and text.startswith("PROP") and "script" not in text for _, _, text in texts)
+    assert all(later[0] - sooner[0] >= 2000 for sooner, later in pairwise(texts))
+    return found, controller
+
+
+@cache
+def made(name: str = "x") -> Baseline:
+    """Of a healthy made flight."""
+    return baseline_of(flying(6000, 1, layout=name, turn=TURN), layout_named(name), GATE, None)
+
+
+@pytest.mark.parametrize("layout", ["x", "octo-x"])
+def test_a_healthy_flight_is_quiet_and_each_monitor_finds_its_fault(layout: str) -> None:
+    base = made(layout)
+    assert [entry.spec.kind for entry in base.monitors] == list(NAMES)
+    found, healthy = both(base, flying(6000, 2, layout=layout, turn=TURN))
+    assert [stage for stage, *_ in found.stages] == ["none", "quiet"]
+    assert {name for name, _ in found.values} == set(NAMES)
+    assert healthy.texts[0][2].startswith("PROP watching")
+    found, weak = both(base, flying(6000, 3, layout=layout, weak_rotor=3, rise=0.3, turn=TURN))
+    assert found.stages[-1] == ("fault", 3, False)
+    assert any("motor 3 lost" in text for _, _, text in weak.texts)
+    found, shaken = both(base, flying(6000, 4, layout=layout, shake=3.0))
+    assert found.stages[-1] == ("fault", None, False)
+    assert any(text.startswith("PROP FAULT rotor unknown: vibrates") for _, _, text in shaken.texts)
+
+
+def falling(seed: int) -> Telemetry:
+    """Half of the thrust is lost at 30 s and the vehicle rolls; then it lands, and flies again."""
+    parts = []
+    for one in flying(9000, seed).series:
+        values, at_s = one.values.copy(), (one.t_ns - one.t_ns.min()) / 1e9
+        if one.signal is Signal.SPECIFIC_FORCE:
+            values[(at_s > 30) & (at_s < 31), 2] *= 0.4
+        if one.signal is Signal.BODY_RATE:
+            values[(at_s > 30) & (at_s < 31), :2] += (-4.0, 4.0)
+        if one.signal is Signal.THRUST_SETPOINT:
+            values[(at_s > 50) & (at_s < 55)] = 0.0
+        parts.append(Series(one.signal, one.t_ns, one.host_ns, values))
+    return Telemetry(tuple(parts))
+
+
+def test_lost_thrust_is_latched_forbids_arming_and_waits_for_somebody_who_looks() -> None:
+    base = made()
+    found, controller = both(base, falling(5))
+    assert [stage for stage, *_ in found.stages] == ["none", "quiet", "fault", "inspect"]
+    texts = [text for _, _, text in controller.texts]
+    assert any(text.startswith("PROP THRUST LOST motor") for text in texts)
+    assert any(text.endswith("inspect before flight") for text in texts)
+    motor = controller.world.params["PROP_OPEN"]
+    assert motor in (1, 2, 3, 4)
+    again = Controller(applet(base), params={"PROP_OPEN": motor}, armed=False)  # after a restart
+    for ms in range(2000, 6000, 50):
+        again.play(ms, {})
+    assert again.sent.refused == f"PROP inspect motor {motor:g}, PROP_OPEN=0"
+    again.world.params["PROP_ARM"] = 0
+    again.play(7000, {})
+    assert again.sent.refused is False
+    again.world.params["PROP_ARM"] = 1
+    again.play(8000, {})
+    again.world.params["PROP_OPEN"] = 0
+    again.play(9000, {})
+    assert again.sent.refused is False
+    assert again.held("stage") == "none"
+
+
+def test_nothing_that_is_missing_hurts_and_memory_does_not_grow() -> None:
+    bare = Controller(applet(made()), slots=0, armed=True)
+    for ms in range(2000, 20_000, 50):
+        bare.play(ms, {"thrust": 0.5})
+    assert bare.held("stage") == "none"
+    assert [text for _, _, text in bare.texts] == ["PROP cannot forbid arming: no slot is free"]
+    busy, sizes = Controller(applet(made()), escs=True, armed=True), []
+    rng = np.random.default_rng(6)
+    for j in range(4):
+        busy.world.rpm[j] = 5000.0 + j
+    for minute in range(3):
+        for ms in range(60_000 * minute + 2000, 60_000 * minute + 62_000, 50):
+            p, q, r, *outputs = rng.normal(0.0, 0.05, 7).tolist()
+            named = {f"o{j}": 1500.0 + 100.0 * value for j, value in enumerate(outputs)}
+            shaken = {"vx": abs(p), "vy": abs(q), "vz": abs(r)}
+            busy.play(
+                ms, {"p": p, "q": q, "r": r, "thrust": 0.5, "fz": -9.81, "roll": p, "pitch": q, **named, **shaken}
+            )
+        sizes.append(busy.kilobytes)
+    assert sizes[2] - sizes[1] < 1.0
+    assert list(busy.sent.logs["PRPM"].values()) == [5000.0, 5001.0, 5002.0, 5003.0]
+    assert set(busy.sent.floats) == {"PF_EVID", "PF_VIB", "PF_TRIM", "PF_LOSS"}
+
+
+def test_an_error_in_the_script_is_told_and_a_taken_table_of_parameters_ends_it() -> None:
+    broken = Controller(applet(made()), armed=True)
+    broken.play(2000, {"thrust": "much"})
+    assert broken.texts[-1][2].startswith("PROP script:")
+    with pytest.raises(Exception, match="table key 151 is taken"):
+        Controller(applet(made()), taken=True)
+
+
+def test_the_command_writes_the_script_and_says_what_it_leaves_out(tmp_path: Path) -> None:
+    path, script, trim = tmp_path / "b.json", tmp_path / "propeller.lua", made().monitors[1]
+    step = TrimStepSpec(layout=layout_named("x"), source="actuator", spread=trim.spec.spread)
+    more = (*made().monitors, trim.model_copy(update={"spec": step}))
+    base = made().model_copy(update={"monitors": more})
+    base.save(path)
+    run = CliRunner().invoke(app, ["export", "--lua", str(path), "-o", str(script), "--table-key", "77"])
+    assert run.exit_code == 0, run.output
+    text = script.read_text()
+    assert base.provenance.created in text
+    assert "add_table(77" in text
+    assert Baseline.load(path).digest in text
+    assert "left out   trim_step: rotor_trim stands for it" in run.output
+    other = base.model_copy(update={"link": base.link.model_copy(update={"profile": "px4"})})
+    with pytest.raises(UsageError, match="ArduPilot"):
+        applet(other)
+
+
+RECORDED = (
+    ("arducopter_sitl/healthy_quad3kg_sq1.tlog", "arducopter_sitl/*quad3kg*.tlog"),
+    ("arducopter_sitl/healthy_jsonplant2_sq1.tlog", "arducopter_sitl/*jsonplant2*.tlog"),
+    ("arducopter_sitl/jsonplant_flight.bin", "arducopter_sitl/*.bin"),
+    ("arducopter_live/turning_nose_healthy.tlog", "arducopter_live/*.tlog"),
+    ("autopilots_in_the_loop/ap463_hil_healthy.tlog", "autopilots_in_the_loop/ap463*.tlog"),
+    ("autopilots_in_the_loop/px4_hil_healthy.tlog", "autopilots_in_the_loop/px4*.tlog"),
+    ("ardupilot_real/log171.bin", "ardupilot_real/*.bin"),
+)
+
+
+@pytest.mark.parametrize(("healthy", "judged"), RECORDED)
+def test_recorded_flights_are_judged_alike(healthy: str, judged: str) -> None:
+    folder = shared("data")
+    log = md.read_log(folder / healthy)
+    base = baseline_of(log.telemetry, layout_named("x"), GATE, None)
+    assert {entry.spec.kind for entry in base.monitors} & set(NAMES)
+    for path in sorted(folder.glob(judged)):
+        found, _ = both(base, md.read_log(path).telemetry)
+        assert found.values
