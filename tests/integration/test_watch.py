@@ -15,7 +15,7 @@ from mavdiag.decision.diagnosis import Change
 from mavdiag.judging import judge_in_full
 from mavdiag.link.codec import frame_length
 from mavdiag.logs import read_log
-from mavdiag.terminal.live_judge import LiveJudge
+from mavdiag.terminal.ground_station import LiveJudge
 from mavdiag.traces import rate_traces
 from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.emulator import record_flight
