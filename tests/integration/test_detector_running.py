@@ -7,9 +7,10 @@ import time
 from pathlib import Path
 
 import pytest
-from detector_process import PATIENCE_S, ended, port_of, ran, running, until
+from detector_process import ended, port_of, ran, running, until
 from made_session import baseline_for
 from made_vehicle import MadeVehicle
+from patience import PATIENCE_S
 
 from mavdiag.link.ports import open_endpoint
 

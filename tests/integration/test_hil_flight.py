@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hil_bytes import answered, controls_bytes, frames_in, mavlink_bytes, servo_bytes
+from patience import PATIENCE_S
 from plant_process import first_line, process
 
 from mavdiag.telemetry import FloatArray
@@ -29,7 +30,6 @@ pytestmark = pytest.mark.realtime
 
 MOTORS = (2, 3, 4, 1)  # quad X of both autopilots: front right, rear left, front left, rear right
 COURSE = Course(height_m=1.2, side_m=1.0, speed_m_s=0.8)
-PATIENCE_S = 20.0
 HOME = (47.397742, 8.545594)
 EARTH_M = 6_371_000.0
 
@@ -193,7 +193,11 @@ BAD = [
 @pytest.mark.parametrize(("arguments", "says"), BAD, ids=[" ".join(one) for one, _ in BAD])
 def test_what_cannot_be_served_gets_one_line(arguments: list[str], says: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "sitl_plant", *arguments], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-m", "sitl_plant", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
     )
     assert done.returncode == 2
     assert says in done.stderr
