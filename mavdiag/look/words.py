@@ -48,7 +48,6 @@ def in_one_line(found: Inspection) -> str:
 
 
 def _paragraphs(found: Inspection) -> Iterator[str | list[str]]:
-    """Sentences, and tables as lines."""
     flight = found.no_flight or f"{found.flight_s:.1f} s of flight that can be judged"
     yield f"{found.log}: profile {found.profile}, {found.span_s:.1f} s long, {flight}"
     yield from (f"note: {note}" for note in found.notes)
