@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from detector_process import ended, port_of, ran, running
@@ -41,13 +42,13 @@ def test_help_names_every_option_of_the_contract() -> None:
         ((*LEARN, "--vehicle", "300"), "vehicle: "),
     ],
 )
-def test_what_is_wrong_is_one_line_and_exit_code_2(options: tuple[str, ...], words: str) -> None:
-    run = ran(*options)
-    assert run.returncode == 2
-    assert words in run.stderr
-    assert len(run.stderr.splitlines()) == 1
-    assert run.stderr.startswith("mavdiag-detector: ")
-    assert run.stdout == ""
+def test_what_is_wrong_is_one_line_and_exit_code_2(program: Any, options: tuple[str, ...], words: str) -> None:
+    code, out, err = program("detector.__main__", *options)
+    assert code == 2
+    assert words in err
+    assert len(err.splitlines()) == 1
+    assert err.startswith("mavdiag-detector: ")
+    assert out == ""
 
 
 def default(number: int) -> None:

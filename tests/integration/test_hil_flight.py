@@ -178,27 +178,3 @@ def test_a_flight_controller_in_hil_mode_in_real_time() -> None:
         assert plant.wait(PATIENCE_S) == 0
     assert "not in HIL mode" in said
     assert "2.0 s flown" in said
-
-
-BAD = [
-    (["serve-ardupilot", "--listen", "tcpin:127.0.0.1:9002"], "write udpin:HOST:PORT"),
-    (["serve-ardupilot", "--fault", "F1/SV1", "--rotor", "7"], "rotor must be 1 to 4"),
-    (["serve-ardupilot", "--print-parameters", "betaflight"], "give ardupilot or px4"),
-    (["serve-ardupilot", "--truth", "/no/such/folder/t.jsonl", "--listen", "udpin:127.0.0.1:0"], "choose another"),
-    (["serve-px4", "--rate", "5"], "rate"),
-    (["serve-hil", "/dev/no-such-tty,921600"], "no such device"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "says"), BAD, ids=[" ".join(one) for one, _ in BAD])
-def test_what_cannot_be_served_gets_one_line(arguments: list[str], says: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "sitl_plant", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert says in done.stderr
-    assert len(done.stderr.splitlines()) == 1
