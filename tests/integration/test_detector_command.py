@@ -118,7 +118,7 @@ def test_over_udp_it_learns_from_the_plant_and_finds_its_fault(tmp_path: Path) -
             ],
             capture_output=True,
             text=True,
-            timeout=PATIENCE_S,
+            timeout=5 * PATIENCE_S,  # a flight of 40 s in real time
             check=False,
         )
         code, rest = ended(child, signal.SIGTERM)
