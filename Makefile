@@ -29,7 +29,7 @@ demo: $(STAMP)  ## the main job: plant, detector and alert over MAVLink on loopb
 
 test: $(STAMP)  ## the whole test suite
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime"
-	$(BIN)/python -m pytest -m realtime
+	$(BIN)/python -m pytest -n 3 --dist loadfile -m realtime
 
 lint: $(STAMP)  ## ruff: rules and format
 	$(BIN)/ruff check .

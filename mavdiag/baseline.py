@@ -270,7 +270,6 @@ class Baseline(Part):
         return "\n".join(map(printable, lines))
 
     def _advice(self) -> str:
-        """What would make it better."""
         if self.weak:
             return "flights whose propellers are sound and whose air is calm: look at what is named above"
         names, flights, advice = {entry.spec.kind for entry in self.monitors}, len(self.provenance.logs), list[str]()

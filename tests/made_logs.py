@@ -10,8 +10,6 @@ DATAFLASH_FMT = 0x80
 _DATAFLASH_CODES = {"c": "h", "C": "H", "e": "i", "E": "I", "L": "i", "M": "B", "n": "4s", "N": "16s", "Z": "64s"}
 _ULOG_CODES = {"uint64_t": "Q", "int32_t": "i", "uint8_t": "B", "float": "f", "double": "d"}
 
-Values = Sequence[float | bytes]
-
 
 @dataclass(frozen=True)
 class CrazyflieEvent:

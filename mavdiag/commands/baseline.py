@@ -14,7 +14,7 @@ from mavdiag.commands.progress import each, followed
 from mavdiag.face import now
 from mavdiag.learning.learn import extend as extended
 from mavdiag.learning.suspicions import accepted
-from mavdiag.logs.part import read_part
+from mavdiag.logs import read_part
 from mavdiag.storage import check_output
 
 app = commandline.application("Look into a baseline file, or add healthy flights to it.")

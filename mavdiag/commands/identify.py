@@ -19,7 +19,7 @@ from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
 from mavdiag.learning.suspicions import accepted
-from mavdiag.logs.part import read_part
+from mavdiag.logs import read_part
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.storage import check_output
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule

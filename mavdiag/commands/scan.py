@@ -23,7 +23,7 @@ from mavdiag.commandline import say
 from mavdiag.commands import options as opt
 from mavdiag.commands.progress import shown, sizes_of
 from mavdiag.judging import JUDGED_SHARE, Verdict, exit_code
-from mavdiag.logs.part import check_times
+from mavdiag.logs import check_times
 from mavdiag.storage import check_output
 
 

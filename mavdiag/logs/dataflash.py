@@ -160,7 +160,6 @@ class Walk:
         return found, tuple(note for note, told in ((damaged, between), (cut, self._lost)) if told)
 
     def _learn(self, data: bytes, position: int) -> None:
-        """Take in the FMT record at `position`."""
         kind, length, *texts = FMT_BODY.unpack_from(data, position + HEADER_BYTES)
         name, characters, labels = (raw.partition(b"\0")[0].decode("latin-1") for raw in texts)
         form = Format(length, name, characters, tuple(labels.split(",")))
@@ -265,7 +264,6 @@ def read_dataflash(path: Path) -> Log:
 
 
 def _rate_loop(tables: Tables, gyro: Series | None) -> tuple[Series, ...]:
-    """Rate setpoints and torque commands of the RATE message."""
     table = tables["RATE"]
     fields = ("RDes", "PDes", "YDes", "ROut", "POut", "YOut", "R", "P", "Y")
     if table.t_ns is None or not table.has(*fields):

@@ -288,7 +288,6 @@ def _by_second(t_ns: IntArray) -> tuple[IntArray, IntArray, IntArray]:
 
 
 def _gyro_gaps(telemetry: Telemetry) -> FloatArray:
-    """The gaps of the gyro that are too long to be interpolated [s]."""
     gyro = telemetry.get(Signal.BODY_RATE)
     if gyro is None or len(gyro) < 2:
         return np.empty(0)

@@ -18,9 +18,6 @@ RATE_FIELDS = "RDes,R,ROut,PDes,P,POut,YDes,Y,YOut"
 RATE = DataFlashMessage(73, "RATE", "Qfffffffff", f"TimeUS,{RATE_FIELDS}")
 RCOU = DataFlashMessage(62, "RCOU", "QHHHHHH", "TimeUS,C1,C2,C3,C4,C5,C6")
 PARM = DataFlashMessage(32, "PARM", "QNf", "TimeUS,Name,Value")
-ARM = DataFlashMessage(186, "ARM", "QB", "TimeUS,ArmState")
-EV = DataFlashMessage(13, "EV", "B", "Id")
-GPS = DataFlashMessage(90, "GPS", "QBIH", "TimeUS,Status,GMS,GWk")
 OLD_RATE = DataFlashMessage(29, "RATE", "Ifffffffff", f"TimeMS,{RATE_FIELDS}")
 
 

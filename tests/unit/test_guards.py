@@ -11,7 +11,7 @@ from made_baselines import ALWAYS, FRAME, NOW, healthy
 from mavdiag.errors import InputError
 from mavdiag.learning import LearnOptions, airborne, front_for, learn
 from mavdiag.learning.teaching import far_blocks, repeated, taught, upsets
-from mavdiag.logs.part import between
+from mavdiag.logs import between
 from mavdiag.rows.align import Grid
 from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
 

@@ -29,12 +29,10 @@ OLD_SETPOINT = ULogTopic(
     "vehicle_attitude_setpoint",
     (STAMP, ("float", "roll_body"), ("float", "pitch_body"), ("float", "yaw_body"), ("float", "thrust")),
 )
-ATTITUDE = ULogTopic(3, "vehicle_attitude", (STAMP, ("uint64_t", "timestamp_sample"), ("float[4]", "q")))
 MOTORS = ULogTopic(4, "actuator_motors", (STAMP, ("float[12]", "control")))
 OUTPUTS = ULogTopic(5, "actuator_outputs", (STAMP, ("float[16]", "output")))
 STATUS = ULogTopic(7, "vehicle_status", (STAMP, ("uint8_t", "arming_state")))
 POSITION = ULogTopic(8, "vehicle_local_position", (STAMP, ("float", "z")))
-GPS = ULogTopic(9, "vehicle_gps_position", (STAMP, ("uint64_t", "time_utc_usec")))
 HALF, NAN = math.sqrt(0.5), math.nan
 
 
