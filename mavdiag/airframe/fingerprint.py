@@ -222,7 +222,8 @@ def joined(flight: Sequence[Rows]) -> list[Block]:
         width = max(block.actuator.shape[1] for block in blocks)  # rows before the first message have no column
         columns = {name: [getattr(block, name) for block in blocks] for name in COLUMNS}
         columns["actuator"] = [
-            np.pad(x, ((0, 0), (0, width - x.shape[1])), constant_values=np.nan) for x in columns["actuator"]
+            np.pad(x, ((0, 0), (0, width - x.shape[1])), constant_values=np.nan) if x.shape[1] < width else x
+            for x in columns["actuator"]
         ]
         whole = (np.concatenate(parts) for parts in columns.values())
         out.append(blocks[0] if len(blocks) == 1 else Block(segment, blocks[0].dt_s, *whole))

@@ -114,15 +114,17 @@ class DecisionSpec:
     def step(self, state: DecisionState, looked: Looked) -> Step:
         """Take looks that are whole."""
         events, changes, told = list[Event](), list[Change](), list(looked.alarms)
+        left_alone, before, final = self._left_alone(state), None, len(looked.heights) - 1
         for number, height in enumerate(looked.heights):
-            look = looked.first + number
+            if height == before is not None and not told and number < final:
+                continue  # it is left alone, as the look before was
+            look, last = looked.first + number, number == final
             t_ns = look * LOOK_NS if looked.end_ns is None else looked.end_ns
-            last = number == len(looked.heights) - 1
             alarms = list[Alarm]()
             while told and (told[0].look <= look or last):
                 alarms.append(told.pop(0))
-            if not alarms and height is not None and height in self._left_alone(state):
-                state = _since(state, height, t_ns)
+            if not alarms and height is not None and height in left_alone:
+                state, before = _since(state, height, t_ns), height
                 if last and state.diagnosis.stage not in (Stage.FAULT, Stage.INSPECT):
                     lead = looked.leads[number]
                     best = self._reading(lead, looked.readings[number, lead].tolist()) if lead >= 0 else None
@@ -136,6 +138,7 @@ class DecisionSpec:
                 change = change or graded
             events += self.named(state, alarms)
             changes += [Change.of(state.diagnosis, t_ns)] if change else []
+            left_alone, before = self._left_alone(state), None
         return state, tuple(events), tuple(changes)
 
     def end_flight(self, state: DecisionState, looked: Looked, ended: Sequence[Alarm], t_ns: int) -> Step:

@@ -81,13 +81,14 @@ def columns_of(rows: Rows, past: FloatArray) -> Columns:
     x[:OUTPUTS, :first], x[OUTPUTS:, :first] = past, np.nan
     new, known = x[:, first:], x[:, first + lag :]
     new[VALID], new[COVERED], new[SETPOINT], new[DOUBT] = block.valid, 1.0, block.setpoint_valid, block.doubt
-    new[COMMANDED, :lag], known[COMMANDED] = 0.0, rates.commanded
+    if lag:
+        new[COMMANDED, :lag], new[U:HEADING, :lag] = 0.0, np.nan
+    known[COMMANDED] = rates.commanded
     new[LEAN:RATE] = block.setpoint.T[:2]
     if np.count_nonzero(block.setpoint_valid) < n:
         new[LEAN:RATE, ~block.setpoint_valid] = 0.0
     new[RATE:FORCE], new[FORCE:TORQUE], new[TORQUE:THRUST] = block.rate.T, block.force.T, block.torque.T
     new[THRUST], new[ATTITUDE:VIBRATION], new[VIBRATION:U] = block.thrust, block.attitude.T, block.vibration.T
-    new[U:HEADING, :lag] = np.nan
     known[U:Y], known[Y:GYRO], known[GYRO:HEADING] = rates.u.T, rates.y.T, rates.gyro.T
     new[HEADING], new[HEIGHT], new[OUTPUTS:] = block.setpoint[:, 2], block.height, block.actuator.T
     return Columns(x, first, first + lag)

@@ -20,6 +20,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavdiag.errors import InputError
 from mavdiag.jit import allocating, cached, cached_loop, inline, jit
@@ -118,29 +119,23 @@ class AlignState:
         place, (count, columns) = PLACES.get(series.signal), series.values.shape
         if place is None or not count:
             return
-        if not len(self.streams.times[place]):
+        end, (room, width) = self.ends[place], self.streams.values[place].shape
+        if not room:
             self._begin(place, columns, quality.rule(series.signal, columns))
-        streams, end = self.streams, self.ends[place]
-        width = streams.values[place].shape[1] - (place == GYRO)
-        if columns != width:
-            raise InputError(f"{series.signal} has {columns} columns in place of {width}")
-        if end + count > len(streams.times[place]):
+            width = self.streams.values[place].shape[1]
+        if columns != width - (place == GYRO):
+            raise InputError(f"{series.signal} has {columns} columns in place of {width - (place == GYRO)}")
+        if end + count > room:
             end = self._make_room(place, count)
-            streams = self.streams
-        to = slice(end, end + count)
-        streams.times[place][to], streams.hosts[place][to] = series.t_ns, series.host_ns
-        streams.values[place][to, :columns] = series.values
-        self.ends[place] = end + count
-        self.reached[place] = max(self.reached[place], int(series.t_ns[-1]))
+        (times, hosts, values), stop = self.streams[:3], end + count
+        times[place][end:stop], hosts[place][end:stop] = series.t_ns, series.host_ns
+        values[place][end:stop, :columns] = series.values
+        self.ends[place], self.reached[place] = stop, max(self.reached[place], int(series.t_ns[-1]))
 
     def _begin(self, place: int, columns: int, rule: FloatArray) -> None:
         """Learn of the first samples of a stream what is believed of it; outputs have as many columns as they have."""
-        rules, figures, counts = (
-            np.pad(table, ((0, 0), (0, max(0, size - table.shape[1]))))
-            for table, size in zip(
-                self.streams[4:7], (len(rule), COLUMN + 4 * columns, RUNS + 1 + columns), strict=True
-            )
-        )
+        sizes = len(rule), COLUMN + 4 * columns, RUNS + 1 + columns
+        rules, figures, counts = (_widened(*pair) for pair in zip(self.streams[4:7], sizes, strict=True))
         rules[place, : len(rule)], values = rule, self.streams.values
         values = (*values[:OUTPUTS], np.empty((0, columns))) if place == OUTPUTS else values
         self.streams = self.streams._replace(values=values, rules=rules, figures=figures, counts=counts)
@@ -219,7 +214,7 @@ class AlignSpec:
         """Believe and sort what came; returns up to when rows are complete [ns]. A log's rows always wait."""
         marks, hurries = state.streams.marks, live and self.grid is Grid.NATIVE
         marks[:, END] = state.ends
-        room = np.empty((3, int((marks[:, END] - marks[:, HI]).max())), dtype=np.int64)
+        room = np.empty((3, max(state.ends)), dtype=np.int64)
         until_ns = _take(state.streams, room, hurries, self.dt_s * NS_PER_S)
         state.reached, state.ends = marks[:, NEWEST].tolist(), marks[:, END].tolist()
         return until_ns
@@ -244,6 +239,13 @@ class AlignSpec:
             if -NEVER_NS < newest[place] < found and safe < newest[place] + limits[place]:
                 found = newest[place]
         return found
+
+
+def _widened(table: NDArray[Any], width: int) -> NDArray[Any]:
+    """A table with at least so many columns, the new ones zero."""
+    wide = np.zeros((len(table), max(width, table.shape[1])), dtype=table.dtype)
+    wide[:, : table.shape[1]] = table
+    return wide
 
 
 @allocating

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, fields, replace
+from operator import attrgetter
 from typing import Any, TypeVar
 
 import numpy as np
@@ -55,9 +56,11 @@ class Block:
         """Rows [first, stop) as a block of their own, of another segment, or settled at another time, if asked."""
         segment = self.segment if segment is None else segment
         settled_ns = self.settled_ns if settled_ns is None else settled_ns
-        columns, cut = [getattr(self, name) for name in COLUMNS], slice(first, stop)
-        if stop - first < len(self):
-            columns = [column[cut] for column in columns]
+        columns = ARRAYS(self)
+        if stop - first < len(self.t_ns):
+            columns = tuple(column[first:stop] for column in columns)
+        elif segment == self.segment and settled_ns == self.settled_ns:
+            return self
         return Block(segment, self.dt_s, *columns, settled_ns=settled_ns)
 
     def known(self, signal: Signal, columns: slice = ALL) -> BoolArray:
@@ -82,6 +85,7 @@ class Block:
 
 
 COLUMNS = tuple(column.name for column in fields(Block))[2:-2]  # arrays of rows, in the order of the fields
+ARRAYS: Callable[[Block], tuple[Any, ...]] = attrgetter(*COLUMNS)
 _NAMES = {
     Signal.SPECIFIC_FORCE: "force",
     Signal.TORQUE_COMMAND: "torque",
