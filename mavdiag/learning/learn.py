@@ -50,7 +50,7 @@ from mavdiag.storage import Shelf
 from mavdiag.telemetry import Axis, Log
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima, pooled, score
-from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
+from mavdiag.thresholds.rule import BUDGET_PER_HOUR, FLIGHTS_PER_SUSPICION, ThresholdRule, threshold_of
 
 ALL_MONITORS = tuple(BY_NAME)
 TOOL = f"mavdiag {__version__}"
@@ -66,6 +66,7 @@ class LearnOptions:
     airframe: the vehicle, as far as it is known.
     monitors: names of the monitors to use.
     rule, alarms_per_hour: how thresholds follow from healthy maxima, and the budget of all deciding monitors together.
+    flights_per_suspicion: healthy flights of which one may be suspected, by all monitors together.
     sessions: how many sessions the flights were flown in, in equal parts and in their order; None for what their
         wall-clock times say, and for one each where a log has none.
     robust: what the guards of teaching find is left out instead of refused (see `mavdiag.learning.teaching`).
@@ -80,6 +81,7 @@ class LearnOptions:
     monitors: tuple[str, ...] = ALL_MONITORS
     rule: ThresholdRule = ThresholdRule.GUMBEL
     alarms_per_hour: float = BUDGET_PER_HOUR
+    flights_per_suspicion: float = FLIGHTS_PER_SUSPICION
     sessions: int | None = None
     robust: bool = False
 
@@ -90,6 +92,8 @@ class LearnOptions:
             raise UsageError(f"no monitor named; there are {', '.join(ALL_MONITORS)}")
         if not self.alarms_per_hour > 0:
             raise UsageError(f"alarms per hour must be positive, not {self.alarms_per_hour:g}")
+        if not self.flights_per_suspicion > 1:
+            raise UsageError(f"flights per suspicion must be more than 1, not {self.flights_per_suspicion:g}")
         if self.sessions is not None and self.sessions < 1:
             raise UsageError(f"sessions must be 1 or more, not {self.sessions}")
 
@@ -235,29 +239,38 @@ def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows], number: in
 
 
 def _entries(fitted: Sequence[Fitted], options: LearnOptions, sessions: Sequence[int]) -> Iterator[MonitorEntry]:
-    """Specification and threshold of each monitor. The budget is shared by those that decide, and then by axes.
-
-    The monitors of sensors and losses have one share together: what finds propellers stays sharp.
+    """Specification and threshold of each monitor. Its alarms and its suspicions are equal shares of what is promised:
+    of the alarms among those that decide, of the suspicions among all, and then among axes. The monitors of sensors and
+    losses have one share together: what finds propellers stays sharp.
     """
     axes = Counter(monitor.name for monitor, _ in fitted)
-    deciding = {monitor.name for monitor, _ in fitted if monitor.decides}
-    shares = Counter(_sharing(name) for name in deciding or axes)
+    shares, all_shares = (
+        Counter(map(_sharing, names))
+        for names in ({monitor.name for monitor, _ in fitted if monitor.decides} or axes, axes)
+    )
     for monitor, scores in fitted:
-        budget = options.alarms_per_hour / len(shares) / max(1, shares[_sharing(monitor.name)]) / axes[monitor.name]
-        yield _entry(monitor.spec, scores, sessions, budget, options.rule)
+        of = _sharing(monitor.name)
+        budget = options.alarms_per_hour / len(shares) / max(1, shares[of]) / axes[monitor.name]
+        flights = options.flights_per_suspicion * len(all_shares) * all_shares[of] * axes[monitor.name]
+        yield _entry(monitor.spec, scores, sessions, (budget, flights), options.rule)
 
 
 def _entry(
-    spec: Any, scores: Scores, sessions: Sequence[int], budget_per_hour: float, rule: ThresholdRule
+    spec: Any, scores: Scores, sessions: Sequence[int], promises: tuple[float, float], rule: ThresholdRule
 ) -> MonitorEntry:
-    """A fit with its threshold, and the scores to six digits."""
-    prior = monitor_of(spec).prior
-    threshold = threshold_of(scores, sessions=sessions, budget_per_hour=budget_per_hour, prior=prior, rule=rule)
-    maxima, spans_s = (tuple(float(f"{x:.6g}") for x in part.tolist()) for part in (scores.maxima, scores.spans_s))
-    flights = tuple(scores.flights.tolist())
-    return MonitorEntry(
-        spec=spec, threshold=threshold, scores=HealthyScores(maxima=maxima, spans_s=spans_s, flights=flights)
+    """A fit with its threshold, and the scores to six digits. promises: alarms per hour, flights per suspicion."""
+    budget, flights = promises
+    threshold = threshold_of(
+        scores,
+        sessions=sessions,
+        budget_per_hour=budget,
+        flights_per_suspicion=flights,
+        prior=monitor_of(spec).prior,
+        rule=rule,
     )
+    maxima, spans_s = (tuple(float(f"{x:.6g}") for x in part.tolist()) for part in (scores.maxima, scores.spans_s))
+    held = HealthyScores(maxima=maxima, spans_s=spans_s, flights=tuple(scores.flights.tolist()))
+    return MonitorEntry(spec=spec, threshold=threshold, scores=held)
 
 
 def _sharing(name: str) -> str:
@@ -321,7 +334,8 @@ def _extended(
         if not new_propellers:
             spec = monitor_of(spec).extended(rows, len(before))
         told, all_sessions = entry.threshold, [*(log.session for log in old), *sessions]
-        entries.append(_entry(spec, scores, all_sessions, told.budget_per_hour, told.rule))
+        promises = told.budget_per_hour, told.flights_per_suspicion
+        entries.append(_entry(spec, scores, all_sessions, promises, told.rule))
     fresh_print = fingerprint_of(rows, baseline.airframe.layout)
     longer = baseline.model_copy(
         update={
