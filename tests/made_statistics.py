@@ -32,7 +32,6 @@ from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_S
 
-
 SUSPECTED = 0.8  # of the threshold, where a slot that decides raises a suspicion
 
 
