@@ -38,7 +38,7 @@ from mavdiag.identify import Method, Order
 from mavdiag.learning.flights import HeldLog, LearntFlight, airborne, give_back, hold, sessions_of
 from mavdiag.learning.rotors import of_log_kind, with_rotors
 from mavdiag.learning.suspicions import courses, grade_of, least_damage, suspicions
-from mavdiag.learning.teaching import believing, one_vehicle, refuse, repeated, taught, upsets
+from mavdiag.learning.teaching import one_vehicle, refuse, repeated, taught, upsets
 from mavdiag.link.profiles import PROFILES
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
@@ -129,7 +129,7 @@ def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: She
     if link is not None and airframe.imu_corner_hz is None:
         told_hz = first.parameters.get(link.imu_corner_parameter, 0.0)
     airframe = replace(airframe, imu_corner_hz=told_hz) if told_hz > 0.0 else airframe
-    found = believing(taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf), shelf)
+    found = taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf)
     airframe, ordered = with_rotors(airframe, found.flights)
     found = replace(found, flights=tuple(ordered))
     if airframe.scope != "type":

@@ -61,7 +61,7 @@ class ThresholdRule(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Standard deviations of a monitor's block maxima that are believed before any flight.
+    """Standard deviations of a monitor's block maxima that are believed before any flight (`thresholds.priors`).
 
     session, flight, block: between sessions, between flights of one, within a flight; in the statistic's unit, or as
         shares of its healthy mean. least: the smallest threshold that means anything, in the statistic's unit.
@@ -237,10 +237,20 @@ def student(degrees: int, q: float) -> float:
     return float(stdtrit(degrees, q))
 
 
-def _components(scores: Scores, sessions: IntArray, prior: Prior) -> _Components:
+def shown_spreads(scores: Scores, sessions: Sequence[int], prior: Prior) -> tuple[tuple[float, int], ...]:
+    """What healthy flights alone show, in the prior's unit: standard deviation between sessions, between flights and
+    within a flight, each with its degrees of freedom; with none the prior's own."""
+    found = _components(scores, np.array(sessions), prior, degrees=1e-9)
+    unit = abs(float(scores.maxima.mean())) if prior.shares else 1.0
+    sds = found.session_sd, found.flight_sd, found.beta / GUMBEL_SCALE
+    degrees = found.sessions - 1, found.flights - found.sessions, len(scores.maxima) - found.flights
+    return tuple((sd / unit, count) for sd, count in zip(sds, degrees, strict=True))
+
+
+def _components(scores: Scores, sessions: IntArray, prior: Prior, degrees: float = DEGREES) -> _Components:
     """The components of variance of block maxima, by their sums of squares and the prior."""
     x, log_span, flights = scores.maxima, np.log(scores.spans_s / BLOCK_S), np.unique(scores.flights)
-    unit, nu = abs(float(x.mean())) if prior.shares else 1.0, DEGREES
+    unit, nu = abs(float(x.mean())) if prior.shares else 1.0, degrees
     blocks = [x[scores.flights == flight] for flight in flights]
     within = sum(float(np.square(one - one.mean()).sum()) for one in blocks)
     beta = GUMBEL_SCALE * math.sqrt((nu * (prior.block * unit) ** 2 + within) / (nu + len(x) - len(flights)))
