@@ -157,7 +157,7 @@ class Shelf:
 
         def get() -> Arrays:
             mapped = mmap.mmap(file.fileno(), end - begin, access=mmap.ACCESS_READ, offset=begin)
-            return tuple(_mapped(mapped, at - begin, *kind) for at, *kind in places)
+            return tuple(_mapped(mapped, at - begin, dtype, shape, whole) for at, dtype, shape, whole in places)
 
         return get
 

@@ -7,7 +7,7 @@ it. All limits are our choices; `benchmarks/broken_teaching.py` has what they fi
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -266,7 +266,7 @@ def _seen(flight: LearntFlight, what: str) -> list[Any]:
 
 def _glanced(front: Front, held: HeldLog) -> LearntFlight:
     """The flight with all that the guards want to know of its rows, which are not kept; raises as `airborne`."""
-    answers: dict[str, list[Any]] = {what: [] for what in _GLANCES}
+    answers: dict[Hashable, list[Any]] = {what: [] for what in _GLANCES}
     judged = 0
     for rows in pieces_of(front, held.open().telemetry):
         judged += int(np.count_nonzero(rows.rates.valid))

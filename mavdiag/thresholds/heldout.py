@@ -30,7 +30,10 @@ class Looks(Sequence[Rows]):
     """
 
     def __init__(
-        self, makers: Iterable[Callable[[], Rows]], remembers: bool = True, answers: Mapping[str, Any] | None = None
+        self,
+        makers: Iterable[Callable[[], Rows]],
+        remembers: bool = True,
+        answers: Mapping[Hashable, Any] | None = None,
     ) -> None:
         self.makers, self._remembers = tuple(makers), remembers
         self._answers: dict[Hashable, Any] = dict(answers or {})
