@@ -215,7 +215,7 @@ class Baseline(Part):
         if not by_law:
             return f"fault: {shown}, by the largest healthy maximum"
         alarms = sum(one.threshold.budget_per_hour for one in deciding)
-        flights = 1.0 / sum(1.0 / one.threshold.flights_per_suspicion for one in by_law)
+        flights = 1.0 / sum(1.0 / one.threshold.flights_per_suspicion for one in deciding)
         law = f"fault: {alarms:.2g} alarms/h; suspected: one healthy flight in {flights:.3g}"
         return f"{law}; without any law its flights show {shown} above their largest"
 

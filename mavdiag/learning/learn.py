@@ -239,19 +239,17 @@ def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows], number: in
 
 
 def _entries(fitted: Sequence[Fitted], options: LearnOptions, sessions: Sequence[int]) -> Iterator[MonitorEntry]:
-    """Specification and threshold of each monitor. Its alarms and its suspicions are equal shares of what is promised:
-    of the alarms among those that decide, of the suspicions among all, and then among axes. The monitors of sensors and
-    losses have one share together: what finds propellers stays sharp.
+    """Specification and threshold of each monitor. Alarms and suspicions are shared by those that decide, and then by
+    axes; what decides nothing is suspected by its alarm alone. The monitors of sensors and losses have one share
+    together: what finds propellers stays sharp.
     """
     axes = Counter(monitor.name for monitor, _ in fitted)
-    shares, all_shares = (
-        Counter(map(_sharing, names))
-        for names in ({monitor.name for monitor, _ in fitted if monitor.decides} or axes, axes)
-    )
+    deciding = {monitor.name for monitor, _ in fitted if monitor.decides} or set(axes)
+    shares = Counter(map(_sharing, deciding))
     for monitor, scores in fitted:
-        of = _sharing(monitor.name)
-        budget = options.alarms_per_hour / len(shares) / max(1, shares[of]) / axes[monitor.name]
-        flights = options.flights_per_suspicion * len(all_shares) * all_shares[of] * axes[monitor.name]
+        parts = len(shares) * max(1, shares[_sharing(monitor.name)]) * axes[monitor.name]
+        budget = options.alarms_per_hour / parts
+        flights = options.flights_per_suspicion * parts if monitor.name in deciding else 0.0
         yield _entry(monitor.spec, scores, sessions, (budget, flights), options.rule)
 
 

@@ -89,7 +89,7 @@ class Threshold:
     flights, sessions, hours: that they come from, and judged healthy time.
     budget_per_hour: alarms asked for in an hour of judged time. demonstrated_per_hour: what it excludes at 95 %.
     suspected: from where on a fault is suspected, as shares of `value` and of `within(same_session=True)`, up to 1.
-    flights_per_suspicion: healthy flights of which one may come there.
+    flights_per_suspicion: healthy flights of which one may come there; 0 if only the alarm itself is a suspicion.
     false_alarms_per_flight: 1/(n + 1), the price of the maximum rule.
     """
 
@@ -129,11 +129,10 @@ class Threshold:
         if self.rule is ThresholdRule.MAXIMUM:
             price = f"an equal healthy flight alarms with probability {self.false_alarms_per_flight:.3g}"
             return f"largest maximum of {basis}: {price}; {shown}"
-        suspected = (
-            f"{self.suspected[0] * self.value:.3g}, which one flight in {self.flights_per_suspicion:.3g} reaches"
-        )
+        low, one_in = self.suspected[0] * self.value, self.flights_per_suspicion
+        suspected = f"; suspected from {low:.3g}, as one flight in {one_in:.3g}" if self.suspected[0] < 1.0 else ""
         kind = "extrapolated" if self.budget_per_hour < self.demonstrated_per_hour else "demonstrated"
-        return f"{kind} to {self.budget_per_hour:.3g} alarms/h from {basis}; {shown}; suspected from {suspected}"
+        return f"{kind} to {self.budget_per_hour:.3g} alarms/h from {basis}; {shown}{suspected}"
 
 
 def false_alarms_per_flight(flights: int) -> float:
@@ -152,7 +151,8 @@ def threshold_of(
 ) -> Threshold:
     """The threshold that scores of healthy flights allow.
 
-    sessions: that each flight was flown in. budget_per_hour, flights_per_suspicion: this monitor's shares.
+    sessions: that each flight was flown in. budget_per_hour, flights_per_suspicion: this monitor's shares; of the
+    latter 0 if a fault is suspected by the alarm alone.
     Raises UsageError for a budget that is not positive or flights that are not more than 1, IdentificationError for
     scores that are not finite.
 
@@ -165,7 +165,7 @@ def threshold_of(
     """
     if not (math.isfinite(budget_per_hour) and budget_per_hour > 0):
         raise UsageError(f"the budget must be a positive number of alarms per hour, not {budget_per_hour}")
-    if not flights_per_suspicion > 1:
+    if flights_per_suspicion != 0 and not flights_per_suspicion > 1:
         raise UsageError(f"a suspicion must be one of more than 1 flight, not of {flights_per_suspicion}")
     x, suspected, suspected_within = scores.maxima, 1.0, 1.0
     if len(x) == 0 or not np.isfinite(x).all():
@@ -174,11 +174,11 @@ def threshold_of(
         parts = _components(scores, np.array(sessions), prior)
         flown_s = min(parts.flight_s, S_PER_H)
         value, within = (max(level, prior.least) for level in parts.levels(budget_per_hour, S_PER_H / flown_s, flown_s))
-        rare = -math.log1p(-1.0 / flights_per_suspicion)
-        low = (max(level, prior.least) for level in parts.levels(rare, 1.0, parts.flight_s))
-        suspected, suspected_within = (
-            min(a / b, 1.0) if b > 0 else 1.0 for a, b in zip(low, (value, within), strict=True)
-        )
+        if flights_per_suspicion:
+            rare = -math.log1p(-1.0 / flights_per_suspicion)
+            low, low_within = (max(level, prior.least) for level in parts.levels(rare, 1.0, parts.flight_s))
+            suspected = min(low / value, 1.0) if value > 0 else 1.0
+            suspected_within = min(low_within / within, 1.0) if within > 0 else 1.0
     else:
         parts, value, within = _Components(float(x.mean())), float(x.max()), float(x.max())
     hours, exceeding = scores.judged_s / S_PER_H, int(np.count_nonzero(x > value))
