@@ -1,4 +1,4 @@
-"""The baseline artefact `mavdiag.baseline/4`: what a healthy airframe looks like over one link, and at what price.
+"""The baseline artefact `mavdiag.baseline/5`: what a healthy airframe looks like over one link, and at what price.
 
 It is a contract: the airframe, the link profile and rate, each monitor's fit and threshold with the flights that
 support it, where the data came from, and a digest over all of it. Loading refuses what does not fit, naming the field.
@@ -179,7 +179,7 @@ class Provenance(Part):
 class Baseline(Part):
     """The whole artefact."""
 
-    schema_id: Literal["mavdiag.baseline/4"] = Field(alias="schema", default="mavdiag.baseline/4")
+    schema_id: Literal["mavdiag.baseline/5"] = Field(alias="schema", default="mavdiag.baseline/5")
     airframe: Airframe
     link: Link
     window: Window
@@ -205,6 +205,19 @@ class Baseline(Part):
         propellers."""
         times = [one.started_ns for one in self.provenance.logs if one.propellers == self.propellers and one.started_ns]
         return bool(started_ns) and any(abs(started_ns - t_ns) <= SESSION_GAP_NS for t_ns in times)
+
+    @property
+    def promises(self) -> str:
+        """What its thresholds promise of healthy flights, beside what these show without any law: 1/(n + 1)."""
+        by_law = [one for one in self.monitors if one.threshold.rule is not ThresholdRule.MAXIMUM]
+        deciding = [one for one in by_law if monitor_of(one.spec).decides] or by_law
+        shown = f"one healthy flight in {len(self.provenance.logs) + 1}"
+        if not by_law:
+            return f"fault: {shown}, by the largest healthy maximum"
+        alarms = sum(one.threshold.budget_per_hour for one in deciding)
+        flights = 1.0 / sum(1.0 / one.threshold.flights_per_suspicion for one in deciding)
+        law = f"fault: {alarms:.2g} alarms/h; suspected: one healthy flight in {flights:.3g}"
+        return f"{law}; without any law its flights show {shown} above their largest"
 
     @property
     def layout_statement(self) -> str:
@@ -259,6 +272,7 @@ class Baseline(Part):
             advice = covered.advice()
             lines.append(f"{'envelope':<15} {covered}" + (f"; {advice} to widen it" if advice else ""))
         lines += [f"{one.monitor:<15} not judgeable: {one.reason}" for one in self.not_judgeable]
+        lines.append(f"promises   {self.promises}")
         lines.append(f"support    {len(self.provenance.logs)} flights, {self.healthy_hours:.3f} h of flight")
         lines += [f"left out   {one}" for one in self.provenance.left_out]
         lines += [f"note       {one}" for one in self.provenance.notes]

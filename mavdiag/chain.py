@@ -279,7 +279,13 @@ def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None
     same, link, whose = baseline.same_session(started_ns), baseline.link, baseline.airframe
     coaxial = whose.layout is not None and whose.layout.coaxial  # the arm is told, no rotor
     slots = tuple(
-        Slot(one, entry.threshold.within(same_session=same), one.decides or alone, None if coaxial else one.evidence)
+        Slot(
+            one,
+            entry.threshold.within(same_session=same),
+            one.decides or alone,
+            None if coaxial else one.evidence,
+            entry.threshold.suspected[same],
+        )
         for one, entry in zip(monitors, entries, strict=True)
     )
     moves = any(monitor.feature == "motion" for monitor in monitors)

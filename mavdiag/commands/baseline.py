@@ -32,7 +32,8 @@ def show(file: File, as_json: opt.AsJson = False) -> None:
 @app.command()
 def check(file: File) -> None:
     """Validate a baseline: schema, every field, digest. Exit code 0 if it is sound, else 2."""
-    say(f"{file}: sound, {Baseline.load(file).digest}")
+    baseline = Baseline.load(file)
+    say(f"{file}: sound, {baseline.digest}\n{baseline.promises}")
 
 
 @app.command()

@@ -3,9 +3,10 @@
 A slot is a monitor with its threshold; its ratio is its statistic over its threshold, which was set for its own share
 of the alarm budget. So any one that decides may declare a fault, and the shares add up to the budget:
 
-    calm  < 0.7 <=  held  < 0.8 <=  raised  <= 1 <  over        the highest ratio of all slots
+    calm  < 0.7 <=  held  < s <=  raised  <= 1 <  over        the highest ratio of all slots
 
-A slot that does not decide raises a suspicion at most, when it is over. A fault is latched: when every slot that was
+s is where its flight is one of the few healthy ones that may be suspected (`thresholds.rule`). A slot that does not
+decide raises a suspicion at most. A fault is latched: when every slot that was
 over has been calm for 2 s, each by its own fresh values, it is only "no longer seen"; the next ratio above 1 begins
 another episode. The end of a flight turns it into an open inspection, until it is acknowledged. Within an episode the
 most certain name of a rotor holds. A trim that the fall of a named rotor's command explains better than the rise of any
@@ -27,7 +28,6 @@ from mavdiag.kernel import (
     CALM_BELOW,
     LOOK_NS,
     NAN,
-    RAISED_FROM,
     RATIO,
     READ,
     READ_ROTORS,
@@ -57,7 +57,7 @@ _WAYS = (  # from these stages, at these heights: to which one, and why
     ((Stage.QUIET, Stage.SUSPECTED), (Height.UNKNOWN,), Stage.NOT_JUDGED, "no monitor judges"),
     ((Stage.NOT_JUDGED,), (Height.SETTLED, Height.CALM, Height.HELD), Stage.QUIET, "monitors judge"),
     ((Stage.SUSPECTED,), (Height.SETTLED,), Stage.QUIET, "all monitors have been calm again"),
-    ((Stage.NOT_JUDGED, Stage.QUIET), (Height.RAISED,), Stage.SUSPECTED, "a monitor comes near its threshold"),
+    ((Stage.NOT_JUDGED, Stage.QUIET), (Height.RAISED,), Stage.SUSPECTED, "a monitor is where few healthy flights come"),
     (set(Stage) - {Stage.FAULT}, (Height.OVER,), Stage.FAULT, "a monitor is above its threshold"),
 )
 #: Every other pair leaves the stage as it is: no height ends a fault or an inspection.
@@ -68,7 +68,7 @@ NEXT: dict[tuple[Stage, Height], tuple[Stage, str]] = {
 LEFT_ALONE: dict[Stage, tuple[Height, ...]] = {
     Stage.NOT_JUDGED: (Height.UNKNOWN,),
     Stage.QUIET: (Height.CALM, Height.HELD),
-    Stage.SUSPECTED: (Height.HELD, Height.RAISED),
+    Stage.SUSPECTED: (Height.HELD,),
     Stage.FAULT: (),
     Stage.INSPECT: (Height.UNKNOWN, Height.CALM, Height.HELD, Height.RAISED),
 }
@@ -190,7 +190,8 @@ class DecisionSpec:
         if changed:
             now = replace(held, stage=stage, reason=reason, since_ns=t_ns)
         if stage is not Stage.FAULT:
-            return replace(state, diagnosis=_leading(now, fresh)), changed
+            now, news = _suspected_rotor(now, fresh, height)
+            return replace(state, diagnosis=_leading(now, fresh)), changed or news
         if height is Height.OVER and not held.seen:
             why = "the fault is seen again" if held.stage is stage else reason
             declared_ns = t_ns if held.declared_ns is None else held.declared_ns
@@ -251,13 +252,13 @@ class DecisionSpec:
         return replace(state, episode=replace(episode, graded=episode.graded + 1), diagnosis=after), news
 
 
-def height_of(ratio: float, decides: bool) -> Height:
-    """The height of one slot's ratio."""
-    if ratio > 1.0:
-        return Height.OVER if decides else Height.RAISED
-    if not decides or ratio < CALM_BELOW:
-        return Height.CALM
-    return Height.RAISED if ratio >= RAISED_FROM else Height.HELD
+def height_of(ratio: float, slot: Slot) -> Height:
+    """The height of a slot's ratio."""
+    if ratio > 1.0 and slot.decides:
+        return Height.OVER
+    if ratio >= slot.suspected or ratio > 1.0:
+        return Height.RAISED
+    return Height.HELD if slot.decides and ratio >= CALM_BELOW else Height.CALM
 
 
 def landed(held: Diagnosis, t_ns: int) -> Diagnosis:
@@ -276,6 +277,18 @@ def _falls(reading: Reading, held: Diagnosis) -> bool:
     if reading.direct or not a or -min(a) < max(a):
         return False
     return a.index(min(a)) + 1 in [span.rotor for span in held.rotors]
+
+
+def _suspected_rotor(now: Diagnosis, fresh: Sequence[Reading], height: Height) -> tuple[Diagnosis, bool]:
+    """The diagnosis with the rotor that a suspicion names, the latest one; and whether that is news."""
+    if now.stage in (Stage.QUIET, Stage.NOT_JUDGED):
+        return replace(now, rotor=None, confidence=None), False
+    place = (
+        named(FaultKind.PROPELLER, fresh, False) if (now.stage, height) == (Stage.SUSPECTED, Height.RAISED) else None
+    )
+    if place is None or place.rotor in (None, now.rotor):
+        return now, False
+    return replace(now, rotor=place.rotor, confidence=place.confidence), True
 
 
 def _with_rotor(now: Diagnosis, rotor: int, begun_ns: int, t_ns: int) -> tuple[RotorSpan, ...]:
@@ -306,7 +319,7 @@ def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tu
     """How high the highest ratio is, and since when; see `DOUBT_NS` for what waits before it is over."""
     height = Height.UNKNOWN
     if any(reading.slot.decides for reading in fresh):
-        height = max(height_of(reading.ratio, reading.slot.decides) for reading in fresh)
+        height = max(height_of(reading.ratio, reading.slot) for reading in fresh)
     state = _since(state, height, t_ns)
     if state.calm_ns is not None and t_ns - state.calm_ns >= CLEAR_NS:
         return state, Height.SETTLED
@@ -327,7 +340,7 @@ def _leading(it: Diagnosis, fresh: Sequence[Reading]) -> Diagnosis:
         fresh = [one for one in fresh if it.seen and one.ratio > 1.0 and one.slot.decides and _speaks(one, it)]
         if not fresh:
             return it
-    ranks = [(height_of(one.ratio, one.slot.decides), one.slot.decides, one.ratio) for one in fresh]
+    ranks = [(height_of(one.ratio, one.slot), one.slot.decides, one.ratio) for one in fresh]
     return _shown(it, fresh[ranks.index(max(ranks))] if ranks else None)
 
 

@@ -32,7 +32,6 @@ from mavdiag.monitors.fitting import of_each, three
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Signal, Three
-from mavdiag.thresholds.rule import Prior
 
 MOST_RISE = trims.rise_of(trims.MOST_LOSS)
 WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
@@ -361,9 +360,7 @@ class RotorTrim(TrimMonitor[RotorTrimSpec]):
 
     name = "rotor_trim"
     label = "rotor trim"
-    # Emulated quad- and hexarotors have 0.007 to 0.019 between sessions with new propellers, whose thrust differs by
-    # up to 3 %, and 0.001 between flights of one session; other winds make more (our choice). 0.02 is what wind makes.
-    prior = Prior(0.013, 0.004, 0.001, shares=False, least=0.02)
+    least = 0.02  # what wind makes (our choice)
     spec_type = RotorTrimSpec
     feature = Feature.RISE
     doubt = "trim shift: propeller, payload or session"  # a trim alone tells no more
