@@ -1,7 +1,7 @@
 """How long one step of the live chain takes, by percentiles: `python benchmarks/latency.py [--seconds 30]`.
 
 An emulated flight at 1 kHz goes through the chain of all monitors in blocks of 40 ms, as a live link brings it. Each
-step is timed by the wall clock of this process. The steps that bring a look of the decision (every 0.05 s) are the slow
+step is timed by the wall clock of this process. The steps that bring a look of the decision (every 0.1 s) are the slow
 ones; a step that takes longer than its block cannot keep up.
 """
 

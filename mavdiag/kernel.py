@@ -1,7 +1,7 @@
 """The one pass over rows of flight: every monitor, what the envelope lets count, and what the decision looks at.
 
     rows ─▶ columns x ─▶ bins of conditions ─▶ each slot: its monitor's loop ─▶ value, as the envelope lets it count
-         ─▶ a record for each slot and look (0.05 s), alarms, and how long each slot judged
+         ─▶ a record for each slot and look (0.1 s), alarms, and how long each slot judged
 
 A value belongs to the first look at which it is known: its time stamp and the monitor's delay have passed, and its row
 has come. So no look depends on how the rows were cut. All of a segment's memory is in a few arrays.
@@ -32,8 +32,8 @@ from mavdiag.telemetry import Axis, FloatArray, IntArray, Signal
 from mavdiag.thresholds.envelope import ORDER, Covered, excess_of, farthest, limits_of, seen_from
 from mavdiag.units import NS_PER_S
 
-LOOK_NS = NS_PER_S // 20  # time between two looks (our choice)
-STALE_LOOKS = 20  # a slot whose last valid value is older does not count (our choice)
+LOOK_NS = NS_PER_S // 10  # time between two looks (our choice)
+STALE_LOOKS = 10  # a slot whose last valid value is older does not count (our choice)
 CALM_BELOW, RAISED_FROM = 0.7, 0.8  # of the threshold (our choice); one emulated flight in 62 healthy h was suspected
 LATE_NS = NS_PER_S  # so much a value may come after the rows of its time: half a filter's window (our choice)
 WAITING = "waiting for enough unbroken flight"  # why a monitor does not judge although its signals are known
@@ -420,7 +420,7 @@ class Looked:
     heights: Sequence[int | None] = ()  # of the highest fresh ratio; None where it is to be found anew
     leads: Sequence[int] = ()  # whose it is, -1 for none
     alarms: tuple[Alarm, ...] = ()  # what opened or closed, in order of looks
-    end_ns: int | None = None  # vehicle time of the last look, where it is none of every 0.05 s
+    end_ns: int | None = None  # vehicle time of the last look, where it is none of every 0.1 s
 
 
 @dataclass(frozen=True, slots=True)
