@@ -146,7 +146,7 @@ class Daemon:
         next_at = self._now()
         while not stop():
             self.tick()
-            next_at = next_at + self._settings.tick_s
+            next_at = self.fleet.next_look(next_at, self._settings.tick_s)
             late_s = self._now() - next_at
             if late_s > 0:
                 self._late, self._latest_s = self._late + 1, max(self._latest_s, late_s)

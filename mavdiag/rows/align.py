@@ -114,6 +114,11 @@ class AlignState:
         """Time of the last row [ns]."""
         return int(self.streams.now[LAST])
 
+    @property
+    def newest_ns(self) -> int:
+        """Latest time of the gyro [ns]."""
+        return self.reached[GYRO]
+
     def append(self, series: Series, quality: LinkQuality) -> None:
         """Put samples behind those that came. Raises InputError if their columns are others than before."""
         place, (count, columns) = PLACES.get(series.signal), series.values.shape
@@ -239,6 +244,17 @@ class AlignSpec:
             if -NEVER_NS < newest[place] < found and safe < newest[place] + limits[place]:
                 found = newest[place]
         return found
+
+    def expected_ns(self, state: AlignState, row_ns: int) -> int:
+        """How far the gyro comes until a row is complete, if all streams keep their usual steps [ns]."""
+        calm = self.grid is Grid.NATIVE and state.reached[GYRO] > int(state.streams.now[CALM])
+        expected = row_ns + (ORDER_NS if calm else self.limits_ns[REORDER])
+        for newest_ns, step_ns in zip(
+            state.reached[SETPOINT:THRUST], state.streams.marks[SETPOINT:THRUST, STEP].tolist(), strict=True
+        ):
+            if step_ns and newest_ns < row_ns:
+                expected = max(expected, row_ns + (newest_ns - row_ns) % step_ns)
+        return expected
 
 
 def _widened(table: NDArray[Any], width: int) -> NDArray[Any]:
