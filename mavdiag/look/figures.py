@@ -8,16 +8,15 @@ import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import MIN_OUTPUT, shown_trim
+from mavdiag.monitors.rotor_speed import MADE_UP_RAD_S
 from mavdiag.rows.block import Block
 from mavdiag.rows.windows import spans
 from mavdiag.telemetry import BoolArray, FloatArray, Signal, Telemetry
-from mavdiag.units import RPM
 
 # ArduPilot's own advice on the message VIBRATION (wiki, "Measuring Vibration"): up to 30 m/s^2 is normally acceptable,
 # above 30 there may be problems, above 60 there nearly always are.
 VIBRATION_USUAL, VIBRATION_HIGH = 30.0, 60.0
 FULL, IDLE = 0.98, 0.06  # an output at its upper or its lower end (our choice)
-MADE_UP_RAD_S = 6000 * RPM  # that PX4 tells of full output in simulation (SimulatorMavlink: ESC_STATUS)
 HELD_S = 0.3  # or at a limit of the mixer: it stands still for so long, as no motor in flight does (our choice)
 AWAY = 0.5  # and by more than this share of the mean beside it (our choice)
 LEAST_S = 2.0  # of unbroken flight that a line is looked for in (our choice)
