@@ -4,8 +4,8 @@
 
 Airframes are drawn, every second one aged. Each teaches a baseline with 5 healthy squares of 40 s, by the defaults,
 over an `ardupilot` and a `px4` link: ESCs at 10 Hz in steps of 14 rpm, of which 2 % of the frames are lost. Fresh
-flights of 40 s are judged, one rotor damaged at a drawn time 35 to 45 % through, or none; those without damage are as many as of
-each size. Damage: thrust and drag lost alike, as with a shorter blade; thrust alone, its drag kept.
+flights of 40 s are judged, one rotor damaged at a drawn time 35 to 45 % through, or none; those without damage are as
+many as of each size. Damage: thrust and drag lost alike, as with a shorter blade; thrust alone, its drag kept.
 
 load: share of a motor's voltage that its resistance takes in hover (0.15 to 0.25 of small motors, estimate). session:
 standard deviation of each motor's speed for its command from flight to flight, of the teaching ones too (magnets and
@@ -18,10 +18,11 @@ Of those found, the rotor that has the most evidence at the first alarm, and tha
 import argparse
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import islice
 from multiprocessing import get_context
 
 import numpy as np
@@ -115,6 +116,16 @@ def job(task: tuple[Setup, str, float, int]) -> Found:
     return judged(*task)
 
 
+def line(name: str, loss: float, found: Sequence[Found]) -> str:
+    """A row of the table."""
+    count = Counter(field for one in found for field in Found.__dataclass_fields__ if getattr(one, field) is True)
+    hours, limits = sum(one.judged_s for one in found) / S_PER_H, sorted(one.threshold for one in found)
+    what = f"{name} {loss:.0%}" if loss else f"healthy, {hours:.2f} h judged"
+    right = [f", rotor right {count[field]}" if loss else "" for field in ("alarm_right", "fault_right")]
+    by = f"rotor_speed {count['alarmed']}{right[0]}; fault {count['fault']}{right[1]}"
+    return f"{what:24} of {len(found)}: {by}; thresholds {limits[0]:.4f} to {limits[-1]:.4f} of the speed"
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -124,6 +135,7 @@ def main() -> None:
     parser.add_argument("--load", type=float, default=0.2)
     parser.add_argument("--session", type=float, default=0.0005)
     parser.add_argument("--links", nargs="*", default=["ardupilot@100", "px4@100"])
+    parser.add_argument("--sizes", nargs="*", type=float, default=SIZES, help="percent of thrust")
     parser.add_argument("--workers", type=int, default=1)
     arguments = parser.parse_args()
     start_s, seed = time.monotonic(), arguments.seed
@@ -132,29 +144,16 @@ def main() -> None:
         for number in range(arguments.airframes)
         for link in arguments.links
     ]
-    rows = [("thrust and drag", 0.0), *((name, size / 100) for name in DAMAGE for size in SIZES)]
+    rows = [("thrust and drag", 0.0), *((name, size / 100) for name in DAMAGE for size in arguments.sizes)]
     tasks = [
         (setups[i % len(setups)], name, loss, seed + 20_000 + 1000 * k + i)
         for k, (name, loss) in enumerate(rows)
         for i in range(arguments.flights)
     ]
-    order = sorted(range(len(tasks)), key=lambda at: setups.index(tasks[at][0]))  # each worker learns few baselines
     with ProcessPoolExecutor(arguments.workers, mp_context=get_context("spawn")) as pool:
-        chunk = max(1, len(tasks) // (arguments.workers * len(setups)))
-        answers = dict(zip(order, pool.map(job, [tasks[at] for at in order], chunksize=chunk), strict=True))
-    thresholds = sorted({found.threshold for found in answers.values()})
-    print(f"{len(setups)} baselines, thresholds {thresholds[0]:.4f} to {thresholds[-1]:.4f} of the speed")
-    for k, (name, loss) in enumerate(rows):
-        found = [answers[k * arguments.flights + i] for i in range(arguments.flights)]
-        count = Counter(field for one in found for field in Found.__dataclass_fields__ if getattr(one, field) is True)
-        hours = sum(one.judged_s for one in found) / S_PER_H
-        what = f"{name} {loss:.0%}" if loss else f"healthy ({hours:.2f} h judged)"
-        named = f", rotor right {count['alarm_right']}" if loss else ""
-        decided = f", rotor right {count['fault_right']}" if loss else ""
-        print(
-            f"{what:28} of {len(found)}: rotor_speed {count['alarmed']}{named}; fault {count['fault']}{decided}",
-            flush=True,
-        )
+        answers = pool.map(job, tasks)
+        for name, loss in rows:
+            print(line(name, loss, list(islice(answers, arguments.flights))), flush=True)
     print(f"{time.monotonic() - start_s:.0f} s, seed {seed}")
 
 

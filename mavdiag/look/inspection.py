@@ -43,6 +43,7 @@ SLACK = 0.98  # a rate that is this share of what is needed will do
 _LEAST_HZ: Mapping[str, float] = {
     "innovation": monitors.innovation.MIN_RATE_HZ,
     "rotor_signature": monitors.rotor_signature.MIN_RATE_HZ,
+    "rotor_speed": monitors.rotor_speed.MIN_RATE_HZ,
     "sensor_noise": monitors.sensor_noise.LEAST_RATE_HZ,
     "sensor_drift": monitors.sensor_drift.MIN_RATE_HZ,
     "control_loss": monitors.control_loss.MIN_RATE_HZ,

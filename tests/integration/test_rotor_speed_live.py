@@ -1,0 +1,36 @@
+"""ESC telemetry from the emulator to the daemon on a virtual clock: a rotor that turns too fast is found and named."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from made_vehicle import Bench
+from virtual_flight import VirtualFlight, healthy_flights, learnt
+
+from detector.config import Settings
+from detector.states import State
+from sitl_plant.physics.faults import Injection, RotorDamage
+from sitl_plant.plant import PlantConfig
+from sitl_plant.vehicle import qdrone2
+
+VEHICLE = replace(qdrone2(), propulsion=replace(qdrone2().propulsion, load_share=0.2))
+
+
+@pytest.mark.parametrize("profile", ["ardupilot", "px4"])
+def test_a_propeller_that_lost_drag_is_named_by_its_rotors_speed(profile: str) -> None:
+    baseline = learnt(healthy_flights(range(3), 40.0, profile, vehicle=VEHICLE))
+    assert "rotor_speed" in {entry.spec.kind for entry in baseline.monitors}
+    bench = Bench(Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json")), baseline=baseline)
+    damage = Injection(RotorDamage(thrust_factor=0.9, drag_factor=0.9), rotor=3, onset_s=20.0)
+    try:
+        VirtualFlight(bench).fly(PlantConfig(seed=9, vehicle=VEHICLE, injections=(damage,)), 35.0, profile)
+        (figures,) = bench.daemon.fleet.figures()
+        lines = bench.host.lines
+    finally:
+        bench.close()
+    assert any(State.FAULTED in line for line in lines)
+    speed = next(gauge for gauge in figures.gauges if gauge.monitor == "rotor_speed")
+    assert speed.valid
+    assert speed.statistic > speed.threshold
+    assert speed.statistic == pytest.approx(0.017, abs=0.004)  # 0.2/1.2 of the drag
+    assert figures.rotor == 3
