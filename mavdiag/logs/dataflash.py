@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from mavdiag.airframe.parameters import COPTER_MOTORS, output_functions
 from mavdiag.errors import InputError
 from mavdiag.jit import cached
-from mavdiag.logs.log import RECORDED_GATE, LogKind, Row, Table, gather, read_rows, recorded, windows_of
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Log, Series, Signal, Telemetry
+from mavdiag.logs.log import MAX_TIME_US, RECORDED_GATE, LogKind, Row, Table, gather, read_rows, recorded, windows_of
+from mavdiag.telemetry import Batch, BoolArray, FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_MS, NS_PER_S, NS_PER_US, RPM
 
 PROFILE = "ardupilot-log"
@@ -38,6 +38,7 @@ THROTTLE_PER_MILLE = 1e-3  # ThrOut up to Copter 3.3 is 0..1000
 CENTIVOLT = 0.01  # CURR.Volt where it is an integer
 PWM_ZERO_US, PWM_SPAN_US = 1000.0, 1000.0
 MAX_CHANNELS = 14  # of RCOU
+ACCELEROMETER = 0  # ISBH.type
 ESC_HOLDS_S = 1.5  # the last speed of an ESC counts so long (our choice, as of a live one in `rows.align`)
 ESC_SAYS = {1 << 2: "an alert", 1 << 3: "a warning", 1 << 4: "an error"}  # EDT2.Status (AP_ESC_Telem, log_Edt2_Status)
 EVENT_ARMED, EVENT_DISARMED = 10, 11
@@ -233,17 +234,8 @@ _ROWS = (
     Row(Signal.VOLTAGE, "BAT", ("Volt",), integer_unit=CENTIVOLT),
     Row(Signal.VOLTAGE, "CURR", ("Volt",), integer_unit=CENTIVOLT),
 )
-WANTED = frozenset(row.table for row in _ROWS) | {
-    "RATE",
-    "RCOU",
-    "PARM",
-    "ARM",
-    "EV",
-    "GPS",
-    "MSG",
-    *_OF_ROTORS,
-    *_ESCS,
-}
+_OTHERS = ["RATE", "RCOU", "PARM", "ARM", "EV", "GPS", "MSG", "ISBH", "ISBD"]
+WANTED = frozenset((*(row.table for row in _ROWS), *_OTHERS, *_OF_ROTORS, *_ESCS))
 
 # What the firmware says at its start: "ArduCopter V4.5.6 (bbf0b066)", "APM:Copter V3.3", "Frame: QUAD/X".
 _FIRMWARE = re.compile(rb"(?:ardu|apm:|antenna)?(copter|plane|rover|sub|tracker|blimp)[0-9]? V\d", re.IGNORECASE)
@@ -279,8 +271,9 @@ def read_dataflash(path: Path) -> Log:
         raise InputError(f"{path}: not a usable DataFlash log: no record of a known signal; check that logging was on")
     named = (path.name, digest.hexdigest(), PROFILE)
     kind = _mav_type(tables["MSG"], parameters)
-    told = (*notes, *_esc_notes(tables["EDT2"]))
-    return Log(*named, Telemetry(series), _started_ns(tables, series), told, parameters, bool(motors), kind)
+    told, began_ns = (*notes, *_esc_notes(tables["EDT2"])), _started_ns(tables, series)
+    batches = _batches(tables["ISBH"], tables["ISBD"])
+    return Log(*named, Telemetry(series), began_ns, told, parameters, bool(motors), kind, batches=batches)
 
 
 def _rate_loop(tables: Tables, gyro: Series | None) -> tuple[Series, ...]:
@@ -367,6 +360,29 @@ def _rotor_speeds(tables: Tables, motors: Sequence[int], parameters: Mapping[str
         fresh = known[t_ns[known] - t_ns[own[last[known]]] <= ESC_HOLDS_S * NS_PER_S]
         values[fresh, column] = speeds[own[last[fresh]]]
     return (recorded(Signal.ROTOR_SPEED, t_ns, values),) if np.isfinite(values).any() else ()
+
+
+def _batches(head: Table, data: Table) -> tuple[Batch, ...]:
+    """Raw batches of the lowest accelerometer (AP_InertialSensor, BatchSampler): of each what came without a gap."""
+    names = ("N", "type", "instance", "mul", "SampleUS", "smp_rate")
+    axes = [data.fields.get(axis, np.empty(0)) for axis in "xyz"]
+    if not (head.has(*names) and data.has("N", "seqno")) or any(one.ndim != 2 for one in axes):
+        return ()
+    number, kind, instance, unit, time_us, rate_hz = (head.column(name) for name in names)
+    raw, found = np.stack(axes, axis=2), list[Batch]()
+    wanted = (
+        (kind == ACCELEROMETER) & (unit > 0) & (rate_hz > 0) & np.isfinite(unit * rate_hz) & (time_us < MAX_TIME_US)
+    )
+    wanted &= instance == instance[wanted].min(initial=np.inf)
+    ends = np.searchsorted(data.starts, np.append(head.starts, np.iinfo(np.int64).max))  # its data are before the next
+    for at in np.flatnonzero(wanted).tolist():
+        own = np.arange(ends[at], ends[at + 1])
+        own = own[data.column("N")[own] == number[at]]
+        whole = data.column("seqno")[own] == np.arange(len(own))
+        own = own[: len(own) if whole.all() else int(whole.argmin())]
+        if len(own):
+            found.append(Batch(int(time_us[at]) * NS_PER_US, float(rate_hz[at]), raw[own].reshape(-1, 3) / unit[at]))
+    return tuple(sorted(found, key=lambda batch: batch.t_ns))
 
 
 def _esc_notes(table: Table) -> tuple[str, ...]:

@@ -178,7 +178,7 @@ def inspection_of(
         loads=figures.output_loads(flight, motors),
         trim=None if layout is None else figures.trim(flight, layout),
         vibration=figures.vibration(flight),
-        line=figures.rotor_line(flight, corner_hz, figures.told_hz(log.telemetry)) if flight else None,
+        line=figures.rotor_line(flight, corner_hz, figures.told_hz(log.telemetry), log.batches) if flight else None,
         baseline="" if baseline is None else baseline_statement(baseline, log, signals),
         monitors=monitor_states(log, signals, airframe, baseline),
     )

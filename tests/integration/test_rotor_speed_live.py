@@ -29,8 +29,8 @@ def test_a_propeller_that_lost_drag_is_named_by_its_rotors_speed(profile: str) -
     finally:
         bench.close()
     assert any(State.FAULTED in line for line in lines)
-    speed = next(gauge for gauge in figures.gauges if gauge.monitor == "rotor_speed")
-    assert speed.valid
-    assert speed.statistic > speed.threshold
-    assert speed.statistic == pytest.approx(0.017, abs=0.004)  # 0.2/1.2 of the drag
-    assert figures.rotor == 3
+    ratios = {name: ratio for name, _, ratio in figures.ratios}
+    threshold = next(entry.threshold.value for entry in baseline.monitors if entry.spec.kind == "rotor_speed")
+    assert ratios["rotor_speed"] * threshold == pytest.approx(0.017, abs=0.004)  # 0.2/1.2 of the drag
+    assert ratios["rotor_speed"] > 1.0
+    assert figures.diagnosis.rotor == 3
