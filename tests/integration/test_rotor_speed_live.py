@@ -8,7 +8,6 @@ from made_vehicle import Bench
 from virtual_flight import VirtualFlight, healthy_flights, learnt
 
 from detector.config import Settings
-from detector.states import State
 from sitl_plant.physics.faults import Injection, RotorDamage
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import qdrone2
@@ -28,9 +27,7 @@ def test_a_propeller_that_lost_drag_is_named_by_its_rotors_speed(profile: str) -
         lines = bench.host.lines
     finally:
         bench.close()
-    assert any(State.FAULTED in line for line in lines)
+    assert any("PROP FAULT motor 3" in line for line in lines)
     ratios = {name: ratio for name, _, ratio in figures.ratios}
-    threshold = next(entry.threshold.value for entry in baseline.monitors if entry.spec.kind == "rotor_speed")
-    assert ratios["rotor_speed"] * threshold == pytest.approx(0.017, abs=0.004)  # 0.2/1.2 of the drag
-    assert ratios["rotor_speed"] > 1.0
+    assert ratios["rotor_speed"] > 1.5
     assert figures.diagnosis.rotor == 3
