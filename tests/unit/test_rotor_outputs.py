@@ -193,8 +193,8 @@ def silent(count: int) -> list[Log]:
 def test_an_unknown_layout_is_loud_in_the_baseline_and_in_every_verdict() -> None:
     baseline = taught(silent(2))
     line = (
-        "rotor layout unknown: the data carry no rotor outputs that move; rotor_signature, rotor_trim, trim_step "
-        "do not judge, and no rotor is named; name it with --layout or --airframe"
+        "rotor layout unknown: the data carry no rotor outputs that move; rotor_signature, rotor_trim, rotor_speed, "
+        "trim_step do not judge, and no rotor is named; name it with --layout or --airframe"
     )
     assert line in str(baseline).splitlines()
     verdict = judge(silent(1)[0], baseline)
