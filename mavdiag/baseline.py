@@ -265,6 +265,8 @@ class Baseline(Part):
             over = f" of |r| above {monitor.reference:.4f} rad/s" if monitor.reference else ""
             lines.append(f"{name:<15} threshold {threshold.value:.4g} {monitor.unit}{over}")
             lines.append(f"{'':<15} {threshold.statement()}")
+            if blind := monitor.blindness(threshold.value):
+                lines.append(f"{'':<15} {blind}")
             if threshold.session_allowance > 0:
                 within = threshold.within(same_session=True)
                 lines.append(f"{'':<15} {within:.4g} in a session of these flights; another may differ")
@@ -337,7 +339,8 @@ def without_mute(monitors: Iterable[MonitorEntry], remedy: str) -> tuple[tuple[M
         if limit < monitor.reach:
             judging.append(entry)
         else:
-            text = f"its threshold {limit:.3g} {monitor.unit} cannot be reached ({monitor.reach:.3g} at most); {remedy}"
+            text = f"its threshold {limit:.3g} {monitor.unit} cannot be reached ({monitor.reach:.3g} at most)"
+            text += f", {blind}; {remedy}" if (blind := monitor.blindness(limit)) else f"; {remedy}"
             refusals.append(Refusal(monitor=monitor.name, reason=text))
     return tuple(judging), tuple(refusals)
 

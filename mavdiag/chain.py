@@ -292,13 +292,13 @@ def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None
     monitors = [monitor_of(entry.spec) for entry in entries]
     alone = not any(monitor.decides for monitor in monitors)
     same, link, whose = baseline.same_session(started_ns), baseline.link, baseline.airframe
-    coaxial = whose.layout is not None and whose.layout.coaxial  # the arm is told, no rotor
+    arms = whose.layout.arms if whose.layout is not None and whose.layout.coaxial else ()
     slots = tuple(
         Slot(
             one,
             entry.threshold.within(same_session=same),
             one.decides or alone,
-            None if coaxial else one.evidence,
+            one.evidence and replace(one.evidence, arms=arms),
             entry.threshold.suspected[same],
         )
         for one, entry in zip(monitors, entries, strict=True)

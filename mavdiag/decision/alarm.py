@@ -177,7 +177,7 @@ class DecisionSpec:
 
     def _reading(self, number: int, row: Sequence[float]) -> Reading:
         slot = self.slots[number]
-        return Reading(slot, row[RATIO], row[READ], tuple(row[READ_ROTORS:]) if slot.monitor.rotors else ())
+        return Reading.of(slot, row[RATIO], row[READ], row[READ_ROTORS:])
 
     def _decide(self, state: DecisionState, fresh: list[Reading], t_ns: int) -> tuple[DecisionState, bool]:
         """Look the transition up, and see whether the rotor can be named; True if anything changed."""
@@ -276,7 +276,7 @@ def _falls(reading: Reading, held: Diagnosis) -> bool:
     a = reading.rotors
     if reading.direct or not a or -min(a) < max(a):
         return False
-    return a.index(min(a)) + 1 in [span.rotor for span in held.rotors]
+    return reading.motor(a.index(min(a))) in [span.rotor for span in held.rotors]
 
 
 def _suspected_rotor(now: Diagnosis, fresh: Sequence[Reading], height: Height) -> tuple[Diagnosis, bool]:
@@ -354,4 +354,6 @@ def _shown(it: Diagnosis, best: Reading | None) -> Diagnosis:
 def _speaks(reading: Reading, it: Diagnosis) -> bool:
     """Whether evidence is of the fault's kind, and may stand beside the name of a rotor: a trim shows one alone."""
     own = it.rotor is None or reading.direct or not reading.rotors
-    return reading.slot.monitor.kind is it.kind and (own or reading.rotors.index(max(reading.rotors)) + 1 == it.rotor)
+    return reading.slot.monitor.kind is it.kind and (
+        own or reading.motor(reading.rotors.index(max(reading.rotors))) == it.rotor
+    )

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.layout import Motor, RotorLayout
 from mavdiag.errors import InputError
 from mavdiag.identify import Method, Order
 from mavdiag.monitors.columns import SOUND, VALUE, Columns, Loop, columns_of, no_past
@@ -80,6 +80,8 @@ class RotorEvidence:
 
     weight: float  # logits per unit of evidence
     relative: bool = False  # the evidence counts in units of the monitor's threshold
+    least: float = 0.0  # the smallest such unit
+    arms: tuple[Motor, ...] = ()  # what is named, and the evidence is the highest of its rotors; empty: each rotor
     direct: bool = True  # it observes the damaged rotor itself
 
 
@@ -176,6 +178,10 @@ class Monitor(ABC, Generic[Spec]):
     def extended(self, flights: Flights, sessions: int) -> Spec:
         """Its fit with a further session of healthy flights. sessions: how many it rests on."""
         return self.spec
+
+    def blindness(self, threshold: float) -> str:
+        """What it does not notice at a threshold, in half a sentence; empty where nothing is to be said."""
+        return ""
 
     def period_s(self, dt_s: float) -> float:
         """Span of flight that one value stands for [s], at a row period."""

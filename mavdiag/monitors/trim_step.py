@@ -136,7 +136,7 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     def spread(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
         """Of healthy shifts within flights."""
         walked = [segment for flight in flights for segment in flight]
-        shifts = [segment[TRACE + 7 : TRACE + 10, segment[SOUND] > 0.5] for segment in walked]
+        shifts = [segment[TRACE + 8 : TRACE + 11, segment[SOUND] > 0.5] for segment in walked]
         found = np.concatenate([np.empty((3, 0)), *shifts], axis=1).T
         if len(found) == 0:
             raise IdentificationError(f"no unbroken {2 * trim.WINDOW_S:g} s of flight to compare trims in; fly longer")
