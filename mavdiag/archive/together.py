@@ -80,9 +80,10 @@ class Together:
         return tuple((order[:needed] + 1).tolist())
 
     def as_json(self) -> dict[str, Any]:
-        """Flights, odds, rotors that may be it, and the log of the first flight of the change; null if unknown."""
+        """Flights and odds; of a change the rotors that may be it, and the log of its first flight."""
         odds, since = self.evidence and float(f"{self.evidence.odds:.3g}"), self.since and self.since.log
-        return {"flights": self.flights, "odds": odds, "changed": self.changed, "rotors": self.rotors, "since": since}
+        of_change = {"rotors": list(self.rotors), "since": since} if self.changed else {"rotors": [], "since": None}
+        return {"flights": self.flights, "odds": odds, "changed": self.changed, **of_change}
 
 
 def reference_of(baseline: Baseline) -> Reference:

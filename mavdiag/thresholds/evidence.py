@@ -47,11 +47,6 @@ class Evidence:
     shares: tuple[float, ...]
     since: int
 
-    @property
-    def rotor(self) -> int:
-        """The likeliest, from 1."""
-        return 1 + int(np.argmax(self.shares))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flown:

@@ -44,13 +44,16 @@ def test_flights_within_an_hour_or_without_a_clock_share_a_session(asked: list[F
     together(REFERENCE, flown([START_NS + HOUR_NS // 2, day, day + HOUR_NS // 2, 0, day + DAY_NS, day + 2 * DAY_NS]))
     assert asked[0].sessions.tolist() == [0, 0, 1, 1, 0, 2, 2, 2, 2, 3]
     together(REFERENCE, flown([START_NS, 0]), new_propellers=True)
-    assert asked[1].sessions.tolist()[4:] == [2, 2] and asked[1].propellers.tolist() == [0, 0, 0, 0, 1, 1]
+    assert asked[1].sessions.tolist()[4:] == [2, 2]
+    assert asked[1].propellers.tolist() == [0, 0, 0, 0, 1, 1]
 
 
 def test_flights_that_taught_and_those_without_a_trim_do_not_count(asked: list[Flown]) -> None:
     one, other, third = flown([START_NS + i * DAY_NS for i in (5, 6, 7)])
     said = together(REFERENCE, [replace(one, content="a" * 64 + ":1"), replace(other, trim=()), third])
-    assert said.flights == 1 and said.since is third and len(asked[0].trims) == 5
+    assert said.flights == 1
+    assert said.since is third
+    assert len(asked[0].trims) == 5
     assert together(REFERENCE, [replace(third, trim=())]).evidence is None
     assert "nothing can be said" in str(together(replace(REFERENCE, flights=()), [third]))
 
@@ -59,8 +62,11 @@ def test_a_change_is_told_with_its_rotor_odds_and_first_flight() -> None:
     days = [START_NS + i * DAY_NS for i in range(5, 13)]
     healthy, damaged = flown(days[:4]), flown(days[4:], rise=0.1)
     said = together(REFERENCE, [*healthy, *damaged])
-    assert said.changed and said.rotors == (3,) and said.since == damaged[0]
-    assert "8 flights together: rotor 3 has changed, " in str(said) and str(said).endswith(" to 1, since flight 0.tlog")
+    assert said.changed
+    assert said.rotors == (3,)
+    assert said.since == damaged[0]
+    assert "8 flights together: rotor 3 has changed, " in str(said)
+    assert str(said).endswith(" to 1, since flight 0.tlog")
     assert not together(REFERENCE, healthy).changed
     assert "no rotor is known to have changed" in str(together(REFERENCE, healthy))
 
@@ -68,10 +74,13 @@ def test_a_change_is_told_with_its_rotor_odds_and_first_flight() -> None:
 def test_new_propellers_begin_anew_and_may_differ() -> None:
     flights = [*flown([START_NS + i * DAY_NS for i in range(5, 13)], rise=0.1)]
     found = overview_of("one", flights, (), (REFERENCE,))
-    assert found.together is not None and found.together.changed
-    assert overview_json(found)["together"]["rotors"] == [3] or overview_json(found)["together"]["rotors"] == (3,)
+    assert found.together is not None
+    assert found.together.changed
+    assert overview_json(found)["together"]["rotors"] == [3]
     assert any(line.loud and "rotor 3 has changed" in line.text for line in lines_of(found))
     mark = Mark("one", flights[3].started_ns + 1, MarkKind.NEW_PROPELLERS)
     fresh = overview_of("one", flown([one.started_ns for one in flights], rise=0.02), (mark,), (REFERENCE,))
-    assert fresh.together is not None and fresh.together.flights == 4 and not fresh.together.changed
+    assert fresh.together is not None
+    assert fresh.together.flights == 4
+    assert not fresh.together.changed
     assert overview_of("one", flights, (), ()).together is None
