@@ -4,8 +4,8 @@
     python benchmarks/evidence.py drawn --seed 5100 [--airframes 200] [--factor 1]
 
 recorded: every choice of five, four, three and two of the healthy flights of E8 teaches. The three flights of each
-folder are judged together, in one session, for their logs have no clock; so are all sets of up to three of the healthy
-flights that are left out.
+folder are judged together, and so are all sets of up to three of the healthy flights that are left out. Their logs have
+no clock.
 
 drawn: airframes after the law of `mavdiag.thresholds.evidence`, whose standard deviations are drawn from the prior, and
 taken --factor times. Each is taught by 3, 5, 10 and 30 flights in one or three sessions, and flies --flights more in

@@ -1,8 +1,9 @@
 """What flights of one airframe say together: by what odds a rotor has changed since the flights of the baseline. Pure.
 
 The law is in `mavdiag.thresholds.evidence`. Here stand its inputs: which flights count, and in which session each was
-flown. A new flight within an hour of one that taught, with its propellers, is of that session; so is one of the session
-of the flight before, within an hour of it, or if either has no clock: that claims least.
+flown. A new flight within an hour of one that taught, with its propellers, is of that session, one within an hour of
+the flight before it of that flight's. Where either has no clock, both may be: the lower odds of all such flights in one
+session, and of each in one of its own, are told. The lower of two e-processes is one if either is.
 """
 
 from collections.abc import Sequence
@@ -106,31 +107,40 @@ def together(reference: Reference, records: Sequence[FlightRecord], *, new_prope
     flights = [one for one in records if one.trim and one.content.partition(":")[0] not in known]
     if not (flights and taught and reference.columns):
         return Together(len(flights))
-    last = max(one.propellers for one in taught)
-    sessions = [one.session for one in taught]
-    for i, flight in enumerate(flights):
-        near = [one for one in taught if one.propellers == last and _alike(one.started_ns, flight.started_ns)]
-        before = flights[i - 1] if i else None
-        follows = before is not None and (
-            not (before.started_ns and flight.started_ns) or _alike(before.started_ns, flight.started_ns)
-        )
-        own = near[0].session if near and not new_propellers else max(sessions) + 1
-        sessions.append(sessions[-1] if follows else own)
-    C = np.array(reference.columns)
-    flown = Flown(
-        trims=np.array([*(one.trim for one in taught), *(one.trim for one in flights)]),
-        sessions=np.array(sessions),
-        propellers=np.array([*(one.propellers for one in taught), *[last + new_propellers] * len(flights)]),
-        spans_s=np.array([*(one.judged_s for one in taught), *(one.judged_s for one in flights)]),
-        learnt=len(taught),
+    last, C = max(one.propellers for one in taught), np.array(reference.columns)
+    common = (
+        np.array([*(one.propellers for one in taught), *[last + new_propellers] * len(flights)]),
+        np.array([*(one.judged_s for one in taught), *(one.judged_s for one in flights)]),
+        len(taught),
     )
-    evidence = evidence_of(flown, C, priors_of(C))
+    trims = np.array([*(one.trim for one in taught), *(one.trim for one in flights)])
+    alike = [one for one in taught if one.propellers == last and not new_propellers]
+    own = tuple(one.session for one in taught)
+    sessions = {(*own, *_sessions(taught, alike, flights, unknown)) for unknown in (False, True)}
+    found = (evidence_of(Flown(trims, np.array(each), *common), C, priors_of(C)) for each in sorted(sessions))
+    evidence = min(found, key=lambda one: one.odds)
     return Together(len(flights), evidence, flights[evidence.since])
 
 
-def _alike(one_ns: int, other_ns: int) -> bool:
-    """Whether both times are known, and of one session."""
-    return bool(one_ns and other_ns) and abs(one_ns - other_ns) <= SESSION_GAP_NS
+def _sessions(
+    taught: Sequence[Taught], alike: Sequence[Taught], flights: Sequence[FlightRecord], if_unknown: bool
+) -> list[int]:
+    """The session of each flight. alike: those that taught with its propellers. if_unknown: said without clocks."""
+    found, number, before_ns = list[int](), max(one.session for one in taught), -1
+    for at_ns in (flight.started_ns for flight in flights):
+        near = [one.session for one in alike if _together(one.started_ns, at_ns, False)]
+        if before_ns < 0 or not _together(before_ns, at_ns, if_unknown):
+            number += 1
+            found.append(near[0] if near else number)
+        else:
+            found.append(found[-1])
+        before_ns = at_ns
+    return found
+
+
+def _together(one_ns: int, other_ns: int, if_unknown: bool) -> bool:
+    """Whether two times are of one session."""
+    return abs(one_ns - other_ns) <= SESSION_GAP_NS if one_ns and other_ns else if_unknown
 
 
 def priors_of(columns: FloatArray) -> tuple[Prior, Prior, Prior]:

@@ -39,13 +39,22 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Flown]:
     return found
 
 
-def test_flights_within_an_hour_or_without_a_clock_share_a_session(asked: list[Flown]) -> None:
+def test_flights_within_an_hour_share_a_session_and_those_without_a_clock_may(asked: list[Flown]) -> None:
     day = START_NS + 9 * DAY_NS
     together(REFERENCE, flown([START_NS + HOUR_NS // 2, day, day + HOUR_NS // 2, 0, day + DAY_NS, day + 2 * DAY_NS]))
-    assert asked[0].sessions.tolist() == [0, 0, 1, 1, 0, 2, 2, 2, 2, 3]
-    together(REFERENCE, flown([START_NS, 0]), new_propellers=True)
-    assert asked[1].sessions.tolist()[4:] == [2, 2]
-    assert asked[1].propellers.tolist() == [0, 0, 0, 0, 1, 1]
+    assert [one.sessions.tolist()[4:] for one in asked] == [[0, 3, 3, 3, 3, 4], [0, 3, 3, 4, 5, 6]]
+    asked.clear()
+    together(REFERENCE, flown([START_NS, START_NS + 1]), new_propellers=True)
+    assert [one.sessions.tolist()[4:] for one in asked] == [[2, 2]]
+    assert asked[0].propellers.tolist() == [0, 0, 0, 0, 1, 1]
+
+
+def test_without_clocks_the_lower_odds_of_both_readings_are_told(asked: list[Flown]) -> None:
+    said = together(REFERENCE, flown([0, 0, 0], rise=0.1))
+    odds = [evidence_of(one, C, module.priors_of(C)).odds for one in asked]
+    assert said.evidence is not None
+    assert len(odds) == 2
+    assert said.evidence.odds == min(odds)
 
 
 def test_flights_that_taught_and_those_without_a_trim_do_not_count(asked: list[Flown]) -> None:
