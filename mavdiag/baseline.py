@@ -163,6 +163,7 @@ class SourceLog(Part):
     started_ns: Annotated[int, Field(ge=0)] = 0  # unix epoch; 0 if it is not known
     session: Annotated[int, Field(ge=0)] = 0
     propellers: Annotated[int, Field(ge=0)] = 0  # number of the set, 0 for the first
+    trim: tuple[float, ...] = ()  # of the whole flight, by roll, pitch and yaw [fraction of hover]
 
 
 class Provenance(Part):

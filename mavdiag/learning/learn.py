@@ -44,6 +44,7 @@ from mavdiag.monitors import BY_NAME, by_name, monitor_of
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
 from mavdiag.monitors.conditions import covered_by
 from mavdiag.monitors.fitting import judged_together
+from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.rows.front import Rows
 from mavdiag.storage import Shelf
@@ -154,7 +155,11 @@ def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: She
         envelope=covered_by(rows),
         healthy_hours=sum(flight.judged_s for flight in learnt) / 3600,
         provenance=Provenance(
-            logs=_sources(learnt, sessions), created=created, tool=TOOL, left_out=found.left_out, notes=found.notes
+            logs=_sources(learnt, sessions, [monitor for monitor, _ in fitted]),
+            created=created,
+            tool=TOOL,
+            left_out=found.left_out,
+            notes=found.notes,
         ),
         fingerprint=fingerprint_of(rows, airframe.layout),
     )
@@ -277,8 +282,11 @@ def _sharing(name: str) -> str:
     return name if kind is FaultKind.PROPELLER else "others"
 
 
-def _sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers: int = 0) -> tuple[SourceLog, ...]:
+def _sources(
+    flights: Sequence[LearntFlight], sessions: Sequence[int], monitors: Iterable[Monitor[Any]], propellers: int = 0
+) -> tuple[SourceLog, ...]:
     """The flights as a baseline names them. propellers: number of the set that they flew with."""
+    trim = next((monitor for monitor in monitors if isinstance(monitor, RotorTrim)), None)
     return tuple(
         SourceLog(
             name=one.label.name,
@@ -287,6 +295,7 @@ def _sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propeller
             started_ns=max(0, one.label.started_ns),
             session=session,
             propellers=propellers,
+            trim=() if trim is None else trim.whole(one.rows),
         )
         for one, session in zip(flights, sessions, strict=True)
     )
@@ -335,6 +344,7 @@ def _extended(
         promises = told.budget_per_hour, told.flights_per_suspicion
         entries.append(_entry(spec, scores, all_sessions, promises, told.rule))
     fresh_print = fingerprint_of(rows, baseline.airframe.layout)
+    monitors = (monitor_of(entry.spec) for entry in entries)
     longer = baseline.model_copy(
         update={
             "monitors": tuple(entries),
@@ -343,7 +353,7 @@ def _extended(
             "fingerprint": fresh_print if new_propellers or known is None else merged(known, fresh_print),
             "healthy_hours": baseline.healthy_hours + sum(flight.judged_s for flight in learnt) / 3600,
             "provenance": baseline.provenance.model_copy(
-                update={"logs": (*old, *_sources(learnt, sessions, propellers)), "created": created}
+                update={"logs": (*old, *_sources(learnt, sessions, monitors, propellers)), "created": created}
             ),
         }
     )

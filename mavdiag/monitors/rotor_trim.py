@@ -335,6 +335,21 @@ class TrimMonitor(Monitor[Spec]):
         dt_s, spec = next((rows.block.dt_s for flight in flights for rows in flight), TICK_S), self.spec
         return _mean_of([self._walked(_parts_of(flight, spec.layout, spec.source), dt_s) for flight in flights])
 
+    def whole(self, flight: Sequence[Rows]) -> tuple[float, ...]:
+        """Trim of a whole flight by roll, pitch and yaw, without what turns take; empty if it is too short.
+
+        Medians over its parts of 0.1 s but for those whose turn takes more than `TURN_TRIM`, however few follow each
+        other: a flight of hops has one, too.
+        """
+        spec, found = self.spec, [np.empty((3, 0))]
+        for x in _parts_of(flight, spec.layout, spec.source):
+            trim, rate = x[col.TORQUE : col.THRUST].copy(), x[col.RATE + 2]
+            taken = spec.turn[0] * rate + spec.turn[1] * np.gradient(rate, PART_S) if len(rate) > 1 else rate
+            trim[2] -= taken
+            found.append(trim[:, (x[col.VALID] > 0.5) & (np.abs(taken) < TURN_TRIM)])
+        parts = np.concatenate(found, axis=1)
+        return tuple(np.median(parts, axis=1).tolist()) if parts.shape[1] * PART_S >= spec.window_s else ()
+
     def period_s(self, dt_s: float) -> float:
         """A tick [s]."""
         return math.prod(_tick_shape(dt_s)) * dt_s
