@@ -9,7 +9,7 @@ many as of each size. Damage: thrust and drag lost alike, as with a shorter blad
 
 load: share of a motor's voltage that its resistance takes in hover (0.15 to 0.25 of small motors, estimate). session:
 standard deviation of each motor's speed for its command from flight to flight, of the teaching ones too (magnets and
-windings that are warmer or colder than those of the other motors; an estimate, see `RotorSpeed.prior`).
+windings that are warmer or colder than those of the other motors; an estimate, see thresholds/priors.json).
 
 Two counts: by the monitor `rotor_speed` alone (an alarm after the onset), and by the decision (fault after the onset).
 Of those found, the rotor that has the most evidence at the first alarm, and that of the decision at the end.

@@ -35,7 +35,6 @@ from mavdiag.monitors.fitting import of_each, three, traced
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Signal, Three
-from mavdiag.thresholds.rule import Prior
 from mavdiag.units import RPM
 
 WINDOW_S = 5.0  # our choice, as of the trim
@@ -203,10 +202,6 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
     phrase = "turns off its command {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.ACTUATOR, Signal.ROTOR_SPEED})
     depends = col.TRIM_CONDITIONS
-    # Between sessions a motor may be 3 K warmer than its fellows, of which each turns it by 0.016 % (estimates: its
-    # magnets give +0.11 %/K of K_v, its windings +0.39 %/K of R, and (1 - 2 e)/(1 + e) and -e/(1 + e) of it at e = 0.15
-    # are left); half of that between flights, and steps of an ESC within one.
-    prior = Prior(0.0005, 0.00025, 0.0002, shares=False)
     evidence = RotorEvidence(10.0, relative=True)  # at the threshold the others are a third of it or less
     needs_layout = True
     spec_type = RotorSpeedSpec

@@ -18,7 +18,7 @@ from mavdiag.decision.alarm import Stage
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, exit_code, judge, judge_in_full
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.logs.part import between
+from mavdiag.logs import between
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import FloatArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
