@@ -12,15 +12,15 @@ help:  ## list the targets
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[fleet,web,history]' --group test --group check
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[fleet,web,history,mqtt]' --group test --group check
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps MAVProxy==1.8.75
 	@touch $@
 
-system:  ## Chromium and PostgreSQL for the tests that use them, where this may install them
+system:  ## Chromium, Mosquitto and PostgreSQL for the tests that use them, where this may install them
 	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
-	  command -v chromedriver >/dev/null && ls /usr/lib/postgresql/*/bin/postgres >/dev/null 2>&1 || \
+	  command -v chromedriver >/dev/null && command -v /usr/sbin/mosquitto >/dev/null && ls /usr/lib/postgresql/*/bin/postgres >/dev/null 2>&1 || \
 	  { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends \
-	    chromium chromium-driver fonts-dejavu-core postgresql; } >/dev/null 2>&1 || \
+	    chromium chromium-driver fonts-dejavu-core mosquitto postgresql; } >/dev/null 2>&1 || \
 	  echo "system: not installed; the tests that need them are skipped"; \
 	else echo "system: not root, or no apt-get; tests of what is missing are skipped"; fi
 
@@ -29,7 +29,7 @@ demo: $(STAMP)  ## the main job: plant, detector and alert over MAVLink on loopb
 
 test: $(STAMP)  ## the whole test suite
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime"
-	$(BIN)/python -m pytest -m realtime
+	$(BIN)/python -m pytest -n 3 --dist loadfile -m realtime
 
 lint: $(STAMP)  ## ruff: rules and format
 	$(BIN)/ruff check .

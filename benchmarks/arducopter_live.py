@@ -1,6 +1,11 @@
 """ArduCopter on a live link: a nose that turns, weak motors one after the other, and live against a scan.
 
     python benchmarks/arducopter_live.py FOLDER      (the folder arducopter_live of the recordings)
+    python benchmarks/arducopter_live.py --turning [--seed N]
+
+`--turning`: the recording with a turning nose has no motor outputs, so the emulated QDrone 2 flies it, on the
+`ardupilot` link: taught by a healthy flight with the nose along a figure of eight; then every motor at 0.95, 0.90 and
+0.80 of its thrust and drag from 15 s on, and healthy flights, all of other seeds.
 
 Weak motors: one rotor at 0.95, 0.90 or 0.80 for 45 s, with 20 s of healthy flight after each. A declared fault is
 latched for the flight; each of its episodes ends when the monitors that were over have been calm for 2 s, and the
@@ -28,7 +33,11 @@ from mavdiag.learning import LearnOptions, learn
 from mavdiag.logs import read_log
 from mavdiag.telemetry import Log, Telemetry
 from mavdiag.units import NS_PER_S
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
+from sitl_plant.physics.faults import Injection, RotorDamage
+from sitl_plant.plant import PlantConfig
 
+ONSET_S = 15.0
 CLEARING_S = 7.0  # window of 5 s, and 2 s until a fault is no longer seen
 
 
@@ -159,6 +168,39 @@ def weak_motors(base: Baseline, weak: Log, plan: Sequence[Stretch]) -> None:
     print(f"  {', '.join(spans)}; held from its declaration to the end: {held(changes)}")
 
 
+def flown(seed: int, seconds: float, motor: int = 0, share: float = 1.0) -> Log:
+    """A flight whose nose follows a figure of eight. motor: from ONSET_S on with this share of its thrust and drag."""
+    damage = RotorDamage(thrust_factor=share, drag_factor=share)
+    weak = (Injection(damage, motor, ONSET_S),) if motor else ()
+    config = PlantConfig(drone=2, seed=seed, wind_m_s=1.0, nose="path", trajectory="figure8", injections=weak)
+    link = LinkSpec("ardupilot", 100.0)
+    return Log(f"motor {motor} at {share:g}, seed {seed}", "", link.profile, flight_telemetry(config, seconds, link)[0])
+
+
+def turning_motors(seed: int) -> None:
+    """Latency, rotor, and what trim says, of every motor and share."""
+    base = taught([flown(seed, 120.0)])
+    for entry in base.monitors:
+        if entry.spec.kind in ("rotor_trim", "trim_step"):
+            print(f"{entry.spec.kind}: threshold {entry.threshold.value:.3g}; turn {entry.spec.turn}")
+    for one in base.not_judgeable:
+        print(f"  {one.monitor}: {one.reason}")
+    for number in range(3):
+        print(f"  healthy: {counted(entered(run(base, [flown(seed + 50 + number, 60.0).telemetry])[1]))}")
+    for motor in (1, 2, 3, 4):
+        for share in (0.95, 0.90, 0.80):
+            log = flown(seed + 10 * motor + round(100 * share), 35.0, motor, share)
+            events, changes = run(base, [log.telemetry])
+            since_s = int(log.telemetry.series[0].t_ns[0]) / NS_PER_S + ONSET_S
+            faults = [one for one in changes if one.stage is Stage.FAULT and one.seen]
+            names = [one for one in faults if one.rotor]
+            trims = [one for one in events if one.monitor in ("rotor_trim", "trim_step")]
+            told = f"fault after {faults[0].t_ns / NS_PER_S - since_s:.1f} s" if faults else "not found"
+            told += f", rotor {names[-1].rotor} after {names[0].t_ns / NS_PER_S - since_s:.1f} s" if names else ""
+            told += f", trim after {trims[0].start_ns / NS_PER_S - since_s:.1f} s" if trims else ", no trim"
+            print(f"  motor {motor} at {share:.2f}: {told}")
+
+
 def same_live(name: str, base: Baseline, log: Log, seed: int) -> None:
     """The same flight cut at random, as a live link brings it."""
     rng = np.random.default_rng(seed)
@@ -190,8 +232,14 @@ def alike(whole: Sequence[Event | Change], live: Sequence[Event | Change]) -> st
 def main() -> None:
     """Print all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    folder: Path = parser.parse_args().folder
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--turning", action="store_true")
+    parser.add_argument("--seed", type=int, default=1)
+    asked = parser.parse_args()
+    if asked.turning or asked.folder is None:
+        turning_motors(asked.seed)
+        return
+    folder: Path = asked.folder
     names = ("turning_nose_healthy", "locked_yaw_healthy", "locked_yaw_weak_motors")
     turning, healthy, weak = (read_log(folder / f"{name}.tlog") for name in names)
     plan = stretches(folder / f"{names[2]}.csv")

@@ -19,8 +19,7 @@ from scipy.stats import spearmanr
 from mavdiag.baseline import Baseline
 from mavdiag.judging import LogVerdict, Verdict, judge
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.logs import read_log
-from mavdiag.logs.part import between
+from mavdiag.logs import between, read_log
 from mavdiag.telemetry import Log
 
 PROPELLER_MM = 47.0

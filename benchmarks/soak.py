@@ -4,7 +4,7 @@
     PYTHONPATH=tests python benchmarks/soak.py real [--minutes 20] [--rate 1000] [--seed 31]
 
 virtual: two recorded loops of the emulated quadrotor, one healthy and one with a fault, are sent again and again with
-later stamps through the fleet, on a virtual clock with the default tick of 40 ms and a pause of 1.5 s between loops.
+later stamps through the fleet, on a virtual clock with the default tick and a pause of 1.5 s between loops.
 Each loop with a fault must be declared. It stops after the hours asked for, or when the processor time is used up.
 real: emulators, one after the other, as processes over UDP on loopback, and the daemon in this process. Each emulator
 is a vehicle that has rebooted; every second one has a fault 10 s before its end.
@@ -44,7 +44,6 @@ from sitl_plant.options import FlightPlan
 from sitl_plant.plant import PlantConfig
 
 HEALTHY_S, FAULTY_S, ONSET_S, PAUSE_S = 120.0, 14.0, 8.0, 1.5
-TICK_S = 0.04
 FAULT, ROTOR = "F2/SV2", 2
 STAMPS = {
     source.message: (struct.Struct("<I" if source.time[1].turn else "<Q"), source.time[1].tick_ns)
@@ -134,7 +133,7 @@ def virtual(hours: float, cpu_s: float, rate_hz: float, seed: int) -> None:
         for t_ns, msgid, payload in loops[turn % 2]:
             while base_ns + at_ns + t_ns > now_ns:
                 texts += _look(fleet, record, chunks, now_ns, base_ns)
-                chunks, now_ns = [], now_ns + round(TICK_S * NS_PER_S)
+                chunks, now_ns = [], fleet.next_look(Instant(now_ns), settings.tick_s).ns
             chunks.append((encode(msgid, shifted(msgid, payload, at_ns)), now_ns))
         onset_ns = at_ns + round(ONSET_S * NS_PER_S)
         if turn % 2:
@@ -201,7 +200,7 @@ def real(minutes: float, rate_hz: float, seed: int) -> None:
                 for frame in decoder.feed(data, now_ns):
                     if decode_statustext(frame).severity <= Severity.CRITICAL:
                         times.append(time.monotonic() - started_s)
-            next_s = max(next_s + TICK_S, time.monotonic())
+            next_s = daemon.fleet.next_look(Instant(host_ns), settings.tick_s).ns / NS_PER_S
             time.sleep(max(0.0, next_s - time.monotonic()))
             if not record.memory or time.monotonic() - begun_s - 3600 * record.memory[-1][0] > 5.0:
                 record.memory.append(((time.monotonic() - begun_s) / 3600, resident_mb()))

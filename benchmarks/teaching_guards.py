@@ -18,7 +18,7 @@ from rich.table import Table
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import InputError
 from mavdiag.learning.teaching import one_vehicle, taught
-from mavdiag.logs.part import between
+from mavdiag.logs import between
 from mavdiag.telemetry import Log, Signal
 from mavdiag.units import NS_PER_S
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest

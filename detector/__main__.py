@@ -19,6 +19,7 @@ import typer
 from detector.config import Settings, collect_values, example_text, load_settings, options, split_address
 from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
+from detector.hooks import Hook
 from detector.journal import Journal, Recorder, kept_baselines
 from detector.notify import Notifier
 from mavdiag import commandline
@@ -114,6 +115,7 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
         if settings.record is not None:
             epoch_ns, sizes = time.time_ns() - time.monotonic_ns(), (settings.record_mb, settings.record_keep)
             recorder = stack.enter_context(closing(Recorder(settings.record, epoch_ns, _say, *sizes)))
+        hooks = [stack.enter_context(closing(Hook(address, _say))) for address in settings.hook]
         if settings.metrics is not None:
             from detector.metrics import Metrics  # only if asked for: the import takes its time
 
@@ -132,6 +134,7 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
             airframe=airframe,
             journal=journal,
             recorder=recorder,
+            hooks=hooks,
             metrics=metrics,
             web=web,
             notifier=notifier,

@@ -223,9 +223,11 @@ class NamedValues:
 
     def step(self, output: ChainOutput, now: Instant) -> list[SendFloat]:
         """Take in the gauges of a step; return the floats that are to be sent."""
+        if output.now_ns is None or not any(slot.monitor.name == "fsd" for slot in output.pieces[-1].slots):
+            return []
         thesis = [gauge for gauge in output.gauges if gauge.monitor == "fsd"]
         gauge = next((gauge for gauge in thesis if gauge.axis is Axis.ROLL), thesis[0] if thesis else None)
-        if gauge is None or output.now_ns is None:
+        if gauge is None:
             return []
         self._residual = max(self._residual, gauge.signal, key=abs)
         self._fsd_s = max(self._fsd_s, gauge.statistic)

@@ -12,6 +12,7 @@ import typer
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from typer.models import OptionInfo
 
+from detector.hooks import parse_hook
 from detector.web.access import is_loopback
 from mavdiag.errors import InputError, UsageError
 from mavdiag.link.ports import parse_address
@@ -34,6 +35,7 @@ def _option(metavar: str | None, text: str, *names: str) -> Any:
 _CONNECT = "udpin:H:P, udpout:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD.  [default: udpin:127.0.0.1:14550]"
 _LAYOUT = "Its rotor layout, as in `mavdiag identify`.  [default: what it shows]"
 _FORWARD = "A further link that gets vehicle and alerts, e.g. a ground station; repeatable."
+_HOOK = "exec:PROGRAM, http://..., mqtt://HOST/TOPIC: gets every alert's line of the journal; repeatable."
 _WEB = "Serve the live page; a bare port is on loopback, elsewhere it needs a token."
 
 
@@ -80,6 +82,7 @@ class Settings(SessionSettings):
     record: Annotated[Path | None, _option("FILE.tlog", "Append every frame that the link brings.")] = None
     record_mb: Positive = 1000.0  # size at which a new one is begun: some 3 h of 1 kHz
     record_keep: Kept = 9  # old ones that stay
+    hook: Annotated[tuple[str, ...], _option("ADDRESS", _HOOK)] = ()
     metrics: Annotated[str | None, _option("HOST:PORT", "Serve Prometheus figures; a bare port is on loopback.")] = None
     web: Annotated[str | None, _option("HOST:PORT", _WEB)] = None
     web_token_file: Annotated[Path | None, _option("FILE", "Token of the live page: a file of mode 0600.")] = None
@@ -163,6 +166,8 @@ def load_settings(
         raise UsageError(_reason(error, where)) from error
     for address in (settings.connect, *settings.forward):
         parse_address(address)
+    for hook in settings.hook:
+        parse_hook(hook)
     if settings.profile is not None:
         profile_named(settings.profile)
     if settings.metrics is not None:

@@ -16,6 +16,7 @@ from detector.config import Settings
 from detector.fitting import FittingJob, ProcessFitter
 from detector.fleet import Fleet, Turn
 from detector.guard import Guard
+from detector.hooks import Hook
 from detector.journal import Journal, Recorder, Reporter, When
 from detector.notify import Notifier
 from detector.relay import Relay
@@ -104,6 +105,7 @@ class Daemon:
         airframe: Airframe | None = None,
         journal: Journal | None = None,
         recorder: Recorder | None = None,
+        hooks: Sequence[Hook] = (),
         metrics: "Metrics | None" = None,
         web: "Feed | None" = None,
         notifier: Notifier | None = None,
@@ -127,8 +129,11 @@ class Daemon:
             passed=self._passed if behind or recorder is not None else None,
         )
         self._guard = Guard(self.fleet.link, self._signing)
-        self._files = {name: file for name, file in (("journal", journal), ("record", recorder)) if file is not None}
-        self._reporter = Reporter([file.write for file in (journal, web) if file], host.say, self._when, settings.save)
+        takers = *((hook.name, hook) for hook in hooks), ("journal", journal), ("record", recorder)
+        self._files = {name: file for name, file in takers if file is not None}
+        self._reporter = Reporter(
+            [file.write for file in (journal, web, *hooks) if file], host.say, self._when, settings.save
+        )
         self._inspections = inspections or Inspections(None, host.say)
         self._senders: dict[int, MavlinkSender] = {}
         self._requests = Requests(self.fleet, settings.keep_rates, self._sender, self._signing)
@@ -141,7 +146,7 @@ class Daemon:
         next_at = self._now()
         while not stop():
             self.tick()
-            next_at = next_at + self._settings.tick_s
+            next_at = self.fleet.next_look(next_at, self._settings.tick_s)
             late_s = self._now() - next_at
             if late_s > 0:
                 self._late, self._latest_s = self._late + 1, max(self._latest_s, late_s)

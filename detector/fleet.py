@@ -1,9 +1,9 @@
 """The vehicles of one link and their sessions: bytes and `now` in, effects out. No clock, no socket.
 
 What the link brings comes first (`take`); judging has the time that remains (`judge`). A vehicle has its turn when its
-data may fill the next 0.1 s that its monitors look at, or at once where something waits for an answer. Under load fewer
-vehicles have theirs in each look, and each with more data (`due_turns`): nothing is lost, and verdicts come later,
-which is told.
+data may complete the next look of its monitors, or at once where something waits for an answer. Where there are many
+vehicles a turn brings several looks. Under load fewer vehicles have theirs in each look at the link, and each with more
+data (`due_turns`): nothing is lost, and verdicts come later, which is told.
 """
 
 import traceback
@@ -26,13 +26,15 @@ from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
 from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder
 from mavdiag.telemetry import Instant, Series, Signal
-from mavdiag.units import NS_PER_S
+from mavdiag.units import NS_PER_MS, NS_PER_S
 
 MOST_S = 2.0  # one vehicle a look that has waited so long is judged all the same (our choice: what is kept is bounded)
 SLOW_S = 0.3  # a delay that is worth a line in the log (our choice)
 QUIET_S = 10.0  # between two such lines (our choice)
 FORGET_NS = NS_PER_S  # a sample without a verdict for so long gets none: nothing is judged (our choice)
-EARLY_NS = NS_PER_S // 200  # a turn may come so much before the data that it waits for (our choice)
+TURNS_HZ = 500  # of all vehicles together; where there are more looks than that, turns bring several (our choice)
+SHORTEST, NEAR = 0.2, 1.5  # of a tick: the shortest one, and how far data may be off that are waited for (our choice)
+SPARE_NS = NS_PER_MS  # a turn comes so much after the data that it waits for ought to have come (our choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,19 +59,21 @@ class Vehicle:
         self.events = 0  # that were opened, so far
         self.timesync = Timesync()  # asked and answered where we may negotiate
 
-    def wait(self, gyro: Series | None, judged_ns: int | None, now_ns: int) -> float | None:
-        """Set the next turn, once samples may fill the next 0.1 s; return how long those that are judged now took [s].
+    def wait(self, gyro: Series | None, now_ns: int, looks: int) -> float | None:
+        """Set the next turn, once samples may complete so many looks; return how long those judged now took [s].
 
-        gyro: what came of it. judged_ns: the vehicle's time up to which was judged.
+        gyro: what came of it.
         """
-        latency_s, self.due_ns = None, now_ns
+        latency_s, self.due_ns, judge = None, now_ns, self.session.judge
         if self.first_ns is None or now_ns - self.first_ns > FORGET_NS:
             self.first_ns = int(gyro.host_ns[0]) if gyro is not None and len(gyro) else None
-        if judged_ns is not None and judged_ns != self.judged_ns and self.session.state is State.MONITORING:
-            self.due_ns += max(0, LOOK_NS - judged_ns % LOOK_NS - EARLY_NS)
+        if judge is None or self.session.state is not State.MONITORING:
+            return None
+        self.due_ns += (looks - 1) * LOOK_NS + judge.chain.missing_ns(judge.memory) + SPARE_NS
+        if judge.memory.now_ns != self.judged_ns:
             latency_s = None if self.first_ns is None else (now_ns - self.first_ns) / NS_PER_S
             self.first_ns = None
-        self.judged_ns = judged_ns
+        self.judged_ns = judge.memory.now_ns
         return latency_s
 
 
@@ -156,6 +160,21 @@ class Fleet:
             self.longest_s = max(self.longest_s, waited_s)
         return turns
 
+    def next_look(self, last: Instant, tick_s: float) -> Instant:
+        """When to look at the link again: in a tick, or when the data of the next vehicle are due, if that is near.
+
+        Where turns bring several looks nobody waits for a moment. last: when it was looked at last.
+        """
+        soon = [vehicle.due_ns for vehicle in self.vehicles.values() if vehicle.due_ns > last.ns]
+        if not soon or self.looks > 1 or (due := Instant(min(soon))) - last > NEAR * tick_s:
+            return last + tick_s
+        return max(due, last + SHORTEST * tick_s, key=lambda at: at.ns)
+
+    @property
+    def looks(self) -> int:
+        """How many looks of its monitors a vehicle's turn brings."""
+        return -(-max(1, len(self.vehicles)) * NS_PER_S // (TURNS_HZ * LOOK_NS))
+
     def delay_news(self, now: Instant) -> str:
         """Measure anew how late verdicts come; return a line for the log, empty if there is nothing new to tell."""
         (was_slow, told), longest_s = self._slow or (False, None), self.longest_s
@@ -188,8 +207,7 @@ class Fleet:
         if session.spec.settings.negotiate:
             vehicle.timesync, messages = exchanged(vehicle.timesync, received.frames, now.ns, alive=alive)
             effects = (*effects, *messages)
-        judged_ns = session.judge.memory.now_ns if session.judge else None
-        latency_s = vehicle.wait(came.get(Signal.BODY_RATE), judged_ns, now.ns)
+        latency_s = vehicle.wait(came.get(Signal.BODY_RATE), now.ns, self.looks)
         return Turn(sysid, effects, received.commands, latency_s)
 
     def _parted(self, sysid: int, now: Instant, work: Callable[[int, Instant], Turn]) -> Turn:

@@ -15,11 +15,11 @@ from mavdiag.link.samples import joined
 from mavdiag.link.wants import LABELS
 from mavdiag.monitors import NEED_LAYOUT
 from mavdiag.rows.gate import HIDDEN_S, SHOWS_FLIGHT, hidden_flight
-from mavdiag.telemetry import Instant, Telemetry
+from mavdiag.telemetry import Instant, Series, Telemetry
 from mavdiag.units import NS_PER_S
 
 WARM_S = 10.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
-ASK_S = 0.5  # between two looks at what the monitors do not judge: their accounts cost more than a step (our choice)
+ASK_S = 0.5  # between two looks at what the monitors do not judge: accounts cost more than a step (our choice)
 STREAM_S = 5.0  # how long a stream may take to come before its absence is reported (our choice)
 FLOWN_NS = 20 * NS_PER_S  # of what flew last, which shows what is usual in flight (our choice)
 LATEST_NS = 6 * NS_PER_S  # of what came last: twice `HIDDEN_S`, and no touch-down takes so long (our choice)
@@ -84,11 +84,13 @@ class Judge:
         if streams.began is None or now - streams.began < STREAM_S or now - self._asked < ASK_S:
             return self._unjudged
         self._asked, self._unjudged = now, {}
-        for slot, account in zip(self.chain.slots, self.memory.accounts, strict=True):
+        idle = self.memory.idle if self.flight_s > WARM_S else ()
+        accounts = self.memory.accounts if idle else ()
+        for number, slot in enumerate(self.chain.slots):
             label = label_of(slot.monitor.name)
             if missing := streams.missing(slot.monitor.signals):
                 self._unjudged[label] = f"no {LABELS[missing]}"
-            elif self.flight_s > WARM_S and not account.judged_s and (reasons := unjudged_s(account)):
+            elif number in idle and (reasons := unjudged_s(accounts[number])):
                 self._unjudged[label] = max(reasons, key=lambda reason: reasons[reason])
         return self._unjudged
 
@@ -107,7 +109,9 @@ class _Sight:
         self._looked_ns = 0
 
     def step(self, telemetry: Telemetry, output: ChainOutput) -> None:
-        series = tuple(part for part in telemetry.series if part.signal in SHOWS_FLIGHT and len(part))
+        shows = (part for part in telemetry.series if part.signal in SHOWS_FLIGHT and len(part))
+        # Copies, so that not all that came with them is kept, too.
+        series = tuple(Series(part.signal, part.t_ns.copy(), part.host_ns.copy(), part.values.copy()) for part in shows)
         if not series:
             return
         now_ns = max(int(part.t_ns[-1]) for part in series)

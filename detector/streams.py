@@ -69,7 +69,7 @@ class Meter:
         self.periods_s: tuple[float, ...] = ()  # the last two measurements: one odd second is no change of rate
         self._t_ns: list[IntArray] = []  # since the last measurement
         self._waiting = 0
-        self._recent_ns: list[int] = []  # vehicle times of the last three samples
+        self._recent_ns: deque[int] = deque(maxlen=3)  # vehicle times of the last three samples
         self._steps: deque[tuple[int, float]] = deque(maxlen=STEADY)  # number and length [s] of the last measurements'
 
     @property
@@ -91,10 +91,10 @@ class Meter:
     def take(self, series: Series, now: Instant) -> None:
         """Measure the next samples."""
         self.latest, self.samples = now, self.samples + len(series)
-        self._recent_ns = [*self._recent_ns, *series.t_ns[-3:].tolist()][-3:]
+        self._recent_ns.extend(series.t_ns[-3:].tolist())
         self._t_ns.append(series.t_ns)
         self._waiting += len(series)
-        first_ns, last_ns = int(self._t_ns[0][0]), int(series.t_ns[-1])
+        first_ns, last_ns = int(self._t_ns[0][0]), self._recent_ns[-1]
         if last_ns - first_ns >= MEASURE_S * NS_PER_S:
             t_ns = np.concatenate(self._t_ns)
             self._steps.append((len(t_ns) - 1, float(last_ns - first_ns) / NS_PER_S))
@@ -121,16 +121,15 @@ class Streams:
     def observe(self, telemetry: Telemetry, now: Instant, profile: Profile) -> None:
         """Take in what came. profile: of the link, with the IMU message that is read."""
         self.began = self.began or now
+        came = {series.signal: series for series in telemetry.series if len(series)}
         for signal, meter in self._meters.items():
-            series = telemetry.get(signal)
-            if series is not None and len(series):
+            if series := came.get(signal):
                 meter.take(series, now)
             elif meter.latest is not None and now - meter.latest > SILENT_S:
                 self._meters[signal] = Meter(meter.samples)
-        self.armed = _latest(self.armed, telemetry.get(Signal.ARMED))
-        self.thrust = _latest(self.thrust, telemetry.get(Signal.THRUST_SETPOINT))
-        force = telemetry.get(Signal.SPECIFIC_FORCE)
-        if not self._scale_believed and force is not None and len(force):
+        self.armed = _latest(self.armed, came.get(Signal.ARMED))
+        self.thrust = _latest(self.thrust, came.get(Signal.THRUST_SETPOINT))
+        if not self._scale_believed and (force := came.get(Signal.SPECIFIC_FORCE)):
             self._weigh(force, profile)
 
     def _weigh(self, force: Series, profile: Profile) -> None:
@@ -173,7 +172,7 @@ class Streams:
 
 
 def _latest(old: float, series: Series | None) -> float:
-    return float(series.values[-1, 0]) if series is not None and len(series) else old
+    return float(series.values[-1, 0]) if series else old
 
 
 @dataclass(frozen=True, slots=True)

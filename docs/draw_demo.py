@@ -9,9 +9,10 @@ from pathlib import Path
 from rich.console import Console
 
 from mavdiag.baseline import Baseline
-from mavdiag.demo.closed_loop import POLL_S, Flight, closed_loop
+from mavdiag.demo.closed_loop import Flight, closed_loop
 from mavdiag.demo.command import DETECTOR, SPAN_S, THESIS, flight_view, own_baselines
-from mavdiag.terminal.live_judge import LiveJudge
+from mavdiag.demo.subprocesses import POLL_S
+from mavdiag.terminal.ground_station import LiveJudge
 from mavdiag.terminal.view import Line, line_for, picture
 
 FLIGHT = Flight(duration_s=30.0, fault="F2/SV2", rotor=1, onset_s=12.0, seed=1)

@@ -1,4 +1,4 @@
-"""The baseline artefact `mavdiag.baseline/4`: what a healthy airframe looks like over one link, and at what price.
+"""The baseline artefact `mavdiag.baseline/5`: what a healthy airframe looks like over one link, and at what price.
 
 It is a contract: the airframe, the link profile and rate, each monitor's fit and threshold with the flights that
 support it, where the data came from, and a digest over all of it. Loading refuses what does not fit, naming the field.
@@ -163,6 +163,7 @@ class SourceLog(Part):
     started_ns: Annotated[int, Field(ge=0)] = 0  # unix epoch; 0 if it is not known
     session: Annotated[int, Field(ge=0)] = 0
     propellers: Annotated[int, Field(ge=0)] = 0  # number of the set, 0 for the first
+    trim: tuple[float, ...] = ()  # of the whole flight, by roll, pitch and yaw [fraction of hover]
 
 
 class Provenance(Part):
@@ -179,7 +180,7 @@ class Provenance(Part):
 class Baseline(Part):
     """The whole artefact."""
 
-    schema_id: Literal["mavdiag.baseline/4"] = Field(alias="schema", default="mavdiag.baseline/4")
+    schema_id: Literal["mavdiag.baseline/5"] = Field(alias="schema", default="mavdiag.baseline/5")
     airframe: Airframe
     link: Link
     window: Window
@@ -205,6 +206,19 @@ class Baseline(Part):
         propellers."""
         times = [one.started_ns for one in self.provenance.logs if one.propellers == self.propellers and one.started_ns]
         return bool(started_ns) and any(abs(started_ns - t_ns) <= SESSION_GAP_NS for t_ns in times)
+
+    @property
+    def promises(self) -> str:
+        """What its thresholds promise of healthy flights, beside what these show without any law: 1/(n + 1)."""
+        by_law = [one for one in self.monitors if one.threshold.rule is not ThresholdRule.MAXIMUM]
+        deciding = [one for one in by_law if monitor_of(one.spec).decides] or by_law
+        shown = f"one healthy flight in {len(self.provenance.logs) + 1}"
+        if not by_law:
+            return f"fault: {shown}, by the largest healthy maximum"
+        alarms = sum(one.threshold.budget_per_hour for one in deciding)
+        flights = 1.0 / sum(1.0 / one.threshold.flights_per_suspicion for one in deciding)
+        law = f"fault: {alarms:.2g} alarms/h; suspected: one healthy flight in {flights:.3g}"
+        return f"{law}; without any law its flights show {shown} above their largest"
 
     @property
     def layout_statement(self) -> str:
@@ -252,6 +266,8 @@ class Baseline(Part):
             over = f" of |r| above {monitor.reference:.4f} rad/s" if monitor.reference else ""
             lines.append(f"{name:<15} threshold {threshold.value:.4g} {monitor.unit}{over}")
             lines.append(f"{'':<15} {threshold.statement()}")
+            if blind := monitor.blindness(threshold.value):
+                lines.append(f"{'':<15} {blind}")
             if threshold.session_allowance > 0:
                 within = threshold.within(same_session=True)
                 lines.append(f"{'':<15} {within:.4g} in a session of these flights; another may differ")
@@ -259,6 +275,7 @@ class Baseline(Part):
             advice = covered.advice()
             lines.append(f"{'envelope':<15} {covered}" + (f"; {advice} to widen it" if advice else ""))
         lines += [f"{one.monitor:<15} not judgeable: {one.reason}" for one in self.not_judgeable]
+        lines.append(f"promises   {self.promises}")
         lines.append(f"support    {len(self.provenance.logs)} flights, {self.healthy_hours:.3f} h of flight")
         lines += [f"left out   {one}" for one in self.provenance.left_out]
         lines += [f"note       {one}" for one in self.provenance.notes]
@@ -270,7 +287,6 @@ class Baseline(Part):
         return "\n".join(map(printable, lines))
 
     def _advice(self) -> str:
-        """What would make it better."""
         if self.weak:
             return "flights whose propellers are sound and whose air is calm: look at what is named above"
         names, flights, advice = {entry.spec.kind for entry in self.monitors}, len(self.provenance.logs), list[str]()
@@ -324,7 +340,8 @@ def without_mute(monitors: Iterable[MonitorEntry], remedy: str) -> tuple[tuple[M
         if limit < monitor.reach:
             judging.append(entry)
         else:
-            text = f"its threshold {limit:.3g} {monitor.unit} cannot be reached ({monitor.reach:.3g} at most); {remedy}"
+            text = f"its threshold {limit:.3g} {monitor.unit} cannot be reached ({monitor.reach:.3g} at most)"
+            text += f", {blind}; {remedy}" if (blind := monitor.blindness(limit)) else f"; {remedy}"
             refusals.append(Refusal(monitor=monitor.name, reason=text))
     return tuple(judging), tuple(refusals)
 

@@ -18,7 +18,7 @@ from mavdiag.decision.alarm import NOTHING_SEEN, DecisionSpec, DecisionState
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event
 from mavdiag.decision.grading import known_fault_types
 from mavdiag.errors import BaselineError
-from mavdiag.kernel import LOOK_NS, Account, Gauge, Kernel, Memory, Piece, Slot
+from mavdiag.kernel import LOOK_NS, VALUES, Account, Gauge, Kernel, Memory, Piece, Slot
 from mavdiag.kernel import warm as warm_kernel
 from mavdiag.link.samples import joined
 from mavdiag.link.samples import warm as warm_samples
@@ -28,7 +28,7 @@ from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.front import warm as warm_rows
 from mavdiag.rows.gate import Border
 from mavdiag.rows.grid import LEAST_SAMPLES, measure_grid, steps_of
-from mavdiag.rows.rates import RateSpec
+from mavdiag.rows.rates import RateBlock, RateSpec
 from mavdiag.telemetry import Signal, Telemetry
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.units import NS_PER_S
@@ -93,6 +93,11 @@ class ChainState:
         return self.memory.judged * self.kernel.dt_s
 
     @property
+    def idle(self) -> tuple[int, ...]:
+        """The slots that have not judged anything yet, by number."""
+        return tuple(np.flatnonzero(self.memory.tally[:, VALUES] == 0).tolist())
+
+    @property
     def accounts(self) -> tuple[Account, ...]:
         """How long each slot judged since the start, and why it did not."""
         return self.kernel.accounts(self.memory)
@@ -149,6 +154,12 @@ class Chain:
         if state.chunks < MOST_WAITING and self.front.align.reached_ns(align) // LOOK_NS <= align.last_ns // LOOK_NS:
             return state, ChainOutput()  # nothing can be decided before the rows of the next look
         return self.judge(state, self._taken(state))
+
+    def missing_ns(self, state: ChainState) -> int:
+        """How much of the gyro is missing until the next look is whole [ns], at most a look; 0 if it is overdue."""
+        align = state.front.align
+        next_ns = (align.last_ns // LOOK_NS + 1) * LOOK_NS
+        return min(max(0, self.front.align.expected_ns(align, next_ns) - align.newest_ns), 2 * LOOK_NS)
 
     def end_flight(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
         """The link was lost or the watch ends: close what is open. Rows may go on later."""
@@ -229,7 +240,7 @@ class Chain:
         count = int(np.count_nonzero(rows.block.valid))
         if count == 0 and not (state.beginning and state.beginning[-1].block.valid.any()):
             return None  # nothing is measured in it; one such block parts the others
-        state.beginning.append(rows)
+        state.beginning.append(Rows(rows.block, _NO_RATES))
         if state.begun_s + count * rows.block.dt_s < FIRST_S:
             state.begun_s += count * rows.block.dt_s
             return None
@@ -242,6 +253,10 @@ class Chain:
             self.front.align.append(state.front.align, telemetry)
         state.waiting, state.chunks = state.waiting and [], 0
         return self.front.step(state.front, Telemetry())[1]
+
+
+# What is kept of the rates of the beginning, which nothing is compared by.
+_NO_RATES = RateBlock(0, 0.0, np.empty(0, np.int64), *np.empty((3, 0, 3)), *np.empty((2, 0), np.bool_))
 
 
 def _gyro_s(pieces: Sequence[Telemetry]) -> float:
@@ -277,9 +292,15 @@ def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None
     monitors = [monitor_of(entry.spec) for entry in entries]
     alone = not any(monitor.decides for monitor in monitors)
     same, link, whose = baseline.same_session(started_ns), baseline.link, baseline.airframe
-    coaxial = whose.layout is not None and whose.layout.coaxial  # the arm is told, no rotor
+    arms = whose.layout.arms if whose.layout is not None and whose.layout.coaxial else ()
     slots = tuple(
-        Slot(one, entry.threshold.within(same_session=same), one.decides or alone, None if coaxial else one.evidence)
+        Slot(
+            one,
+            entry.threshold.within(same_session=same),
+            one.decides or alone,
+            one.evidence and replace(one.evidence, arms=arms),
+            entry.threshold.suspected[same],
+        )
         for one, entry in zip(monitors, entries, strict=True)
     )
     moves = any(monitor.feature == "motion" for monitor in monitors)

@@ -11,7 +11,7 @@ from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput, ChainState, chain_of
 from mavdiag.decision.diagnosis import Change, Event, RotorSpan, Stage
-from mavdiag.decision.words import fault_reason
+from mavdiag.decision.words import fault_reason, inspect_words
 from mavdiag.errors import InputError
 from mavdiag.kernel import Account, Piece, Stretch
 from mavdiag.monitors import by_name
@@ -82,7 +82,8 @@ class LogVerdict:
     flown_s: in the air, without take-offs and landings; what nobody could judge, as without a gyro, is in it.
     judged_s: how much of it any monitor that decides about propellers judged.
     notes: what a reader must know of the log or the baseline, one sentence each; the reason has them, too.
-    kind, since_s: the gravest kind of fault that was declared, and when, of the vehicle's clock; rotor: named last.
+    kind, since_s: the gravest kind of fault that was declared, and when, of the vehicle's clock.
+    rotor: named last, by a fault or else by a suspicion.
     """
 
     log: str
@@ -227,7 +228,7 @@ class _Run:
             notes,
             kind,
             since,
-            rotors[-1].rotor if rotors else None,
+            rotors[-1].rotor if rotors else self._suspected_rotor() if verdict is Verdict.SUSPECTED else None,
             rotors,
         )
 
@@ -244,10 +245,17 @@ class _Run:
             only = f"only {self.takeoff_s:.1f} s of take-off or start" if self.takeoff_s else NEVER_FLEW
             return Verdict.NOT_JUDGEABLE, only
         if suspicion := self._suspicion():
-            return Verdict.SUSPECTED, f"{suspicion}; {share}"
+            return Verdict.SUSPECTED, "; ".join(
+                filter(None, (suspicion, inspect_words(self._suspected_rotor()), share))
+            )
         if self.judged_s < max(MIN_JUDGED_S, self.judged_share * self.flown_s):
             return Verdict.NOT_JUDGEABLE, share
         return Verdict.HEALTHY, f"no alarm; {share}"
+
+    def _suspected_rotor(self) -> int | None:
+        """The rotor that a suspicion named last."""
+        named = (change.rotor for change in reversed(self.changes) if change.stage is Stage.SUSPECTED)
+        return next((rotor for rotor in named if rotor is not None), None)
 
     def _suspicion(self) -> str:
         """What was suspected though no fault was declared; empty if nothing was."""

@@ -34,7 +34,7 @@ from mavdiag.units import NS_PER_S
 
 LOOK_NS = NS_PER_S // 10  # time between two looks (our choice)
 STALE_LOOKS = 10  # a slot whose last valid value is older does not count (our choice)
-CALM_BELOW, RAISED_FROM = 0.7, 0.8  # of the threshold (our choice); one emulated flight in 62 healthy h was suspected
+CALM_BELOW = 0.7  # of the threshold (our choice)
 LATE_NS = NS_PER_S  # so much a value may come after the rows of its time: half a filter's window (our choice)
 WAITING = "waiting for enough unbroken flight"  # why a monitor does not judge although its signals are known
 NAN, NEVER = float("nan"), -1e18
@@ -60,6 +60,7 @@ class Slot:
     threshold: float
     decides: bool  # its alarm is a fault by itself; else it is a suspicion
     evidence: RotorEvidence | None = None  # how it tells of rotors; None if it does not
+    suspected: float = 1.0  # the ratio from which a fault is suspected (`thresholds.rule`)
 
     @property
     def key(self) -> tuple[str, Axis | None]:
@@ -290,9 +291,9 @@ def _close_rows(opened: Any, numbers: IntArray) -> None:
 
 
 @jit
-def _read_looks(plan: IntArray, looks: FloatArray, latest: FloatArray, read: Any, first: int) -> None:
+def _read_looks(fixed: Any, looks: FloatArray, latest: FloatArray, read: Any, first: int) -> None:
     """The latest readings at each whole look; the height of the highest that is fresh, and whose it is, -1 for none."""
-    readings, heights, leads = read
+    (plan, suspected), (readings, heights, leads) = fixed, read
     for look in range(len(heights)):
         height, deciding, lead, top = -1, False, -1, -1.0
         for slot in range(len(plan)):
@@ -306,10 +307,10 @@ def _read_looks(plan: IntArray, looks: FloatArray, latest: FloatArray, read: Any
             if first + look - latest[slot, AT] > STALE_LOOKS:
                 continue
             ratio, over = latest[slot, RATIO], latest[slot, RATIO] > 1.0
-            own, rank = 3 if over else 1, ratio
+            own, rank = 3 if over or ratio >= suspected[slot] else 1, ratio
             if plan[slot, DECIDES]:
                 deciding, rank = True, ratio + RANK
-                own = 4 if over else 3 if ratio >= RAISED_FROM else 2 if ratio >= CALM_BELOW else 1
+                own = 4 if over else max(own, 2 if ratio >= CALM_BELOW else 1)
             if own > height or (own == height and rank > top):
                 height, top, lead = own, rank, slot
         heights[look], leads[look] = height if deciding else -1, lead
@@ -340,11 +341,13 @@ def compiled() -> Callable[..., None]:
                 stamps[k] = own_ns[at[slot, k]]
             _let_count(plan, slot, stamps, bins, anywhere, limits, out[slot], outside, numbers)
             written, alarm, telling = (out[slot], evidence, at[slot], stamps), (alarms, alarms_ns), (told, told_ns)
-            numbers[TOLD] = _take_values(slot, (plan, thresholds), t_ns, written, looks, alarm, telling, tally, numbers)
+            numbers[TOLD] = _take_values(
+                slot, (plan, thresholds[0]), t_ns, written, looks, alarm, telling, tally, numbers
+            )
             if plan[slot, OWN]:
                 _cover(plan, slot, out[slot], stamps, opened, numbers[OPEN_ROWS])
         _close_rows(opened, numbers)
-        _read_looks(plan, looks, latest, (readings, heights, leads), numbers[FIRST_LOOK])
+        _read_looks((plan, thresholds[1]), looks, latest, (readings, heights, leads), numbers[FIRST_LOOK])
 
     return run
 
@@ -508,7 +511,7 @@ class Kernel:
         plan = self._plan(np.cumsum([0, *map(len, own)]), np.cumsum(list(map(len, memories))))
         limits = limits_of(covered)
         limits[:, 3] = limits[:, 3] if covered else -1.0
-        thresholds = np.array([slot.threshold for slot in slots], dtype=np.float64)
+        thresholds = np.array([[slot.threshold for slot in slots], [slot.suspected for slot in slots]])
         checked = np.array(list(checks), dtype=np.int64).reshape(-1, 2)
         self._fixed = (plan, thresholds, checked, limits, np.concatenate([np.empty(0), *own]))
         self._tellers = int(plan[:, ROTORS].max(initial=-1)) + 1

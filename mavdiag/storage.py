@@ -4,6 +4,7 @@ A `Shelf` puts arrays aside that are too many for the memory.
 """
 
 import math
+import mmap
 import os
 import secrets
 import stat
@@ -152,13 +153,11 @@ class Shelf:
             for data in (columns, memoryview(bytes(-len(columns) % ALIGN_BYTES))):
                 self._write(file, data)
 
+        end, begin = self._end, places[0][0] // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
+
         def get() -> Arrays:
-            return tuple(
-                np.broadcast_to(np.memmap(file, dtype, "r", at, shape, "F"), whole)
-                if math.prod(shape)
-                else np.empty(whole, dtype)
-                for at, dtype, shape, whole in places
-            )
+            mapped = mmap.mmap(file.fileno(), end - begin, access=mmap.ACCESS_READ, offset=begin)
+            return tuple(_mapped(mapped, at - begin, dtype, shape, whole) for at, dtype, shape, whole in places)
 
         return get
 
@@ -167,6 +166,16 @@ class Shelf:
             count = file.write(data)
             self._end += count
             data = data[count:]
+
+
+def _mapped(
+    file: mmap.mmap, at: int, dtype: np.dtype[Any], shape: tuple[int, ...], whole: tuple[int, ...]
+) -> NDArray[Any]:
+    """An array of a mapped file; its one row stands for all where it has one only."""
+    if not math.prod(shape):
+        return np.empty(whole, dtype)
+    rows: NDArray[Any] = np.ndarray(shape, dtype, file, at, order="F")
+    return rows if shape == whole else np.broadcast_to(rows, whole)
 
 
 def _varies(array: NDArray[Any]) -> bool:

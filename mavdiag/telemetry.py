@@ -130,6 +130,18 @@ class Telemetry:
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Batch:
+    """Raw samples of one accelerometer in a row, faster than a log has its signals.
+
+    t_ns: time of the first, vehicle clock. force: (n, 3) [m/s^2], FRD.
+    """
+
+    t_ns: int
+    rate_hz: float
+    force: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Log:
     """One vehicle's flight, from a file or from a live link.
 
@@ -140,6 +152,7 @@ class Log:
     parameters: the autopilot's own, by name, as far as the log or link carries them; the latest values.
     motor_order: whether the columns of ACTUATOR are the motors in their order, and not the outputs of the autopilot.
     mav_type, vehicle: MAV_TYPE and MAVLink system id; None where the log does not say.
+    batches: raw samples of the accelerometer, in order of time.
     """
 
     name: str
@@ -152,6 +165,7 @@ class Log:
     motor_order: bool = False
     mav_type: int | None = None
     vehicle: int | None = None
+    batches: tuple[Batch, ...] = ()
 
     def __getitem__(self, signal: Signal | str) -> Series:
         """The series of a signal, by the signal or its name. Raises InputError if the log has none."""

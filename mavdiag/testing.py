@@ -39,7 +39,7 @@ def example_rows(
         **dict.fromkeys(("force", "torque", "rate_setpoint", "attitude", "vibration"), wide),
         **dict.fromkeys(("thrust", "height", "voltage"), narrow),
         "armed": np.ones(n),
-        "actuator": np.empty((n, 0)),
+        **dict.fromkeys(("actuator", "rotor_speed"), np.empty((n, 0))),
         "doubt": np.zeros(n),
         **dict.fromkeys(("valid", "setpoint_valid"), always),
         **{name: column for name, column in columns.items() if column is not None},

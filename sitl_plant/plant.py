@@ -17,6 +17,7 @@ from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
@@ -160,8 +161,8 @@ class PlantSamples:
     velocity: FloatArray  # (n, 3) truth, of the centre of gravity
     omega: FloatArray  # (n, 3) truth, body rates [rad/s]
     rotor_speed: FloatArray  # (n, r) truth [rad/s]
-    esc_speed: FloatArray  # (n, r) as the motors' telemetry reports it [rad/s]: the truth, but for a recorded set
-    log: FloatArray  # (n, k) for `RecordedLog`; k is 0 for a vehicle that keeps none
+    esc_speed: FloatArray  # (n, r) by the motors' telemetry [rad/s]: the truth, but for a recorded set
+    log: NDArray[np.void]  # (n,) of `sitl_plant.physics.kernel.LOG`; without fields for a vehicle that keeps none
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -169,36 +170,6 @@ class PlantSamples:
     def rows(self, first: int, end: int) -> "PlantSamples":
         """The samples from `first` to before `end`."""
         return PlantSamples(*(getattr(self, column.name)[first:end] for column in fields(self)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordedLog:
-    """What a vehicle as it was recorded knows at each of n steps, as its recordings name it; k is the IMU, 0 or 1.
-
-    DronePropA's matrices are in FLU; here everything is in FRD and NED.
-    """
-
-    angle: FloatArray  # (n, 2, 3) each IMU's estimate [rad]; its yaw is the gyro's integral and drifts
-    rate: FloatArray  # (n, 2, 3) filtered body rates [rad/s]
-    acceleration: FloatArray  # (n, 2, 3) and their slopes [rad/s^2]
-    gyro: FloatArray  # (n, 2, 3) raw readings, as the next
-    accel: FloatArray
-    torque_asked: FloatArray  # (n, 3) before the limit [N m]
-    torque: FloatArray  # (n, 3) after it
-    thrust: FloatArray  # (n,) commanded [N], trim included
-    pid: FloatArray  # (n, 4) roll and pitch before their limit [rad], thrust deviation [N], yaw-rate reference [rad/s]
-    desired: FloatArray  # (n, 4) set-point: north, east, down [m], yaw [rad]
-    pose: FloatArray  # (n, 4) cameras
-    esc: FloatArray  # (n, r) reported rotor speeds [rad/s], which read too high; NaN before the first telemetry frame
-
-    @staticmethod
-    def of(log: FloatArray) -> "RecordedLog":
-        """From `PlantSamples.log`. Raises UsageError where the vehicle keeps none."""
-        if log.shape[1] <= LOG:
-            raise UsageError("this vehicle keeps no such log: fly qdrone2-recorded, or one with a [recorded] table")
-        angle, rate, acceleration, gyro, accel = (log[:, at : at + 6].reshape(-1, 2, 3) for at in range(0, 30, 6))
-        torques, rest = (log[:, 30:33], log[:, 33:36], log[:, 36]), (log[:, 37:41], log[:, 41:45], log[:, 45:LOG])
-        return RecordedLog(angle, rate, acceleration, gyro, accel, *torques, *rest, log[:, LOG:])
 
 
 class Plant:
@@ -314,7 +285,8 @@ class Plant:
         if steps < 0:
             raise UsageError(f"cannot advance by {steps} steps")
         wide = {"setpoint": 3, "rate_setpoint": 3, "imu": 6, "attitude": ESTIMATE, "rigid": RIGID}
-        wide |= {"rotor_speed": self.rotors, "duty": self.rotors, "log": LOG + self.rotors if self._own else 0}
+        wide |= {"rotor_speed": self.rotors, "duty": self.rotors}
+        wide |= {"log": LOG.itemsize // 8, "esc": self.rotors} if self._own else {"log": 0, "esc": 0}
         rows = Rows(*(np.empty((steps, wide[name]) if name in wide else steps) for name in Rows._fields))
         first, done = self._step, 0
         while done < steps:
@@ -329,10 +301,11 @@ class Plant:
             done += count
         t_ns = (first + np.arange(steps, dtype=np.int64)) * STEP_NS
         thrust = rows.thrust / (self._model.controller.full_thrust * self.rotors)
-        motors, reported = rows.motors.astype(np.int64), rows.log[:, LOG:] if self._own else rows.rotor_speed
+        motors, log = rows.motors.astype(np.int64), np.empty(steps, [])
+        told = (rows.esc, rows.log.view(LOG)[:, 0]) if self._own else (rows.rotor_speed, log)
         truth = rows.rigid[:, 6:10], rows.rigid[:, :3], rows.rigid[:, 3:6], rows.rigid[:, 10:13], rows.rotor_speed
         sensed = rows.imu[:, :3], rows.imu[:, 3:], rows.attitude, rows.duty, rows.battery_v, rows.charge_ah, motors
-        return PlantSamples(t_ns, rows.setpoint, rows.rate_setpoint, thrust, *sensed, *truth, reported, rows.log)
+        return PlantSamples(t_ns, rows.setpoint, rows.rate_setpoint, thrust, *sensed, *truth, *told)
 
     def _renew_condition(self) -> None:
         spans = [injection.span(STEP_S) for injection in self._injections]

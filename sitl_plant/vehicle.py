@@ -74,6 +74,7 @@ class Propulsion:
     thrust_noise_corner_hz: Positive
     unbalance_max_g_mm: NotNegative
     minimum_duty: Share
+    load_share: Annotated[float, Field(ge=0, lt=1)] = 0.0  # of a motor's voltage that drag takes in hover; 0: T Eq 2.10
 
 
 @dataclass(frozen=True, slots=True, config={"extra": STRICT})

@@ -2,6 +2,8 @@
 
 import itertools
 from collections.abc import Callable
+from functools import partial
+from importlib import import_module
 
 import pytest
 from hypothesis import settings
@@ -20,15 +22,20 @@ def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPath
 
 
 @pytest.fixture
-def mavdiag(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
-    """The program, run in this process: exit code, stdout, stderr."""
-    from mavdiag import cli
+def program(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
+    """A program of this project, run in this process: exit code, stdout, stderr. It is named by its module."""
 
-    def run(*arguments: object) -> Ran:
-        monkeypatch.setattr("sys.argv", ["mavdiag", *map(str, arguments)])
+    def run(module: str, *arguments: object) -> Ran:
+        monkeypatch.setattr("sys.argv", [module, *map(str, arguments)])
         with pytest.raises(SystemExit) as caught:
-            cli.main()
+            import_module(module).main()
         out, err = capsys.readouterr()
         return int(str(caught.value.code)), out, err
 
     return run
+
+
+@pytest.fixture
+def mavdiag(program: Callable[..., Ran]) -> Callable[..., Ran]:
+    """`program` of the library's own."""
+    return partial(program, "mavdiag.cli")

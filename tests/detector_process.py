@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 from made_vehicle import MadeVehicle
+from patience import PATIENCE_S
 
 from mavdiag.link.codec import Decoder, decode_statustext
 from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import Endpoint
 
 COMMAND = [sys.executable, "-m", "detector"]
-PATIENCE_S = 30.0
 
 
 def ran(*options: str) -> subprocess.CompletedProcess[str]:

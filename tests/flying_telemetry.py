@@ -12,6 +12,7 @@ from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import FloatArray, Series, Signal, Telemetry
+from mavdiag.units import RPM
 
 DT_S = 0.01
 DT_NS = 10_000_000
@@ -40,9 +41,12 @@ def flying(
     shake: float = 0.3,
     turn: FloatArray | None = None,
     layout: str = "x",
+    fast_rotor: int = 0,
+    faster: float = 0.0,
 ) -> Telemetry:
     """n samples at 100 Hz of a frame; rotor `weak_rotor` (from 1) is commanded `rise` more of the hover output.
 
+    fast_rotor: turns `faster`, as a share, for its command.
     turn: (n,) yaw rate that the nose turns with besides [rad/s]; drag asks for a yaw trim of 0.02 for each rad/s.
     """
     rng = np.random.default_rng(seed)
@@ -58,6 +62,9 @@ def flying(
     outputs = 0.5 * (1.0 + torque @ layout_named(layout).mixing.T)
     if weak_rotor:
         outputs[:, weak_rotor - 1] += 0.5 * rise
+    speeds = np.rint(2e4 * outputs**0.85 * (1.0 + 1e-3 * rng.standard_normal(outputs.shape))) * RPM
+    if fast_rotor:
+        speeds[:, fast_rotor - 1] *= 1.0 + faster
     force = rng.normal([0.0, 0.0, -9.81], 0.3, (n, 3))
     vibration = np.abs(rng.normal(shake, 0.05, (n, 3)))
     ones = np.ones((n, 1))
@@ -69,6 +76,7 @@ def flying(
             series(Signal.TORQUE_COMMAND, t_ns, torque),
             series(Signal.THRUST_SETPOINT, t_ns, 0.5 * ones),
             series(Signal.ACTUATOR, t_ns[::2], outputs[::2]),
+            series(Signal.ROTOR_SPEED, t_ns[::10], speeds[::10]),
             series(Signal.ATTITUDE, t_ns[::2], attitude[::2]),
             series(Signal.VIBRATION, t_ns[::20], vibration[::20]),
             series(Signal.ARMED, t_ns[::100], ones[::100]),

@@ -7,10 +7,19 @@ from dataclasses import dataclass
 
 ULOG_HEAD = b"ULog\x01\x12\x35"
 DATAFLASH_FMT = 0x80
-_DATAFLASH_CODES = {"c": "h", "C": "H", "e": "i", "E": "I", "L": "i", "M": "B", "n": "4s", "N": "16s", "Z": "64s"}
+_DATAFLASH_CODES = {
+    "c": "h",
+    "C": "H",
+    "e": "i",
+    "E": "I",
+    "L": "i",
+    "M": "B",
+    "n": "4s",
+    "N": "16s",
+    "Z": "64s",
+    "a": "32h",
+}
 _ULOG_CODES = {"uint64_t": "Q", "int32_t": "i", "uint8_t": "B", "float": "f", "double": "d"}
-
-Values = Sequence[float | bytes]
 
 
 @dataclass(frozen=True)

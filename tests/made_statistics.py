@@ -32,6 +32,8 @@ from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_S
 
+SUSPECTED = 0.8  # of the threshold, where a slot that decides raises a suspicion
+
 
 def made_slot(
     name: str, threshold: float, decides: bool = True, evidence: RotorEvidence | None = None, **of_monitor: Any
@@ -39,7 +41,7 @@ def made_slot(
     """A slot of a monitor with these attributes and no loop."""
     usual = {"axis": None, "unit": "", "kind": FaultKind.PROPELLER, "feature": None, "delay_s": 0.0, "clear_s": 2.0}
     monitor = SimpleNamespace(name=name, **{**usual, "rotors": 4, **of_monitor})
-    return Slot(cast(Any, monitor), threshold, decides, evidence)
+    return Slot(cast(Any, monitor), threshold, decides, evidence, SUSPECTED if decides else 1.0)
 
 
 def statistic(
@@ -110,7 +112,7 @@ def looked_of(
                 reading[:] = (record[HIGHEST], record[LAST], at, *record[EVIDENCE : EVIDENCE + width])
         readings[look] = latest
         fresh = [(n, slot) for n, slot in enumerate(slots) if at - latest[n, AT] <= STALE_LOOKS]
-        ranks = [(height_of(latest[n, 0], slot.decides), slot.decides, latest[n, 0], -n) for n, slot in fresh]
+        ranks = [(height_of(latest[n, 0], slot), slot.decides, latest[n, 0], -n) for n, slot in fresh]
         heights.append(int(max(ranks)[0]) if any(slot.decides for _, slot in fresh) else -1)
         leads.append(-max(ranks)[3] if ranks else -1)
     told.sort(key=lambda alarm: alarm.look)

@@ -11,6 +11,7 @@ from memory_port import MemoryEndpoint, memory_pair
 from detector.config import Settings
 from detector.daemon import Daemon, Host
 from detector.fitting import FittingJob, Outcome, ProcessFitter
+from detector.hooks import Hook
 from detector.journal import Journal, Recorder
 from detector.metrics import Metrics
 from detector.notify import Notifier
@@ -121,6 +122,7 @@ class Bench:
     metrics: Metrics | None = None
     web: Feed | None = None
     inspections: Inspections | None = None
+    hooks: tuple[Hook, ...] = ()
     links_behind: int = 0
     host: VirtualHost = field(default_factory=VirtualHost)
     vehicles: list[MadeVehicle] = field(default_factory=list)
@@ -147,6 +149,7 @@ class Bench:
             airframe=self.airframe,
             journal=self.file,
             recorder=self.recorder,
+            hooks=self.hooks,
             signing=signing,
             baselines=self.baselines,
             notifier=self.notifier,

@@ -8,14 +8,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
+from patience import PATIENCE_S
+
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, Severity
 from mavdiag.link.ports import open_endpoint
 from sitl_plant.options import STARTING
 
-__all__ = ["ALERT", "Alerter", "companion", "flying", "process"]
-
-PATIENCE_S = 60.0  # the first start compiles the plant
 ALERT = "PROP FAULT r1 F2/SV2 FSD 0.41s>FML 0.12s"
 
 

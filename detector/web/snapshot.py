@@ -24,10 +24,10 @@ from detector.values import DaemonFigures, VehicleFigures
 from mavdiag.chain import Chain
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.decision.words import finding_words, motors_words
-from mavdiag.drawing import airframe_svg
 from mavdiag.kernel import WAITING, Account, Piece
 from mavdiag.link.wants import LABELS
 from mavdiag.monitors.base import Feature
+from mavdiag.report.drawing import airframe_svg
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, Instant, IntArray, Signal
 from mavdiag.traces import SlotTrace, slot_traces

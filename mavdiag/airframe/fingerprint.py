@@ -219,11 +219,13 @@ def joined(flight: Sequence[Rows]) -> list[Block]:
     out = []
     for segment, rows in itertools.groupby(flight, key=lambda one: one.block.segment):
         blocks = [one.block for one in rows]
-        width = max(block.actuator.shape[1] for block in blocks)  # rows before the first message have no column
         columns = {name: [getattr(block, name) for block in blocks] for name in COLUMNS}
-        columns["actuator"] = [
-            np.pad(x, ((0, 0), (0, width - x.shape[1])), constant_values=np.nan) for x in columns["actuator"]
-        ]
+        for name in ("actuator", "rotor_speed"):  # rows before the first message have no column
+            width = max(x.shape[1] for x in columns[name])
+            columns[name] = [
+                np.pad(x, ((0, 0), (0, width - x.shape[1])), constant_values=np.nan) if x.shape[1] < width else x
+                for x in columns[name]
+            ]
         whole = (np.concatenate(parts) for parts in columns.values())
         out.append(blocks[0] if len(blocks) == 1 else Block(segment, blocks[0].dt_s, *whole))
     return out

@@ -17,6 +17,30 @@ from mavdiag.telemetry import FloatArray
 COLUMN_TOLERANCE = 1e-3  # of a column's scale: digits that a hand-written file may leave out (our choice)
 
 
+class Motor(int):
+    """The number of a rotor, from 1; of rotors that share an arm that of the first, shown with the others: "1/6".
+
+    >>> f"motor {Motor(1, 6)}", Motor(1, 6) == 1
+    ('motor 1/6', True)
+    """
+
+    members: tuple[int, ...]
+
+    def __new__(cls, *members: int) -> "Motor":  # noqa: D102 - see the class
+        found = super().__new__(cls, members[0])
+        found.members = members
+        return found
+
+    def __getnewargs__(self) -> tuple[int, ...]:  # type: ignore[override]
+        return self.members
+
+    def __str__(self) -> str:
+        return "/".join(map(repr, self.members))
+
+    def __format__(self, spec: str) -> str:
+        return format(str(self), spec)
+
+
 @dataclass(frozen=True, slots=True)
 class RotorLayout:
     """The (roll, pitch, yaw) effects of each rotor; the squares of each column sum to the number of rotors.
@@ -41,10 +65,17 @@ class RotorLayout:
         return len(self.signs)
 
     @property
+    def arms(self) -> tuple[Motor, ...]:
+        """The rotors of each arm: those with equal effects of roll and pitch, which hardly tell them apart."""
+        found = dict[tuple[float, float], list[int]]()
+        for rotor, (roll, pitch, _) in enumerate(self.signs, 1):
+            found.setdefault((round(roll, 3), round(pitch, 3)), []).append(rotor)
+        return tuple(Motor(*members) for members in found.values())
+
+    @property
     def coaxial(self) -> bool:
-        """Whether rotors share an arm: roll and pitch tell the arm then, and hardly anything which rotor on it."""
-        arms = {(round(roll, 3), round(pitch, 3)) for roll, pitch, _ in self.signs}
-        return len(arms) < self.rotors
+        """Whether rotors share an arm: the arm is named then, and no rotor."""
+        return len(self.arms) < self.rotors
 
     def alike(self, other: "RotorLayout") -> bool:
         """Whether both have the same rotors in the same order, whatever they are called."""

@@ -37,6 +37,7 @@ class FlightRecord:
     content: the hash of its file, and the vehicle in it. baseline: digest of the one that judged it.
     started_ns, added_ns: of its first record (0 if unknown) and of its judging, unix epoch [ns].
     rotor_trim: rise of each rotor's command, median over the flight [fraction of hover]; empty where it was not judged.
+    trim: of the whole flight by roll, pitch and yaw (`TrimMonitor.whole`) [fraction of hover]; empty if unknown.
     """
 
     airframe: str
@@ -50,6 +51,7 @@ class FlightRecord:
     judged_s: float
     slots: tuple[SlotFigures, ...] = ()
     rotor_trim: tuple[float, ...] = ()
+    trim: tuple[float, ...] = ()
 
     @property
     def t_ns(self) -> int:
@@ -93,6 +95,7 @@ def record_of(
     content = log.sha256 if log.vehicle is None else f"{log.sha256}:{log.vehicle}"
     trims = (trace.found for trace in traces if isinstance(trace.slot.monitor, RotorTrim))
     trim = next((found for found in trims if found.rotors.shape[1] and found.valid.any()), None)
+    monitor = next((trace.slot.monitor for trace in traces if isinstance(trace.slot.monitor, RotorTrim)), None)
     verdict = judged.verdict
     return FlightRecord(
         airframe,
@@ -106,6 +109,7 @@ def record_of(
         verdict.judged_s,
         tuple(_slot_figures(trace) for trace in traces),
         () if trim is None else tuple(np.median(trim.rotors[trim.valid], axis=0).tolist()),
+        () if monitor is None else monitor.whole([piece.rows for piece in judged.pieces if len(piece.rows.block)]),
     )
 
 

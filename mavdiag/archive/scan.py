@@ -27,8 +27,8 @@ from mavdiag.archive.sources import judging_version
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.errors import InputError, LinkError, MavdiagError, UsageError
 from mavdiag.judging import JUDGED_SHARE, LogVerdict, Verdict, judge, judge_in_full
+from mavdiag.logs import read_part
 from mavdiag.logs.csv_columns import ColumnMap
-from mavdiag.logs.part import read_part
 from mavdiag.storage import open_regular, read_text, write_atomically
 
 MOST_BYTES = 1 << 40  # the readers know how long a log of their kind may be

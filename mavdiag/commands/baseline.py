@@ -14,7 +14,7 @@ from mavdiag.commands.progress import each, followed
 from mavdiag.face import now
 from mavdiag.learning.learn import extend as extended
 from mavdiag.learning.suspicions import accepted
-from mavdiag.logs.part import read_part
+from mavdiag.logs import read_part
 from mavdiag.storage import check_output
 
 app = commandline.application("Look into a baseline file, or add healthy flights to it.")
@@ -32,7 +32,8 @@ def show(file: File, as_json: opt.AsJson = False) -> None:
 @app.command()
 def check(file: File) -> None:
     """Validate a baseline: schema, every field, digest. Exit code 0 if it is sound, else 2."""
-    say(f"{file}: sound, {Baseline.load(file).digest}")
+    baseline = Baseline.load(file)
+    say(f"{file}: sound, {baseline.digest}\n{baseline.promises}")
 
 
 @app.command()

@@ -16,6 +16,7 @@ from typer import Argument, Option
 from mavdiag.archive.figures import FlightRecord
 from mavdiag.archive.scan import Answer, Options, Question
 from mavdiag.archive.tables import write_csv
+from mavdiag.archive.together import reference_of
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say
 from mavdiag.commands import options as opt
@@ -68,6 +69,7 @@ def add(
     failed, found = 0, opt.find_logs(logs)[0].logs
     how = judging(found, question, scheduler or jobs, cache, no_cache=no_cache or again)
     with _open(database, create=True) as history, how as (answers, tell):
+        history.refer(reference_of(reference))
         for answer in answers:
             failed += answer.record.flight is None
             tell(f"{answer.path}: {_added(history, answer, name, again)}")
@@ -95,11 +97,12 @@ def show(
 ) -> None:
     """Draw the trends since the propellers were new.
 
-    Exit code 1 if a statistic reaches its threshold soon, or the last flight is a fault; else 0.
+    Exit code 1 if a statistic reaches its threshold soon, a rotor has changed, or the last flight is a fault; else 0.
     """
     with _open(database) as history:
         names = history.names(airframe)
-        found = [overview_of(name, history.flights(name), history.marks(name)) for name in names]
+        known = history.references()
+        found = [overview_of(name, history.flights(name), history.marks(name), known) for name in names]
     if csv_file is not None:
         write_csv(csv_file, (row for overview in found for row in shown.trend_rows(overview)), shown.TREND_COLUMNS)
     for overview in found:
@@ -107,7 +110,8 @@ def show(
             say(json.dumps(shown.overview_json(overview)))
         else:
             _print(overview)
-    raise typer.Exit(1 if any(overview.warned or overview.faulty for overview in found) else 0)
+    changed = any(overview.together is not None and overview.together.changed for overview in found)
+    raise typer.Exit(1 if changed or any(overview.warned or overview.faulty for overview in found) else 0)
 
 
 @app.command()

@@ -19,10 +19,10 @@ from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
 from mavdiag.learning.suspicions import accepted
-from mavdiag.logs.part import read_part
+from mavdiag.logs import read_part
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.storage import check_output
-from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule
+from mavdiag.thresholds.rule import BUDGET_PER_HOUR, FLIGHTS_PER_SUSPICION, ThresholdRule
 
 
 def identify(
@@ -37,6 +37,9 @@ def identify(
     alarms_per_hour: Annotated[
         float, Option(metavar="X", help="False-alarm budget of all together.")
     ] = BUDGET_PER_HOUR,
+    flights_per_suspicion: Annotated[
+        float, Option(metavar="N", help="Healthy flights of which one may be suspected.")
+    ] = FLIGHTS_PER_SUSPICION,
     rule: Annotated[ThresholdRule, Option(help="By the budget, or the healthy maximum.")] = ThresholdRule.GUMBEL,
     airframe: Annotated[
         str | None, Option(metavar="NAME|FILE.toml", help=f"One of {', '.join(BUILTIN)}, or a file.")
@@ -67,6 +70,7 @@ def identify(
         monitors=(RunLength.name,) if thesis else ALL_MONITORS if monitors == "all" else tuple(monitors.split(",")),
         rule=ThresholdRule.MAXIMUM if thesis else rule,  # thesis: the monitor of T 5.5, alone
         alarms_per_hour=alarms_per_hour,
+        flights_per_suspicion=flights_per_suspicion,
         sessions=sessions,
         robust=robust,
     )

@@ -23,7 +23,7 @@ from mavdiag.link.messages import Component, MavResult
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.sequence import LinkCount
 from mavdiag.link.wants import Asker, wants_of
-from mavdiag.logs.part import read_part
+from mavdiag.logs import read_part
 from mavdiag.logs.tlog import read_content
 from mavdiag.look.inspection import inspection_of
 from mavdiag.look.words import CLOSING, in_full, in_one_line

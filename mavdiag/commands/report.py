@@ -13,8 +13,8 @@ from mavdiag.commands.progress import each, sizes_of
 from mavdiag.errors import InputError, UsageError
 from mavdiag.face import now
 from mavdiag.judging import LogVerdict, Verdict, judge_in_full
+from mavdiag.logs import read_part
 from mavdiag.logs.csv_columns import ColumnMap
-from mavdiag.logs.part import read_part
 from mavdiag.storage import check_output, write_atomically
 from mavdiag.telemetry import Log
 

@@ -4,7 +4,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -12,18 +12,19 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from mavdiag.archive.figures import Window
+from mavdiag.archive.figures import FlightRecord, Window
 from mavdiag.archive.paths import Named
 from mavdiag.archive.scan import Answer, Cache, Options, Question, open_cache
 from mavdiag.archive.scan import scan as archive
 from mavdiag.archive.tables import Row, check_parquet, rows_of, write_csv, write_parquet
+from mavdiag.archive.together import reference_of, together
 from mavdiag.as_json import number, verdict_json
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands import options as opt
 from mavdiag.commands.progress import shown, sizes_of
 from mavdiag.judging import JUDGED_SHARE, Verdict, exit_code
-from mavdiag.logs.part import check_times
+from mavdiag.logs import check_times
 from mavdiag.storage import check_output
 
 
@@ -39,6 +40,9 @@ def scan(
         float, Option(min=0.0, max=1.0, metavar="SHARE", help="Of the flown time, judged: less is not healthy.")
     ] = JUDGED_SHARE,
     windows: Annotated[float | None, Option(metavar="S", min=1.0, help="Judge windows of this length, too.")] = None,
+    as_one: Annotated[
+        bool, Option("--together", help="These flights flew one set of propellers: has a rotor changed?")
+    ] = False,
     csv: Annotated[Path | None, Option(metavar="FILE", help="Write a table, one row a log or window.")] = None,
     parquet: Annotated[Path | None, Option(metavar="FILE", help="The same table as Parquet.")] = None,
     jobs: opt.Jobs = None,
@@ -49,7 +53,8 @@ def scan(
     """Judge logs. Exit code: 0 healthy, 1 fault, 2 error, 3 not judgeable, 4 suspected; of several logs the first of
     2, 1, 4, 3, 0.
 
-    Answers are kept, so a scan that was stopped goes on where it was.
+    Answers are kept, so a scan that was stopped goes on where it was. With --together the last line is about all
+    flights, in their order, and a change of 50 to 1 counts as suspected.
     """
     reference = Baseline.load(baseline)
     check_times(from_s, to_s)
@@ -59,8 +64,8 @@ def scan(
     if parquet is not None:
         check_parquet()
     found, mapped = opt.find_logs(logs, columns)
-    question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped, judged_share))
-    verdicts, rows, before = list[Verdict](), list[Row](), 0
+    question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped, judged_share, figures=as_one))
+    verdicts, rows, flights, before = list[Verdict](), list[Row](), list[FlightRecord](), 0
     how = judging(found.logs, question, scheduler or jobs, cache, no_cache=no_cache, quiet=as_json)
     with how as (answers, tell):
         for answer in answers:
@@ -68,6 +73,11 @@ def scan(
             verdicts.append(answer.record.verdict.verdict)
             rows += rows_of(answer) if csv or parquet else ()
             before += not answer.fresh
+            flights += () if answer.record.flight is None else [replace(answer.record.flight, log=str(answer.path))]
+    if as_one:
+        found_together = together(reference_of(reference), flights)
+        say(json.dumps({"together": found_together.as_json()}) if as_json else str(found_together))
+        verdicts += [Verdict.SUSPECTED] if found_together.changed else []
     if before and not as_json:
         say(f"{before} of {len(verdicts)} answers were known already; --no-cache judges anew", err=True)
     if csv is not None:

@@ -36,8 +36,10 @@ def watch(
     On a pipe it prints one line an event.
     """
     from mavdiag.terminal import watching
-    from mavdiag.terminal.ground_station import GroundStation  # here, for rich takes time to load
-    from mavdiag.terminal.live_judge import LiveJudge
+    from mavdiag.terminal.ground_station import (
+        GroundStation,  # here, for rich takes time to load
+        LiveJudge,
+    )
 
     until = float("inf") if duration is None else time.monotonic() + duration
     with stop_signals() as stopped:

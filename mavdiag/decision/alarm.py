@@ -3,9 +3,10 @@
 A slot is a monitor with its threshold; its ratio is its statistic over its threshold, which was set for its own share
 of the alarm budget. So any one that decides may declare a fault, and the shares add up to the budget:
 
-    calm  < 0.7 <=  held  < 0.8 <=  raised  <= 1 <  over        the highest ratio of all slots
+    calm  < 0.7 <=  held  < s <=  raised  <= 1 <  over        the highest ratio of all slots
 
-A slot that does not decide raises a suspicion at most, when it is over. A fault is latched: when every slot that was
+s is where its flight is one of the few healthy ones that may be suspected (`thresholds.rule`). A slot that does not
+decide raises a suspicion at most. A fault is latched: when every slot that was
 over has been calm for 2 s, each by its own fresh values, it is only "no longer seen"; the next ratio above 1 begins
 another episode. The end of a flight turns it into an open inspection, until it is acknowledged. Within an episode the
 most certain name of a rotor holds. A trim that the fall of a named rotor's command explains better than the rise of any
@@ -27,7 +28,6 @@ from mavdiag.kernel import (
     CALM_BELOW,
     LOOK_NS,
     NAN,
-    RAISED_FROM,
     RATIO,
     READ,
     READ_ROTORS,
@@ -57,7 +57,7 @@ _WAYS = (  # from these stages, at these heights: to which one, and why
     ((Stage.QUIET, Stage.SUSPECTED), (Height.UNKNOWN,), Stage.NOT_JUDGED, "no monitor judges"),
     ((Stage.NOT_JUDGED,), (Height.SETTLED, Height.CALM, Height.HELD), Stage.QUIET, "monitors judge"),
     ((Stage.SUSPECTED,), (Height.SETTLED,), Stage.QUIET, "all monitors have been calm again"),
-    ((Stage.NOT_JUDGED, Stage.QUIET), (Height.RAISED,), Stage.SUSPECTED, "a monitor comes near its threshold"),
+    ((Stage.NOT_JUDGED, Stage.QUIET), (Height.RAISED,), Stage.SUSPECTED, "a monitor is where few healthy flights come"),
     (set(Stage) - {Stage.FAULT}, (Height.OVER,), Stage.FAULT, "a monitor is above its threshold"),
 )
 #: Every other pair leaves the stage as it is: no height ends a fault or an inspection.
@@ -68,7 +68,7 @@ NEXT: dict[tuple[Stage, Height], tuple[Stage, str]] = {
 LEFT_ALONE: dict[Stage, tuple[Height, ...]] = {
     Stage.NOT_JUDGED: (Height.UNKNOWN,),
     Stage.QUIET: (Height.CALM, Height.HELD),
-    Stage.SUSPECTED: (Height.HELD, Height.RAISED),
+    Stage.SUSPECTED: (Height.HELD,),
     Stage.FAULT: (),
     Stage.INSPECT: (Height.UNKNOWN, Height.CALM, Height.HELD, Height.RAISED),
 }
@@ -114,15 +114,17 @@ class DecisionSpec:
     def step(self, state: DecisionState, looked: Looked) -> Step:
         """Take looks that are whole."""
         events, changes, told = list[Event](), list[Change](), list(looked.alarms)
+        left_alone, before, final = self._left_alone(state), None, len(looked.heights) - 1
         for number, height in enumerate(looked.heights):
-            look = looked.first + number
+            if height == before is not None and not told and number < final:
+                continue  # it is left alone, as the look before was
+            look, last = looked.first + number, number == final
             t_ns = look * LOOK_NS if looked.end_ns is None else looked.end_ns
-            last = number == len(looked.heights) - 1
             alarms = list[Alarm]()
             while told and (told[0].look <= look or last):
                 alarms.append(told.pop(0))
-            if not alarms and height is not None and height in self._left_alone(state):
-                state = _since(state, height, t_ns)
+            if not alarms and height is not None and height in left_alone:
+                state, before = _since(state, height, t_ns), height
                 if last and state.diagnosis.stage not in (Stage.FAULT, Stage.INSPECT):
                     lead = looked.leads[number]
                     best = self._reading(lead, looked.readings[number, lead].tolist()) if lead >= 0 else None
@@ -136,6 +138,7 @@ class DecisionSpec:
                 change = change or graded
             events += self.named(state, alarms)
             changes += [Change.of(state.diagnosis, t_ns)] if change else []
+            left_alone, before = self._left_alone(state), None
         return state, tuple(events), tuple(changes)
 
     def end_flight(self, state: DecisionState, looked: Looked, ended: Sequence[Alarm], t_ns: int) -> Step:
@@ -174,7 +177,7 @@ class DecisionSpec:
 
     def _reading(self, number: int, row: Sequence[float]) -> Reading:
         slot = self.slots[number]
-        return Reading(slot, row[RATIO], row[READ], tuple(row[READ_ROTORS:]) if slot.monitor.rotors else ())
+        return Reading.of(slot, row[RATIO], row[READ], row[READ_ROTORS:])
 
     def _decide(self, state: DecisionState, fresh: list[Reading], t_ns: int) -> tuple[DecisionState, bool]:
         """Look the transition up, and see whether the rotor can be named; True if anything changed."""
@@ -187,7 +190,8 @@ class DecisionSpec:
         if changed:
             now = replace(held, stage=stage, reason=reason, since_ns=t_ns)
         if stage is not Stage.FAULT:
-            return replace(state, diagnosis=_leading(now, fresh)), changed
+            now, news = _suspected_rotor(now, fresh, height)
+            return replace(state, diagnosis=_leading(now, fresh)), changed or news
         if height is Height.OVER and not held.seen:
             why = "the fault is seen again" if held.stage is stage else reason
             declared_ns = t_ns if held.declared_ns is None else held.declared_ns
@@ -248,13 +252,13 @@ class DecisionSpec:
         return replace(state, episode=replace(episode, graded=episode.graded + 1), diagnosis=after), news
 
 
-def height_of(ratio: float, decides: bool) -> Height:
-    """The height of one slot's ratio."""
-    if ratio > 1.0:
-        return Height.OVER if decides else Height.RAISED
-    if not decides or ratio < CALM_BELOW:
-        return Height.CALM
-    return Height.RAISED if ratio >= RAISED_FROM else Height.HELD
+def height_of(ratio: float, slot: Slot) -> Height:
+    """The height of a slot's ratio."""
+    if ratio > 1.0 and slot.decides:
+        return Height.OVER
+    if ratio >= slot.suspected or ratio > 1.0:
+        return Height.RAISED
+    return Height.HELD if slot.decides and ratio >= CALM_BELOW else Height.CALM
 
 
 def landed(held: Diagnosis, t_ns: int) -> Diagnosis:
@@ -272,7 +276,19 @@ def _falls(reading: Reading, held: Diagnosis) -> bool:
     a = reading.rotors
     if reading.direct or not a or -min(a) < max(a):
         return False
-    return a.index(min(a)) + 1 in [span.rotor for span in held.rotors]
+    return reading.motor(a.index(min(a))) in [span.rotor for span in held.rotors]
+
+
+def _suspected_rotor(now: Diagnosis, fresh: Sequence[Reading], height: Height) -> tuple[Diagnosis, bool]:
+    """The diagnosis with the rotor that a suspicion names, the latest one; and whether that is news."""
+    if now.stage in (Stage.QUIET, Stage.NOT_JUDGED):
+        return replace(now, rotor=None, confidence=None), False
+    place = (
+        named(FaultKind.PROPELLER, fresh, False) if (now.stage, height) == (Stage.SUSPECTED, Height.RAISED) else None
+    )
+    if place is None or place.rotor in (None, now.rotor):
+        return now, False
+    return replace(now, rotor=place.rotor, confidence=place.confidence), True
 
 
 def _with_rotor(now: Diagnosis, rotor: int, begun_ns: int, t_ns: int) -> tuple[RotorSpan, ...]:
@@ -303,7 +319,7 @@ def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tu
     """How high the highest ratio is, and since when; see `DOUBT_NS` for what waits before it is over."""
     height = Height.UNKNOWN
     if any(reading.slot.decides for reading in fresh):
-        height = max(height_of(reading.ratio, reading.slot.decides) for reading in fresh)
+        height = max(height_of(reading.ratio, reading.slot) for reading in fresh)
     state = _since(state, height, t_ns)
     if state.calm_ns is not None and t_ns - state.calm_ns >= CLEAR_NS:
         return state, Height.SETTLED
@@ -324,7 +340,7 @@ def _leading(it: Diagnosis, fresh: Sequence[Reading]) -> Diagnosis:
         fresh = [one for one in fresh if it.seen and one.ratio > 1.0 and one.slot.decides and _speaks(one, it)]
         if not fresh:
             return it
-    ranks = [(height_of(one.ratio, one.slot.decides), one.slot.decides, one.ratio) for one in fresh]
+    ranks = [(height_of(one.ratio, one.slot), one.slot.decides, one.ratio) for one in fresh]
     return _shown(it, fresh[ranks.index(max(ranks))] if ranks else None)
 
 
@@ -338,4 +354,6 @@ def _shown(it: Diagnosis, best: Reading | None) -> Diagnosis:
 def _speaks(reading: Reading, it: Diagnosis) -> bool:
     """Whether evidence is of the fault's kind, and may stand beside the name of a rotor: a trim shows one alone."""
     own = it.rotor is None or reading.direct or not reading.rotors
-    return reading.slot.monitor.kind is it.kind and (own or reading.rotors.index(max(reading.rotors)) + 1 == it.rotor)
+    return reading.slot.monitor.kind is it.kind and (
+        own or reading.motor(reading.rotors.index(max(reading.rotors))) == it.rotor
+    )

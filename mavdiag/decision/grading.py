@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mavdiag.airframe.layout import Motor
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.kernel import EVIDENCE, JUDGED, LAST_LEVEL, LOOK_NS, SQUARES
 from mavdiag.monitors.base import Feature
@@ -69,8 +70,9 @@ class Gathered:
                 squares, count = self.sums[feature].tolist()
                 x[column] = math.log(max(math.sqrt(squares / count), least))
         rises = self.sums.get(Feature.RISE, np.empty(0))
-        if rotor is not None and rotor < len(rises):
-            x[2] = 100.0 * (rises[rotor - 1] / rises[-1])
+        members = rotor.members if isinstance(rotor, Motor) else () if rotor is None else (rotor,)
+        if members and max(members) < len(rises):
+            x[2] = 100.0 * (max(rises[one - 1] for one in members) / rises[-1])
         return x
 
 

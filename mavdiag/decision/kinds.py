@@ -32,12 +32,23 @@ LOSSES = (FaultKind.LOSS_OF_CONTROL, FaultKind.GROSS_LOSS)
 @dataclass(frozen=True, slots=True)
 class Reading:
     """A slot's latest look that had a valid value: the highest statistic over threshold, the last statistic in it, and
-    the last evidence for each rotor, empty if the slot has none."""
+    the last evidence for each rotor, or arm that rotors share; empty if the slot has none."""
 
     slot: Slot
     ratio: float
     value: float = math.nan
     rotors: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, slot: Slot, ratio: float, value: float, rotors: Sequence[float]) -> "Reading":
+        """From the evidence for each rotor, nothing if the slot has none."""
+        arms, known = slot.evidence.arms if slot.evidence else (), rotors if slot.monitor.rotors else ()
+        by_arm = (max(known[rotor - 1] for rotor in arm.members) for arm in arms if known)
+        return cls(slot, ratio, value, tuple(by_arm) if arms else tuple(known))
+
+    def motor(self, place: int) -> int:
+        """The rotor, or the arm, whose evidence stands there."""
+        return self.slot.evidence.arms[place] if self.slot.evidence and self.slot.evidence.arms else place + 1
 
     @property
     def unit(self) -> float:
@@ -45,7 +56,7 @@ class Reading:
         how = self.slot.evidence
         if how is None or not self.rotors or not all(map(math.isfinite, self.rotors)):
             return 0.0
-        return how.weight / (self.slot.threshold if how.relative else 1.0)
+        return how.weight / (max(self.slot.threshold, how.least) if how.relative else 1.0)
 
     @property
     def direct(self) -> bool:
@@ -85,8 +96,8 @@ def isolate(readings: Sequence[Reading]) -> Isolation:
     if not any(logits):
         return Isolation()
     first, second = sorted(logits, reverse=True)[:2] if most > 1 else (logits[0], logits[0])
-    sure = _sure(1.0, logits)
-    return Isolation(logits.index(first) + 1 if sure >= NAME_AT else None, sure, first - second)
+    sure, whose = _sure(1.0, logits), next(reading for reading in readings if len(reading.rotors) == most)
+    return Isolation(whose.motor(logits.index(first)) if sure >= NAME_AT else None, sure, first - second)
 
 
 def _sure(unit: float, evidence: Sequence[float]) -> float:

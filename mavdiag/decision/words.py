@@ -93,6 +93,11 @@ def diagnosis_line(held: Diagnosis) -> str:
     return f"{held} ({held.monitor} {held.statistic:.3g} > {held.threshold:.3g}{unit})"
 
 
+def inspect_words(rotor: int | None) -> str:
+    """What to do after a suspicion that names a rotor; empty if it names none."""
+    return "" if rotor is None else f"inspect motor {rotor} before the next flight"
+
+
 def fault_reason(kind: FaultKind | None, faults: Sequence[Change], events: Sequence[Event]) -> str:
     """Why a fault was declared: the highest evidence, every rotor that was named, and the type that was named last.
 
@@ -161,6 +166,9 @@ def evidence_sentence(verdict: "LogVerdict") -> str:
 
 def advice(verdict: "LogVerdict") -> str:
     """What to do now, one sentence."""
+    inspect = (
+        "Look at the propellers" if verdict.rotor is None else f"Inspect motor {verdict.rotor} before the next flight"
+    )
     first = f"the propeller of rotor {verdict.rotor} first, then the others" if verdict.rotor else "the propellers"
     what = verdict.verdict.value
     if what == "fault" and verdict.kind not in (None, FaultKind.PROPELLER):
@@ -169,7 +177,7 @@ def advice(verdict: "LogVerdict") -> str:
         "fault": f"Before the next flight, look at {first}: nicks, cracks, a bent blade, a loose or changed propeller.",
         "sensor": "Before the next flight, check the inertial sensor and its mount; no propeller is blamed.",
         "loss": "Do not fly before the cause is known: look at motors, controllers, propellers and their wiring.",
-        "suspected": "Look at the propellers and judge the next flight too: it may be a manoeuvre that was not learnt.",
+        "suspected": f"{inspect}, and judge the next flight too: it may be a manoeuvre that was not learnt.",
         "healthy": "Damage that is smaller than the thresholds can find is not excluded; this is no proof of health.",
         "not_judgeable": "`mavdiag inspect LOG --baseline FILE` says which message or parameter is missing, and what "
         "the log shows by itself.",

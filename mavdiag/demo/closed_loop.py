@@ -6,13 +6,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from mavdiag.demo.subprocesses import POLL_S as POLL_S
 from mavdiag.demo.subprocesses import Child, child
 from mavdiag.errors import LinkError
 from mavdiag.link.messages import Severity
 from mavdiag.link.ports import open_endpoint
-from mavdiag.terminal.ground_station import GroundStation, ReceivedText
-from mavdiag.terminal.live_judge import LiveJudge
+from mavdiag.terminal.ground_station import GroundStation, LiveJudge, ReceivedText
 
 READY_S = 120.0  # the emulator compiles its loop at its first start
 

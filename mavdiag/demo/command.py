@@ -58,7 +58,7 @@ def demo(
     The detector judges by all monitors; the thesis rule is shown beside it. Exit code 0 only if the fault was alerted
     over MAVLink and nothing was alerted before its onset, else 1.
     """
-    from mavdiag.terminal.live_judge import LiveJudge
+    from mavdiag.terminal.ground_station import LiveJudge
 
     if duration < 10:
         raise UsageError(f"--duration {duration:g}: give the flight at least 10 s")

@@ -31,6 +31,7 @@ LEFT_OUT = {  # why; of the others: it needs the gyro at its rate
     "trim_step": "rotor_trim stands for it",
     "rotor_trim": "scripts cannot read the torque commands",
     "control_loss": "scripts cannot read the commanded rates",
+    "rotor_speed": "the script only records speeds; `mavdiag scan` judges by the ESC messages of the log",
 }
 
 
@@ -61,7 +62,7 @@ def applet(baseline: Baseline, table_key: int = TABLE_KEY) -> str:
     if layout is not None and layout.rotors > MOST_MOTORS:
         raise UsageError(f"scripts read the outputs of {MOST_MOTORS} motors, not of {layout.rotors}")
     monitors = [monitor_of(entry.spec) for entry in small.monitors]
-    names_rotor = layout is not None and not layout.coaxial
+    arms = [] if layout is None else sorted((rotor, arm) for arm in layout.arms for rotor in arm.members)
     loader, spans_s = PackageLoader("mavdiag.export", "."), (gates.QUIET_S, gates.BACK_S, gates.LOUD_S)
     template = Environment(
         loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=literal
@@ -70,20 +71,19 @@ def applet(baseline: Baseline, table_key: int = TABLE_KEY) -> str:
     return template.render(
         version=f"mavdiag {__version__}",
         baseline=baseline,
-        rotors=0 if layout is None else layout.rotors,
-        unmixing=None if layout is None else layout.unmixing,
+        arms=[arm for _, arm in arms],
         gate=small.link.gate,
         key=table_key,
         envelope={str(one): limits[:3] for one, limits in zip(ORDER, limits_of(small.envelope), strict=True)},
         entries={entry.spec.kind: entry for entry in small.monitors},
         units={one.name: one.unit for one in monitors},
         par={one.name: one.begin(DT_S).par.tolist() for one in monitors},
-        weights={one.name: one.evidence.weight if names_rotor and one.evidence else 0.0 for one in monitors},
+        evidence={one.name: one.evidence for one in monitors},
         loss=thrust_loss,
         trims=trims,
         turning=rotor_trim.TURN_TRIM,
         infinity=math.inf,
-        decision=(kernel.CALM_BELOW, kernel.RAISED_FROM, *spans_ms, kinds.NAME_AT, kinds.UPSET_FROM),
+        decision=(kernel.CALM_BELOW, *spans_ms, kinds.NAME_AT, kinds.UPSET_FROM, kinds.SILENT_BELOW),
         quiet=(gates.QUIET_RAD_S, *(round(span_s * 1000) for span_s in spans_s)),
     )
 

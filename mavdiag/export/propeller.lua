@@ -3,40 +3,42 @@
 -- It holds for this vehicle alone. Do not change it: export it anew.
 local B = { -- trims are fractions of hover, by roll, pitch and yaw
   digest = {{ baseline.digest }}, created = {{ baseline.provenance.created }},
-  airframe = {{ baseline.airframe.name }}, rotors = {{ rotors }},
-  gate = { -- less collective command, 0..1, or height [m] is no flight; not judged after take-off, before landing [s]
+  airframe = {{ baseline.airframe.name }},
+  arms = {{ arms }}, names = {{ arms | map("string") | list }}, -- first motor on the arm of each; how it is called
+  gate = { -- less collective command, 0..1, or height [m] is no flight; not judged after take-off, before landing [ms]
     thrust = {{ gate.min_thrust or 0.0 }}, height = {{ -infinity if gate.min_height_m is none else gate.min_height_m }},
-    start = {{ gate.trim_start_s }}, stop = {{ gate.trim_end_s }},
+    start = {{ (1000 * gate.trim_start_s) | round }}, stop = {{ (1000 * gate.trim_end_s) | round }},
   },
   -- What was learnt, {from, to, how far beyond it nothing is judged}: [rad], mean of 5 s; 0..1; [rad/s]; [m].
   tilt = {{ envelope.tilt }}, throttle = {{ envelope.throttle }},
   yaw_rate = {{ envelope["yaw rate"] }}, height = {{ envelope.height }},
 {% for name, entry in entries.items() %}
-  [{{ name }}] = { -- thresholds: {{ units[name] }}; weight of the evidence for a rotor [logits]
-    threshold = {{ entry.threshold.value }}, weight = {{ weights[name] }},
+  [{{ name }}] = { -- threshold: {{ units[name] }}; from what share of it on a fault is suspected
+    threshold = {{ entry.threshold.value }}, suspected = {{ entry.threshold.suspected[0] }},
 {% if name != "rotor_trim" %}
     window = {{ par[name][0] }}, -- rows
 {% else %}
     parts = {{ par[name][2] }}, rows = {{ par[name][3] }}, window = {{ par[name][5] }}, -- of a tick; of a part; ticks
     mean = {{ entry.spec.mean }}, -- of healthy flights
     spread = {{ entry.spec.spread }},
-    turn = {{ entry.spec.turn }}, -- yaw trim by yaw rate [1/(rad/s)] and by its slope [1/(rad/s^2)]
+    turn = {{ entry.spec.turn }}, -- yaw trim by yaw rate [1/(rad/s)], its slope [1/(rad/s^2)], and less by its own [s]
     turn_trim = {{ turning }}, tilt_trim = {{ trims.TILT_TRIM }}, -- of a tick that counts half; by lean [1/rad]
-    least = {{ trims.MIN_OUTPUT }}, sums = {{ unmixing.sum(axis=1) }}, -- mean output, 0..1
-    unmix = {{ unmixing }}, -- trim by output
+    least = {{ trims.MIN_OUTPUT }}, sums = {{ entry.spec.layout.unmixing.sum(axis=1) }}, -- mean output, 0..1
+    unmix = {{ entry.spec.layout.unmixing }}, -- trim by output
+    weight = {{ evidence[name].weight }}, unit = {{ evidence[name].least }}, -- [logits] by what shows a rotor; unit
 {% endif %}
 {% if name == "thrust_loss" %}
     per_command = {{ par[name][1] }}, forget = {{ par[name][2] }}, -- upward force by command [m/s^2]; by row
     per_rad_s = {{ loss.PER_RAD_S }}, tumbling = {{ loss.TUMBLING_RAD_S }}, -- share of thrust by body rate; [rad/s]
     cut = {{ loss.CUT }}, least = {{ loss.MIN_THRUST }}, -- most force, of the healthy one; least command
-    falls = {{ par[name][3:] }}, -- roll and pitch of each rotor's loss
+    falls = {{ par[name][3:] }}, weight = {{ evidence[name].weight }}, -- roll and pitch of each rotor's loss; [logits]
 {% endif %}
   },
 {% endfor %}
 }
 
 local STEP, LOOK, NAN, HUGE = 50, 100, 0.0 / 0.0, math.huge -- ms between rows, and between decisions
-local R, MOTORS = B.rotors, {33, 34, 35, 36, 37, 38, 39, 40, 82, 83, 84, 85} -- SERVOn_FUNCTION of motor 1, 2, ...
+local R, ARMS, MOTORS = #B.arms, B.arms, {33, 34, 35, 36, 37, 38, 39, 40, 82, 83, 84, 85} -- SERVOn_FUNCTION
 local max, min, abs = math.max, math.min, math.abs
 
 local function finite(x) return x - x == 0 end
@@ -66,19 +68,25 @@ local function say(how, text)
   if waiting == nil or how <= severity then waiting, severity = string.sub(text, 1, 50), how end
 end
 
--- Slots: a monitor with its threshold; the highest ratio since the last decision, and the latest one with its time.
+-- Slots: a monitor with its thresholds; the highest ratio since the last decision, and the latest one with its time.
+-- rotors: what shows each rotor; of an arm the most of its rotors, at the first one. The others are nan.
 local slots = {}
 local function slot_of(name)
-  if B[name] == nil then return nil end
-  slots[#slots + 1] = {name = name, threshold = B[name].threshold, weight = B[name].weight, rotors = filled(R, 0.0)}
-  return slots[#slots]
+  local slot = B[name]
+  if slot then slot.name, slot.rotors, slots[#slots + 1] = name, filled(R, NAN), slot end
+  return slot
 end
 local vibration, trim, loss = slot_of("vibration_level"), slot_of("rotor_trim"), slot_of("thrust_loss")
-local function record(slot, value, far)
-  if far > 1.0 then return end
+local function show(slot, rotor, evidence)
+  local arm, shown = ARMS[rotor], slot.rotors
+  shown[arm] = arm == rotor and evidence or max(shown[arm], evidence)
+end
+local function record(slot, value, far) -- returns whether it counts
+  if far > 1.0 then return false end
   slot.fresh = value / (1.0 + 0.5 * far)
   local ratio = slot.fresh / (slot.threshold * scale)
   slot.highest = slot.highest and max(slot.highest, ratio) or ratio
+  return true
 end
 
 -- Conditions of flight in bins of 0.1 s: how far they are from what was learnt, 0 inside, above 1 outside. A bin counts
@@ -88,8 +96,7 @@ local function excess(limits, value)
   return max(0.0, max(value - limits[2], limits[1] - value) / limits[3]) -- nan is not known: inside
 end
 local function close_bin()
-  local one, roll, pitch = bins[bin.number % #bins + 1], 0.0, 0.0
-  local lean = leans[bin.number % #leans + 1]
+  local one, lean, roll, pitch = bins[bin.number % #bins + 1], leans[bin.number % #leans + 1], 0.0, 0.0
   lean[1], lean[2] = bin.roll / bin.leans, bin.pitch / bin.leans
   for i = 1, #leans do roll, pitch = roll + leans[i][1], pitch + leans[i][2] end
   one.stop = (bin.number + 1) * LOOK
@@ -149,16 +156,15 @@ local function judge_thrust(row)
   end
   local lost = 1.0 - force / (max(command, L.least * n) * L.per_command * max(usual, 1.0 / L.cut))
   local size = max(math.sqrt(p * p + q * q), 1e-30)
-  for j = 1, #L.falls // 2 do loss.rotors[j] = (L.falls[2 * j - 1] * p + L.falls[2 * j] * q) / size end
+  for j = 1, #L.falls // 2 do show(loss, j, (L.falls[2 * j - 1] * p + L.falls[2 * j] * q) / size) end
   record(loss, rate < L.tumbling and max(min(lost, L.per_rad_s * rate), 0.0) or 0.0, 0.0)
 end
 
--- Rotor trim. A part has means of roll, pitch and yaw trim, lean and yaw rate, then the slope of that; the first two
+-- Rotor trim. A part has means of roll, pitch and yaw trim, lean and yaw rate, then what a turn takes; the first two
 -- are the last ones of the tick before. A tick has medians of its parts without what a turn takes, times its weight.
 local T = B.rotor_trim or {parts = 0, window = 0}
 local parts, ticks, scratch, shift, now, first = filled(T.parts + 2, NAN, 7), filled(T.window, 0.0, 6), {}, {}, {}, {}
 local part, rows, known, moved, tick, tick_run, weight = 1, 0, 0, false, 0, 0, 0.0
-local function turned(one) return T.turn[1] * one[6] + T.turn[2] * one[7] end -- what a turn takes
 local function take_trim(row) -- [fraction of hover]
   local level = 0.0
   for j = 1, R do level = level + row[j] end
@@ -171,20 +177,17 @@ local function take_trim(row) -- [fraction of hover]
 end
 local function take_tick(whole)
   local most, n = 0.0, T.parts
-  for i = 3, n + 2 do
-    for j = 1, 6 do parts[i][j] = whole and parts[i][j] / T.rows or NAN end
-  end
-  for i = 1, 2 do
-    for j = 1, whole and parts[i][6] ~= parts[i][6] and 6 or 0 do parts[i][j] = parts[3][j] end
-  end
+  for i = 3, n + 2 do for j = 1, 6 do parts[i][j] = whole and parts[i][j] / T.rows or NAN end end
+  for i = 1, 2 do for j = 1, whole and parts[i][6] ~= parts[i][6] and 6 or 0 do parts[i][j] = parts[3][j] end end
   for i = 2, n + 1 do
-    parts[i][7] = (parts[i + 1][6] - parts[i - 1][6]) / (2 * T.rows * STEP / 1000)
-    most = whole and max(most, abs(turned(parts[i]))) or 0.0
+    local last, one, next, span_s = parts[i - 1], parts[i], parts[i + 1], 2 * T.rows * STEP / 1000
+    one[7] = T.turn[1] * one[6] + (T.turn[2] * (next[6] - last[6]) + T.turn[3] * (last[3] - next[3])) / span_s
+    most = whole and max(most, abs(one[7])) or 0.0
   end
   local own, one = 1.0 / (1.0 + (most / T.turn_trim) ^ 2), ticks[tick % T.window + 1]
   one[6] = tick > 0 and min(own, weight) or own -- rotors lag
   for j = 1, 5 do
-    for i = 1, n do scratch[i] = whole and parts[i + 1][j] - (j == 3 and turned(parts[i + 1]) or 0.0) or 0.0 end
+    for i = 1, n do scratch[i] = whole and parts[i + 1][j] - (j == 3 and parts[i + 1][7] or 0.0) or 0.0 end
     table.sort(scratch)
     one[j] = 0.5 * (scratch[(n + 1) // 2] + scratch[n // 2 + 1]) * one[6]
   end
@@ -223,16 +226,17 @@ local function judge_trim(row)
   end
   for j = 1, 5 do shift[j] = shift[j] / shift[6] - (T.mean[j] or 0.0) end
   local highest, leaning = -HUGE, T.tilt_trim ^ 2 * (shift[4] ^ 2 + shift[5] ^ 2)
-  for j = 1, R do trim.rotors[j], highest = rise(j, 0.0), max(highest, rise(j, leaning)) end
-  record(trim, highest, farthest(row.t, (T.window + 1) * T.parts * T.rows * STEP, "all"))
+  for j = 1, R do highest = max(highest, rise(j, leaning)) end
+  local counts = record(trim, highest, farthest(row.t, (T.window + 1) * T.parts * T.rows * STEP, "all"))
+  for j = 1, counts and R or 0 do show(trim, j, rise(j, 0.0)) end
 end
 
 -- Decision: what is held of the vehicle. A fault is latched; a landing turns it into an open inspection.
-local CALM, RAISED, CLEAR, STALE, SURE, DOUBTFUL = {{ decision[0] }}, {{ decision[1] }}, {{ decision[2] }}, {{ decision[3] }}, {{ decision[4] }}, {{ decision[5] }} -- ratios, [ms], share, ratio
+local CALM, CLEAR, STALE, SURE, DOUBTFUL, SILENT = table.unpack({{ decision }}) -- ratio, [ms], [ms], share, ratios
 local stage, calm, cleared, rotor, gross, seen, lead, named, over = "none", nil, nil, nil, false, false, 0.0, {}, {}
-local function motor() return rotor and "motor " .. rotor or "rotor unknown" end
+local function motor() return rotor and "motor " .. B.names[rotor] or "rotor unknown" end
 local function finding(slot)
-  local whose = rotor and "motor " .. rotor .. " " or "rotor unknown: "
+  local whose = motor() .. (rotor and " " or ": ")
   if slot == trim then return whose .. string.format("lost %.0f%% thrust", 100.0 * trim.value / (1.0 + trim.value)) end
   return whose .. string.format("%s %.1fx", slot == loss and "thrust" or "vibrates", min(slot.ratio, 99.0))
 end
@@ -246,17 +250,19 @@ local function falls() -- a named rotor is mended, or another one carries its lo
   return named[least] and -trim.rotors[least] >= trim.rotors[most]
 end
 local function isolate(slot) -- the rotor, or nil, and by how many logits it leads
+  if not slot or slot.now == nil or R == 0 then return nil end
   local _, most = extremes(slot.rotors)
-  local unit, sum, second = slot.weight * min(max(2.0 * slot.ratio - 1.0, 0.0), 1.0), 0.0, -HUGE
-  if slot == trim then unit = unit / (slot.threshold * scale) end
+  local unit, sum, second = slot.weight * min(max((slot.now - SILENT) / (1.0 - SILENT), 0.0), 1.0), 0.0, -HUGE
+  if slot == trim then unit = unit / max(slot.threshold * scale, slot.unit) end
   for j = 1, R do
-    sum = sum + math.exp(unit * (slot.rotors[j] - slot.rotors[most]))
-    if j ~= most then second = max(second, slot.rotors[j]) end
+    if ARMS[j] == j then sum = sum + math.exp(unit * (slot.rotors[j] - slot.rotors[most])) end
+    if ARMS[j] == j and j ~= most then second = max(second, slot.rotors[j]) end
   end
   return unit > 0.0 and 1.0 / sum >= SURE and most or nil, unit * (slot.rotors[most] - second)
 end
+local function undoubted() return (loss and loss.now or 0.0) < DOUBTFUL and trim or nil end -- who names a weak rotor
 local function follow(t) -- a fault that is seen; returns whether there is news
-  local all_calm, news, teller = true, false, nil
+  local all_calm, news = true, false
   for _, slot in ipairs(slots) do
     over[slot] = over[slot] or slot.now ~= nil and slot.now > 1.0
     if over[slot] and (slot.now or 1.0) >= CALM then all_calm = false end
@@ -266,14 +272,10 @@ local function follow(t) -- a fault that is seen; returns whether there is news
     seen = false
     return say(INFO, "PROP no longer seen: " .. motor())
   end
-  local lost = loss and loss.now or 0.0
-  if lost > 1.0 and not gross then gross, news = true, true end
-  if gross and not rotor then teller = loss
-  elseif not gross and lost < DOUBTFUL then teller = trim end
-  if teller and teller.now and teller.weight > 0.0 then
-    local at, by = isolate(teller)
-    if at and (rotor == nil or by > lead) then lead, news, rotor, named[at] = by, news or rotor ~= at, at, true end
-  end
+  if not gross and loss and loss.now and loss.now > 1.0 then gross, news = true, true end
+  if gross and rotor then return news end
+  local at, by = isolate(gross and loss or not gross and undoubted())
+  if at and (rotor == nil or by > lead) then lead, news, rotor, named[at] = by, news or rotor ~= at, at, true end
   return news
 end
 local function decide(t)
@@ -283,8 +285,8 @@ local function decide(t)
     slot.highest, slot.now = nil, nil
     if t - slot.at <= STALE then
       slot.now = slot == trim and falls() and 0.0 or slot.ratio
-      height = max(height, slot.now > 1.0 and 4 or slot.now >= RAISED and 3 or slot.now >= CALM and 2 or 1)
-      if best == nil or slot.now > best.now then best = slot end
+      local own = slot.now > 1.0 and 4 or slot.now >= slot.suspected and 3 or slot.now >= CALM and 2 or 1
+      if own > height or own == height and slot.now > best.now then height, best = own, slot end
     end
   end
   calm = height == 1 and (calm or t) or nil
@@ -292,10 +294,13 @@ local function decide(t)
   elseif height == 0 and (stage == "quiet" or stage == "suspected") then stage = "none"
   elseif stage == "none" and (height == 1 or height == 2) or stage == "suspected" and calm and t - calm >= CLEAR then
     stage = "quiet"
-  elseif height == 3 and (stage == "none" or stage == "quiet") then
-    stage = "suspected"
-    say(WARNING, "PROP suspect " .. finding(best))
-  end
+  elseif height == 3 and (stage == "none" or stage == "quiet") then stage = "suspected" end
+  if stage == "none" or stage == "quiet" then rotor = nil end
+  local at = stage == "suspected" and height == 3 and isolate(undoubted()) or rotor
+  if at ~= rotor then
+    rotor = at
+    say(WARNING, "PROP inspect " .. motor() .. " before the next flight")
+  elseif stage == "suspected" and before ~= stage then say(WARNING, "PROP suspect " .. finding(best)) end
   if stage ~= "fault" then return end
   local news = height == 4 and not seen
   if news then seen, rotor, lead, cleared, over = true, nil, 0.0, nil, {} end
@@ -324,34 +329,29 @@ local function judge(row)
   if vibration then judge_vibration(row) end
   if trim then judge_trim(row) end
   if loss then judge_thrust(row) end
-  look = own
-  if row.t % LOOK ~= 0 then return end
-  look = own + 1
-  decide(row.t)
+  look = row.t % LOOK == 0 and own + 1 or own
+  if look > own then decide(row.t) end
 end
 local function end_flight(last)
   if look and last > (look - 1) * LOOK then decide(last) end
   air, seen = false, false
-  if stage ~= "fault" then
-    stage = stage == "inspect" and stage or "none"
-    return
-  end
+  if stage == "inspect" then return end
+  if stage ~= "fault" then stage, rotor = "none", nil return end
   stage = "inspect"
   keep_open(rotor or UNNAMED)
   say(WARNING, "PROP " .. motor() .. ": inspect before flight")
 end
 
 -- Gate: what flies. Rows wait for `stop`, and while thrust or height are low, until it is known whether it landed.
-local QUIET_RAD_S, QUIET, BACK, LOUD = {{ quiet[0] }}, {{ quiet[1] }}, {{ quiet[2] }}, {{ quiet[3] }} -- [rad/s], [ms]
-local start, stop = math.floor(B.gate.start * 1000 + 0.5), math.floor(B.gate.stop * 1000 + 0.5) -- [ms]
-local G, queue, head, queued, kept = B.gate, filled((stop + 3500) // STEP, 0.0, R), 0, 0, 0
+local QUIET_RAD_S, QUIET, BACK, LOUD = table.unpack({{ quiet }}) -- [rad/s], [ms]
+local G, queue, head, queued, kept = B.gate, filled((B.gate.stop + 3500) // STEP, 0.0, R), 0, 0, 0
 local blank, last, low_at, loud_at, up, late, tumbles = 0, 0, 0, 0, nil, 0, false
 local function gate(row)
   local t, is_low, size = row.t, row.height < G.height or row.thrust < G.thrust, max(abs(row.p), abs(row.q), abs(row.r))
   if not air then
     if is_low or not row.armed then return end
     begin_flight(t)
-    blank, queued, kept = t + start, 0, 0
+    blank, queued, kept = t + G.start, 0, 0
   end
   local loud = size > QUIET_RAD_S and finite(row.p + row.q + row.r)
   if is_low and not low then low, low_at, loud_at, late, tumbles = true, t, t, 0, false end
@@ -365,7 +365,7 @@ local function gate(row)
     tumbles = late * STEP >= LOUD
   end
   if not low or tumbles then kept, last = queued, t end
-  while kept > 0 and queue[head + 1].t <= last - stop do
+  while kept > 0 and queue[head + 1].t <= last - G.stop do
     judge(queue[head + 1])
     head, queued, kept = (head + 1) % #queue, queued - 1, kept - 1
   end
@@ -397,8 +397,8 @@ local function watch_parameters()
   local wanted, factor = PARAM.OPEN:get(), PARAM.SCALE:get() or 1.0
   scale = factor > 0.0 and factor or 1.0
   if stage == "none" and open ~= 0 then -- kept over a restart
-    stage, rotor = "inspect", open < UNNAMED and math.floor(open) or nil
-    if rotor then named[rotor] = true end
+    stage, rotor = "inspect", ARMS[math.floor(open)]
+    named[rotor or UNNAMED] = true
   end
   if wanted == 0 and open ~= 0 and stage == "inspect" then
     say(INFO, "PROP " .. motor() .. ": inspection acknowledged")
@@ -434,8 +434,7 @@ local function update()
     watch_parameters()
     if air then tell() end
   end
-  if PARAM.ENABLE:get() ~= 0 then
-    gate(read(queue[(head + queued) % #queue + 1], t))
+  if PARAM.ENABLE:get() ~= 0 then gate(read(queue[(head + queued) % #queue + 1], t))
   elseif air then end_flight(last) end
   if not air then queued, kept = 0, 0 end
   if waiting == nil or t - said < 2000 then return end

@@ -36,7 +36,12 @@ class Line(NamedTuple):
 def flight_json(number: int, record: FlightRecord) -> dict[str, Any]:
     """A flight. number: in the history of its airframe, from 1."""
     told = {name: getattr(record, name) for name in ("t_ns", "log", "content", "baseline", "verdict", "reason")}
-    judged = {"judged_s": record.judged_s, "monitors": record.slots, "rotor_trim": record.rotor_trim}
+    judged = {
+        "judged_s": record.judged_s,
+        "monitors": record.slots,
+        "rotor_trim": record.rotor_trim,
+        "trim": record.trim,
+    }
     found: dict[str, Any] = plain({"airframe": record.airframe, "flight": number, **told, **judged}, DIGITS)
     return found
 
@@ -66,6 +71,7 @@ def overview_json(overview: Overview) -> dict[str, Any]:
         ],
         "trends": [_trend_json(found) for found in overview.found],
         "rotor_growth": plain(overview.rotor_growth, DIGITS),
+        "together": overview.together and overview.together.as_json(),
     }
 
 
@@ -106,6 +112,8 @@ def lines_of(overview: Overview, width: int | None = None) -> tuple[Line, ...]:
             lines.append(Line(f"  {place}, {len(stretch.flights)} flights"))
         elif stretch.began:
             lines.append(Line(f"  {stretch.began} after the last flight: no trend yet"))
+    if overview.together is not None:
+        lines.append(Line(f"  {overview.together}", overview.together.changed))
     for found in (found for found in overview.found if found.trend is not None):
         lines.append(Line(f"  {_sentence(found)}", found.outlook in WARNS))
         if width is not None:

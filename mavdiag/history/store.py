@@ -17,12 +17,13 @@ from sqlalchemy.pool import NullPool
 from sqlalchemy.types import TypeEngine
 
 from mavdiag.archive.figures import FlightRecord
+from mavdiag.archive.together import Reference
 from mavdiag.errors import InputError, UsageError, missing_extra
 from mavdiag.history.warn import Mark, MarkKind
 from mavdiag.judging import Verdict
 
 METADATA = sa.MetaData()
-SCHEMA = "2"  # of these tables
+SCHEMA = "3"  # of these tables
 
 
 def _table(name: str, kept: type) -> sa.Table:
@@ -31,17 +32,17 @@ def _table(name: str, kept: type) -> sa.Table:
     kinds |= dict.fromkeys((str, Verdict, MarkKind), sa.Text())
     columns: list[sa.Column[Any]] = []
     for field, kind in get_type_hints(kept).items():
-        unique, index = field == "content", field == "airframe"
+        unique, index = field == "content" or (kept is Reference and field == "baseline"), field == "airframe"
         columns.append(sa.Column(field, kinds.get(kind, sa.JSON()), nullable=False, index=index, unique=unique))
     return sa.Table(f"mavdiag_{name}", METADATA, sa.Column("id", sa.Integer, primary_key=True), *columns)
 
 
-FLIGHT, MARK = _table("flight", FlightRecord), _table("mark", Mark)
+FLIGHT, MARK, REFERENCE = _table("flight", FlightRecord), _table("mark", Mark), _table("reference", Reference)
 VERSION = sa.Table("mavdiag_version", METADATA, sa.Column("version_num", sa.String(32), primary_key=True))
 MAKE_LOCK = 0x6D617664  # of PostgreSQL: two that make the tables at once wait for each other
 BUSY_S = 30  # how long SQLite waits for another that writes (our choice)
-_FLIGHTS, _MARKS = TypeAdapter(FlightRecord), TypeAdapter(Mark)
-Kept = TypeVar("Kept", FlightRecord, Mark)
+_FLIGHTS, _MARKS, _REFERENCES = TypeAdapter(FlightRecord), TypeAdapter(Mark), TypeAdapter(Reference)
+Kept = TypeVar("Kept", FlightRecord, Mark, Reference)
 
 
 class History:
@@ -68,6 +69,13 @@ class History:
             return False
         return True
 
+    def refer(self, reference: Reference) -> None:
+        """Keep what the flights of a baseline are compared with, once."""
+        with self._engine.begin() as connection:
+            known = sa.select(REFERENCE.c.id).where(REFERENCE.c.baseline == reference.baseline)
+            if connection.scalar(known) is None:
+                connection.execute(sa.insert(REFERENCE).values(_REFERENCES.dump_python(reference, mode="json")))
+
     def mark(self, mark: Mark) -> None:
         """Keep a maintenance mark. Raises UsageError for an airframe without flights."""
         self.names(mark.airframe)
@@ -86,18 +94,21 @@ class History:
 
     def flights(self, airframe: str) -> tuple[FlightRecord, ...]:
         """All of an airframe, in order of time; those without a time by when they were added."""
-        return self._all(FLIGHT, _FLIGHTS, airframe)
+        return tuple(sorted(self._all(FLIGHT, _FLIGHTS, airframe=airframe), key=lambda flight: flight.t_ns))
 
     def marks(self, airframe: str) -> tuple[Mark, ...]:
         """All of an airframe, in order of time."""
-        return self._all(MARK, _MARKS, airframe)
+        return tuple(sorted(self._all(MARK, _MARKS, airframe=airframe), key=lambda mark: mark.t_ns))
 
-    def _all(self, table: sa.Table, values: TypeAdapter[Kept], airframe: str) -> tuple[Kept, ...]:
+    def references(self) -> tuple[Reference, ...]:
+        """What the flights of each baseline are compared with."""
+        return self._all(REFERENCE, _REFERENCES)
+
+    def _all(self, table: sa.Table, values: TypeAdapter[Kept], **only: str) -> tuple[Kept, ...]:
         columns = [column for column in table.c if column is not table.c.id]
-        query = sa.select(*columns).where(table.c.airframe == airframe).order_by(table.c.id)
+        query = sa.select(*columns).filter_by(**only).order_by(table.c.id)
         with self._engine.begin() as connection:
-            found = [values.validate_python(dict(row)) for row in connection.execute(query).mappings()]
-        return tuple(sorted(found, key=lambda kept: kept.t_ns))
+            return tuple(values.validate_python(dict(row)) for row in connection.execute(query).mappings())
 
 
 @contextmanager

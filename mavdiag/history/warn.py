@@ -21,6 +21,7 @@ from enum import StrEnum
 import numpy as np
 
 from mavdiag.archive.figures import FlightRecord
+from mavdiag.archive.together import Reference, Together, together
 from mavdiag.baseline import SESSION_GAP_NS
 from mavdiag.history.trend import Change, Remaining, Trend, changes_of, sessions_of, trend_of
 from mavdiag.judging import Verdict
@@ -38,6 +39,7 @@ KEPT = 0.6  # share of the way below which the level must fall back for a warnin
 FEW = 10  # flights at either end of a stretch whose medians are compared (our choice)
 SURE = 3.0  # standard errors of the level from which it is called grown (our choice)
 STEPS = ("trim_step",)  # shows what happens within a flight; wear does not raise it
+NEW_BASELINE = "new baseline"
 WATCHED = tuple(name for name, monitor in BY_NAME.items() if monitor.kind is FaultKind.PROPELLER and name not in STEPS)
 """The monitors whose trend is watched: those of propellers."""
 
@@ -129,6 +131,7 @@ class Overview:
     """One airframe: its flights, what of them may be compared, and what is found in the last stretch, nearest first.
 
     rotor_growth: rise of each rotor's trim from the first to the last ten flights of the stretch [fraction of hover].
+    together: whether a rotor has changed since the last stretch began; None if it cannot be known.
     """
 
     airframe: str
@@ -136,6 +139,7 @@ class Overview:
     stretches: tuple[Stretch, ...]
     found: tuple[Review, ...]
     rotor_growth: tuple[float, ...]
+    together: Together | None = None
 
     @property
     def warned(self) -> tuple[Review, ...]:
@@ -157,7 +161,7 @@ def stretches_of(flights: Sequence[FlightRecord], marks: Sequence[Mark]) -> tupl
         until_ns = np.inf if after is None else after.t_ns
         marked = dict.fromkeys(mark.kind.value for mark in marks if before.t_ns < mark.t_ns <= until_ns)
         other = after is not None and after.baseline != before.baseline
-        reason = ", ".join(marked) or ("new baseline" if other else "")
+        reason = ", ".join(marked) or (NEW_BASELINE if other else "")
         if reason or after is None:
             found.append(Stretch(begin + 1, why, tuple(flights[begin:place])))
             begin, why = place, reason
@@ -181,13 +185,26 @@ def series_of(stretch: Stretch) -> tuple[Series, ...]:
     return tuple(found)
 
 
-def overview_of(airframe: str, flights: Sequence[FlightRecord], marks: Sequence[Mark]) -> Overview:
-    """What is found of an airframe. flights, marks: all of it, in order of time."""
+def overview_of(
+    airframe: str, flights: Sequence[FlightRecord], marks: Sequence[Mark], references: Sequence[Reference] = ()
+) -> Overview:
+    """What is found of an airframe. flights, marks: all of it, in order of time. references: of their baselines."""
     stretches = stretches_of(flights, marks)
     present = stretches[-1] if stretches else None
     found = [review(series) for series in series_of(present)] if present else []
     found.sort(key=lambda found: -1.0 if found.trend is None else found.trend.level, reverse=True)
-    return Overview(airframe, tuple(flights), stretches, tuple(found), _rotor_growth(present))
+    return Overview(
+        airframe, tuple(flights), stretches, tuple(found), _rotor_growth(present), _said(present, references)
+    )
+
+
+def _said(stretch: Stretch | None, references: Sequence[Reference]) -> Together | None:
+    if stretch is None or not stretch.flights:
+        return None
+    taught = next((one for one in references if one.baseline == stretch.flights[0].baseline), None)
+    marked = stretch.began not in ("", NEW_BASELINE)
+    found = taught and together(taught, stretch.flights, new_propellers=marked)
+    return found if found and found.evidence else None
 
 
 def review(series: Series) -> Review:

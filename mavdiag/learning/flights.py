@@ -98,16 +98,6 @@ class LearntFlight:
             return self
         return replace(self, rows=Looks(partial(_in_order, outputs, make) for make in self.rows.makers))
 
-    def spans_ns(self) -> list[tuple[int, int]]:
-        """First and last time of each span of flight that may be judged [ns]."""
-        spans: dict[int, tuple[int, int]] = {}
-        for block in (one.block for one in self.rows):
-            t_ns = block.t_ns[block.valid]
-            if len(t_ns):
-                first_ns, _ = spans.get(block.segment, (int(t_ns[0]), 0))
-                spans[block.segment] = first_ns, int(t_ns[-1])
-        return list(spans.values())
-
 
 def airborne(front: Front, flight: Log | HeldLog, shelf: Shelf | None = None) -> LearntFlight:
     """The flying part of a flight, put aside, without a shelf in memory.
@@ -116,15 +106,19 @@ def airborne(front: Front, flight: Log | HeldLog, shelf: Shelf | None = None) ->
     """
     shelf = shelf or Shelf(IN_MEMORY)
     held, makers, judged = hold(flight, shelf), list[Callable[[], Rows]](), 0
-    for rows in _pieces(front, held.open().telemetry):
+    for rows in pieces_of(front, held.open().telemetry):
         judged += int(np.count_nonzero(rows.rates.valid))
         arrays = [getattr(rows.block, name) for name in COLUMNS] + [getattr(rows.rates, name) for name in RATE_COLUMNS]
         makers.append(partial(_rows, rows.block.segment, rows.block.dt_s, shelf.put(arrays)))
-    judged_s = judged * front.align.dt_s
+    return long_enough(held, Looks(makers), judged * front.align.dt_s)
+
+
+def long_enough(held: HeldLog, rows: Looks, judged_s: float) -> LearntFlight:
+    """The flight, if there is enough of it to learn from; raises InputError, naming it, if there is not."""
     if judged_s < MIN_FLIGHT_S:
         never = "" if judged_s else " (never armed, or no thrust)"
         raise InputError(f"{held.label.name}: only {judged_s:.1f} s of airborne flight{never}, too short to learn from")
-    return LearntFlight(held, Looks(makers), judged_s)
+    return LearntFlight(held, rows, judged_s)
 
 
 def _rows(segment: int, dt_s: float, get: Callable[[], Arrays]) -> Rows:
@@ -138,14 +132,15 @@ def _in_order(outputs: tuple[int, ...], make: Callable[[], Rows]) -> Rows:
     return Rows(in_rotor_order(rows.block, outputs), rows.rates)
 
 
-def _pieces(front: Front, telemetry: Telemetry) -> Iterator[Rows]:
+def pieces_of(front: Front, telemetry: Telemetry) -> Iterator[Rows]:
+    """The rows of a whole flight, some thousand at a time."""
     parts = front.pieces(telemetry, PIECE_ROWS)
     return (part for part in parts if not isinstance(part, Border))
 
 
 def rows_of(front: Front, telemetry: Telemetry) -> tuple[Rows, ...]:
     """All rows of a whole flight."""
-    return tuple(_pieces(front, telemetry))
+    return tuple(pieces_of(front, telemetry))
 
 
 def give_back() -> None:
@@ -176,7 +171,7 @@ def front_for(flights: Iterable[Log | HeldLog], window_s: float, gate: GateSpec 
         return front
     levels = []  # where no thrust does, a fifth of what the gyro shakes in the calmest flight tells flight from ground
     for flight in silent:
-        noise = [shake(rows.block.rate, dt_s) for rows in _pieces(front, flight.open().telemetry)]
+        noise = [shake(rows.block.rate, dt_s) for rows in pieces_of(front, flight.open().telemetry)]
         found = np.concatenate([np.empty(0), *noise])
         levels += [float(np.quantile(found, 0.75))] if len(found) else []
     least_shake = min(levels, default=0.0) * SHAKE_SHARE or None

@@ -38,19 +38,20 @@ from mavdiag.identify import Method, Order
 from mavdiag.learning.flights import HeldLog, LearntFlight, airborne, give_back, hold, sessions_of
 from mavdiag.learning.rotors import of_log_kind, with_rotors
 from mavdiag.learning.suspicions import courses, grade_of, least_damage, suspicions
-from mavdiag.learning.teaching import believing, one_vehicle, refuse, repeated, taught, upsets
+from mavdiag.learning.teaching import one_vehicle, refuse, repeated, taught, upsets
 from mavdiag.link.profiles import PROFILES
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
 from mavdiag.monitors.conditions import covered_by
 from mavdiag.monitors.fitting import judged_together
+from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.rows.front import Rows
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Axis, Log
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima, pooled, score
-from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
+from mavdiag.thresholds.rule import BUDGET_PER_HOUR, FLIGHTS_PER_SUSPICION, ThresholdRule, threshold_of
 
 ALL_MONITORS = tuple(BY_NAME)
 TOOL = f"mavdiag {__version__}"
@@ -66,6 +67,7 @@ class LearnOptions:
     airframe: the vehicle, as far as it is known.
     monitors: names of the monitors to use.
     rule, alarms_per_hour: how thresholds follow from healthy maxima, and the budget of all deciding monitors together.
+    flights_per_suspicion: healthy flights of which one may be suspected, by all monitors together.
     sessions: how many sessions the flights were flown in, in equal parts and in their order; None for what their
         wall-clock times say, and for one each where a log has none.
     robust: what the guards of teaching find is left out instead of refused (see `mavdiag.learning.teaching`).
@@ -80,6 +82,7 @@ class LearnOptions:
     monitors: tuple[str, ...] = ALL_MONITORS
     rule: ThresholdRule = ThresholdRule.GUMBEL
     alarms_per_hour: float = BUDGET_PER_HOUR
+    flights_per_suspicion: float = FLIGHTS_PER_SUSPICION
     sessions: int | None = None
     robust: bool = False
 
@@ -90,6 +93,8 @@ class LearnOptions:
             raise UsageError(f"no monitor named; there are {', '.join(ALL_MONITORS)}")
         if not self.alarms_per_hour > 0:
             raise UsageError(f"alarms per hour must be positive, not {self.alarms_per_hour:g}")
+        if not self.flights_per_suspicion > 1:
+            raise UsageError(f"flights per suspicion must be more than 1, not {self.flights_per_suspicion:g}")
         if self.sessions is not None and self.sessions < 1:
             raise UsageError(f"sessions must be 1 or more, not {self.sessions}")
 
@@ -125,7 +130,7 @@ def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: She
     if link is not None and airframe.imu_corner_hz is None:
         told_hz = first.parameters.get(link.imu_corner_parameter, 0.0)
     airframe = replace(airframe, imu_corner_hz=told_hz) if told_hz > 0.0 else airframe
-    found = believing(taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf), shelf)
+    found = taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf)
     airframe, ordered = with_rotors(airframe, found.flights)
     found = replace(found, flights=tuple(ordered))
     if airframe.scope != "type":
@@ -150,7 +155,11 @@ def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: She
         envelope=covered_by(rows),
         healthy_hours=sum(flight.judged_s for flight in learnt) / 3600,
         provenance=Provenance(
-            logs=_sources(learnt, sessions), created=created, tool=TOOL, left_out=found.left_out, notes=found.notes
+            logs=_sources(learnt, sessions, [monitor for monitor, _ in fitted]),
+            created=created,
+            tool=TOOL,
+            left_out=found.left_out,
+            notes=found.notes,
         ),
         fingerprint=fingerprint_of(rows, airframe.layout),
     )
@@ -235,29 +244,36 @@ def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows], number: in
 
 
 def _entries(fitted: Sequence[Fitted], options: LearnOptions, sessions: Sequence[int]) -> Iterator[MonitorEntry]:
-    """Specification and threshold of each monitor. The budget is shared by those that decide, and then by axes.
-
-    The monitors of sensors and losses have one share together: what finds propellers stays sharp.
+    """Specification and threshold of each monitor. Alarms and suspicions are shared by those that decide, and then by
+    axes; what decides nothing is suspected by its alarm alone. The monitors of sensors and losses have one share
+    together: what finds propellers stays sharp.
     """
     axes = Counter(monitor.name for monitor, _ in fitted)
-    deciding = {monitor.name for monitor, _ in fitted if monitor.decides}
-    shares = Counter(_sharing(name) for name in deciding or axes)
+    deciding = {monitor.name for monitor, _ in fitted if monitor.decides} or set(axes)
+    shares = Counter(map(_sharing, deciding))
     for monitor, scores in fitted:
-        budget = options.alarms_per_hour / len(shares) / max(1, shares[_sharing(monitor.name)]) / axes[monitor.name]
-        yield _entry(monitor.spec, scores, sessions, budget, options.rule)
+        parts = len(shares) * max(1, shares[_sharing(monitor.name)]) * axes[monitor.name]
+        budget = options.alarms_per_hour / parts
+        flights = options.flights_per_suspicion * parts if monitor.name in deciding else 0.0
+        yield _entry(monitor.spec, scores, sessions, (budget, flights), options.rule)
 
 
 def _entry(
-    spec: Any, scores: Scores, sessions: Sequence[int], budget_per_hour: float, rule: ThresholdRule
+    spec: Any, scores: Scores, sessions: Sequence[int], promises: tuple[float, float], rule: ThresholdRule
 ) -> MonitorEntry:
-    """A fit with its threshold, and the scores to six digits."""
-    prior = monitor_of(spec).prior
-    threshold = threshold_of(scores, sessions=sessions, budget_per_hour=budget_per_hour, prior=prior, rule=rule)
-    maxima, spans_s = (tuple(float(f"{x:.6g}") for x in part.tolist()) for part in (scores.maxima, scores.spans_s))
-    flights = tuple(scores.flights.tolist())
-    return MonitorEntry(
-        spec=spec, threshold=threshold, scores=HealthyScores(maxima=maxima, spans_s=spans_s, flights=flights)
+    """A fit with its threshold, and the scores to six digits. promises: alarms per hour, flights per suspicion."""
+    budget, flights = promises
+    threshold = threshold_of(
+        scores,
+        sessions=sessions,
+        budget_per_hour=budget,
+        flights_per_suspicion=flights,
+        prior=monitor_of(spec).prior,
+        rule=rule,
     )
+    maxima, spans_s = (tuple(float(f"{x:.6g}") for x in part.tolist()) for part in (scores.maxima, scores.spans_s))
+    held = HealthyScores(maxima=maxima, spans_s=spans_s, flights=tuple(scores.flights.tolist()))
+    return MonitorEntry(spec=spec, threshold=threshold, scores=held)
 
 
 def _sharing(name: str) -> str:
@@ -266,8 +282,11 @@ def _sharing(name: str) -> str:
     return name if kind is FaultKind.PROPELLER else "others"
 
 
-def _sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers: int = 0) -> tuple[SourceLog, ...]:
+def _sources(
+    flights: Sequence[LearntFlight], sessions: Sequence[int], monitors: Iterable[Monitor[Any]], propellers: int = 0
+) -> tuple[SourceLog, ...]:
     """The flights as a baseline names them. propellers: number of the set that they flew with."""
+    trim = next((monitor for monitor in monitors if isinstance(monitor, RotorTrim)), None)
     return tuple(
         SourceLog(
             name=one.label.name,
@@ -276,6 +295,7 @@ def _sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propeller
             started_ns=max(0, one.label.started_ns),
             session=session,
             propellers=propellers,
+            trim=() if trim is None else trim.whole(one.rows),
         )
         for one, session in zip(flights, sessions, strict=True)
     )
@@ -321,8 +341,10 @@ def _extended(
         if not new_propellers:
             spec = monitor_of(spec).extended(rows, len(before))
         told, all_sessions = entry.threshold, [*(log.session for log in old), *sessions]
-        entries.append(_entry(spec, scores, all_sessions, told.budget_per_hour, told.rule))
+        promises = told.budget_per_hour, told.flights_per_suspicion
+        entries.append(_entry(spec, scores, all_sessions, promises, told.rule))
     fresh_print = fingerprint_of(rows, baseline.airframe.layout)
+    monitors = (monitor_of(entry.spec) for entry in entries)
     longer = baseline.model_copy(
         update={
             "monitors": tuple(entries),
@@ -331,7 +353,7 @@ def _extended(
             "fingerprint": fresh_print if new_propellers or known is None else merged(known, fresh_print),
             "healthy_hours": baseline.healthy_hours + sum(flight.judged_s for flight in learnt) / 3600,
             "provenance": baseline.provenance.model_copy(
-                update={"logs": (*old, *_sources(learnt, sessions, propellers)), "created": created}
+                update={"logs": (*old, *_sources(learnt, sessions, monitors, propellers)), "created": created}
             ),
         }
     )

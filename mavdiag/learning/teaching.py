@@ -7,15 +7,28 @@ it. All limits are our choices; `benchmarks/broken_teaching.py` has what they fi
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import LEVEL_RATIO, shown_trim
 from mavdiag.errors import InputError
-from mavdiag.learning.flights import IN_MEMORY, HeldLog, LearntFlight, airborne, front_for, give_back, hold, odd_rate
+from mavdiag.learning.flights import (
+    IN_MEMORY,
+    PIECE_ROWS,
+    HeldLog,
+    LearntFlight,
+    airborne,
+    front_for,
+    give_back,
+    hold,
+    long_enough,
+    odd_rate,
+    pieces_of,
+)
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.quality import LinkQuality, learnt_quality
@@ -23,10 +36,12 @@ from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
 from mavdiag.rows.windows import window_mean, window_rows
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import FloatArray, IntArray, Log, Signal, Telemetry
+from mavdiag.thresholds.heldout import Looks
 from mavdiag.units import NS_PER_S
 
 RUN = 16  # consecutive gyro samples that two flights do not have in common by chance (our choice)
 RUN_CHANGES = 12  # of them that differ from the one before, for a gyro at rest repeats itself (our choice)
+LOOKED_AT = 200_000  # runs that are compared, of more only the same share of each (our choice)
 SHARED_S = 1.0  # of common runs that make an overlap (our choice)
 ALL_SHARED = 0.95  # of a flight's runs: the flight counts twice (our choice)
 ODD = 0x9E3779B97F4A7C15  # the golden ratio times 2^64: a multiplier that spreads bits (Knuth, TAOCP 3, 6.4)
@@ -90,11 +105,9 @@ def repeated(flights: Iterable[Log | HeldLog]) -> tuple[Finding, ...]:
     """
     shelf, found, files = Shelf(IN_MEMORY), list[Finding](), dict[str, str]()
     held = [hold(flight, shelf) for flight in flights]
-    runs = [_runs(_gyro(flight)[1]) for flight in held]
-    hashes = np.concatenate([np.empty(0, dtype=np.int64), *(one for one, _ in runs)])
-    owners = np.repeat(np.arange(len(runs)), [len(one) for one, _ in runs])
-    _, first, which = np.unique(hashes, return_index=True, return_inverse=True)
-    earliest = owners[first][which]  # the first flight that holds each run
+    runs, earliest, owners = _shared(held, LOOKED_AT)
+    if (earliest < owners).any():  # then all runs are looked at
+        runs, earliest, owners = _shared(held, 0)
     for number, flight in enumerate(held):
         name, sha256, starts = flight.label.name, flight.label.sha256, runs[number][1]
         if sha256 and sha256 in files:
@@ -118,32 +131,52 @@ def repeated(flights: Iterable[Log | HeldLog]) -> tuple[Finding, ...]:
     return tuple(found)
 
 
+def _shared(flights: Sequence[HeldLog], most: int) -> tuple[list[tuple[IntArray, IntArray]], IntArray, IntArray]:
+    """Of each flight its runs; of all of them the first flight that holds it, and its own.
+
+    most: about how many are looked at, the same ones of all flights by their hashes; 0 for all.
+    """
+    values = sum(len(flight.open().telemetry.need(Signal.BODY_RATE)) for flight in flights)
+    every = max(1, values // most) if most else 1
+    runs = [_runs(_gyro(flight)[1], every) for flight in flights]
+    hashes = np.concatenate([np.empty(0, dtype=np.int64), *(one for one, _ in runs)])
+    owners = np.repeat(np.arange(len(runs)), [len(one) for one, _ in runs])
+    _, first, which = np.unique(hashes, return_index=True, return_inverse=True)
+    return runs, owners[first][which], owners
+
+
 def _gyro(flight: HeldLog) -> tuple[IntArray, FloatArray]:
     """Times and values of a flight's gyro, without negative zeros."""
     gyro = flight.open().telemetry.need(Signal.BODY_RATE)
     return gyro.t_ns, np.ascontiguousarray(gyro.values, dtype=np.float64) + 0.0
 
 
-def _runs(values: FloatArray) -> tuple[IntArray, IntArray]:
-    """A hash of each run of `RUN` samples that move, (m,), and the sample that each begins with, (m,).
+def _runs(values: FloatArray, every: int) -> tuple[IntArray, IntArray]:
+    """A hash of each run of `RUN` samples that move, (m,), of hashes that `every` divides, and where it begins, (m,).
 
     h_i = sum_k c_k mix(sum_j c_j words_(i+k),j), modulo 2^64
     """
-    count = max(len(values) - RUN + 1, 0)
-    rows, hashes = np.zeros(len(values), dtype=np.uint64), np.zeros(count, dtype=np.uint64)
-    for word in values.view(np.uint64).T:
-        rows = (rows ^ word) * np.uint64(ODD)
-        rows ^= rows >> np.uint64(29)
-    for k in range(RUN):
-        hashes = hashes * np.uint64(ODD) + rows[k : k + count]
-    changes = np.concatenate(([0], np.cumsum(np.any(np.diff(values, axis=0) != 0, axis=1))))
-    moving = np.flatnonzero(changes[RUN - 1 :] - changes[:count] >= RUN_CHANGES) if count else np.empty(0, np.int64)
-    return hashes[moving].view(np.int64), moving
+    found = [(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))]
+    for begin in range(0, max(len(values) - RUN + 1, 0), PIECE_ROWS):
+        part = values[begin : begin + PIECE_ROWS + RUN - 1]
+        count = len(part) - RUN + 1
+        rows, hashes = np.zeros(len(part), dtype=np.uint64), np.zeros(count, dtype=np.uint64)
+        for word in part.view(np.uint64).T:
+            rows = (rows ^ word) * np.uint64(ODD)
+            rows ^= rows >> np.uint64(29)
+        for k in range(RUN):
+            hashes = hashes * np.uint64(ODD) + rows[k : k + count]
+        changes = np.concatenate(([0], np.cumsum(np.any(np.diff(part, axis=0) != 0, axis=1))))
+        moving = (changes[RUN - 1 :] - changes[:count] >= RUN_CHANGES) & (hashes % np.uint64(every) == 0)
+        starts = np.flatnonzero(moving)
+        found.append((hashes[starts].view(np.int64), begin + starts))
+    hashes_found, starts_found = (np.concatenate(column) for column in zip(*found, strict=True))
+    return hashes_found, starts_found
 
 
 def upsets(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
     """The upset of each flight that has one, from its first sign to its last, with two seconds around."""
-    seen = (upset_in(motion_of(rows.block) for rows in flight.rows if len(rows.block)) for flight in flights)
+    seen = (upset_in(_seen(flight, "motion")) for flight in flights)
     return tuple(
         Finding(
             number,
@@ -166,7 +199,7 @@ def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
     lies above the median). Lower noise is not far, nor a rate error below 0.5 rad/s, which gusts give. Thrust is far at
     1.5 times or a 1.5th.
     """
-    blocks = [(number, *block) for number, flight in enumerate(flights) for block in _blocks(flight.rows)]
+    blocks = [(number, *block) for number, flight in enumerate(flights) for block in _seen(flight, "blocks")]
     if len(blocks) < MIN_BLOCKS:
         return ()
     table = np.array(blocks)
@@ -191,24 +224,55 @@ def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
     return tuple(replace(one, text=f"{one.place}: {one.text}") for one in found)
 
 
-def _blocks(flight: Sequence[Rows]) -> Iterator[tuple[float, ...]]:
+def _blocks(rows: Rows) -> Iterator[tuple[float, ...]]:
     """Of each few seconds: start and end [s], logarithms of gyro noise, rate error and thrust, rms commanded rate."""
-    for block, rates in ((rows.block, rows.rates) for rows in flight):
-        noise, size = np.square(np.diff(block.rate, n=2, axis=0)).sum(axis=1), window_rows(BLOCK_S, block.dt_s)
-        # a last block that is shorter than half belongs to the one before
-        for first, stop in itertools.pairwise([*range(0, max(1, len(block) - size // 2), size), len(block)]):
-            if np.count_nonzero(block.valid[first:stop]) < 0.5 * size:
-                continue
-            low_ns, high_ns = block.t_ns[[first, stop - 1]].tolist()
-            inside = slice(*np.searchsorted(rates.t_ns, [low_ns, high_ns + 1]).tolist())
-            known, u = rates.commanded[inside], rates.u[inside]
-            error = np.where(known, np.square(rates.y[inside] - u).sum(axis=1), np.nan)
-            busy = math.sqrt(float(np.square(u[known]).sum(axis=1).mean())) if known.any() else 0.0
-            quick = np.where(block.valid[first + 2 : stop], noise[first : stop - 2], np.nan)
-            thrust = _median(block.thrust[first:stop][block.valid[first:stop]])
-            figures = _typical(quick, block.dt_s), _typical(error, block.dt_s), thrust
-            logs = (math.log(x) if x > 0 else math.nan for x in figures)
-            yield low_ns / NS_PER_S, high_ns / NS_PER_S, *logs, busy
+    block, rates = rows.block, rows.rates
+    noise, size = np.square(np.diff(block.rate, n=2, axis=0)).sum(axis=1), window_rows(BLOCK_S, block.dt_s)
+    # a last block that is shorter than half belongs to the one before
+    for first, stop in itertools.pairwise([*range(0, max(1, len(block) - size // 2), size), len(block)]):
+        if np.count_nonzero(block.valid[first:stop]) < 0.5 * size:
+            continue
+        low_ns, high_ns = block.t_ns[[first, stop - 1]].tolist()
+        inside = slice(*np.searchsorted(rates.t_ns, [low_ns, high_ns + 1]).tolist())
+        known, u = rates.commanded[inside], rates.u[inside]
+        error = np.where(known, np.square(rates.y[inside] - u).sum(axis=1), np.nan)
+        busy = math.sqrt(float(np.square(u[known]).sum(axis=1).mean())) if known.any() else 0.0
+        quick = np.where(block.valid[first + 2 : stop], noise[first : stop - 2], np.nan)
+        thrust = _median(block.thrust[first:stop][block.valid[first:stop]])
+        figures = _typical(quick, block.dt_s), _typical(error, block.dt_s), thrust
+        logs = (math.log(x) if x > 0 else math.nan for x in figures)
+        yield low_ns / NS_PER_S, high_ns / NS_PER_S, *logs, busy
+
+
+def _spans(rows: Rows) -> Iterator[tuple[int, int, int]]:
+    """Segment, first and last time that may be judged [ns]."""
+    t_ns = rows.block.t_ns[rows.block.valid]
+    if len(t_ns):
+        yield rows.block.segment, int(t_ns[0]), int(t_ns[-1])
+
+
+_GLANCES: Mapping[str, Callable[[Rows], Iterable[Any]]] = {
+    "motion": lambda rows: [motion_of(rows.block)] if len(rows.block) else [],
+    "blocks": _blocks,
+    "spans": _spans,
+}
+
+
+def _seen(flight: LearntFlight, what: str) -> list[Any]:
+    """What a glance finds in the rows of a flight, in order."""
+    found: list[Any] = flight.rows.once(what, lambda flown: [one for rows in flown for one in _GLANCES[what](rows)])
+    return found
+
+
+def _glanced(front: Front, held: HeldLog) -> LearntFlight:
+    """The flight with all that the guards want to know of its rows, which are not kept; raises as `airborne`."""
+    answers: dict[Hashable, list[Any]] = {what: [] for what in _GLANCES}
+    judged = 0
+    for rows in pieces_of(front, held.open().telemetry):
+        judged += int(np.count_nonzero(rows.rates.valid))
+        for what, glance in _GLANCES.items():
+            answers[what] += glance(rows)
+    return long_enough(held, Looks((), answers=answers), judged * front.align.dt_s)
 
 
 def _compared(logs: FloatArray, busy: FloatArray) -> FloatArray:
@@ -297,7 +361,8 @@ def taught(
     robust: bool,
     shelf: Shelf | None = None,
 ) -> Taught:
-    """The flying parts of healthy flights, guarded, put aside as the logs are.
+    """The flying parts of healthy flights, guarded, put aside as the logs are, with only those samples that they
+    themselves, taken together, make believable, as in judging.
 
     Raises InputError with file, place and remedy for what a guard refuses; with `robust` it is left out instead, and
     InputError says so only if nothing remains.
@@ -313,7 +378,7 @@ def taught(
         flights = []
         for log in logs:
             try:
-                flights.append(airborne(front, log, shelf))
+                flights.append(_glanced(front, log))
             except InputError as error:
                 if not robust:
                     raise
@@ -332,12 +397,18 @@ def taught(
             flights = [one for log in kept for one in same.get(id(log)) or flown([log])]
     if not flights:
         raise InputError(f"no healthy flight remains to learn from ({'; '.join(left_out)}); record others")
-    return Taught(front, tuple(flights), tuple(left_out))
+    front = replace(front, align=replace(front.align, quality=_quality_of(flights)))
+    believed = tuple(airborne(front, flight.held, shelf) for flight in flights)
+    give_back()
+    return Taught(front, believed, tuple(left_out))
 
 
-def believing(found: Taught, shelf: Shelf) -> Taught:
-    """The flights with only those samples that they themselves, taken together, make believable, as in judging."""
-    flown = [(flight.held, flight.spans_ns()) for flight in found.flights]
+def _quality_of(flights: Sequence[LearntFlight]) -> LinkQuality:
+    """Which samples of the link the flights make believable."""
+    flown = []
+    for flight in flights:
+        ends = [list(spans) for _, spans in itertools.groupby(_seen(flight, "spans"), key=lambda span: int(span[0]))]
+        flown.append((flight.held, [(spans[0][1], spans[-1][2]) for spans in ends]))
     parts = [  # signal by signal, so that no more of the flights is in memory
         learnt_quality(
             (Telemetry(tuple(one for one in held.open().telemetry if one.signal is signal)), spans)
@@ -345,15 +416,11 @@ def believing(found: Taught, shelf: Shelf) -> Taught:
         )
         for signal in dict.fromkeys(signal for held, _ in flown for signal in held.signals)
     ]
-    quality = LinkQuality(
+    return LinkQuality(
         habits=tuple(habit for part in parts for habit in part.habits),
         jitter=max(part.jitter for part in parts),
         resolution_rad_s=max(part.resolution_rad_s for part in parts),
     )
-    front = replace(found.front, align=replace(found.front.align, quality=quality))
-    flights = tuple(airborne(front, held, shelf) for held, _ in flown)
-    give_back()
-    return replace(found, front=front, flights=flights)
 
 
 def one_vehicle(found: Taught, layout: RotorLayout | None, *, robust: bool) -> Taught:

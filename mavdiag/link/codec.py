@@ -153,10 +153,16 @@ class Frames:
         return self.where(chosen if compid is None else chosen & (self.rows["sender"] & 0xFF == compid))
 
     def by_sysid(self) -> dict[int, "Frames"]:
-        """Those of each system id, by rising number."""
-        sysids = (self.rows["sender"] >> 8).astype(np.uint8)
-        found = np.flatnonzero(np.bincount(sysids)).tolist()
-        return {sysid: self.where(sysids == sysid) if len(found) > 1 else self for sysid in found}
+        """Those of each system id, by rising number, with bytes of their own."""
+        rows, payloads, ends = _sorted(self.data, self.rows, np.empty(len(self), FRAME))
+        payloads.flags.writeable = False
+        found, ends = np.flatnonzero(np.diff(ends[0], prepend=0)), np.pad(ends, ((0, 0), (1, 0)))
+        return {
+            sysid: Frames(payloads[first_byte:last_byte], rows[first:last])
+            for sysid, (first, first_byte), (last, last_byte) in zip(
+                found.tolist(), ends.T[found].tolist(), ends.T[found + 1].tolist(), strict=True
+            )
+        }
 
     def counts(self, compid: int = AUTOPILOT) -> Counter[int]:
         """How many of each message came from a component."""
@@ -188,6 +194,44 @@ def frames_of(frames: Iterable[Frame]) -> Frames:
 
 
 NO_FRAMES = frames_of(())
+
+
+def frames_joined(pieces: Sequence[Frames]) -> Frames:
+    """All of these frames as one, in this order."""
+    if len(pieces) < 2:
+        return pieces[0] if pieces else NO_FRAMES
+    rows, ends = np.concatenate([piece.rows for piece in pieces]), np.cumsum([len(piece.data) for piece in pieces])
+    shifts = np.repeat(ends - [len(piece.data) for piece in pieces], [len(piece) for piece in pieces])
+    rows["body"] += shifts.astype(np.int32)
+    rows["stop"] += shifts.astype(np.int32)
+    data = np.concatenate([piece.data for piece in pieces])
+    data.flags.writeable = False
+    return Frames(data, rows)
+
+
+@cached
+def _sorted(data: Bytes, rows: NDArray[Any], found: NDArray[Any]) -> tuple[NDArray[Any], Bytes, IntArray]:
+    """Rows in order of system ids, their payloads, and (2, 256) where the rows and the bytes of each system id end.
+
+    found: room for the rows; their places count from the first byte of their system id.
+    """
+    ends = np.zeros((2, 256), np.int64)
+    for k in range(len(rows)):
+        sysid = rows[k].sender >> 8
+        ends[0, sysid] += 1
+        ends[1, sysid] += rows[k].stop - rows[k].body
+    begins = np.zeros((2, 256), np.int64)
+    for sysid in range(1, 256):
+        begins[:, sysid] = ends[:, sysid - 1]
+        ends[:, sysid] += ends[:, sysid - 1]
+    at, payloads = begins.copy(), np.empty(ends[1, 255], np.uint8)
+    for k in range(len(rows)):
+        sysid, body, size = rows[k].sender >> 8, rows[k].body, rows[k].stop - rows[k].body
+        place, to = at[0, sysid], at[1, sysid]
+        payloads[to : to + size], found[place] = data[body : body + size], rows[k]
+        found[place].body, found[place].stop = to - begins[1, sysid], to - begins[1, sysid] + size
+        at[0, sysid], at[1, sysid] = place + 1, to + size
+    return found, payloads, ends
 
 
 class Decoder:

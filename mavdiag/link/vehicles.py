@@ -14,7 +14,18 @@ from itertools import repeat
 import numpy as np
 
 from mavdiag.airframe.vehicle_type import refusal
-from mavdiag.link.codec import AUTOPILOT, MSGIDS, NO_FRAMES, Decoder, Frame, Frames, field_index, frames_of, layout_of
+from mavdiag.link.codec import (
+    AUTOPILOT,
+    MSGIDS,
+    NO_FRAMES,
+    Decoder,
+    Frame,
+    Frames,
+    field_index,
+    frames_joined,
+    frames_of,
+    layout_of,
+)
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
 from mavdiag.link.profiles import (
     IMU_MESSAGES,
@@ -26,7 +37,7 @@ from mavdiag.link.profiles import (
     detect_profile,
     with_imu,
 )
-from mavdiag.link.samples import SampleDecoder, SampleState, joined, warm
+from mavdiag.link.samples import SampleDecoder, SampleState, warm
 from mavdiag.link.sequence import Intruder, LinkCount, Source
 from mavdiag.link.signing import Signing
 from mavdiag.telemetry import Telemetry
@@ -133,15 +144,14 @@ class VehicleStream:
         """The profile, with the IMU message that is read."""
         return self._decoder.profile
 
-    def step(self, frames: Frames | Sequence[Frame]) -> Telemetry:
-        """Take the vehicle's next frames, in order of arrival."""
-        some = frames_of(frames)
-        if not self._settled and len(some):
-            self._choose_imu(some)
-        if told := parameters_in(some.of(MessageId.PARAM_VALUE), self.profile.autopilot):
+    def step(self, frames: Frames, talk: Sequence[Frame] = ()) -> Telemetry:
+        """Take the vehicle's next frames, in order of arrival. talk: those of them that are no measurements."""
+        if not self._settled and len(frames):
+            self._choose_imu(frames)
+        if told := parameters_in(talk, self.profile.autopilot):
             merged = {**self.parameters, **told}
             self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
-        self.state, telemetry = self._decoder.step(self.state, some)
+        self.state, telemetry = self._decoder.step(self.state, frames)
         return telemetry
 
     def _choose_imu(self, frames: Frames) -> None:
@@ -304,9 +314,10 @@ class LinkDecoder:
     def received(self, sysid: int) -> Received:
         """What waits of a vehicle that has entered."""
         unread, stream = self._unread.pop(sysid, _Unread()), self.vehicles[sysid]
-        talk = tuple(frame for piece in unread.pieces for frame in piece.where(_TALKS[piece.rows["row"]]))
-        telemetry = joined(stream.step(piece) for piece in unread.pieces)
-        present = any(bool((piece.rows["sender"] & 0xFF == AUTOPILOT).any()) for piece in unread.pieces)
+        frames = frames_joined(unread.pieces)
+        talk = tuple(frames.where(_TALKS[frames.rows["row"]]))
+        present = bool((frames.rows["sender"] & 0xFF == AUTOPILOT).any())
+        telemetry = stream.step(frames, talk)
         return Received(talk, telemetry, present, acks_in(talk), tuple(unread.commands), stream.parameters)
 
     def urgent(self) -> set[int]:

@@ -17,7 +17,7 @@ from mavdiag.telemetry import Instant, Signal
 # Rates of the slow streams [Hz]: what is asked for, and the least that will do (METHOD section 4; our choices).
 _SLOW: Mapping[Signal, tuple[float, float]] = {
     Signal.ACTUATOR: (25.0, 10.0),
-    Signal.ROTOR_SPEED: (5.0, 1.0),
+    Signal.ROTOR_SPEED: (10.0, 1.0),
     Signal.VIBRATION: (5.0, 2.0),
     Signal.ATTITUDE: (25.0, 10.0),
 }
@@ -116,6 +116,7 @@ _LOGS: Mapping[str, Mapping[Signal, str]] = {
         _S.THRUST_SETPOINT: "LOG_BITMASK bit 4 (control tuning)",
         _S.ACTUATOR: "LOG_BITMASK bit 10 (RC output)",
         _S.VIBRATION: "LOG_BITMASK bit 7 (IMU)",
+        _S.ROTOR_SPEED: "ESCs with telemetry (SERVO_BLH_AUTO, SERVO_DSHOT_ESC)",
     },
     "px4-log": dict.fromkeys(
         (_S.BODY_RATE, _S.SPECIFIC_FORCE, _S.ATTITUDE_SETPOINT, _S.THRUST_SETPOINT, _S.ACTUATOR),

@@ -4,16 +4,21 @@ The kind of a file is decided by its content, never by its name. A new kind is a
 its name in `_READERS`.
 """
 
+import math
+from dataclasses import replace
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+
+import numpy as np
 
 from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError, UsageError
 from mavdiag.logs.csv_columns import ColumnMap, read_csv
 from mavdiag.logs.log import LogKind, read_bytes
 from mavdiag.rows.gate import GateSpec
-from mavdiag.telemetry import Log
+from mavdiag.telemetry import Log, Series, Telemetry
+from mavdiag.units import NS_PER_S
 
 HEAD_BYTES = 4096
 _READERS = ("dataflash", "ulog", "crazyflie", "dronepropa", "tlog", "csv_columns")  # tlog: a weak signature
@@ -44,6 +49,50 @@ def read_log(
     if refused := refusal(log.mav_type):
         raise InputError(f"{path}: {refused}")
     return log
+
+
+def read_part(
+    path: Path,
+    vehicle: int | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
+    columns: ColumnMap | None = None,
+    profile: str | None = None,
+) -> Log:
+    """A log, or the part of it between two times [s], under the path as given. Raises as `read_log` and `between`."""
+    log = read_log(path, vehicle, profile, columns)
+    try:
+        return replace(log, name=str(path), telemetry=between(log.telemetry, from_s, to_s))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def between(telemetry: Telemetry, from_s: float | None, to_s: float | None) -> Telemetry:
+    """The part of a log between two times of the vehicle's clock [s].
+
+    Raises UsageError if a time is not a number, and InputError if the part is empty.
+    """
+    check_times(from_s, to_s)
+    if from_s is None and to_s is None:
+        return telemetry
+    low, high = (-math.inf if from_s is None else from_s), (math.inf if to_s is None else to_s)
+    kept = []
+    for series in telemetry:
+        inside = (series.t_ns >= low * NS_PER_S) & (series.t_ns < high * NS_PER_S)
+        kept.append(Series(series.signal, series.t_ns[inside], series.host_ns[inside], series.values[inside]))
+    if not any(map(len, kept)):
+        times = np.concatenate([np.empty(0), *(series.t_s for series in telemetry.series)])
+        span = f"it goes from {times.min():.1f} to {times.max():.1f} s" if len(times) else "it is empty"
+        wanted = " ".join(f"{word} {t:g} s" for word, t in (("from", from_s), ("to", to_s)) if t is not None)
+        raise InputError(f"no data {wanted} of the vehicle's clock; {span}")
+    return Telemetry(tuple(kept))
+
+
+def check_times(from_s: float | None, to_s: float | None) -> None:
+    """Raise UsageError if a time is not a number [s]."""
+    for name, value in (("--from", from_s), ("--to", to_s)):
+        if value is not None and not math.isfinite(value):
+            raise UsageError(f"{name} {value}: give a time in seconds of the vehicle's clock")
 
 
 def is_log(path: Path) -> bool:

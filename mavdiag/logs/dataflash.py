@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from mavdiag.airframe.parameters import COPTER_MOTORS, output_functions
 from mavdiag.errors import InputError
 from mavdiag.jit import cached
-from mavdiag.logs.log import RECORDED_GATE, LogKind, Row, Table, gather, read_rows, recorded, windows_of
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Log, Series, Signal, Telemetry
-from mavdiag.units import DEG, NS_PER_MS, NS_PER_S, NS_PER_US
+from mavdiag.logs.log import MAX_TIME_US, RECORDED_GATE, LogKind, Row, Table, gather, read_rows, recorded, windows_of
+from mavdiag.telemetry import Batch, BoolArray, FloatArray, IntArray, Log, Series, Signal, Telemetry
+from mavdiag.units import DEG, NS_PER_MS, NS_PER_S, NS_PER_US, RPM
 
 PROFILE = "ardupilot-log"
 SIGNATURE = b"\xa3\x95\x80\x80"  # the format record of the format message comes first
@@ -38,6 +38,9 @@ THROTTLE_PER_MILLE = 1e-3  # ThrOut up to Copter 3.3 is 0..1000
 CENTIVOLT = 0.01  # CURR.Volt where it is an integer
 PWM_ZERO_US, PWM_SPAN_US = 1000.0, 1000.0
 MAX_CHANNELS = 14  # of RCOU
+ACCELEROMETER = 0  # ISBH.type
+ESC_HOLDS_S = 1.5  # the last speed of an ESC counts so long (our choice, as of a live one in `rows.align`)
+ESC_SAYS = {1 << 2: "an alert", 1 << 3: "a warning", 1 << 4: "an error"}  # EDT2.Status (AP_ESC_Telem, log_Edt2_Status)
 EVENT_ARMED, EVENT_DISARMED = 10, 11
 
 GPS_EPOCH_UNIX_S = 315_964_800
@@ -61,6 +64,8 @@ _SIZES = {character: np.dtype(layout).itemsize for character, layout in _LAYOUTS
 _MULTIPLIERS = {"c": 0.01, "C": 0.01, "e": 0.01, "E": 0.01, "L": 1e-7}
 _TIMES = {"TimeUS": NS_PER_US, "TimeMS": NS_PER_MS}
 _INSTANCES = ("I", "IMU", "Inst", "Instance")
+_ESCS = tuple(f"ESC{n}" for n in range(1, 13))  # a message of each, before Copter 4.1
+_OF_ROTORS = ("ESC", "EDT2", "RPM")
 
 #: The messages by name; one without time or fields for each that is absent.
 Tables: TypeAlias = defaultdict[str, Table]
@@ -87,12 +92,15 @@ class Format(NamedTuple):
 
 
 def table_of(form: Format, starts: IntArray, records: NDArray[np.void]) -> Table:
-    """The records of one type; of those that carry the instance of a sensor, only those of the lowest one."""
+    """The records of one type; of those that carry the instance of a sensor, only those of the lowest one.
+
+    Of those that tell of several rotors (`_OF_ROTORS`), all.
+    """
     fields = {label: records[f"f{place}"] for place, label in enumerate(form.labels)}
     units = {label: _MULTIPLIERS.get(c) for label, c in zip(form.labels, form.characters, strict=True)}
     table = Table(form.name, None, fields, {label: unit for label, unit in units.items() if unit}, starts)
     instance = next((found for found in map(table.integers, _INSTANCES) if found is not None), None)
-    if instance is not None and (instance != instance.min()).any():
+    if instance is not None and form.name not in _OF_ROTORS and (instance != instance.min()).any():
         first = instance == instance.min()
         whole = records.view(f"V{records.itemsize}")  # copied in one piece each, not field by field
         return table_of(form, starts[first], whole[first].view(records.dtype))
@@ -160,7 +168,6 @@ class Walk:
         return found, tuple(note for note, told in ((damaged, between), (cut, self._lost)) if told)
 
     def _learn(self, data: bytes, position: int) -> None:
-        """Take in the FMT record at `position`."""
         kind, length, *texts = FMT_BODY.unpack_from(data, position + HEADER_BYTES)
         name, characters, labels = (raw.partition(b"\0")[0].decode("latin-1") for raw in texts)
         form = Format(length, name, characters, tuple(labels.split(",")))
@@ -226,7 +233,8 @@ _ROWS = (
     Row(Signal.VOLTAGE, "BAT", ("Volt",), integer_unit=CENTIVOLT),
     Row(Signal.VOLTAGE, "CURR", ("Volt",), integer_unit=CENTIVOLT),
 )
-WANTED = frozenset(row.table for row in _ROWS) | {"RATE", "RCOU", "PARM", "ARM", "EV", "GPS", "MSG"}
+_OTHERS = ["RATE", "RCOU", "PARM", "ARM", "EV", "GPS", "MSG", "ISBH", "ISBD"]
+WANTED = frozenset((*(row.table for row in _ROWS), *_OTHERS, *_OF_ROTORS, *_ESCS))
 
 # What the firmware says at its start: "ArduCopter V4.5.6 (bbf0b066)", "APM:Copter V3.3", "Frame: QUAD/X".
 _FIRMWARE = re.compile(rb"(?:ardu|apm:|antenna)?(copter|plane|rover|sub|tracker|blimp)[0-9]? V\d", re.IGNORECASE)
@@ -242,8 +250,9 @@ def read_dataflash(path: Path) -> Log:
     """Read a DataFlash log of ArduPilot, of any era that describes itself. Profile "ardupilot-log".
 
     ACTUATOR has one column per motor, in the order of the SERVOn_FUNCTION parameters where the log has them, and
-    otherwise one per output channel up to the last one in use. ARMED has a row for each change. Raises InputError for a
-    file that is unreadable, of another kind, or without a known signal.
+    otherwise one per output channel up to the last one in use; so has ROTOR_SPEED, for an ESC has the number of its
+    output. ARMED has a row for each change. Raises InputError for a file that is unreadable, of another kind, or
+    without a known signal.
     """
     walk, digest = Walk(WANTED), hashlib.sha256()
     for window in windows_of(path):
@@ -256,16 +265,17 @@ def read_dataflash(path: Path) -> Log:
     motors = [first[wanted] for wanted in COPTER_MOTORS if wanted in first]  # channels by motor; of several the first
     found = read_rows(_ROWS, tables.values())
     loop, outputs = _rate_loop(tables, found.get(Signal.BODY_RATE)), _actuator(tables, motors, functions)
-    series = (*found.values(), *loop, *outputs, *_armed(tables))
+    series = (*found.values(), *loop, *outputs, *_rotor_speeds(tables, motors, parameters), *_armed(tables))
     if not series:
         raise InputError(f"{path}: not a usable DataFlash log: no record of a known signal; check that logging was on")
     named = (path.name, digest.hexdigest(), PROFILE)
     kind = _mav_type(tables["MSG"], parameters)
-    return Log(*named, Telemetry(series), _started_ns(tables, series), notes, parameters, bool(motors), kind)
+    told, began_ns = (*notes, *_esc_notes(tables["EDT2"])), _started_ns(tables, series)
+    batches = _batches(tables["ISBH"], tables["ISBD"])
+    return Log(*named, Telemetry(series), began_ns, told, parameters, bool(motors), kind, batches=batches)
 
 
 def _rate_loop(tables: Tables, gyro: Series | None) -> tuple[Series, ...]:
-    """Rate setpoints and torque commands of the RATE message."""
     table = tables["RATE"]
     fields = ("RDes", "PDes", "YDes", "ROut", "POut", "YOut", "R", "P", "Y")
     if table.t_ns is None or not table.has(*fields):
@@ -312,6 +322,74 @@ def _actuator(tables: Tables, motors: Sequence[int], functions: Mapping[int, int
         return ()
     pulse_us = table.columns([f"{prefix}{n}" for n in channels]) * [n not in others for n in channels]
     return (recorded(Signal.ACTUATOR, table.t_ns, np.maximum(pulse_us - PWM_ZERO_US, 0.0) / PWM_SPAN_US),)
+
+
+def _rotor_speeds(tables: Tables, motors: Sequence[int], parameters: Mapping[str, float]) -> tuple[Series, ...]:
+    """The speeds that ESCs tell, by ESC or, where the motors' channels are known, by motor; NaN where it is old.
+
+    RPM has sensors: only one that stands for a single ESC (RPMn_ESC_MASK) tells which rotor it is of.
+    """
+    parts = list[tuple[IntArray, IntArray, FloatArray]]()  # times, numbers of ESCs from 1, rpm
+
+    def take(table: Table, numbers: IntArray | int, field: str) -> None:
+        if table.t_ns is not None and table.has(field) and table.fields[field].dtype.itemsize >= 4:
+            parts.append((table.t_ns, np.broadcast_to(np.asarray(numbers), len(table.t_ns)), table.column(field)))
+
+    esc, rpm = tables["ESC"], tables["RPM"]
+    number = esc.integers("Instance")
+    if number is not None:
+        take(esc, number + 1, "RawRPM" if esc.has("RawRPM") else "RPM")
+    for place, name in enumerate(_ESCS):
+        take(tables[name], place + 1, "RPM")
+    for sensor in (1, 2) if not parts else ():
+        mask = int(parameters.get(f"RPM{sensor}_ESC_MASK", 0))
+        if mask.bit_count() == 1:
+            take(rpm, mask.bit_length(), f"rpm{sensor}")
+    if not parts:
+        return ()
+    t_ns, numbers, speeds = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    order = np.argsort(t_ns, kind="stable")
+    t_ns, numbers, speeds = t_ns[order], numbers[order], np.abs(speeds[order]) * RPM
+    values = np.full((len(t_ns), len(motors) or min(int(numbers.max()), MAX_CHANNELS)), np.nan)
+    for column in range(values.shape[1]):
+        own = np.flatnonzero(numbers == (motors[column] if motors else column + 1))
+        last = np.searchsorted(own, np.arange(len(t_ns)), side="right") - 1
+        known = np.flatnonzero(last >= 0)
+        fresh = known[t_ns[known] - t_ns[own[last[known]]] <= ESC_HOLDS_S * NS_PER_S]
+        values[fresh, column] = speeds[own[last[fresh]]]
+    return (recorded(Signal.ROTOR_SPEED, t_ns, values),) if np.isfinite(values).any() else ()
+
+
+def _batches(head: Table, data: Table) -> tuple[Batch, ...]:
+    """Raw batches of the lowest accelerometer (AP_InertialSensor, BatchSampler): of each what came without a gap."""
+    names = ("N", "type", "instance", "mul", "SampleUS", "smp_rate")
+    axes = [data.fields.get(axis, np.empty(0)) for axis in "xyz"]
+    if not (head.has(*names) and data.has("N", "seqno")) or any(one.ndim != 2 for one in axes):
+        return ()
+    number, kind, instance, unit, time_us, rate_hz = (head.column(name) for name in names)
+    raw, found = np.stack(axes, axis=2), list[Batch]()
+    wanted = (
+        (kind == ACCELEROMETER) & (unit > 0) & (rate_hz > 0) & np.isfinite(unit * rate_hz) & (time_us < MAX_TIME_US)
+    )
+    wanted &= instance == instance[wanted].min(initial=np.inf)
+    ends = np.searchsorted(data.starts, np.append(head.starts, np.iinfo(np.int64).max))  # its data are before the next
+    for at in np.flatnonzero(wanted).tolist():
+        own = np.arange(ends[at], ends[at + 1])
+        own = own[data.column("N")[own] == number[at]]
+        whole = data.column("seqno")[own] == np.arange(len(own))
+        own = own[: len(own) if whole.all() else int(whole.argmin())]
+        if len(own):
+            found.append(Batch(int(time_us[at]) * NS_PER_US, float(rate_hz[at]), raw[own].reshape(-1, 3) / unit[at]))
+    return tuple(sorted(found, key=lambda batch: batch.t_ns))
+
+
+def _esc_notes(table: Table) -> tuple[str, ...]:
+    """What ESCs with extended telemetry complained of."""
+    number, status = table.integers("Instance"), table.integers("Status")
+    if number is None or status is None:
+        return ()
+    said = {(one, what) for bit, what in ESC_SAYS.items() for one in number[status & bit > 0].tolist()}
+    return tuple(f"ESC {one + 1} told {what}" for one, what in sorted(said))
 
 
 def _parameters(tables: Tables) -> dict[str, float]:

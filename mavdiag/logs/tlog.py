@@ -178,7 +178,6 @@ def vehicle_stream(path: str | Path, profile: str | None = None) -> Iterator[Veh
 
 
 def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], list[int]]) -> Iterator[VehicleLog]:
-    """The flights of the vehicles that are chosen."""
     digest = hashlib.sha256()
     content = decode_windows(_summed(path, digest.update), keep=False)
     if content.records == 0:

@@ -38,6 +38,7 @@ ACCELEROMETER = "sensor_combined, accelerometer"  # the same topic, at times of 
 NO_ACCELEROMETER = 2**31 - 1  # of accelerometer_timestamp_relative (PX4, SensorCombined.msg)
 ARMED_STATE = 2  # of arming_state (PX4, VehicleStatus.msg; the same number in all versions)
 PWM_ZERO_US, PWM_SPAN_US, PWM_LEAST_US = 1000.0, 1000.0, 800.0
+FIRST_MOTOR, MOTORS = 101, 12  # of actuator_function "Motor 1" (PX4, EscReport.msg), and how many there are
 UTC_PLAUSIBLE_US = 10**15  # September 2001: a receiver without a fix reports 0
 
 READ_ALLOWANCE = 8  # a sound file is read once; a run of zeros, byte by byte, costs five times its length
@@ -83,6 +84,16 @@ def _turning(values: FloatArray) -> FloatArray:
     return np.abs(values[:, (values != 0).any(axis=0)]) * RPM
 
 
+def _by_motor(values: FloatArray) -> FloatArray:
+    """Speeds of ESCs [rpm], then the functions of their outputs: by motor, from rpm of either sign to rad/s."""
+    speeds, functions = np.split(np.nan_to_num(values), 2, axis=1)
+    motors = functions.max(axis=0).astype(np.int64) - FIRST_MOTOR
+    found = np.full((len(values), MOTORS), np.nan)
+    driven = (motors >= 0) & (motors < MOTORS)
+    found[:, motors[driven]] = np.abs(speeds[:, driven]) * RPM
+    return found[:, : int(motors[driven].max(initial=-1)) + 1]
+
+
 def _elements(name: str, count: int, member: str = "") -> tuple[str, ...]:
     """The names that pyulog gives to the elements of an array."""
     return tuple(f"{name}[{index}]{member}" for index in range(count))
@@ -105,6 +116,12 @@ _ROWS = (
     Row(Signal.ATTITUDE, "vehicle_attitude", _elements("q", 4), euler_angles),
     Row(Signal.ACTUATOR, "actuator_motors", _elements("control", 12), _in_use),
     Row(Signal.ACTUATOR, "actuator_outputs", _elements("output", 16), _pulses),
+    Row(
+        Signal.ROTOR_SPEED,
+        "esc_status",
+        (*_elements("esc", 8, ".esc_rpm"), *_elements("esc", 8, ".actuator_function")),
+        _by_motor,
+    ),
     Row(Signal.ROTOR_SPEED, "esc_status", _elements("esc", 8, ".esc_rpm"), _turning),
     Row(Signal.HEIGHT, "vehicle_local_position", ("z",), np.negative),
     Row(Signal.VOLTAGE, "battery_status", ("voltage_v",)),

@@ -8,16 +8,15 @@ import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import MIN_OUTPUT, shown_trim
+from mavdiag.monitors.rotor_speed import MADE_UP_RAD_S
 from mavdiag.rows.block import Block
 from mavdiag.rows.windows import spans
-from mavdiag.telemetry import BoolArray, FloatArray, Signal, Telemetry
-from mavdiag.units import RPM
+from mavdiag.telemetry import Batch, BoolArray, FloatArray, Signal, Telemetry
 
 # ArduPilot's own advice on the message VIBRATION (wiki, "Measuring Vibration"): up to 30 m/s^2 is normally acceptable,
 # above 30 there may be problems, above 60 there nearly always are.
 VIBRATION_USUAL, VIBRATION_HIGH = 30.0, 60.0
 FULL, IDLE = 0.98, 0.06  # an output at its upper or its lower end (our choice)
-MADE_UP_RAD_S = 6000 * RPM  # that PX4 tells of full output in simulation (SimulatorMavlink: ESC_STATUS)
 HELD_S = 0.3  # or at a limit of the mixer: it stands still for so long, as no motor in flight does (our choice)
 AWAY = 0.5  # and by more than this share of the mean beside it (our choice)
 LEAST_S = 2.0  # of unbroken flight that a line is looked for in (our choice)
@@ -124,24 +123,39 @@ def vibration(flight: Sequence[Block]) -> Vibration | None:
 
 def spectrum_of(flight: Sequence[Block], least_s: float = SPECTRUM_S) -> Spectrum | None:
     """Spectrum of the accelerometer's x and y, by Welch's averages over stretches of `least_s` [s] or more."""
+    stretches = [
+        block.force[first:stop]
+        for block in flight
+        for first, stop in spans(block.valid & np.isfinite(block.force[:, :2]).all(axis=1))
+        if stop - first >= max(round(SPECTRUM_S / block.dt_s), least_s / block.dt_s)
+    ]
+    return _welch(stretches, 1 / flight[0].dt_s) if flight else None
+
+
+def _welch(stretches: Sequence[FloatArray], rate_hz: float) -> Spectrum | None:
+    """Windows of `SPECTRUM_S`, or as long as the shortest stretch; None if they show no line."""
     from scipy.signal import welch  # here, for it takes a second to load
 
     hz, power, averaged = np.empty(0), np.empty(0), 0
-    for block in flight:
-        width = round(SPECTRUM_S / block.dt_s)
-        for first, stop in spans(block.valid & np.isfinite(block.force[:, :2]).all(axis=1)):
-            if width < LEAST_ROWS or stop - first < max(width, least_s / block.dt_s):
-                continue
-            count = (stop - first - width // 2) // (width - width // 2)
-            hz, density = welch(block.force[first:stop, :2], 1 / block.dt_s, nperseg=width, axis=0)
-            power = count * density + (power if averaged else 0.0)
-            averaged += count
+    width = min([round(SPECTRUM_S * rate_hz), *map(len, stretches)])
+    for force in stretches if width >= LEAST_ROWS else ():
+        count = (len(force) - width // 2) // (width - width // 2)
+        hz, density = welch(force[:, :2], rate_hz, nperseg=width, axis=0)
+        power = count * density + (power if averaged else 0.0)
+        averaged += count
     return Spectrum(hz, power / averaged, averaged) if averaged else None
 
 
-def rotor_line(flight: Sequence[Block], corner_hz: float | None, told_hz: float) -> RotorLine:
-    """The line of the rotors. corner_hz: of the low-pass in the IMU stream, if one is known. told_hz: as `told_hz`."""
-    rate_hz = 1 / flight[0].dt_s if flight else 0.0
+def rotor_line(
+    flight: Sequence[Block], corner_hz: float | None, told_hz: float, batches: Sequence[Batch] = ()
+) -> RotorLine:
+    """The line of the rotors. corner_hz: of the low-pass in the IMU stream, if one is known. told_hz: as `told_hz`.
+
+    batches: raw samples of the log; those of the flight are looked at in place of the stream.
+    """
+    raw = [one for one in batches if flight and flight[0].t_ns[0] <= one.t_ns <= flight[-1].t_ns[-1]]
+    raw = [one for one in raw if one.rate_hz == raw[0].rate_hz]
+    rate_hz, corner_hz = (raw[0].rate_hz, None) if raw else (1 / flight[0].dt_s if flight else 0.0, corner_hz)
     to_hz = min(LINE_TO * rate_hz, math.inf if corner_hz is None else corner_hz) if flight else LINE_FROM_HZ
 
     def none(reason: str) -> RotorLine:
@@ -153,7 +167,7 @@ def rotor_line(flight: Sequence[Block], corner_hz: float | None, told_hz: float)
         slow = corner_hz is None or corner_hz > to_hz
         why = f"accelerometer comes at {rate_hz:.0f} Hz" if slow else f"IMU stream is low-passed at {corner_hz:g} Hz"
         return none(f"the {why}, which shows no rotor's line")
-    spectrum = spectrum_of(flight, LEAST_S)
+    spectrum = _welch([one.force for one in raw], rate_hz) if raw else spectrum_of(flight, LEAST_S)
     if spectrum is None:
         return none(f"there are no {LEAST_S:g} s of unbroken flight with an accelerometer")
     hz, excess = spectrum.frequency_hz, _above_neighbours(spectrum)

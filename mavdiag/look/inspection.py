@@ -43,6 +43,7 @@ SLACK = 0.98  # a rate that is this share of what is needed will do
 _LEAST_HZ: Mapping[str, float] = {
     "innovation": monitors.innovation.MIN_RATE_HZ,
     "rotor_signature": monitors.rotor_signature.MIN_RATE_HZ,
+    "rotor_speed": monitors.rotor_speed.MIN_RATE_HZ,
     "sensor_noise": monitors.sensor_noise.LEAST_RATE_HZ,
     "sensor_drift": monitors.sensor_drift.MIN_RATE_HZ,
     "control_loss": monitors.control_loss.MIN_RATE_HZ,
@@ -177,7 +178,7 @@ def inspection_of(
         loads=figures.output_loads(flight, motors),
         trim=None if layout is None else figures.trim(flight, layout),
         vibration=figures.vibration(flight),
-        line=figures.rotor_line(flight, corner_hz, figures.told_hz(log.telemetry)) if flight else None,
+        line=figures.rotor_line(flight, corner_hz, figures.told_hz(log.telemetry), log.batches) if flight else None,
         baseline="" if baseline is None else baseline_statement(baseline, log, signals),
         monitors=monitor_states(log, signals, airframe, baseline),
     )
@@ -288,7 +289,6 @@ def _by_second(t_ns: IntArray) -> tuple[IntArray, IntArray, IntArray]:
 
 
 def _gyro_gaps(telemetry: Telemetry) -> FloatArray:
-    """The gaps of the gyro that are too long to be interpolated [s]."""
     gyro = telemetry.get(Signal.BODY_RATE)
     if gyro is None or len(gyro) < 2:
         return np.empty(0)

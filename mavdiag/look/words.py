@@ -12,7 +12,6 @@ from mavdiag.printable import printable
 WIDTH = 80
 NOTABLE = 0.05  # of the mean output: a rotor that is told in the one line of a log (our choice)
 CLOSING = "this is no verdict: that takes a baseline of flights with sound propellers (mavdiag identify)"
-STREAMS_ADVICE = "ask for what is missing with --ask, or set the parameters named above"
 
 
 def in_full(found: Inspection) -> str:
@@ -49,7 +48,6 @@ def in_one_line(found: Inspection) -> str:
 
 
 def _paragraphs(found: Inspection) -> Iterator[str | list[str]]:
-    """Sentences, and tables as lines."""
     flight = found.no_flight or f"{found.flight_s:.1f} s of flight that can be judged"
     yield f"{found.log}: profile {found.profile}, {found.span_s:.1f} s long, {flight}"
     yield from (f"note: {note}" for note in found.notes)
@@ -73,23 +71,19 @@ def _paragraphs(found: Inspection) -> Iterator[str | list[str]]:
         yield "gyro: no attitude to compare it with"
     yield found.rotors
     if not found.no_flight:
-        yield from _flight(found)
+        yield from _loads(found.loads)
+        if found.trim is not None:
+            trim = ", ".join(f"{axis} {value:+.3f}" for axis, value in found.trim.items())
+            yield f"trim: {trim} of the hover command; payload, balance point and wind are in it, too"
+        yield f"VIBRATION: {_vibration(found.vibration)}"
+        if found.line is not None:
+            yield f"rotor line: {_line(found.line)}"
     yield "monitor"
     yield from (f"  {state.monitor:<16} {'; '.join(state.missing) or 'works'}" for state in found.monitors)
     lacking = any(why.startswith("no ") for state in found.monitors for why in state.missing)
     if found.link is not None and lacking and not found.asked:
-        yield STREAMS_ADVICE
+        yield "ask for what is missing with --ask, or set the parameters named above"
     yield CLOSING
-
-
-def _flight(found: Inspection) -> Iterator[str]:
-    yield from _loads(found.loads)
-    if found.trim is not None:
-        trim = ", ".join(f"{axis} {value:+.3f}" for axis, value in found.trim.items())
-        yield f"trim: {trim} of the hover command; payload, balance point and wind are in it, too"
-    yield f"VIBRATION: {_vibration(found.vibration)}"
-    if found.line is not None:
-        yield f"rotor line: {_line(found.line)}"
 
 
 def _link(found: Inspection) -> str:

@@ -10,6 +10,7 @@ from mavdiag.monitors.base import Monitor
 from mavdiag.monitors.control_loss import ControlLoss
 from mavdiag.monitors.innovation import Innovation
 from mavdiag.monitors.rotor_signature import RotorSignature
+from mavdiag.monitors.rotor_speed import RotorSpeed
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.run_length import RunLength
 from mavdiag.monitors.sensor_drift import SensorDrift
@@ -26,6 +27,7 @@ MONITORS: tuple[type[Monitor[Any]], ...] = (
     Unbalance,
     VibrationLevel,
     RotorTrim,
+    RotorSpeed,
     TrimStep,
     SensorNoise,
     SensorDrift,

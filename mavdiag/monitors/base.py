@@ -8,7 +8,7 @@ import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from types import MappingProxyType
 from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.layout import Motor, RotorLayout
 from mavdiag.errors import InputError
 from mavdiag.identify import Method, Order
 from mavdiag.monitors.columns import SOUND, VALUE, Columns, Loop, columns_of, no_past
@@ -24,7 +24,8 @@ from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, FloatArray, Signal
-from mavdiag.thresholds.rule import USUAL, Prior
+from mavdiag.thresholds.priors import prior_of
+from mavdiag.thresholds.rule import Prior
 
 Spec = TypeVar("Spec")
 Flights: TypeAlias = Sequence[Sequence[Rows]]
@@ -79,6 +80,8 @@ class RotorEvidence:
 
     weight: float  # logits per unit of evidence
     relative: bool = False  # the evidence counts in units of the monitor's threshold
+    least: float = 0.0  # the smallest such unit
+    arms: tuple[Motor, ...] = ()  # what is named, and the evidence is the highest of its rotors; empty: each rotor
     direct: bool = True  # it observes the damaged rotor itself
 
 
@@ -127,7 +130,8 @@ class Monitor(ABC, Generic[Spec]):
     decides: ClassVar[bool] = True  # its alarm is a fault by itself; else it is a suspicion, to be confirmed
     kind: ClassVar[FaultKind] = FaultKind.PROPELLER  # what its alarm means
     clear_s: ClassVar[float] = 2.0  # how long it must have been back before its event closes (our choice)
-    prior: ClassVar[Prior] = USUAL  # how its healthy maxima differ, before any flight tells
+    prior: ClassVar[Prior]  # how its healthy maxima differ, before any flight tells (`thresholds.priors`)
+    least: ClassVar[float] = 0.0  # the smallest threshold that means anything, in its unit
     evidence: ClassVar[RotorEvidence | None] = None  # how it knows about rotors; None if it does not
     needs_layout: ClassVar[bool] = False  # it cannot be fitted where the rotor layout is not known
     doubt: ClassVar[str] = ""  # what a verdict adds where no deciding monitor without a doubt has an alarm
@@ -142,6 +146,11 @@ class Monitor(ABC, Generic[Spec]):
     takes: Mapping[Signal, slice] = MappingProxyType({})  # which columns of a signal it takes, where not all
     axis: Axis | None = None  # the body axis that it is about
     reference: float = 0.0  # what a display compares it with; 0 if nothing
+
+    def __init_subclass__(cls) -> None:
+        """Give each monitor its prior."""
+        super().__init_subclass__()
+        cls.prior = replace(prior_of(getattr(cls, "name", "")), least=cls.least)
 
     def __init__(self, spec: Spec) -> None:
         layout: RotorLayout | None = getattr(spec, "layout", None)
@@ -169,6 +178,10 @@ class Monitor(ABC, Generic[Spec]):
     def extended(self, flights: Flights, sessions: int) -> Spec:
         """Its fit with a further session of healthy flights. sessions: how many it rests on."""
         return self.spec
+
+    def blindness(self, threshold: float) -> str:
+        """What it does not notice at a threshold, in half a sentence; empty where nothing is to be said."""
+        return ""
 
     def period_s(self, dt_s: float) -> float:
         """Span of flight that one value stands for [s], at a row period."""

@@ -17,9 +17,10 @@ from mavdiag.telemetry import FloatArray, IntArray, Signal
 # in; the set-point may be used; why the gyro must not be judged though it is there (`rows.quality.DOUBTS`).
 VALID, COMMANDED, COVERED, SETPOINT, DOUBT = range(5)
 # Signals: three rows each, but for lean (roll and pitch set-point), thrust, heading (commanded) and height; the outputs
-# are the last ones. GYRO is the raw gyro that Y is smoothed of; U is the commanded rate.
+# and, behind so many rows, the speeds of rotors are the last ones, where there are any. GYRO is the raw gyro that Y is
+# smoothed of; U is the commanded rate.
 LEAN, RATE, FORCE, TORQUE, THRUST, ATTITUDE, VIBRATION, U, Y, GYRO = 5, 7, 10, 13, 16, 17, 20, 23, 26, 29
-HEADING, HEIGHT, OUTPUTS = 32, 33, 34
+HEADING, HEIGHT, OUTPUTS, SPEEDS = 32, 33, 34, 50
 # Rows of what a monitor writes for each of its values: value, 1 where it is sound, level; then the residual of the fsd
 # monitor, and inner figures for a fit, where there is room for them (`monitors.base.walk`).
 VALUE, SOUND, LEVEL, RESIDUAL, TRACE = range(5)
@@ -36,7 +37,8 @@ PLACES = {
     Signal.ATTITUDE: (ATTITUDE, VIBRATION),
     Signal.VIBRATION: (VIBRATION, U),
     Signal.HEIGHT: (HEIGHT, OUTPUTS),
-    Signal.ACTUATOR: (OUTPUTS, 1 << 20),
+    Signal.ACTUATOR: (OUTPUTS, SPEEDS),
+    Signal.ROTOR_SPEED: (SPEEDS, 1 << 20),
 }
 
 
@@ -56,7 +58,7 @@ class Loop(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """x: (OUTPUTS + outputs, first + n). first: columns of before. known: from here on there are rates."""
+    """x: (rows, first + n), see `SPEEDS`. first: columns of before. known: from here on there are rates."""
 
     x: FloatArray
     first: int
@@ -77,17 +79,21 @@ def columns_of(rows: Rows, past: FloatArray) -> Columns:
     """The columns of some rows behind `past`. All count as covered: nothing is known here of what was learnt."""
     block, rates = rows.block, rows.rates
     first, n = past.shape[1], len(block)
-    x, lag = np.empty((OUTPUTS + block.actuator.shape[1], first + n)), n - len(rates)
+    outputs, speeds = OUTPUTS + min(block.actuator.shape[1], SPEEDS - OUTPUTS), block.rotor_speed.shape[1]
+    x, lag = np.empty((SPEEDS + speeds if speeds else outputs, first + n)), n - len(rates)
     x[:OUTPUTS, :first], x[OUTPUTS:, :first] = past, np.nan
     new, known = x[:, first:], x[:, first + lag :]
     new[VALID], new[COVERED], new[SETPOINT], new[DOUBT] = block.valid, 1.0, block.setpoint_valid, block.doubt
-    new[COMMANDED, :lag], known[COMMANDED] = 0.0, rates.commanded
+    if lag:
+        new[COMMANDED, :lag], new[U:HEADING, :lag] = 0.0, np.nan
+    known[COMMANDED] = rates.commanded
     new[LEAN:RATE] = block.setpoint.T[:2]
     if np.count_nonzero(block.setpoint_valid) < n:
         new[LEAN:RATE, ~block.setpoint_valid] = 0.0
     new[RATE:FORCE], new[FORCE:TORQUE], new[TORQUE:THRUST] = block.rate.T, block.force.T, block.torque.T
     new[THRUST], new[ATTITUDE:VIBRATION], new[VIBRATION:U] = block.thrust, block.attitude.T, block.vibration.T
-    new[U:HEADING, :lag] = np.nan
     known[U:Y], known[Y:GYRO], known[GYRO:HEADING] = rates.u.T, rates.y.T, rates.gyro.T
-    new[HEADING], new[HEIGHT], new[OUTPUTS:] = block.setpoint[:, 2], block.height, block.actuator.T
+    new[HEADING], new[HEIGHT] = block.setpoint[:, 2], block.height
+    new[OUTPUTS:outputs], new[outputs:SPEEDS] = block.actuator.T[: outputs - OUTPUTS], np.nan
+    new[SPEEDS:] = block.rotor_speed.T
     return Columns(x, first, first + lag)

@@ -11,7 +11,6 @@ from mavdiag.monitors.columns import COMMANDED, LEVEL, SOUND, VALUE, Floats, Int
 from mavdiag.monitors.fitting import need_commanded
 from mavdiag.monitors.spec import Delay, spec
 from mavdiag.telemetry import Signal
-from mavdiag.thresholds.rule import Prior
 
 LEAST_RAD_S = 7.0  # 400 deg/s beyond the command; emulated flights whose position jumps reach 5.7 (our choice)
 MIN_RATE_HZ = 20.0  # below it an upset is over between two samples (our choice)
@@ -57,7 +56,7 @@ class ControlLoss(Monitor[ControlLossSpec]):
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     kind = FaultKind.LOSS_OF_CONTROL
     clear_s = 1.0
-    prior = Prior(least=LEAST_RAD_S)
+    least = LEAST_RAD_S
     by_rates = True
     spec_type = ControlLossSpec
     unit = "rad/s"

@@ -21,7 +21,6 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.rows.windows import forgetting, window_all, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
-from mavdiag.thresholds.rule import Prior
 
 LAG = 4  # rows that A and B look back: METHOD section 5; 2 to 5 change no verdict on the recorded flights
 WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
@@ -30,8 +29,8 @@ TRAIN_ROWS = 120_000  # more of it no longer changes the coefficients (our choic
 CONSTANT = "the gyro is constant or noise-free; is it a real sensor?"
 RANK_TOLERANCE = 1e-10
 GLITCH_ROWS = 3 + LAG  # whose innovations three bad samples spoil
-# Healthy rms; what is larger counts only where more rows have it than a glitch spoils. A Gaussian residual reaches it
-# in years (our choice).
+# Healthy rms; of what is larger only the share that no glitch explains counts. A Gaussian residual reaches it in years
+# (our choice).
 LIMIT, MOST = 6.0, 1e6
 STILL_ROWS = 3  # equal ones after another say nothing new, be they rounded or repeated (our choice)
 MIN_RATE_HZ = 20.0  # below it a step ahead is too far to predict a rate (our choice)
@@ -94,8 +93,9 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
         if sound:  # the last second of *valid* rows: a gap within a segment does not start the window anew
             mem[row], mem[row + 1], mem[row + 2] = usual, most - usual, 1.0 if most > usual else 0.0
             sound = push(mem, MEAN, window, 3, True)
-            many = total(mem, MEAN, 3, 2) > GLITCH_ROWS + 0.5
-            sum_ = total(mem, MEAN, 3, 0) + (total(mem, MEAN, 3, 1) if many else 0.0)
+            rough = total(mem, MEAN, 3, 2)
+            share = 1.0 - GLITCH_ROWS / rough if rough > GLITCH_ROWS + 0.5 else 0.0
+            sum_ = total(mem, MEAN, 3, 0) + share * total(mem, MEAN, 3, 1)
             level = math.sqrt(max(sum_, 0.0) / (3 * window))
         out[VALUE, k], out[SOUND, k], out[LEVEL, k], at[k] = level, sound, level, k
     return len(at) - (known - first)
@@ -106,9 +106,9 @@ class Innovation(Monitor[InnovationSpec]):
 
         e(t) = A(z^-1) y(t) - B(z^-1) u(t),    z = e / sqrt(k0 + k1 EMA_0.35s(u^2)),    s = sqrt(mean_1s,3 axes z^2)
 
-    u: commanded rate, y: raw gyro less its healthy mean, one ARX(4, 4, 1) by least squares for each axis. What z^2 is
-    beyond 36 counts where more than 7 rows of the second have it, as a glitch of three samples has not; a row whose
-    gyro is that of the three before is left out.
+    u: commanded rate, y: raw gyro less its healthy mean, one ARX(4, 4, 1) by least squares for each axis. Of what z^2
+    is beyond 36, in n rows of the second, the share 1 - 7/n counts: a glitch of three samples spoils 7 rows, and the
+    statistic has no step that few flights could not foretell. A row whose gyro is that of the three before is left out.
 
     Warm-up: half an SG window, 4 rows and 1 s; after a gap of less than a second only the first two. Latency: half an
     SG window and up to 1 s. False alarms: aerobatics, landings and wind that the healthy flights lacked. Blind spots:
@@ -117,7 +117,6 @@ class Innovation(Monitor[InnovationSpec]):
 
     name = "innovation"
     label = "innovation"
-    prior = Prior(session=0.15, block=0.08)  # emulated 0.03, 0.01, 0.01; real vehicles vary more (our choice)
     phrase = "attitude unlike the model"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     depends = frozenset({Condition.YAW_RATE, Condition.HEIGHT, Condition.THROTTLE, Condition.COMMANDED_ACCELERATION})

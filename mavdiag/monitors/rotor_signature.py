@@ -43,7 +43,6 @@ from mavdiag.rows.running import FRESH, follow, mean_size, push
 from mavdiag.rows.savgol import coefficients
 from mavdiag.rows.windows import forgetting, spans
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
-from mavdiag.thresholds.rule import Prior
 
 SAMPLE_S = 0.01  # between two samples, our choice: ten times what the 0.1 s window passes
 DRIFT_S = 1.0  # our choice; 0.5 to 2 s find the same faults
@@ -298,7 +297,7 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     )
     # A jolt that is no fault (a payload taken up beside the centre) reaches 3.1 in emulated flights, which few healthy
     # flights show (our choice).
-    prior = Prior(session=0.15, least=3.5)
+    least = 3.5
     evidence = RotorEvidence(8.0)  # a difference of 0.3 between mean correlations named the right rotor in 99 of 100
     needs_layout = True
     spec_type = RotorSignatureSpec

@@ -3,14 +3,17 @@
 A controller with an integrator hides a weak rotor from its own attitude error: it commands more. That command is the
 evidence, and it names the rotor (METHOD section 5). It does not show why.
 
-    g = b1 r + b2 dr/dt,    tick = median over its parts of m_yaw - g,    weight = 1/(1 + (max |g|/G)^2)
+    g = b1 r + b2 dr/dt - b3 dm_yaw/dt,    tick = median over its parts of m_yaw - g
+    weight = 1/(1 + (max |g|/G)^2)
 
-A vehicle whose nose turns has its rotors commanded apart: a steady turn against the drag of its rotation, the start and
-the stop of a turn for its inertia. A tick has five parts of 0.1 s, and g is taken off each of them: means of both sides
-obey the law however fast the nose turns, medians would not. The median then hides a few wild samples. b1 and b2 are
-fitted to the ticks of the healthy flights by least squares (REVIEW H1: 5 s means of a real ArduCopter's healthy yaw
-trim 0.131 -> 0.009). The law errs by a share of g, so a window is the mean of its ticks weighted as above, where the
-tick before counts too, for rotors lag.
+A vehicle whose nose turns has its rotors commanded apart: a steady turn against the drag of its rotation (b1), the
+start and the stop of a turn for its inertia (b2) and for that of the rotors, whose change of speed turns the vehicle
+too (b3, never negative; a reaction wheel). A tick has five parts of 0.1 s, and g is taken off each of them: means of
+both sides obey the law however fast the nose turns, medians would not. The median then hides a few wild samples. The
+three are fitted to the ticks of the healthy flights by least squares about a physical prior; their covariance stays
+with them and says what the trim cannot tell (`TrimMonitor.blindness`). Without b3 the 5 s means of a real ArduCopter in
+the loop that turns scatter by 0.005, with it by 0.0004. The law errs by a share of g, so a window is the mean of its
+ticks weighted as above, where the tick before counts too, for rotors lag.
 """
 
 import math
@@ -32,7 +35,6 @@ from mavdiag.monitors.fitting import of_each, three
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Signal, Three
-from mavdiag.thresholds.rule import Prior
 
 MOST_RISE = trims.rise_of(trims.MOST_LOSS)
 WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
@@ -40,18 +42,20 @@ TICK_S, PART_S = 0.5, 0.1  # a value twice a second, of parts longer than a roto
 # G, of hover: where a turn takes so much its tick counts half. In the loop the law errs by a fifth (ArduCopter) and a
 # sixth (PX4, which steps its heading) of what a turn takes: here by 0.004, as a tick scatters anyway (our choice).
 TURN_TRIM = 0.02
-# What is held of b1 [1/(rad/s)] and b2 [1/(rad/s^2)] before any flight, and its standard deviation. b2 is I_zz over
-# weight and drag arm of the rotors, 0.04 for a QDrone 2 and an ArduCopter of 3 kg; b1 is 0.11 for the latter.
-PRIOR, PRIOR_SD = np.array([0.0, 0.04]), np.array([0.1, 0.04])
+# What is held of b1 [1/(rad/s)], b2 [1/(rad/s^2)] and b3 [s] before any flight, and its standard deviation (our
+# choice). b2 is I_zz over weight and drag arm of the rotors, 0.04 for a QDrone 2 and an ArduCopter of 3 kg; b1 is 0.11
+# for the latter; b3 is the spin that a unit of yaw trim gives the rotors over the torque that it makes.
+PRIOR, PRIOR_SD = np.array([0.0, 0.04, 0.0]), np.array([0.1, 0.04, 0.2])
 # Places in the parameters: 1 for torque commands, how many rotors; parts of a tick, rows of a part, row period, ticks
 # of a window; of the spec turn, mean and spread; gains of torque commands; what a monitor has of its own; the sums of
 # the unmixing C, and C itself, (3, rotors).
-TORQUES, ROTORS, PARTS, ROWS, DT, WINDOW, TURN, MEAN, SPREAD, GAIN, OWN = *range(7), 8, 11, 14, 17
-SUM, UNMIXING = 20, 23
+TORQUES, ROTORS, PARTS, ROWS, DT, WINDOW, TURN, MEAN, SPREAD, GAIN, OWN = *range(7), 9, 12, 15, 18
+SUM, UNMIXING = 21, 24
 # And in the memory: parts of the tick, rows of the part, known ones of the tick, whether a trim changed, the first one;
 # usable ticks in a row, ticks so far, weight of the last; what a monitor has of its own; then the parts, the last two
 # of the tick before in front.
 PART, ROW, KNOWN, MOVED, FIRST, RUN, TICKS, WEIGHT, MINE, SUMS = *range(5), 7, 8, 9, 10, 20
+FIGURES = 8  # of a part of a tick: trim, lean, yaw rate, its slope and that of the yaw trim, less
 
 Spec = TypeVar("Spec", bound="TrimSpec")
 
@@ -64,7 +68,8 @@ class TrimSpec:
     layout: RotorLayout
     source: trims.Source  # where the trim comes from: the motors' outputs, or the torque commands over the thrust
     mean: Three = (0.0, 0.0, 0.0)  # healthy roll, pitch and yaw trim [fraction of hover]
-    turn: tuple[float, float] = (0.0, 0.0)  # b1 and b2
+    turn: Three = (0.0, 0.0, 0.0)  # b1, b2 and b3
+    turn_covariance: tuple[Three, Three, Three] = ((0.0, 0.0, 0.0),) * 3
     spread: tuple[Positive, Positive, Positive]  # of the 5 s means about the mean, or about the reference
     window_s: Positive = WINDOW_S
 
@@ -131,7 +136,7 @@ def take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
 
 @jit
 def _found_at(par: Floats) -> int:
-    """Where the parts of the last tick stand: of each trim, lean, yaw rate and acceleration."""
+    """Where the parts of the last tick stand: of each its `FIGURES`."""
     return SUMS + 6 * (int(par[PARTS]) + 2) + int(par[PARTS])
 
 
@@ -139,8 +144,8 @@ def _found_at(par: Floats) -> int:
 def _find(par: Floats, mem: Floats, whole: bool) -> None:
     """From sums to the parts of a tick; zero where it is not whole.
 
-    The acceleration is the slope from the part before to the part after, so the parts of a tick end one part before its
-    last row. Before the first whole tick there is what it begins with.
+    A slope is that from the part before to the part after, so the parts of a tick end one part before its last row.
+    Before the first whole tick there is what it begins with.
     """
     parts, rows, out = int(par[PARTS]), int(par[ROWS]), _found_at(par)
     for j in range(6 * parts):
@@ -150,9 +155,10 @@ def _find(par: Floats, mem: Floats, whole: bool) -> None:
             mem[SUMS + 6 * part + j] = mem[SUMS + 12 + j]
     for part in range(parts):
         for j in range(6):
-            mem[out + 7 * part + j] = mem[SUMS + 6 * (part + 1) + j] if whole else 0.0
-        slope = (mem[SUMS + 6 * (part + 2) + 5] - mem[SUMS + 6 * part + 5]) / (2 * rows * par[DT])
-        mem[out + 7 * part + 6] = slope if whole else 0.0
+            mem[out + FIGURES * part + j] = mem[SUMS + 6 * (part + 1) + j] if whole else 0.0
+        before, after, span_s = SUMS + 6 * part, SUMS + 6 * (part + 2), 2 * rows * par[DT]
+        mem[out + FIGURES * part + 6] = (mem[after + 5] - mem[before + 5]) / span_s if whole else 0.0
+        mem[out + FIGURES * part + 7] = (mem[before + 2] - mem[after + 2]) / span_s if whole else 0.0
     for j in range(12):
         mem[SUMS + j] = mem[SUMS + 6 * parts + j]
 
@@ -174,11 +180,11 @@ def take_tick(par: Floats, mem: Floats, usable: bool) -> None:
     """Put the tick whose parts were found into the windows, without what the turn takes of its yaw trim."""
     parts, found = int(par[PARTS]), _found_at(par)
     scratch, most = found - parts, 0.0
-    to = found + 7 * parts + 6 * (int(mem[TICKS]) % (2 * int(par[WINDOW])))
+    to = found + FIGURES * parts + 6 * (int(mem[TICKS]) % (2 * int(par[WINDOW])))
     for j in range(5):
         for part in range(parts):
-            of = found + 7 * part
-            taken = par[TURN] * mem[of + 5] + par[TURN + 1] * mem[of + 6]
+            of = found + FIGURES * part
+            taken = par[TURN] * mem[of + 5] + par[TURN + 1] * mem[of + 6] + par[TURN + 2] * mem[of + 7]
             most = max(most, abs(taken))
             mem[scratch + part] = mem[of + j] - (taken if j == 2 else 0.0)
         mem[to + j] = _median(mem, scratch, parts)
@@ -194,7 +200,7 @@ def take_tick(par: Floats, mem: Floats, usable: bool) -> None:
 @jit
 def window_means(par: Floats, mem: Floats, back: int, means: Floats) -> None:
     """Weighted means of trim and lean, (5,), over the ticks of a window that ended so many ticks ago."""
-    window, ring = int(par[WINDOW]), _found_at(par) + 7 * int(par[PARTS])
+    window, ring = int(par[WINDOW]), _found_at(par) + FIGURES * int(par[PARTS])
     first, weight = int(mem[TICKS]) - back - window, 0.0
     for j in range(5):
         means[j] = 0.0
@@ -230,7 +236,7 @@ def highest_rise(par: Floats, shift: Floats, tilted: bool) -> float:
 
 @allocating
 def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rotors: Floats, k: int) -> None:
-    """A value of a shift; for a fit the tick's yaw trim, yaw rate and acceleration, usable ticks, window and shift."""
+    """A value of a shift; for a fit the tick's yaw trim and turn, usable ticks, window and shift."""
     parts, found = int(par[PARTS]), _found_at(par)
     out[col.VALUE, k] = out[col.LEVEL, k] = highest_rise(par, shift, True)
     out[col.SOUND, k] = sound
@@ -239,13 +245,15 @@ def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rot
     if out.shape[0] > col.TRACE:
         means = np.empty(5)
         window_means(par, mem, 0, means)
-        for j in range(3):
+        for j in range(4):
             mean = 0.0
             for part in range(parts):
-                mean += mem[found + 7 * part + (2 if j == 0 else 4 + j)]
-            out[col.TRACE + j, k], out[col.TRACE + 7 + j, k] = mean / parts, shift[j]
-            out[col.TRACE + 4 + j, k] = means[j] if mem[RUN] >= par[WINDOW] else math.nan
-        out[col.TRACE + 3, k] = mem[RUN]
+                mean += mem[found + FIGURES * part + (2 if j == 0 else 4 + j)]
+            out[col.TRACE + j, k] = mean / parts
+        for j in range(3):
+            out[col.TRACE + 5 + j, k] = means[j] if mem[RUN] >= par[WINDOW] else math.nan
+            out[col.TRACE + 8 + j, k] = shift[j]
+        out[col.TRACE + 4, k] = mem[RUN]
 
 
 @cached
@@ -272,7 +280,9 @@ class TrimMonitor(Monitor[Spec]):
     phrase = "lost {lost}% thrust"
     needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT})
     depends = col.TRIM_CONDITIONS
-    evidence = RotorEvidence(10.0, relative=True, direct=False)  # a lead of 0.12 was right in each of 35 recorded cuts
+    # A lead of 0.12 was right in each of 35 recorded cuts. Damage that changes a blade's drag by 0.02 shifts the yaw
+    # trim towards rotors of the other sense, a lead of 0.04: no smaller unit tells rotors apart (our choice).
+    evidence = RotorEvidence(10.0, relative=True, least=0.04, direct=False)
     needs_layout = True
     unit = "fraction of hover"
     reach = MOST_RISE  # of a rotor that lost a third of its thrust
@@ -290,7 +300,9 @@ class TrimMonitor(Monitor[Spec]):
         source = trims.source_among(of_each(flights, layout, lambda flight: trims.sources_of(flight, layout)), layout)
         parts = of_each(flights, (layout, source), lambda flight: _parts_of(flight, layout, source))
         still = cls(cls.spec_type(layout=layout, source=source, spread=before))
-        turned = cls(replace(still.spec, turn=_turn_of([still._walked(one, dt_s) for one in parts], dt_s)))
+        law, P = _turn_of([still._walked(one, dt_s) for one in parts], dt_s)
+        covariance = (three(P[0]), three(P[1]), three(P[2]))
+        turned = cls(replace(still.spec, turn=three(law), turn_covariance=covariance))
         walked = [turned._walked(flight, dt_s) for flight in parts]
         mean = _mean_of(walked)
         return (replace(turned.spec, mean=mean, spread=cls.spread(walked, mean)),)
@@ -306,7 +318,7 @@ class TrimMonitor(Monitor[Spec]):
         for x in flight:
             begun, n = self.begin(part_s), x.shape[1]
             begun.par[TORQUES], begun.par[GAIN : GAIN + 3] = 1.0, 1.0
-            out, rotors, at = np.zeros((col.TRACE + 10, n)), np.empty((n, self.rotors)), np.empty(n, dtype=np.int64)
+            out, rotors, at = np.zeros((col.TRACE + 11, n)), np.empty((n, self.rotors)), np.empty(n, dtype=np.int64)
             found.append(out[:, : self.run(begun.par, begun.mem, x, 0, 0, out, rotors, at)])
         return found
 
@@ -323,9 +335,37 @@ class TrimMonitor(Monitor[Spec]):
         dt_s, spec = next((rows.block.dt_s for flight in flights for rows in flight), TICK_S), self.spec
         return _mean_of([self._walked(_parts_of(flight, spec.layout, spec.source), dt_s) for flight in flights])
 
+    def whole(self, flight: Sequence[Rows]) -> tuple[float, ...]:
+        """Trim of a whole flight by roll, pitch and yaw, without what turns take; empty if it is too short.
+
+        Medians over its parts of 0.1 s but for those whose turn takes more than `TURN_TRIM`, however few follow each
+        other: a flight of hops has one, too.
+        """
+        spec, found = self.spec, [np.empty((3, 0))]
+        for x in _parts_of(flight, spec.layout, spec.source):
+            trim, rate = x[col.TORQUE : col.THRUST].copy(), x[col.RATE + 2]
+            taken = spec.turn[0] * rate + spec.turn[1] * np.gradient(rate, PART_S) if len(rate) > 1 else rate
+            trim[2] -= taken
+            found.append(trim[:, (x[col.VALID] > 0.5) & (np.abs(taken) < TURN_TRIM)])
+        parts = np.concatenate(found, axis=1)
+        return tuple(np.median(parts, axis=1).tolist()) if parts.shape[1] * PART_S >= spec.window_s else ()
+
     def period_s(self, dt_s: float) -> float:
         """A tick [s]."""
         return math.prod(_tick_shape(dt_s)) * dt_s
+
+    def blindness(self, threshold: float) -> str:
+        """The least loss of one rotor; and the direction that errors of the law of turns cannot be told from.
+
+        At a yaw rate r alone these have the standard deviation sqrt(P_11) r, where a rise a of one rotor shifts the
+        yaw trim by a c_yaw. Above the rate at which both are equal the yaw trim tells no rotor.
+        """
+        C, rate = self.spec.layout.unmixing, math.sqrt(self.spec.turn_covariance[0][0])
+        lost = f"blind to losses below {100 * trims.loss_of(threshold):.0f} % of one rotor's thrust"
+        if rate == 0.0:
+            return lost
+        pattern, turn = "".join("+" if c > 0 else "-" for c in C[2]), threshold * float(np.abs(C[2]).max()) / rate
+        return f"{lost}, and to the yaw pattern {pattern} where the nose turns by more than {turn:.2g} rad/s"
 
     def own(self, tick_s: float) -> tuple[float, float, float]:
         """What the monitor reads of its own (`OWN`)."""
@@ -338,7 +378,7 @@ class TrimMonitor(Monitor[Spec]):
         head = [spec.source == "torque", layout.rotors, parts, rows, dt_s, window]
         gain, C = layout.torque_gain or (0.0, 0.0, 0.0), layout.unmixing
         learnt = [*spec.turn, *spec.mean, *spec.spread, *gain, *self.own(self.period_s(dt_s))]
-        mem = np.zeros(SUMS + 6 * (parts + 2) + 8 * parts + 12 * window)
+        mem = np.zeros(SUMS + 6 * (parts + 2) + (FIGURES + 1) * parts + 12 * window)
         mem[SUMS : SUMS + 12] = np.nan
         return Begin(np.array([*head, *learnt, *C.sum(axis=1), *C.ravel()]), mem)
 
@@ -361,9 +401,7 @@ class RotorTrim(TrimMonitor[RotorTrimSpec]):
 
     name = "rotor_trim"
     label = "rotor trim"
-    # Emulated quad- and hexarotors have 0.007 to 0.019 between sessions with new propellers, whose thrust differs by
-    # up to 3 %, and 0.001 between flights of one session; other winds make more (our choice). 0.02 is what wind makes.
-    prior = Prior(0.013, 0.004, 0.001, shares=False, least=0.02)
+    least = 0.02  # what wind makes (our choice)
     spec_type = RotorTrimSpec
     feature = Feature.RISE
     doubt = "trim shift: propeller, payload or session"  # a trim alone tells no more
@@ -406,35 +444,40 @@ def _parts_of(flight: Sequence[Rows], layout: RotorLayout, source: trims.Source)
     return found
 
 
-def _turn_of(flights: Sequence[Sequence[FloatArray]], dt_s: float) -> tuple[float, float]:
-    """b1 and b2 of healthy flights, each as `TrimMonitor._walked` gives it.
+def _turn_of(flights: Sequence[Sequence[FloatArray]], dt_s: float) -> tuple[FloatArray, FloatArray]:
+    """b1, b2 and b3 of healthy flights, each as `TrimMonitor._walked` gives it, and their covariance.
 
     Means of the ticks about their flight's own, so that no session's offset counts, with `PRIOR` held against them:
     where the nose hardly turned, it stays.
     """
-    means, window = [np.empty((0, 3))], max(1, round(WINDOW_S / (math.prod(_tick_shape(dt_s)) * dt_s)))
+    means, window = [np.empty((0, 4))], max(1, round(WINDOW_S / (math.prod(_tick_shape(dt_s)) * dt_s)))
     for flight in flights:
         runs = [run for segment in flight for run in _unbroken(segment, window)]
         if runs:
             means.append(np.concatenate(runs) - np.concatenate(runs).mean(axis=0))
     yaw, turning = np.concatenate(means)[:, 0], np.concatenate(means)[:, 1:]
-    turn, trust = PRIOR, np.diag(PRIOR_SD**-2.0)
-    for _ in range(3):  # the noise is what the law before leaves; the ticks of a window count as one
-        noise = max(float(np.square(yaw - turning @ turn).sum()) / max(len(yaw), 1), trims.YAW_FLOOR**2) * window
-        turn = np.linalg.solve(turning.T @ turning / noise + trust, turning.T @ yaw / noise + trust @ PRIOR)
-    return float(turn[0]), float(turn[1])
+    for free in (3, 2):  # rotors without inertia where the best one is negative: a command that answers noise
+        law, covariance, x = PRIOR.copy(), np.zeros((3, 3)), turning[:, :free]
+        trust = np.diag(PRIOR_SD[:free] ** -2.0)
+        for _ in range(3):  # the noise is what the law before leaves; the ticks of a window count as one
+            noise = max(float(np.square(yaw - turning @ law).sum()) / max(len(yaw), 1), trims.YAW_FLOOR**2) * window
+            covariance[:free, :free] = np.linalg.inv(x.T @ x / noise + trust)
+            law[:free] = covariance[:free, :free] @ (x.T @ yaw / noise + trust @ PRIOR[:free])
+        if law[2] >= 0.0:
+            break
+    return law, covariance
 
 
 def _unbroken(segment: FloatArray, least: int) -> list[FloatArray]:
-    """Yaw trim, yaw rate and acceleration of runs of usable ticks, (n, 3) each, of at least so many."""
-    ticks = segment[col.TRACE : col.TRACE + 4, segment[col.TRACE + 3] > 0].T
-    runs = np.split(ticks, np.flatnonzero(ticks[1:, 3] == 1) + 1)
-    return [run[:, :3] for run in runs if len(run) >= least]
+    """Yaw trim, yaw rate and the two slopes of runs of usable ticks, (n, 4) each, of at least so many."""
+    ticks = segment[col.TRACE : col.TRACE + 5, segment[col.TRACE + 4] > 0].T
+    runs = np.split(ticks, np.flatnonzero(ticks[1:, 4] == 1) + 1)
+    return [run[:, :4] for run in runs if len(run) >= least]
 
 
 def _windows_of(flight: Sequence[FloatArray]) -> FloatArray:
     """Roll, pitch and yaw trim of all full windows of a flight, (k, 3)."""
-    means = (segment[col.TRACE + 4 : col.TRACE + 7] for segment in flight)
+    means = (segment[col.TRACE + 5 : col.TRACE + 8] for segment in flight)
     windows = np.concatenate([np.empty((3, 0)), *means], axis=1).T
     return np.asarray(windows[np.isfinite(windows[:, 0])], dtype=np.float64)
 

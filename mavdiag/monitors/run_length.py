@@ -18,18 +18,18 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import ArxModel, fit
 from mavdiag.identify.model import ModelRecord
 from mavdiag.jit import cached, jit
-from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor
-from mavdiag.monitors.columns import COMMANDED, LEVEL, RESIDUAL, SOUND, VALUE, Floats, Ints, U, Y
-from mavdiag.monitors.fitting import cut_to_share, traced
+from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, parted
+from mavdiag.monitors.columns import COMMANDED, GYRO, LEVEL, RESIDUAL, SOUND, TRACE, VALUE, Floats, Ints, U, Y
+from mavdiag.monitors.fitting import cut_to_share
 from mavdiag.monitors.spec import Delay, Positive, spec
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import spans
 from mavdiag.telemetry import Axis, FloatArray, Signal
-from mavdiag.thresholds.rule import Prior
 
 TRAIN_ROWS = 60_000  # one minute at 1 kHz: beyond it a model's standard errors no longer matter (our choice)
 SETTLE_S = 1.0  # of each stretch that does not count in the figures of fit: it may begin in motion (our choice)
+NO_ROTORS = np.empty((0, 0))
 MIN_PIECE_S = 2.0  # shorter valid stretches do not train a model (our choice)
 # Places in the parameters, where the coefficients of B and A follow; and in the memory, where those of the model do.
 DT, MARGIN, AXIS, ORDER, TAPS = range(5)
@@ -131,7 +131,6 @@ class RunLength(Monitor[RunLengthSpec]):
 
     name = "fsd"
     label = "FSD"
-    prior = Prior(flight=0.15)  # emulated: 0.13, 0.10, 0.10
     phrase = "attitude unlike the model"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     depends = frozenset(
@@ -160,12 +159,14 @@ class RunLength(Monitor[RunLengthSpec]):
                 fit_ = RunLengthSpec(
                     axis=axis, model=record, margin_rad_s=1.0, margin_rule=rule, delay_s=context.delay_s
                 )
-                found.append(replace(fit_, margin_rad_s=_margin(cls(fit_), flights)))
+                found.append(fit_)
             except (InputError, IdentificationError) as error:
                 reasons.append(str(error))
         if not found:
             raise IdentificationError("; ".join(reasons) or "no axis to model")
-        return tuple(found)
+        return tuple(
+            replace(one, margin_rad_s=margin) for one, margin in zip(found, _margins(found, flights), strict=True)
+        )
 
     def begin(self, dt_s: float) -> Begin:
         """No row yet, and no run is open."""
@@ -175,14 +176,23 @@ class RunLength(Monitor[RunLengthSpec]):
         return Begin(par, np.zeros(PAST + order))
 
 
-def _margin(monitor: RunLength, flights: Flights) -> float:
-    """Margin [rad/s] over all judged rows of all flights; the percentile is Hazen's, which MATLAB's prctile uses."""
-    pieces = [piece for flight in flights for piece in traced(monitor, flight, 0)]
-    levels = np.concatenate([np.empty(0), *(np.abs(piece[RESIDUAL, piece[SOUND] > 0.5]) for piece in pieces)])
-    if len(levels) == 0:
+def _margins(specs: Sequence[RunLengthSpec], flights: Flights) -> list[float]:
+    """Margin [rad/s] of each axis over all judged rows of all flights, whose rates are looked at once; the percentile
+    is Hazen's, which MATLAB's prctile uses. Raises InputError if there are no such rows."""
+    levels, begun = [[np.empty(0)] for _ in specs], list[Begin]()
+    for begins, rows in (pair for flight in flights for pair in parted(flight)):
+        rates, n = rows.rates, len(rows.rates)
+        begun = [RunLength(spec).begin(rates.dt_s) for spec in specs] if begins else begun
+        x, out = np.empty((GYRO, n)), np.empty((TRACE, n))
+        x[COMMANDED], x[U : U + 3], x[Y : Y + 3] = rates.commanded, rates.u.T, rates.y.T
+        for found, one in zip(levels, begun, strict=True):
+            RunLength.run(one.par, one.mem, x, 0, 0, out, NO_ROTORS, np.empty(n, dtype=np.int64))
+            found.append(np.abs(out[RESIDUAL, out[SOUND] > 0.5]))
+    if sum(map(len, levels[0])) == 0:
         raise InputError("the healthy flights have no judged rows: are they long enough and airborne?")
-    most = monitor.spec.margin_rule is MarginRule.MAXIMUM
-    return float(levels.max() if most else np.percentile(levels, 90, method="hazen"))
+    most = specs[0].margin_rule is MarginRule.MAXIMUM
+    joined = (np.concatenate(found) for found in levels)
+    return [float(one.max() if most else np.percentile(one, 90, method="hazen")) for one in joined]
 
 
 def training_pieces(flight: Sequence[Rows], axis: Axis) -> list[tuple[FloatArray, FloatArray]]:

@@ -21,7 +21,6 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import body_rates
 from mavdiag.rows.running import past_size, shift
 from mavdiag.telemetry import FloatArray, Signal, Three
-from mavdiag.thresholds.rule import Prior
 
 TICK_S = 0.1  # our choice
 MEAN_S = 2.0  # of the attitude that the gyro does not explain, now and then (our choice)
@@ -189,7 +188,7 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     phrase = "gyro and attitude disagree"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.ATTITUDE})
     kind = FaultKind.SENSOR
-    prior = Prior(0.1, 0.05, 0.12, shares=False, least=2.5)
+    least = 2.5
     spec_type = SensorDriftSpec
     unit = "x healthy rms"
     reach = LIMIT  # where a value is cut

@@ -16,7 +16,6 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.rows.windows import window_rows
 from mavdiag.telemetry import FloatArray, Signal
-from mavdiag.thresholds.rule import Prior
 
 WINDOW_S = 0.5  # our choice: that of the unbalance monitor, so that the two are equally quick
 ORDER = 4  # of the difference: it leaves 0.0006 of a motion at 5 Hz at 200 Hz (our choice)
@@ -97,7 +96,7 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
     kind = FaultKind.SENSOR
     # Estimates: a simulated ArduCopter at 100 Hz, where the differences hold motion, reached 2.2 in healthy flight; and
     # new propellers of another session may shake one axis of the gyro five times as much as those that were learnt.
-    prior = Prior(0.35, 0.12, 0.1, shares=False, least=2.4)  # emulated: 0.06 to 0.37, 0.05 to 0.15, 0.05 to 0.16
+    least = 2.4
     spec_type = SensorNoiseSpec
     unit = "ln of power"
     reach = 2.0 * math.log(LIMIT)  # the logarithm of the power at which differences are cut: 3.58

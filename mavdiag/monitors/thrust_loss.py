@@ -18,7 +18,6 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, follow, mean_size, push, total
 from mavdiag.rows.windows import forgetting, window_rows
 from mavdiag.telemetry import Signal
-from mavdiag.thresholds.rule import Prior
 
 WINDOW_S = 0.1  # our choice: four time constants of a motor
 MEMORY_S = 3.0  # of what the command gives: battery and payload change it more slowly (our choice)
@@ -89,7 +88,7 @@ class ThrustLoss(Monitor[ThrustLossSpec]):
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.THRUST_SETPOINT})
     kind = FaultKind.GROSS_LOSS
     clear_s = 1.0
-    prior = Prior(least=LEAST_SHARE)
+    least = LEAST_SHARE
     evidence = RotorEvidence(8.0)  # neighbours differ by a cosine of 0.7 and more
     spec_type = ThrustLossSpec
     unit = "share of thrust"

@@ -15,7 +15,6 @@ from mavdiag.jit import cached, jit
 from mavdiag.monitors.columns import COVERED, SOUND, TRACE, Floats, Ints
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.telemetry import FloatArray, Three
-from mavdiag.thresholds.rule import Prior
 
 MEMORY_S = 30.0  # of the reference (our choice)
 DRIFT_PER_S = 3e-4  # of hover: no faster does the reference follow. A pack empties some 1e-5 a second (our choice)
@@ -129,7 +128,7 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
 
     name = "trim_step"
     label = "trim step"
-    prior = Prior(flight=0.3, block=0.3, least=0.01)  # half of what a trim must allow for wind (our choice)
+    least = 0.01  # half of what a trim must allow for wind (our choice)
     spec_type = TrimStepSpec
     run = staticmethod(run)
 
@@ -137,7 +136,7 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     def spread(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
         """Of healthy shifts within flights."""
         walked = [segment for flight in flights for segment in flight]
-        shifts = [segment[TRACE + 7 : TRACE + 10, segment[SOUND] > 0.5] for segment in walked]
+        shifts = [segment[TRACE + 8 : TRACE + 11, segment[SOUND] > 0.5] for segment in walked]
         found = np.concatenate([np.empty((3, 0)), *shifts], axis=1).T
         if len(found) == 0:
             raise IdentificationError(f"no unbroken {2 * trim.WINDOW_S:g} s of flight to compare trims in; fly longer")

@@ -24,7 +24,6 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.rows.windows import highpass
 from mavdiag.telemetry import FloatArray, Signal
-from mavdiag.thresholds.rule import Prior
 from mavdiag.units import G_MM_PER_KG_M
 
 FILTER_S = 0.06  # length of the high-pass at 60 Hz, longer at a lower one (our choice); its delay is half of it
@@ -226,8 +225,6 @@ class Unbalance(Monitor[UnbalanceSpec]):
     phrase = "vibrates {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE})
     depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
-    # [g mm] An estimate: another session's propellers may have 0.18 g mm each (T Eq 3.6), at any angle.
-    prior = Prior(0.06, 0.02, 0.01, shares=False)
     evidence = RotorEvidence(8.0)  # the sense of turning and the place agree (1) or do not (0 and below)
     spec_type = UnbalanceSpec
     takes = MappingProxyType({Signal.SPECIFIC_FORCE: ONLY_X_Y})

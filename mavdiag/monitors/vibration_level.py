@@ -20,7 +20,6 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.rows.windows import window_rows
 from mavdiag.telemetry import Signal
-from mavdiag.thresholds.rule import Prior
 
 WINDOW_S = 5.0  # our choice; 3.5 to 6.5 s change no verdict on the recorded flights
 LIMIT_M_S2 = 1e4  # a value is cut here: more is damage, not vibration (our choice)
@@ -65,8 +64,6 @@ class VibrationLevel(Monitor[VibrationLevelSpec]):
     phrase = "vibrates {times}x"
     needs = frozenset({Signal.VIBRATION})
     depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
-    # An estimate: a vehicle in a simulator or on a calm day hardly vibrates, so 0.5 m/s^2 more is asked for at least.
-    prior = Prior(0.1, 0.05, 0.02, shares=False)  # [m/s^2] (our choice)
     spec_type = VibrationLevelSpec
     unit = "m/s^2"
     reach = LIMIT_M_S2

@@ -25,13 +25,13 @@ from matplotlib.ticker import NullFormatter
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.propellers import FaultType, propeller
 from mavdiag.airframe.trim import shown_trim
-from mavdiag.drawing import Colour, RotorMark, airframe_svg
 from mavdiag.identify import Method, Order
 from mavdiag.identify.estimate import SweepRow, sweep
 from mavdiag.look.figures import HARMONICS, SPECTRUM_S, Spectrum
 from mavdiag.monitors.rotor_trim import RotorTrimSpec
 from mavdiag.monitors.run_length import MIN_PIECE_S
 from mavdiag.report import style
+from mavdiag.report.drawing import Colour, RotorMark, airframe_svg
 from mavdiag.report.style import LIMIT, LINES, Drawn, NotDrawn, envelope, legend_above, panels, picture, sheet
 from mavdiag.rows.block import Block
 from mavdiag.rows.rates import RateSpec

@@ -1,6 +1,6 @@
 """How every figure looks, how long lines are made short, and how a figure becomes SVG that can stand in a page.
 
-The colours are those of `mavdiag.drawing`; each line has a stroke of its own as well, so a figure can be read in grey.
+The colours are those of `mavdiag.report.drawing`; each line has a stroke of its own as well: it can be read in grey.
 figures.mplstyle has sizes and fonts, captions.toml what a figure is called and shows.
 """
 
@@ -20,7 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from mavdiag.drawing import Colour
+from mavdiag.report.drawing import Colour
 from mavdiag.telemetry import FloatArray, IntArray
 
 FOLDER = Path(__file__).parent

@@ -20,6 +20,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavdiag.errors import InputError
 from mavdiag.jit import allocating, cached, cached_loop, inline, jit
@@ -33,7 +34,8 @@ from mavdiag.units import NS_PER_MS, NS_PER_S
 # Of each signal its name in `Block`, its columns (of outputs the sent ones; the gyro's last is its doubt), and
 # how far its samples reach [s]. Up to THRUST they are interpolated where two samples this near, or as near as the
 # gyro's, surround the row: a slow command stream may have 4 Hz; the others hold their last value for so long: ACTUATOR
-# comes at 10-50 Hz, VIBRATION at 2-10 Hz, a battery changes slowly (our choices). Logs write ARMED when it changes.
+# comes at 10-50 Hz, VIBRATION at 2-10 Hz, ESCs tell their speed at 1-10 Hz, a battery changes slowly (our choices).
+# Logs write ARMED when it changes.
 SIGNALS = {
     Signal.BODY_RATE: ("rate", 4, 0.0),
     Signal.ATTITUDE_SETPOINT: ("setpoint", 3, 0.0),
@@ -47,16 +49,17 @@ SIGNALS = {
     Signal.ARMED: ("armed", 1, math.inf),
     Signal.VIBRATION: ("vibration", 3, 1.0),
     Signal.ACTUATOR: ("actuator", 0, 1.0),
+    Signal.ROTOR_SPEED: ("rotor_speed", 0, 1.5),
 }
 STREAMS = tuple(SIGNALS)
 USED = frozenset(STREAMS)
 PLACES = {signal: place for place, signal in enumerate(STREAMS)}
-GYRO, SETPOINT, ATTITUDE, THRUST, OUTPUTS = 0, 1, 5, 6, 11
+GYRO, SETPOINT, ATTITUDE, THRUST, OUTPUTS, SPEEDS = 0, 1, 5, 6, 11, 12  # the last two have as many columns as come
 NAMES, WIDTHS, REACHES_S = zip(*SIGNALS.values(), strict=True)
-FIRST = np.cumsum((0, *WIDTHS[:-1]))  # row of x that each signal's columns begin with
+FIRST = np.cumsum((0, *WIDTHS[:-1]))  # row of x that each signal's columns begin with; speeds stand behind the outputs
 COLUMNS: dict[str, Any] = {
     name: int(at) if width == 1 else slice(at, at + width) for name, at, width in zip(NAMES, FIRST, WIDTHS, strict=True)
-} | {"rate": slice(0, 3), "doubt": 3, "actuator": slice(FIRST[OUTPUTS], None)}
+} | {"rate": slice(0, 3), "doubt": 3}
 
 NEVER_NS = 2**62
 ORDER_NS = 5 * NS_PER_MS  # our choice
@@ -113,36 +116,36 @@ class AlignState:
         """Time of the last row [ns]."""
         return int(self.streams.now[LAST])
 
+    @property
+    def newest_ns(self) -> int:
+        """Latest time of the gyro [ns]."""
+        return self.reached[GYRO]
+
     def append(self, series: Series, quality: LinkQuality) -> None:
         """Put samples behind those that came. Raises InputError if their columns are others than before."""
         place, (count, columns) = PLACES.get(series.signal), series.values.shape
         if place is None or not count:
             return
-        if not len(self.streams.times[place]):
+        end, (room, width) = self.ends[place], self.streams.values[place].shape
+        if not room:
             self._begin(place, columns, quality.rule(series.signal, columns))
-        streams, end = self.streams, self.ends[place]
-        width = streams.values[place].shape[1] - (place == GYRO)
-        if columns != width:
-            raise InputError(f"{series.signal} has {columns} columns in place of {width}")
-        if end + count > len(streams.times[place]):
+            width = self.streams.values[place].shape[1]
+        if columns != width - (place == GYRO):
+            raise InputError(f"{series.signal} has {columns} columns in place of {width - (place == GYRO)}")
+        if end + count > room:
             end = self._make_room(place, count)
-            streams = self.streams
-        to = slice(end, end + count)
-        streams.times[place][to], streams.hosts[place][to] = series.t_ns, series.host_ns
-        streams.values[place][to, :columns] = series.values
-        self.ends[place] = end + count
-        self.reached[place] = max(self.reached[place], int(series.t_ns[-1]))
+        (times, hosts, values), stop = self.streams[:3], end + count
+        times[place][end:stop], hosts[place][end:stop] = series.t_ns, series.host_ns
+        values[place][end:stop, :columns] = series.values
+        self.ends[place], self.reached[place] = stop, max(self.reached[place], int(series.t_ns[-1]))
 
     def _begin(self, place: int, columns: int, rule: FloatArray) -> None:
         """Learn of the first samples of a stream what is believed of it; outputs have as many columns as they have."""
-        rules, figures, counts = (
-            np.pad(table, ((0, 0), (0, max(0, size - table.shape[1]))))
-            for table, size in zip(
-                self.streams[4:7], (len(rule), COLUMN + 4 * columns, RUNS + 1 + columns), strict=True
-            )
-        )
+        sizes = len(rule), COLUMN + 4 * columns, RUNS + 1 + columns
+        rules, figures, counts = (_widened(*pair) for pair in zip(self.streams[4:7], sizes, strict=True))
         rules[place, : len(rule)], values = rule, self.streams.values
-        values = (*values[:OUTPUTS], np.empty((0, columns))) if place == OUTPUTS else values
+        if place >= OUTPUTS:
+            values = (*values[:place], np.empty((0, columns)), *values[place + 1 :])
         self.streams = self.streams._replace(values=values, rules=rules, figures=figures, counts=counts)
 
     def _make_room(self, place: int, count: int) -> int:
@@ -219,7 +222,7 @@ class AlignSpec:
         """Believe and sort what came; returns up to when rows are complete [ns]. A log's rows always wait."""
         marks, hurries = state.streams.marks, live and self.grid is Grid.NATIVE
         marks[:, END] = state.ends
-        room = np.empty((3, int((marks[:, END] - marks[:, HI]).max())), dtype=np.int64)
+        room = np.empty((3, max(state.ends)), dtype=np.int64)
         until_ns = _take(state.streams, room, hurries, self.dt_s * NS_PER_S)
         state.reached, state.ends = marks[:, NEWEST].tolist(), marks[:, END].tolist()
         return until_ns
@@ -230,7 +233,9 @@ class AlignSpec:
         while more:
             t_ns, x, flags, more = _rows(state.streams, until_ns, dt_ns, resampled)
             if len(t_ns):
-                columns: dict[str, Any] = {name: x[at].T for name, at in COLUMNS.items()}
+                speeds = FIRST[OUTPUTS] + state.streams.values[OUTPUTS].shape[1]
+                own = {"actuator": slice(FIRST[OUTPUTS], speeds), "rotor_speed": slice(speeds, None)}
+                columns: dict[str, Any] = {name: x[at].T for name, at in (COLUMNS | own).items()}
                 segment = int(state.streams.now[SEGMENT])
                 yield Block(segment, self.dt_s, t_ns, valid=flags[0], setpoint_valid=flags[1], **columns)
 
@@ -244,6 +249,24 @@ class AlignSpec:
             if -NEVER_NS < newest[place] < found and safe < newest[place] + limits[place]:
                 found = newest[place]
         return found
+
+    def expected_ns(self, state: AlignState, row_ns: int) -> int:
+        """How far the gyro comes until a row is complete, if all streams keep their usual steps [ns]."""
+        calm = self.grid is Grid.NATIVE and state.reached[GYRO] > int(state.streams.now[CALM])
+        expected = row_ns + (ORDER_NS if calm else self.limits_ns[REORDER])
+        for newest_ns, step_ns in zip(
+            state.reached[SETPOINT:THRUST], state.streams.marks[SETPOINT:THRUST, STEP].tolist(), strict=True
+        ):
+            if step_ns and newest_ns < row_ns:
+                expected = max(expected, row_ns + (newest_ns - row_ns) % step_ns)
+        return expected
+
+
+def _widened(table: NDArray[Any], width: int) -> NDArray[Any]:
+    """A table with at least so many columns, the new ones zero."""
+    wide = np.zeros((len(table), max(width, table.shape[1])), dtype=table.dtype)
+    wide[:, : table.shape[1]] = table
+    return wide
 
 
 @allocating
@@ -424,7 +447,8 @@ def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool) -> tuple[Int
     if broken:
         s.now[SEGMENT], s.now[BLANK] = s.now[SEGMENT] + 1, rows[0] + s.limits_ns[SETTLE_START]
     s.now[DONE] = t[stop - 1]
-    x, flags = np.empty((FIRST[-1] + s.values[-1].shape[1], count)), np.empty((2, count), dtype=np.bool_)
+    width = FIRST[OUTPUTS] + s.values[OUTPUTS].shape[1] + s.values[SPEEDS].shape[1]
+    x, flags = np.empty((width, count)), np.empty((2, count), dtype=np.bool_)
     if count:
         _fill(s, rows[:count], x, flags)
         s.now[LAST] = rows[count - 1]
@@ -468,7 +492,7 @@ def _fill(s: Streams, rows: IntArray, x: FloatArray, flags: BoolArray) -> None:
 def _hold(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
     """The last value at each row, nan where it is older than the limit; returns the last sample that was read."""
     t, v, at, hi, limit_ns = s.times[place], s.values[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
-    i = 0
+    i, first = 0, FIRST[place] + (s.values[OUTPUTS].shape[1] if place == SPEEDS else 0)
     while i < len(rows):
         while at + 1 < hi and t[at + 1] <= rows[i]:
             at += 1
@@ -482,7 +506,7 @@ def _hold(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
         for column in range(v.shape[1]):
             value = v[at, column] if known else np.nan
             for k in range(i, stop):
-                x[FIRST[place] + column, k] = value
+                x[first + column, k] = value
         i = stop
     return int(at)
 

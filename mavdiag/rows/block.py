@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, fields, replace
+from operator import attrgetter
 from typing import Any, TypeVar
 
 import numpy as np
@@ -21,7 +22,7 @@ class Block:
 
     segment: number of the unbroken span of flight. t_ns: vehicle time. Columns and units of signals are those of
     `Signal`; angles have no jumps of 2 pi. setpoint: of the attitude; 0 before the first, held in an outage.
-    actuator: (n, outputs); (n, 0) while the vehicle has sent none.
+    actuator, rotor_speed: (n, outputs), (n, ESCs); (n, 0) while the vehicle has sent none.
     valid: the gyro may be judged: it is there, settled and airborne. setpoint_valid: it is there and settled.
     doubt: why the gyro, though it is there, must not be judged: a place in `rows.quality.DOUBTS`, 0 for none.
     settled_ns: rows before it are of a take-off, or of the start of the data. answers: what was found (`once`).
@@ -42,6 +43,7 @@ class Block:
     armed: FloatArray
     vibration: FloatArray
     actuator: FloatArray
+    rotor_speed: FloatArray
     valid: BoolArray
     setpoint_valid: BoolArray
     doubt: FloatArray
@@ -55,9 +57,11 @@ class Block:
         """Rows [first, stop) as a block of their own, of another segment, or settled at another time, if asked."""
         segment = self.segment if segment is None else segment
         settled_ns = self.settled_ns if settled_ns is None else settled_ns
-        columns, cut = [getattr(self, name) for name in COLUMNS], slice(first, stop)
-        if stop - first < len(self):
-            columns = [column[cut] for column in columns]
+        columns = ARRAYS(self)
+        if stop - first < len(self.t_ns):
+            columns = tuple(column[first:stop] for column in columns)
+        elif segment == self.segment and settled_ns == self.settled_ns:
+            return self
         return Block(segment, self.dt_s, *columns, settled_ns=settled_ns)
 
     def known(self, signal: Signal, columns: slice = ALL) -> BoolArray:
@@ -82,6 +86,7 @@ class Block:
 
 
 COLUMNS = tuple(column.name for column in fields(Block))[2:-2]  # arrays of rows, in the order of the fields
+ARRAYS: Callable[[Block], tuple[Any, ...]] = attrgetter(*COLUMNS)
 _NAMES = {
     Signal.SPECIFIC_FORCE: "force",
     Signal.TORQUE_COMMAND: "torque",
@@ -90,13 +95,18 @@ _NAMES = {
 
 
 def in_rotor_order(block: Block, outputs: Sequence[int] | None) -> Block:
-    """The block whose column j of `actuator` is what drives rotor j; nan for an output that is not sent.
+    """The block whose column j of `actuator` is what drives rotor j, and of `rotor_speed` what its ESC tells.
 
+    An output or ESC that is not sent is nan. An autopilot numbers ESCs as the outputs that they are on.
     outputs: the output, from 1, of each rotor; None if they are in that order already.
     """
-    width = block.actuator.shape[1]
-    if outputs is None or width == 0:
+    if outputs is None:
         return block
-    sent, absent = block.actuator.T, np.full(len(block), np.nan)
-    order = np.array([sent[one - 1] if one <= width else absent for one in outputs])
-    return replace(block, actuator=order.T)
+
+    def by_rotor(columns: FloatArray) -> FloatArray:
+        sent, absent = columns.T, np.full(len(block), np.nan)
+        if not len(sent):
+            return columns
+        return np.array([sent[one - 1] if one <= len(sent) else absent for one in outputs]).T
+
+    return replace(block, actuator=by_rotor(block.actuator), rotor_speed=by_rotor(block.rotor_speed))

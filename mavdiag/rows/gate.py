@@ -69,7 +69,8 @@ class GateState:
 
     def release(self, until_ns: int) -> list[Block]:
         """Give away what flew up to a time."""
-        out, kept = list[Block](), int(self.now[KEPT])
+        out, flown = list[Block](), int(self.now[KEPT])
+        kept = flown
         while kept and self.rows:
             block = self.rows.pop(0)
             stop = min(kept, int(block.t_ns.searchsorted(until_ns, side="right")))
@@ -78,7 +79,8 @@ class GateState:
             if stop < len(block):
                 self.rows.insert(0, block.rows(stop, len(block)))
                 break
-        self.now[[QUEUED, KEPT]] -= self.now[KEPT] - kept
+        self.now[QUEUED] -= flown - kept
+        self.now[KEPT] = kept
         return out
 
     def land(self, *, resumes: bool) -> None:

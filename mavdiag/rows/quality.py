@@ -240,11 +240,12 @@ def _leap(s: Samples, i: int) -> float:
 def _plain(s: Samples, first: int, stop: int) -> int:
     """Up to where no sample leaps and rows use each as it came: the usual case, looked at column by column."""
     rule, mem, counts, columns, t_ns = s.rule, s.mem, s.counts, s.columns, s.t_ns
-    jitter, before_ns, shown, frozen = mem[JITTER], counts[CAME_NS], False, rule[LEAP + 4 * columns]
+    jitter, shown, frozen, gyro = mem[JITTER], False, rule[LEAP + 4 * columns], rule[GYRO] > 0.0
     for i in range(first, stop):
-        jitter = _scatter(s, jitter, t_ns[i] - before_ns)
-        span_ns, before_ns = t_ns[i] - (before_ns if i > first else counts[LAST_NS]), t_ns[i]
-        if not -rule[BACK] <= span_ns <= rule[EARLY_NS] or (rule[GYRO] and jitter > rule[MOST_JITTER]):
+        if gyro:
+            jitter = _scatter(s, jitter, t_ns[i] - (t_ns[i - 1] if i > first else counts[CAME_NS]))
+        span_ns = t_ns[i] - (t_ns[i - 1] if i > first else counts[LAST_NS])
+        if not -rule[BACK] <= span_ns <= rule[EARLY_NS] or (gyro and jitter > rule[MOST_JITTER]):
             stop = i
             break
     for column in range(columns):
@@ -252,7 +253,7 @@ def _plain(s: Samples, first: int, stop: int) -> int:
         last, slope, came = mem[at], mem[at + columns], mem[at + 2 * columns]
         leap, leads, quiet = rule[LEAP + column], rule[LEAP + columns + column], rule[LEAP + 2 * columns + column]
         alone, may_rest = rule[LEAP + 3 * columns + column], rule[ZERO_IS_DEAD] + rule[NOT_ZERO] == 0.0
-        if rule[GYRO] and not mem[at + 3 * columns] <= rule[MOST_STEP]:
+        if gyro and not mem[at + 3 * columns] <= rule[MOST_STEP]:
             return first
         for i in range(first, stop):
             value, span_ns = s.v[i, column], t_ns[i] - before_ns
@@ -348,13 +349,17 @@ def _measure(s: Samples, first: int, stop: int) -> float:
     mem, counts, columns, gyro = s.mem, s.counts, s.columns, s.rule[GYRO] > 0.0
     coarsest, jitter, before_ns, same = 0.0, mem[JITTER], counts[CAME_NS], 1 << 62
     for column in range(columns):
-        at, run = COLUMN + 2 * columns + column, counts[RUNS + 1 + column]
+        at, moved = COLUMN + 2 * columns + column, stop - 1  # the last sample that did not repeat the one before
         came, finest, quiet = mem[at], mem[at + columns], s.rule[LEAP + 2 * columns + column]
-        for i in range(first, stop):
-            step = abs(s.v[i, column] - came)
-            run = run + 1 if not step > quiet and counts[COUNT] > 0 else 0
-            finest, came = min(finest, step) if step > SAME else finest, s.v[i, column]
-        mem[at], counts[RUNS + 1 + column], same = came, run, min(same, run)
+        while (
+            moved >= first and not abs(s.v[moved, column] - (s.v[moved - 1, column] if moved > first else came)) > quiet
+        ):
+            moved -= 1
+        run = stop - 1 - moved + (counts[RUNS + 1 + column] if moved < first else 0) if counts[COUNT] > 0 else 0
+        for i in range(first, stop if gyro else first):
+            step, came = abs(s.v[i, column] - came), s.v[i, column]
+            finest = min(finest, step) if step > SAME else finest
+        mem[at], counts[RUNS + 1 + column], same = s.v[stop - 1, column], run, min(same, run)
         if gyro:
             mem[at + columns], coarsest = finest, max(coarsest, finest)
     for i in range(first, stop if gyro else first):
@@ -456,11 +461,10 @@ def look_at(s: Samples, waited: int, seen: FloatArray, runs: IntArray) -> tuple[
             s.counts[ALONE] = 0
             _believe(s, done, stop)
             _measure(s, done, stop)
-            for i in range(done, stop):
+            for i in range(done, stop if s.rule[GYRO] or kept < done else done):
                 s.v[i, s.columns :] = 0.0
-                _move(s, i, kept)
-                kept += 1
-            done = stop
+                _move(s, i, kept + i - done)
+            kept, done = kept + stop - done, stop
             continue
         if s.rule[LEARNT]:
             misdated = _misdated(s, there, done)

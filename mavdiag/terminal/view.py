@@ -16,14 +16,12 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from mavdiag.braille import ACROSS, DOWN, cells, character
 from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.link.messages import Severity
 from mavdiag.monitors import by_name
 from mavdiag.printable import printable
 from mavdiag.telemetry import Axis, BoolArray, FloatArray
-from mavdiag.terminal.ground_station import GroundStation, ReceivedText
-from mavdiag.terminal.live_judge import LiveJudge
+from mavdiag.terminal.ground_station import GroundStation, LiveJudge, ReceivedText
 from mavdiag.traces import RateTrace, rate_traces
 from mavdiag.units import NS_PER_S
 
@@ -38,6 +36,8 @@ STRIP_ROWS = 4
 POINTS_PER_S = 100.0  # of a strip, at most: more would not be seen
 LEAST_RATE = 0.1  # of the scale of rates [rad/s]
 OF_MARGIN = 3.0  # least scale of a residual, in margins
+ACROSS, DOWN = 2, 4  # dots of one character of the Braille block
+_BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])  # of each dot, by row and column
 LEGEND = "white: measured, cyan: simulated, yellow: residual, red: margin"
 _SEVERITY = {Stage.FAULT: Severity.CRITICAL, Stage.SUSPECTED: Severity.WARNING}
 
@@ -218,12 +218,13 @@ def strip(shown: StripView, from_s: float, to_s: float, width: int, rows: int) -
     for number, curve in enumerate(shown.curves):
         at = np.floor((curve.t_s - from_s) / (to_s - from_s) * width * ACROSS)
         share = (shown.high - curve.values) / (shown.high - shown.low)
-        own = cells(_dots(at, share, width * ACROSS, rows * DOWN, step=2 if curve.dotted else 1))
+        dots = _dots(at, share, width * ACROSS, rows * DOWN, step=2 if curve.dotted else 1)
+        own = (dots.reshape(rows, DOWN, width, ACROSS) * _BITS[:, None]).sum(axis=(1, 3))
         bits |= own
         styles[own > 0] = number
     return [
-        Text.assemble(*((character(b), shown.curves[s].style if b else "") for b, s in zip(row, style, strict=True)))
-        for row, style in zip(bits.tolist(), styles.tolist(), strict=True)
+        Text.assemble(*((chr(0x2800 + b), shown.curves[s].style) if b else " " for b, s in zip(*row, strict=True)))
+        for row in zip(bits.tolist(), styles.tolist(), strict=True)
     ]
 
 

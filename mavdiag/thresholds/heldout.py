@@ -4,7 +4,7 @@ With several flights each is scored by a fit to the others. A single flight is c
 there are as many, and each piece is scored by a fit to the rest. This is the only place that makes blocks.
 """
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any, TypeAlias, overload
@@ -26,12 +26,17 @@ Flights: TypeAlias = Sequence[Sequence[Rows]]
 class Looks(Sequence[Rows]):
     """The rows of a flight, each made anew for a look, so that they take memory only as long as they are held.
 
-    remembers: it keeps what was found in it, for fits to other sets of flights with it.
+    remembers: it keeps what was found in it, for fits to other sets of flights with it. answers: found already.
     """
 
-    def __init__(self, makers: Iterable[Callable[[], Rows]], remembers: bool = True) -> None:
+    def __init__(
+        self,
+        makers: Iterable[Callable[[], Rows]],
+        remembers: bool = True,
+        answers: Mapping[Hashable, Any] | None = None,
+    ) -> None:
         self.makers, self._remembers = tuple(makers), remembers
-        self._answers: dict[Hashable, Any] = {}
+        self._answers: dict[Hashable, Any] = dict(answers or {})
 
     def once(self, key: Hashable, find: Callable[[Sequence[Rows]], Any]) -> Any:
         """What `find` gives of this flight, and the same for the same key later on."""

@@ -1,4 +1,4 @@
-"""What a healthy vehicle allows: the threshold of a statistic from its own healthy flights, for a budget of alarms.
+"""What a healthy vehicle allows: the thresholds of a statistic from its own healthy flights, by two promises.
 
 One law for every monitor. The statistic is scored on flights that its fit did not see, cut into blocks of 10 s of
 judged time. The maximum x of block b of flight f in session s has three components of variance:
@@ -10,18 +10,21 @@ Few flights do not show them, so each has a prior (`Prior`, of the monitor) that
 
     s^2 = (nu s0^2 + SS)/(nu + n)                          scaled inverse chi-squared, its posterior (Gelman, BDA, 2.6)
 
-The threshold is the posterior predictive level for r alarms in an hour of judged time, of another session too. An
-offset of a session or a flight is no news with every block: a session counts as an hour, in which K flights of d
-seconds are flown. With t_n the quantile of Student's law with n degrees of freedom,
+A threshold is the posterior predictive level that K healthy flights of d seconds, flown in one session that is not
+among the healthy ones, exceed with probability 1 - exp(-r). An offset of a session or a flight is no news with every
+block. With t_n the quantile of Student's law with n degrees of freedom,
 
     A = t_{nu+S-1}(exp(-r)) sd(a) sqrt(1 + 1/S)                       offset of the session
     e(q) = t_{nu+N-S}(q^(1/K)) sd(e) sqrt(1 + 1/N)                    highest offset of K flights
-    M = e(1/2) + beta (ln(360/K) + 0.3665 - 0.5772)                   what an hour shows usually
+    M = e(1/2) + beta (ln(d/10 s) + 0.3665 - 0.5772)                  what they show usually
     threshold = mu + M + sqrt(A^2 + (e(exp(-r)) - e(1/2))^2 + (beta (ln(K/r) - 0.3665))^2)
 
 and in a session of these flights the same with the highest mean of a session for mu, and without A. The medians add;
 what is rare adds in squares, for the three are rarely rare together (`tests/property` holds it against simulation). A
-block of length L lies beta ln(L/10 s) above one of 10 s, so a short one counts as what it is.
+block of length L lies beta ln(L/10 s) above one of 10 s, so a short one counts as what it is. The law makes two levels:
+
+    fault       r alarms in an hour of flight: a session counts as an hour, so K = 3600 s/d, and d is an hour at most
+    suspected   one flight in n like the healthy ones: K = 1, r = -ln(1 - 1/n), d their mean; never above the first
 
 **Its price.** A budget of 0.05 alarms an hour from a minute of flight is an extrapolation, not evidence. What the
 flights themselves show is `demonstrated_per_hour`: T hours without an alarm exclude, at 95 %, only rates above 3/T. The
@@ -40,11 +43,11 @@ from mavdiag.telemetry import IntArray
 from mavdiag.thresholds.heldout import BLOCK_S, Scores
 from mavdiag.units import S_PER_H
 
-BUDGET_PER_HOUR = 0.05  # of all monitors together (our choice)
+BUDGET_PER_HOUR = 0.05  # alarms of all monitors together (our choice)
+FLIGHTS_PER_SUSPICION = 50.0  # healthy flights, of all monitors together (our choice)
 EULER_GAMMA = 0.5772156649015329
 GUMBEL_SCALE = math.sqrt(6.0) / math.pi  # beta over standard deviation
 GUMBEL_MEDIAN = -math.log(math.log(2.0))
-BLOCKS_PER_H = S_PER_H / BLOCK_S
 DEGREES = 6  # observations that a prior counts for (our choice)
 WORTH_SAYING_PER_HOUR = 1.0  # a limit on the alarms that is above it tells nobody anything (our choice)
 
@@ -58,7 +61,7 @@ class ThresholdRule(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Standard deviations of a monitor's block maxima that are believed before any flight.
+    """Standard deviations of a monitor's block maxima that are believed before any flight (`thresholds.priors`).
 
     session, flight, block: between sessions, between flights of one, within a flight; in the statistic's unit, or as
         shares of its healthy mean. least: the smallest threshold that means anything, in the statistic's unit.
@@ -85,6 +88,8 @@ class Threshold:
     blocks, block_s: healthy blocks that support it, and judged time of a whole one [s]. exceeding: how many above it.
     flights, sessions, hours: that they come from, and judged healthy time.
     budget_per_hour: alarms asked for in an hour of judged time. demonstrated_per_hour: what it excludes at 95 %.
+    suspected: from where on a fault is suspected, as shares of `value` and of `within(same_session=True)`, up to 1.
+    flights_per_suspicion: healthy flights of which one may come there; 0 if only the alarm itself is a suspicion.
     false_alarms_per_flight: 1/(n + 1), the price of the maximum rule.
     """
 
@@ -103,6 +108,8 @@ class Threshold:
     exceeding: int
     budget_per_hour: float
     demonstrated_per_hour: float
+    suspected: tuple[float, float]
+    flights_per_suspicion: float
     false_alarms_per_flight: float
 
     def within(self, *, same_session: bool) -> float:
@@ -122,8 +129,10 @@ class Threshold:
         if self.rule is ThresholdRule.MAXIMUM:
             price = f"an equal healthy flight alarms with probability {self.false_alarms_per_flight:.3g}"
             return f"largest maximum of {basis}: {price}; {shown}"
+        low, one_in = self.suspected[0] * self.value, self.flights_per_suspicion
+        suspected = f"; suspected from {low:.3g}, as one flight in {one_in:.3g}" if self.suspected[0] < 1.0 else ""
         kind = "extrapolated" if self.budget_per_hour < self.demonstrated_per_hour else "demonstrated"
-        return f"{kind} to {self.budget_per_hour:.3g} alarms/h from {basis}; {shown}"
+        return f"{kind} to {self.budget_per_hour:.3g} alarms/h from {basis}; {shown}{suspected}"
 
 
 def false_alarms_per_flight(flights: int) -> float:
@@ -136,13 +145,16 @@ def threshold_of(
     *,
     sessions: Sequence[int],
     budget_per_hour: float = BUDGET_PER_HOUR,
+    flights_per_suspicion: float = FLIGHTS_PER_SUSPICION,
     prior: Prior = Prior(),
     rule: ThresholdRule = ThresholdRule.GUMBEL,
 ) -> Threshold:
     """The threshold that scores of healthy flights allow.
 
-    sessions: that each flight was flown in. budget_per_hour: this monitor's share.
-    Raises UsageError for a budget that is not positive, IdentificationError for scores that are not finite.
+    sessions: that each flight was flown in. budget_per_hour, flights_per_suspicion: this monitor's shares; of the
+    latter 0 if a fault is suspected by the alarm alone.
+    Raises UsageError for a budget that is not positive or flights that are not more than 1, IdentificationError for
+    scores that are not finite.
 
     >>> rng = np.random.default_rng(5)
     >>> maxima = 1.0 + rng.gumbel(0.0, 0.02, 400)     # 20 flights alike, in 5 sessions, and 20 blocks of each
@@ -153,12 +165,20 @@ def threshold_of(
     """
     if not (math.isfinite(budget_per_hour) and budget_per_hour > 0):
         raise UsageError(f"the budget must be a positive number of alarms per hour, not {budget_per_hour}")
-    x = scores.maxima
+    if flights_per_suspicion != 0 and not flights_per_suspicion > 1:
+        raise UsageError(f"a suspicion must be one of more than 1 flight, not of {flights_per_suspicion}")
+    x, suspected, suspected_within = scores.maxima, 1.0, 1.0
     if len(x) == 0 or not np.isfinite(x).all():
         raise IdentificationError("healthy statistics must be finite numbers, and there must be some")
     if rule is ThresholdRule.GUMBEL:
         parts = _components(scores, np.array(sessions), prior)
-        value, within = (max(level, prior.least) for level in parts.levels(budget_per_hour))
+        flown_s = min(parts.flight_s, S_PER_H)
+        value, within = (max(level, prior.least) for level in parts.levels(budget_per_hour, S_PER_H / flown_s, flown_s))
+        if flights_per_suspicion:
+            rare = -math.log1p(-1.0 / flights_per_suspicion)
+            low, low_within = (max(level, prior.least) for level in parts.levels(rare, 1.0, parts.flight_s))
+            suspected = min(low / value, 1.0) if value > 0 else 1.0
+            suspected_within = min(low_within / within, 1.0) if within > 0 else 1.0
     else:
         parts, value, within = _Components(float(x.mean())), float(x.max()), float(x.max())
     hours, exceeding = scores.judged_s / S_PER_H, int(np.count_nonzero(x > value))
@@ -178,6 +198,8 @@ def threshold_of(
         exceeding=exceeding,
         budget_per_hour=budget_per_hour,
         demonstrated_per_hour=poisson_upper(exceeding) / hours,
+        suspected=(suspected, suspected_within),
+        flights_per_suspicion=flights_per_suspicion,
         false_alarms_per_flight=false_alarms_per_flight(len(sessions)),
     )
 
@@ -195,17 +217,17 @@ class _Components:
     sessions: int = 1
     flight_s: float = BLOCK_S
 
-    def levels(self, per_hour: float) -> tuple[float, float]:
-        """The threshold in any session, and in one of the flights."""
-        N, S, flown = self.flights, self.sessions, max(1.0, S_PER_H / self.flight_s)
+    def levels(self, rare: float, flown: float, flight_s: float) -> tuple[float, float]:
+        """The level r that so many flights of this length exceed, in any session and in one of the flights."""
+        N, S = self.flights, self.sessions
         degrees, spread = DEGREES + N - S, self.flight_sd * math.sqrt(1 + 1 / N)
-        session = self.session_sd * math.sqrt(1 + 1 / S) * student(DEGREES + S - 1, math.exp(-per_hour))
+        session = self.session_sd * math.sqrt(1 + 1 / S) * student(DEGREES + S - 1, math.exp(-rare))
         median = spread * student(degrees, 0.5 ** (1 / flown))
-        flight = spread * student(degrees, math.exp(-per_hour / flown)) - median
-        usual = median + self.beta * (math.log(BLOCKS_PER_H / flown) + GUMBEL_MEDIAN - EULER_GAMMA)
-        block = self.beta * (math.log(flown / per_hour) - GUMBEL_MEDIAN)
-        rare = max(session, 0.0), math.hypot(max(flight, 0.0), max(block, 0.0))
-        return self.mean + usual + math.hypot(*rare), self.highest + usual + rare[1]
+        flight = spread * student(degrees, math.exp(-rare / flown)) - median
+        usual = median + self.beta * (math.log(flight_s / BLOCK_S) + GUMBEL_MEDIAN - EULER_GAMMA)
+        block = self.beta * (math.log(flown / rare) - GUMBEL_MEDIAN)
+        rest = math.hypot(max(flight, 0.0), max(block, 0.0))
+        return self.mean + usual + math.hypot(max(session, 0.0), rest), self.highest + usual + rest
 
 
 def student(degrees: int, q: float) -> float:
@@ -215,10 +237,20 @@ def student(degrees: int, q: float) -> float:
     return float(stdtrit(degrees, q))
 
 
-def _components(scores: Scores, sessions: IntArray, prior: Prior) -> _Components:
+def shown_spreads(scores: Scores, sessions: Sequence[int], prior: Prior) -> tuple[tuple[float, int], ...]:
+    """What healthy flights alone show, in the prior's unit: standard deviation between sessions, between flights and
+    within a flight, each with its degrees of freedom; with none the prior's own."""
+    found = _components(scores, np.array(sessions), prior, degrees=1e-9)
+    unit = abs(float(scores.maxima.mean())) if prior.shares else 1.0
+    sds = found.session_sd, found.flight_sd, found.beta / GUMBEL_SCALE
+    degrees = found.sessions - 1, found.flights - found.sessions, len(scores.maxima) - found.flights
+    return tuple((sd / unit, count) for sd, count in zip(sds, degrees, strict=True))
+
+
+def _components(scores: Scores, sessions: IntArray, prior: Prior, degrees: float = DEGREES) -> _Components:
     """The components of variance of block maxima, by their sums of squares and the prior."""
     x, log_span, flights = scores.maxima, np.log(scores.spans_s / BLOCK_S), np.unique(scores.flights)
-    unit, nu = abs(float(x.mean())) if prior.shares else 1.0, DEGREES
+    unit, nu = abs(float(x.mean())) if prior.shares else 1.0, degrees
     blocks = [x[scores.flights == flight] for flight in flights]
     within = sum(float(np.square(one - one.mean()).sum()) for one in blocks)
     beta = GUMBEL_SCALE * math.sqrt((nu * (prior.block * unit) ** 2 + within) / (nu + len(x) - len(flights)))

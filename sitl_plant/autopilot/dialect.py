@@ -240,6 +240,18 @@ GENERIC = replace(
 
 
 @dataclass(frozen=True, slots=True)
+class Esc:
+    """How ESCs tell their speed: each in its turn once in a frame, in whole steps; some frames are lost (estimates).
+
+    The steps are those of BLHeli's and KISS's telemetry: eRPM/100, of motors with 14 poles.
+    """
+
+    frame_s: float = 0.1  # SERVO_BLH_TRATE
+    step_rpm: float = 100.0 / 7.0
+    lost: float = 0.02  # the last value is told again
+
+
+@dataclass(frozen=True, slots=True)
 class Dialect:
     """What one kind of autopilot sends.
 
@@ -258,6 +270,7 @@ class Dialect:
     unasked: Mapping[int, float] = field(default_factory=dict)
     whole_ms: bool = False  # intervals are cut to whole milliseconds
     attained_hz: float | None = None  # a rate above this is granted, and comes at this one; None if every rate is met
+    esc: Esc | None = None  # None: the speeds are told as they are
     sysid: int = 1  # system id of the vehicle, 1 to 255
 
     def __post_init__(self) -> None:
@@ -369,7 +382,8 @@ _ALL = (
     Dialect(
         _ARDUPILOT,
         custom_mode=4,  # Copter: guided
-        others=_messages(_ARDUPILOT),
+        others=_messages(_ARDUPILOT) | {MessageId.ESC_TELEMETRY_1_TO_4: 10.0},
+        esc=Esc(),
         ceiling_hz=1000.0 / 3.0,  # 0.8 x loop rate (400 Hz) in whole milliseconds
         firmware=COPTER,
         send_delay_s=0.0025,  # one loop
@@ -386,7 +400,8 @@ _ALL = (
     Dialect(
         _PX4,
         custom_mode=6 << 16,  # main mode offboard
-        others=_messages(_PX4),
+        others=_messages(_PX4) | {MessageId.ESC_STATUS: 10.0},
+        esc=Esc(),
         ceiling_hz=250.0,  # estimate
         firmware=PX4,
         parameters=(

@@ -20,7 +20,7 @@ from mavdiag.link.codec import layout_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag
 from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_US, RPM, G
-from sitl_plant.autopilot.dialect import ESC_GROUP, Dialect
+from sitl_plant.autopilot.dialect import ESC_GROUP, Dialect, Esc
 from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.physics.sensors import butterworth
 from sitl_plant.physics.trajectory import FLYING
@@ -40,6 +40,7 @@ TYPES = {4: MavType.QUADROTOR, 6: MavType.HEXAROTOR, 8: MavType.OCTOROTOR}
 SERVOS = 8  # outputs of SERVO_OUTPUT_RAW beside each other; the other eight are extensions
 CAPACITY_AH = 3.7  # of the QDrone 2's battery: 4S, 3700 mAh (Quanser, QDrone 2 data sheet)
 CELLS = 4
+ESC_TEMPERATURE_C = 40  # always, for heat is not modelled (our choice)
 FIX_3D, SATELLITES = 3, 12  # GPS_RAW_INT: what ground stations ask for before they call a vehicle ready
 EPH_CM = 100
 # PX4's home in simulation, near Zurich: the emulated vehicle flies indoors and could be anywhere.
@@ -79,6 +80,7 @@ class FilteredSamples(NamedTuple):
     accel: FloatArray  # (n, 3) after the autopilot's filter [m/s^2]
     vibration: FloatArray  # (n, 3) level [m/s^2]; zero where the profile does not send it, and so are the clippings
     clippings: IntArray  # (n,) samples so far at the end of the accelerometer's range
+    esc: FloatArray  # (n, r) speeds that the ESCs told last [rad/s]; NaN before their first frame
 
 
 class _Filter:
@@ -101,6 +103,31 @@ def _first_order(corner_hz: float) -> _Filter:
     return _Filter(np.array([alpha]), np.array([1.0, alpha - 1.0]))
 
 
+class _EscFrames:
+    """What the ESCs told last, block by block: each in its turn, see `Esc`."""
+
+    def __init__(self, esc: Esc, seed: int) -> None:
+        self._esc, self._seed = esc, seed
+        self._told, self._frames = np.empty(0), np.empty((1, 0), dtype=np.int64)
+        self._losses = list[np.random.Generator]()
+
+    def step(self, t_ns: IntArray, speed: FloatArray) -> FloatArray:
+        period_ns, rotors = round(self._esc.frame_s * 1e9), speed.shape[1]
+        frames = (t_ns[:, None] - period_ns * np.arange(rotors) // rotors) // period_ns
+        if not self._losses:
+            self._losses = [np.random.default_rng([self._seed, rotor]) for rotor in range(rotors)]
+            self._told, self._frames = np.full(rotors, np.nan), frames[:1] - 1
+        fresh = np.diff(frames, axis=0, prepend=self._frames) > 0
+        told, step = np.empty(speed.shape), self._esc.step_rpm * RPM
+        for rotor, losses in enumerate(self._losses):
+            came = np.flatnonzero(fresh[:, rotor])
+            came = came[losses.random(len(came)) >= self._esc.lost]
+            values = np.append(self._told[rotor], step * np.rint(speed[came, rotor] / step))
+            told[:, rotor] = values[np.searchsorted(came, np.arange(len(t_ns)), side="right")]
+        self._told, self._frames = told[-1], frames[-1:]
+        return told
+
+
 class ImuFilters:
     """From samples to what is sent, block by block. Equal seeds give equal stamps; how time is cut does not matter.
 
@@ -118,6 +145,7 @@ class ImuFilters:
         self._clippings = 0
         self._delay_ns = round(dialect.send_delay_s * 1e9)
         self._delays = np.random.default_rng(seed)
+        self._escs = None if dialect.esc is None else _EscFrames(dialect.esc, seed)
 
     def step(self, samples: PlantSamples) -> FilteredSamples:
         """The next block (n >= 1)."""
@@ -131,7 +159,8 @@ class ImuFilters:
             both = self._imu_filter.step(np.hstack([gyro, accel]))
             gyro, accel = both[:, :3], both[:, 3:]
         delay_ns = self._delay_ns * self._delays.random(len(samples))
-        return FilteredSamples(samples, samples.t_ns + delay_ns.astype(np.int64), gyro, accel, vibration, clipped)
+        esc = samples.esc_speed if self._escs is None else self._escs.step(samples.t_ns, samples.esc_speed)
+        return FilteredSamples(samples, samples.t_ns + delay_ns.astype(np.int64), gyro, accel, vibration, clipped, esc)
 
 
 class Message(NamedTuple):
@@ -218,7 +247,7 @@ class _Due:
     @property
     def rpm(self) -> FloatArray:
         """By the motors' telemetry; zero before its first frame."""
-        return np.asarray(np.nan_to_num(self.filtered.samples.esc_speed[self.rows], nan=0.0) / RPM)
+        return np.asarray(np.nan_to_num(self.filtered.esc[self.rows], nan=0.0) / RPM)
 
 
 def _quaternion(angles: FloatArray) -> FloatArray:
@@ -274,7 +303,8 @@ def _esc_telemetry(first: int) -> Callable[[_Due], Columns]:
     def build(due: _Due) -> Columns:
         rpm = integers(due.rpm[:, first : first + ESC_GROUP], 17)
         volts = np.broadcast_to(integers(100.0 * due.volts, 17)[:, None], rpm.shape)
-        return {"rpm": _groups(rpm), "voltage": _groups(volts)}
+        warm = np.full(rpm.shape, ESC_TEMPERATURE_C)
+        return {"rpm": _groups(rpm), "voltage": _groups(volts), "temperature": _groups(warm)}
 
     return build
 

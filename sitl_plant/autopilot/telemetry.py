@@ -75,12 +75,6 @@ class TelemetryStream:
         return telemetry
 
 
-def until_ground(samples: PlantSamples) -> int:
-    """How many of the samples are above z = 0: a flight that starts in hover has no ground to fall on."""
-    below = np.flatnonzero(samples.position[:, 2] >= 0.0)
-    return int(below[0]) if len(below) else len(samples)
-
-
 def flight_telemetry(config: PlantConfig, duration_s: float, link: LinkSpec = LinkSpec()) -> tuple[Telemetry, float]:
     """A whole flight over one link, and its length [s]: less than the duration if a vehicle falls to z = 0."""
     plant = Plant(config)
@@ -88,7 +82,8 @@ def flight_telemetry(config: PlantConfig, duration_s: float, link: LinkSpec = Li
     left, flown = round(duration_s * 1e9 / STEP_NS), 0
     while left > 0:
         samples = plant.advance(min(BLOCK_STEPS, left))
-        up = len(samples) if config.start == "ground" else until_ground(samples)
+        below = np.flatnonzero(samples.position[:, 2] >= 0.0)
+        up = len(samples) if config.start == "ground" or not len(below) else int(below[0])  # else there is no ground
         left = left - up if up == len(samples) else 0
         flown += up
         if up:

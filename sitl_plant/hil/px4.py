@@ -10,7 +10,6 @@ of compass, barometer and GPS: their noises are our choice, so that no reading s
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -36,13 +35,6 @@ SEA_HPA, TEMPERATURE_C = 1013.25, 20.0
 _CONTROLS, _FLAGS, _MODE = (field_index(MessageId.HIL_ACTUATOR_CONTROLS, f) for f in ("controls", "flags", "mode"))
 
 
-class _Due(NamedTuple):
-    """How often something is sent [s of flight], and when next."""
-
-    every_s: float
-    next_s: float = 0.0
-
-
 class Bridge:
     """One simulation, flown over MAVLink. rate_hz: of HIL_SENSOR. controls, restarts: of the autopilot so far.
 
@@ -63,7 +55,8 @@ class Bridge:
         self.answered = self.lockstep = False
         self.in_hil: bool | None = None
         self._duties: FloatArray = np.zeros(self.simulation.rotors)
-        self._dues = {"compass": _Due(0.02), "baro": _Due(0.05), "gps": _Due(0.1), "truth": _Due(0.02), "beat": _Due(1)}
+        self._every_s = {"compass": 0.02, "baro": 0.05, "gps": 0.1, "truth": 0.02, "beat": 1.0}  # of flight
+        self._next_s = dict.fromkeys(self._every_s, 0.0)
 
     def restart(self) -> None:
         """The autopilot was started anew: so is the flight."""
@@ -86,7 +79,7 @@ class Bridge:
         elif frame.msgid == MessageId.COMMAND_LONG and integer(frame, "command") == MavCmd.SET_MESSAGE_INTERVAL:
             interval_us = number(frame, "param2")
             if integer(frame, "param1") == MessageId.HIL_STATE_QUATERNION and interval_us > 0.0:
-                self._dues["truth"] = _Due(1e-6 * interval_us, self._dues["truth"].next_s)
+                self._every_s["truth"] = 1e-6 * interval_us
 
     def advance(self) -> list[bytes]:
         """Fly one period with the latest controls, and say what the sensors show."""
@@ -100,10 +93,10 @@ class Bridge:
         return sent
 
     def _is_due(self, name: str) -> bool:
-        due, now_s = self._dues[name], self.simulation.t_s
-        if now_s < due.next_s - 1e-9:
+        now_s = self.simulation.t_s
+        if now_s < self._next_s[name] - 1e-9:
             return False
-        self._dues[name] = _Due(due.every_s, max(due.next_s + due.every_s, now_s))
+        self._next_s[name] = max(self._next_s[name] + self._every_s[name], now_s)
         return True
 
     def _sensor(self, row: PlantSamples) -> bytes:

@@ -115,28 +115,12 @@ class ControlState(NamedTuple):
     desired: FloatArray  # (4,) the reference x, y, z, yaw
 
 
-def low_pass_transition(corner_hz: float, dt_s: float) -> Transition:
-    """Exact step of a second-order Butterworth low-pass.
-
-    [ y' - u ]   exp(-a dt) [ cos + sin     sin / a   ] [ y - u ]
-    [ dy'/dt ] =            [ -2 a sin      cos - sin ] [ dy/dt ]       of the angle a dt, a = 2 pi f / sqrt 2
-    """
-    a = math.sqrt(2.0) * math.pi * corner_hz
-    decay, c, s = math.exp(-a * dt_s), math.cos(a * dt_s), math.sin(a * dt_s)
-    return decay * (c + s), decay * s / a, -2.0 * a * decay * s, decay * (c - s)
-
-
 def second_order(wn_rad_s: float, zeta: float, dt_s: float) -> Transition:
-    """Exact step of wn^2 / (s^2 + 2 zeta wn s + wn^2).
+    """Exact step of wn^2 / (s^2 + 2 zeta wn s + wn^2), with zeta = sqrt(1/2) a Butterworth low-pass."""
+    from scipy.linalg import expm
 
-    exp(A dt) by its series, in the scaled state [y, dy/dt / wn], where ||A dt|| is about wn dt.
-    """
-    A = wn_rad_s * dt_s * np.array([[0.0, 1.0], [-1.0, -2.0 * zeta]])
-    term = total = np.eye(2)
-    for n in range(1, 30):
-        term = term @ A / n
-        total = total + term
-    return float(total[0, 0]), float(total[0, 1] / wn_rad_s), float(total[1, 0] * wn_rad_s), float(total[1, 1])
+    f = expm(dt_s * np.array([[0.0, 1.0], [-wn_rad_s * wn_rad_s, -2.0 * zeta * wn_rad_s]]))
+    return float(f[0, 0]), float(f[0, 1]), float(f[1, 0]), float(f[1, 1])
 
 
 @jit

@@ -20,6 +20,7 @@ import numpy as np
 
 from mavdiag.airframe.propellers import PROPELLERS, DamagedPropeller
 from mavdiag.errors import UsageError
+from mavdiag.telemetry import FloatArray
 from mavdiag.units import G_MM_PER_KG_M
 from sitl_plant.physics.airframe import NEVER, Airframe
 from sitl_plant.physics.rotors import Condition
@@ -175,7 +176,21 @@ def rotor_condition(airframe: Airframe, injections: Iterable[Injection], dt_s: f
         condition.thrust_lag[i] += damage.thrust_lag_s
         if damage.ejected:
             condition.unbalance[i] = condition.lift_offset[i] = 0.0
+    usual = airframe.thrust_coefficient_n_s2 / airframe.vehicle.propulsion.thrust_coefficient_n_s2
+    condition.speed_gain[:] *= loaded(condition.drag_gain * usual, airframe.vehicle.propulsion.load_share)
     return condition
+
+
+def loaded(drag: FloatArray, share: float) -> FloatArray:
+    """Speed at a given voltage over that with the usual drag, of motors whose resistance takes a share of the voltage.
+
+        (1 - e) s + e d s^2 = 1        steady state u V = w/K_v + R k_q w^2/K_t over its value in hover; d: (n,) drag
+
+    >>> loaded(np.array([1.0, 0.96]), 0.2).round(4).tolist(), loaded(np.array([0.5]), 0.0).tolist()
+    ([1.0, 1.0067], [1.0])
+    """
+    # s = 2/(1 - e + sqrt((1 - e)^2 + 4 e d)), the root that has a limit where e d vanishes
+    return np.asarray(2.0 / (1.0 - share + np.sqrt((1.0 - share) ** 2 + 4.0 * share * drag)), dtype=np.float64)
 
 
 def sensor_condition(injections: Iterable[Injection]) -> SensorCondition:

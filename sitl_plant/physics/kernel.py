@@ -14,14 +14,30 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from mavdiag.jit import cached, inline, jit
+from mavdiag.jit import cached_loop, inline, jit
 from mavdiag.telemetry import BoolArray, FloatArray
 from sitl_plant.physics import control, dynamics, mocap, rotors, sensors
 from sitl_plant.physics.air import Air, Dryden, Turbulence, advance_wind
-from sitl_plant.physics.trajectory import DISARMED, FLYING, REFERENCE, Path, reference
+from sitl_plant.physics.trajectory import DISARMED, FLYING, Path, reference
 
 Faults: TypeAlias = sensors.SensorCondition
-LOG = 49  # columns of a recorded set's log before the motors' telemetry
+_EACH = ("f8", (sensors.IMUS, 3))
+LOG = np.dtype(
+    [
+        ("angle", *_EACH),  # each IMU's estimate [rad]; its yaw is the gyro's integral and drifts
+        ("rate", *_EACH),  # filtered body rates [rad/s]
+        ("acceleration", *_EACH),  # and their slopes [rad/s^2]
+        ("gyro", *_EACH),  # raw readings, as the next
+        ("accel", *_EACH),
+        ("torque_asked", "f8", 3),  # before the limit [N m]
+        ("torque", "f8", 3),  # after it
+        ("thrust", "f8"),  # commanded [N], trim included
+        ("pid", "f8", 4),  # roll, pitch before their limit [rad], thrust deviation [N], yaw-rate reference [rad/s]
+        ("desired", "f8", 4),  # set-point: north, east, down [m], yaw [rad]
+        ("pose", "f8", 4),  # of the cameras
+    ]
+)
+"""What a vehicle as it was recorded knows at a step, as its recordings name it, but in FRD and NED instead of FLU."""
 OUTAGE_S = (0.3, 2.0)  # an outage of the cameras lasts so long, uniform (our choice)
 
 
@@ -41,6 +57,15 @@ class Model(NamedTuple):
     path: Path
 
 
+class Scratch(NamedTuple):
+    """What the steps overwrite."""
+
+    work: FloatArray  # (5, 13)
+    truth: FloatArray  # (2, 6)
+    path: FloatArray  # (9,)
+    command: FloatArray  # (n,)
+
+
 class State(NamedTuple):
     """All that changes, updated in place."""
 
@@ -54,6 +79,7 @@ class State(NamedTuple):
     estimate: FloatArray  # (9,)
     accel_filtered: FloatArray  # (3,)
     control: control.ControlState
+    scratch: Scratch
 
 
 class Recorded(NamedTuple):
@@ -96,7 +122,8 @@ class Rows(NamedTuple):
     battery_v: FloatArray
     charge_ah: FloatArray
     motors: FloatArray
-    log: FloatArray  # (steps, LOG + n) of a recorded set, control.see `RecordedLog`; else (steps, 0)
+    log: FloatArray  # (steps, k), the numbers of a `LOG`, of a recorded set; else (steps, 0)
+    esc: FloatArray  # (steps, n) of a recorded set; else (steps, 0)
 
 
 class Block(NamedTuple):
@@ -109,20 +136,9 @@ class Block(NamedTuple):
     rows: Rows  # filled from row 0
 
 
-class Scratch(NamedTuple):
-    """What the steps overwrite."""
-
-    work: FloatArray  # (5, 13)
-    truth: FloatArray  # (2, 6)
-    path: FloatArray  # (9,)
-    command: FloatArray  # (n,)
-
-
 @inline
-def _sense(
-    state: State, model: Model, own: Recorded | None, faults: Faults, noise: Noise, row: int, step: int, here: Scratch
-) -> None:
-    x, work, truth, last = state.rigid, here.work, here.truth, dynamics.STAGES - 1
+def _sense(state: State, model: Model, own: Recorded | None, faults: Faults, noise: Noise, row: int, step: int) -> None:
+    x, work, truth, last = state.rigid, state.scratch.work, state.scratch.truth, dynamics.STAGES - 1
     dynamics.derivative(x, state.wrench, last, model.body, model.ground, state.wind, work, 0)
     if own is None:
         sensors.feel(x, work, model.imu.position, truth[0])
@@ -140,10 +156,9 @@ def _sense(
 
 
 @inline
-def _decide(
-    state: State, model: Model, own: Recorded | None, commands: FloatArray, row: int, step: int, path: FloatArray
-) -> None:
+def _decide(state: State, model: Model, own: Recorded | None, commands: FloatArray, row: int, step: int) -> None:
     pose, estimate, volts, dt = state.mocap.pose, state.estimate, state.battery[0], model.dt
+    path = state.scratch.path
     if own is None:
         control.advance_estimate(estimate, state.accel_filtered, model.estimator, state.imu.reading, pose[3], dt)
     else:
@@ -213,21 +228,15 @@ def _record(state: State, own: Recorded | None, row: int, rows: Rows) -> None:
         _copy_to(state.control.pid, log, row, 37)
         _copy_to(state.control.desired, log, row, 41)
         _copy_to(state.mocap.pose, log, row, 45)
-        _copy_to(own.esc, log, row, LOG)
+        _copy(own.esc, rows.esc, row)
 
 
 @inline
 def _move(
-    state: State,
-    model: Model,
-    own: Recorded | None,
-    condition: rotors.Condition,
-    noise: Noise,
-    row: int,
-    step: int,
-    here: Scratch,
+    state: State, model: Model, own: Recorded | None, condition: rotors.Condition, noise: Noise, row: int, step: int
 ) -> None:
     """On to the next step, with the speeds that the duties ask for (T Eq 2.10), or to which the motors settle."""
+    here = state.scratch
     for i in range(len(here.command)):
         if own is None:
             full = model.battery.speed_per_volt * state.battery[0]
@@ -246,16 +255,11 @@ def _move(
     rotors.advance_battery(state.battery, model.battery, state.rotors.speed, model.dt)
 
 
-@jit
-def _steps(
-    block: Block,
-    model: Model,
-    own: Recorded | None,
-    condition: rotors.Condition,
-    faults: Faults,
-    state: State,
-    here: Scratch,
+@cached_loop
+def fly(
+    block: Block, model: Model, own: Recorded | None, condition: rotors.Condition, faults: Faults, state: State
 ) -> None:
+    """Fly one block. `state` and `own` are updated in place."""
     first, steps, noise, commands, rows = block
     frame = 0
     for row in range(steps):
@@ -263,20 +267,10 @@ def _steps(
         if step % model.mocap.period == 0:
             mocap.observe(state.mocap, model.mocap, state.rigid, step, noise.markers, noise.occlusion, frame)
             frame += 1
-        _sense(state, model, own, faults, noise, row, step, here)
-        _decide(state, model, own, commands, row, step, here.path)
+        _sense(state, model, own, faults, noise, row, step)
+        _decide(state, model, own, commands, row, step)
         _record(state, own, row, rows)
-        _move(state, model, own, condition, noise, row, step, here)
-
-
-@cached
-def fly(
-    block: Block, model: Model, own: Recorded | None, condition: rotors.Condition, faults: Faults, state: State
-) -> None:
-    """Fly one block. `state` and `own` are updated in place."""
-    work, truth = np.empty((5, dynamics.RIGID)), np.empty((sensors.IMUS, sensors.CHANNELS))
-    here = Scratch(work, truth, np.empty(REFERENCE), np.empty(len(state.rotors.speed)))
-    _steps(block, model, own, condition, faults, state, here)
+        _move(state, model, own, condition, noise, row, step)
 
 
 class Outages:

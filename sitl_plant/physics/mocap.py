@@ -122,13 +122,6 @@ def _cofactor(M: FloatArray, row: int, column: int) -> float:
 
 
 @jit
-def yaw_of(state: FloatArray) -> float:
-    """Yaw [rad] of the attitude in a state row."""
-    w, x, y, z = state[6], state[7], state[8], state[9]
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-
-
-@jit
 def observe(
     state: MocapState, mocap: Mocap, x: FloatArray, step: int, normals: FloatArray, uniforms: FloatArray, frame: int
 ) -> None:
@@ -144,7 +137,9 @@ def observe(
         state.visible[i] = 1 if uniforms[frame, i] >= mocap.occlusion else 0
     if fit_pose(mocap.markers, state.seen, state.visible, state.fit):
         slot = state.queue[(step + mocap.latency) % (mocap.latency + 1)]
-        slot[0], slot[1], slot[2], slot[3] = state.fit[0], state.fit[1], state.fit[2], yaw_of(state.fit)
+        w, x_q, y_q, z_q = state.fit[6], state.fit[7], state.fit[8], state.fit[9]
+        yaw = math.atan2(2.0 * (w * z_q + x_q * y_q), 1.0 - 2.0 * (y_q * y_q + z_q * z_q))
+        slot[0], slot[1], slot[2], slot[3] = state.fit[0], state.fit[1], state.fit[2], yaw
 
 
 @jit

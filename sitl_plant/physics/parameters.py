@@ -83,7 +83,7 @@ def make_model(
             velocity_gain=1.0 - math.exp(-2.0 * math.pi * loops.velocity_filter_hz * (period * STEP_S)),
         ),
         estimator=control.Estimator(
-            gyro_filter=control.low_pass_transition(loops.gyro_filter_hz, STEP_S),
+            gyro_filter=control.second_order(2.0 * math.pi * loops.gyro_filter_hz, math.sqrt(0.5), STEP_S),
             accel_gain=1.0 - _decay(loops.accel_filter_hz),
             correction=STEP_S / loops.complementary_s,
         ),
@@ -210,6 +210,7 @@ def initial_state(model: kernel.Model, azimuth: FloatArray, charge_used_ah: floa
         estimate=estimate,
         accel_filtered=reading[3:].copy(),
         control=control.ControlState(integral, z(3), z(3), thrust, z(n), motors, z(4), z(3), pose.copy()),
+        scratch=kernel.Scratch(z((5, RIGID)), z((sensors.IMUS, sensors.CHANNELS)), z(REFERENCE), z(n)),
     )
 
 
@@ -257,7 +258,7 @@ def recorded_set(
         control.second_order(*pair, dt)
         for pair in (recorded.rate_filter, recorded.accel_filter, recorded.velocity_filter)
     )
-    twin = sensors.TwinImuState(z((channels, 2)), z((channels, 3)), z(6), reading, z((sensors.HARMONICS, n, 2)))
+    twin = sensors.TwinImuState(z((channels, 2)), z((channels, 4)), z(6), reading, z((sensors.HARMONICS, n, 2)))
     accel, still = reading[:, 3:].copy(), [z((imus, 3)) for _ in range(3)]
     lifted = recorded.thrust_over_command * airframe.battery_gain
     own = kernel.Recorded(
@@ -293,9 +294,7 @@ def _specimen_stream(airframe: Airframe, purpose: int) -> np.random.Generator:
 
 def _kept(filters: FloatArray, frequency_hz: FloatArray, dt: float, held: int) -> FloatArray:
     """Gain of the on-chip low-pass and of the hold over `held` steps, sin(N x) / (N sin x) with x = pi f dt."""
-    w = np.exp(-2j * np.pi * frequency_hz * dt)
-    b, a, b0, b1, b2, a1, a2 = filters
-    gain = np.abs(b * (1 + w) / (1 + a * w) * (b0 + b1 * w + b2 * w * w) / (1 + a1 * w + a2 * w * w))
+    gain = sensors.gain_of(filters[0], frequency_hz, dt) * sensors.gain_of(filters[1], frequency_hz, dt)
     x = np.pi * frequency_hz * dt
     return np.asarray(gain * np.abs(np.sin(held * x) / (held * np.sin(x))))
 

@@ -25,6 +25,7 @@ import math
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from scipy.signal import butter
 
 from mavdiag.errors import UsageError
 from mavdiag.jit import jit
@@ -81,14 +82,14 @@ class TwinImu(NamedTuple):
     line: FloatArray  # (2, 6, 2, n, 2) by harmonic, rotor, cosine and sine, at the hover speed
     hover: float  # [rad/s]
     shape: Biquad  # high-pass of the broad part
-    filters: FloatArray  # (6, 7) low-pass of each channel, see `butterworth3`
+    filters: FloatArray  # (6, 2, 5) low-pass of each channel, see `butterworth3`
     span: FloatArray  # (6,)
     lsb: FloatArray  # (6,)
     gyro_period: int  # steps of the plant from one gyro sample to the next
 
 
 class TwinImuState(NamedTuple):
-    """Memory of high-pass (12, 2) and low-pass (12, 3), drift of IMU 0 (6,), latest readings (2, 6)."""
+    """Memory of high-pass (12, 2) and low-pass (12, 4), drift of IMU 0 (6,), latest readings (2, 6)."""
 
     shaped: FloatArray
     memory: FloatArray
@@ -98,35 +99,26 @@ class TwinImuState(NamedTuple):
 
 
 def butterworth(corner_hz: float, dt_s: float) -> Biquad:
-    """Second-order Butterworth low-pass by the bilinear transform with prewarping.
-
-    A corner at or above the Nyquist frequency is held at 0.499 of the sample rate.
-    """
-    k = math.tan(math.pi * min(corner_hz * dt_s, 0.499))
-    a0 = 1.0 + math.sqrt(2.0) * k + k * k
-    b0 = k * k / a0
-    return b0, 2.0 * b0, b0, 2.0 * (k * k - 1.0) / a0, (1.0 - math.sqrt(2.0) * k + k * k) / a0
+    """Second-order Butterworth low-pass. A corner at or above half the sample rate is held at 0.499 of that rate."""
+    return _section(butter(2, min(corner_hz * dt_s, 0.499), fs=1.0, output="sos"))
 
 
 def high_pass(corner_hz: float, dt_s: float) -> Biquad:
-    """Second-order Butterworth high-pass by the bilinear transform with prewarping."""
-    k = math.tan(math.pi * corner_hz * dt_s)
-    a0 = 1.0 + math.sqrt(2.0) * k + k * k
-    return 1.0 / a0, -2.0 / a0, 1.0 / a0, 2.0 * (k * k - 1.0) / a0, (1.0 - math.sqrt(2.0) * k + k * k) / a0
+    """Second-order Butterworth high-pass."""
+    return _section(butter(2, corner_hz * dt_s, "highpass", fs=1.0, output="sos"))
 
 
 def butterworth3(corner_hz: float, dt_s: float) -> FloatArray:
-    """Third-order Butterworth low-pass, bilinear with prewarping: (7,) first order b, a, then a biquad.
-
-    (s + 1) (s^2 + s + 1), s = (1 - z^-1) / (k (1 + z^-1)); the first section's b holds for z^0 and z^-1.
-    """
-    k = math.tan(math.pi * corner_hz * dt_s)
-    b0 = k * k / (1.0 + k + k * k)
-    second = [b0, 2.0 * b0, b0, 2.0 * (k * k - 1.0) / (1.0 + k + k * k), (1.0 - k + k * k) / (1.0 + k + k * k)]
-    return np.array([k / (1.0 + k), (k - 1.0) / (1.0 + k), *second])
+    """Third-order Butterworth low-pass, (2, 5): two sections, one after the other."""
+    return np.asarray(butter(3, corner_hz * dt_s, fs=1.0, output="sos")[:, [0, 1, 2, 4, 5]])
 
 
-def gain_of(section: Biquad, at_hz: float | FloatArray, dt_s: float) -> FloatArray:
+def _section(sos: FloatArray) -> Biquad:
+    b0, b1, b2, _, a1, a2 = sos[0].tolist()
+    return b0, b1, b2, a1, a2
+
+
+def gain_of(section: Biquad | FloatArray, at_hz: float | FloatArray, dt_s: float) -> FloatArray:
     """|H| of a section at some frequencies."""
     b0, b1, b2, a1, a2 = section
     w = np.exp(-2j * np.pi * at_hz * dt_s)
@@ -238,10 +230,9 @@ def advance_imus(
                     shaken += imu.line[k, i, h, r, 0] * turns[h, r, 0] + imu.line[k, i, h, r, 1] * turns[h, r, 1]
             value += imu.bias[k, i] + noise * normals[row, at]
             value += shaken
-            middle = low[i, 0] * value + state.memory[j, 0]
-            state.memory[j, 0] = low[i, 0] * value - low[i, 1] * middle
-            section = (low[i, 2], low[i, 3], low[i, 4], low[i, 5], low[i, 6])
-            result = biquad(state.memory, j, 1, section, middle)
+            for s in range(2):
+                section = (low[i, s, 0], low[i, s, 1], low[i, s, 2], low[i, s, 3], low[i, s, 4])
+                value = biquad(state.memory, j, 2 * s, section, value)
             if i >= 3 or step % imu.gyro_period == 0:
-                held = min(max(result, -imu.span[i]), imu.span[i])
+                held = min(max(value, -imu.span[i]), imu.span[i])
                 state.reading[k, i] = imu.lsb[i] * np.rint(held / imu.lsb[i])

@@ -138,6 +138,7 @@ def test_a_number_that_is_none_is_not_judged(kind: type[Monitor[Any]]) -> None:
         Signal.SPECIFIC_FORCE: "force",
         Signal.VIBRATION: "vibration",
         Signal.ACTUATOR: "actuator",
+        Signal.ROTOR_SPEED: "rotor_speed",
         Signal.TORQUE_COMMAND: "torque",
         Signal.THRUST_SETPOINT: "thrust",
     }

@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 from made_archive import archive_baseline, made
+from patience import PATIENCE_S
 
 NAMES = ("a.tlog", "b/1.tlog", "b/2.tlog", "c.tlog")
-PATIENCE_S = 60.0
 
 
 @pytest.fixture(scope="module")

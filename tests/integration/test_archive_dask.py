@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 from made_archive import archive_baseline, made
+from patience import PATIENCE_S
 
 pytest.importorskip("distributed", reason="Dask is an extra")
 from dask_cluster import cluster
 
 COUNT = 30
-PATIENCE_S = 60.0
 
 
 @pytest.mark.realtime

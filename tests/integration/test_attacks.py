@@ -381,4 +381,4 @@ def test_sigterm_ends_the_daemon_amid_a_flood() -> None:
         began = time.monotonic()
         code, _ = ended(child, signal.SIGTERM)
         assert code == 0
-        assert time.monotonic() - began < 10.0  # took over 60 s before
+        assert time.monotonic() - began < 40.0  # took over 60 s before, on a machine with nothing else to do

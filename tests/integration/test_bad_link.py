@@ -11,6 +11,7 @@ import time
 import pytest
 from made_session import baseline_for
 from made_vehicle import RATE_HZ, MadeVehicle
+from patience import PATIENCE_S
 from virtual_link import heard
 
 from mavdiag.link.ports import open_endpoint
@@ -65,13 +66,13 @@ def test_the_command_passes_messages_both_ways_and_says_what_became_of_them() ->
         with open_endpoint(address[1].replace("udpin", "udpout")) as vehicle:
             vehicle.send(b"one")
             got: list[bytes] = []
-            give_up = time.monotonic() + 20.0
+            give_up = time.monotonic() + PATIENCE_S
             while len(got) < 2 and time.monotonic() < give_up:
                 got += [data for data, _ in station.receive(0.1)]
             station.send(b"back")
-            back = [data for data, _ in vehicle.receive(5.0)]
+            back = [data for data, _ in vehicle.receive(PATIENCE_S)]
         child.send_signal(signal.SIGINT)
-        said, _ = child.communicate(timeout=20.0)
+        said, _ = child.communicate(timeout=PATIENCE_S)
     assert got == [b"one", b"one"]
     assert back == [b"back"]
     assert child.returncode == 0

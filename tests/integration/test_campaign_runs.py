@@ -17,12 +17,12 @@ from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight, judge_in_full
 from mavdiag.learning import learn
 from mavdiag.telemetry import Log
-from sitl_plant.__main__ import main
 from sitl_plant.campaign import worker
 from sitl_plant.campaign.plan import Design, make_plan
 from sitl_plant.campaign.summary import summarise
 from sitl_plant.campaign.worker import Journal, Results, local_executor, run_campaign
 
+SITL_PLANT = "sitl_plant.__main__"
 TINY = Design(
     seed=4, airframes=1, learn_flights=2, learn="square", flights=3, hours=0.003, duration_s=12.0,
     cause=("F2/SV3", "gyro-noise", "ejection"), phenomenology=(1.0,), manoeuvre=("square",), wind=(0.0,),
@@ -149,41 +149,28 @@ def test_conditions_are_flown_judged_and_told(tmp_path: Path, monkeypatch: pytes
 
 
 def test_b13_fresh_keeps_the_results_if_the_scheduler_cannot_be_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    program: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)  # as if it were not installed
     path = tmp_path / "results.jsonl"
     path.write_text("a result\n")
-    code, _, _ = sitl_plant(["campaign", "-o", str(path), "--fresh", "--scheduler", "tcp://h:1"], monkeypatch, capsys)
+    code, _, _ = program(SITL_PLANT, "campaign", "-o", path, "--fresh", "--scheduler", "tcp://h:1")
     assert code == 2
     assert path.read_text() == "a result\n"
 
 
-def sitl_plant(
-    arguments: Sequence[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of the command."""
-    monkeypatch.setattr(sys, "argv", ["sitl-plant", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    told = capsys.readouterr()
-    return int(ended.value.code or 0), told.out, told.err
-
-
-def test_the_command_reuses_and_reports(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_reuses_and_reports(program: Any, tmp_path: Path) -> None:
     path = tmp_path / "results.jsonl"
     arguments = (
         "campaign", "-o", str(path), "--flights", "1", "--hours", "0", "--airframes", "1", "--learn-flights", "2",
         "--learn", "square", "--duration", "12", "--conditions", "cause=ejection", "--conditions", "wind=0",
         "--workers", "1", "--seed", "2",
     )  # fmt: skip
-    code, out, err = sitl_plant(arguments, monkeypatch, capsys)
+    code, out, err = program(SITL_PLANT, *arguments)
     assert code == 0, err
     assert "ejection" in out
     before = path.read_text()
-    code, out, err = sitl_plant([*arguments, "--json"], monkeypatch, capsys)
+    code, out, err = program(SITL_PLANT, *arguments, "--json")
     assert code == 0, err
     assert "2 results reused; 0 lines" in err
     assert json.loads(out)["flights"] == 1
@@ -194,10 +181,8 @@ def test_the_command_reuses_and_reports(
     "arguments",
     [("--conditions", "wind=strong"), ("--flights", "-3"), ("-o", ".")],
 )
-def test_the_command_says_no_in_one_line(
-    arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_says_no_in_one_line(program: Any, arguments: tuple[str, ...], tmp_path: Path) -> None:
     nothing = ("-o", str(tmp_path / "r.jsonl"), "--flights", "0", "--hours", "0", "--workers", "1")
-    code, _, err = sitl_plant(["campaign", *nothing, *arguments], monkeypatch, capsys)
+    code, _, err = program(SITL_PLANT, "campaign", *nothing, *arguments)
     assert code == 2
     assert len([line for line in err.splitlines() if line.startswith("sitl-plant: ")]) == 1, err

@@ -8,10 +8,10 @@ import time
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 from plant_process import ALERT, companion, flying, process
 
 pytestmark = pytest.mark.realtime
-PATIENCE_S = 40.0
 MODULES = "link,param,output,mode,arm,cmdlong,wp"
 
 

@@ -6,6 +6,7 @@ from collections.abc import AsyncGenerator, Callable
 from typing import TypeVar
 
 import pytest
+from patience import PATIENCE_S
 
 pytest.importorskip("mavsdk", reason="mavsdk is not installed for this platform")
 
@@ -24,7 +25,6 @@ from sitl_plant.autopilot.stream import HOME_ALT_M, HOME_LAT_DEG, HOME_LON_DEG
 
 pytestmark = pytest.mark.realtime
 T = TypeVar("T")
-PATIENCE_S = 20.0
 
 
 async def until(stream: AsyncGenerator[T, None], wanted: Callable[[T], bool]) -> T:

@@ -5,11 +5,13 @@ import signal
 import socket
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
-from detector_process import PATIENCE_S, ended, port_of, ran, running, until
+from detector_process import ended, port_of, ran, running, until
 from made_session import baseline_for
 from made_vehicle import MadeVehicle
+from patience import PATIENCE_S
 
 from mavdiag.link.ports import open_endpoint
 
@@ -24,13 +26,16 @@ def baseline(tmp_path: Path) -> Path:
     return path
 
 
+DETECTOR = "detector.__main__"
+
+
 def free_port() -> int:
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         return int(one.getsockname()[1])
 
 
-def test_check_tells_what_a_start_would_do_and_opens_nothing(baseline: Path, tmp_path: Path) -> None:
+def test_check_tells_what_a_start_would_do_and_opens_nothing(program: Any, baseline: Path, tmp_path: Path) -> None:
     config = tmp_path / "detector.toml"
     config.write_text(
         f'baseline = "{baseline}"\njournal = "{tmp_path}/j.jsonl"\nforward = ["/dev/absent,57600"]\nmetrics = "9100"\n'
@@ -38,13 +43,13 @@ def test_check_tells_what_a_start_would_do_and_opens_nothing(baseline: Path, tmp
     )
     before = sorted(tmp_path.iterdir())
     with open_endpoint("udpin:127.0.0.1:0") as taken:
-        run = ran("--config", str(config), "--connect", taken.address, "--check")
-    assert run.returncode == 0, run.stderr
-    assert [line.split()[0] for line in run.stdout.splitlines()] == [
+        code, out, err = program(DETECTOR, "--config", config, "--connect", taken.address, "--check")
+    assert code == 0, err
+    assert [line.split()[0] for line in out.splitlines()] == [
         *("link", "watches", "judges", "vehicle", "thresholds", "forwards", "journal", "metrics")
     ]
-    assert "made, qdrone2 at 100 Hz, 1 monitors" in run.stdout
-    assert "not now (/dev/absent,57600: no such device" in run.stdout
+    assert "made, qdrone2 at 100 Hz, 1 monitors" in out
+    assert "not now (/dev/absent,57600: no such device" in out
     assert sorted(tmp_path.iterdir()) == before
 
 
@@ -56,11 +61,11 @@ def test_check_tells_what_a_start_would_do_and_opens_nothing(baseline: Path, tmp
         (("--learn", "9", "--save", "absent/b.json"), "there is no folder absent"),
     ],
 )
-def test_check_refuses_what_a_start_would_refuse(options: tuple[str, ...], words: str) -> None:
-    run = ran("--check", *options)
-    assert run.returncode == 2
-    assert words in run.stderr
-    assert len(run.stderr.splitlines()) == 1
+def test_check_refuses_what_a_start_would_refuse(program: Any, options: tuple[str, ...], words: str) -> None:
+    code, _, err = program(DETECTOR, "--check", *options)
+    assert code == 2
+    assert words in err
+    assert len(err.splitlines()) == 1
 
 
 @pytest.mark.realtime

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hil_bytes import answered, controls_bytes, frames_in, mavlink_bytes, servo_bytes
+from patience import PATIENCE_S
 from plant_process import first_line, process
 
 from mavdiag.telemetry import FloatArray
@@ -29,7 +30,6 @@ pytestmark = pytest.mark.realtime
 
 MOTORS = (2, 3, 4, 1)  # quad X of both autopilots: front right, rear left, front left, rear right
 COURSE = Course(height_m=1.2, side_m=1.0, speed_m_s=0.8)
-PATIENCE_S = 20.0
 HOME = (47.397742, 8.545594)
 EARTH_M = 6_371_000.0
 
@@ -178,23 +178,3 @@ def test_a_flight_controller_in_hil_mode_in_real_time() -> None:
         assert plant.wait(PATIENCE_S) == 0
     assert "not in HIL mode" in said
     assert "2.0 s flown" in said
-
-
-BAD = [
-    (["serve-ardupilot", "--listen", "tcpin:127.0.0.1:9002"], "write udpin:HOST:PORT"),
-    (["serve-ardupilot", "--fault", "F1/SV1", "--rotor", "7"], "rotor must be 1 to 4"),
-    (["serve-ardupilot", "--print-parameters", "betaflight"], "give ardupilot or px4"),
-    (["serve-ardupilot", "--truth", "/no/such/folder/t.jsonl", "--listen", "udpin:127.0.0.1:0"], "choose another"),
-    (["serve-px4", "--rate", "5"], "rate"),
-    (["serve-hil", "/dev/no-such-tty,921600"], "no such device"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "says"), BAD, ids=[" ".join(one) for one, _ in BAD])
-def test_what_cannot_be_served_gets_one_line(arguments: list[str], says: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "sitl_plant", *arguments], capture_output=True, text=True, timeout=60, check=False
-    )
-    assert done.returncode == 2
-    assert says in done.stderr
-    assert len(done.stderr.splitlines()) == 1

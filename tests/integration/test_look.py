@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from flying_telemetry import flying
 from made_baselines import logged
-from made_csv import MAP, recording
 from shared_data import shared
 from typer.testing import CliRunner
 
@@ -28,6 +27,34 @@ RUN = CliRunner()
 def emulated(seed: int, seconds: float = 15.0, profile: str = "qdrone2", **config: object) -> Log:
     plant = PlantConfig(seed=seed, **config)  # type: ignore[arg-type]  # of several types
     return Log("flight", "", profile, flight_telemetry(plant, seconds, LinkSpec(profile))[0])
+
+
+#: Times in us, gyro in deg/s and accelerometer in g, both in a frame with y to the left and z up.
+MAP = """
+[time]
+column = "t_us"
+unit = "us"
+
+[body_rate]
+columns = ["gyro_x", "-gyro_y", "-gyro_z"]
+unit = "deg/s"
+
+[specific_force]
+columns = ["acc_x", "-acc_y", "-acc_z"]
+unit = "g"
+"""
+HEADER = "t_us,gyro_x,gyro_y,gyro_z,acc_x,acc_y,acc_z,remark"
+SIGNS = np.array([1.0, -1.0, -1.0])
+
+
+def recording(path: Path, seed: int, seconds: float = 10.0, **config: object) -> Path:
+    """Write a flight of the emulated QDrone 2 at 1 kHz. config: of the plant."""
+    log = emulated(seed, seconds, **config)  # type: ignore[arg-type]  # of several types
+    gyro, force = log[Signal.BODY_RATE], log[Signal.SPECIFIC_FORCE]
+    columns = np.column_stack([gyro.t_ns / 1e3, np.degrees(gyro.values) * SIGNS, force.values / 9.80665 * SIGNS])
+    lines = [",".join(f"{cell:.6f}" for cell in row) + ",a b" for row in columns]
+    path.write_text("\n".join([HEADER, *lines]) + "\n")
+    return path
 
 
 def test_the_rotor_line_stands_at_the_speed_that_the_rotors_tell() -> None:

@@ -104,7 +104,7 @@ def test_all_rotors_reach_the_receiver(name: str, profile: str, rate_hz: float, 
     heard = telemetry_of(frames, profile)
     for signal, truth, tolerance in (
         (Signal.ACTUATOR, samples.duty, 0.6e-3),
-        (Signal.ROTOR_SPEED, samples.rotor_speed, 0.06),
+        (Signal.ROTOR_SPEED, samples.rotor_speed, 0.06 if dialect_named(profile).esc is None else 60.0),  # 0.1 s old
     ):
         series = heard.need(signal)
         last = series.host_ns[-1]
@@ -114,7 +114,7 @@ def test_all_rotors_reach_the_receiver(name: str, profile: str, rate_hz: float, 
     assert beats[0].fields[field_index(MessageId.HEARTBEAT, "type")] == {6: 13, 8: 14}[n]
     count = Counter(frame.msgid for frame in frames)
     if profile == "ardupilot":
-        assert count[11030] == count[11031] == 50
+        assert count[11030] == count[11031] == 10
     else:
         places = [frame.fields[field_index(MessageId.ESC_STATUS, "index")] for frame in frames if frame.msgid == 291]
-        assert places == [0, 4] * 50
+        assert places == [0, 4] * (10 if profile == "px4" else 50)

@@ -1,5 +1,6 @@
 """What the plant sends means what it measured: read back by the library's converter, checked by other formulas."""
 
+import itertools
 from collections.abc import Sequence
 from functools import cache
 
@@ -12,9 +13,9 @@ from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.samples import SampleDecoder, SampleState
 from mavdiag.telemetry import FloatArray, Signal, Telemetry
-from sitl_plant.autopilot.dialect import DIALECTS
+from sitl_plant.autopilot.dialect import DIALECTS, Esc
 from sitl_plant.autopilot.schedule import Schedule
-from sitl_plant.autopilot.stream import ImuFilters, Streamer
+from sitl_plant.autopilot.stream import ImuFilters, Streamer, _EscFrames
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 
 N = 3000  # samples: 3 s of a square flown with a badly unbalanced rotor
@@ -65,6 +66,23 @@ def test_every_message_keeps_the_rate_of_its_profile(profile: str) -> None:
         assert abs(n - N * 1e-3 * rate_hz) <= 1.0, f"{n} of message {msgid} in {N} ms at {rate_hz} Hz"
 
 
+def test_an_esc_tells_its_speed_in_its_turn_in_steps_and_again_what_was_lost() -> None:
+    """However the flight is cut."""
+    samples, esc = flight(), Esc(lost=0.2)
+    whole = _EscFrames(esc, 5).step(samples.t_ns, samples.rotor_speed)
+    cut, at = _EscFrames(esc, 5), [0, 7, 8, 250, N]
+    parts = [cut.step(samples.t_ns[a:b], samples.rotor_speed[a:b]) for a, b in itertools.pairwise(at)]
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+    step = esc.step_rpm * np.pi / 30
+    for rotor, told in enumerate(whole.T):
+        changes = np.flatnonzero(np.diff(told, prepend=np.nan) != 0)
+        changes = changes[np.isfinite(told[changes])][1:]  # the first one was told before
+        np.testing.assert_allclose(told[changes], samples.rotor_speed[changes, rotor], atol=0.51 * step)
+        phases = (samples.t_ns[changes] / 1e9 - 0.1 * rotor / 4) % 0.1
+        assert np.minimum(phases, 0.1 - phases).max() < 0.0011
+        np.testing.assert_allclose(told[changes] / step, np.rint(told[changes] / step), atol=1e-6)
+
+
 @EVERY_PROFILE
 def test_the_converter_reads_back_what_the_plant_measured(profile: str) -> None:
     heard, samples, table = telemetry(profile), flight(), PROFILES[profile]
@@ -75,9 +93,10 @@ def test_the_converter_reads_back_what_the_plant_measured(profile: str) -> None:
         (Signal.ATTITUDE, samples.attitude[:, :3], 1e-6),
         (Signal.HEIGHT, -samples.position[:, 2:], 1e-6),
         (Signal.ACTUATOR, samples.duty, 0.5e-3 * 1.001),  # whole microseconds of 1000
-        (Signal.ROTOR_SPEED, samples.rotor_speed, np.pi / 60 * 1.001),  # whole rpm
         (Signal.VOLTAGE, samples.battery_v[:, None], 0.5e-3 * 1.001),  # whole millivolts
     ]
+    if DIALECTS[profile].esc is None:
+        expected += [(Signal.ROTOR_SPEED, samples.rotor_speed, np.pi / 60 * 1.001)]  # whole rpm
     if table.imu_corner_hz is None:
         unit = (table.gyro_unit, table.accel_unit) if table.imu is MessageId.RAW_IMU else (4e-7, 4e-6)
         expected += [(Signal.BODY_RATE, samples.gyro, 0.501 * unit[0])]

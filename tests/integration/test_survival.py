@@ -19,7 +19,6 @@ from mavdiag.link.messages import MessageId, Severity
 
 UDP_IN = "udpin:127.0.0.1:0"
 WATCH = Settings(connect=UDP_IN, baseline=Path("b.json"))
-PATIENCE_S = 30.0
 
 
 @pytest.fixture

@@ -17,8 +17,8 @@ from detector.states import State
 from detector.web.child import ServerProcess
 from detector.web.snapshot import Level
 from mavdiag.airframe.layout import layout_named
-from mavdiag.drawing import airframe_svg
 from mavdiag.link.ports import open_endpoint
+from mavdiag.report.drawing import airframe_svg
 from mavdiag.telemetry import Axis
 
 pytestmark = pytest.mark.realtime

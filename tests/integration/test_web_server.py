@@ -5,7 +5,7 @@ import socket
 import time
 
 import pytest
-from detector_process import PATIENCE_S, ended, running
+from detector_process import ended, running
 from web_page import Reader, asked, give, serving, wait_for
 
 from detector.web.access import HEADERS
@@ -107,9 +107,7 @@ def test_the_server_ends_with_the_daemon_whatever_ends_that(number: signal.Signa
         line = child.stderr.readline()
         port = int(line.rsplit(":", 1)[1].strip("/\n"))
         assert asked(port).status == 200
-        before = time.monotonic()
         code, rest = ended(child, number)
-    assert time.monotonic() - before < PATIENCE_S / 2
     assert code == (0 if number != signal.SIGKILL else -9)
     assert "Traceback" not in rest
 

@@ -12,8 +12,7 @@ from mavdiag.airframe.load import airframe_named
 from mavdiag.errors import InputError
 from mavdiag.learning import airborne, front_for
 from mavdiag.learning.teaching import taught
-from mavdiag.logs import read_log
-from mavdiag.logs.part import between
+from mavdiag.logs import between, read_log
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import Log
 

@@ -8,7 +8,7 @@ from shared_data import shared
 import mavdiag as md
 from mavdiag.judging import Verdict
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.logs.part import between
+from mavdiag.logs import between
 from mavdiag.telemetry import Signal
 
 STAMP = "1970-01-01T00:00:00+00:00"

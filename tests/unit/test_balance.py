@@ -20,7 +20,6 @@ from mavdiag.errors import UsageError
 
 ROTOR_G, SPEED_RPM = 30.0, 10_000.0  # T 3.2.2
 HEALTHY_MASS_G = 7.198  # T Table 3.2, two of three; the third weighs 7.197 g
-WEIGHING_ERROR_G = 0.0005  # T 3.2.2: half of the last digit of the scales
 SIZES = st.floats(1e-3, 1e3)
 
 

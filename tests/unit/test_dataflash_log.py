@@ -10,17 +10,22 @@ from made_logs import DataFlashMessage, dataflash
 from mavdiag.errors import InputError
 from mavdiag.logs import kinds, read_log
 from mavdiag.logs.dataflash import read_dataflash
+from mavdiag.look.figures import rotor_line
 from mavdiag.telemetry import Log, Signal
+from mavdiag.testing import example_rows
 
 IMU = DataFlashMessage(163, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
 ATT = DataFlashMessage(70, "ATT", "Qccccff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
 RATE_FIELDS = "RDes,R,ROut,PDes,P,POut,YDes,Y,YOut"
 RATE = DataFlashMessage(73, "RATE", "Qfffffffff", f"TimeUS,{RATE_FIELDS}")
 RCOU = DataFlashMessage(62, "RCOU", "QHHHHHH", "TimeUS,C1,C2,C3,C4,C5,C6")
+ESC = DataFlashMessage(63, "ESC", "QBffffcfcf", "TimeUS,Instance,RPM,RawRPM,Volt,Curr,Temp,CTot,MotTemp,Err")
+OLD_ESC = DataFlashMessage(64, "ESC2", "QeCCcH", "TimeUS,RPM,Volt,Curr,Temp,CTot")
+RPMS = DataFlashMessage(65, "RPM", "Qff", "TimeUS,rpm1,rpm2")
+ISBH = DataFlashMessage(67, "ISBH", "QHBBHHQf", "TimeUS,N,type,instance,mul,smp_cnt,SampleUS,smp_rate")
+ISBD = DataFlashMessage(68, "ISBD", "QHHaaa", "TimeUS,N,seqno,x,y,z")
+EDT2 = DataFlashMessage(66, "EDT2", "QBBBB", "TimeUS,Instance,Stress,MaxStress,Status")
 PARM = DataFlashMessage(32, "PARM", "QNf", "TimeUS,Name,Value")
-ARM = DataFlashMessage(186, "ARM", "QB", "TimeUS,ArmState")
-EV = DataFlashMessage(13, "EV", "B", "Id")
-GPS = DataFlashMessage(90, "GPS", "QBIH", "TimeUS,Status,GMS,GWk")
 OLD_RATE = DataFlashMessage(29, "RATE", "Ifffffffff", f"TimeMS,{RATE_FIELDS}")
 
 
@@ -67,6 +72,54 @@ def test_outputs_follow_the_motor_functions(tmp_path: Path) -> None:
     outputs = RCOU.record(2, 1100, 1200, 1300, 1400, 1500, 0)
     log = read(tmp_path, dataflash([PARM, RCOU], [*parameters, outputs]))
     assert first(log, Signal.ACTUATOR) == pytest.approx([0.3, 0.2, 0.5])
+
+
+def told(time_us: int, instance: int, rpm: float) -> bytes:
+    return ESC.record(time_us, instance, rpm + 100, rpm, 16, 4, 3000, 0, 3000, 0)
+
+
+def test_speeds_of_escs_follow_the_motor_functions_and_grow_old(tmp_path: Path) -> None:
+    functions = {1: 0, 2: 34, 3: 33, 5: 35}
+    parameters = [PARM.record(1, f"SERVO{n}_FUNCTION".encode(), value) for n, value in functions.items()]
+    records = [told(10, 1, 6000), told(20, 2, -3000), told(30, 4, 600), told(1_600_000, 1, 6600)]
+    log = read(tmp_path, dataflash([PARM, ESC], [*parameters, *records]))
+    expected = np.array([[np.nan, 200, np.nan], [100, 200, np.nan], [100, 200, 20], [np.nan, 220, np.nan]])
+    np.testing.assert_allclose(log[Signal.ROTOR_SPEED].values, expected * math.pi, rtol=1e-6)
+    assert log.motor_order
+
+
+def test_older_and_other_messages_tell_speeds_where_it_is_known_of_which_rotor(tmp_path: Path) -> None:
+    old = read(tmp_path, dataflash([OLD_ESC], [OLD_ESC.record(10, 600_000, 1600, 400, 3000, 0)]))
+    np.testing.assert_allclose(old[Signal.ROTOR_SPEED].values, [[np.nan, 200 * math.pi]])
+    masks = [PARM.record(1, b"RPM1_ESC_MASK", 4), PARM.record(1, b"RPM2_ESC_MASK", 3)]
+    log = read(tmp_path, dataflash([PARM, RPMS], [*masks, RPMS.record(10, 6000, 600)]))
+    np.testing.assert_allclose(log[Signal.ROTOR_SPEED].values, [[np.nan, np.nan, 200 * math.pi]])
+    unknown = read(tmp_path, dataflash([IMU, RPMS], [imu(1), RPMS.record(10, 6000, 600)]))
+    assert unknown.telemetry.get(Signal.ROTOR_SPEED) is None
+
+
+def test_what_an_esc_complains_of_is_told(tmp_path: Path) -> None:
+    log = read(tmp_path, dataflash([IMU, EDT2], [imu(1), EDT2.record(2, 2, 9, 9, 3), EDT2.record(3, 2, 9, 9, 8 | 16)]))
+    assert log.notes == ("ESC 3 told a warning", "ESC 3 told an error")
+
+
+def test_raw_batches_are_read_up_to_their_first_gap_and_show_the_line_of_the_rotors(tmp_path: Path) -> None:
+    waves = np.rint(1000 * np.sin(math.tau * 167 * np.arange(1024) / 1000)).astype(int).reshape(32, 32)
+    still, records = [0] * 32, [imu(1)]
+    for batch, (kind, lost) in enumerate([(0, None), (1, None), (0, 20)]):  # the gyro has its turn
+        records.append(ISBH.record(2_000_000 * batch, batch, kind, 0, 100, 1024, 2_000_000 * batch + 5, 1000.0))
+        rows = [k for k in range(32) if k != lost]
+        records += [ISBD.record(9, batch, k, *waves[k].tolist(), *still, *still) for k in rows]
+    log = read(tmp_path, dataflash([IMU, ISBH, ISBD], records))
+    assert [(one.t_ns, one.rate_hz, one.force.shape) for one in log.batches] == [
+        (5_000, 1000.0, (1024, 3)),
+        (4_000_005_000, 1000.0, (640, 3)),
+    ]
+    assert np.abs(log.batches[0].force[:, 0]).max() == pytest.approx(10.0, rel=0.01)
+    flight = [example_rows(600).block]
+    found = rotor_line(flight, 20.0, math.nan, log.batches)
+    assert found.hz == pytest.approx(167, abs=2)
+    assert "low-passed" in rotor_line(flight, 20.0, math.nan).reason
 
 
 @pytest.mark.parametrize("content", [dataflash([IMU, ATT], []), b"\xa3\x95\x80\x80", b"\xa3\x95", b"text", b""])

@@ -72,6 +72,12 @@ def test_coming_near_is_suspected_and_goes_away_after_two_calm_seconds() -> None
     assert events == ()
 
 
+def test_a_suspicion_names_the_rotor_that_is_to_be_inspected() -> None:
+    state, _, changes = decided(values(profile((2, 0.3), (1, 0.42), (4, 0.3)), rotor=3))
+    assert [(one.stage, one.rotor) for one in changes[1:]] == [(Stage.SUSPECTED, 3), (Stage.QUIET, None)]
+    assert state.diagnosis.rotor is None
+
+
 def seen(changes: tuple[Change, ...]) -> list[bool]:
     return [change.seen for change in changes if change.stage is Stage.FAULT]
 

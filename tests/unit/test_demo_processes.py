@@ -4,6 +4,7 @@ import time
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 
 from mavdiag.demo.subprocesses import child
 from mavdiag.errors import LinkError
@@ -25,12 +26,12 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 @pytest.mark.realtime
 def test_b15_a_process_that_died_is_not_waited_for_and_a_timeout_is_of_the_whole_wait(module: str) -> None:
     with child(module, "0") as one:
-        assert one.wait_for("last", 20.0) == "last line"
+        assert one.wait_for("last", PATIENCE_S) == "last line"
         begun = time.monotonic()
         with pytest.raises(LinkError, match="made_program stopped: last line"):
-            one.wait_for("ready", 20.0)
-        assert time.monotonic() - begun < 10.0
-    with child(module, "100") as one:
-        one.wait_for("first", 20.0)
+            one.wait_for("ready", 10 * PATIENCE_S)
+        assert time.monotonic() - begun < PATIENCE_S
+    with child(module, "1000") as one:
+        one.wait_for("first", PATIENCE_S)
         with pytest.raises(LinkError, match="did not get ready: tick"):
             one.wait_for("ready", 1.0)

@@ -7,9 +7,6 @@ from detector.fitting import FittingJob, ProcessFitter
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.telemetry import Telemetry
 
-AIRFRAME = Airframe(name="survey quad", mass_kg=1.2)
-JOB = FittingJob(1, AIRFRAME, "qdrone2", Telemetry())
-
 
 def test_only_its_own_process_is_ended() -> None:
     context = multiprocessing.get_context("spawn")

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavdiag.airframe.layout import LAYOUTS, Place, RotorLayout, layout_at, layout_named
-from mavdiag.drawing import SIZE, RotorMark, airframe_svg
+from mavdiag.report.drawing import SIZE, RotorMark, airframe_svg
 
 SVG = "{http://www.w3.org/2000/svg}"
 COAXIAL = layout_at("y6", [Place(x, y, spin) for x, y in ((1, 1), (1, -1), (-1, 0)) for spin in ("cw", "ccw")])

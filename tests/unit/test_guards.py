@@ -11,7 +11,7 @@ from made_baselines import ALWAYS, FRAME, NOW, healthy
 from mavdiag.errors import InputError
 from mavdiag.learning import LearnOptions, airborne, front_for, learn
 from mavdiag.learning.teaching import far_blocks, repeated, taught, upsets
-from mavdiag.logs.part import between
+from mavdiag.logs import between
 from mavdiag.rows.align import Grid
 from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
 
@@ -210,6 +210,6 @@ def test_a_threshold_that_its_statistic_cannot_reach_is_not_judged_by() -> None:
     noisy = [replace(log, name=f"n{i}") for i, log in enumerate(two_vehicles(1, 0.6))]
     found = learn(noisy, replace(OPTIONS, monitors=("rotor_trim", "trim_step")), created=NOW)
     (trim,) = [one for one in found.not_judgeable if one.monitor == "rotor_trim"]
-    assert "cannot be reached (0.5 at most)" in trim.reason
+    assert "cannot be reached (0.5 at most), blind to losses below " in trim.reason
     assert "rotor_trim" not in {entry.spec.kind for entry in found.monitors}
     assert (found.grade, "odd" in found.weak or "n3" in found.weak) == ("D", True)

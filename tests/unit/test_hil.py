@@ -22,7 +22,7 @@ from sitl_plant.physics.faults import Injection
 from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import Hil, HilPilot, allocation, qdrone2, vehicle_named
 
-OFF, HOVER, CLIMB = [1000] * 4, [1520] * 4, [1600] * 4
+OFF, CLIMB = [1000] * 4, [1600] * 4
 
 
 def lockstep(*faults: Injection, **options: float) -> tuple[Lockstep, Simulation]:

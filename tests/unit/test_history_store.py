@@ -10,6 +10,7 @@ import pytest
 from made_history import record, records
 from made_postgres import postgres
 
+from mavdiag.archive.together import Reference, Taught
 from mavdiag.errors import MavdiagError, UsageError
 from mavdiag.judging import Verdict
 
@@ -49,6 +50,17 @@ def test_what_is_kept_comes_back_in_order_of_time(database: str) -> None:
         assert history.names() == ("one",)
         assert history.flights("one") == (unknown, *kept)  # added on the first of January
         assert history.flights("another") == ()
+
+
+def test_what_a_baseline_s_flights_are_compared_with_is_kept_once(database: str) -> None:
+    taught = (Taught("a" * 64, 0, 0, 0, 60.0, (0.0, 0.01, 0.02)),)
+    reference = Reference("sha256:1", ((0.25, -0.25),) * 3, taught)
+    with open_history(database, create=True) as history:
+        history.refer(reference)
+        history.refer(reference)
+        history.refer(replace(reference, baseline="sha256:2"))
+    with open_history(database) as history:
+        assert history.references() == (reference, replace(reference, baseline="sha256:2"))
 
 
 def test_a_flight_is_kept_once_and_replaced_when_asked(database: str) -> None:

@@ -128,6 +128,20 @@ def test_one_wild_sample_adds_no_more_than_its_bound() -> None:
     np.testing.assert_allclose(shocked.value[1200:], calm.value[1200:], atol=1e-3)
 
 
+def test_one_rough_row_more_makes_no_leap() -> None:
+    spec = fit([[responding(6000, 11)]])
+    rate = np.random.default_rng(12).normal(0, 0.02, (1200, 3))
+    squares = []
+    for many in range(25):
+        rough = rate.copy()
+        rough[800 : 800 + many] += 0.5 * (-1.0) ** np.arange(many)[:, np.newaxis]  # each row far from the one before
+        squares.append(float(read(spec, example_rows(1200, DT_S, rate=rough)).value[:850].max()) ** 2)
+    most = squares[-1]
+    assert most > 100
+    assert max(np.diff(squares)) < 0.12 * most  # 24 rows: even steps would be 0.04
+    assert squares == sorted(squares)
+
+
 def test_refusals() -> None:
     with pytest.raises(IdentificationError, match="500 are needed"):
         fit([[responding(300, 13)]])

@@ -1,5 +1,6 @@
 """Verdicts on logs: a fault, healthy by whom, and not judgeable why."""
 
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -17,6 +18,7 @@ from mavdiag.decision.alarm import Stage
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, exit_code, judge, judge_in_full
 from mavdiag.learning import LearnOptions, learn
+from mavdiag.logs import between
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import FloatArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -239,3 +241,18 @@ def test_f2_ground_time_at_the_start_of_a_log_is_not_compared_with_flight(span_s
     quiet = changed(flying(6000, 1), Signal.BODY_RATE, 0.0, 99.0, 0.0)
     other = Telemetry(tuple(one for one in quiet.series if one.signal is not Signal.THRUST_SETPOINT))
     assert judge(logged(other), base).verdict is Verdict.NOT_JUDGEABLE
+
+
+def test_judging_a_longer_log_takes_no_more_memory_than_its_signals(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mavdiag.judging.PIECE_ROWS", 1000)
+    log, most, size = logged(flying(18_000, 5)), [], []
+    judge(replace(log, telemetry=between(log.telemetry, 0.0, 30.0)), whole())  # the first time loads
+    for seconds in (60.0, 180.0):
+        part = replace(log, telemetry=between(log.telemetry, 0.0, seconds))
+        size.append(sum(series.t_ns.nbytes + series.values.nbytes for series in part.telemetry.series))
+        tracemalloc.start()
+        judge(part, whole())
+        most.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    # what is believed of the signals; rows would take three times as much
+    assert most[1] - most[0] < 1.5 * (size[1] - size[0])

@@ -1,5 +1,6 @@
 """What kind of fault it is, whose evidence counts how much, and when a rotor is named: alone, and in the decision."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -8,13 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_statistics import decide, made_slot, statistic
 
+from mavdiag.airframe.layout import Motor, layout_named
 from mavdiag.decision.alarm import DecisionSpec, DecisionState
 from mavdiag.decision.diagnosis import Change, Event, Stage
 from mavdiag.decision.kinds import Reading, grown, isolate, named
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import FaultKind, RotorEvidence
 from mavdiag.monitors.rotor_signature import RotorSignature
-from mavdiag.monitors.rotor_trim import RotorTrim
+from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
 from mavdiag.monitors.unbalance import Unbalance
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
@@ -177,3 +179,20 @@ def test_16_monitors_of_different_layouts_do_not_end_the_session() -> None:
     four = reading(RotorEvidence(8.0), 4.0, 0.5, (0.1, 0.9, -0.4, -0.5))
     three = reading(RotorEvidence(8.0), 4.0, 0.5, (0.9, 0.1, -0.4))
     assert isolate([three, four, three]).rotor == isolate([four]).rotor == 2
+
+
+def test_rotors_of_an_arm_are_one_place() -> None:
+    """Evidence that fits both rotors of an arm names the arm, where two rotors alike would name none."""
+    how, both = RotorEvidence(8.0), (0.9, 0.1, 0.0, 0.9)
+    apart = reading(how, 2.0, 0.5, both)
+    arms = replace(how, arms=(Motor(1, 4), Motor(2, 3)))
+    slot, trim = (
+        made_slot("any", 0.5, evidence=arms),
+        RotorTrimSpec(layout=layout_named("x"), source="actuator", spread=(1.0, 1.0, 1.0)),
+    )
+    together = Reading.of(replace(slot, monitor=RotorTrim(trim)), 2.0, 0.9, both)
+    assert together.rotors == (0.9, 0.1)
+    assert isolate([apart]).rotor is None
+    named = isolate([together]).rotor
+    assert (named, str(named), f"{named}") == (1, "1/4", "1/4")
+    assert pickle.loads(pickle.dumps(named)).members == (1, 4)

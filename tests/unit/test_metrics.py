@@ -1,5 +1,6 @@
 """The page of figures: what it has, that its label sets are bounded, and what the health command reads from it."""
 
+import json
 import re
 import socket
 import threading
@@ -13,7 +14,7 @@ from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle
 
 from detector.config import Settings
-from detector.metrics import Metrics
+from detector.metrics import COUNTERS, GAUGES, Metrics
 
 
 @pytest.fixture
@@ -85,3 +86,22 @@ def test_requests_that_are_never_ended_cost_no_thread_and_hide_no_page(metrics: 
         assert threading.active_count() == threads
         assert "mavdiag_state" in page(metrics)
     bench.close()
+
+
+def test_the_dashboard_asks_only_for_figures_and_labels_that_there_are(metrics: Metrics) -> None:
+    text = Path(__file__).parents[2].joinpath("deploy", "grafana-dashboard.json").read_text()
+    board = json.loads(text)
+    bench = flown(metrics, vehicles=2)
+    bench.close()
+    served = page(metrics)
+    known = set(re.findall(r"^# TYPE (\w+) ", served, re.MULTILINE))
+    known |= {f"{name}_{more}" for name in known for more in ("bucket", "total")}
+    asked = set(re.findall(r"mavdiag_\w+", text))
+    assert len(asked) >= 12
+    assert asked <= known
+    labels = {label for _, of in (GAUGES | COUNTERS).values() for label in of}
+    for panel in board["panels"]:
+        for target in panel["targets"]:
+            assert set(re.findall(r"{{(\w+)}}", target["legendFormat"])) <= labels
+    places = [(one["x"], one["y"]) for one in (panel["gridPos"] for panel in board["panels"])]
+    assert len(set(places)) == len(places)

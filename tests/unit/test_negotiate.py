@@ -12,15 +12,12 @@ from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId
 from mavdiag.link.profiles import LAST_RESORT
 from mavdiag.link.vehicles import Ack
 from mavdiag.link.wants import Want
-from mavdiag.monitors import MONITORS
 from mavdiag.telemetry import Instant, Signal
 
 TICK_S = 0.04
-NEEDS = frozenset[Signal]().union(*(monitor.needs for monitor in MONITORS))
 GYRO = Want(
     Signal.BODY_RATE, MessageId.RAW_IMU, 100.0, 98.0, 102.0, mandatory=True, others=(MessageId.HIGHRES_IMU, LAST_RESORT)
 )
-OUTPUTS = Want(Signal.ACTUATOR, MessageId.SERVO_OUTPUT_RAW, 25.0, 10.0)
 
 
 @dataclass

@@ -117,7 +117,7 @@ def test_friction_holds_below_its_limit_without_creeping(push: tuple[float, floa
     np.testing.assert_allclose(x[:3], settled, atol=1e-9)
 
 
-K_F, RATIO, HOVER = 3.364e-6, 68.9055, 1047.2
+K_F, HOVER = 3.364e-6, 1047.2
 G_MM = 1e-6
 
 

@@ -1,4 +1,4 @@
-"""Attitude estimate and controllers: closed forms, directions, limits; the manufacturer's by scipy and as printed."""
+"""Attitude estimate and controllers: closed forms, directions, limits."""
 
 import math
 from typing import Any
@@ -9,16 +9,10 @@ from plant_cases import nominal_airframe
 
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.airframe import NO_PAYLOAD
-from sitl_plant.physics.control import (
-    Controller,
-    ControlState,
-    control,
-    low_pass_transition,
-    second_order,
-)
+from sitl_plant.physics.control import Controller, ControlState, control
 from sitl_plant.physics.parameters import make_model
 from sitl_plant.physics.trajectory import DISARMED, FLYING, IDLE, LANDING, SHUTDOWN, Shape, path
-from sitl_plant.vehicle import qdrone2, vehicle_named
+from sitl_plant.vehicle import qdrone2
 
 WEIGHT = 1.504 * 9.81
 
@@ -113,17 +107,3 @@ def test_motors_are_off_or_idle_on_the_ground_and_the_integrals_wait(
         np.testing.assert_array_equal(state.duty, duty)
         np.testing.assert_array_equal(state.integral, fresh().integral)
         assert state.wrench[0] == pytest.approx(forces(state.duty).sum())
-
-
-VEHICLE = vehicle_named("qdrone2-recorded")
-
-
-@pytest.mark.parametrize(("wn", "zeta"), [(120.0, 1.0), (100.0, 0.7), (50.0, 1.0), (377.0, math.sqrt(0.5))])
-def test_second_order_filter_is_the_exponential_of_its_matrix(wn: float, zeta: float) -> None:
-    from scipy.linalg import expm
-
-    exact = expm(np.array([[0.0, 1.0], [-wn * wn, -2 * zeta * wn]]) * 0.001)
-    np.testing.assert_allclose(np.reshape(second_order(wn, zeta, 0.001), (2, 2)), exact, rtol=1e-12, atol=1e-15)
-    if zeta == math.sqrt(0.5):  # a Butterworth's
-        found = np.reshape(low_pass_transition(wn / (2 * math.pi), 0.001), (2, 2))
-        np.testing.assert_allclose(found, exact, rtol=1e-12, atol=1e-15)

@@ -19,10 +19,8 @@ from sitl_plant.physics.sensors import (
     SensorCondition,
     advance_imu,
     butterworth,
-    butterworth3,
     feel,
     gain_of,
-    high_pass,
     mode,
 )
 from sitl_plant.vehicle import vehicle_named
@@ -96,20 +94,6 @@ def test_the_filter_is_the_bilinear_transform_of_a_driven_mode(hz: float, dampin
 
 
 VEHICLE = vehicle_named("qdrone2-recorded")
-
-
-@pytest.mark.parametrize("corner", [40.0, 125.0, 400.0])
-def test_filters_are_those_of_scipy(corner: float) -> None:
-    from scipy.signal import butter
-
-    b, a, b0, b1, b2, a1, a2 = butterworth3(corner, 0.001)
-    numerator, denominator = butter(3, corner, fs=1000.0)
-    np.testing.assert_allclose(np.polymul([b, b], [b0, b1, b2]), numerator, atol=1e-12)
-    np.testing.assert_allclose(np.polymul([1.0, a], [1.0, a1, a2]), denominator, atol=1e-12)
-    numerator, denominator = butter(2, corner, "highpass", fs=1000.0)
-    np.testing.assert_allclose([*high_pass(corner, 0.001)], [*numerator, *denominator[1:]], atol=1e-12)
-    numerator, denominator = butter(2, corner, fs=1000.0)
-    np.testing.assert_allclose([*butterworth(corner, 0.001)], [*numerator, *denominator[1:]], atol=1e-12)
 
 
 def test_specimens_are_the_measured_ones_or_drawn_between_them() -> None:

@@ -193,8 +193,8 @@ def silent(count: int) -> list[Log]:
 def test_an_unknown_layout_is_loud_in_the_baseline_and_in_every_verdict() -> None:
     baseline = taught(silent(2))
     line = (
-        "rotor layout unknown: the data carry no rotor outputs that move; rotor_signature, rotor_trim, trim_step "
-        "do not judge, and no rotor is named; name it with --layout or --airframe"
+        "rotor layout unknown: the data carry no rotor outputs that move; rotor_signature, rotor_trim, rotor_speed, "
+        "trim_step do not judge, and no rotor is named; name it with --layout or --airframe"
     )
     assert line in str(baseline).splitlines()
     verdict = judge(silent(1)[0], baseline)
@@ -211,3 +211,16 @@ def test_an_airframe_has_the_layout_of_its_file_or_the_one_that_is_told() -> Non
         with_layout(Airframe(name="a", layout=layout_named("x")), "plus")
     with pytest.raises(UsageError, match="no layout 'y'"):
         with_layout(UNKNOWN, "y")
+
+
+@pytest.mark.parametrize(("name", "weak", "arm"), [("x8", 6, "1/6"), ("y6", 4, "4/6"), ("y6b", 1, "1/2")])
+def test_the_arm_is_named_where_rotors_share_one(name: str, weak: int, arm: str) -> None:
+    """X8 and Y6: both rotors of an arm move roll and pitch alike."""
+    airframe = with_layout(UNKNOWN, name)
+    taught = [Log(f"{seed}", f"{seed:064x}", "px4", flying(3000, seed, layout=name)) for seed in (1, 2)]
+    base = learn(taught, LearnOptions(airframe=airframe, monitors=("rotor_trim", "trim_step")), created=NOW)
+    found = judge(Log("weak", "", "px4", flying(3000, 3, layout=name, weak_rotor=weak, rise=0.4)), base)
+    assert found.verdict is Verdict.FAULT
+    assert f"rotor {arm}" in found.reason
+    assert found.rotor == int(arm[0])
+    assert json.loads(json.dumps(found.rotor)) == int(arm[0])

@@ -15,7 +15,7 @@ from mavdiag.monitors.base import Flights
 from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import FloatArray, Signal
+from mavdiag.telemetry import FloatArray, Signal, Three
 from mavdiag.testing import example_context, example_rows
 
 CALM = (0.03, 0.03, 0.01)
@@ -127,35 +127,50 @@ def test_why_it_cannot_judge() -> None:
         fit([[example_rows(300, actuator=outputs[:300])]], "x")
 
 
-def turning(seconds: float, seed: int, law: tuple[float, float], nose: float = 1.0) -> Rows:
-    """A vehicle whose nose turns to and fro, commanded by b1 r + b2 dr/dt of hover."""
+def turning(seconds: float, seed: int, law: Three, nose: float = 1.0) -> Rows:
+    """A vehicle whose nose turns to and fro, commanded by m + b3 dm/dt = b1 r + b2 dr/dt of hover."""
     rng, n = np.random.default_rng(seed), round(seconds / 0.01)
-    t = 0.01 * np.arange(n)
-    rate = np.stack((0 * t, 0 * t, nose * np.sin(0.6 * t)), axis=1) + rng.normal(0.0, 0.01, (n, 3))
-    yaw = law[0] * nose * np.sin(0.6 * t) + law[1] * nose * 0.6 * np.cos(0.6 * t)
+    t, waves, (b1, b2, b3) = 0.01 * np.arange(n), np.array([0.6, 1.7]), law
+    turn = nose * np.exp(1j * np.outer(t, waves))  # the law is linear: each wave passes it alone
+    rate = np.stack((0 * t, 0 * t, turn.imag.sum(axis=1)), axis=1) + rng.normal(0.0, 0.01, (n, 3))
+    yaw = (turn * (b1 + 1j * waves * b2) / (1 + 1j * waves * b3)).imag.sum(axis=1)
     w = np.outer(yaw, layout_named("x").mixing[:, 2])
     return example_rows(n, rate=rate, actuator=0.5 * (1 + w) + rng.normal(0.0, 0.002, (n, 4)))
 
 
-@pytest.mark.parametrize("law", [(0.1, 0.05), (0.0, 0.03), (-0.05, 0.08)])
-def test_what_a_turn_takes_is_learnt_and_taken_off(law: tuple[float, float]) -> None:
+@pytest.mark.parametrize("law", [(0.1, 0.05, 0.0), (0.0, 0.03, 0.2), (-0.05, 0.08, 0.1)])
+def test_what_a_turn_takes_is_learnt_and_taken_off(law: Three) -> None:
     spec = fit([[turning(120, 1, law)]], "x")
-    np.testing.assert_allclose(spec.turn, law, atol=0.01)
+    np.testing.assert_allclose(spec.turn, law, atol=0.02)
     assert spec.spread[2] < 0.003
     calm = read(spec, [turning(60, 2, law)])
     assert calm.value[calm.valid].max() < RotorTrim.prior.least
-    straight = replace(spec, turn=(0.0, 0.0))
+    straight = replace(spec, turn=(0.0, 0.0, 0.0))
     assert read(straight, [turning(60, 2, law)]).value.max() > 2 * calm.value[calm.valid].max()
+
+
+def test_the_errors_of_the_law_are_those_of_its_fits() -> None:
+    """P is the covariance over flights, and the ticks of a window count as one: P is no smaller."""
+    law = (0.1, 0.05, 0.1)
+    fits = [fit([[turning(60, seed, law, nose=0.05)]], "x") for seed in range(10)]
+    off = np.array([spec.turn for spec in fits]) - law
+    assert (np.square(off).mean(axis=0) < np.diag(fits[0].turn_covariance)).all()
+    still = fit([[turning(60, 1, law, nose=0.001)]], "x")
+    np.testing.assert_allclose(np.sqrt(np.diag(still.turn_covariance))[:2], (0.1, 0.04), rtol=0.15)
+    told = RotorTrim(still).blindness(0.1)
+    assert told.startswith("blind to losses below 9 % of one rotor's thrust, and to the yaw pattern ++-- where")
+    assert float(told.removesuffix(" rad/s").split()[-1]) == pytest.approx(0.25, rel=0.1)
 
 
 def test_a_nose_that_hardly_turns_leaves_the_law_near_its_prior() -> None:
     """The noise of the gyro looks like a turn that takes nothing."""
-    assert fit([[turning(60, 3, (0.1, 0.05), nose=0.001)]], "x").turn == pytest.approx((0.0, 0.04), abs=0.01)
+    found = fit([[turning(60, 3, (0.1, 0.05, 0.0), nose=0.001)]], "x")
+    assert found.turn == pytest.approx((0.0, 0.04, 0.0), abs=0.01)
 
 
 def test_sudden_turns_explain_themselves_whenever_a_tick_begins() -> None:
     """Steps of the yaw rate with 5 rad/s^2, as PX4 flies them: medians of half a second missed the peaks."""
-    rng, n, law = np.random.default_rng(8), 12_000, (0.02, 0.05)
+    rng, n, law = np.random.default_rng(8), 12_000, (0.02, 0.05, 0.0)
     acceleration = np.zeros(n)
     for first in range(300, n - 700, 700):
         acceleration[first : first + 20], acceleration[first + 130 : first + 150] = 5.0, -5.0

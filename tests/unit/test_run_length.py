@@ -22,12 +22,15 @@ CONTEXT = replace(example_context(), window=11)
 levels = st.lists(st.tuples(st.sampled_from([0.0, 0.5, 1.0, 1.5, -2.0]), st.booleans()), min_size=1, max_size=60)
 
 
-@given(rows=levels)
-def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[float, bool]]) -> None:
+@given(rows=levels, axis=st.sampled_from(Axis))
+def test_fsd_counts_consecutive_judged_rows_of_its_axis_above_the_margin(
+    rows: list[tuple[float, bool]], axis: Axis
+) -> None:
     flown, n = example_rows(len(rows) + 4), len(rows)
-    rates = replace(flown.rates, y=np.tile([[x] for x, _ in rows], 3), commanded=np.array([v for _, v in rows]))
+    turned, judged = (np.array(column) for column in zip(*rows, strict=True))
+    rates = replace(flown.rates, y=np.outer(turned, np.eye(3)[axis.column]), commanded=judged)
     still = ModelRecord(a=(1.0, 0.0), b=(0.0,), dt_s=DT_S, order=(1, 1, 0), method=Method.LS)
-    monitor = RunLength(RunLengthSpec(axis=Axis.ROLL, model=still, margin_rad_s=1.0))
+    monitor = RunLength(RunLengthSpec(axis=axis, model=still, margin_rad_s=1.0))
     _, found = monitor.step(monitor.start(), Rows(flown.block, rates))
     expected, count = [], 0
     for x, v in rows:

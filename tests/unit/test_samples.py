@@ -14,7 +14,6 @@ from mavdiag.link.profiles import PROFILES, Evidence, detect_profile, with_imu
 from mavdiag.link.samples import SOURCES, Form, Part, SampleDecoder, SampleState, Source, euler_angles, joined
 from mavdiag.telemetry import FloatArray, Signal, Telemetry
 
-G = 9.80665
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 ARMED = (MavType.QUADROTOR, 3, ModeFlag.SAFETY_ARMED, 0, 4, 3)
 

@@ -21,7 +21,6 @@ from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
 
 CALM = (0.03, 0.02, 0.01)
-LEVEL = np.zeros((1, 2))
 frames = st.sampled_from(sorted(LAYOUTS))
 shifts = st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3)
 

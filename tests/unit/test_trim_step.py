@@ -6,7 +6,7 @@ import pytest
 from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.errors import IdentificationError
 from mavdiag.monitors.columns import COVERED, columns_of, no_past
-from mavdiag.monitors.rotor_trim import TICK_S, WINDOW_S
+from mavdiag.monitors.rotor_trim import WINDOW_S
 from mavdiag.monitors.trim_step import MEMORY_S, TrimStep, TrimStepSpec
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
@@ -15,7 +15,6 @@ from mavdiag.testing import example_context, example_rows
 CALM = (0.03, 0.03, 0.01)
 LEAST = TrimStep.prior.least
 DT_S = 0.02
-TICK = round(TICK_S / DT_S)
 ROTORS = [(frame, rotor) for frame in sorted(LAYOUTS) for rotor in range(layout_named(frame).rotors)]
 
 

@@ -9,7 +9,7 @@ from made_logs import ULOG_HEAD, ULogTopic, ulog, ulog_message
 
 from mavdiag.errors import InputError
 from mavdiag.logs import read_log
-from mavdiag.logs.ulog import read_ulog
+from mavdiag.logs.ulog import _by_motor, read_ulog
 from mavdiag.telemetry import Log, Signal
 
 STAMP = ("uint64_t", "timestamp")
@@ -29,12 +29,10 @@ OLD_SETPOINT = ULogTopic(
     "vehicle_attitude_setpoint",
     (STAMP, ("float", "roll_body"), ("float", "pitch_body"), ("float", "yaw_body"), ("float", "thrust")),
 )
-ATTITUDE = ULogTopic(3, "vehicle_attitude", (STAMP, ("uint64_t", "timestamp_sample"), ("float[4]", "q")))
 MOTORS = ULogTopic(4, "actuator_motors", (STAMP, ("float[12]", "control")))
 OUTPUTS = ULogTopic(5, "actuator_outputs", (STAMP, ("float[16]", "output")))
 STATUS = ULogTopic(7, "vehicle_status", (STAMP, ("uint8_t", "arming_state")))
 POSITION = ULogTopic(8, "vehicle_local_position", (STAMP, ("float", "z")))
-GPS = ULogTopic(9, "vehicle_gps_position", (STAMP, ("uint64_t", "time_utc_usec")))
 HALF, NAN = math.sqrt(0.5), math.nan
 
 
@@ -104,3 +102,11 @@ def test_l6_outputs_that_never_move_are_no_motors(tmp_path: Path) -> None:
     rows = [OUTPUTS.record(1_000 * k, 1100.0 + k, 1200.0, 1300.0 + k, *still, *(0.0,) * 11) for k in range(1, 9)]
     log = read(tmp_path, ulog([SENSORS, OUTPUTS], [sensors(1_000), *rows]))
     assert log["actuator"].values.shape == (8, 3)
+
+
+def test_speeds_of_escs_go_to_the_motors_that_they_drive() -> None:
+    """PX4 since 1.13 says of each ESC which motor it drives: 101 is the first."""
+    speeds, functions = [6000, -3000, 600, *[0] * 5], [102, 101, 104, *[0] * 5]
+    found = _by_motor(np.array([[*speeds, *functions]], dtype=np.float64))
+    np.testing.assert_allclose(found, [[100 * math.pi, 200 * math.pi, NAN, 20 * math.pi]])
+    assert _by_motor(np.zeros((1, 16))).size == 0  # they say nothing: the ESCs' own order counts

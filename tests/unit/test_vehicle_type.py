@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 from made_logs import DataFlashMessage, ULogTopic, dataflash, ulog, ulog_message
-from typer.testing import CliRunner
 
 import mavdiag as md
 from mavdiag.airframe.vehicle_type import MULTIROTORS
@@ -15,7 +14,6 @@ from mavdiag.link.messages import MessageId
 from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.logs.tlog import tlog_record, vehicle_stream
 
-RUN = CliRunner()
 BOAT = "a boat (MAV_TYPE 11): mavdiag judges multirotors only"
 START_US = 1_763_000_000_000_000
 LEVEL = (1.0, 0.0, 0.0, 0.0)

@@ -5,7 +5,7 @@ import struct
 import pytest
 from memory_port import memory_pair
 
-from mavdiag.link.codec import Decoder, Encoder, message_name
+from mavdiag.link.codec import NO_FRAMES, Decoder, Encoder, message_name
 from mavdiag.link.link import Link
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
 from mavdiag.link.profiles import PROFILES
@@ -171,6 +171,6 @@ def test_made_up_parameters_cost_a_bounded_amount() -> None:
     frames = Decoder().feed(b"".join(told(sender.encoder, f"P{n}", n) for n in range(MOST_PARAMETERS)), S)
     more = Decoder().feed(b"".join(told(sender.encoder, f"Q{n}", n) for n in range(500)), S)
     for some in (frames[:-1], more, frames[-1:], more[:1], Decoder().feed(told(sender.encoder, "P7", -1.0), S)):
-        stream.step(some)
+        stream.step(NO_FRAMES, some)
         assert len(stream.parameters) in (MOST_PARAMETERS - 1, MOST_PARAMETERS)
     assert stream.parameters["P7"] == -1.0

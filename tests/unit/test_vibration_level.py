@@ -4,14 +4,8 @@ import numpy as np
 import pytest
 from made_thresholds import calibrated
 
-from mavdiag.monitors.base import Flights
 from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
 from mavdiag.testing import example_context, example_rows
-
-
-def fit(flights: Flights) -> VibrationLevelSpec:
-    (spec,) = VibrationLevel.fit(flights, example_context())
-    return spec
 
 
 def test_the_statistic_is_the_mean_norm_of_five_seconds() -> None:

@@ -134,4 +134,4 @@ def airframe_svg(
 @cache
 def _template() -> Template:
     made = Environment(autoescape=True, trim_blocks=True, finalize=lambda value: printable(str(value)))
-    return made.from_string((resources.files("mavdiag") / "drawing.svg").read_text(encoding="utf-8"))
+    return made.from_string((resources.files("mavdiag.report") / "drawing.svg").read_text(encoding="utf-8"))

@@ -1,0 +1,129 @@
+"""Make `mavdiag/thresholds/priors.json`: how the healthy maxima of each monitor differ, pooled over airframes.
+
+    python benchmarks/make_priors.py [BASELINE.json ...] [--emulated 4] [--seed 7300] -o FILE
+
+Each baseline is one airframe: the healthy scores that it keeps are of flights that no fit saw, and it knows the session
+of each. `--emulated` learns so many more from emulated airframes, quadrotors and hexarotors, whose sessions have other
+propellers and batteries: three sessions of two flights of 30 s over a link of 200 Hz. With s_k the standard deviation
+that airframe k shows of a component, by d_k degrees of freedom,
+
+    s0^2 = (nu - 2)/nu (sum d_k s_k^2)/(sum d_k)
+
+which is the scale of the scaled inverse chi-squared law of nu degrees of freedom with their mean (Gelman, BDA, A.1). A
+component that no airframe shows stays as it is in the present file. Printed: the new file against the present one, and
+what each airframe shows itself against a prior of the others (leave one airframe out): ratios far from 1 say that
+airframes differ by more than the law of nu degrees of freedom has it. An airframe that is judged must not be a source.
+"""
+
+import argparse
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from mavdiag.baseline import Baseline
+from mavdiag.learning import LearnOptions, learn
+from mavdiag.monitors import by_name
+from mavdiag.storage import write_atomically
+from mavdiag.telemetry import Log
+from mavdiag.thresholds.heldout import Scores
+from mavdiag.thresholds.priors import priors_file
+from mavdiag.thresholds.rule import DEGREES, shown_spreads
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
+from sitl_plant.campaign.worker import CREATED, specimen
+from sitl_plant.physics.airframe import in_session, with_propellers
+from sitl_plant.plant import PlantConfig
+from sitl_plant.vehicle import airframe_of, qdrone2
+
+COMPONENTS = ("session", "flight", "block")
+SESSIONS, FLIGHTS, FLIGHT_S, RATE_HZ = 3, 2, 30.0, 200.0
+SPREAD = 0.03  # of the thrust of propellers of another session
+
+Shown = dict[str, tuple[tuple[float, int], ...]]  # of each monitor what one airframe shows (`shown_spreads`)
+
+
+def emulated(number: int, seed: int) -> Baseline:
+    """A baseline of an emulated airframe."""
+    airframe, rng, logs = specimen(seed, number, number % 2 == 1, qdrone2()), np.random.default_rng([seed, number]), []
+    for session in range(SESSIONS):
+        own = with_propellers(in_session(airframe, rng), SPREAD, rng)
+        for flight in range(FLIGHTS):
+            config = PlantConfig(airframe=own, seed=seed + 100 * number + 10 * session + flight)
+            telemetry, _ = flight_telemetry(config, FLIGHT_S, LinkSpec("qdrone2", RATE_HZ))
+            name = f"emulated {seed}-{number} session {session} flight {flight}"
+            logs.append(Log(name, telemetry_digest(telemetry), "qdrone2", telemetry))
+    told = replace(airframe_of(qdrone2(), "emulated"), name=f"emulated {seed}-{number}")
+    return learn(logs, LearnOptions(airframe=told, sessions=SESSIONS, robust=True), created=CREATED)
+
+
+def shown(baseline: Baseline) -> Shown:
+    """What the healthy flights of an airframe show."""
+    sessions = [log.session for log in baseline.provenance.logs]
+    found: Shown = {}
+    for entry in baseline.monitors:
+        scores = Scores(*map(np.array, (entry.scores.maxima, entry.scores.spans_s, entry.scores.flights)))
+        found.setdefault(entry.spec.kind, shown_spreads(scores, sessions, by_name(entry.spec.kind).prior))
+    return found
+
+
+def pooled(airframes: Sequence[Shown], monitor: str) -> dict[str, float]:
+    """The prior's components that airframes show together, of those that any does."""
+    found = {}
+    for place, component in enumerate(COMPONENTS):
+        told = [one[monitor][place] for one in airframes if monitor in one]
+        degrees = sum(count for _, count in told)
+        if degrees:
+            squares = sum(count * sd * sd for sd, count in told)
+            found[component] = float(f"{math.sqrt((DEGREES - 2) / DEGREES * squares / degrees):.2g}")
+    return found
+
+
+def compared(airframes: Mapping[str, Shown], monitor: str) -> Iterator[str]:
+    """Of each component the ratios of what an airframe shows to what the others would have it believe."""
+    for place, component in enumerate(COMPONENTS):
+        ratios = []
+        for name, one in airframes.items():
+            prior = pooled([other for label, other in airframes.items() if label != name], monitor).get(component)
+            if prior and monitor in one and one[monitor][place][1]:
+                ratios.append(one[monitor][place][0] / prior)
+        yield " ".join(f"{ratio:.1f}" for ratio in ratios)
+
+
+def main() -> None:
+    """Write the file, and print what moved."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("baselines", type=Path, nargs="*")
+    parser.add_argument("--emulated", type=int, default=4)
+    parser.add_argument("--seed", type=int, default=7300)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    options = parser.parse_args()
+    learnt = [*map(Baseline.load, options.baselines), *(emulated(i, options.seed) for i in range(options.emulated))]
+    airframes = {f"{number} {one.airframe.name}": shown(one) for number, one in enumerate(learnt)}
+    priors: dict[str, dict[str, Any]] = {name: dict(known) for name, known in priors_file()["priors"].items()}
+    table = Table("monitor", "present", "pooled", *(f"{one}: airframe / others" for one in COMPONENTS))
+    for monitor, known in priors.items():
+        new = pooled(list(airframes.values()), monitor)
+        present = ", ".join(f"{known[one]:g}" for one in COMPONENTS)
+        table.add_row(
+            monitor, present, ", ".join(str(new.get(one, "-")) for one in COMPONENTS), *compared(airframes, monitor)
+        )
+        known.update(new, why="pooled over the sources" if new else known["why"])
+    sources = [
+        {"airframe": one.airframe.name, "profile": one.link.profile, "digest": one.digest}
+        | {"flights": len(one.provenance.logs), "sessions": len({log.session for log in one.provenance.logs})}
+        for one in learnt
+    ]
+    made = f"benchmarks/make_priors.py --emulated {options.emulated} --seed {options.seed}"
+    content = {"schema": "mavdiag.priors/1", "made": made, "sources": sources, "degrees": DEGREES, "priors": priors}
+    write_atomically(options.output, json.dumps(content, indent=1) + "\n")
+    Console(width=160, highlight=False).print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""Hooks (edge): programs, web servers and brokers that get the journal's lines about alerts, each from its own thread.
+
+    exec:PROGRAM ARGUMENT...      runs it, the line on its standard input; exit code 0 within RUN_S is success
+    http://..., https://...       POST of the line as application/json; a 2xx within ANSWER_S is success
+    mqtt://HOST[:PORT]/TOPIC      publishes it with quality of service 1 (extra `mqtt`)
+
+A line waits in a bounded queue and is tried TRIES times; what is lost is counted and told. The daemon never waits.
+"""
+
+import importlib.util
+import queue
+import shlex
+import shutil
+import subprocess
+import threading
+import time
+import urllib.request
+from collections import deque
+from collections.abc import Callable
+from typing import TypeAlias
+from urllib.parse import urlsplit
+
+from mavdiag.errors import UsageError
+
+QUEUED = 1000  # lines that wait (our choice: an alert a second for a quarter of an hour)
+TRIES, PAUSE_S = 3, 1.0  # of a line; the pause doubles after each (our choice)
+ANSWER_S, RUN_S = 5.0, 10.0  # that one try may take (our choice)
+STOP_S = 3.0  # in which the daemon's end waits for lines that were not delivered (our choice)
+MQTT_PORT = 1883
+
+Deliver: TypeAlias = Callable[[bytes], object]  # raises OSError or ValueError if the other side did not take it
+
+
+def parse_hook(text: str) -> Deliver:
+    """Say how a line is delivered to a hook. Raises UsageError for a malformed one, or a program that is not there."""
+    scheme, _, rest = text.partition(":")
+    if scheme == "exec":
+        words = shlex.split(rest)
+        if not words or shutil.which(words[0]) is None:
+            raise UsageError(f"hook {text!r}: there is no program {(words or [''])[0]!r}")
+        return lambda line: _run(words, line)
+    try:
+        parts = urlsplit(text)
+        host, port = parts.hostname, parts.port
+    except ValueError as error:
+        raise UsageError(f"hook {text!r}: {error}") from error
+    if parts.username is not None or parts.password is not None:
+        raise UsageError("a hook's address has no room for a user or password: others would see it in the process list")
+    if scheme in ("http", "https") and host:
+        return lambda line: _post(text, line)
+    if scheme == "mqtt" and host and parts.path.strip("/"):
+        if importlib.util.find_spec("paho") is None:
+            raise UsageError(f"hook {text!r}: MQTT needs the extra: pip install 'mavdiag[mqtt]'")
+        return lambda line: _publish(host, port or MQTT_PORT, parts.path.strip("/"), line)
+    raise UsageError(f"hook {text!r}: write exec:PROGRAM, http://HOST/PATH, https://HOST/PATH or mqtt://HOST/TOPIC")
+
+
+def _run(words: list[str], line: bytes) -> None:
+    try:
+        subprocess.run(words, input=line, stdout=subprocess.DEVNULL, timeout=RUN_S, check=True)
+    except subprocess.SubprocessError as error:
+        raise OSError(str(error)) from error
+
+
+class _NoRedirect(urllib.request.HTTPRedirectHandler):
+    """A redirected POST would become a GET without the line."""
+
+    def redirect_request(self, *_: object) -> None:
+        return None
+
+
+def _post(address: str, line: bytes) -> None:
+    request = urllib.request.Request(address, line, {"Content-Type": "application/json"}, method="POST")
+    with urllib.request.build_opener(_NoRedirect).open(request, timeout=ANSWER_S):
+        pass
+
+
+def _publish(host: str, port: int, topic: str, line: bytes) -> None:
+    from paho.mqtt import MQTTException, publish
+
+    try:
+        publish.single(topic, line, qos=1, hostname=host, port=port)
+    except MQTTException as error:
+        raise OSError(str(error)) from error
+
+
+class Hook:
+    """Takes lines as a journal does, and delivers those about alerts. warn: told when delivery fails, and works again.
+
+    Raises UsageError as `parse_hook`.
+    """
+
+    def __init__(self, text: str, warn: Callable[[str], None], pause_s: float = PAUSE_S) -> None:
+        self._deliver, self.name, self._warn, self._pause_s = parse_hook(text), f"hook {text}", warn, pause_s
+        self._lines: queue.Queue[bytes] = queue.Queue(QUEUED)
+        self._news: deque[str] = deque(maxlen=QUEUED)
+        self._failing = False
+        self._stopping = threading.Event()
+        self.lost = 0  # lines that were not delivered, so far
+        self._thread = threading.Thread(target=self._work, name=self.name, daemon=True)
+        self._thread.start()
+
+    def write(self, text: str, urgent: bool = False) -> None:
+        """Queue a line that is about an alert; others are not for hooks."""
+        if urgent:
+            try:
+                self._lines.put_nowait(text.encode())
+            except queue.Full:
+                self._lose(f"{QUEUED} lines wait")
+
+    def flush(self) -> None:
+        """Say what happened since the last call, on the caller's thread."""
+        while self._news:
+            self._warn(self._news.popleft())
+
+    def close(self) -> None:
+        """Deliver what waits if that takes no longer than STOP_S; the rest is lost."""
+        deadline = time.monotonic() + STOP_S
+        while self._lines.unfinished_tasks and self._thread.is_alive() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        self._stopping.set()
+        waiting = self._lines.unfinished_tasks
+        if waiting:
+            self.lost += waiting
+            self._news.append(f"{self.name}: {waiting} lines were not delivered")
+        self.flush()
+
+    def _work(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                line = self._lines.get(timeout=0.2)
+            except queue.Empty:
+                continue
+            self._try(line)
+            self._lines.task_done()
+
+    def _try(self, line: bytes) -> None:
+        for number in range(TRIES):
+            try:
+                self._deliver(line)
+            except (OSError, ValueError) as error:
+                reason = str(error)
+            else:
+                if self._failing:
+                    self._news.append(f"{self.name}: delivers again; {self.lost} lines were lost so far")
+                self._failing = False
+                return
+            if number < TRIES - 1 and self._stopping.wait(self._pause_s * 2**number):
+                break
+        self._lose(reason)
+
+    def _lose(self, reason: str) -> None:
+        self.lost += 1
+        if not self._failing:
+            self._news.append(f"{self.name}: not delivered ({reason}); watching goes on without it")
+        self._failing = True

@@ -1,0 +1,315 @@
+"""The rotor-speed monitor: one rotor turns faster or slower for its command, against the others, than it did in health.
+
+A motor's voltage is used up by its speed and, in its resistance, by the drag torque of its propeller (steady state of a
+brushless motor: Leishman, Principles of Helicopter Aerodynamics, ch. 6; Drela, First-Order DC Electric Motor Model):
+
+    u V = w/K_v + R k_q w^2/K_t,      dw/w = -e/(1 + e) dk_q/k_q       at a given u V
+
+u: its output 0..1, V: the battery's voltage, k_q w^2: the drag, e: share of the voltage that the resistance takes, 0.15
+to 0.25 of small motors in hover (estimate). A blade that lost a piece has less drag, so its rotor turns faster for its
+command; one that is bent or fouled has more. The voltage is common to all rotors and cancels:
+
+    y_j = ln w_j - mean_k ln w_k,    x_j = (ln u_j - mean_k ln u_k, B_j . lean, s_j r),    y_j = a_j + (x_j - x0_j)' b
+
+B_j, s_j: roll, pitch and yaw effect of rotor j (`airframe.layout`); lean: commanded roll and pitch, for air comes from
+the side then; r: yaw rate, for an ESC tells the speed against the frame. b is common to all rotors and fitted to the
+healthy flights by least squares with a prior, P its covariance: the monitor's own errors.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+import mavdiag.monitors.columns as col
+from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.trim import MIN_OUTPUT
+from mavdiag.errors import IdentificationError, InputError
+from mavdiag.jit import cached, jit
+from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, RotorEvidence
+from mavdiag.monitors.columns import Floats, Ints
+from mavdiag.monitors.fitting import of_each, three, traced
+from mavdiag.monitors.spec import Positive, spec
+from mavdiag.rows.front import Rows
+from mavdiag.telemetry import FloatArray, Signal, Three
+from mavdiag.units import RPM
+
+WINDOW_S = 5.0  # our choice, as of the trim
+TICK_S = 0.5  # a value twice a second; longer than a rotor's lag and an ESC's delay (our choice)
+MIDDLE = 0.6  # share of the ticks of a window that count, those in the middle: a wild ESC frame spoils one (our choice)
+MIN_RATE_HZ = 10.0  # of the rows; ESCs at 1 Hz are seen, at 10 Hz as ArduPilot and PX4 send them they scatter less
+MADE_UP_RAD_S = 6000 * RPM  # that PX4 tells of full output in simulation (SimulatorMavlink: ESC_STATUS)
+MADE_UP = 0.01  # so near to it no motor is (our choice)
+# What is held of b before any flight, and its standard deviation. 1/(1 + e) is 0.8 to 0.87, an ESC's dead band adds to
+# it; 0.02 is what e = 0.2 makes of a drag that differs by a tenth at a lean of 1 rad; the last is 1/w (estimates).
+LAW, LAW_SD = np.array([0.85, 0.0, 0.0]), np.array([0.15, 0.02, 0.002])
+FLOOR = 2e-4  # of the speed: least spread that is believed, a seventh of a step of 14 rpm at 10,000 (our choice)
+COLUMNS = 3  # of x
+# Places in the parameters: rotors, rows of a tick, ticks of a window, spread, b, P; of each rotor B, s, a, x0. And in
+# the memory: rows of the tick, known ones, usable ticks in a row, ticks so far; sums of the tick: of each rotor u and
+# w, then lean and yaw rate; of the window's ticks each rotor's residual and its own error.
+ROTORS, ROWS, WINDOW, SPREAD, LAWS, ERRORS, EACH = 0, 1, 2, 3, 4, 7, 16
+OF_ROTOR = 7
+ROW, KNOWN, RUN, TICKS, SUMS = range(5)
+
+
+@spec
+class RotorSpeedSpec:
+    """Healthy speeds. Raises InputError if there is not one of each for each rotor."""
+
+    kind: Literal["rotor_speed"] = "rotor_speed"
+    layout: RotorLayout
+    mean: tuple[float, ...]  # a: of each rotor [share of its speed]
+    about: tuple[Three, ...]  # x0: of each rotor
+    law: Three = three(LAW)  # b
+    errors: tuple[Three, Three, Three]  # P
+    spread: Positive  # rms of the healthy rotors about the law [share of speed]
+    window_s: Positive = WINDOW_S
+
+    def __post_init__(self) -> None:
+        if not len(self.mean) == len(self.about) == self.layout.rotors:
+            raise InputError(f"{self.kind}: {self.layout.rotors} rotors, but means of {len(self.mean)}")
+
+
+@jit
+def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
+    """Take a row; True where it completes a tick."""
+    n = int(par[ROTORS])
+    if mem[ROW] == 0.0:
+        mem[KNOWN] = 0.0
+        for j in range(2 * n + 3):
+            mem[SUMS + j] = 0.0
+    known = x[col.VALID, i] > 0.5 and x.shape[0] >= col.SPEEDS + n and math.isfinite(x[col.RATE + 2, i])
+    for j in range(n if known else 0):
+        u, w = x[col.OUTPUTS + j, i], x[col.SPEEDS + j, i]
+        known = known and u > MIN_OUTPUT and w > 0.0 and math.isfinite(u + w)
+    if known:
+        mem[KNOWN] += 1.0
+        for j in range(n):
+            mem[SUMS + j] += x[col.OUTPUTS + j, i]
+            mem[SUMS + n + j] += x[col.SPEEDS + j, i]
+        for j in range(2):
+            mem[SUMS + 2 * n + j] += x[col.LEAN + j, i]
+        mem[SUMS + 2 * n + 2] += x[col.RATE + 2, i]
+    mem[ROW] += 1.0
+    if mem[ROW] < par[ROWS]:
+        return False
+    mem[ROW] = 0.0
+    return True
+
+
+@jit
+def _find(par: Floats, mem: Floats, out: Floats) -> None:
+    """y and x of each rotor from the sums of a whole tick, (n, 4); then mean ln w/u, and whether it is usable."""
+    n, log_u, log_w = int(par[ROTORS]), 0.0, 0.0
+    for j in range(n):
+        log_u += math.log(mem[SUMS + j] / par[ROWS]) / n
+        log_w += math.log(mem[SUMS + n + j] / par[ROWS]) / n
+    lean, turn = SUMS + 2 * n, mem[SUMS + 2 * n + 2] / par[ROWS]
+    for j in range(n):
+        own, to = EACH + OF_ROTOR * j, 4 * j
+        out[to] = math.log(mem[SUMS + n + j] / par[ROWS]) - log_w
+        out[to + 1] = math.log(mem[SUMS + j] / par[ROWS]) - log_u
+        out[to + 2] = (par[own] * mem[lean] + par[own + 1] * mem[lean + 1]) / par[ROWS]
+        out[to + 3] = par[own + 2] * turn
+    out[4 * n] = log_w - log_u
+
+
+@jit
+def _middle(values: Floats) -> float:
+    """Mean of the middle ones, which are sorted on the way."""
+    count, found = len(values), 0.0
+    for i in range(1, count):
+        value, j = values[i], i
+        while j > 0 and values[j - 1] > value:
+            values[j] = values[j - 1]
+            j -= 1
+        values[j] = value
+    cut = int((1.0 - MIDDLE) / 2.0 * count)
+    for i in range(cut, count - cut):
+        found += values[i]
+    return found / (count - 2 * cut)
+
+
+@jit
+def _judge(par: Floats, mem: Floats, tick: Floats, scratch: Floats, out: Floats, rotors: Floats, k: int) -> None:
+    """Put a tick into the window, and judge that."""
+    n, window, best = int(par[ROTORS]), int(par[WINDOW]), 0.0
+    ring, place = SUMS + 2 * n + 3, int(mem[TICKS]) % int(par[WINDOW])
+    for j in range(n):
+        own, of, error = EACH + OF_ROTOR * j + 3, ring + 2 * window * j, 0.0
+        rest = tick[4 * j] - par[own]
+        for p in range(COLUMNS):
+            away = tick[4 * j + 1 + p] - par[own + 1 + p]
+            rest -= par[LAWS + p] * away
+            for q in range(COLUMNS):
+                error += away * par[ERRORS + COLUMNS * p + q] * (tick[4 * j + 1 + q] - par[own + 1 + q])
+        mem[of + place], mem[of + window + place], mean = rest, error, 0.0
+        for i in range(window):
+            scratch[i] = mem[of + i]
+            mean += mem[of + window + i] / window
+        share = par[SPREAD] / math.sqrt(par[SPREAD] ** 2 + max(mean, 0.0))
+        found = _middle(scratch) * share * n / (n - 1.0)
+        rotors[k, j] = abs(found)
+        best = found if abs(found) > abs(best) else best
+    out[col.VALUE, k], out[col.LEVEL, k] = abs(best), best
+
+
+@cached
+def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
+    """The rotor that is farthest from its speed at the end of each tick."""
+    n, k = int(par[ROTORS]), 0
+    tick, scratch = np.zeros(4 * n + 2), np.empty(int(par[WINDOW]))
+    for i in range(first, x.shape[1]):
+        if not _take_row(par, mem, x, i):
+            continue
+        usable = mem[KNOWN] >= par[ROWS]
+        tick[:] = 0.0
+        if usable:
+            _find(par, mem, tick)
+            tick[4 * n + 1] = 1.0
+        _judge(par, mem, tick, scratch, out, rotors, k)
+        mem[TICKS] += 1.0
+        mem[RUN] = mem[RUN] + 1.0 if usable and x[col.COVERED, i] > 0.5 else 0.0
+        out[col.SOUND, k], at[k] = mem[RUN] >= par[WINDOW], i - first
+        for j in range(len(tick) if out.shape[0] > col.TRACE else 0):
+            out[col.TRACE + j, k] = tick[j]
+        k += 1
+    return k
+
+
+class RotorSpeed(Monitor[RotorSpeedSpec]):
+    """Statistic: how far ONE rotor's speed is from what its command gives, against the others [share of its speed].
+
+        d_j = y_j - a_j - (x_j - x0_j)' b of each 0.5 s,    D_j = mean of the middle ones of 5 s,    n: rotors
+        statistic = max_j n/(n - 1) |D_j| sigma/sqrt(sigma^2 + (x_j - x0_j)' P (x_j - x0_j)),    sigma: the healthy rms
+
+    If rotor j alone turns a share d faster, the mean has d/n of it: so n/(n - 1) D_j = d, and the others are d/(n - 1).
+    `level` has the sign, above 0 for less drag. `rotors` are the sizes of all of them. Lowest rate: 10 Hz of the gyro,
+    and each ESC once in 1.5 s.
+
+    Warm-up: 5 s of unbroken valid flight with the outputs and speeds of all rotors. Latency: up to 5 s. False alarms:
+    propellers that were changed and not told (`baseline extend --new-propellers`), for a new one differs as much as a
+    damaged one; a motor that is hotter than the others. Blind spots: thrust that is lost with the drag as it was; all
+    rotors alike; motors under an ESC that holds their speed; PX4's simulator, which makes its speeds up.
+    """
+
+    name = "rotor_speed"
+    label = "speed"
+    phrase = "turns off its command {times}x"
+    needs = frozenset({Signal.BODY_RATE, Signal.ACTUATOR, Signal.ROTOR_SPEED})
+    depends = col.TRIM_CONDITIONS
+    evidence = RotorEvidence(10.0, relative=True)  # at the threshold the others are a third of it or less
+    needs_layout = True
+    spec_type = RotorSpeedSpec
+    unit = "share of speed"
+    run = staticmethod(run)
+
+    def __init__(self, spec: RotorSpeedSpec) -> None:
+        super().__init__(spec)
+        own = slice(0, spec.layout.rotors)
+        self.takes = MappingProxyType({Signal.ACTUATOR: own, Signal.ROTOR_SPEED: own})
+        self.memory_s = spec.window_s + TICK_S
+
+    @classmethod
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[RotorSpeedSpec, ...]:
+        """The law of the healthy speeds, and how far healthy rotors are from it.
+
+        Raises InputError without the outputs and speeds of all rotors, or if the speeds are made up of the outputs.
+        """
+        context.need_rate(MIN_RATE_HZ)
+        n, layout = context.layout.rotors, context.layout
+        no = ((0.0, 0.0, 0.0),) * 3
+        still = RotorSpeedSpec(layout=layout, mean=(0.0,) * n, about=((0.0,) * 3,) * n, errors=no, spread=FLOOR)
+        ticks = of_each(flights, (cls.name, layout), lambda flight: _ticks(cls(still), flight))
+        told = np.concatenate([np.empty((0, 4 * n + 2)), *ticks])
+        if not len(told):
+            raise InputError(f"it needs the outputs and the ESC telemetry of {n} rotors")
+        if np.median(np.abs(np.exp(told[:, 4 * n]) / MADE_UP_RAD_S - 1.0)) < MADE_UP:
+            raise InputError("the speeds are made up of the outputs, as a simulator does")
+        seen = [flight[:, : 4 * n].reshape(-1, n, 4) for flight in ticks if len(flight)]
+        means = [flight.mean(axis=0) for flight in seen]
+        apart = np.concatenate([flight - flight.mean(axis=0) for flight in seen])
+        law, errors = _law_of(apart, _window(context.dt_s))
+        mean = np.mean(means, axis=0)
+        learnt = replace(
+            still,
+            mean=tuple((mean[:, 0]).tolist()),
+            about=tuple(three(row) for row in mean[:, 1:]),
+            law=three(law),
+            errors=(three(errors[0]), three(errors[1]), three(errors[2])),
+        )
+        windows = of_each(flights, learnt, lambda flight: _windows(cls(replace(learnt, spread=1.0)), flight))
+        found = np.concatenate(windows)
+        if not len(found):
+            raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight with rotor speeds; fly longer")
+        return (replace(learnt, spread=float(math.hypot(np.sqrt(np.mean(np.square(found))), FLOOR))),)
+
+    def renewed(self, flights: Flights, context: LearnContext) -> tuple[RotorSpeedSpec, float]:
+        """With the speeds of the new propellers; how they follow the command, and vary, stays."""
+        return replace(self.spec, mean=tuple(self._mean(flights).tolist())), 1.0
+
+    def extended(self, flights: Flights, sessions: int) -> RotorSpeedSpec:
+        """With the mean over sessions, the new one among them."""
+        mean = np.array(self.spec.mean)
+        return replace(self.spec, mean=tuple((mean + (self._mean(flights) - mean) / (sessions + 1)).tolist()))
+
+    def _mean(self, flights: Flights) -> FloatArray:
+        """a of other flights, at x0. Raises IdentificationError if they show none."""
+        n, law, about = self.rotors, np.array(self.spec.law), np.array(self.spec.about)
+        ticks = [flight[:, : 4 * n].reshape(-1, n, 4) for flight in (_ticks(self, one) for one in flights)]
+        means = [(one[:, :, 0] - (one[:, :, 1:] - about) @ law).mean(axis=0) for one in ticks if len(one)]
+        if not means:
+            raise IdentificationError("no flight with the outputs and speeds of all rotors; fly longer")
+        return np.asarray(np.mean(means, axis=0), dtype=np.float64)
+
+    def period_s(self, dt_s: float) -> float:
+        """A tick [s]."""
+        return _tick(dt_s) * dt_s
+
+    def begin(self, dt_s: float) -> Begin:
+        """No row yet."""
+        spec, n, window = self.spec, self.rotors, _window(dt_s, self.spec.window_s)
+        head = [n, _tick(dt_s), window, spec.spread, *spec.law, *np.ravel(spec.errors)]
+        each = np.column_stack((spec.layout.mixing, spec.mean, np.array(spec.about)))
+        return Begin(np.array([*head, *each.ravel()]), np.zeros(SUMS + 2 * n + 3 + 2 * window * n))
+
+
+def _tick(dt_s: float) -> int:
+    """Rows of a tick."""
+    return max(1, round(TICK_S / dt_s))
+
+
+def _window(dt_s: float, window_s: float = WINDOW_S) -> int:
+    """Ticks of a window."""
+    return max(3, round(window_s / (_tick(dt_s) * dt_s)))
+
+
+def _ticks(monitor: RotorSpeed, flight: Sequence[Rows]) -> FloatArray:
+    """What `_find` writes of the usable ticks of a flight, (k, 4 n + 2)."""
+    width = 4 * monitor.rotors + 2
+    found = [out[col.TRACE :, out[col.TRACE + width - 1] > 0.5].T for out in traced(monitor, flight, width)]
+    return np.concatenate([np.empty((0, width)), *found])
+
+
+def _windows(monitor: RotorSpeed, flight: Sequence[Rows]) -> FloatArray:
+    """Distances of all rotors in the full windows of a flight, as one array."""
+    return np.concatenate([np.empty(0), *(one.rotors[one.valid].ravel() for one in monitor.over(flight))])
+
+
+def _law_of(apart: FloatArray, window: int) -> tuple[FloatArray, FloatArray]:
+    """b and P of ticks about their flight's mean, (k, n, 4); ticks of a window count as one.
+
+    The mean of a flight, which b does not touch, is known no better than the law that leads to it.
+    """
+    y, x = apart[:, :, 0].ravel(), apart[:, :, 1:].reshape(-1, COLUMNS)
+    trust = np.diag(LAW_SD**-2.0)
+    law, errors = LAW, np.diag(LAW_SD**2.0)
+    for _ in range(3):  # the noise is what the law before leaves
+        noise = max(float(np.square(y - x @ law).mean()), FLOOR**2) * window
+        errors = np.asarray(np.linalg.inv(x.T @ x / noise + trust), dtype=np.float64)
+        law = errors @ (x.T @ y / noise + trust @ LAW)
+    return law, errors

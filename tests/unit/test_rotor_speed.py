@@ -1,0 +1,135 @@
+"""The rotor-speed monitor: which rotor turns off its command, with its own errors, and what it refuses."""
+
+import numpy as np
+import pytest
+from flying_telemetry import flying, flying_rows
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.layout import layout_named
+from mavdiag.errors import InputError
+from mavdiag.monitors.base import LearnContext
+from mavdiag.monitors.rotor_speed import LAW, MADE_UP_RAD_S, RotorSpeed, RotorSpeedSpec, _law_of
+from mavdiag.rows.block import in_rotor_order
+from mavdiag.rows.front import Rows
+from mavdiag.telemetry import FloatArray
+from mavdiag.testing import example_rows
+from sitl_plant.physics.faults import loaded
+
+X = layout_named("x")
+CONTEXT = LearnContext(Airframe(layout=X), None, 0.01, 11)
+
+
+def rows_of(seed: int, ratio: FloatArray, n: int = 3000, slope: float = 0.85) -> list[Rows]:
+    """A flight at 100 Hz whose rotors turn with these factors for their commands."""
+    rng = np.random.default_rng(seed)
+    outputs = 0.5 + 0.02 * np.cumsum(rng.standard_normal((n, 4)), axis=0) / np.sqrt(n)
+    noise = 1.0 + 1e-3 * rng.standard_normal((n, 4))
+    return [example_rows(n, actuator=outputs, rotor_speed=1500.0 * outputs**slope * ratio * noise)]
+
+
+def last(spec: RotorSpeedSpec, flight: list[Rows]) -> tuple[float, float, FloatArray]:
+    """Value, level and evidence at the end of a flight."""
+    found = list(RotorSpeed(spec).over(flight))[-1]
+    assert found.valid[-1]
+    return float(found.value[-1]), float(found.level[-1]), found.rotors[-1]
+
+
+@pytest.fixture(scope="module")
+def healthy() -> RotorSpeedSpec:
+    own = np.array([1.0, 1.02, 0.99, 1.01])
+    (spec,) = RotorSpeed.fit([rows_of(seed, own) for seed in range(3)], CONTEXT)
+    return spec
+
+
+@settings(max_examples=20, deadline=None)
+@given(rotor=st.integers(0, 3), share=st.floats(0.004, 0.05), faster=st.booleans(), seed=st.integers(10, 99))
+def test_it_measures_the_share_that_one_rotor_is_off_and_names_it(
+    healthy: RotorSpeedSpec, rotor: int, share: float, faster: bool, seed: int
+) -> None:
+    ratio = np.array([1.0, 1.02, 0.99, 1.01])
+    ratio[rotor] *= 1 + share if faster else 1 - share
+    value, level, rotors = last(healthy, rows_of(seed, ratio, 1500))
+    assert value == pytest.approx(share, abs=0.2 * share + 5e-4)  # its own errors make it careful
+    assert (level > 0) == faster
+    assert int(rotors.argmax()) == rotor
+    assert np.sort(rotors)[-2] < 0.5 * value
+
+
+def test_the_voltage_and_what_all_rotors_share_cancel(healthy: RotorSpeedSpec) -> None:
+    own = np.array([1.0, 1.02, 0.99, 1.01])
+    assert last(healthy, rows_of(5, 0.8 * own))[0] == pytest.approx(last(healthy, rows_of(5, own))[0], abs=1e-12)
+
+
+def test_wild_frames_of_an_esc_do_not_count(healthy: RotorSpeedSpec) -> None:
+    flight = rows_of(6, np.array([1.0, 1.02, 0.99, 1.01]))
+    calm = last(healthy, flight)[0]
+    flight[0].block.rotor_speed[-80:-70, 2] = 6863.0  # 65535 rpm for 0.1 s
+    assert last(healthy, flight)[0] < calm + 5e-4
+
+
+@pytest.mark.parametrize("bad", [0.0, np.nan, np.inf])
+def test_a_speed_that_is_none_is_not_judged(healthy: RotorSpeedSpec, bad: float) -> None:
+    flight = rows_of(6, np.ones(4))
+    flight[0].block.rotor_speed[1500, 1] = bad
+    (found,) = RotorSpeed(healthy).over(flight)
+    t_s = (found.t_ns - found.t_ns[0]) / 1e9
+    assert not found.valid[(t_s > 14.6) & (t_s < 19.4)].any()
+    assert np.isfinite(found.value[found.valid]).all()
+
+
+def test_far_from_what_was_learnt_its_own_error_makes_it_careful(healthy: RotorSpeedSpec) -> None:
+    """The same distance counts less where the commands are such as the law was never fitted to."""
+    value = last(healthy, rows_of(7, np.array([1.02, 1.02, 0.99, 1.01])))[0]
+    flight = rows_of(7, np.array([1.02, 1.02, 0.99, 1.01]))
+    flight[0].block.actuator[:, 0] *= 1.5
+    flight[0].block.rotor_speed[:, 0] *= 1.5**0.85
+    assert last(healthy, flight)[0] < 0.9 * value
+
+
+def test_the_law_and_its_errors_are_those_of_least_squares() -> None:
+    rng = np.random.default_rng(3)
+    x = rng.normal(0, 0.1, (4000, 4, 3))
+    apart = np.concatenate((x @ np.array([[0.7], [0.01], [0.001]]) + rng.normal(0, 0.01, (4000, 4, 1)), x), axis=2)
+    law, errors = _law_of(apart, 1)
+    np.testing.assert_allclose(law[:2], [0.7, 0.01], atol=4 * np.sqrt(errors[0, 0]))
+    assert errors[0, 0] == pytest.approx(0.01**2 / (16000 * 0.1**2), rel=0.05)
+    still, unsure = _law_of(np.zeros((10, 4, 4)), 1)
+    np.testing.assert_allclose(still, LAW)
+    assert unsure[0, 0] == pytest.approx(0.15**2)
+
+
+def test_speeds_that_are_made_up_of_the_outputs_are_refused() -> None:
+    rows = rows_of(1, np.ones(4))[0]
+    made = example_rows(3000, actuator=rows.block.actuator, rotor_speed=MADE_UP_RAD_S * rows.block.actuator)
+    with pytest.raises(InputError, match="made up"):
+        RotorSpeed.fit([[made]], CONTEXT)
+    with pytest.raises(InputError, match="ESC telemetry"):
+        RotorSpeed.fit([[example_rows(3000, actuator=rows.block.actuator)]], CONTEXT)
+
+
+def test_speeds_go_to_the_rotors_whose_outputs_they_are_on() -> None:
+    outputs, speeds = np.tile([0.1, 0.2, 0.3, 0.4], (2, 1)), np.tile([1.0, 2.0, 3.0], (2, 1))
+    ordered = in_rotor_order(example_rows(2, actuator=outputs, rotor_speed=speeds).block, (3, 1, 2, 4))
+    np.testing.assert_array_equal(ordered.rotor_speed[0], [3, 1, 2, np.nan])
+    np.testing.assert_array_equal(ordered.actuator[0], [0.3, 0.1, 0.2, 0.4])
+
+
+def test_a_flight_over_a_link_names_the_rotor() -> None:
+    """Telemetry at 10 Hz through alignment and gate."""
+    (spec,) = RotorSpeed.fit([flying_rows(flying(3000, seed)) for seed in (1, 2)], CONTEXT)
+    value, level, rotors = last(spec, flying_rows(flying(3000, 3, fast_rotor=3, faster=-0.02)))
+    assert value == pytest.approx(0.02, rel=0.2)
+    assert level < 0
+    assert int(rotors.argmax()) == 2
+
+
+def test_a_motor_turns_faster_with_less_drag_by_the_steady_state() -> None:
+    """(1 - e) s + e d s^2 = 1; to first order ds/s = -e/(1 + e) dd."""
+    drag = np.array([0.5, 0.96, 1.0, 1.3])
+    for share in (0.1, 0.2, 0.3):
+        s = loaded(drag, share)
+        np.testing.assert_allclose((1 - share) * s + share * drag * s**2, 1.0, rtol=1e-12)
+        assert (s[1] - 1) / 0.04 == pytest.approx(share / (1 + share), rel=0.05)
+    np.testing.assert_array_equal(loaded(drag, 0.0), 1.0)
