@@ -122,7 +122,9 @@ def assert_same(found: LogVerdict, name: str, late_s: float = 0.0, rotors: Mappi
 
 
 def permuted(telemetry: Telemetry) -> Telemetry:
-    return with_columns(telemetry, {Signal.ACTUATOR: lambda outputs: outputs[:, ORDER]})
+    return with_columns(
+        telemetry, dict.fromkeys((Signal.ACTUATOR, Signal.ROTOR_SPEED), lambda of_each: of_each[:, ORDER])
+    )
 
 
 @of_each_flight

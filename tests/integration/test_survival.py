@@ -87,7 +87,7 @@ def test_an_error_of_the_program_takes_one_vehicle_off_and_no_other(
     bench = Bench(WATCH, vehicles=[MadeVehicle(1), MadeVehicle(2)], baseline=baseline_for(), journal=journal)
     bench.run(6.0)
 
-    def fails(frames: object) -> NoReturn:
+    def fails(*_: object) -> NoReturn:
         raise KeyError("a bug")
 
     monkeypatch.setattr(bench.daemon.fleet.link.vehicles[2], "step", fails)

@@ -74,7 +74,7 @@ SHAKEN = 0.2 * np.random.default_rng(2).standard_normal((3000, 3))
         (yawed(flying(3000, 7), 0.006), Outcome.NEAR, "may be another vehicle than E8, or have new propellers"),
         # nothing that breaks makes a sensor quieter; better balanced propellers do, by as much as 7
         (altered(flying(3000, 7), Signal.SPECIFIC_FORCE, 0.15), Outcome.NEAR, "accelerometer noise"),
-        (altered(flying(3000, 7), Signal.SPECIFIC_FORCE, 0.03), Outcome.FAR, "noise z 0.03 times the learnt"),
+        (altered(flying(3000, 7), Signal.SPECIFIC_FORCE, 0.03), Outcome.FAR, "noise z 0.03"),
         (altered(flying(3000, 7), Signal.BODY_RATE, offset=SHAKEN), Outcome.ALIKE, ""),
         (altered(flying(3000, 7), Signal.THRUST_SETPOINT, 0.6), Outcome.FAR, "hover throttle 0.6 times"),
         (altered(flying(3000, 7), Signal.THRUST_SETPOINT, 1.6), Outcome.NEAR, "hover throttle 1.6 times"),
