@@ -2,7 +2,7 @@
 
     exec:PROGRAM ARGUMENT...      runs it, the line on its standard input; exit code 0 within RUN_S is success
     http://..., https://...       POST of the line as application/json; a 2xx within ANSWER_S is success
-    mqtt://HOST[:PORT]/TOPIC      publishes it with quality of service 1 (extra `mqtt`)
+    mqtt://HOST[:PORT]/TOPIC      publishes it with quality of service 1, confirmed within ANSWER_S (extra `mqtt`)
 
 A line waits in a bounded queue and is tried TRIES times; what is lost is counted and told. The daemon never waits.
 """
@@ -17,6 +17,7 @@ import time
 import urllib.request
 from collections import deque
 from collections.abc import Callable
+from http.client import HTTPException
 from typing import TypeAlias
 from urllib.parse import urlsplit
 
@@ -35,7 +36,10 @@ def parse_hook(text: str) -> Deliver:
     """Say how a line is delivered to a hook. Raises UsageError for a malformed one, or a program that is not there."""
     scheme, _, rest = text.partition(":")
     if scheme == "exec":
-        words = shlex.split(rest)
+        try:
+            words = shlex.split(rest)
+        except ValueError as error:
+            raise UsageError(f"hook {text!r}: {error}") from error
         if not words or shutil.which(words[0]) is None:
             raise UsageError(f"hook {text!r}: there is no program {(words or [''])[0]!r}")
         return lambda line: _run(words, line)
@@ -71,17 +75,26 @@ class _NoRedirect(urllib.request.HTTPRedirectHandler):
 
 def _post(address: str, line: bytes) -> None:
     request = urllib.request.Request(address, line, {"Content-Type": "application/json"}, method="POST")
-    with urllib.request.build_opener(_NoRedirect).open(request, timeout=ANSWER_S):
-        pass
+    try:
+        with urllib.request.build_opener(_NoRedirect).open(request, timeout=ANSWER_S):
+            pass
+    except HTTPException as error:
+        raise OSError(f"no answer of a web server: {error}") from error
 
 
 def _publish(host: str, port: int, topic: str, line: bytes) -> None:
-    from paho.mqtt import MQTTException, publish
+    from paho.mqtt.client import Client
+    from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
 
-    try:
-        publish.single(topic, line, qos=1, hostname=host, port=port)
-    except MQTTException as error:
-        raise OSError(str(error)) from error
+    client = Client(CallbackAPIVersion.VERSION2)
+    client.connect(host, port)
+    deadline = time.monotonic() + ANSWER_S
+    sent = client.publish(topic, line, qos=1)
+    while not sent.is_published():
+        left_s = deadline - time.monotonic()
+        if left_s <= 0 or client.loop(left_s) != MQTTErrorCode.MQTT_ERR_SUCCESS:
+            raise OSError("the broker did not confirm it")
+    client.disconnect()
 
 
 class Hook:
@@ -118,8 +131,8 @@ class Hook:
         deadline = time.monotonic() + STOP_S
         while self._lines.unfinished_tasks and self._thread.is_alive() and time.monotonic() < deadline:
             time.sleep(0.01)
-        self._stopping.set()
         waiting = self._lines.unfinished_tasks
+        self._stopping.set()
         if waiting:
             self.lost += waiting
             self._news.append(f"{self.name}: {waiting} lines were not delivered")
@@ -146,7 +159,7 @@ class Hook:
                 self._failing = False
                 return
             if number < TRIES - 1 and self._stopping.wait(self._pause_s * 2**number):
-                break
+                return  # `close` has counted it
         self._lose(reason)
 
     def _lose(self, reason: str) -> None:

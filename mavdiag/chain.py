@@ -156,7 +156,7 @@ class Chain:
         return self.judge(state, self._taken(state))
 
     def missing_ns(self, state: ChainState) -> int:
-        """How much of the gyro is missing until the next look is whole [ns], at most a look; 0 if it is overdue."""
+        """How much of the gyro is missing until the next look is whole [ns], two looks at most; 0 if it is overdue."""
         align = state.front.align
         next_ns = (align.last_ns // LOOK_NS + 1) * LOOK_NS
         return min(max(0, self.front.align.expected_ns(align, next_ns) - align.newest_ns), 2 * LOOK_NS)

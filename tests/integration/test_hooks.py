@@ -120,6 +120,33 @@ def test_a_dead_server_is_told_once_and_its_lines_are_counted() -> None:
     assert "not delivered" in said[0]
 
 
+@pytest.mark.parametrize("scheme", ["http", "mqtt"])
+def test_a_server_that_speaks_another_language_is_told_and_the_next_line_is_tried(scheme: str) -> None:
+    def answer() -> None:
+        while True:
+            try:
+                connection, _ = other.accept()
+            except OSError:
+                return
+            with connection:
+                connection.recv(4096)
+                connection.sendall(b"no such protocol\r\n" * 4)
+
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        threading.Thread(target=answer, daemon=True).start()
+        with hooked(f"{scheme}://127.0.0.1:{other.getsockname()[1]}/alerts") as (hook, said):
+            for number in (1, 2):
+                hook.write("{}", urgent=True)
+                deadline = time.monotonic() + 4 * WAIT_S
+                while hook.lost < number:
+                    assert time.monotonic() < deadline
+                    time.sleep(0.01)
+            hook.flush()
+        other.shutdown(socket.SHUT_RDWR)
+    assert len(said) == 1
+    assert "not delivered" in said[0]
+
+
 def test_nothing_waits_for_a_slow_program_and_what_the_queue_cannot_hold_is_told(tmp_path: Path) -> None:
     slow = tmp_path / "slow.py"
     slow.write_text("import time; time.sleep(5)\n")
@@ -191,6 +218,7 @@ def test_a_broker_gets_each_line(tmp_path: Path) -> None:
     [
         ("exec:no-such-program-at-all", "there is no program 'no-such-program-at-all'"),
         ("exec:", "there is no program ''"),
+        ('exec:"echo', "No closing quotation"),
         ("ftp://127.0.0.1/x", "write exec:PROGRAM"),
         ("http:///x", "write exec:PROGRAM"),
         ("mqtt://127.0.0.1", "write exec:PROGRAM"),
