@@ -1,6 +1,6 @@
 """Do the two promises hold for airframes and sessions that taught nothing? Emulated airframes, by teaching flights.
 
-    python benchmarks/calibration.py [--airframes 200] [--judged 100] [--flight 30] [--rate 200] [--seed 81] [--workers 2]
+    python benchmarks/calibration.py [--airframes 200] [--judged 100] [--flight 30] [--rate 200] [--seed 81]
 
 Each airframe is a new specimen of one of three vehicles in turn. A session has its own battery, centre of gravity, gyro
 bias and seating of the propellers (`in_session`). Baselines are taught by n flights of one session, or of three; the
