@@ -231,7 +231,7 @@ class Fleet:
         """Where one vehicle stands."""
         vehicle, count = self.vehicles[sysid], self.link.count(sysid)
         session, judge = vehicle.session, vehicle.session.judge
-        valid = [gauge for gauge in judge.latest.gauges if gauge.valid] if judge else []
+        ratios = judge.memory.ratios if judge else ()
         return VehicleFigures(
             sysid,
             session.state,
@@ -241,7 +241,7 @@ class Fleet:
             events=vehicle.events,
             flight_s=judge.flight_s if judge else 0.0,
             rates=tuple((signal.value, session.streams.meter(signal).rate_hz) for signal in METERED),
-            ratios=tuple((gauge.monitor, gauge.axis or "", gauge.statistic / gauge.threshold) for gauge in valid),
+            ratios=tuple((slot.monitor.name, slot.monitor.axis or "", ratio) for slot, ratio in ratios),
             timesync=vehicle.timesync,
             drift_ppm=self.link.vehicles[sysid].state.timeline.drift_ppm,
             diagnosis=session.diagnosis,

@@ -34,7 +34,6 @@ class Judge:
         self.judged = now  # when anything was judged last (host)
         self.judged_s = self.flight_s = 0.0  # flight time in which a deciding monitor judged, and all, so far
         self.pieces: tuple[Piece, ...] = ()  # what the latest step gave, for a display
-        self.latest = ChainOutput()  # that had rows
         self._asked, self._unjudged = now, dict[str, str]()  # monitors that do not judge, as asked for last
         self.memory = chain.start(held)
         self.sight = _Sight(chain)  # its `hidden` says why nothing is judged although it flies
@@ -44,14 +43,14 @@ class Judge:
         self.memory, output = self.chain.step(self.memory, telemetry)
         self.judged = now if output.judged_s > 0 else self.judged
         self._count(output)
-        self.latest, self.pieces = output if output.pieces else self.latest, output.pieces
+        self.pieces = output.pieces
         self.sight.step(telemetry, output)
         return output
 
     def end_flight(self) -> ChainOutput:
         """The flight cannot be followed any longer: what is open is closed."""
         self.memory, output = self.chain.end_flight(self.memory)
-        self.latest, self.pieces = ChainOutput(), ()
+        self.pieces = ()
         return output
 
     def finish(self) -> tuple[Record, ...]:

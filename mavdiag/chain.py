@@ -98,6 +98,11 @@ class ChainState:
         return tuple(np.flatnonzero(self.memory.tally[:, VALUES] == 0).tolist())
 
     @property
+    def ratios(self) -> tuple[tuple[Slot, float], ...]:
+        """Latest statistic over its threshold of each slot that judges now."""
+        return self.kernel.ratios(self.memory)
+
+    @property
     def accounts(self) -> tuple[Account, ...]:
         """How long each slot judged since the start, and why it did not."""
         return self.kernel.accounts(self.memory)

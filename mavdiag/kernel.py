@@ -617,6 +617,12 @@ class Kernel:
             if lasts
         )
 
+    def ratios(self, memory: Memory) -> tuple[tuple[Slot, float], ...]:
+        """Latest statistic over its threshold of each slot whose latest value is not stale."""
+        oldest = (memory.next_look or 0) - 1 - STALE_LOOKS
+        fresh = zip(self.slots, memory.latest[:, (RATIO, AT)].tolist(), strict=True)
+        return tuple((slot, ratio) for slot, (ratio, at) in fresh if at >= oldest)
+
     def accounts(self, memory: Memory) -> tuple[Account, ...]:
         """How long each slot judged, and why it did not."""
         doubts = {str(DOUBTS[i]): int(n) * self.dt_s for i, n in enumerate(memory.doubts) if i and n}

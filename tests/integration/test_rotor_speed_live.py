@@ -30,3 +30,6 @@ def test_esc_telemetry_is_learnt_from_metered_and_the_weak_rotor_is_named(profil
     assert any("PROP FAULT motor 3" in line for line in lines)
     assert dict(figures.rates)["rotor_speed"] == pytest.approx(10.0, rel=0.1)
     assert figures.diagnosis.rotor == 3
+    ratios = {monitor: ratio for monitor, _, ratio in figures.ratios}
+    assert ratios["rotor_speed"] > 1.0
+    assert "rotor_trim" in ratios
