@@ -21,7 +21,7 @@ from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.shim import Impairment, Shim
 from mavdiag.telemetry import Log
 from sitl_plant.autopilot.dialect import dialect_named
-from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.emulator import recorded
 from sitl_plant.options import FlightPlan
 from sitl_plant.plant import PlantConfig
@@ -55,7 +55,7 @@ def taught(rate_hz: float, seed: int) -> Baseline:
     for k, shape in enumerate(SHAPES):
         config = PlantConfig(drone=DRONE, trajectory=shape, seed=seed + k)
         telemetry, _ = flight_telemetry(config, TAUGHT_S, LinkSpec("qdrone2", rate_hz))
-        logs.append(Log(f"healthy {shape}", telemetry_digest(telemetry), "qdrone2", telemetry))
+        logs.append(Log(f"healthy {shape}", telemetry.digest, "qdrone2", telemetry))
     options = LearnOptions(airframe=airframe_named("qdrone2"))
     return learn(logs, options, created="2026-01-01T00:00:00Z")
 

@@ -28,7 +28,7 @@ from mavdiag.learning import LearnOptions, learn
 from mavdiag.telemetry import Log
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, FLIGHTS_PER_SUSPICION, poisson_upper
 from mavdiag.units import S_PER_H
-from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.campaign.worker import CREATED, specimen
 from sitl_plant.physics.airframe import in_session
 from sitl_plant.plant import PlantConfig
@@ -68,7 +68,7 @@ def flights_of(airframe: int, session: int, count: int, options: argparse.Namesp
             seed=int(rng.integers(2**31)),
         )
         telemetry, _ = flight_telemetry(config, options.flight, LinkSpec("qdrone2", options.rate))
-        yield Log(f"{airframe} {session} {number}", telemetry_digest(telemetry), "qdrone2", telemetry)
+        yield Log(f"{airframe} {session} {number}", telemetry.digest, "qdrone2", telemetry)
 
 
 def calibrated(airframe: int, options: argparse.Namespace) -> dict[Way, Count | str]:

@@ -47,7 +47,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Log
 from mavdiag.thresholds.heldout import Scores
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, USUAL, threshold_of
-from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.campaign.worker import CREATED, specimen
 from sitl_plant.physics.airframe import Airframe, in_session, with_propellers
 from sitl_plant.plant import PlantConfig
@@ -215,7 +215,7 @@ def emulated(airframes: int, seed: int) -> Table:
 
     def flight(airframe: Airframe, number: int, label: str) -> Log:
         telemetry, _ = flight_telemetry(PlantConfig(airframe=airframe, seed=number), 30.0, LinkSpec("qdrone2", 100.0))
-        return Log(f"{label} {number}", telemetry_digest(telemetry), "qdrone2", telemetry)
+        return Log(f"{label} {number}", telemetry.digest, "qdrone2", telemetry)
 
     def teach(logs: Sequence[Log]) -> Baseline:
         return learn(logs, options, created=CREATED)

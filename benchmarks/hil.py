@@ -27,7 +27,7 @@ from mavdiag.judging import judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.samples import joined
 from mavdiag.telemetry import Log, Telemetry
-from sitl_plant.autopilot.telemetry import LinkSpec, TelemetryStream, telemetry_digest
+from sitl_plant.autopilot.telemetry import LinkSpec, TelemetryStream
 from sitl_plant.hil.ardupilot import Lockstep
 from sitl_plant.hil.simulation import Simulation, output_map
 from sitl_plant.physics.faults import FAULTS, Injection, fault_injection
@@ -110,7 +110,7 @@ def fly(course: Course, seed: int, faults: tuple[Injection, ...] = (), until_s: 
         count += 1
     assert simulation.takeoff_s is not None
     telemetry = recorder.telemetry()
-    return Flight(Log(f"seed {seed}", telemetry_digest(telemetry), "qdrone2", telemetry), simulation.takeoff_s)
+    return Flight(Log(f"seed {seed}", telemetry.digest, "qdrone2", telemetry), simulation.takeoff_s)
 
 
 def taught() -> Baseline:

@@ -27,7 +27,7 @@ from mavdiag.judging import judge_in_full
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.telemetry import FloatArray, Log
 from mavdiag.units import NS_PER_S
-from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.campaign.worker import CREATED, specimen
 from sitl_plant.physics.airframe import Airframe, in_session
 from sitl_plant.physics.faults import Injection, RotorDamage, parse_fault
@@ -92,7 +92,7 @@ class _Hangar:
         causes = () if damage is None else (Injection(damage, self.rotor, 0.0, angle_rad=self.angle),)
         config = PlantConfig(airframe=today, injections=causes, seed=int(self.rng.integers(2**31)))
         telemetry, _ = flight_telemetry(config, DURATION_S, LINK)
-        return Log(self.name, telemetry_digest(telemetry), LINK.profile, telemetry, t_ns)
+        return Log(self.name, telemetry.digest, LINK.profile, telemetry, t_ns)
 
     def record(self, log: Log, baseline: Baseline) -> FlightRecord:
         found = judge_in_full(log, baseline)

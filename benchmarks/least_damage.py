@@ -64,7 +64,7 @@ from mavdiag.judging import judge
 from mavdiag.learning import LearnOptions, learn, rows_of
 from mavdiag.telemetry import FloatArray, Log
 from mavdiag.units import G_MM_PER_KG_M, NS_PER_S, S_PER_H
-from sitl_plant.autopilot.telemetry import flight_telemetry, telemetry_digest
+from sitl_plant.autopilot.telemetry import flight_telemetry
 from sitl_plant.campaign.plan import CALM, built, parse_link
 from sitl_plant.campaign.worker import CREATED, specimen
 from sitl_plant.physics.airframe import Airframe
@@ -121,7 +121,7 @@ class Setup:
         """One flight over the link."""
         config = PlantConfig(airframe=self.airframe(), seed=seed, injections=injections)
         telemetry, _ = flight_telemetry(config, DURATION_S, parse_link(self.link))
-        return Log(f"flight {seed}", telemetry_digest(telemetry), "qdrone2", telemetry)
+        return Log(f"flight {seed}", telemetry.digest, "qdrone2", telemetry)
 
     def healthy(self) -> list[Log]:
         """The flights that teach."""

@@ -35,7 +35,7 @@ from mavdiag.telemetry import Log
 from mavdiag.thresholds.heldout import Scores
 from mavdiag.thresholds.priors import priors_file
 from mavdiag.thresholds.rule import DEGREES, shown_spreads
-from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.campaign.worker import CREATED, specimen
 from sitl_plant.physics.airframe import in_session, with_propellers
 from sitl_plant.plant import PlantConfig
@@ -57,7 +57,7 @@ def emulated(number: int, seed: int) -> Baseline:
             config = PlantConfig(airframe=own, seed=seed + 100 * number + 10 * session + flight)
             telemetry, _ = flight_telemetry(config, FLIGHT_S, LinkSpec("qdrone2", RATE_HZ))
             name = f"emulated {seed}-{number} session {session} flight {flight}"
-            logs.append(Log(name, telemetry_digest(telemetry), "qdrone2", telemetry))
+            logs.append(Log(name, telemetry.digest, "qdrone2", telemetry))
     told = replace(airframe_of(qdrone2(), "emulated"), name=f"emulated {seed}-{number}")
     return learn(logs, LearnOptions(airframe=told, sessions=SESSIONS, robust=True), created=CREATED)
 

@@ -17,7 +17,7 @@ from mavdiag.judging import JudgedFlight, judge_in_full
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.report.page import flight_report, flights_page
 from mavdiag.telemetry import Log
-from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.plant import PlantConfig
 
 CREATED = "2026-01-01T00:00:00+00:00"
@@ -30,7 +30,7 @@ Found = TypeVar("Found")
 def fly(seed: int, seconds: float) -> Log:
     """One healthy flight."""
     telemetry, _ = flight_telemetry(PlantConfig(seed=seed), seconds, LinkSpec("qdrone2"))
-    return Log(f"seed {seed}", telemetry_digest(telemetry), "qdrone2", telemetry)
+    return Log(f"seed {seed}", telemetry.digest, "qdrone2", telemetry)
 
 
 def timed(work: Callable[[], Found]) -> tuple[Found, float]:

@@ -33,7 +33,7 @@ from mavdiag.judging import judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.telemetry import Log
 from mavdiag.units import NS_PER_S, S_PER_H
-from sitl_plant.autopilot.telemetry import flight_telemetry, telemetry_digest
+from sitl_plant.autopilot.telemetry import flight_telemetry
 from sitl_plant.campaign.plan import parse_link
 from sitl_plant.campaign.worker import CREATED, specimen
 from sitl_plant.physics.faults import Injection, RotorDamage
@@ -67,7 +67,7 @@ class Setup:
         motors = tuple(Injection(RotorDamage(speed_factor=one), k) for k, one in enumerate(warmth.tolist(), 1))
         config = PlantConfig(airframe=airframe, seed=seed, injections=(*motors, *injections))
         telemetry, _ = flight_telemetry(config, DURATION_S, parse_link(self.link))
-        return Log(f"flight {seed}", telemetry_digest(telemetry), self.link.partition("@")[0], telemetry)
+        return Log(f"flight {seed}", telemetry.digest, self.link.partition("@")[0], telemetry)
 
 
 @cache

@@ -28,7 +28,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.judging import judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.telemetry import Log, Series, Signal, Telemetry
-from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.plant import PlantConfig
 
 FLIGHTS = ((1000.0, 600.0), (100.0, 300.0))  # rate [Hz], length [s]
@@ -64,7 +64,7 @@ def flown(seed: int, rate_hz: float, duration_s: float) -> Log:
     t_ns, host_ns = gyro.t_ns[::every], gyro.host_ns[::every]
     shaking = np.abs(np.random.default_rng(seed).normal(0.0, [2.0, 2.0, 3.0], (len(t_ns), 3)))
     telemetry = Telemetry((*telemetry.series, Series(Signal.VIBRATION, t_ns, host_ns, shaking)))
-    return Log(f"emulated seed {seed}", telemetry_digest(telemetry), "qdrone2", telemetry)
+    return Log(f"emulated seed {seed}", telemetry.digest, "qdrone2", telemetry)
 
 
 def taught(rate_hz: float) -> Baseline:

@@ -21,7 +21,7 @@ from mavdiag.learning.teaching import one_vehicle, taught
 from mavdiag.logs import between
 from mavdiag.telemetry import Log, Signal
 from mavdiag.units import NS_PER_S
-from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.campaign.plan import MANOEUVRES, Conditions, injections_of
 from sitl_plant.campaign.worker import PAYLOAD_BELOW_M, PAYLOAD_OFFSET_M, specimen
 from sitl_plant.physics.airframe import Airframe, Payload
@@ -74,7 +74,7 @@ def fly(session: Session, conditions: Conditions, duration_s: float, injections:
     )
     telemetry, _ = flight_telemetry(config, duration_s, session.link)
     name = f"{session.airframe.name} {conditions.manoeuvre} {config.seed}"
-    return Log(name, telemetry_digest(telemetry), session.link.profile, telemetry)
+    return Log(name, telemetry.digest, session.link.profile, telemetry)
 
 
 def session_of(seed: int, number: int) -> Session:

@@ -16,7 +16,7 @@ from mavdiag.learning import LearnOptions, learn
 from mavdiag.report.pictures import evidence_picture, residual_picture
 from mavdiag.telemetry import Log
 from mavdiag.traces import rate_traces, slot_traces
-from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.campaign.plan import injections_of
 from sitl_plant.physics.faults import Injection
 from sitl_plant.plant import PlantConfig
@@ -31,7 +31,7 @@ CREATED = "2026-01-01T00:00:00+00:00"
 def fly(seed: int, injections: tuple[Injection, ...] = ()) -> Log:
     """One flight, as a receiver reads it."""
     telemetry, _ = flight_telemetry(PlantConfig(seed=seed, injections=injections), FLIGHT_S, LINK)
-    return Log(f"seed {seed}", telemetry_digest(telemetry), LINK.profile, telemetry)
+    return Log(f"seed {seed}", telemetry.digest, LINK.profile, telemetry)
 
 
 @cache

@@ -21,39 +21,47 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mavdiag import identify
+    from mavdiag import identify, monitors
     from mavdiag.airframe.airframe import Airframe
     from mavdiag.baseline import Baseline
+    from mavdiag.decision.diagnosis import Diagnosis, Event
+    from mavdiag.errors import BaselineError, IdentificationError, InputError, LinkError, MavdiagError, UsageError
     from mavdiag.face import Watch, judge, learn, rates, read_log, scan
+    from mavdiag.judging import Verdict
     from mavdiag.link.link import open_link
     from mavdiag.logs.tlog import vehicle_stream
-    from mavdiag.telemetry import Log
+    from mavdiag.telemetry import Log, Series, Signal, Telemetry
 
 try:
     __version__ = version("mavdiag")
 except PackageNotFoundError:  # a bare checkout on the path, not installed
     __version__ = "0+unknown"
 
-__all__ = ["Airframe", "Baseline", "Log", "Watch", "__version__", "identify", "judge", "learn", "open_link"]
-__all__ += ["rates", "read_log", "scan", "vehicle_stream"]
+__all__ = ["Airframe", "Baseline", "BaselineError", "Diagnosis", "Event", "IdentificationError", "InputError"]
+__all__ += ["LinkError", "Log", "MavdiagError", "Series", "Signal", "Telemetry", "UsageError", "Verdict", "Watch"]
+__all__ += ["identify", "judge", "learn", "monitors", "open_link", "rates", "read_log", "scan", "vehicle_stream"]
 
 _HOME = {
-    **dict.fromkeys(("Watch", "judge", "learn", "rates", "read_log", "scan"), "mavdiag.face"),
-    "Airframe": "mavdiag.airframe.airframe",
-    "Baseline": "mavdiag.baseline",
-    "Log": "mavdiag.telemetry",
-    "open_link": "mavdiag.link.link",
-    "vehicle_stream": "mavdiag.logs.tlog",
+    "mavdiag.airframe.airframe": ("Airframe",),
+    "mavdiag.baseline": ("Baseline",),
+    "mavdiag.decision.diagnosis": ("Diagnosis", "Event"),
+    "mavdiag.errors": ("BaselineError", "IdentificationError", "InputError", "LinkError", "MavdiagError", "UsageError"),
+    "mavdiag.face": ("Watch", "judge", "learn", "rates", "read_log", "scan"),
+    "mavdiag.judging": ("Verdict",),
+    "mavdiag.link.link": ("open_link",),
+    "mavdiag.logs.tlog": ("vehicle_stream",),
+    "mavdiag.telemetry": ("Log", "Series", "Signal", "Telemetry"),
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name == "identify":
-        return import_module("mavdiag.identify")
-    if name not in _HOME:
-        raise AttributeError(f"module 'mavdiag' has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
+    if name in ("identify", "monitors"):
+        return import_module(f"mavdiag.{name}")
+    for home, names in _HOME.items():
+        if name in names:
+            return getattr(import_module(home), name)
+    raise AttributeError(f"module 'mavdiag' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted((*__all__, "__doc__", "__version__"))

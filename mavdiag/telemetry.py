@@ -1,12 +1,13 @@
 """The values that cross module boundaries, in SI units and in the body frame FRD (x forward, y right, z down)."""
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mavdiag.errors import InputError
 from mavdiag.units import NS_PER_S
@@ -60,6 +61,11 @@ class Signal(StrEnum):
     VOLTAGE = "voltage"  # battery [V]
     ARMED = "armed"  # 0 or 1
 
+    @property
+    def width(self) -> int | None:
+        """Number of its columns; None for outputs and rotors, of which there are as many as there are."""
+        return None if self in (Signal.ACTUATOR, Signal.ROTOR_SPEED) else 1 if self in _ALONE else 3
+
 
 _UNITS = {
     **dict.fromkeys((Signal.ATTITUDE_SETPOINT, Signal.ATTITUDE), "rad"),
@@ -68,6 +74,9 @@ _UNITS = {
     Signal.HEIGHT: "m",
     Signal.VOLTAGE: "V",
 }
+
+
+_ALONE = (Signal.THRUST_SETPOINT, Signal.HEIGHT, Signal.VOLTAGE, Signal.ARMED)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -128,6 +137,16 @@ class Telemetry:
     def __iter__(self) -> Iterator[Series]:
         return iter(self.series)
 
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all times and values, hexadecimal: the identity of a flight that never was a file."""
+        digest = hashlib.sha256()
+        for series in self.series:
+            digest.update(series.signal.encode())
+            digest.update(np.ascontiguousarray(series.t_ns).tobytes())
+            digest.update(np.ascontiguousarray(series.values).tobytes())
+        return digest.hexdigest()
+
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Batch:
@@ -166,6 +185,45 @@ class Log:
     mav_type: int | None = None
     vehicle: int | None = None
     batches: tuple[Batch, ...] = ()
+
+    @classmethod
+    def from_arrays(
+        cls,
+        name: str,
+        signals: Mapping[Signal, tuple[ArrayLike, ArrayLike]] | Mapping[str, tuple[ArrayLike, ArrayLike]],
+        *,
+        profile: str = "csv",
+        started_ns: int = 0,
+        motor_order: bool = True,
+    ) -> "Log":
+        """A log of arrays: of each signal, by its name, times (n,) of one clock [s] and values (n, k) or (n,).
+
+        Columns and units are those of `Signal`, axes those of FRD. The others as in `Log`.
+        Raises InputError, naming the signal, for an unknown one and for arrays that do not fit it or each other.
+
+        >>> Log.from_arrays("hover", {"body_rate": ([0.0, 0.01], [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])})["body_rate"].t_ns
+        array([       0, 10000000])
+        """
+        series = []
+        for signal, (t_s, values) in signals.items():
+            if signal not in tuple(Signal):
+                raise InputError(f"no signal is named {signal!r}; there are {', '.join(Signal)}")
+            try:
+                times, columns = np.asarray(t_s, dtype=np.float64), np.asarray(values, dtype=np.float64)
+            except (TypeError, ValueError) as error:
+                raise InputError(f"{signal}: no array of numbers: {error}") from error
+            columns = columns[:, None] if columns.ndim == 1 else columns
+            width = Signal(signal).width
+            if times.ndim != 1 or columns.ndim != 2 or len(times) != len(columns) or not np.isfinite(times).all():
+                raise InputError(
+                    f"{signal}: give finite times (n,) and values (n, k), not {times.shape}, {columns.shape}"
+                )
+            if width not in (None, columns.shape[1]):
+                raise InputError(f"{signal}: it has {width} columns, not {columns.shape[1]}")
+            t_ns = np.round(times * NS_PER_S).astype(np.int64)
+            series.append(Series(Signal(signal), t_ns, t_ns, columns))
+        telemetry = Telemetry(tuple(series))
+        return cls(name, telemetry.digest, profile, telemetry, started_ns, motor_order=motor_order)
 
     def __getitem__(self, signal: Signal | str) -> Series:
         """The series of a signal, by the signal or its name. Raises InputError if the log has none."""

@@ -16,7 +16,7 @@ from mavdiag.link.ports import Endpoint
 from mavdiag.telemetry import Log
 from mavdiag.units import NS_PER_S
 from sitl_plant.autopilot.dialect import dialect_named
-from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.emulator import Link, fly
 from sitl_plant.plant import Plant, PlantConfig
 
@@ -117,7 +117,7 @@ def healthy_flights(
     logs = []
     for seed in seeds:
         telemetry, _ = flight_telemetry(PlantConfig(seed=seed, **config), seconds, LinkSpec(profile, rate_hz))  # type: ignore[arg-type]  # of several types
-        logs.append(Log(f"seed {seed}", telemetry_digest(telemetry), profile, telemetry))
+        logs.append(Log(f"seed {seed}", telemetry.digest, profile, telemetry))
     return logs
 
 

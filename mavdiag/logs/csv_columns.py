@@ -32,18 +32,23 @@ DAMAGED_SHARE = 0.5  # of the rows: beyond it the map is wrong (our choice)
 SUFFIXES = (".csv", ".tsv", ".txt")
 _TIME_NS = {"s": NS_PER_S, "ms": NS_PER_MS, "us": NS_PER_US, "ns": 1}
 _SHARES = {"": 1.0, "percent": 0.01, "per mille": 1e-3}
-#: Of each signal the number of columns, None for any, and its units.
-_UNITS: Mapping[Signal, tuple[int | None, Mapping[str, float]]] = {
-    **dict.fromkeys((Signal.ATTITUDE_SETPOINT, Signal.ATTITUDE), (3, {"rad": 1.0, "deg": DEG})),
-    **dict.fromkeys((Signal.RATE_SETPOINT, Signal.BODY_RATE), (3, {"rad/s": 1.0, "deg/s": DEG, "mrad/s": 1e-3})),
-    **dict.fromkeys((Signal.SPECIFIC_FORCE, Signal.VIBRATION), (3, {"m/s^2": 1.0, "g": G, "mg": 1e-3 * G})),
-    Signal.TORQUE_COMMAND: (3, _SHARES),
-    Signal.THRUST_SETPOINT: (1, _SHARES),
-    Signal.ACTUATOR: (None, _SHARES),
-    Signal.ROTOR_SPEED: (None, {"rad/s": 1.0, "rpm": RPM, "Hz": 60 * RPM}),
-    Signal.ARMED: (1, {"": 1.0}),
-    Signal.HEIGHT: (1, {"m": 1.0}),
-    Signal.VOLTAGE: (1, {"V": 1.0, "mV": 1e-3}),
+_ANGLE = {"rad": 1.0, "deg": DEG}
+_TURN = {"rad/s": 1.0, "deg/s": DEG, "mrad/s": 1e-3}
+_ACCELERATION = {"m/s^2": 1.0, "g": G, "mg": 1e-3 * G}
+_UNITS: Mapping[Signal, Mapping[str, float]] = {
+    Signal.ATTITUDE_SETPOINT: _ANGLE,
+    Signal.ATTITUDE: _ANGLE,
+    Signal.RATE_SETPOINT: _TURN,
+    Signal.BODY_RATE: _TURN,
+    Signal.SPECIFIC_FORCE: _ACCELERATION,
+    Signal.VIBRATION: _ACCELERATION,
+    Signal.TORQUE_COMMAND: _SHARES,
+    Signal.THRUST_SETPOINT: _SHARES,
+    Signal.ACTUATOR: _SHARES,
+    Signal.ROTOR_SPEED: {"rad/s": 1.0, "rpm": RPM, "Hz": 60 * RPM},
+    Signal.ARMED: {"": 1.0},
+    Signal.HEIGHT: {"m": 1.0},
+    Signal.VOLTAGE: {"V": 1.0, "mV": 1e-3},
 }
 
 Column: TypeAlias = Annotated[str, Field(min_length=1, max_length=200)]
@@ -71,7 +76,7 @@ class _Columns(_Part):
 
     def factors(self, signal: Signal) -> FloatArray:
         signs = [-1.0 if column.startswith("-") else 1.0 for column in self.columns]
-        return np.array(signs) * _UNITS[signal][1][self.unit]
+        return np.array(signs) * _UNITS[signal][self.unit]
 
 
 class ColumnMap(_Part):
@@ -88,7 +93,7 @@ class ColumnMap(_Part):
         if Signal.BODY_RATE not in self.signals:
             raise ValueError("body_rate is missing; nothing works without the gyro")
         for signal, part in self.signals.items():
-            width, units = _UNITS[signal]
+            width, units = signal.width, _UNITS[signal]
             if part.unit not in units:
                 raise ValueError(f"{signal}.unit: {part.unit!r} is none of {', '.join(map(repr, units))}")
             if width is not None and len(part.columns) != width:

@@ -3,7 +3,6 @@
 The records are those that the emulator sends, and the receiver's own conversions read them. Lost messages are missing.
 """
 
-import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,13 +90,3 @@ def flight_telemetry(config: PlantConfig, duration_s: float, link: LinkSpec = Li
     if not pieces:
         raise UsageError(f"a flight must last at least 1 ms, not {duration_s:g} s")
     return joined(pieces), flown * STEP_NS * 1e-9
-
-
-def telemetry_digest(telemetry: Telemetry) -> str:
-    """SHA-256 (hex) of all times and values: the identity of a flight that never was a file."""
-    digest = hashlib.sha256()
-    for series in telemetry.series:
-        digest.update(series.signal.encode())
-        digest.update(np.ascontiguousarray(series.t_ns).tobytes())
-        digest.update(np.ascontiguousarray(series.values).tobytes())
-    return digest.hexdigest()

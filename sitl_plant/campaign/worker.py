@@ -29,7 +29,7 @@ from mavdiag.judging import JudgedEvent, JudgedFlight, LogVerdict, Verdict, judg
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.telemetry import Log
 from mavdiag.units import NS_PER_S, S_PER_H
-from sitl_plant.autopilot.telemetry import flight_telemetry, telemetry_digest
+from sitl_plant.autopilot.telemetry import flight_telemetry
 from sitl_plant.campaign.plan import (
     CONDITIONS,
     HEALTHY,
@@ -193,7 +193,7 @@ def _flown(
     link = replace(parse_link(task.link), loss=loss)
     telemetry, flown_s = flight_telemetry(config, duration_s, link)
     started_ns = START_NS + round((session * DAY_S + number * (task.duration_s + PAUSE_S)) * NS_PER_S)
-    return Log(name, telemetry_digest(telemetry), link.profile, telemetry, started_ns), flown_s
+    return Log(name, telemetry.digest, link.profile, telemetry, started_ns), flown_s
 
 
 def learn_task(key: str, seed: int, task: LearnTask) -> LearnResult:

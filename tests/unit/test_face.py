@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from flying_telemetry import START_NS, flying
 from made_archive import archive_baseline, made
@@ -24,7 +25,7 @@ def test_the_import_loads_nothing_heavy_and_every_name_is_there() -> None:
     program = "import sys, mavdiag; print(*{name.split('.')[0] for name in sys.modules})"
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
     assert not HEAVY & set(loaded.split())
-    assert set(md.__all__) <= set(dir(md))
+    assert {name for name in dir(md) if not name.startswith("__")} == set(md.__all__)
     for name in md.__all__:
         assert getattr(md, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'absent'"):
@@ -101,3 +102,33 @@ def test_1_a_watch_refuses_a_link_of_another_rate_or_profile() -> None:
         assert watch.diagnosis.stage == "not judged"
         assert says in watch.diagnosis.reason
         assert not watch.output.pieces
+
+
+def test_a_log_of_arrays_is_learnt_from_and_judged() -> None:
+    def of_arrays(name: str, telemetry: Telemetry) -> md.Log:
+        arrays = {series.signal: (series.t_s - 5.0, series.values) for series in telemetry}
+        return md.Log.from_arrays(name, arrays, motor_order=False)
+
+    logs = [of_arrays(log.name, log.telemetry) for log in healthy(3)]
+    baseline = md.learn(logs, FRAME, created="2026-01-01T00:00:00+00:00")
+    verdict = md.judge(of_arrays("weak", flying(3000, 5, weak_rotor=3, rise=0.2)), baseline)
+    assert verdict.verdict is md.Verdict.FAULT
+    assert verdict.events[0].event.rotor == 3
+    assert len({log.sha256 for log in logs}) == 3
+
+
+@pytest.mark.parametrize(
+    ("signals", "says"),
+    [
+        ({"gyro": ([0.0], [[0.0] * 3])}, "no signal is named 'gyro'; there are attitude_setpoint"),
+        ({"body_rate": ([0.0, 0.1], [[0.0] * 3])}, "body_rate: give finite times .* not .2,., .1, 3."),
+        ({"body_rate": ([np.nan], [[0.0] * 3])}, "body_rate: give finite times"),
+        ({"body_rate": ([0.0], [[0.0] * 2])}, "body_rate: it has 3 columns, not 2"),
+        ({"height": ([0.0], [["low"]])}, "height: no array of numbers: could not convert"),
+    ],
+)
+def test_arrays_that_are_no_signal_are_refused(
+    signals: dict[str, tuple[list[float], list[list[float]]]], says: str
+) -> None:
+    with pytest.raises(md.InputError, match=says):
+        md.Log.from_arrays("x", signals)
