@@ -42,7 +42,7 @@ def lowest(session: nox.Session) -> None:
     """The lowest versions that pyproject.toml allows, in an environment of their own: a core part of the suite."""
     session.install("uv")
     own = ("uv", "pip", "install", "--python", f"{session.bin}/python", "--resolution", "lowest-direct")
-    session.run(*own, "-e", ".[fleet,web,history,mqtt]", "--group", "test")
+    session.run(*own, "-e", ".[fleet,web,history,mqtt,export]", "--group", "test")
     # what the newest indirect requirements say of the oldest direct ones is no fault of ours
     session.run("python", "-m", "pytest", "-W", "ignore::DeprecationWarning", "-m", "not realtime", *CORE)
 

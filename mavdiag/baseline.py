@@ -35,6 +35,7 @@ from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.grid import NATIVE_TOLERANCE, rate_tolerance
 from mavdiag.rows.quality import LinkQuality
 from mavdiag.storage import read_text, write_atomically
+from mavdiag.tabular import Tabular
 from mavdiag.telemetry import Signal
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.rule import Threshold, ThresholdRule, flights_for_guarantee
@@ -177,7 +178,7 @@ class Provenance(Part):
     notes: tuple[str, ...] = ()  # what was odd about the flights though they were learnt
 
 
-class Baseline(Part):
+class Baseline(Part, Tabular):
     """The whole artefact."""
 
     schema_id: Literal["mavdiag.baseline/5"] = Field(alias="schema", default="mavdiag.baseline/5")
@@ -251,6 +252,17 @@ class Baseline(Part):
     def save(self, path: str | Path) -> None:
         """Write it; the old file stays whole until the new one is. Raises UsageError if it cannot be written."""
         write_atomically(Path(path), dump(self))
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Its monitors."""
+        monitors = [(monitor_of(entry.spec), entry.threshold) for entry in self.monitors]
+        return {
+            "monitor": [f"{one.name} {one.axis or ''}".strip() for one, _ in monitors],
+            "threshold": [threshold.value for _, threshold in monitors],
+            "healthy mean": [threshold.mean for _, threshold in monitors],
+            "suspected from": [threshold.suspected[0] * threshold.value for _, threshold in monitors],
+            "unit": [one.unit for one, _ in monitors],
+        }
 
     def __str__(self) -> str:
         frame, link = self.airframe, self.link

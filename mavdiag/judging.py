@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.gate import hidden_flight
 from mavdiag.rows.grid import measure_grid
 from mavdiag.rows.upsets import motion_of, upset_in
+from mavdiag.tabular import Tabular
 from mavdiag.telemetry import Axis, FloatArray, Log, Signal
 from mavdiag.units import NS_PER_S
 
@@ -76,7 +78,7 @@ class JudgedEvent:
 
 
 @dataclass(frozen=True, slots=True)
-class LogVerdict:
+class LogVerdict(Tabular):
     """The verdict on one log. rate_hz: of the gyro. changes: the decision's log.
 
     flown_s: in the air, without take-offs and landings; what nobody could judge, as without a gyro, is in it.
@@ -101,6 +103,19 @@ class LogVerdict:
     since_s: float | None = None
     rotor: int | None = None
     rotors: tuple[RotorSpan, ...] = ()
+
+    def columns(self) -> dict[str, list[Any]]:
+        """What each monitor said."""
+        return {
+            "monitor": [f"{one.name} {one.axis or ''}".strip() for one in self.monitors],
+            "maximum": [one.maximum for one in self.monitors],
+            "threshold": [one.threshold for one in self.monitors],
+            "ratio": [one.ratio for one in self.monitors],
+            "unit": [one.unit for one in self.monitors],
+            "alarms": [one.alarms for one in self.monitors],
+            "judged [s]": [one.judged_s for one in self.monitors],
+            "not judged": [one.not_judged for one in self.monitors],
+        }
 
     def __str__(self) -> str:
         return f"{self.log}: {self.verdict.value}, {self.reason}"

@@ -1,16 +1,20 @@
 """The values that cross module boundaries, in SI units and in the body frame FRD (x forward, y right, z down)."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mavdiag.errors import InputError
+from mavdiag.tabular import Tabular, pandas
 from mavdiag.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
@@ -60,6 +64,12 @@ class Signal(StrEnum):
     HEIGHT = "height"  # above take-off, up positive [m]
     VOLTAGE = "voltage"  # battery [V]
     ARMED = "armed"  # 0 or 1
+
+    def names(self, width: int) -> tuple[str, ...]:
+        """Names of its columns: axes of the body, or the number of an output or rotor."""
+        if self.width is None:
+            return tuple(str(number + 1) for number in range(width))
+        return ("value",) if width == 1 else tuple("xyz") if _UNITS.get(self) == "m/s^2" else tuple(Axis)
 
     @property
     def width(self) -> int | None:
@@ -161,7 +171,7 @@ class Batch:
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Log:
+class Log(Tabular):
     """One vehicle's flight, from a file or from a live link.
 
     name, sha256: what to call it (a file's name), and of the whole file, hexadecimal; empty where there is no file.
@@ -229,6 +239,45 @@ class Log:
         """The series of a signal, by the signal or its name. Raises InputError if the log has none."""
         return self.telemetry[signal]
 
+    def columns(self) -> dict[str, list[Any]]:
+        """What it has of each signal."""
+        series = [one for one in self.telemetry if len(one)]
+        spans_s = [max(float(one.t_s.max() - one.t_s.min()), 1 / NS_PER_S) for one in series]
+        return {
+            "signal": [str(one.signal) for one in series],
+            "samples": [len(one) for one in series],
+            "rate [Hz]": [(len(one) - 1) / span_s for one, span_s in zip(series, spans_s, strict=True)],
+            "from [s]": [float(one.t_s.min()) for one in series],
+            "to [s]": [float(one.t_s.max()) for one in series],
+            "unit": [one.unit for one in series],
+        }
+
+    def to_frame(self, *signals: Signal | str) -> "DataFrame":
+        """Its signals, or those named, over time of the vehicle's clock [s]: columns like "body_rate/roll".
+
+        Each row is of one time; what a signal did not sample then is NaN. Raises UsageError without pandas,
+        InputError for a signal that the log has not.
+        """
+        series = [self[name] for name in signals] or [one for one in self.telemetry if len(one)]
+        tables = [(one.signal, one.t_s, one.signal.names(one.values.shape[1]), one.values) for one in series]
+        return frame_of(tables)
+
+    def plot(self, *signals: Signal | str, **options: Any) -> Any:
+        """Draw signals over time; options as of `pandas.DataFrame.plot`."""
+        return self.to_frame(*signals).interpolate(method="index").plot(**options)
+
     def __repr__(self) -> str:
         notes = "".join(f"; {note}" for note in self.notes)
         return f"<Log {self.name}: profile {self.profile}, {len(self.telemetry.series)} signals{notes}>"
+
+
+def frame_of(tables: Sequence[tuple[str, FloatArray, Sequence[str], FloatArray]]) -> "DataFrame":
+    """Tables as one frame over time, columns like "name/column"; of equal times of a table the last row stays.
+
+    tables: of each its name, times [s] (n,), names of its k columns, values (n, k). Raises UsageError without pandas.
+    """
+    library = pandas()
+    frames = [library.DataFrame(x, index=t_s, columns=[f"{name}/{c}" for c in names]) for name, t_s, names, x in tables]
+    apart = [frame[~frame.index.duplicated(keep="last")] for frame in frames]
+    frame: DataFrame = library.concat(apart, axis=1).sort_index().rename_axis("t_s") if apart else library.DataFrame()
+    return frame

@@ -1,29 +1,75 @@
-"""`mavdiag export`: a baseline for those who judge without this package."""
+"""`mavdiag export`: a flight for other tools, or a baseline for those who judge without this package."""
 
 from pathlib import Path
 from typing import Annotated
 
-from typer import Option
+from typer import Argument, Option
 
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
+from mavdiag.commands.options import BaselineFile, Columns, Vehicle
+from mavdiag.errors import UsageError
+from mavdiag.judging import judge_in_full
+from mavdiag.logs import read_log
+from mavdiag.logs.csv_columns import load_column_map
 from mavdiag.storage import write_atomically
+from mavdiag.telemetry import Log
 
 
 def export(
-    lua: Annotated[Path, Option(metavar="BASELINE", help="Write it as an ArduPilot Lua applet.")],
-    output: Annotated[Path, Option("-o", "--output", metavar="FILE.lua", help="Script to write.")],
-    table_key: Annotated[int, Option(min=1, max=200, help="Of its parameters; other scripts have others.")] = 151,
+    log: Annotated[Path | None, Argument(metavar="LOG", help="Flight log.")] = None,
+    *,
+    mcap: Annotated[bool, Option("--mcap", help="For Foxglove and PlotJuggler.")] = False,
+    csv: Annotated[bool, Option("--csv", help="A table over time.")] = False,
+    parquet: Annotated[bool, Option("--parquet", help="The same for data frames.")] = False,
+    lua: Annotated[Path | None, Option(metavar="BASELINE", help="A baseline as an ArduPilot Lua applet.")] = None,
+    baseline: BaselineFile | None = None,
+    output: Annotated[Path | None, Option("-o", "--output", help="File to write.  [default: LOG.suffix]")] = None,
+    vehicle: Vehicle = None,
+    columns: Columns = None,
+    table_key: Annotated[int, Option(min=1, max=200, help="Of the applet's parameters.")] = 151,
 ) -> None:
-    """Write a script that judges on the flight controller itself, without a companion computer.
+    """Write a flight's signals for other tools; with a baseline also residuals, statistics and the decision.
 
-    It runs on the vehicle of the baseline alone; docs/flight-controller.md says how it gets there, its parameters and
-    its texts. What it cannot judge is told.
+    Or write a baseline as a script that judges on the flight controller itself (docs/flight-controller.md).
     """
+    chosen = [kind for kind, asked in (("mcap", mcap), ("csv", csv), ("parquet", parquet)) if asked]
+    if lua is not None:
+        if log is not None or chosen or baseline is not None or output is None:
+            raise UsageError("--lua takes a baseline and -o FILE.lua alone, no log")
+        return _write_applet(lua, output, table_key)
+    if log is None or len(chosen) != 1:
+        raise UsageError("name one LOG and one of --mcap, --csv, --parquet; or --lua BASELINE -o FILE")
+    output = output or Path(log.name).with_suffix(f".{chosen[0]}")
+    if output.exists() and log.exists() and output.samefile(log):
+        raise UsageError(f"{output} is the log itself; name another file with -o")
+    found = read_log(log, vehicle, columns=load_column_map(columns) if columns else None)
+    return _write_flight(found, chosen[0], baseline, output)
+
+
+def _write_flight(log: Log, kind: str, baseline: Path | None, output: Path) -> None:
+    from mavdiag.export import flight
+
+    judged = judge_in_full(log, Baseline.load(baseline)) if baseline is not None else None
+    topics = list(flight.topics_of(log, judged))
+    try:
+        if kind == "mcap":
+            flight.write_mcap(output, log, topics, judged.verdict.changes if judged else ())
+        elif kind == "csv":
+            flight.table_of(topics).to_csv(output)
+        else:
+            flight.table_of(topics).to_parquet(output)
+    except OSError as error:
+        raise UsageError(f"{output}: {error.strerror}; name a file that can be written") from error
+    say(str(judged.verdict) if judged else f"{log.name}: signals alone; name a --baseline to judge it")
+    say(f"written to {output}: {', '.join(topic.name for topic in topics)}")
+
+
+def _write_applet(baseline: Path, output: Path, table_key: int) -> None:
     from mavdiag.export.lua import applet, left_out
 
-    baseline = Baseline.load(lua)
-    write_atomically(output, applet(baseline, table_key))
-    for one in left_out(baseline):
+    loaded = Baseline.load(baseline)
+    write_atomically(output, applet(loaded, table_key))
+    for one in left_out(loaded):
         say(f"left out   {one}")
     say(f"written to {output}; copy it to APM/scripts of the memory card and set SCR_ENABLE to 1")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from mavdiag.airframe.trim import loss_of
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event, Stage
-from mavdiag.monitors import BY_NAME, by_name
+from mavdiag.monitors import BY_NAME, MONITORS, by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.units import NS_PER_S
 
@@ -23,19 +23,7 @@ MOSTLY = 0.9  # of what was judged: a monitor that judged more has judged the fl
 TYPES = {"F1": "an edge cut", "F2": "a crack", "F3": "surface unbalance"}
 
 #: What each monitor looks at.
-OBSERVES = {
-    "fsd": "how long the body rate differs from the model's (the thesis's rule)",
-    "innovation": "motion that is predicted badly one step ahead",
-    "rotor_signature": "unexplained motion along the arm of one rotor",
-    "unbalance": "vibration that turns with a rotor",
-    "vibration_level": "the autopilot's own vibration level",
-    "rotor_trim": "one rotor commanded more than in health",
-    "trim_step": "one rotor commanded more than a minute ago",
-    "sensor_noise": "noise of one sensor axis alone",
-    "sensor_drift": "gyro and attitude that do not agree",
-    "control_loss": "a body rate that nobody commanded",
-    "thrust_loss": "thrust that is missing while the vehicle turns",
-}
+OBSERVES = {monitor.name: monitor.observes for monitor in MONITORS}
 
 #: The verdicts in short, in the order in which they ask for attention.
 VERDICTS = {

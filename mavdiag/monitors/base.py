@@ -124,6 +124,7 @@ class Monitor(ABC, Generic[Spec]):
 
     name: ClassVar[str]  # key in the baseline, the journal and the scan report
     label: ClassVar[str]  # how a text for a pilot calls it, at most 10 characters
+    observes: ClassVar[str] = ""  # what it looks at, in a few words for a reader
     phrase: ClassVar[str] = ""  # what it says of its alarm, with {times} its threshold or {lost} percent of thrust
     needs: ClassVar[frozenset[Signal]]  # that its value may rest on; a value is not valid where one is unknown
     depends: ClassVar[frozenset[Condition]] = frozenset()  # conditions that raise it in health (`thresholds.envelope`)

@@ -53,6 +53,7 @@ class ControlLoss(Monitor[ControlLossSpec]):
 
     name = "control_loss"
     label = "control"
+    observes = "a body rate that nobody commanded"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     kind = FaultKind.LOSS_OF_CONTROL
     clear_s = 1.0

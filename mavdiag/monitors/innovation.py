@@ -117,6 +117,7 @@ class Innovation(Monitor[InnovationSpec]):
 
     name = "innovation"
     label = "innovation"
+    observes = "motion that is predicted badly one step ahead"
     phrase = "attitude unlike the model"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     depends = frozenset({Condition.YAW_RATE, Condition.HEIGHT, Condition.THROTTLE, Condition.COMMANDED_ACCELERATION})

@@ -290,6 +290,7 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
 
     name = "rotor_signature"
     label = "signature"
+    observes = "unexplained motion along the arm of one rotor"
     phrase = "thrust unsteady {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.SPECIFIC_FORCE, Signal.THRUST_SETPOINT})
     depends = frozenset(

@@ -199,6 +199,7 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
 
     name = "rotor_speed"
     label = "speed"
+    observes = "one rotor that turns faster or slower for its command than the others"
     phrase = "turns off its command {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.ACTUATOR, Signal.ROTOR_SPEED})
     depends = col.TRIM_CONDITIONS

@@ -401,6 +401,7 @@ class RotorTrim(TrimMonitor[RotorTrimSpec]):
 
     name = "rotor_trim"
     label = "rotor trim"
+    observes = "one rotor commanded more than in health"
     least = 0.02  # what wind makes (our choice)
     spec_type = RotorTrimSpec
     feature = Feature.RISE

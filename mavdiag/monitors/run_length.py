@@ -131,6 +131,7 @@ class RunLength(Monitor[RunLengthSpec]):
 
     name = "fsd"
     label = "FSD"
+    observes = "how long the body rate differs from the model's (the thesis's rule)"
     phrase = "attitude unlike the model"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     depends = frozenset(

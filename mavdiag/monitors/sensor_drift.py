@@ -185,6 +185,7 @@ class SensorDrift(Monitor[SensorDriftSpec]):
 
     name = "sensor_drift"
     label = "IMU drift"
+    observes = "gyro and attitude that do not agree"
     phrase = "gyro and attitude disagree"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.ATTITUDE})
     kind = FaultKind.SENSOR

@@ -91,6 +91,7 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
 
     name = "sensor_noise"
     label = "IMU noise"
+    observes = "noise of one sensor axis alone"
     phrase = "IMU noise {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE})
     kind = FaultKind.SENSOR

@@ -85,6 +85,7 @@ class ThrustLoss(Monitor[ThrustLossSpec]):
 
     name = "thrust_loss"
     label = "thrust"
+    observes = "thrust that is missing while the vehicle turns"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.THRUST_SETPOINT})
     kind = FaultKind.GROSS_LOSS
     clear_s = 1.0

@@ -128,6 +128,7 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
 
     name = "trim_step"
     label = "trim step"
+    observes = "one rotor commanded more than a minute ago"
     least = 0.01  # half of what a trim must allow for wind (our choice)
     spec_type = TrimStepSpec
     run = staticmethod(run)

@@ -222,6 +222,7 @@ class Unbalance(Monitor[UnbalanceSpec]):
 
     name = "unbalance"
     label = "unbalance"
+    observes = "vibration that turns with a rotor"
     phrase = "vibrates {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE})
     depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})

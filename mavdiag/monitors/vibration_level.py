@@ -61,6 +61,7 @@ class VibrationLevel(Monitor[VibrationLevelSpec]):
 
     name = "vibration_level"
     label = "vibration"
+    observes = "the autopilot's own vibration level"
     phrase = "vibrates {times}x"
     needs = frozenset({Signal.VIBRATION})
     depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
