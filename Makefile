@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: system demo test lint types layers doctest examples check older lowest bench fuzz soak clean help
+.PHONY: system demo test lint types layers doctest docs examples check older lowest bench fuzz soak clean help
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -12,7 +12,7 @@ help:  ## list the targets
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[fleet,web,history,mqtt,export]' --group test --group check
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[fleet,web,history,mqtt,export]' --group test --group check --group site
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps MAVProxy==1.8.75
 	@touch $@
 
@@ -44,6 +44,9 @@ layers: $(STAMP)  ## the import contracts
 doctest: $(STAMP)  ## every example in a docstring
 	$(BIN)/python -m pytest --doctest-modules mavdiag sitl_plant detector -p no:cacheprovider
 
+docs: $(STAMP)  ## the documentation site in build/site, warnings as errors
+	$(BIN)/sphinx-build -q -W --keep-going -b html docs build/site
+
 examples: $(STAMP)  ## run the examples as they stand
 	set -e; for example in examples/*.py; do echo "$$example"; $(BIN)/python $$example; done
 
@@ -65,7 +68,7 @@ soak: $(STAMP)  ## the daemon for hours: memory, latency, missed alerts
 	PYTHONPATH=tests:fuzz $(BIN)/python benchmarks/soak.py virtual
 	PYTHONPATH=tests:fuzz $(BIN)/python benchmarks/soak.py real
 
-check: lint types layers doctest test examples  ## everything that CI runs
+check: lint types layers doctest docs test examples  ## everything that CI runs
 
 clean:  ## remove the environment and caches
 	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -57,8 +57,9 @@ def results(session: nox.Session) -> None:
 def constraints(session: nox.Session) -> None:
     """constraints.txt, the versions that an installation of the development environment takes, made again."""
     session.install("uv")
-    groups = ("--group", "test", "--group", "check", "--all-extras", "--universal", "--no-annotate", "--no-header")
-    session.run("uv", "pip", "compile", "pyproject.toml", *groups, "--quiet", "-o", "constraints.txt", *session.posargs)
+    groups = [part for group in ("test", "check", "site") for part in ("--group", group)]
+    how = (*groups, "--all-extras", "--universal", "--no-annotate", "--no-header")
+    session.run("uv", "pip", "compile", "pyproject.toml", *how, "--quiet", "-o", "constraints.txt", *session.posargs)
 
 
 @nox.session(venv_backend="venv")
