@@ -14,6 +14,8 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[fleet,web,history,mqtt]' --group test --group check
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps MAVProxy==1.8.75
+	@echo "compiling what judges and what flies, once ..."
+	@$(BIN)/mavdiag warm & $(BIN)/sitl-plant record --duration 1 -o $(VENV)/warm.tlog; wait
 	@touch $@
 
 system:  ## Chromium, Mosquitto, PostgreSQL and help2man for what uses them, where this may install them
