@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: system demo test lint types layers doctest docs examples check older lowest bench fuzz soak clean help
+.PHONY: system demo test lint types layers doctest docs examples dist deb try-deb check older lowest bench fuzz soak clean help
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -14,13 +14,15 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[fleet,web,history,mqtt,export]' --group test --group check --group site
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps MAVProxy==1.8.75
+	@echo "compiling what judges and what flies, once ..."
+	@$(BIN)/mavdiag warm & $(BIN)/sitl-plant record --duration 1 -o $(VENV)/warm.tlog; wait
 	@touch $@
 
-system:  ## Chromium, Mosquitto and PostgreSQL for the tests that use them, where this may install them
+system:  ## Chromium, Mosquitto, PostgreSQL and help2man for what uses them, where this may install them
 	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
-	  command -v chromedriver >/dev/null && command -v /usr/sbin/mosquitto >/dev/null && ls /usr/lib/postgresql/*/bin/postgres >/dev/null 2>&1 || \
+	  command -v chromedriver >/dev/null && command -v /usr/sbin/mosquitto >/dev/null && command -v help2man >/dev/null && ls /usr/lib/postgresql/*/bin/postgres >/dev/null 2>&1 || \
 	  { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends \
-	    chromium chromium-driver fonts-dejavu-core mosquitto postgresql; } >/dev/null 2>&1 || \
+	    chromium chromium-driver fonts-dejavu-core mosquitto postgresql help2man; } >/dev/null 2>&1 || \
 	  echo "system: not installed; the tests that need them are skipped"; \
 	else echo "system: not root, or no apt-get; tests of what is missing are skipped"; fi
 
@@ -55,6 +57,15 @@ older: $(STAMP)  ## the tests as on a processor that has nothing above AVX2; say
 
 lowest: $(STAMP)  ## the lowest versions that pyproject.toml allows, in an environment of their own
 	$(BIN)/nox -s lowest
+
+dist: $(STAMP)  ## wheel and sdist, checked and tried in a clean environment
+	$(BIN)/nox -s packages
+
+deb: dist  ## the Debian package, with all that it needs but Python
+	deploy/debian/build
+
+try-deb:  ## install the package, fly the emulator until an alert, remove it; root only
+	deploy/debian/try
 
 bench: $(STAMP)  ## the short benchmarks: ratios against a peer in the same run
 	set -e; for script in start_time decode plant_speed chain_speed detector_load endpoint; do $(BIN)/python benchmarks/$$script.py; done

@@ -1,5 +1,7 @@
 """`nox` runs what CI runs, in the environment that the Makefile sets up."""
 
+from pathlib import Path
+
 import nox
 
 nox.options.sessions = ["check"]
@@ -22,6 +24,26 @@ def bench(session: nox.Session) -> None:
 def wheels(session: nox.Session) -> None:
     """Whether Debian needs a compiler; asks the package index."""
     session.run("python", "deploy/check_wheels.py")
+
+
+@nox.session(venv_backend="venv")
+def packages(session: nox.Session) -> None:
+    """Wheel and sdist in dist/, checked by twine; the wheel is used in a clean environment."""
+    session.install("build", "twine")
+    for old in Path("dist").glob("mavdiag-*"):
+        old.unlink()
+    session.run("python", "-m", "build", "--outdir", "dist")  # the wheel is built from the sdist
+    session.run("twine", "check", "--strict", *map(str, Path("dist").glob("mavdiag-*")))
+    (wheel,) = Path("dist").absolute().glob("mavdiag-*.whl")
+    session.run("python", "-m", "venv", "--clear", f"{session.virtualenv.location}/clean")
+    clean, constraints = Path(session.virtualenv.location, "clean/bin").absolute(), Path("constraints.txt").absolute()
+    session.run(
+        clean / "pip", "install", "--quiet", "--only-binary=:all:", "-c", constraints, f"{wheel}[web]", external=True
+    )
+    with session.chdir(session.create_tmp()):
+        session.run(clean / "sitl-plant", "record", "--duration", "5", "-o", "flight.tlog", external=True)
+        session.run(clean / "mavdiag", "look", "flight.tlog", external=True)
+        session.run(clean / "python", "-c", "import detector.web.server", external=True)  # the extra, and its pages
 
 
 @nox.session

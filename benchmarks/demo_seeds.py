@@ -16,7 +16,18 @@ import numpy as np
 
 def demo(seed: int, duration_s: float) -> tuple[bool, float | None, int]:
     """Whether it went well, the latency [s], and the alerts before the onset."""
-    command = [sys.executable, "-m", "mavdiag", "demo", "--json", "--seed", str(seed), "--duration", f"{duration_s:g}"]
+    command = [
+        sys.executable,
+        "-m",
+        "mavdiag",
+        "demo",
+        "--thorough",
+        "--json",
+        "--seed",
+        str(seed),
+        "--duration",
+        f"{duration_s:g}",
+    ]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     if run.returncode not in (0, 1):
         raise RuntimeError(run.stderr.strip())

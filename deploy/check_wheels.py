@@ -33,9 +33,9 @@ class Found:
 
 
 def dependencies() -> list[str]:
-    """The run-time dependencies, without extras."""
-    listed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
-    return [str(one) for one in listed]
+    """What the Debian package holds: what runs, with the live page, in the versions of constraints.txt."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return [*project["dependencies"], *project["optional-dependencies"]["web"], "-c", str(ROOT / "constraints.txt")]
 
 
 def resolve(machine: str, python: str) -> Found:

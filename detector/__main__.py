@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 COMPILE_S = 3.0  # of processor time before it is said; to load what was compiled takes half a second (our choice)
 
-app = commandline.application("Watch vehicles over MAVLink for damaged propellers.")
+app = commandline.application("Watch vehicles over MAVLink for damaged propellers.", completed=True)
 
 
 def _flag(name: str, text: str) -> Any:
@@ -184,7 +184,7 @@ def _web(settings: Settings, address: str) -> "Feed":
     from detector.web.feed import Feed
 
     token = None if settings.web_token_file is None else read_token(settings.web_token_file)
-    child = ServerProcess(Place(*split_address(address, "web"), token), f"{time.time_ns():x}", _say)
+    child = ServerProcess(Place(*split_address(address, "web"), token, settings.web_names), f"{time.time_ns():x}", _say)
     child.start()
     return Feed(child, Instant(time.monotonic_ns()))
 

@@ -86,6 +86,7 @@ class Settings(SessionSettings):
     metrics: Annotated[str | None, _option("HOST:PORT", "Serve Prometheus figures; a bare port is on loopback.")] = None
     web: Annotated[str | None, _option("HOST:PORT", _WEB)] = None
     web_token_file: Annotated[Path | None, _option("FILE", "Token of the live page: a file of mode 0600.")] = None
+    web_names: tuple[Text, ...] = ()  # a proxy serves the page by these names and says who may: then without a token
     vehicle: Annotated[SystemId | None, _option("SYSID", "Watch this system id only.")] = None
     signing_key: Annotated[Path | None, _option("FILE", "Key of MAVLink 2 signing; refuse what is unsigned.")] = None
     max_vehicles: SystemId = 128  # further ones are not watched
@@ -101,8 +102,10 @@ class Settings(SessionSettings):
         for option in ("save", "airframe", "layout", "name"):
             if getattr(self, option) is not None and self.learn is None:
                 raise ValueError(f"--{option} is about what --learn SECONDS learns; add --learn or leave it out")
-        if self.web_token_file is not None and self.web is None:
-            raise ValueError("--web-token-file is about the live page; add --web HOST:PORT or leave it out")
+        if (self.web_token_file is not None or self.web_names) and self.web is None:
+            raise ValueError(
+                "--web-token-file and web_names are about the live page; add --web HOST:PORT or leave it out"
+            )
         return self
 
 
@@ -174,7 +177,7 @@ def load_settings(
         split_address(settings.metrics, "metrics")
     if settings.web is not None:
         host, _ = split_address(settings.web, "web")
-        if settings.web_token_file is None and not is_loopback(host):
+        if settings.web_token_file is None and not is_loopback(host) and not settings.web_names:
             raise UsageError(f"--web {settings.web}: others reach {host}; name a --web-token-file FILE, or 127.0.0.1")
     if settings.learn is not None and settings.save is None:
         said = "learn needs save: a FILE that keeps what is learned, or every start learns anew, broken or not"

@@ -22,7 +22,7 @@ UNTIL_S = 22.5  # of flight, when the picture is taken
 def main() -> None:
     """Fly, and keep the picture."""
     console = Console(record=True, width=100, file=io.StringIO())
-    fused, thesis = own_baselines(quiet=True)
+    fused, thesis = own_baselines(quiet=True, thorough=True)
     events: list[Line] = []
     with closed_loop(FLIGHT, fused, LiveJudge(Baseline.load(thesis), SPAN_S)) as loop:
         while loop.plant.running and loop.station.t_s < UNTIL_S:

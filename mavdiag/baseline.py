@@ -289,14 +289,19 @@ class Baseline(Part, Tabular):
         lines += [f"{one.monitor:<15} not judgeable: {one.reason}" for one in self.not_judgeable]
         lines.append(f"promises   {self.promises}")
         lines.append(f"support    {len(self.provenance.logs)} flights, {self.healthy_hours:.3f} h of flight")
-        lines += [f"left out   {one}" for one in self.provenance.left_out]
-        lines += [f"note       {one}" for one in self.provenance.notes]
         lines.append(f"made       {self.provenance.created} by {self.provenance.tool}")
+        return "\n".join([*map(printable, lines), self.conclusion])
+
+    @property
+    def conclusion(self) -> str:
+        """What was odd about its flights; then, by line, its grade, what it would notice, what would make it better."""
+        lines = [f"left out   {one}" for one in self.provenance.left_out]
+        lines += [f"note       {one}" for one in self.provenance.notes]
         if self.grade is not None:
             lines.append(f"grade      {self.grade}" + (f": {self.weak}" if self.weak else ""))
             lines.append(f"notices    {self.least_damage}; in 95 % of the time")
             lines.append(f"better     with {self._advice()}")
-        return "\n".join(map(printable, lines))
+        return "\n".join(map(printable, lines or [f"promises   {self.promises}"]))
 
     def _advice(self) -> str:
         if self.weak:

@@ -27,15 +27,17 @@ class _ShowByDefault(TyperGroup):
         return super().parse_args(ctx, args if named else ["show", *args])
 
 
-def application(summary: str, name: str | None = None, *, show_by_default: bool = False) -> typer.Typer:
+def application(
+    summary: str, name: str | None = None, *, show_by_default: bool = False, completed: bool = False
+) -> typer.Typer:
     """A command-line application in one style. name: of the program, where it is one and answers --version.
 
-    show_by_default: the sub-command `show` is meant where none is named.
+    show_by_default: the sub-command `show` is meant where none is named. completed: it has --install-completion.
     """
     app = typer.Typer(
         help=summary,
         cls=_ShowByDefault if show_by_default else None,
-        add_completion=False,
+        add_completion=completed or name is not None,
         no_args_is_help=True,
         rich_markup_mode=None,
         pretty_exceptions_enable=False,

@@ -10,6 +10,8 @@ numba counts references to every array that a function touches. In a loop that t
 """
 
 import hashlib
+import os
+import shutil
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -45,6 +47,7 @@ def _kept(**more: Any) -> Decorator:
             kept = compiled._cache  # noqa: SLF001  # numba has no other way in
             own_key = kept._index_key  # noqa: SLF001
             kept._index_key = lambda *asked: (*own_key(*asked), _digest(compiled))  # noqa: SLF001
+            _take_over(Path(kept.cache_path), Path(function.__code__.co_filename), kept._impl.filename_base)  # noqa: SLF001
         return cast(Callable[P, R], compiled)
 
     return keep
@@ -56,6 +59,16 @@ allocating = _compiled(_nrt=True)  # as `jit`, for a function that makes arrays
 inline = _compiled("always")  # as `jit`, but merged into its caller: no cost for passing large tuples
 cached = _kept()  # on the first call; the machine code stays on disk, where there is a place for it
 cached_loop = _kept(_nrt=False)  # as `cached`, for a function that makes no arrays
+
+
+def _take_over(own: Path, source: Path, base: str) -> None:
+    """Copy the machine code beside the source, which another user's `mavdiag warm` put there, into our folder."""
+    if own == source.with_name("__pycache__") or (own / f"{base}.nbi").exists():
+        return
+    for part in sorted(source.with_name("__pycache__").glob(f"{base}.*nb[ci]")):  # the index comes last
+        new = own / f"{part.name}.{os.getpid()}"
+        shutil.copyfile(part, new)
+        new.replace(own / part.name)
 
 
 def _digest(compiled: Any) -> str:

@@ -35,9 +35,11 @@ def wait_for(what: Callable[[], Any], words: str = "") -> Any:
 
 
 @contextmanager
-def serving(token: str | None = None, host: str = "127.0.0.1", run: str = "r1") -> Iterator[ServerProcess]:
+def serving(
+    token: str | None = None, host: str = "127.0.0.1", run: str = "r1", names: tuple[str, ...] = ()
+) -> Iterator[ServerProcess]:
     """The server alone, on a free port; a test is its daemon."""
-    process = ServerProcess(Place(host, 0, token), run, lambda line: None)
+    process = ServerProcess(Place(host, 0, token, names), run, lambda line: None)
     process.start()
     try:
         yield process

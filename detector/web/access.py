@@ -56,6 +56,7 @@ class Access:
     host: str  # that it listens on
     port: int
     token: str | None = field(default=None, repr=False)  # None where none is asked for
+    names: tuple[str, ...] = ()  # under which a proxy serves the page, on a port of its own; it says who may
 
     @property
     def cookie(self) -> str:
@@ -87,6 +88,8 @@ class Access:
 
     def _knows(self, host: str) -> bool:
         name, port = _split(host)
+        if self.names:
+            return name in self.names or _is_address(name)
         known = (self.host.lower(), *(_LOCAL_NAMES if is_loopback(self.host) else ()))
         anywhere = self.host in _ANYWHERE and (name == "localhost" or _is_address(name))
         return port == self.port and (name in known or anywhere)

@@ -12,7 +12,7 @@ import select
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from mavdiag.errors import LinkError, UsageError, missing_extra
@@ -29,11 +29,12 @@ COMMAND = ("-P", "-m", "detector.web.server")  # -P: not what lies in the presen
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the page is served. port: 0 for a free one. token: that it asks for; None for none."""
+    """Where the page is served. port: 0 for a free one. token: that it asks for; None for none. names: of a proxy."""
 
     host: str
     port: int
     token: str | None
+    names: tuple[str, ...] = ()
 
     @property
     def url(self) -> str:
@@ -140,7 +141,7 @@ class ServerProcess:
         self._stdin, self._stdout = (stream.fileno() for stream in (process.stdin, process.stdout) if stream)
         for descriptor in (self._stdin, self._stdout):
             os.set_blocking(descriptor, False)
-        told = {"host": self.place.host, "port": self.place.port, "token": self.place.token, "run": self._run}
+        told = asdict(self.place) | {"run": self._run}
         self._unsent = f"{json.dumps(told)}\n".encode()
         self._flush()
 

@@ -2,7 +2,7 @@
 
     python -m detector.web.server      not for people: the daemon starts it
 
-Its first line on stdin is a JSON object with host, port, token and run. It answers `listening PORT`, or `refused
+Its first line on stdin is a JSON object with host, port, token, names and run. It answers `listening PORT`, or `refused
 REASON` and ends; later it says `watch VEHICLE ...` whenever that changes, and `ack VEHICLE`. It ends when stdin does.
 """
 
@@ -13,12 +13,14 @@ import os
 import signal
 import sys
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
 
 from aiohttp import web
 
 from detector.web.access import ACKNOWLEDGE, HEADERS, Access, Answer
 from detector.web.board import Board, Reader, is_vehicle, parse_last
+from mavdiag import __version__
 
 PAGES = 32  # streams at a time
 LINE_BYTES = 4_000_000  # of a line on stdin, at most
@@ -33,11 +35,26 @@ FILES = {
     "/style.css": ("style.css", "text/css"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 }
+#: How the page presents itself to BlueOS: what its menu shows, and that it works under a prefix, but in no frame.
+SERVICE = {
+    "name": "Propellers",
+    "description": "Hears damaged propellers of a multirotor in its MAVLink stream.",
+    "icon": "/icon.svg",
+    "company": "mavdiag",
+    "version": __version__,
+    "webpage": "",
+    "api": "",
+    "new_page": True,
+    "avoid_iframes": True,
+    "works_in_relative_paths": True,
+}
 REFUSALS = {
     Answer.NO_TOKEN: "a token is needed: open /?token=TOKEN, the line in the detector's token file",
     Answer.REFUSED: "this request does not come from the page of this detector",
     Answer.NOT_A_GET: f"only GET, and POST to {ACKNOWLEDGE}",
 }
+#: nginx passes on what has this header without waiting for more.
+STREAM = {"Content-Type": "text/event-stream; charset=utf-8", "X-Accel-Buffering": "no"}
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
@@ -55,6 +72,7 @@ class Server:
         app = web.Application(middlewares=[self._guarded], client_max_size=0)
         for path in FILES:
             app.router.add_get(path, self._file, allow_head=False)
+        app.router.add_get("/register_service", self._service, allow_head=False)
         app.router.add_get("/stream", self._stream, allow_head=False)
         app.router.add_post(ACKNOWLEDGE, self._acknowledge)
         return app
@@ -82,7 +100,7 @@ class Server:
             except web.HTTPException as error:
                 response = _said(error.status, error.reason)
         elif answer is Answer.SIGN_IN:
-            response = web.Response(status=answer, headers={"Location": "/"})
+            response = web.Response(status=answer, headers={"Location": "./"})
             cookie, value = self.access.cookie, self.access.cookie_value
             response.set_cookie(cookie, value, httponly=True, samesite="Strict", path="/")
         else:
@@ -98,6 +116,9 @@ class Server:
         body, kind = self._files[request.path]
         return web.Response(body=body, content_type=kind, charset="utf-8")
 
+    async def _service(self, request: web.Request) -> web.Response:
+        return web.json_response(SERVICE)
+
     async def _acknowledge(self, request: web.Request) -> web.Response:
         vehicle = request.query.get("vehicle", "")
         if not is_vehicle(vehicle):
@@ -110,7 +131,7 @@ class Server:
             raise web.HTTPServiceUnavailable(reason=f"{PAGES} pages are open already")
         vehicle = request.query.get("vehicle", "")
         last = request.headers.get("Last-Event-ID") or request.query.get("after")
-        response = web.StreamResponse(headers={**HEADERS, "Content-Type": "text/event-stream; charset=utf-8"})
+        response = web.StreamResponse(headers={**HEADERS, **STREAM})
         await response.prepare(request)
         reader = self._board.enter(int(vehicle) if is_vehicle(vehicle) else None, parse_last(last, self._board.run))
         self._wake[reader] = event = asyncio.Event()
@@ -152,13 +173,13 @@ async def _serve() -> None:
     lines = asyncio.StreamReader(LINE_BYTES)
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
     told = json.loads(await lines.readline())
-    server = Server(Access(told["host"], 0, told["token"]), Board(told["run"]))
+    server = Server(Access(told["host"], 0, told["token"], tuple(told["names"])), Board(told["run"]))
     runner = web.AppRunner(server.application(), access_log=None, handler_cancellation=True, shutdown_timeout=0.2)
     await runner.setup()
     try:
         await web.TCPSite(runner, told["host"], told["port"]).start()
         port = int(runner.addresses[0][1])
-        server.access = Access(told["host"], port, told["token"])
+        server.access = replace(server.access, port=port)
         _to_daemon(f"listening {port}")
         await server.feed(lines)
         await asyncio.sleep(LAST_S)

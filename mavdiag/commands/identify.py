@@ -56,9 +56,10 @@ def identify(
     from_s: opt.FromS = None,
     to_s: opt.ToS = None,
     columns: opt.Columns = None,
+    details: Annotated[bool, Option("--details", help="Tell all that it holds, as `mavdiag baseline show`.")] = False,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Fit a baseline to healthy flights, and say what it would notice and what its alarms will cost."""
+    """Fit a baseline to healthy flights; say how good it is, what it would notice, and what would make it better."""
     check_output(output)
     thesis = monitors == "thesis"
     options = LearnOptions(
@@ -81,10 +82,13 @@ def identify(
     if not accept:
         accepted(baseline, "--accept")
     baseline.save(output)
-    if not as_json:
+    if details and not as_json:
         return say(f"{baseline}\nwritten to {output}")
     if baseline.layout_doubt:
         say(baseline.layout_doubt, err=True)
+    if not as_json:
+        count, hours = len(baseline.provenance.logs), baseline.healthy_hours
+        return say(f"written to {output}, from {count} flights of {60 * hours:.1f} min in all\n{baseline.conclusion}")
     return typer.echo(json.dumps(baseline.model_dump(mode="json", by_alias=True)))
 
 

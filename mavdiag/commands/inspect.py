@@ -1,5 +1,6 @@
 """`mavdiag inspect` and `mavdiag look`, two names of one command: what a log or a link shows without a judgement."""
 
+import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -25,7 +26,7 @@ from mavdiag.link.sequence import LinkCount
 from mavdiag.link.wants import Asker, wants_of
 from mavdiag.logs import read_part
 from mavdiag.logs.tlog import read_content
-from mavdiag.look.inspection import inspection_of
+from mavdiag.look.inspection import Inspection, inspection_of
 from mavdiag.look.words import CLOSING, in_full, in_one_line
 from mavdiag.monitors import MONITORS
 from mavdiag.telemetry import Instant, Log, Signal
@@ -80,6 +81,7 @@ def inspect(
         return say(json_line(found) if as_json else in_full(found))
     named, mapped = opt.find_logs(sources, columns)
     alone, failed = len(named.logs) == 1, False
+    as_table, table = sys.stdout.isatty() and not alone and not as_json, list[Inspection | dict[str, str]]()
     for source in each(named.logs, "looking"):
         try:
             if source.trouble:
@@ -92,9 +94,19 @@ def inspect(
             if alone and not as_json:
                 raise InputError(f"{source.path}: {said}") from error
             name = str(source.path)
-            say(json_line({"log": name, "error": said}) if as_json else f"{name}: error, {said}")
+            if as_table:
+                table.append({"log": name, "error": said})
+            else:
+                say(json_line({"log": name, "error": said}) if as_json else f"{name}: error, {said}")
+            continue
+        if as_table:
+            table.append(found)
             continue
         say(json_line(found) if as_json else in_full(found) if alone else in_one_line(found))
+    if as_table:
+        from mavdiag.terminal.tables import look_table  # rich takes time to load
+
+        look_table(table)
     if not alone and not as_json:
         say(CLOSING)
     raise typer.Exit(ERROR if failed else 0)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, replace
@@ -53,8 +54,9 @@ def scan(
     """Judge logs. Exit code: 0 healthy, 1 fault, 2 error, 3 not judgeable, 4 suspected; of several logs the first of
     2, 1, 4, 3, 0.
 
-    Answers are kept, so a scan that was stopped goes on where it was. With --together the last line is about all
-    flights, in their order, and a change of 50 to 1 counts as suspected.
+    Several logs are a table on a terminal, the gravest first, and a line each on a pipe. Answers are kept, so a scan
+    that was stopped goes on where it was. With --together the last line is about all flights, in their order, and a
+    change of 50 to 1 counts as suspected.
     """
     reference = Baseline.load(baseline)
     check_times(from_s, to_s)
@@ -66,14 +68,20 @@ def scan(
     found, mapped = opt.find_logs(logs, columns)
     question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped, judged_share, figures=as_one))
     verdicts, rows, flights, before = list[Verdict](), list[Row](), list[FlightRecord](), 0
+    as_table = sys.stdout.isatty() and len(found.logs) > 1 and windows is None and not as_json
     how = judging(found.logs, question, scheduler or jobs, cache, no_cache=no_cache, quiet=as_json)
     with how as (answers, tell):
         for answer in answers:
-            tell(_json_line(answer) if as_json else _lines(answer))
+            if not as_table:
+                tell(_json_line(answer) if as_json else _lines(answer))
             verdicts.append(answer.record.verdict.verdict)
-            rows += rows_of(answer) if csv or parquet else ()
+            rows += rows_of(answer) if csv or parquet or as_table else ()
             before += not answer.fresh
             flights += () if answer.record.flight is None else [replace(answer.record.flight, log=str(answer.path))]
+    if as_table:
+        from mavdiag.terminal.tables import verdict_table  # rich takes time to load
+
+        verdict_table(rows)
     if as_one:
         found_together = together(reference_of(reference), flights)
         say(json.dumps({"together": found_together.as_json()}) if as_json else str(found_together))

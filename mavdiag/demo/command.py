@@ -34,10 +34,11 @@ from mavdiag.units import NS_PER_S
 if TYPE_CHECKING:  # rich takes time to load
     from mavdiag.terminal.view import Line, View
 
-ONSET_SHARE = 0.4  # of the flight
+ONSET_SHARE = 0.3  # of the flight
 SPAN_S = 12.0  # that the strips show
 DETECTOR, THESIS = "detector: ", "thesis rule: "
-HEALTHY_FLIGHTS = 60  # one false alarm of the thesis rule in 61 flights of equal length, METHOD section 4
+QUICK_FLIGHTS = 4  # healthy ones: the first alert comes within a minute
+THOROUGH_FLIGHTS = 60  # one false alarm of the thesis rule in 61 flights of equal length, METHOD section 4
 FUSED_FLIGHTS = 20  # of them that teach all monitors: their thresholds follow from a law, not from the highest value
 HEALTHY_S = 40.0
 
@@ -49,6 +50,9 @@ def demo(
     rotor: Annotated[int, typer.Option(help="Rotor to damage, 1 to 4.")] = 1,
     seed: Annotated[int, typer.Option(help="Seed of the flight.")] = 1,
     baseline: Annotated[Path | None, typer.Option(help="Use this baseline instead of learning one.")] = None,
+    thorough: Annotated[
+        bool, typer.Option("--thorough", help=f"Learn from {THOROUGH_FLIGHTS} flights, as the thesis's rule asks.")
+    ] = False,
     report: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="Where the report goes.  [default: the user's cache]")
     ] = None,
@@ -64,7 +68,7 @@ def demo(
         raise UsageError(f"--duration {duration:g}: give the flight at least 10 s")
     if report is not None:
         check_output(report)
-    fused, thesis = (baseline, baseline) if baseline is not None else own_baselines(quiet=as_json)
+    fused, thesis = (baseline, baseline) if baseline is not None else own_baselines(quiet=as_json, thorough=thorough)
     reference = thesis_rule(Baseline.load(thesis))
     if not reference.monitors:
         raise UsageError(f"{thesis}: has no fsd monitor; the demo needs one from `mavdiag identify`")
@@ -100,17 +104,18 @@ def thesis_rule(baseline: Baseline) -> Baseline:
     return baseline.model_copy(update={"monitors": rules})
 
 
-def own_baselines(*, quiet: bool) -> tuple[Path, Path]:
+def own_baselines(*, quiet: bool, thorough: bool = False) -> tuple[Path, Path]:
     """The demo's baselines, of all monitors and of the thesis rule, learnt anew after any change of the sources."""
     cache, digest = own_cache(), digest_of_sources(("mavdiag", "sitl_plant"), ("__pycache__",))
-    fused, thesis = (cache / f"demo-{name}-{__version__}-{digest}.json" for name in ("fused", "thesis"))
+    count = THOROUGH_FLIGHTS if thorough else QUICK_FLIGHTS
+    fused, thesis = (cache / f"demo-{name}-{count}-{__version__}-{digest}.json" for name in ("fused", "thesis"))
     if _usable(fused) and _usable(thesis):
         return fused, thesis
     cache.mkdir(parents=True, exist_ok=True)
     if not quiet:
-        typer.echo(f"recording {HEALTHY_FLIGHTS} healthy flights of {HEALTHY_S:g} s, as fast as they go ...")
+        typer.echo(f"recording {count} healthy flights of {HEALTHY_S:g} s, as fast as they go ...")
     with tempfile.TemporaryDirectory() as folder:
-        half = HEALTHY_FLIGHTS // 2
+        half = count // 2
         with ThreadPoolExecutor(2) as pool:  # one process a core of a small machine
             list(pool.map(lambda first: _record(Path(folder), first, half), (0, half)))
         logs = sorted(Path(folder).glob("*.tlog"))

@@ -29,7 +29,13 @@ def in_one_line(found: Inspection) -> str:
     if found.no_flight:
         return f"{found.log}: {found.profile}, {found.span_s:.0f} s, {found.no_flight}"
     rate_hz = 0.0 if found.gyro is None else found.gyro.rate_hz or 0.0
-    parts = [found.profile, f"{found.flight_s:.0f} s of flight", f"{rate_hz:.0f} Hz", *filter(None, (found.upset,))]
+    parts = [found.profile, f"{found.flight_s:.0f} s of flight", f"{rate_hz:.0f} Hz", *parts_of(found)]
+    return f"{found.log}: {', '.join(parts)}"
+
+
+def parts_of(found: Inspection) -> list[str]:
+    """What a flight shows in short: upset, busiest motor, saturation, vibration, rotor line, what could be judged."""
+    parts = list(filter(None, (found.upset,)))
     busiest = max(found.loads, key=lambda load: load.over_mean, default=None)
     if busiest is not None and busiest.over_mean >= NOTABLE:
         parts.append(f"motor {busiest.number} {100 * busiest.over_mean:+.1f} %")
@@ -44,7 +50,7 @@ def in_one_line(found: Inspection) -> str:
         parts.append(f"line at {found.line.hz:.0f} Hz")
     works = sum(state.works for state in found.monitors)
     parts.append(f"{works} of {len(found.monitors)} monitors could judge")
-    return f"{found.log}: {', '.join(parts)}"
+    return parts
 
 
 def _paragraphs(found: Inspection) -> Iterator[str | list[str]]:

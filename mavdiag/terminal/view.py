@@ -88,9 +88,14 @@ class Line:
         return f"{self.t_s:8.2f} s  {self.severity.name:<8} "
 
     @property
+    def alert(self) -> bool:
+        """Whether it tells of a fault."""
+        return self.severity <= Severity.CRITICAL
+
+    @property
     def style(self) -> str:
         """Of rich."""
-        if self.severity <= Severity.CRITICAL:
+        if self.alert:
             return "bold red"
         return "yellow" if self.severity <= Severity.WARNING else ""
 
@@ -116,17 +121,13 @@ class View:
 
 
 def picture(view: View, width: int, height: int | None = None) -> Panel:
-    """The picture; where `height` leaves little room the newest events stay, then the monitors, then the strips."""
+    """The picture; where `height` leaves little room the alerts stay, the newest events, the monitors, the strips."""
     inner = max(width - FRAME, NARROWEST)
     head = _wrapped("", view.headline, "bold red" if view.alert else "bold green", inner)
     foot = [Text(printable(view.foot), style="dim", no_wrap=True, overflow="ellipsis")] if view.foot else []
-    told = [_wrapped(line.head, line.text, line.style, inner) for line in view.events[-EVENTS:]]
-    room, events = math.inf if height is None else height - 2 - len(head) - len(foot), list[Text]()
+    room = math.inf if height is None else height - 2 - len(head) - len(foot)
     most = max(room - len(view.levels) - STRIP_ROWS * len(view.strips), min(room, LEAST_EVENTS))
-    for lines in reversed(told):
-        if events and len(events) + len(lines) > most:
-            break
-        events = [*lines, *events]
+    events = _events(view.events, inner, most, room)
     levels = view.levels[: int(min(max(room - len(events), 0), len(view.levels)))]
     left, parts = room - len(events) - len(levels), list[RenderableType](head)
     for shown in view.strips:
@@ -134,6 +135,18 @@ def picture(view: View, width: int, height: int | None = None) -> Panel:
         parts += _strip(shown, view, inner) if left >= 0 else ()
     parts += [_levels(levels, inner)] if levels else []
     return Panel(Group(*parts, *events, *foot), title=Text(printable(view.title)), width=inner + FRAME)
+
+
+def _events(told: Sequence[Line], width: int, most: float, room: float) -> list[Text]:
+    """The newest alerts, as far as there is room, and with them the newest other events up to `most` lines."""
+    chosen, used = dict[int, list[Text]](), 0
+    for index in sorted(range(len(told)), key=lambda n: (not told[n].alert, -n))[:EVENTS]:
+        line = told[index]
+        lines = _wrapped(line.head, line.text, line.style, width)
+        if used and used + len(lines) > (room if line.alert else most):
+            break
+        chosen[index], used = lines, used + len(lines)
+    return [text for index in sorted(chosen) for text in chosen[index]]
 
 
 def line_for(news: ReceivedText | Change, text_from: str = "", change_from: str = "") -> Line:

@@ -24,7 +24,7 @@ from mavdiag.terminal.view import Line, View, figure_levels, levels_of, line_for
 PER_S = 10
 LOOK_S = 0.05
 JOURNAL_LOOK_S = 0.25
-EVENTS = 100  # that are kept; more do not fit on a screen
+EVENTS = 100  # that are kept, and as many older alerts; more do not fit on a screen
 JOURNAL_BYTES = 1 << 40  # there is no limit: it is read in pieces
 READ_BYTES = 1 << 20  # at a time
 SILENT = "nothing was received; is the vehicle or the detector sending to this address?"
@@ -49,7 +49,9 @@ class Screen(ExitStack):
 
     def show(self, fresh: Sequence[Line], *, last: bool = False) -> None:
         """Bring it up to date, at most ten times a second. fresh: what happened since. last: draw in any case."""
-        self._events[:] = [*self._events, *fresh][-EVENTS:]
+        events = [*self._events, *fresh]
+        older = [line for line in events[:-EVENTS] if line.alert]
+        self._events[:] = [*older[-EVENTS:], *events[-EVENTS:]]
         if self._live is None:
             for line in () if self._quiet else fresh:
                 self._console.print(line.shown, soft_wrap=True, highlight=False)

@@ -1,5 +1,6 @@
 """A first look at flights without a baseline: what it finds is there, and it never calls a vehicle healthy."""
 
+import io
 import json
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from flying_telemetry import flying
 from made_baselines import logged
+from rich.console import Console
 from shared_data import shared
 from typer.testing import CliRunner
 
@@ -18,6 +20,7 @@ from mavdiag.logs import read_log
 from mavdiag.look.inspection import inspection_of
 from mavdiag.look.words import in_full, in_one_line
 from mavdiag.telemetry import Log, Series, Signal, Telemetry
+from mavdiag.terminal.tables import look_table
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.plant import PlantConfig
 
@@ -88,6 +91,18 @@ def test_an_output_at_its_end_and_a_high_vibration_are_told_in_their_share() -> 
     text = in_full(look)
     assert "where ArduPilot expects trouble" in text
     assert "2 at its upper end" in text
+
+
+def test_several_logs_are_a_table_on_a_terminal_what_cannot_be_read_first() -> None:
+    console = Console(width=80, file=io.StringIO(), record=True)
+    look = inspection_of(logged(flying(3000, seed=3)), Airframe())
+    look_table([look, {"log": "torn.bin", "error": "no flight log"}], console)
+    head, first, *rest = console.export_text().splitlines()
+    assert head.split() == ["log", "profile", "flight", "rate", "what", "it", "shows"]
+    assert first.split() == ["torn.bin", "no", "flight", "log"]
+    assert rest[0].split()[:6] == [look.log, look.profile, f"{look.flight_s:.0f}", "s", "100", "Hz"]
+    assert "monitors could judge" in " ".join(" ".join(rest).split())
+    assert all(len(line) <= 80 for line in (head, first, *rest))
 
 
 def test_it_never_says_that_a_vehicle_is_well() -> None:

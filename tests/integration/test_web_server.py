@@ -1,5 +1,7 @@
 """The live page's server as a process: what it refuses, what a reconnect gets, and how it lives and dies."""
 
+import json
+import re
 import signal
 import socket
 import time
@@ -10,6 +12,7 @@ from web_page import Reader, asked, give, serving, wait_for
 
 from detector.web.access import HEADERS
 from detector.web.child import Place, ServerProcess
+from detector.web.server import SERVICE
 from mavdiag.telemetry import Instant
 
 pytestmark = pytest.mark.realtime
@@ -50,13 +53,32 @@ def test_wrong_hosts_origins_methods_and_tokens_are_refused() -> None:
         assert asked(port, "/stream").status == 401
         assert asked(port, "/?token=wrong").status == 401
         answer = asked(port, f"/?token={TOKEN}")
-        assert (answer.status, answer.headers["Location"]) == (303, "/")
+        assert (answer.status, answer.headers["Location"]) == (303, "./")
         cookie = answer.headers["Set-Cookie"]
         assert "HttpOnly" in cookie
         assert "SameSite=Strict" in cookie
         assert TOKEN not in cookie
         assert asked(port, Cookie=cookie.split(";")[0]).status == 200
         assert asked(port, Authorization=f"Bearer {TOKEN}").status == 200
+
+
+def test_the_page_works_behind_a_proxy_under_a_prefix() -> None:
+    """As nginx of BlueOS asks: HTTP/1.0, the browser's host without a port, and the prefix taken away."""
+    with serving(host="0.0.0.0", names=("blueos.local",)) as process:
+        port = process.place.port
+        page = asked(port, Host="blueos.local").body
+        assert not re.search(r"(href|src)=\"/", page)  # nothing leaves the prefix
+        assert not re.search(r"(EventSource|fetch)\(.\/", asked(port, "/app.js", Host="192.168.2.2").body)
+        assert json.loads(asked(port, "/register_service", Host=f"127.0.0.1:{port}").body) == SERVICE
+        assert asked(port, Host="evil.example").status == 403
+        with socket.create_connection(("127.0.0.1", port), timeout=10) as proxy:
+            proxy.sendall(b"GET /stream HTTP/1.0\r\nHost: blueos.local\r\n\r\n")
+            answer = b""
+            while b"hello" not in answer:
+                answer += proxy.recv(4096)
+        assert b"X-Accel-Buffering: no" in answer
+        acknowledged = asked(port, "/acknowledge?vehicle=1", "POST", Host="blueos.local", Origin="http://blueos.local")
+        assert acknowledged.status == 202
 
 
 def test_a_reconnect_loses_nothing_and_gets_nothing_twice() -> None:

@@ -7,11 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from detector.config import ENVIRONMENT, Settings
+from detector.config import ENVIRONMENT, Settings, load_settings
+from detector.web.server import SERVICE
+from mavdiag import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
 UNIT = ROOT / "deploy" / "mavdiag-detector.service"
 CONTAINER = ROOT / "deploy" / "Containerfile"
+BLUEOS = ROOT / "deploy" / "blueos" / "Containerfile"
 PROGRAM = "/opt/mavdiag/bin/mavdiag-detector"
 
 
@@ -29,9 +32,9 @@ def unit() -> dict[str, list[str]]:
     return found
 
 
-def instructions() -> list[tuple[str, str]]:
-    """Instructions of the container file in order, with what follows each."""
-    text = re.sub(r"^#.*\n", "", CONTAINER.read_text(), flags=re.MULTILINE).replace("\\\n", " ")
+def instructions(path: Path = CONTAINER) -> list[tuple[str, str]]:
+    """Instructions of a container file in order, with what follows each."""
+    text = re.sub(r"^#.*\n", "", path.read_text(), flags=re.MULTILINE).replace("\\\n", " ")
     return [(line.split(" ", 1)[0], line.split(" ", 1)[1]) for line in text.splitlines() if line.strip()]
 
 
@@ -64,14 +67,52 @@ def test_the_container_runs_as_nobody_and_can_be_read_only() -> None:
     health = by_name["HEALTHCHECK"].partition("CMD ")[2]
     assert json.loads(health) == [PROGRAM, "--working"]
     assert [value for name, value in last if name == "VOLUME"] == ["/data"]
-    assert "--only-binary=:all:" in dict(made[: len(made) - len(last)])["RUN"]
+    assert {"--only-binary=:all:", "/tmp/constraints.txt"} <= set(dict(made[: -len(last)])["RUN"].split())
+    copied = [value for name, value in made if name == "COPY" and not value.startswith("--from")]
+    assert copied == ["dist/*.whl constraints.txt /tmp/"]  # what `make dist` makes, with the versions that are tried
+
+
+@pytest.mark.parametrize("path", [CONTAINER, BLUEOS])
+def test_the_container_files_keep_the_rules_of_hadolint(path: Path) -> None:
+    made = instructions(path)
     for name, value in made:
-        if name == "COPY" and not value.startswith("--from"):
-            *sources, _ = value.split()
-            assert all((ROOT / source).exists() for source in sources), value
+        if name == "FROM":
+            assert re.search(r":\d", value), "DL3006, DL3007: a tag, and not latest"
+        assert name not in ("ADD", "MAINTAINER"), "DL3020, DL4000"
+        assert name != "WORKDIR" or value.startswith("/"), "DL3000"
+        assert not re.search(r"\bsudo\b|\bcd /|apt-get upgrade", value), "DL3004, DL3003, DL3005"
+        assert "pip install" not in value or {"--no-cache-dir", "--constraint"} <= set(value.split()), "DL3042, DL3013"
+        if name in ("CMD", "ENTRYPOINT"):
+            json.loads(value)  # DL3025
 
 
-@pytest.mark.parametrize("path", [UNIT, CONTAINER])
+def test_the_extension_of_blueos_has_the_labels_that_its_store_reads() -> None:
+    made = instructions(BLUEOS)
+    labels = dict(value.split("=", 1) for name, value in made if name == "LABEL")
+    told = {name: text.strip("'\"") for name, text in labels.items()}
+    parsed = {name: json.loads(told[name]) for name in ("permissions", "authors", "company", "links", "tags")}
+    assert re.fullmatch(r"\d+\.\d+\.\d+", told["version"])
+    assert told["version"] == __version__
+    assert told["type"] in ("device-integration", "example", "theme", "other", "tool")
+    assert all({"name", "email"} == set(author) for author in parsed["authors"])
+    assert set(parsed["company"]) == {"name", "about", "email"}
+    assert len(parsed["tags"]) <= 10
+    assert all(re.fullmatch(r"[a-z0-9-]+", tag) for tag in parsed["tags"])
+    host = parsed["permissions"]["HostConfig"]
+    assert host["CapDrop"] == ["ALL"]
+    assert host["ReadonlyRootfs"] is True
+    assert host["Binds"] == ["mavdiag:/data"]
+    metadata = json.loads(BLUEOS.with_name("metadata.json").read_text())
+    assert set(metadata) == {"name", "website", "docker", "description"}
+    assert metadata["name"] == SERVICE["name"]
+    environ = dict(re.findall(r"(\w+)=(\"[^\"]*\"|\S+)", dict(made)["ENV"]))
+    settings = load_settings(None, {}, {name: value.strip('"') for name, value in environ.items()})
+    assert settings.web is not None
+    assert settings.web.startswith("0.0.0.0:")  # BlueOS finds no other server
+    assert "blueos.local" in settings.web_names
+
+
+@pytest.mark.parametrize("path", [UNIT, CONTAINER, BLUEOS])
 def test_the_variables_named_there_are_settings(path: Path) -> None:
     named = {name.lower() for name in set_there(path.read_text())}
     assert named

@@ -125,11 +125,11 @@ def ranked(low: FloatArray, high: FloatArray) -> float:
     return float(np.mean((high[:, None] > low) + 0.5 * (high[:, None] == low)))
 
 
-def test_the_pictures_of_the_readme_are_drawn(tmp_path: Path) -> None:
+def test_the_pictures_of_the_page_on_reports_are_drawn(tmp_path: Path) -> None:
     script().main(tmp_path)
-    readme = (DOCS.parent / "README.md").read_text(encoding="utf-8")
+    page = (DOCS / "operating.md").read_text(encoding="utf-8")
     for name in ("report-evidence.svg", "report-residual.svg"):
-        assert f"(docs/{name})" in readme
+        assert f"({name})" in page
         drawn, kept = (ElementTree.parse(folder / name).getroot() for folder in (tmp_path, DOCS))
         # Other versions of the libraries may place a line otherwise; what is said must be the same.
         assert texts_of(drawn) == texts_of(kept)

@@ -2,6 +2,7 @@
 
 import io
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,13 @@ from hypothesis import strategies as st
 from memory_port import memory_pair
 from rich.console import Console
 
+from mavdiag.archive.tables import Row
 from mavdiag.errors import InputError
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import MessageId, Severity
 from mavdiag.telemetry import FloatArray
 from mavdiag.terminal.ground_station import GroundStation
+from mavdiag.terminal.tables import verdict_table
 from mavdiag.terminal.view import Curve, Level, Line, StripView, View, picture, strip
 from mavdiag.terminal.watching import Journal, Screen
 
@@ -74,6 +77,61 @@ def test_a_small_terminal_shows_the_newest_alert_in_full(width: int, height: int
     assert len(lines) <= height
     shown = " ".join(" ".join(line.strip("│ ") for line in lines).split())
     assert all(words in shown for words in (" ".join(said.split()), "event 19", "motor 3 is weak"))
+
+
+def test_a_flood_of_words_does_not_push_an_alert_out() -> None:
+    """Every CRITICAL of the last hundred events stands whole at 80 x 24, and so do older ones."""
+    alerts = [f"detector: PROP FAULT motor {n} lost {n}9% thrust, land now and look at its propeller" for n in range(6)]
+    flood = [Line(float(n), Severity.INFO, f"words {n}") for n in range(300)]
+    events = [*(Line(float(n), Severity.CRITICAL, text) for n, text in enumerate(alerts)), *flood]
+    views: list[View] = []
+
+    def view(shown: Sequence[Line]) -> View:
+        views.append(View("a link", "motor 3 is weak", True, levels=(LEVEL,) * 13, events=tuple(shown), foot="foot"))
+        return views[-1]
+
+    console = Console(width=80, height=24, file=io.StringIO(), record=True, force_terminal=True)
+    with Screen(view, console=console) as screen:
+        for at in range(0, len(events), 7):
+            screen.show(events[at : at + 7])
+    console.print(picture(views[-1], 80, 23))
+    text = " ".join(" ".join(line.strip("│ ") for line in console.export_text().splitlines()[-23:]).split())
+    assert all(alert in text for alert in alerts)
+
+
+def test_verdicts_of_many_logs_are_a_table_with_totals() -> None:
+    common: Row = {"rotor": None, "since_s": None, "monitor": "unbalance", "reason": "why"}
+    rows: list[Row] = [
+        {**common, "log": "calm.bin", "verdict": "healthy", "ratio": 0.5, "judged_s": 60.0, "flown_s": 60.0},
+        {
+            **common,
+            "log": "torn\x1b.bin",
+            "verdict": "error",
+            "ratio": None,
+            "monitor": None,
+            "judged_s": 0.0,
+            "flown_s": 0.0,
+        },
+        {
+            **common,
+            "log": "weak.bin",
+            "verdict": "fault",
+            "ratio": 1.5,
+            "rotor": 3,
+            "since_s": 12.34,
+            "judged_s": 30.0,
+            "flown_s": 60.0,
+        },
+        {**common, "log": "broken.bin", "verdict": "fault", "ratio": 9.0, "judged_s": 60.0, "flown_s": 60.0},
+    ]
+    console = Console(width=80, file=io.StringIO(), record=True)
+    verdict_table(rows, console)
+    lines = console.export_text().splitlines()
+    assert [line.split()[0] for line in lines[:5]] == ["log", "broken.bin", "weak.bin", "torn\\x1b.bin", "calm.bin"]
+    assert lines[2].split() == ["weak.bin", "fault", "3", "12.3", "s", "unbalance", "1.50", "50", "%"]
+    assert lines[5] == "4 logs: 2 fault, 1 error, 1 healthy; judged 2.5 of 3.0 min"
+    assert lines[6] == "torn\\x1b.bin: why"
+    assert all(len(line) <= 80 for line in lines)
 
 
 def test_the_time_and_figures_are_those_of_one_vehicle() -> None:

@@ -13,6 +13,7 @@ from detector.web.child import read_token
 from mavdiag.errors import UsageError
 
 LOCAL = Access("127.0.0.1", 8080)
+BEHIND = Access("0.0.0.0", 8080, names=("blueos.local",))
 OPEN = Access("0.0.0.0", 8080, "a-token-of-24-characters")
 
 
@@ -44,6 +45,24 @@ def test_every_other_host_is_refused(host: str) -> None:
 )
 def test_another_sites_script_is_refused(headers: Mapping[str, str], path: str, answer: Answer) -> None:
     assert judged(LOCAL, path, **headers) is answer
+
+
+@pytest.mark.parametrize(
+    ("host", "answer"),
+    [
+        ("blueos.local", Answer.PASS),
+        ("BlueOS.local:80", Answer.PASS),
+        ("192.168.2.2", Answer.PASS),  # an address cannot be made to point elsewhere
+        ("127.0.0.1:9192", Answer.PASS),
+        ("evil.example", Answer.REFUSED),
+        ("blueos.local.evil.example", Answer.REFUSED),
+        ("localhost", Answer.REFUSED),
+    ],
+)
+def test_behind_a_proxy_its_names_are_known(host: str, answer: Answer) -> None:
+    assert judged(BEHIND, host=host) is answer
+    assert judged(BEHIND, "/acknowledge", "POST", host=host, origin=f"http://{host}") is answer
+    assert judged(BEHIND, "/acknowledge", "POST", host=host, origin="http://evil.org") is Answer.REFUSED
 
 
 def test_the_token_is_asked_for_everywhere() -> None:

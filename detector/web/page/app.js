@@ -41,7 +41,7 @@ function connect() {
   const query = new URLSearchParams();
   if (page.vehicle !== null) query.set("vehicle", page.vehicle);
   if (page.run !== null) query.set("after", `${page.run}-${page.last}`);
-  const source = new EventSource(`/stream?${query}`);
+  const source = new EventSource(`stream?${query}`);
   page.source = source;
   const on = (name, take) => source.addEventListener(name, (event) => {
     if (source !== page.source) return;
@@ -423,7 +423,7 @@ byId("pause").addEventListener("click", () => {
   draw("strips");
 });
 byId("acknowledge").addEventListener("click", () => {
-  if (page.vehicle !== null) fetch(`/acknowledge?vehicle=${page.vehicle}`, {method: "POST"});
+  if (page.vehicle !== null) fetch(`acknowledge?vehicle=${page.vehicle}`, {method: "POST"});
 });
 byId("only-alerts").addEventListener("change", () => draw("filter"));
 byId("all-vehicles").addEventListener("change", () => draw("filter"));
