@@ -130,7 +130,7 @@ class Player:
                 self.speed = min(float(words[1]), FASTEST)
         if fresh and self._wanted is None:
             self._wanted = self.at_s
-        if self._wanted is not None and (self._judged.done or self._wanted <= self.judged_s):
+        if self._wanted is not None and (self._judged.done or self._wanted < self.judged_s):
             self._jump(min(self._wanted, self.judged_s))
         elif self._watched and self._wanted is None:
             self.at_s = min(self.at_s + self.speed * (now - self._before), self.judged_s)
@@ -145,7 +145,7 @@ class Player:
     def _jump(self, to_s: float) -> None:
         """Begin anew at another time: all entries until then, and what the strips show of before."""
         self.at_s, self._wanted, self._told, self._number, self._jumps = to_s, None, Instant(0), 0, self._jumps + 1
-        self._shown, recent = self._due(to_s), self._due(to_s - BACK_S)
+        self._shown, recent = max(1, self._due(to_s)), self._due(to_s - BACK_S)
         past = self._judged.moments[: self._shown]
         self._lines = [f"C {self._judged.begin_ns:x}-{self._jumps}\n"]
         self._lines += [f"A {self._judged.vehicle} {moment.about}\n" for moment in past if moment.about is not None][
