@@ -220,7 +220,7 @@ def _verdict(session: Session, judging: bool, nearest: str = "") -> Json:
     elif judging and state is State.MONITORING and held.stage in (Stage.QUIET, Stage.SUSPECTED):
         level = Level(held.stage.value)
     if level is Level.QUIET:
-        sentence = f"No fault found{nearest}."
+        sentence = nearest or "No fault found."
     elif level in (Level.NOT_JUDGED, Level.OFF):
         reason = session.reason.removeprefix("monitoring: ").removeprefix("not judged: ")
         sentence = _IDLE[state].format(held.reason if reason == "monitoring" else reason)
@@ -237,7 +237,7 @@ def _nearest(judge: Judge, slots: Sequence[Json]) -> str:
         return ""
     ratio, monitor = max(ratios, key=lambda pair: pair[0])
     name = f"{label_of(monitor.name)} {monitor.axis or ''}".rstrip()
-    return f"; {len(pairs)} of {len(slots)} monitors judge, {name} is nearest to its threshold with {100 * ratio:.0f} %"
+    return f"{len(pairs)} of {len(slots)} monitors judge; nearest to its threshold is {name}, with {100 * ratio:.0f} %."
 
 
 def fleet_now(figures: DaemonFigures, sessions: Mapping[int, Session], now: Instant, began: Instant) -> Json:

@@ -50,7 +50,7 @@ class FakeChild:
 
     def of(self, kind: str) -> list[Any]:
         """The contents of the lines of a kind."""
-        rest = 1 if kind == "F" else 2
+        rest = 1 if kind in "FP" else 2
         return [json.loads(line.split(" ", rest)[rest]) for line in self.lines if line.startswith(f"{kind} ")]
 
     @property
@@ -162,7 +162,7 @@ def test_a_flight_from_waiting_to_a_fault_and_to_the_ground(watched: Watched) ->
     assert (first["level"], first["state"]) == (Level.NOT_JUDGED, "waiting")
     quiet = watched.after(15.0, outputs=True)
     assert (quiet["level"], quiet["advice"], quiet["rotor"]) == (Level.QUIET, "", None)
-    assert quiet["sentence"].startswith("No fault found; 2 of 4 monitors judge, rotor trim is nearest")
+    assert quiet["sentence"].startswith("2 of 4 monitors judge; nearest to its threshold is rotor trim, with")
     assert len(quiet["rises"]) == 4
     by_name = dict(zip([one["name"] for one in slots_of(watched)], quiet["slots"], strict=True))
     assert by_name["fsd"]["value"] is not None

@@ -296,7 +296,7 @@ function renderAbout() {
   const about = page.about, place = byId("airframe");
   place.replaceChildren();
   byId("figure").hidden = !about || !about.drawing;
-  text("layout", about ? [about.airframe && `Airframe ${about.airframe}`, about.layout].filter(Boolean).join(": ") : "");
+  text("layout", about ? about.layout : "");
   if (about && about.drawing) {
     const parsed = new DOMParser().parseFromString(drawing.createHTML(about.drawing), "image/svg+xml");
     if (parsed.documentElement.localName === "svg") place.append(document.importNode(parsed.documentElement, true));
