@@ -4,7 +4,7 @@ Each setting is one field, with its option of the command line where it has one;
 """
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -176,13 +176,22 @@ def load_settings(
     if settings.metrics is not None:
         split_address(settings.metrics, "metrics")
     if settings.web is not None:
-        host, _ = split_address(settings.web, "web")
-        if settings.web_token_file is None and not is_loopback(host) and not settings.web_names:
-            raise UsageError(f"--web {settings.web}: others reach {host}; name a --web-token-file FILE, or 127.0.0.1")
+        page_address(settings.web, settings.web_token_file, settings.web_names)
     if settings.learn is not None and settings.save is None:
         said = "learn needs save: a FILE that keeps what is learned, or every start learns anew, broken or not"
         raise UsageError(f"{where.get('learn', '')}{said}; or name a --baseline FILE")
     return settings
+
+
+def page_address(web: str, token_file: Path | None, names: Sequence[str] = ()) -> tuple[str, int]:
+    """Host and port of the live page; names: of the hosts that it answers to.
+
+    Raises UsageError where others reach it and neither a token is asked for nor a name.
+    """
+    host, port = split_address(web, "web")
+    if token_file is None and not is_loopback(host) and not names:
+        raise UsageError(f"--web {web}: others reach {host}; name a --web-token-file FILE, or 127.0.0.1")
+    return host, port
 
 
 def split_address(text: str, what: str) -> tuple[str, int]:

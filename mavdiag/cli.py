@@ -3,7 +3,20 @@
 from typing import NoReturn
 
 from mavdiag import commandline
-from mavdiag.commands import baseline, export, history, identify, inspect, model, report, scan, shim, tools, watch
+from mavdiag.commands import (
+    baseline,
+    export,
+    history,
+    identify,
+    inspect,
+    model,
+    replay,
+    report,
+    scan,
+    shim,
+    tools,
+    watch,
+)
 from mavdiag.demo import command as demo
 
 app = commandline.application("Find a damaged propeller: learn a healthy airframe, judge its flights by it.", "mavdiag")
@@ -16,6 +29,7 @@ app.command("demo")(demo.demo)
 app.command("balance")(tools.balance)
 app.command("inspect")(inspect.inspect)
 app.command("watch")(watch.watch)
+app.command("replay")(replay.replay)
 app.command("ack")(tools.ack)
 app.command("warm")(tools.warm)
 app.command("shim")(shim.shim)

@@ -151,17 +151,22 @@ def judge_in_full(
         dt_s, _ = measure_grid(log.telemetry)
     except InputError as error:
         return refused(str(error))
-    chain = chain_of(baseline, log.started_ns, log.profile)
+    chain = chain_of(suited(baseline, log), log.started_ns, log.profile)
     if refusal := chain.refusal(log.telemetry):
         return refused(refusal, 1 / dt_s)
-    if log.motor_order:  # its outputs are by motor already
-        chain = replace(chain, front=replace(chain.front, outputs=None))
     run = _Run(log, chain, judged_share, keep)
     alike = run.likeness.sentence(baseline.airframe.name)
     if run.likeness.outcome is Outcome.FAR:
         return refused(f"another vehicle: {alike}", 1 / dt_s)
     notes = (*((alike,) if alike else ()), *log.notes, *_layout_notes(log, baseline))
     return JudgedFlight(run.verdict(notes, 1 / dt_s), chain, tuple(run.kept), run.state.memory.unjudged)
+
+
+def suited(baseline: Baseline, log: Log) -> Baseline:
+    """The baseline as it judges a log: without the order of outputs where those of the log are by motor already."""
+    if not log.motor_order:
+        return baseline
+    return baseline.model_copy(update={"airframe": replace(baseline.airframe, outputs=None)})
 
 
 def exit_code(verdicts: Sequence[Verdict]) -> int:

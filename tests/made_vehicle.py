@@ -23,9 +23,10 @@ from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.keys import KeptSigning
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
 from mavdiag.link.ports import Endpoint
+from mavdiag.logs.tlog import tlog_record
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Bench", "FakeFitter", "MadeVehicle", "VirtualHost"]
+__all__ = ["Bench", "FakeFitter", "MadeVehicle", "VirtualHost", "record"]
 
 START_NS = 1000 * NS_PER_S
 EPOCH_NS = 1_777_600_000 * NS_PER_S
@@ -105,6 +106,18 @@ class MadeVehicle:
             frames.append(self.encoder.encode(MessageId.RAW_IMU, 1000 * t_ms, 0, 0, -1000, *gyro))
             self.sent += 1
         return frames
+
+
+def record(path: Path, spans: Sequence[tuple[float, float]], sysid: int = 1) -> None:
+    """Write a flight as a .tlog. spans: how long [s], and how fast it turns about roll though nobody asked [rad/s]."""
+    vehicle, data = MadeVehicle(sysid), bytearray()
+    for span_s, turning in spans:
+        vehicle.turning = turning
+        for _ in range(round(span_s * RATE_HZ)):
+            time_us = EPOCH_NS // 1000 + vehicle.sent * 1_000_000 // RATE_HZ
+            for frame in vehicle.samples(1):
+                data += tlog_record(time_us, frame)
+    path.write_bytes(data)
 
 
 @dataclass

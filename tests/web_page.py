@@ -108,6 +108,33 @@ def give(process: ServerProcess, *lines: str) -> list[str]:
     return said + process.look(Instant(time.monotonic_ns()))[1]
 
 
+#: Texts that are smaller than this many CSS pixels, as they are drawn, of what can be seen; SVG is scaled.
+SMALL = """return [...document.querySelectorAll('body *')].filter((one) => {
+    const own = [...one.childNodes].some((part) => part.nodeType === 3 && part.data.trim());
+    if (!own || !one.checkVisibility({visibilityProperty: true})) return false;
+    const svg = one.closest('svg'), scale = svg ? svg.getBoundingClientRect().width / svg.viewBox.baseVal.width : 1;
+    return scale * parseFloat(getComputedStyle(one).fontSize) < arguments[0];
+}).map((one) => `${one.tagName} ${one.className.baseVal ?? one.className}: ${one.textContent}`)"""
+#: The right edge of what stands farthest to the right, less the width of the window.
+ASIDE = "return document.documentElement.scrollWidth - document.documentElement.clientWidth"
+SCREENSHOTS = Path(__file__).resolve().parents[1] / "build" / "screenshots"
+
+
+def look(chromium: Any, name: str, width: int, *, dark: bool = False) -> None:
+    """Show the whole page at a width and keep a picture; nothing may stand aside, and no text below 11 px."""
+    scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
+    size = {"width": width, "deviceScaleFactor": 1, "mobile": width < 500}
+    for height in (1000, None):  # as high as its content is at this width
+        tall = height or chromium.execute_script("return document.documentElement.scrollHeight")
+        chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {**size, "height": tall})
+        chromium.execute_async_script("requestAnimationFrame(() => requestAnimationFrame(arguments[0]))")
+    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
+    chromium.save_screenshot(str(SCREENSHOTS / f"{name}-{width}{'-dark' if dark else ''}.png"))
+    assert chromium.execute_script(ASIDE) <= 0, f"{name} at {width} px scrolls sideways"
+    assert chromium.execute_script(SMALL, 11) == []
+
+
 @contextmanager
 def browser(profile: Path) -> Iterator[Any]:
     """Debian's Chromium, headless, with a profile of its own; skips where it is not installed."""

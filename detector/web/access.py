@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 PORT_DIGITS = 5
-ACKNOWLEDGE = "/acknowledge"  # the one path that is posted to: it changes something
+ACKNOWLEDGE, PLAY = POSTED = "/acknowledge", "/play"  # the paths that are posted to: they change something
 _LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
 _ANYWHERE = ("0.0.0.0", "::")
 
@@ -75,7 +75,7 @@ class Access:
         host = headers.get("host", "")
         if not self._knows(host) or not _of_this_page(path, host, headers):
             return Answer.REFUSED
-        if method != ("POST" if path == ACKNOWLEDGE else "GET"):
+        if method != ("POST" if path in POSTED else "GET"):
             return Answer.NOT_A_GET
         if self.token is None:
             return Answer.PASS

@@ -6,6 +6,8 @@ A line of the daemon has one letter for its kind, and what follows it:
     F FLEET            the vehicles and the links, about once a second
     A VEHICLE ABOUT    what does not change while a vehicle is judged: its monitors, its drawing
     N VEHICLE NOW      the vehicle at this moment, while somebody looks at it
+    P PLAYING          of a replay: where it is
+    C RUN              of a replay: it jumped, and all begins anew as another run
 """
 
 import json
@@ -26,6 +28,7 @@ class Board:
     run: str
     entries: deque[tuple[int, str]] = field(default_factory=lambda: deque(maxlen=KEPT))
     fleet: str = ""
+    playing: str = ""
     about: dict[int, str] = field(default_factory=dict)
     now: dict[int, deque[str]] = field(default_factory=dict)
     readers: "set[Reader]" = field(default_factory=set)
@@ -47,6 +50,11 @@ class Board:
         if kind == "F":
             self.fleet = rest
             self._give(None, "fleet", rest)
+        elif kind == "P":
+            self.playing = rest
+            self._give(None, "playing", rest)
+        elif kind == "C":
+            self._begin_anew(rest)
         elif not head.isdecimal():
             return
         elif kind == "J" and int(head) > self.newest:
@@ -61,6 +69,14 @@ class Board:
             self.now.setdefault(int(head), deque(maxlen=STRIP_PARTS)).append(content)
             self._give(int(head), "now", content)
 
+    def _begin_anew(self, run: str) -> None:
+        self.run = run
+        for held in (self.entries, self.about, self.now):
+            held.clear()
+        for reader in self.readers:
+            reader.waiting.clear()
+            reader.begin(None)
+
     def _give(self, vehicle: int | None, kind: str, content: str) -> None:
         for reader in self.readers:
             if vehicle in (None, reader.vehicle):
@@ -68,11 +84,10 @@ class Board:
 
     def enter(self, vehicle: int | None, last: int | None) -> "Reader":
         """A page begins to read. last: number of the last entry that it has; None for a page that is new."""
-        reader = Reader(self, vehicle, max(0, self.newest - FIRST) if last is None else last)
-        hello = {"run": self.run, "newest": self.newest, "fresh": last is None}
-        reader.waiting.append(("hello", json.dumps(hello)))
-        if self.fleet:
-            reader.waiting.append(("fleet", self.fleet))
+        reader = Reader(self, vehicle)
+        reader.begin(last)
+        state = (("playing", self.playing), ("fleet", self.fleet))
+        reader.waiting.extend((kind, content) for kind, content in state if content)
         if vehicle is not None and vehicle in self.about:
             reader.waiting.append(("about", self.about[vehicle]))
         reader.waiting.extend(("now", part) for part in self.now.get(vehicle or -1, ()))
@@ -86,8 +101,15 @@ class Reader:
 
     board: Board
     vehicle: int | None  # that it looks at; None for none yet
-    sent: int  # number of the last entry that it was given
+    sent: int = 0  # number of the last entry that it was given
     waiting: deque[tuple[str, str]] = field(default_factory=lambda: deque(maxlen=2 * STRIP_PARTS))  # beside entries
+
+    def begin(self, last: int | None) -> None:
+        """Say which run it is. last: as in `Board.enter`."""
+        board = self.board
+        self.sent = max(0, board.newest - FIRST) if last is None else last
+        hello = {"run": board.run, "newest": board.newest, "fresh": last is None}
+        self.waiting.append(("hello", json.dumps(hello)))
 
     def next(self) -> bytes:
         """Server-sent events for what came since the last call; empty if nothing did."""

@@ -11,15 +11,19 @@ from detector.fleet import Fleet, Turn
 from detector.values import DaemonFigures
 from detector.web.board import KEPT, is_vehicle
 from detector.web.child import ServerProcess
-from detector.web.snapshot import Snapshots, about, fleet_now
+from detector.web.snapshot import BACK_S, Snapshots, about, fleet_now, strips_of, thesis_traces
 from mavdiag.as_json import json_line
 from mavdiag.chain import Chain
-from mavdiag.kernel import Piece
+from mavdiag.kernel import LOOK_NS, Piece
 from mavdiag.telemetry import Instant
+from mavdiag.traces import SlotTrace
+from mavdiag.units import NS_PER_S
 
 SNAPSHOT_S = 0.2  # between two snapshots of a vehicle that is looked at (our choice)
 BATCH = 100  # entries that are handed over at once
 PIECES_MOST = 256  # that wait for a snapshot
+BACK_MOST = 32  # vehicles whose strips are kept while nobody looks, so that they are filled at once (our choice)
+BACK_PIECES = round(BACK_S * NS_PER_S / LOOK_NS)  # of each: one a look
 WATCHED_MOST = 8  # vehicles that are shown at a time, so that pages cannot load the daemon (our choice)
 
 
@@ -32,6 +36,7 @@ class Feed:
         self._count, self._given = 0, 0
         self._watched: tuple[int, ...] = ()
         self._pieces: dict[int, list[Piece]] = {}
+        self._back: dict[int, deque[list[SlotTrace]]] = {}  # of the vehicles at which nobody looks
         self._snapshots: dict[int, Snapshots] = {}
         self._about: dict[int, Chain | None] = {}
         self._shown = began
@@ -55,10 +60,10 @@ class Feed:
             self._about.clear()
         for line in lines:
             self._heard(line)
-        for turn in turns if self._watched else ():
+        for turn in turns:
             judge = fleet.vehicles[turn.vehicle].session.judge
-            if turn.vehicle in self._watched and judge is not None and judge.pieces:
-                self._pieces[turn.vehicle] = [*self._pieces.get(turn.vehicle, ()), *judge.pieces][-PIECES_MOST:]
+            if judge is not None and judge.pieces:
+                self._keep(turn.vehicle, judge.pieces)
         self._give()
         if self._watched and now - self._shown >= SNAPSHOT_S:
             self._shown = now
@@ -89,6 +94,12 @@ class Feed:
             self._pieces = {sysid: self._pieces[sysid] for sysid in self._watched if sysid in self._pieces}
             self._snapshots = {sysid: self._snapshots.get(sysid) or Snapshots() for sysid in self._watched}
 
+    def _keep(self, sysid: int, pieces: Sequence[Piece]) -> None:
+        if sysid in self._watched:
+            self._pieces[sysid] = [*self._pieces.get(sysid, ()), *pieces][-PIECES_MOST:]
+        elif sysid in self._back or len(self._back) < BACK_MOST:
+            self._back.setdefault(sysid, deque(maxlen=BACK_PIECES)).extend(map(thesis_traces, pieces))
+
     def _put(self, head: str, content: str) -> bool:
         return self._child.put(f"{head} {content}\n".encode())
 
@@ -112,5 +123,7 @@ class Feed:
             if not self._put(f"A {sysid}", json_line(about(sysid, session.spec.profile.name, session.judge))):
                 return
             self._about[sysid] = chain
-        pieces = self._pieces.pop(sysid, [])
-        self._put(f"N {sysid}", json_line(self._snapshots[sysid].next(fleet.figures_of(sysid), session, pieces, now)))
+        shown = self._snapshots[sysid].next(fleet.figures_of(sysid), session, self._pieces.pop(sysid, []), now)
+        back = (trace for traces in self._back.pop(sysid, ()) for trace in traces)
+        shown["strips"] = [*strips_of(back), *shown["strips"]]
+        self._put(f"N {sysid}", json_line(shown))

@@ -3,7 +3,8 @@
     python -m detector.web.server      not for people: the daemon starts it
 
 Its first line on stdin is a JSON object with host, port, token, names and run. It answers `listening PORT`, or `refused
-REASON` and ends; later it says `watch VEHICLE ...` whenever that changes, and `ack VEHICLE`. It ends when stdin does.
+REASON` and ends; later it says `watch VEHICLE ...` whenever that changes, `ack VEHICLE` and, for a replay, `play at S`
+and `play speed X`. It ends when stdin does.
 """
 
 import asyncio
@@ -14,11 +15,12 @@ import signal
 import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
+from math import isfinite
 from pathlib import Path
 
 from aiohttp import web
 
-from detector.web.access import ACKNOWLEDGE, HEADERS, Access, Answer
+from detector.web.access import ACKNOWLEDGE, HEADERS, PLAY, POSTED, Access, Answer
 from detector.web.board import Board, Reader, is_vehicle, parse_last
 from mavdiag import __version__
 
@@ -51,7 +53,7 @@ SERVICE = {
 REFUSALS = {
     Answer.NO_TOKEN: "a token is needed: open /?token=TOKEN, the line in the detector's token file",
     Answer.REFUSED: "this request does not come from the page of this detector",
-    Answer.NOT_A_GET: f"only GET, and POST to {ACKNOWLEDGE}",
+    Answer.NOT_A_GET: f"only GET, and POST to {' and '.join(POSTED)}",
 }
 #: nginx passes on what has this header without waiting for more.
 STREAM = {"Content-Type": "text/event-stream; charset=utf-8", "X-Accel-Buffering": "no"}
@@ -75,6 +77,7 @@ class Server:
         app.router.add_get("/register_service", self._service, allow_head=False)
         app.router.add_get("/stream", self._stream, allow_head=False)
         app.router.add_post(ACKNOWLEDGE, self._acknowledge)
+        app.router.add_post(PLAY, self._play)
         return app
 
     async def feed(self, lines: asyncio.StreamReader) -> None:
@@ -106,7 +109,7 @@ class Server:
         else:
             response = _said(answer, REFUSALS[answer])
             more = {Answer.NO_TOKEN: ("WWW-Authenticate", "Bearer")}
-            more[Answer.NOT_A_GET] = ("Allow", "POST" if request.path == ACKNOWLEDGE else "GET")
+            more[Answer.NOT_A_GET] = ("Allow", "POST" if request.path in POSTED else "GET")
             response.headers.update([more[answer]] if answer in more else [])
         if not response.prepared:
             response.headers.update(HEADERS)
@@ -125,6 +128,16 @@ class Server:
             raise web.HTTPBadRequest(reason="name a vehicle: ?vehicle=1")
         _to_daemon(f"ack {vehicle}")
         return _said(202, "handed to the detector")
+
+    async def _play(self, request: web.Request) -> web.Response:
+        command, figure = next(iter(request.query.items()), ("", ""))
+        try:
+            if not (command in ("at", "speed") and isfinite(value := float(figure)) and value >= 0):
+                raise ValueError
+        except ValueError:
+            raise web.HTTPBadRequest(reason="say /play?at=SECONDS or /play?speed=TIMES, 0 to pause") from None
+        _to_daemon(f"play {command} {value}")
+        return _said(202, "handed to the replay")
 
     async def _stream(self, request: web.Request) -> web.StreamResponse:
         if len(self._wake) >= PAGES:

@@ -9,7 +9,7 @@ high are the least and the greatest residual in it [rad/s], fsd_s the longest ru
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -23,7 +23,7 @@ from detector.states import State
 from detector.values import DaemonFigures, VehicleFigures
 from mavdiag.chain import Chain
 from mavdiag.decision.diagnosis import Stage
-from mavdiag.decision.words import finding_words, motors_words
+from mavdiag.decision.words import held_advice, held_sentence
 from mavdiag.kernel import WAITING, Account, Piece
 from mavdiag.link.wants import LABELS
 from mavdiag.monitors.base import Feature
@@ -37,10 +37,23 @@ STALE_S = 1.5  # without rows for so long, nothing is judged now (our choice)
 HELD = 3.0  # periods that the value of a slow monitor stays on the page (our choice)
 BIN_NS = NS_PER_S // 20  # of vehicle time that one point of a strip stands for (our choice)
 DIGITS = 5
+BACK_S = 20.0  # that the strips show
 MOST = 1e6  # that a point may show: what is not finite, or beyond it, is no figure for a strip
 _FIRST: IntArray = np.zeros(1, dtype=np.int64)
+_NO_ROTORS: FloatArray = np.empty((0, 0))
 
 Json = dict[str, Any]
+
+
+#: What is said of a vehicle that is not judged, by the state of its session and the reason for it.
+_IDLE = {
+    State.WAITING: "Waiting until it can be judged: {}.",
+    State.LEARNING: "Learning what health looks like: {}.",
+    State.FITTING: "Making a baseline of what was flown.",
+    State.MONITORING: "Nothing is judged at this moment: {}.",
+    State.LOST: "The link is lost: {}.",
+    State.FAULTED: "It cannot be judged: {}.",
+}
 
 
 class Level(StrEnum):
@@ -103,20 +116,22 @@ class Snapshots:
         chain = None if judge is None else judge.chain
         if chain is not self._chain:
             self._chain, self._seen, self._accounts, self._rows = chain, {}, (), None
-        slots, strips = list[Json](), list[Json]()
+        slots, strips, nearest, now_ns = list[Json](), list[Json](), "", None
+        since_ns = session.diagnosis.declared_ns
         if judge is not None:
             traces = slot_traces(judge.chain, pieces)
             self._rows = now if pieces else self._rows
             self._seen |= {number: _seen(trace, now) for number, trace in enumerate(traces) if len(trace.found)}
             slots, strips = self._slots(judge, session, now), strips_of(traces)
-            self._accounts = judge.memory.accounts
+            self._accounts, nearest, now_ns = judge.memory.accounts, _nearest(judge, slots), judge.memory.now_ns
         known = (seen.rises for seen in self._seen.values() if seen.rises and seen.value is not None)
         rates = [(LABELS[Signal(name)], round(hertz, 1)) for name, hertz in figures.rates]
         link = {"silent_s": round(now - session.latest, 2), "rates": rates} | _picked(figures.timesync, "round_trip_s")
         return {
             **_picked(figures, "vehicle", "events"),
             **_picked(session, "state", "reason"),
-            **_verdict(session, any(slot["value"] is not None for slot in slots)),
+            **_verdict(session, any(slot["value"] is not None for slot in slots), nearest),
+            "since_s": None if since_ns is None or now_ns is None else round((now_ns - since_ns) / NS_PER_S, 1),
             "rises": next(known, ()),
             "judged_s": round(figures.judged_s, 1),
             "flight_s": round(figures.flight_s, 1),
@@ -158,8 +173,17 @@ def _why(account: Account, before: Account) -> str:
     return reason if grown.get(reason, 0.0) > 0 else WAITING
 
 
-def strips_of(traces: Sequence[SlotTrace]) -> list[Json]:
-    """One for each axis of the thesis rule; without rows, without points."""
+def thesis_traces(piece: Piece) -> list[SlotTrace]:
+    """What the thesis rule gave in a piece, and nothing else of it: little memory for a display that may come."""
+    return [
+        SlotTrace(slot, slot.monitor.statistic(piece.rows, out[:, :count].copy(), _NO_ROTORS, at[:count]))
+        for slot, out, at, count in zip(piece.slots, piece.out, piece.at, piece.counts, strict=True)
+        if slot.monitor.name == "fsd"
+    ]
+
+
+def strips_of(traces: Iterable[SlotTrace]) -> list[Json]:
+    """One for each trace of the thesis rule, which has an axis; without rows, without points."""
     return [
         {"axis": trace.slot.monitor.axis, **_points(trace.found)}
         for trace in traces
@@ -185,23 +209,35 @@ def _shown(values: FloatArray) -> list[float]:
     return [round(value, DIGITS) for value in np.clip(np.nan_to_num(values, nan=0.0), -MOST, MOST).tolist()]
 
 
-def _verdict(session: Session, judging: bool) -> Json:
-    """Level, sentence and suspected rotor. judging: whether any monitor judges now."""
-    held = session.diagnosis
-    judging = judging and session.state is State.MONITORING
-    level, sentence, rotor = Level.NOT_JUDGED, session.reason, None
-    if held.stage is Stage.FAULT:
-        level, rotor = Level.FAULT, held.rotor
-        sentence = finding_words(held) + ("" if held.seen else ", no longer seen")
-    elif held.stage is Stage.INSPECT:
-        level, sentence, rotor = Level.INSPECT, f"{motors_words(held)}: inspect before flight", held.rotor
-    elif session.state in (State.LOST, State.FAULTED):
+def _verdict(session: Session, judging: bool, nearest: str = "") -> Json:
+    """Level, sentence, what to do and suspected rotor. judging: whether any monitor judges now. nearest: of them."""
+    held, state = session.diagnosis, session.state
+    level, sentence = Level.NOT_JUDGED, held_sentence(held)
+    if held.stage in (Stage.FAULT, Stage.INSPECT):
+        level = Level(held.stage.value)
+    elif state in (State.LOST, State.FAULTED):
         level = Level.OFF
-    elif judging and held.stage is Stage.QUIET:
-        level, sentence = Level.QUIET, "No fault found"
-    elif judging and held.stage is Stage.SUSPECTED:
-        level, sentence, rotor = Level.SUSPECTED, finding_words(held), held.rotor
-    return {"level": level, "sentence": sentence, "rotor": rotor}
+    elif judging and state is State.MONITORING and held.stage in (Stage.QUIET, Stage.SUSPECTED):
+        level = Level(held.stage.value)
+    if level is Level.QUIET:
+        sentence = nearest or "No fault found."
+    elif level in (Level.NOT_JUDGED, Level.OFF):
+        reason = session.reason.removeprefix("monitoring: ").removeprefix("not judged: ")
+        sentence = _IDLE[state].format(held.reason if reason == "monitoring" else reason)
+    alarm = level in (Level.FAULT, Level.INSPECT, Level.SUSPECTED)
+    told = {"advice": held_advice(held) if alarm else "", "rotor": held.rotor if alarm else None}
+    return {"level": level, "sentence": sentence} | told
+
+
+def _nearest(judge: Judge, slots: Sequence[Json]) -> str:
+    """How many monitors judge, and which of those that decide is nearest to its threshold."""
+    pairs = [(one, slot) for one, slot in zip(judge.chain.slots, slots, strict=True) if slot["value"] is not None]
+    ratios = [(slot["value"] / one.threshold, one.monitor) for one, slot in pairs if one.decides and one.threshold > 0]
+    if not ratios:
+        return ""
+    ratio, monitor = max(ratios, key=lambda pair: pair[0])
+    name = f"{label_of(monitor.name)} {monitor.axis or ''}".rstrip()
+    return f"{len(pairs)} of {len(slots)} monitors judge; nearest to its threshold is {name}, with {100 * ratio:.0f} %."
 
 
 def fleet_now(figures: DaemonFigures, sessions: Mapping[int, Session], now: Instant, began: Instant) -> Json:

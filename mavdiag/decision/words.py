@@ -121,14 +121,56 @@ def headline(verdict: "LogVerdict") -> str:
             "suspected": f"A fault is suspected, none was declared; {judged}.",
         }[verdict.verdict]
     kind, graded = verdict.kind or FaultKind.PROPELLER, ""
-    near = {FaultKind.PROPELLER: "of", FaultKind.GROSS_LOSS: "at"}.get(kind)
-    where = f" {near} rotor {verdict.rotor}" if verdict.rotor is not None and near else ""
+    where = _place(kind, verdict.rotor, "rotor")
     since = "" if verdict.since_s is None else f", declared first at {verdict.since_s:.1f} s of the vehicle's clock"
     for change in verdict.changes:  # the type that was named last
         if kind is FaultKind.PROPELLER is change.kind and change.stage is Stage.FAULT and change.fault_type is not None:
-            severity = "" if change.severity is None else f", severity {change.severity} of 3"
-            graded = f", most like {TYPES.get(change.fault_type, 'type')} ({change.fault_type}{severity})"
+            graded = _likeness(change)
     return f"A {kind}{where} was found{graded}{since}; {judged}."
+
+
+def held_sentence(held: Diagnosis) -> str:
+    """What is held of a vehicle in flight, in a sentence or two: kind, motor, likeliest type, evidence; else empty."""
+    motors = motors_words(held)
+    if held.stage is Stage.INSPECT:
+        return f"A fault was found in an earlier flight ({motors}), and nobody has said yet that it was looked at."
+    if held.stage not in (Stage.FAULT, Stage.SUSPECTED):
+        return ""
+    kind, evidence = held.kind or FaultKind.PROPELLER, ""
+    if held.monitor is not None and held.threshold > 0 and math.isfinite(held.statistic):
+        seen = OBSERVES.get(held.monitor, held.monitor)
+        evidence = f": {seen}, {held.statistic / held.threshold:.1f} times its threshold"
+    unknown = ", rotor unknown" if held.rotor is None and kind is FaultKind.PROPELLER else ""
+    if held.stage is Stage.SUSPECTED:
+        return f"A {kind}{_place(kind, held.rotor, 'motor')} is suspected, not declared{unknown}{evidence}."
+    graded = _likeness(held) if kind is FaultKind.PROPELLER and held.fault_type is not None else ""
+    calm = "" if held.seen else " It is not seen at this moment, which does not mean that it is gone."
+    return f"A {kind}{_place(kind, held.rotor, 'motor')} was found{unknown}{graded}{evidence}.{calm}"
+
+
+def held_advice(held: Diagnosis) -> str:
+    """What to do about what is held of a vehicle in flight, one sentence; empty where there is nothing to do."""
+    if held.stage is Stage.SUSPECTED:
+        where = "the propellers" if held.rotor is None else f"motor {held.rotor}"
+        return f"Look at {where} before the next flight; it may also be a manoeuvre that was not learnt."
+    if held.stage not in (Stage.FAULT, Stage.INSPECT):
+        return ""
+    first = "the propellers" if held.rotor is None else f"the propeller of motor {held.rotor} first, then the others"
+    todo = {
+        FaultKind.PROPELLER: f"look at {first}: nicks, cracks, a bent blade, a loose propeller",
+        FaultKind.SENSOR: "check the inertial sensor and its mount; no propeller is blamed",
+    }.get(held.kind or FaultKind.PROPELLER, "look at motors, controllers, propellers and their wiring")
+    return f"{'Land, then' if held.stage is Stage.FAULT else 'Before the next flight,'} {todo}."
+
+
+def _place(kind: FaultKind, rotor: int | None, noun: str) -> str:
+    near = {FaultKind.PROPELLER: "of", FaultKind.GROSS_LOSS: "at"}.get(kind)
+    return f" {near} {noun} {rotor}" if rotor is not None and near else ""
+
+
+def _likeness(held: Diagnosis) -> str:
+    severity = "" if held.severity is None else f", severity {held.severity} of 3"
+    return f", most like {TYPES.get(held.fault_type or '', 'type')} ({held.fault_type}{severity})"
 
 
 def evidence_sentence(verdict: "LogVerdict") -> str:

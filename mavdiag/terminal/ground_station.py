@@ -17,7 +17,7 @@ from mavdiag.link.sequence import LinkCount, Source
 from mavdiag.link.signing import Signing
 from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.printable import printable
-from mavdiag.telemetry import Axis
+from mavdiag.telemetry import Axis, Telemetry
 from mavdiag.units import NS_PER_S
 
 GCS_SYSID = 255
@@ -73,9 +73,13 @@ class LiveJudge:
         if self.chain.profile is None and self.vehicle in self._decoder.vehicles:
             self.chain = replace(self.chain, profile=self._decoder.vehicles[self.vehicle].profile.name)
         found = None if self.vehicle is None else received.get(self.vehicle)
-        if found is None or not found.telemetry.series:
-            return ()
-        self._state, output = self.chain.step(self._state, found.telemetry)
+        return () if found is None or not found.telemetry.series else self.judge(found.telemetry)
+
+    def judge(self, telemetry: Telemetry | None) -> tuple[Change, ...]:
+        """Judge what came next, as `take`; None at the end of a log."""
+        self._state, output = (
+            self.chain.finish(self._state) if telemetry is None else self.chain.step(self._state, telemetry)
+        )
         if self._state.refused:
             raise BaselineError(self._state.refused)
         self._gauges.update({(gauge.monitor, gauge.axis): gauge for gauge in output.gauges})

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 from rich.console import Console
 from rich.live import Live
 
@@ -16,10 +17,12 @@ from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.decision.words import diagnosis_line, stage_line
 from mavdiag.errors import InputError
 from mavdiag.link.messages import Severity
+from mavdiag.rows.front import in_pieces
 from mavdiag.storage import open_regular
-from mavdiag.telemetry import Axis
-from mavdiag.terminal.ground_station import GroundStation
+from mavdiag.telemetry import Axis, Log, Signal
+from mavdiag.terminal.ground_station import GroundStation, LiveJudge
 from mavdiag.terminal.view import Line, View, figure_levels, levels_of, line_for, picture, rate_strips
+from mavdiag.units import NS_PER_S
 
 PER_S = 10
 LOOK_S = 0.05
@@ -88,6 +91,29 @@ def watch(station: GroundStation, address: str, axis: Axis, span_s: float, ended
         raise InputError(f"{address}: {SILENT}")
 
 
+def play(log: Log, judge: LiveJudge, speed: float, from_s: float, axis: Axis, ended: Callable[[], bool]) -> None:
+    """Show a log as if it were flown now, until its end or `ended`. from_s: of the log; before, nothing waits."""
+    begin_s = float(np.min(log.telemetry.need(Signal.BODY_RATE).t_ns)) / NS_PER_S
+    start_s, steps = time.monotonic(), in_pieces(log.telemetry, max(1, round(1 / PER_S / judge.baseline.link.dt_s)))
+
+    def view(events: Sequence[Line]) -> View:
+        now_s = judge.now_s or begin_s
+        shown = judge_view(judge, now_s, judge.span_s, axis, events)
+        title = f"{log.name}  {now_s - begin_s:.1f} s, {speed:g} times as fast as flown"
+        says, alert = diagnosis_line(judge.diagnosis), judge.diagnosis.stage is Stage.FAULT
+        return replace(shown, title=title, headline=says, alert=alert, foot="a replay")
+
+    with Screen(view) as screen:
+        for step in (*steps, None):
+            last, changes = step is None or ended(), judge.judge(step)
+            due_s = start_s + ((judge.now_s or begin_s) - begin_s - from_s) / speed
+            while not (last := last or ended()) and time.monotonic() < due_s:
+                time.sleep(min(LOOK_S, max(0.0, due_s - time.monotonic())))
+            screen.show([line_for(change) for change in changes], last=last)
+            if last:
+                return
+
+
 def listen(
     station: GroundStation,
     view: Callable[[Sequence[Line]], View],
@@ -110,11 +136,15 @@ def listen(
 
 def link_view(station: GroundStation, now_s: float, span_s: float, axis: Axis, events: Sequence[Line]) -> View:
     """A moment of a link: strips and every monitor where it is judged here, else the thesis rule by its figures."""
-    judge, events = station.judge, tuple(events)
-    if judge is None:
-        return View(levels=figure_levels(station), events=events)
+    if station.judge is None:
+        return View(levels=figure_levels(station), events=tuple(events))
+    return judge_view(station.judge, now_s, span_s, axis, events)
+
+
+def judge_view(judge: LiveJudge, now_s: float, span_s: float, axis: Axis, events: Sequence[Line]) -> View:
+    """A moment of what is judged here: strips and every monitor."""
     strips, levels = rate_strips(judge, axis), levels_of(judge)
-    return View("", "", False, now_s - span_s, now_s, strips, levels, events, judge.link_line)
+    return View("", "", False, now_s - span_s, now_s, strips, levels, tuple(events), judge.link_line)
 
 
 @dataclass(slots=True)

@@ -47,6 +47,20 @@ def test_a_page_that_comes_and_goes_gets_every_entry_once(steps: list[tuple[int,
     assert got == list(range(1, total + 1))
 
 
+def test_a_replay_that_jumps_begins_anew_for_every_page() -> None:
+    board = filled(20)
+    reader = board.enter(1, None)
+    reader.next()
+    for line in ('P {"at_s": 3}', "N 1 old", "C r-1", "A 1 {}", "J 1 {}", "N 1 {}"):
+        board.take(line)
+    found = events(reader.next())
+    assert [one["event"] for one in found] == ["hello", "about", "now", "entry"]
+    assert json.loads(found[0]["data"]) == {"run": "r-1", "newest": 0, "fresh": True}
+    assert found[-1]["id"] == "r-1-1"
+    again = [one["event"] for one in events(board.enter(1, parse_last("r-20", board.run)).next())]
+    assert again == ["hello", "playing", "about", "now", "entry"]
+
+
 def test_a_new_page_gets_the_latest_entries_and_one_that_was_away_for_long_all_that_are_kept() -> None:
     board = filled(KEPT + 300)
     new = board.enter(None, None)

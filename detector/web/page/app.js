@@ -5,11 +5,15 @@
 const ROWS_MOST = 200; // events in the list
 const ENTRIES_MOST = 10000; // events that are kept
 const SILENT_MS = 3500; // without anything for so long, the page says so: the detector speaks once a second
-const CRITICAL = 2, WARNING = 4;
+const CRITICAL = 2, WARNING = 4, NOTICE = 5;
+const MERGED_S = 60; // alarms of one monitor that follow each other within this time are one event
 const NAMES = {
   fault: "Fault", inspect: "Inspect before flight", suspected: "Suspected", quiet: "No fault found", "not judged": "Not judged", off: "Off",
 };
 const MARKS = {fault: "✕", inspect: "✕", suspected: "!", quiet: "✓", "not judged": "–", off: "○"};
+
+const ALARMS = ["fault", "inspect", "suspected"];
+const KINDS = {opened: "alarm", event: "alarm", stage: "decision", text: "said", state: "session", suppressed: "not said"};
 
 const byId = (id) => document.getElementById(id);
 const drawing = window.trustedTypes
@@ -18,7 +22,8 @@ const drawing = window.trustedTypes
 
 const page = {
   vehicle: null, about: null, now: null, fleet: null, run: null, last: 0, lost: 0,
-  traces: new Map(), entries: [], fresh: [], total: 0, paused: false,
+  traces: new Map(), entries: [], fresh: [], grown: new Set(), alarms: new Map(), total: 0, paused: false,
+  playing: null, seek: null, seeking: false,
   connection: "connecting", heard: 0, source: null, changed: new Set(), asked: false,
 };
 window.mavdiag = page; // for a look from the browser's console, and for the tests
@@ -53,6 +58,7 @@ function connect() {
   on("fleet", (event) => { page.fleet = JSON.parse(event.data); choose(); draw("fleet", "now"); });
   on("about", (event) => { page.about = JSON.parse(event.data); page.traces.clear(); page.now = null; draw("about", "now", "strips", "filter"); });
   on("now", (event) => take(JSON.parse(event.data)));
+  on("playing", (event) => { page.playing = JSON.parse(event.data); draw("replay"); });
   on("entry", entry);
   source.onerror = () => {
     if (source !== page.source) return;
@@ -64,9 +70,8 @@ function connect() {
 function hello(told) {
   if (page.run !== null && page.run !== told.run) { // another run of the detector: its numbers begin anew
     Object.assign(page, {about: null, now: null, entries: [], fresh: [], total: 0, lost: 0});
-    page.traces.clear();
-    byId("list").replaceChildren();
-    draw("about", "now", "strips", "events");
+    for (const known of [page.traces, page.alarms, page.grown]) known.clear();
+    draw("about", "now", "strips", "filter");
   }
   page.run = told.run;
   if (told.fresh) page.last = 0;
@@ -79,12 +84,30 @@ function entry(event) {
   page.last = number;
   let content;
   try { content = JSON.parse(event.data); } catch { return; }
-  const one = {number, content};
+  page.total += 1;
+  if (merged(content)) return draw("events");
+  const one = {number, content, count: 1, since: content.t_s, highest: ratioOf(content), row: null};
+  if (isAlarm(content)) page.alarms.set(keyOf(content), one);
   page.entries.push(one);
   page.fresh.push(one);
-  page.total += 1;
   if (page.entries.length > ENTRIES_MOST) page.entries.shift();
   draw("events");
+}
+
+// An alarm has two entries, and a monitor at its threshold many alarms: together they are one event.
+const isAlarm = ({kind}) => kind === "opened" || kind === "event";
+const keyOf = ({vehicle, monitor, axis}) => [vehicle, monitor, axis].join(" ");
+const ratioOf = ({statistic, threshold}) => threshold > 0 ? statistic / threshold : 0;
+
+function merged(content) {
+  const one = isAlarm(content) && page.alarms.get(keyOf(content));
+  const last = one && (one.content.end_s ?? one.content.t_s);
+  if (!one || content.t_s > last + MERGED_S || content.t_s < one.since) return false;
+  one.count += content.t_s === one.content.t_s ? 0 : 1;
+  one.highest = Math.max(one.highest, ratioOf(content));
+  one.content = content;
+  page.grown.add(one);
+  return true;
 }
 
 function take(now) {
@@ -130,7 +153,7 @@ function draw(...parts) {
 }
 
 const PARTS = {
-  connection: renderConnection, fleet: renderFleet, about: renderAbout, now: renderNow, strips: renderStrips,
+  connection: renderConnection, replay: renderReplay, fleet: renderFleet, about: renderAbout, now: renderNow, strips: renderStrips,
   events: renderEvents, filter: refilter,
 };
 
@@ -167,6 +190,11 @@ function renderConnection() {
   document.body.classList.toggle("stale", page.connection !== "live");
 }
 
+// A vehicle in a few words: "Fault, motor 3".
+function brief({level, rotor}) {
+  return `${NAMES[level] || level}${rotor ? `, motor ${rotor}` : ""}`;
+}
+
 function renderFleet() {
   const tabs = byId("vehicles"), vehicles = page.fleet ? page.fleet.vehicles : [];
   const known = new Map([...tabs.children].map((tab) => [tab.dataset.vehicle, tab]));
@@ -182,15 +210,25 @@ function renderFleet() {
     known.delete(key);
     tab.dataset.level = one.level;
     text(tab.firstChild, `${MARKS[one.level] || ""} Vehicle ${key}`);
-    text(tab.lastChild, one.state);
+    text(tab.lastChild, brief(one));
     tab.title = one.sentence;
     const chosen = one.vehicle === page.vehicle;
     tab.setAttribute("aria-selected", String(chosen));
     tab.tabIndex = chosen ? 0 : -1;
   }
   for (const tab of known.values()) tab.remove();
+  const counts = Object.keys(NAMES).map((level) => [vehicles.filter((one) => one.level === level).length, NAMES[level]]);
+  text("fleet-title", `${vehicles.length} vehicles: `
+    + counts.filter(([count]) => count).map(([count, name]) => `${count} ${name.toLowerCase()}`).join(", "));
+  byId("fleet").hidden = byId("all").hidden = vehicles.length < 2;
+  byId("main").hidden = !vehicles.length;
+  byId("empty").hidden = !page.fleet || vehicles.length > 0;
+  renderAlert(vehicles);
   if (!page.fleet) return;
+  if (!vehicles.length) renderEmpty(page.fleet);
   const {links, late, cpu_s, uptime_s, refused} = page.fleet;
+  for (const id of ["machine-title", "machine", "pause"]) byId(id).hidden = page.playing !== null;
+  document.body.classList.toggle("alone", vehicles.length < 2);
   figures("machine", [
     ["Running for", span(uptime_s)],
     ["Processor", uptime_s > 0 ? `${(100 * cpu_s / uptime_s).toFixed(1)} % of a core` : "–"],
@@ -203,10 +241,62 @@ function renderFleet() {
   ]);
 }
 
+// All vehicles that ask for attention, the gravest first, in words that change only when something happens.
+function renderAlert(vehicles) {
+  const now = page.now, known = vehicles.map((one) => now && now.vehicle === one.vehicle ? now : one);
+  const found = known.filter(({level}) => ALARMS.includes(level));
+  found.sort((a, b) => ALARMS.indexOf(a.level) - ALARMS.indexOf(b.level));
+  const more = found.length > 4 ? `; ${found.length - 4} more` : "";
+  byId("alert").hidden = !found.length;
+  byId("alert").dataset.level = found.length ? found[0].level : "";
+  text("alert", found.slice(0, 4).map((one) => `Vehicle ${one.vehicle}: ${brief(one)}`).join("; ") + more);
+}
+
+// What an empty page lacks: what to send where.
+function renderEmpty({links, refused}) {
+  const address = links.length ? links[0].address : "the detector's link", [kind, ...rest] = address.split(":");
+  const place = rest.join(":").replace("0.0.0.0", location.hostname);
+  text("address", address);
+  figures("ways", kind === "udpin" ? [
+    ["A vehicle by MAVProxy", `mavproxy.py --master=/dev/ttyACM0 --out=udp:${place}`],
+    ["A vehicle by mavlink-router", `mavlink-routerd -e ${place} /dev/ttyACM0:921600`],
+    ["No vehicle: the emulator", `sitl-plant run --out udpout:${place} --trajectory commanded`],
+  ] : [["The detector's own side", `${address} is opened by the detector; the vehicle's side has to answer there`]]);
+  const heard = links.length && links[0].connected ? "Somebody is there, but no autopilot was heard yet." : "Nothing was received yet.";
+  text("heard", [heard, ...refused.map(([cause, count]) => `Refused: ${cause}, ${count} frames.`)].join(" "));
+}
+
+const clock = (s) => `${Math.floor(s / 60)}:${String(Math.floor(s % 60)).padStart(2, "0")}`;
+
+function renderReplay() {
+  const {log, at_s, span_s, speed, spans, judged_s, wanted_s, done} = page.playing, scrub = byId("scrub");
+  byId("replay").hidden = false;
+  text("what", `replay of ${log}`);
+  const shownAt = page.seek ?? wanted_s ?? at_s;
+  text("time", `${clock(shownAt)} / ${clock(span_s)}`);
+  scrub.max = String(span_s);
+  if (page.seek === null && wanted_s === null) scrub.value = String(at_s);
+  scrub.setAttribute("aria-valuetext", `${clock(shownAt)} of ${clock(span_s)}`);
+  text("play", !speed ? "Play" : at_s >= span_s - 0.5 ? "Again" : "Pause");
+  if (speed && document.activeElement !== byId("speed")) byId("speed").value = String(speed);
+  text("judged", done ? "" : wanted_s === null ? `${Math.floor(100 * judged_s / span_s)} % judged` : "judging up to there");
+  const key = JSON.stringify([spans, judged_s]);
+  if (byId("spans").dataset.key === key) return;
+  byId("spans").dataset.key = key;
+  byId("spans").replaceChildren(...spans.map(([from_s, level], i) => {
+    const until_s = i + 1 < spans.length ? spans[i + 1][0] : judged_s;
+    const one = el("span", {data: {level}, title: `${clock(from_s)} ${NAMES[level]}`});
+    one.style.left = `${100 * from_s / span_s}%`;
+    one.style.width = `${100 * Math.max(0, until_s - from_s) / span_s}%`;
+    return one;
+  }));
+}
+
 function renderAbout() {
   const about = page.about, place = byId("airframe");
   place.replaceChildren();
-  text("layout", about ? [about.airframe && `Airframe ${about.airframe}`, about.layout].filter(Boolean).join(": ") : "");
+  byId("figure").hidden = !about || !about.drawing;
+  text("layout", about ? about.layout : "");
   if (about && about.drawing) {
     const parsed = new DOMParser().parseFromString(drawing.createHTML(about.drawing), "image/svg+xml");
     if (parsed.documentElement.localName === "svg") place.append(document.importNode(parsed.documentElement, true));
@@ -222,37 +312,35 @@ function renderAbout() {
   const thesis = slots.filter((slot) => slot.margin !== null);
   byId("no-strips").hidden = !slots.length || thesis.length > 0;
   byId("axes").replaceChildren(...thesis.map((slot) => el("div", {className: "axis", data: {axis: slot.axis}},
-    el("h3", {}, `${slot.axis[0].toUpperCase()}${slot.axis.slice(1)}: residual `,
-      el("span", {className: "fine"}, `rad/s, margin ±${shown(slot.margin)}`), el("span", {className: "value"})),
+    el("h3", {}, `${slot.axis[0].toUpperCase()}${slot.axis.slice(1)}: measured less simulated rate `,
+      el("span", {className: "fine"}, `rad/s; dashed: margin ±${shown(slot.margin)}`), el("span", {className: "value"})),
     el("canvas", {className: "residual", role: "img"}),
-    el("h3", {}, "Run length FSD ", el("span", {className: "fine"}, `s, limit FML ${shown(slot.threshold)}`),
-      el("span", {className: "value"})),
+    el("h3", {}, "Time beyond the margin (FSD) ", el("span", {className: "fine"}, `s; dashed: limit ${shown(slot.threshold)} (FML)`), el("span", {className: "value"})),
     el("canvas", {className: "run", role: "img"}))));
 }
 
 function renderNow() {
   const now = page.now, level = now ? now.level : "none";
   byId("verdict").dataset.level = level;
+  text("whose", page.vehicle === null ? "" : `Vehicle ${page.vehicle}${page.about && page.about.airframe ? `, ${page.about.airframe}` : ""}`);
   text("mark", MARKS[level] || "");
-  text("level-text", now ? NAMES[level] : page.vehicle === null ? "no vehicle yet" : "waiting for figures");
-  text("sentence", now ? (now.sentence !== NAMES[level] ? now.sentence : "") : page.vehicle === null ? whatToSend() : "");
-  document.title = now ? `${NAMES[level]} – vehicle ${now.vehicle} – mavdiag` : "mavdiag detector";
+  text("level-text", now ? brief(now) : "waiting for figures");
+  text("sentence", now ? now.sentence : "");
+  text("advice", now ? now.advice : "");
+  document.title = now ? `${brief(now)} – vehicle ${now.vehicle} – mavdiag` : "mavdiag detector";
   renderRotors(now);
   figures("session", now ? [
-    ["State", now.state],
-    ...([now.state, now.sentence].includes(now.reason) ? [] : [["", now.reason]]),
-    ["Flight judged", `${span(now.judged_s)} of ${span(now.flight_s)}`],
-    ["Monitor alarms", String(now.events)],
+    ...(now.since_s === null ? [] : [["Declared", `${span(now.since_s)} ago`]]),
+    ["Judged", `${span(now.judged_s)} of ${span(now.flight_s)} of flight`],
+    ["Alarms of single monitors", String(now.events)],
+    ["Session", now.state],
   ] : []);
-  const alarm = now && (["fault", "inspect", "suspected"].includes(level));
-  byId("alert").hidden = !alarm;
-  byId("alert").dataset.level = level;
-  byId("acknowledge").hidden = level !== "inspect";
-  text("alert", alarm ? `Vehicle ${now.vehicle}: ${now.sentence}` : "");
+  byId("acknowledge").hidden = level !== "inspect" || page.playing !== null;
+  renderAlert(page.fleet ? page.fleet.vehicles : []);
   if (!now) return figures("link-figures", []), figures("rates", []);
   renderBars(now);
   const {link} = now, total = link.received + link.lost;
-  figures("link-figures", [
+  figures("link-figures", page.playing ? [["Profile", page.about ? page.about.profile : "–"]] : [
     ["Last frame", link.silent_s < 1 ? "now" : `${span(link.silent_s)} ago`, link.silent_s > 2 ? "warn" : ""],
     ["Frames", `${link.received} received`],
     ["Lost on the way", total ? `${link.lost} (${(100 * link.lost / total).toFixed(2)} %)` : "–",
@@ -263,13 +351,6 @@ function renderNow() {
   ]);
   figures("rates", link.rates.map(([name, hertz]) => [name, hertz ? `${hertz.toFixed(1)} Hz` : "does not come",
     hertz ? "" : "none"]));
-}
-
-// What an empty page lacks.
-function whatToSend() {
-  const link = page.fleet && page.fleet.links[0];
-  return `Send the vehicle's MAVLink to ${link ? link.address : "the detector's link"}: its autopilot's HEARTBEAT, a gyro `
-    + "(RAW_IMU, SCALED_IMU or HIGHRES_IMU) and ATTITUDE_TARGET.";
 }
 
 function renderRotors(now) {
@@ -298,7 +379,8 @@ function renderBars(now) {
     item.dataset.state = !judged ? "idle" : ratio > 1 ? "over" : "under";
     const limit = `${shown(about.threshold)} ${about.unit.replace("^2", "²").replace(/^x /, "× ")}`;
     text(figure, judged ? `${shown(slot.value)} of ${limit}` : `threshold ${limit}`);
-    text(reason, judged ? (ratio > 1 ? "above its threshold" : "") : `not judged: ${slot.reason}`);
+    const weak = about.decides ? "" : ", which alone raises a suspicion only";
+    text(reason, judged ? (ratio > 1 ? `above its threshold${weak}` : "") : `not judged: ${slot.reason}`);
     bar.firstChild.style.width = `${(66.7 * Math.min(1.5, Math.max(0, ratio))).toFixed(1)}%`;
     bar.setAttribute("aria-valuenow", String(judged ? slot.value : 0));
     bar.setAttribute("aria-valuetext", judged ? figure.textContent : reason.textContent);
@@ -327,6 +409,8 @@ function renderStrips() {
 
 function renderEvents() {
   const fresh = page.fresh.splice(0).filter(wanted).slice(-ROWS_MOST);
+  for (const one of page.grown) if (one.row) text(one.row.lastChild, words(one));
+  page.grown.clear();
   const added = fresh.reverse().map(row);
   byId("list").prepend(...added);
   setTimeout(() => { for (const one of added) one.dataset.painted = String(Date.now()); }); // after this frame
@@ -337,6 +421,7 @@ function renderEvents() {
 
 function refilter() {
   page.fresh.length = 0;
+  page.grown.clear();
   const found = [];
   for (let i = page.entries.length - 1; i >= 0 && found.length < ROWS_MOST; i -= 1) {
     if (wanted(page.entries[i])) found.push(row(page.entries[i]));
@@ -346,52 +431,64 @@ function refilter() {
 }
 
 function count() {
-  const shownRows = byId("list").children.length;
+  const shownRows = byId("list").children.length, folded = page.entries.length - page.entries.filter(wanted).length;
   const lost = page.lost ? `; ${page.lost} older ones were not kept` : "";
-  const away = page.entries.filter(folded).length;
-  const fold = away ? `; ${away} of monitors that do not decide are folded away` : "";
-  text("events-count", `${page.total} received, the latest ${shownRows} shown${lost}${fold}`);
+  text("events-count", `${page.total} received, ${shownRows} shown${folded ? `, ${folded} folded away` : ""}${lost}`);
 }
 
-// Alarms of monitors that only raise a suspicion are many and decide nothing: they are folded away.
-function folded({content}) {
-  if (byId("every-monitor").checked || !["opened", "event"].includes(content.kind)) return false;
-  const slot = page.about && page.about.slots.find((one) => one.name === content.monitor);
-  return Boolean(slot) && !slot.decides;
+// 2 an alert, 1 what matters, 0 the rest: sessions, notes, and alarms of monitors that decide nothing alone.
+function weight(content) {
+  if (isAlarm(content)) return (slotOf(content) || {decides: true}).decides ? 2 : 0;
+  if (["state", "note", "suppressed"].includes(content.kind) || (content.kind === "text" && content.severity > NOTICE)) return 0;
+  return loudness(content) ? 2 : 1;
 }
+
+const slotOf = ({monitor}) => page.about && page.about.slots.find((one) => one.name === monitor);
 
 function wanted({content}) {
-  if (folded({content})) return false;
   if (!byId("all-vehicles").checked && content.vehicle !== null && content.vehicle !== page.vehicle) return false;
-  return !byId("only-alerts").checked || loudness(content) !== "";
+  return weight(content) >= Number(byId("detail").value);
 }
 
 function loudness(content) {
   if (content.kind === "text") return content.severity <= CRITICAL ? "critical" : content.severity <= WARNING ? "warning" : "";
   if (content.kind === "stage") return {fault: "critical", inspect: "warning", suspected: "warning"}[content.stage] || "";
-  return content.kind === "opened" ? "warning" : "";
+  return isAlarm(content) ? "warning" : "";
 }
 
-function row({number, content}) {
-  const time = new Date(content.utc);
-  const clock = Number.isNaN(time.getTime()) ? "–" : time.toLocaleTimeString("en-GB");
-  return el("li", {data: {number: String(number), kind: content.kind, utc: content.utc, shown: String(Date.now()), loud: loudness(content)}},
-    el("time", {dateTime: content.utc || "", title: content.utc || ""}, clock),
+function row(one) {
+  const {number, content} = one, time = new Date(content.utc);
+  const flown = page.playing && content.vehicle_s !== undefined;
+  const at = flown ? clock(content.vehicle_s - page.playing.begin_s) : Number.isNaN(time.getTime()) ? "–" : time.toLocaleTimeString("en-GB");
+  one.row = el("li", {data: {number: String(number), kind: content.kind, utc: content.utc, shown: String(Date.now()), loud: loudness(content)}},
+    el("time", {dateTime: content.utc || "", title: content.utc || ""}, at),
     el("span", {className: "who"}, content.vehicle === null ? "" : `#${content.vehicle}`),
-    el("span", {className: "kind"}, content.kind),
-    el("span", {className: "words"}, words(content)));
+    el("span", {className: "kind"}, KINDS[content.kind] || content.kind),
+    el("span", {className: "words"}, words(one)));
+  return one.row;
 }
 
-function words(content) {
+const alarmName = (content) => `${(slotOf(content) || {label: content.monitor}).label}${content.axis ? ` ${content.axis}` : ""}`;
+
+// One alarm, or all that followed each other.
+function alarmWords({content, count: times, since, highest}) {
+  const name = alarmName(content);
+  const until = content.end_s ?? content.t_s, lasts = content.kind === "opened" || content.end_s === null;
+  const most = `${highest.toFixed(highest < 9.95 ? 1 : 0)} times its threshold`, still = lasts ? ", it lasts" : "";
+  if (times > 1) return `${name}: ${times} alarms in ${span(until - since)}, up to ${most}${still}`;
+  return lasts ? `${name}: above its threshold${still}` : `${name}: ${most} for ${span(until - content.t_s)}`;
+}
+
+function words(one) {
+  const {content} = one;
   switch (content.kind) {
     case "text": case "note": return String(content.text);
     case "suppressed": return `held back: ${content.text}`;
     case "state": return `${content.from} → ${content.to}: ${content.reason}`;
-    case "stage": return `decision ${content.fault_kind || content.stage}: ${content.reason}`
-      + (content.rotor === null ? "" : `, rotor ${content.rotor}`);
-    case "opened": case "event": return `${content.kind === "opened" ? "alarm of" : "ended:"} ${content.monitor}`
-      + `${content.axis ? ` ${content.axis}` : ""} ${shown(content.statistic)} of ${shown(content.threshold)}`
-      + (content.kind === "event" && content.end_s !== null ? `, lasted ${(content.end_s - content.t_s).toFixed(2)} s` : "");
+    case "stage": return brief({level: content.stage, rotor: content.rotor})
+      + `${content.fault_kind ? ` (${content.fault_kind})` : ""}: ${content.reason}`
+      + (content.monitor && ALARMS.includes(content.stage) ? `, ${alarmName(content)} ${ratioOf(content).toFixed(1)} times its threshold` : "");
+    case "opened": case "event": return alarmWords(one);
     case "baseline": return `learned a baseline of ${content.airframe}: ${content.layout}`;
     case "start": return `detector ${content.version} started, ${content.connect}`;
     case "stop": return String(content.summary);
@@ -419,15 +516,38 @@ byId("vehicles").addEventListener("keydown", (event) => {
 byId("pause").addEventListener("click", () => {
   page.paused = !page.paused;
   byId("pause").setAttribute("aria-pressed", String(page.paused));
-  text("pause", page.paused ? "Go on" : "Pause");
+  text("pause", page.paused ? "Go on" : "Hold");
   draw("strips");
 });
 byId("acknowledge").addEventListener("click", () => {
   if (page.vehicle !== null) fetch(`acknowledge?vehicle=${page.vehicle}`, {method: "POST"});
 });
-byId("only-alerts").addEventListener("change", () => draw("filter"));
+byId("detail").addEventListener("change", () => draw("filter"));
 byId("all-vehicles").addEventListener("change", () => draw("filter"));
-byId("every-monitor").addEventListener("change", () => draw("filter"));
+const play = (command) => fetch(`/play?${command}`, {method: "POST"});
+
+// Where the slider stands, ten times a second at most.
+async function seek() {
+  if (page.seeking) return;
+  page.seeking = true;
+  for (let at = page.seek; at !== null; at = page.seek === at ? null : page.seek) {
+    await play(`at=${at}`);
+    await new Promise((done) => setTimeout(done, 100));
+  }
+  page.seeking = false;
+  page.seek = null;
+}
+byId("scrub").addEventListener("input", () => {
+  page.seek = Number(byId("scrub").value);
+  draw("replay");
+  seek();
+});
+byId("play").addEventListener("click", async () => {
+  const {at_s, span_s, speed} = page.playing;
+  if (speed && at_s >= span_s - 0.5) return play("at=0");
+  return play(`speed=${speed ? 0 : byId("speed").value}`);
+});
+byId("speed").addEventListener("change", () => play(`speed=${byId("speed").value}`));
 window.addEventListener("resize", () => draw("strips"));
 window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => draw("strips"));
 connect();

@@ -1,8 +1,8 @@
-// Moving strips on a canvas: the residual between its margins, and the run length against its limit.
+// Moving strips on a canvas: the residual between its margins, and the run length against its limit, with axes.
 "use strict";
 
 const SPAN_S = 20;
-const BIN_S = 0.05; // as detector.web.strips.BIN_NS
+const BIN_S = 0.05; // as detector.web.snapshot.BIN_NS
 
 // The points of one axis, by bin: [bin, low, high, fsd, judged].
 class Trace {
@@ -59,9 +59,15 @@ function sharp(canvas) {
   return [context, width, height];
 }
 
-const LEFT = 46, RIGHT = 8, TOP = 8, BOTTOM = 18;
+const LEFT = 46, RIGHT = 8, TOP = 8, BOTTOM = 20;
 
-function frame(context, width, height, low, high, ticks, colour) {
+// The next round figure from a value on, so that an axis has round ends and changes seldom.
+function roundUp(value) {
+  const power = 10 ** Math.floor(Math.log10(value));
+  return power * [1, 1.5, 2, 3, 4, 5, 6, 8, 10].find((one) => one * power >= value * (1 - 1e-9));
+}
+
+function frame(context, width, height, low, high, colour) {
   const y = (value) => TOP + (height - TOP - BOTTOM) * (high - value) / (high - low);
   const x = (age_s) => width - RIGHT - (width - LEFT - RIGHT) * age_s / SPAN_S;
   context.lineWidth = 1;
@@ -69,12 +75,12 @@ function frame(context, width, height, low, high, ticks, colour) {
   context.strokeStyle = colour.grid;
   context.textAlign = "right";
   context.textBaseline = "middle";
-  for (const value of ticks) {
+  for (const value of low < 0 ? [low, low / 2, 0, high / 2, high] : [0, high / 2, high]) {
     context.beginPath();
     context.moveTo(LEFT, y(value));
     context.lineTo(width - RIGHT, y(value));
     context.stroke();
-    if (value === 0 || Math.abs(y(value) - y(0)) > 11) context.fillText(shown(value), LEFT - 6, y(value));
+    context.fillText(String(Number(value.toPrecision(3))).replace("-", "−"), LEFT - 6, y(value));
   }
   context.textBaseline = "top";
   for (let age = 0; age <= SPAN_S; age += 5) {
@@ -106,8 +112,8 @@ function limitLine(context, width, at, colour) {
 function drawResidual(canvas, trace, margin) {
   const [context, width, height] = sharp(canvas), colour = colours();
   const most = trace.points.reduce((all, one) => Math.max(all, Math.abs(one[1]), Math.abs(one[2])), 0);
-  const reach = Math.max(1.6 * margin, 1.1 * most);
-  const [x, y] = frame(context, width, height, -reach, reach, [-margin, 0, margin], colour);
+  const reach = roundUp(Math.max(1.6 * margin, most));
+  const [x, y] = frame(context, width, height, -reach, reach, colour);
   const newest = trace.newest();
   let before = null;
   for (const point of trace.points) {
@@ -129,8 +135,8 @@ function drawResidual(canvas, trace, margin) {
 function drawRun(canvas, trace, limit) {
   const [context, width, height] = sharp(canvas), colour = colours();
   const most = trace.points.reduce((all, one) => Math.max(all, one[3]), 0);
-  const reach = Math.max(1.4 * limit, 1.1 * most);
-  const [x, y] = frame(context, width, height, 0, reach, [0, limit], colour);
+  const reach = roundUp(Math.max(1.2 * limit, most));
+  const [x, y] = frame(context, width, height, 0, reach, colour);
   const newest = trace.newest();
   for (const [bin, , , fsd, judged] of trace.points) {
     context.fillStyle = !judged ? colour.idle : fsd > limit ? colour.over : colour.residual;

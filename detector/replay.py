@@ -1,0 +1,227 @@
+"""A log on the live page, as if it were flown now (edge): `mavdiag replay LOG --web` starts this module as its process.
+
+A session judges the log on the log's own clock, as the daemon's judges a link, and what the page would have been told
+is kept for every 0.2 s. That goes on as fast as it can, while the page plays, stops and jumps in what is judged.
+"""
+
+import time
+from bisect import bisect_right
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from detector.config import SessionSettings, page_address
+from detector.journal import Reporter, When
+from detector.session import Session
+from detector.streams import METERED
+from detector.values import DaemonFigures, EventOpened, Inbox, SessionSpec, VehicleFigures
+from detector.web.child import Place, ServerProcess, read_token
+from detector.web.snapshot import BACK_S, Level, Snapshots, about, fleet_now
+from mavdiag import commandline
+from mavdiag.as_json import json_line
+from mavdiag.baseline import Baseline
+from mavdiag.chain import Chain, warm
+from mavdiag.judging import suited
+from mavdiag.link.profiles import PROFILES
+from mavdiag.logs import read_log
+from mavdiag.rows.front import in_pieces
+from mavdiag.telemetry import Instant, Log, Signal
+from mavdiag.units import NS_PER_S
+
+STEP_S = 0.2  # of the log between two moments that are kept: as often as a live vehicle is shown
+AHEAD_S = 0.05  # of judging between two looks at the page (our choice)
+LOOK_S = 0.04  # between them once all is judged (our choice)
+TOLD_S = 0.2  # how often the page is told where the replay is
+FASTEST = 1000.0  # times the time of the flight
+LEAST_HZ = 1.0  # a log is judged at the baseline's rate, however slow that is
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What the page shows at a time of the log. about: None while it does not change. entries: of the journal, new."""
+
+    t_ns: int
+    about: str | None
+    fleet: str
+    now: str
+    entries: tuple[str, ...]
+    level: Level
+
+
+class Judged:
+    """A log, as far as it is judged by now. moments: of what is judged, in order. vehicle: system id, for the page."""
+
+    def __init__(self, log: Log, baseline: Baseline, vehicle: int) -> None:
+        self.name, self.vehicle, self.moments, self.done = log.name, vehicle, list[Moment](), False
+        times = log.telemetry.need(Signal.BODY_RATE).t_ns
+        self.begin_ns, self.end_ns = int(np.min(times)), int(np.max(times))
+        offset_ns = log.started_ns - self.begin_ns if log.started_ns else 0
+        profile = replace(PROFILES["qdrone2"], name=log.profile or baseline.link.profile)
+        settings = SessionSettings(negotiate=False, min_rate_hz=LEAST_HZ)
+        self._session = Session(
+            SessionSpec(profile, suited(baseline, log), settings, offset_ns), Instant(self.begin_ns)
+        )
+        self._steps = in_pieces(log.telemetry, max(1, round(STEP_S / baseline.link.dt_s)))
+        self._snapshots, self._entries, self._alarms = Snapshots(), list[str](), 0
+        self._chain: Chain | None = None
+        self._at, self._utc = Instant(self.begin_ns), offset_ns / NS_PER_S
+        self._reporter = Reporter([lambda text, _: self._entries.append(text)], lambda _: None, self._when, None)
+
+    def _when(self, sysid: int | None) -> When:
+        return When(datetime.fromtimestamp(self._at.ns / NS_PER_S + self._utc, UTC), sysid, self._at.ns)
+
+    def go_on(self) -> None:
+        """Judge the next step of the log."""
+        telemetry = next(self._steps, None)
+        session, self.done = self._session, telemetry is None
+        ends = [int(series.t_ns[-1]) for series in telemetry or () if len(series)]
+        self._at = max(self._at, Instant(max(ends, default=0)))
+        effects = session.finish() if telemetry is None else session.step(Inbox(telemetry, alive=True), self._at)
+        for effect in effects:
+            self._alarms += isinstance(effect, EventOpened)
+            self._reporter.record(self.vehicle, effect)
+        self.moments.append(self._moment())
+
+    def _moment(self) -> Moment:
+        session, judge, told = self._session, self._session.judge, None
+        chain = judge.chain if judge else None
+        if chain is not self._chain or not self.moments:
+            self._chain, told = chain, json_line(about(self.vehicle, session.spec.profile.name, judge))
+        spans = (judge.judged_s, judge.flight_s) if judge else (0.0, 0.0)
+        rates = tuple((signal.value, session.streams.meter(signal).rate_hz) for signal in METERED)
+        figures = VehicleFigures(self.vehicle, session.state, 0, 0, spans[0], self._alarms, spans[1], rates)
+        shown = self._snapshots.next(figures, session, judge.pieces if judge else (), self._at)
+        fleet = fleet_now(
+            DaemonFigures((figures,), (), 0, 0.0), {self.vehicle: session}, self._at, Instant(self.begin_ns)
+        )
+        entries, self._entries = tuple(self._entries), []
+        return Moment(self._at.ns, told, json_line(fleet), json_line(shown), entries, shown["level"])
+
+
+class Player:
+    """Where a replay is, and what the page is told of it. It begins as soon as somebody looks. at_s: of the log [s]."""
+
+    def __init__(self, child: ServerProcess, judged: Judged, speed: float, at_s: float) -> None:
+        self._child, self._judged, self.speed, self.at_s = child, judged, speed, at_s
+        self._wanted: float | None = at_s  # where it jumps to as soon as that is judged
+        self._shown = self._jumps = self._number = 0  # moments that were handed over; jumps; entries since the last
+        self._watched, self._before, self._told = False, Instant(0), Instant(0)
+        self._lines: list[str] = []
+
+    @property
+    def judged_s(self) -> float:
+        """How much of the log is judged [s]."""
+        moments = self._judged.moments
+        return (moments[-1].t_ns - self._judged.begin_ns) / NS_PER_S if moments else 0.0
+
+    def look(self, now: Instant) -> None:
+        """Hear the page, move on, and tell the page what is due."""
+        fresh, heard = self._child.look(now)
+        for command, *words in (line.split() for line in heard):
+            self._watched = self._watched or (command == "watch" and bool(words))
+            if command == "play" and words[0] == "at":
+                self._wanted = float(words[1])
+            elif command == "play":
+                self.speed = min(float(words[1]), FASTEST)
+        if fresh and self._wanted is None:
+            self._wanted = self.at_s
+        if self._wanted is not None and (self._judged.done or self._wanted < self.judged_s):
+            self._jump(min(self._wanted, self.judged_s))
+        elif self._watched and self._wanted is None:
+            self.at_s = min(self.at_s + self.speed * (now - self._before), self.judged_s)
+            self._show()
+        self._before = now
+        if now - self._told >= TOLD_S:
+            self._told = now
+            self._lines.append(f"P {json_line(self._state())}\n")
+        if self._lines and self._child.put("".join(self._lines).encode()):
+            self._lines.clear()
+
+    def _jump(self, to_s: float) -> None:
+        """Begin anew at another time: all entries until then, and what the strips show of before."""
+        self.at_s, self._wanted, self._told, self._number, self._jumps = to_s, None, Instant(0), 0, self._jumps + 1
+        self._shown, recent = max(1, self._due(to_s)), self._due(to_s - BACK_S)
+        past = self._judged.moments[: self._shown]
+        self._lines = [f"C {self._judged.begin_ns:x}-{self._jumps}\n"]
+        self._lines += [f"A {self._judged.vehicle} {moment.about}\n" for moment in past if moment.about is not None][
+            -1:
+        ]
+        self._enter(past)
+        self._lines += [f"N {self._judged.vehicle} {moment.now}\n" for moment in past[recent:]]
+        self._lines += [f"F {moment.fleet}\n" for moment in past[-1:]]
+
+    def _due(self, at_s: float) -> int:
+        at_ns = self._judged.begin_ns + round(at_s * NS_PER_S)
+        return bisect_right(self._judged.moments, at_ns, key=lambda moment: moment.t_ns)
+
+    def _show(self) -> None:
+        due = max(self._shown, self._due(self.at_s))
+        for moment in self._judged.moments[self._shown : due]:
+            if moment.about is not None:
+                self._lines.append(f"A {self._judged.vehicle} {moment.about}\n")
+            self._lines += [f"F {moment.fleet}\n", f"N {self._judged.vehicle} {moment.now}\n"]
+        self._enter(self._judged.moments[self._shown : due])
+        self._shown = due
+
+    def _enter(self, moments: Sequence[Moment]) -> None:
+        entries = [entry for moment in moments for entry in moment.entries]
+        self._lines += [f"J {number} {entry}\n" for number, entry in enumerate(entries, start=self._number + 1)]
+        self._number += len(entries)
+
+    def _state(self) -> dict[str, Any]:
+        judged, spans = self._judged, list[tuple[float, str]]()
+        for moment in judged.moments:
+            if not spans or spans[-1][1] != moment.level:
+                spans.append((round((moment.t_ns - judged.begin_ns) / NS_PER_S, 1), moment.level))
+        span_s, begin_s = (judged.end_ns - judged.begin_ns) / NS_PER_S, judged.begin_ns / NS_PER_S
+        told = {"log": judged.name, "at_s": self.at_s, "speed": self.speed, "wanted_s": self._wanted, "spans": spans}
+        return told | {"span_s": span_s, "begin_s": begin_s, "judged_s": self.judged_s, "done": judged.done}
+
+
+def serve(
+    log: Path,
+    baseline: Path,
+    web: str,
+    web_token_file: Path | None = None,
+    vehicle: int | None = None,
+    speed: float = 1.0,
+    from_s: float = 0.0,
+) -> None:
+    """Play a log on the live page until a signal comes. The options are those of `mavdiag replay`."""
+    with commandline.stop_signals() as stopped:
+        known, read = Baseline.load(baseline), read_log(log, vehicle)
+        judged = Judged(read, known, read.vehicle or vehicle or 1)
+        warm()
+        token = None if web_token_file is None else read_token(web_token_file)
+        host, port = page_address(web, web_token_file)
+        child = ServerProcess(
+            Place(host, port, token), f"{judged.begin_ns:x}-0", lambda text: commandline.say(text, err=True)
+        )
+        with closing(child):
+            child.start()
+            commandline.say(f"replay: {log.name} on {child.where}; Ctrl-C ends it")
+            player = Player(child, judged, min(speed, FASTEST), from_s)
+            while not stopped():
+                began = time.monotonic()
+                while not judged.done and time.monotonic() - began < AHEAD_S:
+                    judged.go_on()
+                player.look(Instant(time.monotonic_ns()))
+                time.sleep(LOOK_S if judged.done else 0.0)
+
+
+app = commandline.application("Play a log on the live page.")
+app.command()(serve)
+
+
+def main() -> NoReturn:
+    """Entry point of the process."""
+    commandline.run(app, "mavdiag replay")
+
+
+if __name__ == "__main__":
+    main()
