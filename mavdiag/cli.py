@@ -3,10 +3,24 @@
 from typing import NoReturn
 
 from mavdiag import commandline
-from mavdiag.commands import baseline, export, history, identify, inspect, model, report, scan, shim, tools, watch
+from mavdiag.commands import (
+    baseline,
+    export,
+    history,
+    identify,
+    inspect,
+    model,
+    report,
+    scan,
+    setup,
+    shim,
+    tools,
+    watch,
+)
 from mavdiag.demo import command as demo
 
 app = commandline.application("Find a damaged propeller: learn a healthy airframe, judge its flights by it.", "mavdiag")
+app.command("setup")(setup.setup)
 app.command("identify")(identify.identify)
 app.command("scan")(scan.scan)
 app.command("report")(report.report)

@@ -129,10 +129,11 @@ class VehicleStream:
     """One vehicle's frames to telemetry, on one clock.
 
     profile: how it sends; while no gyro sample has come, its IMU message is replaced by another that does come.
-    parameters: of its autopilot that passed by so far, by name.
+    mav_type: MAV_TYPE, if known. parameters: of its autopilot that passed by so far, by name.
     """
 
-    def __init__(self, profile: Profile) -> None:
+    def __init__(self, profile: Profile, mav_type: int | None = None) -> None:
+        self.mav_type = mav_type
         self._decoder, self.state = SampleDecoder(profile), SampleState()
         self._own, self._since_ns = profile, 0
         self._imu = NO_FRAMES.rows
@@ -363,7 +364,7 @@ class LinkDecoder:
             profile, waiting.reason = detect_profile(Evidence().take(frames_of([waiting.beat, *waiting.frames])))
         if profile is None:
             return []
-        self.vehicles[sysid] = VehicleStream(profile)
+        self.vehicles[sysid] = VehicleStream(profile, int(waiting.beat.fields[_KIND][0]))
         self.decoder.heard.keep(sysid << 8 | AUTOPILOT)
         del self._waiting[sysid]
         return [frames_of(waiting.frames)]
