@@ -75,15 +75,15 @@ def setup(
     It may be stopped at any time and goes on where it was: the recordings in the folder count. Take one out that
     should not. It never arms and never sets a parameter. Exit code 0, or 2 with what to do.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{folder}: {error.strerror}; name another folder with -o") from error
     baseline_file, config = folder / BASELINE, folder / CONFIG
-    check_output(baseline_file)
     options = with_airframe(LearnOptions(robust=True), airframe, name, layout)
     key, passed = None if signing_key is None else read_key(signing_key), list[tuple[bytes, int]]()
     with open_link(endpoint, vehicle, None, key, passed) as link:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UsageError(f"{folder}: {error.strerror}; name another folder with -o") from error
+        check_output(baseline_file)
         log = _look(link, options.airframe, vehicle or COMPANION_OF)
         sysid, coverage = link.vehicle or COMPANION_OF, Coverage()
         flights = list(_known(folder, coverage, sysid, options))
