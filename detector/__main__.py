@@ -19,8 +19,9 @@ import typer
 from detector.config import Settings, collect_values, example_text, load_settings, options, split_address
 from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
+from detector.flights import Flights, check_installed
 from detector.hooks import Hook
-from detector.journal import Journal, Recorder, kept_baselines
+from detector.journal import Journal, Recorder, baselines_in, kept_baselines
 from detector.notify import Notifier
 from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
@@ -116,6 +117,7 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
             epoch_ns, sizes = time.time_ns() - time.monotonic_ns(), (settings.record_mb, settings.record_keep)
             recorder = stack.enter_context(closing(Recorder(settings.record, epoch_ns, _say, *sizes)))
         hooks = [stack.enter_context(closing(Hook(address, _say))) for address in settings.hook]
+        flights = None if settings.history is None else stack.enter_context(closing(_flights(settings)))
         if settings.metrics is not None:
             from detector.metrics import Metrics  # only if asked for: the import takes its time
 
@@ -135,6 +137,7 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
             journal=journal,
             recorder=recorder,
             hooks=hooks,
+            flights=flights,
             metrics=metrics,
             web=web,
             notifier=notifier,
@@ -160,13 +163,14 @@ def _warm() -> None:
         done.set()
 
 
-def _baselines(settings: Settings) -> tuple[Baseline | None, dict[int, Baseline]]:
-    """The baseline for all vehicles, and those of single ones, by system id; what was learned earlier among them."""
+def _baselines(settings: Settings) -> tuple[Baseline | None, dict[int | str, Baseline]]:
+    """The baseline for all vehicles, and those of single ones, by system id or uid; what was learned earlier, too."""
     baseline = None if settings.baseline is None else Baseline.load(settings.baseline)
     kept = {} if settings.learn is None or settings.save is None else kept_baselines(settings.save)
     learned = {sysid: known for sysid, (_, known) in kept.items()}
     baseline = learned.pop(0, baseline)
-    return baseline, learned | {sysid: Baseline.load(own.baseline) for sysid, own in settings.vehicles.items()}
+    folder = {} if settings.baselines is None else baselines_in(settings.baselines)
+    return baseline, learned | folder | {sysid: Baseline.load(own.baseline) for sysid, own in settings.vehicles.items()}
 
 
 def _airframe(settings: Settings) -> Airframe | None:
@@ -177,6 +181,12 @@ def _airframe(settings: Settings) -> Airframe | None:
 
     told = Airframe() if settings.airframe is None else airframe_from(settings.airframe)
     return told if settings.layout is None else with_layout(told, settings.layout)
+
+
+def _flights(settings: Settings) -> Flights:
+    check_installed()
+    epoch_ns = time.time_ns() - time.monotonic_ns()
+    return Flights(settings.history or "", settings.flights or Path(), epoch_ns, _say)
 
 
 def _web(settings: Settings, address: str) -> "Feed":

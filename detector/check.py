@@ -5,9 +5,10 @@ running daemon, by its metrics, whether it does its work; it says nothing about 
 """
 
 import http.client
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from detector.config import Settings, split_address
+from detector.flights import check_installed as check_history
 from detector.judging import rescaled
 from detector.web.child import Place, check_installed, read_token
 from mavdiag.airframe.airframe import Airframe
@@ -23,7 +24,7 @@ ANY = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # who listens everywhere is asked o
 
 
 def plan(
-    settings: Settings, baseline: Baseline | None, own: dict[int, Baseline], airframe: Airframe | None
+    settings: Settings, baseline: Baseline | None, own: Mapping[int | str, Baseline], airframe: Airframe | None
 ) -> Iterator[str]:
     """What a start would do, line by line; baselines and airframe as they were loaded.
 
@@ -45,8 +46,8 @@ def plan(
         about = f" about {airframe.name}" if airframe else ""
         yield f"learns     from {settings.learn:g} s of healthy flight{about}, kept in {settings.save}"
     for sysid, known in own.items():
-        named = settings.vehicles.get(sysid)
-        source = named.baseline if named else "what was learned earlier"
+        named = settings.vehicles.get(sysid) if isinstance(sysid, int) else None
+        source = named.baseline if named else settings.baselines or "what was learned earlier"
         yield f"vehicle {sysid:<3}by {source}: {_summary(known, settings)}"
     if settings.threshold_scale != 1.0:
         yield f"thresholds times {settings.threshold_scale:g}"
@@ -65,6 +66,9 @@ def _files_and_ports(settings: Settings) -> Iterator[str]:
             if not path.is_fifo():
                 check_output(path)
             yield f"{option:<10} {path}, at most {keep + 1} files of {mb:g} MB"
+    if settings.history is not None:
+        check_history()
+        yield f"history    {settings.history}; flights wait in {settings.flights}"
     if settings.metrics is not None:
         host, port = split_address(settings.metrics, "metrics")
         yield f"metrics    http://{host}:{port}/metrics"

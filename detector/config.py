@@ -36,6 +36,9 @@ _CONNECT = "udpin:H:P, udpout:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD.  [defau
 _LAYOUT = "Its rotor layout, as in `mavdiag identify`.  [default: what it shows]"
 _FORWARD = "A further link that gets vehicle and alerts, e.g. a ground station; repeatable."
 _HOOK = "exec:PROGRAM, http://..., mqtt://HOST/TOPIC: gets every alert's line of the journal; repeatable."
+_BASELINES = "Folder of baselines: 3.json is system id 3's, 000000000051d205.json that of the autopilot with this uid."
+_HISTORY = "Add every flight after its landing: SQLite, or postgresql://user@host/name; needs --flights."
+_FLIGHTS = "Keeps the recordings of flights that are not in the history yet."
 _WEB = "Serve the live page; a bare port is on loopback, elsewhere it needs a token."
 
 
@@ -68,6 +71,7 @@ class Settings(SessionSettings):
 
     connect: Annotated[str, _option("ENDPOINT", _CONNECT)] = "udpin:127.0.0.1:14550"  # the vehicle's link
     baseline: Annotated[Path | None, _option("FILE", "Judge by this baseline.")] = None
+    baselines: Annotated[Path | None, _option("DIR", _BASELINES)] = None
     vehicles: Mapping[SystemId, VehicleSettings] = Field(default_factory=dict)  # by system id
     save: Annotated[Path | None, _option("FILE", "Keep what was learned; where it is there, judge by it.")] = None
     accept: bool = False  # whether a learned baseline of grade D is taken, too
@@ -83,6 +87,8 @@ class Settings(SessionSettings):
     record_mb: Positive = 1000.0  # size at which a new one is begun: some 3 h of 1 kHz
     record_keep: Kept = 9  # old ones that stay
     hook: Annotated[tuple[str, ...], _option("ADDRESS", _HOOK)] = ()
+    history: Annotated[Text | None, _option("FILE|URL", _HISTORY)] = None
+    flights: Annotated[Path | None, _option("DIR", _FLIGHTS)] = None
     metrics: Annotated[str | None, _option("HOST:PORT", "Serve Prometheus figures; a bare port is on loopback.")] = None
     web: Annotated[str | None, _option("HOST:PORT", _WEB)] = None
     web_token_file: Annotated[Path | None, _option("FILE", "Token of the live page: a file of mode 0600.")] = None
@@ -97,7 +103,7 @@ class Settings(SessionSettings):
     def _consistent(self) -> Self:
         if self.baseline is not None and self.learn is not None:
             raise ValueError("either --baseline FILE or --learn SECONDS, not both")
-        if self.baseline is None and self.learn is None and not self.vehicles:
+        if self.baseline is None and self.learn is None and self.baselines is None and not self.vehicles:
             raise ValueError("name a --baseline FILE, or --learn SECONDS of healthy flight")
         for option in ("save", "airframe", "layout", "name"):
             if getattr(self, option) is not None and self.learn is None:
@@ -106,6 +112,8 @@ class Settings(SessionSettings):
             raise ValueError(
                 "--web-token-file and web_names are about the live page; add --web HOST:PORT or leave it out"
             )
+        if (self.history is None) != (self.flights is None):
+            raise ValueError("--history FILE|URL and --flights DIR go together")
         return self
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from detector.config import Settings
 from detector.fitting import FittingJob, ProcessFitter
 from detector.fleet import Fleet, Turn
+from detector.flights import Flights
 from detector.guard import Guard
 from detector.hooks import Hook
 from detector.journal import Journal, Recorder, Reporter, When
@@ -42,6 +43,7 @@ from mavdiag.decision.diagnosis import Change
 from mavdiag.inspections import Inspections
 from mavdiag.link.codec import message_name
 from mavdiag.link.keys import KeptSigning
+from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import PEER_FRESH_S, Chunk, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.sequence import Source
@@ -57,6 +59,7 @@ DRAINS = 24  # reads of the vehicle's link in one tick: as many datagrams as the
 LEAST = 0.3  # of a tick, in processor time, that judging has however much there is to read, and (our choice)
 MOST = 0.8  # of a tick, as the clock goes, in which vehicles are judged if there is time (our choice)
 STOP_S = 5.0  # in which what waits is judged when the daemon stops (our choice: half of what the stop may take)
+UID_TRIES = 3  # a second apart, before a vehicle is judged by what its system id says (our choice)
 UNCLEAR_MOST = 32  # lines about vehicles that are not watched, so that made-up ones do not fill the log (our choice)
 FIRST_VEHICLE = 1  # as whose companion we announce ourselves on a link whose other end sends nothing before we do
 
@@ -89,7 +92,7 @@ class Host:
 class Daemon:
     """Links on one side, sessions (`fleet`) on the other. `run` it, or `tick` it from a test.
 
-    baseline: what every vehicle is judged by that has none of its own in `baselines`, by system id.
+    baseline: what every vehicle is judged by that has none of its own in `baselines`, by system id or uid.
     """
 
     def __init__(
@@ -101,11 +104,12 @@ class Daemon:
         *,
         baseline: Baseline | None,
         fitter: ProcessFitter,
-        baselines: Mapping[int, Baseline] | None = None,
+        baselines: Mapping[int | str, Baseline] | None = None,
         airframe: Airframe | None = None,
         journal: Journal | None = None,
         recorder: Recorder | None = None,
         hooks: Sequence[Hook] = (),
+        flights: Flights | None = None,
         metrics: "Metrics | None" = None,
         web: "Feed | None" = None,
         notifier: Notifier | None = None,
@@ -114,6 +118,7 @@ class Daemon:
     ) -> None:
         self._settings, self._host, self._link, self._behind = settings, host, link, tuple(behind)
         self._baseline, self._baselines, self._fitter = baseline, dict(baselines or {}), fitter
+        self._flights, self._uid_asked = flights, dict[int, list[Instant]]()
         self._airframe, self._notifier, self._metrics, self._web = airframe, notifier or Notifier({}), metrics, web
         self._relay = Relay(link, behind, recorder=recorder, upward=self._upward)
         self._kept, self._signing = signing, None if signing is None else signing.signing
@@ -126,10 +131,16 @@ class Daemon:
             datagrams=kind in (Kind.UDP_IN, Kind.UDP_OUT),
             most=settings.max_vehicles,
             signing=self._signing,
-            passed=self._passed if behind or recorder is not None else None,
+            passed=self._passed if behind or recorder is not None or flights is not None else None,
+            knows=self._knows,
         )
         self._guard = Guard(self.fleet.link, self._signing)
-        takers = *((hook.name, hook) for hook in hooks), ("journal", journal), ("record", recorder)
+        takers = (
+            *((hook.name, hook) for hook in hooks),
+            ("journal", journal),
+            ("record", recorder),
+            ("history", flights),
+        )
         self._files = {name: file for name, file in takers if file is not None}
         self._reporter = Reporter(
             [file.write for file in (journal, web, *hooks) if file], host.say, self._when, settings.save
@@ -170,6 +181,7 @@ class Daemon:
         if self._web is not None:
             self._host.say(f"web page: {self._web.where}")
         self._notifier.ready()
+        self._add_left()
 
     def tick(self) -> None:
         """One look: take what came, let the sessions go on as there is time, do what they want."""
@@ -179,6 +191,8 @@ class Daemon:
         for sysid, outcome in self._fitter.poll():
             self.fleet.vehicles[sysid].outcome = outcome
         turns = self.fleet.judge(now, self._time_to_judge(now))
+        if self._flights is not None:
+            self._flights.look(self._passed, self.fleet.vehicles, self._host.utc())
         self._relay.pass_on(self._passed)
         self._passed.clear()
         self._report_new(known)
@@ -200,6 +214,8 @@ class Daemon:
         now = self._now()
         self._carry_out(self.fleet.finish(now, lambda: self._now() - now < STOP_S))
         self._fitter.close()
+        if self._flights is not None:
+            self._flights.end(self.fleet.vehicles)
         summary = self._summary()
         self._reporter.mark("stop", {"summary": summary})
         self._flush()
@@ -241,11 +257,31 @@ class Daemon:
             self._senders[vehicle] = MavlinkSender(vehicle, self._signing)
         return self._senders[vehicle]
 
+    def _knows(self, sysid: int) -> bool:
+        """Whether the uid is known that a baseline may be named by; it is asked for."""
+        by_uid = any(isinstance(whose, str) for whose in self._baselines)
+        if not by_uid or sysid in self._baselines or self.fleet.link.vehicles[sysid].uid:
+            return True
+        asked, now = self._uid_asked.setdefault(sysid, []), self._now()
+        if not asked or now - asked[-1] >= BEAT_S:
+            if len(asked) == UID_TRIES:
+                return True
+            asked.append(now)
+            self._link.send(self._sender(sysid).ask(MessageId.AUTOPILOT_VERSION))
+        return False
+
+    def _own(self, sysid: int) -> Baseline | None:
+        """The baseline of a vehicle alone."""
+        stream = self.fleet.link.vehicles.get(sysid)
+        return self._baselines.get(sysid) or self._baselines.get("" if stream is None else stream.uid)
+
     def _spec(self, sysid: int, profile: Profile) -> SessionSpec | None:
-        baseline = self._baselines.get(sysid) or self._baseline
+        baseline = self._own(sysid) or self._baseline
         held = self._inspections.held(sysid, None if baseline is None else baseline.propellers)
         if baseline is None and self._settings.learn is None:
-            self._host.say(f"vehicle {sysid}: not watched: it has no baseline; name one in [vehicles.{sysid}]")
+            uid = self.fleet.link.vehicles[sysid].uid
+            where = f"; its uid is {uid}" if uid else ""
+            self._host.say(f"vehicle {sysid}: not watched: it has no baseline; name one in [vehicles.{sysid}]{where}")
             return None
         return SessionSpec(profile, baseline, self._settings, self._unix_ns() - self._host.now_ns(), held)
 
@@ -288,11 +324,16 @@ class Daemon:
         new = list(self.fleet.vehicles.items())[known:]
         for sysid, vehicle in new:
             self._host.say(f"vehicle {sysid}: received, profile {vehicle.session.spec.profile.name}")
-        shared = len(self.fleet.vehicles.keys() - self._baselines.keys())
+        self._add_left()
+        shared = sum(self._own(sysid) is None for sysid in self.fleet.vehicles)
         if shared > 1 and self._baseline and self._baseline.airframe.scope == "airframe":
             advice = "choose one with --vehicle, or give each its own in [vehicles.N]"
             name = self._baseline.airframe.name
             self._host.say(f"the baseline is of one airframe ({name}), but several fly; {advice}")
+
+    def _add_left(self) -> None:
+        if self._flights is not None:
+            self._flights.add_left(lambda sysid: self._own(sysid) or self._baseline)
 
     def _beat(self, now: Instant) -> None:
         """Heartbeats of the sessions that work; on a link where we must send first, also before a vehicle."""

@@ -107,6 +107,7 @@ class Fleet:
     """All vehicles on one link.
 
     spec_of: what to do with the vehicle of a system id and profile; None for one that is left alone.
+    knows: whether all is known that the spec of a system id rests on; a vehicle waits until it is.
     profile: of all vehicles, None to go by what each sends. only: the one system id to watch, None for all.
     datagrams: whether a chunk of bytes holds whole frames. most: how many vehicles may enter.
     signing, passed: as in `LinkDecoder`.
@@ -122,6 +123,7 @@ class Fleet:
         most: int = VEHICLES_MAX,
         signing: Signing | None = None,
         passed: list[tuple[bytes, int]] | None = None,
+        knows: Callable[[int], bool] = lambda sysid: True,
     ) -> None:
         ours = [sysid << 8 | Component.ONBOARD_COMPUTER for sysid in (range(1, 256) if only is None else (only,))]
         self.link = LinkDecoder(
@@ -130,13 +132,16 @@ class Fleet:
         self.vehicles: dict[int, Vehicle] = {}  # those that are watched, by system id
         self.longest_s = 0.0  # longest that a vehicle waited for its turn lately
         self._slow: tuple[bool, Instant] | None = None  # what was told of that last, and when
-        self._spec_of = spec_of
+        self._spec_of, self._knows = spec_of, knows
         self._left: set[int] = set()
 
     def take(self, chunks: Iterable[tuple[bytes, int]], now: Instant, sources: Sequence[Source] = ()) -> None:
         """Take bytes with their time of arrival. sources: of each chunk; empty for a link with one other end."""
         self.link.take(chunks, now.ns, sources)
         for sysid in self.link.vehicles.keys() - self.vehicles.keys() - self._left:
+            if not self._knows(sysid):
+                self.link.received(sysid)  # what it tells of itself is in the stream then
+                continue
             spec = self._spec_of(sysid, self.link.vehicles[sysid].profile)
             if spec is None:
                 self._left.add(sysid)

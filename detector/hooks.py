@@ -97,14 +97,11 @@ def _publish(host: str, port: int, topic: str, line: bytes) -> None:
     client.disconnect()
 
 
-class Hook:
-    """Takes lines as a journal does, and delivers those about alerts. warn: told when delivery fails, and works again.
+class Courier:
+    """Delivers lines from a thread of its own. name: in messages. warn: told when delivery fails, and works again."""
 
-    Raises UsageError as `parse_hook`.
-    """
-
-    def __init__(self, text: str, warn: Callable[[str], None], pause_s: float = PAUSE_S) -> None:
-        self._deliver, self.name, self._warn, self._pause_s = parse_hook(text), f"hook {text}", warn, pause_s
+    def __init__(self, name: str, deliver: Deliver, warn: Callable[[str], None], pause_s: float = PAUSE_S) -> None:
+        self.name, self._deliver, self._warn, self._pause_s = name, deliver, warn, pause_s
         self._lines: queue.Queue[bytes] = queue.Queue(QUEUED)
         self._news: deque[str] = deque(maxlen=QUEUED)
         self._failing = False
@@ -113,13 +110,12 @@ class Hook:
         self._thread = threading.Thread(target=self._work, name=self.name, daemon=True)
         self._thread.start()
 
-    def write(self, text: str, urgent: bool = False) -> None:
-        """Queue a line that is about an alert; others are not for hooks."""
-        if urgent:
-            try:
-                self._lines.put_nowait(text.encode())
-            except queue.Full:
-                self._lose(f"{QUEUED} lines wait")
+    def put(self, line: bytes) -> None:
+        """Queue a line."""
+        try:
+            self._lines.put_nowait(line)
+        except queue.Full:
+            self._lose(f"{QUEUED} lines wait")
 
     def flush(self) -> None:
         """Say what happened since the last call, on the caller's thread."""
@@ -167,3 +163,15 @@ class Hook:
         if not self._failing:
             self._news.append(f"{self.name}: not delivered ({reason}); watching goes on without it")
         self._failing = True
+
+
+class Hook(Courier):
+    """Takes lines as a journal does, and delivers those about alerts. Raises UsageError as `parse_hook`."""
+
+    def __init__(self, text: str, warn: Callable[[str], None], pause_s: float = PAUSE_S) -> None:
+        super().__init__(f"hook {text}", parse_hook(text), warn, pause_s)
+
+    def write(self, text: str, urgent: bool = False) -> None:
+        """Queue a line that is about an alert; others are not for hooks."""
+        if urgent:
+            self.put(text.encode())

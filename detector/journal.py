@@ -328,3 +328,19 @@ def kept_baselines(path: Path) -> dict[int, tuple[Path, Baseline]]:
     beside = [near for near in path.parent.iterdir() if own.fullmatch(near.name)] if path.parent.is_dir() else []
     loaded = [(file, Baseline.load(file)) for file in (path, *sorted(beside)) if file.is_file()]
     return {baseline.provenance.vehicle: (file, baseline) for file, baseline in reversed(loaded)}
+
+
+def baselines_in(folder: Path) -> dict[int | str, Baseline]:
+    """The baselines of a folder: 3.json by system id, and others by the autopilot's uid in hexadecimal.
+
+    Raises UsageError if there is none, or a name is neither, and BaselineError for a file that is none.
+    """
+    found: dict[int | str, Baseline] = {}
+    for path in sorted(folder.glob("*.json")):
+        sysid = int(path.stem) if re.fullmatch(r"[1-9]\d{0,2}", path.stem) else 0
+        if not 1 <= sysid <= 255 and not re.fullmatch(r"([0-9a-f]{2}){4,18}", path.stem):
+            raise UsageError(f"{path}: name it by system id (3.json) or by uid (000000000051d205.json)")
+        found[sysid or path.stem] = Baseline.load(path)
+    if not found:
+        raise UsageError(f"{folder}: no baseline in it; put 3.json there for system id 3, or one named by uid")
+    return found

@@ -37,6 +37,10 @@ class MavlinkSender:
         """COMMAND_ACK to who sent a command."""
         return self.frame(MessageId.COMMAND_ACK, command.command, result, 0, 0, command.sysid, command.compid)
 
+    def ask(self, msgid: int) -> bytes:
+        """REQUEST_MESSAGE to the vehicle's autopilot."""
+        return self.frame(MessageId.COMMAND_LONG, *self._autopilot, MavCmd.REQUEST_MESSAGE, 0, msgid)
+
     def to_all(self, effect: Effect) -> list[bytes]:
         """STATUSTEXT and NAMED_VALUE_FLOAT, in the vehicle's own milliseconds: what everybody may read."""
         match effect:

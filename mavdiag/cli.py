@@ -13,6 +13,7 @@ from mavdiag.commands import (
     replay,
     report,
     scan,
+    setup,
     shim,
     tools,
     watch,
@@ -20,6 +21,7 @@ from mavdiag.commands import (
 from mavdiag.demo import command as demo
 
 app = commandline.application("Find a damaged propeller: learn a healthy airframe, judge its flights by it.", "mavdiag")
+app.command("setup")(setup.setup)
 app.command("identify")(identify.identify)
 app.command("scan")(scan.scan)
 app.command("report")(report.report)

@@ -11,6 +11,7 @@ from memory_port import MemoryEndpoint, memory_pair
 from detector.config import Settings
 from detector.daemon import Daemon, Host
 from detector.fitting import FittingJob, Outcome, ProcessFitter
+from detector.flights import Flights
 from detector.hooks import Hook
 from detector.journal import Journal, Recorder
 from detector.metrics import Metrics
@@ -130,7 +131,8 @@ class Bench:
     journal: Path | None = None
     record: Path | None = None
     airframe: Airframe | None = None
-    baselines: dict[int, Baseline] = field(default_factory=dict)
+    baselines: dict[int | str, Baseline] = field(default_factory=dict)
+    flights: Flights | None = None
     notifier: Notifier | None = None
     metrics: Metrics | None = None
     web: Feed | None = None
@@ -163,6 +165,7 @@ class Bench:
             journal=self.file,
             recorder=self.recorder,
             hooks=self.hooks,
+            flights=self.flights,
             signing=signing,
             baselines=self.baselines,
             notifier=self.notifier,

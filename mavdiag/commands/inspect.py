@@ -75,8 +75,8 @@ def inspect(
             raise UsageError("name one link, or logs")
         key = None if signing_key is None else read_key(signing_key)
         with open_link(live[0], vehicle, profile, key) as link:
-            asked = _ask(link, vehicle or COMPANION_OF) if ask else ()
-            log, rates_hz = _heard(link, duration)
+            asked = ask_for_all(link, vehicle or COMPANION_OF) if ask else ()
+            log, rates_hz = hear(link, duration)
             found = inspection_of(log, told, live[0], judged_by, link.count, rates_hz, asked)
         return say(json_line(found) if as_json else in_full(found))
     named, mapped = opt.find_logs(sources, columns)
@@ -121,7 +121,7 @@ def _counted(path: Path, vehicle: int | None) -> tuple[LinkCount | None, Mapping
     return count, {} if count is None else {msgid: n / span_s for msgid, n in count.by_message.items()}
 
 
-def _heard(link: Link, duration_s: float) -> tuple[Log, Mapping[int, float]]:
+def hear(link: Link, duration_s: float) -> tuple[Log, Mapping[int, float]]:
     """What comes in so much time, and the rate of each message."""
     before, began = _counts(link), time.monotonic()
     log = link.record(duration_s)
@@ -133,7 +133,7 @@ def _counts(link: Link) -> dict[int, int]:
     return {} if link.count is None else dict(link.count.by_message)
 
 
-def _ask(link: Link, vehicle: int) -> tuple[str, ...]:
+def ask_for_all(link: Link, vehicle: int) -> tuple[str, ...]:
     """Ask for streams and parameters; what came of it, a line for each stream."""
     asker = Asker(vehicle, link.signing)
     since: dict[int, int] | None = None

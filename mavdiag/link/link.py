@@ -8,6 +8,7 @@ with open_link("udpin:127.0.0.1:14550", vehicle=1) as link:
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from types import TracebackType
 
 from mavdiag.errors import InputError
@@ -27,16 +28,22 @@ SILENT_ADVICE = (
 PATIENCE_S = 5.0  # how long a vehicle without a clear profile is waited for (our choice)
 
 
-def open_link(address: str, vehicle: int | None = None, profile: str | None = None, key: bytes | None = None) -> "Link":
+def open_link(
+    address: str,
+    vehicle: int | None = None,
+    profile: str | None = None,
+    key: bytes | None = None,
+    passed: list[tuple[bytes, int]] | None = None,
+) -> "Link":
     """Open one end of a link (see `mavdiag.link.ports`) and follow one vehicle on it.
 
     vehicle: its system id; None takes the only one there is. profile: name of its link profile; None finds it by what
-    it sends. key: of MAVLink 2 signing, 32 bytes: only what is signed with it is heard.
+    it sends. key: of MAVLink 2 signing, 32 bytes: only what is signed with it is heard. passed: as in `Decoder`.
     Raises UsageError for a malformed address or an unknown profile, LinkError for a port that cannot be opened.
     """
     chosen = None if profile is None else profile_named(profile)
     signing = None if key is None else Signing(key, stamp=stamp_at(time.time_ns()))
-    return Link(open_endpoint(address), vehicle, chosen, signing)
+    return Link(open_endpoint(address), vehicle, chosen, signing, passed)
 
 
 class Link(AbstractContextManager["Link"]):
@@ -51,10 +58,11 @@ class Link(AbstractContextManager["Link"]):
         vehicle: int | None = None,
         profile: Profile | None = None,
         signing: Signing | None = None,
+        passed: list[tuple[bytes, int]] | None = None,
     ) -> None:
         self._endpoint, self._vehicle, self.signing = endpoint, vehicle, signing
         self.address, self.close, self.acks = endpoint.address, endpoint.close, tuple[Ack, ...]()
-        self._decoder = LinkDecoder(profile, vehicle, endpoint.datagrams, signing=signing)
+        self._decoder = LinkDecoder(profile, vehicle, endpoint.datagrams, signing=signing, passed=passed)
 
     @property
     def vehicle(self) -> int | None:
@@ -123,7 +131,8 @@ class Link(AbstractContextManager["Link"]):
             raise InputError(self._absent())
         notes = () if telemetry.series else (SILENT_NOTE,)
         name, stream = f"{self.address} vehicle {self._vehicle}", self.stream
-        return Log(name, "", stream.profile.name, telemetry, notes=notes, parameters=stream.parameters)
+        log = Log(name, "", stream.profile.name, telemetry, notes=notes, parameters=stream.parameters)
+        return replace(log, mav_type=stream.mav_type)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()

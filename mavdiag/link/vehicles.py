@@ -60,7 +60,7 @@ MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up on
 
 #: Messages that carry a command.
 COMMANDS = frozenset({MessageId.COMMAND_LONG, MessageId.COMMAND_INT})
-_TALK = COMMANDS | {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}
+_TALK = COMMANDS | {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC, MessageId.AUTOPILOT_VERSION}
 _TALKS = np.isin(MSGIDS, list(_TALK))  # by row of a message
 
 _KIND = slice(field_index(MessageId.HEARTBEAT, "type"), field_index(MessageId.HEARTBEAT, "autopilot") + 1)
@@ -68,6 +68,7 @@ _ACK = tuple(field_index(MessageId.COMMAND_ACK, name) for name in ("command", "r
 _TARGETS: Mapping[int, list[int]] = {
     msgid: [field_index(msgid, name) for name in ("target_system", "target_component")] for msgid in COMMANDS
 }
+_UID, _UID2 = (field_index(MessageId.AUTOPILOT_VERSION, name) for name in ("uid", "uid2"))
 _PARAM_NAME = field_index(MessageId.PARAM_VALUE, "param_id")
 _PARAM_VALUE, _PARAM_TYPE = (layout_of(MessageId.PARAM_VALUE).offset(name)[0] for name in ("param_value", "param_type"))
 _INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE, in the bytes of the float
@@ -125,14 +126,29 @@ def parameters_in(frames: Iterable[Frame], autopilot: int) -> dict[str, float]:
     return found
 
 
+def uid_in(frames: Iterable[Frame]) -> str:
+    """What AUTOPILOT_VERSION calls the autopilot's board: uid2 (ArduPilot has no other), else uid, hexadecimal.
+
+    Zeros at the end of uid2 are left out; empty if no autopilot told it.
+    """
+    told = [one for one in frames if one.msgid == MessageId.AUTOPILOT_VERSION and one.compid == AUTOPILOT]
+    for fields in (frame.fields for frame in told):
+        if uid2 := bytes(int(one) for one in fields[_UID2:]).rstrip(b"\0"):
+            return uid2.hex()
+        if uid := int(fields[_UID]):
+            return f"{uid:016x}"
+    return ""
+
+
 class VehicleStream:
     """One vehicle's frames to telemetry, on one clock.
 
     profile: how it sends; while no gyro sample has come, its IMU message is replaced by another that does come.
-    parameters: of its autopilot that passed by so far, by name.
+    mav_type: MAV_TYPE, if known. uid: as in `uid_in`. parameters: of its autopilot that passed by so far, by name.
     """
 
-    def __init__(self, profile: Profile) -> None:
+    def __init__(self, profile: Profile, mav_type: int | None = None) -> None:
+        self.mav_type, self.uid = mav_type, ""
         self._decoder, self.state = SampleDecoder(profile), SampleState()
         self._own, self._since_ns = profile, 0
         self._imu = NO_FRAMES.rows
@@ -148,6 +164,7 @@ class VehicleStream:
         """Take the vehicle's next frames, in order of arrival. talk: those of them that are no measurements."""
         if not self._settled and len(frames):
             self._choose_imu(frames)
+        self.uid = self.uid or uid_in(talk)
         if told := parameters_in(talk, self.profile.autopilot):
             merged = {**self.parameters, **told}
             self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
@@ -363,7 +380,7 @@ class LinkDecoder:
             profile, waiting.reason = detect_profile(Evidence().take(frames_of([waiting.beat, *waiting.frames])))
         if profile is None:
             return []
-        self.vehicles[sysid] = VehicleStream(profile)
+        self.vehicles[sysid] = VehicleStream(profile, int(waiting.beat.fields[_KIND][0]))
         self.decoder.heard.keep(sysid << 8 | AUTOPILOT)
         del self._waiting[sysid]
         return [frames_of(waiting.frames)]

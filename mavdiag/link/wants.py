@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from mavdiag.link.codec import Encoder
-from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId
+from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId, Severity
 from mavdiag.link.profiles import LAST_RESORT, Profile
 from mavdiag.link.signing import Signing
 from mavdiag.telemetry import Instant, Signal
@@ -200,6 +200,10 @@ class Asker:
         self._beat = now
         kind = (MavType.ONBOARD_CONTROLLER, Autopilot.INVALID, 0, 0, STANDBY, MAVLINK_VERSION)
         return [self._encoder.encode(MessageId.HEARTBEAT, *kind)]
+
+    def tell(self, text: str) -> bytes:
+        """A STATUSTEXT for the ground stations."""
+        return self._encoder.statustext(Severity.INFO, text)
 
     def read(self, autopilot: int, known: Mapping[str, float], now: Instant) -> list[bytes]:
         """The parameters that tell rotors and filter, until they are known. known: those that came."""

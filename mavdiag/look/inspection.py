@@ -33,6 +33,7 @@ from mavdiag.units import NS_PER_MS, NS_PER_S
 
 USUAL = 3.0  # steps above this multiple of the median are gaps, and no jitter (our choice)
 GAP_S = 0.035  # of the gyro: a longer one is not interpolated (METHOD section 4)
+RIGHT = "right"  # what is said of a scale by which gravity is 1 g
 WINDOW_S = 0.1  # of the rate filters, as `mavdiag identify` has it by default
 LATE_SHARE = 95.0  # percentile of the transport delay that is called its spread
 DRIFT_S = 10  # within fewer seconds the drift of a clock is lost in the transport (our choice)
@@ -232,7 +233,7 @@ def units_of(log: Log) -> Units:
     _, order, starts = _by_second(force.t_ns)
     felt_g = float(np.median([gravity_of(part) for part in np.split(force.values[order], starts[1:])]))
     if 1.0 / CONTRARY < felt_g < CONTRARY:
-        return Units(felt_g, "right", checks)
+        return Units(felt_g, RIGHT, checks)
     named = scale_doubt(PROFILES[log.profile], felt_g) if log.profile in PROFILES else ""
     remedy_of = f"; try {named.partition(': ')[2]}" if ": " in named else ""
     return Units(felt_g, f"wrong scale, or never at rest{remedy_of}", checks)

@@ -29,7 +29,7 @@ ROUTES_MAX = 64  # components remembered; further ones are answered but nothing 
 ALL_STREAMS = 0  # MAV_DATA_STREAM_ALL
 VERSION = 4 << 24 | 255  # AUTOPILOT_VERSION.flight_sw_version: 4.0.0, FIRMWARE_VERSION_TYPE_OFFICIAL
 PROTOCOL = 200  # PROTOCOL_VERSION: MAVLink 2.0
-UID = 0x51D205E
+UID = 0x51D205E  # of the emulated boards; the system id follows
 STATUS_NS = 1_000_000_000  # MISSION_CURRENT goes out so often
 ABOVE_SEA, ABOVE_HOME = (0, 5), (3, 6, 10, 11)  # MAV_FRAME: GLOBAL, GLOBAL_RELATIVE_ALT, terrain as relative; _INT
 LOCAL_NED, OFFSET_NED, BODY_NED, BODY_OFFSET_NED = 1, 7, 8, 9  # MAV_FRAME
@@ -163,7 +163,7 @@ class Autopilot:
             case MessageId.AUTOPILOT_VERSION:
                 can = ALWAYS | (BYTEWISE if self._firmware.encoding is Encoding.BYTES else C_CAST)
                 can |= IN_COMMAND if self._config.commanded else 0
-                told = [(can, VERSION, VERSION, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, UID)]
+                told = [(can, VERSION, VERSION, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, UID << 8 | self._identity[0])]
             case MessageId.PROTOCOL_VERSION:
                 told = [(PROTOCOL, PROTOCOL, PROTOCOL)]
             case MessageId.MESSAGE_INTERVAL:  # 0 means that the message is not carried

@@ -1,0 +1,129 @@
+"""The history that the daemon feeds (edge): each flight is recorded, and judged once more after its landing.
+
+A recording is a .tlog of one vehicle, from its arming until it is disarmed. A thread hands it to `mavdiag history add`,
+a process of its own that gives way to the daemon: the record is the one that the log would give. Then the recording is
+deleted. One that could not be added stays in the folder, and is tried again at the next start.
+"""
+
+import importlib.util
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from detector.fleet import Vehicle
+from detector.hooks import Courier
+from detector.journal import Appender
+from mavdiag.baseline import Baseline, dump
+from mavdiag.errors import UsageError, missing_extra
+from mavdiag.judging import MIN_JUDGED_S
+from mavdiag.logs.tlog import tlog_record
+from mavdiag.storage import write_atomically
+from mavdiag.units import NS_PER_US
+
+ADD_S = 600.0  # that one flight may take to be judged (our choice: an hour at 1 kHz on a small computer)
+MAVLINK_2 = 0xFD  # first byte of a frame; its system id is the sixth, of MAVLink 1 the fourth
+ARMED_FROM = 0.5  # of the signal, which is 0 or 1
+
+
+@dataclass(slots=True)
+class _Flight:
+    """One that goes on. before_s: flight time of the vehicle's session at its begin."""
+
+    file: Appender
+    path: Path
+    baseline: Baseline
+    before_s: float
+
+
+def check_installed() -> None:
+    """Raise UsageError where the history's database cannot be used."""
+    if importlib.util.find_spec("sqlalchemy") is None:
+        raise missing_extra("--history", "SQLAlchemy", "history")
+
+
+class Flights(Courier):
+    """Records the flights of all vehicles. folder: of the recordings. epoch_ns, warn: as in `Recorder`, `Courier`.
+
+    Raises UsageError if the folder cannot be used.
+    """
+
+    def __init__(self, database: str, folder: Path, epoch_ns: int, warn: Callable[[str], None]) -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UsageError(f"{folder}: {error.strerror}; name another folder of flights") from error
+        self._folder, self._epoch_ns = folder, epoch_ns
+        self._open: dict[int, _Flight] = {}
+        self._left = sorted(folder.glob("[0-9]*-*.tlog"))
+        super().__init__("history", lambda line: _add(database, *json.loads(line)), warn)
+
+    def look(self, passed: Iterable[tuple[bytes, int]], vehicles: Mapping[int, Vehicle], utc: datetime) -> None:
+        """After each look of the daemon. passed: frames with their time of arrival [ns]."""
+        for sysid, vehicle in vehicles.items():
+            armed, session = vehicle.session.streams.armed, vehicle.session
+            if sysid not in self._open and armed >= ARMED_FROM and session.judge is not None:
+                path = self._folder / f"{sysid}-{utc:%Y%m%dT%H%M%S}.tlog"
+                file = Appender(path, "flights", self._warn)
+                self._open[sysid] = _Flight(file, path, session.judge.baseline, session.judge.flight_s)
+            elif sysid in self._open and armed < ARMED_FROM:
+                self._landed(sysid, vehicle)
+        if self._open:
+            self._append(passed)
+
+    def end(self, vehicles: Mapping[int, Vehicle]) -> None:
+        """The daemon stops: what flies has landed as far as it can know."""
+        for sysid in tuple(self._open):
+            self._landed(sysid, vehicles[sysid])
+
+    def add_left(self, baseline_of: Callable[[int], Baseline | None]) -> None:
+        """Try again what an earlier start left, of vehicles whose baseline is known. baseline_of: by system id."""
+        for path in tuple(self._left):
+            sysid = int(path.name.partition("-")[0])
+            if (baseline := baseline_of(sysid)) is not None:
+                self._left.remove(path)
+                self._hand_over(path, sysid, baseline)
+
+    def _append(self, passed: Iterable[tuple[bytes, int]]) -> None:
+        records: dict[int, list[bytes]] = {sysid: [] for sysid in self._open}
+        for frame, host_ns in passed:
+            sysid = frame[5] if frame[0] == MAVLINK_2 else frame[3]
+            if sysid in records:
+                records[sysid].append(tlog_record((self._epoch_ns + host_ns) // NS_PER_US, frame))
+        for sysid, own in records.items():
+            if own:
+                self._open[sysid].file.append(b"".join(own), entries=len(own))
+
+    def _landed(self, sysid: int, vehicle: Vehicle) -> None:
+        flight, judge = self._open.pop(sysid), vehicle.session.judge
+        flight.file.close()
+        if judge is not None and judge.flight_s - flight.before_s < MIN_JUDGED_S:
+            flight.path.unlink(missing_ok=True)  # it was armed and did not fly
+        else:
+            self._hand_over(flight.path, sysid, flight.baseline)
+
+    def _hand_over(self, path: Path, sysid: int, baseline: Baseline) -> None:
+        judged_by = self._folder / f"{baseline.digest.rpartition(':')[2][:16]}.json"
+        if not judged_by.exists():
+            write_atomically(judged_by, dump(baseline))
+        name = baseline.airframe.name
+        name = name if baseline.airframe.scope == "airframe" else f"{name} {sysid}"
+        self.put(json.dumps([str(path), sysid, str(judged_by), name]).encode())
+
+
+def _add(database: str, path: str, sysid: int, judged_by: str, airframe: str) -> None:
+    """Raises OSError, with what it says, if it is not added."""
+    options = ("--baseline", judged_by, "--vehicle", str(sysid), "--airframe", airframe, "--database", database)
+    command = ["nice", sys.executable, "-m", "mavdiag", "history", "add", path, *options, "--jobs", "1", "--no-cache"]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=ADD_S, check=False, start_new_session=True
+        )
+    except subprocess.SubprocessError as error:
+        raise OSError(str(error)) from error
+    if done.returncode:
+        raise OSError(" ".join((done.stderr or done.stdout).splitlines()[-1:]))
+    Path(path).unlink()
