@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -150,7 +151,7 @@ def test_a_fault_is_seen_at_the_rotor_the_bar_and_the_strip(chromium: Any, proce
     assert complaints(chromium, process) == []
 
 
-FLEETS = {
+FLEETS: Mapping[int, Mapping[int, tuple[Level, int | None]]] = {
     0: {},
     1: {1: (Level.QUIET, None)},
     3: {2: (Level.FAULT, 2)},
@@ -221,9 +222,11 @@ def test_a_replay_is_scrubbed_sped_up_and_seen_as_a_live_vehicle(chromium: Any, 
                 "one.dispatchEvent(new Event('input'))",
                 to_s,
             )
-            wait_for(lambda to_s=to_s: abs(chromium.execute_script(shown) - to_s) < 1.0, f"{to_s} s")
+            there = shown.replace("return", "const at =")
+            wait_for(partial(chromium.execute_script, f"{there}; return Math.abs(at - {to_s}) < 1"), f"{to_s} s")
             took_s.append(time.monotonic() - begun_s)
-            wait_for(lambda level=level: text(chromium, "#level-text") == level, level)
+            named = f"return document.getElementById('level-text').textContent === '{level}'"
+            wait_for(partial(chromium.execute_script, named), level)
             points = "return mavdiag.traces.get('roll').points.length"
             assert chromium.execute_script(points) == pytest.approx(400, abs=12)  # 20 s
             assert text(chromium, "#time").startswith(f"{to_s // 60}:{to_s % 60:02}")
