@@ -164,7 +164,7 @@ def test_every_fleet_is_seen_at_a_glance_on_a_screen_and_on_a_phone(
     chromium: Any, process: ServerProcess, count: int
 ) -> None:
     vehicles, levels = range(1, count + 1), FLEETS[count]
-    give(process, fleet(*vehicles, levels=levels))
+    give(process, fleet(*sorted(vehicles, key=lambda one: one % 7 != 1), levels=levels))  # as they came
     open_page(chromium, process)
     if count:
         wait_for(lambda: chromium.execute_script("return mavdiag.vehicle") == 1)
