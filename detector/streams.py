@@ -133,9 +133,12 @@ class Streams:
             self._weigh(force, profile)
 
     def _weigh(self, force: Series, profile: Profile) -> None:
+        known = np.isfinite(force.values).all(axis=1)  # a log may lack an axis
+        if not known.any():
+            return
         if not self._weighed:
             self._weighed_since_ns = int(force.t_ns[0])
-        self._weighed.append(force.values[:_MOST])
+        self._weighed.append(force.values[known][:_MOST])
         span_ns, samples = int(force.t_ns[-1]) - self._weighed_since_ns, sum(map(len, self._weighed))
         if (samples >= WEIGH_SAMPLES and span_ns >= WEIGH_S * NS_PER_S) or samples > _MOST:
             felt = np.concatenate(self._weighed).mean(axis=0)

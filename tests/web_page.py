@@ -1,6 +1,7 @@
 """The live page's parts for tests: its server as a process, a stream read as a browser does, and Debian's Chromium."""
 
 import http.client
+import importlib.util
 import json
 import os
 import shutil
@@ -117,6 +118,9 @@ SMALL = """return [...document.querySelectorAll('body *')].filter((one) => {
 }).map((one) => `${one.tagName} ${one.className.baseVal ?? one.className}: ${one.textContent}`)"""
 #: The right edge of what stands farthest to the right, less the width of the window.
 ASIDE = "return document.documentElement.scrollWidth - document.documentElement.clientWidth"
+#: What axe-core finds wrong for people who see or hear a page in another way.
+AXE = """axe.run().then(({violations}) => arguments[0](
+    violations.map(({id, nodes}) => `${id}: ${nodes.map((one) => one.html)}`)))"""
 SCREENSHOTS = Path(__file__).resolve().parents[1] / "build" / "screenshots"
 
 
@@ -124,6 +128,7 @@ def look(chromium: Any, name: str, width: int, *, dark: bool = False) -> None:
     """Show the whole page at a width and keep a picture; nothing may stand aside, and no text below 11 px."""
     scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
     chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
+    chromium.execute_script("mavdiag.heard = Date.now() + 1e9; say('live')")  # a test that says nothing is no silence
     size = {"width": width, "deviceScaleFactor": 1, "mobile": width < 500}
     for height in (1000, None):  # as high as its content is at this width
         tall = height or chromium.execute_script("return document.documentElement.scrollHeight")
@@ -133,6 +138,10 @@ def look(chromium: Any, name: str, width: int, *, dark: bool = False) -> None:
     chromium.save_screenshot(str(SCREENSHOTS / f"{name}-{width}{'-dark' if dark else ''}.png"))
     assert chromium.execute_script(ASIDE) <= 0, f"{name} at {width} px scrolls sideways"
     assert chromium.execute_script(SMALL, 11) == []
+    if package := importlib.util.find_spec("axe_core_python"):
+        chromium.execute_script((Path(package.origin or "").parent / "axe.min.js").read_text(encoding="utf-8"))
+        found = chromium.execute_async_script(AXE)
+        assert found == [], found
 
 
 @contextmanager

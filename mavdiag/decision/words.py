@@ -139,7 +139,8 @@ def held_sentence(held: Diagnosis) -> str:
     kind, evidence = held.kind or FaultKind.PROPELLER, ""
     if held.monitor is not None and held.threshold > 0 and math.isfinite(held.statistic):
         seen = OBSERVES.get(held.monitor, held.monitor)
-        evidence = f": {seen}, {held.statistic / held.threshold:.1f} times its threshold"
+        times = held.statistic / held.threshold
+        evidence = f": {seen}, {f'{times:.0f}' if times >= 9.95 else f'{times:.1f}'} times its threshold"
     unknown = ", rotor unknown" if held.rotor is None and kind is FaultKind.PROPELLER else ""
     if held.stage is Stage.SUSPECTED:
         return f"A {kind}{_place(kind, held.rotor, 'motor')} is suspected, not declared{unknown}{evidence}."

@@ -38,6 +38,25 @@ def test_every_answer_has_the_headers_and_nothing_is_loaded_from_elsewhere() -> 
         assert {name: stream.headers[name] for name in HEADERS} == dict(HEADERS)
 
 
+def test_a_replay_is_moved_by_posts_and_nothing_else_is_taken() -> None:
+    with serving() as process:
+        port, said = process.place.port, list[str]()
+        for query, status in (
+            ("at=12.5", 202),
+            ("speed=0", 202),
+            ("at=nan", 400),
+            ("at=-1", 400),
+            ("to=3", 400),
+            ("", 400),
+        ):
+            assert asked(port, f"/play?{query}", "POST").status == status, query
+        assert asked(port, "/play?at=1").status == 405
+        assert asked(port, "/play?at=1", "POST", Origin="http://evil.example").status == 403
+        while len(said) < 2:
+            said += process.look(now())[1]
+        assert said == ["play at 12.5", "play speed 0.0"]
+
+
 def test_wrong_hosts_origins_methods_and_tokens_are_refused() -> None:
     with serving() as process:
         port = process.place.port

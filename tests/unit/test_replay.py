@@ -1,6 +1,7 @@
 """A replay judges a log as a scan does, and tells the page what a live vehicle would have told it."""
 
 import json
+from dataclasses import replace
 from typing import cast
 
 import pytest
@@ -13,7 +14,7 @@ from detector.web.child import ServerProcess
 from detector.web.snapshot import Level
 from mavdiag.judging import judge
 from mavdiag.logs import read_log
-from mavdiag.telemetry import Instant, Log
+from mavdiag.telemetry import Instant, Log, Signal, Telemetry
 
 START = Instant(1_000_000_000_000)
 
@@ -50,6 +51,15 @@ def test_a_log_is_judged_as_a_scan_judges_it_and_said_as_the_detector_says_it(lo
     texts = [one["text"] for one in entries if one["kind"] == "text"]
     assert any(text.startswith("PROP FAULT") for text in texts)
     assert entries[0]["utc"].startswith("2026-05-01T")
+
+
+def test_a_log_that_lacks_an_axis_of_the_accelerometer_is_judged(log: Log) -> None:
+    series = (
+        replace(one, values=one.values * (float("nan"), 1.0, 1.0)) if one.signal is Signal.SPECIFIC_FORCE else one
+        for one in log.telemetry
+    )
+    moments = judged(replace(log, telemetry=Telemetry(tuple(series)))).moments
+    assert Level.FAULT in {moment.level for moment in moments}
 
 
 def test_it_plays_at_its_speed_and_begins_when_somebody_looks(log: Log, child: FakeChild) -> None:

@@ -1,7 +1,9 @@
 """Strips, pictures and journals of the terminal: nothing is lost, nothing is wider than the terminal."""
 
+import contextlib
 import io
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,18 +11,22 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from made_session import baseline_for
+from made_vehicle import record
 from memory_port import memory_pair
 from rich.console import Console
 
 from mavdiag.archive.tables import Row
 from mavdiag.errors import InputError
+from mavdiag.judging import judge
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import MessageId, Severity
-from mavdiag.telemetry import FloatArray
-from mavdiag.terminal.ground_station import GroundStation
+from mavdiag.logs import read_log
+from mavdiag.telemetry import Axis, FloatArray
+from mavdiag.terminal.ground_station import GroundStation, LiveJudge
 from mavdiag.terminal.tables import verdict_table
 from mavdiag.terminal.view import Curve, Level, Line, StripView, View, picture, strip
-from mavdiag.terminal.watching import Journal, Screen
+from mavdiag.terminal.watching import Journal, Screen, play
 
 LEVEL = Level("unbalance", 0.5, 1.0, "g mm")
 
@@ -28,6 +34,20 @@ LEVEL = Level("unbalance", 0.5, 1.0, "g mm")
 def drawn(t_s: FloatArray, values: FloatArray, to_s: float = 10.0, rows: int = 4) -> list[str]:
     """Of a strip from 0 s on, from -1 to 1, 40 characters wide."""
     return [line.plain for line in strip(StripView("", "", (Curve(t_s, values, ""),), -1.0, 1.0), 0.0, to_s, 40, rows)]
+
+
+def test_a_log_is_replayed_as_a_link_is_watched(tmp_path: Path) -> None:
+    path, baseline, out = tmp_path / "flight.tlog", baseline_for(), io.StringIO()
+    record(path, ((20.0, 0.0), (10.0, 0.5)))
+    with contextlib.redirect_stdout(out):
+        play(read_log(path), LiveJudge(baseline, 20.0), math.inf, 0.0, Axis.ROLL, lambda: False)
+    lines = out.getvalue().splitlines()
+    assert [line[:21].split() for line in lines][-1][2] == "CRITICAL"
+    assert "propeller fault: a monitor is above its threshold (fsd" in lines[-1]
+    changes = judge(read_log(path), baseline).changes
+    assert len(lines) == len(changes)
+    with contextlib.redirect_stdout(out):
+        play(read_log(path), LiveJudge(baseline, 20.0), 0.01, 0.0, Axis.ROLL, lambda: True)  # Ctrl-C: no waiting
 
 
 def test_a_spike_of_one_sample_is_seen() -> None:

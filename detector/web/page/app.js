@@ -205,7 +205,7 @@ function renderFleet() {
       tab = el("button", {type: "button", role: "tab", "aria-controls": "main", data: {vehicle: key}},
         el("span", {className: "name"}), el("span", {className: "state"}));
       tab.addEventListener("click", () => show(Number(key)));
-      tabs.append(tab);
+      tabs.insertBefore(tab, [...tabs.children].find((other) => Number(other.dataset.vehicle) > one.vehicle) ?? null);
     }
     known.delete(key);
     tab.dataset.level = one.level;
