@@ -15,14 +15,14 @@ from mavdiag.demo.subprocesses import POLL_S
 from mavdiag.terminal.ground_station import LiveJudge
 from mavdiag.terminal.view import Line, line_for, picture
 
-FLIGHT = Flight(duration_s=30.0, fault="F2/SV2", rotor=1, onset_s=12.0, seed=1)
-UNTIL_S = 22.5  # of flight, when the picture is taken
+FLIGHT = Flight(duration_s=50.0, fault="F2/SV2", rotor=1, onset_s=15.0, seed=1)  # as `mavdiag demo`
+UNTIL_S = 24.0  # of flight, when the picture is taken
 
 
 def main() -> None:
     """Fly, and keep the picture."""
     console = Console(record=True, width=100, file=io.StringIO())
-    fused, thesis = own_baselines(quiet=True, thorough=True)
+    fused, thesis = own_baselines(quiet=True)
     events: list[Line] = []
     with closed_loop(FLIGHT, fused, LiveJudge(Baseline.load(thesis), SPAN_S)) as loop:
         while loop.plant.running and loop.station.t_s < UNTIL_S:

@@ -3,7 +3,6 @@
 PYTHONPATH=tests python docs/draw_pages.py     needs Chromium and its driver (`make system`)
 """
 
-import re
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -29,14 +28,11 @@ def main() -> None:
         log, page = Path(name) / "flight.tlog", Path(name) / "report.html"
         link = ("--connect", "udpin:127.0.0.1:0", "--web", "127.0.0.1:0", "--record", str(log))
         with child("detector", *link, "--baseline", str(fused)) as detector:
-            address = re.search(r"udpin:([\d.:]+)", detector.wait_for("ready", READY_S))
-            served = re.search(r"http://\S+", detector.wait_for("http://", READY_S))
-            if address is None or served is None:
-                raise SystemExit("the detector did not say where it listens")
-            with child("sitl_plant", "run", "--out", f"udpout:{address[1]}", *FLIGHT.arguments) as plant:
+            address, served = (detector.wait_for(word, READY_S).partition(word)[2] for word in ("udpin:", "http://"))
+            with child("sitl_plant", "run", "--out", f"udpout:{address.partition(',')[0]}", *FLIGHT.arguments) as plant:
                 plant.wait_for("flies", READY_S)
                 driver.set_window_size(1280, 900)
-                driver.get(served[0])
+                driver.get(f"http://{served}")
                 time.sleep(AFTER_S)
                 driver.save_screenshot(str(DOCS / "live-page.png"))
                 plant.end()

@@ -21,13 +21,15 @@ BAR = 24  # characters
 
 
 class Shown:
-    """Progress through some items. text: what is done with them. sizes: how much work each is, in any unit."""
+    """Progress through items; of a single one, that it goes on. text: what is done. sizes: how much work each is."""
 
     def __init__(self, text: str, sizes: Sequence[float], bar: "Progress | None", first_s: float) -> None:
         self._text, self._total, self._work = text, len(sizes), sum(sizes) or 1.0
         self._done, self._finished, self._started = 0, 0.0, time.monotonic()
         self._bar, self._next_s = bar, first_s
-        self._task = None if bar is None else bar.add_task(text, total=self._work, words="")
+        self._task = (
+            None if bar is None else bar.add_task(text, total=self._work if self._total > 1 else None, words="")
+        )
 
     def add(self, size: float) -> None:
         """One more item is done; size: its own, of `sizes`."""
@@ -56,8 +58,8 @@ class Shown:
 @contextmanager
 def shown(text: str, sizes: Sequence[float], *, quiet: bool = False) -> Iterator[Shown]:
     """Progress that goes away with the block. quiet: no lines where no terminal is."""
-    if not sys.stderr.isatty() or len(sizes) < 2:
-        yield Shown(text, sizes, None, float("inf") if quiet or sys.stderr.isatty() else FIRST_LINE_S)
+    if not sys.stderr.isatty() or not sizes:
+        yield Shown(text, sizes, None, float("inf") if quiet else FIRST_LINE_S)
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn

@@ -152,7 +152,6 @@ def watch(loop: Loop, flight: Flight, *, quiet: bool) -> list[Change]:
 
 def flight_view(station: GroundStation, flight: Flight, events: Sequence["Line"]) -> "View":
     """The picture of a moment. events: so far."""
-    from mavdiag.terminal.view import LEGEND
     from mavdiag.terminal.watching import link_view
 
     now_s, fault = station.t_s, f"{flight.fault} on rotor {flight.rotor}"
@@ -164,7 +163,6 @@ def flight_view(station: GroundStation, flight: Flight, events: Sequence["Line"]
         title=f"flight {now_s:.1f} of {flight.duration_s:g} s, {phase} {flight.onset_s:g} s",
         headline=alerts[-1].text.removeprefix(DETECTOR) if alerts else "no alert",
         alert=bool(alerts),
-        foot=f"{LEGEND}; {shown.foot}" if shown.foot else "",
     )
 
 

@@ -38,18 +38,19 @@ LEAST_RATE = 0.1  # of the scale of rates [rad/s]
 OF_MARGIN = 3.0  # least scale of a residual, in margins
 ACROSS, DOWN = 2, 4  # dots of one character of the Braille block
 _BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])  # of each dot, by row and column
-LEGEND = "white: measured, cyan: simulated, yellow: residual, red: margin"
 _SEVERITY = {Stage.FAULT: Severity.CRITICAL, Stage.SUSPECTED: Severity.WARNING}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve:
-    """One line. t_s, values: (n,), in order of time; NaN breaks it. style: of rich. dotted: every other column."""
+    """One line. t_s, values: (n,), in order of time; NaN breaks it. style: of rich. dotted: every other column.
+    name: for the legend, where it has one."""
 
     t_s: FloatArray
     values: FloatArray
     style: str
     dotted: bool = False
+    name: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +125,10 @@ def picture(view: View, width: int, height: int | None = None) -> Panel:
     """The picture; where `height` leaves little room the alerts stay, the newest events, the monitors, the strips."""
     inner = max(width - FRAME, NARROWEST)
     head = _wrapped("", view.headline, "bold red" if view.alert else "bold green", inner)
-    foot = [Text(printable(view.foot), style="dim", no_wrap=True, overflow="ellipsis")] if view.foot else []
+    named = {curve.name: curve.style for shown in view.strips for curve in shown.curves if curve.name}
+    legend = [(f"{name}  ", style) for name, style in named.items()]
+    about = Text.assemble(*legend, (printable(view.foot), "dim"), no_wrap=True, overflow="ellipsis")
+    foot = [about] if about else []
     room = math.inf if height is None else height - 2 - len(head) - len(foot)
     most = max(room - len(view.levels) - STRIP_ROWS * len(view.strips), min(room, LEAST_EVENTS))
     events = _events(view.events, inner, most, room)
@@ -189,11 +193,11 @@ def _strips_of(trace: RateTrace) -> tuple[StripView, StripView]:
     t_s, margin = trace.t_ns[thin] / NS_PER_S, trace.margin_rad_s
     measured, simulated = trace.measured[thin], trace.simulated[thin]
     residual = np.where(trace.judged, trace.residual, np.nan)[thin]
-    limits = (Curve(t_s, np.full(len(t_s), level), "red", dotted=True) for level in (-margin, margin))
+    limits = (Curve(t_s, np.full(len(t_s), level), "red", dotted=True, name="margin") for level in (-margin, margin))
     reach = max(LEAST_RATE, _highest(measured), _highest(simulated))
     far = max(OF_MARGIN * margin, _highest(residual))
-    rates = (Curve(t_s, simulated, "cyan"), Curve(t_s, measured, "bright_white"))
-    beside = (*limits, Curve(t_s, residual, "yellow"))
+    rates = (Curve(t_s, simulated, "cyan", name="simulated"), Curve(t_s, measured, "bright_white", name="measured"))
+    beside = (*limits, Curve(t_s, residual, "yellow", name="residual"))
     return (
         StripView(f"{trace.axis} rate", "rad/s", rates, -reach, reach),
         StripView("residual", "rad/s", beside, -far, far),
