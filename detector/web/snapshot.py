@@ -211,7 +211,8 @@ def fleet_now(figures: DaemonFigures, sessions: Mapping[int, Session], now: Inst
         session = sessions[vehicle.vehicle]
         judge = session.judge
         verdict = _verdict(session, judge is not None and now - judge.judged <= STALE_S)
-        vehicles.append(verdict | _picked(vehicle, "vehicle", "state", "received", "lost"))
+        spans = {"judged_s": round(vehicle.judged_s, 1), "flight_s": round(vehicle.flight_s, 1)}
+        vehicles.append(verdict | spans | _picked(vehicle, "vehicle", "state", "received", "lost"))
     counts = ("sent", "dropped", "overflowed")
     links = [_picked(link, "address", "connected") | _picked(link.traffic, *counts) for link in figures.links]
     rounded = {"cpu_s": round(figures.cpu_s, 2), "uptime_s": round(now - began, 1)}

@@ -43,10 +43,8 @@ def entry(number: int, text: str = "PROP monitoring", severity: int = 6, vehicle
 
 
 def fleet(*vehicles: int, sentence: str = "No fault found") -> str:
-    lines = [
-        {"vehicle": one, "state": "monitoring", "level": "quiet", "sentence": sentence, "received": 1, "lost": 0}
-        for one in vehicles
-    ]
+    like = {"state": "monitoring", "level": "quiet", "sentence": sentence, "received": 1, "lost": 0}
+    lines = [like | {"vehicle": one, "judged_s": 45.0, "flight_s": 60.0} for one in vehicles]
     told = {"vehicles": lines, "links": [], "late": 0, "cpu_s": 1.0, "uptime_s": 10.0, "refused": []}
     return f"F {json.dumps(told)}"
 
@@ -114,6 +112,40 @@ def complaints(chromium: Any, process: ServerProcess) -> list[str]:
     """What the browser says of this page; a server of another test has ended."""
     said = [one["message"] for one in chromium.get_log("browser")]
     return [one for one in said if process.place.url in one]
+
+
+def test_a_fleet_is_seen_at_a_glance_and_a_vehicle_is_chosen_from_it(chromium: Any, process: ServerProcess) -> None:
+    open_page(chromium, process)
+    give(process, fleet(1))
+    wait_for(lambda: text(chromium, "#vehicles [aria-selected=true] .name").endswith("Vehicle 1"))
+    assert chromium.execute_script("return document.querySelector('#fleet').hidden")
+    told = json.loads(fleet(*range(1, 21)).removeprefix("F "))
+    told["vehicles"][6] |= {"level": "fault", "sentence": "motor 2 lost 11% thrust"}
+    give(process, f"F {json.dumps(told)}")
+    wait_for(lambda: text(chromium, "#fleet-counts") == "19 quiet, 1 fault")
+    rows = "return [...document.querySelectorAll('#fleet-rows tr')].map((one) => one.innerText)"
+    shown = chromium.execute_script(rows)
+    assert len(shown) == 20
+    assert shown[6].split() == [
+        "✕",
+        "7",
+        "motor",
+        "2",
+        "lost",
+        "11%",
+        "thrust",
+        "monitoring",
+        "45",
+        "s",
+        "(75",
+        "%)",
+        "0",
+    ]
+    chromium.execute_script("document.querySelectorAll('#fleet-rows button')[6].click()")
+    wait_for(lambda: text(chromium, "#vehicles [aria-selected=true] .name").endswith("Vehicle 7"))
+    give(process, fleet(1, 2))
+    wait_for(lambda: len(chromium.execute_script(rows)) == 2)
+    assert complaints(chromium, process) == []
 
 
 def test_a_fault_is_seen_at_the_rotor_the_bar_and_the_strip(chromium: Any, process: ServerProcess) -> None:

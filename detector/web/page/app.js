@@ -167,6 +167,28 @@ function renderConnection() {
   document.body.classList.toggle("stale", page.connection !== "live");
 }
 
+function renderFleetRows(vehicles) {
+  const body = byId("fleet-rows"), counts = new Map();
+  byId("fleet").hidden = vehicles.length < 2;
+  while (body.children.length > vehicles.length) body.lastChild.remove();
+  vehicles.forEach((one, i) => {
+    counts.set(one.level, (counts.get(one.level) || 0) + 1);
+    if (body.children.length <= i) {
+      const open = el("button", {type: "button"});
+      open.addEventListener("click", () => show(Number(open.parentNode.parentNode.dataset.vehicle)));
+      body.append(el("tr", {}, el("td", {}, open), ...[1, 2, 3, 4].map(() => el("td"))));
+    }
+    const row = body.children[i];
+    row.dataset.vehicle = String(one.vehicle);
+    row.dataset.level = one.level;
+    text(row.firstChild.firstChild, `${MARKS[one.level] || ""} ${one.vehicle}`);
+    const share = one.flight_s > 0 ? ` (${(100 * one.judged_s / one.flight_s).toFixed(0)} %)` : "";
+    [one.sentence, one.state, `${one.judged_s.toFixed(0)} s${share}`, String(one.lost)]
+      .forEach((words, column) => text(row.children[column + 1], words));
+  });
+  text("fleet-counts", [...counts].map(([level, count]) => `${count} ${level}`).join(", "));
+}
+
 function renderFleet() {
   const tabs = byId("vehicles"), vehicles = page.fleet ? page.fleet.vehicles : [];
   const known = new Map([...tabs.children].map((tab) => [tab.dataset.vehicle, tab]));
@@ -189,6 +211,7 @@ function renderFleet() {
     tab.tabIndex = chosen ? 0 : -1;
   }
   for (const tab of known.values()) tab.remove();
+  renderFleetRows(vehicles);
   if (!page.fleet) return;
   const {links, late, cpu_s, uptime_s, refused} = page.fleet;
   figures("machine", [
