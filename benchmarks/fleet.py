@@ -1,10 +1,11 @@
 """A fleet, one daemon, one page, one history: are all faults told, how soon is the page there, is the history complete?
 
-    python benchmarks/fleet.py [--vehicles 20] [--faulty 5] [--seconds 45] [--rate 50]
+    python benchmarks/fleet.py [--vehicles 20] [--faulty 5] [--seconds 45] [--rate 50] [--wait 600]
 
 `sitl-plant fleet` takes off, flies and lands; the first `--faulty` vehicles crack a propeller in flight. The daemon
 judges all by one baseline of the type. The page's answer is timed once a second, and so is how old the figures of all
-vehicles are when a reader of its stream gets them. After the landing the history is read until it is complete.
+vehicles are when a reader of its stream gets them. After the landing the history is
+read until it is complete, for --wait seconds at most.
 """
 
 import argparse
@@ -26,7 +27,6 @@ from mavdiag.history.store import open_history
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.logs.tlog import read_tlog
 
-WAIT_S = 600.0  # for the history, after the landing
 TEACH_S = 40
 
 
@@ -79,7 +79,7 @@ def recorded(database: Path) -> int:
 def main() -> None:
     """Run it and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name, default in (("vehicles", 20), ("faulty", 5), ("seconds", 45), ("rate", 50)):
+    for name, default in (("vehicles", 20), ("faulty", 5), ("seconds", 45), ("rate", 50), ("wait", 600)):
         parser.add_argument(f"--{name}", type=int, default=default)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
@@ -109,7 +109,7 @@ def main() -> None:
             fleet += ["--onset", str(options.seconds // 2), "--faulty", ",".join(map(str, sorted(faulty)))]
             subprocess.run([*fleet, "--out", f"udpout:127.0.0.1:{port}"], check=True, capture_output=True)
             landed = time.monotonic()
-            while recorded(database) < options.vehicles and time.monotonic() - landed < WAIT_S:
+            while recorded(database) < options.vehicles and time.monotonic() - landed < options.wait:
                 time.sleep(0.5)
             complete_s = time.monotonic() - landed
             ended.set()
