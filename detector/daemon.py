@@ -192,7 +192,7 @@ class Daemon:
             self.fleet.vehicles[sysid].outcome = outcome
         turns = self.fleet.judge(now, self._time_to_judge(now))
         if self._flights is not None:
-            self._flights.look(self._passed, self.fleet.vehicles, self._host.utc())
+            self._flights.look(self._passed, self.fleet.vehicles, now, self._host.utc())
         self._relay.pass_on(self._passed)
         self._passed.clear()
         self._report_new(known)

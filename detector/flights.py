@@ -1,30 +1,36 @@
 """The history that the daemon feeds (edge): each flight is recorded, and judged once more after its landing.
 
-A recording is a .tlog of one vehicle, from its arming until it is disarmed. A thread hands it to `mavdiag history add`,
-a process of its own that gives way to the daemon: the record is the one that the log would give. Then the recording is
-deleted. One that could not be added stays in the folder, and is tried again at the next start.
+A recording is a .tlog of one vehicle, from its arming until it is disarmed or gone. A thread hands it to `mavdiag
+history add`, a process of its own that gives way to the daemon: the record is the one that the log would give. Then
+the recording is deleted. One that could not be added stays in the folder, and is tried again at the next start.
 """
 
 import importlib.util
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
+from typing import BinaryIO
 
 from detector.fleet import Vehicle
 from detector.hooks import Courier
-from detector.journal import Appender
 from mavdiag.baseline import Baseline, dump
 from mavdiag.errors import UsageError, missing_extra
 from mavdiag.judging import MIN_JUDGED_S
 from mavdiag.logs.tlog import tlog_record
 from mavdiag.storage import write_atomically
+from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_US
 
 ADD_S = 600.0  # that one flight may take to be judged (our choice: an hour at 1 kHz on a small computer)
+GONE_S = (
+    60.0  # without a frame a flight is over (our choice: longer than a radio is lost, shorter than a battery's change)
+)
 MAVLINK_2 = 0xFD  # first byte of a frame; its system id is the sixth, of MAVLink 1 the fourth
 ARMED_FROM = 0.5  # of the signal, which is 0 or 1
 
@@ -33,7 +39,7 @@ ARMED_FROM = 0.5  # of the signal, which is 0 or 1
 class _Flight:
     """One that goes on. before_s: flight time of the vehicle's session at its begin."""
 
-    file: Appender
+    file: BinaryIO | None  # None where it could not be opened
     path: Path
     baseline: Baseline
     before_s: float
@@ -56,20 +62,24 @@ class Flights(Courier):
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UsageError(f"{folder}: {error.strerror}; name another folder of flights") from error
-        self._folder, self._epoch_ns = folder, epoch_ns
+        self._database, self._folder, self._epoch_ns = database, folder, epoch_ns
         self._open: dict[int, _Flight] = {}
+        self._baselines: dict[str, Baseline] = {}  # by digest, for the thread
         self._left = sorted(folder.glob("[0-9]*-*.tlog"))
-        super().__init__("history", lambda line: _add(database, *json.loads(line)), warn)
+        super().__init__("history", self._add, warn)
 
-    def look(self, passed: Iterable[tuple[bytes, int]], vehicles: Mapping[int, Vehicle], utc: datetime) -> None:
+    def look(
+        self, passed: Iterable[tuple[bytes, int]], vehicles: Mapping[int, Vehicle], now: Instant, utc: datetime
+    ) -> None:
         """After each look of the daemon. passed: frames with their time of arrival [ns]."""
         for sysid, vehicle in vehicles.items():
             armed, session = vehicle.session.streams.armed, vehicle.session
             if sysid not in self._open and armed >= ARMED_FROM and session.judge is not None:
                 path = self._folder / f"{sysid}-{utc:%Y%m%dT%H%M%S}.tlog"
-                file = Appender(path, "flights", self._warn)
-                self._open[sysid] = _Flight(file, path, session.judge.baseline, session.judge.flight_s)
-            elif sysid in self._open and armed < ARMED_FROM:
+                self._open[sysid] = flight = _Flight(None, path, session.judge.baseline, session.judge.flight_s)
+                with self._telling(path):
+                    flight.file = path.open("wb", buffering=0)
+            elif sysid in self._open and (armed < ARMED_FROM or now - session.latest > GONE_S):
                 self._landed(sysid, vehicle)
         if self._open:
             self._append(passed)
@@ -94,11 +104,15 @@ class Flights(Courier):
             if sysid in records:
                 records[sysid].append(tlog_record((self._epoch_ns + host_ns) // NS_PER_US, frame))
         for sysid, own in records.items():
-            if own:
-                self._open[sysid].file.append(b"".join(own), entries=len(own))
+            flight = self._open[sysid]
+            if own and flight.file is not None:
+                with self._telling(flight.path):
+                    flight.file.write(b"".join(own))
 
     def _landed(self, sysid: int, vehicle: Vehicle) -> None:
         flight, judge = self._open.pop(sysid), vehicle.session.judge
+        if flight.file is None:
+            return
         flight.file.close()
         if judge is not None and judge.flight_s - flight.before_s < MIN_JUDGED_S:
             flight.path.unlink(missing_ok=True)  # it was armed and did not fly
@@ -106,24 +120,32 @@ class Flights(Courier):
             self._hand_over(flight.path, sysid, flight.baseline)
 
     def _hand_over(self, path: Path, sysid: int, baseline: Baseline) -> None:
-        judged_by = self._folder / f"{baseline.digest.rpartition(':')[2][:16]}.json"
-        if not judged_by.exists():
-            write_atomically(judged_by, dump(baseline))
+        self._baselines[baseline.digest] = baseline
         name = baseline.airframe.name
         name = name if baseline.airframe.scope == "airframe" else f"{name} {sysid}"
-        self.put(json.dumps([str(path), sysid, str(judged_by), name]).encode())
+        self.put(json.dumps([str(path), sysid, baseline.digest, name]).encode())
 
+    @contextmanager
+    def _telling(self, path: Path) -> Iterator[None]:
+        """Count what cannot be written as lost; the flight is not given up for it."""
+        try:
+            yield
+        except OSError as error:
+            self._lose(f"{path}: {error.strerror}")
 
-def _add(database: str, path: str, sysid: int, judged_by: str, airframe: str) -> None:
-    """Raises OSError, with what it says, if it is not added."""
-    options = ("--baseline", judged_by, "--vehicle", str(sysid), "--airframe", airframe, "--database", database)
-    command = ["nice", sys.executable, "-m", "mavdiag", "history", "add", path, *options, "--jobs", "1", "--no-cache"]
-    try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=ADD_S, check=False, start_new_session=True
-        )
-    except subprocess.SubprocessError as error:
-        raise OSError(str(error)) from error
-    if done.returncode:
-        raise OSError(" ".join((done.stderr or done.stdout).splitlines()[-1:]))
-    Path(path).unlink()
+    def _add(self, line: bytes) -> None:
+        """On the thread. Raises OSError, with what the command says, if the flight is not added."""
+        path, sysid, digest, airframe = json.loads(line)
+        judged_by = self._folder / f"{digest.rpartition(':')[2][:16]}.json"
+        options = ("--baseline", str(judged_by), "--vehicle", str(sysid), "--airframe", airframe)
+        command = ["nice", sys.executable, "-m", "mavdiag", "history", "add", path, *options, "--no-cache"]
+        run = partial(subprocess.run, capture_output=True, text=True, timeout=ADD_S, check=False)
+        try:
+            if not judged_by.exists():
+                write_atomically(judged_by, dump(self._baselines[digest]))
+            done = run([*command, "--jobs", "1", "--database", self._database], start_new_session=True)
+        except (subprocess.SubprocessError, UsageError) as error:
+            raise OSError(str(error)) from error
+        if done.returncode:
+            raise OSError(" ".join((done.stderr or done.stdout).splitlines()[-1:]))
+        Path(path).unlink()

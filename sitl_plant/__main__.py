@@ -20,6 +20,7 @@ from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
 from sitl_plant.campaign.command import campaign
 from sitl_plant.emulator import FlightReport, Link, fly, record_flight
+from sitl_plant.fleet import fleet
 from sitl_plant.hil.command import serve_ardupilot, serve_hil, serve_px4
 from sitl_plant.options import STARTING, FlightPlan, TruthFile, parse_speed, with_flight
 from sitl_plant.plant import Plant, PlantSamples
@@ -29,7 +30,7 @@ RECORD_S = 60.0  # a recorded flight, unless --duration says otherwise
 _LINKS = "udpout:H:P, udpin:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD; repeat it for several links."
 
 app = commandline.application("Fly an emulated multirotor with propeller faults over MAVLink.", "sitl-plant")
-for command in (campaign, serve_ardupilot, serve_px4, serve_hil):
+for command in (fleet, campaign, serve_ardupilot, serve_px4, serve_hil):
     app.command()(command)
 
 

@@ -109,6 +109,20 @@ def test_a_flight_that_cannot_be_added_is_told_and_added_by_the_next_start(tmp_p
         assert len(opened.flights(*opened.names())) == 1
 
 
+def test_a_flight_that_cannot_be_recorded_is_told_once_and_does_not_stop_the_watch(tmp_path: Path) -> None:
+    folder, said = tmp_path / "flights", list[str]()
+    flights = Flights(str(tmp_path / "history.sqlite"), folder, EPOCH_NS, said.append)
+    folder.rmdir()
+    bench = watching(baseline_for(), flights, MadeVehicle(3))
+    flown(bench, 8.0)
+    flown(bench, 2.0, armed=False)
+    assert bench.daemon.fleet.vehicles[3].session.judge is not None
+    bench.close()
+    flights.close()
+    assert flights.lost == 1
+    assert [line for line in said if "No such file" in line] == said
+
+
 def test_a_vehicle_gets_the_baseline_that_is_named_by_its_uid(tmp_path: Path) -> None:
     plain, own = baseline_for(), baseline_for(names=("rotor_trim",))
     plain.save(tmp_path / "1.json")
