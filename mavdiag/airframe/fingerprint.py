@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -80,6 +81,7 @@ TRAITS = (
     Trait("motors", 0.1, OTHER_MOTORS, OTHER_MOTORS, far_high=OTHER_MOTORS, log=False),
 )
 TRIM, NOISE = slice(0, 3), slice(3, 9)
+JOINED = {"t_ns", "setpoint", "rate", "force", "torque", "thrust", "vibration", "actuator", "valid", "setpoint_valid"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,20 +216,27 @@ def _without_rotor(shift: FloatArray, spread: FloatArray, layout: RotorLayout) -
 
 
 def joined(flight: Sequence[Rows]) -> list[Block]:
-    """The rows of a flight, one block a segment."""
+    """The rows of a flight, one block a segment, with the signals that figures of a vehicle are made of (`JOINED`)."""
     out = []
     for segment, rows in itertools.groupby(flight, key=lambda one: one.block.segment):
         blocks = [one.block for one in rows]
-        columns = {name: [getattr(block, name) for block in blocks] for name in COLUMNS}
-        for name in ("actuator", "rotor_speed"):  # rows before the first message have no column
-            width = max(x.shape[1] for x in columns[name])
-            columns[name] = [
-                np.pad(x, ((0, 0), (0, width - x.shape[1])), constant_values=np.nan) if x.shape[1] < width else x
-                for x in columns[name]
-            ]
-        whole = (np.concatenate(parts) for parts in columns.values())
-        out.append(blocks[0] if len(blocks) == 1 else Block(segment, blocks[0].dt_s, *whole))
+        if len(blocks) == 1:
+            out.append(blocks[0])
+            continue
+        n, width = sum(map(len, blocks)), max(block.actuator.shape[1] for block in blocks)
+        columns: list[Any] = [
+            np.concatenate([_wide(getattr(block, name), width) for block in blocks])
+            if name in JOINED
+            else np.broadcast_to(np.float64(np.nan), (n, *getattr(blocks[0], name).shape[1:]))
+            for name in COLUMNS
+        ]
+        out.append(Block(segment, blocks[0].dt_s, *columns))
     return out
+
+
+def _wide(x: FloatArray, width: int) -> FloatArray:
+    """Rows, with nan for outputs that were not sent yet where none were."""
+    return np.full((len(x), width), np.nan) if x.shape[1:] == (0,) else x
 
 
 def beginning(flight: Sequence[Rows], span_s: float) -> list[Block]:
