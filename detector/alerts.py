@@ -32,6 +32,7 @@ class Policy:
     severity: Severity  # of the STATUSTEXT
     template: str  # takes the notice's words
     again_s: tuple[float, ...] = ()  # after its beginning; then as far apart as the last two. Empty: said once
+    wait_s: float = 0.0  # before it is said first; if something critical comes in its place, it is not said at all
 
     def times(self, begun_s: float) -> int:
         """How often a matter that began so long ago ought to have been said.
@@ -56,7 +57,8 @@ class Kind(Enum):
     SENSOR = Policy(Severity.CRITICAL, "PROP SENSOR FAULT {}", _ALERT_S)  # what was found
     CONTROL = Policy(Severity.CRITICAL, "PROP CONTROL LOST {}", _ALERT_S)  # the rotor that was named before
     THRUST = Policy(Severity.CRITICAL, "PROP THRUST LOST {}", _ALERT_S)  # the rotor, if it is known
-    SUSPECT = Policy(Severity.WARNING, "PROP suspect {}", _ALERT_S)  # what was found
+    # What was found. It is for maintenance; a fault that begins is suspected for some looks before it is declared.
+    SUSPECT = Policy(Severity.WARNING, "PROP suspect {}", _ALERT_S, wait_s=1.0)
     AGAIN = Policy(Severity.WARNING, "PROP seen again: {}", _ALERT_S)  # what was found
     UNSEEN = Policy(Severity.INFO, "PROP no longer seen: {}", (300.0,))  # which motors
     INSPECT = Policy(Severity.WARNING, "PROP {}: inspect before flight", (300.0,))  # which motors
@@ -170,12 +172,13 @@ class Presenter:
         self._per_minute = per_minute
         self._sent: list[tuple[bool, Instant]] = []  # texts of the last minute: whether loud, and when
         self._said: dict[Kind, _Matter] = {}
+        self._waiting: dict[Kind, tuple[Notice, Instant]] = {}  # what is not said yet (`wait_s`), and since when
         self._held: set[tuple[Kind, str]] = set()  # matters that were held back and counted already
 
     def present(self, notices: Sequence[Notice], now: Instant) -> list[Effect]:
         """Say what is to be said of the notices of this step, loudest first."""
         effects: list[Effect] = []
-        for notice in sorted(notices, key=lambda notice: notice.kind.value.severity):
+        for notice in sorted(self._ripe(notices, now), key=lambda notice: notice.kind.value.severity):
             before = self._said.get(notice.kind)
             if before is None or before.due(notice, now):
                 effects += self._say(notice, before, now)
@@ -186,6 +189,19 @@ class Presenter:
         self._said = {kind: matter for kind, matter in self._said.items() if now - matter.offered < LULL_S}
         self._held = {matter for matter in self._held if matter[0] in offered}
         return effects
+
+    def _ripe(self, notices: Sequence[Notice], now: Instant) -> list[Notice]:
+        """The notices but those that wait; and what waited and is offered no more, unless something critical is."""
+        offered = {notice.kind: notice for notice in notices}
+        critical = any(kind.value.severity <= Severity.CRITICAL for kind in offered)
+        over = [notice for kind, (notice, _) in self._waiting.items() if kind not in offered and not critical]
+        self._waiting = {
+            kind: (notice, self._waiting.get(kind, (notice, now))[1])
+            for kind, notice in offered.items()
+            if kind.value.wait_s and kind not in self._said
+        }
+        waiting = [kind for kind, (_, since) in self._waiting.items() if now - since < kind.value.wait_s]
+        return [notice for notice in notices if notice.kind not in waiting] + over
 
     def _say(self, notice: Notice, before: _Matter | None, now: Instant) -> list[Effect]:
         policy, matter = notice.kind.value, (notice.kind, notice.key)

@@ -206,7 +206,7 @@ class _Run:
         self.state, self.likeness = state, output.likeness or self.likeness
         self._found += output.events
         self.changes += output.changes
-        self.kept += output.pieces if self.keep else ()
+        self.kept += [piece.shrunk() for piece in output.pieces] if self.keep else ()
 
     def _flew(self, block: Block) -> None:
         first, last = int(block.t_ns[0]), int(block.t_ns[-1])

@@ -11,9 +11,8 @@ when the value has come back and stayed there for `Monitor.clear_s`; what happen
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -387,19 +386,33 @@ class Piece:
     rows: Rows
     slots: tuple[Slot, ...]
     plan: IntArray
-    out: FloatArray
-    rotors: FloatArray
-    at: IntArray
+    out: FloatArray | Sequence[FloatArray]
+    rotors: FloatArray | Sequence[FloatArray]
+    at: IntArray | Sequence[IntArray]
     counts: IntArray
 
-    @cached_property
+    @property
     def found(self) -> tuple[Statistic, ...]:
         """The statistic of each slot."""
-        found = list[Statistic]()
-        for slot, out, at, count, own in zip(self.slots, self.out, self.at, self.counts, self.plan, strict=True):
-            rotors = self.rotors[own[ROTORS], :count] if own[ROTORS] >= 0 else np.empty((count, 0))
-            found.append(slot.monitor.statistic(self.rows, out[:, :count], rotors, at[:count]))
-        return tuple(found)
+        return tuple(map(self.statistic, range(len(self.slots))))
+
+    def statistic(self, number: int) -> Statistic:
+        """The statistic of a slot."""
+        count, own = int(self.counts[number]), int(self.plan[number, ROTORS])
+        rotors = self.rotors[own][:count] if own >= 0 else np.empty((count, 0))
+        return self.slots[number].monitor.statistic(
+            self.rows, self.out[number][:, :count], rotors, self.at[number][:count]
+        )
+
+    def shrunk(self) -> "Piece":
+        """The same without the room for values that a slot did not give."""
+        counts, tellers = self.counts.tolist(), self.counts[self.plan[:, ROTORS] >= 0].tolist()
+        return replace(
+            self,
+            out=[out[:, :count].copy() for out, count in zip(self.out, counts, strict=True)],
+            rotors=[rotors[:count].copy() for rotors, count in zip(self.rotors, tellers, strict=True)],
+            at=[at[:count].copy() for at, count in zip(self.at, counts, strict=True)],
+        )
 
     @property
     def gauges(self) -> tuple[Gauge, ...]:

@@ -52,7 +52,7 @@ def rate_traces(chain: Chain, pieces: Sequence[Piece]) -> tuple[RateTrace, ...]:
     for number, slot in enumerate(chain.slots):
         if not isinstance(slot.monitor, RunLength):
             continue
-        axis, found = slot.monitor.spec.axis, joined([piece.found[number] for piece in pieces])
+        axis, found = slot.monitor.spec.axis, joined([piece.statistic(number) for piece in pieces])
         segment = _column([np.full(len(block), block.segment) for block in rates], np.int64)
         u, y = (_column([getattr(block, name)[:, axis.column] for block in rates]) for name in ("u", "y"))
         rows = (segment, found.t_ns, u, y, y - found.signal, found.value, found.valid)
@@ -63,7 +63,8 @@ def rate_traces(chain: Chain, pieces: Sequence[Piece]) -> tuple[RateTrace, ...]:
 def slot_traces(chain: Chain, pieces: Sequence[Piece]) -> tuple[SlotTrace, ...]:
     """One for each slot, in the order of the chain."""
     return tuple(
-        SlotTrace(slot, joined([piece.found[number] for piece in pieces])) for number, slot in enumerate(chain.slots)
+        SlotTrace(slot, joined([piece.statistic(number) for piece in pieces]))
+        for number, slot in enumerate(chain.slots)
     )
 
 

@@ -11,6 +11,8 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -21,12 +23,11 @@ from mavdiag.errors import InputError
 from mavdiag.rows.block import COLUMNS, Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import window_all, window_mean, window_rows
-from mavdiag.telemetry import BoolArray, FloatArray
+from mavdiag.telemetry import BoolArray, FloatArray, Signal
 
 FIRST_S = 20.0  # of judged flight that is compared (our choice)
 PART_S = 10.0  # of a learnt flight, by which its spread is measured: half of that, so that 30 s have three (our choice)
 MOST_PARTS = 12  # of a flight: enough to see what it varies by (our choice)
-WHOLE_S = 300.0  # a longer flight is known by its parts alone, so that it need not be in memory (our choice)
 SIGNIFICANT = 5.0  # spreads (our choice)
 FAR_SPREADS = 8.0  # spreads (our choice)
 FAR_TRIM = 0.04  # of the hover command, roll and pitch counting a third; recorded sessions and weights stay below 0.03
@@ -80,6 +81,7 @@ TRAITS = (
     Trait("motors", 0.1, OTHER_MOTORS, OTHER_MOTORS, far_high=OTHER_MOTORS, log=False),
 )
 TRIM, NOISE = slice(0, 3), slice(3, 9)
+JOINED = {"t_ns", "setpoint", "rate", "force", "torque", "thrust", "vibration", "actuator", "valid", "setpoint_valid"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +139,7 @@ def fingerprint_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout | None
     found, varied = [], []
     for flight in flights:
         parts = list(_parts(flight))
-        whole = parts if sum(len(rows.block) * rows.block.dt_s for rows in flight) > WHOLE_S else joined(flight)
-        found.append(traits(whole, layout))
+        found.append(traits(parts or joined(flight), layout))
         varied.append(np.array([traits([part], layout) for part in parts]).reshape(-1, len(TRAITS)))
     figures = []
     for i, (trait, column) in enumerate(zip(TRAITS, np.array(found).T, strict=True)):
@@ -215,20 +216,27 @@ def _without_rotor(shift: FloatArray, spread: FloatArray, layout: RotorLayout) -
 
 
 def joined(flight: Sequence[Rows]) -> list[Block]:
-    """The rows of a flight, one block a segment."""
+    """The rows of a flight, one block a segment, with the signals that figures of a vehicle are made of (`JOINED`)."""
     out = []
     for segment, rows in itertools.groupby(flight, key=lambda one: one.block.segment):
         blocks = [one.block for one in rows]
-        columns = {name: [getattr(block, name) for block in blocks] for name in COLUMNS}
-        for name in ("actuator", "rotor_speed"):  # rows before the first message have no column
-            width = max(x.shape[1] for x in columns[name])
-            columns[name] = [
-                np.pad(x, ((0, 0), (0, width - x.shape[1])), constant_values=np.nan) if x.shape[1] < width else x
-                for x in columns[name]
-            ]
-        whole = (np.concatenate(parts) for parts in columns.values())
-        out.append(blocks[0] if len(blocks) == 1 else Block(segment, blocks[0].dt_s, *whole))
+        if len(blocks) == 1:
+            out.append(blocks[0])
+            continue
+        n, width = sum(map(len, blocks)), max(block.actuator.shape[1] for block in blocks)
+        columns: list[Any] = [
+            np.concatenate([_wide(getattr(block, name), width) for block in blocks])
+            if name in JOINED
+            else np.broadcast_to(np.float64(np.nan), (n, *getattr(blocks[0], name).shape[1:]))
+            for name in COLUMNS
+        ]
+        out.append(Block(segment, blocks[0].dt_s, *columns))
     return out
+
+
+def _wide(x: FloatArray, width: int) -> FloatArray:
+    """Rows, with nan for outputs that were not sent yet where none were."""
+    return np.full((len(x), width), np.nan) if x.shape[1:] == (0,) else x
 
 
 def beginning(flight: Sequence[Rows], span_s: float) -> list[Block]:
@@ -264,7 +272,7 @@ def _parts(flight: Sequence[Rows]) -> Iterator[Block]:
 
 def traits(blocks: Sequence[Block], layout: RotorLayout | None) -> FloatArray:
     """The figures of a flight, (len(TRAITS),), NaN where it does not show them. layout: None if it is not known."""
-    calm = [_calm(block) for block in blocks]
+    calm = [block.once("calm", partial(_calm, block)) for block in blocks]
     seconds = [np.empty((0, 3))]
     for block, ok in zip(blocks, calm, strict=True):
         if layout is None:
@@ -275,8 +283,8 @@ def traits(blocks: Sequence[Block], layout: RotorLayout | None) -> FloatArray:
     return np.array(
         [
             *(np.median(trim, axis=0) if len(trim) else np.full(3, np.nan)),
-            *_noise([(block.rate, block.valid, block.dt_s) for block in blocks]),
-            *_noise([(block.force, block.valid & np.isfinite(block.force[:, 2]), block.dt_s) for block in blocks]),
+            *_noise([block.once("gyro", partial(_bends, block.rate.T, block.valid, block.dt_s)) for block in blocks]),
+            *_noise([block.once("felt", partial(_bends, block.force.T, block.valid, block.dt_s)) for block in blocks]),
             _throttle(blocks, calm, layout),
             _motors(blocks),
         ]
@@ -293,21 +301,25 @@ def _calm(block: Block) -> BoolArray:
     return np.asarray(block.valid & (squares < CALM_RAD_S**2), dtype=np.bool_)
 
 
-def _noise(signals: Sequence[tuple[FloatArray, BoolArray, float]]) -> FloatArray:
+def _bends(values: FloatArray, valid: BoolArray, dt_s: float) -> tuple[FloatArray, FloatArray]:
+    """(3, w) mean squares of second differences over windows of (3, n) rows, and (3, k) sizes of steps."""
+    known, window = valid & np.isfinite(values[2]), window_rows(NOISE_WINDOW_S, dt_s)
+    steps = np.diff(values)
+    bends = np.where(window_all(known, 3), np.square(np.diff(steps)), np.nan)
+    return window_mean(bends.T, window)[:: max(1, window // 2)].T, np.abs(steps[:, window_all(known, 2)])
+
+
+def _noise(found: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
     """(3,) log rms of second differences in the calmest fifth of windows, at least that of a rounding, q^2/2."""
-    squares, steps = [np.empty((0, 3))], [np.empty((0, 3))]
-    for values, known, dt_s in signals:
-        steps.append(np.abs(np.diff(values, axis=0)[window_all(known, 2)]))
-        window = window_rows(NOISE_WINDOW_S, dt_s)
-        bends = np.where(window_all(known, 3)[:, None], np.square(np.diff(values, n=2, axis=0)), np.nan)
-        squares.append(window_mean(bends, window)[:: max(1, window // 2)])
-    found = []
-    for square, step in zip(np.concatenate(squares).T, np.concatenate(steps).T, strict=True):
+    none = np.empty((3, 0))
+    squares, steps = (np.concatenate((none, *parts), axis=1) for parts in zip((none, none), *found, strict=True))
+    levels = []
+    for square, step in zip(squares, steps, strict=True):
         square, step = square[np.isfinite(square)], step[step > 0]
         resolution = float(np.quantile(step, RESOLUTION_SHARE, method="lower")) if len(step) else 0.0
         calm = max(float(np.quantile(square, CALM_SHARE)), resolution**2 / 2) if len(square) else 0.0
-        found.append(0.5 * math.log(calm) if calm > 0 else math.nan)
-    return np.array(found)
+        levels.append(0.5 * math.log(calm) if calm > 0 else math.nan)
+    return np.array(levels)
 
 
 def _throttle(blocks: Sequence[Block], calm: Sequence[BoolArray], layout: RotorLayout | None) -> float:
@@ -323,11 +335,11 @@ def _throttle(blocks: Sequence[Block], calm: Sequence[BoolArray], layout: RotorL
 def _motors(blocks: Sequence[Block]) -> float:
     """How many outputs move, at about the same level; NaN if none is sent."""
     width = min((block.actuator.shape[1] for block in blocks), default=0)
-    outputs = np.concatenate([np.empty((0, width)), *(block.actuator[block.valid, :width] for block in blocks)])
-    outputs = outputs[np.isfinite(outputs).all(axis=1)]
-    if not width or not len(outputs):
+    sent = [block.actuator.T[:width, block.known(Signal.ACTUATOR, slice(0, width)) & block.valid] for block in blocks]
+    outputs = np.concatenate([np.empty((width, 0)), *sent], axis=1)
+    if not outputs.size:
         return math.nan
-    level, moves = outputs.mean(axis=0), outputs.std(axis=0)
+    level, moves = outputs.mean(axis=1), outputs.std(axis=1)
     moving = (level > MIN_OUTPUT) & (moves > MOVES * np.where(level > MIN_OUTPUT, moves, 0.0).max())
     if not moving.any():
         return 0.0

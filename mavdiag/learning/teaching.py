@@ -31,6 +31,7 @@ from mavdiag.learning.flights import (
 )
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
+from mavdiag.rows.grid import steps_of
 from mavdiag.rows.quality import LinkQuality, learnt_quality
 from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
 from mavdiag.rows.windows import window_mean, window_rows
@@ -119,7 +120,7 @@ def repeated(flights: Iterable[Log | HeldLog]) -> tuple[Finding, ...]:
         if not len(common):
             continue
         t_ns, other = _gyro(flight)[0], int(np.bincount(whose[whose < number]).argmax())
-        dt_s = float(np.median(np.diff(np.unique(t_ns)))) / NS_PER_S
+        dt_s = float(np.median(steps_of(t_ns))) / NS_PER_S
         text = f"{len(common) * dt_s:.1f} s of it are in {held[other].label.name} as well"
         if len(common) == len(starts) == len(runs[other][1]):
             found.append(Finding(number, name, f"the same flight as {held[other].label.name}"))

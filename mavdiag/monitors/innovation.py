@@ -189,9 +189,9 @@ class _Pairs(NamedTuple):
 def _training_pairs(flights: Flights) -> list[_Pairs]:
     """Of each segment of all flights the first rows, so many that a like share of what is commanded is in them."""
     counts = [count for of_flight in of_each(flights, "commanded rows", _commanded_rows) for count in of_flight]
-    pieces = [segment for flight in flights for segment in segments(flight)]
-    shares = zip(pieces, cut_to_share(counts, TRAIN_ROWS, 0), strict=True)
-    return [_pairs_of(segment, most) for segment, most in shares if most]
+    shares = iter(cut_to_share(counts, TRAIN_ROWS, 0))  # of one flight after the other, so that one is in memory
+    pairs = (pair for flight in flights for pair in zip(segments(flight), shares, strict=False))
+    return [_pairs_of(segment, most) for segment, most in pairs if most]
 
 
 def _commanded_rows(flight: Sequence[Rows]) -> list[int]:

@@ -32,7 +32,7 @@ from mavdiag.identify import Method
 from mavdiag.identify import fit as identify
 from mavdiag.identify.model import ModelRecord
 from mavdiag.jit import cached, jit, summing
-from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
+from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence, parted
 from mavdiag.monitors.columns import COMMANDED, FORCE, LEVEL, OUTPUTS, SOUND, THRUST, TRACE, VALUE, Floats, Ints, U, Y
 from mavdiag.monitors.fitting import MEMORY_S, cut_to_share, need_commanded, of_each, smoothed, three, variance_law
 from mavdiag.monitors.run_length import at_rest, free_run, taps_of
@@ -367,15 +367,19 @@ def _begin(
 def samples_of(flight: Sequence[Rows], stride: int, window: int) -> list[FloatArray]:
     """The samples of each segment of a flight, (k, 7): roll and pitch rate commanded, the same measured, acceleration
     down, thrust, 1 where all but the thrust is known. window: rows of the smoothing, odd."""
-    taps, found = coefficients(window, min(2, window - 1))[0], []
-    for segment in segments(flight):
-        felt = np.concatenate([np.column_stack((one.block.force[:, 2], one.block.thrust)) for one in segment])
-        felt = np.concatenate((np.full((window - 1, 2), np.nan), felt))
-        u, y, told = (np.concatenate([getattr(one.rates, name) for one in segment]) for name in ("u", "y", "commanded"))
-        smooth = np.column_stack([np.correlate(signal, taps, "valid") for signal in felt.T])[-len(u) or len(felt) :]
-        samples = np.column_stack((u[:, :2], y[:, :2], smooth))[::stride]
-        found.append(np.column_stack((samples, told[::stride] & np.isfinite(samples[:, :5]).all(axis=1))))
-    return found
+    taps, found, felt, wait = coefficients(window, min(2, window - 1))[0], list[list[FloatArray]](), np.empty((0, 2)), 0
+    for begins, rows in parted(flight):
+        if begins:
+            felt, wait = np.full((window - 1, 2), np.nan), 0
+            found.append([])
+        felt = np.concatenate((felt, np.column_stack((rows.block.force[:, 2], rows.block.thrust))))
+        u, y, told, n = rows.rates.u, rows.rates.y, rows.rates.commanded, len(rows.rates)
+        smooth = np.column_stack([np.correlate(signal, taps, "valid") for signal in felt.T])[-n or len(felt) :]
+        samples = np.column_stack((u[:, :2], y[:, :2], smooth))[wait::stride]
+        known = told[wait::stride] & np.isfinite(samples[:, :5]).all(axis=1)
+        found[-1].append(np.column_stack((samples, known)))
+        felt, wait = felt[len(felt) - window + 1 :], (wait - n) % stride
+    return [np.concatenate(parts) for parts in found]
 
 
 class Residuals(NamedTuple):

@@ -54,6 +54,7 @@ COLUMNS = 3  # of x
 ROTORS, ROWS, WINDOW, SPREAD, LAWS, ERRORS, EACH = 0, 1, 2, 3, 4, 7, 16
 OF_ROTOR = 7
 ROW, KNOWN, RUN, TICKS, SUMS = range(5)
+TOLD = 3  # of a tick behind y and x of each rotor: mean ln w/u, whether it is usable, its number in the segment
 
 
 @spec
@@ -103,7 +104,7 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
 
 @jit
 def _find(par: Floats, mem: Floats, out: Floats) -> None:
-    """y and x of each rotor from the sums of a whole tick, (n, 4); then mean ln w/u, and whether it is usable."""
+    """y and x of each rotor from the sums of a whole tick, (n, 4); then mean ln w/u."""
     n, log_u, log_w = int(par[ROTORS]), 0.0, 0.0
     for j in range(n):
         log_u += math.log(mem[SUMS + j] / par[ROWS]) / n
@@ -158,27 +159,49 @@ def _judge(par: Floats, mem: Floats, tick: Floats, scratch: Floats, out: Floats,
     out[col.VALUE, k], out[col.LEVEL, k] = abs(best), best
 
 
+@jit
+def _take_tick(
+    par: Floats, mem: Floats, tick: Floats, covered: bool, scratch: Floats, out: Floats, rotors: Floats, k: int
+) -> None:
+    """Judge a tick, which counts in a window of usable ones."""
+    _judge(par, mem, tick, scratch, out, rotors, k)
+    mem[TICKS] += 1.0
+    mem[RUN] = mem[RUN] + 1.0 if covered and tick[4 * int(par[ROTORS]) + 1] > 0.5 else 0.0
+    out[col.SOUND, k] = mem[RUN] >= par[WINDOW]
+
+
 @cached
 def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The rotor that is farthest from its speed at the end of each tick."""
     n, k = int(par[ROTORS]), 0
-    tick, scratch = np.zeros(4 * n + 2), np.empty(int(par[WINDOW]))
+    tick, scratch = np.zeros(4 * n + TOLD), np.empty(int(par[WINDOW]))
     for i in range(first, x.shape[1]):
         if not _take_row(par, mem, x, i):
             continue
-        usable = mem[KNOWN] >= par[ROWS]
         tick[:] = 0.0
-        if usable:
+        tick[4 * n + 2] = mem[TICKS]
+        if mem[KNOWN] >= par[ROWS]:
             _find(par, mem, tick)
             tick[4 * n + 1] = 1.0
-        _judge(par, mem, tick, scratch, out, rotors, k)
-        mem[TICKS] += 1.0
-        mem[RUN] = mem[RUN] + 1.0 if usable and x[col.COVERED, i] > 0.5 else 0.0
-        out[col.SOUND, k], at[k] = mem[RUN] >= par[WINDOW], i - first
+        _take_tick(par, mem, tick, x[col.COVERED, i] > 0.5, scratch, out, rotors, k)
+        at[k] = i - first
         for j in range(len(tick) if out.shape[0] > col.TRACE else 0):
             out[col.TRACE + j, k] = tick[j]
         k += 1
     return k
+
+
+@cached
+def _again(par: Floats, mem: Floats, ticks: Floats) -> Floats:
+    """Distances of all rotors in the full windows of ticks that `run` has traced, (k, n)."""
+    n, found = int(par[ROTORS]), 0
+    scratch, out, rotors = np.empty(int(par[WINDOW])), np.empty((col.LEVEL + 1, 1)), np.empty((len(ticks) + 1, n))
+    for tick in ticks:
+        if tick[4 * n + 2] == 0.0:  # a segment begins
+            mem[RUN] = 0.0
+        _take_tick(par, mem, tick, True, scratch, out, rotors[found:], 0)
+        found += int(out[col.SOUND, 0])
+    return rotors[:found]
 
 
 class RotorSpeed(Monitor[RotorSpeedSpec]):
@@ -226,12 +249,13 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         no = ((0.0, 0.0, 0.0),) * 3
         still = RotorSpeedSpec(layout=layout, mean=(0.0,) * n, about=((0.0,) * 3,) * n, errors=no, spread=FLOOR)
         ticks = of_each(flights, (cls.name, layout), lambda flight: _ticks(cls(still), flight))
-        told = np.concatenate([np.empty((0, 4 * n + 2)), *ticks])
+        told = np.concatenate([np.empty((0, 4 * n + TOLD)), *ticks])
+        told = told[told[:, 4 * n + 1] > 0.5]
         if not len(told):
             raise InputError(f"it needs the outputs and the ESC telemetry of {n} rotors")
         if np.median(np.abs(np.exp(told[:, 4 * n]) / MADE_UP_RAD_S - 1.0)) < MADE_UP:
             raise InputError("the speeds are made up of the outputs, as a simulator does")
-        seen = [flight[:, : 4 * n].reshape(-1, n, 4) for flight in ticks if len(flight)]
+        seen = [usable for flight in ticks if len(usable := _usable(flight, n))]
         means = [flight.mean(axis=0) for flight in seen]
         apart = np.concatenate([flight - flight.mean(axis=0) for flight in seen])
         law, errors = _law_of(apart, _window(context.dt_s))
@@ -243,8 +267,10 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
             law=three(law),
             errors=(three(errors[0]), three(errors[1]), three(errors[2])),
         )
-        windows = of_each(flights, learnt, lambda flight: _windows(cls(replace(learnt, spread=1.0)), flight))
-        found = np.concatenate(windows)
+        begun = (cls(replace(learnt, spread=1.0)).begin(context.dt_s) for _ in ticks)
+        found = np.concatenate(
+            [_again(one.par, one.mem, flight).ravel() for one, flight in zip(begun, ticks, strict=True)]
+        )
         if not len(found):
             raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight with rotor speeds; fly longer")
         return (replace(learnt, spread=float(math.hypot(np.sqrt(np.mean(np.square(found))), FLOOR))),)
@@ -261,7 +287,7 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
     def _mean(self, flights: Flights) -> FloatArray:
         """a of other flights, at x0. Raises IdentificationError if they show none."""
         n, law, about = self.rotors, np.array(self.spec.law), np.array(self.spec.about)
-        ticks = [flight[:, : 4 * n].reshape(-1, n, 4) for flight in (_ticks(self, one) for one in flights)]
+        ticks = [_usable(_ticks(self, one), n) for one in flights]
         means = [(one[:, :, 0] - (one[:, :, 1:] - about) @ law).mean(axis=0) for one in ticks if len(one)]
         if not means:
             raise IdentificationError("no flight with the outputs and speeds of all rotors; fly longer")
@@ -290,15 +316,14 @@ def _window(dt_s: float, window_s: float = WINDOW_S) -> int:
 
 
 def _ticks(monitor: RotorSpeed, flight: Sequence[Rows]) -> FloatArray:
-    """What `_find` writes of the usable ticks of a flight, (k, 4 n + 2)."""
-    width = 4 * monitor.rotors + 2
-    found = [out[col.TRACE :, out[col.TRACE + width - 1] > 0.5].T for out in traced(monitor, flight, width)]
-    return np.concatenate([np.empty((0, width)), *found])
+    """The ticks of a flight with what `TOLD` says of them, (k, 4 n + TOLD)."""
+    width = 4 * monitor.rotors + TOLD
+    return np.concatenate([np.empty((0, width)), *(out[col.TRACE :].T for out in traced(monitor, flight, width))])
 
 
-def _windows(monitor: RotorSpeed, flight: Sequence[Rows]) -> FloatArray:
-    """Distances of all rotors in the full windows of a flight, as one array."""
-    return np.concatenate([np.empty(0), *(one.rotors[one.valid].ravel() for one in monitor.over(flight))])
+def _usable(ticks: FloatArray, n: int) -> FloatArray:
+    """y and x of each of n rotors in the usable ticks, (k, n, 4)."""
+    return ticks[ticks[:, 4 * n + 1] > 0.5, : 4 * n].reshape(-1, n, 4)
 
 
 def _law_of(apart: FloatArray, window: int) -> tuple[FloatArray, FloatArray]:

@@ -39,10 +39,11 @@ GRAVITY = 9.80665
 SINE, COSINE = (tuple(1.0 / math.factorial(k) for k in range(first, -1, -2)) for first in (15, 14))
 COLUMNS = 5  # of the history: tilt about two axes, heading, vertical acceleration, turned angle
 MIN_RATE_HZ = 20.0  # below it turns are not followed from sample to sample (our choice)
-# Places in the parameters; and in the memory: rows of the tick and valid ones, sums of the tick, angles since the last
-# gap, ticks since then, the history of each column.
+# Places in the parameters; and in the memory: rows of the tick and valid ones, sums of the tick (with what a bias is
+# multiplied by from `TURNED` on), angles since the last gap, ticks since then, the history of each column.
 DT, TICK, MEAN, LAG, LIFT, VERTICAL, BIAS, SPREADS = *range(7), 9
-ROWS, SOUND_ROWS, SUMS, ANGLE, TICKS, HISTORY = 0, 1, 2, 10, 14, 15
+ROWS, SOUND_ROWS, SUMS, TURNED, ANGLE, TICKS, HISTORY = 0, 1, 2, 10, 14, 18, 19
+OF_TICK = ANGLE - SUMS
 
 
 @spec
@@ -73,10 +74,10 @@ def _sine_cosine(angle: float) -> tuple[float, float]:
 
 
 @jit
-def _add_rows(par: Floats, mem: Floats, x: Floats, begin: int, stop: int) -> None:
+def _add_rows(mem: Floats, x: Floats, begin: int, stop: int) -> None:
     """Add rows to their tick: what the gyro turns and what is seen."""
     c, s, phi, theta, psi = math.nan, math.nan, math.nan, math.nan, math.nan
-    sin_phi, cos_phi, sin_theta, cos_theta, upright = 0.0, 1.0, 0.0, 1.0, GRAVITY - par[VERTICAL]
+    sin_phi, cos_phi, sin_theta, cos_theta = 0.0, 1.0, 0.0, 1.0
     for i in range(begin, stop):
         p, q, r = x[RATE, i], x[RATE + 1, i], x[RATE + 2, i]
         ax, ay, az = x[FORCE, i], x[FORCE + 1, i], x[FORCE + 2, i]
@@ -88,7 +89,6 @@ def _add_rows(par: Floats, mem: Floats, x: Floats, begin: int, stop: int) -> Non
             phi, theta, psi = x[ATTITUDE, i], x[ATTITUDE + 1, i], x[ATTITUDE + 2, i]
             (sin_phi, cos_phi), (sin_theta, cos_theta) = _sine_cosine(phi), _sine_cosine(theta)
             c, s = math.cos(psi), math.sin(psi)
-        p, q, r = p - par[BIAS], q - par[BIAS + 1], r - par[BIAS + 2]
         turn = (q * sin_phi + r * cos_phi) / cos_theta
         mem[SUMS] += p * c - q * s
         mem[SUMS + 1] += p * s + q * c
@@ -97,7 +97,11 @@ def _add_rows(par: Floats, mem: Floats, x: Floats, begin: int, stop: int) -> Non
         mem[SUMS + 4] += phi * c - theta * s
         mem[SUMS + 5] += phi * s + theta * c
         mem[SUMS + 6] += psi
-        mem[SUMS + 7] += cos_theta * (sin_phi * ay + cos_phi * az) - sin_theta * ax + upright
+        mem[SUMS + 7] += cos_theta * (sin_phi * ay + cos_phi * az) - sin_theta * ax + GRAVITY
+        mem[TURNED] += c
+        mem[TURNED + 1] += s
+        mem[TURNED + 2] += sin_phi / cos_theta
+        mem[TURNED + 3] += cos_phi / cos_theta
         mem[SOUND_ROWS] += 1.0
 
 
@@ -115,14 +119,17 @@ def _walk(par: Floats, mem: Floats, whole: bool, found: Floats) -> bool:
     """Take a tick, whose means stand at `SUMS`: |dE|, |dY|, |V| and what is excused, e; whether they count."""
     mean, lag, lift, span_s = int(par[MEAN]), int(par[LAG]), int(par[LIFT]), par[TICK] * par[DT]
     length, newest = lag + 2 * mean + 1, HISTORY
-    for j in range(4):
-        found[j] = 0.0
-        mem[ANGLE + j] = mem[ANGLE + j] + mem[SUMS + j] * span_s if whole else 0.0
+    found[:] = 0.0
     if not whole:
-        mem[TICKS] = 0.0
+        mem[ANGLE:HISTORY] = 0.0
         return False
+    c, s, (p, q, r) = mem[TURNED], mem[TURNED + 1], par[BIAS : BIAS + 3]
+    mem[ANGLE] += (mem[SUMS] - p * c + q * s) * span_s
+    mem[ANGLE + 1] += (mem[SUMS + 1] - p * s - q * c) * span_s
+    mem[ANGLE + 2] += (mem[SUMS + 2] - q * mem[TURNED + 2] - r * mem[TURNED + 3]) * span_s
+    mem[ANGLE + 3] += mem[SUMS + 3] * span_s
     for j in range(COLUMNS):
-        value = mem[ANGLE + 3] if j == 4 else mem[SUMS + 4 + j] - (mem[ANGLE + j] if j < 3 else 0.0)
+        value = mem[ANGLE + 3] if j == 4 else mem[SUMS + 4 + j] - (mem[ANGLE + j] if j < 3 else par[VERTICAL])
         newest = shift(mem, HISTORY + j * (1 + 2 * length), length, value) + length - 1
     mem[TICKS] += 1.0
     ticks, of = int(mem[TICKS]), 1 + 2 * length
@@ -147,22 +154,35 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
     k, found, tick, begin, columns = 0, np.empty(4), int(par[TICK]), first, x.shape[1]
     while begin < columns:
         stop = min(begin + tick - int(mem[ROWS]), columns)
-        _add_rows(par, mem, x, begin, stop)
+        _add_rows(mem, x, begin, stop)
         mem[ROWS] += stop - begin
         begin = stop
         if mem[ROWS] < tick:
             break
-        for j in range(8):
+        whole = mem[SOUND_ROWS] >= tick
+        for j in range(OF_TICK):
             mem[SUMS + j] /= tick
-        out[SOUND, k] = _walk(par, mem, mem[SOUND_ROWS] >= tick, found)
-        mem[: SUMS + 8] = 0.0
+            if out.shape[0] > TRACE:
+                out[TRACE + j, k], out[TRACE + OF_TICK, k] = mem[SUMS + j], mem[TICKS] if whole else -1.0
+        out[SOUND, k] = _walk(par, mem, whole, found)
+        mem[:ANGLE] = 0.0
         angle = max(found[0] / (par[SPREADS] + found[3]), found[1] / (par[SPREADS + 1] + found[3]))
         value = min(max(angle, found[2] / par[SPREADS + 2]), LIMIT)
         out[VALUE, k], out[LEVEL, k], at[k] = value, value, stop - 1 - first
-        for j in range(4 if out.shape[0] > TRACE else 0):
-            out[TRACE + j, k] = found[j]
         k += 1
     return k
+
+
+@cached
+def _again(par: Floats, mem: Floats, ticks: Floats) -> Floats:
+    """What `_walk` finds in ticks that `run` has traced, and whether they count, (k, 5)."""
+    out = np.empty((len(ticks), 5))
+    for k in range(len(ticks)):
+        if ticks[k, OF_TICK] == 0.0:  # the first one behind a gap
+            _walk(par, mem, False, out[k, :4])
+        mem[SUMS:ANGLE] = ticks[k, :OF_TICK]
+        out[k, 4] = _walk(par, mem, True, out[k, :4])
+    return out
 
 
 class SensorDrift(Monitor[SensorDriftSpec]):
@@ -174,7 +194,7 @@ class SensorDrift(Monitor[SensorDriftSpec]):
         s = max( |dE|/(tilt + e), |dY|/(heading + e), |V|/lift ),    e = 0.01 R + 0.004 rad/s L
 
     dE, dY: change of their 2 s means over L = 15 s, or over as much as there is since the last gap; R: angle that the
-    vehicle turned in it. |V|: the smaller of two 4 s means, one after the other, where both have the same sign, so that
+    gyro turned in it. |V|: the smaller of two 4 s means, one after the other, where both have the same sign, so that
     the start of a climb does not count.
 
     Warm-up: 4 s without a gap, 8 s for V. Latency: a gyro bias of 0.05 rad/s takes 6 s, a drift of 0.002 rad/s^2 15 s,
@@ -206,8 +226,10 @@ class SensorDrift(Monitor[SensorDriftSpec]):
         mean = biases.mean(axis=0)
         unbiased = replace(still, bias=three(mean[:3]), vertical=float(mean[3]))
         count, squares = 0, np.zeros(3)
-        for found in (one for flight in flights for one in traced(cls(unbiased), flight, 4)):
-            disagreement = found[TRACE:, found[SOUND] > 0.5]
+        for ticks in of_each(flights, (cls.name, "ticks"), lambda flight: _ticks(flight, still)):
+            begun = cls(unbiased).begin(context.dt_s)
+            found = _again(begun.par, begun.mem, ticks).T
+            disagreement = found[:4, found[4] > 0.5]
             disagreement[:2] = np.maximum(disagreement[:2] - disagreement[3], 0.0)  # beyond what is excused
             count, squares = count + disagreement.shape[1], squares + np.square(disagreement[:3]).sum(axis=1)
         if not count:
@@ -227,6 +249,12 @@ class SensorDrift(Monitor[SensorDriftSpec]):
         spreads = spec.tilt, spec.heading, spec.lift
         par = np.array([spec.dt_s, spec.tick, mean, lag, lift, spec.vertical, *spec.bias, *spreads])
         return Begin(par, np.zeros(HISTORY + COLUMNS * past_size(lag + 2 * mean + 1)))
+
+
+def _ticks(flight: Sequence[Rows], still: SensorDriftSpec) -> FloatArray:
+    """The means of the whole ticks of a flight, and how many came before since a gap, (k, OF_TICK + 1)."""
+    found = [out[TRACE:, out[TRACE + OF_TICK] >= 0.0].T for out in traced(SensorDrift(still), flight, OF_TICK + 1)]
+    return np.concatenate([np.empty((0, OF_TICK + 1)), *found])
 
 
 def _biases(flight: Sequence[Rows], tick: int) -> FloatArray:

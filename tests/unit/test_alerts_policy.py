@@ -125,6 +125,21 @@ def test_l8_a_fault_that_lasts_is_repeated_after_5_15_60_s_and_then_every_minute
     assert said == [0.0, 5.0, 15.0, 60.0, 120.0, 180.0, 240.0]
 
 
+def test_a_suspicion_waits_a_second_and_is_dropped_for_a_fault() -> None:
+    suspicion = Notice(Kind.SUSPECT, ("roll x",))
+    said: list[Effect] = [suspicion.effect]
+    presenter = Presenter()
+    assert [say(presenter, at_s, suspicion) for at_s in (0.0, 0.5, 0.9)] == [[], [], []]
+    assert [say(presenter, at_s, suspicion) for at_s in (1.0, 1.1)] == [said, []]
+    presenter = Presenter()
+    assert say(presenter, 0.0, suspicion) == []
+    assert say(presenter, 0.1, FAULT) == [FAULT.effect]
+    assert say(presenter, 2.0) == []
+    presenter = Presenter()  # what is over before, as at a landing, is said all the same
+    assert say(presenter, 0.0, suspicion) == []
+    assert say(presenter, 0.1) == said
+
+
 def test_a_lasting_matter_that_the_budget_holds_back_is_counted_once_and_said_later() -> None:
     presenter = Presenter(per_minute=4)
     for at in (0.0, 3.0):
