@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # a verdict is made above this module
     from mavdiag.judging import LogVerdict, MonitorSummary
 
 MOTORS_MOST = 8  # that are listed by number; more do not fit into a text (our choice)
-MOSTLY = 0.9  # of what was judged: a monitor that judged more has judged the flight (our choice)
+MOSTLY = 0.5  # of what was judged: a monitor that judged more has judged the flight (our choice)
 TYPES = {"F1": "an edge cut", "F2": "a crack", "F3": "surface unbalance"}
 
 #: What each monitor looks at.
@@ -31,6 +31,7 @@ OBSERVES = {
     "vibration_level": "the autopilot's own vibration level",
     "rotor_trim": "one rotor commanded more than in health",
     "trim_step": "one rotor commanded more than a minute ago",
+    "rotor_speed": "a rotor that turns faster or slower for its command",
     "sensor_noise": "noise of one sensor axis alone",
     "sensor_drift": "gyro and attitude that do not agree",
     "control_loss": "a body rate that nobody commanded",
@@ -124,44 +125,44 @@ def fault_reason(kind: FaultKind | None, faults: Sequence[Change], events: Seque
 
 def headline(verdict: "LogVerdict") -> str:
     """The verdict in one sentence."""
-    judged = f"{verdict.judged_s:.0f} s of {verdict.flown_s:.0f} s of flight were judged"
     if verdict.verdict != "fault":
         return {
             "error": f"This file could not be read: {verdict.reason}.",
             "not_judgeable": f"This flight cannot be judged by this baseline: {own_reason(verdict)}.",
-            "healthy": f"No fault was found; {judged}.",
-            "suspected": f"A fault is suspected, none was declared; {judged}.",
+            "healthy": "No fault was found.",
+            "suspected": "A fault is suspected, none was declared.",
         }[verdict.verdict]
     kind, graded = verdict.kind or FaultKind.PROPELLER, ""
     near = {FaultKind.PROPELLER: "of", FaultKind.GROSS_LOSS: "at"}.get(kind)
     where = f" {near} rotor {verdict.rotor}" if verdict.rotor is not None and near else ""
-    since = "" if verdict.since_s is None else f", declared first at {verdict.since_s:.1f} s of the vehicle's clock"
     for change in verdict.changes:  # the type that was named last
         if kind is FaultKind.PROPELLER is change.kind and change.stage is Stage.FAULT and change.fault_type is not None:
             severity = "" if change.severity is None else f", severity {change.severity} of 3"
             graded = f", most like {TYPES.get(change.fault_type, 'type')} ({change.fault_type}{severity})"
-    return f"A {kind}{where} was found{graded}{since}; {judged}."
+    return f"A {kind}{where} was found{graded}."
 
 
-def evidence_sentence(verdict: "LogVerdict") -> str:
-    """What the verdict rests on, one sentence; empty where nothing was judged."""
-    told = sorted(verdict.monitors, key=_ratio, reverse=True)
+def certainty(verdict: "LogVerdict") -> str:
+    """How sure the verdict is, and what it rests on: one or two sentences; empty where nothing was judged."""
+    told = sorted((one for one in verdict.monitors if one.maximum is not None), key=_ratio, reverse=True)
     if verdict.verdict == "suspected":
-        return f"What was suspected: {own_reason(verdict)}."
+        return f"{own_reason(verdict)}."
     if verdict.verdict == "healthy":
         decided = (
-            f"{one.name}, with {100 * _ratio(one):.0f} % of it"
+            f"{one.name.replace('_', ' ')}, came to {100 * _ratio(one):.0f} % of its threshold"
             for one in told
-            if one.decides and one.maximum is not None
+            if one.decides
         )
         nearest = next(decided, "")
-        return f"The deciding monitor that came nearest to its threshold is {nearest}." if nearest else ""
+        return f"The deciding monitor that came nearest, {nearest}." if nearest else ""
     if verdict.verdict != "fault":
         return ""
-    above = ", ".join(f"{one.name} {_ratio(one):.1f} times" for one in told if _ratio(one) > 1) or "none at the end"
-    events = [judged.event for judged in verdict.events]
-    doubt = f" This alone does not tell the cause ({text})." if (text := _doubt(events)) else ""
-    return f"Above their thresholds: {above} ({_count(events)} of single monitors).{doubt}"
+    above = [f"{one.name.replace('_', ' ')} {_ratio(one):.1f} times" for one in told if _ratio(one) > 1]
+    events, named = [judged.event for judged in verdict.events], [one for one in verdict.changes if one.confidence]
+    text = f"Above their thresholds: {', '.join(above) or 'none at the end'} ({_count(events)})."
+    if verdict.rotor is not None and named:
+        text += f" The rotor is named with {100 * (named[-1].confidence or 0.0):.0f} % confidence."
+    return text + (f" This alone does not tell the cause ({doubt})." if (doubt := _doubt(events)) else "")
 
 
 def advice(verdict: "LogVerdict") -> str:
@@ -178,7 +179,7 @@ def advice(verdict: "LogVerdict") -> str:
         "sensor": "Before the next flight, check the inertial sensor and its mount; no propeller is blamed.",
         "loss": "Do not fly before the cause is known: look at motors, controllers, propellers and their wiring.",
         "suspected": f"{inspect}, and judge the next flight too: it may be a manoeuvre that was not learnt.",
-        "healthy": "Damage that is smaller than the thresholds can find is not excluded; this is no proof of health.",
+        "healthy": "Nothing now. Damage that is smaller than the thresholds can find is not excluded.",
         "not_judgeable": "`mavdiag inspect LOG --baseline FILE` says which message or parameter is missing, and what "
         "the log shows by itself.",
         "error": "Check the file; the other logs of this page are not affected.",
@@ -186,9 +187,13 @@ def advice(verdict: "LogVerdict") -> str:
 
 
 def unjudged(verdict: "LogVerdict") -> tuple[str, ...]:
-    """The monitors that did not judge a good part of the flight, and why: one phrase each."""
+    """The monitors that judged less than half of what was judged, and why: one phrase each."""
     enough = MOSTLY * verdict.judged_s
-    return tuple(f"{m.name}: {m.not_judged}" for m in verdict.monitors if m.not_judged and m.judged_s <= enough)
+    return tuple(
+        f"{m.name} judged {m.judged_s:.0f} s: {m.not_judged}"
+        for m in verdict.monitors
+        if m.not_judged and m.judged_s <= enough
+    )
 
 
 def own_reason(verdict: "LogVerdict") -> str:

@@ -27,7 +27,7 @@ from mavdiag.look import figures
 from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.monitors.base import Monitor
 from mavdiag.monitors.unbalance import corner_of
-from mavdiag.rows.grid import mean_step, steps_of
+from mavdiag.rows.grid import each_once, mean_step, steps_of
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
@@ -186,7 +186,7 @@ def inspection_of(
 
 def summary(series: Series) -> Summary:
     """Figures of one signal, which has samples."""
-    t_ns = np.unique(series.t_ns)
+    t_ns = each_once(series.t_ns)
     steps = steps_of(t_ns)
     rate = jitter = longest = None
     gaps, missing = 0, 0.0
