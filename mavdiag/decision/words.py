@@ -134,12 +134,23 @@ def headline(verdict: "LogVerdict") -> str:
         }[verdict.verdict]
     kind, graded = verdict.kind or FaultKind.PROPELLER, ""
     near = {FaultKind.PROPELLER: "of", FaultKind.GROSS_LOSS: "at"}.get(kind)
-    where = f" {near} rotor {verdict.rotor}" if verdict.rotor is not None and near else ""
+    where = f" {near} {_rotors(verdict)}" if verdict.rotor is not None and near else ""
     for change in verdict.changes:  # the type that was named last
         if kind is FaultKind.PROPELLER is change.kind and change.stage is Stage.FAULT and change.fault_type is not None:
             severity = "" if change.severity is None else f", severity {change.severity} of 3"
             graded = f", most like {TYPES.get(change.fault_type, 'type')} ({change.fault_type}{severity})"
     return f"A {kind}{where} was found{graded}."
+
+
+def rotors_of(verdict: "LogVerdict") -> tuple[int, ...]:
+    """Every rotor that was named, in order of number."""
+    named = {span.rotor for span in verdict.rotors} | ({verdict.rotor} - {None})
+    return tuple(sorted(one for one in named if one is not None))
+
+
+def _rotors(verdict: "LogVerdict") -> str:
+    *others, last = map(str, rotors_of(verdict))
+    return f"rotors {', '.join(others)} and {last}" if others else f"rotor {last}"
 
 
 def certainty(verdict: "LogVerdict") -> str:
@@ -170,7 +181,7 @@ def advice(verdict: "LogVerdict") -> str:
     inspect = (
         "Look at the propellers" if verdict.rotor is None else f"Inspect motor {verdict.rotor} before the next flight"
     )
-    first = f"the propeller of rotor {verdict.rotor} first, then the others" if verdict.rotor else "the propellers"
+    first = f"the propeller of {_rotors(verdict)} first, then the others" if verdict.rotor else "the propellers"
     what = verdict.verdict.value
     if what == "fault" and verdict.kind not in (None, FaultKind.PROPELLER):
         what = "sensor" if verdict.kind is FaultKind.SENSOR else "loss"

@@ -11,13 +11,14 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, wraps
-from html import escape
 from pathlib import Path
 from textwrap import wrap
-from typing import ParamSpec
+from typing import Any, ParamSpec
 
 import numpy as np
+from jinja2 import Environment, Template
 
+from mavdiag.printable import printable
 from mavdiag.rows.windows import spans
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 
@@ -33,6 +34,7 @@ LETTER, BOLD, ACROSS = (
     320,
 )  # width of a letter, of a bold one, and of a row of a legend, which a phone must hold [px]
 TICKS_X, TICKS_Y = 5, 4  # at most (our choice)
+EDGE = 46.0  # left of a panel, where those without ticks have their labels [px]
 HOLDS = 40  # height that a label of the y axis takes [px]
 
 P = ParamSpec("P")
@@ -86,36 +88,16 @@ class Chart:
     kind: str = "zoom"
 
 
-@cache
-def captions() -> Mapping[str, Mapping[str, str]]:
-    """Title, caption and the thesis's number of each figure, by its key."""
-    return tomllib.loads((FOLDER / "captions.toml").read_text(encoding="utf-8"))
-
-
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A figure of a page, or why there is none."""
+    """A figure of a page, or why there is none. key: its anchor. thesis: number of the thesis's figure like it."""
 
-    key: str  # its anchor in a page; its words stand under it, or under what precedes ":", in captions.toml
-    note: str = ""  # what the caption says of this flight
+    key: str
+    title: str  # what it shows
+    caption: str = ""  # what to see in it
+    thesis: str = ""
     svg: str = ""
     not_drawn: str = ""  # why there is no drawing, as a phrase
-    name: str = ""  # what its title is about, where the key does not tell
-
-    @property
-    def title(self) -> str:
-        """What it shows."""
-        return captions()[self.key.split(":")[0]]["title"].format(name=self.name)
-
-    @property
-    def caption(self) -> str:
-        """What to see in it."""
-        return f"{captions()[self.key.split(':')[0]]['caption']} {self.note}".strip()
-
-    @property
-    def thesis(self) -> str:
-        """Number of the thesis's figure like it; empty if it has none."""
-        return captions()[self.key.split(":")[0]].get("thesis", "")
 
 
 class NotDrawn(Exception):  # noqa: N818  # no error: the reason, a phrase, stands in the page
@@ -131,7 +113,7 @@ def picture(key: str) -> Callable[[Callable[P, Chart]], Callable[P, Picture]]:
             try:
                 return drawn(key, draw(*args, **kwargs))
             except NotDrawn as reason:
-                return Picture(key, not_drawn=str(reason))
+                return Picture(key, _captions()[key]["title"], not_drawn=str(reason))
 
         return made
 
@@ -139,9 +121,17 @@ def picture(key: str) -> Callable[[Callable[P, Chart]], Callable[P, Picture]]:
 
 
 def drawn(key: str, chart: Chart, name: str = "") -> Picture:
-    """The picture of a chart. name: what its title is about."""
-    found = Picture(key, chart.note, name=name)
-    return Picture(key, chart.note, svg_of(chart, found.title), name=name)
+    """The picture of a chart. key: of its words in captions.toml. name: what its title is about, and of its anchor."""
+    words = _captions()[key]
+    title, caption = words["title"].format(name=name), f"{words['caption']} {chart.note}".strip()
+    key = f"{key}:{name.split(':')[0].replace(' ', '_')}" if name else key
+    return Picture(key, title, caption, words.get("thesis", ""), svg_of(chart, title))
+
+
+@cache
+def _captions() -> Mapping[str, Mapping[str, str]]:
+    found: Mapping[str, Mapping[str, str]] = tomllib.loads((FOLDER / "captions.toml").read_text(encoding="utf-8"))
+    return found
 
 
 class Thinned:
@@ -231,21 +221,27 @@ def svg_of(chart: Chart, title: str) -> str:
     """The drawing, `PREFIX-title` and `PREFIX-desc` among its ids once it is `embedded`."""
     low, high = chart.x
     ticks = chart.ticks or [(at, f"{at:g}") for at in ticks_of(low, high, TICKS_X)]
-    places = [(100 * (at - low) / (high - low), text) for at, text in ticks]
-    parts, top = list[str](), 0
+    panels, top = list[dict[str, Any]](), 0
     for panel in chart.panels:
-        parts += _legend(panel, top)
-        top += ROW * len(_rows(panel)) + 4
-        parts += _axes(panel, places, top)
-        parts.append(_plot(panel, chart.x, top))
-        top += panel.height + GAP
-    parts += [
-        f'<text class="x" x="{at:.4g}%" y="{top + 6}" data-at="{at / 100:.5g}">{text}</text>' for at, text in places
-    ]
-    parts.append(f'<text class="x name" x="50%" y="{top + 24}">{escape(chart.x_label)}</text>')
-    head = f'<svg xmlns="{SVG}" class="chart" width="100%" height="{top + 32}" role="img" aria-labelledby="title desc"'
-    told = f'<title id="title">{escape(title)}</title><desc id="desc">{escape(chart.words)}</desc>'
-    return f'{head} data-kind="{chart.kind}" data-name="{escape(chart.x_label)}">{told}{"".join(parts)}</svg>\n'
+        panels.append(_shown(panel, chart.x, top))
+        top = panels[-1]["top"] + panel.height + GAP
+    return template("chart.svg").render(
+        chart=chart,
+        title=title,
+        height=top + 32,
+        panels=panels,
+        ticks=[((at - low) / (high - low), text) for at, text in ticks],
+        range=f"{low:.9g} {high:.9g}",
+        units=UNITS,
+        high=HIGH,
+    )
+
+
+@cache
+def template(name: str) -> Template:
+    """A template of this folder, whose values are escaped."""
+    made = Environment(autoescape=True, trim_blocks=True, finalize=lambda value: printable(str(value)))
+    return made.from_string((FOLDER / name).read_text(encoding="utf-8"))
 
 
 def standing_alone(svg: str, width: int = 760) -> str:
@@ -264,100 +260,73 @@ def embedded(svg: str, prefix: str) -> str:
     return re.sub(r'aria-labelledby="(\S+) (\S+)"', rf'aria-labelledby="{prefix}-\1 {prefix}-\2"', svg)
 
 
-def _rows(panel: Panel) -> list[list[tuple[str, str]]]:
-    """The label of a panel and what its legend names, as classes and text, row by row."""
-    named = [(f"{line.shape} {line.look}", line.label) for line in panel.lines if line.label]
-    named += [("line limit", label) for _, label in panel.levels if label]
-    named += [("area healthy", "usual in health")] if panel.healthy else []
-    rows = [[("", text)] for text in wrap(panel.label, int(ACROSS / LETTER))]
-    left = ACROSS - BOLD * len(rows[-1][0][1])
-    for what, label in named:
-        width = 34 + LETTER * len(label)
-        if width > left:
-            rows.append([])
-            left = ACROSS
-        rows[-1].append((what, label))
-        left -= width
-    return rows
+def _shown(panel: Panel, across: tuple[float, float], top: int) -> dict[str, Any]:
+    """What the template draws of a panel. across: the range of x."""
+    levels = (Line(np.array(across), np.full(2, level), label, "limit") for level, label in panel.levels)
+    lines = [*panel.lines, *levels]
+    low, high = _y_range(panel, lines)
+    legend = list(_legend(panel, lines, top))
+    ticks = ticks_of(low, high, min(TICKS_Y, panel.height // HOLDS + 1)) if panel.ticks else []
+
+    def x(value: float) -> float:
+        return (value - across[0]) / (across[1] - across[0])
+
+    def place(x: FloatArray, y: FloatArray) -> tuple[list[int], list[int]]:
+        right, up = (x - across[0]) / (across[1] - across[0]), (high - _y(panel, y)) / (high - low)
+        return np.rint(UNITS * right).astype(int).tolist(), np.rint(HIGH * np.clip(up, -1.0, 2.0)).astype(int).tolist()
+
+    def path(line: Line) -> str:
+        return _PATHS[line.shape]([place(line.x[a:b], line.y[a:b]) for a, b in spans(np.isfinite(line.y))])
+
+    return {
+        "label": panel.label,
+        "height": panel.height,
+        "legend": legend,
+        "top": max(y for _, _, y, _ in legend) + ROW - 8,
+        "range": f"{low:.6g} {high:.6g}",
+        "ticks": [
+            ((high - at) / (high - low), f"{10**at if panel.log else at:g}")
+            for at in ticks
+            if not panel.log or at == round(at)
+        ],
+        "bands": [
+            (look, round(UNITS * x(begin)), max(round(UNITS * (x(end) - x(begin))), UNITS // 300))
+            for begin, end, look in panel.bands
+        ],
+        "healthy": None if panel.healthy is None else round(HIGH * (high - panel.healthy) / (high - low)),
+        "paths": [(line, path(line)) for line in lines],
+        "marks": [(x(at), label) for at, label in panel.marks],
+    }
 
 
-def _legend(panel: Panel, top: int) -> Iterator[str]:
-    for number, row in enumerate(_rows(panel)):
-        x, y = 0.0, top + ROW * number + 12
-        for what, label in row:
-            if what:
-                swatch = "M{0} {1}h18" if "dots" not in what else "M{0} {1}h0"
-                swatch = swatch if "area" not in what else "M{0} {2}h18v9h-18z"
-                yield f'<path class="{what}" d="{swatch.format(round(x + 4), y - 4, y - 9)}"/>'
-                x += 26
-            bold = panel.ticks and not what
-            yield f'<text class="{"name" if bold else "of"}" x="{x:.0f}" y="{y}">{escape(label)}</text>'
-            x += (BOLD if bold else LETTER) * len(label) + 10
+def _legend(panel: Panel, lines: Sequence[Line], top: int) -> Iterator[tuple[str, int, int, str]]:
+    """The label of a panel and what its lines are: class, place [px] and text of each, in rows that a phone holds."""
+    first = wrap(panel.label, int((ACROSS if panel.ticks else ACROSS + EDGE) / LETTER))
+    x, y = 0.0 if panel.ticks else -EDGE, top - ROW + 12
+    for text in first:
+        y += ROW
+        yield "name" if panel.ticks else "of", round(x), y, text
+    x += BOLD * len(first[-1]) + 10
+    named = [(f"{line.shape} {line.look}", line.label) for line in lines if line.label]
+    for what, label in [*named, *([("area healthy", "usual in health")] if panel.healthy else [])]:
+        if x + 26 + LETTER * len(label) > ACROSS:
+            x, y = 0.0, y + ROW
+        yield what, round(x + 4), y, ""
+        yield "of", round(x + 26), y, label
+        x += 36 + LETTER * len(label)
 
 
-def _axes(panel: Panel, places: Sequence[tuple[float, str]], top: int) -> Iterator[str]:
-    yield f'<rect class="frame" y="{top}" width="100%" height="{panel.height}"/>'
-    low, high = y_range(panel)
-    if panel.ticks:
-        ticks = ticks_of(low, high, min(TICKS_Y, panel.height // HOLDS + 1))
-        for at in [at for at in ticks if at == round(at)] if panel.log else ticks:
-            y, text = top + panel.height * (high - at) / (high - low), f"{10**at:g}" if panel.log else f"{at:g}"
-            yield f'<line class="grid" x2="100%" y1="{y:.1f}" y2="{y:.1f}"/>'
-            yield f'<text class="y" x="-6" y="{y + 4:.1f}">{text}</text>'
-    for at, _ in places:
-        yield f'<line class="grid" x1="{at:.4g}%" x2="{at:.4g}%" y1="{top}" y2="{top + panel.height}"/>'
-
-
-def y_range(panel: Panel) -> tuple[float, float]:
-    """The range of the y axis: what is told, or what the lines and levels need."""
-    if not panel.ticks and None not in panel.y:
-        return panel.y  # type: ignore[return-value]
-    values = [_y(panel, line.y) for line in panel.lines]
-    values.append(np.array([level for level, _ in panel.levels] + [panel.healthy or 0.0] * (panel.healthy is not None)))
-    known = np.concatenate([value[np.isfinite(value)] for value in values])
+def _y_range(panel: Panel, lines: Sequence[Line]) -> tuple[float, float]:
+    """The range of the y axis: what is told, or what the lines need."""
+    values = np.concatenate([np.full(1, np.nan if panel.healthy is None else panel.healthy), *(one.y for one in lines)])
+    known = _y(panel, values[np.isfinite(values)])
     least, most = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
-    room = 0.05 * (most - least or abs(most) or 1.0)
-    low, high = panel.y
+    room, (low, high) = 0.05 * (most - least or abs(most) or 1.0), panel.y
     return least - room if low is None else low, most + room if high is None else high
 
 
 def _y(panel: Panel, y: FloatArray) -> FloatArray:
     return np.log10(np.maximum(y, 1e-12)) if panel.log else y
-
-
-def _plot(panel: Panel, x: tuple[float, float], top: int) -> str:
-    (x0, x1), (y0, y1) = x, y_range(panel)
-
-    def across(values: FloatArray | float) -> IntArray:
-        return np.rint(UNITS * (np.atleast_1d(values) - x0) / (x1 - x0)).astype(np.int64)
-
-    def up(values: FloatArray | float) -> IntArray:
-        return np.rint(HIGH * np.clip((y1 - np.atleast_1d(values)) / (y1 - y0), -1.0, 2.0)).astype(np.int64)
-
-    parts = list[str]()
-    for begin, end, look in panel.bands:
-        at, to = across(np.array([begin, end])).tolist()
-        parts.append(f'<rect class="band {look}" x="{at}" width="{max(to - at, UNITS // 300)}" height="{HIGH}"/>')
-    if panel.healthy is not None:
-        parts.append(f'<rect class="healthy" y="{up(panel.healthy)[0]}" width="{UNITS}" height="{HIGH}"/>')
-    for line in panel.lines:
-        known = np.isfinite(line.y)
-        segments = [
-            (across(line.x[first:stop]).tolist(), up(_y(panel, line.y[first:stop])).tolist())
-            for first, stop in spans(known)
-        ]
-        path, label = _PATHS[line.shape](segments), escape(line.label)
-        parts.append(f'<path class="{line.shape} {line.look}" data-label="{label}" d="{path}"/>')
-    for level, label in panel.levels:
-        parts.append(f'<path class="line limit" data-label="{escape(label)}" d="M0 {up(level)[0]}l{UNITS} 0"/>')
-    parts += [f'<path class="mark" d="M{across(at)[0]} 0V{HIGH}"/>' for at, _ in panel.marks]
-    told = f'data-x="{x0:.9g} {x1:.9g}" data-y="{y0:.6g} {y1:.6g}" data-label="{escape(panel.label)}"'
-    box = f'y="{top}" width="100%" height="{panel.height}" viewBox="0 0 {UNITS} {HIGH}" preserveAspectRatio="none"'
-    texts = [
-        f'<text class="mark" x="{100 * (at - x0) / (x1 - x0):.4g}%" y="{top + 13}">{escape(label)}</text>'
-        for at, label in panel.marks
-    ]
-    return f'<svg class="plot" {box} {told}>{"".join(parts)}</svg>{"".join(texts)}'
 
 
 Segments = Sequence[tuple[list[int], list[int]]]

@@ -5,7 +5,7 @@ One quantity has one scale on a page: what `scaled` gives. captions.toml has tit
 
 import math
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cache
 from itertools import pairwise
 
@@ -89,7 +89,7 @@ def timeline(judged: JudgedFlight, sketch: Sketch) -> Chart:
         alarms.setdefault(" ".join(filter(None, (name_of(one.event.monitor), one.event.axis))), []).append(
             (one.t_s - begin_s, until_s)
         )
-    lanes += [_lane(f"Alarm of {name}", held, "alarm") for name, held in list(alarms.items())[:LANES]]
+    lanes += [_lane(f"Alarm, {name}", held, "alarm") for name, held in list(alarms.items())[:LANES]]
     if not lanes:
         raise NotDrawn("nothing of this flight was judged")
     left = f"Alarms of {len(alarms) - LANES} further monitors have no lane." if len(alarms) > LANES else ""
@@ -114,10 +114,14 @@ def unjudged(judged: JudgedFlight, sketch: Sketch) -> list[tuple[float, float]]:
 
 
 def _lane(words: str, held: Sequence[tuple[float, float]], look: str) -> Panel:
-    first, last = min(begin for begin, _ in held), max(end for _, end in held)
-    many = f", {len(held)} times" if len(held) > 1 else ""
-    bands = [(begin, end, look) for begin, end in held]
-    return Panel(f"{words}{many}: {first:.1f} to {last:.1f} s", bands=bands, y=(0, 1), height=10, ticks=False)
+    bands = list[tuple[float, float, str]]()
+    for begin, end in sorted(held):
+        touches = bands and begin <= bands[-1][1]
+        bands[-1:] = [(bands[-1][0], max(end, bands[-1][1]), look)] if touches else [*bands[-1:], (begin, end, look)]
+    many = f", {len(bands)} times" if len(bands) > 1 else ""
+    return Panel(
+        f"{words}: {bands[0][0]:.1f} to {bands[-1][1]:.1f} s{many}", bands=bands, y=(0, 1), height=10, ticks=False
+    )
 
 
 def _end(sketch: Sketch, end_ns: int | None) -> float:
@@ -174,7 +178,7 @@ def monitor_picture(name: str, sketch: Sketch, baseline: Baseline) -> Picture | 
         told.append(f"{label}: highest {most:.3g}, threshold {limit:.3g}, in health usually up to {healthy:.3g}")
     words = f"{'; '.join(told)}."
     chart = Chart(panels, sketch.span, words, words[:1].upper() + words[1:])
-    return drawn(f"monitor:{name}", chart, name=f"{name_of(name)}: {OBSERVES.get(name, '')}")
+    return drawn("monitor", chart, f"{name_of(name)}: {OBSERVES.get(name, '')}")
 
 
 @picture("evidence")
@@ -195,18 +199,17 @@ def evidence_picture(sketch: Sketch) -> Chart:
     return Chart(panels, sketch.span, f"Highest share of the threshold: {', '.join(told)}.", kind="follow")
 
 
-def airframe_drawing(layout: RotorLayout, sketch: Sketch, since_s: float | None, rotor: int | None) -> str:
-    """The airframe with each rotor's mean rise, since a time of the flight [s] if told. rotor: that is named."""
+def airframe_drawing(layout: RotorLayout, sketch: Sketch, since_s: float | None, named: Collection[int]) -> str:
+    """The airframe with each rotor's mean rise, since a time of the flight [s] if told. named: rotors to be filled."""
     labels, rises = dict[int, str](), told_rises(sketch)
     if rises is not None:
         late = [one.mean(None if since_s is None else since_s + SETTLED_S) for one in rises.rotors]
         means = late if np.isfinite(late).any() else [one.mean() for one in rises.rotors]
         labels = {number: f"{100 * mean:+.1f} %" for number, mean in enumerate(means, start=1) if np.isfinite(mean)}
     marks = {number: RotorMark(label=labels.get(number, "")) for number in range(1, layout.rotors + 1)}
-    if rotor in marks:
-        marks[rotor] = RotorMark(Colour.FAULT, labels.get(rotor, ""), "fault")
-    named = "no rotor is named" if rotor is None else f"rotor {rotor} is named"
-    return airframe_svg(layout, marks, title=f"Airframe from above, the nose up: {named}")
+    marks |= {one: RotorMark(Colour.FAULT, labels.get(one, ""), "fault") for one in named if one in marks}
+    told = f"named: {', '.join(map(str, named))}" if named else "no rotor is named"
+    return airframe_svg(layout, marks, title=f"Airframe from above, the nose up: {told}")
 
 
 def told_rises(sketch: Sketch) -> SlotSketch | None:
@@ -258,7 +261,7 @@ def residual_picture(sketch: Sketch) -> Chart:
     for rate in _judged(sketch):
         margin, runs = rate.margin_rad_s, longest_by_column(rate.runs, MOST_RUNS)
         bands = [(begin, end, "alarm") for begin, end, fsd_s, _ in runs.T.tolist() if fsd_s > rate.fml_s]
-        levels = [(margin, f"margin ±{margin:.3f}"), (-margin, "")]
+        levels = [(margin, f"margin ±{margin:.3g}"), (-margin, "")]
         line = rate.residual.line("where judged")
         panels.append(Panel(f"{rate.axis} residual [rad/s]", [line], levels, bands=bands, height=150))
         share = 100 * rate.outside / rate.judged

@@ -117,8 +117,8 @@ class Sketch:
         for number, trace in enumerate(slot_traces(chain, (piece,))):
             found = trace.found
             if number not in self.slots:
-                many = range(3 + found.rotors.shape[1])
-                value, squares, *rotors = (Thinned(self.span, self.columns) for _ in many[1:])
+                many = range(2 + trace.slot.monitor.rotors)
+                value, squares, *rotors = (Thinned(self.span, self.columns) for _ in many)
                 self.slots[number] = SlotSketch(trace.slot, value, squares, tuple(rotors))
             sketch, t_s = self.slots[number], (found.t_ns[found.valid] - self.begin_ns) / NS_PER_S
             sketch.value.add(t_s, found.value[found.valid])

@@ -93,7 +93,7 @@ def test_times_are_of_the_flight_and_utc_where_it_is_known() -> None:
     log = replace(logged(flying(3000, 7, weak_rotor=2, rise=0.5)), started_ns=1_700_000_000 * 10**9)
     report = report_of(log, whole(), figures=False)
     said = check(flights_page([report], whole(), "baseline.json", CREATED)).said
-    assert "flown 2023-11-14 22:13:20 UTC" in said
+    assert "Flown 2023-11-14 22:13:20 UTC" in said
     since_s = (report.verdict.since_s or 0.0) - report.begin_s
     assert f"{since_s:.1f} s of the flight, {report.utc(since_s)}" in said
     assert report.utc(40.0) == "22:14:00 UTC"

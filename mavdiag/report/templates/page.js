@@ -99,7 +99,7 @@
     place.setAttribute("aria-hidden", "true"); // the drawing, its words and the caption say the same
     const plots = [...svg.querySelectorAll(".plot")];
     const made = plots.map((plot, number) => {
-      const paths = [...plot.querySelectorAll("path:not(.mark)")], x = numbers(plot.dataset.x), y = numbers(plot.dataset.y);
+      const paths = [...plot.querySelectorAll("path")], x = numbers(plot.dataset.x), y = numbers(plot.dataset.y);
       const data = uPlot.join([...paths.map((path) => points(path, x, y)), [x, [null, null]]]).slice(0, -1);
       return new uPlot(options(plot, paths, key, figure.clientWidth, number === plots.length - 1, (u) => zoomed(group, u)), data, place);
     });
