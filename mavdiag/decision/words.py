@@ -181,7 +181,10 @@ def advice(verdict: "LogVerdict") -> str:
     inspect = (
         "Look at the propellers" if verdict.rotor is None else f"Inspect motor {verdict.rotor} before the next flight"
     )
-    first = f"the propeller of {_rotors(verdict)} first, then the others" if verdict.rotor else "the propellers"
+    several = "s" * (len(rotors_of(verdict)) > 1)
+    first = (
+        f"the propeller{several} of {_rotors(verdict)} first, then the others" if verdict.rotor else "the propellers"
+    )
     what = verdict.verdict.value
     if what == "fault" and verdict.kind not in (None, FaultKind.PROPELLER):
         what = "sensor" if verdict.kind is FaultKind.SENSOR else "loss"

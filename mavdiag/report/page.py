@@ -92,7 +92,7 @@ def flight_report(log: Log, baseline: Baseline, columns: int = COLUMNS, *, figur
         log.started_ns,
         sketch.begin_ns / NS_PER_S,
         tuple(summary(series) for series in log.telemetry.series if len(series)),
-        "" if layout is None else pictures.airframe_drawing(layout, sketch, since_s, words.rotors_of(verdict)),
+        "" if layout is None else pictures.airframe_drawing(layout, sketch, words.rotors_of(verdict)),
         pictures.told_rises(sketch) is not None,
         () if layout is None else tuple(where(place) for place in rotor_places(layout)),
         tuple(pictures.unjudged(judged, sketch)),

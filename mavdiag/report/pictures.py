@@ -45,7 +45,6 @@ WINDOWS_S = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 LEAST = 5  # samples: the shortest window of a parabola that smooths
 LEAST_S = 0.5  # of a stretch that was not judged, for a page to name it (our choice)
 JOINED_S = 1.0  # between two values of one judged stretch (our choice)
-SETTLED_S = 5.0  # after a fault, until means of 5 s show nothing else
 SHARES = ("fraction of ", "share of ")
 
 
@@ -199,15 +198,12 @@ def evidence_picture(sketch: Sketch) -> Chart:
     return Chart(panels, sketch.span, f"Highest share of the threshold: {', '.join(told)}.", kind="follow")
 
 
-def airframe_drawing(layout: RotorLayout, sketch: Sketch, since_s: float | None, named: Collection[int]) -> str:
-    """The airframe with each rotor's mean rise, since a time of the flight [s] if told. named: rotors to be filled."""
-    labels, rises = dict[int, str](), told_rises(sketch)
-    if rises is not None:
-        late = [one.mean(None if since_s is None else since_s + SETTLED_S) for one in rises.rotors]
-        means = late if np.isfinite(late).any() else [one.mean() for one in rises.rotors]
-        labels = {number: f"{100 * mean:+.1f} %" for number, mean in enumerate(means, start=1) if np.isfinite(mean)}
-    marks = {number: RotorMark(label=labels.get(number, "")) for number in range(1, layout.rotors + 1)}
-    marks |= {one: RotorMark(Colour.FAULT, labels.get(one, ""), "fault") for one in named if one in marks}
+def airframe_drawing(layout: RotorLayout, sketch: Sketch, named: Collection[int]) -> str:
+    """The airframe with the highest rise of each rotor. named: rotors to be filled."""
+    marks, rises = dict[int, RotorMark](), told_rises(sketch)
+    for number in range(1, layout.rotors + 1):
+        label = "" if rises is None else f"{100 * float(np.nanmax(rises.rotors[number - 1].high)):+.1f} %"
+        marks[number] = RotorMark(*((Colour.FAULT, label, "fault") if number in named else (None, label)))
     told = f"named: {', '.join(map(str, named))}" if named else "no rotor is named"
     return airframe_svg(layout, marks, title=f"Airframe from above, the nose up: {told}")
 
