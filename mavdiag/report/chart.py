@@ -205,7 +205,7 @@ def ticks_of(low: float, high: float, most: int) -> list[float]:
     """Round numbers within a range: two or more, and at most so many and one where that is possible.
 
     >>> ticks_of(0.0, 41.0, 5), ticks_of(-0.13, 0.12, 4)
-    ([0.0, 10.0, 20.0, 30.0, 40.0], [-0.1, 0.0, 0.1])
+    ([0.0, 10.0, 20.0, 30.0, 40.0], [-0.1, -0.05, 0.0, 0.05, 0.1])
     """
     width = (high - low) / most
     power = 10.0 ** math.floor(math.log10(width))
@@ -225,16 +225,9 @@ def svg_of(chart: Chart, title: str) -> str:
     for panel in chart.panels:
         panels.append(_shown(panel, chart.x, top))
         top = panels[-1]["top"] + panel.height + GAP
-    return template("chart.svg").render(
-        chart=chart,
-        title=title,
-        height=top + 32,
-        panels=panels,
-        ticks=[((at - low) / (high - low), text) for at, text in ticks],
-        range=f"{low:.9g} {high:.9g}",
-        units=UNITS,
-        high=HIGH,
-    )
+    told = {"range": f"{low:.9g} {high:.9g}", "ticks": [((at - low) / (high - low), text) for at, text in ticks]}
+    sizes = {"height": top + 32, "units": UNITS, "high": HIGH}
+    return template("chart.svg").render(chart=chart, title=title, panels=panels, **sizes, **told)
 
 
 @cache
@@ -265,37 +258,28 @@ def _shown(panel: Panel, across: tuple[float, float], top: int) -> dict[str, Any
     levels = (Line(np.array(across), np.full(2, level), label, "limit") for level, label in panel.levels)
     lines = [*panel.lines, *levels]
     low, high = _y_range(panel, lines)
-    legend = list(_legend(panel, lines, top))
+    legend, wide, tall = list(_legend(panel, lines, top)), across[1] - across[0], high - low
     ticks = ticks_of(low, high, min(TICKS_Y, panel.height // HOLDS + 1)) if panel.ticks else []
-
-    def x(value: float) -> float:
-        return (value - across[0]) / (across[1] - across[0])
-
-    def place(x: FloatArray, y: FloatArray) -> tuple[list[int], list[int]]:
-        right, up = (x - across[0]) / (across[1] - across[0]), (high - _y(panel, y)) / (high - low)
-        return np.rint(UNITS * right).astype(int).tolist(), np.rint(HIGH * np.clip(up, -1.0, 2.0)).astype(int).tolist()
+    ticks = [at for at in ticks if at == round(at)] if panel.log else ticks
 
     def path(line: Line) -> str:
-        return _PATHS[line.shape]([place(line.x[a:b], line.y[a:b]) for a, b in spans(np.isfinite(line.y))])
+        right = np.rint(UNITS * (line.x - across[0]) / wide)
+        down = np.rint(HIGH * np.clip((high - _y(panel, line.y)) / tall, -1.0, 2.0))
+        parts = ([of[a:b].astype(int).tolist() for of in (right, down)] for a, b in spans(np.isfinite(line.y)))
+        return "".join(_PATHS[line.shape](x, y) for x, y in parts)
 
+    bands = ((look, UNITS * (a - across[0]) / wide, UNITS * (b - a) / wide) for a, b, look in panel.bands)
     return {
         "label": panel.label,
         "height": panel.height,
         "legend": legend,
         "top": max(y for _, _, y, _ in legend) + ROW - 8,
         "range": f"{low:.6g} {high:.6g}",
-        "ticks": [
-            ((high - at) / (high - low), f"{10**at if panel.log else at:g}")
-            for at in ticks
-            if not panel.log or at == round(at)
-        ],
-        "bands": [
-            (look, round(UNITS * x(begin)), max(round(UNITS * (x(end) - x(begin))), UNITS // 300))
-            for begin, end, look in panel.bands
-        ],
-        "healthy": None if panel.healthy is None else round(HIGH * (high - panel.healthy) / (high - low)),
+        "ticks": [((high - at) / tall, f"{10**at if panel.log else at:g}") for at in ticks],
+        "bands": [(look, round(x), max(round(width), UNITS // 300)) for look, x, width in bands],
+        "healthy": None if panel.healthy is None else round(HIGH * (high - panel.healthy) / tall),
         "paths": [(line, path(line)) for line in lines],
-        "marks": [(x(at), label) for at, label in panel.marks],
+        "marks": [((at - across[0]) / wide, label) for at, label in panel.marks],
     }
 
 
@@ -329,9 +313,6 @@ def _y(panel: Panel, y: FloatArray) -> FloatArray:
     return np.log10(np.maximum(y, 1e-12)) if panel.log else y
 
 
-Segments = Sequence[tuple[list[int], list[int]]]
-
-
 def _steps(x: list[int], y: list[int]) -> str:
     """From the first point to the others, each from the one before."""
     pairs = zip(x, x[1:], y, y[1:], strict=False)
@@ -339,10 +320,10 @@ def _steps(x: list[int], y: list[int]) -> str:
     return f"l{told}".replace(" -", "-")
 
 
-#: Each shape as the commands of a path.
-_PATHS: Mapping[str, Callable[[Segments], str]] = {
-    "line": lambda parts: "".join(f"M{x[0]} {y[0]}{_steps(x, y)}" for x, y in parts),
-    "area": lambda parts: "".join(f"M{x[0]} {HIGH}V{y[0]}{_steps(x, y)}V{HIGH}z" for x, y in parts),
-    "bars": lambda parts: "".join(f"M{a} {HIGH}V{b}" for x, y in parts for a, b in zip(x, y, strict=True)),
-    "dots": lambda parts: "".join(f"M{a} {b}h0" for x, y in parts for a, b in zip(x, y, strict=True)),
+#: Each shape as the commands of a path, of one stretch without a gap.
+_PATHS: Mapping[str, Callable[[list[int], list[int]], str]] = {
+    "line": lambda x, y: f"M{x[0]} {y[0]}{_steps(x, y)}",
+    "area": lambda x, y: f"M{x[0]} {HIGH}V{y[0]}{_steps(x, y)}V{HIGH}z",
+    "bars": lambda x, y: "".join(f"M{a} {HIGH}V{b}" for a, b in zip(x, y, strict=True)),
+    "dots": lambda x, y: "".join(f"M{a} {b}h0" for a, b in zip(x, y, strict=True)),
 }

@@ -36,7 +36,12 @@ CLASSIFIER = "qdrone2-emulated"  # the airframes that the classes hold for
 MOST_POINTS = 200  # of the plane (our choice)
 MOST_RUNS = 800  # in a line of FSD (our choice)
 RISE = "fraction of hover"  # unit of the monitors that tell by how much each rotor is commanded more
-LANES = 12  # alarms that are shown in a lane of their own (our choice)
+LANES = 20  # of what was found, and when (our choice)
+STAGES = {Stage.SUSPECTED: ("Suspected", "suspected"), Stage.FAULT: ("Fault declared", "fault")}
+FLIGHT = (
+    (Signal.HEIGHT, "height [m]", "above the take-off", 1.0),
+    (Signal.THRUST_SETPOINT, "throttle [%]", "commanded", 100.0),
+)
 EXCESS = "highest residual above the margin [rad/s]"
 NAMES = dict(zip(FaultType, ("F1 edge cut", "F2 crack", "F3 surface unbalance"), strict=True))
 LOOKS = tuple(f"l{number}" for number in range(1, 9))  # lines of equal rank
@@ -66,33 +71,33 @@ def name_of(monitor: str) -> str:
 @picture("timeline")
 def timeline(judged: JudgedFlight, sketch: Sketch) -> Chart:
     """What was judged, suspected and declared, every rotor that was named, and every alarm: a lane for each."""
-    verdict, begin_s, end_s = judged.verdict, sketch.begin_ns / NS_PER_S, sketch.span[1]
-    if judged.chain is None:
-        raise NotDrawn("this flight could not be judged: the verdict says why")
-    own = [("Judged", _judged_spans(sketch), "quiet"), ("Flown and not judged", unjudged(judged, sketch), "open")]
-    lanes = [_lane(words, held, look) for words, held, look in own if held]
-    ends = [*(change.t_ns for change in verdict.changes[1:]), sketch.begin_ns + round(end_s * NS_PER_S)]
-    for stage, words, look in ((Stage.SUSPECTED, "Suspected", "suspected"), (Stage.FAULT, "Fault declared", "fault")):
-        held = [
-            (sketch.s(one.t_ns), sketch.s(end))
-            for one, end in zip(verdict.changes, ends, strict=False)
-            if one.stage is stage
-        ]
-        lanes += [_lane(words, held, look)] if held else []
-    for rotor in dict.fromkeys(span.rotor for span in verdict.rotors):
-        named = [(sketch.s(one.since_ns), _end(sketch, one.end_ns)) for one in verdict.rotors if one.rotor == rotor]
-        lanes.append(_lane(f"Rotor {rotor} named", named, "fault"))
-    alarms: dict[str, list[tuple[float, float]]] = {}
-    for one in verdict.events:
-        until_s = end_s if one.end_s is None else one.end_s - begin_s
-        alarms.setdefault(" ".join(filter(None, (name_of(one.event.monitor), one.event.axis))), []).append(
-            (one.t_s - begin_s, until_s)
-        )
-    lanes += [_lane(f"Alarm, {name}", held, "alarm") for name, held in list(alarms.items())[:LANES]]
-    if not lanes:
+    held: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for words, look, begin_s, end_s in _held(judged, sketch):
+        held.setdefault((words, look), []).append((begin_s, end_s))
+    if not held:
         raise NotDrawn("nothing of this flight was judged")
-    left = f"Alarms of {len(alarms) - LANES} further monitors have no lane." if len(alarms) > LANES else ""
-    return Chart(lanes, sketch.span, ". ".join(lane.label for lane in lanes), left, kind="follow")
+    lanes = [_lane(*what, spans) for what, spans in held.items()]
+    left = f"{len(lanes) - LANES} further lanes are not shown." if len(lanes) > LANES else ""
+    return Chart(lanes[:LANES], sketch.span, ". ".join(lane.label for lane in lanes), left, kind="follow")
+
+
+def _held(judged: JudgedFlight, sketch: Sketch) -> Iterator[tuple[str, str, float, float]]:
+    """What held when: its words, its look, begin and end [s]."""
+    verdict = judged.verdict
+
+    def ends(t_ns: int | None) -> float:
+        return sketch.span[1] if t_ns is None else sketch.s(t_ns)
+
+    yield from (("Judged", "quiet", *span) for span in _judged_spans(sketch))
+    yield from (("Flown and not judged", "open", *span) for span in unjudged(judged, sketch))
+    for change, after_ns in zip(verdict.changes, [*(one.t_ns for one in verdict.changes[1:]), None], strict=False):
+        if change.stage in STAGES:
+            yield *STAGES[change.stage], sketch.s(change.t_ns), ends(after_ns)
+    for span in verdict.rotors:
+        yield f"Rotor {span.rotor} named", "fault", sketch.s(span.since_ns), ends(span.end_ns)
+    for event in (one.event for one in verdict.events):
+        name = " ".join(filter(None, (name_of(event.monitor), event.axis)))
+        yield f"Alarm, {name}", "alarm", sketch.s(event.start_ns), ends(event.end_ns)
 
 
 def _judged_spans(sketch: Sketch) -> list[tuple[float, float]]:
@@ -112,32 +117,25 @@ def unjudged(judged: JudgedFlight, sketch: Sketch) -> list[tuple[float, float]]:
     return [span for span in found if span[1] - span[0] >= LEAST_S]
 
 
-def _lane(words: str, held: Sequence[tuple[float, float]], look: str) -> Panel:
+def _lane(words: str, look: str, held: Sequence[tuple[float, float]]) -> Panel:
     bands = list[tuple[float, float, str]]()
     for begin, end in sorted(held):
-        touches = bands and begin <= bands[-1][1]
-        bands[-1:] = [(bands[-1][0], max(end, bands[-1][1]), look)] if touches else [*bands[-1:], (begin, end, look)]
-    many = f", {len(bands)} times" if len(bands) > 1 else ""
-    return Panel(
-        f"{words}: {bands[0][0]:.1f} to {bands[-1][1]:.1f} s{many}", bands=bands, y=(0, 1), height=10, ticks=False
-    )
-
-
-def _end(sketch: Sketch, end_ns: int | None) -> float:
-    return sketch.span[1] if end_ns is None else sketch.s(end_ns)
+        if bands and begin <= bands[-1][1]:  # they touch
+            begin, end = bands[-1][0], max(end, bands.pop()[1])
+        bands.append((begin, end, look))
+    label = f"{words}: {bands[0][0]:.1f} to {bands[-1][1]:.1f} s" + f", {len(bands)} times" * (len(bands) > 1)
+    return Panel(label, bands=bands, y=(0, 1), height=10, ticks=False)
 
 
 @picture("flight")
 def flight_picture(telemetry: Telemetry, sketch: Sketch) -> Chart:
     """Height and throttle: the climb, the flight and the landing."""
     panels, told = [], []
-    height, throttle = telemetry.get(Signal.HEIGHT), telemetry.get(Signal.THRUST_SETPOINT)
-    if height is not None and np.isfinite(height.values).any():
-        panels.append(Panel("height [m]", [sketch.series(height, 0).line("above the take-off")], height=80))
-        told.append(f"height from {np.nanmin(height.values):.1f} to {np.nanmax(height.values):.1f} m")
-    if throttle is not None and np.isfinite(throttle.values).any():
-        panels.append(Panel("throttle [%]", [sketch.series(throttle, 0).line("commanded", factor=100)], height=80))
-        told.append(f"throttle up to {100 * np.nanmax(throttle.values):.0f} %")
+    for signal, label, name, factor in FLIGHT:
+        series = telemetry.get(signal)
+        if series is not None and np.isfinite(series.values).any():
+            panels.append(Panel(label, [sketch.series(series, 0).line(name, factor=factor)], height=80))
+            told.append(f"{label} up to {factor * np.nanmax(series.values):.1f}")
     if not panels:
         raise NotDrawn("the log carries neither height nor throttle")
     return Chart(panels, sketch.span, f"{'; '.join(told)}.")
