@@ -54,7 +54,7 @@
       title: plot.dataset.label,
       width, height: +plot.getAttribute("height") + (last ? 46 : 26), padding: [6, 8, 0, 0],
       scales: { x: { time: false, range: (u, low, high) => low == null ? x : [Math.max(low, x[0]), Math.min(high, x[1])] }, y: { range: () => y } },
-      axes: [{ ...axis, label: last ? plot.ownerSVGElement.dataset.name : null, labelSize: 18, labelFont: "12px system-ui, sans-serif", size: 24 }, { ...axis, size: LEFT }],
+      axes: [{ ...axis, label: last ? plot.ownerSVGElement.dataset.name : null, labelSize: 18, labelFont: "12px system-ui, sans-serif", size: 24 }, { ...axis, size: LEFT, space: 24 }],
       cursor: { sync: { key }, drag: { x: true, y: false }, points: { size: 6 } },
       hooks: { drawClear: [behind], setScale: [(u, name) => name === "x" && zoomed(u)] },
       series: [{ label: "time", value: shown }, ...paths.map((path) => {
