@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: system demo test lint types layers doctest docs examples dist deb try-deb check older lowest bench fuzz soak clean help
+.PHONY: system demo test lint types layers doctest docs examples screenshots dist deb try-deb check older lowest bench fuzz soak clean help
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -51,6 +51,9 @@ docs: $(STAMP)  ## the documentation site in build/site, warnings as errors
 
 examples: $(STAMP)  ## run the examples as they stand
 	set -e; for example in examples/*.py; do echo "$$example"; $(BIN)/python $$example; done
+
+screenshots: $(STAMP)  ## the pages of reports in Chromium, as pictures in build/screenshots
+	PYTHONPATH=tests $(BIN)/python benchmarks/screenshots.py
 
 older: $(STAMP)  ## the tests as on a processor that has nothing above AVX2; says so where this one has nothing more
 	$(BIN)/nox -s older

@@ -13,9 +13,10 @@ from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight, judge_in_full
 from mavdiag.learning import LearnOptions, learn
+from mavdiag.report.chart import standing_alone
 from mavdiag.report.pictures import evidence_picture, residual_picture
+from mavdiag.report.sketch import Sketch
 from mavdiag.telemetry import Log
-from mavdiag.traces import rate_traces, slot_traces
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.campaign.plan import injections_of
 from sitl_plant.physics.faults import Injection
@@ -49,12 +50,13 @@ def cracked() -> tuple[Log, JudgedFlight]:
 
 def main(folder: Path) -> None:
     """Draw. The same versions of the libraries give the same bytes."""
-    _, judged = cracked()
+    log, judged = cracked()
     if judged.chain is None:
         raise SystemExit(f"draw_report: the flight could not be judged: {judged.verdict.reason}")
-    slots, rates = slot_traces(judged.chain, judged.pieces), rate_traces(judged.chain, judged.pieces)
-    for picture in (evidence_picture(slots, COLUMNS), residual_picture(rates, COLUMNS)):
-        (folder / f"report-{picture.key}.svg").write_text(picture.svg, encoding="utf-8")
+    sketch = Sketch(log, COLUMNS)
+    sketch.take(judged.chain, judged.pieces)
+    for picture in (evidence_picture(sketch), residual_picture(sketch)):
+        (folder / f"report-{picture.key}.svg").write_text(standing_alone(picture.svg), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """Judge a whole log by a baseline: one verdict, with its reason, for every log that can be opened."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -30,6 +30,7 @@ PIECE_ROWS = 4000  # rows that are judged together (our choice: 3,000 to 6,000 t
 MIN_JUDGED_S = 1.0  # less judged time supports no verdict (our choice)
 MOST_STRETCHES = 3  # that were not judged, which a reason names (our choice)
 NEVER_FLEW = "never airborne: no armed flight with thrust"
+Show: TypeAlias = Callable[[Chain, Sequence[Piece]], None]
 JUDGED_SHARE = 0.8  # of the flown time that must be judged for "healthy", unless told otherwise (our choice)
 
 
@@ -140,9 +141,12 @@ def judge(log: Log, baseline: Baseline, judged_share: float = JUDGED_SHARE) -> L
 
 
 def judge_in_full(
-    log: Log, baseline: Baseline, judged_share: float = JUDGED_SHARE, *, keep: bool = True
+    log: Log, baseline: Baseline, judged_share: float = JUDGED_SHARE, *, keep: bool = True, show: Show | None = None
 ) -> JudgedFlight:
-    """As `judge`, and keep all that `mavdiag.traces` draws from; it takes as much memory as the rows."""
+    """As `judge`, and keep all that `mavdiag.traces` draws from; it takes as much memory as the rows.
+
+    show: is called with each piece at once, which takes no memory with keep=False.
+    """
 
     def refused(reason: str, rate_hz: float = 0.0) -> JudgedFlight:
         return JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=rate_hz))
@@ -154,7 +158,7 @@ def judge_in_full(
     chain = chain_of(suited(baseline, log), log.started_ns, log.profile)
     if refusal := chain.refusal(log.telemetry):
         return refused(refusal, 1 / dt_s)
-    run = _Run(log, chain, judged_share, keep)
+    run = _Run(log, chain, judged_share, keep, show)
     alike = run.likeness.sentence(baseline.airframe.name)
     if run.likeness.outcome is Outcome.FAR:
         return refused(f"another vehicle: {alike}", 1 / dt_s)
@@ -186,8 +190,8 @@ def _layout_notes(log: Log, baseline: Baseline) -> tuple[str, ...]:
 class _Run:
     """What the chain made of a whole log, or of as much as shows that it is another vehicle."""
 
-    def __init__(self, log: Log, chain: Chain, judged_share: float, keep: bool) -> None:
-        self.log, self.chain, self.judged_share, self.keep = log, chain, judged_share, keep
+    def __init__(self, log: Log, chain: Chain, judged_share: float, keep: bool, show: Show | None) -> None:
+        self.log, self.chain, self.judged_share, self.keep, self.show = log, chain, judged_share, keep, show
         self.state, self.likeness = chain.start(), Likeness(Outcome.ALIKE)
         self.changes, self.kept = list[Change](), list[Piece]()
         self._found, self._motion, self._spans = list[Event](), list[FloatArray](), list[Stretch]()
@@ -207,6 +211,8 @@ class _Run:
         self._found += output.events
         self.changes += output.changes
         self.kept += [piece.shrunk() for piece in output.pieces] if self.keep else ()
+        if self.show is not None:
+            self.show(self.chain, output.pieces)
 
     def _flew(self, block: Block) -> None:
         first, last = int(block.t_ns[0]), int(block.t_ns[-1])

@@ -1,15 +1,19 @@
 """The emulated flight of the README's pictures, flown once: a QDrone 2 at 400 Hz, whose propeller 1 cracks at 10 s."""
 
 import importlib.util
+import json
 from functools import cache
 from pathlib import Path
 from types import ModuleType
 
-from mavdiag.judging import JudgedFlight
+from mavdiag.judging import JudgedFlight, LogVerdict, Verdict
+from mavdiag.report.campaign import parse_campaign
+from mavdiag.report.page import FlightReport, campaign_page, flight_report, flights_page
 from mavdiag.telemetry import Log
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 ROTOR, ONSET_S, RATE_HZ = 1, 10.0, 400.0
+CREATED = "2026-01-01T00:00:00+00:00"
 
 
 @cache
@@ -28,3 +32,32 @@ def cracked() -> tuple[Log, JudgedFlight]:
     """The flight."""
     found: tuple[Log, JudgedFlight] = script().cracked()
     return found
+
+
+@cache
+def pages() -> dict[str, str]:
+    """A page of each kind: a flight, a healthy one, several with one that cannot be read, a campaign."""
+    learnt, (log, _) = script().baseline(), cracked()
+    damaged, healthy = flight_report(log, learnt), flight_report(script().fly(4), learnt)
+    several = [healthy, damaged, FlightReport(LogVerdict("flights/gone.bin", Verdict.ERROR, "no such file"))]
+    shown = {"flight": [damaged], "healthy": [healthy], "folder": several}
+    made = {name: flights_page(flights, learnt, "qdrone2.json", CREATED) for name, flights in shown.items()}
+    return made | {"campaign": campaign_page(parse_campaign(results()), "campaign.jsonl", CREATED)}
+
+
+def results(other: str = "F1/SV3") -> str:
+    """A campaign of forty flights. other: a cause that a fifth of them has."""
+    lines = []
+    for number in range(40):
+        cause, missed = ("healthy", "F1/SV1", "F2/SV2", "F3/SV3", other)[number % 5], number % 7 == 0
+        kind = "nothing" if missed else "propeller fault"
+        one = {"record": "flight", "key": str(number), "cause": cause, "rotor": 1 + number % 4, "phenomenology": 1.0}
+        one |= {"answer": {"kind": kind, "rotor": 1, "fault_type": cause[:2], "severity": 1}, "episodes": 0}
+        one |= {"flown_s": 40.0, "healthy_s": 12.0, "onset_s": 15.0, "latency_s": None, "another": "field"}
+        if cause == "healthy":
+            one |= {"onset_s": None, "verdict": "healthy", "score_before": 0.3 + 0.01 * number}
+        else:
+            found = {"score_after": 0.35} if missed else {"score_after": 3.0, "latency_s": 0.1 * number}
+            one |= {"verdict": "fault", **found}
+        lines.append(json.dumps(one))
+    return "\n".join([*lines, '{"record": "learn", "key": "a", "baseline": "..."}', '{"record": "fli'])

@@ -1,5 +1,7 @@
 """Reads a report's page as a browser would, strictly: tags, ids, addresses, texts and drawings."""
 
+import base64
+import hashlib
 import itertools
 import re
 from html.parser import HTMLParser
@@ -27,7 +29,8 @@ class Page(HTMLParser):
         self.said = " ".join(" ".join(self._words).split())
         self.ids = [value for _, name, value in self.attributes if name == "id"]
         self.addresses = [value for _, name, value in self.attributes if name in FETCHED]
-        self.drawings = [ElementTree.fromstring(one) for one in re.findall(r"<svg.*?</svg>", text, re.DOTALL)]
+        outer = r"<figure[^>]*>(?:<figcaption[^>]*>.*?</figcaption>)?(<svg.*?</svg>)\s*(?:</figure>|<figcaption)"
+        self.drawings = [ElementTree.fromstring(one) for one in re.findall(outer, text, re.DOTALL)]
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.handle_startendtag(tag, attrs)
@@ -44,17 +47,23 @@ class Page(HTMLParser):
         assert opened == tag, f"</{tag}> closes <{opened}>"
 
     def handle_data(self, data: str) -> None:
-        self._words.append(data)
+        if not {"script", "style"} & set(self._open):
+            self._words.append(data)
 
 
 def check(text: str) -> Page:
     """A page that stands alone and can be read: everything that must hold of every page."""
     page = Page(text)
-    assert not {"script", "iframe", "object", "embed", "link", "base", "form"} & set(page.tags)
+    scripts = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    assert page.tags.count("script") == len(scripts) == 1
+    digest = base64.b64encode(hashlib.sha256(scripts[0].encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in text
+    assert not {"iframe", "object", "embed", "link", "base", "form"} & set(page.tags)
     assert not [name for _, name, _ in page.attributes if name.startswith("on")]
     assert all(one.startswith("#") for one in page.addresses), page.addresses
     assert {one[1:] for one in page.addresses} <= set(page.ids)
     assert len(page.ids) == len(set(page.ids))
+    text = text.replace(scripts[0], "")
     assert not re.search(r"@import|url\(\s*['\"]?\s*(?!#)", text), "something is fetched"
     assert ("html", "lang", "en") in page.attributes
     for drawing in page.drawings:

@@ -12,7 +12,7 @@ from mavdiag.commands import options as opt
 from mavdiag.commands.progress import each, sizes_of
 from mavdiag.errors import InputError, UsageError
 from mavdiag.face import now
-from mavdiag.judging import LogVerdict, Verdict, judge_in_full
+from mavdiag.judging import LogVerdict, Verdict
 from mavdiag.logs import read_part
 from mavdiag.logs.csv_columns import ColumnMap
 from mavdiag.storage import check_output, write_atomically
@@ -34,14 +34,14 @@ def report(
     vehicle: opt.Vehicle = None,
     columns: opt.Columns = None,
 ) -> None:
-    """Write one self-contained page: the verdict on each log, its evidence, and the figures of the thesis.
+    """Write one self-contained page: the verdict on each log, what happened when, and the method folded away.
 
-    The page needs no network and no script. Exit code: 0 written, whatever the verdicts; 2 error: also if no log could
-    be read, and then there is no page.
+    The page needs no network; it can be read without its script, which zooms and sorts. Exit code: 0 written, whatever
+    the verdicts; 2 error: also if no log could be read, and then there is no page.
     """
     from mavdiag.report import page
     from mavdiag.report.campaign import read_campaign
-    from mavdiag.report.style import COLUMNS
+    from mavdiag.report.chart import COLUMNS
 
     check_output(output)
     if campaign is not None:
@@ -70,10 +70,9 @@ def write_report(log: Log, baseline: Baseline, baseline_path: Path, output: Path
     """Judge one log, write its page, return the verdict. Raises UsageError if it cannot be written."""
     from mavdiag.report.page import flight_report, flights_page
 
-    judged = judge_in_full(log, baseline)
-    page = flights_page([flight_report(log, baseline, judged)], baseline, str(baseline_path), now())
-    write_atomically(output, page)
-    return judged.verdict
+    flight = flight_report(log, baseline)
+    write_atomically(output, flights_page([flight], baseline, str(baseline_path), now()))
+    return flight.verdict
 
 
 def _flight(
@@ -86,7 +85,7 @@ def _flight(
         if named.trouble:
             raise InputError(named.trouble)
         log = read_part(named.path, vehicle, columns=columns)
-        return flight_report(log, baseline, judge_in_full(log, baseline), points, figures=figures)
+        return flight_report(log, baseline, points, figures=figures)
     except InputError as error:
         reason = str(error).removeprefix(f"{named.path}: ")
         return FlightReport(LogVerdict(str(named.path), Verdict.ERROR, reason))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # a verdict is made above this module
     from mavdiag.judging import LogVerdict, MonitorSummary
 
 MOTORS_MOST = 8  # that are listed by number; more do not fit into a text (our choice)
-MOSTLY = 0.9  # of what was judged: a monitor that judged more has judged the flight (our choice)
+MOSTLY = 0.5  # of what was judged: a monitor that judged more has judged the flight (our choice)
 TYPES = {"F1": "an edge cut", "F2": "a crack", "F3": "surface unbalance"}
 
 #: What each monitor looks at.
@@ -112,21 +112,30 @@ def fault_reason(kind: FaultKind | None, faults: Sequence[Change], events: Seque
 
 def headline(verdict: "LogVerdict") -> str:
     """The verdict in one sentence."""
-    judged = f"{verdict.judged_s:.0f} s of {verdict.flown_s:.0f} s of flight were judged"
     if verdict.verdict != "fault":
         return {
             "error": f"This file could not be read: {verdict.reason}.",
             "not_judgeable": f"This flight cannot be judged by this baseline: {own_reason(verdict)}.",
-            "healthy": f"No fault was found; {judged}.",
-            "suspected": f"A fault is suspected, none was declared; {judged}.",
+            "healthy": "No fault was found.",
+            "suspected": "A fault is suspected, none was declared.",
         }[verdict.verdict]
     kind, graded = verdict.kind or FaultKind.PROPELLER, ""
-    where = _place(kind, verdict.rotor, "rotor")
-    since = "" if verdict.since_s is None else f", declared first at {verdict.since_s:.1f} s of the vehicle's clock"
+    where = _place(kind, None if verdict.rotor is None else _rotors(verdict))
     for change in verdict.changes:  # the type that was named last
         if kind is FaultKind.PROPELLER is change.kind and change.stage is Stage.FAULT and change.fault_type is not None:
             graded = _likeness(change)
-    return f"A {kind}{where} was found{graded}{since}; {judged}."
+    return f"A {kind}{where} was found{graded}."
+
+
+def rotors_of(verdict: "LogVerdict") -> tuple[int, ...]:
+    """Every rotor that was named, in order of number."""
+    named = {span.rotor for span in verdict.rotors} | ({verdict.rotor} - {None})
+    return tuple(sorted(one for one in named if one is not None))
+
+
+def _rotors(verdict: "LogVerdict") -> str:
+    *others, last = map(str, rotors_of(verdict))
+    return f"rotors {', '.join(others)} and {last}" if others else f"rotor {last}"
 
 
 def held_sentence(held: Diagnosis) -> str:
@@ -137,16 +146,17 @@ def held_sentence(held: Diagnosis) -> str:
     if held.stage not in (Stage.FAULT, Stage.SUSPECTED):
         return ""
     kind, evidence = held.kind or FaultKind.PROPELLER, ""
+    motor = None if held.rotor is None else f"motor {held.rotor}"
     if held.monitor is not None and held.threshold > 0 and math.isfinite(held.statistic):
         seen = OBSERVES.get(held.monitor, held.monitor)
         times = held.statistic / held.threshold
         evidence = f": {seen}, {f'{times:.0f}' if times >= 9.95 else f'{times:.1f}'} times its threshold"
     unknown = ", rotor unknown" if held.rotor is None and kind is FaultKind.PROPELLER else ""
     if held.stage is Stage.SUSPECTED:
-        return f"A {kind}{_place(kind, held.rotor, 'motor')} is suspected, not declared{unknown}{evidence}."
+        return f"A {kind}{_place(kind, motor)} is suspected, not declared{unknown}{evidence}."
     graded = _likeness(held) if kind is FaultKind.PROPELLER and held.fault_type is not None else ""
     calm = "" if held.seen else " It is not seen at this moment, which does not mean that it is gone."
-    return f"A {kind}{_place(kind, held.rotor, 'motor')} was found{unknown}{graded}{evidence}.{calm}"
+    return f"A {kind}{_place(kind, motor)} was found{unknown}{graded}{evidence}.{calm}"
 
 
 def held_advice(held: Diagnosis) -> str:
@@ -164,9 +174,9 @@ def held_advice(held: Diagnosis) -> str:
     return f"{'Land, then' if held.stage is Stage.FAULT else 'Before the next flight,'} {todo}."
 
 
-def _place(kind: FaultKind, rotor: int | None, noun: str) -> str:
+def _place(kind: FaultKind, whose: str | None) -> str:
     near = {FaultKind.PROPELLER: "of", FaultKind.GROSS_LOSS: "at"}.get(kind)
-    return f" {near} {noun} {rotor}" if rotor is not None and near else ""
+    return f" {near} {whose}" if whose is not None and near else ""
 
 
 def _likeness(held: Diagnosis) -> str:
@@ -174,25 +184,27 @@ def _likeness(held: Diagnosis) -> str:
     return f", most like {TYPES.get(held.fault_type or '', 'type')} ({held.fault_type}{severity})"
 
 
-def evidence_sentence(verdict: "LogVerdict") -> str:
-    """What the verdict rests on, one sentence; empty where nothing was judged."""
-    told = sorted(verdict.monitors, key=_ratio, reverse=True)
+def certainty(verdict: "LogVerdict") -> str:
+    """How sure the verdict is, and what it rests on: one or two sentences; empty where nothing was judged."""
+    told = sorted((one for one in verdict.monitors if one.maximum is not None), key=_ratio, reverse=True)
     if verdict.verdict == "suspected":
-        return f"What was suspected: {own_reason(verdict)}."
+        return f"{own_reason(verdict)}."
     if verdict.verdict == "healthy":
         decided = (
-            f"{one.name}, with {100 * _ratio(one):.0f} % of it"
+            f"{one.name.replace('_', ' ')}, came to {100 * _ratio(one):.0f} % of its threshold"
             for one in told
-            if one.decides and one.maximum is not None
+            if one.decides
         )
         nearest = next(decided, "")
-        return f"The deciding monitor that came nearest to its threshold is {nearest}." if nearest else ""
+        return f"The deciding monitor that came nearest, {nearest}." if nearest else ""
     if verdict.verdict != "fault":
         return ""
-    above = ", ".join(f"{one.name} {_ratio(one):.1f} times" for one in told if _ratio(one) > 1) or "none at the end"
-    events = [judged.event for judged in verdict.events]
-    doubt = f" This alone does not tell the cause ({text})." if (text := _doubt(events)) else ""
-    return f"Above their thresholds: {above} ({_count(events)} of single monitors).{doubt}"
+    above = [f"{one.name.replace('_', ' ')} {_ratio(one):.1f} times" for one in told if _ratio(one) > 1]
+    events, named = [judged.event for judged in verdict.events], [one for one in verdict.changes if one.confidence]
+    text = f"Above their thresholds: {', '.join(above) or 'none at the end'} ({_count(events)})."
+    if verdict.rotor is not None and named:
+        text += f" The rotor is named with {100 * (named[-1].confidence or 0.0):.0f} % confidence."
+    return text + (f" This alone does not tell the cause ({doubt})." if (doubt := _doubt(events)) else "")
 
 
 def advice(verdict: "LogVerdict") -> str:
@@ -200,7 +212,10 @@ def advice(verdict: "LogVerdict") -> str:
     inspect = (
         "Look at the propellers" if verdict.rotor is None else f"Inspect motor {verdict.rotor} before the next flight"
     )
-    first = f"the propeller of rotor {verdict.rotor} first, then the others" if verdict.rotor else "the propellers"
+    several = "s" * (len(rotors_of(verdict)) > 1)
+    first = (
+        f"the propeller{several} of {_rotors(verdict)} first, then the others" if verdict.rotor else "the propellers"
+    )
     what = verdict.verdict.value
     if what == "fault" and verdict.kind not in (None, FaultKind.PROPELLER):
         what = "sensor" if verdict.kind is FaultKind.SENSOR else "loss"
@@ -209,7 +224,7 @@ def advice(verdict: "LogVerdict") -> str:
         "sensor": "Before the next flight, check the inertial sensor and its mount; no propeller is blamed.",
         "loss": "Do not fly before the cause is known: look at motors, controllers, propellers and their wiring.",
         "suspected": f"{inspect}, and judge the next flight too: it may be a manoeuvre that was not learnt.",
-        "healthy": "Damage that is smaller than the thresholds can find is not excluded; this is no proof of health.",
+        "healthy": "Nothing now. Damage that is smaller than the thresholds can find is not excluded.",
         "not_judgeable": "`mavdiag inspect LOG --baseline FILE` says which message or parameter is missing, and what "
         "the log shows by itself.",
         "error": "Check the file; the other logs of this page are not affected.",
@@ -217,9 +232,13 @@ def advice(verdict: "LogVerdict") -> str:
 
 
 def unjudged(verdict: "LogVerdict") -> tuple[str, ...]:
-    """The monitors that did not judge a good part of the flight, and why: one phrase each."""
+    """The monitors that judged less than half of what was judged, and why: one phrase each."""
     enough = MOSTLY * verdict.judged_s
-    return tuple(f"{m.name}: {m.not_judged}" for m in verdict.monitors if m.not_judged and m.judged_s <= enough)
+    return tuple(
+        f"{m.name} judged {m.judged_s:.0f} s: {m.not_judged}"
+        for m in verdict.monitors
+        if m.not_judged and m.judged_s <= enough
+    )
 
 
 def own_reason(verdict: "LogVerdict") -> str:

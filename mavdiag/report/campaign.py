@@ -4,6 +4,7 @@ Each line is one JSON object, as `sitl_plant.campaign.worker.FlightResult`; only
 """
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.errors import InputError
-from mavdiag.report.pictures import MARKERS, NAMES
-from mavdiag.report.style import LINES, Drawn, NotDrawn, Picture, legend_above, picture, sheet
+from mavdiag.report.chart import Chart, Line, NotDrawn, Panel, Picture, picture
+from mavdiag.report.pictures import LOOKS, NAMES, errors
 from mavdiag.storage import open_regular
 from mavdiag.telemetry import FloatArray
 
@@ -26,7 +27,6 @@ REMEDY = "name the file that `sitl-plant campaign -o FILE.jsonl` wrote"
 NO_FAULTS = "no judged flight of this campaign has one of the thesis's propeller faults"
 ORDER = ("F1", "F2", "F3", "propeller fault", "sensor fault", "loss of control", "gross loss of thrust", "a fault")
 LAST = ("suspicion", "nothing", "not judged")
-LIGHT = 0.55  # share of a row from which on its cell is dark and its number white
 _FAULT = re.compile(r"F[123]/SV[123]")
 
 
@@ -160,11 +160,11 @@ def roc_of(healthy: Sequence[float], damaged: Sequence[float]) -> Roc:
 
 def campaign_pictures(campaign: Campaign) -> tuple[Picture, ...]:
     """All of a campaign, in the order of the page."""
-    return (_roc(campaign), _severity(campaign), _latency(campaign), _confusion(campaign))
+    return (_roc(campaign), _severity(campaign), _latency(campaign))
 
 
 @picture("campaign-roc")
-def _roc(campaign: Campaign) -> Drawn:
+def _roc(campaign: Campaign) -> Chart:
     before = (flight.score_before for flight in campaign.flights if flight.judged and flight.cause == HEALTHY)
     healthy, curves = [score for score in before if score is not None], list[tuple[float, int, Roc]]()
     for scale in campaign.scales:
@@ -175,15 +175,14 @@ def _roc(campaign: Campaign) -> Drawn:
     if not curves:
         lacking = "no healthy flight has a score" if campaign.faulty else NO_FAULTS
         raise NotDrawn(f"{lacking}; campaigns of this version write them")
-    figure = sheet(3.6)
-    axes = figure.subplots()
-    for line, (scale, _, roc) in zip(LINES, curves, strict=False):
-        label = f"fitted terms x{scale:g}: area {roc.area:.3f}"
-        line.draw(axes, 100 * roc.false_share, 100 * roc.true_share, label)
-        axes.plot(*(100 * at for at in roc.at_threshold), "s", color=line.color, markersize=6, clip_on=False)
-    axes.plot((0, 100), (0, 100), color="#767676", linewidth=0.7, linestyle=":", label="chance")
-    axes.set(xlabel="healthy flights flagged [%]", ylabel="damaged flights found [%]", xlim=(-1, 101), ylim=(-1, 102))
-    legend_above(axes, 2)
+    lines = [Line(np.array([0.0, 100.0]), np.array([0.0, 100.0]), "chance", "faint")]
+    for look, (scale, _, roc) in zip(LOOKS, curves, strict=False):
+        lines.append(
+            Line(100 * roc.false_share, 100 * roc.true_share, f"fitted terms x{scale:g}: {roc.area:.3f}", look)
+        )
+        false_share, true_share = (np.array([100 * at]) for at in roc.at_threshold)
+        lines.append(Line(false_share, true_share, "", f"{look} big", "dots"))
+    panel = Panel("damaged flights found [%], and area under the curve", lines, y=(-2, 102), height=260)
     words = "; ".join(
         f"terms x{scale:g}: area {roc.area:.3f} of {count} damaged and {len(healthy)} healthy flights"
         for scale, count, roc in curves
@@ -192,31 +191,27 @@ def _roc(campaign: Campaign) -> Drawn:
         f"{len(healthy)} healthy flights; the score is the highest statistic over its threshold of the monitors that "
         "decide about propellers, of the whole healthy flight, and of a damaged one after the onset."
     )
-    return figure, f"{words}.", note
+    return Chart([panel], (-1, 101), f"{words}.", note, "healthy flights flagged [%]", kind="still")
 
 
 @picture("campaign-severity")
-def _severity(campaign: Campaign) -> Drawn:
+def _severity(campaign: Campaign) -> Chart:
     if not (flights := campaign.faulty):
         raise NotDrawn(NO_FAULTS)
-    figure = sheet(2.9)
-    several = figure.subplots(1, len(campaign.scales), sharey=True, squeeze=False)[0]
-    for axes, scale in zip(several, campaign.scales, strict=True):
-        for place, (line, kind) in enumerate(zip(LINES, FaultType, strict=False)):
+    panels = []
+    for scale in campaign.scales:
+        lines = []
+        for place, (look, kind) in enumerate(zip(LOOKS, FaultType, strict=False)):
             shares = [_share(flights, f"{kind}/SV{severity}", scale) for severity in (1, 2, 3)]
-            x = [severity + 0.08 * (place - 1) for severity, share in enumerate(shares, start=1) if share]
-            y = np.array([share for share in shares if share])
-            if len(y):
-                style = {"color": line.color, "linestyle": line.stroke, "marker": MARKERS[kind]}
-                spread = {"yerr": np.abs(y[:, 1:] - y[:, :1]).T, "elinewidth": 0.8, "capsize": 2}
-                axes.errorbar(x, y[:, 0], label=NAMES[kind], **spread, **style)
-        axes.set(xlabel=f"severity\n(fitted terms x{scale:g})", ylim=(-3, 103), xlim=(0.6, 3.4))
-        axes.set_xticks((1, 2, 3))
-    several[0].set_ylabel("flights with an alarm [%]")
-    named = {label: line for axes in several for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    legend_above(several[-1], 3, named)
-    found = sum(flight.latency_s is not None for flight in flights)
-    return figure, f"{found} of {len(flights)} damaged flights had an alarm after the onset.", ""
+            found = [(severity + 0.06 * (place - 1), *share) for severity, share in enumerate(shares, 1) if share]
+            if found:
+                x, y, low, high = np.transpose(found)
+                lines += [Line(x, y, NAMES[kind], look), Line(x, y, "", f"{look} big", "dots")]
+                lines.append(errors(x, x, low, high, look))
+        panels.append(Panel(f"found [%], fitted terms x{scale:g}", lines, y=(-3, 103), height=150))
+    found_count = sum(flight.latency_s is not None for flight in flights)
+    words = f"{found_count} of {len(flights)} damaged flights had an alarm after the onset."
+    return Chart(panels, (0.7, 3.3), words, "", "severity", [(at, f"{at:g}") for at in (1.0, 2.0, 3.0)], kind="still")
 
 
 def _share(flights: Sequence[CampaignFlight], cause: str, scale: float) -> tuple[float, float, float] | None:
@@ -232,7 +227,7 @@ def _share(flights: Sequence[CampaignFlight], cause: str, scale: float) -> tuple
 
 
 @picture("campaign-latency")
-def _latency(campaign: Campaign) -> Drawn:
+def _latency(campaign: Campaign) -> Chart:
     curves = []
     for kind in FaultType:
         own = [flight.latency_s for flight in campaign.faulty if flight.cause.startswith(kind)]
@@ -241,43 +236,22 @@ def _latency(campaign: Campaign) -> Drawn:
     if not curves:
         raise NotDrawn(NO_FAULTS)
     longest = 1.05 * max((float(times[-1]) for _, times, _ in curves if len(times)), default=1.0)
-    figure = sheet(2.7)
-    axes = figure.subplots()
-    for line, (kind, times, count) in zip(LINES, curves, strict=False):
+    lines = []
+    for look, (kind, times, count) in zip(LOOKS, curves, strict=False):
         share = np.append(np.arange(len(times) + 1), len(times)) * (100 / count)
-        x, label = [0.0, *times, longest], f"{NAMES[kind]} ({count} flights)"
-        axes.step(x, share, where="post", color=line.color, linestyle=line.stroke, label=label)
-    axes.set(xlabel="time from the onset to the first alarm [s]", ylabel="flights noticed [%]")
-    axes.set(ylim=(0, 102), xlim=(0, longest))
-    legend_above(axes, 3)
+        x, y = np.repeat([0.0, *times, longest], 2)[1:], np.repeat(share, 2)[:-1]
+        lines.append(Line(x, y, f"{NAMES[kind]} ({count} flights)", look))
     medians = [f"{kind}: median {np.median(times):.2f} s" for kind, times, _ in curves if len(times)]
-    return figure, f"{'; '.join(medians) or 'none noticed'}.", ""
+    panel = Panel("flights noticed [%]", lines, y=(0, 102), height=200)
+    words, below = f"{'; '.join(medians) or 'none noticed'}.", "time from the onset to the first alarm [s]"
+    return Chart([panel], (0.0, longest), words, f"{words[:1].upper()}{words[1:]}", below, kind="still")
 
 
-@picture("campaign-confusion")
-def _confusion(campaign: Campaign) -> Drawn:
-    """The counts of each pair of what was true and what was answered."""
+def confusion(campaign: Campaign) -> tuple[tuple[str, ...], list[tuple[str, *tuple[int, ...]]]]:
+    """What was answered, and of each cause how many flights got each answer."""
     pairs = [(flight.cause[:2] if flight.of_thesis else flight.cause, flight.answered) for flight in campaign.flights]
     pairs.sort(key=lambda pair: (not pair[0].startswith("F"), pair[0] == HEALTHY, pair[0]))
-    answers = {answer for _, answer in pairs}
-    columns = [answer for answer in (*ORDER, *sorted(answers - {*ORDER, *LAST}), *LAST) if answer in answers]
-    true = tuple(dict.fromkeys(cause for cause, _ in pairs))
-    counts = np.array([[pairs.count((cause, answer)) for answer in columns] for cause in true])
-    share = counts / counts.sum(axis=1, keepdims=True)
-    figure = sheet(1.1 + 0.3 * len(true))
-    axes = figure.subplots()
-    axes.pcolormesh(share, cmap="Greys", vmin=0.0, vmax=1.2, edgecolors="white", linewidth=1.5)
-    for (row, column), count in np.ndenumerate(counts):
-        ink = "white" if share[row, column] > LIGHT else "black"
-        axes.text(column + 0.5, row + 0.5, str(count or ""), ha="center", va="center", color=ink)
-    axes.set_yticks(np.arange(len(true)) + 0.5, true)
-    axes.set_xticks(np.arange(len(columns)) + 0.5, [answer.replace(" ", "\n", 1) for answer in columns])
-    axes.set(xlabel="answered", ylabel="true")
-    axes.invert_yaxis()
-    axes.grid(visible=False)
-    axes.tick_params(length=0)
-    words = "; ".join(
-        f"{cause}: " + ", ".join(f"{answer} {count}" for answer, count in zip(columns, row, strict=True) if count)
-        for cause, row in zip(true, counts, strict=True)
-    )
-    return figure, f"{words}.", ""
+    answers, counts = {answer for _, answer in pairs}, Counter(pairs)
+    columns = tuple(answer for answer in (*ORDER, *sorted(answers - {*ORDER, *LAST}), *LAST) if answer in answers)
+    true = dict.fromkeys(cause for cause, _ in pairs)
+    return columns, [(cause, *(counts[cause, answer] for answer in columns)) for cause in true]

@@ -9,13 +9,9 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cache
-from importlib import resources
-
-from jinja2 import Environment, Template
 
 from mavdiag.airframe.layout import Place, RotorLayout
-from mavdiag.printable import printable
+from mavdiag.report.chart import template
 
 SIZE = 240.0  # of the viewBox
 REACH = 76.0  # from its centre to the outermost rotor's centre
@@ -114,7 +110,7 @@ def airframe_svg(
             }
         )
     words = (f"{where(one)}, turns {'' if one.spin == 'cw' else 'counter-'}clockwise" for one in places)
-    return _template().render(
+    return template("drawing.svg").render(
         size=f"{SIZE:g}",
         middle=middle,
         body=BODY,
@@ -129,9 +125,3 @@ def airframe_svg(
         height=round(height, 1),
         label_height=round(min(11.0, 0.34 * radius) if inside else 9.0, 1),
     )
-
-
-@cache
-def _template() -> Template:
-    made = Environment(autoescape=True, trim_blocks=True, finalize=lambda value: printable(str(value)))
-    return made.from_string((resources.files("mavdiag.report") / "drawing.svg").read_text(encoding="utf-8"))

@@ -1,9 +1,12 @@
 """Pages by Jinja2 templates: values in, HTML out. Every text is escaped, for names and notes of logs are not ours.
 
 What a page says of a verdict is in `decision.words`, what it says of a figure in captions.toml, the rest in templates.
+The one script (templates/page.js, with uPlot from vendor/) is allowed by its hash; without it the page says the same.
 """
 
+import base64
 import datetime
+import hashlib
 import itertools
 import math
 import re
@@ -18,88 +21,119 @@ from markupsafe import Markup, escape
 
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.fingerprint import joined
 from mavdiag.baseline import Baseline
 from mavdiag.decision import words
-from mavdiag.judging import JudgedFlight, LogVerdict
+from mavdiag.judging import JudgedFlight, LogVerdict, judge_in_full
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.wants import LABELS
-from mavdiag.look.figures import rotor_line, spectrum_of, told_hz
+from mavdiag.look.figures import rotor_line, told_hz
 from mavdiag.look.inspection import Summary, summary
 from mavdiag.monitors.base import FaultKind
-from mavdiag.monitors.rotor_trim import RotorTrimSpec
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.printable import printable
 from mavdiag.report import pictures
-from mavdiag.report.campaign import HEALTHY, Campaign, campaign_pictures
-from mavdiag.report.style import COLUMNS, Picture, embedded
-from mavdiag.rows.block import Block
+from mavdiag.report.campaign import HEALTHY, Campaign, campaign_pictures, confusion
+from mavdiag.report.chart import COLUMNS, FOLDER, Picture, embedded
+from mavdiag.report.drawing import rotor_places, where
+from mavdiag.report.sketch import Sketch
 from mavdiag.telemetry import Log
-from mavdiag.traces import rate_traces, slot_traces
 from mavdiag.units import NS_PER_S, S_PER_H
 
 EVENTS = 20  # alarms that a page lists of one flight; the rest is counted (our choice)
-SHORT = 60  # characters of a path that a heading shows
+SPANS = 12  # stretches that were not judged that a page lists (our choice)
 ORDER = tuple(words.VERDICTS)
-OF_LOG = ("attitude", "height")  # pictures that need no judging
+OF_LOG = ("flight", "attitude")  # pictures that need no judging
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightReport:
-    """What a page says of a flight; its pictures in the order of the page."""
+    """What a page says of a flight.
+
+    begin_s: first sample of the gyro, by the vehicle's clock: where the times of a page begin. drawing: the airframe.
+    rises: whether it has figures. places: of the rotors, as words. unjudged: flown stretches, times of the flight [s].
+    pictures: of the flight, in the order of the page. method: those that are folded away.
+    """
 
     verdict: LogVerdict
     sha256: str = ""
     profile: str = ""
     started_ns: int = 0  # unix epoch; 0 if it is not known
+    begin_s: float = 0.0
     link: tuple[Summary, ...] = ()
+    drawing: str = ""
+    rises: bool = False
+    places: tuple[str, ...] = ()
+    unjudged: tuple[tuple[float, float], ...] = ()
     pictures: tuple[Picture, ...] = ()
+    method: tuple[Picture, ...] = ()
+
+    def utc(self, t_s: float) -> str:
+        """A time of the flight by the clock, UTC; empty if it is not known."""
+        return f"{_clock(self.started_ns / NS_PER_S + t_s):%H:%M:%S} UTC" if self.started_ns else ""
+
+    def named(self, rotor: int) -> str:
+        """A rotor and where it is: "2 (front right)"."""
+        return f"{rotor} ({self.places[rotor - 1]})" if 0 < rotor <= len(self.places) else str(rotor)
 
 
-def flight_report(
-    log: Log, baseline: Baseline, judged: JudgedFlight, columns: int = COLUMNS, *, figures: bool = True
-) -> FlightReport:
-    """All of one flight. columns: points across a figure. figures: False for words and tables alone."""
-    link = tuple(summary(series) for series in log.telemetry.series if len(series))
-    pictures = _pictures(log, baseline, judged, columns) if figures else ()
-    return FlightReport(judged.verdict, log.sha256, log.profile, log.started_ns, link, pictures)
-
-
-def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) -> tuple[Picture, ...]:
-    rates = () if judged.chain is None else rate_traces(judged.chain, judged.pieces)
-    slots = () if judged.chain is None else slot_traces(judged.chain, judged.pieces)
-    blocks = joined([piece.rows for piece in judged.pieces if len(piece.rows.block)])
-    frame, verdict, telemetry = baseline.airframe, judged.verdict, log.telemetry
+def flight_report(log: Log, baseline: Baseline, columns: int = COLUMNS, *, figures: bool = True) -> FlightReport:
+    """Judge a flight and tell all of it. columns: points across a figure. figures: False for words and tables alone."""
+    sketch = Sketch(log, columns)
+    judged = judge_in_full(log, baseline, keep=False, show=sketch.take if figures else None)
+    verdict, layout = judged.verdict, baseline.airframe.layout
     # From when on a damaged propeller shows; None for the whole flight: what follows a loss says nothing of it.
-    since_s = verdict.since_s if verdict.kind in (None, FaultKind.PROPELLER) else None
-    specs = [entry.spec for entry in baseline.monitors]
-    healthy = next((spec for spec in specs if isinstance(spec, RotorTrimSpec)), None)
-    threshold = next((one.threshold for one in verdict.monitors if one.name == "rotor_trim"), None)
-    shift = None if frame.layout is None else pictures.shift_of(blocks, frame.layout, healthy, threshold)
+    of_propeller = verdict.since_s is not None and verdict.kind in (None, FaultKind.PROPELLER)
+    since_s = verdict.since_s - sketch.begin_ns / NS_PER_S if of_propeller and verdict.since_s is not None else None
+    shown, method = _pictures(log, baseline, judged, sketch, since_s) if figures else ((), ())
+    return FlightReport(
+        verdict,
+        log.sha256,
+        log.profile,
+        log.started_ns,
+        sketch.begin_ns / NS_PER_S,
+        tuple(summary(series) for series in log.telemetry.series if len(series)),
+        "" if layout is None else pictures.airframe_drawing(layout, sketch, words.rotors_of(verdict)),
+        pictures.told_rises(sketch) is not None,
+        () if layout is None else tuple(where(place) for place in rotor_places(layout)),
+        tuple(pictures.unjudged(judged, sketch)),
+        shown,
+        method,
+    )
+
+
+def _pictures(
+    log: Log, baseline: Baseline, judged: JudgedFlight, sketch: Sketch, since_s: float | None
+) -> tuple[tuple[Picture, ...], tuple[Picture, ...]]:
+    """Those of the flight, and those of the method."""
+    frame, telemetry = baseline.airframe, log.telemetry
     sweeps = {
         spec.axis: pictures.sweep_of(blocks, spec.axis, spec.model.order, spec.model.method, baseline.window.order)
-        for spec in specs
-        if isinstance(spec, RunLengthSpec) and blocks
+        for spec in (entry.spec for entry in baseline.monitors)
+        if isinstance(spec, RunLengthSpec) and (blocks := sketch.blocks)
     }
-    dt_s = blocks[0].dt_s if blocks else math.nan
     profile = PROFILES.get(log.profile)
     corner_hz = frame.imu_corner_hz or (None if profile is None else profile.imu_corner_hz)
-    line = _rotor_line(log, frame, blocks, corner_hz)
-    drawn = (
-        pictures.airframe_picture(frame.layout, shift, since_s, verdict.rotor),
-        pictures.evidence_picture(slots, columns),
-        pictures.trim_picture(shift, columns),
-        pictures.rates_picture(rates, columns),
-        pictures.residual_picture(rates, columns),
-        pictures.fsd_picture(rates, columns),
-        pictures.plane_picture(rates, frame.classifier),
-        pictures.severity_picture(rates, slots, since_s, frame.classifier),
-        pictures.spectrum_picture(spectrum_of(blocks), line, corner_hz, 1 / dt_s),
-        pictures.windows_picture(sweeps, dt_s, baseline.window.samples * baseline.link.dt_s),
-        pictures.attitude_picture(telemetry, columns),
-        pictures.height_picture(telemetry, columns),
+    line = _rotor_line(log, frame, sketch, corner_hz)
+    monitors = (pictures.monitor_picture(name, sketch, baseline) for name in pictures.spoken(judged))
+    window_s = baseline.window.samples * baseline.link.dt_s
+    flight = (
+        pictures.timeline(judged, sketch),
+        pictures.flight_picture(telemetry, sketch),
+        *(picture for picture in monitors if picture is not None),
     )
-    return tuple(_explained(picture, baseline, judged) for picture in drawn)
+    method = (
+        pictures.evidence_picture(sketch),
+        pictures.attitude_picture(telemetry, sketch),
+        pictures.rates_picture(sketch),
+        pictures.residual_picture(sketch),
+        pictures.fsd_picture(sketch),
+        pictures.plane_picture(sketch, frame.classifier),
+        pictures.severity_picture(sketch, since_s, frame.classifier),
+        pictures.spectrum_picture(sketch.spectrum, line, corner_hz, 1 / sketch.dt_s),
+        pictures.windows_picture(sweeps, sketch.dt_s, window_s),
+    )
+    told = [tuple(_explained(picture, baseline, judged) for picture in part) for part in (flight, method)]
+    return told[0], told[1]
 
 
 def _explained(picture: Picture, baseline: Baseline, judged: JudgedFlight) -> Picture:
@@ -115,32 +149,29 @@ def _explained(picture: Picture, baseline: Baseline, judged: JudgedFlight) -> Pi
     return replace(picture, not_drawn=f"the fsd monitor did not judge: {reasons[0]}")
 
 
-def _rotor_line(
-    log: Log, airframe: Airframe, blocks: Sequence[Block], corner_hz: float | None
-) -> tuple[float, str] | None:
+def _rotor_line(log: Log, airframe: Airframe, sketch: Sketch, corner_hz: float | None) -> tuple[float, str] | None:
     """One per revolution [Hz]: as the speed controllers report it, else of the airframe's hover, else as heard."""
     told = told_hz(log.telemetry)
     if math.isfinite(told):
         return told, "the rotor speeds in the log"
     if airframe.hover_rad_s is not None:
         return airframe.hover_rad_s / math.tau, "the airframe's hover speed"
-    heard = rotor_line(blocks, corner_hz, told)
+    heard = rotor_line(sketch.blocks, corner_hz, told)
     return None if heard.reason else (heard.hz, "what is heard, the strongest line above its neighbourhood")
 
 
 def flights_page(flights: Sequence[FlightReport], baseline: Baseline, path: str, created: str) -> str:
     """One page, what asks for attention first. path: of the baseline, as it was given. created: ISO 8601, UTC."""
     flights = sorted(flights, key=lambda flight: ORDER.index(flight.verdict.verdict))
-    alone = len(flights) == 1
-    name = Path(flights[0].verdict.log).name
     counts = Counter(flight.verdict.verdict.value for flight in flights)
+    alone, names = len(flights) == 1, _names([flight.verdict.log for flight in flights])
     return _page(
         "flights.html",
-        title=f"Flight report{f': {name}' if alone else f's: {len(flights)} logs'}",
+        title=Path(flights[0].verdict.log).name if alone else f"{len(flights)} flights",
         flights=flights,
         alone=alone,
         counts=", ".join(f"{counts[verdict]} {short}" for verdict, short in words.VERDICTS.items() if counts[verdict]),
-        names=_names([flight.verdict.log for flight in flights]),
+        names=names,
         baseline=baseline,
         baseline_path=path,
         created=created,
@@ -153,7 +184,7 @@ def campaign_page(campaign: Campaign, path: str, created: str) -> str:
     healthy = [flight for flight in judged if flight.cause == HEALTHY]
     return _page(
         "campaign.html",
-        title=f"Campaign report: {path}",
+        title=f"Campaign: {Path(path).name}",
         created=created,
         campaign=campaign,
         found=sum(flight.latency_s is not None for flight in campaign.faulty),
@@ -165,11 +196,16 @@ def campaign_page(campaign: Campaign, path: str, created: str) -> str:
         judged=Counter(flight.cause for flight in judged),
         noticed=Counter(flight.cause for flight in judged if flight.latency_s is not None),
         pictures=campaign_pictures(campaign),
+        confusion=confusion(campaign),
     )
 
 
 def _page(template: str, **values: object) -> str:
-    return _templates().get_template(template).render(version=__version__, **values)
+    parts = (FOLDER / "vendor" / "uPlot.iife.min.js", FOLDER / "templates" / "page.js")
+    script = "\n".join(path.read_text(encoding="utf-8").strip() for path in parts)
+    allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    told = {"version": __version__, "script": Markup(script), "allowed": f"sha256-{allowed}"}
+    return _templates().get_template(template).render(**told, **values)
 
 
 @cache
@@ -184,16 +220,29 @@ def _templates() -> Environment:
         keep_trailing_newline=True,
         finalize=lambda value: value if isinstance(value, Markup) else printable(str(value)),
     )
+    styles = (FOLDER / "vendor" / "uPlot.min.css", FOLDER / "chart.css", FOLDER / "templates" / "style.css")
     found.filters |= {
         "code": _with_code,
         "fixed": lambda value, places: "-" if value is None else f"{value:.{places}f}",
-        "ratio": lambda monitor: monitor.maximum is not None and monitor.maximum > monitor.threshold,
-        "short": lambda path: path if len(path) <= SHORT else f"…{path[-SHORT:]}",
+        "above": lambda monitor: monitor.maximum is not None and monitor.maximum > monitor.threshold,
+        "shown": lambda value, unit: "-" if value is None else f"{pictures.scaled(unit)[0] * value:.3g}",
+        "unit": lambda unit: pictures.scaled(unit)[1],
+        "name": pictures.name_of,
         "signal": lambda name: LABELS.get(name, name.replace("_", " ")),
-        "utc": lambda t_ns: datetime.datetime.fromtimestamp(t_ns // NS_PER_S, datetime.UTC).isoformat(),
+        "moment": lambda t_ns: f"{_clock(t_ns / NS_PER_S):%Y-%m-%d %H:%M:%S} UTC",
     }
-    found.globals |= {"words": words, "drawing": lambda svg, prefix: Markup(embedded(svg, prefix)), "EVENTS": EVENTS}
+    found.globals |= {
+        "words": words,
+        "drawing": lambda svg, prefix: Markup(embedded(svg, prefix)),
+        "style": Markup("\n".join(path.read_text(encoding="utf-8").strip() for path in styles)),
+        "EVENTS": EVENTS,
+        "SPANS": SPANS,
+    }
     return found
+
+
+def _clock(t_s: float) -> datetime.datetime:
+    return datetime.datetime.fromtimestamp(t_s, datetime.UTC)
 
 
 def _with_code(text: str) -> Markup:

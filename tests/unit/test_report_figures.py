@@ -1,5 +1,6 @@
 """The numbers behind a report's figures, against calculations of their own."""
 
+from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,19 +17,29 @@ from mavdiag.identify import Method, fit
 from mavdiag.identify.validate import validate
 from mavdiag.look.figures import spectrum_of
 from mavdiag.report.campaign import roc_of
-from mavdiag.report.pictures import longest_by_column, moment_of, runs_of, sweep_of
-from mavdiag.report.style import envelope
+from mavdiag.report.chart import Thinned, ticks_of
+from mavdiag.report.pictures import longest_by_column, sweep_of
+from mavdiag.report.sketch import SHOWN_S, Sketch
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import Axis, FloatArray, Signal
-from mavdiag.traces import RateTrace, SlotTrace, rate_traces, slot_traces
+from mavdiag.traces import RateTrace, rate_traces
 
 pytest.importorskip("numba", reason="the plant is an extra")
 
 
-def traces() -> tuple[tuple[RateTrace, ...], tuple[SlotTrace, ...]]:
+def traces() -> tuple[RateTrace, ...]:
     _, judged = cracked()
     assert judged.chain is not None
-    return rate_traces(judged.chain, judged.pieces), slot_traces(judged.chain, judged.pieces)
+    return rate_traces(judged.chain, judged.pieces)
+
+
+@cache
+def sketch() -> Sketch:
+    log, judged = cracked()
+    assert judged.chain is not None
+    found = Sketch(log, 300)
+    found.take(judged.chain, judged.pieces)
+    return found
 
 
 def blocks() -> list[Block]:
@@ -36,35 +47,66 @@ def blocks() -> list[Block]:
 
 
 @given(st.integers(1, 3000), st.integers(2, 60), st.integers(0, 2**32 - 1))
-def test_an_envelope_keeps_the_extremes_and_invents_nothing(n: int, columns: int, seed: int) -> None:
+def test_a_thinned_line_keeps_the_extremes_and_knows_of_no_chunks(n: int, k: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     t, y = np.cumsum(rng.random(n)), rng.normal(size=n)
     y[rng.random(n) < 0.2] = np.nan
     known = y[np.isfinite(y)]
-    for filled, most in ((False, 3 * columns), (True, 2 * columns)):
-        shown_t, shown = envelope(t, y, columns, filled=filled)
-        if n > 2 * columns:
-            assert len(shown) <= most
-        assert np.all(np.diff(shown_t) >= 0)
-        assert set(shown[np.isfinite(shown)]) <= set(known)
-        if len(known):
-            assert np.nanmax(shown) == known.max()
+    whole, parts = (Thinned((0.0, float(t[-1])), k) for _ in range(2))
+    whole.add(t, y)
+    for cut in np.array_split(np.arange(n), 7):
+        parts.add(t[cut], y[cut])
+    line, again, area = whole.line(), parts.line(), whole.area("fault", 0.5)
+    np.testing.assert_array_equal(line.x, again.x)
+    np.testing.assert_array_equal(line.y, again.y)
+    assert np.count_nonzero(np.isfinite(line.y)) <= 2 * k
+    assert np.all(np.diff(line.x) >= 0)
+    assert set(line.y[np.isfinite(line.y)]) <= set(known)
     if len(known):
-        assert np.nanmin(envelope(t, y, columns)[1]) == known.min()
+        assert (np.nanmin(line.y), np.nanmax(line.y)) == (known.min(), known.max())
+        assert whole.mean() == pytest.approx(known.mean())
+    assert set(area.y[np.isfinite(area.y)]) <= set(known[known > 0.5])
+
+
+def test_a_line_is_broken_where_data_are_missing_and_not_where_they_come_seldom() -> None:
+    slow, gap = (Thinned((0.0, 100.0), 1000) for _ in range(2))
+    slow.add(np.arange(100.0), np.arange(100.0))
+    t = np.arange(0.0, 100.0, 0.05)
+    gap.add(t[(t < 40) | (t > 60)], t[(t < 40) | (t > 60)])
+    assert np.isfinite(slow.line().y).all()
+    broken = gap.line()
+    assert np.count_nonzero(np.isnan(broken.y)) == 1
+    assert 39.8 < broken.x[np.isnan(broken.y)][0] < 40.0
+
+
+@given(st.floats(-1e3, 1e3), st.floats(1e-3, 1e6))
+def test_ticks_are_few_round_and_within_the_range(low: float, span: float) -> None:
+    found = ticks_of(low, low + span, 5)
+    assert 2 <= len(found) <= 11
+    assert all(low - 1e-9 * abs(low) - 1e-6 * span <= at <= (low + span) * (1 + 1e-9) + 1e-6 * span for at in found)
 
 
 def test_the_runs_are_those_that_a_walk_over_the_residual_finds() -> None:
-    for trace in traces()[0]:
-        runs = runs_of(trace)
-        walked = walk(trace)
+    for trace in traces():
+        rate, walked = sketch().rates[trace.axis], walk(trace)
+        runs = rate.runs
         np.testing.assert_allclose(runs[2], [span for _, span, _ in walked], rtol=0.03)  # less beyond the envelope
-        np.testing.assert_allclose(runs[[0, 3]].T, [(start, peak) for start, _, peak in walked])
+        np.testing.assert_allclose(
+            runs[[0, 3]].T, [(start - sketch().begin_ns / 1e9, peak) for start, _, peak in walked]
+        )
         assert runs[2].max() == pytest.approx(trace.fsd_s.max())
-        start_s, stop_s = moment_of([trace])
-        assert start_s <= trace.t_ns[trace.fsd_s.argmax()] / 1e9 <= stop_s
+        np.testing.assert_allclose(
+            rate.squares / rate.judged, np.mean(np.square(trace.residual[trace.judged])), rtol=1e-9
+        )
         few = longest_by_column(runs, 5)
         assert few.shape[1] <= 5 < runs.shape[1]
         assert few[2].max() == runs[2].max()
+    start_s, stop_s = sketch().moment
+    assert stop_s - start_s == pytest.approx(SHOWN_S)
+    assert any(start_s <= rate.longest[1] <= stop_s for rate in sketch().rates.values())
+    first, last = sketch().shown[0][0].t_ns[0], sketch().shown[-1][0].t_ns[-1]
+    assert sketch().s(int(first)) <= start_s
+    assert sketch().s(int(last)) >= stop_s
 
 
 def walk(trace: RateTrace) -> list[tuple[float, float, float]]:
@@ -98,6 +140,10 @@ def test_the_spectrum_is_scipys_and_its_peak_is_the_rotors_speed() -> None:
     use = frequency > 5
     np.testing.assert_allclose(spectrum.frequency_hz, frequency, rtol=1e-3)
     np.testing.assert_allclose(spectrum.power[use], power[use], rtol=0.01)
+    drawn = sketch().spectrum
+    assert drawn is not None
+    assert abs(drawn.averaged - spectrum.averaged) <= 2
+    np.testing.assert_allclose(drawn.power[use], spectrum.power[use], rtol=0.3)
 
 
 def test_the_window_sweep_fits_what_identify_fits() -> None:

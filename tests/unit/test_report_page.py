@@ -1,34 +1,39 @@
 """The page of a report: it stands alone, can be read, says what it does not show, and believes no text from outside."""
 
-import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 from flying_telemetry import flying, without
 from made_baselines import healthy, logged, plain, whole
+from made_report import results
 from made_telemetry import flight
 from page_reading import Page, check
 
 from mavdiag.baseline import Baseline
 from mavdiag.errors import InputError
-from mavdiag.judging import LogVerdict, Verdict, judge_in_full
+from mavdiag.judging import LogVerdict, Verdict
 from mavdiag.report.campaign import parse_campaign, read_campaign
+from mavdiag.report.chart import Chart, Line, Panel, Picture, picture
 from mavdiag.report.page import FlightReport, campaign_page, flight_report, flights_page
-from mavdiag.report.style import Drawn, picture, sheet
 from mavdiag.telemetry import Log, Signal
 
 CREATED = "2026-01-01T00:00:00+00:00"
 HOSTILE = "<script>alert(1)</script>\"'>&\u202e$x^2$<img src=x onerror=y>"
 SECTIONS = (
-    *("airframe", "evidence", "trim", "rates", "residual", "fsd"),
-    *("plane", "severity", "spectrum", "windows", "attitude", "height"),
+    *("timeline", "flight", "evidence", "attitude", "rates", "residual", "fsd"),
+    *("plane", "severity", "spectrum", "windows"),
 )
 
 
 def report_of(log: Log, baseline: Baseline, *, figures: bool = True) -> FlightReport:
-    return flight_report(log, baseline, judge_in_full(log, baseline), 120, figures=figures)
+    return flight_report(log, baseline, 120, figures=figures)
+
+
+def all_pictures(report: FlightReport) -> list[Picture]:
+    return [*report.pictures, *report.method]
 
 
 @cache
@@ -42,30 +47,66 @@ def weak_page() -> Page:
 
 
 def test_a_page_stands_alone_and_has_every_figure_or_its_reason() -> None:
-    page = weak_page()
-    assert [one.key for one in weak().pictures] == list(SECTIONS)
-    assert {f"log-1-{name}" for name in SECTIONS} <= set(page.ids)
-    shown = [one for one in weak().pictures if one.svg]
-    assert len(page.drawings) == len(shown) >= 8
-    for one in weak().pictures:
+    page, found = weak_page(), all_pictures(weak())
+    monitors = [one.key for one in found if one.key.startswith("monitor:")]
+    assert "monitor:rotor_trim" in monitors
+    assert [one.key for one in found if one.key not in monitors] == list(SECTIONS)
+    assert {f"log-1-{one.key.replace(':', '-')}" for one in found} <= set(page.ids)
+    shown = [one for one in found if one.svg]
+    assert len(page.drawings) == len(shown) + 1 >= 9  # and the airframe
+    for one in found:
         assert bool(one.svg) != bool(one.not_drawn)
-        assert one.caption.endswith(".")
         assert f"thesis Fig {one.thesis}" not in page.said
-    assert page.said.count("Not drawn: ") == len(weak().pictures) - len(shown)
+    assert page.said.count("Not drawn: ") == len(found) - len(shown)
 
 
 def test_the_page_says_the_verdict_its_evidence_and_where_it_comes_from() -> None:
     said = weak_page().said
     assert "A propeller fault of rotor 2 was found" in said
     assert "Above their thresholds: " in said
+    assert "% confidence" in said
     assert "look at the propeller of rotor 2 first" in said
     assert ("does not tell the cause (trim shift" in said) == ("trim shift: " in weak().verdict.reason)
     assert whole().digest in said or not whole().digest
-    for name in ("rotor_trim", "unbalance", "fsd ("):
+    for name in ("rotor trim", "unbalance", "fsd ("):
         assert name in said
-    assert "What was not judged, and why" in said
+    assert "What must be known of this log" in said or not weak().verdict.notes
     assert "Link quality" in said
     assert "made 2026-01-01T00:00:00+00:00 by mavdiag" in said
+    since_s = weak().verdict.since_s
+    assert since_s is not None
+    assert f"{since_s - weak().begin_s:.1f} s of the flight" in said
+
+
+def test_a_quantity_has_one_scale_everywhere() -> None:
+    """The card, the picture, both tables: percent of hover, to the same digits."""
+    summary = next(one for one in weak().verdict.monitors if one.name == "rotor_trim")
+    highest, threshold = f"{100 * (summary.maximum or 0.0):.3g}", f"{100 * summary.threshold:.3g}"
+    picture = next(one for one in weak().pictures if one.key == "monitor:rotor_trim")
+    assert f"[% of hover]: highest {highest}, threshold {threshold}," in picture.caption
+    assert weak_page().said.count(highest) >= 3
+    assert "fraction of hover" not in weak_page().said
+    assert f"{summary.threshold:.4g}" not in weak_page().said
+
+
+def test_times_are_of_the_flight_and_utc_where_it_is_known() -> None:
+    log = replace(logged(flying(3000, 7, weak_rotor=2, rise=0.5)), started_ns=1_700_000_000 * 10**9)
+    report = report_of(log, whole(), figures=False)
+    said = check(flights_page([report], whole(), "baseline.json", CREATED)).said
+    assert "Flown 2023-11-14 22:13:20 UTC" in said
+    since_s = (report.verdict.since_s or 0.0) - report.begin_s
+    assert f"{since_s:.1f} s of the flight, {report.utc(since_s)}" in said
+    assert report.utc(40.0) == "22:14:00 UTC"
+
+
+def test_stretches_that_were_not_judged_are_listed() -> None:
+    gap = without(flying(6000, 7), (20.0, 45.0), signals=[one for one in Signal if one is not Signal.BODY_RATE])
+    report = report_of(logged(gap), whole())
+    said = check(flights_page([report], whole(), "baseline.json", CREATED)).said
+    ((begin, end),) = report.unjudged
+    assert (begin, end) == pytest.approx((20.8, 45.0), abs=0.1)  # a value may stand for a second before it
+    assert f"{begin:.1f} to {end:.1f} s of the flight ({end - begin:.1f} s)" in said
+    assert "innovation judged " not in said  # it judged more than half
 
 
 @pytest.mark.parametrize(
@@ -81,7 +122,8 @@ def test_the_page_says_the_verdict_its_evidence_and_where_it_comes_from() -> Non
 def test_a_log_that_carries_less_says_what_is_not_drawn(log: Log, reason: str) -> None:
     found = report_of(log, whole())
     page = check(flights_page([found], whole(), "baseline.json", CREATED))
-    assert [one.key for one in found.pictures] == list(SECTIONS)
+    keys = [one.key for one in all_pictures(found) if not one.key.startswith("monitor:")]
+    assert keys == list(SECTIONS)
     assert reason in page.said
 
 
@@ -109,38 +151,20 @@ def test_several_logs_begin_with_a_table_that_leads_to_each_and_equal_values_giv
     assert dots() == dots()
 
 
-@picture("height")
-def dots() -> Drawn:
-    figure = sheet(2.0)
-    figure.subplots().plot([1, 2], [3, 4], "o")
-    return figure, "words & <more>", ""
-
-
-def results() -> str:
-    lines = []
-    for number in range(40):
-        cause, missed = ("healthy", "F1/SV1", "F2/SV2", "F3/SV3", HOSTILE[:60])[number % 5], number % 7 == 0
-        kind = "nothing" if missed else "propeller fault"
-        one = {"record": "flight", "key": str(number), "cause": cause, "rotor": 1 + number % 4, "phenomenology": 1.0}
-        one |= {"answer": {"kind": kind, "rotor": 1, "fault_type": cause[:2], "severity": 1}, "episodes": 0}
-        one |= {"flown_s": 40.0, "healthy_s": 12.0, "onset_s": 15.0, "latency_s": None, "another": "field"}
-        if cause == "healthy":
-            one |= {"onset_s": None, "verdict": "healthy", "score_before": 0.3 + 0.01 * number}
-        else:
-            found = {"score_after": 0.35} if missed else {"score_after": 3.0, "latency_s": 0.1 * number}
-            one |= {"verdict": "fault", **found}
-        lines.append(json.dumps(one))
-    return "\n".join([*lines, '{"record": "learn", "key": "a", "baseline": "..."}', '{"record": "fli'])
+@picture("attitude")
+def dots() -> Chart:
+    line = Line(np.array([1.0, 2.0]), np.array([3.0, 4.0]), "a & b", shape="dots")
+    return Chart([Panel("<label>", [line])], (0.0, 3.0), "words & <more>")
 
 
 def test_a_campaign_is_drawn_from_its_results() -> None:
-    campaign = parse_campaign(results())
+    campaign = parse_campaign(results(HOSTILE[:60]))
     assert (len(campaign.flights), campaign.unread, len(campaign.faulty)) == (40, 1, 24)
     page = check(campaign_page(campaign, HOSTILE, CREATED))
     found = sum(one.latency_s is not None for one in campaign.faulty)
     assert f"Of 24 judged flights with a damaged propeller {found} had an alarm" in page.said
     assert {f"campaign-{name}" for name in ("roc", "severity", "latency", "confusion")} <= set(page.ids)
-    assert len(page.drawings) == 4
+    assert len(page.drawings) == 3
 
 
 @pytest.mark.parametrize(
