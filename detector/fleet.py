@@ -24,7 +24,7 @@ from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
-from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder
+from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder, mode_in, sticks_in
 from mavdiag.telemetry import Instant, Series, Signal
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
@@ -56,6 +56,7 @@ class Vehicle:
         self.judged_ns: int | None = None  # the vehicle's time up to which was judged
         self.first_ns: int | None = None  # when the first gyro sample came that was not judged then (host)
         self.outcome: Baseline | LearningFailed | None = None  # of its last `Learn`, until the session gets it
+        self.sticks: dict[int, tuple[int, ...]] = {}  # told by ground stations behind, until the session gets them
         self.events = 0  # that were opened, so far
         self.timesync = Timesync()  # asked and answered where we may negotiate
 
@@ -200,8 +201,9 @@ class Fleet:
         vehicle, stream, received = self.vehicles[sysid], self.link.vehicles[sysid], self.link.received(sysid)
         session, came, alive = vehicle.session, received.telemetry, received.present
         reboots, imu = stream.state.timeline.reboots, stream.profile.imu
-        inbox = Inbox(came, alive, reboots, received.acks, vehicle.outcome, received.parameters, imu)
-        vehicle.outcome = None
+        mode, sticks = mode_in(received.frames), sticks_in(received.frames) | vehicle.sticks
+        inbox = Inbox(came, alive, reboots, received.acks, vehicle.outcome, received.parameters, imu, mode, sticks)
+        vehicle.outcome, vehicle.sticks = None, {}
         effects = session.step(inbox, now)
         vehicle.events += sum(isinstance(effect, EventOpened) for effect in effects)
         if session.spec.settings.negotiate:

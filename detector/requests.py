@@ -6,7 +6,7 @@ only from the component that it asked. REQUEST_DATA_STREAM of a group that holds
 all groups becomes requests for those that hold none.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ from mavdiag.decision.diagnosis import Stage
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index, message_name
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.signing import Signing
-from mavdiag.link.vehicles import COMMANDS, Command, command_in
+from mavdiag.link.vehicles import COMMANDS, STICKS, Command, command_in, sticks_in
 from mavdiag.link.wants import messages_of
 from mavdiag.telemetry import Instant
 
@@ -25,6 +25,7 @@ NOTED_MOST = 64  # requests that were kept back are named once each, as long as 
 
 #: Messages that carry a request for a rate.
 GUARDED = COMMANDS | {MessageId.REQUEST_DATA_STREAM}
+_STICKS_TO: Mapping[int, str] = {MessageId.MANUAL_CONTROL: "target", MessageId.RC_CHANNELS_OVERRIDE: "target_system"}
 ALL_GROUPS = 0
 #: MAV_DATA_STREAM, and what of the messages that a detector may need each group holds: ArduPilot's groups
 #: (GCS_MAVLink_Copter.cpp, `STREAM_...`), with the messages of other autopilots beside those of the same kind.
@@ -63,7 +64,7 @@ class Requests:
         self, fleet: Fleet, keep_rates: bool, sender: Callable[[int], MavlinkSender], signing: Signing | None = None
     ) -> None:
         self._fleet, self._keep_rates, self._sender, self._signing = fleet, keep_rates, sender, signing
-        self._decoder = Decoder(GUARDED)
+        self._decoder = Decoder(GUARDED | STICKS.keys())
         self._noted: set[tuple[int, ...]] = set()
         self._autopilots: dict[int, Encoder] = {}  # of the answers in an autopilot's name
 
@@ -74,6 +75,7 @@ class Requests:
             frames = self._decoder.feed_datagram(message, now.ns)
             kept = self._kept(frames[0]) if frames and self._keep_rates else None
             command = command_in(frames[0]) if frames else None
+            self._note_sticks(frames)
             if kept is not None:
                 handled += kept
             elif command is not None:
@@ -82,8 +84,15 @@ class Requests:
                 handled += Handled((message,))
         return handled
 
+    def _note_sticks(self, frames: Sequence[Frame]) -> None:
+        for frame in frames:
+            to = _STICKS_TO.get(frame.msgid)
+            if to is not None and (vehicle := self._fleet.vehicles.get(_field(frame, to))) is not None:
+                vehicle.sticks |= sticks_in((frame,), None)
+
     def command(self, command: Command, sysid: int, *, trusted: bool = True) -> Handled:
-        """A command for a vehicle's detector. It takes one: an inspection is acknowledged.
+        """A command for a vehicle's detector. It takes one, which acknowledges: it closes an inspection, or calls off
+        what is about to be done.
 
         trusted: it comes from a link behind, or it is signed; any other sender may be forged.
         """
@@ -92,7 +101,7 @@ class Requests:
         whose, effects, result = f"{command.sysid}/{command.compid}", tuple[Effect, ...](), MavResult.UNSUPPORTED
         if command.command == MavCmd.USER_1 and trusted:
             session = self._fleet.vehicles[sysid].session
-            was_open = session.diagnosis.stage is Stage.INSPECT
+            was_open = session.diagnosis.stage is Stage.INSPECT or session.reaction.pending
             effects, result = session.acknowledge(whose), MavResult.ACCEPTED if was_open else MavResult.FAILED
         elif command.command == MavCmd.USER_1:
             result = MavResult.DENIED

@@ -9,6 +9,8 @@ from typing import Final
 from detector.alerts import Kind, NamedValues, Notice, Presenter, Telling
 from detector.judging import Judge, beginning, chain_for, records_of, words_of
 from detector.negotiate import Negotiation
+from detector.reaction import Reaction
+from detector.rules import parse_modes, parse_rules
 from detector.states import TABLE, State, Trigger
 from detector.streams import Demand, Hindrance, Reason, Streams
 from detector.values import AskParameters, Effect, Inbox, Learn, LearningFailed, Note, SessionSpec, StateChanged
@@ -19,6 +21,7 @@ from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Stage
 from mavdiag.decision.words import motors_words
 from mavdiag.errors import BaselineError
 from mavdiag.link.codec import message_name
+from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import LAST_RESORT, Profile
 from mavdiag.link.samples import joined
 from mavdiag.link.wants import Reading
@@ -27,6 +30,10 @@ from mavdiag.telemetry import Instant, Signal, Telemetry
 WAITED_CHUNKS = 256  # kept while the streams are measured: some ten seconds (our choice)
 LOOK_S = 0.1  # between two looks at what the streams lack (our choice)
 IDLE_S = 3.0  # that nothing is judged is said after so long (our choice)
+STICKS_S, STICKS_HZ = (
+    60.0,
+    5.0,
+)  # how often a pilot's sticks are asked for while they are not told, at which rate (our choice)
 ARMED_FROM = 0.5  # of the signal, which is 0 or 1
 PROGRESS_STEP = 25  # percent of learning between two texts
 FITS = 3  # fits that may fail before learning is given up (our choice)
@@ -44,6 +51,9 @@ class Session:
         self.judge: Judge | None = None  # the chain at work
         self._held = spec.held  # what is known of the vehicle while there is no chain: an open inspection
         self._presenter, self._telling = Presenter(settings.texts_per_minute), Telling()
+        modes, autopilot = parse_modes(settings.on_fault_modes), spec.profile.autopilot
+        self.reaction = Reaction(parse_rules(settings.on_fault), modes, autopilot)
+        self._sticks_asked: Instant | None = None
         self._named_values = NamedValues(1.0 / settings.named_values_hz)
         self._armed, self._armings = False, 0
         self._looked = Instant(0)  # when it was asked what the streams lack
@@ -84,6 +94,7 @@ class Session:
         if armed is not None and len(armed):
             was_armed, self._armed = self._armed, bool(armed.values[-1, 0] >= ARMED_FROM)
             self._armings += self._armed and not was_armed
+        self._effects += self.reaction.step(self.diagnosis, self._armed, inbox, now)
         self._notices += self._telling.step(self.diagnosis, self._armings)
         return (*self._effects, *self._presenter.present(self._notices, now))
 
@@ -100,8 +111,13 @@ class Session:
         return () if self.judge is None else self.judge.finish()
 
     def acknowledge(self, whose: str) -> tuple[Effect, ...]:
-        """Close an open inspection; a fault in flight cannot be acknowledged. whose: who says so, for the journal."""
+        """Close an open inspection, or call off what is about to be done; a fault in flight cannot be acknowledged.
+
+        whose: who says so, for the journal.
+        """
         held = self.diagnosis
+        if called_off := self.reaction.acknowledge(whose):
+            return tuple(called_off)
         if held.stage is not Stage.INSPECT:
             why = "the vehicle flies with the fault" if held.stage is Stage.FAULT else "no inspection is open"
             return (Note(f"acknowledged by {whose}, without effect: {why}"),)
@@ -170,6 +186,10 @@ class Session:
         if looked or not self._settings.negotiate or self.state in (State.FITTING, State.FAULTED):
             return
         self._looked = now
+        blind = self.reaction.commands and not self.reaction.sticks_known and self.state is State.MONITORING
+        if blind and (self._sticks_asked is None or now - self._sticks_asked >= STICKS_S):
+            self._sticks_asked = now
+            self._effects.append(self._negotiation.ask_for(MessageId.RC_CHANNELS, STICKS_HZ, now))
         effects, notices = self._negotiation.step(self._demand(inbox).wants, streams, inbox.acks, now)
         self._effects += effects
         self._notices += notices

@@ -26,7 +26,7 @@ from mavdiag.link.codec import (
     frames_of,
     layout_of,
 )
-from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
+from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
 from mavdiag.link.profiles import (
     IMU_MESSAGES,
     LAST_RESORT,
@@ -60,11 +60,23 @@ MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up on
 
 #: Messages that carry a command.
 COMMANDS = frozenset({MessageId.COMMAND_LONG, MessageId.COMMAND_INT})
-_TALK = COMMANDS | {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}
+#: Messages that tell where a pilot's sticks are, with the fields of four of them.
+STICKS: Mapping[int, tuple[str, ...]] = {
+    MessageId.MANUAL_CONTROL: ("x", "y", "z", "r"),
+    **dict.fromkeys(
+        (MessageId.RC_CHANNELS, MessageId.RC_CHANNELS_OVERRIDE), tuple(f"chan{n}_raw" for n in range(1, 5))
+    ),
+}
+_TALK = (
+    COMMANDS | STICKS.keys() | {MessageId.HEARTBEAT, MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}
+)
 _TALKS = np.isin(MSGIDS, list(_TALK))  # by row of a message
 
 _KIND = slice(field_index(MessageId.HEARTBEAT, "type"), field_index(MessageId.HEARTBEAT, "autopilot") + 1)
-_ACK = tuple(field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result", "target_component"))
+_MODE = tuple(field_index(MessageId.HEARTBEAT, name) for name in ("base_mode", "custom_mode"))
+_ACK = tuple(
+    field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result", "target_system", "target_component")
+)
 _TARGETS: Mapping[int, list[int]] = {
     msgid: [field_index(msgid, name) for name in ("target_system", "target_component")] for msgid in COMMANDS
 }
@@ -92,10 +104,33 @@ class Command:
 
 def acks_in(frames: Iterable[Frame]) -> tuple[Ack, ...]:
     """The autopilot's acknowledgements to us (or to nobody in particular, as MAVLink 1 has it)."""
-    told = (frame.fields for frame in frames if frame.msgid == MessageId.COMMAND_ACK and frame.compid == AUTOPILOT)
-    found = ([int(fields[place]) for place in _ACK] for fields in told)
+    told = (frame for frame in frames if frame.msgid == MessageId.COMMAND_ACK and frame.compid == AUTOPILOT)
+    found = ((frame.sysid, [int(frame.fields[place]) for place in _ACK]) for frame in told)
     ours = (Component.ALL, Component.ONBOARD_COMPUTER)
-    return tuple(Ack(command, result) for command, result, component in found if component in ours)
+    return tuple(
+        Ack(command, result)
+        for sysid, (command, result, system, component) in found
+        if component in ours and system in (0, sysid)
+    )
+
+
+def mode_in(frames: Iterable[Frame]) -> int | None:
+    """The custom_mode of the autopilot's latest heartbeat; None without one, or if it has none."""
+    beats = [frame for frame in frames if frame.msgid == MessageId.HEARTBEAT and frame.compid == AUTOPILOT]
+    base, custom = (int(beats[-1].fields[place]) for place in _MODE) if beats else (0, 0)
+    return custom if base & ModeFlag.CUSTOM_MODE_ENABLED else None
+
+
+def sticks_in(frames: Iterable[Frame], compid: int | None = AUTOPILOT) -> dict[int, tuple[int, ...]]:
+    """The latest position of four sticks, by message. compid: of who tells it, None for anybody.
+
+    Pulses [us] of RC_CHANNELS and RC_CHANNELS_OVERRIDE, -1000..1000 of MANUAL_CONTROL.
+    """
+    told = (frame for frame in frames if frame.msgid in STICKS and compid in (None, frame.compid))
+    return {
+        frame.msgid: tuple(int(frame.fields[field_index(frame.msgid, name)]) for name in STICKS[frame.msgid])
+        for frame in told
+    }
 
 
 def command_in(frame: Frame) -> tuple[int, Command] | None:
