@@ -170,7 +170,7 @@ class Presenter:
 
     def __init__(self, per_minute: int = 30) -> None:
         self.suppressed = 0
-        self._per_minute = per_minute
+        self.per_minute = per_minute
         self._sent: list[tuple[bool, Instant]] = []  # texts of the last minute: whether loud, and when
         self._said: dict[Kind, _Matter] = {}
         self._held: set[tuple[Kind, str]] = set()  # matters that were held back and counted already
@@ -194,7 +194,7 @@ class Presenter:
         policy, matter = notice.kind.value, (notice.kind, notice.key)
         loud = policy.severity <= Severity.CRITICAL
         self._sent = [(was_loud, at) for was_loud, at in self._sent if now - at < MINUTE_S]
-        spent = sum(was_loud == loud for was_loud, _ in self._sent) >= self._per_minute // 2
+        spent = sum(was_loud == loud for was_loud, _ in self._sent) >= self.per_minute // 2
         if spent or (before is not None and now - before.at < GAP_S):
             if policy.again_s and matter in self._held:
                 return []

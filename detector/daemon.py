@@ -329,9 +329,9 @@ class Daemon:
 
     def _carry_out(self, turns: Sequence[Turn]) -> None:
         for turn in turns:
-            for command in turn.commands:
-                source = self.fleet.link.source(command.sysid, command.compid)
-                handled = self._requests.command(command, turn.vehicle, trusted=self._signing is not None)
+            for frame in turn.asked:
+                source = self.fleet.link.source(frame.sysid, frame.compid)
+                handled = self._requests.asked(frame, turn.vehicle, trusted=self._signing is not None)
                 self._answer(handled, partial(self._link.answer, source=source))
             for effect in turn.effects:
                 self._act(turn.vehicle, effect)

@@ -54,12 +54,14 @@ LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE ar
 USEFUL_FRAMES = 20  # of an IMU message, before it is taken at once (our choice)
 CHOICE_S = 1.0  # for which the choice stays open otherwise, from the first IMU message of any kind on (our choice)
 REQUESTS_MAX = (
-    16  # commands for one vehicle's computer that are handed out at a time, so a flood is not answered (our choice)
+    16  # requests to one vehicle's computer that are handed out at a time, so a flood is not answered (our choice)
 )
 MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up ones cost little (our choice)
 
 #: Messages that carry a command.
 COMMANDS = frozenset({MessageId.COMMAND_LONG, MessageId.COMMAND_INT})
+#: ... and all that ask something of a component.
+ASKING = COMMANDS | {MessageId.PARAM_REQUEST_READ, MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_SET}
 #: Messages that tell where a pilot's sticks are, with the fields of four of them.
 STICKS: Mapping[int, tuple[str, ...]] = {
     MessageId.MANUAL_CONTROL: ("x", "y", "z", "r"),
@@ -67,9 +69,7 @@ STICKS: Mapping[int, tuple[str, ...]] = {
         (MessageId.RC_CHANNELS, MessageId.RC_CHANNELS_OVERRIDE), tuple(f"chan{n}_raw" for n in range(1, 5))
     ),
 }
-_TALK = (
-    COMMANDS | STICKS.keys() | {MessageId.HEARTBEAT, MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}
-)
+_TALK = ASKING | STICKS.keys() | {MessageId.HEARTBEAT, MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}
 _TALKS = np.isin(MSGIDS, list(_TALK))  # by row of a message
 
 _KIND = slice(field_index(MessageId.HEARTBEAT, "type"), field_index(MessageId.HEARTBEAT, "autopilot") + 1)
@@ -78,7 +78,7 @@ _ACK = tuple(
     field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result", "target_system", "target_component")
 )
 _TARGETS: Mapping[int, list[int]] = {
-    msgid: [field_index(msgid, name) for name in ("target_system", "target_component")] for msgid in COMMANDS
+    msgid: [field_index(msgid, name) for name in ("target_system", "target_component")] for msgid in ASKING
 }
 _PARAM_NAME = field_index(MessageId.PARAM_VALUE, "param_id")
 _PARAM_VALUE, _PARAM_TYPE = (layout_of(MessageId.PARAM_VALUE).offset(name)[0] for name in ("param_value", "param_type"))
@@ -95,11 +95,12 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command (MAV_CMD) that was addressed to a vehicle's on-board computer, and who sent it."""
+    """A command (MAV_CMD) with its first parameter, and who sent it."""
 
     command: int
     sysid: int
     compid: int
+    parameter: float = 0.0
 
 
 def acks_in(frames: Iterable[Frame]) -> tuple[Ack, ...]:
@@ -133,13 +134,20 @@ def sticks_in(frames: Iterable[Frame], compid: int | None = AUTOPILOT) -> dict[i
     }
 
 
-def command_in(frame: Frame) -> tuple[int, Command] | None:
-    """A command to a vehicle's on-board computer, with the vehicle's system id; None for any other frame."""
-    if frame.msgid not in COMMANDS:
+def asked_of(frame: Frame) -> int | None:
+    """The system id of the vehicle whose on-board computer a frame asks something of; None for any other frame."""
+    if frame.msgid not in ASKING:
         return None
     system, component = (int(frame.fields[place]) for place in _TARGETS[frame.msgid])
-    command = Command(int(frame.fields[field_index(frame.msgid, "command")]), frame.sysid, frame.compid)
-    return (system, command) if component == Component.ONBOARD_COMPUTER else None
+    return system if component == Component.ONBOARD_COMPUTER else None
+
+
+def command_in(frame: Frame) -> Command | None:
+    """The command in a frame; None for a frame without one."""
+    if frame.msgid not in COMMANDS:
+        return None
+    number, first = (frame.fields[field_index(frame.msgid, name)] for name in ("command", "param1"))
+    return Command(int(number), frame.sysid, frame.compid, float(first))
 
 
 def parameters_in(frames: Iterable[Frame], autopilot: int) -> dict[str, float]:
@@ -233,7 +241,7 @@ class _Unread:
     """What came from, or for, a vehicle that has entered, until it is asked for."""
 
     pieces: list[Frames] = field(default_factory=list)
-    commands: list[Command] = field(default_factory=list)
+    asked: list[Frame] = field(default_factory=list)
     urgent: bool = False  # whether a command or a TIMESYNC waits, which want an answer
 
 
@@ -245,7 +253,7 @@ class Received:
     telemetry: Telemetry = field(default_factory=Telemetry)
     present: bool = False  # its autopilot sent frames
     acks: tuple[Ack, ...] = ()  # its answers to our commands
-    commands: tuple[Command, ...] = ()  # of others, to its on-board computer
+    asked: tuple[Frame, ...] = ()  # what others ask of its on-board computer
     parameters: Mapping[str, float] = field(default_factory=dict)  # its own that passed by since it entered
 
 
@@ -337,11 +345,12 @@ class LinkDecoder:
             self._take_talk(frames.where(_TALKS[frames.rows["row"]]))
 
     def _take_talk(self, frames: Iterable[Frame]) -> None:
-        """Hand out the commands to on-board computers, at most `REQUESTS_MAX` to each; note who wants an answer."""
+        """Hand out what is asked of on-board computers, at most `REQUESTS_MAX` to each; note who wants an answer."""
         for frame in frames:
-            if (found := command_in(frame)) and found[0] in self.vehicles:
-                unread = self._unread.setdefault(found[0], _Unread())
-                unread.commands += [found[1]] if len(unread.commands) < REQUESTS_MAX else []
+            sysid = asked_of(frame)
+            if sysid is not None and sysid in self.vehicles:
+                unread = self._unread.setdefault(sysid, _Unread())
+                unread.asked += [frame] if len(unread.asked) < REQUESTS_MAX else []
                 unread.urgent = True
             elif frame.msgid == MessageId.TIMESYNC and frame.sysid in self._unread:
                 self._unread[frame.sysid].urgent = True
@@ -353,7 +362,7 @@ class LinkDecoder:
         talk = tuple(frames.where(_TALKS[frames.rows["row"]]))
         present = bool((frames.rows["sender"] & 0xFF == AUTOPILOT).any())
         telemetry = stream.step(frames, talk)
-        return Received(talk, telemetry, present, acks_in(talk), tuple(unread.commands), stream.parameters)
+        return Received(talk, telemetry, present, acks_in(talk), tuple(unread.asked), stream.parameters)
 
     def urgent(self) -> set[int]:
         """The vehicles for or from which something waits that wants an answer."""
