@@ -65,7 +65,7 @@ def detect(
     """Watch vehicles over MAVLink for damaged propellers, until SIGINT or SIGTERM.
 
     Needs --baseline FILE or --learn SECONDS. It sends a heartbeat, texts, their figures and stream requests, as
-    component 191 of the vehicle's system; it never arms and never sets a parameter.
+    component 191 of the vehicle's system; it never arms and never sets a parameter. Only --on-fault lets it command.
 
     Every setting of --config can be given in the environment too, as MAVDIAG_DETECTOR_ and its name in capitals.
 

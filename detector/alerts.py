@@ -77,6 +77,9 @@ class Kind(Enum):
     RATES = Policy(Severity.INFO, "PROP got {}")  # message and rate, ...
     NO_LAYOUT = Policy(Severity.WARNING, "PROP rotor layout unknown: {} monitors off")  # how many
     OTHER_VEHICLE = Policy(Severity.WARNING, "PROP not the vehicle of the baseline")
+    REACTING = Policy(Severity.CRITICAL, "PROP {} in {}")  # the action, how long and what calls it off
+    REACTED = Policy(Severity.CRITICAL, "PROP {} {}")  # the action, what became of it
+    ON_FAULT = Policy(Severity.CRITICAL, "PROP on fault: {}")  # what was found
     OTHER_LAYOUT = Policy(Severity.WARNING, "PROP flights contradict rotor layout {}")  # its name
 
 
@@ -169,7 +172,7 @@ class Presenter:
 
     def __init__(self, per_minute: int = 30) -> None:
         self.suppressed = 0
-        self._per_minute = per_minute
+        self.per_minute = per_minute
         self._sent: list[tuple[bool, Instant]] = []  # texts of the last minute: whether loud, and when
         self._said: dict[Kind, _Matter] = {}
         self._waiting: dict[Kind, tuple[Notice, Instant]] = {}  # what is not said yet (`wait_s`), and since when
@@ -207,7 +210,7 @@ class Presenter:
         policy, matter = notice.kind.value, (notice.kind, notice.key)
         loud = policy.severity <= Severity.CRITICAL
         self._sent = [(was_loud, at) for was_loud, at in self._sent if now - at < MINUTE_S]
-        spent = sum(was_loud == loud for was_loud, _ in self._sent) >= self._per_minute // 2
+        spent = sum(was_loud == loud for was_loud, _ in self._sent) >= self.per_minute // 2
         if spent or (before is not None and now - before.at < GAP_S):
             if policy.again_s and matter in self._held:
                 return []

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from detector.config import Settings, split_address
 from detector.flights import check_installed as check_history
 from detector.judging import rescaled
+from detector.rules import parse_rules
 from detector.web.child import Place, check_installed, read_token
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline, check_link
@@ -51,6 +52,8 @@ def plan(
         yield f"vehicle {sysid:<3}by {source}: {_summary(known, settings)}"
     if settings.threshold_scale != 1.0:
         yield f"thresholds times {settings.threshold_scale:g}"
+    for rule in parse_rules(settings.on_fault):
+        yield f"on fault   {rule}, in {settings.on_fault_modes}"
     kept = "; keeps the rates that it needs" if settings.keep_rates else ""
     for address in settings.forward:
         yield f"forwards   {address}{kept}{_absence(address)}"

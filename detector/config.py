@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from typer.models import OptionInfo
 
 from detector.hooks import parse_hook
+from detector.rules import AUTOMATIC, parse_modes, parse_rules
 from detector.web.access import is_loopback
 from mavdiag.errors import InputError, UsageError
 from mavdiag.link.ports import parse_address
@@ -39,6 +40,8 @@ _HOOK = "exec:PROGRAM, http://..., mqtt://HOST/TOPIC: gets every alert's line of
 _BASELINES = "Folder of baselines: 3.json is system id 3's, 000000000051d205.json that of the autopilot with this uid."
 _HISTORY = "Add every flight after its landing: SQLite, or postgresql://user@host/name; needs --flights."
 _FLIGHTS = "Keeps the recordings of flights that are not in the history yet."
+_ON_FAULT = "What to do about a fault, as 'gross loss: land; propeller fault after 10 s: rtl; suspected: text'."
+_MODES = "Flight modes in which it may be done.  [default: those that fly by themselves or hold a place]"
 _WEB = "Serve the live page; a bare port is on loopback, elsewhere it needs a token."
 
 
@@ -56,6 +59,8 @@ class SessionSettings(BaseModel):
     suspect: tuple[str, ...] = ()  # monitors ("fsd", "fsd.pitch") that only raise a suspicion
     texts_per_minute: Annotated[int, Field(ge=4, le=120)] = 30  # half for declared faults, half for the rest
     named_values_hz: Annotated[float, Field(gt=0, le=20)] = 5.0  # rate of the NAMED_VALUE_FLOATs
+    on_fault: Annotated[str, _option("TABLE", _ON_FAULT)] = ""
+    on_fault_modes: Annotated[str, _option("MODES", _MODES)] = AUTOMATIC
 
 
 class VehicleSettings(BaseModel):
@@ -179,6 +184,8 @@ def load_settings(
         parse_address(address)
     for hook in settings.hook:
         parse_hook(hook)
+    parse_rules(settings.on_fault)
+    parse_modes(settings.on_fault_modes)
     if settings.profile is not None:
         profile_named(settings.profile)
     if settings.metrics is not None:

@@ -22,6 +22,7 @@ from detector.journal import Journal, Recorder, Reporter, When
 from detector.notify import Notifier
 from detector.relay import Relay
 from detector.requests import Handled, Requests
+from detector.rules import parse_rules
 from detector.sender import MavlinkSender
 from detector.states import State
 from detector.values import (
@@ -176,6 +177,8 @@ class Daemon:
         whose = f"{own} vehicle{'s' if own > 1 else ''} by a baseline of its own"
         goals += [whose if goals else f"watching {whose}"] if own else []
         behind = "".join(f", forwarding to {endpoint.address}" for endpoint in self._behind)
+        for rule in parse_rules(self._settings.on_fault):
+            self._host.say(f"on fault: {rule}")
         self._reporter.mark("start", {"version": __version__, "connect": self._link.address})
         self._host.say(f"ready: {self._link.address}{behind}, {', '.join(goals)}")
         if self._web is not None:
@@ -367,9 +370,9 @@ class Daemon:
 
     def _carry_out(self, turns: Sequence[Turn]) -> None:
         for turn in turns:
-            for command in turn.commands:
-                source = self.fleet.link.source(command.sysid, command.compid)
-                handled = self._requests.command(command, turn.vehicle, trusted=self._signing is not None)
+            for frame in turn.asked:
+                source = self.fleet.link.source(frame.sysid, frame.compid)
+                handled = self._requests.asked(frame, turn.vehicle, trusted=self._signing is not None)
                 self._answer(handled, partial(self._link.answer, source=source))
             for effect in turn.effects:
                 self._act(turn.vehicle, effect)

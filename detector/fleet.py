@@ -20,11 +20,12 @@ from detector.values import Effect, EventOpened, Inbox, LearningFailed, Note, Se
 from mavdiag.baseline import Baseline
 from mavdiag.kernel import LOOK_NS
 from mavdiag.link.clock import Timesync, exchanged
+from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
-from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder
+from mavdiag.link.vehicles import VEHICLES_MAX, LinkDecoder, mode_in, sticks_in
 from mavdiag.telemetry import Instant, Series, Signal
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
@@ -43,7 +44,7 @@ class Turn:
 
     vehicle: int  # system id
     effects: tuple[Effect, ...]  # what its session wants done
-    commands: tuple[Command, ...] = ()  # of others to its companion, which we are
+    asked: tuple[Frame, ...] = ()  # of others, of its companion, which we are
     latency_s: float | None = None  # from the arrival of the first gyro sample of what was judged; None if nothing was
 
 
@@ -56,6 +57,7 @@ class Vehicle:
         self.judged_ns: int | None = None  # the vehicle's time up to which was judged
         self.first_ns: int | None = None  # when the first gyro sample came that was not judged then (host)
         self.outcome: Baseline | LearningFailed | None = None  # of its last `Learn`, until the session gets it
+        self.sticks: dict[int, tuple[int, ...]] = {}  # told by ground stations behind, until the session gets them
         self.events = 0  # that were opened, so far
         self.timesync = Timesync()  # asked and answered where we may negotiate
 
@@ -205,15 +207,16 @@ class Fleet:
         vehicle, stream, received = self.vehicles[sysid], self.link.vehicles[sysid], self.link.received(sysid)
         session, came, alive = vehicle.session, received.telemetry, received.present
         reboots, imu = stream.state.timeline.reboots, stream.profile.imu
-        inbox = Inbox(came, alive, reboots, received.acks, vehicle.outcome, received.parameters, imu)
-        vehicle.outcome = None
+        mode, sticks = mode_in(received.frames), sticks_in(received.frames) | vehicle.sticks
+        inbox = Inbox(came, alive, reboots, received.acks, vehicle.outcome, received.parameters, imu, mode, sticks)
+        vehicle.outcome, vehicle.sticks = None, {}
         effects = session.step(inbox, now)
         vehicle.events += sum(isinstance(effect, EventOpened) for effect in effects)
         if session.spec.settings.negotiate:
             vehicle.timesync, messages = exchanged(vehicle.timesync, received.frames, now.ns, alive=alive)
             effects = (*effects, *messages)
         latency_s = vehicle.wait(came.get(Signal.BODY_RATE), now.ns, self.looks)
-        return Turn(sysid, effects, received.commands, latency_s)
+        return Turn(sysid, effects, received.asked, latency_s)
 
     def _parted(self, sysid: int, now: Instant, work: Callable[[int, Instant], Turn]) -> Turn:
         """What comes of one vehicle's work. An error of the program takes this vehicle off, and no other."""

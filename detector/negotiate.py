@@ -95,6 +95,11 @@ class Negotiation:
             effects += self._told(ask, msgid, want, rate_hz and (streams.meter(want.signal).steady_hz or rate_hz), now)
         return effects, self._reported(rates_hz, now)
 
+    def ask_for(self, msgid: int, rate_hz: float, now: Instant) -> AskInterval:
+        """Ask once for a stream that is not measured here."""
+        self._awaited.append((msgid, now))
+        return AskInterval(msgid, round(_US_PER_S / rate_hz))
+
     def _acknowledged(self, acks: Sequence[Ack], now: Instant) -> list[Note]:
         """Acknowledgements are taken to come in the order of the requests; MAVLink has nothing better for them."""
         self._awaited = [(msgid, at) for msgid, at in self._awaited if now - at <= ACK_S]

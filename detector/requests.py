@@ -1,4 +1,4 @@
-"""What ground stations ask of the detector: commands, and rates that it keeps. No clock, no socket.
+"""What ground stations ask of the detector: commands, parameters, and rates that it keeps. No clock, no socket.
 
 Kept back (`keep_rates`) are two requests, addressed to the autopilot or to everybody. SET_MESSAGE_INTERVAL of a message
 that is needed here is answered with COMMAND_ACK "denied", in the autopilot's name: a ground station takes an answer
@@ -6,18 +6,18 @@ only from the component that it asked. REQUEST_DATA_STREAM of a group that holds
 all groups becomes requests for those that hold none.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from detector import component
 from detector.fleet import Fleet, Turn
 from detector.sender import MavlinkSender
 from detector.values import Effect, Note
-from mavdiag.decision.diagnosis import Stage
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index, message_name
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.signing import Signing
-from mavdiag.link.vehicles import COMMANDS, Command, command_in
+from mavdiag.link.vehicles import ASKING, COMMANDS, STICKS, Command, asked_of, command_in, sticks_in
 from mavdiag.link.wants import messages_of
 from mavdiag.telemetry import Instant
 
@@ -25,6 +25,7 @@ NOTED_MOST = 64  # requests that were kept back are named once each, as long as 
 
 #: Messages that carry a request for a rate.
 GUARDED = COMMANDS | {MessageId.REQUEST_DATA_STREAM}
+_STICKS_TO: Mapping[int, str] = {MessageId.MANUAL_CONTROL: "target", MessageId.RC_CHANNELS_OVERRIDE: "target_system"}
 ALL_GROUPS = 0
 #: MAV_DATA_STREAM, and what of the messages that a detector may need each group holds: ArduPilot's groups
 #: (GCS_MAVLink_Copter.cpp, `STREAM_...`), with the messages of other autopilots beside those of the same kind.
@@ -63,7 +64,7 @@ class Requests:
         self, fleet: Fleet, keep_rates: bool, sender: Callable[[int], MavlinkSender], signing: Signing | None = None
     ) -> None:
         self._fleet, self._keep_rates, self._sender, self._signing = fleet, keep_rates, sender, signing
-        self._decoder = Decoder(GUARDED)
+        self._decoder = Decoder(GUARDED | ASKING | STICKS.keys())
         self._noted: set[tuple[int, ...]] = set()
         self._autopilots: dict[int, Encoder] = {}  # of the answers in an autopilot's name
 
@@ -73,33 +74,58 @@ class Requests:
         for message in messages:
             frames = self._decoder.feed_datagram(message, now.ns)
             kept = self._kept(frames[0]) if frames and self._keep_rates else None
-            command = command_in(frames[0]) if frames else None
+            vehicle = asked_of(frames[0]) if frames else None
+            self._note_sticks(frames)
             if kept is not None:
                 handled += kept
-            elif command is not None:
-                handled += Handled((message,)) + self.command(command[1], command[0])
+            elif vehicle is not None:
+                handled += Handled((message,)) + self.asked(frames[0], vehicle)
             else:
                 handled += Handled((message,))
         return handled
 
-    def command(self, command: Command, sysid: int, *, trusted: bool = True) -> Handled:
-        """A command for a vehicle's detector. It takes one: an inspection is acknowledged.
+    def _note_sticks(self, frames: Sequence[Frame]) -> None:
+        for frame in frames:
+            to = _STICKS_TO.get(frame.msgid)
+            if to is not None and (vehicle := self._fleet.vehicles.get(_field(frame, to))) is not None:
+                vehicle.sticks |= sticks_in((frame,), None)
 
-        trusted: it comes from a link behind, or it is signed; any other sender may be forged.
+    def asked(self, frame: Frame, sysid: int, *, trusted: bool = True) -> Handled:
+        """What is asked of a vehicle's detector: parameters, messages, and the command that acknowledges.
+
+        That one closes an inspection, or calls off what is about to be done.
+        trusted: it comes from a link behind, or it is signed; any other sender may be forged, and changes nothing.
         """
         if sysid not in self._fleet.vehicles:
             return Handled()
-        whose, effects, result = f"{command.sysid}/{command.compid}", tuple[Effect, ...](), MavResult.UNSUPPORTED
-        if command.command == MavCmd.USER_1 and trusted:
-            session = self._fleet.vehicles[sysid].session
-            was_open = session.diagnosis.stage is Stage.INSPECT
-            effects, result = session.acknowledge(whose), MavResult.ACCEPTED if was_open else MavResult.FAILED
-        elif command.command == MavCmd.USER_1:
-            result = MavResult.DENIED
-            if self._is_new(sysid, command.sysid, command.compid):
-                effects = (Note(f"acknowledged by {whose} on a link that is not signed: refused, it may be forged"),)
-        turns = (Turn(sysid, effects),) if effects else ()
-        return Handled((), (self._sender(sysid).answer(command, result),), turns)
+        session, sender = self._fleet.vehicles[sysid].session, self._sender(sysid)
+        command, effects, more = command_in(frame), tuple[Effect, ...](), list[bytes]()
+        changes = frame.msgid == MessageId.PARAM_SET or (command is not None and command.command == MavCmd.USER_1)
+        if changes and not trusted and self._is_new(sysid, frame.sysid, frame.compid):
+            what = "acknowledged" if command else "a parameter was set"
+            whose = f"{frame.sysid}/{frame.compid}"
+            effects = (Note(f"{what} by {whose} on a link that is not signed: refused, it may be forged"),)
+        if command is not None:
+            result = MavResult.UNSUPPORTED
+            if changes:
+                result = MavResult.ACCEPTED if session.acknowledgeable else MavResult.FAILED
+                result = result if trusted else MavResult.DENIED
+                effects = session.acknowledge(f"{frame.sysid}/{frame.compid}") if trusted else effects
+            elif (told := self._version(command, sender)) is not None:
+                result, more = MavResult.ACCEPTED, [told]
+            more = [sender.answer(command, result), *more]
+        elif changes and trusted:
+            more, effects = component.change(frame, session, sender)
+        else:
+            more = component.read(frame, session, sender)
+        return Handled((), tuple(more), (Turn(sysid, effects),) if effects else ())
+
+    def _version(self, command: Command, sender: MavlinkSender) -> bytes | None:
+        """The message that a command asks for; None if there is none."""
+        if command.command == MavCmd.REQUEST_AUTOPILOT_CAPABILITIES:
+            return component.version_frame(sender, MessageId.AUTOPILOT_VERSION)
+        asks = command.command == MavCmd.REQUEST_MESSAGE and 0 <= command.parameter < 1 << 24
+        return component.version_frame(sender, int(command.parameter)) if asks else None
 
     def _kept(self, frame: Frame) -> Handled | None:
         """What becomes of a request for a rate that is needed here; None if it is passed on."""

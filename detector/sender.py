@@ -1,7 +1,7 @@
 """What the detector sends, as MAVLink frames: it is component 191 of the vehicle's system."""
 
 from detector.states import State
-from detector.values import AskInterval, AskParameters, Effect, SendFloat, SendText
+from detector.values import AskInterval, AskParameters, Effect, SendCommand, SendFloat, SendText
 from mavdiag.link.clock import TimesyncMessage
 from mavdiag.link.codec import Encoder
 from mavdiag.link.layout import Argument
@@ -51,11 +51,14 @@ class MavlinkSender:
         return []
 
     def to_vehicle(self, effect: Effect) -> list[bytes]:
-        """Requests to the vehicle's autopilot, and TIMESYNC."""
+        """Requests and commands to the vehicle's autopilot, and TIMESYNC."""
         match effect:
             case AskInterval(msgid, interval_us):
                 command = (*self._autopilot, MavCmd.SET_MESSAGE_INTERVAL, 0)
                 return [self.frame(MessageId.COMMAND_LONG, *command, msgid, interval_us)]
+            case SendCommand(number, parameters, confirmation):
+                order = (*self._autopilot, number, confirmation, *parameters)
+                return [self.frame(MessageId.COMMAND_LONG, *order)]
             case AskParameters(names):
                 return [self.frame(MessageId.PARAM_REQUEST_READ, *self._autopilot, name, -1) for name in names]
             case TimesyncMessage(tc1_ns, ts1_ns):

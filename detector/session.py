@@ -9,6 +9,8 @@ from typing import Final
 from detector.alerts import Kind, NamedValues, Notice, Presenter, Telling
 from detector.judging import Judge, beginning, chain_for, records_of, words_of
 from detector.negotiate import Negotiation
+from detector.reaction import Reaction
+from detector.rules import parse_modes, parse_rules
 from detector.states import TABLE, State, Trigger
 from detector.streams import Demand, Hindrance, Reason, Streams
 from detector.values import AskParameters, Effect, Inbox, Learn, LearningFailed, Note, SessionSpec, StateChanged
@@ -19,6 +21,7 @@ from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Stage
 from mavdiag.decision.words import motors_words
 from mavdiag.errors import BaselineError
 from mavdiag.link.codec import message_name
+from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import LAST_RESORT, Profile
 from mavdiag.link.samples import joined
 from mavdiag.link.wants import Reading
@@ -27,6 +30,10 @@ from mavdiag.telemetry import Instant, Signal, Telemetry
 WAITED_CHUNKS = 256  # kept while the streams are measured: some ten seconds (our choice)
 LOOK_S = 0.1  # between two looks at what the streams lack (our choice)
 IDLE_S = 3.0  # that nothing is judged is said after so long (our choice)
+STICKS_S, STICKS_HZ = (
+    60.0,
+    5.0,
+)  # how often a pilot's sticks are asked for while they are not told, at which rate (our choice)
 ARMED_FROM = 0.5  # of the signal, which is 0 or 1
 PROGRESS_STEP = 25  # percent of learning between two texts
 FITS = 3  # fits that may fail before learning is given up (our choice)
@@ -37,15 +44,18 @@ class Session:
 
     def __init__(self, spec: SessionSpec, now: Instant) -> None:
         self.spec: Final = spec
-        self._settings = settings = spec.settings
+        self.settings = settings = spec.settings
         self.state, self.reason = State.WAITING, "the first frame came"  # where it is and why
         self.latest, self.reboots = now, 0  # when anything came from the vehicle last (host)
         self.baseline = spec.baseline  # what it judges by, None until it is learned
         self.judge: Judge | None = None  # the chain at work
         self._held = spec.held  # what is known of the vehicle while there is no chain: an open inspection
         self._presenter, self._telling = Presenter(settings.texts_per_minute), Telling()
+        modes, autopilot = parse_modes(settings.on_fault_modes), spec.profile.autopilot
+        self.reaction = Reaction(parse_rules(settings.on_fault), modes, autopilot)
+        self._sticks_asked: Instant | None = None
         self._named_values = NamedValues(1.0 / settings.named_values_hz)
-        self._armed, self._armings = False, 0
+        self.armed, self._armings = False, 0
         self._looked = Instant(0)  # when it was asked what the streams lack
         self._unjudged: dict[str, str] = {}  # monitors that were said not to judge, with the reason
         self._effects: list[Effect] = []
@@ -82,8 +92,9 @@ class Session:
             getattr(self, f"_{self.state}")(inbox, now)
         armed = inbox.telemetry.get(Signal.ARMED)
         if armed is not None and len(armed):
-            was_armed, self._armed = self._armed, bool(armed.values[-1, 0] >= ARMED_FROM)
-            self._armings += self._armed and not was_armed
+            was_armed, self.armed = self.armed, bool(armed.values[-1, 0] >= ARMED_FROM)
+            self._armings += self.armed and not was_armed
+        self._effects += self.reaction.step(self.diagnosis, self.armed, inbox, now)
         self._notices += self._telling.step(self.diagnosis, self._armings)
         return (*self._effects, *self._presenter.present(self._notices, now))
 
@@ -100,8 +111,13 @@ class Session:
         return () if self.judge is None else self.judge.finish()
 
     def acknowledge(self, whose: str) -> tuple[Effect, ...]:
-        """Close an open inspection; a fault in flight cannot be acknowledged. whose: who says so, for the journal."""
+        """Close an open inspection, or call off what is about to be done; a fault in flight cannot be acknowledged.
+
+        whose: who says so, for the journal.
+        """
         held = self.diagnosis
+        if called_off := self.reaction.acknowledge(whose):
+            return tuple(called_off)
         if held.stage is not Stage.INSPECT:
             why = "the vehicle flies with the fault" if held.stage is Stage.FAULT else "no inspection is open"
             return (Note(f"acknowledged by {whose}, without effect: {why}"),)
@@ -113,6 +129,23 @@ class Session:
         motors = motors_words(held)
         told = Notice(Kind.ACKNOWLEDGED, (motors,)).effect
         return (Note(f"inspection of {motors} acknowledged by {whose}"), *changes, told)
+
+    @property
+    def acknowledgeable(self) -> bool:
+        """Whether `acknowledge` has an effect."""
+        return self.diagnosis.stage is Stage.INSPECT or self.reaction.pending
+
+    def tune(self, **settings: float) -> tuple[Effect, ...]:
+        """Go on with other settings: `threshold_scale` on the ground, `texts_per_minute`. Valid values only."""
+        self.settings = self.settings.model_copy(update=settings)
+        self._presenter.per_minute = self.settings.texts_per_minute
+        if "threshold_scale" not in settings or self.judge is None:
+            return ()
+        self._effects = [*self.finish()]
+        self._held, self.judge = self._landed(), None  # a chain with other thresholds is made from the streams
+        if self.state is State.MONITORING:
+            self._move(Trigger.STREAMS_LOST, "the scale of the thresholds was set")
+        return tuple(self._effects)
 
     def _landed(self) -> Diagnosis:
         if self.judge is not None:
@@ -131,7 +164,7 @@ class Session:
         self._say(Kind.OFF, reason)
 
     def _link(self, inbox: Inbox, now: Instant) -> None:
-        limit_s = self._settings.link_lost_s
+        limit_s = self.settings.link_lost_s
         if inbox.alive:
             silent_s, self.latest = now - self.latest, now
             if self.state is State.LOST:
@@ -167,9 +200,13 @@ class Session:
             felt = f"but {streams.scale_doubt}"
             self._effects.append(Note(f"the vehicle does not feel 1 g by the scale of the profile {own.name}, {felt}"))
         looked = now - self._looked < LOOK_S and not inbox.acks
-        if looked or not self._settings.negotiate or self.state in (State.FITTING, State.FAULTED):
+        if looked or not self.settings.negotiate or self.state in (State.FITTING, State.FAULTED):
             return
         self._looked = now
+        blind = self.reaction.commands and not self.reaction.sticks_known and self.state is State.MONITORING
+        if blind and (self._sticks_asked is None or now - self._sticks_asked >= STICKS_S):
+            self._sticks_asked = now
+            self._effects.append(self._negotiation.ask_for(MessageId.RC_CHANNELS, STICKS_HZ, now))
         effects, notices = self._negotiation.step(self._demand(inbox).wants, streams, inbox.acks, now)
         self._effects += effects
         self._notices += notices
@@ -182,7 +219,7 @@ class Session:
         rests_on = (id(self.baseline), id(judge and judge.chain), profile.imu)
         if self._demanded is None or self._demanded[0] != rests_on:
             judged = [slot.monitor.signals for slot in judge.chain.slots] if judge else []
-            self._demanded = (rests_on, Demand.of(self._settings, profile, self.baseline, judged))
+            self._demanded = (rests_on, Demand.of(self.settings, profile, self.baseline, judged))
         return self._demanded[1]
 
     def _profile(self, inbox: Inbox) -> Profile:  # of the link, with the IMU message that is read
@@ -196,11 +233,11 @@ class Session:
         if self.baseline is not None and (self.judge is None or self.judge.baseline is not self.baseline):
             try:
                 check_link(self.baseline, profile=self.spec.profile.name, dt_s=self.baseline.link.dt_s)
-                chain = chain_for(self.baseline, self._settings, self.spec.unix_ns(now))
+                chain = chain_for(self.baseline, self.settings, self.spec.unix_ns(now))
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error))
             self.judge = Judge(self.baseline, chain, now, self._landed())
-            notes, notices = beginning(self.baseline, chain, self._settings)
+            notes, notices = beginning(self.baseline, chain, self.settings)
             self._effects, self._notices = [*self._effects, *notes], [*self._notices, *notices]
         lack = self._lack(inbox)
         if lack is None or lack.reason in (Reason.MEASURING, Reason.NO_GYRO, Reason.NO_SETPOINTS):
@@ -221,7 +258,7 @@ class Session:
         lack = self._lack(inbox)
         if lack is not None:
             return self._move(Trigger.STREAMS_LOST, lack.text)
-        profile, goal_s = self.spec.profile, (self._settings.learn or 0.0) * (1 + self._failed)
+        profile, goal_s = self.spec.profile, (self.settings.learn or 0.0) * (1 + self._failed)
         ground = self.streams.on_ground(profile.gate)
         gyro = inbox.telemetry.get(Signal.BODY_RATE)
         if ground is None:

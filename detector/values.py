@@ -50,6 +50,8 @@ class Inbox:
     outcome: Baseline | LearningFailed | None = None  # of the last `Learn`
     parameters: Mapping[str, float] = field(default_factory=dict)  # of its autopilot that passed by so far, by name
     imu: MessageId | None = None  # the message that its gyro is read from; None for the profile's
+    mode: int | None = None  # custom_mode of its latest heartbeat; None if none came
+    sticks: Mapping[int, tuple[int, ...]] = field(default_factory=dict)  # a pilot's, by message; see `STICKS`
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +84,15 @@ class AskParameters:
     """PARAM_REQUEST_READ of some parameters of the vehicle's autopilot, by name."""
 
     names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SendCommand:
+    """A command (MAV_CMD) to the vehicle's autopilot, with up to seven parameters."""
+
+    command: int
+    parameters: tuple[float, ...]
+    confirmation: int  # how often it was sent before
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +144,7 @@ class Note:
 
 #: What is worth a line in the journal. A `Change` is of the diagnosis, a `Baseline` was learned: keep it.
 Record: TypeAlias = SendText | StateChanged | Change | EventOpened | EventClosed | TextSuppressed | Note | Baseline
-Effect: TypeAlias = Record | SendFloat | AskInterval | AskParameters | Learn | TimesyncMessage
+Effect: TypeAlias = Record | SendFloat | AskInterval | AskParameters | SendCommand | Learn | TimesyncMessage
 
 
 @dataclass(frozen=True, slots=True)

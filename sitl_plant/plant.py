@@ -27,7 +27,15 @@ from sitl_plant.physics.control import ESTIMATE
 from sitl_plant.physics.dynamics import RIGID
 from sitl_plant.physics.faults import Injection, fault_injection, rotor_condition, sensor_condition
 from sitl_plant.physics.kernel import LOG, Block, Model, Recorded, Rows, Streams, fly
-from sitl_plant.physics.parameters import STEP_S, air_of, initial_state, make_model, recorded_set, reload
+from sitl_plant.physics.parameters import (
+    STEP_S,
+    air_of,
+    initial_state,
+    make_model,
+    recorded_set,
+    reload,
+    sparing,
+)
 from sitl_plant.physics.trajectory import ARM_S, LIFT_S, Leg, Nose, Path, Shape, landing_time, path
 from sitl_plant.vehicle import Vehicle, qdrone2
 
@@ -134,7 +142,7 @@ class Change(NamedTuple):
     """One change in flight, in effect from flight time `t_ns` on; an injection from its own onset on."""
 
     t_ns: int
-    what: Injection | Literal["clear", "wind", "battery"]
+    what: Injection | Literal["clear", "wind", "battery", "allocation"]
     values: Mapping[str, float] = MappingProxyType({})
 
 
@@ -250,6 +258,18 @@ class Plant:
         self._state.battery[:] = self._model.battery.open_circuit, 0.0
         self._note("battery")
 
+    def spare_rotor(self, rotor: int, thrust_left: float, demand: float = math.inf) -> None:
+        """Let the controller allocate for a weak rotor, see `parameters.sparing`. Raises UsageError.
+
+        thrust_left: of the thrust at the same speed, above 0 to 1. demand: above 1. Not for recorded vehicles.
+        """
+        if self._own is not None or rotor not in range(1, self.rotors + 1):
+            raise UsageError(f"rotor must be 1 to {self.rotors} of a vehicle that is not recorded, not {rotor}")
+        if not (0.0 < thrust_left <= 1.0 and demand > 1.0):
+            raise UsageError(f"thrust_left must be above 0 to 1 and demand above 1, not {thrust_left:g} and {demand:g}")
+        self._model = self._model._replace(controller=sparing(self.airframe.vehicle, rotor, thrust_left, demand))
+        self._note("allocation", {"rotor": rotor, "thrust_left": thrust_left})
+
     def lead(self, leg: Leg) -> None:
         """Lead a commanded flight along `leg` from the next step on. Raises UsageError for one with its own path."""
         if not self.config.commanded:
@@ -263,7 +283,9 @@ class Plant:
         return taken
 
     def _note(
-        self, what: Injection | Literal["clear", "wind", "battery"], values: Mapping[str, float] = MappingProxyType({})
+        self,
+        what: Injection | Literal["clear", "wind", "battery", "allocation"],
+        values: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         self._changes.append(Change(self.t_ns, what, values))
 

@@ -3,7 +3,7 @@
 {"record": "flight", ...}     once: the configuration
 {"record": "state", ...}      every second of flight: truth, SI units, body FRD, world NED
 {"record": "onset", ...}      when the fault begins, or a cause that was injected in flight
-{"record": "clear", ...}      when all causes are taken away in flight; "wind", "battery": set anew in flight
+{"record": "clear", ...}      when all causes are taken away in flight; "wind", "battery", "allocation": set anew
 """
 
 import json

@@ -88,12 +88,12 @@ class MadeVehicle:
         self.sysid, self._autopilot, self._kind = sysid, autopilot, kind
         self._rng = np.random.default_rng(sysid)
         self.sent = 0  # samples
-        self.armed = True
+        self.armed, self.custom_mode = True, 0
         self.turning = 0.0  # rad/s about roll that no set-point asked for
 
     def heartbeat(self) -> bytes:
-        mode = ModeFlag.SAFETY_ARMED if self.armed else 0
-        return self.encoder.encode(MessageId.HEARTBEAT, self._kind, self._autopilot, mode, 0, 4, 3)
+        mode = ModeFlag.CUSTOM_MODE_ENABLED | (ModeFlag.SAFETY_ARMED if self.armed else 0)
+        return self.encoder.encode(MessageId.HEARTBEAT, self._kind, self._autopilot, mode, self.custom_mode, 4, 3)
 
     def samples(self, count: int) -> list[bytes]:
         """The next samples of both streams, with a heartbeat every second."""

@@ -18,7 +18,7 @@ from mavdiag.units import NS_PER_S
 from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.emulator import Link, fly
-from sitl_plant.plant import Plant, PlantConfig
+from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 
 LEAST_S = 1e-5  # so that no rounding stops the clock
 CREATED = "2026-01-01T00:00:00Z"
@@ -101,13 +101,19 @@ class VirtualFlight:
         return list(endpoints)
 
     def fly(
-        self, config: PlantConfig, seconds: float, profile: str = "ardupilot", rate_hz: float | None = None
+        self,
+        config: PlantConfig,
+        seconds: float,
+        profile: str = "ardupilot",
+        rate_hz: float | None = None,
+        stop: Callable[[], bool] = lambda: False,
+        watch: Callable[[PlantSamples], None] = lambda samples: None,
     ) -> None:
-        """Fly in virtual real time."""
+        """Fly in virtual real time. stop, watch: as of the emulator."""
         plant, dialect = Plant(config), dialect_named(profile)
         link = Link(self._bench.far, dialect, rate_hz, plant.rotors)
         with patch("sitl_plant.emulator.time", self), patch("sitl_plant.emulator.wait", self.wait):
-            fly(plant, dialect, [link], duration_s=seconds, speed=1.0, stop=lambda: False, watch=lambda samples: None)
+            fly(plant, dialect, [link], duration_s=seconds, speed=1.0, stop=stop, watch=watch)
 
 
 def healthy_flights(

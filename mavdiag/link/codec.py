@@ -93,6 +93,11 @@ def message_name(msgid: int) -> str:
     return layout.name if layout else f"UNKNOWN_{msgid}"
 
 
+def command_numbers() -> dict[str, int]:
+    """Every MAV_CMD of the dialect by its name without MAV_CMD_."""
+    return {entry.name.removeprefix("MAV_CMD_"): number for number, entry in dialect.enums["MAV_CMD"].items()}
+
+
 def field_index(msgid: int, name: str) -> int:
     """Place of a field (of an array: its first element) in `Frame.fields`. Raises UsageError if there is none."""
     return layout_of(msgid).place(name)

@@ -162,10 +162,16 @@ _VERSIONS = ("uint16_t version", "uint16_t min_version", "uint16_t max_version")
 _HASHES = ("uint8_t spec_version_hash[8]", "uint8_t library_version_hash[8]")
 _MODES = ("uint8_t number_modes", "uint8_t mode_index", "uint8_t standard_mode")
 _MODE = ("uint32_t custom_mode", "uint32_t properties", "char mode_name[35]")
+_TIMES = ("uint64_t capabilities", "uint32_t time_boot_ms", "uint32_t time_manufacture_s")
+_NAMES = (
+    *("char vendor_name[32]", "char model_name[32]"),
+    *("char software_version[24]", "char hardware_version[24]", "char serial_number[32]"),
+)
 
 #: Messages of common.xml that the dialect shipped with pymavlink 2.4 leaves out.
 EXTRA_LAYOUTS: Mapping[int, Layout] = {
     MessageId.ESC_STATUS: defined("ESC_STATUS", "uint8_t index", "uint64_t time_usec", *_ROTORS),
     MessageId.PROTOCOL_VERSION: defined("PROTOCOL_VERSION", *_VERSIONS, *_HASHES),
+    MessageId.COMPONENT_INFORMATION_BASIC: defined("COMPONENT_INFORMATION_BASIC", *_TIMES, *_NAMES),
     MessageId.AVAILABLE_MODES: defined("AVAILABLE_MODES", *_MODES, *_MODE),
 }

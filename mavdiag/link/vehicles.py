@@ -26,7 +26,7 @@ from mavdiag.link.codec import (
     frames_of,
     layout_of,
 )
-from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
+from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
 from mavdiag.link.profiles import (
     IMU_MESSAGES,
     LAST_RESORT,
@@ -54,19 +54,32 @@ LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE ar
 USEFUL_FRAMES = 20  # of an IMU message, before it is taken at once (our choice)
 CHOICE_S = 1.0  # for which the choice stays open otherwise, from the first IMU message of any kind on (our choice)
 REQUESTS_MAX = (
-    16  # commands for one vehicle's computer that are handed out at a time, so a flood is not answered (our choice)
+    16  # requests to one vehicle's computer that are handed out at a time, so a flood is not answered (our choice)
 )
 MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up ones cost little (our choice)
 
 #: Messages that carry a command.
 COMMANDS = frozenset({MessageId.COMMAND_LONG, MessageId.COMMAND_INT})
-_TALK = COMMANDS | {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC, MessageId.AUTOPILOT_VERSION}
+#: ... and all that ask something of a component.
+ASKING = COMMANDS | {MessageId.PARAM_REQUEST_READ, MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_SET}
+#: Messages that tell where a pilot's sticks are, with the fields of four of them.
+STICKS: Mapping[int, tuple[str, ...]] = {
+    MessageId.MANUAL_CONTROL: ("x", "y", "z", "r"),
+    **dict.fromkeys(
+        (MessageId.RC_CHANNELS, MessageId.RC_CHANNELS_OVERRIDE), tuple(f"chan{n}_raw" for n in range(1, 5))
+    ),
+}
+_ANSWERS = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC, MessageId.AUTOPILOT_VERSION}
+_TALK = ASKING | STICKS.keys() | _ANSWERS | {MessageId.HEARTBEAT}
 _TALKS = np.isin(MSGIDS, list(_TALK))  # by row of a message
 
 _KIND = slice(field_index(MessageId.HEARTBEAT, "type"), field_index(MessageId.HEARTBEAT, "autopilot") + 1)
-_ACK = tuple(field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result", "target_component"))
+_MODE = tuple(field_index(MessageId.HEARTBEAT, name) for name in ("base_mode", "custom_mode"))
+_ACK = tuple(
+    field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result", "target_system", "target_component")
+)
 _TARGETS: Mapping[int, list[int]] = {
-    msgid: [field_index(msgid, name) for name in ("target_system", "target_component")] for msgid in COMMANDS
+    msgid: [field_index(msgid, name) for name in ("target_system", "target_component")] for msgid in ASKING
 }
 _UID, _UID2 = (field_index(MessageId.AUTOPILOT_VERSION, name) for name in ("uid", "uid2"))
 _PARAM_NAME = field_index(MessageId.PARAM_VALUE, "param_id")
@@ -84,28 +97,59 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command (MAV_CMD) that was addressed to a vehicle's on-board computer, and who sent it."""
+    """A command (MAV_CMD) with its first parameter, and who sent it."""
 
     command: int
     sysid: int
     compid: int
+    parameter: float = 0.0
 
 
 def acks_in(frames: Iterable[Frame]) -> tuple[Ack, ...]:
     """The autopilot's acknowledgements to us (or to nobody in particular, as MAVLink 1 has it)."""
-    told = (frame.fields for frame in frames if frame.msgid == MessageId.COMMAND_ACK and frame.compid == AUTOPILOT)
-    found = ([int(fields[place]) for place in _ACK] for fields in told)
+    told = (frame for frame in frames if frame.msgid == MessageId.COMMAND_ACK and frame.compid == AUTOPILOT)
+    found = ((frame.sysid, [int(frame.fields[place]) for place in _ACK]) for frame in told)
     ours = (Component.ALL, Component.ONBOARD_COMPUTER)
-    return tuple(Ack(command, result) for command, result, component in found if component in ours)
+    return tuple(
+        Ack(command, result)
+        for sysid, (command, result, system, component) in found
+        if component in ours and system in (0, sysid)
+    )
 
 
-def command_in(frame: Frame) -> tuple[int, Command] | None:
-    """A command to a vehicle's on-board computer, with the vehicle's system id; None for any other frame."""
-    if frame.msgid not in COMMANDS:
+def mode_in(frames: Iterable[Frame]) -> int | None:
+    """The custom_mode of the autopilot's latest heartbeat; None without one, or if it has none."""
+    beats = [frame for frame in frames if frame.msgid == MessageId.HEARTBEAT and frame.compid == AUTOPILOT]
+    base, custom = (int(beats[-1].fields[place]) for place in _MODE) if beats else (0, 0)
+    return custom if base & ModeFlag.CUSTOM_MODE_ENABLED else None
+
+
+def sticks_in(frames: Iterable[Frame], compid: int | None = AUTOPILOT) -> dict[int, tuple[int, ...]]:
+    """The latest position of four sticks, by message. compid: of who tells it, None for anybody.
+
+    Pulses [us] of RC_CHANNELS and RC_CHANNELS_OVERRIDE, -1000..1000 of MANUAL_CONTROL.
+    """
+    told = (frame for frame in frames if frame.msgid in STICKS and compid in (None, frame.compid))
+    return {
+        frame.msgid: tuple(int(frame.fields[field_index(frame.msgid, name)]) for name in STICKS[frame.msgid])
+        for frame in told
+    }
+
+
+def asked_of(frame: Frame) -> int | None:
+    """The system id of the vehicle whose on-board computer a frame asks something of; None for any other frame."""
+    if frame.msgid not in ASKING:
         return None
     system, component = (int(frame.fields[place]) for place in _TARGETS[frame.msgid])
-    command = Command(int(frame.fields[field_index(frame.msgid, "command")]), frame.sysid, frame.compid)
-    return (system, command) if component == Component.ONBOARD_COMPUTER else None
+    return system if component == Component.ONBOARD_COMPUTER else None
+
+
+def command_in(frame: Frame) -> Command | None:
+    """The command in a frame; None for a frame without one."""
+    if frame.msgid not in COMMANDS:
+        return None
+    number, first = (frame.fields[field_index(frame.msgid, name)] for name in ("command", "param1"))
+    return Command(int(number), frame.sysid, frame.compid, float(first))
 
 
 def parameters_in(frames: Iterable[Frame], autopilot: int) -> dict[str, float]:
@@ -215,7 +259,7 @@ class _Unread:
     """What came from, or for, a vehicle that has entered, until it is asked for."""
 
     pieces: list[Frames] = field(default_factory=list)
-    commands: list[Command] = field(default_factory=list)
+    asked: list[Frame] = field(default_factory=list)
     urgent: bool = False  # whether a command or a TIMESYNC waits, which want an answer
 
 
@@ -227,7 +271,7 @@ class Received:
     telemetry: Telemetry = field(default_factory=Telemetry)
     present: bool = False  # its autopilot sent frames
     acks: tuple[Ack, ...] = ()  # its answers to our commands
-    commands: tuple[Command, ...] = ()  # of others, to its on-board computer
+    asked: tuple[Frame, ...] = ()  # what others ask of its on-board computer
     parameters: Mapping[str, float] = field(default_factory=dict)  # its own that passed by since it entered
 
 
@@ -319,11 +363,12 @@ class LinkDecoder:
             self._take_talk(frames.where(_TALKS[frames.rows["row"]]))
 
     def _take_talk(self, frames: Iterable[Frame]) -> None:
-        """Hand out the commands to on-board computers, at most `REQUESTS_MAX` to each; note who wants an answer."""
+        """Hand out what is asked of on-board computers, at most `REQUESTS_MAX` to each; note who wants an answer."""
         for frame in frames:
-            if (found := command_in(frame)) and found[0] in self.vehicles:
-                unread = self._unread.setdefault(found[0], _Unread())
-                unread.commands += [found[1]] if len(unread.commands) < REQUESTS_MAX else []
+            sysid = asked_of(frame)
+            if sysid is not None and sysid in self.vehicles:
+                unread = self._unread.setdefault(sysid, _Unread())
+                unread.asked += [frame] if len(unread.asked) < REQUESTS_MAX else []
                 unread.urgent = True
             elif frame.msgid == MessageId.TIMESYNC and frame.sysid in self._unread:
                 self._unread[frame.sysid].urgent = True
@@ -335,7 +380,7 @@ class LinkDecoder:
         talk = tuple(frames.where(_TALKS[frames.rows["row"]]))
         present = bool((frames.rows["sender"] & 0xFF == AUTOPILOT).any())
         telemetry = stream.step(frames, talk)
-        return Received(talk, telemetry, present, acks_in(talk), tuple(unread.commands), stream.parameters)
+        return Received(talk, telemetry, present, acks_in(talk), tuple(unread.asked), stream.parameters)
 
     def urgent(self) -> set[int]:
         """The vehicles for or from which something waits that wants an answer."""

@@ -246,6 +246,12 @@ def _set_mode(pilot: Pilot, firmware: Firmware, order: Order) -> MavResult:
     return pilot.set_mode(packed if firmware.code(packed) or sub else main)
 
 
+def _pause(pilot: Pilot, firmware: Firmware, order: Order) -> MavResult:
+    if not firmware.needs_guided:  # PX4 does not implement it
+        return MavResult.UNSUPPORTED
+    return pilot.pause(order.whole(1) == 0) if order.whole(1) in (0, 1) else MavResult.DENIED
+
+
 ORDERS: Mapping[int, Callable[[Pilot, Firmware, Order], MavResult]] = {
     MavCmd.COMPONENT_ARM_DISARM: lambda pilot, _, order: pilot.arm(order.whole(1) == 1, order.whole(2) == FORCE),
     MavCmd.NAV_TAKEOFF: _take_off,
@@ -255,6 +261,7 @@ ORDERS: Mapping[int, Callable[[Pilot, Firmware, Order], MavResult]] = {
     MavCmd.NAV_LOITER_UNLIM: lambda pilot, firmware, order: pilot.do(Mode.HOLD),
     MavCmd.MISSION_START: lambda pilot, firmware, order: pilot.do(Mode.MISSION),
     MavCmd.DO_SET_MODE: _set_mode,
+    MavCmd.DO_PAUSE_CONTINUE: _pause,
     MavCmd.DO_CHANGE_SPEED: lambda pilot, firmware, order: pilot.set_speed(order.param[1] or 0.0),
     MavCmd.DO_FLIGHTTERMINATION: lambda pilot, firmware, order: (
         pilot.arm(False, force=True) if order.whole(1) else MavResult.DENIED

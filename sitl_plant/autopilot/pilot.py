@@ -62,6 +62,7 @@ class Pilot:
         self._now_s, self._flies, self.armed = 0.0, not commanded, not commanded
         self._leg, self._turned = Leg(), False
         self._plan: deque[Waypoint] = deque()
+        self._paused: tuple[Waypoint, ...] | None = None  # what is left of a plan that was paused
         self._doing: Waypoint | None = None
         self._ends_s, self._idle_since_s = math.inf, 0.0  # when the present line is over
         self._mission: tuple[Waypoint, ...] = ()
@@ -94,7 +95,7 @@ class Pilot:
             return self._refuse("it follows its own path")
         if not on and self._flies and not force:
             return self._refuse("disarming is denied in flight")
-        self.armed = on
+        self.armed, self._paused = on, None
         self._plan.clear()
         self._doing, self._idle_since_s, self._ends_s = None, self._now_s, math.inf
         north, east, down = self.position
@@ -162,6 +163,19 @@ class Pilot:
         """As `set_mode`, for what the mode is to do."""
         return self.set_mode(self._firmware.shown(mode))
 
+    def pause(self, on: bool) -> MavResult:
+        """Stop on the way, or go on; the mode stays (ArduPilot's AUTO and GUIDED)."""
+        if not self._in_flight() or self._mode not in (Mode.MISSION, Mode.GUIDED):
+            return self._refuse("there is nothing to pause")
+        if on and self._paused is None:
+            self._paused = (*((self._doing,) if self._doing else ()), *self._plan)
+            self._plan.clear()
+            self._doing = None
+            self._lead(self.position)
+        elif not on and self._paused is not None:
+            self._start(self._paused)
+        return MavResult.ACCEPTED
+
     def set_speed(self, speed: float) -> MavResult:
         """Change the speed of lines to come [m/s]."""
         taken = self._parameters.change(self._firmware.speed, speed / self._firmware.unit)
@@ -216,7 +230,7 @@ class Pilot:
         self._start(waypoint for waypoint in self._mission if waypoint.item is None or waypoint.item >= self.first)
 
     def _start(self, plan: Iterable[Waypoint]) -> None:
-        self._plan = deque(plan)
+        self._plan, self._paused = deque(plan), None
         place = next((waypoint.place for waypoint in self._plan if waypoint.place is not None), None)
         if not self._flies and place is not None:  # straight up to its height
             self._plan.appendleft(Waypoint((self.position[0], self.position[1], place[2])))

@@ -87,7 +87,7 @@ def make_model(
             accel_gain=1.0 - _decay(loops.accel_filter_hz),
             correction=STEP_S / loops.complementary_s,
         ),
-        controller=_controller(vehicle),
+        controller=make_controller(vehicle),
         path=path,
     )
 
@@ -137,7 +137,8 @@ def _ground(vehicle: Vehicle, body: Body, centre_of_gravity: FloatArray) -> Grou
     )
 
 
-def _controller(vehicle: Vehicle) -> control.Controller:
+def make_controller(vehicle: Vehicle) -> control.Controller:
+    """The gains and limits of a vehicle's file."""
     given, full_speed = vehicle.control, vehicle.battery.motor_constant_rpm_v * RPM * vehicle.battery.nominal_v
     loops = (given.position, given.position, given.altitude, given.yaw)
     tilt, lift, turn = given.integral_limit_rad, given.thrust_limit_n[1], given.yaw_rate_limit_rad_s
@@ -177,6 +178,26 @@ def _controller(vehicle: Vehicle) -> control.Controller:
         rate_limit=np.full(3, own.rate_limit_rad_s),
         integral_limit=np.array(own.integral_limit)[[0, 0, 1, 2]],
         torque_limit=np.array(own.torque_limit_n_m),
+    )
+
+
+def sparing(vehicle: Vehicle, rotor: int, thrust_left: float, demand: float) -> control.Controller:
+    """The vehicle's controller with an allocation that spares a weak rotor (fault-tolerant control, the outlook of T).
+
+    F = W pinv(A E W) [T, tau] with the motor mapping A; E and W have thrust_left for the weak rotor, else 1. By E it is
+    commanded more for the same lift (trim), by W the others take a part of its load where they can (more than four).
+    demand: most that is asked of it, over its share in hover (thrust limit): of what is above, each of thrust and three
+    torques gets a quarter; inf for no such limit.
+    """
+    controller, weights = make_controller(vehicle), np.ones(len(vehicle.rotors))
+    weights[rotor - 1] = thrust_left
+    mixer = weights[:, None] * np.linalg.pinv(allocation(vehicle) * weights * weights)
+    hover, asked = vehicle.body.mass_kg * GRAVITY, np.maximum(np.abs(mixer[rotor - 1]), 1e-9)
+    room = 0.25 * (demand - 1.0) * asked[0] * hover / asked  # of [T, tau]
+    return controller._replace(
+        mixer=np.ascontiguousarray(mixer),
+        thrust_limit=np.minimum(controller.thrust_limit, hover + room[0]),
+        torque_limit=np.minimum(controller.torque_limit, room[1:]),
     )
 
 

@@ -106,6 +106,35 @@ def test_a_mission_is_flown_item_by_item(profile: str) -> None:
     assert highest == pytest.approx(-2.0, abs=0.15)
 
 
+@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
+def test_a_mission_is_paused_and_goes_on_where_the_autopilot_can(profile: str) -> None:
+    vehicle = Vehicle(profile)
+    plan = [(22, 0.0, 0.0, 1.5), (16, 3.0, 0.0, 1.5), (16, 3.0, 1.0, 1.5)]
+    if profile == "ardupilot":
+        plan.insert(0, (16, 0.0, 0.0, 0.0))
+    vehicle.send(MessageId.MISSION_COUNT, *PLANT, len(plan), 0)
+    for seq, (number, north, east, height) in enumerate(plan):
+        flat = (0.0, 0.0, 0.0, NAN, *degrees(north, east), height, 0)
+        vehicle.send(MessageId.MISSION_ITEM_INT, *PLANT, seq, 6, number, 0, 1, *flat)
+    assert vehicle.order(MavCmd.DO_PAUSE_CONTINUE, 0) != MavResult.ACCEPTED  # on the ground
+    assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 1) == MavResult.ACCEPTED
+    assert vehicle.order(MavCmd.MISSION_START) == MavResult.ACCEPTED
+    vehicle.fly(6.5)
+    assert 0.5 < vehicle.place[0] < 2.5
+    if profile == "px4":
+        assert vehicle.order(MavCmd.DO_PAUSE_CONTINUE, 0) == MavResult.UNSUPPORTED
+        return
+    assert vehicle.order(MavCmd.DO_PAUSE_CONTINUE, 7) == MavResult.DENIED
+    assert vehicle.order(MavCmd.DO_PAUSE_CONTINUE, 0) == MavResult.ACCEPTED
+    paused = vehicle.place
+    vehicle.fly(8.0)
+    assert vehicle.place == pytest.approx(paused, abs=0.3)
+    assert vehicle.autopilot.dialect.custom_mode == vehicle.code(Mode.MISSION)
+    assert vehicle.order(MavCmd.DO_PAUSE_CONTINUE, 1) == MavResult.ACCEPTED
+    vehicle.fly(8.0)
+    assert vehicle.place == pytest.approx((3.0, 1.0, -1.5), abs=0.2)
+
+
 def test_a_failure_names_a_motor_or_a_fault_of_the_thesis() -> None:
     vehicle = in_flight()
     inject = (MavCmd.INJECT_FAILURE, 101)

@@ -94,7 +94,7 @@ def test_commands_for_others_are_ignored_and_ours_are_declined(benches: Benches)
     received(bench.far)
     station = Encoder(255, 190)
     for target in ((1, 1), (1, 0), (0, 0), (2, 191), (1, 191)):
-        bench.far.send(station.encode(MessageId.COMMAND_LONG, *target, MavCmd.REQUEST_MESSAGE, 0, 148))
+        bench.far.send(station.encode(MessageId.COMMAND_LONG, *target, MavCmd.REQUEST_MESSAGE, 0, 244))
     bench.run(0.2)
     [ack] = of(received(bench.far), MessageId.COMMAND_ACK)
     assert (ack.fields[ACK_COMMAND], ack.fields[ACK_RESULT]) == (MavCmd.REQUEST_MESSAGE, MavResult.UNSUPPORTED)

@@ -9,7 +9,7 @@ from mavdiag.link.codec import NO_FRAMES, Decoder, Encoder, message_name
 from mavdiag.link.link import Link
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
 from mavdiag.link.profiles import PROFILES
-from mavdiag.link.vehicles import MOST_PARAMETERS, Ack, Command, LinkDecoder, parameters_in
+from mavdiag.link.vehicles import MOST_PARAMETERS, Ack, Command, LinkDecoder, command_in, parameters_in
 from mavdiag.telemetry import Signal
 
 S = 1_000_000_000
@@ -88,7 +88,7 @@ def test_acknowledgements_and_commands_are_handed_out() -> None:
     received = decoder.feed([(b"".join([ours, other, *ask]), S)], S)
     assert list(received) == [1]
     assert received[1].acks == (Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED),)
-    assert received[1].commands == (Command(MavCmd.REQUEST_MESSAGE, 255, 190),)
+    assert [command_in(frame) for frame in received[1].asked] == [Command(MavCmd.REQUEST_MESSAGE, 255, 190)]
     assert received[1].present
     assert not decoder.feed([(b"".join(ask), S)], S)[1].present
 

@@ -1,6 +1,11 @@
 # What the codec and its tests use of the generated dialect, and nothing else.
 from struct import Struct
 
+class EnumEntry:
+    name: str
+
+enums: dict[str, dict[int, EnumEntry]]
+
 class MAVLink_message:
     id: int
     msgname: str

@@ -1,0 +1,185 @@
+"""Reactions over the wire: the command, its answer, what calls it off, and who neither causes nor hinders one."""
+
+import itertools
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from made_session import baseline_for
+from made_vehicle import MadeVehicle, received
+from test_attacks import UDP_IN, Attacked, random_frames
+from test_daemon_virtual import STATION, US, field, of
+from typer.testing import CliRunner
+
+from detector.config import Settings
+from mavdiag.cli import app
+from mavdiag.inspections import Inspections
+from mavdiag.link.codec import Encoder, Frame, decode_statustext
+from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
+
+LOITER = 5
+ACKNOWLEDGEMENT = STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.USER_1, 0, *[0.0] * 7)
+Benches = Callable[..., Attacked]
+
+
+@pytest.fixture
+def benches(tmp_path: Path) -> Iterator[Benches]:
+    made: list[Attacked] = []
+
+    def make(table: str = "fault after 6 s: rtl") -> Attacked:
+        vehicle, journal = MadeVehicle(1), tmp_path / "journal.jsonl"
+        vehicle.custom_mode = LOITER
+        bench = Attacked(
+            Settings(connect=UDP_IN, baseline=Path("b.json"), on_fault=table),
+            baseline=baseline_for(),
+            vehicles=[vehicle],
+            links_behind=1,
+            journal=journal,
+            inspections=Inspections(journal, print),
+        )
+        made.append(bench)
+        bench.fly(5.0)
+        received(bench.far)
+        return bench
+
+    yield make
+    for bench in made:
+        bench.close()
+
+
+def damaged(bench: Attacked, seconds: float) -> None:
+    bench.vehicles[0].turning = 0.5
+    bench.fly(seconds)
+
+
+def commanded(bench: Attacked) -> list[Frame]:
+    """What the detector commanded but rates."""
+    frames = [one for one in of(received(bench.far), MessageId.COMMAND_LONG) if (one.sysid, one.compid) == US]
+    return [frame for frame in frames if field(frame, "command") != MavCmd.SET_MESSAGE_INTERVAL]
+
+
+def answer(bench: Attacked, sender: Encoder, target: tuple[int, int] = US) -> bytes:
+    return sender.encode(MessageId.COMMAND_ACK, MavCmd.NAV_RETURN_TO_LAUNCH, MavResult.ACCEPTED, 0, 0, *target)
+
+
+def noted(tmp_path: Path) -> list[str]:
+    lines = map(json.loads, (tmp_path / "journal.jsonl").read_text().splitlines())
+    return [line["text"] for line in lines if line["kind"] == "note" and "on fault" in line["text"]]
+
+
+def test_a_fault_brings_one_command_to_the_autopilot_and_every_step_is_in_the_journal(
+    benches: Benches, tmp_path: Path
+) -> None:
+    bench = benches()
+    damaged(bench, 7.0)
+    [order] = commanded(bench)
+    assert (order.sysid, order.compid) == US
+    assert [field(order, name) for name in ("target_system", "target_component", "command", "confirmation")] == [
+        *(1, Component.AUTOPILOT1, MavCmd.NAV_RETURN_TO_LAUNCH, 0)
+    ]
+    bench.far.send(answer(bench, bench.vehicles[0].encoder))
+    bench.fly(30.0)
+    assert commanded(bench) == []
+    found, *steps = noted(tmp_path)
+    assert found.startswith("on fault: fault after 6 s: rtl: propeller fault: ")
+    assert [step.split(": ")[3:] for step in steps] == [
+        ["counting -> announced", "its time is near"],
+        ["announced -> asked", "its time has come"],
+        ["asked -> over", "the autopilot took it"],
+    ]
+    said = [decode_statustext(one) for one in of(received(bench.behind[0]), MessageId.STATUSTEXT)]
+    own = [(one.severity, one.text) for one in said if "rtl" in one.text]
+    assert own == [
+        (Severity.CRITICAL, "PROP rtl in 5 s unless stick/mode/ack"),
+        (Severity.CRITICAL, "PROP rtl commanded: fault, rotor unknown"),
+    ]
+
+
+def test_without_the_option_nothing_is_ever_commanded(benches: Benches) -> None:
+    bench = benches("")
+    damaged(bench, 30.0)
+    assert commanded(bench) == []
+
+
+@pytest.mark.parametrize(("sender", "target"), [((2, 1), US), ((1, 190), US), ((1, 1), (255, 190)), ((1, 1), (7, 191))])
+def test_an_answer_of_another_system_or_to_another_is_none(
+    benches: Benches, sender: tuple[int, int], target: tuple[int, int]
+) -> None:
+    bench = benches()
+    damaged(bench, 7.0)
+    received(bench.far)
+    encoder = bench.vehicles[0].encoder if sender == (1, 1) else Encoder(*sender)
+    bench.far.send(answer(bench, encoder, target))
+    bench.fly(2.0)
+    assert [field(order, "confirmation") for order in commanded(bench)] == [1]
+
+
+def stranger(name: str) -> Iterator[list[bytes]]:
+    """Somebody else who wants a reaction: frames of a damaged flight in its name, texts, commands."""
+    if name == "damaged flight":
+        old = MadeVehicle(1)
+        old.turning, old.custom_mode = 3.0, LOITER
+        return itertools.cycle([old.samples(4) for _ in range(500)])
+    if name == "random frames":
+        return random_frames(7, (1, 1))
+    if name == "our own name":
+        ours = Encoder(*US)
+        text = ours.statustext(Severity.CRITICAL, "PROP THRUST LOST motor 3")
+        order = ours.encode(MessageId.COMMAND_LONG, 1, 1, MavCmd.NAV_LAND, 0, *[0.0] * 7)
+        return itertools.repeat([text, order])
+    every = (MavCmd.NAV_LAND, MavCmd.INJECT_FAILURE, MavCmd.USER_1, 31011)
+    return itertools.cycle([[STATION.encode(MessageId.COMMAND_LONG, *US, number, 0, *[1.0] * 7)] for number in every])
+
+
+@pytest.mark.parametrize("name", ["damaged flight", "random frames", "our own name", "commands"])
+def test_a_forged_sender_causes_none(benches: Benches, name: str) -> None:
+    bench = benches("suspected: land; fault: land; gross loss: land")
+    bench.fly(20.0, stranger(name))
+    assert commanded(bench) == []
+    damaged(bench, 2.0)  # the genuine fault does
+    assert len(commanded(bench)) == 2  # asked again, as this vehicle does not answer
+
+
+@pytest.mark.parametrize("how", ["ack", "stick", "mode", "mavdiag ack"])
+def test_it_is_called_off_from_a_link_behind_or_by_the_vehicles_mode(
+    benches: Benches, tmp_path: Path, how: str
+) -> None:
+    bench = benches()
+    bench.behind[0].send(STATION.encode(MessageId.MANUAL_CONTROL, 1, 0, 0, 500, 0, 0))
+    damaged(bench, 4.0)
+    assert [one for one in noted(tmp_path) if "announced" in one]
+    if how == "ack":
+        bench.behind[0].send(ACKNOWLEDGEMENT)
+    elif how == "stick":
+        bench.behind[0].send(STATION.encode(MessageId.MANUAL_CONTROL, 1, 0, -300, 500, 0, 0))
+    elif how == "mode":
+        bench.vehicles[0].custom_mode = 16
+    else:
+        run = CliRunner().invoke(app, ["ack", str(tmp_path / "journal.jsonl"), "--by", "Ann"])
+        assert run.exit_code == 0, run.output
+    bench.fly(30.0)
+    assert commanded(bench) == []
+    assert [one for one in noted(tmp_path) if "announced -> over: called off" in one]
+    results = [field(one, "result") for one in of(received(bench.behind[0]), MessageId.COMMAND_ACK)]
+    assert results == [MavResult.ACCEPTED] * (how == "ack")
+
+
+def test_a_stranger_on_an_unsigned_link_does_not_call_it_off(benches: Benches) -> None:
+    bench = benches()
+    damaged(bench, 3.0)
+    sticks = (STATION.encode(MessageId.MANUAL_CONTROL, 1, 1000 * (-1) ** k, 0, 500, 0, 0) for k in itertools.count())
+    bench.fly(5.0, ([ACKNOWLEDGEMENT, stick] for stick in sticks))
+    assert len(commanded(bench)) == 2
+
+
+def test_a_lost_link_ends_it_until_the_fault_is_found_again(benches: Benches) -> None:
+    bench = benches()
+    damaged(bench, 4.0)
+    (vehicle,), bench.vehicles = bench.vehicles, []
+    bench.fly(10.0)
+    assert commanded(bench) == []
+    bench.vehicles = [vehicle]
+    vehicle.sent += 1000
+    bench.fly(20.0)
+    assert len(commanded(bench)) == 2
