@@ -12,6 +12,7 @@ import argparse
 import itertools
 import json
 import re
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -120,8 +121,8 @@ def main() -> None:
         gaps = [b - a for (a, _), (b, _) in itertools.pairwise(fleets)]
         print(f"{options.vehicles} vehicles at {options.rate} Hz, {options.faulty} crack at {options.seconds // 2} s")
         print(f"  told {len(told & faulty)} of {len(faulty)} faults, {len(told - faulty)} of the others")
-        print(f"  page answers in {1e3 * max(answers_s):.0f} ms at most of {len(answers_s)}; all of up to "
-              f"{max(count for _, count in fleets)} vehicles told anew within {max(gaps):.2f} s")  # fmt: skip
+        print(f"  page in {1e3 * statistics.median(answers_s):.0f} ms, {1e3 * max(answers_s):.0f} at most; all of "
+              f"up to {max(count for _, count in fleets)} vehicles told anew within {max(gaps):.2f} s")  # fmt: skip
         print(
             f"  history: {recorded(database)} of {options.vehicles} flights, {complete_s:.0f} s after the last landing"
         )
