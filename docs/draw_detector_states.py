@@ -8,15 +8,14 @@ from detector.states import TABLE, State
 PAGE = Path(__file__).parent / "detector-states.md"
 TEXT = """# The detector's session
 
-One session runs for each vehicle. This page is drawn from the tables in `detector/states.py` and `detector/alerts.py`
-by `python docs/draw_detector_states.py`; do not edit it by hand.
+One session runs for each vehicle. `python docs/draw_detector_states.py` draws this page from `detector/states.py` and
+`detector/alerts.py`.
 
 ```mermaid
 {diagram}```
 
-Heartbeats go out in every state but `faulted`. What is found of the vehicle is no state of the session: it stands in
-the decision's stage (not judged, quiet, suspected, fault, inspect), whose changes are told. A rate that is wrong or a
-stream that stops leads to `waiting`, never to `faulted`.
+Heartbeats go out in every state but `faulted`. What is found of the vehicle is the decision's
+stage (not judged, quiet, suspected, fault, inspect), no state of the session.
 
 ## What it says
 

@@ -1,15 +1,17 @@
-"""Decision records: one form, half a page each, all of them in the index."""
+"""Decision records: one page, numbered in order, one form, at most 100 words each."""
 
 import re
 from pathlib import Path
 
-FOLDER = Path(__file__).resolve().parents[2] / "docs" / "adr"
-RECORDS = sorted(path for path in FOLDER.glob("*.md") if path.name != "README.md")
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "adr" / "README.md").read_text(encoding="utf-8")
 
 
-def test_the_index_lists_every_record_with_its_title() -> None:
-    index = (FOLDER / "README.md").read_text(encoding="utf-8")
-    listed = re.findall(r"^\| \[(\d{4})\]\(([^)]+)\) \| (.+) \|$", index, re.MULTILINE)
-    assert [name for _, name, _ in listed] == [path.name for path in RECORDS]
-    for number, name, title in listed:
-        assert (FOLDER / name).read_text(encoding="utf-8").startswith(f"# {number}: {title}\n")
+def test_every_record_is_numbered_short_and_of_one_form() -> None:
+    _, *records = re.split(r"^## ", PAGE, flags=re.MULTILINE)
+    assert [record[:6] for record in records] == [f"{number:04}: " for number in range(1, len(records) + 1)]
+    for record in records:
+        assert re.fullmatch(r".+?\n\n\S.+?\n\n\*\*Decision\.\*\*.+?\n\n\*\*Consequence\.\*\*.+", record, re.DOTALL), (
+            record
+        )
+        words = re.sub(r"\]\([^)]*\)", "]", record).split()
+        assert len(words) <= 100, (len(words), record)

@@ -524,7 +524,7 @@ byId("acknowledge").addEventListener("click", () => {
 });
 byId("detail").addEventListener("change", () => draw("filter"));
 byId("all-vehicles").addEventListener("change", () => draw("filter"));
-const play = (command) => fetch(`/play?${command}`, {method: "POST"});
+const play = (command) => fetch(`play?${command}`, {method: "POST"});
 
 // Where the slider stands, ten times a second at most.
 async function seek() {
