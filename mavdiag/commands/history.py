@@ -22,9 +22,11 @@ from mavdiag.commandline import application, say
 from mavdiag.commands import options as opt
 from mavdiag.commands.scan import judging
 from mavdiag.errors import UsageError, missing_extra
+from mavdiag.face import now
 from mavdiag.history import show as shown
 from mavdiag.history.warn import Mark, MarkKind, Overview, overview_of
 from mavdiag.printable import printable
+from mavdiag.storage import write_atomically
 from mavdiag.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -93,7 +95,11 @@ def list_flights(
 
 @app.command()
 def show(
-    airframe: AirframeName = None, database: Database = FILE, as_json: opt.AsJson = False, csv_file: CsvFile = None
+    airframe: AirframeName = None,
+    database: Database = FILE,
+    as_json: opt.AsJson = False,
+    csv_file: CsvFile = None,
+    html: Annotated[Path | None, Option(metavar="FILE", help="Write a page with the trends.")] = None,
 ) -> None:
     """Draw the trends since the propellers were new.
 
@@ -105,6 +111,10 @@ def show(
         found = [overview_of(name, history.flights(name), history.marks(name), known) for name in names]
     if csv_file is not None:
         write_csv(csv_file, (row for overview in found for row in shown.trend_rows(overview)), shown.TREND_COLUMNS)
+    if html is not None:
+        from mavdiag.report.page import history_page
+
+        write_atomically(html, history_page(found, now()))
     for overview in found:
         if as_json:
             say(json.dumps(shown.overview_json(overview)))

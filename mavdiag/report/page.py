@@ -23,6 +23,8 @@ from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.decision import words
+from mavdiag.history.show import lines_of
+from mavdiag.history.warn import Overview
 from mavdiag.judging import JudgedFlight, LogVerdict, judge_in_full
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.wants import LABELS
@@ -35,6 +37,7 @@ from mavdiag.report import pictures
 from mavdiag.report.campaign import HEALTHY, Campaign, campaign_pictures, confusion
 from mavdiag.report.chart import COLUMNS, FOLDER, Picture, embedded
 from mavdiag.report.drawing import rotor_places, where
+from mavdiag.report.history import asks, trends
 from mavdiag.report.sketch import Sketch
 from mavdiag.telemetry import Log
 from mavdiag.units import NS_PER_S, S_PER_H
@@ -198,6 +201,15 @@ def campaign_page(campaign: Campaign, path: str, created: str) -> str:
         pictures=campaign_pictures(campaign),
         confusion=confusion(campaign),
     )
+
+
+def history_page(overviews: Sequence[Overview], created: str) -> str:
+    """One page, what asks for attention first. created: ISO 8601, UTC."""
+    airframes = [
+        {"overview": one, "asks": asks(one), "lines": lines_of(one), "picture": trends(one)}
+        for one in sorted(overviews, key=asks, reverse=True)
+    ]
+    return _page("history.html", title="History", airframes=airframes, created=created)
 
 
 def _page(template: str, **values: object) -> str:

@@ -17,6 +17,7 @@ import pytest
 from made_history import DAY_NS, START_NS, records
 
 from mavdiag.demo.subprocesses import run_child
+from mavdiag.history.warn import Mark, MarkKind
 from mavdiag.judging import Verdict
 
 pytest.importorskip("sqlalchemy", reason="the history is an extra")
@@ -166,3 +167,16 @@ def test_what_cannot_be_is_said_in_one_line(
     assert words in err
     assert "secret" not in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_page_shows_the_trends_and_what_asks_for_attention_first(mavdiag: Any, wearing: Path) -> None:
+    with open_history(str(wearing), write=True) as history:
+        history.mark(Mark("calm", history.flights("calm")[30].t_ns - 1, MarkKind.NEW_PROPELLERS))
+    page = wearing.with_suffix(".html")
+    assert mavdiag("history", "show", "--database", wearing, "--html", page)[0] == 1
+    text = page.read_text()
+    assert text.index("<h2>worn</h2>") < text.index("<h2>calm</h2>")
+    assert text.count("<svg") >= 2
+    assert "unbalance: warned of" in text
+    assert "new propellers" in text[text.index("<h2>calm</h2>") :]
+    assert str(wearing) not in text
