@@ -28,11 +28,8 @@ from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_US
 
 ADD_S = 600.0  # that one flight may take to be judged (our choice: an hour at 1 kHz on a small computer)
-GONE_S = (
-    60.0  # without a frame a flight is over (our choice: longer than a radio is lost, shorter than a battery's change)
-)
+GONE_S = 60.0  # without a frame a flight is over (our choice: a radio is lost for less, a battery's change takes more)
 MAVLINK_2 = 0xFD  # first byte of a frame; its system id is the sixth, of MAVLink 1 the fourth
-ARMED_FROM = 0.5  # of the signal, which is 0 or 1
 
 
 @dataclass(slots=True)
@@ -73,13 +70,13 @@ class Flights(Courier):
     ) -> None:
         """After each look of the daemon. passed: frames with their time of arrival [ns]."""
         for sysid, vehicle in vehicles.items():
-            armed, session = vehicle.session.streams.armed, vehicle.session
-            if sysid not in self._open and armed >= ARMED_FROM and session.judge is not None:
+            session = vehicle.session
+            if sysid not in self._open and session.armed and session.judge is not None:
                 path = self._folder / f"{sysid}-{utc:%Y%m%dT%H%M%S}.tlog"
                 self._open[sysid] = flight = _Flight(None, path, session.judge.baseline, session.judge.flight_s)
                 with self._telling(path):
                     flight.file = path.open("wb", buffering=0)
-            elif sysid in self._open and (armed < ARMED_FROM or now - session.latest > GONE_S):
+            elif sysid in self._open and (not session.armed or now - session.latest > GONE_S):
                 self._landed(sysid, vehicle)
         if self._open:
             self._append(passed)

@@ -33,7 +33,7 @@ IDLE_S = 3.0  # that nothing is judged is said after so long (our choice)
 STICKS_S, STICKS_HZ = (
     60.0,
     5.0,
-)  # how often a pilot's sticks are asked for while they are not told, at which rate (our choice)
+)  # how often a pilot's sticks are asked for until they are told, and their rate (our choice)
 ARMED_FROM = 0.5  # of the signal, which is 0 or 1
 PROGRESS_STEP = 25  # percent of learning between two texts
 FITS = 3  # fits that may fail before learning is given up (our choice)

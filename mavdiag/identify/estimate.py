@@ -40,8 +40,7 @@ def fit(
     u, y: (n,) each, or sequences of such arrays, one per flight. Offsets are not removed. order: (na, nb, nk). dt:
     sample time [s]. method: "sriv" (unbiased with noise on the output) or "ls" (the thesis's least squares). settle_s:
     start of each record that the figures of fit leave out [s]. figures: False leaves standard errors and figures of
-    fit unknown, and SRIV less settled, in a third of the time. near: a model of the same order and nearly the same
-    data, from which SRIV begins.
+    fit unknown, in half the time. near: a model of the same order and nearly the same data, from which SRIV begins.
 
     >>> rng = np.random.default_rng(1)
     >>> u = rng.standard_normal(500)

@@ -35,9 +35,7 @@ from mavdiag.telemetry import FloatArray
 PATIENCE = 8  # iterations without progress before it gives up; good data settle in 3 to 8 (our choice)
 PROGRESS = 1e-3  # a smaller relative gain in loss is none (our choice)
 SETTLED = 1e-3  # of its standard error is the most that a parameter may still want to move
-# The same, where no step lowers the loss any more (the gradient leaves initial states out), and of a fit that only
-# scores flights: leaving some of them out moves the parameters by more.
-NEARLY_SETTLED = 0.1
+NEARLY_SETTLED = 0.1  # the same, where no step lowers the loss any more (the gradient leaves initial states out)
 STEP_RELATIVE = 1e-9  # of the parameter itself counts as settled too: data without noise
 MAX_DESCENT, MAX_HALVINGS = 15, 6  # Gauss-Newton steps, and halvings of one (our choice)
 MAX_RADIUS = 0.99999  # reflected poles stay this far inside the unit circle (our choice)
@@ -46,18 +44,17 @@ MAX_RADIUS = 0.99999  # reflected poles stay this far inside the unit circle (ou
 def sriv(segments: Sequence[Segment], order: Order, figures: bool = True, near: FloatArray | None = None) -> Estimate:
     """SRIV estimate over all segments, started from least squares, or from a theta that is near already.
 
-    What does not settle is finished by Gauss-Newton steps. Without `figures` the covariance is nan, and parameters that
-    would move by a tenth of their standard error at most have settled.
+    What does not settle is finished by Gauss-Newton steps. covariance: nan without `figures`.
     """
-    data, share = _by_length(segments), SETTLED if figures else NEARLY_SETTLED
+    data = _by_length(segments)
     settled = False
     if near is not None:
         with suppress(IdentificationError):
-            point, iterations, settled = _refine(data, order, _evaluate(data, order, near), share)
+            point, iterations, settled = _refine(data, order, _evaluate(data, order, near))
     if not settled:
         a, b = polynomials(least_squares(segments, order).theta, order)
         first = _evaluate(data, order, np.concatenate((reflect_poles(a)[1:], b[order[2] :])))
-        point, iterations, settled = _refine(data, order, first, share)
+        point, iterations, settled = _refine(data, order, first)
     if not settled:
         point, more, settled = _descend(data, order, point)
         iterations += more
@@ -111,11 +108,11 @@ def _evaluate(data: Sequence[Segment], order: Order, theta: FloatArray) -> _Poin
     return _Point(theta, refined, theta + move, inverse, errors, squares / n, n)
 
 
-def _refine(data: Sequence[Segment], order: Order, point: _Point, share: float) -> tuple[_Point, int, bool]:
+def _refine(data: Sequence[Segment], order: Order, point: _Point) -> tuple[_Point, int, bool]:
     """SRIV proper, unstable poles reflected: the last or else best point, iterations, settled."""
     best, best_at, iteration = point, 0, 0
     while iteration < best_at + PATIENCE:
-        if point.settled(point.refined, share) and point.loss <= best.loss * (1.0 + PROGRESS):
+        if point.settled(point.refined, SETTLED) and point.loss <= best.loss * (1.0 + PROGRESS):
             return point, iteration, True
         iteration += 1
         stable = reflect_poles(polynomials(point.refined, order)[0])

@@ -28,11 +28,7 @@ COLUMNS = 1500  # of a line across the page (our choice)
 BREAK = 3.0  # a step of more than so many usual ones is a gap in the data (our choice)
 UNITS, HIGH = 4000, 1000
 ROW, GAP = 17, 10  # of a line of text, and between two panels [px]
-LETTER, BOLD, ACROSS = (
-    6.6,
-    7.4,
-    320,
-)  # width of a letter, of a bold one, and of a row of a legend, which a phone must hold [px]
+LETTER, BOLD, ACROSS = 6.6, 7.4, 320  # width of a letter, of a bold one, of a row of a legend on a phone [px]
 TICKS_X, TICKS_Y = 5, 4  # at most (our choice)
 EDGE = 46.0  # left of a panel, where those without ticks have their labels [px]
 HOLDS = 40  # height that a label of the y axis takes [px]

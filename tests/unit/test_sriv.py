@@ -115,7 +115,7 @@ def test_a_fit_that_begins_near_ends_where_the_other_one_does_and_a_bad_start_do
         assert near.converged
         assert near.iterations <= far.iterations
         errors = np.sqrt(np.diag(far.covariance))
-        assert np.abs((near.theta - far.theta) / errors).max() < 0.1
-        assert np.abs((lost.theta - far.theta) / errors).max() < 0.1
+        assert np.abs((near.theta - far.theta) / errors).max() < 0.01
+        assert np.abs((lost.theta - far.theta) / errors).max() < 0.01
         assert np.all(np.abs(np.roots(polynomials(lost.theta, (2, 2, 1))[0])) < 1.0)
         assert np.isnan(near.covariance).all()
