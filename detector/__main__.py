@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from detector.web.feed import Feed
 
 COMPILE_S = 3.0  # of processor time before it is said; to load what was compiled takes half a second (our choice)
+COLLECT_AT = 20_000  # containers more than before; a tick of a full link makes some thousands (our choice; Python: 700)
 
 app = commandline.application("Watch vehicles over MAVLink for damaged propellers.", completed=True)
 
@@ -125,6 +126,7 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
         if settings.web is not None:
             web = stack.enter_context(closing(_web(settings, settings.web)))
         gc.freeze()  # what is there by now stays: to go through it again would hold up the link
+        gc.set_threshold(COLLECT_AT)
         Daemon(
             settings,
             Host(_say),

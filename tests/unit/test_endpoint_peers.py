@@ -61,6 +61,19 @@ def test_udpin_answers_those_that_it_heard_and_strangers_that_flood_take_no_ones
         assert clients[-1].receive(0.01) == []
 
 
+def test_a_peer_that_gets_a_socket_of_its_own_is_received_in_order() -> None:
+    sent = [number.to_bytes(4, "big") for number in range(6000)]
+    with open_endpoint("udpin:127.0.0.1:0") as server, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+        peer.connect(("127.0.0.1", int(server.address.rpartition(":")[2])))
+        for data in sent[:5000]:  # more wait than one call takes
+            peer.send(data)
+        server.trust([peer.getsockname()], alone=False)
+        for data in sent[5000:]:
+            peer.send(data)
+        received = receive_all(server, 4 * len(sent))
+        assert [received[at : at + 4] for at in range(0, len(received), 4)] == sent
+
+
 def test_every_datagram_is_received_or_counted_as_overflowed() -> None:
     n_sent = 40_000
     with (

@@ -32,8 +32,9 @@ _ROOM = 65_536  # of a datagram
 _DRAIN_MAX = 1024  # datagrams per call, so that a flood cannot hold the caller
 _BUFFER_BYTES = 8 << 20  # seconds of 2000 datagrams/s; Linux accounts for several hundred bytes each
 _SO_RCVBUFFORCE = 33  # <asm-generic/socket.h>: beyond net.core.rmem_max, for the privileged
-# <asm-generic/socket.h>, <linux/sock_diag.h>: nine numbers, of which one is SK_MEMINFO_DROPS
-_SO_MEMINFO, _DROPS = 55, 8
+# <asm-generic/socket.h>, <linux/sock_diag.h>: nine numbers, of which these are the bytes that wait and what was dropped
+_SO_MEMINFO, _WAITING, _DROPS = 55, 0, 8
+_OVERHEAD = 576  # bytes that the kernel accounts for a datagram beside its own, at least (<linux/skbuff.h>)
 AT_ONCE = 64  # datagrams in one call
 _NAME_BYTES = 28  # of a sockaddr_in6
 # <sys/socket.h>, struct mmsghdr: where a message goes, and how long it is.
@@ -128,7 +129,7 @@ class _Udp(Endpoint):
             pass
         except OSError:  # an earlier datagram came back refused, or the network is down: nothing was received
             self._refused()
-        lost = struct.unpack("9I", link.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 36))[_DROPS]
+        lost = _account(link)[_DROPS]
         self._count.overflowed += lost - self._lost.get(link.fileno(), 0)
         self._lost[link.fileno()] = lost
         return units
@@ -147,7 +148,7 @@ class UdpIn(_Udp):
         super().__init__(address, family, clock)
         self._peers: dict[SocketAddress, float] = {}  # when each sent last [s], monotonic clock
         self._trusted: dict[SocketAddress, socket.socket] = {}
-        self._newly = False  # a peer has got its own socket, and what it sent before may wait in the common one
+        self._before = 0  # bytes that may wait in the common socket of a peer that has got its own since
         self._units, self._filled_s = STRANGERS_BURST, time.monotonic()
         self._attach(self._socket.bind, local)
         self.address = f"{address.rpartition(':')[0]}:{self._socket.getsockname()[1]}"
@@ -195,16 +196,16 @@ class UdpIn(_Udp):
             if peer not in self._trusted and len(self._trusted) < TRUSTED_MAX and self._socket.fileno() >= 0:
                 own = _beside((self._socket, *self._trusted.values()), peer)
                 if own is not None:
-                    self._trusted[peer], self._newly = own, True
+                    self._trusted[peer], self._before = own, _account(self._socket)[_WAITING]
                     self._peers.setdefault(peer, time.monotonic())
 
     def _drain(self) -> list[Chunk]:
         chunks: list[Chunk] = []
         sources: list[SocketAddress] = []
-        if self._socket.fileno() >= 0 and (self._newly or not self._trusted):
-            self._read(self._socket, chunks, sources, _DRAIN_MAX)
-            self._newly = False
-        for link in self._trusted.values():
+        if self._socket.fileno() >= 0 and (self._before > 0 or not self._trusted):
+            left = self._read(self._socket, chunks, sources, _DRAIN_MAX)
+            self._before = self._before - sum(_OVERHEAD + len(data) for data, _ in chunks) if left < 1.0 else 0
+        for link in () if self._before > 0 else self._trusted.values():  # a peer's datagrams in their order
             self._read(link, chunks, sources, _DRAIN_MAX)
         now_s = time.monotonic()
         self._units = min(STRANGERS_BURST, self._units + STRANGERS_HZ * (now_s - self._filled_s))
@@ -261,6 +262,11 @@ class UdpOut(_Udp):
         if self._count.sent:
             self._count.sent -= 1
             self._count.dropped += 1
+
+
+def _account(link: socket.socket) -> tuple[int, ...]:
+    """What the kernel holds for a socket (`_SO_MEMINFO`)."""
+    return struct.unpack("9I", link.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 36))
 
 
 def _udp_socket(family: socket.AddressFamily) -> socket.socket:
