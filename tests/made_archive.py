@@ -37,7 +37,7 @@ def content(seed: int, n: int = 1500, shaken_from: int | None = None) -> bytes:
     if shaken_from is not None:
         rates[shaken_from:] += np.random.default_rng(seed).normal(0.0, 0.4, (n - shaken_from, 3))
     setpoint, force = telemetry[Signal.ATTITUDE_SETPOINT].values, telemetry[Signal.SPECIFIC_FORCE].values
-    attitude = Rotation.from_euler("ZYX", setpoint[:, ::-1]).as_quat(scalar_first=True)
+    attitude = Rotation.from_euler("ZYX", setpoint[:, ::-1]).as_quat()[:, [3, 0, 1, 2]]
     for k in range(n):
         time_us = START_US + 10_000 * k
         frames = [
