@@ -123,13 +123,13 @@ class Daemon:
         self._airframe, self._notifier, self._metrics, self._web = airframe, notifier or Notifier({}), metrics, web
         self._relay = Relay(link, behind, recorder=recorder, upward=self._upward)
         self._kept, self._signing = signing, None if signing is None else signing.signing
-        kind, self._passed = parse_address(settings.connect).kind, list[tuple[bytes, int]]()
-        self._announces = kind in _ANNOUNCING
+        self._announces = parse_address(settings.connect).kind in _ANNOUNCING
+        self._passed: list[tuple[bytes, int]] = []
         self.fleet = Fleet(
             self._spec,
             profile=None if settings.profile is None else PROFILES[settings.profile],
             only=settings.vehicle,
-            datagrams=kind in (Kind.UDP_IN, Kind.UDP_OUT),
+            datagrams=link.datagrams,
             most=settings.max_vehicles,
             signing=self._signing,
             passed=self._passed if behind or recorder is not None or flights is not None else None,

@@ -181,26 +181,6 @@ def make_controller(vehicle: Vehicle) -> control.Controller:
     )
 
 
-def sparing(vehicle: Vehicle, rotor: int, thrust_left: float, demand: float) -> control.Controller:
-    """The vehicle's controller with an allocation that spares a weak rotor (fault-tolerant control, the outlook of T).
-
-    F = W pinv(A E W) [T, tau] with the motor mapping A; E and W have thrust_left for the weak rotor, else 1. By E it is
-    commanded more for the same lift (trim), by W the others take a part of its load where they can (more than four).
-    demand: most that is asked of it, over its share in hover (thrust limit): of what is above, each of thrust and three
-    torques gets a quarter; inf for no such limit.
-    """
-    controller, weights = make_controller(vehicle), np.ones(len(vehicle.rotors))
-    weights[rotor - 1] = thrust_left
-    mixer = weights[:, None] * np.linalg.pinv(allocation(vehicle) * weights * weights)
-    hover, asked = vehicle.body.mass_kg * GRAVITY, np.maximum(np.abs(mixer[rotor - 1]), 1e-9)
-    room = 0.25 * (demand - 1.0) * asked[0] * hover / asked  # of [T, tau]
-    return controller._replace(
-        mixer=np.ascontiguousarray(mixer),
-        thrust_limit=np.minimum(controller.thrust_limit, hover + room[0]),
-        torque_limit=np.minimum(controller.torque_limit, room[1:]),
-    )
-
-
 def initial_state(model: kernel.Model, azimuth: FloatArray, charge_used_ah: float = 0.0) -> kernel.State:
     """At the first point of the path, level, nearly in trim: in hover, or on the ground with resting rotors.
 
