@@ -379,18 +379,16 @@ class Daemon:
                 self._reporter.record(turn.vehicle, effect)
 
     def _act(self, sysid: int, effect: Effect) -> None:
-        sender = self._sender(sysid)
-        for frame in sender.to_all(effect):
-            self._relay.send_to_all(frame)
-        for frame in sender.to_vehicle(effect):
-            self._link.send(frame)
+        frames, for_all = self._sender(sysid).frames(effect)
+        for frame in frames:
+            self._relay.send_to_all(frame) if for_all else self._link.send(frame)
         match effect:
             case AskInterval(msgid, interval_us):
                 self._reporter.record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
-            case Learn(profile, telemetry, parameters):
+            case Learn():
                 airframe = self._airframe or Airframe(name=f"vehicle {sysid}")
                 airframe = replace(airframe, name=self._settings.name or airframe.name)
-                self._fitter.begin(FittingJob(sysid, airframe, profile, telemetry, parameters, self._settings.accept))
+                self._fitter.begin(FittingJob(sysid, airframe, effect, self._settings.accept))
             case Baseline():
                 self._reporter.save(sysid, effect)
             case Change():

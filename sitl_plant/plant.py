@@ -25,7 +25,7 @@ from sitl_plant.physics.airframe import NEVER, NO_PAYLOAD, Airframe, Payload, Pi
 from sitl_plant.physics.control import ESTIMATE, Controller
 from sitl_plant.physics.dynamics import RIGID
 from sitl_plant.physics.faults import Injection, fault_injection, rotor_condition, sensor_condition
-from sitl_plant.physics.kernel import LOG, Block, Model, Recorded, Rows, Streams, fly
+from sitl_plant.physics.kernel import LOG, Model, Recorded, Rows, Streams, fly
 from sitl_plant.physics.parameters import (
     STEP_S,
     air_of,
@@ -236,8 +236,6 @@ class Plant:
         """Take all causes away, those of the configuration too; what sensors drifted is taken back."""
         self._set_injections(())
         self._state.imu.drifted[:] = 0.0
-        if self._own is not None:
-            self._own.imu_state.drifted[:] = 0.0
         self._note("clear")
 
     def set_wind(self, speed_m_s: float, towards_rad: float = math.pi / 4) -> None:
@@ -303,8 +301,8 @@ class Plant:
             count = min(steps - done, self._changes_at - self._step)
             part = rows if count == steps else Rows(*(column[done : done + count] for column in rows))
             noise = self._streams.draw(self._step, count, self._model)
-            block = Block(self._step, count, noise, commands[done : done + count], part)
-            fly(block, self._model, self._own, self._rotors, self._sensors, self._state)
+            duties, conditions = commands[done : done + count], (self._rotors, self._sensors)
+            fly(self._step, noise, duties, part, self._model, self._own, *conditions, self._state)
             self._step += count
             done += count
         t_ns = (first + np.arange(steps, dtype=np.int64)) * STEP_NS

@@ -211,7 +211,10 @@ def initial_state(model: kernel.Model, azimuth: FloatArray, charge_used_ah: floa
         estimate=estimate,
         accel_filtered=reading[3:].copy(),
         control=control.ControlState(integral, z(3), z(3), thrust, z(n), motors, z(4), z(3), pose.copy()),
-        scratch=kernel.Scratch(z((5, RIGID)), z((sensors.IMUS, sensors.CHANNELS)), z(REFERENCE), z(n)),
+        work=z((5, RIGID)),
+        truth=z((sensors.IMUS, sensors.CHANNELS)),
+        path=z(REFERENCE),
+        command=z(n),
     )
 
 
@@ -259,7 +262,9 @@ def recorded_set(
         control.second_order(*pair, dt)
         for pair in (recorded.rate_filter, recorded.accel_filter, recorded.velocity_filter)
     )
-    twin = sensors.TwinImuState(z((channels, 2)), z((channels, 4)), z(6), reading, z((sensors.HARMONICS, n, 2)))
+    twin = sensors.TwinImuState(
+        z((channels, 2)), z((channels, 4)), state.imu.drifted, reading, z((sensors.HARMONICS, n, 2))
+    )
     accel, still = reading[:, 3:].copy(), [z((imus, 3)) for _ in range(3)]
     lifted = recorded.thrust_over_command * airframe.battery_gain
     own = kernel.Recorded(
@@ -307,7 +312,7 @@ def _imus(airframe: Airframe, recorded: RecordedSet, model: kernel.Model, sessio
     period = max(1, round(recorded.gyro_period_s / dt))
     corners = [recorded.gyro_filter_hz] * 3 + [recorded.accel_filter_hz] * 3
     filters = np.array([sensors.butterworth3(corner_hz, dt) for corner_hz in corners])
-    shape, band_hz = sensors.high_pass(recorded.broad_corner_hz, dt), np.linspace(*BAND_HZ, 101)
+    shape, band_hz = sensors.butterworth(recorded.broad_corner_hz, dt, "highpass"), np.linspace(*BAND_HZ, 101)
     shaped, width = sensors.gain_of(shape, band_hz, dt), 2.0 * dt * (BAND_HZ[1] - BAND_HZ[0])
     line = np.concatenate([specimen.gyro_line * np.array(recorded.gyro_axes), recorded.accel_axes])
     broad = np.concatenate([specimen.gyro_broad * np.array(recorded.gyro_axes), np.full(3, recorded.accel_broad)])
