@@ -108,7 +108,7 @@ class Station(GroundStation):
     def call_off(self, way: str) -> tuple[list[bytes], list[bytes]]:
         """What calls off: on the vehicle's link, and on the link behind the detector."""
         if way == "mode":
-            manual = dialect_named(PROFILE).firmware.shown(Mode.MANUAL)
+            manual = dialect_named(PROFILE).shown(Mode.MANUAL)
             return [self.encoder.encode(MessageId.SET_MODE, 1, 1, manual)], []
         if way == "stick":
             return [], [self.encoder.encode(MessageId.MANUAL_CONTROL, 1, 400, 0, 500, 0, 0)]

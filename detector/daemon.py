@@ -123,13 +123,13 @@ class Daemon:
         self._airframe, self._notifier, self._metrics, self._web = airframe, notifier or Notifier({}), metrics, web
         self._relay = Relay(link, behind, recorder=recorder, upward=self._upward)
         self._kept, self._signing = signing, None if signing is None else signing.signing
-        kind, self._passed = parse_address(settings.connect).kind, list[tuple[bytes, int]]()
-        self._announces = kind in _ANNOUNCING
+        self._announces = parse_address(settings.connect).kind in _ANNOUNCING
+        self._passed: list[tuple[bytes, int]] = []
         self.fleet = Fleet(
             self._spec,
             profile=None if settings.profile is None else PROFILES[settings.profile],
             only=settings.vehicle,
-            datagrams=kind in (Kind.UDP_IN, Kind.UDP_OUT),
+            datagrams=link.datagrams,
             most=settings.max_vehicles,
             signing=self._signing,
             passed=self._passed if behind or recorder is not None or flights is not None else None,
@@ -379,18 +379,16 @@ class Daemon:
                 self._reporter.record(turn.vehicle, effect)
 
     def _act(self, sysid: int, effect: Effect) -> None:
-        sender = self._sender(sysid)
-        for frame in sender.to_all(effect):
-            self._relay.send_to_all(frame)
-        for frame in sender.to_vehicle(effect):
-            self._link.send(frame)
+        frames, for_all = self._sender(sysid).frames(effect)
+        for frame in frames:
+            self._relay.send_to_all(frame) if for_all else self._link.send(frame)
         match effect:
             case AskInterval(msgid, interval_us):
                 self._reporter.record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
-            case Learn(profile, telemetry, parameters):
+            case Learn():
                 airframe = self._airframe or Airframe(name=f"vehicle {sysid}")
                 airframe = replace(airframe, name=self._settings.name or airframe.name)
-                self._fitter.begin(FittingJob(sysid, airframe, profile, telemetry, parameters, self._settings.accept))
+                self._fitter.begin(FittingJob(sysid, airframe, effect, self._settings.accept))
             case Baseline():
                 self._reporter.save(sysid, effect)
             case Change():

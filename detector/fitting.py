@@ -5,18 +5,17 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
-from detector.values import LearningFailed
+from detector.values import Learn, LearningFailed
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline, sealed
 from mavdiag.errors import MavdiagError
-from mavdiag.telemetry import Log, Telemetry
+from mavdiag.telemetry import Log
 
 LIMIT_S = 300.0  # longer than any fit takes on a small companion computer (our choice)
 NICENESS = 10  # the receive loop comes first
@@ -30,9 +29,7 @@ class FittingJob:
 
     vehicle: int  # system id
     airframe: Airframe  # what is known of it; its name is the one that the baseline gets
-    profile: str  # of its link
-    telemetry: Telemetry  # the flight
-    parameters: Mapping[str, float] = field(default_factory=dict)  # of its autopilot, by name
+    flight: Learn
     accept: bool = False  # a baseline of grade D is taken, too
 
 
@@ -43,8 +40,8 @@ def fit_baseline(job: FittingJob) -> Outcome:
     from mavdiag.learning.suspicions import accepted
 
     created = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-    flight = (f"vehicle {job.vehicle}, live, {created}", "", job.profile, job.telemetry)
-    log = Log(*flight, started_ns=time.time_ns(), parameters=dict(job.parameters))
+    named, flight = f"vehicle {job.vehicle}, live, {created}", job.flight
+    log = Log(named, "", flight.profile, flight.telemetry, time.time_ns(), parameters=dict(flight.parameters))
     try:
         baseline = learn([log], LearnOptions(airframe=job.airframe), created=created)
         if not job.accept:
@@ -65,8 +62,7 @@ def _work(job: FittingJob, answer: Connection) -> None:
 class ProcessFitter:
     """Fits one job after the other, each in a process of its own."""
 
-    def __init__(self, limit_s: float = LIMIT_S, clock: Callable[[], float] = time.monotonic) -> None:
-        self._limit_s, self._clock = limit_s, clock
+    def __init__(self) -> None:
         self._waiting: list[FittingJob] = []
         self._running: tuple[int, BaseProcess, Connection, float] | None = None
 
@@ -84,7 +80,7 @@ class ProcessFitter:
         if answer.poll():
             with contextlib.suppress(EOFError):  # it ended without an answer
                 outcome = answer.recv()
-        elif self._clock() - since_s <= self._limit_s:
+        elif time.monotonic() - since_s <= LIMIT_S:
             return []
         self._end_process()
         self._next()
@@ -108,7 +104,7 @@ class ProcessFitter:
         process.start()
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         end.close()
-        self._running = (job.vehicle, process, answer, self._clock())
+        self._running = (job.vehicle, process, answer, time.monotonic())
 
     def _end_process(self) -> None:
         if self._running is not None:

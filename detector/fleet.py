@@ -198,10 +198,8 @@ class Fleet:
         turns = [
             self._parted(sysid, now, self._turn) for sysid, _ in due_turns(waiting, now, self.link.source, has_time)
         ]
-        return [*turns, *(self._parted(sysid, now, self._last_turn) for sysid in self.vehicles)]
-
-    def _last_turn(self, sysid: int, now: Instant) -> Turn:
-        return Turn(sysid, self.vehicles[sysid].session.finish())
+        ends = {sysid: vehicle.session.finish for sysid, vehicle in self.vehicles.items()}
+        return [*turns, *(self._parted(sysid, now, lambda sysid, _: Turn(sysid, ends[sysid]())) for sysid in ends)]
 
     def _turn(self, sysid: int, now: Instant) -> Turn:
         vehicle, stream, received = self.vehicles[sysid], self.link.vehicles[sysid], self.link.received(sysid)

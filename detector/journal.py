@@ -57,27 +57,28 @@ def mark(kind: str, when: When, content: Content) -> str:
     return json.dumps({**head, **content}, allow_nan=False)
 
 
-def _told(record: Record, when: When) -> tuple[str, Content, str]:
-    """Kind and content of a record's line, and its words in the log, empty for none."""
+def _told(record: Record, when: When) -> tuple[str, Content, str, bool]:
+    """Kind and content of a record's line, its words in the log, empty for none, and whether it is about an alert."""
     match record:
         case EventClosed(event):
-            return "event", _event(event, when), ""
+            return "event", _event(event, when), "", True
         case EventOpened(event):
-            return "opened", _event(event, when), ""
+            return "opened", _event(event, when), "", True
         case StateChanged(old, new, reason):
-            return "state", {"from": old, "to": new, "reason": reason}, f"{old} -> {new}: {reason}"
+            return "state", {"from": old, "to": new, "reason": reason}, f"{old} -> {new}: {reason}", False
         case Change(stage=stage, reason=reason):
-            return "stage", _stage(record), f"decision: {stage}, {reason}"
+            return "stage", _stage(record), f"decision: {stage}, {reason}", stage in _ALERTS
         case SendText(severity, text):
-            return "text", {"severity": int(severity), "text": text}, f"{severity.name} {text!r}"
+            content: Content = {"severity": int(severity), "text": text}
+            return "text", content, f"{severity.name} {text!r}", severity <= Severity.WARNING
         case TextSuppressed(text, count):
-            return "suppressed", {"text": text, "count": count}, f"held back {text!r} ({count} so far)"
+            return "suppressed", {"text": text, "count": count}, f"held back {text!r} ({count} so far)", False
         case Baseline():
             named = record.airframe.name
-            content: Content = {"digest": record.digest, "airframe": named, "layout": record.layout_statement}
-            return "baseline", content, str(record)
+            content = {"digest": record.digest, "airframe": named, "layout": record.layout_statement}
+            return "baseline", content, str(record), False
         case Note(text):
-            return "note", {"text": text}, text
+            return "note", {"text": text}, text, False
 
 
 def _event(event: Event, when: When) -> Content:
@@ -104,17 +105,6 @@ def _s(t_ns: int | None) -> float | None:
 
 def _iso(at: datetime) -> str:
     return at.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def is_urgent(record: Record) -> bool:
-    """Whether a record is about an alert: an alarm, a suspicion or fault, a text of at least WARNING."""
-    match record:
-        case Change(stage=stage):
-            return stage in _ALERTS
-        case SendText(severity, _):
-            return severity <= Severity.WARNING
-        case _:
-            return isinstance(record, EventOpened | EventClosed)
 
 
 def older(path: Path, number: int) -> Path:
@@ -292,9 +282,9 @@ class Reporter:
         """The effects that are worth a line, in the journal and, most of them, in the log."""
         if isinstance(effect, Record):
             when = self._when(sysid)
-            kind, content, words = _told(effect, when)
+            kind, content, words, urgent = _told(effect, when)
             for take in self._takers:
-                take(mark(kind, when, content), is_urgent(effect))
+                take(mark(kind, when, content), urgent)
             for part in words.splitlines():
                 self._say(f"vehicle {sysid}: {part}")
 

@@ -8,33 +8,10 @@ from itertools import groupby
 from operator import itemgetter
 
 from detector.journal import Recorder
-from mavdiag.link.codec import frame_length
+from mavdiag.link.codec import split_frames
 from mavdiag.link.ports import Endpoint
 
 DATAGRAM_BYTES = 1_400  # what every network carries in one piece (Ethernet's 1,500 less the headers and a tunnel's)
-
-
-class FrameSplitter:
-    """One direction of a link in frames. Bytes that begin no frame are handed on one by one.
-
-    datagrams: every chunk stands alone: an incomplete frame at its end is dropped. In a stream it waits for its rest.
-    """
-
-    def __init__(self, *, datagrams: bool) -> None:
-        self._datagrams = datagrams
-        self._begun = b""
-
-    def split(self, data: bytes) -> list[bytes]:
-        """The next bytes in, whole frames out."""
-        data, start, frames = self._begun + data, 0, list[bytes]()
-        while start < len(data):
-            length = frame_length(data, start)
-            if length is None or start + length > len(data):
-                break
-            frames.append(data[start : start + length])
-            start += length
-        self._begun = b"" if self._datagrams else data[start:]
-        return frames
 
 
 def packed(frames: Iterable[bytes]) -> Iterator[bytes]:
@@ -64,7 +41,7 @@ class Relay:
         upward: Callable[[list[bytes], Endpoint], Iterable[bytes]] = lambda frames, behind: frames,
     ) -> None:
         self._main, self._behind, self._recorder, self._upward = main, tuple(behind), recorder, upward
-        self._up = [FrameSplitter(datagrams=endpoint.address.startswith("udp")) for endpoint in behind]
+        self._begun = [b""] * len(self._behind)  # of a frame whose rest has not come from a byte stream
 
     def pass_on(self, frames: Sequence[tuple[bytes, int]]) -> None:
         """Pass frames, each with its time of arrival [ns], to every link behind, and back what these bring."""
@@ -74,9 +51,11 @@ class Relay:
         for message in packed(frame for frame, _ in frames) if self._behind else ():
             for endpoint in self._behind:
                 endpoint.send(message)
-        for endpoint, splitter in zip(self._behind, self._up, strict=True):
+        for number, endpoint in enumerate(self._behind):
             for data, _ in endpoint.receive(0.0):
-                for message in packed(self._upward(splitter.split(data), endpoint)):
+                whole, begun = split_frames(self._begun[number] + data)
+                self._begun[number] = b"" if endpoint.datagrams else begun
+                for message in packed(self._upward(whole, endpoint)):
                     self._main.send(message)
 
     def send_to_all(self, frame: bytes) -> None:

@@ -41,26 +41,22 @@ class MavlinkSender:
         """REQUEST_MESSAGE to the vehicle's autopilot."""
         return self.frame(MessageId.COMMAND_LONG, *self._autopilot, MavCmd.REQUEST_MESSAGE, 0, msgid)
 
-    def to_all(self, effect: Effect) -> list[bytes]:
-        """STATUSTEXT and NAMED_VALUE_FLOAT, in the vehicle's own milliseconds: what everybody may read."""
+    def frames(self, effect: Effect) -> tuple[list[bytes], bool]:
+        """What an effect sends, and whether everybody may read it: else it is for the vehicle's autopilot alone."""
         match effect:
             case SendText(severity, text):
-                return [self._encoder.statustext(severity, text)]
-            case SendFloat(name, value, vehicle_ns):
-                return [self.frame(MessageId.NAMED_VALUE_FLOAT, vehicle_ns // NS_PER_MS % _MS_TURN, name, value)]
-        return []
-
-    def to_vehicle(self, effect: Effect) -> list[bytes]:
-        """Requests and commands to the vehicle's autopilot, and TIMESYNC."""
-        match effect:
+                return [self._encoder.statustext(severity, text)], True
+            case SendFloat(name, value, vehicle_ns):  # in the vehicle's own milliseconds
+                return [self.frame(MessageId.NAMED_VALUE_FLOAT, vehicle_ns // NS_PER_MS % _MS_TURN, name, value)], True
             case AskInterval(msgid, interval_us):
                 command = (*self._autopilot, MavCmd.SET_MESSAGE_INTERVAL, 0)
-                return [self.frame(MessageId.COMMAND_LONG, *command, msgid, interval_us)]
+                return [self.frame(MessageId.COMMAND_LONG, *command, msgid, interval_us)], False
             case SendCommand(number, parameters, confirmation):
                 order = (*self._autopilot, number, confirmation, *parameters)
-                return [self.frame(MessageId.COMMAND_LONG, *order)]
+                return [self.frame(MessageId.COMMAND_LONG, *order)], False
             case AskParameters(names):
-                return [self.frame(MessageId.PARAM_REQUEST_READ, *self._autopilot, name, -1) for name in names]
+                ask = MessageId.PARAM_REQUEST_READ
+                return [self.frame(ask, *self._autopilot, name, -1) for name in names], False
             case TimesyncMessage(tc1_ns, ts1_ns):
-                return [self.frame(MessageId.TIMESYNC, tc1_ns, ts1_ns)]
-        return []
+                return [self.frame(MessageId.TIMESYNC, tc1_ns, ts1_ns)], False
+        return [], False

@@ -21,7 +21,7 @@ from mavdiag.link.signing import Signing
 from mavdiag.logs.tlog import tlog_record
 from sitl_plant.autopilot.commands import Autopilot, PlantOrder
 from sitl_plant.autopilot.dialect import Dialect
-from sitl_plant.autopilot.stream import FilteredSamples, ImuFilters, Message, Streamer
+from sitl_plant.autopilot.stream import FilteredSamples, ImuFilters, Message, messages_due
 from sitl_plant.autopilot.wire import Action, Reply
 from sitl_plant.options import FlightPlan
 from sitl_plant.physics.faults import Injection
@@ -73,7 +73,6 @@ class Link:
         self.schedule = dialect.schedule(rate_hz, rotors, fresh)
         self._signing = signing
         self._encoder = Encoder(dialect.sysid, Component.AUTOPILOT1, signing)
-        self._streamer = Streamer(dialect, self.schedule)
         decoder = Decoder(signing=signing)
         self._decode = decoder.feed_datagram if endpoint.datagrams else decoder.feed
         self._senders: dict[tuple[int, int], Encoder] = {}
@@ -85,7 +84,7 @@ class Link:
 
     def queue(self, filtered: FilteredSamples, dialect: Dialect) -> None:
         """Make the messages of a block; they wait for their time."""
-        self._waiting.extend(self._streamer.step(filtered, dialect))
+        self._waiting.extend(messages_due(filtered, self.schedule, dialect))
 
     def send_due(self, t_ns: int) -> int:
         """Send what is due at flight time `t_ns`; returns how many messages that were."""
@@ -195,13 +194,13 @@ def recorded(plan: FlightPlan, duration_s: float, watch: Callable[[PlantSamples]
     """Every frame of a flight in order, with its flight time [ns]. watch: is shown every block's truth."""
     plant, filters = Plant(plan.config), ImuFilters(plan.dialect, plan.config.seed)
     schedule = plan.dialect.schedule(plan.rate_hz, plant.rotors)
-    streamer, encoder = Streamer(plan.dialect, schedule), Encoder(plan.dialect.sysid, Component.AUTOPILOT1)
+    encoder = Encoder(plan.dialect.sysid, Component.AUTOPILOT1)
     left = max(1, round(duration_s * 1e9 / STEP_NS))
     while left > 0:
         samples = plant.advance(min(RECORD_STEPS, left))
         left -= len(samples)
         watch(samples)
-        for t_ns, msgid, payload in streamer.step(filters.step(samples)):
+        for t_ns, msgid, payload in messages_due(filters.step(samples), schedule, plan.dialect):
             yield t_ns, encoder.encode_payload(msgid, payload)
 
 

@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import compress
-from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -23,10 +22,10 @@ from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.air import Dryden, dryden
 from sitl_plant.physics.airframe import NEVER, NO_PAYLOAD, Airframe, Payload, PickUp, Wear, drone
-from sitl_plant.physics.control import ESTIMATE
+from sitl_plant.physics.control import ESTIMATE, Controller
 from sitl_plant.physics.dynamics import RIGID
 from sitl_plant.physics.faults import Injection, fault_injection, rotor_condition, sensor_condition
-from sitl_plant.physics.kernel import LOG, Block, Model, Recorded, Rows, Streams, fly
+from sitl_plant.physics.kernel import LOG, Model, Recorded, Rows, Streams, fly
 from sitl_plant.physics.parameters import (
     STEP_S,
     air_of,
@@ -34,7 +33,6 @@ from sitl_plant.physics.parameters import (
     make_model,
     recorded_set,
     reload,
-    sparing,
 )
 from sitl_plant.physics.trajectory import ARM_S, LIFT_S, Leg, Nose, Path, Shape, landing_time, path
 from sitl_plant.vehicle import Vehicle, qdrone2
@@ -142,8 +140,8 @@ class Change(NamedTuple):
     """One change in flight, in effect from flight time `t_ns` on; an injection from its own onset on."""
 
     t_ns: int
-    what: Injection | Literal["clear", "wind", "battery", "allocation"]
-    values: Mapping[str, float] = MappingProxyType({})
+    what: Injection | Literal["clear", "wind", "battery"]
+    values: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,8 +236,6 @@ class Plant:
         """Take all causes away, those of the configuration too; what sensors drifted is taken back."""
         self._set_injections(())
         self._state.imu.drifted[:] = 0.0
-        if self._own is not None:
-            self._own.imu_state.drifted[:] = 0.0
         self._note("clear")
 
     def set_wind(self, speed_m_s: float, towards_rad: float = math.pi / 4) -> None:
@@ -251,24 +247,16 @@ class Plant:
             raise UsageError(f"a wind needs finite numbers, not {speed_m_s:g} m/s to {towards_rad:g} rad")
         air = air_of(self.airframe.vehicle, _wind(speed_m_s, towards_rad), self.config.gusts() is not None)
         self._model = self._model._replace(air=air)
-        self._note("wind", {"wind_m_s": speed_m_s, "wind_towards_rad": towards_rad})
+        self._note("wind", wind_m_s=speed_m_s, wind_towards_rad=towards_rad)
 
     def renew_battery(self) -> None:
         """Put a full battery in."""
         self._state.battery[:] = self._model.battery.open_circuit, 0.0
         self._note("battery")
 
-    def spare_rotor(self, rotor: int, thrust_left: float, demand: float = math.inf) -> None:
-        """Let the controller allocate for a weak rotor, see `parameters.sparing`. Raises UsageError.
-
-        thrust_left: of the thrust at the same speed, above 0 to 1. demand: above 1. Not for recorded vehicles.
-        """
-        if self._own is not None or rotor not in range(1, self.rotors + 1):
-            raise UsageError(f"rotor must be 1 to {self.rotors} of a vehicle that is not recorded, not {rotor}")
-        if not (0.0 < thrust_left <= 1.0 and demand > 1.0):
-            raise UsageError(f"thrust_left must be above 0 to 1 and demand above 1, not {thrust_left:g} and {demand:g}")
-        self._model = self._model._replace(controller=sparing(self.airframe.vehicle, rotor, thrust_left, demand))
-        self._note("allocation", {"rotor": rotor, "thrust_left": thrust_left})
+    def take_controller(self, controller: Controller) -> None:
+        """Let another controller fly from the next step on."""
+        self._model = self._model._replace(controller=controller)
 
     def lead(self, leg: Leg) -> None:
         """Lead a commanded flight along `leg` from the next step on. Raises UsageError for one with its own path."""
@@ -282,11 +270,7 @@ class Plant:
         self._changes.clear()
         return taken
 
-    def _note(
-        self,
-        what: Injection | Literal["clear", "wind", "battery", "allocation"],
-        values: Mapping[str, float] = MappingProxyType({}),
-    ) -> None:
+    def _note(self, what: Injection | Literal["clear", "wind", "battery"], **values: float) -> None:
         self._changes.append(Change(self.t_ns, what, values))
 
     def _placed(self, injections: tuple[Injection, ...]) -> tuple[Injection, ...]:
@@ -317,8 +301,8 @@ class Plant:
             count = min(steps - done, self._changes_at - self._step)
             part = rows if count == steps else Rows(*(column[done : done + count] for column in rows))
             noise = self._streams.draw(self._step, count, self._model)
-            block = Block(self._step, count, noise, commands[done : done + count], part)
-            fly(block, self._model, self._own, self._rotors, self._sensors, self._state)
+            duties, conditions = commands[done : done + count], (self._rotors, self._sensors)
+            fly(self._step, noise, duties, part, self._model, self._own, *conditions, self._state)
             self._step += count
             done += count
         t_ns = (first + np.arange(steps, dtype=np.int64)) * STEP_NS

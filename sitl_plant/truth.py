@@ -3,7 +3,7 @@
 {"record": "flight", ...}     once: the configuration
 {"record": "state", ...}      every second of flight: truth, SI units, body FRD, world NED
 {"record": "onset", ...}      when the fault begins, or a cause that was injected in flight
-{"record": "clear", ...}      when all causes are taken away in flight; "wind", "battery", "allocation": set anew
+{"record": "clear", ...}      when all causes are taken away in flight; "wind", "battery": set anew
 """
 
 import json
@@ -31,27 +31,25 @@ class Truth:
     def __init__(
         self, config: PlantConfig, profile: str, rate_hz: float, started_unix_ns: int | None, file: TextIO | None = None
     ) -> None:
-        self._config, self._started_unix_ns, self._file, self._t_ns = config, started_unix_ns, file, 0
+        self._config, self._started_unix_ns, self._file, self._t_ns = config, started_unix_ns, file, math.inf
         self._link = {"profile": profile, "rate_hz": rate_hz}
-        self._causes: list[Injection] = []
-        self._tell([self.head()])
-
-    def _tell(self, lines: list[str]) -> None:
-        if self._file is not None and lines:
-            self._file.write("\n".join(lines) + "\n")
-            self._file.flush()
+        self._causes = self._configured()
 
     def write(self, samples: PlantSamples, changes: Sequence[Change] = ()) -> None:
         """Write the lines of a block (n >= 1). changes: `Plant.take_changes`, made before the block."""
         if self._file is not None:
             begins = [self.head()] if int(samples.t_ns[0]) < self._t_ns else []
             self._t_ns = int(samples.t_ns[-1])
-            self._tell(begins + self.step(samples, changes))
+            self._file.writelines(f"{line}\n" for line in begins + self.step(samples, changes))
+            self._file.flush()
+
+    def _configured(self) -> list[Injection]:
+        return list(self._config.all_injections()[:1]) if self._config.fault else []
 
     def head(self) -> str:
         """The first line of a flight, which now begins."""
         config = self._config
-        self._causes = list(config.all_injections()[:1]) if config.fault else []
+        self._causes = self._configured()
         line: dict[str, object] = {"record": "flight", "vehicle": config.vehicle.name}
         line |= {name: getattr(config, name) for name in ("drone", "trajectory", "nose", "start", "fault")}
         line |= {name: getattr(config, name) if config.fault else None for name in ("rotor", "onset_s")}

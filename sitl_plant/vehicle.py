@@ -8,7 +8,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import field
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeAlias
 
@@ -20,11 +19,11 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import Place, layout_at
 from mavdiag.airframe.load import airframe_named
 from mavdiag.errors import InputError, UsageError
-from mavdiag.storage import parse_toml, read_toml
+from mavdiag.storage import read_toml
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import G
 
-_FOLDER = resources.files("sitl_plant")
+_FOLDER = Path(__file__).parent
 STRICT: Literal["forbid"] = "forbid"  # a misspelt key in the file is an error, not a default
 
 Positive: TypeAlias = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -339,8 +338,7 @@ def allocation(vehicle: Vehicle) -> FloatArray:
 
 def shipped_vehicles() -> tuple[str, ...]:
     """The names of the vehicles in this package; the first is the thesis's."""
-    names = sorted(file.name.removesuffix(".toml") for file in _FOLDER.iterdir() if file.name.endswith(".toml"))
-    return ("qdrone2", *(name for name in names if name != "qdrone2"))
+    return ("qdrone2", *sorted({path.stem for path in _FOLDER.glob("*.toml")} - {"qdrone2"}))
 
 
 @cache
@@ -348,12 +346,7 @@ def vehicle_named(name: str) -> Vehicle:
     """A vehicle of this package. Raises UsageError, listing the names, if there is none."""
     if name not in shipped_vehicles():
         raise UsageError(f"no vehicle {name!r}: give a FILE.toml or one of {', '.join(shipped_vehicles())}")
-    return _parsed(_shipped_table(name), name)
-
-
-def load_vehicle(path: Path) -> Vehicle:
-    """Read a vehicle file. Raises InputError, naming the file and the field, if it cannot be used."""
-    return _parsed(_with_base(read_toml(path), path.name), path.name)
+    return load_vehicle(_FOLDER / f"{name}.toml")
 
 
 def vehicle_from(text: str) -> Vehicle:
@@ -366,26 +359,24 @@ def qdrone2() -> Vehicle:
     return vehicle_named("qdrone2")
 
 
-def _parsed(table: dict[str, Any], name: str) -> Vehicle:
+def load_vehicle(path: Path) -> Vehicle:
+    """Read a vehicle file. Raises InputError, naming the file and the field, if it cannot be used."""
     try:
-        return TypeAdapter(Vehicle).validate_python(table)
+        return TypeAdapter(Vehicle).validate_python(_table(path))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "vehicle"
-        raise InputError(f"{name}: {where}: {first['msg']}") from error
+        raise InputError(f"{path.name}: {where}: {first['msg']}") from error
 
 
-def _shipped_table(name: str) -> dict[str, Any]:
-    return _with_base(parse_toml((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"), name), name)
-
-
-def _with_base(table: dict[str, Any], name: str) -> dict[str, Any]:
+def _table(path: Path) -> dict[str, Any]:
+    table = read_toml(path)
     base = table.pop("base", None)
     if base is None:
         return table
     if base not in shipped_vehicles():
-        raise InputError(f"{name}: base: give one of {', '.join(shipped_vehicles())}, not {base!r}")
-    return _merged(_shipped_table(base), table)
+        raise InputError(f"{path.name}: base: give one of {', '.join(shipped_vehicles())}, not {base!r}")
+    return _merged(_table(_FOLDER / f"{base}.toml"), table)
 
 
 def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:

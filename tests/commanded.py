@@ -44,7 +44,7 @@ class Vehicle:
 
     def code(self, mode: Mode) -> int:
         """The custom_mode of a mode."""
-        return self._dialect.firmware.shown(mode)
+        return self._dialect.shown(mode)
 
     def send(self, msgid: int, *fields: Argument) -> list[Reply]:
         """Give it a message; its answers."""

@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias
 
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
-from sitl_plant.autopilot.dialect import FAULT, SEVERITY, Dialect, Encoding, Firmware, Mode, Parameters
+from sitl_plant.autopilot.dialect import FAULT, SEVERITY, Dialect, Encoding, Mode, Parameters
 from sitl_plant.autopilot.mission import HANDLED, Mission
 from sitl_plant.autopilot.pilot import Pilot, Place, Waypoint
 from sitl_plant.autopilot.schedule import Schedule
@@ -55,10 +55,10 @@ class Autopilot:
     def __init__(self, sysid: int, schedules: Sequence[Schedule], dialect: Dialect, config: PlantConfig) -> None:
         self._identity = (sysid, int(Component.AUTOPILOT1))
         self._schedules, self._dialect, self._config = schedules, dialect, config
-        vehicle, self._firmware = config.flown_vehicle, dialect.firmware
+        vehicle = config.flown_vehicle
         self._rotors, self._failures = len(vehicle.rotors), dict[int, Injection]()
-        self._parameters = Parameters(dialect.parameters_of(vehicle), dialect.firmware.encoding)
-        self._pilot = Pilot(dialect.firmware, self._parameters, dialect.custom_mode, config.commanded)
+        self._parameters = Parameters(dialect.parameters_of(vehicle), dialect.encoding)
+        self._pilot = Pilot(dialect, self._parameters, config.commanded)
         self._mission = Mission(self._plan, self._pilot.skip_to)
         self._orders: list[PlantOrder] = []
         self._routes: dict[tuple[int, int], int] = {}
@@ -154,14 +154,14 @@ class Autopilot:
             case MavCmd.INJECT_FAILURE:
                 return self._inject(order), []
         obeyed = ORDERS.get(order.command)
-        return (obeyed(self._pilot, self._firmware, order) if obeyed else MavResult.UNSUPPORTED), []
+        return (obeyed(self._pilot, self._dialect, order) if obeyed else MavResult.UNSUPPORTED), []
 
     def _tell(self, link: int, msgid: int, wanted: int = 0) -> _Answer:
         """REQUEST_MESSAGE. wanted: its second parameter."""
         told: list[tuple[int | str | tuple[int, ...], ...]]
         match msgid:
             case MessageId.AUTOPILOT_VERSION:
-                can = ALWAYS | (BYTEWISE if self._firmware.encoding is Encoding.BYTES else C_CAST)
+                can = ALWAYS | (BYTEWISE if self._dialect.encoding is Encoding.BYTES else C_CAST)
                 can |= IN_COMMAND if self._config.commanded else 0
                 told = [(can, VERSION, VERSION, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, UID << 8 | self._identity[0])]
             case MessageId.PROTOCOL_VERSION:
@@ -169,7 +169,7 @@ class Autopilot:
             case MessageId.MESSAGE_INTERVAL:  # 0 means that the message is not carried
                 told = [(wanted, self._schedules[link].interval_us(wanted))]
             case MessageId.AVAILABLE_MODES:
-                modes = list(enumerate(self._firmware.modes, start=1))
+                modes = list(enumerate(self._dialect.modes, start=1))
                 told = [(len(modes), n, 0, code.custom_mode, 0, code.name) for n, code in modes if wanted in (0, n)]
             case MessageId.MISSION_CURRENT:
                 return MavResult.ACCEPTED, [self._mission.current(link, self._pilot.first)]
@@ -204,7 +204,7 @@ class Autopilot:
         return MavResult.ACCEPTED
 
     def _plan(self, frames: tuple[Frame, ...]) -> bool:
-        plan = waypoints([order_of(frame) for frame in frames], self._firmware)
+        plan = waypoints([order_of(frame) for frame in frames], self._dialect)
         if plan is not None:
             self._pilot.plan_mission(plan)
         return plan is not None
@@ -220,67 +220,67 @@ def _height(order: Order, amsl: bool) -> float | None:
     return None if order.z is None else order.z - HOME_ALT_M * above_sea
 
 
-def _place(order: Order, firmware: Firmware, here: Place) -> Place | None:
+def _place(order: Order, dialect: Dialect, here: Place) -> Place | None:
     """Where an order leads, world NED; the present place for what is not given. None for a frame not known here."""
     if order.frame is not None and order.frame not in ABOVE_SEA + ABOVE_HOME:
         return None
     there = here[:2] if not order.x or not order.y else to_local(order.x, order.y)
-    height = _height(order, firmware.amsl or order.command == MavCmd.DO_REPOSITION)
+    height = _height(order, dialect.amsl or order.command == MavCmd.DO_REPOSITION)
     return there[0], there[1], here[2] if height is None else -height
 
 
-def _reposition(pilot: Pilot, firmware: Firmware, order: Order) -> MavResult:
-    place = _place(order, firmware, pilot.position)
+def _reposition(pilot: Pilot, dialect: Dialect, order: Order) -> MavResult:
+    place = _place(order, dialect, pilot.position)
     speed = order.param[0] if (order.param[0] or -1.0) > 0.0 else None
     return MavResult.DENIED if place is None else pilot.go(place, order.param[3], speed)
 
 
-def _take_off(pilot: Pilot, firmware: Firmware, order: Order) -> MavResult:
-    height = _height(order, firmware.amsl)
+def _take_off(pilot: Pilot, dialect: Dialect, order: Order) -> MavResult:
+    height = _height(order, dialect.amsl)
     return pilot.take_off(height if height is None or height > 0.0 else None)
 
 
-def _set_mode(pilot: Pilot, firmware: Firmware, order: Order) -> MavResult:
+def _set_mode(pilot: Pilot, dialect: Dialect, order: Order) -> MavResult:
     main, sub = order.whole(2), order.whole(3)
     packed = main << 16 | sub << 24
-    return pilot.set_mode(packed if firmware.code(packed) or sub else main)
+    return pilot.set_mode(packed if dialect.code(packed) or sub else main)
 
 
-def _pause(pilot: Pilot, firmware: Firmware, order: Order) -> MavResult:
-    if not firmware.needs_guided:  # PX4 does not implement it
+def _pause(pilot: Pilot, dialect: Dialect, order: Order) -> MavResult:
+    if not dialect.needs_guided:  # PX4 does not implement it
         return MavResult.UNSUPPORTED
     return pilot.pause(order.whole(1) == 0) if order.whole(1) in (0, 1) else MavResult.DENIED
 
 
-ORDERS: Mapping[int, Callable[[Pilot, Firmware, Order], MavResult]] = {
+ORDERS: Mapping[int, Callable[[Pilot, Dialect, Order], MavResult]] = {
     MavCmd.COMPONENT_ARM_DISARM: lambda pilot, _, order: pilot.arm(order.whole(1) == 1, order.whole(2) == FORCE),
     MavCmd.NAV_TAKEOFF: _take_off,
     MavCmd.DO_REPOSITION: _reposition,
-    MavCmd.NAV_LAND: lambda pilot, firmware, order: pilot.do(Mode.LAND),
-    MavCmd.NAV_RETURN_TO_LAUNCH: lambda pilot, firmware, order: pilot.do(Mode.RTL),
-    MavCmd.NAV_LOITER_UNLIM: lambda pilot, firmware, order: pilot.do(Mode.HOLD),
-    MavCmd.MISSION_START: lambda pilot, firmware, order: pilot.do(Mode.MISSION),
+    MavCmd.NAV_LAND: lambda pilot, dialect, order: pilot.do(Mode.LAND),
+    MavCmd.NAV_RETURN_TO_LAUNCH: lambda pilot, dialect, order: pilot.do(Mode.RTL),
+    MavCmd.NAV_LOITER_UNLIM: lambda pilot, dialect, order: pilot.do(Mode.HOLD),
+    MavCmd.MISSION_START: lambda pilot, dialect, order: pilot.do(Mode.MISSION),
     MavCmd.DO_SET_MODE: _set_mode,
     MavCmd.DO_PAUSE_CONTINUE: _pause,
-    MavCmd.DO_CHANGE_SPEED: lambda pilot, firmware, order: pilot.set_speed(order.param[1] or 0.0),
-    MavCmd.DO_FLIGHTTERMINATION: lambda pilot, firmware, order: (
+    MavCmd.DO_CHANGE_SPEED: lambda pilot, dialect, order: pilot.set_speed(order.param[1] or 0.0),
+    MavCmd.DO_FLIGHTTERMINATION: lambda pilot, dialect, order: (
         pilot.arm(False, force=True) if order.whole(1) else MavResult.DENIED
     ),
-    MavCmd.RUN_PREARM_CHECKS: lambda pilot, firmware, order: MavResult.ACCEPTED,
+    MavCmd.RUN_PREARM_CHECKS: lambda pilot, dialect, order: MavResult.ACCEPTED,
 }
 """What the pilot does for each MAV_CMD."""
 
 _GOES = (MavCmd.NAV_WAYPOINT, MavCmd.NAV_TAKEOFF, MavCmd.NAV_LOITER_TIME, MavCmd.NAV_LOITER_UNLIM)
 
 
-def waypoints(orders: Sequence[Order], firmware: Firmware) -> tuple[Waypoint, ...] | None:
+def waypoints(orders: Sequence[Order], dialect: Dialect) -> tuple[Waypoint, ...] | None:
     """What the items of a mission mean; None if one of them cannot be flown."""
     plan: list[Waypoint] = []
     here, speed = (0.0, 0.0, -1.0), None
     for seq, order in enumerate(orders):
         speed = (order.param[1] or None) if order.command == MavCmd.DO_CHANGE_SPEED else speed
         # ArduPilot's item 0 is home, and is not flown
-        meant = (Waypoint(item=0),) if seq == 0 and firmware.needs_guided else _waypoint(seq, order, here, firmware)
+        meant = (Waypoint(item=0),) if seq == 0 and dialect.needs_guided else _waypoint(seq, order, here, dialect)
         if meant is None:
             return None
         plan += (waypoint._replace(speed=speed) for waypoint in meant)
@@ -288,8 +288,8 @@ def waypoints(orders: Sequence[Order], firmware: Firmware) -> tuple[Waypoint, ..
     return tuple(plan)
 
 
-def _waypoint(seq: int, order: Order, here: Place, firmware: Firmware) -> tuple[Waypoint, ...] | None:
-    place, wait_s, down = _place(order, firmware, here), order.param[0] or 0.0, Waypoint(lands=True, item=seq)
+def _waypoint(seq: int, order: Order, here: Place, dialect: Dialect) -> tuple[Waypoint, ...] | None:
+    place, wait_s, down = _place(order, dialect, here), order.param[0] or 0.0, Waypoint(lands=True, item=seq)
     if order.command in _GOES:
         climbs = order.command == MavCmd.NAV_TAKEOFF
         yaw = None if order.param[3] is None or climbs else math.radians(order.param[3])

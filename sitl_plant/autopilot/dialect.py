@@ -135,32 +135,6 @@ class ModeCode(NamedTuple):
     name: str
 
 
-@dataclass(frozen=True, slots=True)
-class Firmware:
-    """How an autopilot takes commands."""
-
-    modes: tuple[ModeCode, ...]  # the modes; the first with a `Mode` is the one that a command such as NAV_LAND brings
-    encoding: Encoding  # of parameters
-    amsl: bool  # the altitude of a COMMAND_LONG is above the sea, not above home
-    takeoff: Mode  # the mode during a take-off by command
-    needs_guided: bool  # NAV_TAKEOFF is refused in another mode
-    reposition: Mode  # the mode in which DO_REPOSITION flies
-    refused: MavResult  # the result of a command that the vehicle's state does not allow
-    speed: str  # name of a parameter, as of the next two: height of a take-off, height of a return
-    height: str
-    return_height: str
-    unit: float  # of these parameters, in metres (per second)
-    parameters: tuple[Parameter, ...]  # its own that can be set
-
-    def code(self, custom_mode: int) -> ModeCode | None:
-        """The mode of a number; None if there is none."""
-        return next((code for code in self.modes if code.custom_mode == custom_mode), None)
-
-    def shown(self, mode: Mode) -> int:
-        """The custom_mode of what the vehicle does."""
-        return next(code.custom_mode for code in self.modes if code.mode is mode)
-
-
 _COPTER_MODES = tuple(
     ModeCode(number, mode, name)
     for mode, codes in (
@@ -190,54 +164,6 @@ _PX4_MODES = tuple(
 SPEED_MOST, HEIGHT_MOST = 2.0, 50.0  # m/s that the thesis's cascade flies well; m
 _CM = 0.01
 
-COPTER = Firmware(
-    modes=_COPTER_MODES,
-    encoding=Encoding.CAST,
-    amsl=False,
-    takeoff=Mode.GUIDED,
-    needs_guided=True,
-    reposition=Mode.GUIDED,
-    refused=MavResult.FAILED,
-    speed="WPNAV_SPEED",
-    height="PILOT_TKOFF_ALT",
-    return_height="RTL_ALT",
-    unit=_CM,
-    parameters=(
-        Parameter("WPNAV_SPEED", 100.0, Kind.REAL32, (10.0, SPEED_MOST / _CM)),
-        Parameter("PILOT_TKOFF_ALT", 150.0, Kind.REAL32, (30.0, HEIGHT_MOST / _CM)),
-        Parameter("RTL_ALT", 200.0, Kind.INT32, (30.0, HEIGHT_MOST / _CM)),
-    ),
-)
-PX4 = Firmware(
-    modes=_PX4_MODES,
-    encoding=Encoding.BYTES,
-    amsl=True,
-    takeoff=Mode.TAKEOFF,
-    needs_guided=False,
-    reposition=Mode.HOLD,
-    refused=MavResult.TEMPORARILY_REJECTED,
-    speed="MPC_XY_CRUISE",
-    height="MIS_TAKEOFF_ALT",
-    return_height="RTL_RETURN_ALT",
-    unit=1.0,
-    parameters=(
-        Parameter("MPC_XY_CRUISE", 1.0, Kind.REAL32, (0.1, SPEED_MOST)),
-        Parameter("MIS_TAKEOFF_ALT", 1.5, Kind.REAL32, (0.3, HEIGHT_MOST)),
-        Parameter("RTL_RETURN_ALT", 2.0, Kind.REAL32, (0.3, HEIGHT_MOST)),
-        Parameter("SYS_FAILURE_EN", 1, Kind.INT32, (0, 1)),
-    ),
-)
-# Whoever does not know an autopilot guesses: mavsdk takes its custom_mode for PX4's, pymavlink for ArduPilot's. The
-# numbers do not meet, so both are understood. mavsdk sends it altitudes above home. All its parameters are floats.
-GENERIC = replace(
-    PX4,
-    modes=(*_PX4_MODES, *_COPTER_MODES),
-    encoding=Encoding.FLOAT,
-    amsl=False,
-    refused=MavResult.DENIED,
-    parameters=PX4.parameters[:3],
-)
-
 
 @dataclass(frozen=True, slots=True)
 class Esc:
@@ -253,8 +179,13 @@ class Esc:
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """What one kind of autopilot sends.
+    """What one kind of autopilot sends, and how it takes commands.
 
+    modes: the first with a `Mode` is the one that a command such as NAV_LAND brings.
+    amsl: the altitude of a COMMAND_LONG is above the sea, not above home.
+    takeoff, reposition: the mode during a take-off by command, and that in which DO_REPOSITION flies.
+    refused: the result of a command that the vehicle's state does not allow.
+    speed, height, return_height: names of parameters, of the heights of a take-off and of a return; unit: theirs.
     unasked: rates of what the real autopilot sends on a fresh link [Hz].
     streams: which messages REQUEST_DATA_STREAM sets, by MAV_DATA_STREAM; empty for an autopilot that ignores it.
     """
@@ -263,9 +194,19 @@ class Dialect:
     custom_mode: int  # flight mode in HEARTBEAT
     others: Mapping[int, float]  # rates of the messages besides set-point and IMU [Hz]
     ceiling_hz: float  # the highest rate that is granted
-    firmware: Firmware  # how it takes commands
+    modes: tuple[ModeCode, ...]
+    encoding: Encoding  # of parameters
+    amsl: bool
+    takeoff: Mode
+    needs_guided: bool  # NAV_TAKEOFF is refused in another mode
+    reposition: Mode
+    refused: MavResult
+    speed: str
+    height: str
+    return_height: str
+    unit: float  # in metres (per second)
+    parameters: tuple[Parameter, ...]  # besides geometry and the emulator's own
     send_delay_s: float = 0.0  # longest time from the sample to its stamp, if messages are stamped when they are sent
-    parameters: tuple[Parameter, ...] = ()  # those of the autopilot besides its firmware's and the emulator's own
     streams: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
     unasked: Mapping[int, float] = field(default_factory=dict)
     whole_ms: bool = False  # intervals are cut to whole milliseconds
@@ -302,9 +243,21 @@ class Dialect:
 
     def parameters_of(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """The parameters of a vehicle: the dialect's, its geometry as the autopilot has it, those that can be set."""
-        geometry = _px4_rotors(vehicle) if self.firmware is PX4 else _copter_frame(vehicle)
-        own = Parameter("MAV_SYS_ID" if self.firmware is PX4 else "SYSID_THISMAV", self.sysid, Kind.INT16)
-        return (own, *self.parameters, *geometry, *self.firmware.parameters, *OWN_PARAMETERS)
+        px4 = self.encoding is Encoding.BYTES
+        geometry = _px4_rotors(vehicle) if px4 else _copter_frame(vehicle)
+        own = Parameter("MAV_SYS_ID" if px4 else "SYSID_THISMAV", self.sysid, Kind.INT16)
+        fixed, settable = (
+            [row for row in self.parameters if (row.span is None) is is_fixed] for is_fixed in (True, False)
+        )
+        return (own, *fixed, *geometry, *settable, *OWN_PARAMETERS)
+
+    def code(self, custom_mode: int) -> ModeCode | None:
+        """The mode of a number; None if there is none."""
+        return next((code for code in self.modes if code.custom_mode == custom_mode), None)
+
+    def shown(self, mode: Mode) -> int:
+        """The custom_mode of what the vehicle does."""
+        return next(code.custom_mode for code in self.modes if code.mode is mode)
 
 
 def _copter_frame(vehicle: Vehicle) -> tuple[Parameter, ...]:
@@ -366,55 +319,91 @@ _PX4_UNASKED |= {MessageId.ESC_STATUS: 1.0}
 
 _QDRONE2, _SPEC, _ARDUPILOT, _PX4 = (PROFILES[name] for name in ("qdrone2", "spec", "ardupilot", "px4"))
 
-_ALL = (
-    *(
-        Dialect(
-            profile,
-            custom_mode=0,
-            others=_messages(profile, MessageId.HIGHRES_IMU),
-            ceiling_hz=1000.0,
-            firmware=GENERIC,
-            streams=_STREAMS,
-        )
-        for profile in (_QDRONE2, _SPEC)
+# ArduPilot sends ATTITUDE_TARGET and RAW_IMU only on request; the emulator sends them at once, and takes requests.
+COPTER = Dialect(
+    _ARDUPILOT,
+    custom_mode=4,  # Copter: guided
+    others=_messages(_ARDUPILOT) | {MessageId.ESC_TELEMETRY_1_TO_4: 10.0},
+    ceiling_hz=1000.0 / 3.0,  # 0.8 x loop rate (400 Hz) in whole milliseconds
+    modes=_COPTER_MODES,
+    encoding=Encoding.CAST,
+    amsl=False,
+    takeoff=Mode.GUIDED,
+    needs_guided=True,
+    reposition=Mode.GUIDED,
+    refused=MavResult.FAILED,
+    speed="WPNAV_SPEED",
+    height="PILOT_TKOFF_ALT",
+    return_height="RTL_ALT",
+    unit=_CM,
+    parameters=(
+        Parameter("INS_GYRO_FILTER", 20, Kind.INT16),
+        Parameter("INS_ACCEL_FILTER", 20, Kind.INT16),
+        Parameter("SCHED_LOOP_RATE", 400, Kind.INT16),
+        Parameter("WPNAV_SPEED", 100.0, Kind.REAL32, (10.0, SPEED_MOST / _CM)),
+        Parameter("PILOT_TKOFF_ALT", 150.0, Kind.REAL32, (30.0, HEIGHT_MOST / _CM)),
+        Parameter("RTL_ALT", 200.0, Kind.INT32, (30.0, HEIGHT_MOST / _CM)),
     ),
-    # ArduPilot sends ATTITUDE_TARGET and RAW_IMU only on request; the emulator sends them at once, and takes requests.
-    Dialect(
-        _ARDUPILOT,
-        custom_mode=4,  # Copter: guided
-        others=_messages(_ARDUPILOT) | {MessageId.ESC_TELEMETRY_1_TO_4: 10.0},
-        esc=Esc(),
-        ceiling_hz=1000.0 / 3.0,  # 0.8 x loop rate (400 Hz) in whole milliseconds
-        firmware=COPTER,
-        send_delay_s=0.0025,  # one loop
-        parameters=(
-            Parameter("INS_GYRO_FILTER", 20, Kind.INT16),
-            Parameter("INS_ACCEL_FILTER", 20, Kind.INT16),
-            Parameter("SCHED_LOOP_RATE", 400, Kind.INT16),
-        ),
-        streams=_STREAMS,
-        unasked={MessageId.HEARTBEAT: 1.0},  # SRn_... are 0 on a fresh link
-        whole_ms=True,
-    ),
-    # PX4 sends ATTITUDE_TARGET at 2 to 10 Hz and HIGHRES_IMU at 50 Hz unless asked; the emulator at the link rate.
-    Dialect(
-        _PX4,
-        custom_mode=6 << 16,  # main mode offboard
-        others=_messages(_PX4) | {MessageId.ESC_STATUS: 10.0},
-        esc=Esc(),
-        ceiling_hz=250.0,  # estimate
-        firmware=PX4,
-        parameters=(
-            Parameter("IMU_GYRO_CUTOFF", 40.0),
-            Parameter("IMU_ACCEL_CUTOFF", 30.0),
-            *(Parameter(f"CAL_{sensor}0_ID", 1, Kind.INT32) for sensor in ("GYRO", "ACC", "MAG")),
-        ),
-        unasked=_PX4_UNASKED,
-        attained_hz=165.0,  # 200 Hz asked gave 160 to 170
-    ),
+    send_delay_s=0.0025,  # one loop
+    streams=_STREAMS,
+    unasked={MessageId.HEARTBEAT: 1.0},  # SRn_... are 0 on a fresh link
+    whole_ms=True,
+    esc=Esc(),
 )
+_PX4_PARAMETERS = (
+    Parameter("MPC_XY_CRUISE", 1.0, Kind.REAL32, (0.1, SPEED_MOST)),
+    Parameter("MIS_TAKEOFF_ALT", 1.5, Kind.REAL32, (0.3, HEIGHT_MOST)),
+    Parameter("RTL_RETURN_ALT", 2.0, Kind.REAL32, (0.3, HEIGHT_MOST)),
+)
+# PX4 sends ATTITUDE_TARGET at 2 to 10 Hz and HIGHRES_IMU at 50 Hz unless asked; the emulator at the link rate.
+PX4 = Dialect(
+    _PX4,
+    custom_mode=6 << 16,  # main mode offboard
+    others=_messages(_PX4) | {MessageId.ESC_STATUS: 10.0},
+    ceiling_hz=250.0,  # estimate
+    modes=_PX4_MODES,
+    encoding=Encoding.BYTES,
+    amsl=True,
+    takeoff=Mode.TAKEOFF,
+    needs_guided=False,
+    reposition=Mode.HOLD,
+    refused=MavResult.TEMPORARILY_REJECTED,
+    speed="MPC_XY_CRUISE",
+    height="MIS_TAKEOFF_ALT",
+    return_height="RTL_RETURN_ALT",
+    unit=1.0,
+    parameters=(
+        Parameter("IMU_GYRO_CUTOFF", 40.0),
+        Parameter("IMU_ACCEL_CUTOFF", 30.0),
+        *(Parameter(f"CAL_{sensor}0_ID", 1, Kind.INT32) for sensor in ("GYRO", "ACC", "MAG")),
+        *_PX4_PARAMETERS,
+        Parameter("SYS_FAILURE_EN", 1, Kind.INT32, (0, 1)),
+    ),
+    unasked=_PX4_UNASKED,
+    attained_hz=165.0,  # 200 Hz asked gave 160 to 170
+    esc=Esc(),
+)
+# Whoever does not know an autopilot guesses: mavsdk takes its custom_mode for PX4's, pymavlink for ArduPilot's. The
+# numbers do not meet, so both are understood. mavsdk sends it altitudes above home. All its parameters are floats.
+GENERIC = replace(
+    PX4,
+    profile=_QDRONE2,
+    custom_mode=0,
+    others=_messages(_QDRONE2, MessageId.HIGHRES_IMU),
+    ceiling_hz=1000.0,
+    modes=(*_PX4_MODES, *_COPTER_MODES),
+    encoding=Encoding.FLOAT,
+    amsl=False,
+    refused=MavResult.DENIED,
+    parameters=_PX4_PARAMETERS,
+    streams=_STREAMS,
+    unasked={},
+    attained_hz=None,
+    esc=None,
+)
+_COUNTS = replace(GENERIC, profile=_SPEC, others=_messages(_SPEC, MessageId.HIGHRES_IMU))
 
-DIALECTS: Mapping[str, Dialect] = {row.profile.name: row for row in _ALL}
+DIALECTS: Mapping[str, Dialect] = {row.profile.name: row for row in (GENERIC, _COUNTS, COPTER, PX4)}
 """The dialects by the name of their link profile."""
 
 

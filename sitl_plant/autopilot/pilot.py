@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavdiag.link.messages import MavResult
-from sitl_plant.autopilot.dialect import NOSE, SPEED_MOST, Firmware, Mode, Parameters
+from sitl_plant.autopilot.dialect import NOSE, SPEED_MOST, Dialect, Mode, Parameters
 from sitl_plant.physics import trajectory
 from sitl_plant.physics.dynamics import wrapped
 from sitl_plant.physics.trajectory import CLIMB_M_S, DISARMED, FLYING, IDLE, Leg
@@ -55,9 +55,9 @@ class Pilot:
     the vehicle is, world NED [m].
     """
 
-    def __init__(self, firmware: Firmware, parameters: Parameters, custom_mode: int, commanded: bool) -> None:
-        self._firmware, self._parameters, self._commanded = firmware, parameters, commanded
-        self.custom_mode = firmware.shown(Mode.HOLD) if commanded else custom_mode
+    def __init__(self, dialect: Dialect, parameters: Parameters, commanded: bool) -> None:
+        self._dialect, self._parameters, self._commanded = dialect, parameters, commanded
+        self.custom_mode = dialect.shown(Mode.HOLD) if commanded else dialect.custom_mode
         self.position: Place = (0.0, 0.0, 0.0)
         self._now_s, self._flies, self.armed = 0.0, not commanded, not commanded
         self._leg, self._turned = Leg(), False
@@ -107,14 +107,14 @@ class Pilot:
 
     def take_off(self, height_m: float | None) -> MavResult:
         """Climb. height_m: above home; None for the parameter's."""
-        wrong_mode = self._firmware.needs_guided and self._mode is not Mode.GUIDED
+        wrong_mode = self._dialect.needs_guided and self._mode is not Mode.GUIDED
         if not self._commanded or not self.armed or self._flies or wrong_mode:
             return self._refuse("a take-off needs an armed vehicle on the ground" + " in GUIDED" * wrong_mode)
-        height = self._unit(self._firmware.height) if height_m is None else height_m
+        height = self._unit(self._dialect.height) if height_m is None else height_m
         place = (self.position[0], self.position[1], -height)
         if _far(place):
             return MavResult.DENIED
-        self.custom_mode = self._firmware.shown(self._firmware.takeoff)
+        self.custom_mode = self._dialect.shown(self._dialect.takeoff)
         self._start([Waypoint(place)])
         return MavResult.ACCEPTED
 
@@ -124,7 +124,7 @@ class Pilot:
             return self._refuse("it is not in flight")
         if _far(place):
             return MavResult.DENIED
-        self.custom_mode = self._firmware.shown(self._firmware.reposition)
+        self.custom_mode = self._dialect.shown(self._dialect.reposition)
         self._start([Waypoint(place, yaw, speed)])
         return MavResult.ACCEPTED
 
@@ -143,7 +143,7 @@ class Pilot:
 
     def set_mode(self, custom_mode: int) -> MavResult:
         """Change the flight mode, and do what it means."""
-        code = self._firmware.code(custom_mode)
+        code = self._dialect.code(custom_mode)
         if custom_mode == self.custom_mode:
             return MavResult.ACCEPTED
         if code is None:
@@ -161,7 +161,7 @@ class Pilot:
 
     def do(self, mode: Mode) -> MavResult:
         """As `set_mode`, for what the mode is to do."""
-        return self.set_mode(self._firmware.shown(mode))
+        return self.set_mode(self._dialect.shown(mode))
 
     def pause(self, on: bool) -> MavResult:
         """Stop on the way, or go on; the mode stays (ArduPilot's AUTO and GUIDED)."""
@@ -178,7 +178,7 @@ class Pilot:
 
     def set_speed(self, speed: float) -> MavResult:
         """Change the speed of lines to come [m/s]."""
-        taken = self._parameters.change(self._firmware.speed, speed / self._firmware.unit)
+        taken = self._parameters.change(self._dialect.speed, speed / self._dialect.unit)
         return MavResult.ACCEPTED if taken else MavResult.DENIED
 
     def step(self, samples: PlantSamples) -> Leg | None:
@@ -204,7 +204,7 @@ class Pilot:
 
     @property
     def _mode(self) -> Mode | None:
-        code = self._firmware.code(self.custom_mode)
+        code = self._dialect.code(self.custom_mode)
         return code.mode if code else None
 
     def _in_flight(self) -> bool:
@@ -212,17 +212,17 @@ class Pilot:
 
     def _refuse(self, why: str) -> MavResult:
         self._texts.append(f"Refused: {why}")
-        return self._firmware.refused
+        return self._dialect.refused
 
     def _unit(self, name: str) -> float:
-        return self._parameters.value(name) * self._firmware.unit
+        return self._parameters.value(name) * self._dialect.unit
 
     def _way_of(self, mode: Mode) -> list[Waypoint]:
         if mode is Mode.LAND:
             return [Waypoint(lands=True)]
         if mode is Mode.RTL:
             north, east, down = self._led()[:3]
-            down = min(down, -self._unit(self._firmware.return_height))
+            down = min(down, -self._unit(self._dialect.return_height))
             return [Waypoint((north, east, down)), Waypoint((0.0, 0.0, down)), Waypoint(lands=True)]
         return [Waypoint()]
 
@@ -246,7 +246,7 @@ class Pilot:
             self._finish(self._plan.popleft())
         if not self._plan:
             if self._mode in (Mode.TAKEOFF, Mode.MISSION):
-                self.custom_mode = self._firmware.shown(Mode.HOLD)
+                self.custom_mode = self._dialect.shown(Mode.HOLD)
             self._doing = None
             return
         doing = self._doing = self._plan.popleft()
@@ -256,7 +256,7 @@ class Pilot:
         if doing.lands:
             self._lead((here[0], here[1], trajectory.BELOW_M), trajectory.DESCENT_M_S, then=trajectory.LANDING)
         else:
-            self._lead(doing.place or here, doing.speed or self._unit(self._firmware.speed), doing.yaw)
+            self._lead(doing.place or here, doing.speed or self._unit(self._dialect.speed), doing.yaw)
         turn_s = abs(self._leg.turn) / self._leg.turn_speed
         self._ends_s = self._now_s + max(math.dist(here, self._leg.end) / self._leg.speed, turn_s) + doing.wait_s
 

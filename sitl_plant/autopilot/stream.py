@@ -171,23 +171,16 @@ class Message(NamedTuple):
     payload: bytes  # with all its zeros, as `Encoder.encode_payload` takes it
 
 
-class Streamer:
-    """The sending half of the emulated autopilot, for one link."""
-
-    def __init__(self, dialect: Dialect, schedule: Schedule) -> None:
-        self._dialect, self._schedule = dialect, schedule
-
-    def step(self, filtered: FilteredSamples, dialect: Dialect | None = None) -> list[Message]:
-        """The messages of a block in order of time. dialect: that of now, if the flight mode has changed."""
-        self._dialect = dialect or self._dialect
-        messages: list[Message] = []
-        for msgid, due in self._schedule.due(filtered.samples.t_ns):
-            rows, record = records(msgid, filtered, due, self._dialect)
-            payloads, size = record.tobytes(), record.dtype.itemsize
-            cuts = (payloads[at : at + size] for at in range(0, len(payloads), size))
-            messages += map(Message, filtered.samples.t_ns[rows].tolist(), repeat(msgid), cuts)
-        messages.sort(key=itemgetter(0))  # stable: messages of one instant keep the schedule's order
-        return messages
+def messages_due(filtered: FilteredSamples, schedule: Schedule, dialect: Dialect) -> list[Message]:
+    """The messages of a block on one link, in order of time."""
+    messages: list[Message] = []
+    for msgid, due in schedule.due(filtered.samples.t_ns):
+        rows, record = records(msgid, filtered, due, dialect)
+        payloads, size = record.tobytes(), record.dtype.itemsize
+        cuts = (payloads[at : at + size] for at in range(0, len(payloads), size))
+        messages += map(Message, filtered.samples.t_ns[rows].tolist(), repeat(msgid), cuts)
+    messages.sort(key=itemgetter(0))  # stable: messages of one instant keep the schedule's order
+    return messages
 
 
 def records(msgid: int, filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> tuple[IntArray, Record]:

@@ -14,7 +14,6 @@ from mavdiag.link.sequence import FRAME
 from mavdiag.telemetry import Telemetry
 from mavdiag.units import NS_PER_MS
 from sitl_plant.autopilot.dialect import dialect_named
-from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.stream import ImuFilters, records
 from sitl_plant.plant import STEP_NS, Plant, PlantConfig, PlantSamples
 
@@ -42,8 +41,7 @@ class TelemetryStream:
         self._dialect, self._loss = dialect_named(link.profile), link.loss
         self._decoder, self._state = SampleDecoder(self._dialect.profile), SampleState()
         self._times = {int(source.message): source.time for source in sources(self._dialect.profile)}
-        rates = self._dialect.rates_hz(link.rate_hz, rotors)
-        self._schedule = Schedule({m: rate for m, rate in rates.items() if m in self._times}, self._dialect.ceiling_hz)
+        self._schedule = self._dialect.schedule(link.rate_hz, rotors)
         self._filters = ImuFilters(self._dialect, seed)
         self._losses = {msgid: np.random.default_rng([seed, msgid]) for msgid in self._times}
 
@@ -52,6 +50,8 @@ class TelemetryStream:
         filtered = self._filters.step(samples)
         payloads, found, times = [b""], [np.empty(0, FRAME)], [np.empty(0, np.int64)]
         for msgid, due in self._schedule.due(samples.t_ns):
+            if msgid not in self._times:  # the receiver reads nothing from it
+                continue
             at, record = records(msgid, filtered, due, self._dialect)
             size, time = record.itemsize, self._times[msgid]
             if self._loss:

@@ -25,6 +25,11 @@ MOST_SPREAD = 0.2
 NEVER = 2**62  # a step that no flight reaches
 
 
+def step_at(t_s: float, dt_s: float) -> int:
+    """The step of a flight time; infinity is no step of any flight."""
+    return NEVER if math.isinf(t_s) else round(t_s / dt_s)
+
+
 @dataclass(frozen=True, slots=True)
 class Payload:
     """A point mass fixed to the airframe at `position_m` (body FRD)."""
@@ -54,7 +59,7 @@ class PickUp:
 
     def span(self, dt_s: float) -> tuple[int, int]:
         """First step with the payload, and first step without it again."""
-        return round(self.at_s / dt_s), NEVER if math.isinf(self.drop_s) else round(self.drop_s / dt_s)
+        return step_at(self.at_s, dt_s), step_at(self.drop_s, dt_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,7 +22,7 @@ from mavdiag.airframe.propellers import PROPELLERS, DamagedPropeller
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import G_MM_PER_KG_M
-from sitl_plant.physics.airframe import NEVER, Airframe
+from sitl_plant.physics.airframe import NEVER, Airframe, step_at
 from sitl_plant.physics.rotors import Condition
 from sitl_plant.physics.sensors import CHANNELS, SensorCondition
 
@@ -87,8 +87,7 @@ class Injection:
 
     def span(self, dt_s: float) -> tuple[int, int]:
         """First step of presence and first step after it. An onset at or before 0 is present before the flight, too."""
-        first = -NEVER if self.onset_s <= 0.0 else round(self.onset_s / dt_s)
-        return first, NEVER if math.isinf(self.end_s) else round(self.end_s / dt_s)
+        return -NEVER if self.onset_s <= 0.0 else step_at(self.onset_s, dt_s), step_at(self.end_s, dt_s)
 
 
 @dataclass(frozen=True, slots=True)

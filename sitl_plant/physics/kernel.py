@@ -57,17 +57,8 @@ class Model(NamedTuple):
     path: Path
 
 
-class Scratch(NamedTuple):
-    """What the steps overwrite."""
-
-    work: FloatArray  # (5, 13)
-    truth: FloatArray  # (2, 6)
-    path: FloatArray  # (9,)
-    command: FloatArray  # (n,)
-
-
 class State(NamedTuple):
-    """All that changes, updated in place."""
+    """All that changes, updated in place; the last four are what the steps overwrite."""
 
     rigid: FloatArray  # (13,)
     wrench: FloatArray  # (3, 8)
@@ -79,7 +70,10 @@ class State(NamedTuple):
     estimate: FloatArray  # (9,)
     accel_filtered: FloatArray  # (3,)
     control: control.ControlState
-    scratch: Scratch
+    work: FloatArray  # (5, 13)
+    truth: FloatArray  # (2, 6)
+    path: FloatArray  # (9,)
+    command: FloatArray  # (n,)
 
 
 class Recorded(NamedTuple):
@@ -126,19 +120,9 @@ class Rows(NamedTuple):
     esc: FloatArray  # (steps, n) of a recorded set; else (steps, 0)
 
 
-class Block(NamedTuple):
-    """What one call flies: `steps` from step `first`; 0 is t = 0."""
-
-    first: int
-    steps: int
-    noise: Noise
-    commands: FloatArray  # (steps, n) duties, or (0, n) to let the controller fly
-    rows: Rows  # filled from row 0
-
-
 @inline
 def _sense(state: State, model: Model, own: Recorded | None, faults: Faults, noise: Noise, row: int, step: int) -> None:
-    x, work, truth, last = state.rigid, state.scratch.work, state.scratch.truth, dynamics.STAGES - 1
+    x, work, truth, last = state.rigid, state.work, state.truth, dynamics.STAGES - 1
     dynamics.derivative(x, state.wrench, last, model.body, model.ground, state.wind, work, 0)
     if own is None:
         sensors.feel(x, work, model.imu.position, truth[0])
@@ -158,7 +142,7 @@ def _sense(state: State, model: Model, own: Recorded | None, faults: Faults, noi
 @inline
 def _decide(state: State, model: Model, own: Recorded | None, commands: FloatArray, row: int, step: int) -> None:
     pose, estimate, volts, dt = state.mocap.pose, state.estimate, state.battery[0], model.dt
-    path = state.scratch.path
+    path = state.path
     if own is None:
         control.advance_estimate(estimate, state.accel_filtered, model.estimator, state.imu.reading, pose[3], dt)
     else:
@@ -172,7 +156,7 @@ def _decide(state: State, model: Model, own: Recorded | None, commands: FloatArr
         velocity, r = state.mocap.velocity, estimate[5]
         control.control(state.control, model.controller, path, pose, velocity, r, estimate, None, volts, dt)
     else:
-        control.see(own.estimates, own.estimators, pose)
+        control.low_pass(own.estimates.seen, own.estimates.velocity, own.estimators.velocity, pose)
         path[3:6], path[7] = 0.0, 0.0  # its V acts on the measured speed alone
         seen, lifts = own.estimates.velocity, own.thrust_map
         control.control(state.control, model.controller, path, pose, seen, seen[3], estimate, lifts, volts, dt)
@@ -191,14 +175,8 @@ def _obey(state: control.ControlState, commands: FloatArray, row: int) -> None:
 
 
 @jit
-def _copy(source: FloatArray, rows: FloatArray, row: int) -> None:
-    """rows[row] = source; a plain loop without an offset, because slice assignment is slow in compiled code."""
-    for i in range(len(source)):
-        rows[row, i] = source[i]
-
-
-@jit
-def _copy_to(source: FloatArray, rows: FloatArray, row: int, column: int) -> None:
+def _copy(source: FloatArray, rows: FloatArray, row: int, column: int = 0) -> None:
+    """rows[row, column:] = source; a plain loop, because slice assignment is slow in compiled code."""
     for i in range(len(source)):
         rows[row, column + i] = source[i]
 
@@ -217,17 +195,17 @@ def _record(state: State, own: Recorded | None, row: int, rows: Rows) -> None:
     if own is not None:
         log, seen, reading = rows.log, own.estimates, own.imu_state.reading
         for k in range(sensors.IMUS):
-            _copy_to(seen.angle[k], log, row, 3 * k)
-            _copy_to(seen.rate[k], log, row, 6 + 3 * k)
-            _copy_to(seen.acceleration[k], log, row, 12 + 3 * k)
-            _copy_to(reading[k, :3], log, row, 18 + 3 * k)
-            _copy_to(reading[k, 3:], log, row, 24 + 3 * k)
-        _copy_to(state.control.asked, log, row, 30)
-        _copy_to(state.control.wrench[1:], log, row, 33)
-        _copy_to(state.control.wrench[:1], log, row, 36)
-        _copy_to(state.control.pid, log, row, 37)
-        _copy_to(state.control.desired, log, row, 41)
-        _copy_to(state.mocap.pose, log, row, 45)
+            _copy(seen.angle[k], log, row, 3 * k)
+            _copy(seen.rate[k], log, row, 6 + 3 * k)
+            _copy(seen.acceleration[k], log, row, 12 + 3 * k)
+            _copy(reading[k, :3], log, row, 18 + 3 * k)
+            _copy(reading[k, 3:], log, row, 24 + 3 * k)
+        _copy(state.control.asked, log, row, 30)
+        _copy(state.control.wrench[1:], log, row, 33)
+        _copy(state.control.wrench[:1], log, row, 36)
+        _copy(state.control.pid, log, row, 37)
+        _copy(state.control.desired, log, row, 41)
+        _copy(state.mocap.pose, log, row, 45)
         _copy(own.esc, rows.esc, row)
 
 
@@ -236,33 +214,43 @@ def _move(
     state: State, model: Model, own: Recorded | None, condition: rotors.Condition, noise: Noise, row: int, step: int
 ) -> None:
     """On to the next step, with the speeds that the duties ask for (T Eq 2.10), or to which the motors settle."""
-    here = state.scratch
-    for i in range(len(here.command)):
+    command = state.command
+    for i in range(len(command)):
         if own is None:
             full = model.battery.speed_per_volt * state.battery[0]
-            here.command[i] = full * state.control.duty[i] * condition.speed_gain[i]
+            command[i] = full * state.control.duty[i] * condition.speed_gain[i]
         else:
             slots = len(own.queue)
             own.queue[step % slots, i] = state.control.duty[i]
             volts = own.queue[(step + 1) % slots, i] * state.battery[0]
             squared = own.squared_per_thrust * control.thrust_of(own.thrust_map, volts)
-            here.command[i] = np.sqrt(squared) * condition.speed_gain[i]
+            command[i] = np.sqrt(squared) * condition.speed_gain[i]
     advance_wind(state.wind, model.air, noise.wind, row)
     rotors.advance_noise(state.rotors, model.rotors, condition, noise.rotors, row)
-    rotors.advance_rotors(state.rotors, model.rotors, condition, here.command, model.dt, state.wrench)
-    dynamics.rk4_step(state.rigid, state.wrench, model.body, model.ground, state.wind, here.work, model.dt)
+    rotors.advance_rotors(state.rotors, model.rotors, condition, command, model.dt, state.wrench)
+    dynamics.rk4_step(state.rigid, state.wrench, model.body, model.ground, state.wind, state.work, model.dt)
     dynamics.grip(state.rigid, model.ground)
     rotors.advance_battery(state.battery, model.battery, state.rotors.speed, model.dt)
 
 
 @cached_loop
 def fly(
-    block: Block, model: Model, own: Recorded | None, condition: rotors.Condition, faults: Faults, state: State
+    first: int,
+    noise: Noise,
+    commands: FloatArray,
+    rows: Rows,
+    model: Model,
+    own: Recorded | None,
+    condition: rotors.Condition,
+    faults: Faults,
+    state: State,
 ) -> None:
-    """Fly one block. `state` and `own` are updated in place."""
-    first, steps, noise, commands, rows = block
+    """Fly as many steps as there are rows, from step `first` on; 0 is t = 0. `state` and `own` are updated in place.
+
+    commands: (steps, n) duties, or (0, n) to let the controller fly.
+    """
     frame = 0
-    for row in range(steps):
+    for row in range(len(rows.thrust)):
         step = first + row
         if step % model.mocap.period == 0:
             mocap.observe(state.mocap, model.mocap, state.rigid, step, noise.markers, noise.occlusion, frame)

@@ -181,26 +181,6 @@ def make_controller(vehicle: Vehicle) -> control.Controller:
     )
 
 
-def sparing(vehicle: Vehicle, rotor: int, thrust_left: float, demand: float) -> control.Controller:
-    """The vehicle's controller with an allocation that spares a weak rotor (fault-tolerant control, the outlook of T).
-
-    F = W pinv(A E W) [T, tau] with the motor mapping A; E and W have thrust_left for the weak rotor, else 1. By E it is
-    commanded more for the same lift (trim), by W the others take a part of its load where they can (more than four).
-    demand: most that is asked of it, over its share in hover (thrust limit): of what is above, each of thrust and three
-    torques gets a quarter; inf for no such limit.
-    """
-    controller, weights = make_controller(vehicle), np.ones(len(vehicle.rotors))
-    weights[rotor - 1] = thrust_left
-    mixer = weights[:, None] * np.linalg.pinv(allocation(vehicle) * weights * weights)
-    hover, asked = vehicle.body.mass_kg * GRAVITY, np.maximum(np.abs(mixer[rotor - 1]), 1e-9)
-    room = 0.25 * (demand - 1.0) * asked[0] * hover / asked  # of [T, tau]
-    return controller._replace(
-        mixer=np.ascontiguousarray(mixer),
-        thrust_limit=np.minimum(controller.thrust_limit, hover + room[0]),
-        torque_limit=np.minimum(controller.torque_limit, room[1:]),
-    )
-
-
 def initial_state(model: kernel.Model, azimuth: FloatArray, charge_used_ah: float = 0.0) -> kernel.State:
     """At the first point of the path, level, nearly in trim: in hover, or on the ground with resting rotors.
 
@@ -231,7 +211,10 @@ def initial_state(model: kernel.Model, azimuth: FloatArray, charge_used_ah: floa
         estimate=estimate,
         accel_filtered=reading[3:].copy(),
         control=control.ControlState(integral, z(3), z(3), thrust, z(n), motors, z(4), z(3), pose.copy()),
-        scratch=kernel.Scratch(z((5, RIGID)), z((sensors.IMUS, sensors.CHANNELS)), z(REFERENCE), z(n)),
+        work=z((5, RIGID)),
+        truth=z((sensors.IMUS, sensors.CHANNELS)),
+        path=z(REFERENCE),
+        command=z(n),
     )
 
 
@@ -279,7 +262,9 @@ def recorded_set(
         control.second_order(*pair, dt)
         for pair in (recorded.rate_filter, recorded.accel_filter, recorded.velocity_filter)
     )
-    twin = sensors.TwinImuState(z((channels, 2)), z((channels, 4)), z(6), reading, z((sensors.HARMONICS, n, 2)))
+    twin = sensors.TwinImuState(
+        z((channels, 2)), z((channels, 4)), state.imu.drifted, reading, z((sensors.HARMONICS, n, 2))
+    )
     accel, still = reading[:, 3:].copy(), [z((imus, 3)) for _ in range(3)]
     lifted = recorded.thrust_over_command * airframe.battery_gain
     own = kernel.Recorded(
@@ -327,7 +312,7 @@ def _imus(airframe: Airframe, recorded: RecordedSet, model: kernel.Model, sessio
     period = max(1, round(recorded.gyro_period_s / dt))
     corners = [recorded.gyro_filter_hz] * 3 + [recorded.accel_filter_hz] * 3
     filters = np.array([sensors.butterworth3(corner_hz, dt) for corner_hz in corners])
-    shape, band_hz = sensors.high_pass(recorded.broad_corner_hz, dt), np.linspace(*BAND_HZ, 101)
+    shape, band_hz = sensors.butterworth(recorded.broad_corner_hz, dt, "highpass"), np.linspace(*BAND_HZ, 101)
     shaped, width = sensors.gain_of(shape, band_hz, dt), 2.0 * dt * (BAND_HZ[1] - BAND_HZ[0])
     line = np.concatenate([specimen.gyro_line * np.array(recorded.gyro_axes), recorded.accel_axes])
     broad = np.concatenate([specimen.gyro_broad * np.array(recorded.gyro_axes), np.full(3, recorded.accel_broad)])

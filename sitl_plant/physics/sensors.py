@@ -22,7 +22,7 @@ at 500 Hz and held: its low-pass runs here at 1 kHz and every second value is ke
 """
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.signal import butter
@@ -98,24 +98,15 @@ class TwinImuState(NamedTuple):
     turns: FloatArray  # (2, n, 2) cosine and sine of each harmonic of each rotor, times (w / w_hover)^2
 
 
-def butterworth(corner_hz: float, dt_s: float) -> Biquad:
-    """Second-order Butterworth low-pass. A corner at or above half the sample rate is held at 0.499 of that rate."""
-    return _section(butter(2, min(corner_hz * dt_s, 0.499), fs=1.0, output="sos"))
-
-
-def high_pass(corner_hz: float, dt_s: float) -> Biquad:
-    """Second-order Butterworth high-pass."""
-    return _section(butter(2, corner_hz * dt_s, "highpass", fs=1.0, output="sos"))
+def butterworth(corner_hz: float, dt_s: float, kind: Literal["lowpass", "highpass"] = "lowpass") -> Biquad:
+    """Second-order Butterworth filter. A corner at or above half the sample rate is held at 0.499 of that rate."""
+    b0, b1, b2, _, a1, a2 = butter(2, min(corner_hz * dt_s, 0.499), kind, fs=1.0, output="sos")[0].tolist()
+    return b0, b1, b2, a1, a2
 
 
 def butterworth3(corner_hz: float, dt_s: float) -> FloatArray:
     """Third-order Butterworth low-pass, (2, 5): two sections, one after the other."""
     return np.asarray(butter(3, corner_hz * dt_s, fs=1.0, output="sos")[:, [0, 1, 2, 4, 5]])
-
-
-def _section(sos: FloatArray) -> Biquad:
-    b0, b1, b2, _, a1, a2 = sos[0].tolist()
-    return b0, b1, b2, a1, a2
 
 
 def gain_of(section: Biquad | FloatArray, at_hz: float | FloatArray, dt_s: float) -> FloatArray:

@@ -71,12 +71,13 @@ def test_a_signal_stops_it_cleanly_with_a_summary_and_a_last_line(number: int, t
 FITTING = """
 import signal, sys, time
 from detector.fitting import FittingJob, ProcessFitter
+from detector.values import Learn
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.telemetry import Telemetry
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, lambda number, frame: None)
     fitter = ProcessFitter()
-    fitter.begin(FittingJob(1, Airframe(), "qdrone2", Telemetry()))
+    fitter.begin(FittingJob(1, Airframe(), Learn("qdrone2", Telemetry())))
     print("begun", flush=True)
     until = time.monotonic() + 100.0
     while time.monotonic() < until and not (done := fitter.poll()):

@@ -14,8 +14,7 @@ from mavdiag.link.profiles import PROFILES
 from mavdiag.link.samples import SampleDecoder, SampleState
 from mavdiag.telemetry import FloatArray, Signal, Telemetry
 from sitl_plant.autopilot.dialect import DIALECTS, Esc
-from sitl_plant.autopilot.schedule import Schedule
-from sitl_plant.autopilot.stream import ImuFilters, Streamer, _EscFrames
+from sitl_plant.autopilot.stream import ImuFilters, _EscFrames, messages_due
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 
 N = 3000  # samples: 3 s of a square flown with a badly unbalanced rotor
@@ -29,11 +28,11 @@ def flight() -> PlantSamples:
 
 def streamed(profile: str, blocks: Sequence[int] = (N,)) -> list[tuple[int, bytes]]:
     dialect = DIALECTS[profile]
-    streamer = Streamer(dialect, Schedule(dialect.rates_hz(None), dialect.ceiling_hz))
+    schedule = dialect.schedule(None)
     filters, encode, first = ImuFilters(dialect, seed=3), Encoder(1, 1).encode_payload, 0
     frames: list[tuple[int, bytes]] = []
     for n in blocks:
-        messages = streamer.step(filters.step(flight().rows(first, first + n)))
+        messages = messages_due(filters.step(flight().rows(first, first + n)), schedule, dialect)
         frames += [(message.t_ns, encode(message.msgid, message.payload)) for message in messages]
         first += n
     return frames

@@ -72,7 +72,7 @@ def test_px4_refuses_a_value_of_another_type_and_nobody_answers_for_an_unknown_n
 @pytest.mark.parametrize("name", [name for name in shipped_vehicles() if name != "qdrone2-recorded"])
 def test_the_geometry_that_is_told_is_the_vehicles(profile: str, name: str) -> None:
     dialect, vehicle = dialect_named(profile), vehicle_named(name)
-    one = Parameters(dialect.parameters_of(vehicle), dialect.firmware.encoding)
+    one = Parameters(dialect.parameters_of(vehicle), dialect.encoding)
     sent = [Encoder(*PLANT).encode(MessageId.PARAM_VALUE, *fields) for fields in told([*one.all(0)])]
     frames = [Decoder().feed(data, 0)[0] for data in sent]
     found = layout_from_parameters(parameters_in(frames, Maker.PX4 if profile == "px4" else Maker.ARDUPILOTMEGA))

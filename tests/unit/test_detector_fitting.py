@@ -4,6 +4,7 @@ import multiprocessing
 import time
 
 from detector.fitting import FittingJob, ProcessFitter
+from detector.values import Learn
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.telemetry import Telemetry
 
@@ -14,7 +15,7 @@ def test_only_its_own_process_is_ended() -> None:
     other.start()
     try:
         fitter = ProcessFitter()
-        fitter.begin(FittingJob(1, Airframe(), "qdrone2", Telemetry()))
+        fitter.begin(FittingJob(1, Airframe(), Learn("qdrone2", Telemetry())))
         own = [one for one in multiprocessing.active_children() if one.pid != other.pid]
         assert len(own) == 1
         fitter.close()

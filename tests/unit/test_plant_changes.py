@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from weak_rotor import sparing
 
 from mavdiag.errors import UsageError
 from sitl_plant.physics.airframe import drone
@@ -89,7 +90,7 @@ def _weak(vehicle: str, way: dict[str, Any], allocation: tuple[float, float] | N
     plant = Plant(PlantConfig(drone=3, vehicle=vehicle_named(vehicle), wind_m_s=1.0, injections=(lost,), **way))
     plant.advance(1000)
     if allocation is not None:
-        plant.spare_rotor(2, *allocation)
+        plant.take_controller(sparing(plant.config.vehicle, 2, *allocation))
     plant.advance(3000)
     flown = plant.advance(8000)
     tilt = (flown.setpoint - flown.attitude[:, :3])[:, :2]
@@ -106,11 +107,3 @@ def test_an_allocation_for_a_weak_rotor_tilts_less_and_asks_less_of_it() -> None
     assert _weak("qdrone2", {"trajectory": "hover"}, (0.8, 2.0))[0] < 0.5 * hover
     _, mean, _ = _weak("hexa-x", {"trajectory": "hover"}, None)
     assert _weak("hexa-x", {"trajectory": "hover"}, (0.8, 2.0))[1] < 0.9 * mean  # the others take its load
-
-
-@pytest.mark.parametrize(
-    ("rotor", "left", "demand", "why"), [(5, 0.8, 2.0, "rotor"), (1, 0.0, 2.0, "above 0"), (1, 0.8, 1.0, "above 1")]
-)
-def test_an_allocation_that_cannot_be_is_refused(rotor: int, left: float, demand: float, why: str) -> None:
-    with pytest.raises(UsageError, match=why):
-        Plant(PlantConfig()).spare_rotor(rotor, left, demand)
