@@ -33,7 +33,7 @@ def example_rows(
         "setpoint": np.zeros((n, 3)) if setpoint is None else setpoint,
         "rate": turning if rate is None else rate,
         **dict.fromkeys(("force", "torque", "rate_setpoint", "attitude", "vibration"), wide),
-        **dict.fromkeys(("thrust", "height", "voltage"), narrow),
+        **dict.fromkeys(("thrust", "height"), narrow),
         "armed": np.ones(n),
         **dict.fromkeys(("actuator", "rotor_speed"), np.empty((n, 0))),
         "doubt": np.zeros(n),

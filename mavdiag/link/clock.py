@@ -446,7 +446,6 @@ class Timesync:
     asked_ns: int | None = None  # when a request was sent last (host)
     open: bool = False  # it has not been answered
     round_trip_s: float | None = None
-    offset_s: float | None = None  # the vehicle's clock less ours
 
 
 def exchanged(
@@ -464,9 +463,7 @@ def exchanged(
         if tc1_ns == 0:
             answers = (TimesyncMessage(now_ns, ts1_ns),)
         elif state.open and ts1_ns == state.asked_ns:
-            took_ns = max(0, frame.host_ns - ts1_ns)
-            offset_s = (tc1_ns - ts1_ns - took_ns / 2) / NS_PER_S
-            state = replace(state, open=False, round_trip_s=took_ns / NS_PER_S, offset_s=offset_s)
+            state = replace(state, open=False, round_trip_s=max(0, frame.host_ns - ts1_ns) / NS_PER_S)
     if not alive or (state.asked_ns is not None and now_ns - state.asked_ns < EVERY_NS):
         return state, answers
     return replace(state, asked_ns=now_ns, open=True), (*answers, TimesyncMessage(0, now_ns))

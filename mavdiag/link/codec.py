@@ -365,24 +365,6 @@ class Encoder:
         return frame if self._signing is None else frame + self._signing.seal(frame)
 
 
-@dataclass(frozen=True, slots=True)
-class StatusText:
-    """A STATUSTEXT as received: MAV_SEVERITY, and one piece of a text."""
-
-    severity: int
-    text: str
-    chunk_id: int  # 0 for a text in one piece, else the same for all pieces
-    chunk_seq: int  # number of the piece
-
-
-def decode_statustext(frame: Frame) -> StatusText:
-    """What a STATUSTEXT frame says; what is not UTF-8 is replaced. Raises UsageError for another message."""
-    if frame.msgid != MessageId.STATUSTEXT:
-        raise UsageError(f"not a STATUSTEXT: {message_name(frame.msgid)}")
-    severity, *piece = frame.numbers("severity", "id", "chunk_seq")
-    return StatusText(severity, frame.text("text"), *piece)
-
-
 @cache
 def _tables() -> NDArray[np.uint16]:
     """(8, 256): what a byte makes of the checksum that stands 0 to 7 bytes behind it (CRC-16/MCRF4XX)."""

@@ -34,7 +34,7 @@ from mavdiag.units import NS_PER_MS, NS_PER_S
 # Of each signal its name in `Block`, its columns (of outputs the sent ones; the gyro's last is its doubt), and
 # how far its samples reach [s]. Up to THRUST they are interpolated where two samples this near, or as near as the
 # gyro's, surround the row: a slow command stream may have 4 Hz; the others hold their last value for so long: ACTUATOR
-# comes at 10-50 Hz, VIBRATION at 2-10 Hz, ESCs tell their speed at 1-10 Hz, a battery changes slowly (our choices).
+# comes at 10-50 Hz, VIBRATION at 2-10 Hz, ESCs tell their speed at 1-10 Hz (our choices).
 # Logs write ARMED when it changes.
 SIGNALS = {
     Signal.BODY_RATE: ("rate", 4, 0.0),
@@ -45,7 +45,6 @@ SIGNALS = {
     Signal.ATTITUDE: ("attitude", 3, 0.25),
     Signal.THRUST_SETPOINT: ("thrust", 1, 1.0),
     Signal.HEIGHT: ("height", 1, 2.0),
-    Signal.VOLTAGE: ("voltage", 1, 10.0),
     Signal.ARMED: ("armed", 1, math.inf),
     Signal.VIBRATION: ("vibration", 3, 1.0),
     Signal.ACTUATOR: ("actuator", 0, 1.0),
@@ -54,7 +53,7 @@ SIGNALS = {
 STREAMS = tuple(SIGNALS)
 USED = frozenset(STREAMS)
 PLACES = {signal: place for place, signal in enumerate(STREAMS)}
-GYRO, SETPOINT, ATTITUDE, THRUST, OUTPUTS, SPEEDS = 0, 1, 5, 6, 11, 12  # the last two have as many columns as come
+GYRO, SETPOINT, ATTITUDE, THRUST, OUTPUTS, SPEEDS = 0, 1, 5, 6, 10, 11  # the last two have as many columns as come
 NAMES, WIDTHS, REACHES_S = zip(*SIGNALS.values(), strict=True)
 FIRST = np.cumsum((0, *WIDTHS[:-1]))  # row of x that each signal's columns begin with; speeds stand behind the outputs
 COLUMNS: dict[str, Any] = {
