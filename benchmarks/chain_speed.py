@@ -20,7 +20,7 @@ from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline
 from mavdiag.chain import chain_of
 from mavdiag.learning import LearnOptions, learn, thesis_options
-from mavdiag.telemetry import Axis, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import Axis, IntArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 from sitl_plant.plant import PlantConfig
 
@@ -35,9 +35,7 @@ def blocks(telemetry: Telemetry, edges_ns: IntArray) -> list[Telemetry]:
         rows = [
             (one, slice(cut[i], cut[i + 1])) for one, cut in zip(telemetry, cuts, strict=True) if cut[i] < cut[i + 1]
         ]
-        pieces.append(
-            Telemetry(tuple(Series(one.signal, one.t_ns[at], one.host_ns[at], one.values[at]) for one, at in rows))
-        )
+        pieces.append(Telemetry(tuple(one.where(at) for one, at in rows)))
     return pieces
 
 

@@ -161,7 +161,7 @@ def race_logs(frames: Sequence[bytes], repeats: int) -> None:
         mav = dialect.MAVLink(None)
         return sum(len(mav.parse_buffer(data[a + 8 : b]) or ()) for a, b in pairwise(places))
 
-    assert peer() == decode_tlog(data).records
+    assert peer() == decode_tlog([data]).records
     title = f"Decode a telemetry log of {len(data) / 1e6:.1f} MB"
     race(
         title,
@@ -169,7 +169,7 @@ def race_logs(frames: Sequence[bytes], repeats: int) -> None:
         "kB",
         repeats,
         ("pymavlink, told the places (the peer)", peer),
-        ("decode_tlog", lambda: decode_tlog(data)),
+        ("decode_tlog", lambda: decode_tlog([data])),
     )
 
 

@@ -38,7 +38,7 @@ from detector.fleet import Fleet, Turn
 from detector.web.child import ServerProcess
 from detector.web.feed import Feed
 from mavdiag.baseline import Baseline
-from mavdiag.link.codec import Decoder, decode_statustext
+from mavdiag.link.codec import Decoder
 from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import open_endpoint
 from mavdiag.telemetry import Instant
@@ -207,7 +207,7 @@ def fly(far: Any, vehicle: MadeVehicle, done: Callable[[str], bool], limit_s: fl
         while (left_s := until - time.monotonic()) > 0:
             for data, host_ns in far.receive(left_s):
                 for frame in decoder.feed(data, host_ns):
-                    if done(text := decode_statustext(frame).text):
+                    if done(text := frame.text("text")):
                         return text, 1000.0 * (time.time() - (time.monotonic_ns() - host_ns) / 1e9)
     return None
 

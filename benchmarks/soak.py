@@ -32,7 +32,7 @@ from detector.fleet import Fleet
 from detector.values import SendText, SessionSpec
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import LOOK_NS
-from mavdiag.link.codec import Decoder, Encoder, decode_statustext
+from mavdiag.link.codec import Decoder, Encoder
 from mavdiag.link.messages import Component, MessageId, Severity
 from mavdiag.link.ports import Endpoint, open_endpoint
 from mavdiag.link.samples import SOURCES
@@ -198,7 +198,7 @@ def real(minutes: float, rate_hz: float, seed: int) -> None:
                     record.look(daemon.fleet, host_ns, lead_ns)
             for data, now_ns in station.receive(0.0):
                 for frame in decoder.feed(data, now_ns):
-                    if decode_statustext(frame).severity <= Severity.CRITICAL:
+                    if frame.numbers("severity") <= (Severity.CRITICAL,):
                         times.append(time.monotonic() - started_s)
             next_s = daemon.fleet.next_look(Instant(host_ns), settings.tick_s).ns / NS_PER_S
             time.sleep(max(0.0, next_s - time.monotonic()))

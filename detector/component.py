@@ -68,13 +68,13 @@ def read(frame: Frame, session: Session, sender: MavlinkSender) -> list[bytes]:
     if frame.msgid == MessageId.PARAM_REQUEST_LIST:
         return [_told(name, session, sender) for name in PARAMETERS]
     index = int(_field(frame, "param_index")) if frame.msgid == MessageId.PARAM_REQUEST_READ else -1
-    names = [_name(frame)] if index < 0 else list(PARAMETERS)[index : index + 1]
+    names = [frame.text("param_id")] if index < 0 else list(PARAMETERS)[index : index + 1]
     return [_told(name, session, sender) for name in names if name in PARAMETERS]
 
 
 def change(frame: Frame, session: Session, sender: MavlinkSender) -> tuple[list[bytes], tuple[Effect, ...]]:
     """The answer to PARAM_SET of somebody who is trusted, and what comes of it; nothing for an unknown name."""
-    name, value, whose = _name(frame), float(_field(frame, "param_value")), f"{frame.sysid}/{frame.compid}"
+    name, value, whose = frame.text("param_id"), float(_field(frame, "param_value")), f"{frame.sysid}/{frame.compid}"
     if name not in PARAMETERS:
         return [], ()
     parameter = PARAMETERS[name]
@@ -98,8 +98,3 @@ def _told(name: str, session: Session, sender: MavlinkSender, value: float | Non
 def _field(frame: Frame, name: str) -> float:
     value = frame.fields[field_index(frame.msgid, name)]
     return value if isinstance(value, int | float) else math.nan
-
-
-def _name(frame: Frame) -> str:
-    value = frame.fields[field_index(frame.msgid, "param_id")]
-    return value.partition(b"\0")[0].decode(errors="replace") if isinstance(value, bytes) else ""

@@ -23,7 +23,7 @@ from mavdiag.kernel import warm as warm_kernel
 from mavdiag.link.samples import joined
 from mavdiag.link.samples import warm as warm_samples
 from mavdiag.monitors import MONITORS, monitor_of
-from mavdiag.rows.align import AlignSpec
+from mavdiag.rows.align import BREAK_S, AlignSpec
 from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.front import warm as warm_rows
 from mavdiag.rows.gate import Border
@@ -202,7 +202,7 @@ class Chain:
         """
         series = telemetry.get(Signal.BODY_RATE)
         steps = steps_of(np.empty(0, dtype=np.int64) if series is None else series.t_ns) / NS_PER_S
-        steps = steps[steps <= self.front.align.break_s]
+        steps = steps[steps <= BREAK_S]
         if len(steps) + 1 < LEAST_SAMPLES or float(np.sum(steps)) < least_s:
             return None
         if self.baseline is None:
@@ -239,7 +239,6 @@ class Chain:
         return state, ChainOutput(tuple(events), tuple(changes), *spans_s, now_ns, likeness, tuple(pieces))
 
     def _compared(self, state: ChainState, rows: Rows) -> Likeness | None:
-        """How the vehicle compares, as soon as there are enough rows."""
         if state.beginning is None or self.fingerprint is None:
             return None
         count = int(np.count_nonzero(rows.block.valid))
@@ -253,7 +252,6 @@ class Chain:
         return compare(self.fingerprint, beginning, self.layout)
 
     def _taken(self, state: ChainState) -> tuple[Rows | Border, ...]:
-        """The rows that all that came makes."""
         for telemetry in state.waiting or ():
             self.front.align.append(state.front.align, telemetry)
         state.waiting, state.chunks = state.waiting and [], 0

@@ -4,13 +4,11 @@ from typing import NoReturn
 
 from mavdiag import commandline
 from mavdiag.commands import (
-    baseline,
     export,
     history,
     identify,
     inspect,
     model,
-    replay,
     report,
     scan,
     setup,
@@ -31,11 +29,11 @@ app.command("demo")(demo.demo)
 app.command("balance")(tools.balance)
 app.command("inspect")(inspect.inspect)
 app.command("watch")(watch.watch)
-app.command("replay")(replay.replay)
+app.command("replay")(watch.replay)
 app.command("ack")(tools.ack)
 app.command("warm")(tools.warm)
 app.command("shim")(shim.shim)
-app.add_typer(baseline.app, name="baseline")
+app.add_typer(identify.app, name="baseline")
 app.add_typer(model.app, name="model")
 app.add_typer(history.app, name="history")
 

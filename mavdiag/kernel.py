@@ -677,7 +677,6 @@ def _bits(conditions: frozenset[Condition]) -> int:
 
 
 def _grown(array: NDArray[Any], more: int) -> NDArray[Any]:
-    """An array with room for more behind it."""
     grown = np.empty((len(array) + more, *array.shape[1:]), dtype=array.dtype)
     grown[: len(array)] = array
     return grown

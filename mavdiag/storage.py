@@ -3,7 +3,6 @@
 A `Shelf` puts arrays aside that are too many for the memory.
 """
 
-import math
 import mmap
 import os
 import secrets
@@ -137,50 +136,30 @@ class Shelf:
             self._left -= size
             return lambda: tuple(arrays)
         self._left = 0
+        file = self._file = self._file or tempfile.TemporaryFile()  # noqa: SIM115  # as long as the shelf is
+        places = []
         try:
-            return self._written(arrays)
+            for array in arrays:
+                rows = array if _varies(array) else array[:1]
+                places.append((file.seek(-(-file.tell() // ALIGN_BYTES) * ALIGN_BYTES), rows.shape))
+                file.write(np.ascontiguousarray(rows.T).data)  # column by column
+            file.flush()
         except OSError as error:
             room = f"no room to put {size >> 20} MB aside ({error.strerror or error})"
             raise UsageError(f"{tempfile.gettempdir()}: {room}; set TMPDIR to a folder with more") from error
-
-    def _written(self, arrays: Sequence[NDArray[Any]]) -> Callable[[], Arrays]:
-        file = self._file = self._file or tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # as long as the shelf is
-        places = []
-        for array in arrays:
-            rows = array if _varies(array) else array[:1]
-            places.append((self._end, rows.dtype, rows.shape, array.shape))
-            columns = memoryview(np.ascontiguousarray(rows.T).reshape(-1).view(np.uint8).data)
-            for data in (columns, memoryview(bytes(-len(columns) % ALIGN_BYTES))):
-                self._write(file, data)
-
-        end, begin = self._end, places[0][0] // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
+        end, kinds = file.tell(), [(array.dtype, array.shape) for array in arrays]
 
         def get() -> Arrays:
-            mapped = mmap.mmap(file.fileno(), end - begin, access=mmap.ACCESS_READ, offset=begin)
-            return tuple(_mapped(mapped, at - begin, dtype, shape, whole) for at, dtype, shape, whole in places)
+            mapped, found = mmap.mmap(file.fileno(), end, access=mmap.ACCESS_READ), list[NDArray[Any]]()
+            for (at, shape), (dtype, whole) in zip(places, kinds, strict=True):
+                found.append(np.broadcast_to(np.ndarray(shape, dtype, mapped, at, order="F"), whole))
+            return tuple(found)
 
         return get
 
-    def _write(self, file: BinaryIO, data: memoryview) -> None:
-        while len(data):  # the system may take less at once
-            count = file.write(data)
-            self._end += count
-            data = data[count:]
-
-
-def _mapped(
-    file: mmap.mmap, at: int, dtype: np.dtype[Any], shape: tuple[int, ...], whole: tuple[int, ...]
-) -> NDArray[Any]:
-    """An array of a mapped file; its one row stands for all where it has one only."""
-    if not math.prod(shape):
-        return np.empty(whole, dtype)
-    rows: NDArray[Any] = np.ndarray(shape, dtype, file, at, order="F")
-    return rows if shape == whole else np.broadcast_to(rows, whole)
-
 
 def _varies(array: NDArray[Any]) -> bool:
-    """Whether the rows differ; a few of them tell mostly."""
-    few = array[:: len(array) // 100 or 1]
+    few = array[:: len(array) // 100 or 1]  # they tell mostly
     return not all(
         np.array_equal(rows, np.broadcast_to(rows[:1], rows.shape), equal_nan=rows.dtype.kind == "f")
         for rows in (few, array)

@@ -109,6 +109,10 @@ class Series:
     def __len__(self) -> int:
         return len(self.t_ns)
 
+    def where(self, chosen: BoolArray | IntArray | slice) -> "Series":
+        """Some of its samples."""
+        return Series(self.signal, self.t_ns[chosen], self.host_ns[chosen], self.values[chosen])
+
     @property
     def t_s(self) -> FloatArray:
         """(n,) vehicle clock [s]."""

@@ -1,13 +1,9 @@
 """Rows from plain arrays: for the examples in the docstrings, and for tests."""
 
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
-from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.layout import layout_named
-from mavdiag.monitors.base import LearnContext
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateSpec
@@ -37,7 +33,7 @@ def example_rows(
         "setpoint": np.zeros((n, 3)) if setpoint is None else setpoint,
         "rate": turning if rate is None else rate,
         **dict.fromkeys(("force", "torque", "rate_setpoint", "attitude", "vibration"), wide),
-        **dict.fromkeys(("thrust", "height", "voltage"), narrow),
+        **dict.fromkeys(("thrust", "height"), narrow),
         "armed": np.ones(n),
         **dict.fromkeys(("actuator", "rotor_speed"), np.empty((n, 0))),
         "doubt": np.zeros(n),
@@ -48,20 +44,3 @@ def example_rows(
     block = Block(segment=segment, dt_s=dt_s, t_ns=t_ns, **made)
     spec = RateSpec.of(dt_s, WINDOW)
     return Rows(block, spec.step(spec.start(), block))
-
-
-def example_context(
-    frame: str | None = None, dt_s: float = 0.01, *, mass_kg: float | None = None, hover_rad_s: float | None = None
-) -> LearnContext:
-    """What fits need beside such rows. frame: name of the rotor layout, if it is known."""
-    layout = None if frame is None else layout_named(frame)
-    airframe = Airframe(layout=layout, mass_kg=mass_kg, hover_rad_s=hover_rad_s)
-    return LearnContext(airframe, None, dt_s, WINDOW)
-
-
-def rows_between(rows: Rows, first: int, stop: int) -> Rows:
-    """Rows [first, stop), with the rates that they complete."""
-    rates, lag = rows.rates, len(rows.block) - len(rows.rates)
-    kept = slice(max(first - lag, 0), max(stop - lag, 0))
-    columns = (getattr(rates, column.name)[kept] for column in fields(rates)[2:])
-    return Rows(rows.block.rows(first, stop), type(rates)(rates.segment, rates.dt_s, *columns))

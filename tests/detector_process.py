@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from made_vehicle import MadeVehicle
 from patience import PATIENCE_S
 
-from mavdiag.link.codec import Decoder, decode_statustext
+from mavdiag.link.codec import Decoder
 from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import Endpoint
 
@@ -67,5 +67,5 @@ def until(endpoint: Endpoint, vehicle: MadeVehicle, words: str, patience_s: floa
             endpoint.send(frame)
         time.sleep(0.02)
         for data, host_ns in endpoint.receive(0.0):
-            texts += [decode_statustext(frame).text for frame in decoder.feed(data, host_ns)]
+            texts += [frame.text("text") for frame in decoder.feed(data, host_ns)]
     return texts

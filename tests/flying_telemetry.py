@@ -11,7 +11,7 @@ from mavdiag.rows.align import AlignSpec, Grid
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.rates import RateSpec
-from mavdiag.telemetry import FloatArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, Signal, Telemetry
 from mavdiag.units import RPM
 
 DT_S = 0.01
@@ -104,5 +104,5 @@ def without(
         keep = np.ones(len(one), dtype=bool)
         for low, high in spans_s:
             keep &= ~((at_s >= low) & (at_s < high))
-        parts.append(Series(one.signal, one.t_ns[keep], one.host_ns[keep], one.values[keep]))
+        parts.append(one.where(keep))
     return Telemetry(tuple(parts))

@@ -34,18 +34,18 @@ def made_block(n: int, dt_s: float, seed: int) -> Block:
         thrust=0.5 + 0.01 * rng.normal(size=n),
     ).block
     t_ns = block.t_ns + 1_000_037_000_000
-    return replace(block, t_ns=t_ns, height=1.0 + walk[:, 3], voltage=11.1 + 0.1 * walk[:, 4])
+    return replace(block, t_ns=t_ns, height=1.0 + walk[:, 3])
 
 
 def spoilt(block: Block, seed: int) -> Block:
     """The same with spans in which the gyro, the set-point and slow signals are not known."""
     rng = np.random.default_rng([seed, 1])
     n = len(block)
-    flags, slow = np.ones((2, n), dtype=np.bool_), [block.thrust.copy(), block.height.copy(), block.voltage.copy()]
+    flags, slow = np.ones((2, n), dtype=np.bool_), [block.thrust.copy(), block.height.copy()]
     for part in (*flags, *slow):
         first = int(rng.integers(0, n))
         part[first : first + int(rng.integers(1, n // 5 + 2))] = 0 if part.dtype == np.bool_ else np.nan
-    return replace(block, valid=flags[0], setpoint_valid=flags[1], thrust=slow[0], height=slow[1], voltage=slow[2])
+    return replace(block, valid=flags[0], setpoint_valid=flags[1], thrust=slow[0], height=slow[1])
 
 
 def rows_of(block: Block, edges: Sequence[int] = ()) -> list[Rows]:

@@ -59,6 +59,6 @@ def cut(telemetry: Telemetry, edges_ns: list[int]) -> list[Telemetry]:
         for one in telemetry.series:
             keep = (one.host_ns >= low) & (one.host_ns < high)
             if keep.any():
-                parts.append(Series(one.signal, one.t_ns[keep], one.host_ns[keep], one.values[keep]))
+                parts.append(one.where(keep))
         chunks.append(Telemetry(tuple(parts)))
     return chunks

@@ -6,8 +6,9 @@ Messages keep their bounds and their order, and none is lost while fewer than `c
 import os
 import time
 from collections import deque
+from collections.abc import Callable
 
-from mavdiag.link.ports.base import Chunk, Clock, Endpoint
+from mavdiag.link.ports.base import Chunk, Endpoint
 
 
 class _Mailbox:
@@ -45,9 +46,9 @@ class MemoryEndpoint(Endpoint):
 
     datagrams = True
 
-    def __init__(self, address: str, inbox: _Mailbox, outbox: _Mailbox, clock: Clock) -> None:
-        super().__init__(address, clock)
-        self._inbox, self._outbox = inbox, outbox
+    def __init__(self, address: str, inbox: _Mailbox, outbox: _Mailbox, clock: Callable[[], int]) -> None:
+        super().__init__(address)
+        self._inbox, self._outbox, self._clock = inbox, outbox, clock
 
     @property
     def connected(self) -> bool:
@@ -73,7 +74,9 @@ class MemoryEndpoint(Endpoint):
         return [(data, self._clock()) for data in self._inbox.take()]
 
 
-def memory_pair(*, capacity: int = 65_536, clock: Clock = time.monotonic_ns) -> tuple[MemoryEndpoint, MemoryEndpoint]:
+def memory_pair(
+    *, capacity: int = 65_536, clock: Callable[[], int] = time.monotonic_ns
+) -> tuple[MemoryEndpoint, MemoryEndpoint]:
     """Two connected endpoints; what one sends the other receives. `capacity`: messages that may wait at each end.
 
     >>> near, far = memory_pair(clock=lambda: 7)

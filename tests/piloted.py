@@ -101,7 +101,7 @@ class PilotedVehicle(Endpoint):
     sources = ()
 
     def __init__(self, profile: str, clock: Clock, *, deaf: bool = False, seed: int = 0) -> None:
-        super().__init__("memory:near", clock.monotonic_ns)
+        super().__init__("memory:near")
         self.clock, self.flown_s, self._deaf, dialect = clock, 0.0, deaf, dialect_named(profile)
         flight = PlantConfig(trajectory="commanded", start="ground", seed=seed)
         self.plant, self._filters = Plant(flight), ImuFilters(dialect, flight.seed)

@@ -53,19 +53,9 @@ def unbalance_g_mm(mass_g: float, radius_mm: float) -> float:
     return _checked("mass", mass_g, "g", zero=True) * _checked("radius", radius_mm, "mm", zero=True)
 
 
-def permissible_specific_um(grade: Grade, speed_rpm: float) -> float:
-    """e_per = 9549 G / n [um, or g mm/kg] (T Eq 3.3)."""
-    return 1e3 * grade.mm_s / _angular_speed(speed_rpm)
-
-
 def permissible_unbalance_g_mm(grade: Grade, speed_rpm: float, rotor_mass_g: float) -> float:
-    """U_per = e_per m [g mm] (T Eq 3.2). The rotor is all that turns: propeller, adapter and bell."""
-    return permissible_specific_um(grade, speed_rpm) * _checked("rotor mass", rotor_mass_g, "g") * 1e-3
-
-
-def unbalance_force_n(unbalance_g_mm: float, speed_rpm: float) -> float:
-    """U Omega^2 [N] (T 3.1.1)."""
-    return _checked("unbalance", unbalance_g_mm, "g mm", zero=True) / G_MM_PER_KG_M * _angular_speed(speed_rpm) ** 2
+    """U_per = e_per m [g mm] (T Eq 3.2, 3.3). The rotor is all that turns: propeller, adapter and bell."""
+    return grade.mm_s / _angular_speed(speed_rpm) * _checked("rotor mass", rotor_mass_g, "g")
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,13 +95,13 @@ def assess_unbalance(
     >>> assess_unbalance(0.22, rotor_mass_g=30.0, speed_rpm=10_000).sentence        # T Table 3.2, F2/SV1
     '0.22 g mm exceeds G6.3: 1.22 x the permissible 0.18 g mm, meets G16'
     """
-    force_n = unbalance_force_n(unbalance_g_mm, speed_rpm)
     permissible_g_mm = permissible_unbalance_g_mm(grade, speed_rpm, rotor_mass_g)
-    specific_um = 1e3 * unbalance_g_mm / rotor_mass_g
-    level = 1e-3 * specific_um * _angular_speed(speed_rpm)
+    speed_rad_s = _angular_speed(speed_rpm)
+    force_n = _checked("unbalance", unbalance_g_mm, "g mm", zero=True) / G_MM_PER_KG_M * speed_rad_s**2
+    specific_um, permissible_um = 1e3 * unbalance_g_mm / rotor_mass_g, 1e3 * grade.mm_s / speed_rad_s
+    level = 1e-3 * specific_um * speed_rad_s
     if not math.isfinite(level):
         raise UsageError(f"{unbalance_g_mm:g} g mm on a rotor of {rotor_mass_g:g} g is no rotor: check the units")
-    permissible_um = permissible_specific_um(grade, speed_rpm)
     met = min((one for one in Grade if level <= one.mm_s * (1.0 + BORDER)), key=lambda one: one.mm_s, default=None)
     told = (unbalance_g_mm, permissible_g_mm, specific_um, permissible_um, level)
     return BalanceReport(*told, grade, met, level / grade.mm_s, force_n)

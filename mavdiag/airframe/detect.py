@@ -233,7 +233,6 @@ def _solved(products: FloatArray, overlap: int, driver: str) -> _Fit | None:
 
 
 def _found(fit: _Fit | None, columns: Sequence[int], known: Sequence[RotorLayout]) -> LayoutFinding:
-    """What the fit of these outputs says, the rotors in their order."""
     outputs = tuple(column + 1 for column in columns)
     candidates = [layout for layout in known if layout.rotors == len(columns)]
     if fit is None:

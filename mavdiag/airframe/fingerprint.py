@@ -193,7 +193,6 @@ def compare(fingerprint: Fingerprint, flight: Sequence[Rows], layout: RotorLayou
 
 
 def _trim_differs(shift: FloatArray, spread: FloatArray, layout: RotorLayout | None) -> tuple[bool, bool]:
-    """Whether the trim is far, and whether it is near."""
     raised = bool(np.nanmax(np.append(shift[NOISE], -np.inf)) > RAISED)
     shift, spread = shift[TRIM], spread[TRIM]
     if layout is None or not np.isfinite(shift).all():

@@ -23,7 +23,6 @@ from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
 YAW_FLOOR = 0.002  # of the hover command: smallest yaw spread that is believed (our choice)
 LEVEL_RATIO = 3.0  # least spread of roll and pitch over yaw's: payload and wind move them; METHOD 5 has .07 to .012
 TILT_TRIM = 0.3  # 1/rad: roll and pitch trim that a steady tilt in wind may bring (estimate; emulated: 0.28)
-NO_TILT = np.zeros((1, 2))
 MOST_LOSS = 1 / 3  # of a rotor's thrust; with less left no output can answer (our choice)
 MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)
 
@@ -107,9 +106,7 @@ def spread_of(shifts: FloatArray) -> Three:
     return max(roll, LEVEL_RATIO * yaw), max(pitch, LEVEL_RATIO * yaw), yaw
 
 
-def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, tilt: FloatArray = NO_TILT) -> FloatArray:
-    """a_j of each shift, (n, 3) -> (n, rotors). tilt: (n, 2) [rad], 0.3 of it widens the spread of roll and pitch."""
-    C, leaning = layout.unmixing, TILT_TRIM**2 * np.square(tilt).sum(axis=1)
-    W = 1.0 / (np.square(spread) + leaning[:, None] * np.array([1.0, 1.0, 0.0]))
-    # einsum and not @: BLAS rounds by the number of rows, and a cut must not change a value
-    return np.asarray(np.einsum("nk,kr->nr", W * shift, C) / np.einsum("nk,kr->nr", W, C * C), dtype=np.float64)
+def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray) -> FloatArray:
+    """a_j of each shift, (n, 3) -> (n, rotors)."""
+    C, W = layout.unmixing, 1.0 / np.square(spread)
+    return np.asarray((W * shift) @ C / (W @ (C * C)), dtype=np.float64)

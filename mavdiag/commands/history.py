@@ -144,7 +144,6 @@ def mark(
 
 
 def _added(history: "History", answer: Answer, airframe: str, again: bool) -> str:
-    """Keep an answer; what came of it."""
     verdict, flight = answer.verdict, answer.record.flight
     if flight is None:
         return f"error, {verdict.reason}"

@@ -25,7 +25,8 @@ from mavdiag.link.profiles import PROFILES
 from mavdiag.link.sequence import LinkCount
 from mavdiag.link.wants import Asker, wants_of
 from mavdiag.logs import read_part
-from mavdiag.logs.tlog import read_content
+from mavdiag.logs.log import TLOG_BYTES, windows_of
+from mavdiag.logs.tlog import decode_tlog
 from mavdiag.look.inspection import Inspection, inspection_of
 from mavdiag.look.words import CLOSING, in_full, in_one_line
 from mavdiag.monitors import MONITORS
@@ -113,8 +114,7 @@ def inspect(
 
 
 def _counted(path: Path, vehicle: int | None) -> tuple[LinkCount | None, Mapping[int, float]]:
-    """The autopilot's frames in a telemetry log, and the rate of each message."""
-    content = read_content(path)
+    content = decode_tlog(windows_of(path, most=TLOG_BYTES))
     span_s = max(content.span_ns / NS_PER_S, 1e-3) if content.pieces else 1.0
     autopilots = [key for key in content.senders if key[1] == Component.AUTOPILOT1 and vehicle in (None, key[0])]
     count = max((content.senders[key] for key in autopilots), key=lambda sender: sender.received, default=None)

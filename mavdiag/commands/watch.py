@@ -1,5 +1,7 @@
-"""`mavdiag watch`: a flight in the terminal while it goes on, from a link or from a detector's journal."""
+"""`mavdiag watch`: a flight in the terminal while it goes on; `mavdiag replay`: a log as if it were flown now."""
 
+import os
+import sys
 import time
 from contextlib import closing
 from pathlib import Path
@@ -14,10 +16,12 @@ from mavdiag.errors import UsageError
 from mavdiag.link.keys import read_key
 from mavdiag.link.ports import open_endpoint
 from mavdiag.link.signing import Signing, stamp_at
+from mavdiag.logs import read_log
 from mavdiag.telemetry import Axis
 
 LISTENING = ("udpin:", "tcpin:")
 SPAN_S = 20.0
+PAGE = "detector.replay"  # the module that plays on the live page; the daemon's package, so it is a process of its own
 
 
 def watch(
@@ -67,3 +71,36 @@ def watch(
             speaks = not source.startswith(LISTENING)
             station = GroundStation(endpoint, judge, speaks, vehicle=vehicle, signing=signing())
             return watching.watch(station, endpoint.address, axis, span, ended)
+
+
+def replay(
+    log: Annotated[Path, Argument(metavar="LOG", help="A flight log of any kind that `mavdiag scan` reads.")],
+    baseline: opt.BaselineFile,
+    speed: Annotated[float, Option(min=0.01, metavar="X", help="Times as fast as flown; inf does not wait.")] = 1.0,
+    web: Annotated[
+        str | None, Option(metavar="HOST:PORT", help="Play on the live page there; a bare port is on loopback.")
+    ] = None,
+    web_token_file: Annotated[
+        Path | None, Option(metavar="FILE", help="Token of the page: a file of mode 0600.")
+    ] = None,
+    from_s: Annotated[float, Option("--from", min=0.0, metavar="S", help="Begin so far into the log.")] = 0.0,
+    vehicle: opt.Vehicle = None,
+    axis: Annotated[Axis, Option(help="Whose rates the terminal's strips show.")] = Axis.ROLL,
+) -> None:
+    """Play a log as if it were flown now: judged as a link is, and shown as `watch` or the live page show a flight.
+
+    On the page it can be stopped, sped up, and moved to any time; that needs the extra `web`. On a pipe it prints one
+    line an event.
+    """
+    if web is not None:
+        given = {"web-token-file": web_token_file, "vehicle": vehicle, "speed": speed, "from-s": from_s}
+        options = [part for name, value in given.items() if value is not None for part in (f"--{name}", str(value))]
+        os.execv(sys.executable, [sys.executable, "-P", "-m", PAGE, *options, "--", str(log), str(baseline), web])
+    from mavdiag.judging import suited
+    from mavdiag.terminal.ground_station import LiveJudge  # here, for rich takes time to load
+    from mavdiag.terminal.watching import play
+
+    with stop_signals() as stopped:
+        read, known = read_log(log, vehicle), Baseline.load(baseline)
+        judge = LiveJudge(suited(known, read), SPAN_S, vehicle, began_ns=read.started_ns)
+        play(read, judge, speed, from_s, axis, stopped)

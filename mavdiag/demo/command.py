@@ -167,7 +167,6 @@ def flight_view(station: GroundStation, flight: Flight, events: Sequence["Line"]
 
 
 def _print_result(result: DemoResult, flight: Flight, changes: Sequence[Change]) -> None:
-    """The story in four lines. changes: of the decision of the thesis rule."""
     onset_s = flight.onset_s
     say(f"injected: {flight.fault} on rotor {flight.rotor} at {onset_s:g} s")
     if result.detected_s is None:
@@ -189,7 +188,6 @@ def _print_result(result: DemoResult, flight: Flight, changes: Sequence[Change])
 
 
 def _print_report(record: Path, baseline: Path, page: Path) -> None:
-    """Judge the recorded flight once more, as a log, and draw its report."""
     flown, log = Baseline.load(baseline), replace(read_log(record), name="the demo's flight")
     page.parent.mkdir(parents=True, exist_ok=True)
     verdict = write_report(log, flown, baseline, page)

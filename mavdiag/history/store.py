@@ -27,7 +27,6 @@ SCHEMA = "3"  # of these tables
 
 
 def _table(name: str, kept: type) -> sa.Table:
-    """A column for each field of a value."""
     kinds: dict[type, TypeEngine[Any]] = {int: sa.BigInteger(), float: sa.Float(53)}
     kinds |= dict.fromkeys((str, Verdict, MarkKind), sa.Text())
     columns: list[sa.Column[Any]] = []

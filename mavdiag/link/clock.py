@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavdiag.jit import jit
-from mavdiag.link.codec import Frame, field_index
+from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MessageId
 from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_S, NS_PER_US
@@ -378,7 +378,6 @@ def _follow(offset: Fields, own: Fields, base: Fields, boot: bool, now_ns: int) 
 
 @jit
 def _at(offset: Fields, now_ns: int) -> int:
-    """An offset within its second [ns]."""
     share = min(max((now_ns - offset.second * NS_PER_S) / NS_PER_S, 0.0), 1.0)
     return int(offset.begin_ns + int(np.rint((offset.end_ns - offset.begin_ns) * share)))
 
@@ -430,7 +429,6 @@ def _go_on(offset: Fields, own: Fields, base: Fields, first_s: int, second: int)
 
 
 EVERY_NS = 10 * NS_PER_S  # our choice: it is only a figure
-_TC1, _TS1 = (field_index(MessageId.TIMESYNC, name) for name in ("tc1", "ts1"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -448,7 +446,6 @@ class Timesync:
     asked_ns: int | None = None  # when a request was sent last (host)
     open: bool = False  # it has not been answered
     round_trip_s: float | None = None
-    offset_s: float | None = None  # the vehicle's clock less ours
 
 
 def exchanged(
@@ -462,13 +459,11 @@ def exchanged(
     for frame in frames:
         if frame.msgid != MessageId.TIMESYNC or frame.compid != Component.AUTOPILOT1:
             continue
-        tc1_ns, ts1_ns = int(frame.fields[_TC1]), int(frame.fields[_TS1])
+        tc1_ns, ts1_ns = frame.numbers("tc1", "ts1")
         if tc1_ns == 0:
             answers = (TimesyncMessage(now_ns, ts1_ns),)
         elif state.open and ts1_ns == state.asked_ns:
-            took_ns = max(0, frame.host_ns - ts1_ns)
-            offset_s = (tc1_ns - ts1_ns - took_ns / 2) / NS_PER_S
-            state = replace(state, open=False, round_trip_s=took_ns / NS_PER_S, offset_s=offset_s)
+            state = replace(state, open=False, round_trip_s=max(0, frame.host_ns - ts1_ns) / NS_PER_S)
     if not alive or (state.asked_ns is not None and now_ns - state.asked_ns < EVERY_NS):
         return state, answers
     return replace(state, asked_ns=now_ns, open=True), (*answers, TimesyncMessage(0, now_ns))

@@ -58,6 +58,16 @@ class Frame(NamedTuple):
         """The values, flat, in the order of the wire; an array takes one place per element (see `field_index`)."""
         return _LAYOUTS[self.msgid].packer.unpack(self.payload)
 
+    def numbers(self, *names: str) -> tuple[int, ...]:
+        """Some fields as whole numbers. Raises UsageError if the message has no such field, TypeError for a text."""
+        fields = self.fields
+        return tuple(int(fields[field_index(self.msgid, name)]) for name in names)
+
+    def text(self, name: str) -> str:
+        """A field of text, up to its end; what is not UTF-8 is replaced. Empty for a number. Raises as `numbers`."""
+        value = self.fields[field_index(self.msgid, name)]
+        return value.partition(b"\0")[0].decode(errors="replace") if isinstance(value, bytes) else ""
+
 
 def _generated_layout(message: type[dialect.MAVLink_message]) -> Layout:
     wire, names = message.ordered_fieldnames, message.fieldnames
@@ -98,6 +108,7 @@ def command_numbers() -> dict[str, int]:
     return {entry.name.removeprefix("MAV_CMD_"): number for number, entry in dialect.enums["MAV_CMD"].items()}
 
 
+@cache
 def field_index(msgid: int, name: str) -> int:
     """Place of a field (of an array: its first element) in `Frame.fields`. Raises UsageError if there is none."""
     return layout_of(msgid).place(name)
@@ -295,7 +306,6 @@ class Decoder:
     def _scan(
         self, data: bytes, sizes: Sequence[int], times: Sequence[int], sources: Sequence[Source], *, whole: bool
     ) -> tuple[Frames, int]:
-        """The wanted frames among chunks that lie one behind the other, and how many bytes are done with."""
         chunks = np.array([sizes, times, self.heard.numbers(sources)], np.int64)
         found, buffer = np.empty(len(data) // (_SHORTEST_V1 + self._gap) + 1, FRAME), np.frombuffer(data, np.uint8)
         count, used = _find(buffer, chunks, whole, self._gap, _KNOWN, _tables(), found)
@@ -353,25 +363,6 @@ class Encoder:
         body = _pack_header(len(payload), self._flags, 0, *sender, msgid & 0xFFFF, msgid >> 16) + payload
         frame = b"\xfd" + body + mcrf4xx(layout.crc_extra, mcrf4xx(body)).to_bytes(2, "little")
         return frame if self._signing is None else frame + self._signing.seal(frame)
-
-
-@dataclass(frozen=True, slots=True)
-class StatusText:
-    """A STATUSTEXT as received: MAV_SEVERITY, and one piece of a text."""
-
-    severity: int
-    text: str
-    chunk_id: int  # 0 for a text in one piece, else the same for all pieces
-    chunk_seq: int  # number of the piece
-
-
-def decode_statustext(frame: Frame) -> StatusText:
-    """What a STATUSTEXT frame says; what is not UTF-8 is replaced. Raises UsageError for another message."""
-    match frame.fields if frame.msgid == MessageId.STATUSTEXT else ():
-        case (int(severity), bytes(raw), int(chunk_id), int(chunk_seq)):
-            return StatusText(severity, raw.split(b"\0", 1)[0].decode(errors="replace"), chunk_id, chunk_seq)
-        case _:
-            raise UsageError(f"not a STATUSTEXT: {message_name(frame.msgid)}")
 
 
 @cache

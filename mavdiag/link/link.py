@@ -138,7 +138,6 @@ class Link(AbstractContextManager["Link"]):
         self.close()
 
     def _absent(self) -> str:
-        """Why no vehicle has entered."""
         waiting = self._decoder.waiting
         for sysid, reason in waiting.items():
             return f"{self.address}: vehicle {sysid}: {reason}"

@@ -7,7 +7,6 @@ autopilot is one row of `_ROWS`, and its number in `mavdiag.link.messages.Autopi
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from math import isfinite
 from typing import Self
 
@@ -95,13 +94,6 @@ class Evidence:
         return span[0] <= self.weight < span[1]
 
 
-class Stamp(StrEnum):
-    """What a message's own time means."""
-
-    SAMPLE = "sample"  # when the quantity was measured or set
-    SEND = "send"  # when the message was sent
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Profile:
     """How one kind of vehicle sends what the diagnosis needs."""
@@ -114,7 +106,6 @@ class Profile:
     gyro_unit: float  # one count of it [rad/s]
     rate_hz: float  # nominal rate of the pair of set-point and IMU message
     imu_corner_hz: float | None  # of the low-pass filter in the IMU stream by default, None if vibration passes
-    stamp: Stamp  # what the IMU message's own time means
     vibration: bool  # whether its VIBRATION message carries acceleration per axis
     actuator: MessageId
     actuator_span: tuple[float, float]  # values for 0 and for full output; ACTUATOR_OUTPUT_STATUS is told by its own
@@ -158,7 +149,6 @@ _QDRONE2 = Profile(
     gyro_unit=MILLI,
     rate_hz=1000.0,
     imu_corner_hz=None,
-    stamp=Stamp.SAMPLE,
     vibration=False,
     actuator=MessageId.SERVO_OUTPUT_RAW,
     actuator_span=(1000.0, 2000.0),
@@ -183,7 +173,6 @@ _ROWS = (
         recognise=_is_ardupilot,
         rate_hz=100.0,
         imu_corner_hz=20.0,
-        stamp=Stamp.SEND,
         vibration=True,
         rotor_speed=MessageId.ESC_TELEMETRY_1_TO_4,
         imu_corner_parameter="INS_GYRO_FILTER",
@@ -242,11 +231,6 @@ def scale_doubt(profile: Profile, gravity_g: float) -> str:
     raw = (one for one in _ROWS if one.imu == profile.imu == MessageId.RAW_IMU)
     fits = next((one.name for one in raw if 1.0 / CONTRARY < counts * one.accel_unit / G < CONTRARY), "")
     return f"{gravity_g:.1f} g" + (f": --profile {fits}" if fits else "")
-
-
-def by_attitude(profile: Profile) -> Profile:
-    """The profile with the body rates of `LAST_RESORT`, in rad/s, for a vehicle that sends no IMU message."""
-    return replace(profile, imu=LAST_RESORT, accel_unit=1.0, gyro_unit=1.0)
 
 
 def with_imu(profile: Profile, counts: Mapping[int, int], least: int = 1) -> Profile:

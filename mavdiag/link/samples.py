@@ -25,8 +25,8 @@ from mavdiag.units import NS_PER_S, RPM
 
 Bytes: TypeAlias = NDArray[np.uint8]
 
-ACTUATORS = 16  # columns of ACTUATOR, always: outputs that are not in use are 0; the rotor layout says which count
-ROTORS = 16  # columns of ROTOR_SPEED, always: rotors that were never reported are NaN
+# Columns of ACTUATOR and of ROTOR_SPEED, always: unused outputs are 0, rotors never reported NaN.
+ACTUATORS = ROTORS = 16
 UNKNOWN_MV = 0xFFFF  # SYS_STATUS.voltage_battery: not sent
 LEAST_US, MOST_US = 1000.0, 2000.0  # PWM for 0 and full output
 PULSE_LEAST_US = 800.0  # no pulse is shorter (our choice: the shortest disarmed one of PX4 is 900)
@@ -116,8 +116,7 @@ SOURCES: tuple[Source, ...] = (
 )
 
 _SIGNALS, _NO_TIMES = tuple(Signal), np.empty(0, np.int64)
-_ONE, _MANY = {_S.THRUST_SETPOINT, _S.HEIGHT, _S.VOLTAGE, _S.ARMED}, {_S.ACTUATOR: ACTUATORS, _S.ROTOR_SPEED: ROTORS}
-_COLUMNS = [1 if one in _ONE else _MANY.get(one, 3) for one in _SIGNALS]  # of each signal
+_COLUMNS = [signal.width or ACTUATORS for signal in _SIGNALS]
 _WIDTHS = np.array(_COLUMNS)
 
 

@@ -219,7 +219,6 @@ Fields: TypeAlias = Any  # one record, as numba has it
 
 @jit
 def _jump(sender: Fields, seq: int) -> None:
-    """Take a number that is not the next one."""
     received = sender.received
     distance = (seq - sender.next + 128) % 256 - 128  # signed, modulo 256
     sender.jumps += 1

@@ -111,7 +111,6 @@ class Shim:
             self._send(message[3], message[2], message[1] if now_ns is None else now_ns)
 
     def _send(self, data: bytes, number: int, now_ns: int) -> None:
-        """Onto the line, and through it."""
         does = self._does
         if does.rate is not None:
             start_ns = max(now_ns, self._free_ns)

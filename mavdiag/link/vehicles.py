@@ -8,7 +8,7 @@ lets a vehicle enter only with two like heartbeats and running numbers that are 
 import math
 import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import repeat
 
 import numpy as np
@@ -33,7 +33,6 @@ from mavdiag.link.profiles import (
     PROFILES,
     Evidence,
     Profile,
-    by_attitude,
     detect_profile,
     with_imu,
 )
@@ -73,16 +72,7 @@ _ANSWERS = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC, Me
 _TALK = ASKING | STICKS.keys() | _ANSWERS | {MessageId.HEARTBEAT}
 _TALKS = np.isin(MSGIDS, list(_TALK))  # by row of a message
 
-_KIND = slice(field_index(MessageId.HEARTBEAT, "type"), field_index(MessageId.HEARTBEAT, "autopilot") + 1)
-_MODE = tuple(field_index(MessageId.HEARTBEAT, name) for name in ("base_mode", "custom_mode"))
-_ACK = tuple(
-    field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result", "target_system", "target_component")
-)
-_TARGETS: Mapping[int, list[int]] = {
-    msgid: [field_index(msgid, name) for name in ("target_system", "target_component")] for msgid in ASKING
-}
-_UID, _UID2 = (field_index(MessageId.AUTOPILOT_VERSION, name) for name in ("uid", "uid2"))
-_PARAM_NAME = field_index(MessageId.PARAM_VALUE, "param_id")
+_UID2 = field_index(MessageId.AUTOPILOT_VERSION, "uid2")
 _PARAM_VALUE, _PARAM_TYPE = (layout_of(MessageId.PARAM_VALUE).offset(name)[0] for name in ("param_value", "param_type"))
 _INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE, in the bytes of the float
 
@@ -107,20 +97,19 @@ class Command:
 
 def acks_in(frames: Iterable[Frame]) -> tuple[Ack, ...]:
     """The autopilot's acknowledgements to us (or to nobody in particular, as MAVLink 1 has it)."""
-    told = (frame for frame in frames if frame.msgid == MessageId.COMMAND_ACK and frame.compid == AUTOPILOT)
-    found = ((frame.sysid, [int(frame.fields[place]) for place in _ACK]) for frame in told)
-    ours = (Component.ALL, Component.ONBOARD_COMPUTER)
-    return tuple(
-        Ack(command, result)
-        for sysid, (command, result, system, component) in found
-        if component in ours and system in (0, sysid)
-    )
+    found = []
+    for frame in frames:
+        if frame.msgid == MessageId.COMMAND_ACK and frame.compid == AUTOPILOT:
+            system, component = frame.numbers("target_system", "target_component")
+            if component in (Component.ALL, Component.ONBOARD_COMPUTER) and system in (0, frame.sysid):
+                found.append(Ack(*frame.numbers("command", "result")))
+    return tuple(found)
 
 
 def mode_in(frames: Iterable[Frame]) -> int | None:
     """The custom_mode of the autopilot's latest heartbeat; None without one, or if it has none."""
     beats = [frame for frame in frames if frame.msgid == MessageId.HEARTBEAT and frame.compid == AUTOPILOT]
-    base, custom = (int(beats[-1].fields[place]) for place in _MODE) if beats else (0, 0)
+    base, custom = beats[-1].numbers("base_mode", "custom_mode") if beats else (0, 0)
     return custom if base & ModeFlag.CUSTOM_MODE_ENABLED else None
 
 
@@ -130,17 +119,14 @@ def sticks_in(frames: Iterable[Frame], compid: int | None = AUTOPILOT) -> dict[i
     Pulses [us] of RC_CHANNELS and RC_CHANNELS_OVERRIDE, -1000..1000 of MANUAL_CONTROL.
     """
     told = (frame for frame in frames if frame.msgid in STICKS and compid in (None, frame.compid))
-    return {
-        frame.msgid: tuple(int(frame.fields[field_index(frame.msgid, name)]) for name in STICKS[frame.msgid])
-        for frame in told
-    }
+    return {frame.msgid: frame.numbers(*STICKS[frame.msgid]) for frame in told}
 
 
 def asked_of(frame: Frame) -> int | None:
     """The system id of the vehicle whose on-board computer a frame asks something of; None for any other frame."""
     if frame.msgid not in ASKING:
         return None
-    system, component = (int(frame.fields[place]) for place in _TARGETS[frame.msgid])
+    system, component = frame.numbers("target_system", "target_component")
     return system if component == Component.ONBOARD_COMPUTER else None
 
 
@@ -161,12 +147,11 @@ def parameters_in(frames: Iterable[Frame], autopilot: int) -> dict[str, float]:
     found: dict[str, float] = {}
     for frame in frames:
         if frame.msgid == MessageId.PARAM_VALUE and frame.compid == AUTOPILOT:
-            name, kind = frame.fields[_PARAM_NAME], frame.payload[_PARAM_TYPE]
+            name, kind = frame.text("param_id"), frame.payload[_PARAM_TYPE]
             form = _INTEGERS.get(kind, "<f") if autopilot == Autopilot.PX4 else "<f"
             (value,) = struct.unpack_from(form, frame.payload, _PARAM_VALUE)
-            text = name.partition(b"\0")[0].decode("latin-1") if isinstance(name, bytes) else ""
-            if text and math.isfinite(value):
-                found[text] = float(value)
+            if name and math.isfinite(value):
+                found[name] = float(value)
     return found
 
 
@@ -176,10 +161,10 @@ def uid_in(frames: Iterable[Frame]) -> str:
     Zeros at the end of uid2 are left out; empty if no autopilot told it.
     """
     told = [one for one in frames if one.msgid == MessageId.AUTOPILOT_VERSION and one.compid == AUTOPILOT]
-    for fields in (frame.fields for frame in told):
-        if uid2 := bytes(int(one) for one in fields[_UID2:]).rstrip(b"\0"):
+    for frame in told:
+        if uid2 := bytes(int(one) for one in frame.fields[_UID2:]).rstrip(b"\0"):
             return uid2.hex()
-        if uid := int(fields[_UID]):
+        if (uid := frame.numbers("uid")[0]) != 0:
             return f"{uid:016x}"
     return ""
 
@@ -224,7 +209,7 @@ class VehicleStream:
         self._since_ns = self._since_ns or int(host_ns[0])
         waited_ns = int(host_ns[-1]) - self._since_ns
         if not counts and (waited_ns > LAST_RESORT_S * NS_PER_S or self.profile.imu == LAST_RESORT):
-            chosen = by_attitude(self._own)
+            chosen = replace(self._own, imu=LAST_RESORT, accel_unit=1.0, gyro_unit=1.0)
         if chosen.imu != self.profile.imu:
             self._decoder = SampleDecoder(chosen)
         told_s = int(times_ns[-1] - times_ns[0]) / NS_PER_S if counts else 0.0
@@ -233,23 +218,22 @@ class VehicleStream:
 
 @dataclass(slots=True)
 class _Waiting:
-    """A system id that has not entered."""
-
     since_ns: int  # it is watched
     frames: list[Frame] = field(default_factory=list)  # its autopilot's latest
     beat: Frame | None = None  # its autopilot's latest heartbeat
+    kind: tuple[int, int] = (0, 0)  # its MAV_TYPE and MAV_AUTOPILOT
     beats: int = 0  # how many like it came, each at its time after the one before
     checked_ns: int | None = None  # when its profile was looked for last
     reason: str = ""  # why it waits though its autopilot was received
 
     def note(self, frame: Frame) -> None:
         """Take in a heartbeat."""
-        kind, autopilot = frame.fields[_KIND]
+        kind, autopilot = frame.numbers("type", "autopilot")
         if autopilot == Autopilot.INVALID or kind in (MavType.GCS, MavType.ONBOARD_CONTROLLER):
             return
         span_s = math.inf if self.beat is None else (frame.host_ns - self.beat.host_ns) / NS_PER_S
-        if self.beat is None or frame.fields[_KIND] != self.beat.fields[_KIND] or span_s > BEATS_S[1]:
-            self.beat, self.beats = frame, 1
+        if (kind, autopilot) != self.kind or span_s > BEATS_S[1]:
+            self.beat, self.beats, self.kind = frame, 1, (kind, autopilot)
         elif span_s >= BEATS_S[0]:
             self.beat, self.beats = frame, self.beats + 1
 
@@ -418,20 +402,19 @@ class LinkDecoder:
         if waiting.checked_ns is not None and now_ns - waiting.checked_ns < RECHECK_S * NS_PER_S:
             return []
         waiting.checked_ns, profile = now_ns, self._profile
-        if refused := refusal(int(waiting.beat.fields[_KIND][0])):
+        if refused := refusal(waiting.kind[0]):
             waiting.reason, waiting.frames = refused, []
             return []
         if profile is None:
             profile, waiting.reason = detect_profile(Evidence().take(frames_of([waiting.beat, *waiting.frames])))
         if profile is None:
             return []
-        self.vehicles[sysid] = VehicleStream(profile, int(waiting.beat.fields[_KIND][0]))
+        self.vehicles[sysid] = VehicleStream(profile, waiting.kind[0])
         self.decoder.heard.keep(sysid << 8 | AUTOPILOT)
         del self._waiting[sysid]
         return [frames_of(waiting.frames)]
 
     def _may_enter(self, sysid: int, waiting: _Waiting) -> bool:
-        """Whether one that sends a vehicle's heartbeat is taken for a vehicle, and there is room for it."""
         if self._careful and (waiting.beats < 2 or not self.decoder.heard.sound(sysid << 8 | AUTOPILOT)):
             return False
         if len(self.vehicles) >= self._most:

@@ -17,7 +17,7 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.logs.csv_columns import ColumnMap, read_csv
 from mavdiag.logs.log import LogKind, read_bytes
 from mavdiag.rows.gate import GateSpec
-from mavdiag.telemetry import Log, Series, Telemetry
+from mavdiag.telemetry import Log, Telemetry
 from mavdiag.units import NS_PER_S
 
 HEAD_BYTES = 4096
@@ -79,7 +79,7 @@ def between(telemetry: Telemetry, from_s: float | None, to_s: float | None) -> T
     kept = []
     for series in telemetry:
         inside = (series.t_ns >= low * NS_PER_S) & (series.t_ns < high * NS_PER_S)
-        kept.append(Series(series.signal, series.t_ns[inside], series.host_ns[inside], series.values[inside]))
+        kept.append(series.where(inside))
     if not any(map(len, kept)):
         times = np.concatenate([np.empty(0), *(series.t_s for series in telemetry.series)])
         span = f"it goes from {times.min():.1f} to {times.max():.1f} s" if len(times) else "it is empty"

@@ -384,7 +384,6 @@ def _batches(head: Table, data: Table) -> tuple[Batch, ...]:
 
 
 def _esc_notes(table: Table) -> tuple[str, ...]:
-    """What ESCs with extended telemetry complained of."""
     number, status = table.integers("Instance"), table.integers("Status")
     if number is None or status is None:
         return ()

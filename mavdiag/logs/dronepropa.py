@@ -43,8 +43,8 @@ ANGLE_GAIN_PER_S: FloatArray = np.array([12.0, 12.0, 2.0])  # rate command on an
 RATE_GAIN: FloatArray = np.array([0.1, 0.1, 0.0])  # rate reference, less a share of the measured rate
 MAX_RATE_RAD_S = 10 * np.pi / 3
 MAX_TORQUE_NM: FloatArray = np.array([1.0915, 0.8984, 0.0984])  # saturation of the stabilizer: roll, pitch, yaw
-THRUST_N_PER_V = (0.03616, 0.117, -0.01215)  # F = a V^2 + b V + c of one motor, in the manufacturer's mixer
 NOMINAL_V = 14.8  # a battery of four cells: the voltage at which thrust 1 is full thrust (our choice)
+FULL_THRUST_N = 4 * (0.03616 * NOMINAL_V**2 + 0.117 * NOMINAL_V - 0.01215)  # four motors of the manufacturer's mixer
 KV_RPM_PER_V = 1300.0
 POLE_CORRECTION = 12 / 14  # the log takes 12 poles; 14 bring the hover from 177 Hz to the accelerometer's 148-154 Hz
 
@@ -110,7 +110,7 @@ class _Recording:
         found = {
             Signal.ATTITUDE_SETPOINT: np.column_stack((s(9, 10), c(29))) * FRD,
             Signal.RATE_SETPOINT: self.rate_setpoint(),
-            Signal.THRUST_SETPOINT: np.clip(s(8) / full_thrust_n(), 0.0, 1.0),
+            Signal.THRUST_SETPOINT: np.clip(s(8) / FULL_THRUST_N, 0.0, 1.0),
             Signal.TORQUE_COMMAND: s(19, 20, 21) / MAX_TORQUE_NM * FRD,  # behind its saturation
             Signal.BODY_RATE: self.rates["raw"],
             Signal.SPECIFIC_FORCE: q(30, 31, 32) * FRD,  # of the first IMU
@@ -137,12 +137,6 @@ class _Recording:
 
 def _rows(matrix: FloatArray, *numbers: int) -> FloatArray:
     return matrix[:, [number - 1 for number in numbers]]
-
-
-def full_thrust_n(volt: float = NOMINAL_V) -> float:
-    """Thrust of all four motors at full duty [N]."""
-    a, b, c = THRUST_N_PER_V
-    return 4 * (a * volt**2 + b * volt + c)
 
 
 def read_dronepropa(path: Path, profile: str | None = None) -> Log:

@@ -8,10 +8,12 @@ to find its frames and whose they are, and to convert those of a vehicle.
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain, repeat
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError
@@ -21,7 +23,7 @@ from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Evidence, detect_profi
 from mavdiag.link.samples import SampleDecoder, SampleState, joined
 from mavdiag.link.sequence import FRAME, LinkCount
 from mavdiag.link.vehicles import parameters_in
-from mavdiag.logs.log import TLOG_BYTES, WINDOW_BYTES, LogKind, opened, windows_of
+from mavdiag.logs.log import TLOG_BYTES, LogKind, opened, windows_of
 from mavdiag.telemetry import Log, Telemetry
 
 DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
@@ -44,9 +46,9 @@ _LEAN = np.dtype([(name, FRAME[name]) for name in _KEPT])
 
 
 class _Piece(NamedTuple):
-    """Frames of a log, and where the bytes that they lie in begin."""
+    """Frames of a log, without the bytes that they lie in: where these begin, and how many they are."""
 
-    frames: Frames
+    rows: NDArray[np.void]
     at: int
     size: int
 
@@ -55,7 +57,7 @@ class _Piece(NamedTuple):
 class TlogContent:
     """What a telemetry log holds."""
 
-    pieces: list[_Piece]  # frames that any profile reads, of all senders, in order; without the bytes if from a file
+    pieces: list[_Piece]  # frames that any profile reads, of all senders, in order
     systems: Mapping[int, _System]  # by system id
     span_ns: int  # from the earliest of these frames to the latest
     size: int  # bytes of the file
@@ -63,11 +65,6 @@ class TlogContent:
     damaged_bytes: int  # what is in no sound record
     senders: Mapping[tuple[int, int], LinkCount]  # figures by (system id, component id)
     trailing_bytes: int  # how many of the damaged ones stand behind the last sound record
-
-    @property
-    def frames(self) -> list[Frame]:
-        """The frames one by one; Frame.host_ns is unix time."""
-        return [frame for piece in self.pieces for frame in piece.frames]
 
     @property
     def mav_types(self) -> dict[int, int]:
@@ -102,37 +99,24 @@ def tlog_record(time_us: int, frame: bytes) -> bytes:
     return time_us.to_bytes(STAMP_BYTES, "big") + frame
 
 
-def decode_tlog(data: bytes) -> TlogContent:
-    """What the bytes of a telemetry log hold. Never raises: what is damaged is skipped and counted."""
-    return decode_windows(data[at : at + WINDOW_BYTES] for at in range(0, len(data), WINDOW_BYTES))
+def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
+    """What the bytes of a telemetry log hold, which come in windows, wherever these cut it.
 
-
-def read_content(path: Path) -> TlogContent:
-    """What a telemetry log holds, without its bytes. Raises InputError if it cannot be read or is empty."""
-    return decode_windows(windows_of(path, most=TLOG_BYTES), keep=False)
-
-
-def decode_windows(windows: Iterable[bytes], *, keep: bool = True) -> TlogContent:
-    """As `decode_tlog`, for a log that comes in windows, wherever they cut it. keep: the bytes, too."""
+    Never raises by itself: what is damaged is skipped and counted.
+    """
     decoder, pieces, systems = Decoder(_WANTED, stamped=True), list[_Piece](), dict[int, _System]()
-    seen_ns = list[int]()
-
-    def take(window: bytes, *, last: bool = False) -> None:
+    times_ns = list[int]()
+    for window, last in chain(zip(windows, repeat(False)), ((b"", True),)):
         at, frames = decoder.size, decoder.take_stream(window, last=last)
         if not len(frames):
-            return
+            continue
         for sysid, own in frames.by_sysid().items():
             system = systems.setdefault(sysid, _System(int(own.rows["host_ns"][0])))
             system.take(own)
             system.parameters += own.of(MessageId.PARAM_VALUE)
-        seen_ns.extend((int(frames.rows["host_ns"].min()), int(frames.rows["host_ns"].max())))
-        held = frames if keep else Frames(NO_FRAMES.data, frames.rows[_KEPT].astype(_LEAN))
-        pieces.append(_Piece(held, at, len(frames.data)))
-
-    for window in windows:
-        take(window)
-    take(b"", last=True)
-    span_ns = max(seen_ns, default=0) - min(seen_ns, default=0)
+        times_ns += [int(frames.rows["host_ns"].min()), int(frames.rows["host_ns"].max())]
+        pieces.append(_Piece(frames.rows[_KEPT].astype(_LEAN), at, len(frames.data)))
+    span_ns = max(times_ns, default=0) - min(times_ns, default=0)
     counts = (decoder.size, decoder.records, decoder.garbage_bytes, decoder.senders, decoder.size - decoder.sound_end)
     return TlogContent(pieces, systems, span_ns, *counts)
 
@@ -179,7 +163,7 @@ def vehicle_stream(path: str | Path, profile: str | None = None) -> Iterator[Veh
 
 def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], list[int]]) -> Iterator[VehicleLog]:
     digest = hashlib.sha256()
-    content = decode_windows(_summed(path, digest.update), keep=False)
+    content = decode_tlog(_summed(path, digest.update))
     if content.records == 0:
         raise InputError(f"{path}: no MAVLink frame found; not a telemetry log")
     if content.damaged_bytes > DAMAGED_SHARE * content.size:
@@ -215,13 +199,13 @@ def _converted(path: Path, pieces: list[_Piece], sysid: int, decoder: SampleDeco
     pieces.reverse()
     with opened(path, TLOG_BYTES) as file:
         while pieces:
-            frames, at, size = pieces.pop()
+            kept, at, size = pieces.pop()
             file.seek(at)
             data = np.frombuffer(file.read(size), np.uint8)
             if len(data) < size:
                 raise InputError(f"{path}: it became shorter while it was read; read it again")
-            rows = np.zeros(len(frames), FRAME)
-            rows[_KEPT] = frames.rows
+            rows = np.zeros(len(kept), FRAME)
+            rows[_KEPT] = kept
             own = Frames(data, rows).by_sysid()
             state, telemetry = decoder.step(state, own.get(sysid, NO_FRAMES))
             yield telemetry

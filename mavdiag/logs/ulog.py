@@ -95,7 +95,6 @@ def _by_motor(values: FloatArray) -> FloatArray:
 
 
 def _elements(name: str, count: int, member: str = "") -> tuple[str, ...]:
-    """The names that pyulog gives to the elements of an array."""
     return tuple(f"{name}[{index}]{member}" for index in range(count))
 
 

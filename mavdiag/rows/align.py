@@ -2,11 +2,11 @@
 
 The gyro is the master. On a *native* grid every row is one of its samples, other signals are brought to its time, and
 lost samples become rows; on a *resampled* grid (uneven senders) all are interpolated to a fixed period. What is made
-up is not judged: a row inside a gyro gap longer than `max_gap_s`, or than a glitch leaves, and `settle_gap_s` after it,
-is invalid; a gap longer than `break_s` starts a segment, whose first `settle_start_s` are invalid (METHOD section 4).
+up is not judged: a row inside a gyro gap longer than `max_gap_s`, or than a glitch leaves, and `SETTLE_GAP_S` after it,
+is invalid; a gap longer than `BREAK_S` starts a segment, whose first `SETTLE_START_S` are invalid (METHOD section 4).
 The set-point has the same limits and its own mark. Other signals are nan where no samples within their limit are near.
 
-Samples may be out of order by up to `reorder_s`; later ones and duplicates are dropped. A row waits that long, and for
+Samples may be out of order by up to `REORDER_S`; later ones and duplicates are dropped. A row waits that long, and for
 the next sample of an interpolated signal while it may count, so that the result does not depend on the chunks. On a
 native grid and an orderly link (no sample comes after the gyro is `ORDER_NS` further) it waits for what is missing.
 The first sample of a held signal that comes late counts in a log from its own time on, and live from the next row on;
@@ -27,14 +27,14 @@ from mavdiag.jit import allocating, cached, cached_loop, inline, jit
 from mavdiag.rows.block import Block
 from mavdiag.rows.grid import Grid as Grid
 from mavdiag.rows.grid import measure_grid as measure_grid
-from mavdiag.rows.quality import COLUMN, GLITCH_S, MOST_LOST, RUNS, TURN, LinkQuality, Samples, look_at
+from mavdiag.rows.quality import COLUMN, GLITCH_S, MOST_LOST, REORDER_S, RUNS, TURN, LinkQuality, Samples, look_at
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
 # Of each signal its name in `Block`, its columns (of outputs the sent ones; the gyro's last is its doubt), and
 # how far its samples reach [s]. Up to THRUST they are interpolated where two samples this near, or as near as the
 # gyro's, surround the row: a slow command stream may have 4 Hz; the others hold their last value for so long: ACTUATOR
-# comes at 10-50 Hz, VIBRATION at 2-10 Hz, ESCs tell their speed at 1-10 Hz, a battery changes slowly (our choices).
+# comes at 10-50 Hz, VIBRATION at 2-10 Hz, ESCs tell their speed at 1-10 Hz (our choices).
 # Logs write ARMED when it changes.
 SIGNALS = {
     Signal.BODY_RATE: ("rate", 4, 0.0),
@@ -45,7 +45,6 @@ SIGNALS = {
     Signal.ATTITUDE: ("attitude", 3, 0.25),
     Signal.THRUST_SETPOINT: ("thrust", 1, 1.0),
     Signal.HEIGHT: ("height", 1, 2.0),
-    Signal.VOLTAGE: ("voltage", 1, 10.0),
     Signal.ARMED: ("armed", 1, math.inf),
     Signal.VIBRATION: ("vibration", 3, 1.0),
     Signal.ACTUATOR: ("actuator", 0, 1.0),
@@ -54,13 +53,15 @@ SIGNALS = {
 STREAMS = tuple(SIGNALS)
 USED = frozenset(STREAMS)
 PLACES = {signal: place for place, signal in enumerate(STREAMS)}
-GYRO, SETPOINT, ATTITUDE, THRUST, OUTPUTS, SPEEDS = 0, 1, 5, 6, 11, 12  # the last two have as many columns as come
+GYRO, SETPOINT, ATTITUDE, THRUST, OUTPUTS, SPEEDS = 0, 1, 5, 6, 10, 11  # the last two have as many columns as come
 NAMES, WIDTHS, REACHES_S = zip(*SIGNALS.values(), strict=True)
 FIRST = np.cumsum((0, *WIDTHS[:-1]))  # row of x that each signal's columns begin with; speeds stand behind the outputs
 COLUMNS: dict[str, Any] = {
     name: int(at) if width == 1 else slice(at, at + width) for name, at, width in zip(NAMES, FIRST, WIDTHS, strict=True)
 } | {"rate": slice(0, 3), "doubt": 3}
 
+SETTLE_GAP_S, SETTLE_START_S = 0.3, 1.0  # what is not used after a longer gap, and after a start or a break
+BREAK_S = 1.0  # longest gap within a segment; how long a row waits for a set-point
 NEVER_NS = 2**62
 ORDER_NS = 5 * NS_PER_MS  # our choice
 CALM_NS = 10 * NS_PER_S  # after a late sample, until the link counts as orderly again (our choice)
@@ -173,31 +174,24 @@ class AlignState:
 class AlignSpec:
     """Grid and limits; all spans in seconds of the vehicle's clock. Raises InputError on an impossible period.
 
-    max_gap_s: longest gap of gyro and set-point that is interpolated. settle_gap_s, settle_start_s: what is not used
-    after a longer gap, and after a start or a break. break_s: longest gap within a segment; how long a row waits for a
-    set-point. reorder_s: how late a sample may come. quality: what healthy flights showed of the link.
+    max_gap_s: longest gap of gyro and set-point that is interpolated. quality: what healthy flights showed of the link.
     """
 
     dt_s: float
     grid: Grid = Grid.NATIVE
     max_gap_s: float = 0.035
-    settle_gap_s: float = 0.3
-    settle_start_s: float = 1.0
-    break_s: float = 1.0
-    reorder_s: float = 0.05
     quality: LinkQuality = field(default_factory=LinkQuality)
 
     def __post_init__(self) -> None:
-        if not 0 < self.dt_s < self.break_s:
-            raise InputError(f"sample time {self.dt_s} s must lie between 0 and {self.break_s} s")
+        if not 0 < self.dt_s < BREAK_S:
+            raise InputError(f"sample time {self.dt_s} s must lie between 0 and {BREAK_S} s")
 
     @cached_property
     def limits_ns(self) -> list[int]:
         """How far samples reach, for each stream; then `BREAK` ... [ns]."""
         usable_s = max(self.max_gap_s, (min(MOST_LOST, GLITCH_S / self.dt_s) + 1.2) * self.dt_s)  # what a glitch leaves
         reach_s = [max(span_s, usable_s) if place < THRUST else span_s for place, span_s in enumerate(REACHES_S)]
-        settling = (self.break_s, self.reorder_s, usable_s, self.settle_gap_s, self.settle_start_s)
-        spans_s = [self.break_s, self.break_s, *reach_s[2:], *settling]
+        spans_s = [BREAK_S, BREAK_S, *reach_s[2:], BREAK_S, REORDER_S, usable_s, SETTLE_GAP_S, SETTLE_START_S]
         return [NEVER_NS if span_s == math.inf else round(span_s * NS_PER_S) for span_s in spans_s]
 
     def start(self) -> AlignState:
@@ -271,7 +265,6 @@ def _widened(table: NDArray[Any], width: int) -> NDArray[Any]:
 
 @allocating
 def _middle(steps: IntArray) -> int:
-    """The lower middle one."""
     middle = (len(steps) - 1) // 2
     return int(np.partition(steps, middle)[middle])
 
@@ -391,7 +384,7 @@ def _whole_ns(s: Streams, place: int, since_ns: int, most_ns: float) -> int:
 def _horizon(s: Streams, hurries: bool, dt_ns: float) -> int:
     """Rows up to here are complete: every sample that they need has come, or cannot come any more.
 
-    All samples up to `safe` have come. If only the gyro stops, the time of the others shows it after `break_s`.
+    All samples up to `safe` have come. If only the gyro stops, the time of the others shows it after `BREAK_S`.
     """
     gyro_ns = s.marks[GYRO, NEWEST]
     if gyro_ns == -NEVER_NS:
@@ -457,7 +450,6 @@ def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool) -> tuple[Int
 
 @inline
 def _turn(before: float, after: float) -> float:
-    """Full turns that a step of an angle jumps by."""
     step = after - before
     return 0.0 if abs(step) <= math.pi else float(-np.round(step / TURN))
 
@@ -476,7 +468,6 @@ def _behind(s: Streams, place: int, at: int, row_ns: int) -> int:
 
 @jit
 def _settle(s: Streams, place: int, at: int) -> None:
-    """Leave out the samples before this one."""
     if at > s.marks[place, LO]:
         s.marks[place, LO], s.marks[place, FLOOR] = at, s.times[place][at]
 

@@ -39,7 +39,6 @@ class Block:
     thrust: FloatArray
     attitude: FloatArray
     height: FloatArray
-    voltage: FloatArray
     armed: FloatArray
     vibration: FloatArray
     actuator: FloatArray

@@ -8,7 +8,7 @@ import numpy as np
 
 from mavdiag.rows.align import NEVER_NS, AlignSpec, AlignState
 from mavdiag.rows.block import Block, in_rotor_order
-from mavdiag.rows.gate import Border, GateSpec, GateState, hidden_flight
+from mavdiag.rows.gate import Border, GateSpec, GateState
 from mavdiag.rows.rates import RateBlock, RateSpec, RateState
 from mavdiag.telemetry import IntArray, Series, Signal, Telemetry
 
@@ -93,8 +93,7 @@ def in_pieces(telemetry: Telemetry, most: int) -> Iterator[Telemetry]:
     edges = np.empty(0, dtype=np.int64) if gyro is None else gyro[most::most]
     cuts = [[0, *t_ns.searchsorted(edges).tolist(), len(t_ns)] for t_ns in times]
     for bounds in zip(*map(itertools.pairwise, cuts), strict=True):
-        parts = [(one, slice(*ends)) for one, ends in zip(telemetry, bounds, strict=True)]
-        yield Telemetry(tuple(Series(one.signal, one.t_ns[at], one.host_ns[at], one.values[at]) for one, at in parts))
+        yield Telemetry(tuple(one.where(slice(*ends)) for one, ends in zip(telemetry, bounds, strict=True)))
 
 
 def _usual_times(t_ns: IntArray) -> IntArray:
@@ -113,4 +112,3 @@ def warm() -> None:
     telemetry = Telemetry((Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((100, 3))),))
     front = Front(AlignSpec(0.01), GateSpec(), RateSpec.of(0.01, 5))
     front.step(front.start(), telemetry)
-    hidden_flight(telemetry, front.gate, front.align.quality, [(0, 0)])

@@ -30,7 +30,7 @@ QUIET_S = 1.0  # spikes of a touch-down end 0.8 s after height or thrust is low 
 BACK_S = 0.5  # a touch-down's blips of thrust last up to 0.2 s (recorded ArduCopter; our choice)
 CALM_S = 0.5  # of a touch-down whose QUIET_S the data did not wait for (our choice)
 LOUD_S = 0.1  # so that one wrong sample decides nothing (our choice)
-START_NS = NS_PER_S  # of any data no row is valid yet (`AlignSpec.settle_start_s`)
+START_NS = NS_PER_S  # of any data no row is valid yet (`align.SETTLE_START_S`)
 SHAKE_S = 0.5  # of one figure of the noise (our choice)
 THRUST_LOST_NS = 2 * NS_PER_S  # a thrust that was known and is not for longer is lost (our choice)
 HIDDEN_S = 3.0  # shorter stretches may be a touch-down, or motors that run down (our choice)
@@ -270,17 +270,17 @@ def hidden_flight(
     ):
         return ()  # nor with what flew in between
     telemetry = believed(quality, Telemetry(tuple(shows)))
-    tallies = {one.signal: _tally(one) for one in telemetry}
-    bins: IntArray = np.unique(np.concatenate([np.empty(0, np.int64), *(numbers for numbers, _ in tallies.values())]))
+    numbers = (one.t_ns // HIDDEN_BIN_NS for one in telemetry)
+    changes = (number[np.append(True, number[1:] != number[:-1])] for number in numbers if len(number))
+    bins: IntArray = np.unique(np.concatenate([np.empty(0, np.int64), *changes]))
     bins = bins[bins > spans[0][0] // HIDDEN_BIN_NS] if spans else bins[:0]
     if not len(bins):
         return ()
     flown = np.zeros(len(bins), dtype=np.bool_)
     for first, last in spans:
         flown |= (bins >= first // HIDDEN_BIN_NS) & (bins <= last // HIDDEN_BIN_NS)
-    sums = {signal: _gathered(*tallies[signal], bins) if signal in tallies else None for signal in SHOWS_FLIGHT}
-    thrust, outputs, height = (_mean(sums[signal], HELD_BINS, len(bins)) for signal in SHOWS_FLIGHT[1:4])
-    armed, motion = _mean(sums[Signal.ARMED], len(bins), len(bins)), _motion(sums[Signal.BODY_RATE], len(bins))
+    thrust, outputs, height = (_mean(telemetry.get(signal), bins, HELD_BINS) for signal in SHOWS_FLIGHT[1:4])
+    armed, motion = _mean(telemetry.get(Signal.ARMED), bins, len(bins)), _motion(telemetry.get(Signal.BODY_RATE), bins)
     dead, moves = ~np.isfinite(motion), motion >= FLIES * _median(motion[flown])
     down = outputs < FLIES * _median(outputs[flown])
     low = thrust < (gate.min_thrust or 0.0)
@@ -302,61 +302,36 @@ def hidden_flight(
     return tuple(sorted(found, key=lambda one: one.begin_s))
 
 
-def _tally(series: Series) -> tuple[IntArray, FloatArray]:
-    """Numbers of the bins of a signal, one may come again, and the sums of `_tally_runs` in each."""
-    runs = 1 + int(np.count_nonzero(np.diff(series.t_ns // HIDDEN_BIN_NS)))
-    numbers, sums = np.empty(runs, dtype=np.int64), np.zeros((runs, 7))
-    _tally_runs(series.t_ns, series.values, numbers, sums)
-    return numbers, sums
+def _summed(series: Series, bins: IntArray, *columns: FloatArray) -> list[FloatArray]:
+    """(bins,) sums of each of some columns (n,) beside a series."""
+    number = series.t_ns // HIDDEN_BIN_NS
+    place = bins.searchsorted(number).clip(0, len(bins) - 1)
+    inside = bins[place] == number
+    return [np.asarray(np.bincount(place[inside], column[inside], len(bins)), np.float64) for column in columns]
 
 
-@cached_loop
-def _tally_runs(t_ns: IntArray, values: FloatArray, bins: IntArray, sums: FloatArray) -> None:
-    """Number and sum of all values that are known; then stamps, and of the first three columns squares and sums."""
-    run, last = -1, 0
-    for i in range(len(t_ns)):
-        number = t_ns[i] // HIDDEN_BIN_NS
-        if i == 0 or number != last:
-            run, last = run + 1, number
-            bins[run] = number
-        for column in range(values.shape[1]):
-            value = values[i, column]
-            if np.isfinite(value):
-                sums[run, 0] += 1.0
-                sums[run, 1] += value
-        if i == 0 or t_ns[i] != t_ns[i - 1]:
-            sums[run, 2] += 1.0
-            for column in range(min(values.shape[1], 3)):
-                sums[run, 3] += values[i, column] ** 2
-                sums[run, 4 + column] += values[i, column]
+def _mean(series: Series | None, bins: IntArray, most: int) -> FloatArray:
+    """(bins,) mean of the finite values of each bin, else the last known one, for so many bins; else nan."""
+    if series is None:
+        return np.full(len(bins), np.nan)
+    finite = np.isfinite(series.values)
+    values = np.where(finite, series.values, 0.0)
+    count, total = _summed(series, bins, finite.sum(axis=1, dtype=np.float64), values.sum(axis=1))
+    number = np.arange(len(bins))
+    place = np.maximum.accumulate(np.where(count > 0, number, -1))
+    return np.where((place >= 0) & (number - place <= most), (total / np.maximum(count, 1.0))[place], np.nan)
 
 
-def _gathered(numbers: IntArray, sums: FloatArray, bins: IntArray) -> FloatArray:
-    """(bins, 7) sums of all runs in each bin."""
-    found, place = np.zeros((len(bins), 7)), bins.searchsorted(numbers).clip(0, len(bins) - 1)
-    inside = bins[place] == numbers
-    np.add.at(found, place[inside], sums[inside])
-    return found
-
-
-def _mean(sums: FloatArray | None, most: int, count: int) -> FloatArray:
-    """(count,) mean of the finite values of each bin, else the last known one, for so many bins; else nan."""
-    if sums is None:
-        return np.full(count, np.nan)
-    known, number = sums[:, 0] > 0, np.arange(count)
-    place = np.maximum.accumulate(np.where(known, number, -1))
-    means = sums[:, 1] / np.maximum(sums[:, 0], 1.0)
-    return np.where((place >= 0) & (number - place <= most), means[place], np.nan)
-
-
-def _motion(sums: FloatArray | None, count: int) -> FloatArray:
-    """(count,) standard deviation of the body rates, nan where the gyro has no two stamps [rad/s]."""
-    motion = np.full(count, np.nan)
-    if sums is not None:
-        several = sums[:, 2] > 1
-        means = sums[several, 3:] / sums[several, 2:3]
-        motion[several] = np.sqrt(np.maximum(means[:, 0] - np.square(means[:, 1:]).sum(axis=1), 0.0) / 3.0)
-    return motion
+def _motion(gyro: Series | None, bins: IntArray) -> FloatArray:
+    """(bins,) standard deviation of the body rates, nan where the gyro has no two stamps [rad/s]."""
+    if gyro is None:
+        return np.full(len(bins), np.nan)
+    once = gyro.where(np.append(True, gyro.t_ns[1:] != gyro.t_ns[:-1]))
+    rates = once.values[:, :3].T
+    count, *sums = _summed(once, bins, np.ones(len(once)), np.square(rates).sum(axis=0), *rates)
+    square, *means = (total / np.maximum(count, 1.0) for total in sums)
+    variance = np.maximum(square - np.square(means).sum(axis=0), 0.0) / 3.0
+    return np.where(count > 1, np.sqrt(variance), np.nan)
 
 
 def _median(values: FloatArray) -> float:

@@ -331,7 +331,6 @@ def _scatter(s: Samples, jitter: float, span_ns: int) -> float:
 
 @jit
 def _believe(s: Samples, first: int, stop: int) -> None:
-    """Remember the last of some samples, and its slope."""
     i, several = stop - 1, stop - 1 > first
     span_ns = s.t_ns[i] - (s.t_ns[i - 1] if several else s.counts[LAST_NS])
     share = 1.0 / span_ns if span_ns != 0 and s.rule[LEADING] else 0.0
@@ -547,14 +546,14 @@ def _between(series: Series, first_ns: int, last_ns: int) -> Series:
     for column in series.values.T:
         wrong |= (np.abs(column) > most) | (np.isnan(column) & finite)
     if wrong.any():
-        series = Series(series.signal, series.t_ns[~wrong], series.host_ns[~wrong], series.values[~wrong])
+        series = series.where(~wrong)
     t_ns = series.t_ns
     if np.all(t_ns[1:] > t_ns[:-1]):  # a part of the same memory
         at: IntArray | slice = slice(int(t_ns.searchsorted(first_ns)), int(t_ns.searchsorted(last_ns, side="right")))
     else:
         t_ns, order = np.unique(t_ns, return_index=True)
         at = order[(t_ns >= first_ns) & (t_ns <= last_ns)]
-    return Series(series.signal, series.t_ns[at], series.host_ns[at], series.values[at])
+    return series.where(at)
 
 
 def _watched(habit: Habit, series: Series) -> tuple[FloatArray, IntArray]:
@@ -563,8 +562,7 @@ def _watched(habit: Habit, series: Series) -> tuple[FloatArray, IntArray]:
     rule = LinkQuality(habits=(habit,)).rule(series.signal, columns)
     memory, seen = Memory(columns), np.zeros(columns + 3)
     for first in range(0, len(series), PIECE):
-        at = slice(first, first + PIECE)
-        _looked(rule, memory, Series(series.signal, series.t_ns[at], series.host_ns[at], series.values[at]), seen, runs)
+        _looked(rule, memory, series.where(slice(first, first + PIECE)), seen, runs)
     return seen, runs[: memory.counts[TRACED]]
 
 

@@ -118,7 +118,6 @@ def _finite(value: float) -> float:
 
 @jit
 def _move_on(mem: FloatArray, signal: int, newest: float, place: int, window: int, anew: bool) -> None:
-    """Take the newest row of a signal into its moments."""
     m, at, history = window // 2, 3 * signal, HISTORY + signal * window
     oldest = _finite(mem[history + place])
     mem[history + place] = newest

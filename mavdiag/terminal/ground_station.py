@@ -10,7 +10,7 @@ from mavdiag.decision.diagnosis import Change, Diagnosis
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.judging import why_not
 from mavdiag.kernel import Gauge, Piece
-from mavdiag.link.codec import Decoder, Encoder, Frame, decode_statustext, field_index
+from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
 from mavdiag.link.ports import Endpoint, wait
 from mavdiag.link.sequence import LinkCount, Source
@@ -181,9 +181,8 @@ class GroundStation:
             case Component.AUTOPILOT1, MessageId.ATTITUDE:
                 self._times[frame.sysid] = float(str(frame.fields[_BOOT_MS])) / 1e3
             case Component.ONBOARD_COMPUTER, MessageId.STATUSTEXT:
-                text = decode_statustext(frame)
-                t_s = self._times.get(frame.sysid, 0.0)
-                self.texts.append(ReceivedText(text.severity, printable(text.text), t_s))
+                (severity,), t_s = frame.numbers("severity"), self._times.get(frame.sysid, 0.0)
+                self.texts.append(ReceivedText(severity, printable(frame.text("text")), t_s))
                 fresh.append(self.texts[-1])
                 del self.texts[:-TEXTS]
             case Component.ONBOARD_COMPUTER, MessageId.NAMED_VALUE_FLOAT if self.shown in (None, frame.sysid):

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.errors import UsageError
-from mavdiag.link.codec import Frame, field_index
+from mavdiag.link.codec import Frame
 from mavdiag.link.messages import MavResult, MessageId
-from mavdiag.link.profiles import PROFILES, Profile, Stamp, profile_named
+from mavdiag.link.profiles import PROFILES, Profile, profile_named
 from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.wire import Action, Reply, integer, number
 from sitl_plant.vehicle import Vehicle, airframe_of
@@ -79,12 +79,12 @@ class Parameters:
     def read(self, link: int, frame: Frame) -> list[Action]:
         """The answer to PARAM_REQUEST_READ, by index or by name; nothing for an unknown one."""
         index = integer(frame, "param_index")
-        names = [_name(frame)] if index < 0 else list(self._rows)[index : index + 1]
+        names = [frame.text("param_id")] if index < 0 else list(self._rows)[index : index + 1]
         return self._told(link, *names)
 
     def set(self, link: int, frame: Frame) -> list[Action]:
         """The answer to PARAM_SET; nothing for an unknown name."""
-        name, value = _name(frame), number(frame, "param_value")
+        name, value = frame.text("param_id"), number(frame, "param_value")
         if name in self._rows:
             kind = self._rows[name].kind
             if self._bytewise and kind is not Kind.REAL32:
@@ -101,11 +101,6 @@ class Parameters:
         if self._bytewise and row.kind is not Kind.REAL32:
             value = struct.unpack("<f", struct.pack("<i", round(value)))[0]
         return [Reply(link, MessageId.PARAM_VALUE, (name, value, row.kind, len(self._rows), place))]
-
-
-def _name(frame: Frame) -> str:
-    value = frame.fields[field_index(frame.msgid, "param_id")]
-    return value.partition(b"\0")[0].decode(errors="replace") if isinstance(value, bytes) else ""
 
 
 OWN_PARAMETERS = (
@@ -213,10 +208,6 @@ class Dialect:
     attained_hz: float | None = None  # a rate above this is granted, and comes at this one; None if every rate is met
     esc: Esc | None = None  # None: the speeds are told as they are
     sysid: int = 1  # system id of the vehicle, 1 to 255
-
-    def __post_init__(self) -> None:
-        if (self.send_delay_s > 0.0) != (self.profile.stamp is Stamp.SEND):
-            raise UsageError(f"dialect {self.profile.name}: a sending delay belongs to stamps of the sending time")
 
     def rates_hz(self, rate_hz: float | None, rotors: int = 4) -> dict[int, float]:
         """The rate of every message [Hz]. Raises UsageError for a rate that is not granted.

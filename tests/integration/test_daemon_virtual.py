@@ -12,7 +12,7 @@ from memory_port import MemoryEndpoint
 from detector.config import Settings, VehicleSettings
 from detector.fleet import Turn
 from detector.notify import Notifier
-from mavdiag.link.codec import Encoder, Frame, decode_statustext, field_index
+from mavdiag.link.codec import Encoder, Frame, field_index
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, Severity
 from mavdiag.logs.tlog import read_tlog
 from mavdiag.telemetry import Instant, Signal
@@ -41,7 +41,7 @@ def of(frames: list[Frame], message: MessageId) -> list[Frame]:
 
 
 def texts(frames: list[Frame]) -> list[str]:
-    return [decode_statustext(frame).text for frame in of(frames, MessageId.STATUSTEXT)]
+    return [frame.text("text") for frame in of(frames, MessageId.STATUSTEXT)]
 
 
 def figure(frame: Frame) -> tuple[str, float]:
@@ -125,11 +125,10 @@ def test_a_fault_is_on_the_wire_as_text_and_as_figures(benches: Benches) -> None
     vehicle.turning = 0.5
     bench.run(3.0)
     frames = received(bench.far)
-    said = [decode_statustext(frame) for frame in of(frames, MessageId.STATUSTEXT)]
+    said = of(frames, MessageId.STATUSTEXT)
     # This baseline has no monitor of sensors, so nothing is waited for.
-    assert [one.severity for one in said] == [Severity.CRITICAL]
-    assert said[0].text == "PROP FAULT roll attitude unlike the model"
-    assert {one.chunk_id for one in said} == {0}
+    assert [one.numbers("severity", "id") for one in said] == [(Severity.CRITICAL, 0)]
+    assert said[0].text("text") == "PROP FAULT roll attitude unlike the model"
     figures = dict(figure(frame) for frame in of(frames, MessageId.NAMED_VALUE_FLOAT))
     assert set(figures) == {"PF_RES", "PF_MARG", "PF_FSD", "PF_FML"}
     assert figures["PF_RES"] == pytest.approx(0.5, abs=0.05)
@@ -178,7 +177,6 @@ def test_timesync_is_asked_rarely_and_answered(benches: Benches) -> None:
     assert answer.fields[place] == 4711
     [figures] = bench.daemon.fleet.figures()
     assert figures.timesync.round_trip_s is not None
-    assert figures.timesync.offset_s is not None
 
 
 def test_a_question_is_answered_in_the_next_look_whenever_the_vehicle_has_its_turn(benches: Benches) -> None:

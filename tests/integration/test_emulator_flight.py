@@ -7,7 +7,7 @@ from contextlib import ExitStack
 import pytest
 from memory_port import MemoryEndpoint, memory_pair
 
-from mavdiag.link.codec import Decoder, Encoder, Frame, decode_statustext
+from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import MessageId, Severity
 from sitl_plant.autopilot.dialect import DIALECTS
 from sitl_plant.emulator import FlightReport, Link, fly
@@ -78,7 +78,7 @@ def test_an_alert_is_passed_on_in_its_senders_name(table: tuple[list[Link], list
     companion.say(*(companion.encoder.statustext(Severity.CRITICAL, f"PROP FAULT r{rotor}") for rotor in (1, 2)))
     flown(links, 0.5)
     passed = [frame for frame in station.hear() if frame.compid == 191]
-    assert [decode_statustext(frame).text for frame in passed] == ["PROP FAULT r1", "PROP FAULT r2"]
+    assert [frame.text("text") for frame in passed] == ["PROP FAULT r1", "PROP FAULT r2"]
     assert station.decoder.senders[1, 191].lost == 0
     assert not [frame for frame in companion.hear() if frame.compid == 191]
     assert [frame.sysid for frame in companion.frames if frame.sysid == 255] == []  # heard before the companion was

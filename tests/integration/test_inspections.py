@@ -18,7 +18,7 @@ from mavdiag.decision.alarm import NOTHING_SEEN
 from mavdiag.decision.diagnosis import Change, RotorSpan, Stage
 from mavdiag.errors import UsageError
 from mavdiag.inspections import Inspections
-from mavdiag.link.codec import Encoder, decode_statustext
+from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.monitors.base import FaultKind
 
@@ -56,7 +56,7 @@ def benches(tmp_path: Path) -> Iterator[Benches]:
 
 
 def texts(bench: Bench) -> list[str]:
-    return [decode_statustext(one).text for one in of(received(bench.behind[0]), MessageId.STATUSTEXT)]
+    return [one.text("text") for one in of(received(bench.behind[0]), MessageId.STATUSTEXT)]
 
 
 def flown(bench: Bench, *, faulty: bool) -> Bench:

@@ -31,7 +31,7 @@ from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.samples import SampleDecoder, SampleState
 from mavdiag.monitors.rotor_trim import TICK_S
-from mavdiag.telemetry import Axis, FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import Axis, FloatArray, IntArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 SAMPLES, DAY_NS = 3000, 86_400 * NS_PER_S
@@ -200,7 +200,7 @@ def test_clock_a_day_on(name: str) -> None:
 def halved(telemetry: Telemetry) -> Telemetry:
     """Every second sample of the outputs, which hold in between."""
     outputs = telemetry.need(Signal.ACTUATOR)
-    half = Series(outputs.signal, outputs.t_ns[::2], outputs.host_ns[::2], outputs.values[::2])
+    half = outputs.where(slice(None, None, 2))
     return Telemetry(tuple(half if one is outputs else one for one in telemetry))
 
 

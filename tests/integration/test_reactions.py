@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from detector.config import Settings
 from mavdiag.cli import app
 from mavdiag.inspections import Inspections
-from mavdiag.link.codec import Encoder, Frame, decode_statustext
+from mavdiag.link.codec import Encoder, Frame
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
 
 LOITER = 5
@@ -88,8 +88,8 @@ def test_a_fault_brings_one_command_to_the_autopilot_and_every_step_is_in_the_jo
         ["announced -> asked", "its time has come"],
         ["asked -> over", "the autopilot took it"],
     ]
-    said = [decode_statustext(one) for one in of(received(bench.behind[0]), MessageId.STATUSTEXT)]
-    own = [(one.severity, one.text) for one in said if "rtl" in one.text]
+    said = [one for one in of(received(bench.behind[0]), MessageId.STATUSTEXT) if "rtl" in one.text("text")]
+    own = [(*one.numbers("severity"), one.text("text")) for one in said]
     assert own == [
         (Severity.CRITICAL, "PROP rtl in 5 s unless stick/mode/ack"),
         (Severity.CRITICAL, "PROP rtl commanded: fault, rotor unknown"),

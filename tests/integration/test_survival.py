@@ -14,7 +14,6 @@ from made_vehicle import RATE_HZ, TICK_S, Bench, FakeFitter, MadeVehicle, Virtua
 
 from detector.config import Settings
 from detector.states import State
-from mavdiag.link.codec import decode_statustext
 from mavdiag.link.messages import MessageId, Severity
 
 UDP_IN = "udpin:127.0.0.1:0"
@@ -47,8 +46,8 @@ def unheard(bench: Bench, seconds: float) -> None:
 
 def alarms(bench: Bench) -> list[str]:
     """The texts of declared faults since the last time."""
-    texts = [decode_statustext(frame) for frame in received(bench.far) if frame.msgid == MessageId.STATUSTEXT]
-    return [one.text for one in texts if one.severity <= Severity.CRITICAL]
+    texts = [frame for frame in received(bench.far) if frame.msgid == MessageId.STATUSTEXT]
+    return [one.text("text") for one in texts if one.numbers("severity") <= (Severity.CRITICAL,)]
 
 
 def finds_a_fault(bench: Bench) -> bool:
@@ -94,7 +93,7 @@ def test_an_error_of_the_program_takes_one_vehicle_off_and_no_other(
     bench.run(3.0)
     states = {one.vehicle: one.state for one in bench.daemon.fleet.figures()}
     assert states == {1: State.MONITORING, 2: State.FAULTED}
-    texts = [decode_statustext(frame).text for frame in received(bench.far) if frame.msgid == MessageId.STATUSTEXT]
+    texts = [frame.text("text") for frame in received(bench.far) if frame.msgid == MessageId.STATUSTEXT]
     assert [text for text in texts if "OFF" in text] == ["PROP OFF: KeyError: internal error"]
     assert finds_a_fault(bench)
     bench.close()

@@ -33,7 +33,7 @@ def parsed(data: bytes) -> list[tuple[int, dialect.MAVLink_message]]:
 def test_counts_and_values_equal_pymavlink() -> None:
     (path,) = [p for p in recordings() if p.name == "healthy_jsonplant2_sq1.tlog"]
     messages = parsed(path.read_bytes())
-    content = decode_tlog(path.read_bytes())
+    content = decode_tlog([path.read_bytes()])
     counts = dict.fromkeys(content.senders[1, 1].by_message, 0)
     for _, message in messages:
         counts[message.get_msgId()] += 1

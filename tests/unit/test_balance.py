@@ -10,9 +10,7 @@ from mavdiag.airframe.balance import (
     Grade,
     assess_unbalance,
     grade_named,
-    permissible_specific_um,
     permissible_unbalance_g_mm,
-    unbalance_force_n,
     unbalance_g_mm,
 )
 from mavdiag.airframe.propellers import PROPELLERS, DamagedPropeller
@@ -24,9 +22,11 @@ SIZES = st.floats(1e-3, 1e3)
 
 
 def test_the_worked_example_of_the_thesis() -> None:
-    assert permissible_specific_um(Grade.G6_3, SPEED_RPM) == pytest.approx(6.0, abs=0.05)
+    report = assess_unbalance(0.22, rotor_mass_g=ROTOR_G, speed_rpm=SPEED_RPM)
+    assert report.permissible_um == pytest.approx(6.0, abs=0.05)
     assert permissible_unbalance_g_mm(Grade.G6_3, SPEED_RPM, ROTOR_G) == pytest.approx(0.18, abs=0.001)
-    assert round(permissible_specific_um(Grade.G1, 1.0)) == 9549  # and not 9594
+    slow = assess_unbalance(1.0, rotor_mass_g=ROTOR_G, speed_rpm=1.0, grade=Grade.G1)
+    assert round(slow.permissible_um) == 9549  # and not 9594
 
 
 def test_the_grades_of_the_standard() -> None:
@@ -67,7 +67,7 @@ def test_nonsense_is_refused_by_name(bad: float) -> None:
     for call, words in (
         (lambda: unbalance_g_mm(bad, 1.0), "mass must be"),
         (lambda: unbalance_g_mm(1.0, bad), "radius must be"),
-        (lambda: unbalance_force_n(bad, SPEED_RPM), "unbalance must be"),
+        (lambda: assess_unbalance(bad, rotor_mass_g=ROTOR_G, speed_rpm=SPEED_RPM), "unbalance must be"),
         (lambda: assess_unbalance(1.0, rotor_mass_g=bad, speed_rpm=1.0), "rotor mass must be"),
         (lambda: assess_unbalance(1.0, rotor_mass_g=30.0, speed_rpm=bad), "speed must be"),
         (lambda: assess_unbalance(1e300, rotor_mass_g=1e-300, speed_rpm=1.0), "units"),

@@ -202,7 +202,7 @@ def made_files(monkeypatch: pytest.MonkeyPatch) -> None:
         seed = int(path.stem.removeprefix("f"))
         return flown(seed, MONDAY + DAY, reset(seed, 1600) if path.suffix == ".hover" else None)
 
-    monkeypatch.setattr("mavdiag.commands.baseline.read_part", read)
+    monkeypatch.setattr("mavdiag.commands.identify.read_part", read)
 
 
 def test_the_command_adds_flights(mavdiag: Callable[..., Ran], tmp_path: Path) -> None:

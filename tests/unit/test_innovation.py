@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from flying_telemetry import body_rates
+from made_rows import example_context
 from scipy.optimize import nnls
 from scipy.signal import lfilter
 
@@ -13,7 +14,7 @@ from mavdiag.monitors.innovation import Innovation, InnovationSpec
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import example_context, example_rows
+from mavdiag.testing import example_rows
 
 DT_S = 0.01
 

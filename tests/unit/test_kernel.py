@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_baselines import thesis, whole
 from made_flights import hard_flight
+from made_rows import rows_between
 from made_statistics import alarms_of, looked_of
 from made_telemetry import flight
 
@@ -17,7 +18,6 @@ from mavdiag.chain import Chain, chain_of
 from mavdiag.kernel import LOOK_NS, Account, Alarm, Looked, Piece, Stretch
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import IntArray
-from mavdiag.testing import rows_between
 from mavdiag.units import NS_PER_S
 
 Told = tuple[tuple[Alarm, ...], tuple[Account, ...], int, int, tuple[Stretch, ...]]

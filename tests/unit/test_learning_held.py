@@ -2,6 +2,7 @@
 
 import errno
 import gc
+import io
 import json
 import tempfile
 import weakref
@@ -138,13 +139,10 @@ def test_nothing_is_left_in_the_temporary_folder(tmp_path: Path, monkeypatch: py
 
 
 def test_a_full_disk_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Full:
-        def write(self, _: memoryview) -> int:
+    class Full(io.BytesIO):
+        def write(self, _: object) -> int:
             raise OSError(errno.ENOSPC, "No space left on device")
 
-        def close(self) -> None:
-            """Nothing to close."""
-
-    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: Full())
+    monkeypatch.setattr(tempfile, "TemporaryFile", Full)
     with Shelf(0) as shelf, pytest.raises(UsageError, match=r"No space left on device.*set TMPDIR"):
         shelf.put(ARRAYS)

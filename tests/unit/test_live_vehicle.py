@@ -10,7 +10,7 @@ from detector.values import Note
 from mavdiag.airframe.fingerprint import Figure, Fingerprint, Outcome
 from mavdiag.chain import Chain, ChainOutput, chain_of
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.telemetry import Log, Series, Telemetry
+from mavdiag.telemetry import Log, Telemetry
 
 
 def taught() -> Chain:
@@ -33,7 +33,7 @@ def between(telemetry: Telemetry, low_ns: int, high_ns: int) -> Telemetry:
     parts = []
     for one in telemetry.series:
         keep = (one.t_ns - first >= low_ns) & (one.t_ns - first < high_ns)
-        parts.append(Series(one.signal, one.t_ns[keep], one.host_ns[keep], one.values[keep]))
+        parts.append(one.where(keep))
     return Telemetry(tuple(parts))
 
 

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from flying_telemetry import body_rates
+from made_rows import example_context
 from scipy.signal import lfilter
 
 from mavdiag.airframe.layout import layout_named
@@ -20,7 +21,7 @@ from mavdiag.monitors.rotor_signature import (
 )
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import example_context, example_rows
+from mavdiag.testing import example_rows
 
 N, DT_S = 3000, 0.01
 MODEL = ((1.0, -1.6, 0.66), (0.0, 0.03, 0.03))

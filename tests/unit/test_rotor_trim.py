@@ -7,6 +7,7 @@ import pytest
 from flying_telemetry import flying, flying_rows
 from hypothesis import given
 from hypothesis import strategies as st
+from made_rows import example_context
 from made_thresholds import calibrated
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
@@ -16,7 +17,7 @@ from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, Signal, Three
-from mavdiag.testing import example_context, example_rows
+from mavdiag.testing import example_rows
 
 CALM = (0.03, 0.03, 0.01)
 

@@ -7,6 +7,7 @@ import pytest
 from flying_telemetry import flying, flying_rows
 from hypothesis import given
 from hypothesis import strategies as st
+from made_rows import example_context
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import Method
@@ -14,7 +15,7 @@ from mavdiag.identify.model import ModelRecord
 from mavdiag.monitors.run_length import RunLength, RunLengthSpec
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import Axis
-from mavdiag.testing import example_context, example_rows
+from mavdiag.testing import example_rows
 
 DT_S = 0.01
 CONTEXT = replace(example_context(), window=11)

@@ -6,12 +6,13 @@ import math
 import numpy as np
 import pytest
 from flying_telemetry import flying, flying_rows
+from made_rows import example_context, rows_between
 from made_thresholds import calibrated, held_out_scores
 
 from mavdiag.errors import IdentificationError, UsageError
 from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
 from mavdiag.rows.front import Rows
-from mavdiag.testing import example_context, example_rows, rows_between
+from mavdiag.testing import example_rows
 from mavdiag.thresholds.heldout import Flights, Scores, folds, score
 from mavdiag.thresholds.rule import DEGREES, USUAL, Prior, Threshold, threshold_of
 

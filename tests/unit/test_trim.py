@@ -37,7 +37,7 @@ def test_the_rises_are_weighted_least_squares(frame: str, shift: list[float], le
     effects: FloatArray = np.asarray(np.linalg.pinv(layout.mixing), dtype=np.float64)  # (3, rotors)
     wind = TILT_TRIM * math.hypot(*lean)
     spread = np.array([math.hypot(CALM[0], wind), math.hypot(CALM[1], wind), CALM[2]])
-    found = rises(np.array([shift]), layout, CALM, np.array([lean]))
+    found = rises(np.array([shift]), layout, (spread[0], spread[1], spread[2]))
     expected = [by_lstsq(np.array(shift), effects[:, j], spread) for j in range(layout.rotors)]
     np.testing.assert_allclose(found, [expected], rtol=1e-9, atol=1e-12)
 
@@ -71,7 +71,9 @@ def test_outputs_are_preferred_to_commands() -> None:
 def test_the_compiled_rise_is_that_of_arrays(frame: str, shift: list[float]) -> None:
     layout, both = layout_named(frame), np.array([shift])
     par = RotorTrim(RotorTrimSpec(layout=layout, source="actuator", spread=CALM)).begin(0.01).par
-    expected = rises(both[:, :3], layout, CALM, both[:, 3:])[0]
+    wind = TILT_TRIM * math.hypot(*shift[3:])
+    spread = np.array([math.hypot(CALM[0], wind), math.hypot(CALM[1], wind), CALM[2]])
+    expected = rises(both[:, :3], layout, spread)[0]
     found = [rise(par, rotor, both[0], True) for rotor in range(layout.rotors)]
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
     assert highest_rise(par, both[0], True) == max(found)

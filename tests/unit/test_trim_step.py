@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from made_rows import example_context
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.errors import IdentificationError
@@ -10,7 +11,7 @@ from mavdiag.monitors.rotor_trim import WINDOW_S
 from mavdiag.monitors.trim_step import MEMORY_S, TrimStep, TrimStepSpec
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import example_context, example_rows
+from mavdiag.testing import example_rows
 
 CALM = (0.03, 0.03, 0.01)
 LEAST = TrimStep.prior.least

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from made_rows import example_context
 
 from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import InputError
@@ -11,7 +12,7 @@ from mavdiag.monitors.base import Flights
 from mavdiag.monitors.unbalance import Unbalance, UnbalanceSpec, corner_of
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import example_context, example_rows
+from mavdiag.testing import example_rows
 
 MASS, HOVER = 1.504, 1047.2
 N = 3000

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from made_rows import example_context
 from made_thresholds import calibrated
 
 from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
-from mavdiag.testing import example_context, example_rows
+from mavdiag.testing import example_rows
 
 
 def test_the_statistic_is_the_mean_norm_of_five_seconds() -> None:

@@ -14,20 +14,19 @@ import errno
 import os
 import re
 import socket
-import time
 from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import NamedTuple, TypeAlias
 
 from mavdiag.errors import LinkError, UsageError
-from mavdiag.link.ports.base import Chunk, Clock, Endpoint, SocketAddress, Traffic, link_error, wait
+from mavdiag.link.ports.base import Chunk, Endpoint, SocketAddress, Traffic, link_error, wait
 from mavdiag.link.ports.serial import Serial
 from mavdiag.link.ports.tcp import TcpClient, TcpServer
 from mavdiag.link.ports.udp import PEER_FRESH_S, UdpIn, UdpOut
 
 __all__ = ["PEER_FRESH_S", "Chunk", "Endpoint", "SocketAddress", "Traffic", "wait"]
 
-_NetworkPort: TypeAlias = Callable[[str, socket.AddressFamily, SocketAddress, Clock], Endpoint]
+_NetworkPort: TypeAlias = Callable[[str, socket.AddressFamily, SocketAddress], Endpoint]
 _NETWORK = re.compile(r"(?P<kind>udpin|udpout|tcp|tcpin):(?P<host>\[[0-9A-Fa-f:.%\w]+\]|[^:\[\]\s]+):(?P<port>\d{1,5})")
 _SERIAL = re.compile(r"(?P<device>/[^,\s]+),(?P<baud>[1-9]\d{0,7})")
 
@@ -82,18 +81,18 @@ def check_address(address: str) -> None:
         raise link_error(address, OSError(errno.EACCES if there else errno.ENOENT, ""))
 
 
-def open_endpoint(address: str, *, clock: Clock = time.monotonic_ns, absent_ok: bool = False) -> Endpoint:
+def open_endpoint(address: str, *, absent_ok: bool = False) -> Endpoint:
     """Open one end of a link.
 
-    clock: the host clock that stamps what is received [ns]. absent_ok: whether a serial device may come later.
+    absent_ok: whether a serial device may come later.
     Raises UsageError for a malformed address; LinkError for a busy port, an unknown host, a missing device or a missing
     right. An absent peer is no error.
     """
     parsed = parse_address(address)
     if parsed.kind is Kind.SERIAL:
-        return Serial(address, parsed.place, parsed.number, clock, absent_ok=absent_ok)
+        return Serial(address, parsed.place, parsed.number, absent_ok=absent_ok)
     port, kind = _PORTS[parsed.kind]
-    return port(address, *_resolve(address, parsed, kind), clock)
+    return port(address, *_resolve(address, parsed, kind))
 
 
 _PORTS: Mapping[Kind, tuple[_NetworkPort, socket.SocketKind]] = {

@@ -17,7 +17,6 @@ from typing import TypeAlias
 from mavdiag.errors import LinkError
 
 Chunk: TypeAlias = tuple[bytes, int]  # the bytes as they came, and the host clock [ns] when they were read
-Clock: TypeAlias = Callable[[], int]  # the host clock [ns]
 SocketAddress: TypeAlias = tuple[str | int | bytes, ...]  # as the socket module resolves it
 
 # An endpoint that lost its peer or device looks for it, while it is polled: after the first time, then after twice as
@@ -67,8 +66,8 @@ class Endpoint(AbstractContextManager["Endpoint"]):
     datagrams = False
     sources: Sequence[SocketAddress] = ()
 
-    def __init__(self, address: str, clock: Clock) -> None:
-        self.address, self._clock, self._count = address, clock, Traffic()
+    def __init__(self, address: str) -> None:
+        self.address, self._count = address, Traffic()
         self._trust: Sequence[SocketAddress] = ()
         self._alone = False
 
@@ -163,8 +162,8 @@ class Stream:
 class Reconnecting(Endpoint):
     """One stream that is opened again, while it is polled, after it has ended: see `RETRY_S`."""
 
-    def __init__(self, address: str, clock: Clock) -> None:
-        super().__init__(address, clock)
+    def __init__(self, address: str) -> None:
+        super().__init__(address)
         self._stream: Stream | None = None
         self._retry_at = 0.0  # monotonic clock [s]; infinite once closed
         self._opened_at, self._pause_s = 0.0, RETRY_S
@@ -203,7 +202,6 @@ class Reconnecting(Endpoint):
         self._stream = None
 
     def _wait(self) -> None:
-        """Set the time of the next try."""
         now = time.monotonic()
         if self._stream is not None and now - self._opened_at > RETRY_MAX_S:
             self._pause_s = RETRY_S
@@ -223,7 +221,7 @@ class Reconnecting(Endpoint):
             if data is None:
                 self._hang_up()
             elif data:
-                chunks.append((data, self._clock()))
+                chunks.append((data, time.monotonic_ns()))
             else:
                 break
         return chunks

@@ -2,7 +2,7 @@
 
 import serial
 
-from mavdiag.link.ports.base import Clock, Reconnecting, Stream, link_error
+from mavdiag.link.ports.base import Reconnecting, Stream, link_error
 
 
 class Serial(Reconnecting):
@@ -11,8 +11,8 @@ class Serial(Reconnecting):
     absent_ok: whether it may come later. Raises LinkError if it cannot be opened at first and may not.
     """
 
-    def __init__(self, address: str, device: str, baud: int, clock: Clock, *, absent_ok: bool = False) -> None:
-        super().__init__(address, clock)
+    def __init__(self, address: str, device: str, baud: int, *, absent_ok: bool = False) -> None:
+        super().__init__(address)
         self._device, self._baud = device, baud
         try:
             self._begin()

@@ -4,7 +4,7 @@ import socket
 import time
 
 from mavdiag.link.codec import Decoder, split_frames
-from mavdiag.link.ports.base import Chunk, Clock, Endpoint, Reconnecting, SocketAddress, Stream, link_error
+from mavdiag.link.ports.base import Chunk, Endpoint, Reconnecting, SocketAddress, Stream, link_error
 
 CLIENTS_MAX = 16  # of a server: for a further one an idle one makes room, else that one is turned away
 IDLE_S = 5.0  # without a frame, before a client may have to make room (our choice)
@@ -16,8 +16,8 @@ _DEAD_MS = 10_000  # a peer that acknowledges nothing for so long is gone
 class TcpClient(Reconnecting):
     """Connects to one server, and again whenever the connection ends. An absent server is no error."""
 
-    def __init__(self, address: str, family: socket.AddressFamily, remote: SocketAddress, clock: Clock) -> None:
-        super().__init__(address, clock)
+    def __init__(self, address: str, family: socket.AddressFamily, remote: SocketAddress) -> None:
+        super().__init__(address)
         self._family, self._remote = family, remote
         self._link: socket.socket | None = None
         self._drain()
@@ -38,8 +38,6 @@ class TcpClient(Reconnecting):
 
 
 class _Client(Stream):
-    """One client of a server."""
-
     def __init__(self, link: socket.socket, name: SocketAddress) -> None:
         super().__init__(link.fileno(), link.close)
         self.name, self.heard_s = name, time.monotonic()  # its address; when its last frame came, or it did
@@ -69,8 +67,8 @@ class _Client(Stream):
 class TcpServer(Endpoint):
     """Accepts up to `CLIENTS_MAX` clients; sends to all, and receives of all, cut between their frames."""
 
-    def __init__(self, address: str, family: socket.AddressFamily, local: SocketAddress, clock: Clock) -> None:
-        super().__init__(address, clock)
+    def __init__(self, address: str, family: socket.AddressFamily, local: SocketAddress) -> None:
+        super().__init__(address)
         self._listener = _tcp_socket(family)
         self._clients: list[_Client] = []
         try:
@@ -123,7 +121,7 @@ class TcpServer(Endpoint):
                 self._count.turned_away += client.stuffed
                 self._hang_up(client)
             elif data:
-                chunks.append((data, self._clock()))
+                chunks.append((data, time.monotonic_ns()))
                 sources.append(client.name)
         self.sources = sources
         return chunks

@@ -19,7 +19,7 @@ from itertools import repeat
 
 import numpy as np
 
-from mavdiag.link.ports.base import Chunk, Clock, Endpoint, SocketAddress, link_error
+from mavdiag.link.ports.base import Chunk, Endpoint, SocketAddress, link_error
 
 PEERS_MAX = 32  # peers that udpin answers; a further one is received but not answered while all of these are fresh
 PEER_FRESH_S = 10.0  # a peer that was silent for so long is forgotten
@@ -88,8 +88,8 @@ class _Udp(Endpoint):
 
     datagrams = True
 
-    def __init__(self, address: str, family: socket.AddressFamily, clock: Clock) -> None:
-        super().__init__(address, clock)
+    def __init__(self, address: str, family: socket.AddressFamily) -> None:
+        super().__init__(address)
         self._socket, self._mail = _udp_socket(family), _Mailbag()
         self._lost: dict[int, int] = {}  # datagrams that the system threw away, by descriptor
 
@@ -119,7 +119,7 @@ class _Udp(Endpoint):
         try:
             while units >= 1.0:
                 taken, peers = self._mail.take(link.fileno(), int(units))
-                chunks += zip(taken, repeat(self._clock()))
+                chunks += zip(taken, repeat(time.monotonic_ns()))
                 self._note_senders(dict.fromkeys(peers))
                 sources += peers
                 units -= len(taken) + sum(map(len, taken)) // UNIT_BYTES
@@ -144,8 +144,8 @@ class _Udp(Endpoint):
 class UdpIn(_Udp):
     """Listens on one port and answers the peers that sent: at most `PEERS_MAX`, each for `PEER_FRESH_S` of silence."""
 
-    def __init__(self, address: str, family: socket.AddressFamily, local: SocketAddress, clock: Clock) -> None:
-        super().__init__(address, family, clock)
+    def __init__(self, address: str, family: socket.AddressFamily, local: SocketAddress) -> None:
+        super().__init__(address, family)
         self._peers: dict[SocketAddress, float] = {}  # when each sent last [s], monotonic clock
         self._trusted: dict[SocketAddress, socket.socket] = {}
         self._before = 0  # bytes that may wait in the common socket of a peer that has got its own since
@@ -231,8 +231,8 @@ class UdpIn(_Udp):
 class UdpOut(_Udp):
     """Talks to one peer. An absent peer is no error: what its host refuses is counted as dropped."""
 
-    def __init__(self, address: str, family: socket.AddressFamily, remote: SocketAddress, clock: Clock) -> None:
-        super().__init__(address, family, clock)
+    def __init__(self, address: str, family: socket.AddressFamily, remote: SocketAddress) -> None:
+        super().__init__(address, family)
         self._answered = True
         self._attach(self._socket.connect, remote)
 
@@ -270,7 +270,6 @@ def _account(link: socket.socket) -> tuple[int, ...]:
 
 
 def _udp_socket(family: socket.AddressFamily) -> socket.socket:
-    """A socket that never waits, with a large buffer."""
     link = socket.socket(family, socket.SOCK_DGRAM)
     link.setblocking(False)
     try:
