@@ -1,71 +1,127 @@
 """Pages as people see them: `PYTHONPATH=tests python benchmarks/screenshots.py [FOLDER]`, else build/screenshots.
 
-Reports of a flight, a healthy flight, a folder and a campaign in Chromium: 1280 and 400 pixels wide, dark, and printed.
+Reports of a flight, a healthy flight, a folder, a campaign and a history, the live page with 0, 1, 3, 20 vehicles and
+with a fault, and a replay, in Chromium: 1280 and 400 pixels wide, dark, and printed.
 """
 
 import base64
+import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
+from made_page import FLEETS, fleet, flown, now
 from made_report import CREATED, pages
-from web_page import browser
+from made_session import baseline_for
+from made_vehicle import record
+from web_page import browser, give, serving, wait_for
+
+from detector.web.snapshot import Level
 
 LOOKS = {"1280": (1280, "light", "screen"), "400": (400, "light", "screen"), "dark": (1280, "dark", "screen")}
 TALLEST = 12_000  # pixels of a picture
+FOUND = "A propeller fault of motor 2 was found: trim 1.8 times its threshold."
 
 
-def look_as(driver: Any, width: int, scheme: str = "light", medium: str = "screen") -> None:
-    """Have pages shown so wide [px], by a colour scheme and for a medium."""
+def look_as(driver: Any, width: int, scheme: str = "light", medium: str = "screen", height: int = 900) -> None:
+    """Have pages shown so wide and high [px], by a colour scheme and for a medium."""
     features = [{"name": "prefers-color-scheme", "value": scheme}]
     driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": medium, "features": features})
-    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
 
 
-def open_whole(driver: Any, path: Path) -> None:
-    """Open a page with all that is folded away, and wait until its charts are drawn."""
-    driver.get(path.as_uri())
+def unfold(driver: Any) -> None:
+    """Open all that is folded away, and wait until the charts are drawn."""
     driver.execute_script("document.querySelectorAll('details').forEach((one) => { one.open = true })")
     driver.execute_async_script(
         """const wait = () => new Promise((go) => requestAnimationFrame(() => setTimeout(go, 20)));
         (async () => {
           for (const one of document.querySelectorAll('figure')) { one.scrollIntoView(); await wait() }
           scrollTo(0, 0);
+          await wait();
         })().then(arguments[0])"""
     )
 
 
-def shoot(driver: Any, shown: Mapping[str, str], folder: Path) -> None:
-    """Pictures of each page, by its name, and what a printer makes of it."""
-    folder.mkdir(parents=True, exist_ok=True)
+def open_whole(driver: Any, path: Path) -> None:
+    """Open a page with all that is folded away."""
+    driver.get(path.as_uri())
+    unfold(driver)
+
+
+def shoot(driver: Any, name: str, folder: Path) -> None:
+    """Pictures of the page that is open, and what a printer makes of it."""
+    for look, how in LOOKS.items():
+        look_as(driver, *how)
+        unfold(driver)
+        height = min(driver.execute_script("return document.documentElement.scrollHeight"), TALLEST)
+        look_as(driver, *how, height)  # what is below the window is not drawn
+        unfold(driver)
+        found = driver.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})
+        (folder / f"{name}-{look}.png").write_bytes(base64.b64decode(found["data"]))
+    look_as(driver, 1280, "light", "")
+    driver.execute_script("document.querySelectorAll('details').forEach((one) => { one.open = false })")
+    printed = driver.execute_cdp_cmd("Page.printToPDF", {"paperWidth": 8.27, "paperHeight": 11.7})
+    (folder / f"{name}-print.pdf").write_bytes(base64.b64decode(printed["data"]))
+
+
+def shoot_files(driver: Any, shown: Mapping[str, str], folder: Path) -> None:
+    """Pages that stand alone, by their names."""
     with tempfile.TemporaryDirectory() as place:
         for name, text in shown.items():
             path = Path(place) / f"{name}.html"
             path.write_text(text, encoding="utf-8")
-            for look, how in LOOKS.items():
-                look_as(driver, *how)
-                open_whole(driver, path)
-                height = driver.execute_script("return document.documentElement.scrollHeight")
-                clip = {"x": 0, "y": 0, "width": how[0], "height": min(height, TALLEST), "scale": 1}
-                told = {"format": "png", "clip": clip, "captureBeyondViewport": True}
-                found = driver.execute_cdp_cmd("Page.captureScreenshot", told)
-                (folder / f"{name}-{look}.png").write_bytes(base64.b64decode(found["data"]))
-            look_as(driver, 1280, "light", "")
             driver.get(path.as_uri())
-            printed = driver.execute_cdp_cmd("Page.printToPDF", {"paperWidth": 8.27, "paperHeight": 11.7})
-            (folder / f"{name}-print.pdf").write_bytes(base64.b64decode(printed["data"]))
+            shoot(driver, name, folder)
+
+
+def shoot_live(driver: Any, folder: Path) -> None:
+    """The live page with each number of vehicles, and with a fault."""
+    for name, levels in {**FLEETS, "fault": {1: (Level.FAULT, 2)}}.items():
+        with serving() as process:
+            driver.get(process.place.url)
+            count = len(range(int(name))) if name != "fault" else 1
+            give(process, fleet(*range(1, count + 1), levels=levels), *(flown() if count else ()))
+            if name == "fault":
+                give(process, now(1, 400, Level.FAULT, 2, FOUND))
+            told = "return mavdiag.connection === 'live' && (!arguments[0] || Boolean(mavdiag.traces.size))"
+            wait_for(lambda told=told, count=count: driver.execute_script(told, count), f"{name} vehicles")
+            driver.execute_script("mavdiag.heard = Date.now() + 1e9")  # nothing comes any more
+            shoot(driver, f"live-{name}", folder)
+
+
+def shoot_replay(driver: Any, folder: Path) -> None:
+    """A replay that stands some seconds behind the onset of a fault."""
+    with ExitStack() as stack:
+        place = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        record(place / "flight.tlog", ((60.0, 0.0), (20.0, 0.5), (40.0, 0.0)))
+        baseline_for().save(place / "b.json")
+        given = [str(place / "flight.tlog"), "--baseline", str(place / "b.json"), "--web", "0", "--from", "70"]
+        command = [sys.executable, "-m", "mavdiag", "replay", *given]
+        child = stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+        stack.callback(child.terminate)
+        assert child.stdout is not None
+        driver.get(child.stdout.readline().split(" on ")[1].split(";")[0])
+        wait_for(lambda: driver.execute_script("return mavdiag.playing?.done && mavdiag.now?.level === 'fault'"))
+        driver.execute_script("document.getElementById('play').click()")
+        wait_for(lambda: driver.execute_script("return mavdiag.playing.speed === 0"))
+        shoot(driver, "replay", folder)
 
 
 def main() -> None:
     """Write the pictures."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path("build/screenshots")
+    folder.mkdir(parents=True, exist_ok=True)
     try:
         with tempfile.TemporaryDirectory() as place, browser(Path(place) / "profile") as driver:
-            shoot(driver, pages(), folder)
+            shoot_files(driver, pages(), folder)
+            shoot_live(driver, folder)
+            shoot_replay(driver, folder)
     except pytest.skip.Exception as reason:
         print(reason)
     else:

@@ -21,7 +21,7 @@ from detector.session import Session
 from detector.streams import METERED
 from detector.values import DaemonFigures, EventOpened, Inbox, SessionSpec, VehicleFigures
 from detector.web.child import Place, ServerProcess, read_token
-from detector.web.snapshot import BACK_S, Level, Snapshots, about, fleet_now
+from detector.web.snapshot import BACK_S, Level, Snapshots, Track, about, fleet_now
 from mavdiag import commandline
 from mavdiag.as_json import json_line
 from mavdiag.baseline import Baseline
@@ -30,7 +30,7 @@ from mavdiag.judging import suited
 from mavdiag.link.profiles import PROFILES
 from mavdiag.logs import read_log
 from mavdiag.rows.front import in_pieces
-from mavdiag.telemetry import Instant, Log, Signal
+from mavdiag.telemetry import Instant, Log, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 STEP_S = 0.2  # of the log between two moments that are kept: as often as a live vehicle is shown
@@ -67,7 +67,7 @@ class Judged:
             SessionSpec(profile, suited(baseline, log), settings, offset_ns), Instant(self.begin_ns)
         )
         self._steps = in_pieces(log.telemetry, max(1, round(STEP_S / baseline.link.dt_s)))
-        self._snapshots, self._entries, self._alarms = Snapshots(), list[str](), 0
+        self._snapshots, self._track, self._entries, self._alarms = Snapshots(), Track(), list[str](), 0
         self._chain: Chain | None = None
         self._at, self._utc = Instant(self.begin_ns), offset_ns / NS_PER_S
         self._reporter = Reporter([lambda text, _: self._entries.append(text)], lambda _: None, self._when, None)
@@ -81,6 +81,7 @@ class Judged:
         session, self.done = self._session, telemetry is None
         ends = [int(series.t_ns[-1]) for series in telemetry or () if len(series)]
         self._at = max(self._at, Instant(max(ends, default=0)))
+        self._track.take(telemetry or Telemetry())
         effects = session.finish() if telemetry is None else session.step(Inbox(telemetry, alive=True), self._at)
         for effect in effects:
             self._alarms += isinstance(effect, EventOpened)
@@ -95,7 +96,7 @@ class Judged:
         spans = (judge.judged_s, judge.flight_s) if judge else (0.0, 0.0)
         rates = tuple((signal.value, session.streams.meter(signal).rate_hz) for signal in METERED)
         figures = VehicleFigures(self.vehicle, session.state, 0, 0, spans[0], self._alarms, spans[1], rates)
-        shown = self._snapshots.next(figures, session, judge.pieces if judge else (), self._at)
+        shown = self._snapshots.next(figures, session, judge.pieces if judge else (), self._track, self._at)
         fleet = fleet_now(
             DaemonFigures((figures,), (), 0, 0.0), {self.vehicle: session}, self._at, Instant(self.begin_ns)
         )

@@ -56,6 +56,7 @@ class Session:
         self._sticks_asked: Instant | None = None
         self._named_values = NamedValues(1.0 / settings.named_values_hz)
         self.armed, self._armings = False, 0
+        self.came = Telemetry()  # with the last step
         self._looked = Instant(0)  # when it was asked what the streams lack
         self._unjudged: dict[str, str] = {}  # monitors that were said not to judge, with the reason
         self._effects: list[Effect] = []
@@ -84,7 +85,7 @@ class Session:
 
     def step(self, inbox: Inbox, now: Instant) -> tuple[Effect, ...]:
         """Take in what came since the last step. Call it regularly, with an empty inbox too: time changes things."""
-        self._effects, self._notices = [], []
+        self._effects, self._notices, self.came = [], [], inbox.telemetry
         self._link(inbox, now)
         self._reboot(inbox)
         self._observe(inbox, now)

@@ -64,29 +64,37 @@ class Signal(StrEnum):
     HEIGHT = "height"  # above take-off, up positive [m]
     VOLTAGE = "voltage"  # battery [V]
     ARMED = "armed"  # 0 or 1
+    MODE = "mode"  # custom_mode of HEARTBEAT, whatever the log has in its place
+    POSITION = "position"  # north, east of the autopilot's origin [m]
+    COORDINATES = "coordinates"  # latitude, longitude [rad]
 
     def names(self, width: int) -> tuple[str, ...]:
         """Names of its columns: axes of the body, or the number of an output or rotor."""
         if self.width is None:
             return tuple(str(number + 1) for number in range(width))
+        if width == 2:
+            return ("latitude", "longitude") if self is Signal.COORDINATES else ("north", "east")
         return ("value",) if width == 1 else tuple("xyz") if _UNITS.get(self) == "m/s^2" else tuple(Axis)
 
     @property
     def width(self) -> int | None:
         """Number of its columns; None for outputs and rotors, of which there are as many as there are."""
-        return None if self in (Signal.ACTUATOR, Signal.ROTOR_SPEED) else 1 if self in _ALONE else 3
+        return None if self in (Signal.ACTUATOR, Signal.ROTOR_SPEED) else _WIDTHS.get(self, 3)
 
 
 _UNITS = {
-    **dict.fromkeys((Signal.ATTITUDE_SETPOINT, Signal.ATTITUDE), "rad"),
+    **dict.fromkeys((Signal.ATTITUDE_SETPOINT, Signal.ATTITUDE, Signal.COORDINATES), "rad"),
     **dict.fromkeys((Signal.RATE_SETPOINT, Signal.BODY_RATE, Signal.ROTOR_SPEED), "rad/s"),
     **dict.fromkeys((Signal.SPECIFIC_FORCE, Signal.VIBRATION), "m/s^2"),
-    Signal.HEIGHT: "m",
+    **dict.fromkeys((Signal.HEIGHT, Signal.POSITION), "m"),
     Signal.VOLTAGE: "V",
 }
 
 
-_ALONE = (Signal.THRUST_SETPOINT, Signal.HEIGHT, Signal.VOLTAGE, Signal.ARMED)
+_WIDTHS = {
+    **dict.fromkeys((Signal.THRUST_SETPOINT, Signal.HEIGHT, Signal.VOLTAGE, Signal.ARMED, Signal.MODE), 1),
+    **dict.fromkeys((Signal.POSITION, Signal.COORDINATES), 2),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -6,13 +6,17 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
+from made_history import records
+
+from mavdiag.history.warn import overview_of
 from mavdiag.judging import JudgedFlight, LogVerdict, Verdict
 from mavdiag.report.campaign import parse_campaign
-from mavdiag.report.page import FlightReport, campaign_page, flight_report, flights_page
+from mavdiag.report.page import FlightReport, campaign_page, flight_report, flights_page, history_page
 from mavdiag.telemetry import Log
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 ROTOR, ONSET_S, RATE_HZ = 1, 10.0, 400.0
+GROWS = {"survey-1": 0.03, "survey-2": 0.0}  # of a threshold a flight, by airframe
 CREATED = "2026-01-01T00:00:00+00:00"
 
 
@@ -36,12 +40,14 @@ def cracked() -> tuple[Log, JudgedFlight]:
 
 @cache
 def pages() -> dict[str, str]:
-    """A page of each kind: a flight, a healthy one, several with one that cannot be read, a campaign."""
+    """A page of each kind: a flight, a healthy one, several with one that cannot be read, a campaign, a history."""
     learnt, (log, _) = script().baseline(), cracked()
     damaged, healthy = flight_report(log, learnt), flight_report(script().fly(4), learnt)
     several = [healthy, damaged, FlightReport(LogVerdict("flights/gone.bin", Verdict.ERROR, "no such file"))]
     shown = {"flight": [damaged], "healthy": [healthy], "folder": several}
     made = {name: flights_page(flights, learnt, "qdrone2.json", CREATED) for name, flights in shown.items()}
+    wear = [overview_of(name, records([0.3 + grows * k for k in range(20)]), ()) for name, grows in GROWS.items()]
+    made["history"] = history_page(wear, CREATED)
     return made | {"campaign": campaign_page(parse_campaign(results()), "campaign.jsonl", CREATED)}
 
 

@@ -1,5 +1,6 @@
 """A made vehicle on an in-memory link, and a daemon on a virtual clock that receives it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -108,6 +109,14 @@ class MadeVehicle:
             self.sent += 1
         return frames
 
+    def position(self) -> list[bytes]:
+        """Where it is, ten times a second: on a circle of 5 m that takes it a minute."""
+        if self.sent % (RATE_HZ // 10):
+            return []
+        turn = math.tau * self.sent / RATE_HZ / 60
+        place = (5 * math.sin(turn), 5 - 5 * math.cos(turn), -1.0)
+        return [self.encoder.encode(MessageId.LOCAL_POSITION_NED, 5000 + self.sent * 1000 // RATE_HZ, *place, 0, 0, 0)]
+
 
 def record(path: Path, spans: Sequence[tuple[float, float]], sysid: int = 1) -> None:
     """Write a flight as a .tlog. spans: how long [s], and how fast it turns about roll though nobody asked [rad/s]."""
@@ -116,7 +125,7 @@ def record(path: Path, spans: Sequence[tuple[float, float]], sysid: int = 1) -> 
         vehicle.turning = turning
         for _ in range(round(span_s * RATE_HZ)):
             time_us = EPOCH_NS // 1000 + vehicle.sent * 1_000_000 // RATE_HZ
-            for frame in vehicle.samples(1):
+            for frame in (*vehicle.samples(1), *vehicle.position()):
                 data += tlog_record(time_us, frame)
     path.write_bytes(data)
 

@@ -119,11 +119,10 @@ SMALL = """return [...document.querySelectorAll('body *')].filter((one) => {
 #: The right edge of what stands farthest to the right, less the width of the window.
 ASIDE = "return document.documentElement.scrollWidth - document.documentElement.clientWidth"
 AXE = Path(__file__).parent / "vendor" / "axe.min.js.gz"
-SCREENSHOTS = Path(__file__).resolve().parents[1] / "build" / "screenshots"
 
 
 def look(chromium: Any, name: str, width: int, *, dark: bool = False) -> None:
-    """Show the whole page at a width and keep a picture; nothing may stand aside, and no text below 11 px."""
+    """Show the whole page at a width; nothing may stand aside, and no text below 11 px."""
     scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
     chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
     chromium.execute_script("mavdiag.heard = Date.now() + 1e9; say('live')")  # a test that says nothing is no silence
@@ -132,8 +131,6 @@ def look(chromium: Any, name: str, width: int, *, dark: bool = False) -> None:
         tall = height or chromium.execute_script("return document.documentElement.scrollHeight")
         chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {**size, "height": tall})
         chromium.execute_async_script("requestAnimationFrame(() => requestAnimationFrame(arguments[0]))")
-    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
-    chromium.save_screenshot(str(SCREENSHOTS / f"{name}-{width}{'-dark' if dark else ''}.png"))
     assert chromium.execute_script(ASIDE) <= 0, f"{name} at {width} px scrolls sideways"
     assert chromium.execute_script(SMALL, 11) == []
     assert violations(chromium) == []

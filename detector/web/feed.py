@@ -3,7 +3,7 @@
 Nothing waits. A server that was started again, or was slow, gets all entries; figures that find no room are left out.
 """
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Sequence
 from itertools import islice
 
@@ -11,7 +11,7 @@ from detector.fleet import Fleet, Turn
 from detector.values import DaemonFigures
 from detector.web.board import KEPT, is_vehicle
 from detector.web.child import ServerProcess
-from detector.web.snapshot import BACK_S, Snapshots, about, fleet_now, strips_of, thesis_traces
+from detector.web.snapshot import BACK_S, Snapshots, Track, about, fleet_now, strips_of, thesis_traces
 from mavdiag.as_json import json_line
 from mavdiag.chain import Chain
 from mavdiag.kernel import LOOK_NS, Piece
@@ -38,6 +38,7 @@ class Feed:
         self._pieces: dict[int, list[Piece]] = {}
         self._back: dict[int, deque[list[SlotTrace]]] = {}  # of the vehicles at which nobody looks
         self._snapshots: dict[int, Snapshots] = {}
+        self._tracks: defaultdict[int, Track] = defaultdict(Track)
         self._about: dict[int, Chain | None] = {}
         self._shown = began
         self._acknowledged: list[int] = []
@@ -61,7 +62,9 @@ class Feed:
         for line in lines:
             self._heard(line)
         for turn in turns:
-            judge = fleet.vehicles[turn.vehicle].session.judge
+            session = fleet.vehicles[turn.vehicle].session
+            judge = session.judge
+            self._tracks[turn.vehicle].take(session.came)
             if judge is not None and judge.pieces:
                 self._keep(turn.vehicle, judge.pieces)
         self._give()
@@ -123,7 +126,8 @@ class Feed:
             if not self._put(f"A {sysid}", json_line(about(sysid, session.spec.profile.name, session.judge))):
                 return
             self._about[sysid] = chain
-        shown = self._snapshots[sysid].next(fleet.figures_of(sysid), session, self._pieces.pop(sysid, []), now)
+        pieces, track = self._pieces.pop(sysid, []), self._tracks[sysid]
+        shown = self._snapshots[sysid].next(fleet.figures_of(sysid), session, pieces, track, now)
         back = (trace for traces in self._back.pop(sysid, ()) for trace in traces)
         shown["strips"] = [*strips_of(back), *shown["strips"]]
         self._put(f"N {sysid}", json_line(shown))

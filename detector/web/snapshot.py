@@ -9,6 +9,7 @@ high are the least and the greatest residual in it [rad/s], fsd_s the longest ru
 """
 
 import math
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -29,7 +30,7 @@ from mavdiag.link.wants import LABELS
 from mavdiag.monitors.base import Feature
 from mavdiag.report.drawing import airframe_svg
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import FloatArray, Instant, IntArray, Signal
+from mavdiag.telemetry import FloatArray, Instant, IntArray, Series, Signal, Telemetry
 from mavdiag.traces import SlotTrace, slot_traces
 from mavdiag.units import NS_PER_S
 
@@ -38,6 +39,9 @@ HELD = 3.0  # periods that the value of a slow monitor stays on the page (our ch
 BIN_NS = NS_PER_S // 20  # of vehicle time that one point of a strip stands for (our choice)
 DIGITS = 5
 BACK_S = 20.0  # that the strips show
+TRACK_POINTS = 120  # of a track, one a second: the last two minutes (our choice)
+PLACES = (Signal.POSITION, Signal.COORDINATES)
+EARTH_M = 6_371_009.0  # mean radius (IUGG)
 MOST = 1e6  # that a point may show: what is not finite, or beyond it, is no figure for a strip
 _FIRST: IntArray = np.zeros(1, dtype=np.int64)
 _NO_ROTORS: FloatArray = np.empty((0, 0))
@@ -101,6 +105,36 @@ class _Seen:
     rises: tuple[float, ...] = ()
 
 
+class Track:
+    """Where a vehicle was, from above: points [north, east] in metres, of the signal that tells it first."""
+
+    def __init__(self) -> None:
+        self._signal: Signal | None = None
+        self._origin, self._second = (0.0, 0.0), -1
+        self.points: deque[tuple[float, float]] = deque(maxlen=TRACK_POINTS)
+
+    def take(self, telemetry: Telemetry) -> None:
+        """Take the latest place in what came; within a second it replaces the one before."""
+        told = PLACES if self._signal is None else (self._signal,)
+        series = next((series for series in telemetry if series.signal in told and len(series)), None)
+        if series is None or not np.isfinite(series.values[-1]).all():
+            return
+        if self._signal is None and series.signal is Signal.COORDINATES:
+            self._origin = (float(series.values[-1, 0]), float(series.values[-1, 1]))
+        self._signal, second = series.signal, int(series.t_ns[-1]) // NS_PER_S
+        if self.points and second == self._second:
+            self.points.pop()
+        self._second = second
+        self.points.append(self._place(series))
+
+    def _place(self, series: Series) -> tuple[float, float]:
+        first, second = series.values[-1].tolist()
+        if series.signal is Signal.COORDINATES:  # on the plane that touches the sphere at the first place
+            first, second = first - self._origin[0], math.remainder(second - self._origin[1], math.tau)
+            first, second = EARTH_M * first, EARTH_M * second * math.cos(self._origin[0])
+        return round(max(-MOST, min(MOST, first)), 2), round(max(-MOST, min(MOST, second)), 2)
+
+
 class Snapshots:
     """Makes the snapshots of one vehicle, each with what came since the last one."""
 
@@ -110,7 +144,9 @@ class Snapshots:
         self._accounts: tuple[Account, ...] = ()
         self._rows: Instant | None = None  # when rows came last
 
-    def next(self, figures: VehicleFigures, session: Session, pieces: Sequence[Piece], now: Instant) -> Json:
+    def next(
+        self, figures: VehicleFigures, session: Session, pieces: Sequence[Piece], track: Track, now: Instant
+    ) -> Json:
         """A vehicle now. pieces: what its chain gave since the last snapshot."""
         judge = session.judge
         chain = None if judge is None else judge.chain
@@ -137,6 +173,7 @@ class Snapshots:
             "flight_s": round(figures.flight_s, 1),
             "slots": slots,
             "strips": strips,
+            "track": [place for point in track.points for place in point],
             "link": link | _picked(figures, "received", "lost", "drift_ppm"),
         }
 

@@ -83,14 +83,14 @@ def replay(
     web_token_file: Annotated[
         Path | None, Option(metavar="FILE", help="Token of the page: a file of mode 0600.")
     ] = None,
-    from_s: Annotated[float, Option("--from", min=0.0, metavar="S", help="Begin so far into the log.")] = 0.0,
+    from_s: Annotated[float, Option("--from", min=0.0, metavar="S", help="Begin so many seconds into the log.")] = 0.0,
     vehicle: opt.Vehicle = None,
     axis: Annotated[Axis, Option(help="Whose rates the terminal's strips show.")] = Axis.ROLL,
 ) -> None:
     """Play a log as if it were flown now: judged as a link is, and shown as `watch` or the live page show a flight.
 
-    On the page it can be stopped, sped up, and moved to any time; that needs the extra `web`. On a pipe it prints one
-    line an event.
+    In the terminal the arrow keys go back and on by 10 s, the space bar stops it, and q ends it. On the page it can be
+    stopped, sped up, and moved to any time; that needs the extra `web`. On a pipe it prints one line an event.
     """
     if web is not None:
         given = {"web-token-file": web_token_file, "vehicle": vehicle, "speed": speed, "from-s": from_s}
@@ -98,9 +98,13 @@ def replay(
         os.execv(sys.executable, [sys.executable, "-P", "-m", PAGE, *options, "--", str(log), str(baseline), web])
     from mavdiag.judging import suited
     from mavdiag.terminal.ground_station import LiveJudge  # here, for rich takes time to load
-    from mavdiag.terminal.watching import play
+    from mavdiag.terminal.playing import play
 
     with stop_signals() as stopped:
         read, known = read_log(log, vehicle), Baseline.load(baseline)
-        judge = LiveJudge(suited(known, read), SPAN_S, vehicle, began_ns=read.started_ns)
-        play(read, judge, speed, from_s, axis, stopped)
+        fitting = suited(known, read)
+
+        def begin() -> LiveJudge:
+            return LiveJudge(fitting, SPAN_S, vehicle, began_ns=read.started_ns)
+
+        play(read, begin, speed, from_s, axis, stopped)

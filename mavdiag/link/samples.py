@@ -21,7 +21,7 @@ from mavdiag.link.codec import AUTOPILOT, MSGIDS, ROWS, Decoder, Encoder, Frame,
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
-from mavdiag.units import NS_PER_S, RPM
+from mavdiag.units import DEG, NS_PER_S, RPM
 
 Bytes: TypeAlias = NDArray[np.uint8]
 
@@ -105,9 +105,10 @@ SOURCES: tuple[Source, ...] = (
     Source(_M.ATTITUDE, (_ATTITUDE,), _BOOT_MS),
     # In place of the row above, where the gyro is read from it too.
     Source(_M.ATTITUDE, (_ATTITUDE, Part(_S.BODY_RATE, "rollspeed")), _BOOT_MS, _M.ATTITUDE),
-    Source(_M.LOCAL_POSITION_NED, (Part(_S.HEIGHT, "z", unit=-1.0),), _BOOT_MS),
+    Source(_M.LOCAL_POSITION_NED, (Part(_S.HEIGHT, "z", unit=-1.0), Part(_S.POSITION, "x")), _BOOT_MS),
+    Source(_M.GLOBAL_POSITION_INT, (Part(_S.COORDINATES, "lat", unit=1e-7 * DEG),), _BOOT_MS),
     Source(_M.SYS_STATUS, (Part(_S.VOLTAGE, "voltage_battery", Form.VOLTAGE, 1e-3),)),
-    Source(_M.HEARTBEAT, (Part(_S.ARMED, "base_mode", Form.ARMED, beside="type"),)),
+    Source(_M.HEARTBEAT, (Part(_S.ARMED, "base_mode", Form.ARMED, beside="type"), Part(_S.MODE, "custom_mode"))),
     Source(_M.SERVO_OUTPUT_RAW, (_PULSES,), _USEC_32, _M.SERVO_OUTPUT_RAW),
     Source(_M.ACTUATOR_OUTPUT_STATUS, (_OUTPUTS,), _USEC, _M.ACTUATOR_OUTPUT_STATUS),
     Source(_M.VIBRATION, (Part(_S.VIBRATION, "vibration_x"),), _USEC, _M.VIBRATION),

@@ -17,6 +17,7 @@ import numpy as np
 from pyulog import ULog, ULogException
 
 from mavdiag.errors import InputError
+from mavdiag.link.modes import px4_custom_mode
 from mavdiag.link.samples import euler_angles
 from mavdiag.logs.log import (
     MAX_TIME_US,
@@ -123,7 +124,9 @@ _ROWS = (
     ),
     Row(Signal.ROTOR_SPEED, "esc_status", _elements("esc", 8, ".esc_rpm"), _turning),
     Row(Signal.HEIGHT, "vehicle_local_position", ("z",), np.negative),
+    Row(Signal.POSITION, "vehicle_local_position", ("x", "y")),
     Row(Signal.VOLTAGE, "battery_status", ("voltage_v",)),
+    Row(Signal.MODE, "vehicle_status", ("nav_state",), px4_custom_mode),
     Row(Signal.ARMED, "vehicle_status", ("arming_state",), lambda state: np.where(state == ARMED_STATE, 1.0, 0.0)),
 )
 _GPS_TOPICS = ("vehicle_gps_position", "sensor_gps")

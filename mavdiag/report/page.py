@@ -120,7 +120,7 @@ def _pictures(
     monitors = (pictures.monitor_picture(name, sketch, baseline) for name in pictures.spoken(judged))
     window_s = baseline.window.samples * baseline.link.dt_s
     flight = (
-        pictures.timeline(judged, sketch),
+        pictures.timeline(log, judged, sketch),
         pictures.flight_picture(telemetry, sketch),
         *(picture for picture in monitors if picture is not None),
     )

@@ -19,6 +19,9 @@ from mavdiag.decision.words import OBSERVES
 from mavdiag.identify import Method, Order
 from mavdiag.identify.estimate import SweepRow, sweep
 from mavdiag.judging import JudgedFlight
+from mavdiag.link.messages import Autopilot
+from mavdiag.link.modes import mode_name
+from mavdiag.link.profiles import PROFILES
 from mavdiag.look.figures import HARMONICS, SPECTRUM_S, Spectrum
 from mavdiag.monitors.base import Feature
 from mavdiag.monitors.run_length import MIN_PIECE_S
@@ -28,7 +31,7 @@ from mavdiag.report.sketch import RateSketch, Sketch, SlotSketch
 from mavdiag.rows.block import Block
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.windows import spans
-from mavdiag.telemetry import Axis, FloatArray, Signal, Telemetry
+from mavdiag.telemetry import Axis, FloatArray, Log, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_S
 
 NO_MODEL = "no axis could be compared with its model: it takes attitude set-points and the fsd monitor in the baseline"
@@ -36,7 +39,7 @@ CLASSIFIER = "qdrone2-emulated"  # the airframes that the classes hold for
 MOST_POINTS = 200  # of the plane (our choice)
 MOST_RUNS = 800  # in a line of FSD (our choice)
 RISE = "fraction of hover"  # unit of the monitors that tell by how much each rotor is commanded more
-LANES = 20  # of what was found, and when (our choice)
+LANES = 24  # of what was found, and when (our choice)
 STAGES = {Stage.SUSPECTED: ("Suspected", "suspected"), Stage.FAULT: ("Fault declared", "fault")}
 FLIGHT = (
     (Signal.HEIGHT, "height [m]", "above the take-off", 1.0),
@@ -69,13 +72,13 @@ def name_of(monitor: str) -> str:
 
 
 @picture("timeline")
-def timeline(judged: JudgedFlight, sketch: Sketch) -> Chart:
-    """What was judged, suspected and declared, every rotor that was named, and every alarm: a lane for each."""
+def timeline(log: Log, judged: JudgedFlight, sketch: Sketch) -> Chart:
+    """What was judged, suspected and declared, rotors that were named, alarms, flight modes: a lane for each."""
     held: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    for words, look, begin_s, end_s in _held(judged, sketch):
+    for words, look, begin_s, end_s in (*_held(judged, sketch), *_modes(log, sketch)):
         held.setdefault((words, look), []).append((begin_s, end_s))
     if not held:
-        raise NotDrawn("nothing of this flight was judged")
+        raise NotDrawn("nothing of this flight was judged, and the log tells no flight modes")
     lanes = [_lane(*what, spans) for what, spans in held.items()]
     left = f"{len(lanes) - LANES} further lanes are not shown." if len(lanes) > LANES else ""
     return Chart(lanes[:LANES], sketch.span, ". ".join(lane.label for lane in lanes), left, kind="follow")
@@ -98,6 +101,21 @@ def _held(judged: JudgedFlight, sketch: Sketch) -> Iterator[tuple[str, str, floa
     for event in (one.event for one in verdict.events):
         name = " ".join(filter(None, (name_of(event.monitor), event.axis)))
         yield f"Alarm, {name}", "alarm", sketch.s(event.start_ns), ends(event.end_ns)
+
+
+def _modes(log: Log, sketch: Sketch) -> Iterator[tuple[str, str, float, float]]:
+    """The flight modes of the autopilots whose modes have names."""
+    series, profile = log.telemetry.get(Signal.MODE), PROFILES.get(log.profile)
+    if series is None or (profile is not None and profile.autopilot == Autopilot.GENERIC):
+        return
+    at = np.flatnonzero(np.diff(np.nan_to_num(series.values[:, 0], nan=-1.0), prepend=np.nan) != 0)
+    ends = np.append(series.t_ns[at[1:]], sketch.begin_ns + round(sketch.span[1] * NS_PER_S))
+    columns = (series.values[at, 0], series.t_ns[at], ends)
+    for mode, begin_ns, end_ns in zip(*(column.tolist() for column in columns), strict=True):
+        begin_s, end_s = max(sketch.s(begin_ns), 0.0), sketch.s(end_ns)
+        if end_s > begin_s:
+            name = "unknown" if math.isnan(mode) else mode_name(int(mode))
+            yield f"Mode {name.replace('_', ' ')}", "faint", begin_s, end_s
 
 
 def _judged_spans(sketch: Sketch) -> list[tuple[float, float]]:

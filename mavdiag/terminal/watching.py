@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
 from rich.console import Console
 from rich.live import Live
 
@@ -17,12 +16,10 @@ from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.decision.words import diagnosis_line, stage_line
 from mavdiag.errors import InputError
 from mavdiag.link.messages import Severity
-from mavdiag.rows.front import in_pieces
 from mavdiag.storage import open_regular
-from mavdiag.telemetry import Axis, Log, Signal
+from mavdiag.telemetry import Axis
 from mavdiag.terminal.ground_station import GroundStation, LiveJudge
 from mavdiag.terminal.view import Line, View, figure_levels, levels_of, line_for, picture, rate_strips
-from mavdiag.units import NS_PER_S
 
 PER_S = 10
 LOOK_S = 0.05
@@ -50,18 +47,22 @@ class Screen(ExitStack):
             self._live = self.enter_context(Live(console=self._console, auto_refresh=False))
         return self
 
-    def show(self, fresh: Sequence[Line], *, last: bool = False) -> None:
-        """Bring it up to date, at most ten times a second. fresh: what happened since. last: draw in any case."""
+    def forget(self) -> None:
+        """Leave out what happened so far."""
+        self._events.clear()
+
+    def show(self, fresh: Sequence[Line], *, last: bool = False) -> bool:
+        """Bring it up to date, at most ten times a second; returns whether it is. fresh: since. last: in any case."""
         events = [*self._events, *fresh]
         older = [line for line in events[:-EVENTS] if line.alert]
         self._events[:] = [*older[-EVENTS:], *events[-EVENTS:]]
         if self._live is None:
             for line in () if self._quiet else fresh:
                 self._console.print(line.shown, soft_wrap=True, highlight=False)
-            return
+            return True
         now, size = self._console.get_time(), self._console.size
         if not last and now < self._until:
-            return
+            return False
         self._until = now + 1 / PER_S
         if size != self._size:  # what was drawn for the old one would stay in part
             self.close()
@@ -69,6 +70,7 @@ class Screen(ExitStack):
             self._size = size
             self._live = self.enter_context(Live(console=self._console, auto_refresh=False))
         self._live.update(picture(self._draw(self._events), size.width, size.height - 1), refresh=True)
+        return True
 
 
 def watch(station: GroundStation, address: str, axis: Axis, span_s: float, ended: Callable[[], bool]) -> None:
@@ -89,29 +91,6 @@ def watch(station: GroundStation, address: str, axis: Axis, span_s: float, ended
     listen(station, view, ("", "") if station.judge is None else ("detector: ", "here: "), ended)
     if not station.heard:
         raise InputError(f"{address}: {SILENT}")
-
-
-def play(log: Log, judge: LiveJudge, speed: float, from_s: float, axis: Axis, ended: Callable[[], bool]) -> None:
-    """Show a log as if it were flown now, until its end or `ended`. from_s: of the log; before, nothing waits."""
-    begin_s = float(np.min(log.telemetry.need(Signal.BODY_RATE).t_ns)) / NS_PER_S
-    start_s, steps = time.monotonic(), in_pieces(log.telemetry, max(1, round(1 / PER_S / judge.baseline.link.dt_s)))
-
-    def view(events: Sequence[Line]) -> View:
-        now_s = judge.now_s or begin_s
-        shown = judge_view(judge, now_s, judge.span_s, axis, events)
-        title = f"{log.name}  {now_s - begin_s:.1f} s, {speed:g} times as fast as flown"
-        says, alert = diagnosis_line(judge.diagnosis), judge.diagnosis.stage is Stage.FAULT
-        return replace(shown, title=title, headline=says, alert=alert, foot="a replay")
-
-    with Screen(view) as screen:
-        for step in (*steps, None):
-            last, changes = step is None or ended(), judge.judge(step)
-            due_s = start_s + ((judge.now_s or begin_s) - begin_s - from_s) / speed
-            while not (last := last or ended()) and time.monotonic() < due_s:
-                time.sleep(min(LOOK_S, max(0.0, due_s - time.monotonic())))
-            screen.show([line_for(change) for change in changes], last=last)
-            if last:
-                return
 
 
 def listen(

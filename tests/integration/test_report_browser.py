@@ -38,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-@pytest.mark.parametrize("name", ["flight", "healthy", "folder", "campaign"])
+@pytest.mark.parametrize("name", ["flight", "healthy", "folder", "campaign", "history"])
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (400, "dark")])
 def test_a_page_can_be_read(chromium: Any, folder: Path, name: str, width: int, scheme: str) -> None:
     look_as(chromium, width, scheme)

@@ -5,24 +5,21 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from detector_process import ended, port_of, running, until
+from made_page import FLEETS, about, entry, fleet, flown, now
 from made_session import baseline_for
 from made_vehicle import MadeVehicle, record
 from web_page import browser, give, look, serving, wait_for
 
-from detector.states import State
 from detector.web.child import ServerProcess
 from detector.web.snapshot import Level
-from mavdiag.airframe.layout import layout_named
 from mavdiag.link.ports import open_endpoint
-from mavdiag.report.drawing import airframe_svg
-from mavdiag.telemetry import Axis
 
 pytestmark = pytest.mark.realtime
 HOSTILE = '<img src=x onerror="window.hurt=1"><script>window.hurt=1</script>\u202e{{7*7}}'
@@ -38,69 +35,6 @@ def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 def process() -> Iterator[ServerProcess]:
     with serving() as one:
         yield one
-
-
-def entry(number: int, text: str = "PROP monitoring", severity: int = 6, vehicle: int = 1) -> str:
-    content = {"kind": "text", "utc": "2026-05-01T10:00:00.000Z", "vehicle": vehicle, "severity": severity}
-    return f"J {number} {json.dumps(content | {'text': text})}"
-
-
-def fleet(
-    *vehicles: int, sentence: str = "No fault found.", levels: Mapping[int, tuple[Level, int | None]] = {}
-) -> str:
-    """The vehicles, all quiet but those of `levels`, each with its level and rotor."""
-    found = {one: levels.get(one, (Level.QUIET, None)) for one in vehicles}
-    lines = [
-        {"vehicle": one, "state": "monitoring", "level": level, "rotor": rotor, "sentence": sentence, "advice": ""}
-        for one, (level, rotor) in found.items()
-    ]
-    link = {"address": "udpin:0.0.0.0:14550", "connected": bool(vehicles), "sent": 1, "dropped": 0, "overflowed": 0}
-    told = {"vehicles": lines, "links": [link], "late": 0, "cpu_s": 1.0, "uptime_s": 10.0, "refused": []}
-    return f"F {json.dumps(told)}"
-
-
-def about(vehicle: int, name: str = "QDrone 2") -> str:
-    names = ("name", "label", "axis", "unit", "threshold", "decides", "margin")
-    slots = (
-        ("fsd", "FSD", "roll", "s", 0.12, False, 0.05),
-        ("rotor_trim", "rotor trim", "", "fraction of hover", 0.06, True, None),
-        ("vibration_level", "vibration", "", "m/s^2", 1.5, True, None),
-    )
-    told = {"vehicle": vehicle, "airframe": name, "profile": "qdrone2", "layout": "rotor layout x"}
-    told |= {"drawing": airframe_svg(layout_named("x"), title=name)}
-    return f"A {vehicle} {json.dumps(told | {'slots': [dict(zip(names, slot, strict=True)) for slot in slots]})}"
-
-
-def now(vehicle: int, first: int, level: Level = Level.QUIET, rotor: int | None = None, sentence: str = "") -> str:
-    bins = list(range(first, first + 4))
-    high = [0.03 * ((number * 7) % 5 - 2) / 2 for number in bins]
-    strip = {"axis": Axis.ROLL, "bins": bins, "low": [value - 0.01 for value in high], "high": high}
-    values = ((0.02, ""), (0.11 if rotor else 0.01, ""), (None, "no VIBRATION"))
-    shown = {
-        "vehicle": vehicle,
-        "level": level,
-        "sentence": sentence or "2 of 3 monitors judge; nearest to its threshold is rotor trim, with 17 %.",
-        "advice": "Land, then look at the propeller of motor 2 first." if rotor else "",
-        "since_s": 12.0 if rotor else None,
-        "rotor": rotor,
-        "rises": (0.0, 0.11, -0.05, -0.06) if rotor else (0.0, 0.01, -0.01, 0.0),
-        "state": State.MONITORING,
-        "reason": "monitoring",
-        "judged_s": 9.0,
-        "flight_s": 14.0,
-        "events": 0,
-        "slots": [{"value": value, "reason": reason} for value, reason in values],
-        "strips": [strip | {"fsd_s": [0.02] * 4, "judged": [True] * 4}],
-        "link": {
-            "received": 1000,
-            "lost": 3,
-            "silent_s": 0.0,
-            "round_trip_s": 0.04,
-            "drift_ppm": None,
-            "rates": (("gyro", 200.0), ("VIBRATION", 0.0)),
-        },
-    }
-    return f"N {vehicle} {json.dumps(shown)}"
 
 
 def open_page(chromium: Any, process: ServerProcess) -> None:
@@ -145,18 +79,16 @@ def test_a_fault_is_seen_at_the_rotor_the_bar_and_the_strip(chromium: Any, proce
     states = "return [...document.querySelectorAll('#bars li')].map((one) => one.dataset.state)"
     assert chromium.execute_script(states) == ["under", "over", "idle"]
     assert text(chromium, "#bars li:last-child .reason") == "not judged: no VIBRATION"
+    assert text(chromium, "#bars li:nth-child(2) .figure") == "11.00 of 6.00 % of hover"
+    assert text(chromium, "#place figcaption").endswith("north up")
+    assert chromium.execute_script("return document.getElementById('place').hidden") is False
+    assert chromium.execute_script("return document.querySelectorAll('[id]').length") == len(
+        set(chromium.execute_script("return [...document.querySelectorAll('[id]')].map((one) => one.id)"))
+    )
     painted = """const canvas = document.querySelector('canvas.residual'), context = canvas.getContext('2d');
         return context.getImageData(0, 0, canvas.width, canvas.height).data.some((one) => one > 0)"""
     wait_for(lambda: chromium.execute_script(painted))
     assert complaints(chromium, process) == []
-
-
-FLEETS: Mapping[int, Mapping[int, tuple[Level, int | None]]] = {
-    0: {},
-    1: {1: (Level.QUIET, None)},
-    3: {2: (Level.FAULT, 2)},
-    20: {4: (Level.INSPECT, 1), 7: (Level.FAULT, 3), 12: (Level.SUSPECTED, None), 15: (Level.NOT_JUDGED, None)},
-}
 
 
 @pytest.mark.parametrize("count", FLEETS)
@@ -168,8 +100,7 @@ def test_every_fleet_is_seen_at_a_glance_on_a_screen_and_on_a_phone(
     open_page(chromium, process)
     if count:
         wait_for(lambda: chromium.execute_script("return mavdiag.vehicle") == 1)
-        alarm = (entry(1, "PROP FAULT motor 2 weak 11%", 2, 2), entry(2, "PROP monitoring"), *alarms(3, 12))
-        give(process, about(1), *alarm, *(now(1, 4 * k) for k in range(100)))
+        give(process, *flown())
         wait_for(lambda: text(chromium, "#sentence").startswith("2 of 3 monitors judge"))
         tiles = "return [...document.querySelectorAll('#vehicles [role=tab]')].map((one) => one.dataset.level)"
         assert chromium.execute_script(tiles) == [levels.get(one, (Level.QUIET, None))[0] for one in vehicles]
@@ -183,17 +114,6 @@ def test_every_fleet_is_seen_at_a_glance_on_a_screen_and_on_a_phone(
     for width, dark in ((1280, False), (1280, True), (400, False)):
         look(chromium, f"live-{count}", width, dark=dark)
     assert complaints(chromium, process) == []
-
-
-def alarms(first: int, count: int) -> list[str]:
-    """Alarms of a monitor that decides, one a second, each with its beginning and its end."""
-    lines = []
-    for number in range(count):
-        alarm = {"vehicle": 1, "monitor": "rotor_trim", "axis": None, "t_s": 10.0 + number, "threshold": 0.1}
-        alarm |= {"utc": "2026-05-01T10:00:00.000Z", "statistic": 0.1 + 0.01 * number}
-        lines.append({"kind": "opened", "end_s": None} | alarm)
-        lines.append({"kind": "event", "end_s": 11.0 + number} | alarm)
-    return [f"J {number} {json.dumps(line)}" for number, line in enumerate(lines, start=first)]
 
 
 def test_a_replay_is_scrubbed_sped_up_and_seen_as_a_live_vehicle(chromium: Any, tmp_path: Path) -> None:

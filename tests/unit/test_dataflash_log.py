@@ -162,3 +162,18 @@ def test_a_telemetry_log_that_carries_such_records_stays_one() -> None:
     assert kind.recognise(b"".join(records)[7:4096])
     assert not kind.recognise(bytes(8) + b"\xfd" + b"".join(records))
     assert not kind.recognise(b"\xa3\x95" + bytes(4000))
+
+
+def test_modes_and_coordinates_are_those_of_every_era(tmp_path: Path) -> None:
+    mode = DataFlashMessage(69, "MODE", "QMBB", "TimeUS,Mode,ModeNum,Rsn")
+    place = DataFlashMessage(71, "POS", "QLLffff", "TimeUS,Lat,Lng,Alt,RelHomeAlt,RelOriginAlt,X")
+    records = [
+        mode.record(1, 5, 5, 0),
+        place.record(2, 473_977_418, -85_455_939, 500, 3, 3, 0),
+        mode.record(3, 9, 9, 0),
+    ]
+    log = read(tmp_path, dataflash([mode, place], records))
+    assert log[Signal.MODE].values.tolist() == [[5.0], [9.0]]
+    np.testing.assert_allclose(np.degrees(log[Signal.COORDINATES].values), [[47.3977418, -8.5455939]])
+    old = DataFlashMessage(69, "MODE", "IMh", "TimeMS,Mode,ThrCrs")
+    assert read(tmp_path, dataflash([old], [old.record(7, 2, 500)]))[Signal.MODE].values.tolist() == [[2.0]]

@@ -1,6 +1,7 @@
 """A replay judges a log as a scan does, and tells the page what a live vehicle would have told it."""
 
 import json
+import math
 from dataclasses import replace
 from typing import cast
 
@@ -93,6 +94,10 @@ def test_a_jump_begins_anew_with_what_was_until_then(log: Log, child: FakeChild)
     assert all(entry["vehicle_s"] <= 30.1 for entry in child.of("J"))
     assert len(child.of("N")) == pytest.approx(100, abs=2)  # 20 s
     assert len(child.of("A")) == 1
+    track = child.of("N")[-1]["track"]  # of a circle of 5 m
+    assert len(track) == pytest.approx(2 * 26, abs=2)
+    radii = [math.hypot(north, east - 5) for north, east in zip(track[::2], track[1::2], strict=True)]
+    assert radii == pytest.approx([5.0] * len(radii), abs=0.02)
     assert child.of("F")[-1]["vehicles"][0]["level"] == Level.QUIET
     assert [level for _, level in child.of("P")[-1]["spans"]][1:3] == [Level.QUIET, Level.FAULT]
 

@@ -15,7 +15,7 @@ from mavdiag.link.samples import SOURCES, Form, Part, SampleDecoder, SampleState
 from mavdiag.telemetry import FloatArray, Signal, Telemetry
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
-ARMED = (MavType.QUADROTOR, 3, ModeFlag.SAFETY_ARMED, 0, 4, 3)
+ARMED = (MavType.QUADROTOR, 3, ModeFlag.SAFETY_ARMED, 5, 4, 3)
 
 
 class Vehicle:
@@ -91,6 +91,7 @@ def test_slow_signals() -> None:
         vehicle.frame(MessageId.ATTITUDE, 4_000, 0.1, 0.2, 0.3, 0, 0, 0),
         vehicle.frame(MessageId.HEARTBEAT, *ARMED),
         vehicle.frame(MessageId.LOCAL_POSITION_NED, 4_010, 1, 2, -3, 0, 0, 0),
+        vehicle.frame(MessageId.GLOBAL_POSITION_INT, 4_010, 473_977_418, -85_455_939, 0, 3_000, 0, 0, 0, 0),
         vehicle.frame(MessageId.SYS_STATUS, 0, 0, 0, 0, 14_800),
         vehicle.frame(MessageId.SYS_STATUS, 0, 0, 0, 0, 65_535),
         vehicle.frame(MessageId.SERVO_OUTPUT_RAW, 4_020_000, 0, 1000, 1250, 2000, 900),
@@ -102,6 +103,9 @@ def test_slow_signals() -> None:
     armed = telemetry.need(Signal.ARMED)
     assert (armed.t_ns.tolist(), armed.values.tolist()) == ([4_000_000_000], [[1.0]])
     assert values_of(telemetry, Signal.HEIGHT).tolist() == [[3.0]]
+    assert values_of(telemetry, Signal.POSITION).tolist() == [[1.0, 2.0]]
+    np.testing.assert_allclose(np.degrees(values_of(telemetry, Signal.COORDINATES)), [[47.3977418, -8.5455939]])
+    assert values_of(telemetry, Signal.MODE).tolist() == [[5.0]]
     voltage = telemetry.need(Signal.VOLTAGE)
     assert (voltage.t_ns.tolist(), voltage.values.tolist()) == ([4_010_000_000], [[14.8]])
     assert values_of(telemetry, Signal.ACTUATOR).tolist() == [[0.0, 0.25, 1.0, 0.0] + [0.0] * 12]

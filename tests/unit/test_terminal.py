@@ -24,9 +24,10 @@ from mavdiag.link.messages import MessageId, Severity
 from mavdiag.logs import read_log
 from mavdiag.telemetry import Axis, FloatArray
 from mavdiag.terminal.ground_station import GroundStation, LiveJudge
+from mavdiag.terminal.playing import KEYS, Key, Position, keys_in, play
 from mavdiag.terminal.tables import verdict_table
 from mavdiag.terminal.view import Curve, Level, Line, StripView, View, picture, strip
-from mavdiag.terminal.watching import Journal, Screen, play
+from mavdiag.terminal.watching import Journal, Screen
 
 LEVEL = Level("unbalance", 0.5, 1.0, "g mm")
 
@@ -39,15 +40,45 @@ def drawn(t_s: FloatArray, values: FloatArray, to_s: float = 10.0, rows: int = 4
 def test_a_log_is_replayed_as_a_link_is_watched(tmp_path: Path) -> None:
     path, baseline, out = tmp_path / "flight.tlog", baseline_for(), io.StringIO()
     record(path, ((20.0, 0.0), (10.0, 0.5)))
+
+    def begin() -> LiveJudge:
+        return LiveJudge(baseline, 20.0)
+
     with contextlib.redirect_stdout(out):
-        play(read_log(path), LiveJudge(baseline, 20.0), math.inf, 0.0, Axis.ROLL, lambda: False)
+        play(read_log(path), begin, math.inf, 0.0, Axis.ROLL, lambda: False)
     lines = out.getvalue().splitlines()
     assert [line[:21].split() for line in lines][-1][2] == "CRITICAL"
     assert "propeller fault: a monitor is above its threshold (fsd" in lines[-1]
     changes = judge(read_log(path), baseline).changes
     assert len(lines) == len(changes)
     with contextlib.redirect_stdout(out):
-        play(read_log(path), LiveJudge(baseline, 20.0), 0.01, 0.0, Axis.ROLL, lambda: True)  # Ctrl-C: no waiting
+        play(read_log(path), begin, 0.01, 0.0, Axis.ROLL, lambda: True)  # Ctrl-C: no waiting
+
+
+@given(st.lists(st.sampled_from([*KEYS, "x", "\x1b[A", "é"])), st.data())
+def test_keys_are_the_same_however_they_are_cut(codes: list[str], data: st.DataObject) -> None:
+    typed, found, begun = "".join(codes), list[Key](), ""
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(typed)), max_size=4)))
+    for first, stop in zip([0, *cuts], [*cuts, len(typed)], strict=True):
+        keys, begun = keys_in(begun + typed[first:stop])
+        found += keys
+    assert (found, begun) == ([KEYS[code] for code in codes if code in KEYS], "")
+
+
+def test_a_replay_moves_by_its_keys() -> None:
+    place = Position(5.0, 60.0, 2.0)
+    place.move(4.0)
+    assert place.at_s == 13.0
+    for key, at_s in ((Key.BACK, 3.0), (Key.BACK, 0.0), (Key.ON, 10.0), (Key.STOP, 10.0)):
+        place.press(key)
+        assert place.at_s == at_s
+    place.move(9.0)
+    assert (place.at_s, place.stopped) == (10.0, True)
+    for _ in range(6):
+        place.press(Key.ON)
+    assert (place.at_s, place.ended) == (60.0, False)
+    place.press(Key.END)
+    assert place.ended
 
 
 def test_a_spike_of_one_sample_is_seen() -> None:

@@ -31,8 +31,8 @@ OLD_SETPOINT = ULogTopic(
 )
 MOTORS = ULogTopic(4, "actuator_motors", (STAMP, ("float[12]", "control")))
 OUTPUTS = ULogTopic(5, "actuator_outputs", (STAMP, ("float[16]", "output")))
-STATUS = ULogTopic(7, "vehicle_status", (STAMP, ("uint8_t", "arming_state")))
-POSITION = ULogTopic(8, "vehicle_local_position", (STAMP, ("float", "z")))
+STATUS = ULogTopic(7, "vehicle_status", (STAMP, ("uint8_t", "arming_state"), ("uint8_t", "nav_state")))
+POSITION = ULogTopic(8, "vehicle_local_position", (STAMP, ("float", "x"), ("float", "y"), ("float", "z")))
 HALF, NAN = math.sqrt(0.5), math.nan
 
 
@@ -55,8 +55,10 @@ def read(folder: Path, content: bytes) -> Log:
         (OLD_SETPOINT, [(2_000, 0.1, -0.2, 0.3, 0.5)], Signal.THRUST_SETPOINT, [[0.5]]),
         (MOTORS, [(1, 0.1, 0.2, 0.3, 0.4, *[NAN] * 8)], Signal.ACTUATOR, [[0.1, 0.2, 0.3, 0.4]]),
         (OUTPUTS, [(1, 900, 1500, 2000, *[0] * 13)], Signal.ACTUATOR, [[0.0, 0.5, 1.0]]),
-        (POSITION, [(0, -1.0), (1, -2.5)], Signal.HEIGHT, [[2.5]]),  # what is stamped 0 was never published
-        (STATUS, [(1, 1), (2, 2)], Signal.ARMED, [[0], [1]]),
+        (POSITION, [(0, 0, 0, -1.0), (1, 3, 4, -2.5)], Signal.HEIGHT, [[2.5]]),  # what is stamped 0 was never published
+        (POSITION, [(0, 0, 0, -1.0), (1, 3, 4, -2.5)], Signal.POSITION, [[3, 4]]),
+        (STATUS, [(1, 1, 15), (2, 2, 3)], Signal.ARMED, [[0], [1]]),
+        (STATUS, [(1, 1, 15), (2, 2, 3), (3, 2, 99)], Signal.MODE, [[7 << 16], [4 << 16 | 4 << 24], [NAN]]),
     ],
 )
 def test_topics_become_signals_in_si_and_frd(

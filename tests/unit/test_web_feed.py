@@ -1,11 +1,13 @@
 """What the live page is told on a virtual clock: entries always, figures while somebody looks."""
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import pytest
 from made_session import Story, baseline_for
 from made_vehicle import START_NS, Bench, MadeVehicle
@@ -14,12 +16,13 @@ from detector.config import SessionSettings, Settings
 from detector.values import SessionSpec, VehicleFigures
 from detector.web.child import ServerProcess
 from detector.web.feed import Feed
-from detector.web.snapshot import Json, Level, Snapshots, about
+from detector.web.snapshot import EARTH_M, TRACK_POINTS, Json, Level, Snapshots, Track, about
 from mavdiag.airframe.layout import layout_named
 from mavdiag.as_json import json_line
 from mavdiag.kernel import Piece
 from mavdiag.link.profiles import PROFILES
-from mavdiag.telemetry import Instant
+from mavdiag.telemetry import Instant, Series, Signal, Telemetry
+from mavdiag.units import NS_PER_S
 
 SETTINGS = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
 
@@ -124,6 +127,36 @@ def test_strips_are_filled_as_soon_as_somebody_looks(bench: Bench, child: FakeCh
     assert sum(len(strip["bins"]) for strip in child.of("N")[-1]["strips"]) <= 8  # afterwards what is new
 
 
+def placed(signal: Signal, second: float, *place: float) -> Telemetry:
+    t_ns = np.array([round(second * NS_PER_S)])
+    return Telemetry((Series(signal, t_ns, t_ns, np.array([place])),))
+
+
+def test_a_track_has_a_point_a_second_of_the_signal_that_came_first() -> None:
+    track = Track()
+    for tenth in range(3000):
+        track.take(placed(Signal.POSITION, 0.1 * tenth + 0.01, 0.1 * tenth, -1.0))
+        track.take(placed(Signal.COORDINATES, 0.1 * tenth + 0.02, 0.8, 0.1))
+        track.take(Telemetry())
+    assert len(track.points) == TRACK_POINTS
+    assert track.points[-1] == (299.9, -1.0)
+    assert [point[0] for point in track.points][:2] == [180.9, 181.9]
+    track.take(placed(Signal.POSITION, 301.0, math.nan, 1.0))
+    assert track.points[-1] == (299.9, -1.0)
+
+
+def test_coordinates_become_metres_over_the_date_line_too() -> None:
+    track, begin = Track(), (math.radians(60.0), math.radians(179.9999))
+    track.take(placed(Signal.COORDINATES, 1.0, *begin))
+    track.take(placed(Signal.COORDINATES, 2.0, begin[0] + 1e-5, math.radians(-179.9999)))
+    north, east = track.points[-1]
+    across = math.cos(begin[0]) * math.cos(begin[0] + 1e-5) * math.sin(math.radians(0.0001)) ** 2
+    haversine = 2 * math.asin(math.sqrt(math.sin(0.5e-5) ** 2 + across))
+    assert math.hypot(north, east) == pytest.approx(EARTH_M * haversine, rel=1e-3)
+    assert north == pytest.approx(63.71, abs=0.02)
+    assert east > 0
+
+
 @dataclass
 class Watched:
     """A made flight, and what the page shows of it."""
@@ -147,7 +180,7 @@ class Watched:
     def shown(self, *pieces: Piece) -> Json:
         session = self.story.session
         figures = VehicleFigures(1, session.state, 10, 0, 1.0, 0)
-        return self.snapshots.next(figures, session, pieces, self.story.now)
+        return self.snapshots.next(figures, session, pieces, Track(), self.story.now)
 
 
 @pytest.fixture

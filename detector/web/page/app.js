@@ -329,6 +329,7 @@ function renderNow() {
   text("advice", now ? now.advice : "");
   document.title = now ? `${brief(now)} – vehicle ${now.vehicle} – mavdiag` : "mavdiag detector";
   renderRotors(now);
+  renderTrack(now ? now.track : []);
   figures("session", now ? [
     ...(now.since_s === null ? [] : [["Declared", `${span(now.since_s)} ago`]]),
     ["Judged", `${span(now.judged_s)} of ${span(now.flight_s)} of flight`],
@@ -369,6 +370,14 @@ function renderRotors(now) {
   }
 }
 
+function renderTrack(track) {
+  byId("place").hidden = track.length < 4;
+  if (track.length < 4) return;
+  drawTrack(byId("flown"), track);
+  const [north, east] = track.slice(-2).map((metres, i) => `${Math.abs(metres).toFixed(1)} m ${["north south", "east west"][i].split(" ")[Number(metres < 0)]}`);
+  byId("flown").setAttribute("aria-label", `now ${north} and ${east} of the origin`);
+}
+
 function renderBars(now) {
   const items = byId("bars").children;
   now.slots.forEach((slot, i) => {
@@ -377,8 +386,10 @@ function renderBars(now) {
     const [, figure, bar, reason] = item.children, judged = slot.value !== null;
     const ratio = judged ? slot.value / about.threshold : 0;
     item.dataset.state = !judged ? "idle" : ratio > 1 ? "over" : "under";
-    const limit = `${shown(about.threshold)} ${about.unit.replace("^2", "²").replace(/^x /, "× ")}`;
-    text(figure, judged ? `${shown(slot.value)} of ${limit}` : `threshold ${limit}`);
+    const part = about.unit.match(/^(fraction|share) (of .*)/), factor = part ? 100 : 1; // as a report shows it
+    const unit = part ? `% ${part[2]}` : about.unit.replace("^2", "²").replace(/^x /, "× ");
+    const limit = `${shown(factor * about.threshold)} ${unit}`;
+    text(figure, judged ? `${shown(factor * slot.value)} of ${limit}` : `threshold ${limit}`);
     const weak = about.decides ? "" : ", which alone raises a suspicion only";
     text(reason, judged ? (ratio > 1 ? `above its threshold${weak}` : "") : `not judged: ${slot.reason}`);
     bar.firstChild.style.width = `${(66.7 * Math.min(1.5, Math.max(0, ratio))).toFixed(1)}%`;
@@ -548,6 +559,6 @@ byId("play").addEventListener("click", async () => {
   return play(`speed=${speed ? 0 : byId("speed").value}`);
 });
 byId("speed").addEventListener("change", () => play(`speed=${byId("speed").value}`));
-window.addEventListener("resize", () => draw("strips"));
-window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => draw("strips"));
+window.addEventListener("resize", () => draw("now", "strips"));
+window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => draw("now", "strips"));
 connect();

@@ -1,4 +1,4 @@
-// Moving strips on a canvas: the residual between its margins, and the run length against its limit, with axes.
+// Drawn on canvases: the residual between its margins and the run length against its limit, and where the vehicle was.
 "use strict";
 
 const SPAN_S = 20;
@@ -144,4 +144,37 @@ function drawRun(canvas, trace, limit) {
     context.fillRect(x((newest - bin) * BIN_S) - wide, y(fsd), wide + 0.6, Math.max(1, y(0) - y(fsd)));
   }
   limitLine(context, width, y(limit), colour);
+}
+
+// Where the vehicle was, north up and to scale. track: [north, east, north, east, ...] in metres, the newest last.
+function drawTrack(canvas, track) {
+  const [context, width, height] = sharp(canvas), colour = colours(), points = [];
+  for (let i = 0; i < track.length; i += 2) points.push([track[i], track[i + 1]]);
+  const ends = [0, 1].map((k) => [Math.min(...points.map((one) => one[k])), Math.max(...points.map((one) => one[k]))]);
+  const metres = Math.max(2, ...ends.map(([low, high]) => high - low)), edge = 22;
+  const scale = (Math.min(width, height) - 2 * edge) / metres, [north, east] = ends.map(([low, high]) => (low + high) / 2);
+  const at = (point) => [width / 2 + scale * (point[1] - east), height / 2 - scale * (point[0] - north)];
+  context.strokeStyle = colour.residual;
+  context.lineWidth = 1.5;
+  context.lineJoin = "round";
+  context.beginPath();
+  for (const point of points) context.lineTo(...at(point));
+  context.stroke();
+  context.fillStyle = colour.residual;
+  context.beginPath();
+  context.arc(...at(points[points.length - 1]), 4.5, 0, 2 * Math.PI);
+  context.fill();
+  const bar = roundUp(metres / 4.5); // about a quarter of the picture
+  context.fillStyle = context.strokeStyle = colour.ink;
+  context.lineWidth = 2;
+  context.beginPath();
+  context.moveTo(8, height - 5);
+  context.lineTo(8 + bar * scale, height - 5);
+  context.stroke();
+  context.textAlign = "left";
+  context.textBaseline = "bottom";
+  context.fillText(`${Number(bar.toPrecision(3))} m`, 8, height - 8);
+  context.textAlign = "right";
+  context.textBaseline = "top";
+  context.fillText("N ↑", width - 6, 4);
 }
