@@ -19,8 +19,8 @@ stage (not judged, quiet, suspected, fault, inspect), no state of the session.
 
 ## What it says
 
-| about | severity | text | said again while it lasts |
-|---|---|---|---|
+| severity | text | said again while it lasts |
+|---|---|---|
 {texts}
 """
 
@@ -35,11 +35,8 @@ def diagram() -> str:
 
 def page() -> str:
     """The whole page."""
-    kinds = {kind.name.lower().replace("_", " "): kind.value for kind in Kind}
-    rows = [
-        f"| {name} | {policy.severity.name} | `{policy.template.format('..', '..')}` | {_again(policy)} |"
-        for name, policy in kinds.items()
-    ]
+    policies = [kind.value for kind in Kind]
+    rows = [f"| {one.severity.name} | `{one.template.format('..', '..')}` | {_again(one)} |" for one in policies]
     return TEXT.format(diagram=diagram(), texts="\n".join(rows))
 
 
@@ -49,7 +46,7 @@ def _again(policy: Policy) -> str:
         return "no"
     *first, last = policy.again_s
     every = f"every {last - (first[-1] if first else 0.0):g} s"
-    return f"after {', '.join(f'{time_s:g}' for time_s in first)} s, then {every}" if first else every
+    return f"{', '.join(f'{time_s:g}' for time_s in first)} s, then {every}" if first else every
 
 
 if __name__ == "__main__":
