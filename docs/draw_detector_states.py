@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from detector.alerts import Kind, Policy
-from detector.states import TABLE, State
+from detector.states import TABLE, State, Trigger
 
 PAGE = Path(__file__).parent / "detector-states.md"
 TEXT = """# The detector's session
@@ -14,7 +14,7 @@ One session runs for each vehicle. `python docs/draw_detector_states.py` draws t
 ```mermaid
 {diagram}```
 
-Heartbeats go out in every state but `faulted`. What is found of the vehicle is the decision's
+From every state {broken} leads to `{faulted}`. Heartbeats go out in every other state. What is found of the vehicle is the decision's
 stage (not judged, quiet, suspected, fault, inspect), no state of the session.
 
 ## What it says
@@ -29,7 +29,8 @@ def diagram() -> str:
     """The table of states as a Mermaid state diagram."""
     lines = ["stateDiagram-v2", f"    [*] --> {State.WAITING}"]
     for state, row in TABLE.items():
-        lines += [f"    {state} --> {target}: {trigger}" for trigger, target in row.items()]
+        drawn = {trigger: target for trigger, target in row.items() if trigger is not Trigger.BROKEN}
+        lines += [f"    {state} --> {target}: {trigger}" for trigger, target in drawn.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -37,7 +38,7 @@ def page() -> str:
     """The whole page."""
     policies = [kind.value for kind in Kind]
     rows = [f"| {one.severity.name} | `{one.template.format('..', '..')}` | {_again(one)} |" for one in policies]
-    return TEXT.format(diagram=diagram(), texts="\n".join(rows))
+    return TEXT.format(diagram=diagram(), broken=Trigger.BROKEN, faulted=State.FAULTED, texts="\n".join(rows))
 
 
 def _again(policy: Policy) -> str:
