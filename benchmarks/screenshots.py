@@ -10,6 +10,7 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -82,15 +83,16 @@ def shoot_files(driver: Any, shown: Mapping[str, str], folder: Path) -> None:
 
 def shoot_live(driver: Any, folder: Path) -> None:
     """The live page with each number of vehicles, and with a fault."""
-    for name, levels in {**FLEETS, "fault": {1: (Level.FAULT, 2)}}.items():
+    kinds = {str(count): levels for count, levels in FLEETS.items()} | {"fault": {1: (Level.FAULT, 2)}}
+    for name, levels in kinds.items():
         with serving() as process:
             driver.get(process.place.url)
-            count = len(range(int(name))) if name != "fault" else 1
+            count = 1 if name == "fault" else int(name)
             give(process, fleet(*range(1, count + 1), levels=levels), *(flown() if count else ()))
             if name == "fault":
                 give(process, now(1, 400, Level.FAULT, 2, FOUND))
             told = "return mavdiag.connection === 'live' && (!arguments[0] || Boolean(mavdiag.traces.size))"
-            wait_for(lambda told=told, count=count: driver.execute_script(told, count), f"{name} vehicles")
+            wait_for(partial(driver.execute_script, told, count), f"{name} vehicles")
             driver.execute_script("mavdiag.heard = Date.now() + 1e9")  # nothing comes any more
             shoot(driver, f"live-{name}", folder)
 

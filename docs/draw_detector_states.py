@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from detector.alerts import Kind, Policy
-from detector.states import TABLE, State
+from detector.states import TABLE, State, Trigger
 
 PAGE = Path(__file__).parent / "detector-states.md"
 TEXT = """# The detector's session
@@ -14,13 +14,13 @@ One session runs for each vehicle. `python docs/draw_detector_states.py` draws t
 ```mermaid
 {diagram}```
 
-Heartbeats go out in every state but `faulted`. What is found of the vehicle is the decision's
-stage (not judged, quiet, suspected, fault, inspect), no state of the session.
+From every state {broken} leads to `{faulted}`. Heartbeats go out in every other state. What is found of the vehicle is
+the decision's stage (not judged, quiet, suspected, fault, inspect), no state of the session.
 
 ## What it says
 
-| about | severity | text | said again while it lasts |
-|---|---|---|---|
+| severity | text | said again while it lasts |
+|---|---|---|
 {texts}
 """
 
@@ -29,18 +29,16 @@ def diagram() -> str:
     """The table of states as a Mermaid state diagram."""
     lines = ["stateDiagram-v2", f"    [*] --> {State.WAITING}"]
     for state, row in TABLE.items():
-        lines += [f"    {state} --> {target}: {trigger}" for trigger, target in row.items()]
+        drawn = {trigger: target for trigger, target in row.items() if trigger is not Trigger.BROKEN}
+        lines += [f"    {state} --> {target}: {trigger}" for trigger, target in drawn.items()]
     return "\n".join(lines) + "\n"
 
 
 def page() -> str:
     """The whole page."""
-    kinds = {kind.name.lower().replace("_", " "): kind.value for kind in Kind}
-    rows = [
-        f"| {name} | {policy.severity.name} | `{policy.template.format('..', '..')}` | {_again(policy)} |"
-        for name, policy in kinds.items()
-    ]
-    return TEXT.format(diagram=diagram(), texts="\n".join(rows))
+    policies = [kind.value for kind in Kind]
+    rows = [f"| {one.severity.name} | `{one.template.format('..', '..')}` | {_again(one)} |" for one in policies]
+    return TEXT.format(diagram=diagram(), broken=Trigger.BROKEN, faulted=State.FAULTED, texts="\n".join(rows))
 
 
 def _again(policy: Policy) -> str:
@@ -49,7 +47,7 @@ def _again(policy: Policy) -> str:
         return "no"
     *first, last = policy.again_s
     every = f"every {last - (first[-1] if first else 0.0):g} s"
-    return f"after {', '.join(f'{time_s:g}' for time_s in first)} s, then {every}" if first else every
+    return f"{', '.join(f'{time_s:g}' for time_s in first)} s, then {every}" if first else every
 
 
 if __name__ == "__main__":
