@@ -14,8 +14,8 @@ One session runs for each vehicle. `python docs/draw_detector_states.py` draws t
 ```mermaid
 {diagram}```
 
-From every state {broken} leads to `{faulted}`. Heartbeats go out in every other state. What is found of the vehicle is the decision's
-stage (not judged, quiet, suspected, fault, inspect), no state of the session.
+From every state {broken} leads to `{faulted}`. Heartbeats go out in every other state. What is found of the vehicle is
+the decision's stage (not judged, quiet, suspected, fault, inspect), no state of the session.
 
 ## What it says
 
