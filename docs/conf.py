@@ -16,13 +16,37 @@ html_title = "mavdiag"
 myst_heading_anchors = 4
 myst_fence_as_directive = ["math"]
 autodoc_member_order = "bysource"
+add_module_names = False
+highlight_language = "text"
+myst_enable_extensions = ["dollarmath"]
+html_static_path, html_css_files = ["style"], ["site.css"]
+
+FIELD = re.compile(r"[\w-]+(?:, [\w-]+)*: ")
 
 
 def show_as_written(app: Sphinx, what: str, name: str, about: object, options: object, lines: list[str]) -> None:
-    """Show the first line of a docstring as text and the rest as it is written: docstrings are plain text."""
-    first, rest = lines[:1], lines[1:]
-    lines[:] = [re.sub(r"([*|_\\])", r"\\\1", line.replace("`", "")) for line in first]
-    lines += ["", "::", "", *(f"   {line}" for line in rest), ""] if any(rest) else []
+    """Show a docstring, which is plain text: sentences as text, fields on lines of their own, the rest as it stands."""
+    shown: list[str] = []
+    for paragraph in re.split(r"\n(?:[ \t]*\n)+", "\n".join(lines).strip("\n")):
+        parts = paragraph.splitlines()
+        if parts and parts[0].startswith(">>>"):
+            shown += ["", ".. code-block:: python", "", *(f"   {part}" for part in parts), ""]
+        elif any(part.startswith(" ") for part in parts):
+            shown += ["", "::", "", *(f"   {part}" for part in parts), ""]
+        elif any(FIELD.match(part) for part in parts):
+            shown += [
+                "",
+                *(f"{'|' if k == 0 or FIELD.match(part) else ' '} {plain(part)}" for k, part in enumerate(parts)),
+                "",
+            ]
+        else:
+            shown += ["", *map(plain, parts), ""]
+    lines[:] = shown
+
+
+def plain(text: str) -> str:
+    """Text in which nothing is markup."""
+    return re.sub(r"([*|_\\])", r"\\\1", text.replace("`", ""))
 
 
 def list_monitors(app: Sphinx, name: str, source: list[str]) -> None:

@@ -1,66 +1,258 @@
-"""The commands that README.md and docs/ name exist, with the options that they are shown with."""
+"""What README.md and docs/ show can be done: commands are parsed by the real command line, or run.
+
+A block of a page is a console block, Python, or TOML. Every command of ours in a console block goes through the parser
+of its subcommand, values included; so do the options of those that stand in a sentence. The commands of `RUN` are run,
+in the order of the list, in a folder with made flights. Python is executed, TOML is loaded by what loads it in the
+product. What is only parsed needs a vehicle, another program or an endless flight: `PARSED` says which.
+"""
 
 import re
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+import typer
 from typer.testing import CliRunner
 
+import mavdiag as md
 from detector.__main__ import app as detector
+from mavdiag.airframe.load import load_airframe
 from mavdiag.cli import app as mavdiag
+from mavdiag.logs.csv_columns import load_column_map
+from mavdiag.storage import read_text
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = (
-    "README.md",
-    *(f"docs/{name}.md" for name in ("operating", "detector", "airframe", "droneprop", "qdrone2-recorded")),
-    *(f"docs/{name}.md" for name in ("emulator", "hil", "links", "security", "flight-controller")),
-    *(f"docs/{name}.md" for name in ("results", "theory")),
+OTHERS = ("constants.md", "results-earlier.md")  # made from code; figures of older code
+PAGES = ("README.md", *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md") if page.name not in OTHERS))
+PROGRAMS = ("mavdiag", "mavdiag-detector", "sitl-plant")
+IN_A_SENTENCE = re.compile(rf"`((?:{'|'.join(PROGRAMS)}) [^`\n]*)`")
+
+# Run in this order: what one writes, a later one reads.
+RUN = (
+    "sitl-plant record -o cracked.tlog --fault F2/SV2 --rotor 1 --onset 20",
+    "mavdiag look flight.bin",
+    "mavdiag identify healthy/ -o my_drone.json",
+    "mavdiag scan flights/ --baseline my_drone.json",
+    "mavdiag report flights/today.bin --baseline my_drone.json -o report.html",
+    "mavdiag baseline extend --new-propellers my_drone.json hover.tlog -o my_drone.json",
+    "mavdiag scan flights/ 'more/2026-*/*.tlog' --baseline drone1.json --windows 60 --csv drone1.csv",
+    "mavdiag export LOG --mcap --baseline BASELINE -o FILE",
+    "mavdiag export --lua my_drone.json -o propeller.lua",
+    "mavdiag history add flights/ --baseline drone1.json",
+    "mavdiag history show --html trends.html",
+    'mavdiag history mark --airframe "drone 1" --new-propellers',
+    'mavdiag history list --airframe "drone 1" --csv flights.csv',
+    "sitl-plant serve-ardupilot --print-parameters ardupilot",
 )
-COMMAND = re.compile(r"(?:^|`|\$ )((?:mavdiag-detector|mavdiag|sitl-plant) [^`\n]*)", re.MULTILINE)
+WRITTEN = (
+    *("cracked.tlog", "my_drone.json", "report.html", "drone1.csv", "FILE", "propeller.lua"),
+    *("trends.html", "flights.csv", "mavdiag-history.sqlite"),
+)
+# Why a command is parsed and not run.
+PARSED = {
+    "it needs a vehicle, or a port that may be taken": (
+        r"mavdiag (setup|inspect|watch udpin|shim)|mavdiag-detector|sitl-plant (run|fleet|serve-\w+)"
+    ),
+    "it does not end": r"mavdiag watch events\.jsonl|mavdiag replay .*--web",
+    "it flies a minute in real time; `make demo` and tests/integration do": r"mavdiag demo",
+    "its recordings are not ours to ship; tests/integration/test_droneprop_commands.py makes some": r".*droneprop/",
+    "it needs a Dask cluster": r".*--scheduler",
+}
+# Console lines of other programs.
+FOREIGN = re.compile(
+    r"(make|pip|apt|umask|head|\(umask|unzip|dask|python (benchmarks|docs)/|git|\./waf|build/sitl|cd|mavproxy\.py"
+    r"|mode|arm|takeoff|long)\b"
+)
 
 
-def shown() -> list[tuple[str, str]]:
-    """Pages and the commands in them, by code spans and fenced lines."""
-    found = []
-    for page in PAGES:
-        text = (ROOT / page).read_text(encoding="utf-8").replace("\\\n", " ")
-        found += [(page, command) for command in COMMAND.findall(text)]
-    return found
+def blocks(page: str, language: str) -> list[str]:
+    """Fenced blocks of a page in a language, without their indentation."""
+    found = re.findall(
+        r"^( *)```(\S*)\n(.*?)^ *```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
+    return [re.sub(rf"^{indent}", "", text, flags=re.MULTILINE) for indent, named, text in found if named == language]
+
+
+def console() -> list[tuple[str, str]]:
+    """Pages and the lines of their console blocks; drawings of the architecture and printed results are none."""
+    return [
+        (page, line)
+        for page in PAGES
+        if page not in ("docs/architecture.md", "docs/results.md")
+        for block in blocks(page, "")
+        for line in block.replace("\\\n", " ").splitlines()
+        if line.strip()
+    ]
+
+
+def ours() -> list[tuple[str, str]]:
+    """Pages and the command lines of our programs in them, without what a shell does with the output."""
+    lines = [(page, line) for page, line in console() if line.split()[0] in PROGRAMS]
+    return [(page, re.split(r"\s+>\s+", line)[0].strip()) for page, line in lines]
+
+
+def in_sentences() -> list[tuple[str, str]]:
+    """Pages and the command lines in their sentences."""
+    return [(page, found) for page in PAGES for found in IN_A_SENTENCE.findall((ROOT / page).read_text("utf-8"))]
 
 
 @cache
-def help_of(words: tuple[str, ...]) -> str:
-    program, *rest = words
+def program(name: str) -> typer.Typer:
     apps = {"mavdiag": mavdiag, "mavdiag-detector": detector}
-    if program == "sitl-plant":
+    if name == "sitl-plant":
         pytest.importorskip("numba", reason="the plant is an extra")
-        apps[program] = import_module("sitl_plant.__main__").app
-    result = CliRunner().invoke(apps[program], [*rest, "--help"])
-    return result.output if result.exit_code == 0 else ""
+        apps[name] = import_module("sitl_plant.__main__").app
+    return apps[name]
 
 
-def words_of(command: str) -> tuple[str, ...]:
-    """Program and subcommands of a command line."""
-    program, *rest = command.split()
-    known: tuple[str, ...] = (program,)
-    for word in rest:
-        listed = re.search(r"^Commands:\n((?:  .*\n?)+)", help_of(known), re.MULTILINE)
-        names = re.findall(r"^  ([\w-]+)", listed[1], re.MULTILINE) if listed else []
-        if word not in names:
-            return (*known, "show") if known == ("mavdiag", "model") and not word.startswith("-") else known
-        known = (*known, word)
-    return known
+def resolve(words: list[str]) -> tuple[Any, list[str], str]:
+    """The subcommand that words name, what is left of them, and its name."""
+    command: Any = typer.main.get_command(program(words[0]))
+    names, rest = [words[0]], words[1:]
+    while rest and rest[0] in subcommands(command):
+        command, names, rest = command.commands[rest[0]], [*names, rest[0]], rest[1:]
+    if names == ["mavdiag", "model"]:
+        command, names = command.commands["show"], [*names, "show"]
+    return command, rest, " ".join(names)
 
 
-@pytest.mark.parametrize(("page", "command"), shown())
-def test_a_command_has_the_options_it_is_shown_with(page: str, command: str) -> None:
-    words = words_of(command)
-    text = help_of(words)
-    assert text, f"{page}: {' '.join(words)} is no command"
-    if words == (command.split()[0],) and "Commands:" in text and len(command.split()) > 1:
-        rest = command.split()[1]
-        assert rest.startswith(("-", "[", "|")), f"{page}: no subcommand {rest}"
-    for option in re.findall(r"(?<=\s)-{1,2}[a-z][a-z-]*", command):
-        assert re.search(rf"(?<![\w-]){option}(?![\w-])", text), f"{page}: {' '.join(words)} has no {option}"
+def subcommands(command: Any) -> list[str]:
+    return list(getattr(command, "commands", ()))
+
+
+@pytest.mark.parametrize(("page", "line"), ours())
+def test_a_command_of_a_block_is_taken_by_the_real_command_line(page: str, line: str) -> None:
+    command, rest, name = resolve(shlex.split(line))
+    assert not subcommands(command), f"{page}: {name} is no whole command"
+    context = command.context_class(command)
+    values, left, _ = command.make_parser(context).parse_args(list(rest))
+    assert not left, f"{page}: {name} does not take {left}"
+    for parameter in command.params:
+        if parameter.name in values:
+            parameter.process_value(context, values[parameter.name])
+
+
+@pytest.mark.parametrize(("page", "line"), in_sentences())
+def test_a_command_of_a_sentence_has_the_options_that_it_is_shown_with(page: str, line: str) -> None:
+    command, rest, name = resolve(line.split())
+    known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
+    if subcommands(command):
+        assert not rest or rest[0].startswith(("-", "[", "|")), f"{page}: {name} has no {rest[0]}"
+    for option in re.findall(r"(?<=[\s|\[])-{1,2}[a-z][a-z-]*", " ".join(["", *rest])):
+        assert option in {*known, "--help"}, f"{page}: {name} has no {option}"
+
+
+@pytest.mark.parametrize(("page", "line"), console())
+def test_a_line_is_run_or_parsed_for_a_reason_or_of_another_program(page: str, line: str) -> None:
+    if line.split()[0] not in PROGRAMS:
+        assert FOREIGN.match(line.strip()), f"{page}: {line}"
+        return
+    command = re.split(r"\s+>\s+", line)[0].strip()
+    assert command in RUN or any(re.match(pattern, command) for pattern in PARSED.values()), f"{page}: {line}"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Where the commands of the pages find their files: flights of an emulated quadcopter."""
+    pytest.importorskip("numba", reason="the plant is an extra")
+    here = tmp_path_factory.mktemp("pages")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(here)
+        patch.setenv("XDG_CACHE_HOME", str(here / "cache"))
+        for place in ("healthy", "flights", "more/2026-01"):
+            (here / place).mkdir(parents=True)
+        for seed, name in enumerate(("healthy/1.tlog", "healthy/2.tlog", "healthy/3.tlog", "flights/today.bin")):
+            run(f"sitl-plant record -o {name} --profile ardupilot --rate 100 --duration 30 --seed {seed}")
+        for copy in ("flight.bin", "hover.tlog", "LOG", "more/2026-01/monday.tlog"):
+            (here / copy).write_bytes((here / "flights/today.bin").read_bytes())
+        run('mavdiag identify healthy/ -o drone1.json --name "drone 1"')
+        (here / "BASELINE").write_bytes((here / "drone1.json").read_bytes())
+        yield here
+
+
+def run(line: str) -> str:
+    """What a command prints. It must not end with an error; 1, 3 and 4 are verdicts."""
+    name, *arguments = shlex.split(line)
+    result = CliRunner().invoke(program(name), arguments)
+    assert result.exit_code in (0, 1, 3, 4), f"{line}: {result.output}"
+    assert result.exception is None or isinstance(result.exception, SystemExit), f"{line}: {result.exception!r}"
+    return result.output
+
+
+def test_the_commands_of_the_pages_do_what_is_said(folder: Path) -> None:
+    shown = {line for _, line in ours()}
+    assert set(RUN) <= shown, "a command that is run stands on no page"
+    for extra in ("mcap", "sqlalchemy"):
+        pytest.importorskip(extra, reason="an extra")
+    said = {line: run(line) for line in RUN}
+    assert [name for name in WRITTEN if not (folder / name).stat().st_size] == []
+    assert "healthy" in said["mavdiag scan flights/ --baseline my_drone.json"]
+    assert "grade" in said["mavdiag identify healthy/ -o my_drone.json"]
+    assert "SCR_" not in said["sitl-plant serve-ardupilot --print-parameters ardupilot"]
+    assert "FRAME_CLASS" in said["sitl-plant serve-ardupilot --print-parameters ardupilot"]
+
+
+@contextmanager
+def made_link(address: str) -> Iterator[list[md.Telemetry]]:
+    """A link over which one flight comes."""
+    assert address.startswith("udpin:")
+    yield [md.read_log("flights/today.bin").telemetry]
+
+
+SNIPPETS = [(page, block) for page in PAGES for block in blocks(page, "python")]
+
+
+@pytest.mark.parametrize(("page", "block"), SNIPPETS, ids=[page for page, _ in SNIPPETS])
+def test_the_python_of_a_page_runs(page: str, block: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(md, "open_link", made_link)
+    (folder / "my_drone.toml").write_text('name = "mine"\n')
+    for copy in ("new.tlog", "swarm.tlog"):
+        (folder / copy).write_bytes((folder / "flights/today.bin").read_bytes())
+    t_s = np.arange(0.0, 5.0, 0.01)
+    given = {
+        "t_s": t_s,
+        "gyro": np.zeros((len(t_s), 3)),
+        "commanded": np.zeros((len(t_s), 3)),
+        "duties": np.full(4, 0.5),
+    }
+    exec(compile(block, page, "exec"), given)
+
+
+def load_hil(path: Path) -> Any:
+    """A vehicle file with these tables beside what it is derived from."""
+    path.write_text('name = "mine"\nbase = "qdrone2"\n' + read_text(path))
+    return import_module("sitl_plant.vehicle").load_vehicle(path)
+
+
+TOML = {
+    "docs/airframe.md": load_airframe,
+    "docs/operating.md": load_column_map,
+    "docs/qdrone2-recorded.md": load_airframe,
+    "docs/hil.md": load_hil,
+}
+
+
+def test_the_tables_of_the_pages_are_loaded_by_the_product(tmp_path: Path) -> None:
+    found = {page: blocks(page, "toml") for page in PAGES if blocks(page, "toml")}
+    assert set(found) == set(TOML)
+    assert not [page for page in PAGES if blocks(page, "json") or blocks(page, "yaml")]
+    for page, texts in found.items():
+        for text in texts:
+            path = tmp_path / "shown.toml"
+            path.write_text(text, encoding="utf-8")
+            assert TOML[page](path) is not None
+
+
+def test_no_block_has_another_language() -> None:
+    named = {
+        language
+        for page in PAGES
+        for language in re.findall(r"^ *```(\S+)$", (ROOT / page).read_text(encoding="utf-8"), re.MULTILINE)
+    }
+    assert named <= {"python", "toml", "math", "mermaid", "text", "{eval-rst}", "{toctree}"}
