@@ -11,8 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mavdiag.airframe.fingerprint import FIRST_S, Fingerprint, Likeness, compare
-from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.fingerprint import FIRST_S, Likeness, compare
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.decision.alarm import NOTHING_SEEN, DecisionSpec, DecisionState
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event
@@ -30,7 +29,6 @@ from mavdiag.rows.gate import Border
 from mavdiag.rows.grid import LEAST_SAMPLES, measure_grid, steps_of
 from mavdiag.rows.rates import RateBlock, RateSpec
 from mavdiag.telemetry import Signal, Telemetry
-from mavdiag.thresholds.envelope import Covered
 from mavdiag.units import NS_PER_S
 
 MOST_WAITING = 32  # chunks that may wait: time that stands still must not fill the memory (our choice)
@@ -110,23 +108,17 @@ class ChainState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """The whole way from telemetry to alarms.
-
-    fingerprint, layout: of the baseline's vehicle; None to compare nothing. baseline: None where no link is refused.
-    """
+    """The whole way from telemetry to alarms. profile: of the data, if known."""
 
     front: Front
     decision: DecisionSpec
-    covered: tuple[Covered, ...] = ()
-    fingerprint: Fingerprint | None = None
-    layout: RotorLayout | None = None
-    baseline: Baseline | None = None
+    baseline: Baseline
     profile: str | None = None
     kernel: Kernel = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         dt_s = self.front.align.dt_s
-        kernel = Kernel(self.slots, self.covered, dt_s, self.front.rates.window // 2 * dt_s)
+        kernel = Kernel(self.slots, self.baseline.envelope, dt_s, self.front.rates.window // 2 * dt_s)
         object.__setattr__(self, "kernel", kernel)
 
     @property
@@ -136,7 +128,7 @@ class Chain:
 
     def start(self, held: Diagnosis = NOTHING_SEEN) -> ChainState:
         """Nothing seen yet. held: what is known from before, as `landed` has it."""
-        beginning = None if self.fingerprint is None else list[Rows]()
+        beginning = None if self.baseline.fingerprint is None else list[Rows]()
         return ChainState(self.kernel, self.front.start(), self.kernel.start(), DecisionState(held), None, beginning)
 
     def step(self, state: ChainState, telemetry: Telemetry) -> tuple[ChainState, ChainOutput]:
@@ -205,8 +197,6 @@ class Chain:
         steps = steps[steps <= BREAK_S]
         if len(steps) + 1 < LEAST_SAMPLES or float(np.sum(steps)) < least_s:
             return None
-        if self.baseline is None:
-            return ""
         found = ""
         for dt_s in (measure_grid(telemetry)[0], float(np.median(steps))):
             try:
@@ -239,7 +229,7 @@ class Chain:
         return state, ChainOutput(tuple(events), tuple(changes), *spans_s, now_ns, likeness, tuple(pieces))
 
     def _compared(self, state: ChainState, rows: Rows) -> Likeness | None:
-        if state.beginning is None or self.fingerprint is None:
+        if state.beginning is None or self.baseline.fingerprint is None:
             return None
         count = int(np.count_nonzero(rows.block.valid))
         if count == 0 and not (state.beginning and state.beginning[-1].block.valid.any()):
@@ -249,7 +239,7 @@ class Chain:
             state.begun_s += count * rows.block.dt_s
             return None
         beginning, state.beginning = state.beginning, None
-        return compare(self.fingerprint, beginning, self.layout)
+        return compare(self.baseline.fingerprint, beginning, self.baseline.airframe.layout)
 
     def _taken(self, state: ChainState) -> tuple[Rows | Border, ...]:
         for telemetry in state.waiting or ():
@@ -308,5 +298,4 @@ def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None
     )
     moves = any(monitor.feature == "motion" for monitor in monitors)
     known = known_fault_types(whose.classifier, link.profile, 1.0 / link.dt_s) if moves else ()
-    told = (baseline.envelope, baseline.fingerprint, whose.layout, baseline, profile)
-    return Chain(front_of(baseline), DecisionSpec(slots, known), *told)
+    return Chain(front_of(baseline), DecisionSpec(slots, known), baseline, profile)

@@ -201,8 +201,9 @@ class _Run:
             self._take(*chain.judge(self.state, (part,)))
             if self.likeness.outcome is Outcome.FAR:
                 return
-        if self.state.beginning and chain.fingerprint is not None:
-            self.likeness = compare(chain.fingerprint, self.state.beginning, chain.layout)
+        learnt = chain.baseline.fingerprint
+        if self.state.beginning and learnt is not None:
+            self.likeness = compare(learnt, self.state.beginning, chain.baseline.airframe.layout)
         self._take(*chain.finish(self.state))
         self._settle()
 
@@ -347,7 +348,7 @@ def _summaries(chain: Chain, accounts: Sequence[Account], events: Sequence[Event
 
 def why_not(chain: Chain, account: Account) -> str | None:
     """Why a slot did not judge: the reason that cost most time. One that judged and only warmed up has none."""
-    sentence = {one.condition: one.sentence for one in chain.covered}
+    sentence = {one.condition: one.sentence for one in chain.baseline.envelope}
     outside = {sentence[condition](one.value): one.span_s for condition, one in account.outside.items()}
     reasons = {**(account.not_judged if account.judged_s == 0 else {}), **account.missing, **outside}
     if not reasons or max(reasons.values()) < MIN_JUDGED_S:

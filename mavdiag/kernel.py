@@ -441,11 +441,10 @@ class Looked:
 
 @dataclass(frozen=True, slots=True)
 class Outside:
-    """Time that a slot did not judge for a condition [s], and the condition's farthest value and its excess."""
+    """Time that a slot did not judge for a condition [s], and the condition's farthest value."""
 
     span_s: float
     value: float
-    excess: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -512,7 +511,7 @@ class Kernel:
     """
 
     def __init__(self, slots: tuple[Slot, ...], covered: tuple[Covered, ...], dt_s: float, delay_s: float) -> None:
-        self.slots, self.covered, self.dt_s = slots, covered, dt_s
+        self.slots, self.dt_s = slots, dt_s
         self.periods_s = [slot.monitor.period_s(dt_s) for slot in slots]
         self._needs = [sorted(slot.monitor.signals) for slot in slots]
         checks = dict.fromkeys(_check(slot, signal) for slot in slots for signal in sorted(slot.monitor.signals))
@@ -646,8 +645,8 @@ class Kernel:
                 if span_s := missing[self._bit[_check(slot, signal)]]:
                     lacking[f"no {signal.replace('_', ' ')}"] = span_s
             outside = {
-                condition: Outside(beyond * period_s, value, excess)
-                for condition, (beyond, value, excess) in zip(ORDER, memory.outside[number].tolist(), strict=True)
+                condition: Outside(beyond * period_s, value)
+                for condition, (beyond, value, _) in zip(ORDER, memory.outside[number].tolist(), strict=True)
                 if beyond
             }
             highest = peak if values else None

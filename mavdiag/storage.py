@@ -115,7 +115,7 @@ class Shelf:
     """
 
     def __init__(self, most_bytes: int | None = None) -> None:
-        self._left, self._end = SHELF_BYTES if most_bytes is None else most_bytes, 0
+        self._left = SHELF_BYTES if most_bytes is None else most_bytes
         self._file: BinaryIO | None = None
 
     def __enter__(self) -> Self:

@@ -103,7 +103,7 @@ def test_no_module_is_entered_twice_between_rows_and_decision() -> None:
     assert state.diagnosis.rotor == 2
     passed = [stage for name in seen for stage in STAGES if name == stage or name.startswith(f"{stage}.")]
     assert [stage for stage, _ in groupby(passed)] == list(STAGES)
-    assert chain.covered
+    assert chain.baseline.envelope
     order = [re.escape(stage.removeprefix("mavdiag.")) for stage in STAGES]
     assert re.search(r"\n *" + r" .*?\n *".join(order) + r"\b", PAGE, re.DOTALL)
     decision = [name.rsplit(".", 1)[1] for name in seen if name.startswith("mavdiag.decision.")]

@@ -39,12 +39,12 @@ def between(telemetry: Telemetry, low_ns: int, high_ns: int) -> Telemetry:
 
 def test_another_vehicle_is_told_in_a_text_and_with_figures_in_the_journal() -> None:
     chain = taught()
-    assert chain.fingerprint is not None
+    learnt = chain.baseline.fingerprint
+    assert learnt is not None
     figures = tuple(
-        Figure(one.name, one.mean + 5.0, 0.01) if one.name.startswith("gyro noise") else one
-        for one in chain.fingerprint.figures
+        Figure(one.name, one.mean + 5.0, 0.01) if one.name.startswith("gyro noise") else one for one in learnt.figures
     )
-    other = replace(chain, fingerprint=Fingerprint(figures, 2))
+    other = replace(chain, baseline=chain.baseline.model_copy(update={"fingerprint": Fingerprint(figures, 2)}))
     told = [one for one in steps(other, 40) if one.likeness is not None]
     assert [one.likeness.outcome for one in told if one.likeness] == [Outcome.FAR]
     notes = [one.text for output in told for one in records_of(output, "E8") if isinstance(one, Note)]
