@@ -134,7 +134,7 @@ def fly(
     speed: flight seconds a second, None for as fast as it goes. watch: is shown every block's truth.
     """
     started_s, started_cpu_s, filters = time.monotonic(), time.process_time(), ImuFilters(dialect, plant.config.seed)
-    autopilot = Autopilot(dialect.sysid, [link.schedule for link in links], dialect, plant.config)
+    autopilot = Autopilot([link.schedule for link in links], dialect, plant.config)
     endpoints, messages, received = [link.endpoint for link in links], 0, 0
     zero_s, late_max_s, slips = started_s - plant.t_ns * 1e-9 / (speed or 1.0), 0.0, 0
     late: deque[float] = deque(maxlen=LATENESSES)

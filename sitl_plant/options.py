@@ -29,7 +29,6 @@ _TURBULENCE = "Dryden turbulence of this wind at 20 ft, instead of the gusts [m/
 VehicleName: TypeAlias = Annotated[str, Option("--vehicle", metavar="NAME|FILE.toml", help=_VEHICLES)]
 Drone: TypeAlias = Annotated[int, Option(help="Specimen of the vehicle: 1 (aged), 2 or 3 (new).")]
 FaultCode: TypeAlias = Annotated[str | None, Option(metavar="CODE", help="Propeller fault, F1/SV1 to F3/SV3.")]
-Onset: TypeAlias = Annotated[float, Option(metavar="S", help="Flight time at which the fault begins.")]
 Phenomenology: TypeAlias = Annotated[float, Option(help=_PHENOMENOLOGY)]
 Wind: TypeAlias = Annotated[float, Option(metavar="M_S", help="Mean wind, with gusts.")]
 W20: TypeAlias = Annotated[float, Option(metavar="W20", help=_TURBULENCE)]
@@ -57,7 +56,7 @@ def flight_plan(
     takeoff: Annotated[bool, Option("--takeoff", help="Start disarmed on the ground; end there.")] = False,
     fault: FaultCode = None,
     rotor: Annotated[int, Option(help=_ROTOR)] = 1,
-    onset: Onset = 0.0,
+    onset: Annotated[float, Option(metavar="S", help="Flight time at which the fault begins.")] = 0.0,
     phenomenology: Phenomenology = 1.0,
     rate: Annotated[float | None, Option(metavar="HZ", help="Of set-point and IMU.  [default: the profile's]")] = None,
     duration: Annotated[float | None, Option(metavar="S", help="Flight time.  [default: open; record 60 s]")] = None,

@@ -20,7 +20,7 @@ class Vehicle:
         config = PlantConfig(trajectory="commanded", start="ground", seed=seed)
         self._dialect = dialect_named(profile)
         self.plant = Plant(config)
-        self.autopilot = Autopilot(1, [self._dialect.schedule(None)], self._dialect, config)
+        self.autopilot = Autopilot([self._dialect.schedule(None)], self._dialect, config)
         self.said: list[Reply] = []
         self.flown: list[PlantSamples] = []
         self._encoder = Encoder(255, 190)

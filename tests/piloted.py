@@ -107,7 +107,7 @@ class PilotedVehicle(Endpoint):
         self.plant, self._filters = Plant(flight), ImuFilters(dialect, flight.seed)
         self._near, far = memory_pair(clock=clock.monotonic_ns)
         self._link = Link(far, dialect, None, self.plant.rotors, fresh=True)
-        self.autopilot = Autopilot(1, [self._link.schedule], dialect, flight)
+        self.autopilot = Autopilot([self._link.schedule], dialect, flight)
         self.pilot = Pilot(profile, lambda data: self._take(Decoder().feed(data, 0)))
 
     @property

@@ -52,8 +52,8 @@ _Answer: TypeAlias = tuple[MavResult, list[Action]]
 class Autopilot:
     """The receiving half of the emulated autopilot, for all its links. schedules: one for each link."""
 
-    def __init__(self, sysid: int, schedules: Sequence[Schedule], dialect: Dialect, config: PlantConfig) -> None:
-        self._identity = (sysid, int(Component.AUTOPILOT1))
+    def __init__(self, schedules: Sequence[Schedule], dialect: Dialect, config: PlantConfig) -> None:
+        self._identity = (dialect.sysid, int(Component.AUTOPILOT1))
         self._schedules, self._dialect, self._config = schedules, dialect, config
         vehicle = config.flown_vehicle
         self._rotors, self._failures = len(vehicle.rotors), dict[int, Injection]()

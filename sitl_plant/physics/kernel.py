@@ -10,12 +10,13 @@ flight is cut into calls therefore changes nothing, and a purpose that is not as
 """
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from mavdiag.jit import cached_loop, inline, jit
-from mavdiag.telemetry import BoolArray, FloatArray
+from mavdiag.telemetry import FloatArray
 from sitl_plant.physics import control, dynamics, mocap, rotors, sensors
 from sitl_plant.physics.air import Air, Dryden, Turbulence, advance_wind
 from sitl_plant.physics.trajectory import DISARMED, FLYING, Path, reference
@@ -261,28 +262,13 @@ def fly(
         _move(state, model, own, condition, noise, row, step)
 
 
-class Outages:
-    """When the cameras see no marker at all: from t = 0 on, `per_min` times a minute on average, at random times.
-
-    The gap from the end of one to the beginning of the next is exponential.
-    """
-
-    def __init__(self, per_min: float, rng: np.random.Generator) -> None:
-        self._gap_s, self._rng = 60.0 / per_min, rng
-        self._spans = [self._after(0.0)]
-
-    def _after(self, t_s: float) -> tuple[float, float]:
-        start = t_s + float(self._rng.exponential(self._gap_s))
-        return start, start + float(self._rng.uniform(*OUTAGE_S))
-
-    def during(self, t_s: FloatArray) -> BoolArray:
-        """Which of these times, ascending, lie in an outage."""
-        while len(t_s) and self._spans[-1][0] <= t_s[-1]:
-            self._spans.append(self._after(self._spans[-1][1]))
-        lost = np.zeros(len(t_s), dtype=np.bool_)
-        for start, end in self._spans:
-            lost |= (start <= t_s) & (t_s < end)
-        return lost
+def outages(per_min: float, rng: np.random.Generator) -> Iterator[tuple[float, float]]:
+    """When the cameras see no marker at all: `per_min` times a minute on average, the gaps between exponential [s]."""
+    end = 0.0
+    while True:
+        start = end + float(rng.exponential(60.0 / per_min))
+        end = start + float(rng.uniform(*OUTAGE_S))
+        yield start, end
 
 
 class Streams:
@@ -295,11 +281,12 @@ class Streams:
     def __init__(
         self, seed: int, dt_s: float, turbulence: tuple[Dryden, float] | None = None, outages_per_min: float = 0.0
     ) -> None:
-        *children, gusts, outages = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(8))
+        *children, gusts, lost = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(8))
         self.angle, self.rotors, self.imu, self.wind, self.markers, self.occlusion = children
         self._dt_s, self._imu_columns = dt_s, sensors.CHANNELS
         self._gusts = Turbulence(*turbulence, dt_s, gusts) if turbulence is not None else None
-        self._outages = Outages(outages_per_min, outages) if outages_per_min else None
+        self._coming = outages(outages_per_min, lost) if outages_per_min else None
+        self._outages = [(-math.inf, -math.inf)]  # so far; the last one begins after all frames
 
     def take_imus(self, imus: np.random.Generator) -> None:
         """Draw from now on for both IMUs of a vehicle as it was recorded, from a stream of their own."""
@@ -311,9 +298,12 @@ class Streams:
         frame = math.ceil(first / period)
         frames = math.ceil((first + count) / period) - frame
         occlusion = self.occlusion.random((frames, markers))
-        if self._outages is not None:
+        if self._coming is not None:
             at_s = np.arange(frame, frame + frames, dtype=np.float64) * (period * self._dt_s)
-            occlusion[self._outages.during(at_s)] = -1.0  # less than any probability: hidden
+            while frames and self._outages[-1][0] <= at_s[-1]:
+                self._outages.append(next(self._coming))
+            for start, end in self._outages:
+                occlusion[(start <= at_s) & (at_s < end)] = -1.0  # less than any probability: hidden
         return Noise(
             rotors=self.rotors.standard_normal((count, 2 * len(model.rotors.sign))),
             imu=self.imu.standard_normal((count, self._imu_columns)),

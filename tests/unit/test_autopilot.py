@@ -19,7 +19,7 @@ NOW_NS = 5_000_000_000
 
 def autopilot(n_links: int = 3, profile: str = "qdrone2") -> Autopilot:
     schedules = [Schedule({MessageId.RAW_IMU: 1000.0, MessageId.HIGHRES_IMU: 0.0}, 1000.0) for _ in range(n_links)]
-    return Autopilot(1, schedules, dialect_named(profile), PlantConfig())
+    return Autopilot(schedules, dialect_named(profile), PlantConfig())
 
 
 def frame(source: tuple[int, int], msgid: int, *fields: Argument) -> Frame:
@@ -123,7 +123,7 @@ def test_a_ground_station_sets_the_rates_of_a_stream_on_its_link(
 ) -> None:
     rates: dict[int, float] = {MessageId.RAW_IMU: 100.0, MessageId.ATTITUDE: 10.0, 83: 100.0}
     schedules = [Schedule(rates, 1000.0) for _ in range(2)]
-    one = Autopilot(1, schedules, dialect_named("ardupilot"), PlantConfig())
+    one = Autopilot(schedules, dialect_named("ardupilot"), PlantConfig())
     asked = frame(GCS, MessageId.REQUEST_DATA_STREAM, *PLANT, stream, rate_hz, start)
     assert one.step(1, asked, NOW_NS) == []
     told = [[schedule.interval_us(msgid) for msgid in rates] for schedule in schedules]
@@ -178,7 +178,7 @@ def test_no_command_raises_and_none_is_forwarded_to_its_own_link(
 def test_no_bytes_for_a_commanded_vehicle_raise(profile: str, messages: list[tuple[int, bytes]]) -> None:
     dialect = dialect_named(profile)
     config = PlantConfig(trajectory="commanded", start="ground")
-    one, encoder = Autopilot(1, [dialect.schedule(None)], dialect, config), Encoder(*GCS)
+    one, encoder = Autopilot([dialect.schedule(None)], dialect, config), Encoder(*GCS)
     for msgid, payload in messages:
         heard = Decoder().feed(encoder.encode_payload(msgid, payload), 0)[0]
         for action in one.step(0, heard, NOW_NS):

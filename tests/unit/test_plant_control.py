@@ -1,6 +1,7 @@
 """Attitude estimate and controllers: closed forms, directions, limits."""
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from sitl_plant.vehicle import qdrone2
 WEIGHT = 1.504 * 9.81
 
 
+@cache
 def gains() -> Controller:
     airframe = nominal_airframe(qdrone2())
     return make_model(airframe, NO_PAYLOAD, path(Shape.HOVER, 1.0, 0.5, 0.0, 1.0), np.zeros(3)).controller
