@@ -6,6 +6,7 @@ to find its frames and whose they are, and to convert those of a vehicle.
 """
 
 import hashlib
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from mavdiag.link.samples import SampleDecoder, SampleState, joined
 from mavdiag.link.sequence import FRAME, LinkCount
 from mavdiag.link.vehicles import parameters_in
 from mavdiag.logs.log import TLOG_BYTES, WINDOW_BYTES, LogKind, opened, windows_of
+from mavdiag.storage import Column, forget
 from mavdiag.telemetry import Log, Telemetry
 
 DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
@@ -115,7 +117,7 @@ def read_content(path: Path) -> TlogContent:
 def decode_windows(windows: Iterable[bytes], *, keep: bool = True) -> TlogContent:
     """As `decode_tlog`, for a log that comes in windows, wherever they cut it. keep: the bytes, too."""
     decoder, pieces, systems = Decoder(_WANTED, stamped=True), list[_Piece](), dict[int, _System]()
-    seen_ns = list[int]()
+    seen_ns, counts, lean = list[int](), [0], Column(np.empty(0, _LEAN))
 
     def take(window: bytes, *, last: bool = False) -> None:
         at, frames = decoder.size, decoder.take_stream(window, last=last)
@@ -126,15 +128,22 @@ def decode_windows(windows: Iterable[bytes], *, keep: bool = True) -> TlogConten
             system.take(own)
             system.parameters += own.of(MessageId.PARAM_VALUE)
         seen_ns.extend((int(frames.rows["host_ns"].min()), int(frames.rows["host_ns"].max())))
-        held = frames if keep else Frames(NO_FRAMES.data, frames.rows[_KEPT].astype(_LEAN))
-        pieces.append(_Piece(held, at, len(frames.data)))
+        pieces.append(_Piece(frames if keep else NO_FRAMES, at, len(frames.data)))
+        counts.append(len(frames))
+        if not keep:
+            lean.add(frames.rows[_KEPT].astype(_LEAN))
 
     for window in windows:
         take(window)
     take(b"", last=True)
+    if not keep:
+        spans = itertools.pairwise(itertools.accumulate(counts))
+        rows = lean.whole()
+        held = (Frames(NO_FRAMES.data, rows[first:stop]) for first, stop in spans)
+        pieces = [piece._replace(frames=frames) for piece, frames in zip(pieces, held, strict=True)]
     span_ns = max(seen_ns, default=0) - min(seen_ns, default=0)
-    counts = (decoder.size, decoder.records, decoder.garbage_bytes, decoder.senders, decoder.size - decoder.sound_end)
-    return TlogContent(pieces, systems, span_ns, *counts)
+    totals = (decoder.size, decoder.records, decoder.garbage_bytes, decoder.senders, decoder.size - decoder.sound_end)
+    return TlogContent(pieces, systems, span_ns, *totals)
 
 
 def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None) -> Log:
@@ -222,6 +231,7 @@ def _converted(path: Path, pieces: list[_Piece], sysid: int, decoder: SampleDeco
                 raise InputError(f"{path}: it became shorter while it was read; read it again")
             rows = np.zeros(len(frames), FRAME)
             rows[_KEPT] = frames.rows
+            forget(frames.rows)
             own = Frames(data, rows).by_sysid()
             state, telemetry = decoder.step(state, own.get(sysid, NO_FRAMES))
             yield telemetry
