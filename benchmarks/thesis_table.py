@@ -104,7 +104,7 @@ def gyro_level(one: LearntFlight) -> float:
     """Rms of the raw roll gyro between 100 and 200 Hz [rad/s]."""
     from scipy.signal import welch
 
-    series = one.held.open().telemetry.get(Signal.BODY_RATE)
+    series = one.held.open(Signal.BODY_RATE).get(Signal.BODY_RATE)
     assert series is not None
     f, power = welch(series.values[:, 0], 1000.0, nperseg=1000)
     return float(np.sqrt(power[(f >= 100.0) & (f < 200.0)].sum() * f[1]))

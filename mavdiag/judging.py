@@ -18,7 +18,7 @@ from mavdiag.kernel import Account, Piece, Stretch
 from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.rows.block import Block
-from mavdiag.rows.front import Rows
+from mavdiag.rows.front import Rows, in_pieces
 from mavdiag.rows.gate import hidden_flight
 from mavdiag.rows.grid import measure_grid
 from mavdiag.rows.upsets import motion_of, upset_in
@@ -195,7 +195,7 @@ class _Run:
         self.state, self.likeness = chain.start(), Likeness(Outcome.ALIKE)
         self.changes, self.kept = list[Change](), list[Piece]()
         self._found, self._motion, self._spans = list[Event](), list[FloatArray](), list[Stretch]()
-        for part in chain.front.pieces(log.telemetry, PIECE_ROWS):
+        for part in chain.front.pieces(in_pieces(log.telemetry, PIECE_ROWS)):
             if isinstance(part, Rows) and len(part.block):
                 self._flew(part.block)
             self._take(*chain.judge(self.state, (part,)))

@@ -1,8 +1,9 @@
 """Files (edge): only regular files of a bounded size are read, and files are written atomically.
 
-A `Shelf` puts arrays aside that are too many for the memory.
+A `Shelf` puts arrays aside that are too many for the memory, and a `Column` those that come piece by piece.
 """
 
+import math
 import mmap
 import os
 import secrets
@@ -23,8 +24,9 @@ Arrays: TypeAlias = tuple[NDArray[Any], ...]
 
 TOML_BYTES = 32 << 10  # the longest of ours has 7 kB; tomllib takes seconds for a larger one's worst (our choice)
 TEXT_BYTES = 8 << 20  # baselines have some hundred kilobytes (our choice)
-SHELF_BYTES = 32 << 20  # of arrays that a shelf keeps in memory before it opens its file (our choice)
-ALIGN_BYTES = 64  # of an array in that file
+SHELF_BYTES = 8 << 20  # of arrays that a shelf keeps in memory before it opens its file (our choice)
+COLUMN_BYTES = 8 << 20  # of a column that comes piece by piece, until it goes into a file (our choice)
+ALIGN_BYTES = 8  # of an array in a file: that of its numbers
 
 
 @contextmanager
@@ -115,7 +117,7 @@ class Shelf:
     """
 
     def __init__(self, most_bytes: int | None = None) -> None:
-        self._left = SHELF_BYTES if most_bytes is None else most_bytes
+        self._left, self._end = SHELF_BYTES if most_bytes is None else most_bytes, 0
         self._file: BinaryIO | None = None
 
     def __enter__(self) -> Self:
@@ -134,32 +136,112 @@ class Shelf:
         size = sum(one.nbytes for one in arrays)
         if size <= self._left:
             self._left -= size
-            return lambda: tuple(arrays)
+            kept = tuple(one.copy("K") for one in arrays)  # of a longer array no more than this
+            return lambda: kept
         self._left = 0
-        file = self._file = self._file or tempfile.TemporaryFile()  # noqa: SIM115  # as long as the shelf is
-        places = []
-        try:
-            for array in arrays:
-                rows = array if _varies(array) else array[:1]
-                places.append((file.seek(-(-file.tell() // ALIGN_BYTES) * ALIGN_BYTES), rows.shape))
-                file.write(np.ascontiguousarray(rows.T).data)  # column by column
-            file.flush()
-        except OSError as error:
-            room = f"no room to put {size >> 20} MB aside ({error.strerror or error})"
-            raise UsageError(f"{tempfile.gettempdir()}: {room}; set TMPDIR to a folder with more") from error
-        end, kinds = file.tell(), [(array.dtype, array.shape) for array in arrays]
+        with enough_room(size):
+            return self._written(arrays)
+
+    def _written(self, arrays: Sequence[NDArray[Any]]) -> Callable[[], Arrays]:
+        file = self._file = self._file or tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # as long as the shelf is
+        places, known = list[tuple[Any, ...]](), dict[tuple[int, tuple[int, ...]], int]()
+        for number, array in enumerate(arrays):
+            same = known.setdefault((array.ctypes.data, array.shape), number)
+            if same != number:  # of one memory, as the times of signals that come together
+                places.append(places[same])
+                continue
+            rows = array if _varies(array) else array[:1]
+            places.append((self._end, rows.dtype, rows.shape, array.shape))
+            columns = _bytes_of(rows.T)
+            self._end += _write(file, columns) + _write(file, memoryview(bytes(-len(columns) % ALIGN_BYTES)))
+            forget(array)
+
+        end, begin = self._end, places[0][0] // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
 
         def get() -> Arrays:
-            mapped, found = mmap.mmap(file.fileno(), end, access=mmap.ACCESS_READ), list[NDArray[Any]]()
-            for (at, shape), (dtype, whole) in zip(places, kinds, strict=True):
-                found.append(np.broadcast_to(np.ndarray(shape, dtype, mapped, at, order="F"), whole))
-            return tuple(found)
+            mapped = mmap.mmap(file.fileno(), end - begin, access=mmap.ACCESS_READ, offset=begin)
+            return tuple(_mapped(mapped, at - begin, dtype, shape, whole) for at, dtype, shape, whole in places)
 
         return get
 
 
+class Column:
+    """Rows that come piece by piece: in memory, and from `COLUMN_BYTES` on in a file of the temporary folder.
+
+    The file has no name, and is there as long as the array that is mapped from it.
+    """
+
+    def __init__(self, like: NDArray[Any]) -> None:
+        self._rows, self._count = np.empty((0, *like.shape[1:]), like.dtype), 0
+        self._file: BinaryIO | None = None
+
+    def add(self, rows: NDArray[Any]) -> None:
+        """Put rows behind those that came. Raises UsageError if the disk is full."""
+        self._count += len(rows)
+        if self._file is None:
+            self._rows.resize((self._count, *self._rows.shape[1:]), refcheck=False)
+            self._rows[self._count - len(rows) :] = rows
+            if self._rows.nbytes < COLUMN_BYTES:
+                return
+            self._file, rows = tempfile.TemporaryFile(buffering=0), self._rows  # noqa: SIM115  # until it is mapped
+            self._rows = rows[:0].copy()
+        with enough_room(rows.nbytes):
+            _write(self._file, _bytes_of(rows))
+
+    def whole(self) -> NDArray[Any]:
+        """All rows, read-only if they lie in a file."""
+        if self._file is None:
+            return self._rows
+        with self._file as file:
+            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        return np.ndarray((self._count, *self._rows.shape[1:]), self._rows.dtype, mapped)
+
+
+def forget(*arrays: NDArray[Any]) -> None:
+    """Take what was read of mapped arrays out of memory; it comes from the file again when it is asked for."""
+    for array in arrays:
+        base: Any = array
+        while isinstance(base, np.ndarray):
+            base = base.base
+        if isinstance(base, mmap.mmap):
+            base.madvise(mmap.MADV_DONTNEED)
+
+
+@contextmanager
+def enough_room(size: int) -> Iterator[None]:
+    """Say of an error of the disk in the block what to do about it. size: of what is put aside [bytes]."""
+    try:
+        yield
+    except OSError as error:
+        room = f"no room to put {size >> 20} MB aside ({error.strerror or error})"
+        raise UsageError(f"{tempfile.gettempdir()}: {room}; set TMPDIR to a folder with more") from error
+
+
+def _bytes_of(rows: NDArray[Any]) -> memoryview:
+    return memoryview(np.ascontiguousarray(rows).reshape(-1).view(np.uint8).data)
+
+
+def _write(file: BinaryIO, data: memoryview) -> int:
+    """Write all of it, of which the system may take less at once; returns how many bytes these are."""
+    left = data
+    while len(left):
+        left = left[file.write(left) :]
+    return len(data)
+
+
+def _mapped(
+    file: mmap.mmap, at: int, dtype: np.dtype[Any], shape: tuple[int, ...], whole: tuple[int, ...]
+) -> NDArray[Any]:
+    """An array of a mapped file; its one row stands for all where it has one only."""
+    if not math.prod(shape):
+        return np.empty(whole, dtype)
+    rows: NDArray[Any] = np.ndarray(shape, dtype, file, at, order="F")
+    return rows if shape == whole else np.broadcast_to(rows, whole)
+
+
 def _varies(array: NDArray[Any]) -> bool:
-    few = array[:: len(array) // 100 or 1]  # they tell mostly
+    """Whether the rows differ; a few of them tell mostly."""
+    few = array[:: len(array) // 100 or 1]
     return not all(
         np.array_equal(rows, np.broadcast_to(rows[:1], rows.shape), equal_nan=rows.dtype.kind == "f")
         for rows in (few, array)

@@ -8,11 +8,10 @@ It raises vibration and costs thrust: only lower noise and a lower throttle coun
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -81,6 +80,7 @@ TRAITS = (
     Trait("motors", 0.1, OTHER_MOTORS, OTHER_MOTORS, far_high=OTHER_MOTORS, log=False),
 )
 TRIM, NOISE = slice(0, 3), slice(3, 9)
+Bends: TypeAlias = tuple[FloatArray, FloatArray]  # of `_bends`
 JOINED = {"t_ns", "setpoint", "rate", "force", "torque", "thrust", "vibration", "actuator", "valid", "setpoint_valid"}
 
 
@@ -138,9 +138,9 @@ def fingerprint_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout | None
     """
     found, varied = [], []
     for flight in flights:
-        parts = list(_parts(flight))
-        found.append(traits(parts or joined(flight), layout))
-        varied.append(np.array([traits([part], layout) for part in parts]).reshape(-1, len(TRAITS)))
+        parts = [_shown(part, layout) for part in _parts(flight)]
+        found.append(_figures(parts) if parts else traits(joined(flight), layout))
+        varied.append(np.array([_figures([part]) for part in parts]).reshape(-1, len(TRAITS)))
     figures = []
     for i, (trait, column) in enumerate(zip(TRAITS, np.array(found).T, strict=True)):
         known = column[np.isfinite(column)]
@@ -269,23 +269,45 @@ def _parts(flight: Sequence[Rows]) -> Iterator[Block]:
         yield joined(flight[low : high + 1])[0].rows(offset, offset + stop - first)
 
 
-def traits(blocks: Sequence[Block], layout: RotorLayout | None) -> FloatArray:
+def traits(blocks: Iterable[Block], layout: RotorLayout | None) -> FloatArray:
     """The figures of a flight, (len(TRAITS),), NaN where it does not show them. layout: None if it is not known."""
-    calm = [block.once("calm", partial(_calm, block)) for block in blocks]
-    seconds = [np.empty((0, 3))]
-    for block, ok in zip(blocks, calm, strict=True):
-        if layout is None:
-            break
-        window, (values, known) = window_rows(TRIM_S, block.dt_s), shown_trim(block, layout)
-        seconds.append(window_mean(values, window)[window_all(known & ok, window)][:: max(1, window // 4)])
-    trim = np.concatenate(seconds)
+    return _figures([_shown(block, layout) for block in blocks])
+
+
+class _Shown(NamedTuple):
+    """What the figures of a flight are made of, in some rows of it."""
+
+    trim: FloatArray  # (k, 3) means over a calm second
+    gyro: Bends
+    felt: Bends
+    thrust: FloatArray  # of calm rows
+    levels: FloatArray  # the motors' mean outputs in them, where no thrust and the layout are known
+    outputs: FloatArray  # (outputs, n) that are known
+
+
+def _shown(block: Block, layout: RotorLayout | None) -> _Shown:
+    calm, window, trim = _calm(block), window_rows(TRIM_S, block.dt_s), np.empty((0, 3))
+    levels, width = np.empty(0), block.actuator.shape[1]
+    if layout is not None:
+        values, known = shown_trim(block, layout)
+        trim = window_mean(values, window)[window_all(known & calm, window)][:: max(1, window // 4)]
+        if width and not np.isfinite(block.thrust[calm]).any():
+            levels = block.actuator[calm, : layout.rotors].mean(axis=1)
+    gyro, felt = (_bends(values.T, block.valid, block.dt_s) for values in (block.rate, block.force))
+    outputs = block.actuator.T[:, block.known(Signal.ACTUATOR) & block.valid]
+    return _Shown(trim, gyro, felt, block.thrust[calm], levels, outputs)
+
+
+def _figures(shown: Sequence[_Shown]) -> FloatArray:
+    """The figures of `TRAITS`."""
+    trim = np.concatenate([np.empty((0, 3)), *(one.trim for one in shown)])
     return np.array(
         [
             *(np.median(trim, axis=0) if len(trim) else np.full(3, np.nan)),
-            *_noise([block.once("gyro", partial(_bends, block.rate.T, block.valid, block.dt_s)) for block in blocks]),
-            *_noise([block.once("felt", partial(_bends, block.force.T, block.valid, block.dt_s)) for block in blocks]),
-            _throttle(blocks, calm, layout),
-            _motors(blocks),
+            *_noise([one.gyro for one in shown]),
+            *_noise([one.felt for one in shown]),
+            _throttle(shown),
+            _motors([one.outputs for one in shown]),
         ]
     )
 
@@ -300,7 +322,7 @@ def _calm(block: Block) -> BoolArray:
     return np.asarray(block.valid & (squares < CALM_RAD_S**2), dtype=np.bool_)
 
 
-def _bends(values: FloatArray, valid: BoolArray, dt_s: float) -> tuple[FloatArray, FloatArray]:
+def _bends(values: FloatArray, valid: BoolArray, dt_s: float) -> Bends:
     """(3, w) mean squares of second differences over windows of (3, n) rows, and (3, k) sizes of steps."""
     known, window = valid & np.isfinite(values[2]), window_rows(NOISE_WINDOW_S, dt_s)
     steps = np.diff(values)
@@ -308,7 +330,7 @@ def _bends(values: FloatArray, valid: BoolArray, dt_s: float) -> tuple[FloatArra
     return window_mean(bends.T, window)[:: max(1, window // 2)].T, np.abs(steps[:, window_all(known, 2)])
 
 
-def _noise(found: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
+def _noise(found: Sequence[Bends]) -> FloatArray:
     """(3,) log rms of second differences in the calmest fifth of windows, at least that of a rounding, q^2/2."""
     none = np.empty((3, 0))
     squares, steps = (np.concatenate((none, *parts), axis=1) for parts in zip((none, none), *found, strict=True))
@@ -321,21 +343,19 @@ def _noise(found: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
     return np.array(levels)
 
 
-def _throttle(blocks: Sequence[Block], calm: Sequence[BoolArray], layout: RotorLayout | None) -> float:
+def _throttle(shown: Sequence[_Shown]) -> float:
     """Logarithm of the median thrust set-point in flight, or of the motors' mean output where there is none."""
-    thrust = np.concatenate([np.empty(0), *(b.thrust[ok] for b, ok in zip(blocks, calm, strict=True))])
-    if not np.isfinite(thrust).any() and layout is not None:
-        outputs = [b.actuator[ok, : layout.rotors] for b, ok in zip(blocks, calm, strict=True)]
-        thrust = np.concatenate([np.empty(0), *(one.mean(axis=1) for one in outputs if one.shape[1])])
+    thrust = np.concatenate([np.empty(0), *(one.thrust for one in shown)])
+    if not np.isfinite(thrust).any():
+        thrust = np.concatenate([np.empty(0), *(one.levels for one in shown)])
     known = thrust[np.isfinite(thrust) & (thrust > MIN_OUTPUT)]
     return math.log(float(np.median(known))) if len(known) else math.nan
 
 
-def _motors(blocks: Sequence[Block]) -> float:
+def _motors(sent: Sequence[FloatArray]) -> float:
     """How many outputs move, at about the same level; NaN if none is sent."""
-    width = min((block.actuator.shape[1] for block in blocks), default=0)
-    sent = [block.actuator.T[:width, block.known(Signal.ACTUATOR, slice(0, width)) & block.valid] for block in blocks]
-    outputs = np.concatenate([np.empty((width, 0)), *sent], axis=1)
+    width = min((len(outputs) for outputs in sent), default=0)
+    outputs = np.concatenate([np.empty((width, 0)), *(one[:width] for one in sent)], axis=1)
     if not outputs.size:
         return math.nan
     level, moves = outputs.mean(axis=1), outputs.std(axis=1)

@@ -13,16 +13,17 @@ import numpy as np
 
 from mavdiag.baseline import SESSION_GAP_NS
 from mavdiag.errors import InputError
+from mavdiag.link.samples import joined
 from mavdiag.logs import gate_for
 from mavdiag.rows.align import USED, AlignSpec, Grid, measure_grid
 from mavdiag.rows.block import COLUMNS, Block, in_rotor_order
-from mavdiag.rows.front import Front, Rows
+from mavdiag.rows.front import Front, Rows, in_pieces
 from mavdiag.rows.gate import Border, GateSpec, shake
 from mavdiag.rows.grid import median_step, rate_tolerance
 from mavdiag.rows.rates import RateBlock, RateSpec
 from mavdiag.rows.savgol import window_samples
 from mavdiag.storage import Arrays, Shelf
-from mavdiag.telemetry import Log, Series, Signal, Telemetry
+from mavdiag.telemetry import BoolArray, Log, Series, Signal, Telemetry
 from mavdiag.thresholds.heldout import Looks
 from mavdiag.units import NS_PER_S
 
@@ -32,12 +33,14 @@ SHAKE_SHARE = 0.2  # of the usual noise of the gyro in flight; at rest it has a 
 SLOW_SETPOINT_PERIODS = 2.5  # a set-point stream slower than the gyro has gaps by nature (our choice)
 PIECE_ROWS = 60_000  # that are made and looked at together (our choice: 20 MB)
 IN_MEMORY = 1 << 62  # bytes
+MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
+KEPT_BYTES = 32 << 20  # the most that glibc takes for the former
 RATE_COLUMNS = tuple(column.name for column in fields(RateBlock))[2:]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldLog:
-    """A log whose signals are aside: the log without them, what they are, and `get` for their times and values.
+    """A log whose signals are aside: the log without them, which they are, and what gives its pieces, in order.
 
     dt_s, grid: mean gyro period [s], and how rows are placed. setpoint_s: period of the set-points [s]; 0 without any.
     """
@@ -47,21 +50,24 @@ class HeldLog:
     grid: Grid
     setpoint_s: float
     signals: tuple[Signal, ...]
-    get: Callable[[], Arrays]
+    parts: tuple[Callable[[], Telemetry], ...]
 
-    def open(self) -> Log:
-        """The log with its signals. The recorder's clock is not kept; the vehicle's stands for it."""
-        arrays = self.get()
-        pairs = zip(self.signals, arrays[::2], arrays[1::2], strict=True)
-        return replace(self.label, telemetry=Telemetry(tuple(Series(one, t, t, values) for one, t, values in pairs)))
+    def pieces(self) -> Iterator[Telemetry]:
+        """The signals, some thousand rows at a time. The vehicle's clock stands for the recorder's."""
+        return (make() for make in self.parts)
+
+    def open(self, signal: Signal) -> Telemetry:
+        """One signal, whole."""
+        return joined(Telemetry(tuple(one for one in piece if one.signal is signal)) for piece in self.pieces())
 
     def without(self, from_s: float | None, to_s: float | None, shelf: Shelf) -> "HeldLog":
         """The log without what lies between two times [s of the vehicle's clock]; None for its start or its end."""
-        low, high, parts = -np.inf if from_s is None else from_s, np.inf if to_s is None else to_s, []
-        for series in self.open().telemetry.series:
-            kept = (series.t_s < low) | (series.t_s >= high)
-            parts += [series.t_ns[kept], series.values[kept]]
-        return replace(self, get=shelf.put(parts))
+        low, high = -np.inf if from_s is None else from_s, np.inf if to_s is None else to_s
+        kept = (
+            Telemetry(tuple(_taken(series, (series.t_s < low) | (series.t_s >= high)) for series in piece))
+            for piece in self.pieces()
+        )
+        return replace(self, parts=_put_aside(kept, shelf))
 
 
 def hold(log: Log | HeldLog, shelf: Shelf) -> HeldLog:
@@ -72,11 +78,31 @@ def hold(log: Log | HeldLog, shelf: Shelf) -> HeldLog:
         dt_s, grid = measure_grid(log.telemetry)
     except InputError as error:
         raise InputError(f"{log.name}: {error}") from error
-    used = [one for one in log.telemetry.series if one.signal in USED]
+    used = Telemetry(tuple(one for one in log.telemetry.series if one.signal in USED))
     setpoint_s = median_step([one.t_ns for one in used if one.signal is Signal.ATTITUDE_SETPOINT]) / NS_PER_S
-    get = shelf.put([array for one in used for array in (one.t_ns, one.values)])
-    label = replace(log, telemetry=Telemetry())
-    return HeldLog(label, dt_s, grid, setpoint_s, tuple(one.signal for one in used), get)
+    parts = _put_aside(in_pieces(used, PIECE_ROWS), shelf)
+    return HeldLog(
+        replace(log, telemetry=Telemetry()), dt_s, grid, setpoint_s, tuple(one.signal for one in used), parts
+    )
+
+
+def _taken(series: Series, at: BoolArray) -> Series:
+    return Series(series.signal, series.t_ns[at], series.host_ns[at], series.values[at])
+
+
+def _put_aside(pieces: Iterable[Telemetry], shelf: Shelf) -> tuple[Callable[[], Telemetry], ...]:
+    """What gives each of these pieces again."""
+    parts = []
+    for piece in pieces:
+        get = shelf.put([array for one in piece for array in (one.t_ns, one.values)])
+        parts.append(partial(_piece, tuple(one.signal for one in piece), get))
+    return tuple(parts)
+
+
+def _piece(signals: Sequence[Signal], get: Callable[[], Arrays]) -> Telemetry:
+    arrays = get()
+    pairs = zip(signals, arrays[::2], arrays[1::2], strict=True)
+    return Telemetry(tuple(Series(one, t_ns, t_ns, values) for one, t_ns, values in pairs))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,18 +125,35 @@ class LearntFlight:
         return replace(self, rows=Looks(partial(_in_order, outputs, make) for make in self.rows.makers))
 
 
-def airborne(front: Front, flight: Log | HeldLog, shelf: Shelf | None = None) -> LearntFlight:
+def airborne(
+    front: Front, flight: Log | HeldLog, shelf: Shelf | None = None, outputs: int | None = None
+) -> LearntFlight:
     """The flying part of a flight, put aside, without a shelf in memory.
 
-    Raises InputError, naming it, if there is hardly any.
+    outputs: columns of outputs and of rotor speeds that are kept, None for all. Raises InputError, naming the flight,
+    if there is hardly any.
     """
     shelf = shelf or Shelf(IN_MEMORY)
     held, makers, judged = hold(flight, shelf), list[Callable[[], Rows]](), 0
-    for rows in pieces_of(front, held.open().telemetry):
+    for rows in pieces_of(front, held.pieces()):
         judged += int(np.count_nonzero(rows.rates.valid))
-        arrays = [getattr(rows.block, name) for name in COLUMNS] + [getattr(rows.rates, name) for name in RATE_COLUMNS]
-        makers.append(partial(_rows, rows.block.segment, rows.block.dt_s, shelf.put(arrays)))
+        sent = rows.block.actuator[:, :outputs], rows.block.rotor_speed[:, :outputs]
+        block = replace(rows.block, actuator=sent[0], rotor_speed=sent[1])
+        arrays = [getattr(block, name) for name in COLUMNS] + [getattr(rows.rates, name) for name in RATE_COLUMNS]
+        makers.append(partial(_rows, block.segment, block.dt_s, shelf.put(arrays)))
     return long_enough(held, Looks(makers), judged * front.align.dt_s)
+
+
+def outputs_in_use(flights: Sequence[HeldLog]) -> int:
+    """How many columns of outputs and rotor speeds the flights use: behind them all outputs are 0, no speed is told."""
+    most = 0
+    for signal in (Signal.ACTUATOR, Signal.ROTOR_SPEED):
+        for series in (one for flight in flights for piece in flight.pieces() for one in piece):
+            if series.signal is signal:
+                told = np.isfinite(series.values) & (series.values != 0.0)
+                used = told if signal is Signal.ROTOR_SPEED else told | np.isnan(series.values)
+                most = max(most, *(np.flatnonzero(used.any(axis=0)) + 1).tolist(), 0)
+    return most
 
 
 def long_enough(held: HeldLog, rows: Looks, judged_s: float) -> LearntFlight:
@@ -132,15 +175,14 @@ def _in_order(outputs: tuple[int, ...], make: Callable[[], Rows]) -> Rows:
     return Rows(in_rotor_order(rows.block, outputs), rows.rates)
 
 
-def pieces_of(front: Front, telemetry: Telemetry) -> Iterator[Rows]:
+def pieces_of(front: Front, pieces: Iterable[Telemetry]) -> Iterator[Rows]:
     """The rows of a whole flight, some thousand at a time."""
-    parts = front.pieces(telemetry, PIECE_ROWS)
-    return (part for part in parts if not isinstance(part, Border))
+    return (part for part in front.pieces(pieces) if not isinstance(part, Border))
 
 
 def rows_of(front: Front, telemetry: Telemetry) -> tuple[Rows, ...]:
     """All rows of a whole flight."""
-    return tuple(pieces_of(front, telemetry))
+    return tuple(pieces_of(front, in_pieces(telemetry, PIECE_ROWS)))
 
 
 def give_back() -> None:
@@ -148,6 +190,14 @@ def give_back() -> None:
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)
+
+
+def keep_freed() -> None:
+    """Have the C library (glibc) keep what is freed for what is made next, until `give_back`: a third of the faults."""
+    set_option = getattr(ctypes.CDLL(None), "mallopt", None)
+    if set_option is not None:
+        for option, size in ((MMAP_THRESHOLD, KEPT_BYTES), (TRIM_THRESHOLD, 2 * KEPT_BYTES)):
+            set_option(option, size)
 
 
 def front_for(flights: Iterable[Log | HeldLog], window_s: float, gate: GateSpec | None = None) -> Front:
@@ -171,7 +221,7 @@ def front_for(flights: Iterable[Log | HeldLog], window_s: float, gate: GateSpec 
         return front
     levels = []  # where no thrust does, a fifth of what the gyro shakes in the calmest flight tells flight from ground
     for flight in silent:
-        noise = [shake(rows.block.rate, dt_s) for rows in pieces_of(front, flight.open().telemetry)]
+        noise = [shake(rows.block.rate, dt_s) for rows in pieces_of(front, flight.pieces())]
         found = np.concatenate([np.empty(0), *noise])
         levels += [float(np.quantile(found, 0.75))] if len(found) else []
     least_shake = min(levels, default=0.0) * SHAKE_SHARE or None

@@ -35,7 +35,7 @@ from mavdiag.baseline import (
 from mavdiag.chain import front_of
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
-from mavdiag.learning.flights import HeldLog, LearntFlight, airborne, give_back, hold, sessions_of
+from mavdiag.learning.flights import HeldLog, LearntFlight, airborne, give_back, hold, keep_freed, sessions_of
 from mavdiag.learning.rotors import of_log_kind, with_rotors
 from mavdiag.learning.suspicions import courses, grade_of, least_damage, suspicions
 from mavdiag.learning.teaching import one_vehicle, refuse, repeated, taught, upsets
@@ -121,6 +121,7 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
 
 
 def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: Shelf) -> Baseline:
+    keep_freed()
     held = [hold(log, shelf) for log in logs]
     give_back()
     if not held:
@@ -204,6 +205,7 @@ def _fit_all(
             found[kind] = specs, [[kind(spec) for spec in kind.fit(rest, near)] for _, rest in pairs]
         except (InputError, IdentificationError) as error:
             refused[kind] = str(error)
+        give_back()
     parts: dict[type[Monitor[Any]], list[tuple[Axis | None, Scores]]] = {kind: [] for kind in found}
     numbers = {id(flight): number for number, flight in enumerate(flights)}  # pieces are of flight 0
     for fold, (left_out, _) in enumerate(pairs):

@@ -27,6 +27,7 @@ from mavdiag.learning.flights import (
     hold,
     long_enough,
     odd_rate,
+    outputs_in_use,
     pieces_of,
 )
 from mavdiag.rows.front import Front, Rows
@@ -36,7 +37,7 @@ from mavdiag.rows.quality import LinkQuality, learnt_quality
 from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
 from mavdiag.rows.windows import window_mean, window_rows
 from mavdiag.storage import Shelf
-from mavdiag.telemetry import FloatArray, IntArray, Log, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Log, Signal
 from mavdiag.thresholds.heldout import Looks
 from mavdiag.units import NS_PER_S
 
@@ -137,7 +138,7 @@ def _shared(flights: Sequence[HeldLog], most: int) -> tuple[list[tuple[IntArray,
 
     most: about how many are looked at, the same ones of all flights by their hashes; 0 for all.
     """
-    values = sum(len(flight.open().telemetry.need(Signal.BODY_RATE)) for flight in flights)
+    values = sum(len(_gyro(flight)[0]) for flight in flights)
     every = max(1, values // most) if most else 1
     runs = [_runs(_gyro(flight)[1], every) for flight in flights]
     hashes = np.concatenate([np.empty(0, dtype=np.int64), *(one for one, _ in runs)])
@@ -148,7 +149,7 @@ def _shared(flights: Sequence[HeldLog], most: int) -> tuple[list[tuple[IntArray,
 
 def _gyro(flight: HeldLog) -> tuple[IntArray, FloatArray]:
     """Times and values of a flight's gyro, without negative zeros."""
-    gyro = flight.open().telemetry.need(Signal.BODY_RATE)
+    gyro = flight.open(Signal.BODY_RATE).need(Signal.BODY_RATE)
     return gyro.t_ns, np.ascontiguousarray(gyro.values, dtype=np.float64) + 0.0
 
 
@@ -269,7 +270,7 @@ def _glanced(front: Front, held: HeldLog) -> LearntFlight:
     """The flight with all that the guards want to know of its rows, which are not kept; raises as `airborne`."""
     answers: dict[Hashable, list[Any]] = {what: [] for what in _GLANCES}
     judged = 0
-    for rows in pieces_of(front, held.open().telemetry):
+    for rows in pieces_of(front, held.pieces()):
         judged += int(np.count_nonzero(rows.rates.valid))
         for what, glance in _GLANCES.items():
             answers[what] += glance(rows)
@@ -399,7 +400,8 @@ def taught(
     if not flights:
         raise InputError(f"no healthy flight remains to learn from ({'; '.join(left_out)}); record others")
     front = replace(front, align=replace(front.align, quality=_quality_of(flights)))
-    believed = tuple(airborne(front, flight.held, shelf) for flight in flights)
+    outputs = outputs_in_use([flight.held for flight in flights])
+    believed = tuple(airborne(front, flight.held, shelf, outputs) for flight in flights)
     give_back()
     return Taught(front, believed, tuple(left_out))
 
@@ -411,10 +413,7 @@ def _quality_of(flights: Sequence[LearntFlight]) -> LinkQuality:
         ends = [list(spans) for _, spans in itertools.groupby(_seen(flight, "spans"), key=lambda span: int(span[0]))]
         flown.append((flight.held, [(spans[0][1], spans[-1][2]) for spans in ends]))
     parts = [  # signal by signal, so that no more of the flights is in memory
-        learnt_quality(
-            (Telemetry(tuple(one for one in held.open().telemetry if one.signal is signal)), spans)
-            for held, spans in flown
-        )
+        learnt_quality((held.open(signal), spans) for held, spans in flown)
         for signal in dict.fromkeys(signal for held, _ in flown for signal in held.signals)
     ]
     return LinkQuality(

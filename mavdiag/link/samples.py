@@ -20,6 +20,7 @@ from mavdiag.link.clock import MS_32, NEVER, REBOOT, US_32, US_64, Counter, Vehi
 from mavdiag.link.codec import AUTOPILOT, MSGIDS, ROWS, Decoder, Encoder, Frame, Frames, frames_of, layout_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
 from mavdiag.link.profiles import PROFILES, Profile
+from mavdiag.storage import Column, forget
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_S, RPM
 
@@ -233,30 +234,30 @@ def warm() -> None:
 def joined(pieces: Iterable[Telemetry]) -> Telemetry:
     """One telemetry from consecutive pieces: each signal's rows, end to end; long columns that are the same are shared.
 
-    The columns grow in place and an iterator's pieces are given up one by one, so that memory holds nothing twice.
+    An iterator's pieces are given up one by one, and long columns lie in files: memory holds nothing twice.
     """
-    columns, alone = dict[Signal, list[NDArray[Any]]](), Telemetry()
+    columns, alone = dict[Signal, list[Column]](), Telemetry()
     for number, piece in enumerate(pieces):
         alone = Telemetry() if number else piece
         for series in piece.series:
             arrays = (series.t_ns, series.host_ns, series.values)
-            held = columns.setdefault(series.signal, [np.empty((0, *one.shape[1:]), one.dtype) for one in arrays])
+            held = columns.setdefault(series.signal, [Column(one) for one in arrays])
             for column, more in zip(held, arrays, strict=True):
-                count = len(column)
-                column.resize((count + len(more), *more.shape[1:]), refcheck=False)
-                column[count:] = more
+                column.add(more)
     if alone.series:
         return alone
     found, known = list[Series](), list[NDArray[Any]]()
     for signal in (one for one in Signal if one in columns):
-        found.append(Series(signal, *(_shared(one, known) for one in columns.pop(signal))))
+        found.append(Series(signal, *(_shared(one.whole(), known) for one in columns.pop(signal))))
     return Telemetry(tuple(found))
 
 
 def _shared(like: NDArray[Any], known: list[NDArray[Any]]) -> NDArray[Any]:
     """An array that is the same, if there is one; few rows are not looked for."""
-    found = next((one for one in known if len(like) > LARGE and np.array_equal(one, like)), like)
+    alike = (one for one in known if len(like) > LARGE and np.array_equal(one[:LARGE], like[:LARGE]))
+    found = next((one for one in alike if np.array_equal(one, like)), like)
     known += [like] if found is like else []
+    forget(*known)
     return found
 
 

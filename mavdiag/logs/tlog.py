@@ -24,6 +24,7 @@ from mavdiag.link.samples import SampleDecoder, SampleState, joined
 from mavdiag.link.sequence import FRAME, LinkCount
 from mavdiag.link.vehicles import parameters_in
 from mavdiag.logs.log import TLOG_BYTES, LogKind, opened, windows_of
+from mavdiag.storage import Column, forget
 from mavdiag.telemetry import Log, Telemetry
 
 DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
@@ -104,8 +105,8 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
 
     Never raises by itself: what is damaged is skipped and counted.
     """
-    decoder, pieces, systems = Decoder(_WANTED, stamped=True), list[_Piece](), dict[int, _System]()
-    times_ns = list[int]()
+    decoder, places, systems = Decoder(_WANTED, stamped=True), list[tuple[int, int]](), dict[int, _System]()
+    seen_ns, counts, lean = list[int](), list[int](), Column(np.empty(0, _LEAN))
     for window, last in chain(zip(windows, repeat(False)), ((b"", True),)):
         at, frames = decoder.size, decoder.take_stream(window, last=last)
         if not len(frames):
@@ -114,11 +115,15 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
             system = systems.setdefault(sysid, _System(int(own.rows["host_ns"][0])))
             system.take(own)
             system.parameters += own.of(MessageId.PARAM_VALUE)
-        times_ns += [int(frames.rows["host_ns"].min()), int(frames.rows["host_ns"].max())]
-        pieces.append(_Piece(frames.rows[_KEPT].astype(_LEAN), at, len(frames.data)))
-    span_ns = max(times_ns, default=0) - min(times_ns, default=0)
-    counts = (decoder.size, decoder.records, decoder.garbage_bytes, decoder.senders, decoder.size - decoder.sound_end)
-    return TlogContent(pieces, systems, span_ns, *counts)
+        seen_ns += [int(frames.rows["host_ns"].min()), int(frames.rows["host_ns"].max())]
+        lean.add(frames.rows[_KEPT].astype(_LEAN))
+        counts.append(len(frames))
+        places.append((at, len(frames.data)))
+    rows = np.split(lean.whole(), np.cumsum(counts)[:-1])
+    pieces = [_Piece(own, *place) for own, place in zip(rows, places, strict=True)] if places else []
+    span_ns = max(seen_ns, default=0) - min(seen_ns, default=0)
+    totals = (decoder.size, decoder.records, decoder.garbage_bytes, decoder.senders, decoder.size - decoder.sound_end)
+    return TlogContent(pieces, systems, span_ns, *totals)
 
 
 def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None) -> Log:
@@ -206,6 +211,7 @@ def _converted(path: Path, pieces: list[_Piece], sysid: int, decoder: SampleDeco
                 raise InputError(f"{path}: it became shorter while it was read; read it again")
             rows = np.zeros(len(kept), FRAME)
             rows[_KEPT] = kept
+            forget(kept)
             own = Frames(data, rows).by_sysid()
             state, telemetry = decoder.step(state, own.get(sysid, NO_FRAMES))
             yield telemetry

@@ -32,9 +32,9 @@ Flights: TypeAlias = Sequence[Sequence[Rows]]
 """Flights as monitors are fitted to them: for each flight its rows of flying, in order."""
 
 
-def segments(flight: Sequence[Rows]) -> list[list[Rows]]:
-    """The rows of each segment of a flight, in order."""
-    return [list(rows) for _, rows in itertools.groupby(flight, key=lambda one: one.block.segment)]
+def segments(flight: Sequence[Rows]) -> Iterator[Iterator[Rows]]:
+    """The rows of each segment of a flight, in order, made as they are taken."""
+    return (rows for _, rows in itertools.groupby(flight, key=lambda one: one.block.segment))
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +206,10 @@ class Monitor(ABC, Generic[Spec]):
         n = len(rows.block)
         out, rotors, at = np.zeros((4 + more, n)), np.empty((n, self.rotors)), np.empty(n, dtype=np.int64)
         count = self.run(par, mem, columns.x, columns.first, columns.known, out, rotors, at)
-        return self.statistic(rows, out[:, :count], rotors[:count], at[:count]), out[:, :count]
+        found = out[:, :count], rotors[:count], at[:count]
+        if 2 * count < n:  # a value now and then does not keep the room of all rows
+            found = (out[:, :count].copy(), rotors[:count].copy(), at[:count].copy())
+        return self.statistic(rows, *found), found[0]
 
     def statistic(self, rows: Rows, out: FloatArray, rotors: FloatArray, at: Any) -> Statistic:
         """What a loop wrote, with its times."""
@@ -222,19 +225,31 @@ def parted(flight: Sequence[Rows]) -> Iterator[tuple[bool, Rows]]:
     """The rows of a flight one after the other, and whether a segment begins with them."""
     segment = None
     for rows in flight:
-        yield rows.block.segment != segment, rows
-        segment = rows.block.segment
+        begins, segment = rows.block.segment != segment, rows.block.segment
+        yield begins, rows
+        del rows  # before the next ones are made
 
 
 def walk(
     monitors: Sequence[Monitor[Any]], flight: Sequence[Rows], more: int = 0
-) -> Iterator[list[tuple[Statistic, FloatArray]]]:
-    """Of each piece of a flight what each monitor judges (`Monitor.judge`), from a fresh state at every segment."""
+) -> Iterator[Iterator[tuple[Statistic, FloatArray]]]:
+    """Of each piece of a flight what each monitor judges (`Monitor.judge`), from a fresh state at every segment.
+
+    One monitor's answer is made as it is taken, so that few of them and one piece of rows are in memory.
+    """
     begun, past = list[Begin](), no_past(0)
     for begins, rows in parted(flight):
         if begins:
             begun = [monitor.begin(rows.block.dt_s) for monitor in monitors]
             past = no_past(max((one.back for one in begun), default=0))
-        columns, pairs = columns_of(rows, past), zip(monitors, begun, strict=True)
-        yield [monitor.judge(one.par, one.mem, rows, columns, more) for monitor, one in pairs]
+        columns = columns_of(rows, past)
         past = columns.past
+        yield _judged(monitors, begun, rows, columns, more)
+        del rows, columns
+
+
+def _judged(
+    monitors: Sequence[Monitor[Any]], begun: Sequence[Begin], rows: Rows, columns: Columns, more: int
+) -> Iterator[tuple[Statistic, FloatArray]]:
+    for monitor, one in zip(monitors, begun, strict=True):
+        yield monitor.judge(one.par, one.mem, rows, columns, more)

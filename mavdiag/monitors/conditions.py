@@ -167,6 +167,7 @@ def measure(flight: Sequence[Rows]) -> Iterator[Conditions]:
         times = rows.block.t_ns.copy(), rows.rates.t_ns.copy()  # what is mapped from a file cannot be written
         count = _measured(mem, columns.x, columns.known, times, end_ns, values)
         yield Conditions(end_ns[:count], values[:count])
+        del rows, columns
 
 
 def covered_by(flights: Iterable[Sequence[Rows]]) -> tuple[Covered, ...]:

@@ -33,9 +33,9 @@ def traced(monitor: Monitor[Any], flight: Sequence[Rows], more: int) -> Iterator
     return (out for ((_, out),) in walk([monitor], flight, more))
 
 
-def judged_together(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows]) -> Iterator[list[Statistic]]:
+def judged_together(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows]) -> Iterator[Iterator[Statistic]]:
     """Of each piece of a flight the statistic of each monitor, from a fresh state at every segment."""
-    return ([statistic for statistic, _ in found] for found in walk(monitors, flight))
+    return ((statistic for statistic, _ in found) for found in walk(monitors, flight))
 
 
 def smoothed(x: FloatArray, alpha: float, start: FloatArray | None = None) -> FloatArray:

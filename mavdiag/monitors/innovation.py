@@ -4,7 +4,7 @@ The prediction follows the measured rate, so what is left is what is new in each
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -199,10 +199,11 @@ def _commanded_rows(flight: Sequence[Rows]) -> list[int]:
     return [sum(int(np.count_nonzero(rows.rates.commanded)) for rows in segment) for segment in segments(flight)]
 
 
-def _pairs_of(segment: Sequence[Rows], most: int) -> _Pairs:
+def _pairs_of(segment: Iterable[Rows], most: int) -> _Pairs:
     """The pairs of a segment up to so many commanded rows."""
-    parts = []
+    parts, dt_s = [], 0.0
     for rates in (rows.rates for rows in segment):
+        dt_s = rates.dt_s
         n = int(np.searchsorted(np.cumsum(rates.commanded), most)) + 1
         parts.append((rates.u[:n], rates.gyro[:n], rates.commanded[:n]))
         most -= int(np.count_nonzero(rates.commanded[:n]))
@@ -214,7 +215,7 @@ def _pairs_of(segment: Sequence[Rows], most: int) -> _Pairs:
     changed = np.concatenate(([False], (y[1:] != y[:-1]).any(axis=1)))
     stirred = ~window_all(~changed, STILL_ROWS)[LAG - STILL_ROWS + 1 :]
     valid = np.concatenate((np.zeros(LAG, dtype=np.bool_), good & known & stirred))
-    busy = smoothed(np.square(u[LAG:]), forgetting(MEMORY_S, segment[0].rates.dt_s))
+    busy = smoothed(np.square(u[LAG:]), forgetting(MEMORY_S, dt_s))
     return _Pairs(u, y, window_all(valid, LAG + 1), busy)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavdiag.rows.align import NEVER_NS, AlignSpec, AlignState
+from mavdiag.rows.align import AlignSpec, AlignState
 from mavdiag.rows.block import Block, in_rotor_order
 from mavdiag.rows.gate import Border, GateSpec, GateState
 from mavdiag.rows.rates import RateBlock, RateSpec, RateState
@@ -60,10 +60,10 @@ class Front:
         """Nothing more comes for now: the rows that the gate held back. Rows may go on later, as another span."""
         return state, tuple(self._told(state, self.gate.finish(state.gate)))
 
-    def pieces(self, telemetry: Telemetry, most: int = NEVER_NS) -> Iterator[Rows | Border]:
-        """All that a whole flight gives, at most about so many rows at a time."""
+    def pieces(self, parts: Iterable[Telemetry]) -> Iterator[Rows | Border]:
+        """All that a whole flight gives, of which these are the parts (`in_pieces`)."""
         state = self.start()
-        for part in in_pieces(telemetry, most):
+        for part in parts:
             self.align.append(state.align, part)
             yield from self._rows(state, self.align.rows(state.align, self.align.take(state.align, live=False)))
         yield from self._ended(state)

@@ -118,7 +118,7 @@ def test_a_whole_log_in_pieces_gives_the_same(seed: int, most: int, grid: Grid, 
     telemetry = hard_flight(seed)
     front = Front(AlignSpec(0.005, grid), GateSpec(min_thrust=0.1, trim_end_s=trim_end_s), RateSpec.of(0.005, 21))
     story, table = run(front, [telemetry])
-    found_story, found = told(list(front.pieces(telemetry, most)))
+    found_story, found = told(list(front.pieces(in_pieces(telemetry, most))))
     assert found_story == story
     for name, column in table.items():
         np.testing.assert_allclose(found[name], column, rtol=0.0, atol=ROUNDING, err_msg=name)

@@ -29,7 +29,7 @@ def segment(name: str) -> tuple[Chain, Rows]:
     made = chain_of(whole() if name == "whole" else thesis())
     push = np.where(np.arange(9000) // 700 % 3 == 1, 0.2, 0.0)
     telemetry = hard_flight(1) if name == "whole" else flight(9000, 1, push=push)
-    parts = [part for part in made.front.pieces(telemetry) if isinstance(part, Rows)]
+    parts = [part for part in made.front.pieces([telemetry]) if isinstance(part, Rows)]
     return made, max(parts, key=lambda part: len(part.block))
 
 
