@@ -35,7 +35,6 @@ from detector.values import (
     Note,
     SessionSpec,
     is_working,
-    status_line,
 )
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
@@ -356,7 +355,9 @@ class Daemon:
         sessions = [vehicle.session for vehicle in self.fleet.vehicles.values()]
         states = Counter(session.state for session in sessions)
         judged_s = sum(session.judge.judged_s for session in sessions if session.judge)
-        self._notifier.status(status_line(states, judged_s), alive=is_working(states))
+        counts = ", ".join(f"{count} {state}" for state, count in sorted(states.items()))
+        status = f"{counts}; {judged_s:.0f} s judged" if counts else "no vehicle was received yet"
+        self._notifier.status(status, alive=is_working(states))
 
     def _upward(self, frames: list[bytes], behind: Endpoint) -> Iterable[bytes]:
         handled = self._requests.from_behind(frames, self._now())

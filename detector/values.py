@@ -1,6 +1,5 @@
 """What goes into a session and what comes out of it, and where daemon, links and vehicles stand. All are values."""
 
-from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
@@ -190,9 +189,3 @@ class DaemonFigures:
 def is_working(states: Collection[State]) -> bool:
     """Whether a daemon with sessions in these states works or still may: not when all of its sessions are off."""
     return not states or any(state is not State.FAULTED for state in states)
-
-
-def status_line(states: Counter[State], judged_s: float) -> str:
-    """One line for a person."""
-    words = ", ".join(f"{count} {state}" for state, count in sorted(states.items()))
-    return f"{words}; {judged_s:.0f} s judged" if words else "no vehicle was received yet"

@@ -26,14 +26,7 @@ from sitl_plant.physics.control import ESTIMATE, Controller
 from sitl_plant.physics.dynamics import RIGID
 from sitl_plant.physics.faults import Injection, fault_injection, rotor_condition, sensor_condition
 from sitl_plant.physics.kernel import LOG, Model, Recorded, Rows, Streams, fly
-from sitl_plant.physics.parameters import (
-    STEP_S,
-    air_of,
-    initial_state,
-    make_model,
-    recorded_set,
-    reload,
-)
+from sitl_plant.physics.parameters import STEP_S, air_of, initial_state, make_model, recorded_set, reload
 from sitl_plant.physics.trajectory import ARM_S, LIFT_S, Leg, Nose, Path, Shape, landing_time, path
 from sitl_plant.vehicle import Vehicle, qdrone2
 

@@ -124,13 +124,10 @@ def second_order(wn_rad_s: float, zeta: float, dt_s: float) -> Transition:
 
 
 @jit
-def low_pass(value: FloatArray, slope: FloatArray, transition: Transition, target: FloatArray) -> None:
-    """One step towards target, (3,) or a pose (4,), whose yaw is unwrapped first; value and slope change in place."""
+def _low_pass(value: FloatArray, slope: FloatArray, transition: Transition, target: FloatArray) -> None:
     f11, f12, f21, f22 = transition
-    for i in range(len(value)):
+    for i in range(3):
         behind, rate = value[i] - target[i], slope[i]
-        if i == 3:
-            behind = wrapped(behind)
         value[i] = target[i] + f11 * behind + f12 * rate
         slope[i] = f21 * behind + f22 * rate
 
@@ -154,7 +151,7 @@ def advance_estimate(
 
     reading: (6,) gyro and accelerometer, FRD. yaw_seen: from motion capture [rad].
     """
-    low_pass(estimate[3:6], estimate[6:9], estimator.gyro_filter, reading)
+    _low_pass(estimate[3:6], estimate[6:9], estimator.gyro_filter, reading)
     for i in range(3):
         accel[i] += estimator.accel_gain * (reading[3 + i] - accel[i])
     phi_acc, theta_acc = tilt_from_accel(accel[0], accel[1], accel[2])
@@ -173,8 +170,8 @@ def advance_estimates(
 ) -> None:
     """Advance the estimates of two IMUs by one sample, and leave their mean in estimate (9,). reading: (2, 6), FRD."""
     for k in range(IMUS):
-        low_pass(state.rate[k], state.acceleration[k], filters.rate, reading[k, :3])
-        low_pass(state.accel[k], state.accel_slope[k], filters.accel, reading[k, 3:])
+        _low_pass(state.rate[k], state.acceleration[k], filters.rate, reading[k, :3])
+        _low_pass(state.accel[k], state.accel_slope[k], filters.accel, reading[k, 3:])
         phi_seen, theta_seen = tilt_from_accel(state.accel[k, 0], state.accel[k, 1], state.accel[k, 2])
         phi, theta = state.angle[k, 0], state.angle[k, 1]
         p, q, r = reading[k, 0], reading[k, 1], reading[k, 2]
@@ -191,6 +188,18 @@ def advance_estimates(
         estimate[axis] = 0.5 * (state.angle[0, axis] + state.angle[1, axis])
         estimate[3 + axis] = 0.5 * (state.rate[0, axis] + state.rate[1, axis])
         estimate[6 + axis] = 0.5 * (state.acceleration[0, axis] + state.acceleration[1, axis])
+
+
+@jit
+def see(state: TwinEstimate, filters: TwinEstimator, pose: FloatArray) -> None:
+    """Filter the cameras' pose (4,) as the manufacturer does; yaw is unwrapped first."""
+    f11, f12, f21, f22 = filters.velocity
+    for i in range(4):
+        behind, rate = state.seen[i] - pose[i], state.velocity[i]
+        if i == 3:
+            behind = wrapped(behind)
+        state.seen[i] = pose[i] + f11 * behind + f12 * rate
+        state.velocity[i] = f21 * behind + f22 * rate
 
 
 @jit

@@ -157,7 +157,7 @@ def _decide(state: State, model: Model, own: Recorded | None, commands: FloatArr
         velocity, r = state.mocap.velocity, estimate[5]
         control.control(state.control, model.controller, path, pose, velocity, r, estimate, None, volts, dt)
     else:
-        control.low_pass(own.estimates.seen, own.estimates.velocity, own.estimators.velocity, pose)
+        control.see(own.estimates, own.estimators, pose)
         path[3:6], path[7] = 0.0, 0.0  # its V acts on the measured speed alone
         seen, lifts = own.estimates.velocity, own.thrust_map
         control.control(state.control, model.controller, path, pose, seen, seen[3], estimate, lifts, volts, dt)
@@ -176,8 +176,14 @@ def _obey(state: control.ControlState, commands: FloatArray, row: int) -> None:
 
 
 @jit
-def _copy(source: FloatArray, rows: FloatArray, row: int, column: int = 0) -> None:
-    """rows[row, column:] = source; a plain loop, because slice assignment is slow in compiled code."""
+def _copy(source: FloatArray, rows: FloatArray, row: int) -> None:
+    """rows[row] = source; a plain loop without an offset, because slice assignment is slow in compiled code."""
+    for i in range(len(source)):
+        rows[row, i] = source[i]
+
+
+@jit
+def _copy_to(source: FloatArray, rows: FloatArray, row: int, column: int) -> None:
     for i in range(len(source)):
         rows[row, column + i] = source[i]
 
@@ -196,17 +202,17 @@ def _record(state: State, own: Recorded | None, row: int, rows: Rows) -> None:
     if own is not None:
         log, seen, reading = rows.log, own.estimates, own.imu_state.reading
         for k in range(sensors.IMUS):
-            _copy(seen.angle[k], log, row, 3 * k)
-            _copy(seen.rate[k], log, row, 6 + 3 * k)
-            _copy(seen.acceleration[k], log, row, 12 + 3 * k)
-            _copy(reading[k, :3], log, row, 18 + 3 * k)
-            _copy(reading[k, 3:], log, row, 24 + 3 * k)
-        _copy(state.control.asked, log, row, 30)
-        _copy(state.control.wrench[1:], log, row, 33)
-        _copy(state.control.wrench[:1], log, row, 36)
-        _copy(state.control.pid, log, row, 37)
-        _copy(state.control.desired, log, row, 41)
-        _copy(state.mocap.pose, log, row, 45)
+            _copy_to(seen.angle[k], log, row, 3 * k)
+            _copy_to(seen.rate[k], log, row, 6 + 3 * k)
+            _copy_to(seen.acceleration[k], log, row, 12 + 3 * k)
+            _copy_to(reading[k, :3], log, row, 18 + 3 * k)
+            _copy_to(reading[k, 3:], log, row, 24 + 3 * k)
+        _copy_to(state.control.asked, log, row, 30)
+        _copy_to(state.control.wrench[1:], log, row, 33)
+        _copy_to(state.control.wrench[:1], log, row, 36)
+        _copy_to(state.control.pid, log, row, 37)
+        _copy_to(state.control.desired, log, row, 41)
+        _copy_to(state.mocap.pose, log, row, 45)
         _copy(own.esc, rows.esc, row)
 
 
