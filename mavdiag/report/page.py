@@ -240,6 +240,7 @@ def _templates() -> Environment:
         "shown": lambda value, unit: "-" if value is None else f"{pictures.scaled(unit)[0] * value:.3g}",
         "unit": lambda unit: pictures.scaled(unit)[1],
         "name": pictures.name_of,
+        "rotor": lambda rotor, flight: flight.named(rotor),
         "signal": lambda name: LABELS.get(name, name.replace("_", " ")),
         "moment": lambda t_ns: f"{_clock(t_ns / NS_PER_S):%Y-%m-%d %H:%M:%S} UTC",
     }

@@ -15,7 +15,7 @@ from mavdiag.printable import printable
 
 STYLES = {"fault": "bold red", "suspected": "yellow", "error": "magenta", "not_judgeable": "cyan", "healthy": "green"}
 ORDER = tuple(STYLES)
-NUMBERS = ("rotor", "since", "ratio", "judged", "flight", "rate")  # columns that stand at the right
+NUMBERS = ("rotor", "since (clock)", "ratio", "judged", "flight", "rate")  # columns that stand at the right
 
 
 def verdict_table(rows: Sequence[Row], console: Console | None = None) -> None:
@@ -27,7 +27,9 @@ def verdict_table(rows: Sequence[Row], console: Console | None = None) -> None:
         share = f"{100 * float(row['judged_s'] or 0) / flown_s:.0f} %" if flown_s else ""
         since = "" if row["since_s"] is None else f"{row['since_s']:.1f} s"
         ratio = "" if row["ratio"] is None else f"{row['ratio']:.2f}"
-        told = (name, verdict, row["rotor"] or "", since, row["monitor"] or "", ratio, share)
+        named = str(row.get("rotors") or row["rotor"] or "").split("; ")  # "4 from 98.7 s", or the number alone
+        rotors = ", ".join(dict.fromkeys(part.partition(" ")[0] for part in named))
+        told = (name, verdict, rotors, since, row["monitor"] or "", ratio, share)
         lines.append(_styled(told, STYLES[verdict]))
     counted = Counter(str(row["verdict"]) for row in rows)
     words = [Text(f"{counted[name]} {name}", STYLES[name]) for name in ORDER if counted[name]]
@@ -35,7 +37,7 @@ def verdict_table(rows: Sequence[Row], console: Console | None = None) -> None:
     totals = Text(f"{len(rows)} logs: ") + Text(", ").join(words)
     totals += Text(f"; judged {judged_s / 60:.1f} of {flown_s / 60:.1f} min")
     why = [Text(printable(f"{row['log']}: {row['reason']}")) for row in ranked if row["verdict"] == "error"]
-    _print(("log", "verdict", "rotor", "since", "nearest monitor", "ratio", "judged"), lines, console)
+    _print(("log", "verdict", "rotor", "since (clock)", "nearest monitor", "ratio", "judged"), lines, console)
     for text in (totals, *why):
         (console or Console()).print(text)
 
