@@ -8,7 +8,7 @@ import base64
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -83,18 +83,21 @@ def shoot_files(driver: Any, shown: Mapping[str, str], folder: Path) -> None:
 
 def shoot_live(driver: Any, folder: Path) -> None:
     """The live page with each number of vehicles, and with a fault."""
-    kinds = {str(count): levels for count, levels in FLEETS.items()} | {"fault": {1: (Level.FAULT, 2)}}
-    for name, levels in kinds.items():
-        with serving() as process:
-            driver.get(process.place.url)
-            count = 1 if name == "fault" else int(name)
-            give(process, fleet(*range(1, count + 1), levels=levels), *(flown() if count else ()))
-            if name == "fault":
-                give(process, now(1, 400, Level.FAULT, 2, FOUND))
-            told = "return mavdiag.connection === 'live' && (!arguments[0] || Boolean(mavdiag.traces.size))"
-            wait_for(partial(driver.execute_script, told, count), f"{name} vehicles")
-            driver.execute_script("mavdiag.heard = Date.now() + 1e9")  # nothing comes any more
-            shoot(driver, f"live-{name}", folder)
+    for count, levels in FLEETS.items():
+        lines = (fleet(*range(1, count + 1), levels=levels), *(flown() if count else ()))
+        _shoot_live(driver, f"live-{count}", folder, lines)
+    fault = (fleet(1, levels={1: (Level.FAULT, 2)}), *flown(), now(1, 400, Level.FAULT, 2, FOUND))
+    _shoot_live(driver, "live-fault", folder, fault)
+
+
+def _shoot_live(driver: Any, name: str, folder: Path, lines: Sequence[str]) -> None:
+    with serving() as process:
+        driver.get(process.place.url)
+        give(process, *lines)
+        told = "return mavdiag.connection === 'live' && (!arguments[0] || mavdiag.traces.size > 0)"
+        wait_for(partial(driver.execute_script, told, len(lines) > 1), name)
+        driver.execute_script("mavdiag.heard = Date.now() + 1e9")  # nothing comes any more
+        shoot(driver, name, folder)
 
 
 def shoot_replay(driver: Any, folder: Path) -> None:

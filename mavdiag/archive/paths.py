@@ -1,6 +1,7 @@
 """Which logs a list of arguments names (edge): files, folders with all that is below them, and patterns."""
 
-from collections.abc import Callable, Iterable, Iterator
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,3 +79,15 @@ def _below(path: Path, seen: set[tuple[int, int]], is_log: IsLog) -> Iterator[Na
         return
     for entry in inside:
         yield from _below(entry, seen, is_log)
+
+
+def apart(paths: Sequence[str]) -> list[str]:
+    """The paths without the folder that all of them share.
+
+    >>> apart(["a/b/1.bin", "a/c/1.bin"]), apart(["a/b/1.bin"])
+    (['b/1.bin', 'c/1.bin'], ['1.bin'])
+    """
+    folders = [path.split("/")[:-1] for path in paths]
+    alike = (len(set(parts)) == 1 for parts in zip(*folders, strict=False))
+    shared = sum(1 for _ in itertools.takewhile(bool, alike))
+    return ["/".join(path.split("/")[shared:]) for path in paths]

@@ -152,7 +152,7 @@ def inspection_of(
 ) -> Inspection:
     """Look at a log, or at what came of a link. told: what is known of its vehicle. baseline: its monitors are told."""
     airframe, learnt, no_flight = rotors_of(log, told)
-    signals = tuple(summary(series) for series in log.telemetry.series if len(series))
+    signals = summaries(log.telemetry)
     flight, layout = [] if learnt is None else joined(learnt.rows), airframe.layout
     motors = moving_outputs(flight) if layout is None else range(layout.rotors)
     profile, gaps = PROFILES.get(log.profile), _gyro_gaps(log.telemetry)
@@ -183,6 +183,11 @@ def inspection_of(
         baseline="" if baseline is None else baseline_statement(baseline, log, signals),
         monitors=monitor_states(log, signals, airframe, baseline),
     )
+
+
+def summaries(telemetry: Telemetry) -> tuple[Summary, ...]:
+    """Figures of all signals that have samples, but of the flight mode, which is no measurement."""
+    return tuple(summary(series) for series in telemetry if len(series) and series.signal is not Signal.MODE)
 
 
 def summary(series: Series) -> Summary:

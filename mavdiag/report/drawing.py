@@ -1,4 +1,4 @@
-"""The drawing of an airframe as SVG, seen from above with its nose up; and the colours of all figures.
+"""The drawing of an airframe as SVG, seen from above with its nose up. Black, but for what a page colours by classes.
 
 The SVG holds no style attribute and no script: a page may restyle it by its classes and ids, and a strict
 Content-Security-Policy lets it pass. Its elements are in drawing.svg, a template.
@@ -8,7 +8,6 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 
 from mavdiag.airframe.layout import Place, RotorLayout
 from mavdiag.report.chart import template
@@ -22,25 +21,10 @@ BODY = 19.0  # radius of the body
 LABEL_FROM = 20.0  # radius of a rotor from which on its label fits into it; else it stands below
 
 
-class Colour(StrEnum):
-    """The palette of Okabe and Ito (Color Universal Design, 2008), which all people can tell apart, by meaning."""
-
-    REFERENCE = "#000000"  # what was commanded
-    MEASURED = "#0072B2"  # blue
-    SIMULATED = "#E69F00"  # orange: the model's output
-    RESIDUAL = "#56B4E9"  # sky blue
-    LIMIT = "#CC79A7"  # reddish purple: margin, FML, thresholds
-    HEALTHY = "#009E73"  # bluish green
-    SUSPECTED = "#F0E442"  # yellow
-    FAULT = "#D55E00"  # vermilion
-    NOT_JUDGED = "#999999"  # the grey that goes with the palette
-
-
 @dataclass(frozen=True, slots=True)
 class RotorMark:
-    """What is shown of one rotor: its fill, a short text in the disc, and a further class of its group."""
+    """What is shown of one rotor: a short text in the disc, and a further class of its group."""
 
-    fill: Colour | None = None
     label: str = ""
     kind: str = ""
 
@@ -72,13 +56,6 @@ def where(place: Place) -> str:
     return f"{along} {across}".strip() or "centre"
 
 
-def text_colour(fill: Colour | None) -> str:
-    """Black or white, whichever is read better on a fill (WCAG 2.2); currentColor on none."""
-    if fill is None:
-        return "currentColor"
-    return "#FFFFFF" if fill in (Colour.REFERENCE, Colour.MEASURED) else "#000000"
-
-
 def airframe_svg(
     layout: RotorLayout, marks: Mapping[int, RotorMark] | None = None, *, title: str = "", prefix: str = "airframe"
 ) -> str:
@@ -104,7 +81,6 @@ def airframe_svg(
                 "arm": (round(middle + share * (x - middle), 1), round(middle + share * (y - middle), 1)),
                 "spin": place.spin,
                 "mark": mark,
-                "ink": text_colour(mark.fill),
                 "number_y": round(y + 0.36 * height - (0.3 * height if mark.label and inside else 0.0), 1),
                 "label_y": round(y + 0.75 * height if inside else y + radius + 10.0, 1),
             }
@@ -114,7 +90,6 @@ def airframe_svg(
         size=f"{SIZE:g}",
         middle=middle,
         body=BODY,
-        ink=Colour.REFERENCE,
         prefix=prefix,
         title=title or f"airframe {layout.name}",
         words="; ".join(f"rotor {number} {text}" for number, text in enumerate(words, start=1)),

@@ -7,7 +7,6 @@ The one script (templates/page.js, with uPlot from vendor/) is allowed by its ha
 import base64
 import datetime
 import hashlib
-import itertools
 import math
 import re
 from collections import Counter
@@ -21,6 +20,7 @@ from markupsafe import Markup, escape
 
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
+from mavdiag.archive.paths import apart
 from mavdiag.baseline import Baseline
 from mavdiag.decision import words
 from mavdiag.history.show import lines_of
@@ -29,7 +29,7 @@ from mavdiag.judging import JudgedFlight, LogVerdict, judge_in_full
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.wants import LABELS
 from mavdiag.look.figures import rotor_line, told_hz
-from mavdiag.look.inspection import Summary, summary
+from mavdiag.look.inspection import Summary, summaries
 from mavdiag.monitors.base import FaultKind
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.printable import printable
@@ -94,7 +94,7 @@ def flight_report(log: Log, baseline: Baseline, columns: int = COLUMNS, *, figur
         log.profile,
         log.started_ns,
         sketch.begin_ns / NS_PER_S,
-        tuple(summary(series) for series in log.telemetry.series if len(series)),
+        summaries(log.telemetry),
         "" if layout is None else pictures.airframe_drawing(layout, sketch, words.rotors_of(verdict)),
         pictures.told_rises(sketch) is not None,
         () if layout is None else tuple(where(place) for place in rotor_places(layout)),
@@ -167,7 +167,7 @@ def flights_page(flights: Sequence[FlightReport], baseline: Baseline, path: str,
     """One page, what asks for attention first. path: of the baseline, as it was given. created: ISO 8601, UTC."""
     flights = sorted(flights, key=lambda flight: ORDER.index(flight.verdict.verdict))
     counts = Counter(flight.verdict.verdict.value for flight in flights)
-    alone, names = len(flights) == 1, _names([flight.verdict.log for flight in flights])
+    alone, names = len(flights) == 1, apart([flight.verdict.log for flight in flights])
     return _page(
         "flights.html",
         title=Path(flights[0].verdict.log).name if alone else f"{len(flights)} flights",
@@ -240,6 +240,7 @@ def _templates() -> Environment:
         "shown": lambda value, unit: "-" if value is None else f"{pictures.scaled(unit)[0] * value:.3g}",
         "unit": lambda unit: pictures.scaled(unit)[1],
         "name": pictures.name_of,
+        "rotor": lambda rotor, flight: flight.named(rotor),
         "signal": lambda name: LABELS.get(name, name.replace("_", " ")),
         "moment": lambda t_ns: f"{_clock(t_ns / NS_PER_S):%Y-%m-%d %H:%M:%S} UTC",
     }
@@ -260,11 +261,3 @@ def _clock(t_s: float) -> datetime.datetime:
 def _with_code(text: str) -> Markup:
     """The text with what stands between backticks as code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(printable(text)))))
-
-
-def _names(paths: Sequence[str]) -> list[str]:
-    """The paths without the folder that all of them share."""
-    folders = [path.split("/")[:-1] for path in paths]
-    alike = (len(set(parts)) == 1 for parts in zip(*folders, strict=False))
-    shared = sum(1 for _ in itertools.takewhile(bool, alike))
-    return ["/".join(path.split("/")[shared:]) for path in paths]

@@ -26,7 +26,7 @@ from mavdiag.look.figures import HARMONICS, SPECTRUM_S, Spectrum
 from mavdiag.monitors.base import Feature
 from mavdiag.monitors.run_length import MIN_PIECE_S
 from mavdiag.report.chart import FOLDER, Chart, Line, NotDrawn, Panel, Picture, columns_of, drawn, picture
-from mavdiag.report.drawing import Colour, RotorMark, airframe_svg
+from mavdiag.report.drawing import RotorMark, airframe_svg
 from mavdiag.report.sketch import RateSketch, Sketch, SlotSketch
 from mavdiag.rows.block import Block
 from mavdiag.rows.rates import RateSpec
@@ -219,7 +219,7 @@ def airframe_drawing(layout: RotorLayout, sketch: Sketch, named: Collection[int]
     marks, rises = dict[int, RotorMark](), told_rises(sketch)
     for number in range(1, layout.rotors + 1):
         label = "" if rises is None else f"{100 * float(np.nanmax(rises.rotors[number - 1].high)):+.1f} %"
-        marks[number] = RotorMark(*((Colour.FAULT, label, "fault") if number in named else (None, label)))
+        marks[number] = RotorMark(label, "fault" if number in named else "")
     told = f"named: {', '.join(map(str, named))}" if named else "no rotor is named"
     return airframe_svg(layout, marks, title=f"Airframe from above, the nose up: {told}")
 

@@ -26,14 +26,8 @@ JUMP_S = 10.0  # that a key goes back or on
 BEHIND_S = 1.0  # that the judge may be ahead of what is shown before it begins anew
 
 
-class Key(Enum):
-    """What a key asks for."""
-
-    BACK = "back"
-    ON = "on"
-    STOP = "stop, or go on"
-    END = "end"
-
+#: What a key asks for; STOP also lets it go on.
+Key = Enum("Key", ["BACK", "ON", "STOP", "END"])
 
 #: What terminals send for a key; arrows in both modes of the cursor keys (xterm, "ctlseqs").
 KEYS = {"\x1b[D": Key.BACK, "\x1bOD": Key.BACK, "\x1b[C": Key.ON, "\x1bOC": Key.ON, " ": Key.STOP, "q": Key.END}
@@ -44,7 +38,7 @@ def keys_in(typed: str) -> tuple[list[Key], str]:
     r"""The keys in what was typed, and the beginning of one that has not come whole.
 
     >>> keys_in(" x\x1b[D\x1b[")
-    ([<Key.STOP: 'stop, or go on'>, <Key.BACK: 'back'>], '\x1b[')
+    ([<Key.STOP: 3>, <Key.BACK: 1>], '\x1b[')
     """
     found = []
     while typed:

@@ -150,6 +150,16 @@ def test_a_flood_of_words_does_not_push_an_alert_out() -> None:
     assert all(alert in text for alert in alerts)
 
 
+def test_every_rotor_that_was_named_stands_in_the_table() -> None:
+    row: Row = {"log": "a.bin", "verdict": "fault", "rotor": 4, "rotors": "1 from 98.7 s to 2.0 s; 4 from 684.0 s"}
+    row = {**row, "since_s": 98.7, "monitor": "rotor_trim", "ratio": 7.0, "judged_s": 9.0, "flown_s": 9.0, "reason": ""}
+    console = Console(width=100, file=io.StringIO(), record=True)
+    verdict_table([row, {**row, "log": "b.bin", "rotors": None}], console)
+    lines = console.export_text().splitlines()
+    assert "rotor" in lines[0]
+    assert [" ".join(line.split()[:4]) for line in lines[1:3]] == ["a.bin fault 1, 4", "b.bin fault 4 98.7"]
+
+
 def test_verdicts_of_many_logs_are_a_table_with_totals() -> None:
     common: Row = {"rotor": None, "since_s": None, "monitor": "unbalance", "reason": "why"}
     rows: list[Row] = [
