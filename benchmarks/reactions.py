@@ -1,12 +1,17 @@
 """Reactions flown by emulator and daemon on one virtual clock: the thesis's nine faults, three places, some seeds.
 
-    python benchmarks/reactions.py [--seeds 5] [--faults 9] [--healthy-h 10] [--calls 9]
+    python benchmarks/reactions.py [PART...] [--seeds 5] [--faults 9] [--calls 9] [--healthy-h 10] [--rate 1000]
 
-A commanded vehicle (profile qdrone2, 200 Hz) takes off, and hovers, goes to and fro at 1 m/s, or flies a mission. From
-ONSET_S on a propeller of rotor 1 to 4 is damaged. The daemon has the table of `TABLE` and a baseline that was learnt
-from healthy flights of that kind. Counted are, by the journal, the time from the finding to the command over the delay,
-and, by the plant's truth, whether the vehicle stands on the ground, upright and disarmed, before END_S. Then flights in
-which the pilot calls it off: by a mode, a stick, an acknowledgement. Then healthy flight: no command at all.
+    faults    nine faults x three places x seeds: the emulated vehicle with its own controller
+    loop      nine faults, a flight controller in the loop: `loop_plant.py`
+    called    flights in which the pilot calls it off: by a mode, a stick, an acknowledgement
+    healthy   healthy flight of several vehicles
+
+A commanded vehicle (profile qdrone2) takes off, and hovers, goes to and fro at 1 m/s, or flies a mission. From ONSET_S
+on a propeller of rotor 1 to 4 is damaged. The daemon has the table of `TABLE` and a baseline that was learnt from
+TAUGHT healthy flights of that vehicle and place. Mean wind and size of the path are drawn by the seed. Counted are, by
+the journal, the time from the finding to the command over the delay, and, by the plant's truth, whether the vehicle
+stands on the ground, upright and disarmed, before END_S. A healthy flight is right if nothing was commanded.
 """
 
 import argparse
@@ -15,15 +20,17 @@ import math
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
+from typing import cast
 from unittest.mock import patch
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
+from loop_plant import HIL_HZ, LoopPlant
 from made_vehicle import Bench
 from virtual_flight import GroundStation, VirtualFlight, learnt
 
@@ -34,8 +41,10 @@ from mavdiag.logs.tlog import read_tlog
 from sitl_plant.autopilot.dialect import Mode, dialect_named
 from sitl_plant.autopilot.stream import to_global
 from sitl_plant.physics.faults import FAULTS
-from sitl_plant.plant import PlantConfig, PlantSamples
+from sitl_plant.plant import Plant, PlantConfig, PlantSamples
+from sitl_plant.vehicle import airframe_of, vehicle_from
 
+PARTS = ("faults", "loop", "called", "healthy")
 PLACES = ("hover", "cruise", "mission")
 WAYS = ("mode", "stick", "ack")
 DELAY_S, ONSET_S, END_S = 6.0, 25.0, 90.0
@@ -45,12 +54,36 @@ TABLE = {
     "cruise": f"gross loss: land; fault after {DELAY_S:g} s: rtl",
     "mission": f"gross loss: land; fault after {DELAY_S:g} s: rtl",
 }
-PROFILE, RATE_HZ = "qdrone2", 200.0
-HEIGHT_M, SIDE_M, LEG_S = 2.0, 4.0, 6.0
+PROFILE, RATE_HZ = "qdrone2", 1000.0
+HEIGHT_M, LEG_S = 2.0, 6.0
+SIDE_M, WIND_M_S = (3.0, 5.0), (0.0, 1.0)  # from, to
 UPRIGHT_RAD, GROUND_M = math.radians(10.0), 0.15
 BLOCK_S, TICK_S = 0.08, 0.01  # of the emulator: longer than usual, so that it is done sooner
+HEALTHY_S, HEALTHY_BLOCK_S, HEALTHY_TICK_S = 600.0, 0.4, 0.02  # of a healthy flight, in which nothing is timed
 AUTOPILOT, DETECTOR = (1, 1), (1, 191)
 NAN = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class Craft:
+    """What flies. drone: as of `PlantConfig`. in_loop: by a flight controller in the loop. rate_hz: of its link."""
+
+    vehicle: str = "qdrone2"
+    drone: int = 2
+    in_loop: bool = False
+    rate_hz: float = RATE_HZ
+
+    def config(self, seed: int) -> PlantConfig:
+        """A healthy flight."""
+        wind = float(np.random.default_rng([seed, 1]).uniform(*WIND_M_S))
+        kind = vehicle_from(self.vehicle)
+        return PlantConfig(
+            vehicle=kind, drone=self.drone, trajectory="commanded", start="ground", seed=seed, wind_m_s=wind
+        )
+
+
+USUAL, IN_LOOP = Craft(), Craft(in_loop=True, rate_hz=HIL_HZ)
+CRAFTS = (("qdrone2", 1), ("qdrone2", 2), ("qdrone2", 3), ("quad-plus", 1), ("hexa-x", 1))  # of healthy flight
 
 
 def degrees(north: float, east: float) -> tuple[int, int]:
@@ -61,10 +94,10 @@ def degrees(north: float, east: float) -> tuple[int, int]:
 
 @dataclass
 class Station(GroundStation):
-    """Flies the vehicle to its place. calls: (time [s], way) of what calls off."""
+    """Flies the vehicle to its place. side_m: of its path. done: how much of its plan was sent."""
 
     place: str = "hover"
-    calls: tuple[float, str] | None = None
+    side_m: float = SIDE_M[0]
     done: int = 0
 
     def due(self, t_s: float) -> list[bytes]:
@@ -87,7 +120,7 @@ class Station(GroundStation):
         order = self._order
         plan = [(1.0, order(MavCmd.COMPONENT_ARM_DISARM, 1.0))]
         if self.place == "mission":
-            way = [(SIDE_M * (k % 4 in (1, 2)), SIDE_M * (k % 4 in (2, 3))) for k in range(80)]
+            way = [(self.side_m * (k % 4 in (1, 2)), self.side_m * (k % 4 in (2, 3))) for k in range(160)]
             items = [(22, 0.0, 0.0), *((16, *at) for at in way)]
             upload = [self.encoder.encode(MessageId.MISSION_COUNT, *AUTOPILOT, len(items), 0)]
             for seq, (number, north, east) in enumerate(items):
@@ -97,7 +130,7 @@ class Station(GroundStation):
         plan.append((1.5, order(MavCmd.NAV_TAKEOFF, 0, 0, 0, NAN, NAN, NAN, HEIGHT_M)))
         if self.place == "cruise":
             for leg in range(150):
-                there = degrees(SIDE_M * (1 - leg % 2), 0.0)
+                there = degrees(self.side_m * (1 - leg % 2), 0.0)
                 fields = (*AUTOPILOT, 6, MavCmd.DO_REPOSITION, 0, 0, 1.0, 0.0, 0.0, NAN, *there, HEIGHT_M)
                 plan.append((8.0 + LEG_S * leg, [self.encoder.encode(MessageId.COMMAND_INT, *fields)]))
         return plan
@@ -130,13 +163,14 @@ class Flown:
 
 
 @cache
-def baseline(place: str) -> Baseline:
+def baseline(place: str, craft: Craft = USUAL) -> Baseline:
     """Learnt from healthy flights of this kind, as the link brings them."""
     with tempfile.TemporaryDirectory() as folder:
         paths = [Path(folder) / f"{seed}.tlog" for seed in range(TAUGHT)]
         for seed, path in enumerate(paths):
-            fly(place, seed, until_s=LEARN_S, record=path)
-        return learnt([read_tlog(path) for path in paths])
+            fly(place, seed, craft=craft, until_s=LEARN_S, record=path)
+        known = airframe_of(vehicle_from(craft.vehicle), craft.vehicle)
+        return learnt([read_tlog(path) for path in paths], known)
 
 
 def fly(
@@ -144,16 +178,25 @@ def fly(
     seed: int,
     fault: str | None = None,
     *,
+    craft: Craft = USUAL,
     call: str | None = None,
     until_s: float = END_S,
     record: Path | None = None,
+    block_s: float = BLOCK_S,
+    tick_s: float = TICK_S,
 ) -> Flown:
-    """One flight. call: how it is called off, 2 s after it was announced. record: a flight to learn from."""
+    """One flight. call: how it is called off, 2 s after it was announced. record: a flight to learn from.
+
+    block_s, tick_s: of the emulator.
+    """
     goal: dict[str, object] = {"learn": 1e6} if record else {"baseline": Path("-"), "on_fault": TABLE[place]}
-    settings, known = Settings.model_validate(goal), None if record else baseline(place)
-    onset = {} if fault is None else {"fault": fault, "rotor": 1 + seed % 4, "onset_s": ONSET_S}
-    config = PlantConfig(drone=2, trajectory="commanded", start="ground", seed=seed, wind_m_s=0.5, **onset)  # type: ignore[arg-type]  # of several types
-    flown, station, last = Flown(), Station(lambda one: [], place=place), list[PlantSamples]()
+    settings, known = Settings.model_validate(goal), None if record else baseline(place, craft)
+    config = craft.config(seed)
+    if fault is not None:
+        config = replace(config, fault=fault, rotor=1 + seed % 4, onset_s=ONSET_S)
+    side_m = float(np.random.default_rng([seed, 2]).uniform(*SIDE_M))
+    flown, station = Flown(), Station(lambda one: [], place=place, side_m=side_m)
+    last = list[PlantSamples]()
     with tempfile.TemporaryDirectory() as folder:
         journal = Path(folder) / "journal.jsonl"
         bench = Bench(settings, known, journal=journal, record=record, links_behind=1)
@@ -182,8 +225,9 @@ def fly(
         def landed() -> bool:
             return armed and bool(last) and not last[0].motors[-1]
 
-        with patch("sitl_plant.emulator.BLOCK_S", BLOCK_S), patch("sitl_plant.emulator.TICK_S", TICK_S):
-            flight.fly(config, until_s, PROFILE, RATE_HZ, stop=landed, watch=watch)
+        plant_of = (lambda config: cast(Plant, LoopPlant(config))) if craft.in_loop else Plant
+        with patch("sitl_plant.emulator.BLOCK_S", block_s), patch("sitl_plant.emulator.TICK_S", tick_s):
+            flight.fly(config, until_s, PROFILE, craft.rate_hz, stop=landed, watch=watch, plant_of=plant_of)
         figures = bench.daemon.fleet.figures()
         bench.close()
         _read(flown, journal)
@@ -216,51 +260,87 @@ def _read(flown: Flown, journal: Path) -> None:
             flown.late_s = s - began - delay_s
 
 
-def main() -> None:
-    """Print all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--faults", type=int, default=len(FAULTS))
-    parser.add_argument("--healthy-h", type=float, default=10.0)
-    parser.add_argument("--calls", type=int, default=9, help="flights of each way in which a pilot calls it off")
-    options = parser.parse_args()
-    began_s = time.monotonic()
+def tell(title: str, found: list[Flown]) -> None:
+    """What came of flights with faults."""
+    late = [one.late_s for one in found if one.late_s is not None]
+    for what, right in (
+        ("declared", [one.declared_s is not None for one in found]),
+        ("announced", [one.announced for one in found]),
+        ("acted within its delay + 0.5 s", [s <= 0.5 for s in late]),
+        ("on the ground upright", [one.down for one in found]),
+        ("one command at most", [len(one.commands) <= 1 for one in found]),
+    ):
+        print(f"{title}: {what} {sum(right)} of {len(right)}", flush=True)
+    print(f"{title}: the latest action {max(late, default=NAN):.2f} s after its delay", flush=True)
+
+
+def judged(place: str, seed: int, fault: str, craft: Craft) -> Flown:
+    """One flight with a fault; it is printed if it is not as it should be."""
+    flown = fly(place, seed, fault, craft=craft)
+    if not flown.down or flown.late_s is None or flown.late_s > 0.5:
+        print(f"  {place} {fault} seed {seed}: {flown}", flush=True)
+    return flown
+
+
+def faults(options: argparse.Namespace, codes: list[str]) -> None:
+    """The emulated vehicle with damaged propellers."""
+    craft = replace(USUAL, rate_hz=options.rate)
     for place in PLACES:
-        print(f"{place}: taught, grade {baseline(place).grade}", flush=True)
-        found = []
-        for number, fault in enumerate(FAULTS[: options.faults]):
-            for seed in range(options.seeds):
-                flown = fly(place, 100 + 10 * number + seed, fault.code)
-                found.append(flown)
-                if not flown.down or flown.late_s is None or flown.late_s > 0.5:
-                    print(f"  {place} {fault.code} seed {100 + 10 * number + seed}: {flown}", flush=True)
-        late = [one.late_s for one in found if one.late_s is not None]
-        for what, right in (
-            ("declared", [one.declared_s is not None for one in found]),
-            ("announced", [one.announced for one in found]),
-            ("acted within its delay + 0.5 s", [s <= 0.5 for s in late]),
-            ("on the ground upright", [one.down for one in found]),
-            ("one command at most", [len(one.commands) <= 1 for one in found]),
-        ):
-            print(f"{place}: {what} {sum(right)} of {len(right)}", flush=True)
-        print(f"{place}: the latest action {max(late, default=NAN):.2f} s after its delay", flush=True)
+        print(f"{place}: taught, grade {baseline(place, craft).grade}", flush=True)
+        seeds = [(100 + 10 * n + k, code) for n, code in enumerate(codes) for k in range(options.seeds)]
+        tell(place, [judged(place, seed, code, craft) for seed, code in seeds])
+
+
+def loop(options: argparse.Namespace, codes: list[str]) -> None:
+    """The same with a flight controller in the loop, each fault in one of the places."""
+    flown = [judged(PLACES[n % 3], 200 + n, code, IN_LOOP) for n, code in enumerate(codes)]
+    tell("in the loop", flown)
+    print(f"in the loop: commanded {', '.join(one for each in flown for one in each.commands)}")
+
+
+def called(options: argparse.Namespace, codes: list[str]) -> None:
+    """Flights in which it is called off."""
+    craft = replace(USUAL, rate_hz=options.rate)
     for way in WAYS:
-        found = [
-            fly(PLACES[n % 3], 300 + n, FAULTS[n % len(FAULTS)].code, call=way, until_s=60.0)
-            for n in range(options.calls)
-        ]
+        tries = [(PLACES[n % 3], 300 + n, codes[n % len(codes)]) for n in range(options.calls)]
+        found = [fly(place, seed, code, craft=craft, call=way, until_s=60.0) for place, seed, code in tries]
         tried = [one for one in found if one.announced]
         off = sum(one.called_off and not one.commands for one in tried)
         print(f"called off by {way}: {off} of {len(tried)}", flush=True)
-    flown_s = acted = 0.0
-    number = 0
+
+
+def healthy(options: argparse.Namespace, codes: list[str]) -> None:
+    """Healthy flight of several vehicles in turn; what was flown so far is printed after each."""
+    flown_s, acted, number = 0.0, 0, options.first
     while flown_s < 3600.0 * options.healthy_h:
-        one = fly(PLACES[number % 3], 1000 + number, until_s=600.0)
+        (vehicle, drone), place = CRAFTS[number % len(CRAFTS)], PLACES[number % 3]
+        craft = Craft(vehicle, drone, rate_hz=options.rate)
+        one = fly(place, 1000 + number, craft=craft, until_s=HEALTHY_S, block_s=HEALTHY_BLOCK_S, tick_s=HEALTHY_TICK_S)
         flown_s, acted, number = flown_s + one.flown_s, acted + len(one.commands), number + 1
-        if one.commands or one.declared_s is not None:
-            print(f"  healthy {PLACES[(number - 1) % 3]} seed {999 + number}: {one}", flush=True)
-    print(f"healthy flight: {flown_s / 3600.0:.2f} h, {acted:g} actions")
-    print(f"{time.monotonic() - began_s:.0f} s")
+        told = f": {one}" if one.commands or one.declared_s is not None else ""
+        print(
+            f"  {vehicle} {drone}, {place}, seed {999 + number}: {flown_s / 3600:.2f} h, {acted} actions{told}",
+            flush=True,
+        )
+
+
+def main() -> None:
+    """Print what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", metavar="PART", help="all without any")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--faults", type=int, default=len(FAULTS))
+    parser.add_argument("--healthy-h", type=float, default=10.0)
+    parser.add_argument("--first", type=int, default=0, help="number of the first healthy flight, to go on with")
+    parser.add_argument("--calls", type=int, default=9, help="flights of each way in which a pilot calls it off")
+    parser.add_argument("--rate", type=float, default=RATE_HZ, help="of gyro and set-points on the link")
+    options = parser.parse_args()
+    began_s = time.monotonic()
+    for part in options.parts or PARTS:
+        {"faults": faults, "loop": loop, "called": called, "healthy": healthy}[part](
+            options, [fault.code for fault in FAULTS[: options.faults]]
+        )
+    print(f"{time.monotonic() - began_s:.0f} s, {time.process_time():.0f} s of processor time")
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from unittest.mock import patch
 from made_baselines import kept
 from made_vehicle import TICK_S, Bench
 
+from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline
 from mavdiag.learning import LearnOptions, learn
@@ -108,9 +109,10 @@ class VirtualFlight:
         rate_hz: float | None = None,
         stop: Callable[[], bool] = lambda: False,
         watch: Callable[[PlantSamples], None] = lambda samples: None,
+        plant_of: Callable[[PlantConfig], Plant] = Plant,
     ) -> None:
-        """Fly in virtual real time. stop, watch: as of the emulator."""
-        plant, dialect = Plant(config), dialect_named(profile)
+        """Fly in virtual real time. stop, watch: as of the emulator. plant_of: makes what is flown."""
+        plant, dialect = plant_of(config), dialect_named(profile)
         link = Link(self._bench.far, dialect, rate_hz, plant.rotors)
         with patch("sitl_plant.emulator.time", self), patch("sitl_plant.emulator.wait", self.wait):
             fly(plant, dialect, [link], duration_s=seconds, speed=1.0, stop=stop, watch=watch)
@@ -127,7 +129,7 @@ def healthy_flights(
     return logs
 
 
-def learnt(logs: Sequence[Log]) -> Baseline:
-    """A baseline of the emulated vehicle."""
-    options = LearnOptions(airframe=airframe_named("qdrone2"))
+def learnt(logs: Sequence[Log], airframe: Airframe | None = None) -> Baseline:
+    """A baseline of the emulated vehicle. airframe: None for that of the QDrone 2."""
+    options = LearnOptions(airframe=airframe or airframe_named("qdrone2"))
     return kept(" ".join(log.sha256 for log in logs), lambda: learn(list(logs), options, created=CREATED))

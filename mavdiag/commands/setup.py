@@ -49,6 +49,7 @@ HEAR_S = 3.0  # of the link before it is told (our choice)
 LOOK_S = 3.0  # between two looks at what was flown (our choice)
 AGAIN_S = 20.0  # before a task is told again (our choice)
 SILENT_S = 5.0  # without a frame a flight is over, or a battery is changed (our choice)
+SILENCE = "the vehicle is off, or a recording has ended; it goes on when more comes, Ctrl-C keeps what was flown"
 KEPT = 20_000  # frames before a take-off that go into its recording (our choice: 10 s of 1 kHz)
 BASELINE, CONFIG = "baseline.json", "detector.toml"
 UNIT = "mavdiag-detector.service"
@@ -158,22 +159,24 @@ class _Coach:
         self._flights = 0  # that were waited for
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
         self._told: tuple[str, Instant] | None = None  # what, without its figures, and when
+        self._silent = False  # whether that was said
 
     def fly(self, path: Path) -> bool:
         """Wait for a flight and record it until it lands or nothing comes; return whether it taught something."""
         if self._flights:  # another battery: the autopilot may have forgotten what it was asked for
             ask_for_all(self._link, self._link.vehicle or COMPANION_OF)
         self._flights += 1
-        state, rows, taught, ended = self._front.start(), list[Rows](), False, False
+        state, rows, taught, ended, lost = self._front.start(), list[Rows](), False, False, False
         looked = heard = Instant(time.monotonic_ns())
         with ExitStack() as stack:
             file: BinaryIO | None = None
             while not ended:
                 telemetry, now = self._link.poll(POLL_S), Instant(time.monotonic_ns())
-                heard = now if telemetry.series else heard
+                heard, self._silent = (now, False) if telemetry.series else (heard, self._silent)
+                lost = now - heard > SILENT_S
                 state, parts = self._front.step(state, telemetry)
                 rows += [part for part in parts if isinstance(part, Rows)]
-                ended = any(isinstance(part, Border) for part in parts) or now - heard > SILENT_S
+                ended = any(isinstance(part, Border) for part in parts) or lost
                 if rows and file is None:
                     file = stack.enter_context(path.open("xb", buffering=0))
                 self._record(file)
@@ -183,8 +186,12 @@ class _Coach:
                 self._link.send([*self._asker.beat(now), *self._words(file is not None, now)])
         if file is not None and not taught:
             path.unlink()
+        if lost and not self._silent:
+            say(f"nothing has come for {SILENT_S:g} s: {SILENCE}")
+            self._silent = True
         if file is not None:
-            say(f"landed; covered so far: {self._coverage}" if taught else "that was hardly a flight")
+            how = "cut off" if lost else "landed"
+            say(f"{how}; covered so far: {self._coverage}" if taught else "that was hardly a flight")
             self._told = None
         return taught
 

@@ -249,6 +249,124 @@ def test_forged_frames_from_the_vehicles_own_address_do_not_blind(name: str) -> 
     bench.close()
 
 
+STATION = Encoder(255, 190)
+ACTS = "suspected: land; fault: land; gross loss: land"
+LOITER = 5
+
+
+def turning_rows(every: int, lag_ms: int = 0) -> Callable[[int, int], tuple[int, list[Any]] | None]:
+    """RAW_IMU of a vehicle that turns though nobody asked, stamped as the genuine one."""
+
+    def forge(number: int, sent: int) -> tuple[int, list[Any]] | None:
+        if number % every:
+            return None
+        return MessageId.RAW_IMU, [1000 * (5000 + 10 * sent - lag_ms), 0, 0, -1000, 3000, 0, 0]
+
+    return forge
+
+
+def tilted(number: int, sent: int) -> tuple[int, list[Any]] | None:
+    return None if number % 20 else (MessageId.ATTITUDE, [5000 + 10 * sent, 2.5, 0.0, 0.0, 6.0, 0.0, 0.0])
+
+
+def armed_in(mode: int) -> Callable[[int, int], tuple[int, list[Any]] | None]:
+    return lambda number, sent: None if number % 67 else (MessageId.HEARTBEAT, [2, 0, 129, mode, 4, 3])
+
+
+def acting(vehicle: MadeVehicle, **more: Any) -> Attacked:
+    """A bench whose daemon acts on anything."""
+    vehicle.custom_mode = LOITER
+    settings = Settings(connect=UDP_IN, baseline=Path("b.json"), on_fault=ACTS)
+    return Attacked(settings, baseline=baseline_for(), vehicles=[vehicle], links_behind=1, **more)
+
+
+def actions(bench: Attacked) -> list[tuple[int, int]]:
+    """Vehicle and command of what the detector commanded but rates."""
+    frames = [one for one in received(bench.far) if one.msgid in (MessageId.COMMAND_LONG, MessageId.COMMAND_INT)]
+    asked = [[int(one.fields[field_index(one.msgid, n)]) for n in ("target_system", "command")] for one in frames]
+    return [(vehicle, command) for vehicle, command in asked if command not in COMMANDS]
+
+
+IN_ITS_PLACE: Mapping[str, Callable[[int, int], tuple[int, list[Any]] | None]] = {
+    "turning 10/s": turning_rows(20),
+    "turning 10/s between the genuine": turning_rows(20, -5),
+    "turning 100/s": turning_rows(2),
+    "tilted": tilted,
+    "armed in an automatic mode": armed_in(LOITER),
+}
+
+
+@pytest.mark.parametrize("ahead", [1, 20])
+@pytest.mark.parametrize("name", IN_ITS_PLACE)
+def test_forged_rows_from_the_vehicles_own_address_cause_no_action(name: str, ahead: int) -> None:
+    vehicle = Beset(IN_ITS_PLACE[name], ahead)
+    bench = acting(vehicle)
+    bench.fly(15.0)
+    assert actions(bench) == []
+    vehicle.turning = 0.5
+    bench.fly(3.0)
+    blinded = name == "turning 100/s" and ahead == 1  # half of the frames have the number of another: it is told
+    assert actions(bench) == ([] if blinded else [(1, MavCmd.NAV_LAND)] * 2)
+    bench.close()
+
+
+def beside(name: str) -> Iterator[list[bytes]]:
+    """What somebody sends from another address, in the vehicle's name or in one of his own."""
+    own, other = MadeVehicle(1), MadeVehicle(2)
+    for vehicle in (own, other):
+        vehicle.turning, vehicle.custom_mode = 3.0, LOITER
+    if name == "another vehicle":
+        return itertools.cycle([other.samples(4) for _ in range(500)])
+    if name == "answers":
+        acks = [(MavCmd.NAV_LAND, result, 0, 0, 1, 191) for result in (0, 2, 4)]
+        return itertools.repeat([own.encoder.encode(MessageId.COMMAND_ACK, *ack) for ack in acks])
+    if name == "texts":
+        texts = ("PROP FAULT motor 3", "PROP THRUST LOST motor 3", "PROP land commanded")
+        return itertools.repeat([own.encoder.statustext(Severity.CRITICAL, text) for text in texts])
+    if name == "acknowledgements":
+        order = (1, Component.ONBOARD_COMPUTER, MavCmd.USER_1, 0, *[1.0] * 7)
+        return itertools.repeat([sender.encode(MessageId.COMMAND_LONG, *order) for sender in (own.encoder, STATION)])
+    own.armed = False
+    return itertools.cycle([[own.heartbeat(), *own.samples(4)] for _ in range(500)])
+
+
+@pytest.mark.parametrize("name", ["another vehicle", "answers", "texts", "acknowledgements", "disarmed rows"])
+def test_another_address_causes_no_action_and_hinders_none(name: str) -> None:
+    vehicle = MadeVehicle(1)
+    bench = acting(vehicle)
+    bench.fly(15.0, beside(name))
+    assert {whose for whose, _ in actions(bench)} <= {2}  # a vehicle that asks for it gets its own
+    vehicle.turning = 0.5
+    bench.fly(3.0, beside(name))
+    assert [one for one in actions(bench) if one[0] == 1] == [(1, MavCmd.NAV_LAND)] * 2
+    bench.close()
+
+
+@pytest.mark.parametrize("name", ["not signed", "another key", "replayed"])
+def test_on_a_signed_link_frames_of_a_damaged_flight_cause_no_action(name: str, tmp_path: Path) -> None:
+    key, host = b"k" * 32, VirtualHost()
+    unix_ns = round(host.utc().timestamp() * 1e9)
+    genuine, old = MadeVehicle(1), MadeVehicle(1)
+    old.turning, old.custom_mode = 3.0, LOITER
+    stamps = {"another key": (b"x" * 32, unix_ns), "replayed": (key, unix_ns - 3_600 * 10**9)}
+    if name in stamps:
+        used, at_ns = stamps[name]
+        old.encoder = Encoder(1, Component.AUTOPILOT1, Signing(used, stamp=stamp_at(at_ns)))
+    genuine.encoder = Encoder(1, Component.AUTOPILOT1, Signing(key, stamp=stamp_at(unix_ns)))
+    bench = acting(genuine, host=host)
+    bench.daemon = bench.another(bench.open[:1], KeptSigning(key, tmp_path / "stamp", unix_ns))
+    bench.fly(3.0)
+    for _ in range(300):  # from its own address
+        for frame in old.samples(4):
+            bench.far.send(frame)
+        bench.fly(TICK_S)
+    assert actions(bench) == []
+    genuine.turning = 0.5
+    bench.fly(3.0)
+    assert actions(bench) == [(1, MavCmd.NAV_LAND)] * 2
+    bench.close()
+
+
 def test_frames_in_our_own_name_are_refused_and_not_passed_on() -> None:
     text = (Severity.CRITICAL, "PROP FAULT motor 3")
     vehicle = MadeVehicle(1)

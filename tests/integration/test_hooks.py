@@ -14,6 +14,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
+from hook_delay import flown
 from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle
 
@@ -158,6 +159,17 @@ def test_nothing_waits_for_a_slow_program_and_what_the_queue_cannot_hold_is_told
         assert f"{QUEUED} lines wait" in said[0]
     assert hook.lost == QUEUED + 50
     assert "were not delivered" in said[-1]
+
+
+def test_the_same_alerts_come_with_a_hook_that_fails_and_every_line_is_delivered_or_told() -> None:
+    bare, *others = flown(24)
+    for one in others:
+        assert one.hook.given == bare.hook.given >= 24
+        assert len(one.spans_s) == len(bare.spans_s) > 0  # at the same looks
+        assert one.hook.delivered + one.hook.lost >= one.hook.given
+        assert "were not delivered" in one.said[-1]
+    assert others[0].name == "dead server"
+    assert others[0].hook.delivered == 0
 
 
 def test_a_program_gets_each_line_on_its_standard_input(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 import tomllib
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -16,6 +17,7 @@ import pytest
 from patience import PATIENCE_S
 from piloted import Clock, Pilot, PilotedVehicle
 from plant_process import flying, process
+from shared_data import shared
 
 from detector.config import load_settings
 from mavdiag.baseline import Baseline
@@ -23,7 +25,11 @@ from mavdiag.commandline import say
 from mavdiag.commands.setup import BASELINE, CONFIG, UNIT, config_text, service_script, setup
 from mavdiag.errors import InputError
 from mavdiag.learning.coaching import ROUNDS, Coverage, Task
+from mavdiag.link.codec import Decoder, Frame, field_index
+from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import open_endpoint
+from mavdiag.link.ports.base import Chunk, Endpoint
+from mavdiag.units import NS_PER_S
 
 SPEED = 5
 LINK = "udpin:127.0.0.1:14550"
@@ -31,14 +37,15 @@ Heard = Callable[[str], None]
 
 
 @contextmanager
-def coached(vehicle: PilotedVehicle, hear: Heard | None = None) -> Iterator[list[str]]:
+def coached(vehicle: "PilotedVehicle | Played", hear: Heard | None = None) -> Iterator[list[str]]:
     """What `setup` says to the vehicle's pilot, on the vehicle's clock. hear: is told, too."""
     lines = list[str]()
 
     def told(text: str, **options: Any) -> None:
         lines.append(text)
         say(text, **options)
-        vehicle.pilot.hear(text)
+        if isinstance(vehicle, PilotedVehicle):
+            vehicle.pilot.hear(text)
         if hear is not None:
             hear(text)
 
@@ -101,6 +108,102 @@ def test_what_does_not_come_is_told_with_the_parameter_that_gives_it(tmp_path: P
         setup(LINK, tmp_path, yes=True)
     assert "\n" not in str(told.value)
     assert vehicle.flown_s == 0.0
+
+
+class Played(Endpoint):
+    """The near end of a link on which a recording is played; what is sent is kept. Long after its end it stops."""
+
+    datagrams = True
+    sources = ()
+
+    def __init__(self, path: Path, clock: Clock) -> None:
+        super().__init__("memory:near", clock.monotonic_ns)
+        self.clock, self.sent, self._records = clock, Decoder(), deque(records(path))
+        self.asked = list[Frame]()
+        self._late_ns = clock.ns - self._records[0][0]
+        self._stop_ns = self._records[-1][0] + self._late_ns + 60 * NS_PER_S
+        self.heard = set[str]()  # parameters
+        self._decoder = Decoder((MessageId.PARAM_VALUE,))
+
+    @property
+    def connected(self) -> bool:
+        return True
+
+    def filenos(self) -> tuple[int, ...]:
+        return ()
+
+    def send(self, data: bytes) -> None:
+        frames = self.sent.feed(data, 0)
+        assert not self.heard.intersection(map(parameter, frames)), "a parameter that was told is asked for"
+        self.asked += frames
+
+    def close(self) -> None:
+        """It stays open."""
+
+    def _drain(self) -> list[Chunk]:
+        return []
+
+    def receive(self, timeout_s: float) -> list[Chunk]:
+        self.clock.ns += max(1, round(timeout_s * NS_PER_S))
+        if self.clock.ns > self._stop_ns:
+            raise KeyboardInterrupt
+        found = list[Chunk]()
+        while self._records and self._records[0][0] + self._late_ns <= self.clock.ns:
+            found.append((self._records.popleft()[1], self.clock.ns))
+        self.heard.update(parameter(one) for data, ns in found for one in self._decoder.feed(data, ns))
+        return found
+
+
+def records(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Time [ns] and frame of each record of a .tlog."""
+    data, at = path.read_bytes(), 0
+    while at + 10 < len(data):
+        more = 12 + 13 * (data[at + 10] & 1) if data[at + 8] == 0xFD else 8
+        end = at + 8 + more + data[at + 9]
+        yield 1000 * int.from_bytes(data[at : at + 8], "big"), data[at + 8 : end]
+        at = end
+
+
+def parameter(frame: Frame) -> str:
+    """The parameter that a frame tells or asks for; empty for none."""
+    if frame.msgid not in (MessageId.PARAM_VALUE, MessageId.PARAM_REQUEST_READ):
+        return ""
+    return str(frame.fields[field_index(frame.msgid, "param_id")])
+
+
+@pytest.mark.parametrize(
+    ("name", "finds"),
+    [
+        (
+            "arducopter_sitl/healthy_quad3kg_sq1.tlog",
+            ("its autopilot is ardupilotmega", "gravity: 1.00 g, right", "rotor layout unknown", "low-passed at 20 Hz"),
+        ),
+        (
+            "autopilots_in_the_loop/px4_hil_healthy.tlog",
+            ("its autopilot is px4", "gravity: 1.00 g, right", "rotor layout x (the vehicle's parameters"),
+        ),
+    ],
+)
+def test_a_recorded_link_tells_what_it_is_and_setup_says_when_it_ends(
+    name: str, finds: tuple[str, ...], tmp_path: Path
+) -> None:
+    link = Played(shared(f"data/{name}"), Clock())
+    with pytest.raises(KeyboardInterrupt), coached(link) as lines:
+        setup(LINK, tmp_path, yes=True)
+    shown = "\n".join(lines)
+    for words in ("vehicle 1: a quadrotor", *finds):
+        assert words in shown, words
+    assert [line.split(":")[0] for line in lines].count("nothing has come for 5 s") == 1
+    ended = next(n for n, line in enumerate(lines) if line.startswith("nothing has come"))
+    assert lines[ended + 1].startswith("cut off; covered so far: hover ")
+    assert lines[ended + 2 :] == lines[ended + 2 : ended + 3]  # take off, and then nothing more
+    assert {one.msgid for one in link.asked} <= {
+        MessageId.HEARTBEAT,
+        MessageId.STATUSTEXT,
+        MessageId.COMMAND_LONG,
+        MessageId.PARAM_REQUEST_READ,
+    }
+    assert len(list(tmp_path.glob("flight-*.tlog"))) == 1
 
 
 def test_the_tasks_are_asked_for_in_rounds_until_all_is_flown() -> None:
