@@ -5,15 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-from mavdiag.demo.subprocesses import run_child
+from plant_process import record
 
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("flights")
-    record = ("record", "-o", str(folder / "f.tlog"), "--flights", "3", "--duration", "20", "--seed", "70")
-    run_child("sitl_plant", *record)
+    record(folder / "f.tlog", "--flights", "3", "--duration", "20", "--seed", "70")
     return sorted(folder.glob("*.tlog"))
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from plant_process import record
 
-from mavdiag.demo.subprocesses import run_child
 from mavdiag.monitors import BY_NAME
 
 EVENT_KEYS = {
@@ -22,7 +22,7 @@ MONITOR_KEYS = {"max", "threshold", "unit", "alarms", "judged_s", "not_judged", 
 
 def recorded(folder: Path, name: str, *options: str) -> Path:
     path = folder / name
-    run_child("sitl_plant", "record", "-o", str(path), *options)
+    record(path, *options)
     return path
 
 

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from flying_telemetry import body_rates
+from made_telemetry import body_rates
 from scipy.signal import lfilter
 
 from mavdiag.airframe.layout import layout_named
