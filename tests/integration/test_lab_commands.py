@@ -33,9 +33,11 @@ def test_the_models_of_a_baseline_are_those_of_its_fsd_monitors(
     mavdiag: Any, flights: list[Path], tmp_path: Path
 ) -> None:
     baseline = tmp_path / "b.json"
-    code, out, _ = mavdiag("identify", *flights, "-o", baseline, "--airframe", "qdrone2", "--monitors", "thesis")
+    asked = ("--airframe", "qdrone2", "--name", "drone 1", "--monitors", "thesis", "--details")
+    code, out, _ = mavdiag("identify", *flights, "-o", baseline, *asked)
     assert code == 0
-    assert f"written to {baseline}" in out
+    assert "drone 1 (airframe)\nrotor layout qdrone2 (told)\n" in out
+    assert out.endswith(f"written to {baseline}\n")
     code, out, _ = mavdiag("model", baseline, "--json", "--plot", tmp_path / "b.svg")
     assert code == 0
     assert [json.loads(line)["axis"] for line in out.splitlines()] == ["roll", "pitch"]  # B26: both by default

@@ -19,6 +19,7 @@ from sitl_plant.physics.faults import Injection, RotorDamage
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import qdrone2
 
+VEHICLE = replace(qdrone2(), propulsion=replace(qdrone2().propulsion, load_share=0.2))
 SETTLED_S = 15.0  # the live gate's 5 s, and the longest window
 FLOWN_S = 46.0
 SENT = {
@@ -36,7 +37,7 @@ STREAMS = (MessageId.RAW_IMU, MessageId.ATTITUDE_TARGET, MessageId.SERVO_OUTPUT_
 
 @pytest.fixture(scope="module")
 def baseline() -> Baseline:
-    return learnt(healthy_flights(range(3), 40.0))
+    return learnt(healthy_flights(range(3), 40.0, vehicle=VEHICLE))
 
 
 @pytest.mark.parametrize(
@@ -48,7 +49,7 @@ def test_l3_a_ground_station_that_resets_rates_every_10_s_costs_a_tenth_of_the_t
     bench = Bench(Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json")), baseline=baseline)
     try:
         flight = VirtualFlight(bench, station)
-        flight.fly(PlantConfig(seed=9), FLOWN_S)
+        flight.fly(PlantConfig(seed=9, vehicle=VEHICLE), FLOWN_S)
         session = bench.daemon.fleet.vehicles[1].session
         requests = [line for line in bench.host.lines if "asked for RAW_IMU" in line]
     finally:
@@ -83,9 +84,6 @@ def test_what_tells_rotors_and_filter_is_read_while_it_learns_and_nothing_is_eve
     assert max(names.values()) <= 3  # an output that this vehicle does not have
     commands = {frame.fields[COMMAND] for frame in heard if frame.msgid == MessageId.COMMAND_LONG}
     assert commands <= {MavCmd.SET_MESSAGE_INTERVAL}
-
-
-VEHICLE = replace(qdrone2(), propulsion=replace(qdrone2().propulsion, load_share=0.2))
 
 
 @pytest.mark.parametrize("profile", ["ardupilot", "px4"])

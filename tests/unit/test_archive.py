@@ -5,7 +5,6 @@ import json
 import os
 import re
 import shutil
-import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import contextmanager
@@ -21,6 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_archive import MONITORS, START_US, archive_baseline, asked, content, made
 from made_baselines import logged, whole
+from worker_task import work
 
 from mavdiag.archive import pool
 from mavdiag.archive import scan as module
@@ -304,15 +304,6 @@ def test_answers_that_cannot_be_kept_are_told_once_and_lose_nothing(tmp_path: Pa
     answers = list(scan(logs_named([*paths, paths[0]]).logs, asked(), 1, cache))
     assert [answer.verdict.verdict for answer in answers] == [Verdict.HEALTHY] * 3
     assert (len(warned), warned[0].startswith("answers are not kept any more: ")) == (1, True)
-
-
-def work(task: int) -> int:
-    """In a worker process."""
-    if task < 0:
-        os.kill(os.getpid(), signal.SIGKILL)
-    if task == 0:
-        raise ValueError("of\nours")
-    return task * task
 
 
 def test_run_all_gives_every_task_its_result_though_workers_die() -> None:
