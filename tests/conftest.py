@@ -8,7 +8,7 @@ from importlib import import_module
 import pytest
 from hypothesis import settings
 
-settings.register_profile("repo", deadline=None, print_blob=True, derandomize=True, max_examples=60)
+settings.register_profile("repo", deadline=None, print_blob=True, derandomize=True, max_examples=30)
 settings.load_profile("repo")
 
 NUMBERS = itertools.count()

@@ -3,7 +3,7 @@
 from collections.abc import Collection
 
 import numpy as np
-from made_telemetry import series, setpoints
+from made_telemetry import START_NS, body_rates, series, setpoints
 from scipy.signal import lfilter
 
 from mavdiag.airframe.layout import layout_named
@@ -16,20 +16,11 @@ from mavdiag.units import RPM
 
 DT_S = 0.01
 DT_NS = 10_000_000
-START_NS = 1_000_000_000
 
 
 def flying_front(trim_end_s: float = 0.0) -> Front:
     """A front for these flights."""
     return Front(AlignSpec(DT_S, Grid.NATIVE), GateSpec(trim_end_s=trim_end_s), RateSpec.of(DT_S, 11))
-
-
-def body_rates(angle: FloatArray) -> FloatArray:
-    """Body rates p, q, r [rad/s] of roll, pitch and yaw angles at 100 Hz, (n, 3)."""
-    (phi, theta, _), (roll, pitch, yaw) = angle.T, np.gradient(angle, DT_S, axis=0).T
-    q = np.cos(phi) * pitch + np.sin(phi) * np.cos(theta) * yaw
-    r = np.cos(phi) * np.cos(theta) * yaw - np.sin(phi) * pitch
-    return np.stack((roll - np.sin(theta) * yaw, q, r), axis=1)
 
 
 def flying(

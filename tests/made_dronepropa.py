@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from made_telemetry import body_rates
 from scipy.io import savemat
 from scipy.signal import bilinear, butter, lfilter
 
@@ -33,7 +34,7 @@ def flight(duration_s: float, seed: int, *, weak_rotor: int = 0, rise: float = 0
     up = state >= 4
     reference = smooth(rng, n, 0.7, (0.1, 0.1, 0.1)) * up[:, None]
     angle = second_order(reference, 9.0, 0.8) + smooth(rng, n, 2.0, (0.004, 0.004, 0.004)) * up[:, None]
-    rate = body_rates(angle)
+    rate = body_rates(angle, DT_S)
     shake = np.sin(2 * np.pi * LINE_HZ * t[:, None] + rng.uniform(0, 6, 6)) * (state >= 3)[:, None] * line
     gyro = rate + 0.03 * shake[:, :3] + rng.normal(0, 0.004, (n, 3))
     gyro = np.repeat(gyro[::2], 2, axis=0)[:n]  # 500 Hz, held
@@ -75,7 +76,7 @@ def content(rows: Mapping[str, Any], *, compressed: bool = True) -> bytes:
 
 def written(path: Path, rows: Mapping[str, FloatArray]) -> Path:
     """The file on disk."""
-    path.write_bytes(content(rows))
+    path.write_bytes(content(rows, compressed=False))
     return path
 
 
@@ -96,14 +97,6 @@ def second_order(x: FloatArray, wn: float, zeta: float) -> FloatArray:
     """A low-pass of natural frequency wn [rad/s] and damping zeta, (n, k)."""
     b, a = bilinear([wn**2], [1, 2 * zeta * wn, wn**2], 1 / DT_S)
     return np.asarray(lfilter(b, a, x, axis=0))
-
-
-def body_rates(angle: FloatArray) -> FloatArray:
-    """Body rates of roll, pitch and yaw angles (order yaw, pitch, roll), (n, 3)."""
-    (phi, theta, _), (roll, pitch, yaw) = angle.T, np.gradient(angle, DT_S, axis=0).T
-    q = np.cos(phi) * pitch + np.sin(phi) * np.cos(theta) * yaw
-    r = np.cos(phi) * np.cos(theta) * yaw - np.sin(phi) * pitch
-    return np.stack((roll - np.sin(theta) * yaw, q, r), axis=1)
 
 
 def duty(force: FloatArray, volt: FloatArray) -> FloatArray:

@@ -1,7 +1,8 @@
 """A flight at 100 Hz with all that may go wrong."""
 
 import numpy as np
-from flying_telemetry import DT_NS, START_NS, flying, without
+from flying_telemetry import DT_NS, flying, without
+from made_telemetry import START_NS
 
 from mavdiag.telemetry import Series, Signal, Telemetry
 

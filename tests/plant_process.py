@@ -1,4 +1,4 @@
-"""The plant as a process of its own, for tests with other programs. What is started here is ended by its own id."""
+"""The plant for tests with other programs: as a process, ended by its own id, and flights that it records."""
 
 import json
 import subprocess
@@ -8,11 +8,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
+import pytest
 from patience import PATIENCE_S
 
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, Severity
 from mavdiag.link.ports import open_endpoint
+from sitl_plant.__main__ import main
 from sitl_plant.options import STARTING
 
 ALERT = "PROP FAULT r1 F2/SV2 FSD 0.41s>FML 0.12s"
@@ -35,6 +37,15 @@ def process(
         except subprocess.TimeoutExpired:
             child.kill()
             child.communicate()
+
+
+def record(path: Path, *options: str) -> None:
+    """`sitl-plant record`, in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["sitl-plant", "record", "-o", str(path), *options])
+        with pytest.raises(SystemExit) as ended:
+            main()
+    assert ended.value.code == 0
 
 
 def first_line(plant: subprocess.Popen[str]) -> str:

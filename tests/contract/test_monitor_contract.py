@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flying_telemetry import DT_NS, DT_S, START_NS, flying, flying_front, flying_rows, without
+from flying_telemetry import DT_NS, DT_S, flying, flying_front, flying_rows, without
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_monitor import MadeUp
-from made_telemetry import cut
+from made_telemetry import START_NS, cut
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named

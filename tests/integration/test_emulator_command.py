@@ -1,4 +1,4 @@
-"""`sitl-plant` as its user meets it: files, exit codes, errors of one line, and the wall clock."""
+"""`sitl-plant` as its user meets it: files, exit codes, errors of one line, the wall clock, and fleets."""
 
 import json
 import signal
@@ -7,38 +7,32 @@ import sys
 import time
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 from patience import PATIENCE_S
+from plant_process import process
 
+from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder, field_index
-from mavdiag.link.messages import MessageId
-from mavdiag.link.ports import open_endpoint
-
-
-def sitl_plant(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "sitl_plant", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-        stdin=subprocess.DEVNULL,
-    )
+from mavdiag.link.messages import MessageId, ModeFlag
+from mavdiag.link.ports import Endpoint, open_endpoint
+from sitl_plant.fleet import fleet
+from sitl_plant.options import flight_plan
 
 
 def read_lines(path: Path) -> list[dict[str, object]]:
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
 
-def test_the_same_options_give_the_same_file_and_another_seed_another(tmp_path: Path) -> None:
+def test_the_same_options_give_the_same_file_and_another_seed_another(program: Any, tmp_path: Path) -> None:
     flight = ("--duration", "2", "--fault", "F2/SV2", "--rotor", "3", "--onset", "1", "--rate", "200", "--seed")
     files = {name: tmp_path / f"{name}.tlog" for name in ("one", "same", "other")}
     truth = tmp_path / "truth.jsonl"
     for (name, path), seed in zip(files.items(), ("4", "4", "5"), strict=True):
-        done = sitl_plant("record", "-o", str(path), *flight, seed, "--truth", str(truth))
-        assert done.returncode == 0, done.stderr
-        assert str(files[name]) in done.stdout
+        code, out, err = program("sitl_plant.__main__", "record", "-o", path, *flight, seed, "--truth", truth)
+        assert code == 0, err
+        assert str(files[name]) in out
     one, same, other = (path.read_bytes() for path in files.values())
     assert one == same
     assert one != other
@@ -120,3 +114,87 @@ def test_a_signal_ends_the_flight_in_good_order(number: signal.Signals, tmp_path
     assert flight.returncode == 0
     assert json.loads(output)["event"] == "landed"
     assert [line["record"] for line in read_lines(truth)][:2] == ["flight", "state"]
+
+
+FLEET = [sys.executable, "-m", "sitl_plant", "fleet", "--profile", "ardupilot", "--rate", "50"]
+MODE = field_index(MessageId.HEARTBEAT, "base_mode")
+
+
+def heard(ends: list[Endpoint], until_disarmed: set[int]) -> list[dict[int, list[bool]]]:
+    """For each end, whether each system id was armed, heartbeat by heartbeat, until these landed."""
+    found: list[dict[int, list[bool]]] = [{} for _ in ends]
+    deadline, decoder = time.monotonic() + PATIENCE_S, Decoder({MessageId.HEARTBEAT})
+    landed = set[int]()
+    while landed < until_disarmed and time.monotonic() < deadline:
+        for end, own in zip(ends, found, strict=True):
+            for data, host_ns in end.receive(0.05):
+                for frame in decoder.feed_datagram(data, host_ns):
+                    armed = bool(int(frame.fields[MODE]) & ModeFlag.SAFETY_ARMED)
+                    told = own.setdefault(frame.sysid, [])
+                    landed |= {frame.sysid} if told and told[-1] and not armed else set()
+                    told.append(armed)
+    assert landed == until_disarmed
+    return found
+
+
+@pytest.mark.realtime
+def test_a_fleet_takes_off_and_lands_on_one_port() -> None:
+    with open_endpoint("udpin:127.0.0.1:0") as end:
+        out = end.address.replace("udpin", "udpout")
+        options = ["-n", "3", "--system-id", "7", "--out", out, "--takeoff", "--duration", "18", "--speed", "4"]
+        with process([*FLEET, *options]) as plant:
+            (found,) = heard([end], {7, 8, 9})
+            assert plant.wait(PATIENCE_S) == 0
+    assert set(found) == {7, 8, 9}
+    assert all(True in told for told in found.values())
+
+
+@pytest.mark.realtime
+def test_each_vehicle_of_a_fleet_has_a_port_of_its_own_and_a_signal_ends_all() -> None:
+    with open_endpoint("udpin:127.0.0.1:0") as low:
+        port = int(low.address.rpartition(":")[2])
+        with open_endpoint(f"udpin:127.0.0.1:{port + 1}") as high:
+            out = f"udpout:127.0.0.1:{port}"
+            with process([*FLEET, "-n", "2", "--out", out, "--port-each"]) as plant:
+                deadline, found = time.monotonic() + PATIENCE_S, [set[int](), set[int]()]
+                decoder = Decoder({MessageId.HEARTBEAT})
+                while not all(found) and time.monotonic() < deadline:
+                    for end, ids in zip((low, high), found, strict=True):
+                        chunks = end.receive(0.05)
+                        ids |= {frame.sysid for data, ns in chunks for frame in decoder.feed_datagram(data, ns)}
+                plant.terminate()
+                assert plant.wait(PATIENCE_S) == 0
+    assert found == [{1}, {2}]
+
+
+def test_only_the_vehicles_that_are_named_get_the_fault() -> None:
+    flown: list[tuple[int, str | None, int]] = []
+
+    class Inline:
+        """In place of a process."""
+
+        def __init__(self, target: object, args: tuple[object, ...]) -> None:
+            plan = args[0]
+            flown.append((plan.dialect.sysid, plan.config.fault, plan.config.seed))  # type: ignore[attr-defined]  # a plan
+
+        def start(self) -> None: ...
+        def join(self) -> None: ...
+        def is_alive(self) -> bool:
+            return False
+
+    with patch("multiprocessing.context.ForkContext.Process", Inline):
+        fleet.__wrapped__(flight_plan(fault="F2/SV2", seed=5), 4, "2,4", "udpout:127.0.0.1:9")  # type: ignore[attr-defined]  # the command without its options
+    assert flown == [(1, None, 5), (2, "F2/SV2", 6), (3, None, 7), (4, "F2/SV2", 8)]
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"faulty": "9"}, r"name system ids of the fleet, 1 to 2"),
+        ({"faulty": "x"}, r"name system ids of the fleet"),
+        ({"count": 300}, r"system ids end at 255"),
+    ],
+)
+def test_a_fleet_that_cannot_be_flown_is_refused(options: dict[str, object], says: str) -> None:
+    with pytest.raises(UsageError, match=says):
+        fleet.__wrapped__(flight_plan(fault="F2/SV2"), **{"count": 2, "out": "udpout:127.0.0.1:9"} | options)  # type: ignore[attr-defined]  # the command without its options

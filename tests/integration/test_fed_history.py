@@ -42,7 +42,6 @@ def watching(baseline: Baseline, flights: Flights, *vehicles: MadeVehicle) -> Be
     return Bench(Settings(connect=UDP_IN, learn=1.0), baseline=baseline, flights=flights, vehicles=list(vehicles))
 
 
-@pytest.mark.realtime
 def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> None:
     history = pytest.importorskip("mavdiag.history.store", reason="the history is an extra")
     baseline = baseline_for()
@@ -84,7 +83,6 @@ def copied(line: bytes) -> tuple[str, bytes]:
     return path.name, path.read_bytes()
 
 
-@pytest.mark.realtime
 def test_a_flight_that_cannot_be_added_is_told_and_added_by_the_next_start(tmp_path: Path) -> None:
     history = pytest.importorskip("mavdiag.history.store", reason="the history is an extra")
     missing, folder, said = tmp_path / "missing" / "history.sqlite", tmp_path / "flights", list[str]()

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 from made_history import DAY_NS, START_NS, records
+from plant_process import record
 
-from mavdiag.demo.subprocesses import run_child
 from mavdiag.history.warn import Mark, MarkKind
 from mavdiag.judging import Verdict
 
@@ -41,7 +41,7 @@ def wearing(tmp_path: Path) -> Path:
 def test_flights_are_judged_kept_once_and_listed(mavdiag: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba", reason="the plant is an extra")
     monkeypatch.chdir(tmp_path)
-    run_child("sitl_plant", "record", "-o", "logs.tlog", "--flights", "4", "--duration", "16", "--seed", "70")
+    record(tmp_path / "logs.tlog", "--flights", "4", "--duration", "16", "--seed", "70")
     logs = sorted(tmp_path.glob("*.tlog"))
     assert mavdiag("identify", *logs[:3], "-o", "b.json", "--airframe", "qdrone2", "--name", "drone 1")[0] == 0
     (tmp_path / "damaged.tlog").write_bytes(b"")
@@ -121,9 +121,9 @@ def test_csv_has_a_row_for_each_monitor_and_each_trend(mavdiag: Any, wearing: Pa
     }
 
 
-@pytest.mark.parametrize("width", [40, 100])
-def test_a_terminal_gets_a_drawing_in_its_width(wearing: Path, width: int) -> None:
+def test_a_terminal_gets_a_drawing_in_its_width(wearing: Path) -> None:
     """A real one, by a pseudo-terminal."""
+    width = 40
     ours, theirs = pty.openpty()
     command = [sys.executable, "-m", "mavdiag", "history", "--database", str(wearing), "--airframe", "worn"]
     with os.fdopen(theirs, "wb") as end:

@@ -98,7 +98,7 @@ def test_l10_a_fresh_ardupilot_link_is_told_what_gives_each_monitor_its_streams(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     vehicle = FreshArduPilot()
-    beside(vehicle, lambda address: inspect([address], duration=4.0))
+    beside(vehicle, lambda address: inspect([address], duration=2.0))
     shown = capsys.readouterr().out
     assert max(map(len, shown.splitlines())) <= 80
     assert "profile ardupilot" in shown

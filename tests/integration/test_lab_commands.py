@@ -5,15 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-from mavdiag.demo.subprocesses import run_child
+from plant_process import record
 
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("flights")
-    record = ("record", "-o", str(folder / "f.tlog"), "--flights", "3", "--duration", "20", "--seed", "70")
-    run_child("sitl_plant", *record)
+    record(folder / "f.tlog", "--flights", "3", "--duration", "20", "--seed", "70")
     return sorted(folder.glob("*.tlog"))
 
 
@@ -35,9 +33,11 @@ def test_the_models_of_a_baseline_are_those_of_its_fsd_monitors(
     mavdiag: Any, flights: list[Path], tmp_path: Path
 ) -> None:
     baseline = tmp_path / "b.json"
-    code, out, _ = mavdiag("identify", *flights, "-o", baseline, "--airframe", "qdrone2", "--monitors", "thesis")
+    asked = ("--airframe", "qdrone2", "--name", "drone 1", "--monitors", "thesis", "--details")
+    code, out, _ = mavdiag("identify", *flights, "-o", baseline, *asked)
     assert code == 0
-    assert f"written to {baseline}" in out
+    assert "drone 1 (airframe)\nrotor layout qdrone2 (told)\n" in out
+    assert out.endswith(f"written to {baseline}\n")
     code, out, _ = mavdiag("model", baseline, "--json", "--plot", tmp_path / "b.svg")
     assert code == 0
     assert [json.loads(line)["axis"] for line in out.splitlines()] == ["roll", "pitch"]  # B26: both by default

@@ -14,9 +14,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from flying_telemetry import START_NS, flying
+from flying_telemetry import flying
 from made_baselines import FRAME, NOW, healthy, logged
-from made_telemetry import cut
+from made_telemetry import START_NS, cut
 from scipy.spatial.transform import Rotation
 
 import mavdiag as md
@@ -68,6 +68,7 @@ def unchanged(telemetry: Telemetry) -> Telemetry:
     return telemetry
 
 
+@cache
 def taught(change: Transform = unchanged, frame: Airframe = FRAME) -> Baseline:
     """Learnt from three healthy flights, each changed."""
     teachers = (replace(log, telemetry=change(log.telemetry)) for log in healthy(3, SAMPLES))
@@ -75,14 +76,9 @@ def taught(change: Transform = unchanged, frame: Airframe = FRAME) -> Baseline:
 
 
 @cache
-def reference() -> Baseline:
-    return taught()
-
-
-@cache
 def expected(name: str) -> LogVerdict:
     """The verdict on a flight that nothing was done to; it shows that the flights are what they are taken for."""
-    verdict = md.judge(logged(FLIGHTS[name]()), reference())
+    verdict = md.judge(logged(FLIGHTS[name]()), taught())
     found = (verdict.verdict, verdict.rotor, {one.event.monitor for one in verdict.events})
     assert found == {
         "healthy": (Verdict.HEALTHY, None, set()),
@@ -179,7 +175,7 @@ def test_frame_turned(name: str) -> None:
     assert_same(found.verdict, name, late_s=LOOK_S)
     others = {one: maximum for one, maximum in maxima(expected(name)).items() if one != "fsd"}
     assert {one: maxima(found.verdict)[one] for one in others} == pytest.approx(others, rel=TURNED)
-    runs, wanted = longest_runs(found), longest_runs(judge_in_full(logged(FLIGHTS[name]()), reference()))
+    runs, wanted = longest_runs(found), longest_runs(judge_in_full(logged(FLIGHTS[name]()), taught()))
     assert runs[Axis.PITCH] == pytest.approx(wanted[Axis.ROLL], abs=RUN_S)
     assert runs[Axis.ROLL] == pytest.approx(wanted[Axis.PITCH], abs=RUN_S)
 
@@ -219,7 +215,7 @@ def slowed(telemetry: Telemetry) -> Telemetry:
 @of_each_flight
 def test_clock_slightly_slow(name: str) -> None:
     """The flight alone: a baseline holds for a rate that is a thousandth off. The first tick of a trim may count."""
-    found = md.judge(logged(slowed(FLIGHTS[name]())), reference())
+    found = md.judge(logged(slowed(FLIGHTS[name]())), taught())
     assert_same(found, name, late_s=TICK_S + LOOK_S)
     assert found.rate_hz == pytest.approx(expected(name).rate_hz / (1 + SLOWER / 1000), rel=1e-5)
 
@@ -268,7 +264,7 @@ def test_chunks_of_any_size_live(name: str, seed: int) -> None:
     """A link that is watched tells the events and changes of its log. Chunks span 1 ms to 1 s, by their logarithm."""
     spans_ns = 10 ** np.random.default_rng(seed).uniform(6, 9, 2000)
     edges_ns = START_NS + np.cumsum(spans_ns).astype(np.int64)
-    watch, told = md.Watch(reference(), "px4"), list[Event | Change]()
+    watch, told = md.Watch(taught(), "px4"), list[Event | Change]()
     for telemetry in cut(FLIGHTS[name](), edges_ns.tolist()):
         told += watch.step(telemetry)
     changes = tuple(one for one in told if isinstance(one, Change))

@@ -117,7 +117,7 @@ class Played(Endpoint):
     sources = ()
 
     def __init__(self, path: Path, clock: Clock) -> None:
-        super().__init__("memory:near", clock.monotonic_ns)
+        super().__init__("memory:near")
         self.clock, self.sent, self._records = clock, Decoder(), deque(records(path))
         self.asked = list[Frame]()
         self._late_ns = clock.ns - self._records[0][0]

@@ -5,13 +5,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from flying_telemetry import DT_NS, START_NS, flying
+from flying_telemetry import DT_NS, flying
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_baselines import whole
 from made_flights import N, hard_flight
 from made_statistics import assert_alike
-from made_telemetry import cut
+from made_telemetry import START_NS, cut
 
 from mavdiag.chain import Chain, ChainState, chain_of
 from mavdiag.decision.diagnosis import Change, Event, Stage

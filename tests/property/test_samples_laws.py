@@ -84,7 +84,7 @@ def test_b9_how_two_paths_are_cut_does_not_matter(seed: int, size: int) -> None:
 ids = st.sampled_from(sorted(frozenset().union(*(SampleDecoder(profile).wanted for profile in PROFILES.values()))))
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(st.lists(ids, max_size=40), st.integers(0, 2**32))
 def test_no_payload_raises(messages: list[int], seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -1,5 +1,7 @@
 """The Crazyflie reader on recorded flights: every file reads, and the axes are those of FRD, by correlation."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.signal import savgol_filter
@@ -12,6 +14,7 @@ DT_S = 1 / 101.1
 LAGS = range(16)  # the vehicle follows its setpoint within 0.15 s
 
 
+@cache
 def healthy(number: int) -> Telemetry:
     return read_crazyflie(shared("data/crazypad/normal_flight") / f"E8_log{number:02d}").telemetry
 

@@ -37,6 +37,7 @@ def oracle(path: Path, wanted: Collection[str]) -> dict[str, dict[str, FloatArra
     return {name: {k: np.array([row[k] for row in all_rows]) for k in all_rows[0]} for name, all_rows in rows.items()}
 
 
+@cache
 def tables(path: Path, wanted: Collection[str]) -> Mapping[str, Table]:
     walk = Walk(wanted)
     walk.feed(path.read_bytes())
@@ -53,6 +54,7 @@ def test_counts_and_values_are_those_of_pymavlink(file: str, name: str) -> None:
         np.testing.assert_allclose(table.column(label), values, rtol=1e-12, atol=1e-12, err_msg=label)
 
 
+@cache
 def real() -> Telemetry:
     return read_dataflash(shared(REAL)).telemetry
 

@@ -64,7 +64,7 @@ def test_l6_every_part_of_a_flight_gives_the_layout_or_none(name: str, layout: s
     named = [one.name for one in found if one is not None]
     assert set(named) == {layout}
     assert len(named) >= len(found) / 3  # the others say why not; a third of log171 is on the ground
-    pieces = [one.rows(i, min(i + 4, len(one))) for one in blocks for i in range(0, len(one), 4)]
+    pieces = [one.rows(i, min(i + 40, len(one))) for one in blocks for i in range(0, len(one), 40)]
     assert detect_layout(pieces) == whole
 
 

@@ -14,8 +14,8 @@ from mavdiag.monitors import MONITORS, by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis, Instant
 
-FIGURES = (0.0, 0.09, 0.118, 0.41, 9.99, 12.34, 98.7, 1234.5, 1e9, float("inf"), float("nan"))
-CAUSES = list(itertools.product((None, 1, 4, 12), (None, "F1", "F2", "F3"), (None, 1, 3)))
+FIGURES = (0.0, 0.118, 98.7, 1e9, float("inf"), float("nan"))
+CAUSES = list(itertools.product((None, 1, 12), (None, "F3"), (None, 3)))
 UNITS = {"fsd": "s", "unbalance": "g mm"}
 
 

@@ -1,4 +1,8 @@
-"""A baseline at work in a session: what the settings change, and why monitors do not judge."""
+"""Judging in the daemon: what the settings change, why monitors do not judge, turns, and the fit beside it."""
+
+import multiprocessing
+import time
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -7,8 +11,12 @@ from made_baselines import trim
 from made_session import baseline_for
 
 from detector.config import SessionSettings
+from detector.fitting import FittingJob, ProcessFitter
+from detector.fleet import due_turns
 from detector.judging import Judge, chain_for
 from detector.streams import Streams
+from detector.values import Learn
+from mavdiag.airframe.airframe import Airframe
 from mavdiag.chain import chain_of
 from mavdiag.errors import BaselineError
 from mavdiag.link.profiles import PROFILES
@@ -54,3 +62,59 @@ def test_h5_a_link_that_stalls_changes_no_rate() -> None:
     assert [one for one in seen if one is not None] == pytest.approx([100.0] * sum(one is not None for one in seen))
     came(streams, 20.0 + 0.25 * np.arange(1.0, 4.0), 21.0)
     assert streams.rate_hz(Signal.BODY_RATE, Instant(21 * 10**9)) == pytest.approx(4.0)  # and a lower one shows at once
+
+
+COST_S = 0.004
+TICK_S = 0.04
+
+
+def looks(
+    vehicles: int, seed: int, source_of: Callable[[int], int] = lambda sysid: sysid, begun_s: float = 0.0
+) -> tuple[dict[int, list[float]], float]:
+    """Judge by the policy for 500 looks: the waits of each vehicle, and the longest look.
+
+    begun_s: of each look, that went by before anybody is judged.
+    """
+    rng = np.random.default_rng(seed)
+    judged, longest_s = {sysid: Instant(0) for sysid in range(vehicles)}, 0.0
+    waits: dict[int, list[float]] = {sysid: [] for sysid in range(vehicles)}
+    for number in range(1, 501):
+        now, spent_s = Instant(0) + number * TICK_S, [begun_s]
+        for sysid, waited_s in due_turns(judged, now, source_of, lambda spent_s=spent_s: sum(spent_s) < TICK_S / 2):  # type: ignore[misc]  # a default of one look
+            waits[sysid].append(waited_s)
+            judged[sysid] = now
+            spent_s.append(COST_S * float(rng.uniform(0.5, 1.5)))
+        longest_s = max(longest_s, sum(spent_s))
+    return waits, longest_s
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_many_take_turns_and_a_look_stays_short(seed: int) -> None:
+    """100 vehicles that cost 4 ms each have five turns in 20 ms: every 0.8 s, none left out."""
+    waits, longest_s = looks(100, seed)
+    assert longest_s < TICK_S / 2 + 1.5 * COST_S
+    late = [max(waited[5:]) for waited in waits.values()]
+    assert min(len(waited) for waited in waits.values()) > 15
+    assert max(late) < 1.5 * np.mean(late) < 1.5
+
+
+def test_only_its_own_process_is_ended() -> None:
+    context = multiprocessing.get_context("spawn")
+    other = context.Process(target=time.sleep, args=(60.0,))
+    other.start()
+    try:
+        fitter = ProcessFitter()
+        fitter.begin(FittingJob(1, Airframe(), Learn("qdrone2", Telemetry())))
+        own = [one for one in multiprocessing.active_children() if one.pid != other.pid]
+        assert len(own) == 1
+        fitter.close()
+        ended_by = time.monotonic() + 10.0
+        while (
+            own[0].is_alive() and time.monotonic() < ended_by
+        ):  # the pool's thread waits for it, too: one of both is told
+            time.sleep(0.02)
+        assert not own[0].is_alive()
+        assert other.is_alive()
+    finally:
+        other.kill()
+        other.join()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from flying_telemetry import flying
 from made_baselines import FRAME, NOW
+from made_telemetry import changed
 
 from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline, MonitorEntry, dump, parse
@@ -18,7 +19,7 @@ from mavdiag.learning import LearnOptions, learn
 from mavdiag.learning.learn import extend
 from mavdiag.monitors.base import FaultKind
 from mavdiag.rows.conditions import Condition
-from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
+from mavdiag.telemetry import Log, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 MONDAY = 1_777_600_000 * NS_PER_S
@@ -31,16 +32,6 @@ YAW = layout_named("x").mixing[:, 2]  # what each rotor does to yaw
 OTHER_SET = 0.03 * YAW  # of the hover command: thrusts within 3 %, all of them for yaw
 
 
-def changed(telemetry: Telemetry, signal: Signal, *, add: float | FloatArray = 0.0, times: float = 1.0) -> Telemetry:
-    """The flight with one signal multiplied and shifted."""
-    return Telemetry(
-        tuple(
-            dataclasses.replace(one, values=times * one.values + add) if one.signal is signal else one
-            for one in telemetry.series
-        )
-    )
-
-
 def flown(seed: int, started_ns: int = 0, telemetry: Telemetry | None = None) -> Log:
     made = flying(2500, seed) if telemetry is None else telemetry
     return Log(f"f{seed}", f"{seed:064x}", "px4", made, started_ns=started_ns)
@@ -49,7 +40,8 @@ def flown(seed: int, started_ns: int = 0, telemetry: Telemetry | None = None) ->
 def reset(seed: int, n: int = 2500, weak_rotor: int = 0) -> Telemetry:
     """A flight with the other propellers: another trim, and a fifth more vibration."""
     made = flying(n, seed, weak_rotor=weak_rotor, rise=0.3 if weak_rotor else 0.0)
-    return changed(changed(made, Signal.ACTUATOR, add=0.5 * OTHER_SET), Signal.VIBRATION, times=1.2)
+    other = changed(made, Signal.ACTUATOR, lambda outputs: outputs + 0.5 * OTHER_SET)
+    return changed(other, Signal.VIBRATION, lambda level: 1.2 * level)
 
 
 @cache
@@ -65,7 +57,7 @@ def tuesday() -> Baseline:
 def turned(seed: int, n: int = 2500) -> Telemetry:
     """A flight whose nose turns all the time, and which takes no trim for it."""
     made = flying(n, seed, turn=np.full(n, 0.9))
-    return changed(made, Signal.ACTUATOR, add=-0.5 * 0.02 * 0.9 * YAW)
+    return changed(made, Signal.ACTUATOR, lambda outputs: outputs - 0.5 * 0.02 * 0.9 * YAW)
 
 
 def entry(baseline: Baseline, kind: str) -> MonitorEntry:
@@ -101,7 +93,7 @@ def test_it_widens_the_envelope() -> None:
 
 
 def test_the_healthy_trim_becomes_the_mean_over_sessions() -> None:
-    shifted = changed(flying(2500, 12), Signal.ACTUATOR, add=0.5 * 0.01 * YAW)
+    shifted = changed(flying(2500, 12), Signal.ACTUATOR, lambda outputs: outputs + 0.5 * 0.01 * YAW)
     before = np.array(entry(monday(), "rotor_trim").spec.mean)
     after = np.array(entry(extend(monday(), [flown(12, MONDAY + DAY, shifted)], created=NOW), "rotor_trim").spec.mean)
     assert abs(before[2]) < 0.001
@@ -174,7 +166,7 @@ def buzzing(seed: int, n: int = 2500, times: float = 1.0) -> Telemetry:
     made = flying(n, seed)
     rate = next(one.values for one in made.series if one.signal is Signal.BODY_RATE)
     buzz = np.random.default_rng(seed).normal(0.0, times * 0.2, len(rate))
-    return changed(made, Signal.BODY_RATE, add=np.outer(buzz, [1.0, 0.0, 0.0]))
+    return changed(made, Signal.BODY_RATE, lambda rate: rate + np.outer(buzz, [1.0, 0.0, 0.0]))
 
 
 def test_new_propellers_bring_a_noise_of_their_own() -> None:

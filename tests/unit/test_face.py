@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flying_telemetry import START_NS, flying
+from flying_telemetry import flying
 from made_archive import archive_baseline, made
 from made_baselines import FRAME, healthy, whole
 from made_logs import ULOG_HEAD
-from made_telemetry import cut, flight
+from made_telemetry import START_NS, cut, flight
 
 import mavdiag as md
 from mavdiag.decision.alarm import Change, Event, Stage

@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from flying_telemetry import START_NS, flying, flying_front, flying_rows
+from flying_telemetry import flying, flying_front, flying_rows
 from made_baselines import FRAME, NOW, logged, whole
-from made_telemetry import cut
+from made_telemetry import START_NS, changed, cut
 
 from mavdiag.airframe.fingerprint import (
     TRAITS,
@@ -27,16 +27,6 @@ from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
 
 X = layout_named("x")
-
-
-def altered(telemetry: Telemetry, signal: Signal, factor: float = 1.0, offset: FloatArray | float = 0.0) -> Telemetry:
-    """The telemetry with one signal scaled and shifted."""
-    return Telemetry(
-        tuple(
-            dataclasses.replace(one, values=factor * one.values + offset) if one.signal is signal else one
-            for one in telemetry.series
-        )
-    )
 
 
 def learnt() -> Fingerprint:
@@ -61,9 +51,10 @@ def test_a_rise_of_one_rotor_is_damage_and_not_another_vehicle(rotor: int, rise:
 
 def yawed(telemetry: Telemetry, share: float) -> Telemetry:
     """Outputs trimmed in yaw by a share of the hover command, which no single rotor does."""
-    return altered(telemetry, Signal.ACTUATOR, offset=0.5 * share * X.mixing[:, 2])
+    return changed(telemetry, Signal.ACTUATOR, lambda outputs: outputs + 0.5 * share * X.mixing[:, 2])
 
 
+CALM = changed(flying(3000, 7), Signal.SPECIFIC_FORCE, lambda force: 0.4 * force)
 SHAKEN = 0.2 * np.random.default_rng(2).standard_normal((3000, 3))
 
 
@@ -73,11 +64,11 @@ SHAKEN = 0.2 * np.random.default_rng(2).standard_normal((3000, 3))
         (yawed(flying(3000, 7), 0.12), Outcome.FAR, "does not look like E8: yaw trim +0.12"),
         (yawed(flying(3000, 7), 0.006), Outcome.NEAR, "may be another vehicle than E8, or have new propellers"),
         # nothing that breaks makes a sensor quieter; better balanced propellers do, by as much as 7
-        (altered(flying(3000, 7), Signal.SPECIFIC_FORCE, 0.15), Outcome.NEAR, "accelerometer noise"),
-        (altered(flying(3000, 7), Signal.SPECIFIC_FORCE, 0.03), Outcome.FAR, "noise z 0.03"),
-        (altered(flying(3000, 7), Signal.BODY_RATE, offset=SHAKEN), Outcome.ALIKE, ""),
-        (altered(flying(3000, 7), Signal.THRUST_SETPOINT, 0.6), Outcome.FAR, "hover throttle 0.6 times"),
-        (altered(flying(3000, 7), Signal.THRUST_SETPOINT, 1.6), Outcome.NEAR, "hover throttle 1.6 times"),
+        (changed(flying(3000, 7), Signal.SPECIFIC_FORCE, lambda x: 0.15 * x), Outcome.NEAR, "accelerometer noise"),
+        (changed(flying(3000, 7), Signal.SPECIFIC_FORCE, lambda x: 0.03 * x), Outcome.FAR, "noise z 0.03"),
+        (changed(flying(3000, 7), Signal.BODY_RATE, lambda rate: rate + SHAKEN), Outcome.ALIKE, ""),
+        (changed(flying(3000, 7), Signal.THRUST_SETPOINT, lambda x: 0.6 * x), Outcome.FAR, "hover throttle 0.6 times"),
+        (changed(flying(3000, 7), Signal.THRUST_SETPOINT, lambda x: 1.6 * x), Outcome.NEAR, "hover throttle 1.6 times"),
     ],
 )
 def test_only_what_no_damage_does_is_another_vehicle(flight: Telemetry, outcome: Outcome, words: str) -> None:
@@ -100,7 +91,7 @@ def test_more_motors_are_another_vehicle() -> None:
     ("flight", "judged", "words"),
     [
         (yawed(flying(3000, 7), 0.12), False, "another vehicle: does not look like made: yaw trim +0.12"),
-        (altered(flying(3000, 7), Signal.SPECIFIC_FORCE, 0.4), True, "; may be another vehicle than made, or have new"),
+        (CALM, True, "; may be another vehicle than made, or have new"),
     ],
 )
 def test_another_vehicle_is_not_judged_and_a_near_one_has_a_note(flight: Telemetry, judged: bool, words: str) -> None:
@@ -131,30 +122,24 @@ def test_what_a_trait_varies_by_as_the_vehicle_flies_is_its_spread() -> None:
     """Half of the learnt flight shakes more: a flight that shakes as its calm half did is of the same vehicle."""
     learnt_flight, n = flying(4000, 7), 4000
     factor = np.where(np.arange(n) % 2000 < 1000, 1.0, 4.0)[:, None]
-    louder = altered(learnt_flight, Signal.SPECIFIC_FORCE, 1.0)
-    force = louder.need(Signal.SPECIFIC_FORCE)
-    values = force.values.mean(axis=0) + (force.values - force.values.mean(axis=0)) * factor
-    shaken = dataclasses.replace(force, values=values)
-    mixed = Telemetry(tuple(shaken if one is force else one for one in louder.series))
+    mixed = changed(
+        learnt_flight, Signal.SPECIFIC_FORCE, lambda force: force.mean(axis=0) + (force - force.mean(axis=0)) * factor
+    )
     found, steady = fingerprint_of([flying_rows(mixed)], X), fingerprint_of([flying_rows(learnt_flight)], X)
     assert found is not None
     assert steady is not None
     spreads = [{one.name: one.spread for one in each.figures}["accelerometer noise x"] for each in (steady, found)]
     assert spreads[0] < 0.2
     assert spreads[1] > 0.5
-    assert compare(found, flying_rows(altered(flying(3000, 8), Signal.SPECIFIC_FORCE, 0.4)), X).outcome is Outcome.ALIKE
+    assert compare(found, flying_rows(CALM), X).outcome is Outcome.ALIKE
 
 
 @pytest.mark.parametrize("noise", [0.1, 0.3])
 def test_a_noise_below_the_resolution_of_its_signal_is_the_resolution_s(noise: float) -> None:
     """A sensor that hardly moves its last digit: how often it does follows what is flown."""
     digit = 0.0098
-    telemetry = flying(3000, 7)
-    force = telemetry.need(Signal.SPECIFIC_FORCE)
-    values = digit * np.round(np.random.default_rng(3).normal(0.0, noise, force.values.shape))
-    coarse = Telemetry(
-        tuple(dataclasses.replace(force, values=values) if one is force else one for one in telemetry.series)
-    )
+    values = digit * np.round(np.random.default_rng(3).normal(0.0, noise, (3000, 3)))
+    coarse = changed(flying(3000, 7), Signal.SPECIFIC_FORCE, lambda _: values)
     seen = dict(zip((one.name for one in TRAITS), traits(joined(flying_rows(coarse)), X), strict=True))
     expected = [np.log(digit * np.sqrt(0.5)) if np.isfinite(seen["accelerometer noise x"]) else np.nan] * 3
     np.testing.assert_allclose([seen[f"accelerometer noise {axis}"] for axis in "xyz"], expected, atol=0.2)

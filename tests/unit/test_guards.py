@@ -5,8 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flying_telemetry import START_NS, flying
+from flying_telemetry import flying
 from made_baselines import ALWAYS, FRAME, NOW, healthy
+from made_telemetry import START_NS
+from made_telemetry import changed as changed_telemetry
 
 from mavdiag.errors import InputError
 from mavdiag.learning import LearnOptions, airborne, front_for, learn
@@ -21,15 +23,7 @@ ROBUST = replace(OPTIONS, robust=True)
 
 def changed(log: Log, signal: Signal, from_s: float, to_s: float, change: Callable[[FloatArray], FloatArray]) -> Log:
     """The log with the values of a signal changed between two times since its start."""
-    parts = []
-    for one in log.telemetry.series:
-        at_s = (one.t_ns - START_NS) / 1e9
-        inside = (at_s >= from_s) & (at_s < to_s)
-        values = one.values.copy()
-        if one.signal is signal:
-            values[inside] = change(values[inside])
-        parts.append(replace(one, values=values))
-    return replace(log, telemetry=Telemetry(tuple(parts)))
+    return replace(log, telemetry=changed_telemetry(log.telemetry, signal, change, from_s, to_s))
 
 
 def with_attitude(log: Log) -> Log:

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from flying_telemetry import body_rates
 from made_rows import example_context
+from made_telemetry import body_rates
 from scipy.optimize import nnls
 from scipy.signal import lfilter
 

@@ -7,10 +7,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from flying_telemetry import START_NS, flying, without
+from flying_telemetry import flying, without
 from made_baselines import FRAME, NOW, healthy, logged, plain, thesis, trim, whole
 from made_statistics import assert_alike
-from made_telemetry import flight
+from made_telemetry import START_NS, changed, flight
 
 from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline
@@ -20,7 +20,7 @@ from mavdiag.judging import LogVerdict, Verdict, exit_code, judge, judge_in_full
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.logs import between
 from mavdiag.monitors.base import FaultKind
-from mavdiag.telemetry import FloatArray, Series, Signal, Telemetry
+from mavdiag.telemetry import Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 ALL = (0.0, 1e9)
@@ -104,19 +104,6 @@ def test_the_pieces_that_a_log_is_judged_in_change_nothing(rows: int, monkeypatc
         assert one.judged_s == pytest.approx(other.judged_s)
 
 
-def changed(telemetry: Telemetry, signal: Signal, from_s: float, to_s: float, values: FloatArray | float) -> Telemetry:
-    """The same telemetry with other values of a signal between two times since its start: a number, or one each."""
-    parts = []
-    for one in telemetry.series:
-        at_s = (one.t_ns - START_NS) / 1e9
-        inside = (at_s >= from_s) & (at_s < to_s)
-        new = one.values.copy()
-        if one.signal is signal:
-            new[inside] = values
-        parts.append(replace(one, values=new))
-    return Telemetry(tuple(parts))
-
-
 @cache
 def flown() -> Baseline:
     """All monitors that can work on `flying`, with the gate of a live link."""
@@ -127,9 +114,9 @@ def tumbling() -> Telemetry:
     """A flight that tumbles at up to 18 rad/s from 30 s until its log ends, and whose thrust dips all the while."""
     n, start = 3400, 3000
     turn = 18.0 * np.sin(np.linspace(0.3, 40.0, n - start))[:, None] * [1.0, 0.6, 0.2] + [6.0, 6.0, 1.0]
-    tumbled = changed(flying(n, 1), Signal.BODY_RATE, 30.0, 34.0, turn)
+    tumbled = changed(flying(n, 1), Signal.BODY_RATE, lambda _: turn, 30.0, 34.0)
     for from_s, to_s in ((30.2, 30.9), (31.3, 32.5), (33.0, 33.5), (33.7, 34.0)):
-        tumbled = changed(tumbled, Signal.THRUST_SETPOINT, from_s, to_s, 0.02)
+        tumbled = changed(tumbled, Signal.THRUST_SETPOINT, lambda _: 0.02, from_s, to_s)
     return tumbled
 
 
@@ -146,7 +133,7 @@ def test_f1_a_vehicle_that_tumbles_until_its_log_ends_is_no_healthy_one() -> Non
 
 def test_f1_an_upset_is_a_loss_of_control_where_no_monitor_saw_a_fault() -> None:
     force = np.random.default_rng(4).normal([0.0, 0.0, -0.5], 0.05, (200, 3))
-    verdict = judge(logged(changed(flying(3000, 1), Signal.SPECIFIC_FORCE, 28.0, 30.0, force)), trim())
+    verdict = judge(logged(changed(flying(3000, 1), Signal.SPECIFIC_FORCE, lambda _: force, 28.0, 30.0)), trim())
     assert (verdict.verdict, verdict.kind) == (Verdict.FAULT, FaultKind.LOSS_OF_CONTROL)
     assert verdict.reason.startswith("loss of control: the flight ends in an upset, at 28.9 s: free fall")
     assert verdict.since_s == pytest.approx(28.9, abs=0.2)
@@ -167,11 +154,11 @@ C1: dict[str, tuple[Callable[[Telemetry], Telemetry], str]] = {
     "the gyro ends": (lambda flight: without(flight, (18.0, 99.0), signals=(Signal.BODY_RATE,)), "no gyro from 19.0 s"),
     "it keeps one stamp": (one_stamp, "no gyro from 19.0 s"),
     "thrust reads 0": (
-        lambda flight: changed(flight, Signal.THRUST_SETPOINT, 18.0, 99.0, 0.0),
+        lambda flight: changed(flight, Signal.THRUST_SETPOINT, np.zeros_like, 18.0),
         "its thrust reads 0 while it flies from 19.0 s",
     ),
     "it reads disarmed": (
-        lambda flight: changed(flight, Signal.ARMED, 18.0, 99.0, 0.0),
+        lambda flight: changed(flight, Signal.ARMED, np.zeros_like, 18.0),
         "it reads disarmed while its thrust says that it flies from 19.0 s",
     ),
 }
@@ -192,9 +179,9 @@ def test_c1_a_flight_that_was_judged_in_part_is_not_healthy(case: str) -> None:
 
 def test_c1_a_landing_with_the_motors_off_is_no_hidden_flight() -> None:
     landed = flying(4000, 1)
-    for signal, value in ((Signal.THRUST_SETPOINT, 0.0), (Signal.ACTUATOR, 0.05)):
-        landed = changed(landed, signal, 25.0, 99.0, value)
-    verdict = judge(logged(changed(landed, Signal.BODY_RATE, 25.0, 99.0, 0.001)), flown())
+    for signal, value in ((Signal.THRUST_SETPOINT, 0.0), (Signal.ACTUATOR, 0.05), (Signal.BODY_RATE, 0.001)):
+        landed = changed(landed, signal, lambda _, value=value: value, 25.0)  # type: ignore[misc]  # one for each
+    verdict = judge(logged(landed), flown())
     assert verdict.verdict is Verdict.HEALTHY
     assert verdict.flown_s == pytest.approx(20.0, abs=0.2)
 
@@ -227,20 +214,25 @@ def ground_first(telemetry: Telemetry, span_s: float) -> Telemetry:
     return Telemetry(tuple(parts))
 
 
-@pytest.mark.parametrize("span_s", [12.0, 45.0])
-def test_f2_ground_time_at_the_start_of_a_log_is_not_compared_with_flight(span_s: float) -> None:
-    """F2: three of eight flights of an X8 were "another vehicle: gyro noise x0.015", one that had taught it too."""
+@cache
+def grounded() -> Baseline:
+    """Of flights that begin on the ground."""
     options = LearnOptions(airframe=replace(FRAME, gate=None))
     spans = zip(healthy(3, 9000), (3.0, 30.0, 8.0), strict=True)
     taught = [logged(ground_first(one.telemetry, s), name=one.name) for one, s in spans]
-    base = learn(taught, options, created=NOW)
-    verdict = judge(logged(ground_first(flying(6000, 1), span_s)), base)
+    return learn(taught, options, created=NOW)
+
+
+@pytest.mark.parametrize("span_s", [12.0, 45.0])
+def test_f2_ground_time_at_the_start_of_a_log_is_not_compared_with_flight(span_s: float) -> None:
+    """F2: three of eight flights of an X8 were "another vehicle: gyro noise x0.015", one that had taught it too."""
+    verdict = judge(logged(ground_first(flying(6000, 1), span_s)), grounded())
     assert verdict.verdict is Verdict.HEALTHY, verdict.reason
     assert "may be another vehicle" not in verdict.reason
     assert verdict.flown_s == pytest.approx(55.0, abs=1.5)
-    quiet = changed(flying(6000, 1), Signal.BODY_RATE, 0.0, 99.0, 0.0)
+    quiet = changed(flying(6000, 1), Signal.BODY_RATE, np.zeros_like)
     other = Telemetry(tuple(one for one in quiet.series if one.signal is not Signal.THRUST_SETPOINT))
-    assert judge(logged(other), base).verdict is Verdict.NOT_JUDGEABLE
+    assert judge(logged(other), grounded()).verdict is Verdict.NOT_JUDGEABLE
 
 
 def test_judging_a_longer_log_takes_no_more_memory_than_its_signals(monkeypatch: pytest.MonkeyPatch) -> None:

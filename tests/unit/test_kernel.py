@@ -5,14 +5,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from flying_telemetry import DT_NS, START_NS
+from flying_telemetry import DT_NS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_baselines import thesis, whole
 from made_flights import hard_flight
 from made_rows import rows_between
 from made_statistics import alarms_of, looked_of
-from made_telemetry import flight
+from made_telemetry import START_NS, flight
 
 from mavdiag.chain import Chain, chain_of
 from mavdiag.kernel import LOOK_NS, Account, Alarm, Looked, Piece, Stretch

@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from flying_telemetry import body_rates
 from made_rows import example_context
+from made_telemetry import body_rates
 from scipy.signal import lfilter
 
 from mavdiag.airframe.layout import layout_named

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from made_telemetry import body_rates
 
 from mavdiag.airframe.layout import layout_named
 from mavdiag.monitors.control_loss import ControlLoss, ControlLossSpec
@@ -16,14 +17,6 @@ DT_S = 0.01
 N = 4000
 AGREED = SensorDriftSpec(dt_s=DT_S, bias=(0.0, 0.0, 0.0), vertical=0.0, tilt=0.01, heading=0.01, lift=0.08)
 QUIET = SensorNoiseSpec(rms=(1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
-
-
-def body_rates(angle: FloatArray) -> FloatArray:
-    """p, q, r of roll, pitch and yaw angles."""
-    (phi, theta, _), (roll, pitch, yaw) = angle.T, np.gradient(angle, DT_S, axis=0).T
-    q = np.cos(phi) * pitch + np.sin(phi) * np.cos(theta) * yaw
-    r = np.cos(phi) * np.cos(theta) * yaw - np.sin(phi) * pitch
-    return np.stack((roll - np.sin(theta) * yaw, q, r), axis=1)
 
 
 def attitude(yaw_rate: float = 0.0) -> FloatArray:

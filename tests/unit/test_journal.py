@@ -1,6 +1,7 @@
-"""The journal's lines keep the public contract, and a full disk stops nothing but them."""
+"""Files that grow: whole entries, rotation, full disks, one writer; and the contract of the journal's lines."""
 
 import json
+import os
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,12 +10,92 @@ from typing import Any
 import pytest
 from made_session import baseline_for
 
-from detector.journal import Journal, Reporter, When
+from detector.journal import MB, Appender, Journal, Reporter, When
 from detector.states import State
 from detector.values import EventClosed, Note, Record, SendText, StateChanged, TextSuppressed
 from mavdiag.decision.alarm import Change, Event, Stage
+from mavdiag.errors import UsageError
 from mavdiag.link.messages import Severity
 from mavdiag.telemetry import Axis
+
+
+def appender(path: Path, limit: int, keep: int) -> tuple[Appender, list[str]]:
+    said: list[str] = []
+    return Appender(path, "--journal", said.append, None if limit is None else limit / MB, keep), said
+
+
+def test_a_file_that_is_full_is_numbered_and_so_are_those_before(tmp_path: Path) -> None:
+    file, said = appender(tmp_path / "j.jsonl", limit=10, keep=2)
+    for number in range(6):
+        file.append(f"line{number}\n".encode())  # 6 bytes: one in each file
+    file.close()
+    found = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    assert found == {"j.jsonl": "line5\n", "j.1.jsonl": "line4\n", "j.2.jsonl": "line3\n"}
+    assert said == []
+
+
+def test_a_rotation_that_fails_half_way_is_told_once_and_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, said = appender(tmp_path / "j", limit=4, keep=1)
+    file.append(b"old.")
+
+    def full(path: Path, *args: object, **kwargs: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "open", full)
+        file.append(b"lost")
+        file.append(b"lost")
+    file.append(b"new.")
+    file.close()
+    assert file.lost == 2
+    assert [one.partition("j: ")[2] for one in said] == [
+        "cannot be written (No space left on device); watching goes on without it",
+        "writing again; 2 entries were lost",
+    ]
+    assert (tmp_path / "j").read_bytes() == b"new."
+    assert (tmp_path / "j.1").read_bytes() == b"old."
+
+
+def test_alerts_are_written_through_to_the_disk_once_a_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    journal = Journal(tmp_path / "j", warn=lambda text: None)
+    calls: list[int] = []
+    monkeypatch.setattr(os, "fsync", calls.append)
+    for alerts, synced in ((0, 0), (2, 1), (0, 1)):
+        journal.write("a note")
+        for _ in range(alerts):
+            journal.write("an alarm", urgent=True)
+        journal.flush()
+        assert len(calls) == synced
+    journal.close()
+
+
+def test_a_pipe_whose_reader_stops_loses_entries_and_never_waits(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    file, said = appender(tmp_path / "pipe", limit=10, keep=0)
+    for _ in range(300):
+        file.append(b"x" * 1000)
+    assert len(os.read(reader, 1 << 20)) + 1000 * file.lost >= 300_000
+    assert file.lost > 200
+    file.append(b"again")
+    os.close(reader)
+    file.append(b"nobody is there")
+    file.close()
+    assert [("cannot" in one, "again" in one) for one in said] == [(True, False), (False, True), (True, False)]
+
+
+def test_a_file_has_one_writer_through_all_rotations(tmp_path: Path) -> None:
+    first, _ = appender(tmp_path / "j.jsonl", limit=10, keep=2)
+    for number in range(4):
+        with pytest.raises(UsageError, match="another program writes it"):
+            appender(tmp_path / "j.jsonl", limit=10, keep=2)
+        first.append(f"line{number}\n".encode())
+    first.close()
+    second, _ = appender(tmp_path / "j.jsonl", limit=10, keep=2)
+    second.close()
+
 
 NOW = datetime(2026, 5, 1, 12, 0, 30, 250_000, tzinfo=UTC)
 WHEN = When(NOW, 1, 62_500_000_000)
