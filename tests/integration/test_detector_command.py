@@ -114,18 +114,18 @@ def test_ctrl_c_does_not_reach_the_fit(after_s: float) -> None:
 
 @pytest.mark.realtime
 def test_over_udp_it_learns_from_the_plant_and_finds_its_fault(tmp_path: Path) -> None:
-    """The plant as a process, real time, 1 kHz: 8 s of learning, then a strong fault."""
+    """The plant as a process, real time, 1 kHz: 12 s of learning, then a strong fault."""
     saved = tmp_path / "learned.json"
-    options = ("--learn", "8", "--save", str(saved), "--connect", "udpin:127.0.0.1:0")
+    options = ("--learn", "12", "--save", str(saved), "--connect", "udpin:127.0.0.1:0")
     with running(*options, "--journal", str(tmp_path / "j.jsonl")) as (child, first):
         plant = subprocess.run(
             [
                 *(sys.executable, "-m", "sitl_plant", "run", "--out", f"udpout:127.0.0.1:{port_of(first)}"),
-                *("--duration", "34", "--fault", "F2/SV3", "--onset", "24", "--seed", "3"),
+                *("--duration", "40", "--fault", "F2/SV3", "--onset", "30", "--seed", "3"),
             ],
             capture_output=True,
             text=True,
-            timeout=5 * PATIENCE_S,  # a flight of 34 s in real time
+            timeout=5 * PATIENCE_S,  # a flight of 40 s in real time
             check=False,
         )
         code, rest = ended(child, signal.SIGTERM)
@@ -137,7 +137,7 @@ def test_over_udp_it_learns_from_the_plant_and_finds_its_fault(tmp_path: Path) -
     lines = [json.loads(line) for line in (tmp_path / "j.jsonl").read_text().splitlines()]
     alerts = [line for line in lines if line["kind"] == "text" and line["severity"] == 2]
     assert alerts, "nothing was alerted"
-    events = [line for line in lines if line["kind"] == "event" and line["t_s"] > 24.0]
+    events = [line for line in lines if line["kind"] == "event" and line["t_s"] > 30.0]
     assert events
 
 

@@ -141,7 +141,7 @@ def heard(ends: list[Endpoint], until_disarmed: set[int]) -> list[dict[int, list
 def test_a_fleet_takes_off_and_lands_on_one_port() -> None:
     with open_endpoint("udpin:127.0.0.1:0") as end:
         out = end.address.replace("udpin", "udpout")
-        options = ["-n", "3", "--system-id", "7", "--out", out, "--takeoff", "--duration", "18", "--speed", "4"]
+        options = ["-n", "3", "--system-id", "7", "--out", out, "--takeoff", "--duration", "18"]
         with process([*FLEET, *options]) as plant:
             (found,) = heard([end], {7, 8, 9})
             assert plant.wait(PATIENCE_S) == 0

@@ -19,7 +19,7 @@ from mavdiag.telemetry import Log
 from sitl_plant.autopilot.telemetry import flight_telemetry
 from sitl_plant.plant import PlantConfig
 
-SECONDS, ONSET_S = 18.0, 9.0
+SECONDS, ONSET_S = 24.0, 12.0
 SAME = ("monitor", "axis", "threshold", "rotor", "fault_type", "severity")
 FIELDS = ("t_s", "end_s", "statistic", *SAME)
 

@@ -16,6 +16,7 @@ from sitl_plant.campaign.plan import (
     Conditions,
     Design,
     FlightTask,
+    LearnTask,
     Plan,
     causes_named,
     make_plan,
@@ -28,7 +29,7 @@ from sitl_plant.campaign.worker import Answer, FlightResult, MonitorResult, Resu
 from sitl_plant.vehicle import qdrone2
 
 
-def words(seed: int, task: FlightTask) -> list[int]:
+def words(seed: int, task: FlightTask | LearnTask) -> list[int]:
     return [int(word) for word in task_sequence(seed, task).generate_state(4)]
 
 
@@ -42,7 +43,7 @@ def test_every_cause_meets_every_rotor_and_scale_equally_often() -> None:
 
 def test_seeds_follow_from_what_is_flown() -> None:
     plan = make_plan(Design(flights=30, hours=0.1))
-    states = [tuple(words(0, flight)) for flight in plan.flights]
+    states = [tuple(words(0, one)) for one in plan.learning] + [tuple(words(0, one)) for one in plan.flights]
     assert len(set(states)) == len(states)
     flight = plan.flights[0]
     assert words(0, flight) == words(0, replace(flight, phenomenology=0.25, loss=0.1))

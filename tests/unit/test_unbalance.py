@@ -115,3 +115,9 @@ def test_b12_the_high_pass_leaves_the_line_of_a_slow_rotor() -> None:
     monitor = Unbalance(spec)
     _, found = monitor.step(monitor.start(), example_rows(N, 0.001, force=force, rate=gyro))
     np.testing.assert_allclose(found.level[found.valid], unbalance_g_mm, rtol=0.05)
+
+
+def test_without_an_airframe_no_rotor_no_mass_and_no_speed_is_assumed() -> None:
+    force, gyro = noise(5)
+    spec = fit([[example_rows(N, 0.001, force=force, rate=gyro)]])
+    assert (spec.layout, spec.mass_kg, spec.hover_rad_s) == (None, None, None)
