@@ -15,7 +15,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment, nnls
 
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout
 from mavdiag.airframe.trim import MIN_OUTPUT
@@ -136,6 +135,8 @@ class _Fit:
 
     def lost(self, mixing: FloatArray) -> float:
         """How much of the explained energy the mixing B of a layout cannot explain, 0..1, whatever gains g it has."""
+        from scipy.optimize import nnls  # half a second to import: only a look at a layout pays it
+
         # least g >= 0 of  tr (E - diag(g) B')' S (E - diag(g) B'),  E effects, S spread: a normal equation
         S, E, B = self.spread, self.effects, mixing
         total = float(np.einsum("kr,kl,lr->", E, S, E))
@@ -271,6 +272,8 @@ def _likeness(fit: _Fit, layout: RotorLayout) -> float:
 
 def _reordered(fit: _Fit, columns: Sequence[int], known: Sequence[RotorLayout]) -> LayoutFinding | None:
     """The layout that fits in another order of the outputs; None if none does, or an axis is not excited."""
+    from scipy.optimize import linear_sum_assignment
+
     candidates = {one.name: one for one in known if one.name in NUMBERED and one.rotors == len(columns)}
     inflation = float(np.diag(np.linalg.pinv(fit.spread)).max())  # of the variance, for drivers that move together
     if not candidates or fit.explained < MIN_EXPLAINED or fit.F.min() < MIN_F or inflation > MAX_TOGETHER:

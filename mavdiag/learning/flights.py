@@ -34,7 +34,7 @@ SLOW_SETPOINT_PERIODS = 2.5  # a set-point stream slower than the gyro has gaps 
 PIECE_ROWS = 60_000  # that are made and looked at together (our choice: 20 MB)
 IN_MEMORY = 1 << 62  # bytes
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
-KEPT_BYTES = 32 << 20  # the most that glibc takes for the former
+KEPT_BYTES = 20 << 20  # holds the columns of 40 s at 1 kHz (our choice; more leaves gaps in the memory)
 RATE_COLUMNS = tuple(column.name for column in fields(RateBlock))[2:]
 
 
@@ -196,7 +196,7 @@ def keep_freed() -> None:
     """Have the C library (glibc) keep what is freed for what is made next, until `give_back`: a third of the faults."""
     set_option = getattr(ctypes.CDLL(None), "mallopt", None)
     if set_option is not None:
-        for option, size in ((MMAP_THRESHOLD, KEPT_BYTES), (TRIM_THRESHOLD, 2 * KEPT_BYTES)):
+        for option, size in ((MMAP_THRESHOLD, KEPT_BYTES), (TRIM_THRESHOLD, KEPT_BYTES)):
             set_option(option, size)
 
 

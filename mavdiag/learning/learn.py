@@ -172,6 +172,7 @@ def _assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
 
     Raises IdentificationError if none is left.
     """
+    give_back()
     found = courses([entry.spec for entry in baseline.monitors], flights)
     limits = {entry.spec.kind: entry.threshold.value for entry in baseline.monitors}
     least = least_damage(found, limits, baseline.airframe)
