@@ -285,7 +285,7 @@ def judged(place: str, seed: int, fault: str, craft: Craft) -> Flown:
 def faults(options: argparse.Namespace, codes: list[str]) -> None:
     """The emulated vehicle with damaged propellers."""
     craft = replace(USUAL, rate_hz=options.rate)
-    for place in PLACES:
+    for place in options.place or PLACES:
         print(f"{place}: taught, grade {baseline(place, craft).grade}", flush=True)
         seeds = [(100 + 10 * n + k, code) for n, code in enumerate(codes) for k in range(options.seeds)]
         tell(place, [judged(place, seed, code, craft) for seed, code in seeds])
@@ -328,6 +328,7 @@ def main() -> None:
     """Print what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("parts", nargs="*", metavar="PART", help="all without any")
+    parser.add_argument("--place", action="append", choices=PLACES, help="of `faults`; all without it")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--faults", type=int, default=len(FAULTS))
     parser.add_argument("--healthy-h", type=float, default=10.0)

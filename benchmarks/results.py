@@ -59,6 +59,13 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         "python benchmarks/airframe_likeness.py --airframes 5 --seed 23",
     ),
     "attacks": ("python benchmarks/attacks.py --seconds 12",),
+    "reactions": (
+        "python benchmarks/reactions.py faults",
+        "python benchmarks/reactions.py loop",
+        "python benchmarks/reactions.py called",
+        "python benchmarks/reactions.py healthy --healthy-h 10",
+        "python benchmarks/hook_delay.py",
+    ),
     "loop": (
         "python benchmarks/hil.py --healthy-s 120",
         "python benchmarks/live_sessions.py resets --seconds 75",
