@@ -1,9 +1,11 @@
 """Do the two promises hold for airframes and sessions that taught nothing? Emulated airframes, by teaching flights.
 
     python benchmarks/calibration.py [--airframes 200] [--judged 100] [--flight 30] [--rate 200] [--seed 81]
+        [--propellers 0]
 
 Each airframe is a new specimen of one of three vehicles in turn. A session has its own battery, centre of gravity, gyro
-bias and seating of the propellers (`in_session`). Baselines are taught by n flights of one session, or of three; the
+bias and seating of the propellers (`in_session`), and other propellers, whose thrust differs by up to that share, if it
+is above 0. Baselines are taught by n flights of one session, or of three; the
 judged flights are of other sessions, five in each. Promised are 0.05 alarms an hour and one suspected flight in 50.
 Printed for each way of teaching: alarms (a verdict of a fault) and suspected flights with their rates and 95 % limits,
 and the share of airframes whose own counts exclude a promise at 95 %, with the 95 % upper limit of that share. A flight
@@ -30,7 +32,7 @@ from mavdiag.thresholds.rule import BUDGET_PER_HOUR, FLIGHTS_PER_SUSPICION, pois
 from mavdiag.units import S_PER_H
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.campaign.worker import CREATED, specimen
-from sitl_plant.physics.airframe import in_session
+from sitl_plant.physics.airframe import in_session, with_propellers
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import airframe_of, vehicle_named
 
@@ -60,6 +62,8 @@ def flights_of(airframe: int, session: int, count: int, options: argparse.Namesp
     vehicle = vehicle_named(VEHICLES[airframe % len(VEHICLES)])
     rng = np.random.default_rng([options.seed, airframe, session])
     own = in_session(specimen(options.seed, airframe, airframe % 2 == 1, vehicle), rng)
+    if options.propellers > 0.0:
+        own = with_propellers(own, options.propellers, rng)
     for number in range(count):
         config = PlantConfig(
             airframe=own,
@@ -131,6 +135,7 @@ def main() -> None:
     parser.add_argument("--flight", type=float, default=30.0)
     parser.add_argument("--rate", type=float, default=200.0)
     parser.add_argument("--seed", type=int, default=81)
+    parser.add_argument("--propellers", type=float, default=0.0)
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
     counts, refused = defaultdict[Way, list[Count]](list), Counter[str]()

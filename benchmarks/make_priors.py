@@ -3,16 +3,18 @@
     python benchmarks/make_priors.py [BASELINE.json ...] [--emulated 4] [--seed 7300] -o FILE
 
 Each baseline is one airframe: the healthy scores that it keeps are of flights that no fit saw, and it knows the session
-of each. `--emulated` learns so many more from emulated airframes, quadrotors and hexarotors, whose sessions have other
-propellers and batteries: three sessions of two flights of 30 s over a link of 200 Hz. With s_k the standard deviation
+of each. `--emulated` learns so many more from emulated airframes of three vehicles in turn, whose sessions have other
+propellers and batteries: three sessions of three flights of 30 s over a link of 200 Hz, in calm air or wind, of which
+each flies another trajectory. With s_k the standard deviation
 that airframe k shows of a component, by d_k degrees of freedom,
 
     s0^2 = (nu - 2)/nu (sum d_k s_k^2)/(sum d_k)
 
-which is the scale of the scaled inverse chi-squared law of nu degrees of freedom with their mean (Gelman, BDA, A.1). A
-component that no airframe shows stays as it is in the present file. Printed: the new file against the present one, and
-what each airframe shows itself against a prior of the others (leave one airframe out): ratios far from 1 say that
-airframes differ by more than the law of nu degrees of freedom has it. An airframe that is judged must not be a source.
+which is the scale of the scaled inverse chi-squared law of nu degrees of freedom with their mean (Gelman, BDA, A.1).
+The prior is the wider of that and of the estimate, in the present file, of what no emulator shows. Printed: the new
+file against the present one, and what each airframe shows itself against a prior of the others (leave one airframe
+out): ratios far from 1 say that airframes differ by more than the law of nu degrees of freedom has it. An airframe that
+is judged must not be a source.
 """
 
 import argparse
@@ -39,10 +41,15 @@ from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.campaign.worker import CREATED, specimen
 from sitl_plant.physics.airframe import in_session, with_propellers
 from sitl_plant.plant import PlantConfig
-from sitl_plant.vehicle import airframe_of, qdrone2
+from sitl_plant.vehicle import airframe_of, vehicle_named
 
 COMPONENTS = ("session", "flight", "block")
-SESSIONS, FLIGHTS, FLIGHT_S, RATE_HZ = 3, 2, 30.0, 200.0
+SESSIONS, FLIGHTS, FLIGHT_S, RATE_HZ = 3, 3, 30.0, 200.0
+VEHICLES, SHAPES, WINDS_M_S = (
+    ("qdrone2", "hexa-x", "quad-plus"),
+    ("square", "hover", "circle", "figure8"),
+    (0.0, 1.0, 2.0),
+)
 SPREAD = 0.03  # of the thrust of propellers of another session
 
 Shown = dict[str, tuple[tuple[float, int], ...]]  # of each monitor what one airframe shows (`shown_spreads`)
@@ -50,15 +57,21 @@ Shown = dict[str, tuple[tuple[float, int], ...]]  # of each monitor what one air
 
 def emulated(number: int, seed: int) -> Baseline:
     """A baseline of an emulated airframe."""
-    airframe, rng, logs = specimen(seed, number, number % 2 == 1, qdrone2()), np.random.default_rng([seed, number]), []
+    vehicle, rng, logs = vehicle_named(VEHICLES[number % len(VEHICLES)]), np.random.default_rng([seed, number]), []
+    airframe = specimen(seed, number, number % 2 == 1, vehicle)
     for session in range(SESSIONS):
         own = with_propellers(in_session(airframe, rng), SPREAD, rng)
         for flight in range(FLIGHTS):
-            config = PlantConfig(airframe=own, seed=seed + 100 * number + 10 * session + flight)
+            config = PlantConfig(
+                airframe=own,
+                trajectory=SHAPES[(session + flight) % len(SHAPES)],
+                wind_m_s=float(rng.choice(WINDS_M_S)),
+                seed=seed + 100 * number + 10 * session + flight,
+            )
             telemetry, _ = flight_telemetry(config, FLIGHT_S, LinkSpec("qdrone2", RATE_HZ))
             name = f"emulated {seed}-{number} session {session} flight {flight}"
             logs.append(Log(name, telemetry.digest, "qdrone2", telemetry))
-    told = replace(airframe_of(qdrone2(), "emulated"), name=f"emulated {seed}-{number}")
+    told = replace(airframe_of(vehicle, "emulated"), name=f"emulated {seed}-{number}")
     return learn(logs, LearnOptions(airframe=told, sessions=SESSIONS, robust=True), created=CREATED)
 
 
@@ -113,7 +126,8 @@ def main() -> None:
         table.add_row(
             monitor, present, ", ".join(str(new.get(one, "-")) for one in COMPONENTS), *compared(airframes, monitor)
         )
-        known.update(new, why="pooled over the sources" if new else known["why"])
+        estimate = dict(zip(COMPONENTS, known["estimate"], strict=True))
+        known.update({one: max(estimate[one], new.get(one, 0.0)) for one in COMPONENTS}, emulated=list(new.values()))
     sources = [
         {"airframe": one.airframe.name, "profile": one.link.profile, "digest": one.digest}
         | {"flights": len(one.provenance.logs), "sessions": len({log.session for log in one.provenance.logs})}

@@ -209,15 +209,19 @@ class Baseline(Part, Tabular):
         return bool(started_ns) and any(abs(started_ns - t_ns) <= SESSION_GAP_NS for t_ns in times)
 
     @property
+    def promised(self) -> tuple[float, float]:
+        """Alarms per hour of the monitors that decide, and flights of which one is suspected by any."""
+        told = [one.threshold for one in self.monitors]
+        deciding = [one.threshold for one in self.monitors if monitor_of(one.spec).decides] or told
+        return sum(one.budget_per_hour for one in deciding), 1.0 / sum(1.0 / one.flights_per_suspicion for one in told)
+
+    @property
     def promises(self) -> str:
         """What its thresholds promise of healthy flights, beside what these show without any law: 1/(n + 1)."""
-        by_law = [one for one in self.monitors if one.threshold.rule is not ThresholdRule.MAXIMUM]
-        deciding = [one for one in by_law if monitor_of(one.spec).decides] or by_law
         shown = f"one healthy flight in {len(self.provenance.logs) + 1}"
-        if not by_law:
+        if all(one.threshold.rule is ThresholdRule.MAXIMUM for one in self.monitors):
             return f"fault: {shown}, by the largest healthy maximum"
-        alarms = sum(one.threshold.budget_per_hour for one in deciding)
-        flights = 1.0 / sum(1.0 / one.threshold.flights_per_suspicion for one in deciding)
+        alarms, flights = self.promised
         law = f"fault: {alarms:.2g} alarms/h; suspected: one healthy flight in {flights:.3g}"
         return f"{law}; without any law its flights show {shown} above their largest"
 

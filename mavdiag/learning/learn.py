@@ -8,7 +8,6 @@ seen, add to what thresholds, envelope and healthy trim rest on. New propellers 
 the sensors feel of it: one short hover tells what these are now, and the old flights how much they vary.
 """
 
-from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
@@ -41,7 +40,7 @@ from mavdiag.learning.suspicions import courses, grade_of, least_damage, suspici
 from mavdiag.learning.teaching import one_vehicle, refuse, repeated, taught, upsets
 from mavdiag.link.profiles import PROFILES
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
-from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
+from mavdiag.monitors.base import Flights, LearnContext, Monitor
 from mavdiag.monitors.conditions import covered_by
 from mavdiag.monitors.fitting import judged_together
 from mavdiag.monitors.rotor_trim import RotorTrim
@@ -51,7 +50,14 @@ from mavdiag.storage import Shelf
 from mavdiag.telemetry import Axis, Log
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima, pooled, score
-from mavdiag.thresholds.rule import BUDGET_PER_HOUR, FLIGHTS_PER_SUSPICION, ThresholdRule, threshold_of
+from mavdiag.thresholds.rule import (
+    BUDGET_PER_HOUR,
+    FLIGHTS_PER_SUSPICION,
+    ThresholdRule,
+    law_of,
+    shared_out,
+    threshold_of,
+)
 
 ALL_MONITORS = tuple(BY_NAME)
 TOOL = f"mavdiag {__version__}"
@@ -247,18 +253,19 @@ def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows], number: in
 
 
 def _entries(fitted: Sequence[Fitted], options: LearnOptions, sessions: Sequence[int]) -> Iterator[MonitorEntry]:
-    """Specification and threshold of each monitor. Alarms and suspicions are shared by those that decide, and then by
-    axes; what decides nothing is suspected by its alarm alone. The monitors of sensors and losses have one share
-    together: what finds propellers stays sharp.
-    """
-    axes = Counter(monitor.name for monitor, _ in fitted)
-    deciding = {monitor.name for monitor, _ in fitted if monitor.decides} or set(axes)
-    shares = Counter(map(_sharing, deciding))
-    for monitor, scores in fitted:
-        parts = len(shares) * max(1, shares[_sharing(monitor.name)]) * axes[monitor.name]
-        budget = options.alarms_per_hour / parts
-        flights = options.flights_per_suspicion * parts if monitor.name in deciding else 0.0
-        yield _entry(monitor.spec, scores, sessions, (budget, flights), options.rule)
+    """Specification and threshold of each monitor."""
+    promises = options.alarms_per_hour, options.flights_per_suspicion
+    for (monitor, scores), share in zip(fitted, _shares(fitted, sessions, promises), strict=True):
+        yield _entry(monitor.spec, scores, sessions, share, options.rule)
+
+
+def _shares(
+    fitted: Sequence[Fitted], sessions: Sequence[int], promises: tuple[float, float]
+) -> list[tuple[float, float]]:
+    """Each monitor's share of alarms per hour and flights per suspicion (`shared_out`). One alone decides."""
+    laws = [law_of(scores, sessions, monitor.prior) for monitor, scores in fitted]
+    decides = [monitor.decides for monitor, _ in fitted]
+    return shared_out(laws, decides if any(decides) else [True] * len(fitted), *promises)
 
 
 def _entry(
@@ -277,12 +284,6 @@ def _entry(
     maxima, spans_s = (tuple(float(f"{x:.6g}") for x in part.tolist()) for part in (scores.maxima, scores.spans_s))
     held = HealthyScores(maxima=maxima, spans_s=spans_s, flights=tuple(scores.flights.tolist()))
     return MonitorEntry(spec=spec, threshold=threshold, scores=held)
-
-
-def _sharing(name: str) -> str:
-    """With whom a monitor shares the budget: alone, or with all that find no propeller."""
-    kind = by_name(name).kind
-    return name if kind is FaultKind.PROPELLER else "others"
 
 
 def _sources(
@@ -332,7 +333,7 @@ def _extended(
     old, rows = baseline.provenance.logs, [flight.rows for flight in learnt]
     propellers = baseline.propellers + new_propellers
     sessions, before = _sessions(baseline, [flight.label for flight in flights]), {log.session for log in old}
-    entries = []
+    fitted = list[Fitted]()
     for entry in baseline.monitors:
         spec, ratio = entry.spec, 1.0
         if new_propellers:
@@ -343,9 +344,12 @@ def _extended(
         scores = pooled([Scores(ratio * np.array(held.maxima), np.array(held.spans_s), np.array(held.flights)), *fresh])
         if not new_propellers:
             spec = monitor_of(spec).extended(rows, len(before))
-        told, all_sessions = entry.threshold, [*(log.session for log in old), *sessions]
-        promises = told.budget_per_hour, told.flights_per_suspicion
-        entries.append(_entry(spec, scores, all_sessions, promises, told.rule))
+        fitted.append((monitor_of(spec), scores))
+    all_sessions = [*(log.session for log in old), *sessions]
+    shares = zip(baseline.monitors, fitted, _shares(fitted, all_sessions, baseline.promised), strict=True)
+    entries = [
+        _entry(one.spec, scores, all_sessions, share, was.threshold.rule) for was, (one, scores), share in shares
+    ]
     fresh_print = fingerprint_of(rows, baseline.airframe.layout)
     monitors = (monitor_of(entry.spec) for entry in entries)
     longer = baseline.model_copy(

@@ -1,7 +1,7 @@
 """How the healthy maxima of each monitor differ before any flight tells: `priors.json`, a file with its provenance.
 
-`benchmarks/make_priors.py` pools healthy baselines of several airframes. What it shows stands beside each prior, and
-where the prior was kept as it was the entry says why.
+`benchmarks/make_priors.py` pools healthy baselines of several airframes. A prior is the wider of what these show and of
+an estimate by hand, for what no emulator shows; both stand beside it, with the reason of the estimate.
 """
 
 import json

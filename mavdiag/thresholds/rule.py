@@ -12,19 +12,21 @@ Few flights do not show them, so each has a prior (`Prior`, of the monitor) that
 
 A threshold is the posterior predictive level that K healthy flights of d seconds, flown in one session that is not
 among the healthy ones, exceed with probability 1 - exp(-r). An offset of a session or a flight is no news with every
-block. With t_n the quantile of Student's law with n degrees of freedom,
+block. S sessions of N flights taught; Phi is the normal law, and chi2 the chi-squared law of nu + N - S degrees:
 
-    A = t_{nu+S-1}(exp(-r)) sd(a) sqrt(1 + 1/S)                       offset of the session
-    e(q) = t_{nu+N-S}(q^(1/K)) sd(e) sqrt(1 + 1/N)                    highest offset of K flights
-    M = e(1/2) + beta (ln(d/10 s) + 0.3665 - 0.5772)                  what they show usually
-    threshold = mu + M + sqrt(A^2 + (e(exp(-r)) - e(1/2))^2 + (beta (ln(K/r) - 0.3665))^2)
+    F(y)   = E over z of exp(-exp(-(y - z sd(e) sqrt(1 + 1/N) sqrt((nu + N - S)/chi2) - m)/beta)),  z of Phi
+    m      = beta (ln(d/10 s) - 0.5772)                        the highest of a flight: its offset and its blocks
+    exp(-r) = E over a and chi2 of F(threshold - mu - a)^K      a = t_{nu+S-1} sd(a) sqrt(1 + 1/S)
 
-and in a session of these flights the same with the highest mean of a session for mu, and without A. The medians add;
-what is rare adds in squares, for the three are rarely rare together (`tests/property` holds it against simulation). A
-block of length L lies beta ln(L/10 s) above one of 10 s, so a short one counts as what it is. The law makes two levels:
+and in a session of these flights the same with the highest mean of a session for mu, and without a. The K flights have
+one sd(e), which is not known; drawn for each of them anew, short flights would be given 15 to 20 % too much. A block of
+length L lies beta ln(L/10 s) above one of 10 s, so a short one counts as what it is. The law makes two levels:
 
-    fault       r alarms in an hour of flight: a session counts as an hour, so K = 3600 s/d, and d is an hour at most
-    suspected   one flight in n like the healthy ones: K = 1, r = -ln(1 - 1/n), d their mean; never above the first
+    fault       r alarms in an hour of flight: a session counts as an hour, so K = 3600 s/d
+    suspected   one flight in n like the healthy ones: K = 1, r = 1/n; never above the first
+
+Monitors share both promises (`shared_out`): one rate for all, of which a monitor whose least threshold makes it rarer
+uses only what it can; the others may have the rest.
 
 **Its price.** A budget of 0.05 alarms an hour from a minute of flight is an extrapolation, not evidence. What the
 flights themselves show is `demonstrated_per_hour`: T hours without an alarm exclude, at 95 %, only rates above 3/T. The
@@ -33,13 +35,14 @@ named alternative, the largest healthy maximum, alarms in one of n + 1 equal hea
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError, UsageError
-from mavdiag.telemetry import IntArray
+from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.thresholds.heldout import BLOCK_S, Scores
 from mavdiag.units import S_PER_H
 
@@ -47,8 +50,10 @@ BUDGET_PER_HOUR = 0.05  # alarms of all monitors together (our choice)
 FLIGHTS_PER_SUSPICION = 50.0  # healthy flights, of all monitors together (our choice)
 EULER_GAMMA = 0.5772156649015329
 GUMBEL_SCALE = math.sqrt(6.0) / math.pi  # beta over standard deviation
-GUMBEL_MEDIAN = -math.log(math.log(2.0))
 DEGREES = 6  # observations that a prior counts for (our choice)
+TINY = 1e-12  # no statistic differs by less
+REACH = 6.0  # arsinh of how many spreads a flight may lie apart
+RAREST, SUREST = 1e-6, 10.0  # rates -ln(1 - probability) that are told apart (our choice: once in a century of flight)
 WORTH_SAYING_PER_HOUR = 1.0  # a limit on the alarms that is above it tells nobody anything (our choice)
 
 
@@ -89,7 +94,7 @@ class Threshold:
     flights, sessions, hours: that they come from, and judged healthy time.
     budget_per_hour: alarms asked for in an hour of judged time. demonstrated_per_hour: what it excludes at 95 %.
     suspected: from where on a fault is suspected, as shares of `value` and of `within(same_session=True)`, up to 1.
-    flights_per_suspicion: healthy flights of which one may come there; 0 if only the alarm itself is a suspicion.
+    flights_per_suspicion: healthy flights of which one may come there.
     false_alarms_per_flight: 1/(n + 1), the price of the maximum rule.
     """
 
@@ -151,8 +156,7 @@ def threshold_of(
 ) -> Threshold:
     """The threshold that scores of healthy flights allow.
 
-    sessions: that each flight was flown in. budget_per_hour, flights_per_suspicion: this monitor's shares; of the
-    latter 0 if a fault is suspected by the alarm alone.
+    sessions: that each flight was flown in. budget_per_hour, flights_per_suspicion: this monitor's shares.
     Raises UsageError for a budget that is not positive or flights that are not more than 1, IdentificationError for
     scores that are not finite.
 
@@ -165,30 +169,29 @@ def threshold_of(
     """
     if not (math.isfinite(budget_per_hour) and budget_per_hour > 0):
         raise UsageError(f"the budget must be a positive number of alarms per hour, not {budget_per_hour}")
-    if flights_per_suspicion != 0 and not flights_per_suspicion > 1:
+    if not flights_per_suspicion > 1:
         raise UsageError(f"a suspicion must be one of more than 1 flight, not of {flights_per_suspicion}")
     x, suspected, suspected_within = scores.maxima, 1.0, 1.0
     if len(x) == 0 or not np.isfinite(x).all():
         raise IdentificationError("healthy statistics must be finite numbers, and there must be some")
+    law = law_of(scores, sessions, prior)
     if rule is ThresholdRule.GUMBEL:
-        parts = _components(scores, np.array(sessions), prior)
-        flown_s = min(parts.flight_s, S_PER_H)
-        value, within = (max(level, prior.least) for level in parts.levels(budget_per_hour, S_PER_H / flown_s, flown_s))
-        if flights_per_suspicion:
-            rare = -math.log1p(-1.0 / flights_per_suspicion)
-            low, low_within = (max(level, prior.least) for level in parts.levels(rare, 1.0, parts.flight_s))
-            suspected = min(low / value, 1.0) if value > 0 else 1.0
-            suspected_within = min(low_within / within, 1.0) if within > 0 else 1.0
+        value, within = (law.level(budget_per_hour, law.per_hour, same) for same in (False, True))
+        suspected, suspected_within = (
+            min(law.level(1.0 / flights_per_suspicion, 1.0, same) / level, 1.0) if level > 0 else 1.0
+            for level, same in ((value, False), (within, True))
+        )
     else:
-        parts, value, within = _Components(float(x.mean())), float(x.max()), float(x.max())
+        value = within = float(x.max())
+        law = replace(law, mean=float(x.mean()), session_sd=0.0, flight_sd=0.0, beta=0.0)
     hours, exceeding = scores.judged_s / S_PER_H, int(np.count_nonzero(x > value))
     return Threshold(
         value=value,
         rule=rule,
-        mean=parts.mean,
-        session_sd=parts.session_sd,
-        flight_sd=parts.flight_sd,
-        block_scale=parts.beta,
+        mean=law.mean,
+        session_sd=law.session_sd,
+        flight_sd=law.flight_sd,
+        block_scale=law.beta,
         session_allowance=max(0.0, value - within),
         blocks=len(x),
         block_s=BLOCK_S,
@@ -204,50 +207,135 @@ def threshold_of(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Components:
-    """mu, the highest mean of a session, sd(a), sd(e), beta; N and S; mean judged time of a flight [s]."""
+@dataclass(frozen=True, eq=False)
+class Law:
+    """What healthy flights foretell of a statistic in others: mu, the highest mean of a session, sd(a), sd(e), beta, N,
+    S, the mean judged time of a flight [s], and the smallest threshold that means anything.
+
+    Rates are of K flights in one session: -ln of the probability that none is above a level.
+    """
 
     mean: float
-    highest: float = 0.0
-    session_sd: float = 0.0
-    flight_sd: float = 0.0
-    beta: float = 0.0
-    flights: int = 1
-    sessions: int = 1
-    flight_s: float = BLOCK_S
+    highest: float
+    session_sd: float
+    flight_sd: float
+    beta: float
+    flights: int
+    sessions: int
+    flight_s: float
+    least: float
 
-    def levels(self, rare: float, flown: float, flight_s: float) -> tuple[float, float]:
-        """The level r that so many flights of this length exceed, in any session and in one of the flights."""
-        N, S = self.flights, self.sessions
-        degrees, spread = DEGREES + N - S, self.flight_sd * math.sqrt(1 + 1 / N)
-        session = self.session_sd * math.sqrt(1 + 1 / S) * student(DEGREES + S - 1, math.exp(-rare))
-        median = spread * student(degrees, 0.5 ** (1 / flown))
-        flight = spread * student(degrees, math.exp(-rare / flown)) - median
-        usual = median + self.beta * (math.log(flight_s / BLOCK_S) + GUMBEL_MEDIAN - EULER_GAMMA)
-        block = self.beta * (math.log(flown / rare) - GUMBEL_MEDIAN)
-        rest = math.hypot(max(flight, 0.0), max(block, 0.0))
-        return self.mean + usual + math.hypot(max(session, 0.0), rest), self.highest + usual + rest
+    @property
+    def per_hour(self) -> float:
+        """Flights in an hour."""
+        return S_PER_H / self.flight_s
+
+    def rate(self, level: float, flights: float, same_session: bool = False) -> float:
+        """How often so many flights exceed a level."""
+        return max(RAREST, self._rate(level, self._below(flights), same_session))
+
+    def level(self, rate: float, flights: float, same_session: bool = False) -> float:
+        """The level that so many flights exceed so often, and at least the smallest that means anything."""
+        from scipy.optimize import brentq
+
+        below, middle = self._below(flights), self.highest if same_session else self.mean
+        unit, target = math.hypot(self._unit, self.session_sd), min(max(rate, RAREST), SUREST)
+
+        def excess(u: float) -> float:
+            return math.log(self._rate(middle + unit * math.sinh(u), below, same_session) / target)
+
+        return max(self.least, middle + unit * math.sinh(float(brentq(excess, -REACH, 2 * REACH, xtol=1e-13))))
+
+    def _rate(self, level: float, below: FloatArray, same_session: bool) -> float:
+        from scipy.special import stdtr
+
+        y = self._highest
+        if same_session:
+            beyond = 1.0 - float(np.interp(level - self.highest, y, below))
+        else:
+            spread = self.session_sd * math.sqrt(1 + 1 / self.sessions)
+            offset = (0.5 * (y[1:] + y[:-1]) - (level - self.mean)) / spread
+            beyond = float(np.diff(below) @ stdtr(DEGREES + self.sessions - 1, offset))
+        return -math.log1p(-min(max(beyond, 1e-300), 1.0 - 1e-12))
+
+    def _below(self, flights: float) -> FloatArray:
+        """(y,) probability that of so many flights none lies above."""
+        likely, below = self._table
+        return np.asarray(likely @ below**flights)
+
+    @property
+    def _unit(self) -> float:
+        return math.hypot(self.flight_sd, self.beta)
+
+    @cached_property
+    def _highest(self) -> FloatArray:
+        """(y,) what the highest of a flight may lie above its session, densest about the usual."""
+        usual = self.beta * (math.log(self.flight_s / BLOCK_S) - EULER_GAMMA)
+        return np.asarray(usual + self._unit * np.sinh(np.linspace(-REACH, REACH, 241)))
+
+    @cached_property
+    def _table(self) -> tuple[FloatArray, FloatArray]:
+        """(s,) how likely values of sd(e) are, and (s, y) the probability that a flight's highest lies below."""
+        from scipy.special import gammaincinv
+
+        degrees = DEGREES + self.flights - self.sessions
+        least, most = 2.0 * gammaincinv(0.5 * degrees, np.array([1e-8, 1.0 - 1e-8]))
+        chi2 = np.geomspace(least, most, 24)
+        likely = np.exp(0.5 * degrees * np.log(chi2 / degrees) - 0.5 * (chi2 - degrees))  # of ln chi2
+        sd = self.flight_sd * np.sqrt((1 + 1 / self.flights) * degrees / chi2)
+        z = np.linspace(-7.0, 7.0, 65)
+        normal = np.exp(-0.5 * np.square(z))
+        usual = self.beta * (math.log(self.flight_s / BLOCK_S) - EULER_GAMMA)
+        u = (self._highest[:, None] - usual - sd[:, None, None] * z) / self.beta
+        below = np.exp(-np.exp(np.minimum(-u, 700.0))) @ (normal / normal.sum())
+        return likely / likely.sum(), below
 
 
-def student(degrees: int, q: float) -> float:
-    """The quantile of Student's law."""
-    from scipy.special import stdtrit
+def law_of(scores: Scores, sessions: Sequence[int], prior: Prior) -> Law:
+    """The law of healthy flights by their components of variance, each with its prior. sessions: that of each."""
+    return _law(scores, np.array(sessions), prior)
 
-    return float(stdtrit(degrees, q))
+
+def shared_out(
+    laws: Sequence[Law], decides: Sequence[bool], alarms_per_hour: float, flights_per_suspicion: float
+) -> list[tuple[float, float]]:
+    """Each monitor's share of both promises, as `threshold_of` takes it. decides: whose alarms declare a fault.
+
+    One rate for all. At its least threshold a monitor is over it at most so often, and uses no more of a promise:
+
+        sum over monitors of min(r, rate at the least threshold) = the promise
+
+    One that does not decide alarms as seldom as the others, and its alarms are suspicions.
+    """
+    most = [law.rate(law.least, law.per_hour) if own else 0.0 for law, own in zip(laws, decides, strict=True)]
+    alarms, common = _filled(alarms_per_hour, np.array(most))
+    least = [law.least if own else law.level(common, law.per_hour) for law, own in zip(laws, decides, strict=True)]
+    most = [law.rate(level, 1.0) for law, level in zip(laws, least, strict=True)]
+    suspicions, _ = _filled(1.0 / flights_per_suspicion, np.array(most))
+    shares = zip(np.where(decides, alarms, common).tolist(), suspicions.tolist(), strict=True)
+    return [(alarm, 1.0 / suspicion) for alarm, suspicion in shares]
+
+
+def _filled(total: float, most: FloatArray) -> tuple[FloatArray, float]:
+    """The shares of a total, one rate or the most of each, and that rate. What none can use is noted in equal parts."""
+    rates = np.concatenate(([0.0], np.sort(most)))
+    rate = float(np.interp(total, np.minimum(rates[:, None], most).sum(axis=1), rates))
+    shares = np.minimum(rate, most)
+    spare = max(0.0, total - float(shares.sum()))
+    return shares + np.where(most > 0.0, spare / np.count_nonzero(most), 0.0), rate
 
 
 def shown_spreads(scores: Scores, sessions: Sequence[int], prior: Prior) -> tuple[tuple[float, int], ...]:
     """What healthy flights alone show, in the prior's unit: standard deviation between sessions, between flights and
     within a flight, each with its degrees of freedom; with none the prior's own."""
-    found = _components(scores, np.array(sessions), prior, degrees=1e-9)
+    found = _law(scores, np.array(sessions), prior, degrees=1e-9)
     unit = abs(float(scores.maxima.mean())) if prior.shares else 1.0
     sds = found.session_sd, found.flight_sd, found.beta / GUMBEL_SCALE
     degrees = found.sessions - 1, found.flights - found.sessions, len(scores.maxima) - found.flights
     return tuple((sd / unit, count) for sd, count in zip(sds, degrees, strict=True))
 
 
-def _components(scores: Scores, sessions: IntArray, prior: Prior, degrees: float = DEGREES) -> _Components:
+def _law(scores: Scores, sessions: IntArray, prior: Prior, degrees: float = DEGREES) -> Law:
     """The components of variance of block maxima, by their sums of squares and the prior."""
     x, log_span, flights = scores.maxima, np.log(scores.spans_s / BLOCK_S), np.unique(scores.flights)
     unit, nu = abs(float(x.mean())) if prior.shares else 1.0, degrees
@@ -264,9 +352,16 @@ def _components(scores: Scores, sessions: IntArray, prior: Prior, degrees: float
     scatter = (S - 1) * flight_variance * float(np.mean([1 / len(one) for one in groups]))
     apart = max(float(np.square(means - means.mean()).sum()) - scatter, 0.0)
     session_sd = math.sqrt((nu * (prior.session * unit) ** 2 + apart) / (nu + S - 1))
-    flight_s = scores.judged_s / N
-    return _Components(
-        float(means.mean()), float(means.max()), session_sd, math.sqrt(flight_variance), beta, N, S, flight_s
+    return Law(
+        mean=float(means.mean()),
+        highest=float(means.max()),
+        session_sd=max(session_sd, TINY),
+        flight_sd=max(math.sqrt(flight_variance), TINY),
+        beta=max(beta, TINY),
+        flights=N,
+        sessions=S,
+        flight_s=scores.judged_s / N,
+        least=prior.least,
     )
 
 

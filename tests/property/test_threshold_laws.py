@@ -104,7 +104,7 @@ def test_new_airframes_alarm_and_are_suspected_as_often_as_promised(flights: int
     alarms, suspicions = np.array([broken(flights, sessions, budget, rng) for _ in range(400)]).T
     for rates, promise in ((alarms, budget), (suspicions, 1 / FLIGHTS_PER_SUSPICION)):
         assert np.mean(rates) < 1.5 * promise, f"seed [{flights}, {sessions}]: {np.mean(rates):.4f}"
-        assert np.mean(rates) > promise / 4, f"no bluntness is kept in store: {np.mean(rates):.4f}"
+        assert np.mean(rates) > promise / 2, f"no bluntness is kept in store: {np.mean(rates):.4f}"
         assert np.median(rates) <= promise
 
 

@@ -69,11 +69,11 @@ def test_a_new_session_is_added_to_what_supports_the_thresholds() -> None:
     assert [one.session for one in after.provenance.logs] == [0, 0, 0, 1, 1]
     assert after.provenance.logs[:3] == before.provenance.logs
     assert after.healthy_hours > before.healthy_hours
+    assert after.promised == pytest.approx(before.promised)
     for old, new in zip(before.monitors, after.monitors, strict=True):
         assert (old.threshold.sessions, new.threshold.sessions) == (1, 2)
         assert (old.threshold.flights, new.threshold.flights) == (3, 5)
         assert new.threshold.hours > old.threshold.hours
-        assert new.threshold.budget_per_hour == old.threshold.budget_per_hour
         assert new.scores.maxima[: len(old.scores.maxima)] == old.scores.maxima
 
 

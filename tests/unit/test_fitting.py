@@ -75,7 +75,7 @@ def test_the_trim_of_all_windows() -> None:
     means = []
     for flight in flights():
         found = []
-        for segment in segments(flight):
+        for segment in map(list, segments(flight)):
             outputs = np.concatenate([one.block.actuator for one in segment])
             known = np.concatenate([one.block.valid for one in segment]) & np.isfinite(outputs).all(axis=1)
             trim = (outputs / outputs.mean(axis=1, keepdims=True) - 1.0) @ layout_named("x").unmixing.T

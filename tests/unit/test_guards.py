@@ -201,7 +201,7 @@ def test_nothing_left_is_said() -> None:
 
 def test_a_threshold_that_its_statistic_cannot_reach_is_not_judged_by() -> None:
     """Sensor noise is cut at 6 times its healthy rms, ln 36 of power: a threshold above it would never be passed."""
-    noisy = [replace(log, name=f"n{i}") for i, log in enumerate(two_vehicles(1, 0.6))]
+    noisy = [replace(log, name=f"n{i}") for i, log in enumerate(two_vehicles(1, 0.8))]
     found = learn(noisy, replace(OPTIONS, monitors=("rotor_trim", "trim_step")), created=NOW)
     (trim,) = [one for one in found.not_judgeable if one.monitor == "rotor_trim"]
     assert "cannot be reached (0.5 at most), blind to losses below " in trim.reason

@@ -21,7 +21,7 @@ from mavdiag.judging import Verdict, judge
 from mavdiag.kernel import compiled, joined_loops
 from mavdiag.learning import ALL_MONITORS, LearnOptions, airborne, learn, thesis_options
 from mavdiag.monitors import by_name, monitor_of
-from mavdiag.monitors.base import FaultKind, Monitor
+from mavdiag.monitors.base import Monitor
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.telemetry import Log, Signal, Telemetry
 from mavdiag.thresholds.rule import poisson_upper
@@ -103,13 +103,19 @@ def test_b27_the_budget_is_shared_by_those_that_decide_and_could_be_fitted() -> 
     """B27: monitors that do not decide, or could not be fitted, took a share of the alarm budget."""
     found = whole()
     assert {one.monitor for one in found.not_judgeable} == {"unbalance"}
-    deciding = {e.spec.kind: e.threshold.budget_per_hour for e in found.monitors if by_name(e.spec.kind).decides}
-    alone = {name for name in deciding if by_name(name).kind is FaultKind.PROPELLER}
-    share = LearnOptions().alarms_per_hour / (len(alone) + 1)  # those of sensors and losses have one together
-    expected = {name: share if name in alone else share / 4 for name in deciding}
-    assert deciding == pytest.approx(expected)
-    assert sum(deciding.values()) == pytest.approx(LearnOptions().alarms_per_hour)
+    thresholds = {e.spec.kind: e.threshold for e in found.monitors}
+    deciding = {name: one for name, one in thresholds.items() if by_name(name).decides}
     assert {*deciding} == {*ALL_MONITORS} - {"fsd", "unbalance"}
+    promise = LearnOptions()
+    assert sum(one.budget_per_hour for one in deciding.values()) == pytest.approx(promise.alarms_per_hour)
+    suspicions = sum(1.0 / e.threshold.flights_per_suspicion for e in found.monitors)
+    assert suspicions == pytest.approx(1.0 / promise.flights_per_suspicion)
+    least = {name for name, one in deciding.items() if one.value <= by_name(name).least}
+    common = {deciding[name].budget_per_hour for name in {*deciding} - least}
+    assert len(least) > 1
+    assert max(common) == pytest.approx(min(common))  # one rate for all that can use it
+    assert max(deciding[name].budget_per_hour for name in least) <= 1.001 * min(common)
+    assert promise.alarms_per_hour / len(deciding) < min(common) < promise.alarms_per_hour / len(common)
     single = learn(plain(2), LearnOptions(airframe=UNKNOWN, monitors=("fsd",)), created=NOW)
     assert sum(e.threshold.budget_per_hour for e in single.monitors) == pytest.approx(LearnOptions().alarms_per_hour)
 

@@ -143,6 +143,6 @@ def test_a_full_disk_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
         def write(self, _: object) -> int:
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(tempfile, "TemporaryFile", Full)
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: Full())
     with Shelf(0) as shelf, pytest.raises(UsageError, match=r"No space left on device.*set TMPDIR"):
         shelf.put(ARRAYS)
