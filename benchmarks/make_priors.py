@@ -5,8 +5,8 @@
 Each baseline is one airframe: the healthy scores that it keeps are of flights that no fit saw, and it knows the session
 of each. `--emulated` learns so many more from emulated airframes of three vehicles in turn, whose sessions have other
 propellers and batteries: three sessions of three flights of 30 s over a link of 200 Hz, in calm air or wind, of which
-each flies another trajectory. With s_k the standard deviation
-that airframe k shows of a component, by d_k degrees of freedom,
+each flies another trajectory. A score below a monitor's least threshold counts as that: no threshold depends on how
+such scores differ. With s_k the standard deviation that airframe k shows of a component, by d_k degrees of freedom,
 
     s0^2 = (nu - 2)/nu (sum d_k s_k^2)/(sum d_k)
 
@@ -80,8 +80,10 @@ def shown(baseline: Baseline) -> Shown:
     sessions = [log.session for log in baseline.provenance.logs]
     found: Shown = {}
     for entry in baseline.monitors:
-        scores = Scores(*map(np.array, (entry.scores.maxima, entry.scores.spans_s, entry.scores.flights)))
-        found.setdefault(entry.spec.kind, shown_spreads(scores, sessions, by_name(entry.spec.kind).prior))
+        prior, held = by_name(entry.spec.kind).prior, entry.scores
+        maxima = np.maximum(held.maxima, prior.least)
+        scores = Scores(maxima, np.array(held.spans_s), np.array(held.flights))
+        found.setdefault(entry.spec.kind, shown_spreads(scores, sessions, prior))
     return found
 
 
