@@ -270,7 +270,8 @@ def _levels(levels: Sequence[Level], width: int) -> Table:
             row.add_row(_cut(f"not judged: {printable(level.reason)}", room + FIGURES_WIDTH + 1, "dim"))
         else:
             colour = "red" if level.value > level.threshold else "green"
-            bar = Bar(2 * level.threshold or 1.0, 0, max(level.value, 0.0), width=room, color=colour)
+            length = level.value if level.value > 0.0 else 0.0  # none for NaN, which a link may bring
+            bar = Bar(2 * level.threshold or 1.0, 0, length, width=room, color=colour)
             row.add_row(bar, _cut(f"{level.value:8.3g} of {level.threshold:.3g} {level.unit}", FIGURES_WIDTH))
         table.add_row(Text(f"{level.name:<{NAME_WIDTH}.{NAME_WIDTH}}", no_wrap=True), row)
     return table

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from made_session import baseline_for
 from made_vehicle import record
 from memory_port import memory_pair
+from rich.cells import cell_len
 from rich.console import Console
 
 from mavdiag.archive.tables import Row
@@ -91,6 +92,7 @@ def test_a_spike_of_one_sample_is_seen() -> None:
     assert (lines[0][:19] + lines[0][21:]).strip() == ""
 
 
+@example(width=20, texts=[], value=math.nan, reason="")
 @given(
     width=st.integers(20, 200),
     texts=st.lists(st.text(max_size=200), max_size=12),
@@ -112,7 +114,7 @@ def test_no_line_is_wider_than_the_terminal(width: int, texts: list[str], value:
     )
     console = Console(width=max(width, 44), file=io.StringIO(), record=True)
     console.print(picture(view, width))
-    assert all(len(line) <= max(width, 44) for line in console.export_text().splitlines())
+    assert all(cell_len(line) <= max(width, 44) for line in console.export_text().splitlines())
 
 
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (100, 30), (60, 15)])
