@@ -46,6 +46,7 @@ WATCH_S = 1.0  # how long a new vehicle's frames are watched for its profile (ou
 WAITING_FRAMES = 4096  # of a vehicle that has not entered that are kept (our choice)
 WAITING_IN_ALL = 32_768  # of all vehicles that have not entered (our choice)
 VEHICLES_MAX = 128  # on one link, unless told otherwise (our choice)
+PUZZLED_S = 5.0  # without entering although it sends, until that is said (our choice)
 RECHECK_S = 0.5  # how often a vehicle that waits is looked at again (our choice)
 BEATS_S = (0.2, 10.0)  # how far two heartbeats are apart that show a vehicle: it sends one a second (our choice)
 CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choice)
@@ -397,7 +398,11 @@ class LinkDecoder:
             if frame.msgid == MessageId.HEARTBEAT:
                 waiting.note(frame)
         watched = now_ns - waiting.since_ns >= WATCH_S * NS_PER_S or len(waiting.frames) >= min(kept, CLEAR_FRAMES)
-        if waiting.beat is None or (self._profile is None and not watched) or not self._may_enter(sysid, waiting):
+        if (
+            waiting.beat is None
+            or (self._profile is None and not watched)
+            or not self._may_enter(sysid, waiting, now_ns)
+        ):
             return []
         if waiting.checked_ns is not None and now_ns - waiting.checked_ns < RECHECK_S * NS_PER_S:
             return []
@@ -414,8 +419,12 @@ class LinkDecoder:
         del self._waiting[sysid]
         return [frames_of(waiting.frames)]
 
-    def _may_enter(self, sysid: int, waiting: _Waiting) -> bool:
-        if self._careful and (waiting.beats < 2 or not self.decoder.heard.sound(sysid << 8 | AUTOPILOT)):
+    def _may_enter(self, sysid: int, waiting: _Waiting, waited_s: float) -> bool:
+        one_sender = not self._careful or self.decoder.heard.sound(sysid << 8 | AUTOPILOT)
+        if not one_sender or (self._careful and waiting.beats < 2):
+            if waited_s >= PUZZLED_S:
+                which = "heartbeats contradict each other" if one_sender else "frames are numbered as of two senders"
+                waiting.reason = f"its {which}: does another vehicle use this system id?"
             return False
         if len(self.vehicles) >= self._most:
             waiting.reason, waiting.frames = f"there are {self._most} vehicles already (max_vehicles)", []

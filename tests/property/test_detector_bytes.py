@@ -64,4 +64,5 @@ def test_wild_frames_and_garbage_are_survived(seed: int, datagrams: bool, learni
             for effect in turn.effects:
                 assert not isinstance(effect, SendText) or 0 < len(effect.text.encode()) <= 50
     one.finish(now)
-    assert 1 in one.vehicles
+    if 1 not in one.vehicles:  # wild heartbeats of its own id came between all of its own
+        assert "does another vehicle use this system id" in one.link.waiting[1]
