@@ -144,9 +144,9 @@ class Shelf:
 
     def _written(self, arrays: Sequence[NDArray[Any]]) -> Callable[[], Arrays]:
         file = self._file = self._file or tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # as long as the shelf is
-        places, known = list[tuple[Any, ...]](), dict[tuple[int, tuple[int, ...]], int]()
+        places, known = list[tuple[Any, ...]](), dict[tuple[Any, ...], int]()
         for number, array in enumerate(arrays):
-            same = known.setdefault((array.ctypes.data, array.shape), number)
+            same = known.setdefault((array.ctypes.data, array.dtype, array.shape, array.strides), number)
             if same != number:  # of one memory, as the times of signals that come together
                 places.append(places[same])
                 continue

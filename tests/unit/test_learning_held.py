@@ -146,3 +146,12 @@ def test_a_full_disk_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: Full())
     with Shelf(0) as shelf, pytest.raises(UsageError, match=r"No space left on device.*set TMPDIR"):
         shelf.put(ARRAYS)
+
+
+def test_arrays_that_begin_at_one_place_are_not_taken_for_one() -> None:
+    square = np.arange(9.0).reshape(3, 3)
+    with Shelf(0) as shelf:
+        first, turned, bits = shelf.put([square, square.T, square.view(np.int64)])()
+        np.testing.assert_array_equal(first, square)
+        np.testing.assert_array_equal(turned, square.T)
+        np.testing.assert_array_equal(bits, square.view(np.int64))
