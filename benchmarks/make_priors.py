@@ -5,16 +5,17 @@
 Each baseline is one airframe: the healthy scores that it keeps are of flights that no fit saw, and it knows the session
 of each. `--emulated` learns so many more from emulated airframes of three vehicles in turn, whose sessions have other
 propellers and batteries: three sessions of three flights of 30 s over a link of 200 Hz, in calm air or wind, of which
-each flies another trajectory. A score below a monitor's least threshold counts as that: no threshold depends on how
-such scores differ. With s_k the standard deviation that airframe k shows of a component, by d_k degrees of freedom,
+each flies another trajectory. Scores of an airframe that are all below half a monitor's least threshold are left out:
+no threshold depends on how such differ. With s_k the standard deviation that airframe k shows of a component, by d_k
+degrees of freedom,
 
     s0^2 = (nu - 2)/nu (sum d_k s_k^2)/(sum d_k)
 
 which is the scale of the scaled inverse chi-squared law of nu degrees of freedom with their mean (Gelman, BDA, A.1).
-The prior is the wider of that and of the estimate, in the present file, of what no emulator shows. Printed: the new
-file against the present one, and what each airframe shows itself against a prior of the others (leave one airframe
-out): ratios far from 1 say that airframes differ by more than the law of nu degrees of freedom has it. An airframe that
-is judged must not be a source.
+It stands beside the estimate, in the present file, of what no emulator shows (`mavdiag.thresholds.priors`). Printed:
+both, and what each airframe shows itself against a prior of the others (leave one airframe out): ratios far from 1 say
+that airframes differ by more than the law of nu degrees of freedom has it. An airframe that is judged must not be a
+source.
 """
 
 import argparse
@@ -81,8 +82,9 @@ def shown(baseline: Baseline) -> Shown:
     found: Shown = {}
     for entry in baseline.monitors:
         prior, held = by_name(entry.spec.kind).prior, entry.scores
-        maxima = np.maximum(held.maxima, prior.least)
-        scores = Scores(maxima, np.array(held.spans_s), np.array(held.flights))
+        if max(held.maxima) < prior.least / 2:
+            continue
+        scores = Scores(np.array(held.maxima), np.array(held.spans_s), np.array(held.flights))
         found.setdefault(entry.spec.kind, shown_spreads(scores, sessions, prior))
     return found
 
@@ -121,15 +123,13 @@ def main() -> None:
     learnt = [*map(Baseline.load, options.baselines), *(emulated(i, options.seed) for i in range(options.emulated))]
     airframes = {f"{number} {one.airframe.name}": shown(one) for number, one in enumerate(learnt)}
     priors: dict[str, dict[str, Any]] = {name: dict(known) for name, known in priors_file()["priors"].items()}
-    table = Table("monitor", "present", "pooled", *(f"{one}: airframe / others" for one in COMPONENTS))
+    table = Table("monitor", "estimate", "pooled", *(f"{one}: airframe / others" for one in COMPONENTS))
     for monitor, known in priors.items():
         new = pooled(list(airframes.values()), monitor)
-        present = ", ".join(f"{known[one]:g}" for one in COMPONENTS)
-        table.add_row(
-            monitor, present, ", ".join(str(new.get(one, "-")) for one in COMPONENTS), *compared(airframes, monitor)
-        )
-        estimate = dict(zip(COMPONENTS, known["estimate"], strict=True))
-        known.update({one: max(estimate[one], new.get(one, 0.0)) for one in COMPONENTS}, emulated=list(new.values()))
+        estimate = ", ".join(f"{one:g}" for one in known["estimate"])
+        pool = ", ".join(str(new.get(one, "-")) for one in COMPONENTS)
+        table.add_row(monitor, estimate, pool, *compared(airframes, monitor))
+        known["emulated"] = list(new.values())
     sources = [
         {"airframe": one.airframe.name, "profile": one.link.profile, "digest": one.digest}
         | {"flights": len(one.provenance.logs), "sessions": len({log.session for log in one.provenance.logs})}

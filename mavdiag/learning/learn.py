@@ -263,7 +263,7 @@ def _shares(
     fitted: Sequence[Fitted], sessions: Sequence[int], promises: tuple[float, float]
 ) -> list[tuple[float, float]]:
     """Each monitor's share of alarms per hour and flights per suspicion (`shared_out`). One alone decides."""
-    laws = [law_of(scores, sessions, monitor.prior) for monitor, scores in fitted]
+    laws = [law_of(scores, tuple(sessions), monitor.prior) for monitor, scores in fitted]
     decides = [monitor.decides for monitor, _ in fitted]
     return shared_out(laws, decides if any(decides) else [True] * len(fitted), *promises)
 

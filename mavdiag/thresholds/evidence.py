@@ -35,7 +35,9 @@ from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.thresholds.rule import DEGREES, Prior
 
 SURE = 50.0  # to 1: from here on a change is told (our choice)
-RISES = (0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5)  # that are looked for, of hover, equally likely (our choice)
+# Rises that are looked for, of hover, equally likely (our choice): a larger one is declared by any flight alone, and is
+# no further from 0.2 than from health.
+RISES = (0.03, 0.05, 0.08, 0.12, 0.2)
 STEPS = 2.0 ** np.arange(-1.5, 4.1, 0.5)  # standard deviations that are believed, over the prior's (our choice)
 
 

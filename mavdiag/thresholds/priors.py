@@ -1,7 +1,9 @@
 """How the healthy maxima of each monitor differ before any flight tells: `priors.json`, a file with its provenance.
 
-`benchmarks/make_priors.py` pools healthy baselines of several airframes. A prior is the wider of what these show and of
-an estimate by hand, for what no emulator shows; both stand beside it, with the reason of the estimate.
+`benchmarks/make_priors.py` pools healthy baselines of several airframes. Beside what these show stands an estimate by
+hand, with its reason, of what no emulator shows. Where a statistic is compared with its own mean, they are two classes
+of airframes, and the flights tell which one theirs is of. Where it is not, flights alike say nothing of what other
+propellers move, and the wider of both holds.
 """
 
 import json
@@ -11,8 +13,6 @@ from importlib import resources
 from typing import Any
 
 from mavdiag.thresholds.rule import USUAL, Prior
-
-FIGURES = ("session", "flight", "block", "shares")
 
 
 @cache
@@ -26,4 +26,9 @@ def priors_file() -> Mapping[str, Any]:
 def prior_of(monitor: str) -> Prior:
     """The prior of a monitor of that name, the usual one if the file has none."""
     known = priors_file()["priors"].get(monitor)
-    return USUAL if known is None else Prior(**{name: known[name] for name in FIGURES})
+    if known is None:
+        return USUAL
+    estimate, shown = known["estimate"], known["emulated"]
+    if known["shares"]:
+        return Prior(*estimate, other=tuple(shown) or None)
+    return Prior(*map(max, estimate, shown or estimate), shares=False)

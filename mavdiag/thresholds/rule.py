@@ -35,14 +35,14 @@ named alternative, the largest healthy maximum, alarms in one of n + 1 equal hea
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError, UsageError
-from mavdiag.telemetry import FloatArray, IntArray
+from mavdiag.telemetry import FloatArray
 from mavdiag.thresholds.heldout import BLOCK_S, Scores
 from mavdiag.units import S_PER_H
 
@@ -70,6 +70,7 @@ class Prior:
 
     session, flight, block: between sessions, between flights of one, within a flight; in the statistic's unit, or as
         shares of its healthy mean. least: the smallest threshold that means anything, in the statistic's unit.
+    other: the same three of another class of airframes. Before any flight either is as likely.
     """
 
     session: float = 0.2
@@ -77,6 +78,7 @@ class Prior:
     block: float = 0.1
     shares: bool = True
     least: float = 0.0
+    other: tuple[float, float, float] | None = None
 
 
 USUAL = Prior()  # of a statistic that nothing else is known of (our choice)
@@ -174,7 +176,8 @@ def threshold_of(
     x, suspected, suspected_within = scores.maxima, 1.0, 1.0
     if len(x) == 0 or not np.isfinite(x).all():
         raise IdentificationError("healthy statistics must be finite numbers, and there must be some")
-    law = law_of(scores, sessions, prior)
+    law = law_of(scores, tuple(sessions), prior)
+    mean, spreads = law.mean_of("mean"), [law.mean_of(name, 2) for name in ("session_sd", "flight_sd", "beta")]
     if rule is ThresholdRule.GUMBEL:
         value, within = (law.level(budget_per_hour, law.per_hour, same) for same in (False, True))
         suspected, suspected_within = (
@@ -183,15 +186,15 @@ def threshold_of(
         )
     else:
         value = within = float(x.max())
-        law = replace(law, mean=float(x.mean()), session_sd=0.0, flight_sd=0.0, beta=0.0)
+        mean, spreads = float(x.mean()), [0.0, 0.0, 0.0]
     hours, exceeding = scores.judged_s / S_PER_H, int(np.count_nonzero(x > value))
     return Threshold(
         value=value,
         rule=rule,
-        mean=law.mean,
-        session_sd=law.session_sd,
-        flight_sd=law.flight_sd,
-        block_scale=law.beta,
+        mean=mean,
+        session_sd=spreads[0],
+        flight_sd=spreads[1],
+        block_scale=spreads[2],
         session_allowance=max(0.0, value - within),
         blocks=len(x),
         block_s=BLOCK_S,
@@ -208,12 +211,9 @@ def threshold_of(
 
 
 @dataclass(frozen=True, eq=False)
-class Law:
-    """What healthy flights foretell of a statistic in others: mu, the highest mean of a session, sd(a), sd(e), beta, N,
-    S, the mean judged time of a flight [s], and the smallest threshold that means anything.
-
-    Rates are of K flights in one session: -ln of the probability that none is above a level.
-    """
+class Part:
+    """What the flights foretell if the airframe is of one class: mu, the highest mean of a session, sd(a), sd(e), beta,
+    N, S and the mean judged time of a flight [s]."""
 
     mean: float
     highest: float
@@ -223,55 +223,33 @@ class Law:
     flights: int
     sessions: int
     flight_s: float
-    least: float
 
-    @property
-    def per_hour(self) -> float:
-        """Flights in an hour."""
-        return S_PER_H / self.flight_s
-
-    def rate(self, level: float, flights: float, same_session: bool = False) -> float:
-        """How often so many flights exceed a level."""
-        return max(RAREST, self._rate(level, self._below(flights), same_session))
-
-    def level(self, rate: float, flights: float, same_session: bool = False) -> float:
-        """The level that so many flights exceed so often, and at least the smallest that means anything."""
-        from scipy.optimize import brentq
-
-        below, middle = self._below(flights), self.highest if same_session else self.mean
-        unit, target = math.hypot(self._unit, self.session_sd), min(max(rate, RAREST), SUREST)
-
-        def excess(u: float) -> float:
-            return math.log(self._rate(middle + unit * math.sinh(u), below, same_session) / target)
-
-        return max(self.least, middle + unit * math.sinh(float(brentq(excess, -REACH, 2 * REACH, xtol=1e-13))))
-
-    def _rate(self, level: float, below: FloatArray, same_session: bool) -> float:
+    def beyond(self, level: float, below: FloatArray, same_session: bool) -> float:
+        """Probability that the highest of the flights of `below` is above a level."""
         from scipy.special import stdtr
 
         y = self._highest
         if same_session:
-            beyond = 1.0 - float(np.interp(level - self.highest, y, below))
-        else:
-            spread = self.session_sd * math.sqrt(1 + 1 / self.sessions)
-            offset = (0.5 * (y[1:] + y[:-1]) - (level - self.mean)) / spread
-            beyond = float(np.diff(below) @ stdtr(DEGREES + self.sessions - 1, offset))
-        return -math.log1p(-min(max(beyond, 1e-300), 1.0 - 1e-12))
+            return 1.0 - float(np.interp(level - self.highest, y, below))
+        spread = self.session_sd * math.sqrt(1 + 1 / self.sessions)
+        offset = (0.5 * (y[1:] + y[:-1]) - (level - self.mean)) / spread
+        return float(np.diff(below) @ stdtr(DEGREES + self.sessions - 1, offset))
 
-    def _below(self, flights: float) -> FloatArray:
+    def below(self, flights: float) -> FloatArray:
         """(y,) probability that of so many flights none lies above."""
         likely, below = self._table
         return np.asarray(likely @ below**flights)
 
     @property
-    def _unit(self) -> float:
+    def unit(self) -> float:
+        """How far flights of a session lie apart."""
         return math.hypot(self.flight_sd, self.beta)
 
     @cached_property
     def _highest(self) -> FloatArray:
         """(y,) what the highest of a flight may lie above its session, densest about the usual."""
         usual = self.beta * (math.log(self.flight_s / BLOCK_S) - EULER_GAMMA)
-        return np.asarray(usual + self._unit * np.sinh(np.linspace(-REACH, REACH, 241)))
+        return np.asarray(usual + self.unit * np.sinh(np.linspace(-REACH, REACH, 241)))
 
     @cached_property
     def _table(self) -> tuple[FloatArray, FloatArray]:
@@ -291,9 +269,65 @@ class Law:
         return likely / likely.sum(), below
 
 
-def law_of(scores: Scores, sessions: Sequence[int], prior: Prior) -> Law:
-    """The law of healthy flights by their components of variance, each with its prior. sessions: that of each."""
-    return _law(scores, np.array(sessions), prior)
+@dataclass(frozen=True, slots=True, eq=False)
+class Law:
+    """What healthy flights foretell of a statistic in others, whatever class of airframes theirs is of.
+
+    weights: how likely each class is after these flights. least: the smallest threshold that means anything. Rates are
+    of K flights in one session: -ln of the probability that none is above a level.
+    """
+
+    parts: tuple[Part, ...]
+    weights: FloatArray
+    least: float
+
+    @property
+    def per_hour(self) -> float:
+        """Flights in an hour."""
+        return S_PER_H / self.parts[0].flight_s
+
+    def mean_of(self, component: str, power: int = 1) -> float:
+        """The mean over the classes of a field of their parts, of its square for a power of 2."""
+        return float(self.weights @ [getattr(part, component) ** power for part in self.parts]) ** (1 / power)
+
+    def rate(self, level: float, flights: float, same_session: bool = False) -> float:
+        """How often so many flights exceed a level."""
+        return max(RAREST, self._rate(level, [part.below(flights) for part in self.parts], same_session))
+
+    def level(self, rate: float, flights: float, same_session: bool = False) -> float:
+        """The level that so many flights exceed so often, and at least the smallest that means anything."""
+        from scipy.optimize import brentq
+
+        middle, below = (
+            self.mean_of("highest" if same_session else "mean"),
+            [part.below(flights) for part in self.parts],
+        )
+        unit, target = (
+            max(math.hypot(part.unit, part.session_sd) for part in self.parts),
+            min(max(rate, RAREST), SUREST),
+        )
+
+        def excess(u: float) -> float:
+            return math.log(self._rate(middle + unit * math.sinh(u), below, same_session) / target)
+
+        return max(self.least, middle + unit * math.sinh(float(brentq(excess, -REACH, 2 * REACH, xtol=1e-13))))
+
+    def _rate(self, level: float, below: Sequence[FloatArray], same_session: bool) -> float:
+        each = zip(self.parts, below, strict=True)
+        beyond = float(self.weights @ [part.beyond(level, own, same_session) for part, own in each])
+        return -math.log1p(-min(max(beyond, 1e-300), 1.0 - 1e-12))
+
+
+@lru_cache(maxsize=64)
+def law_of(scores: Scores, sessions: tuple[int, ...], prior: Prior) -> Law:
+    """The law of healthy flights by their components of variance, each with its prior. sessions: that of each.
+
+    A class is as likely as both are before any flight, times the likelihood of the three sums of squares under it.
+    """
+    classes = [prior] if prior.other is None else [prior, Prior(*prior.other, prior.shares)]
+    parts, likelihoods = zip(*(_part(scores, sessions, one) for one in classes), strict=True)
+    weights = np.exp(np.array(likelihoods) - max(likelihoods))
+    return Law(parts, weights / weights.sum(), prior.least)
 
 
 def shared_out(
@@ -328,41 +362,35 @@ def _filled(total: float, most: FloatArray) -> tuple[FloatArray, float]:
 def shown_spreads(scores: Scores, sessions: Sequence[int], prior: Prior) -> tuple[tuple[float, int], ...]:
     """What healthy flights alone show, in the prior's unit: standard deviation between sessions, between flights and
     within a flight, each with its degrees of freedom; with none the prior's own."""
-    found = _law(scores, np.array(sessions), prior, degrees=1e-9)
+    found, _ = _part(scores, sessions, prior, nu=1e-9)
     unit = abs(float(scores.maxima.mean())) if prior.shares else 1.0
     sds = found.session_sd, found.flight_sd, found.beta / GUMBEL_SCALE
     degrees = found.sessions - 1, found.flights - found.sessions, len(scores.maxima) - found.flights
     return tuple((sd / unit, count) for sd, count in zip(sds, degrees, strict=True))
 
 
-def _law(scores: Scores, sessions: IntArray, prior: Prior, degrees: float = DEGREES) -> Law:
-    """The components of variance of block maxima, by their sums of squares and the prior."""
+def _part(scores: Scores, sessions: Sequence[int], prior: Prior, nu: float = DEGREES) -> tuple[Part, float]:
+    """The components of variance of block maxima, by their sums of squares and the prior, and ln of how likely these
+    sums are with it, but for a constant."""
     x, log_span, flights = scores.maxima, np.log(scores.spans_s / BLOCK_S), np.unique(scores.flights)
-    unit, nu = abs(float(x.mean())) if prior.shares else 1.0, degrees
-    blocks = [x[scores.flights == flight] for flight in flights]
+    unit = abs(float(x.mean())) if prior.shares else 1.0
+    session, flight, block = (max((sd * unit) ** 2, TINY**2) for sd in (prior.session, prior.flight, prior.block))
+    blocks = [x[scores.flights == number] for number in flights]
     within = sum(float(np.square(one - one.mean()).sum()) for one in blocks)
-    beta = GUMBEL_SCALE * math.sqrt((nu * (prior.block * unit) ** 2 + within) / (nu + len(x) - len(flights)))
-    level = np.array([float(np.mean((x - beta * log_span)[scores.flights == flight])) for flight in flights])
-    whose = sessions[flights]
-    groups = [level[whose == session] for session in np.unique(whose)]
+    beta = GUMBEL_SCALE * math.sqrt((nu * block + within) / (nu + len(x) - len(flights)))
+    level = np.array([float(np.mean((x - beta * log_span)[scores.flights == number])) for number in flights])
+    whose = np.array(sessions)[flights]
+    groups = [level[whose == number] for number in np.unique(whose)]
     means, N, S = np.array([one.mean() for one in groups]), len(flights), len(groups)
     between = sum(float(np.square(one - one.mean()).sum()) for one in groups)
-    flight_variance = (nu * (prior.flight * unit) ** 2 + between) / (nu + N - S)
+    flight_variance = (nu * flight + between) / (nu + N - S)
     # what flights alone scatter the means of sessions is no component of sessions
-    scatter = (S - 1) * flight_variance * float(np.mean([1 / len(one) for one in groups]))
-    apart = max(float(np.square(means - means.mean()).sum()) - scatter, 0.0)
-    session_sd = math.sqrt((nu * (prior.session * unit) ** 2 + apart) / (nu + S - 1))
-    return Law(
-        mean=float(means.mean()),
-        highest=float(means.max()),
-        session_sd=max(session_sd, TINY),
-        flight_sd=max(math.sqrt(flight_variance), TINY),
-        beta=max(beta, TINY),
-        flights=N,
-        sessions=S,
-        flight_s=scores.judged_s / N,
-        least=prior.least,
-    )
+    scatter, apart = flight_variance * float(np.mean([1 / len(one) for one in groups])), np.square(means - means.mean())
+    session_variance = (nu * session + max(float(apart.sum()) - (S - 1) * scatter, 0.0)) / (nu + S - 1)
+    shown = (within, len(x) - N, block), (between, N - S, flight), (float(apart.sum()), S - 1, session + scatter)
+    likelihood = sum(-0.5 * (n * math.log(s2) + (nu + n) * math.log1p(squares / (nu * s2))) for squares, n, s2 in shown)
+    sds = (max(math.sqrt(variance), TINY) for variance in (session_variance, flight_variance))
+    return Part(float(means.mean()), float(means.max()), *sds, max(beta, TINY), N, S, scores.judged_s / N), likelihood
 
 
 def poisson_upper(events: int, confidence: float = 0.95) -> float:
