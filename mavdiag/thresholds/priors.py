@@ -1,9 +1,9 @@
 """How the healthy maxima of each monitor differ before any flight tells: `priors.json`, a file with its provenance.
 
 `benchmarks/make_priors.py` pools healthy baselines of several airframes. Beside what these show stands an estimate by
-hand, with its reason, of what no emulator shows. Where a statistic is compared with its own mean, they are two classes
-of airframes, and the flights tell which one theirs is of. Where it is not, flights alike say nothing of what other
-propellers move, and the wider of both holds.
+hand, with its reason, of what no emulator shows. The wider of both holds. Where a statistic is compared with its own
+mean and the airframes of the pool differ by less, these are a class of their own, and the flights tell of which class
+theirs is. Where it is not, flights alike say nothing of what other propellers move.
 """
 
 import json
@@ -28,7 +28,7 @@ def prior_of(monitor: str) -> Prior:
     known = priors_file()["priors"].get(monitor)
     if known is None:
         return USUAL
-    estimate, shown = known["estimate"], known["emulated"]
-    if known["shares"]:
-        return Prior(*estimate, other=tuple(shown) or None)
-    return Prior(*map(max, estimate, shown or estimate), shares=False)
+    shown = tuple(known["emulated"]) or (0.0, 0.0, 0.0)
+    wider = tuple(map(max, known["estimate"], shown))
+    narrower = known["shares"] and any(shown) and shown != wider
+    return Prior(*wider, shares=known["shares"], other=shown if narrower else None)

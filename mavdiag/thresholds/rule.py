@@ -51,6 +51,7 @@ FLIGHTS_PER_SUSPICION = 50.0  # healthy flights, of all monitors together (our c
 EULER_GAMMA = 0.5772156649015329
 GUMBEL_SCALE = math.sqrt(6.0) / math.pi  # beta over standard deviation
 DEGREES = 6  # observations that a prior counts for (our choice)
+OTHERS = 0.02  # probability of a prior's other class, to which no real vehicle of the pool belongs (our choice)
 TINY = 1e-12  # no statistic differs by less
 REACH = 6.0  # arsinh of how many spreads a flight may lie apart
 RAREST, SUREST = 1e-6, 10.0  # rates -ln(1 - probability) that are told apart (our choice: once in a century of flight)
@@ -70,7 +71,7 @@ class Prior:
 
     session, flight, block: between sessions, between flights of one, within a flight; in the statistic's unit, or as
         shares of its healthy mean. least: the smallest threshold that means anything, in the statistic's unit.
-    other: the same three of another class of airframes. Before any flight either is as likely.
+    other: the same three of another class of airframes, of which one is with the probability `OTHERS`.
     """
 
     session: float = 0.2
@@ -322,11 +323,11 @@ class Law:
 def law_of(scores: Scores, sessions: tuple[int, ...], prior: Prior) -> Law:
     """The law of healthy flights by their components of variance, each with its prior. sessions: that of each.
 
-    A class is as likely as both are before any flight, times the likelihood of the three sums of squares under it.
+    A class is as likely as it was before any flight, times the likelihood of the three sums of squares under it.
     """
     classes = [prior] if prior.other is None else [prior, Prior(*prior.other, prior.shares)]
     parts, likelihoods = zip(*(_part(scores, sessions, one) for one in classes), strict=True)
-    weights = np.exp(np.array(likelihoods) - max(likelihoods))
+    weights = np.array([1.0 - OTHERS, OTHERS])[: len(parts)] * np.exp(np.array(likelihoods) - max(likelihoods))
     return Law(parts, weights / weights.sum(), prior.least)
 
 
