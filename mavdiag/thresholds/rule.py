@@ -10,6 +10,11 @@ Few flights do not show them, so each has a prior (`Prior`, of the monitor) that
 
     s^2 = (nu s0^2 + SS)/(nu + n)                          scaled inverse chi-squared, its posterior (Gelman, BDA, 2.6)
 
+A prior may have two classes of airframes, each with its own s0 of the three. Quiet flights tell of quiet sessions then:
+the law is the mean over both by their posterior probabilities, with the marginal likelihood of the sums of squares
+
+    p(class | SS) ~ p(class) prod s0^-n (1 + SS/(nu s0^2))^(-(nu + n)/2)         over the three components
+
 A threshold is the posterior predictive level that K healthy flights of d seconds, flown in one session that is not
 among the healthy ones, exceed with probability 1 - exp(-r). An offset of a session or a flight is no news with every
 block. S sessions of N flights taught; Phi is the normal law, and chi2 the chi-squared law of nu + N - S degrees:
@@ -22,8 +27,12 @@ and in a session of these flights the same with the highest mean of a session fo
 one sd(e), which is not known; drawn for each of them anew, short flights would be given 15 to 20 % too much. A block of
 length L lies beta ln(L/10 s) above one of 10 s, so a short one counts as what it is. The law makes two levels:
 
-    fault       r alarms in an hour of flight: a session counts as an hour, so K = 3600 s/d
+    fault       r alarms in an hour of flight, flown in one session: K = 3600 s/d
     suspected   one flight in n like the healthy ones: K = 1, r = 1/n; never above the first
+
+So the first is a promise for a session of up to an hour: by the clock, sessions of 2.5 minutes may alarm up to 24 times
+as often in an hour. To promise it by the clock, the trim would be allowed 1.7 times as much after one session, and 1.3
+times after ten, for one session in 2,400 is farther out than one in 100.
 
 Monitors share both promises (`shared_out`): one rate for all, of which a monitor whose least threshold makes it rarer
 uses only what it can; the others may have the rest.

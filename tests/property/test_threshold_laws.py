@@ -108,6 +108,27 @@ def test_new_airframes_alarm_and_are_suspected_as_often_as_promised(flights: int
         assert np.median(rates) <= promise
 
 
+@pytest.mark.parametrize("sessions", [1, 3])
+def test_airframes_of_the_other_class_are_known_by_their_flights(sessions: int) -> None:
+    """Ten quiet flights have thresholds of quiet airframes; ten of the first class have those of the first alone."""
+    one, other = Prior(0.15, 0.1, 0.08), Prior(0.038, 0.026, 0.013)
+    both = Prior(0.15, 0.1, 0.08, other=(0.038, 0.026, 0.013))
+    rng, whose, numbers = np.random.default_rng([17, sessions]), np.arange(10) % sessions, np.repeat(np.arange(10), 3)
+    for prior in (one, other):
+        ratios = []
+        for _ in range(60):
+            session, flight, block = (
+                sd * math.sqrt(DEGREES / rng.chisquare(DEGREES)) for sd in (prior.session, prior.flight, prior.block)
+            )
+            offsets = rng.normal(0, session, sessions)[whose] + rng.normal(0, flight, 10)
+            x = 1.0 + offsets[numbers] + rng.gumbel(0, block * math.sqrt(6) / math.pi, 30)
+            scores = Scores(x, np.full(30, 10.0), numbers)
+            found, alone = (threshold_of(scores, sessions=whose.tolist(), prior=each) for each in (both, prior))
+            ratios.append(found.value / alone.value)
+        assert np.median(ratios) == pytest.approx(1.0, abs=0.02)
+        assert np.quantile(ratios, 0.1) > 0.9
+
+
 @pytest.mark.parametrize("flights", [3, 9])
 def test_the_maximum_rule_has_its_price(flights: int) -> None:
     rng = np.random.default_rng(11)
