@@ -12,7 +12,7 @@ degrees of freedom,
     s0^2 = (nu - 2)/nu (sum d_k s_k^2)/(sum d_k)
 
 which is the scale of the scaled inverse chi-squared law of nu degrees of freedom with their mean (Gelman, BDA, A.1).
-It stands beside the estimate, in the present file, of what no emulator shows (`mavdiag.thresholds.priors`). Printed:
+It stands beside the estimate, in the present file, of what no emulator shows (`thresholds.rule.prior_of`). Printed:
 both, and what each airframe shows itself against a prior of the others (leave one airframe out): ratios far from 1 say
 that airframes differ by more than the law of nu degrees of freedom has it. An airframe that is judged must not be a
 source.
@@ -36,8 +36,7 @@ from mavdiag.monitors import by_name
 from mavdiag.storage import write_atomically
 from mavdiag.telemetry import Log
 from mavdiag.thresholds.heldout import Scores
-from mavdiag.thresholds.priors import priors_file
-from mavdiag.thresholds.rule import DEGREES, shown_spreads
+from mavdiag.thresholds.rule import DEGREES, priors_file, shown_spreads
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.campaign.worker import CREATED, specimen
 from sitl_plant.physics.airframe import in_session, with_propellers

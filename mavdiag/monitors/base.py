@@ -24,8 +24,7 @@ from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, FloatArray, Signal
-from mavdiag.thresholds.priors import prior_of
-from mavdiag.thresholds.rule import Prior
+from mavdiag.thresholds.rule import Prior, prior_of
 
 Spec = TypeVar("Spec")
 Flights: TypeAlias = Sequence[Sequence[Rows]]
@@ -131,7 +130,7 @@ class Monitor(ABC, Generic[Spec]):
     decides: ClassVar[bool] = True  # its alarm is a fault by itself; else it is a suspicion, to be confirmed
     kind: ClassVar[FaultKind] = FaultKind.PROPELLER  # what its alarm means
     clear_s: ClassVar[float] = 2.0  # how long it must have been back before its event closes (our choice)
-    prior: ClassVar[Prior]  # how its healthy maxima differ, before any flight tells (`thresholds.priors`)
+    prior: ClassVar[Prior]  # how its healthy maxima differ, before any flight tells (`thresholds.rule.prior_of`)
     least: ClassVar[float] = 0.0  # the smallest threshold that means anything, in its unit
     evidence: ClassVar[RotorEvidence | None] = None  # how it knows about rotors; None if it does not
     needs_layout: ClassVar[bool] = False  # it cannot be fitted where the rotor layout is not known

@@ -42,11 +42,14 @@ flights themselves show is `demonstrated_per_hour`: T hours without an alarm exc
 named alternative, the largest healthy maximum, alarms in one of n + 1 equal healthy flights.
 """
 
+import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
+from importlib import resources
+from typing import Any
 
 import numpy as np
 
@@ -76,7 +79,7 @@ class ThresholdRule(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Standard deviations of a monitor's block maxima that are believed before any flight (`thresholds.priors`).
+    """Standard deviations of a monitor's block maxima that are believed before any flight (`prior_of`).
 
     session, flight, block: between sessions, between flights of one, within a flight; in the statistic's unit, or as
         shares of its healthy mean. least: the smallest threshold that means anything, in the statistic's unit.
@@ -92,6 +95,33 @@ class Prior:
 
 
 USUAL = Prior()  # of a statistic that nothing else is known of (our choice)
+
+
+@cache
+def priors_file() -> Mapping[str, Any]:
+    """The priors of all monitors: where their figures are from, and by monitor what is known.
+
+    `benchmarks/make_priors.py` pools healthy baselines of several airframes. Beside what these show stands an estimate
+    by hand, with its reason, of what no emulator shows.
+    """
+    text = resources.files("mavdiag.thresholds").joinpath("priors.json").read_text(encoding="utf-8")
+    content: Mapping[str, Any] = json.loads(text)
+    return content
+
+
+def prior_of(monitor: str) -> Prior:
+    """The prior of a monitor of that name, the usual one if the file has none: the wider of the pool and the estimate.
+
+    Where a statistic is compared with its own mean and the pool differs by less, the pool is a class of its own. Where
+    it is not, flights alike say nothing of what other propellers move.
+    """
+    known = priors_file()["priors"].get(monitor)
+    if known is None:
+        return USUAL
+    shown = tuple(known["emulated"]) or (0.0, 0.0, 0.0)
+    wider = tuple(map(max, known["estimate"], shown))
+    narrower = known["shares"] and any(shown) and shown != wider
+    return Prior(*wider, shares=known["shares"], other=shown if narrower else None)
 
 
 @dataclass(frozen=True, slots=True)
