@@ -5,9 +5,8 @@
 Each baseline is one airframe: the healthy scores that it keeps are of flights that no fit saw, and it knows the session
 of each. `--emulated` learns so many more from emulated airframes of three vehicles in turn, whose sessions have other
 propellers and batteries: three sessions of three flights of 30 s over a link of 200 Hz, in calm air or wind, of which
-each flies another trajectory. Scores of an airframe that are all below half a monitor's least threshold are left out:
-no threshold depends on how such differ. With s_k the standard deviation that airframe k shows of a component, by d_k
-degrees of freedom,
+each flies another trajectory. A score below a monitor's least threshold counts as that: no threshold depends on how
+such scores differ. With s_k the standard deviation that airframe k shows of a component, by d_k degrees of freedom,
 
     s0^2 = (nu - 2)/nu (sum d_k s_k^2)/(sum d_k)
 
@@ -51,6 +50,7 @@ VEHICLES, SHAPES, WINDS_M_S = (
     (0.0, 1.0, 2.0),
 )
 SPREAD = 0.03  # of the thrust of propellers of another session
+ALIKE = 1e-3  # of the estimate: no score was above the least threshold
 
 Shown = dict[str, tuple[tuple[float, int], ...]]  # of each monitor what one airframe shows (`shown_spreads`)
 
@@ -81,9 +81,8 @@ def shown(baseline: Baseline) -> Shown:
     found: Shown = {}
     for entry in baseline.monitors:
         prior, held = by_name(entry.spec.kind).prior, entry.scores
-        if max(held.maxima) < prior.least / 2:
-            continue
-        scores = Scores(np.array(held.maxima), np.array(held.spans_s), np.array(held.flights))
+        maxima = np.maximum(held.maxima, prior.least)
+        scores = Scores(maxima, np.array(held.spans_s), np.array(held.flights))
         found.setdefault(entry.spec.kind, shown_spreads(scores, sessions, prior))
     return found
 
@@ -128,7 +127,8 @@ def main() -> None:
         estimate = ", ".join(f"{one:g}" for one in known["estimate"])
         pool = ", ".join(str(new.get(one, "-")) for one in COMPONENTS)
         table.add_row(monitor, estimate, pool, *compared(airframes, monitor))
-        known["emulated"] = list(new.values())
+        alike = all(sd < ALIKE * own for sd, own in zip(new.values(), known["estimate"], strict=False))
+        known["emulated"] = [] if alike else list(new.values())
     sources = [
         {"airframe": one.airframe.name, "profile": one.link.profile, "digest": one.digest}
         | {"flights": len(one.provenance.logs), "sessions": len({log.session for log in one.provenance.logs})}
