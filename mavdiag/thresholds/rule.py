@@ -118,10 +118,10 @@ def prior_of(monitor: str) -> Prior:
     known = priors_file()["priors"].get(monitor)
     if known is None:
         return USUAL
-    shown = tuple(known["emulated"]) or (0.0, 0.0, 0.0)
-    wider = tuple(map(max, known["estimate"], shown))
-    narrower = known["shares"] and any(shown) and shown != wider
-    return Prior(*wider, shares=known["shares"], other=shown if narrower else None)
+    shown: tuple[float, float, float] = tuple(known["emulated"]) or (0.0, 0.0, 0.0)
+    session, flight, block = map(max, known["estimate"], shown)
+    narrower = known["shares"] and any(shown) and shown != (session, flight, block)
+    return Prior(session, flight, block, known["shares"], other=shown if narrower else None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -328,7 +328,8 @@ class Law:
 
     def mean_of(self, component: str, power: int = 1) -> float:
         """The mean over the classes of a field of their parts, of its square for a power of 2."""
-        return float(self.weights @ [getattr(part, component) ** power for part in self.parts]) ** (1 / power)
+        values = np.array([getattr(part, component) for part in self.parts])
+        return math.pow(float(self.weights @ values**power), 1 / power)
 
     def rate(self, level: float, flights: float, same_session: bool = False) -> float:
         """How often so many flights exceed a level."""
@@ -429,8 +430,8 @@ def _part(scores: Scores, sessions: Sequence[int], prior: Prior, nu: float = DEG
     session_variance = (nu * session + max(float(apart.sum()) - (S - 1) * scatter, 0.0)) / (nu + S - 1)
     shown = (within, len(x) - N, block), (between, N - S, flight), (float(apart.sum()), S - 1, session + scatter)
     likelihood = sum(-0.5 * (n * math.log(s2) + (nu + n) * math.log1p(squares / (nu * s2))) for squares, n, s2 in shown)
-    sds = (max(math.sqrt(variance), TINY) for variance in (session_variance, flight_variance))
-    return Part(float(means.mean()), float(means.max()), *sds, max(beta, TINY), N, S, scores.judged_s / N), likelihood
+    a, e = (max(math.sqrt(variance), TINY) for variance in (session_variance, flight_variance))
+    return Part(float(means.mean()), float(means.max()), a, e, max(beta, TINY), N, S, scores.judged_s / N), likelihood
 
 
 def poisson_upper(events: int, confidence: float = 0.95) -> float:
