@@ -251,6 +251,7 @@ class Daemon:
         return round(self._host.utc().timestamp() * NS_PER_S)
 
     def _flush(self) -> None:
+        self._relay.flush()
         for file in self._files.values():
             file.flush()
 

@@ -42,6 +42,7 @@ class Relay:
     ) -> None:
         self._main, self._behind, self._recorder, self._upward = main, tuple(behind), recorder, upward
         self._begun = [b""] * len(self._behind)  # of a frame whose rest has not come from a byte stream
+        self._own: list[bytes] = []  # frames of our own that wait
 
     def pass_on(self, frames: Sequence[tuple[bytes, int]]) -> None:
         """Pass frames, each with its time of arrival [ns], to every link behind, and back what these bring."""
@@ -59,6 +60,12 @@ class Relay:
                     self._main.send(message)
 
     def send_to_all(self, frame: bytes) -> None:
-        """One frame of our own, to everybody."""
-        for endpoint in (self._main, *self._behind):
-            endpoint.send(frame)
+        """One frame of our own, to everybody, with the next `flush`."""
+        self._own.append(frame)
+
+    def flush(self) -> None:
+        """Send our own frames that wait."""
+        for message in packed(self._own):
+            for endpoint in (self._main, *self._behind):
+                endpoint.send(message)
+        self._own.clear()

@@ -198,8 +198,7 @@ class VehicleStream:
         if told := parameters_in(talk, self.profile.autopilot):
             merged = {**self.parameters, **told}
             self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
-        self.state, telemetry = self._decoder.step(self.state, frames)
-        return telemetry
+        return self._decoder.step(self.state, frames)
 
     def _choose_imu(self, frames: Frames) -> None:
         self._imu = np.concatenate((self._imu, frames.of(*IMU_MESSAGES, compid=AUTOPILOT).rows))[-CLEAR_FRAMES:]

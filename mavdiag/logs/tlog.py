@@ -213,8 +213,7 @@ def _converted(path: Path, pieces: list[_Piece], sysid: int, decoder: SampleDeco
             rows[_KEPT] = kept
             forget(kept)
             own = Frames(data, rows).by_sysid()
-            state, telemetry = decoder.step(state, own.get(sysid, NO_FRAMES))
-            yield telemetry
+            yield decoder.step(state, own.get(sysid, NO_FRAMES))
 
 
 def _names(sysids: Iterable[int]) -> str:
