@@ -14,7 +14,7 @@ TIMESYNC (https://mavlink.io/en/services/timesync.html) is answered and asked; w
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any, TypeAlias
 
@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from mavdiag.jit import jit
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MessageId
-from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 # Choices, not measurements, but for the drift of quartz.

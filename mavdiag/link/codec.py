@@ -58,14 +58,18 @@ class Frame(NamedTuple):
         """The values, flat, in the order of the wire; an array takes one place per element (see `field_index`)."""
         return _LAYOUTS[self.msgid].packer.unpack(self.payload)
 
+    def value(self, name: str) -> Any:
+        """One field. Raises UsageError if the message has no such field."""
+        return self.fields[field_index(self.msgid, name)]
+
     def numbers(self, *names: str) -> tuple[int, ...]:
-        """Some fields as whole numbers. Raises UsageError if the message has no such field, TypeError for a text."""
+        """Some fields as whole numbers. Raises as `value`, and TypeError for a text."""
         fields = self.fields
         return tuple(int(fields[field_index(self.msgid, name)]) for name in names)
 
     def text(self, name: str) -> str:
-        """A field of text, up to its end; what is not UTF-8 is replaced. Empty for a number. Raises as `numbers`."""
-        value = self.fields[field_index(self.msgid, name)]
+        """A field of text, up to its end; what is not UTF-8 is replaced. Empty for a number. Raises as `value`."""
+        value = self.value(name)
         return value.partition(b"\0")[0].decode(errors="replace") if isinstance(value, bytes) else ""
 
 
@@ -216,8 +220,8 @@ def frames_joined(pieces: Sequence[Frames]) -> Frames:
     """All of these frames as one, in this order."""
     if len(pieces) < 2:
         return pieces[0] if pieces else NO_FRAMES
-    rows = np.frombuffer(bytearray().join(piece.rows for piece in pieces), FRAME)  # numpy is slow to join records
-    data, sizes = b"".join(piece.data for piece in pieces), [len(piece.data) for piece in pieces]
+    rows = np.frombuffer(bytearray().join(piece.rows.data for piece in pieces), FRAME)  # numpy is slow to join records
+    data, sizes = b"".join(piece.data.data for piece in pieces), [len(piece.data) for piece in pieces]
     shifts = np.repeat(np.cumsum([0, *sizes[:-1]], dtype=np.int32), [len(piece) for piece in pieces])
     rows["body"] += shifts
     rows["stop"] += shifts

@@ -175,9 +175,7 @@ class SampleDecoder:
         parts = np.array([_laid(profile, row.message, part) for row in read for part in row.parts], _PART)
         self._table = lookup, rows, parts, _WIDTHS
 
-    def step(
-        self, state: SampleState, frames: Sequence[Frame] | Frames, given_ns: IntArray = _NO_TIMES
-    ) -> Telemetry:
+    def step(self, state: SampleState, frames: Sequence[Frame] | Frames, given_ns: IntArray = _NO_TIMES) -> Telemetry:
         """Take the next frames of one vehicle, in order of arrival, and bring its state on, in place.
 
         given_ns: (n,) their vehicle times, if known.

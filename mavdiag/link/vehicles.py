@@ -6,7 +6,6 @@ lets a vehicle enter only with two like heartbeats and running numbers that are 
 """
 
 import math
-import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import repeat
@@ -24,9 +23,10 @@ from mavdiag.link.codec import (
     field_index,
     frames_joined,
     frames_of,
-    layout_of,
 )
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
+from mavdiag.link.parameters import ASKING as PARAMETERS_ASKED
+from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import (
     IMU_MESSAGES,
     LAST_RESORT,
@@ -61,7 +61,7 @@ MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up on
 #: Messages that carry a command.
 COMMANDS = frozenset({MessageId.COMMAND_LONG, MessageId.COMMAND_INT})
 #: ... and all that ask something of a component.
-ASKING = COMMANDS | {MessageId.PARAM_REQUEST_READ, MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_SET}
+ASKING = COMMANDS | PARAMETERS_ASKED
 #: Messages that tell where a pilot's sticks are, with the fields of four of them.
 STICKS: Mapping[int, tuple[str, ...]] = {
     MessageId.MANUAL_CONTROL: ("x", "y", "z", "r"),
@@ -74,8 +74,6 @@ _TALK = ASKING | STICKS.keys() | _ANSWERS | {MessageId.HEARTBEAT}
 _TALKS = np.isin(MSGIDS, list(_TALK))  # by row of a message
 
 _UID2 = field_index(MessageId.AUTOPILOT_VERSION, "uid2")
-_PARAM_VALUE, _PARAM_TYPE = (layout_of(MessageId.PARAM_VALUE).offset(name)[0] for name in ("param_value", "param_type"))
-_INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE, in the bytes of the float
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,25 +133,7 @@ def command_in(frame: Frame) -> Command | None:
     """The command in a frame; None for a frame without one."""
     if frame.msgid not in COMMANDS:
         return None
-    number, first = (frame.fields[field_index(frame.msgid, name)] for name in ("command", "param1"))
-    return Command(int(number), frame.sysid, frame.compid, float(first))
-
-
-def parameters_in(frames: Iterable[Frame], autopilot: int) -> dict[str, float]:
-    """The latest value of each parameter in the frames of one vehicle's autopilot (MAV_AUTOPILOT), by name.
-
-    PARAM_VALUE carries every value in a float field. PX4 puts the bytes of an integer there; all others cast the
-    integer to a float (MAVLink parameter protocol, "parameter encoding"). Values that are not finite are left out.
-    """
-    found: dict[str, float] = {}
-    for frame in frames:
-        if frame.msgid == MessageId.PARAM_VALUE and frame.compid == AUTOPILOT:
-            name, kind = frame.text("param_id"), frame.payload[_PARAM_TYPE]
-            form = _INTEGERS.get(kind, "<f") if autopilot == Autopilot.PX4 else "<f"
-            (value,) = struct.unpack_from(form, frame.payload, _PARAM_VALUE)
-            if name and math.isfinite(value):
-                found[name] = float(value)
-    return found
+    return Command(frame.value("command"), frame.sysid, frame.compid, frame.value("param1"))
 
 
 def uid_in(frames: Iterable[Frame]) -> str:

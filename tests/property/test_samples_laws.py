@@ -78,9 +78,8 @@ def test_b9_how_two_paths_are_cut_does_not_matter(seed: int, size: int) -> None:
     frames, converter = two_paths(seed), SampleDecoder(PROFILES["qdrone2"])
     whole_state = SampleState()
     whole = converter.step(whole_state, frames)
-    state, pieces = SampleState(), []
-    for k in range(0, len(frames), size):
-        pieces.append(converter.step(state, frames[k : k + size]))
+    state = SampleState()
+    pieces = [converter.step(state, frames[k : k + size]) for k in range(0, len(frames), size)]
     assert held(state) == held(whole_state)
     assert same(joined(pieces), whole)
 

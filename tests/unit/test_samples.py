@@ -167,9 +167,8 @@ def test_b7_outputs_lie_on_the_time_of_the_imu_after_80_minutes() -> None:
         frames.append(vehicle.frame(MessageId.SERVO_OUTPUT_RAW, 1000 * ms % (1 << 32), 0, 1500 + k))
         frames.append(vehicle.frame(MessageId.RAW_IMU, 1000 * ms, 1, 2, 3))
     for size in (1, 2, 7, 100):
-        decoder, state, pieces = SampleDecoder(PROFILES["qdrone2"]), SampleState(), []
-        for k in range(0, len(frames), size):
-            pieces.append(decoder.step(state, frames[k : k + size]))
+        decoder, state = SampleDecoder(PROFILES["qdrone2"]), SampleState()
+        pieces = [decoder.step(state, frames[k : k + size]) for k in range(0, len(frames), size)]
         imu, outputs = (joined(pieces).need(signal) for signal in (Signal.BODY_RATE, Signal.ACTUATOR))
         assert outputs.t_ns.tolist() == imu.t_ns[1:].tolist()  # the first came before any time was known
         np.testing.assert_allclose(outputs.values[:, 0], 0.5 + 1e-3 * np.arange(1, 50))

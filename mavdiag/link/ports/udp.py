@@ -68,9 +68,11 @@ class _Mailbag:
         if count < 0:
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
         sizes, data = self._headers["size"][:count].tolist(), self._data.data.cast("B")
-        names = self._names[:count].tobytes()
         pieces = [bytes(data[at : at + size]) for at, size in zip(range(0, count * _ROOM, _ROOM), sizes, strict=True)]
-        return pieces, [_peer(names[at : at + _NAME_BYTES]) for at in range(0, len(names), _NAME_BYTES)]
+        names = self._names[:count]
+        if (names == names[:1]).all():  # as on most links
+            return pieces, [_peer(name.tobytes()) for name in names[:1]] * count
+        return pieces, [_peer(name.tobytes()) for name in names]
 
 
 @lru_cache(maxsize=1024)
