@@ -108,7 +108,9 @@ def acks_in(frames: Iterable[Frame]) -> tuple[Ack, ...]:
 def mode_in(frames: Iterable[Frame]) -> int | None:
     """The custom_mode of the autopilot's latest heartbeat; None without one, or if it has none."""
     beats = [frame for frame in frames if frame.msgid == MessageId.HEARTBEAT and frame.compid == AUTOPILOT]
-    base, custom = beats[-1].numbers("base_mode", "custom_mode") if beats else (0, 0)
+    if not beats:
+        return None
+    base, custom = beats[-1].numbers("base_mode", "custom_mode")
     return custom if base & ModeFlag.CUSTOM_MODE_ENABLED else None
 
 
