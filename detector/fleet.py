@@ -37,6 +37,7 @@ TURNS_HZ = 334  # of all vehicles together; where there are more looks than that
 LOOKS_MOST = 3  # that a turn brings: the verdict on the first of them comes 0.2 s later (our choice)
 SHORTEST, NEAR = 0.2, 1.5  # of a tick: the shortest one, and how far data may be off that are waited for (our choice)
 SPARE_NS = NS_PER_MS  # a turn comes so much after the data that it waits for ought to have come (our choice)
+VAIN_NS = 25 * NS_PER_MS  # ... and where it came in vain twice: a stream does not keep its time (our choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +57,7 @@ class Vehicle:
         self.session, self.turn = Session(spec, now), now  # turn: when it had its last one
         self.due_ns = now.ns  # when it has the next one, if there is time
         self.judged_ns: int | None = None  # the vehicle's time up to which was judged
+        self.vain = 0  # turns in a row that the data ought to have come for, and had not
         self.first_ns: int | None = None  # when the first gyro sample came that was not judged then (host)
         self.outcome: Baseline | LearningFailed | None = None  # of its last `Learn`, until the session gets it
         self.sticks: dict[int, tuple[int, ...]] = {}  # told by ground stations behind, until the session gets them
@@ -72,8 +74,10 @@ class Vehicle:
             self.first_ns = int(gyro.host_ns[0]) if gyro is not None and len(gyro) else None
         if judge is None or self.session.state is not State.MONITORING:
             return None
-        self.due_ns += (looks - 1) * LOOK_NS + judge.chain.missing_ns(judge.memory) + SPARE_NS
-        if judge.memory.now_ns != self.judged_ns:
+        missing_ns, fresh = judge.chain.missing_ns(judge.memory), judge.memory.now_ns != self.judged_ns
+        self.vain = 0 if fresh or missing_ns else self.vain + 1
+        self.due_ns += (looks - 1) * LOOK_NS + missing_ns + (VAIN_NS if self.vain > 1 else SPARE_NS)
+        if fresh:
             latency_s = None if self.first_ns is None else (now_ns - self.first_ns) / NS_PER_S
             self.first_ns = None
         self.judged_ns = judge.memory.now_ns

@@ -291,13 +291,10 @@ class LinkDecoder:
         """Where a vehicle's autopilot, or another sender, is heard from; None on a link with one other end."""
         return self.decoder.heard.source(sysid << 8 | compid)
 
-    def intruder(self, sysid: int) -> Intruder | None:
-        """Who else sends as a vehicle's autopilot; None if nobody does."""
-        return self.decoder.heard.intruder(sysid << 8 | AUTOPILOT)
-
-    def impostor(self, sysid: int) -> Intruder | None:
-        """Who sends in our name as a vehicle's on-board computer; None if nobody does."""
-        return self.decoder.heard.impostors.get(sysid << 8 | Component.ONBOARD_COMPUTER)
+    def strangers(self, sysid: int) -> tuple[Intruder | None, Intruder | None]:
+        """Who else sends as a vehicle's autopilot, and who in our name as its on-board computer; None for nobody."""
+        heard, ours = self.decoder.heard, sysid << 8 | Component.ONBOARD_COMPUTER
+        return heard.intruder(sysid << 8 | AUTOPILOT), heard.impostors.get(ours)
 
     def give_up(self, sysid: int) -> None:
         """Let others be a vehicle's on-board computer."""
