@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavdiag.jit import allocating, jit
+from mavdiag.jit import jit
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.dynamics import rotate_to_world
 
@@ -42,18 +42,25 @@ class MocapState(NamedTuple):
     seen: FloatArray  # (m, 3) markers of the latest frame
     visible: IntArray  # (m,) 1 or 0
     fit: FloatArray  # (13,) state row fitted to them, rates zero
+    work: FloatArray  # (9, 4) scratch of `fit_pose`
 
 
-@allocating
-def fit_pose(model: FloatArray, seen: FloatArray, visible: IntArray, fit: FloatArray) -> bool:
+@jit
+def fit_pose(model: FloatArray, seen: FloatArray, visible: IntArray, fit: FloatArray, work: FloatArray) -> bool:
     """Fit position and attitude to the visible markers (T Eq 2.21). False, and nothing written, below three.
 
     model, seen: (m, 3) in body and world axes. fit: (13,) a state row; position of the model's origin and q_NB are set.
+    work: (9, 4) scratch.
     """
-    count = visible.sum()
+    count = 0
+    for i in range(len(model)):
+        count += visible[i]
     if count < 3:
         return False
-    p_mean, q_mean, S = np.zeros(3), np.zeros(3), np.zeros((3, 3))
+    p_mean, q_mean, S, K = work[0], work[1], work[2:5], work[5:]  # K: Horn's, which q_NB maximises as q^T K q
+    for row in range(5):
+        for a in range(3):
+            work[row, a] = 0.0
     for i in range(len(model)):
         for a in range(3):
             p_mean[a] += visible[i] * model[i, a] / count
@@ -65,7 +72,6 @@ def fit_pose(model: FloatArray, seen: FloatArray, visible: IntArray, fit: FloatA
             bound += 0.5 * (p_a * p_a + q_a * q_a)
             for b in range(3):
                 S[a, b] += p_a * (seen[i, b] - q_mean[b])
-    K = np.zeros((4, 4))  # Horn's: the quaternion that maximises q^T K q is the best rotation
     K[0, 0] = S[0, 0] + S[1, 1] + S[2, 2]
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
@@ -98,14 +104,14 @@ def _leading_eigenvector(K: FloatArray, bound: float, q: FloatArray) -> None:
             break
     for a in range(4):
         K[a, a] -= top
-    best = -1.0
-    for column in range(4):  # every column of the adjugate is the eigenvector; take the longest
-        w, x, y, z = _cofactor(K, 0, column), _cofactor(K, 1, column), _cofactor(K, 2, column), _cofactor(K, 3, column)
-        length = np.sqrt(w * w + x * x + y * y + z * z)
-        if length > best:
-            best = length
-            sign = 1.0 if w >= 0.0 else -1.0
-            q[0], q[1], q[2], q[3] = sign * w / length, sign * x / length, sign * y / length, sign * z / length
+    column, largest = 0, -1.0
+    for k in range(4):  # the adjugate is a multiple of q q^T: its longest column has the largest number on the diagonal
+        size = abs(_cofactor(K, k, k))
+        if size > largest:
+            column, largest = k, size
+    w, x, y, z = _cofactor(K, 0, column), _cofactor(K, 1, column), _cofactor(K, 2, column), _cofactor(K, 3, column)
+    length, sign = math.sqrt(w * w + x * x + y * y + z * z), 1.0 if w >= 0.0 else -1.0
+    q[0], q[1], q[2], q[3] = sign * w / length, sign * x / length, sign * y / length, sign * z / length
 
 
 @jit
@@ -135,7 +141,7 @@ def observe(
         for a in range(3):
             state.seen[i, a] = x[a] + place[a] + mocap.noise * normals[frame, i, a]
         state.visible[i] = 1 if uniforms[frame, i] >= mocap.occlusion else 0
-    if fit_pose(mocap.markers, state.seen, state.visible, state.fit):
+    if fit_pose(mocap.markers, state.seen, state.visible, state.fit, state.work):
         slot = state.queue[(step + mocap.latency) % (mocap.latency + 1)]
         w, x_q, y_q, z_q = state.fit[6], state.fit[7], state.fit[8], state.fit[9]
         yaw = math.atan2(2.0 * (w * z_q + x_q * y_q), 1.0 - 2.0 * (y_q * y_q + z_q * z_q))

@@ -226,7 +226,7 @@ def test_fit_is_the_least_squares_fit_of_scipy(seed: int, noise_m: float) -> Non
     if seed % 2:
         visible[rng.integers(len(visible))] = 0
     fit = np.zeros(RIGID)
-    assert fit_pose(MARKERS, seen, visible, fit)
+    assert fit_pose(MARKERS, seen, visible, fit, np.zeros((9, 4)))
     kept = visible.astype(bool)
     R, t = scipy_fit(MARKERS[kept], seen[kept])
     np.testing.assert_allclose(as_matrix(fit[6:10]), R, atol=1e-7)
