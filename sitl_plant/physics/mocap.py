@@ -78,7 +78,16 @@ def fit_pose(model: FloatArray, seen: FloatArray, visible: IntArray, fit: FloatA
         K[0, a + 1] = K[a + 1, 0] = S[b, c] - S[c, b]
         K[a + 1, a + 1] = S[a, a] - S[b, b] - S[c, c]
         K[b + 1, c + 1] = K[c + 1, b + 1] = S[b, c] + S[c, b]
-    _leading_eigenvector(K, bound, fit[6:10])
+    squares = 0.0
+    for a in range(3):
+        for b in range(3):
+            squares += S[a, b] * S[a, b]
+    det = (
+        S[0, 0] * (S[1, 1] * S[2, 2] - S[1, 2] * S[2, 1])
+        - S[0, 1] * (S[1, 0] * S[2, 2] - S[1, 2] * S[2, 0])
+        + S[0, 2] * (S[1, 0] * S[2, 1] - S[1, 1] * S[2, 0])
+    )
+    _leading_eigenvector(K, -2.0 * squares, -8.0 * det, bound, fit[6:10])
     turned = rotate_to_world(fit, p_mean[0], p_mean[1], p_mean[2])
     for a in range(3):
         fit[a] = q_mean[a] - turned[a]
@@ -86,16 +95,11 @@ def fit_pose(model: FloatArray, seen: FloatArray, visible: IntArray, fit: FloatA
 
 
 @jit
-def _leading_eigenvector(K: FloatArray, bound: float, q: FloatArray) -> None:
-    # Characteristic polynomial L^4 + c2 L^2 + c1 L + c0, by traces of powers and the determinant.
-    trace2 = trace3 = c0 = 0.0
+def _leading_eigenvector(K: FloatArray, c2: float, c1: float, bound: float, q: FloatArray) -> None:
+    # of the characteristic polynomial L^4 + c2 L^2 + c1 L + det K, from above
+    c0 = 0.0
     for a in range(4):
         c0 += K[0, a] * _cofactor(K, 0, a)
-        for b in range(4):
-            trace2 += K[a, b] * K[a, b]
-            for c in range(4):
-                trace3 += K[a, b] * K[b, c] * K[c, a]
-    c2, c1 = -0.5 * trace2, -trace3 / 3.0
     top = bound
     for _ in range(NEWTON_STEPS):
         step = (((top * top + c2) * top + c1) * top + c0) / ((4.0 * top * top + 2.0 * c2) * top + c1)

@@ -53,6 +53,7 @@ class RotorState(NamedTuple):
 
     speed: FloatArray
     azimuth: FloatArray
+    turn: FloatArray  # (n, 2) its cosine and sine
     noise: FloatArray
     fluctuation: FloatArray
     thrust: FloatArray
@@ -117,7 +118,7 @@ def advance_rotors(
             condition.thrust_lag[i],
             state.thrust[i],
         )
-        excess = state.speed[i] - wanted
+        excess, cosine, sine = state.speed[i] - wanted, state.turn[i, 0], state.turn[i, 1]
         noise = 1.0 + rotors.noise_rms * state.noise[i]
         gain = condition.thrust_gain[i] * (1.0 + condition.fluctuation_rms[i] * state.fluctuation[i])
         for stage in range(STAGES):
@@ -125,17 +126,19 @@ def advance_rotors(
             speed = wanted + excess * decay
             # theta = theta_0 + integral of w, with w = w_cmd + excess exp(-t / lag)
             theta = azimuth + wanted * (0.5 * stage * dt) + excess * lag * (1.0 - decay)
-            squared, cosine, sine = speed * speed, math.cos(theta), sign * math.sin(theta)
-            lift = coefficient * speed * speed * noise
+            if stage:
+                cosine, sine = math.cos(theta), math.sin(theta)
+            squared, across = speed * speed, sign * sine
+            lift = coefficient * squared * noise
             thrust = lift * gain
             if slow > 0.0:
                 thrust += (before - thrust) * math.exp(-0.5 * stage * dt / slow)
-            f_x, f_y = (cosine * u_x - sine * u_y) * squared, (sine * u_x + cosine * u_y) * squared
+            f_x, f_y = (cosine * u_x - across * u_y) * squared, (across * u_x + cosine * u_y) * squared
             wrench[stage, 0] += f_x
             wrench[stage, 1] += f_y
             wrench[stage, 2] -= thrust
-            wrench[stage, 3] -= (y + sine * d_x + cosine * d_y) * thrust + z * f_y
-            wrench[stage, 4] += (x + cosine * d_x - sine * d_y) * thrust + z * f_x
+            wrench[stage, 3] -= (y + across * d_x + cosine * d_y) * thrust + z * f_y
+            wrench[stage, 4] += (x + cosine * d_x - across * d_y) * thrust + z * f_x
             wrench[stage, 5] += x * f_y - y * f_x - sign * lift * drag * rotors.torque_per_thrust
             wrench[stage, 6] += rotors.inertia * sign * speed
             wrench[stage, 7] -= rotors.inertia * sign * excess * decay / lag
@@ -144,3 +147,4 @@ def advance_rotors(
         elif not 0.0 <= theta < 2.0 * math.pi:
             theta %= 2.0 * math.pi
         state.speed[i], state.azimuth[i], state.thrust[i] = speed, theta, thrust
+        state.turn[i, 0], state.turn[i, 1] = cosine, sine

@@ -129,7 +129,8 @@ def make() -> tuple[Model, Condition]:
 
 def rest(speed: float = 0.0) -> RotorState:
     thrust = np.full(4, K_F * speed**2)
-    return RotorState(np.full(4, speed), np.zeros(4), np.zeros(4), np.zeros(4), thrust)
+    turn = np.tile([1.0, 0.0], (4, 1))
+    return RotorState(np.full(4, speed), np.zeros(4), turn, np.zeros(4), np.zeros(4), thrust)
 
 
 def step(state: RotorState, model: Model, condition: Condition, command: FloatArray, dt: float = STEP_S) -> FloatArray:
