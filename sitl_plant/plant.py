@@ -289,42 +289,18 @@ class Plant:
                 self._renew_condition()
             count = min(steps - done, self._changes_at - self._step)
             noise, part = self._streams.draw(self._step, count, self._model), slice(done, done + count)
-            conditions = self._rotors, self._sensors
-            fly(
-                self._step,
-                noise,
-                commands[part],
-                rows[part],
-                log[part],
-                self._model,
-                self._own,
-                *conditions,
-                self._state,
-            )
+            held = self._model, self._own, self._rotors, self._sensors, self._state
+            fly(self._step, noise, commands[part], rows[part], log[part], *held)
             self._step += count
             done += count
-        told = told_parts(rows, self.rotors)
-        imu, rigid, battery = told["imu"], told["rigid"], told["battery"]
-        return PlantSamples(
-            t_ns=(first + np.arange(steps, dtype=np.int64)) * STEP_NS,
-            setpoint=told["setpoint"],
-            rate_setpoint=told["rate"],
-            thrust_setpoint=told["wrench"][:, 0] / (self._model.controller.full_thrust * self.rotors),
-            gyro=imu[:, :3],
-            accel=imu[:, 3:],
-            attitude=told["estimate"],
-            duty=told["duty"],
-            battery_v=battery[:, 0],
-            charge_ah=battery[:, 1],
-            motors=told["motors"][:, 0].astype(np.int64),
-            quaternion=rigid[:, 6:10],
-            position=rigid[:, :3],
-            velocity=rigid[:, 3:6],
-            omega=rigid[:, 10:13],
-            rotor_speed=told["speed"],
-            esc_speed=log[:, known:] if self._own else told["speed"],
-            log=log[:, :known].view(LOG)[:, 0] if self._own else np.empty(steps, []),
-        )
+        t_ns, told = (first + np.arange(steps, dtype=np.int64)) * STEP_NS, told_parts(rows, self.rotors)
+        thrust = told["wrench"][:, 0] / (self._model.controller.full_thrust * self.rotors)
+        imu, rigid, speed, (battery_v, charge_ah) = told["imu"], told["rigid"], told["speed"], told["battery"].T
+        sensed = imu[:, :3], imu[:, 3:], told["estimate"], told["duty"], battery_v, charge_ah
+        truth = rigid[:, 6:10], rigid[:, :3], rigid[:, 3:6], rigid[:, 10:13], speed
+        own = (log[:, known:], log[:, :known].view(LOG)[:, 0]) if self._own else (speed, np.empty(steps, []))
+        motors = told["motors"][:, 0].astype(np.int64)
+        return PlantSamples(t_ns, told["setpoint"], told["rate"], thrust, *sensed, motors, *truth, *own)
 
     def _renew_condition(self) -> None:
         spans = [injection.span(STEP_S) for injection in self._injections]

@@ -17,7 +17,7 @@ from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder, field_index
 from mavdiag.link.messages import MessageId, ModeFlag
 from mavdiag.link.ports import Endpoint, open_endpoint
-from sitl_plant.fleet import fleet
+from sitl_plant.__main__ import fleet
 from sitl_plant.options import flight_plan
 
 
