@@ -117,19 +117,18 @@ def fleet(
     Until the duration is over, or until SIGINT or SIGTERM. Exit code 0, or 2 for an error.
     """
     plans = [_numbered(plan, number) for number in range(count)]
-    wanted = {one.dialect.sysid for one in plans} if faulty is None else _ids(faulty, plans)
+    wanted = {member.dialect.sysid for member in plans} if faulty is None else _ids(faulty, plans)
     if faulty is not None and plan.config.fault is None:
         raise UsageError("--faulty is about a fault; add --fault F2/SV2")
+    for number, member in enumerate(plans):
+        if member.dialect.sysid not in wanted:
+            plans[number] = replace(member, config=replace(member.config, fault=None))
     with working(STARTING):
         Plant(plan.config).advance(1)  # compiled once, for all processes
     context = multiprocessing.get_context("fork")  # which shares what was compiled
     ends = [open_endpoint(_address(out, number * port_each)) for number in range(count)]
     with commandline.stop_signals() as stop:
-        pairs = [
-            (one if one.dialect.sysid in wanted else replace(one, config=replace(one.config, fault=None)), end)
-            for one, end in zip(plans, ends, strict=True)
-        ]
-        flights = [context.Process(target=_fly, args=(*pair, stop)) for pair in pairs]
+        flights = [context.Process(target=_fly, args=(*pair, stop)) for pair in zip(plans, ends, strict=True)]
         for flight in flights:
             flight.start()
         typer.echo(f"{count} vehicles fly, {len(wanted) if plan.config.fault else 0} with a fault; they send to {out}")
