@@ -177,6 +177,8 @@ class Plant:
         self.config = config
         self.airframe = config.airframe or drone(config.vehicle, config.drone)
         self.rotors = rotors = len(self.airframe.vehicle.rotors)
+        places = told_parts(np.arange(TOLD + 2.0 * rotors), rotors)
+        self._columns = {name: slice(int(place[0]), int(place[-1]) + 1) for name, place in places.items()}
         gusts, wind = config.gusts(), _wind(config.wind_m_s, config.wind_towards_rad)
         turbulence = None if gusts is None else (gusts, config.wind_towards_rad)
         self._streams = Streams(config.seed, STEP_S, turbulence, config.outages_per_min)
@@ -293,7 +295,8 @@ class Plant:
             fly(self._step, noise, commands[part], rows[part], log[part], *held)
             self._step += count
             done += count
-        t_ns, told = (first + np.arange(steps, dtype=np.int64)) * STEP_NS, told_parts(rows, self.rotors)
+        t_ns = (first + np.arange(steps, dtype=np.int64)) * STEP_NS
+        told = {name: rows[:, columns] for name, columns in self._columns.items()}
         thrust = told["wrench"][:, 0] / (self._model.controller.full_thrust * self.rotors)
         imu, rigid, speed, (battery_v, charge_ah) = told["imu"], told["rigid"], told["speed"], told["battery"].T
         sensed = imu[:, :3], imu[:, 3:], told["estimate"], told["duty"], battery_v, charge_ah

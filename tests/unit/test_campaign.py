@@ -42,8 +42,8 @@ def test_every_cause_meets_every_rotor_and_scale_equally_often() -> None:
 
 def test_seeds_follow_from_what_is_flown() -> None:
     plan = make_plan(Design(flights=30, hours=0.1))
-    learning = dict.fromkeys(flight.learnt for flight in plan)
-    states = [tuple(words(0, task)) for task in (*learning, *plan)]
+    tasks: list[FlightTask | LearnTask] = [*dict.fromkeys(flight.learnt for flight in plan), *plan]
+    states = [tuple(words(0, task)) for task in tasks]
     assert len(set(states)) == len(states)
     flight = plan[0]
     assert words(0, flight) == words(0, replace(flight, phenomenology=0.25, loss=0.1))
