@@ -58,7 +58,8 @@ class HeldLog:
 
     def open(self, signal: Signal) -> Telemetry:
         """One signal, whole."""
-        return joined(Telemetry(tuple(one for one in piece if one.signal is signal)) for piece in self.pieces())
+        pieces = (Telemetry(tuple(one for one in piece if one.signal is signal)) for piece in self.pieces())
+        return next(pieces) if len(self.parts) == 1 else joined(pieces)
 
     def without(self, from_s: float | None, to_s: float | None, shelf: Shelf) -> "HeldLog":
         """The log without what lies between two times [s of the vehicle's clock]; None for its start or its end."""
