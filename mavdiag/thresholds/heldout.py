@@ -17,9 +17,7 @@ from mavdiag.rows.rates import RateBlock
 from mavdiag.telemetry import Axis, FloatArray, IntArray
 
 BLOCK_S = 10.0  # judged time of a block (our choice); 7 to 13 s change no verdict on the recorded flights
-# Up to ALONE flights (sessions) are left out one by one; of more, a FOLDS-th at a time, so that each fit sees eight and
-# more of them (our choices: five or ten folds are usual, Hastie et al., Elements of Statistical Learning 2e, 7.10.1).
-ALONE, FOLDS = 10, 5
+MAX_FOLDS = 10  # models that share the work of judging flights they did not see (our choice)
 PIECES = 5  # of a single flight, one per block at most (our choice)
 
 Flights: TypeAlias = Sequence[Sequence[Rows]]
@@ -126,7 +124,7 @@ def folds(
         return
     groups = list(range(len(flights))) if sessions is None or len(set(sessions)) < 2 else list(sessions)
     order = {group: number for number, group in enumerate(dict.fromkeys(groups))}
-    count = len(order) if len(order) <= ALONE else FOLDS
+    count = min(MAX_FOLDS, len(order))
     for fold in range(count):
         parts: tuple[list[Sequence[Rows]], list[Sequence[Rows]]] = [], []
         for flight, group in zip(flights, groups, strict=True):
