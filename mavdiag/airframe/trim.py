@@ -19,10 +19,13 @@ from mavdiag.errors import InputError
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
+from mavdiag.units import G
 
 YAW_FLOOR = 0.002  # of the hover command: smallest yaw spread that is believed (our choice)
 LEVEL_RATIO = 3.0  # least spread of roll and pitch over yaw's: payload and wind move them; METHOD 5 has .07 to .012
 TILT_TRIM = 0.3  # 1/rad: roll and pitch trim that a steady tilt in wind may bring (estimate; emulated: 0.28)
+ALONG_DISCS = slice(0, 2)  # x and y of the accelerometer
+FELT_SHARE = 0.99  # of the rows that must have them (our choice)
 MOST_LOSS = 1 / 3  # of a rotor's thrust; with less left no output can answer (our choice)
 MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)
 
@@ -94,16 +97,24 @@ def shown_trim(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray
     return (trim, known) if known.any() else trim_of(block, layout, "torque")
 
 
-def tilt_of(block: Block) -> FloatArray:
-    """Commanded roll and pitch of each row, (n, 2) [rad]; zero where unknown."""
+def feels_pull(flight: Sequence[Rows]) -> bool:
+    """Whether the accelerometer is known along the discs in nearly all rows that may be used."""
+    felt = [rows.block.known(Signal.SPECIFIC_FORCE, ALONG_DISCS)[rows.block.valid] for rows in flight]
+    return float(np.mean(np.concatenate([np.zeros(1), *felt]))) > FELT_SHARE
+
+
+def pull_of(block: Block, felt: bool) -> FloatArray:
+    """What pulls along the discs, as roll and pitch, (n, 2) [9.81 m/s^2]: felt, or the commanded lean, 0 if unknown."""
+    if felt:
+        return np.asarray(block.force[:, 1::-1] / (-G, G), dtype=np.float64)
     return np.where(block.setpoint_valid[:, None], block.setpoint[:, :2], 0.0)
 
 
-def spread_of(shifts: FloatArray) -> Three:
-    """Root mean squares of healthy shifts, (n, 3); yaw's is widened, the others' are at least three times it."""
+def spread_of(shifts: FloatArray, ratio: float = LEVEL_RATIO) -> Three:
+    """Root mean squares of healthy shifts, (n, 3); yaw's is widened, the others' are at least so many times it."""
     roll, pitch, yaw = np.sqrt(np.mean(np.square(shifts), axis=0)).tolist()
     yaw = float(np.hypot(yaw, YAW_FLOOR))
-    return max(roll, LEVEL_RATIO * yaw), max(pitch, LEVEL_RATIO * yaw), yaw
+    return max(roll, ratio * yaw), max(pitch, ratio * yaw), yaw
 
 
 def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray) -> FloatArray:
