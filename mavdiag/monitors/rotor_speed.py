@@ -52,8 +52,8 @@ FLOOR = 2e-4  # of the speed: least spread that is believed, a seventh of a step
 COLUMNS = 3  # of x
 # Places in the parameters: rotors, rows of a tick, row period, ticks of a window, spread, b, P; of each rotor s, a, x0.
 # And in the memory: rows of the tick, known ones, usable ticks in a row, ticks so far; sums of the tick: u of each
-# rotor in its first half and in its second, w, then the yaw rate; of the window's ticks each rotor's residual and its
-# own error.
+# rotor in its first half and in its second, w, then the yaw rate; of the window's ticks each rotor's residual, and how
+# far its x is from x0.
 ROTORS, ROWS, DT, WINDOW, SPREAD, LAWS, ERRORS, EACH = 0, 1, 2, 3, 4, 5, 8, 17
 OF_ROTOR = 5
 ROW, KNOWN, RUN, TICKS, SUMS = range(5)
@@ -141,45 +141,40 @@ def _middle(values: Floats) -> float:
 
 
 @jit
-def _judge(par: Floats, mem: Floats, tick: Floats, scratch: Floats, out: Floats, rotors: Floats, k: int) -> None:
-    """Put a tick into the window, and judge that."""
-    n, window, best = int(par[ROTORS]), int(par[WINDOW]), 0.0
-    ring, place = SUMS + 3 * n + 1, int(mem[TICKS]) % int(par[WINDOW])
-    for j in range(n):
-        own, of, error = EACH + OF_ROTOR * j + 1, ring + 2 * window * j, 0.0
-        rest = tick[4 * j] - par[own]
-        for p in range(COLUMNS):
-            away = tick[4 * j + 1 + p] - par[own + 1 + p]
-            rest -= par[LAWS + p] * away
-            for q in range(COLUMNS):
-                error += away * par[ERRORS + COLUMNS * p + q] * (tick[4 * j + 1 + q] - par[own + 1 + q])
-        mem[of + place], mem[of + window + place], mean = rest, error, 0.0
-        for i in range(window):
-            scratch[i] = mem[of + i]
-            mean += mem[of + window + i] / window
-        share = par[SPREAD] / math.sqrt(par[SPREAD] ** 2 + max(mean, 0.0))
-        found = _middle(scratch) * share * n / (n - 1.0)
-        rotors[k, j] = abs(found)
-        best = found if abs(found) > abs(best) else best
-    out[col.VALUE, k], out[col.LEVEL, k] = abs(best), best
-
-
-@jit
 def _take_tick(
     par: Floats, mem: Floats, tick: Floats, covered: bool, scratch: Floats, out: Floats, rotors: Floats, k: int
 ) -> None:
-    """Judge a tick, which counts in a window of usable ones."""
-    _judge(par, mem, tick, scratch, out, rotors, k)
+    """Put a tick into the window, where usable ones in a row count, and judge that."""
+    n, window, best = int(par[ROTORS]), int(par[WINDOW]), 0.0
+    place, rests, away = int(mem[TICKS]) % window, scratch[:window], scratch[window:]
+    for j in range(n):
+        own, of, error = EACH + OF_ROTOR * j + 1, SUMS + 3 * n + 1 + (1 + COLUMNS) * window * j, 0.0
+        mem[of + place] = tick[4 * j] - par[own]
+        for p in range(COLUMNS):
+            to, away[p] = of + (1 + p) * window, 0.0
+            mem[to + place] = tick[4 * j + 1 + p] - par[own + 1 + p]
+            mem[of + place] -= par[LAWS + p] * mem[to + place]
+            for i in range(window):
+                away[p] += mem[to + i] / window
+        for p in range(COLUMNS):
+            for q in range(COLUMNS):
+                error += away[p] * par[ERRORS + COLUMNS * p + q] * away[q]
+        for i in range(window):
+            rests[i] = mem[of + i]
+        found = _middle(rests) * par[SPREAD] / math.sqrt(par[SPREAD] ** 2 + max(error, 0.0)) * n / (n - 1.0)
+        rotors[k, j] = abs(found)
+        best = found if abs(found) > abs(best) else best
+    out[col.VALUE, k], out[col.LEVEL, k] = abs(best), best
     mem[TICKS] += 1.0
-    mem[RUN] = mem[RUN] + 1.0 if covered and tick[4 * int(par[ROTORS]) + 1] > 0.5 else 0.0
-    out[col.SOUND, k] = mem[RUN] >= par[WINDOW]
+    mem[RUN] = mem[RUN] + 1.0 if covered and tick[4 * n + 1] > 0.5 else 0.0
+    out[col.SOUND, k] = mem[RUN] >= window
 
 
 @cached
 def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The rotor that is farthest from its speed at the end of each tick."""
     n, k = int(par[ROTORS]), 0
-    tick, scratch = np.zeros(4 * n + TOLD), np.empty(int(par[WINDOW]))
+    tick, scratch = np.zeros(4 * n + TOLD), np.empty(int(par[WINDOW]) + COLUMNS)
     for i in range(first, x.shape[1]):
         if not _take_row(par, mem, x, i):
             continue
@@ -200,7 +195,11 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
 def _again(par: Floats, mem: Floats, ticks: Floats) -> Floats:
     """Distances of all rotors in the full windows of ticks that `run` has traced, (k, n)."""
     n, found = int(par[ROTORS]), 0
-    scratch, out, rotors = np.empty(int(par[WINDOW])), np.empty((col.LEVEL + 1, 1)), np.empty((len(ticks) + 1, n))
+    scratch, out, rotors = (
+        np.empty(int(par[WINDOW]) + COLUMNS),
+        np.empty((col.LEVEL + 1, 1)),
+        np.empty((len(ticks) + 1, n)),
+    )
     for tick in ticks:
         if tick[4 * n + 2] == 0.0:  # a segment begins
             mem[RUN] = 0.0
@@ -309,7 +308,7 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         spec, n, window = self.spec, self.rotors, _window(dt_s, self.spec.window_s)
         head = [n, _tick(dt_s), dt_s, window, spec.spread, *spec.law, *np.ravel(spec.errors)]
         each = np.column_stack((spec.layout.mixing[:, 2], spec.mean, np.array(spec.about)))
-        return Begin(np.array([*head, *each.ravel()]), np.zeros(SUMS + 3 * n + 1 + 2 * window * n))
+        return Begin(np.array([*head, *each.ravel()]), np.zeros(SUMS + 3 * n + 1 + (1 + COLUMNS) * window * n))
 
 
 def _tick(dt_s: float) -> int:
