@@ -69,26 +69,22 @@ def source_among(shown: Sequence[BoolArray], layout: RotorLayout) -> Source:
 
 def trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
     """Roll, pitch and yaw trim of each row, (n, 3) [fraction of hover], and where it may be used; zero elsewhere."""
-    return block.once((source, layout), lambda: (_by_outputs if source == "actuator" else _by_torques)(block, layout))
+    return block.once((source, layout), lambda: _trim(block, layout, source))
 
 
-def _by_outputs(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray]:
-    outputs = block.actuator[:, : layout.rotors]  # further outputs move no rotor, and may be unknown
-    if outputs.shape[1] < layout.rotors:
-        return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
-    level = np.add.reduce(outputs, axis=1) / layout.rotors
-    known = block.valid & block.known(Signal.ACTUATOR, slice(0, layout.rotors)) & (level > MIN_OUTPUT)
-    relative = np.divide(outputs, level[:, None], out=np.ones(outputs.shape), where=known[:, None])
-    return np.einsum("kr,nr->nk", layout.unmixing, relative - 1.0), known
-
-
-def _by_torques(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray]:
-    """B m = w is what the mixer adds to the thrust, so m is the command itself, over the thrust."""
-    if layout.torque_gain is None:
-        return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
-    known = block.valid & block.known(Signal.TORQUE_COMMAND) & (block.thrust > MIN_OUTPUT)
-    command = block.torque * np.array(layout.torque_gain)
-    return np.divide(command, block.thrust[:, None], out=np.zeros((len(block), 3)), where=known[:, None]), known
+def _trim(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
+    own, C, trim = slice(0, layout.rotors), layout.unmixing, np.zeros((len(block), 3))
+    if source == "actuator" and block.actuator.shape[1] >= layout.rotors:
+        outputs, known = block.actuator[:, own], block.known(Signal.ACTUATOR, own)  # others move no rotor
+        level = np.add.reduce(outputs, axis=1) / layout.rotors
+        command = np.einsum("kr,nr->nk", C, outputs - level[:, None])
+    elif source == "torque" and layout.torque_gain is not None:  # what the mixer adds to the thrust is B m
+        level, known = block.thrust, block.known(Signal.TORQUE_COMMAND)
+        command = block.torque * np.array(layout.torque_gain)
+    else:
+        return trim, np.zeros(len(block), dtype=np.bool_)
+    known = known & block.valid & (level > MIN_OUTPUT)
+    return np.divide(command, level[:, None], out=trim, where=known[:, None]), known
 
 
 def shown_trim(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray]:
@@ -97,10 +93,10 @@ def shown_trim(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray
     return (trim, known) if known.any() else trim_of(block, layout, "torque")
 
 
-def feels_pull(flight: Sequence[Rows]) -> bool:
-    """Whether the accelerometer is known along the discs in nearly all rows that may be used."""
+def felt_share(flight: Sequence[Rows]) -> float:
+    """The share of the valid rows of a flight whose accelerometer is known along the discs."""
     felt = [rows.block.known(Signal.SPECIFIC_FORCE, ALONG_DISCS)[rows.block.valid] for rows in flight]
-    return float(np.mean(np.concatenate([np.zeros(1), *felt]))) > FELT_SHARE
+    return float(np.concatenate(felt).mean()) if any(map(len, felt)) else 0.0
 
 
 def pull_of(block: Block, felt: bool) -> FloatArray:

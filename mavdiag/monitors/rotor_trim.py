@@ -322,7 +322,7 @@ class TrimMonitor(Monitor[Spec]):
         """What pull and turns take, mean over flights of their mean trims, and the spread about it."""
         layout, dt_s, before = context.layout, context.dt_s, (trims.YAW_FLOOR, trims.YAW_FLOOR, trims.YAW_FLOOR)
         source = trims.source_among(of_each(flights, layout, lambda flight: trims.sources_of(flight, layout)), layout)
-        felt = all(of_each(flights, "pull is felt", trims.feels_pull))
+        felt = min(of_each(flights, "share of rows with x and y", trims.felt_share)) > trims.FELT_SHARE
         still = cls(cls.spec_type(layout=layout, source=source, felt=felt, spread=before))
         parts = of_each(flights, (layout, source, felt), still._parts_of)
         known = cls(_with_laws(still.spec, [still._walked(one, dt_s) for one in parts], dt_s))
