@@ -345,9 +345,10 @@ class TrimMonitor(Monitor[Spec]):
             parts, rest = list[FloatArray](), np.empty((0, 7))
             for block in (rows.block for rows in segment):
                 size, (trim, known) = _tick_shape(block.dt_s)[1], trims.trim_of(block, spec.layout, spec.source)
-                fresh = np.column_stack((trim, trims.pull_of(block, spec.felt), block.rate[:, 2], known))
-                fresh[:, 6] *= np.isfinite(fresh).all(axis=1)
-                each = np.concatenate((rest, np.nan_to_num(fresh)))
+                fresh = np.column_stack((trim, trims.pull_of(block, spec.felt), block.rate[:, 2]))
+                known = known & np.isfinite(fresh).all(axis=1)
+                fresh = np.column_stack((np.nan_to_num(fresh), known))
+                each = np.asarray(np.concatenate((rest, fresh)), dtype=np.float64)
                 n = len(each) // size
                 parts.append(each[: n * size].reshape(n, size, 7).mean(axis=1))
                 rest = each[n * size :]
