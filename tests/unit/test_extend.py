@@ -218,7 +218,7 @@ def test_the_command_refuses_in_one_line(mavdiag: Callable[..., Ran], tmp_path: 
     second.write_text('{"schema": "mavdiag.baseline/2"}')
     for arguments, says in (
         ((old, "f1.tlog"), "f1: is in the baseline already"),
-        ((second, "f10.tlog"), "schema: Input should be 'mavdiag.baseline/5'"),
+        ((second, "f10.tlog"), "schema: Input should be 'mavdiag.baseline/6'"),
         ((tmp_path / "absent.json", "f10.tlog"), "mavdiag identify"),
     ):
         code, out, err = mavdiag("baseline", "extend", *arguments, "-o", new)

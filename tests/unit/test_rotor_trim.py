@@ -11,6 +11,7 @@ from made_rows import example_context
 from made_thresholds import calibrated
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
+from mavdiag.airframe.trim import TILT_TRIM
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
@@ -18,6 +19,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, Signal, Three
 from mavdiag.testing import example_rows
+from mavdiag.units import G
 
 CALM = (0.03, 0.03, 0.01)
 
@@ -185,3 +187,25 @@ def test_sudden_turns_explain_themselves_whenever_a_tick_begins() -> None:
         found = read(spec, [late])
         assert found.valid[9:].all()
         assert found.value[found.valid].max() < 0.5 * RotorTrim.prior.least
+
+
+def in_wind(seed: int, law: tuple[float, float], felt: bool = True) -> Rows:
+    """A vehicle that air pulls at from changing sides, which takes k times the pull of roll and pitch trim."""
+    rng, n = np.random.default_rng(seed), 6000
+    pull = 0.1 * np.sin(np.outer(0.01 * np.arange(n), [0.4, 0.7]) + rng.uniform(0, 6, 2))
+    trim = np.column_stack((pull * law, np.zeros(n)))
+    outputs = 0.5 * (1 + trim @ layout_named("x").mixing.T) + rng.normal(0.0, 0.002, (n, 4))
+    force = np.column_stack((G * pull[:, 1], -G * pull[:, 0], np.full(n, -G))) + rng.normal(0.0, 0.3, (n, 3))
+    return example_rows(n, actuator=outputs, force=force if felt else None)
+
+
+def test_what_the_air_pulls_is_learnt_by_the_accelerometer_and_taken_off() -> None:
+    law = (0.5, -0.6)
+    spec = fit([[in_wind(seed, law)] for seed in range(2)], "x")
+    np.testing.assert_allclose(spec.pull, law, atol=3 * max(spec.pull_sd))
+    assert RotorTrim(spec).signals == {Signal.ACTUATOR, Signal.SPECIFIC_FORCE}
+    calm = read(spec, [in_wind(5, law)])
+    rough = read(replace(spec, pull=(0.0, 0.0)), [in_wind(5, law)])
+    assert calm.rotors[calm.valid].max() < 0.2 * rough.rotors[rough.valid].max()
+    blind = fit([[in_wind(1, law, felt=False)]], "x")
+    assert (blind.felt, blind.pull, blind.pull_sd) == (False, (0.0, 0.0), (TILT_TRIM, TILT_TRIM))

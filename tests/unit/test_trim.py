@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.airframe.trim import (
+    LEVEL_RATIO,
     TILT_TRIM,
     rises,
     source_among,
@@ -72,8 +73,8 @@ def test_the_compiled_rise_is_that_of_arrays(frame: str, shift: list[float]) -> 
     layout, both = layout_named(frame), np.array([shift])
     par = RotorTrim(RotorTrimSpec(layout=layout, source="actuator", spread=CALM)).begin(0.01).par
     wind = TILT_TRIM * math.hypot(*shift[3:])
-    spread = np.array([math.hypot(CALM[0], wind), math.hypot(CALM[1], wind), CALM[2]])
+    spread = np.array([*(math.hypot(max(sd, LEVEL_RATIO * CALM[2]), wind) for sd in CALM[:2]), CALM[2]])
     expected = rises(both[:, :3], layout, spread)[0]
     found = [rise(par, rotor, both[0], True) for rotor in range(layout.rotors)]
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
-    assert highest_rise(par, both[0], True) == max(found)
+    assert highest_rise(par, both[0]) == max(found)
