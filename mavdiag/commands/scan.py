@@ -30,7 +30,9 @@ from mavdiag.storage import check_output
 
 
 def scan(
-    logs: Annotated[list[Path], Argument(help="Logs to judge, of any kind; folders; quoted patterns.")],
+    logs: Annotated[
+        list[Path], Argument(metavar="LOG|DIR", help="Logs to judge, of any kind; folders; quoted patterns.")
+    ],
     baseline: opt.BaselineFile,
     as_json: opt.AsJson = False,
     vehicle: opt.Vehicle = None,

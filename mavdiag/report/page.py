@@ -242,6 +242,7 @@ def _templates() -> Environment:
         "name": pictures.name_of,
         "rotor": lambda rotor, flight: flight.named(rotor),
         "signal": lambda name: LABELS.get(name, name.replace("_", " ")),
+        "day": lambda created: f"{datetime.datetime.fromisoformat(created):%Y-%m-%d %H:%M} UTC",
         "moment": lambda t_ns: f"{_clock(t_ns / NS_PER_S):%Y-%m-%d %H:%M:%S} UTC",
     }
     found.globals |= {
