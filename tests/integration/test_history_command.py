@@ -213,8 +213,8 @@ def test_a_page_shows_the_trends_and_what_asks_for_attention_first(mavdiag: Any,
     page = wearing.with_suffix(".html")
     assert mavdiag("history", "show", "--database", wearing, "--html", page)[0] == 1
     text = page.read_text()
-    assert text.index("<h2>worn</h2>") < text.index("<h2>calm</h2>")
+    assert text.index('<h2 class="said">worn: ') < text.index('<h2 class="said">calm: ')
     assert text.count("<svg") >= 2
     assert "unbalance: warned of" in text
-    assert "new propellers" in text[text.index("<h2>calm</h2>") :]
+    assert "new propellers" in text[text.index('<h2 class="said">calm: ') :]
     assert str(wearing) not in text
