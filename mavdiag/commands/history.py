@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import typer
-from typer import Argument, Option
+from typer import Option
 
 from mavdiag.archive.figures import FlightRecord
 from mavdiag.archive.scan import Answer, Options, Question
@@ -48,9 +48,7 @@ app = application(
 
 @app.command()
 def add(
-    logs: Annotated[
-        list[Path], Argument(metavar="LOG|DIR", help="Logs to judge and to keep, folders of them, or patterns.")
-    ],
+    logs: opt.Logs,
     baseline: opt.BaselineFile,
     airframe: Annotated[str | None, Option(metavar="NAME", help="Whose they are; else the baseline's.")] = None,
     database: Database = FILE,

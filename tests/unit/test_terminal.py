@@ -199,10 +199,10 @@ def test_verdicts_of_many_logs_are_a_table_with_totals() -> None:
 
 def test_a_narrow_terminal_leaves_room_for_the_names() -> None:
     row: Row = {"verdict": "not_judgeable", "rotor": None, "rotors": "1 from 9 s; 2 from 9 s", "since_s": 1098.9}
-    row |= {"monitor": "rotor_signature", "ratio": 17.5, "judged_s": 9.0, "flown_s": 9.0, "reason": ""}
+    row = {**row, "monitor": "rotor_signature", "ratio": 17.5, "judged_s": 9.0, "flown_s": 9.0, "reason": ""}
     names = [f"turning_nose_{number}_healthy.tlog" for number in range(3)]
     console = Console(width=80, file=io.StringIO(), record=True)
-    verdict_table([row | {"log": name} for name in names], console)
+    verdict_table([{**row, "log": name} for name in names], console)
     lines = console.export_text().splitlines()
     assert len(lines) == 2 + 2 * len(names) + 1
     assert all(len(line) <= 80 for line in lines)
