@@ -12,8 +12,8 @@ from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.decision.alarm import Stage
 from mavdiag.identify import fit
-from mavdiag.identify.lab.comparison import THESIS_PITCH, THESIS_ROLL, ReferenceModel
-from mavdiag.identify.validate import r_squared, validate
+from mavdiag.identify.estimate import r_squared, validate
+from mavdiag.identify.lab import THESIS_PITCH, THESIS_ROLL, ReferenceModel
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, front_for, learn, rows_of
 from mavdiag.monitors import BY_NAME

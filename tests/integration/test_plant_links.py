@@ -36,7 +36,7 @@ def frames_of(config: PlantConfig, profile: str, rate_hz: float, seconds: float 
 
 
 def telemetry_of(frames: list[Frame], profile: str) -> Telemetry:
-    return SampleDecoder(PROFILES[profile]).step(SampleState(), frames)[1]
+    return SampleDecoder(PROFILES[profile]).step(SampleState(), frames)
 
 
 @pytest.mark.parametrize(("profile", "rate_hz"), LINKS)

@@ -49,7 +49,7 @@ def decoded(profile: str) -> list[Frame]:
 
 
 def telemetry(profile: str) -> Telemetry:
-    return SampleDecoder(PROFILES[profile]).step(SampleState(), decoded(profile))[1]
+    return SampleDecoder(PROFILES[profile]).step(SampleState(), decoded(profile))
 
 
 def values_of(frames: Sequence[Frame], msgid: int, *names: str) -> FloatArray:

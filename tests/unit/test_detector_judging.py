@@ -12,10 +12,10 @@ from made_session import baseline_for
 
 from detector.config import SessionSettings
 from detector.fitting import FittingJob, ProcessFitter
-from detector.fleet import due_turns
+from detector.fleet import Fleet, Vehicle, due_turns
 from detector.judging import Judge, chain_for
 from detector.streams import Streams
-from detector.values import Learn
+from detector.values import Learn, SessionSpec
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.chain import chain_of
 from mavdiag.errors import BaselineError
@@ -96,6 +96,15 @@ def test_many_take_turns_and_a_look_stays_short(seed: int) -> None:
     late = [max(waited[5:]) for waited in waits.values()]
     assert min(len(waited) for waited in waits.values()) > 15
     assert max(late) < 1.5 * np.mean(late) < 1.5
+
+
+@pytest.mark.parametrize(("vehicles", "looks"), [(0, 1), (33, 1), (34, 2), (66, 2), (67, 3), (100, 3), (255, 3)])
+def test_a_turn_brings_more_looks_where_there_are_many_vehicles_but_none_comes_later_than_0_2_s(
+    vehicles: int, looks: int
+) -> None:
+    fleet = Fleet(lambda sysid, profile: None, profile=None, only=None, datagrams=True)
+    fleet.vehicles = dict.fromkeys(range(vehicles), Vehicle(SessionSpec(PROFILES["qdrone2"]), Instant(0)))
+    assert fleet.looks == looks
 
 
 def test_only_its_own_process_is_ended() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from mavdiag.identify.lab.comparison import THESIS_PITCH, THESIS_ROLL, ReferenceModel
+from mavdiag.identify.lab import THESIS_PITCH, THESIS_ROLL, ReferenceModel
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "theory.md").read_text(encoding="utf-8")

@@ -10,8 +10,7 @@ from numpy.testing import assert_allclose
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method, Order, fit
 from mavdiag.identify.estimate import ORDERS, best_row, sweep
-from mavdiag.identify.lab.comparison import estimate_response, model_response, track
-from mavdiag.identify.lab.figures import ModelFigures, model_figures
+from mavdiag.identify.lab import ModelFigures, estimate_response, model_figures, model_response, track
 
 
 def last(*pairs: Record, order: Order = (2, 2, 1), forgetting: float = 1.0) -> ArxModel:

@@ -14,7 +14,7 @@ from scipy.signal import welch
 from mavdiag.airframe.fingerprint import joined
 from mavdiag.face import rates
 from mavdiag.identify import Method, fit
-from mavdiag.identify.validate import validate
+from mavdiag.identify.estimate import validate
 from mavdiag.look.figures import spectrum_of
 from mavdiag.report.campaign import roc_of
 from mavdiag.report.chart import Thinned, ticks_of

@@ -11,7 +11,7 @@ from made_rows import example_context
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import Method
-from mavdiag.identify.model import ModelRecord
+from mavdiag.identify.arx import ModelRecord
 from mavdiag.monitors.run_length import RunLength, RunLengthSpec
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import Axis

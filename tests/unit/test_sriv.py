@@ -10,8 +10,8 @@ from shared_data import shared
 
 from mavdiag.identify import ArxModel, Method, fit
 from mavdiag.identify.arx import Segment, polynomials
+from mavdiag.identify.estimate import nrmse_percent
 from mavdiag.identify.sriv import sriv
-from mavdiag.identify.validate import nrmse_percent
 from mavdiag.rows.savgol import coefficients
 
 

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import fit
-from mavdiag.identify.validate import examine_residual, one_step_report, validate
+from mavdiag.identify.estimate import examine_residual, one_step_report, validate
 
 
 @pytest.mark.parametrize("index", range(24))

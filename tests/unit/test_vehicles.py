@@ -10,9 +10,10 @@ from memory_port import memory_pair
 from mavdiag.link.codec import NO_FRAMES, Decoder, Encoder, message_name
 from mavdiag.link.link import Link
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
+from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.sequence import FRAME, HEARD, SENDERS_MAX, Intruder, Senders, Source
-from mavdiag.link.vehicles import MOST_PARAMETERS, VEHICLES_MAX, Ack, Command, LinkDecoder, command_in, parameters_in
+from mavdiag.link.vehicles import MOST_PARAMETERS, VEHICLES_MAX, Ack, Command, LinkDecoder, command_in
 from mavdiag.telemetry import Signal
 
 S = 1_000_000_000
