@@ -35,7 +35,7 @@ from mavdiag.units import NS_PER_S
 
 STEP_S = 0.2  # of the log between two moments that are kept: as often as a live vehicle is shown
 AHEAD_S = 0.05  # of judging between two looks at the page (our choice)
-LOOK_S = 0.04  # between them once all is judged (our choice)
+LOOK_S = 0.04  # between them once all is judged, unless the page asks for something (our choice)
 TOLD_S = 0.2  # how often the page is told where the replay is
 FASTEST = 1000.0  # times the time of the flight
 LEAST_HZ = 1.0  # a log is judged at the baseline's rate, however slow that is
@@ -43,14 +43,24 @@ LEAST_HZ = 1.0  # a log is judged at the baseline's rate, however slow that is
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What the page shows at a time of the log. about: None while it does not change. entries: of the journal, new."""
+    """What the page shows at a time of the log. about: None while it does not change. entries: of the journal, new.
+
+    now: JSON without its strips, which are the items of a list, so that those of several moments can be one.
+    """
 
     t_ns: int
     about: str | None
     fleet: str
     now: str
+    strips: str
     entries: tuple[str, ...]
     level: Level
+
+
+def now_of(moments: Sequence[Moment]) -> str:
+    """The last of some moments, with the strips of all of them."""
+    strips = ", ".join(moment.strips for moment in moments if moment.strips)
+    return f'{moments[-1].now[:-1]}, "strips": [{strips}]}}'
 
 
 class Judged:
@@ -101,7 +111,8 @@ class Judged:
             DaemonFigures((figures,), (), 0, 0.0), {self.vehicle: session}, self._at, Instant(self.begin_ns)
         )
         entries, self._entries = tuple(self._entries), []
-        return Moment(self._at.ns, told, json_line(fleet), json_line(shown), entries, shown["level"])
+        strips = json_line(shown.pop("strips"))[1:-1]
+        return Moment(self._at.ns, told, json_line(fleet), json_line(shown), strips, entries, shown["level"])
 
 
 class Player:
@@ -153,8 +164,11 @@ class Player:
             -1:
         ]
         self._enter(past)
-        self._lines += [f"N {self._judged.vehicle} {moment.now}\n" for moment in past[recent:]]
-        self._lines += [f"F {moment.fleet}\n" for moment in past[-1:]]
+        if past:
+            self._lines += [
+                f"N {self._judged.vehicle} {now_of(past[min(recent, self._shown - 1) :])}\n",
+                f"F {past[-1].fleet}\n",
+            ]
 
     def _due(self, at_s: float) -> int:
         at_ns = self._judged.begin_ns + round(at_s * NS_PER_S)
@@ -165,7 +179,7 @@ class Player:
         for moment in self._judged.moments[self._shown : due]:
             if moment.about is not None:
                 self._lines.append(f"A {self._judged.vehicle} {moment.about}\n")
-            self._lines += [f"F {moment.fleet}\n", f"N {self._judged.vehicle} {moment.now}\n"]
+            self._lines += [f"F {moment.fleet}\n", f"N {self._judged.vehicle} {now_of([moment])}\n"]
         self._enter(self._judged.moments[self._shown : due])
         self._shown = due
 
@@ -201,7 +215,7 @@ def serve(
         token = None if web_token_file is None else read_token(web_token_file)
         host, port = page_address(web, web_token_file)
         child = ServerProcess(
-            Place(host, port, token), f"{judged.begin_ns:x}-0", lambda text: commandline.say(text, err=True)
+            Place(host, port, token, niceness=0), f"{judged.begin_ns:x}-0", lambda text: commandline.say(text, err=True)
         )
         with closing(child):
             child.start()
@@ -212,7 +226,7 @@ def serve(
                 while not judged.done and time.monotonic() - began < AHEAD_S:
                     judged.go_on()
                 player.look(Instant(time.monotonic_ns()))
-                time.sleep(LOOK_S if judged.done else 0.0)
+                child.wait(LOOK_S if judged.done else 0.0)
 
 
 app = commandline.application("Play a log on the live page.")

@@ -76,7 +76,8 @@ def run(app: typer.Typer, name: str) -> NoReturn:
         if message.startswith("Usage:"):  # called without arguments, the help itself is the message
             say(message, err=True)
         else:
-            told = f"{_line(message)}; see `{name} --help`"
+            context = getattr(error, "ctx", None)  # of the sub-command whose options or arguments are wrong
+            told = f"{_line(message)}; see `{context.command_path if context else name} --help`"
     except MavdiagError as error:
         code, told = ERROR, _line(str(error))
     except (KeyboardInterrupt, typer.Abort):

@@ -11,6 +11,7 @@ import os
 import select
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -29,12 +30,16 @@ COMMAND = ("-P", "-m", "detector.web.server")  # -P: not what lies in the presen
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the page is served. port: 0 for a free one. token: that it asks for; None for none. names: of a proxy."""
+    """Where and how the page is served. port: 0 for a free one. token: that it asks for; None for none.
+
+    names: of a proxy. niceness: of the process, for a daemon's receive loop comes first.
+    """
 
     host: str
     port: int
     token: str | None
     names: tuple[str, ...] = ()
+    niceness: int = 5
 
     @property
     def url(self) -> str:
@@ -107,6 +112,13 @@ class ServerProcess:
             self._told = False
         fresh, self._fresh = self._fresh, False
         return fresh, lines
+
+    def wait(self, timeout_s: float) -> None:
+        """Return when it says something, or has room for what it was not given yet, and after that time."""
+        if self._process is None:
+            time.sleep(timeout_s)
+        else:
+            select.select([self._stdout], [self._stdin] if self._unsent else [], [], timeout_s)
 
     def put(self, data: bytes) -> bool:
         """Give it lines; False, and nothing is given, while it has no room."""

@@ -2,9 +2,9 @@
 
     python -m detector.web.server      not for people: the daemon starts it
 
-Its first line on stdin is a JSON object with host, port, token, names and run. It answers `listening PORT`, or `refused
-REASON` and ends; later it says `watch VEHICLE ...` whenever that changes, `ack VEHICLE` and, for a replay, `play at S`
-and `play speed X`. It ends when stdin does.
+Its first line on stdin is a JSON object with host, port, token, names, niceness and run. It answers `listening PORT`,
+or `refused REASON` and ends; later it says `watch VEHICLE ...` whenever that changes, `ack VEHICLE` and, for a replay,
+`play at S` and `play speed X`. It ends when stdin does.
 """
 
 import asyncio
@@ -29,7 +29,6 @@ LINE_BYTES = 4_000_000  # of a line on stdin, at most
 ALIVE_S = 5.0  # a comment after so much silence, so that a reader that is gone is noticed
 STUCK_S = 20.0  # a reader that takes nothing for so long is given up
 LAST_S = 0.1  # for the last entries to reach the pages
-NICENESS = 5  # the receive loop comes first
 FILES = {
     "/": ("index.html", "text/html"),
     "/app.js": ("app.js", "text/javascript"),
@@ -186,6 +185,7 @@ async def _serve() -> None:
     lines = asyncio.StreamReader(LINE_BYTES)
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
     told = json.loads(await lines.readline())
+    os.nice(told["niceness"])
     server = Server(Access(told["host"], 0, told["token"], tuple(told["names"])), Board(told["run"]))
     runner = web.AppRunner(server.application(), access_log=None, handler_cancellation=True, shutdown_timeout=0.2)
     await runner.setup()
@@ -205,7 +205,6 @@ async def _serve() -> None:
 def main() -> None:
     """Serve until stdin ends. Ctrl-C goes to both processes, but is the daemon's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(NICENESS)
     with contextlib.suppress(ConnectionError, BrokenPipeError):
         asyncio.run(_serve())
 

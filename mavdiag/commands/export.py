@@ -13,7 +13,6 @@ from mavdiag.judging import judge_in_full
 from mavdiag.logs import read_log
 from mavdiag.logs.csv_columns import load_column_map
 from mavdiag.storage import write_atomically
-from mavdiag.telemetry import Log
 
 
 def export(
@@ -37,39 +36,31 @@ def export(
     if lua is not None:
         if log is not None or chosen or baseline is not None or output is None:
             raise UsageError("--lua takes a baseline and -o FILE.lua alone, no log")
-        return _write_applet(lua, output, table_key)
+        from mavdiag.export.lua import applet, left_out
+
+        loaded = Baseline.load(lua)
+        write_atomically(output, applet(loaded, table_key))
+        for one in left_out(loaded):
+            say(f"left out   {one}")
+        return say(f"written to {output}; copy it to APM/scripts of the memory card and set SCR_ENABLE to 1")
     if log is None or len(chosen) != 1:
         raise UsageError("name one LOG and one of --mcap, --csv, --parquet; or --lua BASELINE -o FILE")
     output = output or Path(log.name).with_suffix(f".{chosen[0]}")
     if output.exists() and log.exists() and output.samefile(log):
         raise UsageError(f"{output} is the log itself; name another file with -o")
-    found = read_log(log, vehicle, columns=load_column_map(columns) if columns else None)
-    return _write_flight(found, chosen[0], baseline, output)
-
-
-def _write_flight(log: Log, kind: str, baseline: Path | None, output: Path) -> None:
     from mavdiag.export import flight
 
-    judged = judge_in_full(log, Baseline.load(baseline)) if baseline is not None else None
-    topics = list(flight.topics_of(log, judged))
+    found = read_log(log, vehicle, columns=load_column_map(columns) if columns else None)
+    judged = judge_in_full(found, Baseline.load(baseline)) if baseline is not None else None
+    topics = list(flight.topics_of(found, judged))
     try:
-        if kind == "mcap":
-            flight.write_mcap(output, log, topics, judged.verdict.changes if judged else ())
-        elif kind == "csv":
+        if mcap:
+            flight.write_mcap(output, found, topics, judged.verdict.changes if judged else ())
+        elif csv:
             flight.table_of(topics).to_csv(output)
         else:
             flight.table_of(topics).to_parquet(output)
     except OSError as error:
         raise UsageError(f"{output}: {error.strerror}; name a file that can be written") from error
-    say(str(judged.verdict) if judged else f"{log.name}: signals alone; name a --baseline to judge it")
-    say(f"written to {output}: {', '.join(topic.name for topic in topics)}")
-
-
-def _write_applet(baseline: Path, output: Path, table_key: int) -> None:
-    from mavdiag.export.lua import applet, left_out
-
-    loaded = Baseline.load(baseline)
-    write_atomically(output, applet(loaded, table_key))
-    for one in left_out(loaded):
-        say(f"left out   {one}")
-    say(f"written to {output}; copy it to APM/scripts of the memory card and set SCR_ENABLE to 1")
+    say(str(judged.verdict) if judged else f"{found.name}: signals alone; name a --baseline to judge it")
+    return say(f"written to {output}: {', '.join(topic.name for topic in topics)}")

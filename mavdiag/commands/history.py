@@ -8,10 +8,10 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import typer
-from typer import Argument, Option
+from typer import Option
 
 from mavdiag.archive.figures import FlightRecord
 from mavdiag.archive.scan import Answer, Options, Question
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 FILE = "mavdiag-history.sqlite"
 
 Database: TypeAlias = Annotated[str, Option(metavar="FILE|URL", help="SQLite, or postgresql://user@host/name.")]
+Ordered: TypeAlias = Literal["named", "file-time"]
 AirframeName: TypeAlias = Annotated[str | None, Option("--airframe", metavar="NAME", help="Only this airframe.")]
 CsvFile: TypeAlias = Annotated[Path | None, Option("--csv", metavar="FILE", help="Write a table, too.")]
 
@@ -47,13 +48,14 @@ app = application(
 
 @app.command()
 def add(
-    logs: Annotated[list[Path], Argument(help="Logs to judge and to keep, folders of them, or patterns.")],
+    logs: opt.Logs,
     baseline: opt.BaselineFile,
     airframe: Annotated[str | None, Option(metavar="NAME", help="Whose they are; else the baseline's.")] = None,
     database: Database = FILE,
     again: Annotated[bool, Option("--again", help="Judge and replace flights that are there already.")] = False,
     vehicle: opt.Vehicle = None,
     at: Annotated[str | None, Option(metavar="TIME", help="When logs without a clock were flown, ISO 8601.")] = None,
+    ordered: Annotated[Ordered, Option(help="Logs without a clock follow each other so.")] = "named",
     jobs: opt.Jobs = None,
     scheduler: opt.Scheduler = None,
     cache: opt.CacheFolder = None,
@@ -61,8 +63,10 @@ def add(
 ) -> None:
     """Judge logs and keep what they showed. A flight is kept once. Exit code: 0, or 2 if a log could not be read.
 
-    Logs that do not say when they were flown follow each other in the order in which they are named.
+    Logs that do not say when they were flown follow each other as they are named, or by the time of their files.
     """
+    if at is not None and ordered == "file-time":
+        raise UsageError("--at and --ordered file-time both say when; give one of them")
     reference = Baseline.load(baseline)
     question = Question.of(reference, Options(vehicle, figures=True, flown_ns=0 if at is None else _time(at)))
     name = reference.airframe.name if airframe is None else airframe
@@ -74,7 +78,8 @@ def add(
         history.refer(reference_of(reference))
         for answer in answers:
             failed += answer.record.flight is None
-            tell(f"{answer.path}: {_added(history, answer, name, again)}")
+            told = _added(history, answer, name, again=again, by_file=ordered == "file-time")
+            tell(f"{answer.path}: {told}")
     raise typer.Exit(2 if failed else 0)
 
 
@@ -143,14 +148,15 @@ def mark(
     say(f"{airframe}: {kind.value}, {shown.day(t_ns)}")
 
 
-def _added(history: "History", answer: Answer, airframe: str, again: bool) -> str:
+def _added(history: "History", answer: Answer, airframe: str, *, again: bool, by_file: bool) -> str:
     verdict, flight = answer.verdict, answer.record.flight
     if flight is None:
         return f"error, {verdict.reason}"
     there = history.airframe_of(flight.content)
     if there is not None and not again:
         return f"is there already, of {there}"
-    flight = replace(flight, airframe=airframe, log=verdict.log, added_ns=time.time_ns())
+    started_ns = flight.started_ns or (answer.path.stat().st_mtime_ns if by_file else 0)
+    flight = replace(flight, airframe=airframe, log=verdict.log, started_ns=started_ns, added_ns=time.time_ns())
     if not history.add(flight, again=again):
         return "is there already"
     return f"{'judged again' if there else 'added'}, {verdict.verdict.value.replace('_', ' ')}, {verdict.reason}"

@@ -27,7 +27,7 @@ from mavdiag.thresholds.rule import BUDGET_PER_HOUR, FLIGHTS_PER_SUSPICION, Thre
 
 
 def identify(
-    logs: Annotated[list[Path], Argument(help="Logs of healthy flights, of any kind; folders; patterns.")],
+    logs: opt.Logs,
     output: opt.BaselineOutput,
     method: Annotated[opt.MethodChoice, Option(help="sriv is unbiased under noise.")] = "sriv",
     order: opt.Orders = "2,2,1",
@@ -132,7 +132,7 @@ def check(file: File) -> None:
 @app.command()
 def extend(
     file: File,
-    logs: Annotated[list[Path], Argument(help="Logs of more healthy flights of the same airframe.")],
+    logs: opt.Logs,
     output: opt.BaselineOutput,
     new_propellers: Annotated[bool, Option("--new-propellers", help="With new ones; 15 s of hover do.")] = False,
     accept: opt.Accept = False,

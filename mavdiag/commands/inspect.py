@@ -41,7 +41,7 @@ COMPANION_OF = 1  # as whose companion we speak on a link before a vehicle is kn
 
 def inspect(
     sources: Annotated[
-        list[str], typer.Argument(metavar="LOG|DIR|ENDPOINT...", help="Logs, folders, patterns; or one link.")
+        list[str], typer.Argument(metavar="LOG|DIR|ENDPOINT", help="Logs, folders, patterns; or one link.")
     ],
     duration: Annotated[float, Option(metavar="S", help="How long to listen to an endpoint.")] = 5.0,
     ask: Annotated[bool, Option("--ask", help="Ask the vehicle for missing streams, and for its rotors.")] = False,

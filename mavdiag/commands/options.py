@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
-from typer import Option
+from typer import Argument, Option
 
 from mavdiag.archive.paths import Found, logs_named
 from mavdiag.commandline import say
@@ -37,6 +37,7 @@ Jobs: TypeAlias = Annotated[
 Layout: TypeAlias = Annotated[
     str | None, Option("--layout", "--frame", metavar="NAME", help="Rotor layout.  [default: what is found]")
 ]
+Logs: TypeAlias = Annotated[list[Path], Argument(metavar="LOG|DIR", help="Logs of any kind, folders, quoted patterns.")]
 MethodChoice: TypeAlias = Literal["sriv", "ls"]  # values of `identify.Method`
 NoCache: TypeAlias = Annotated[bool, Option("--no-cache", help="Judge all anew, and keep nothing.")]
 Orders: TypeAlias = Annotated[str, Option("--order", metavar="NA,NB,NK", help="Model order.")]

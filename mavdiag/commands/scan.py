@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from typer import Argument, Option
+from typer import Option
 
 from mavdiag.archive.figures import FlightRecord, Window
 from mavdiag.archive.paths import Named
@@ -30,7 +30,7 @@ from mavdiag.storage import check_output
 
 
 def scan(
-    logs: Annotated[list[Path], Argument(help="Logs to judge, of any kind; folders; quoted patterns.")],
+    logs: opt.Logs,
     baseline: opt.BaselineFile,
     as_json: opt.AsJson = False,
     vehicle: opt.Vehicle = None,

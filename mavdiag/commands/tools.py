@@ -12,7 +12,8 @@ from mavdiag.airframe.balance import Grade, assess_unbalance, grade_named, unbal
 from mavdiag.as_json import json_line
 from mavdiag.commands.options import AsJson
 from mavdiag.commands.progress import working
-from mavdiag.inspections import ask
+from mavdiag.errors import InputError
+from mavdiag.inspections import ask, read_open
 
 
 def ack(
@@ -25,6 +26,8 @@ def ack(
     A detector that runs takes it up within a second, says so, and writes it to its journal; another one at its next
     start. A fault in flight cannot be acknowledged.
     """
+    if not journal.is_file() and not read_open(journal):
+        raise InputError(f"{journal}: no such file; name the detector's --journal")
     inspection = ask(journal, vehicle, f"mavdiag ack by {by or getpass.getuser()}")
     typer.echo(f"{inspection}: handed to the detector; its journal tells what came of it")
 

@@ -105,7 +105,7 @@ def lines_of(overview: Overview, width: int | None = None) -> tuple[Line, ...]:
     """What is said of an airframe. width: of the terminal, where each statistic is drawn; None for no drawings."""
     lines = [Line(_headline(overview), overview.faulty)]
     if unknown := sum(not flight.started_ns for flight in overview.flights):
-        lines.append(Line(f"  {unknown} without a clock in the log, placed by when they were added; --at tells when"))
+        lines.append(Line(f"  {unknown} without a clock in the log, placed by when they were added (--at, --ordered)"))
     for number, stretch in enumerate(overview.stretches, 1):
         if stretch.began and stretch.flights:
             place = f"stretch {number} from flight {stretch.first} ({stretch.began})"
@@ -121,8 +121,8 @@ def lines_of(overview: Overview, width: int | None = None) -> tuple[Line, ...]:
     if few := [found.series.name for found in overview.found if found.trend is None]:
         lines.append(Line(f"  {Outlook.TOO_FEW.value}: {', '.join(few)}"))
     if overview.rotor_growth:
-        rises = ", ".join(f"rotor {n} {rise:+.4f}" for n, rise in enumerate(overview.rotor_growth, 1))
-        lines.append(Line(f"  trim since the stretch began [fraction of hover]: {rises}"))
+        rises = ", ".join(f"rotor {n} {100 * rise:+.2f}" for n, rise in enumerate(overview.rotor_growth, 1))
+        lines.append(Line(f"  trim since the stretch began [% of hover]: {rises}"))
     return tuple(lines)
 
 
@@ -144,7 +144,8 @@ def _sentence(found: Review) -> str:
     if found.warned_at is not None:
         told += f", warned of since flight {found.warned_at} of the stretch"
     unit = f" {series.unit}" if series.unit else ""
-    told += f"; {trend.level:.2f} of the threshold {series.threshold:.3g}{unit}, {trend.slope:+.4f} a flight"
+    told += f"; {trend.level:.2f} of the threshold {series.threshold:.3g}{unit}"
+    told += f", {slope:+.4f} a flight" if (slope := round(trend.slope, 4)) else ""
     if found.outlook in (Outlook.GROWN, Outlook.WARNING) and found.remaining is not None:
         told += f", there in {_flights(found.remaining)}"
     return told + "".join(f"; jumped by {change.step:+.2f} at flight {change.number}" for change in found.changes)

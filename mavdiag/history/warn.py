@@ -102,7 +102,7 @@ class Outlook(StrEnum):
 
     TOO_FEW = "too few flights for a trend"
     STEADY = "not grown since the first flights"
-    GROWN = "grown, and not near the threshold"
+    GROWN = "grown since the first flights"
     WARNING = "reaches the threshold soon"
     REACHED = "has reached the threshold"
 

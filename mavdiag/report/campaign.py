@@ -178,11 +178,11 @@ def _roc(campaign: Campaign) -> Chart:
     lines = [Line(np.array([0.0, 100.0]), np.array([0.0, 100.0]), "chance", "faint")]
     for look, (scale, _, roc) in zip(LOOKS, curves, strict=False):
         lines.append(
-            Line(100 * roc.false_share, 100 * roc.true_share, f"fitted terms x{scale:g}: {roc.area:.3f}", look)
+            Line(100 * roc.false_share, 100 * roc.true_share, f"fitted terms x{scale:g}: area {roc.area:.3f}", look)
         )
         false_share, true_share = (np.array([100 * at]) for at in roc.at_threshold)
         lines.append(Line(false_share, true_share, "", f"{look} big", "dots"))
-    panel = Panel("damaged flights found [%], and area under the curve", lines, y=(-2, 102), height=260)
+    panel = Panel("damaged flights found [%]", lines, y=(-2, 102), height=260)
     words = "; ".join(
         f"terms x{scale:g}: area {roc.area:.3f} of {count} damaged and {len(healthy)} healthy flights"
         for scale, count, roc in curves

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
@@ -24,7 +25,7 @@ from mavdiag.archive.paths import apart
 from mavdiag.baseline import Baseline
 from mavdiag.decision import words
 from mavdiag.history.show import lines_of
-from mavdiag.history.warn import Overview
+from mavdiag.history.warn import Overview, series_of
 from mavdiag.judging import JudgedFlight, LogVerdict, judge_in_full
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.wants import LABELS
@@ -35,14 +36,14 @@ from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.printable import printable
 from mavdiag.report import pictures
 from mavdiag.report.campaign import HEALTHY, Campaign, campaign_pictures, confusion
-from mavdiag.report.chart import COLUMNS, FOLDER, Picture, embedded
+from mavdiag.report.chart import COLUMNS, FOLDER, Chart, Line, Panel, Picture, drawn, embedded
 from mavdiag.report.drawing import rotor_places, where
-from mavdiag.report.history import asks, trends
 from mavdiag.report.sketch import Sketch
-from mavdiag.telemetry import Log
+from mavdiag.telemetry import FloatArray, Log
 from mavdiag.units import NS_PER_S, S_PER_H
 
 EVENTS = 20  # alarms that a page lists of one flight; the rest is counted (our choice)
+TREND_HEIGHT = 90  # of a panel of a history [px]
 SPANS = 12  # stretches that were not judged that a page lists (our choice)
 ORDER = tuple(words.VERDICTS)
 OF_LOG = ("flight", "attitude")  # pictures that need no judging
@@ -206,10 +207,48 @@ def campaign_page(campaign: Campaign, path: str, created: str) -> str:
 def history_page(overviews: Sequence[Overview], created: str) -> str:
     """One page, what asks for attention first. created: ISO 8601, UTC."""
     airframes = [
-        {"overview": one, "asks": asks(one), "lines": lines_of(one), "picture": trends(one)}
-        for one in sorted(overviews, key=asks, reverse=True)
+        {"asks": _asks(one), "lines": lines_of(one), "picture": _trends(one)}
+        for one in sorted(overviews, key=_asks, reverse=True)
     ]
     return _page("history.html", title="History", airframes=airframes, created=created)
+
+
+def _asks(overview: Overview) -> bool:
+    changed = overview.together is not None and overview.together.changed
+    return changed or overview.faulty or bool(overview.warned)
+
+
+def _trends(overview: Overview) -> Picture | None:
+    """A panel for each statistic, in shares of its threshold; None where nothing was judged yet."""
+    parts = [(stretch, series) for stretch in overview.stretches for series in series_of(stretch)]
+    warned = {found.series.name for found in overview.warned}
+    marks = [
+        (stretch.first - 0.5, stretch.began) for stretch in overview.stretches if stretch.began and stretch.flights
+    ]
+    panels = []
+    for monitor, axis in dict.fromkeys((series.monitor, series.axis) for _, series in parts):
+        own = [(stretch, series) for stretch, series in parts if (series.monitor, series.axis) == (monitor, axis)]
+        number = _with_gaps([series.number.astype(np.float64) + stretch.first - 1 for stretch, series in own])
+        share = _with_gaps([series.share for _, series in own])
+        name = own[0][1].name
+        look = "measured" if name not in warned else "fault"
+        label = f"{pictures.name_of(name)}{': warned of' if name in warned else ''}"
+        level = Panel(
+            label, [Line(number, share, look=look)], [(1.0, "threshold")], marks, y=(0.0, None), height=TREND_HEIGHT
+        )
+        panels.append(level)
+    if not panels or len(overview.flights) < 2:
+        return None
+    flights = overview.flights
+    words = f"{overview.airframe}: statistics of {len(flights)} flights in shares of their thresholds"
+    span = (0.5, len(flights) + 0.5)
+    chart = Chart(panels, span, words, x_label="flight", kind="still")
+    return drawn("trends", chart, overview.airframe)
+
+
+def _with_gaps(parts: Sequence[FloatArray]) -> FloatArray:
+    """One after the other, with a gap between them."""
+    return np.concatenate([np.append(part, np.nan) for part in parts])[:-1]
 
 
 def _page(template: str, **values: object) -> str:
@@ -242,6 +281,7 @@ def _templates() -> Environment:
         "name": pictures.name_of,
         "rotor": lambda rotor, flight: flight.named(rotor),
         "signal": lambda name: LABELS.get(name, name.replace("_", " ")),
+        "day": lambda created: f"{datetime.datetime.fromisoformat(created):%Y-%m-%d %H:%M} UTC",
         "moment": lambda t_ns: f"{_clock(t_ns / NS_PER_S):%Y-%m-%d %H:%M:%S} UTC",
     }
     found.globals |= {

@@ -15,6 +15,8 @@ from mavdiag.printable import printable
 
 STYLES = {"fault": "bold red", "suspected": "yellow", "error": "magenta", "not_judgeable": "cyan", "healthy": "green"}
 ORDER = tuple(STYLES)
+UNBOUND = 10_000  # characters: wider than any table
+WIDTHS = {"verdict": 9, "rotor": 7, "since (clock)": 7, "nearest monitor": 15}  # where names need the room
 NUMBERS = ("rotor", "since (clock)", "ratio", "judged", "flight", "rate")  # columns that stand at the right
 
 
@@ -28,8 +30,8 @@ def verdict_table(rows: Sequence[Row], console: Console | None = None) -> None:
         since = "" if row["since_s"] is None else f"{row['since_s']:.1f} s"
         ratio = "" if row["ratio"] is None else f"{row['ratio']:.2f}"
         named = str(row.get("rotors") or row["rotor"] or "").split("; ")  # "4 from 98.7 s", or the number alone
-        rotors = ", ".join(dict.fromkeys(part.partition(" ")[0] for part in named))
-        told = (name, verdict, rotors, since, row["monitor"] or "", ratio, share)
+        rotors = ",".join(dict.fromkeys(part.partition(" ")[0] for part in named))
+        told = (name, verdict.replace("_", " "), rotors, since, row["monitor"] or "", ratio, share)
         lines.append(_styled(told, STYLES[verdict]))
     counted = Counter(str(row["verdict"]) for row in rows)
     words = [Text(f"{counted[name]} {name}", STYLES[name]) for name in ORDER if counted[name]]
@@ -63,10 +65,14 @@ def _styled(cells: Iterable[str | float | None], style: str) -> list[Text]:
 
 
 def _print(columns: Sequence[str], lines: Iterable[list[Text]], console: Console | None) -> None:
-    table = Table(box=None, pad_edge=False, header_style="bold")
+    table, console = Table(box=None, pad_edge=False, header_style="bold"), console or Console()
     for name in columns:
         wide = name in ("log", "what it shows")
         table.add_column(name, justify="right" if name in NUMBERS else "left", no_wrap=not wide, overflow="fold")
     for line in lines:
         table.add_row(*line)
-    (console or Console()).print(table)
+    if console.measure(table, options=console.options.update_width(UNBOUND)).maximum > console.width:
+        for column in table.columns:
+            column.width = WIDTHS.get(str(column.header))
+            column.no_wrap = column.no_wrap and column.width is None
+    console.print(table)

@@ -160,7 +160,7 @@ class Journal:
         self._path, self._stack = path, ExitStack()
         self._open()
         self.vehicles: dict[int, VehicleStory] = {}
-        self.damaged = 0
+        self.damaged = self.sound = 0  # lines
 
     def read(self) -> list[tuple[int, Line]]:
         """What was written since the last call, by vehicle, in its order."""
@@ -193,6 +193,7 @@ class Journal:
             for line in lines:
                 try:
                     content = json.loads(line)
+                    self.sound += "kind" in content
                     if content.get("vehicle") is None:
                         continue
                     number = int(content["vehicle"])
@@ -210,6 +211,8 @@ def follow(journal: Journal, vehicle: int | None, ended: Callable[[], bool]) -> 
         while not last:
             last = ended()
             found = [(number, line) for number, line in journal.read() if vehicle in (None, number)]
+            if journal.damaged and not journal.sound:
+                raise InputError("no journal of a detector; name the file of its --journal, or a link")
             several = vehicle is None and len(journal.vehicles) > 1
             fresh = [replace(line, text=f"vehicle {n}: {line.text}") if several else line for n, line in found]
             screen.show(fresh, last=last)

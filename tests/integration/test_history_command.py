@@ -8,6 +8,8 @@ import pty
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,10 +17,12 @@ from typing import Any
 import numpy as np
 import pytest
 from made_history import DAY_NS, START_NS, records
+from made_session import baseline_for
 from plant_process import record
 
+from mavdiag.archive.scan import Answer, Record
 from mavdiag.history.warn import Mark, MarkKind
-from mavdiag.judging import Verdict
+from mavdiag.judging import LogVerdict, Verdict
 
 pytest.importorskip("sqlalchemy", reason="the history is an extra")
 
@@ -106,6 +110,39 @@ def test_a_fault_of_the_last_flight_asks_for_action(mavdiag: Any, tmp_path: Path
     assert mavdiag("history", "--database", path)[0] == 0  # mended since
 
 
+def test_logs_without_a_clock_follow_each_other_as_named_or_by_the_time_of_their_files(
+    mavdiag: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    baseline_for().save(tmp_path / "b.json")
+    logs = [tmp_path / f"{name}.bin" for name in "abc"]
+    flights = [replace(one, started_ns=0) for one in records([0.2, 0.3, 0.4])]
+    flights[2] = replace(flights[2], started_ns=START_NS + DAY_NS)  # this log has a clock
+    for log, days in zip(logs, (30, 10, 20), strict=True):
+        log.touch()
+        os.utime(log, ns=(0, START_NS + days * DAY_NS))
+
+    @contextmanager
+    def answered(*_: Any, **__: Any) -> Iterator[Any]:
+        verdict = LogVerdict("", Verdict.HEALTHY, "no alarm")
+        answers = (
+            Answer(log, Record(one.content, verdict, flight=one), fresh=True)
+            for log, one in zip(logs, flights, strict=True)
+        )
+        yield answers, lambda _: None
+
+    monkeypatch.setattr("mavdiag.commands.history.judging", answered)
+    order = {}
+    for how in ("named", "file-time"):
+        told = ("--baseline", tmp_path / "b.json", "--database", tmp_path / how, "--ordered", how)
+        assert mavdiag("history", "add", *logs, "--airframe", "one", *told)[0] == 0
+        with open_history(str(tmp_path / how)) as history:
+            kept = history.flights("one")
+        order[how] = [(Path(one.log).stem, (one.started_ns - START_NS) // DAY_NS) for one in kept if one.started_ns]
+        names = [Path(one.log).stem for one in kept]
+        assert names == (["c", "a", "b"] if how == "named" else ["c", "b", "a"])
+    assert order == {"named": [("c", 1)], "file-time": [("c", 1), ("b", 10), ("a", 30)]}
+
+
 def test_csv_has_a_row_for_each_monitor_and_each_trend(mavdiag: Any, wearing: Path, tmp_path: Path) -> None:
     table = tmp_path / "table.csv"
     code, out, _ = mavdiag("history", "list", "--airframe", "calm", "--csv", table, "--database", wearing)
@@ -152,6 +189,7 @@ def test_a_terminal_gets_a_drawing_in_its_width(wearing: Path) -> None:
         (("mark", "--airframe", "x", "--repair", "--at", "yesterday"), "write it like 2026-03-01"),
         (("show", "--database", "postgresql://me:secret@127.0.0.1:1/fleet"), "Connection refused"),
         (("add", "x.tlog", "--baseline", "none.json"), "none.json: no such file"),
+        (("add", "x", "--baseline", "b", "--at", "2026-01-01", "--ordered", "file-time"), "both say when"),
         (("show", "--database", "/etc/passwd"), "file is not a database"),
         (("show", "--database", "/tmp"), "/tmp: is a folder"),
         (("show", "--database", "mysql://a@b/c"), "an SQLite file or a postgresql"),
@@ -175,8 +213,8 @@ def test_a_page_shows_the_trends_and_what_asks_for_attention_first(mavdiag: Any,
     page = wearing.with_suffix(".html")
     assert mavdiag("history", "show", "--database", wearing, "--html", page)[0] == 1
     text = page.read_text()
-    assert text.index("<h2>worn</h2>") < text.index("<h2>calm</h2>")
+    assert text.index('<h2 class="said">worn: ') < text.index('<h2 class="said">calm: ')
     assert text.count("<svg") >= 2
     assert "unbalance: warned of" in text
-    assert "new propellers" in text[text.index("<h2>calm</h2>") :]
+    assert "new propellers" in text[text.index('<h2 class="said">calm: ') :]
     assert str(wearing) not in text

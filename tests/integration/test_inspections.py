@@ -165,6 +165,8 @@ def test_only_a_newer_set_of_propellers_closes_an_inspection_by_itself(tmp_path:
 
 
 def test_an_acknowledgement_without_a_running_detector_is_taken_up_at_its_start(tmp_path: Path) -> None:
+    run = CliRunner().invoke(app, ["ack", str(tmp_path / "none")])
+    assert "no such file; name the detector's --journal" in str(run.exception)
     journal = tmp_path / "j"
     for vehicle in (1, 2):
         Inspections(journal, print).take(vehicle, change(Stage.INSPECT, vehicle), "", 0, "")

@@ -60,7 +60,7 @@ def test_a_bar_on_a_terminal_is_one_line_makes_room_and_goes_away(
     before, after = terminal.getvalue().split("an answer\n")
     assert before.endswith(ERASED)
     assert "━" in before
-    assert "1 of 3, 0.2 a second, 0:00:25 left" in after
+    assert "1 of 3, 5 s each, 0:00:25 left" in after
     assert after.count("\n") == 1  # before it is erased
     assert after.endswith(ERASED)
 

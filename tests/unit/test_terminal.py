@@ -28,7 +28,7 @@ from mavdiag.terminal.ground_station import GroundStation, LiveJudge
 from mavdiag.terminal.playing import KEYS, Key, Position, keys_in, play
 from mavdiag.terminal.tables import verdict_table
 from mavdiag.terminal.view import Curve, Level, Line, StripView, View, picture, strip
-from mavdiag.terminal.watching import Journal, Screen
+from mavdiag.terminal.watching import Journal, Screen, follow
 
 LEVEL = Level("unbalance", 0.5, 1.0, "g mm")
 
@@ -159,7 +159,7 @@ def test_every_rotor_that_was_named_stands_in_the_table() -> None:
     verdict_table([row, {**row, "log": "b.bin", "rotors": None}], console)
     lines = console.export_text().splitlines()
     assert "rotor" in lines[0]
-    assert [" ".join(line.split()[:4]) for line in lines[1:3]] == ["a.bin fault 1, 4", "b.bin fault 4 98.7"]
+    assert [" ".join(line.split()[:4]) for line in lines[1:3]] == ["a.bin fault 1,4 98.7", "b.bin fault 4 98.7"]
 
 
 def test_verdicts_of_many_logs_are_a_table_with_totals() -> None:
@@ -197,6 +197,17 @@ def test_verdicts_of_many_logs_are_a_table_with_totals() -> None:
     assert all(len(line) <= 80 for line in lines)
 
 
+def test_a_narrow_terminal_leaves_room_for_the_names() -> None:
+    row: Row = {"verdict": "not_judgeable", "rotor": None, "rotors": "1 from 9 s; 2 from 9 s", "since_s": 1098.9}
+    row = {**row, "monitor": "rotor_signature", "ratio": 17.5, "judged_s": 9.0, "flown_s": 9.0, "reason": ""}
+    names = [f"turning_nose_{number}_healthy.tlog" for number in range(3)]
+    console = Console(width=80, file=io.StringIO(), record=True)
+    verdict_table([{**row, "log": name} for name in names], console)
+    lines = console.export_text().splitlines()
+    assert len(lines) == 2 + 2 * len(names) + 1
+    assert all(len(line) <= 80 for line in lines)
+
+
 def test_the_time_and_figures_are_those_of_one_vehicle() -> None:
     """Two vehicles on a link, and a gimbal that tells an attitude of its own."""
     near, far = memory_pair()
@@ -215,6 +226,13 @@ def test_the_time_and_figures_are_those_of_one_vehicle() -> None:
 
 def _line(kind: str, number: int, **content: object) -> str:
     return json.dumps({"kind": kind, "utc": "2026-01-01T00:00:00Z", "vehicle": number, "vehicle_s": 1.5, **content})
+
+
+def test_a_file_that_is_no_journal_is_not_followed(tmp_path: Path) -> None:
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(b"\xfd\x1c\n\x00\xff\n")
+    with contextlib.closing(Journal(path)) as journal, pytest.raises(InputError, match="no journal of a detector"):
+        follow(journal, None, lambda: False)
 
 
 def test_a_journal_is_followed_over_torn_lines_and_a_rotation(tmp_path: Path) -> None:

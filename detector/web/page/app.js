@@ -58,7 +58,7 @@ function connect() {
   on("fleet", (event) => { page.fleet = JSON.parse(event.data); choose(); draw("fleet", "now"); });
   on("about", (event) => { page.about = JSON.parse(event.data); page.traces.clear(); page.now = null; draw("about", "now", "strips", "filter"); });
   on("now", (event) => take(JSON.parse(event.data)));
-  on("playing", (event) => { page.playing = JSON.parse(event.data); draw("replay"); });
+  on("playing", (event) => { page.playing = JSON.parse(event.data); draw("connection", "replay"); });
   on("entry", entry);
   source.onerror = () => {
     if (source !== page.source) return;
@@ -182,7 +182,7 @@ function figures(id, rows) {
 
 function renderConnection() {
   const words = {
-    connecting: "connecting", live: "live", lost: "no connection; trying again",
+    connecting: "connecting", live: page.playing ? "connected" : "live", lost: "no connection; trying again",
     silent: "nothing comes from the detector",
   };
   byId("connection").dataset.state = page.connection;

@@ -11,7 +11,7 @@
     return getComputedStyle(document.documentElement).getPropertyValue(found.match(/--\w+/)?.[0] ?? "--none") || found;
   };
   const own = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
-  const dashes = { simulated: [6, 3], commanded: [2, 3], limit: [7, 4], l2: [7, 3], l3: [7, 3, 2, 3], l4: [2, 3], l6: [7, 3], l7: [7, 3, 2, 3], l8: [2, 3] };
+  const dashes = { simulated: [6, 3], commanded: [2, 3], limit: [10, 5], l2: [4, 2], l3: [7, 3, 2, 3], l4: [2, 3], l6: [7, 3], l7: [7, 3, 2, 3], l8: [2, 3] };
 
   // The points of a path as [[x...], [y...]], with a null before each part but the first.
   function points(path, [x0, x1], [y0, y1]) {
@@ -55,11 +55,12 @@
       width, height: +plot.getAttribute("height") + (last ? 46 : 26), padding: [6, 8, 0, 0],
       scales: { x: { time: false, range: (u, low, high) => low == null ? x : [Math.max(low, x[0]), Math.min(high, x[1])] }, y: { range: () => y } },
       axes: [{ ...axis, label: last ? plot.ownerSVGElement.dataset.name : null, labelSize: 18, labelFont: "12px system-ui, sans-serif", size: 24 }, { ...axis, size: LEFT, space: 24 }],
+      legend: { markers: { dash: (u, number) => { const [dash] = u.series[number].dash ?? []; return dash ? dash < 3 ? "dotted" : "dashed" : "solid"; } } },
       cursor: { sync: { key }, drag: { x: true, y: false }, points: { size: 6 } },
       hooks: { drawClear: [behind], setScale: [(u, name) => name === "x" && zoomed(u)] },
       series: [{ label: "time", value: shown }, ...paths.map((path) => {
         const [shape, ...looks] = path.getAttribute("class").split(" "), look = looks[0] ?? shape;
-        return { label: path.dataset.label, class: path.dataset.label ? undefined : "unnamed", stroke: () => colour(look), width: 1.3, dash: dashes[look], value: shown, spanGaps: false,
+        return { label: path.dataset.label, class: path.dataset.label ? undefined : "unnamed", stroke: () => colour(look), width: look === "limit" ? 2 : 1.3, dash: dashes[look], value: shown, spanGaps: false,
           points: { show: shape === "dots", size: 6, fill: () => colour(look) }, ...(shape === "dots" ? { paths: () => null } : {}) };
       })],
     };
