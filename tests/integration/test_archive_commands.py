@@ -1,8 +1,6 @@
 """`mavdiag scan` on an archive, with real worker processes: order, cache, stops, and what it prints where."""
 
 import json
-import os
-import pty
 import shutil
 import signal
 import subprocess
@@ -64,17 +62,6 @@ def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(scan: Any, arc
     code, out, err = scan(archive, "--cache", tmp_path / "cache")
     assert (code, len(out.splitlines())) == (1, 5)
     assert "5 of 5 answers were known already; --no-cache judges anew" in err
-
-
-def test_windows_say_since_when(scan: Any, archive: Path, tmp_path: Path) -> None:
-    code, out, _ = scan(archive / "b", "--windows", 5, "--json", "--csv", tmp_path / "a.csv")
-    assert code == 1
-    found = {json.loads(line)["log"]: json.loads(line)["windows"] for line in out.splitlines()}
-    assert [one["verdict"] for one in found[str(archive / "b" / "2.tlog")]] == ["healthy", "fault", "fault"]
-    assert len((tmp_path / "a.csv").read_text().splitlines()) == 1 + 9
-    _, out, _ = scan(archive / "b" / "2.tlog", "--windows", 5)
-    assert "  10 to 15 s: fault, judged 5.0 s of 5.0 s, innovation at " in out
-    assert "windows" not in json.loads(scan(archive / "b" / "2.tlog", "--json")[1])
 
 
 @pytest.mark.parametrize(
@@ -157,16 +144,3 @@ def alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
-
-
-def test_the_bar_of_a_terminal_is_not_in_what_is_printed(archive: Path, baseline: Path) -> None:
-    """stderr is a terminal, stdout a file: answers must not follow the bar to the terminal."""
-    own, other = pty.openpty()
-    told = command(archive, "--baseline", baseline, "--jobs", 1, "--json")
-    ran = subprocess.run(told, stdout=subprocess.PIPE, stderr=other, timeout=PATIENCE_S, check=False)
-    os.close(other)
-    shown = os.read(own, 1 << 16).decode()
-    os.close(own)
-    assert len([json.loads(line) for line in ran.stdout.splitlines()]) == 5
-    assert "judged" in shown
-    assert "verdict" not in shown

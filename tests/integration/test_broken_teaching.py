@@ -1,18 +1,14 @@
 """Nothing broken is learnt: emulated flights with a damaged propeller among those that teach, and healthy ones."""
 
-import json
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 from broken_teaching import MONITORS, Pool, Tally, judge_sets, pool_of
-from typer.testing import CliRunner
 
 import mavdiag as md
 from mavdiag.baseline import Baseline
-from mavdiag.cli import app
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.telemetry import Log, Signal, Telemetry
 from sitl_plant.vehicle import airframe_of
@@ -78,16 +74,3 @@ def test_what_the_baseline_says_that_it_notices_it_notices() -> None:
         assert 0.005 < loss < 0.2
         assert md.judge(weakened(fresh, rotor, 0.3 * loss), baseline).verdict == "healthy"
         assert md.judge(weakened(fresh, rotor, 1.6 * loss + 0.01), baseline).verdict != "healthy"
-
-
-def test_the_file_and_its_text_say_what_it_is_worth(tmp_path: Path) -> None:
-    baseline = learnt(*pool().healthy[:2])
-    baseline.save(tmp_path / "b.json")
-    assert Baseline.load(tmp_path / "b.json") == baseline
-    shown = CliRunner().invoke(app, ["baseline", "show", str(tmp_path / "b.json")]).stdout
-    assert "grade      A" in shown
-    assert "notices    a loss of thrust of" in shown
-    assert "better     with healthy flights of 3 more days" in shown
-    raw = json.loads((tmp_path / "b.json").read_text())
-    assert (raw["grade"], raw["weak"]) == ("A", "")
-    assert len(raw["least_damage"]["thrust_loss"]) == 4

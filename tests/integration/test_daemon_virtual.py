@@ -11,7 +11,6 @@ from memory_port import MemoryEndpoint
 
 from detector.config import Settings, VehicleSettings
 from detector.fleet import Turn
-from detector.notify import Notifier
 from mavdiag.link.codec import Encoder, Frame, field_index
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, Severity
 from mavdiag.logs.tlog import read_tlog
@@ -141,55 +140,6 @@ def test_l9_the_recording_reads_back_as_the_flight_that_was_received(benches: Be
     bench.run(4.0)
     log = read_tlog(tmp_path / "flight.tlog")
     assert len(log.telemetry.need(Signal.BODY_RATE)) == vehicle.sent
-
-
-class SlowManager(Notifier):
-    """Every look with a heartbeat takes 0.1 s longer than it may."""
-
-    host, looks = VirtualHost(), 0
-
-    def status(self, status: str, *, alive: bool) -> None:
-        self.looks += 1
-        self.host.ns += 100_000_000
-
-
-def test_l11_looks_that_come_late_are_counted_and_told(benches: Benches) -> None:
-    slow = SlowManager({})
-    bench = benches(Settings(connect=UDP_IN, learn=5.0, tick_s=0.04), host=slow.host, notifier=slow)
-    bench.daemon.run(lambda: slow.looks >= 5)
-    assert "5 looks came late, by 0.06 s at most" in slow.host.lines[-1]
-    assert bench.daemon.figures().late == 5
-
-
-def test_timesync_is_asked_rarely_and_answered(benches: Benches) -> None:
-    vehicle = MadeVehicle(1)
-    bench = benches(Settings(connect=UDP_IN, learn=500.0), vehicle)
-    bench.run(25.0)
-    asked = of(received(bench.far), MessageId.TIMESYNC)
-    assert [frame.fields[field_index(MessageId.TIMESYNC, "tc1")] for frame in asked] == [0, 0, 0]
-    bench.far.send(vehicle.encoder.encode(MessageId.TIMESYNC, 0, 4711))
-    place = field_index(MessageId.TIMESYNC, "ts1")
-    stamp = asked[-1].fields[place]
-    assert isinstance(stamp, int)
-    bench.far.send(vehicle.encoder.encode(MessageId.TIMESYNC, 5_000_000_000, stamp))
-    bench.run(0.2)
-    [answer] = of(received(bench.far), MessageId.TIMESYNC)
-    assert answer.fields[place] == 4711
-    [figures] = bench.daemon.fleet.figures()
-    assert figures.timesync.round_trip_s is not None
-
-
-def test_a_question_is_answered_in_the_next_look_whenever_the_vehicle_has_its_turn(benches: Benches) -> None:
-    vehicle = MadeVehicle(1)
-    bench = benches(judging(), vehicle, baseline=baseline_for())
-    bench.run(5.0)
-    for _ in range(5):
-        received(bench.far)
-        bench.far.send(STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.REQUEST_MESSAGE, 0, 148))
-        bench.far.send(vehicle.encoder.encode(MessageId.TIMESYNC, 0, 4711))
-        bench.run(TICK_S)
-        kinds = Counter(frame.msgid for frame in received(bench.far))
-        assert (kinds[MessageId.COMMAND_ACK], kinds[MessageId.TIMESYNC]) == (1, 1)
 
 
 class SlowHost(VirtualHost):

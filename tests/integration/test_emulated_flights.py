@@ -11,9 +11,6 @@ from mavdiag.airframe.layout import layout_named
 from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.decision.alarm import Stage
-from mavdiag.identify import fit
-from mavdiag.identify.lab.comparison import THESIS_PITCH, THESIS_ROLL, ReferenceModel
-from mavdiag.identify.validate import r_squared, validate
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, front_for, learn, rows_of
 from mavdiag.monitors import BY_NAME
@@ -136,21 +133,3 @@ def rates(flight: PlantSamples, noise: float, seed: int, column: int = 0) -> tup
     gyro = flight.gyro[3000:, column] + noise * np.random.default_rng(seed).standard_normal(30_000)
     value, slope, _ = coefficients(WINDOW)
     return np.correlate(flight.setpoint[3000:, column], slope / DT_S, "valid"), np.correlate(gyro, value, "valid")
-
-
-@pytest.mark.parametrize("noise", [0.05, 0.1, 0.2])
-def test_sriv_holds_where_least_squares_fails(flights: dict[int, PlantSamples], noise: float) -> None:
-    (u2, y2), (u3, y3), (u1, y1) = (rates(flights[drone], noise, drone) for drone in (2, 3, 1))
-    refined, plain = (fit([u2, u3], [y2, y3], dt=DT_S, method=method) for method in ("sriv", "ls"))
-    assert refined.converged
-    assert validate(refined, u1, y1).r2t >= 0.98
-    assert validate(plain, u1, y1).r2t < 0.85
-
-
-@pytest.mark.parametrize(("reference", "r2t"), [(THESIS_ROLL, 0.55), (THESIS_PITCH, 0.85)])
-def test_the_printed_models_need_their_input_scale(
-    flights: dict[int, PlantSamples], reference: ReferenceModel, r2t: float
-) -> None:
-    u, y = rates(flights[2], 0.0, 0, reference.axis.column)
-    assert r_squared(y, reference.scaled.simulate(u)) == pytest.approx(r2t, abs=0.06)
-    assert r_squared(y, reference.model.simulate(u)) < -1000

@@ -16,7 +16,6 @@ from detector.hooks import Courier
 from detector.journal import baselines_in
 from mavdiag.archive.scan import Options, Question, judge_file
 from mavdiag.baseline import Baseline
-from mavdiag.errors import UsageError
 from mavdiag.link.codec import field_index
 from mavdiag.link.messages import Autopilot, MavCmd, MessageId
 
@@ -107,20 +106,6 @@ def test_a_flight_that_cannot_be_added_is_told_and_added_by_the_next_start(tmp_p
         assert len(opened.flights(*opened.names())) == 1
 
 
-def test_a_flight_that_cannot_be_recorded_is_told_once_and_does_not_stop_the_watch(tmp_path: Path) -> None:
-    folder, said = tmp_path / "flights", list[str]()
-    flights = Flights(str(tmp_path / "history.sqlite"), folder, EPOCH_NS, said.append)
-    folder.rmdir()
-    bench = watching(baseline_for(), flights, MadeVehicle(3))
-    flown(bench, 8.0)
-    flown(bench, 2.0, armed=False)
-    assert bench.daemon.fleet.vehicles[3].session.judge is not None
-    bench.close()
-    flights.close()
-    assert flights.lost == 1
-    assert [line for line in said if "No such file" in line] == said
-
-
 def test_a_vehicle_gets_the_baseline_that_is_named_by_its_uid(tmp_path: Path) -> None:
     plain, own = baseline_for(), baseline_for(names=("rotor_trim",))
     plain.save(tmp_path / "1.json")
@@ -147,11 +132,3 @@ def test_a_vehicle_gets_the_baseline_that_is_named_by_its_uid(tmp_path: Path) ->
     assert asked == {1: 0, 2: 1, 3: 3}
     assert any("vehicle 3: not watched" in line for line in bench.host.lines)
     bench.close()
-
-
-def test_a_folder_of_baselines_with_another_name_in_it_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no baseline in it"):
-        baselines_in(tmp_path)
-    baseline_for().save(tmp_path / "300.json")
-    with pytest.raises(UsageError, match=r"300\.json: name it by system id"):
-        baselines_in(tmp_path)

@@ -3,12 +3,6 @@
 import csv
 import io
 import json
-import os
-import pty
-import re
-import subprocess
-import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +12,6 @@ from made_history import DAY_NS, START_NS, records
 from plant_process import record
 
 from mavdiag.history.warn import Mark, MarkKind
-from mavdiag.judging import Verdict
 
 pytest.importorskip("sqlalchemy", reason="the history is an extra")
 
@@ -89,23 +82,6 @@ def test_a_wearing_airframe_is_warned_of_until_its_propellers_are_new(mavdiag: A
     assert "new propellers after the last flight: no trend yet" in out
 
 
-def test_a_fault_of_the_last_flight_asks_for_action(mavdiag: Any, tmp_path: Path) -> None:
-    """As from logs without a clock, and with too few flights for a trend."""
-    path = tmp_path / "h.sqlite"
-    timeless = [replace(one, started_ns=0) for one in records([0.5, 0.6])]
-    with open_history(str(path), create=True) as history:
-        history.add(timeless[0])
-        assert mavdiag("history", "--database", path)[0] == 0
-        history.add(replace(timeless[1], verdict=Verdict.FAULT))
-    code, out, _ = mavdiag("history", "--database", path)
-    assert code == 1
-    assert "the last one fault" in out.splitlines()[0]
-    assert out.splitlines()[1].startswith("  2 without a clock in the log, placed by when they were added")
-    told = ("--airframe", "one", "--database", path, "--repair")
-    assert mavdiag("history", "mark", *told)[0] == 0
-    assert mavdiag("history", "--database", path)[0] == 0  # mended since
-
-
 def test_csv_has_a_row_for_each_monitor_and_each_trend(mavdiag: Any, wearing: Path, tmp_path: Path) -> None:
     table = tmp_path / "table.csv"
     code, out, _ = mavdiag("history", "list", "--airframe", "calm", "--csv", table, "--database", wearing)
@@ -119,27 +95,6 @@ def test_csv_has_a_row_for_each_monitor_and_each_trend(mavdiag: Any, wearing: Pa
         ("calm", "steady"),
         ("worn", "warning"),
     }
-
-
-def test_a_terminal_gets_a_drawing_in_its_width(wearing: Path) -> None:
-    """A real one, by a pseudo-terminal."""
-    width = 40
-    ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "mavdiag", "history", "--database", str(wearing), "--airframe", "worn"]
-    with os.fdopen(theirs, "wb") as end:
-        run = subprocess.Popen(command, stdout=end, env={**os.environ, "COLUMNS": str(width)})
-    text = b""
-    while True:
-        try:
-            text += os.read(ours, 65536)
-        except OSError:  # the other end is closed
-            break
-    os.close(ours)
-    assert run.wait() == 1
-    plain = re.sub(r"\x1b\[[0-9;]*m", "", text.decode())
-    assert any(set("▅▆▇█") <= set(line) for line in plain.splitlines())
-    assert max(map(len, plain.splitlines())) <= width
-    assert "\x1b[1;31m" in text.decode()
 
 
 @pytest.mark.parametrize(

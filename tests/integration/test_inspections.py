@@ -176,12 +176,3 @@ def test_an_acknowledgement_without_a_running_detector_is_taken_up_at_its_start(
     kept = Inspections(journal, print)
     assert kept.acknowledged() == [(2, "mavdiag ack by Bo")]
     assert kept.acknowledged() == []
-
-
-def test_a_disk_that_cannot_be_written_stops_nothing(tmp_path: Path) -> None:
-    warned: list[str] = []
-    kept = Inspections(tmp_path / "gone" / "j", warned.append)
-    kept.take(1, change(Stage.FAULT, 2), "", 0, "")
-    assert kept.held(1, 0).rotor == 2
-    assert len(warned) == 1
-    assert warned[0].startswith("open inspections are not kept: ")

@@ -47,18 +47,6 @@ def test_the_models_of_a_baseline_are_those_of_its_fsd_monitors(
     assert code in (0, 1, 4)
 
 
-def test_the_lab_tools_print_their_tables(mavdiag: Any, flights: list[Path]) -> None:
-    code, out, _ = mavdiag("model", "sweep", flights[0], "--over", "window", "--validate", flights[1])
-    assert (code, out.count("yes")) == (0, 1)
-    code, out, _ = mavdiag("model", "compare", flights[0], "--json")
-    fitted, published = (json.loads(line) for line in out.splitlines())
-    assert fitted["gain_db"] < 2.0 < published["gain_db"]
-    assert published["model"] == "T Eq 5.1"
-    code, out, _ = mavdiag("model", "track", flights[0], "--every", "5", "--json")
-    assert [json.loads(line)["stable"] for line in out.splitlines()] == [True] * len(out.splitlines())
-    assert len(out.splitlines()) >= 3
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

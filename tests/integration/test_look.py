@@ -1,6 +1,5 @@
 """A first look at flights without a baseline: what it finds is there, and it never calls a vehicle healthy."""
 
-import io
 import json
 from pathlib import Path
 
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 from flying_telemetry import flying
 from made_baselines import logged
-from rich.console import Console
 from shared_data import shared
 from typer.testing import CliRunner
 
@@ -20,7 +18,6 @@ from mavdiag.logs import read_log
 from mavdiag.look.inspection import inspection_of
 from mavdiag.look.words import in_full, in_one_line
 from mavdiag.telemetry import Log, Series, Signal, Telemetry
-from mavdiag.terminal.tables import look_table
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.plant import PlantConfig
 
@@ -91,18 +88,6 @@ def test_an_output_at_its_end_and_a_high_vibration_are_told_in_their_share() -> 
     text = in_full(look)
     assert "where ArduPilot expects trouble" in text
     assert "2 at its upper end" in text
-
-
-def test_several_logs_are_a_table_on_a_terminal_what_cannot_be_read_first() -> None:
-    console = Console(width=80, file=io.StringIO(), record=True)
-    look = inspection_of(logged(flying(3000, seed=3)), Airframe())
-    look_table([look, {"log": "torn.bin", "error": "no flight log"}], console)
-    head, first, *rest = console.export_text().splitlines()
-    assert head.split() == ["log", "profile", "flight", "rate", "what", "it", "shows"]
-    assert first.split() == ["torn.bin", "no", "flight", "log"]
-    assert rest[0].split()[:6] == [look.log, look.profile, f"{look.flight_s:.0f}", "s", "100", "Hz"]
-    assert "monitors could judge" in " ".join(" ".join(rest).split())
-    assert all(len(line) <= 80 for line in (head, first, *rest))
 
 
 def test_it_never_says_that_a_vehicle_is_well() -> None:
@@ -185,17 +170,6 @@ def test_two_flights_in_a_log_do_not_lower_its_rate() -> None:
     assert {one.signal: one.rate_hz for one in alone.signals}["body_rate"] == pytest.approx(100.0, rel=0.01)
 
 
-def test_look_and_inspect_are_two_names_of_one_command(tmp_path: Path) -> None:
-    recording(tmp_path / "1.csv", 1, 6.0)
-    (tmp_path / "map.toml").write_text(MAP)
-    for options in ([], ["--json"], ["--layout", "hexa-x", "--from", "1"]):
-        rest = [str(tmp_path / "1.csv"), "--columns", str(tmp_path / "map.toml"), *options]
-        look, inspect = (RUN.invoke(app, [name, *rest]) for name in ("look", "inspect"))
-        assert (look.exit_code, look.stdout) == (inspect.exit_code, inspect.stdout)
-        assert look.exit_code == 0
-        assert ("rotor layout hexa-x" in look.stdout) == ("hexa-x" in options)
-
-
 def test_log171_is_seen_to_tumble_with_a_motor_at_its_limit() -> None:
     path = shared("data/ardupilot_real/log171.bin")
     look = inspection_of(read_log(path), Airframe())
@@ -208,15 +182,3 @@ def test_log171_is_seen_to_tumble_with_a_motor_at_its_limit() -> None:
     earlier = RUN.invoke(app, ["look", str(path), "--to", "230"]).stdout
     assert "upset" not in earlier
     assert "no output reached an end" in earlier
-
-
-def test_outputs_that_are_no_motors_are_not_told_as_such() -> None:
-    """An output at zero, one that stands still and one that idles beside four motors whose layout is not known."""
-    log = logged(flying(3000, seed=3))
-    motors = log[Signal.ACTUATOR].values
-    still = np.tile([0.0, 0.9], (len(motors), 1))
-    wobble = 0.01 + 0.005 * np.sin(np.arange(len(motors)))[:, None]
-    odd = np.hstack((motors[:, [3, 2]] * [1.0, 0.5], still, motors[:, :1], wobble))  # no layout has these three
-    look = inspection_of(changed(log, Signal.ACTUATOR, odd), Airframe())
-    assert look.rotors.startswith("rotor layout unknown")
-    assert [one.number for one in look.loads] == [1, 2, 5]

@@ -11,23 +11,18 @@ from made_telemetry import ROUNDING
 from mavdiag.link.codec import Decoder, Frame, field_index
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES
-from mavdiag.link.samples import SampleDecoder, SampleState, joined
+from mavdiag.link.samples import SampleDecoder, SampleState
 from mavdiag.telemetry import Signal, Telemetry
 from sitl_plant.autopilot.dialect import dialect_named
-from sitl_plant.autopilot.telemetry import LinkSpec, TelemetryStream, flight_telemetry
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.emulator import recorded
 from sitl_plant.options import FlightPlan
-from sitl_plant.plant import Plant, PlantConfig, PlantSamples
+from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import Vehicle, load_vehicle, vehicle_from
 
 SECONDS = 3.0
 CONFIG = PlantConfig(fault="F1/SV3", rotor=2, seed=5, heading_rad=0.7)
 LINKS = [("qdrone2", None), ("qdrone2", 250.0), ("spec", 1000.0), ("ardupilot", 50.0), ("px4", 160.0)]
-
-
-@cache
-def flown() -> PlantSamples:
-    return Plant(CONFIG).advance(round(SECONDS * 1000))
 
 
 def frames_of(config: PlantConfig, profile: str, rate_hz: float, seconds: float = 1.0) -> list[Frame]:
@@ -53,26 +48,6 @@ def test_times_and_values_are_those_of_the_wire(profile: str, rate_hz: float | N
             np.testing.assert_array_equal(ours.t_ns, theirs.t_ns, err_msg=signal)
         np.testing.assert_allclose(ours.values[-len(theirs) :], theirs.values, rtol=0.0, atol=ROUNDING, err_msg=signal)
         assert len(ours) - len(theirs) in ((0, 1) if untimed else (0,))
-
-
-@pytest.mark.parametrize("link", [LinkSpec(), LinkSpec("ardupilot", 100.0, loss=0.2)])
-def test_how_a_flight_is_cut_changes_nothing(link: LinkSpec) -> None:
-    stream, first, pieces = TelemetryStream(link, CONFIG.seed), 0, []
-    for n in (1, 7, 992, 20, 1980):
-        pieces.append(stream.step(flown().rows(first, first + n)))
-        first += n
-    assert joined(pieces).digest == TelemetryStream(link, CONFIG.seed).step(flown()).digest
-
-
-def test_loss_takes_its_share_and_repeats_with_the_seed() -> None:
-    whole, _ = flight_telemetry(CONFIG, SECONDS)
-    holed, _ = flight_telemetry(CONFIG, SECONDS, LinkSpec(loss=0.2))
-    again, _ = flight_telemetry(CONFIG, SECONDS, LinkSpec(loss=0.2))
-    n = len(whole.need(Signal.BODY_RATE))
-    assert abs(len(holed.need(Signal.BODY_RATE)) - 0.8 * n) < 4 * np.sqrt(0.16 * n)
-    assert set(holed.need(Signal.BODY_RATE).t_ns) < set(whole.need(Signal.BODY_RATE).t_ns)
-    assert holed.digest == again.digest
-    assert holed.digest != whole.digest
 
 
 MADE_UP = """

@@ -102,19 +102,6 @@ def test_without_the_option_nothing_is_ever_commanded(benches: Benches) -> None:
     assert commanded(bench) == []
 
 
-@pytest.mark.parametrize(("sender", "target"), [((2, 1), US), ((1, 190), US), ((1, 1), (255, 190)), ((1, 1), (7, 191))])
-def test_an_answer_of_another_system_or_to_another_is_none(
-    benches: Benches, sender: tuple[int, int], target: tuple[int, int]
-) -> None:
-    bench = benches()
-    damaged(bench, 7.0)
-    received(bench.far)
-    encoder = bench.vehicles[0].encoder if sender == (1, 1) else Encoder(*sender)
-    bench.far.send(answer(bench, encoder, target))
-    bench.fly(2.0)
-    assert [field(order, "confirmation") for order in commanded(bench)] == [1]
-
-
 def stranger(name: str) -> Iterator[list[bytes]]:
     """Somebody else who wants a reaction: frames of a damaged flight in its name, texts, commands."""
     if name == "damaged flight":

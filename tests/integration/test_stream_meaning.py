@@ -57,14 +57,6 @@ def values_of(frames: Sequence[Frame], msgid: int, *names: str) -> FloatArray:
     return np.array([[frame.fields[place] for place in places] for frame in frames if frame.msgid == msgid], float)
 
 
-@EVERY_PROFILE
-def test_every_message_keeps_the_rate_of_its_profile(profile: str) -> None:
-    frames = decoded(profile)
-    for msgid, rate_hz in DIALECTS[profile].rates_hz(None).items():
-        n = sum(frame.msgid == msgid for frame in frames)
-        assert abs(n - N * 1e-3 * rate_hz) <= 1.0, f"{n} of message {msgid} in {N} ms at {rate_hz} Hz"
-
-
 def test_an_esc_tells_its_speed_in_its_turn_in_steps_and_again_what_was_lost() -> None:
     """However the flight is cut."""
     samples, esc = flight(), Esc(lost=0.2)

@@ -33,15 +33,3 @@ def test_a_live_flight_finds_every_kernel_compiled() -> None:
     run = [sys.executable, "-c", JUDGED]
     done = subprocess.run(run, capture_output=True, text=True, check=False, env=environment, cwd=TESTS.parent)
     assert (done.returncode, done.stdout) == (0, "{1}\n"), done.stderr
-
-
-def test_what_was_compiled_beside_the_sources_is_taken_over(tmp_path: Path) -> None:
-    """As by a user who may not write into the installation, where root's `mavdiag warm` compiled."""
-    for environment in (os.environ, os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}):
-        run = [sys.executable, "-m", "mavdiag", "warm"]
-        done = subprocess.run(run, capture_output=True, text=True, check=False, env=environment, cwd=TESTS.parent)
-    assert done.returncode == 0, done.stderr
-    taken = list(tmp_path.rglob("*.nbi"))
-    assert taken
-    for index in taken:
-        assert index.read_bytes() == next(TESTS.parent.rglob(f"__pycache__/{index.name}")).read_bytes()

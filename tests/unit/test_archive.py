@@ -18,7 +18,7 @@ import pytest
 from flying_telemetry import flying, without
 from hypothesis import given
 from hypothesis import strategies as st
-from made_archive import MONITORS, START_US, archive_baseline, asked, content, made
+from made_archive import MONITORS, archive_baseline, asked, content, made
 from made_baselines import logged, whole
 from worker_task import work
 
@@ -198,16 +198,6 @@ def test_the_version_is_that_of_the_sources_and_of_what_computes(package: str, m
     assert judging_version.__wrapped__() != before
 
 
-def test_figures_are_of_the_flight_that_was_judged_at_the_time_that_was_told(tmp_path: Path) -> None:
-    (path,) = made(tmp_path, "a.tlog")
-    record = judge_file(str(path), asked(Options(figures=True, flown_ns=5)))
-    assert record.flight is not None
-    assert record.flight.started_ns == START_US * 1000  # the log has a clock of its own
-    assert record.flight.content.startswith(record.digest)
-    assert {slot.monitor for slot in record.flight.slots} == set(MONITORS)
-    assert record.verdict == judge_file(str(path), asked()).verdict
-
-
 def in_drawn_order(seed: int, deadly: frozenset[str]) -> Callable[..., Iterator[Any]]:
     """As `run_all`, but of the four tasks that are out at a time any ends next; `deadly` ones end their worker."""
     order = np.random.default_rng(seed)
@@ -276,25 +266,6 @@ def test_answers_are_kept_and_found_again_and_errors_are_not(tmp_path: Path) -> 
     for answer, words in ((answers[1], "not a flight log of a known kind"), (answers[4], "no such file")):
         assert answer.verdict.verdict is Verdict.ERROR
         assert answer.verdict.reason.startswith(words)
-
-
-def test_a_file_that_changes_while_it_is_judged_answers_for_itself_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (a,) = made(tmp_path, "a.tlog")
-    copy = Path(shutil.copy(a, tmp_path / "copy.tlog"))
-
-    def changing(path: str, question: Question) -> Record:
-        if path == str(a):
-            a.write_bytes(content(9))
-        return judge_file(path, question)
-
-    monkeypatch.setattr(module, "judge_file", changing)
-    monkeypatch.setattr(module, "digest_of", lambda path, now=digest_of: now(copy))
-    cache = open_cache(tmp_path / "cache", asked().scope)
-    answers = list(scan(logs_named([a, copy]).logs, asked(), 1, cache))
-    assert [answer.record.digest for answer in answers] == [digest_of(a), digest_of(copy)]
-    assert [path.stem for path in (tmp_path / "cache").rglob("*.json")] == [digest_of(a)]
 
 
 def test_answers_that_cannot_be_kept_are_told_once_and_lose_nothing(tmp_path: Path) -> None:
@@ -471,12 +442,3 @@ def test_the_windows_add_up_to_the_accounts_of_the_flight(flight: JudgedFlight) 
     assert sum(one.judged_s for one in windows) == pytest.approx(flight.verdict.judged_s, abs=0.5)
     decided = [(one.maximum or 0.0) / one.threshold for one in flight.verdict.monitors if one.decides]
     assert max(one.ratio or 0.0 for one in windows) == pytest.approx(max(decided))
-
-
-def test_no_window_is_made_up_where_nothing_flew() -> None:
-    """A gap of 20 s has no windows; a log that could not be judged has none at all."""
-    gap = judge_in_full(logged(without(flying(6000, 7), (20.0, 45.0))), whole())
-    begins = [one.from_s for one in windows_of(gap, 5.0)]
-    assert 30.0 not in begins
-    assert {15.0, 50.0} <= set(begins)
-    assert windows_of(JudgedFlight(LogVerdict("x", Verdict.NOT_JUDGEABLE, "")), 5.0) == ()

@@ -10,9 +10,6 @@ import pytest
 from mavdiag.errors import UsageError
 from sitl_plant.campaign.plan import (
     CAUSES,
-    CONDITIONS,
-    HEALTHY,
-    PRESETS,
     Conditions,
     Design,
     FlightTask,
@@ -24,9 +21,8 @@ from sitl_plant.campaign.plan import (
     with_conditions,
 )
 from sitl_plant.campaign.summary import poisson as poisson_rate
-from sitl_plant.campaign.summary import print_summary, summarise
+from sitl_plant.campaign.summary import summarise
 from sitl_plant.campaign.worker import Answer, FlightResult, MonitorResult, Results
-from sitl_plant.vehicle import qdrone2
 
 
 def words(seed: int, task: FlightTask | LearnTask) -> list[int]:
@@ -51,15 +47,6 @@ def test_seeds_follow_from_what_is_flown() -> None:
     assert words(0, flight) != words(0, replace(flight, rotor=flight.rotor % 4 + 1))
 
 
-def test_conditions_replace_levels() -> None:
-    design = with_conditions(
-        Design(), ["cause=sensor,F2/SV2", "wind=0,2", "manoeuvre=hover", "link=ardupilot@100", "loss=0.1", "rotor=2"]
-    )
-    assert set(design.cause) == {"F2/SV2", *(name for name in CAUSES if name.startswith(("gyro", "accel")))}
-    assert (design.wind, design.manoeuvre, design.rotor) == ((0.0, 2.0), ("hover",), (2,))
-    assert (design.link, design.loss) == (("ardupilot@100",), (0.1,))
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -81,38 +68,6 @@ def test_nonsense_is_refused(text: str, message: str) -> None:
         with_conditions(Design(), [text])
 
 
-CONDITIONED = replace(PRESETS["conditions"], airframes=2, flights=2 * len(CONDITIONS), hours=0.1 * len(CONDITIONS))
-
-
-def test_every_condition_has_its_share_of_hours_and_causes() -> None:
-    flights = make_plan(CONDITIONED).flights
-    hours: dict[str, float] = {}
-    for flight in flights:
-        if flight.cause == HEALTHY:
-            name = flight.conditions.condition
-            hours[name] = hours.get(name, 0.0) + flight.duration_s / 3600
-    assert hours.keys() == CONDITIONS.keys()
-    assert all(0.1 <= found < 0.1 + 600 / 3600 for found in hours.values())
-    assert min(hours.values()) == pytest.approx(0.1)
-    causes = Counter(flight.conditions.condition for flight in flights if flight.cause != HEALTHY)
-    assert set(causes.values()) == {2}
-    assert {flight.duration_s for flight in flights if flight.conditions.condition == "battery-10min"} == {600.0}
-
-
-def test_only_what_belongs_to_the_build_is_learnt_with() -> None:
-    """The baseline never flew in the condition, but with the same frame, filters and link."""
-    for flight in make_plan(CONDITIONED).flights:
-        name, learnt = flight.conditions.condition, flight.learnt
-        assert set(learnt.flights) == {Conditions()}
-        assert len(learnt.flights) == 5
-        row = CONDITIONS[name]
-        build = (row.filter_hz, row.resonance_hz, row.isolation) != (None, None, None)
-        assert (learnt.vehicle == qdrone2()) == (not build)
-        assert learnt.link == ("qdrone2@1000" if row.rate_hz is None else f"qdrone2@{row.rate_hz:g}")
-        if row.filter_hz is not None:
-            assert learnt.vehicle.imu.filter_hz == row.filter_hz
-
-
 PLAN = Plan(Design(airframes=2, seed=9), (), ())
 
 
@@ -121,7 +76,7 @@ def line(
     cause: str,
     episodes: int = 0,
     latency_s: float | None = None,
-    answer: Answer = Answer("nothing"),  # noqa: B008  # frozen
+    answer: Answer = Answer("nothing"),  # frozen
     verdict: str = "healthy",
     phenomenology: float = 1.0,
 ) -> FlightResult:
@@ -230,12 +185,3 @@ def test_each_condition_tells_its_hours_alarms_and_detections() -> None:
     assert (found[0.5]["flights"], found[0.5]["detected"].hits, found[0.5]["detected"].of) == (3, 2, 2)
     assert (found[0.5]["declared"].hits, found[1.0]["detected"].hits, found[1.0]["detected"].of) == (1, 0, 1)
     assert calm["detection"] == []
-
-
-def test_the_tables_print(capsys: pytest.CaptureFixture[str]) -> None:
-    print_summary(summarise(made()))
-    shown = capsys.readouterr().out
-    for text in ("False alarms", "2/3", "F1/SV2", "gyro-bias", "not judged: 1 flights", "seed 9"):
-        assert text in shown
-    print_summary(summarise(Results(PLAN, (), (), 0, 0)))
-    assert "0 flights" in capsys.readouterr().out

@@ -6,11 +6,8 @@ import re
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
 from pydantic import BaseModel
-
-from mavdiag.identify.lab.comparison import THESIS_PITCH, THESIS_ROLL, ReferenceModel
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "theory.md").read_text(encoding="utf-8")
@@ -74,45 +71,3 @@ def has_attribute(found: object, names: list[str]) -> bool:
 
 def equations() -> list[str]:
     return re.findall(r"```math\n(.*?)```", PAGE, flags=re.DOTALL)
-
-
-def test_equations_are_numbered_in_order_and_none_appears_twice() -> None:
-    numbers = [int(re.findall(r"\\qquad \((\d+)\)\n$", text)[0]) for text in equations()]
-    assert numbers == list(range(1, len(numbers) + 1))
-    bodies = [re.sub(r"\\qquad \(\d+\)|\s", "", text) for text in equations()]
-    assert len(set(bodies)) == len(bodies)
-    cited = {int(number) for number in re.findall(r"(?<![\d.])\((\d{1,2})\)", PAGE)}
-    assert cited <= set(numbers)
-
-
-@pytest.mark.parametrize(("row", "reference"), list(zip(table("Model"), (THESIS_ROLL, THESIS_PITCH), strict=True)))
-def test_the_published_models_are_those_in_the_code(row: list[str], reference: ReferenceModel) -> None:
-    name, b, a, poles, gain, scale, dt = row
-    assert name.startswith(reference.axis.value)
-    assert name.endswith(reference.source)
-    assert numbers_in(b) == reference.model.b[1:].tolist()
-    assert numbers_in(a) == reference.model.a[1:].tolist()
-    assert numbers_in(poles) == [round(float(pole.real), 4) for pole in reference.model.poles]
-    assert numbers_in(gain) == [round(reference.model.dc_gain, 1)]
-    assert scale == f"1/{round(1 / reference.input_scale)}"
-    assert dt == f"{reference.model.dt * 1000:.0f} ms"
-
-
-def numbers_in(cell: str) -> list[float]:
-    return [float(number) for number in re.findall(r"-?\d+\.\d+", cell)]
-
-
-def test_the_mixer_of_the_thesis_and_its_inverse_agree() -> None:
-    """T Eq 2.8 is the inverse of T Eq 2.7, and in FRD T Eq 2.7 is the plant's allocation."""
-    pytest.importorskip("numba", reason="the plant is an extra")
-    vehicle = importlib.import_module("sitl_plant.vehicle")
-    L_roll, L_pitch, K = 0.254, 0.2032, 68.9055
-    roll, pitch, yaw = ([-1, -1, 1, 1], [1, -1, 1, -1], [1, -1, -1, 1])
-    forward = np.array([[1] * 4, np.multiply(roll, L_roll / 2), np.multiply(pitch, L_pitch / 2), np.divide(yaw, K)])
-    ones = np.full(4, 0.25)
-    inverse = np.column_stack(
-        [ones, np.divide(roll, 2 * L_roll), np.divide(pitch, 2 * L_pitch), np.multiply(yaw, K / 4)]
-    )
-    np.testing.assert_allclose(inverse @ forward, np.eye(4), atol=1e-12)
-    signs = np.array([1.0, 1.0, -1.0, -1.0])  # y left, z up to FRD: pitch and yaw change sign
-    np.testing.assert_allclose(vehicle.allocation(vehicle.qdrone2()), signs[:, None] * forward, rtol=1e-12)

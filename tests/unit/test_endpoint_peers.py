@@ -109,26 +109,6 @@ def test_udpout_counts_what_the_host_refused_and_recovers() -> None:
             assert client.connected
 
 
-def test_a_tcp_client_waits_for_its_server_and_finds_it_again() -> None:
-    with open_endpoint("tcpin:127.0.0.1:0") as server:
-        address = server.address
-    with open_endpoint(address.replace("tcpin", "tcp")) as client:
-        assert client.receive(0.0) == []
-        assert not client.connected
-        client.send(V2)
-        assert client.traffic.dropped == 1
-        for _ in range(2):
-            with open_endpoint(address) as server:
-                until = time.monotonic() + 5.0
-                while not (client.connected and server.connected) and time.monotonic() < until:
-                    client.receive(0.05)
-                    server.receive(0.0)
-                server.send(V2)
-                assert receive_all(client, len(V2)) == V2
-            client.receive(0.05)
-            assert not client.connected
-
-
 def test_a_tcp_server_cuts_its_clients_between_frames() -> None:
     with open_endpoint("tcpin:127.0.0.1:0") as server:
         far = server.address.replace("tcpin", "tcp")

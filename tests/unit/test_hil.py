@@ -3,7 +3,6 @@
 import math
 import struct
 from collections import Counter
-from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -13,14 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavdiag.airframe.layout import layout_named
-from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder
 from sitl_plant.hil.ardupilot import Lockstep, servo_frame
 from sitl_plant.hil.px4 import WANTED, Bridge
 from sitl_plant.hil.simulation import AutopilotName, Simulation, output_map, parameter_file, pilot_of
 from sitl_plant.physics.faults import Injection
 from sitl_plant.plant import Plant, PlantConfig
-from sitl_plant.vehicle import Hil, HilPilot, allocation, qdrone2, vehicle_named
+from sitl_plant.vehicle import allocation, qdrone2, vehicle_named
 
 OFF, CLIMB = [1000] * 4, [1600] * 4
 
@@ -200,11 +198,3 @@ def test_px4s_file_has_the_tabs_of_qgroundcontrol_and_the_geometry() -> None:
     assert found["PWM_MAIN_FUNC4"] == ("104", "6")
     assert "SYS_HITL" not in found
     assert all(("." in value) == (kind == "9") for value, kind in found.values())
-
-
-def test_a_vehicle_that_does_not_tell_its_outputs_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"add a table \[hil\]"):
-        output_map(replace(qdrone2(), hil=None), "ardupilot")
-    twice = HilPilot((1, 2, 3, 3))
-    with pytest.raises(UsageError, match=r"hil.px4.rotors must name each rotor 1 to 4 once"):
-        output_map(replace(qdrone2(), hil=Hil((1000.0, 2000.0), twice, twice)), "px4")

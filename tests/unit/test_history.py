@@ -155,14 +155,3 @@ def test_a_drawing_keeps_to_the_width_of_the_terminal(peaks: list[float | None],
     json.dumps(overview_json(found), allow_nan=False)
     assert all(set(TREND_COLUMNS) <= set(row) for row in trend_rows(found))
     assert all(set(row) <= set(FLIGHT_COLUMNS) for one in found.flights for row in flight_rows(1, one))
-
-
-def test_a_pipe_gets_a_sentence_a_statistic_and_no_drawing() -> None:
-    found = overview_of("one", records(worn(140, 1.0, 1).tolist()), ())
-    lines = lines_of(found)
-    assert [line.text.split(":")[0].strip() for line in lines[:3]] == ["one", "unbalance", "fsd roll"]
-    assert "reaches the threshold soon, warned of since flight" in lines[1].text
-    assert [line.loud for line in lines[:3]] == [False, True, False]
-    assert all(ord(sign) < 0x2500 for line in lines for sign in line.text)
-    assert [one.series.name for one in found.warned] == ["unbalance"]
-    assert found.rotor_growth[3] == pytest.approx(0.013, abs=1e-9)

@@ -30,14 +30,6 @@ def test_without_forgetting_it_is_batch_least_squares(order: Order) -> None:
     assert tracked.method is Method.RLS
 
 
-def test_how_often_it_is_looked_at_does_not_matter() -> None:
-    data = record(WELL, 100, 0.1, 5)
-    often, once = (list(track(data.u, data.y, dt=0.01, forgetting=0.99, every=n)) for n in (7, 100))
-    assert [seen for seen, _ in often] == [*range(7, 100, 7), 100]
-    assert np.array_equal(often[-1][1].theta, once[-1][1].theta)
-    assert np.array_equal(often[-1][1].covariance, once[-1][1].covariance)
-
-
 def test_forgetting_follows_a_change_and_a_long_hover_does_not_wind_it_up() -> None:
     weaker = ArxModel(WELL.a, 0.7 * WELL.b, 0.01, (2, 2, 1), Method.PUBLISHED)
     before, after = record(WELL, 3000, 0.0, 3), record(weaker, 3000, 0.0, 4)
@@ -83,18 +75,6 @@ def test_the_order_that_made_the_data_is_chosen() -> None:
     rows = sweep(((one, 0, (train.u, train.y), (other.u, other.y)) for one in ORDERS), dt=0.01)
     assert len(rows) == 3 * 5 * 5
     assert best_row(rows).order == (2, 2, 1)
-
-
-def test_orders_that_cannot_be_identified_carry_their_reason() -> None:
-    rng = np.random.default_rng(4)
-    grows = ArxModel(np.array([1.0, -1.02]), np.array([0.0, 1.0]), 0.01, (1, 1, 1), Method.PUBLISHED)
-    u = rng.standard_normal(300)
-    flights = u, grows.simulate(u)
-    rows = sweep(((one, 0, flights, None) for one in ((1, 1, 1), (1, 2, 1))), dt=0.01, method="ls")
-    assert [row.model for row in rows] == [None, None]
-    assert "unstable" in rows[0].refused
-    with pytest.raises(IdentificationError, match="no candidate"):
-        best_row(rows)
 
 
 DT = 0.01

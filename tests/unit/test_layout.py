@@ -105,19 +105,6 @@ def test_l6_a_live_link_and_a_log_find_the_same(rows: int) -> None:
             assert detect_layout(pieces).likeness[0][1] == pytest.approx(detect_layout([flight]).likeness[0][1])
 
 
-def test_l6_outputs_that_never_move_come_late_or_are_missing_are_left_out() -> None:
-    """L6: PX4 logs carry 8 or 16 outputs, whatever the vehicle has."""
-    flight = made_flight(layout_named("x"), 5)
-    idle = [np.hstack([flight.actuator, np.full((len(flight), 4), level)]) for level in (0.0, math.nan, 0.45)]
-    for wide in idle:
-        assert detect_layout([replace(flight, actuator=wide)]).layout is layout_named("x")
-    before = replace(flight.rows(0, 300), actuator=np.empty((300, 0)))
-    assert detect_layout([before, flight.rows(300, len(flight))]).layout is layout_named("x")
-    outputs, torque = flight.actuator.copy(), flight.torque.copy()
-    outputs[200:400], torque[900:1100] = math.nan, math.nan
-    assert detect_layout([replace(flight, actuator=outputs, torque=torque)]).layout is layout_named("x")
-
-
 def test_l6_a_yawing_flight_does_not_hide_roll_and_pitch() -> None:
     """L6: the drivers are correlated in turns; each alone would take the effect of the others."""
     rng = np.random.default_rng(7)
@@ -295,16 +282,6 @@ def test_a_baseline_keeps_the_outputs_and_names_the_weak_rotor(parameters: dict[
     assert (healthy.verdict, healthy.notes) == (Verdict.HEALTHY, ())
     by_motor = Log("weak", "", "px4", flying(3000, 7, weak_rotor=3, rise=0.3), motor_order=True)
     assert "rotor 3" in judge(by_motor, baseline).reason
-
-
-def test_logs_by_motor_need_no_outputs() -> None:
-    """A DataFlash log's columns are the motors; SERVOn_FUNCTION must not be applied once more."""
-    logs = [
-        Log(f"f{i}", "", "px4", flying(3000, i), parameters={**COPTER_X, **SERVOS_5}, motor_order=True) for i in (1, 2)
-    ]
-    frame = taught(logs).airframe
-    assert frame.layout is layout_named("x")
-    assert (frame.outputs, frame.layout_warning) == (None, "")
 
 
 def test_told_wins_over_parameters_and_parameters_over_flights_and_a_contradiction_is_loud() -> None:

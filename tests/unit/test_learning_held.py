@@ -1,11 +1,9 @@
 """Learning with flights put aside: the same baseline from memory and from disk, and few rows in memory at a time."""
 
 import errno
-import gc
 import io
 import json
 import tempfile
-import weakref
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -21,7 +19,6 @@ from made_baselines import FRAME, NOW, healthy
 from mavdiag.baseline import Baseline, dump
 from mavdiag.errors import UsageError
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.learning import flights as flights_module
 from mavdiag.learning.learn import extend
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Log
@@ -84,36 +81,6 @@ def test_what_robust_teaching_leaves_out_is_left_out_on_disk_too() -> None:
     found = on_disk(lambda: learn(iter(flights), options, created=NOW))
     assert_alike(found, learn(flights, options, created=NOW))
     assert len(found.provenance.left_out) == 2
-
-
-def test_few_flights_are_in_memory_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    signals: list[weakref.ref[Any]] = []
-    looks: dict[int, list[weakref.ref[Any]]] = {}
-    most = {"signals": 0, "rows": 0}
-
-    def flights() -> Iterator[Log]:
-        for i in range(5):
-            telemetry = flying(2000, i)
-            signals.append(weakref.ref(telemetry.series[1].values))
-            most["signals"] = max(most["signals"], sum(one() is not None for one in signals))
-            yield Log(f"f{i}", f"{i:064x}", "px4", telemetry)
-            del telemetry
-            gc.collect()
-
-    def watched(*told: Any) -> Any:
-        rows = make(*told)
-        looks.setdefault(id(told[-1]), []).append(weakref.ref(rows.block.rate))
-        alive = [chunk for chunk, found in looks.items() if any(look() is not None for look in found)]
-        most["rows"] = max(most["rows"], len(alive))
-        return rows
-
-    make = flights_module._rows
-    monkeypatch.setattr(flights_module, "_rows", watched)
-    without_models = tuple(name for name in OPTIONS.monitors if name not in ("fsd", "innovation"))  # these look ahead
-    on_disk(lambda: learn(flights(), LearnOptions(airframe=FRAME, monitors=without_models), created=NOW))
-    assert most["signals"] <= 2  # the one that is taken in, and the next
-    assert len(looks) >= 5
-    assert most["rows"] <= 4
 
 
 @pytest.mark.parametrize("most_bytes", [0, 1 << 20])

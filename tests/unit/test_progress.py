@@ -63,11 +63,3 @@ def test_a_bar_on_a_terminal_is_one_line_makes_room_and_goes_away(
     assert "1 of 3, 0.2 a second, 0:00:25 left" in after
     assert after.count("\n") == 1  # before it is erased
     assert after.endswith(ERASED)
-
-
-def test_a_single_item_shows_that_it_goes_on(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = on_terminal(monkeypatch)
-    with shown("judged", [7.0]) as progress:
-        progress.add(7.0)
-    assert "judged" in terminal.getvalue()
-    assert terminal.getvalue().endswith(ERASED)

@@ -18,7 +18,7 @@ from mavdiag.judging import LogVerdict, Verdict
 from mavdiag.report.campaign import parse_campaign, read_campaign
 from mavdiag.report.chart import Chart, Line, Panel, Picture, picture
 from mavdiag.report.page import FlightReport, campaign_page, flight_report, flights_page
-from mavdiag.telemetry import Log, Series, Signal, Telemetry
+from mavdiag.telemetry import Log, Signal
 
 CREATED = "2026-01-01T00:00:00+00:00"
 HOSTILE = "<script>alert(1)</script>\"'>&\u202e$x^2$<img src=x onerror=y>"
@@ -76,43 +76,6 @@ def test_the_page_says_the_verdict_its_evidence_and_where_it_comes_from() -> Non
     since_s = weak().verdict.since_s
     assert since_s is not None
     assert f"{since_s - weak().begin_s:.1f} s of the flight" in said
-
-
-def test_a_quantity_has_one_scale_everywhere() -> None:
-    """The card, the picture, both tables: percent of hover, to the same digits."""
-    summary = next(one for one in weak().verdict.monitors if one.name == "rotor_trim")
-    highest, threshold = f"{100 * (summary.maximum or 0.0):.3g}", f"{100 * summary.threshold:.3g}"
-    picture = next(one for one in weak().pictures if one.key == "monitor:rotor_trim")
-    assert f"[% of hover]: highest {highest}, threshold {threshold}," in picture.caption
-    assert weak_page().said.count(highest) >= 3
-    assert "fraction of hover" not in weak_page().said
-    assert f"{summary.threshold:.4g}" not in weak_page().said
-
-
-def test_times_are_of_the_flight_and_utc_where_it_is_known() -> None:
-    log = replace(logged(flying(3000, 7, weak_rotor=2, rise=0.5)), started_ns=1_700_000_000 * 10**9)
-    report = report_of(log, whole(), figures=False)
-    said = check(flights_page([report], whole(), "baseline.json", CREATED)).said
-    assert "Flown 2023-11-14 22:13:20 UTC" in said
-    since_s = (report.verdict.since_s or 0.0) - report.begin_s
-    assert f"{since_s:.1f} s of the flight, {report.utc(since_s)}" in said
-    assert report.utc(40.0) == "22:14:00 UTC"
-    event_s = report.verdict.events[0].t_s - report.begin_s
-    assert f"{event_s:.2f}" in said
-    assert said.count(report.utc(event_s)) >= 1 + (round(event_s) == round(since_s))
-
-
-def test_flight_modes_stand_in_the_timeline() -> None:
-    telemetry = flying(3000, 7)
-    t_ns = telemetry.need(Signal.BODY_RATE).t_ns
-    modes = Series(Signal.MODE, t_ns[[0, 500, 1000]], t_ns[[0, 500, 1000]], np.array([[5.0], [16.0], [5.0]]))
-    log = replace(logged(telemetry), telemetry=Telemetry((*telemetry.series, modes)))
-    named = (replace(log, profile="ardupilot-log"), replace(log, profile="qdrone2"))
-    shown = [next(one for one in report_of(log, whole()).pictures if one.key == "timeline").svg for log in named]
-    end_s, at_s = (t_ns[[-1, 500]] - t_ns[0]) / 1e9
-    assert f"Mode loiter: 0.0 to {end_s:.1f} s, 2 times" in shown[0]
-    assert f"Mode poshold: {at_s:.1f} to {(t_ns[1000] - t_ns[0]) / 1e9:.1f} s" in shown[0]
-    assert "Mode" not in shown[1]  # whose modes have no names
 
 
 def test_stretches_that_were_not_judged_are_listed() -> None:

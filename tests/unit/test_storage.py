@@ -4,10 +4,8 @@ import os
 import threading
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from mavdiag import storage
 from mavdiag.errors import InputError, UsageError
 from mavdiag.storage import check_output, read_text, write_atomically
 
@@ -74,17 +72,3 @@ def test_writers_of_one_name_do_not_mix(tmp_path: Path) -> None:
         assert not path.exists() or path.read_text() in texts
     assert path.read_text() in texts
     assert [one.name for one in tmp_path.iterdir()] == ["kept.json"]
-
-
-@pytest.mark.parametrize("most_bytes", [0, 1 << 20])
-def test_a_column_is_whole_in_memory_and_in_a_file(most_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(storage, "COLUMN_BYTES", most_bytes)
-    rows = np.arange(60.0).reshape(20, 3)
-    column = storage.Column(rows)
-    for part in np.split(rows, [1, 7]):
-        column.add(part)
-    whole = column.whole()
-    assert whole.flags.writeable == (most_bytes > 0)
-    for _ in range(2):
-        np.testing.assert_array_equal(whole, rows)
-        storage.forget(whole, whole[2:])  # it comes again

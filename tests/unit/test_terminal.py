@@ -117,21 +117,6 @@ def test_no_line_is_wider_than_the_terminal(width: int, texts: list[str], value:
     assert all(cell_len(line) <= max(width, 44) for line in console.export_text().splitlines())
 
 
-@pytest.mark.parametrize(("width", "height"), [(80, 24), (100, 30), (60, 15)])
-def test_a_small_terminal_shows_the_newest_alert_in_full(width: int, height: int) -> None:
-    curve = Curve(np.linspace(0.0, 10.0, 50), np.linspace(-1.0, 1.0, 50), "red")
-    strips = tuple(StripView(name, "rad/s", (curve,), -1.0, 1.0) for name in "ab")
-    said = "detector: PROP FAULT motor 3 lost 19% thrust, land now and look at it " + "and more " * 6 + "the end"
-    events = (*(Line(float(n), Severity.INFO, f"event {n}") for n in range(20)), Line(98.7, Severity.CRITICAL, said))
-    view = View("a link", "motor 3 is weak", True, 0.0, 10.0, strips, (LEVEL,) * 13, events, "foot")
-    console = Console(width=width, file=io.StringIO(), record=True)
-    console.print(picture(view, width, height))
-    lines = console.export_text().splitlines()
-    assert len(lines) <= height
-    shown = " ".join(" ".join(line.strip("│ ") for line in lines).split())
-    assert all(words in shown for words in (" ".join(said.split()), "event 19", "motor 3 is weak"))
-
-
 def test_a_flood_of_words_does_not_push_an_alert_out() -> None:
     """Every CRITICAL of the last hundred events stands whole at 80 x 24, and so do older ones."""
     alerts = [f"detector: PROP FAULT motor {n} lost {n}9% thrust, land now and look at its propeller" for n in range(6)]
@@ -160,41 +145,6 @@ def test_every_rotor_that_was_named_stands_in_the_table() -> None:
     lines = console.export_text().splitlines()
     assert "rotor" in lines[0]
     assert [" ".join(line.split()[:4]) for line in lines[1:3]] == ["a.bin fault 1, 4", "b.bin fault 4 98.7"]
-
-
-def test_verdicts_of_many_logs_are_a_table_with_totals() -> None:
-    common: Row = {"rotor": None, "since_s": None, "monitor": "unbalance", "reason": "why"}
-    rows: list[Row] = [
-        {**common, "log": "calm.bin", "verdict": "healthy", "ratio": 0.5, "judged_s": 60.0, "flown_s": 60.0},
-        {
-            **common,
-            "log": "torn\x1b.bin",
-            "verdict": "error",
-            "ratio": None,
-            "monitor": None,
-            "judged_s": 0.0,
-            "flown_s": 0.0,
-        },
-        {
-            **common,
-            "log": "weak.bin",
-            "verdict": "fault",
-            "ratio": 1.5,
-            "rotor": 3,
-            "since_s": 12.34,
-            "judged_s": 30.0,
-            "flown_s": 60.0,
-        },
-        {**common, "log": "broken.bin", "verdict": "fault", "ratio": 9.0, "judged_s": 60.0, "flown_s": 60.0},
-    ]
-    console = Console(width=80, file=io.StringIO(), record=True)
-    verdict_table(rows, console)
-    lines = console.export_text().splitlines()
-    assert [line.split()[0] for line in lines[:5]] == ["log", "broken.bin", "weak.bin", "torn\\x1b.bin", "calm.bin"]
-    assert lines[2].split() == ["weak.bin", "fault", "3", "12.3", "s", "unbalance", "1.50", "50", "%"]
-    assert lines[5] == "4 logs: 2 fault, 1 error, 1 healthy; judged 2.5 of 3.0 min"
-    assert lines[6] == "torn\\x1b.bin: why"
-    assert all(len(line) <= 80 for line in lines)
 
 
 def test_the_time_and_figures_are_those_of_one_vehicle() -> None:
@@ -247,14 +197,3 @@ def test_a_journal_is_followed_over_torn_lines_and_a_rotation(tmp_path: Path) ->
     journal.close()
     with pytest.raises(InputError, match="no such file"):
         Journal(tmp_path / "none.jsonl")
-
-
-def test_a_pipe_gets_each_event_once() -> None:
-    out = io.StringIO()
-    with Screen(lambda _: pytest.fail("nothing is drawn"), console=Console(file=out, width=30)) as screen:
-        for number in range(3):
-            screen.show([Line(float(number), Severity.INFO, f"event {number} " * 5)])
-        screen.show([], last=True)
-    lines = out.getvalue().splitlines()
-    assert [line.split()[0] for line in lines] == ["0.00", "1.00", "2.00"]
-    assert lines[2].rstrip().endswith("event 2 event 2")

@@ -16,7 +16,6 @@ from mavdiag.airframe.trim import (
     trim_of,
 )
 from mavdiag.errors import InputError
-from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec, highest_rise, rise
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
 
@@ -65,15 +64,3 @@ def test_outputs_are_preferred_to_commands() -> None:
     for rows in (example_rows(9), full):
         with pytest.raises(InputError, match="outputs of 4 motors that move above idle"):
             source_among([sources_of([rows], frame)], frame)
-
-
-@given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=5, max_size=5))
-def test_the_compiled_rise_is_that_of_arrays(frame: str, shift: list[float]) -> None:
-    layout, both = layout_named(frame), np.array([shift])
-    par = RotorTrim(RotorTrimSpec(layout=layout, source="actuator", spread=CALM)).begin(0.01).par
-    wind = TILT_TRIM * math.hypot(*shift[3:])
-    spread = np.array([math.hypot(CALM[0], wind), math.hypot(CALM[1], wind), CALM[2]])
-    expected = rises(both[:, :3], layout, spread)[0]
-    found = [rise(par, rotor, both[0], True) for rotor in range(layout.rotors)]
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
-    assert highest_rise(par, both[0], True) == max(found)

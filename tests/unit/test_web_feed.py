@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,7 +17,6 @@ from detector.values import SessionSpec, VehicleFigures
 from detector.web.child import ServerProcess
 from detector.web.feed import Feed
 from detector.web.snapshot import EARTH_M, TRACK_POINTS, Json, Level, Snapshots, Track, about
-from mavdiag.airframe.layout import layout_named
 from mavdiag.as_json import json_line
 from mavdiag.kernel import Piece
 from mavdiag.link.profiles import PROFILES
@@ -217,21 +216,6 @@ def test_a_flight_from_waiting_to_a_fault_and_to_the_ground(watched: Watched) ->
 def slots_of(watched: Watched) -> list[Json]:
     slots: list[Json] = about(1, "qdrone2", watched.story.session.judge)["slots"]
     return slots
-
-
-def test_what_a_vehicle_is_judged_by_is_told(watched: Watched) -> None:
-    assert json.loads(json_line(about(1, "qdrone2", None)))["slots"] == []
-    watched.after(3.0)
-    judge = watched.story.session.judge
-    assert judge is not None
-    told = json.loads(json_line(about(1, "qdrone2", judge)))
-    assert [one["name"] for one in told["slots"]] == [slot.monitor.name for slot in judge.chain.slots]
-    thesis = next(one for one in told["slots"] if one["name"] == "fsd")
-    assert (thesis["axis"], thesis["margin"], thesis["threshold"]) == ("roll", 0.02, 0.3)
-    assert told["drawing"] == ""  # the made baseline knows no layout
-    airframe = replace(judge.baseline.airframe, layout=layout_named("x"))
-    judge.baseline = judge.baseline.model_copy(update={"airframe": airframe})
-    assert "airframe-rotor-4" in about(1, "qdrone2", judge)["drawing"]
 
 
 # --- The strips: the same points however the flight is cut, and no peak is lost

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import firwin, freqz
 
 from mavdiag.errors import UsageError
-from mavdiag.rows.windows import highpass, window_all, window_mean
+from mavdiag.rows.windows import highpass
 
 
 @pytest.mark.parametrize(("corner", "taps"), [(0.06, 61), (0.15, 25), (0.25, 15)])
@@ -23,17 +23,3 @@ def test_the_high_pass_answers_as_one_by_scipy(corner: float, taps: int) -> None
 def test_an_impossible_high_pass_is_refused(corner: float, taps: int) -> None:
     with pytest.raises(UsageError):
         highpass(corner, taps)
-
-
-def test_window_means_are_means_of_windows() -> None:
-    x = np.random.default_rng(3).normal(size=(50, 3))
-    expected = np.stack([x[i : i + 7].mean(axis=0) for i in range(44)])
-    np.testing.assert_allclose(window_mean(x, 7), expected, rtol=1e-12)
-    assert window_mean(x[:6], 7).shape == (0, 3)
-
-
-def test_window_flags_are_alls_of_windows() -> None:
-    flags = np.random.default_rng(4).random(60) > 0.1
-    expected = [bool(flags[i : i + 5].all()) for i in range(56)]
-    assert window_all(flags, 5).tolist() == expected
-    assert window_all(np.ones(4, dtype=bool), 5).tolist() == []
