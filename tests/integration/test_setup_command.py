@@ -1,11 +1,8 @@
 """`mavdiag setup`: the emulated vehicle with a pilot who does what he is told, in virtual time and on real sockets."""
 
-import shlex
-import subprocess
 import sys
 import threading
 import time
-import tomllib
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -22,7 +19,7 @@ from shared_data import shared
 from detector.config import load_settings
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
-from mavdiag.commands.setup import BASELINE, CONFIG, UNIT, config_text, service_script, setup
+from mavdiag.commands.setup import BASELINE, CONFIG, setup
 from mavdiag.errors import InputError
 from mavdiag.learning.coaching import ROUNDS, Coverage, Task
 from mavdiag.link.codec import Decoder, Frame, field_index
@@ -213,19 +210,6 @@ def test_the_tasks_are_asked_for_in_rounds_until_all_is_flown() -> None:
         coverage.flown_s[step.task] += step.left_s
     assert asked == [*Task] * ROUNDS
     assert coverage.flown_s == {task: task.wanted_s for task in Task}
-
-
-def test_the_script_of_the_service_is_sound_for_any_folder(tmp_path: Path) -> None:
-    folder = tmp_path / "it's mine; rm -rf"
-    folder.mkdir()
-    (folder / CONFIG).write_text(config_text(LINK, 3, folder, None))
-    script = service_script(folder, Path("deploy", UNIT), Path("/usr/local/bin"))
-    subprocess.run(["sh", "-n"], input=script, text=True, check=True, timeout=PATIENCE_S)
-    edits = [shlex.split(line.partition(" >")[0]) for line in script.splitlines() if line.startswith("sed")]
-    config, unit = (subprocess.run(edit, capture_output=True, text=True, check=True).stdout for edit in edits)
-    settings = tomllib.loads(config)
-    assert (settings["baseline"], settings["vehicle"]) == ("/var/lib/mavdiag/baseline.json", 3)
-    assert "ExecStart=/usr/local/bin/mavdiag-detector" in unit
 
 
 @pytest.mark.realtime

@@ -4,7 +4,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -78,21 +77,3 @@ def test_watch_prints_the_alert_of_a_companion_and_ends_by_itself(tmp_path: Path
     assert watching.returncode == 0, shown
     assert ALERT in shown
     assert "CRITICAL" in shown
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["none.jsonl"], "none.jsonl: no such file"),
-        (["udpin:127.0.0.1:0", "--duration", "0.3"], "nothing was received"),
-        (["events.jsonl", "--baseline", "x.json"], "--baseline and --signing-key are for a link"),
-    ],
-)
-def test_what_cannot_be_watched_is_one_line(
-    arguments: list[str], words: str, mavdiag: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    code, _, err = mavdiag("watch", *arguments)
-    assert code == 2
-    assert words in err
-    assert err.count("\n") == 1

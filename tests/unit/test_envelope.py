@@ -218,30 +218,6 @@ def test_what_is_no_span_is_refused(low: float, high: float) -> None:
         Covered(Condition.YAW_RATE, low, high)
 
 
-@pytest.mark.parametrize(
-    ("covered", "value", "sentence"),
-    [
-        (Covered(Condition.YAW_RATE, 0.0, 0.3), 1.81, "yaw rate 1.8 rad/s, learnt up to 0.3"),
-        (Covered(Condition.HEIGHT, 0.4, 5.0), 0.05, "height 0.05 m, learnt from 0.4"),
-        (Covered(Condition.THROTTLE, 0.3, 0.7), 0.98, "throttle 0.98, learnt 0.3 to 0.7"),
-        (Covered(Condition.COMMANDED_ACCELERATION, 0.0, 84.2), 213.4,
-         "commanded angular acceleration 213 rad/s^2, learnt up to 84"),
-    ],
-)  # fmt: skip
-def test_the_sentence_says_what_was_flown_and_what_was_learnt(covered: Covered, value: float, sentence: str) -> None:
-    assert covered.sentence(value) == sentence
-
-
-def test_it_says_what_to_fly_where_the_flights_covered_nothing() -> None:
-    assert Covered(Condition.YAW_RATE, 0.0, 0.1).advice() == "turn the nose, steadily and along the path"
-    assert Covered(Condition.YAW_RATE, 0.0, 0.4).advice() is None
-    assert Covered(Condition.TILT, 0.0, 0.2).advice() == "fly in steady wind"
-    assert Covered(Condition.THROTTLE, 0.45, 0.5).advice() == "fly with payload, and with a battery that empties"
-    assert Covered(Condition.THROTTLE, 0.3, 0.6).advice() is None
-    assert Covered(Condition.HEIGHT, 3.0, 9.0).advice() is None  # to fly low is nobody's wish
-    assert str(Covered(Condition.YAW_RATE, 0.0, 0.4)) == "yaw rate up to 0.4 rad/s"
-
-
 def test_the_span_is_that_of_all_flights_and_of_what_they_carry() -> None:
     flights = [rows_of(made_block(900, 0.01, seed), [333]) for seed in (1, 2)]
     covered = {one.condition: one for one in covered_by(flights)}

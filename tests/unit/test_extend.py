@@ -91,15 +91,6 @@ def test_it_widens_the_envelope() -> None:
     assert not any(one.outside_s for one in found.monitors)
 
 
-def test_the_healthy_trim_becomes_the_mean_over_sessions() -> None:
-    shifted = changed(flying(2500, 12), Signal.ACTUATOR, lambda outputs: outputs + 0.5 * 0.01 * YAW)
-    before = np.array(entry(monday(), "rotor_trim").spec.mean)
-    after = np.array(entry(extend(monday(), [flown(12, MONDAY + DAY, shifted)], created=NOW), "rotor_trim").spec.mean)
-    assert abs(before[2]) < 0.001
-    assert after[2] == pytest.approx(0.005, abs=0.001)  # half of 0.01
-    np.testing.assert_allclose(after[:2], before[:2], atol=0.001)
-
-
 def test_a_flight_of_a_session_that_is_in_already_joins_that_one() -> None:
     """And not the last one of the baseline."""
     made = extend(tuesday(), [flown(13, MONDAY + 1800 * NS_PER_S), flown(14), flown(15, MONDAY + 9 * DAY)], created=NOW)

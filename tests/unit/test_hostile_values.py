@@ -226,12 +226,3 @@ def test_a_corner_and_a_step_of_the_set_point_are_believed() -> None:
     values[1300:, 0] += 0.01 * np.arange(len(values) - 1300)
     lost = set(range(len(values))) - kept(values)
     assert len(lost) <= 1
-
-
-def test_errors_are_the_same_in_any_pieces() -> None:
-    rng, values = np.random.default_rng(6), turning().values.copy()
-    for at in rng.integers(10, len(values) - 10, 150).tolist():
-        values[at : at + rng.integers(1, 4), rng.integers(3)] += rng.choice([-1, 1]) * 10 ** rng.uniform(-4, 0.4)
-    whole_log = kept(values)
-    assert len(whole_log) < len(values) - 100
-    assert all(kept(values, pieces) == whole_log for pieces in (7, 100, 1000))

@@ -7,7 +7,6 @@ import pytest
 from identification_data import WELL, Record, record
 from numpy.testing import assert_allclose
 
-from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method, Order, fit
 from mavdiag.identify.estimate import ORDERS, best_row, sweep
 from mavdiag.identify.lab.comparison import estimate_response, model_response, track
@@ -38,18 +37,6 @@ def test_forgetting_follows_a_change_and_a_long_hover_does_not_wind_it_up() -> N
     data = record(WELL, 2000, 0.05, 5)
     found = last(before, still, data, forgetting=0.99)
     assert_allclose(found.a, fit(data.u, data.y, dt=0.01, method="ls").a, atol=0.2)
-
-
-def test_what_a_recursive_estimate_refuses() -> None:
-    data = record(WELL, 100, 0.1, 1)
-    for u, y, order, forgetting, words in (
-        (data.u, data.y, (2, 2, 1), 0.0, "forgetting"),
-        (data.u, np.where(data.y == data.y[5], np.nan, data.y), (2, 2, 1), 0.9, "NaN"),
-    ):
-        with pytest.raises(IdentificationError, match=words):
-            list(track(u, y, order, dt=0.01, forgetting=forgetting, every=50))
-    with pytest.raises(IdentificationError, match="too few"):
-        list(track(data.u, data.y, dt=0.01, forgetting=1.0, every=5))
 
 
 def test_a_measured_response_lies_within_its_stated_error() -> None:

@@ -10,7 +10,7 @@ from detector.values import Effect, Inbox, Note, SendCommand, SendText
 from mavdiag.decision.diagnosis import Diagnosis, Stage
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder, Encoder
-from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MessageId
+from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.vehicles import Ack, acks_in, mode_in, sticks_in
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Instant
@@ -242,21 +242,6 @@ def test_modes_and_sticks_are_read_from_the_autopilots_own_frames() -> None:
     assert mode_in(frames) == LOITER
     assert sticks_in(frames[:3]) == {RC: (1100, 1500, 1900, 1501)}
     assert sticks_in(frames[3:]) == {}
-
-
-def test_px4_holds_where_it_cannot_pause() -> None:
-    for autopilot, command in ((Autopilot.ARDUPILOTMEGA, 193), (Autopilot.PX4, MavCmd.NAV_LOITER_UNLIM)):
-        flight = Flight("fault: pause", autopilot=autopilot)
-        flight.held = fault()
-        flight.fly(3.0)
-        assert [command for _, command in flight.commands] == [command]
-
-
-def test_a_command_by_name_or_number_has_its_parameters() -> None:
-    (rule,) = parse_rules("fault after 3 s: MAV_CMD_DO_PARACHUTE 2")
-    assert (rule.command, rule.parameters, rule.action) == (208, (2.0,), "DO_PARACHUTE")
-    (rule,) = parse_rules("fault: 178 1 0.5 -1")
-    assert (rule.command, rule.parameters) == (178, (1.0, 0.5, -1.0))
 
 
 @pytest.mark.parametrize(

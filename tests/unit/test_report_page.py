@@ -78,16 +78,6 @@ def test_the_page_says_the_verdict_its_evidence_and_where_it_comes_from() -> Non
     assert f"{since_s - weak().begin_s:.1f} s of the flight" in said
 
 
-def test_stretches_that_were_not_judged_are_listed() -> None:
-    gap = without(flying(6000, 7), (20.0, 45.0), signals=[one for one in Signal if one is not Signal.BODY_RATE])
-    report = report_of(logged(gap), whole())
-    said = check(flights_page([report], whole(), "baseline.json", CREATED)).said
-    ((begin, end),) = report.unjudged
-    assert (begin, end) == pytest.approx((20.8, 45.0), abs=0.1)  # a value may stand for a second before it
-    assert f"{begin:.1f} to {end:.1f} s of the flight ({end - begin:.1f} s)" in said
-    assert "innovation judged " not in said  # it judged more than half
-
-
 @pytest.mark.parametrize(
     ("log", "reason"),
     [

@@ -163,12 +163,6 @@ def test_the_errors_of_the_law_are_those_of_its_fits() -> None:
     assert float(told.removesuffix(" rad/s").split()[-1]) == pytest.approx(0.25, rel=0.1)
 
 
-def test_a_nose_that_hardly_turns_leaves_the_law_near_its_prior() -> None:
-    """The noise of the gyro looks like a turn that takes nothing."""
-    found = fit([[turning(60, 3, (0.1, 0.05, 0.0), nose=0.001)]], "x")
-    assert found.turn == pytest.approx((0.0, 0.04, 0.0), abs=0.01)
-
-
 def test_sudden_turns_explain_themselves_whenever_a_tick_begins() -> None:
     """Steps of the yaw rate with 5 rad/s^2, as PX4 flies them: medians of half a second missed the peaks."""
     rng, n, law = np.random.default_rng(8), 12_000, (0.02, 0.05, 0.0)

@@ -33,14 +33,6 @@ def test_r4_a_folder_is_called_a_folder(tmp_path: Path) -> None:
         check_output(tmp_path / "absent" / "b.json")
 
 
-def test_a_file_is_replaced_whole_and_nothing_is_left_beside_it(tmp_path: Path) -> None:
-    path = tmp_path / "b.json"
-    for text in ("first", "second"):
-        write_atomically(path, text)
-        assert read_text(path) == text
-    assert [one.name for one in tmp_path.iterdir()] == ["b.json"]
-
-
 @pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
 def test_a_new_file_has_the_users_mode_and_one_that_is_replaced_keeps_its_own(
     tmp_path: Path, umask: int, mode: int

@@ -13,18 +13,16 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from made_session import baseline_for
 from made_vehicle import record
-from memory_port import memory_pair
 from rich.cells import cell_len
 from rich.console import Console
 
 from mavdiag.archive.tables import Row
 from mavdiag.errors import InputError
 from mavdiag.judging import judge
-from mavdiag.link.codec import Encoder
-from mavdiag.link.messages import MessageId, Severity
+from mavdiag.link.messages import Severity
 from mavdiag.logs import read_log
 from mavdiag.telemetry import Axis, FloatArray
-from mavdiag.terminal.ground_station import GroundStation, LiveJudge
+from mavdiag.terminal.ground_station import LiveJudge
 from mavdiag.terminal.playing import KEYS, Key, Position, keys_in, play
 from mavdiag.terminal.tables import verdict_table
 from mavdiag.terminal.view import Curve, Level, Line, StripView, View, picture, strip
@@ -145,22 +143,6 @@ def test_every_rotor_that_was_named_stands_in_the_table() -> None:
     lines = console.export_text().splitlines()
     assert "rotor" in lines[0]
     assert [" ".join(line.split()[:4]) for line in lines[1:3]] == ["a.bin fault 1, 4", "b.bin fault 4 98.7"]
-
-
-def test_the_time_and_figures_are_those_of_one_vehicle() -> None:
-    """Two vehicles on a link, and a gimbal that tells an attitude of its own."""
-    near, far = memory_pair()
-    station = GroundStation(near)
-    for sysid, boot_ms in ((1, 5000), (2, 90_000)):
-        far.send(Encoder(sysid, 1).encode(MessageId.ATTITUDE, boot_ms, *[0.0] * 6))
-        far.send(Encoder(sysid, 191).encode(MessageId.NAMED_VALUE_FLOAT, boot_ms, b"PF_FSD", sysid / 2))
-        far.send(Encoder(sysid, 191).statustext(Severity.CRITICAL, f"vehicle {sysid}"))
-    far.send(Encoder(1, 154).encode(MessageId.ATTITUDE, 1, *[0.0] * 6))
-    station.listen(0.0)
-    assert [(one.text, one.t_s) for one in station.texts] == [("vehicle 1", 5.0), ("vehicle 2", 90.0)]
-    assert (station.t_s, station.figures) == (5.0, {"PF_FSD": 0.5})
-    near.close()
-    far.close()
 
 
 def _line(kind: str, number: int, **content: object) -> str:

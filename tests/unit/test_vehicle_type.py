@@ -7,7 +7,6 @@ from made_logs import DataFlashMessage, ULogTopic, dataflash, ulog, ulog_message
 
 import mavdiag as md
 from mavdiag.airframe.vehicle_type import MULTIROTORS
-from mavdiag.cli import main
 from mavdiag.errors import InputError
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import MessageId
@@ -55,21 +54,6 @@ def test_a_multirotor_of_a_telemetry_log_is_read_and_any_other_vehicle_refused(k
         return
     with pytest.raises(InputError, match=rf"a\.tlog: .*\(MAV_TYPE {kind}\): mavdiag judges multirotors only"):
         md.read_log(path)
-
-
-@pytest.mark.parametrize("command", [["look"], ["identify", "-o", "out.json"], ["inspect"]])
-def test_every_command_says_so_in_one_line(
-    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.argv", ["mavdiag", *command, str(tlog(tmp_path / "boat.tlog", stream(11)))])
-    with pytest.raises(SystemExit) as left:
-        main()
-    assert left.value.code == 2
-    shown = capsys.readouterr()
-    [told] = (shown.out + shown.err).splitlines()
-    assert BOAT in told
-    assert not (tmp_path / "out.json").exists()
 
 
 def test_a_multirotor_beside_a_boat_is_read_and_the_boat_is_told(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from detector.config import SessionSettings, Settings
 from detector.values import SessionSpec, VehicleFigures
 from detector.web.child import ServerProcess
 from detector.web.feed import Feed
-from detector.web.snapshot import EARTH_M, TRACK_POINTS, Json, Level, Snapshots, Track, about
+from detector.web.snapshot import TRACK_POINTS, Json, Level, Snapshots, Track, about
 from mavdiag.as_json import json_line
 from mavdiag.kernel import Piece
 from mavdiag.link.profiles import PROFILES
@@ -114,18 +114,6 @@ def test_a_child_without_room_loses_figures_and_no_entry(bench: Bench, child: Fa
     assert any("FAULT" in str(one.get("text")) for one in child.of("J"))
 
 
-def test_strips_are_filled_as_soon_as_somebody_looks(bench: Bench, child: FakeChild) -> None:
-    bench.run(40.0)
-    child.says = ["watch 2"]
-    bench.run(0.4)
-    strips = child.of("N")[0]["strips"]
-    bins = [number for strip in strips for number in strip["bins"]]
-    assert bins == sorted(bins)
-    assert 19.0 <= (bins[-1] - bins[0]) / 20 <= 25.0  # points of 0.05 s
-    bench.run(2.0)
-    assert sum(len(strip["bins"]) for strip in child.of("N")[-1]["strips"]) <= 8  # afterwards what is new
-
-
 def placed(signal: Signal, second: float, *place: float) -> Telemetry:
     t_ns = np.array([round(second * NS_PER_S)])
     return Telemetry((Series(signal, t_ns, t_ns, np.array([place])),))
@@ -142,18 +130,6 @@ def test_a_track_has_a_point_a_second_of_the_signal_that_came_first() -> None:
     assert [point[0] for point in track.points][:2] == [180.9, 181.9]
     track.take(placed(Signal.POSITION, 301.0, math.nan, 1.0))
     assert track.points[-1] == (299.9, -1.0)
-
-
-def test_coordinates_become_metres_over_the_date_line_too() -> None:
-    track, begin = Track(), (math.radians(60.0), math.radians(179.9999))
-    track.take(placed(Signal.COORDINATES, 1.0, *begin))
-    track.take(placed(Signal.COORDINATES, 2.0, begin[0] + 1e-5, math.radians(-179.9999)))
-    north, east = track.points[-1]
-    across = math.cos(begin[0]) * math.cos(begin[0] + 1e-5) * math.sin(math.radians(0.0001)) ** 2
-    haversine = 2 * math.asin(math.sqrt(math.sin(0.5e-5) ** 2 + across))
-    assert math.hypot(north, east) == pytest.approx(EARTH_M * haversine, rel=1e-3)
-    assert north == pytest.approx(63.71, abs=0.02)
-    assert east > 0
 
 
 @dataclass
