@@ -50,7 +50,7 @@ class Listening(MemoryEndpoint):
 class Attacked(Bench):
     """A bench whose daemon hears strangers too; `attack` makes the datagrams of each tick."""
 
-    def fly(self, seconds: float, attack: Iterator[list[bytes]] = itertools.repeat([])) -> None:
+    def fly(self, seconds: float, attack: Iterator[list[bytes]] = itertools.repeat([])) -> None:  # noqa: B008
         near = self.open[0]
         assert isinstance(near, MemoryEndpoint)
         if not isinstance(near, Listening):

@@ -1,10 +1,17 @@
 """What is learnt, found and named on emulated flights: models, layouts, unbalance, and all monitors together."""
 
+import os
+import subprocess
+import sys
+from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from broken_teaching import MONITORS, Pool, Tally, judge_sets, pool_of
 
+import mavdiag as md
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.detect import detect_layout
 from mavdiag.airframe.layout import layout_named
@@ -21,11 +28,11 @@ from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import coefficients
-from mavdiag.telemetry import FloatArray, Log, Telemetry
+from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.physics.faults import Injection, RotorDamage
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
-from sitl_plant.vehicle import vehicle_named
+from sitl_plant.vehicle import airframe_of, vehicle_named
 
 ONSET_S = 12.0  # 5 s after take-off nothing is judged
 
@@ -133,3 +140,96 @@ def rates(flight: PlantSamples, noise: float, seed: int, column: int = 0) -> tup
     gyro = flight.gyro[3000:, column] + noise * np.random.default_rng(seed).standard_normal(30_000)
     value, slope, _ = coefficients(WINDOW)
     return np.correlate(flight.setpoint[3000:, column], slope / DT_S, "valid"), np.correlate(gyro, value, "valid")
+
+
+NOW = "2026-01-01T00:00:00+00:00"
+
+
+@cache
+def pool() -> Pool:
+    """Of an airframe at 1 kHz."""
+    return pool_of(7001, 0, 8)
+
+
+def learnt(*flights: Log) -> Baseline:
+    frame = airframe_of(pool().session.airframe.vehicle, "made")
+    return learn(flights, LearnOptions(airframe=frame, monitors=MONITORS), created=NOW)
+
+
+def test_drawn_sets_are_marked_where_one_is_broken_and_nowhere_else() -> None:
+    """A short form of `benchmarks/broken_teaching.py`, on an airframe of a seed of its own."""
+    tally = Tally()
+    judge_sets(pool(), 1, np.random.default_rng(7001), tally)
+    for kind, counts in tally.kinds.items():
+        if kind.startswith("healthy"):
+            assert counts[True] == 0, (kind, tally.wrong)
+        elif kind != "one broken of 1":  # physics alone does not show every one
+            assert counts[False] == 0, (kind, tally.wrong)
+
+
+@pytest.mark.parametrize("code", ["F1/SV2", "F2/SV1", "F3/SV3"])
+def test_a_crack_in_one_flight_names_the_flight_and_the_time(code: str) -> None:
+    half = pool().half[code]
+    weak = learnt(half).weak
+    assert half.name in weak or "all flights" in weak
+    broken = pool().broken[code]
+    assert f"{broken.name}: " in learnt(pool().healthy[0], broken, pool().healthy[1]).weak
+
+
+def test_more_unbalance_than_a_rotor_may_have_is_not_learnt() -> None:
+    found = learnt(pool().broken["F3/SV3"])
+    assert (found.grade, "grade G40" in found.weak) == ("D", True)
+
+
+def weakened(log: Log, rotor: int, loss: float) -> Log:
+    """The log with a rotor that lost thrust at half: its command rises, that of all together stays."""
+    parts = []
+    for one in log.telemetry.series:
+        if one.signal is Signal.ACTUATOR:
+            values = one.values.copy()
+            late = one.t_ns > (one.t_ns[0] + one.t_ns[-1]) // 2
+            values[late, rotor - 1] += (1 / np.sqrt(1 - loss) - 1) * values[late, :4].mean(axis=1)
+            one = replace(one, values=values)
+        parts.append(one)
+    return replace(log, name="weakened", sha256="", telemetry=Telemetry(tuple(parts)))
+
+
+def test_what_the_baseline_says_that_it_notices_it_notices() -> None:
+    baseline = learnt(*pool().healthy[:4])
+    assert baseline.least_damage is not None
+    fresh = pool().healthy[5]
+    assert md.judge(fresh, baseline).verdict == "healthy"
+    for rotor, loss in enumerate(baseline.least_damage.thrust_loss, 1):
+        assert 0.005 < loss < 0.2
+        assert md.judge(weakened(fresh, rotor, 0.3 * loss), baseline).verdict == "healthy"
+        assert md.judge(weakened(fresh, rotor, 1.6 * loss + 0.01), baseline).verdict != "healthy"
+
+
+TESTS = Path(__file__).resolve().parents[1]
+JUDGED = """
+from flying_telemetry import flying
+from made_baselines import whole
+from made_telemetry import cut
+from mavdiag.chain import chain_of, warm
+from mavdiag import kernel
+from mavdiag.rows import align, gate, rates
+
+baseline = whole()
+kernels = [kernel.judge, align._take, align._rows, gate._follow, rates._filter]
+warm()
+chain = chain_of(baseline)
+state, telemetry = chain.start(), flying(3000, 7)
+first = int(telemetry.series[0].t_ns[0])
+for chunk in cut(telemetry, [first + k * 40_000_000 for k in range(1, 700)]):
+    state, _ = chain.step(state, chunk)
+assert state.judged_s > 10.0
+print({len(kernel.signatures) for kernel in kernels})
+"""
+
+
+def test_a_live_flight_finds_every_kernel_compiled() -> None:
+    """No look waits for a compilation: a second one would be of another kind of array."""
+    environment = os.environ | {"PYTHONPATH": str(TESTS)}
+    run = [sys.executable, "-c", JUDGED]
+    done = subprocess.run(run, capture_output=True, text=True, check=False, env=environment, cwd=TESTS.parent)
+    assert (done.returncode, done.stdout) == (0, "{1}\n"), done.stderr

@@ -1,5 +1,6 @@
 """The run loop over in-memory links, as fast as it goes: what is said, answered and passed on."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
@@ -57,6 +58,18 @@ def flown(
 ) -> FlightReport:
     plant = Plant(PlantConfig(seed=11))
     return fly(plant, DIALECT, links, duration_s=duration_s, speed=None, stop=stop, watch=watch)
+
+
+def test_both_links_hear_the_whole_flight_without_a_gap(table: tuple[list[Link], list[Client]]) -> None:
+    links, clients = table
+    report = flown(links, 2.0)
+    for client in clients:
+        counts = Counter(frame.msgid for frame in client.hear())
+        assert counts[MessageId.RAW_IMU] == counts[MessageId.ATTITUDE_TARGET] == 400
+        assert counts[MessageId.HEARTBEAT] == 2
+        assert client.decoder.senders[1, 1].lost == 0
+    assert report.messages == sum(len(client.frames) for client in clients)
+    assert (report.flown_s, report.dropped, report.received) == (2.0, 0, 0)
 
 
 def test_an_alert_is_passed_on_in_its_senders_name(table: tuple[list[Link], list[Client]]) -> None:

@@ -41,6 +41,15 @@ def test_what_was_uploaded_is_downloaded() -> None:
     assert said(one.step(0, frame(MessageId.MISSION_REQUEST_INT, 3, 0), 0)) == [(47, (*GCS, 13, 0))]
 
 
+def test_an_item_in_floats_is_stored_as_well() -> None:
+    one = Mission(lambda frames: True, lambda seq: None)
+    one.step(0, frame(MessageId.MISSION_COUNT, 1, 0), 0)
+    floats = frame(MessageId.MISSION_ITEM, 0, 3, 16, 0, 1, 0.0, 0.0, 0.0, 0.0, 47.5, 8.5, 2.0, 0)
+    assert said(one.step(0, floats, 0)) == [(MessageId.MISSION_ACK, (*GCS, 0, 0))]
+    [(_, fields)] = said(one.step(0, frame(MessageId.MISSION_REQUEST_INT, 0, 0), 0))
+    assert fields[11:13] == (475_000_000, 85_000_000)
+
+
 def test_a_lost_item_is_asked_for_again_and_an_upload_that_stops_is_given_up() -> None:
     one = Mission(lambda frames: True, lambda seq: None)
     one.step(0, frame(MessageId.MISSION_COUNT, 2, 0), 0)
@@ -51,3 +60,30 @@ def test_a_lost_item_is_asked_for_again_and_an_upload_that_stops_is_given_up() -
     assert said(one.tick(10 * SECOND)) == [(MessageId.MISSION_ACK, (*GCS, 15, 0))]
     assert one.tick(20 * SECOND) == []
     assert len(one) == 0
+
+
+def test_what_cannot_be_flown_is_refused_and_the_old_plan_stays() -> None:
+    takes = [True, False]
+    one = Mission(lambda frames: takes.pop(0), lambda seq: None)
+    upload(one, 2)
+    assert upload(one, 1) == [(MessageId.MISSION_ACK, (*GCS, 3, 0))]
+    assert len(one) == 2
+    assert said(one.step(0, frame(MessageId.MISSION_COUNT, 10_000, 0), 0)) == [(MessageId.MISSION_ACK, (*GCS, 4, 0))]
+
+
+def test_fence_and_rally_points_are_empty_and_their_type_comes_back() -> None:
+    one = Mission(lambda frames: True, lambda seq: None)
+    for kind in (1, 2):
+        asked = said(one.step(0, frame(MessageId.MISSION_REQUEST_LIST, kind), 0))
+        assert asked == [(MessageId.MISSION_COUNT, (*GCS, 0, kind))]
+        assert said(one.step(0, frame(MessageId.MISSION_COUNT, 2, kind), 0)) == [(47, (*GCS, 3, kind))]
+        assert said(one.step(0, frame(MessageId.MISSION_CLEAR_ALL, kind), 0)) == [(47, (*GCS, 0, kind))]
+
+
+def test_the_item_to_go_on_with_is_set_and_confirmed() -> None:
+    skipped: list[int] = []
+    one = Mission(lambda frames: True, skipped.append)
+    upload(one, 3)
+    assert said(one.step(0, frame(MessageId.MISSION_SET_CURRENT, 2), 0)) == [(MessageId.MISSION_CURRENT, (2, 3))]
+    assert said(one.step(0, frame(MessageId.MISSION_SET_CURRENT, 3), 0)) == [(MessageId.MISSION_ACK, (*GCS, 13, 0))]
+    assert skipped == [2]

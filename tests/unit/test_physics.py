@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from plant_cases import nominal_airframe, quaternion_rotation
+from plant_cases import fly, nominal_airframe, quaternion_rotation, quiet_airframe
 from scipy.signal import welch
 
 from mavdiag.telemetry import FloatArray, IntArray
@@ -27,6 +27,7 @@ from sitl_plant.physics.mocap import fit_pose
 from sitl_plant.physics.parameters import STEP_S, make_model
 from sitl_plant.physics.rotors import Condition, RotorState, advance_rotors
 from sitl_plant.physics.trajectory import Shape, path
+from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import allocation, qdrone2
 
 
@@ -258,3 +259,13 @@ def test_spectra_are_those_published(gusts: FloatArray, axis: int) -> None:
         band = (hz >= low) & (hz < 2 * low)
         expected = 2 * math.pi * published(2 * math.pi * hz[band], axis)
         assert density[band].mean() == pytest.approx(expected.mean(), rel=0.1), low
+
+
+@pytest.mark.parametrize("w20", [5.0, 8.0])
+def test_a_vehicle_in_turbulence_holds_its_place_and_feels_the_drag_of_the_gusts(w20: float) -> None:
+    """At rest on average, the specific force of the horizontal axes is drag / mass = 0.25 u / 1.504."""
+    config = PlantConfig(trajectory="hover", airframe=quiet_airframe(), turbulence_m_s=w20, seed=4)
+    samples = fly(config, 120.0)
+    assert np.abs(samples.position[:, :2]).max() < 0.3
+    felt = samples.accel[:, :2].std()
+    assert felt == pytest.approx(0.25 / 1.504 * dryden(w20, 1.0).rms_m_s[0], rel=0.3)

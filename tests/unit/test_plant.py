@@ -61,6 +61,16 @@ def test_hover_takes_ten_thousand_rpm() -> None:
     assert 4 * 3.364e-6 * speed**2 == pytest.approx(MASS * G, rel=1e-4)
 
 
+def test_square_excites_roll_and_pitch_like_the_thesis_flight() -> None:
+    """T 5.2 and Fig 5.4: sharp spikes at the corners; about 0.22 rad commanded and 1.3 rad/s reached."""
+    samples = fly(PlantConfig(drone=2), 16.0)
+    for axis in (0, 1):
+        assert 0.17 < np.abs(samples.setpoint[:, axis]).max() < 0.28
+        assert 1.1 < np.abs(samples.gyro[:, axis]).max() < 1.6
+    assert np.ptp(samples.position[:, 0]) == pytest.approx(1.15, abs=0.2)
+    assert np.abs(samples.position[:, 2] + 1.0).max() < 0.05
+
+
 def amplitude(signal: FloatArray, frequency_hz: float) -> float:
     """Amplitude of the line nearest to a frequency, by a flat-top windowed FFT."""
     from scipy.signal import get_window
@@ -112,6 +122,15 @@ def test_driving_with_the_duties_of_a_flight_flies_it_again(
         assert np.isnan(driven.setpoint).all()
         assert np.isnan(driven.thrust_setpoint).all()
         first += n
+
+
+@pytest.mark.parametrize(
+    ("commands", "steps"),
+    [(np.zeros(3), 5), (np.zeros((4, 4)), 5), (np.full(4, 1.1), 5), (np.full(4, np.nan), 5), (np.zeros(4), -1)],
+)
+def test_commands_that_no_motor_can_follow_are_refused(commands: FloatArray, steps: int) -> None:
+    with pytest.raises(UsageError):
+        Plant(PlantConfig()).drive(commands, steps)
 
 
 def test_a_vehicle_rests_on_the_ground() -> None:

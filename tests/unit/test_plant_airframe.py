@@ -5,8 +5,11 @@ import pytest
 from plant_cases import fly, nominal_airframe, quaternion_rotation
 from scipy.stats import kstest, uniform
 
+from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.airframe import Payload, drone, with_propellers
+from sitl_plant.physics.air import dryden
+from sitl_plant.physics.airframe import NO_PAYLOAD, Payload, drone, in_session_number, with_propellers
+from sitl_plant.physics.kernel import Streams
 from sitl_plant.physics.parameters import body_with_payload, initial_state, make_model, reload
 from sitl_plant.physics.trajectory import Shape, path
 from sitl_plant.plant import PlantConfig
@@ -26,6 +29,17 @@ def test_a_new_set_of_propellers_differs_uniformly_and_is_balanced_as_permitted(
     assert (sets[0].battery_gain, sets[0].centre_of_gravity_m[0]) == (DRONE.battery_gain, DRONE.centre_of_gravity_m[0])
 
 
+def test_a_session_is_drawn_by_its_number_and_the_airframe() -> None:
+    first, same, other = (in_session_number(DRONE, number) for number in (1, 1, 2))
+    assert in_session_number(DRONE, 0) is DRONE
+    assert first.gyro_bias.tolist() == same.gyro_bias.tolist() != other.gyro_bias.tolist()
+    assert in_session_number(drone(qdrone2(), 3), 1).charge_used_ah != first.charge_used_ah
+    assert first.thrust_coefficient_n_s2.tolist() == DRONE.thrust_coefficient_n_s2.tolist()
+    assert in_session_number(DRONE, 1, 0.01).thrust_coefficient_n_s2.tolist() != first.thrust_coefficient_n_s2.tolist()
+    with pytest.raises(UsageError, match="session must be zero or more"):
+        in_session_number(DRONE, -1)
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_a_vehicle_without_cameras_stays_in_its_hall(seed: int) -> None:
     """It coasts level at up to 0.5 m/s for up to 2 s, and comes back: no fly-away, no fall."""
@@ -33,6 +47,22 @@ def test_a_vehicle_without_cameras_stays_in_its_hall(seed: int) -> None:
     assert np.abs(samples.position[:, :2] - 0.5).max() < 3.0
     assert samples.position[:, 2].max() < -0.5
     assert np.abs(samples.position[:, 2]).max() < 2.0
+
+
+def test_what_is_asked_for_changes_no_other_stream() -> None:
+    """Rotors, IMU, markers and the wind that is left out: the same numbers with turbulence and outages as without."""
+    model = make_model(DRONE, NO_PAYLOAD, path(Shape.HOVER, 1.0, 0.5, 0.0, 1.0), np.zeros(3))
+    plain, full = Streams(7, 0.001), Streams(7, 0.001, (dryden(5.0, 1.0), 0.0), 20.0)
+    assert plain.angle.random() == full.angle.random()
+    hidden = 0
+    for first, count in ((-10, 10), (0, 7), (7, 20_000)):
+        one, other = plain.draw(first, count, model), full.draw(first, count, model)
+        for name in ("rotors", "imu", "markers"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        seen = other.occlusion >= 0.0
+        np.testing.assert_array_equal(one.occlusion[seen], other.occlusion[seen])
+        hidden += int((~seen).sum())
+    assert hidden > 0
 
 
 BESIDE = Payload(0.2, (0.012, -0.016, 0.05))  # 200 g, 20 mm beside the centre

@@ -1,9 +1,11 @@
 """What is changed in flight: causes, wind, battery; and what the truth file says of it."""
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
+from weak_rotor import sparing
 
 from mavdiag.errors import UsageError
 from sitl_plant.physics.airframe import drone
@@ -80,3 +82,28 @@ def test_the_truth_has_every_change_with_its_time() -> None:
     assert found[1]["cause"]["sensor"] == "accel"
     assert found[0]["wind_m_s"] == 2.0
     assert found[2]["unix_ns"] == 10**18 + 750_000_000
+
+
+def _weak(vehicle: str, way: dict[str, Any], allocation: tuple[float, float] | None) -> tuple[float, float, float]:
+    """Tilt error [rad], mean and highest duty of rotor 2, which has lost a fifth of its thrust."""
+    lost = Injection(RotorDamage(thrust_factor=0.8), 2, 1.0)
+    plant = Plant(PlantConfig(drone=3, vehicle=vehicle_named(vehicle), wind_m_s=1.0, injections=(lost,), **way))
+    plant.advance(1000)
+    if allocation is not None:
+        plant.take_controller(sparing(plant.config.vehicle, 2, *allocation))
+    plant.advance(3000)
+    flown = plant.advance(8000)
+    tilt = (flown.setpoint - flown.attitude[:, :3])[:, :2]
+    return float(np.sqrt(np.mean(tilt**2))), float(flown.duty[:, 1].mean()), float(flown.duty[:, 1].max())
+
+
+def test_an_allocation_for_a_weak_rotor_tilts_less_and_asks_less_of_it() -> None:
+    square = {"speed_m_s": 1.5, "size_m": 3.0}
+    tilt, _, most = _weak("qdrone2", square, None)
+    spared, _, least = _weak("qdrone2", square, (0.8, 2.0))
+    assert spared < 0.95 * tilt
+    assert least < most
+    hover, _, _ = _weak("qdrone2", {"trajectory": "hover"}, None)
+    assert _weak("qdrone2", {"trajectory": "hover"}, (0.8, 2.0))[0] < 0.5 * hover
+    _, mean, _ = _weak("hexa-x", {"trajectory": "hover"}, None)
+    assert _weak("hexa-x", {"trajectory": "hover"}, (0.8, 2.0))[1] < 0.9 * mean  # the others take its load

@@ -4,11 +4,14 @@ import math
 
 import numpy as np
 import pytest
+from plant_cases import nominal_airframe
 from scipy.signal import bilinear, freqz
 
 from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.airframe import draw_airframe
 from sitl_plant.physics.dynamics import GRAVITY, RIGID
 from sitl_plant.physics.faults import Injection, SensorFault, sensor_condition
+from sitl_plant.physics.parameters import specimen_of
 from sitl_plant.physics.sensors import (
     CHANNELS,
     Imu,
@@ -20,6 +23,7 @@ from sitl_plant.physics.sensors import (
     gain_of,
     mode,
 )
+from sitl_plant.vehicle import vehicle_named
 
 
 def imu(noise: float = 0.0) -> Imu:
@@ -87,3 +91,21 @@ def test_the_filter_is_the_bilinear_transform_of_a_driven_mode(hz: float, dampin
     assert abs(still) == pytest.approx(1.0)  # slow motion passes
     assert abs(line) == pytest.approx(math.sqrt(1 + 1 / (2 * damping) ** 2))  # Den Hartog, Mechanical Vibrations, 2.12
     assert gain_of(mode(hz, damping, DT), hz, DT) == pytest.approx(abs(line))
+
+
+VEHICLE = vehicle_named("qdrone2-recorded")
+
+
+def test_specimens_are_the_measured_ones_or_drawn_between_them() -> None:
+    recorded = VEHICLE.recorded
+    assert recorded is not None
+    rng = np.random.default_rng(31)
+    drawn = [draw_airframe(VEHICLE, aged=False, rng=rng) for _ in range(60)]
+    levels = np.array([specimen_of(one, recorded).gyro_line for one in drawn])
+    assert levels.min() >= 0.0144
+    assert levels.max() <= 0.0326
+    assert levels.max() / levels.min() > 2.0
+    assert specimen_of(drawn[7], recorded) == specimen_of(drawn[7], recorded)
+    known = [one.name for one in recorded.specimens]
+    assert known == ["drone 1", "drone 2", "drone 3"]
+    assert specimen_of(nominal_airframe(VEHICLE), recorded).name == "nominal"

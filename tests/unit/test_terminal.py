@@ -1,10 +1,12 @@
-"""Strips, pictures and journals of the terminal: nothing is lost, nothing is wider than the terminal."""
+"""The terminal: pictures, keys, journals, progress, and nothing from outside that steers it."""
 
 import contextlib
 import io
 import json
 import math
+import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +18,15 @@ from made_vehicle import record
 from rich.cells import cell_len
 from rich.console import Console
 
+import detector.__main__ as command
+from mavdiag import commandline
 from mavdiag.archive.tables import Row
+from mavdiag.commands.progress import shown
 from mavdiag.errors import InputError
 from mavdiag.judging import judge
 from mavdiag.link.messages import Severity
 from mavdiag.logs import read_log
+from mavdiag.printable import printable
 from mavdiag.telemetry import Axis, FloatArray
 from mavdiag.terminal.ground_station import LiveJudge
 from mavdiag.terminal.playing import KEYS, Key, Position, keys_in, play
@@ -179,3 +185,99 @@ def test_a_journal_is_followed_over_torn_lines_and_a_rotation(tmp_path: Path) ->
     journal.close()
     with pytest.raises(InputError, match="no such file"):
         Journal(tmp_path / "none.jsonl")
+
+
+ERASED = "\x1b[1A\x1b[2K"  # up to the line of the bar, and away with it
+
+
+class Terminal(io.StringIO):
+    """A terminal that remembers what was written."""
+
+    encoding = "utf-8"
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    now = [0.0]
+    monkeypatch.setattr("mavdiag.commands.progress.time.monotonic", lambda: now[0])
+    return now
+
+
+def on_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+    """Of the test that runs: pytest takes stderr for itself before it."""
+    made = Terminal()
+    monkeypatch.setattr(sys, "stderr", made)
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
+    return made
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_line_now_and_then_where_no_terminal_is(
+    clock: list[float], capsys: pytest.CaptureFixture[str], quiet: bool
+) -> None:
+    with shown("judged", [1.0] * 100, quiet=quiet) as progress:
+        for second in range(1, 101):
+            clock[0] = float(second)
+            progress.add(1.0)
+    left = {10: "0:01:30", 40: "0:01:00", 70: "0:00:30"}
+    lines = [] if quiet else [f"judged: {n} of 100, 1 a second, {words} left" for n, words in left.items()]
+    assert capsys.readouterr() == ("", "".join(f"{line}\n" for line in lines))
+
+
+def test_a_bar_on_a_terminal_is_one_line_makes_room_and_goes_away(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = on_terminal(monkeypatch)
+    monkeypatch.setattr(sys, "stdout", terminal)
+    with shown("judged", [1.0, 1.0, 4.0]) as progress:
+        clock[0] = 5.0
+        progress.add(1.0)
+        progress.say("an answer")
+    before, after = terminal.getvalue().split("an answer\n")
+    assert before.endswith(ERASED)
+    assert "━" in before
+    assert "1 of 3, 0.2 a second, 0:00:25 left" in after
+    assert after.count("\n") == 1  # before it is erased
+    assert after.endswith(ERASED)
+
+
+EVIL = "\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
+
+
+def steering(text: str, keep: str = "\n") -> list[str]:
+    return [one for one in text if not one.isprintable() and one not in keep]
+
+
+def test_every_control_character_is_shown_as_its_escape() -> None:
+    shown = printable(EVIL)
+    assert shown == r"\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
+    for number in (*range(32), *range(127, 160), 0x200E, 0x202A, 0x2066, 0xFEFF, 0xD800, 0xE0001):
+        assert not steering(printable(chr(number)), keep=""), hex(number)
+    assert printable("Größe 5 µs, 3 × „Ω“") == "Größe 5 µs, 3 × „Ω“"
+    assert printable("a\nb\r", keep="\n") == "a\nb\\r"
+
+
+def test_what_daemon_commands_and_baselines_say(capsys: pytest.CaptureFixture[str]) -> None:
+    command._say(f"vehicle 1: {EVIL}")
+    app = commandline.application("Nothing.")
+
+    @app.command()
+    def fail() -> None:
+        """Fail."""
+        raise InputError(f"{EVIL}.tlog: cannot be read")
+
+    with pytest.raises(SystemExit) as caught:
+        commandline.run(app, EVIL)
+    assert caught.value.code == 2
+    sound = baseline_for()
+    evil = sound.model_copy(update={"airframe": replace(sound.airframe, name=EVIL)})
+    assert len(str(evil).splitlines()) == len(str(sound).splitlines())
+    commandline.say(f"{evil}\nwritten to {EVIL}")
+    out, err = capsys.readouterr()
+    assert "forged line" in out
+    assert "forged line" in err
+    assert not steering(out + err)

@@ -51,6 +51,22 @@ def flown(shape: Shape, seconds: float = 60.0, dt: float = 0.01, takeoff: bool =
     return out
 
 
+def ends(shape: Shape, count: int) -> FloatArray:
+    """Where the set-point is just before each new one: after 10 s, 20 s and so on."""
+    return np.asarray(flown(shape, 10.0 * count + 0.1)[999::1000][:count])
+
+
+@pytest.mark.parametrize("level", [1, 2])
+def test_each_goes_where_the_recordings_go(level: int) -> None:
+    diagonals = ends(Shape(f"t1-sp{level}"), 6)[:, :2]
+    np.testing.assert_allclose(diagonals, [[1, 1], [-1, -1], [0, 0], [1, -1], [-1, 1], [0, 0]], atol=1e-9)
+    edges = ends(Shape(f"t2-sp{level}"), 4)[:, :2]
+    np.testing.assert_allclose(edges, [[-1, 1], [-1, -1], [1, -1], [1, 1]], atol=1e-9)
+    np.testing.assert_allclose(-ends(Shape(f"t3-sp{level}"), 3)[:, 2], [0.4, 0.6, 0.8], atol=1e-9)
+    np.testing.assert_allclose(-ends(Shape(f"t4-sp{level}"), 2)[:, 2], [0.8, 0.2], atol=1e-9)
+    np.testing.assert_allclose(np.degrees(ends(Shape(f"t5-sp{level}"), 4)[:, 6]), [45, -45, 90, -90], atol=1e-9)
+
+
 @pytest.mark.parametrize("shape", RECORDED)
 def test_the_limiter_holds_and_rates_are_slopes(shape: Shape) -> None:
     assert shape.recorded is not None

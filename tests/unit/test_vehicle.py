@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plant_cases import nominal_airframe
 
 from mavdiag.errors import InputError, UsageError
 from sitl_plant import vehicle as vehicle_module
@@ -49,6 +50,17 @@ def test_mixer_is_the_inverse_of_the_mapping_and_the_one_of_the_thesis() -> None
         ]
     )
     np.testing.assert_allclose(mixer, thesis * [1, 1, -1, -1], atol=1e-12)
+
+
+def test_hexacopter_is_only_another_file(tmp_path: Path) -> None:
+    extra = "".join(
+        f'[[rotors]]\nname = "side {side}"\nposition_m = [0.0, {y}, -0.025]\nspin = "{spin}"\n\n'
+        for side, y, spin in (("right", 0.2, "cw"), ("left", -0.2, "ccw"))
+    )
+    vehicle = load_vehicle(edited(tmp_path, "[propulsion]", extra + "[propulsion]"))
+    assert allocation(vehicle).shape == (4, 6)
+    np.testing.assert_allclose(allocation(vehicle) @ np.linalg.pinv(allocation(vehicle)), np.eye(4), atol=1e-12)
+    assert nominal_airframe(vehicle).motor_lag_s.shape == (6,)
 
 
 @pytest.mark.parametrize(
