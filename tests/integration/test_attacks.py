@@ -257,7 +257,6 @@ def armed_in(mode: int) -> Callable[[int, int], tuple[int, list[Any]] | None]:
 
 
 def acting(vehicle: MadeVehicle, **more: Any) -> Attacked:
-    """A bench whose daemon acts on anything."""
     vehicle.custom_mode = LOITER
     settings = Settings(connect=UDP_IN, baseline=Path("b.json"), on_fault=ACTS)
     return Attacked(settings, baseline=baseline_for(), vehicles=[vehicle], links_behind=1, **more)

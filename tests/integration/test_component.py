@@ -63,7 +63,6 @@ def texts(bench: Bench) -> list[str]:
 
 
 def flown(bench: Bench, *, faulty: bool) -> Bench:
-    """A flight, with a fault or without, and its landing."""
     bench.run(4.0)
     bench.vehicles[0].turning = 0.5 if faulty else 0.0
     bench.run(4.0)
@@ -196,7 +195,6 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 
 def asked(bench: Bench, frame: bytes, *, behind: bool = True) -> list[Frame]:
-    """What component 191 answers on the link that it is asked on."""
     end = bench.behind[0] if behind else bench.far
     received(end)
     end.send(frame)

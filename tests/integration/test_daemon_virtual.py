@@ -58,7 +58,6 @@ def texts(frames: list[Frame]) -> list[str]:
 
 
 def figure(frame: Frame) -> tuple[str, float]:
-    """Name and value of a NAMED_VALUE_FLOAT."""
     name, value = (frame.fields[field_index(MessageId.NAMED_VALUE_FLOAT, field)] for field in ("name", "value"))
     assert isinstance(name, bytes)
     assert isinstance(value, float)
@@ -211,7 +210,6 @@ def judging(**more: object) -> Settings:
 
 
 def asked(bench: Bench, end: MemoryEndpoint, frame: bytes) -> list[Frame]:
-    """What comes back for a request."""
     received(end)
     end.send(frame)
     bench.run(0.1)

@@ -134,7 +134,6 @@ class Controller:
         self._run()
 
     def held(self, name: str) -> Any:
-        """A local value of the script."""
         return self._lua.globals().peek(name)
 
     @property
@@ -144,12 +143,10 @@ class Controller:
 
     @property
     def texts(self) -> list[tuple[int, int, str]]:
-        """What it said: time [ms], severity, text."""
         return [tuple(one.values()) for one in self.sent.texts.values()]
 
     @property
     def kilobytes(self) -> float:
-        """Memory in use, after a collection."""
         self._lua.execute("collectgarbage()")
         return float(self._lua.eval("collectgarbage('count')"))
 
@@ -170,7 +167,6 @@ def told(telemetry: Telemetry) -> Telemetry:
 
 
 def pieces(front: Front, telemetry: Telemetry) -> Iterator[Rows | Border]:
-    """Its rows, without a commanded heading."""
     for part in front.step(front.start(), telemetry)[1]:  # what waits at the end of a log waits on
         if isinstance(part, Rows):
             setpoint = part.block.setpoint.copy()
@@ -221,7 +217,6 @@ class Judged:
 
 
 def by_python(baseline: Baseline, telemetry: Telemetry) -> Judged:
-    """The kernel and the decision."""
     chain, found = chain_of(baseline), Judged(stages=[("none", None, False)])
     memory, state = chain.kernel.start(), DecisionState()
 
@@ -250,7 +245,6 @@ def by_python(baseline: Baseline, telemetry: Telemetry) -> Judged:
 
 
 def by_applet(baseline: Baseline, telemetry: Telemetry) -> tuple[Judged, Controller]:
-    """The script on the rows before the gate."""
     chain, found, controller = chain_of(baseline), Judged(stages=[("none", None, False)]), Controller(applet(baseline))
     align = chain.front.align
     for block in align.step(align.start(), telemetry):

@@ -69,7 +69,6 @@ def unchanged(telemetry: Telemetry) -> Telemetry:
 
 @cache
 def taught(change: Transform = unchanged, frame: Airframe = FRAME) -> Baseline:
-    """Learnt from three healthy flights, each changed."""
     teachers = (replace(log, telemetry=change(log.telemetry)) for log in healthy(3, SAMPLES))
     return md.learn(teachers, options=LearnOptions(airframe=frame), created=NOW)
 
@@ -88,7 +87,6 @@ def expected(name: str) -> LogVerdict:
 
 
 def judged(name: str, change: Transform, frame: Airframe = FRAME) -> LogVerdict:
-    """The verdict where teachers and flight are changed alike."""
     return md.judge(logged(change(FLIGHTS[name]())), taught(change, frame))
 
 

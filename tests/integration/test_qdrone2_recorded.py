@@ -29,7 +29,6 @@ PUBLISHED = {  # roll gyro, rad/s rms in 50-100, 100-200, 200-500 Hz
 
 @lru_cache(maxsize=2)  # a flight takes 80 MB
 def flight(trajectory: str = "t2-sp1", drone: int = 1, seed: int = 0) -> PlantSamples:
-    """A whole flight from the ground to the ground."""
     form = PlantConfig(
         vehicle=VEHICLE, drone=drone, trajectory=trajectory, seed=seed, start="ground", landed_s=FLIGHT_S
     )

@@ -61,7 +61,6 @@ def damaged(bench: Attacked, seconds: float) -> None:
 
 
 def commanded(bench: Attacked) -> list[Frame]:
-    """What the detector commanded but rates."""
     frames = [one for one in of(received(bench.far), MessageId.COMMAND_LONG) if (one.sysid, one.compid) == US]
     return [frame for frame in frames if field(frame, "command") != MavCmd.SET_MESSAGE_INTERVAL]
 

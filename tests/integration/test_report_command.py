@@ -22,7 +22,6 @@ SECTIONS = 11
 
 
 def run(*arguments: object) -> str:
-    """The output of the command. Raises what it raised."""
     result = CliRunner().invoke(cli.app, ["report", *map(str, arguments)])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception

@@ -162,7 +162,6 @@ def records(path: Path) -> Iterator[tuple[int, bytes]]:
 
 
 def parameter(frame: Frame) -> str:
-    """The parameter that a frame tells or asks for; empty for none."""
     if frame.msgid not in (MessageId.PARAM_VALUE, MessageId.PARAM_REQUEST_READ):
         return ""
     return str(frame.fields[field_index(frame.msgid, "param_id")])

@@ -37,7 +37,6 @@ STAMP_BYTES = 8  # of the time before each frame of a .tlog
 
 
 def chunks(data: bytes) -> list[tuple[bytes, int]]:
-    """The frames of a telemetry log with their times of arrival."""
     found, at = [], 0
     while at < len(data):
         begin = at + STAMP_BYTES
@@ -92,8 +91,6 @@ def test_watch_prints_the_alert_of_a_companion_and_ends_by_itself(tmp_path: Path
 
 
 class Terminal:
-    """The other end of a terminal."""
-
     def __init__(self, end: int) -> None:
         self._end, self.shown = end, ""
 

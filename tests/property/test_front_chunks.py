@@ -192,7 +192,6 @@ def arrived(
 
 
 def in_order(telemetry: Telemetry) -> Telemetry:
-    """Without any disorder."""
     orders = [np.argsort(one.t_ns, kind="stable") for one in telemetry.series]
     pairs = zip(telemetry.series, orders, strict=True)
     return Telemetry(tuple(Series(s.signal, s.t_ns[at], s.t_ns[at], s.values[at]) for s, at in pairs))

@@ -43,7 +43,6 @@ GATES = {
 
 @cache
 def flight(path: Path) -> tuple[Rows, ...]:
-    """Airborne rows of a log."""
     log = read_log(path)
     telemetry = log.telemetry
     dt_s, grid = measure_grid(telemetry)
@@ -55,7 +54,6 @@ def flight(path: Path) -> tuple[Rows, ...]:
 
 
 def learnt(kind: type[Monitor[Any]], flights: Flights, layout: RotorLayout | None = None) -> tuple[Monitor[Any], float]:
-    """The monitor fitted to healthy flights, and its threshold."""
     dt_s = flights[0][0].block.dt_s
     context = LearnContext(Airframe(layout=layout), None, dt_s, window_samples(dt_s))
     monitor, threshold = calibrated(kind, flights, context, SHARE)
@@ -173,7 +171,6 @@ FLIGHTS = {
 
 @cache
 def flown(path: Path) -> tuple[Block, ...]:
-    """The rows of flight of a log."""
     log = read_log(path)
     dt_s, grid = measure_grid(log.telemetry)
     gate = (airframe_named("crazyflie").gate if log.profile == "crazyflie" else None) or GateSpec(min_thrust=0.1)

@@ -54,7 +54,6 @@ def finding(
 
 
 def text(*diagnoses: Diagnosis) -> str:
-    """What is said of the last of them."""
     telling = Telling()
     [notice] = [telling.step(diagnosis, 1) for diagnosis in diagnoses][-1]
     return notice.text

@@ -52,7 +52,6 @@ NOTHING = values(np.empty(0))
 def decided(
     shaking: Statistic, moving: Statistic = NOTHING, thesis: Statistic = NOTHING
 ) -> tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]:
-    """What comes of values that end together."""
     return decide(SPEC, (shaking, moving, thesis))
 
 
@@ -447,7 +446,6 @@ LATE = max(KNOWN, key=lambda one: one.after_s)
 
 
 def centre(code: str, strength: float = 1.0) -> FloatArray:
-    """The middle of a trained cloud."""
     wanted = (FaultType(code[:2]), int(code[-1]), strength)
     return next(c.mean for c in LATE.clouds if (c.fault_type, c.severity, c.strength) == wanted)
 

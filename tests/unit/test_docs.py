@@ -162,7 +162,6 @@ def test_the_commands_of_the_pages_do_what_is_said(folder: Path) -> None:
 
 @contextmanager
 def made_link(address: str) -> Iterator[list[md.Telemetry]]:
-    """A link over which one flight comes."""
     assert address.startswith("udpin:")
     yield [md.read_log("flights/today.bin").telemetry]
 

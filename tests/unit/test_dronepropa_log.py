@@ -174,7 +174,6 @@ def test_it_reads_what_scipy_reads(tmp_path: Path, compressed: bool, dtype: str)
 
 
 def last_element(data: bytes) -> int:
-    """Where the last compressed element begins."""
     position, begin = 128, 128
     while position < len(data):
         begin, position = position, position + 8 + struct.unpack_from("<I", data, position + 4)[0]

@@ -58,7 +58,6 @@ def spoilt(block: Block, seed: int) -> Block:
 
 
 def rows_of(block: Block, edges: Sequence[int] = ()) -> list[Rows]:
-    """The block in pieces, with the rates that each completes."""
     spec = RateSpec.of(block.dt_s, WINDOW)
     state, out = spec.start(), []
     for low, high in itertools.pairwise(sorted({0, len(block), *edges})):
@@ -68,13 +67,11 @@ def rows_of(block: Block, edges: Sequence[int] = ()) -> list[Rows]:
 
 
 def measured(rows: Sequence[Rows]) -> Conditions:
-    """All bins of the rows."""
     parts = list(measure(rows))
     return Conditions(np.concatenate([b.end_ns for b in parts]), np.concatenate([b.values for b in parts]))
 
 
 def column(found: Conditions, condition: Condition) -> FloatArray:
-    """The values of one condition."""
     return found.values[:, list(Condition).index(condition)]
 
 
@@ -180,7 +177,6 @@ TURN_S = 20.0
 
 
 def excess(covered: Covered, *values: float) -> list[float]:
-    """e of values of a condition."""
     limits, number = limits_of([covered]), ORDER.index(covered.condition)
     return [excess_of(value, limits, number) for value in values]
 

@@ -341,7 +341,6 @@ def flown(starts_ns: Sequence[int], rise: float = 0.0) -> list[FlightRecord]:
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[Flown]:
-    """What was asked of the law."""
     found: list[Flown] = []
 
     def ask(flights: Flown, *rest: object) -> Evidence:

@@ -93,7 +93,6 @@ def test_a_hostile_baseline(name: str, tmp_path: Path) -> None:
 
 
 def places(value: object, at: tuple[object, ...] = ()) -> list[tuple[object, ...]]:
-    """Where the numbers of a JSON value are."""
     if isinstance(value, dict):
         return [one for key, inner in value.items() for one in places(inner, (*at, key))]
     if isinstance(value, list):

@@ -241,7 +241,6 @@ def test_every_order_recovers_its_own_model(order: tuple[int, int, int]) -> None
 
 
 def flown(seed: int, n: int) -> Segment:
-    """A segment that begins in motion."""
     rng = np.random.default_rng(seed)
     u = np.cumsum(rng.normal(0.0, 0.1, n + 50))
     u -= lfilter([0.01], [1.0, -0.99], u)
@@ -323,7 +322,6 @@ def test_records_that_begin_in_motion_may_settle_first() -> None:
 
 
 def last(*pairs: Record, order: Order = (2, 2, 1), forgetting: float = 1.0) -> ArxModel:
-    """The model at the end of these records."""
     u, y = [one.u for one in pairs], [one.y for one in pairs]
     return [model for _, model in track(u, y, order, dt=0.01, forgetting=forgetting, every=10_000)][-1]
 

@@ -219,7 +219,6 @@ def ground_first(telemetry: Telemetry, span_s: float) -> Telemetry:
 
 @cache
 def grounded() -> Baseline:
-    """Of flights that begin on the ground."""
     options = LearnOptions(airframe=replace(FRAME, gate=None))
     spans = zip(healthy(3, 9000), (3.0, 30.0, 8.0), strict=True)
     taught = [logged(ground_first(one.telemetry, s), name=one.name) for one, s in spans]

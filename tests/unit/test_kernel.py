@@ -46,7 +46,6 @@ def judged(name: str, edges: list[int]) -> tuple[list[Looked], list[Piece], Told
 
 
 def joined(looked: list[Looked]) -> tuple[object, ...]:
-    """All looks, as what can be compared."""
     arrays = [np.concatenate([getattr(one, name)[: len(one.heights)] for one in looked if len(one.heights)]).tobytes()
               for name in ("readings", "sums")]  # fmt: skip
     flat = [[x for one in looked for x in getattr(one, name)] for name in ("heights", "leads", "alarms")]

@@ -311,7 +311,6 @@ def test_told_wins_over_parameters_and_parameters_over_flights_and_a_contradicti
 
 
 def silent(count: int) -> list[Log]:
-    """Flights without outputs."""
     return [
         Log(f"f{i}", "", "px4", Telemetry(tuple(s for s in flying(3000, i) if s.signal is not Signal.ACTUATOR)))
         for i in range(count)
