@@ -13,13 +13,12 @@ from broken_teaching import MONITORS, Pool, Tally, judge_sets, pool_of
 
 import mavdiag as md
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.detect import detect_layout
 from mavdiag.airframe.layout import layout_named
 from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.decision.alarm import Stage
 from mavdiag.judging import Verdict, judge
-from mavdiag.learning import LearnOptions, front_for, learn, rows_of
+from mavdiag.learning import LearnOptions, learn
 from mavdiag.monitors import BY_NAME
 from mavdiag.monitors.base import LearnContext
 from mavdiag.monitors.unbalance import Unbalance
@@ -27,12 +26,10 @@ from mavdiag.rows.align import AlignSpec, Grid
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.rates import RateSpec
-from mavdiag.rows.savgol import coefficients
-from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
-from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
-from sitl_plant.physics.faults import Injection, RotorDamage
+from mavdiag.telemetry import Log, Signal, Telemetry
+from sitl_plant.autopilot.telemetry import flight_telemetry
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
-from sitl_plant.vehicle import airframe_of, vehicle_named
+from sitl_plant.vehicle import airframe_of
 
 ONSET_S = 12.0  # 5 s after take-off nothing is judged
 
@@ -81,33 +78,6 @@ def test_a_healthy_flight_is_healthy(seed: int) -> None:
 pytest.importorskip("numba", reason="the plant is an extra")
 
 
-SHAKEN_G_MM = 10.0  # of every rotor; the worst damaged propeller of T Table 3.2 has 5.5
-
-
-@pytest.mark.parametrize("link", [LinkSpec("qdrone2"), LinkSpec("ardupilot", 100.0)], ids=["1 kHz", "100 Hz"])
-@pytest.mark.parametrize(
-    ("vehicle", "layout"),
-    [
-        ("qdrone2", "qdrone2"),
-        ("quad-plus", "plus"),
-        ("hexa-x", "hexa-x"),
-        ("hexa-plus", "hexa-plus"),
-        ("octo-x", "octo-x"),
-    ],
-)
-def test_the_layout_of_a_shaken_vehicle_is_found(vehicle: str, layout: str, link: LinkSpec) -> None:
-    kind = vehicle_named(vehicle)
-    shaken = tuple(Injection(RotorDamage(unbalance_g_mm=SHAKEN_G_MM), n + 1) for n in range(len(kind.rotors)))
-    config = PlantConfig(drone=1, vehicle=kind, seed=611, wind_m_s=1.0, injections=shaken)
-    telemetry, flown_s = flight_telemetry(config, 15.0, link)
-    assert flown_s == pytest.approx(15.0)
-    log = Log(vehicle, "", link.profile, telemetry)
-    found = detect_layout(rows.block for rows in rows_of(front_for([log], 0.1), log.telemetry))
-    assert found.layout is not None, found.reason
-    assert found.layout.name == layout
-    assert found.outputs == tuple(range(1, len(kind.rotors) + 1))
-
-
 FRONT = Front(AlignSpec(0.001, Grid.NATIVE), GateSpec(min_thrust=0.1), RateSpec.of(0.001, 101))
 QDRONE2 = Airframe(layout=layout_named("qdrone2"), mass_kg=1.504, hover_rad_s=1047.2)
 
@@ -126,20 +96,9 @@ def test_the_estimated_unbalance_is_that_of_the_table_and_placed() -> None:
     assert int(rotors.sum(axis=0).argmax()) + 1 == 2
 
 
-DT_S = 0.001
-WINDOW = 101
-
-
 @pytest.fixture(scope="module")
 def flights() -> dict[int, PlantSamples]:
     return {drone: Plant(PlantConfig(drone=drone, seed=drone)).advance(33_000) for drone in (1, 2, 3)}
-
-
-def rates(flight: PlantSamples, noise: float, seed: int, column: int = 0) -> tuple[FloatArray, FloatArray]:
-    """u and y behind the window [rad/s], the first 3 s left out."""
-    gyro = flight.gyro[3000:, column] + noise * np.random.default_rng(seed).standard_normal(30_000)
-    value, slope, _ = coefficients(WINDOW)
-    return np.correlate(flight.setpoint[3000:, column], slope / DT_S, "valid"), np.correlate(gyro, value, "valid")
 
 
 NOW = "2026-01-01T00:00:00+00:00"

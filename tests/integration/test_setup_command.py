@@ -1,8 +1,5 @@
 """`mavdiag setup`: the emulated vehicle with a pilot who does what he is told, in virtual time and on real sockets."""
 
-import sys
-import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -11,9 +8,7 @@ from typing import Any
 from unittest.mock import patch
 
 import pytest
-from patience import PATIENCE_S
-from piloted import Clock, Pilot, PilotedVehicle
-from plant_process import flying, process
+from piloted import Clock, PilotedVehicle
 from shared_data import shared
 
 from detector.config import load_settings
@@ -24,11 +19,9 @@ from mavdiag.errors import InputError
 from mavdiag.learning.coaching import ROUNDS, Coverage, Task
 from mavdiag.link.codec import Decoder, Frame, field_index
 from mavdiag.link.messages import MessageId
-from mavdiag.link.ports import open_endpoint
 from mavdiag.link.ports.base import Chunk, Endpoint
 from mavdiag.units import NS_PER_S
 
-SPEED = 5
 LINK = "udpin:127.0.0.1:14550"
 Heard = Callable[[str], None]
 
@@ -209,33 +202,3 @@ def test_the_tasks_are_asked_for_in_rounds_until_all_is_flown() -> None:
         coverage.flown_s[step.task] += step.left_s
     assert asked == [*Task] * ROUNDS
     assert coverage.flown_s == {task: task.wanted_s for task in Task}
-
-
-@pytest.mark.realtime
-def test_setup_over_udp_with_a_vehicle_that_flies_five_times_as_fast(tmp_path: Path) -> None:
-    options = ("--trajectory", "commanded", "--profile", "px4", "--fresh-link", "--speed", str(SPEED))
-    with flying(*options, links=2) as (link, other), open_endpoint(other) as endpoint:
-        pilot, ended, began_s = Pilot("px4", endpoint.send), threading.Event(), time.monotonic()
-
-        def fly() -> None:
-            while not ended.wait(0.02):
-                endpoint.receive(0.0)
-                pilot.fly(SPEED * (time.monotonic() - began_s))
-
-        command = [sys.executable, "-m", "mavdiag", "setup", link, "-o", str(tmp_path / "made"), "--yes"]
-        hands = threading.Thread(target=fly)
-        hands.start()
-        try:
-            with process(command) as coach:
-                assert coach.stdout is not None
-                lines = []
-                for line in coach.stdout:
-                    lines.append(line)
-                    pilot.hear(line)
-                assert coach.wait(PATIENCE_S) == 0, "".join(lines)
-        finally:
-            ended.set()
-            hands.join()
-    assert Baseline.load(tmp_path / "made" / BASELINE).grade in ("A", "B")
-    assert "now land" in "".join(lines)
-    assert "px4 at 160 Hz" in "".join(lines)  # the detector has checked its configuration

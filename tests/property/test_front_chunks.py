@@ -109,23 +109,6 @@ def test_any_chunking_gives_the_same_rows_and_borders(
     assert np.abs(table["rate u"][table["rate commanded"].astype(bool)]).max() < 4.0  # a turn through pi is no step
 
 
-@settings(max_examples=25)
-@given(
-    seed=st.integers(0, 5),
-    most=st.integers(20, N),
-    grid=st.sampled_from(list(Grid)),
-    trim_end_s=st.sampled_from([0.0, 0.6]),
-)
-def test_a_whole_log_in_pieces_gives_the_same(seed: int, most: int, grid: Grid, trim_end_s: float) -> None:
-    telemetry = hard_flight(seed)
-    front = Front(AlignSpec(0.005, grid), GateSpec(min_thrust=0.1, trim_end_s=trim_end_s), RateSpec.of(0.005, 21))
-    story, table = run(front, [telemetry])
-    found_story, found = told(list(front.pieces(in_pieces(telemetry, most))))
-    assert found_story == story
-    for name, column in table.items():
-        np.testing.assert_allclose(found[name], column, rtol=0.0, atol=ROUNDING, err_msg=name)
-
-
 @given(seed=st.integers(0, 10_000), shift_s=st.sampled_from([-30.0, -1.0, 0.5, 60.0]))
 @settings(max_examples=20)
 def test_stamps_that_leap_move_no_piece_of_a_log(seed: int, shift_s: float) -> None:

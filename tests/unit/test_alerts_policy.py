@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from detector.alerts import TEXT_BYTES, Kind, Notice, Presenter, Telling
-from detector.values import Effect, SendText, TextSuppressed
+from detector.values import Effect, SendText
 from mavdiag.as_json import event_json, json_line
 from mavdiag.decision.alarm import Event
 from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
@@ -144,17 +144,6 @@ def test_a_suspicion_waits_a_second_and_is_dropped_for_a_fault() -> None:
     presenter = Presenter()  # what is over before, as at a landing, is said all the same
     assert say(presenter, 0.0, suspicion) == []
     assert say(presenter, 0.1) == said
-
-
-def test_a_lasting_matter_that_the_budget_holds_back_is_counted_once_and_said_later() -> None:
-    presenter = Presenter(per_minute=4)
-    for at in (0.0, 3.0):
-        say(presenter, at, Notice(Kind.REBOOT))
-    waiting, out = Notice(Kind.WAITING, ("no gyro",), "no gyro"), []
-    for second in range(6, 70):
-        effects = say(presenter, second, waiting)
-        out += [(second, type(effect)) for effect in effects]
-    assert out == [(6, TextSuppressed), (60, SendText)]
 
 
 PROPELLER = Diagnosis(monitor="rotor_trim", statistic=0.066, threshold=0.02, kind=FaultKind.PROPELLER)

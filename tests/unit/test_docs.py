@@ -269,10 +269,6 @@ def has_attribute(found: object, names: list[str]) -> bool:
     return True
 
 
-def equations() -> list[str]:
-    return re.findall(r"```math\n(.*?)```", PAGE, flags=re.DOTALL)
-
-
 MAKER = runpy.run_path(str(ROOT / "docs" / "make_constants.py"))
 
 

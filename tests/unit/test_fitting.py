@@ -29,12 +29,6 @@ def flights() -> list[list[Rows]]:
     return [flying_rows(one) for one in (flying(2600, 1), broken, flying(2800, 3))]
 
 
-def valid(name: str) -> np.ndarray:
-    """A column of all valid rows."""
-    blocks = [rows.block for flight in flights() for rows in flight]
-    return np.concatenate([getattr(one, name)[one.valid] for one in blocks])
-
-
 @given(st.integers(0, 999), st.floats(-2.0, 2.0))
 def test_the_variance_law_is_the_non_negative_least_squares(seed: int, slope: float) -> None:
     rng = np.random.default_rng(seed)

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from flying_telemetry import flying
 from made_baselines import ALWAYS, FRAME, NOW, healthy
-from made_telemetry import START_NS
 from made_telemetry import changed as changed_telemetry
 
 from mavdiag.errors import InputError
 from mavdiag.learning import LearnOptions, airborne, front_for, learn
 from mavdiag.learning.teaching import far_blocks, repeated, taught, upsets
 from mavdiag.logs import between
-from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
 
 OPTIONS = LearnOptions(airframe=FRAME, monitors=("rotor_trim",))
 ROBUST = replace(OPTIONS, robust=True)
@@ -161,17 +160,6 @@ def test_one_odd_flight_or_a_small_distance_is_noted(other: int, rise: float) ->
     assert len(found.provenance.logs) == 3 + other
     assert "two groups" in found.provenance.notes[0]
     assert "note       odd0" in str(found)
-
-
-def slower(log: Log, factor: float, jitter: bool) -> Log:
-    """The log on a clock that runs slower, jittered so that its grid is resampled if asked."""
-    rng = np.random.default_rng(4)
-    parts = []
-    for one in log.telemetry.series:
-        late = rng.uniform(0.0, 0.6e7, len(one)) if jitter and one.signal is Signal.BODY_RATE else np.zeros(len(one))
-        t_ns = (START_NS + factor * (one.t_ns - START_NS) + late).astype(np.int64)
-        parts.append(Series(one.signal, t_ns, t_ns, one.values))
-    return replace(log, telemetry=Telemetry(tuple(parts)))
 
 
 def test_nothing_left_is_said() -> None:

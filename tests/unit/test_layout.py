@@ -2,8 +2,7 @@
 
 import json
 import math
-import re
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from flying_telemetry import flying
 from hypothesis import given
 from hypothesis import strategies as st
 from made_baselines import ALWAYS, NOW
-from made_logs import DataFlashMessage, dataflash
 from scipy.signal import lfilter
 
 from mavdiag.airframe.airframe import Airframe
@@ -22,13 +20,12 @@ from mavdiag.airframe.load import BUILTIN, airframe_from, airframe_named, load_a
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline, dump, parse
-from mavdiag.errors import InputError, UsageError
+from mavdiag.errors import InputError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Autopilot, MavType, MessageId
 from mavdiag.link.vehicles import LinkDecoder
-from mavdiag.logs import read_log
 from mavdiag.rows.block import Block
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
@@ -115,18 +112,6 @@ def test_l6_a_live_link_and_a_log_find_the_same(rows: int) -> None:
         with pytest.MonkeyPatch.context() as patch:  # and some thousand rows are in memory at a time
             patch.setattr("mavdiag.airframe.detect.PIECE_ROWS", 500)
             assert detect_layout(pieces).likeness[0][1] == pytest.approx(detect_layout([flight]).likeness[0][1])
-
-
-def test_l6_a_yawing_flight_does_not_hide_roll_and_pitch() -> None:
-    """L6: the drivers are correlated in turns; each alone would take the effect of the others."""
-    rng = np.random.default_rng(7)
-    for name in ("x", "plus", "hexa-x"):
-        layout = layout_named(name)
-        torque = rng.normal(0, 0.02, (3000, 3)) @ np.array([[1, 0.6, 0.5], [0, 1, 0.6], [0, 0, 1]])
-        outputs = 0.5 * (1 + torque @ layout.mixing.T)
-        found = detect_layout([example_rows(3000, 0.01, actuator=outputs, torque=torque).block])
-        assert found.layout is layout
-        assert found.likeness[0][1] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_what_stays_unclear_is_not_named() -> None:
@@ -333,13 +318,6 @@ def test_an_unknown_layout_is_loud_in_the_baseline_and_in_every_verdict() -> Non
     assert judge(silent(1)[0], unconcerned).notes == ()
 
 
-def test_an_airframe_has_the_layout_of_its_file_or_the_one_that_is_told() -> None:
-    with pytest.raises(UsageError, match="airframe a has the layout x, not plus: give one of them"):
-        with_layout(Airframe(name="a", layout=layout_named("x")), "plus")
-    with pytest.raises(UsageError, match="no layout 'y'"):
-        with_layout(UNKNOWN, "y")
-
-
 @pytest.mark.parametrize(("name", "weak", "arm"), [("x8", 6, "1/6"), ("y6", 4, "4/6"), ("y6b", 1, "1/2")])
 def test_the_arm_is_named_where_rotors_share_one(name: str, weak: int, arm: str) -> None:
     """X8 and Y6: both rotors of an arm move roll and pitch alike."""
@@ -388,21 +366,6 @@ def test_every_key_arrives_and_what_a_file_leaves_out_is_not_known(tmp_path: Pat
         gate=GateSpec(1.0, 0.2, False, 2.0, 1.0),
         classifier="ours",
     )
-
-
-def test_the_example_of_the_page_is_an_airframe(tmp_path: Path) -> None:
-    page = (ROOT / "docs" / "airframe.md").read_text(encoding="utf-8")
-    example = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)[0]
-    found = load_airframe(written(tmp_path, example))
-    assert found.layout is not None
-    assert (found.layout.rotors, found.gate) == (6, GateSpec(0.4, 0.1, True, 1.0, 0.0))
-    np.testing.assert_allclose(np.square(found.layout.mixing).sum(axis=0), 6.0)
-    documented = set(re.findall(r"^(?:# )?(\w+) = ", example, re.MULTILINE))
-    known = {field.name for field in fields(Airframe)} | {field.name for field in fields(GateSpec)}
-    found_out = {"layout_basis", "layout_warning", "least_shake"}
-    assert documented - {"x_m", "y_m", "spin", "hover_rpm"} == known - {"gate", "hover_rad_s"} - found_out
-    for name in (*LAYOUTS, *BUILTIN):
-        assert f"`{name}`" in page
 
 
 PLACE = '[[rotors]]\nx_m = 1\ny_m = 1\nspin = "cw"\n'
@@ -583,21 +546,6 @@ def test_px4_rotors_are_places_and_senses_and_its_groups_of_outputs_must_agree()
     )
     assert (split.layout is None, split.outputs) == (False, None)
     assert "motors on PWM_AUX, PWM_MAIN" in split.reason
-
-
-PARM = DataFlashMessage(32, "PARM", "QNf", "TimeUS,Name,Value")
-RCOU = DataFlashMessage(33, "RCOU", "QHHHHHH", "TimeUS,C1,C2,C3,C4,C5,C6")
-
-
-def test_a_dataflash_log_carries_the_last_value_of_each_parameter(tmp_path: Path) -> None:
-    named, path = {**COPTER_X, **servos(33, 34, 35, 36)}, tmp_path / "log.bin"
-    records = [PARM.record(1, b"FRAME_TYPE", 0.0)]
-    records += [PARM.record(2, name.encode(), value) for name, value in named.items()]
-    path.write_bytes(dataflash([PARM, RCOU], [*records, RCOU.record(3, *[1100] * 6)]))
-    log = read_log(path)
-    assert (log.parameters, log.motor_order) == (named, True)
-    path.write_bytes(dataflash([PARM, RCOU], [PARM.record(1, b"A", 1.0), RCOU.record(3, *[1100] * 6)]))
-    assert not read_log(path).motor_order
 
 
 def value(encoder: Encoder, name: str, number: float, kind: int) -> bytes:

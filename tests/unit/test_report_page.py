@@ -34,7 +34,6 @@ from mavdiag.report.pictures import sweep_of
 from mavdiag.report.sketch import Sketch
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import Axis, FloatArray, Log, Signal
-from mavdiag.traces import RateTrace, rate_traces
 
 CREATED = "2026-01-01T00:00:00+00:00"
 HOSTILE = "<script>alert(1)</script>\"'>&\u202e$x^2$<img src=x onerror=y>"
@@ -170,12 +169,6 @@ def test_what_is_no_campaign_says_what_to_name(tmp_path: Path, content: bytes, r
 
 
 pytest.importorskip("numba", reason="the plant is an extra")
-
-
-def traces() -> tuple[RateTrace, ...]:
-    _, judged = cracked()
-    assert judged.chain is not None
-    return rate_traces(judged.chain, judged.pieces)
 
 
 @cache

@@ -4,7 +4,6 @@ import itertools
 import multiprocessing
 import runpy
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -21,8 +20,7 @@ from made_session import Story, baseline_for, outcome_of
 from detector.alerts import label_of
 from detector.config import SessionSettings, Settings
 from detector.fitting import FittingJob, ProcessFitter
-from detector.fleet import due_turns
-from detector.judging import Judge, chain_for, records_of
+from detector.judging import Judge, chain_for
 from detector.negotiate import HELD_S, Negotiation
 from detector.session import FITS, Session
 from detector.states import TABLE, State
@@ -42,17 +40,15 @@ from detector.values import (
     StateChanged,
 )
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.fingerprint import Figure, Fingerprint, Outcome
 from mavdiag.baseline import Baseline
-from mavdiag.chain import Chain, ChainOutput, chain_of
+from mavdiag.chain import chain_of
 from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.errors import BaselineError
-from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import LAST_RESORT, PROFILES
 from mavdiag.link.vehicles import Ack
 from mavdiag.link.wants import Want
-from mavdiag.telemetry import Axis, FloatArray, Instant, Log, Series, Signal, Telemetry
+from mavdiag.telemetry import Axis, FloatArray, Instant, Series, Signal, Telemetry
 from mavdiag.units import G
 
 QDRONE2 = PROFILES["qdrone2"]
@@ -434,28 +430,7 @@ def test_h5_a_link_that_stalls_changes_no_rate() -> None:
     assert streams.rate_hz(Signal.BODY_RATE, Instant(21 * 10**9)) == pytest.approx(4.0)  # and a lower one shows at once
 
 
-COST_S = 0.004
 TICK_S = 0.04
-
-
-def looks(
-    vehicles: int, seed: int, source_of: Callable[[int], int] = lambda sysid: sysid, begun_s: float = 0.0
-) -> tuple[dict[int, list[float]], float]:
-    """Judge by the policy for 500 looks: the waits of each vehicle, and the longest look.
-
-    begun_s: of each look, that went by before anybody is judged.
-    """
-    rng = np.random.default_rng(seed)
-    judged, longest_s = {sysid: Instant(0) for sysid in range(vehicles)}, 0.0
-    waits: dict[int, list[float]] = {sysid: [] for sysid in range(vehicles)}
-    for number in range(1, 501):
-        now, spent_s = Instant(0) + number * TICK_S, [begun_s]
-        for sysid, waited_s in due_turns(judged, now, source_of, lambda spent_s=spent_s: sum(spent_s) < TICK_S / 2):  # type: ignore[misc]  # a default of one look
-            waits[sysid].append(waited_s)
-            judged[sysid] = now
-            spent_s.append(COST_S * float(rng.uniform(0.5, 1.5)))
-        longest_s = max(longest_s, sum(spent_s))
-    return waits, longest_s
 
 
 def test_only_its_own_process_is_ended() -> None:
@@ -560,42 +535,3 @@ def test_another_imu_message_is_asked_for_where_the_profiles_own_is_not_to_be_ha
         talk.wait(1.0, Seen(GYRO, 0.0), acks=acks)
     order = list(dict.fromkeys(msgid for _, msgid in talk.asked))
     assert order == [MessageId.RAW_IMU, MessageId.HIGHRES_IMU, LAST_RESORT]
-
-
-def taught() -> Chain:
-    logs = [Log(f"{seed}", "", "px4", flying(3000, seed)) for seed in range(2)]
-    return chain_of(learn(logs, LearnOptions(), created=""))
-
-
-def steps(chain: Chain, pieces: int) -> list[ChainOutput]:
-    """A flight of 40 s in so many pieces."""
-    telemetry, state, out = flying(4000, 9), chain.start(), []
-    edges = [round(i * 40e9 / pieces) for i in range(pieces + 1)]
-    for low, high in itertools.pairwise(edges):
-        state, one = chain.step(state, between(telemetry, low, high))
-        out.append(one)
-    return out
-
-
-def between(telemetry: Telemetry, low_ns: int, high_ns: int) -> Telemetry:
-    first = min(int(one.t_ns[0]) for one in telemetry.series)
-    parts = []
-    for one in telemetry.series:
-        keep = (one.t_ns - first >= low_ns) & (one.t_ns - first < high_ns)
-        parts.append(one.where(keep))
-    return Telemetry(tuple(parts))
-
-
-def test_another_vehicle_is_told_in_a_text_and_with_figures_in_the_journal() -> None:
-    chain = taught()
-    learnt = chain.baseline.fingerprint
-    assert learnt is not None
-    figures = tuple(
-        Figure(one.name, one.mean + 5.0, 0.01) if one.name.startswith("gyro noise") else one for one in learnt.figures
-    )
-    other = replace(chain, baseline=chain.baseline.model_copy(update={"fingerprint": Fingerprint(figures, 2)}))
-    told = [one for one in steps(other, 40) if one.likeness is not None]
-    assert [one.likeness.outcome for one in told if one.likeness] == [Outcome.FAR]
-    notes = [one.text for output in told for one in records_of(output, "E8") if isinstance(one, Note)]
-    assert len(notes) == 1
-    assert notes[0].startswith("does not look like E8: ")

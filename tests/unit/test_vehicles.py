@@ -12,13 +12,13 @@ from memory_port import memory_pair
 import mavdiag as md
 from mavdiag.airframe.vehicle_type import MULTIROTORS
 from mavdiag.errors import InputError
-from mavdiag.link.codec import NO_FRAMES, Decoder, Encoder, message_name
+from mavdiag.link.codec import Decoder, Encoder, message_name
 from mavdiag.link.link import Link
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
 from mavdiag.link.profiles import PROFILES, scale_doubt
 from mavdiag.link.scale import gyro_checks
 from mavdiag.link.sequence import FRAME, HEARD, SENDERS_MAX, Intruder, Senders, Source
-from mavdiag.link.vehicles import MOST_PARAMETERS, VEHICLES_MAX, Ack, Command, LinkDecoder, command_in, parameters_in
+from mavdiag.link.vehicles import Ack, Command, LinkDecoder, command_in, parameters_in
 from mavdiag.logs.tlog import tlog_record, vehicle_stream
 from mavdiag.telemetry import FloatArray, Series, Signal
 from mavdiag.units import DEG, NS_PER_S
@@ -175,18 +175,6 @@ def test_integers_are_cast_by_ardupilot_and_copied_by_px4(autopilot: Autopilot) 
     assert parameters_in(Decoder().feed(b"".join(frames), 0), autopilot) == {**whole, "REAL": 0.25}
 
 
-def test_made_up_parameters_cost_a_bounded_amount() -> None:
-    decoder, sender = LinkDecoder(PROFILES["ardupilot"]), Sender()
-    run(decoder, sender.chunks(5))
-    stream = decoder.vehicles[1]
-    frames = Decoder().feed(b"".join(told(sender.encoder, f"P{n}", n) for n in range(MOST_PARAMETERS)), S)
-    more = Decoder().feed(b"".join(told(sender.encoder, f"Q{n}", n) for n in range(500)), S)
-    for some in (frames[:-1], more, frames[-1:], more[:1], Decoder().feed(told(sender.encoder, "P7", -1.0), S)):
-        stream.step(NO_FRAMES, some)
-        assert len(stream.parameters) in (MOST_PARAMETERS - 1, MOST_PARAMETERS)
-    assert stream.parameters["P7"] == -1.0
-
-
 HERE, THERE = ("10.0.0.1", 14550), ("10.0.0.66", 4444)
 KEY = 1 << 8 | 1
 
@@ -221,21 +209,6 @@ def test_a_second_source_is_not_heard_while_the_first_is_alive() -> None:
     count = senders.count(KEY)
     assert count is not None
     assert (senders.source(KEY), senders.intruder(KEY), count.received) == (HERE, Intruder(THERE, 2), 2)
-
-
-def test_senders_are_bounded_and_those_that_sent_most_stay() -> None:
-    senders = Senders()
-    senders.keep(7 << 8 | 1)
-    heard(senders, 7 << 8 | 1, 0, 0, HERE)
-    for k in range(50):
-        heard(senders, KEY, k, k, HERE)
-    for key in range(65_536):
-        if key != KEY:
-            heard(senders, key, 0, 0, THERE)
-        assert len(senders) <= SENDERS_MAX
-    genuine = senders.count(KEY)
-    assert genuine is not None
-    assert (genuine.received, senders.source(7 << 8 | 1)) == (50, HERE)
 
 
 @pytest.mark.parametrize(
@@ -287,17 +260,6 @@ def test_a_careful_decoder_wants_two_heartbeats_of_one_sender() -> None:
     assert link.source(1) == HERE
     assert link.heard_since(2 * S) == [1]
     assert link.heard_since(30 * S) == []
-
-
-def test_a_link_takes_so_many_vehicles_and_says_so() -> None:
-    link = LinkDecoder(PROFILES["ardupilot"], careful=True)
-    encoders = [Encoder(sysid, 1) for sysid in range(1, 141)]
-    for k in range(3):
-        data = [(beat(one), k * S) for one in encoders]
-        link.feed(data, k * S, [HERE] * len(data))
-    assert len(link.vehicles) == VEHICLES_MAX
-    assert set(link.waiting.values()) == {"there are 128 vehicles already (max_vehicles)"}
-    assert all(not one.frames for one in link._waiting.values())
 
 
 BOAT = "a boat (MAV_TYPE 11): mavdiag judges multirotors only"
