@@ -1,15 +1,17 @@
 """Frames become SI samples: scales to the quantum, masks, clocks, and no dependence on how the frames are cut."""
 
 from collections import Counter
+from dataclasses import replace
 from math import pi
 
 import numpy as np
 import pytest
 
+from mavdiag.link.clock import MS_32
 from mavdiag.link.codec import Decoder, Encoder, Frame, frames_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
 from mavdiag.link.profiles import PROFILES, Evidence, detect_profile, with_imu
-from mavdiag.link.samples import SampleDecoder, SampleState, euler_angles, joined
+from mavdiag.link.samples import SOURCES, Form, Part, SampleDecoder, SampleState, Source, euler_angles, joined
 from mavdiag.telemetry import FloatArray, Signal, Telemetry
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -224,3 +226,22 @@ def test_b19_one_imu_message_is_chosen_and_never_two() -> None:
     seldom_raw = [*scaled, *(frame for frame in frames[:9] if frame.msgid == MessageId.RAW_IMU)]
     assert with_imu(ardupilot, counts(seldom_raw)).imu is MessageId.SCALED_IMU2
     assert with_imu(ardupilot, counts(scaled[:4]), least=20) is ardupilot
+
+
+def test_a_message_is_added_by_one_row() -> None:
+    row = Source(MessageId.ATTITUDE_QUATERNION, (Part(Signal.ATTITUDE, "q1", Form.ANGLES),), ("time_boot_ms", MS_32))
+    frame = Vehicle().frame(MessageId.ATTITUDE_QUATERNION, 5, *quaternion(0.1, 0.2, 0.3).tolist())
+    decoder = SampleDecoder(PROFILES["qdrone2"], table=(*SOURCES, row))
+    _, telemetry = decoder.step(SampleState(), [frame])
+    np.testing.assert_allclose(telemetry["attitude"].values, [[0.1, 0.2, 0.3]], atol=1e-6)
+
+
+def test_an_autopilot_is_added_by_one_row() -> None:
+    def recognise(seen: Evidence) -> bool:
+        return 99 in seen.autopilots
+
+    row = replace(PROFILES["px4"], name="made", autopilot=99, recognise=recognise, imu=MessageId.SCALED_IMU)
+    vehicle = Vehicle()
+    frames = [vehicle.frame(MessageId.HEARTBEAT, MavType.QUADROTOR, 99, 0, 0, 4, 3)]
+    assert detect_profile(Evidence().take(frames_of(frames)), (row, *PROFILES.values()))[0] is row
+    assert detect_profile(Evidence().take(frames_of(frames)))[0] is None
