@@ -19,6 +19,7 @@ from virtual_flight import GroundStation, VirtualFlight, healthy_flights, learnt
 
 from detector.config import Settings, VehicleSettings
 from detector.fleet import Turn
+from detector.notify import Notifier
 from detector.states import State
 from mavdiag.baseline import Baseline
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
@@ -153,6 +154,24 @@ def test_l9_the_recording_reads_back_as_the_flight_that_was_received(benches: Be
     bench.run(4.0)
     log = read_tlog(tmp_path / "flight.tlog")
     assert len(log.telemetry.need(Signal.BODY_RATE)) == vehicle.sent
+
+
+class SlowManager(Notifier):
+    """Every look with a heartbeat takes 0.1 s longer than it may."""
+
+    host, looks = VirtualHost(), 0
+
+    def status(self, status: str, *, alive: bool) -> None:
+        self.looks += 1
+        self.host.ns += 100_000_000
+
+
+def test_l11_looks_that_come_late_are_counted_and_told(benches: Benches) -> None:
+    slow = SlowManager({})
+    bench = benches(Settings(connect=UDP_IN, learn=5.0, tick_s=0.04), host=slow.host, notifier=slow)
+    bench.daemon.run(lambda: slow.looks >= 5)
+    assert "5 looks came late, by 0.06 s at most" in slow.host.lines[-1]
+    assert bench.daemon.figures().late == 5
 
 
 class SlowHost(VirtualHost):

@@ -272,6 +272,21 @@ def beside(vehicle: FreshArduPilot, look: Callable[[str], None]) -> None:
 
 
 @pytest.mark.realtime
+def test_l10_a_fresh_ardupilot_link_is_told_what_gives_each_monitor_its_streams(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    vehicle = FreshArduPilot()
+    beside(vehicle, lambda address: inspect([address], duration=3.0))
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= 80
+    assert "profile ardupilot" in shown
+    for words in ("no RAW_IMU: SRn_RAW_SENS", "no VIBRATION: SRn_EXTRA3", "no ATTITUDE: SRn_EXTRA1", "--ask"):
+        assert words in shown, words
+    assert "works" not in shown
+    assert vehicle.heard == []  # it listens only
+
+
+@pytest.mark.realtime
 def test_a_fresh_ardupilot_link_is_asked_for_streams_and_rotors_and_nothing_is_set(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
