@@ -2,6 +2,7 @@
 
 import math
 import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -101,30 +102,6 @@ def test_units_and_signs_are_si_and_frd(tmp_path: Path) -> None:
     assert np.isnan(first[Signal.SPECIFIC_FORCE][:2]).all()
     assert log.profile == "crazyflie"
     assert log.started_ns == 0
-
-
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [
-        (with_checksum(crazyflie_content([PID], RECORDS))[:-1], "checksum"),
-        (with_checksum(crazyflie_content([PID], RECORDS)[:-5]), "cut short"),
-        (with_checksum(crazyflie_content([PID], RECORDS, version=3)), "version 3"),
-        (with_checksum(crazyflie_content([PID], [])), "no records"),
-        (with_checksum(crazyflie_content([PID], [])[:40]), "header ends early"),
-        (with_checksum(crazyflie_content([MARK], [MARK.record(1, 2)])), "no signal"),
-        (with_checksum(crazyflie_content([PID], [MARK.record(1, 2)])), "no declared type"),
-        (with_checksum(crazyflie_content([CrazyflieEvent(1, "x", ("pm.vbat(s)",))], [b"\1\0"])), "known type"),
-        (with_checksum(crazyflie_content([PID], [PID.record(2**60, *range(9))])), "time stamp"),
-        (b"\xbc", "first bytes"),
-        (b"\xa3\x95\x80\x80 another kind of file", "first bytes"),
-        (b"", "empty"),
-    ],
-)
-def test_an_unusable_file_is_one_line_that_names_it(tmp_path: Path, content: bytes, reason: str) -> None:
-    with pytest.raises(InputError, match=reason) as caught:
-        read_crazyflie(written(tmp_path, content))
-    assert "log00" in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 MAP = """
@@ -278,36 +255,6 @@ def test_topics_become_signals_in_si_and_frd(
     assert (log.profile, log.started_ns) == ("px4-log", 0)
 
 
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [
-        (ulog([SENSORS], [])[:16] + ulog_message("\0", b"x" * 40)[:-8], "beyond use"),  # pyulog would not come back
-        (ulog([], [ulog_message("F", b"sensor_combined:sensor_combined[2] inner;")]), "within itself"),
-        (ulog([], [ulog_message("F", b"a:uint8_t[60000] x;"), ulog_message("F", b"b:a[60000] x;")]), "too many fields"),
-        (ulog([SENSORS], []), "no record"),
-        (ULOG_HEAD, "damaged"),
-        (ulog([], [ulog_message("B", bytes(8) + b"\xff" * 8 + bytes(24))]), "incompatible"),
-        (b"\xa3\x95\x80\x80 another kind of file", "damaged"),
-        (b"", "empty"),
-    ],
-)
-def test_an_unusable_file_is_one_line_that_names_it_ulog(tmp_path: Path, content: bytes, reason: str) -> None:
-    path = tmp_path / "log_4.ulg"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=reason) as caught:
-        read_ulog(path)
-    assert "log_4.ulg" in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(("lost", "notes"), [(0, 0), (1, 1), (20, 1)])
-def test_r7_a_log_that_was_cut_off_says_so(tmp_path: Path, lost: int, notes: int) -> None:
-    content = ulog([SENSORS], [sensors(1_000 * k) for k in range(1, 9)])
-    log = read(tmp_path, content[: len(content) - lost])
-    assert len(log.notes) == notes
-    assert all("ends within a message" in note for note in log.notes)
-
-
 def test_l6_outputs_that_never_move_are_no_motors(tmp_path: Path) -> None:
     still = (1500.0,) * 2
     rows = [OUTPUTS.record(1_000 * k, 1100.0 + k, 1200.0, 1300.0 + k, *still, *(0.0,) * 11) for k in range(1, 9)]
@@ -433,22 +380,6 @@ def test_raw_batches_are_read_up_to_their_first_gap_and_show_the_line_of_the_rot
     assert "low-passed" in rotor_line(flight, 20.0, math.nan).reason
 
 
-@pytest.mark.parametrize("content", [dataflash([IMU, ATT], []), b"\xa3\x95\x80\x80", b"\xa3\x95", b"text", b""])
-def test_an_unusable_file_is_one_line_that_names_it_dataflash(tmp_path: Path, content: bytes) -> None:
-    with pytest.raises(InputError, match=r"00000007\.BIN") as caught:
-        read_bin(tmp_path, content)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(("lost", "notes"), [(0, 0), (1, 1), (20, 1)])
-def test_r7_a_log_that_was_cut_off_says_so_dataflash(tmp_path: Path, lost: int, notes: int) -> None:
-    content = dataflash([IMU], [imu(1_000 * k) for k in range(1, 9)])
-    log = read_bin(tmp_path, content[: len(content) - lost])
-    assert len(log.notes) == notes
-    assert all("ends within a record" in note for note in log.notes)
-    assert read_bin(tmp_path, content + bytes(100)).notes == ()
-
-
 def wrapped(n: int = 600) -> tuple[bytes, list[bytes]]:
     """A log's head and records."""
     return dataflash([IMU, ATT], []), [imu(1000 * k, 0.01 * k) for k in range(n)]
@@ -488,3 +419,70 @@ def test_modes_and_coordinates_are_those_of_every_era(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.degrees(log[Signal.COORDINATES].values), [[47.3977418, -8.5455939]])
     old = DataFlashMessage(69, "MODE", "IMh", "TimeMS,Mode,ThrCrs")
     assert read_bin(tmp_path, dataflash([old], [old.record(7, 2, 500)]))[Signal.MODE].values.tolist() == [[2.0]]
+
+
+@pytest.mark.parametrize(
+    ("reader", "content", "reason"),
+    [
+        (read_crazyflie, with_checksum(crazyflie_content([PID], RECORDS))[:-1], "checksum"),
+        (read_crazyflie, with_checksum(crazyflie_content([PID], RECORDS)[:-5]), "cut short"),
+        (read_crazyflie, with_checksum(crazyflie_content([PID], RECORDS, version=3)), "version 3"),
+        (read_crazyflie, with_checksum(crazyflie_content([PID], [])), "no records"),
+        (read_crazyflie, with_checksum(crazyflie_content([PID], [])[:40]), "header ends early"),
+        (read_crazyflie, with_checksum(crazyflie_content([MARK], [MARK.record(1, 2)])), "no signal"),
+        (read_crazyflie, with_checksum(crazyflie_content([PID], [MARK.record(1, 2)])), "no declared type"),
+        (
+            read_crazyflie,
+            with_checksum(crazyflie_content([CrazyflieEvent(1, "x", ("pm.vbat(s)",))], [b"\1\0"])),
+            "known type",
+        ),
+        (read_crazyflie, with_checksum(crazyflie_content([PID], [PID.record(2**60, *range(9))])), "time stamp"),
+        (read_crazyflie, b"\xbc", "first bytes"),
+        (read_crazyflie, b"\xa3\x95\x80\x80 another kind of file", "first bytes"),
+        (read_crazyflie, b"", "empty"),
+        (
+            read_ulog,
+            ulog([SENSORS], [])[:16] + ulog_message("\0", b"x" * 40)[:-8],
+            "beyond use",
+        ),  # pyulog would not come back
+        (read_ulog, ulog([], [ulog_message("F", b"sensor_combined:sensor_combined[2] inner;")]), "within itself"),
+        (
+            read_ulog,
+            ulog([], [ulog_message("F", b"a:uint8_t[60000] x;"), ulog_message("F", b"b:a[60000] x;")]),
+            "too many fields",
+        ),
+        (read_ulog, ulog([SENSORS], []), "no record"),
+        (read_ulog, ULOG_HEAD, "damaged"),
+        (read_ulog, ulog([], [ulog_message("B", bytes(8) + b"\xff" * 8 + bytes(24))]), "incompatible"),
+        (read_ulog, b"\xa3\x95\x80\x80 another kind of file", "damaged"),
+        (read_ulog, b"", "empty"),
+        (read_dataflash, dataflash([IMU, ATT], []), "a log"),
+        (read_dataflash, b"\xa3\x95\x80\x80", "a log"),
+        (read_dataflash, b"\xa3\x95", "a log"),
+        (read_dataflash, b"text", "a log"),
+        (read_dataflash, b"", "a log"),
+    ],
+)
+def test_an_unusable_file_is_one_line_that_names_it(
+    tmp_path: Path, reader: Callable[[Path], Log], content: bytes, reason: str
+) -> None:
+    path = tmp_path / "a log"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=reason) as caught:
+        reader(path)
+    assert "a log" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("lost", "notes"), [(0, 0), (1, 1), (20, 1)])
+@pytest.mark.parametrize(
+    "content",
+    [
+        ulog([SENSORS], [sensors(1_000 * k) for k in range(1, 9)]),
+        dataflash([IMU], [imu(1_000 * k) for k in range(1, 9)]),
+    ],
+)
+def test_r7_a_log_that_was_cut_off_says_so(tmp_path: Path, content: bytes, lost: int, notes: int) -> None:
+    log = read(tmp_path, content[: len(content) - lost])
+    assert len(log.notes) == notes
+    assert all("ends within a " in note for note in log.notes)
