@@ -149,24 +149,16 @@ def test_the_extension_of_blueos_has_the_labels_that_its_store_reads() -> None:
     labels = dict(value.split("=", 1) for name, value in made if name == "LABEL")
     told = {name: text.strip("'\"") for name, text in labels.items()}
     parsed = {name: json.loads(told[name]) for name in ("permissions", "authors", "company", "links", "tags")}
-    assert re.fullmatch(r"\d+\.\d+\.\d+", told["version"])
     assert told["version"] == __version__
-    assert told["type"] in ("device-integration", "example", "theme", "other", "tool")
     assert all({"name", "email"} == set(author) for author in parsed["authors"])
     assert set(parsed["company"]) == {"name", "about", "email"}
-    assert len(parsed["tags"]) <= 10
-    assert all(re.fullmatch(r"[a-z0-9-]+", tag) for tag in parsed["tags"])
     host = parsed["permissions"]["HostConfig"]
-    assert host["CapDrop"] == ["ALL"]
-    assert host["ReadonlyRootfs"] is True
-    assert host["Binds"] == ["mavdiag:/data"]
+    assert (host["CapDrop"], host["ReadonlyRootfs"]) == (["ALL"], True)
     metadata = json.loads(BLUEOS.with_name("metadata.json").read_text())
-    assert set(metadata) == {"name", "website", "docker", "description"}
     assert metadata["name"] == SERVICE["name"]
     environ = dict(re.findall(r"(\w+)=(\"[^\"]*\"|\S+)", dict(made)["ENV"]))
     settings = load_settings(None, {}, {name: value.strip('"') for name, value in environ.items()})
-    assert settings.web is not None
-    assert settings.web.startswith("0.0.0.0:")  # BlueOS finds no other server
+    assert (settings.web or "").startswith("0.0.0.0:")  # BlueOS finds no other server
     assert "blueos.local" in settings.web_names
 
 
