@@ -83,9 +83,7 @@ def answers(bench: Bench, frames: list[object]) -> list[int]:
     return [int(str(field(one, "result"))) for one in of(frames, MessageId.COMMAND_ACK)]  # type: ignore[arg-type]
 
 
-def test_a_landing_opens_an_inspection_that_a_restart_keeps_and_the_command_closes(
-    benches: Benches, tmp_path: Path
-) -> None:
+def test_a_landing_opens_an_inspection_that_stays_until_the_command_closes_it(benches: Benches, tmp_path: Path) -> None:
     bench = flown(benches(), faulty=True)
     assert stage(bench) is Stage.INSPECT
     said = texts(bench)

@@ -77,9 +77,7 @@ def test_the_heartbeat_is_a_companions_with_the_vehicles_system_id(benches: Benc
 
 
 @pytest.mark.parametrize(("expected", "sysid"), [(None, 1), (42, 42)])
-def test_a_link_that_must_be_spoken_to_first_gets_heartbeats_and_nothing_else(
-    benches: Benches, expected: int | None, sysid: int
-) -> None:
+def test_a_link_to_be_spoken_to_first_gets_heartbeats_only(benches: Benches, expected: int | None, sysid: int) -> None:
     bench = benches(Settings(connect=UDP_OUT, learn=5.0, vehicle=expected))
     bench.run(5.0)
     frames = received(bench.far)
@@ -338,9 +336,7 @@ def test_a_link_that_was_cut_is_judged_again(watching: Callable[..., Bench], cut
     assert finds_a_fault(bench)
 
 
-def test_an_error_of_the_program_takes_one_vehicle_off_and_no_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_error_of_the_program_takes_off_one_vehicle_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     journal = tmp_path / "j.jsonl"
     bench = Bench(WATCH, vehicles=[MadeVehicle(1), MadeVehicle(2)], baseline=baseline_for(), journal=journal)
     bench.run(6.0)
@@ -383,9 +379,7 @@ def test_a_step_of_the_wall_clock_changes_nothing(watching: Callable[..., Bench]
     assert finds_a_fault(bench)
 
 
-def test_a_baseline_that_finds_the_disk_full_leaves_the_old_one_and_watching_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_leaves_the_old_baseline_and_the_watch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "b.json"
     baseline_for(rate_hz=200).save(path)
     before = path.read_bytes()
@@ -429,9 +423,7 @@ def baseline() -> Baseline:
 @pytest.mark.parametrize(
     "station", [GroundStation.by_streams(), GroundStation.by_intervals(STREAMS)], ids=["66", "511"]
 )
-def test_l3_a_ground_station_that_resets_rates_every_10_s_costs_a_tenth_of_the_time_at_most(
-    baseline: Baseline, station: GroundStation
-) -> None:
+def test_l3_a_station_that_resets_rates_costs_a_tenth_of_the_time(baseline: Baseline, station: GroundStation) -> None:
     bench = Bench(Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json")), baseline=baseline)
     try:
         flight = VirtualFlight(bench, station)

@@ -36,9 +36,7 @@ def test_the_model_of_a_log_has_figures_with_standard_errors(mavdiag: Any, fligh
     assert found["poles"][0]["damping"]["value"] > 0
 
 
-def test_the_models_of_a_baseline_are_those_of_its_fsd_monitors(
-    mavdiag: Any, flights: list[Path], tmp_path: Path
-) -> None:
+def test_models_of_a_baseline_are_those_of_its_fsd_monitors(mavdiag: Any, flights: list[Path], tmp_path: Path) -> None:
     baseline = tmp_path / "b.json"
     asked = ("--airframe", "qdrone2", "--name", "drone 1", "--monitors", "thesis", "--details")
     code, out, _ = mavdiag("identify", *flights, "-o", baseline, *asked)
@@ -65,9 +63,7 @@ def test_the_models_of_a_baseline_are_those_of_its_fsd_monitors(
         (["baseline", "show", "absent.json"], "no such file; make a baseline"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(
-    mavdiag: Any, flights: list[Path], arguments: list[str], words: str
-) -> None:
+def test_bad_input_is_one_line_and_exit_2(mavdiag: Any, flights: list[Path], arguments: list[str], words: str) -> None:
     code, out, err = mavdiag(*[str(flights[0]) if one == "LOG" else one for one in arguments])
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert words in err
@@ -130,9 +126,7 @@ def test_the_baseline_knows_the_vehicle_without_being_told(baseline: Path) -> No
     assert "rotor_trim" in {entry.spec.kind for entry in learnt.monitors}
 
 
-def test_scan_finds_the_weak_rotor_and_flags_no_healthy_flight(
-    folder: Path, baseline: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_scan_finds_the_weak_rotor_alone(folder: Path, baseline: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code = run("scan", *sorted(folder.glob("F*_SP1_t2*.mat")), "--baseline", baseline)
     told = dict(line.split(": ", 1) for line in capsys.readouterr().out.splitlines())
     flagged = {Path(name).name for name, text in told.items() if text.startswith("fault")}

@@ -272,9 +272,7 @@ def beside(vehicle: FreshArduPilot, look: Callable[[str], None]) -> None:
 
 
 @pytest.mark.realtime
-def test_l10_a_fresh_ardupilot_link_is_told_what_gives_each_monitor_its_streams(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_l10_a_fresh_ardupilot_is_told_what_gives_each_monitor_its_streams(capsys: pytest.CaptureFixture[str]) -> None:
     vehicle = FreshArduPilot()
     beside(vehicle, lambda address: inspect([address], duration=3.0))
     shown = capsys.readouterr().out
@@ -287,9 +285,7 @@ def test_l10_a_fresh_ardupilot_link_is_told_what_gives_each_monitor_its_streams(
 
 
 @pytest.mark.realtime
-def test_a_fresh_ardupilot_link_is_asked_for_streams_and_rotors_and_nothing_is_set(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_fresh_ardupilot_is_asked_for_streams_and_rotors_and_nothing_set(capsys: pytest.CaptureFixture[str]) -> None:
     vehicle = FreshArduPilot()
     beside(vehicle, lambda address: inspect([address], duration=3.0, ask=True, as_json=True))
     found: dict[str, Any] = json.loads(capsys.readouterr().out)

@@ -74,9 +74,7 @@ def noted(tmp_path: Path) -> list[str]:
     return [line["text"] for line in lines if line["kind"] == "note" and "on fault" in line["text"]]
 
 
-def test_a_fault_brings_one_command_to_the_autopilot_and_every_step_is_in_the_journal(
-    benches: Benches, tmp_path: Path
-) -> None:
+def test_a_fault_brings_one_command_and_every_step_is_in_the_journal(benches: Benches, tmp_path: Path) -> None:
     bench = benches()
     damaged(bench, 7.0)
     [order] = commanded(bench)
@@ -135,9 +133,7 @@ def test_a_forged_sender_causes_none(benches: Benches, name: str) -> None:
 
 
 @pytest.mark.parametrize("how", ["ack", "stick", "mode", "mavdiag ack"])
-def test_it_is_called_off_from_a_link_behind_or_by_the_vehicles_mode(
-    benches: Benches, tmp_path: Path, how: str
-) -> None:
+def test_it_is_called_off_by_a_link_behind_or_the_vehicles_mode(benches: Benches, tmp_path: Path, how: str) -> None:
     bench = benches()
     bench.behind[0].send(STATION.encode(MessageId.MANUAL_CONTROL, 1, 0, 0, 500, 0, 0))
     damaged(bench, 4.0)

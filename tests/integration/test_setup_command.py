@@ -51,9 +51,7 @@ def coached(vehicle: "PilotedVehicle | Played", hear: Heard | None = None) -> It
 
 
 @pytest.mark.parametrize(("profile", "autopilot"), [("ardupilot", "ardupilotmega"), ("px4", "px4")])
-def test_a_bare_vehicle_becomes_a_watched_one_though_setup_is_stopped_in_flight(
-    profile: str, autopilot: str, tmp_path: Path
-) -> None:
+def test_a_bare_vehicle_is_set_up_though_stopped_in_flight(profile: str, autopilot: str, tmp_path: Path) -> None:
     folder, vehicle = tmp_path / "made", PilotedVehicle(profile, Clock(), seed=3)
 
     def stop(text: str) -> None:
@@ -173,9 +171,7 @@ def parameter(frame: Frame) -> str:
         ),
     ],
 )
-def test_a_recorded_link_tells_what_it_is_and_setup_says_when_it_ends(
-    name: str, finds: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_a_recorded_link_tells_what_it_is_and_that_it_ends(name: str, finds: tuple[str, ...], tmp_path: Path) -> None:
     link = Played(shared(f"data/{name}"), Clock())
     with pytest.raises(KeyboardInterrupt), coached(link) as lines:
         setup(LINK, tmp_path, yes=True)

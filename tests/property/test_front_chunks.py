@@ -93,9 +93,7 @@ def told(parts: list[Rows | Border]) -> tuple[list[tuple[int, ...]], dict[str, F
     grid=st.sampled_from(list(Grid)),
     trim_end_s=st.sampled_from([0.0, 0.6]),
 )
-def test_any_chunking_gives_the_same_rows_and_borders(
-    seed: int, edges: list[int], grid: Grid, trim_end_s: float
-) -> None:
+def test_any_cut_gives_the_same_rows_and_borders(seed: int, edges: list[int], grid: Grid, trim_end_s: float) -> None:
     telemetry = hard_flight(seed)
     front = Front(AlignSpec(0.005, grid), GateSpec(min_thrust=0.1, trim_end_s=trim_end_s), RateSpec.of(0.005, 21))
     story, table = run(front, [telemetry])
@@ -252,9 +250,7 @@ def test_the_first_disorder_of_an_orderly_link_changes_no_row_where_what_is_late
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 1000), lost=st.sampled_from([0.0, 0.05, 0.5]), edges=cuts, lag_ms=st.integers(0, 4))
-def test_on_an_orderly_link_any_cut_gives_the_rows_of_the_log(
-    seed: int, lost: float, edges: list[int], lag_ms: int
-) -> None:
+def test_on_an_orderly_link_any_cut_gives_the_logs_rows(seed: int, lost: float, edges: list[int], lag_ms: int) -> None:
     """With every signal but the gyro behind it by less than what counts as disorder."""
     whole = arrived(seed, lost=lost)
     telemetry = Telemetry(

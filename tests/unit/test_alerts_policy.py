@@ -103,9 +103,7 @@ def test_h3_only_news_is_critical_and_the_same_fault_that_comes_back_warns() -> 
 
 @pytest.mark.parametrize("stage", [Stage.FAULT, Stage.SUSPECTED, Stage.INSPECT])
 @pytest.mark.parametrize("cause", CAUSES)
-def test_an_alert_is_never_cut_whatever_its_figures(
-    stage: Stage, cause: tuple[int | None, str | None, int | None]
-) -> None:
+def test_no_alert_is_cut_whatever_its_figures(stage: Stage, cause: tuple[int | None, str | None, int | None]) -> None:
     for monitor, axis, found, limit in itertools.product(
         [monitor.name for monitor in MONITORS], (None, *Axis), FIGURES, FIGURES
     ):

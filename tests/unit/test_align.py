@@ -155,9 +155,7 @@ def with_stopped(signal: Signal, width: int, step: int = 1) -> tuple[IntArray, l
         (Signal.ARMED, 1, 399, 99.0),
     ],
 )
-def test_b2_a_signal_that_stops_is_unknown_after_its_limit(
-    signal: Signal, width: int, step: int, limit_s: float
-) -> None:
+def test_b2_a_stopped_signal_is_unknown_after_its_limit(signal: Signal, width: int, step: int, limit_s: float) -> None:
     t, blocks = with_stopped(signal, width, step)
     known = np.concatenate([block.known(signal) for block in blocks])
     last_ns = t[:400:step][-1]

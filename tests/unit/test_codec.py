@@ -160,9 +160,7 @@ def numbered(sequence: list[int]) -> Decoder:
         ([0, 2, *range(3, 257), 257, 256 + 1], 1, 0, 1, 0),  # the gap was a whole turn ago
     ],
 )
-def test_loss_is_counted_honestly(
-    sequence: list[int], lost: int, reordered: int, duplicated: int, restarts: int
-) -> None:
+def test_losses_are_counted(sequence: list[int], lost: int, reordered: int, duplicated: int, restarts: int) -> None:
     count = numbered(sequence).senders[1, 1]
     assert count.received == len(sequence)
     assert (count.lost, count.reordered, count.duplicated, count.restarts) == (lost, reordered, duplicated, restarts)

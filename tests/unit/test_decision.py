@@ -408,9 +408,7 @@ def test_trim_does_not_count_while_the_damage_itself_is_observed() -> None:
         max_size=4,
     )
 )
-def test_confidence_is_a_probability_and_a_name_needs_enough_of_it(
-    readings: list[tuple[type[Unbalance], float, list[float]]],
-) -> None:
+def test_confidence_is_a_probability_for_a_name(readings: list[tuple[type[Unbalance], float, list[float]]]) -> None:
     found = isolate([of(kind, ratio, *rotors) for kind, ratio, rotors in readings])
     assert found.confidence == 0.0 or 0.25 - 1e-12 <= found.confidence <= 1.0 + 1e-12
     assert (found.rotor is not None) == (found.confidence >= 0.9)

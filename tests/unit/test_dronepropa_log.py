@@ -106,9 +106,7 @@ def stand_still(rows: Rows) -> None:
         (row("QDrone_data", 30, 31, 32, factor=np.nan), "specific force is 0.00"),
     ],
 )
-def test_a_file_that_contradicts_the_table_is_refused(
-    tmp_path: Path, change: Callable[[Rows], None], reason: str
-) -> None:
+def test_a_file_against_the_table_is_refused(tmp_path: Path, change: Callable[[Rows], None], reason: str) -> None:
     file = written(tmp_path / "F0.mat", changed(one=change))
     with pytest.raises(InputError, match=reason) as caught:
         read_log(file)

@@ -129,9 +129,7 @@ def test_a_log_of_arrays_is_learnt_from_and_judged() -> None:
         ({"height": ([0.0], [["low"]])}, "height: no array of numbers: could not convert"),
     ],
 )
-def test_arrays_that_are_no_signal_are_refused(
-    signals: dict[str, tuple[list[float], list[list[float]]]], says: str
-) -> None:
+def test_arrays_of_no_signal_are_refused(signals: dict[str, tuple[list[float], list[list[float]]]], says: str) -> None:
     with pytest.raises(md.InputError, match=says):
         md.Log.from_arrays("x", signals)
 

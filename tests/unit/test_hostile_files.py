@@ -192,9 +192,7 @@ def test_r4_a_folder_is_called_a_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
-def test_a_new_file_has_the_users_mode_and_one_that_is_replaced_keeps_its_own(
-    tmp_path: Path, umask: int, mode: int
-) -> None:
+def test_a_new_file_has_the_users_mode_and_a_replaced_one_keeps_its_own(tmp_path: Path, umask: int, mode: int) -> None:
     before = os.umask(umask)
     try:
         write_atomically(tmp_path / "new.json", "1")

@@ -212,9 +212,7 @@ def kept(values: FloatArray, pieces: int = 1) -> set[int]:
 
 @pytest.mark.parametrize(("error", "samples"), [(0.003, 1), (-0.008, 1), (2.0, 1), (0.03, 2), (-0.08, 2), (0.5, 3)])
 @pytest.mark.parametrize("at", [1000, 1025, 1050])  # through a swing
-def test_a_set_point_that_turns_fast_hides_no_error_of_the_size_of_its_steps(
-    at: int, error: float, samples: int
-) -> None:
+def test_a_fast_set_point_hides_no_error_of_the_size_of_its_steps(at: int, error: float, samples: int) -> None:
     values = turning().values.copy()
     values[at : at + samples, 0] += error
     assert set(range(len(values))) - kept(values) == set(range(at, at + samples))

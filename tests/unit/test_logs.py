@@ -463,7 +463,7 @@ def test_modes_and_coordinates_are_those_of_every_era(tmp_path: Path) -> None:
         (read_dataflash, b"", "a log"),
     ],
 )
-def test_an_unusable_file_is_one_line_that_names_it(
+def test_unusable_files_are_one_line(
     tmp_path: Path, reader: Callable[[Path], Log], content: bytes, reason: str
 ) -> None:
     path = tmp_path / "a log"

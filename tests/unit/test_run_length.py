@@ -31,9 +31,7 @@ levels = st.lists(st.tuples(st.sampled_from([0.0, 0.5, 1.0, 1.5, -2.0]), st.bool
 
 
 @given(rows=levels, axis=st.sampled_from(Axis))
-def test_fsd_counts_consecutive_judged_rows_of_its_axis_above_the_margin(
-    rows: list[tuple[float, bool]], axis: Axis
-) -> None:
+def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[float, bool]], axis: Axis) -> None:
     flown, n = example_rows(len(rows) + 4), len(rows)
     turned, judged = (np.array(column) for column in zip(*rows, strict=True))
     rates = replace(flown.rates, y=np.outer(turned, np.eye(3)[axis.column]), commanded=judged)

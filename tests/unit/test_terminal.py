@@ -216,9 +216,7 @@ def on_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
 
 
 @pytest.mark.parametrize("quiet", [False, True])
-def test_a_line_now_and_then_where_no_terminal_is(
-    clock: list[float], capsys: pytest.CaptureFixture[str], quiet: bool
-) -> None:
+def test_a_line_now_and_then_in_a_pipe(clock: list[float], capsys: pytest.CaptureFixture[str], quiet: bool) -> None:
     with shown("judged", [1.0] * 100, quiet=quiet) as progress:
         for second in range(1, 101):
             clock[0] = float(second)
@@ -228,9 +226,7 @@ def test_a_line_now_and_then_where_no_terminal_is(
     assert capsys.readouterr() == ("", "".join(f"{line}\n" for line in lines))
 
 
-def test_a_bar_on_a_terminal_is_one_line_makes_room_and_goes_away(
-    clock: list[float], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bar_is_one_line_makes_room_and_goes_away(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = on_terminal(monkeypatch)
     monkeypatch.setattr(sys, "stdout", terminal)
     with shown("judged", [1.0, 1.0, 4.0]) as progress:

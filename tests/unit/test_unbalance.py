@@ -69,9 +69,7 @@ def test_the_figure_is_the_unbalance_that_shakes(spec: UnbalanceSpec, unbalance:
 
 @pytest.mark.parametrize("rotor", [1, 2, 3, 4])
 @pytest.mark.parametrize("delay_s", [-0.001, 0.0, 0.001])
-def test_the_rotor_is_named_even_if_gyro_and_accelerometer_are_a_millisecond_apart(
-    spec: UnbalanceSpec, rotor: int, delay_s: float
-) -> None:
+def test_the_rotor_is_named_with_sensors_a_millisecond_apart(spec: UnbalanceSpec, rotor: int, delay_s: float) -> None:
     monitor = Unbalance(spec)
     _, found = monitor.step(monitor.start(), shaken(rotor, 1.4, gyro_delay_s=delay_s))
     evidence = found.rotors[found.valid]

@@ -430,7 +430,5 @@ def test_the_attitudes_slope_gives_scale_sign_and_delay_of_the_gyro(late_s: floa
         ("px4", 9.8, "9.8 g"),
     ],
 )
-def test_a_profile_that_gravity_contradicts_is_told_with_the_one_that_fits(
-    profile: str, felt_g: float, said: str
-) -> None:
+def test_a_profile_against_gravity_is_told_with_the_one_that_fits(profile: str, felt_g: float, said: str) -> None:
     assert scale_doubt(PROFILES[profile], felt_g) == said
