@@ -12,17 +12,11 @@ from made_rows import example_context
 from made_thresholds import calibrated
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
-from mavdiag.airframe.trim import (
-    TILT_TRIM,
-    rises,
-    source_among,
-    sources_of,
-    trim_of,
-)
+from mavdiag.airframe.trim import TILT_TRIM, rises, source_among, sources_of, trim_of
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.columns import COVERED, columns_of, no_past
-from mavdiag.monitors.rotor_trim import WINDOW_S, RotorTrim, RotorTrimSpec
+from mavdiag.monitors.rotor_trim import WINDOW_S, RotorTrim, RotorTrimSpec, highest_rise, rise
 from mavdiag.monitors.trim_step import MEMORY_S, TrimStep, TrimStepSpec
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -335,3 +329,15 @@ def test_what_stays_becomes_the_reference_and_its_repair_is_no_fault() -> None:
     again = read_step(outputs)
     assert again.value[again.t_ns > 226e9].min() > 0.08
     assert (again.rotors[again.t_ns > 226e9].argmax(axis=1) == 0).all()
+
+
+@given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=5, max_size=5))
+def test_the_compiled_rise_is_that_of_arrays(frame: str, shift: list[float]) -> None:
+    layout, both = layout_named(frame), np.array([shift])
+    par = RotorTrim(RotorTrimSpec(layout=layout, source="actuator", spread=CALM_LAW)).begin(0.01).par
+    wind = TILT_TRIM * math.hypot(*shift[3:])
+    spread = np.array([math.hypot(CALM_LAW[0], wind), math.hypot(CALM_LAW[1], wind), CALM_LAW[2]])
+    expected = rises(both[:, :3], layout, spread)[0]
+    found = [rise(par, rotor, both[0], True) for rotor in range(layout.rotors)]
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+    assert highest_rise(par, both[0], True) == max(found)
