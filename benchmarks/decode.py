@@ -139,7 +139,7 @@ def race_blocks(frames: Sequence[bytes], repeats: int) -> None:
     def convert(block: int) -> SampleState:
         state = SampleState()
         for k in range(0, len(received), 2 * block):
-            state, _ = converter.step(state, received.where(slice(k, k + 2 * block)))
+            converter.step(state, received.where(slice(k, k + 2 * block)))
         return state
 
     race(

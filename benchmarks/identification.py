@@ -24,8 +24,7 @@ from rich.table import Table
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import fit
-from mavdiag.identify.estimate import sweep
-from mavdiag.identify.validate import r_squared
+from mavdiag.identify.estimate import r_squared, sweep
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import coefficients
 from mavdiag.telemetry import FloatArray

@@ -242,10 +242,12 @@ class NamedValues:
 
     def step(self, output: ChainOutput, now: Instant) -> list[SendFloat]:
         """Take in the gauges of a step; return the floats that are to be sent."""
-        if output.now_ns is None or not any(slot.monitor.name == "fsd" for slot in output.pieces[-1].slots):
+        if output.now_ns is None:
             return []
-        thesis = [gauge for gauge in output.gauges if gauge.monitor == "fsd"]
-        gauge = next((gauge for gauge in thesis if gauge.axis is Axis.ROLL), thesis[0] if thesis else None)
+        piece = output.pieces[-1]
+        thesis = [number for number, slot in enumerate(piece.slots) if slot.monitor.name == "fsd"]
+        thesis.sort(key=lambda number: piece.slots[number].monitor.axis is not Axis.ROLL)
+        gauge = next((gauge for number in thesis if (gauge := piece.gauge(number)) is not None), None)
         if gauge is None:
             return []
         self._residual = max(self._residual, gauge.signal, key=abs)

@@ -4,49 +4,45 @@ Parameters follow the MAVLink parameter protocol (PARAM_...), all REAL32; the an
 are not kept over a restart: the settings are in force again.
 """
 
-import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 from detector.sender import MavlinkSender
 from detector.session import Session
 from detector.values import Effect, Note
 from mavdiag import __version__
-from mavdiag.link.codec import Frame, field_index
+from mavdiag.link.codec import Frame
 from mavdiag.link.messages import MessageId
+from mavdiag.link.parameters import Parameter, Parameters
 
-REAL32 = 9  # MAV_PARAM_TYPE
 # MAV_PROTOCOL_CAPABILITY: MAVLINK2, PARAM_FLOAT, PARAM_ENCODE_C_CAST
 CAPABILITIES = 1 << 13 | 1 << 1 | 1 << 17
 VENDOR, MODEL = "mavdiag", "propeller fault detector"
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """One of them. change: what is done with a value within its limits, and who sets it; why not, if it is refused."""
+SCALE, TEXTS, ACK = "PROP_SCALE", "PROP_TEXTS", "PROP_ACK"
 
-    least: float
-    most: float
-    value: Callable[[Session], float]
-    change: Callable[[Session, float, str], tuple[Effect, ...] | str]
+
+def _scale(session: Session, value: float, whose: str) -> tuple[Effect, ...] | str:
+    return "the vehicle is armed" if session.armed else session.tune(threshold_scale=value)
 
 
 def _acknowledge(session: Session, value: float, whose: str) -> tuple[Effect, ...] | str:
     return session.acknowledge(whose) if value >= 0.5 and session.acknowledgeable else "nothing is to be acknowledged"
 
 
-#: Scale of all thresholds; STATUSTEXTs a minute; 1 acknowledges, as MAV_CMD_USER_1 does, and reads as 0.
-PARAMETERS: Mapping[str, Parameter] = {
-    "PROP_SCALE": Parameter(
-        *(0.5, 4.0, lambda session: session.settings.threshold_scale),
-        lambda session, value, _: "the vehicle is armed" if session.armed else session.tune(threshold_scale=value),
-    ),
-    "PROP_TEXTS": Parameter(
-        *(4.0, 120.0, lambda session: session.settings.texts_per_minute),
-        lambda session, value, _: session.tune(texts_per_minute=round(value)),
-    ),
-    "PROP_ACK": Parameter(0.0, 1.0, lambda session: 0.0, _acknowledge),
+#: What is done with a value within its limits, and who sets it; why not, if it is refused.
+CHANGES: Mapping[str, Callable[[Session, float, str], tuple[Effect, ...] | str]] = {
+    SCALE: _scale,
+    TEXTS: lambda session, value, whose: session.tune(texts_per_minute=round(value)),
+    ACK: _acknowledge,
 }
+
+
+def parameters(session: Session) -> Parameters:
+    """Scale of all thresholds; STATUSTEXTs a minute; 1 acknowledges, as MAV_CMD_USER_1 does, and reads as 0."""
+    scale = Parameter(SCALE, session.settings.threshold_scale, span=(0.5, 4.0))
+    texts = Parameter(TEXTS, session.settings.texts_per_minute, span=(4.0, 120.0))
+    return Parameters((scale, texts, Parameter(ACK, 0.0, span=(0.0, 1.0))))
 
 
 def version_frame(sender: MavlinkSender, msgid: int) -> bytes | None:
@@ -60,41 +56,22 @@ def version_frame(sender: MavlinkSender, msgid: int) -> bytes | None:
     return None
 
 
-def read(frame: Frame, session: Session, sender: MavlinkSender) -> list[bytes]:
-    """The answer to PARAM_REQUEST_LIST and PARAM_REQUEST_READ, by index or by name; nothing for an unknown one.
-
-    To a PARAM_SET of somebody who is not trusted it is the same: the value in force.
-    """
-    if frame.msgid == MessageId.PARAM_REQUEST_LIST:
-        return [_told(name, session, sender) for name in PARAMETERS]
-    index = int(_field(frame, "param_index")) if frame.msgid == MessageId.PARAM_REQUEST_READ else -1
-    names = [frame.text("param_id")] if index < 0 else list(PARAMETERS)[index : index + 1]
-    return [_told(name, session, sender) for name in names if name in PARAMETERS]
-
-
-def change(frame: Frame, session: Session, sender: MavlinkSender) -> tuple[list[bytes], tuple[Effect, ...]]:
-    """The answer to PARAM_SET of somebody who is trusted, and what comes of it; nothing for an unknown name."""
-    name, value, whose = frame.text("param_id"), float(_field(frame, "param_value")), f"{frame.sysid}/{frame.compid}"
-    if name not in PARAMETERS:
-        return [], ()
-    parameter = PARAMETERS[name]
-    done: tuple[Effect, ...] | str = f"it must be {parameter.least:g} to {parameter.most:g}"
-    if int(_field(frame, "param_type")) != REAL32:
-        done = "it is no REAL32"
-    elif math.isfinite(value) and parameter.least <= value <= parameter.most:
-        done = parameter.change(session, value, whose)
-    if isinstance(done, str):
-        return [_told(name, session, sender)], (Note(f"{name} = {value:g} of {whose}: refused, {done}"),)
-    taken = value if name == "PROP_ACK" else None
-    return [_told(name, session, sender, taken)], (Note(f"{name} = {value:g} by {whose}"), *done)
-
-
-def _told(name: str, session: Session, sender: MavlinkSender, value: float | None = None) -> bytes:
-    value = PARAMETERS[name].value(session) if value is None else value
-    place = list(PARAMETERS).index(name)
-    return sender.frame(MessageId.PARAM_VALUE, name, value, REAL32, len(PARAMETERS), place)
-
-
-def _field(frame: Frame, name: str) -> float:
-    value = frame.fields[field_index(frame.msgid, name)]
-    return value if isinstance(value, int | float) else math.nan
+def answer(
+    frame: Frame, session: Session, sender: MavlinkSender, *, trusted: bool
+) -> tuple[list[bytes], tuple[Effect, ...]]:
+    """The answer to a message of the parameter protocol, and what comes of it: who is not trusted changes nothing."""
+    table, effects = parameters(session), tuple[Effect, ...]()
+    if trusted and frame.msgid == MessageId.PARAM_SET:
+        (name, value), whose = table.wanted(frame), f"{frame.sysid}/{frame.compid}"
+        if name not in CHANGES:
+            return [], ()
+        done: tuple[Effect, ...] | str = "it is beyond its limits"
+        if table.change(name, value):
+            done = CHANGES[name](session, value, whose)
+        if isinstance(done, str):
+            effects = (Note(f"{name} = {value:g} of {whose}: refused, {done}"),)
+        else:
+            effects = (Note(f"{name} = {value:g} by {whose}"), *done)
+        if isinstance(done, str) or name != ACK:
+            table = parameters(session)
+    return [sender.frame(MessageId.PARAM_VALUE, *fields) for fields in table.told(frame)], effects

@@ -251,6 +251,7 @@ class Daemon:
         return round(self._host.utc().timestamp() * NS_PER_S)
 
     def _flush(self) -> None:
+        self._relay.flush()
         for file in self._files.values():
             file.flush()
 
@@ -269,7 +270,7 @@ class Daemon:
             if len(asked) == UID_TRIES:
                 return True
             asked.append(now)
-            self._link.send(self._sender(sysid).ask(MessageId.AUTOPILOT_VERSION))
+            self._relay.send(self._sender(sysid).ask(MessageId.AUTOPILOT_VERSION), to_all=False)
         return False
 
     def _own(self, sysid: int) -> Baseline | None:
@@ -341,9 +342,10 @@ class Daemon:
         """Heartbeats of the sessions that work; on a link where we must send first, also before a vehicle."""
         for sysid, vehicle in self.fleet.vehicles.items():
             if vehicle.session.working:
-                self._relay.send_to_all(self._sender(sysid).heartbeat(vehicle.session.state))
+                self._relay.send(self._sender(sysid).heartbeat(vehicle.session.state))
         if self._announces and not self.fleet.vehicles:
-            self._link.send(self._sender(self._settings.vehicle or FIRST_VEHICLE).heartbeat(State.WAITING))
+            first = self._sender(self._settings.vehicle or FIRST_VEHICLE)
+            self._relay.send(first.heartbeat(State.WAITING), to_all=False)
         if self._metrics is not None or self._web is not None:
             figures = self.figures()
             if self._metrics is not None:
@@ -365,6 +367,7 @@ class Daemon:
         return handled.passed
 
     def _answer(self, handled: Handled, send: Callable[[bytes], object]) -> None:
+        self._relay.flush()
         for frame in handled.answers:
             send(frame)
         self._carry_out(handled.turns)
@@ -382,7 +385,7 @@ class Daemon:
     def _act(self, sysid: int, effect: Effect) -> None:
         frames, for_all = self._sender(sysid).frames(effect)
         for frame in frames:
-            self._relay.send_to_all(frame) if for_all else self._link.send(frame)
+            self._relay.send(frame, to_all=for_all)
         match effect:
             case AskInterval(msgid, interval_us):
                 self._reporter.record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))

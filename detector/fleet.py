@@ -33,9 +33,11 @@ MOST_S = 2.0  # one vehicle a look that has waited so long is judged all the sam
 SLOW_S = 0.3  # a delay that is worth a line in the log (our choice)
 QUIET_S = 10.0  # between two such lines (our choice)
 FORGET_NS = NS_PER_S  # a sample without a verdict for so long gets none: nothing is judged (our choice)
-TURNS_HZ = 500  # of all vehicles together; where there are more looks than that, turns bring several (our choice)
+TURNS_HZ = 334  # of all vehicles together; where there are more looks than that, turns bring several (our choice)
+LOOKS_MOST = 3  # that a turn brings: the verdict on the first of them comes 0.2 s later (our choice)
 SHORTEST, NEAR = 0.2, 1.5  # of a tick: the shortest one, and how far data may be off that are waited for (our choice)
 SPARE_NS = NS_PER_MS  # a turn comes so much after the data that it waits for ought to have come (our choice)
+VAIN_NS = 25 * NS_PER_MS  # ... and where it came in vain twice: a stream does not keep its time (our choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +57,7 @@ class Vehicle:
         self.session, self.turn = Session(spec, now), now  # turn: when it had its last one
         self.due_ns = now.ns  # when it has the next one, if there is time
         self.judged_ns: int | None = None  # the vehicle's time up to which was judged
+        self.vain = 0  # turns in a row that the data ought to have come for, and had not
         self.first_ns: int | None = None  # when the first gyro sample came that was not judged then (host)
         self.outcome: Baseline | LearningFailed | None = None  # of its last `Learn`, until the session gets it
         self.sticks: dict[int, tuple[int, ...]] = {}  # told by ground stations behind, until the session gets them
@@ -71,8 +74,10 @@ class Vehicle:
             self.first_ns = int(gyro.host_ns[0]) if gyro is not None and len(gyro) else None
         if judge is None or self.session.state is not State.MONITORING:
             return None
-        self.due_ns += (looks - 1) * LOOK_NS + judge.chain.missing_ns(judge.memory) + SPARE_NS
-        if judge.memory.now_ns != self.judged_ns:
+        missing_ns, fresh = judge.chain.missing_ns(judge.memory), judge.memory.now_ns != self.judged_ns
+        self.vain = 0 if fresh or missing_ns else self.vain + 1
+        self.due_ns += (looks - 1) * LOOK_NS + missing_ns + (VAIN_NS if self.vain > 1 else SPARE_NS)
+        if fresh:
             latency_s = None if self.first_ns is None else (now_ns - self.first_ns) / NS_PER_S
             self.first_ns = None
         self.judged_ns = judge.memory.now_ns
@@ -132,7 +137,7 @@ class Fleet:
             profile, only, datagrams, careful=True, most=most, signing=signing, passed=passed, ours=ours
         )
         self.vehicles: dict[int, Vehicle] = {}  # those that are watched, by system id
-        self.longest_s = 0.0  # longest that a vehicle waited for its turn lately
+        self.longest_s = 0.0  # longest that a vehicle waited lately for a turn that was due
         self._slow: tuple[bool, Instant] | None = None  # what was told of that last, and when
         self._spec_of, self._knows = spec_of, knows
         self._left: set[int] = set()
@@ -162,9 +167,9 @@ class Fleet:
             if vehicle.due_ns <= now.ns or vehicle.outcome is not None or sysid in urgent
         }
         turns = []
-        for sysid, waited_s in due_turns(due, now, self.link.source, has_time):
+        for sysid, _ in due_turns(due, now, self.link.source, has_time):
+            self.longest_s = max(self.longest_s, (now.ns - self.vehicles[sysid].due_ns) / NS_PER_S)
             turns.append(self._parted(sysid, now, self._turn))
-            self.longest_s = max(self.longest_s, waited_s)
         return turns
 
     def next_look(self, last: Instant, tick_s: float) -> Instant:
@@ -180,7 +185,7 @@ class Fleet:
     @property
     def looks(self) -> int:
         """How many looks of its monitors a vehicle's turn brings."""
-        return -(-max(1, len(self.vehicles)) * NS_PER_S // (TURNS_HZ * LOOK_NS))
+        return min(LOOKS_MOST, -(-max(1, len(self.vehicles)) * NS_PER_S // (TURNS_HZ * LOOK_NS)))
 
     def delay_news(self, now: Instant) -> str:
         """Measure anew how late verdicts come; return a line for the log, empty if there is nothing new to tell."""
@@ -189,7 +194,7 @@ class Fleet:
         if slow == was_slow or (told is not None and now - told < QUIET_S):
             return ""
         self._slow = (slow, now)
-        text = f"much to do: each vehicle is judged every {longest_s:.2f} s, so verdicts come that much later"
+        text = f"much to do: a vehicle waits {longest_s:.2f} s until it is judged, so verdicts come that much later"
         return text if slow else "every vehicle is judged in time again"
 
     def finish(self, now: Instant, has_time: Callable[[], bool] = lambda: True) -> list[Turn]:

@@ -78,7 +78,7 @@ class Guard:
         """Frames that were not heard so far, by cause."""
         link, counts = self._link, dict[str, int]()
         for sysid, stream in link.vehicles.items():
-            intruder, impostor, count = link.intruder(sysid), link.impostor(sysid), link.count(sysid)
+            (intruder, impostor), count = link.strangers(sysid), link.count(sysid)
             counts[f"in the name of vehicle {sysid} from elsewhere"] = intruder.frames if intruder else 0
             counts[f"in our own name {sysid}/{OURS}"] = impostor.frames if impostor else 0
             counts[f"in the name of vehicle {sysid} with the number of another frame"] = count.clashes if count else 0
@@ -92,7 +92,7 @@ class Guard:
         return f"refused: {', '.join(parts)}" if parts else ""
 
     def _second(self, sysid: int, known: _Known) -> Iterable[Effect]:
-        intruder, impostor, count = self._link.intruder(sysid), self._link.impostor(sysid), self._link.count(sysid)
+        (intruder, impostor), count = self._link.strangers(sysid), self._link.count(sysid)
         source, leaps = self._link.source(sysid), self._link.vehicles[sysid].state.timeline.leaps
         if known.source not in (None, source):
             moved = f"{_address(source)} instead of {_address(known.source)}, which was silent for {PINNED_S:g} s"

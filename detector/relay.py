@@ -42,6 +42,7 @@ class Relay:
     ) -> None:
         self._main, self._behind, self._recorder, self._upward = main, tuple(behind), recorder, upward
         self._begun = [b""] * len(self._behind)  # of a frame whose rest has not come from a byte stream
+        self._own: list[tuple[bytes, bool]] = []  # frames of our own that wait; whether they are for everybody
 
     def pass_on(self, frames: Sequence[tuple[bytes, int]]) -> None:
         """Pass frames, each with its time of arrival [ns], to every link behind, and back what these bring."""
@@ -58,7 +59,13 @@ class Relay:
                 for message in packed(self._upward(whole, endpoint)):
                     self._main.send(message)
 
-    def send_to_all(self, frame: bytes) -> None:
-        """One frame of our own, to everybody."""
-        for endpoint in (self._main, *self._behind):
-            endpoint.send(frame)
+    def send(self, frame: bytes, *, to_all: bool = True) -> None:
+        """One frame of our own, to everybody or to the vehicle alone, with the next `flush`."""
+        self._own.append((frame, to_all))
+
+    def flush(self) -> None:
+        """Send our own frames that wait, in their order; do so before anything else is sent of ours."""
+        for endpoint in (self._main, *self._behind) if self._own else ():
+            for message in packed(frame for frame, to_all in self._own if to_all or endpoint is self._main):
+                endpoint.send(message)
+        self._own.clear()

@@ -8,13 +8,12 @@ all groups becomes requests for those that hold none.
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from detector import component
 from detector.fleet import Fleet, Turn
 from detector.sender import MavlinkSender
 from detector.values import Effect, Note
-from mavdiag.link.codec import Decoder, Encoder, Frame, field_index, message_name
+from mavdiag.link.codec import Decoder, Encoder, Frame, message_name
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.signing import Signing
 from mavdiag.link.vehicles import ASKING, COMMANDS, STICKS, Command, asked_of, command_in, sticks_in
@@ -87,7 +86,7 @@ class Requests:
     def _note_sticks(self, frames: Sequence[Frame]) -> None:
         for frame in frames:
             to = _STICKS_TO.get(frame.msgid)
-            if to is not None and (vehicle := self._fleet.vehicles.get(_field(frame, to))) is not None:
+            if to is not None and (vehicle := self._fleet.vehicles.get(frame.value(to))) is not None:
                 vehicle.sticks |= sticks_in((frame,), None)
 
     def asked(self, frame: Frame, sysid: int, *, trusted: bool = True) -> Handled:
@@ -111,13 +110,12 @@ class Requests:
                 result = MavResult.ACCEPTED if session.acknowledgeable else MavResult.FAILED
                 result = result if trusted else MavResult.DENIED
                 effects = session.acknowledge(f"{frame.sysid}/{frame.compid}") if trusted else effects
-            elif (told := self._version(command, sender)) is not None:
-                result, more = MavResult.ACCEPTED, [told]
+            elif (version := self._version(command, sender)) is not None:
+                result, more = MavResult.ACCEPTED, [version]
             more = [sender.answer(command, result), *more]
-        elif changes and trusted:
-            more, effects = component.change(frame, session, sender)
         else:
-            more = component.read(frame, session, sender)
+            more, told = component.answer(frame, session, sender, trusted=trusted)
+            effects += told
         return Handled((), tuple(more), (Turn(sysid, effects),) if effects else ())
 
     def _version(self, command: Command, sender: MavlinkSender) -> bytes | None:
@@ -138,18 +136,18 @@ class Requests:
             return None
         passed, answers = list[bytes](), list[bytes]()
         if frame.msgid == MessageId.REQUEST_DATA_STREAM:
-            group = _field(frame, "req_stream_id")
+            group = frame.value("req_stream_id")
             held = [number for number, messages in GROUPS.items() if messages & needed[vehicle]]
             if not held or group not in (ALL_GROUPS, *held):
                 return None
             if group == ALL_GROUPS:
                 to, rate = (
                     (vehicle, Component.AUTOPILOT1),
-                    (_field(frame, "req_message_rate"), _field(frame, "start_stop")),
+                    (frame.value("req_message_rate"), frame.value("start_stop")),
                 )
                 others = (group for group in GROUPS if group not in held)
                 passed += [self._sender(vehicle).frame(frame.msgid, *to, group, *rate) for group in others]
-        elif _field(frame, "command") != MavCmd.SET_MESSAGE_INTERVAL or _field(frame, "param1") not in needed[vehicle]:
+        elif frame.value("command") != MavCmd.SET_MESSAGE_INTERVAL or frame.value("param1") not in needed[vehicle]:
             return None
         else:
             encoder = self._autopilots.setdefault(vehicle, Encoder(vehicle, Component.AUTOPILOT1, self._signing))
@@ -174,13 +172,9 @@ def _addressed(frame: Frame, needed: Mapping[int, Collection[int]]) -> int | Non
     """
     if frame.msgid not in GUARDED:
         return None
-    system, component = _field(frame, "target_system"), _field(frame, "target_component")
+    system, component = frame.value("target_system"), frame.value("target_component")
     if component not in (Component.ALL, Component.AUTOPILOT1):
         return None
     if system == 0 and len(needed) == 1:
         return next(iter(needed))
     return system if isinstance(system, int) and system in needed else None
-
-
-def _field(frame: Frame, name: str) -> Any:
-    return frame.fields[field_index(frame.msgid, name)]

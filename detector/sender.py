@@ -47,7 +47,9 @@ class MavlinkSender:
             case SendText(severity, text):
                 return [self._encoder.statustext(severity, text)], True
             case SendFloat(name, value, vehicle_ns):  # in the vehicle's own milliseconds
-                return [self.frame(MessageId.NAMED_VALUE_FLOAT, vehicle_ns // NS_PER_MS % _MS_TURN, name, value)], True
+                return [
+                    self.frame(MessageId.NAMED_VALUE_FLOAT, vehicle_ns // NS_PER_MS % _MS_TURN, name.encode(), value)
+                ], True
             case AskInterval(msgid, interval_us):
                 command = (*self._autopilot, MavCmd.SET_MESSAGE_INTERVAL, 0)
                 return [self.frame(MessageId.COMMAND_LONG, *command, msgid, interval_us)], False

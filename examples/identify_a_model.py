@@ -3,7 +3,7 @@
 import numpy as np
 
 import mavdiag as md
-from mavdiag.identify.lab.figures import model_figures
+from mavdiag.identify.lab import model_figures
 
 DT = 0.01
 rng = np.random.default_rng(seed=1)

@@ -417,13 +417,16 @@ class Piece:
     @property
     def gauges(self) -> tuple[Gauge, ...]:
         """The latest value of every slot that has one."""
-        found = []
-        for slot, count, out in zip(self.slots, self.counts.tolist(), self.out, strict=True):
-            if count:
-                monitor, latest = slot.monitor, out[:, count - 1].tolist()
-                figures = (latest[col.VALUE], slot.threshold, latest[monitor.shown], monitor.reference)
-                found.append(Gauge(*slot.key, monitor.unit, *figures, valid=latest[col.SOUND] > 0.5))
-        return tuple(found)
+        return tuple(gauge for number in range(len(self.slots)) if (gauge := self.gauge(number)) is not None)
+
+    def gauge(self, number: int) -> Gauge | None:
+        """The latest value of a slot, None if it has none."""
+        slot, count = self.slots[number], int(self.counts[number])
+        if not count:
+            return None
+        monitor, latest = slot.monitor, self.out[number][:, count - 1].tolist()
+        figures = (latest[col.VALUE], slot.threshold, latest[monitor.shown], monitor.reference)
+        return Gauge(*slot.key, monitor.unit, *figures, valid=latest[col.SOUND] > 0.5)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,6 @@
 A `Shelf` puts arrays aside that are too many for the memory, and a `Column` those that come piece by piece.
 """
 
-import math
 import mmap
 import os
 import secrets
@@ -151,7 +150,8 @@ class Shelf:
                 places.append(places[same])
                 continue
             rows = array if _varies(array) else array[:1]
-            places.append((self._end, rows.dtype, rows.shape, array.shape))
+            strides = np.empty(rows.shape, rows.dtype, order="F").strides
+            places.append((self._end, array.dtype, array.shape, strides if rows is array else (0, *strides[1:])))
             columns = _bytes_of(rows.T)
             self._end += _write(file, columns) + _write(file, memoryview(bytes(-len(columns) % ALIGN_BYTES)))
             forget(array)
@@ -160,7 +160,7 @@ class Shelf:
 
         def get() -> Arrays:
             mapped = mmap.mmap(file.fileno(), end - begin, access=mmap.ACCESS_READ, offset=begin)
-            return tuple(_mapped(mapped, at - begin, dtype, shape, whole) for at, dtype, shape, whole in places)
+            return tuple(np.ndarray(shape, dtype, mapped, at - begin, strides) for at, dtype, shape, strides in places)
 
         return get
 
@@ -227,16 +227,6 @@ def _write(file: BinaryIO, data: memoryview) -> int:
     while len(left):
         left = left[file.write(left) :]
     return len(data)
-
-
-def _mapped(
-    file: mmap.mmap, at: int, dtype: np.dtype[Any], shape: tuple[int, ...], whole: tuple[int, ...]
-) -> NDArray[Any]:
-    """An array of a mapped file; its one row stands for all where it has one only."""
-    if not math.prod(shape):
-        return np.empty(whole, dtype)
-    rows: NDArray[Any] = np.ndarray(shape, dtype, file, at, order="F")
-    return rows if shape == whole else np.broadcast_to(rows, whole)
 
 
 def _varies(array: NDArray[Any]) -> bool:

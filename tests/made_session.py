@@ -15,7 +15,7 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline, Link, MonitorEntry, Provenance, SourceLog, Window, sealed
 from mavdiag.identify import Method
-from mavdiag.identify.model import ModelRecord
+from mavdiag.identify.arx import ModelRecord
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.vehicles import Ack
 from mavdiag.monitors.rotor_trim import RotorTrimSpec

@@ -19,12 +19,10 @@ from mavdiag.commands import options as opt
 from mavdiag.commands.progress import working
 from mavdiag.errors import BaselineError, IdentificationError, InputError, UsageError
 from mavdiag.face import FlightRates, rates, read_log
-from mavdiag.identify import ArxModel, Method, ModelRecord, fit
-from mavdiag.identify.estimate import ORDERS, best_row
+from mavdiag.identify import ArxModel, Method, ModelRecord, fit, lab
+from mavdiag.identify.estimate import ORDERS, ResidualReport, best_row, examine_residual, one_step_report, validate
 from mavdiag.identify.estimate import sweep as fit_each
-from mavdiag.identify.lab import comparison
-from mavdiag.identify.lab.figures import Figure, ModelFigures, draw_model, model_figures
-from mavdiag.identify.validate import ResidualReport, examine_residual, one_step_report, validate
+from mavdiag.identify.lab import Figure, ModelFigures, draw_model, model_figures
 from mavdiag.logs.log import read_bytes
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.storage import check_output
@@ -138,15 +136,15 @@ def compare_models(
     """Compare the fit, and the thesis's published model, with the frequency response that the data show."""
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
     models = {f"fit {method} {order}": _fitted(flight, order, method)}
-    published = {model.axis: model for model in (comparison.THESIS_ROLL, comparison.THESIS_PITCH)}.get(axis)
-    if published is not None and math.isclose(flight.dt_s, comparison.ASSUMED_DT_S, rel_tol=0.02):
+    published = {model.axis: model for model in (lab.THESIS_ROLL, lab.THESIS_PITCH)}.get(axis)
+    if published is not None and math.isclose(flight.dt_s, lab.ASSUMED_DT_S, rel_tol=0.02):
         models[published.source] = published.scaled
     measured = _response(flight, window)
     if measured is None:
         raise IdentificationError(f"{log}: no stretch of {2 * RESPONSE_WINDOW_S:g} s; record a longer flight")
     lines = []
     for name, model in models.items():
-        gap, fitness = comparison.compare(measured, model), validate(model, flight.u, flight.y, SETTLE_S)
+        gap, fitness = lab.compare(measured, model), validate(model, flight.u, flight.y, SETTLE_S)
         lines.append({"model": name, "r2t": fitness.r2t, **asdict(gap)})
     _print(lines, as_json=as_json)
     if len(models) == 1 and not as_json:
@@ -173,7 +171,7 @@ def track(
         raise UsageError(f"--every and --memory must be longer than the sample time of {flight.dt_s:g} s")
     count, lines = max(1, round(every / flight.dt_s)), []
     told = {"dt": flight.dt_s, "forgetting": 1.0 - flight.dt_s / memory}
-    for flown, model in comparison.track(flight.u, flight.y, opt.parse_order(order), every=count, **told):
+    for flown, model in lab.track(flight.u, flight.y, opt.parse_order(order), every=count, **told):
         found = model_figures(model)
         figures = {"pole_hz": found.poles[0].natural_hz, "damping": found.poles[0].damping}  # of the slowest
         line = {"flight_s": round(flown * flight.dt_s, 3), "dc_gain": found.dc_gain}
@@ -202,12 +200,12 @@ def _residual(model: ArxModel, flight: FlightRates) -> ResidualReport:
     return examine_residual((y - model.simulate(u))[settled:], u[settled:])
 
 
-def _response(flight: FlightRates, window_s: float) -> comparison.FrequencyResponse | None:
+def _response(flight: FlightRates, window_s: float) -> lab.FrequencyResponse | None:
     """The measured frequency response, as far as the filters pass it; None if the flight is too short for one."""
     segment = round(RESPONSE_WINDOW_S / flight.dt_s)
     if max(map(len, flight.u)) < 2 * segment:
         return None
-    return comparison.estimate_response(flight.u, flight.y, dt=flight.dt_s, segment=segment, most_hz=PASSED / window_s)
+    return lab.estimate_response(flight.u, flight.y, dt=flight.dt_s, segment=segment, most_hz=PASSED / window_s)
 
 
 def _text_of(axis: Axis, model: ArxModel, figures: ModelFigures) -> str:

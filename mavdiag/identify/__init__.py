@@ -6,11 +6,11 @@ The package itself can be called, which is `fit`: `import mavdiag as md; md.iden
 import sys
 from types import ModuleType
 
+from mavdiag.identify.arx import ArxModel as ArxModel
+from mavdiag.identify.arx import Method as Method
+from mavdiag.identify.arx import ModelRecord as ModelRecord
+from mavdiag.identify.arx import Order as Order
 from mavdiag.identify.estimate import fit as fit
-from mavdiag.identify.model import ArxModel as ArxModel
-from mavdiag.identify.model import Method as Method
-from mavdiag.identify.model import ModelRecord as ModelRecord
-from mavdiag.identify.model import Order as Order
 
 
 class _CallablePackage(ModuleType):

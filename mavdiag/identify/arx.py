@@ -1,20 +1,191 @@
-"""Training data, checked, and least squares on it, the thesis's estimator (T 4.1.2). It is biased by output noise."""
+"""The ARX model A(z^-1) y = B(z^-1) u + e with what is known of it; training data; least squares (T 4.1.2).
 
+Least squares, the thesis's estimator, is biased by output noise.
+"""
+
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import TypeAlias
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError
-from mavdiag.identify.model import Order
 from mavdiag.telemetry import FloatArray
 
+if TYPE_CHECKING:
+    import control
+    from numpy.typing import NDArray
+
+Order: TypeAlias = tuple[int, int, int]  # na, nb, nk
 Records: TypeAlias = FloatArray | Sequence[FloatArray]  # one record, or one per segment
 
 BLOCK_ROWS = 256  # rows per block of `triangle`: fits the cache and stays below the size that BLAS threads
 EPSILON = float(np.finfo(np.float64).eps)
 MIN_ROWS_PER_PARAMETER = 10  # our rule of thumb; below it a standard error means little
+
+
+class Method(StrEnum):
+    """Where a model's coefficients come from."""
+
+    LS = "ls"  # least squares, the thesis's way
+    SRIV = "sriv"  # simplified refined instrumental variable
+    RLS = "rls"  # recursive least squares, a snapshot of a tracked model
+    PUBLISHED = "published"  # printed in the thesis
+
+
+def check_order(order: Order) -> Order:
+    """The order as three plain integers. Raises IdentificationError unless na >= 1, nb >= 1 and nk >= 0."""
+    whole = len(order) == 3 and all(isinstance(n, int | np.integer) and not isinstance(n, bool) for n in order)
+    if not whole or order[0] < 1 or order[1] < 1 or order[2] < 0:
+        raise IdentificationError(f"order {order} must be three whole numbers (na >= 1, nb >= 1, nk >= 0)")
+    return int(order[0]), int(order[1]), int(order[2])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArxModel:
+    """A(z^-1) y(t) = B(z^-1) u(t) + e(t), T Eq 4.1-4.5, with read-only arrays.
+
+    a: (na + 1,), a[0] == 1. b: (nk + nb,) with nk leading zeros; unit of y per unit of u. dt: sample time [s].
+    order: (na, nb, nk). covariance: (d, d) of the d = na + nb estimates `theta`, nan if unknown: by SRIV for output
+    noise of any colour, by LS for white noise in the equation. standard_errors: (d,) square roots of its diagonal.
+    r2t, nrmse_fit, mse: of the training data, nan where unknown, as `Validation`. samples: rows of them.
+    yic: Young's information criterion, ln(1 - r2t) + ln(mean(se^2/theta^2)). iterations, converged: of SRIV.
+    Raises IdentificationError if the coefficients do not fit the order or are not finite. Only `fit` demands stability.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    dt: float
+    order: Order
+    method: Method
+    standard_errors: FloatArray = field(default_factory=lambda: np.empty(0))
+    covariance: FloatArray = field(default_factory=lambda: np.empty(0))
+    r2t: float = math.nan
+    nrmse_fit: float = math.nan
+    mse: float = math.nan
+    yic: float = math.nan
+    samples: int = 0
+    iterations: int = 0
+    converged: bool = True
+
+    def __post_init__(self) -> None:
+        na, nb, nk = check_order(self.order)
+        d = na + nb
+        covariance = self.covariance if len(self.covariance) else np.full((d, d), np.nan)
+        errors = self.standard_errors if len(self.standard_errors) else np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        arrays = {"a": self.a, "b": self.b, "standard_errors": errors, "covariance": covariance}
+        if [values.shape for values in arrays.values()] != [(na + 1,), (nb + nk,), (d,), (d, d)]:
+            raise IdentificationError(f"order {self.order} needs {na + 1} a, {nb + nk} b and {d} standard errors")
+        for name, values in arrays.items():
+            copy = np.array(values, dtype=np.float64)
+            copy.setflags(write=False)
+            object.__setattr__(self, name, copy)
+        if not (np.isfinite(self.a).all() and np.isfinite(self.b).all()):
+            raise IdentificationError("the coefficients of a model must be finite numbers")
+        if self.a[0] != 1.0 or np.any(self.b[:nk] != 0.0):
+            raise IdentificationError("a model needs a[0] = 1 and nk leading zeros in b")
+        if not (math.isfinite(self.dt) and self.dt > 0):
+            raise IdentificationError(f"the sample time must be positive, not {self.dt} s")
+
+    @property
+    def lag(self) -> int:
+        """Rows of past that the difference equation reaches back."""
+        return reach(self.order)
+
+    @property
+    def theta(self) -> FloatArray:
+        """The estimated parameters, (na + nb,): a1..a_na, then b_nk..b_{nk+nb-1}."""
+        return np.concatenate((self.a[1:], self.b[self.order[2] :]))
+
+    @property
+    def poles(self) -> "NDArray[np.complex128]":
+        """Roots of z^na A(z^-1), (na,), largest modulus first."""
+        roots = np.roots(self.a).astype(np.complex128)
+        return roots[np.argsort(-np.abs(roots), kind="stable")]
+
+    @property
+    def stable(self) -> bool:
+        """True if every pole is inside the unit circle."""
+        return bool(np.all(np.abs(self.poles) < 1.0))
+
+    @property
+    def dc_gain(self) -> float:
+        """B(1)/A(1): steady output per unit of constant input; infinite with a pole at 1."""
+        denominator = float(np.sum(self.a))
+        return float(np.sum(self.b)) / denominator if denominator != 0.0 else math.inf
+
+    def simulate(self, u: FloatArray, past_u: FloatArray | None = None, past_y: FloatArray | None = None) -> FloatArray:
+        """Free-run output for the inputs u, (n,) -> (n,) (T 5.5). past_u, past_y: before u[0], oldest first; else 0."""
+        from scipy.signal import lfilter, lfiltic  # 0.8 s to import: only offline work pays it
+
+        newest_y = np.empty(0) if past_y is None else past_y[::-1][: len(self.a) - 1]
+        newest_u = np.empty(0) if past_u is None else past_u[::-1][: len(self.b) - 1]
+        initial = lfiltic(self.b, self.a, newest_y, newest_u)
+        return np.asarray(lfilter(self.b, self.a, u, zi=initial)[0], dtype=np.float64)
+
+    def predict(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """One-step prediction from the measured past, (n,), (n,) -> (n - lag,): row i predicts y[i + lag]."""
+        if u.shape != y.shape or u.ndim != 1 or len(y) <= self.lag:
+            raise IdentificationError(f"a prediction needs u and y of one length above {self.lag}")
+        known = np.convolve(u, self.b)[: len(y)] - np.convolve(y, self.a)[: len(y)] + y
+        return known[self.lag :]
+
+    def to_control(self) -> "control.TransferFunction":
+        """The same model as a python-control transfer function in z with this sample time."""
+        import control  # seconds to import, and the detector must not carry it
+
+        size = self.lag + 1  # in powers of z both polynomials need one length
+        B, A = (np.pad(values, (0, size - len(values))) for values in (self.b, self.a))
+        return control.TransferFunction(B, A, self.dt)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelRecord:
+    """An ArxModel as a baseline stores it: plain numbers, checked; None or empty where a figure is not known."""
+
+    a: tuple[float, ...]
+    b: tuple[float, ...]
+    dt_s: float
+    order: Order
+    method: Method
+    standard_errors: tuple[float, ...] = ()
+    covariance: tuple[tuple[float, ...], ...] = ()
+    r2t: float | None = None
+    nrmse_fit: float | None = None
+    mse: float | None = None
+    samples: int = 0
+
+    def __post_init__(self) -> None:
+        self.model()
+
+    @classmethod
+    def of(cls, model: ArxModel) -> "ModelRecord":
+        """The record of a model."""
+        known, correlated = (bool(np.isfinite(one).all()) for one in (model.standard_errors, model.covariance))
+        r2t, fit, mse = (one if math.isfinite(one) else None for one in (model.r2t, model.nrmse_fit, model.mse))
+        return cls(
+            a=tuple(model.a.tolist()),
+            b=tuple(model.b.tolist()),
+            dt_s=model.dt,
+            order=model.order,
+            method=model.method,
+            standard_errors=tuple(model.standard_errors.tolist()) if known else (),
+            covariance=tuple(map(tuple, model.covariance.tolist())) if correlated else (),
+            r2t=r2t,
+            nrmse_fit=fit,
+            mse=mse,
+            samples=model.samples,
+        )
+
+    def model(self) -> ArxModel:
+        """The model, ready to simulate."""
+        a, b, errors, covariance = map(np.array, (self.a, self.b, self.standard_errors, self.covariance))
+        r2t, fit, mse = (math.nan if value is None else value for value in (self.r2t, self.nrmse_fit, self.mse))
+        return ArxModel(
+            a, b, self.dt_s, self.order, self.method, errors, covariance, r2t, fit, mse, samples=self.samples
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

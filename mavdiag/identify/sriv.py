@@ -20,6 +20,7 @@ from mavdiag.errors import IdentificationError
 from mavdiag.identify.arx import (
     EPSILON,
     Estimate,
+    Order,
     Segment,
     lagged,
     least_squares,
@@ -29,7 +30,6 @@ from mavdiag.identify.arx import (
     solve,
     triangle,
 )
-from mavdiag.identify.model import Order
 from mavdiag.telemetry import FloatArray
 
 PATIENCE = 8  # iterations without progress before it gives up; good data settle in 3 to 8 (our choice)

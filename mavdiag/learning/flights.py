@@ -23,7 +23,7 @@ from mavdiag.rows.grid import median_step, rate_tolerance
 from mavdiag.rows.rates import RateBlock, RateSpec
 from mavdiag.rows.savgol import window_samples
 from mavdiag.storage import Arrays, Shelf
-from mavdiag.telemetry import BoolArray, Log, Series, Signal, Telemetry
+from mavdiag.telemetry import Log, Series, Signal, Telemetry
 from mavdiag.thresholds.heldout import Looks
 from mavdiag.units import NS_PER_S
 
@@ -58,13 +58,14 @@ class HeldLog:
 
     def open(self, signal: Signal) -> Telemetry:
         """One signal, whole."""
-        return joined(Telemetry(tuple(one for one in piece if one.signal is signal)) for piece in self.pieces())
+        pieces = (Telemetry(tuple(one for one in piece if one.signal is signal)) for piece in self.pieces())
+        return next(pieces) if len(self.parts) == 1 else joined(pieces)
 
     def without(self, from_s: float | None, to_s: float | None, shelf: Shelf) -> "HeldLog":
         """The log without what lies between two times [s of the vehicle's clock]; None for its start or its end."""
         low, high = -np.inf if from_s is None else from_s, np.inf if to_s is None else to_s
         kept = (
-            Telemetry(tuple(_taken(series, (series.t_s < low) | (series.t_s >= high)) for series in piece))
+            Telemetry(tuple(series.where((series.t_s < low) | (series.t_s >= high)) for series in piece))
             for piece in self.pieces()
         )
         return replace(self, parts=_put_aside(kept, shelf))
@@ -84,10 +85,6 @@ def hold(log: Log | HeldLog, shelf: Shelf) -> HeldLog:
     return HeldLog(
         replace(log, telemetry=Telemetry()), dt_s, grid, setpoint_s, tuple(one.signal for one in used), parts
     )
-
-
-def _taken(series: Series, at: BoolArray) -> Series:
-    return Series(series.signal, series.t_ns[at], series.host_ns[at], series.values[at])
 
 
 def _put_aside(pieces: Iterable[Telemetry], shelf: Shelf) -> tuple[Callable[[], Telemetry], ...]:

@@ -123,54 +123,50 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
     Raises InputError if a flight lacks the gyro or never flies, and IdentificationError if no monitor can work.
     """
     with Shelf() as shelf:
-        return _learnt(flights, options, created, shelf)
-
-
-def _learnt(logs: Iterable[Log], options: LearnOptions, created: str, shelf: Shelf) -> Baseline:
-    keep_freed()
-    held = [hold(log, shelf) for log in logs]
-    give_back()
-    if not held:
-        raise InputError("no healthy flight to learn from")
-    first, link = held[0].label, PROFILES.get(held[0].label.profile)
-    airframe, told_hz = of_log_kind(options.airframe, first.profile), 0.0
-    if link is not None and airframe.imu_corner_hz is None:
-        told_hz = first.parameters.get(link.imu_corner_parameter, 0.0)
-    airframe = replace(airframe, imu_corner_hz=told_hz) if told_hz > 0.0 else airframe
-    found = taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf)
-    airframe, ordered = with_rotors(airframe, found.flights)
-    found = replace(found, flights=tuple(ordered))
-    if airframe.scope != "type":
-        found = one_vehicle(found, airframe.layout, robust=options.robust)
-    front, learnt, rows = found.front, found.flights, [flight.rows for flight in found.flights]
-    sessions = sessions_of([flight.label for flight in learnt], options.sessions)
-    corner_hz = airframe.imu_corner_hz or (link.corner_hz(first.parameters) if link is not None else None)
-    thesis = options.axes, options.method, options.order, options.margin_rule
-    context = LearnContext(airframe, corner_hz, front.align.dt_s, front.rates.window, *thesis)
-    fitted, refusals = _fit_all(rows, sessions, options, context)
-    if not fitted:
-        reasons = "; ".join(f"{refusal.monitor}: {refusal.reason}" for refusal in refusals)
-        raise IdentificationError(f"no monitor can judge such flights ({reasons})")
-    how = {name: getattr(front.align, name) for name in ("dt_s", "grid", "max_gap_s")}
-    baseline = Baseline(
-        airframe=airframe,
-        link=Link(profile=first.profile, gate=front.gate, **how),
-        window=Window(samples=front.rates.window, order=2),
-        link_quality=front.align.quality,
-        monitors=tuple(_entries(fitted, options, sessions)),
-        not_judgeable=tuple(refusals),
-        envelope=covered_by(rows),
-        healthy_hours=sum(flight.judged_s for flight in learnt) / 3600,
-        provenance=Provenance(
-            logs=_sources(learnt, sessions, [monitor for monitor, _ in fitted]),
-            created=created,
-            tool=TOOL,
-            left_out=found.left_out,
-            notes=found.notes,
-        ),
-        fingerprint=fingerprint_of(rows, airframe.layout),
-    )
-    return sealed(_assessed(baseline, learnt))
+        keep_freed()
+        held = [hold(log, shelf) for log in flights]
+        give_back()
+        if not held:
+            raise InputError("no healthy flight to learn from")
+        first, link = held[0].label, PROFILES.get(held[0].label.profile)
+        airframe, told_hz = of_log_kind(options.airframe, first.profile), 0.0
+        if link is not None and airframe.imu_corner_hz is None:
+            told_hz = first.parameters.get(link.imu_corner_parameter, 0.0)
+        airframe = replace(airframe, imu_corner_hz=told_hz) if told_hz > 0.0 else airframe
+        found = taught(held, options.window_s, airframe.gate, robust=options.robust, shelf=shelf)
+        airframe, ordered = with_rotors(airframe, found.flights)
+        found = replace(found, flights=tuple(ordered))
+        if airframe.scope != "type":
+            found = one_vehicle(found, airframe.layout, robust=options.robust)
+        front, learnt, rows = found.front, found.flights, [flight.rows for flight in found.flights]
+        sessions = sessions_of([flight.label for flight in learnt], options.sessions)
+        corner_hz = airframe.imu_corner_hz or (link.corner_hz(first.parameters) if link is not None else None)
+        thesis = options.axes, options.method, options.order, options.margin_rule
+        context = LearnContext(airframe, corner_hz, front.align.dt_s, front.rates.window, *thesis)
+        fitted, refusals = _fit_all(rows, sessions, options, context)
+        if not fitted:
+            reasons = "; ".join(f"{refusal.monitor}: {refusal.reason}" for refusal in refusals)
+            raise IdentificationError(f"no monitor can judge such flights ({reasons})")
+        how = {name: getattr(front.align, name) for name in ("dt_s", "grid", "max_gap_s")}
+        baseline = Baseline(
+            airframe=airframe,
+            link=Link(profile=first.profile, gate=front.gate, **how),
+            window=Window(samples=front.rates.window, order=2),
+            link_quality=front.align.quality,
+            monitors=tuple(_entries(fitted, options, sessions)),
+            not_judgeable=tuple(refusals),
+            envelope=covered_by(rows),
+            healthy_hours=sum(flight.judged_s for flight in learnt) / 3600,
+            provenance=Provenance(
+                logs=_sources(learnt, sessions, [monitor for monitor, _ in fitted]),
+                created=created,
+                tool=TOOL,
+                left_out=found.left_out,
+                notes=found.notes,
+            ),
+            fingerprint=fingerprint_of(rows, airframe.layout),
+        )
+        return sealed(_assessed(baseline, learnt))
 
 
 def _assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
@@ -313,58 +309,53 @@ def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool =
     another vehicle; BaselineError for one over another link; IdentificationError for one too short for a monitor.
     """
     with Shelf() as shelf:
-        return _extended(baseline, [hold(flight, shelf) for flight in flights], shelf, new_propellers, created)
-
-
-def _extended(
-    baseline: Baseline, flights: Sequence[HeldLog], shelf: Shelf, new_propellers: bool, created: str
-) -> Baseline:
-    if not flights:
-        raise InputError("no healthy flight to add; name one or more logs")
-    _check(baseline, flights)
-    front, known = front_of(baseline), baseline.fingerprint
-    learnt = [airborne(front, flight, shelf) for flight in flights]
-    refuse(upsets(learnt))
-    if known is not None and not new_propellers:
-        for one in learnt:
-            likeness = compare(known, one.rows, baseline.airframe.layout)
-            if likeness.outcome is Outcome.FAR:
-                raise InputError(f"{one.label.name}: another vehicle: {likeness.sentence(baseline.airframe.name)}")
-    old, rows = baseline.provenance.logs, [flight.rows for flight in learnt]
-    propellers = baseline.propellers + new_propellers
-    sessions, before = _sessions(baseline, [flight.label for flight in flights]), {log.session for log in old}
-    fitted = list[Fitted]()
-    for entry in baseline.monitors:
-        spec, ratio = entry.spec, 1.0
-        if new_propellers:
-            spec, ratio, fresh = _moved(baseline, entry, rows)
-        else:
-            fresh = [score(monitor_of(spec), flight, number=len(old) + i) for i, flight in enumerate(rows)]
-        held = entry.scores
-        scores = pooled([Scores(ratio * np.array(held.maxima), np.array(held.spans_s), np.array(held.flights)), *fresh])
-        if not new_propellers:
-            spec = monitor_of(spec).extended(rows, len(before))
-        fitted.append((monitor_of(spec), scores))
-    all_sessions = [*(log.session for log in old), *sessions]
-    shares = zip(baseline.monitors, fitted, _shares(fitted, all_sessions, baseline.promised), strict=True)
-    entries = [
-        _entry(one.spec, scores, all_sessions, share, was.threshold.rule) for was, (one, scores), share in shares
-    ]
-    fresh_print = fingerprint_of(rows, baseline.airframe.layout)
-    monitors = (monitor_of(entry.spec) for entry in entries)
-    longer = baseline.model_copy(
-        update={
-            "monitors": tuple(entries),
-            "envelope": _joined(baseline.envelope, covered_by(rows)),
-            # new propellers have a trim and noise of their own
-            "fingerprint": fresh_print if new_propellers or known is None else merged(known, fresh_print),
-            "healthy_hours": baseline.healthy_hours + sum(flight.judged_s for flight in learnt) / 3600,
-            "provenance": baseline.provenance.model_copy(
-                update={"logs": (*old, *_sources(learnt, sessions, monitors, propellers)), "created": created}
-            ),
-        }
-    )
-    return sealed(_assessed(longer, learnt))
+        held = [hold(flight, shelf) for flight in flights]
+        if not held:
+            raise InputError("no healthy flight to add; name one or more logs")
+        _check(baseline, held)
+        front, known = front_of(baseline), baseline.fingerprint
+        learnt = [airborne(front, flight, shelf) for flight in held]
+        refuse(upsets(learnt))
+        if known is not None and not new_propellers:
+            for one in learnt:
+                likeness = compare(known, one.rows, baseline.airframe.layout)
+                if likeness.outcome is Outcome.FAR:
+                    raise InputError(f"{one.label.name}: another vehicle: {likeness.sentence(baseline.airframe.name)}")
+        old, rows = baseline.provenance.logs, [flight.rows for flight in learnt]
+        propellers = baseline.propellers + new_propellers
+        sessions, before = _sessions(baseline, [flight.label for flight in held]), {log.session for log in old}
+        fitted = list[Fitted]()
+        for entry in baseline.monitors:
+            spec, ratio = entry.spec, 1.0
+            if new_propellers:
+                spec, ratio, fresh = _moved(baseline, entry, rows)
+            else:
+                fresh = [score(monitor_of(spec), flight, number=len(old) + i) for i, flight in enumerate(rows)]
+            reached, spans_s, numbers = map(np.array, (entry.scores.maxima, entry.scores.spans_s, entry.scores.flights))
+            scores = pooled([Scores(ratio * reached, spans_s, numbers), *fresh])
+            if not new_propellers:
+                spec = monitor_of(spec).extended(rows, len(before))
+            fitted.append((monitor_of(spec), scores))
+        all_sessions = [*(log.session for log in old), *sessions]
+        shares = zip(baseline.monitors, fitted, _shares(fitted, all_sessions, baseline.promised), strict=True)
+        entries = [
+            _entry(one.spec, scores, all_sessions, share, was.threshold.rule) for was, (one, scores), share in shares
+        ]
+        fresh_print = fingerprint_of(rows, baseline.airframe.layout)
+        monitors = (monitor_of(entry.spec) for entry in entries)
+        longer = baseline.model_copy(
+            update={
+                "monitors": tuple(entries),
+                "envelope": _joined(baseline.envelope, covered_by(rows)),
+                # new propellers have a trim and noise of their own
+                "fingerprint": fresh_print if new_propellers or known is None else merged(known, fresh_print),
+                "healthy_hours": baseline.healthy_hours + sum(flight.judged_s for flight in learnt) / 3600,
+                "provenance": baseline.provenance.model_copy(
+                    update={"logs": (*old, *_sources(learnt, sessions, monitors, propellers)), "created": created}
+                ),
+            }
+        )
+        return sealed(_assessed(longer, learnt))
 
 
 def _check(baseline: Baseline, flights: Sequence[HeldLog]) -> None:

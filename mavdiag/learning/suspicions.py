@@ -135,12 +135,16 @@ def _change(course: Course) -> Finding | None:
     """The clearest change within a flight."""
     x, trim, (least, floor) = course.figures, course.name in TRIMS, course.limits(CHANGE_RISE, CHANGE_RATIO)
     best: tuple[float, float, int] = (0.0, 0.0, 0)
-    for at in np.unique(np.linspace(PART_S, len(x) - PART_S, SPLITS).astype(np.int64)) if len(x) >= 2 * PART_S else ():
+    if len(x) < 2 * PART_S or np.ptp(x, axis=0).max(initial=0.0) < least:  # no two medians lie further apart
+        return None
+    for at in np.unique(np.linspace(PART_S, len(x) - PART_S, SPLITS).astype(np.int64)):
         before, after = np.median(x[:at], axis=0), np.median(x[at:], axis=0)
-        left = np.abs(np.concatenate((x[:at] - before, x[at:] - after)))
         shift = after - before
-        sure = np.abs(shift) / np.hypot(1.4826 * np.median(left, axis=0), floor)
-        sure[(np.abs(shift) if trim else shift) < least] = 0.0
+        small = (np.abs(shift) if trim else shift) < least
+        if small.all():
+            continue
+        left = np.abs(np.concatenate((x[:at] - before, x[at:] - after)))
+        sure = np.where(small, 0.0, np.abs(shift) / np.hypot(1.4826 * np.median(left, axis=0), floor))
         j = int(sure.argmax())
         best = max(best, (float(sure[j]), float(shift[j]), int(at)))
     sure_of, moved, at = best

@@ -138,7 +138,8 @@ def _shared(flights: Sequence[HeldLog], most: int) -> tuple[list[tuple[IntArray,
 
     most: about how many are looked at, the same ones of all flights by their hashes; 0 for all.
     """
-    values = sum(len(_gyro(flight)[0]) for flight in flights)
+    pieces = (one for flight in flights for piece in flight.pieces() for one in piece)
+    values = sum(len(series) for series in pieces if series.signal is Signal.BODY_RATE)
     every = max(1, values // most) if most else 1
     runs = [_runs(_gyro(flight)[1], every) for flight in flights]
     hashes = np.concatenate([np.empty(0, dtype=np.int64), *(one for one, _ in runs)])

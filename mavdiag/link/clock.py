@@ -14,7 +14,7 @@ TIMESYNC (https://mavlink.io/en/services/timesync.html) is answered and asked; w
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any, TypeAlias
 
@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from mavdiag.jit import jit
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MessageId
-from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 # Choices, not measurements, but for the drift of quartz.
@@ -108,27 +107,17 @@ _CLOCKS = (("leads", _LEAD, len(Clock)), ("offsets", _OFFSET, len(Clock)))
 _TIME = _integers("", ("mem", _MEM, (1,)), ("readings", _READING, MESSAGES_MAX), *_CLOCKS)
 
 
-def _fresh() -> IntArray:
-    words = np.zeros(_TIME.itemsize // 8, np.int64)
-    record = words.view(_TIME)
-    record["mem"]["reference"], record["mem"]["t_ns"], record["leads"]["seconds"] = -1, NEVER, NEVER
-    return words
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class VehicleTime:
-    """Where one vehicle's time stands; `stamp` brings a copy of it on. words: all of the records above."""
+    """Where one vehicle's time stands; `stamp` changes it in place. words: all of the records above.
 
-    words: IntArray = field(default_factory=_fresh)
+    records: (1,) the vehicle; (32,) the counters of its messages; (4,) leads and offsets, by `Clock`: for `stamp`.
+    """
 
-    @property
-    def records(self) -> tuple[Records, Records, Records, Records]:
-        """(1,) the vehicle; (32,) the counters of its messages; (4,) leads and offsets, by `Clock`: for `stamp`."""
+    def __init__(self) -> None:
+        self.words = np.zeros(_TIME.itemsize // 8, np.int64)
         record = self.words.view(_TIME)[0]
-        return record["mem"], record["readings"], record["leads"], record["offsets"]
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, VehicleTime) and np.array_equal(self.words, other.words)
+        self.records: tuple[Records, Records, Records, Records] = tuple(record[name] for name in _TIME.names or ())
+        record["mem"]["reference"], record["mem"]["t_ns"], record["leads"]["seconds"] = -1, NEVER, NEVER
 
     def _told(self, name: str) -> int:
         return int(self.records[0][name][0])

@@ -7,7 +7,7 @@ matter.
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from struct import calcsize
 from typing import Any, TypeAlias
@@ -139,18 +139,12 @@ _PART = np.dtype([*((name, "i8") for name in _INDEXES), ("unit", "f8"), ("zero",
 _KINDS = {"f": 32, "h": 16, "i": 16}
 
 
-def _fresh() -> NDArray[np.void]:
-    memory = np.zeros(1, _MEMORY)
-    memory["speeds"], memory["armed_ns"] = np.nan, NEVER
-    return memory
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class SampleState:
     """What one vehicle's conversion carries from block to block: where its time stands, and the record above."""
 
-    timeline: VehicleTime = field(default_factory=VehicleTime)
-    memory: NDArray[np.void] = field(default_factory=_fresh)
+    def __init__(self) -> None:
+        self.timeline, self.memory = VehicleTime(), np.zeros(1, _MEMORY)
+        self.memory["speeds"], self.memory["armed_ns"] = np.nan, NEVER
 
     @property
     def dropped(self) -> int:
@@ -161,13 +155,6 @@ class SampleState:
     def contrary(self) -> int:
         """Disarmed heartbeats amid armed ones, left out so far."""
         return int(self.memory["contrary"][0])
-
-    def __eq__(self, other: object) -> bool:
-        return (
-            isinstance(other, SampleState)
-            and self.timeline == other.timeline
-            and self.memory.tobytes() == other.memory.tobytes()
-        )
 
 
 class SampleDecoder:
@@ -181,28 +168,26 @@ class SampleDecoder:
         self.profile = profile
         read = sources(profile, table)
         self.wanted = frozenset(row.message for row in read)
-        self._lookup = np.full(len(MSGIDS), -1, np.int16)
-        self._lookup[[ROWS[row.message] for row in read]] = np.arange(len(read))
+        lookup = np.full(len(MSGIDS), -1, np.int16)
+        lookup[[ROWS[row.message] for row in read]] = np.arange(len(read))
         ends = np.cumsum([0, *(len(row.parts) for row in read)]).tolist()
-        self._sources = np.array([(*_counted(row), *ends[k : k + 2]) for k, row in enumerate(read)], _SOURCE)
-        self._parts = np.array([_laid(profile, row.message, part) for row in read for part in row.parts], _PART)
+        rows = np.array([(*_counted(row), *ends[k : k + 2]) for k, row in enumerate(read)], _SOURCE)
+        parts = np.array([_laid(profile, row.message, part) for row in read for part in row.parts], _PART)
+        self._table = lookup, rows, parts, _WIDTHS
 
-    def step(
-        self, state: SampleState, frames: Sequence[Frame] | Frames, given_ns: IntArray = _NO_TIMES
-    ) -> tuple[SampleState, Telemetry]:
-        """Take the next frames of one vehicle, in order of arrival. given_ns: (n,) their vehicle times, if known."""
-        some = frames_of(frames)
-        after = SampleState(VehicleTime(state.timeline.words.copy()), state.memory.copy())
-        table = (self._lookup, self._sources, self._parts, _WIDTHS)
-        memory = (after.timeline.records, after.memory)
-        t_ns, host_ns, values, filled = _convert(some.data, some.rows, given_ns, table, memory)
+    def step(self, state: SampleState, frames: Sequence[Frame] | Frames, given_ns: IntArray = _NO_TIMES) -> Telemetry:
+        """Take the next frames of one vehicle, in order of arrival, and bring its state on, in place.
+
+        given_ns: (n,) their vehicle times, if known.
+        """
+        some, memory = frames_of(frames), (state.timeline.records, state.memory)
+        t_ns, host_ns, values, filled = _convert(some.data, some.rows, given_ns, self._table, memory)
         series = []
         for signal, width, (first, place, count) in zip(_SIGNALS, _COLUMNS, filled.tolist(), strict=True):
             if count:
-                at_ns, came_ns = t_ns[first : first + count], host_ns[first : first + count]
                 block = values[place : place + count * width].reshape(count, width)
-                series.append(Series(signal, at_ns, came_ns, block))
-        return after, Telemetry(tuple(series))
+                series.append(Series(signal, t_ns[first : first + count], host_ns[first : first + count], block))
+        return Telemetry(tuple(series))
 
 
 def _counted(row: Source) -> tuple[int, ...]:

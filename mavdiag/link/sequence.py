@@ -109,20 +109,18 @@ class Senders:
         """Let others use a name that was ours."""
         self._flags[key] &= ~_OURS & 0xFF
 
-    def numbers(self, sources: Iterable[Source]) -> list[int]:
+    def numbers(self, sources: Sequence[Source]) -> list[int]:
         """The numbers that stand for sources in `FRAME`: those of frames that are heard before the next call."""
         if len(self._sources) >= SOURCES_MAX:
             used = self._senders[: self._used]
             held = {0, *used["source"].tolist(), *used["intruder"].tolist()}
             self._sources = {number: source for number, source in self._sources.items() if number in held}
             self._numbers = {source: number for number, source in self._sources.items()}
-        found = []
-        for source in sources:
+        for source in dict.fromkeys(sources):
             if source not in self._numbers:
                 self._latest += 1
                 self._numbers[source], self._sources[self._latest] = self._latest, source
-            found.append(self._numbers[source])
-        return found
+        return list(map(self._numbers.__getitem__, sources))
 
     def hear(self, data: NDArray[np.uint8], rows: NDArray[np.void]) -> None:
         """Count these frames, in order of arrival, and note in `heard` what becomes of each.

@@ -6,7 +6,6 @@ lets a vehicle enter only with two like heartbeats and running numbers that are 
 """
 
 import math
-import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import repeat
@@ -24,9 +23,10 @@ from mavdiag.link.codec import (
     field_index,
     frames_joined,
     frames_of,
-    layout_of,
 )
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
+from mavdiag.link.parameters import ASKING as PARAMETERS_ASKED
+from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import (
     IMU_MESSAGES,
     LAST_RESORT,
@@ -61,7 +61,7 @@ MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up on
 #: Messages that carry a command.
 COMMANDS = frozenset({MessageId.COMMAND_LONG, MessageId.COMMAND_INT})
 #: ... and all that ask something of a component.
-ASKING = COMMANDS | {MessageId.PARAM_REQUEST_READ, MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_SET}
+ASKING = COMMANDS | PARAMETERS_ASKED
 #: Messages that tell where a pilot's sticks are, with the fields of four of them.
 STICKS: Mapping[int, tuple[str, ...]] = {
     MessageId.MANUAL_CONTROL: ("x", "y", "z", "r"),
@@ -74,8 +74,6 @@ _TALK = ASKING | STICKS.keys() | _ANSWERS | {MessageId.HEARTBEAT}
 _TALKS = np.isin(MSGIDS, list(_TALK))  # by row of a message
 
 _UID2 = field_index(MessageId.AUTOPILOT_VERSION, "uid2")
-_PARAM_VALUE, _PARAM_TYPE = (layout_of(MessageId.PARAM_VALUE).offset(name)[0] for name in ("param_value", "param_type"))
-_INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE, in the bytes of the float
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +108,9 @@ def acks_in(frames: Iterable[Frame]) -> tuple[Ack, ...]:
 def mode_in(frames: Iterable[Frame]) -> int | None:
     """The custom_mode of the autopilot's latest heartbeat; None without one, or if it has none."""
     beats = [frame for frame in frames if frame.msgid == MessageId.HEARTBEAT and frame.compid == AUTOPILOT]
-    base, custom = beats[-1].numbers("base_mode", "custom_mode") if beats else (0, 0)
+    if not beats:
+        return None
+    base, custom = beats[-1].numbers("base_mode", "custom_mode")
     return custom if base & ModeFlag.CUSTOM_MODE_ENABLED else None
 
 
@@ -135,25 +135,7 @@ def command_in(frame: Frame) -> Command | None:
     """The command in a frame; None for a frame without one."""
     if frame.msgid not in COMMANDS:
         return None
-    number, first = (frame.fields[field_index(frame.msgid, name)] for name in ("command", "param1"))
-    return Command(int(number), frame.sysid, frame.compid, float(first))
-
-
-def parameters_in(frames: Iterable[Frame], autopilot: int) -> dict[str, float]:
-    """The latest value of each parameter in the frames of one vehicle's autopilot (MAV_AUTOPILOT), by name.
-
-    PARAM_VALUE carries every value in a float field. PX4 puts the bytes of an integer there; all others cast the
-    integer to a float (MAVLink parameter protocol, "parameter encoding"). Values that are not finite are left out.
-    """
-    found: dict[str, float] = {}
-    for frame in frames:
-        if frame.msgid == MessageId.PARAM_VALUE and frame.compid == AUTOPILOT:
-            name, kind = frame.text("param_id"), frame.payload[_PARAM_TYPE]
-            form = _INTEGERS.get(kind, "<f") if autopilot == Autopilot.PX4 else "<f"
-            (value,) = struct.unpack_from(form, frame.payload, _PARAM_VALUE)
-            if name and math.isfinite(value):
-                found[name] = float(value)
-    return found
+    return Command(frame.value("command"), frame.sysid, frame.compid, frame.value("param1"))
 
 
 def uid_in(frames: Iterable[Frame]) -> str:
@@ -198,8 +180,7 @@ class VehicleStream:
         if told := parameters_in(talk, self.profile.autopilot):
             merged = {**self.parameters, **told}
             self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
-        self.state, telemetry = self._decoder.step(self.state, frames)
-        return telemetry
+        return self._decoder.step(self.state, frames)
 
     def _choose_imu(self, frames: Frames) -> None:
         self._imu = np.concatenate((self._imu, frames.of(*IMU_MESSAGES, compid=AUTOPILOT).rows))[-CLEAR_FRAMES:]
@@ -310,13 +291,10 @@ class LinkDecoder:
         """Where a vehicle's autopilot, or another sender, is heard from; None on a link with one other end."""
         return self.decoder.heard.source(sysid << 8 | compid)
 
-    def intruder(self, sysid: int) -> Intruder | None:
-        """Who else sends as a vehicle's autopilot; None if nobody does."""
-        return self.decoder.heard.intruder(sysid << 8 | AUTOPILOT)
-
-    def impostor(self, sysid: int) -> Intruder | None:
-        """Who sends in our name as a vehicle's on-board computer; None if nobody does."""
-        return self.decoder.heard.impostors.get(sysid << 8 | Component.ONBOARD_COMPUTER)
+    def strangers(self, sysid: int) -> tuple[Intruder | None, Intruder | None]:
+        """Who else sends as a vehicle's autopilot, and who in our name as its on-board computer; None for nobody."""
+        heard, ours = self.decoder.heard, sysid << 8 | Component.ONBOARD_COMPUTER
+        return heard.intruder(sysid << 8 | AUTOPILOT), heard.impostors.get(ours)
 
     def give_up(self, sysid: int) -> None:
         """Let others be a vehicle's on-board computer."""

@@ -19,10 +19,10 @@ from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError
 from mavdiag.link.codec import NO_FRAMES, STAMP_BYTES, Decoder, Frame, Frames
 from mavdiag.link.messages import MessageId
+from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Evidence, detect_profile, profile_named, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState, joined
 from mavdiag.link.sequence import FRAME, LinkCount
-from mavdiag.link.vehicles import parameters_in
 from mavdiag.logs.log import TLOG_BYTES, LogKind, opened, windows_of
 from mavdiag.storage import Column, forget
 from mavdiag.telemetry import Log, Telemetry
@@ -213,8 +213,7 @@ def _converted(path: Path, pieces: list[_Piece], sysid: int, decoder: SampleDeco
             rows[_KEPT] = kept
             forget(kept)
             own = Frames(data, rows).by_sysid()
-            state, telemetry = decoder.step(state, own.get(sysid, NO_FRAMES))
-            yield telemetry
+            yield decoder.step(state, own.get(sysid, NO_FRAMES))
 
 
 def _names(sysids: Iterable[int]) -> str:

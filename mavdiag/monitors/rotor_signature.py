@@ -30,7 +30,7 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import Method
 from mavdiag.identify import fit as identify
-from mavdiag.identify.model import ModelRecord
+from mavdiag.identify.arx import ModelRecord
 from mavdiag.jit import cached, jit, summing
 from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence, parted
 from mavdiag.monitors.columns import COMMANDED, FORCE, LEVEL, OUTPUTS, SOUND, THRUST, TRACE, VALUE, Floats, Ints, U, Y

@@ -16,7 +16,7 @@ import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import ArxModel, fit
-from mavdiag.identify.model import ModelRecord
+from mavdiag.identify.arx import ModelRecord
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, parted
 from mavdiag.monitors.columns import COMMANDED, GYRO, LEVEL, RESIDUAL, SOUND, TRACE, VALUE, Floats, Ints, U, Y

@@ -47,7 +47,9 @@ def median_step(times: Sequence[IntArray]) -> float:
 
 def usual_step(steps: FloatArray) -> float:
     """Mean of the steps within 25 % of their median, so that losses do not stretch it; of all if there are none."""
-    median = float(np.median(steps))
+    half = len(steps) // 2
+    middle = np.partition(steps, (half, ~half))  # `numpy.median` takes ten times as long for some hundred
+    median = 0.5 * float(middle[half] + middle[~half])
     usual = steps[np.abs(steps - median) <= UNIFORM * median]
     return float(np.mean(usual if len(usual) else steps))
 

@@ -15,7 +15,8 @@ from typing import Literal, TypeAlias
 
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
-from sitl_plant.autopilot.dialect import FAULT, SEVERITY, Dialect, Encoding, Mode, Parameters
+from mavdiag.link.parameters import Encoding, Parameters
+from sitl_plant.autopilot.dialect import FAULT, SEVERITY, Dialect, Mode
 from sitl_plant.autopilot.mission import HANDLED, Mission
 from sitl_plant.autopilot.pilot import Pilot, Place, Waypoint
 from sitl_plant.autopilot.schedule import Schedule
@@ -102,7 +103,6 @@ class Autopilot:
         return actions, orders
 
     def _handle(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        parameters = self._parameters
         match frame.msgid:
             case MessageId.COMMAND_LONG | MessageId.COMMAND_INT:
                 order = order_of(frame)
@@ -112,12 +112,10 @@ class Autopilot:
                 return [_ack(link, frame, frame.msgid, self._pilot.set_mode(integer(frame, "custom_mode")))]
             case MessageId.SET_POSITION_TARGET_LOCAL_NED | MessageId.SET_POSITION_TARGET_GLOBAL_INT:
                 follow_set_point(self._pilot, frame, self._yaw)
-            case MessageId.PARAM_REQUEST_LIST:
-                return parameters.all(link)
-            case MessageId.PARAM_REQUEST_READ:
-                return parameters.read(link, frame)
-            case MessageId.PARAM_SET:
-                return parameters.set(link, frame)
+            case MessageId.PARAM_REQUEST_LIST | MessageId.PARAM_REQUEST_READ | MessageId.PARAM_SET:
+                if frame.msgid == MessageId.PARAM_SET:
+                    self._parameters.change(*self._parameters.wanted(frame))
+                return [Reply(link, MessageId.PARAM_VALUE, fields) for fields in self._parameters.told(frame)]
             case MessageId.TIMESYNC if not number(
                 frame, "tc1"
             ):  # a request gets its ts1 back beside the vehicle's time

@@ -5,102 +5,23 @@ emulator departs from them, so that it is useful without being asked, the row sa
 number of a mode (AP_Mode); PX4 packs a main mode into byte 2 and a sub mode into byte 3 (px4_custom_mode.h).
 """
 
-import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from enum import IntEnum, StrEnum
+from enum import StrEnum
 from typing import NamedTuple
 
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.errors import UsageError
-from mavdiag.link.codec import Frame
 from mavdiag.link.messages import MavResult, MessageId
+from mavdiag.link.parameters import Encoding, Kind, Parameter
 from mavdiag.link.profiles import PROFILES, Profile, profile_named
 from sitl_plant.autopilot.schedule import Schedule
-from sitl_plant.autopilot.wire import Action, Reply, integer, number
 from sitl_plant.vehicle import Vehicle, airframe_of
 
 ESC_GROUP = 4  # rotors in one message of their speeds
 FRAME_CLASSES, FRAME_TYPES = {4: 1, 6: 2, 8: 3}, (0, 1)  # ArduPilot: quad, hexa, octa; plus, X
 # Parameters of the emulator's own: the propeller that INJECT_FAILURE damages, and 1 to turn the nose along a line.
 FAULT, SEVERITY, NOSE = "SIM_PROP_FAULT", "SIM_PROP_SEV", "SIM_NOSE"
-
-
-class Encoding(StrEnum):
-    """How an integer travels in a float field."""
-
-    CAST = "cast"  # its value: ArduPilot
-    BYTES = "bytes"  # its four bytes: PX4
-    FLOAT = "float"  # not at all: every parameter is a float
-
-
-class Kind(IntEnum):
-    """MAV_PARAM_TYPE, as far as used."""
-
-    INT8 = 2
-    INT16 = 4
-    INT32 = 6
-    REAL32 = 9
-
-
-class Parameter(NamedTuple):
-    """One parameter. span: the lowest and highest value that it may be set to; None if it cannot be set."""
-
-    name: str
-    value: float
-    kind: Kind = Kind.REAL32
-    span: tuple[float, float] | None = None
-
-
-class Parameters:
-    """The parameters of one vehicle, by the MAVLink parameter protocol; the answer is always the value in force."""
-
-    def __init__(self, rows: Sequence[Parameter], encoding: Encoding = Encoding.CAST) -> None:
-        kind = {Encoding.BYTES: Kind.INT32, Encoding.FLOAT: Kind.REAL32}.get(encoding)
-        self._bytewise, self._whole = encoding is Encoding.BYTES, {r.name for r in rows if r.kind is not Kind.REAL32}
-        self._rows = {row.name: row._replace(kind=kind) if kind and row.name in self._whole else row for row in rows}
-
-    def value(self, name: str, default: float = 0.0) -> float:
-        """The value in force; the default for a name that there is not."""
-        return self._rows[name].value if name in self._rows else default
-
-    def change(self, name: str, value: float) -> bool:
-        """Whether a value was taken: the name is known, can be set, and the value is within its span."""
-        row = self._rows.get(name)
-        if row is None or row.span is None or not row.span[0] <= value <= row.span[1]:
-            return False
-        self._rows[name] = row._replace(value=float(round(value)) if name in self._whole else value)
-        return True
-
-    def all(self, link: int) -> list[Action]:
-        """The answer to PARAM_REQUEST_LIST."""
-        return [action for name in self._rows for action in self._told(link, name)]
-
-    def read(self, link: int, frame: Frame) -> list[Action]:
-        """The answer to PARAM_REQUEST_READ, by index or by name; nothing for an unknown one."""
-        index = integer(frame, "param_index")
-        names = [frame.text("param_id")] if index < 0 else list(self._rows)[index : index + 1]
-        return self._told(link, *names)
-
-    def set(self, link: int, frame: Frame) -> list[Action]:
-        """The answer to PARAM_SET; nothing for an unknown name."""
-        name, value = frame.text("param_id"), number(frame, "param_value")
-        if name in self._rows:
-            kind = self._rows[name].kind
-            if self._bytewise and kind is not Kind.REAL32:
-                value = float(struct.unpack_from("<i", frame.payload)[0])  # param_value is first on the wire
-            if not self._bytewise or integer(frame, "param_type") == kind:
-                self.change(name, value)
-        return self._told(link, name)
-
-    def _told(self, link: int, name: str = "") -> list[Action]:
-        if name not in self._rows:
-            return []
-        row, place = self._rows[name], list(self._rows).index(name)
-        value = row.value
-        if self._bytewise and row.kind is not Kind.REAL32:
-            value = struct.unpack("<f", struct.pack("<i", round(value)))[0]
-        return [Reply(link, MessageId.PARAM_VALUE, (name, value, row.kind, len(self._rows), place))]
 
 
 OWN_PARAMETERS = (

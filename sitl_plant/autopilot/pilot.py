@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mavdiag.link.messages import MavResult
-from sitl_plant.autopilot.dialect import NOSE, SPEED_MOST, Dialect, Mode, Parameters
+from mavdiag.link.parameters import Parameters
+from sitl_plant.autopilot.dialect import NOSE, SPEED_MOST, Dialect, Mode
 from sitl_plant.physics import trajectory
 from sitl_plant.physics.dynamics import wrapped
 from sitl_plant.physics.trajectory import CLIMB_M_S, DISARMED, FLYING, IDLE, Leg

@@ -70,8 +70,7 @@ class TelemetryStream:
         rows, t_ns = np.concatenate(found), np.concatenate(times)
         order = np.argsort(rows["host_ns"], kind="stable")
         frames = Frames(np.frombuffer(b"".join(payloads), np.uint8), rows[order])
-        self._state, telemetry = self._decoder.step(self._state, frames, t_ns[order])
-        return telemetry
+        return self._decoder.step(self._state, frames, t_ns[order])
 
 
 def flight_telemetry(config: PlantConfig, duration_s: float, link: LinkSpec = LinkSpec()) -> tuple[Telemetry, float]:

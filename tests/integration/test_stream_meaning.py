@@ -53,7 +53,7 @@ def decoded(profile: str) -> list[Frame]:
 
 
 def telemetry(profile: str) -> Telemetry:
-    return SampleDecoder(PROFILES[profile]).step(SampleState(), decoded(profile))[1]
+    return SampleDecoder(PROFILES[profile]).step(SampleState(), decoded(profile))
 
 
 def values_of(frames: Sequence[Frame], msgid: int, *names: str) -> FloatArray:
@@ -164,7 +164,7 @@ def frames_of(config: PlantConfig, profile: str, rate_hz: float, seconds: float 
 
 
 def telemetry_of(frames: list[Frame], profile: str) -> Telemetry:
-    return SampleDecoder(PROFILES[profile]).step(SampleState(), frames)[1]
+    return SampleDecoder(PROFILES[profile]).step(SampleState(), frames)
 
 
 @pytest.mark.parametrize(("profile", "rate_hz"), LINKS)

@@ -9,9 +9,8 @@ from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.layout import Argument
 from mavdiag.link.messages import Autopilot as Maker
 from mavdiag.link.messages import MessageId
-from mavdiag.link.vehicles import parameters_in
-from sitl_plant.autopilot.dialect import Encoding, Kind, Parameter, Parameters, dialect_named
-from sitl_plant.autopilot.wire import Reply
+from mavdiag.link.parameters import Encoding, Kind, Parameter, Parameters, parameters_in
+from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.vehicle import airframe_of, shipped_vehicles, vehicle_named
 
 PLANT = (1, 1)
@@ -22,19 +21,22 @@ def frame(msgid: int, *fields: Argument) -> Frame:
     return Decoder().feed(Encoder(255, 190).encode(msgid, *PLANT, *fields), 0)[0]
 
 
-def told(actions: list[object]) -> list[tuple[Argument, ...]]:
-    return [action.fields for action in actions if isinstance(action, Reply)]
+def told(one: Parameters, msgid: int, *fields: Argument) -> list[tuple[Argument, ...]]:
+    asked = frame(msgid, *fields)
+    if msgid == MessageId.PARAM_SET:
+        one.change(*one.wanted(asked))
+    return one.told(asked)
 
 
 @pytest.mark.parametrize("encoding", list(Encoding))
 def test_all_are_listed_and_each_is_read_by_name_or_index(encoding: Encoding) -> None:
     one = Parameters(ROWS, encoding)
-    every, count = told([*one.all(0)]), 9 if encoding is Encoding.FLOAT else 6
+    every, count = told(one, MessageId.PARAM_REQUEST_LIST), 9 if encoding is Encoding.FLOAT else 6
     assert [(row[0], *row[2:]) for row in every] == [("FIXED", 9, 3, 0), ("COUNT", count, 3, 1), ("SPEED", 9, 3, 2)]
-    assert told([*one.read(0, frame(MessageId.PARAM_REQUEST_READ, "COUNT", -1))]) == every[1:2]
-    assert told([*one.read(0, frame(MessageId.PARAM_REQUEST_READ, "", 2))]) == every[2:]
+    assert told(one, MessageId.PARAM_REQUEST_READ, "COUNT", -1) == every[1:2]
+    assert told(one, MessageId.PARAM_REQUEST_READ, "", 2) == every[2:]
     for name, index in (("NO_SUCH", -1), ("", 3)):
-        assert one.read(0, frame(MessageId.PARAM_REQUEST_READ, name, index)) == []
+        assert told(one, MessageId.PARAM_REQUEST_READ, name, index) == []
 
 
 @pytest.mark.parametrize("encoding", list(Encoding))
@@ -56,10 +58,10 @@ def test_a_set_is_checked_and_answered_by_the_value_in_force(
     sent = (
         struct.unpack("<f", struct.pack("<i", round(value)))[0] if encoding is Encoding.BYTES and kind == 6 else value
     )
-    [answer] = told([*one.set(0, frame(MessageId.PARAM_SET, name, sent, kind))])
+    [answer] = told(one, MessageId.PARAM_SET, name, sent, kind)
     assert one.value(name) == in_force
     assert answer[0] == name
-    assert answer == told([*one.read(0, frame(MessageId.PARAM_REQUEST_READ, name, -1))])[0]
+    assert answer == told(one, MessageId.PARAM_REQUEST_READ, name, -1)[0]
 
 
 @pytest.mark.parametrize("profile", ["ardupilot", "px4"])
@@ -67,7 +69,9 @@ def test_a_set_is_checked_and_answered_by_the_value_in_force(
 def test_the_geometry_that_is_told_is_the_vehicles(profile: str, name: str) -> None:
     dialect, vehicle = dialect_named(profile), vehicle_named(name)
     one = Parameters(dialect.parameters_of(vehicle), dialect.encoding)
-    sent = [Encoder(*PLANT).encode(MessageId.PARAM_VALUE, *fields) for fields in told([*one.all(0)])]
+    sent = [
+        Encoder(*PLANT).encode(MessageId.PARAM_VALUE, *fields) for fields in told(one, MessageId.PARAM_REQUEST_LIST)
+    ]
     frames = [Decoder().feed(data, 0)[0] for data in sent]
     found = layout_from_parameters(parameters_in(frames, Maker.PX4 if profile == "px4" else Maker.ARDUPILOTMEGA))
     own = airframe_of(vehicle, name).layout

@@ -163,6 +163,7 @@ def made_files(monkeypatch: pytest.MonkeyPatch) -> None:
         return flown(seed, MONDAY + DAY, reset(seed, 1600) if path.suffix == ".hover" else None)
 
     monkeypatch.setattr("mavdiag.commands.identify.read_part", read)
+    monkeypatch.setattr("mavdiag.commands.progress.SLOW_S", 1e6)  # nothing is said of a slow machine
 
 
 def test_the_command_adds_flights(mavdiag: Callable[..., Ran], tmp_path: Path) -> None:

@@ -17,11 +17,17 @@ from shared_data import shared
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method, ModelRecord, Order, fit
 from mavdiag.identify.arx import Records, Segment, polynomials
-from mavdiag.identify.estimate import ORDERS, best_row, sweep
-from mavdiag.identify.lab.comparison import estimate_response, model_response, track
-from mavdiag.identify.lab.figures import ModelFigures, model_figures
+from mavdiag.identify.estimate import (
+    ORDERS,
+    best_row,
+    examine_residual,
+    nrmse_percent,
+    one_step_report,
+    sweep,
+    validate,
+)
+from mavdiag.identify.lab import ModelFigures, estimate_response, model_figures, model_response, track
 from mavdiag.identify.sriv import sriv
-from mavdiag.identify.validate import examine_residual, nrmse_percent, one_step_report, validate
 from mavdiag.rows.savgol import coefficients
 from mavdiag.telemetry import FloatArray
 

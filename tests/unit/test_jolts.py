@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavdiag.identify.model import Method, ModelRecord
+from mavdiag.identify.arx import Method, ModelRecord
 from mavdiag.monitors.rotor_signature import HealthyMotion, residuals_of
 from mavdiag.rows.windows import forgetting
 from mavdiag.telemetry import FloatArray

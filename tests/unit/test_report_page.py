@@ -23,7 +23,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.errors import InputError
 from mavdiag.face import rates
 from mavdiag.identify import Method, fit
-from mavdiag.identify.validate import validate
+from mavdiag.identify.estimate import validate
 from mavdiag.judging import LogVerdict, Verdict
 from mavdiag.look.figures import spectrum_of
 from mavdiag.report.campaign import parse_campaign, read_campaign, roc_of

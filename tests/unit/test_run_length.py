@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import Method
-from mavdiag.identify.model import ModelRecord
+from mavdiag.identify.arx import ModelRecord
 from mavdiag.monitors import innovation
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.innovation import Innovation, InnovationSpec

@@ -31,7 +31,7 @@ class Vehicle:
 
 
 def telemetry_of(frames: list[Frame], profile: str = "qdrone2") -> Telemetry:
-    return SampleDecoder(PROFILES[profile]).step(SampleState(), frames)[1]
+    return SampleDecoder(PROFILES[profile]).step(SampleState(), frames)
 
 
 def counts(frames: list[Frame]) -> Counter[int]:
@@ -148,7 +148,8 @@ def flight(reboot: bool = False) -> list[Frame]:
 
 
 def test_all_streams_pass_a_reboot_together() -> None:
-    state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), flight(reboot=True))
+    state = SampleState()
+    telemetry = SampleDecoder(PROFILES["qdrone2"]).step(state, flight(reboot=True))
     assert state.timeline.reboots == 1
     setpoint, imu = telemetry.need(Signal.ATTITUDE_SETPOINT), telemetry.need(Signal.BODY_RATE)
     assert len(setpoint) == len(imu) == 198  # the first ones after it only show the new clock
@@ -166,10 +167,8 @@ def test_b7_outputs_lie_on_the_time_of_the_imu_after_80_minutes() -> None:
         frames.append(vehicle.frame(MessageId.SERVO_OUTPUT_RAW, 1000 * ms % (1 << 32), 0, 1500 + k))
         frames.append(vehicle.frame(MessageId.RAW_IMU, 1000 * ms, 1, 2, 3))
     for size in (1, 2, 7, 100):
-        decoder, state, pieces = SampleDecoder(PROFILES["qdrone2"]), SampleState(), []
-        for k in range(0, len(frames), size):
-            state, piece = decoder.step(state, frames[k : k + size])
-            pieces.append(piece)
+        decoder, state = SampleDecoder(PROFILES["qdrone2"]), SampleState()
+        pieces = [decoder.step(state, frames[k : k + size]) for k in range(0, len(frames), size)]
         imu, outputs = (joined(pieces).need(signal) for signal in (Signal.BODY_RATE, Signal.ACTUATOR))
         assert outputs.t_ns.tolist() == imu.t_ns[1:].tolist()  # the first came before any time was known
         np.testing.assert_allclose(outputs.values[:, 0], 0.5 + 1e-3 * np.arange(1, 50))
@@ -232,7 +231,7 @@ def test_a_message_is_added_by_one_row() -> None:
     row = Source(MessageId.ATTITUDE_QUATERNION, (Part(Signal.ATTITUDE, "q1", Form.ANGLES),), ("time_boot_ms", MS_32))
     frame = Vehicle().frame(MessageId.ATTITUDE_QUATERNION, 5, *quaternion(0.1, 0.2, 0.3).tolist())
     decoder = SampleDecoder(PROFILES["qdrone2"], table=(*SOURCES, row))
-    _, telemetry = decoder.step(SampleState(), [frame])
+    telemetry = decoder.step(SampleState(), [frame])
     np.testing.assert_allclose(telemetry["attitude"].values, [[0.1, 0.2, 0.3]], atol=1e-6)
 
 

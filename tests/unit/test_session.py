@@ -20,6 +20,7 @@ from made_session import Story, baseline_for, outcome_of
 from detector.alerts import label_of
 from detector.config import SessionSettings, Settings
 from detector.fitting import FittingJob, ProcessFitter
+from detector.fleet import Fleet, Vehicle
 from detector.judging import Judge, chain_for
 from detector.negotiate import HELD_S, Negotiation
 from detector.session import FITS, Session
@@ -431,6 +432,15 @@ def test_h5_a_link_that_stalls_changes_no_rate() -> None:
 
 
 TICK_S = 0.04
+
+
+@pytest.mark.parametrize(("vehicles", "looks"), [(0, 1), (33, 1), (34, 2), (66, 2), (67, 3), (100, 3), (255, 3)])
+def test_a_turn_brings_more_looks_where_there_are_many_vehicles_but_none_comes_later_than_0_2_s(
+    vehicles: int, looks: int
+) -> None:
+    fleet = Fleet(lambda sysid, profile: None, profile=None, only=None, datagrams=True)
+    fleet.vehicles = dict.fromkeys(range(vehicles), Vehicle(SessionSpec(PROFILES["qdrone2"]), Instant(0)))
+    assert fleet.looks == looks
 
 
 def test_only_its_own_process_is_ended() -> None:

@@ -15,10 +15,11 @@ from mavdiag.errors import InputError
 from mavdiag.link.codec import Decoder, Encoder, message_name
 from mavdiag.link.link import Link
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
+from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import PROFILES, scale_doubt
 from mavdiag.link.scale import gyro_checks
 from mavdiag.link.sequence import FRAME, HEARD, SENDERS_MAX, Intruder, Senders, Source
-from mavdiag.link.vehicles import Ack, Command, LinkDecoder, command_in, parameters_in
+from mavdiag.link.vehicles import Ack, Command, LinkDecoder, command_in
 from mavdiag.logs.tlog import tlog_record, vehicle_stream
 from mavdiag.telemetry import FloatArray, Series, Signal
 from mavdiag.units import DEG, NS_PER_S

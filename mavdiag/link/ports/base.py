@@ -16,7 +16,7 @@ from typing import TypeAlias
 
 from mavdiag.errors import LinkError
 
-Chunk: TypeAlias = tuple[bytes, int]  # the bytes as they came, and the host clock [ns] when they were read
+Chunk: TypeAlias = tuple[bytes, int]  # the bytes as they came, and the host clock [ns] when they came, or were read
 SocketAddress: TypeAlias = tuple[str | int | bytes, ...]  # as the socket module resolves it
 
 # An endpoint that lost its peer or device looks for it, while it is polled: after the first time, then after twice as

@@ -4,9 +4,11 @@ A flood hides nobody that `udpin` trusts: a trusted peer gets a socket of its ow
 of its own, for the kernel prefers a connected socket. The strangers share what is left: so many datagrams a second are
 read, and the rest overflows in the kernel, unread.
 
-Datagrams are read many at a time, by recvmmsg(2): a call for each one of them takes most of a receiver's time.
+Datagrams are read many at a time, by recvmmsg(2): a call for each one of them takes most of a receiver's time. The
+kernel says when each arrived: a reader that was held up for seconds does not take them for a burst.
 """
 
+import contextlib
 import ctypes
 import os
 import socket
@@ -15,11 +17,11 @@ import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import lru_cache
-from itertools import repeat
 
 import numpy as np
 
 from mavdiag.link.ports.base import Chunk, Endpoint, SocketAddress, link_error
+from mavdiag.units import NS_PER_S
 
 PEERS_MAX = 32  # peers that udpin answers; a further one is received but not answered while all of these are fresh
 PEER_FRESH_S = 10.0  # a peer that was silent for so long is forgotten
@@ -45,6 +47,10 @@ _HEADER = np.dtype(
     ],
     align=True,
 )
+# <linux/socket.h>, struct cmsghdr, with the timespec of a time stamp behind it.
+_STAMP = np.dtype([("size", "P"), ("level", "i4"), ("kind", "i4"), ("s", "i8"), ("ns", "i8")])
+_SO_TIMESTAMPNS_NEW = 64  # <asm-generic/socket.h>, since Linux 5.1
+_STALL_NS = 60 * NS_PER_S  # no reader is held up for longer; the wall clock was set (our choice)
 _receive_many = ctypes.CDLL(None, use_errno=True).recvmmsg
 
 
@@ -55,22 +61,30 @@ class _Mailbag:
         self._data = np.empty((AT_ONCE, _ROOM), np.uint8)  # what is not touched costs nothing
         self._names = np.zeros((AT_ONCE, _NAME_BYTES), np.uint8)
         self._places = np.array([(row.ctypes.data, _ROOM) for row in self._data], np.uintp)
-        self._headers = np.zeros(AT_ONCE, _HEADER)
+        self._stamps, self._headers = np.zeros(AT_ONCE, _STAMP), np.zeros(AT_ONCE, _HEADER)
         self._headers["name"] = [row.ctypes.data for row in self._names]
         self._headers["places"] = [row.ctypes.data for row in self._places]
         self._headers["place_count"] = 1
+        self._headers["control"] = self._stamps.ctypes.data + _STAMP.itemsize * np.arange(AT_ONCE)
 
-    def take(self, fileno: int, most: int) -> tuple[list[bytes], list[SocketAddress]]:
-        """What is there, at most so many, and the sender of each. Raises OSError."""
-        self._headers["name_bytes"] = _NAME_BYTES
+    def take(self, fileno: int, most: int) -> tuple[list[bytes], list[int], list[SocketAddress]]:
+        """What is there, at most so many; when each arrived, host clock [ns], and its sender. Raises OSError."""
+        self._headers["name_bytes"], self._headers["control_bytes"] = _NAME_BYTES, _STAMP.itemsize
         place = ctypes.c_void_p(self._headers.ctypes.data)
         count = _receive_many(fileno, place, min(most, AT_ONCE), socket.MSG_DONTWAIT, None)
         if count < 0:
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
         sizes, data = self._headers["size"][:count].tolist(), self._data.data.cast("B")
-        names = self._names[:count].tobytes()
         pieces = [bytes(data[at : at + size]) for at, size in zip(range(0, count * _ROOM, _ROOM), sizes, strict=True)]
-        return pieces, [_peer(names[at : at + _NAME_BYTES]) for at in range(0, len(names), _NAME_BYTES)]
+        now_ns, stamps = time.monotonic_ns(), self._stamps[:count]
+        clocks_ns = max(time.monotonic_ns() - time.time_ns() for _ in range(3))  # held up in between, it is less
+        arrived_ns = NS_PER_S * stamps["s"] + stamps["ns"] + clocks_ns
+        arrived_ns[self._headers["control_bytes"][:count] < _STAMP.itemsize] = now_ns  # an older kernel
+        arrived_ns[arrived_ns < now_ns - _STALL_NS] = now_ns
+        times, names = np.minimum(arrived_ns, now_ns).tolist(), self._names[:count]
+        if (names == names[:1]).all():  # as on most links
+            return pieces, times, [_peer(name.tobytes()) for name in names[:1]] * count
+        return pieces, times, [_peer(name.tobytes()) for name in names]
 
 
 @lru_cache(maxsize=1024)
@@ -118,8 +132,8 @@ class _Udp(Endpoint):
         """Take what is there, as far as so many units allow; returns how many are left."""
         try:
             while units >= 1.0:
-                taken, peers = self._mail.take(link.fileno(), int(units))
-                chunks += zip(taken, repeat(time.monotonic_ns()))
+                taken, times, peers = self._mail.take(link.fileno(), int(units))
+                chunks += zip(taken, times, strict=True)
                 self._note_senders(dict.fromkeys(peers))
                 sources += peers
                 units -= len(taken) + sum(map(len, taken)) // UNIT_BYTES
@@ -272,6 +286,8 @@ def _account(link: socket.socket) -> tuple[int, ...]:
 def _udp_socket(family: socket.AddressFamily) -> socket.socket:
     link = socket.socket(family, socket.SOCK_DGRAM)
     link.setblocking(False)
+    with contextlib.suppress(OSError):
+        link.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS_NEW, 1)
     try:
         link.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER_BYTES)
     except PermissionError:
