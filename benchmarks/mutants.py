@@ -27,7 +27,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # files, and the 
     ),
     "monitors": (
         ("mavdiag/monitors",),
-        ("unbalance", "rotor_trim", "rotor_signature", "run_length", "sensor_monitors", "jolts"),
+        ("unbalance", "trim", "trim_step", "rotor_trim", "rotor_signature", "run_length", "sensor_monitors", "jolts"),
     ),
 }
 UNCOMPILED = ("monitors",)  # else each mutant is compiled anew, which takes a minute of processor time

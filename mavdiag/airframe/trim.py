@@ -19,10 +19,13 @@ from mavdiag.errors import InputError
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
+from mavdiag.units import G
 
 YAW_FLOOR = 0.002  # of the hover command: smallest yaw spread that is believed (our choice)
 LEVEL_RATIO = 3.0  # least spread of roll and pitch over yaw's: payload and wind move them; METHOD 5 has .07 to .012
 TILT_TRIM = 0.3  # 1/rad: roll and pitch trim that a steady tilt in wind may bring (estimate; emulated: 0.28)
+ALONG_DISCS = slice(0, 2)  # x and y of the accelerometer
+FELT_SHARE = 0.99  # of the rows that must have them (our choice)
 MOST_LOSS = 1 / 3  # of a rotor's thrust; with less left no output can answer (our choice)
 MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)
 
@@ -66,26 +69,22 @@ def source_among(shown: Sequence[BoolArray], layout: RotorLayout) -> Source:
 
 def trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
     """Roll, pitch and yaw trim of each row, (n, 3) [fraction of hover], and where it may be used; zero elsewhere."""
-    return block.once((source, layout), lambda: (_by_outputs if source == "actuator" else _by_torques)(block, layout))
+    return block.once((source, layout), lambda: _trim(block, layout, source))
 
 
-def _by_outputs(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray]:
-    outputs = block.actuator[:, : layout.rotors]  # further outputs move no rotor, and may be unknown
-    if outputs.shape[1] < layout.rotors:
-        return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
-    level = np.add.reduce(outputs, axis=1) / layout.rotors
-    known = block.valid & block.known(Signal.ACTUATOR, slice(0, layout.rotors)) & (level > MIN_OUTPUT)
-    relative = np.divide(outputs, level[:, None], out=np.ones(outputs.shape), where=known[:, None])
-    return np.einsum("kr,nr->nk", layout.unmixing, relative - 1.0), known
-
-
-def _by_torques(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray]:
-    """B m = w is what the mixer adds to the thrust, so m is the command itself, over the thrust."""
-    if layout.torque_gain is None:
-        return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
-    known = block.valid & block.known(Signal.TORQUE_COMMAND) & (block.thrust > MIN_OUTPUT)
-    command = block.torque * np.array(layout.torque_gain)
-    return np.divide(command, block.thrust[:, None], out=np.zeros((len(block), 3)), where=known[:, None]), known
+def _trim(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
+    own, C, trim = slice(0, layout.rotors), layout.unmixing, np.zeros((len(block), 3))
+    if source == "actuator" and block.actuator.shape[1] >= layout.rotors:
+        outputs, known = block.actuator[:, own], block.known(Signal.ACTUATOR, own)  # others move no rotor
+        level = np.add.reduce(outputs, axis=1) / layout.rotors
+        command = np.einsum("kr,nr->nk", C, outputs - level[:, None])
+    elif source == "torque" and layout.torque_gain is not None:  # what the mixer adds to the thrust is B m
+        level, known = block.thrust, block.known(Signal.TORQUE_COMMAND)
+        command = block.torque * np.array(layout.torque_gain)
+    else:
+        return trim, np.zeros(len(block), dtype=np.bool_)
+    known = known & block.valid & (level > MIN_OUTPUT)
+    return np.divide(command, level[:, None], out=trim, where=known[:, None]), known
 
 
 def shown_trim(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray]:
@@ -94,16 +93,24 @@ def shown_trim(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray
     return (trim, known) if known.any() else trim_of(block, layout, "torque")
 
 
-def tilt_of(block: Block) -> FloatArray:
-    """Commanded roll and pitch of each row, (n, 2) [rad]; zero where unknown."""
+def felt_share(flight: Sequence[Rows]) -> float:
+    """The share of the valid rows of a flight whose accelerometer is known along the discs."""
+    felt = [rows.block.known(Signal.SPECIFIC_FORCE, ALONG_DISCS)[rows.block.valid] for rows in flight]
+    return float(np.concatenate(felt).mean()) if any(map(len, felt)) else 0.0
+
+
+def pull_of(block: Block, felt: bool) -> FloatArray:
+    """What pulls along the discs, as roll and pitch, (n, 2) [9.81 m/s^2]: felt, or the commanded lean, 0 if unknown."""
+    if felt:
+        return np.asarray(block.force[:, 1::-1] / (-G, G), dtype=np.float64)
     return np.where(block.setpoint_valid[:, None], block.setpoint[:, :2], 0.0)
 
 
-def spread_of(shifts: FloatArray) -> Three:
-    """Root mean squares of healthy shifts, (n, 3); yaw's is widened, the others' are at least three times it."""
+def spread_of(shifts: FloatArray, ratio: float = LEVEL_RATIO) -> Three:
+    """Root mean squares of healthy shifts, (n, 3); yaw's is widened, the others' are at least so many times it."""
     roll, pitch, yaw = np.sqrt(np.mean(np.square(shifts), axis=0)).tolist()
     yaw = float(np.hypot(yaw, YAW_FLOOR))
-    return max(roll, LEVEL_RATIO * yaw), max(pitch, LEVEL_RATIO * yaw), yaw
+    return max(roll, ratio * yaw), max(pitch, ratio * yaw), yaw
 
 
 def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from mavdiag.printable import printable
 from mavdiag.rows import gate as gates
 from mavdiag.rows.grid import Grid
 from mavdiag.thresholds.envelope import ORDER, limits_of
-from mavdiag.units import NS_PER_MS
+from mavdiag.units import NS_PER_MS, G
 
 DT_S = 0.05  # between rows: slower ones do not tell lost thrust, and a call costs little (our choice)
 WINDOW = Window(samples=5, order=2)  # of rates that no monitor of the applet reads
@@ -82,6 +82,7 @@ def applet(baseline: Baseline, table_key: int = TABLE_KEY) -> str:
         loss=thrust_loss,
         trims=trims,
         turning=rotor_trim.TURN_TRIM,
+        gravity=G,
         infinity=math.inf,
         decision=(kernel.CALM_BELOW, *spans_ms, kinds.NAME_AT, kinds.UPSET_FROM, kinds.SILENT_BELOW),
         quiet=(gates.QUIET_RAD_S, *(round(span_s * 1000) for span_s in spans_s)),

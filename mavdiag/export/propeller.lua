@@ -18,11 +18,12 @@ local B = { -- trims are fractions of hover, by roll, pitch and yaw
 {% if name != "rotor_trim" %}
     window = {{ par[name][0] }}, -- rows
 {% else %}
-    parts = {{ par[name][2] }}, rows = {{ par[name][3] }}, window = {{ par[name][5] }}, -- of a tick; of a part; ticks
+    parts = {{ par[name][3] }}, rows = {{ par[name][4] }}, window = {{ par[name][6] }}, -- of a tick; of a part; ticks
     mean = {{ entry.spec.mean }}, -- of healthy flights
     spread = {{ entry.spec.spread }},
     turn = {{ entry.spec.turn }}, -- yaw trim by yaw rate [1/(rad/s)], its slope [1/(rad/s^2)], and less by its own [s]
-    turn_trim = {{ turning }}, tilt_trim = {{ trims.TILT_TRIM }}, -- of a tick that counts half; by lean [1/rad]
+    pull = {{ entry.spec.pull }}, pull_sd = {{ entry.spec.pull_sd }}, -- roll and pitch trim by pull [1/rad]
+    felt = {{ entry.spec.felt | int }}, turn_trim = {{ turning }}, -- by the accelerometer; of a tick that counts half
     least = {{ trims.MIN_OUTPUT }}, sums = {{ entry.spec.layout.unmixing.sum(axis=1) }}, -- mean output, 0..1
     unmix = {{ entry.spec.layout.unmixing }}, -- trim by output
     weight = {{ evidence[name].weight }}, unit = {{ evidence[name].least }}, -- [logits] by what shows a rotor; unit
@@ -160,8 +161,8 @@ local function judge_thrust(row)
   record(loss, rate < L.tumbling and max(min(lost, L.per_rad_s * rate), 0.0) or 0.0, 0.0)
 end
 
--- Rotor trim. A part has means of roll, pitch and yaw trim, lean and yaw rate, then what a turn takes; the first two
--- are the last ones of the tick before. A tick has medians of its parts without what a turn takes, times its weight.
+-- Rotor trim. A part has means of roll, pitch and yaw trim, pull and yaw rate, then what a turn takes; the first two
+-- are the last ones of the tick before. A tick has medians of its parts less what pull and turn take, by its weight.
 local T = B.rotor_trim or {parts = 0, window = 0}
 local parts, ticks, scratch, shift, now, first = filled(T.parts + 2, NAN, 7), filled(T.window, 0.0, 6), {}, {}, {}, {}
 local part, rows, known, moved, tick, tick_run, weight = 1, 0, 0, false, 0, 0, 0.0
@@ -174,6 +175,7 @@ local function take_trim(row) -- [fraction of hover]
     now[axis] = level > T.least * R and sum * R / level - T.sums[axis] or NAN
   end
   now[4], now[5], now[6] = finite(row.roll) and row.roll or 0.0, finite(row.pitch) and row.pitch or 0.0, row.r
+  if T.felt == 1 then now[4], now[5] = -row.fy / {{ gravity }}, row.fx / {{ gravity }} end
 end
 local function take_tick(whole)
   local most, n = 0.0, T.parts
@@ -187,17 +189,21 @@ local function take_tick(whole)
   local own, one = 1.0 / (1.0 + (most / T.turn_trim) ^ 2), ticks[tick % T.window + 1]
   one[6] = tick > 0 and min(own, weight) or own -- rotors lag
   for j = 1, 5 do
-    for i = 1, n do scratch[i] = whole and parts[i + 1][j] - (j == 3 and parts[i + 1][7] or 0.0) or 0.0 end
+    for i = 1, n do
+      local at = parts[i + 1]
+      local taken = j == 3 and at[7] or j < 3 and T.pull[j] * at[j + 3] or 0.0
+      scratch[i] = whole and at[j] - taken or 0.0
+    end
     table.sort(scratch)
     one[j] = 0.5 * (scratch[(n + 1) // 2] + scratch[n // 2 + 1]) * one[6]
   end
   weight, tick = own, tick + 1
   parts[1], parts[2], parts[n + 1], parts[n + 2] = parts[n + 1], parts[n + 2], parts[1], parts[2]
 end
-local function rise(j, leaning) -- of one rotor's command that explains the shift best
+local function rise(j, pull) -- of one rotor's command that explains the shift best
   local above, below = 0.0, 0.0
   for axis = 1, 3 do
-    local share = T.unmix[axis][j] / (T.spread[axis] ^ 2 + (axis < 3 and leaning or 0.0))
+    local share = T.unmix[axis][j] / (T.spread[axis] ^ 2 + (axis < 3 and T.pull_sd[axis] ^ 2 * pull or 0.0))
     above, below = above + share * shift[axis], below + share * T.unmix[axis][j]
   end
   return above / below
@@ -207,7 +213,7 @@ local function judge_trim(row)
   local sums = parts[part + 2]
   for j = 1, rows == 0 and 6 or 0 do sums[j] = 0.0 end
   if rows == 0 and part == 1 then known, moved, first[1], first[2], first[3] = 0, false, now[1], now[2], now[3] end
-  if row.valid and finite(now[1] + now[2] + now[3] + row.r) then
+  if row.valid and finite(now[1] + now[2] + now[3] + now[4] + now[5] + row.r) then
     known, moved = known + 1, moved or now[1] ~= first[1] or now[2] ~= first[2] or now[3] ~= first[3]
     for j = 1, 6 do sums[j] = sums[j] + now[j] end
   end
@@ -225,8 +231,8 @@ local function judge_trim(row)
     for i = 1, T.window do shift[j] = shift[j] + ticks[i][j] end
   end
   for j = 1, 5 do shift[j] = shift[j] / shift[6] - (T.mean[j] or 0.0) end
-  local highest, leaning = -HUGE, T.tilt_trim ^ 2 * (shift[4] ^ 2 + shift[5] ^ 2)
-  for j = 1, R do highest = max(highest, rise(j, leaning)) end
+  local highest, pull = -HUGE, shift[4] ^ 2 + shift[5] ^ 2
+  for j = 1, R do highest = max(highest, rise(j, pull)) end
   local counts = record(trim, highest, farthest(row.t, (T.window + 1) * T.parts * T.rows * STEP, "all"))
   for j = 1, counts and R or 0 do show(trim, j, rise(j, 0.0)) end
 end
@@ -378,6 +384,7 @@ local function read(row, t)
   row.t, row.armed, row.p, row.q, row.r = t, arming:is_armed(), NAN, NAN, NAN
   if gyro then row.p, row.q, row.r = gyro:x(), gyro:y(), gyro:z() end
   row.valid = finite(row.p + row.q + row.r) and (before == nil or t - before <= 3 * STEP) -- else the script was held up
+  row.fx, row.fy = accel and accel:x() or NAN, accel and accel:y() or NAN
   row.fz, row.vibration = accel and accel:z() or NAN, vibe and vibe:length() or NAN
   row.thrust, row.height = vehicle:get_control_output(3) or NAN, -(ahrs:get_relative_position_D_home() or NAN)
   row.roll, before = (newer and ahrs:get_roll_rad() or not newer and ahrs:get_roll()) or NAN, t

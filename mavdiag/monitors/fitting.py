@@ -65,6 +65,22 @@ def cut_to_share(lengths: Sequence[int], most: int, least: int = 1) -> list[int]
     return [min(length, max(least, round(share * length))) for length in lengths]
 
 
+def held_law(
+    y: FloatArray, x: FloatArray, prior: FloatArray, sd: FloatArray, floor: float, window: int
+) -> tuple[FloatArray, FloatArray]:
+    """b of y = x b, (n,) and (n, k), by least squares with a prior, (k,), held against it; and its covariance, (k, k).
+
+    floor: the least noise that is believed. window: how many ticks count as one.
+    """
+    trust = np.diag(sd**-2.0)
+    law, covariance = prior, np.diag(sd**2.0)
+    for _ in range(3):  # the noise is what the law before leaves
+        noise = max(float(np.square(y - x @ law).sum()) / max(len(y), 1), floor**2) * window
+        covariance = np.asarray(np.linalg.inv(x.T @ x / noise + trust), dtype=np.float64)
+        law = covariance @ (x.T @ y / noise + trust @ prior)
+    return law, covariance
+
+
 def variance_law(squares: FloatArray, busy: FloatArray) -> tuple[float, float]:
     """k0 and k1 >= 0 of r^2 = k0 + k1 busy, (n,) each, by non-negative least squares; k0 at least 5 % of mean(r^2)."""
     mean, size = float(squares.mean()), float(busy.mean())

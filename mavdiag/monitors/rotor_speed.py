@@ -9,11 +9,13 @@ u: its output 0..1, V: the battery's voltage, k_q w^2: the drag, e: share of the
 to 0.25 of small motors in hover (estimate). A blade that lost a piece has less drag, so its rotor turns faster for its
 command; one that is bent or fouled has more. The voltage is common to all rotors and cancels:
 
-    y_j = ln w_j - mean_k ln w_k,    x_j = (ln u_j - mean_k ln u_k, B_j . lean, s_j r),    y_j = a_j + (x_j - x0_j)' b
+    y_j = ln w_j - mean_k ln w_k,    v_j = ln u_j - mean_k ln u_k,    x_j = (v_j, dv_j/dt, s_j r),
+    y_j = a_j + (x_j - x0_j)' b
 
-B_j, s_j: roll, pitch and yaw effect of rotor j (`airframe.layout`); lean: commanded roll and pitch, for air comes from
-the side then; r: yaw rate, for an ESC tells the speed against the frame. b is common to all rotors and fitted to the
-healthy flights by least squares with a prior, P its covariance: the monitor's own errors.
+A rotor lags behind its command, and what an ESC tells behind the rotor: dv_j/dt. s_j r: yaw effect of rotor j
+(`airframe.layout`) and yaw rate, for an ESC tells the speed against the frame. b is common to all rotors and fitted by
+least squares with a prior, P its covariance: the monitor's own errors. It is fitted to what is judged, means of 5 s:
+single ticks of flights that turn have transients, whose correlation with r is not that of steady turns.
 """
 
 import math
@@ -31,7 +33,7 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, RotorEvidence
 from mavdiag.monitors.columns import Floats, Ints
-from mavdiag.monitors.fitting import of_each, three, traced
+from mavdiag.monitors.fitting import held_law, of_each, three, traced
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Signal, Three
@@ -44,15 +46,16 @@ MIN_RATE_HZ = 10.0  # of the rows; ESCs at 1 Hz are seen, at 10 Hz as ArduPilot 
 MADE_UP_RAD_S = 6000 * RPM  # that PX4 tells of full output in simulation (SimulatorMavlink: ESC_STATUS)
 MADE_UP = 0.01  # so near to it no motor is (our choice)
 # What is held of b before any flight, and its standard deviation. 1/(1 + e) is 0.8 to 0.87, an ESC's dead band adds to
-# it; 0.02 is what e = 0.2 makes of a drag that differs by a tenth at a lean of 1 rad; the last is 1/w (estimates).
-LAW, LAW_SD = np.array([0.85, 0.0, 0.0]), np.array([0.15, 0.02, 0.002])
+# it; a lag is 0.05 s of a rotor and up to 0.1 s of an ESC at 10 Hz; the last is 2 e/(1 + e) of 1/w (estimates).
+LAW, LAW_SD = np.array([0.85, 0.0, 0.0]), np.array([0.15, 0.1, 0.0005])
 FLOOR = 2e-4  # of the speed: least spread that is believed, a seventh of a step of 14 rpm at 10,000 (our choice)
 COLUMNS = 3  # of x
-# Places in the parameters: rotors, rows of a tick, ticks of a window, spread, b, P; of each rotor B, s, a, x0. And in
-# the memory: rows of the tick, known ones, usable ticks in a row, ticks so far; sums of the tick: of each rotor u and
-# w, then lean and yaw rate; of the window's ticks each rotor's residual and its own error.
-ROTORS, ROWS, WINDOW, SPREAD, LAWS, ERRORS, EACH = 0, 1, 2, 3, 4, 7, 16
-OF_ROTOR = 7
+# Places in the parameters: rotors, rows of a tick, row period, ticks of a window, spread, b, P; of each rotor s, a, x0.
+# And in the memory: rows of the tick, known ones, usable ticks in a row, ticks so far; sums of the tick: u of each
+# rotor in its first half and in its second, w, then the yaw rate; of the window's ticks each rotor's residual, and how
+# far its x is from x0.
+ROTORS, ROWS, DT, WINDOW, SPREAD, LAWS, ERRORS, EACH = 0, 1, 2, 3, 4, 5, 8, 17
+OF_ROTOR = 5
 ROW, KNOWN, RUN, TICKS, SUMS = range(5)
 TOLD = 3  # of a tick behind y and x of each rotor: mean ln w/u, whether it is usable, its number in the segment
 
@@ -81,7 +84,7 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
     n = int(par[ROTORS])
     if mem[ROW] == 0.0:
         mem[KNOWN] = 0.0
-        for j in range(2 * n + 3):
+        for j in range(3 * n + 1):
             mem[SUMS + j] = 0.0
     known = x[col.VALID, i] > 0.5 and x.shape[0] >= col.SPEEDS + n and math.isfinite(x[col.RATE + 2, i])
     for j in range(n if known else 0):
@@ -89,12 +92,11 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
         known = known and u > MIN_OUTPUT and w > 0.0 and math.isfinite(u + w)
     if known:
         mem[KNOWN] += 1.0
+        half = SUMS + (0 if 2.0 * mem[ROW] < par[ROWS] else n)
         for j in range(n):
-            mem[SUMS + j] += x[col.OUTPUTS + j, i]
-            mem[SUMS + n + j] += x[col.SPEEDS + j, i]
-        for j in range(2):
-            mem[SUMS + 2 * n + j] += x[col.LEAN + j, i]
-        mem[SUMS + 2 * n + 2] += x[col.RATE + 2, i]
+            mem[half + j] += x[col.OUTPUTS + j, i]
+            mem[SUMS + 2 * n + j] += x[col.SPEEDS + j, i]
+        mem[SUMS + 3 * n] += x[col.RATE + 2, i]
     mem[ROW] += 1.0
     if mem[ROW] < par[ROWS]:
         return False
@@ -105,18 +107,21 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
 @jit
 def _find(par: Floats, mem: Floats, out: Floats) -> None:
     """y and x of each rotor from the sums of a whole tick, (n, 4); then mean ln w/u."""
-    n, log_u, log_w = int(par[ROTORS]), 0.0, 0.0
+    n, rows = int(par[ROTORS]), int(par[ROWS])
+    second = rows // 2
     for j in range(n):
-        log_u += math.log(mem[SUMS + j] / par[ROWS]) / n
-        log_w += math.log(mem[SUMS + n + j] / par[ROWS]) / n
-    lean, turn = SUMS + 2 * n, mem[SUMS + 2 * n + 2] / par[ROWS]
-    for j in range(n):
-        own, to = EACH + OF_ROTOR * j, 4 * j
-        out[to] = math.log(mem[SUMS + n + j] / par[ROWS]) - log_w
-        out[to + 1] = math.log(mem[SUMS + j] / par[ROWS]) - log_u
-        out[to + 2] = (par[own] * mem[lean] + par[own + 1] * mem[lean + 1]) / par[ROWS]
-        out[to + 3] = par[own + 2] * turn
-    out[4 * n] = log_w - log_u
+        one, other, to = mem[SUMS + j], mem[SUMS + n + j], 4 * j
+        out[to], out[to + 1] = math.log(mem[SUMS + 2 * n + j] / rows), math.log((one + other) / rows)
+        out[to + 2] = math.log(other / second / one * (rows - second)) / (0.5 * rows * par[DT])
+        out[to + 3] = par[EACH + OF_ROTOR * j] * mem[SUMS + 3 * n] / rows
+    for p in range(COLUMNS):  # all but s r are against the others
+        mean = 0.0
+        for j in range(n):
+            mean += out[4 * j + p] / n
+        for j in range(n):
+            out[4 * j + p] -= mean
+        if p < 2:
+            out[4 * n] += mean if p == 0 else -mean
 
 
 @jit
@@ -136,45 +141,40 @@ def _middle(values: Floats) -> float:
 
 
 @jit
-def _judge(par: Floats, mem: Floats, tick: Floats, scratch: Floats, out: Floats, rotors: Floats, k: int) -> None:
-    """Put a tick into the window, and judge that."""
-    n, window, best = int(par[ROTORS]), int(par[WINDOW]), 0.0
-    ring, place = SUMS + 2 * n + 3, int(mem[TICKS]) % int(par[WINDOW])
-    for j in range(n):
-        own, of, error = EACH + OF_ROTOR * j + 3, ring + 2 * window * j, 0.0
-        rest = tick[4 * j] - par[own]
-        for p in range(COLUMNS):
-            away = tick[4 * j + 1 + p] - par[own + 1 + p]
-            rest -= par[LAWS + p] * away
-            for q in range(COLUMNS):
-                error += away * par[ERRORS + COLUMNS * p + q] * (tick[4 * j + 1 + q] - par[own + 1 + q])
-        mem[of + place], mem[of + window + place], mean = rest, error, 0.0
-        for i in range(window):
-            scratch[i] = mem[of + i]
-            mean += mem[of + window + i] / window
-        share = par[SPREAD] / math.sqrt(par[SPREAD] ** 2 + max(mean, 0.0))
-        found = _middle(scratch) * share * n / (n - 1.0)
-        rotors[k, j] = abs(found)
-        best = found if abs(found) > abs(best) else best
-    out[col.VALUE, k], out[col.LEVEL, k] = abs(best), best
-
-
-@jit
 def _take_tick(
     par: Floats, mem: Floats, tick: Floats, covered: bool, scratch: Floats, out: Floats, rotors: Floats, k: int
 ) -> None:
-    """Judge a tick, which counts in a window of usable ones."""
-    _judge(par, mem, tick, scratch, out, rotors, k)
+    """Put a tick into the window, where usable ones in a row count, and judge that."""
+    n, window, best = int(par[ROTORS]), int(par[WINDOW]), 0.0
+    place, rests, away = int(mem[TICKS]) % window, scratch[:window], scratch[window:]
+    for j in range(n):
+        own, of, error = EACH + OF_ROTOR * j + 1, SUMS + 3 * n + 1 + (1 + COLUMNS) * window * j, 0.0
+        mem[of + place] = tick[4 * j] - par[own]
+        for p in range(COLUMNS):
+            to, away[p] = of + (1 + p) * window, 0.0
+            mem[to + place] = tick[4 * j + 1 + p] - par[own + 1 + p]
+            mem[of + place] -= par[LAWS + p] * mem[to + place]
+            for i in range(window):
+                away[p] += mem[to + i] / window
+        for p in range(COLUMNS):
+            for q in range(COLUMNS):
+                error += away[p] * par[ERRORS + COLUMNS * p + q] * away[q]
+        for i in range(window):
+            rests[i] = mem[of + i]
+        found = _middle(rests) * par[SPREAD] / math.sqrt(par[SPREAD] ** 2 + max(error, 0.0)) * n / (n - 1.0)
+        rotors[k, j] = abs(found)
+        best = found if abs(found) > abs(best) else best
+    out[col.VALUE, k], out[col.LEVEL, k] = abs(best), best
     mem[TICKS] += 1.0
-    mem[RUN] = mem[RUN] + 1.0 if covered and tick[4 * int(par[ROTORS]) + 1] > 0.5 else 0.0
-    out[col.SOUND, k] = mem[RUN] >= par[WINDOW]
+    mem[RUN] = mem[RUN] + 1.0 if covered and tick[4 * n + 1] > 0.5 else 0.0
+    out[col.SOUND, k] = mem[RUN] >= window
 
 
 @cached
 def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The rotor that is farthest from its speed at the end of each tick."""
     n, k = int(par[ROTORS]), 0
-    tick, scratch = np.zeros(4 * n + TOLD), np.empty(int(par[WINDOW]))
+    tick, scratch = np.zeros(4 * n + TOLD), np.empty(int(par[WINDOW]) + COLUMNS)
     for i in range(first, x.shape[1]):
         if not _take_row(par, mem, x, i):
             continue
@@ -195,7 +195,11 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
 def _again(par: Floats, mem: Floats, ticks: Floats) -> Floats:
     """Distances of all rotors in the full windows of ticks that `run` has traced, (k, n)."""
     n, found = int(par[ROTORS]), 0
-    scratch, out, rotors = np.empty(int(par[WINDOW])), np.empty((col.LEVEL + 1, 1)), np.empty((len(ticks) + 1, n))
+    scratch, out, rotors = (
+        np.empty(int(par[WINDOW]) + COLUMNS),
+        np.empty((col.LEVEL + 1, 1)),
+        np.empty((len(ticks) + 1, n)),
+    )
     for tick in ticks:
         if tick[4 * n + 2] == 0.0:  # a segment begins
             mem[RUN] = 0.0
@@ -257,8 +261,10 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
             raise InputError("the speeds are made up of the outputs, as a simulator does")
         seen = [usable for flight in ticks if len(usable := _usable(flight, n))]
         means = [flight.mean(axis=0) for flight in seen]
-        apart = np.concatenate([flight - flight.mean(axis=0) for flight in seen])
-        law, errors = _law_of(apart, _window(context.dt_s))
+        size, none = _window(context.dt_s), np.empty((0, n, 4))
+        judged = [flight[: len(flight) // size * size].reshape(-1, size, n, 4).mean(axis=1) for flight in seen]
+        apart = np.concatenate([none, *(windows - windows.mean(axis=0) for windows in judged if len(windows))])
+        law, errors = held_law(apart[:, :, 0].ravel(), apart[:, :, 1:].reshape(-1, COLUMNS), LAW, LAW_SD, FLOOR, 1)
         mean = np.mean(means, axis=0)
         learnt = replace(
             still,
@@ -300,9 +306,9 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
     def begin(self, dt_s: float) -> Begin:
         """No row yet."""
         spec, n, window = self.spec, self.rotors, _window(dt_s, self.spec.window_s)
-        head = [n, _tick(dt_s), window, spec.spread, *spec.law, *np.ravel(spec.errors)]
-        each = np.column_stack((spec.layout.mixing, spec.mean, np.array(spec.about)))
-        return Begin(np.array([*head, *each.ravel()]), np.zeros(SUMS + 2 * n + 3 + 2 * window * n))
+        head = [n, _tick(dt_s), dt_s, window, spec.spread, *spec.law, *np.ravel(spec.errors)]
+        each = np.column_stack((spec.layout.mixing[:, 2], spec.mean, np.array(spec.about)))
+        return Begin(np.array([*head, *each.ravel()]), np.zeros(SUMS + 3 * n + 1 + (1 + COLUMNS) * window * n))
 
 
 def _tick(dt_s: float) -> int:
@@ -324,18 +330,3 @@ def _ticks(monitor: RotorSpeed, flight: Sequence[Rows]) -> FloatArray:
 def _usable(ticks: FloatArray, n: int) -> FloatArray:
     """y and x of each of n rotors in the usable ticks, (k, n, 4)."""
     return ticks[ticks[:, 4 * n + 1] > 0.5, : 4 * n].reshape(-1, n, 4)
-
-
-def _law_of(apart: FloatArray, window: int) -> tuple[FloatArray, FloatArray]:
-    """b and P of ticks about their flight's mean, (k, n, 4); ticks of a window count as one.
-
-    The mean of a flight, which b does not touch, is known no better than the law that leads to it.
-    """
-    y, x = apart[:, :, 0].ravel(), apart[:, :, 1:].reshape(-1, COLUMNS)
-    trust = np.diag(LAW_SD**-2.0)
-    law, errors = LAW, np.diag(LAW_SD**2.0)
-    for _ in range(3):  # the noise is what the law before leaves
-        noise = max(float(np.square(y - x @ law).mean()), FLOOR**2) * window
-        errors = np.asarray(np.linalg.inv(x.T @ x / noise + trust), dtype=np.float64)
-        law = errors @ (x.T @ y / noise + trust @ LAW)
-    return law, errors

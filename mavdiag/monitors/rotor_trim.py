@@ -3,8 +3,14 @@
 A controller with an integrator hides a weak rotor from its own attitude error: it commands more. That command is the
 evidence, and it names the rotor (METHOD section 5). It does not show why.
 
-    g = b1 r + b2 dr/dt - b3 dm_yaw/dt,    tick = median over its parts of m_yaw - g
-    weight = 1/(1 + (max |g|/G)^2)
+    g = b1 r + b2 dr/dt - b3 dm_yaw/dt,    tick = median over its parts of m_roll - k1 h1, m_pitch - k2 h2, m_yaw - g
+    weight = 1/(1 + (max |g|/G)^2),        h = (-f_y, f_x)/9.81
+
+Air that comes from the side pulls at the vehicle and tips its rotors' discs, both in proportion to its speed (Leishman,
+Principles of Helicopter Aerodynamics, ch. 4): the pull h is what the accelerometer feels along the discs, in a steady
+wind the tangent of the lean. So k1 and k2 tell wind and flight from a weak rotor, where the lean of a vehicle that
+speeds up cannot: of a real quadcopter that flies about, the 5 s means of pitch scatter by 0.062 of hover, and by 0.015
+without k2 h2. Without an accelerometer the lean is in place of h, k is zero, and their errors stay those of the prior.
 
 A vehicle whose nose turns has its rotors commanded apart: a steady turn against the drag of its rotation (b1), the
 start and the stop of a turn for its inertia (b2) and for that of the rotors, whose change of speed turns the vehicle
@@ -31,10 +37,11 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import allocating, cached, jit
 from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
 from mavdiag.monitors.columns import Floats, Ints
-from mavdiag.monitors.fitting import of_each, three
+from mavdiag.monitors.fitting import held_law, of_each, three
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Signal, Three
+from mavdiag.units import G
 
 MOST_RISE = trims.rise_of(trims.MOST_LOSS)
 WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
@@ -46,16 +53,17 @@ TURN_TRIM = 0.02
 # choice). b2 is I_zz over weight and drag arm of the rotors, 0.04 for a QDrone 2 and an ArduCopter of 3 kg; b1 is 0.11
 # for the latter; b3 is the spin that a unit of yaw trim gives the rotors over the torque that it makes.
 PRIOR, PRIOR_SD = np.array([0.0, 0.04, 0.0]), np.array([0.1, 0.04, 0.2])
-# Places in the parameters: 1 for torque commands, how many rotors; parts of a tick, rows of a part, row period, ticks
-# of a window; of the spec turn, mean and spread; gains of torque commands; what a monitor has of its own; the sums of
-# the unmixing C, and C itself, (3, rotors).
-TORQUES, ROTORS, PARTS, ROWS, DT, WINDOW, TURN, MEAN, SPREAD, GAIN, OWN = *range(7), 9, 12, 15, 18
-SUM, UNMIXING = 21, 24
+# Places in the parameters: 1 for torque commands; 1 where the pull is felt; how many rotors; parts of a tick, rows of a
+# part, row period, ticks of a window; of the spec pull, turn, variance of the pull, mean and spread; gains of torque
+# commands; what a monitor has of its own; the sums of the unmixing C, and C itself, (3, rotors).
+TORQUES, FELT, ROTORS, PARTS, ROWS, DT, WINDOW, PULL, TURN, ERROR, MEAN, SPREAD = *range(8), 9, 12, 14, 17
+GAIN, OWN, SUM, UNMIXING = 20, 23, 26, 29
 # And in the memory: parts of the tick, rows of the part, known ones of the tick, whether a trim changed, the first one;
 # usable ticks in a row, ticks so far, weight of the last; what a monitor has of its own; then the parts, the last two
 # of the tick before in front.
 PART, ROW, KNOWN, MOVED, FIRST, RUN, TICKS, WEIGHT, MINE, SUMS = *range(5), 7, 8, 9, 10, 20
-FIGURES = 8  # of a part of a tick: trim, lean, yaw rate, its slope and that of the yaw trim, less
+FIGURES = 8  # of a part of a tick: trim, pull, yaw rate, its slope and that of the yaw trim, less
+RUNS = FIGURES  # behind them in the trace of a tick: usable ticks in a row; then means of a window, and shift
 
 Spec = TypeVar("Spec", bound="TrimSpec")
 
@@ -68,6 +76,9 @@ class TrimSpec:
     layout: RotorLayout
     source: trims.Source  # where the trim comes from: the motors' outputs, or the torque commands over the thrust
     mean: Three = (0.0, 0.0, 0.0)  # healthy roll, pitch and yaw trim [fraction of hover]
+    felt: bool = False  # whether the accelerometer tells the pull; else the lean stands for it
+    pull: tuple[float, float] = (0.0, 0.0)  # k1 and k2, and their standard deviations
+    pull_sd: tuple[Positive, Positive] = (trims.TILT_TRIM, trims.TILT_TRIM)
     turn: Three = (0.0, 0.0, 0.0)  # b1, b2 and b3
     turn_covariance: tuple[Three, Three, Three] = ((0.0, 0.0, 0.0),) * 3
     spread: tuple[Positive, Positive, Positive]  # of the 5 s means about the mean, or about the reference
@@ -109,16 +120,19 @@ def _trim(par: Floats, x: Floats, i: int) -> tuple[float, float, float]:
 def take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
     """Take a row; True where it completes a tick, whose parts stand at `_found_at`, and `mem[KNOWN]` if it is whole."""
     to, (roll, pitch, yaw), rate = SUMS + 6 * (2 + int(mem[PART])), _trim(par, x, i), x[col.RATE + 2, i]
+    pull_x, pull_y = x[col.LEAN, i], x[col.LEAN + 1, i]
+    if par[FELT] > 0.5:
+        pull_x, pull_y = -x[col.FORCE + 1, i] / G, x[col.FORCE, i] / G
     if mem[ROW] == 0.0:
         for j in range(6):
             mem[to + j] = 0.0
         if mem[PART] == 0.0:
             mem[KNOWN] = mem[MOVED] = 0.0
             mem[FIRST], mem[FIRST + 1], mem[FIRST + 2] = roll, pitch, yaw
-    if x[col.VALID, i] > 0.5 and math.isfinite(roll + pitch + yaw + rate):
+    if x[col.VALID, i] > 0.5 and math.isfinite(roll + pitch + yaw + rate + pull_x + pull_y):
         mem[KNOWN] += 1.0
         mem[to], mem[to + 1], mem[to + 2] = mem[to] + roll, mem[to + 1] + pitch, mem[to + 2] + yaw
-        mem[to + 3], mem[to + 4] = mem[to + 3] + x[col.LEAN, i], mem[to + 4] + x[col.LEAN + 1, i]
+        mem[to + 3], mem[to + 4] = mem[to + 3] + pull_x, mem[to + 4] + pull_y
         mem[to + 5] += rate
         if roll != mem[FIRST] or pitch != mem[FIRST + 1] or yaw != mem[FIRST + 2]:
             mem[MOVED] = 1.0
@@ -177,16 +191,20 @@ def _median(mem: Floats, at: int, count: int) -> float:
 
 @jit
 def take_tick(par: Floats, mem: Floats, usable: bool) -> None:
-    """Put the tick whose parts were found into the windows, without what the turn takes of its yaw trim."""
+    """Put the tick whose parts were found into the windows, without what pull and turn take of its trim."""
     parts, found = int(par[PARTS]), _found_at(par)
     scratch, most = found - parts, 0.0
     to = found + FIGURES * parts + 6 * (int(mem[TICKS]) % (2 * int(par[WINDOW])))
     for j in range(5):
         for part in range(parts):
             of = found + FIGURES * part
-            taken = par[TURN] * mem[of + 5] + par[TURN + 1] * mem[of + 6] + par[TURN + 2] * mem[of + 7]
-            most = max(most, abs(taken))
-            mem[scratch + part] = mem[of + j] - (taken if j == 2 else 0.0)
+            taken = 0.0
+            if j < 2:
+                taken = par[PULL + j] * mem[of + 3 + j]
+            elif j == 2:
+                taken = par[TURN] * mem[of + 5] + par[TURN + 1] * mem[of + 6] + par[TURN + 2] * mem[of + 7]
+                most = max(most, abs(taken))
+            mem[scratch + part] = mem[of + j] - taken
         mem[to + j] = _median(mem, scratch, parts)
     weight = 1.0 / (1.0 + (most / TURN_TRIM) ** 2)
     counts = min(weight, mem[WEIGHT]) if mem[TICKS] > 0.0 else weight  # rotors lag
@@ -199,7 +217,7 @@ def take_tick(par: Floats, mem: Floats, usable: bool) -> None:
 
 @jit
 def window_means(par: Floats, mem: Floats, back: int, means: Floats) -> None:
-    """Weighted means of trim and lean, (5,), over the ticks of a window that ended so many ticks ago."""
+    """Weighted means of trim and pull, (5,), over the ticks of a window that ended so many ticks ago."""
     window, ring = int(par[WINDOW]), _found_at(par) + FIGURES * int(par[PARTS])
     first, weight = int(mem[TICKS]) - back - window, 0.0
     for j in range(5):
@@ -214,46 +232,51 @@ def window_means(par: Floats, mem: Floats, back: int, means: Floats) -> None:
 
 
 @jit
-def rise(par: Floats, rotor: int, shift: Floats, tilted: bool) -> float:
-    """The rise of one rotor that explains a shift of trim and lean, (5,) (`airframe.trim`). tilted: the lean counts."""
-    rotors, more = int(par[ROTORS]), trims.TILT_TRIM**2 * (shift[3] ** 2 + shift[4] ** 2) if tilted else 0.0
+def rise(par: Floats, rotor: int, shift: Floats, careful: bool) -> float:
+    """The rise of one rotor that explains a shift of trim and pull (5,) (`airframe.trim`).
+
+    careful: roll and pitch, which a load moves too, with the errors of k and at least three times the spread of yaw.
+    """
+    rotors, pull, yaw = int(par[ROTORS]), shift[3] ** 2 + shift[4] ** 2, par[SPREAD + 2]
     above, below = 0.0, 0.0
     for j in range(3):
-        column = par[UNMIXING + j * rotors + rotor]
-        weight = column / ((more if j < 2 else 0.0) + par[SPREAD + j] ** 2)
+        column, variance = par[UNMIXING + j * rotors + rotor], par[SPREAD + j] ** 2
+        if careful and j < 2:
+            variance = max(variance, (trims.LEVEL_RATIO * yaw) ** 2) + par[ERROR + j] * pull
+        weight = column / variance
         above, below = above + weight * shift[j], below + weight * column
     return float(above / below)
 
 
 @jit
-def highest_rise(par: Floats, shift: Floats, tilted: bool) -> float:
-    """The largest of all rotors."""
+def highest_rise(par: Floats, shift: Floats) -> float:
+    """The largest of all rotors, carefully."""
     found = -math.inf
     for rotor in range(int(par[ROTORS])):
-        found = max(found, rise(par, rotor, shift, tilted))
+        found = max(found, rise(par, rotor, shift, True))
     return found
 
 
 @allocating
 def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rotors: Floats, k: int) -> None:
-    """A value of a shift; for a fit the tick's yaw trim and turn, usable ticks, window and shift."""
+    """A value of a shift; for a fit the tick's `FIGURES`, usable ticks, window and shift."""
     parts, found = int(par[PARTS]), _found_at(par)
-    out[col.VALUE, k] = out[col.LEVEL, k] = highest_rise(par, shift, True)
+    out[col.VALUE, k] = out[col.LEVEL, k] = highest_rise(par, shift)
     out[col.SOUND, k] = sound
     for rotor in range(rotors.shape[1]):
         rotors[k, rotor] = rise(par, rotor, shift, False)
     if out.shape[0] > col.TRACE:
         means = np.empty(5)
         window_means(par, mem, 0, means)
-        for j in range(4):
+        for j in range(FIGURES):
             mean = 0.0
             for part in range(parts):
-                mean += mem[found + FIGURES * part + (2 if j == 0 else 4 + j)]
+                mean += mem[found + FIGURES * part + j]
             out[col.TRACE + j, k] = mean / parts
+        out[col.TRACE + RUNS, k] = mem[RUN]
         for j in range(3):
-            out[col.TRACE + 5 + j, k] = means[j] if mem[RUN] >= par[WINDOW] else math.nan
-            out[col.TRACE + 8 + j, k] = shift[j]
-        out[col.TRACE + 4, k] = mem[RUN]
+            out[col.TRACE + RUNS + 1 + j, k] = means[j] if mem[RUN] >= par[WINDOW] else math.nan
+            out[col.TRACE + RUNS + 4 + j, k] = shift[j]
 
 
 @cached
@@ -278,7 +301,7 @@ class TrimMonitor(Monitor[Spec]):
     """A monitor of the trim; its `rotors` are the rises that would explain a shift."""
 
     phrase = "lost {lost}% thrust"
-    needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT})
+    needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT, Signal.SPECIFIC_FORCE})
     depends = col.TRIM_CONDITIONS
     # A lead of 0.12 was right in each of 35 recorded cuts. Damage that changes a blade's drag by 0.02 shifts the yaw
     # trim towards rotors of the other sense, a lead of 0.04: no smaller unit tells rotors apart (our choice).
@@ -289,37 +312,65 @@ class TrimMonitor(Monitor[Spec]):
 
     def __init__(self, spec: Spec) -> None:
         super().__init__(spec)
-        self.signals = trims.SIGNALS[spec.source]
-        self.takes = {Signal.ACTUATOR: slice(0, spec.layout.rotors)}  # those that move a rotor
+        self.signals = trims.SIGNALS[spec.source] | ({Signal.SPECIFIC_FORCE} if spec.felt else set())
+        own = slice(0, spec.layout.rotors)  # those that move a rotor
+        self.takes = {Signal.ACTUATOR: own, Signal.SPECIFIC_FORCE: trims.ALONG_DISCS}
         self.memory_s = spec.window_s + TICK_S
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[Spec, ...]:
-        """What a turn takes, mean over flights of their mean trims, and the spread about it or about the reference."""
+        """What pull and turns take, mean over flights of their mean trims, and the spread about it."""
         layout, dt_s, before = context.layout, context.dt_s, (trims.YAW_FLOOR, trims.YAW_FLOOR, trims.YAW_FLOOR)
         source = trims.source_among(of_each(flights, layout, lambda flight: trims.sources_of(flight, layout)), layout)
-        parts = of_each(flights, (layout, source), lambda flight: _parts_of(flight, layout, source))
-        still = cls(cls.spec_type(layout=layout, source=source, spread=before))
-        law, P = _turn_of([still._walked(one, dt_s) for one in parts], dt_s)
-        covariance = (three(P[0]), three(P[1]), three(P[2]))
-        turned = cls(replace(still.spec, turn=three(law), turn_covariance=covariance))
-        walked = [turned._walked(flight, dt_s) for flight in parts]
+        felt = min(of_each(flights, "share of rows with x and y", trims.felt_share)) > trims.FELT_SHARE
+        still = cls(cls.spec_type(layout=layout, source=source, felt=felt, spread=before))
+        parts = of_each(flights, (layout, source, felt), still._parts_of)
+        known = cls(_with_laws(still.spec, [still._walked(one, dt_s) for one in parts], dt_s))
+        walked = [known._walked(flight, dt_s) for flight in parts]
         mean = _mean_of(walked)
-        return (replace(turned.spec, mean=mean, spread=cls.spread(walked, mean)),)
+        return (replace(known.spec, mean=mean, spread=cls.spread(walked, mean)),)
 
     @classmethod
     @abstractmethod
     def spread(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
         """Spread of what it judges of healthy flights. Raises IdentificationError. flights: (rows of `write`, k)."""
 
+    def _parts_of(self, flight: Sequence[Rows]) -> list[FloatArray]:
+        """The parts of ticks of each segment as rows that come so seldom: x of `monitors.columns`.
+
+        Their trim stands for torque commands at a thrust of 1, their pull for the lean: `run` makes the same ticks.
+        """
+        found, spec = [], self.spec
+        for segment in segments(flight):
+            parts, rest = list[FloatArray](), np.empty((0, 7))
+            for block in (rows.block for rows in segment):
+                size, (trim, known) = _tick_shape(block.dt_s)[1], trims.trim_of(block, spec.layout, spec.source)
+                fresh = np.column_stack((trim, trims.pull_of(block, spec.felt), block.rate[:, 2]))
+                known = known & np.isfinite(fresh).all(axis=1)
+                fresh = np.column_stack((np.nan_to_num(fresh), known))
+                each = np.asarray(np.concatenate((rest, fresh)), dtype=np.float64)
+                n = len(each) // size
+                parts.append(each[: n * size].reshape(n, size, 7).mean(axis=1))
+                rest = each[n * size :]
+            trim_pull_rate = np.concatenate(parts).T
+            x = np.zeros((col.OUTPUTS, trim_pull_rate.shape[1]))
+            x[col.TORQUE : col.THRUST], x[col.LEAN : col.RATE] = trim_pull_rate[:3], trim_pull_rate[3:5]
+            x[col.RATE + 2], x[col.VALID] = (
+                trim_pull_rate[5],
+                trim_pull_rate[6] > 1.0 - 0.5 / size,
+            )  # all rows are known
+            x[col.THRUST], x[col.COVERED] = 1.0, 1.0
+            found.append(x)
+        return found
+
     def _walked(self, flight: Sequence[FloatArray], dt_s: float) -> list[FloatArray]:
         """What `run` writes of each segment of a flight's parts, with the figures of `write`."""
         part_s, found = _tick_shape(dt_s)[1] * dt_s, []
         for x in flight:
             begun, n = self.begin(part_s), x.shape[1]
-            begun.par[TORQUES], begun.par[GAIN : GAIN + 3] = 1.0, 1.0
-            out, rotors, at = np.zeros((col.TRACE + 11, n)), np.empty((n, self.rotors)), np.empty(n, dtype=np.int64)
-            found.append(out[:, : self.run(begun.par, begun.mem, x, 0, 0, out, rotors, at)])
+            begun.par[TORQUES], begun.par[FELT], begun.par[GAIN : GAIN + 3] = 1.0, 0.0, 1.0
+            out, rotors = np.zeros((col.TRACE + RUNS + 7, n)), np.empty((n, self.rotors))
+            found.append(out[:, : self.run(begun.par, begun.mem, x, 0, 0, out, rotors, np.empty(n, dtype=np.int64))])
         return found
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[Spec, float]:
@@ -332,18 +383,19 @@ class TrimMonitor(Monitor[Spec]):
         return replace(self.spec, mean=three(mean + (np.array(self._mean(flights)) - mean) / (sessions + 1)))
 
     def _mean(self, flights: Flights) -> Three:
-        dt_s, spec = next((rows.block.dt_s for flight in flights for rows in flight), TICK_S), self.spec
-        return _mean_of([self._walked(_parts_of(flight, spec.layout, spec.source), dt_s) for flight in flights])
+        dt_s = next((rows.block.dt_s for flight in flights for rows in flight), TICK_S)
+        return _mean_of([self._walked(self._parts_of(flight), dt_s) for flight in flights])
 
     def whole(self, flight: Sequence[Rows]) -> tuple[float, ...]:
-        """Trim of a whole flight by roll, pitch and yaw, without what turns take; empty if it is too short.
+        """Trim of a whole flight by roll, pitch and yaw, without what pull and turns take; empty if it is too short.
 
         Medians over its parts of 0.1 s but for those whose turn takes more than `TURN_TRIM`, however few follow each
         other: a flight of hops has one, too.
         """
         spec, found = self.spec, [np.empty((3, 0))]
-        for x in _parts_of(flight, spec.layout, spec.source):
+        for x in self._parts_of(flight):
             trim, rate = x[col.TORQUE : col.THRUST].copy(), x[col.RATE + 2]
+            trim[:2] -= np.array(spec.pull)[:, None] * x[col.LEAN : col.LEAN + 2]
             taken = spec.turn[0] * rate + spec.turn[1] * np.gradient(rate, PART_S) if len(rate) > 1 else rate
             trim[2] -= taken
             found.append(trim[:, (x[col.VALID] > 0.5) & (np.abs(taken) < TURN_TRIM)])
@@ -375,12 +427,13 @@ class TrimMonitor(Monitor[Spec]):
         """No row yet."""
         spec, layout, (parts, rows) = self.spec, self.spec.layout, _tick_shape(dt_s)
         window = max(1, round(spec.window_s / self.period_s(dt_s)))
-        head = [spec.source == "torque", layout.rotors, parts, rows, dt_s, window]
+        head = [spec.source == "torque", spec.felt, layout.rotors, parts, rows, dt_s, window]
         gain, C = layout.torque_gain or (0.0, 0.0, 0.0), layout.unmixing
-        learnt = [*spec.turn, *spec.mean, *spec.spread, *gain, *self.own(self.period_s(dt_s))]
+        learnt = [*spec.pull, *spec.turn, *np.square(spec.pull_sd), *spec.mean, *spec.spread, *gain]
         mem = np.zeros(SUMS + 6 * (parts + 2) + (FIGURES + 1) * parts + 12 * window)
         mem[SUMS : SUMS + 12] = np.nan
-        return Begin(np.array([*head, *learnt, *C.sum(axis=1), *C.ravel()]), mem)
+        own = self.own(self.period_s(dt_s))
+        return Begin(np.array([*head, *learnt, *own, *C.sum(axis=1), *C.ravel()]), mem)
 
 
 class RotorTrim(TrimMonitor[RotorTrimSpec]):
@@ -390,9 +443,8 @@ class RotorTrim(TrimMonitor[RotorTrimSpec]):
         statistic = max_j a_j,    rotor = argmax_j a_j
 
     A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
-    yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. Wind tips the rotor discs:
-    the spread of roll and pitch has 0.3 times the commanded tilt of the same 5 s added in squares, but not where a
-    rotor is named. `rotors` are the a_j.
+    yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. To their spread the error
+    of k times the pull of the same 5 s is added in squares, but not where a rotor is named. `rotors` are the a_j.
 
     Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: a change of propellers or of the centre of
     mass; two flights from two sessions are the worst basis. Blind spots: hops shorter than 5 s; vibration without loss
@@ -420,65 +472,34 @@ def _tick_shape(dt_s: float) -> tuple[int, int]:
     return max(2, round(TICK_S / (rows * dt_s))), rows
 
 
-def _parts_of(flight: Sequence[Rows], layout: RotorLayout, source: trims.Source) -> list[FloatArray]:
-    """The parts of ticks of each segment as rows that come so seldom: x of `monitors.columns`.
+def _with_laws(spec: Spec, flights: Sequence[Sequence[FloatArray]], dt_s: float) -> Spec:
+    """With k and b of healthy flights, each as `TrimMonitor._walked` gives it, and their errors.
 
-    Their trim stands for torque commands at a thrust of 1, so that `run` makes the same ticks of them as of the rows.
+    Usable ticks about their flight's mean, so that no session's offset counts, but for the first one after a break.
     """
-    found = []
-    for segment in segments(flight):
-        parts, rest = list[FloatArray](), np.empty((0, 7))
-        for block in (rows.block for rows in segment):
-            size, (trim, known) = _tick_shape(block.dt_s)[1], trims.trim_of(block, layout, source)
-            known = known & np.isfinite(block.rate[:, 2])
-            fresh = np.column_stack((trim, trims.tilt_of(block), np.nan_to_num(block.rate[:, 2]), known))
-            each = np.asarray(np.concatenate((rest, fresh)), dtype=np.float64)
-            n = len(each) // size
-            parts.append(each[: n * size].reshape(n, size, 7).mean(axis=1))
-            rest = each[n * size :]
-        columns = np.concatenate(parts).T
-        x = np.zeros((col.OUTPUTS, columns.shape[1]))
-        x[col.TORQUE : col.THRUST], x[col.LEAN : col.LEAN + 2], x[col.RATE + 2] = columns[:3], columns[3:5], columns[5]
-        x[col.THRUST], x[col.COVERED] = 1.0, 1.0
-        x[col.VALID] = columns[6] > 1.0 - 0.5 / size  # all of its rows are known
-        found.append(x)
-    return found
-
-
-def _turn_of(flights: Sequence[Sequence[FloatArray]], dt_s: float) -> tuple[FloatArray, FloatArray]:
-    """b1, b2 and b3 of healthy flights, each as `TrimMonitor._walked` gives it, and their covariance.
-
-    Means of the ticks about their flight's own, so that no session's offset counts, with `PRIOR` held against them:
-    where the nose hardly turned, it stays.
-    """
-    means, window = [np.empty((0, 4))], max(1, round(WINDOW_S / (math.prod(_tick_shape(dt_s)) * dt_s)))
+    means, window = [np.empty((0, FIGURES))], max(1, round(WINDOW_S / (math.prod(_tick_shape(dt_s)) * dt_s)))
     for flight in flights:
-        runs = [run for segment in flight for run in _unbroken(segment, window)]
-        if runs:
-            means.append(np.concatenate(runs) - np.concatenate(runs).mean(axis=0))
-    yaw, turning = np.concatenate(means)[:, 0], np.concatenate(means)[:, 1:]
-    for free in (3, 2):  # rotors without inertia where the best one is negative: a command that answers noise
-        law, covariance, x = PRIOR.copy(), np.zeros((3, 3)), turning[:, :free]
-        trust = np.diag(PRIOR_SD[:free] ** -2.0)
-        for _ in range(3):  # the noise is what the law before leaves; the ticks of a window count as one
-            noise = max(float(np.square(yaw - turning @ law).sum()) / max(len(yaw), 1), trims.YAW_FLOOR**2) * window
-            covariance[:free, :free] = np.linalg.inv(x.T @ x / noise + trust)
-            law[:free] = covariance[:free, :free] @ (x.T @ yaw / noise + trust @ PRIOR[:free])
-        if law[2] >= 0.0:
-            break
-    return law, covariance
+        usable = [segment[col.TRACE : col.TRACE + FIGURES, segment[col.TRACE + RUNS] > 1].T for segment in flight]
+        if sum(map(len, usable)):
+            means.append(np.concatenate(usable) - np.concatenate(usable).mean(axis=0))
+    ticks = np.concatenate(means)
 
+    def fitted(axis: int, of: slice, prior: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return held_law(ticks[:, axis], ticks[:, of], prior, sd, trims.YAW_FLOOR, window)
 
-def _unbroken(segment: FloatArray, least: int) -> list[FloatArray]:
-    """Yaw trim, yaw rate and the two slopes of runs of usable ticks, (n, 4) each, of at least so many."""
-    ticks = segment[col.TRACE : col.TRACE + 5, segment[col.TRACE + 4] > 0].T
-    runs = np.split(ticks, np.flatnonzero(ticks[1:, 4] == 1) + 1)
-    return [run[:, :4] for run in runs if len(run) >= least]
+    law, P = fitted(2, slice(5, 8), PRIOR, PRIOR_SD)
+    if law[2] < 0.0:  # rotors without inertia where that is the best one: a command that answers noise
+        law, P = (np.pad(found, (0, 1)) for found in fitted(2, slice(5, 7), PRIOR[:2], PRIOR_SD[:2]))
+    spec = replace(spec, turn=three(law), turn_covariance=(three(P[0]), three(P[1]), three(P[2])))
+    if not spec.felt:
+        return spec
+    (k1, P1), (k2, P2) = (fitted(i, slice(3 + i, 4 + i), np.zeros(1), np.full(1, trims.TILT_TRIM)) for i in range(2))
+    return replace(spec, pull=(float(k1[0]), float(k2[0])), pull_sd=(math.sqrt(P1[0, 0]), math.sqrt(P2[0, 0])))
 
 
 def _windows_of(flight: Sequence[FloatArray]) -> FloatArray:
     """Roll, pitch and yaw trim of all full windows of a flight, (k, 3)."""
-    means = (segment[col.TRACE + 5 : col.TRACE + 8] for segment in flight)
+    means = (segment[col.TRACE + RUNS + 1 : col.TRACE + RUNS + 4] for segment in flight)
     windows = np.concatenate([np.empty((3, 0)), *means], axis=1).T
     return np.asarray(windows[np.isfinite(windows[:, 0])], dtype=np.float64)
 

@@ -67,7 +67,7 @@ def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> boo
         for j in range(5):
             mem[REFERENCE + j] = before[j]
             before[j] -= par[trim.MEAN + j] if j < 3 else 0.0
-        far = trim.highest_rise(par, before, False) > SESSION
+        far = trim.highest_rise(par, before) > SESSION
         for j in range(5):
             if j < 3:
                 mem[BACK + j] = -before[j] if far else 0.0
@@ -78,7 +78,7 @@ def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> boo
     share = _share(par, mem, shift)
     for j in range(3):
         shift[j] -= share * mem[BACK + j]
-    if max(trim.highest_rise(par, shift, True), trim.highest_rise(par, before, True)) <= HOLD:
+    if max(trim.highest_rise(par, shift), trim.highest_rise(par, before)) <= HOLD:
         for j in range(5):
             step = before[j] * par[FOLLOW]
             mem[REFERENCE + j] += min(max(step, -par[MOST]), par[MOST]) if j < 3 else step
@@ -119,7 +119,7 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     A shift that stays for two minutes of judged flight becomes the reference. From then on, and where a flight begins
     with more than a session explains, what leads back to where the trim was healthy does not count: m - m_ref is taken
     from the nearest point of the way there, so that a repair in flight is no fault of the other rotors. `level` equals
-    the statistic, `rotors` are the a_j.
+    the statistic. `rotors` are the a_j by the spreads as they are: a session's load is in m and m_ref alike.
 
     Warm-up: 10 s of unbroken valid flight as the envelope covers it. Latency: up to 5 s. False alarms: a payload that
     is picked up shifts roll and pitch, which count little. Blind spots: damage that was there at take-off (the
@@ -135,13 +135,13 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
 
     @classmethod
     def spread(cls, flights: Sequence[Sequence[FloatArray]], mean: Three) -> Three:
-        """Of healthy shifts within flights."""
+        """Of healthy shifts within flights, in which no session's load counts."""
         walked = [segment for flight in flights for segment in flight]
-        shifts = [segment[TRACE + 8 : TRACE + 11, segment[SOUND] > 0.5] for segment in walked]
+        shifts = [segment[TRACE + trim.RUNS + 4 :, segment[SOUND] > 0.5] for segment in walked]
         found = np.concatenate([np.empty((3, 0)), *shifts], axis=1).T
         if len(found) == 0:
             raise IdentificationError(f"no unbroken {2 * trim.WINDOW_S:g} s of flight to compare trims in; fly longer")
-        return spread_of(found)
+        return spread_of(found, 1.0)
 
     def own(self, tick_s: float) -> tuple[float, float, float]:
         """See `TICK_S`."""

@@ -12,13 +12,13 @@ from typing import Literal
 import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.trim import ALONG_DISCS, felt_share
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import allocating, cached, jit, summing
 from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence
 from mavdiag.monitors.columns import FORCE, LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.fitting import of_each, traced
 from mavdiag.monitors.spec import Positive, spec
-from mavdiag.rows.block import Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
@@ -38,7 +38,6 @@ BAND_SHARE = 0.25  # of the sample rate: corner where the stream is too slow for
 FULL_RATE_HZ = 400.0  # from here on the line at one per revolution is seen as it is (METHOD section 4)
 LEAST_RATE_HZ = 100.0  # below it nothing above the flight's own motion is left (METHOD section 4)
 SLACK = 0.98  # a nominal rate is met within 2 % (our choice)
-ONLY_X_Y = slice(0, 2)  # of the accelerometer
 # Places in the parameters: of each rotor the pattern of its covariances and its sense; then the filter. And in the
 # memory: rows so far, valid rows in a row, rows of the tick and its sums, the last filtered x and y; the means.
 TICK, TICKS, SCALE, POWER, TURNING, COVARIANCE_X, COVARIANCE_Y, NOISE, TURNS, LENGTH, PATTERNS = range(11)
@@ -228,7 +227,7 @@ class Unbalance(Monitor[UnbalanceSpec]):
     depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
     evidence = RotorEvidence(8.0)  # the sense of turning and the place agree (1) or do not (0 and below)
     spec_type = UnbalanceSpec
-    takes = MappingProxyType({Signal.SPECIFIC_FORCE: ONLY_X_Y})
+    takes = MappingProxyType({Signal.SPECIFIC_FORCE: ALONG_DISCS})
     run = staticmethod(run)
 
     def __init__(self, spec: UnbalanceSpec) -> None:
@@ -243,7 +242,7 @@ class Unbalance(Monitor[UnbalanceSpec]):
 
         Raises InputError if the link does not carry a rotor's vibration.
         """
-        if not any(of_each(flights, "felt x and y", lambda flight: any(_felt(rows.block) for rows in flight))):
+        if not any(of_each(flights, "share of rows with x and y", felt_share)):
             raise InputError("no flight with an accelerometer along x and y")
         airframe = context.airframe
         both = airframe.mass_kg is not None and airframe.hover_rad_s is not None
@@ -295,10 +294,6 @@ def _patterns(layout: RotorLayout | None) -> FloatArray:
     # [ cov(gz, ay) ]  ~ -s_j [ y_j ]  ~ yaw_j [ -roll_j  ]
     pattern = yaw * np.stack((pitch, -roll))
     return np.column_stack(((pattern / np.linalg.norm(pattern, axis=0)).T, -np.sign(yaw)))
-
-
-def _felt(block: Block) -> bool:
-    return bool((block.valid & block.known(Signal.SPECIFIC_FORCE, ONLY_X_Y)).any())
 
 
 def _means(spec: UnbalanceSpec, flight: Sequence[Rows]) -> FloatArray:

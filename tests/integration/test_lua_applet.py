@@ -54,7 +54,7 @@ arming = {is_armed = function() return w.armed end, get_aux_auth_id = function()
   set_aux_auth_passed = function(_, id) sent.refused = false end}
 vehicle = {get_control_output = function(_, which) return which == 3 and w.thrust or nil end}
 ahrs = {get_gyro = function() return vector(w.p, w.q, w.r) end,
-  get_accel = function() return w.fz and vector(0, 0, w.fz) end,
+  get_accel = function() return w.fz and vector(w.fx or 0, w.fy or 0, w.fz) end,
   get_vibration = function() return vector(w.vx, w.vy, w.vz) end, get_roll = function() return w.roll end,
   get_pitch = function() return w.pitch end, get_relative_position_D_home = function() return w.down end}
 local function channel(f) return f <= 40 and f - 33 or f - 74 end
@@ -262,8 +262,8 @@ def rows_of(block: Block, baseline: Baseline) -> Iterator[tuple[int, dict[str, f
     block, lean = in_rotor_order(block, baseline.airframe.outputs), block.setpoint[:, :2].copy()
     lean[~block.setpoint_valid] = np.nan
     rate = np.where(block.valid[:, None], block.rate, np.nan)
-    columns = (rate, block.force[:, 2:], block.vibration, block.thrust[:, None], lean, -block.height[:, None])
-    names = ["p", "q", "r", "fz", "vx", "vy", "vz", "thrust", "roll", "pitch", "down"]
+    columns = (rate, block.force, block.vibration, block.thrust[:, None], lean, -block.height[:, None])
+    names = ["p", "q", "r", "fx", "fy", "fz", "vx", "vy", "vz", "thrust", "roll", "pitch", "down"]
     table = np.concatenate((*columns, 1000.0 + 1000.0 * block.actuator), axis=1).tolist()
     names += [f"o{j}" for j in range(block.actuator.shape[1])]
     armed = ~(block.armed < 0.5) | (not baseline.link.gate.need_armed)

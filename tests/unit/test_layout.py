@@ -320,10 +320,9 @@ def test_an_unknown_layout_is_loud_in_the_baseline_and_in_every_verdict() -> Non
 
 @pytest.mark.parametrize(("name", "weak", "arm"), [("x8", 6, "1/6"), ("y6", 4, "4/6"), ("y6b", 1, "1/2")])
 def test_the_arm_is_named_where_rotors_share_one(name: str, weak: int, arm: str) -> None:
-    """X8 and Y6: both rotors of an arm move roll and pitch alike."""
-    airframe = with_layout(UNKNOWN, name)
+    """X8 and Y6, found by how their outputs move: both rotors of an arm move roll and pitch alike."""
     taught = [Log(f"{seed}", f"{seed:064x}", "px4", flying(3000, seed, layout=name)) for seed in (1, 2)]
-    base = learn(taught, LearnOptions(airframe=airframe, monitors=("rotor_trim", "trim_step")), created=NOW)
+    base = learn(taught, LearnOptions(airframe=UNKNOWN, monitors=("rotor_trim", "trim_step")), created=NOW)
     found = judge(Log("weak", "", "px4", flying(3000, 3, layout=name, weak_rotor=weak, rise=0.4)), base)
     assert found.verdict is Verdict.FAULT
     assert f"rotor {arm}" in found.reason

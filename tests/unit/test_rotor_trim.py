@@ -1,6 +1,5 @@
-"""Trims: what a rotor's rise is by least squares, the trim that lasts, and its step."""
+"""The trim monitor: amplitude, rotor, what it must not react to, refusals."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,16 +11,15 @@ from made_rows import example_context
 from made_thresholds import calibrated
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
-from mavdiag.airframe.trim import TILT_TRIM, rises, source_among, sources_of, trim_of
+from mavdiag.airframe.trim import TILT_TRIM
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Flights
-from mavdiag.monitors.columns import COVERED, columns_of, no_past
-from mavdiag.monitors.rotor_trim import WINDOW_S, RotorTrim, RotorTrimSpec, highest_rise, rise
-from mavdiag.monitors.trim_step import MEMORY_S, TrimStep, TrimStepSpec
+from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, Signal, Three
 from mavdiag.testing import example_rows
+from mavdiag.units import G
 
 CALM = (0.03, 0.03, 0.01)
 
@@ -167,6 +165,12 @@ def test_the_errors_of_the_law_are_those_of_its_fits() -> None:
     assert float(told.removesuffix(" rad/s").split()[-1]) == pytest.approx(0.25, rel=0.1)
 
 
+def test_a_nose_that_hardly_turns_leaves_the_law_near_its_prior() -> None:
+    """The noise of the gyro looks like a turn that takes nothing."""
+    found = fit([[turning(60, 3, (0.1, 0.05, 0.0), nose=0.001)]], "x")
+    assert found.turn == pytest.approx((0.0, 0.04, 0.0), abs=0.01)
+
+
 def test_sudden_turns_explain_themselves_whenever_a_tick_begins() -> None:
     """Steps of the yaw rate with 5 rad/s^2, as PX4 flies them: medians of half a second missed the peaks."""
     rng, n, law = np.random.default_rng(8), 12_000, (0.02, 0.05, 0.0)
@@ -185,159 +189,23 @@ def test_sudden_turns_explain_themselves_whenever_a_tick_begins() -> None:
         assert found.value[found.valid].max() < 0.5 * RotorTrim.prior.least
 
 
-CALM_LAW = (0.03, 0.02, 0.01)
-frames = st.sampled_from(sorted(LAYOUTS))
-shifts = st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3)
+def in_wind(seed: int, law: tuple[float, float], felt: bool = True) -> Rows:
+    """A vehicle that air pulls at from changing sides, which takes k times the pull of roll and pitch trim."""
+    rng, n = np.random.default_rng(seed), 6000
+    pull = 0.1 * np.sin(np.outer(0.01 * np.arange(n), [0.4, 0.7]) + rng.uniform(0, 6, 2))
+    trim = np.column_stack((pull * law, np.zeros(n)))
+    outputs = 0.5 * (1 + trim @ layout_named("x").mixing.T) + rng.normal(0.0, 0.002, (n, 4))
+    force = np.column_stack((G * pull[:, 1], -G * pull[:, 0], np.full(n, -G))) + rng.normal(0.0, 0.3, (n, 3))
+    return example_rows(n, actuator=outputs, force=force if felt else None)
 
 
-def by_lstsq(shift: FloatArray, effect: FloatArray, spread: FloatArray) -> float:
-    """The rise a of min || diag(1/spread) (effect a - shift) ||."""
-    found, *_ = np.linalg.lstsq((effect / spread)[:, None], shift / spread, rcond=None)
-    return float(found[0])
-
-
-@given(frame=frames, shift=shifts, lean=st.lists(st.floats(-0.4, 0.4), min_size=2, max_size=2))
-def test_the_rises_are_weighted_least_squares(frame: str, shift: list[float], lean: list[float]) -> None:
-    layout = layout_named(frame)
-    effects: FloatArray = np.asarray(np.linalg.pinv(layout.mixing), dtype=np.float64)  # (3, rotors)
-    wind = TILT_TRIM * math.hypot(*lean)
-    spread = np.array([math.hypot(CALM_LAW[0], wind), math.hypot(CALM_LAW[1], wind), CALM_LAW[2]])
-    found = rises(np.array([shift]), layout, (spread[0], spread[1], spread[2]))
-    expected = [by_lstsq(np.array(shift), effects[:, j], spread) for j in range(layout.rotors)]
-    np.testing.assert_allclose(found, [expected], rtol=1e-9, atol=1e-12)
-
-
-def test_idle_unknown_or_lacking_outputs_give_no_trim() -> None:
-    layout, outputs = layout_named("x"), np.full((4, 4), 0.5)
-    outputs[1] = 0.04
-    outputs[2, 3] = np.nan
-    valid = np.array([True, True, True, False])
-    found, known = trim_of(example_rows(4, actuator=outputs, valid=valid).block, layout, "actuator")
-    assert known.tolist() == [True, False, False, False]
-    assert not found.any()
-    assert not trim_of(example_rows(4, actuator=outputs[:, :3]).block, layout, "actuator")[1].any()
-    assert not trim_of(example_rows(4, torque=np.ones((4, 3)), thrust=np.ones(4)).block, layout, "torque")[1].any()
-
-
-def test_outputs_are_preferred_to_commands() -> None:
-    rng, frame = np.random.default_rng(1), layout_named("crazyflie")
-    outputs, torque, thrust = rng.normal(0.5, 0.01, (9, 4)), rng.normal(0.0, 0.01, (9, 3)), np.full(9, 0.5)
-    both = example_rows(9, torque=torque, thrust=thrust, actuator=outputs)
-    commands = example_rows(9, torque=torque, thrust=thrust)
-    assert source_among([sources_of([both], frame)], frame) == "actuator"
-    assert source_among([sources_of([commands], frame)], frame) == "torque"
-    full = example_rows(9, actuator=np.ones((9, 4)))  # all of them say 100 %, all flight
-    for rows in (example_rows(9), full):
-        with pytest.raises(InputError, match="outputs of 4 motors that move above idle"):
-            source_among([sources_of([rows], frame)], frame)
-
-
-LEAST = TrimStep.prior.least
-DT_S = 0.02
-ROTORS = [(frame, rotor) for frame in sorted(LAYOUTS) for rotor in range(layout_named(frame).rotors)]
-
-
-def read_step(outputs: FloatArray, frame: str = "x", setpoint: FloatArray | None = None) -> Statistic:
-    spec = TrimStepSpec(layout=layout_named(frame), source="actuator", spread=CALM)
-    monitor = TrimStep(spec)
-    return monitor.step(monitor.start(), example_rows(len(outputs), DT_S, actuator=outputs, setpoint=setpoint))[1]
-
-
-def level(seconds: float, rotors: int = 4, seed: int = 1) -> FloatArray:
-    return np.random.default_rng(seed).normal(0.5, 0.004, (round(seconds / DT_S), rotors))
-
-
-@pytest.mark.parametrize(("frame", "rotor"), ROTORS)
-def test_a_step_of_each_rotor_of_each_layout_is_found_and_named(frame: str, rotor: int) -> None:
-    n = layout_named(frame).rotors
-    outputs = level(40, n)
-    outputs[1000:, rotor] += 0.05  # after 20 s, a tenth of hover
-    found = read_step(outputs, frame)
-    before, after = found.value[found.valid & (found.t_ns < 20e9)], found.value[found.t_ns >= 25.6e9]
-    assert before.max() < LEAST
-    assert after[0] == pytest.approx(0.1 / (1 + 0.1 / n), rel=0.1)
-    assert int(found.rotors[found.t_ns >= 25.6e9][0].argmax()) == rotor
-    np.testing.assert_array_equal(found.level, found.value)
-
-
-@pytest.mark.parametrize("per_s", [1e-5, 1e-4, 2e-4])
-def test_a_slow_drift_is_silent(per_s: float) -> None:
-    """A rise of `per_s` of hover a second lags by no more than the memory and a window and a half."""
-    outputs = level(180)
-    outputs[:, 2] += 0.5 * per_s * DT_S * np.arange(len(outputs))
-    found = read_step(outputs)
-    assert found.value[found.valid].max() < LEAST
-    assert found.rotors[-60:, 2].mean() == pytest.approx(per_s * (MEMORY_S + 1.5 * WINDOW_S), abs=0.001)
-
-
-def test_nothing_is_judged_before_there_are_two_windows_nor_after_a_gap() -> None:
-    outputs = level(40)
-    outputs[1000:1010] = np.nan
-    found = read_step(outputs)
-    judged = found.t_ns[found.valid] / 1e9
-    assert judged[0] == pytest.approx(2 * WINDOW_S, abs=DT_S)
-    broken = judged[(judged > 19.9) & (judged < 20 + 2 * WINDOW_S)]
-    assert len(broken) <= 1
-    assert judged[-1] > 39
-
-
-def test_a_flight_that_is_too_short_is_refused() -> None:
-    short = [[example_rows(950, 0.01, actuator=level(19))]]
-    with pytest.raises(IdentificationError, match="no unbroken 10 s of flight to compare trims in; fly longer"):
-        TrimStep.fit(short, example_context("x"))
-    hops = [[example_rows(950, 0.01, segment=i, actuator=level(19)) for i in range(3)]]
-    with pytest.raises(IdentificationError, match="no unbroken 10 s"):
-        TrimStep.fit(hops, example_context("x"))
-    enough = [[example_rows(1050, 0.01, actuator=level(21))]]
-    assert TrimStep.fit(enough, example_context("x"))
-
-
-def test_outputs_that_stand_still_are_no_step_and_no_rotor() -> None:
-    outputs = level(60)
-    outputs[1000:, 1] = 0.56  # what they happened to be when the link began to repeat itself
-    outputs[1000:] = outputs[1000]
-    found = read_step(outputs)
-    assert found.value[found.valid].max() < LEAST + 0.12 / 10  # one tick of ten, at most
-    assert not found.valid[found.t_ns > 21e9].any()
-    dead = read_step(np.ones((2000, 4)))
-    assert not dead.valid.any()  # "all motors 100 %" is nothing to judge by
-
-
-def test_ground_effect_is_no_reference() -> None:
-    """20 s in low hover, outside of the envelope, then away: the shift was a fault for the rest of the flight."""
-    outputs = level(90)
-    outputs[1000:] *= 1 + layout_named("x").mixing @ np.array([0.0, 0.0, 0.03])
-    spec = TrimStepSpec(layout=layout_named("x"), source="actuator", spread=CALM)
-    monitor, rows = TrimStep(spec), example_rows(len(outputs), DT_S, actuator=outputs)
-    assert monitor.step(monitor.start(), rows)[1].value.max() > LEAST
-    columns, begun = columns_of(rows, no_past(0)), monitor.begin(DT_S)
-    columns.x[COVERED] = rows.block.t_ns > 21e9
-    found = monitor.judge(begun.par, begun.mem, rows, columns)[0]
-    assert found.value[found.valid].max() < LEAST
-    assert found.t_ns[found.valid][0] >= 30.9e9
-
-
-def test_what_stays_becomes_the_reference_and_its_repair_is_no_fault() -> None:
-    outputs = level(260)
-    outputs[1000:9000, 2] += 0.05  # from 20 to 180 s
-    found = read_step(outputs)
-    at = found.t_ns / 1e9
-    assert found.value[(at > 26) & (at < 120)].min() > 0.09
-    assert found.value[(at > 160) & (at < 180)].max() < LEAST  # there is a way out
-    assert found.value[at > 180].max() < LEAST  # back where it was healthy: no other rotor rises
-    outputs[11000:, 0] += 0.05  # another one, at 220 s
-    again = read_step(outputs)
-    assert again.value[again.t_ns > 226e9].min() > 0.08
-    assert (again.rotors[again.t_ns > 226e9].argmax(axis=1) == 0).all()
-
-
-@given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=5, max_size=5))
-def test_the_compiled_rise_is_that_of_arrays(frame: str, shift: list[float]) -> None:
-    layout, both = layout_named(frame), np.array([shift])
-    par = RotorTrim(RotorTrimSpec(layout=layout, source="actuator", spread=CALM_LAW)).begin(0.01).par
-    wind = TILT_TRIM * math.hypot(*shift[3:])
-    spread = np.array([math.hypot(CALM_LAW[0], wind), math.hypot(CALM_LAW[1], wind), CALM_LAW[2]])
-    expected = rises(both[:, :3], layout, spread)[0]
-    found = [rise(par, rotor, both[0], True) for rotor in range(layout.rotors)]
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
-    assert highest_rise(par, both[0], True) == max(found)
+def test_what_the_air_pulls_is_learnt_by_the_accelerometer_and_taken_off() -> None:
+    law = (0.5, -0.6)
+    spec = fit([[in_wind(seed, law)] for seed in range(2)], "x")
+    np.testing.assert_allclose(spec.pull, law, atol=3 * max(spec.pull_sd))
+    assert RotorTrim(spec).signals == {Signal.ACTUATOR, Signal.SPECIFIC_FORCE}
+    calm = read(spec, [in_wind(5, law)])
+    rough = read(replace(spec, pull=(0.0, 0.0)), [in_wind(5, law)])
+    assert calm.rotors[calm.valid].max() < 0.2 * rough.rotors[rough.valid].max()
+    blind = fit([[in_wind(1, law, felt=False)]], "x")
+    assert (blind.felt, blind.pull, blind.pull_sd) == (False, (0.0, 0.0), (TILT_TRIM, TILT_TRIM))
