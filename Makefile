@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: system demo test lint types layers doctest docs examples screenshots dist deb try-deb check older lowest bench fuzz soak clean help
+.PHONY: system demo test virtual realtime lint types layers doctest docs examples screenshots dist deb try-deb check older lowest bench fuzz soak clean help
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -29,8 +29,12 @@ system:  ## Chromium, Mosquitto, PostgreSQL and help2man for what uses them, whe
 demo: $(STAMP)  ## the main job: plant, detector and alert over MAVLink on loopback
 	$(BIN)/mavdiag demo
 
-test: $(STAMP)  ## the whole test suite
+test: virtual realtime  ## the whole test suite
+
+virtual: $(STAMP)  ## the tests that need no wall clock
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime"
+
+realtime: $(STAMP)  ## those that need it, and the machine for themselves
 	$(BIN)/python -m pytest -n 3 --dist loadfile -m realtime
 
 lint: $(STAMP)  ## ruff: rules and format

@@ -19,7 +19,6 @@ DT_NS = 10_000_000
 
 
 def flying_front(trim_end_s: float = 0.0) -> Front:
-    """A front for these flights."""
     return Front(AlignSpec(DT_S, Grid.NATIVE), GateSpec(trim_end_s=trim_end_s), RateSpec.of(DT_S, 11))
 
 
@@ -76,7 +75,6 @@ def flying(
 
 
 def flying_rows(telemetry: Telemetry) -> list[Rows]:
-    """All rows of a whole flight."""
     front = flying_front()
     state, rows = front.step(front.start(), telemetry)
     return [one for one in (*rows, *front.finish(state)[1]) if isinstance(one, Rows)]

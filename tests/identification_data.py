@@ -36,7 +36,6 @@ def record(model: ArxModel, n: int, noise: float, seed: int) -> Record:
 
 @cache
 def octave(index: int) -> tuple[dict[str, Any], FloatArray, FloatArray]:
-    """One of Octave's 24 cases, with u and y."""
     folder = shared("reference/octave")
     table = np.genfromtxt(folder / "data_well.csv", delimiter=",", names=True)
     case: dict[str, Any] = json.loads((folder / "arx_reference_well.json").read_text())[index]

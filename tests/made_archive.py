@@ -65,12 +65,10 @@ def made(folder: Path, *names: str, first_seed: int = 1, shaken: Sequence[str] =
 
 @cache
 def archive_baseline() -> Baseline:
-    """Learnt from three such flights."""
     with tempfile.TemporaryDirectory() as folder:
         logs = [read_log(path) for path in made(Path(folder), "a", "b", "c", first_seed=100)]
     return learn(logs, LearnOptions(airframe=FRAME, monitors=MONITORS), created=NOW)
 
 
 def asked(options: Options | None = None) -> Question:
-    """The question about that baseline."""
     return Question.of(archive_baseline(), options or Options())

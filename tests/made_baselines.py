@@ -30,7 +30,6 @@ BOTH = (Axis.ROLL, Axis.PITCH)
 
 
 def logged(telemetry: Telemetry, profile: str = "px4", name: str = "log") -> Log:
-    """A log of a made flight."""
     return Log(name, "", profile, telemetry)
 
 
@@ -72,13 +71,11 @@ def kept(key: str, make: Callable[[], Baseline]) -> Baseline:
 
 @cache
 def whole() -> Baseline:
-    """All monitors that can work on `flying`."""
     return kept("whole", lambda: learn(healthy(3), LearnOptions(airframe=FRAME), created=NOW))
 
 
 @cache
 def trim() -> Baseline:
-    """The trim monitor alone."""
     options = LearnOptions(airframe=FRAME, monitors=("rotor_trim",))
     return kept("trim", lambda: learn(healthy(2), options, created=NOW))
 

@@ -67,7 +67,6 @@ def flight(duration_s: float, seed: int, *, weak_rotor: int = 0, rise: float = 0
 
 
 def content(rows: Mapping[str, Any], *, compressed: bool = True) -> bytes:
-    """The file."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "made.mat"
         savemat(path, dict(rows), do_compression=compressed)
@@ -75,7 +74,6 @@ def content(rows: Mapping[str, Any], *, compressed: bool = True) -> bytes:
 
 
 def written(path: Path, rows: Mapping[str, FloatArray]) -> Path:
-    """The file on disk."""
     path.write_bytes(content(rows, compressed=False))
     return path
 

@@ -36,7 +36,6 @@ class CrazyflieEvent:
 
 
 def crazyflie_content(events: Sequence[CrazyflieEvent], records: Sequence[bytes], version: int = 2) -> bytes:
-    """A Crazyflie log without its checksum."""
     header = struct.pack("<BHH", 0xBC, version, len(events))
     for event in events:
         header += struct.pack("<H", event.number) + event.name.encode() + b"\0"
@@ -50,8 +49,6 @@ def with_checksum(content: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class DataFlashMessage:
-    """A message type of a DataFlash log."""
-
     kind: int
     name: str
     characters: str

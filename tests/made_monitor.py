@@ -18,8 +18,6 @@ WINDOW = 100
 
 @spec
 class HeightSpec:
-    """Healthy mean acceleration."""
-
     kind: Literal["made_up"] = "made_up"
     mean: float = 0.0
 
@@ -61,5 +59,4 @@ class MadeUp(Monitor[HeightSpec]):
         return (HeightSpec(mean=float(down.mean())),)
 
     def begin(self, dt_s: float) -> Begin:
-        """The healthy mean; an empty mean."""
         return Begin(np.array([self.spec.mean]), np.zeros(mean_size(WINDOW, 1)))

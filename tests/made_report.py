@@ -22,7 +22,6 @@ CREATED = "2026-01-01T00:00:00+00:00"
 
 @cache
 def script() -> ModuleType:
-    """docs/draw_report.py."""
     spec = importlib.util.spec_from_file_location("draw_report", DOCS / "draw_report.py")
     assert spec is not None
     assert spec.loader is not None
@@ -33,7 +32,6 @@ def script() -> ModuleType:
 
 
 def cracked() -> tuple[Log, JudgedFlight]:
-    """The flight."""
     found: tuple[Log, JudgedFlight] = script().cracked()
     return found
 

@@ -57,7 +57,6 @@ def _attitude_and_rate(seconds: int, seed: int) -> tuple[FloatArray, FloatArray]
 
 
 def _specs(name: str, axes: tuple[Axis, ...]) -> list[tuple[Any, float]]:
-    """Fits of a monitor, with a threshold for each."""
     match name:
         case "fsd":
             model = ModelRecord(
@@ -191,7 +190,6 @@ class Story:
         return [effect for _, effect in self.log[before:]]
 
     def give(self, inbox: Inbox) -> list[Effect]:
-        """One step."""
         effects = self.session.step(inbox, self.now)
         self.log += [(self.s, effect) for effect in effects]
         return list(effects)
@@ -203,7 +201,6 @@ class Story:
         return self.give(Inbox(alive=True, reboots=self.reboots, acks=(ack,)))
 
     def at(self, state: State) -> bool:
-        """Whether it stands there now."""
         return self.session.state is state
 
     @property
@@ -212,7 +209,6 @@ class Story:
 
     @property
     def states(self) -> list[State]:
-        """The way it went."""
         return [effect.new for _, effect in self.log if isinstance(effect, StateChanged)]
 
     def _chunk(self, n: int, push: float, armed: bool, thrust: float, every: int) -> Telemetry:
@@ -235,5 +231,4 @@ class Story:
 
 
 def outcome_of(story: Story) -> Baseline:
-    """What a fit of the made flight would give."""
     return baseline_for(story.spec.profile.name)

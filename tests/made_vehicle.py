@@ -202,6 +202,5 @@ class Bench:
 
 
 def received(endpoint: Endpoint) -> list[Frame]:
-    """What waits at an endpoint."""
     decoder = Decoder()
     return [frame for data, host_ns in endpoint.receive(0.0) for frame in decoder.feed(data, host_ns)]

@@ -21,7 +21,6 @@ class _Mailbox:
         self._messages: deque[bytes] = deque()
 
     def put(self, data: bytes) -> bool:
-        """Whether the message found room."""
         if not self.open or len(self._messages) >= self._capacity:
             return False
         self._messages.append(data)
@@ -29,7 +28,6 @@ class _Mailbox:
         return True
 
     def take(self) -> list[bytes]:
-        """Everything that waits."""
         if not self.open or not self._messages:
             return []
         os.eventfd_read(self.fileno)
@@ -52,11 +50,9 @@ class MemoryEndpoint(Endpoint):
 
     @property
     def connected(self) -> bool:
-        """Whether both ends are open."""
         return self._inbox.open and self._outbox.open
 
     def filenos(self) -> tuple[int, ...]:
-        """The mailbox's descriptor."""
         return (self._inbox.fileno,) if self._inbox.open else ()
 
     def send(self, data: bytes) -> None:
@@ -67,7 +63,6 @@ class MemoryEndpoint(Endpoint):
             self._count.dropped += 1
 
     def close(self) -> None:
-        """Close this end; what waits in it is lost."""
         self._inbox.close()
 
     def _drain(self) -> list[Chunk]:

@@ -39,12 +39,10 @@ def quiet_vehicle() -> Vehicle:
 
 
 def quiet_airframe() -> Airframe:
-    """A noiseless, perfectly made specimen."""
     return nominal_airframe(quiet_vehicle())
 
 
 def fly(config: PlantConfig, seconds: float) -> PlantSamples:
-    """The first seconds of a flight."""
     return Plant(config).advance(round(seconds * 1000))
 
 

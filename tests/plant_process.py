@@ -40,7 +40,6 @@ def process(
 
 
 def record(path: Path, *options: str) -> None:
-    """`sitl-plant record`, in this process."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sys.argv", ["sitl-plant", "record", "-o", str(path), *options])
         with pytest.raises(SystemExit) as ended:

@@ -35,7 +35,6 @@ every_monitor = pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.name)
 
 @cache
 def healthy() -> list[list[Rows]]:
-    """What the monitors are fitted to."""
     return [flying_rows(flying(SAMPLES, 100))]
 
 
@@ -65,7 +64,6 @@ def test_new_propellers_and_a_further_session_give_a_fit_that_still_judges(kind:
 
 
 def run(monitor: Monitor[Any], rows: list[Rows]) -> Statistic:
-    """The statistics of a flight, joined."""
     parts = [one for one in monitor.over(rows) if len(one)]
     joined = {name: np.concatenate([getattr(one, name) for one in parts]) for name in ARRAYS}
     return Statistic(period_s=parts[0].period_s, **joined)

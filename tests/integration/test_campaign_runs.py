@@ -2,20 +2,12 @@
 
 import json
 import sys
-from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from mavdiag.baseline import Baseline
-from mavdiag.judging import JudgedFlight, judge_in_full
-from mavdiag.learning import learn
-from mavdiag.telemetry import Log
-from sitl_plant.campaign import worker
 from sitl_plant.campaign.plan import Design
 from sitl_plant.campaign.summary import summarise
 from sitl_plant.campaign.worker import Journal, Results, run_campaign
@@ -37,29 +29,6 @@ def run(path: Path, design: Design = TINY, workers: int = 1) -> Results:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Results]:
     path = tmp_path_factory.mktemp("campaign") / "results.jsonl"
     return path, run(path)
-
-
-def test_flights_come_out_as_flown(finished: tuple[Path, Results]) -> None:
-    _, results = finished
-    (learnt,) = results.learnt
-    assert learnt.error == ""
-    assert learnt.judged_s == pytest.approx(
-        2 * (12.0 - 5.1), abs=0.1
-    )  # five seconds after take-off and windows are not judged
-    by_cause = {flight.cause: flight for flight in results.flights}
-    assert by_cause["healthy"].onset_s is None
-    assert by_cause["healthy"].flown_s == 12.0
-    assert by_cause["healthy"].healthy_s == by_cause["healthy"].judged_s
-    crack, gone = by_cause["F2/SV3"], by_cause["ejection"]
-    assert crack.onset_s is not None
-    assert 0.3 * 12 <= crack.onset_s <= 0.5 * 12
-    assert gone.onset_s is not None
-    assert gone.onset_s < gone.flown_s < gone.onset_s + 2.0  # it falls
-    for one in (crack, gone):  # as in the healthy flight; what was judged after the onset is not in it
-        assert one.healthy_s == pytest.approx(max(0.0, (one.onset_s or 0.0) - 5.1), abs=0.15)
-    assert gone.latency_s is not None
-    assert gone.latency_s > 0.0
-    assert summarise(results)["flights"] == 4
 
 
 def test_two_worker_processes_give_the_same_numbers(finished: tuple[Path, Results], tmp_path: Path) -> None:
@@ -92,39 +61,6 @@ def test_an_airframe_that_cannot_be_learnt_is_told_not_hidden(tmp_path: Path) ->
     assert results.flights[0].verdict == "not_judgeable"
     assert "no baseline" in results.flights[0].reason
     assert summarise(results)["detection"] == []
-
-
-def test_conditions_are_flown_judged_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One short flight in each of four conditions, against one baseline; the logs say which day they are of."""
-    started: dict[str, list[int]] = {"learn": [], "judge": []}
-
-    def learn_seen(logs: Sequence[Log], *told: Any, **named: Any) -> Baseline:
-        started["learn"] += [one.started_ns for one in logs]
-        return learn(logs, *told, **named)
-
-    def judge_seen(log: Log, baseline: Baseline) -> JudgedFlight:
-        started["judge"].append(log.started_ns)
-        return judge_in_full(log, baseline)
-
-    monkeypatch.setattr(worker, "learn", learn_seen)
-    monkeypatch.setattr(worker, "judge_in_full", judge_seen)
-    names = ("turbulence-8", "pick-up", "mocap-loss", "propellers-3")
-    design = replace(TINY, flights=0, hours=4 * 12.0 / 3600, condition=names)
-    results = run(tmp_path / "results.jsonl", design)
-    assert [one.conditions.condition for one in results.flights] == list(names)
-    assert [one.session for one in results.flights] == [0, 0, 0, 1]
-    gaps_s = np.diff([*started["learn"], started["judge"][0]]) / 1e9
-    np.testing.assert_allclose(gaps_s, 12.0 + 300.0)
-    same, day = started["judge"][:3], started["judge"][3]
-    assert len(set(same)) == 1
-    assert day - started["learn"][0] == 86_400 * 10**9
-    for row in summarise(results)["conditions"]:
-        assert row["flown_h"] == pytest.approx(12.0 / 3600)
-        assert 0.3 < row["judged_share"] < 0.8
-        assert {one["name"] for one in row["monitors"]} >= {"fsd", "innovation"}
-        assert all(0.0 <= one["judged_share"] <= 1.0 for one in row["monitors"])
-    again = run(tmp_path / "results.jsonl", design)
-    assert (again.reused, again.flights) == (5, results.flights)
 
 
 def test_b13_fresh_keeps_the_results_if_the_scheduler_cannot_be_used(

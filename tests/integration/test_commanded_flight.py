@@ -13,7 +13,6 @@ from sitl_plant.autopilot.dialect import Mode, dialect_named
 from sitl_plant.autopilot.stream import to_global
 from sitl_plant.autopilot.wire import Action, Reply
 from sitl_plant.emulator import obey
-from sitl_plant.physics.faults import Injection
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 
 PLANT = (1, 1)
@@ -126,58 +125,6 @@ def test_a_flight_by_command_from_the_ground_to_the_ground(profile: str) -> None
     assert texts == ["Armed", "Refused: disarming is denied in flight", "Disarmed"]
 
 
-def test_copter_takes_off_in_guided_only() -> None:
-    vehicle = Vehicle("ardupilot")
-    assert vehicle.order(MavCmd.DO_SET_MODE, 1, 5) == MavResult.ACCEPTED
-    assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 1) == MavResult.ACCEPTED
-    assert vehicle.order(MavCmd.NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 1.5) == MavResult.FAILED
-    assert vehicle.order(MavCmd.DO_SET_MODE, 1, 4) == MavResult.ACCEPTED
-    assert vehicle.order(MavCmd.NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 1.5) == MavResult.ACCEPTED
-    assert vehicle.order(MavCmd.DO_SET_MODE, 1, 99) == MavResult.DENIED
-
-
-def test_set_points_are_followed_in_guided_flight_only() -> None:
-    vehicle = in_flight()
-    position = (0, *PLANT, 1, 0b110111111000, 1.0, 1.0, -2.0)
-    vehicle.send(MessageId.SET_POSITION_TARGET_LOCAL_NED, *position)
-    vehicle.fly(3.0)
-    assert vehicle.place == pytest.approx((0.0, 0.0, -1.5), abs=0.15)
-    assert vehicle.order(MavCmd.DO_SET_MODE, 1, 6) == MavResult.ACCEPTED  # offboard
-    for _ in range(30):
-        vehicle.send(MessageId.SET_POSITION_TARGET_LOCAL_NED, *position)
-        vehicle.fly(0.1)
-    assert vehicle.place == pytest.approx((1.0, 1.0, -2.0), abs=0.2)
-    velocity = (0, *PLANT, 1, 0b110111000111, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0)
-    for _ in range(20):
-        vehicle.send(MessageId.SET_POSITION_TARGET_LOCAL_NED, *velocity)
-        vehicle.fly(0.1)
-    assert vehicle.now.velocity[-1] == pytest.approx((0.5, 0.0, 0.0), abs=0.2)
-    vehicle.fly(5.0)  # forgotten, it stops
-    assert vehicle.now.velocity[-1] == pytest.approx((0.0, 0.0, 0.0), abs=0.1)
-
-
-@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
-def test_a_mission_is_flown_item_by_item(profile: str) -> None:
-    vehicle = Vehicle(profile)
-    plan = [(22, 0.0, 0.0, 1.5), (16, 2.0, 0.0, 1.5), (16, 2.0, 1.0, 2.0), (21, 2.0, 1.0, 0.0)]
-    if profile == "ardupilot":
-        plan.insert(0, (16, 0.0, 0.0, 0.0))  # its item 0 is home
-    vehicle.send(MessageId.MISSION_COUNT, *PLANT, len(plan), 0)
-    for seq, (number, north, east, height) in enumerate(plan):
-        item = (*PLANT, seq, 6, number, 0, 1, 0.0, 0.0, 0.0, NAN, *degrees(north, east), height, 0)
-        answer = vehicle.send(MessageId.MISSION_ITEM_INT, *item)
-    assert [(reply.msgid, reply.fields[2]) for reply in answer] == [(MessageId.MISSION_ACK, 0)]
-    assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 1) == MavResult.ACCEPTED
-    assert vehicle.order(MavCmd.MISSION_START) == MavResult.ACCEPTED
-    vehicle.fly(25.0)
-    assert vehicle.place == pytest.approx((2.0, 1.0, 0.0), abs=0.15)
-    assert not vehicle.armed
-    reached = [reply.fields[0] for reply in vehicle.said if reply.msgid == MessageId.MISSION_ITEM_REACHED]
-    assert reached == list(range(len(plan)))
-    highest = min(samples.position[:, 2].min() for samples in vehicle.flown)
-    assert highest == pytest.approx(-2.0, abs=0.15)
-
-
 @pytest.mark.parametrize("profile", ["px4", "ardupilot"])
 def test_a_mission_is_paused_and_goes_on_where_the_autopilot_can(profile: str) -> None:
     vehicle = Vehicle(profile)
@@ -205,24 +152,3 @@ def test_a_mission_is_paused_and_goes_on_where_the_autopilot_can(profile: str) -
     assert vehicle.order(MavCmd.DO_PAUSE_CONTINUE, 1) == MavResult.ACCEPTED
     vehicle.fly(8.0)
     assert vehicle.place == pytest.approx((3.0, 1.0, -1.5), abs=0.2)
-
-
-def test_a_failure_names_a_motor_or_a_fault_of_the_thesis() -> None:
-    vehicle = in_flight()
-    inject = (MavCmd.INJECT_FAILURE, 101)
-    assert vehicle.order(*inject, 5, 2) == MavResult.ACCEPTED
-    vehicle.fly(0.1)
-    for name, value in (("SIM_PROP_FAULT", 2.0), ("SIM_PROP_SEV", 3.0)):
-        integer = np.array([round(value)], dtype="<i4").view("<f4")[0]
-        vehicle.send(MessageId.PARAM_SET, *PLANT, name, float(integer), 6)
-    assert vehicle.order(*inject, 1, 3) == MavResult.ACCEPTED
-    vehicle.fly(0.1)
-    assert vehicle.order(*inject, 0, 2) == MavResult.ACCEPTED
-    vehicle.fly(0.1)
-    changes = [change.what for change in vehicle.plant.take_changes()]
-    named = [(what.name, what.rotor) if isinstance(what, Injection) else str(what) for what in changes]
-    slow, broken = ("motor slow", 2), ("F2/SV3", 3)
-    assert named == ["clear", slow, "clear", slow, broken, "clear", broken]
-    assert vehicle.order(*inject, 0, 0) == MavResult.ACCEPTED
-    vehicle.fly(0.1)
-    assert [str(change.what) for change in vehicle.plant.take_changes()] == ["clear"]

@@ -1,21 +1,35 @@
 """The whole daemon on a virtual clock and an in-memory link: what it sends, to whom, and when it is silent."""
 
+import errno
+import json
+import os
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
+from typing import NoReturn
+from unittest.mock import patch
 
 import pytest
 from made_session import baseline_for
-from made_vehicle import TICK_S, Bench, FakeFitter, MadeVehicle, VirtualHost, received
+from made_vehicle import RATE_HZ, TICK_S, Bench, FakeFitter, MadeVehicle, VirtualHost, received
 from memory_port import MemoryEndpoint
+from virtual_flight import GroundStation, VirtualFlight, healthy_flights, learnt
 
 from detector.config import Settings, VehicleSettings
 from detector.fleet import Turn
 from detector.notify import Notifier
-from mavdiag.link.codec import Encoder, Frame, field_index
+from detector.states import State
+from mavdiag.baseline import Baseline
+from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, Severity
+from mavdiag.link.ports import Chunk
 from mavdiag.logs.tlog import read_tlog
 from mavdiag.telemetry import Instant, Signal
+from sitl_plant.physics.faults import Injection, RotorDamage
+from sitl_plant.plant import PlantConfig
+from sitl_plant.vehicle import qdrone2
 
 UDP_IN, UDP_OUT = "udpin:127.0.0.1:0", "udpout:127.0.0.1:14550"
 ACK_COMMAND, ACK_RESULT = (field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result"))
@@ -45,7 +59,6 @@ def texts(frames: list[Frame]) -> list[str]:
 
 
 def figure(frame: Frame) -> tuple[str, float]:
-    """Name and value of a NAMED_VALUE_FLOAT."""
     name, value = (frame.fields[field_index(MessageId.NAMED_VALUE_FLOAT, field)] for field in ("name", "value"))
     assert isinstance(name, bytes)
     assert isinstance(value, float)
@@ -64,9 +77,7 @@ def test_the_heartbeat_is_a_companions_with_the_vehicles_system_id(benches: Benc
 
 
 @pytest.mark.parametrize(("expected", "sysid"), [(None, 1), (42, 42)])
-def test_a_link_that_must_be_spoken_to_first_gets_heartbeats_and_nothing_else(
-    benches: Benches, expected: int | None, sysid: int
-) -> None:
+def test_a_link_to_be_spoken_to_first_gets_heartbeats_only(benches: Benches, expected: int | None, sysid: int) -> None:
     bench = benches(Settings(connect=UDP_OUT, learn=5.0, vehicle=expected))
     bench.run(5.0)
     frames = received(bench.far)
@@ -161,37 +172,6 @@ def test_l11_looks_that_come_late_are_counted_and_told(benches: Benches) -> None
     assert bench.daemon.figures().late == 5
 
 
-def test_timesync_is_asked_rarely_and_answered(benches: Benches) -> None:
-    vehicle = MadeVehicle(1)
-    bench = benches(Settings(connect=UDP_IN, learn=500.0), vehicle)
-    bench.run(25.0)
-    asked = of(received(bench.far), MessageId.TIMESYNC)
-    assert [frame.fields[field_index(MessageId.TIMESYNC, "tc1")] for frame in asked] == [0, 0, 0]
-    bench.far.send(vehicle.encoder.encode(MessageId.TIMESYNC, 0, 4711))
-    place = field_index(MessageId.TIMESYNC, "ts1")
-    stamp = asked[-1].fields[place]
-    assert isinstance(stamp, int)
-    bench.far.send(vehicle.encoder.encode(MessageId.TIMESYNC, 5_000_000_000, stamp))
-    bench.run(0.2)
-    [answer] = of(received(bench.far), MessageId.TIMESYNC)
-    assert answer.fields[place] == 4711
-    [figures] = bench.daemon.fleet.figures()
-    assert figures.timesync.round_trip_s is not None
-
-
-def test_a_question_is_answered_in_the_next_look_whenever_the_vehicle_has_its_turn(benches: Benches) -> None:
-    vehicle = MadeVehicle(1)
-    bench = benches(judging(), vehicle, baseline=baseline_for())
-    bench.run(5.0)
-    for _ in range(5):
-        received(bench.far)
-        bench.far.send(STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.REQUEST_MESSAGE, 0, 148))
-        bench.far.send(vehicle.encoder.encode(MessageId.TIMESYNC, 0, 4711))
-        bench.run(TICK_S)
-        kinds = Counter(frame.msgid for frame in received(bench.far))
-        assert (kinds[MessageId.COMMAND_ACK], kinds[MessageId.TIMESYNC]) == (1, 1)
-
-
 class SlowHost(VirtualHost):
     """A machine on which judging a vehicle takes 10 ms of the processor."""
 
@@ -247,7 +227,6 @@ def judging(**more: object) -> Settings:
 
 
 def asked(bench: Bench, end: MemoryEndpoint, frame: bytes) -> list[Frame]:
-    """What comes back for a request."""
     received(end)
     end.send(frame)
     bench.run(0.1)
@@ -292,3 +271,214 @@ def test_each_vehicle_of_a_fleet_is_judged_by_its_own_baseline(benches: Benches)
     assert words == ["vehicle 1: not watched: it has no baseline; name one in [vehicles.1]"]
     assert not any("but several fly" in line for line in bench.host.lines)
     assert "watching 2 vehicles by a baseline of its own" in bench.host.lines[0]
+
+
+UDP_IN_SURVIVAL = "udpin:127.0.0.1:0"
+WATCH = Settings(connect=UDP_IN_SURVIVAL, baseline=Path("b.json"))
+
+
+@pytest.fixture
+def watching() -> Iterator[Callable[..., Bench]]:
+    made: list[Bench] = []
+
+    def make(host: VirtualHost | None = None) -> Bench:
+        bench = Bench(WATCH, vehicles=[MadeVehicle(1)], baseline=baseline_for(), host=host or VirtualHost())
+        made.append(bench)
+        bench.run(6.0)
+        assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
+        return bench
+
+    yield make
+    for bench in made:
+        bench.close()
+
+
+def unheard(bench: Bench, seconds: float) -> None:
+    """The vehicle flies on, and nothing of it arrives."""
+    for _ in range(round(seconds / TICK_S)):
+        bench.vehicles[0].samples(round(TICK_S * RATE_HZ))
+        bench.host.sleep(TICK_S)
+        bench.daemon.tick()
+
+
+def alarms(bench: Bench) -> list[str]:
+    """The texts of declared faults since the last time."""
+    texts = [frame for frame in received(bench.far) if frame.msgid == MessageId.STATUSTEXT]
+    return [one.text("text") for one in texts if one.numbers("severity") <= (Severity.CRITICAL,)]
+
+
+def finds_a_fault(bench: Bench) -> bool:
+    """Whether it judges again: quiet so far, and an alarm within 3 s of a fault."""
+    quiet = not alarms(bench)
+    bench.vehicles[0].turning = 0.5
+    bench.run(3.0)
+    return quiet and bool(alarms(bench))
+
+
+def test_a_vehicle_that_reboots_is_watched_again(watching: Callable[..., Bench]) -> None:
+    bench = watching()
+    unheard(bench, 4.0)
+    bench.vehicles[0].sent = 0
+    bench.run(8.0)
+    assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 1
+    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
+    assert finds_a_fault(bench)
+
+
+@pytest.mark.parametrize("cut_s", [1.0, 60.0])
+def test_a_link_that_was_cut_is_judged_again(watching: Callable[..., Bench], cut_s: float) -> None:
+    bench = watching()
+    unheard(bench, cut_s)
+    assert (bench.daemon.fleet.vehicles[1].session.state is State.LOST) == (cut_s > 3.0)
+    bench.run(6.0)
+    assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
+    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
+    assert finds_a_fault(bench)
+
+
+def test_an_error_of_the_program_takes_off_one_vehicle_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    journal = tmp_path / "j.jsonl"
+    bench = Bench(WATCH, vehicles=[MadeVehicle(1), MadeVehicle(2)], baseline=baseline_for(), journal=journal)
+    bench.run(6.0)
+
+    def fails(*_: object) -> NoReturn:
+        raise KeyError("a bug")
+
+    monkeypatch.setattr(bench.daemon.fleet.link.vehicles[2], "step", fails)
+    bench.run(3.0)
+    states = {one.vehicle: one.state for one in bench.daemon.fleet.figures()}
+    assert states == {1: State.MONITORING, 2: State.FAULTED}
+    texts = [frame.text("text") for frame in received(bench.far) if frame.msgid == MessageId.STATUSTEXT]
+    assert [text for text in texts if "OFF" in text] == ["PROP OFF: KeyError: internal error"]
+    assert finds_a_fault(bench)
+    bench.close()
+    lines = [json.loads(one) for one in journal.read_text().splitlines()]
+    assert [one for one in lines if one["vehicle"] == 2 and "KeyError('a bug')" in one.get("text", "")]
+    assert lines[-1]["kind"] == "stop"
+
+
+class SteppedHost(VirtualHost):
+    """A machine whose wall clock is set by hand; the monotonic clock goes on."""
+
+    ahead = timedelta(0)
+
+    def utc(self) -> datetime:
+        return super().utc() + self.ahead
+
+
+@pytest.mark.parametrize("days", [-400, 400])
+def test_a_step_of_the_wall_clock_changes_nothing(watching: Callable[..., Bench], days: int) -> None:
+    host = SteppedHost()
+    bench = watching(host)
+    (before,) = bench.daemon.fleet.figures()
+    host.ahead = timedelta(days=days)
+    bench.run(5.0)
+    (after,) = bench.daemon.fleet.figures()
+    assert after.judged_s == pytest.approx(before.judged_s + 5.0, abs=0.1)
+    assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
+    assert finds_a_fault(bench)
+
+
+def test_a_full_disk_leaves_the_old_baseline_and_the_watch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "b.json"
+    baseline_for(rate_hz=200).save(path)
+    before = path.read_bytes()
+
+    def full(handle: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    settings = Settings(connect=UDP_IN_SURVIVAL, learn=5.0, save=path)
+    bench = Bench(settings, vehicles=[MadeVehicle(1)], fitter=FakeFitter(baseline_for()))
+    bench.run(12.0)
+    assert path.read_bytes() == before
+    assert [one.name for one in tmp_path.iterdir()] == ["b.json"]
+    assert any("baseline is not saved" in line and "No space left" in line for line in bench.host.lines)
+    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
+    assert finds_a_fault(bench)
+    bench.close()
+
+
+VEHICLE = replace(qdrone2(), propulsion=replace(qdrone2().propulsion, load_share=0.2))
+SETTLED_S = 15.0  # the live gate's 5 s, and the longest window
+FLOWN_S = 46.0
+SENT = {
+    MessageId.HEARTBEAT,
+    MessageId.STATUSTEXT,
+    MessageId.NAMED_VALUE_FLOAT,
+    MessageId.COMMAND_LONG,
+    MessageId.PARAM_REQUEST_READ,
+    MessageId.TIMESYNC,
+}
+NAME = field_index(MessageId.PARAM_REQUEST_READ, "param_id")
+COMMAND = field_index(MessageId.COMMAND_LONG, "command")
+STREAMS = (MessageId.RAW_IMU, MessageId.ATTITUDE_TARGET, MessageId.SERVO_OUTPUT_RAW, MessageId.ATTITUDE)
+
+
+@pytest.fixture(scope="module")
+def baseline() -> Baseline:
+    return learnt(healthy_flights(range(3), 40.0, vehicle=VEHICLE))
+
+
+@pytest.mark.parametrize(
+    "station", [GroundStation.by_streams(), GroundStation.by_intervals(STREAMS)], ids=["66", "511"]
+)
+def test_l3_a_station_that_resets_rates_costs_a_tenth_of_the_time(baseline: Baseline, station: GroundStation) -> None:
+    bench = Bench(Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json")), baseline=baseline)
+    try:
+        flight = VirtualFlight(bench, station)
+        flight.fly(PlantConfig(seed=9, vehicle=VEHICLE), FLOWN_S)
+        session = bench.daemon.fleet.vehicles[1].session
+        requests = [line for line in bench.host.lines if "asked for RAW_IMU" in line]
+    finally:
+        bench.close()
+    assert session.working
+    assert not any(State.FAULTED in line for line in bench.host.lines)
+    assert flight.share_judged(SETTLED_S) >= 0.9
+    assert len(station.times) == 4
+    assert len(requests) == len(station.times)  # one each: it is answered, and nobody fights
+    assert any("does a ground station set it? (MAVProxy: set streamrate -1)" in line for line in bench.host.lines)
+
+
+def test_what_tells_rotors_and_filter_is_read_while_it_learns_and_nothing_is_ever_set() -> None:
+    bench = Bench(Settings(connect="udpin:127.0.0.1:0", learn=500.0), links_behind=0)
+    heard: list[Frame] = []
+    decoder, receive = Decoder(), bench.far.receive
+
+    def listening(timeout_s: float) -> list[Chunk]:
+        chunks = receive(timeout_s)
+        heard.extend(frame for data, host_ns in chunks for frame in decoder.feed_datagram(data, host_ns))
+        return chunks
+
+    try:
+        with patch.object(bench.far, "receive", listening):
+            VirtualFlight(bench).fly(PlantConfig(seed=3), 8.0)
+        parameters = bench.daemon.fleet.link.vehicles[1].parameters
+    finally:
+        bench.close()
+    assert (parameters["FRAME_CLASS"], parameters["INS_GYRO_FILTER"]) == (1.0, 20.0)
+    assert {frame.msgid for frame in heard} <= SENT
+    names = Counter(frame.fields[NAME] for frame in heard if frame.msgid == MessageId.PARAM_REQUEST_READ)
+    assert max(names.values()) <= 3  # an output that this vehicle does not have
+    commands = {frame.fields[COMMAND] for frame in heard if frame.msgid == MessageId.COMMAND_LONG}
+    assert commands <= {MavCmd.SET_MESSAGE_INTERVAL}
+
+
+@pytest.mark.parametrize("profile", ["ardupilot", "px4"])
+def test_esc_telemetry_is_learnt_from_metered_and_the_weak_rotor_is_named(profile: str) -> None:
+    baseline = learnt(healthy_flights(range(3), 40.0, profile, vehicle=VEHICLE))
+    assert "rotor_speed" in {entry.spec.kind for entry in baseline.monitors}
+    bench = Bench(Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json")), baseline=baseline)
+    damage = Injection(RotorDamage(thrust_factor=0.9, drag_factor=0.9), rotor=3, onset_s=20.0)
+    try:
+        VirtualFlight(bench).fly(PlantConfig(seed=9, vehicle=VEHICLE, injections=(damage,)), 35.0, profile)
+        (figures,) = bench.daemon.fleet.figures()
+        lines = bench.host.lines
+    finally:
+        bench.close()
+    assert any("PROP FAULT motor 3" in line for line in lines)
+    assert dict(figures.rates)["rotor_speed"] == pytest.approx(10.0, rel=0.1)
+    assert figures.diagnosis.rotor == 3
+    ratios = {monitor: ratio for monitor, _, ratio in figures.ratios}
+    assert ratios["rotor_speed"] > 1.0
+    assert "rotor_trim" in ratios

@@ -74,44 +74,6 @@ def test_a_signal_stops_it_cleanly_with_a_summary_and_a_last_line(number: int, t
     assert [json.loads(line)["kind"] for line in journal.read_text().splitlines()] == ["start", "stop"]
 
 
-FITTING = """
-import signal, sys, time
-from detector.fitting import FittingJob, ProcessFitter
-from detector.values import Learn
-from mavdiag.airframe.airframe import Airframe
-from mavdiag.telemetry import Telemetry
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, lambda number, frame: None)
-    fitter = ProcessFitter()
-    fitter.begin(FittingJob(1, Airframe(), Learn("qdrone2", Telemetry())))
-    print("begun", flush=True)
-    until = time.monotonic() + 100.0
-    while time.monotonic() < until and not (done := fitter.poll()):
-        time.sleep(0.01)
-    print(done)
-"""
-
-
-@pytest.mark.realtime
-@pytest.mark.parametrize("after_s", [0.0, 0.2])
-def test_ctrl_c_does_not_reach_the_fit(after_s: float) -> None:
-    """A terminal sends it to every process of the group."""
-    child = subprocess.Popen(
-        [sys.executable, "-c", FITTING],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    assert child.stdout is not None
-    assert child.stdout.readline() == "begun\n"
-    time.sleep(after_s)
-    os.killpg(child.pid, signal.SIGINT)
-    out, errors = child.communicate(timeout=PATIENCE_S)
-    assert errors == ""
-    assert "no body rate in the data" in out
-
-
 @pytest.mark.realtime
 def test_over_udp_it_learns_from_the_plant_and_finds_its_fault(tmp_path: Path) -> None:
     """The plant as a process, real time, 1 kHz: 12 s of learning, then a strong fault."""

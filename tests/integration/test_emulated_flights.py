@@ -1,21 +1,24 @@
 """What is learnt, found and named on emulated flights: models, layouts, unbalance, and all monitors together."""
 
+import os
+import subprocess
+import sys
+from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from broken_teaching import MONITORS, Pool, Tally, judge_sets, pool_of
 
+import mavdiag as md
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.detect import detect_layout
 from mavdiag.airframe.layout import layout_named
 from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.decision.alarm import Stage
-from mavdiag.identify import fit
-from mavdiag.identify.estimate import r_squared, validate
-from mavdiag.identify.lab import THESIS_PITCH, THESIS_ROLL, ReferenceModel
 from mavdiag.judging import Verdict, judge
-from mavdiag.learning import LearnOptions, front_for, learn, rows_of
+from mavdiag.learning import LearnOptions, learn
 from mavdiag.monitors import BY_NAME
 from mavdiag.monitors.base import LearnContext
 from mavdiag.monitors.unbalance import Unbalance
@@ -23,12 +26,10 @@ from mavdiag.rows.align import AlignSpec, Grid
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.rates import RateSpec
-from mavdiag.rows.savgol import coefficients
-from mavdiag.telemetry import FloatArray, Log, Telemetry
-from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
-from sitl_plant.physics.faults import Injection, RotorDamage
+from mavdiag.telemetry import Log, Signal, Telemetry
+from sitl_plant.autopilot.telemetry import flight_telemetry
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
-from sitl_plant.vehicle import vehicle_named
+from sitl_plant.vehicle import airframe_of
 
 ONSET_S = 12.0  # 5 s after take-off nothing is judged
 
@@ -77,33 +78,6 @@ def test_a_healthy_flight_is_healthy(seed: int) -> None:
 pytest.importorskip("numba", reason="the plant is an extra")
 
 
-SHAKEN_G_MM = 10.0  # of every rotor; the worst damaged propeller of T Table 3.2 has 5.5
-
-
-@pytest.mark.parametrize("link", [LinkSpec("qdrone2"), LinkSpec("ardupilot", 100.0)], ids=["1 kHz", "100 Hz"])
-@pytest.mark.parametrize(
-    ("vehicle", "layout"),
-    [
-        ("qdrone2", "qdrone2"),
-        ("quad-plus", "plus"),
-        ("hexa-x", "hexa-x"),
-        ("hexa-plus", "hexa-plus"),
-        ("octo-x", "octo-x"),
-    ],
-)
-def test_the_layout_of_a_shaken_vehicle_is_found(vehicle: str, layout: str, link: LinkSpec) -> None:
-    kind = vehicle_named(vehicle)
-    shaken = tuple(Injection(RotorDamage(unbalance_g_mm=SHAKEN_G_MM), n + 1) for n in range(len(kind.rotors)))
-    config = PlantConfig(drone=1, vehicle=kind, seed=611, wind_m_s=1.0, injections=shaken)
-    telemetry, flown_s = flight_telemetry(config, 15.0, link)
-    assert flown_s == pytest.approx(15.0)
-    log = Log(vehicle, "", link.profile, telemetry)
-    found = detect_layout(rows.block for rows in rows_of(front_for([log], 0.1), log.telemetry))
-    assert found.layout is not None, found.reason
-    assert found.layout.name == layout
-    assert found.outputs == tuple(range(1, len(kind.rotors) + 1))
-
-
 FRONT = Front(AlignSpec(0.001, Grid.NATIVE), GateSpec(min_thrust=0.1), RateSpec.of(0.001, 101))
 QDRONE2 = Airframe(layout=layout_named("qdrone2"), mass_kg=1.504, hover_rad_s=1047.2)
 
@@ -122,35 +96,99 @@ def test_the_estimated_unbalance_is_that_of_the_table_and_placed() -> None:
     assert int(rotors.sum(axis=0).argmax()) + 1 == 2
 
 
-DT_S = 0.001
-WINDOW = 101
-
-
 @pytest.fixture(scope="module")
 def flights() -> dict[int, PlantSamples]:
     return {drone: Plant(PlantConfig(drone=drone, seed=drone)).advance(33_000) for drone in (1, 2, 3)}
 
 
-def rates(flight: PlantSamples, noise: float, seed: int, column: int = 0) -> tuple[FloatArray, FloatArray]:
-    """u and y behind the window [rad/s], the first 3 s left out."""
-    gyro = flight.gyro[3000:, column] + noise * np.random.default_rng(seed).standard_normal(30_000)
-    value, slope, _ = coefficients(WINDOW)
-    return np.correlate(flight.setpoint[3000:, column], slope / DT_S, "valid"), np.correlate(gyro, value, "valid")
+NOW = "2026-01-01T00:00:00+00:00"
 
 
-@pytest.mark.parametrize("noise", [0.05, 0.1, 0.2])
-def test_sriv_holds_where_least_squares_fails(flights: dict[int, PlantSamples], noise: float) -> None:
-    (u2, y2), (u3, y3), (u1, y1) = (rates(flights[drone], noise, drone) for drone in (2, 3, 1))
-    refined, plain = (fit([u2, u3], [y2, y3], dt=DT_S, method=method) for method in ("sriv", "ls"))
-    assert refined.converged
-    assert validate(refined, u1, y1).r2t >= 0.98
-    assert validate(plain, u1, y1).r2t < 0.85
+@cache
+def pool() -> Pool:
+    """Of an airframe at 1 kHz."""
+    return pool_of(7001, 0, 8)
 
 
-@pytest.mark.parametrize(("reference", "r2t"), [(THESIS_ROLL, 0.55), (THESIS_PITCH, 0.85)])
-def test_the_printed_models_need_their_input_scale(
-    flights: dict[int, PlantSamples], reference: ReferenceModel, r2t: float
-) -> None:
-    u, y = rates(flights[2], 0.0, 0, reference.axis.column)
-    assert r_squared(y, reference.scaled.simulate(u)) == pytest.approx(r2t, abs=0.06)
-    assert r_squared(y, reference.model.simulate(u)) < -1000
+def learnt(*flights: Log) -> Baseline:
+    frame = airframe_of(pool().session.airframe.vehicle, "made")
+    return learn(flights, LearnOptions(airframe=frame, monitors=MONITORS), created=NOW)
+
+
+def test_drawn_sets_are_marked_where_one_is_broken_and_nowhere_else() -> None:
+    """A short form of `benchmarks/broken_teaching.py`, on an airframe of a seed of its own."""
+    tally = Tally()
+    judge_sets(pool(), 1, np.random.default_rng(7001), tally)
+    for kind, counts in tally.kinds.items():
+        if kind.startswith("healthy"):
+            assert counts[True] == 0, (kind, tally.wrong)
+        elif kind != "one broken of 1":  # physics alone does not show every one
+            assert counts[False] == 0, (kind, tally.wrong)
+
+
+@pytest.mark.parametrize("code", ["F1/SV2", "F2/SV1", "F3/SV3"])
+def test_a_crack_in_one_flight_names_the_flight_and_the_time(code: str) -> None:
+    half = pool().half[code]
+    weak = learnt(half).weak
+    assert half.name in weak or "all flights" in weak
+    broken = pool().broken[code]
+    assert f"{broken.name}: " in learnt(pool().healthy[0], broken, pool().healthy[1]).weak
+
+
+def test_more_unbalance_than_a_rotor_may_have_is_not_learnt() -> None:
+    found = learnt(pool().broken["F3/SV3"])
+    assert (found.grade, "grade G40" in found.weak) == ("D", True)
+
+
+def weakened(log: Log, rotor: int, loss: float) -> Log:
+    """The log with a rotor that lost thrust at half: its command rises, that of all together stays."""
+    parts = []
+    for one in log.telemetry.series:
+        if one.signal is Signal.ACTUATOR:
+            values = one.values.copy()
+            late = one.t_ns > (one.t_ns[0] + one.t_ns[-1]) // 2
+            values[late, rotor - 1] += (1 / np.sqrt(1 - loss) - 1) * values[late, :4].mean(axis=1)
+            one = replace(one, values=values)
+        parts.append(one)
+    return replace(log, name="weakened", sha256="", telemetry=Telemetry(tuple(parts)))
+
+
+def test_what_the_baseline_says_that_it_notices_it_notices() -> None:
+    baseline = learnt(*pool().healthy[:4])
+    assert baseline.least_damage is not None
+    fresh = pool().healthy[5]
+    assert md.judge(fresh, baseline).verdict == "healthy"
+    for rotor, loss in enumerate(baseline.least_damage.thrust_loss, 1):
+        assert 0.005 < loss < 0.2
+        assert md.judge(weakened(fresh, rotor, 0.3 * loss), baseline).verdict == "healthy"
+        assert md.judge(weakened(fresh, rotor, 1.6 * loss + 0.01), baseline).verdict != "healthy"
+
+
+TESTS = Path(__file__).resolve().parents[1]
+JUDGED = """
+from flying_telemetry import flying
+from made_baselines import whole
+from made_telemetry import cut
+from mavdiag.chain import chain_of, warm
+from mavdiag import kernel
+from mavdiag.rows import align, gate, rates
+
+baseline = whole()
+kernels = [kernel.judge, align._take, align._rows, gate._follow, rates._filter]
+warm()
+chain = chain_of(baseline)
+state, telemetry = chain.start(), flying(3000, 7)
+first = int(telemetry.series[0].t_ns[0])
+for chunk in cut(telemetry, [first + k * 40_000_000 for k in range(1, 700)]):
+    state, _ = chain.step(state, chunk)
+assert state.judged_s > 10.0
+print({len(kernel.signatures) for kernel in kernels})
+"""
+
+
+def test_a_live_flight_finds_every_kernel_compiled() -> None:
+    """No look waits for a compilation: a second one would be of another kind of array."""
+    environment = os.environ | {"PYTHONPATH": str(TESTS)}
+    run = [sys.executable, "-c", JUDGED]
+    done = subprocess.run(run, capture_output=True, text=True, check=False, env=environment, cwd=TESTS.parent)
+    assert (done.returncode, done.stdout) == (0, "{1}\n"), done.stderr

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -156,24 +155,6 @@ def test_a_fleet_takes_off_and_lands_on_one_port() -> None:
     assert all(True in told for told in found.values())
 
 
-@pytest.mark.realtime
-def test_each_vehicle_of_a_fleet_has_a_port_of_its_own_and_a_signal_ends_all() -> None:
-    with open_endpoint("udpin:127.0.0.1:0") as low:
-        port = int(low.address.rpartition(":")[2])
-        with open_endpoint(f"udpin:127.0.0.1:{port + 1}") as high:
-            out = f"udpout:127.0.0.1:{port}"
-            with process([*FLEET, "-n", "2", "--out", out, "--port-each"]) as plant:
-                deadline, found = time.monotonic() + PATIENCE_S, [set[int](), set[int]()]
-                decoder = Decoder({MessageId.HEARTBEAT})
-                while not all(found) and time.monotonic() < deadline:
-                    for end, ids in zip((low, high), found, strict=True):
-                        chunks = end.receive(0.05)
-                        ids |= {frame.sysid for data, ns in chunks for frame in decoder.feed_datagram(data, ns)}
-                plant.terminate()
-                assert plant.wait(PATIENCE_S) == 0
-    assert found == [{1}, {2}]
-
-
 def test_only_the_vehicles_that_are_named_get_the_fault() -> None:
     flown: list[tuple[int, str | None, int]] = []
 
@@ -254,18 +235,6 @@ def flown(
 ) -> FlightReport:
     plant = Plant(PlantConfig(seed=11))
     return fly(plant, DIALECT, links, duration_s=duration_s, speed=None, stop=stop, watch=watch)
-
-
-def test_both_links_hear_the_whole_flight_without_a_gap(table: tuple[list[Link], list[Client]]) -> None:
-    links, clients = table
-    report = flown(links, 2.0)
-    for client in clients:
-        counts = Counter(frame.msgid for frame in client.hear())
-        assert counts[MessageId.RAW_IMU] == counts[MessageId.ATTITUDE_TARGET] == 400
-        assert counts[MessageId.HEARTBEAT] == 2
-        assert client.decoder.senders[1, 1].lost == 0
-    assert report.messages == sum(len(client.frames) for client in clients)
-    assert (report.flown_s, report.dropped, report.received) == (2.0, 0, 0)
 
 
 def test_an_alert_is_passed_on_in_its_senders_name(table: tuple[list[Link], list[Client]]) -> None:

@@ -1,11 +1,9 @@
 """A judged flight for other tools: what is written is what was flown and judged, by the tools' own readers."""
 
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
@@ -17,7 +15,7 @@ from typer.testing import CliRunner
 
 import mavdiag as md
 from mavdiag.cli import app
-from mavdiag.export.flight import table_of, topics_of, write_mcap
+from mavdiag.export.flight import topics_of, write_mcap
 from mavdiag.judging import judge_in_full
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -42,23 +40,6 @@ def test_mcap_has_every_signal_and_statistic_in_order_of_the_wall_clock(tmp_path
     texts = [json.loads(message.data) for topic, message in found if topic == "/log"]
     assert [one["level"] for one in texts].count(4) >= 1
     assert any("rotor 3" in one["message"] for one in texts)
-
-
-def test_the_layouts_show_what_an_export_has() -> None:
-    foxglove = json.loads((ROOT / "deploy/foxglove-layout.json").read_text())
-    plots = [config for name, config in foxglove["configById"].items() if name.startswith("Plot!")]
-    shown = {path["value"].replace(".", "/") for plot in plots for path in plot["paths"]}
-    curves = ElementTree.parse(ROOT / "deploy/plotjuggler-layout.xml").iter("curve")
-    assert {curve.attrib["name"] for curve in curves} == shown
-    panels = set(re.findall(r"\w+!\w+", json.dumps(foxglove["layout"])))
-    assert panels == set(foxglove["configById"])
-    slots = {"/".join(("monitor", *filter(None, key))) for key in ((one.name, None) for one in md.monitors.MONITORS)}
-    drawn = {name.strip("/").rpartition("/")[0] for name in shown if name.startswith("/monitor/")}
-    assert {"/".join(name.split("/")[:2]) for name in drawn} == slots
-    table = table_of(list(topics_of(WEAK, judge_in_full(WEAK, whole()))))
-    monitors = {f"/monitor/{entry.spec.kind}/ratio" for entry in whole().monitors if entry.spec.kind != "fsd"}
-    assert monitors <= shown
-    assert {name.strip("/") for name in shown if not name.startswith("/monitor/")} <= set(table.columns)
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])

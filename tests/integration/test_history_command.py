@@ -4,29 +4,34 @@ import csv
 import io
 import json
 import os
-import pty
-import re
-import subprocess
-import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from made_history import DAY_NS, START_NS, records
 from made_session import baseline_for
+from made_vehicle import EPOCH_NS, Bench, MadeVehicle, received
 from plant_process import record
 
-from mavdiag.archive.scan import Answer, Record
+from detector.config import Settings
+from detector.flights import Flights
+from detector.hooks import Courier
+from detector.journal import baselines_in
+from mavdiag.archive.scan import Answer, Options, Question, Record, judge_file
+from mavdiag.baseline import Baseline
+from mavdiag.history.store import open_history
 from mavdiag.history.warn import Mark, MarkKind
 from mavdiag.judging import LogVerdict, Verdict
+from mavdiag.link.codec import field_index
+from mavdiag.link.messages import Autopilot, MavCmd, MessageId
 
 pytest.importorskip("sqlalchemy", reason="the history is an extra")
-
-from mavdiag.history.store import open_history
 
 
 @pytest.fixture
@@ -93,23 +98,6 @@ def test_a_wearing_airframe_is_warned_of_until_its_propellers_are_new(mavdiag: A
     assert "new propellers after the last flight: no trend yet" in out
 
 
-def test_a_fault_of_the_last_flight_asks_for_action(mavdiag: Any, tmp_path: Path) -> None:
-    """As from logs without a clock, and with too few flights for a trend."""
-    path = tmp_path / "h.sqlite"
-    timeless = [replace(one, started_ns=0) for one in records([0.5, 0.6])]
-    with open_history(str(path), create=True) as history:
-        history.add(timeless[0])
-        assert mavdiag("history", "--database", path)[0] == 0
-        history.add(replace(timeless[1], verdict=Verdict.FAULT))
-    code, out, _ = mavdiag("history", "--database", path)
-    assert code == 1
-    assert "the last one fault" in out.splitlines()[0]
-    assert out.splitlines()[1].startswith("  2 without a clock in the log, placed by when they were added")
-    told = ("--airframe", "one", "--database", path, "--repair")
-    assert mavdiag("history", "mark", *told)[0] == 0
-    assert mavdiag("history", "--database", path)[0] == 0  # mended since
-
-
 def test_logs_without_a_clock_follow_each_other_as_named_or_by_the_time_of_their_files(
     mavdiag: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -158,27 +146,6 @@ def test_csv_has_a_row_for_each_monitor_and_each_trend(mavdiag: Any, wearing: Pa
     }
 
 
-def test_a_terminal_gets_a_drawing_in_its_width(wearing: Path) -> None:
-    """A real one, by a pseudo-terminal."""
-    width = 40
-    ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "mavdiag", "history", "--database", str(wearing), "--airframe", "worn"]
-    with os.fdopen(theirs, "wb") as end:
-        run = subprocess.Popen(command, stdout=end, env={**os.environ, "COLUMNS": str(width)})
-    text = b""
-    while True:
-        try:
-            text += os.read(ours, 65536)
-        except OSError:  # the other end is closed
-            break
-    os.close(ours)
-    assert run.wait() == 1
-    plain = re.sub(r"\x1b\[[0-9;]*m", "", text.decode())
-    assert any(set("▅▆▇█") <= set(line) for line in plain.splitlines())
-    assert max(map(len, plain.splitlines())) <= width
-    assert "\x1b[1;31m" in text.decode()
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -218,3 +185,118 @@ def test_a_page_shows_the_trends_and_what_asks_for_attention_first(mavdiag: Any,
     assert "unbalance: warned of" in text
     assert "new propellers" in text[text.index('<h2 class="said">calm: ') :]
     assert str(wearing) not in text
+
+
+UDP_IN = "udpin:127.0.0.1:0"
+WAIT_S = 120.0
+UID = "0011223344556677"
+
+
+def wait_for(found: Callable[[], object]) -> None:
+    deadline = time.monotonic() + WAIT_S
+    while not found():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def flown(bench: Bench, seconds: float, *, armed: bool = True) -> None:
+    for vehicle in bench.vehicles:
+        vehicle.armed = armed
+    bench.run(seconds)
+
+
+def watching(baseline: Baseline, flights: Flights, *vehicles: MadeVehicle) -> Bench:
+    return Bench(Settings(connect=UDP_IN, learn=1.0), baseline=baseline, flights=flights, vehicles=list(vehicles))
+
+
+def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> None:
+    history = pytest.importorskip("mavdiag.history.store", reason="the history is an extra")
+    baseline = baseline_for()
+    baseline = baseline.model_copy(update={"airframe": baseline.airframe.__class__(name="racer", scope="type")})
+    database, folder, said = str(tmp_path / "history.sqlite"), tmp_path / "flights", list[str]()
+    flights = Flights(database, folder, EPOCH_NS, said.append)
+    bench = watching(baseline, flights, MadeVehicle(3), MadeVehicle(4))
+    kept: dict[str, bytes] = {}
+
+    def put(line: bytes) -> None:
+        kept.setdefault(*copied(line))
+        Courier.put(flights, line)
+
+    with patch.object(flights, "put", put):
+        flown(bench, 3.0, armed=False)
+        flown(bench, 20.0)
+        flown(bench, 2.0, armed=False)
+        flown(bench, 20.0)
+        bench.close()  # in flight: what is there is a flight, too
+    wait_for(lambda: not list(folder.glob("*.tlog")))
+    flights.close()
+    assert (flights.lost, said) == (0, [])
+    with history.open_history(database) as opened:
+        assert opened.names() == ("racer 3", "racer 4")
+        for number in (3, 4):
+            records = opened.flights(f"racer {number}")
+            assert len(records) == 2
+            for record in records:
+                copy = tmp_path / "copy.tlog"
+                copy.write_bytes(kept[Path(record.log).name])
+                whole = judge_file(str(copy), Question.of(baseline, Options(number, figures=True))).flight
+                assert whole is not None
+                assert (record.verdict, record.slots, record.content) == (whole.verdict, whole.slots, whole.content)
+                assert record.judged_s > 10.0
+
+
+def copied(line: bytes) -> tuple[str, bytes]:
+    path = Path(json.loads(line)[0])
+    return path.name, path.read_bytes()
+
+
+def test_a_flight_that_cannot_be_added_is_told_and_added_by_the_next_start(tmp_path: Path) -> None:
+    history = pytest.importorskip("mavdiag.history.store", reason="the history is an extra")
+    missing, folder, said = tmp_path / "missing" / "history.sqlite", tmp_path / "flights", list[str]()
+    with patch("detector.hooks.PAUSE_S", 0.0):
+        flights = Flights(str(missing), folder, EPOCH_NS, said.append)
+    flights._pause_s = 0.0
+    bench = watching(baseline_for(), flights, MadeVehicle(3))
+    flown(bench, 12.0)
+    flown(bench, 2.0, armed=False)
+    wait_for(lambda: flights.lost)
+    bench.close()
+    flights.close()
+    assert len(list(folder.glob("3-*.tlog"))) == 1
+    assert "there is no folder" in said[0]
+    missing.parent.mkdir()
+    flights = Flights(str(missing), folder, EPOCH_NS, said.append)
+    bench = watching(baseline_for(), flights)
+    wait_for(lambda: not list(folder.glob("3-*.tlog")))
+    bench.close()
+    flights.close()
+    with history.open_history(str(missing)) as opened:
+        assert len(opened.flights(*opened.names())) == 1
+
+
+def test_a_vehicle_gets_the_baseline_that_is_named_by_its_uid(tmp_path: Path) -> None:
+    plain, own = baseline_for(), baseline_for(names=("rotor_trim",))
+    plain.save(tmp_path / "1.json")
+    own.save(tmp_path / f"{UID}.json")
+    found = baselines_in(tmp_path)
+    assert set(found) == {1, UID}
+    vehicles = [MadeVehicle(k, Autopilot.GENERIC) for k in (1, 2, 3)]
+    bench = Bench(Settings(connect=UDP_IN, baselines=tmp_path), baselines=found, vehicles=vehicles)
+    asked = dict.fromkeys((1, 2, 3), 0)
+    for _ in range(12):
+        bench.run(0.5)
+        for frame in received(bench.far):
+            if frame.msgid == MessageId.COMMAND_LONG:
+                system, command, msgid = (
+                    frame.fields[field_index(frame.msgid, name)] for name in ("target_system", "command", "param1")
+                )
+                if command == MavCmd.REQUEST_MESSAGE and msgid == MessageId.AUTOPILOT_VERSION:
+                    asked[int(system)] += 1
+                    if system == 2:
+                        told = (0, 0, 0, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, int(UID, 16))
+                        bench.far.send(vehicles[1].encoder.encode(MessageId.AUTOPILOT_VERSION, *told))
+    judged = {sysid: vehicle.session.baseline for sysid, vehicle in bench.daemon.fleet.vehicles.items()}
+    assert judged == {1: found[1], 2: found[UID]}
+    assert asked == {1: 0, 2: 1, 3: 3}
+    assert any("vehicle 3: not watched" in line for line in bench.host.lines)
+    bench.close()

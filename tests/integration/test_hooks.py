@@ -14,7 +14,6 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
-from hook_delay import flown
 from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle
 
@@ -109,18 +108,6 @@ def test_a_failing_server_is_tried_again_and_a_redirect_is_no_delivery(server: S
     assert hook.lost == 0
 
 
-def test_a_dead_server_is_told_once_and_its_lines_are_counted() -> None:
-    with socket.socket() as bound:  # nobody listens on this port
-        bound.bind(("127.0.0.1", 0))
-        with hooked(f"http://127.0.0.1:{bound.getsockname()[1]}/") as (hook, said):
-            for _ in range(3):
-                hook.write("{}", urgent=True)
-            wait_for(lambda: hook.lost == 3)
-            hook.flush()
-    assert len(said) == 1
-    assert "not delivered" in said[0]
-
-
 @pytest.mark.parametrize("scheme", ["http", "mqtt"])
 def test_a_server_that_speaks_another_language_is_told_and_the_next_line_is_tried(scheme: str) -> None:
     def answer() -> None:
@@ -159,17 +146,6 @@ def test_nothing_waits_for_a_slow_program_and_what_the_queue_cannot_hold_is_told
         assert f"{QUEUED} lines wait" in said[0]
     assert hook.lost == QUEUED + 50
     assert "were not delivered" in said[-1]
-
-
-def test_the_same_alerts_come_with_a_hook_that_fails_and_every_line_is_delivered_or_told() -> None:
-    bare, *others = flown(24)
-    for one in others:
-        assert one.hook.given == bare.hook.given >= 24
-        assert len(one.spans_s) == len(bare.spans_s) > 0  # at the same looks
-        assert one.hook.delivered + one.hook.lost >= one.hook.given
-        assert "were not delivered" in one.said[-1]
-    assert others[0].name == "dead server"
-    assert others[0].hook.delivered == 0
 
 
 def test_a_program_gets_each_line_on_its_standard_input(tmp_path: Path) -> None:

@@ -1,14 +1,16 @@
 """A first look at flights without a baseline: what it finds is there, and it never calls a vehicle healthy."""
 
-import io
 import json
+import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from flying_telemetry import flying
 from made_baselines import logged
-from rich.console import Console
 from shared_data import shared
 from typer.testing import CliRunner
 
@@ -16,11 +18,14 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline
 from mavdiag.cli import app
+from mavdiag.commands.inspect import inspect
+from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
+from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
+from mavdiag.link.ports import open_endpoint
 from mavdiag.logs import read_log
 from mavdiag.look.inspection import inspection_of
 from mavdiag.look.words import in_full, in_one_line
 from mavdiag.telemetry import Log, Series, Signal, Telemetry
-from mavdiag.terminal.tables import look_table
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.plant import PlantConfig
 
@@ -91,18 +96,6 @@ def test_an_output_at_its_end_and_a_high_vibration_are_told_in_their_share() -> 
     text = in_full(look)
     assert "where ArduPilot expects trouble" in text
     assert "2 at its upper end" in text
-
-
-def test_several_logs_are_a_table_on_a_terminal_what_cannot_be_read_first() -> None:
-    console = Console(width=80, file=io.StringIO(), record=True)
-    look = inspection_of(logged(flying(3000, seed=3)), Airframe())
-    look_table([look, {"log": "torn.bin", "error": "no flight log"}], console)
-    head, first, *rest = console.export_text().splitlines()
-    assert head.split() == ["log", "profile", "flight", "rate", "what", "it", "shows"]
-    assert first.split() == ["torn.bin", "no", "flight", "log"]
-    assert rest[0].split()[:6] == [look.log, look.profile, f"{look.flight_s:.0f}", "s", "100", "Hz"]
-    assert "monitors could judge" in " ".join(" ".join(rest).split())
-    assert all(len(line) <= 80 for line in (head, first, *rest))
 
 
 def test_it_never_says_that_a_vehicle_is_well() -> None:
@@ -185,17 +178,6 @@ def test_two_flights_in_a_log_do_not_lower_its_rate() -> None:
     assert {one.signal: one.rate_hz for one in alone.signals}["body_rate"] == pytest.approx(100.0, rel=0.01)
 
 
-def test_look_and_inspect_are_two_names_of_one_command(tmp_path: Path) -> None:
-    recording(tmp_path / "1.csv", 1, 6.0)
-    (tmp_path / "map.toml").write_text(MAP)
-    for options in ([], ["--json"], ["--layout", "hexa-x", "--from", "1"]):
-        rest = [str(tmp_path / "1.csv"), "--columns", str(tmp_path / "map.toml"), *options]
-        look, inspect = (RUN.invoke(app, [name, *rest]) for name in ("look", "inspect"))
-        assert (look.exit_code, look.stdout) == (inspect.exit_code, inspect.stdout)
-        assert look.exit_code == 0
-        assert ("rotor layout hexa-x" in look.stdout) == ("hexa-x" in options)
-
-
 def test_log171_is_seen_to_tumble_with_a_motor_at_its_limit() -> None:
     path = shared("data/ardupilot_real/log171.bin")
     look = inspection_of(read_log(path), Airframe())
@@ -210,13 +192,113 @@ def test_log171_is_seen_to_tumble_with_a_motor_at_its_limit() -> None:
     assert "no output reached an end" in earlier
 
 
-def test_outputs_that_are_no_motors_are_not_told_as_such() -> None:
-    """An output at zero, one that stands still and one that idles beside four motors whose layout is not known."""
-    log = logged(flying(3000, seed=3))
-    motors = log[Signal.ACTUATOR].values
-    still = np.tile([0.0, 0.9], (len(motors), 1))
-    wobble = 0.01 + 0.005 * np.sin(np.arange(len(motors)))[:, None]
-    odd = np.hstack((motors[:, [3, 2]] * [1.0, 0.5], still, motors[:, :1], wobble))  # no layout has these three
-    look = inspection_of(changed(log, Signal.ACTUATOR, odd), Airframe())
-    assert look.rotors.startswith("rotor layout unknown")
-    assert [one.number for one in look.loads] == [1, 2, 5]
+def free_address() -> str:
+    with open_endpoint("udpin:127.0.0.1:0") as endpoint:
+        return endpoint.address
+
+
+class FreshArduPilot:
+    """Sends heartbeats until it is asked for more, and knows some parameters: ArduPilot after a start.
+
+    heard: every frame that came.
+    """
+
+    PARAMETERS: ClassVar = {
+        "FRAME_CLASS": 1.0,
+        "FRAME_TYPE": 1.0,
+        "INS_GYRO_FILTER": 18.0,
+    }  # clearly below a fifth of 100 Hz
+    COUNTS = 1000
+
+    def __init__(self) -> None:
+        self.heard: list[Frame] = []
+        self._encoder, self._rates = Encoder(1, Component.AUTOPILOT1), dict[int, float]()
+
+    def answer(self, frame: Frame) -> list[bytes]:
+        self.heard.append(frame)
+        encode = self._encoder.encode
+        if frame.msgid == MessageId.COMMAND_LONG:
+            names = ("command", "param1", "param2")
+            command, msgid, interval = (frame.fields[field_index(frame.msgid, name)] for name in names)
+            known = msgid in (MessageId.RAW_IMU, MessageId.ATTITUDE_TARGET, MessageId.ATTITUDE)
+            self._rates |= {int(msgid): 1e6 / float(interval)} if known else {}
+            result = MavResult.ACCEPTED if known else MavResult.DENIED
+            return [encode(MessageId.COMMAND_ACK, command, result, 0, 0, frame.sysid, frame.compid)]
+        if frame.msgid == MessageId.PARAM_REQUEST_READ:
+            raw = frame.fields[field_index(frame.msgid, "param_id")]
+            name = raw.partition(b"\0")[0].decode() if isinstance(raw, bytes) else ""
+            found = self.PARAMETERS.get(name)
+            return [] if found is None else [encode(MessageId.PARAM_VALUE, name, found, 9, 3, 0)]
+        return []
+
+    def messages(self, k: int) -> list[bytes]:
+        """What it sends in the hundredth of a second number k."""
+        encode, t_ms = self._encoder.encode, 5000 + 10 * k
+        beat = (MavType.QUADROTOR, Autopilot.ARDUPILOTMEGA, ModeFlag.SAFETY_ARMED, 0, 4, 3)
+        frames = [encode(MessageId.HEARTBEAT, *beat)] if k % 100 == 0 else []
+        for msgid, rate_hz in self._rates.items():
+            if k % max(1, round(100 / rate_hz)):
+                continue
+            if msgid == MessageId.RAW_IMU:
+                frames.append(encode(msgid, 1000 * t_ms, 0, 0, -self.COUNTS, 1, 2, 3))
+            elif msgid == MessageId.ATTITUDE_TARGET:
+                frames.append(encode(msgid, t_ms, 0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, 0.5))
+            else:
+                frames.append(encode(msgid, t_ms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        return frames
+
+    def run(self, address: str, stop: threading.Event) -> None:
+        """By the clock: every message is sent, however seldom this runs; maybe the first before anybody listens."""
+        decoder, began_s, k = Decoder(), time.monotonic(), 0
+        with open_endpoint(address.replace("udpin", "udpout")) as endpoint:
+            while not stop.wait(0.01):
+                chunks = endpoint.receive(0.0)
+                heard = [frame for data, host_ns in chunks for frame in decoder.feed_datagram(data, host_ns)]
+                answers = [answer for frame in heard for answer in self.answer(frame)]
+                first, k = k, 1 + int(100 * (time.monotonic() - began_s))
+                for sent in (*answers, *(message for step in range(first, k) for message in self.messages(step))):
+                    endpoint.send(sent)
+
+
+def beside(vehicle: FreshArduPilot, look: Callable[[str], None]) -> None:
+    address, stop = free_address(), threading.Event()
+    sender = threading.Thread(target=vehicle.run, args=(address, stop))
+    sender.start()
+    try:
+        look(address)
+    finally:
+        stop.set()
+        sender.join()
+
+
+@pytest.mark.realtime
+def test_l10_a_fresh_ardupilot_is_told_what_gives_each_monitor_its_streams(capsys: pytest.CaptureFixture[str]) -> None:
+    vehicle = FreshArduPilot()
+    beside(vehicle, lambda address: inspect([address], duration=3.0))
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= 80
+    assert "profile ardupilot" in shown
+    for words in ("no RAW_IMU: SRn_RAW_SENS", "no VIBRATION: SRn_EXTRA3", "no ATTITUDE: SRn_EXTRA1", "--ask"):
+        assert words in shown, words
+    assert "works" not in shown
+    assert vehicle.heard == []  # it listens only
+
+
+@pytest.mark.realtime
+def test_a_fresh_ardupilot_is_asked_for_streams_and_rotors_and_nothing_set(capsys: pytest.CaptureFixture[str]) -> None:
+    vehicle = FreshArduPilot()
+    beside(vehicle, lambda address: inspect([address], duration=3.0, ask=True, as_json=True))
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    works = {one["monitor"] for one in found["monitors"] if one["works"]}
+    assert {"fsd", "innovation", "rotor_signature", "sensor_drift", "control_loss", "thrust_loss"} == works
+    missing = {one["monitor"]: " ".join(one["missing"]) for one in found["monitors"]}
+    assert "no SERVO_OUTPUT_RAW: SRn_RC_CHAN" in missing["rotor_trim"]
+    assert "low-passed at 18 Hz" in missing["unbalance"]
+    assert "FRAME_CLASS 1, FRAME_TYPE 1" in found["rotors"]
+    assert found["units"]["gravity_g"] == pytest.approx(1.0, abs=0.03)
+    assert any("ACCEPTED, DENIED" in one or "DENIED, ACCEPTED" in one for one in found["asked"])
+    sent = {frame.msgid for frame in vehicle.heard}
+    assert sent == {MessageId.HEARTBEAT, MessageId.COMMAND_LONG, MessageId.PARAM_REQUEST_READ}
+    place = field_index(MessageId.COMMAND_LONG, "command")
+    commands = {frame.fields[place] for frame in vehicle.heard if frame.msgid == MessageId.COMMAND_LONG}
+    assert commands == {MavCmd.SET_MESSAGE_INTERVAL}

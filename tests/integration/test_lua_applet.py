@@ -134,7 +134,6 @@ class Controller:
         self._run()
 
     def held(self, name: str) -> Any:
-        """A local value of the script."""
         return self._lua.globals().peek(name)
 
     @property
@@ -144,12 +143,10 @@ class Controller:
 
     @property
     def texts(self) -> list[tuple[int, int, str]]:
-        """What it said: time [ms], severity, text."""
         return [tuple(one.values()) for one in self.sent.texts.values()]
 
     @property
     def kilobytes(self) -> float:
-        """Memory in use, after a collection."""
         self._lua.execute("collectgarbage()")
         return float(self._lua.eval("collectgarbage('count')"))
 
@@ -170,7 +167,6 @@ def told(telemetry: Telemetry) -> Telemetry:
 
 
 def pieces(front: Front, telemetry: Telemetry) -> Iterator[Rows | Border]:
-    """Its rows, without a commanded heading."""
     for part in front.step(front.start(), telemetry)[1]:  # what waits at the end of a log waits on
         if isinstance(part, Rows):
             setpoint = part.block.setpoint.copy()
@@ -221,7 +217,6 @@ class Judged:
 
 
 def by_python(baseline: Baseline, telemetry: Telemetry) -> Judged:
-    """The kernel and the decision."""
     chain, found = chain_of(baseline), Judged(stages=[("none", None, False)])
     memory, state = chain.kernel.start(), DecisionState()
 
@@ -250,7 +245,6 @@ def by_python(baseline: Baseline, telemetry: Telemetry) -> Judged:
 
 
 def by_applet(baseline: Baseline, telemetry: Telemetry) -> tuple[Judged, Controller]:
-    """The script on the rows before the gate."""
     chain, found, controller = chain_of(baseline), Judged(stages=[("none", None, False)]), Controller(applet(baseline))
     align = chain.front.align
     for block in align.step(align.start(), telemetry):
@@ -335,16 +329,6 @@ def test_little_evidence_names_no_rotor() -> None:
     assert found.stages[-1] == ("fault", None, False)
 
 
-def test_a_suspicion_that_names_a_rotor_says_what_to_do() -> None:
-    weak, sound = flying(6000, 3, weak_rotor=3, rise=0.027, turn=TURN), flying(6000, 3, turn=TURN)
-    mended = replace(weak.need(Signal.ACTUATOR), values=weak.need(Signal.ACTUATOR).values.copy())
-    mended.values[1500:] = sound.need(Signal.ACTUATOR).values[1500:]
-    series = (mended if one.signal is Signal.ACTUATOR else one for one in weak.series)
-    found, controller = both(made(), Telemetry(tuple(series)))
-    assert found.stages[-2:] == [("suspected", 3, False), ("quiet", None, False)]
-    assert controller.texts[-1][2] == "PROP inspect motor 3 before the next flight"
-
-
 def falling(seed: int) -> Telemetry:
     """Half of the thrust is lost at 30 s and the vehicle rolls; then it lands, and flies again."""
     parts = []
@@ -406,14 +390,6 @@ def test_nothing_that_is_missing_hurts_and_memory_does_not_grow() -> None:
     assert sizes[2] - sizes[1] < 1.0
     assert list(busy.sent.logs["PRPM"].values()) == [5000.0, 5001.0, 5002.0, 5003.0]
     assert set(busy.sent.floats) == {"PF_EVID", "PF_VIB", "PF_TRIM", "PF_LOSS"}
-
-
-def test_an_error_in_the_script_is_told_and_a_taken_table_of_parameters_ends_it() -> None:
-    broken = Controller(applet(made()), armed=True)
-    broken.play(2000, {"thrust": "much"})
-    assert broken.texts[-1][2].startswith("PROP script:")
-    with pytest.raises(Exception, match="table key 151 is taken"):
-        Controller(applet(made()), taken=True)
 
 
 def test_the_command_writes_the_script_and_says_what_it_leaves_out(tmp_path: Path) -> None:

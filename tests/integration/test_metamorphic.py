@@ -16,14 +16,13 @@ import numpy as np
 import pytest
 from flying_telemetry import flying
 from made_baselines import FRAME, NOW, healthy, logged
-from made_telemetry import START_NS, cut
+from made_telemetry import START_NS
 from scipy.spatial.transform import Rotation
 
 import mavdiag as md
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.baseline import Baseline
-from mavdiag.decision.alarm import Change, Event
 from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge_in_full
 from mavdiag.learning import LearnOptions
 from mavdiag.link.codec import Decoder, Encoder
@@ -70,7 +69,6 @@ def unchanged(telemetry: Telemetry) -> Telemetry:
 
 @cache
 def taught(change: Transform = unchanged, frame: Airframe = FRAME) -> Baseline:
-    """Learnt from three healthy flights, each changed."""
     teachers = (replace(log, telemetry=change(log.telemetry)) for log in healthy(3, SAMPLES))
     return md.learn(teachers, options=LearnOptions(airframe=frame), created=NOW)
 
@@ -89,7 +87,6 @@ def expected(name: str) -> LogVerdict:
 
 
 def judged(name: str, change: Transform, frame: Airframe = FRAME) -> LogVerdict:
-    """The verdict where teachers and flight are changed alike."""
     return md.judge(logged(change(FLIGHTS[name]())), taught(change, frame))
 
 
@@ -256,24 +253,3 @@ def test_outputs_in_another_unit(name: str, unit: str) -> None:
     found = judged(name, UNITS[unit])
     assert_same(found, name, late_s=LOOK_S)
     assert maxima(found)["rotor_trim"] == pytest.approx(maxima(expected(name))["rotor_trim"], abs=QUANTUM)
-
-
-@of_each_flight
-@pytest.mark.parametrize("seed", range(3))
-def test_chunks_of_any_size_live(name: str, seed: int) -> None:
-    """A link that is watched tells the events and changes of its log. Chunks span 1 ms to 1 s, by their logarithm."""
-    spans_ns = 10 ** np.random.default_rng(seed).uniform(6, 9, 2000)
-    edges_ns = START_NS + np.cumsum(spans_ns).astype(np.int64)
-    watch, told = md.Watch(taught(), "px4"), list[Event | Change]()
-    for telemetry in cut(FLIGHTS[name](), edges_ns.tolist()):
-        told += watch.step(telemetry)
-    changes = tuple(one for one in told if isinstance(one, Change))
-    told += watch.end_flight()
-    found = {(one.monitor, one.axis, one.start_ns): one for one in told if isinstance(one, Event)}
-    wanted = {(one.event.monitor, one.event.axis, one.event.start_ns): one.event for one in expected(name).events}
-    assert found.keys() == wanted.keys(), f"seed {seed}: chunks of {spans_ns[:8].astype(int)} ns and so on"
-    for key, event in found.items():
-        assert (event.rotor, event.kind) == (wanted[key].rotor, wanted[key].kind)
-        assert event.statistic == pytest.approx(wanted[key].statistic, rel=ROUNDING)
-    stages = [(one.t_ns, one.stage, one.rotor) for one in expected(name).changes]
-    assert [(one.t_ns, one.stage, one.rotor) for one in changes] == stages

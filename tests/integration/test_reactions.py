@@ -3,20 +3,27 @@
 import itertools
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
+import numpy as np
 import pytest
+from loop_plant import HIL_HZ, LoopPlant
 from made_session import baseline_for
-from made_vehicle import MadeVehicle, received
+from made_vehicle import Bench, MadeVehicle, received
+from reactions import IN_LOOP, PROFILE, Station, fly
 from test_attacks import UDP_IN, Attacked, random_frames
 from test_daemon_virtual import STATION, US, field, of
 from typer.testing import CliRunner
+from virtual_flight import VirtualFlight
 
 from detector.config import Settings
 from mavdiag.cli import app
 from mavdiag.inspections import Inspections
 from mavdiag.link.codec import Encoder, Frame
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
+from sitl_plant.plant import Plant, PlantSamples
 
 LOITER = 5
 ACKNOWLEDGEMENT = STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.USER_1, 0, *[0.0] * 7)
@@ -54,7 +61,6 @@ def damaged(bench: Attacked, seconds: float) -> None:
 
 
 def commanded(bench: Attacked) -> list[Frame]:
-    """What the detector commanded but rates."""
     frames = [one for one in of(received(bench.far), MessageId.COMMAND_LONG) if (one.sysid, one.compid) == US]
     return [frame for frame in frames if field(frame, "command") != MavCmd.SET_MESSAGE_INTERVAL]
 
@@ -68,9 +74,7 @@ def noted(tmp_path: Path) -> list[str]:
     return [line["text"] for line in lines if line["kind"] == "note" and "on fault" in line["text"]]
 
 
-def test_a_fault_brings_one_command_to_the_autopilot_and_every_step_is_in_the_journal(
-    benches: Benches, tmp_path: Path
-) -> None:
+def test_a_fault_brings_one_command_and_every_step_is_in_the_journal(benches: Benches, tmp_path: Path) -> None:
     bench = benches()
     damaged(bench, 7.0)
     [order] = commanded(bench)
@@ -102,19 +106,6 @@ def test_without_the_option_nothing_is_ever_commanded(benches: Benches) -> None:
     assert commanded(bench) == []
 
 
-@pytest.mark.parametrize(("sender", "target"), [((2, 1), US), ((1, 190), US), ((1, 1), (255, 190)), ((1, 1), (7, 191))])
-def test_an_answer_of_another_system_or_to_another_is_none(
-    benches: Benches, sender: tuple[int, int], target: tuple[int, int]
-) -> None:
-    bench = benches()
-    damaged(bench, 7.0)
-    received(bench.far)
-    encoder = bench.vehicles[0].encoder if sender == (1, 1) else Encoder(*sender)
-    bench.far.send(answer(bench, encoder, target))
-    bench.fly(2.0)
-    assert [field(order, "confirmation") for order in commanded(bench)] == [1]
-
-
 def stranger(name: str) -> Iterator[list[bytes]]:
     """Somebody else who wants a reaction: frames of a damaged flight in its name, texts, commands."""
     if name == "damaged flight":
@@ -142,9 +133,7 @@ def test_a_forged_sender_causes_none(benches: Benches, name: str) -> None:
 
 
 @pytest.mark.parametrize("how", ["ack", "stick", "mode", "mavdiag ack"])
-def test_it_is_called_off_from_a_link_behind_or_by_the_vehicles_mode(
-    benches: Benches, tmp_path: Path, how: str
-) -> None:
+def test_it_is_called_off_by_a_link_behind_or_the_vehicles_mode(benches: Benches, tmp_path: Path, how: str) -> None:
     bench = benches()
     bench.behind[0].send(STATION.encode(MessageId.MANUAL_CONTROL, 1, 0, 0, 500, 0, 0))
     damaged(bench, 4.0)
@@ -183,3 +172,52 @@ def test_a_lost_link_ends_it_until_the_fault_is_found_again(benches: Benches) ->
     vehicle.sent += 1000
     bench.fly(20.0)
     assert len(commanded(bench)) == 2
+
+
+def test_a_mission_with_a_crack_is_flown_home_after_the_delay_and_a_call_off_lets_it_go_on() -> None:
+    flown = fly("mission", 100, "F2/SV3")
+    assert flown.commands == ["rtl"]
+    assert flown.announced
+    assert flown.late_s is not None
+    assert -0.01 <= flown.late_s <= 0.5
+    assert flown.down
+    left = fly("mission", 101, "F2/SV3", call="stick", until_s=50.0)
+    assert left.called_off
+    assert left.commands == []
+    assert not left.down
+
+
+def test_a_healthy_mission_is_left_alone() -> None:
+    flown = fly("mission", 102, until_s=40.0)
+    assert (flown.commands, flown.announced, flown.declared_s) == ([], False, None)
+    assert flown.judged > 0.5
+
+
+def test_a_flight_controller_in_the_loop_obeys_with_a_damaged_propeller_and_stands_upright() -> None:
+    station, flown = Station(lambda one: [], place="hover"), list[PlantSamples]()
+    home = station.encoder.encode(MessageId.COMMAND_LONG, 1, 1, MavCmd.NAV_RETURN_TO_LAUNCH, 0, *[0.0] * 7)
+    station.plan.append((14.0, [home]))
+    bench = Bench(Settings(connect="udpin:127.0.0.1:0", learn=1e6))
+    flight = VirtualFlight(bench, station)
+    flight.fly(
+        replace(IN_LOOP.config(7), fault="F3/SV3", rotor=3, onset_s=6.0),
+        45.0,
+        PROFILE,
+        HIL_HZ,
+        stop=lambda: flight.t_s > 14.0 and not flown[-1].motors[-1],
+        watch=flown.append,
+        plant_of=lambda config: cast(Plant, LoopPlant(config)),
+    )
+    bench.close()
+    height_m = [-float(rows.position[-1, 2]) for rows in flown]
+    before, after = (
+        np.mean([np.diff(rows.gyro[:, :2], axis=0).std() for rows in flown if 0.0 < rows.t_ns[0] * 1e-9 - from_s < 2.0])
+        for from_s in (7.0, 12.0)
+    )
+    assert after > 1.3 * before  # the unbalance shakes it
+    assert max(height_m) > 1.5
+    end = flown[-1]
+    assert not end.motors[-1]
+    assert flight.t_s < 45.0
+    assert abs(end.position[-1]).max() < 0.3
+    assert abs(end.attitude[-1, :2]).max() < 0.1

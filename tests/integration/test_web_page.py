@@ -92,9 +92,7 @@ def test_a_fault_is_seen_at_the_rotor_the_bar_and_the_strip(chromium: Any, proce
 
 
 @pytest.mark.parametrize("count", FLEETS)
-def test_every_fleet_is_seen_at_a_glance_on_a_screen_and_on_a_phone(
-    chromium: Any, process: ServerProcess, count: int
-) -> None:
+def test_every_fleet_is_seen_at_a_glance_on_screen_and_phone(chromium: Any, process: ServerProcess, count: int) -> None:
     vehicles, levels = range(1, count + 1), FLEETS[count]
     give(process, fleet(*sorted(vehicles, key=lambda one: one % 7 != 1), levels=levels))  # as they came
     open_page(chromium, process)

@@ -67,9 +67,7 @@ def uncut(seed: int, grid: Grid, trim_end_s: float) -> Story:
     grid=st.sampled_from(list(Grid)),
     trim_end_s=st.sampled_from([0.0, 0.6]),
 )
-def test_l5_any_cut_gives_the_same_events_and_changes(
-    seed: int, edges: list[int], grid: Grid, trim_end_s: float
-) -> None:
+def test_l5_any_cut_gives_equal_events_and_changes(seed: int, edges: list[int], grid: Grid, trim_end_s: float) -> None:
     """L5: scan and live differed in type and severity. With faults, borders, and signals that stop."""
     cuts = sorted(START_NS + edge * DT_NS for edge in edges)
     assert_same(run(chain(grid, trim_end_s), cut(hard_flight(seed), cuts)), uncut(seed, grid, trim_end_s))

@@ -1,6 +1,9 @@
-"""What is said, how loudly, how often: every text within 50 bytes, every budget kept."""
+"""The diagnosis in words: what the pilot reads, how often, and the sentences and JSON of a finding."""
 
 import itertools
+import json
+import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -8,8 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from detector.alerts import TEXT_BYTES, Kind, Notice, Presenter, Telling
-from detector.values import Effect, SendText, TextSuppressed
+from detector.values import Effect, SendText
+from mavdiag.as_json import event_json, json_line
+from mavdiag.decision.alarm import Event
 from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
+from mavdiag.decision.words import held_advice, held_sentence
+from mavdiag.judging import MonitorSummary
 from mavdiag.monitors import MONITORS, by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis, Instant
@@ -47,7 +54,6 @@ def finding(
 
 
 def text(*diagnoses: Diagnosis) -> str:
-    """What is said of the last of them."""
     telling = Telling()
     [notice] = [telling.step(diagnosis, 1) for diagnosis in diagnoses][-1]
     return notice.text
@@ -97,9 +103,7 @@ def test_h3_only_news_is_critical_and_the_same_fault_that_comes_back_warns() -> 
 
 @pytest.mark.parametrize("stage", [Stage.FAULT, Stage.SUSPECTED, Stage.INSPECT])
 @pytest.mark.parametrize("cause", CAUSES)
-def test_an_alert_is_never_cut_whatever_its_figures(
-    stage: Stage, cause: tuple[int | None, str | None, int | None]
-) -> None:
+def test_no_alert_is_cut_whatever_its_figures(stage: Stage, cause: tuple[int | None, str | None, int | None]) -> None:
     for monitor, axis, found, limit in itertools.product(
         [monitor.name for monitor in MONITORS], (None, *Axis), FIGURES, FIGURES
     ):
@@ -140,12 +144,39 @@ def test_a_suspicion_waits_a_second_and_is_dropped_for_a_fault() -> None:
     assert say(presenter, 0.1) == said
 
 
-def test_a_lasting_matter_that_the_budget_holds_back_is_counted_once_and_said_later() -> None:
-    presenter = Presenter(per_minute=4)
-    for at in (0.0, 3.0):
-        say(presenter, at, Notice(Kind.REBOOT))
-    waiting, out = Notice(Kind.WAITING, ("no gyro",), "no gyro"), []
-    for second in range(6, 70):
-        effects = say(presenter, second, waiting)
-        out += [(second, type(effect)) for effect in effects]
-    assert out == [(6, TextSuppressed), (60, SendText)]
+PROPELLER = Diagnosis(monitor="rotor_trim", statistic=0.066, threshold=0.02, kind=FaultKind.PROPELLER)
+CRACK = replace(PROPELLER, rotor=3, fault_type="F2", severity=2, seen=True, rotors=(RotorSpan(3, 0),))
+SENSOR = Diagnosis(Stage.FAULT, kind=FaultKind.SENSOR, statistic=math.inf, threshold=1.0)
+
+
+@pytest.mark.parametrize(
+    ("held", "words", "advice"),
+    [
+        (Diagnosis(), "", ""),
+        (replace(PROPELLER, stage=Stage.QUIET), "", ""),
+        (replace(CRACK, stage=Stage.FAULT), "motor 3 .*crack .*3.3 times its threshold", "Land, .*motor 3 first"),
+        (SENSOR, "sensor fault .*does not mean that it is gone", "no propeller is blamed"),
+        (Diagnosis(Stage.FAULT, kind=FaultKind.GROSS_LOSS, seen=True, rotor=2), "thrust at motor 2", "motors, contr"),
+        (replace(PROPELLER, stage=Stage.SUSPECTED), "suspected, not declared, rotor unknown", "before the next flight"),
+        (Diagnosis(Stage.INSPECT, rotor=3, rotors=(RotorSpan(3, 0),)), "earlier flight .motor 3", "motor 3 first"),
+    ],
+)
+def test_what_is_held_and_what_to_do(held: Diagnosis, words: str, advice: str) -> None:
+    for said, wanted in ((held_sentence(held), words), (held_advice(held), advice)):
+        assert re.search(wanted, said)
+        assert bool(said) == bool(wanted)
+
+
+def test_the_run_length_and_its_limit_are_told_of_the_thesis_monitor_only() -> None:
+    event = Event("fsd", Axis.ROLL, 60_000_000_000, None, 0.41, 0.12, 0.05)
+    found = json.loads(json.dumps(event_json(60.0, None, event)))
+    assert (found["axis"], found["fsd_s"], found["fml_s"], found["end_s"]) == ("roll", 0.41, 0.12, None)
+    other = event_json(1.0, 2.0, Event("innovation", None, 1, 2, float("inf"), 0.12, 0.05, rotor=2, confidence=0.98765))
+    assert (other["statistic"], other["fsd_s"], other["rotor"], other["confidence"]) == (None, None, 2, 0.988)
+
+
+def test_what_is_not_finite_is_null_wherever_it_stands() -> None:
+    silent = MonitorSummary("unbalance", Axis.ROLL, float("nan"), float("inf"), "g mm", 0)
+    found = json.loads(json_line({"a": (1.5, float("-inf")), "b": [silent]}))
+    assert found["a"] == [1.5, None]
+    assert (found["b"][0]["maximum"], found["b"][0]["threshold"], found["b"][0]["axis"]) == (None, None, "roll")

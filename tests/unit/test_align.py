@@ -74,17 +74,6 @@ def test_a_long_gap_is_blanked_with_what_follows_it_for_300_ms() -> None:
     assert {b.segment for b in blocks} == {0}
 
 
-def test_uneven_senders_are_resampled() -> None:
-    rng = np.random.default_rng(3)
-    t = np.sort(clock(4000) + rng.integers(-450_000, 450_000, 4000))
-    dt_s, grid = measure_grid(linear_flight(t, t))
-    assert grid is Grid.RESAMPLED
-    blocks = whole(linear_flight(t, t), AlignSpec(dt_s, grid))
-    rows = column(blocks, "t_ns")
-    assert np.unique(np.diff(rows)).tolist() == [round(dt_s * 1e9)]
-    np.testing.assert_allclose(column(blocks, "rate"), ramp(rows), atol=1e-9)
-
-
 LOSSES, LOGGER = (
     np.random.default_rng(4).random(5000) > 0.2,
     np.random.default_rng(8).integers(4_500_000, 13_000_000, 3000),
@@ -166,9 +155,7 @@ def with_stopped(signal: Signal, width: int, step: int = 1) -> tuple[IntArray, l
         (Signal.ARMED, 1, 399, 99.0),
     ],
 )
-def test_b2_a_signal_that_stops_is_unknown_after_its_limit(
-    signal: Signal, width: int, step: int, limit_s: float
-) -> None:
+def test_b2_a_stopped_signal_is_unknown_after_its_limit(signal: Signal, width: int, step: int, limit_s: float) -> None:
     t, blocks = with_stopped(signal, width, step)
     known = np.concatenate([block.known(signal) for block in blocks])
     last_ns = t[:400:step][-1]

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator
@@ -18,7 +17,7 @@ import pytest
 from flying_telemetry import flying, without
 from hypothesis import given
 from hypothesis import strategies as st
-from made_archive import MONITORS, START_US, archive_baseline, asked, content, made
+from made_archive import MONITORS, archive_baseline, asked, content, made
 from made_baselines import logged, whole
 from worker_task import work
 
@@ -43,7 +42,7 @@ from mavdiag.archive.sources import digest_of_sources, judging_version
 from mavdiag.archive.tables import COLUMNS, rows_of, write_csv, write_parquet
 from mavdiag.as_json import verdict_json
 from mavdiag.decision.alarm import Change
-from mavdiag.errors import InputError, LinkError, UsageError
+from mavdiag.errors import InputError, UsageError
 from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge, judge_in_full
 from mavdiag.logs import read_log
 from mavdiag.logs.log import sha256_of
@@ -91,25 +90,6 @@ def test_what_names_no_log_is_trouble_and_an_error_where_all_are_needed(tmp_path
     assert one.trouble.startswith("no log there; name files, a folder, or a pattern")
     with pytest.raises(InputError, match="no log there"):
         logs_named([tmp_path / argument]).paths()
-
-
-def test_a_folder_that_cannot_be_read_is_trouble_and_loses_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tree(tmp_path, "a/1.tlog", "b/2.tlog", "c/3.tlog")
-    inside = Path.iterdir
-
-    def refusing(self: Path) -> Iterator[Path]:
-        if self.name == "b":
-            raise PermissionError(13, "Permission denied")
-        return inside(self)
-
-    monkeypatch.setattr(Path, "iterdir", refusing)
-    found = logs_named([tmp_path])
-    assert [one.path.name for one in found.logs] == ["1.tlog", "b", "3.tlog"]
-    assert found.logs[1].trouble == "the folder cannot be read (Permission denied)"
-    with pytest.raises(InputError, match="b: the folder cannot be read"):
-        found.paths()
 
 
 DIGEST = "ab" * 32
@@ -182,12 +162,6 @@ def test_the_folder_is_that_of_the_xdg_specification(tmp_path: Path, monkeypatch
         open_cache(tmp_path / "file", "scope")
 
 
-def test_a_worker_of_another_version_does_not_answer(tmp_path: Path) -> None:
-    (path,) = made(tmp_path, "a.tlog")
-    with pytest.raises(LinkError, match="another version of mavdiag"):
-        judge_file(str(path), replace(asked(), version="other"))
-
-
 @pytest.mark.parametrize("package", ["numpy", "scipy"])
 def test_the_version_is_that_of_the_sources_and_of_what_computes(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """An upgrade must not keep the answers of before."""
@@ -196,16 +170,6 @@ def test_the_version_is_that_of_the_sources_and_of_what_computes(package: str, m
     assert digest_of_sources(("mavdiag",), ("__pycache__", "mavdiag/monitors/innovation.py")) != before
     monkeypatch.setattr(metadata, "version", lambda name: "0.0.0" if name == package else installed(name))
     assert judging_version.__wrapped__() != before
-
-
-def test_figures_are_of_the_flight_that_was_judged_at_the_time_that_was_told(tmp_path: Path) -> None:
-    (path,) = made(tmp_path, "a.tlog")
-    record = judge_file(str(path), asked(Options(figures=True, flown_ns=5)))
-    assert record.flight is not None
-    assert record.flight.started_ns == START_US * 1000  # the log has a clock of its own
-    assert record.flight.content.startswith(record.digest)
-    assert {slot.monitor for slot in record.flight.slots} == set(MONITORS)
-    assert record.verdict == judge_file(str(path), asked()).verdict
 
 
 def in_drawn_order(seed: int, deadly: frozenset[str]) -> Callable[..., Iterator[Any]]:
@@ -278,34 +242,6 @@ def test_answers_are_kept_and_found_again_and_errors_are_not(tmp_path: Path) -> 
         assert answer.verdict.reason.startswith(words)
 
 
-def test_a_file_that_changes_while_it_is_judged_answers_for_itself_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (a,) = made(tmp_path, "a.tlog")
-    copy = Path(shutil.copy(a, tmp_path / "copy.tlog"))
-
-    def changing(path: str, question: Question) -> Record:
-        if path == str(a):
-            a.write_bytes(content(9))
-        return judge_file(path, question)
-
-    monkeypatch.setattr(module, "judge_file", changing)
-    monkeypatch.setattr(module, "digest_of", lambda path, now=digest_of: now(copy))
-    cache = open_cache(tmp_path / "cache", asked().scope)
-    answers = list(scan(logs_named([a, copy]).logs, asked(), 1, cache))
-    assert [answer.record.digest for answer in answers] == [digest_of(a), digest_of(copy)]
-    assert [path.stem for path in (tmp_path / "cache").rglob("*.json")] == [digest_of(a)]
-
-
-def test_answers_that_cannot_be_kept_are_told_once_and_lose_nothing(tmp_path: Path) -> None:
-    paths, warned = made(tmp_path, "a.tlog", "b.tlog"), list[str]()
-    cache = open_cache(tmp_path / "cache", asked().scope, warned.append)
-    shutil.rmtree(tmp_path / "cache")
-    answers = list(scan(logs_named([*paths, paths[0]]).logs, asked(), 1, cache))
-    assert [answer.verdict.verdict for answer in answers] == [Verdict.HEALTHY] * 3
-    assert (len(warned), warned[0].startswith("answers are not kept any more: ")) == (1, True)
-
-
 def test_run_all_gives_every_task_its_result_though_workers_die() -> None:
     ended = dict(run_all(work, iter([1, -1, 2, 0, -2, 3, 4, 5]), 2, known=lambda task: 99 if task == 5 else None))
     assert {task: future.result() for task, future in ended.items() if task > 0} == {1: 1, 2: 4, 3: 9, 4: 16, 5: 99}
@@ -358,20 +294,6 @@ def test_an_error_of_a_worker_is_the_answer_of_its_log(
     (answer,) = scan(logs_named(made(tmp_path, "a.tlog")).logs, asked(), "tcp://there", None, warned.append)
     assert words in answer.verdict.reason
     assert (len(warned), warned[0].startswith("no worker is left; waiting")) == (1, True)
-
-
-def test_workers_that_cannot_go_on_end_the_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    logs = logs_named(made(tmp_path, "a.tlog", "b.tlog")).logs
-    for end, words in (
-        (lambda future: future.cancel() and future.set_running_or_notify_cancel(), "the scheduler went away"),
-        (lambda future: future.set_exception(LinkError("a worker has another version")), "another version"),
-    ):
-        on_cluster(monkeypatch, lambda cluster, end=end: bool(end(cluster.tasks[0])) or True)  # type: ignore[misc]
-        with pytest.raises(LinkError, match=words):
-            list(scan(logs, asked(), "tcp://there"))
-    monkeypatch.setattr(pool, "_settle", os._exit)  # fails for want of an argument, so that no worker starts
-    with pytest.raises(UsageError, match="use --jobs 1"):
-        list(scan(logs, asked(), 2))
 
 
 PAGE = (Path(__file__).parents[2] / "docs" / "operating.md").read_text(encoding="utf-8")
@@ -471,12 +393,3 @@ def test_the_windows_add_up_to_the_accounts_of_the_flight(flight: JudgedFlight) 
     assert sum(one.judged_s for one in windows) == pytest.approx(flight.verdict.judged_s, abs=0.5)
     decided = [(one.maximum or 0.0) / one.threshold for one in flight.verdict.monitors if one.decides]
     assert max(one.ratio or 0.0 for one in windows) == pytest.approx(max(decided))
-
-
-def test_no_window_is_made_up_where_nothing_flew() -> None:
-    """A gap of 20 s has no windows; a log that could not be judged has none at all."""
-    gap = judge_in_full(logged(without(flying(6000, 7), (20.0, 45.0))), whole())
-    begins = [one.from_s for one in windows_of(gap, 5.0)]
-    assert 30.0 not in begins
-    assert {15.0, 50.0} <= set(begins)
-    assert windows_of(JudgedFlight(LogVerdict("x", Verdict.NOT_JUDGEABLE, "")), 5.0) == ()

@@ -7,15 +7,15 @@ from hypothesis import strategies as st
 
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.layout import Argument
-from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
+from mavdiag.link.messages import MavCmd, MavResult, MessageId
 from sitl_plant.autopilot.commands import ORDERS, Autopilot
 from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.autopilot.mission import Mission
 from sitl_plant.autopilot.schedule import Schedule
-from sitl_plant.autopilot.wire import Action, Forward, Reply
+from sitl_plant.autopilot.wire import Action, Reply
 from sitl_plant.plant import PlantConfig
 
-GCS, DETECTOR, PLANT = (255, 190), (1, 191), (1, 1)
+GCS, PLANT = (255, 190), (1, 1)
 NOW_NS = 5_000_000_000
 
 
@@ -42,31 +42,6 @@ def acknowledged(actions: list[Action]) -> list[tuple[Argument, Argument]]:
 
 def replies(actions: list[Action], msgid: int) -> list[tuple[Argument, ...]]:
     return [action.fields for action in actions if isinstance(action, Reply) and action.msgid == msgid]
-
-
-def test_a_status_text_reaches_the_other_links_that_were_heard_and_not_its_own() -> None:
-    one = autopilot()
-    text = frame(DETECTOR, MessageId.STATUSTEXT, Severity.CRITICAL, "PROP FAULT r1")
-    assert one.step(0, text, NOW_NS) == []
-    one.step(1, heartbeat(GCS), NOW_NS)
-    assert one.step(0, text, NOW_NS) == [Forward(1, text)]
-    one.step(2, heartbeat((254, 190)), NOW_NS)
-    assert one.step(0, text, NOW_NS) == [Forward(1, text), Forward(2, text)]
-
-
-def test_a_message_with_an_address_goes_to_where_its_addressee_was_heard() -> None:
-    one = autopilot()
-    one.step(0, heartbeat(DETECTOR), NOW_NS)
-    one.step(1, heartbeat(GCS), NOW_NS)
-    one.step(2, heartbeat((254, 190)), NOW_NS)
-    asked = frame(GCS, MessageId.PARAM_REQUEST_LIST, *DETECTOR)
-    assert one.step(1, asked, NOW_NS) == [Forward(0, asked)]
-
-
-def test_commands_for_somebody_else_are_not_answered() -> None:
-    one = autopilot()
-    for target in (DETECTOR, (2, 1), (2, 0)):
-        assert one.step(1, command(GCS, target, MavCmd.SET_MESSAGE_INTERVAL, 27, 1e6), NOW_NS) == []
 
 
 @pytest.mark.parametrize("target", [(1, 1), (1, 0), (0, 0)])
@@ -100,55 +75,6 @@ def test_every_command_for_it_is_acknowledged(
     assert replies(actions, MessageId.COMMAND_ACK)[0][4:] == GCS
     tells = number == MavCmd.REQUEST_AUTOPILOT_CAPABILITIES or parameters == (148,)
     assert bool(replies(actions, MessageId.AUTOPILOT_VERSION)) == tells
-
-
-def test_an_interval_is_changed_on_the_link_that_asked_only() -> None:
-    one = autopilot()
-    one.step(1, command(GCS, PLANT, MavCmd.SET_MESSAGE_INTERVAL, MessageId.RAW_IMU, 20_000), NOW_NS)
-    for link, interval_us in ((0, 1000), (1, 20_000)):
-        told = one.step(link, command(GCS, PLANT, MavCmd.REQUEST_MESSAGE, 244, MessageId.RAW_IMU), NOW_NS)
-        assert replies(told, 244) == [(27, interval_us)]
-
-
-def test_the_time_is_told_once_and_an_answer_is_not_answered() -> None:
-    one = autopilot()
-    assert replies(one.step(0, frame(GCS, MessageId.TIMESYNC, 0, 77), NOW_NS), MessageId.TIMESYNC) == [(NOW_NS, 77)]
-    assert one.step(0, frame(GCS, MessageId.TIMESYNC, NOW_NS, 77), NOW_NS) == []
-
-
-@pytest.mark.parametrize(
-    ("stream", "rate_hz", "start", "raw_imu_us", "attitude_us"),
-    [(1, 4, 1, 250_000, 100_000), (0, 4, 1, 250_000, 250_000), (0, 4, 0, -1, -1), (10, 60_000, 1, 10_000, 1000)],
-)
-def test_a_ground_station_sets_the_rates_of_a_stream_on_its_link(
-    stream: int, rate_hz: int, start: int, raw_imu_us: int, attitude_us: int
-) -> None:
-    rates: dict[int, float] = {MessageId.RAW_IMU: 100.0, MessageId.ATTITUDE: 10.0, 83: 100.0}
-    schedules = [Schedule(rates, 1000.0) for _ in range(2)]
-    one = Autopilot(schedules, dialect_named("ardupilot"), PlantConfig())
-    asked = frame(GCS, MessageId.REQUEST_DATA_STREAM, *PLANT, stream, rate_hz, start)
-    assert one.step(1, asked, NOW_NS) == []
-    told = [[schedule.interval_us(msgid) for msgid in rates] for schedule in schedules]
-    assert told == [[10_000, 100_000, 10_000], [raw_imu_us, attitude_us, 10_000]]
-
-
-def test_a_ping_comes_back_to_its_sender_and_an_answer_is_not_answered() -> None:
-    one = autopilot()
-    assert replies(one.step(0, frame(GCS, MessageId.PING, 1234, 7, 0, 0), NOW_NS), MessageId.PING) == [(1234, 7, *GCS)]
-    assert one.step(0, frame(GCS, MessageId.PING, 1234, 7, *PLANT), NOW_NS) == []
-
-
-@pytest.mark.parametrize(("profile", "first"), [("ardupilot", (4, b"GUIDED")), ("px4", (4 << 16 | 3 << 24, b"Hold"))])
-def test_the_modes_are_told_one_by_one_or_all(profile: str, first: tuple[int, bytes]) -> None:
-    one = autopilot(profile=profile)
-    every = replies(one.step(0, command(GCS, PLANT, 512, MessageId.AVAILABLE_MODES, 0), NOW_NS), 435)
-    assert [mode[1] for mode in every] == list(range(1, len(every) + 1))
-    assert {mode[0] for mode in every} == {len(every)}
-    one_by_one = replies(one.step(0, command(GCS, PLANT, 512, MessageId.AVAILABLE_MODES, 1), NOW_NS), 435)
-    assert one_by_one == every[:1]
-    assert (every[0][3], str(every[0][5]).encode()) == first
-    beyond = one.step(0, command(GCS, PLANT, 512, MessageId.AVAILABLE_MODES, len(every) + 1), NOW_NS)
-    assert acknowledged(beyond) == [(512, MavResult.DENIED)]
 
 
 @given(
@@ -225,15 +151,6 @@ def test_what_was_uploaded_is_downloaded() -> None:
     assert said(one.step(0, sent(MessageId.MISSION_REQUEST_INT, 3, 0), 0)) == [(47, (*GCS, 13, 0))]
 
 
-def test_an_item_in_floats_is_stored_as_well() -> None:
-    one = Mission(lambda frames: True, lambda seq: None)
-    one.step(0, sent(MessageId.MISSION_COUNT, 1, 0), 0)
-    floats = sent(MessageId.MISSION_ITEM, 0, 3, 16, 0, 1, 0.0, 0.0, 0.0, 0.0, 47.5, 8.5, 2.0, 0)
-    assert said(one.step(0, floats, 0)) == [(MessageId.MISSION_ACK, (*GCS, 0, 0))]
-    [(_, fields)] = said(one.step(0, sent(MessageId.MISSION_REQUEST_INT, 0, 0), 0))
-    assert fields[11:13] == (475_000_000, 85_000_000)
-
-
 def test_a_lost_item_is_asked_for_again_and_an_upload_that_stops_is_given_up() -> None:
     one = Mission(lambda frames: True, lambda seq: None)
     one.step(0, sent(MessageId.MISSION_COUNT, 2, 0), 0)
@@ -244,33 +161,6 @@ def test_a_lost_item_is_asked_for_again_and_an_upload_that_stops_is_given_up() -
     assert said(one.tick(10 * SECOND)) == [(MessageId.MISSION_ACK, (*GCS, 15, 0))]
     assert one.tick(20 * SECOND) == []
     assert len(one) == 0
-
-
-def test_what_cannot_be_flown_is_refused_and_the_old_plan_stays() -> None:
-    takes = [True, False]
-    one = Mission(lambda frames: takes.pop(0), lambda seq: None)
-    upload(one, 2)
-    assert upload(one, 1) == [(MessageId.MISSION_ACK, (*GCS, 3, 0))]
-    assert len(one) == 2
-    assert said(one.step(0, sent(MessageId.MISSION_COUNT, 10_000, 0), 0)) == [(MessageId.MISSION_ACK, (*GCS, 4, 0))]
-
-
-def test_fence_and_rally_points_are_empty_and_their_type_comes_back() -> None:
-    one = Mission(lambda frames: True, lambda seq: None)
-    for kind in (1, 2):
-        asked = said(one.step(0, sent(MessageId.MISSION_REQUEST_LIST, kind), 0))
-        assert asked == [(MessageId.MISSION_COUNT, (*GCS, 0, kind))]
-        assert said(one.step(0, sent(MessageId.MISSION_COUNT, 2, kind), 0)) == [(47, (*GCS, 3, kind))]
-        assert said(one.step(0, sent(MessageId.MISSION_CLEAR_ALL, kind), 0)) == [(47, (*GCS, 0, kind))]
-
-
-def test_the_item_to_go_on_with_is_set_and_confirmed() -> None:
-    skipped: list[int] = []
-    one = Mission(lambda frames: True, skipped.append)
-    upload(one, 3)
-    assert said(one.step(0, sent(MessageId.MISSION_SET_CURRENT, 2), 0)) == [(MessageId.MISSION_CURRENT, (2, 3))]
-    assert said(one.step(0, sent(MessageId.MISSION_SET_CURRENT, 3), 0)) == [(MessageId.MISSION_ACK, (*GCS, 13, 0))]
-    assert skipped == [2]
 
 
 # The rhythm of messages: exact in the mean, never early, changed and denied as an autopilot does

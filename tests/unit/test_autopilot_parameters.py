@@ -64,12 +64,6 @@ def test_a_set_is_checked_and_answered_by_the_value_in_force(
     assert answer == told(one, MessageId.PARAM_REQUEST_READ, name, -1)[0]
 
 
-def test_px4_refuses_a_value_of_another_type_and_nobody_answers_for_an_unknown_name() -> None:
-    one = Parameters(ROWS, Encoding.BYTES)
-    assert told(one, MessageId.PARAM_SET, "SPEED", 2.0, 6) == [("SPEED", 1.5, 9, 3, 2)]
-    assert told(one, MessageId.PARAM_SET, "NO_SUCH", 2.0, 9) == []
-
-
 @pytest.mark.parametrize("profile", ["ardupilot", "px4"])
 @pytest.mark.parametrize("name", [name for name in shipped_vehicles() if name != "qdrone2-recorded"])
 def test_the_geometry_that_is_told_is_the_vehicles(profile: str, name: str) -> None:

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,21 +14,12 @@ from sitl_plant.campaign.plan import (
     PRESETS,
     Conditions,
     Design,
-    FlightTask,
-    LearnTask,
     causes_named,
     make_plan,
-    task_sequence,
     with_conditions,
 )
-from sitl_plant.campaign.summary import poisson as poisson_rate
-from sitl_plant.campaign.summary import print_summary, summarise
+from sitl_plant.campaign.summary import summarise
 from sitl_plant.campaign.worker import Answer, FlightResult, MonitorResult, Results
-from sitl_plant.vehicle import qdrone2
-
-
-def words(seed: int, task: FlightTask | LearnTask) -> list[int]:
-    return [int(word) for word in task_sequence(seed, task).generate_state(4)]
 
 
 def test_every_cause_meets_every_rotor_and_scale_equally_often() -> None:
@@ -38,26 +28,6 @@ def test_every_cause_meets_every_rotor_and_scale_equally_often() -> None:
     fitted = causes_named(["fault"])
     scales = Counter((flight.cause, flight.phenomenology) for flight in flights if flight.cause in fitted)
     assert set(scales.values()) == {4}
-
-
-def test_seeds_follow_from_what_is_flown() -> None:
-    plan = make_plan(Design(flights=30, hours=0.1))
-    tasks: list[FlightTask | LearnTask] = [*dict.fromkeys(flight.learnt for flight in plan), *plan]
-    states = [tuple(words(0, task)) for task in tasks]
-    assert len(set(states)) == len(states)
-    flight = plan[0]
-    assert words(0, flight) == words(0, replace(flight, phenomenology=0.25, loss=0.1))
-    assert words(0, flight) != words(1, flight)
-    assert words(0, flight) != words(0, replace(flight, rotor=flight.rotor % 4 + 1))
-
-
-def test_conditions_replace_levels() -> None:
-    design = with_conditions(
-        Design(), ["cause=sensor,F2/SV2", "wind=0,2", "manoeuvre=hover", "link=ardupilot@100", "loss=0.1", "rotor=2"]
-    )
-    assert set(design.cause) == {"F2/SV2", *(name for name in CAUSES if name.startswith(("gyro", "accel")))}
-    assert (design.wind, design.manoeuvre, design.rotor) == ((0.0, 2.0), ("hover",), (2,))
-    assert (design.link, design.loss) == (("ardupilot@100",), (0.1,))
 
 
 @pytest.mark.parametrize(
@@ -99,20 +69,6 @@ def test_every_condition_has_its_share_of_hours_and_causes() -> None:
     causes = Counter(flight.conditions.condition for flight in flights if flight.cause != HEALTHY)
     assert set(causes.values()) == {2}
     assert {flight.duration_s for flight in flights if flight.conditions.condition == "battery-10min"} == {600.0}
-
-
-def test_only_what_belongs_to_the_build_is_learnt_with() -> None:
-    """The baseline never flew in the condition, but with the same frame, filters and link."""
-    for flight in make_plan(CONDITIONED):
-        name, learnt = flight.conditions.condition, flight.learnt
-        assert set(learnt.flights) == {Conditions()}
-        assert len(learnt.flights) == 5
-        row = CONDITIONS[name]
-        build = (row.filter_hz, row.resonance_hz, row.isolation) != (None, None, None)
-        assert (learnt.vehicle == qdrone2()) == (not build)
-        assert learnt.link == ("qdrone2@1000" if row.rate_hz is None else f"qdrone2@{row.rate_hz:g}")
-        if row.filter_hz is not None:
-            assert learnt.vehicle.imu.filter_hz == row.filter_hz
 
 
 DESIGN = Design(airframes=2, seed=9)
@@ -197,47 +153,3 @@ def test_detections_are_counted_on_judged_faults_alone() -> None:
     cells = {row["level"]: row["detected"] for row in summary["detection"] if row["factor"] == "fault, phenomenology"}
     assert (cells["F1/SV2 x1"].hits, cells["F2/SV1 x0.5"].of) == (2, 1)
     assert summary["unjudged"] == (("not_judgeable: ", 1),)
-
-
-def flown(index: int, condition: str, cause: str = "healthy", **other: Any) -> FlightResult:
-    return replace(line(index, cause), conditions=Conditions(condition=condition), **other)
-
-
-def in_conditions() -> Results:
-    late = MonitorResult("energy", 0, 1, 2.0)
-    flights = (
-        *(flown(i, "wind-2", judged_s=45.0, episodes=i // 8, faults=i // 9) for i in range(10)),
-        flown(10, "wind-2", verdict="fault", judged_s=45.0),
-        flown(11, "wind-2", verdict="not_judgeable", judged_s=0.0, monitors=()),
-        flown(12, "wind-2", "F1/SV1", latency_s=1.0, declared_s=1.5, phenomenology=0.5),
-        flown(13, "wind-2", "F1/SV1", latency_s=1.0, monitors=(late,), phenomenology=0.5),
-        flown(14, "wind-2", "F2/SV1", verdict="not_judgeable", phenomenology=0.5),
-        flown(15, "wind-2", "F2/SV1", phenomenology=1.0),
-        flown(16, "wind-2", "gyro-bias", latency_s=1.0),
-        flown(17, "calm"),
-    )
-    return Results(DESIGN, (), flights, 0, 0)
-
-
-def test_each_condition_tells_its_hours_alarms_and_detections() -> None:
-    calm, wind = summarise(in_conditions())["conditions"]
-    assert (calm["condition"], wind["condition"]) == ("calm", "wind-2")
-    assert wind["flown_h"] == pytest.approx(12 * 60 / 3600)
-    assert wind["judged_h"] == pytest.approx(11 * 45 / 3600)
-    assert wind["judged_share"] == pytest.approx(11 * 45 / (12 * 60))
-    assert (wind["alarms"].count, wind["faults"].count) == (2, 1)
-    assert wind["faults"].high == pytest.approx(poisson_rate(1, 11 * 45 / 3600).high)
-    assert (wind["flagged"].hits, wind["flagged"].of) == (1, 12)
-    found = {one["phenomenology"]: one for one in wind["detection"]}
-    assert (found[0.5]["flights"], found[0.5]["detected"].hits, found[0.5]["detected"].of) == (3, 2, 2)
-    assert (found[0.5]["declared"].hits, found[1.0]["detected"].hits, found[1.0]["detected"].of) == (1, 0, 1)
-    assert calm["detection"] == []
-
-
-def test_the_tables_print(capsys: pytest.CaptureFixture[str]) -> None:
-    print_summary(summarise(made()))
-    shown = capsys.readouterr().out
-    for text in ("False alarms", "2/3", "F1/SV2", "gyro-bias", "not judged: 1 flights", "seed 9"):
-        assert text in shown
-    print_summary(summarise(Results(DESIGN, (), (), 0, 0)))
-    assert "0 flights" in capsys.readouterr().out

@@ -17,13 +17,9 @@ from mavdiag.link.clock import (
     US_64,
     Clock,
     Counter,
-    Timesync,
     VehicleTime,
-    exchanged,
     stamp,
 )
-from mavdiag.link.codec import Decoder, Encoder, Frame
-from mavdiag.link.messages import MessageId
 from mavdiag.telemetry import IntArray
 
 Stream = tuple[Counter, IntArray, IntArray]  # counts and times of arrival [ns]
@@ -141,17 +137,7 @@ def test_a_clock_that_was_set_is_followed_when_the_old_one_is_silent_for_a_secon
     assert kept[500:].tolist() == raw[-len(kept[500:]) :].tolist()
 
 
-def test_the_first_stamp_of_a_message_is_compared_with_the_others() -> None:
-    raw, host = stream(2.0)
-    other = (MS_32, raw, host)
-    ahead = (MS_32, np.concatenate([raw[:1] + 3_600_000, raw]), np.insert(host, 0, host[0]) + 1)
-    time, (_, t_ns) = taken(other, ahead)
-    assert t_ns.tolist() == [NEVER, *(raw * MS).tolist()]
-    assert time.leaps == 1
-
-
 EPOCH_NS = 1_763_000_000 * S
-TURN_MS = 1 << 32
 
 
 class Link:
@@ -220,25 +206,6 @@ def test_how_drifting_clocks_are_cut_does_not_matter(seed: int, unix: bool, ppm:
     assert all(np.array_equal(a, b) for a, b in zip(whole[1:], cut[1:], strict=True))
 
 
-@pytest.mark.parametrize("ppm", [0.0, 15.0])
-def test_clocks_that_start_together_are_one_and_keep_their_stamps(ppm: float) -> None:
-    link = Link(3, (MS_32, 3 * S, 0.0), (US_64, 3 * S + 250_000, ppm), 300)
-    _, _, laid = link.placed()
-    assert laid.tolist() == (link.raw[1] * 1000).tolist()
-
-
-@pytest.mark.parametrize("first", [0, 1])
-@pytest.mark.parametrize("turns", [1, 3])
-def test_a_vehicle_that_is_up_for_longer_than_49_days_has_one_clock(first: int, turns: int) -> None:
-    up_ns = turns * TURN_MS * 1_000_000 + 12_345_000_000
-    streams = [(MS_32, up_ns, 0.0), (US_64, up_ns, 0.0)]
-    link = Link(3, streams[first], streams[1 - first], 20)
-    _, reference, laid = link.placed()
-    own_ns = up_ns if first else 12_345_000_000
-    assert reference[0] == own_ns + link.true[0][0]
-    assert laid.tolist() == (own_ns + link.true[1][-len(laid) :]).tolist()
-
-
 @pytest.mark.parametrize("step_s", [-0.4, 0.3, 40.0])
 def test_a_clock_that_is_set_is_laid_anew_within_seconds(step_s: float) -> None:
     """GPS or a network sets the unix time in flight: no drift explains it, and 5 s would take 10,000 s to slew."""
@@ -248,16 +215,3 @@ def test_a_clock_that_is_set_is_laid_anew_within_seconds(step_s: float) -> None:
     true = link.taken[1][-len(laid) :]
     assert error[true > 65 * S].max() < 3_000_000
     assert error[true < 60 * S].max() < 3_000_000
-
-
-def timesync(tc1_ns: int, ts1_ns: int, host_ns: int, compid: int = 1) -> Frame:
-    [frame] = Decoder().feed(Encoder(1, compid).encode(MessageId.TIMESYNC, tc1_ns, ts1_ns), host_ns)
-    return frame
-
-
-def test_the_round_trip_follows_from_the_answer() -> None:
-    state, _ = exchanged(Timesync(), (), 100 * S, alive=True)
-    answer = timesync(5 * S + 10_000_000, 100 * S, 100 * S + 30_000_000)
-    state, messages = exchanged(state, (answer, answer), 100 * S + 30_000_000, alive=True)
-    assert state.round_trip_s == pytest.approx(0.03)
-    assert messages == ()

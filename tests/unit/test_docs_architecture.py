@@ -2,29 +2,13 @@
 
 import importlib.util
 import re
-import sys
 import tomllib
-from collections.abc import Iterator
-from contextlib import contextmanager
-from itertools import groupby
 from pathlib import Path
-from types import FrameType
-from typing import Any
 
 import pytest
-from flying_telemetry import flying
-
-from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.layout import layout_named
-from mavdiag.chain import chain_of
-from mavdiag.decision.alarm import Stage
-from mavdiag.learning import LearnOptions, learn
-from mavdiag.telemetry import Log
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-STAGES = ("mavdiag.rows.align", "mavdiag.rows.gate", "mavdiag.rows.rates", "mavdiag.kernel", "mavdiag.decision.alarm")
-INSIDE = ("kinds", "grading")  # of the decision, in the order of the drawing
 
 
 def table(heading: str, column: int) -> list[str]:
@@ -65,49 +49,3 @@ def found(module: str) -> bool:
         return importlib.util.find_spec(module) is not None
     except ModuleNotFoundError:
         return False
-
-
-@pytest.mark.parametrize("cell", table("## Where a new thing goes", 3))
-def test_what_shows_how_to_add_a_thing_is_there(cell: str) -> None:
-    shown = re.findall(r"`(tests/[a-z_/]+\.py)`(?: \(`(\w+)`\))?", cell)
-    assert shown
-    for path, name in shown:
-        text = (ROOT / path).read_text()
-        assert re.search(rf"^(def|class|from \w+ import) {name}\b", text, re.MULTILINE), f"{path}: {name}"
-
-
-@contextmanager
-def calls() -> Iterator[list[str]]:
-    """Modules of the steps that are called: the streaming steps of the drawing, and the parts of the decision."""
-    seen: list[str] = []
-
-    def watch(frame: FrameType, event: str, arg: Any) -> None:
-        if event == "call" and frame.f_code.co_name in ("step", "isolate", "assess"):
-            seen.append(frame.f_globals.get("__name__", ""))
-
-    sys.setprofile(watch)
-    try:
-        yield seen
-    finally:
-        sys.setprofile(None)
-
-
-def test_no_module_is_entered_twice_between_rows_and_decision() -> None:
-    airframe = Airframe(layout=layout_named("x"), classifier="qdrone2")
-    flights = [Log(f"flight{i}", "", "ardupilot", flying(4000, i)) for i in range(3)]
-    chain = chain_of(learn(flights, LearnOptions(airframe=airframe), created=""))
-    assert len(chain.slots) >= 5
-    with calls() as seen:
-        state, output = chain.step(chain.start(), flying(4000, 7, weak_rotor=2, rise=0.3))
-    assert Stage.FAULT in {change.stage for change in output.changes}
-    assert state.diagnosis.rotor == 2
-    passed = [stage for name in seen for stage in STAGES if name == stage or name.startswith(f"{stage}.")]
-    assert [stage for stage, _ in groupby(passed)] == list(STAGES)
-    assert chain.baseline.envelope
-    order = [re.escape(stage.removeprefix("mavdiag.")) for stage in STAGES]
-    assert re.search(r"\n *" + r" .*?\n *".join(order) + r"\b", PAGE, re.DOTALL)
-    decision = [name.rsplit(".", 1)[1] for name in seen if name.startswith("mavdiag.decision.")]
-    assert (
-        tuple(part for part in dict.fromkeys(decision) if part in INSIDE) == INSIDE[: len(set(decision) & set(INSIDE))]
-    )
-    assert "kinds" in decision

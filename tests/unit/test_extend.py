@@ -17,7 +17,6 @@ from mavdiag.errors import BaselineError, InputError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.learning.learn import extend
-from mavdiag.monitors.base import FaultKind
 from mavdiag.rows.conditions import Condition
 from mavdiag.telemetry import Log, Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -92,15 +91,6 @@ def test_it_widens_the_envelope() -> None:
     assert not any(one.outside_s for one in found.monitors)
 
 
-def test_the_healthy_trim_becomes_the_mean_over_sessions() -> None:
-    shifted = changed(flying(2500, 12), Signal.ACTUATOR, lambda outputs: outputs + 0.5 * 0.01 * YAW)
-    before = np.array(entry(monday(), "rotor_trim").spec.mean)
-    after = np.array(entry(extend(monday(), [flown(12, MONDAY + DAY, shifted)], created=NOW), "rotor_trim").spec.mean)
-    assert abs(before[2]) < 0.001
-    assert after[2] == pytest.approx(0.005, abs=0.001)  # half of 0.01
-    np.testing.assert_allclose(after[:2], before[:2], atol=0.001)
-
-
 def test_a_flight_of_a_session_that_is_in_already_joins_that_one() -> None:
     """And not the last one of the baseline."""
     made = extend(tuesday(), [flown(13, MONDAY + 1800 * NS_PER_S), flown(14), flown(15, MONDAY + 9 * DAY)], created=NOW)
@@ -161,28 +151,6 @@ def test_new_propellers_change_the_level_and_nothing_else() -> None:
     assert parse(dump(new)) == new
 
 
-def buzzing(seed: int, n: int = 2500, times: float = 1.0) -> Telemetry:
-    """A flight with propellers that shake one axis of the gyro, and no other."""
-    made = flying(n, seed)
-    rate = next(one.values for one in made.series if one.signal is Signal.BODY_RATE)
-    buzz = np.random.default_rng(seed).normal(0.0, times * 0.2, len(rate))
-    return changed(made, Signal.BODY_RATE, lambda rate: rate + np.outer(buzz, [1.0, 0.0, 0.0]))
-
-
-def test_new_propellers_bring_a_noise_of_their_own() -> None:
-    options = LearnOptions(airframe=FRAME, monitors=("rotor_trim", "sensor_noise"))
-    old = learn([flown(i, MONDAY + i * 600 * NS_PER_S) for i in range(3)], options, created=NOW)
-    hover = flown(60, MONDAY + DAY, buzzing(60, 1600))
-    new = extend(old, [hover], new_propellers=True, created=LATER)
-    healthy = Log("h", "", "px4", buzzing(61), started_ns=MONDAY + DAY)
-    assert "sensor_noise" in judge(healthy, old).reason.split(";")[0]  # or there is nothing to show
-    assert judge(healthy, new).verdict is Verdict.HEALTHY
-    noisy = judge(Log("n", "", "px4", buzzing(62, times=6.0), started_ns=MONDAY + DAY), new)
-    assert (noisy.verdict, noisy.kind) == (Verdict.FAULT, FaultKind.SENSOR)
-    before, after = (entry(made, "sensor_noise").scores for made in (old, new))
-    assert after.maxima[: len(before.maxima)] == before.maxima  # they are relative to the propellers of their time
-
-
 Ran = tuple[int, str, str]
 
 
@@ -209,19 +177,3 @@ def test_the_command_adds_flights(mavdiag: Callable[..., Ran], tmp_path: Path) -
     made = Baseline.load(new)
     assert [one.name for one in made.provenance.logs] == ["f0", "f1", "f2", "f10", "f11"]
     assert Baseline.load(old) == monday()
-
-
-def test_the_command_refuses_in_one_line(mavdiag: Callable[..., Ran], tmp_path: Path) -> None:
-    old, new = tmp_path / "old.json", tmp_path / "new.json"
-    monday().save(old)
-    second = tmp_path / "second.json"
-    second.write_text('{"schema": "mavdiag.baseline/2"}')
-    for arguments, says in (
-        ((old, "f1.tlog"), "f1: is in the baseline already"),
-        ((second, "f10.tlog"), "schema: Input should be 'mavdiag.baseline/6'"),
-        ((tmp_path / "absent.json", "f10.tlog"), "mavdiag identify"),
-    ):
-        code, out, err = mavdiag("baseline", "extend", *arguments, "-o", new)
-        assert (code, out, err.count("\n")) == (2, "", 1)
-        assert says in err
-    assert not new.exists()

@@ -15,8 +15,10 @@ from made_telemetry import START_NS, cut, flight
 
 import mavdiag as md
 from mavdiag.decision.alarm import Change, Event, Stage
-from mavdiag.errors import BaselineError, UsageError
-from mavdiag.telemetry import Telemetry
+from mavdiag.errors import BaselineError, InputError, UsageError
+from mavdiag.look.inspection import summary
+from mavdiag.telemetry import Log, Series, Signal, Telemetry
+from mavdiag.units import NS_PER_S
 
 HEAVY = {"numpy", "scipy", "pydantic", "pymavlink", "control", "matplotlib", "pandas", "rich", "typer", "numba"}
 
@@ -127,8 +129,38 @@ def test_a_log_of_arrays_is_learnt_from_and_judged() -> None:
         ({"height": ([0.0], [["low"]])}, "height: no array of numbers: could not convert"),
     ],
 )
-def test_arrays_that_are_no_signal_are_refused(
-    signals: dict[str, tuple[list[float], list[list[float]]]], says: str
-) -> None:
+def test_arrays_of_no_signal_are_refused(signals: dict[str, tuple[list[float], list[list[float]]]], says: str) -> None:
     with pytest.raises(md.InputError, match=says):
         md.Log.from_arrays("x", signals)
+
+
+T_NS = np.array([1_000_000_000, 1_500_000_000], dtype=np.int64)
+RATE = Series(Signal.BODY_RATE, T_NS, T_NS, np.arange(6.0).reshape(2, 3))
+OUTPUTS = Series(Signal.ACTUATOR, T_NS, T_NS, np.zeros((2, 4)))
+LOG = Log("flight.bin", "00", "ardupilot-log", Telemetry((RATE, OUTPUTS)))
+
+
+@pytest.mark.parametrize("name", ["body_rate", Signal.BODY_RATE])
+def test_a_series_by_its_name(name: str) -> None:
+    assert LOG[name] is LOG.telemetry[name] is RATE
+    assert RATE.t_s.tolist() == [1.0, 1.5]
+    assert (RATE.unit, OUTPUTS.unit) == ("rad/s", "")
+    assert list(LOG.telemetry) == [RATE, OUTPUTS]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("voltage", "no voltage in the data; there is body_rate, actuator"), ("gyro", "no signal is named 'gyro'")],
+)
+def test_what_is_not_there_says_what_is(name: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        LOG[name]
+
+
+def test_r8_the_rate_is_the_mean_rate_and_not_that_of_the_median_step() -> None:
+    kept = np.arange(1000) % 4 != 0  # a logger at 250 Hz that drops every fourth sample
+    t_ns = (np.arange(1000, dtype=np.int64) * NS_PER_S // 250)[kept]
+    found = summary(Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((len(t_ns), 3))))
+    assert found.rate_hz == pytest.approx(187.5, rel=0.01)
+    one = summary(Series(Signal.BODY_RATE, t_ns[:1], t_ns[:1], np.zeros((1, 3))))
+    assert (one.rate_hz, one.jitter_ms, one.longest_gap_s) == (None, None, None)

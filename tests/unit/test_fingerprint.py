@@ -1,20 +1,18 @@
 """The fingerprint: another vehicle is said to be one before it is judged, a damaged rotor is not."""
 
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 import pytest
-from flying_telemetry import flying, flying_front, flying_rows
-from made_baselines import FRAME, NOW, logged, whole
-from made_telemetry import START_NS, changed, cut
+from flying_telemetry import flying, flying_rows
+from made_baselines import logged, whole
+from made_telemetry import changed
 
 from mavdiag.airframe.fingerprint import (
     TRAITS,
     Fingerprint,
     Likeness,
     Outcome,
-    beginning,
     compare,
     fingerprint_of,
     joined,
@@ -22,9 +20,7 @@ from mavdiag.airframe.fingerprint import (
 )
 from mavdiag.airframe.layout import layout_named
 from mavdiag.judging import Verdict, judge
-from mavdiag.learning import LearnOptions, learn
-from mavdiag.rows.front import Rows
-from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
+from mavdiag.telemetry import Signal, Telemetry
 
 X = layout_named("x")
 
@@ -103,21 +99,6 @@ def test_another_vehicle_is_not_judged_and_a_near_one_has_a_note(flight: Telemet
     assert "another vehicle" not in damaged.reason
 
 
-def test_chunks_change_nothing() -> None:
-    telemetry = flying(3000, 7, weak_rotor=1, rise=0.1)
-    flight, front = flying_rows(telemetry), flying_front()
-    state, pieces = front.start(), list[Rows]()
-    for chunk in cut(telemetry, list(range(START_NS, START_NS + 30 * 10**9, 330_000_000))):
-        state, parts = front.step(state, chunk)
-        pieces += [one for one in parts if isinstance(one, Rows)]
-    pieces += [one for one in front.finish(state)[1] if isinstance(one, Rows)]
-    assert len(pieces) > 50
-    assert traits(joined(pieces), X) == pytest.approx(traits(joined(flight), X), nan_ok=True)
-    assert compare(learnt(), pieces, X) == compare(learnt(), flight, X)
-    seconds = sum(int(block.valid.sum()) for block in beginning(pieces, 8.0)) * 0.01
-    assert seconds == pytest.approx(8.0, abs=0.02)
-
-
 def test_what_a_trait_varies_by_as_the_vehicle_flies_is_its_spread() -> None:
     """Half of the learnt flight shakes more: a flight that shakes as its calm half did is of the same vehicle."""
     learnt_flight, n = flying(4000, 7), 4000
@@ -143,35 +124,3 @@ def test_a_noise_below_the_resolution_of_its_signal_is_the_resolution_s(noise: f
     seen = dict(zip((one.name for one in TRAITS), traits(joined(flying_rows(coarse)), X), strict=True))
     expected = [np.log(digit * np.sqrt(0.5)) if np.isfinite(seen["accelerometer noise x"]) else np.nan] * 3
     np.testing.assert_allclose([seen[f"accelerometer noise {axis}"] for axis in "xyz"], expected, atol=0.2)
-
-
-def grounded(seed: int, ground_s: float) -> Log:
-    """A flight without a thrust set-point that stands on the ground first: the motors idle and nothing shakes."""
-    rows, flight = round(100 * ground_s), flying(3000, seed)
-    rng, series = np.random.default_rng(seed), []
-    calm: dict[Signal, Callable[[int], FloatArray]] = {
-        Signal.BODY_RATE: lambda n: rng.normal(0.0, 3e-4, (n, 3)),
-        Signal.SPECIFIC_FORCE: lambda n: rng.normal([0.0, 0.0, -9.81], 5e-3, (n, 3)),
-        Signal.ACTUATOR: lambda n: np.full((n, 4), 0.1),
-        Signal.ARMED: lambda n: np.ones((n, 1)),
-    }
-    for one in flight:
-        if one.signal in calm and rows:
-            step_ns = int(np.diff(one.t_ns[:2])[0])
-            before = one.t_ns[0] - step_ns * np.arange(rows * 10_000_000 // step_ns, 0, -1)
-            values = np.concatenate((calm[one.signal](len(before)), one.values))
-            series.append(Series(one.signal, *(np.concatenate((before, one.t_ns)),) * 2, values))
-        elif one.signal is not Signal.THRUST_SETPOINT:
-            series.append(one)
-    return Log(f"log{seed}", f"{seed:064x}", "px4", Telemetry(tuple(series)))
-
-
-@pytest.mark.parametrize("learnt_s", [0.0, 25.0])
-def test_time_on_the_ground_is_not_compared_with_flight(learnt_s: float) -> None:
-    """Armed on the ground, without a thrust set-point: the flight is alike with and without that time."""
-    options = LearnOptions(airframe=dataclasses.replace(FRAME, gate=None))
-    baseline = learn([grounded(100 + k, learnt_s) for k in range(3)], options, created=NOW)
-    for seconds in (0.0, 25.0, 60.0):
-        verdict = judge(grounded(7, seconds), baseline)
-        assert verdict.verdict is Verdict.HEALTHY, verdict.reason
-        assert "another vehicle" not in verdict.reason

@@ -62,7 +62,6 @@ def tumble(n: int) -> FloatArray:
 
 
 def levels(*pairs: tuple[int, float]) -> FloatArray:
-    """So many rows of each value."""
     return np.concatenate([np.full(n, value) for n, value in pairs])
 
 

@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 from flying_telemetry import flying
 from made_baselines import ALWAYS, FRAME, NOW, healthy
-from made_telemetry import START_NS
 from made_telemetry import changed as changed_telemetry
 
 from mavdiag.errors import InputError
 from mavdiag.learning import LearnOptions, airborne, front_for, learn
 from mavdiag.learning.teaching import far_blocks, repeated, taught, upsets
 from mavdiag.logs import between
-from mavdiag.rows.align import Grid
-from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
 
 OPTIONS = LearnOptions(airframe=FRAME, monitors=("rotor_trim",))
 ROBUST = replace(OPTIONS, robust=True)
@@ -135,13 +133,6 @@ def test_a_stretch_far_from_the_rest_is_refused_and_named() -> None:
     assert "flight2, " in found.left_out[0]
 
 
-def test_a_quiet_flight_is_not_far() -> None:
-    flights = [airborne(front_for(healthy(1), 0.1, ALWAYS), one) for one in healthy(4)]
-    hover = changed(healthy(5)[4], Signal.ATTITUDE_SETPOINT, 0.0, 99.0, np.zeros_like)
-    hover = changed(hover, Signal.BODY_RATE, 0.0, 99.0, lambda rate: 0.02 * np.sign(rate))
-    assert far_blocks([*flights, airborne(front_for([hover], 0.1, ALWAYS), hover)]) == ()
-
-
 def two_vehicles(other: int, rise: float) -> list[Log]:
     """Three flights of one vehicle, and some of another one whose rotor 2 needs more."""
     odd = [Log(f"odd{i}", "", "px4", flying(3000, 300 + i, weak_rotor=2, rise=rise)) for i in range(other)]
@@ -169,28 +160,6 @@ def test_one_odd_flight_or_a_small_distance_is_noted(other: int, rise: float) ->
     assert len(found.provenance.logs) == 3 + other
     assert "two groups" in found.provenance.notes[0]
     assert "note       odd0" in str(found)
-
-
-def slower(log: Log, factor: float, jitter: bool) -> Log:
-    """The log on a clock that runs slower, jittered so that its grid is resampled if asked."""
-    rng = np.random.default_rng(4)
-    parts = []
-    for one in log.telemetry.series:
-        late = rng.uniform(0.0, 0.6e7, len(one)) if jitter and one.signal is Signal.BODY_RATE else np.zeros(len(one))
-        t_ns = (START_NS + factor * (one.t_ns - START_NS) + late).astype(np.int64)
-        parts.append(Series(one.signal, t_ns, t_ns, one.values))
-    return replace(log, telemetry=Telemetry(tuple(parts)))
-
-
-def test_resampled_flights_may_differ_in_rate_as_far_as_the_model_bears() -> None:
-    flights = [slower(one, 1.0, True) for one in healthy(2)]
-    near, far = slower(healthy(3)[2], 1.1, True), slower(healthy(3)[2], 1.3, True)
-    assert front_for([*flights, near], 0.1, ALWAYS).align.grid is Grid.RESAMPLED
-    with pytest.raises(InputError, match=r"flight2 has a gyro rate of 7\d\.\d Hz, the others have 100\.0 Hz.*15 %"):
-        front_for([*flights, far], 0.1, ALWAYS)
-    found = taught([*flights, far], 0.1, ALWAYS, robust=True)
-    assert len(found.flights) == 2
-    assert "flight2 has a gyro rate" in found.left_out[0]
 
 
 def test_nothing_left_is_said() -> None:

@@ -2,8 +2,6 @@
 
 import math
 import struct
-from collections import Counter
-from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -13,14 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavdiag.airframe.layout import layout_named
-from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder
 from sitl_plant.hil.ardupilot import Lockstep, servo_frame
 from sitl_plant.hil.px4 import WANTED, Bridge
 from sitl_plant.hil.simulation import AutopilotName, Simulation, output_map, parameter_file, pilot_of
 from sitl_plant.physics.faults import Injection
 from sitl_plant.plant import Plant, PlantConfig
-from sitl_plant.vehicle import Hil, HilPilot, allocation, qdrone2, vehicle_named
+from sitl_plant.vehicle import allocation, vehicle_named
 
 OFF, CLIMB = [1000] * 4, [1600] * 4
 
@@ -124,15 +121,6 @@ def of(messages: list[tuple[int, tuple[float, ...]]], msgid: int) -> np.ndarray[
     return np.array([values for one, values in messages if one == msgid])
 
 
-def test_messages_come_at_their_rates() -> None:
-    counts = Counter(msgid for msgid, _ in sent(bridge(), 10 * RATE_HZ))
-    within = {107: 0, 113: 2, 115: 10, 0: 1}
-    assert counts == {
-        msgid: pytest.approx(10 * rate_hz, abs=within[msgid])
-        for msgid, rate_hz in {107: RATE_HZ, 113: 10, 115: 50, 0: 1}.items()
-    }
-
-
 def test_the_sensors_of_a_vehicle_at_rest() -> None:
     """Gravity, the field of Zurich in body axes, and the pressure at 488 m by the standard atmosphere."""
     rows = of(sent(bridge(), 4 * RATE_HZ), 107)
@@ -194,26 +182,3 @@ def test_ardupilots_file_is_name_comma_value(name: str) -> None:
     hover = Plant(PlantConfig(vehicle=vehicle, drone=2, trajectory="hover")).advance(2000).duty
     assert values["MOT_THST_HOVER"] == pytest.approx(np.mean(hover**2), abs=0.015)
     assert all(len(parameter) <= 16 for parameter in values)
-
-
-def test_px4s_file_has_the_tabs_of_qgroundcontrol_and_the_geometry() -> None:
-    """Columns: vehicle, component, name, value, MAV_PARAM_TYPE (6 int32, 9 real32)."""
-    rows = [line.split("\t") for line in parameter_file(qdrone2(), "px4").splitlines() if not line.startswith("#")]
-    assert {(row[0], row[1]) for row in rows} == {("1", "1")}
-    found = {name: (value, kind) for _, _, name, value, kind in rows}
-    assert found["CA_ROTOR_COUNT"] == ("4", "6")
-    assert found["CA_ROTOR0_PX"] == ("0.1016", "9")
-    assert found["CA_ROTOR0_PY"] == ("0.127", "9")
-    assert float(found["CA_ROTOR0_KM"][0]) == pytest.approx(1 / 68.9055, abs=1e-5), "front right, counter-clockwise"
-    assert float(found["CA_ROTOR2_KM"][0]) < 0
-    assert found["PWM_MAIN_FUNC4"] == ("104", "6")
-    assert "SYS_HITL" not in found
-    assert all(("." in value) == (kind == "9") for value, kind in found.values())
-
-
-def test_a_vehicle_that_does_not_tell_its_outputs_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"add a table \[hil\]"):
-        output_map(replace(qdrone2(), hil=None), "ardupilot")
-    twice = HilPilot((1, 2, 3, 3))
-    with pytest.raises(UsageError, match=r"hil.px4.rotors must name each rotor 1 to 4 once"):
-        output_map(replace(qdrone2(), hil=Hil((1000.0, 2000.0), twice, twice)), "px4")

@@ -1,14 +1,32 @@
-"""The trend of a statistic over flights, its error, when it is warned of, stretches, and what is drawn."""
+"""The history: trends with their errors, warnings, the store, and flights together."""
 
 import json
 import math
+import os
+import pwd
+import shutil
+import signal
+import sqlite3
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made_history import DAY_NS, START_NS, record, records, series
+from sqlalchemy import create_engine, text, update
 
+from mavdiag.archive import together as module
+from mavdiag.archive.figures import FlightRecord
+from mavdiag.archive.together import Reference, Taught, together
+from mavdiag.errors import MavdiagError, UsageError
 from mavdiag.history.show import (
     FLIGHT_COLUMNS,
     TREND_COLUMNS,
@@ -17,6 +35,7 @@ from mavdiag.history.show import (
     overview_json,
     trend_rows,
 )
+from mavdiag.history.store import VERSION, address_of, open_history
 from mavdiag.history.trend import MEMORY, Sessions, Trend, changes_of, sessions_of, trend_of
 from mavdiag.history.warn import (
     WATCHED,
@@ -29,7 +48,9 @@ from mavdiag.history.warn import (
     stretches_of,
     warned_at,
 )
+from mavdiag.judging import Verdict
 from mavdiag.telemetry import FloatArray
+from mavdiag.thresholds.evidence import Evidence, Flown, evidence_of
 
 shares = st.lists(st.floats(0.0, 3.0) | st.just(math.nan), min_size=1, max_size=40)
 
@@ -157,12 +178,230 @@ def test_a_drawing_keeps_to_the_width_of_the_terminal(peaks: list[float | None],
     assert all(set(row) <= set(FLIGHT_COLUMNS) for one in found.flights for row in flight_rows(1, one))
 
 
-def test_a_pipe_gets_a_sentence_a_statistic_and_no_drawing() -> None:
-    found = overview_of("one", records(worn(140, 1.0, 1).tolist()), ())
-    lines = lines_of(found)
-    assert [line.text.split(":")[0].strip() for line in lines[:3]] == ["one", "unbalance", "fsd roll"]
-    assert "reaches the threshold soon, warned of since flight" in lines[1].text
-    assert [line.loud for line in lines[:3]] == [False, True, False]
-    assert all(ord(sign) < 0x2500 for line in lines for sign in line.text)
-    assert [one.series.name for one in found.warned] == ["unbalance"]
-    assert found.rotor_growth[3] == pytest.approx(0.013, abs=1e-9)
+START_S = 30.0
+
+
+@contextmanager
+def postgres() -> Iterator[str]:
+    """Start it and yield the URL of an empty database. Skips the test, with the reason, where it cannot be had."""
+    psycopg = pytest.importorskip("psycopg", reason="the driver is in the extra `history`")
+    programs = sorted(Path("/usr/lib/postgresql").glob("*/bin"), key=lambda path: float(path.parts[-2]))
+    if not programs:
+        pytest.skip("PostgreSQL is not installed: apt install postgresql")
+    user = None
+    if os.getuid() == 0:  # it refuses to run as root
+        user = pwd.getpwnam("nobody").pw_uid
+    home = Path(tempfile.mkdtemp(prefix="pg", dir="/tmp"))  # a socket's path must be short
+    if user is not None:
+        os.chown(home, user, -1)
+    try:
+        made = [
+            str(programs[-1] / "initdb"),
+            "-D",
+            str(home / "data"),
+            *["-U", "owner", "-A", "trust", "-N", "-E", "UTF8"],
+        ]
+        subprocess.run([*made, "--locale=C"], user=user, cwd=home, check=True, capture_output=True, timeout=120)
+        run: list[str | Path] = [programs[-1] / "postgres", "-D", home / "data", "-k", home]
+        run += ["-c", "listen_addresses=", "-c", "fsync=off"]
+        quiet = subprocess.DEVNULL
+        server = subprocess.Popen(run, user=user, cwd=home, stdout=quiet, stderr=quiet)
+        try:
+            end_s = time.monotonic() + START_S
+            while True:
+                try:
+                    psycopg.connect(host=str(home), user="owner", dbname="postgres").close()
+                    break
+                except psycopg.OperationalError:
+                    assert server.poll() is None
+                    assert time.monotonic() < end_s
+                    time.sleep(0.05)
+            yield f"postgresql://owner@/postgres?host={home}"
+        finally:
+            server.send_signal(signal.SIGINT)  # "fast": whoever is connected is let go
+            server.wait(START_S)
+    finally:
+        shutil.rmtree(home, ignore_errors=True)
+
+
+pytest.importorskip("sqlalchemy", reason="the history is an extra")
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[str]:
+    with postgres() as url:
+        yield url
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    if request.param == "sqlite":
+        yield str(tmp_path / "history.sqlite")
+        return
+    url: str = request.getfixturevalue("server")
+    yield url
+    engine = create_engine(address_of(url))
+    with engine.begin() as connection:
+        connection.execute(text("DROP SCHEMA public CASCADE; CREATE SCHEMA public"))
+    engine.dispose()
+
+
+def test_what_is_kept_comes_back_in_order_of_time(database: str) -> None:
+    kept = records([0.5, None, 0.7])
+    unknown = replace(record(9), started_ns=0, rotor_trim=(), slots=(), verdict=Verdict.NOT_JUDGEABLE)
+    with open_history(database, create=True) as history:
+        assert history.names() == ()
+        assert [history.add(one) for one in (kept[2], kept[0], unknown, kept[1])] == [True] * 4
+    with open_history(database) as history:
+        assert history.names() == ("one",)
+        assert history.flights("one") == (unknown, *kept)  # added on the first of January
+        assert history.flights("another") == ()
+
+
+def test_what_a_baseline_s_flights_are_compared_with_is_kept_once(database: str) -> None:
+    taught = (Taught("a" * 64, 0, 0, 0, 60.0, (0.0, 0.01, 0.02)),)
+    reference = Reference("sha256:1", ((0.25, -0.25),) * 3, taught)
+    with open_history(database, create=True) as history:
+        history.refer(reference)
+        history.refer(reference)
+        history.refer(replace(reference, baseline="sha256:2"))
+    with open_history(database) as history:
+        assert history.references() == (reference, replace(reference, baseline="sha256:2"))
+
+
+def test_a_flight_is_kept_once_and_replaced_when_asked(database: str) -> None:
+    with open_history(database, create=True) as history:
+        assert history.add(record(1))
+        assert not history.add(replace(record(1), airframe="another", reason="changed"))
+        assert history.airframe_of(record(1).content) == "one"
+        assert history.add(replace(record(1, 0.9), reason="changed"), again=True)
+        assert [one.reason for one in history.flights("one")] == ["changed"]
+        assert history.flights("one")[0].slots[2].peak == 0.9
+        assert history.airframe_of("unknown") is None
+
+
+def test_several_that_add_at_once_keep_each_flight_once(database: str) -> None:
+    """Eight at a time open it, which makes the tables, and add the same ten flights."""
+
+    def add(_: int) -> int:
+        with open_history(database, create=True) as history:
+            return sum(history.add(one) for one in records([0.5] * 10))
+
+    with ThreadPoolExecutor(8) as pool:
+        added = sum(pool.map(add, range(8)))
+    with open_history(database) as history:
+        assert added == len(history.flights("one")) == 10
+
+
+def test_a_database_of_another_schema_is_refused(database: str) -> None:
+    with open_history(database, create=True) as history:
+        history.add(record(1))
+    engine = create_engine(address_of(database))
+    with engine.begin() as connection:
+        connection.execute(update(VERSION).values(version_num="0001"))
+    engine.dispose()
+    with pytest.raises(UsageError, match=r"of schema 0001.*add the logs to a new history"), open_history(database):
+        pass
+
+
+def test_a_reader_needs_no_rights_to_write(tmp_path: Path) -> None:
+    """As little as while another one writes: a lock to write would have to wait for it."""
+    path = tmp_path / "h.sqlite"
+    with open_history(str(path), create=True) as history:
+        history.add(record(1))
+    before = path.stat().st_mtime_ns
+    held = sqlite3.connect(path, isolation_level=None)
+    held.execute("BEGIN IMMEDIATE")  # another one writes at the moment
+    with open_history(str(path)) as history:
+        assert len(history.flights("one")) == 1
+    held.close()
+    assert path.stat().st_mtime_ns == before
+
+
+@pytest.mark.parametrize(
+    "database", ["postgresql://me:secret@127.0.0.1:1/fleet", "postgresql://me:secret@127.0.0.1:port/fleet"]
+)
+def test_a_password_is_never_shown(database: str) -> None:
+    with pytest.raises(MavdiagError) as caught, open_history(database):
+        pass
+    assert "secret" not in str(caught.value)
+
+
+C = np.array([[-0.25, -0.25, 0.25, 0.25], [0.25, -0.25, -0.25, 0.25], [0.25, -0.25, 0.25, -0.25]])
+HOUR_NS = DAY_NS // 24
+TAUGHT = tuple(Taught("abcd"[i] * 64, START_NS + i // 2 * DAY_NS, i // 2, 0, 60.0, (0.0, 0.0, 0.1)) for i in range(4))
+REFERENCE = Reference("sha256:b", tuple(map(tuple, C.tolist())), TAUGHT)
+
+
+def flown(starts_ns: Sequence[int], rise: float = 0.0) -> list[FlightRecord]:
+    """Flights that began then, with a rise of rotor 3."""
+    trim = tuple((np.array([0.0, 0.0, 0.1]) + rise * C[:, 2]).tolist())
+    return [replace(record(i, t_ns=t_ns), trim=trim) for i, t_ns in enumerate(starts_ns)]
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[Flown]:
+    found: list[Flown] = []
+
+    def ask(flights: Flown, *rest: object) -> Evidence:
+        found.append(flights)
+        return evidence_of(flights, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(module, "evidence_of", ask)
+    return found
+
+
+def test_flights_within_an_hour_share_a_session_and_those_without_a_clock_may(asked: list[Flown]) -> None:
+    day = START_NS + 9 * DAY_NS
+    together(REFERENCE, flown([START_NS + HOUR_NS // 2, day, day + HOUR_NS // 2, 0, day + DAY_NS, day + 2 * DAY_NS]))
+    assert [one.sessions.tolist()[4:] for one in asked] == [[0, 3, 3, 3, 3, 4], [0, 3, 3, 4, 5, 6]]
+    asked.clear()
+    together(REFERENCE, flown([START_NS, START_NS + 1]), new_propellers=True)
+    assert [one.sessions.tolist()[4:] for one in asked] == [[2, 2]]
+    assert asked[0].propellers.tolist() == [0, 0, 0, 0, 1, 1]
+
+
+def test_without_clocks_the_lower_odds_of_both_readings_are_told(asked: list[Flown]) -> None:
+    said = together(REFERENCE, flown([0, 0, 0], rise=0.1))
+    odds = [evidence_of(one, C, module.priors_of(C)).odds for one in asked]
+    assert said.evidence is not None
+    assert len(odds) == 2
+    assert said.evidence.odds == min(odds)
+
+
+def test_flights_that_taught_and_those_without_a_trim_do_not_count(asked: list[Flown]) -> None:
+    one, other, third = flown([START_NS + i * DAY_NS for i in (5, 6, 7)])
+    said = together(REFERENCE, [replace(one, content="a" * 64 + ":1"), replace(other, trim=()), third])
+    assert said.flights == 1
+    assert said.since is third
+    assert len(asked[0].trims) == 5
+    assert together(REFERENCE, [replace(third, trim=())]).evidence is None
+    assert "nothing can be said" in str(together(replace(REFERENCE, flights=()), [third]))
+
+
+def test_a_change_is_told_with_its_rotor_odds_and_first_flight() -> None:
+    days = [START_NS + i * DAY_NS for i in range(5, 13)]
+    healthy, damaged = flown(days[:4]), flown(days[4:], rise=0.1)
+    said = together(REFERENCE, [*healthy, *damaged])
+    assert said.changed
+    assert said.rotors == (3,)
+    assert said.since == damaged[0]
+    assert "8 flights together: rotor 3 has changed, " in str(said)
+    assert str(said).endswith(" to 1, since flight 0.tlog")
+    assert not together(REFERENCE, healthy).changed
+    assert "no rotor is known to have changed" in str(together(REFERENCE, healthy))
+
+
+def test_new_propellers_begin_anew_and_may_differ() -> None:
+    flights = [*flown([START_NS + i * DAY_NS for i in range(5, 13)], rise=0.1)]
+    found = overview_of("one", flights, (), (REFERENCE,))
+    assert found.together is not None
+    assert found.together.changed
+    assert overview_json(found)["together"]["rotors"] == [3]
+    assert any(line.loud and "rotor 3 has changed" in line.text for line in lines_of(found))
+    mark = Mark("one", flights[3].started_ns + 1, MarkKind.NEW_PROPELLERS)
+    fresh = overview_of("one", flown([one.started_ns for one in flights], rise=0.02), (mark,), (REFERENCE,))
+    assert fresh.together is not None
+    assert fresh.together.flights == 4
+    assert not fresh.together.changed
+    assert overview_of("one", flights, (), ()).together is None

@@ -34,9 +34,7 @@ def test_a_file_that_is_full_is_numbered_and_so_are_those_before(tmp_path: Path)
     assert said == []
 
 
-def test_a_rotation_that_fails_half_way_is_told_once_and_tried_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_rotation_that_fails_is_told_once_and_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file, said = appender(tmp_path / "j", limit=4, keep=1)
     file.append(b"old.")
 

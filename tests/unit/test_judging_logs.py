@@ -11,6 +11,7 @@ from flying_telemetry import flying, without
 from made_baselines import FRAME, NOW, healthy, logged, plain, thesis, trim, whole
 from made_statistics import assert_alike
 from made_telemetry import START_NS, changed, flight
+from scipy.signal import lfilter
 
 from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline
@@ -20,7 +21,9 @@ from mavdiag.judging import LogVerdict, Verdict, exit_code, judge, judge_in_full
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.logs import between
 from mavdiag.monitors.base import FaultKind
-from mavdiag.telemetry import Series, Signal, Telemetry
+from mavdiag.monitors.run_length import RunLength
+from mavdiag.telemetry import Axis, Series, Signal, Telemetry
+from mavdiag.traces import rate_traces
 from mavdiag.units import NS_PER_S
 
 ALL = (0.0, 1e9)
@@ -216,7 +219,6 @@ def ground_first(telemetry: Telemetry, span_s: float) -> Telemetry:
 
 @cache
 def grounded() -> Baseline:
-    """Of flights that begin on the ground."""
     options = LearnOptions(airframe=replace(FRAME, gate=None))
     spans = zip(healthy(3, 9000), (3.0, 30.0, 8.0), strict=True)
     taught = [logged(ground_first(one.telemetry, s), name=one.name) for one, s in spans]
@@ -248,3 +250,26 @@ def test_judging_a_longer_log_takes_no_more_memory_than_its_signals(monkeypatch:
         tracemalloc.stop()
     # what is believed of the signals; rows would take three times as much
     assert most[1] - most[0] < 1.5 * (size[1] - size[0])
+
+
+def test_the_traces_hold_the_highest_statistic_of_the_verdict() -> None:
+    push = np.zeros(10_000)
+    push[5000:5600] = 0.3
+    judged = judge_in_full(logged(flight(10_000, 50, push=push), "qdrone2"), thesis())
+    assert judged.chain is not None
+    roll = next(one for one in rate_traces(judged.chain, judged.pieces) if one.axis is Axis.ROLL)
+    assert roll.fsd_s[roll.judged].max() == judged.verdict.monitors[0].maximum
+    assert roll.fml_s == judged.verdict.monitors[0].threshold
+    assert (roll.fsd_s > 0).sum() == (roll.judged & (np.abs(roll.residual) > roll.margin_rad_s)).sum()
+
+
+def test_the_simulated_rate_is_the_models_output_to_the_commanded_rate_alone() -> None:
+    judged = judge_in_full(logged(flight(6000, 4), "qdrone2"), thesis())
+    assert judged.chain is not None
+    (trace, _) = rate_traces(judged.chain, judged.pieces)
+    (slot, _) = judged.chain.slots
+    assert isinstance(slot.monitor, RunLength)
+    model = slot.monitor.spec.model.model()
+    free = lfilter(model.b, model.a, trace.commanded)
+    settled = len(free) // 2  # what the start gets wrong has died out
+    np.testing.assert_allclose(trace.simulated[settled:], free[settled:], atol=2e-3)

@@ -5,17 +5,16 @@ from functools import cache
 
 import numpy as np
 import pytest
-from flying_telemetry import DT_NS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_baselines import thesis, whole
 from made_flights import hard_flight
 from made_rows import rows_between
 from made_statistics import alarms_of, looked_of
-from made_telemetry import START_NS, flight
+from made_telemetry import flight
 
 from mavdiag.chain import Chain, chain_of
-from mavdiag.kernel import LOOK_NS, Account, Alarm, Looked, Piece, Stretch
+from mavdiag.kernel import Account, Alarm, Looked, Piece, Stretch
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_S
@@ -47,7 +46,6 @@ def judged(name: str, edges: list[int]) -> tuple[list[Looked], list[Piece], Told
 
 
 def joined(looked: list[Looked]) -> tuple[object, ...]:
-    """All looks, as what can be compared."""
     arrays = [np.concatenate([getattr(one, name)[: len(one.heights)] for one in looked if len(one.heights)]).tobytes()
               for name in ("readings", "sums")]  # fmt: skip
     flat = [[x for one in looked for x in getattr(one, name)] for name in ("heights", "leads", "alarms")]
@@ -105,14 +103,3 @@ def test_accounts_add_up(name: str) -> None:
     assert 0 < covered <= flown <= len(rows.block)
     lost = sum((stop - first) / NS_PER_S + rows.block.dt_s for first, stop in unjudged)
     assert lost == pytest.approx((flown - covered) * rows.block.dt_s)
-
-
-def test_gauges_show_the_latest_value() -> None:
-    made, _ = segment("whole")
-    _, (piece,), _ = judged("whole", [])
-    assert [(one.monitor, one.axis) for one in piece.gauges] == [slot.key for slot in made.slots]
-    for gauge, slot, found in zip(piece.gauges, made.slots, piece.found, strict=True):
-        assert (gauge.statistic, gauge.signal, gauge.valid) == (found.value[-1], found.signal[-1], found.valid[-1])
-        assert (gauge.threshold, gauge.unit) == (slot.threshold, slot.monitor.unit)
-    assert START_NS % LOOK_NS == 0
-    assert DT_NS > 0

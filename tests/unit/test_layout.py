@@ -3,25 +3,34 @@
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from flying_telemetry import flying
+from hypothesis import given
+from hypothesis import strategies as st
 from made_baselines import ALWAYS, NOW
 from scipy.signal import lfilter
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.detect import contradicts, detect_layout
-from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named
-from mavdiag.airframe.load import with_layout
+from mavdiag.airframe.layout import LAYOUTS, Place, RotorLayout, layout_at, layout_named
+from mavdiag.airframe.load import BUILTIN, airframe_from, airframe_named, load_airframe, with_layout
+from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline, dump, parse
-from mavdiag.errors import UsageError
+from mavdiag.errors import InputError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
+from mavdiag.link.codec import Encoder
+from mavdiag.link.messages import Autopilot, MavType, MessageId
+from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.rows.block import Block
+from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
 from mavdiag.testing import example_rows
+from mavdiag.units import RPM
 
 #: Where each rotor is, seen from above: (x forward, y right),
 #: and how it turns, + counter-clockwise. From each vehicle's own drawing.
@@ -103,31 +112,6 @@ def test_l6_a_live_link_and_a_log_find_the_same(rows: int) -> None:
         with pytest.MonkeyPatch.context() as patch:  # and some thousand rows are in memory at a time
             patch.setattr("mavdiag.airframe.detect.PIECE_ROWS", 500)
             assert detect_layout(pieces).likeness[0][1] == pytest.approx(detect_layout([flight]).likeness[0][1])
-
-
-def test_l6_outputs_that_never_move_come_late_or_are_missing_are_left_out() -> None:
-    """L6: PX4 logs carry 8 or 16 outputs, whatever the vehicle has."""
-    flight = made_flight(layout_named("x"), 5)
-    idle = [np.hstack([flight.actuator, np.full((len(flight), 4), level)]) for level in (0.0, math.nan, 0.45)]
-    for wide in idle:
-        assert detect_layout([replace(flight, actuator=wide)]).layout is layout_named("x")
-    before = replace(flight.rows(0, 300), actuator=np.empty((300, 0)))
-    assert detect_layout([before, flight.rows(300, len(flight))]).layout is layout_named("x")
-    outputs, torque = flight.actuator.copy(), flight.torque.copy()
-    outputs[200:400], torque[900:1100] = math.nan, math.nan
-    assert detect_layout([replace(flight, actuator=outputs, torque=torque)]).layout is layout_named("x")
-
-
-def test_l6_a_yawing_flight_does_not_hide_roll_and_pitch() -> None:
-    """L6: the drivers are correlated in turns; each alone would take the effect of the others."""
-    rng = np.random.default_rng(7)
-    for name in ("x", "plus", "hexa-x"):
-        layout = layout_named(name)
-        torque = rng.normal(0, 0.02, (3000, 3)) @ np.array([[1, 0.6, 0.5], [0, 1, 0.6], [0, 0, 1]])
-        outputs = 0.5 * (1 + torque @ layout.mixing.T)
-        found = detect_layout([example_rows(3000, 0.01, actuator=outputs, torque=torque).block])
-        assert found.layout is layout
-        assert found.likeness[0][1] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_what_stays_unclear_is_not_named() -> None:
@@ -297,16 +281,6 @@ def test_a_baseline_keeps_the_outputs_and_names_the_weak_rotor(parameters: dict[
     assert "rotor 3" in judge(by_motor, baseline).reason
 
 
-def test_logs_by_motor_need_no_outputs() -> None:
-    """A DataFlash log's columns are the motors; SERVOn_FUNCTION must not be applied once more."""
-    logs = [
-        Log(f"f{i}", "", "px4", flying(3000, i), parameters={**COPTER_X, **SERVOS_5}, motor_order=True) for i in (1, 2)
-    ]
-    frame = taught(logs).airframe
-    assert frame.layout is layout_named("x")
-    assert (frame.outputs, frame.layout_warning) == (None, "")
-
-
 def test_told_wins_over_parameters_and_parameters_over_flights_and_a_contradiction_is_loud() -> None:
     plus = {"FRAME_CLASS": 1.0, "FRAME_TYPE": 0.0}
     told = taught(flights(2, parameters=plus), with_layout(UNKNOWN, "x"))
@@ -322,7 +296,6 @@ def test_told_wins_over_parameters_and_parameters_over_flights_and_a_contradicti
 
 
 def silent(count: int) -> list[Log]:
-    """Flights without outputs."""
     return [
         Log(f"f{i}", "", "px4", Telemetry(tuple(s for s in flying(3000, i) if s.signal is not Signal.ACTUATOR)))
         for i in range(count)
@@ -345,13 +318,6 @@ def test_an_unknown_layout_is_loud_in_the_baseline_and_in_every_verdict() -> Non
     assert judge(silent(1)[0], unconcerned).notes == ()
 
 
-def test_an_airframe_has_the_layout_of_its_file_or_the_one_that_is_told() -> None:
-    with pytest.raises(UsageError, match="airframe a has the layout x, not plus: give one of them"):
-        with_layout(Airframe(name="a", layout=layout_named("x")), "plus")
-    with pytest.raises(UsageError, match="no layout 'y'"):
-        with_layout(UNKNOWN, "y")
-
-
 @pytest.mark.parametrize(("name", "weak", "arm"), [("x8", 6, "1/6"), ("y6", 4, "4/6"), ("y6b", 1, "1/2")])
 def test_the_arm_is_named_where_rotors_share_one(name: str, weak: int, arm: str) -> None:
     """X8 and Y6, found by how their outputs move: both rotors of an arm move roll and pitch alike."""
@@ -362,3 +328,239 @@ def test_the_arm_is_named_where_rotors_share_one(name: str, weak: int, arm: str)
     assert f"rotor {arm}" in found.reason
     assert found.rotor == int(arm[0])
     assert json.loads(json.dumps(found.rotor)) == int(arm[0])
+
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "vehicle.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_shipped_airframes_have_a_layout(name: str) -> None:
+    assert airframe_from(name) == airframe_named(name)
+    assert airframe_named(name).layout == layout_named(name.removesuffix("-recorded"))
+    assert sorted(BUILTIN) == sorted(p.stem for p in (ROOT / "mavdiag" / "airframe").glob("*.toml"))
+
+
+def test_every_key_arrives_and_what_a_file_leaves_out_is_not_known(tmp_path: Path) -> None:
+    """B18: nothing of a QDrone 2 is taken for another vehicle."""
+    assert load_airframe(written(tmp_path, 'name = "other"')) == Airframe(name="other")
+    path = written(
+        tmp_path,
+        'name = "survey"\nscope = "type"\nlayout = "octo-x"\nmass_kg = 9\nhover_rpm = 3000\nimu_corner_hz = 20.5\n'
+        'classifier = "ours"\n[gate]\nmin_height_m = 1\nmin_thrust = 0.2\nneed_armed = false\ntrim_start_s = 2\n'
+        "trim_end_s = 1\n",
+    )
+    assert airframe_from(str(path)) == Airframe(
+        name="survey",
+        scope="type",
+        layout=layout_named("octo-x"),
+        mass_kg=9.0,
+        hover_rad_s=3000 * RPM,
+        imu_corner_hz=20.5,
+        gate=GateSpec(1.0, 0.2, False, 2.0, 1.0),
+        classifier="ours",
+    )
+
+
+PLACE = '[[rotors]]\nx_m = 1\ny_m = 1\nspin = "cw"\n'
+REFUSED = [
+    ("", "name: Field required"),
+    ('name = "a"\nmass_kg = "1"', "mass_kg: Input should be a valid number"),
+    ('name = "a"\nhover_rpm = nan', "hover_rpm: Input should be a finite number"),
+    ('name = "a"\nlayout = "tri"', "layout: no layout 'tri': use one of qdrone2, "),
+    ('name = "a"\n[gate]\nmin_hight_m = 1', "gate.min_hight_m: no such key"),
+    ('name = "a"\n[gate]\nneed_armed = 1', "gate.need_armed: Input should be a valid boolean"),
+    (f'name = "a"\nlayout = "x"\n{PLACE}', "rotors: give either rotors or the name of a layout"),
+    (f'name = "x"\n{PLACE}', "rotors: x is a known layout: give these rotors another name"),
+    (f'name = "a"\n{PLACE}', "rotors: layout a: its rotors cannot command roll, pitch and yaw independently"),
+    (f'name = "a"\n{PLACE}[[rotors]]\nroll=1\npitch=1\nyaw=1', "rotors: give all rotors as places or all as effects"),
+    (f'name = "a"\n{PLACE}[[rotors]]\nx_m=1\ny_m=1\nspin="left"', "rotors.2.spin: Input should be 'cw' or 'ccw'"),
+    ('name = "a"\n[[rotors]]\nroll=1\npitch=1\nx_m=1', "rotors.1.yaw: Field required"),
+    ('name = "a"\nrotors = 4', "rotors: Input should be a valid list"),
+    ('name = "a"\nlayout = "x"\noutputs = [1, 2, 3]', "outputs: airframe: 3 outputs for 4 rotors"),
+    ('name = "a"\nlayout = "x"\noutputs = [1, 2, 3, 3]', "outputs: airframe: outputs count from 1"),
+    ('name = "a"\nlayout = "x"\noutputs = [0, 1, 2, 3]', "outputs.1: Input should be greater"),
+    ("name = ", "not TOML: "),
+]
+
+
+@pytest.mark.parametrize(("text", "reason"), REFUSED)
+def test_what_is_wrong_is_named_with_its_file(tmp_path: Path, text: str, reason: str) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(InputError) as caught:
+        airframe_from(str(path))
+    assert str(caught.value).startswith(f"{path}: {reason}")
+    assert "\n" not in str(caught.value)
+
+
+REAL32 = 9
+PLACES_PARAMETERS = (
+    (0.15, 0.2, 0.05),
+    (-0.15, -0.2, 0.05),
+    (0.15, -0.2, -0.05),
+    (-0.15, 0.2, -0.05),
+)  # x, y, KM: PX4's quad x
+
+
+def servos(*functions: int, first: int = 1) -> dict[str, float]:
+    return {f"SERVO{first + i}_FUNCTION": float(one) for i, one in enumerate(functions)}
+
+
+def rotors(*rows: tuple[float, float, float]) -> dict[str, float]:
+    named = {
+        f"CA_ROTOR{n}_{part}": v for n, row in enumerate(rows) for part, v in zip(("PX", "PY", "KM"), row, strict=True)
+    }
+    return {"CA_ROTOR_COUNT": float(len(rows)), "CA_AIRFRAME": 0.0, **named}
+
+
+def outputs(group: str, *motors: int, first: int = 1) -> dict[str, float]:
+    return {f"{group}_FUNC{first + i}": float(100 + motor) for i, motor in enumerate(motors)}
+
+
+# From ArduPilot's tables: the place of motor 1, 2, ... by angle from the nose to the right; +: counter-clockwise.
+COPTER: dict[tuple[int, int], tuple[str, tuple[float, ...]]] = {
+    (1, 0): ("++--", (90, -90, 0, 180)),
+    (1, 1): ("++--", (45, -135, -45, 135)),
+    (1, 12): ("-++-", (135, 45, -135, -45)),
+    (2, 1): ("-+-++-", (90, -90, -30, 150, 30, -150)),
+    (4, 0): ("+-+-+-+-", (0, -90, 180, 90, -90, 0, 90, 180)),
+    (4, 12): ("-++-+--+", (135, 45, -135, -45, 135, 45, -135, -45)),
+    (5, 1): ("+-+--+", (60, -60, -60, 180, 60, 180)),
+    (12, 1): ("+--++--++--+", (30, 30, 90, 90, 150, 150, -150, -150, -90, -90, -30, -30)),
+    (14, 0): ("+-+-+-+-+-", (0, 36, 72, 108, 144, 180, -144, -108, -72, -36)),
+}
+
+
+@pytest.mark.parametrize("frame", COPTER)
+def test_frame_class_and_type_are_the_tables_of_ardupilot(frame: tuple[int, int]) -> None:
+    found = layout_from_parameters({"FRAME_CLASS": float(frame[0]), "FRAME_TYPE": float(frame[1])})
+    assert found.layout is not None
+    senses, angles_deg = COPTER[frame]
+    places = [
+        Place(math.cos(math.radians(deg)), math.sin(math.radians(deg)), "ccw" if sense == "+" else "cw")
+        for sense, deg in zip(senses, angles_deg, strict=True)
+    ]
+    np.testing.assert_allclose(found.layout.mixing, layout_at("drawn", places).mixing, atol=1e-8)
+    assert found.reason == f"the vehicle's parameters FRAME_CLASS {frame[0]}, FRAME_TYPE {frame[1]}"
+    assert found.layout.coaxial == (len(set(angles_deg)) < len(angles_deg))
+    assert found.layout.name not in LAYOUTS or found.layout is LAYOUTS[found.layout.name]
+
+
+@pytest.mark.parametrize(
+    ("frame", "kind", "name"),
+    [(0, 2, "plus"), (1, 2, "x"), (2, 2, "v"), (3, 2, "h"), (1, 13, None), (1, None, None), (4, 2, None)],
+)
+def test_the_frame_of_older_copters_is_that_of_a_quad(frame: int, kind: int | None, name: str | None) -> None:
+    found = layout_from_parameters({"FRAME": float(frame)}, kind)
+    assert (found.layout.name if found.layout is not None else None) == name
+    assert found.outputs is None
+
+
+def test_servo_functions_say_which_output_drives_which_motor() -> None:
+    found = layout_from_parameters({**COPTER_X, **servos(0, 0, 36, 33, 34, 0, 35, 10)})
+    assert (found.layout, found.outputs) == (layout_named("x"), (4, 5, 7, 3))
+    assert layout_from_parameters(COPTER_X).outputs is None
+    only_outputs = layout_from_parameters(servos(33, 34, 35, 36, first=5))
+    assert (only_outputs.layout, only_outputs.outputs) == (None, (5, 6, 7, 8))
+    old = {f"RC{n}_FUNCTION": float(one) for n, one in enumerate((33, 34, 35, 36), start=5)}
+    assert layout_from_parameters(old).outputs == (5, 6, 7, 8)
+    assert layout_from_parameters({**servos(34, 33, 36, 35), "RC9_FUNCTION": 33.0}).outputs == (2, 1, 4, 3)
+
+
+NUMBERS = st.one_of(st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -4.0, 0.5, 3e6, 1e9]), st.floats())
+NAMES = ("FRAME_CLASS", "FRAME_TYPE", "FRAME", "CA_AIRFRAME", "SERVO1_FUNCTION", "SERVO2_FUNCTION", "PWM_MAIN_FUNC1")
+
+
+@given(
+    st.dictionaries(st.sampled_from([*NAMES, "CA_ROTOR_COUNT", *rotors(*PLACES_PARAMETERS), "SOMETHING"]), NUMBERS),
+    st.booleans(),
+)
+def test_no_value_of_a_parameter_is_an_exception_or_a_long_list(wrong: dict[str, float], px4: bool) -> None:
+    sound = (
+        {**rotors(*PLACES_PARAMETERS), **outputs("PWM_MAIN", 1, 2, 3, 4)}
+        if px4
+        else {**COPTER_X, **servos(33, 34, 35, 36)}
+    )
+    found = layout_from_parameters({**sound, **wrong})
+    assert found.layout is None or found.layout.rotors <= 12
+    assert found.layout is not None or found.outputs is not None or found.reason
+    odd = {"SYS_AUTOSTART": math.nan, "MPC_XY_CRUISE": math.inf}
+    assert layout_from_parameters({**sound, **odd}) == layout_from_parameters(sound)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"),
+    [
+        ({}, ""),
+        ({"FRAME": 1.0, "THR_MIN": 130.0}, ""),
+        ({"FRAME_CLASS": 1.0}, "FRAME_TYPE is not among the parameters"),
+        ({"FRAME_CLASS": 1.0, "FRAME_TYPE": 4.0}, "the geometry of FRAME_CLASS 1, FRAME_TYPE 4 is not known"),
+        ({"FRAME_CLASS": 6.0, "FRAME_TYPE": 0.0}, "FRAME_CLASS 6, FRAME_TYPE 0 is not known"),
+        ({**COPTER_X, **servos(33, 34, 35)}, "SERVOn_FUNCTION has the motors 1, 2, 3, x has 4"),
+        ({**COPTER_X, **servos(33, 34, 35, 36, 33)}, "motors 1, 1, 2, 3, 4, x has 4"),
+        ({**COPTER_X, **rotors(*PLACES_PARAMETERS)}, "of two autopilots"),
+        ({**rotors(*PLACES_PARAMETERS), "CA_AIRFRAME": 2.0}, "CA_AIRFRAME 2 is no multirotor"),
+        ({**rotors(*PLACES_PARAMETERS), "CA_ROTOR_COUNT": 5.0}, "CA_ROTOR4_PX is not among the parameters"),
+        ({**rotors(*PLACES_PARAMETERS), "CA_ROTOR2_AZ": 0.0, "CA_ROTOR2_AX": 1.0}, "rotor 3 does not push straight up"),
+        ({**rotors(*PLACES_PARAMETERS), "CA_ROTOR3_KM": 0.0}, "CA_ROTOR3_KM is 0"),
+        ({**rotors(*PLACES_PARAMETERS), "CA_ROTOR0_CT": 6.5, "CA_ROTOR1_CT": 9.0}, "differ in thrust"),
+        (rotors((0.1, 0, 0.05), (-0.1, 0, 0.05), (0.2, 0, -0.05)), "make no layout"),
+        *(
+            (
+                {**rotors(*PLACES_PARAMETERS), "CA_ROTOR_COUNT": n},
+                f"CA_ROTOR_COUNT {n:g} is no number of rotors (1 to 12)",
+            )
+            for n in (1e9, -4.0, 0.0, 13.0, 4.5, math.nan)
+        ),
+    ],
+)
+def test_what_is_unknown_or_contradicts_itself_has_a_reason(parameters: dict[str, float], reason: str) -> None:
+    found = layout_from_parameters(parameters)
+    assert (found.layout, found.outputs) == (None, None)
+    assert reason in found.reason
+    assert bool(reason) == bool(found.reason)
+
+
+def test_px4_rotors_are_places_and_senses_and_its_groups_of_outputs_must_agree() -> None:
+    """A positive KM is counter-clockwise, and turns the nose to the right."""
+    square = tuple((x, y / 0.2 * 0.15, km) for x, y, km in PLACES_PARAMETERS)
+    assert layout_from_parameters(rotors(*square)).layout is layout_named("x")
+    found = layout_from_parameters({**rotors(*PLACES_PARAMETERS), **outputs("PWM_MAIN", 3, 1, 4, 2, first=2)})
+    assert found.outputs == (3, 5, 2, 4)
+    assert found.layout is not None
+    assert np.sign(found.layout.mixing).tolist() == np.sign(layout_named("x").mixing).tolist()
+    hexa = [(math.cos(math.radians(deg)), math.sin(math.radians(deg))) for deg in (90, -90, -30, 150, 30, -150)]
+    moments = (-0.05, 0.05, -0.05, 0.05, 0.05, -0.05)
+    seen = layout_from_parameters(rotors(*((x, y, km) for (x, y), km in zip(hexa, moments, strict=True))))
+    assert seen.layout is layout_named("hexa-x")
+    both = {**rotors(*PLACES_PARAMETERS), **outputs("PWM_MAIN", 1, 2, 3, 4), **outputs("HIL_ACT", 1, 2, 3, 4)}
+    assert layout_from_parameters(both).outputs == (1, 2, 3, 4)
+    split = layout_from_parameters(
+        {**rotors(*PLACES_PARAMETERS), **outputs("PWM_MAIN", 1, 2), **outputs("PWM_AUX", 3, 4)}
+    )
+    assert (split.layout is None, split.outputs) == (False, None)
+    assert "motors on PWM_AUX, PWM_MAIN" in split.reason
+
+
+def value(encoder: Encoder, name: str, number: float, kind: int) -> bytes:
+    """A PARAM_VALUE as the autopilot of the encoder's user would send it."""
+    return encoder.encode(MessageId.PARAM_VALUE, name.encode(), number, kind, 100, 0xFFFF)
+
+
+def test_a_link_carries_the_parameters_that_pass_by_before_the_vehicle_entered_and_after() -> None:
+    named, encoder = {**COPTER_X, **servos(33, 34, 35, 36)}, Encoder(1, 1)
+    decoder, beat = LinkDecoder(datagrams=False), (MavType.QUADROTOR, Autopilot.ARDUPILOTMEGA, 128, 0, 4, 3)
+    for k in range(300):
+        data = encoder.encode(MessageId.HEARTBEAT, *beat) if k % 100 == 0 else b""
+        data += encoder.encode(MessageId.ATTITUDE_TARGET, 5000 + 10 * k, 0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, 0.5)
+        data += encoder.encode(MessageId.RAW_IMU, 5_000_000 + 10_000 * k, 0, 0, -1000, 1, 2, 3)
+        data += b"".join(value(encoder, *pair, REAL32) for pair in named.items()) if k == 1 else b""
+        received = decoder.feed([(data, (k + 1) * 10_000_000)], (k + 1) * 10_000_000)
+    assert received[1].parameters == named
+    again = decoder.feed([(value(Encoder(1, 1), "FRAME_TYPE", 0.0, REAL32), 4_000_000_000)], 4_000_000_000)
+    assert again[1].parameters == {**named, "FRAME_TYPE": 0.0}

@@ -1,11 +1,21 @@
-"""Learning from healthy flights: what it needs, and what it says when it does not get it."""
+"""Learning: what is refused, shared, told, kept on disk, and the sessions of flights."""
 
 import dataclasses
+import errno
+import io
+import itertools
+import json
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from flying_telemetry import flying, without
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from made_baselines import ALWAYS, FRAME, NOW, healthy, plain, whole
 from made_monitor import MadeUp
 from made_telemetry import changed, flight
@@ -14,17 +24,23 @@ import mavdiag.chain
 import mavdiag.kernel
 import mavdiag.monitors
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.baseline import dump, parse
-from mavdiag.chain import front_of
+from mavdiag.baseline import SESSION_GAP_NS, Baseline, dump, parse
+from mavdiag.chain import chain_of, front_of
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.judging import Verdict, judge
 from mavdiag.kernel import compiled, joined_loops
 from mavdiag.learning import ALL_MONITORS, LearnOptions, airborne, learn, thesis_options
+from mavdiag.learning.flights import sessions_of
+from mavdiag.learning.learn import extend
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.monitors.base import Monitor
 from mavdiag.monitors.rotor_trim import RotorTrim
+from mavdiag.storage import Shelf
 from mavdiag.telemetry import Log, Signal, Telemetry
+from mavdiag.testing import example_rows
+from mavdiag.thresholds.heldout import Flights, folds
 from mavdiag.thresholds.rule import poisson_upper
+from mavdiag.units import NS_PER_S
 
 UNKNOWN = Airframe(gate=ALWAYS)
 ROLL = thesis_options(UNKNOWN)
@@ -158,3 +174,191 @@ def test_a_new_monitor_is_its_class_and_one_name_in_the_registry(monkeypatch: py
     assert [one.event.monitor for one in verdict.events] == ["made_up"]
     assert verdict.reason.startswith("made_up")
     assert judge(made(8, flying(3000, 8), "px4"), baseline).verdict is Verdict.HEALTHY
+
+
+OPTIONS = LearnOptions(airframe=FRAME)
+ARRAYS = (
+    np.arange(12.0).reshape(4, 3),
+    np.array([True, False, True]),
+    np.empty((0, 3)),
+    np.arange(7, dtype=np.int64)[::2],
+    np.full((20, 2), np.nan),
+)
+
+
+def assert_alike(found: Any, expected: Any) -> None:
+    """Equal, but for rounding: numpy's sums may depend on where an array begins, above AVX2 they do."""
+    if isinstance(expected, Baseline):
+        found, expected = (json.loads(dump(one)) | {"digest": ""} for one in (found, expected))
+    if isinstance(expected, dict):
+        assert found.keys() == expected.keys()
+        found, expected = list(found.values()), list(expected.values())
+    if isinstance(expected, list):
+        assert len(found) == len(expected)
+        for part, other in zip(found, expected, strict=True):
+            assert_alike(part, other)
+    else:
+        assert found == (pytest.approx(expected, rel=1e-6, abs=1e-9) if isinstance(expected, float) else expected)
+
+
+def on_disk(make: Callable[[], Baseline]) -> Baseline:
+    """What is learnt if nothing may stay in memory."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mavdiag.storage.SHELF_BYTES", 0)
+        return make()
+
+
+@settings(max_examples=3)
+@given(seed=st.integers(0, 99), count=st.integers(1, 4), gap_s=st.sampled_from([0.0, 0.1, 2.0]))
+def test_on_disk_the_same_is_learnt_and_extended(seed: int, count: int, gap_s: float) -> None:
+    def made(first: int) -> Iterator[Log]:
+        for i in range(first, first + count):
+            telemetry = without(flying(2000, 10 * seed + i), (12.0, 12.0 + gap_s))
+            yield Log(f"f{i}", f"{i:064x}", "px4", telemetry)
+
+    in_memory = learn(list(made(0)), OPTIONS, created=NOW)
+    assert_alike(on_disk(lambda: learn(made(0), OPTIONS, created=NOW)), in_memory)
+    assert len(in_memory.monitors) >= 9
+    for new in (False, True):
+        make = partial(extend, in_memory, new_propellers=new, created=NOW)
+        assert_alike(on_disk(lambda make=make: make(made(20))), make(list(made(20))))  # type: ignore[misc]
+
+
+def test_what_robust_teaching_leaves_out_is_left_out_on_disk_too() -> None:
+    flights = healthy(4)
+    crash = flying(2600, 9)
+    (gyro,) = (one for one in crash.series if one.signal == "body_rate")
+    gyro.values[2000:2100] += 20.0
+    flights = [*flights, flights[1], Log("crash", "9" * 64, "px4", crash)]
+    options = LearnOptions(airframe=FRAME, monitors=("innovation", "rotor_trim"), robust=True)
+    found = on_disk(lambda: learn(iter(flights), options, created=NOW))
+    assert_alike(found, learn(flights, options, created=NOW))
+    assert len(found.provenance.left_out) == 2
+
+
+@pytest.mark.parametrize("most_bytes", [0, 1 << 20])
+def test_what_was_put_aside_comes_back_as_often_as_it_is_asked(most_bytes: int) -> None:
+    with Shelf(most_bytes) as shelf:
+        kept = [(shelf.put(arrays), arrays) for arrays in (ARRAYS, ARRAYS[::-1], ())]
+        for get, arrays in (*kept, *kept):
+            for found, expected in zip(get(), arrays, strict=True):
+                assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
+                np.testing.assert_array_equal(found, expected)
+        outlives = kept[0][0]()
+    np.testing.assert_array_equal(outlives[0], ARRAYS[0])
+    if not most_bytes:
+        with pytest.raises(ValueError, match="read-only"):
+            outlives[0][0, 0] = 1.0
+
+
+def test_nothing_is_left_in_the_temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with Shelf(0) as shelf:
+        shelf.put(ARRAYS)
+        assert list(tmp_path.iterdir()) == []  # not even while it is open
+
+
+def test_a_full_disk_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full(io.BytesIO):
+        def write(self, _: object) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: Full())
+    with Shelf(0) as shelf, pytest.raises(UsageError, match=r"No space left on device.*set TMPDIR"):
+        shelf.put(ARRAYS)
+
+
+def test_arrays_that_begin_at_one_place_are_not_taken_for_one() -> None:
+    square = np.arange(9.0).reshape(3, 3)
+    with Shelf(0) as shelf:
+        first, turned, bits = shelf.put([square, square.T, square.view(np.int64)])()
+        np.testing.assert_array_equal(first, square)
+        np.testing.assert_array_equal(turned, square.T)
+        np.testing.assert_array_equal(bits, square.view(np.int64))
+
+
+MONDAY = 1_777_600_000 * NS_PER_S
+HOUR = 3600 * NS_PER_S
+
+
+def logs(*started_ns: int) -> list[Log]:
+    return [Log(f"f{i}", "", "px4", Telemetry(), started_ns=t) for i, t in enumerate(started_ns)]
+
+
+@pytest.mark.parametrize(
+    ("started", "sessions"),
+    [
+        ([], []),
+        ([MONDAY], [0]),
+        ([MONDAY, MONDAY + HOUR // 6, MONDAY + HOUR // 3], [0, 0, 0]),
+        ([MONDAY, MONDAY + HOUR], [0, 0]),
+        ([MONDAY, MONDAY + HOUR + 1], [0, 1]),
+        ([MONDAY, MONDAY + HOUR, MONDAY + 2 * HOUR], [0, 0, 0]),  # each an hour after the one before
+        ([MONDAY + 24 * HOUR, MONDAY, MONDAY + 25 * HOUR], [1, 0, 1]),  # numbered by time, whatever the order
+        ([0, 0, 0], [0, 1, 2]),  # unknown: each for itself
+        ([MONDAY, 0, MONDAY + 60], [1, 0, 1]),
+    ],
+)
+def test_the_wall_clock_tells_the_sessions(started: list[int], sessions: list[int]) -> None:
+    assert sessions_of(logs(*started)) == sessions
+    assert sessions_of(logs(*[MONDAY] * 5), 2) == [0, 0, 0, 1, 1]  # what is told counts more
+
+
+def numbered(count: int) -> Flights:
+    return [[example_rows(500, segment=i)] for i in range(count)]
+
+
+def parts(flights: Flights) -> list[int]:
+    return [flight[0].block.segment for flight in flights]
+
+
+def test_with_many_sessions_the_folds_are_ten_and_still_leave_whole_ones_out() -> None:
+    sessions = [i // 2 for i in range(30)]
+    found = [(parts(out), parts(rest)) for out, rest in folds(numbered(30), sessions=sessions)]
+    assert len(found) == 10
+    assert sorted(itertools.chain.from_iterable(out for out, _ in found)) == list(range(30))
+    for out, rest in found:
+        assert not {sessions[i] for i in out} & {sessions[i] for i in rest}
+        assert sorted(out + rest) == list(range(30))
+
+
+def flown(seed: int, started_ns: int) -> Log:
+    return Log(f"f{seed}", f"{seed:064x}", "px4", flying(2500, seed), started_ns=started_ns)
+
+
+@cache
+def two_days() -> Baseline:
+    flights = [flown(i, MONDAY + (i // 2) * 24 * HOUR + (i % 2) * HOUR // 6) for i in range(4)]
+    return learn(flights, LearnOptions(airframe=FRAME, monitors=("rotor_trim", "trim_step")), created=NOW)
+
+
+def test_a_baseline_knows_the_sessions_of_its_flights() -> None:
+    made = two_days()
+    assert [one.session for one in made.provenance.logs] == [0, 0, 1, 1]
+    assert {entry.threshold.sessions for entry in made.monitors} == {2}
+    assert "from 4 flights in 2 sessions" in str(made)
+    assert "in a session of these flights; another may differ" in str(made)
+    assert parse(dump(made)) == made
+
+
+@pytest.mark.parametrize(
+    ("started_ns", "same"),
+    [
+        (0, False),
+        (MONDAY, True),
+        (MONDAY - SESSION_GAP_NS, True),
+        (MONDAY - SESSION_GAP_NS - 1, False),
+        (MONDAY + HOUR // 6 + SESSION_GAP_NS, True),
+        (MONDAY + HOUR // 6 + SESSION_GAP_NS + 1, False),
+        (MONDAY + 24 * HOUR + 5, True),
+        (MONDAY + 48 * HOUR, False),
+    ],
+)
+def test_a_flight_within_an_hour_of_a_healthy_one_is_of_its_session(started_ns: int, same: bool) -> None:
+    made = two_days()
+    assert made.same_session(started_ns) is same
+    limits = {slot.monitor.name: slot.threshold for slot in chain_of(made, started_ns).slots}
+    for entry in made.monitors:
+        allowed = entry.threshold.session_allowance if same else 0.0
+        assert limits[entry.spec.kind] == pytest.approx(entry.threshold.value - allowed)
+    assert next(e for e in made.monitors if e.spec.kind == "rotor_trim").threshold.session_allowance > 0.005

@@ -1,15 +1,35 @@
-"""The kinds of logs as one table: their gates, a made-up kind, and files that were cut off."""
+"""Flight logs: kinds, units and directions, damage, and what cannot be read is one line."""
 
+import math
+import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from made_logs import (
+    ULOG_HEAD,
+    CrazyflieEvent,
+    DataFlashMessage,
+    ULogTopic,
+    crazyflie_content,
+    dataflash,
+    ulog,
+    ulog_message,
+    with_checksum,
+)
 
 from mavdiag.errors import InputError
 from mavdiag.logs import airframe_name_for, gate_for, kinds, read_log
+from mavdiag.logs.crazyflie import read_crazyflie
+from mavdiag.logs.csv_columns import load_column_map, parse_column_map
+from mavdiag.logs.dataflash import read_dataflash
 from mavdiag.logs.log import LogKind
+from mavdiag.logs.ulog import _by_motor, read_ulog
+from mavdiag.look.figures import rotor_line
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import Log, Series, Signal, Telemetry
+from mavdiag.testing import example_rows
 
 
 def read_made(path: Path, vehicle: int | None, profile: str | None) -> Log:
@@ -49,3 +69,420 @@ def test_l4_take_off_is_trimmed_alike_live_and_in_logs() -> None:
     assert gate_for("qdrone2") == gate_for("px4") == live
     assert gate_for("crazyflie") == GateSpec(0.38, 0.38, False, 0.5, 0.6)
     assert [airframe_name_for(name) for name in ("crazyflie", "px4-log", "qdrone2")] == ["crazyflie", None, None]
+
+
+PID = CrazyflieEvent(
+    65535,
+    "fixedFrequency",
+    tuple(
+        f"controller.{name}(f)"
+        for name in ("roll", "pitch", "yaw", "r_roll", "r_pitch", "r_yaw", "cmd_yaw", "accelz", "actuatorThrust")
+    ),
+)
+MARK = CrazyflieEvent(7, "activeMarkerModeChanged", ("mode(B)",))
+RECORDS = (
+    PID.record(1_000, 10.0, -20.0, 90.0, 0.1, 0.2, 0.3, 32767.0, 1.0, 65535.0),
+    PID.record(11_000, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+)
+
+
+def written(folder: Path, content: bytes) -> Path:
+    path = folder / "log00"
+    path.write_bytes(content)
+    return path
+
+
+def test_units_and_signs_are_si_and_frd(tmp_path: Path) -> None:
+    log = read_crazyflie(written(tmp_path, with_checksum(crazyflie_content([PID, MARK], RECORDS))))
+    first = {series.signal: series.values[0] for series in log.telemetry.series}
+    assert first[Signal.ATTITUDE_SETPOINT] == pytest.approx([math.radians(10), math.radians(-20), -math.pi / 2])
+    assert first[Signal.BODY_RATE] == pytest.approx([0.1, 0.2, -0.3])
+    assert first[Signal.THRUST_SETPOINT] == pytest.approx([1.0])
+    assert first[Signal.SPECIFIC_FORCE][2] == pytest.approx(-9.80665)
+    assert np.isnan(first[Signal.SPECIFIC_FORCE][:2]).all()
+    assert log.profile == "crazyflie"
+    assert log.started_ns == 0
+
+
+MAP = """
+[time]
+column = "time"
+unit = "ms"
+[body_rate]
+columns = ["p", "-q", "r"]
+unit = "deg/s"
+[actuator]
+columns = ["m1", "m2"]
+unit = "percent"
+"""
+
+
+def written_csv(folder: Path, text: str) -> Path:
+    path = folder / "flight.csv"
+    path.write_text(text)
+    return path
+
+
+def test_units_and_directions_become_si_and_frd(tmp_path: Path) -> None:
+    path = written_csv(tmp_path, "m2,time,p,q,r,m1\n40,1000,90,180,-90,10\n50,1010,0,0,0,20\n")
+    log = read_log(path, columns=parse_column_map(MAP))
+    np.testing.assert_allclose(log[Signal.BODY_RATE].values[0], [np.pi / 2, -np.pi, -np.pi / 2])
+    assert log[Signal.BODY_RATE].t_ns.tolist() == [1_000_000_000, 1_010_000_000]
+    np.testing.assert_allclose(log[Signal.ACTUATOR].values, [[0.1, 0.4], [0.2, 0.5]])
+    assert (log.profile, log.notes) == ("csv", ())
+
+
+def test_a_file_without_header_or_time_is_read_by_number_and_rate(tmp_path: Path) -> None:
+    path = written_csv(tmp_path, "comment\n1;2;3\n4;5;6\n7;8;9\n")
+    text = '[time]\nrate_hz = 200\n[body_rate]\ncolumns = ["1", "2", "3"]\nunit = "rad/s"\n'
+    log = read_log(path, columns=parse_column_map(text + '[file]\ndelimiter = ";"\nskip_lines = 1\nheader = false\n'))
+    np.testing.assert_allclose(log[Signal.BODY_RATE].values, [[1, 2, 3], [4, 5, 6], [7, 8, 9]])
+    assert np.diff(log[Signal.BODY_RATE].t_ns).tolist() == [5_000_000, 5_000_000]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[time]\nrate_hz = 1\n", "body_rate is missing"),
+        ('[body_rate]\ncolumns = ["p", "q", "r"]\nunit = "rad/s"\n', "give the column of the time, or rate_hz"),
+        (MAP.replace('"ms"', '"h"'), "time: unit: input should be 's', 'ms', 'us' or 'ns'"),
+        (MAP.replace("deg/s", "deg"), "body_rate.unit: 'deg' is none of"),
+        (MAP.replace('"-q", ', ""), "body_rate.columns: it has 3 columns, not 2"),
+        (MAP + "[speed]\ncolumns = ['v']\n", "speed: no such table"),
+        (MAP.replace("[actuator]", "[actuator]\nscale = 2"), "scale: extra inputs are not permitted"),
+        (MAP.replace("rate]", "rate"), "not TOML"),
+    ],
+)
+def test_a_wrong_map_names_its_field(text: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words) as caught:
+        load_column_map(path)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("a,b\n1,2\n", "no column 'time'; there are a, b"),
+        ("time,p,q,r,m1,m2\n", "it has no rows"),
+        ("time,p,q,r,m1,m2\nx,y,z,,,\n", "no row has a time"),
+        ("time,p,q,r,m1,m2\n1,,,,1,1\n2,,,,1,1\n", "most rows have no gyro"),
+        ("\x00\xff\n" * 10, "no column 'time'"),
+    ],
+)
+def test_a_file_that_the_map_does_not_fit_is_one_line(content: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words) as caught:
+        read_log(written_csv(tmp_path, content), columns=parse_column_map(MAP))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time,p,q,r,m1,m2\n" + "1" * 200_000 + ",0,0,0,0,0\n",
+        "time,p,q,r,m1,m2\n0,0,0,0,0,0\n" + 'x"' * 70_000,
+        'time,p,q,r,m1,m2\n0,0,"' + "1\n" * 140_000,
+        "0," * 5_000_000,
+    ],
+)
+def test_what_is_no_sound_csv_file_is_one_line(tmp_path: Path, text: str) -> None:
+    path = written_csv(tmp_path, text)
+    tracemalloc.start()
+    with pytest.raises(InputError) as caught:
+        read_log(path, columns=parse_column_map(MAP))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 4 * len(text) + 20_000_000
+    assert "\n" not in str(caught.value)
+
+
+STAMP = ("uint64_t", "timestamp")
+SENSORS = ULogTopic(
+    1,
+    "sensor_combined",
+    (
+        STAMP,
+        ("float[3]", "gyro_rad"),
+        ("int32_t", "accelerometer_timestamp_relative"),
+        ("float[3]", "accelerometer_m_s2"),
+    ),
+)
+SETPOINT = ULogTopic(2, "vehicle_attitude_setpoint", (STAMP, ("float[4]", "q_d"), ("float[3]", "thrust_body")))
+OLD_SETPOINT = ULogTopic(
+    2,
+    "vehicle_attitude_setpoint",
+    (STAMP, ("float", "roll_body"), ("float", "pitch_body"), ("float", "yaw_body"), ("float", "thrust")),
+)
+MOTORS = ULogTopic(4, "actuator_motors", (STAMP, ("float[12]", "control")))
+OUTPUTS = ULogTopic(5, "actuator_outputs", (STAMP, ("float[16]", "output")))
+STATUS = ULogTopic(7, "vehicle_status", (STAMP, ("uint8_t", "arming_state"), ("uint8_t", "nav_state")))
+POSITION = ULogTopic(8, "vehicle_local_position", (STAMP, ("float", "x"), ("float", "y"), ("float", "z")))
+HALF, NAN = math.sqrt(0.5), math.nan
+
+
+def sensors(time_us: int, rate: float = 0.0, delay_us: int = 0) -> bytes:
+    return SENSORS.record(time_us, rate, 0, 0, delay_us, 0, 0, -9.81)
+
+
+def read(folder: Path, content: bytes) -> Log:
+    path = folder / "log_4.ulg"
+    path.write_bytes(content)
+    return read_log(path)
+
+
+@pytest.mark.parametrize(
+    ("topic", "records", "signal", "values"),
+    [
+        (SETPOINT, [(2_000, HALF, HALF, 0, 0, 0, 0, -0.6)], Signal.ATTITUDE_SETPOINT, [[math.pi / 2, 0, 0]]),
+        (SETPOINT, [(2_000, HALF, HALF, 0, 0, 0, 0, -0.6)], Signal.THRUST_SETPOINT, [[0.6]]),
+        (OLD_SETPOINT, [(2_000, 0.1, -0.2, 0.3, 0.5)], Signal.ATTITUDE_SETPOINT, [[0.1, -0.2, 0.3]]),
+        (OLD_SETPOINT, [(2_000, 0.1, -0.2, 0.3, 0.5)], Signal.THRUST_SETPOINT, [[0.5]]),
+        (MOTORS, [(1, 0.1, 0.2, 0.3, 0.4, *[NAN] * 8)], Signal.ACTUATOR, [[0.1, 0.2, 0.3, 0.4]]),
+        (OUTPUTS, [(1, 900, 1500, 2000, *[0] * 13)], Signal.ACTUATOR, [[0.0, 0.5, 1.0]]),
+        (POSITION, [(0, 0, 0, -1.0), (1, 3, 4, -2.5)], Signal.HEIGHT, [[2.5]]),  # what is stamped 0 was never published
+        (POSITION, [(0, 0, 0, -1.0), (1, 3, 4, -2.5)], Signal.POSITION, [[3, 4]]),
+        (STATUS, [(1, 1, 15), (2, 2, 3)], Signal.ARMED, [[0], [1]]),
+        (STATUS, [(1, 1, 15), (2, 2, 3), (3, 2, 99)], Signal.MODE, [[7 << 16], [4 << 16 | 4 << 24], [NAN]]),
+    ],
+)
+def test_topics_become_signals_in_si_and_frd(
+    tmp_path: Path, topic: ULogTopic, records: list[tuple[float, ...]], signal: Signal, values: list[list[float]]
+) -> None:
+    log = read(tmp_path, ulog([topic], [topic.record(*record) for record in records]))
+    np.testing.assert_allclose(log[signal].values, values, atol=1e-6)
+    assert (log.profile, log.started_ns) == ("px4-log", 0)
+
+
+def test_l6_outputs_that_never_move_are_no_motors(tmp_path: Path) -> None:
+    still = (1500.0,) * 2
+    rows = [OUTPUTS.record(1_000 * k, 1100.0 + k, 1200.0, 1300.0 + k, *still, *(0.0,) * 11) for k in range(1, 9)]
+    log = read(tmp_path, ulog([SENSORS, OUTPUTS], [sensors(1_000), *rows]))
+    assert log["actuator"].values.shape == (8, 3)
+
+
+def test_speeds_of_escs_go_to_the_motors_that_they_drive() -> None:
+    """PX4 since 1.13 says of each ESC which motor it drives: 101 is the first."""
+    speeds, functions = [6000, -3000, 600, *[0] * 5], [102, 101, 104, *[0] * 5]
+    found = _by_motor(np.array([[*speeds, *functions]], dtype=np.float64))
+    np.testing.assert_allclose(found, [[100 * math.pi, 200 * math.pi, NAN, 20 * math.pi]])
+    assert _by_motor(np.zeros((1, 16))).size == 0  # they say nothing: the ESCs' own order counts
+
+
+IMU = DataFlashMessage(163, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+ATT = DataFlashMessage(70, "ATT", "Qccccff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
+RATE_FIELDS = "RDes,R,ROut,PDes,P,POut,YDes,Y,YOut"
+RATE = DataFlashMessage(73, "RATE", "Qfffffffff", f"TimeUS,{RATE_FIELDS}")
+RCOU = DataFlashMessage(62, "RCOU", "QHHHHHH", "TimeUS,C1,C2,C3,C4,C5,C6")
+ESC = DataFlashMessage(63, "ESC", "QBffffcfcf", "TimeUS,Instance,RPM,RawRPM,Volt,Curr,Temp,CTot,MotTemp,Err")
+OLD_ESC = DataFlashMessage(64, "ESC2", "QeCCcH", "TimeUS,RPM,Volt,Curr,Temp,CTot")
+RPMS = DataFlashMessage(65, "RPM", "Qff", "TimeUS,rpm1,rpm2")
+ISBH = DataFlashMessage(67, "ISBH", "QHBBHHQf", "TimeUS,N,type,instance,mul,smp_cnt,SampleUS,smp_rate")
+ISBD = DataFlashMessage(68, "ISBD", "QHHaaa", "TimeUS,N,seqno,x,y,z")
+EDT2 = DataFlashMessage(66, "EDT2", "QBBBB", "TimeUS,Instance,Stress,MaxStress,Status")
+PARM = DataFlashMessage(32, "PARM", "QNf", "TimeUS,Name,Value")
+OLD_RATE = DataFlashMessage(29, "RATE", "Ifffffffff", f"TimeMS,{RATE_FIELDS}")
+
+
+def imu(time_us: int, rate: float = 0.0, instance: int = 0) -> bytes:
+    return IMU.record(time_us, instance, rate, 0, 0, 0, 0, -9.8)
+
+
+def read_bin(folder: Path, content: bytes) -> Log:
+    path = folder / "00000007.BIN"
+    path.write_bytes(content)
+    return read_dataflash(path)
+
+
+def first(log: Log, signal: Signal) -> list[float]:
+    values: list[float] = log.telemetry.need(signal).values[0].tolist()
+    return values
+
+
+def test_format_characters_carry_their_multiplier_and_angles_become_radians(tmp_path: Path) -> None:
+    log = read_bin(tmp_path, dataflash([ATT], [ATT.record(5_000, 1000, 1100, -500, -400, 350.0, 10.0)]))
+    assert first(log, Signal.ATTITUDE_SETPOINT) == pytest.approx([math.radians(a) for a in (10, -5, -10)])
+    assert first(log, Signal.ATTITUDE) == pytest.approx([math.radians(a) for a in (11, -4, 10)])
+    assert log.telemetry.need(Signal.ATTITUDE).t_ns.tolist() == [5_000_000]
+    assert log.profile == "ardupilot-log"
+
+
+def turning(message: DataFlashMessage, *values: float) -> list[bytes]:
+    """Two records of RATE among those of an IMU that turns at 10 deg/s."""
+    unit = 1 if message is OLD_RATE else 1_000
+    turn = math.radians(10)
+    return [imu(1_000, turn), message.record(2 * unit, *values), imu(3_000, turn), message.record(4 * unit, *values)]
+
+
+@pytest.mark.parametrize("message", [OLD_RATE, RATE])
+def test_rate_was_in_hundredths_up_to_copter_3_3(tmp_path: Path, message: DataFlashMessage) -> None:
+    log = read_bin(tmp_path, dataflash([IMU, message], turning(message, 2000, 1000, 450, 0, 0, 0, 0, 0, 0)))
+    assert first(log, Signal.RATE_SETPOINT) == pytest.approx([math.radians(20), 0, 0])
+    assert first(log, Signal.TORQUE_COMMAND) == pytest.approx([0.1, 0, 0])
+
+
+def test_outputs_follow_the_motor_functions(tmp_path: Path) -> None:
+    functions = {1: 0, 2: 34, 3: 33, 4: 10, 5: 35}
+    parameters = [PARM.record(1, f"SERVO{n}_FUNCTION".encode(), value) for n, value in functions.items()]
+    outputs = RCOU.record(2, 1100, 1200, 1300, 1400, 1500, 0)
+    log = read_bin(tmp_path, dataflash([PARM, RCOU], [*parameters, outputs]))
+    assert first(log, Signal.ACTUATOR) == pytest.approx([0.3, 0.2, 0.5])
+
+
+def told(time_us: int, instance: int, rpm: float) -> bytes:
+    return ESC.record(time_us, instance, rpm + 100, rpm, 16, 4, 3000, 0, 3000, 0)
+
+
+def test_speeds_of_escs_follow_the_motor_functions_and_grow_old(tmp_path: Path) -> None:
+    functions = {1: 0, 2: 34, 3: 33, 5: 35}
+    parameters = [PARM.record(1, f"SERVO{n}_FUNCTION".encode(), value) for n, value in functions.items()]
+    records = [told(10, 1, 6000), told(20, 2, -3000), told(30, 4, 600), told(1_600_000, 1, 6600)]
+    log = read_bin(tmp_path, dataflash([PARM, ESC], [*parameters, *records]))
+    expected = np.array([[np.nan, 200, np.nan], [100, 200, np.nan], [100, 200, 20], [np.nan, 220, np.nan]])
+    np.testing.assert_allclose(log[Signal.ROTOR_SPEED].values, expected * math.pi, rtol=1e-6)
+    assert log.motor_order
+
+
+def test_older_and_other_messages_tell_speeds_where_it_is_known_of_which_rotor(tmp_path: Path) -> None:
+    old = read_bin(tmp_path, dataflash([OLD_ESC], [OLD_ESC.record(10, 600_000, 1600, 400, 3000, 0)]))
+    np.testing.assert_allclose(old[Signal.ROTOR_SPEED].values, [[np.nan, 200 * math.pi]])
+    masks = [PARM.record(1, b"RPM1_ESC_MASK", 4), PARM.record(1, b"RPM2_ESC_MASK", 3)]
+    log = read_bin(tmp_path, dataflash([PARM, RPMS], [*masks, RPMS.record(10, 6000, 600)]))
+    np.testing.assert_allclose(log[Signal.ROTOR_SPEED].values, [[np.nan, np.nan, 200 * math.pi]])
+    unknown = read_bin(tmp_path, dataflash([IMU, RPMS], [imu(1), RPMS.record(10, 6000, 600)]))
+    assert unknown.telemetry.get(Signal.ROTOR_SPEED) is None
+
+
+def test_what_an_esc_complains_of_is_told(tmp_path: Path) -> None:
+    log = read_bin(
+        tmp_path, dataflash([IMU, EDT2], [imu(1), EDT2.record(2, 2, 9, 9, 3), EDT2.record(3, 2, 9, 9, 8 | 16)])
+    )
+    assert log.notes == ("ESC 3 told a warning", "ESC 3 told an error")
+
+
+def test_raw_batches_are_read_up_to_their_first_gap_and_show_the_line_of_the_rotors(tmp_path: Path) -> None:
+    waves = np.rint(1000 * np.sin(math.tau * 167 * np.arange(1024) / 1000)).astype(int).reshape(32, 32)
+    still, records = [0] * 32, [imu(1)]
+    for batch, (kind, lost) in enumerate([(0, None), (1, None), (0, 20)]):  # the gyro has its turn
+        records.append(ISBH.record(2_000_000 * batch, batch, kind, 0, 100, 1024, 2_000_000 * batch + 5, 1000.0))
+        rows = [k for k in range(32) if k != lost]
+        records += [ISBD.record(9, batch, k, *waves[k].tolist(), *still, *still) for k in rows]
+    log = read_bin(tmp_path, dataflash([IMU, ISBH, ISBD], records))
+    assert [(one.t_ns, one.rate_hz, one.force.shape) for one in log.batches] == [
+        (5_000, 1000.0, (1024, 3)),
+        (4_000_005_000, 1000.0, (640, 3)),
+    ]
+    assert np.abs(log.batches[0].force[:, 0]).max() == pytest.approx(10.0, rel=0.01)
+    flight = [example_rows(600).block]
+    found = rotor_line(flight, 20.0, math.nan, log.batches)
+    assert found.hz == pytest.approx(167, abs=2)
+    assert "low-passed" in rotor_line(flight, 20.0, math.nan).reason
+
+
+def wrapped(n: int = 600) -> tuple[bytes, list[bytes]]:
+    """A log's head and records."""
+    return dataflash([IMU, ATT], []), [imu(1000 * k, 0.01 * k) for k in range(n)]
+
+
+def test_a_logger_that_wrapped_is_read_from_where_its_types_are_declared(tmp_path: Path) -> None:
+    """The newest pages come first: their records are of types that are declared behind them."""
+    head, records = wrapped()
+    path = tmp_path / "wrapped.bin"
+    path.write_bytes(b"".join(records[400:])[11:] + head + b"".join(records[:400]))
+    log = read_log(path)
+    assert log.profile == "ardupilot-log"
+    np.testing.assert_allclose(log["body_rate"].values[:, 0], [0.01 * k for k in range(400)], rtol=1e-6)
+    lost = len(b"".join(records[400:])) - 11
+    assert log.notes == (f"{lost} bytes of it are no records of a known type and were skipped",)
+
+
+def test_a_telemetry_log_that_carries_such_records_stays_one() -> None:
+    head, records = wrapped(40)
+    kind = next(one for one in kinds() if one.name == "DataFlash")
+    assert kind.recognise((head + b"".join(records))[:4096])
+    assert kind.recognise(b"".join(records)[7:4096])
+    assert not kind.recognise(bytes(8) + b"\xfd" + b"".join(records))
+    assert not kind.recognise(b"\xa3\x95" + bytes(4000))
+
+
+def test_modes_and_coordinates_are_those_of_every_era(tmp_path: Path) -> None:
+    mode = DataFlashMessage(69, "MODE", "QMBB", "TimeUS,Mode,ModeNum,Rsn")
+    place = DataFlashMessage(71, "POS", "QLLffff", "TimeUS,Lat,Lng,Alt,RelHomeAlt,RelOriginAlt,X")
+    records = [
+        mode.record(1, 5, 5, 0),
+        place.record(2, 473_977_418, -85_455_939, 500, 3, 3, 0),
+        mode.record(3, 9, 9, 0),
+    ]
+    log = read_bin(tmp_path, dataflash([mode, place], records))
+    assert log[Signal.MODE].values.tolist() == [[5.0], [9.0]]
+    np.testing.assert_allclose(np.degrees(log[Signal.COORDINATES].values), [[47.3977418, -8.5455939]])
+    old = DataFlashMessage(69, "MODE", "IMh", "TimeMS,Mode,ThrCrs")
+    assert read_bin(tmp_path, dataflash([old], [old.record(7, 2, 500)]))[Signal.MODE].values.tolist() == [[2.0]]
+
+
+@pytest.mark.parametrize(
+    ("reader", "content", "reason"),
+    [
+        (read_crazyflie, with_checksum(crazyflie_content([PID], RECORDS))[:-1], "checksum"),
+        (read_crazyflie, with_checksum(crazyflie_content([PID], RECORDS)[:-5]), "cut short"),
+        (read_crazyflie, with_checksum(crazyflie_content([PID], RECORDS, version=3)), "version 3"),
+        (read_crazyflie, with_checksum(crazyflie_content([PID], [])), "no records"),
+        (read_crazyflie, with_checksum(crazyflie_content([PID], [])[:40]), "header ends early"),
+        (read_crazyflie, with_checksum(crazyflie_content([MARK], [MARK.record(1, 2)])), "no signal"),
+        (read_crazyflie, with_checksum(crazyflie_content([PID], [MARK.record(1, 2)])), "no declared type"),
+        (
+            read_crazyflie,
+            with_checksum(crazyflie_content([CrazyflieEvent(1, "x", ("pm.vbat(s)",))], [b"\1\0"])),
+            "known type",
+        ),
+        (read_crazyflie, with_checksum(crazyflie_content([PID], [PID.record(2**60, *range(9))])), "time stamp"),
+        (read_crazyflie, b"\xbc", "first bytes"),
+        (read_crazyflie, b"\xa3\x95\x80\x80 another kind of file", "first bytes"),
+        (read_crazyflie, b"", "empty"),
+        (
+            read_ulog,
+            ulog([SENSORS], [])[:16] + ulog_message("\0", b"x" * 40)[:-8],
+            "beyond use",
+        ),  # pyulog would not come back
+        (read_ulog, ulog([], [ulog_message("F", b"sensor_combined:sensor_combined[2] inner;")]), "within itself"),
+        (
+            read_ulog,
+            ulog([], [ulog_message("F", b"a:uint8_t[60000] x;"), ulog_message("F", b"b:a[60000] x;")]),
+            "too many fields",
+        ),
+        (read_ulog, ulog([SENSORS], []), "no record"),
+        (read_ulog, ULOG_HEAD, "damaged"),
+        (read_ulog, ulog([], [ulog_message("B", bytes(8) + b"\xff" * 8 + bytes(24))]), "incompatible"),
+        (read_ulog, b"\xa3\x95\x80\x80 another kind of file", "damaged"),
+        (read_ulog, b"", "empty"),
+        (read_dataflash, dataflash([IMU, ATT], []), "a log"),
+        (read_dataflash, b"\xa3\x95\x80\x80", "a log"),
+        (read_dataflash, b"\xa3\x95", "a log"),
+        (read_dataflash, b"text", "a log"),
+        (read_dataflash, b"", "a log"),
+    ],
+)
+def test_unusable_files_are_one_line(
+    tmp_path: Path, reader: Callable[[Path], Log], content: bytes, reason: str
+) -> None:
+    path = tmp_path / "a log"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=reason) as caught:
+        reader(path)
+    assert "a log" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("lost", "notes"), [(0, 0), (1, 1), (20, 1)])
+@pytest.mark.parametrize(
+    "content",
+    [
+        ulog([SENSORS], [sensors(1_000 * k) for k in range(1, 9)]),
+        dataflash([IMU], [imu(1_000 * k) for k in range(1, 9)]),
+    ],
+)
+def test_r7_a_log_that_was_cut_off_says_so(tmp_path: Path, content: bytes, lost: int, notes: int) -> None:
+    log = read(tmp_path, content[: len(content) - lost])
+    assert len(log.notes) == notes
+    assert all("ends within a " in note for note in log.notes)

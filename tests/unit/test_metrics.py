@@ -1,4 +1,4 @@
-"""The page of figures: what it has, that its label sets are bounded, and what the health command reads from it."""
+"""What the daemon tells those who supervise it: figures for Prometheus, and signs of life for systemd."""
 
 import json
 import re
@@ -11,10 +11,12 @@ from pathlib import Path
 
 import pytest
 from made_session import baseline_for
-from made_vehicle import Bench, MadeVehicle
+from made_vehicle import Bench, FakeFitter, MadeVehicle
 
 from detector.config import Settings
 from detector.metrics import COUNTERS, GAUGES, Metrics
+from detector.notify import Notifier
+from mavdiag.link.messages import Autopilot
 
 
 @pytest.fixture
@@ -64,18 +66,6 @@ def test_the_figures_of_a_flight_are_on_the_page(metrics: Metrics) -> None:
     assert value(text, "session_working") == 1
 
 
-def test_the_latency_of_every_look_is_counted(metrics: Metrics) -> None:
-    bench = flown(metrics)
-    text = page(metrics)
-    count = value(text, "verdict_latency_seconds_count")
-    judge = bench.daemon.fleet.vehicles[1].session.judge
-    bench.close()
-    assert judge is not None
-    assert count == pytest.approx(10 * judge.flight_s, abs=25)  # the first seconds are judged at once
-    # The bench's clock stands still within a look: a sample waits for the filter's half window and for whole looks.
-    assert value(text, 'verdict_latency_seconds_bucket{le="0.2"}') > 0.8 * count
-
-
 def test_requests_that_are_never_ended_cost_no_thread_and_hide_no_page(metrics: Metrics) -> None:
     bench = flown(metrics)
     threads = threading.active_count()
@@ -105,3 +95,39 @@ def test_the_dashboard_asks_only_for_figures_and_labels_that_there_are(metrics: 
             assert set(re.findall(r"{{(\w+)}}", target["legendFormat"])) <= labels
     places = [(one["x"], one["y"]) for one in (panel["gridPos"] for panel in board["panels"])]
     assert len(set(places)) == len(places)
+
+
+@pytest.fixture
+def manager(tmp_path: Path) -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as one:
+        one.bind(str(tmp_path / "notify"))
+        one.setblocking(False)
+        yield one
+
+
+def told(manager: socket.socket) -> list[str]:
+    found = []
+    while True:
+        try:
+            found.append(manager.recv(4096).decode())
+        except BlockingIOError:
+            return found
+
+
+def environ(manager: socket.socket, **more: str) -> dict[str, str]:
+    return {"NOTIFY_SOCKET": str(manager.getsockname()), **more}
+
+
+def test_the_daemon_gives_no_sign_of_life_while_all_sessions_are_off(manager: socket.socket) -> None:
+    """The baseline is of another profile."""
+    notifier = Notifier(environ(manager, WATCHDOG_USEC="30000000"))
+    settings = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
+    vehicle = MadeVehicle(1, Autopilot.ARDUPILOTMEGA)
+    bench = Bench(settings, baseline_for(), FakeFitter(), vehicles=[vehicle], notifier=notifier)
+    bench.run(5.0)
+    told(manager)
+    for _ in range(10):
+        bench.run(1.0)
+        assert "WATCHDOG=1" not in told(manager)
+    bench.close()
+    notifier.close()

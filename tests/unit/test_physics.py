@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plant_cases import fly, nominal_airframe, quaternion_rotation, quiet_airframe
+from plant_cases import nominal_airframe, quaternion_rotation
 from scipy.signal import bilinear, freqz, welch
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.air import Turbulence, dryden
-from sitl_plant.physics.airframe import NO_PAYLOAD, draw_airframe, drone
+from sitl_plant.physics.airframe import NO_PAYLOAD, drone
 from sitl_plant.physics.control import Controller, ControlState, control
 from sitl_plant.physics.dynamics import (
     GRAVITY,
@@ -38,7 +38,7 @@ from sitl_plant.physics.faults import (
 )
 from sitl_plant.physics.kernel import Model
 from sitl_plant.physics.mocap import fit_pose
-from sitl_plant.physics.parameters import STEP_S, make_model, specimen_of
+from sitl_plant.physics.parameters import STEP_S, make_model
 from sitl_plant.physics.rotors import Condition, RotorState, advance_rotors
 from sitl_plant.physics.sensors import (
     CHANNELS,
@@ -64,8 +64,7 @@ from sitl_plant.physics.trajectory import (
     path,
     reference,
 )
-from sitl_plant.plant import PlantConfig
-from sitl_plant.vehicle import allocation, qdrone2, vehicle_named
+from sitl_plant.vehicle import allocation, qdrone2
 
 
 def body(inertia: FloatArray, mass: float = 1.5, drag: float = 0.0, hub_moment: float = 0.0) -> Body:
@@ -299,16 +298,6 @@ def test_spectra_are_those_published(gusts: FloatArray, axis: int) -> None:
         assert density[band].mean() == pytest.approx(expected.mean(), rel=0.1), low
 
 
-@pytest.mark.parametrize("w20", [5.0, 8.0])
-def test_a_vehicle_in_turbulence_holds_its_place_and_feels_the_drag_of_the_gusts(w20: float) -> None:
-    """At rest on average, the specific force of the horizontal axes is drag / mass = 0.25 u / 1.504."""
-    config = PlantConfig(trajectory="hover", airframe=quiet_airframe(), turbulence_m_s=w20, seed=4)
-    samples = fly(config, 120.0)
-    assert np.abs(samples.position[:, :2]).max() < 0.3
-    felt = samples.accel[:, :2].std()
-    assert felt == pytest.approx(0.25 / 1.504 * dryden(w20, 1.0).rms_m_s[0], rel=0.3)
-
-
 # Attitude estimate and controllers: closed forms, directions, limits
 
 WEIGHT = 1.504 * 9.81
@@ -477,24 +466,6 @@ def test_the_filter_is_the_bilinear_transform_of_a_driven_mode(hz: float, dampin
     assert gain_of(mode(hz, damping, DT), hz, DT) == pytest.approx(abs(line))
 
 
-VEHICLE = vehicle_named("qdrone2-recorded")
-
-
-def test_specimens_are_the_measured_ones_or_drawn_between_them() -> None:
-    recorded = VEHICLE.recorded
-    assert recorded is not None
-    rng = np.random.default_rng(31)
-    drawn = [draw_airframe(VEHICLE, aged=False, rng=rng) for _ in range(60)]
-    levels = np.array([specimen_of(one, recorded).gyro_line for one in drawn])
-    assert levels.min() >= 0.0144
-    assert levels.max() <= 0.0326
-    assert levels.max() / levels.min() > 2.0
-    assert specimen_of(drawn[7], recorded) == specimen_of(drawn[7], recorded)
-    known = [one.name for one in recorded.specimens]
-    assert known == ["drone 1", "drone 2", "drone 3"]
-    assert specimen_of(nominal_airframe(VEHICLE), recorded).name == "nominal"
-
-
 # T's nine faults, and injections: what each does to the tables of the compiled loop, and to a flight
 
 
@@ -578,22 +549,6 @@ def flown(shape: Shape, seconds: float = 60.0, dt: float = 0.01, takeoff: bool =
     for row in range(len(out)):
         reference(one, row * dt, out[row])
     return out
-
-
-def ends(shape: Shape, count: int) -> FloatArray:
-    """Where the set-point is just before each new one: after 10 s, 20 s and so on."""
-    return np.asarray(flown(shape, 10.0 * count + 0.1)[999::1000][:count])
-
-
-@pytest.mark.parametrize("level", [1, 2])
-def test_each_goes_where_the_recordings_go(level: int) -> None:
-    diagonals = ends(Shape(f"t1-sp{level}"), 6)[:, :2]
-    np.testing.assert_allclose(diagonals, [[1, 1], [-1, -1], [0, 0], [1, -1], [-1, 1], [0, 0]], atol=1e-9)
-    edges = ends(Shape(f"t2-sp{level}"), 4)[:, :2]
-    np.testing.assert_allclose(edges, [[-1, 1], [-1, -1], [1, -1], [1, 1]], atol=1e-9)
-    np.testing.assert_allclose(-ends(Shape(f"t3-sp{level}"), 3)[:, 2], [0.4, 0.6, 0.8], atol=1e-9)
-    np.testing.assert_allclose(-ends(Shape(f"t4-sp{level}"), 2)[:, 2], [0.8, 0.2], atol=1e-9)
-    np.testing.assert_allclose(np.degrees(ends(Shape(f"t5-sp{level}"), 4)[:, 6]), [45, -45, 90, -90], atol=1e-9)
 
 
 @pytest.mark.parametrize("shape", RECORDED)

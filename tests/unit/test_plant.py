@@ -4,20 +4,17 @@ import hashlib
 import json
 import math
 from dataclasses import fields, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pytest
 from plant_cases import fly, nominal_airframe, quaternion_rotation, quiet_airframe
 from scipy.stats import kstest, uniform
-from weak_rotor import sparing
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.air import dryden
-from sitl_plant.physics.airframe import NO_PAYLOAD, Payload, PickUp, drone, in_session_number, with_propellers
+from sitl_plant.physics.airframe import Payload, PickUp, drone, with_propellers
 from sitl_plant.physics.faults import Injection, RotorDamage, SensorFault, fault_injection
-from sitl_plant.physics.kernel import Streams
 from sitl_plant.physics.parameters import body_with_payload, initial_state, make_model, reload
 from sitl_plant.physics.trajectory import Shape, path
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
@@ -67,16 +64,6 @@ def test_hover_takes_ten_thousand_rpm() -> None:
     speed = samples.rotor_speed[-500:].mean()
     assert speed * 60 / (2 * math.pi) == pytest.approx(10_000, rel=0.002)
     assert 4 * 3.364e-6 * speed**2 == pytest.approx(MASS * G, rel=1e-4)
-
-
-def test_square_excites_roll_and_pitch_like_the_thesis_flight() -> None:
-    """T 5.2 and Fig 5.4: sharp spikes at the corners; about 0.22 rad commanded and 1.3 rad/s reached."""
-    samples = fly(PlantConfig(drone=2), 16.0)
-    for axis in (0, 1):
-        assert 0.17 < np.abs(samples.setpoint[:, axis]).max() < 0.28
-        assert 1.1 < np.abs(samples.gyro[:, axis]).max() < 1.6
-    assert np.ptp(samples.position[:, 0]) == pytest.approx(1.15, abs=0.2)
-    assert np.abs(samples.position[:, 2] + 1.0).max() < 0.05
 
 
 def amplitude(signal: FloatArray, frequency_hz: float) -> float:
@@ -130,15 +117,6 @@ def test_driving_with_the_duties_of_a_flight_flies_it_again(
         assert np.isnan(driven.setpoint).all()
         assert np.isnan(driven.thrust_setpoint).all()
         first += n
-
-
-@pytest.mark.parametrize(
-    ("commands", "steps"),
-    [(np.zeros(3), 5), (np.zeros((4, 4)), 5), (np.full(4, 1.1), 5), (np.full(4, np.nan), 5), (np.zeros(4), -1)],
-)
-def test_commands_that_no_motor_can_follow_are_refused(commands: FloatArray, steps: int) -> None:
-    with pytest.raises(UsageError):
-        Plant(PlantConfig()).drive(commands, steps)
 
 
 def test_a_vehicle_rests_on_the_ground() -> None:
@@ -266,31 +244,6 @@ def test_the_truth_has_every_change_with_its_time() -> None:
     assert found[2]["unix_ns"] == 10**18 + 750_000_000
 
 
-def _weak(vehicle: str, way: dict[str, Any], allocation: tuple[float, float] | None) -> tuple[float, float, float]:
-    """Tilt error [rad], mean and highest duty of rotor 2, which has lost a fifth of its thrust."""
-    lost = Injection(RotorDamage(thrust_factor=0.8), 2, 1.0)
-    plant = Plant(PlantConfig(drone=3, vehicle=vehicle_named(vehicle), wind_m_s=1.0, injections=(lost,), **way))
-    plant.advance(1000)
-    if allocation is not None:
-        plant.take_controller(sparing(plant.config.vehicle, 2, *allocation))
-    plant.advance(3000)
-    flown = plant.advance(8000)
-    tilt = (flown.setpoint - flown.attitude[:, :3])[:, :2]
-    return float(np.sqrt(np.mean(tilt**2))), float(flown.duty[:, 1].mean()), float(flown.duty[:, 1].max())
-
-
-def test_an_allocation_for_a_weak_rotor_tilts_less_and_asks_less_of_it() -> None:
-    square = {"speed_m_s": 1.5, "size_m": 3.0}
-    tilt, _, most = _weak("qdrone2", square, None)
-    spared, _, least = _weak("qdrone2", square, (0.8, 2.0))
-    assert spared < 0.95 * tilt
-    assert least < most
-    hover, _, _ = _weak("qdrone2", {"trajectory": "hover"}, None)
-    assert _weak("qdrone2", {"trajectory": "hover"}, (0.8, 2.0))[0] < 0.5 * hover
-    _, mean, _ = _weak("hexa-x", {"trajectory": "hover"}, None)
-    assert _weak("hexa-x", {"trajectory": "hover"}, (0.8, 2.0))[1] < 0.9 * mean  # the others take its load
-
-
 # One specimen: sessions, propellers, wear; a payload taken up and dropped in flight
 
 DRONE = drone(qdrone2(), 2)
@@ -307,17 +260,6 @@ def test_a_new_set_of_propellers_differs_uniformly_and_is_balanced_as_permitted(
     assert (sets[0].battery_gain, sets[0].centre_of_gravity_m[0]) == (DRONE.battery_gain, DRONE.centre_of_gravity_m[0])
 
 
-def test_a_session_is_drawn_by_its_number_and_the_airframe() -> None:
-    first, same, other = (in_session_number(DRONE, number) for number in (1, 1, 2))
-    assert in_session_number(DRONE, 0) is DRONE
-    assert first.gyro_bias.tolist() == same.gyro_bias.tolist() != other.gyro_bias.tolist()
-    assert in_session_number(drone(qdrone2(), 3), 1).charge_used_ah != first.charge_used_ah
-    assert first.thrust_coefficient_n_s2.tolist() == DRONE.thrust_coefficient_n_s2.tolist()
-    assert in_session_number(DRONE, 1, 0.01).thrust_coefficient_n_s2.tolist() != first.thrust_coefficient_n_s2.tolist()
-    with pytest.raises(UsageError, match="session must be zero or more"):
-        in_session_number(DRONE, -1)
-
-
 @pytest.mark.parametrize("seed", range(8))
 def test_a_vehicle_without_cameras_stays_in_its_hall(seed: int) -> None:
     """It coasts level at up to 0.5 m/s for up to 2 s, and comes back: no fly-away, no fall."""
@@ -325,22 +267,6 @@ def test_a_vehicle_without_cameras_stays_in_its_hall(seed: int) -> None:
     assert np.abs(samples.position[:, :2] - 0.5).max() < 3.0
     assert samples.position[:, 2].max() < -0.5
     assert np.abs(samples.position[:, 2]).max() < 2.0
-
-
-def test_what_is_asked_for_changes_no_other_stream() -> None:
-    """Rotors, IMU, markers and the wind that is left out: the same numbers with turbulence and outages as without."""
-    model = make_model(DRONE, NO_PAYLOAD, path(Shape.HOVER, 1.0, 0.5, 0.0, 1.0), np.zeros(3))
-    plain, full = Streams(7, 0.001), Streams(7, 0.001, (dryden(5.0, 1.0), 0.0), 20.0)
-    assert plain.angle.random() == full.angle.random()
-    hidden = 0
-    for first, count in ((-10, 10), (0, 7), (7, 20_000)):
-        one, other = plain.draw(first, count, model), full.draw(first, count, model)
-        for name in ("rotors", "imu", "markers"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-        seen = other.occlusion >= 0.0
-        np.testing.assert_array_equal(one.occlusion[seen], other.occlusion[seen])
-        hidden += int((~seen).sum())
-    assert hidden > 0
 
 
 BESIDE = Payload(0.2, (0.012, -0.016, 0.05))  # 200 g, 20 mm beside the centre

@@ -4,18 +4,16 @@ from collections.abc import Sequence
 
 import pytest
 
-from detector.reaction import ANSWER_S, NOTICE_S, OWN_S, STICK, TABLE, Reaction, Step, Trigger
-from detector.rules import AUTOMATIC, FINDINGS, parse_modes, parse_rules
+from detector.reaction import ANSWER_S, NOTICE_S, OWN_S, STICK, Reaction
+from detector.rules import AUTOMATIC, parse_modes, parse_rules
 from detector.values import Effect, Inbox, Note, SendCommand, SendText
 from mavdiag.decision.diagnosis import Diagnosis, Stage
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder, Encoder
-from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MessageId
-from mavdiag.link.modes import MODES, mode_name
+from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.vehicles import Ack, acks_in, mode_in, sticks_in
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Instant
-from sitl_plant.autopilot.dialect import COPTER, PX4
 
 AUTO, LOITER, STABILIZE, RTL, LAND = 3, 5, 0, 6, 9
 TICK_S = 0.1
@@ -246,21 +244,6 @@ def test_modes_and_sticks_are_read_from_the_autopilots_own_frames() -> None:
     assert sticks_in(frames[3:]) == {}
 
 
-def test_px4_holds_where_it_cannot_pause() -> None:
-    for autopilot, command in ((Autopilot.ARDUPILOTMEGA, 193), (Autopilot.PX4, MavCmd.NAV_LOITER_UNLIM)):
-        flight = Flight("fault: pause", autopilot=autopilot)
-        flight.held = fault()
-        flight.fly(3.0)
-        assert [command for _, command in flight.commands] == [command]
-
-
-def test_a_command_by_name_or_number_has_its_parameters() -> None:
-    (rule,) = parse_rules("fault after 3 s: MAV_CMD_DO_PARACHUTE 2")
-    assert (rule.command, rule.parameters, rule.action) == (208, (2.0,), "DO_PARACHUTE")
-    (rule,) = parse_rules("fault: 178 1 0.5 -1")
-    assert (rule.command, rule.parameters) == (178, (1.0, 0.5, -1.0))
-
-
 @pytest.mark.parametrize(
     ("text", "why"),
     [
@@ -285,26 +268,3 @@ def test_a_row_that_cannot_be_read_is_refused_with_one_line(text: str, why: str)
         parse_rules(text)
     assert why in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_modes_are_named_or_numbered() -> None:
-    assert parse_modes("AUTO, loiter 99") == {"auto", "loiter", "99"}
-    for text in ("", "autopilot"):
-        with pytest.raises(UsageError, match="on_fault_modes: no mode"):
-            parse_modes(text)
-    assert parse_modes(AUTOMATIC).isdisjoint({"rtl", "return", "land", "stabilize", "manual", "acro"})
-
-
-def test_the_emulated_autopilots_call_their_modes_so() -> None:
-    for code in (*COPTER.modes, *PX4.modes):
-        assert mode_name(code.custom_mode) == code.name.lower()
-    assert len(MODES) > len(COPTER.modes) + len(PX4.modes)
-
-
-def test_the_table_of_steps_is_whole() -> None:
-    assert set(TABLE) == set(Step)
-    assert {target for row in TABLE.values() for target in row.values()} == set(Step) - {Step.COUNTING}
-    for step in set(Step) - {Step.OVER}:
-        assert TABLE[step][Trigger.GONE] is Step.OVER
-    assert FINDINGS[-1] == "suspected"
-    assert len(FINDINGS) == len(FaultKind) + 2

@@ -117,14 +117,3 @@ def test_a_jump_to_what_is_not_judged_yet_waits_for_it(log: Log, child: FakeChil
     one.look(START + 0.6)
     assert one.at_s == pytest.approx(40.0)
     assert child.of("P")[-1]["wanted_s"] is None
-
-
-def test_a_page_without_room_gets_all_of_it_later(log: Log, child: FakeChild) -> None:
-    one, now = player(child, judged(log), speed=10.0), START
-    one.look(now)
-    child.says, child.room = ["watch 1"], False
-    for step in range(20):
-        one.look(now + 0.1 * step)
-    child.room, given = True, len(child.of("N"))
-    one.look(now + 2.0)
-    assert len(child.of("N")) - given == pytest.approx(100, abs=4)

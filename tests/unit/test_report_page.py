@@ -1,24 +1,39 @@
-"""The page of a report: it stands alone, can be read, says what it does not show, and believes no text from outside."""
+"""Reports: pages that stand alone, figures that are what they say, and the drawing of the airframe."""
 
+import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from flying_telemetry import flying, without
+from hypothesis import given
+from hypothesis import strategies as st
 from made_baselines import healthy, logged, plain, whole
-from made_report import results
+from made_report import ONSET_S, RATE_HZ, ROTOR, cracked, results
 from made_telemetry import flight
 from page_reading import Page, check
+from scipy.signal import welch
 
+from mavdiag.airframe.fingerprint import joined
+from mavdiag.airframe.layout import LAYOUTS, Place, RotorLayout, layout_at, layout_named
 from mavdiag.baseline import Baseline
 from mavdiag.errors import InputError
+from mavdiag.face import rates
+from mavdiag.identify import Method, fit
+from mavdiag.identify.estimate import validate
 from mavdiag.judging import LogVerdict, Verdict
-from mavdiag.report.campaign import parse_campaign, read_campaign
-from mavdiag.report.chart import Chart, Line, Panel, Picture, picture
+from mavdiag.look.figures import spectrum_of
+from mavdiag.report.campaign import parse_campaign, read_campaign, roc_of
+from mavdiag.report.chart import Chart, Line, Panel, Picture, Thinned, picture, ticks_of
+from mavdiag.report.drawing import SIZE, RotorMark, airframe_svg
 from mavdiag.report.page import FlightReport, campaign_page, flight_report, flights_page
-from mavdiag.telemetry import Log, Series, Signal, Telemetry
+from mavdiag.report.pictures import sweep_of
+from mavdiag.report.sketch import Sketch
+from mavdiag.rows.block import Block
+from mavdiag.telemetry import Axis, FloatArray, Log, Signal
 
 CREATED = "2026-01-01T00:00:00+00:00"
 HOSTILE = "<script>alert(1)</script>\"'>&\u202e$x^2$<img src=x onerror=y>"
@@ -76,53 +91,6 @@ def test_the_page_says_the_verdict_its_evidence_and_where_it_comes_from() -> Non
     since_s = weak().verdict.since_s
     assert since_s is not None
     assert f"{since_s - weak().begin_s:.1f} s of the flight" in said
-
-
-def test_a_quantity_has_one_scale_everywhere() -> None:
-    """The card, the picture, both tables: percent of hover, to the same digits."""
-    summary = next(one for one in weak().verdict.monitors if one.name == "rotor_trim")
-    highest, threshold = f"{100 * (summary.maximum or 0.0):.3g}", f"{100 * summary.threshold:.3g}"
-    picture = next(one for one in weak().pictures if one.key == "monitor:rotor_trim")
-    assert f"[% of hover]: highest {highest}, threshold {threshold}," in picture.caption
-    assert weak_page().said.count(highest) >= 3
-    assert "fraction of hover" not in weak_page().said
-    assert f"{summary.threshold:.4g}" not in weak_page().said
-
-
-def test_times_are_of_the_flight_and_utc_where_it_is_known() -> None:
-    log = replace(logged(flying(3000, 7, weak_rotor=2, rise=0.5)), started_ns=1_700_000_000 * 10**9)
-    report = report_of(log, whole(), figures=False)
-    said = check(flights_page([report], whole(), "baseline.json", CREATED)).said
-    assert "Flown 2023-11-14 22:13:20 UTC" in said
-    since_s = (report.verdict.since_s or 0.0) - report.begin_s
-    assert f"{since_s:.1f} s of the flight, {report.utc(since_s)}" in said
-    assert report.utc(40.0) == "22:14:00 UTC"
-    event_s = report.verdict.events[0].t_s - report.begin_s
-    assert f"{event_s:.2f}" in said
-    assert said.count(report.utc(event_s)) >= 1 + (round(event_s) == round(since_s))
-
-
-def test_flight_modes_stand_in_the_timeline() -> None:
-    telemetry = flying(3000, 7)
-    t_ns = telemetry.need(Signal.BODY_RATE).t_ns
-    modes = Series(Signal.MODE, t_ns[[0, 500, 1000]], t_ns[[0, 500, 1000]], np.array([[5.0], [16.0], [5.0]]))
-    log = replace(logged(telemetry), telemetry=Telemetry((*telemetry.series, modes)))
-    named = (replace(log, profile="ardupilot-log"), replace(log, profile="qdrone2"))
-    shown = [next(one for one in report_of(log, whole()).pictures if one.key == "timeline").svg for log in named]
-    end_s, at_s = (t_ns[[-1, 500]] - t_ns[0]) / 1e9
-    assert f"Mode loiter: 0.0 to {end_s:.1f} s, 2 times" in shown[0]
-    assert f"Mode poshold: {at_s:.1f} to {(t_ns[1000] - t_ns[0]) / 1e9:.1f} s" in shown[0]
-    assert "Mode" not in shown[1]  # whose modes have no names
-
-
-def test_stretches_that_were_not_judged_are_listed() -> None:
-    gap = without(flying(6000, 7), (20.0, 45.0), signals=[one for one in Signal if one is not Signal.BODY_RATE])
-    report = report_of(logged(gap), whole())
-    said = check(flights_page([report], whole(), "baseline.json", CREATED)).said
-    ((begin, end),) = report.unjudged
-    assert (begin, end) == pytest.approx((20.8, 45.0), abs=0.1)  # a value may stand for a second before it
-    assert f"{begin:.1f} to {end:.1f} s of the flight ({end - begin:.1f} s)" in said
-    assert "innovation judged " not in said  # it judged more than half
 
 
 @pytest.mark.parametrize(
@@ -198,3 +166,149 @@ def test_what_is_no_campaign_says_what_to_name(tmp_path: Path, content: bytes, r
     path.write_bytes(content)
     with pytest.raises(InputError, match=rf"c\.jsonl: {reason}.*sitl-plant campaign -o"):
         read_campaign(path)
+
+
+pytest.importorskip("numba", reason="the plant is an extra")
+
+
+@cache
+def sketch() -> Sketch:
+    log, judged = cracked()
+    assert judged.chain is not None
+    found = Sketch(log, 300)
+    found.take(judged.chain, judged.pieces)
+    return found
+
+
+def blocks() -> list[Block]:
+    return joined([piece.rows for piece in cracked()[1].pieces])
+
+
+@given(st.integers(1, 3000), st.integers(2, 60), st.integers(0, 2**32 - 1))
+def test_a_thinned_line_keeps_the_extremes_and_knows_of_no_chunks(n: int, k: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    t, y = np.cumsum(rng.random(n)), rng.normal(size=n)
+    y[rng.random(n) < 0.2] = np.nan
+    known = y[np.isfinite(y)]
+    whole, parts = (Thinned((0.0, float(t[-1])), k) for _ in range(2))
+    whole.add(t, y)
+    for cut in np.array_split(np.arange(n), 7):
+        parts.add(t[cut], y[cut])
+    line, again, area = whole.line(), parts.line(), whole.area("fault", 0.5)
+    np.testing.assert_array_equal(line.x, again.x)
+    np.testing.assert_array_equal(line.y, again.y)
+    assert np.count_nonzero(np.isfinite(line.y)) <= 2 * k
+    assert np.all(np.diff(line.x) >= 0)
+    assert set(line.y[np.isfinite(line.y)]) <= set(known)
+    if len(known):
+        assert (np.nanmin(line.y), np.nanmax(line.y)) == (known.min(), known.max())
+        assert whole.mean() == pytest.approx(known.mean())
+    assert set(area.y[np.isfinite(area.y)]) <= set(known[known > 0.5])
+
+
+@given(st.floats(-1e3, 1e3), st.floats(1e-3, 1e6))
+def test_ticks_are_few_round_and_within_the_range(low: float, span: float) -> None:
+    high = low + span
+    found = ticks_of(low, high, 5)
+    assert 2 <= len(found) <= 11
+    assert all(low - 1e-9 * abs(low) - 1e-6 * span <= at <= high + 1e-9 * abs(high) + 1e-6 * span for at in found)
+
+
+def test_the_spectrum_is_scipys_and_its_peak_is_the_rotors_speed() -> None:
+    spectrum = spectrum_of(blocks())
+    assert spectrum is not None
+    log = cracked()[0]
+    speeds = log[Signal.ROTOR_SPEED]
+    late = speeds.values[speeds.t_s > ONSET_S][:, ROTOR - 1] / (2 * np.pi)
+    line = (spectrum.frequency_hz > 100) & (spectrum.frequency_hz < 199)
+    peak_hz = spectrum.frequency_hz[line][spectrum.power[line, 0].argmax()]
+    assert np.percentile(late, 2) - 2 <= peak_hz <= np.percentile(late, 98) + 2
+    valid = np.concatenate([one.valid for one in blocks()])
+    force = np.concatenate([one.force for one in blocks()])[valid, :2]
+    assert np.count_nonzero(np.diff(valid)) <= 2  # one stretch
+    frequency, power = welch(force, RATE_HZ, "hann", 400, 200, detrend="constant", axis=0)
+    use = frequency > 5
+    np.testing.assert_allclose(spectrum.frequency_hz, frequency, rtol=1e-3)
+    np.testing.assert_allclose(spectrum.power[use], power[use], rtol=0.01)
+    drawn = sketch().spectrum
+    assert drawn is not None
+    assert abs(drawn.averaged - spectrum.averaged) <= 2
+    np.testing.assert_allclose(drawn.power[use], spectrum.power[use], rtol=0.3)
+
+
+def test_the_window_sweep_fits_what_identify_fits() -> None:
+    log, _ = cracked()
+    rows = sweep_of(blocks(), Axis.ROLL, (2, 2, 1), Method.SRIV, 2)
+    windows = [row.window for row in rows]
+    assert windows == sorted(set(windows))
+    row = next(one for one in rows if one.window == 41)
+    flight = rates(log, Axis.ROLL, 41 / RATE_HZ)
+    model = fit(flight.u, flight.y, (2, 2, 1), dt=flight.dt_s)
+    assert row.model is not None
+    assert row.model.r2t == pytest.approx(validate(model, flight.u, flight.y).r2t, abs=0.02)
+
+
+@given(st.lists(st.integers(0, 20), min_size=1, max_size=40), st.lists(st.integers(0, 20), min_size=1, max_size=40))
+def test_the_area_of_a_roc_is_the_chance_to_rank_a_pair_rightly(healthy: list[int], damaged: list[int]) -> None:
+    low, high = (np.array(one, dtype=np.float64) for one in (healthy, damaged))
+    roc = roc_of(low.tolist(), high.tolist())
+    assert roc.area == pytest.approx(ranked(low, high))
+    assert roc.at_threshold == pytest.approx((np.mean(low > 1), np.mean(high > 1)))
+
+
+def ranked(low: FloatArray, high: FloatArray) -> float:
+    """Mann and Whitney: the share of pairs in which the damaged flight scores higher, ties half."""
+    return float(np.mean((high[:, None] > low) + 0.5 * (high[:, None] == low)))
+
+
+SVG = "{http://www.w3.org/2000/svg}"
+COAXIAL = layout_at("y6", [Place(x, y, spin) for x, y in ((1, 1), (1, -1), (-1, 0)) for spin in ("cw", "ccw")])
+
+
+def discs(svg: str) -> dict[int, tuple[float, float, float]]:
+    """Centre and radius of each rotor, by its number."""
+    found = {}
+    for group in ElementTree.fromstring(svg).iter(f"{SVG}g"):
+        if "data-rotor" in group.attrib:
+            disc = disc_of(group)
+            place = float(disc["cx"]), float(disc["cy"]), float(disc["r"])
+            found[int(group.attrib["data-rotor"])] = place
+    return found
+
+
+def disc_of(group: ElementTree.Element) -> dict[str, str]:
+    disc = group.find(f"{SVG}circle")
+    assert disc is not None
+    return disc.attrib
+
+
+@pytest.mark.parametrize("layout", [*LAYOUTS.values(), COAXIAL], ids=lambda layout: layout.name)
+def test_every_rotor_is_within_the_picture_and_touches_no_other_one(layout: RotorLayout) -> None:
+    found = discs(airframe_svg(layout))
+    assert sorted(found) == list(range(1, layout.rotors + 1))
+    for number, (x, y, radius) in found.items():
+        assert radius > 8
+        assert all(radius <= at <= SIZE - radius for at in (x, y))
+        assert all(math.dist((x, y), one[:2]) > 2 * radius for other, one in found.items() if other != number)
+
+
+def test_the_rotors_are_where_the_vehicle_has_them_and_turn_as_it_says() -> None:
+    """T Eq 2.2-2.4: 1 rear right, 2 front right, 3 rear left, 4 front left; the nose is up. ArduPilot's quad X."""
+    found = discs(airframe_svg(layout_named("qdrone2")))
+    sides = {number: (y < SIZE / 2, x > SIZE / 2) for number, (x, y, _) in found.items()}
+    assert sides == {1: (False, True), 2: (True, True), 3: (False, False), 4: (True, False)}
+    text = airframe_svg(layout_named("x"))
+    assert "rotor 1 front right, turns counter-clockwise" in text
+    assert "rotor 3 front left, turns clockwise" in text
+
+
+@given(st.text(), st.text())
+def test_no_text_breaks_out(title: str, label: str) -> None:
+    layout = layout_named("x")
+    hostile = RotorMark(label=f"{label}</text><script>1</script>", kind='"><script>')
+    text = airframe_svg(layout, {1: hostile}, title=f"<{title}")
+    root = ElementTree.fromstring(text)
+    assert {one.tag.removeprefix(SVG) for one in root.iter()} == {
+        one.tag.removeprefix(SVG) for one in ElementTree.fromstring(airframe_svg(layout)).iter()
+    }
+    assert "style=" not in airframe_svg(layout)

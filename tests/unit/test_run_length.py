@@ -1,4 +1,4 @@
-"""Runs above the margin by a plain count, the margin of healthy flights, and the fit of both axes."""
+"""Models of the healthy response: run lengths beyond the margin, and the innovation."""
 
 from dataclasses import replace
 
@@ -8,12 +8,19 @@ from flying_telemetry import flying, flying_rows
 from hypothesis import given
 from hypothesis import strategies as st
 from made_rows import example_context
+from made_telemetry import body_rates
+from scipy.optimize import nnls
+from scipy.signal import lfilter
 
-from mavdiag.errors import IdentificationError
+from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import Method
 from mavdiag.identify.arx import ModelRecord
+from mavdiag.monitors import innovation
+from mavdiag.monitors.base import Flights
+from mavdiag.monitors.innovation import Innovation, InnovationSpec
 from mavdiag.monitors.run_length import RunLength, RunLengthSpec
 from mavdiag.rows.front import Rows
+from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis
 from mavdiag.testing import example_rows
 
@@ -24,9 +31,7 @@ levels = st.lists(st.tuples(st.sampled_from([0.0, 0.5, 1.0, 1.5, -2.0]), st.bool
 
 
 @given(rows=levels, axis=st.sampled_from(Axis))
-def test_fsd_counts_consecutive_judged_rows_of_its_axis_above_the_margin(
-    rows: list[tuple[float, bool]], axis: Axis
-) -> None:
+def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[float, bool]], axis: Axis) -> None:
     flown, n = example_rows(len(rows) + 4), len(rows)
     turned, judged = (np.array(column) for column in zip(*rows, strict=True))
     rates = replace(flown.rates, y=np.outer(turned, np.eye(3)[axis.column]), commanded=judged)
@@ -69,3 +74,124 @@ def test_a_gyro_that_turns_against_its_set_point_is_refused() -> None:
         np.negative(one.rates.u, out=one.rates.u)
     with pytest.raises(IdentificationError, match="sign conventions"):
         RunLength.fit([rows], CONTEXT)
+
+
+def fit(flights: Flights, dt_s: float = DT_S) -> InnovationSpec:
+    (spec,) = Innovation.fit(flights, example_context(dt_s=dt_s))
+    return spec
+
+
+def read(spec: InnovationSpec, rows: Rows) -> Statistic:
+    monitor = Innovation(spec)
+    return monitor.step(monitor.start(), rows)[1]
+
+
+def responding(n: int, seed: int, *, noise: float = 0.02, busy: float = 0.2, bias: float = 0.0) -> Rows:
+    """A gyro that follows the commanded rate, with process noise of `noise` rad/s."""
+    rng = np.random.default_rng(seed)
+    angle = np.asarray(lfilter([0.02], [1, -0.98], np.repeat(rng.normal(0, busy, (n // 100, 3)), 100, axis=0), axis=0))
+    wanted = body_rates(angle)
+    rate = np.asarray(lfilter([0, 0.3], [1, -0.7], wanted, axis=0))
+    rate += np.asarray(lfilter([1], [1, -0.7], noise * rng.standard_normal((n, 3)), axis=0))
+    return example_rows(n, DT_S, setpoint=angle, rate=rate + bias)
+
+
+def test_the_level_is_that_of_textbook_filters() -> None:
+    rows, spec = responding(3000, 1), fit([[responding(6000, 2)]])
+    found = read(spec, rows)
+    t = np.searchsorted(rows.block.t_ns, rows.rates.t_ns)
+    z = []
+    for k in range(3):
+        y, u = rows.block.rate[t, k] - spec.mean[k], rows.rates.u[:, k]
+        e = lfilter([1, *spec.a[k]], [1], y) - lfilter([0, *spec.b[k]], [1], u)
+        alpha = 1 - np.exp(-DT_S / 0.35)
+        busy = lfilter([alpha], [1, alpha - 1], u**2)
+        z.append(e / np.sqrt(spec.k0[k] + spec.k1[k] * busy))
+    square = np.mean(np.square(z), axis=0)
+    expected = [np.sqrt(square[i - 99 : i + 1].mean()) for i in range(103, len(t))]
+    assert np.flatnonzero(found.valid).tolist() == list(range(103, len(t)))
+    np.testing.assert_allclose(found.value[found.valid], expected, rtol=1e-9)
+
+
+def test_the_fit_is_least_squares_and_the_variance_non_negative() -> None:
+    rows = responding(6000, 3)
+    spec = fit([[rows]])
+    t = np.searchsorted(rows.block.t_ns, rows.rates.t_ns)
+    for k in range(3):
+        y, u = rows.block.rate[t, k], rows.rates.u[:, k]
+        y = y - spec.mean[k]
+        n = len(y)
+        phi = np.stack([*(-y[4 - i : n - i] for i in range(1, 5)), *(u[4 - i : n - i] for i in range(1, 5))], axis=1)
+        theta = np.linalg.lstsq(phi, y[4:], rcond=None)[0]
+        np.testing.assert_allclose([*spec.a[k], *spec.b[k]], theta, rtol=1e-6, atol=1e-9)
+        squares = (y[4:] - phi @ theta) ** 2
+        alpha = 1 - np.exp(-DT_S / 0.35)
+        busy = lfilter([alpha], [1, alpha - 1], u**2)[4:]
+        wanted, _ = nnls(np.column_stack((np.ones_like(busy), busy)), squares)
+        assert spec.k0[k] == pytest.approx(max(wanted[0], 0.05 * squares.mean()), rel=1e-3)
+        assert spec.k1[k] == pytest.approx(wanted[1], rel=1e-3, abs=1e-9)
+        assert spec.a[k][0] == pytest.approx(-0.7, abs=0.1)
+
+
+def test_a_gyro_bias_like_the_healthy_one_does_not_count() -> None:
+    spec = fit([[responding(6000, 6, bias=0.05)]])
+    assert spec.mean == pytest.approx((0.05, 0.05, 0.05), abs=0.02)
+    found = read(spec, responding(3000, 7, bias=0.05))
+    assert float(np.median(found.value[found.valid])) == pytest.approx(1.0, abs=0.1)
+
+
+def test_one_wild_sample_adds_no_more_than_its_bound() -> None:
+    spec = fit([[responding(6000, 11)]])
+    rate = np.random.default_rng(12).normal(0, 0.02, (3000, 3))
+    wild = rate.copy()
+    wild[1000] = 1e300
+    calm, shocked = (read(spec, example_rows(3000, DT_S, rate=x)) for x in (rate, wild))
+    assert np.isfinite(shocked.value).all()
+    assert shocked.value[:1200].max() < (calm.value[:1200].max() ** 2 + 5 * 36.0 / 100) ** 0.5 + 0.01  # 5 rows feel it
+    np.testing.assert_allclose(shocked.value[1200:], calm.value[1200:], atol=1e-3)
+
+
+def test_one_rough_row_more_makes_no_leap() -> None:
+    spec = fit([[responding(6000, 11)]])
+    rate = np.random.default_rng(12).normal(0, 0.02, (1200, 3))
+    squares = []
+    for many in range(25):
+        rough = rate.copy()
+        rough[800 : 800 + many] += 0.5 * (-1.0) ** np.arange(many)[:, np.newaxis]  # each row far from the one before
+        squares.append(float(read(spec, example_rows(1200, DT_S, rate=rough)).value[:850].max()) ** 2)
+    most = squares[-1]
+    assert most > 100
+    assert max(np.diff(squares)) < 0.12 * most  # 24 rows: even steps would be 0.04
+    assert squares == sorted(squares)
+
+
+def test_refusals() -> None:
+    with pytest.raises(IdentificationError, match="500 are needed"):
+        fit([[responding(300, 13)]])
+    with pytest.raises(IdentificationError, match="constant"):
+        fit([[example_rows(2000)]])
+    slow = example_rows(2000, 0.1, rate=np.random.default_rng(14).normal(0, 0.1, (2000, 3)))
+    with pytest.raises(InputError, match="10 Hz"):
+        fit([[slow]], 0.1)
+    with pytest.raises(InputError, match="no flight with a gyro and an attitude set-point"):
+        fit([[example_rows(2)]])
+
+
+def test_b10_every_flight_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """B10: the fit took the first flights until a limit of rows; now a like share of every flight."""
+    calm, rough = [responding(4000, 20)], [responding(4000, 21, noise=0.2)]
+    monkeypatch.setattr(innovation, "TRAIN_ROWS", 4000)
+    one, other = fit([calm, rough]), fit([rough, calm])
+    assert one.k0 == pytest.approx(other.k0, rel=1e-6)
+    assert one.k0[0] > 10 * fit([calm]).k0[0]
+
+
+def test_b2_a_set_point_that_stops_is_not_judged() -> None:
+    """B2: without a set-point there is no prediction."""
+    rows = responding(3000, 22)
+    stopped = np.arange(3000) < 1500
+    spec = fit([[responding(6000, 23)]])
+    silent = example_rows(3000, DT_S, setpoint=rows.block.setpoint, rate=rows.block.rate, setpoint_valid=stopped)
+    found = read(spec, silent)
+    assert found.valid[:1400].any()
+    assert not found.valid[1500:].any()

@@ -1,21 +1,31 @@
 """What a session does: stories on a virtual clock, laws that hold whatever happens, and the table of states."""
 
 import itertools
+import multiprocessing
 import runpy
-from dataclasses import replace
+import time
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from flying_telemetry import flying
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from made_baselines import trim
 from made_session import Story, baseline_for, outcome_of
 
 from detector.alerts import label_of
 from detector.config import SessionSettings, Settings
+from detector.fitting import FittingJob, ProcessFitter
+from detector.fleet import Fleet, Vehicle
+from detector.judging import Judge, chain_for
+from detector.negotiate import HELD_S, Negotiation
 from detector.session import FITS, Session
 from detector.states import TABLE, State
+from detector.streams import Streams
 from detector.values import (
     AskInterval,
     Effect,
@@ -30,12 +40,16 @@ from detector.values import (
     SessionSpec,
     StateChanged,
 )
+from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
+from mavdiag.chain import chain_of
 from mavdiag.decision.diagnosis import Change, Stage
-from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
-from mavdiag.link.profiles import PROFILES
+from mavdiag.errors import BaselineError
+from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId, Severity
+from mavdiag.link.profiles import LAST_RESORT, PROFILES
 from mavdiag.link.vehicles import Ack
-from mavdiag.telemetry import Axis, Series, Signal, Telemetry
+from mavdiag.link.wants import Want
+from mavdiag.telemetry import Axis, FloatArray, Instant, Series, Signal, Telemetry
 from mavdiag.units import G
 
 QDRONE2 = PROFILES["qdrone2"]
@@ -374,3 +388,160 @@ def check_texts(story: Story) -> None:
         assert len(minute) <= 30
         again = [when for when, other in said if other.text == effect.text and at < when < at + 2]
         assert not again, f"{effect.text!r} at {at} and {again}"
+
+
+def test_monitors_named_as_suspect_do_not_decide_as_long_as_another_does() -> None:
+    baseline = baseline_for(names=("unbalance", "rotor_trim"))
+    settings = SessionSettings(suspect=("rotor_trim",), threshold_scale=2.0)
+    plain, chain = chain_of(baseline), chain_for(baseline, settings, 0)
+    assert [slot.decides for slot in plain.slots] == [True, True]
+    assert [slot.decides for slot in chain.slots] == [spec.decides for spec in chain.decision.slots] == [True, False]
+    assert [b.threshold / a.threshold for a, b in zip(plain.slots, chain.slots, strict=True)] == [2.0, 2.0]
+    with pytest.raises(BaselineError, match="suspect names every monitor that decides"):
+        chain_for(baseline, SessionSettings(suspect=("unbalance", "rotor_trim")), 0)
+
+
+def test_a_flight_outside_of_the_envelope_says_which_condition_was_not_learnt() -> None:
+    """And not that it waits for unbroken flight, nor a figure that changes with every look."""
+    for rate, said in ((2.0, {"rotor trim": "yaw rate not learnt"}), (0.0, {})):
+        telemetry = flying(3000, 5, turn=np.full(3000, rate))
+        judge, streams = Judge(trim(), chain_of(trim()), Instant(0)), Streams()
+        judge.step(telemetry, Instant(0))
+        streams.observe(telemetry, Instant(0), PROFILES["qdrone2"])
+        assert judge.not_judged(streams, Instant(30 * 10**9)) == said
+
+
+def came(streams: Streams, t_s: FloatArray, now_s: float) -> None:
+    t_ns = np.round(1e9 * t_s).astype(np.int64)
+    gyro = Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((len(t_ns), 3)))
+    streams.observe(Telemetry((gyro,)), Instant(round(now_s * 1e9)), PROFILES["ardupilot"])
+
+
+def test_h5_a_link_that_stalls_changes_no_rate() -> None:
+    """By arrival 0.2 s without data read 45 Hz, then 100 Hz: 204 requests in 718 s."""
+    streams, seen = Streams(), []
+    for k in range(100):  # 100 Hz by the vehicle's clock; every second look comes late, with all that waited
+        stamps = 0.01 * np.arange(20.0 * k, 20.0 * (k + 1))
+        first, rest = stamps[:3], stamps[3:]
+        came(streams, first, 0.2 * k + 0.18)
+        seen.append(streams.rate_hz(Signal.BODY_RATE, Instant(round((0.2 * k + 0.181) * 1e9))))
+        came(streams, rest, 0.2 * k + 0.19)
+    assert [one for one in seen if one is not None] == pytest.approx([100.0] * sum(one is not None for one in seen))
+    came(streams, 20.0 + 0.25 * np.arange(1.0, 4.0), 21.0)
+    assert streams.rate_hz(Signal.BODY_RATE, Instant(21 * 10**9)) == pytest.approx(4.0)  # and a lower one shows at once
+
+
+TICK_S = 0.04
+
+
+@pytest.mark.parametrize(("vehicles", "looks"), [(0, 1), (33, 1), (34, 2), (66, 2), (67, 3), (100, 3), (255, 3)])
+def test_a_turn_brings_more_looks_where_there_are_many_vehicles_but_none_comes_later_than_0_2_s(
+    vehicles: int, looks: int
+) -> None:
+    fleet = Fleet(lambda sysid, profile: None, profile=None, only=None, datagrams=True)
+    fleet.vehicles = dict.fromkeys(range(vehicles), Vehicle(SessionSpec(PROFILES["qdrone2"]), Instant(0)))
+    assert fleet.looks == looks
+
+
+def test_only_its_own_process_is_ended() -> None:
+    context = multiprocessing.get_context("spawn")
+    other = context.Process(target=time.sleep, args=(60.0,))
+    other.start()
+    try:
+        fitter = ProcessFitter()
+        fitter.begin(FittingJob(1, Airframe(), Learn("qdrone2", Telemetry())))
+        own = [one for one in multiprocessing.active_children() if one.pid != other.pid]
+        assert len(own) == 1
+        fitter.close()
+        ended_by = time.monotonic() + 10.0
+        while (
+            own[0].is_alive() and time.monotonic() < ended_by
+        ):  # the pool's thread waits for it, too: one of both is told
+            time.sleep(0.02)
+        assert not own[0].is_alive()
+        assert other.is_alive()
+    finally:
+        other.kill()
+        other.join()
+
+
+GYRO = Want(
+    Signal.BODY_RATE, MessageId.RAW_IMU, 100.0, 98.0, 102.0, mandatory=True, others=(MessageId.HIGHRES_IMU, LAST_RESORT)
+)
+
+
+@dataclass
+class Seen:
+    """A stream that is wanted, as it comes; its own meter."""
+
+    want: Want
+    hz: float
+    steady_hz: float = 0.0
+
+
+class MadeStreams:
+    """In place of the measured ones."""
+
+    def __init__(self, *seen: Seen) -> None:
+        self._seen = {stream.want.signal: stream for stream in seen}
+
+    def rate_hz(self, signal: Signal, now: Instant) -> float:
+        return self._seen[signal].hz
+
+    def meter(self, signal: Signal) -> Seen:
+        return self._seen[signal]
+
+
+@dataclass
+class Talk:
+    """A negotiation, and all that came of it with its time [s]."""
+
+    negotiation: Negotiation = field(default_factory=lambda: Negotiation(Autopilot.ARDUPILOTMEGA))
+    ticks: int = 0
+    asked: list[tuple[float, int]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def wait(self, seconds: float, *seen: Seen, acks: tuple[Ack, ...] = ()) -> None:
+        for _ in range(round(seconds / TICK_S)):
+            self.ticks += 1
+            now = Instant(round(self.ticks * TICK_S * 1e9))
+            streams: Any = MadeStreams(*seen)
+            effects, _ = self.negotiation.step([stream.want for stream in seen], streams, acks, now)
+            acks = ()
+            self.asked += [(self.ticks * TICK_S, one.msgid) for one in effects if isinstance(one, AskInterval)]
+            self.notes += [one.text for one in effects if isinstance(one, Note)]
+
+
+def test_a_drop_is_answered_at_once_each_time_the_rate_had_held() -> None:
+    talk = Talk()
+    for _ in range(20):
+        talk.wait(9.0, Seen(GYRO, 100.0))
+        talk.wait(0.2, Seen(GYRO, 4.0))
+    times = [at for at, _ in talk.asked]
+    assert len(times) == 20
+    for number, at in enumerate(times):
+        assert at == pytest.approx(9.0 + 9.2 * number, abs=0.3)
+
+
+@pytest.mark.parametrize("right_s", [0.2, 1.0, 2.5, 4.5])
+def test_two_that_set_the_same_rate_do_not_fight(right_s: float) -> None:
+    """Another one changes it before it holds: asked for ever more seldom, and never twice in 2 s."""
+    talk = Talk()
+    for _ in range(round(120.0 / (right_s + 0.5))):
+        talk.wait(0.5, Seen(GYRO, 4.0))
+        talk.wait(right_s, Seen(GYRO, 100.0))
+    times = [at for at, _ in talk.asked]
+    assert min(b - a for a, b in pairwise(times)) >= 2.0
+    assert len(times) <= 10
+    assert len([one for one in times if one > 60.0]) <= 2
+    assert right_s < HELD_S
+
+
+@pytest.mark.parametrize("result", [MavResult.DENIED, None])
+def test_another_imu_message_is_asked_for_where_the_profiles_own_is_not_to_be_had(result: MavResult | None) -> None:
+    talk = Talk()
+    for _ in range(60):
+        acks = () if result is None else (Ack(MavCmd.SET_MESSAGE_INTERVAL, result),)
+        talk.wait(1.0, Seen(GYRO, 0.0), acks=acks)
+    order = list(dict.fromkeys(msgid for _, msgid in talk.asked))
+    assert order == [MessageId.RAW_IMU, MessageId.HIGHRES_IMU, LAST_RESORT]

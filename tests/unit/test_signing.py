@@ -9,7 +9,7 @@ import pytest
 
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder, Encoder, Frame
-from mavdiag.link.keys import AHEAD, RETRY_S, open_signing, read_key
+from mavdiag.link.keys import AHEAD, open_signing, read_key
 from mavdiag.link.messages import MessageId
 from mavdiag.link.signing import STALE, Refusal, Signing, stamp_at
 
@@ -187,35 +187,3 @@ def test_a_restart_uses_no_stamp_again_even_if_the_clock_went_back(tmp_path: Pat
     assert killed < second.signing.stamp <= killed + AHEAD
     second.close()
     assert open_signing(tmp_path / "key", "detector", 0).signing.stamp == second.signing.stamp
-
-
-def test_a_full_disk_is_told_now_and_then_and_signing_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    kept = open_signing(key_file(tmp_path), "detector", NOW_NS)
-
-    def full(path: Path, text: str) -> None:
-        raise UsageError(f"{path}: no space left")
-
-    monkeypatch.setattr("mavdiag.link.keys.write_atomically", full)
-    told = [kept.step(NOW_NS + k * S) for k in range(200)]
-    assert set(told) == {None, f"{tmp_path}/key.detector.stamp: no space left"}
-    assert 13 <= sum(one is not None for one in told) <= 1 + 140 / RETRY_S
-    assert kept.signing.stamp == stamp_at(NOW_NS + 199 * S)
-
-
-def test_a_clock_that_was_two_hours_ahead_is_told_and_can_be_remedied(tmp_path: Path) -> None:
-    wrong = open_signing(key_file(tmp_path), "detector", NOW_NS + 7200 * S)
-    assert wrong.doubt == ""
-    wrong.close()
-    genuine = Signing(read_key(tmp_path / "key"), stamp=stamp_at(NOW_NS))
-    frame = Encoder(1, 1, genuine).encode(MessageId.HEARTBEAT, 2, 3, 81, 0, 4, 3)
-    again = open_signing(tmp_path / "key", "detector", NOW_NS)
-    assert again.signing.genuine(frame)
-    assert not again.signing.fresh(frame)
-    assert "7199 s ahead" in again.doubt or "7200 s ahead" in again.doubt
-    assert "--reset-stamp" in again.doubt
-    again.close()
-    reset = open_signing(tmp_path / "key", "detector", NOW_NS, reset=True)
-    assert reset.doubt == ""
-    assert reset.signing.fresh(frame)
-    reset.close()
-    assert open_signing(tmp_path / "key", "detector", NOW_NS).doubt == ""

@@ -1,10 +1,12 @@
-"""Strips, pictures and journals of the terminal: nothing is lost, nothing is wider than the terminal."""
+"""The terminal: pictures, keys, journals, progress, and nothing from outside that steers it."""
 
 import contextlib
 import io
 import json
 import math
+import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +15,20 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from made_session import baseline_for
 from made_vehicle import record
-from memory_port import memory_pair
 from rich.cells import cell_len
 from rich.console import Console
 
+import detector.__main__ as command
+from mavdiag import commandline
 from mavdiag.archive.tables import Row
+from mavdiag.commands.progress import shown
 from mavdiag.errors import InputError
 from mavdiag.judging import judge
-from mavdiag.link.codec import Encoder
-from mavdiag.link.messages import MessageId, Severity
+from mavdiag.link.messages import Severity
 from mavdiag.logs import read_log
+from mavdiag.printable import printable
 from mavdiag.telemetry import Axis, FloatArray
-from mavdiag.terminal.ground_station import GroundStation, LiveJudge
+from mavdiag.terminal.ground_station import LiveJudge
 from mavdiag.terminal.playing import KEYS, Key, Position, keys_in, play
 from mavdiag.terminal.tables import verdict_table
 from mavdiag.terminal.view import Curve, Level, Line, StripView, View, picture, strip
@@ -117,21 +121,6 @@ def test_no_line_is_wider_than_the_terminal(width: int, texts: list[str], value:
     assert all(cell_len(line) <= max(width, 44) for line in console.export_text().splitlines())
 
 
-@pytest.mark.parametrize(("width", "height"), [(80, 24), (100, 30), (60, 15)])
-def test_a_small_terminal_shows_the_newest_alert_in_full(width: int, height: int) -> None:
-    curve = Curve(np.linspace(0.0, 10.0, 50), np.linspace(-1.0, 1.0, 50), "red")
-    strips = tuple(StripView(name, "rad/s", (curve,), -1.0, 1.0) for name in "ab")
-    said = "detector: PROP FAULT motor 3 lost 19% thrust, land now and look at it " + "and more " * 6 + "the end"
-    events = (*(Line(float(n), Severity.INFO, f"event {n}") for n in range(20)), Line(98.7, Severity.CRITICAL, said))
-    view = View("a link", "motor 3 is weak", True, 0.0, 10.0, strips, (LEVEL,) * 13, events, "foot")
-    console = Console(width=width, file=io.StringIO(), record=True)
-    console.print(picture(view, width, height))
-    lines = console.export_text().splitlines()
-    assert len(lines) <= height
-    shown = " ".join(" ".join(line.strip("│ ") for line in lines).split())
-    assert all(words in shown for words in (" ".join(said.split()), "event 19", "motor 3 is weak"))
-
-
 def test_a_flood_of_words_does_not_push_an_alert_out() -> None:
     """Every CRITICAL of the last hundred events stands whole at 80 x 24, and so do older ones."""
     alerts = [f"detector: PROP FAULT motor {n} lost {n}9% thrust, land now and look at its propeller" for n in range(6)]
@@ -162,41 +151,6 @@ def test_every_rotor_that_was_named_stands_in_the_table() -> None:
     assert [" ".join(line.split()[:4]) for line in lines[1:3]] == ["a.bin fault 1,4 98.7", "b.bin fault 4 98.7"]
 
 
-def test_verdicts_of_many_logs_are_a_table_with_totals() -> None:
-    common: Row = {"rotor": None, "since_s": None, "monitor": "unbalance", "reason": "why"}
-    rows: list[Row] = [
-        {**common, "log": "calm.bin", "verdict": "healthy", "ratio": 0.5, "judged_s": 60.0, "flown_s": 60.0},
-        {
-            **common,
-            "log": "torn\x1b.bin",
-            "verdict": "error",
-            "ratio": None,
-            "monitor": None,
-            "judged_s": 0.0,
-            "flown_s": 0.0,
-        },
-        {
-            **common,
-            "log": "weak.bin",
-            "verdict": "fault",
-            "ratio": 1.5,
-            "rotor": 3,
-            "since_s": 12.34,
-            "judged_s": 30.0,
-            "flown_s": 60.0,
-        },
-        {**common, "log": "broken.bin", "verdict": "fault", "ratio": 9.0, "judged_s": 60.0, "flown_s": 60.0},
-    ]
-    console = Console(width=80, file=io.StringIO(), record=True)
-    verdict_table(rows, console)
-    lines = console.export_text().splitlines()
-    assert [line.split()[0] for line in lines[:5]] == ["log", "broken.bin", "weak.bin", "torn\\x1b.bin", "calm.bin"]
-    assert lines[2].split() == ["weak.bin", "fault", "3", "12.3", "s", "unbalance", "1.50", "50", "%"]
-    assert lines[5] == "4 logs: 2 fault, 1 error, 1 healthy; judged 2.5 of 3.0 min"
-    assert lines[6] == "torn\\x1b.bin: why"
-    assert all(len(line) <= 80 for line in lines)
-
-
 def test_a_narrow_terminal_leaves_room_for_the_names() -> None:
     row: Row = {"verdict": "not_judgeable", "rotor": None, "rotors": "1 from 9 s; 2 from 9 s", "since_s": 1098.9}
     row = {**row, "monitor": "rotor_signature", "ratio": 17.5, "judged_s": 9.0, "flown_s": 9.0, "reason": ""}
@@ -206,22 +160,6 @@ def test_a_narrow_terminal_leaves_room_for_the_names() -> None:
     lines = console.export_text().splitlines()
     assert len(lines) == 2 + 2 * len(names) + 1
     assert all(len(line) <= 80 for line in lines)
-
-
-def test_the_time_and_figures_are_those_of_one_vehicle() -> None:
-    """Two vehicles on a link, and a gimbal that tells an attitude of its own."""
-    near, far = memory_pair()
-    station = GroundStation(near)
-    for sysid, boot_ms in ((1, 5000), (2, 90_000)):
-        far.send(Encoder(sysid, 1).encode(MessageId.ATTITUDE, boot_ms, *[0.0] * 6))
-        far.send(Encoder(sysid, 191).encode(MessageId.NAMED_VALUE_FLOAT, boot_ms, b"PF_FSD", sysid / 2))
-        far.send(Encoder(sysid, 191).statustext(Severity.CRITICAL, f"vehicle {sysid}"))
-    far.send(Encoder(1, 154).encode(MessageId.ATTITUDE, 1, *[0.0] * 6))
-    station.listen(0.0)
-    assert [(one.text, one.t_s) for one in station.texts] == [("vehicle 1", 5.0), ("vehicle 2", 90.0)]
-    assert (station.t_s, station.figures) == (5.0, {"PF_FSD": 0.5})
-    near.close()
-    far.close()
 
 
 def _line(kind: str, number: int, **content: object) -> str:
@@ -267,12 +205,93 @@ def test_a_journal_is_followed_over_torn_lines_and_a_rotation(tmp_path: Path) ->
         Journal(tmp_path / "none.jsonl")
 
 
-def test_a_pipe_gets_each_event_once() -> None:
-    out = io.StringIO()
-    with Screen(lambda _: pytest.fail("nothing is drawn"), console=Console(file=out, width=30)) as screen:
-        for number in range(3):
-            screen.show([Line(float(number), Severity.INFO, f"event {number} " * 5)])
-        screen.show([], last=True)
-    lines = out.getvalue().splitlines()
-    assert [line.split()[0] for line in lines] == ["0.00", "1.00", "2.00"]
-    assert lines[2].rstrip().endswith("event 2 event 2")
+ERASED = "\x1b[1A\x1b[2K"  # up to the line of the bar, and away with it
+
+
+class Terminal(io.StringIO):
+    """A terminal that remembers what was written."""
+
+    encoding = "utf-8"
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    now = [0.0]
+    monkeypatch.setattr("mavdiag.commands.progress.time.monotonic", lambda: now[0])
+    return now
+
+
+def on_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+    """Of the test that runs: pytest takes stderr for itself before it."""
+    made = Terminal()
+    monkeypatch.setattr(sys, "stderr", made)
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
+    return made
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_line_now_and_then_in_a_pipe(clock: list[float], capsys: pytest.CaptureFixture[str], quiet: bool) -> None:
+    with shown("judged", [1.0] * 100, quiet=quiet) as progress:
+        for second in range(1, 101):
+            clock[0] = float(second)
+            progress.add(1.0)
+    left = {10: "0:01:30", 40: "0:01:00", 70: "0:00:30"}
+    lines = [] if quiet else [f"judged: {n} of 100, 1 a second, {words} left" for n, words in left.items()]
+    assert capsys.readouterr() == ("", "".join(f"{line}\n" for line in lines))
+
+
+def test_a_bar_is_one_line_makes_room_and_goes_away(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = on_terminal(monkeypatch)
+    monkeypatch.setattr(sys, "stdout", terminal)
+    with shown("judged", [1.0, 1.0, 4.0]) as progress:
+        clock[0] = 5.0
+        progress.add(1.0)
+        progress.say("an answer")
+    before, after = terminal.getvalue().split("an answer\n")
+    assert before.endswith(ERASED)
+    assert "━" in before
+    assert "1 of 3, 5 s each, 0:00:25 left" in after
+    assert after.count("\n") == 1  # before it is erased
+    assert after.endswith(ERASED)
+
+
+EVIL = "\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
+
+
+def steering(text: str, keep: str = "\n") -> list[str]:
+    return [one for one in text if not one.isprintable() and one not in keep]
+
+
+def test_every_control_character_is_shown_as_its_escape() -> None:
+    shown = printable(EVIL)
+    assert shown == r"\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
+    for number in (*range(32), *range(127, 160), 0x200E, 0x202A, 0x2066, 0xFEFF, 0xD800, 0xE0001):
+        assert not steering(printable(chr(number)), keep=""), hex(number)
+    assert printable("Größe 5 µs, 3 × „Ω“") == "Größe 5 µs, 3 × „Ω“"
+    assert printable("a\nb\r", keep="\n") == "a\nb\\r"
+
+
+def test_what_daemon_commands_and_baselines_say(capsys: pytest.CaptureFixture[str]) -> None:
+    command._say(f"vehicle 1: {EVIL}")
+    app = commandline.application("Nothing.")
+
+    @app.command()
+    def fail() -> None:
+        """Fail."""
+        raise InputError(f"{EVIL}.tlog: cannot be read")
+
+    with pytest.raises(SystemExit) as caught:
+        commandline.run(app, EVIL)
+    assert caught.value.code == 2
+    sound = baseline_for()
+    evil = sound.model_copy(update={"airframe": replace(sound.airframe, name=EVIL)})
+    assert len(str(evil).splitlines()) == len(str(sound).splitlines())
+    commandline.say(f"{evil}\nwritten to {EVIL}")
+    out, err = capsys.readouterr()
+    assert "forged line" in out
+    assert "forged line" in err
+    assert not steering(out + err)

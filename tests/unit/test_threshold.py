@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 import pytest
-from flying_telemetry import flying, flying_rows
 from made_rows import example_context, rows_between
 from made_thresholds import calibrated, held_out_scores
 
@@ -13,7 +12,7 @@ from mavdiag.errors import IdentificationError, UsageError
 from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
 from mavdiag.rows.front import Rows
 from mavdiag.testing import example_rows
-from mavdiag.thresholds.heldout import Flights, Scores, folds, score
+from mavdiag.thresholds.heldout import Flights, Scores, score
 from mavdiag.thresholds.rule import DEGREES, USUAL, Prior, Threshold, threshold_of
 
 
@@ -122,34 +121,6 @@ def test_a_flight_is_scored_by_a_fit_that_did_not_see_it() -> None:
     scores = held_out_scores([shaken(0.3, seconds=35.0, segment=i) for i in range(3)], fitted)
     assert seen == [[1, 2], [0, 2], [0, 1]]
     assert len(scores[None].maxima) == 9
-
-
-def times(flights: Flights) -> list[int]:
-    return sorted(int(t) for flight in flights for rows in flight for t in rows.block.t_ns)
-
-
-def test_one_flight_is_scored_piece_by_piece() -> None:
-    flight = flying_rows(flying(4200, 1))
-    pairs = list(folds([flight]))
-    assert len(pairs) == 4
-    everything = times([flight])
-    for left_out, rest in pairs:
-        assert not set(times(left_out)) & set(times(rest))
-    left = [t for left_out, _ in pairs for t in times(left_out)]
-    assert len(left) == len(set(left))
-    assert len(left) >= 0.97 * len(everything)  # all but the blanked start
-    for _, rest in pairs:
-        assert {rows.rates.segment for flight in rest for rows in flight} == {
-            rows.block.segment for flight in rest for rows in flight
-        }
-
-
-def test_the_pieces_do_not_depend_on_chunks() -> None:
-    whole = example_rows(3000, 0.01, vibration=np.ones((3000, 3)))
-    chunks = [rows_between(whole, i, i + 20) for i in range(0, 3000, 20)]
-    for (a, b), (c, d) in zip(folds([[whole]]), folds([chunks]), strict=True):
-        assert times(a) == times(c)
-        assert times(b) == times(d)
 
 
 def test_too_short_a_flight_says_so() -> None:

@@ -162,9 +162,7 @@ def flight(rng: np.random.Generator) -> list[bytes]:
 
 
 @pytest.mark.parametrize(("seed", "window"), [(0, 997), (1, 4096), (2, 20_011), (3, 1 << 21)])
-def test_a_log_of_several_windows_is_what_pymavlink_reads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int, window: int
-) -> None:
+def test_windows_read_as_pymavlink(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int, window: int) -> None:
     path = written(tmp_path, b"".join(flight(np.random.default_rng(seed))))
     times, imu, thrust = list[int](), list[list[float]](), list[float]()
     with closing(mavutil.mavlink_connection(str(path), dialect="ardupilotmega")) as theirs:

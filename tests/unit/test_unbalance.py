@@ -1,16 +1,20 @@
-"""Unbalance: the figure against the force it comes from, the rotor's place against plane kinematics, and refusals."""
+"""Vibration: the unbalance that shakes, the level that an autopilot tells, and the high-pass."""
 
 import math
 
 import numpy as np
 import pytest
 from made_rows import example_context
+from made_thresholds import calibrated
+from scipy.signal import firwin, freqz
 
 from mavdiag.airframe.layout import layout_named
-from mavdiag.errors import InputError
+from mavdiag.errors import InputError, UsageError
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.unbalance import Unbalance, UnbalanceSpec, corner_of
+from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
 from mavdiag.rows.front import Rows
+from mavdiag.rows.windows import highpass
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
 
@@ -65,9 +69,7 @@ def test_the_figure_is_the_unbalance_that_shakes(spec: UnbalanceSpec, unbalance:
 
 @pytest.mark.parametrize("rotor", [1, 2, 3, 4])
 @pytest.mark.parametrize("delay_s", [-0.001, 0.0, 0.001])
-def test_the_rotor_is_named_even_if_gyro_and_accelerometer_are_a_millisecond_apart(
-    spec: UnbalanceSpec, rotor: int, delay_s: float
-) -> None:
+def test_the_rotor_is_named_with_sensors_a_millisecond_apart(spec: UnbalanceSpec, rotor: int, delay_s: float) -> None:
     monitor = Unbalance(spec)
     _, found = monitor.step(monitor.start(), shaken(rotor, 1.4, gyro_delay_s=delay_s))
     evidence = found.rotors[found.valid]
@@ -121,3 +123,39 @@ def test_without_an_airframe_no_rotor_no_mass_and_no_speed_is_assumed() -> None:
     force, gyro = noise(5)
     spec = fit([[example_rows(N, 0.001, force=force, rate=gyro)]])
     assert (spec.layout, spec.mass_kg, spec.hover_rad_s) == (None, None, None)
+
+
+def test_the_statistic_is_the_mean_norm_of_five_seconds() -> None:
+    vibration = np.abs(np.random.default_rng(1).normal(1.0, 0.3, (1500, 3)))
+    monitor = VibrationLevel(VibrationLevelSpec(healthy=1.0))
+    _, found = monitor.step(monitor.start(), example_rows(1500, vibration=vibration))
+    size = np.sqrt((vibration**2).sum(axis=1))
+    expected = [size[i - 499 : i + 1].mean() for i in range(499, 1500)]
+    np.testing.assert_allclose(found.value[found.valid], expected, rtol=1e-12)
+    np.testing.assert_allclose(found.level, found.value - 1.0)
+    assert int(found.valid.sum()) == 1001
+
+
+def test_a_still_vehicle_gets_room_of_some_half_a_metre_per_second_squared() -> None:
+    flights = [[example_rows(3000, segment=i, vibration=np.full((3000, 3), 0.01))] for i in range(3)]
+    monitor, threshold = calibrated(VibrationLevel, flights, example_context())
+    spec = monitor.spec
+    assert spec.healthy == pytest.approx(0.01 * np.sqrt(3))
+    assert 0.3 < threshold.value - spec.healthy < 0.8
+
+
+@pytest.mark.parametrize(("corner", "taps"), [(0.06, 61), (0.15, 25), (0.25, 15)])
+def test_the_high_pass_answers_as_one_by_scipy(corner: float, taps: int) -> None:
+    peer = firwin(taps, 2 * corner, window=("kaiser", 4.0), pass_zero=False)
+    ours = highpass(corner, taps)
+    for f in np.linspace(0, np.pi, 40):
+        gains = [abs(freqz(h, worN=[f])[1][0]) for h in (ours, peer)]
+        assert gains[0] == pytest.approx(gains[1], abs=0.02)
+    assert ours.sum() == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(ours, ours[::-1])
+
+
+@pytest.mark.parametrize(("corner", "taps"), [(0.06, 60), (0.06, 1), (0.0, 61), (0.5, 61)])
+def test_an_impossible_high_pass_is_refused(corner: float, taps: int) -> None:
+    with pytest.raises(UsageError):
+        highpass(corner, taps)

@@ -2,19 +2,27 @@
 
 import struct
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
+from made_logs import DataFlashMessage, ULogTopic, dataflash, ulog, ulog_message
 from memory_port import memory_pair
 
-from mavdiag.link.codec import NO_FRAMES, Decoder, Encoder, message_name
+import mavdiag as md
+from mavdiag.airframe.vehicle_type import MULTIROTORS
+from mavdiag.errors import InputError
+from mavdiag.link.codec import Decoder, Encoder, message_name
 from mavdiag.link.link import Link
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
 from mavdiag.link.parameters import parameters_in
-from mavdiag.link.profiles import PROFILES
+from mavdiag.link.profiles import PROFILES, scale_doubt
+from mavdiag.link.scale import gyro_checks
 from mavdiag.link.sequence import FRAME, HEARD, SENDERS_MAX, Intruder, Senders, Source
-from mavdiag.link.vehicles import MOST_PARAMETERS, VEHICLES_MAX, Ack, Command, LinkDecoder, command_in
-from mavdiag.telemetry import Signal
+from mavdiag.link.vehicles import Ack, Command, LinkDecoder, command_in
+from mavdiag.logs.tlog import tlog_record, vehicle_stream
+from mavdiag.telemetry import FloatArray, Series, Signal
+from mavdiag.units import DEG, NS_PER_S
 
 S = 1_000_000_000
 INT32, REAL32 = 6, 9  # MAV_PARAM_TYPE
@@ -168,18 +176,6 @@ def test_integers_are_cast_by_ardupilot_and_copied_by_px4(autopilot: Autopilot) 
     assert parameters_in(Decoder().feed(b"".join(frames), 0), autopilot) == {**whole, "REAL": 0.25}
 
 
-def test_made_up_parameters_cost_a_bounded_amount() -> None:
-    decoder, sender = LinkDecoder(PROFILES["ardupilot"]), Sender()
-    run(decoder, sender.chunks(5))
-    stream = decoder.vehicles[1]
-    frames = Decoder().feed(b"".join(told(sender.encoder, f"P{n}", n) for n in range(MOST_PARAMETERS)), S)
-    more = Decoder().feed(b"".join(told(sender.encoder, f"Q{n}", n) for n in range(500)), S)
-    for some in (frames[:-1], more, frames[-1:], more[:1], Decoder().feed(told(sender.encoder, "P7", -1.0), S)):
-        stream.step(NO_FRAMES, some)
-        assert len(stream.parameters) in (MOST_PARAMETERS - 1, MOST_PARAMETERS)
-    assert stream.parameters["P7"] == -1.0
-
-
 HERE, THERE = ("10.0.0.1", 14550), ("10.0.0.66", 4444)
 KEY = 1 << 8 | 1
 
@@ -214,21 +210,6 @@ def test_a_second_source_is_not_heard_while_the_first_is_alive() -> None:
     count = senders.count(KEY)
     assert count is not None
     assert (senders.source(KEY), senders.intruder(KEY), count.received) == (HERE, Intruder(THERE, 2), 2)
-
-
-def test_senders_are_bounded_and_those_that_sent_most_stay() -> None:
-    senders = Senders()
-    senders.keep(7 << 8 | 1)
-    heard(senders, 7 << 8 | 1, 0, 0, HERE)
-    for k in range(50):
-        heard(senders, KEY, k, k, HERE)
-    for key in range(65_536):
-        if key != KEY:
-            heard(senders, key, 0, 0, THERE)
-        assert len(senders) <= SENDERS_MAX
-    genuine = senders.count(KEY)
-    assert genuine is not None
-    assert (genuine.received, senders.source(7 << 8 | 1)) == (50, HERE)
 
 
 @pytest.mark.parametrize(
@@ -282,12 +263,173 @@ def test_a_careful_decoder_wants_two_heartbeats_of_one_sender() -> None:
     assert link.heard_since(30 * S) == []
 
 
-def test_a_link_takes_so_many_vehicles_and_says_so() -> None:
-    link = LinkDecoder(PROFILES["ardupilot"], careful=True)
-    encoders = [Encoder(sysid, 1) for sysid in range(1, 141)]
-    for k in range(3):
-        data = [(beat(one), k * S) for one in encoders]
-        link.feed(data, k * S, [HERE] * len(data))
-    assert len(link.vehicles) == VEHICLES_MAX
-    assert set(link.waiting.values()) == {"there are 128 vehicles already (max_vehicles)"}
-    assert all(not one.frames for one in link._waiting.values())
+BOAT = "a boat (MAV_TYPE 11): mavdiag judges multirotors only"
+START_US = 1_763_000_000_000_000
+
+MSG = DataFlashMessage(33, "MSG", "QZ", "TimeUS,Message")
+PARM = DataFlashMessage(32, "PARM", "QNf", "TimeUS,Name,Value")
+IMU = DataFlashMessage(163, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+SENSORS = ULogTopic(1, "sensor_combined", (("uint64_t", "timestamp"), ("float[3]", "gyro_rad")))
+STATE_FIELDS = (("uint64_t", "timestamp"), ("uint8_t", "arming_state"), ("uint8_t", "system_type"))
+STATUS = ULogTopic(7, "vehicle_status", STATE_FIELDS)
+
+
+def stream(kind: int, sysid: int = 1, n: int = 300) -> list[tuple[int, bytes]]:
+    """Frames of a vehicle of this MAV_TYPE at 100 Hz, a heartbeat a second, with their times since the start [us]."""
+    encoder, found = Encoder(sysid, 1), []
+    for k in range(n):
+        data = encoder.encode(MessageId.HEARTBEAT, kind, 3, 128, 0, 4, 3) if k % 100 == 0 else b""
+        target = (5_000 + 10 * k, 0, LEVEL, 0, 0, 0, 0.5)
+        for frame in (
+            data,
+            encoder.encode(MessageId.ATTITUDE_TARGET, *target),
+            encoder.encode(MessageId.RAW_IMU, 5_000_000 + 10_000 * k, 0, 0, -1000, 1, 2, 3),
+        ):
+            found += [(10_000 * k, frame)] if frame else []
+    return found
+
+
+def tlog(path: Path, *streams: list[tuple[int, bytes]]) -> Path:
+    frames = sorted((one for some in streams for one in some), key=lambda one: one[0])
+    path.write_bytes(b"".join(tlog_record(START_US + t_us, frame) for t_us, frame in frames))
+    return path
+
+
+@pytest.mark.parametrize("kind", [0, 2, 13, 43, 1, 4, 11, 22])
+def test_a_multirotor_of_a_telemetry_log_is_read_and_any_other_vehicle_refused(kind: int, tmp_path: Path) -> None:
+    path = tlog(tmp_path / "a.tlog", stream(kind))
+    if kind in MULTIROTORS:
+        assert md.read_log(path).mav_type == kind
+        return
+    with pytest.raises(InputError, match=rf"a\.tlog: .*\(MAV_TYPE {kind}\): mavdiag judges multirotors only"):
+        md.read_log(path)
+
+
+def test_a_multirotor_beside_a_boat_is_read_and_the_boat_is_told(tmp_path: Path) -> None:
+    path = tlog(tmp_path / "both.tlog", stream(11, sysid=1), stream(2, sysid=7))
+    log = md.read_log(path)
+    assert log.notes == (f"vehicle 1 is left out: {BOAT}",)
+    assert [one.vehicle for one in vehicle_stream(path)] == [7]
+    with pytest.raises(InputError, match=r"MAV_TYPE 11"):
+        md.read_log(path, vehicle=1)
+
+
+@pytest.mark.parametrize(
+    ("texts", "parameters", "kind"),
+    [
+        (["ArduCopter V4.5.6 (bbf0b066)"], {"FRAME_CLASS": 1.0}, 2),
+        (["ArduCopter V4.3.6 (0c5e999c)"], {"FRAME_CLASS": 4.0}, 14),
+        (["APM:Copter V3.3-dev (ae3192b8)", "PX4: 6013 NuttX: 1e53", "Frame: QUAD"], {"FRAME": 1.0}, 2),
+        (["APM:Copter V3.4.6 (1)", "Frame: Y6"], {"FRAME": 10.0}, 13),
+        (["Rover is a word"], {}, None),
+        (["ArduRover V4.2.3 (3fc3011a)"], {"FRAME_CLASS": 2.0}, "a boat (MAV_TYPE 11)"),
+        (["ArduPlane V4.5.1 (1)"], {"Q_ENABLE": 1.0}, "a plane (MAV_TYPE 1)"),
+        (["ArduCopter V4.4.0 (1)"], {"FRAME_CLASS": 6.0}, "a helicopter (MAV_TYPE 4)"),
+    ],
+)
+def test_a_dataflash_log_tells_it_by_firmware_and_frame(
+    texts: list[str], parameters: dict[str, float], kind: int | str | None, tmp_path: Path
+) -> None:
+    path = binary(tmp_path, texts, parameters)
+    if not isinstance(kind, str):
+        assert md.read_log(path).mav_type == kind
+        return
+    with pytest.raises(InputError) as caught:
+        md.read_log(path)
+    assert str(caught.value).endswith(f"{kind}: mavdiag judges multirotors only")
+
+
+def binary(folder: Path, texts: list[str], parameters: dict[str, float]) -> Path:
+    records = [PARM.record(1, name.encode(), value) for name, value in parameters.items()]
+    records += [MSG.record(2, text.encode()) for text in texts]
+    records += [IMU.record(3 + k, 0, 0, 0, 0, 0, 0, -9.8) for k in range(30)]
+    path = folder / "log.bin"
+    path.write_bytes(dataflash([PARM, MSG, IMU], records))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("types", "name"), [([2, 2], ""), ([10, 10], "a rover"), ([22], "a VTOL"), ([2, 2, 1], ""), ([], "a submarine")]
+)
+def test_a_ulog_tells_it_by_the_vehicle_s_state_or_a_parameter(types: list[int], name: str, tmp_path: Path) -> None:
+    records = [STATUS.record(10 + k, 2, kind) for k, kind in enumerate(types)]
+    key, path = b"int32_t MAV_TYPE", tmp_path / "log.ulg"
+    records += [] if types else [ulog_message("P", bytes([len(key)]) + key + (12).to_bytes(4, "little"))]
+    path.write_bytes(ulog([SENSORS, STATUS], [*records, SENSORS.record(9, 0, 0, 0)]))
+    if not name:
+        assert md.read_log(path).mav_type == 2
+        return
+    with pytest.raises(InputError, match=rf"{name} \(MAV_TYPE"):
+        md.read_log(path)
+
+
+@pytest.mark.parametrize("careful", [False, True])
+def test_on_a_link_only_a_multirotor_enters(careful: bool) -> None:
+    decoder = LinkDecoder(careful=careful)
+    wrong = Encoder(7, 1).encode(MessageId.HEARTBEAT, 11, 3, 128, 0, 4, 3)  # made up or damaged: it keeps nobody out
+    decoder.feed([(wrong, 0)], 0)
+    for t_us, frame in sorted([*stream(11, sysid=1, n=600), *stream(2, sysid=7, n=600)], key=lambda one: one[0]):
+        decoder.feed([(frame, 1_000 * t_us)], 1_000 * t_us)
+    assert list(decoder.vehicles) == [7]
+    assert decoder.waiting == {1: BOAT}
+
+
+SECONDS = 30
+
+
+def turning(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Angles and body rates of a vehicle that rolls, pitches and turns its nose; the rates by small differences."""
+
+    def angles(at: FloatArray) -> FloatArray:
+        return np.stack((0.3 * np.sin(2 * at), 0.2 * np.sin(3 * at + 1), 0.5 * at + 0.4 * np.sin(at)), axis=1)
+
+    phi, theta, _ = angles(t).T
+    dphi, dtheta, dpsi = ((angles(t + 1e-6) - angles(t - 1e-6)) / 2e-6).T
+    p = dphi - np.sin(theta) * dpsi
+    q = np.cos(phi) * dtheta + np.sin(phi) * np.cos(theta) * dpsi
+    return angles(t), np.stack((p, q, np.cos(phi) * np.cos(theta) * dpsi - np.sin(phi) * dtheta), axis=1)
+
+
+def series(signal: Signal, t_s: FloatArray, values: FloatArray, late_s: float = 0.0) -> Series:
+    t_ns = np.round((t_s + late_s) * NS_PER_S).astype(np.int64)
+    return Series(signal, t_ns, t_ns, values)
+
+
+def pair(scale: FloatArray, late_s: float, seed: int = 1) -> tuple[Series, Series]:
+    """Gyro at 100 Hz with noise, in other units and stamped late, and the attitude at 25 Hz, wrapped."""
+    t, slow = np.arange(0, SECONDS, 0.01), np.arange(0, SECONDS, 0.04)
+    noise = np.random.default_rng(seed).normal(0, 0.02, (len(t), 3))
+    wrapped = (turning(slow)[0] + np.pi) % (2 * np.pi) - np.pi
+    return (
+        series(Signal.BODY_RATE, t, (turning(t)[1] + noise) * scale, late_s),
+        series(Signal.ATTITUDE, slow, wrapped),
+    )
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.03, -0.05])
+def test_the_attitudes_slope_gives_scale_sign_and_delay_of_the_gyro(late_s: float) -> None:
+    gyro, attitude = pair(np.array([1.0, -1.0, 1.0 / DEG]), late_s)
+    roll, pitch, yaw = gyro_checks(gyro, attitude)
+    assert roll.scale == pytest.approx(1.0, abs=0.03)
+    assert pitch.scale == pytest.approx(-1.0, abs=0.03)
+    assert yaw.scale == pytest.approx(1.0 / DEG, rel=0.03)
+    for one in (roll, pitch, yaw):
+        assert one.delay_s == pytest.approx(late_s, abs=0.006)
+    assert roll.verdict == "right"
+    assert pitch.verdict == "turns the wrong way; scale right"
+    assert yaw.verdict == "wrong scale: deg/s"
+
+
+@pytest.mark.parametrize(
+    ("profile", "felt_g", "said"),
+    [
+        ("qdrone2", 1.0, ""),
+        ("qdrone2", 1.3, ""),
+        ("qdrone2", 2.05, "2.0 g: --profile spec"),
+        ("spec", 0.49, "0.5 g: --profile ardupilot"),
+        ("spec", 2.0, "2.0 g"),
+        ("px4", 9.8, "9.8 g"),
+    ],
+)
+def test_a_profile_against_gravity_is_told_with_the_one_that_fits(profile: str, felt_g: float, said: str) -> None:
+    assert scale_doubt(PROFILES[profile], felt_g) == said

@@ -1,24 +1,28 @@
-"""What the live page is told on a virtual clock: entries always, figures while somebody looks."""
+"""The live page's feed: what it is given, what a reader gets, and who may ask."""
 
 import json
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from made_session import Story, baseline_for
 from made_vehicle import START_NS, Bench, MadeVehicle
 
-from detector.config import SessionSettings, Settings
+from detector.config import SessionSettings, Settings, load_settings
 from detector.values import SessionSpec, VehicleFigures
-from detector.web.child import ServerProcess
+from detector.web.access import Access, Answer
+from detector.web.board import BATCH, FIRST, KEPT, Board, Reader, parse_last
+from detector.web.child import ServerProcess, read_token
 from detector.web.feed import Feed
-from detector.web.snapshot import EARTH_M, TRACK_POINTS, Json, Level, Snapshots, Track, about
-from mavdiag.airframe.layout import layout_named
+from detector.web.snapshot import TRACK_POINTS, Json, Level, Snapshots, Track, about
 from mavdiag.as_json import json_line
+from mavdiag.errors import UsageError
 from mavdiag.kernel import Piece
 from mavdiag.link.profiles import PROFILES
 from mavdiag.telemetry import Instant, Series, Signal, Telemetry
@@ -115,18 +119,6 @@ def test_a_child_without_room_loses_figures_and_no_entry(bench: Bench, child: Fa
     assert any("FAULT" in str(one.get("text")) for one in child.of("J"))
 
 
-def test_strips_are_filled_as_soon_as_somebody_looks(bench: Bench, child: FakeChild) -> None:
-    bench.run(40.0)
-    child.says = ["watch 2"]
-    bench.run(0.4)
-    strips = child.of("N")[0]["strips"]
-    bins = [number for strip in strips for number in strip["bins"]]
-    assert bins == sorted(bins)
-    assert 19.0 <= (bins[-1] - bins[0]) / 20 <= 25.0  # points of 0.05 s
-    bench.run(2.0)
-    assert sum(len(strip["bins"]) for strip in child.of("N")[-1]["strips"]) <= 8  # afterwards what is new
-
-
 def placed(signal: Signal, second: float, *place: float) -> Telemetry:
     t_ns = np.array([round(second * NS_PER_S)])
     return Telemetry((Series(signal, t_ns, t_ns, np.array([place])),))
@@ -143,18 +135,6 @@ def test_a_track_has_a_point_a_second_of_the_signal_that_came_first() -> None:
     assert [point[0] for point in track.points][:2] == [180.9, 181.9]
     track.take(placed(Signal.POSITION, 301.0, math.nan, 1.0))
     assert track.points[-1] == (299.9, -1.0)
-
-
-def test_coordinates_become_metres_over_the_date_line_too() -> None:
-    track, begin = Track(), (math.radians(60.0), math.radians(179.9999))
-    track.take(placed(Signal.COORDINATES, 1.0, *begin))
-    track.take(placed(Signal.COORDINATES, 2.0, begin[0] + 1e-5, math.radians(-179.9999)))
-    north, east = track.points[-1]
-    across = math.cos(begin[0]) * math.cos(begin[0] + 1e-5) * math.sin(math.radians(0.0001)) ** 2
-    haversine = 2 * math.asin(math.sqrt(math.sin(0.5e-5) ** 2 + across))
-    assert math.hypot(north, east) == pytest.approx(EARTH_M * haversine, rel=1e-3)
-    assert north == pytest.approx(63.71, abs=0.02)
-    assert east > 0
 
 
 @dataclass
@@ -219,19 +199,186 @@ def slots_of(watched: Watched) -> list[Json]:
     return slots
 
 
-def test_what_a_vehicle_is_judged_by_is_told(watched: Watched) -> None:
-    assert json.loads(json_line(about(1, "qdrone2", None)))["slots"] == []
-    watched.after(3.0)
-    judge = watched.story.session.judge
-    assert judge is not None
-    told = json.loads(json_line(about(1, "qdrone2", judge)))
-    assert [one["name"] for one in told["slots"]] == [slot.monitor.name for slot in judge.chain.slots]
-    thesis = next(one for one in told["slots"] if one["name"] == "fsd")
-    assert (thesis["axis"], thesis["margin"], thesis["threshold"]) == ("roll", 0.02, 0.3)
-    assert told["drawing"] == ""  # the made baseline knows no layout
-    airframe = replace(judge.baseline.airframe, layout=layout_named("x"))
-    judge.baseline = judge.baseline.model_copy(update={"airframe": airframe})
-    assert "airframe-rotor-4" in about(1, "qdrone2", judge)["drawing"]
-
-
 # --- The strips: the same points however the flight is cut, and no peak is lost
+
+
+def filled(count: int, run: str = "r") -> Board:
+    board = Board(run)
+    for number in range(1, count + 1):
+        board.take(f"J {number} {number}")
+    return board
+
+
+def events(data: bytes) -> list[dict[str, str]]:
+    """Server-sent events as a browser reads them (WHATWG HTML, 9.2.6)."""
+    return [dict(line.split(": ", 1) for line in block.split("\n")) for block in data.decode().split("\n\n")[:-1]]
+
+
+def numbers(data: bytes) -> list[int]:
+    return [int(one["id"].split("-")[1]) for one in events(data) if one["event"] == "entry"]
+
+
+def drained(reader: Reader) -> list[int]:
+    found: list[int] = []
+    while data := reader.next():
+        found += numbers(data)
+    return found
+
+
+@given(st.lists(st.tuples(st.integers(0, 1500), st.booleans()), max_size=12))
+def test_a_page_that_comes_and_goes_gets_every_entry_once(steps: list[tuple[int, bool]]) -> None:
+    board, got, total = Board("r"), list[int](), 0
+    reader = board.enter(None, 0)
+    for count, leaves in steps:
+        for _ in range(count):
+            total += 1
+            board.take(f"J {total} {{}}")
+        got += numbers(reader.next())
+        if leaves:
+            board.readers.discard(reader)
+            reader = board.enter(None, parse_last(f"r-{got[-1] if got else 0}", "r"))
+    got += drained(reader)
+    assert got == list(range(1, total + 1))
+
+
+def test_a_replay_that_jumps_begins_anew_for_every_page() -> None:
+    board = filled(20)
+    reader = board.enter(1, None)
+    reader.next()
+    for line in ('P {"at_s": 3}', "N 1 old", "C r-1", "A 1 {}", "J 1 {}", "N 1 {}"):
+        board.take(line)
+    found = events(reader.next())
+    assert [one["event"] for one in found] == ["hello", "about", "now", "entry"]
+    assert json.loads(found[0]["data"]) == {"run": "r-1", "newest": 0, "fresh": True}
+    assert found[-1]["id"] == "r-1-1"
+    again = [one["event"] for one in events(board.enter(1, parse_last("r-20", board.run)).next())]
+    assert again == ["hello", "playing", "about", "now", "entry"]
+
+
+def test_a_new_page_gets_the_latest_entries_and_one_that_was_away_for_long_all_that_are_kept() -> None:
+    board = filled(KEPT + 300)
+    new = board.enter(None, None)
+    assert drained(new) == list(range(KEPT + 301 - FIRST, KEPT + 301))
+    away = board.enter(None, 100)
+    hello = json.loads(events(away.next())[0]["data"])
+    assert hello == {"run": "r", "newest": KEPT + 300, "fresh": False}
+    assert drained(board.enter(None, 100)) == list(range(301, KEPT + 301))
+    assert len(board.entries) == KEPT
+    assert len(numbers(board.enter(None, 0).next())) == BATCH
+
+
+def test_figures_go_to_those_who_look_at_the_vehicle_and_a_slow_page_loses_the_oldest() -> None:
+    board = Board("r")
+    one, other = board.enter(1, None), board.enter(2, None)
+    assert board.watched == (1, 2)
+    for reader in (one, other):
+        reader.next()
+    board.take('A 1 {"drawing":1}')
+    for k in range(1000):
+        board.take(f"N 1 {k}")
+    assert other.next() == b""
+    kept = [int(event["data"]) for event in events(one.next()) if event["event"] == "now"]
+    assert kept == list(range(1000 - len(kept), 1000))
+    assert 100 <= len(kept) <= 300
+    late = events(board.enter(1, None).next())
+    assert [event["event"] for event in late[:2]] == ["hello", "about"]
+    assert late[-1]["data"] == "999"
+
+
+LOCAL = Access("127.0.0.1", 8080)
+BEHIND = Access("0.0.0.0", 8080, names=("blueos.local",))
+OPEN = Access("0.0.0.0", 8080, "a-token-of-24-characters")
+
+
+def judged(access: Access, path: str = "/stream", method: str = "GET", token: str | None = None, **more: str) -> Answer:
+    headers = {"host": "127.0.0.1:8080"} | {name.replace("_", "-"): value for name, value in more.items()}
+    return access.judge(method, path, headers, headers.pop("cookie", None), token)
+
+
+@given(st.text(max_size=40).filter(lambda text: text.lower() not in ("127.0.0.1:8080", "localhost:8080", "[::1]:8080")))
+def test_every_other_host_is_refused(host: str) -> None:
+    if host.lower().strip() != "::1:8080":  # no name: nothing can be rebound to it
+        assert judged(LOCAL, host=host) is Answer.REFUSED
+
+
+@pytest.mark.parametrize(
+    ("headers", "path", "answer"),
+    [
+        ({"origin": "http://127.0.0.1:8080"}, "/stream", Answer.PASS),
+        ({"origin": "http://evil.example"}, "/stream", Answer.REFUSED),
+        ({"origin": "null"}, "/stream", Answer.REFUSED),
+        ({"origin": "https://127.0.0.1:8080"}, "/stream", Answer.REFUSED),
+        ({"sec_fetch_site": "same-origin"}, "/stream", Answer.PASS),
+        ({"sec_fetch_site": "cross-site"}, "/stream", Answer.REFUSED),
+        ({"sec_fetch_site": "same-site"}, "/stream", Answer.REFUSED),
+        ({"sec_fetch_site": "cross-site", "sec_fetch_mode": "no-cors"}, "/app.js", Answer.REFUSED),
+        ({"sec_fetch_site": "cross-site", "sec_fetch_mode": "navigate"}, "/", Answer.PASS),
+        ({"sec_fetch_site": "cross-site", "sec_fetch_mode": "navigate"}, "/stream", Answer.REFUSED),
+    ],
+)
+def test_another_sites_script_is_refused(headers: Mapping[str, str], path: str, answer: Answer) -> None:
+    assert judged(LOCAL, path, **headers) is answer
+
+
+@pytest.mark.parametrize(
+    ("host", "answer"),
+    [
+        ("blueos.local", Answer.PASS),
+        ("BlueOS.local:80", Answer.PASS),
+        ("192.168.2.2", Answer.PASS),  # an address cannot be made to point elsewhere
+        ("127.0.0.1:9192", Answer.PASS),
+        ("evil.example", Answer.REFUSED),
+        ("blueos.local.evil.example", Answer.REFUSED),
+        ("localhost", Answer.REFUSED),
+    ],
+)
+def test_behind_a_proxy_its_names_are_known(host: str, answer: Answer) -> None:
+    assert judged(BEHIND, host=host) is answer
+    assert judged(BEHIND, "/acknowledge", "POST", host=host, origin=f"http://{host}") is answer
+    assert judged(BEHIND, "/acknowledge", "POST", host=host, origin="http://evil.org") is Answer.REFUSED
+
+
+def test_the_token_is_asked_for_everywhere() -> None:
+    assert judged(OPEN, "/") is Answer.NO_TOKEN
+    assert judged(OPEN, "/", token="wrong") is Answer.NO_TOKEN
+    assert judged(OPEN, "/", token=OPEN.token) is Answer.SIGN_IN
+    assert judged(OPEN, "/app.js", cookie=OPEN.cookie_value) is Answer.PASS
+    assert judged(OPEN, "/app.js", cookie=OPEN.token or "") is Answer.NO_TOKEN
+    assert judged(OPEN, authorization=f"bearer {OPEN.token}") is Answer.PASS
+    assert judged(OPEN, authorization=f"Basic {OPEN.token}") is Answer.NO_TOKEN
+    assert judged(OPEN, "/", token="ü" * 24) is Answer.NO_TOKEN
+    assert (OPEN.token or "") not in repr(OPEN) + OPEN.cookie_value
+
+
+@pytest.mark.parametrize("web", ["0.0.0.0:8080", "192.168.1.7:8080", "drone.local:8080", "[::]:8080"])
+def test_elsewhere_than_on_loopback_a_token_is_needed(web: str) -> None:
+    with pytest.raises(UsageError, match=r"name a --web-token-file FILE, or 127\.0\.0\.1$"):
+        load_settings(None, {"learn": 9.0, "save": "b.json", "web": web})
+    assert load_settings(None, {"learn": 9.0, "save": "b.json", "web": web, "web_token_file": "t"}).web == web
+
+
+@given(st.text(st.characters(codec=None), max_size=20), st.sampled_from(["authorization", "cookie", "host", "token"]))
+def test_no_header_leaves_the_rules_by_an_exception(text: str, where: str) -> None:
+    for value in (text, f"Bearer {text}", "\udcff", f"127.0.0.1:{'8' * 5000}"):
+        headers = {"host": "127.0.0.1:8080", where: value}
+        given = value if where == "token" else None
+        cookie = headers.pop("cookie", None)
+        assert OPEN.judge("GET", "/", headers, cookie, given) in (Answer.NO_TOKEN, Answer.REFUSED)
+
+
+@pytest.mark.parametrize(
+    ("content", "mode", "words"),
+    [
+        ("short\n", 0o600, "16 or more ASCII characters"),
+        ("long enough but with blanks\n", 0o600, "without blanks"),
+        ("0123456789abcdef\n", 0o644, "others may read the web token; run `chmod 600"),
+    ],
+)
+def test_a_token_file_keeps_the_rules_of_a_key_file(tmp_path: Path, content: str, mode: int, words: str) -> None:
+    path = tmp_path / "token"
+    path.write_text(content)
+    path.chmod(mode)
+    with pytest.raises(UsageError) as error:
+        read_token(path)
+    assert words in str(error.value)
+    assert len(str(error.value).splitlines()) == 1

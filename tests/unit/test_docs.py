@@ -1,13 +1,14 @@
-"""What README.md and docs/ show can be done: commands are parsed by the real command line, or run.
+"""What README.md and docs/ show can be done, and what they name is there.
 
-A block of a page is a console block, Python, or TOML. Every command of ours in a console block goes through the parser
-of its subcommand, values included; so do the options of those that stand in a sentence. The commands of `RUN` are run,
-in the order of the list, in a folder with made flights. Python is executed, TOML is loaded by what loads it in the
-product. What is only parsed needs a vehicle, another program or an endless flight: `PARSED` says which.
+Every command of ours in a console block goes through the parser of its subcommand; those of `RUN` are run in its order,
+in a folder with made flights. Python is executed, TOML is loaded by what loads it in the product.
 """
 
+import itertools
 import re
+import runpy
 import shlex
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
+from pydantic import BaseModel
 from typer.testing import CliRunner
 
 import mavdiag as md
@@ -31,7 +33,6 @@ ROOT = Path(__file__).resolve().parents[2]
 OTHERS = ("constants.md", "results-earlier.md")  # made from code; figures of older code
 PAGES = ("README.md", *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md") if page.name not in OTHERS))
 PROGRAMS = ("mavdiag", "mavdiag-detector", "sitl-plant")
-IN_A_SENTENCE = re.compile(rf"`((?:{'|'.join(PROGRAMS)}) [^`\n]*)`")
 
 # Run in this order: what one writes, a later one reads.
 RUN = (
@@ -53,21 +54,6 @@ RUN = (
 WRITTEN = (
     *("cracked.tlog", "my_drone.json", "report.html", "drone1.csv", "FILE", "propeller.lua"),
     *("trends.html", "flights.csv", "mavdiag-history.sqlite"),
-)
-# Why a command is parsed and not run.
-PARSED = {
-    "it needs a vehicle, or a port that may be taken": (
-        r"mavdiag (setup|inspect|watch udpin|shim)|mavdiag-detector|sitl-plant (run|fleet|serve-\w+)"
-    ),
-    "it does not end": r"mavdiag watch events\.jsonl|mavdiag replay .*--web",
-    "it flies a minute in real time; `make demo` and tests/integration do": r"mavdiag demo",
-    "its recordings are not ours to ship; tests/integration/test_droneprop_commands.py makes some": r".*droneprop/",
-    "it needs a Dask cluster": r".*--scheduler",
-}
-# Console lines of other programs.
-FOREIGN = re.compile(
-    r"(make|pip|apt|umask|head|\(umask|unzip|dask|python (benchmarks|docs)/|git|\./waf|build/sitl|cd|mavproxy\.py"
-    r"|mode|arm|takeoff|long)\b"
 )
 
 
@@ -95,11 +81,6 @@ def ours() -> list[tuple[str, str]]:
     """Pages and the command lines of our programs in them, without what a shell does with the output."""
     lines = [(page, line) for page, line in console() if line.split()[0] in PROGRAMS]
     return [(page, re.split(r"\s+>\s+", line)[0].strip()) for page, line in lines]
-
-
-def in_sentences() -> list[tuple[str, str]]:
-    """Pages and the command lines in their sentences."""
-    return [(page, found) for page in PAGES for found in IN_A_SENTENCE.findall((ROOT / page).read_text("utf-8"))]
 
 
 @cache
@@ -136,25 +117,6 @@ def test_a_command_of_a_block_is_taken_by_the_real_command_line(page: str, line:
     for parameter in command.params:
         if parameter.name in values:
             parameter.process_value(context, values[parameter.name])
-
-
-@pytest.mark.parametrize(("page", "line"), in_sentences())
-def test_a_command_of_a_sentence_has_the_options_that_it_is_shown_with(page: str, line: str) -> None:
-    command, rest, name = resolve(line.split())
-    known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
-    if subcommands(command):
-        assert not rest or rest[0].startswith(("-", "[", "|")), f"{page}: {name} has no {rest[0]}"
-    for option in re.findall(r"(?<=[\s|\[])-{1,2}[a-z][a-z-]*", " ".join(["", *rest])):
-        assert option in {*known, "--help"}, f"{page}: {name} has no {option}"
-
-
-@pytest.mark.parametrize(("page", "line"), console())
-def test_a_line_is_run_or_parsed_for_a_reason_or_of_another_program(page: str, line: str) -> None:
-    if line.split()[0] not in PROGRAMS:
-        assert FOREIGN.match(line.strip()), f"{page}: {line}"
-        return
-    command = re.split(r"\s+>\s+", line)[0].strip()
-    assert command in RUN or any(re.match(pattern, command) for pattern in PARSED.values()), f"{page}: {line}"
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +162,6 @@ def test_the_commands_of_the_pages_do_what_is_said(folder: Path) -> None:
 
 @contextmanager
 def made_link(address: str) -> Iterator[list[md.Telemetry]]:
-    """A link over which one flight comes."""
     assert address.startswith("udpin:")
     yield [md.read_log("flights/today.bin").telemetry]
 
@@ -249,10 +210,69 @@ def test_the_tables_of_the_pages_are_loaded_by_the_product(tmp_path: Path) -> No
             assert TOML[page](path) is not None
 
 
-def test_no_block_has_another_language() -> None:
-    named = {
-        language
-        for page in PAGES
-        for language in re.findall(r"^ *```(\S+)$", (ROOT / page).read_text(encoding="utf-8"), re.MULTILINE)
-    }
-    assert named <= {"python", "toml", "math", "mermaid", "text", "{eval-rst}", "{toctree}"}
+PAGE = (ROOT / "docs" / "theory.md").read_text(encoding="utf-8")
+
+
+def table(first_header: str) -> list[list[str]]:
+    """Cells of the table whose first column has this header, without its head."""
+    lines = PAGE.splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith(f"| {first_header} |"))
+    rows = itertools.takewhile(lambda line: line.startswith("|"), lines[start + 2 :])
+    return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+
+
+SYMBOLS = table("Symbol")
+
+
+@pytest.mark.parametrize("row", SYMBOLS, ids=[row[0] for row in SYMBOLS])
+def test_every_symbol_has_a_code_name_a_unit_and_a_source(row: list[str]) -> None:
+    assert len(row) == 4
+    symbol, code, unit, source = row
+    assert symbol
+    assert unit
+    assert re.search(r"^(T |estimate|fitted|choice|standard|ISO )", source), source
+    (name,) = re.findall(r"^`([^`]+)`$", code)
+    assert exists(name), f"{name} is not in the code"
+
+
+def exists(name: str) -> bool:
+    """Whether a dotted name can be imported, or a file holds a TOML key."""
+    if ":" in name:
+        file, keys = name.split(":")
+        return has_key(tomllib.loads((ROOT / file).read_text(encoding="utf-8")), keys.split("."))
+    parts = name.split(".")
+    if parts[0] == "sitl_plant":
+        pytest.importorskip("numba", reason="the plant is an extra")
+    for split in range(len(parts) - 1, 0, -1):
+        path = ROOT.joinpath(*parts[:split])
+        if path.is_dir() or path.with_suffix(".py").is_file():
+            return has_attribute(import_module(".".join(parts[:split])), parts[split:])
+    return False
+
+
+def has_key(data: object, keys: list[str]) -> bool:
+    for key in keys:
+        if not (isinstance(data, dict) and key in data):
+            return False
+        data = data[key]
+    return True
+
+
+def has_attribute(found: object, names: list[str]) -> bool:
+    for name in names:
+        if isinstance(found, type) and issubclass(found, BaseModel) and name in found.model_fields:
+            found = found.model_fields[name]
+        elif hasattr(found, name):
+            found = getattr(found, name)
+        else:
+            return False
+    return True
+
+
+MAKER = runpy.run_path(str(ROOT / "docs" / "make_constants.py"))
+
+
+def test_the_table_is_up_to_date() -> None:
+    assert (ROOT / "docs" / "constants.md").read_text(encoding="utf-8") == MAKER["table"](), (
+        "run python docs/make_constants.py"
+    )

@@ -1,0 +1,200 @@
+"""Programs of others take the plant for a vehicle and the detector for its component: mavsdk and MAVProxy."""
+
+import asyncio
+import math
+import os
+import re
+import shutil
+import sys
+import threading
+import time
+from collections.abc import AsyncGenerator, Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TypeVar
+
+import pytest
+from detector_process import running
+from mavsdk.asyncio import ComponentType, Configuration, Mavsdk, System
+from mavsdk.asyncio.plugins.action import ActionAsync
+from mavsdk.asyncio.plugins.failure import FailureAsync
+from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
+from mavsdk.asyncio.plugins.param import ParamAsync
+from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
+from mavsdk.plugins.action import ActionError
+from mavsdk.plugins.failure import FailureType, FailureUnit
+from mavsdk.plugins.mission_raw import MissionItem
+from patience import PATIENCE_S
+from plant_process import ALERT, companion, flying, process
+
+from detector.component import CHANGES
+from mavdiag.link.messages import Component
+from sitl_plant.autopilot.stream import HOME_ALT_M, HOME_LAT_DEG, HOME_LON_DEG
+
+pytest.importorskip("mavsdk", reason="mavsdk is not installed for this platform")
+
+
+pytestmark = pytest.mark.realtime
+T = TypeVar("T")
+
+
+async def until(stream: AsyncGenerator[T, None], wanted: Callable[[T], bool]) -> T:
+    """The first update that is wanted."""
+    while True:
+        try:
+            async with asyncio.timeout(PATIENCE_S):
+                async for update in stream:
+                    if wanted(update):
+                        return update
+        finally:
+            await stream.aclose()
+
+
+async def found(mavsdk: Mavsdk, address: str) -> System:
+    await mavsdk.add_any_connection(address.replace("udpout:", "udpout://"))
+    system = await mavsdk.first_autopilot(PATIENCE_S)
+    assert system is not None
+    assert await system.get_system_id() == 1
+    return system
+
+
+def ground_station() -> Mavsdk:
+    return Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION))
+
+
+METRE_DEG = 1.0 / 111_195.0
+
+
+async def fly_about(system: System) -> None:
+    """Take off, go, fail, fly a mission, come home; an error of mavsdk's ends it."""
+    telemetry, action, mission = TelemetryAsync(system), ActionAsync(system), MissionRawAsync(system)
+    await action.set_takeoff_altitude(1.5)
+    await action.arm()
+    await action.takeoff()
+    await until(telemetry.subscribe_position(), lambda one: one.relative_altitude_m > 1.3)
+    with pytest.raises(ActionError):
+        await action.disarm()  # not in flight
+    north = HOME_LAT_DEG + 2.0 * METRE_DEG
+    await action.goto_location(north, HOME_LON_DEG, HOME_ALT_M + 2.0, 0.0)
+    await until(telemetry.subscribe_position(), lambda one: abs(one.latitude_deg - north) < 0.2 * METRE_DEG)
+    failure = FailureAsync(system)
+    await failure.inject(FailureUnit.SYSTEM_MOTOR, FailureType.SLOW, 2)
+    await failure.inject(FailureUnit.SYSTEM_MOTOR, FailureType.OK, 0)
+    places = [(round((HOME_LAT_DEG + k * METRE_DEG) * 1e7), round(HOME_LON_DEG * 1e7), 1.5) for k in (2, 1)]
+    flat = (0.0, 0.0, 0.0, math.nan)
+    await mission.upload_mission([MissionItem(k, 6, 16, k == 0, 1, *flat, *place, 0) for k, place in enumerate(places)])
+    assert [item.x for item in await mission.download_mission()] == [place[0] for place in places]
+    await mission.start_mission()
+    last = places[1][0] * 1e-7
+    await until(telemetry.subscribe_position(), lambda one: abs(one.latitude_deg - last) < 0.2 * METRE_DEG)
+    await mission.clear_mission()
+    await action.return_to_launch()
+    await action.land()
+    await until(telemetry.subscribe_armed(), lambda armed: not armed)
+
+
+@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
+def test_mavsdk_flies_it_from_the_ground_to_the_ground(profile: str) -> None:
+    async def fly(address: str) -> None:
+        async with ground_station() as mavsdk:
+            system = await found(mavsdk, address)
+            health = await until(TelemetryAsync(system).subscribe_health_all_ok(), bool)
+            assert health
+            parameters = ParamAsync(system)
+            assert len((await parameters.get_all_params()).int_params) > 5
+            await parameters.set_param_int("SIM_PROP_FAULT", 1)
+            assert await parameters.get_param_int("SIM_PROP_FAULT") == 1
+            await parameters.set_param_int("SIM_PROP_FAULT", 0)
+            await fly_about(system)
+
+    with flying("--profile", profile, "--trajectory", "commanded") as (address,):
+        asyncio.run(fly(address))
+
+
+@contextmanager
+def behind(folder: Path) -> Iterator[str]:
+    """An emulated vehicle, the detector, and the address of a link behind it."""
+    options = ("--learn", "500", "--save", str(folder / "b.json"), "--forward", "udpin:127.0.0.1:0")
+    with flying("--rate", "100") as (address,), running("--connect", address, *options) as (_, line):
+        found = re.search(r"forwarding to udpin:(127\.0\.0\.1:\d+)", line)
+        assert found, line
+        yield found[1]
+
+
+def test_mavsdk_reads_and_sets_them(tmp_path: Path) -> None:
+    pytest.importorskip("mavsdk", reason="mavsdk is not installed for this platform")
+    from mavsdk.asyncio.plugins.param import ParamAsync
+    from mavsdk.plugins.param import ParamError, ProtocolVersion
+
+    async def read(address: str) -> None:
+        async with ground_station() as mavsdk:
+            parameters = ParamAsync(await found(mavsdk, f"udpout:{address}"))
+            until, told = time.monotonic() + PATIENCE_S, dict[str, float]()
+            while len(told) < 3 and time.monotonic() < until:  # it answers once the vehicle has entered
+                with suppress(ParamError):  # the binding of 4.1 says "unknown" after it has selected it, too
+                    await parameters.select_component(Component.ONBOARD_COMPUTER, ProtocolVersion.V1)
+                with suppress(ParamError):  # one by one: all at once it mixes with those of the autopilot that it hears
+                    told |= {name: await parameters.get_param_float(name) for name in CHANGES}
+            assert told == {"PROP_SCALE": 1.0, "PROP_TEXTS": 30.0, "PROP_ACK": 0.0}
+            await parameters.set_param_float("PROP_TEXTS", 12.0)
+            assert await parameters.get_param_float("PROP_TEXTS") == 12.0
+
+    with behind(tmp_path) as address:
+        asyncio.run(read(address))
+
+
+def test_mavproxy_shows_them(tmp_path: Path) -> None:
+    environment = {**os.environ, "HOME": str(tmp_path), "PYTHONUNBUFFERED": "1"}
+    printed: list[str] = []
+    with behind(tmp_path) as address:
+        command = mavproxy(f"udpout:{address}", "--daemon", "--non-interactive")
+        command = [part.replace("component=0", f"component={int(Component.ONBOARD_COMPUTER)}") for part in command]
+        with process([*command, "--cmd=param fetch"], cwd=tmp_path, env=environment) as station:
+            assert station.stdout is not None
+            reader = threading.Thread(target=printed.extend, args=(station.stdout,), daemon=True)
+            reader.start()
+            until = time.monotonic() + PATIENCE_S
+            while not any("Received 3 parameters" in line for line in printed) and time.monotonic() < until:
+                time.sleep(0.2)
+        reader.join(PATIENCE_S)
+    assert "Received 3 parameters" in "".join(printed), "".join(printed)
+
+
+MODULES = "link,param,output,mode,arm,cmdlong,wp"
+
+
+def mavproxy(address: str, *options: str) -> list[str]:
+    program = shutil.which("mavproxy.py", path=str(Path(sys.executable).parent))
+    if program is None:
+        pytest.skip("MAVProxy is not installed")
+    return [
+        sys.executable,
+        program,
+        f"--default-modules={MODULES}",
+        f"--master={address}",
+        "--target-system=1",  # without these two it hides the companion's component 191
+        "--target-component=0",
+        *options,
+    ]
+
+
+def test_mavproxy_prints_the_alert_of_a_companion(tmp_path: Path) -> None:
+    environment = {**os.environ, "HOME": str(tmp_path), "PYTHONUNBUFFERED": "1"}
+    printed: list[str] = []
+    with (
+        flying("--rate", "100", links=2) as (address, companion_address),
+        process(mavproxy(address, "--daemon", "--non-interactive"), cwd=tmp_path, env=environment) as ground_station,
+        companion(companion_address) as alerter,
+    ):
+        assert ground_station.stdout is not None
+        reader = threading.Thread(target=printed.extend, args=(ground_station.stdout,), daemon=True)
+        reader.start()
+        until = time.monotonic() + PATIENCE_S
+        while not any(ALERT in line for line in printed) and time.monotonic() < until:
+            alerter.alert()
+            time.sleep(2.1)  # MAVProxy prints the same text only every 2 s
+    reader.join(PATIENCE_S)
+    output = "".join(printed)
+    assert f"AP: {ALERT}" in output, output
+    assert "Detected vehicle 1:1" in output
+    assert "ARMED" in output

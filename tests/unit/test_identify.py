@@ -1,0 +1,423 @@
+"""Identification: Octave's and python-control's answers, SRIV under noise, residuals, and the laboratory's tools."""
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from identification_data import ROLL, WELL, Record, octave, record
+from numpy.testing import assert_allclose, assert_array_equal
+from pydantic import TypeAdapter
+from scipy.signal import lfilter
+from shared_data import shared
+
+from mavdiag.errors import IdentificationError
+from mavdiag.identify import ArxModel, Method, ModelRecord, Order, fit
+from mavdiag.identify.arx import Records, Segment, polynomials
+from mavdiag.identify.estimate import (
+    ORDERS,
+    best_row,
+    examine_residual,
+    nrmse_percent,
+    one_step_report,
+    sweep,
+    validate,
+)
+from mavdiag.identify.lab import ModelFigures, estimate_response, model_figures, model_response, track
+from mavdiag.identify.sriv import sriv
+from mavdiag.rows.savgol import coefficients
+from mavdiag.telemetry import FloatArray
+
+
+@pytest.mark.parametrize("index", range(24))
+def test_least_squares_is_octaves(index: int) -> None:
+    case, u, y = octave(index)
+    model = fit(u, y, (case["na"], case["nb"], case["nk"]), dt=0.001, method="ls")
+    assert_allclose(model.a, case["ls_A"], atol=1e-9)
+    assert_allclose(model.b, case["ls_B"], atol=1e-9)
+    # Its own nk = 0 is done by advancing u by one sample, so that case starts one row later.
+    tolerance = 2e-3 if case["nk"] == 0 else 1e-9
+    assert_allclose(model.a, case["octave_arx_A"], atol=tolerance)
+    assert_allclose(model.b[: len(case["octave_arx_B"])], case["octave_arx_B"], atol=tolerance)
+    if case["ls_loss"] >= 1e-20:  # free of noise residuals are rounding only
+        assert_allclose(model.standard_errors, case["ls_se"], rtol=1e-8)
+    y_sim = model.simulate(u)
+    assert_allclose(abs(model.poles[0]), case["max_pole"], atol=1e-9)
+    assert_allclose(y_sim[:10], case["sim_first10"], atol=1e-9)
+    assert_allclose(y_sim[-5:], case["sim_last5"], atol=1e-9)
+    assert_allclose(model.nrmse_fit, case["fit_nrmse_pct"], atol=1e-8)
+    assert_allclose(model.r2t, case["RT2"], atol=1e-10)
+
+
+def test_flights_are_stacked_and_never_joined() -> None:
+    one, two = record(WELL, 300, 0.1, 1), record(WELL, 200, 0.1, 2)
+    found = fit([one.u, two.u], [one.y, two.y], dt=0.01, method="ls")
+    # [ y(t) ] = [ -y(t-1) -y(t-2) u(t-1) u(t-2) ] @ theta, written out here row by row
+    rows, target = [], []
+    for data in (one, two):
+        for t in range(2, len(data.y)):
+            rows.append([-data.y[t - 1], -data.y[t - 2], data.u[t - 1], data.u[t - 2]])
+            target.append(data.y[t])
+    expected, *_ = np.linalg.lstsq(np.array(rows), np.array(target), rcond=None)
+    assert_allclose(found.theta, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "dt", "order", "match"),
+    [
+        ([1.0, -0.5], [0.0, 1.0, 2.0], 0.01, (1, 1, 1), "needs 2 a, 2 b"),
+        ([2.0, -0.5], [0.0, 1.0], 0.01, (1, 1, 1), r"a\[0\] = 1"),
+        ([1.0, -0.5], [0.5, 1.0], 0.01, (1, 1, 1), "leading zeros"),
+        ([1.0, np.nan], [0.0, 1.0], 0.01, (1, 1, 1), "finite"),
+        ([1.0, -0.5], [0.0, 1.0], 0.0, (1, 1, 1), "sample time"),
+        ([1.0, -0.5], [0.0, 1.0], 0.01, (0, 1, 1), "order"),
+    ],
+)
+def test_an_impossible_model_is_refused(
+    a: list[float], b: list[float], dt: float, order: tuple[int, int, int], match: str
+) -> None:
+    with pytest.raises(IdentificationError, match=match):
+        ArxModel(np.array(a), np.array(b), dt, order, Method.PUBLISHED)
+    with pytest.raises(IdentificationError, match=match):
+        ModelRecord(a=tuple(a), b=tuple(b), dt_s=dt, order=order, method=Method.PUBLISHED)
+
+
+@pytest.mark.parametrize("order", [(2, 2, 1), (1, 3, 2), (3, 1, 0), (1, 1, 0)])
+def test_python_control_agrees(order: tuple[int, int, int]) -> None:
+    na, nb, nk = order
+    a = np.real(np.atleast_1d(np.poly([0.8, -0.4, 0.2][:na])))
+    model = ArxModel(a, np.r_[np.zeros(nk), np.arange(1.0, nb + 1)], 0.02, order, Method.PUBLISHED)
+    transfer = model.to_control()
+    assert transfer.dt == 0.02
+    assert transfer.dcgain() == pytest.approx(model.dc_gain)
+    nonzero = np.sort(transfer.poles()[np.abs(transfer.poles()) > 1e-9].real)
+    assert_allclose(nonzero, np.sort(model.poles.real), atol=1e-9)
+    u = np.random.default_rng(1).standard_normal(80)
+    response = control.forced_response(transfer, 0.02 * np.linspace(0.0, 79.0, 80), u)
+    assert_allclose(np.ravel(response.outputs), model.simulate(u), atol=1e-9)
+
+
+def good() -> tuple[FloatArray, FloatArray]:
+    data = record(WELL, 400, 0.1, 8)
+    return data.u, data.y
+
+
+@pytest.mark.parametrize("method", ["ls", "sriv"])
+def test_bad_data_are_refused_with_one_line(method: str) -> None:
+    u, y = good()
+    holed = np.where(np.arange(400) == 10, np.nan, y)
+    sine = np.sin(0.3 * np.arange(400))
+    cases: list[tuple[Records, Records, str]] = [
+        (u[:2], y[:2], "too short"),
+        (u[:30], y[:30], "too short"),
+        (u, y[:-1], "400 samples and y has 399"),
+        (u, holed, "NaN"),
+        (np.full_like(u, np.inf), y, "infinite"),
+        (np.ones_like(u), y, "u is constant"),
+        (u, np.ones_like(y), "y is constant"),
+        (np.r_[np.ones(200), 2 * np.ones(200)][:, None] * [1, 1], y, "one-dimensional"),
+        ([u, u], [y], "one of each"),
+        ([], [], "one of each"),
+        ([u, u[:2]], [y, y[:2]], "segment 2 is too short"),
+        (sine, WELL.simulate(sine) + 1e-3 * y, "persistently exciting of order 2, this model needs 4"),
+    ]
+    for case_u, case_y, match in cases:
+        with pytest.raises(IdentificationError, match=match) as caught:
+            fit(case_u, case_y, dt=0.01, method=method)
+        assert "\n" not in str(caught.value)
+
+
+def test_results_that_are_no_models_are_refused() -> None:
+    u = np.random.default_rng(9).standard_normal(300)
+    growing = ArxModel(np.array([1.0, -1.02]), np.array([0.0, 1.0]), 0.01, (1, 1, 1), Method.PUBLISHED)
+    with pytest.raises(IdentificationError, match="unstable"):
+        fit(u, growing.simulate(u), (1, 1, 1), dt=0.01, method="ls")
+    data = record(WELL, 400, 0.0, 8)
+    with pytest.raises(IdentificationError, match="linearly dependent"):
+        fit(data.u, data.y, (3, 3, 1), dt=0.01, method="ls")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "match"),
+    [
+        *(({"order": order}, "whole numbers") for order in [(0, 2, 1), (2, 2, -1), (2, 2), (2.0, 2, 1), (True, 2, 1)]),
+        *(({"method": method}, "use 'sriv' or 'ls'") for method in ("arx", Method.RLS)),
+        *(({"dt": dt}, "sample time") for dt in (0.0, -1.0, float("nan"))),
+    ],
+)
+def test_bad_arguments_are_refused(wrong: dict[str, Any], match: str) -> None:
+    with pytest.raises(IdentificationError, match=match):
+        fit(*good(), **{"dt": 0.01, **wrong})
+
+
+def test_the_record_of_a_model_gives_the_model_back_also_through_json() -> None:
+    model = fit(*good(), dt=0.01)
+    stored = json.dumps(dataclasses.asdict(ModelRecord.of(model)), allow_nan=False)
+    back = TypeAdapter(ModelRecord).validate_json(stored).model()
+    for name in ("a", "b", "standard_errors", "covariance"):
+        assert_array_equal(getattr(back, name), getattr(model, name))
+    assert (back.r2t, back.mse, back.samples, back.order) == (model.r2t, model.mse, 400, (2, 2, 1))
+    bare = ModelRecord.of(WELL)
+    assert (bare.r2t, bare.standard_errors, bare.covariance) == (None, (), ())
+    assert math.isnan(bare.model().r2t)
+
+
+@pytest.mark.parametrize(
+    ("noise", "sriv_fit", "ls_fit"),
+    [(0.05, 99.8, 60.0), (0.20, 99.4, 12.0)],
+)
+@pytest.mark.parametrize("seed", range(2))
+def test_the_thesis_roll_model_under_output_noise(noise: float, sriv_fit: float, ls_fit: float, seed: int) -> None:
+    data = record(ROLL, 20_000, noise, seed)
+    refined, plain = (fit(data.u, data.y, dt=0.001, method=method) for method in ("sriv", "ls"))
+    assert refined.converged
+    assert nrmse_percent(data.clean, refined.simulate(data.u)) > sriv_fit
+    assert nrmse_percent(data.clean, plain.simulate(data.u)) < ls_fit
+
+
+@pytest.mark.parametrize("column", ["y_out5", "y_out20"])
+def test_octaves_noisy_records_give_the_true_model(column: str) -> None:
+    folder = shared("reference/octave")
+    table = np.genfromtxt(folder / "data_well.csv", delimiter=",", names=True)
+    truth = json.loads((folder / "true_models.json").read_text())["well"]
+    model = fit(table["u"], table[column], dt=0.001)
+    error = model.theta - np.array([*truth["a"][1:], *truth["b"][1:]])
+    assert np.all(np.abs(error) < 3.5 * model.standard_errors)
+    assert nrmse_percent(table["y_clean"], model.simulate(table["u"])) > (99.7 if column == "y_out5" else 98.9)
+    plain = fit(table["u"], table[column], dt=0.001, method="ls")
+    assert nrmse_percent(table["y_clean"], plain.simulate(table["u"])) < (97.0 if column == "y_out5" else 85.0)
+
+
+@pytest.mark.parametrize(("model", "n", "noise"), [(WELL, 1500, 0.2), (WELL, 1500, 0.5), (ROLL, 5000, 0.2)])
+def test_standard_errors_are_right(model: ArxModel, n: int, noise: float) -> None:
+    normalised = []
+    for seed in range(40):
+        data = record(model, n, noise, seed)
+        found = fit(data.u, data.y, dt=model.dt)
+        normalised.append((found.theta - model.theta) / found.standard_errors)
+    rms = np.sqrt(np.mean(np.square(normalised), axis=0))
+    # 40 trials: the rms of a parameter has a standard deviation of 0.11
+    assert np.all((rms > 0.7) & (rms < 1.3)), rms
+
+
+@pytest.mark.parametrize(("window", "hold"), [(5, 3), (101, 400)])
+def test_standard_errors_hold_behind_a_smoothing_filter(window: int, hold: int) -> None:
+    # The white-noise formula is wrong by a factor of 6 at 101 samples.
+    slow = ArxModel(
+        np.array([1.0, -1.98, 0.9805]), np.array([0.0, -0.0059, 0.0061]), 0.001, (2, 2, 1), Method.PUBLISHED
+    )
+    normalised = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.standard_normal(15_000 // hold), hold)
+        clean = slow.simulate(u)
+        y = clean + 0.2 * clean.std() * rng.standard_normal(len(u))
+        value = coefficients(window)[0]
+        found = fit(np.correlate(u, value, "valid"), np.correlate(y, value, "valid"), dt=0.001)
+        normalised.append((found.theta - slow.theta) / found.standard_errors)
+    rms = np.sqrt(np.mean(np.square(normalised), axis=0))
+    assert np.all((rms > 0.6) & (rms < 1.5)), rms
+
+
+def test_flights_that_begin_in_motion_do_not_bias_it() -> None:
+    normalised = []
+    for seed in range(40):
+        data = record(ROLL, 6000, 0.2, seed)
+        parts = [slice(2000, 3000), slice(3500, 4700), slice(4800, 6000)]
+        found = fit([data.u[part] for part in parts], [data.y[part] for part in parts], dt=0.001)
+        normalised.append((found.theta - ROLL.theta) / found.standard_errors)
+    rms = np.sqrt(np.mean(np.square(normalised), axis=0))
+    assert np.all(rms < 1.4), rms
+
+
+@pytest.mark.parametrize("order", [(1, 1, 1), (2, 5, 0), (3, 2, 1), (2, 1, 4)])
+def test_every_order_recovers_its_own_model(order: tuple[int, int, int]) -> None:
+    na, nb, nk = order
+    rng = np.random.default_rng(11)
+    poles = np.array([0.9, 0.5, -0.3])[:na]
+    a = np.real(np.atleast_1d(np.poly(poles)))
+    truth = ArxModel(a, np.r_[np.zeros(nk), 0.3 + rng.random(nb)], 0.01, order, Method.PUBLISHED)
+    data = record(truth, 8000, 0.1, 12)
+    found = fit(data.u, data.y, order, dt=0.01)
+    assert np.all(np.abs(found.theta - truth.theta) < 4.5 * found.standard_errors)
+    assert nrmse_percent(data.clean, found.simulate(data.u)) > 99.0
+
+
+def flown(seed: int, n: int) -> Segment:
+    rng = np.random.default_rng(seed)
+    u = np.cumsum(rng.normal(0.0, 0.1, n + 50))
+    u -= lfilter([0.01], [1.0, -0.99], u)
+    y = lfilter([0.0, 0.01, -0.006], [1.0, -1.9, 0.905], u)
+    y += 0.05 * lfilter([0.2], [1.0, -0.8], rng.normal(size=n + 50))
+    return Segment(u[50:], np.asarray(y[50:]))
+
+
+def test_a_fit_that_begins_near_ends_where_the_other_one_does_and_a_bad_start_does_no_harm() -> None:
+    segments = tuple(flown(seed, 700) for seed in range(8))
+    whole, bad = sriv(segments, (2, 2, 1)), np.array([0.99, 0.5, -3.0, 4.0])
+    for left_out in range(8):
+        rest = tuple(one for i, one in enumerate(segments) if i != left_out)
+        far, near, lost = (sriv(rest, (2, 2, 1), start is None, start) for start in (None, whole.theta, bad))
+        assert near.converged
+        assert near.iterations <= far.iterations
+        errors = np.sqrt(np.diag(far.covariance))
+        assert np.abs((near.theta - far.theta) / errors).max() < 0.01
+        assert np.abs((lost.theta - far.theta) / errors).max() < 0.01
+        assert np.all(np.abs(np.roots(polynomials(lost.theta, (2, 2, 1))[0])) < 1.0)
+        assert np.isnan(near.covariance).all()
+
+
+@pytest.mark.parametrize("index", range(24))
+def test_octave_residual_figures(index: int) -> None:
+    case, u, y = octave(index)
+    model = fit(u, y, (case["na"], case["nb"], case["nk"]), dt=0.001, method="ls")
+    error = y[model.lag :] - model.predict(u, y)
+    simulation_error = y - model.simulate(u)
+    for q, e, simulated_e in zip(case["prct_p"], case["prct_e"], case["prct_es"], strict=True):
+        assert np.percentile(error, q, method="hazen") == pytest.approx(e, abs=1e-9)
+        assert np.percentile(simulation_error, q, method="hazen") == pytest.approx(simulated_e, abs=1e-9)
+    if case["ls_loss"] < 1e-20:
+        return  # the residual is rounding only
+    report = one_step_report(model, u, y)
+    assert report.acf_band99 == pytest.approx(case["conf99_band"], rel=1e-4)
+    assert_allclose(report.acf, case["res_acf"], atol=1e-9)
+    assert_allclose(report.ccf, case["res_ccf_pos"], atol=1e-9)
+
+
+def test_only_the_true_structure_leaves_a_white_independent_residual() -> None:
+    u, y = next((u, y) for case, u, y in map(octave, range(24)) if case["output"] == "y_eqnoise")
+    peaks = []  # of the correlations over their bands
+    for order in ((2, 2, 1), (2, 2, 2), (1, 1, 1)):  # true, late, low
+        report = one_step_report(fit(u, y, order, dt=0.001, method="ls"), u, y)
+        bands = (report.acf[1:], report.acf_band99), (report.ccf, report.ccf_band99)
+        peaks.append([float(np.abs(values).max()) / band for values, band in bands])
+    assert max(peaks[0]) < 1.3
+    assert peaks[1][1] > 2.0
+    assert peaks[2][0] > 2.0
+
+
+def test_the_bands_hold_99_percent_of_what_a_true_model_shows() -> None:
+    inside = np.zeros(2)
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        u = np.convolve(rng.standard_normal(1049), np.ones(50) / 50, "valid")  # as slow as flight data
+        report = examine_residual(rng.standard_normal(1000), u)
+        inside += [
+            np.mean(np.abs(report.acf[1:]) <= report.acf_band99),
+            np.mean(np.abs(report.ccf) <= report.ccf_band99),
+        ]
+    assert np.all(inside / 200 > 0.98)
+
+
+def test_records_that_begin_in_motion_may_settle_first() -> None:
+    data = record(ROLL, 12_000, 0.0, 3)
+    top = int(np.argmax(np.abs(data.y[:4000])))
+    u, y = data.u[top : top + 8000], data.y[top : top + 8000]
+    assert validate(ROLL, u, y).r2t < 0.99
+    assert validate(ROLL, u, y, settle_s=5.0).r2t > 0.9999  # five time constants of the pole 0.9985 are 3.3 s
+    found = fit(u, y, dt=0.001, settle_s=5.0)
+    assert found.r2t > 0.9999
+    assert found.samples == 8000
+    assert_allclose(found.theta, fit(u, y, dt=0.001).theta)
+    for settle_s, match in ((8.0, "lower it"), (-1.0, "0 or more"), (float("nan"), "0 or more")):
+        with pytest.raises(IdentificationError, match=match):
+            validate(ROLL, u, y, settle_s)
+
+
+def last(*pairs: Record, order: Order = (2, 2, 1), forgetting: float = 1.0) -> ArxModel:
+    u, y = [one.u for one in pairs], [one.y for one in pairs]
+    return [model for _, model in track(u, y, order, dt=0.01, forgetting=forgetting, every=10_000)][-1]
+
+
+@pytest.mark.parametrize("order", [(1, 1, 1), (2, 5, 0), (3, 2, 2)])
+def test_without_forgetting_it_is_batch_least_squares(order: Order) -> None:
+    one, two = record(WELL, 600, 0.2, 1), record(WELL, 500, 0.2, 2)
+    batch = fit([one.u, two.u], [one.y, two.y], order, dt=0.01, method="ls")
+    tracked = last(one, two, order=order)
+    assert_allclose(tracked.theta, batch.theta, atol=1e-6)
+    assert_allclose(tracked.standard_errors, batch.standard_errors, rtol=0.05)
+    assert tracked.method is Method.RLS
+
+
+def test_forgetting_follows_a_change_and_a_long_hover_does_not_wind_it_up() -> None:
+    weaker = ArxModel(WELL.a, 0.7 * WELL.b, 0.01, (2, 2, 1), Method.PUBLISHED)
+    before, after = record(WELL, 3000, 0.0, 3), record(weaker, 3000, 0.0, 4)
+    assert_allclose(last(before, after, forgetting=0.99).theta, weaker.theta, atol=1e-6)
+    still = Record(np.zeros(20_000), np.zeros(20_000), np.zeros(20_000))
+    data = record(WELL, 2000, 0.05, 5)
+    found = last(before, still, data, forgetting=0.99)
+    assert_allclose(found.a, fit(data.u, data.y, dt=0.01, method="ls").a, atol=0.2)
+
+
+def test_a_measured_response_lies_within_its_stated_error() -> None:
+    data = record(WELL, 60_000, 0.3, 1)
+    measured = estimate_response(data.u, data.y, dt=0.01, segment=512)
+    truth = model_response(WELL, measured.frequency_hz)
+    z = np.exp(2j * np.pi * measured.frequency_hz * 0.01)
+    assert_allclose(truth, WELL.to_control()(z), rtol=1e-12)
+    use = measured.frequency_hz > 0.5
+    averages = 9 / 11 * (2 * 60_000 // 512 - 1)  # half-overlapping Hann windows are not independent (Welch 1967)
+    coherence = measured.coherence[use]
+    # standard deviation of |response| over |response| (Bendat and Piersol, Random Data 4e, Table 9.6)
+    stated = np.sqrt((1.0 - coherence) / (2.0 * coherence * averages))
+    off = (np.abs(measured.response[use] / truth[use]) - 1.0) / stated
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(1.0, abs=0.3)
+    # coherence of y = G u + e, both white: |G|^2 / (|G|^2 + var e)
+    expected = np.abs(truth) ** 2 / (np.abs(truth) ** 2 + 0.09 * data.clean.var())
+    assert_allclose(measured.coherence[use], expected[use], atol=0.12)
+
+
+def test_the_order_that_made_the_data_is_chosen() -> None:
+    train, other = record(WELL, 1500, 0.1, 0), record(WELL, 1000, 0.1, 100)
+    rows = sweep(((one, 0, (train.u, train.y), (other.u, other.y)) for one in ORDERS), dt=0.01)
+    assert len(rows) == 3 * 5 * 5
+    assert best_row(rows).order == (2, 2, 1)
+
+
+DT = 0.01
+
+
+def test_figures_of_a_sampled_oscillator_are_those_of_the_textbook() -> None:
+    wn, zeta = 2 * math.pi * 3.0, 0.4  # 3 Hz; poles exp((-zeta +- j sqrt(1 - zeta^2)) wn dt)
+    pole = np.exp(complex(-zeta, math.sqrt(1 - zeta**2)) * wn * DT)
+    a = np.real(np.poly([pole, pole.conjugate()]))
+    found = model_figures(ArxModel(a, np.array([0.0, a.sum()]), DT, (2, 1, 1), Method.PUBLISHED))
+    (pair,) = found.poles
+    assert pair.natural_hz.value == pytest.approx(3.0)
+    assert pair.damping.value == pytest.approx(zeta)
+    assert pair.real.value == pytest.approx(pole.real)
+    assert pair.imaginary.value == pytest.approx(pole.imag)
+    assert found.dc_gain.value == pytest.approx(1.0)
+    # continuous: wb = wn sqrt(1 - 2 z^2 + sqrt((1 - 2 z^2)^2 + 1))
+    share = 1 - 2 * zeta**2
+    assert found.bandwidth_hz.value == pytest.approx(3.0 * math.sqrt(share + math.sqrt(share**2 + 1)), rel=0.02)
+    assert found.dc_gain.standard_error is None
+    assert found.errors_from.startswith("nothing")
+
+
+def test_margins_are_those_of_the_loop_that_unit_feedback_closes() -> None:
+    # L = k z^-1/(1 - z^-1): poles of T at 1 - k, unstable from k = 2, so the gain margin of k = 0.5 is 4
+    found = model_figures(ArxModel(np.array([1.0, -0.5]), np.array([0.0, 0.5]), DT, (1, 1, 1), Method.PUBLISHED))
+    assert found.gain_margin_db.value == pytest.approx(20 * math.log10(4.0))
+    crossover = 2 * math.asin(0.25)  # |L| = k / (2 sin(w/2)) = 1; phase -90 - w/2 degrees
+    assert found.phase_margin_deg.value == pytest.approx(90 - math.degrees(crossover / 2))
+    frequency = np.linspace(0.001, math.pi, 20000)
+    L = 0.5 / (np.exp(1j * frequency) - 1)
+    assert found.modulus_margin.value == pytest.approx(float(np.abs(1 + L).min()), rel=1e-3)
+
+
+def numbers(found: ModelFigures) -> list[tuple[float, float]]:
+    pole = found.poles[0]
+    chosen = (pole.natural_hz, pole.damping, found.dc_gain, found.bandwidth_hz, found.gain_margin_db)
+    return [(one.value or math.nan, one.standard_error or math.nan) for one in chosen]
+
+
+def test_standard_errors_by_the_delta_method_are_the_scatter_of_repeated_experiments() -> None:
+    trains = [record(WELL, 1500, 0.1, seed) for seed in range(40)]
+    models = [fit(train.u, train.y, dt=DT) for train in trains]
+    table = np.array([numbers(model_figures(model)) for model in models])
+    scatter, stated = table[:, :, 0].std(axis=0, ddof=1), table[:, :, 1].mean(axis=0)
+    assert_allclose(stated, scatter, rtol=0.35)
