@@ -27,7 +27,7 @@ from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.front import warm as warm_rows
 from mavdiag.rows.gate import Border
 from mavdiag.rows.grid import LEAST_SAMPLES, measure_grid, steps_of
-from mavdiag.rows.rates import RateBlock, RateSpec
+from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
@@ -234,7 +234,7 @@ class Chain:
         count = int(np.count_nonzero(rows.block.valid))
         if count == 0 and not (state.beginning and state.beginning[-1].block.valid.any()):
             return None  # nothing is measured in it; one such block parts the others
-        state.beginning.append(Rows(rows.block, _NO_RATES))
+        state.beginning.append(rows)
         if state.begun_s + count * rows.block.dt_s < FIRST_S:
             state.begun_s += count * rows.block.dt_s
             return None
@@ -246,10 +246,6 @@ class Chain:
             self.front.align.append(state.front.align, telemetry)
         state.waiting, state.chunks = state.waiting and [], 0
         return self.front.step(state.front, Telemetry())[1]
-
-
-# What is kept of the rates of the beginning, which nothing is compared by.
-_NO_RATES = RateBlock(0, 0.0, np.empty(0, np.int64), *np.empty((3, 0, 3)), *np.empty((2, 0), np.bool_))
 
 
 def _gyro_s(pieces: Sequence[Telemetry]) -> float:

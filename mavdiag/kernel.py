@@ -18,12 +18,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-import mavdiag.monitors.columns as col
+import mavdiag.rows.block as col
 from mavdiag.jit import allocating, cached, jit
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import FaultKind, Monitor, RotorEvidence
 from mavdiag.monitors.conditions import COUNT, conditions_memory, most_bins, take_rows
-from mavdiag.rows.conditions import BIN_S, Condition
+from mavdiag.rows.conditions import BIN_S, TRIM_CONDITIONS, TRIM_MEMORY_S, Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.quality import DOUBTS
 from mavdiag.rows.statistic import Statistic
@@ -528,7 +528,7 @@ class Kernel:
         self._fixed = (plan, thresholds, checked, limits, np.concatenate([np.empty(0), *own]))
         self._tellers = int(plan[:, ROTORS].max(initial=-1)) + 1
         bins_ns = round((delay_s + BIN_S) * NS_PER_S)  # from so long on a bin is known
-        self._bins = (_bits(col.TRIM_CONDITIONS), round(col.TRIM_MEMORY_S * NS_PER_S), bins_ns)
+        self._bins = (_bits(TRIM_CONDITIONS), round(TRIM_MEMORY_S * NS_PER_S), bins_ns)
         self._late_ns = int(plan[plan[:, OWN] > 0, REACH].max(initial=0)) + LATE_NS
         self._longest_ns = int(plan[:, MEMORY_NS].max(initial=0)) + bins_ns + round(BIN_S * NS_PER_S)
 
@@ -568,7 +568,7 @@ class Kernel:
     def step(self, memory: Memory, rows: Rows) -> tuple[Looked, Piece]:
         """Take the next rows of the segment; return the looks that they make whole, and all values."""
         block, columns, slots = rows.block, col.columns_of(rows, memory.past), len(self.slots)
-        n, times = len(block), (block.t_ns.copy(), rows.rates.t_ns.copy())  # a log's cannot always be written
+        n, times = len(block), (block.t_ns.copy(), rows.rates_ns.copy())  # a log's cannot always be written
         first_ns, now_ns = int(times[0][0]), int(times[0][-1])
         first = -(-first_ns // LOOK_NS) if memory.next_look is None else memory.next_look
         done = max(0, now_ns // LOOK_NS + 1 - first)

@@ -25,14 +25,15 @@ from typing import Literal, TypeVar
 import numpy as np
 
 import mavdiag.airframe.trim as trims
-import mavdiag.monitors.columns as col
+import mavdiag.rows.block as col
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import allocating, cached, jit
 from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
-from mavdiag.monitors.columns import Floats, Ints
 from mavdiag.monitors.fitting import of_each, three
 from mavdiag.monitors.spec import Positive, spec
+from mavdiag.rows.block import Floats, Ints
+from mavdiag.rows.conditions import TRIM_CONDITIONS
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Signal, Three
 
@@ -279,7 +280,7 @@ class TrimMonitor(Monitor[Spec]):
 
     phrase = "lost {lost}% thrust"
     needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT})
-    depends = col.TRIM_CONDITIONS
+    depends = TRIM_CONDITIONS
     # A lead of 0.12 was right in each of 35 recorded cuts. Damage that changes a blade's drag by 0.02 shifts the yaw
     # trim towards rotors of the other sense, a lead of 0.04: no smaller unit tells rotors apart (our choice).
     evidence = RotorEvidence(10.0, relative=True, least=0.04, direct=False)
@@ -421,7 +422,7 @@ def _tick_shape(dt_s: float) -> tuple[int, int]:
 
 
 def _parts_of(flight: Sequence[Rows], layout: RotorLayout, source: trims.Source) -> list[FloatArray]:
-    """The parts of ticks of each segment as rows that come so seldom: x of `monitors.columns`.
+    """The parts of ticks of each segment as rows that come so seldom: x of `rows.block`.
 
     Their trim stands for torque commands at a thrust of 1, so that `run` makes the same ticks of them as of the rows.
     """

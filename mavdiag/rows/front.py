@@ -8,19 +8,12 @@ import numpy as np
 
 from mavdiag.rows.align import AlignSpec, AlignState
 from mavdiag.rows.block import Block, in_rotor_order
+from mavdiag.rows.block import Rows as Rows
 from mavdiag.rows.gate import Border, GateSpec, GateState
-from mavdiag.rows.rates import RateBlock, RateSpec, RateState
+from mavdiag.rows.rates import RateSpec, RateState
 from mavdiag.telemetry import IntArray, Series, Signal, Telemetry
 
 LEAPT = 9  # samples whose median stamp counts where some go back: up to four in a row may leap (our choice)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """The next aligned rows of one segment, and the filtered rates that they complete (half a window later)."""
-
-    block: Block
-    rates: RateBlock
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +74,7 @@ class Front:
             if isinstance(part, Border):
                 yield part
             else:
-                yield Rows(in_rotor_order(part, self.outputs), self.rates.step(state.rates, part))
+                yield self.rates.step(state.rates, in_rotor_order(part, self.outputs))
 
 
 def in_pieces(telemetry: Telemetry, most: int) -> Iterator[Telemetry]:

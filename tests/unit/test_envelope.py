@@ -27,7 +27,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import WINDOW, example_rows
+from mavdiag.testing import WINDOW, changed, example_rows
 from mavdiag.thresholds.envelope import ORDER, RULES, Covered, excess_of, limits_of
 
 BIN_NS = 100_000_000
@@ -45,7 +45,7 @@ def made_block(n: int, dt_s: float, seed: int) -> Block:
         thrust=0.5 + 0.01 * rng.normal(size=n),
     ).block
     t_ns = block.t_ns + 1_000_037_000_000
-    return replace(block, t_ns=t_ns, height=1.0 + walk[:, 3])
+    return changed(replace(block, t_ns=t_ns), height=1.0 + walk[:, 3])
 
 
 def spoilt(block: Block, seed: int) -> Block:
@@ -56,7 +56,7 @@ def spoilt(block: Block, seed: int) -> Block:
     for part in (*flags, *slow):
         first = int(rng.integers(0, n))
         part[first : first + int(rng.integers(1, n // 5 + 2))] = 0 if part.dtype == np.bool_ else np.nan
-    return replace(block, valid=flags[0], setpoint_valid=flags[1], thrust=slow[0], height=slow[1])
+    return changed(block, valid=flags[0], setpoint_valid=flags[1], thrust=slow[0], height=slow[1])
 
 
 def rows_of(block: Block, edges: Sequence[int] = ()) -> list[Rows]:
@@ -65,7 +65,7 @@ def rows_of(block: Block, edges: Sequence[int] = ()) -> list[Rows]:
     state, out = spec.start(), []
     for low, high in itertools.pairwise(sorted({0, len(block), *edges})):
         piece = block.rows(low, high)
-        out.append(Rows(piece, spec.step(state, piece)))
+        out.append(spec.step(state, piece))
     return out
 
 

@@ -13,9 +13,8 @@ from mavdiag.errors import IdentificationError
 from mavdiag.identify import Method
 from mavdiag.identify.model import ModelRecord
 from mavdiag.monitors.run_length import RunLength, RunLengthSpec
-from mavdiag.rows.front import Rows
 from mavdiag.telemetry import Axis
-from mavdiag.testing import example_rows
+from mavdiag.testing import example_rows, with_rates
 
 DT_S = 0.01
 CONTEXT = replace(example_context(), window=11)
@@ -29,10 +28,10 @@ def test_fsd_counts_consecutive_judged_rows_of_its_axis_above_the_margin(
 ) -> None:
     flown, n = example_rows(len(rows) + 4), len(rows)
     turned, judged = (np.array(column) for column in zip(*rows, strict=True))
-    rates = replace(flown.rates, y=np.outer(turned, np.eye(3)[axis.column]), commanded=judged)
+    made = with_rates(flown, flown.rates.u, np.outer(turned, np.eye(3)[axis.column]), judged)
     still = ModelRecord(a=(1.0, 0.0), b=(0.0,), dt_s=DT_S, order=(1, 1, 0), method=Method.LS)
     monitor = RunLength(RunLengthSpec(axis=axis, model=still, margin_rad_s=1.0))
-    _, found = monitor.step(monitor.start(), Rows(flown.block, rates))
+    _, found = monitor.step(monitor.start(), made)
     expected, count = [], 0
     for x, v in rows:
         count = count + 1 if v and abs(x) > 1.0 else 0

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from flying_telemetry import flying, flying_rows
-from made_rows import example_context, rows_between
+from made_rows import example_context
 from made_thresholds import calibrated, held_out_scores
 
 from mavdiag.errors import IdentificationError, UsageError
@@ -105,7 +105,7 @@ def test_b4_blocks_do_not_depend_on_chunks_and_run_through_segments() -> None:
         chunks = []
         for rows in (one, other):
             edges = [0, *sorted(rng.integers(0, len(rows.block), 20).tolist()), len(rows.block)]
-            chunks += [rows_between(rows, a, b) for a, b in itertools.pairwise(edges) if b > a]
+            chunks += [rows.part(a, b) for a, b in itertools.pairwise(edges) if b > a]
         found = score(monitor, chunks)
         np.testing.assert_allclose(found.maxima, expected.maxima, rtol=1e-12)
         np.testing.assert_allclose(found.spans_s, expected.spans_s)
@@ -146,7 +146,7 @@ def test_one_flight_is_scored_piece_by_piece() -> None:
 
 def test_the_pieces_do_not_depend_on_chunks() -> None:
     whole = example_rows(3000, 0.01, vibration=np.ones((3000, 3)))
-    chunks = [rows_between(whole, i, i + 20) for i in range(0, 3000, 20)]
+    chunks = [whole.part(i, i + 20) for i in range(0, 3000, 20)]
     for (a, b), (c, d) in zip(folds([[whole]]), folds([chunks]), strict=True):
         assert times(a) == times(c)
         assert times(b) == times(d)
