@@ -344,7 +344,7 @@ class TrimMonitor(Monitor[Spec]):
         """
         spec, found = self.spec, [np.empty((3, 0))]
         for x in _parts_of(flight, spec.layout, spec.source):
-            trim, rate = x[col.TORQUE : col.THRUST].copy(), x[col.RATE + 2]
+            trim, rate = x[col.TORQUE : col.TORQUE + 3].copy(), x[col.RATE + 2]
             taken = spec.turn[0] * rate + spec.turn[1] * np.gradient(rate, PART_S) if len(rate) > 1 else rate
             trim[2] -= taken
             found.append(trim[:, (x[col.VALID] > 0.5) & (np.abs(taken) < TURN_TRIM)])
@@ -439,7 +439,7 @@ def _parts_of(flight: Sequence[Rows], layout: RotorLayout, source: trims.Source)
             rest = each[n * size :]
         columns = np.concatenate(parts).T
         x = np.zeros((col.OUTPUTS, columns.shape[1]))
-        x[col.TORQUE : col.THRUST], x[col.LEAN : col.LEAN + 2], x[col.RATE + 2] = columns[:3], columns[3:5], columns[5]
+        x[col.TORQUE : col.TORQUE + 3], x[col.LEAN : col.LEAN + 2], x[col.RATE + 2] = columns[:3], columns[3:5], columns[5]
         x[col.THRUST], x[col.COVERED] = 1.0, 1.0
         x[col.VALID] = columns[6] > 1.0 - 0.5 / size  # all of its rows are known
         found.append(x)

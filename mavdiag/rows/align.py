@@ -14,7 +14,7 @@ then rows wait for all for `CALM_NS`.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -120,23 +120,25 @@ class AlignState:
         """Latest time of the gyro [ns]."""
         return self.reached[GYRO]
 
-    def append(self, series: Series, quality: LinkQuality) -> None:
+    def append(self, place: int, parts: Sequence[Series], quality: LinkQuality) -> None:
         """Put samples behind those that came. Raises InputError if their columns are others than before."""
-        place, (count, columns) = PLACES.get(series.signal), series.values.shape
-        if place is None or not count:
-            return
-        end, (room, width) = self.ends[place], self.streams.values[place].shape
+        end, (room, width), signal = self.ends[place], self.streams.values[place].shape, STREAMS[place]
         if not room:
-            self._begin(place, columns, quality.rule(series.signal, columns))
+            columns = parts[0].values.shape[1]
+            self._begin(place, columns, quality.rule(signal, columns))
             width = self.streams.values[place].shape[1]
-        if columns != width - (place == GYRO):
-            raise InputError(f"{series.signal} has {columns} columns in place of {width - (place == GYRO)}")
+        columns, count = width - (place == GYRO), sum(map(len, parts))
+        if any(part.values.shape[1] != columns for part in parts):
+            found = next(part.values.shape[1] for part in parts if part.values.shape[1] != columns)
+            raise InputError(f"{signal} has {found} columns in place of {columns}")
         if end + count > room:
             end = self._make_room(place, count)
         (times, hosts, values), stop = self.streams[:3], end + count
-        times[place][end:stop], hosts[place][end:stop] = series.t_ns, series.host_ns
-        values[place][end:stop, :columns] = series.values
-        self.ends[place], self.reached[place] = stop, max(self.reached[place], int(series.t_ns[-1]))
+        np.concatenate([part.t_ns for part in parts], out=times[place][end:stop])
+        np.concatenate([part.host_ns for part in parts], out=hosts[place][end:stop])
+        np.concatenate([part.values for part in parts], out=values[place][end:stop, :columns])
+        reached = max(int(part.t_ns[-1]) for part in parts)
+        self.ends[place], self.reached[place] = stop, max(self.reached[place], reached)
 
     def _begin(self, place: int, columns: int, rule: FloatArray) -> None:
         """Learn of the first samples of a stream what is believed of it; outputs have as many columns as they have."""
@@ -196,8 +198,8 @@ class AlignSpec:
         """A fresh state: no sample yet."""
         return AlignState(np.array(self.limits_ns))
 
-    def step(self, state: AlignState, telemetry: Telemetry) -> list[Block]:
-        """Take in a chunk, return the rows that it completes, in blocks of one segment."""
+    def step(self, state: AlignState, *telemetry: Telemetry) -> list[Block]:
+        """Take in chunks, return the rows that they complete, in blocks of one segment."""
         self.append(state, telemetry)
         return list(self.rows(state, self.take(state)))
 
@@ -205,10 +207,24 @@ class AlignSpec:
         """The end of a log: what waited for late samples comes out."""
         return list(self.rows(state, NEVER_NS))
 
-    def append(self, state: AlignState, telemetry: Telemetry) -> None:
-        """Keep a chunk for the next `take`."""
+    def append(self, state: AlignState, chunks: Iterable[Telemetry]) -> None:
+        """Keep chunks for the next `take`."""
+        parts: dict[int, list[Series]] = {}
+        for telemetry in chunks:
+            for series in telemetry.series:
+                if series.signal in USED and len(series.t_ns):
+                    parts.setdefault(PLACES[series.signal], []).append(series)
+        for place, some in parts.items():
+            state.append(place, some, self.quality)
+
+    def most_ns(self, telemetry: Telemetry) -> int:
+        """No row later than this comes of a chunk [ns]: it is of the gyro, or much older than another signal."""
+        found = -NEVER_NS
         for series in telemetry.series:
-            state.append(series, self.quality)
+            if len(series.t_ns):
+                newest = int(series.t_ns[-1])
+                found = max(found, newest if series.signal is Signal.BODY_RATE else newest - self.limits_ns[BREAK])
+        return found
 
     def take(self, state: AlignState, *, live: bool = True) -> int:
         """Believe and sort what came; returns up to when rows are complete [ns]. A log's rows always wait."""

@@ -41,9 +41,9 @@ class Front:
         """Nothing taken in yet."""
         return FrontState(self.align.start(), self.gate.start(), self.rates.start())
 
-    def step(self, state: FrontState, telemetry: Telemetry) -> tuple[FrontState, tuple[Rows | Border, ...]]:
-        """Take in a chunk of telemetry; return the state, changed, and the rows that it completes."""
-        return state, tuple(self._rows(state, self.align.step(state.align, telemetry)))
+    def step(self, state: FrontState, *telemetry: Telemetry) -> tuple[FrontState, tuple[Rows | Border, ...]]:
+        """Take in chunks of telemetry; return the state, changed, and the rows that they complete."""
+        return state, tuple(self._rows(state, self.align.step(state.align, *telemetry)))
 
     def finish(self, state: FrontState) -> tuple[FrontState, tuple[Rows | Border, ...]]:
         """The end of a log: the rows that were waiting."""
@@ -57,7 +57,7 @@ class Front:
         """All that a whole flight gives, of which these are the parts (`in_pieces`)."""
         state = self.start()
         for part in parts:
-            self.align.append(state.align, part)
+            self.align.append(state.align, (part,))
             yield from self._rows(state, self.align.rows(state.align, self.align.take(state.align, live=False)))
         yield from self._ended(state)
 
