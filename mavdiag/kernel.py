@@ -11,7 +11,7 @@ when the value has come back and stayed there for `Monitor.clear_s`; what happen
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -379,8 +379,7 @@ class Gauge:
     valid: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Piece:
+class Piece(NamedTuple):
     """What was made of some rows: the values of each slot, as the envelope lets them count."""
 
     rows: Rows
@@ -407,8 +406,7 @@ class Piece:
     def shrunk(self) -> "Piece":
         """The same without the room for values that a slot did not give."""
         counts, tellers = self.counts.tolist(), self.counts[self.plan[:, ROTORS] >= 0].tolist()
-        return replace(
-            self,
+        return self._replace(
             out=[out[:, :count].copy() for out, count in zip(self.out, counts, strict=True)],
             rotors=[rotors[:count].copy() for rotors, count in zip(self.rotors, tellers, strict=True)],
             at=[at[:count].copy() for at, count in zip(self.at, counts, strict=True)],
@@ -426,13 +424,12 @@ class Piece:
         return tuple(found)
 
 
-@dataclass(frozen=True, slots=True)
-class Looked:
+class Looked(NamedTuple):
     """Looks that are whole."""
 
     first: int = 0  # number of the first one; the number times `LOOK_NS` is its vehicle time
-    readings: FloatArray = field(default_factory=lambda: np.empty((0, 0, READ_ROTORS)))  # (looks, slots, `RATIO`..)
-    sums: FloatArray = field(default_factory=lambda: np.empty((0, 0, EVIDENCE)))  # (looks, slots, `HIGHEST`..)
+    readings: FloatArray = np.empty((0, 0, READ_ROTORS))  # (looks, slots, `RATIO`..)
+    sums: FloatArray = np.empty((0, 0, EVIDENCE))  # (looks, slots, `HIGHEST`..)
     heights: Sequence[int | None] = ()  # of the highest fresh ratio; None where it is to be found anew
     leads: Sequence[int] = ()  # whose it is, -1 for none
     alarms: tuple[Alarm, ...] = ()  # what opened or closed, in order of looks

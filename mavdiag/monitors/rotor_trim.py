@@ -439,7 +439,8 @@ def _parts_of(flight: Sequence[Rows], layout: RotorLayout, source: trims.Source)
             rest = each[n * size :]
         columns = np.concatenate(parts).T
         x = np.zeros((col.OUTPUTS, columns.shape[1]))
-        x[col.TORQUE : col.TORQUE + 3], x[col.LEAN : col.LEAN + 2], x[col.RATE + 2] = columns[:3], columns[3:5], columns[5]
+        x[col.TORQUE : col.TORQUE + 3], x[col.LEAN : col.LEAN + 2] = columns[:3], columns[3:5]
+        x[col.RATE + 2] = columns[5]
         x[col.THRUST], x[col.COVERED] = 1.0, 1.0
         x[col.VALID] = columns[6] > 1.0 - 0.5 / size  # all of its rows are known
         found.append(x)

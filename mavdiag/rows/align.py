@@ -32,9 +32,9 @@ from mavdiag.rows.quality import COLUMN, GLITCH_S, MOST_LOST, REORDER_S, RUNS, T
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
-# Of each signal its columns (of outputs the sent ones; the gyro's last is its doubt), and how far its samples reach
-# [s]. Up to THRUST they are interpolated where two samples this near, or as near as the
-# gyro's, surround the row: a slow command stream may have 4 Hz; the others hold their last value for so long: ACTUATOR
+# Of each signal its number of columns (of outputs the sent ones; the gyro's last is its doubt), and how far its
+# samples reach [s]. Up to THRUST they are interpolated where two samples this near, or as near as the gyro's, surround
+# the row: a slow command stream may have 4 Hz; the others hold their last value for so long: ACTUATOR
 # comes at 10-50 Hz, VIBRATION at 2-10 Hz, ESCs tell their speed at 1-10 Hz (our choices).
 # Logs write ARMED when it changes.
 SIGNALS = {
