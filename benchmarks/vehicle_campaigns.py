@@ -12,9 +12,9 @@ import tempfile
 from contextlib import closing
 from pathlib import Path
 
-from sitl_plant.campaign.plan import CAUSES, Design, Group, make_plan
+from sitl_plant.campaign.plan import CAUSES, Design, Group
 from sitl_plant.campaign.summary import Row, summarise
-from sitl_plant.campaign.worker import Journal, local_executor, run_campaign
+from sitl_plant.campaign.worker import Journal, run_campaign
 from sitl_plant.vehicle import vehicle_named
 
 VEHICLES = ("qdrone2", "quad-plus", "hexa-x", "hexa-plus", "octo-x")
@@ -40,9 +40,8 @@ def flown(vehicle: str, flights: int, seed: int) -> Row:
     with (
         tempfile.TemporaryDirectory() as folder,
         closing(Journal(Path(folder) / "results.jsonl", True)) as journal,
-        local_executor(1) as executor,
     ):
-        return summarise(run_campaign(make_plan(design), journal, executor, lambda stage, done, total: None))
+        return summarise(run_campaign(design, journal, 1))
 
 
 def line(summary: Row, vehicle: str) -> str:

@@ -1,10 +1,12 @@
-"""The `sitl-plant` command (edge): fly an emulated multirotor over MAVLink, or record its flight.
+"""The `sitl-plant` command (edge): fly an emulated multirotor over MAVLink, or many, or record its flight.
 
 Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an error, with one line on stderr.
 """
 
 import json
+import multiprocessing
 import time
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -17,20 +19,22 @@ from mavdiag import commandline
 from mavdiag.commands.progress import working
 from mavdiag.errors import UsageError
 from mavdiag.link.keys import open_signing
-from mavdiag.link.ports import open_endpoint
+from mavdiag.link.ports import Endpoint, open_endpoint
 from sitl_plant.campaign.command import campaign
 from sitl_plant.emulator import FlightReport, Link, fly, record_flight
-from sitl_plant.fleet import fleet
 from sitl_plant.hil.command import serve_ardupilot, serve_hil, serve_px4
 from sitl_plant.options import STARTING, FlightPlan, TruthFile, parse_speed, with_flight
 from sitl_plant.plant import Plant, PlantSamples
 from sitl_plant.truth import Truth, truth_file
 
 RECORD_S = 60.0  # a recorded flight, unless --duration says otherwise
+AFTER_S = 3.0  # of flight time beyond a landing, so that everybody hears that it is disarmed (our choice)
+LAST_ID = 255
+POLL_S = 0.2  # how often the processes are looked at
 _LINKS = "udpout:H:P, udpin:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD; repeat it for several links."
 
 app = commandline.application("Fly an emulated multirotor with propeller faults over MAVLink.", "sitl-plant")
-for command in (fleet, campaign, serve_ardupilot, serve_px4, serve_hil):
+for command in (campaign, serve_ardupilot, serve_px4, serve_hil):
     app.command()(command)
 
 
@@ -93,6 +97,79 @@ def record(
         with truth_file(truth) as lines, working(words):
             messages = record_flight(path, own, duration, _written(lines, own, None).write)
         typer.echo(f"{path}: {duration:g} s of flight, {messages} messages")
+
+
+@app.command()
+@with_flight
+def fleet(
+    plan: FlightPlan,
+    count: Annotated[int, Option("-n", "--count", min=1, max=LAST_ID, help="How many.")] = 20,
+    faulty: Annotated[
+        str | None, Option(metavar="SYSID,..", help="Which of them get the --fault.  [default: all]")
+    ] = None,
+    out: Annotated[str, Option(metavar="ENDPOINT", help="Where all send to, each from a port of its own.")] = (
+        "udpout:127.0.0.1:14550"
+    ),
+    port_each: Annotated[bool, Option("--port-each", help="The second sends to the next port, and so on.")] = False,
+) -> None:
+    """Fly several vehicles in real time, with system ids and seeds that follow each other from --system-id and --seed.
+
+    Until the duration is over, or until SIGINT or SIGTERM. Exit code 0, or 2 for an error.
+    """
+    plans = [_numbered(plan, number) for number in range(count)]
+    wanted = {member.dialect.sysid for member in plans} if faulty is None else _ids(faulty, plans)
+    if faulty is not None and plan.config.fault is None:
+        raise UsageError("--faulty is about a fault; add --fault F2/SV2")
+    for number, member in enumerate(plans):
+        if member.dialect.sysid not in wanted:
+            plans[number] = replace(member, config=replace(member.config, fault=None))
+    with working(STARTING):
+        Plant(plan.config).advance(1)  # compiled once, for all processes
+    context = multiprocessing.get_context("fork")  # which shares what was compiled
+    ends = [open_endpoint(_address(out, number * port_each)) for number in range(count)]
+    with commandline.stop_signals() as stop:
+        flights = [context.Process(target=_fly, args=(*pair, stop)) for pair in zip(plans, ends, strict=True)]
+        for flight in flights:
+            flight.start()
+        typer.echo(f"{count} vehicles fly, {len(wanted) if plan.config.fault else 0} with a fault; they send to {out}")
+        while not stop() and any(flight.is_alive() for flight in flights):
+            time.sleep(POLL_S)
+        for flight in flights:
+            if flight.is_alive() and stop():
+                flight.terminate()
+            flight.join()
+    for end in ends:
+        end.close()
+
+
+def _fly(plan: FlightPlan, end: Endpoint, stop: Callable[[], bool]) -> None:
+    plant = Plant(plan.config)
+    link = Link(end, plan.dialect, plan.rate_hz, plant.rotors)
+    over_s = None if plan.duration_s is None else plan.duration_s + AFTER_S * (plan.config.start == "ground")
+    fly(plant, plan.dialect, [link], duration_s=over_s, speed=1.0, stop=stop, watch=lambda samples: None)
+
+
+def _numbered(plan: FlightPlan, number: int) -> FlightPlan:
+    """The plan of a vehicle, from 0. Raises UsageError for a system id that there is not."""
+    sysid = plan.dialect.sysid + number
+    if sysid > LAST_ID:
+        raise UsageError(f"system ids end at {LAST_ID}: fly fewer vehicles, or from a lower --system-id on")
+    config = replace(plan.config, seed=plan.config.seed + number)
+    return replace(plan, config=config, dialect=replace(plan.dialect, sysid=sysid))
+
+
+def _ids(text: str, plans: list[FlightPlan]) -> set[int]:
+    known = {plan.dialect.sysid for plan in plans}
+    words = text.split(",")
+    if not all(word.strip().isdecimal() and int(word) in known for word in words):
+        raise UsageError(f"--faulty {text}: name system ids of the fleet, {min(known)} to {max(known)}, as in 3,7")
+    return {int(word) for word in words}
+
+
+def _address(out: str, further: int) -> str:
+    """The address with a port that is so much higher."""
+    head, _, port = out.rpartition(":")
+    return f"{head}:{int(port) + further}" if further and port.isdecimal() else out
 
 
 def _written(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | None) -> Truth:

@@ -12,15 +12,13 @@ from typer import Option
 
 from mavdiag.errors import UsageError
 from sitl_plant.autopilot.dialect import DIALECTS, Dialect, dialect_named
-from sitl_plant.physics.airframe import Payload, PickUp, in_session_number
+from sitl_plant.physics.airframe import Payload, in_session_number
 from sitl_plant.physics.airframe import drone as specimen
 from sitl_plant.physics.trajectory import Nose, Shape
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import shipped_vehicles, vehicle_from
 
 STARTING = "starting the plant; the first start compiles it and takes up to a minute ..."
-PICKUP_BELOW_M = 0.05  # as the payload
-RECORDED = "qdrone2-recorded"
 _VEHICLES = f"One of {', '.join(shipped_vehicles())}, or a file."
 _ROTOR = "Damaged rotor, as the vehicle's file counts; qdrone2: 1 rear right, 2 front right, 3 rear left, 4 front left."
 _PHENOMENOLOGY = "Scale of the fitted, non-physical part of the fault: 0, 0.5 or 1."
@@ -49,7 +47,6 @@ class FlightPlan:
 
 def flight_plan(
     vehicle: VehicleName = "qdrone2",
-    as_recorded: Annotated[bool, Option("--as-recorded", help="The QDrone 2 of the public recordings.")] = False,
     drone: Drone = 1,
     trajectory: Annotated[Shape, Option(help="Path to fly.")] = Shape.SQUARE,
     nose: Annotated[Nose, Option(help="Nose to one side, along the path, or turning steadily.")] = Nose.FIXED,
@@ -64,13 +61,6 @@ def flight_plan(
     wind: Wind = 0.0,
     turbulence: W20 = 0.0,
     payload: PayloadKg = 0.0,
-    pickup: Annotated[float, Option(metavar="KG", help="Point mass taken up in flight.")] = 0.0,
-    pickup_at: Annotated[float, Option(metavar="S", help="Flight time at which it is taken up.")] = 10.0,
-    pickup_beside: Annotated[float, Option(metavar="MM", help="How far to the right it hangs.")] = 20.0,
-    drop_at: Annotated[float | None, Option(metavar="S", help="When it is dropped.  [default: never]")] = None,
-    outages: Annotated[
-        float, Option(metavar="PER_MIN", help="How often motion capture is lost, for 0.3 to 2 s.")
-    ] = 0.0,
     session: Annotated[
         int, Option(help="Day of the specimen: 0 as drawn; others have their own battery and trim.")
     ] = 0,
@@ -82,14 +72,7 @@ def flight_plan(
     dialect = replace(dialect_named(profile), sysid=system_id)
     rates = dialect.rates_hz(rate)
     check_times(fault, onset, duration)
-    if as_recorded and vehicle not in ("qdrone2", RECORDED):
-        raise UsageError(f"--as-recorded is the QDrone 2's: leave --vehicle {vehicle} out")
-    commanded = trajectory is Shape.COMMANDED
-    kind = vehicle_from(RECORDED if as_recorded else vehicle)
-    taken = None
-    if pickup:
-        beside = Payload(pickup, (0.0, 1e-3 * pickup_beside, PICKUP_BELOW_M))
-        taken = PickUp(beside, pickup_at, math.inf if drop_at is None else drop_at)
+    commanded, kind = trajectory is Shape.COMMANDED, vehicle_from(vehicle)
     config = PlantConfig(
         vehicle=kind,
         drone=drone,
@@ -105,8 +88,6 @@ def flight_plan(
         wind_m_s=wind,
         payload=Payload(payload),
         turbulence_m_s=turbulence,
-        pickup=taken,
-        outages_per_min=outages,
         seed=seed,
     )
     return FlightPlan(config, dialect, rates[dialect.profile.imu], duration)

@@ -22,10 +22,9 @@ from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.air import Dryden, dryden
 from sitl_plant.physics.airframe import NEVER, NO_PAYLOAD, Airframe, Payload, PickUp, Wear, drone
-from sitl_plant.physics.control import ESTIMATE, Controller
-from sitl_plant.physics.dynamics import RIGID
+from sitl_plant.physics.control import Controller
 from sitl_plant.physics.faults import Injection, fault_injection, rotor_condition, sensor_condition
-from sitl_plant.physics.kernel import LOG, Model, Recorded, Rows, Streams, fly
+from sitl_plant.physics.kernel import LOG, TOLD, Model, Recorded, Streams, fly, told_parts
 from sitl_plant.physics.parameters import STEP_S, air_of, initial_state, make_model, recorded_set, reload
 from sitl_plant.physics.trajectory import ARM_S, LIFT_S, Leg, Nose, Path, Shape, landing_time, path
 from sitl_plant.vehicle import Vehicle, qdrone2
@@ -178,6 +177,8 @@ class Plant:
         self.config = config
         self.airframe = config.airframe or drone(config.vehicle, config.drone)
         self.rotors = rotors = len(self.airframe.vehicle.rotors)
+        places = told_parts(np.arange(TOLD + 2.0 * rotors), rotors)
+        self._columns = {name: slice(int(place[0]), int(place[-1]) + 1) for name, place in places.items()}
         gusts, wind = config.gusts(), _wind(config.wind_m_s, config.wind_towards_rad)
         turbulence = None if gusts is None else (gusts, config.wind_towards_rad)
         self._streams = Streams(config.seed, STEP_S, turbulence, config.outages_per_min)
@@ -283,28 +284,26 @@ class Plant:
     def _run(self, steps: int, commands: FloatArray) -> PlantSamples:
         if steps < 0:
             raise UsageError(f"cannot advance by {steps} steps")
-        wide = {"setpoint": 3, "rate_setpoint": 3, "imu": 6, "attitude": ESTIMATE, "rigid": RIGID}
-        wide |= {"rotor_speed": self.rotors, "duty": self.rotors}
-        wide |= {"log": LOG.itemsize // 8, "esc": self.rotors} if self._own else {"log": 0, "esc": 0}
-        rows = Rows(*(np.empty((steps, wide[name]) if name in wide else steps) for name in Rows._fields))
-        first, done = self._step, 0
+        rows, known = np.empty((steps, TOLD + 2 * self.rotors)), LOG.itemsize // 8
+        log, first, done = np.empty((steps, known + self.rotors if self._own else 0)), self._step, 0
         while done < steps:
             if self._step >= self._changes_at:
                 self._renew_condition()
             count = min(steps - done, self._changes_at - self._step)
-            part = rows if count == steps else Rows(*(column[done : done + count] for column in rows))
-            noise = self._streams.draw(self._step, count, self._model)
-            duties, conditions = commands[done : done + count], (self._rotors, self._sensors)
-            fly(self._step, noise, duties, part, self._model, self._own, *conditions, self._state)
+            noise, part = self._streams.draw(self._step, count, self._model), slice(done, done + count)
+            held = self._model, self._own, self._rotors, self._sensors, self._state
+            fly(self._step, noise, commands[part], rows[part], log[part], *held)
             self._step += count
             done += count
         t_ns = (first + np.arange(steps, dtype=np.int64)) * STEP_NS
-        thrust = rows.thrust / (self._model.controller.full_thrust * self.rotors)
-        motors, log = rows.motors.astype(np.int64), np.empty(steps, [])
-        told = (rows.esc, rows.log.view(LOG)[:, 0]) if self._own else (rows.rotor_speed, log)
-        truth = rows.rigid[:, 6:10], rows.rigid[:, :3], rows.rigid[:, 3:6], rows.rigid[:, 10:13], rows.rotor_speed
-        sensed = rows.imu[:, :3], rows.imu[:, 3:], rows.attitude, rows.duty, rows.battery_v, rows.charge_ah, motors
-        return PlantSamples(t_ns, rows.setpoint, rows.rate_setpoint, thrust, *sensed, *truth, *told)
+        told = {name: rows[:, columns] for name, columns in self._columns.items()}
+        thrust = told["wrench"][:, 0] / (self._model.controller.full_thrust * self.rotors)
+        imu, rigid, speed, (battery_v, charge_ah) = told["imu"], told["rigid"], told["speed"], told["battery"].T
+        sensed = imu[:, :3], imu[:, 3:], told["estimate"], told["duty"], battery_v, charge_ah
+        truth = rigid[:, 6:10], rigid[:, :3], rigid[:, 3:6], rigid[:, 10:13], speed
+        own = (log[:, known:], log[:, :known].view(LOG)[:, 0]) if self._own else (speed, np.empty(steps, []))
+        motors = told["motors"][:, 0].astype(np.int64)
+        return PlantSamples(t_ns, told["setpoint"], told["rate"], thrust, *sensed, motors, *truth, *own)
 
     def _renew_condition(self) -> None:
         spans = [injection.span(STEP_S) for injection in self._injections]

@@ -1,16 +1,15 @@
 """`sitl-plant campaign`: a Monte Carlo study of the diagnosis, as tables or JSON (edge)."""
 
 import json
-from contextlib import ExitStack, closing
-from dataclasses import asdict, replace
+from contextlib import closing
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 from typer import Option
 
-from mavdiag.commands.progress import Shown, shown
-from sitl_plant.campaign.plan import FACTORS, PRESETS, Design, make_plan, with_conditions
+from sitl_plant.campaign.plan import FACTORS, PRESETS, with_conditions
 from sitl_plant.options import VehicleName
 from sitl_plant.vehicle import vehicle_from
 
@@ -42,27 +41,13 @@ def campaign(
     given = {"learn": learn, "flights": flights, "hours": hours, "airframes": airframes}
     given |= {"learn_flights": learn_flights, "duration_s": duration}
     asked: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    design = replace(PRESETS[preset], vehicle=vehicle_from(vehicle), seed=seed, **asked)
-    _run(with_conditions(design, conditions), output, workers, scheduler, fresh, as_json)
-
-
-def _run(design: Design, output: Path, workers: int, scheduler: str | None, fresh: bool, as_json: bool) -> None:
+    design = with_conditions(PRESETS[preset], conditions, vehicle=vehicle_from(vehicle), seed=seed, **asked)
     # Loaded here: the diagnosis and the plant take a second that --help should not.
-    from mavdiag.archive.pool import dask_executor
     from sitl_plant.campaign.summary import print_summary, summarise
-    from sitl_plant.campaign.worker import Journal, local_executor, run_campaign
+    from sitl_plant.campaign.worker import Journal, run_campaign
 
-    plan, stages = make_plan(design), dict[str, Shown]()
-    chosen = dask_executor(scheduler) if scheduler is not None else local_executor(workers)
-    with chosen as executor, closing(Journal(output, fresh)) as journal, ExitStack() as bars:
-
-        def report(stage: str, done: int, total: int) -> None:
-            if stage in stages:
-                stages[stage].add(1.0)
-            else:
-                stages[stage] = bars.enter_context(shown(stage, (1.0,) * (total - done)))
-
-        results = run_campaign(plan, journal, executor, report)
+    with closing(Journal(output, fresh)) as journal:
+        results = run_campaign(design, journal, workers if scheduler is None else scheduler)
     if results.reused or results.others:
         others = "lines of other campaigns, or of another version of the sources, not counted"
         typer.echo(f"{output}: {results.reused} results reused; {results.others} {others}", err=True)

@@ -14,9 +14,12 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Literal, NamedTuple, TypeVar
+from functools import partial
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
+import pydantic
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
 
 from mavdiag.errors import UsageError
 from mavdiag.monitors.base import FaultKind
@@ -201,13 +204,6 @@ def built(vehicle: Vehicle, condition: str) -> Vehicle:
     return vehicle if imu == vehicle.imu else replace(vehicle, imu=imu)
 
 
-def _number(factor: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise UsageError(f"{factor} must be a number, not {text!r}") from None
-
-
 def parse_link(text: str) -> LinkSpec:
     """A link such as "qdrone2@1000": profile and rate [Hz]. Raises UsageError for what cannot be.
 
@@ -215,7 +211,10 @@ def parse_link(text: str) -> LinkSpec:
     LinkSpec(profile='ardupilot', rate_hz=100.0, loss=0.0)
     """
     profile, _, rate = text.partition("@")
-    return LinkSpec(profile, _number("link", rate) if rate else None)
+    try:
+        return LinkSpec(profile, float(rate) if rate else None)
+    except ValueError:
+        raise UsageError(f"link must be like qdrone2@1000, not {text!r}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,52 +244,47 @@ class FlightTask:
     session: int = 0  # 0 is that of the healthy flights learnt from, each other a day later
 
 
-FACTORS = ("cause", "rotor", "manoeuvre", "condition", "link", "phenomenology", "wind", "payload", "loss")
-_TABLES: Mapping[str, Collection[str]] = {"manoeuvre": MANOEUVRES, "condition": CONDITIONS}
-_SPANS = {"phenomenology": (0.0, 1.0), "wind": (0.0, 10.0), "payload": (0.0, 1000.0), "loss": (0.0, 0.9)}
+def _known(factor: str, table: Collection[str], names: tuple[str, ...]) -> tuple[str, ...]:
+    """Each name once, all of the table for `EVERY`. Raises UsageError for a name that is not in it."""
+    if unknown := set(names) - {*table, EVERY}:
+        raise UsageError(f"no {factor} {min(unknown)!r}: give one of {', '.join(table)}")
+    return tuple(table) if EVERY in names else tuple(dict.fromkeys(names))
 
 
-@dataclass(frozen=True, slots=True)
+def _linked(link: str) -> str:
+    parse_link(link)
+    return link
+
+
+_Count: TypeAlias = Annotated[int, Field(ge=1)]
+
+
+@pydantic.dataclasses.dataclass(frozen=True, slots=True)
 class Design:
-    """Levels of every factor, and how much to fly. Raises UsageError for a level or a size that cannot be."""
+    """Levels of every factor, and how much to fly. Raises UsageError or ValidationError for what cannot be."""
 
-    seed: int = 0
-    airframes: int = 4  # how many specimens; every second one is aged
+    seed: Annotated[int, Field(ge=0)] = 0
+    airframes: _Count = 4  # how many specimens; every second one is aged
     learn: Literal["mixed", "square"] = "mixed"  # every other flight from the levels below, or T's square in calm air
-    learn_flights: int = 8  # healthy flights for each baseline
-    flights: int = 138  # with a cause
-    hours: float = 0.5  # of healthy flight, besides
-    duration_s: float = 40.0
-    cause: tuple[str, ...] = tuple(CAUSES)
-    rotor: tuple[int, ...] | None = None  # None for every rotor of the vehicle
-    phenomenology: tuple[float, ...] = (0.0, 0.5, 1.0)
-    manoeuvre: tuple[str, ...] = USUAL
-    wind: tuple[float, ...] = (0.0, 1.0)
-    payload: tuple[float, ...] = (0.0, 100.0)
-    link: tuple[str, ...] = ("qdrone2@1000",)
-    loss: tuple[float, ...] = (0.0,)
-    condition: tuple[str, ...] = (CALM,)  # each with its share of flights and hours
+    learn_flights: _Count = 8  # healthy flights for each baseline
+    flights: Annotated[int, Field(ge=0)] = 138  # with a cause
+    hours: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.5  # of healthy flight, besides
+    duration_s: Annotated[float, Field(ge=10, le=600)] = 40.0
+    cause: Annotated[tuple[str, ...], BeforeValidator(causes_named)] = tuple(CAUSES)
+    rotor: tuple[_Count, ...] | None = None  # None for every rotor of the vehicle
+    phenomenology: tuple[Annotated[float, Field(ge=0, le=1)], ...] = (0.0, 0.5, 1.0)
+    manoeuvre: Annotated[tuple[str, ...], AfterValidator(partial(_known, "manoeuvre", MANOEUVRES))] = USUAL
+    wind: tuple[Annotated[float, Field(ge=0, le=10)], ...] = (0.0, 1.0)
+    payload: tuple[Annotated[float, Field(ge=0, le=1000)], ...] = (0.0, 100.0)
+    link: tuple[Annotated[str, AfterValidator(_linked)], ...] = ("qdrone2@1000",)
+    loss: tuple[Annotated[float, Field(ge=0, le=0.9)], ...] = (0.0,)
+    # each with its share of flights and hours
+    condition: Annotated[tuple[str, ...], AfterValidator(partial(_known, "condition", CONDITIONS))] = (CALM,)
     vehicle: Vehicle = field(default_factory=qdrone2, repr=False)
 
     def __post_init__(self) -> None:
-        for name in ("airframes", "learn_flights"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"{name.replace('_', '-')} must be 1 or more, not {getattr(self, name)}")
-        if self.seed < 0 or self.flights < 0 or not (math.isfinite(self.hours) and self.hours >= 0.0):
-            raise UsageError("seed, flights and hours must be zero or more")
-        if not 10.0 <= self.duration_s <= 600.0:
-            raise UsageError(f"a flight must last 10 to 600 s, not {self.duration_s:g}")
-        if not set(self.rotors) <= set(range(1, len(self.vehicle.rotors) + 1)):
-            raise UsageError(f"rotor must be 1 to {len(self.vehicle.rotors)}, not {', '.join(map(str, self.rotors))}")
-        for factor, (low, high) in _SPANS.items():
-            if not all(low <= value <= high for value in getattr(self, factor)):
-                levels = ", ".join(f"{value:g}" for value in getattr(self, factor))
-                raise UsageError(f"{factor} must be {low:g} to {high:g}, not {levels}")
-        for factor, table in _TABLES.items():
-            if unknown := set(getattr(self, factor)) - set(table):
-                raise UsageError(f"no {factor} {min(unknown)!r}: give one of {', '.join(table)}")
-        for link in self.link:
-            parse_link(link)
+        if max(self.rotors) > len(self.vehicle.rotors):
+            raise UsageError(f"rotor must be 1 to {len(self.vehicle.rotors)}, not {max(self.rotors)}")
 
     @property
     def rotors(self) -> tuple[int, ...]:
@@ -298,6 +292,7 @@ class Design:
         return self.rotor or tuple(range(1, len(self.vehicle.rotors) + 1))
 
 
+FACTORS = ("cause", "rotor", "manoeuvre", "condition", "link", "phenomenology", "wind", "payload", "loss")
 PRESETS: Mapping[str, Design] = {
     "quick": Design(),
     "full": Design(
@@ -325,48 +320,27 @@ PRESETS: Mapping[str, Design] = {
 }
 
 
-def _levels(factor: str, texts: list[str]) -> tuple[Any, ...]:
-    if factor in _SPANS:
-        return tuple(_number(factor, text) for text in texts)
-    if factor == "cause":
-        return causes_named(texts)
-    if factor in _TABLES and texts == [EVERY]:
-        return tuple(_TABLES[factor])
-    if factor == "rotor":
-        if not all(text.isdecimal() for text in texts):
-            raise UsageError(f"rotor must be a whole number, not {', '.join(texts)}")
-        return tuple(map(int, texts))
-    return tuple(texts) if factor == "link" else tuple(dict.fromkeys(texts))
+def with_conditions(design: Design, filters: Sequence[str], **changed: Any) -> Design:
+    """The design with other sizes, and other levels of some factors, each given as "factor=level,level".
 
-
-def with_conditions(design: Design, filters: Sequence[str]) -> Design:
-    """The design with the levels of some factors replaced, each given as "factor=level,level".
-
-    Raises UsageError for an unknown factor or level.
+    Raises UsageError for an unknown factor or level, or a size that cannot be.
     """
-    changed: dict[str, Any] = {}
     for text in filters:
         factor, _, levels = (part.strip() for part in text.partition("="))
         if factor not in FACTORS:
             raise UsageError(f"no factor {factor!r}: give {', '.join(FACTORS)}")
-        texts = [level.strip() for level in levels.split(",") if level.strip()]
-        if not texts:
+        changed[factor] = tuple(level.strip() for level in levels.split(",") if level.strip())
+        if not changed[factor]:
             raise UsageError(f"--conditions {text}: give it as FACTOR=LEVEL,LEVEL")
-        changed[factor] = _levels(factor, texts)
-    return replace(design, **changed)
+    try:
+        return replace(design, **changed)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise UsageError(f"{first['loc'][0]}: {first['msg']}, not {first['input']}") from error
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """The tasks of a campaign: what to learn first, and what to fly then."""
-
-    design: Design
-    learning: tuple[LearnTask, ...]
-    flights: tuple[FlightTask, ...]
-
-
-def make_plan(design: Design) -> Plan:
-    """All tasks of a design. The same design makes the same plan."""
+def make_plan(design: Design) -> list[FlightTask]:
+    """All flights of a design, each with what is to be learnt before. The same design makes the same plan."""
     names, flights = design.condition, list[FlightTask]()
     for number, name in enumerate(names):
         share, left = divmod(design.flights, len(names))
@@ -374,7 +348,7 @@ def make_plan(design: Design) -> Plan:
     for name in names:
         duration_s = CONDITIONS[name].duration_s or design.duration_s
         flights += _flights(design, HEALTHY, math.ceil(design.hours / len(names) * S_PER_H / duration_s), name)
-    return Plan(design, tuple(dict.fromkeys(flight.learnt for flight in flights)), tuple(flights))
+    return flights
 
 
 def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTask]:

@@ -128,8 +128,8 @@ def summarise(results: Results) -> Row:
     after_h = [(flight.flown_s - flight.onset_s) / S_PER_H for flight in faulty if flight.onset_s is not None]
     expected = sum(flight.episodes for flight in judged) / hours * float(np.mean(after_h)) if hours and after_h else 0.0
     return {
-        "seed": results.plan.design.seed,
-        "airframes": results.plan.design.airframes,
+        "seed": results.design.seed,
+        "airframes": results.design.airframes,
         "flights": len(flights),
         "unjudged": _counts(f"{flight.verdict}: {flight.reason}" for flight in flights if flight.verdict in UNJUDGED),
         "healthy_hours": hours,

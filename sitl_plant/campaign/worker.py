@@ -1,4 +1,4 @@
-"""Run a campaign: its tasks over a pool of processes or a Dask cluster, with results kept as they come (edge).
+"""Run a campaign: its tasks on workers as those of an archive, with results kept as they come (edge).
 
 A task learns a baseline, or flies once and judges. Everything follows from the campaign's seed and the task. A result
 is a line of JSON under a key, the digest of all that it follows from, the sources of both packages among it. What is in
@@ -7,22 +7,20 @@ the file already is not flown again; lines of other campaigns, or of another ver
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
-from mavdiag.archive import pool
-from mavdiag.archive.pool import TaskExecutor
+from mavdiag.archive.pool import died, run_all
 from mavdiag.archive.sources import digest_of_sources
 from mavdiag.as_json import event_json
 from mavdiag.baseline import dump, parse
+from mavdiag.commands.progress import shown
 from mavdiag.decision.alarm import Change, Stage
 from mavdiag.errors import MavdiagError, UsageError
 from mavdiag.judging import JudgedEvent, JudgedFlight, LogVerdict, Verdict, judge_in_full
@@ -35,10 +33,11 @@ from sitl_plant.campaign.plan import (
     HEALTHY,
     MANOEUVRES,
     Conditions,
+    Design,
     FlightTask,
     LearnTask,
-    Plan,
     injections_of,
+    make_plan,
     parse_link,
     task_sequence,
 )
@@ -133,6 +132,7 @@ class FlightResult:
 
 
 Line: TypeAlias = LearnResult | FlightResult
+Job = TypeVar("Job", bound=tuple[Any, ...])
 _LINE: TypeAdapter[Line] = TypeAdapter(Annotated[Line, Field(discriminator="record")])
 
 
@@ -196,8 +196,9 @@ def _flown(
     return Log(name, telemetry.digest, link.profile, telemetry, started_ns), flown_s
 
 
-def learn_task(key: str, seed: int, task: LearnTask) -> LearnResult:
-    """Fly an airframe's healthy flights and learn from them."""
+def learn_task(job: tuple[str, LearnTask], seed: int) -> LearnResult:
+    """Fly an airframe's healthy flights and learn from them. job: key and task."""
+    key, task = job
     airframe, flights = specimen(seed, task.airframe, task.aged, task.vehicle), []
     for number, child in enumerate(task_sequence(seed, task).spawn(len(task.flights))):
         config = _config(airframe, task.flights[number], task.duration_s, np.random.default_rng(child))
@@ -209,8 +210,9 @@ def learn_task(key: str, seed: int, task: LearnTask) -> LearnResult:
     return LearnResult(key, task.airframe, task.link, dump(baseline), judged_s=S_PER_H * baseline.healthy_hours)
 
 
-def fly_task(key: str, seed: int, task: FlightTask, learnt: LearnResult) -> FlightResult:
-    """Fly once and judge the flight by what was learnt of the airframe."""
+def fly_task(job: tuple[str, FlightTask, LearnResult], seed: int) -> FlightResult:
+    """Fly once and judge the flight by what was learnt of the airframe. job: key, task, and that."""
+    key, task, learnt = job
     drawn, row, sequence = task.learnt, CONDITIONS[task.conditions.condition], task_sequence(seed, task)
     airframe, wear = _on_the_day(seed, specimen(seed, drawn.airframe, drawn.aged, drawn.vehicle), task)
     rng, own = np.random.default_rng(sequence), np.random.default_rng(sequence.spawn(1)[0])
@@ -343,10 +345,10 @@ class Journal:
 
     def __init__(self, path: Path, fresh: bool = False) -> None:
         self.lines: dict[str, Line] = {}
-        self.unread = 0
+        self.unread, self._fresh = 0, fresh  # what is in the file goes with the first result, not before there is one
         try:
             text = "" if fresh or not path.exists() else path.read_text(encoding="utf-8")
-            self._file = path.open("w" if fresh else "a", encoding="utf-8")
+            self._file = path.open("a", encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise UsageError(f"cannot use {path} for results ({error}); choose another --output") from error
         for row in text.splitlines():
@@ -360,6 +362,9 @@ class Journal:
 
     def add(self, line: Line) -> None:
         """Keep a result, on disk at once."""
+        if self._fresh:
+            self._file.truncate(0)
+            self._fresh = False
         self.lines[line.key] = line
         self._file.write(json.dumps(asdict(line)) + "\n")
         self._file.flush()
@@ -371,59 +376,42 @@ class Journal:
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """The results of a plan, in its order."""
+    """The results of a design, in the order of its plan."""
 
-    plan: Plan
+    design: Design
     learnt: tuple[LearnResult, ...]
     flights: tuple[FlightResult, ...]
     reused: int  # results that were in the file already
     others: int  # lines of other campaigns, or of another version
 
 
-@contextmanager
-def local_executor(workers: int) -> Iterator[TaskExecutor]:
-    """Worker processes of this machine. Raises UsageError if one of them died."""
-    try:
-        with pool.local_executor(workers) as executor:
-            yield executor
-    except BrokenExecutor as error:
-        raise UsageError("a worker process died, perhaps for want of memory; run again with fewer --workers") from error
+def run_campaign(design: Design, journal: Journal, workers: int | str) -> Results:
+    """Learn what is to be learnt, then fly. Only the order of the lines in the file depends on the workers.
 
-
-def run_campaign(
-    plan: Plan,
-    journal: Journal,
-    executor: TaskExecutor,
-    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
-) -> Results:
-    """Learn what is to be learnt, then fly. Only the order of the lines in the file depends on the executor.
-
-    progress: called with the stage, how many of its tasks are done, and how many there are.
+    workers: as of `run_all`. Raises UsageError if one of them died, LinkError if there is none.
     """
-    seed = plan.design.seed
-    learning = {task: task_key(seed, task) for task in plan.learning}
-    flights = {task_key(seed, task): task for task in plan.flights}
-    reused = len({*learning.values(), *flights} & journal.lines.keys())
+    seed, planned = design.seed, make_plan(design)
+    learning = {task_key(seed, task): task for task in dict.fromkeys(flight.learnt for flight in planned)}
+    flights = {task_key(seed, task): task for task in planned}
+    reused = len({*learning, *flights} & journal.lines.keys())
     others = len(journal.lines) - reused + journal.unread
 
-    def work(stage: str, jobs: Mapping[str, Callable[[], Line]]) -> None:
-        """Hand out only so many jobs at a time: memory does not grow with the plan."""
-        left = [job for key, job in jobs.items() if key not in journal.lines][::-1]
-        done, waiting = len(jobs) - len(left), set[Future[Line]]()
-        progress(stage, done, len(jobs))
-        while left or waiting:
-            while left and len(waiting) < executor.in_flight:
-                waiting.add(executor.pool.submit(left.pop()))
-            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            for line in sorted((future.result() for future in finished), key=lambda line: line.key):
-                journal.add(line)
-                done += 1
-                progress(stage, done, len(jobs))
+    def work(stage: str, function: Callable[[Job], Line], jobs: Sequence[Job]) -> None:
+        left = [job for job in jobs if job[0] not in journal.lines]
+        with shown(stage, (1.0,) * len(left)) as bar:
+            for _, future in run_all(function, left, workers, warn=partial(bar.say, err=True)):
+                error = future.exception()
+                if error is not None and died(error):
+                    raise UsageError(
+                        "a worker process died, perhaps for want of memory; run again with fewer --workers"
+                    ) from error
+                journal.add(future.result())
+                bar.add(1.0)
 
-    work("learning", {key: partial(learn_task, key, seed, task) for task, key in learning.items()})
-    learnt = {task: line for task, key in learning.items() if isinstance(line := journal.lines[key], LearnResult)}
-    work("flying", {key: partial(fly_task, key, seed, task, learnt[task.learnt]) for key, task in flights.items()})
+    work("learning", partial(learn_task, seed=seed), list(learning.items()))
+    found = {task: line for key, task in learning.items() if isinstance(line := journal.lines[key], LearnResult)}
+    work("flying", partial(fly_task, seed=seed), [(key, task, found[task.learnt]) for key, task in flights.items()])
     flown = (journal.lines[key] for key in flights)
     return Results(
-        plan, tuple(learnt.values()), tuple(line for line in flown if isinstance(line, FlightResult)), reused, others
+        design, tuple(found.values()), tuple(line for line in flown if isinstance(line, FlightResult)), reused, others
     )

@@ -13,7 +13,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from mavdiag.units import NS_PER_S
+from mavdiag.units import NS_PER_S, RPM
 from sitl_plant.hil.simulation import OutputMap, Simulation
 from sitl_plant.plant import PlantSamples
 
@@ -42,11 +42,15 @@ def servo_frame(data: bytes) -> ServoFrame | None:
     return ServoFrame(rate_hz, count, struct.unpack_from(f"<{channels}H", data, _head.size))
 
 
-def answer(row: PlantSamples, current_a: float) -> bytes:
+def answer(row: PlantSamples, current_a: float, outputs: OutputMap) -> bytes:
     """What the sensors measured, and where the vehicle is. ArduPilot's parser wants no blanks, and a line end before.
+
+    rpm_N is the speed of the rotor at output N, by the names of ArduPilot's open pull request 32718: no release reads
+    them, and a parser passes over names that it does not know.
 
     row: samples of length 1. current_a: drawn from the battery [A].
     """
+    speeds = zip(outputs.places.tolist(), (row.rotor_speed[0] / RPM).tolist(), strict=True)
     line = {
         "timestamp": row.t_ns[0].item() * 1e-9,
         "imu": {"gyro": row.gyro[0].tolist(), "accel_body": row.accel[0].tolist()},
@@ -54,6 +58,7 @@ def answer(row: PlantSamples, current_a: float) -> bytes:
         "quaternion": row.quaternion[0].tolist(),
         "velocity": row.velocity[0].tolist(),
         "battery": {"voltage": row.battery_v[0].item(), "current": current_a},
+        **{f"rpm_{output + 1}": round(rpm, 1) for output, rpm in sorted(speeds)},
     }
     return b"\n" + json.dumps(line, separators=(",", ":")).encode() + b"\n"
 
@@ -108,5 +113,5 @@ class Lockstep:
         drawn_as, span_ns = 3600.0 * (row.charge_ah[0] - before.charge_ah[0]), row.t_ns[0] - before.t_ns[0]
         if span_ns > 0:  # else no step of the plant was due
             self._current_a = float(drawn_as / span_ns * NS_PER_S)
-        self._answer = answer(row, self._current_a)
+        self._answer = answer(row, self._current_a, self._outputs)
         return self._answer

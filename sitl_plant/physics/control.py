@@ -4,7 +4,7 @@
 so pitch, yaw and height change sign. At rest the accelerometer reads (0, 0, -g); a = -specific force points down.
 
     phi_acc   = atan2(a_y, a_z)                                                                    T Eq 2.31
-    theta_acc = atan2(-a_x, a_y sin phi_acc + a_z cos phi_acc)                                     T Eq 2.32
+    theta_acc = atan2(-a_x, sqrt(a_y^2 + a_z^2)),   the root is a_y sin phi_acc + a_z cos phi_acc  T Eq 2.32
     rate, acceleration = low-pass(gyro) and its slope, two states of one filter
     eta'      = W(eta) rate + (eta_seen - eta) / tau      gyro for the short term, the others for the long one
     theta_ref = -(P e_x + V e_vx + I ∫e_x)      nose up is positive, so ahead is negative          T Eq 2.27
@@ -139,8 +139,7 @@ def tilt_from_accel(f_x: float, f_y: float, f_z: float) -> tuple[float, float]:
     if norm < EPSILON:
         return 0.0, 0.0
     a_x, a_y, a_z = -f_x / norm, -f_y / norm, -f_z / norm
-    phi = math.atan2(a_y, a_z)
-    return phi, math.atan2(-a_x, a_y * math.sin(phi) + a_z * math.cos(phi))
+    return math.atan2(a_y, a_z), math.atan2(-a_x, math.sqrt(a_y * a_y + a_z * a_z))
 
 
 @jit
@@ -157,10 +156,11 @@ def advance_estimate(
     phi_acc, theta_acc = tilt_from_accel(accel[0], accel[1], accel[2])
     phi, theta, psi = estimate[0], estimate[1], estimate[2]
     p, q, r = estimate[3], estimate[4], estimate[5]
-    turn = q * math.sin(phi) + r * math.cos(phi)
-    phi += dt * (p + math.tan(theta) * turn) + estimator.correction * wrapped(phi_acc - phi)
-    psi += dt * turn / math.cos(theta) + estimator.correction * wrapped(yaw_seen - psi)
-    theta += dt * (q * math.cos(estimate[0]) - r * math.sin(estimate[0])) + estimator.correction * (theta_acc - theta)
+    sine, cosine = math.sin(phi), math.cos(phi)
+    turn = (q * sine + r * cosine) / math.cos(theta)
+    phi += dt * (p + math.sin(theta) * turn) + estimator.correction * wrapped(phi_acc - phi)
+    psi += dt * turn + estimator.correction * wrapped(yaw_seen - psi)
+    theta += dt * (q * cosine - r * sine) + estimator.correction * (theta_acc - theta)
     estimate[0], estimate[1], estimate[2] = wrapped(phi), wrapped(theta), wrapped(psi)
 
 
@@ -175,15 +175,16 @@ def advance_estimates(
         phi_seen, theta_seen = tilt_from_accel(state.accel[k, 0], state.accel[k, 1], state.accel[k, 2])
         phi, theta = state.angle[k, 0], state.angle[k, 1]
         p, q, r = reading[k, 0], reading[k, 1], reading[k, 2]
-        turn = q * math.sin(phi) + r * math.cos(phi)
+        sine, cosine = math.sin(phi), math.cos(phi)
+        turn = (q * sine + r * cosine) / math.cos(theta)
         error_phi, error_theta = wrapped(phi_seen - phi), theta_seen - theta
         state.correction[k, 0] += dt * filters.correction_i * error_phi
         state.correction[k, 1] += dt * filters.correction_i * error_theta
-        dphi = p + math.tan(theta) * turn + filters.correction_p * error_phi + state.correction[k, 0]
-        dtheta = q * math.cos(phi) - r * math.sin(phi) + filters.correction_p * error_theta + state.correction[k, 1]
+        dphi = p + math.sin(theta) * turn + filters.correction_p * error_phi + state.correction[k, 0]
+        dtheta = q * cosine - r * sine + filters.correction_p * error_theta + state.correction[k, 1]
         state.angle[k, 0] = wrapped(phi + dt * dphi)
         state.angle[k, 1] = wrapped(theta + dt * dtheta)
-        state.angle[k, 2] += dt * turn / math.cos(theta)
+        state.angle[k, 2] += dt * turn
     for axis in range(3):
         estimate[axis] = 0.5 * (state.angle[0, axis] + state.angle[1, axis])
         estimate[3 + axis] = 0.5 * (state.rate[0, axis] + state.rate[1, axis])

@@ -132,7 +132,7 @@ def _stand(x: FloatArray, body: Body, ground: Ground, dx: FloatArray, row: int) 
         dx[row, 10 + axis] += body.inverse[axis, 0] * m_x + body.inverse[axis, 1] * m_y + body.inverse[axis, 2] * m_z
 
 
-@jit
+@inline
 def derivative(
     x: FloatArray, wrench: FloatArray, stage: int, body: Body, ground: Ground, wind: FloatArray, dx: FloatArray, at: int
 ) -> None:
@@ -150,12 +150,6 @@ def derivative(
         (wrench[stage, 1] - body.drag * v) / body.mass,
         (wrench[stage, 2] - body.drag * w) / body.mass,
     )
-    dx[at, 0], dx[at, 1], dx[at, 2] = x[3], x[4], x[5]
-    dx[at, 3], dx[at, 4], dx[at, 5] = a_x, a_y, a_z + GRAVITY
-    dx[at, 6] = 0.5 * (-q_x * p - q_y * q - q_z * r)  # dq/dt = q * (0, omega) / 2
-    dx[at, 7] = 0.5 * (q_w * p + q_y * r - q_z * q)
-    dx[at, 8] = 0.5 * (q_w * q + q_z * p - q_x * r)
-    dx[at, 9] = 0.5 * (q_w * r + q_x * q - q_y * p)
     inertia, inverse = body.inertia, body.inverse
     h_x = inertia[0, 0] * p + inertia[0, 1] * q + inertia[0, 2] * r
     h_y = inertia[1, 0] * p + inertia[1, 1] * q + inertia[1, 2] * r
@@ -163,8 +157,16 @@ def derivative(
     m_x = wrench[stage, 3] - body.hub_moment * v - (q * h_z - r * h_y)
     m_y = wrench[stage, 4] + body.hub_moment * u - (r * h_x - p * h_z)
     m_z = wrench[stage, 5] - (p * h_y - q * h_x) - wrench[stage, 7]
-    for axis in range(3):
-        dx[at, 10 + axis] = inverse[axis, 0] * m_x + inverse[axis, 1] * m_y + inverse[axis, 2] * m_z
+    d_p = inverse[0, 0] * m_x + inverse[0, 1] * m_y + inverse[0, 2] * m_z
+    d_q = inverse[1, 0] * m_x + inverse[1, 1] * m_y + inverse[1, 2] * m_z
+    d_r = inverse[2, 0] * m_x + inverse[2, 1] * m_y + inverse[2, 2] * m_z
+    dx[at, 0], dx[at, 1], dx[at, 2] = x[3], x[4], x[5]
+    dx[at, 3], dx[at, 4], dx[at, 5] = a_x, a_y, a_z + GRAVITY
+    dx[at, 6] = 0.5 * (-q_x * p - q_y * q - q_z * r)  # dq/dt = q * (0, omega) / 2
+    dx[at, 7] = 0.5 * (q_w * p + q_y * r - q_z * q)
+    dx[at, 8] = 0.5 * (q_w * q + q_z * p - q_x * r)
+    dx[at, 9] = 0.5 * (q_w * r + q_x * q - q_y * p)
+    dx[at, 10], dx[at, 11], dx[at, 12] = d_p, d_q, d_r
     if x[2] > ground.reach:
         _stand(x, body, ground, dx, at)
 

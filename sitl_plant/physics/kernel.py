@@ -61,6 +61,7 @@ class Model(NamedTuple):
 class State(NamedTuple):
     """All that changes, updated in place; the last four are what the steps overwrite."""
 
+    told: FloatArray  # what is recorded of a step, one after the other; others are views of it, see `told_parts`
     rigid: FloatArray  # (13,)
     wrench: FloatArray  # (3, 8)
     wind: FloatArray  # (3,)
@@ -103,22 +104,14 @@ class Noise(NamedTuple):
     occlusion: FloatArray  # (frames, m), uniform
 
 
-class Rows(NamedTuple):
-    """Where the flight is recorded, one row a step; the columns are those of `PlantSamples`."""
+def told_parts(told: FloatArray, rotors: int) -> dict[str, FloatArray]:
+    """The parts of what is recorded, as views; in one piece a step is recorded by one copy. told: (..., 41 + 2 n)."""
+    widths = {"setpoint": 3, "rate": 3, "wrench": 4, "motors": 1, "imu": sensors.CHANNELS, "estimate": control.ESTIMATE}
+    widths |= {"rigid": dynamics.RIGID, "battery": 2, "duty": rotors, "speed": rotors}
+    return dict(zip(widths, np.split(told, np.cumsum([*widths.values()])[:-1], axis=-1), strict=True))
 
-    setpoint: FloatArray
-    rate_setpoint: FloatArray
-    thrust: FloatArray
-    imu: FloatArray
-    attitude: FloatArray
-    rigid: FloatArray
-    rotor_speed: FloatArray
-    duty: FloatArray
-    battery_v: FloatArray
-    charge_ah: FloatArray
-    motors: FloatArray
-    log: FloatArray  # (steps, k), the numbers of a `LOG`, of a recorded set; else (steps, 0)
-    esc: FloatArray  # (steps, n) of a recorded set; else (steps, 0)
+
+TOLD = 41  # numbers recorded of a step, and two for each rotor
 
 
 @inline
@@ -176,44 +169,30 @@ def _obey(state: control.ControlState, commands: FloatArray, row: int) -> None:
 
 
 @jit
-def _copy(source: FloatArray, rows: FloatArray, row: int) -> None:
-    """rows[row] = source; a plain loop without an offset, because slice assignment is slow in compiled code."""
-    for i in range(len(source)):
-        rows[row, i] = source[i]
-
-
-@jit
-def _copy_to(source: FloatArray, rows: FloatArray, row: int, column: int) -> None:
+def _copy(source: FloatArray, rows: FloatArray, row: int, column: int) -> None:
+    """A plain loop, because slice assignment is slow in compiled code."""
     for i in range(len(source)):
         rows[row, column + i] = source[i]
 
 
 @inline
-def _record(state: State, own: Recorded | None, row: int, rows: Rows) -> None:
-    _copy(state.control.setpoint, rows.setpoint, row)
-    _copy(state.control.rate, rows.rate_setpoint, row)
-    _copy(state.imu.reading, rows.imu, row)
-    _copy(state.estimate, rows.attitude, row)
-    _copy(state.rigid, rows.rigid, row)
-    _copy(state.rotors.speed, rows.rotor_speed, row)
-    _copy(state.control.duty, rows.duty, row)
-    rows.thrust[row], rows.motors[row] = state.control.wrench[0], state.control.motors[0]
-    rows.battery_v[row], rows.charge_ah[row] = state.battery[0], state.battery[1]
+def _record(state: State, own: Recorded | None, row: int, rows: FloatArray, log: FloatArray) -> None:
+    _copy(state.told, rows, row, 0)
     if own is not None:
-        log, seen, reading = rows.log, own.estimates, own.imu_state.reading
+        seen, reading = own.estimates, own.imu_state.reading
         for k in range(sensors.IMUS):
-            _copy_to(seen.angle[k], log, row, 3 * k)
-            _copy_to(seen.rate[k], log, row, 6 + 3 * k)
-            _copy_to(seen.acceleration[k], log, row, 12 + 3 * k)
-            _copy_to(reading[k, :3], log, row, 18 + 3 * k)
-            _copy_to(reading[k, 3:], log, row, 24 + 3 * k)
-        _copy_to(state.control.asked, log, row, 30)
-        _copy_to(state.control.wrench[1:], log, row, 33)
-        _copy_to(state.control.wrench[:1], log, row, 36)
-        _copy_to(state.control.pid, log, row, 37)
-        _copy_to(state.control.desired, log, row, 41)
-        _copy_to(state.mocap.pose, log, row, 45)
-        _copy(own.esc, rows.esc, row)
+            _copy(seen.angle[k], log, row, 3 * k)
+            _copy(seen.rate[k], log, row, 6 + 3 * k)
+            _copy(seen.acceleration[k], log, row, 12 + 3 * k)
+            _copy(reading[k, :3], log, row, 18 + 3 * k)
+            _copy(reading[k, 3:], log, row, 24 + 3 * k)
+        _copy(state.control.asked, log, row, 30)
+        _copy(state.control.wrench[1:], log, row, 33)
+        _copy(state.control.wrench[:1], log, row, 36)
+        _copy(state.control.pid, log, row, 37)
+        _copy(state.control.desired, log, row, 41)
+        _copy(state.mocap.pose, log, row, 45)
+        _copy(own.esc, log, row, 49)
 
 
 @inline
@@ -245,7 +224,8 @@ def fly(
     first: int,
     noise: Noise,
     commands: FloatArray,
-    rows: Rows,
+    rows: FloatArray,
+    log: FloatArray,
     model: Model,
     own: Recorded | None,
     condition: rotors.Condition,
@@ -254,17 +234,18 @@ def fly(
 ) -> None:
     """Fly as many steps as there are rows, from step `first` on; 0 is t = 0. `state` and `own` are updated in place.
 
-    commands: (steps, n) duties, or (0, n) to let the controller fly.
+    commands: (steps, n) duties, or (0, n) to let the controller fly. rows: (steps, 41 + 2 n), see `told_parts`.
+    log: (steps, 49 + n), the numbers of a `LOG` and the speeds that the ESCs told, of a recorded set.
     """
     frame = 0
-    for row in range(len(rows.thrust)):
+    for row in range(len(rows)):
         step = first + row
         if step % model.mocap.period == 0:
             mocap.observe(state.mocap, model.mocap, state.rigid, step, noise.markers, noise.occlusion, frame)
             frame += 1
         _sense(state, model, own, faults, noise, row, step)
         _decide(state, model, own, commands, row, step)
-        _record(state, own, row, rows)
+        _record(state, own, row, rows, log)
         _move(state, model, own, condition, noise, row, step)
 
 

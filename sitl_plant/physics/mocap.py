@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavdiag.jit import allocating, jit
+from mavdiag.jit import jit
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.dynamics import rotate_to_world
 
@@ -42,18 +42,25 @@ class MocapState(NamedTuple):
     seen: FloatArray  # (m, 3) markers of the latest frame
     visible: IntArray  # (m,) 1 or 0
     fit: FloatArray  # (13,) state row fitted to them, rates zero
+    work: FloatArray  # (9, 4) scratch of `fit_pose`
 
 
-@allocating
-def fit_pose(model: FloatArray, seen: FloatArray, visible: IntArray, fit: FloatArray) -> bool:
+@jit
+def fit_pose(model: FloatArray, seen: FloatArray, visible: IntArray, fit: FloatArray, work: FloatArray) -> bool:
     """Fit position and attitude to the visible markers (T Eq 2.21). False, and nothing written, below three.
 
     model, seen: (m, 3) in body and world axes. fit: (13,) a state row; position of the model's origin and q_NB are set.
+    work: (9, 4) scratch.
     """
-    count = visible.sum()
+    count = 0
+    for i in range(len(model)):
+        count += visible[i]
     if count < 3:
         return False
-    p_mean, q_mean, S = np.zeros(3), np.zeros(3), np.zeros((3, 3))
+    p_mean, q_mean, S, K = work[0], work[1], work[2:5], work[5:]  # K: Horn's, which q_NB maximises as q^T K q
+    for row in range(5):
+        for a in range(3):
+            work[row, a] = 0.0
     for i in range(len(model)):
         for a in range(3):
             p_mean[a] += visible[i] * model[i, a] / count
@@ -65,14 +72,22 @@ def fit_pose(model: FloatArray, seen: FloatArray, visible: IntArray, fit: FloatA
             bound += 0.5 * (p_a * p_a + q_a * q_a)
             for b in range(3):
                 S[a, b] += p_a * (seen[i, b] - q_mean[b])
-    K = np.zeros((4, 4))  # Horn's: the quaternion that maximises q^T K q is the best rotation
     K[0, 0] = S[0, 0] + S[1, 1] + S[2, 2]
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
         K[0, a + 1] = K[a + 1, 0] = S[b, c] - S[c, b]
         K[a + 1, a + 1] = S[a, a] - S[b, b] - S[c, c]
         K[b + 1, c + 1] = K[c + 1, b + 1] = S[b, c] + S[c, b]
-    _leading_eigenvector(K, bound, fit[6:10])
+    squares = 0.0
+    for a in range(3):
+        for b in range(3):
+            squares += S[a, b] * S[a, b]
+    det = (
+        S[0, 0] * (S[1, 1] * S[2, 2] - S[1, 2] * S[2, 1])
+        - S[0, 1] * (S[1, 0] * S[2, 2] - S[1, 2] * S[2, 0])
+        + S[0, 2] * (S[1, 0] * S[2, 1] - S[1, 1] * S[2, 0])
+    )
+    _leading_eigenvector(K, -2.0 * squares, -8.0 * det, bound, fit[6:10])
     turned = rotate_to_world(fit, p_mean[0], p_mean[1], p_mean[2])
     for a in range(3):
         fit[a] = q_mean[a] - turned[a]
@@ -80,16 +95,11 @@ def fit_pose(model: FloatArray, seen: FloatArray, visible: IntArray, fit: FloatA
 
 
 @jit
-def _leading_eigenvector(K: FloatArray, bound: float, q: FloatArray) -> None:
-    # Characteristic polynomial L^4 + c2 L^2 + c1 L + c0, by traces of powers and the determinant.
-    trace2 = trace3 = c0 = 0.0
+def _leading_eigenvector(K: FloatArray, c2: float, c1: float, bound: float, q: FloatArray) -> None:
+    # of the characteristic polynomial L^4 + c2 L^2 + c1 L + det K, from above
+    c0 = 0.0
     for a in range(4):
         c0 += K[0, a] * _cofactor(K, 0, a)
-        for b in range(4):
-            trace2 += K[a, b] * K[a, b]
-            for c in range(4):
-                trace3 += K[a, b] * K[b, c] * K[c, a]
-    c2, c1 = -0.5 * trace2, -trace3 / 3.0
     top = bound
     for _ in range(NEWTON_STEPS):
         step = (((top * top + c2) * top + c1) * top + c0) / ((4.0 * top * top + 2.0 * c2) * top + c1)
@@ -98,14 +108,14 @@ def _leading_eigenvector(K: FloatArray, bound: float, q: FloatArray) -> None:
             break
     for a in range(4):
         K[a, a] -= top
-    best = -1.0
-    for column in range(4):  # every column of the adjugate is the eigenvector; take the longest
-        w, x, y, z = _cofactor(K, 0, column), _cofactor(K, 1, column), _cofactor(K, 2, column), _cofactor(K, 3, column)
-        length = np.sqrt(w * w + x * x + y * y + z * z)
-        if length > best:
-            best = length
-            sign = 1.0 if w >= 0.0 else -1.0
-            q[0], q[1], q[2], q[3] = sign * w / length, sign * x / length, sign * y / length, sign * z / length
+    column, largest = 0, -1.0
+    for k in range(4):  # the adjugate is a multiple of q q^T: its longest column has the largest number on the diagonal
+        size = abs(_cofactor(K, k, k))
+        if size > largest:
+            column, largest = k, size
+    w, x, y, z = _cofactor(K, 0, column), _cofactor(K, 1, column), _cofactor(K, 2, column), _cofactor(K, 3, column)
+    length, sign = math.sqrt(w * w + x * x + y * y + z * z), 1.0 if w >= 0.0 else -1.0
+    q[0], q[1], q[2], q[3] = sign * w / length, sign * x / length, sign * y / length, sign * z / length
 
 
 @jit
@@ -135,7 +145,7 @@ def observe(
         for a in range(3):
             state.seen[i, a] = x[a] + place[a] + mocap.noise * normals[frame, i, a]
         state.visible[i] = 1 if uniforms[frame, i] >= mocap.occlusion else 0
-    if fit_pose(mocap.markers, state.seen, state.visible, state.fit):
+    if fit_pose(mocap.markers, state.seen, state.visible, state.fit, state.work):
         slot = state.queue[(step + mocap.latency) % (mocap.latency + 1)]
         w, x_q, y_q, z_q = state.fit[6], state.fit[7], state.fit[8], state.fit[9]
         yaw = math.atan2(2.0 * (w * z_q + x_q * y_q), 1.0 - 2.0 * (y_q * y_q + z_q * z_q))

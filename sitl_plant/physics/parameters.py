@@ -51,6 +51,7 @@ def make_model(
             sign=np.array([rotor.sign for rotor in vehicle.rotors]),
             thrust_coefficient=airframe.thrust_coefficient_n_s2,
             lag=airframe.motor_lag_s,
+            decay=np.exp(-0.5 * STEP_S / airframe.motor_lag_s)[:, None] ** np.arange(STAGES),
             torque_per_thrust=1.0 / propulsion.thrust_per_torque_1_m,
             inertia=propulsion.rotor_inertia_kg_m2,
             noise_rms=airframe.thrust_noise_rms,
@@ -193,24 +194,32 @@ def initial_state(model: kernel.Model, azimuth: FloatArray, charge_used_ah: floa
     lift = weight if start[8] == FLYING else 0.0
     speed = np.sqrt(lift / n / model.rotors.thrust_coefficient)
     z = np.zeros
-    rigid, wrench, reading, estimate = z(RIGID), z((STAGES, WRENCH)), z(sensors.CHANNELS), z(control.ESTIMATE)
+    told = z(kernel.TOLD + 2 * n)
+    parts = kernel.told_parts(told, n)
+    rigid, reading, estimate, wrench = parts["rigid"], parts["imu"], parts["estimate"], z((STAGES, WRENCH))
+    parts["battery"][:] = model.battery.open_circuit - model.battery.slope * charge_used_ah, charge_used_ah
+    parts["wrench"][0], parts["motors"][0], parts["speed"][:] = lift, start[8], speed
     rigid[:3], rigid[6], rigid[9] = start[:3], math.cos(start[6] / 2), math.sin(start[6] / 2)
     wrench[:, 2], reading[5], estimate[2] = -lift, -GRAVITY, start[6]
     markers, latency = len(model.mocap.markers), model.mocap.latency
     pose, wave = np.array([*start[:3], start[6]]), np.full((latency + 1, 4), np.nan)
     integral = np.array([0.0, 0.0, -weight if lift else -TAKEOFF_SHARE * weight, 0.0])
-    thrust, motors, seen = np.array([lift, 0.0, 0.0, 0.0]), np.array([start[8]]), z(markers, dtype=np.int64)
+    seen, turn = z(markers, dtype=np.int64), np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+    rate, duty, motors, desired = parts["rate"], parts["duty"], parts["motors"], pose.copy()
     return kernel.State(
+        told=told,
         rigid=rigid,
         wrench=wrench,
         wind=model.air.mean.copy(),
-        battery=np.array([model.battery.open_circuit - model.battery.slope * charge_used_ah, charge_used_ah]),
-        rotors=rotors.RotorState(speed, azimuth.copy(), z(n), z(n), np.full(n, lift / n)),
+        battery=parts["battery"],
+        rotors=rotors.RotorState(parts["speed"], azimuth.copy(), turn, z(n), z(n), np.full(n, lift / n)),
         imu=sensors.ImuState(z((sensors.CHANNELS, 2)), z(sensors.CHANNELS), reading, z((sensors.CHANNELS, 2))),
-        mocap=mocap.MocapState(wave, pose, z(3), np.full(1, np.nan), z((markers, 3)), seen, z(RIGID)),
+        mocap=mocap.MocapState(wave, pose, z(3), np.full(1, np.nan), z((markers, 3)), seen, z(RIGID), z((9, 4))),
         estimate=estimate,
         accel_filtered=reading[3:].copy(),
-        control=control.ControlState(integral, z(3), z(3), thrust, z(n), motors, z(4), z(3), pose.copy()),
+        control=control.ControlState(
+            integral, parts["setpoint"], rate, parts["wrench"], duty, motors, z(4), z(3), desired
+        ),
         work=z((5, RIGID)),
         truth=z((sensors.IMUS, sensors.CHANNELS)),
         path=z(REFERENCE),

@@ -28,6 +28,7 @@ class Rotors(NamedTuple):
     sign: FloatArray
     thrust_coefficient: FloatArray
     lag: FloatArray
+    decay: FloatArray  # (n, 3) exp(-t / lag) at start, middle and end of a step
     torque_per_thrust: float
     inertia: float
     noise_rms: float
@@ -52,6 +53,7 @@ class RotorState(NamedTuple):
 
     speed: FloatArray
     azimuth: FloatArray
+    turn: FloatArray  # (n, 2) its cosine and sine
     noise: FloatArray
     fluctuation: FloatArray
     thrust: FloatArray
@@ -105,50 +107,44 @@ def advance_rotors(
         for k in range(WRENCH):
             wrench[stage, k] = 0.0
     for i in range(len(state.speed)):
-        start, lag, azimuth = state.speed[i], rotors.lag[i], state.azimuth[i]
-        excess = start - command[i]
-        half, decay = math.exp(-0.5 * dt / lag), 1.0
+        # read once: the compiler cannot know that what is written below is none of it
+        wanted, lag, azimuth, sign = command[i], rotors.lag[i], state.azimuth[i], rotors.sign[i]
+        x, y, z = rotors.hub[i, 0], rotors.hub[i, 1], rotors.hub[i, 2]
+        u_x, u_y = condition.unbalance[i, 0], condition.unbalance[i, 1]
+        d_x, d_y = condition.lift_offset[i, 0], condition.lift_offset[i, 1]
+        coefficient, drag, slow, before = (
+            rotors.thrust_coefficient[i],
+            condition.drag_gain[i],
+            condition.thrust_lag[i],
+            state.thrust[i],
+        )
+        excess, cosine, sine = state.speed[i] - wanted, state.turn[i, 0], state.turn[i, 1]
         noise = 1.0 + rotors.noise_rms * state.noise[i]
         gain = condition.thrust_gain[i] * (1.0 + condition.fluctuation_rms[i] * state.fluctuation[i])
         for stage in range(STAGES):
-            speed = command[i] + excess * decay
+            decay = rotors.decay[i, stage]
+            speed = wanted + excess * decay
             # theta = theta_0 + integral of w, with w = w_cmd + excess exp(-t / lag)
-            theta = azimuth + command[i] * (0.5 * stage * dt) + excess * lag * (1.0 - decay)
-            lift = rotors.thrust_coefficient[i] * speed * speed * noise
-            thrust, slow = lift * gain, condition.thrust_lag[i]
+            theta = azimuth + wanted * (0.5 * stage * dt) + excess * lag * (1.0 - decay)
+            if stage:
+                cosine, sine = math.cos(theta), math.sin(theta)
+            squared, across = speed * speed, sign * sine
+            lift = coefficient * squared * noise
+            thrust = lift * gain
             if slow > 0.0:
-                thrust += (state.thrust[i] - thrust) * math.exp(-0.5 * stage * dt / slow)
-            _add_rotor(wrench, stage, rotors, condition, i, speed, theta, thrust, lift)
-            wrench[stage, 7] -= rotors.inertia * rotors.sign[i] * excess * decay / lag
-            decay *= half
+                thrust += (before - thrust) * math.exp(-0.5 * stage * dt / slow)
+            f_x, f_y = (cosine * u_x - across * u_y) * squared, (across * u_x + cosine * u_y) * squared
+            wrench[stage, 0] += f_x
+            wrench[stage, 1] += f_y
+            wrench[stage, 2] -= thrust
+            wrench[stage, 3] -= (y + across * d_x + cosine * d_y) * thrust + z * f_y
+            wrench[stage, 4] += (x + cosine * d_x - across * d_y) * thrust + z * f_x
+            wrench[stage, 5] += x * f_y - y * f_x - sign * lift * drag * rotors.torque_per_thrust
+            wrench[stage, 6] += rotors.inertia * sign * speed
+            wrench[stage, 7] -= rotors.inertia * sign * excess * decay / lag
         if 2.0 * math.pi <= theta < 4.0 * math.pi:
             theta -= 2.0 * math.pi
         elif not 0.0 <= theta < 2.0 * math.pi:
             theta %= 2.0 * math.pi
         state.speed[i], state.azimuth[i], state.thrust[i] = speed, theta, thrust
-
-
-@jit
-def _add_rotor(
-    wrench: FloatArray,
-    at: int,
-    rotors: Rotors,
-    health: Condition,
-    i: int,
-    speed: float,
-    theta: float,
-    thrust: float,
-    lift: float,
-) -> None:
-    sign, x, y, z = rotors.sign[i], rotors.hub[i, 0], rotors.hub[i, 1], rotors.hub[i, 2]
-    cosine, sine, squared = math.cos(theta), sign * math.sin(theta), speed * speed
-    u_x, u_y = health.unbalance[i, 0], health.unbalance[i, 1]
-    d_x, d_y = health.lift_offset[i, 0], health.lift_offset[i, 1]
-    f_x, f_y = (cosine * u_x - sine * u_y) * squared, (sine * u_x + cosine * u_y) * squared
-    wrench[at, 0] += f_x
-    wrench[at, 1] += f_y
-    wrench[at, 2] -= thrust
-    wrench[at, 3] -= (y + sine * d_x + cosine * d_y) * thrust + z * f_y
-    wrench[at, 4] += (x + cosine * d_x - sine * d_y) * thrust + z * f_x
-    wrench[at, 5] += x * f_y - y * f_x - sign * lift * health.drag_gain[i] * rotors.torque_per_thrust
-    wrench[at, 6] += rotors.inertia * sign * speed
+        state.turn[i, 0], state.turn[i, 1] = cosine, sine

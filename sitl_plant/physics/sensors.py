@@ -203,7 +203,7 @@ def advance_imus(
     mean, low, turns, n = 0.0, imu.filters, state.turns, len(rotors.speed)
     for r in range(n):
         power = (rotors.speed[r] / imu.hover) ** 2
-        c, s = math.cos(rotors.azimuth[r]), math.sin(rotors.azimuth[r])
+        c, s = rotors.turn[r, 0], rotors.turn[r, 1]
         turns[0, r, 0], turns[0, r, 1] = power * c, power * s
         turns[1, r, 0], turns[1, r, 1] = power * (c * c - s * s), power * 2.0 * s * c
         mean += power / n

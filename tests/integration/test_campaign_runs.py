@@ -2,9 +2,8 @@
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,15 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavdiag.archive.pool import TaskExecutor
 from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight, judge_in_full
 from mavdiag.learning import learn
 from mavdiag.telemetry import Log
 from sitl_plant.campaign import worker
-from sitl_plant.campaign.plan import Design, make_plan
+from sitl_plant.campaign.plan import Design
 from sitl_plant.campaign.summary import summarise
-from sitl_plant.campaign.worker import Journal, Results, local_executor, run_campaign
+from sitl_plant.campaign.worker import Journal, Results, run_campaign
 
 SITL_PLANT = "sitl_plant.__main__"
 TINY = Design(
@@ -30,19 +28,9 @@ TINY = Design(
 )  # fmt: skip
 
 
-@contextmanager
-def alone() -> Iterator[TaskExecutor]:
-    """One thread of this process: no start of worker processes to wait for."""
-    with ThreadPoolExecutor(1) as pool:
-        yield TaskExecutor(pool, 1)
-
-
-def run(path: Path, design: Design = TINY, fresh: bool = False) -> Results:
-    journal = Journal(path, fresh)
-    with alone() as executor:
-        results = run_campaign(make_plan(design), journal, executor)
-    journal.close()
-    return results
+def run(path: Path, design: Design = TINY, workers: int = 1) -> Results:
+    with closing(Journal(path)) as journal:
+        return run_campaign(design, journal, workers)
 
 
 @pytest.fixture(scope="module")
@@ -75,12 +63,7 @@ def test_flights_come_out_as_flown(finished: tuple[Path, Results]) -> None:
 
 
 def test_two_worker_processes_give_the_same_numbers(finished: tuple[Path, Results], tmp_path: Path) -> None:
-    stages: list[tuple[str, int, int]] = []
-    journal = Journal(tmp_path / "results.jsonl")
-    with local_executor(2) as executor:
-        found = run_campaign(make_plan(TINY), journal, executor, lambda *told: stages.append(told))
-    journal.close()
-    assert (stages[0], stages[-1]) == (("learning", 0, 1), ("flying", 4, 4))
+    found = run(tmp_path / "results.jsonl", workers=2)
     assert found.flights == finished[1].flights  # a process with more threads of arithmetic rounds otherwise
 
 
@@ -155,8 +138,7 @@ def test_b13_fresh_keeps_the_results_if_the_scheduler_cannot_be_used(
     assert path.read_text() == "a result\n"
 
 
-def test_the_command_reuses_and_reports(program: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker, "local_executor", lambda workers: alone())
+def test_the_command_reuses_and_reports(program: Any, tmp_path: Path) -> None:
     path = tmp_path / "results.jsonl"
     arguments = (
         "campaign", "-o", str(path), "--flights", "1", "--hours", "0", "--airframes", "1", "--learn-flights", "2",

@@ -1,5 +1,6 @@
 """The emulated autopilot: answers what is meant for it, forwards the rest as ArduPilot does, believes no impostor."""
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,6 +10,7 @@ from mavdiag.link.layout import Argument
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
 from sitl_plant.autopilot.commands import ORDERS, Autopilot
 from sitl_plant.autopilot.dialect import dialect_named
+from sitl_plant.autopilot.mission import Mission
 from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.wire import Action, Forward, Reply
 from sitl_plant.plant import PlantConfig
@@ -184,3 +186,145 @@ def test_no_bytes_for_a_commanded_vehicle_raise(profile: str, messages: list[tup
         for action in one.step(0, heard, NOW_NS):
             assert isinstance(action, Reply)
             encoder.encode(action.msgid, *action.fields)  # can be sent
+
+
+# The mission protocol of the emulated autopilot, as a ground station speaks it
+
+SECOND = 1_000_000_000
+LAT, LON = 473_977_420, 85_455_940
+
+
+def sent(msgid: int, *fields: Argument, source: tuple[int, int] = GCS) -> Frame:
+    return Decoder().feed(Encoder(*source).encode(msgid, *PLANT, *fields), 0)[0]
+
+
+def item(seq: int, number: int = 16, z: float = 2.0) -> Frame:
+    return sent(MessageId.MISSION_ITEM_INT, seq, 6, number, 0, 1, 0.0, 0.0, 0.0, 0.0, LAT + seq, LON, z, 0)
+
+
+def said(actions: list[Action]) -> list[tuple[int, tuple[Argument, ...]]]:
+    return [(action.msgid, action.fields) for action in actions if isinstance(action, Reply)]
+
+
+def upload(one: Mission, count: int) -> list[tuple[int, tuple[Argument, ...]]]:
+    answer = said(one.step(0, sent(MessageId.MISSION_COUNT, count, 0), 0))
+    for seq in range(count):
+        assert answer == [(MessageId.MISSION_REQUEST_INT, (*GCS, seq, 0))]
+        answer = said(one.step(0, item(seq), 0))
+    return answer
+
+
+def test_what_was_uploaded_is_downloaded() -> None:
+    one = Mission(lambda frames: True, lambda seq: None)
+    assert upload(one, 3) == [(MessageId.MISSION_ACK, (*GCS, 0, 0))]
+    assert said(one.step(0, sent(MessageId.MISSION_REQUEST_LIST, 0), 0)) == [(MessageId.MISSION_COUNT, (*GCS, 3, 0))]
+    for msgid in (MessageId.MISSION_REQUEST_INT, MessageId.MISSION_REQUEST):
+        [(kind, fields)] = said(one.step(0, sent(msgid, 2, 0), 0))
+        assert kind == MessageId.MISSION_ITEM_INT
+        assert fields == (*GCS, 2, 6, 16, 0, 1, 0.0, 0.0, 0.0, 0.0, LAT + 2, LON, 2.0, 0)
+    assert said(one.step(0, sent(MessageId.MISSION_REQUEST_INT, 3, 0), 0)) == [(47, (*GCS, 13, 0))]
+
+
+def test_an_item_in_floats_is_stored_as_well() -> None:
+    one = Mission(lambda frames: True, lambda seq: None)
+    one.step(0, sent(MessageId.MISSION_COUNT, 1, 0), 0)
+    floats = sent(MessageId.MISSION_ITEM, 0, 3, 16, 0, 1, 0.0, 0.0, 0.0, 0.0, 47.5, 8.5, 2.0, 0)
+    assert said(one.step(0, floats, 0)) == [(MessageId.MISSION_ACK, (*GCS, 0, 0))]
+    [(_, fields)] = said(one.step(0, sent(MessageId.MISSION_REQUEST_INT, 0, 0), 0))
+    assert fields[11:13] == (475_000_000, 85_000_000)
+
+
+def test_a_lost_item_is_asked_for_again_and_an_upload_that_stops_is_given_up() -> None:
+    one = Mission(lambda frames: True, lambda seq: None)
+    one.step(0, sent(MessageId.MISSION_COUNT, 2, 0), 0)
+    one.step(0, item(0), SECOND)
+    assert said(one.step(0, item(0), SECOND)) == [(MessageId.MISSION_REQUEST_INT, (*GCS, 1, 0))]  # twice the same
+    assert one.tick(SECOND + SECOND // 2) == []
+    assert said(one.tick(2 * SECOND)) == [(MessageId.MISSION_REQUEST_INT, (*GCS, 1, 0))]
+    assert said(one.tick(10 * SECOND)) == [(MessageId.MISSION_ACK, (*GCS, 15, 0))]
+    assert one.tick(20 * SECOND) == []
+    assert len(one) == 0
+
+
+def test_what_cannot_be_flown_is_refused_and_the_old_plan_stays() -> None:
+    takes = [True, False]
+    one = Mission(lambda frames: takes.pop(0), lambda seq: None)
+    upload(one, 2)
+    assert upload(one, 1) == [(MessageId.MISSION_ACK, (*GCS, 3, 0))]
+    assert len(one) == 2
+    assert said(one.step(0, sent(MessageId.MISSION_COUNT, 10_000, 0), 0)) == [(MessageId.MISSION_ACK, (*GCS, 4, 0))]
+
+
+def test_fence_and_rally_points_are_empty_and_their_type_comes_back() -> None:
+    one = Mission(lambda frames: True, lambda seq: None)
+    for kind in (1, 2):
+        asked = said(one.step(0, sent(MessageId.MISSION_REQUEST_LIST, kind), 0))
+        assert asked == [(MessageId.MISSION_COUNT, (*GCS, 0, kind))]
+        assert said(one.step(0, sent(MessageId.MISSION_COUNT, 2, kind), 0)) == [(47, (*GCS, 3, kind))]
+        assert said(one.step(0, sent(MessageId.MISSION_CLEAR_ALL, kind), 0)) == [(47, (*GCS, 0, kind))]
+
+
+def test_the_item_to_go_on_with_is_set_and_confirmed() -> None:
+    skipped: list[int] = []
+    one = Mission(lambda frames: True, skipped.append)
+    upload(one, 3)
+    assert said(one.step(0, sent(MessageId.MISSION_SET_CURRENT, 2), 0)) == [(MessageId.MISSION_CURRENT, (2, 3))]
+    assert said(one.step(0, sent(MessageId.MISSION_SET_CURRENT, 3), 0)) == [(MessageId.MISSION_ACK, (*GCS, 13, 0))]
+    assert skipped == [2]
+
+
+# The rhythm of messages: exact in the mean, never early, changed and denied as an autopilot does
+
+FAST, SLOW, QUIET = 27, 0, 105
+STEP_NS = 1_000_000
+
+
+def times(first: int, n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    return np.arange(first, first + n, dtype=np.int64) * STEP_NS
+
+
+def schedule() -> Schedule:
+    return Schedule({FAST: 1000.0, SLOW: 1.0, QUIET: 0.0}, ceiling_hz=1000.0)
+
+
+@given(rate_hz=st.floats(0.5, 1000.0), blocks=st.lists(st.integers(1, 400), min_size=1, max_size=12))
+def test_any_rate_is_met_to_one_message_however_the_time_is_cut(rate_hz: float, blocks: list[int]) -> None:
+    one = Schedule({FAST: rate_hz}, ceiling_hz=1000.0)
+    rows, first = [], 0
+    for n in blocks:
+        due = dict(one.due(times(first, n)))
+        rows += [first + int(row) for row in due.get(FAST, ())]
+        first += n
+    whole = Schedule({FAST: rate_hz}, ceiling_hz=1000.0).due(times(0, first))
+    assert rows == dict(whole)[FAST].tolist()
+    assert abs(len(rows) - first * 1e-3 * rate_hz) <= 1.0
+
+
+@pytest.mark.parametrize(("msgid", "interval_us"), [(FAST, 999 / 1.01), (FAST, 1), (999, 10_000)])
+def test_what_cannot_be_sent_is_denied_and_changes_nothing(msgid: int, interval_us: float) -> None:
+    one = schedule()
+    assert one.set_interval(msgid, interval_us) is MavResult.DENIED
+    assert one.interval_us(FAST) == 1000
+    assert one.interval_us(999) == 0
+
+
+@pytest.mark.parametrize(
+    ("profile", "asked_us", "result", "attained_hz"),
+    [
+        ("qdrone2", 5_000, MavResult.ACCEPTED, 200.0),
+        ("px4", 5_000, MavResult.ACCEPTED, 165.0),  # 160 to 170 were measured
+        ("px4", 10_000, MavResult.ACCEPTED, 100.0),
+        ("ardupilot", 6_667, MavResult.ACCEPTED, 1000.0 / 6.0),  # whole milliseconds
+        ("ardupilot", 3_000, MavResult.ACCEPTED, 1000.0 / 3.0),
+        ("ardupilot", 2_900, MavResult.DENIED, 0.0),  # above 0.8 of its loop rate
+    ],
+)
+def test_a_profile_grants_rates_as_its_autopilot_does(
+    profile: str, asked_us: int, result: MavResult, attained_hz: float
+) -> None:
+    one = dialect_named(profile).schedule(None, fresh=profile != "qdrone2")
+    assert one.set_interval(MessageId.ATTITUDE_TARGET, asked_us) == result
+    seconds = 20
+    rows = [rows for msgid, rows in one.due(times(0, 1000 * seconds)) if msgid == MessageId.ATTITUDE_TARGET]
+    if result == MavResult.ACCEPTED:
+        assert len(rows[0]) == pytest.approx(attained_hz * seconds, rel=0.01)

@@ -62,6 +62,15 @@ def test_a_smaller_count_is_a_restarted_autopilot_and_the_plant_stands_on_the_gr
     assert low["position"][2] == pytest.approx(0.001, abs=0.002)
 
 
+def test_rotor_speeds_come_by_the_autopilots_outputs() -> None:
+    link, simulation = lockstep()
+    for count in range(300):
+        told = answered(link.feed(servo_bytes(count, [1600, 1500, 1400, 1300]), "a", 0.0))
+    rpm = simulation.now.rotor_speed[0] * 60 / (2 * math.pi)  # outputs 1 to 4 turn rotors 2, 3, 4 and 1
+    np.testing.assert_allclose([told[f"rpm_{n}"] for n in (1, 2, 3, 4)], rpm[[1, 2, 3, 0]], atol=0.051)
+    assert told["rpm_1"] > told["rpm_2"] > told["rpm_3"] > told["rpm_4"] > 1000.0
+
+
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=100))
 def test_no_datagram_raises(data: bytes) -> None:

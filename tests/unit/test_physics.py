@@ -1,15 +1,21 @@
 """Body, ground, rotors, cameras and gusts against closed forms, scipy and published spectra."""
 
 import math
+from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from plant_cases import fly, nominal_airframe, quaternion_rotation, quiet_airframe
-from scipy.signal import welch
+from scipy.signal import bilinear, freqz, welch
 
+from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.air import Turbulence, dryden
-from sitl_plant.physics.airframe import NO_PAYLOAD
+from sitl_plant.physics.airframe import NO_PAYLOAD, draw_airframe, drone
+from sitl_plant.physics.control import Controller, ControlState, control
 from sitl_plant.physics.dynamics import (
     GRAVITY,
     NO_GROUND,
@@ -21,14 +27,45 @@ from sitl_plant.physics.dynamics import (
     grip,
     rk4_step,
 )
-from sitl_plant.physics.faults import rotor_condition
+from sitl_plant.physics.faults import (
+    FAULTS,
+    Injection,
+    RotorDamage,
+    SensorFault,
+    parse_fault,
+    rotor_condition,
+    sensor_condition,
+)
 from sitl_plant.physics.kernel import Model
 from sitl_plant.physics.mocap import fit_pose
-from sitl_plant.physics.parameters import STEP_S, make_model
+from sitl_plant.physics.parameters import STEP_S, make_model, specimen_of
 from sitl_plant.physics.rotors import Condition, RotorState, advance_rotors
-from sitl_plant.physics.trajectory import Shape, path
+from sitl_plant.physics.sensors import (
+    CHANNELS,
+    Imu,
+    ImuState,
+    SensorCondition,
+    advance_imu,
+    butterworth,
+    feel,
+    gain_of,
+    mode,
+)
+from sitl_plant.physics.trajectory import (
+    DISARMED,
+    FLYING,
+    IDLE,
+    LANDING,
+    REFERENCE,
+    SHUTDOWN,
+    Nose,
+    Path,
+    Shape,
+    path,
+    reference,
+)
 from sitl_plant.plant import PlantConfig
-from sitl_plant.vehicle import allocation, qdrone2
+from sitl_plant.vehicle import allocation, qdrone2, vehicle_named
 
 
 def body(inertia: FloatArray, mass: float = 1.5, drag: float = 0.0, hub_moment: float = 0.0) -> Body:
@@ -129,7 +166,8 @@ def make() -> tuple[Model, Condition]:
 
 def rest(speed: float = 0.0) -> RotorState:
     thrust = np.full(4, K_F * speed**2)
-    return RotorState(np.full(4, speed), np.zeros(4), np.zeros(4), np.zeros(4), thrust)
+    turn = np.tile([1.0, 0.0], (4, 1))
+    return RotorState(np.full(4, speed), np.zeros(4), turn, np.zeros(4), np.zeros(4), thrust)
 
 
 def step(state: RotorState, model: Model, condition: Condition, command: FloatArray, dt: float = STEP_S) -> FloatArray:
@@ -226,7 +264,7 @@ def test_fit_is_the_least_squares_fit_of_scipy(seed: int, noise_m: float) -> Non
     if seed % 2:
         visible[rng.integers(len(visible))] = 0
     fit = np.zeros(RIGID)
-    assert fit_pose(MARKERS, seen, visible, fit)
+    assert fit_pose(MARKERS, seen, visible, fit, np.zeros((9, 4)))
     kept = visible.astype(bool)
     R, t = scipy_fit(MARKERS[kept], seen[kept])
     np.testing.assert_allclose(as_matrix(fit[6:10]), R, atol=1e-7)
@@ -269,3 +307,304 @@ def test_a_vehicle_in_turbulence_holds_its_place_and_feels_the_drag_of_the_gusts
     assert np.abs(samples.position[:, :2]).max() < 0.3
     felt = samples.accel[:, :2].std()
     assert felt == pytest.approx(0.25 / 1.504 * dryden(w20, 1.0).rms_m_s[0], rel=0.3)
+
+
+# Attitude estimate and controllers: closed forms, directions, limits
+
+WEIGHT = 1.504 * 9.81
+
+
+@cache
+def gains() -> Controller:
+    airframe = nominal_airframe(qdrone2())
+    return make_model(airframe, NO_PAYLOAD, path(Shape.HOVER, 1.0, 0.5, 0.0, 1.0), np.zeros(3)).controller
+
+
+def fresh() -> ControlState:
+    z = np.zeros
+    return ControlState(np.array([0.0, 0.0, -WEIGHT, 0.0]), z(3), z(3), z(4), z(4), z(1), z(4), z(3), z(4))
+
+
+def ask(
+    state: ControlState,
+    *,
+    target: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    yaw: float = 0.0,
+    target_yaw: float = 0.0,
+    estimate: tuple[float, ...] = (0.0,) * 9,
+    steps: int = 1,
+    motors: float = FLYING,
+) -> FloatArray:
+    reference = np.array([*target, 0.0, 0.0, 0.0, target_yaw, 0.0, motors])
+    for _ in range(steps):
+        pose = np.array([0.0, 0.0, 0.0, yaw])
+        control(state, gains(), reference, pose, np.zeros(3), estimate[5], np.array(estimate), None, 15.0, 0.001)
+    return state.duty
+
+
+def forces(duty: FloatArray) -> FloatArray:
+    """Thrust of each rotor at nominal voltage: K_F (K_omega duty)^2, T Eq 2.12."""
+    full_speed = 1300 * 2 * math.pi / 60 * 14.8
+    return np.asarray(3.364e-6 * (full_speed * duty) ** 2)
+
+
+@pytest.mark.parametrize(
+    ("asked", "more", "less"),
+    [
+        ({"target": (0.2, 0.0, 0.0)}, [0, 2], [1, 3]),  # ahead: the rear rotors push more (T Eq 2.3, 2.27)
+        ({"target": (0.0, 0.2, 0.0)}, [2, 3], [0, 1]),  # to the right: the left ones (T Eq 2.2, 2.26)
+        ({"target_yaw": 0.5}, [1, 2], [0, 3]),  # turned right: those whose drag turns the body clockwise
+    ],
+)
+def test_the_rotors_that_lead_to_the_target_push_more(asked: dict[str, Any], more: list[int], less: list[int]) -> None:
+    f = forces(ask(fresh(), **asked))
+    assert f[more].min() > f[less].max()
+    assert f.sum() == pytest.approx(WEIGHT, rel=1e-3)
+
+
+def test_cascade_is_the_product_of_its_gains() -> None:
+    """T Eq 2.36 and 2.40: tau = I (22 (8 (phi_ref - phi) - 0.05 p - p) - 0.08 dp/dt)."""
+    state = fresh()
+    ask(state, estimate=(0.02, 0.0, 0.0, 0.1, 0.0, 0.0, 3.0, 0.0, 0.0))
+    expected = 0.0112 * (22 * (8 * (0.0 - 0.02) - 0.05 * 0.1 - 0.1) - 0.08 * 3.0)
+    assert state.wrench[1] == pytest.approx(expected, rel=1e-9)
+
+
+def test_limits_and_anti_windup_hold() -> None:
+    """A target far away for a minute: commands stay limited, and the integrals let go at once."""
+    state, limits = fresh(), qdrone2().control
+    duty = ask(state, target=(50.0, -50.0, -50.0), target_yaw=3.0, steps=60_000)
+    assert np.all(np.abs(state.setpoint[:2]) <= limits.tilt_limit_rad)
+    assert np.all(np.abs(state.rate[:2]) <= limits.rate_limit_rad_s)
+    assert abs(state.rate[2]) <= limits.yaw_rate_limit_rad_s
+    assert state.wrench[0] <= limits.thrust_limit_n[1]
+    assert np.all((duty >= qdrone2().propulsion.minimum_duty) & (duty <= 1.0))
+    assert np.all(np.abs(state.integral[:2]) <= limits.integral_limit_rad)
+
+
+@pytest.mark.parametrize(
+    ("motors", "height", "armed", "duty"),
+    [
+        (DISARMED, 0.0, 0, 0.0),
+        (IDLE, 0.0, 1, 0.08),
+        (LANDING, 0.0, 1, 0.08),
+        (SHUTDOWN, 0.0, 0, 0.0),
+        (LANDING, 0.5, 2, None),
+    ],
+)
+def test_motors_are_off_or_idle_on_the_ground_and_the_integrals_wait(
+    motors: float, height: float, armed: int, duty: float | None
+) -> None:
+    """A vehicle that is led to land keeps flying until it stands."""
+    state = fresh()
+    reference = np.array([0.3, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, motors])
+    pose = np.array([0.0, 0.0, -height, 0.0])
+    control(state, gains(), reference, pose, np.zeros(3), 0.0, np.zeros(9), None, 15.0, 0.001)
+    assert state.motors[0] == armed
+    if duty is not None:
+        np.testing.assert_array_equal(state.duty, duty)
+        np.testing.assert_array_equal(state.integral, fresh().integral)
+        assert state.wrench[0] == pytest.approx(forces(state.duty).sum())
+
+
+# The IMUs against kinematics, scipy and the sampling theorem; their mount; the two of the recordings
+
+
+def imu(noise: float = 0.0) -> Imu:
+    return Imu(np.zeros(3), np.zeros(CHANNELS), np.full(CHANNELS, noise), butterworth(250.0, 0.001))
+
+
+def read(sensor: Imu, condition: SensorCondition, truth: FloatArray, normals: FloatArray) -> FloatArray:
+    z = np.zeros
+    state = ImuState(z((CHANNELS, 2)), z(CHANNELS), z(CHANNELS), z((CHANNELS, 2)))
+    out = np.empty((len(normals), CHANNELS))
+    for row in range(len(normals)):
+        advance_imu(state, sensor, condition, truth, normals, row, 0.001)
+        out[row] = state.reading
+    return out
+
+
+def test_lever_arm_is_the_acceleration_of_a_point_on_the_body() -> None:
+    """Oracle: a body at rest in the middle that nods as theta(t) = A sin w t; its point is differentiated twice."""
+    amplitude, w, t, h = 0.4, 7.0, 0.3, 1e-4
+    r = np.array([0.01, 0.005, -0.02])
+
+    def pitch(at: float) -> float:
+        return amplitude * math.sin(w * at)
+
+    def place(at: float) -> FloatArray:
+        c, s = math.cos(pitch(at)), math.sin(pitch(at))
+        return np.array([c * r[0] + s * r[2], r[1], -s * r[0] + c * r[2]])  # R_y(theta) r, world NED
+
+    acceleration = (place(t + h) - 2 * place(t) + place(t - h)) / h**2
+    c, s = math.cos(pitch(t)), math.sin(pitch(t))
+    in_body = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]) @ (acceleration - [0, 0, GRAVITY])
+
+    x, dx, truth = np.zeros(RIGID), np.zeros((1, RIGID)), np.empty(6)
+    x[6], x[8] = math.cos(pitch(t) / 2), math.sin(pitch(t) / 2)
+    x[11] = amplitude * w * math.cos(w * t)
+    dx[0, 11] = -amplitude * w**2 * math.sin(w * t)
+    feel(x, dx, r, truth)
+    np.testing.assert_allclose(truth[3:], in_body, atol=1e-5)
+    np.testing.assert_allclose(truth[:3], [0.0, x[11], 0.0])
+
+
+def test_sensor_faults_act_as_written() -> None:
+    """reading = scale truth + offset + drift t, once the filter has settled; the other axes are untouched."""
+    faults = (
+        Injection(SensorFault("gyro", 1, scale=2.0, offset=0.1, drift_per_s=0.5)),
+        Injection(SensorFault("accel", 2, scale=0.5)),
+    )
+    truth = np.array([0.3, 0.3, 0.3, 1.0, 1.0, 1.0])
+    out = read(imu(), sensor_condition(faults), truth, np.zeros((1000, CHANNELS)))
+    assert out[-1, 1] == pytest.approx(2 * 0.3 + 0.1 + 0.5, abs=0.002)
+    np.testing.assert_allclose(out[-1, [0, 2, 3, 4, 5]], [0.3, 0.3, 1.0, 1.0, 0.5], atol=1e-9)
+
+
+DT = 0.001
+
+
+@pytest.mark.parametrize(("hz", "damping"), [(25.0, 0.1), (50.0, 0.1), (165.0, 0.05), (300.0, 1.2)])
+def test_the_filter_is_the_bilinear_transform_of_a_driven_mode(hz: float, damping: float) -> None:
+    warped = 2 / DT * math.tan(math.pi * hz * DT)
+    b, a = bilinear([2 * damping * warped, warped**2], [1, 2 * damping * warped, warped**2], 1 / DT)
+    b0, b1, b2, a1, a2 = mode(hz, damping, DT)
+    np.testing.assert_allclose([b0, b1, b2], b, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose([1.0, a1, a2], a, rtol=1e-9)
+    _, (still, line) = freqz(b, a, [0.0, hz], fs=1 / DT)
+    assert abs(still) == pytest.approx(1.0)  # slow motion passes
+    assert abs(line) == pytest.approx(math.sqrt(1 + 1 / (2 * damping) ** 2))  # Den Hartog, Mechanical Vibrations, 2.12
+    assert gain_of(mode(hz, damping, DT), hz, DT) == pytest.approx(abs(line))
+
+
+VEHICLE = vehicle_named("qdrone2-recorded")
+
+
+def test_specimens_are_the_measured_ones_or_drawn_between_them() -> None:
+    recorded = VEHICLE.recorded
+    assert recorded is not None
+    rng = np.random.default_rng(31)
+    drawn = [draw_airframe(VEHICLE, aged=False, rng=rng) for _ in range(60)]
+    levels = np.array([specimen_of(one, recorded).gyro_line for one in drawn])
+    assert levels.min() >= 0.0144
+    assert levels.max() <= 0.0326
+    assert levels.max() / levels.min() > 2.0
+    assert specimen_of(drawn[7], recorded) == specimen_of(drawn[7], recorded)
+    known = [one.name for one in recorded.specimens]
+    assert known == ["drone 1", "drone 2", "drone 3"]
+    assert specimen_of(nominal_airframe(VEHICLE), recorded).name == "nominal"
+
+
+# T's nine faults, and injections: what each does to the tables of the compiled loop, and to a flight
+
+
+@given(st.text(max_size=12))
+def test_other_text_is_refused_in_one_line(text: str) -> None:
+    message = "F2/SV2"
+    try:
+        assert parse_fault(text) in FAULTS
+    except UsageError as error:
+        message = str(error)
+    assert "F2/SV2" in message
+    assert "\n" not in message
+
+
+STUCK, GONE = RotorDamage(unbalance_g_mm=1.0), RotorDamage(0.0, 0.0, ejected=True)
+
+
+def condition(damage: RotorDamage, angle: float = 0.5, rotor: int = 2) -> Condition:
+    return rotor_condition(drone(qdrone2(), 1), (Injection(damage, rotor, angle_rad=angle),), STEP_S)
+
+
+def test_each_cause_changes_what_it_is_about() -> None:
+    chip = condition(RotorDamage(0.97, 1.02, 0.5))
+    assert (chip.thrust_gain[1], chip.drag_gain[1]) == (0.97, 1.02)
+    assert np.hypot(*chip.lift_offset[1]) == pytest.approx(0.03 * 0.062)
+    bent = condition(RotorDamage(0.95, 1.1))
+    np.testing.assert_allclose(bent.unbalance, condition(RotorDamage()).unbalance)
+    assert np.hypot(*bent.lift_offset[1]) > 0
+    assert condition(RotorDamage(speed_factor=0.95)).speed_gain[1] == 0.95
+    gone = condition(GONE)
+    assert (gone.thrust_gain[1], gone.drag_gain[1]) == (0.0, 0.0)
+    np.testing.assert_array_equal(gone.unbalance[1], 0.0)
+    np.testing.assert_array_equal(gone.thrust_gain[[0, 2, 3]], 1.0)
+
+
+@given(st.integers(1, 10_000_000))
+def test_onset_at_a_millisecond_is_that_step(step: int) -> None:
+    """However 0.001 s rounds in binary, the fault is there at its step: neither lost nor late."""
+    assert Injection(STUCK, onset_s=step / 1000).span(STEP_S)[0] == step
+    assert Injection(STUCK, onset_s=step * 0.001).span(STEP_S)[0] == step
+
+
+# Paths: closed, smooth where they should be, flown at the speed asked for; where the recorded ones go
+
+
+def at(p: Path, t: float) -> FloatArray:
+    out = np.empty(REFERENCE)
+    reference(p, t, out)
+    return out
+
+
+@given(
+    st.sampled_from([Shape.SQUARE, Shape.CIRCLE]),
+    st.floats(0.5, 5.0),
+    st.floats(0.1, 3.0),
+    st.floats(-3.0, 3.0),
+    st.floats(0.0, 60.0),
+)
+def test_speed_along_the_path_is_constant(shape: Shape, size: float, speed: float, heading: float, t: float) -> None:
+    assert np.linalg.norm(at(path(shape, size, speed, heading, 1.0), t)[3:6]) == pytest.approx(speed)
+
+
+@pytest.mark.parametrize("nose", list(Nose))
+@pytest.mark.parametrize("shape", list(Shape))
+def test_yaw_rate_is_the_slope_of_yaw_which_stays_within_pi(shape: Shape, nose: Nose) -> None:
+    p, h = path(shape, 1.0, 0.5, 2.0, 1.0, nose), 1e-5
+    for t in np.linspace(0.0137, 19.0, 301):
+        before, here, after = at(p, t - h), at(p, t), at(p, t + h)
+        slope = (after[6] - before[6] + math.pi) % (2 * math.pi) - math.pi
+        assert slope / (2 * h) == pytest.approx(here[7], abs=1e-3)
+        assert -math.pi <= here[6] < math.pi
+
+
+RECORDED = [shape for shape in Shape if shape.recorded]
+LIMITS = {1: (2.0, 3.14), 2: (0.333, 0.52)}  # DronePropA: SP1, SP2
+
+
+def flown(shape: Shape, seconds: float = 60.0, dt: float = 0.01, takeoff: bool = False) -> FloatArray:
+    one = path(shape, 1.0, 0.5, 0.0, 1.0, takeoff=takeoff)
+    out = np.empty((round(seconds / dt), REFERENCE))
+    for row in range(len(out)):
+        reference(one, row * dt, out[row])
+    return out
+
+
+def ends(shape: Shape, count: int) -> FloatArray:
+    """Where the set-point is just before each new one: after 10 s, 20 s and so on."""
+    return np.asarray(flown(shape, 10.0 * count + 0.1)[999::1000][:count])
+
+
+@pytest.mark.parametrize("level", [1, 2])
+def test_each_goes_where_the_recordings_go(level: int) -> None:
+    diagonals = ends(Shape(f"t1-sp{level}"), 6)[:, :2]
+    np.testing.assert_allclose(diagonals, [[1, 1], [-1, -1], [0, 0], [1, -1], [-1, 1], [0, 0]], atol=1e-9)
+    edges = ends(Shape(f"t2-sp{level}"), 4)[:, :2]
+    np.testing.assert_allclose(edges, [[-1, 1], [-1, -1], [1, -1], [1, 1]], atol=1e-9)
+    np.testing.assert_allclose(-ends(Shape(f"t3-sp{level}"), 3)[:, 2], [0.4, 0.6, 0.8], atol=1e-9)
+    np.testing.assert_allclose(-ends(Shape(f"t4-sp{level}"), 2)[:, 2], [0.8, 0.2], atol=1e-9)
+    np.testing.assert_allclose(np.degrees(ends(Shape(f"t5-sp{level}"), 4)[:, 6]), [45, -45, 90, -90], atol=1e-9)
+
+
+@pytest.mark.parametrize("shape", RECORDED)
+def test_the_limiter_holds_and_rates_are_slopes(shape: Shape) -> None:
+    assert shape.recorded is not None
+    speed, turn = LIMITS[shape.recorded[1]]
+    rows = flown(shape)
+    slope, nose = np.diff(rows[:, :3], axis=0) / 0.01, np.diff(np.unwrap(rows[:, 6])) / 0.01
+    assert np.linalg.norm(slope, axis=1).max() <= speed * (1 + 1e-6)
+    assert np.abs(nose).max() <= turn * (1 + 1e-6)
+    steady = np.all(rows[1:, 3:6] == rows[:-1, 3:6], axis=1) & (rows[1:, 7] == rows[:-1, 7])
+    np.testing.assert_allclose(slope[steady], rows[:-1][steady, 3:6], atol=1e-9)
+    np.testing.assert_allclose(nose[steady], rows[:-1][steady, 7], atol=1e-9)
+    assert np.all(rows[:, 8] == FLYING)

@@ -1,20 +1,28 @@
 """Whole flights: reproducible bits, balances that can be done on paper, and the signals the detector lives on."""
 
 import hashlib
+import json
 import math
 from dataclasses import fields, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
-from plant_cases import fly, quiet_airframe
+from plant_cases import fly, nominal_airframe, quaternion_rotation, quiet_airframe
+from scipy.stats import kstest, uniform
+from weak_rotor import sparing
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.airframe import Payload, PickUp
-from sitl_plant.physics.faults import Injection, RotorDamage, SensorFault
+from sitl_plant.physics.air import dryden
+from sitl_plant.physics.airframe import NO_PAYLOAD, Payload, PickUp, drone, in_session_number, with_propellers
+from sitl_plant.physics.faults import Injection, RotorDamage, SensorFault, fault_injection
+from sitl_plant.physics.kernel import Streams
+from sitl_plant.physics.parameters import body_with_payload, initial_state, make_model, reload
+from sitl_plant.physics.trajectory import Shape, path
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
-from sitl_plant.vehicle import vehicle_named
+from sitl_plant.truth import Truth
+from sitl_plant.vehicle import qdrone2, vehicle_named
 
 G = 9.81
 MASS = 1.504
@@ -184,3 +192,203 @@ def test_impossible_flights_are_refused_in_one_line(config: dict[str, str | int 
     with pytest.raises(UsageError, match=said) as caught:
         Plant(PlantConfig(**config))  # type: ignore[arg-type]  # the table mixes the types of several fields
     assert "\n" not in str(caught.value)
+
+
+# What is changed in flight: causes, wind, battery; and what the truth file says of it
+
+HOVER = PlantConfig(trajectory="hover", seed=4)
+
+
+def test_injected_in_flight_is_as_configured_before_it() -> None:
+    cause = Injection(RotorDamage(0.9, 1.2), rotor=2, onset_s=0.5, angle_rad=1.0)
+    configured = Plant(PlantConfig(trajectory="hover", seed=4, injections=(cause,))).advance(800)
+    plant = Plant(HOVER)
+    before = plant.advance(500)
+    plant.inject(cause)
+    after = plant.advance(300)
+    np.testing.assert_array_equal(np.vstack([before.gyro, after.gyro]), configured.gyro)
+
+
+@pytest.mark.parametrize("name", ["qdrone2", "qdrone2-recorded"])
+def test_cleared_is_healthy_again(name: str) -> None:
+    """A hover with one rotor at 0.85 takes a higher duty there; cleared, all are alike again, and the gyro reads 0."""
+    vehicle = vehicle_named(name)
+    plant = Plant(PlantConfig(trajectory="hover", vehicle=vehicle, fault="F1/SV1", rotor=4, seed=1))
+    plant.inject(Injection(RotorDamage(0.85), rotor=2))
+    plant.inject(Injection(SensorFault("gyro", 2, drift_per_s=0.01)))
+    weak = plant.advance(6000).duty[-2000:].mean(axis=0)
+    plant.clear()
+    whole = plant.advance(8000)
+    healthy = Plant(PlantConfig(trajectory="hover", vehicle=vehicle, seed=1)).advance(8000)
+    duty = healthy.duty[-2000:].mean(axis=0)
+    assert weak[1] / duty[1] > 1.05
+    np.testing.assert_allclose(whole.duty[-2000:].mean(axis=0), duty, rtol=0.01)
+    assert whole.gyro[-2000:, 2].mean() == pytest.approx(healthy.gyro[-2000:, 2].mean(), abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("injection", "says"),
+    [(Injection(RotorDamage(0.9), 9), "rotor must be 1 to 4"), (Injection(RotorDamage(0.9), 1, 0.0, 0.1), "end_s")],
+)
+def test_what_cannot_be_injected_is_refused_and_not_noted(injection: Injection, says: str) -> None:
+    plant = Plant(HOVER)
+    plant.advance(200)
+    with pytest.raises(UsageError, match=says):
+        plant.inject(injection)
+    assert plant.take_changes() == ()
+
+
+def test_the_truth_has_every_change_with_its_time() -> None:
+    plant = Plant(PlantConfig(trajectory="hover", airframe=drone(vehicle_named("qdrone2"), 2), seed=4))
+    truth, lines = Truth(plant.config, "qdrone2", 1000.0, 10**18), []
+    plant.advance(500)
+    plant.inject(fault_injection("F2/SV2", 3, onset_s=0.75))
+    plant.inject(Injection(SensorFault("accel", 1, offset=0.2)))
+    plant.set_wind(2.0, 1.0)
+    lines += truth.step(plant.advance(600), plant.take_changes())
+    plant.clear()
+    plant.renew_battery()
+    lines += truth.step(plant.advance(1000), plant.take_changes())
+    found = [json.loads(line) for line in lines]
+    told = [(one["record"], one["t_s"], one.get("fault"), one.get("rotor")) for one in found]
+    assert told == [
+        ("wind", 0.5, None, None),
+        ("onset", 0.5, None, None),
+        ("onset", 0.75, "F2/SV2", 3),
+        ("state", 1.0, None, None),
+        ("clear", 1.1, None, None),
+        ("battery", 1.1, None, None),
+        ("state", 2.0, None, None),
+    ]
+    assert [one["fault_present"] for one in found if one["record"] == "state"] == [True, False]
+    assert found[1]["cause"]["sensor"] == "accel"
+    assert found[0]["wind_m_s"] == 2.0
+    assert found[2]["unix_ns"] == 10**18 + 750_000_000
+
+
+def _weak(vehicle: str, way: dict[str, Any], allocation: tuple[float, float] | None) -> tuple[float, float, float]:
+    """Tilt error [rad], mean and highest duty of rotor 2, which has lost a fifth of its thrust."""
+    lost = Injection(RotorDamage(thrust_factor=0.8), 2, 1.0)
+    plant = Plant(PlantConfig(drone=3, vehicle=vehicle_named(vehicle), wind_m_s=1.0, injections=(lost,), **way))
+    plant.advance(1000)
+    if allocation is not None:
+        plant.take_controller(sparing(plant.config.vehicle, 2, *allocation))
+    plant.advance(3000)
+    flown = plant.advance(8000)
+    tilt = (flown.setpoint - flown.attitude[:, :3])[:, :2]
+    return float(np.sqrt(np.mean(tilt**2))), float(flown.duty[:, 1].mean()), float(flown.duty[:, 1].max())
+
+
+def test_an_allocation_for_a_weak_rotor_tilts_less_and_asks_less_of_it() -> None:
+    square = {"speed_m_s": 1.5, "size_m": 3.0}
+    tilt, _, most = _weak("qdrone2", square, None)
+    spared, _, least = _weak("qdrone2", square, (0.8, 2.0))
+    assert spared < 0.95 * tilt
+    assert least < most
+    hover, _, _ = _weak("qdrone2", {"trajectory": "hover"}, None)
+    assert _weak("qdrone2", {"trajectory": "hover"}, (0.8, 2.0))[0] < 0.5 * hover
+    _, mean, _ = _weak("hexa-x", {"trajectory": "hover"}, None)
+    assert _weak("hexa-x", {"trajectory": "hover"}, (0.8, 2.0))[1] < 0.9 * mean  # the others take its load
+
+
+# One specimen: sessions, propellers, wear; a payload taken up and dropped in flight
+
+DRONE = drone(qdrone2(), 2)
+
+
+@pytest.mark.parametrize("spread", [0.01, 0.03])
+def test_a_new_set_of_propellers_differs_uniformly_and_is_balanced_as_permitted(spread: float) -> None:
+    rng = np.random.default_rng(1)
+    sets = [with_propellers(DRONE, spread, rng) for _ in range(300)]
+    ratio = np.array([one.thrust_coefficient_n_s2 / DRONE.thrust_coefficient_n_s2 for one in sets]).ravel()
+    assert kstest(ratio, uniform(1 - spread, 2 * spread).cdf).pvalue > 0.01
+    size = np.array([np.hypot(*one.unbalance_g_mm.T) for one in sets]).ravel()
+    assert kstest(size, uniform(0.0, 0.18).cdf).pvalue > 0.01
+    assert (sets[0].battery_gain, sets[0].centre_of_gravity_m[0]) == (DRONE.battery_gain, DRONE.centre_of_gravity_m[0])
+
+
+def test_a_session_is_drawn_by_its_number_and_the_airframe() -> None:
+    first, same, other = (in_session_number(DRONE, number) for number in (1, 1, 2))
+    assert in_session_number(DRONE, 0) is DRONE
+    assert first.gyro_bias.tolist() == same.gyro_bias.tolist() != other.gyro_bias.tolist()
+    assert in_session_number(drone(qdrone2(), 3), 1).charge_used_ah != first.charge_used_ah
+    assert first.thrust_coefficient_n_s2.tolist() == DRONE.thrust_coefficient_n_s2.tolist()
+    assert in_session_number(DRONE, 1, 0.01).thrust_coefficient_n_s2.tolist() != first.thrust_coefficient_n_s2.tolist()
+    with pytest.raises(UsageError, match="session must be zero or more"):
+        in_session_number(DRONE, -1)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_vehicle_without_cameras_stays_in_its_hall(seed: int) -> None:
+    """It coasts level at up to 0.5 m/s for up to 2 s, and comes back: no fly-away, no fall."""
+    samples = fly(PlantConfig(drone=1 + seed % 3, seed=100 + seed, outages_per_min=3.0), 40.0)
+    assert np.abs(samples.position[:, :2] - 0.5).max() < 3.0
+    assert samples.position[:, 2].max() < -0.5
+    assert np.abs(samples.position[:, 2]).max() < 2.0
+
+
+def test_what_is_asked_for_changes_no_other_stream() -> None:
+    """Rotors, IMU, markers and the wind that is left out: the same numbers with turbulence and outages as without."""
+    model = make_model(DRONE, NO_PAYLOAD, path(Shape.HOVER, 1.0, 0.5, 0.0, 1.0), np.zeros(3))
+    plain, full = Streams(7, 0.001), Streams(7, 0.001, (dryden(5.0, 1.0), 0.0), 20.0)
+    assert plain.angle.random() == full.angle.random()
+    hidden = 0
+    for first, count in ((-10, 10), (0, 7), (7, 20_000)):
+        one, other = plain.draw(first, count, model), full.draw(first, count, model)
+        for name in ("rotors", "imu", "markers"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        seen = other.occlusion >= 0.0
+        np.testing.assert_array_equal(one.occlusion[seen], other.occlusion[seen])
+        hidden += int((~seen).sum())
+    assert hidden > 0
+
+
+BESIDE = Payload(0.2, (0.012, -0.016, 0.05))  # 200 g, 20 mm beside the centre
+
+
+def test_two_payloads_are_point_masses_about_the_common_centre() -> None:
+    """Sum over the parts, each by the parallel-axis theorem: another way than one after the other."""
+    airframe = nominal_airframe(qdrone2())
+    parts = [(1.504, np.zeros(3)), (0.1, np.array([0.03, -0.02, 0.06])), (0.2, np.array(BESIDE.position_m))]
+    payloads = [Payload(mass, (float(at[0]), float(at[1]), float(at[2]))) for mass, at in parts[1:]]
+    body, centre = body_with_payload(airframe, *payloads)
+    total = sum(mass for mass, _ in parts)
+    expected = sum((mass * at for mass, at in parts), np.zeros(3)) / total
+    inertia = np.diag(airframe.inertia_kg_m2)
+    for mass, at in parts:
+        r = at - expected
+        inertia = inertia + mass * (r @ r * np.eye(3) - np.outer(r, r))
+    assert body.mass == pytest.approx(total)
+    np.testing.assert_allclose(centre, expected, atol=1e-15)
+    np.testing.assert_allclose(body.inertia, inertia, atol=1e-15)
+    np.testing.assert_allclose(body.inverse @ inertia, np.eye(3), atol=1e-12)
+
+
+def in_motion() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Momentum (3,) and angular momentum (3,) about the world's origin, of vehicle and payload, before and after."""
+    airframe = nominal_airframe(qdrone2())
+    model = make_model(airframe, Payload(), path(Shape.HOVER, 1.0, 0.5, 0.0, 1.0), np.zeros(3))
+    state = initial_state(model, np.zeros(4))
+    x, rng = state.rigid, np.random.default_rng(5)
+    x[:3], x[3:6], x[10:13] = rng.normal(size=3), rng.normal(size=3), rng.normal(size=3)
+    x[6:10] = rng.normal(size=4)
+    x[6:10] /= np.linalg.norm(x[6:10])
+    R = quaternion_rotation(x[6:10])
+    place = x[:3] + R @ np.array(BESIDE.position_m)
+    speed = x[3:6] + R @ np.cross(x[10:13], BESIDE.position_m)
+
+    def of_vehicle(body_inertia: FloatArray, mass: float) -> tuple[FloatArray, FloatArray]:
+        p = mass * x[3:6]
+        return p, np.cross(x[:3], p) + R @ body_inertia @ x[10:13]
+
+    p1, L1 = of_vehicle(model.body.inertia, model.body.mass)
+    p1, L1 = p1 + BESIDE.mass_kg * speed, L1 + np.cross(place, BESIDE.mass_kg * speed)
+    after = reload(model, state, airframe, (Payload(), BESIDE))
+    p2, L2 = of_vehicle(after.body.inertia, after.body.mass)
+    return p1, L1, p2, L2
+
+
+def test_momentum_and_angular_momentum_are_kept() -> None:
+    p1, L1, p2, L2 = in_motion()
+    np.testing.assert_allclose(p2, p1, atol=1e-12)
+    np.testing.assert_allclose(L2, L1, atol=1e-12)
