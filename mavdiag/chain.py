@@ -22,12 +22,12 @@ from mavdiag.kernel import warm as warm_kernel
 from mavdiag.link.samples import joined
 from mavdiag.link.samples import warm as warm_samples
 from mavdiag.monitors import MONITORS, monitor_of
-from mavdiag.rows.align import BREAK_S, AlignSpec
+from mavdiag.rows.align import BREAK_S, NEVER_NS, AlignSpec
 from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.front import warm as warm_rows
 from mavdiag.rows.gate import Border
 from mavdiag.rows.grid import LEAST_SAMPLES, measure_grid, steps_of
-from mavdiag.rows.rates import RateBlock, RateSpec
+from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
@@ -64,8 +64,9 @@ class ChainState:
     """Memory of the front, the kernel and the decision; a step changes it in place.
 
     beginning: rows until there are enough to compare the vehicle; None afterwards. begun_s: valid time in them.
-    waiting: telemetry while the rate is not known to be the baseline's; None afterwards. chunks: since the last rows.
-    refused: why the link is not the baseline's; empty if it is, or is not measured yet. now_ns: of the latest row.
+    waiting: telemetry that the front has not got yet. measured: whether the rate is known to be the baseline's.
+    reach_ns: no later row comes of what waits. chunks: since the last rows. now_ns: of the latest row.
+    refused: why the link is not the baseline's; empty if it is, or is not measured yet.
     """
 
     kernel: Kernel
@@ -75,7 +76,9 @@ class ChainState:
     now_ns: int | None = None
     beginning: list[Rows] | None = None
     begun_s: float = 0.0
-    waiting: list[Telemetry] | None = field(default_factory=list)
+    waiting: list[Telemetry] = field(default_factory=list)
+    measured: bool = False
+    reach_ns: int = -NEVER_NS
     chunks: int = 0
     refused: str = ""
 
@@ -135,25 +138,32 @@ class Chain:
         """Take in a chunk of telemetry; return what it brought."""
         if not telemetry.series:
             return state, ChainOutput()
-        if state.waiting is not None:
-            state.waiting = [*state.waiting, telemetry][-MOST_UNMEASURED:]
+        state.waiting.append(telemetry)
+        if not state.measured:
+            del state.waiting[:-MOST_UNMEASURED]
             if _gyro_s(state.waiting) < MEASURED_S:
                 return state, ChainOutput()
-            telemetry = joined(state.waiting)
-            refused = self.refusal(telemetry, MEASURED_S)
+            gyro = (Telemetry(tuple(one for one in chunk if one.signal is Signal.BODY_RATE)) for chunk in state.waiting)
+            refused = self.refusal(joined(gyro), MEASURED_S)
             if refused is not None:
-                state.refused, state.waiting = refused, [] if refused else None
-            if state.waiting is not None:
+                state.refused, state.measured = refused, not refused
+            if not state.measured:
+                state.waiting = [] if refused else state.waiting
                 return state, ChainOutput()
-        align = state.front.align
-        self.front.align.append(align, telemetry)
-        state.chunks += 1
-        if state.chunks < MOST_WAITING and self.front.align.reached_ns(align) // LOOK_NS <= align.last_ns // LOOK_NS:
-            return state, ChainOutput()  # nothing can be decided before the rows of the next look
+        align, state.chunks = state.front.align, state.chunks + 1
+        next_ns = (align.last_ns // LOOK_NS + 1) * LOOK_NS
+        if state.chunks < MOST_WAITING:  # nothing can be decided before the rows of the next look
+            state.reach_ns = max(state.reach_ns, self.front.align.most_ns(telemetry))
+            if state.reach_ns < next_ns:
+                return state, ChainOutput()
+            self._pass_on(state)
+            if self.front.align.reached_ns(align) < next_ns:
+                return state, ChainOutput()
         return self.judge(state, self._taken(state))
 
     def missing_ns(self, state: ChainState) -> int:
         """How much of the gyro is missing until the next look is whole [ns], two looks at most; 0 if it is overdue."""
+        self._pass_on(state)
         align = state.front.align
         next_ns = (align.last_ns // LOOK_NS + 1) * LOOK_NS
         return min(max(0, self.front.align.expected_ns(align, next_ns) - align.newest_ns), 2 * LOOK_NS)
@@ -234,22 +244,22 @@ class Chain:
         count = int(np.count_nonzero(rows.block.valid))
         if count == 0 and not (state.beginning and state.beginning[-1].block.valid.any()):
             return None  # nothing is measured in it; one such block parts the others
-        state.beginning.append(Rows(rows.block, _NO_RATES))
+        state.beginning.append(rows)
         if state.begun_s + count * rows.block.dt_s < FIRST_S:
             state.begun_s += count * rows.block.dt_s
             return None
         beginning, state.beginning = state.beginning, None
         return compare(self.baseline.fingerprint, beginning, self.baseline.airframe.layout)
 
+    def _pass_on(self, state: ChainState) -> None:
+        """Give the front what waits for it, once the rate is measured."""
+        if state.measured:
+            waiting, state.waiting = state.waiting, []
+            self.front.align.append(state.front.align, waiting)
+
     def _taken(self, state: ChainState) -> tuple[Rows | Border, ...]:
-        for telemetry in state.waiting or ():
-            self.front.align.append(state.front.align, telemetry)
-        state.waiting, state.chunks = state.waiting and [], 0
-        return self.front.step(state.front, Telemetry())[1]
-
-
-# What is kept of the rates of the beginning, which nothing is compared by.
-_NO_RATES = RateBlock(0, 0.0, np.empty(0, np.int64), *np.empty((3, 0, 3)), *np.empty((2, 0), np.bool_))
+        waiting, state.waiting, state.chunks = state.waiting, [], 0
+        return self.front.step(state.front, *waiting)[1]
 
 
 def _gyro_s(pieces: Sequence[Telemetry]) -> float:

@@ -11,19 +11,19 @@ when the value has come back and stayed there for `Monitor.clear_s`; what happen
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-import mavdiag.monitors.columns as col
+import mavdiag.rows.block as col
 from mavdiag.jit import allocating, cached, jit
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import FaultKind, Monitor, RotorEvidence
 from mavdiag.monitors.conditions import COUNT, conditions_memory, most_bins, take_rows
-from mavdiag.rows.conditions import BIN_S, Condition
+from mavdiag.rows.conditions import BIN_S, TRIM_CONDITIONS, TRIM_MEMORY_S, Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.quality import DOUBTS
 from mavdiag.rows.statistic import Statistic
@@ -379,8 +379,7 @@ class Gauge:
     valid: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Piece:
+class Piece(NamedTuple):
     """What was made of some rows: the values of each slot, as the envelope lets them count."""
 
     rows: Rows
@@ -407,8 +406,7 @@ class Piece:
     def shrunk(self) -> "Piece":
         """The same without the room for values that a slot did not give."""
         counts, tellers = self.counts.tolist(), self.counts[self.plan[:, ROTORS] >= 0].tolist()
-        return replace(
-            self,
+        return self._replace(
             out=[out[:, :count].copy() for out, count in zip(self.out, counts, strict=True)],
             rotors=[rotors[:count].copy() for rotors, count in zip(self.rotors, tellers, strict=True)],
             at=[at[:count].copy() for at, count in zip(self.at, counts, strict=True)],
@@ -429,13 +427,12 @@ class Piece:
         return Gauge(*slot.key, monitor.unit, *figures, valid=latest[col.SOUND] > 0.5)
 
 
-@dataclass(frozen=True, slots=True)
-class Looked:
+class Looked(NamedTuple):
     """Looks that are whole."""
 
     first: int = 0  # number of the first one; the number times `LOOK_NS` is its vehicle time
-    readings: FloatArray = field(default_factory=lambda: np.empty((0, 0, READ_ROTORS)))  # (looks, slots, `RATIO`..)
-    sums: FloatArray = field(default_factory=lambda: np.empty((0, 0, EVIDENCE)))  # (looks, slots, `HIGHEST`..)
+    readings: FloatArray = np.empty((0, 0, READ_ROTORS))  # (looks, slots, `RATIO`..)
+    sums: FloatArray = np.empty((0, 0, EVIDENCE))  # (looks, slots, `HIGHEST`..)
     heights: Sequence[int | None] = ()  # of the highest fresh ratio; None where it is to be found anew
     leads: Sequence[int] = ()  # whose it is, -1 for none
     alarms: tuple[Alarm, ...] = ()  # what opened or closed, in order of looks
@@ -531,7 +528,7 @@ class Kernel:
         self._fixed = (plan, thresholds, checked, limits, np.concatenate([np.empty(0), *own]))
         self._tellers = int(plan[:, ROTORS].max(initial=-1)) + 1
         bins_ns = round((delay_s + BIN_S) * NS_PER_S)  # from so long on a bin is known
-        self._bins = (_bits(col.TRIM_CONDITIONS), round(col.TRIM_MEMORY_S * NS_PER_S), bins_ns)
+        self._bins = (_bits(TRIM_CONDITIONS), round(TRIM_MEMORY_S * NS_PER_S), bins_ns)
         self._late_ns = int(plan[plan[:, OWN] > 0, REACH].max(initial=0)) + LATE_NS
         self._longest_ns = int(plan[:, MEMORY_NS].max(initial=0)) + bins_ns + round(BIN_S * NS_PER_S)
 
@@ -571,7 +568,7 @@ class Kernel:
     def step(self, memory: Memory, rows: Rows) -> tuple[Looked, Piece]:
         """Take the next rows of the segment; return the looks that they make whole, and all values."""
         block, columns, slots = rows.block, col.columns_of(rows, memory.past), len(self.slots)
-        n, times = len(block), (block.t_ns.copy(), rows.rates.t_ns.copy())  # a log's cannot always be written
+        n, times = len(block), (block.t_ns.copy(), rows.rates_ns.copy())  # a log's cannot always be written
         first_ns, now_ns = int(times[0][0]), int(times[0][-1])
         first = -(-first_ns // LOOK_NS) if memory.next_look is None else memory.next_look
         done = max(0, now_ns // LOOK_NS + 1 - first)

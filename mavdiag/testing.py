@@ -1,11 +1,10 @@
 """Rows from plain arrays: for the examples in the docstrings, and for tests."""
 
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
-from mavdiag.rows.block import Block
-from mavdiag.rows.front import Rows
+from mavdiag.rows.block import COVERED, OUTPUTS, RATE, VALID, WHOLE, Block, Part, Rows, U, with_outputs
 from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import BoolArray, FloatArray
 
@@ -25,22 +24,29 @@ def example_rows(
 
     The set-point is at rest if not given; the gyro turns the nose as it commands. Rate filters of 5 samples.
     """
-    wide, narrow, always = np.full((n, 3), np.nan), np.full(n, np.nan), np.ones(n, dtype=np.bool_)
-    turning = np.zeros((n, 3))
-    if setpoint is not None and n > 1:
-        turning[:, 2] = np.gradient(setpoint[:, 2], dt_s)
-    made: dict[str, Any] = {
-        "setpoint": np.zeros((n, 3)) if setpoint is None else setpoint,
-        "rate": turning if rate is None else rate,
-        **dict.fromkeys(("force", "torque", "rate_setpoint", "attitude", "vibration"), wide),
-        **dict.fromkeys(("thrust", "height"), narrow),
-        "armed": np.ones(n),
-        **dict.fromkeys(("actuator", "rotor_speed"), np.empty((n, 0))),
-        "doubt": np.zeros(n),
-        **dict.fromkeys(("valid", "setpoint_valid"), always),
-        **{name: column for name, column in columns.items() if column is not None},
-    }
+    x, setpoint = np.full((OUTPUTS, n), np.nan), np.zeros((n, 3)) if setpoint is None else setpoint
+    x[: WHOLE + 1], x[VALID : VALID + 2], x[COVERED], x[WHOLE : RATE + 3] = 0.0, 1.0, 1.0, 0.0
+    if rate is None and n > 1:
+        x[RATE + 2] = np.gradient(setpoint[:, 2], dt_s)
     t_ns = round(segment * 1e12) + np.round(np.arange(n) * dt_s * 1e9).astype(np.int64)
-    block = Block(segment=segment, dt_s=dt_s, t_ns=t_ns, **made)
+    block = changed(Block(segment, dt_s, t_ns, x), setpoint=setpoint, rate=rate, armed=np.ones(n), **columns)
     spec = RateSpec.of(dt_s, WINDOW)
-    return Rows(block, spec.step(spec.start(), block))
+    return spec.step(spec.start(), block)
+
+
+def changed(block: Block, **columns: FloatArray | BoolArray | None) -> Block:
+    """The block with other columns, (n,) or (n, k); None leaves one as it is."""
+    given = {name: column for name, column in columns.items() if column is not None}
+    sent, speeds = given.pop("actuator", block.actuator).T, given.pop("rotor_speed", block.rotor_speed).T
+    made = with_outputs(block, np.asarray(sent, np.float64), np.asarray(speeds, np.float64))
+    for name, column in given.items():
+        part: Part[np.float64] = Block.__dict__[name]
+        made.x[part.at] = column.T
+    return made
+
+
+def with_rates(rows: Rows, u: FloatArray, y: FloatArray, commanded: BoolArray) -> Rows:
+    """The rows with other rates, (k, 3) and (k,)."""
+    block, lag = replace(rows.block, x=rows.block.x.copy()), len(rows.block) - len(rows.rates_ns)
+    block.x[WHOLE : WHOLE + 2, lag:], block.x[U : U + 3, lag:], block.x[U + 3 : U + 6, lag:] = commanded, u.T, y.T
+    return Rows(block, rows.rates_ns)

@@ -8,8 +8,8 @@ import numpy as np
 from mavdiag.errors import InputError
 from mavdiag.jit import cached
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor
-from mavdiag.monitors.columns import FORCE, LEVEL, SOUND, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.spec import spec
+from mavdiag.rows.block import FORCE, LEVEL, SOUND, VALID, VALUE, Floats, Ints
 from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.telemetry import Signal
 

@@ -127,7 +127,7 @@ def decide(
     """What comes of values, up to the last of them; the same whether or not calm looks are passed over."""
     until_ns = max(int(one.t_ns[-1]) for one in found if len(one))
     whole, last = looked_of(spec.slots, found, until_ns)
-    every = dataclasses.replace(whole, heights=(None,) * len(whole.heights))
+    every = whole._replace(heights=(None,) * len(whole.heights))
     stories = []
     for looked in (whole, every):
         after, events, changes = spec.step(state or DecisionState(), looked)

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from mavdiag.airframe.airframe import UNNAMED
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import LEVEL_RATIO, MIN_OUTPUT, rises, shown_trim
 from mavdiag.errors import InputError
-from mavdiag.rows.block import COLUMNS, Block
+from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import window_all, window_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
@@ -81,7 +81,6 @@ TRAITS = (
 )
 TRIM, NOISE = slice(0, 3), slice(3, 9)
 Bends: TypeAlias = tuple[FloatArray, FloatArray]  # of `_bends`
-JOINED = {"t_ns", "setpoint", "rate", "force", "torque", "thrust", "vibration", "actuator", "valid", "setpoint_valid"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,27 +214,21 @@ def _without_rotor(shift: FloatArray, spread: FloatArray, layout: RotorLayout) -
 
 
 def joined(flight: Sequence[Rows]) -> list[Block]:
-    """The rows of a flight, one block a segment, with the signals that figures of a vehicle are made of (`JOINED`)."""
+    """The rows of a flight, one block a segment."""
     out = []
     for segment, rows in itertools.groupby(flight, key=lambda one: one.block.segment):
         blocks = [one.block for one in rows]
         if len(blocks) == 1:
             out.append(blocks[0])
             continue
-        n, width = sum(map(len, blocks)), max(block.actuator.shape[1] for block in blocks)
-        columns: list[Any] = [
-            np.concatenate([_wide(getattr(block, name), width) for block in blocks])
-            if name in JOINED
-            else np.broadcast_to(np.float64(np.nan), (n, *getattr(blocks[0], name).shape[1:]))
-            for name in COLUMNS
-        ]
-        out.append(Block(segment, blocks[0].dt_s, *columns))
+        width, outputs = max(len(block.x) for block in blocks), max(block.outputs for block in blocks)
+        x = np.full((width, sum(map(len, blocks))), np.nan)  # outputs may come later than the first rows
+        t_ns, first = np.concatenate([block.t_ns for block in blocks]), 0
+        for block in blocks:
+            x[: len(block.x), first : first + len(block)] = block.x
+            first += len(block)
+        out.append(Block(segment, blocks[0].dt_s, t_ns, x, outputs))
     return out
-
-
-def _wide(x: FloatArray, width: int) -> FloatArray:
-    """Rows, with nan for outputs that were not sent yet where none were."""
-    return np.full((len(x), width), np.nan) if x.shape[1:] == (0,) else x
 
 
 def beginning(flight: Sequence[Rows], span_s: float) -> list[Block]:

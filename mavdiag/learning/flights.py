@@ -6,7 +6,7 @@ for each look (guards, fits, scores), and of many flights one is in memory at a 
 
 import ctypes
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -16,11 +16,11 @@ from mavdiag.errors import InputError
 from mavdiag.link.samples import joined
 from mavdiag.logs import gate_for
 from mavdiag.rows.align import USED, AlignSpec, Grid, measure_grid
-from mavdiag.rows.block import COLUMNS, Block, in_rotor_order
+from mavdiag.rows.block import Block, in_rotor_order, with_outputs
 from mavdiag.rows.front import Front, Rows, in_pieces
 from mavdiag.rows.gate import Border, GateSpec, shake
 from mavdiag.rows.grid import median_step, rate_tolerance
-from mavdiag.rows.rates import RateBlock, RateSpec
+from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import window_samples
 from mavdiag.storage import Arrays, Shelf
 from mavdiag.telemetry import Log, Series, Signal, Telemetry
@@ -35,7 +35,6 @@ PIECE_ROWS = 60_000  # that are made and looked at together (our choice: 20 MB)
 IN_MEMORY = 1 << 62  # bytes
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
 KEPT_BYTES = 20 << 20  # holds the columns of 40 s at 1 kHz (our choice; more leaves gaps in the memory)
-RATE_COLUMNS = tuple(column.name for column in fields(RateBlock))[2:]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,10 +133,9 @@ def airborne(
     held, makers, judged = hold(flight, shelf), list[Callable[[], Rows]](), 0
     for rows in pieces_of(front, held.pieces()):
         judged += int(np.count_nonzero(rows.rates.valid))
-        sent = rows.block.actuator[:, :outputs], rows.block.rotor_speed[:, :outputs]
-        block = replace(rows.block, actuator=sent[0], rotor_speed=sent[1])
-        arrays = [getattr(block, name) for name in COLUMNS] + [getattr(rows.rates, name) for name in RATE_COLUMNS]
-        makers.append(partial(_rows, block.segment, block.dt_s, shelf.put(arrays)))
+        block = with_outputs(rows.block, rows.block.actuator.T[:outputs], rows.block.rotor_speed.T[:outputs])
+        get = shelf.put([block.t_ns, block.x, rows.rates_ns])
+        makers.append(partial(_rows, block.segment, block.dt_s, block.outputs, get))
     return long_enough(held, Looks(makers), judged * front.align.dt_s)
 
 
@@ -161,15 +159,14 @@ def long_enough(held: HeldLog, rows: Looks, judged_s: float) -> LearntFlight:
     return LearntFlight(held, rows, judged_s)
 
 
-def _rows(segment: int, dt_s: float, get: Callable[[], Arrays]) -> Rows:
-    arrays = get()
-    block = Block(segment, dt_s, *arrays[: len(COLUMNS)])
-    return Rows(block, RateBlock(segment, dt_s, *arrays[len(COLUMNS) :]))
+def _rows(segment: int, dt_s: float, outputs: int, get: Callable[[], Arrays]) -> Rows:
+    t_ns, x, rates_ns = get()
+    return Rows(Block(segment, dt_s, t_ns, x, outputs), rates_ns)
 
 
 def _in_order(outputs: tuple[int, ...], make: Callable[[], Rows]) -> Rows:
     rows = make()
-    return Rows(in_rotor_order(rows.block, outputs), rows.rates)
+    return Rows(in_rotor_order(rows.block, outputs), rows.rates_ns)
 
 
 def pieces_of(front: Front, pieces: Iterable[Telemetry]) -> Iterator[Rows]:

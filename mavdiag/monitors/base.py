@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import Motor, RotorLayout
 from mavdiag.errors import InputError
 from mavdiag.identify import Method, Order
-from mavdiag.monitors.columns import SOUND, VALUE, Columns, Loop, columns_of, no_past
+from mavdiag.rows.block import SOUND, VALUE, Columns, Floats, Ints, columns_of, no_past
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -104,6 +104,20 @@ class Feature:
     UNBALANCE = "unbalance"  # g mm
     MOTION = "motion"  # rad/s
     RISE = "rise"  # share of the hover command, from `rotors`
+
+
+class Loop(Protocol):
+    """A compiled monitor: columns from `first` on in, values out; returns how many.
+
+    par: what its fit says. mem: what it remembers, changed in place. x: as `rows.block.VALID` has it, with `first`
+    columns of before in front; from `known` on rates are there. out: (4, n), see `VALUE`. rotors: (n, R). at: (n,)
+    number of the row, or of the rates, that each value is about.
+    """
+
+    def __call__(
+        self, par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints, /
+    ) -> int:
+        """Take the next columns."""
 
 
 class Begin(NamedTuple):
@@ -212,7 +226,7 @@ class Monitor(ABC, Generic[Spec]):
 
     def statistic(self, rows: Rows, out: FloatArray, rotors: FloatArray, at: Any) -> Statistic:
         """What a loop wrote, with its times."""
-        t_ns, dt_s = rows.rates.t_ns if self.by_rates else rows.block.t_ns, rows.block.dt_s
+        t_ns, dt_s = rows.rates_ns if self.by_rates else rows.block.t_ns, rows.block.dt_s
         return Statistic(t_ns[at], self.period_s(dt_s), out[VALUE], out[SOUND] > 0.5, out[2], out[self.shown], rotors)
 
     def over(self, flight: Sequence[Rows]) -> Iterator[Statistic]:

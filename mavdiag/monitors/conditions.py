@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-import mavdiag.monitors.columns as col
+import mavdiag.rows.block as col
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import parted
 from mavdiag.rows.conditions import BIN_S, Condition
@@ -162,9 +162,9 @@ def measure(flight: Sequence[Rows]) -> Iterator[Conditions]:
     mem = conditions_memory()
     for begins, rows in parted(flight):
         mem = conditions_memory() if begins else mem
-        columns, most = col.columns_of(rows, col.no_past(0)), most_bins(rows.rates.t_ns)
+        columns, most = col.columns_of(rows, col.no_past(0)), most_bins(rows.rates_ns)
         end_ns, values = np.empty(most, dtype=np.int64), np.empty((most, COUNT))
-        times = rows.block.t_ns.copy(), rows.rates.t_ns.copy()  # what is mapped from a file cannot be written
+        times = rows.block.t_ns.copy(), rows.rates_ns.copy()  # what is mapped from a file cannot be written
         count = _measured(mem, columns.x, columns.known, times, end_ns, values)
         yield Conditions(end_ns[:count], values[:count])
         del rows, columns

@@ -7,9 +7,9 @@ import numpy as np
 
 from mavdiag.jit import cached
 from mavdiag.monitors.base import Begin, FaultKind, Flights, LearnContext, Monitor
-from mavdiag.monitors.columns import COMMANDED, LEVEL, SOUND, VALUE, Floats, Ints, U, Y
 from mavdiag.monitors.fitting import need_commanded
 from mavdiag.monitors.spec import Delay, spec
+from mavdiag.rows.block import COMMANDED, LEVEL, SOUND, VALUE, Floats, Ints, U, Y
 from mavdiag.telemetry import Signal
 
 LEAST_RAD_S = 7.0  # 400 deg/s beyond the command; emulated flights whose position jumps reach 5.7 (our choice)

@@ -33,10 +33,10 @@ from mavdiag.identify import fit as identify
 from mavdiag.identify.arx import ModelRecord
 from mavdiag.jit import cached, jit, summing
 from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence, parted
-from mavdiag.monitors.columns import COMMANDED, FORCE, LEVEL, OUTPUTS, SOUND, THRUST, TRACE, VALUE, Floats, Ints, U, Y
 from mavdiag.monitors.fitting import MEMORY_S, cut_to_share, need_commanded, of_each, smoothed, three, variance_law
 from mavdiag.monitors.run_length import at_rest, free_run, taps_of
 from mavdiag.monitors.spec import NotNegative, Positive, spec
+from mavdiag.rows.block import COMMANDED, FORCE, LEVEL, OUTPUTS, SOUND, THRUST, TRACE, VALUE, Floats, Ints, U, Y
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, follow, mean_size, push

@@ -26,15 +26,16 @@ from typing import Literal
 
 import numpy as np
 
-import mavdiag.monitors.columns as col
+import mavdiag.rows.block as col
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import MIN_OUTPUT
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, RotorEvidence
-from mavdiag.monitors.columns import Floats, Ints
 from mavdiag.monitors.fitting import held_law, of_each, three, traced
 from mavdiag.monitors.spec import Positive, spec
+from mavdiag.rows.block import Floats, Ints
+from mavdiag.rows.conditions import TRIM_CONDITIONS
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Signal, Three
 from mavdiag.units import RPM
@@ -229,7 +230,7 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
     observes = "one rotor that turns faster or slower for its command than the others"
     phrase = "turns off its command {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.ACTUATOR, Signal.ROTOR_SPEED})
-    depends = col.TRIM_CONDITIONS
+    depends = TRIM_CONDITIONS
     evidence = RotorEvidence(10.0, relative=True)  # at the threshold the others are a third of it or less
     needs_layout = True
     spec_type = RotorSpeedSpec

@@ -31,14 +31,15 @@ from typing import Literal, TypeVar
 import numpy as np
 
 import mavdiag.airframe.trim as trims
-import mavdiag.monitors.columns as col
+import mavdiag.rows.block as col
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import allocating, cached, jit
 from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
-from mavdiag.monitors.columns import Floats, Ints
 from mavdiag.monitors.fitting import held_law, of_each, three
 from mavdiag.monitors.spec import Positive, spec
+from mavdiag.rows.block import Floats, Ints
+from mavdiag.rows.conditions import TRIM_CONDITIONS
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Signal, Three
 from mavdiag.units import G
@@ -302,7 +303,7 @@ class TrimMonitor(Monitor[Spec]):
 
     phrase = "lost {lost}% thrust"
     needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT, Signal.SPECIFIC_FORCE})
-    depends = col.TRIM_CONDITIONS
+    depends = TRIM_CONDITIONS
     # A lead of 0.12 was right in each of 35 recorded cuts. Damage that changes a blade's drag by 0.02 shifts the yaw
     # trim towards rotors of the other sense, a lead of 0.04: no smaller unit tells rotors apart (our choice).
     evidence = RotorEvidence(10.0, relative=True, least=0.04, direct=False)
@@ -336,7 +337,7 @@ class TrimMonitor(Monitor[Spec]):
         """Spread of what it judges of healthy flights. Raises IdentificationError. flights: (rows of `write`, k)."""
 
     def _parts_of(self, flight: Sequence[Rows]) -> list[FloatArray]:
-        """The parts of ticks of each segment as rows that come so seldom: x of `monitors.columns`.
+        """The parts of ticks of each segment as rows that come so seldom: x of `rows.block`.
 
         Their trim stands for torque commands at a thrust of 1, their pull for the lean: `run` makes the same ticks.
         """
@@ -354,11 +355,9 @@ class TrimMonitor(Monitor[Spec]):
                 rest = each[n * size :]
             trim_pull_rate = np.concatenate(parts).T
             x = np.zeros((col.OUTPUTS, trim_pull_rate.shape[1]))
-            x[col.TORQUE : col.THRUST], x[col.LEAN : col.RATE] = trim_pull_rate[:3], trim_pull_rate[3:5]
-            x[col.RATE + 2], x[col.VALID] = (
-                trim_pull_rate[5],
-                trim_pull_rate[6] > 1.0 - 0.5 / size,
-            )  # all rows are known
+            x[col.TORQUE : col.TORQUE + 3], x[col.LEAN : col.LEAN + 2] = trim_pull_rate[:3], trim_pull_rate[3:5]
+            x[col.RATE + 2] = trim_pull_rate[5]
+            x[col.VALID] = trim_pull_rate[6] > 1.0 - 0.5 / size  # all rows are known
             x[col.THRUST], x[col.COVERED] = 1.0, 1.0
             found.append(x)
         return found
@@ -394,7 +393,7 @@ class TrimMonitor(Monitor[Spec]):
         """
         spec, found = self.spec, [np.empty((3, 0))]
         for x in self._parts_of(flight):
-            trim, rate = x[col.TORQUE : col.THRUST].copy(), x[col.RATE + 2]
+            trim, rate = x[col.TORQUE : col.TORQUE + 3].copy(), x[col.RATE + 2]
             trim[:2] -= np.array(spec.pull)[:, None] * x[col.LEAN : col.LEAN + 2]
             taken = spec.turn[0] * rate + spec.turn[1] * np.gradient(rate, PART_S) if len(rate) > 1 else rate
             trim[2] -= taken

@@ -19,9 +19,9 @@ from mavdiag.identify import ArxModel, fit
 from mavdiag.identify.arx import ModelRecord
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, parted
-from mavdiag.monitors.columns import COMMANDED, GYRO, LEVEL, RESIDUAL, SOUND, TRACE, VALUE, Floats, Ints, U, Y
 from mavdiag.monitors.fitting import cut_to_share
 from mavdiag.monitors.spec import Delay, Positive, spec
+from mavdiag.rows.block import COMMANDED, GYRO, LEVEL, RESIDUAL, SOUND, TRACE, VALUE, Floats, Ints, U, Y
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import spans

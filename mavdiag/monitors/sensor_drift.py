@@ -14,9 +14,9 @@ import numpy as np
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Begin, FaultKind, Flights, LearnContext, Monitor, parted
-from mavdiag.monitors.columns import ATTITUDE, FORCE, LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.fitting import of_each, three, traced
 from mavdiag.monitors.spec import Positive, spec
+from mavdiag.rows.block import ATTITUDE, FORCE, LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import body_rates
 from mavdiag.rows.running import past_size, shift

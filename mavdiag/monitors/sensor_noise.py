@@ -9,9 +9,9 @@ import numpy as np
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import allocating, cached
 from mavdiag.monitors.base import Begin, FaultKind, Flights, LearnContext, Monitor
-from mavdiag.monitors.columns import LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.fitting import of_each, traced
 from mavdiag.monitors.spec import Positive, spec
+from mavdiag.rows.block import LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.rows.windows import window_rows

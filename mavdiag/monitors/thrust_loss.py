@@ -11,9 +11,9 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import InputError
 from mavdiag.jit import cached
 from mavdiag.monitors.base import Begin, FaultKind, Flights, LearnContext, Monitor, RotorEvidence
-from mavdiag.monitors.columns import FORCE, LEVEL, RATE, SOUND, THRUST, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.fitting import of_each
 from mavdiag.monitors.spec import Positive, spec
+from mavdiag.rows.block import FORCE, LEVEL, RATE, SOUND, THRUST, VALID, VALUE, Floats, Ints
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, follow, mean_size, push, total
 from mavdiag.rows.windows import forgetting, window_rows

@@ -12,8 +12,8 @@ import mavdiag.monitors.rotor_trim as trim
 from mavdiag.airframe.trim import spread_of
 from mavdiag.errors import IdentificationError
 from mavdiag.jit import cached, jit
-from mavdiag.monitors.columns import COVERED, SOUND, TRACE, Floats, Ints
 from mavdiag.monitors.spec import Positive, spec
+from mavdiag.rows.block import COVERED, SOUND, TRACE, Floats, Ints
 from mavdiag.telemetry import FloatArray, Three
 
 MEMORY_S = 30.0  # of the reference (our choice)

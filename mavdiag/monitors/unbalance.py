@@ -16,9 +16,9 @@ from mavdiag.airframe.trim import ALONG_DISCS, felt_share
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import allocating, cached, jit, summing
 from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence
-from mavdiag.monitors.columns import FORCE, LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.monitors.fitting import of_each, traced
 from mavdiag.monitors.spec import Positive, spec
+from mavdiag.rows.block import FORCE, LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total

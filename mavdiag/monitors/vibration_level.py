@@ -12,9 +12,9 @@ import numpy as np
 from mavdiag.errors import InputError
 from mavdiag.jit import cached
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor
-from mavdiag.monitors.columns import LEVEL, SOUND, VALID, VALUE, VIBRATION, Floats, Ints
 from mavdiag.monitors.fitting import of_each
 from mavdiag.monitors.spec import NotNegative, Positive, spec
+from mavdiag.rows.block import LEVEL, SOUND, VALID, VALUE, VIBRATION, Floats, Ints
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, mean_size, push, total

@@ -6,6 +6,7 @@ One quantity has one scale on a page: what `scaled` gives. captions.toml has tit
 import math
 import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -429,7 +430,7 @@ def sweep_of(
         spec, us, ys = RateSpec.of(dt_s, count, polynomial), list[FloatArray](), list[FloatArray]()
         state = spec.start()
         for block in blocks:
-            rates = spec.step(state, block)
+            rates = spec.step(state, replace(block, x=block.x.copy())).rates
             for first, stop in spans(rates.commanded):
                 if (stop - first) * rates.dt_s >= MIN_PIECE_S:
                     us.append(rates.u[first:stop, axis.column])

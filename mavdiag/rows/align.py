@@ -14,7 +14,7 @@ then rows wait for all for `CALM_NS`.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -22,43 +22,41 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+import mavdiag.rows.block as col
 from mavdiag.errors import InputError
 from mavdiag.jit import allocating, cached, cached_loop, inline, jit
 from mavdiag.rows.block import Block
 from mavdiag.rows.grid import Grid as Grid
 from mavdiag.rows.grid import measure_grid as measure_grid
 from mavdiag.rows.quality import COLUMN, GLITCH_S, MOST_LOST, REORDER_S, RUNS, TURN, LinkQuality, Samples, look_at
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
-# Of each signal its name in `Block`, its columns (of outputs the sent ones; the gyro's last is its doubt), and
-# how far its samples reach [s]. Up to THRUST they are interpolated where two samples this near, or as near as the
-# gyro's, surround the row: a slow command stream may have 4 Hz; the others hold their last value for so long: ACTUATOR
+# Of each signal its number of columns (of outputs the sent ones; the gyro's last is its doubt), and how far its
+# samples reach [s]. Up to THRUST they are interpolated where two samples this near, or as near as the gyro's, surround
+# the row: a slow command stream may have 4 Hz; the others hold their last value for so long: ACTUATOR
 # comes at 10-50 Hz, VIBRATION at 2-10 Hz, ESCs tell their speed at 1-10 Hz (our choices).
 # Logs write ARMED when it changes.
 SIGNALS = {
-    Signal.BODY_RATE: ("rate", 4, 0.0),
-    Signal.ATTITUDE_SETPOINT: ("setpoint", 3, 0.0),
-    Signal.SPECIFIC_FORCE: ("force", 3, 0.0),
-    Signal.TORQUE_COMMAND: ("torque", 3, 0.25),
-    Signal.RATE_SETPOINT: ("rate_setpoint", 3, 0.25),
-    Signal.ATTITUDE: ("attitude", 3, 0.25),
-    Signal.THRUST_SETPOINT: ("thrust", 1, 1.0),
-    Signal.HEIGHT: ("height", 1, 2.0),
-    Signal.ARMED: ("armed", 1, math.inf),
-    Signal.VIBRATION: ("vibration", 3, 1.0),
-    Signal.ACTUATOR: ("actuator", 0, 1.0),
-    Signal.ROTOR_SPEED: ("rotor_speed", 0, 1.5),
+    Signal.BODY_RATE: (4, 0.0),
+    Signal.ATTITUDE_SETPOINT: (3, 0.0),
+    Signal.SPECIFIC_FORCE: (3, 0.0),
+    Signal.TORQUE_COMMAND: (3, 0.25),
+    Signal.RATE_SETPOINT: (3, 0.25),
+    Signal.ATTITUDE: (3, 0.25),
+    Signal.THRUST_SETPOINT: (1, 1.0),
+    Signal.HEIGHT: (1, 2.0),
+    Signal.ARMED: (1, math.inf),
+    Signal.VIBRATION: (3, 1.0),
+    Signal.ACTUATOR: (0, 1.0),
+    Signal.ROTOR_SPEED: (0, 1.5),
 }
 STREAMS = tuple(SIGNALS)
 USED = frozenset(STREAMS)
 PLACES = {signal: place for place, signal in enumerate(STREAMS)}
 GYRO, SETPOINT, ATTITUDE, THRUST, OUTPUTS, SPEEDS = 0, 1, 5, 6, 10, 11  # the last two have as many columns as come
-NAMES, WIDTHS, REACHES_S = zip(*SIGNALS.values(), strict=True)
-FIRST = np.cumsum((0, *WIDTHS[:-1]))  # row of x that each signal's columns begin with; speeds stand behind the outputs
-COLUMNS: dict[str, Any] = {
-    name: int(at) if width == 1 else slice(at, at + width) for name, at, width in zip(NAMES, FIRST, WIDTHS, strict=True)
-} | {"rate": slice(0, 3), "doubt": 3}
+WIDTHS, REACHES_S = zip(*SIGNALS.values(), strict=True)
+FIRST = np.array([col.PLACES[signal][0] for signal in STREAMS])  # row of x that each signal's columns begin with
 
 SETTLE_GAP_S, SETTLE_START_S = 0.3, 1.0  # what is not used after a longer gap, and after a start or a break
 BREAK_S = 1.0  # longest gap within a segment; how long a row waits for a set-point
@@ -122,23 +120,25 @@ class AlignState:
         """Latest time of the gyro [ns]."""
         return self.reached[GYRO]
 
-    def append(self, series: Series, quality: LinkQuality) -> None:
+    def append(self, place: int, parts: Sequence[Series], quality: LinkQuality) -> None:
         """Put samples behind those that came. Raises InputError if their columns are others than before."""
-        place, (count, columns) = PLACES.get(series.signal), series.values.shape
-        if place is None or not count:
-            return
-        end, (room, width) = self.ends[place], self.streams.values[place].shape
+        end, (room, width), signal = self.ends[place], self.streams.values[place].shape, STREAMS[place]
         if not room:
-            self._begin(place, columns, quality.rule(series.signal, columns))
+            columns = parts[0].values.shape[1]
+            self._begin(place, columns, quality.rule(signal, columns))
             width = self.streams.values[place].shape[1]
-        if columns != width - (place == GYRO):
-            raise InputError(f"{series.signal} has {columns} columns in place of {width - (place == GYRO)}")
+        columns, count = width - (place == GYRO), sum(map(len, parts))
+        if any(part.values.shape[1] != columns for part in parts):
+            found = next(part.values.shape[1] for part in parts if part.values.shape[1] != columns)
+            raise InputError(f"{signal} has {found} columns in place of {columns}")
         if end + count > room:
             end = self._make_room(place, count)
         (times, hosts, values), stop = self.streams[:3], end + count
-        times[place][end:stop], hosts[place][end:stop] = series.t_ns, series.host_ns
-        values[place][end:stop, :columns] = series.values
-        self.ends[place], self.reached[place] = stop, max(self.reached[place], int(series.t_ns[-1]))
+        np.concatenate([part.t_ns for part in parts], out=times[place][end:stop])
+        np.concatenate([part.host_ns for part in parts], out=hosts[place][end:stop])
+        np.concatenate([part.values for part in parts], out=values[place][end:stop, :columns])
+        reached = max(int(part.t_ns[-1]) for part in parts)
+        self.ends[place], self.reached[place] = stop, max(self.reached[place], reached)
 
     def _begin(self, place: int, columns: int, rule: FloatArray) -> None:
         """Learn of the first samples of a stream what is believed of it; outputs have as many columns as they have."""
@@ -198,8 +198,8 @@ class AlignSpec:
         """A fresh state: no sample yet."""
         return AlignState(np.array(self.limits_ns))
 
-    def step(self, state: AlignState, telemetry: Telemetry) -> list[Block]:
-        """Take in a chunk, return the rows that it completes, in blocks of one segment."""
+    def step(self, state: AlignState, *telemetry: Telemetry) -> list[Block]:
+        """Take in chunks, return the rows that they complete, in blocks of one segment."""
         self.append(state, telemetry)
         return list(self.rows(state, self.take(state)))
 
@@ -207,10 +207,24 @@ class AlignSpec:
         """The end of a log: what waited for late samples comes out."""
         return list(self.rows(state, NEVER_NS))
 
-    def append(self, state: AlignState, telemetry: Telemetry) -> None:
-        """Keep a chunk for the next `take`."""
+    def append(self, state: AlignState, chunks: Iterable[Telemetry]) -> None:
+        """Keep chunks for the next `take`."""
+        parts: dict[int, list[Series]] = {}
+        for telemetry in chunks:
+            for series in telemetry.series:
+                if series.signal in USED and len(series.t_ns):
+                    parts.setdefault(PLACES[series.signal], []).append(series)
+        for place, some in parts.items():
+            state.append(place, some, self.quality)
+
+    def most_ns(self, telemetry: Telemetry) -> int:
+        """No row later than this comes of a chunk [ns]: it is of the gyro, or much older than another signal."""
+        found = -NEVER_NS
         for series in telemetry.series:
-            state.append(series, self.quality)
+            if len(series.t_ns):
+                newest = int(series.t_ns[-1])
+                found = max(found, newest if series.signal is Signal.BODY_RATE else newest - self.limits_ns[BREAK])
+        return found
 
     def take(self, state: AlignState, *, live: bool = True) -> int:
         """Believe and sort what came; returns up to when rows are complete [ns]. A log's rows always wait."""
@@ -225,13 +239,10 @@ class AlignSpec:
         """The rows up to a time, a block of each segment."""
         dt_ns, resampled, more = self.dt_s * NS_PER_S, self.grid is Grid.RESAMPLED, True
         while more:
-            t_ns, x, flags, more = _rows(state.streams, until_ns, dt_ns, resampled)
+            t_ns, x, more = _rows(state.streams, until_ns, dt_ns, resampled)
             if len(t_ns):
-                speeds = FIRST[OUTPUTS] + state.streams.values[OUTPUTS].shape[1]
-                own = {"actuator": slice(FIRST[OUTPUTS], speeds), "rotor_speed": slice(speeds, None)}
-                columns: dict[str, Any] = {name: x[at].T for name, at in (COLUMNS | own).items()}
-                segment = int(state.streams.now[SEGMENT])
-                yield Block(segment, self.dt_s, t_ns, valid=flags[0], setpoint_valid=flags[1], **columns)
+                outputs = min(state.streams.values[OUTPUTS].shape[1], col.MOST)
+                yield Block(int(state.streams.now[SEGMENT]), self.dt_s, t_ns, x, outputs)
 
     def reached_ns(self, state: AlignState) -> int:
         """No row later than this comes of what was appended [ns]."""
@@ -409,8 +420,8 @@ def _horizon(s: Streams, hurries: bool, dt_ns: float) -> int:
 
 
 @cached
-def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool) -> tuple[IntArray, FloatArray, BoolArray, bool]:
-    """Times of the next rows of one segment, their signals (from `FIRST` on), whether gyro and set-point may be used.
+def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool) -> tuple[IntArray, FloatArray, bool]:
+    """Times of the next rows of one segment, and x of `rows.block` without rates.
 
     On a native grid every sample is a row, but for one that is nearer than half a period to the last row, and what is
     missing between two is filled evenly. The last: whether gyro samples are left.
@@ -419,7 +430,7 @@ def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool) -> tuple[Int
     while first < hi and t[first] <= s.now[DONE]:
         first += 1
     if first >= hi or t[first] > until_ns:
-        return np.empty(0, dtype=np.int64), np.empty((0, 0)), np.empty((0, 0), dtype=np.bool_), False
+        return np.empty(0, dtype=np.int64), np.empty((0, 0)), False
     stop, broken = first + 1, t[first] - s.now[DONE] > break_ns
     while stop < hi and t[stop] <= until_ns and t[stop] - t[stop - 1] <= break_ns:
         stop += 1
@@ -440,12 +451,13 @@ def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool) -> tuple[Int
     if broken:
         s.now[SEGMENT], s.now[BLANK] = s.now[SEGMENT] + 1, rows[0] + s.limits_ns[SETTLE_START]
     s.now[DONE] = t[stop - 1]
-    width = FIRST[OUTPUTS] + s.values[OUTPUTS].shape[1] + s.values[SPEEDS].shape[1]
-    x, flags = np.empty((width, count)), np.empty((2, count), dtype=np.bool_)
+    outputs, speeds = FIRST[OUTPUTS] + min(s.values[OUTPUTS].shape[1], col.MOST), s.values[SPEEDS].shape[1]
+    x = np.empty((FIRST[SPEEDS] + speeds if speeds else outputs, count))
+    x[col.COVERED], x[col.WHOLE : col.RATE], x[col.U : col.OUTPUTS], x[outputs:] = 1.0, 0.0, np.nan, np.nan
     if count:
-        _fill(s, rows[:count], x, flags)
+        _fill(s, rows[:count], x)
         s.now[LAST] = rows[count - 1]
-    return rows[:count], x, flags, stop < hi and t[stop] <= until_ns
+    return rows[:count], x, stop < hi and t[stop] <= until_ns
 
 
 @inline
@@ -473,17 +485,17 @@ def _settle(s: Streams, place: int, at: int) -> None:
 
 
 @jit
-def _fill(s: Streams, rows: IntArray, x: FloatArray, flags: BoolArray) -> None:
-    """Read all streams at the times of rows into x and flags as `_rows` has them; what lies before is settled."""
+def _fill(s: Streams, rows: IntArray, x: FloatArray) -> None:
+    """Read all streams at the times of rows into x; what lies before is settled."""
     for place in range(len(s.marks)):
-        _settle(s, place, _hold(s, place, rows, x) if place >= THRUST else _interpolate(s, place, rows, x, flags))
+        _settle(s, place, _hold(s, place, rows, x) if place >= THRUST else _interpolate(s, place, rows, x))
 
 
 @jit
 def _hold(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
     """The last value at each row, nan where it is older than the limit; returns the last sample that was read."""
     t, v, at, hi, limit_ns = s.times[place], s.values[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
-    i, first = 0, FIRST[place] + (s.values[OUTPUTS].shape[1] if place == SPEEDS else 0)
+    i, first, columns = 0, FIRST[place], min(v.shape[1], col.MOST) if place == OUTPUTS else v.shape[1]
     while i < len(rows):
         while at + 1 < hi and t[at + 1] <= rows[i]:
             at += 1
@@ -494,7 +506,7 @@ def _hold(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
                 stop += 1
         elif at == hi:
             stop = len(rows)
-        for column in range(v.shape[1]):
+        for column in range(columns):
             value = v[at, column] if known else np.nan
             for k in range(i, stop):
                 x[first + column, k] = value
@@ -503,32 +515,31 @@ def _hold(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
 
 
 @jit
-def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray, flags: BoolArray) -> int:
+def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
     """The value between the samples around each row (too far apart: the last, or nan); returns the last one read."""
     t, v, at, hi, limit_ns = s.times[place], s.values[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
-    angle, first, columns, turns = place in (SETPOINT, ATTITUDE), FIRST[place], v.shape[1], s.turns[place]
+    angle, first, turns, gyro = place in (SETPOINT, ATTITUDE), FIRST[place], s.turns[place], place == GYRO
     for i in range(len(rows)):
         if at + 1 < hi and t[at + 1] <= rows[i]:
             at = _behind(s, place, at, rows[i])
         since = rows[i] - t[at] if at < hi else -1
         gap = 0 if since == 0 else t[at + 1] - t[at] if since > 0 and at + 1 < hi else NEVER_NS
-        if since < 0 or (gap > limit_ns and place > SETPOINT):
-            for column in range(columns):
-                x[first + column, i] = 0.0 if place == SETPOINT else np.nan
-        else:
-            for column in range(columns):
-                x[first + column, i] = v[at, column] + (TURN * turns[column] if angle else 0.0)
-        if 0 < gap <= limit_ns:
-            share = since / gap
-            for column in range(columns):
-                after, value = v[at + 1, column], x[first + column, i]
-                if angle:
-                    after += TURN * (turns[column] + _turn(v[at, column], after))
-                x[first + column, i] = value + share * (after - value)
-        if place <= SETPOINT:
-            flags[place, i] = _usable(s, place, rows[i], gap, place == GYRO and x[3, i] > 0.0)
-            if place == GYRO:
-                x[3, i] = math.ceil(x[3, i])
+        for column in range(v.shape[1]):
+            if since < 0 or (gap > limit_ns and place > SETPOINT):
+                value = 0.0 if place == SETPOINT else np.nan
+            else:
+                value = v[at, column] + (TURN * turns[column] if angle else 0.0)
+                if 0 < gap <= limit_ns:
+                    after = v[at + 1, column]
+                    if angle:
+                        after += TURN * (turns[column] + _turn(v[at, column], after))
+                    value += since / gap * (after - value)
+            x[first + column if column < 3 else col.DOUBT, i] = value
+        if gyro:
+            x[col.VALID, i] = _usable(s, place, rows[i], gap, x[col.DOUBT, i] > 0.0)
+            x[col.DOUBT, i] = math.ceil(x[col.DOUBT, i])
+        elif place == SETPOINT:
+            x[col.SETPOINT, i] = _usable(s, place, rows[i], gap, False)
     return int(at)
 
 

@@ -1,16 +1,73 @@
-"""The uniform rows that everything after the alignment works on."""
+"""The uniform rows that everything after the alignment works on: one array x for signals, flags and rates.
+
+A row of x is a signal, a column is a row of flight. Rates are known half a filter window later than what they are
+about (`rows.rates`); in x they stand in the column of the newest row of their window, so that a column holds what is
+known when it has come.
+"""
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field, fields, replace
-from operator import attrgetter
-from typing import Any, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
-ALL = slice(None)  # columns
+# Flags among the rows of x: the gyro may be judged: it is there, settled and airborne; the set-point is there and
+# settled; why the gyro, though it is there, must not be judged (a place in `rows.quality.DOUBTS`, 0 for none); the
+# flight is one that trims were learnt in; the gyro was valid in the whole window of a rate; so was the set-point.
+VALID, SETPOINT, DOUBT, COVERED, WHOLE, COMMANDED = range(6)
+# Signals: three rows each, but for thrust, height and armed. LEAN: the commanded roll and pitch, before the commanded
+# HEADING. Y: the gyro, smoothed; GYRO: as it was measured; U: the commanded body rate. Outputs and, behind `MOST` of
+# them, the speeds of rotors are the last rows, where there are any.
+RATE, FORCE, LEAN, HEADING, TORQUE, RATE_SETPOINT, ATTITUDE, THRUST = 6, 9, 12, 14, 15, 18, 21, 24
+HEIGHT, ARMED, VIBRATION, U, Y, GYRO, OUTPUTS, MOST = 25, 26, 27, 30, 33, 36, 39, 16
+SPEEDS = OUTPUTS + MOST
+# Rows of what a monitor writes for each of its values: value, 1 where it is sound, level; then the residual of the fsd
+# monitor, and inner figures for a fit, where there is room for them (`monitors.base.walk`).
+VALUE, SOUND, LEVEL, RESIDUAL, TRACE = range(5)
+#: Where the columns of a signal begin and end in x.
+PLACES = {
+    Signal.BODY_RATE: (RATE, FORCE),
+    Signal.SPECIFIC_FORCE: (FORCE, LEAN),
+    Signal.ATTITUDE_SETPOINT: (LEAN, TORQUE),
+    Signal.TORQUE_COMMAND: (TORQUE, RATE_SETPOINT),
+    Signal.RATE_SETPOINT: (RATE_SETPOINT, ATTITUDE),
+    Signal.ATTITUDE: (ATTITUDE, THRUST),
+    Signal.THRUST_SETPOINT: (THRUST, HEIGHT),
+    Signal.HEIGHT: (HEIGHT, ARMED),
+    Signal.ARMED: (ARMED, VIBRATION),
+    Signal.VIBRATION: (VIBRATION, U),
+    Signal.ACTUATOR: (OUTPUTS, SPEEDS),
+    Signal.ROTOR_SPEED: (SPEEDS, 1 << 20),
+}
+
+Floats: TypeAlias = FloatArray
+Ints: TypeAlias = IntArray
 Found = TypeVar("Found")
+Kind = TypeVar("Kind", bound=np.generic)
+
+
+class Part(Generic[Kind]):
+    """Some rows of x as an attribute: (n,) of one row, (n, k) of several; a flag as truth values."""
+
+    def __init__(self, at: int | slice, find: Callable[[FloatArray], NDArray[Kind]]) -> None:
+        self.at, self.find = at, find
+
+    def __get__(self, block: Any, owner: object) -> NDArray[Kind]:
+        return self.find((np.empty((SPEEDS, 0)) if block is None else block.x)[self.at])
+
+
+def signal(signal: Signal) -> Part[np.float64]:
+    """The rows of a signal."""
+    first, stop = PLACES[signal]
+    return Part(first if stop == first + 1 else slice(first, stop), lambda x: x.T)
+
+
+def flag(at: int) -> Part[np.bool_]:
+    """A row of x that is 1 where something is so."""
+    return Part(at, lambda x: x > 0.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,36 +75,39 @@ class Block:
     """Consecutive rows of one segment, on a uniform grid of period `dt_s`.
 
     A signal is nan in a row where it is unknown (see `rows.align`). Only the set-point stays finite; `setpoint_valid`
-    says where it may be used. Arrays of several columns lie column by column in memory.
+    says where it may be used. Columns and units of signals are those of `Signal`; angles have no jumps of 2 pi.
 
-    segment: number of the unbroken span of flight. t_ns: vehicle time. Columns and units of signals are those of
-    `Signal`; angles have no jumps of 2 pi. setpoint: of the attitude; 0 before the first, held in an outage.
-    actuator, rotor_speed: (n, outputs), (n, ESCs); (n, 0) while the vehicle has sent none.
-    valid: the gyro may be judged: it is there, settled and airborne. setpoint_valid: it is there and settled.
-    doubt: why the gyro, though it is there, must not be judged: a place in `rows.quality.DOUBTS`, 0 for none.
+    segment: number of the unbroken span of flight. t_ns: (n,) vehicle time. x: (rows, n), see `VALID`.
+    outputs: how many outputs the vehicle has sent; actuator is (n, outputs), rotor_speed (n, ESCs).
     settled_ns: rows before it are of a take-off, or of the start of the data. answers: what was found (`once`).
     """
 
     segment: int
     dt_s: float
     t_ns: IntArray
-    setpoint: FloatArray
-    rate: FloatArray
-    force: FloatArray
-    torque: FloatArray
-    rate_setpoint: FloatArray
-    thrust: FloatArray
-    attitude: FloatArray
-    height: FloatArray
-    armed: FloatArray
-    vibration: FloatArray
-    actuator: FloatArray
-    rotor_speed: FloatArray
-    valid: BoolArray
-    setpoint_valid: BoolArray
-    doubt: FloatArray
-    settled_ns: int = field(default=0, kw_only=True)
+    x: FloatArray
+    outputs: int = 0
+    settled_ns: int = 0
     answers: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
+
+    rate = signal(Signal.BODY_RATE)
+    setpoint = signal(Signal.ATTITUDE_SETPOINT)  # 0 before the first, held in an outage
+    force = signal(Signal.SPECIFIC_FORCE)
+    torque = signal(Signal.TORQUE_COMMAND)
+    rate_setpoint = signal(Signal.RATE_SETPOINT)
+    attitude = signal(Signal.ATTITUDE)
+    thrust = signal(Signal.THRUST_SETPOINT)
+    height = signal(Signal.HEIGHT)
+    armed = signal(Signal.ARMED)
+    vibration = signal(Signal.VIBRATION)
+    rotor_speed = signal(Signal.ROTOR_SPEED)
+    valid, setpoint_valid = flag(VALID), flag(SETPOINT)
+    doubt = Part[np.float64](DOUBT, lambda x: x)
+
+    @property
+    def actuator(self) -> FloatArray:
+        """(n, outputs)."""
+        return self.x[OUTPUTS : OUTPUTS + self.outputs].T
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -56,14 +116,11 @@ class Block:
         """Rows [first, stop) as a block of their own, of another segment, or settled at another time, if asked."""
         segment = self.segment if segment is None else segment
         settled_ns = self.settled_ns if settled_ns is None else settled_ns
-        columns = ARRAYS(self)
-        if stop - first < len(self.t_ns):
-            columns = tuple(column[first:stop] for column in columns)
-        elif segment == self.segment and settled_ns == self.settled_ns:
+        if stop - first == len(self.t_ns) and segment == self.segment and settled_ns == self.settled_ns:
             return self
-        return Block(segment, self.dt_s, *columns, settled_ns=settled_ns)
+        return Block(segment, self.dt_s, self.t_ns[first:stop], self.x[:, first:stop], self.outputs, settled_ns)
 
-    def known(self, signal: Signal, columns: slice = ALL) -> BoolArray:
+    def known(self, signal: Signal, columns: slice = slice(None)) -> BoolArray:
         """(n,) where the row carries these columns of a signal; nowhere if rows have none for it.
 
         BODY_RATE: `valid`. ATTITUDE_SETPOINT: `setpoint_valid`.
@@ -72,9 +129,9 @@ class Block:
             return self.valid
         if signal is Signal.ATTITUDE_SETPOINT:
             return self.setpoint_valid
-        values = getattr(self, _NAMES[signal]) if signal in _NAMES else np.empty((len(self), 0))
-        values = values[:, None] if values.ndim == 1 else values[:, columns]
-        return np.asarray(np.isfinite(values).all(axis=1) & (values.shape[1] > 0), dtype=np.bool_)
+        values = self.x[slice(*PLACES[signal])] if signal in PLACES else self.x[:0]
+        values = (values[: self.outputs] if signal is Signal.ACTUATOR else values)[columns]
+        return np.asarray(np.isfinite(values).all(axis=0) & (len(values) > 0), dtype=np.bool_)
 
     def once(self, key: Hashable, find: Callable[[], Found]) -> Found:
         """What `find` gives, and the same for the same key later on; do not write to it."""
@@ -84,13 +141,81 @@ class Block:
         return found
 
 
-COLUMNS = tuple(column.name for column in fields(Block))[2:-2]  # arrays of rows, in the order of the fields
-ARRAYS: Callable[[Block], tuple[Any, ...]] = attrgetter(*COLUMNS)
-_NAMES = {
-    Signal.SPECIFIC_FORCE: "force",
-    Signal.TORQUE_COMMAND: "torque",
-    Signal.THRUST_SETPOINT: "thrust",
-} | {signal: signal.value for signal in Signal if signal.value in COLUMNS}
+@dataclass(frozen=True, slots=True, eq=False)
+class RateBlock:
+    """The rates of consecutive rows of one segment.
+
+    u: (n, 3) commanded body rates p, q, r [rad/s]; finite, 0 where no set-point is known.
+    y: (n, 3) measured body rates, smoothed [rad/s]. gyro: the same as they were measured.
+    valid: (n,) the gyro was valid in the whole window. commanded: so were gyro and set-point: u and y may be compared.
+    """
+
+    segment: int
+    dt_s: float
+    t_ns: IntArray
+    x: FloatArray
+
+    u, y = Part[np.float64](slice(U, Y), lambda x: x.T), Part[np.float64](slice(Y, GYRO), lambda x: x.T)
+    gyro = Part[np.float64](slice(GYRO, OUTPUTS), lambda x: x.T)
+    valid, commanded = flag(WHOLE), flag(COMMANDED)
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """The next aligned rows of one segment, and the filtered rates that they complete (half a window later).
+
+    rates_ns: (k,) times of the rates, which stand in the last k columns.
+    """
+
+    block: Block
+    rates_ns: IntArray
+
+    @property
+    def rates(self) -> RateBlock:
+        """The rates alone."""
+        block, lag = self.block, len(self.block) - len(self.rates_ns)
+        return RateBlock(block.segment, block.dt_s, self.rates_ns, block.x[:, lag:])
+
+    def part(self, first: int, stop: int, segment: int | None = None, from_ns: int | None = None) -> "Rows":
+        """Rows [first, stop), of another segment if asked, with the rates that they complete from a time on."""
+        lag = len(self.block) - len(self.rates_ns)
+        begin = 0 if from_ns is None else int(self.rates_ns.searchsorted(from_ns))
+        kept = self.rates_ns[max(first - lag, begin, 0) : max(stop - lag, 0)]
+        return Rows(self.block.rows(first, stop, segment), kept)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """What a compiled monitor reads. x: (rows, first + n). first: columns of before. known: from here on are rates."""
+
+    x: FloatArray
+    first: int
+    known: int
+
+    @property
+    def past(self) -> FloatArray:
+        """The latest columns, for the front of the next ones."""
+        return self.x[:OUTPUTS, self.x.shape[1] - self.first :].copy()
+
+
+def no_past(back: int) -> FloatArray:
+    """So many columns before the first row of a segment."""
+    return np.full((OUTPUTS, back), np.nan)
+
+
+def columns_of(rows: Rows, past: FloatArray) -> Columns:
+    """The columns of some rows behind `past`; a lean that is not known is none, and so are rates of another segment."""
+    fresh, first, lag = rows.block.x, past.shape[1], len(rows.block) - len(rows.rates_ns)
+    x = np.empty((len(fresh), first + fresh.shape[1]))
+    x[:OUTPUTS, :first], x[OUTPUTS:, :first], x[:, first:] = past, np.nan, fresh
+    if np.count_nonzero(fresh[SETPOINT]) < fresh.shape[1]:
+        x[LEAN:HEADING, first:][:, fresh[SETPOINT] < 0.5] = 0.0
+    if lag:
+        x[COMMANDED, first : first + lag], x[U:OUTPUTS, first : first + lag] = 0.0, np.nan
+    return Columns(x, first, first + lag)
 
 
 def in_rotor_order(block: Block, outputs: Sequence[int] | None) -> Block:
@@ -102,10 +227,14 @@ def in_rotor_order(block: Block, outputs: Sequence[int] | None) -> Block:
     if outputs is None:
         return block
 
-    def by_rotor(columns: FloatArray) -> FloatArray:
-        sent, absent = columns.T, np.full(len(block), np.nan)
-        if not len(sent):
-            return columns
-        return np.array([sent[one - 1] if one <= len(sent) else absent for one in outputs]).T
+    def by_rotor(sent: FloatArray) -> FloatArray:
+        absent = np.full(len(block), np.nan)
+        return np.array([sent[one - 1] if one <= len(sent) else absent for one in outputs]) if len(sent) else sent
 
-    return replace(block, actuator=by_rotor(block.actuator), rotor_speed=by_rotor(block.rotor_speed))
+    return with_outputs(block, by_rotor(block.actuator.T), by_rotor(block.rotor_speed.T))
+
+
+def with_outputs(block: Block, sent: FloatArray, speeds: FloatArray) -> Block:
+    """The block with other outputs and speeds, (outputs, n) and (ESCs, n)."""
+    gap = np.full((MOST - len(sent) if len(speeds) else 0, len(block)), np.nan)
+    return replace(block, x=np.concatenate((block.x[:OUTPUTS], sent, gap, speeds)), outputs=len(sent))

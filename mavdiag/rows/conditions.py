@@ -21,3 +21,7 @@ class Condition(StrEnum):
     COMMANDED_ACCELERATION = "commanded angular acceleration"  # rad/s^2, of roll and pitch, over 0.1 s
     YAW_RATE = "yaw rate"  # rad/s, mean measured one, and not more than the heading was commanded to move in 2 s
     HEIGHT = "height"  # m above take-off, least
+
+
+TRIM_CONDITIONS = frozenset({Condition.TILT, Condition.THROTTLE, Condition.YAW_RATE, Condition.HEIGHT})
+TRIM_MEMORY_S = 1.0  # of these conditions

@@ -8,19 +8,12 @@ import numpy as np
 
 from mavdiag.rows.align import AlignSpec, AlignState
 from mavdiag.rows.block import Block, in_rotor_order
+from mavdiag.rows.block import Rows as Rows
 from mavdiag.rows.gate import Border, GateSpec, GateState
-from mavdiag.rows.rates import RateBlock, RateSpec, RateState
+from mavdiag.rows.rates import RateSpec, RateState
 from mavdiag.telemetry import IntArray, Series, Signal, Telemetry
 
 LEAPT = 9  # samples whose median stamp counts where some go back: up to four in a row may leap (our choice)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """The next aligned rows of one segment, and the filtered rates that they complete (half a window later)."""
-
-    block: Block
-    rates: RateBlock
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,9 +41,9 @@ class Front:
         """Nothing taken in yet."""
         return FrontState(self.align.start(), self.gate.start(), self.rates.start())
 
-    def step(self, state: FrontState, telemetry: Telemetry) -> tuple[FrontState, tuple[Rows | Border, ...]]:
-        """Take in a chunk of telemetry; return the state, changed, and the rows that it completes."""
-        return state, tuple(self._rows(state, self.align.step(state.align, telemetry)))
+    def step(self, state: FrontState, *telemetry: Telemetry) -> tuple[FrontState, tuple[Rows | Border, ...]]:
+        """Take in chunks of telemetry; return the state, changed, and the rows that they complete."""
+        return state, tuple(self._rows(state, self.align.step(state.align, *telemetry)))
 
     def finish(self, state: FrontState) -> tuple[FrontState, tuple[Rows | Border, ...]]:
         """The end of a log: the rows that were waiting."""
@@ -64,7 +57,7 @@ class Front:
         """All that a whole flight gives, of which these are the parts (`in_pieces`)."""
         state = self.start()
         for part in parts:
-            self.align.append(state.align, part)
+            self.align.append(state.align, (part,))
             yield from self._rows(state, self.align.rows(state.align, self.align.take(state.align, live=False)))
         yield from self._ended(state)
 
@@ -81,7 +74,7 @@ class Front:
             if isinstance(part, Border):
                 yield part
             else:
-                yield Rows(in_rotor_order(part, self.outputs), self.rates.step(state.rates, part))
+                yield self.rates.step(state.rates, in_rotor_order(part, self.outputs))
 
 
 def in_pieces(telemetry: Telemetry, most: int) -> Iterator[Telemetry]:

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+import mavdiag.rows.block as col
 from mavdiag.jit import cached_loop, jit
 from mavdiag.rows.block import Block
 from mavdiag.rows.quality import DOUBTS, Doubt, LinkQuality, believed
@@ -129,13 +130,9 @@ class GateSpec:
         trim_ns = round(self.trim_end_s * NS_PER_S)
         height, thrust = (-math.inf if one is None else float(one) for one in (self.min_height_m, self.min_thrust))
         limits = height, thrust, self.need_armed, block.dt_s, round(self.trim_start_s * NS_PER_S)
-        axes, outputs = np.ascontiguousarray(block.rate.T), np.ascontiguousarray(block.actuator.T)
-        signals, marks = (
-            (axes, block.height, block.thrust, block.armed, outputs),
-            (block.valid, block.doubt, self._told(state, block)),
-        )
+        told = self._told(state, block)
         while first < n:
-            took, stop, landed = _follow(now, limits, block.t_ns, signals, marks, first)
+            took, stop, landed = _follow(now, limits, block.t_ns, block.x, told, block.outputs, first)
             if took < stop:
                 state.rows.append(block.rows(took, stop, int(now[SPAN]), int(now[SETTLED_NS])))
             out += state.release(int(now[LAST_NS]) - trim_ns)
@@ -177,27 +174,30 @@ class GateSpec:
 
 
 @jit
-def _idle(outputs: FloatArray, i: int) -> bool:
-    for k in range(len(outputs)):
-        if not outputs[k, i] <= IDLE_OUTPUT:
+def _idle(x: FloatArray, outputs: int, i: int) -> bool:
+    for row in range(col.OUTPUTS, col.OUTPUTS + outputs):
+        if not x[row, i] <= IDLE_OUTPUT:
             return False
-    return len(outputs) > 0
+    return outputs > 0
 
 
 @cached_loop
-def _follow(now: IntArray, limits: Any, t_ns: IntArray, signals: Any, marks: Any, first: int) -> tuple[int, int, bool]:
+def _follow(
+    now: IntArray, limits: Any, t_ns: IntArray, x: FloatArray, told: BoolArray, outputs: int, first: int
+) -> tuple[int, int, bool]:
     """Follow rows from the first on, up to a landing or their end; returns which may be flight, and if it landed."""
-    least_height, least_thrust, need_armed, dt_s, trim_ns = limits
-    (rate, height, thrust, armed, outputs), (valid, doubt, told), took = signals, marks, first
+    (least_height, least_thrust, need_armed, dt_s, trim_ns), took = limits, first
+    rate, height, thrust, armed = x[col.RATE : col.FORCE], x[col.HEIGHT], x[col.THRUST], x[col.ARMED]
+    valid, doubt = x[col.VALID], x[col.DOUBT]
     for i in range(first, len(t_ns)):
         t, low = t_ns[i], height[i] < least_height or thrust[i] < least_thrust
         if math.isfinite(thrust[i]):
             now[THRUST_NS] = t
         elif least_thrust > -math.inf:
-            low = low or _idle(outputs, i)
+            low = low or _idle(x, outputs, i)
             unseen = not math.isfinite(height[i]) or least_height == -math.inf
             if unseen and now[THRUST_NS] > NEVER_NS and t - now[THRUST_NS] > THRUST_LOST_NS:
-                valid[i], doubt[i] = False, doubt[i] if doubt[i] > 0.0 else THRUST_CODE
+                valid[i], doubt[i] = 0.0, doubt[i] if doubt[i] > 0.0 else THRUST_CODE
         disarmed = need_armed and armed[i] < 0.5
         if not now[AIRBORNE]:
             if disarmed or low:
@@ -222,7 +222,7 @@ def _follow(now: IntArray, limits: Any, t_ns: IntArray, signals: Any, marks: Any
             now[UP_NS] = t if now[UP_NS] == NEVER_NS else now[UP_NS]
             now[LOW] = t - now[UP_NS] < BACK_S * NS_PER_S
         now[QUEUED] += 1
-        valid[i] = valid[i] and t >= now[BLANK_NS]
+        valid[i] = valid[i] if t >= now[BLANK_NS] else 0.0
         if now[LOW] and loud:
             now[LATE] += t - now[BEGUN_NS] > QUIET_S * NS_PER_S
             now[LOUD], now[LOUD_NS] = now[LOUD] + 1, t

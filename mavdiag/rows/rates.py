@@ -12,16 +12,16 @@ newest row is added. They are formed anew at fixed rows of a segment, so that wh
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from mavdiag.errors import UsageError
 from mavdiag.jit import cached_loop, jit
-from mavdiag.rows.block import Block
+from mavdiag.rows.block import COMMANDED, GYRO, LEAN, RATE, SETPOINT, VALID, WHOLE, Block, Rows, U, Y
 from mavdiag.rows.savgol import coefficients
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray
+from mavdiag.telemetry import FloatArray, IntArray
 
 ANEW = 4  # windows after which the moments are formed anew (our choice)
 SIGNALS = 6  # gyro p, q, r; set-point roll, pitch, yaw
@@ -29,28 +29,6 @@ SIGNALS = 6  # gyro p, q, r; set-point roll, pitch, yaw
 # and its slope; rows so far, rows in a line in which the gyro was valid, and in which the set-point was, too; then the
 # last rows of each signal.
 SPOILT, VALUES, SLOPES, ROWS, SOUND, WANTED, HISTORY = 18, 24, 30, 36, 37, 38, 39
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RateBlock:
-    """Consecutive rows of one segment.
-
-    u: (n, 3) commanded body rates p, q, r [rad/s]; finite, 0 where no set-point is known.
-    y: (n, 3) measured body rates, smoothed [rad/s]. gyro: the same as they were measured.
-    valid: (n,) the gyro was valid in the whole window. commanded: so were gyro and set-point: u and y may be compared.
-    """
-
-    segment: int
-    dt_s: float
-    t_ns: IntArray
-    u: FloatArray
-    y: FloatArray
-    gyro: FloatArray
-    valid: BoolArray
-    commanded: BoolArray
-
-    def __len__(self) -> int:
-        return len(self.t_ns)
 
 
 class RateState:
@@ -84,17 +62,15 @@ class RateSpec:
         """A fresh state, before the first row."""
         return RateState(self.window)
 
-    def step(self, state: RateState, block: Block) -> RateBlock:
-        """Take the next rows; return those whose window is complete."""
+    def step(self, state: RateState, block: Block) -> Rows:
+        """Take the next rows; they get the rates whose windows they complete."""
         if block.segment != state.segment:
             state.segment = block.segment
             state.memory[:] = 0.0
         known = min(len(block), max(0, len(block) + int(state.memory[ROWS]) - self.window + 1))
-        out, t_ns, flags = np.empty((9, known)), np.empty(known, np.int64), np.empty((2, known), np.bool_)
-        signals = np.ascontiguousarray(block.rate.T), np.ascontiguousarray(block.setpoint.T)
-        came = block.t_ns, *signals, block.valid, block.setpoint_valid
-        _filter((state.memory, state.times), self.weights, came, (out, t_ns, flags))
-        return RateBlock(block.segment, block.dt_s, t_ns, out[:3].T, out[3:6].T, out[6:].T, flags[0], flags[1])
+        rates_ns, x = np.empty(known, dtype=np.int64), np.ascontiguousarray(block.x)
+        _filter(state.memory, state.times, self.weights, block.t_ns, x, rates_ns)
+        return Rows(block if x is block.x else replace(block, x=x), rates_ns)
 
 
 def body_rates(phi: Any, theta: Any, dphi: Any, dtheta: Any, dpsi: Any) -> tuple[Any, Any, Any]:
@@ -141,32 +117,31 @@ def _move_on(mem: FloatArray, signal: int, newest: float, place: int, window: in
 
 
 @cached_loop
-def _filter(state: Any, weights: tuple[float, float, float], rows_in: Any, made: Any) -> None:
-    """u, y and gyro of the rows whose window is complete, with their times and flags."""
-    (mem, times), (middle, bend, slope), (out, t_ns, flags) = state, weights, made
-    row_ns, rate, setpoint, valid, commanded = rows_in
-    window = len(times)
-    for i in range(len(row_ns)):
+def _filter(
+    mem: FloatArray, times: IntArray, weights: tuple[float, float, float], t_ns: IntArray, x: FloatArray, made: IntArray
+) -> None:
+    """Put into x the rates of the windows that its columns complete, and into `made` their times."""
+    (middle, bend, slope), window = weights, len(times)
+    for i in range(len(t_ns)):
         rows = int(mem[ROWS])
         place, anew = rows % window, rows % (ANEW * window) == window - 1
-        times[place], centre = row_ns[i], (rows + window - window // 2) % window
+        times[place], centre = t_ns[i], (rows + window - window // 2) % window
         mem[ROWS] += 1.0
-        mem[SOUND] = mem[SOUND] + 1.0 if valid[i] else 0.0
-        mem[WANTED] = mem[WANTED] + 1.0 if valid[i] and commanded[i] else 0.0
+        mem[SOUND] = mem[SOUND] + 1.0 if x[VALID, i] > 0.5 else 0.0
+        mem[WANTED] = mem[WANTED] + 1.0 if x[VALID, i] > 0.5 and x[SETPOINT, i] > 0.5 else 0.0
         for signal in range(SIGNALS):
-            newest = rate[signal, i] if signal < 3 else setpoint[signal - 3, i]
-            _move_on(mem, signal, newest, place, window, anew)
+            _move_on(mem, signal, x[RATE + signal if signal < 3 else LEAN + signal - 3, i], place, window, anew)
             spoilt = np.nan if mem[SPOILT + signal] > 0.0 else 0.0
             mem[VALUES + signal] = middle * mem[3 * signal] + bend * mem[3 * signal + 2] + spoilt
             mem[SLOPES + signal] = slope * mem[3 * signal + 1] + spoilt
-        done = i - (len(row_ns) - len(t_ns))
+        done = i - (len(t_ns) - len(made))
         if done < 0:
             continue
-        t_ns[done] = times[centre]
-        flags[0, done], flags[1, done] = mem[SOUND] >= window, mem[WANTED] >= window
-        out[0, done], out[1, done], out[2, done] = _turned(
+        made[done] = times[centre]
+        x[WHOLE, i], x[COMMANDED, i] = mem[SOUND] >= window, mem[WANTED] >= window
+        x[U, i], x[U + 1, i], x[U + 2, i] = _turned(
             mem[VALUES + 3], mem[VALUES + 4], mem[SLOPES + 3], mem[SLOPES + 4], mem[SLOPES + 5]
         )
         for axis in range(3):
-            out[3 + axis, done] = mem[VALUES + axis]
-            out[6 + axis, done] = mem[HISTORY + axis * window + centre]
+            x[Y + axis, i] = mem[VALUES + axis]
+            x[GYRO + axis, i] = mem[HISTORY + axis * window + centre]

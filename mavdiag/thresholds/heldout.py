@@ -5,7 +5,7 @@ there are as many, and each piece is scored by a fit to the rest. This is the on
 """
 
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeAlias, overload
 
@@ -13,7 +13,6 @@ import numpy as np
 
 from mavdiag.errors import IdentificationError
 from mavdiag.rows.front import Rows
-from mavdiag.rows.rates import RateBlock
 from mavdiag.telemetry import Axis, FloatArray, IntArray
 
 BLOCK_S = 10.0  # judged time of a block (our choice); 7 to 13 s change no verdict on the recorded flights
@@ -159,9 +158,4 @@ def _pieces(flight: Sequence[Rows], block_s: float) -> Iterator[tuple[Flights, F
 
 def _cut(flight: Sequence[Rows], number: int, first: int, stop: int, segment: int, from_ns: int | None = None) -> Rows:
     """Rows [first, stop) of rows with a number, as a segment that begins at a time [ns]."""
-    rows = flight[number]
-    rates, lag = rows.rates, len(rows.block) - len(rows.rates)
-    begin = 0 if from_ns is None else int(rates.t_ns.searchsorted(from_ns))
-    kept = slice(max(first - lag, begin, 0), max(stop - lag, 0))
-    columns = (getattr(rates, column.name)[kept] for column in fields(RateBlock)[2:])
-    return Rows(rows.block.rows(first, stop, segment), RateBlock(segment, rates.dt_s, *columns))
+    return flight[number].part(first, stop, segment, from_ns)

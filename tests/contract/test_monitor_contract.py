@@ -145,7 +145,7 @@ def test_a_number_that_is_none_is_not_judged(kind: type[Monitor[Any]]) -> None:
         (rows,) = (one for one in flying_rows(flying(SAMPLES, 6)) if len(one.block) > 100)
         getattr(rows.block, columns[signal])[2000:2060] = np.nan
         rates = flying_front().rates
-        rows = Rows(rows.block, rates.step(rates.start(), rows.block))
+        rows = rates.step(rates.start(), rows.block)
         found = run(monitor, [rows])
         bad_ns = rows.block.t_ns[[2000, 2059]]
         spoilt = (found.t_ns >= bad_ns[0]) & (found.t_ns <= bad_ns[1])

@@ -38,6 +38,7 @@ from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import Border, GateSpec
 from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import Series, Signal, Telemetry
+from mavdiag.testing import changed
 from mavdiag.thresholds.heldout import Scores
 from mavdiag.thresholds.rule import threshold_of
 from mavdiag.units import NS_PER_MS
@@ -171,7 +172,7 @@ def pieces(front: Front, telemetry: Telemetry) -> Iterator[Rows | Border]:
         if isinstance(part, Rows):
             setpoint = part.block.setpoint.copy()
             setpoint[:, 2] = np.nan
-            part = replace(part, block=replace(part.block, setpoint=setpoint))
+            part = replace(part, block=changed(part.block, setpoint=setpoint))
         yield part
 
 

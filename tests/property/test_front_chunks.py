@@ -189,7 +189,7 @@ def run_align(spec: AlignSpec, chunks: list[Telemetry]) -> tuple[dict[str, Float
     state, blocks, behind = spec.start(), list[Block](), list[tuple[int, int]]()
     for chunk in chunks:
         before_ns = state.last_ns
-        spec.append(state, chunk)
+        spec.append(state, [chunk])
         reached_ns = spec.reached_ns(state)
         found = list(spec.rows(state, spec.take(state)))
         blocks += found

@@ -170,7 +170,7 @@ def test_b2_a_force_gap_is_not_bridged_and_a_signal_without_a_column_is_unknown(
     known = np.concatenate([block.known(Signal.SPECIFIC_FORCE) for block in blocks])
     assert np.flatnonzero(~known).tolist() == list(range(2000, 2100))
     assert not any(block.known(signal).any() for block in blocks for signal in (Signal.ACTUATOR, Signal.VOLTAGE))
-    assert all(block.known(Signal.BODY_RATE) is block.valid for block in blocks)
+    assert all((block.known(Signal.BODY_RATE) == block.valid).all() for block in blocks)
 
 
 def test_b22_memory_stays_bounded_when_the_gyro_stops_and_others_go_on() -> None:

@@ -27,7 +27,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import WINDOW, example_rows
+from mavdiag.testing import WINDOW, changed, example_rows
 from mavdiag.thresholds.envelope import ORDER, RULES, Covered, excess_of, limits_of
 
 
@@ -43,7 +43,7 @@ def made_block(n: int, dt_s: float, seed: int) -> Block:
         thrust=0.5 + 0.01 * rng.normal(size=n),
     ).block
     t_ns = block.t_ns + 1_000_037_000_000
-    return replace(block, t_ns=t_ns, height=1.0 + walk[:, 3])
+    return changed(replace(block, t_ns=t_ns), height=1.0 + walk[:, 3])
 
 
 def spoilt(block: Block, seed: int) -> Block:
@@ -54,7 +54,7 @@ def spoilt(block: Block, seed: int) -> Block:
     for part in (*flags, *slow):
         first = int(rng.integers(0, n))
         part[first : first + int(rng.integers(1, n // 5 + 2))] = 0 if part.dtype == np.bool_ else np.nan
-    return replace(block, valid=flags[0], setpoint_valid=flags[1], thrust=slow[0], height=slow[1])
+    return changed(block, valid=flags[0], setpoint_valid=flags[1], thrust=slow[0], height=slow[1])
 
 
 def rows_of(block: Block, edges: Sequence[int] = ()) -> list[Rows]:
@@ -62,7 +62,7 @@ def rows_of(block: Block, edges: Sequence[int] = ()) -> list[Rows]:
     state, out = spec.start(), []
     for low, high in itertools.pairwise(sorted({0, len(block), *edges})):
         piece = block.rows(low, high)
-        out.append(Rows(piece, spec.step(state, piece)))
+        out.append(spec.step(state, piece))
     return out
 
 
@@ -105,7 +105,7 @@ def test_the_conditions_of_a_steady_flight_are_those_that_were_flown() -> None:
     block = example_rows(
         n, dt_s, setpoint=setpoint, rate=np.tile([0.0, 0.0, 0.5], (n, 1)), thrust=np.full(n, 0.6)
     ).block
-    found = measured(rows_of(replace(block, height=np.where(np.arange(n) % 10 == 3, 1.0, 2.0))))
+    found = measured(rows_of(changed(block, height=np.where(np.arange(n) % 10 == 3, 1.0, 2.0))))
     assert np.unique(np.diff(found.end_ns)).tolist() == [100_000_000]
     settled = found.values[60:]  # the tilt is a mean over 5 s
     for condition, value, tolerance in (

@@ -12,7 +12,7 @@ from made_telemetry import DT_NS
 from mavdiag.rows.block import Block
 from mavdiag.rows.gate import Border, GateSpec
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import example_rows
+from mavdiag.testing import changed, example_rows
 
 
 def block(
@@ -28,7 +28,7 @@ def block(
     rate = np.outer(np.zeros(n) if gyro is None else gyro, [1.0, 0.0, 0.0])
     rows = example_rows(n, 0.001, segment=segment, thrust=thrust, rate=rate).block
     t_ns = DT_NS * np.arange(first, first + n, dtype=np.int64)
-    return dataclasses.replace(rows, t_ns=t_ns, armed=np.full(n, np.nan) if armed is None else armed)
+    return changed(dataclasses.replace(rows, t_ns=t_ns), armed=np.full(n, np.nan) if armed is None else armed)
 
 
 def spans(spec: GateSpec, blocks: list[Block]) -> list[tuple[int, ...]]:
@@ -146,6 +146,6 @@ def test_any_cut_gives_the_same_flight(edges: list[int], seed: int) -> None:
 def test_without_a_thrust_set_point_outputs_that_all_idle_are_no_flight(thrust: float, flies: list[bool]) -> None:
     outputs = np.array([[0.0, 0.1], [0.15, 0.1], [0.15, 0.2], [0.4, 0.4], [np.nan, 0.1], [0.0, 0.0]])
     for row, expected in zip(outputs, flies, strict=True):
-        many = dataclasses.replace(block(np.full(100, thrust)), actuator=np.tile(row, (100, 1)))
+        many = changed(block(np.full(100, thrust)), actuator=np.tile(row, (100, 1)))
         assert bool(spans(THRUST, [many])) == expected
         assert spans(GateSpec(), [many]) == [(0, 0, 99)]

@@ -202,7 +202,7 @@ def kept(values: FloatArray, pieces: int = 1) -> set[int]:
     state, numbers = spec.start(), set[int]()
     for places in np.array_split(np.arange(len(values)), pieces):
         t_ns = series.t_ns[places]
-        spec.append(state, Telemetry((Series(series.signal, t_ns, t_ns, values[places]),)))
+        spec.append(state, [Telemetry((Series(series.signal, t_ns, t_ns, values[places]),))])
         spec.take(state)
         place = PLACES[series.signal]
         first, last = state.streams.marks[place, [LO, HI]]

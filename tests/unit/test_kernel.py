@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_baselines import thesis, whole
 from made_flights import hard_flight
-from made_rows import rows_between
 from made_statistics import alarms_of, looked_of
 from made_telemetry import flight
 
@@ -36,7 +35,7 @@ def judged(name: str, edges: list[int]) -> tuple[list[Looked], list[Piece], Told
     made, rows = segment(name)
     memory, looked, pieces = made.kernel.start(), list[Looked](), list[Piece]()
     for cut in itertools.pairwise(sorted({0, len(rows.block), *edges})):
-        more, piece = made.kernel.step(memory, rows_between(rows, *cut))
+        more, piece = made.kernel.step(memory, rows.part(*cut))
         looked.append(more)
         pieces.append(piece)
     looked.append(made.kernel.close(memory, int(rows.block.t_ns[-1])))

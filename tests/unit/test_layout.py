@@ -29,7 +29,7 @@ from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.rows.block import Block
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
-from mavdiag.testing import example_rows
+from mavdiag.testing import changed, example_rows
 from mavdiag.units import RPM
 
 #: Where each rotor is, seen from above: (x forward, y right),
@@ -89,7 +89,7 @@ def made_flight(layout: RotorLayout, seed: int, *, driver: str = "torque", yaw: 
     outputs = 0.5 * (1.0 + torque @ layout.mixing.T) + rng.normal(0, 0.001, (n, layout.rotors))
     given: FloatArray | None = torque if driver == "torque" else None
     block = example_rows(n, 0.01, rate=rate, actuator=outputs, torque=given).block
-    return replace(block, rate_setpoint=wanted) if driver == "rate error" else block
+    return changed(block, rate_setpoint=wanted) if driver == "rate error" else block
 
 
 @pytest.mark.parametrize("driver", ["torque", "rate error", "acceleration"])
@@ -123,8 +123,8 @@ def test_what_stays_unclear_is_not_named() -> None:
     reversed_signs = made_flight(RotorLayout("reversed", tuple((-r, -p, -y) for r, p, y in x.signs)), 1)
     other_spins = made_flight(RotorLayout("h", tuple((r, p, -y) for r, p, y in x.signs)), 1, yaw=1.0)
     between = made_flight(RotorLayout("turned", tuple(_turned(s, 22.5) for s in x.signs)), 1)
-    five = replace(reversed_signs, actuator=reversed_signs.actuator[:, [0, 1, 2, 3, 0]])
-    shifted = replace(other_spins, actuator=np.hstack([np.zeros((2000, 4)), other_spins.actuator]))
+    five = changed(reversed_signs, actuator=reversed_signs.actuator[:, [0, 1, 2, 3, 0]])
+    shifted = changed(other_spins, actuator=np.hstack([np.zeros((2000, 4)), other_spins.actuator]))
     reasons = {
         "carry no rotor outputs": (quiet, example_rows(2000).block),
         "hardly follow": (random,),
@@ -160,7 +160,7 @@ def servo(n: int, seed: int) -> FloatArray:
 def wide(block: Block, *columns: FloatArray | int) -> Block:
     """The block with these outputs: a motor by its number from 1, or a column."""
     parts = [block.actuator[:, [one - 1]] if isinstance(one, int) else one for one in columns]
-    return replace(block, actuator=np.hstack(parts))
+    return changed(block, actuator=np.hstack(parts))
 
 
 def unyawed(layout: RotorLayout, seed: int) -> Block:

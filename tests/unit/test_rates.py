@@ -1,6 +1,5 @@
 """The rate pair: Savitzky-Golay filters that run, equal delays, body rates, and validity of whole windows."""
 
-import dataclasses
 import itertools
 
 import numpy as np
@@ -16,7 +15,7 @@ from mavdiag.rows.block import Block
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import coefficients, window_samples
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import example_rows
+from mavdiag.testing import changed, example_rows
 
 DT_S = 0.001
 SPEC = RateSpec.of(DT_S, 101)
@@ -38,7 +37,7 @@ def test_running_moments_are_the_filters_of_scipy(window: int, order: int) -> No
     rate, roll = rng.normal(0, 1, (100_000, 3)), np.cumsum(rng.normal(0, 0.01, (100_000, 1)), axis=0)
     rate[:200] += 1e3
     spec = RateSpec.of(DT_S, window, order)
-    out = spec.step(spec.start(), block(roll * (1, 0, 0), rate))
+    out = spec.step(spec.start(), block(roll * (1, 0, 0), rate)).rates
     np.testing.assert_allclose(out.y, savgol_filter(rate, window, order, axis=0)[m:-m], atol=1e-9)
     slope = savgol_filter(roll[:, 0], window, order, deriv=1, delta=DT_S)[m:-m]
     np.testing.assert_allclose(out.u[:, 0], slope, atol=1e-9 * np.abs(slope).max())
@@ -49,9 +48,9 @@ def test_running_moments_are_the_filters_of_scipy(window: int, order: int) -> No
 def test_any_cut_gives_the_same_bits(edges: list[int], window: int, seed: int) -> None:
     rng, spec = np.random.default_rng(seed), RateSpec.of(DT_S, window)
     rows = block(rng.normal(0, 1, (1500, 3)), rng.normal(0, 1, (1500, 3)))
-    rows = dataclasses.replace(rows, valid=rng.random(1500) > 0.01, setpoint_valid=rng.random(1500) > 0.01)
-    state, whole = spec.start(), spec.step(spec.start(), rows)
-    parts = [spec.step(state, rows.rows(a, b)) for a, b in itertools.pairwise(sorted({0, 1500, *edges}))]
+    rows = changed(rows, valid=rng.random(1500) > 0.01, setpoint_valid=rng.random(1500) > 0.01)
+    state, whole = spec.start(), spec.step(spec.start(), rows).rates
+    parts = [spec.step(state, rows.rows(a, b)).rates for a, b in itertools.pairwise(sorted({0, 1500, *edges}))]
     for name in ("t_ns", "u", "y", "gyro", "valid", "commanded"):
         np.testing.assert_array_equal(np.concatenate([getattr(one, name) for one in parts]), getattr(whole, name))
 
@@ -59,7 +58,7 @@ def test_any_cut_gives_the_same_bits(edges: list[int], window: int, seed: int) -
 def test_l1_u_is_the_body_rate_of_a_vehicle_that_turns_and_leans() -> None:
     """Truth from rotations, whose logarithm of the change over one step is the body rate, and no formula of W."""
     t = np.arange(12_000, dtype=np.float64) * DT_S
-    out = SPEC.step(SPEC.start(), block(leaning_turn(t)))
+    out = SPEC.step(SPEC.start(), block(leaning_turn(t))).rates
     at = np.round(out.t_ns / 1e9 / DT_S).astype(int)
 
     def attitude(offset: float) -> Rotation:
@@ -74,12 +73,12 @@ def test_l1_u_is_the_body_rate_of_a_vehicle_that_turns_and_leans() -> None:
 def test_a_row_is_valid_and_commanded_only_with_its_whole_window_and_a_segment_begins_afresh() -> None:
     rows, state = block(np.zeros((1000, 3))), SPEC.start()
     valid, setpoint_valid = np.arange(1000) >= 200, np.arange(1000) != 600
-    out = SPEC.step(state, dataclasses.replace(rows, valid=valid, setpoint_valid=setpoint_valid))
+    out = SPEC.step(state, changed(rows, valid=valid, setpoint_valid=setpoint_valid)).rates
     at = np.round(out.t_ns / 1e9 / DT_S).astype(int)
     np.testing.assert_array_equal(out.valid, at >= 250)
     np.testing.assert_array_equal(out.commanded, (at >= 250) & (np.abs(at - 600) > 50))
-    assert len(SPEC.step(state, rows.rows(0, 50, segment=7))) == 0
-    again = SPEC.step(state, rows.rows(50, 101, segment=7))
+    assert len(SPEC.step(state, rows.rows(0, 50, segment=7)).rates) == 0
+    again = SPEC.step(state, rows.rows(50, 101, segment=7)).rates
     assert (len(again), int(again.t_ns[0])) == (1, int(rows.t_ns[50]))
 
 

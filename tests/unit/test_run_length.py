@@ -22,7 +22,7 @@ from mavdiag.monitors.run_length import RunLength, RunLengthSpec
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis
-from mavdiag.testing import example_rows
+from mavdiag.testing import example_rows, with_rates
 
 DT_S = 0.01
 CONTEXT = replace(example_context(), window=11)
@@ -34,10 +34,10 @@ levels = st.lists(st.tuples(st.sampled_from([0.0, 0.5, 1.0, 1.5, -2.0]), st.bool
 def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[float, bool]], axis: Axis) -> None:
     flown, n = example_rows(len(rows) + 4), len(rows)
     turned, judged = (np.array(column) for column in zip(*rows, strict=True))
-    rates = replace(flown.rates, y=np.outer(turned, np.eye(3)[axis.column]), commanded=judged)
+    made = with_rates(flown, flown.rates.u, np.outer(turned, np.eye(3)[axis.column]), judged)
     still = ModelRecord(a=(1.0, 0.0), b=(0.0,), dt_s=DT_S, order=(1, 1, 0), method=Method.LS)
     monitor = RunLength(RunLengthSpec(axis=axis, model=still, margin_rad_s=1.0))
-    _, found = monitor.step(monitor.start(), Rows(flown.block, rates))
+    _, found = monitor.step(monitor.start(), made)
     expected, count = [], 0
     for x, v in rows:
         count = count + 1 if v and abs(x) > 1.0 else 0

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from made_rows import example_context, rows_between
+from made_rows import example_context
 from made_thresholds import calibrated, held_out_scores
 
 from mavdiag.errors import IdentificationError, UsageError
@@ -104,7 +104,7 @@ def test_b4_blocks_do_not_depend_on_chunks_and_run_through_segments() -> None:
         chunks = []
         for rows in (one, other):
             edges = [0, *sorted(rng.integers(0, len(rows.block), 20).tolist()), len(rows.block)]
-            chunks += [rows_between(rows, a, b) for a, b in itertools.pairwise(edges) if b > a]
+            chunks += [rows.part(a, b) for a, b in itertools.pairwise(edges) if b > a]
         found = score(monitor, chunks)
         np.testing.assert_allclose(found.maxima, expected.maxima, rtol=1e-12)
         np.testing.assert_allclose(found.spans_s, expected.spans_s)

@@ -6,9 +6,9 @@ from made_rows import example_context
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.errors import IdentificationError
-from mavdiag.monitors.columns import COVERED, columns_of, no_past
 from mavdiag.monitors.rotor_trim import WINDOW_S
 from mavdiag.monitors.trim_step import MEMORY_S, TrimStep, TrimStepSpec
+from mavdiag.rows.block import COVERED, columns_of, no_past
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
