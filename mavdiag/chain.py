@@ -22,7 +22,7 @@ from mavdiag.kernel import warm as warm_kernel
 from mavdiag.link.samples import joined
 from mavdiag.link.samples import warm as warm_samples
 from mavdiag.monitors import MONITORS, monitor_of
-from mavdiag.rows.align import BREAK_S, NEVER_NS, AlignSpec
+from mavdiag.rows.align import BREAK_S, AlignSpec
 from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.front import warm as warm_rows
 from mavdiag.rows.gate import Border
@@ -64,8 +64,8 @@ class ChainState:
     """Memory of the front, the kernel and the decision; a step changes it in place.
 
     beginning: rows until there are enough to compare the vehicle; None afterwards. begun_s: valid time in them.
-    waiting: telemetry that the front has not got yet. measured: whether the rate is known to be the baseline's.
-    reach_ns: no later row comes of what waits. chunks: since the last rows. now_ns: of the latest row.
+    waiting: telemetry that came before the rate was measured. measured: whether it is known to be the baseline's.
+    chunks: since the last rows. now_ns: of the latest row.
     refused: why the link is not the baseline's; empty if it is, or is not measured yet.
     """
 
@@ -78,7 +78,6 @@ class ChainState:
     begun_s: float = 0.0
     waiting: list[Telemetry] = field(default_factory=list)
     measured: bool = False
-    reach_ns: int = -NEVER_NS
     chunks: int = 0
     refused: str = ""
 
@@ -150,20 +149,15 @@ class Chain:
             if not state.measured:
                 state.waiting = [] if refused else state.waiting
                 return state, ChainOutput()
-        align, state.chunks = state.front.align, state.chunks + 1
+        align, waiting, state.waiting, state.chunks = state.front.align, state.waiting, [], state.chunks + 1
+        self.front.align.append(align, waiting)
         next_ns = (align.last_ns // LOOK_NS + 1) * LOOK_NS
-        if state.chunks < MOST_WAITING:  # nothing can be decided before the rows of the next look
-            state.reach_ns = max(state.reach_ns, self.front.align.most_ns(telemetry))
-            if state.reach_ns < next_ns:
-                return state, ChainOutput()
-            self._pass_on(state)
-            if self.front.align.reached_ns(align) < next_ns:
-                return state, ChainOutput()
+        if state.chunks < MOST_WAITING and self.front.align.reached_ns(align) < next_ns:
+            return state, ChainOutput()  # nothing can be decided before the rows of the next look
         return self.judge(state, self._taken(state))
 
     def missing_ns(self, state: ChainState) -> int:
         """How much of the gyro is missing until the next look is whole [ns], two looks at most; 0 if it is overdue."""
-        self._pass_on(state)
         align = state.front.align
         next_ns = (align.last_ns // LOOK_NS + 1) * LOOK_NS
         return min(max(0, self.front.align.expected_ns(align, next_ns) - align.newest_ns), 2 * LOOK_NS)
@@ -250,12 +244,6 @@ class Chain:
             return None
         beginning, state.beginning = state.beginning, None
         return compare(self.baseline.fingerprint, beginning, self.baseline.airframe.layout)
-
-    def _pass_on(self, state: ChainState) -> None:
-        """Give the front what waits for it, once the rate is measured."""
-        if state.measured:
-            waiting, state.waiting = state.waiting, []
-            self.front.align.append(state.front.align, waiting)
 
     def _taken(self, state: ChainState) -> tuple[Rows | Border, ...]:
         waiting, state.waiting, state.chunks = state.waiting, [], 0

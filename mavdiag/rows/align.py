@@ -14,7 +14,7 @@ then rows wait for all for `CALM_NS`.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -120,25 +120,24 @@ class AlignState:
         """Latest time of the gyro [ns]."""
         return self.reached[GYRO]
 
-    def append(self, place: int, parts: Sequence[Series], quality: LinkQuality) -> None:
+    def append(self, series: Series, quality: LinkQuality) -> None:
         """Put samples behind those that came. Raises InputError if their columns are others than before."""
-        end, (room, width), signal = self.ends[place], self.streams.values[place].shape, STREAMS[place]
+        place, count, found = PLACES.get(series.signal), len(series.t_ns), series.values.shape[1]
+        if place is None or not count:
+            return
+        end, (room, width) = self.ends[place], self.streams.values[place].shape
         if not room:
-            columns = parts[0].values.shape[1]
-            self._begin(place, columns, quality.rule(signal, columns))
+            self._begin(place, found, quality.rule(series.signal, found))
             width = self.streams.values[place].shape[1]
-        columns, count = width - (place == GYRO), sum(map(len, parts))
-        if any(part.values.shape[1] != columns for part in parts):
-            found = next(part.values.shape[1] for part in parts if part.values.shape[1] != columns)
-            raise InputError(f"{signal} has {found} columns in place of {columns}")
+        columns = width - (place == GYRO)
+        if found != columns:
+            raise InputError(f"{series.signal} has {found} columns in place of {columns}")
         if end + count > room:
             end = self._make_room(place, count)
         (times, hosts, values), stop = self.streams[:3], end + count
-        np.concatenate([part.t_ns for part in parts], out=times[place][end:stop])
-        np.concatenate([part.host_ns for part in parts], out=hosts[place][end:stop])
-        np.concatenate([part.values for part in parts], out=values[place][end:stop, :columns])
-        reached = max(int(part.t_ns[-1]) for part in parts)
-        self.ends[place], self.reached[place] = stop, max(self.reached[place], reached)
+        times[place][end:stop], hosts[place][end:stop] = series.t_ns, series.host_ns
+        values[place][end:stop, :columns] = series.values
+        self.ends[place], self.reached[place] = stop, max(self.reached[place], int(series.t_ns[-1]))
 
     def _begin(self, place: int, columns: int, rule: FloatArray) -> None:
         """Learn of the first samples of a stream what is believed of it; outputs have as many columns as they have."""
@@ -209,22 +208,9 @@ class AlignSpec:
 
     def append(self, state: AlignState, chunks: Iterable[Telemetry]) -> None:
         """Keep chunks for the next `take`."""
-        parts: dict[int, list[Series]] = {}
         for telemetry in chunks:
             for series in telemetry.series:
-                if series.signal in USED and len(series.t_ns):
-                    parts.setdefault(PLACES[series.signal], []).append(series)
-        for place, some in parts.items():
-            state.append(place, some, self.quality)
-
-    def most_ns(self, telemetry: Telemetry) -> int:
-        """No row later than this comes of a chunk [ns]: it is of the gyro, or much older than another signal."""
-        found = -NEVER_NS
-        for series in telemetry.series:
-            if len(series.t_ns):
-                newest = int(series.t_ns[-1])
-                found = max(found, newest if series.signal is Signal.BODY_RATE else newest - self.limits_ns[BREAK])
-        return found
+                state.append(series, self.quality)
 
     def take(self, state: AlignState, *, live: bool = True) -> int:
         """Believe and sort what came; returns up to when rows are complete [ns]. A log's rows always wait."""
