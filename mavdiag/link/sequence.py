@@ -1,8 +1,7 @@
 """The senders on a link: where each is heard from, and honest loss figures from MAVLink's 8-bit sequence numbers.
 
 A swapped pair is one reordered frame and no loss; a repeated frame is one duplicate; a sender that starts its count
-again is a restart, not a loss of two hundred: two frames far back that follow on show it, for one alone is late. In
-eight bits a gap of 256 n frames looks like none.
+again is a restart, not a loss of two hundred. In eight bits a gap of 256 n frames looks like none.
 
 A sender is heard from one source (a network address) as long as it is heard there; everything in a name that is ours is
 refused. Two different frames of one running number, one right after the other, show two senders: neither is believed.
@@ -22,14 +21,10 @@ from mavdiag.units import NS_PER_S
 
 Source: TypeAlias = Hashable | None  # where bytes came from: an address, or None on a link that has one end only
 
-WINDOW = (
-    64  # frames: no farther back is one repeated, or its number used by another (a choice: 25 ms of 2,500 a second)
-)
-LATE = 127  # frames: how late one may come and still be known as late, which is all that eight bits tell apart
+WINDOW = 64  # frames: how late one may come and still be known as late (a choice: 25 ms of 2,500 messages a second)
 NEAR = 32  # places: a line that swaps frames moves them by less; of random numbers three in four are farther off
 SENDERS_MAX = 512  # senders that are followed at a time (our choice)
 CLASH = 8  # places: so near behind a frame another one with its number is another sender's, not a late one (our choice)
-RECENT = 256  # frames on which it rests whether numbers are one sender's; older ones count half (our choice)
 PINNED_S = 3.0  # a sender must be silent for so long before it may come from elsewhere: as a link is lost (our choice)
 SOURCES_MAX = 4 * SENDERS_MAX  # sources that have a number at a time
 _PINNED_NS = round(PINNED_S * NS_PER_S)
@@ -45,16 +40,14 @@ FRAME = np.dtype(
     [("host_ns", "i8"), *_PLACES, ("row", "i2"), ("sender", "u2"), ("seq", "u1"), ("heard", "u1")], align=True
 )
 
-# One sender. told, jumps, far: its latest frames, those out of order, those far off; again: the number that would show
-# a restart; sums: checksum of the latest frame of each number, plus 1; taken, missed: how many frames had been received
-# when a number came last or was missed, plus 1; contested: numbers of clashes that nobody has looked at yet.
+# One sender. sums: checksum of the latest frame of each number, plus 1; missed: how many frames had been received when
+# a number was missed, plus 1; contested: numbers of clashes that nobody has looked at yet.
 _COUNTS = ("received", "lost", "reordered", "duplicated", "restarts", "clashes")
-_OTHERS = ("key", "source", "heard_ns", "next", "again", "told", "jumps", "far", "intruder", "refused")
+_OTHERS = ("key", "source", "heard_ns", "next", "jumps", "far", "intruder", "refused")
 _SENDER = np.dtype(
     [
         *((name, "i8") for name in _COUNTS + _OTHERS),
         ("missed", "i8", 256),
-        ("taken", "i8", 256),
         ("sums", "i4", 256),
         ("contested", "i4", 256),
     ]
@@ -187,13 +180,13 @@ class Senders:
     def sound(self, key: int) -> bool:
         """Whether a sender's numbers are those of one sender.
 
-        Of the latest frames most follow on if there are eight, or all of three; or of 32 frames three quarters are no
-        farther off than a line moves them that swaps frames.
+        Of eight frames or more most follow on, or of three all; or of 32 frames three quarters are no farther off than
+        a line moves them that swaps frames.
         """
         row = self._row(key)
-        told, jumps, far = (0, 0, 0) if row is None else (int(row[name]) for name in ("told", "jumps", "far"))
-        in_order = told >= 3 and 2 * jumps < told - 1 and (told >= 8 or jumps == 0)
-        return in_order or (told >= NEAR and 4 * far <= told)
+        received, jumps, far = (0, 0, 0) if row is None else (int(row[name]) for name in ("received", "jumps", "far"))
+        in_order = received >= 3 and 2 * jumps < received - 1 and (received >= 8 or jumps == 0)
+        return in_order or (received >= NEAR and 4 * far <= received)
 
     def contested(self, key: int) -> IntArray | None:
         """The numbers that two senders claimed since the last call; None if that has never happened."""
@@ -228,20 +221,17 @@ def _jump(sender: Fields, seq: int) -> None:
     distance = (seq - sender.next + 128) % 256 - 128  # signed, modulo 256
     sender.jumps += 1
     sender.far += int(abs(distance) > NEAR)
-    if distance < 0 and sender.missed[seq] and received + 1 - sender.missed[seq] <= LATE:
-        sender.reordered += 1
-        sender.lost -= 1
-        sender.missed[seq] = 0
-        return
     if -WINDOW <= distance < 0:
-        sender.duplicated += 1
-        return
-    if distance < 0 and seq != sender.again:
-        sender.again = (seq + 1) % 256
+        if sender.missed[seq] and received + 1 - sender.missed[seq] <= WINDOW:
+            sender.reordered += 1
+            sender.lost -= 1
+        else:
+            sender.duplicated += 1
+        sender.missed[seq] = 0
         return
     if distance > 0:
         sender.lost += distance
-        for back in range(1, distance + 1):
+        for back in range(1, min(distance, WINDOW) + 1):
             sender.missed[(seq - back) % 256] = received + 1
     else:
         sender.restarts += 1
@@ -285,7 +275,6 @@ def _hear(
             if used == len(senders):
                 return k, used, odd
             senders[used].key, senders[used].source, senders[used].next = frame.sender, frame.source, frame.seq
-            senders[used].again = -1
             used += 1
             places[frame.sender] = used
         sender, seq = senders[places[frame.sender] - 1], 0 + frame.seq
@@ -296,16 +285,13 @@ def _hear(
         if seq == sender.next:
             sender.next = (seq + 1) % 256
         else:
-            near = (sender.next - seq) % 256 <= CLASH and sender.sums[seq] != checksum
-            if near and sender.taken[seq] and sender.received + 1 - sender.taken[seq] <= WINDOW:
+            near = (sender.next - seq) % 256 <= CLASH and sender.sums[seq] != 0 and sender.sums[seq] != checksum
+            if near and not (sender.missed[seq] and sender.received + 1 - sender.missed[seq] <= WINDOW):
                 sender.clashes += 1
                 sender.contested[seq] = 1
             _jump(sender, seq)
+        sender.sums[seq] = checksum
         sender.received += 1
-        sender.told += 1
-        if sender.told >= RECENT:
-            sender.told, sender.jumps, sender.far = sender.told // 2, sender.jumps // 2, sender.far // 2
-        sender.sums[seq], sender.taken[seq] = checksum, sender.received
         seen[places[frame.sender] - 1, frame.row] += 1
         frame.heard = HEARD
     return len(rows), used, odd

@@ -230,42 +230,6 @@ def test_running_numbers_of_one_sender_follow_on(numbers: list[int], sound: bool
     assert senders.sound(KEY) is sound
 
 
-def test_what_a_stall_began_with_does_not_stay_with_a_sender() -> None:
-    senders, mixed = Senders(), np.random.default_rng(8).permutation(256)
-    for seq in (*mixed.tolist(), *mixed.tolist()):
-        heard(senders, KEY, seq, 0, HERE)
-    assert not senders.sound(KEY)
-    for seq in range(256):
-        heard(senders, KEY, seq, 0, HERE)
-    assert senders.sound(KEY)
-
-
-def test_bursts_that_a_line_mixes_are_one_sender_and_lose_what_they_lost() -> None:
-    rng, lost = np.random.default_rng(8), 0
-    decoder, senders = Decoder(), None
-    encoder = Encoder(1, 1)
-    for burst in range(40):
-        frames = [encoder.encode(MessageId.RAW_IMU, 1000 * burst + k, 0, 0, -1000, 1, 2, 3) for k in range(90)]
-        mixed = [0, *(1 + rng.permutation(89)).tolist()] if burst == 0 else rng.permutation(90).tolist()
-        came = [k for k in mixed if k in (0, 89) or rng.random() > 0.05]
-        lost += 90 - len(came)
-        decoder.take_datagrams([(frames[k], burst * S // 10) for k in came])
-        senders = decoder.heard
-    count = senders.count(KEY) if senders else None
-    assert count is not None
-    assert (count.lost, count.clashes, count.restarts, count.duplicated) == (lost, 0, 0, 0)
-
-
-def test_another_frame_of_a_number_is_a_clash_however_the_numbers_run() -> None:
-    decoder, theirs, ours = Decoder(), Encoder(1, 1), Encoder(1, 1)
-    for k in range(300):
-        one, other = (who.encode(MessageId.RAW_IMU, k, 0, 0, z, 1, 2, 3) for who, z in ((theirs, -1000), (ours, -900)))
-        decoder.take_datagrams([(one, k), (other, k)] if k % 2 else [(one, k)])
-    count = decoder.heard.count(KEY)
-    assert count is not None
-    assert count.clashes == 150
-
-
 def test_made_up_senders_and_unknown_ids_cost_bounded_memory() -> None:
     decoder, link = Decoder(), LinkDecoder(careful=True)
     frames = [beat(Encoder(sysid, compid)) for sysid in range(1, 256) for compid in range(1, 256)]
