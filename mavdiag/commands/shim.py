@@ -18,7 +18,8 @@ LOOK_S = 0.001  # how often it looks whether a message is due
 class Passage:
     """One direction: what is received at one end goes through a shim to the other. Byte streams are cut into frames.
 
-    What came since the last step is taken to have come evenly, for a busy machine reads hundreds of messages at once.
+    A datagram is taken to have come when the system says. The frames of a piece of a byte stream are taken to have come
+    evenly since the piece before, for a busy machine reads hundreds at once.
     """
 
     def __init__(self, source: Endpoint, target: Endpoint, through: Shim) -> None:
@@ -28,17 +29,14 @@ class Passage:
 
     def step(self, now_ns: int) -> None:
         """Take what came, send what is due."""
-        messages: list[bytes] = []
-        for data, _ in self._source.receive(0.0):
-            if self._source.datagrams:
-                messages.append(data)
-                continue
-            frames, self._begun = split_frames(self._begun + data)
-            messages += frames
-        before_ns = now_ns if self._before_ns is None else self._before_ns
-        for number, message in enumerate(messages, 1):
-            self.shim.offer(message, before_ns + (now_ns - before_ns) * number // len(messages))
-        self._before_ns = now_ns
+        for data, at_ns in self._source.receive(0.0):
+            messages = [data]
+            if not self._source.datagrams:
+                messages, self._begun = split_frames(self._begun + data)
+            before_ns = at_ns if self._before_ns is None else self._before_ns
+            self._before_ns = max(at_ns, before_ns)
+            for number, message in enumerate(messages, 1):
+                self.shim.offer(message, before_ns + (self._before_ns - before_ns) * number // len(messages))
         for message in self.shim.due(now_ns):
             self._target.send(message)
 

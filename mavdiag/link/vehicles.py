@@ -379,7 +379,7 @@ class LinkDecoder:
         if (
             waiting.beat is None
             or (self._profile is None and not watched)
-            or not self._may_enter(sysid, waiting, now_ns)
+            or not self._may_enter(sysid, waiting, (now_ns - waiting.since_ns) / NS_PER_S)
         ):
             return []
         if waiting.checked_ns is not None and now_ns - waiting.checked_ns < RECHECK_S * NS_PER_S:

@@ -5,8 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from memory_port import memory_pair
 from patience import PATIENCE_S
 
+from mavdiag.commands.shim import Passage
 from mavdiag.demo.subprocesses import child
 from mavdiag.errors import LinkError, UsageError
 from mavdiag.link.shim import Impairment, Shim
@@ -55,6 +57,18 @@ def test_a_slow_line_carries_what_it_can_and_throws_the_rest_away() -> None:
     assert len(found) == pytest.approx(COUNT / 2, rel=0.06)
     assert shim.count.overflowed == COUNT - len(found)
     assert max(ms - number for ms, number in found) <= 1003
+
+
+def test_a_passage_that_was_held_up_goes_by_when_messages_arrived() -> None:
+    arrived = [0]
+    vehicle, near = memory_pair(clock=lambda: arrived.pop(0) if len(arrived) > 1 else arrived[0])
+    far, daemon = memory_pair()
+    way = Passage(near, far, Shim(Impairment(jitter_s=0.010), 1))
+    for k in range(500):
+        vehicle.send(k.to_bytes(4, "little"))
+    arrived[:] = [k * 100 * MS for k in range(500)]  # so none overtakes another
+    way.step(60_000 * MS)
+    assert [int.from_bytes(data, "little") for data, _ in daemon.receive(0.0)] == list(range(500))
 
 
 @pytest.mark.parametrize(

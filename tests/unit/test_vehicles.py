@@ -263,6 +263,19 @@ def test_a_careful_decoder_wants_two_heartbeats_of_one_sender() -> None:
     assert link.heard_since(30 * S) == []
 
 
+def test_why_a_vehicle_waits_is_told_after_seconds() -> None:
+    link, one, other = LinkDecoder(careful=True), Encoder(1, 1), Encoder(1, 1)
+    told: list[bool] = []
+    for _ in range(100):
+        beat(other)  # so their numbers are 100 apart
+    for k in range(9):
+        chunks = [chunk for pair in zip(second(one, k), second(other, k), strict=True) for chunk in pair]
+        link.feed(chunks, chunks[-1][1], [HERE] * len(chunks))
+        told.append(link.waiting.get(1, "").startswith("its frames are numbered as of two senders"))
+    assert told == [False] * 5 + [True] * 4
+    assert not link.vehicles
+
+
 BOAT = "a boat (MAV_TYPE 11): mavdiag judges multirotors only"
 START_US = 1_763_000_000_000_000
 
