@@ -312,10 +312,11 @@ def parts(flights: Flights) -> list[int]:
     return [flight[0].block.segment for flight in flights]
 
 
-def test_with_many_sessions_the_folds_are_ten_and_still_leave_whole_ones_out() -> None:
-    sessions = [i // 2 for i in range(30)]
+@pytest.mark.parametrize(("each", "count"), [(2, 5), (3, 10), (5, 6)])  # 15, 10 and 6 sessions
+def test_many_sessions_are_left_out_a_fifth_at_a_time_and_few_one_by_one(each: int, count: int) -> None:
+    sessions = [i // each for i in range(30)]
     found = [(parts(out), parts(rest)) for out, rest in folds(numbered(30), sessions=sessions)]
-    assert len(found) == 10
+    assert len(found) == count
     assert sorted(itertools.chain.from_iterable(out for out, _ in found)) == list(range(30))
     for out, rest in found:
         assert not {sessions[i] for i in out} & {sessions[i] for i in rest}
