@@ -16,8 +16,11 @@ from mavdiag.rows.front import Rows
 from mavdiag.telemetry import Axis, FloatArray, IntArray
 
 BLOCK_S = 10.0  # judged time of a block (our choice); 7 to 13 s change no verdict on the recorded flights
-ONE_BY_ONE = 10  # sessions at most of which each is left out alone: few are not enough to lose a fifth (our choice)
-FOLDS = 5  # of more sessions: models that share the work of judging flights they did not see (our choice)
+MAX_FOLDS = 10  # models that share the work of judging flights they did not see (our choice)
+MANY, MANY_FOLDS = (
+    50,
+    5,
+)  # sessions of which a fifth may be left out at a time: it moves a threshold by 0.12 % (our choice)
 PIECES = 5  # of a single flight, one per block at most (our choice)
 
 Flights: TypeAlias = Sequence[Sequence[Rows]]
@@ -120,14 +123,14 @@ def folds(
 ) -> Iterator[tuple[Flights, Flights]]:
     """Pairs of what is left out and the rest: of sessions, of flights, or of the pieces of a single flight.
 
-    Up to ten sessions are left out one by one, of more of them a fifth at a time.
+    Up to ten sessions are left out one by one, of more a tenth at a time, of many a fifth.
     """
     if len(flights) == 1:
         yield from _pieces(flights[0], block_s)
         return
     groups = list(range(len(flights))) if sessions is None or len(set(sessions)) < 2 else list(sessions)
     order = {group: number for number, group in enumerate(dict.fromkeys(groups))}
-    count = len(order) if len(order) <= ONE_BY_ONE else FOLDS
+    count = min(MAX_FOLDS if len(order) < MANY else MANY_FOLDS, len(order))
     for fold in range(count):
         parts: tuple[list[Sequence[Rows]], list[Sequence[Rows]]] = [], []
         for flight, group in zip(flights, groups, strict=True):
