@@ -97,7 +97,7 @@ def _evaluate(data: Sequence[Segment], order: Order, theta: FloatArray) -> _Poin
     y_f - Phi_f theta is the output error e and -Z_f its gradient: (Z_f' Z_f)^-1 Z_f' e is the Gauss-Newton step.
     """
     n, d = sum(len(group.y) * (len(group) - reach(order)) for group in data), len(theta)
-    R = np.concatenate([_reduced(*_filtered(group, order, theta), order[0]) for group in data])
+    R = np.concatenate([_reduced(_filtered(group, order, theta), order[0]) for group in data])
     Z, Phi, y = R[:, :d], R[:, d : 2 * d], R[:, -1]
     error = y - Phi @ theta
     refined, _ = solve(Z, Phi, y, n * EPSILON)
@@ -145,8 +145,8 @@ def _by_length(segments: Sequence[Segment]) -> list[Segment]:
     return [Segment(np.stack([one.u for one in group]), np.stack([one.y for one in group])) for group in groups]
 
 
-def _filtered(group: Segment, order: Order, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f] of a group, (c, m, rows), and a basis of the responses F."""
+def _filtered(group: Segment, order: Order, theta: FloatArray) -> FloatArray:
+    """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f] of a group, (c, m, rows), their free responses taken out."""
     from scipy.signal import lfilter  # 0.8 s to import: only offline work pays it
 
     a, b = polynomials(theta, order)
@@ -156,13 +156,16 @@ def _filtered(group: Segment, order: Order, theta: FloatArray) -> tuple[FloatArr
     first = reach(order)
     columns = np.concatenate((Z, -lagged(y_f, 1, order[0], first), y_f[None, :, first:]))
     free, _ = np.linalg.qr(lfilter([1.0], a, np.eye(order[0], columns.shape[-1])).T)
-    return columns, free
+    lasts = 1 + int(np.flatnonzero(~(np.abs(free).max(axis=1) <= EPSILON**2))[-1])  # then it is less than any rounding
+    begin = columns[..., :lasts]
+    begin -= (begin @ free[:lasts]) @ free[:lasts].T
+    return columns
 
 
-def _reduced(columns: FloatArray, free: FloatArray, na: int) -> FloatArray:
-    """R of the columns [Z_f Phi_f y_f] with their free responses taken out."""
+def _reduced(columns: FloatArray, na: int) -> FloatArray:
+    """R of the columns [Z_f Phi_f y_f]."""
     c = len(columns)
-    R = triangle((columns - (columns @ free) @ free.T).reshape(c, -1).T)
+    R = triangle(columns.reshape(c, -1).T)
     d = c - na - 1
     return R[:, [*range(d), *range(d, d + na), *range(na, d), c - 1]]
 
@@ -179,8 +182,7 @@ def _coloured(data: Sequence[Segment], order: Order, point: _Point) -> FloatArra
     lags = int(np.sqrt(point.rows))
     r_e, instruments = np.zeros(lags), []
     for group in data:
-        columns, free = _filtered(group, order, point.theta)
-        columns -= (columns @ free) @ free.T
+        columns = _filtered(group, order, point.theta)
         Z = columns[:d]
         e = columns[-1] - np.tensordot(point.theta, np.concatenate((columns[d : d + na], Z[na:])), 1)
         products = fftconvolve(e, e[:, ::-1], axes=1).sum(axis=0)[e.shape[1] - 1 :][:lags]

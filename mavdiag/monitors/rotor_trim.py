@@ -392,7 +392,7 @@ class TrimMonitor(Monitor[Spec]):
         other: a flight of hops has one, too.
         """
         spec, found = self.spec, [np.empty((3, 0))]
-        for x in self._parts_of(flight):
+        for x in of_each([flight], (spec.layout, spec.source, spec.felt), self._parts_of)[0]:
             trim, rate = x[col.TORQUE : col.TORQUE + 3].copy(), x[col.RATE + 2]
             trim[:2] -= np.array(spec.pull)[:, None] * x[col.LEAN : col.LEAN + 2]
             taken = spec.turn[0] * rate + spec.turn[1] * np.gradient(rate, PART_S) if len(rate) > 1 else rate

@@ -19,7 +19,7 @@ from mavdiag.identify import ArxModel, fit
 from mavdiag.identify.arx import ModelRecord
 from mavdiag.jit import cached, jit
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, parted
-from mavdiag.monitors.fitting import cut_to_share
+from mavdiag.monitors.fitting import cut_to_share, of_each
 from mavdiag.monitors.spec import Delay, Positive, spec
 from mavdiag.rows.block import COMMANDED, GYRO, LEVEL, RESIDUAL, SOUND, TRACE, VALUE, Floats, Ints, U, Y
 from mavdiag.rows.conditions import Condition
@@ -196,24 +196,36 @@ def _margins(specs: Sequence[RunLengthSpec], flights: Flights) -> list[float]:
     return [float(one.max() if most else np.percentile(one, 90, method="hazen")) for one in joined]
 
 
-def training_pieces(flight: Sequence[Rows], axis: Axis) -> list[tuple[FloatArray, FloatArray]]:
-    """Unbroken valid stretches of u and y of one axis, long enough to train on."""
+def training_spans(flight: Sequence[Rows]) -> list[tuple[int, int, int]]:
+    """Unbroken valid stretches, long enough to train on: number of the piece of rows, first rate and last + 1."""
     return [
-        (rows.rates.u[first:stop, axis.column], rows.rates.y[first:stop, axis.column])
-        for rows in flight
+        (number, first, stop)
+        for number, rows in enumerate(flight)
         for first, stop in spans(rows.rates.commanded)
         if (stop - first) * rows.rates.dt_s >= MIN_PIECE_S
     ]
 
 
+def training_pieces(flight: Sequence[Rows], axis: Axis) -> list[tuple[FloatArray, FloatArray]]:
+    """Unbroken valid stretches of u and y of one axis, long enough to train on."""
+    found = ((flight[number].rates, first, stop) for number, first, stop in training_spans(flight))
+    return [(one.u[first:stop, axis.column], one.y[first:stop, axis.column]) for one, first, stop in found]
+
+
 def _train(flights: Flights, axis: Axis, context: LearnContext) -> ArxModel:
     """A model of one axis from a like share of every flight (T 5.4). Raises IdentificationError, naming the axis."""
-    pieces = [piece for flight in flights for piece in training_pieces(flight, axis)]
-    if not pieces:
+    places = of_each(flights, "training spans", training_spans)
+    lengths = [stop - first for of_flight in places for _, first, stop in of_flight]
+    if not lengths:
         raise IdentificationError(f"{axis}: no unbroken stretch of {MIN_PIECE_S:.0f} s to identify from; fly longer")
     dt_s, near = context.dt_s, next((one.model.model() for one in context.near if one.axis == axis), None)
-    taken = cut_to_share([len(u) for u, _ in pieces], TRAIN_ROWS, round(MIN_PIECE_S / dt_s))
-    u, y = ([piece[i][:count] for piece, count in zip(pieces, taken, strict=True)] for i in (0, 1))
+    taken = iter(cut_to_share(lengths, TRAIN_ROWS, round(MIN_PIECE_S / dt_s)))
+    u, y = list[FloatArray](), list[FloatArray]()
+    for flight, of_flight in zip(flights, places, strict=True):
+        for number, first, _ in of_flight:
+            rates, stop = flight[number].rates, first + next(taken)
+            for found, of_axes in ((u, rates.u), (y, rates.y)):  # copies: of what is mapped no more stays in memory
+                found.append(of_axes[first:stop, axis.column].copy())
     figures, method = context.figures, context.method
     try:
         model = fit(u, y, context.order, dt=dt_s, method=method, settle_s=SETTLE_S, figures=figures, near=near)

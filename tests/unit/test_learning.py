@@ -312,14 +312,17 @@ def parts(flights: Flights) -> list[int]:
     return [flight[0].block.segment for flight in flights]
 
 
-def test_with_many_sessions_the_folds_are_ten_and_still_leave_whole_ones_out() -> None:
-    sessions = [i // 2 for i in range(30)]
-    found = [(parts(out), parts(rest)) for out, rest in folds(numbered(30), sessions=sessions)]
-    assert len(found) == 10
-    assert sorted(itertools.chain.from_iterable(out for out, _ in found)) == list(range(30))
+@pytest.mark.parametrize(("flights", "each", "count"), [(12, 2, 6), (30, 2, 10), (50, 1, 5)])
+def test_of_many_sessions_a_tenth_or_a_fifth_is_left_out_and_always_whole_ones(
+    flights: int, each: int, count: int
+) -> None:
+    sessions = [i // each for i in range(flights)]
+    found = [(parts(out), parts(rest)) for out, rest in folds(numbered(flights), sessions=sessions)]
+    assert len(found) == count
+    assert sorted(itertools.chain.from_iterable(out for out, _ in found)) == list(range(flights))
     for out, rest in found:
         assert not {sessions[i] for i in out} & {sessions[i] for i in rest}
-        assert sorted(out + rest) == list(range(30))
+        assert sorted(out + rest) == list(range(flights))
 
 
 def flown(seed: int, started_ns: int) -> Log:
