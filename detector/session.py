@@ -28,7 +28,7 @@ from mavdiag.link.wants import Reading
 from mavdiag.telemetry import Instant, Signal, Telemetry
 
 WAITED_CHUNKS = 256  # kept while the streams are measured: some ten seconds (our choice)
-LOOK_S = 0.5  # between two looks at what the streams lack (our choice)
+LOOK_S = 0.1  # between two looks at what the streams lack (our choice)
 IDLE_S = 3.0  # that nothing is judged is said after so long (our choice)
 STICKS_S, STICKS_HZ = (
     60.0,
