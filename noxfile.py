@@ -35,7 +35,7 @@ def packages(session: nox.Session) -> None:
     for old in Path("dist").glob("mavdiag-*"):
         old.unlink()
     session.run("uv", "build", "--quiet", "--out-dir", "dist", external=True)  # the wheel is built from the sdist
-    session.run("uv", "tool", "run", "twine", "check", "--strict", *map(str, Path("dist").glob("mavdiag-*")), external=True)
+    session.run("uvx", "twine", "check", "--strict", *map(str, Path("dist").glob("mavdiag-*")), external=True)
     (wheel,) = Path("dist").absolute().glob("mavdiag-*.whl")
     session.install("--only-binary=:all:", "-c", "constraints.txt", f"{wheel}[web]")
     sources = session.run("git", "ls-files", "mavdiag", "detector", "sitl_plant", external=True, silent=True) or ""

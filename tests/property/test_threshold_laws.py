@@ -71,7 +71,7 @@ BUDGETS = (0.05, 0.01)  # alarms per hour
 
 
 def broken(flights: int, sessions: int, rng: np.random.Generator) -> tuple[float, ...]:
-    """Of one airframe the share of hours with an alarm, by each budget, and of flights suspected where one in 50 may be.
+    """Of one airframe the share of hours with an alarm, by budget, and of flights suspected where one in 50 may be.
 
     Each hour is a session of its own that it was not taught in. Its components are drawn as the prior says that they
     differ between airframes.
