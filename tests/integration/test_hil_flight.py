@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hil_bytes import answered, controls_bytes, frames_in, mavlink_bytes, servo_bytes
-from patience import PATIENCE_S
-from plant_process import first_line, process
+from processes import PATIENCE_S, first_line, process
 
 from mavdiag.telemetry import FloatArray
 from sitl_plant.vehicle import qdrone2

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 from droneprop_table import table_of
-from made_dronepropa import flight, written
-from plant_process import record
+from made_logs import flight, written
+from processes import record
 
 from mavdiag import cli
 from mavdiag.baseline import Baseline
