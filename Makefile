@@ -49,7 +49,7 @@ virtual: $(COMPILED)  ## the tests that need no wall clock
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime"
 
 realtime: $(COMPILED)  ## those that need it, and the machine for themselves
-	$(BIN)/python -m pytest -n 3 --dist loadfile -m realtime
+	$(BIN)/python -m pytest -n 3 --dist loadfile -m realtime $$(grep -rl --include='test_*.py' mark.realtime tests)
 
 lint: $(STAMP)  ## ruff: rules and format
 	$(BIN)/ruff check .
