@@ -1,0 +1,113 @@
+"""The trim-step monitor: a step is found and named; what was there before, or comes slowly, is not."""
+
+import numpy as np
+import pytest
+from made_rows import example_context
+
+from mavdiag.airframe.layout import LAYOUTS, layout_named
+from mavdiag.errors import IdentificationError
+from mavdiag.monitors.rotor_trim import WINDOW_S
+from mavdiag.monitors.trim_step import MEMORY_S, TrimStep, TrimStepSpec
+from mavdiag.rows.block import COVERED, columns_of, no_past
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import FloatArray
+from mavdiag.testing import example_rows
+
+CALM = (0.03, 0.03, 0.01)
+LEAST = TrimStep.prior.least
+DT_S = 0.02
+ROTORS = [(frame, rotor) for frame in sorted(LAYOUTS) for rotor in range(layout_named(frame).rotors)]
+
+
+def read(outputs: FloatArray, frame: str = "x", setpoint: FloatArray | None = None) -> Statistic:
+    spec = TrimStepSpec(layout=layout_named(frame), source="actuator", spread=CALM)
+    monitor = TrimStep(spec)
+    return monitor.step(monitor.start(), example_rows(len(outputs), DT_S, actuator=outputs, setpoint=setpoint))[1]
+
+
+def level(seconds: float, rotors: int = 4, seed: int = 1) -> FloatArray:
+    return np.random.default_rng(seed).normal(0.5, 0.004, (round(seconds / DT_S), rotors))
+
+
+@pytest.mark.parametrize(("frame", "rotor"), ROTORS)
+def test_a_step_of_each_rotor_of_each_layout_is_found_and_named(frame: str, rotor: int) -> None:
+    n = layout_named(frame).rotors
+    outputs = level(40, n)
+    outputs[1000:, rotor] += 0.05  # after 20 s, a tenth of hover
+    found = read(outputs, frame)
+    before, after = found.value[found.valid & (found.t_ns < 20e9)], found.value[found.t_ns >= 25.6e9]
+    assert before.max() < LEAST
+    assert after[0] == pytest.approx(0.1 / (1 + 0.1 / n), rel=0.1)
+    assert int(found.rotors[found.t_ns >= 25.6e9][0].argmax()) == rotor
+    np.testing.assert_array_equal(found.level, found.value)
+
+
+@pytest.mark.parametrize("per_s", [1e-5, 1e-4, 2e-4])
+def test_a_slow_drift_is_silent(per_s: float) -> None:
+    """A rise of `per_s` of hover a second lags by no more than the memory and a window and a half."""
+    outputs = level(180)
+    outputs[:, 2] += 0.5 * per_s * DT_S * np.arange(len(outputs))
+    found = read(outputs)
+    assert found.value[found.valid].max() < LEAST
+    assert found.rotors[-60:, 2].mean() == pytest.approx(per_s * (MEMORY_S + 1.5 * WINDOW_S), abs=0.001)
+
+
+def test_nothing_is_judged_before_there_are_two_windows_nor_after_a_gap() -> None:
+    outputs = level(40)
+    outputs[1000:1010] = np.nan
+    found = read(outputs)
+    judged = found.t_ns[found.valid] / 1e9
+    assert judged[0] == pytest.approx(2 * WINDOW_S, abs=DT_S)
+    broken = judged[(judged > 19.9) & (judged < 20 + 2 * WINDOW_S)]
+    assert len(broken) <= 1
+    assert judged[-1] > 39
+
+
+def test_a_flight_that_is_too_short_is_refused() -> None:
+    short = [[example_rows(950, 0.01, actuator=level(19))]]
+    with pytest.raises(IdentificationError, match="no unbroken 10 s of flight to compare trims in; fly longer"):
+        TrimStep.fit(short, example_context("x"))
+    hops = [[example_rows(950, 0.01, segment=i, actuator=level(19)) for i in range(3)]]
+    with pytest.raises(IdentificationError, match="no unbroken 10 s"):
+        TrimStep.fit(hops, example_context("x"))
+    enough = [[example_rows(1050, 0.01, actuator=level(21))]]
+    assert TrimStep.fit(enough, example_context("x"))
+
+
+def test_outputs_that_stand_still_are_no_step_and_no_rotor() -> None:
+    outputs = level(60)
+    outputs[1000:, 1] = 0.56  # what they happened to be when the link began to repeat itself
+    outputs[1000:] = outputs[1000]
+    found = read(outputs)
+    assert found.value[found.valid].max() < LEAST + 0.12 / 10  # one tick of ten, at most
+    assert not found.valid[found.t_ns > 21e9].any()
+    dead = read(np.ones((2000, 4)))
+    assert not dead.valid.any()  # "all motors 100 %" is nothing to judge by
+
+
+def test_ground_effect_is_no_reference() -> None:
+    """20 s in low hover, outside of the envelope, then away: the shift was a fault for the rest of the flight."""
+    outputs = level(90)
+    outputs[1000:] *= 1 + layout_named("x").mixing @ np.array([0.0, 0.0, 0.03])
+    spec = TrimStepSpec(layout=layout_named("x"), source="actuator", spread=CALM)
+    monitor, rows = TrimStep(spec), example_rows(len(outputs), DT_S, actuator=outputs)
+    assert monitor.step(monitor.start(), rows)[1].value.max() > LEAST
+    columns, begun = columns_of(rows, no_past(0)), monitor.begin(DT_S)
+    columns.x[COVERED] = rows.block.t_ns > 21e9
+    found = monitor.judge(begun.par, begun.mem, rows, columns)[0]
+    assert found.value[found.valid].max() < LEAST
+    assert found.t_ns[found.valid][0] >= 30.9e9
+
+
+def test_what_stays_becomes_the_reference_and_its_repair_is_no_fault() -> None:
+    outputs = level(260)
+    outputs[1000:9000, 2] += 0.05  # from 20 to 180 s
+    found = read(outputs)
+    at = found.t_ns / 1e9
+    assert found.value[(at > 26) & (at < 120)].min() > 0.09
+    assert found.value[(at > 160) & (at < 180)].max() < LEAST  # there is a way out
+    assert found.value[at > 180].max() < LEAST  # back where it was healthy: no other rotor rises
+    outputs[11000:, 0] += 0.05  # another one, at 220 s
+    again = read(outputs)
+    assert again.value[again.t_ns > 226e9].min() > 0.08
+    assert (again.rotors[again.t_ns > 226e9].argmax(axis=1) == 0).all()
