@@ -9,7 +9,8 @@
 
 A commanded vehicle (profile qdrone2) takes off, and hovers, goes to and fro at 1 m/s, or flies a mission. From ONSET_S
 on a propeller of rotor 1 to 4 is damaged. The daemon has the table of `TABLE` and a baseline that was learnt from
-TAUGHT healthy flights of that vehicle and place. Mean wind and size of the path are drawn by the seed. Counted are, by
+TAUGHT healthy flights of that vehicle and place; what judges healthy flights learnt from one more that is as long as
+they are, for the battery empties. Mean wind and size of the path are drawn by the seed. Counted are, by
 the journal, the time from the finding to the command over the delay, and, by the plant's truth, whether the vehicle
 stands on the ground, upright and disarmed, before END_S. A healthy flight is right if nothing was commanded.
 """
@@ -163,12 +164,13 @@ class Flown:
 
 
 @cache
-def baseline(place: str, craft: Craft = USUAL) -> Baseline:
+def baseline(place: str, craft: Craft = USUAL, longest_s: float = LEARN_S) -> Baseline:
     """Learnt from healthy flights of this kind, as the link brings them."""
+    spans_s = [LEARN_S] * TAUGHT + [longest_s] * (longest_s > LEARN_S)
     with tempfile.TemporaryDirectory() as folder:
-        paths = [Path(folder) / f"{seed}.tlog" for seed in range(TAUGHT)]
-        for seed, path in enumerate(paths):
-            fly(place, seed, craft=craft, until_s=LEARN_S, record=path)
+        paths = [Path(folder) / f"{seed}.tlog" for seed in range(len(spans_s))]
+        for seed, (path, span_s) in enumerate(zip(paths, spans_s, strict=True)):
+            fly(place, seed, craft=craft, until_s=span_s, record=path)
         known = airframe_of(vehicle_from(craft.vehicle), craft.vehicle)
         return learnt([read_tlog(path) for path in paths], known)
 
@@ -185,7 +187,8 @@ def fly(
 ) -> Flown:
     """One flight. call: how it is called off, 2 s after it was announced. record: a flight to learn from."""
     goal: dict[str, object] = {"learn": 1e6} if record else {"baseline": Path("-"), "on_fault": TABLE[place]}
-    settings, known = Settings.model_validate(goal), None if record else baseline(place, craft)
+    settings, longest_s = Settings.model_validate(goal), until_s if until_s > END_S else LEARN_S
+    known = None if record else baseline(place, craft, longest_s)
     config = craft.config(seed)
     if fault is not None:
         config = replace(config, fault=fault, rotor=1 + seed % 4, onset_s=ONSET_S)
@@ -308,15 +311,16 @@ def healthy(options: argparse.Namespace, codes: list[str]) -> None:
     """Healthy flight of several vehicles in turn; what was flown so far is printed after each."""
     flown_s, acted, number = 0.0, 0, options.first
     while flown_s < 3600.0 * options.healthy_h:
-        (vehicle, drone), place = CRAFTS[number % len(CRAFTS)], PLACES[number % 3]
+        (vehicle, drone), place = CRAFTS[number % len(CRAFTS)], PLACES[number % len(PLACES)]
         craft = Craft(vehicle, drone, rate_hz=options.rate)
         one = fly(place, 1000 + number, craft=craft, until_s=HEALTHY_S)
-        flown_s, acted, number = flown_s + one.flown_s, acted + len(one.commands), number + 1
+        flown_s, acted, seed = flown_s + one.flown_s, acted + len(one.commands), 1000 + number
         told = f": {one}" if one.commands or one.declared_s is not None else ""
         print(
-            f"  {vehicle} {drone}, {place}, seed {999 + number}: {flown_s / 3600:.2f} h, {acted} actions{told}",
+            f"  {vehicle} {drone}, {place}, seed {seed}: {flown_s / 3600:.2f} h, {acted} actions{told}",
             flush=True,
         )
+        number += options.every
 
 
 def main() -> None:
@@ -328,6 +332,7 @@ def main() -> None:
     parser.add_argument("--faults", type=int, default=len(FAULTS))
     parser.add_argument("--healthy-h", type=float, default=10.0)
     parser.add_argument("--first", type=int, default=0, help="number of the first healthy flight, to go on with")
+    parser.add_argument("--every", type=int, default=1, help="of the healthy flights only each n-th from there on")
     parser.add_argument("--calls", type=int, default=9, help="flights of each way in which a pilot calls it off")
     parser.add_argument("--rate", type=float, default=RATE_HZ, help="of gyro and set-points on the link")
     options = parser.parse_args()
