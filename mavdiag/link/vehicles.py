@@ -24,6 +24,7 @@ from mavdiag.link.codec import (
     frames_joined,
     frames_of,
 )
+from mavdiag.link.datagrams import Chunk, Datagrams
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
 from mavdiag.link.parameters import ASKING as PARAMETERS_ASKED
 from mavdiag.link.parameters import parameters_in
@@ -301,13 +302,13 @@ class LinkDecoder:
         self.decoder.heard.give_up(sysid << 8 | Component.ONBOARD_COMPUTER)
 
     def feed(
-        self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()
+        self, chunks: Sequence[Chunk] | Datagrams, now_ns: int, sources: Sequence[Source] = ()
     ) -> dict[int, Received]:
         """Take bytes, each with time of arrival [ns] and source; return what is new, by vehicle that has entered."""
         self.take(chunks, now_ns, sources)
         return {sysid: self.received(sysid) for sysid in sorted(self._unread)}
 
-    def take(self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()) -> None:
+    def take(self, chunks: Sequence[Chunk] | Datagrams, now_ns: int, sources: Sequence[Source] = ()) -> None:
         """Take bytes as `feed` does; what is for or from vehicles that have entered waits for `received`."""
         if self._datagrams:
             taken = [self.decoder.take_datagrams(chunks, sources)]
