@@ -41,7 +41,8 @@ class Datagrams:
     @property
     def sources(self) -> list[Any]:
         """The sender of each."""
-        return [self.peers[number] for number in self.whose.tolist()]
+        whose = self.whose.tolist() if len(self.peers) > 1 else ()
+        return [self.peers[number] for number in whose] or [*self.peers] * len(self)
 
 
 def as_columns(chunks: "Sequence[Chunk] | Datagrams", sources: Sequence[Source] = ()) -> Datagrams:
