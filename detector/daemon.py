@@ -33,6 +33,7 @@ from detector.values import (
     Learn,
     LinkFigures,
     Note,
+    SendFloat,
     SessionSpec,
     is_working,
 )
@@ -383,12 +384,13 @@ class Daemon:
                 self._answer(handled, partial(self._link.answer, source=source))
             for effect in turn.effects:
                 self._act(turn.vehicle, effect)
-                self._reporter.record(turn.vehicle, effect)
 
     def _act(self, sysid: int, effect: Effect) -> None:
         frames, for_all = self._sender(sysid).frames(effect)
         for frame in frames:
             self._relay.send(frame, to_all=for_all)
+        if isinstance(effect, SendFloat):
+            return  # it is not worth a line
         match effect:
             case AskInterval(msgid, interval_us):
                 self._reporter.record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
@@ -404,6 +406,7 @@ class Daemon:
                 self._inspections.take(sysid, effect, *judged_by, self._host.utc().isoformat(timespec="seconds"))
             case EventOpened(event) if self._metrics is not None:
                 self._metrics.count_event(sysid, event.monitor)
+        self._reporter.record(sysid, effect)
 
     def _summary(self) -> str:
         ran_s = self._now() - self._started

@@ -211,7 +211,8 @@ class Fleet:
         vehicle, stream, received = self.vehicles[sysid], self.link.vehicles[sysid], self.link.received(sysid)
         session, came, alive = vehicle.session, received.telemetry, received.present
         reboots, imu = stream.state.timeline.reboots, stream.profile.imu
-        mode, sticks = mode_in(received.frames), sticks_in(received.frames) | vehicle.sticks
+        mode, sticks = (mode_in(received.frames), sticks_in(received.frames)) if received.frames else (None, {})
+        sticks = {**sticks, **vehicle.sticks}
         inbox = Inbox(came, alive, reboots, received.acks, vehicle.outcome, received.parameters, imu, mode, sticks)
         vehicle.outcome, vehicle.sticks = None, {}
         effects = session.step(inbox, now)
