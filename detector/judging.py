@@ -83,13 +83,12 @@ class Judge:
         if streams.began is None or now - streams.began < STREAM_S or now - self._asked < ASK_S:
             return self._unjudged
         self._asked, self._unjudged = now, {}
-        idle = self.memory.idle if self.flight_s > WARM_S else ()
-        accounts = self.memory.accounts if idle else ()
+        idle, kernel = self.memory.idle if self.flight_s > WARM_S else (), self.chain.kernel
         for number, slot in enumerate(self.chain.slots):
             label = label_of(slot.monitor.name)
             if missing := streams.missing(slot.monitor.signals):
                 self._unjudged[label] = f"no {LABELS[missing]}"
-            elif number in idle and (reasons := unjudged_s(accounts[number])):
+            elif number in idle and (reasons := unjudged_s(kernel.account(self.memory.memory, number))):
                 self._unjudged[label] = max(reasons, key=lambda reason: reasons[reason])
         return self._unjudged
 

@@ -52,8 +52,9 @@ class _Ask:
 
     def pressing(self, now: Instant) -> bool:
         """Whether something may be asked or told of it before long."""
-        recent = self.at is not None and now - self.at < HELD_S + CALM_S
-        return recent or (self.right_since is None and self.due(now + CALM_S))
+        if self.right_since is None:
+            return self.due(now + CALM_S)
+        return self.at is not None and now - self.at < HELD_S + CALM_S
 
     def vain(self, now: Instant) -> bool:
         return self.refused or (self.tries >= VAIN and self.due(now))

@@ -67,9 +67,10 @@ class Meter:
         self.samples = samples  # all so far
         self.latest: Instant | None = None  # when one came last (host); None if none came, or none for `SILENT_S`
         self.periods_s: tuple[float, ...] = ()  # the last two measurements: one odd second is no change of rate
+        self.rate_hz = 0.0  # 0 while unknown
         self._t_ns: list[IntArray] = []  # since the last measurement
-        self._waiting, self._told_hz = 0, 0.0
-        self._recent_ns: deque[int] = deque(maxlen=3)  # vehicle times of the last three samples
+        self._first_ns = self._waiting = 0  # the first of them, and how many they are
+        self._recent_ns: list[int] = []  # vehicle times of the last three samples
         self._steps: deque[tuple[int, float]] = deque(maxlen=STEADY)  # number and length [s] of the last measurements'
 
     @property
@@ -78,35 +79,37 @@ class Meter:
         span_s = sum(span_s for _, span_s in self._steps)
         return sum(count for count, _ in self._steps) / span_s if span_s else 0.0
 
-    @property
-    def rate_hz(self) -> float:
-        """Measured rate; 0 while unknown. Two samples of a far lower rate tell at once that somebody set it."""
+    def take(self, series: Series, now: Instant) -> bool:
+        """Measure the next samples; returns whether the rate has changed."""
+        t_ns, before_hz, first = series.t_ns, self.rate_hz, self.latest is None
+        count, recent_ns = len(t_ns), t_ns[-3:].tolist()
+        self.latest, self.samples, self._waiting = now, self.samples + count, self._waiting + count
+        self._recent_ns = recent_ns if count > 2 else [*self._recent_ns, *recent_ns][-3:]
+        if not self._t_ns:
+            self._first_ns = int(t_ns[0])
+        self._t_ns.append(t_ns)
+        span_ns = recent_ns[-1] - self._first_ns
+        if span_ns >= MEASURE_S * NS_PER_S:
+            measured_ns = np.concatenate(self._t_ns)
+            self._steps.append((len(measured_ns) - 1, span_ns / NS_PER_S))
+            steps = steps_of(measured_ns)
+            self.periods_s = (*self.periods_s, usual_step(steps) / NS_PER_S)[-2:] if len(steps) else ()
+        # Measured; or a clock that jumped back, or stands still, starts the measurement anew.
+        if not (0 <= span_ns < MEASURE_S * NS_PER_S and self._waiting <= _MOST):
+            self._t_ns, self._first_ns, self._waiting = [t_ns[-1:]], recent_ns[-1], 1
+        self.rate_hz = self._rate_hz()
+        return first or abs(self.rate_hz - before_hz) > CHANGED * before_hz
+
+    def _rate_hz(self) -> float:
+        """Measured rate. Two samples of a far lower rate tell at once that somebody set it."""
         if not self.periods_s:
             return 0.0
-        period_s, slow_s = self.periods_s[-1], 0.0
+        period_s = self.periods_s[-1]
         if len(self._recent_ns) == 3:
             before_ns, at_ns, after_ns = self._recent_ns
             slow_s = min(at_ns - before_ns, after_ns - at_ns) / NS_PER_S
-        return 1.0 / (slow_s if slow_s > SLOWER * period_s else period_s)
-
-    def take(self, series: Series, now: Instant) -> bool:
-        """Measure the next samples; returns whether the rate has changed."""
-        count, first = len(series.t_ns), self.latest is None
-        self.latest, self.samples = now, self.samples + count
-        self._recent_ns.extend(series.t_ns[-3:].tolist())
-        self._t_ns.append(series.t_ns)
-        self._waiting += count
-        first_ns, last_ns = int(self._t_ns[0][0]), self._recent_ns[-1]
-        if last_ns - first_ns >= MEASURE_S * NS_PER_S:
-            t_ns = np.concatenate(self._t_ns)
-            self._steps.append((len(t_ns) - 1, float(last_ns - first_ns) / NS_PER_S))
-            steps = steps_of(t_ns)
-            self.periods_s = (*self.periods_s, usual_step(steps) / NS_PER_S)[-2:] if len(steps) else ()
-        # Measured; or a clock that jumped back, or stands still, starts the measurement anew.
-        if not (first_ns <= last_ns < first_ns + MEASURE_S * NS_PER_S and self._waiting <= _MOST):
-            self._t_ns, self._waiting = [series.t_ns[-1:]], 1
-        before_hz, self._told_hz = self._told_hz, self.rate_hz
-        return first or abs(self._told_hz - before_hz) > CHANGED * before_hz
+            period_s = slow_s if slow_s > SLOWER * period_s else period_s
+        return 1.0 / period_s
 
 
 class Streams:
