@@ -24,7 +24,9 @@ class Backlog:
     def __init__(self) -> None:
         self._lists, self._used = np.zeros((256, 4), np.int64), np.zeros(2, np.int64)
         self._lists[:, _FIRST] = _NO_PLACE
-        self._rows, self._after, self._data = _room(ROOM, SHARE * ROOM)
+        self._rows, self._after, self._data = _room(0, 0)
+        self._make_room(ROOM, SHARE * ROOM)
+        self.put(self.take(0), np.zeros(0, np.bool_))  # all is compiled, or loaded, before anything comes
 
     def put(self, frames: Frames, chosen: BoolArray) -> None:
         """Take some of the frames."""
@@ -32,10 +34,13 @@ class Backlog:
         rows, size = len(sizes), int(sizes.sum())
         if self._used[0] + rows > len(self._rows) or self._used[1] + size > len(self._data):
             waiting = self._lists[:, _COUNT:].sum(axis=0)
-            new = _room(max(ROOM, 2 * (waiting[0] + rows)), max(SHARE * ROOM, 2 * (waiting[1] + size)))
-            _move(self._lists, self._used, (self._rows, self._after, self._data), new)
-            self._rows, self._after, self._data = new
+            self._make_room(max(ROOM, 2 * (waiting[0] + rows)), max(SHARE * ROOM, 2 * (waiting[1] + size)))
         _put(frames.data, frames.rows, chosen, self._lists, self._used, (self._rows, self._after, self._data))
+
+    def _make_room(self, rows: int, size: int) -> None:
+        new = _room(rows, size)
+        _move(self._lists, self._used, (self._rows, self._after, self._data), new)
+        self._rows, self._after, self._data = new
 
     def take(self, sysid: int) -> Frames:
         """What waits of a system id; it does so no longer."""
