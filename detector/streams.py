@@ -128,15 +128,15 @@ class Streams:
     def observe(self, telemetry: Telemetry, now: Instant, profile: Profile) -> None:
         """Take in what came. profile: of the link, with the IMU message that is read."""
         self.began = self.began or now
-        came = {series.signal: series for series in telemetry.series if len(series)}
+        came = {series.signal: series for series in telemetry.series if series.t_ns.size}
         for signal, meter in self._meters.items():
-            if series := came.get(signal):
+            if (series := came.get(signal)) is not None:
                 self.changes += meter.take(series, now)
             elif meter.latest is not None and now - meter.latest > SILENT_S:
                 self._meters[signal], self.changes = Meter(meter.samples), self.changes + 1
         self.armed = _latest(self.armed, came.get(Signal.ARMED))
         self.thrust = _latest(self.thrust, came.get(Signal.THRUST_SETPOINT))
-        if not self._scale_believed and (force := came.get(Signal.SPECIFIC_FORCE)):
+        if not self._scale_believed and (force := came.get(Signal.SPECIFIC_FORCE)) is not None:
             self._weigh(force, profile)
 
     def _weigh(self, force: Series, profile: Profile) -> None:
@@ -182,7 +182,7 @@ class Streams:
 
 
 def _latest(old: float, series: Series | None) -> float:
-    return float(series.values[-1, 0]) if series else old
+    return old if series is None else float(series.values[-1, 0])
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,6 @@ from mavdiag.telemetry import BoolArray, IntArray
 
 ROOM = 1024  # frames that there is room for at first
 SHARE = 64  # bytes of a payload, with which the room for bytes is reckoned
-_NO_PLACE = -1
 # Of each system id: the place of its first and of its last frame that waits, how many do, and their bytes.
 _FIRST, _LAST, _COUNT, _BYTES = range(4)
 
@@ -23,7 +22,6 @@ class Backlog:
 
     def __init__(self) -> None:
         self._lists, self._used = np.zeros((256, 4), np.int64), np.zeros(2, np.int64)
-        self._lists[:, _FIRST] = _NO_PLACE
         self._rows, self._after, self._data = _room(0, 0)
         self._make_room(ROOM, SHARE * ROOM)
         self.put(self.take(0), np.zeros(0, np.bool_))  # all is compiled, or loaded, before anything comes
@@ -44,10 +42,9 @@ class Backlog:
 
     def take(self, sysid: int) -> Frames:
         """What waits of a system id; it does so no longer."""
-        first, _, count, size = self._lists[sysid].tolist()
+        _, _, count, size = self._lists[sysid].tolist()
         rows, data = np.empty(count, FRAME), np.empty(size, np.uint8)
-        _take(first, (self._rows, self._after, self._data), rows, data)
-        self._lists[sysid] = _NO_PLACE, _NO_PLACE, 0, 0
+        _take(self._lists[sysid], (self._rows, self._after, self._data), rows, data)
         data.flags.writeable = False
         return Frames(data, rows)
 
@@ -69,7 +66,7 @@ def _append(data: Bytes, row: Any, sysid: int, lists: IntArray, used: IntArray, 
     (rows, after, payloads), place, to, size = room, used[0], used[1], row.stop - row.body
     for k in range(size):
         payloads[to + k] = data[row.body + k]
-    rows[place], after[place] = row, _NO_PLACE
+    rows[place] = row
     rows[place].body, rows[place].stop = to, to + size
     if lists[sysid, _COUNT]:
         after[lists[sysid, _LAST]] = place
@@ -101,8 +98,9 @@ def _move(lists: IntArray, used: IntArray, room: Any, new: Any) -> None:
 
 
 @cached_loop
-def _take(place: int, room: Any, found: Any, payloads: Bytes) -> None:
-    (rows, after, data), to = room, 0
+def _take(waiting: IntArray, room: Any, found: Any, payloads: Bytes) -> None:
+    (rows, after, data), place, to = room, waiting[_FIRST], 0
+    waiting[:] = 0
     for k in range(len(found)):
         row = rows[place]
         size = row.stop - row.body

@@ -29,6 +29,9 @@ class Datagrams:
     whose: IntArray
     peers: tuple[Any, ...]  # as `Source`
 
+    def __post_init__(self) -> None:
+        self.data.flags.writeable = False  # as bytes are: numba compiles once
+
     def __len__(self) -> int:
         return len(self.sizes)
 

@@ -179,7 +179,7 @@ class VehicleStream:
         if not self._settled and len(frames):
             self._choose_imu(frames)
         self.uid = self.uid or uid_in(talk)
-        if told := parameters_in(talk, self.profile.autopilot):
+        if talk and (told := parameters_in(talk, self.profile.autopilot)):
             merged = {**self.parameters, **told}
             self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
         return self._decoder.step(self.state, frames)
@@ -216,7 +216,7 @@ class _Waiting:
         if not len(frames):
             return
         latest = frames.where(slice(-kept, None))
-        self.pieces.append(Frames(latest.data.copy(), latest.rows.copy()))
+        self.pieces.append(Frames(np.frombuffer(latest.data.tobytes(), np.uint8), latest.rows.copy()))
         self.count += len(latest)
         while self.count - len(self.pieces[0]) >= kept:
             self.count -= len(self.pieces.pop(0))
@@ -370,10 +370,11 @@ class LinkDecoder:
     def received(self, sysid: int) -> Received:
         """What waits of a vehicle that has entered."""
         unread, stream = self._unread.pop(sysid, _Unread()), self.vehicles[sysid]
-        frames = frames_joined([*unread.pieces, self._backlog.take(sysid)])
+        frames = self._backlog.take(sysid)
+        frames = frames_joined([*unread.pieces, frames]) if unread.pieces else frames
         talks = _TALKS[frames.rows["row"]]
-        talk = tuple(frames.where(talks)) if talks.any() else ()
-        present = bool((frames.rows["sender"] & 0xFF == AUTOPILOT).any())
+        talk = tuple(frames.where(talks)) if np.count_nonzero(talks) else ()
+        present = bool(np.count_nonzero(frames.rows["sender"] & 0xFF == AUTOPILOT))
         telemetry = stream.step(frames, talk)
         return Received(talk, telemetry, present, acks_in(talk), tuple(unread.asked), stream.parameters)
 
