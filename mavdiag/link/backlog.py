@@ -1,5 +1,6 @@
 """Frames of many vehicles that wait until they are asked for: each is copied in once and out once."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from mavdiag.jit import cached, cached_loop, jit
 from mavdiag.link.codec import Frames
 from mavdiag.link.datagrams import Bytes
 from mavdiag.link.sequence import FRAME
-from mavdiag.telemetry import BoolArray, IntArray
+from mavdiag.telemetry import IntArray
 
 ROOM = 1024  # frames that there is room for at first
 SHARE = 64  # bytes of a payload, with which the room for bytes is reckoned
@@ -24,16 +25,15 @@ class Backlog:
         self._lists, self._used = np.zeros((256, 4), np.int64), np.zeros(2, np.int64)
         self._rows, self._after, self._data = _room(0, 0)
         self._make_room(ROOM, SHARE * ROOM)
-        self.put(self.take(0), np.zeros(0, np.bool_))  # all is compiled, or loaded, before anything comes
+        self.put(self.take(0))  # all is compiled, or loaded, before anything comes
 
-    def put(self, frames: Frames, chosen: BoolArray) -> None:
-        """Take some of the frames."""
-        sizes = (frames.rows["stop"] - frames.rows["body"])[chosen]
-        rows, size = len(sizes), int(sizes.sum())
+    def put(self, frames: Frames) -> None:
+        """Take these frames."""
+        rows, size = len(frames), int((frames.rows["stop"] - frames.rows["body"]).sum())
         if self._used[0] + rows > len(self._rows) or self._used[1] + size > len(self._data):
             waiting = self._lists[:, _COUNT:].sum(axis=0)
             self._make_room(max(ROOM, 2 * (waiting[0] + rows)), max(SHARE * ROOM, 2 * (waiting[1] + size)))
-        _put(frames.data, frames.rows, chosen, self._lists, self._used, (self._rows, self._after, self._data))
+        _put(frames.data, frames.rows, self._lists, self._used, (self._rows, self._after, self._data))
 
     def _make_room(self, rows: int, size: int) -> None:
         new = _room(rows, size)
@@ -49,9 +49,14 @@ class Backlog:
         return Frames(data, rows)
 
     @property
-    def sysids(self) -> IntArray:
+    def sysids(self) -> list[int]:
         """Of which something waits."""
-        return np.flatnonzero(self._lists[:, _COUNT])
+        found: list[int] = np.flatnonzero(self._lists[:, _COUNT]).tolist()
+        return found
+
+    def take_all(self) -> Iterator[tuple[int, Frames]]:
+        """What waits of each system id."""
+        return ((sysid, self.take(sysid)) for sysid in self.sysids)
 
 
 Room = tuple[NDArray[Any], IntArray, Bytes]  # frames, the place of the one that follows each, and their bytes
@@ -79,10 +84,9 @@ def _append(data: Bytes, row: Any, sysid: int, lists: IntArray, used: IntArray, 
 
 
 @cached_loop
-def _put(data: Bytes, rows: Any, chosen: BoolArray, lists: IntArray, used: IntArray, room: Any) -> None:
+def _put(data: Bytes, rows: Any, lists: IntArray, used: IntArray, room: Any) -> None:
     for k in range(len(rows)):
-        if chosen[k]:
-            _append(data, rows[k], rows[k].sender >> 8, lists, used, room)
+        _append(data, rows[k], rows[k].sender >> 8, lists, used, room)
 
 
 @cached

@@ -172,17 +172,6 @@ class Frames:
             chosen |= self.rows["row"] == ROWS[msgid]
         return self.where(chosen if compid is None else chosen & (self.rows["sender"] & 0xFF == compid))
 
-    def by_sysid(self) -> dict[int, "Frames"]:
-        """Those of each system id, by rising number, with bytes of their own."""
-        rows, payloads, edges = _sorted(self.data, self.rows, np.empty(len(self), FRAME))
-        payloads.flags.writeable = False
-        sysids = np.flatnonzero(edges[0, 1:] > edges[0, :-1])
-        spans = zip(sysids.tolist(), edges[:, sysids].T.tolist(), edges[:, sysids + 1].T.tolist(), strict=True)
-        return {
-            sysid: Frames(payloads[first_byte:last_byte], rows[first:last])
-            for sysid, (first, first_byte), (last, last_byte) in spans
-        }
-
     def counts(self, compid: int = AUTOPILOT) -> Counter[int]:
         """How many of each message came from a component."""
         own = np.bincount(self.rows["row"][self.rows["sender"] & 0xFF == compid])
@@ -225,29 +214,6 @@ def frames_joined(pieces: Sequence[Frames]) -> Frames:
     rows["body"] += shifts
     rows["stop"] += shifts
     return Frames(np.frombuffer(data, np.uint8), rows)
-
-
-@cached
-def _sorted(data: Bytes, rows: NDArray[Any], found: NDArray[Any]) -> tuple[NDArray[Any], Bytes, IntArray]:
-    """Rows in order of system ids, their payloads, and (2, 257) the edges between those of each system id.
-
-    found: room for the rows; their places count from the first byte of their system id.
-    """
-    edges = np.zeros((2, 257), np.int64)
-    for k in range(len(rows)):
-        behind = (rows[k].sender >> 8) + 1
-        edges[0, behind] += 1
-        edges[1, behind] += rows[k].stop - rows[k].body
-    for behind in range(1, 257):
-        edges[:, behind] += edges[:, behind - 1]
-    at, payloads = edges.copy(), np.empty(edges[1, 256], np.uint8)
-    for k in range(len(rows)):
-        sysid, body, size = rows[k].sender >> 8, rows[k].body, rows[k].stop - rows[k].body
-        place, to = at[0, sysid], at[1, sysid]
-        payloads[to : to + size], found[place] = data[body : body + size], rows[k]
-        found[place].body, found[place].stop = to - edges[1, sysid], to - edges[1, sysid] + size
-        at[0, sysid], at[1, sysid] = place + 1, to + size
-    return found, payloads, edges
 
 
 class Decoder:

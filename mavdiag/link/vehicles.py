@@ -290,7 +290,8 @@ class LinkDecoder:
         self._waiting: dict[int, _Waiting] = {}
         self._unread: dict[int, _Unread] = {}
         self._latest: dict[int, Frames] = {}
-        self._backlog, self._kept = Backlog(), np.zeros(256, np.bool_)  # kept: the vehicles that nobody contests
+        self._backlog, self._others = Backlog(), Backlog()  # of vehicles that nobody contests (kept), and of the others
+        self._kept = np.zeros(256, np.bool_)
         self.vehicles: dict[int, VehicleStream] = {}
 
     @property
@@ -324,7 +325,7 @@ class LinkDecoder:
     ) -> dict[int, Received]:
         """Take bytes, each with time of arrival [ns] and source; return what is new, by vehicle that has entered."""
         self.take(chunks, now_ns, sources)
-        return {sysid: self.received(sysid) for sysid in sorted({*self._unread, *self._backlog.sysids.tolist()})}
+        return {sysid: self.received(sysid) for sysid in sorted({*self._unread, *self._backlog.sysids})}
 
     def take(self, chunks: Sequence[Chunk] | Datagrams, now_ns: int, sources: Sequence[Source] = ()) -> None:
         """Take bytes as `feed` does; what is for or from vehicles that have entered waits for `received`."""
@@ -346,8 +347,12 @@ class LinkDecoder:
             self._kept[sysid] = False
             self._unread.setdefault(sysid, _Unread()).pieces.append(self._backlog.take(sysid))
         kept = self._kept[frames.rows["sender"] >> 8]
-        self._backlog.put(frames, kept)
-        for sysid, own in () if kept.all() else frames.where(~kept).by_sysid().items():
+        whole = np.count_nonzero(kept) == len(kept)
+        self._backlog.put(frames if whole else frames.where(kept))
+        if whole:
+            return
+        self._others.put(frames.where(~kept))
+        for sysid, own in self._others.take_all():
             if not sysid or self._only not in (None, sysid):
                 continue
             pieces = self._uncontested(sysid, own)
