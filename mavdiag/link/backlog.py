@@ -56,7 +56,9 @@ class Backlog:
 
     def take_all(self) -> Iterator[tuple[int, Frames]]:
         """What waits of each system id."""
-        return ((sysid, self.take(sysid)) for sysid in self.sysids)
+        for sysid in self.sysids:
+            yield sysid, self.take(sysid)
+        self._make_room(ROOM, SHARE * ROOM)  # a flood leaves no large arrays behind
 
 
 Room = tuple[NDArray[Any], IntArray, Bytes]  # frames, the place of the one that follows each, and their bytes
