@@ -14,6 +14,7 @@ from detector.values import Effect, SendFloat, SendText, TextSuppressed
 from mavdiag.chain import ChainOutput
 from mavdiag.decision.diagnosis import Diagnosis, Stage
 from mavdiag.decision.words import finding_words, motors_words
+from mavdiag.kernel import Slot
 from mavdiag.link.messages import Severity
 from mavdiag.monitors import BY_NAME
 from mavdiag.monitors.base import FaultKind
@@ -187,14 +188,19 @@ class Presenter:
                 effects += self._say(notice, before, now)
         # A lasting matter that was not offered for a while is over: the next one begins anew.
         offered = {notice.kind for notice in notices}
-        for kind in offered & self._said.keys():
-            self._said[kind].offered = now
-        self._said = {kind: matter for kind, matter in self._said.items() if now - matter.offered < LULL_S}
-        self._held = {matter for matter in self._held if matter[0] in offered}
+        for kind, matter in list(self._said.items()):
+            if kind in offered:
+                matter.offered = now
+            elif now - matter.offered >= LULL_S:
+                del self._said[kind]
+        if self._held:
+            self._held = {matter for matter in self._held if matter[0] in offered}
         return effects
 
     def _ripe(self, notices: Sequence[Notice], now: Instant) -> list[Notice]:
         """The notices but those that wait; and what waited and is offered no more, unless something critical is."""
+        if not self._waiting and not any(notice.kind.value.wait_s for notice in notices):
+            return list(notices)
         offered = {notice.kind: notice for notice in notices}
         critical = any(kind.value.severity <= Severity.CRITICAL for kind in offered)
         over = [notice for kind, (notice, _) in self._waiting.items() if kind not in offered and not critical]
@@ -238,6 +244,7 @@ class NamedValues:
     def __init__(self, period_s: float = 0.2) -> None:
         self._period_s = period_s
         self._sent: Instant | None = None
+        self._slots, self._thesis = tuple[Slot, ...](), list[int]()  # of those slots the ones that are sent
         self._residual = self._fsd_s = 0.0
 
     def step(self, output: ChainOutput, now: Instant) -> list[SendFloat]:
@@ -245,9 +252,11 @@ class NamedValues:
         if output.now_ns is None:
             return []
         piece = output.pieces[-1]
-        thesis = [number for number, slot in enumerate(piece.slots) if slot.monitor.name == "fsd"]
-        thesis.sort(key=lambda number: piece.slots[number].monitor.axis is not Axis.ROLL)
-        gauge = next((gauge for number in thesis if (gauge := piece.gauge(number)) is not None), None)
+        if piece.slots is not self._slots:
+            thesis = [number for number, slot in enumerate(piece.slots) if slot.monitor.name == "fsd"]
+            self._thesis = sorted(thesis, key=lambda number: piece.slots[number].monitor.axis is not Axis.ROLL)
+            self._slots = piece.slots
+        gauge = next((gauge for number in self._thesis if (gauge := piece.gauge(number)) is not None), None)
         if gauge is None:
             return []
         self._residual = max(self._residual, gauge.signal, key=abs)

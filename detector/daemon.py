@@ -33,6 +33,7 @@ from detector.values import (
     Learn,
     LinkFigures,
     Note,
+    SendFloat,
     SessionSpec,
     is_working,
 )
@@ -42,9 +43,10 @@ from mavdiag.baseline import Baseline
 from mavdiag.decision.diagnosis import Change
 from mavdiag.inspections import Inspections
 from mavdiag.link.codec import message_name
+from mavdiag.link.datagrams import Chunk, Datagrams, as_columns, joined_datagrams
 from mavdiag.link.keys import KeptSigning
 from mavdiag.link.messages import MessageId
-from mavdiag.link.ports import PEER_FRESH_S, Chunk, Endpoint, Kind, parse_address
+from mavdiag.link.ports import PEER_FRESH_S, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.sequence import Source
 from mavdiag.telemetry import Instant
@@ -188,8 +190,7 @@ class Daemon:
     def tick(self) -> None:
         """One look: take what came, let the sessions go on as there is time, do what they want."""
         now, known = self._now(), len(self.fleet.vehicles)
-        chunks, sources = self._chunks()
-        self.fleet.take(chunks, now, sources)
+        self._take(now)
         for sysid, outcome in self._fitter.poll():
             self.fleet.vehicles[sysid].outcome = outcome
         turns = self.fleet.judge(now, self._time_to_judge(now))
@@ -288,15 +289,18 @@ class Daemon:
             return None
         return SessionSpec(profile, baseline, self._settings, self._unix_ns() - self._host.now_ns(), held)
 
-    def _chunks(self) -> tuple[list[Chunk], list[Source]]:
-        chunks, sources = list[Chunk](), list[Source]()
+    def _take(self, now: Instant) -> None:
+        """Read the vehicle's link, and hand on what it brings."""
+        pieces, chunks, sources = list[Datagrams](), list[Chunk](), list[Source]()
         for _ in range(DRAINS):
             more = self._link.receive(0.0)
             if not more:
                 break
-            chunks += more
-            sources += self._link.sources
-        return chunks, sources
+            if self._link.datagrams:
+                pieces.append(as_columns(more, self._link.sources))
+            else:
+                chunks, sources = [*chunks, *more], [*sources, *self._link.sources]
+        self.fleet.take(joined_datagrams(pieces) if self._link.datagrams else chunks, now, sources)
 
     def _watch(self, now: Instant) -> None:
         self._link.trust(self._guard.sources(now, PEER_FRESH_S), alone=self._signing is not None)
@@ -380,12 +384,13 @@ class Daemon:
                 self._answer(handled, partial(self._link.answer, source=source))
             for effect in turn.effects:
                 self._act(turn.vehicle, effect)
-                self._reporter.record(turn.vehicle, effect)
 
     def _act(self, sysid: int, effect: Effect) -> None:
         frames, for_all = self._sender(sysid).frames(effect)
         for frame in frames:
             self._relay.send(frame, to_all=for_all)
+        if isinstance(effect, SendFloat):
+            return  # it is not worth a line
         match effect:
             case AskInterval(msgid, interval_us):
                 self._reporter.record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
@@ -401,6 +406,7 @@ class Daemon:
                 self._inspections.take(sysid, effect, *judged_by, self._host.utc().isoformat(timespec="seconds"))
             case EventOpened(event) if self._metrics is not None:
                 self._metrics.count_event(sysid, event.monitor)
+        self._reporter.record(sysid, effect)
 
     def _summary(self) -> str:
         ran_s = self._now() - self._started

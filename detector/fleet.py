@@ -8,7 +8,7 @@ data (`due_turns`): nothing is lost, and verdicts come later, which is told.
 
 import traceback
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -21,6 +21,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.kernel import LOOK_NS
 from mavdiag.link.clock import Timesync, exchanged
 from mavdiag.link.codec import Frame
+from mavdiag.link.datagrams import Chunk, Datagrams
 from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
@@ -142,7 +143,7 @@ class Fleet:
         self._spec_of, self._knows = spec_of, knows
         self._left: set[int] = set()
 
-    def take(self, chunks: Iterable[tuple[bytes, int]], now: Instant, sources: Sequence[Source] = ()) -> None:
+    def take(self, chunks: Sequence[Chunk] | Datagrams, now: Instant, sources: Sequence[Source] = ()) -> None:
         """Take bytes with their time of arrival. sources: of each chunk; empty for a link with one other end."""
         self.link.take(chunks, now.ns, sources)
         for sysid in self.link.vehicles.keys() - self.vehicles.keys() - self._left:
@@ -210,7 +211,8 @@ class Fleet:
         vehicle, stream, received = self.vehicles[sysid], self.link.vehicles[sysid], self.link.received(sysid)
         session, came, alive = vehicle.session, received.telemetry, received.present
         reboots, imu = stream.state.timeline.reboots, stream.profile.imu
-        mode, sticks = mode_in(received.frames), sticks_in(received.frames) | vehicle.sticks
+        mode, sticks = (mode_in(received.frames), sticks_in(received.frames)) if received.frames else (None, {})
+        sticks = {**sticks, **vehicle.sticks}
         inbox = Inbox(came, alive, reboots, received.acks, vehicle.outcome, received.parameters, imu, mode, sticks)
         vehicle.outcome, vehicle.sticks = None, {}
         effects = session.step(inbox, now)

@@ -1,5 +1,6 @@
 """Judging in flight: the chain at work, which monitors do not judge, and whether it flies although none does."""
 
+from collections.abc import Hashable
 from dataclasses import replace
 
 from detector.alerts import Kind, Notice, label_of
@@ -24,6 +25,8 @@ STREAM_S = 5.0  # how long a stream may take to come before its absence is repor
 FLOWN_NS = 20 * NS_PER_S  # of what flew last, which shows what is usual in flight (our choice)
 LATEST_NS = 6 * NS_PER_S  # of what came last: twice `HIDDEN_S`, and no touch-down takes so long (our choice)
 LOOK_NS = 2 * NS_PER_S  # between two looks for a hidden flight (our choice)
+CHAINS_MOST = 4  # that are kept: vehicles with one baseline and the same settings share a chain (our choice)
+_CHAINS: dict[tuple[Hashable, ...], tuple[Baseline, Chain]] = {}
 
 
 class Judge:
@@ -83,13 +86,12 @@ class Judge:
         if streams.began is None or now - streams.began < STREAM_S or now - self._asked < ASK_S:
             return self._unjudged
         self._asked, self._unjudged = now, {}
-        idle = self.memory.idle if self.flight_s > WARM_S else ()
-        accounts = self.memory.accounts if idle else ()
+        idle, kernel = self.memory.idle if self.flight_s > WARM_S else (), self.chain.kernel
         for number, slot in enumerate(self.chain.slots):
             label = label_of(slot.monitor.name)
             if missing := streams.missing(slot.monitor.signals):
                 self._unjudged[label] = f"no {LABELS[missing]}"
-            elif number in idle and (reasons := unjudged_s(accounts[number])):
+            elif number in idle and (reasons := unjudged_s(kernel.account(self.memory.memory, number))):
                 self._unjudged[label] = max(reasons, key=lambda reason: reasons[reason])
         return self._unjudged
 
@@ -164,6 +166,15 @@ def chain_for(baseline: Baseline, settings: SessionSettings, started_ns: int) ->
 
     started_ns: as in `chain_of`. Raises BaselineError if no monitor is left that decides.
     """
+    key = id(baseline), settings.threshold_scale, tuple(settings.suspect), baseline.same_session(started_ns)
+    if key not in _CHAINS:
+        if len(_CHAINS) >= CHAINS_MOST:
+            del _CHAINS[next(iter(_CHAINS))]
+        _CHAINS[key] = baseline, _chain(baseline, settings, started_ns)
+    return _CHAINS[key][1]
+
+
+def _chain(baseline: Baseline, settings: SessionSettings, started_ns: int) -> Chain:
     chain = chain_of(rescaled(baseline, settings.threshold_scale), started_ns)
     suspect = set(settings.suspect)
     slots = tuple(replace(slot, decides=slot.decides and not _names(slot) & suspect) for slot in chain.slots)

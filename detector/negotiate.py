@@ -24,6 +24,7 @@ HELD_S = 5.0  # a rate that was right for so long was met; what came of a reques
 VAIN = 3  # tries after which a message that never came is not to be had (our choice)
 OFTEN = 3  # changes by others after which the operator is told
 SETTLE_S = 2.5  # after a request, before rates are reported (our choice)
+CALM_S = 1.0  # between two looks while nothing is to be asked or told soon and no rate changes (our choice)
 ACK_S = 2.0  # an acknowledgement that has not come by then is lost; no later than the next request (our choice)
 _US_PER_S = 1_000_000
 _REFUSED = (MavResult.DENIED, MavResult.UNSUPPORTED, MavResult.FAILED)
@@ -49,6 +50,12 @@ class _Ask:
         pause_s = PAUSES_S[min(self.tries, len(PAUSES_S) - 1)]
         return not self.refused and (self.at is None or now - self.at >= pause_s)
 
+    def pressing(self, now: Instant) -> bool:
+        """Whether something may be asked or told of it before long."""
+        if self.right_since is None:
+            return self.due(now + CALM_S)
+        return self.at is not None and now - self.at < HELD_S + CALM_S
+
     def vain(self, now: Instant) -> bool:
         return self.refused or (self.tries >= VAIN and self.due(now))
 
@@ -65,10 +72,10 @@ class _Ask:
 
 
 class Negotiation:
-    """All that was asked so far of one autopilot. autopilot: MAV_AUTOPILOT."""
+    """All that was asked so far of one autopilot. autopilot: MAV_AUTOPILOT. calm: the next look may wait `CALM_S`."""
 
     def __init__(self, autopilot: int = 0) -> None:
-        self._autopilot = autopilot
+        self._autopilot, self.calm = autopilot, False
         self._asks: defaultdict[int, _Ask] = defaultdict(_Ask)
         self._awaited: list[tuple[int, Instant]] = []  # messages whose acknowledgement has not come, in order
 
@@ -92,8 +99,10 @@ class Negotiation:
                 effects.append(AskInterval(msgid, round(_US_PER_S / want.ask_hz)))
                 ask.tries, ask.at = ask.tries + 1, now
                 self._awaited.append((msgid, now))
-            effects += self._told(ask, msgid, want, rate_hz and (streams.meter(want.signal).steady_hz or rate_hz), now)
-        return effects, self._reported(rates_hz, now)
+            effects += self._told(ask, msgid, want, streams, rate_hz, now)
+        notices, told = self._reported(rates_hz, now), None not in rates_hz.values()
+        self.calm = told and not (effects or notices or any(ask.pressing(now) for ask in self._asks.values()))
+        return effects, notices
 
     def ask_for(self, msgid: int, rate_hz: float, now: Instant) -> AskInterval:
         """Ask once for a stream that is not measured here."""
@@ -102,8 +111,9 @@ class Negotiation:
 
     def _acknowledged(self, acks: Sequence[Ack], now: Instant) -> list[Note]:
         """Acknowledgements are taken to come in the order of the requests; MAVLink has nothing better for them."""
-        self._awaited = [(msgid, at) for msgid, at in self._awaited if now - at <= ACK_S]
         notes = []
+        if self._awaited:
+            self._awaited = [(msgid, at) for msgid, at in self._awaited if now - at <= ACK_S]
         for ack in acks:
             if ack.command == MavCmd.SET_MESSAGE_INTERVAL and self._awaited:
                 msgid, _ = self._awaited.pop(0)
@@ -111,19 +121,20 @@ class Negotiation:
                 notes.append(Note(f"{message_name(msgid)}: the autopilot answered {_result(ack.result)}"))
         return notes
 
-    def _told(self, ask: _Ask, msgid: int, want: Want, steady_hz: float, now: Instant) -> list[Note]:
-        """What came of the requests for a message: each thing once. steady_hz: 0 if it does not come."""
+    def _told(self, ask: _Ask, msgid: int, want: Want, streams: Streams, rate_hz: float, now: Instant) -> list[Note]:
+        """What came of the requests for a message: each thing once. rate_hz: 0 if it does not come."""
         name = message_name(msgid)
-        if not steady_hz and "lack" not in ask.told and (ask.refused or ask.tries >= VAIN):
+        if not rate_hz and "lack" not in ask.told and (ask.refused or ask.tries >= VAIN):
             ask.told.add("lack")
             return [Note(_lack(name, want, remedy(self._autopilot, msgid)))]
         if ask.resets >= OFTEN and "resets" not in ask.told:
             ask.told.add("resets")
             why = f"its rate was changed {ask.resets} times; does a ground station set it?"
             return [Note(f"{name}: {why} (MAVProxy: set streamrate -1)")]
-        if steady_hz and ask.at is not None and now - ask.at >= HELD_S and "rate" not in ask.told:
+        if rate_hz and ask.at is not None and now - ask.at >= HELD_S and "rate" not in ask.told:
             ask.told.add("rate")
             answer = "did not answer" if ask.answer is None else f"answered {_result(ask.answer)}"
+            steady_hz = streams.meter(want.signal).steady_hz or rate_hz
             came = f"the autopilot {answer}, {steady_hz:.1f} Hz come"
             return [Note(f"{name}: asked for {want.ask_hz:g} Hz, {came}")]
         return []

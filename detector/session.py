@@ -8,7 +8,7 @@ from typing import Final
 
 from detector.alerts import Kind, NamedValues, Notice, Presenter, Telling
 from detector.judging import Judge, beginning, chain_for, records_of, words_of
-from detector.negotiate import Negotiation
+from detector.negotiate import CALM_S, Negotiation
 from detector.reaction import Reaction
 from detector.rules import parse_modes, parse_rules
 from detector.states import TABLE, State, Trigger
@@ -57,7 +57,7 @@ class Session:
         self._named_values = NamedValues(1.0 / settings.named_values_hz)
         self.armed, self._armings = False, 0
         self.came = Telemetry()  # with the last step
-        self._looked = Instant(0)  # when it was asked what the streams lack
+        self._looked, self._changes = Instant(0), 0  # when it was asked what the streams lack; rates changed by then
         self._unjudged: dict[str, str] = {}  # monitors that were said not to judge, with the reason
         self._effects: list[Effect] = []
         self._notices: list[Notice] = []
@@ -95,8 +95,10 @@ class Session:
         if armed is not None and len(armed):
             was_armed, self.armed = self.armed, bool(armed.values[-1, 0] >= ARMED_FROM)
             self._armings += self.armed and not was_armed
-        self._effects += self.reaction.step(self.diagnosis, self.armed, inbox, now)
-        self._notices += self._telling.step(self.diagnosis, self._armings)
+        held = self._held if self.judge is None else self.judge.memory.decision.decided
+        held = self.diagnosis if held.stage is Stage.SUSPECTED else held  # with the evidence that is told
+        self._effects += self.reaction.step(held, self.armed, inbox, now)
+        self._notices += self._telling.step(held, self._armings)
         return (*self._effects, *self._presenter.present(self._notices, now))
 
     def broken(self, reason: str, now: Instant) -> tuple[Effect, ...]:
@@ -200,10 +202,11 @@ class Session:
         if streams.scale_doubt and not had_doubt:
             felt = f"but {streams.scale_doubt}"
             self._effects.append(Note(f"the vehicle does not feel 1 g by the scale of the profile {own.name}, {felt}"))
-        looked = now - self._looked < LOOK_S and not inbox.acks
+        calm = self._negotiation.calm and streams.changes == self._changes and self.baseline is not None
+        looked = now - self._looked < (CALM_S if calm else LOOK_S) and not inbox.acks
         if looked or not self.settings.negotiate or self.state in (State.FITTING, State.FAULTED):
             return
-        self._looked = now
+        self._looked, self._changes = now, streams.changes
         blind = self.reaction.commands and not self.reaction.sticks_known and self.state is State.MONITORING
         if blind and (self._sticks_asked is None or now - self._sticks_asked >= STICKS_S):
             self._sticks_asked = now
@@ -220,6 +223,7 @@ class Session:
         rests_on = (id(self.baseline), id(judge and judge.chain), profile.imu)
         if self._demanded is None or self._demanded[0] != rests_on:
             judged = [slot.monitor.signals for slot in judge.chain.slots] if judge else []
+            self._looked = Instant(0)
             self._demanded = (rests_on, Demand.of(self.settings, profile, self.baseline, judged))
         return self._demanded[1]
 
@@ -320,15 +324,16 @@ class Session:
 
     def _idle(self, judge: Judge, now: Instant) -> None:
         ground, unjudged = self.streams.on_ground(judge.chain.front.gate), judge.not_judged(self.streams, now)
-        news = unjudged.items() - self._unjudged.items()
-        self._effects += [Note(f"{label} not judged: {why}") for label, why in unjudged.items() if (label, why) in news]
+        if unjudged != self._unjudged:
+            news = [one for one in unjudged.items() if one not in self._unjudged.items()]
+            self._effects += [Note(f"{label} not judged: {why}") for label, why in news]
         why = short = ""
         if now - judge.judged >= IDLE_S and (ground or not unjudged):
             why = short = f": {ground.text if ground else judge.memory.diagnosis.reason or Reason.GAPS}"
         elif unjudged:
             why, short = words_of(unjudged)
         self.reason, self._unjudged = f"monitoring{why}", unjudged
-        if judge.memory.diagnosis.stage not in (Stage.FAULT, Stage.INSPECT) or unjudged:
+        if judge.memory.decision.decided.stage not in (Stage.FAULT, Stage.INSPECT) or unjudged:
             self._say(Kind.MONITORING, short, key=short)
 
     def _faulted(self, inbox: Inbox, now: Instant) -> None:

@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import pairwise
 
 import numpy as np
 
@@ -35,6 +34,7 @@ METERED = (
 STEADY = 5  # measurements that the steady rate is the mean of
 SLOWER = 8.0  # two steps in a row so many times the period are another rate: losses hardly make them (our choice)
 WEIGH_S, WEIGH_SAMPLES = 1.0, 20  # of the accelerometer, before its scale is believed (our choice)
+CHANGED = 0.05  # of a rate that is a change of it: less is told by the next look, a second later at most (our choice)
 _MOST = 100_000  # samples that are kept of one measurement
 
 
@@ -67,9 +67,10 @@ class Meter:
         self.samples = samples  # all so far
         self.latest: Instant | None = None  # when one came last (host); None if none came, or none for `SILENT_S`
         self.periods_s: tuple[float, ...] = ()  # the last two measurements: one odd second is no change of rate
+        self.rate_hz = 0.0  # 0 while unknown
         self._t_ns: list[IntArray] = []  # since the last measurement
-        self._waiting = 0
-        self._recent_ns: deque[int] = deque(maxlen=3)  # vehicle times of the last three samples
+        self._first_ns = self._waiting = 0  # the first of them, and how many they are
+        self._recent_ns: list[int] = []  # vehicle times of the last three samples
         self._steps: deque[tuple[int, float]] = deque(maxlen=STEADY)  # number and length [s] of the last measurements'
 
     @property
@@ -78,32 +79,37 @@ class Meter:
         span_s = sum(span_s for _, span_s in self._steps)
         return sum(count for count, _ in self._steps) / span_s if span_s else 0.0
 
-    @property
-    def rate_hz(self) -> float:
-        """Measured rate; 0 while unknown. Two samples of a far lower rate tell at once that somebody set it."""
+    def take(self, series: Series, now: Instant) -> bool:
+        """Measure the next samples; returns whether the rate has changed."""
+        t_ns, before_hz, first = series.t_ns, self.rate_hz, self.latest is None
+        count, recent_ns = len(t_ns), t_ns[-3:].tolist()
+        self.latest, self.samples, self._waiting = now, self.samples + count, self._waiting + count
+        self._recent_ns = recent_ns if count > 2 else [*self._recent_ns, *recent_ns][-3:]
+        if not self._t_ns:
+            self._first_ns = int(t_ns[0])
+        self._t_ns.append(t_ns)
+        span_ns = recent_ns[-1] - self._first_ns
+        if span_ns >= MEASURE_S * NS_PER_S:
+            measured_ns = np.concatenate(self._t_ns)
+            self._steps.append((len(measured_ns) - 1, span_ns / NS_PER_S))
+            steps = steps_of(measured_ns)
+            self.periods_s = (*self.periods_s, usual_step(steps) / NS_PER_S)[-2:] if len(steps) else ()
+        # Measured; or a clock that jumped back, or stands still, starts the measurement anew.
+        if not (0 <= span_ns < MEASURE_S * NS_PER_S and self._waiting <= _MOST):
+            self._t_ns, self._first_ns, self._waiting = [t_ns[-1:]], recent_ns[-1], 1
+        self.rate_hz = self._rate_hz()
+        return first or abs(self.rate_hz - before_hz) > CHANGED * before_hz
+
+    def _rate_hz(self) -> float:
+        """Measured rate. Two samples of a far lower rate tell at once that somebody set it."""
         if not self.periods_s:
             return 0.0
         period_s = self.periods_s[-1]
-        slow_s = min((b - a for a, b in pairwise(self._recent_ns)), default=0) / NS_PER_S
-        slow_s = slow_s if len(self._recent_ns) == 3 else 0.0
-        return 1.0 / (slow_s if slow_s > SLOWER * period_s else period_s)
-
-    def take(self, series: Series, now: Instant) -> None:
-        """Measure the next samples."""
-        self.latest, self.samples = now, self.samples + len(series)
-        self._recent_ns.extend(series.t_ns[-3:].tolist())
-        self._t_ns.append(series.t_ns)
-        self._waiting += len(series)
-        first_ns, last_ns = int(self._t_ns[0][0]), self._recent_ns[-1]
-        if last_ns - first_ns >= MEASURE_S * NS_PER_S:
-            t_ns = np.concatenate(self._t_ns)
-            self._steps.append((len(t_ns) - 1, float(last_ns - first_ns) / NS_PER_S))
-            steps = steps_of(t_ns)
-            self.periods_s = (*self.periods_s, usual_step(steps) / NS_PER_S)[-2:] if len(steps) else ()
-        elif last_ns >= first_ns and self._waiting <= _MOST:
-            return
-        # Measured; or a clock that jumped back, or stands still, starts the measurement anew.
-        self._t_ns, self._waiting = [series.t_ns[-1:]], 1
+        if len(self._recent_ns) == 3:
+            before_ns, at_ns, after_ns = self._recent_ns
+            slow_s = min(at_ns - before_ns, after_ns - at_ns) / NS_PER_S
+            period_s = slow_s if slow_s > SLOWER * period_s else period_s
+        return 1.0 / period_s
 
 
 class Streams:
@@ -112,6 +118,7 @@ class Streams:
     def __init__(self) -> None:
         self.began: Instant | None = None  # since when they are observed (host)
         self.armed = self.thrust = float("nan")  # 0 or 1; collective set-point, 0..1: as said last; nan if never said
+        self.changes = 0  # of rates, so far
         self.scale_doubt = ""  # what the accelerometer feels and the profile that would explain it, if it is not 1 g
         self._meters = {signal: Meter() for signal in METERED}
         self._weighed: list[FloatArray] = []  # of the accelerometer, until its scale is believed
@@ -121,15 +128,15 @@ class Streams:
     def observe(self, telemetry: Telemetry, now: Instant, profile: Profile) -> None:
         """Take in what came. profile: of the link, with the IMU message that is read."""
         self.began = self.began or now
-        came = {series.signal: series for series in telemetry.series if len(series)}
+        came = {series.signal: series for series in telemetry.series if series.t_ns.size}
         for signal, meter in self._meters.items():
-            if series := came.get(signal):
-                meter.take(series, now)
+            if (series := came.get(signal)) is not None:
+                self.changes += meter.take(series, now)
             elif meter.latest is not None and now - meter.latest > SILENT_S:
-                self._meters[signal] = Meter(meter.samples)
+                self._meters[signal], self.changes = Meter(meter.samples), self.changes + 1
         self.armed = _latest(self.armed, came.get(Signal.ARMED))
         self.thrust = _latest(self.thrust, came.get(Signal.THRUST_SETPOINT))
-        if not self._scale_believed and (force := came.get(Signal.SPECIFIC_FORCE)):
+        if not self._scale_believed and (force := came.get(Signal.SPECIFIC_FORCE)) is not None:
             self._weigh(force, profile)
 
     def _weigh(self, force: Series, profile: Profile) -> None:
@@ -175,7 +182,7 @@ class Streams:
 
 
 def _latest(old: float, series: Series | None) -> float:
-    return float(series.values[-1, 0]) if series else old
+    return old if series is None else float(series.values[-1, 0])
 
 
 @dataclass(frozen=True, slots=True)

@@ -637,21 +637,21 @@ class Kernel:
 
     def accounts(self, memory: Memory) -> tuple[Account, ...]:
         """How long each slot judged, and why it did not."""
-        doubts = {str(DOUBTS[i]): int(n) * self.dt_s for i, n in enumerate(memory.doubts) if i and n}
-        missing, found = (memory.missing * self.dt_s).tolist(), []
-        for number, (slot, period_s) in enumerate(zip(self.slots, self.periods_s, strict=True)):
-            (values, peak), lacking = memory.tally[number].tolist(), dict(doubts)
-            for signal in self._needs[number]:
-                if span_s := missing[self._bit[_check(slot, signal)]]:
-                    lacking[f"no {signal.replace('_', ' ')}"] = span_s
-            outside = {
-                condition: Outside(beyond * period_s, value)
-                for condition, (beyond, value, _) in zip(ORDER, memory.outside[number].tolist(), strict=True)
-                if beyond
-            }
-            highest = peak if values else None
-            found.append(Account(memory.rows * self.dt_s, values * period_s, highest, lacking, outside))
-        return tuple(found)
+        return tuple(self.account(memory, number) for number in range(len(self.slots)))
+
+    def account(self, memory: Memory, number: int) -> Account:
+        """How long a slot judged, and why it did not."""
+        slot, period_s, (values, peak) = self.slots[number], self.periods_s[number], memory.tally[number].tolist()
+        lacking = {str(DOUBTS[i]): int(n) * self.dt_s for i, n in enumerate(memory.doubts) if i and n}
+        for signal in self._needs[number]:
+            if rows := int(memory.missing[self._bit[_check(slot, signal)]]):
+                lacking[f"no {signal.replace('_', ' ')}"] = rows * self.dt_s
+        outside = {
+            condition: Outside(beyond * period_s, value)
+            for condition, (beyond, value, _) in zip(ORDER, memory.outside[number].tolist(), strict=True)
+            if beyond
+        }
+        return Account(memory.rows * self.dt_s, values * period_s, peak if values else None, lacking, outside)
 
     def _records(self, looks: int) -> FloatArray:
         records = np.zeros((looks, len(self.slots), EVIDENCE + 2 * self._rotors))

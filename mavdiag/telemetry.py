@@ -111,7 +111,7 @@ class Series:
     values: FloatArray
 
     def __post_init__(self) -> None:
-        if self.values.ndim != 2 or not (len(self.t_ns) == len(self.host_ns) == len(self.values)):
+        if self.values.ndim != 2 or not (self.t_ns.size == self.host_ns.size == self.values.shape[0]):
             raise InputError(f"series {self.signal}: t_ns, host_ns and values must have one row per sample")
 
     def __len__(self) -> int:

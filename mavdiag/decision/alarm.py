@@ -93,12 +93,25 @@ class Episode:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DecisionState:
-    """What is held; since when all ratios are calm, and one is over (None if not); the latest episode of a fault."""
+    """What is held; since when all ratios are calm, and one is over (None if not); the latest episode of a fault.
 
-    diagnosis: Diagnosis = NOTHING_SEEN
+    lead: slot (None for none), ratio and value of the evidence that leads since it was decided; None for as decided.
+    """
+
+    decided: Diagnosis = NOTHING_SEEN
     calm_ns: int | None = None
     over_ns: int | None = None
     episode: Episode | None = None
+    lead: tuple[Slot | None, float, float] | None = None
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """What is held, with the evidence that leads now."""
+        return self.decided if self.lead is None else _shown(self.decided, *self.lead)
+
+    def deciding(self, diagnosis: Diagnosis, episode: Episode | None = None) -> "DecisionState":
+        """The state with another diagnosis, and another episode if there is one."""
+        return DecisionState(diagnosis, self.calm_ns, self.over_ns, episode or self.episode)
 
 
 Step: TypeAlias = tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]
@@ -125,15 +138,16 @@ class DecisionSpec:
                 alarms.append(told.pop(0))
             if not alarms and height is not None and height in left_alone:
                 state, before = _since(state, height, t_ns), height
-                if last and state.diagnosis.stage not in (Stage.FAULT, Stage.INSPECT):
-                    lead = looked.leads[number]
-                    best = self._reading(lead, looked.readings[number, lead].tolist()) if lead >= 0 else None
-                    state = replace(state, diagnosis=_shown(state.diagnosis, best))
+                if last and state.decided.stage not in (Stage.FAULT, Stage.INSPECT):
+                    slot = looked.leads[number]
+                    known = looked.readings[number, slot, : READ + 1].tolist() if slot >= 0 else (NAN, NAN)
+                    lead = (self.slots[slot] if slot >= 0 else None, known[RATIO], known[READ])
+                    state = DecisionState(state.decided, state.calm_ns, state.over_ns, state.episode, lead)
                 continue
             rows = enumerate(looked.readings[number].tolist())
             fresh = [self._reading(slot, row) for slot, row in rows if t_ns / LOOK_NS - row[AT] <= STALE_LOOKS]
             state, change = self._decide(state, fresh, t_ns)
-            if state.diagnosis.stage is Stage.FAULT:
+            if state.decided.stage is Stage.FAULT:
                 state, graded = self._grade(state, looked.sums[number], t_ns)
                 change = change or graded
             events += self.named(state, alarms)
@@ -154,11 +168,11 @@ class DecisionSpec:
         if state.diagnosis.stage is not Stage.INSPECT:
             return state, (), ()
         diagnosis = Diagnosis(reason="the inspection is acknowledged", since_ns=t_ns)
-        return replace(state, diagnosis=diagnosis, episode=None), (), (Change.of(diagnosis, t_ns),)
+        return DecisionState(diagnosis, state.calm_ns, state.over_ns), (), (Change.of(diagnosis, t_ns),)
 
     def named(self, state: DecisionState, alarms: Sequence[Alarm]) -> tuple[Event, ...]:
         """Alarms as events, with the rotor, type and severity known now if they belong to the latest episode."""
-        episode, it, found = state.episode, state.diagnosis, list[Event]()
+        episode, it, found = state.episode, state.decided, list[Event]()
         for alarm in alarms:
             slot, end_ns = self.slots[alarm.slot], None if alarm.end_ns < 0 else alarm.end_ns
             event = Event(*slot.key, alarm.start_ns, end_ns, alarm.statistic, slot.threshold, alarm.level)
@@ -170,7 +184,7 @@ class DecisionSpec:
         return tuple(found)
 
     def _left_alone(self, state: DecisionState) -> tuple[Height, ...]:
-        held, episode = state.diagnosis, state.episode
+        held, episode = state.decided, state.episode
         if held.stage is Stage.FAULT and not held.seen and (not episode or episode.graded >= len(self.known)):
             return LEFT_ALONE[Stage.INSPECT]  # like it, a fault that is not seen waits for a ratio above 1
         return LEFT_ALONE[held.stage]
@@ -191,7 +205,7 @@ class DecisionSpec:
             now = replace(held, stage=stage, reason=reason, since_ns=t_ns)
         if stage is not Stage.FAULT:
             now, news = _suspected_rotor(now, fresh, height)
-            return replace(state, diagnosis=_leading(now, fresh)), changed or news
+            return state.deciding(_leading(now, fresh)), changed or news
         if height is Height.OVER and not held.seen:
             why = "the fault is seen again" if held.stage is stage else reason
             declared_ns = t_ns if held.declared_ns is None else held.declared_ns
@@ -199,10 +213,10 @@ class DecisionSpec:
             now = Diagnosis(stage, why, now.since_ns, kind=kind, declared_ns=declared_ns, seen=True, rotors=held.rotors)
             changed, state = True, replace(state, episode=Episode(t_ns, Gathered(t_ns)))
         if state.episode is None or not now.seen:
-            return replace(state, diagnosis=now), changed
+            return state.deciding(now), changed
         episode, after = self._episode(state.episode, now, fresh, t_ns)
         news = after.seen is not now.seen or after.kind is not now.kind or after.rotor != now.rotor
-        return replace(state, diagnosis=after, episode=episode), changed or news
+        return state.deciding(after, episode), changed or news
 
     def _episode(
         self, episode: Episode, now: Diagnosis, fresh: Sequence[Reading], t_ns: int
@@ -249,7 +263,7 @@ class DecisionSpec:
         after = replace(now, fault_type=found.fault_type, severity=found.severity)
         news = after != now
         after = replace(after, reason="the kind of fault is named") if news else after
-        return replace(state, episode=replace(episode, graded=episode.graded + 1), diagnosis=after), news
+        return state.deciding(after, replace(episode, graded=episode.graded + 1)), news
 
 
 def height_of(ratio: float, slot: Slot) -> Height:
@@ -312,7 +326,7 @@ def _since(state: DecisionState, height: Height | int, t_ns: int) -> DecisionSta
     calm_ns = None if height != Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
     over_ns = None if height != Height.OVER else t_ns if state.over_ns is None else state.over_ns
     same = calm_ns == state.calm_ns and over_ns == state.over_ns
-    return state if same else replace(state, calm_ns=calm_ns, over_ns=over_ns)
+    return state if same else DecisionState(state.decided, calm_ns, over_ns, state.episode, state.lead)
 
 
 def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tuple[DecisionState, Height]:
@@ -341,13 +355,14 @@ def _leading(it: Diagnosis, fresh: Sequence[Reading]) -> Diagnosis:
         if not fresh:
             return it
     ranks = [(height_of(one.ratio, one.slot), one.slot.decides, one.ratio) for one in fresh]
-    return _shown(it, fresh[ranks.index(max(ranks))] if ranks else None)
+    best = fresh[ranks.index(max(ranks))] if ranks else None
+    return _shown(it, best.slot, best.ratio, best.value) if best else _shown(it, None)
 
 
-def _shown(it: Diagnosis, best: Reading | None) -> Diagnosis:
-    if best is None:
+def _shown(it: Diagnosis, slot: Slot | None, ratio: float = NAN, value: float = NAN) -> Diagnosis:
+    if slot is None:
         return replace(it, monitor=None, axis=None, unit="", statistic=NAN, threshold=NAN)
-    slot, (name, axis), evidence = best.slot, best.slot.key, max(best.value, best.ratio * best.slot.threshold)
+    (name, axis), evidence = slot.key, max(value, ratio * slot.threshold)
     return replace(it, monitor=name, axis=axis, unit=slot.monitor.unit, statistic=evidence, threshold=slot.threshold)
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from mavdiag.errors import UsageError
 from mavdiag.jit import cached, jit
+from mavdiag.link.datagrams import Bytes, Chunk, Datagrams, as_columns
 from mavdiag.link.layout import EXTRA_LAYOUTS, Argument, FieldValue, Layout, cut
 from mavdiag.link.messages import Component, MessageId, Severity
 from mavdiag.link.sequence import FRAME, HEARD, REFUSED, LinkCount, Senders, Source
@@ -27,7 +28,6 @@ from mavdiag.telemetry import BoolArray, IntArray
 from mavdiag.units import NS_PER_US
 
 Record: TypeAlias = NDArray[Any]
-Bytes: TypeAlias = NDArray[np.uint8]
 
 UNKNOWN = -1  # stands for every message id outside the dialect in `LinkCount.by_message`
 TEXT_BYTES = 50  # STATUSTEXT.text
@@ -172,17 +172,6 @@ class Frames:
             chosen |= self.rows["row"] == ROWS[msgid]
         return self.where(chosen if compid is None else chosen & (self.rows["sender"] & 0xFF == compid))
 
-    def by_sysid(self) -> dict[int, "Frames"]:
-        """Those of each system id, by rising number, with bytes of their own."""
-        rows, payloads, edges = _sorted(self.data, self.rows, np.empty(len(self), FRAME))
-        payloads.flags.writeable = False
-        sysids = np.flatnonzero(edges[0, 1:] > edges[0, :-1])
-        spans = zip(sysids.tolist(), edges[:, sysids].T.tolist(), edges[:, sysids + 1].T.tolist(), strict=True)
-        return {
-            sysid: Frames(payloads[first_byte:last_byte], rows[first:last])
-            for sysid, (first, first_byte), (last, last_byte) in spans
-        }
-
     def counts(self, compid: int = AUTOPILOT) -> Counter[int]:
         """How many of each message came from a component."""
         own = np.bincount(self.rows["row"][self.rows["sender"] & 0xFF == compid])
@@ -225,29 +214,6 @@ def frames_joined(pieces: Sequence[Frames]) -> Frames:
     rows["body"] += shifts
     rows["stop"] += shifts
     return Frames(np.frombuffer(data, np.uint8), rows)
-
-
-@cached
-def _sorted(data: Bytes, rows: NDArray[Any], found: NDArray[Any]) -> tuple[NDArray[Any], Bytes, IntArray]:
-    """Rows in order of system ids, their payloads, and (2, 257) the edges between those of each system id.
-
-    found: room for the rows; their places count from the first byte of their system id.
-    """
-    edges = np.zeros((2, 257), np.int64)
-    for k in range(len(rows)):
-        behind = (rows[k].sender >> 8) + 1
-        edges[0, behind] += 1
-        edges[1, behind] += rows[k].stop - rows[k].body
-    for behind in range(1, 257):
-        edges[:, behind] += edges[:, behind - 1]
-    at, payloads = edges.copy(), np.empty(edges[1, 256], np.uint8)
-    for k in range(len(rows)):
-        sysid, body, size = rows[k].sender >> 8, rows[k].body, rows[k].stop - rows[k].body
-        place, to = at[0, sysid], at[1, sysid]
-        payloads[to : to + size], found[place] = data[body : body + size], rows[k]
-        found[place].body, found[place].stop = to - edges[1, sysid], to - edges[1, sysid] + size
-        at[0, sysid], at[1, sysid] = place + 1, to + size
-    return found, payloads, edges
 
 
 class Decoder:
@@ -294,46 +260,46 @@ class Decoder:
     def take_stream(self, data: bytes, host_ns: int = 0, source: Source = None, *, last: bool = False) -> Frames:
         """As `feed`, for many frames. source: where the bytes come from. last: nothing follows them."""
         buffer = self._pending + data if self._pending else data
-        frames, used = self._scan(buffer, (len(buffer),), (host_ns,), (source,), whole=last)
+        chunk = np.array([[len(buffer)], [host_ns], self.heard.numbers((source,))], np.int64)
+        frames, used = self._scan(np.frombuffer(buffer, np.uint8), chunk, whole=last)
         self._pending = buffer[used:]
         return frames
 
-    def take_datagrams(self, chunks: Iterable[tuple[bytes, int]], sources: Sequence[Source] = ()) -> Frames:
+    def take_datagrams(self, chunks: Sequence[Chunk] | Datagrams, sources: Sequence[Source] = ()) -> Frames:
         """As `feed_datagram`, for many datagrams, each with its time of arrival [ns]. sources: where each is from."""
-        data, times = zip(*chunks, strict=True) if (chunks := list(chunks)) else ((), ())
-        return self._scan(b"".join(data), [*map(len, data)], times, sources or (None,) * len(data), whole=True)[0]
+        some = as_columns(chunks, sources)
+        numbers = np.array(self.heard.numbers(some.peers), np.int64)[some.whose]
+        return self._scan(some.data, np.array([some.sizes, some.host_ns, numbers]), whole=True)[0]
 
-    def _scan(
-        self, data: bytes, sizes: Sequence[int], times: Sequence[int], sources: Sequence[Source], *, whole: bool
-    ) -> tuple[Frames, int]:
-        chunks = np.array([sizes, times, self.heard.numbers(sources)], np.int64)
-        found, buffer = np.empty(len(data) // (_SHORTEST_V1 + self._gap) + 1, FRAME), np.frombuffer(data, np.uint8)
-        count, used = _find(buffer, chunks, whole, self._gap, _KNOWN, _tables(), found)
+    def _scan(self, data: Bytes, chunks: IntArray, *, whole: bool) -> tuple[Frames, int]:
+        found = np.empty(len(data) // (_SHORTEST_V1 + self._gap) + 1, FRAME)
+        count, used = _find(data, chunks, whole, self._gap, _KNOWN, _tables(), found)
         rows = found[:count]
         if count:
             self.sound_end = self.size + int(rows["after"][-1])
             self._sound += int((rows["after"] - rows["begin"]).sum()) + self._gap * count
             self.records += count
-            rows = self._admitted(data, buffer, rows)
+            rows = self._admitted(data, rows)
         self.size += used
         chosen = self._wanted[rows["row"]]
-        return Frames(buffer, rows[chosen]), used
+        return Frames(data, rows[chosen]), used
 
-    def _admitted(self, data: bytes, buffer: Bytes, rows: NDArray[np.void]) -> NDArray[np.void]:
+    def _admitted(self, data: Bytes, rows: NDArray[np.void]) -> NDArray[np.void]:
         """The frames that are genuine, and whose senders are heard from where they came."""
         signing, rows["heard"] = self._signing, REFUSED
         for k in range(len(rows) if signing else 0):
             # A stamp is kept only if its sender may come from there: who sends a genuine frame again from elsewhere
             # does not make the genuine one old.
-            frame = data[int(rows[k]["begin"]) : int(rows[k]["after"])]
+            frame = data[int(rows[k]["begin"]) : int(rows[k]["after"])].tobytes()
             if signing and signing.genuine(frame) and (not self.heard.admits(rows[k]) or signing.fresh(frame)):
-                self.heard.hear(buffer, rows[k : k + 1])
+                self.heard.hear(data, rows[k : k + 1])
         if signing is None:
-            self.heard.hear(buffer, rows)
+            self.heard.hear(data, rows)
         rows = rows[rows["heard"] == HEARD]
         if self._passed is not None:
             places = (rows[name].tolist() for name in ("begin", "after", "host_ns"))
-            self._passed += [(data[begin:after], host_ns) for begin, after, host_ns in zip(*places, strict=True)]
+            whole = data.tobytes()
+            self._passed += [(whole[begin:after], host_ns) for begin, after, host_ns in zip(*places, strict=True)]
         return rows
 
 

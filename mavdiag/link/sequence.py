@@ -188,6 +188,13 @@ class Senders:
         in_order = received >= 3 and 2 * jumps < received - 1 and (received >= 8 or jumps == 0)
         return in_order or (received >= NEAR and 4 * far <= received)
 
+    @property
+    def clashed(self) -> list[int]:
+        """The senders of which two frames ever had one number."""
+        used = self._senders[: self._used]
+        found: list[int] = used["key"][used["clashes"] > 0].tolist()
+        return found
+
     def contested(self, key: int) -> IntArray | None:
         """The numbers that two senders claimed since the last call; None if that has never happened."""
         row = self._row(key)

@@ -13,6 +13,7 @@ from itertools import repeat
 import numpy as np
 
 from mavdiag.airframe.vehicle_type import refusal
+from mavdiag.link.backlog import Backlog
 from mavdiag.link.codec import (
     AUTOPILOT,
     MSGIDS,
@@ -24,6 +25,7 @@ from mavdiag.link.codec import (
     frames_joined,
     frames_of,
 )
+from mavdiag.link.datagrams import Chunk, Datagrams
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
 from mavdiag.link.parameters import ASKING as PARAMETERS_ASKED
 from mavdiag.link.parameters import parameters_in
@@ -177,7 +179,7 @@ class VehicleStream:
         if not self._settled and len(frames):
             self._choose_imu(frames)
         self.uid = self.uid or uid_in(talk)
-        if told := parameters_in(talk, self.profile.autopilot):
+        if talk and (told := parameters_in(talk, self.profile.autopilot)):
             merged = {**self.parameters, **told}
             self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
         return self._decoder.step(self.state, frames)
@@ -201,15 +203,31 @@ class VehicleStream:
 @dataclass(slots=True)
 class _Waiting:
     since_ns: int  # it is watched
-    frames: list[Frame] = field(default_factory=list)  # its autopilot's latest
+    pieces: list[Frames] = field(default_factory=list)  # its autopilot's latest frames, and how many they are
+    count: int = 0
     beat: Frame | None = None  # its autopilot's latest heartbeat
     kind: tuple[int, int] = (0, 0)  # its MAV_TYPE and MAV_AUTOPILOT
     beats: int = 0  # how many like it came, each at its time after the one before
     checked_ns: int | None = None  # when its profile was looked for last
     reason: str = ""  # why it waits though its autopilot was received
 
-    def note(self, frame: Frame) -> None:
-        """Take in a heartbeat."""
+    def take(self, frames: Frames, kept: int) -> None:
+        """Take in its autopilot's next frames, with bytes of their own; so many of the latest ones are kept."""
+        if not len(frames):
+            return
+        latest = frames.where(slice(-kept, None))
+        self.pieces.append(Frames(np.frombuffer(latest.data.tobytes(), np.uint8), latest.rows.copy()))
+        self.count += len(latest)
+        while self.count - len(self.pieces[0]) >= kept:
+            self.count -= len(self.pieces.pop(0))
+        for frame in frames.of(MessageId.HEARTBEAT):
+            self._note(frame)
+
+    def forget(self) -> None:
+        """Keep none of the frames."""
+        self.pieces, self.count = [], 0
+
+    def _note(self, frame: Frame) -> None:
         kind, autopilot = frame.numbers("type", "autopilot")
         if autopilot == Autopilot.INVALID or kind in (MavType.GCS, MavType.ONBOARD_CONTROLLER):
             return
@@ -222,9 +240,9 @@ class _Waiting:
 
 @dataclass(slots=True)
 class _Unread:
-    """What came from, or for, a vehicle that has entered, until it is asked for."""
+    """What came from, or for, a vehicle that has entered, until it is asked for, but for frames in the backlog."""
 
-    pieces: list[Frames] = field(default_factory=list)
+    pieces: list[Frames] = field(default_factory=list)  # before those
     asked: list[Frame] = field(default_factory=list)
     urgent: bool = False  # whether a command or a TIMESYNC waits, which want an answer
 
@@ -272,6 +290,8 @@ class LinkDecoder:
         self._waiting: dict[int, _Waiting] = {}
         self._unread: dict[int, _Unread] = {}
         self._latest: dict[int, Frames] = {}
+        self._backlog, self._others = Backlog(), Backlog()  # of vehicles that nobody contests (kept), and of the others
+        self._kept = np.zeros(256, np.bool_)
         self.vehicles: dict[int, VehicleStream] = {}
 
     @property
@@ -301,13 +321,13 @@ class LinkDecoder:
         self.decoder.heard.give_up(sysid << 8 | Component.ONBOARD_COMPUTER)
 
     def feed(
-        self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()
+        self, chunks: Sequence[Chunk] | Datagrams, now_ns: int, sources: Sequence[Source] = ()
     ) -> dict[int, Received]:
         """Take bytes, each with time of arrival [ns] and source; return what is new, by vehicle that has entered."""
         self.take(chunks, now_ns, sources)
-        return {sysid: self.received(sysid) for sysid in sorted(self._unread)}
+        return {sysid: self.received(sysid) for sysid in sorted({*self._unread, *self._backlog.sysids})}
 
-    def take(self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()) -> None:
+    def take(self, chunks: Sequence[Chunk] | Datagrams, now_ns: int, sources: Sequence[Source] = ()) -> None:
         """Take bytes as `feed` does; what is for or from vehicles that have entered waits for `received`."""
         if self._datagrams:
             taken = [self.decoder.take_datagrams(chunks, sources)]
@@ -315,15 +335,31 @@ class LinkDecoder:
             ends = sources or repeat(None)
             taken = [self.decoder.take_stream(*chunk, end) for chunk, end in zip(chunks, ends, strict=False)]
         for frames in taken:
-            for sysid, own in frames.by_sysid().items() if len(frames) else ():
-                if not sysid or self._only not in (None, sysid):
-                    continue
-                pieces = self._uncontested(sysid, own)
-                if sysid not in self.vehicles:
-                    pieces = self._enter(sysid, pieces, now_ns)
-                if sysid in self.vehicles:
-                    self._unread.setdefault(sysid, _Unread()).pieces += pieces
-            self._take_talk(frames.where(_TALKS[frames.rows["row"]]))
+            if len(frames):
+                self._file(frames, now_ns)
+                self._take_talk(frames.where(_TALKS[frames.rows["row"]]))
+
+    def _file(self, frames: Frames, now_ns: int) -> None:
+        """Put frames where their vehicles' wait; see which others may enter."""
+        for sysid in (
+            key >> 8 for key in self.decoder.heard.clashed if key & 0xFF == AUTOPILOT and self._kept[key >> 8]
+        ):
+            self._kept[sysid] = False
+            self._unread.setdefault(sysid, _Unread()).pieces.append(self._backlog.take(sysid))
+        kept = self._kept[frames.rows["sender"] >> 8]
+        whole = np.count_nonzero(kept) == len(kept)
+        self._backlog.put(frames if whole else frames.where(kept))
+        if whole:
+            return
+        self._others.put(frames.where(~kept))
+        for sysid, own in self._others.take_all():
+            if not sysid or self._only not in (None, sysid):
+                continue
+            pieces = self._uncontested(sysid, own)
+            if sysid not in self.vehicles:
+                pieces = self._enter(sysid, pieces, now_ns)
+            if sysid in self.vehicles:
+                self._unread.setdefault(sysid, _Unread()).pieces += pieces
 
     def _take_talk(self, frames: Iterable[Frame]) -> None:
         """Hand out what is asked of on-board computers, at most `REQUESTS_MAX` to each; note who wants an answer."""
@@ -333,15 +369,17 @@ class LinkDecoder:
                 unread = self._unread.setdefault(sysid, _Unread())
                 unread.asked += [frame] if len(unread.asked) < REQUESTS_MAX else []
                 unread.urgent = True
-            elif frame.msgid == MessageId.TIMESYNC and frame.sysid in self._unread:
-                self._unread[frame.sysid].urgent = True
+            elif frame.msgid == MessageId.TIMESYNC and frame.sysid in self.vehicles:
+                self._unread.setdefault(frame.sysid, _Unread()).urgent = True
 
     def received(self, sysid: int) -> Received:
         """What waits of a vehicle that has entered."""
         unread, stream = self._unread.pop(sysid, _Unread()), self.vehicles[sysid]
-        frames = frames_joined(unread.pieces)
-        talk = tuple(frames.where(_TALKS[frames.rows["row"]]))
-        present = bool((frames.rows["sender"] & 0xFF == AUTOPILOT).any())
+        frames = self._backlog.take(sysid)
+        frames = frames_joined([*unread.pieces, frames]) if unread.pieces else frames
+        talks = _TALKS[frames.rows["row"]]
+        talk = tuple(frames.where(talks)) if np.count_nonzero(talks) else ()
+        present = bool(np.count_nonzero(frames.rows["sender"] & 0xFF == AUTOPILOT))
         telemetry = stream.step(frames, talk)
         return Received(talk, telemetry, present, acks_in(talk), tuple(unread.asked), stream.parameters)
 
@@ -352,6 +390,7 @@ class LinkDecoder:
     def leave(self, sysid: int) -> None:
         """Drop what waits of a vehicle that nobody asks for."""
         self._unread.pop(sysid, None)
+        self._backlog.take(sysid)
 
     def _uncontested(self, sysid: int, frames: Frames) -> list[Frames]:
         """Without the autopilot's frames that two senders claim; then the latest one waits for what may contest it."""
@@ -370,12 +409,9 @@ class LinkDecoder:
         """Let a vehicle enter if its profile is clear; return the frames that it brings along then."""
         waiting = self._waiting.setdefault(sysid, _Waiting(now_ns))
         kept = min(WAITING_FRAMES, WAITING_IN_ALL // len(self._waiting))
-        frames = [frame for piece in pieces for frame in piece if frame.compid == AUTOPILOT]
-        waiting.frames = [*waiting.frames, *frames][-kept:]
-        for frame in frames:
-            if frame.msgid == MessageId.HEARTBEAT:
-                waiting.note(frame)
-        watched = now_ns - waiting.since_ns >= WATCH_S * NS_PER_S or len(waiting.frames) >= min(kept, CLEAR_FRAMES)
+        for piece in pieces:
+            waiting.take(piece.where(piece.rows["sender"] & 0xFF == AUTOPILOT), kept)
+        watched = now_ns - waiting.since_ns >= WATCH_S * NS_PER_S or waiting.count >= min(kept, CLEAR_FRAMES)
         if (
             waiting.beat is None
             or (self._profile is None and not watched)
@@ -386,16 +422,19 @@ class LinkDecoder:
             return []
         waiting.checked_ns, profile = now_ns, self._profile
         if refused := refusal(waiting.kind[0]):
-            waiting.reason, waiting.frames = refused, []
+            waiting.reason = refused
+            waiting.forget()
             return []
         if profile is None:
-            profile, waiting.reason = detect_profile(Evidence().take(frames_of([waiting.beat, *waiting.frames])))
+            shown = frames_joined([frames_of([waiting.beat]), *waiting.pieces])
+            profile, waiting.reason = detect_profile(Evidence().take(shown))
         if profile is None:
             return []
         self.vehicles[sysid] = VehicleStream(profile, waiting.kind[0])
         self.decoder.heard.keep(sysid << 8 | AUTOPILOT)
         del self._waiting[sysid]
-        return [frames_of(waiting.frames)]
+        self._kept[sysid] = True
+        return waiting.pieces
 
     def _may_enter(self, sysid: int, waiting: _Waiting, waited_s: float) -> bool:
         one_sender = not self._careful or self.decoder.heard.sound(sysid << 8 | AUTOPILOT)
@@ -405,6 +444,7 @@ class LinkDecoder:
                 waiting.reason = f"its {which}: does another vehicle use this system id?"
             return False
         if len(self.vehicles) >= self._most:
-            waiting.reason, waiting.frames = f"there are {self._most} vehicles already (max_vehicles)", []
+            waiting.reason = f"there are {self._most} vehicles already (max_vehicles)"
+            waiting.forget()
             return False
         return True

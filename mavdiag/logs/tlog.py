@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError
-from mavdiag.link.codec import NO_FRAMES, STAMP_BYTES, Decoder, Frame, Frames
+from mavdiag.link.backlog import Backlog
+from mavdiag.link.codec import STAMP_BYTES, Decoder, Frame, Frames
 from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Evidence, detect_profile, profile_named, with_imu
@@ -106,12 +107,13 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
     Never raises by itself: what is damaged is skipped and counted.
     """
     decoder, places, systems = Decoder(_WANTED, stamped=True), list[tuple[int, int]](), dict[int, _System]()
-    seen_ns, counts, lean = list[int](), list[int](), Column(np.empty(0, _LEAN))
+    waiting, seen_ns, counts, lean = Backlog(), list[int](), list[int](), Column(np.empty(0, _LEAN))
     for window, last in chain(zip(windows, repeat(False)), ((b"", True),)):
         at, frames = decoder.size, decoder.take_stream(window, last=last)
         if not len(frames):
             continue
-        for sysid, own in frames.by_sysid().items():
+        waiting.put(frames)
+        for sysid, own in waiting.take_all():
             system = systems.setdefault(sysid, _System(int(own.rows["host_ns"][0])))
             system.take(own)
             system.parameters += own.of(MessageId.PARAM_VALUE)
@@ -212,8 +214,7 @@ def _converted(path: Path, pieces: list[_Piece], sysid: int, decoder: SampleDeco
             rows = np.zeros(len(kept), FRAME)
             rows[_KEPT] = kept
             forget(kept)
-            own = Frames(data, rows).by_sysid()
-            yield decoder.step(state, own.get(sysid, NO_FRAMES))
+            yield decoder.step(state, Frames(data, rows[rows["sender"] >> 8 == sysid]))
 
 
 def _names(sysids: Iterable[int]) -> str:

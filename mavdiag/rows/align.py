@@ -247,13 +247,15 @@ class AlignSpec:
                 yield Block(int(state.streams.now[SEGMENT]), self.dt_s, t_ns, x, outputs)
 
     def reached_ns(self, state: AlignState) -> int:
-        """No row later than this comes of what was appended [ns]."""
+        """No row later than this comes of what was appended [ns], if it is believed as what came before."""
         newest, limits, calm_ns = state.reached, self.limits_ns, int(state.streams.now[CALM])
+        believed = state.streams.marks[:, NEWEST].tolist()
         gyro_ns = newest[GYRO]
         safe = max(gyro_ns, max(newest) - limits[BREAK]) - limits[REORDER]
         found = max(safe, gyro_ns - ORDER_NS) if self.grid is Grid.NATIVE and gyro_ns > calm_ns else safe
         for place in range(SETPOINT, THRUST):
-            if -NEVER_NS < newest[place] < found and safe < newest[place] + limits[place]:
+            comes = newest[place] < found and newest[place] - believed[place] < 2 * limits[place]
+            if comes and safe < newest[place] + limits[place]:
                 found = newest[place]
         return found
 

@@ -10,6 +10,7 @@ from mavdiag.rows.align import AlignSpec, AlignState
 from mavdiag.rows.block import Block
 from mavdiag.rows.block import Rows as Rows
 from mavdiag.rows.gate import Border, GateSpec, GateState
+from mavdiag.rows.grid import measure_grid
 from mavdiag.rows.rates import RateSpec, RateState
 from mavdiag.telemetry import IntArray, Series, Signal, Telemetry
 
@@ -96,5 +97,6 @@ def warm() -> None:
     """Compile what makes rows, or load it from where it is kept, by a second of a gyro."""
     t_ns = 10_000_000 * np.arange(100)
     telemetry = Telemetry((Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((100, 3))),))
+    measure_grid(telemetry)
     front = Front(AlignSpec(0.01), GateSpec(), RateSpec.of(0.01, 5))
     front.step(front.start(), telemetry)

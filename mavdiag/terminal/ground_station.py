@@ -1,7 +1,7 @@
 """A small ground station (edge): it receives one link, keeps what a pilot would see, and may judge a vehicle itself."""
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from mavdiag.baseline import Baseline
@@ -11,6 +11,7 @@ from mavdiag.errors import BaselineError, InputError
 from mavdiag.judging import why_not
 from mavdiag.kernel import Gauge, Piece
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
+from mavdiag.link.datagrams import Chunk, Datagrams
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
 from mavdiag.link.ports import Endpoint, wait
 from mavdiag.link.sequence import LinkCount, Source
@@ -62,7 +63,7 @@ class LiveJudge:
         self._decoder = LinkDecoder(None, self.vehicle, self.datagrams, signing=self.signing)
 
     def take(
-        self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()
+        self, chunks: Sequence[Chunk] | Datagrams, now_ns: int, sources: Sequence[Source] = ()
     ) -> tuple[Change, ...]:
         """Take bytes of the link, each with its time of arrival [ns]; return the changes of the decision."""
         received = self._decoder.feed(chunks, now_ns, sources)

@@ -15,8 +15,9 @@ from types import TracebackType
 from typing import TypeAlias
 
 from mavdiag.errors import LinkError
+from mavdiag.link.datagrams import Chunk as Chunk
+from mavdiag.link.datagrams import Datagrams
 
-Chunk: TypeAlias = tuple[bytes, int]  # the bytes as they came, and the host clock [ns] when they came, or were read
 SocketAddress: TypeAlias = tuple[str | int | bytes, ...]  # as the socket module resolves it
 
 # An endpoint that lost its peer or device looks for it, while it is polled: after the first time, then after twice as
@@ -85,7 +86,7 @@ class Endpoint(AbstractContextManager["Endpoint"]):
     def filenos(self) -> tuple[int, ...]:
         """The descriptors that become readable when there is something to receive; none while disconnected."""
 
-    def receive(self, timeout_s: float) -> list[Chunk]:
+    def receive(self, timeout_s: float) -> list[Chunk] | Datagrams:
         """Wait up to `timeout_s` for the first chunk, then take what is there (bounded). Empty if nothing came."""
         until = time.monotonic() + timeout_s
         while not (chunks := self._drain()) and (left := until - time.monotonic()) > 0:
@@ -110,7 +111,7 @@ class Endpoint(AbstractContextManager["Endpoint"]):
         """Let go of the port or device. Closing twice is harmless; a closed endpoint receives and sends nothing."""
 
     @abstractmethod
-    def _drain(self) -> list[Chunk]:
+    def _drain(self) -> list[Chunk] | Datagrams:
         """Take what is there without waiting; reconnect if it is time to."""
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:

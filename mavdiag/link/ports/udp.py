@@ -16,11 +16,13 @@ import struct
 import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
-from mavdiag.link.ports.base import Chunk, Endpoint, SocketAddress, link_error
+from mavdiag.link.datagrams import Chunk, Datagrams, end_to_end, joined_datagrams
+from mavdiag.link.ports.base import Endpoint, SocketAddress, link_error
 from mavdiag.units import NS_PER_S
 
 PEERS_MAX = 32  # peers that udpin answers; a further one is received but not answered while all of these are fresh
@@ -37,7 +39,7 @@ _SO_RCVBUFFORCE = 33  # <asm-generic/socket.h>: beyond net.core.rmem_max, for th
 # <asm-generic/socket.h>, <linux/sock_diag.h>: nine numbers, of which these are the bytes that wait and what was dropped
 _SO_MEMINFO, _WAITING, _DROPS = 55, 0, 8
 _OVERHEAD = 576  # bytes that the kernel accounts for a datagram beside its own, at least (<linux/skbuff.h>)
-AT_ONCE = 64  # datagrams in one call
+AT_ONCE = 256  # datagrams in one call
 _NAME_BYTES = 28  # of a sockaddr_in6
 # <sys/socket.h>, struct mmsghdr: where a message goes, and how long it is.
 _HEADER = np.dtype(
@@ -66,25 +68,27 @@ class _Mailbag:
         self._headers["places"] = [row.ctypes.data for row in self._places]
         self._headers["place_count"] = 1
         self._headers["control"] = self._stamps.ctypes.data + _STAMP.itemsize * np.arange(AT_ONCE)
+        end_to_end(self._data[:1], np.zeros(1, np.int64))  # it is loaded, or compiled, before anything comes
 
-    def take(self, fileno: int, most: int) -> tuple[list[bytes], list[int], list[SocketAddress]]:
-        """What is there, at most so many; when each arrived, host clock [ns], and its sender. Raises OSError."""
+    def take(self, fileno: int, most: int) -> Datagrams:
+        """What is there, at most so many, with the sender of each. Raises OSError."""
         self._headers["name_bytes"], self._headers["control_bytes"] = _NAME_BYTES, _STAMP.itemsize
         place = ctypes.c_void_p(self._headers.ctypes.data)
         count = _receive_many(fileno, place, min(most, AT_ONCE), socket.MSG_DONTWAIT, None)
         if count < 0:
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
-        sizes, data = self._headers["size"][:count].tolist(), self._data.data.cast("B")
-        pieces = [bytes(data[at : at + size]) for at, size in zip(range(0, count * _ROOM, _ROOM), sizes, strict=True)]
+        sizes = self._headers["size"][:count].astype(np.int64)
         now_ns, stamps = time.monotonic_ns(), self._stamps[:count]
         clocks_ns = max(time.monotonic_ns() - time.time_ns() for _ in range(3))  # held up in between, it is less
         arrived_ns = NS_PER_S * stamps["s"] + stamps["ns"] + clocks_ns
         arrived_ns[self._headers["control_bytes"][:count] < _STAMP.itemsize] = now_ns  # an older kernel
         arrived_ns[arrived_ns < now_ns - _STALL_NS] = now_ns
-        times, names = np.minimum(arrived_ns, now_ns).tolist(), self._names[:count]
-        if (names == names[:1]).all():  # as on most links
-            return pieces, times, [_peer(name.tobytes()) for name in names[:1]] * count
-        return pieces, times, [_peer(name.tobytes()) for name in names]
+        names, whose = self._names[:count], np.zeros(count, np.int64)
+        places = {name.tobytes(): 0 for name in names[:1]}
+        if not (names == names[:1]).all():  # as on few links
+            whose[:] = [places.setdefault(name.tobytes(), len(places)) for name in names]
+        peers = tuple(map(_peer, places))
+        return Datagrams(end_to_end(self._data, sizes), sizes, np.minimum(arrived_ns, now_ns), whose, peers)
 
 
 @lru_cache(maxsize=1024)
@@ -122,21 +126,21 @@ class _Udp(Endpoint):
         """Close the socket."""
         self._socket.close()
 
-    def _drain(self) -> list[Chunk]:
-        chunks: list[Chunk] = []
+    def _drain(self) -> list[Chunk] | Datagrams:
+        pieces = list[Datagrams]()
         if self._socket.fileno() >= 0:
-            self._read(self._socket, chunks, [], _DRAIN_MAX)
-        return chunks
+            self._read(self._socket, pieces, _DRAIN_MAX)
+        alone = [replace(piece, whose=np.zeros_like(piece.whose), peers=(None,)) for piece in pieces]
+        return joined_datagrams(alone) if alone else []
 
-    def _read(self, link: socket.socket, chunks: list[Chunk], sources: list[SocketAddress], units: float) -> float:
+    def _read(self, link: socket.socket, pieces: list[Datagrams], units: float) -> float:
         """Take what is there, as far as so many units allow; returns how many are left."""
         try:
             while units >= 1.0:
-                taken, times, peers = self._mail.take(link.fileno(), int(units))
-                chunks += zip(taken, times, strict=True)
-                self._note_senders(dict.fromkeys(peers))
-                sources += peers
-                units -= len(taken) + sum(map(len, taken)) // UNIT_BYTES
+                taken = self._mail.take(link.fileno(), int(units))
+                pieces.append(taken)
+                self._note_senders(taken.peers)
+                units -= len(taken) + len(taken.data) // UNIT_BYTES
                 if len(taken) < AT_ONCE:
                     break
         except BlockingIOError:
@@ -213,21 +217,22 @@ class UdpIn(_Udp):
                     self._trusted[peer], self._before = own, _account(self._socket)[_WAITING]
                     self._peers.setdefault(peer, time.monotonic())
 
-    def _drain(self) -> list[Chunk]:
-        chunks: list[Chunk] = []
-        sources: list[SocketAddress] = []
+    def _drain(self) -> list[Chunk] | Datagrams:
+        pieces = list[Datagrams]()
         if self._socket.fileno() >= 0 and (self._before > 0 or not self._trusted):
-            left = self._read(self._socket, chunks, sources, _DRAIN_MAX)
-            self._before = self._before - sum(_OVERHEAD + len(data) for data, _ in chunks) if left < 1.0 else 0
+            left = self._read(self._socket, pieces, _DRAIN_MAX)
+            taken = sum(_OVERHEAD * len(piece) + len(piece.data) for piece in pieces)
+            self._before = self._before - taken if left < 1.0 else 0
         for link in () if self._before > 0 else self._trusted.values():  # a peer's datagrams in their order
-            self._read(link, chunks, sources, _DRAIN_MAX)
+            self._read(link, pieces, _DRAIN_MAX)
         now_s = time.monotonic()
         self._units = min(STRANGERS_BURST, self._units + STRANGERS_HZ * (now_s - self._filled_s))
         self._filled_s = now_s
         if self._trusted and self._units >= 1.0:
-            self._units = self._read(self._socket, chunks, sources, self._units)
-        self.sources = sources
-        return chunks
+            self._units = self._read(self._socket, pieces, self._units)
+        found = joined_datagrams(pieces)
+        self.sources = found.sources
+        return found if pieces else []
 
     def _note_senders(self, peers: Iterable[SocketAddress]) -> None:
         for peer in peers:
