@@ -3,19 +3,33 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+INSTALL := $(BIN)/uv pip install --quiet --python $(BIN)/python --constraint constraints.txt
+COMPILED := $(VENV)/.kernel $(VENV)/.rows $(VENV)/.plant
 
-.PHONY: system demo test virtual realtime lint types layers doctest docs examples screenshots dist deb try-deb check older lowest bench fuzz soak clean help
+.PHONY: system demo test virtual realtime lint types layers doctest docs examples screenshots dist deb try-deb packages \
+  check older lowest bench fuzz soak clean help
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[fleet,web,history,mqtt,export]' --group test --group check --group site
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps MAVProxy==1.8.75
-	@echo "compiling what judges and what flies, once ..."
-	@$(BIN)/mavdiag warm & $(BIN)/sitl-plant record --duration 1 -o $(VENV)/warm.tlog; wait
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt uv
+	$(INSTALL) --editable '.[fleet,web,history,mqtt,export]' --group test --group check --group site
+	$(INSTALL) --no-deps MAVProxy==1.8.75
+	@touch $@
+
+# What judges and what flies is compiled once, in parts: `make -j2` uses two cores.
+$(VENV)/.kernel: $(STAMP)
+	$(BIN)/python -c 'from mavdiag.kernel import warm; warm()'
+	@touch $@
+
+$(VENV)/.rows: $(STAMP)
+	$(BIN)/python -c 'from mavdiag.link import samples; from mavdiag.rows import front; front.warm(); samples.warm()'
+	@touch $@
+
+$(VENV)/.plant: $(STAMP)
+	$(BIN)/sitl-plant record --duration 1 -o $(VENV)/warm.tlog
 	@touch $@
 
 system:  ## Chromium, Mosquitto, PostgreSQL and help2man for what uses them, where this may install them
@@ -26,16 +40,16 @@ system:  ## Chromium, Mosquitto, PostgreSQL and help2man for what uses them, whe
 	  echo "system: not installed; the tests that need them are skipped"; \
 	else echo "system: not root, or no apt-get; tests of what is missing are skipped"; fi
 
-demo: $(STAMP)  ## the main job: plant, detector and alert over MAVLink on loopback
+demo: $(COMPILED)  ## the main job: plant, detector and alert over MAVLink on loopback
 	$(BIN)/mavdiag demo
 
 test: virtual realtime  ## the whole test suite
 
-virtual: $(STAMP)  ## the tests that need no wall clock
+virtual: $(COMPILED)  ## the tests that need no wall clock
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime"
 
-realtime: $(STAMP)  ## those that need it, and the machine for themselves
-	$(BIN)/python -m pytest -n 3 --dist loadfile -m realtime
+realtime: $(COMPILED)  ## those that need it, and the machine for themselves
+	$(BIN)/python -m pytest -n 3 --dist loadfile -m realtime $$(grep -rl --include='test_*.py' mark.realtime tests)
 
 lint: $(STAMP)  ## ruff: rules and format
 	$(BIN)/ruff check .
@@ -47,16 +61,16 @@ types: $(STAMP)  ## mypy --strict
 layers: $(STAMP)  ## the import contracts
 	$(BIN)/lint-imports
 
-doctest: $(STAMP)  ## every example in a docstring
+doctest: $(COMPILED)  ## every example in a docstring
 	$(BIN)/python -m pytest --doctest-modules mavdiag sitl_plant detector -p no:cacheprovider
 
-docs: $(STAMP)  ## the documentation site in build/site, warnings as errors
+docs: $(COMPILED)  ## the documentation site in build/site, warnings as errors
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs build/site
 
-examples: $(STAMP)  ## run the examples as they stand
+examples: $(COMPILED)  ## run the examples as they stand
 	set -e; for example in examples/*.py; do echo "$$example"; $(BIN)/python $$example; done
 
-screenshots: $(STAMP)  ## the pages of reports in Chromium, as pictures in build/screenshots
+screenshots: $(COMPILED)  ## the pages of reports in Chromium, as pictures in build/screenshots
 	PYTHONPATH=tests $(BIN)/python benchmarks/screenshots.py
 
 older: $(STAMP)  ## the tests as on a processor that has nothing above AVX2; says so where this one has nothing more
@@ -65,7 +79,7 @@ older: $(STAMP)  ## the tests as on a processor that has nothing above AVX2; say
 lowest: $(STAMP)  ## the lowest versions that pyproject.toml allows, in an environment of their own
 	$(BIN)/nox -s lowest
 
-dist: $(STAMP)  ## wheel and sdist, checked and tried in a clean environment
+dist: $(COMPILED)  ## wheel and sdist, checked and tried in a clean environment
 	$(BIN)/nox -s packages
 
 deb: dist  ## the Debian package, with all that it needs but Python
@@ -74,15 +88,20 @@ deb: dist  ## the Debian package, with all that it needs but Python
 try-deb:  ## install the package, fly the emulator until an alert, remove it; root only
 	deploy/debian/try
 
-bench: $(STAMP)  ## the short benchmarks: ratios against a peer in the same run
+packages: dist  ## the packages built and tried, where this may install one
+	if [ "$$(id -u)" = 0 ] && [ ! -e /opt/mavdiag ] && command -v dpkg-deb >/dev/null && command -v help2man >/dev/null; then \
+	  DEB_LEVEL=0 deploy/debian/build && deploy/debian/try; \
+	else echo "packages: no root, not Debian, or mavdiag is installed: its package is not built and tried"; fi
+
+bench: $(COMPILED)  ## the short benchmarks: ratios against a peer in the same run
 	set -e; for script in start_time decode plant_speed chain_speed detector_load endpoint; do $(BIN)/python benchmarks/$$script.py; done
 
 fuzz: $(STAMP)  ## hostile input: 10^7 datagrams, and 10 minutes guided by coverage (hours on a slow machine)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --group fuzz
+	$(INSTALL) --group fuzz
 	PYTHONPATH=tests $(BIN)/python fuzz/datagrams.py
 	PYTHONPATH=tests $(BIN)/python fuzz/atheris_link.py fuzz/corpus -max_total_time=600 -max_len=1024
 
-soak: $(STAMP)  ## the daemon for hours: memory, latency, missed alerts
+soak: $(COMPILED)  ## the daemon for hours: memory, latency, missed alerts
 	PYTHONPATH=tests:fuzz $(BIN)/python benchmarks/soak.py virtual
 	PYTHONPATH=tests:fuzz $(BIN)/python benchmarks/soak.py real
 

@@ -1,5 +1,7 @@
 """`nox` runs what CI runs, in the environment that the Makefile sets up."""
 
+import itertools
+import shutil
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -27,31 +29,27 @@ def wheels(session: nox.Session) -> None:
     session.run("python", "deploy/check_wheels.py")
 
 
-@nox.session(venv_backend="venv")
+@nox.session(venv_backend="uv")
 def packages(session: nox.Session) -> None:
-    """Wheel and sdist in dist/, checked by twine; the wheel is used in a clean environment."""
-    session.install("build", "twine")
+    """Wheel and sdist in dist/, checked by twine; the wheel is used in a clean environment, with what is compiled."""
     for old in Path("dist").glob("mavdiag-*"):
         old.unlink()
-    session.run("python", "-m", "build", "--outdir", "dist")  # the wheel is built from the sdist
-    session.run("twine", "check", "--strict", *map(str, Path("dist").glob("mavdiag-*")))
+    session.run("uv", "build", "--quiet", "--out-dir", "dist", external=True)  # the wheel is built from the sdist
+    session.run("uvx", "twine", "check", "--strict", *map(str, Path("dist").glob("mavdiag-*")), external=True)
     (wheel,) = Path("dist").absolute().glob("mavdiag-*.whl")
-    session.run("python", "-m", "venv", "--clear", f"{session.virtualenv.location}/clean")
-    clean, constraints = Path(session.virtualenv.location, "clean/bin").absolute(), Path("constraints.txt").absolute()
-    session.run(
-        clean / "pip", "install", "--quiet", "--only-binary=:all:", "-c", constraints, f"{wheel}[web]", external=True
-    )
+    session.install("--only-binary=:all:", "-c", "constraints.txt", f"{wheel}[web]")
     sources = session.run("git", "ls-files", "mavdiag", "detector", "sitl_plant", external=True, silent=True) or ""
     if missing := set(sources.split()) - set(ZipFile(wheel).namelist()):
         session.error(f"not in the wheel: {', '.join(sorted(missing))}")
+    (site,) = Path(session.virtualenv.location).absolute().glob("lib/python3*/site-packages")
+    for code in itertools.chain.from_iterable(Path().glob(f"{one}/**/*.nb[ci]") for one in ("mavdiag", "sitl_plant")):
+        (site / code).parent.mkdir(exist_ok=True)
+        shutil.copyfile(code, site / code)
     with session.chdir(session.create_tmp()):
         for program in ("mavdiag", "mavdiag-detector", "sitl-plant"):
-            session.run(clean / program, "--help", external=True, silent=True)
-        session.run(
-            clean / "mavdiag-detector", "--web", "0", "--learn", "9", "--save", "b.json", "--check", external=True
-        )
-        interpreted = {"NUMBA_DISABLE_JIT": "1"}  # a second of flight takes less time than to compile the plant
-        session.run(clean / "sitl-plant", "record", "--duration", "1", "-o", "1.tlog", env=interpreted, external=True)
+            session.run(program, "--help", silent=True)
+        session.run("mavdiag-detector", "--web", "0", "--learn", "9", "--save", "b.json", "--check")
+        session.run("sitl-plant", "record", "--duration", "1", "-o", "1.tlog")
 
 
 @nox.session
@@ -67,12 +65,10 @@ def older(session: nox.Session) -> None:
     session.run("make", "test", external=True, env={"NPY_DISABLE_CPU_FEATURES": " ".join(newer), **kinds})
 
 
-@nox.session(venv_backend="venv")
+@nox.session(venv_backend="uv")
 def lowest(session: nox.Session) -> None:
     """The lowest versions that pyproject.toml allows, in an environment of their own: a core part of the suite."""
-    session.install("uv")
-    own = ("uv", "pip", "install", "--python", f"{session.bin}/python", "--resolution", "lowest-direct")
-    session.run(*own, "-e", ".[fleet,web,history,mqtt,export]", "--group", "test")
+    session.install("--resolution", "lowest-direct", "-e", ".[fleet,web,history,mqtt,export]", "--group", "test")
     # what the newest indirect requirements say of the oldest direct ones is no fault of ours
     session.run("python", "-m", "pytest", "-W", "ignore::DeprecationWarning", "-m", "not realtime", *CORE)
 
@@ -83,16 +79,15 @@ def results(session: nox.Session) -> None:
     session.run("python", "benchmarks/results.py", *session.posargs)
 
 
-@nox.session(venv_backend="venv")
+@nox.session(venv_backend="uv")
 def constraints(session: nox.Session) -> None:
     """constraints.txt, the versions that an installation of the development environment takes, made again."""
-    session.install("uv")
     groups = [part for group in ("test", "check", "site") for part in ("--group", group)]
     how = (*groups, "--all-extras", "--universal", "--no-annotate", "--no-header")
     session.run("uv", "pip", "compile", "pyproject.toml", *how, "--quiet", "-o", "constraints.txt", *session.posargs)
 
 
-@nox.session(venv_backend="venv")
+@nox.session(venv_backend="uv")
 def mutants(session: nox.Session) -> None:
     """A mutation run over monitors and decision, in an environment of its own."""
     session.install("cosmic-ray", "-e", ".[history]", "--group", "test", "-c", "constraints.txt")

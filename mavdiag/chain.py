@@ -6,7 +6,7 @@ Chunks wait in the front until they bring the rows of the next look, every 0.1 s
 rate is measured: a link that is not the baseline's is refused (`Chain.refusal`), and measured again every 2 s.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -33,6 +33,7 @@ from mavdiag.units import NS_PER_S
 
 MOST_WAITING = 32  # chunks that may wait: time that stands still must not fill the memory (our choice)
 MOST_UNMEASURED = 1024  # the same while the rate is not measured: 2 s of small chunks (our choice)
+LEAST_OUTPUTS = 8  # that are looked at, so that a vehicle with more motors is known as another one (our choice)
 MEASURED_S = 2.0  # of gyro samples that a live link's rate is measured by (our choice)
 
 
@@ -265,11 +266,18 @@ def warm() -> None:
 
 
 def front_of(baseline: Baseline) -> Front:
-    """The front that a baseline was made with."""
-    link = baseline.link
+    """The front that a baseline was made with; what nothing reads is left out."""
+    link, whose, needed = baseline.link, baseline.airframe, {one for monitor in MONITORS for one in monitor.needs}
+    takes: dict[Signal, tuple[int, ...]] = {} if Signal.RATE_SETPOINT in needed else {Signal.RATE_SETPOINT: ()}
+    if whose.outputs is not None:
+        rotors: Iterable[int] = (output - 1 for output in whose.outputs)
+    else:
+        rotors = () if whose.layout is None else range(max(whose.layout.rotors, LEAST_OUTPUTS))
+    if outputs := tuple(rotors):
+        takes |= dict.fromkeys((Signal.ACTUATOR, Signal.ROTOR_SPEED), outputs)
     rates = RateSpec.of(link.dt_s, baseline.window.samples, baseline.window.order)
-    align = AlignSpec(link.dt_s, link.grid, link.max_gap_s, quality=baseline.link_quality)
-    return Front(align, link.gate, rates, baseline.airframe.outputs)
+    align = AlignSpec(link.dt_s, link.grid, link.max_gap_s, quality=baseline.link_quality, takes=takes)
+    return Front(align, link.gate, rates)
 
 
 def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None) -> Chain:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import mavdiag.rows.block as col
-from mavdiag.jit import allocating, cached, jit
+from mavdiag.jit import cached, inline, jit
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import FaultKind, Monitor, RotorEvidence
 from mavdiag.monitors.conditions import COUNT, conditions_memory, most_bins, take_rows
@@ -97,9 +97,9 @@ COVERED_ROWS, NUMBERS = 13, 14
 
 
 def joined_loops(runs: Sequence[Callable[..., int]]) -> Callable[..., int]:
-    """One compiled function that calls the loop of the monitor with a number."""
+    """One function that calls the loop of the monitor with a number; merged into its caller, it compiles sooner."""
 
-    @allocating
+    @inline
     def none(kind: int, par: Any, mem: Any, x: Any, first: int, known: int, out: Any, rotors: Any, at: Any) -> int:
         return 0
 
@@ -110,7 +110,7 @@ def joined_loops(runs: Sequence[Callable[..., int]]) -> Callable[..., int]:
 
 
 def _or_else(this: int, run: Callable[..., int], others: Callable[..., int]) -> Callable[..., int]:
-    @allocating
+    @inline
     def either(kind: int, par: Any, mem: Any, x: Any, first: int, known: int, out: Any, rotors: Any, at: Any) -> int:
         if kind == this:
             return run(par, mem, x, first, known, out, rotors, at)
@@ -155,17 +155,17 @@ def _check_rows(x: Any, t_ns: IntArray, failed: IntArray, checks: IntArray, coun
     (missing, doubts), (open_ns, bits), first = counts, opened, n[BEFORE]
     failed[:] = 0
     for number in range(len(checks)):
-        row, stop = checks[number, 0], min(checks[number, 1], len(x))
+        row, stop, bit = checks[number, 0], min(checks[number, 1], len(x)), 1 << number
+        if row < 0:
+            for i in range(len(t_ns)):
+                failed[i] |= 0 if x[checks[number, 1], first + i] > 0.5 else bit
+        elif row >= stop:
+            failed |= bit
+        for k in range(row if row >= 0 else stop, stop):
+            for i in range(len(t_ns)):
+                failed[i] |= 0 if abs(x[k, first + i]) < np.inf else bit
         for i in range(len(t_ns)):
-            known = row < stop
-            if row < 0:
-                known = x[checks[number, 1], first + i] > 0.5
-            else:
-                for k in range(row, stop):
-                    known = known and np.isfinite(x[k, first + i])
-            if not known:
-                failed[i] |= 1 << number
-                missing[number] += x[col.VALID, first + i] > 0.5
+            missing[number] += 1 if x[col.VALID, first + i] > 0.5 and failed[i] & bit else 0
     for i in range(len(t_ns)):
         doubts[int(x[col.DOUBT, first + i])] += 1
         if t_ns[i] >= n[SETTLED]:

@@ -1,9 +1,19 @@
-"""Small flight logs, written byte by byte after the published layouts: the readers' tests choose what is in them."""
+"""Logs of each kind that are made by hand, byte by byte."""
 
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from made_telemetry import body_rates
+from scipy.io import savemat
+from scipy.signal import bilinear, butter, lfilter
+
+from mavdiag.telemetry import FloatArray
 
 ULOG_HEAD = b"ULog\x01\x12\x35"
 DATAFLASH_FMT = 0x80
@@ -112,3 +122,91 @@ def ulog(topics: Sequence[ULogTopic], records: Sequence[bytes]) -> bytes:
     parts += [topic.definition() for topic in topics]
     parts += [topic.subscription() for topic in topics]
     return b"".join([*parts, *records])
+
+
+DT_S = 0.001
+LINE_HZ = 150.0
+IDLE_S, SPINNING_S, TAKE_OFF_S, LANDING_S = 0.5, 1.0, 1.0, 1.0  # spans on the ground and below height
+HOVER_N, LEVEL_V = 13.1, 15.2
+MIXER = np.array([[-1, 1, 1], [-1, -1, -1], [1, 1, -1], [1, -1, 1]]) / [2 * 0.254, 2 * 0.2032, 4 / 68.9055]
+
+Rows = dict[str, FloatArray]
+
+
+def flight(duration_s: float, seed: int, *, weak_rotor: int = 0, rise: float = 0.0, line: float = 1.0) -> Rows:
+    """The three matrices, (rows, n). rise: of the command of `weak_rotor` (from 1); line: size of the rotors' shake."""
+    rng = np.random.default_rng(seed)
+    n = round(duration_s / DT_S)
+    t = DT_S * np.arange(n, dtype=np.float64)
+    state = states(t)
+    up = state >= 4
+    reference = smooth(rng, n, 0.7, (0.1, 0.1, 0.1)) * up[:, None]
+    angle = second_order(reference, 9.0, 0.8) + smooth(rng, n, 2.0, (0.004, 0.004, 0.004)) * up[:, None]
+    rate = body_rates(angle, DT_S)
+    shake = np.sin(2 * np.pi * LINE_HZ * t[:, None] + rng.uniform(0, 6, 6)) * (state >= 3)[:, None] * line
+    gyro = rate + 0.03 * shake[:, :3] + rng.normal(0, 0.004, (n, 3))
+    gyro = np.repeat(gyro[::2], 2, axis=0)[:n]  # 500 Hz, held
+    force = np.array([0.0, 0.0, 9.81]) + 1.5 * shake[:, 3:] + rng.normal(0, 0.3, (n, 3))
+    slow = second_order(gyro, 120.0, 1.0)
+    volt = LEVEL_V - 0.005 * t + rng.normal(0, 0.01, n)
+    thrust = np.where(up, HOVER_N + smooth(rng, n, 1.0, (0.3,))[:, 0], np.where(state == 3, 3.0, 0.0))
+    rate_command = np.array([12.0, 12.0, 2.0]) * (reference - angle) - np.array([0.1, 0.1, 0.0]) * slow
+    torque = np.array([0.1876, 0.1544, 0.079]) * (rate_command - slow) * up[:, None]
+    torque = np.clip(torque, [-1.0915, -0.8984, -0.0984], [1.0915, 0.8984, 0.0984])
+    outputs = duty(thrust[:, None] / 4 + torque @ MIXER.T, volt)
+    if weak_rotor:
+        outputs[:, weak_rotor - 1] *= 1.0 + rise
+
+    rows = {name: np.zeros((n, count)) for name, count in (("QDrone_data", 56), ("commander_data", 37))}
+    rows["stabilizer_data"] = np.zeros((n, 21))
+    q, c, s = rows.values()
+    q[:, 0] = c[:, 0] = s[:, 0] = t
+    q[:, 1:4], q[:, 4:7], q[:, 10:13], q[:, 13:16] = angle, slow, angle, slow
+    q[:, 19:23], q[:, 23] = outputs, volt
+    q[:, 26:29], q[:, 29:32], q[:, 32:35], q[:, 35:38] = gyro, force, gyro, force
+    q[:, [52, 50, 48, 46]] = outputs
+    q[:, [53, 51, 49, 47]] = (LINE_HZ / 18.571 / volt * (state >= 3))[:, None]
+    q[: n // 80, [51, 49, 47]], q[: n // 80, 53] = np.nan, np.inf
+    c[:, 1], c[:, 23], c[:, 24], c[:, 28] = state, np.where(up, 0.6, 0.0), angle[:, 2], reference[:, 2]
+    c[:, 34:37] = s[:, 8:11] = reference
+    s[:, 7] = s[:, 17] = thrust
+    s[:, 14:17] = s[:, 18:21] = torque
+    return {name: np.asfortranarray(table.T) for name, table in rows.items()}
+
+
+def content(rows: Mapping[str, Any], *, compressed: bool = True) -> bytes:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "made.mat"
+        savemat(path, dict(rows), do_compression=compressed)
+        return path.read_bytes()
+
+
+def written(path: Path, rows: Mapping[str, FloatArray]) -> Path:
+    path.write_bytes(content(rows, compressed=False))
+    return path
+
+
+def states(t: FloatArray) -> FloatArray:
+    """State of the commander: idle, throttle up, take-off, flight, landing."""
+    edges = np.cumsum([IDLE_S, SPINNING_S, TAKE_OFF_S])
+    return np.select([t < edges[0], t < edges[1], t < edges[2], t < t[-1] - LANDING_S], [1.0, 3.0, 4.0, 5.0], 6.0)
+
+
+def smooth(rng: np.random.Generator, n: int, corner_hz: float, size: tuple[float, ...]) -> FloatArray:
+    """Low-passed noise of these standard deviations, (n, k)."""
+    b, a = butter(3, corner_hz * 2 * DT_S)
+    noise = lfilter(b, a, rng.standard_normal((n + 5000, len(size))), axis=0)[5000:]
+    return np.asarray(noise / noise.std(axis=0) * size)
+
+
+def second_order(x: FloatArray, wn: float, zeta: float) -> FloatArray:
+    """A low-pass of natural frequency wn [rad/s] and damping zeta, (n, k)."""
+    b, a = bilinear([wn**2], [1, 2 * zeta * wn, wn**2], 1 / DT_S)
+    return np.asarray(lfilter(b, a, x, axis=0))
+
+
+def duty(force: FloatArray, volt: FloatArray) -> FloatArray:
+    """Share of the battery's voltage that makes these forces [N], (n, 4)."""
+    a, b, c = 0.03616, 0.117, -0.01215
+    needed = (-b + np.sqrt(b * b + 4 * a * (np.maximum(force, 0.0) - c))) / (2 * a)
+    return np.clip(needed / volt[:, None], 0.0, 1.0)

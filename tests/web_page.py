@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from patience import PATIENCE_S
+from processes import PATIENCE_S
 
 from detector.web.child import Place, ServerProcess
 from mavdiag.telemetry import Instant

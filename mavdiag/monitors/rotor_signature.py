@@ -293,9 +293,8 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     observes = "unexplained motion along the arm of one rotor"
     phrase = "thrust unsteady {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.SPECIFIC_FORCE, Signal.THRUST_SETPOINT})
-    depends = frozenset(
-        {Condition.YAW_RATE, Condition.HEIGHT, Condition.COMMANDED_RATE, Condition.COMMANDED_ACCELERATION}
-    )
+    # Throttle: a battery that empties takes gain from what moves the vehicle, and more is commanded.
+    depends = frozenset(Condition) - {Condition.TILT}
     # A jolt that is no fault (a payload taken up beside the centre) reaches 3.1 in emulated flights, which few healthy
     # flights show (our choice).
     least = 3.5

@@ -14,7 +14,7 @@ then rows wait for all for `CALM_NS`.
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -98,7 +98,10 @@ class Streams(NamedTuple):
 
 
 class AlignState:
-    """All that the aligner remembers between chunks. reached, ends: latest stamp and `END` of each as it came."""
+    """All that the aligner remembers between chunks.
+
+    reached, ends: latest stamp and `END` of each as it came. sent, taken: how many columns it has, and which are used.
+    """
 
     def __init__(self, limits_ns: IntArray) -> None:
         count = len(STREAMS)
@@ -108,7 +111,8 @@ class AlignState:
         values = tuple(np.empty((0, width)) for width in WIDTHS)
         knows = np.zeros((count, 0)), np.zeros((count, 0)), np.zeros((count, 0), dtype=np.int64)
         self.streams = Streams(times, hosts, values, marks, *knows, np.zeros((count, 3)), now, limits_ns)
-        self.reached, self.ends = [-NEVER_NS] * count, [0] * count
+        self.reached, self.ends, self.sent = [-NEVER_NS] * count, [0] * count, [0] * count
+        self.taken: list[list[int] | None] = [None] * count
 
     @property
     def last_ns(self) -> int:
@@ -120,30 +124,40 @@ class AlignState:
         """Latest time of the gyro [ns]."""
         return self.reached[GYRO]
 
-    def append(self, series: Series, quality: LinkQuality) -> None:
+    def append(self, series: Series, spec: "AlignSpec") -> None:
         """Put samples behind those that came. Raises InputError if their columns are others than before."""
         place, count, found = PLACES.get(series.signal), len(series.t_ns), series.values.shape[1]
-        if place is None or not count:
+        if place is None or not count or spec.takes.get(series.signal) == ():
             return
-        end, (room, width) = self.ends[place], self.streams.values[place].shape
+        end, room = self.ends[place], len(self.streams.times[place])
         if not room:
-            self._begin(place, found, quality.rule(series.signal, found))
-            width = self.streams.values[place].shape[1]
-        columns = width - (place == GYRO)
-        if found != columns:
-            raise InputError(f"{series.signal} has {found} columns in place of {columns}")
+            self._begin(place, found, spec)
+        if found != self.sent[place]:
+            raise InputError(f"{series.signal} has {found} columns in place of {self.sent[place]}")
         if end + count > room:
             end = self._make_room(place, count)
-        (times, hosts, values), stop = self.streams[:3], end + count
+        (times, hosts, values), stop, taken = self.streams[:3], end + count, self.taken[place]
         times[place][end:stop], hosts[place][end:stop] = series.t_ns, series.host_ns
-        values[place][end:stop, :columns] = series.values
+        if taken is None:
+            values[place][end:stop, :found] = series.values
+        else:
+            for column, of in enumerate(taken):
+                values[place][end:stop, column] = series.values[:, of] if of < found else np.nan
         self.ends[place], self.reached[place] = stop, max(self.reached[place], int(series.t_ns[-1]))
 
-    def _begin(self, place: int, columns: int, rule: FloatArray) -> None:
-        """Learn of the first samples of a stream what is believed of it; outputs have as many columns as they have."""
+    def _begin(self, place: int, found: int, spec: "AlignSpec") -> None:
+        """Learn of the first samples of a stream what is believed of it; a column that is not sent is nan."""
+        signal, values, columns = STREAMS[place], self.streams.values, found
+        if signal in spec.takes:
+            taken = list(spec.takes[signal])
+            while taken and taken[-1] >= found:  # nothing is known of what is not sent
+                del taken[-1]
+            self.taken[place], columns = None if taken == list(range(found)) else taken, len(taken)
+        self.sent[place] = found if place >= OUTPUTS else WIDTHS[place] - (place == GYRO)
+        rule = spec.quality.rule(signal, found, self.taken[place])
         sizes = len(rule), COLUMN + 4 * columns, RUNS + 1 + columns
         rules, figures, counts = (_widened(*pair) for pair in zip(self.streams[4:7], sizes, strict=True))
-        rules[place, : len(rule)], values = rule, self.streams.values
+        rules[place, : len(rule)] = rule
         if place >= OUTPUTS:
             values = (*values[:place], np.empty((0, columns)), *values[place + 1 :])
         self.streams = self.streams._replace(values=values, rules=rules, figures=figures, counts=counts)
@@ -174,12 +188,14 @@ class AlignSpec:
     """Grid and limits; all spans in seconds of the vehicle's clock. Raises InputError on an impossible period.
 
     max_gap_s: longest gap of gyro and set-point that is interpolated. quality: what healthy flights showed of the link.
+    takes: the columns of a signal that rows have, in this order, where not all as they come; none: it is not looked at.
     """
 
     dt_s: float
     grid: Grid = Grid.NATIVE
     max_gap_s: float = 0.035
     quality: LinkQuality = field(default_factory=LinkQuality)
+    takes: Mapping[Signal, Sequence[int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not 0 < self.dt_s < BREAK_S:
@@ -211,7 +227,7 @@ class AlignSpec:
         """Keep chunks for the next `take`."""
         for telemetry in chunks:
             for series in telemetry.series:
-                state.append(series, self.quality)
+                state.append(series, self)
 
     def take(self, state: AlignState, *, live: bool = True) -> int:
         """Believe and sort what came; returns up to when rows are complete [ns]. A log's rows always wait."""
@@ -503,39 +519,64 @@ def _hold(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
 
 @jit
 def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
-    """The value between the samples around each row (too far apart: the last, or nan); returns the last one read."""
+    """The value between the samples around each row (too far apart: the last, or nan); returns the last one read.
+
+    Rows are taken together as far as they lie between the same two samples, or each at the time of the next sample.
+    """
     t, v, at, hi, limit_ns = s.times[place], s.values[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
-    angle, first, turns, gyro = place in (SETPOINT, ATTITUDE), FIRST[place], s.turns[place], place == GYRO
-    for i in range(len(rows)):
+    angle, turns, i, count = place in (SETPOINT, ATTITUDE), s.turns[place], 0, len(rows)
+    while i < count:
         if at + 1 < hi and t[at + 1] <= rows[i]:
             at = _behind(s, place, at, rows[i])
-        since = rows[i] - t[at] if at < hi else -1
-        gap = 0 if since == 0 else t[at + 1] - t[at] if since > 0 and at + 1 < hi else NEVER_NS
+        since, gap, until = rows[i] - t[at] if at < hi else -1, NEVER_NS, NEVER_NS
+        stop, matches = i + 1, since == 0
+        if matches:
+            gap = 0
+            while stop < count and at + stop - i < hi and t[at + stop - i] == rows[stop]:
+                stop += 1
+        elif since < 0:
+            until = t[at] if at < hi else NEVER_NS
+        elif at + 1 < hi:
+            gap, until = t[at + 1] - t[at], t[at + 1]
+        while not matches and stop < count and rows[stop] < until:
+            stop += 1
         for column in range(v.shape[1]):
+            to = FIRST[place] + column if column < 3 else col.DOUBT
             if since < 0 or (gap > limit_ns and place > SETPOINT):
-                value = 0.0 if place == SETPOINT else np.nan
+                for k in range(i, stop):
+                    x[to, k] = 0.0 if place == SETPOINT else np.nan
+            elif not angle and matches:
+                for k in range(stop - i):
+                    x[to, i + k] = v[at + k, column]
+            elif matches:
+                x[to, i] = v[at, column] + TURN * turns[column]
+                for k in range(1, stop - i):
+                    turns[column] += _turn(v[at + k - 1, column], v[at + k, column])
+                    x[to, i + k] = v[at + k, column] + TURN * turns[column]
             else:
                 value = v[at, column] + (TURN * turns[column] if angle else 0.0)
-                if 0 < gap <= limit_ns:
-                    after = v[at + 1, column]
-                    if angle:
-                        after += TURN * (turns[column] + _turn(v[at, column], after))
-                    value += since / gap * (after - value)
-            x[first + column if column < 3 else col.DOUBT, i] = value
-        if gyro:
-            x[col.VALID, i] = _usable(s, place, rows[i], gap, x[col.DOUBT, i] > 0.0)
-            x[col.DOUBT, i] = math.ceil(x[col.DOUBT, i])
-        elif place == SETPOINT:
-            x[col.SETPOINT, i] = _usable(s, place, rows[i], gap, False)
+                after = v[at + 1, column] if gap <= limit_ns else value
+                if gap <= limit_ns and angle:
+                    after += TURN * (turns[column] + _turn(v[at, column], after))
+                for k in range(i, stop):
+                    x[to, k] = value + ((rows[k] - t[at]) / gap * (after - value) if gap <= limit_ns else 0.0)
+        if place <= SETPOINT:
+            _mark_usable(s, place, rows, i, stop, gap, x)
+        at, i = at + (stop - i - 1 if matches else 0), stop
     return int(at)
 
 
-@inline
-def _usable(s: Streams, place: int, row_ns: int, gap: int, doubted: bool) -> bool:
-    """Whether a row is outside of gaps and of what must settle after them; what follows a doubt is as after a gap."""
-    if doubted:
-        gap = max(gap, s.limits_ns[USABLE] + 1)
-    if gap > s.limits_ns[USABLE]:
-        settle = s.limits_ns[SETTLE_START] if gap > s.limits_ns[BREAK] else s.limits_ns[SETTLE_GAP]
-        s.now[BLANK + place] = max(s.now[BLANK + place], row_ns + settle)
-    return bool(row_ns > s.now[BLANK + place])
+@jit
+def _mark_usable(s: Streams, place: int, rows: IntArray, first: int, stop: int, gap: int, x: FloatArray) -> None:
+    """Mark rows outside of gaps and of what must settle after them; what follows a doubt is as after a gap."""
+    blank_ns, to = s.now[BLANK + place], col.VALID if place == GYRO else col.SETPOINT
+    for i in range(first, stop):
+        doubted = place == GYRO and x[col.DOUBT, i] > 0.0
+        long_ns = max(gap, s.limits_ns[USABLE] + 1) if doubted else gap
+        if long_ns > s.limits_ns[USABLE]:
+            settle = s.limits_ns[SETTLE_START] if long_ns > s.limits_ns[BREAK] else s.limits_ns[SETTLE_GAP]
+            blank_ns = max(blank_ns, rows[i] + settle)
+        x[to, i] = 1.0 if rows[i] > blank_ns else 0.0
+        if doubted:
+            x[col.DOUBT, i] = math.ceil(x[col.DOUBT, i])
+    s.now[BLANK + place] = blank_ns

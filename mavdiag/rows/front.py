@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.rows.align import AlignSpec, AlignState
-from mavdiag.rows.block import Block, in_rotor_order
+from mavdiag.rows.block import Block
 from mavdiag.rows.block import Rows as Rows
 from mavdiag.rows.gate import Border, GateSpec, GateState
 from mavdiag.rows.rates import RateSpec, RateState
@@ -27,15 +27,11 @@ class FrontState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Front:
-    """The three steps. A `Border` follows the last rows of a flying span that ended; the end of a log gives none.
-
-    outputs: the output, from 1, that drives each rotor; None where the rows have them in order as they come.
-    """
+    """The three steps. A `Border` follows the last rows of a flying span that ended; the end of a log gives none."""
 
     align: AlignSpec
     gate: GateSpec
     rates: RateSpec
-    outputs: tuple[int, ...] | None = None
 
     def start(self) -> FrontState:
         """Nothing taken in yet."""
@@ -71,10 +67,7 @@ class Front:
 
     def _told(self, state: FrontState, parts: Iterable[Block | Border]) -> Iterator[Rows | Border]:
         for part in parts:
-            if isinstance(part, Border):
-                yield part
-            else:
-                yield self.rates.step(state.rates, in_rotor_order(part, self.outputs))
+            yield part if isinstance(part, Border) else self.rates.step(state.rates, part)
 
 
 def in_pieces(telemetry: Telemetry, most: int) -> Iterator[Telemetry]:

@@ -107,9 +107,12 @@ class Habit(BaseModel):
     lowest: float
     leads: tuple[bool, ...] = ()
 
-    def limits(self) -> FloatArray:
-        """Longest leap, whether it leads, step of silence, longest repetition: of each column; the last also of all."""
-        leap, longest = np.array(self.leap), np.array(self.still, dtype=np.float64)
+    def limits(self, taken: Sequence[int]) -> FloatArray:
+        """Longest leap, whether it leads, step of silence, longest repetition: of each column; the last also of all.
+
+        taken: these columns; nothing is known of those that there are not.
+        """
+        leap, longest, columns = np.array(self.leap), np.array(self.still, dtype=np.float64), len(self.leap)
         if self.signal in SENSORS:
             leap = np.where(leap > 0, FAR * leap, np.inf)  # one that never moved may do so
         else:
@@ -117,8 +120,10 @@ class Habit(BaseModel):
         still = STILL_FACTOR * longest + STILL_MORE
         still[0] = max(min(still[0], STILL_S / self.period_s), STILL_LEAST * longest[0] + STILL_MORE)
         still = np.floor(still) if self.signal is not Signal.ATTITUDE_SETPOINT else longest + STILL_MORE
-        alone = np.append(still[1:], np.full(1 + len(leap) - len(still), np.inf))
-        return np.concatenate((leap, self.leads or np.zeros(len(leap)), self.quiet, alone, still[:1]))
+        alone = np.append(still[1:], np.full(1 + columns - len(still), np.inf))
+        each = np.array([leap, self.leads or np.zeros(columns), self.quiet, alone])
+        each = np.column_stack((each, (np.inf, 0.0, 0.0, np.inf)))[:, np.minimum(taken, columns)]
+        return np.append(each.ravel(), still[0])
 
 
 class LinkQuality(BaseModel):
@@ -134,9 +139,13 @@ class LinkQuality(BaseModel):
     jitter: float = 0.0
     resolution_rad_s: float = 0.0
 
-    def rule(self, signal: Signal, columns: int) -> FloatArray:
-        """What is believed of a signal: `GYRO` and its fellows, then `Habit.limits`; 0 where nothing was learnt."""
-        rule = np.zeros(LEAP + 4 * columns + 1)
+    def rule(self, signal: Signal, columns: int, taken: Sequence[int] | None = None) -> FloatArray:
+        """What is believed of a signal: `GYRO` and its fellows, then `Habit.limits`; 0 where nothing was learnt.
+
+        columns: that it has. taken: those that are looked at, None for all.
+        """
+        taken = range(columns) if taken is None else taken
+        rule = np.zeros(LEAP + 4 * len(taken) + 1)
         kinds = (ANGLES, HELD, FINITE, NEVER_ZERO, MAY_REST)
         rule[GYRO : RESTS + 1] = signal is Signal.BODY_RATE, *(signal in kind for kind in kinds)
         rule[GREATEST] = RANGES.get(signal, (math.inf, 0.0))[0]
@@ -157,7 +166,7 @@ class LinkQuality(BaseModel):
                 max(RESOLUTION_FACTOR * self.resolution_rad_s, RESOLUTION_NOISE / QUIET_SHARE * quietest),
                 any(habit.leads),
             )
-            rule[LEAP:] = habit.limits()
+            rule[LEAP:] = habit.limits(taken)
         return rule
 
 

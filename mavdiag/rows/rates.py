@@ -25,10 +25,9 @@ from mavdiag.telemetry import FloatArray, IntArray
 
 ANEW = 4  # windows after which the moments are formed anew (our choice)
 SIGNALS = 6  # gyro p, q, r; set-point roll, pitch, yaw
-# Places in the memory: of each signal three moments, and how long it will be spoilt by what is no number, its value
-# and its slope; rows so far, rows in a line in which the gyro was valid, and in which the set-point was, too; then the
-# last rows of each signal.
-SPOILT, VALUES, SLOPES, ROWS, SOUND, WANTED, HISTORY = 18, 24, 30, 36, 37, 38, 39
+# Places in the memory: of each signal three moments, and for how many rows what is no number spoils it; rows so far,
+# rows in a line in which the gyro was valid, and in which the set-point was, too; then the last rows of each signal.
+SPOILT, ROWS, SOUND, WANTED, HISTORY = 18, 24, 25, 26, 27
 
 
 class RateState:
@@ -93,27 +92,50 @@ def _finite(value: float) -> float:
 
 
 @jit
-def _move_on(mem: FloatArray, signal: int, newest: float, place: int, window: int, anew: bool) -> None:
-    m, at, history = window // 2, 3 * signal, HISTORY + signal * window
-    oldest = _finite(mem[history + place])
-    mem[history + place] = newest
-    mem[SPOILT + signal] = max(mem[SPOILT + signal] - 1.0, 0.0)
-    if not math.isfinite(newest):
-        newest, mem[SPOILT + signal] = 0.0, float(window)
-    if anew:
-        m0 = m1 = m2 = 0.0
-        for k in range(window):
-            place = place + 1 if place + 1 < window else 0
-            value, away = _finite(mem[history + place]), float(k - m)
-            m0 += value
-            m1 += away * value
-            m2 += away * away * value
-    else:
-        m0, m1, m2 = mem[at] - oldest, mem[at + 1] + m * oldest, mem[at + 2] - m * m * oldest
-        m2 += m0 - 2.0 * m1 + m * m * newest
-        m1 += m * newest - m0
-        m0 += newest
-    mem[at], mem[at + 1], mem[at + 2] = m0, m1, m2
+def _moments(history: FloatArray, newest: int) -> tuple[float, float, float]:
+    """Of the whole window."""
+    window, place, m0, m1, m2 = len(history), newest, 0.0, 0.0, 0.0
+    for k in range(window):
+        place = place + 1 if place + 1 < window else 0
+        value, away = _finite(history[place]), float(k - window // 2)
+        m0 += value
+        m1 += away * value
+        m2 += away * away * value
+    return m0, m1, m2
+
+
+@jit
+def _smooth(
+    mem: FloatArray, signal: int, weights: tuple[float, float, float], new: FloatArray, window: int, to: Any
+) -> None:
+    """Of each window that a new row ends the value, the slope, and the row at its centre; any of these may be empty."""
+    (values, slopes, centres), (middle, bend, slope), m = to, weights, window // 2
+    rows, spoilt, history = int(mem[ROWS]), int(mem[SPOILT + signal]), mem[HISTORY + signal * window :][:window]
+    place, (m0, m1, m2) = rows % window, (mem[3 * signal], mem[3 * signal + 1], mem[3 * signal + 2])
+    centre, until_anew = (rows + window - m) % window, (window - 1 - rows) % (ANEW * window)
+    for i in range(len(new)):
+        oldest, newest = _finite(history[place]), new[i]
+        history[place] = newest
+        spoilt = max(spoilt - 1, 0)
+        if not math.isfinite(newest):
+            newest, spoilt = 0.0, window
+        if until_anew == 0:
+            (m0, m1, m2), until_anew = _moments(history, place), ANEW * window
+        else:
+            m0, m1, m2 = m0 - oldest, m1 + m * oldest, m2 - m * m * oldest
+            m2 += m0 - 2.0 * m1 + m * m * newest
+            m1 += m * newest - m0
+            m0 += newest
+        if len(values):
+            values[i] = middle * m0 + bend * m2 if spoilt == 0 else np.nan
+        if len(slopes):
+            slopes[i] = slope * m1 if spoilt == 0 else np.nan
+        if len(centres):
+            centres[i] = history[centre]
+        until_anew -= 1
+        place = place + 1 if place + 1 < window else 0
+        centre = centre + 1 if centre + 1 < window else 0
+    mem[3 * signal], mem[3 * signal + 1], mem[3 * signal + 2], mem[SPOILT + signal] = m0, m1, m2, spoilt
 
 
 @cached_loop
@@ -121,27 +143,21 @@ def _filter(
     mem: FloatArray, times: IntArray, weights: tuple[float, float, float], t_ns: IntArray, x: FloatArray, made: IntArray
 ) -> None:
     """Put into x the rates of the windows that its columns complete, and into `made` their times."""
-    (middle, bend, slope), window = weights, len(times)
+    window, first, none = len(times), len(t_ns) - len(made), x[U, :0]
+    for axis in range(3):
+        _smooth(mem, axis, weights, x[RATE + axis], window, (x[Y + axis], none, x[GYRO + axis]))
+    for angle, values in enumerate((x[WHOLE], x[COMMANDED], none)):  # where they stand until they are used
+        _smooth(mem, 3 + angle, weights, x[LEAN + angle], window, (values, x[U + angle], none))
+    rows = int(mem[ROWS])
     for i in range(len(t_ns)):
-        rows = int(mem[ROWS])
-        place, anew = rows % window, rows % (ANEW * window) == window - 1
-        times[place], centre = t_ns[i], (rows + window - window // 2) % window
-        mem[ROWS] += 1.0
-        mem[SOUND] = mem[SOUND] + 1.0 if x[VALID, i] > 0.5 else 0.0
-        mem[WANTED] = mem[WANTED] + 1.0 if x[VALID, i] > 0.5 and x[SETPOINT, i] > 0.5 else 0.0
-        for signal in range(SIGNALS):
-            _move_on(mem, signal, x[RATE + signal if signal < 3 else LEAN + signal - 3, i], place, window, anew)
-            spoilt = np.nan if mem[SPOILT + signal] > 0.0 else 0.0
-            mem[VALUES + signal] = middle * mem[3 * signal] + bend * mem[3 * signal + 2] + spoilt
-            mem[SLOPES + signal] = slope * mem[3 * signal + 1] + spoilt
-        done = i - (len(t_ns) - len(made))
-        if done < 0:
+        times[(rows + i) % window] = t_ns[i]
+        valid = x[VALID, i] > 0.5
+        mem[SOUND] = mem[SOUND] + 1.0 if valid else 0.0
+        mem[WANTED] = mem[WANTED] + 1.0 if valid and x[SETPOINT, i] > 0.5 else 0.0
+        if i < first:
+            x[WHOLE, i], x[COMMANDED, i], x[U : GYRO + 3, i] = 0.0, 0.0, np.nan
             continue
-        made[done] = times[centre]
+        made[i - first] = times[(rows + i + window - window // 2) % window]
+        x[U, i], x[U + 1, i], x[U + 2, i] = _turned(x[WHOLE, i], x[COMMANDED, i], x[U, i], x[U + 1, i], x[U + 2, i])
         x[WHOLE, i], x[COMMANDED, i] = mem[SOUND] >= window, mem[WANTED] >= window
-        x[U, i], x[U + 1, i], x[U + 2, i] = _turned(
-            mem[VALUES + 3], mem[VALUES + 4], mem[SLOPES + 3], mem[SLOPES + 4], mem[SLOPES + 5]
-        )
-        for axis in range(3):
-            x[Y + axis, i] = mem[VALUES + axis]
-            x[GYRO + axis, i] = mem[HISTORY + axis * window + centre]
+    mem[ROWS] += len(t_ns)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavdiag.jit import jit
+from mavdiag.jit import cached_loop, jit
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.dynamics import wrapped
 
@@ -148,7 +148,7 @@ def landing_time(altitude_m: float, shape: Shape = Shape.HOVER) -> float:
     return ((HIGH_M if shape.climbs else altitude_m) + BELOW_M) / DESCENT_M_S + IDLE_S + 1.0
 
 
-@jit
+@cached_loop
 def reference(path: Path, t: float, out: FloatArray) -> None:
     """Write the reference at time t [s] into out: (9,) = position_N, velocity_N, yaw, yaw rate, motors."""
     if path.shape == COMMANDED:

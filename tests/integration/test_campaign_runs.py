@@ -1,16 +1,30 @@
-"""A tiny campaign: the same numbers however many work on it, and going on where it stopped."""
+"""A campaign: its plan and its summary, counted by hand; the same numbers however many work on it; going on."""
 
 import json
 import sys
+from collections import Counter
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from sitl_plant.campaign.plan import Design
+from mavdiag.errors import UsageError
+from sitl_plant.campaign.plan import (
+    CAUSES,
+    CONDITIONS,
+    HEALTHY,
+    PRESETS,
+    Conditions,
+    Design,
+    causes_named,
+    make_plan,
+    with_conditions,
+)
 from sitl_plant.campaign.summary import summarise
-from sitl_plant.campaign.worker import Journal, Results, run_campaign
+from sitl_plant.campaign.worker import Answer, FlightResult, Journal, MonitorResult, Results, run_campaign
 
 SITL_PLANT = "sitl_plant.__main__"
 TINY = Design(
@@ -101,3 +115,136 @@ def test_the_command_says_no_in_one_line(program: Any, arguments: tuple[str, ...
     code, _, err = program(SITL_PLANT, "campaign", *nothing, *arguments)
     assert code == 2
     assert len([line for line in err.splitlines() if line.startswith("sitl-plant: ")]) == 1, err
+
+
+def test_every_cause_meets_every_rotor_and_scale_equally_often() -> None:
+    flights = make_plan(Design(flights=12 * len(CAUSES), hours=0.0))
+    assert set(Counter((flight.cause, flight.rotor) for flight in flights).values()) == {3}
+    fitted = causes_named(["fault"])
+    scales = Counter((flight.cause, flight.phenomenology) for flight in flights if flight.cause in fitted)
+    assert set(scales.values()) == {4}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("colour=red", "no factor 'colour'"),
+        ("wind=", "FACTOR=LEVEL"),
+        ("wind=strong", "wind: .* valid number"),
+        ("wind=99", "wind: .* less than or equal to 10, not 99"),
+        ("cause=rust", "no cause 'rust'"),
+        ("manoeuvre=loop", "no manoeuvre 'loop'"),
+        ("condition=snow", "no condition 'snow'"),
+        ("link=qdrone2@9999", "rate must be"),
+        ("link=nobody", "no link profile"),
+        ("rotor=5", "rotor must be 1 to 4"),
+        ("link=qdrone2@fast", "link must be like qdrone2@1000"),
+        ("rotor=first", "rotor: .* valid integer"),
+        ("loss=0.95", "loss: .* less than or equal to 0.9"),
+    ],
+)
+def test_nonsense_is_refused(text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        with_conditions(Design(), [text])
+
+
+CONDITIONED = replace(PRESETS["conditions"], airframes=2, flights=2 * len(CONDITIONS), hours=0.1 * len(CONDITIONS))
+
+
+def test_every_condition_has_its_share_of_hours_and_causes() -> None:
+    flights = make_plan(CONDITIONED)
+    hours: dict[str, float] = {}
+    for flight in flights:
+        if flight.cause == HEALTHY:
+            name = flight.conditions.condition
+            hours[name] = hours.get(name, 0.0) + flight.duration_s / 3600
+    assert hours.keys() == CONDITIONS.keys()
+    assert all(0.1 <= found < 0.1 + 600 / 3600 for found in hours.values())
+    assert min(hours.values()) == pytest.approx(0.1)
+    causes = Counter(flight.conditions.condition for flight in flights if flight.cause != HEALTHY)
+    assert set(causes.values()) == {2}
+    assert {flight.duration_s for flight in flights if flight.conditions.condition == "battery-10min"} == {600.0}
+
+
+DESIGN = Design(airframes=2, seed=9)
+
+
+def line(
+    index: int,
+    cause: str,
+    episodes: int = 0,
+    latency_s: float | None = None,
+    answer: Answer = Answer("nothing"),  # noqa: B008  # frozen
+    verdict: str = "healthy",
+    phenomenology: float = 1.0,
+) -> FlightResult:
+    onset_s = None if cause == "healthy" else 20.0
+    after = 0 if latency_s is None else 1
+    return FlightResult(
+        key=str(index),
+        index=index,
+        airframe=index % 2,
+        cause=cause,
+        rotor=1 + index % 4,
+        phenomenology=phenomenology,
+        conditions=Conditions(wind_m_s=float(index % 2)),
+        link="qdrone2@1000",
+        loss=0.0,
+        flown_s=60.0,
+        verdict=verdict,
+        reason="",
+        judged_s=60.0,
+        healthy_s=60.0 if onset_s is None else 20.0,
+        onset_s=onset_s,
+        episodes=episodes,
+        latency_s=latency_s,
+        answer=answer,
+        monitors=(MonitorResult("latency", episodes, after, latency_s), MonitorResult("other", 0, 0, None)),
+    )
+
+
+def made() -> Results:
+    found = "propeller fault"
+    return Results(
+        DESIGN,
+        (),
+        (
+            *(line(i, "healthy", episodes=int(i == 3)) for i in range(30)),
+            line(30, "F1/SV2", latency_s=1.0, answer=Answer(found, rotor=3, fault_type="F1", severity=2)),
+            line(31, "F1/SV2", latency_s=3.0, answer=Answer(found, rotor=1, fault_type="F2")),
+            line(32, "F2/SV1", episodes=1, phenomenology=0.5),
+            line(33, "F2/SV1", verdict="not_judgeable", answer=Answer("not_judgeable")),
+            line(34, "gyro-bias", latency_s=2.0, answer=Answer("sensor fault")),
+        ),
+        reused=0,
+        others=0,
+    )
+
+
+def test_false_alarms_are_counted_in_healthy_flight_and_before_an_onset() -> None:
+    summary = summarise(made())
+    hours = (30 * 60 + 4 * 20) / 3600  # the flight that was not judged does not count
+    assert summary["healthy_hours"] == pytest.approx(hours)
+    rows = {(row["factor"], row["level"]): row for row in summary["alarms"]}
+    every = rows["all", "all"]
+    assert (every["rate"].count, every["flights"].hits, every["flights"].of) == (2, 2, 34)
+    assert every["rate"].hours == pytest.approx(hours)
+    assert (rows["flight", "healthy"]["rate"].count, rows["flight", "before an onset"]["rate"].count) == (1, 1)
+    assert rows["flight", "before an onset"]["rate"].hours == pytest.approx(80 / 3600)
+    assert (rows["wind m/s", "0"]["rate"].count, rows["wind m/s", "1"]["rate"].count) == (1, 1)
+    assert "loss" not in {row["factor"] for row in summary["alarms"]}  # it does not vary
+    assert summary["chance"] == pytest.approx(1 - np.exp(-2 / hours * 40 / 3600))
+
+
+def test_detections_are_counted_on_judged_faults_alone() -> None:
+    summary = summarise(made())
+    every = summary["detection"][0]
+    assert (every["detected"].hits, every["detected"].of, every["early"]) == (2, 3, 1)
+    assert every["latency_median_s"] == pytest.approx(2.0)
+    assert every["latency_p90_s"] == pytest.approx(2.8)
+    assert (every["rotor_right"].hits, every["rotor_right"].of) == (1, 2)
+    assert (every["type_right"].hits, every["type_right"].of) == (1, 2)
+    assert (every["severity_right"].hits, every["severity_right"].of) == (1, 1)
+    cells = {row["level"]: row["detected"] for row in summary["detection"] if row["factor"] == "fault, phenomenology"}
+    assert (cells["F1/SV2 x1"].hits, cells["F2/SV1 x0.5"].of) == (2, 1)
+    assert summary["unjudged"] == (("not_judgeable: ", 1),)

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import pytest
-from detector_process import running
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk, System
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.failure import FailureAsync
@@ -24,8 +23,7 @@ from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.plugins.action import ActionError
 from mavsdk.plugins.failure import FailureType, FailureUnit
 from mavsdk.plugins.mission_raw import MissionItem
-from patience import PATIENCE_S
-from plant_process import ALERT, companion, flying, process
+from processes import ALERT, PATIENCE_S, companion, flying, process, running
 
 from detector.component import CHANGES
 from mavdiag.link.messages import Component

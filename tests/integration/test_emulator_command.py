@@ -13,8 +13,7 @@ from unittest.mock import patch
 
 import pytest
 from memory_port import MemoryEndpoint, memory_pair
-from patience import PATIENCE_S
-from plant_process import process
+from processes import PATIENCE_S, process
 
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index

@@ -4,29 +4,102 @@ The bytes are packed and read by the test. Where a real autopilot is named, one 
 """
 
 import json
+import math
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from hil_bytes import answered, controls_bytes, frames_in, mavlink_bytes, servo_bytes
-from patience import PATIENCE_S
-from plant_process import first_line, process
-
-from mavdiag.telemetry import FloatArray
-from sitl_plant.vehicle import qdrone2
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from processes import PATIENCE_S, first_line, process
 from reference_pilot import Course, Pilot, Sensed
 
-pytestmark = pytest.mark.realtime
+from mavdiag.airframe.layout import layout_named
+from mavdiag.link.codec import Decoder
+from mavdiag.telemetry import FloatArray
+from sitl_plant.hil.ardupilot import Lockstep, servo_frame
+from sitl_plant.hil.px4 import WANTED, Bridge
+from sitl_plant.hil.simulation import AutopilotName, Simulation, output_map, parameter_file, pilot_of
+from sitl_plant.physics.faults import Injection
+from sitl_plant.plant import Plant, PlantConfig
+from sitl_plant.vehicle import allocation, qdrone2, vehicle_named
+
+# By message: its layout on the wire, and its seed.
+LAYOUTS = {
+    0: ("<IBBBBB", 50),  # HEARTBEAT: custom_mode, type, autopilot, base_mode, system_status, mavlink_version
+    76: ("<7fH3B", 152),  # COMMAND_LONG: param1 to 7, command, target system and component, confirmation
+    93: ("<QQ16fB", 47),  # HIL_ACTUATOR_CONTROLS: time_usec, flags, controls, mode
+    107: ("<Q13fIB", 108),  # HIL_SENSOR: time_usec, acc, gyro, mag, pressures, altitude, temperature, updated, id
+    113: ("<QiiiHHHhhhHBBBH", 124),  # HIL_GPS: time, lat, lon, alt, eph, epv, vel, vn, ve, vd, cog, fix, satellites
+    115: ("<Q4f3f3i3hHH3h", 4),  # HIL_STATE_QUATERNION: time, q, rates, lat, lon, alt, v, airspeeds, acc
+}
+
+
+def servo_bytes(count: int, pwm: Sequence[int], rate_hz: int = 1000, channels: int = 16, magic: int = 0) -> bytes:
+    """ArduPilot's servo packet: u16 magic, u16 frame_rate, u32 frame_count, u16 pwm[16 or 32], little-endian."""
+    given = magic or {16: 18458, 32: 29569}[channels]
+    return struct.pack(f"<HHI{channels}H", given, rate_hz, count, *pwm, *[0] * (channels - len(pwm)))
+
+
+def answered(data: bytes | None) -> dict[str, Any]:
+    """The answer, read as strictly as ArduPilot's parser does: between line ends, no blanks, no space behind a name."""
+    assert data is not None
+    assert data[:1] == data[-1:] == b"\n"
+    assert b" " not in data
+    found: dict[str, Any] = json.loads(data)
+    for name, size in (("position", 3), ("velocity", 3), ("quaternion", 4)):
+        assert len(found[name]) == size
+    assert len(found["imu"]["gyro"]) == len(found["imu"]["accel_body"]) == 3
+    return found
+
+
+def x25(data: bytes) -> int:
+    """CRC-16/MCRF4XX, bit by bit."""
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0x8408 if crc & 1 else 0)
+    return crc
+
+
+def mavlink_bytes(msgid: int, *values: float, seq: int = 0, sysid: int = 1, compid: int = 1) -> bytes:
+    """A MAVLink 2 frame from values in the order of the wire."""
+    layout, seed = LAYOUTS[msgid]
+    payload = struct.pack(layout, *values).rstrip(b"\0") or b"\0"
+    body = struct.pack("<BBBBBBHB", len(payload), 0, 0, seq & 255, sysid, compid, msgid & 0xFFFF, msgid >> 16) + payload
+    return b"\xfd" + body + struct.pack("<H", x25(body + bytes([seed])))
+
+
+def controls_bytes(t_us: int, controls: Sequence[float], armed: bool = True, flags: int = 1, seq: int = 0) -> bytes:
+    """HIL_ACTUATOR_CONTROLS as PX4 in simulation sends it: 1 in the flags for lockstep, mode custom and armed."""
+    outputs = [*controls, *[0.0] * (16 - len(controls))]
+    return mavlink_bytes(93, t_us, flags, *outputs, 1 | 128 * armed, seq=seq)
+
+
+def frames_in(data: bytes) -> Iterator[tuple[int, tuple[Any, ...], int]]:
+    """Message, values and end of each whole frame; its checksum is checked."""
+    at = 0
+    while len(data) - at >= 12 and len(data) - at >= data[at + 1] + 12:
+        length = data[at + 1]
+        assert data[at] == 0xFD
+        msgid = int.from_bytes(data[at + 7 : at + 10], "little")
+        layout, seed = LAYOUTS[msgid]
+        end = at + 10 + length
+        assert x25(data[at + 1 : end] + bytes([seed])) == int.from_bytes(data[end : end + 2], "little")
+        at = end + 2
+        yield msgid, struct.unpack(layout, data[end - length : end].ljust(struct.calcsize(layout), b"\0")), at
+
 
 MOTORS = (2, 3, 4, 1)  # quad X of both autopilots: front right, rear left, front left, rear right
 COURSE = Course(height_m=1.2, side_m=1.0, speed_m_s=0.8)
@@ -70,6 +143,7 @@ def check(rows: FloatArray, course: Course) -> None:
     assert np.abs(place[-1, :2]).max() < 0.3
 
 
+@pytest.mark.realtime
 def test_over_ardupilots_protocol(tmp_path: Path) -> None:
     truth = tmp_path / "truth.jsonl"
     fault = ("--fault", "F1/SV1", "--rotor", "2", "--onset", "4", "--truth", str(truth))
@@ -144,6 +218,7 @@ class Px4(AbstractContextManager["Px4"]):
         self._link.close()
 
 
+@pytest.mark.realtime
 def test_over_px4s_protocol() -> None:
     with serving("serve-px4", "--listen", "tcpin:127.0.0.1:0", "--speed", "max") as (port, plant):
         with Px4(port) as autopilot:
@@ -158,6 +233,7 @@ def test_over_px4s_protocol() -> None:
     assert "1 restarts" in said
 
 
+@pytest.mark.realtime
 def test_a_flight_controller_in_hil_mode_in_real_time() -> None:
     """Over UDP as over a serial line; it is told that its HIL mode is off."""
     with (
@@ -178,3 +254,168 @@ def test_a_flight_controller_in_hil_mode_in_real_time() -> None:
         assert plant.wait(PATIENCE_S) == 0
     assert "not in HIL mode" in said
     assert "2.0 s flown" in said
+
+
+OFF, CLIMB = [1000] * 4, [1600] * 4
+
+
+def lockstep(*faults: Injection, **options: float) -> tuple[Lockstep, Simulation]:
+    simulation = Simulation(PlantConfig(seed=3, **options), faults)  # type: ignore[arg-type]
+    return Lockstep(simulation, output_map(simulation.config.vehicle, "ardupilot")), simulation
+
+
+@pytest.mark.parametrize("rate_hz", [50, 333, 400, 1000, 1200, 2500])
+def test_flight_time_is_frames_over_rate(rate_hz: int) -> None:
+    link, simulation = lockstep()
+    frames = 2 * rate_hz
+    stamps = [answered(link.feed(servo_bytes(count, OFF, rate_hz), "a", 0.0))["timestamp"] for count in range(frames)]
+    assert simulation.t_s == pytest.approx(2.001, abs=0.0015)  # the sensors were read once before the first frame
+    assert np.all(np.diff(stamps) >= 0.0)
+    assert np.diff(stamps).max() <= 1.0 / rate_hz + 0.001
+
+
+def test_a_repeated_frame_is_answered_again_and_not_flown() -> None:
+    link, simulation = lockstep()
+    link.feed(servo_bytes(0, CLIMB), "a", 0.0)
+    first = link.feed(servo_bytes(1, CLIMB), "a", 0.1)
+    t_s = simulation.t_s
+    assert link.feed(servo_bytes(1, OFF), "a", 1.1) == first
+    assert simulation.t_s == t_s
+    assert link.counts.resent == 1
+    assert answered(link.feed(servo_bytes(2, CLIMB), "a", 1.2))["timestamp"] > answered(first)["timestamp"]
+
+
+def test_a_smaller_count_is_a_restarted_autopilot_and_the_plant_stands_on_the_ground_anew() -> None:
+    link, _ = lockstep()
+    for count in range(500):
+        high = answered(link.feed(servo_bytes(count, CLIMB), "a", 0.0))
+    assert high["position"][2] < -0.05
+    low = answered(link.feed(servo_bytes(0, OFF), "a", 0.0))
+    assert link.counts.restarts == 1
+    assert low["timestamp"] == pytest.approx(0.001)
+    assert low["position"][2] == pytest.approx(0.001, abs=0.002)
+
+
+def test_rotor_speeds_come_by_the_autopilots_outputs() -> None:
+    link, simulation = lockstep()
+    for count in range(300):
+        told = answered(link.feed(servo_bytes(count, [1600, 1500, 1400, 1300]), "a", 0.0))
+    rpm = simulation.now.rotor_speed[0] * 60 / (2 * math.pi)  # outputs 1 to 4 turn rotors 2, 3, 4 and 1
+    np.testing.assert_allclose([told[f"rpm_{n}"] for n in (1, 2, 3, 4)], rpm[[1, 2, 3, 0]], atol=0.051)
+    assert told["rpm_1"] > told["rpm_2"] > told["rpm_3"] > told["rpm_4"] > 1000.0
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=100))
+def test_no_datagram_raises(data: bytes) -> None:
+    frame = servo_frame(data)
+    assert frame is None or struct.unpack_from("<H", data)[0] in (18458, 29569)
+
+
+def test_the_newest_address_flies_and_the_one_it_replaced_is_ignored() -> None:
+    link, simulation = lockstep()
+    for count in range(100):
+        link.feed(servo_bytes(count, CLIMB), "old", 0.0)
+    assert answered(link.feed(servo_bytes(0, OFF), "new", 0.1))["timestamp"] == pytest.approx(0.001)
+    t_s = simulation.t_s
+    assert link.feed(servo_bytes(100, CLIMB), "old", 0.2) is None
+    assert (link.counts.ignored, link.counts.restarts, simulation.t_s) == (1, 1, t_s)
+    assert link.feed(servo_bytes(1, OFF), "new", 0.3) is not None
+    assert link.feed(servo_bytes(101, OFF), "old", 3.0) is not None, "the new one has been silent for 2.7 s"
+
+
+def test_pulses_become_duties_in_the_order_of_the_rotors() -> None:
+    """Outputs 1 to 4 turn rotors 2 (front right), 3 (rear left), 4 (front left) and 1 (rear right)."""
+    outputs = output_map(vehicle_named("qdrone2"), "ardupilot")
+    np.testing.assert_allclose(outputs.from_pwm([1100, 1200, 1300, 1400, 1900]), [0.4, 0.1, 0.2, 0.3])
+    np.testing.assert_allclose(outputs.from_pwm([0, 900, 2100, 65535]), [1.0, 0.0, 0.0, 1.0])
+    np.testing.assert_allclose(outputs.from_share([math.nan, -1.0, 2.0, 0.5]), [0.5, 0.0, 0.0, 1.0])
+    assert [outputs.motor(rotor) for rotor in (1, 2, 3, 4)] == [4, 1, 2, 3]
+
+
+RATE_HZ = 250
+
+
+def bridge() -> Bridge:
+    simulation = Simulation(PlantConfig(seed=3))
+    return Bridge(simulation, output_map(simulation.config.vehicle, "px4"), RATE_HZ)
+
+
+def hear(link: Bridge, data: bytes) -> None:
+    for frame in Decoder(WANTED).feed(data, 0):
+        link.hear(frame)
+
+
+def sent(link: Bridge, periods: int) -> list[tuple[int, tuple[float, ...]]]:
+    return [
+        (msgid, values)
+        for message in chain.from_iterable(link.advance() for _ in range(periods))
+        for msgid, values, _ in frames_in(message)
+    ]
+
+
+def of(messages: list[tuple[int, tuple[float, ...]]], msgid: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    return np.array([values for one, values in messages if one == msgid])
+
+
+def test_the_sensors_of_a_vehicle_at_rest() -> None:
+    """Gravity, the field of Zurich in body axes, and the pressure at 488 m by the standard atmosphere."""
+    rows = of(sent(bridge(), 4 * RATE_HZ), 107)
+    np.testing.assert_array_equal(np.diff(rows[:, 0]), 4000)
+    np.testing.assert_allclose(rows[:, 1:4].mean(axis=0), [0.0, 0.0, -9.81], atol=0.02)
+    np.testing.assert_allclose(rows[:, 4:7].mean(axis=0), 0.0, atol=0.004)
+    updated = rows[:, 14].astype(int)
+    assert np.all(updated & 0b111_111 == 0b111_111)
+    compass, baro = updated & 0b111_000_000 != 0, updated & 0b1_000_000_000 != 0
+    assert set(updated[baro] & 0b1_101_000_000_000) == {0b1_101_000_000_000}
+    assert compass.sum() == pytest.approx(200, abs=4)
+    assert baro.sum() == pytest.approx(80, abs=2)
+    np.testing.assert_allclose(rows[compass, 7:10].mean(axis=0), [0.21523, 0.00771, 0.42741], atol=0.002)
+    assert rows[baro, 10].mean() == pytest.approx(1013.25 * (1 - 0.0065 * 488 / 288.15) ** 5.2559, abs=0.1)
+    assert len(np.unique(rows[compass, 7])) > 100, "a reading that stands still is a broken sensor to PX4"
+
+
+def test_controls_turn_the_motors_only_if_armed() -> None:
+    link = bridge()
+    hear(link, controls_bytes(0, [0.62] * 4, armed=False))
+    sent(link, 100)
+    assert link.simulation.now.rotor_speed.max() < 1.0
+    hear(link, controls_bytes(0, [0.62] * 4))
+    assert (link.answered, link.lockstep, link.controls) == (True, True, 2)
+    rows = of(sent(link, 100), 115)
+    assert not link.answered
+    assert rows[-1][13] < -20, "climbs, in cm/s down"
+    assert rows[-1][10] > 488_010
+
+
+ARDUPILOT = {
+    "qdrone2": "x",
+    "qdrone2-recorded": "x",
+    "quad-plus": "plus",
+    "hexa-x": "hexa-x",
+    "hexa-plus": "hexa-plus",
+    "octo-x": "octo-x",
+}
+
+
+@pytest.mark.parametrize("name", ARDUPILOT)
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_output_k_is_the_autopilots_motor_k(name: str, autopilot: AutopilotName) -> None:
+    """What an output does to roll, pitch and yaw has the sign that ArduHilPilot's frame of that kind says."""
+    vehicle = vehicle_named(name)
+    outputs = pilot_of(vehicle, autopilot)[1].rotors
+    effects = np.round(allocation(vehicle)[1:, np.array(outputs) - 1].T, 6)
+    np.testing.assert_array_equal(np.sign(effects), np.sign(np.round(layout_named(ARDUPILOT[name]).mixing, 6)))
+
+
+@pytest.mark.parametrize("name", ARDUPILOT)
+def test_ardupilots_file_is_name_comma_value(name: str) -> None:
+    vehicle = vehicle_named(name)
+    lines = parameter_file(vehicle, "ardupilot").splitlines()
+    assert lines[0].startswith("#")
+    values = {line.split(",")[0]: float(line.split(",")[1]) for line in lines[1:]}
+    assert values["FRAME_CLASS"] == {4: 1, 6: 2, 8: 3}[len(vehicle.rotors)]
+    assert values["FRAME_TYPE"] == (0 if name.endswith("plus") else 1)
+    hover = Plant(PlantConfig(vehicle=vehicle, drone=2, trajectory="hover")).advance(2000).duty
+    assert values["MOT_THST_HOVER"] == pytest.approx(np.mean(hover**2), abs=0.015)
+    assert all(len(parameter) <= 16 for parameter in values)

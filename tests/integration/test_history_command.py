@@ -17,7 +17,7 @@ import pytest
 from made_history import DAY_NS, START_NS, records
 from made_session import baseline_for
 from made_vehicle import EPOCH_NS, Bench, MadeVehicle, received
-from plant_process import record
+from processes import record
 
 from detector.config import Settings
 from detector.flights import Flights

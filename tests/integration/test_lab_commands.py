@@ -1,15 +1,14 @@
 """`mavdiag model` and its neighbours as a user meets them, on flights of the emulator."""
 
 import json
-import sys
 import zipfile
 from pathlib import Path
 from typing import Any
 
 import pytest
 from droneprop_table import table_of
-from made_dronepropa import flight, written
-from plant_process import record
+from made_logs import flight, written
+from processes import record
 
 from mavdiag import cli
 from mavdiag.baseline import Baseline
@@ -67,9 +66,6 @@ def test_bad_input_is_one_line_and_exit_2(mavdiag: Any, flights: list[Path], arg
     code, out, err = mavdiag(*[str(flights[0]) if one == "LOG" else one for one in arguments])
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert words in err
-
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
 
 FLIGHT_S = 25.0

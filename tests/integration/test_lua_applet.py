@@ -33,7 +33,7 @@ from mavdiag.monitors.conditions import covered_by
 from mavdiag.monitors.rotor_speed import RotorSpeedSpec
 from mavdiag.monitors.trim_step import TrimStepSpec
 from mavdiag.rows.align import AlignSpec, Grid
-from mavdiag.rows.block import Block, in_rotor_order
+from mavdiag.rows.block import Block
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import Border, GateSpec
 from mavdiag.rows.rates import RateSpec
@@ -179,7 +179,9 @@ def pieces(front: Front, telemetry: Telemetry) -> Iterator[Rows | Border]:
 def baseline_of(telemetry: Telemetry, layout: RotorLayout, gate: GateSpec, outputs: tuple[int, ...] | None) -> Baseline:
     """The applet's monitors fitted to one healthy flight, at its rate; thresholds from its own values."""
     airframe, align = Airframe(name="recorded", layout=layout, outputs=outputs), AlignSpec(DT_S, Grid.RESAMPLED)
-    front = Front(align, gate, RateSpec.of(DT_S, WINDOW.samples), outputs)
+    if outputs is not None:
+        align = replace(align, takes={Signal.ACTUATOR: [one - 1 for one in outputs]})
+    front = Front(align, gate, RateSpec.of(DT_S, WINDOW.samples))
     rows = [part for part in pieces(front, told(telemetry)) if isinstance(part, Rows) and len(part.block)]
     entries = []
     for name in NAMES:
@@ -260,7 +262,7 @@ def by_applet(baseline: Baseline, telemetry: Telemetry) -> tuple[Judged, Control
 
 def rows_of(block: Block, baseline: Baseline) -> Iterator[tuple[int, dict[str, float | bool | None]]]:
     """What the API tells at each row: nil where the row does not know."""
-    block, lean = in_rotor_order(block, baseline.airframe.outputs), block.setpoint[:, :2].copy()
+    lean = block.setpoint[:, :2].copy()
     lean[~block.setpoint_valid] = np.nan
     rate = np.where(block.valid[:, None], block.rate, np.nan)
     columns = (rate, block.force, block.vibration, block.thrust[:, None], lean, -block.height[:, None])

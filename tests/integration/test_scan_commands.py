@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 from dask_cluster import cluster
 from made_archive import archive_baseline, made
-from patience import PATIENCE_S
-from plant_process import record
+from processes import PATIENCE_S, record
 
 from mavdiag.monitors import BY_NAME
 

@@ -19,8 +19,7 @@ import pytest
 from made_baselines import thesis
 from made_session import baseline_for
 from made_vehicle import record
-from patience import PATIENCE_S
-from plant_process import ALERT, companion, flying
+from processes import ALERT, PATIENCE_S, companion, flying
 
 from mavdiag.decision.diagnosis import Change
 from mavdiag.judging import judge_in_full

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from detector_process import ended, port_of, running, until
 from made_page import FLEETS, about, entry, fleet, flown, now
 from made_session import baseline_for
 from made_vehicle import MadeVehicle, record
+from processes import ended, port_of, running, until
 from web_page import browser, give, look, serving, wait_for
 
 from detector.web.child import ServerProcess

@@ -7,7 +7,7 @@ import socket
 import time
 
 import pytest
-from detector_process import ended, running
+from processes import ended, running
 from web_page import Reader, asked, give, serving, wait_for
 
 from detector.web.access import HEADERS

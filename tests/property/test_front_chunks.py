@@ -4,15 +4,13 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_telemetry import ROUNDING, cut, series
-from scipy.signal import lfilter
 
 from mavdiag.rows.align import GYRO, NEVER_NS, NEWEST, AlignSpec, Grid
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Front, Rows, in_pieces
 from mavdiag.rows.gate import Border, GateSpec
 from mavdiag.rows.rates import RateSpec
-from mavdiag.rows.running import FRESH, dot, follow, mean_size, past_size, push, shift, total
-from mavdiag.rows.windows import forgetting
+from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 
 DT_NS = 5_000_000
@@ -296,21 +294,3 @@ def test_what_is_rounded_does_not_grow() -> None:
         mem[FRESH] = value
         push(mem, 0, 10, 1, True)
     assert abs(total(mem, 0, 1, 0) - 1e-2) < 1e-15
-
-
-@given(seed=st.integers(0, 99), length=st.integers(1, 30))
-def test_the_last_values_lie_in_a_row_for_a_filter(seed: int, length: int) -> None:
-    rng = np.random.default_rng(seed)
-    x, taps, mem = rng.normal(0, 1, 100), rng.normal(0, 1, length), np.zeros(past_size(length))
-    padded = np.concatenate((np.zeros(length - 1), x))
-    for i, value in enumerate(x.tolist()):
-        begin = shift(mem, 0, length, value)
-        np.testing.assert_array_equal(mem[begin : begin + length], padded[i : i + length])
-        assert abs(dot(taps, 0, mem, begin, length) - taps @ padded[i : i + length]) < 1e-12
-
-
-@given(seed=st.integers(0, 99), memory_s=st.floats(0.02, 5.0))
-def test_the_exponential_mean_is_a_first_order_filter(seed: int, memory_s: float) -> None:
-    x, alpha, mem = np.random.default_rng(seed).normal(0, 1, 300), forgetting(memory_s, 0.01), np.zeros(1)
-    found = [follow(mem, 0, value, alpha) for value in x.tolist()]
-    np.testing.assert_allclose(found, lfilter([alpha], [1, alpha - 1], x), atol=1e-12)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_thresholds import calibrated
+from made_rows import calibrated
 from shared_data import shared
 
 import mavdiag as md

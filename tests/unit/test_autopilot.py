@@ -1,19 +1,28 @@
 """The emulated autopilot: answers what is meant for it, forwards the rest as ArduPilot does, believes no impostor."""
 
+import math
+import struct
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.layout import Argument
+from mavdiag.link.messages import Autopilot as Maker
 from mavdiag.link.messages import MavCmd, MavResult, MessageId
+from mavdiag.link.parameters import Encoding, Kind, Parameter, Parameters, parameters_in
 from sitl_plant.autopilot.commands import ORDERS, Autopilot
-from sitl_plant.autopilot.dialect import dialect_named
+from sitl_plant.autopilot.dialect import Mode, dialect_named
 from sitl_plant.autopilot.mission import Mission
 from sitl_plant.autopilot.schedule import Schedule
+from sitl_plant.autopilot.stream import to_global
 from sitl_plant.autopilot.wire import Action, Reply
-from sitl_plant.plant import PlantConfig
+from sitl_plant.emulator import obey
+from sitl_plant.plant import Plant, PlantConfig, PlantSamples
+from sitl_plant.vehicle import airframe_of, shipped_vehicles, vehicle_named
 
 GCS, PLANT = (255, 190), (1, 1)
 NOW_NS = 5_000_000_000
@@ -218,3 +227,210 @@ def test_a_profile_grants_rates_as_its_autopilot_does(
     rows = [rows for msgid, rows in one.due(times(0, 1000 * seconds)) if msgid == MessageId.ATTITUDE_TARGET]
     if result == MavResult.ACCEPTED:
         assert len(rows[0]) == pytest.approx(attained_hz * seconds, rel=0.01)
+
+
+ROWS = (Parameter("FIXED", 20.0), Parameter("COUNT", 1, Kind.INT32, (0, 3)), Parameter("SPEED", 1.5, span=(0.5, 2.0)))
+
+
+def received(msgid: int, *fields: Argument) -> Frame:
+    return Decoder().feed(Encoder(255, 190).encode(msgid, *PLANT, *fields), 0)[0]
+
+
+def told(one: Parameters, msgid: int, *fields: Argument) -> list[tuple[Argument, ...]]:
+    asked = received(msgid, *fields)
+    if msgid == MessageId.PARAM_SET:
+        one.change(*one.wanted(asked))
+    return one.told(asked)
+
+
+@pytest.mark.parametrize("encoding", list(Encoding))
+def test_all_are_listed_and_each_is_read_by_name_or_index(encoding: Encoding) -> None:
+    one = Parameters(ROWS, encoding)
+    every, count = told(one, MessageId.PARAM_REQUEST_LIST), 9 if encoding is Encoding.FLOAT else 6
+    assert [(row[0], *row[2:]) for row in every] == [("FIXED", 9, 3, 0), ("COUNT", count, 3, 1), ("SPEED", 9, 3, 2)]
+    assert told(one, MessageId.PARAM_REQUEST_READ, "COUNT", -1) == every[1:2]
+    assert told(one, MessageId.PARAM_REQUEST_READ, "", 2) == every[2:]
+    for name, index in (("NO_SUCH", -1), ("", 3)):
+        assert told(one, MessageId.PARAM_REQUEST_READ, name, index) == []
+
+
+@pytest.mark.parametrize("encoding", list(Encoding))
+@pytest.mark.parametrize(
+    ("name", "value", "kind", "in_force"),
+    [
+        ("SPEED", 1.75, 9, 1.75),
+        ("SPEED", 2.5, 9, 1.5),
+        ("SPEED", float("nan"), 9, 1.5),
+        ("FIXED", 30.0, 9, 20.0),
+        ("COUNT", 3, 6, 3),
+        ("COUNT", 4, 6, 1),
+    ],
+)
+def test_a_set_is_checked_and_answered_by_the_value_in_force(
+    encoding: Encoding, name: str, value: float, kind: int, in_force: float
+) -> None:
+    one = Parameters(ROWS, encoding)
+    sent = (
+        struct.unpack("<f", struct.pack("<i", round(value)))[0] if encoding is Encoding.BYTES and kind == 6 else value
+    )
+    [answer] = told(one, MessageId.PARAM_SET, name, sent, kind)
+    assert one.value(name) == in_force
+    assert answer[0] == name
+    assert answer == told(one, MessageId.PARAM_REQUEST_READ, name, -1)[0]
+
+
+@pytest.mark.parametrize("profile", ["ardupilot", "px4"])
+@pytest.mark.parametrize("name", [name for name in shipped_vehicles() if name != "qdrone2-recorded"])
+def test_the_geometry_that_is_told_is_the_vehicles(profile: str, name: str) -> None:
+    dialect, vehicle = dialect_named(profile), vehicle_named(name)
+    one = Parameters(dialect.parameters_of(vehicle), dialect.encoding)
+    sent = [
+        Encoder(*PLANT).encode(MessageId.PARAM_VALUE, *fields) for fields in told(one, MessageId.PARAM_REQUEST_LIST)
+    ]
+    frames = [Decoder().feed(data, 0)[0] for data in sent]
+    found = layout_from_parameters(parameters_in(frames, Maker.PX4 if profile == "px4" else Maker.ARDUPILOTMEGA))
+    own = airframe_of(vehicle, name).layout
+    assert own is not None
+    if profile == "ardupilot" and name == "qdrone2":  # the thesis counts its rotors in an order that ArduPilot has not
+        assert found.layout is None
+    else:
+        assert found.layout is not None
+        assert found.layout.alike(own)
+
+
+BLOCK_STEPS = 20
+
+
+class Vehicle:
+    """The emulator without its links: one ground station, 255/190, talks to it on link 0."""
+
+    def __init__(self, profile: str = "px4", seed: int = 3) -> None:
+        config = PlantConfig(trajectory="commanded", start="ground", seed=seed)
+        self._dialect = dialect_named(profile)
+        self.plant = Plant(config)
+        self.autopilot = Autopilot([self._dialect.schedule(None)], self._dialect, config)
+        self.said: list[Reply] = []
+        self.flown: list[PlantSamples] = []
+        self._encoder = Encoder(255, 190)
+        self.fly(0.1)
+
+    @property
+    def now(self) -> PlantSamples:
+        """The latest samples."""
+        return self.flown[-1]
+
+    @property
+    def place(self) -> tuple[float, float, float]:
+        """Where it is, world NED."""
+        north, east, down = self.now.position[-1].tolist()
+        return north, east, down
+
+    @property
+    def armed(self) -> bool:
+        """Whether the motors are on."""
+        return bool(self.now.motors[-1])
+
+    def code(self, mode: Mode) -> int:
+        """The custom_mode of a mode."""
+        return self._dialect.shown(mode)
+
+    def send(self, msgid: int, *fields: Argument) -> list[Reply]:
+        """Give it a message; its answers."""
+        frame = Decoder().feed(self._encoder.encode(msgid, *fields), 0)[0]
+        return self._note(self.autopilot.step(0, frame, self.plant.t_ns))
+
+    def order(self, command: int, *parameters: float) -> int:
+        """The result of a COMMAND_LONG."""
+        [ack, *_] = self.send(MessageId.COMMAND_LONG, *PLANT, command, 0, *parameters)
+        assert ack.msgid == MessageId.COMMAND_ACK
+        result = ack.fields[1]
+        assert isinstance(result, int)
+        return result
+
+    def fly(self, seconds: float) -> PlantSamples:
+        """Fly on; the last block."""
+        for _ in range(round(seconds * 1000 / BLOCK_STEPS)):
+            samples = self.plant.advance(BLOCK_STEPS)
+            self.flown.append(samples)
+            actions, orders = self.autopilot.watch(samples)
+            self._note(actions)
+            for order in orders:
+                obey(self.plant, order)
+        return self.now
+
+    def _note(self, actions: list[Action]) -> list[Reply]:
+        replies = [action for action in actions if isinstance(action, Reply)]
+        self.said += replies
+        return replies
+
+
+NAN = float("nan")
+
+
+def degrees(north: float, east: float) -> tuple[int, int]:
+    """Latitude and longitude in 1e-7 degrees."""
+    latitude, longitude, _ = to_global(np.array([[north, east, 0.0]]))[0].tolist()
+    return round(latitude * 1e7), round(longitude * 1e7)
+
+
+def in_flight(profile: str = "px4") -> Vehicle:
+    """A vehicle at 1.5 m."""
+    vehicle = Vehicle(profile)
+    if profile == "ardupilot":
+        assert vehicle.send(MessageId.SET_MODE, 1, 1, 4)[0].fields[:2] == (11, MavResult.ACCEPTED)
+    assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 1) == MavResult.ACCEPTED
+    height = NAN if profile == "px4" else 1.5
+    assert vehicle.order(MavCmd.NAV_TAKEOFF, 0, 0, 0, NAN, NAN, NAN, height) == MavResult.ACCEPTED
+    vehicle.fly(5.0)
+    assert vehicle.place == pytest.approx((0, 0, -1.5), abs=0.15)
+    return vehicle
+
+
+@pytest.mark.parametrize("profile", ["px4", "ardupilot", "qdrone2"])
+def test_a_flight_by_command_from_the_ground_to_the_ground(profile: str) -> None:
+    vehicle = in_flight(profile)
+    refused = {"px4": MavResult.TEMPORARILY_REJECTED, "ardupilot": MavResult.FAILED, "qdrone2": MavResult.DENIED}
+    assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 0) == refused[profile]  # not in flight
+    there = degrees(2.0, -1.0)
+    goto = (*PLANT, 6, MavCmd.DO_REPOSITION, 0, 0, -1.0, 0.0, 0.0, NAN, *there, 2.0)
+    assert vehicle.send(MessageId.COMMAND_INT, *goto)[0].fields[1] == MavResult.ACCEPTED
+    vehicle.fly(5.0)
+    assert vehicle.place == pytest.approx((2.0, -1.0, -2.0), abs=0.15)
+    assert vehicle.now.attitude[-1, 2] == pytest.approx(math.atan2(-1.0, 2.0), abs=0.1)  # the nose went along
+    assert vehicle.order(MavCmd.NAV_RETURN_TO_LAUNCH) == MavResult.ACCEPTED
+    assert vehicle.autopilot.dialect.custom_mode == vehicle.code(Mode.RTL)
+    vehicle.fly(16.0)
+    assert vehicle.place == pytest.approx((0.0, 0.0, 0.0), abs=0.15)
+    assert not vehicle.armed
+    assert vehicle.autopilot.dialect.custom_mode != vehicle.code(Mode.GUIDED)
+    texts = [reply.fields[1] for reply in vehicle.said if reply.msgid == MessageId.STATUSTEXT]
+    assert texts == ["Armed", "Refused: disarming is denied in flight", "Disarmed"]
+
+
+@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
+def test_a_mission_is_paused_and_goes_on_where_the_autopilot_can(profile: str) -> None:
+    vehicle = Vehicle(profile)
+    plan = [(22, 0.0, 0.0, 1.5), (16, 3.0, 0.0, 1.5), (16, 3.0, 1.0, 1.5)]
+    if profile == "ardupilot":
+        plan.insert(0, (16, 0.0, 0.0, 0.0))
+    vehicle.send(MessageId.MISSION_COUNT, *PLANT, len(plan), 0)
+    for seq, (number, north, east, height) in enumerate(plan):
+        flat = (0.0, 0.0, 0.0, NAN, *degrees(north, east), height, 0)
+        vehicle.send(MessageId.MISSION_ITEM_INT, *PLANT, seq, 6, number, 0, 1, *flat)
+    assert vehicle.order(MavCmd.DO_PAUSE_CONTINUE, 0) != MavResult.ACCEPTED  # on the ground
+    assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 1) == MavResult.ACCEPTED
+    assert vehicle.order(MavCmd.MISSION_START) == MavResult.ACCEPTED
+    vehicle.fly(6.5)
+    assert 0.5 < vehicle.place[0] < 2.5
+    if profile == "px4":
+        assert vehicle.order(MavCmd.DO_PAUSE_CONTINUE, 0) == MavResult.UNSUPPORTED
+        return
+    assert vehicle.order(MavCmd.DO_PAUSE_CONTINUE, 7) == MavResult.DENIED
+    assert vehicle.order(MavCmd.DO_PAUSE_CONTINUE, 0) == MavResult.ACCEPTED
+    paused = vehicle.place
+    vehicle.fly(8.0)
+    assert vehicle.place == pytest.approx(paused, abs=0.3)
+    assert vehicle.autopilot.dialect.custom_mode == vehicle.code(Mode.MISSION)
+    assert vehicle.order(MavCmd.DO_PAUSE_CONTINUE, 1) == MavResult.ACCEPTED
+    vehicle.fly(8.0)
+    assert vehicle.place == pytest.approx((3.0, 1.0, -1.5), abs=0.2)

@@ -4,6 +4,7 @@ Every command of ours in a console block goes through the parser of its subcomma
 in a folder with made flights. Python is executed, TOML is loaded by what loads it in the product.
 """
 
+import importlib.util
 import itertools
 import re
 import runpy
@@ -276,3 +277,46 @@ def test_the_table_is_up_to_date() -> None:
     assert (ROOT / "docs" / "constants.md").read_text(encoding="utf-8") == MAKER["table"](), (
         "run python docs/make_constants.py"
     )
+
+
+DRAWING = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+
+
+def cells_of(heading: str, column: int) -> list[str]:
+    """A column of the first cells_of after a heading, without its head."""
+    lines = DRAWING[DRAWING.index(heading) :].splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith("|---"))
+    rows = []
+    for line in lines[start + 1 :]:
+        if not line.startswith("|"):
+            break
+        rows.append(line.strip("|").split("|")[column].strip())
+    return rows
+
+
+def test_the_layers_are_those_of_the_import_contract() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    layers = next(one["layers"] for one in contracts if one["type"] == "layers")
+    wanted = [{name.strip().removeprefix("mavdiag.") for name in layer.split("|")} for layer in layers[::-1]]
+    drawn = [set(re.findall(r"`([a-z_]+)`", cell)) for cell in cells_of("Within `mavdiag`", 0)]
+    assert [one - {"__main__"} for one in wanted if one != {"__main__"}] == drawn
+
+
+def drawn_modules() -> list[str]:
+    blocks = re.findall(r"```\n(.*?)```", DRAWING, flags=re.DOTALL)
+    names = {name for block in blocks for line in block.splitlines() for name in line.split("  ")[:1]}
+    indented = {line.strip().split("  ")[0] for block in blocks for line in block.splitlines()}
+    return sorted(name for one in names | indented for name in re.findall(r"[a-z_]+(?:\.[a-z_]+)*", one))
+
+
+@pytest.mark.parametrize("name", [*drawn_modules(), *(m.strip("`") for m in cells_of("## The values that cross", 1))])
+def test_every_module_named_is_there(name: str) -> None:
+    names = (name, f"mavdiag.{name}", f"detector.{name}")
+    assert any(one.split(".")[0] in ("mavdiag", "detector") and found(one) for one in names), name
+
+
+def found(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:
+        return False

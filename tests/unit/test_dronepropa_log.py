@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_dronepropa import LINE_HZ, Rows, content, flight, written
+from made_logs import LINE_HZ, Rows, content, flight, written
 from scipy.io import loadmat
 
 from mavdiag.airframe.load import airframe_named

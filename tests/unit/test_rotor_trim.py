@@ -1,5 +1,6 @@
-"""The trim monitor: amplitude, rotor, what it must not react to, refusals."""
+"""The trim monitor: amplitude and rotor by least squares, what it must not react to, refusals."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,14 +8,20 @@ import pytest
 from flying_telemetry import flying, flying_rows
 from hypothesis import given
 from hypothesis import strategies as st
-from made_rows import example_context
-from made_thresholds import calibrated
+from made_rows import calibrated, example_context
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
-from mavdiag.airframe.trim import TILT_TRIM
+from mavdiag.airframe.trim import (
+    BESIDE,
+    TILT_TRIM,
+    rises,
+    source_among,
+    sources_of,
+    trim_of,
+)
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Flights
-from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
+from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec, highest_rise, rise
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, Signal, Three
@@ -209,3 +216,62 @@ def test_what_the_air_pulls_is_learnt_by_the_accelerometer_and_taken_off() -> No
     assert calm.rotors[calm.valid].max() < 0.2 * rough.rotors[rough.valid].max()
     blind = fit([[in_wind(1, law, felt=False)]], "x")
     assert (blind.felt, blind.pull, blind.pull_sd) == (False, (0.0, 0.0), (TILT_TRIM, TILT_TRIM))
+
+
+WEIGHTS = (0.03, 0.02, 0.01)
+frames = st.sampled_from(sorted(LAYOUTS))
+shifts = st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3)
+
+
+def by_lstsq(shift: FloatArray, effect: FloatArray, spread: FloatArray) -> float:
+    """The rise a of min || diag(1/spread) (effect a - shift) ||."""
+    found, *_ = np.linalg.lstsq((effect / spread)[:, None], shift / spread, rcond=None)
+    return float(found[0])
+
+
+@given(frame=frames, shift=shifts, lean=st.lists(st.floats(-0.4, 0.4), min_size=2, max_size=2))
+def test_the_rises_are_weighted_least_squares(frame: str, shift: list[float], lean: list[float]) -> None:
+    layout = layout_named(frame)
+    effects: FloatArray = np.asarray(np.linalg.pinv(layout.mixing), dtype=np.float64)  # (3, rotors)
+    wind = TILT_TRIM * math.hypot(*lean)
+    spread = np.array([math.hypot(WEIGHTS[0], wind), math.hypot(WEIGHTS[1], wind), WEIGHTS[2]])
+    found = rises(np.array([shift]), layout, (spread[0], spread[1], spread[2]))
+    expected = [by_lstsq(np.array(shift), effects[:, j], spread) for j in range(layout.rotors)]
+    np.testing.assert_allclose(found, [expected], rtol=1e-9, atol=1e-12)
+
+
+def test_idle_unknown_or_lacking_outputs_give_no_trim() -> None:
+    layout, outputs = layout_named("x"), np.full((4, 4), 0.5)
+    outputs[1] = 0.04
+    outputs[2, 3] = np.nan
+    valid = np.array([True, True, True, False])
+    found, known = trim_of(example_rows(4, actuator=outputs, valid=valid).block, layout, "actuator")
+    assert known.tolist() == [True, False, False, False]
+    assert not found.any()
+    assert not trim_of(example_rows(4, actuator=outputs[:, :3]).block, layout, "actuator")[1].any()
+    assert not trim_of(example_rows(4, torque=np.ones((4, 3)), thrust=np.ones(4)).block, layout, "torque")[1].any()
+
+
+def test_outputs_are_preferred_to_commands() -> None:
+    rng, frame = np.random.default_rng(1), layout_named("crazyflie")
+    outputs, torque, thrust = rng.normal(0.5, 0.01, (9, 4)), rng.normal(0.0, 0.01, (9, 3)), np.full(9, 0.5)
+    both = example_rows(9, torque=torque, thrust=thrust, actuator=outputs)
+    commands = example_rows(9, torque=torque, thrust=thrust)
+    assert source_among([sources_of([both], frame)], frame) == "actuator"
+    assert source_among([sources_of([commands], frame)], frame) == "torque"
+    full = example_rows(9, actuator=np.ones((9, 4)))  # all of them say 100 %, all flight
+    for rows in (example_rows(9), full):
+        with pytest.raises(InputError, match="outputs of 4 motors that move above idle"):
+            source_among([sources_of([rows], frame)], frame)
+
+
+@given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=6, max_size=6))
+def test_the_compiled_rise_is_that_of_arrays(frame: str, shift: list[float]) -> None:
+    layout, both = layout_named(frame), np.array([shift])
+    par = RotorTrim(RotorTrimSpec(layout=layout, source="actuator", spread=WEIGHTS)).begin(0.01).par
+    wind, load = TILT_TRIM * math.hypot(*shift[3:5]), BESIDE * shift[5]
+    spread = np.array([*(math.hypot(sd, wind, load) for sd in WEIGHTS[:2]), WEIGHTS[2]])
+    expected = rises(both[:, :3], layout, spread)[0]
+    found = [rise(par, rotor, both[0], True) for rotor in range(layout.rotors)]
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+    assert highest_rise(par, both[0]) == max(found)

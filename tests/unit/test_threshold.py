@@ -1,19 +1,33 @@
-"""Thresholds: known values, guards, refusals, folds that never see what they score."""
+"""Thresholds: known values, refusals, folds, laws, and the alarm rate that they really give; evidence over flights."""
 
 import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from made_rows import example_context
-from made_thresholds import calibrated, held_out_scores
+from hypothesis import given
+from hypothesis import strategies as st
+from made_rows import calibrated, example_context, held_out_scores
+from scipy.stats import chi2, multivariate_normal, poisson
 
 from mavdiag.errors import IdentificationError, UsageError
 from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
 from mavdiag.rows.front import Rows
+from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
+from mavdiag.thresholds.evidence import RISES, STEPS, Flown, evidence_of
 from mavdiag.thresholds.heldout import Flights, Scores, score
-from mavdiag.thresholds.rule import DEGREES, USUAL, Prior, Threshold, threshold_of
+from mavdiag.thresholds.rule import (
+    DEGREES,
+    FLIGHTS_PER_SUSPICION,
+    USUAL,
+    Prior,
+    Threshold,
+    ThresholdRule,
+    poisson_upper,
+    threshold_of,
+)
 
 
 def shaken(level: float, seconds: float = 30.0, segment: int = 0, seed: int = 1) -> list[Rows]:
@@ -126,3 +140,217 @@ def test_a_flight_is_scored_by_a_fit_that_did_not_see_it() -> None:
 def test_too_short_a_flight_says_so() -> None:
     with pytest.raises(IdentificationError, match="fly longer"):
         calibrated(VibrationLevel, [shaken(0.3, seconds=4.0)], example_context())
+
+
+maxima = st.lists(st.floats(0.01, 100.0), min_size=1, max_size=60).map(np.array)
+budgets = st.floats(1e-4, 100.0)
+
+
+def level(x: FloatArray, budget: float, prior: Prior = USUAL, rule: ThresholdRule = ThresholdRule.GUMBEL) -> Threshold:
+    """Of blocks of 10 s, three of a flight and two flights of a session."""
+    flights = np.arange(len(x)) // 3
+    sessions = [flight // 2 for flight in range(int(flights[-1]) + 1)]
+    scores = Scores(x, np.full(len(x), 10.0), flights)
+    return threshold_of(scores, sessions=sessions, budget_per_hour=budget, prior=prior, rule=rule)
+
+
+@given(x=maxima, budget=budgets, scale=st.floats(0.01, 100.0), rule=st.sampled_from(list(ThresholdRule)))
+def test_another_unit_gives_the_same_alarms(x: FloatArray, budget: float, scale: float, rule: ThresholdRule) -> None:
+    prior = Prior(0.5, 0.3, 0.2, shares=False, least=0.1)
+    scaled = Prior(0.5 * scale, 0.3 * scale, 0.2 * scale, shares=False, least=0.1 * scale)
+    assert level(x * scale, budget, scaled, rule).value == pytest.approx(
+        scale * level(x, budget, prior, rule).value, rel=1e-9
+    )
+
+
+@given(x=maxima, budget=budgets, factor=st.floats(1.01, 100.0))
+def test_a_smaller_budget_gives_a_higher_threshold(x: FloatArray, budget: float, factor: float) -> None:
+    assert level(x, budget / factor).value >= level(x, budget).value
+
+
+@given(x=maxima, budget=budgets, more=st.floats(1.0, 10.0))
+def test_a_wider_prior_never_lowers_it(x: FloatArray, budget: float, more: float) -> None:
+    wider = Prior(0.2 * more, 0.1 * more, 0.1)
+    assert level(x, min(budget, 0.5), wider).value >= level(x, min(budget, 0.5)).value * (1 - 1e-12)
+
+
+@given(x=maxima, budget=st.floats(1e-4, 0.3))
+def test_the_healthy_flights_themselves_stay_below_the_maximum_rule(x: FloatArray, budget: float) -> None:
+    found = level(x, budget, rule=ThresholdRule.MAXIMUM)
+    assert found.exceeding == 0
+    assert found.value == pytest.approx(x.max(), rel=1e-12)  # the mean of equal maxima is rounded
+
+
+@given(events=st.integers(0, 5000))
+def test_the_poisson_limit_agrees_with_chi_square(events: int) -> None:
+    assert poisson_upper(events) == pytest.approx(float(chi2.ppf(0.95, 2 * events + 2)) / 2, rel=1e-6)
+    assert float(poisson.cdf(events, poisson_upper(events))) == pytest.approx(0.05, abs=1e-6)
+
+
+FLIGHT_BLOCKS = 4  # of 10 s
+BUDGETS = (0.05, 0.01)  # alarms per hour
+
+
+def broken(flights: int, sessions: int, rng: np.random.Generator) -> tuple[float, ...]:
+    """Of one airframe the share of hours with an alarm, by budget, and of flights suspected where one in 50 may be.
+
+    Each hour is a session of its own that it was not taught in. Its components are drawn as the prior says that they
+    differ between airframes.
+    """
+    prior = Prior(0.013, 0.004, 0.001, shares=False)
+    session, flight, block = (
+        sd * math.sqrt(DEGREES / rng.chisquare(DEGREES)) for sd in (prior.session, prior.flight, prior.block)
+    )
+    beta = block * math.sqrt(6) / math.pi
+    whose = np.arange(flights) % sessions
+    offsets = rng.normal(0, session, sessions)[whose] + rng.normal(0, flight, flights)
+    numbers = np.repeat(np.arange(flights), FLIGHT_BLOCKS)
+    x = 0.03 + offsets[numbers] + rng.gumbel(-np.euler_gamma * beta, beta, len(numbers))
+    scores = Scores(x, np.full(len(x), 10.0), numbers)
+    found = [threshold_of(scores, sessions=whose.tolist(), budget_per_hour=one, prior=prior) for one in BUDGETS]
+    hours, flown = 100, 90
+    each = rng.normal(0, flight, (hours, flown)) + rng.gumbel(
+        -np.euler_gamma * beta + beta * math.log(FLIGHT_BLOCKS), beta, (hours, flown)
+    )
+    session_of = 0.03 + rng.normal(0, session, hours)
+    alarms = [float(np.mean(session_of + each.max(axis=1) > one.value)) for one in found]
+    return *alarms, float(np.mean(session_of[:, None] + each > found[0].suspected[0] * found[0].value))
+
+
+@pytest.mark.parametrize("sessions", [1, 3])
+@pytest.mark.parametrize("flights", [3, 5, 10, 30])
+def test_new_airframes_alarm_and_are_suspected_as_often_as_promised(flights: int, sessions: int) -> None:
+    """Taught by a few flights and judged in other sessions: the mean over airframes is the promise, or less."""
+    rng = np.random.default_rng([flights, sessions])
+    shares = np.array([broken(flights, sessions, rng) for _ in range(400)]).T
+    for rates, promise in zip(shares, (*BUDGETS, 1 / FLIGHTS_PER_SUSPICION), strict=True):
+        assert np.mean(rates) < 1.5 * promise, f"seed [{flights}, {sessions}]: {np.mean(rates):.4f}"
+        assert np.mean(rates) > promise / 2, f"no bluntness is kept in store: {np.mean(rates):.4f}"
+        assert np.median(rates) <= promise
+
+
+@pytest.mark.parametrize("sessions", [1, 3])
+def test_airframes_of_the_other_class_are_known_by_their_flights(sessions: int) -> None:
+    """Ten quiet flights have thresholds of quiet airframes; ten of the first class have those of the first alone."""
+    one, other = Prior(0.15, 0.1, 0.08), Prior(0.038, 0.026, 0.013)
+    both = Prior(0.15, 0.1, 0.08, other=(0.038, 0.026, 0.013))
+    rng, whose, numbers = np.random.default_rng([17, sessions]), np.arange(10) % sessions, np.repeat(np.arange(10), 3)
+    for prior in (one, other):
+        ratios = []
+        for _ in range(60):
+            session, flight, block = (
+                sd * math.sqrt(DEGREES / rng.chisquare(DEGREES)) for sd in (prior.session, prior.flight, prior.block)
+            )
+            offsets = rng.normal(0, session, sessions)[whose] + rng.normal(0, flight, 10)
+            x = 1.0 + offsets[numbers] + rng.gumbel(0, block * math.sqrt(6) / math.pi, 30)
+            scores = Scores(x, np.full(30, 10.0), numbers)
+            found, alone = (threshold_of(scores, sessions=whose.tolist(), prior=each) for each in (both, prior))
+            ratios.append(found.value / alone.value)
+        assert np.median(ratios) == pytest.approx(1.0, abs=0.02)
+        assert np.quantile(ratios, 0.1) > 0.9
+
+
+@pytest.mark.parametrize("flights", [3, 9])
+def test_the_maximum_rule_has_its_price(flights: int) -> None:
+    rng = np.random.default_rng(11)
+    healthy = rng.exponential(size=(4000, flights))
+    beaten = [
+        level(x, 1.0, rule=ThresholdRule.MAXIMUM).value < new
+        for x, new in zip(healthy, rng.exponential(size=4000), strict=True)
+    ]
+    assert np.mean(beaten) == pytest.approx(1 / (flights + 1), abs=0.03)
+
+
+PRIORS = (Prior(0.02, 0.01, shares=False), Prior(0.01, 0.005, shares=False))
+COLUMNS = np.array([[-0.25, 0.25, 0.25, -0.25], [0.25, 0.25, -0.25, -0.25]])
+DIFFUSE = 1.0  # variance of mu: a hundred standard deviations
+
+
+def flights(trims: FloatArray, learnt: int, sessions: list[int] | None = None, sets: list[int] | None = None) -> Flown:
+    """Flights of a minute, each a session of its own and all of one set, unless told."""
+    n = len(trims)
+    return Flown(trims, np.array(sessions or range(n)), np.array(sets or [0] * n), np.full(n, 60.0), learnt)
+
+
+def likelihood(told: Flown, prior: Prior) -> Callable[[FloatArray], float]:
+    """ln m(y) of the docstring, by the density of the normal law for each pair of deviations."""
+    u = np.minimum(1.0, told.spans_s / np.median(told.spans_s[: told.learnt]))
+    same, other = told.sessions[:, None] == told.sessions, (told.propellers > 0).astype(float)
+    laws = []
+    for a, e in ((a, e) for a in STEPS for e in STEPS):
+        belief = -DEGREES * (np.log(a * e) + 0.5 / a**2 + 0.5 / e**2)
+        V = (a * prior.session) ** 2 * same + np.diag((e * prior.flight) ** 2 / u)
+        V = V + prior.session**2 * np.outer(other, other) + DIFFUSE
+        laws.append((belief, multivariate_normal(np.zeros(len(u)), V)))
+    return lambda y: float(np.logaddexp.reduce([belief + law.logpdf(y) for belief, law in laws]))
+
+
+def test_odds_are_the_mixture_of_likelihood_ratios() -> None:
+    rng = np.random.default_rng(3)
+    trims = rng.normal(0.0, 0.01, (7, 2))
+    told = flights(trims, 4, [0, 0, 1, 1, 2, 2, 3], [0, 0, 0, 0, 1, 1, 1])
+    told = Flown(told.trims, told.sessions, told.propellers, np.array([60.0, 90, 60, 60, 15, 60, 30]), 4)
+    laws = [likelihood(told, PRIORS[d]) for d in range(2)]
+    healthy = sum(laws[d](trims[:, d]) for d in range(2))
+    odds, rotors = 1 / 4, np.zeros(4)
+    for k in (1, 2, 3):
+        from_k = np.arange(7) >= 4 + k - 1
+        for j, r in ((j, r) for j in range(4) for r in RISES):
+            shifted = trims - r * np.outer(from_k, COLUMNS[:, j])
+            ratio = np.exp(sum(laws[d](shifted[:, d]) for d in range(2)) - healthy)
+            rotors[j] += ratio / (k * (k + 1)) / 4 / len(RISES)
+    found = evidence_of(told, COLUMNS, PRIORS)
+    assert found.odds == pytest.approx(odds + rotors.sum(), rel=1e-3)
+    assert found.shares == pytest.approx(tuple(rotors / rotors.sum()), rel=1e-3)
+
+
+def test_a_rise_is_found_named_and_dated() -> None:
+    rng = np.random.default_rng(4)
+    trims = rng.normal(0.0, 0.003, (14, 2))
+    trims[8:] += 0.15 * COLUMNS[:, 2]
+    found = evidence_of(flights(trims, 5), COLUMNS, PRIORS)
+    assert found.odds > 1000
+    assert int(np.argmax(found.shares)) == 2
+    assert found.since == 3
+
+
+def test_a_shift_of_everything_and_the_numbers_of_sessions_mean_nothing() -> None:
+    trims = np.random.default_rng(5).normal(0.0, 0.01, (6, 2))
+    plain = evidence_of(flights(trims, 3, [0, 0, 1, 2, 2, 3]), COLUMNS, PRIORS)
+    moved = evidence_of(flights(trims + 0.3, 3, [5, 5, 4, 9, 9, 7]), COLUMNS, PRIORS)
+    assert moved.odds == pytest.approx(plain.odds, rel=1e-6)
+
+
+def test_flights_of_one_session_say_no_more_than_it_may_shift() -> None:
+    trims = np.zeros((43, 2))
+    trims[3:] = 0.08 * COLUMNS[:, 1]
+    one = evidence_of(flights(trims, 3, [0, 1, 2, *[3] * 40]), COLUMNS, PRIORS).odds
+    many = evidence_of(flights(trims, 3), COLUMNS, PRIORS).odds
+    assert one < 10
+    assert many > 1e6
+
+
+def test_many_flights_overflow_nothing() -> None:
+    trims = np.zeros((400, 2))
+    trims[10:] = 0.5 * COLUMNS[:, 0]
+    found = evidence_of(flights(trims, 10), COLUMNS, PRIORS)
+    assert np.isfinite(found.odds)
+    assert found.odds > 1e100
+    assert int(np.argmax(found.shares)) == 0
+
+
+def test_without_new_flights_nothing_is_said() -> None:
+    with pytest.raises(UsageError, match="needs some that taught"):
+        evidence_of(flights(np.zeros((3, 2)), 3), COLUMNS, PRIORS)
+
+
+def test_one_healthy_airframe_in_twenty_at_most_comes_above_twenty() -> None:
+    rng, sessions = np.random.default_rng(6), [0, 0, 1, 2, 2, 3]
+    odds = []
+    for _ in range(200):
+        trims = []
+        for prior in PRIORS:
+            a, e = (sd * np.sqrt(DEGREES / rng.chisquare(DEGREES)) for sd in (prior.session, prior.flight))
+            trims.append(rng.normal(0.0, a, 4)[sessions] + rng.normal(0.0, e, 6))
+        odds.append(evidence_of(flights(np.array(trims).T, 3, sessions), COLUMNS, PRIORS).odds)
+    assert np.mean(np.array(odds) >= 20.0) <= 1 / 20

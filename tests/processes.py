@@ -1,21 +1,26 @@
-"""The plant for tests with other programs: as a process, ended by its own id, and flights that it records."""
+"""Emulator and detector as processes, and how long to wait for them."""
 
 import json
+import os
+import re
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
 import pytest
-from patience import PATIENCE_S
+from made_vehicle import MadeVehicle
 
-from mavdiag.link.codec import Encoder
+from mavdiag.link.codec import Decoder, Encoder
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, Severity
-from mavdiag.link.ports import open_endpoint
+from mavdiag.link.ports import Endpoint, open_endpoint
 from sitl_plant.__main__ import main
 from sitl_plant.options import STARTING
+
+PATIENCE_S = 120.0  # before a test with processes and sockets gives up: a machine with much to do is slow, not wrong
 
 ALERT = "PROP FAULT r1 F2/SV2 FSD 0.41s>FML 0.12s"
 
@@ -90,3 +95,59 @@ def companion(address: str) -> Iterator[Alerter]:
     one = _Companion(address)
     with one.endpoint:
         yield one
+
+
+COMMAND = [sys.executable, "-m", "detector"]
+
+
+def ran(*options: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *options], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+
+
+@contextmanager
+def running(
+    *options: str, environ: Mapping[str, str] | None = None, before: Callable[[], None] | None = None
+) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The daemon, once it is ready; with its first line. before: what its process does first."""
+    child = subprocess.Popen(
+        [*COMMAND, *options],
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **(environ or {})},
+        preexec_fn=before,
+    )
+    try:
+        assert child.stderr is not None
+        first = child.stderr.readline()
+        while "compiling" in first:  # on a machine that has much to do
+            first = child.stderr.readline()
+        yield child, first
+    finally:
+        if child.poll() is None:
+            child.terminate()
+        child.communicate(timeout=PATIENCE_S)
+
+
+def port_of(line: str) -> int:
+    found = re.search(r"ready: \w+:127\.0\.0\.1:(\d+)", line)
+    assert found, line
+    return int(found[1])
+
+
+def ended(child: subprocess.Popen[str], number: int) -> tuple[int, str]:
+    child.send_signal(number)
+    _, rest = child.communicate(timeout=PATIENCE_S)
+    return child.returncode, rest
+
+
+def until(endpoint: Endpoint, vehicle: MadeVehicle, words: str, patience_s: float = PATIENCE_S) -> list[str]:
+    """Fly in real time until a text with these words comes back, or for that long; all texts that came."""
+    decoder, texts = Decoder({MessageId.STATUSTEXT}), list[str]()
+    give_up = time.monotonic() + patience_s
+    while time.monotonic() < give_up and not any(words in text for text in texts):
+        for frame in vehicle.samples(2):
+            endpoint.send(frame)
+        time.sleep(0.02)
+        for data, host_ns in endpoint.receive(0.0):
+            texts += [frame.text("text") for frame in decoder.feed(data, host_ns)]
+    return texts
