@@ -16,7 +16,7 @@ inequality allows a change to be told in one of 50. The same airframes with a ro
 
 import argparse
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -103,16 +103,12 @@ def _airframe(rng: np.random.Generator, taught: int, sessions: int, flights: int
 def _first(flights: Flown, rise: float) -> int:
     """After how many new flights a change is told, at the looks; 0 for never. rise: of rotor 3 in all of them."""
     trims = flights.trims + rise * SIGNS[:, 2] * (np.arange(len(flights.trims)) >= flights.learnt)[:, None]
-    for new in _looks(len(trims) - flights.learnt):
+    for new in (k for k in range(1, len(trims) - flights.learnt + 1) if k <= 12 or k % SESSION == 0):
         n = flights.learnt + new
         part = Flown(trims[:n], flights.sessions[:n], flights.propellers[:n], flights.spans_s[:n], flights.learnt)
         if evidence_of(part, SIGNS, priors_of(SIGNS)).odds >= SURE:
             return new
     return 0
-
-
-def _looks(flights: int) -> Iterator[int]:
-    return (new for new in range(1, flights + 1) if new <= 12 or new % SESSION == 0)
 
 
 def _share(count: int, of: int) -> tuple[float, float]:

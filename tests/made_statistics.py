@@ -39,8 +39,8 @@ def made_slot(
     name: str, threshold: float, decides: bool = True, evidence: RotorEvidence | None = None, **of_monitor: Any
 ) -> Slot:
     """A slot of a monitor with these attributes and no loop."""
-    usual = {"axis": None, "unit": "", "kind": FaultKind.PROPELLER, "feature": None, "delay_s": 0.0, "clear_s": 2.0}
-    monitor = SimpleNamespace(name=name, **{**usual, "rotors": 4, **of_monitor})
+    usual = {"axis": None, "unit": "", "kind": FaultKind.PROPELLER, "feature": None, "rotors": 4}
+    monitor = SimpleNamespace(name=name, **{**usual, "delay_s": 0.0, "clear_s": 2.0, "memory_s": 5.0, **of_monitor})
     return Slot(cast(Any, monitor), threshold, decides, evidence, SUSPECTED if decides else 1.0)
 
 

@@ -23,6 +23,7 @@ from mavdiag.units import G
 
 YAW_FLOOR = 0.002  # of the hover command: smallest yaw spread that is believed (our choice)
 LEVEL_RATIO = 3.0  # least spread of roll and pitch over yaw's: payload and wind move them; METHOD 5 has .07 to .012
+BESIDE = 0.3  # how far beside the centre what is taken up in flight hangs, over the rotors' distance (sd, our choice)
 TILT_TRIM = 0.3  # 1/rad: roll and pitch trim that a steady tilt in wind may bring (estimate; emulated: 0.28)
 ALONG_DISCS = slice(0, 2)  # x and y of the accelerometer
 FELT_SHARE = 0.99  # of the rows that must have them (our choice)
@@ -74,17 +75,22 @@ def trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArr
 
 def _trim(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
     own, C, trim = slice(0, layout.rotors), layout.unmixing, np.zeros((len(block), 3))
+    level = level_of(block, layout, source)
     if source == "actuator" and block.actuator.shape[1] >= layout.rotors:
         outputs, known = block.actuator[:, own], block.known(Signal.ACTUATOR, own)  # others move no rotor
-        level = np.add.reduce(outputs, axis=1) / layout.rotors
         command = np.einsum("kr,nr->nk", C, outputs - level[:, None])
     elif source == "torque" and layout.torque_gain is not None:  # what the mixer adds to the thrust is B m
-        level, known = block.thrust, block.known(Signal.TORQUE_COMMAND)
+        known = block.known(Signal.TORQUE_COMMAND)
         command = block.torque * np.array(layout.torque_gain)
     else:
         return trim, np.zeros(len(block), dtype=np.bool_)
     known = known & block.valid & (level > MIN_OUTPUT)
     return np.divide(command, level[:, None], out=trim, where=known[:, None]), known
+
+
+def level_of(block: Block, layout: RotorLayout, source: Source) -> FloatArray:
+    """Mean output of each row, or its thrust command, (n,)."""
+    return block.actuator[:, : layout.rotors].sum(axis=1) / layout.rotors if source == "actuator" else block.thrust
 
 
 def shown_trim(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray]:

@@ -6,7 +6,8 @@ of the alarm budget. So any one that decides may declare a fault, and the shares
     calm  < 0.7 <=  held  < s <=  raised  <= 1 <  over        the highest ratio of all slots
 
 s is where its flight is one of the few healthy ones that may be suspected (`thresholds.rule`). A slot that does not
-decide raises a suspicion at most. A fault is latched: when every slot that was
+decide raises a suspicion at most. A suspicion is for maintenance and may wait: it rests on 2 s of flight, the memory of
+a raised statistic and the time since, for damage lasts and a gust passes. A fault is latched: when every slot that was
 over has been calm for 2 s, each by its own fresh values, it is only "no longer seen"; the next ratio above 1 begins
 another episode. The end of a flight turns it into an open inspection, until it is acknowledged. Within an episode the
 most certain name of a rotor holds. A trim that the fall of a named rotor's command explains better than the rise of any
@@ -47,6 +48,9 @@ __all__ = ["LOOK_NS", "NOTHING_SEEN", "Change", "DecisionSpec", "Diagnosis", "Ev
 CLEAR_NS = 2 * NS_PER_S  # all calm for so long ends a suspicion, or what is seen of a fault (our choice)
 # A propeller fault that names no rotor is declared so much later: a noisy sensor shows as one until then (our choice).
 DOUBT_NS = 3 * NS_PER_S // 10
+# Of flight that a suspicion rests on: two windows of the innovation (our choice, after a recorded healthy flight whose
+# three axes were disturbed together for 1 s).
+SUSPICION_S = 2.0
 # A name that is given up within so long of an episode was wrong; later it is another rotor's fault (our choice: the
 # longest window of a monitor).
 CORRECTED_NS = 5 * NS_PER_S
@@ -93,13 +97,15 @@ class Episode:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DecisionState:
-    """What is held; since when all ratios are calm, and one is over (None if not); the latest episode of a fault.
+    """What is held; since when all ratios are calm, one is raised or over, and one is over (None if not); the latest
+    episode of a fault.
 
     lead: slot (None for none), ratio and value of the evidence that leads since it was decided; None for as decided.
     """
 
     decided: Diagnosis = NOTHING_SEEN
     calm_ns: int | None = None
+    raised_ns: int | None = None
     over_ns: int | None = None
     episode: Episode | None = None
     lead: tuple[Slot | None, float, float] | None = None
@@ -111,7 +117,7 @@ class DecisionState:
 
     def deciding(self, diagnosis: Diagnosis, episode: Episode | None = None) -> "DecisionState":
         """The state with another diagnosis, and another episode if there is one."""
-        return DecisionState(diagnosis, self.calm_ns, self.over_ns, episode or self.episode)
+        return DecisionState(diagnosis, self.calm_ns, self.raised_ns, self.over_ns, episode or self.episode)
 
 
 Step: TypeAlias = tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]
@@ -142,7 +148,9 @@ class DecisionSpec:
                     slot = looked.leads[number]
                     known = looked.readings[number, slot, : READ + 1].tolist() if slot >= 0 else (NAN, NAN)
                     lead = (self.slots[slot] if slot >= 0 else None, known[RATIO], known[READ])
-                    state = DecisionState(state.decided, state.calm_ns, state.over_ns, state.episode, lead)
+                    state = DecisionState(
+                        state.decided, state.calm_ns, state.raised_ns, state.over_ns, state.episode, lead
+                    )
                 continue
             rows = enumerate(looked.readings[number].tolist())
             fresh = [self._reading(slot, row) for slot, row in rows if t_ns / LOOK_NS - row[AT] <= STALE_LOOKS]
@@ -168,7 +176,11 @@ class DecisionSpec:
         if state.diagnosis.stage is not Stage.INSPECT:
             return state, (), ()
         diagnosis = Diagnosis(reason="the inspection is acknowledged", since_ns=t_ns)
-        return DecisionState(diagnosis, state.calm_ns, state.over_ns), (), (Change.of(diagnosis, t_ns),)
+        return (
+            DecisionState(diagnosis, state.calm_ns, state.raised_ns, state.over_ns),
+            (),
+            (Change.of(diagnosis, t_ns),),
+        )
 
     def named(self, state: DecisionState, alarms: Sequence[Alarm]) -> tuple[Event, ...]:
         """Alarms as events, with the rotor, type and severity known now if they belong to the latest episode."""
@@ -322,27 +334,32 @@ def _ended(spans: tuple[RotorSpan, ...], t_ns: int) -> tuple[RotorSpan, ...]:
 
 
 def _since(state: DecisionState, height: Height | int, t_ns: int) -> DecisionState:
-    """The state with the time since when all ratios are calm, and one is over."""
-    calm_ns = None if height != Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
-    over_ns = None if height != Height.OVER else t_ns if state.over_ns is None else state.over_ns
-    same = calm_ns == state.calm_ns and over_ns == state.over_ns
-    return state if same else DecisionState(state.decided, calm_ns, over_ns, state.episode, state.lead)
+    """The state with the times since when all ratios are calm, one is raised, and one is over."""
+    holds = height == Height.CALM, height in (Height.RAISED, Height.OVER), height == Height.OVER
+    before = state.calm_ns, state.raised_ns, state.over_ns
+    calm, raised, over = (
+        (t_ns if ns is None else ns) if held else None for held, ns in zip(holds, before, strict=True)
+    )
+    same = (calm, raised, over) == before
+    return state if same else DecisionState(state.decided, calm, raised, over, state.episode, state.lead)
 
 
 def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tuple[DecisionState, Height]:
-    """How high the highest ratio is, and since when; see `DOUBT_NS` for what waits before it is over."""
-    height = Height.UNKNOWN
-    if any(reading.slot.decides for reading in fresh):
-        height = max(height_of(reading.ratio, reading.slot) for reading in fresh)
+    """How high the highest ratio is, and since when; see `DOUBT_NS` and `SUSPICION_S` for what waits."""
+    heights = [height_of(reading.ratio, reading.slot) for reading in fresh]
+    height = max(heights) if any(reading.slot.decides for reading in fresh) else Height.UNKNOWN
     state = _since(state, height, t_ns)
     if state.calm_ns is not None and t_ns - state.calm_ns >= CLEAR_NS:
         return state, Height.SETTLED
-    if state.over_ns is None or t_ns - state.over_ns >= DOUBT_NS or state.diagnosis.seen:
-        return state, height
-    kind = grown(None, fresh, 0)
-    checked = any(one.slot.monitor.kind is FaultKind.SENSOR for one in fresh)  # without these nothing is waited for
-    doubtful = checked and kind is FaultKind.PROPELLER and named(kind, fresh, False).rotor is None
-    return state, Height.RAISED if doubtful else height
+    if state.over_ns is not None and t_ns - state.over_ns < DOUBT_NS and not state.diagnosis.seen:
+        kind = grown(None, fresh, 0)
+        checked = any(one.slot.monitor.kind is FaultKind.SENSOR for one in fresh)  # without these nothing is waited for
+        doubtful = checked and kind is FaultKind.PROPELLER and named(kind, fresh, False).rotor is None
+        height = Height.RAISED if doubtful else height
+    if height is Height.RAISED and state.raised_ns is not None:
+        memory_s = max(r.slot.monitor.memory_s for r, own in zip(fresh, heights, strict=True) if own >= Height.RAISED)
+        height = Height.HELD if memory_s + (t_ns - state.raised_ns) / NS_PER_S < SUSPICION_S else height
+    return state, height
 
 
 def _leading(it: Diagnosis, fresh: Sequence[Reading]) -> Diagnosis:

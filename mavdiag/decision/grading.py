@@ -30,13 +30,10 @@ from mavdiag.units import NS_PER_S
 FAR = 16.27  # chi-squared of three features at 99.9 %: no known fault (our choice)
 TYPE_AT = 0.6  # confidence below which no type is named (our choice)
 SEVERITY_AT = 0.4  # and no severity, of three (our choice)
-LEAST_UNBALANCE_G_MM = 0.05  # below it the estimate is noise (our choice)
-LEAST_MOTION_RAD_S = 1e-4
-UNBALANCE_AFTER_S, MOTION_AFTER_S, RISE_AFTER_S = 0.6, 2.95, 4.0  # windows that hold the fault only (their lengths)
 RATE_WITHIN = 0.05  # of the rate that the clouds were trained at (our choice: clocks differ by less)
 CLASSIFIERS = {"qdrone2-emulated": "fault_types.json"}  # the names that an airframe may give
-WAIT_S = {Feature.UNBALANCE: UNBALANCE_AFTER_S, Feature.MOTION: MOTION_AFTER_S, Feature.RISE: RISE_AFTER_S}
-LEAST = {Feature.UNBALANCE: LEAST_UNBALANCE_G_MM, Feature.MOTION: LEAST_MOTION_RAD_S}
+WAIT_S = {Feature.UNBALANCE: 0.6, Feature.MOTION: 2.95, Feature.RISE: 4.0}  # windows that hold the fault only
+LEAST = {Feature.UNBALANCE: 0.05, Feature.MOTION: 1e-4}  # g mm, rad/s: below it the estimate is noise (our choice)
 
 
 @dataclass(frozen=True, slots=True)

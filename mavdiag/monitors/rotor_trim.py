@@ -62,8 +62,9 @@ GAIN, OWN, SUM, UNMIXING = 20, 23, 26, 29
 # And in the memory: parts of the tick, rows of the part, known ones of the tick, whether a trim changed, the first one;
 # usable ticks in a row, ticks so far, weight of the last; what a monitor has of its own; then the parts, the last two
 # of the tick before in front.
-PART, ROW, KNOWN, MOVED, FIRST, RUN, TICKS, WEIGHT, MINE, SUMS = *range(5), 7, 8, 9, 10, 20
-FIGURES = 8  # of a part of a tick: trim, pull, yaw rate, its slope and that of the yaw trim, less
+PART, ROW, KNOWN, MOVED, FIRST, RUN, TICKS, WEIGHT, MINE, SUMS = *range(5), 7, 8, 9, 10, 21
+SUMMED, FIGURES = 7, 9  # of a part: trim, pull, yaw rate, mean output; slope of the rate and that of the yaw trim, less
+MEANS, LIFT = 6, 5  # of a window: trim, pull and lift, ln of the mean output
 RUNS = FIGURES  # behind them in the trace of a tick: usable ticks in a row; then means of a window, and shift
 
 Spec = TypeVar("Spec", bound="TrimSpec")
@@ -99,33 +100,35 @@ class RotorTrimSpec(TrimSpec):
 
 
 @jit
-def _trim(par: Floats, x: Floats, i: int) -> tuple[float, float, float]:
-    """Trim of a row [fraction of hover], not finite where it is unknown (`airframe.trim.trim_of`)."""
+def _trim(par: Floats, x: Floats, i: int) -> tuple[float, float, float, float]:
+    """Trim of a row [fraction of hover], not finite where it is unknown (`airframe.trim.trim_of`), and mean output."""
     roll, pitch, yaw, rotors, level = 0.0, 0.0, 0.0, int(par[ROTORS]), 0.0
     if par[TORQUES] > 0.5:
-        share = 1.0 / x[col.THRUST, i] if x[col.THRUST, i] > trims.MIN_OUTPUT else math.nan
+        level = x[col.THRUST, i]
+        share = 1.0 / level if level > trims.MIN_OUTPUT else math.nan
         roll, pitch = x[col.TORQUE, i] * par[GAIN], x[col.TORQUE + 1, i] * par[GAIN + 1]
-        return roll * share, pitch * share, x[col.TORQUE + 2, i] * par[GAIN + 2] * share
+        return roll * share, pitch * share, x[col.TORQUE + 2, i] * par[GAIN + 2] * share, level
     if x.shape[0] < col.OUTPUTS + rotors:
-        return math.nan, math.nan, math.nan
+        return math.nan, math.nan, math.nan, math.nan
     for rotor in range(rotors):
         output, at = x[col.OUTPUTS + rotor, i], UNMIXING + rotor
         level += output
         roll, pitch = roll + par[at] * output, pitch + par[at + rotors] * output
         yaw += par[at + 2 * rotors] * output
-    share = rotors / level if level > trims.MIN_OUTPUT * rotors else math.nan
-    return roll * share - par[SUM], pitch * share - par[SUM + 1], yaw * share - par[SUM + 2]
+    level /= rotors
+    share = 1.0 / level if level > trims.MIN_OUTPUT else math.nan
+    return roll * share - par[SUM], pitch * share - par[SUM + 1], yaw * share - par[SUM + 2], level
 
 
 @jit
 def take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
     """Take a row; True where it completes a tick, whose parts stand at `_found_at`, and `mem[KNOWN]` if it is whole."""
-    to, (roll, pitch, yaw), rate = SUMS + 6 * (2 + int(mem[PART])), _trim(par, x, i), x[col.RATE + 2, i]
+    to, (roll, pitch, yaw, level), rate = SUMS + SUMMED * (2 + int(mem[PART])), _trim(par, x, i), x[col.RATE + 2, i]
     pull_x, pull_y = x[col.LEAN, i], x[col.LEAN + 1, i]
     if par[FELT] > 0.5:
         pull_x, pull_y = -x[col.FORCE + 1, i] / G, x[col.FORCE, i] / G
     if mem[ROW] == 0.0:
-        for j in range(6):
+        for j in range(SUMMED):
             mem[to + j] = 0.0
         if mem[PART] == 0.0:
             mem[KNOWN] = mem[MOVED] = 0.0
@@ -134,7 +137,7 @@ def take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
         mem[KNOWN] += 1.0
         mem[to], mem[to + 1], mem[to + 2] = mem[to] + roll, mem[to + 1] + pitch, mem[to + 2] + yaw
         mem[to + 3], mem[to + 4] = mem[to + 3] + pull_x, mem[to + 4] + pull_y
-        mem[to + 5] += rate
+        mem[to + 5], mem[to + 6] = mem[to + 5] + rate, mem[to + 6] + level
         if roll != mem[FIRST] or pitch != mem[FIRST + 1] or yaw != mem[FIRST + 2]:
             mem[MOVED] = 1.0
     mem[ROW] += 1.0
@@ -152,7 +155,7 @@ def take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
 @jit
 def _found_at(par: Floats) -> int:
     """Where the parts of the last tick stand: of each its `FIGURES`."""
-    return SUMS + 6 * (int(par[PARTS]) + 2) + int(par[PARTS])
+    return SUMS + SUMMED * (int(par[PARTS]) + 2) + int(par[PARTS])
 
 
 @jit
@@ -163,19 +166,19 @@ def _find(par: Floats, mem: Floats, whole: bool) -> None:
     Before the first whole tick there is what it begins with.
     """
     parts, rows, out = int(par[PARTS]), int(par[ROWS]), _found_at(par)
-    for j in range(6 * parts):
-        mem[SUMS + 12 + j] = mem[SUMS + 12 + j] / rows if whole else math.nan
+    for j in range(SUMMED * parts):
+        mem[SUMS + 2 * SUMMED + j] = mem[SUMS + 2 * SUMMED + j] / rows if whole else math.nan
     for part in range(2):
-        for j in range(6 if whole and math.isnan(mem[SUMS + 6 * part + 5]) else 0):
-            mem[SUMS + 6 * part + j] = mem[SUMS + 12 + j]
+        for j in range(SUMMED if whole and math.isnan(mem[SUMS + SUMMED * part + 5]) else 0):
+            mem[SUMS + SUMMED * part + j] = mem[SUMS + 2 * SUMMED + j]
     for part in range(parts):
-        for j in range(6):
-            mem[out + FIGURES * part + j] = mem[SUMS + 6 * (part + 1) + j] if whole else 0.0
-        before, after, span_s = SUMS + 6 * part, SUMS + 6 * (part + 2), 2 * rows * par[DT]
-        mem[out + FIGURES * part + 6] = (mem[after + 5] - mem[before + 5]) / span_s if whole else 0.0
-        mem[out + FIGURES * part + 7] = (mem[before + 2] - mem[after + 2]) / span_s if whole else 0.0
-    for j in range(12):
-        mem[SUMS + j] = mem[SUMS + 6 * parts + j]
+        for j in range(SUMMED):
+            mem[out + FIGURES * part + j] = mem[SUMS + SUMMED * (part + 1) + j] if whole else 0.0
+        before, after, span_s = SUMS + SUMMED * part, SUMS + SUMMED * (part + 2), 2 * rows * par[DT]
+        mem[out + FIGURES * part + 7] = (mem[after + 5] - mem[before + 5]) / span_s if whole else 0.0
+        mem[out + FIGURES * part + 8] = (mem[before + 2] - mem[after + 2]) / span_s if whole else 0.0
+    for j in range(2 * SUMMED):
+        mem[SUMS + j] = mem[SUMS + SUMMED * parts + j]
 
 
 @jit
@@ -195,55 +198,56 @@ def take_tick(par: Floats, mem: Floats, usable: bool) -> None:
     """Put the tick whose parts were found into the windows, without what pull and turn take of its trim."""
     parts, found = int(par[PARTS]), _found_at(par)
     scratch, most = found - parts, 0.0
-    to = found + FIGURES * parts + 6 * (int(mem[TICKS]) % (2 * int(par[WINDOW])))
-    for j in range(5):
+    to = found + FIGURES * parts + (MEANS + 1) * (int(mem[TICKS]) % (2 * int(par[WINDOW])))
+    for j in range(MEANS):
         for part in range(parts):
             of = found + FIGURES * part
             taken = 0.0
             if j < 2:
                 taken = par[PULL + j] * mem[of + 3 + j]
             elif j == 2:
-                taken = par[TURN] * mem[of + 5] + par[TURN + 1] * mem[of + 6] + par[TURN + 2] * mem[of + 7]
+                taken = par[TURN] * mem[of + 5] + par[TURN + 1] * mem[of + 7] + par[TURN + 2] * mem[of + 8]
                 most = max(most, abs(taken))
-            mem[scratch + part] = mem[of + j] - taken
+            mem[scratch + part] = mem[of + (j if j < LIFT else 6)] - taken
         mem[to + j] = _median(mem, scratch, parts)
+    mem[to + LIFT] = math.log(max(mem[to + LIFT], trims.MIN_OUTPUT))
     weight = 1.0 / (1.0 + (most / TURN_TRIM) ** 2)
     counts = min(weight, mem[WEIGHT]) if mem[TICKS] > 0.0 else weight  # rotors lag
-    for j in range(5):
+    for j in range(MEANS):
         mem[to + j] *= counts
-    mem[to + 5], mem[WEIGHT] = counts, weight
+    mem[to + MEANS], mem[WEIGHT] = counts, weight
     mem[TICKS] += 1.0
     mem[RUN] = mem[RUN] + 1.0 if usable else 0.0
 
 
 @jit
 def window_means(par: Floats, mem: Floats, back: int, means: Floats) -> None:
-    """Weighted means of trim and pull, (5,), over the ticks of a window that ended so many ticks ago."""
+    """Weighted means of trim, pull and lift, (6,), over the ticks of a window that ended so many ticks ago."""
     window, ring = int(par[WINDOW]), _found_at(par) + FIGURES * int(par[PARTS])
     first, weight = int(mem[TICKS]) - back - window, 0.0
-    for j in range(5):
+    for j in range(MEANS):
         means[j] = 0.0
     for tick in range(first, first + window):
-        at = ring + 6 * (tick % (2 * window))
-        weight += mem[at + 5]
-        for j in range(5):
+        at = ring + (MEANS + 1) * (tick % (2 * window))
+        weight += mem[at + MEANS]
+        for j in range(MEANS):
             means[j] += mem[at + j]
-    for j in range(5):
+    for j in range(MEANS):
         means[j] /= weight
 
 
 @jit
 def rise(par: Floats, rotor: int, shift: Floats, careful: bool) -> float:
-    """The rise of one rotor that explains a shift of trim and pull (5,) (`airframe.trim`).
+    """The rise of one rotor that explains a shift of trim, pull and lift (6,) (`airframe.trim`).
 
-    careful: roll and pitch, which a load moves too, with the errors of k and at least three times the spread of yaw.
+    careful: roll and pitch with what a load moves that is so heavy, and with the errors of k.
     """
-    rotors, pull, yaw = int(par[ROTORS]), shift[3] ** 2 + shift[4] ** 2, par[SPREAD + 2]
+    rotors, pull, load = int(par[ROTORS]), shift[3] ** 2 + shift[4] ** 2, (trims.BESIDE * shift[LIFT]) ** 2
     above, below = 0.0, 0.0
     for j in range(3):
         column, variance = par[UNMIXING + j * rotors + rotor], par[SPREAD + j] ** 2
         if careful and j < 2:
-            variance = max(variance, (trims.LEVEL_RATIO * yaw) ** 2) + par[ERROR + j] * pull
+            variance += load + par[ERROR + j] * pull
         weight = column / variance
         above, below = above + weight * shift[j], below + weight * column
     return float(above / below)
@@ -267,7 +271,7 @@ def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rot
     for rotor in range(rotors.shape[1]):
         rotors[k, rotor] = rise(par, rotor, shift, False)
     if out.shape[0] > col.TRACE:
-        means = np.empty(5)
+        means = np.empty(MEANS)
         window_means(par, mem, 0, means)
         for j in range(FIGURES):
             mean = 0.0
@@ -283,14 +287,15 @@ def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rot
 @cached
 def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The best single-rotor rise at the end of each tick."""
-    k, shift = 0, np.empty(5)
+    k, shift = 0, np.empty(MEANS)
     for i in range(first, x.shape[1]):
         if not take_row(par, mem, x, i):
             continue
         take_tick(par, mem, mem[KNOWN] > 0.5 and x[col.COVERED, i] > 0.5)
         sound = mem[RUN] >= par[WINDOW]
         window_means(par, mem, 0, shift)
-        for j in range(5):
+        shift[LIFT] = 0.0  # what the vehicle weighed when it was learnt is not known
+        for j in range(LIFT):
             shift[j] = shift[j] - (par[MEAN + j] if j < 3 else 0.0) if sound else 0.0
         write(par, mem, shift, sound, out, rotors, k)
         at[k] = i - first
@@ -339,26 +344,26 @@ class TrimMonitor(Monitor[Spec]):
     def _parts_of(self, flight: Sequence[Rows]) -> list[FloatArray]:
         """The parts of ticks of each segment as rows that come so seldom: x of `rows.block`.
 
-        Their trim stands for torque commands at a thrust of 1, their pull for the lean: `run` makes the same ticks.
+        Their trim stands for torque commands at a thrust, their pull for the lean: `run` makes the same ticks.
         """
         found, spec = [], self.spec
         for segment in segments(flight):
-            parts, rest = list[FloatArray](), np.empty((0, 7))
+            parts, rest = list[FloatArray](), np.empty((0, 8))
             for block in (rows.block for rows in segment):
                 size, (trim, known) = _tick_shape(block.dt_s)[1], trims.trim_of(block, spec.layout, spec.source)
-                fresh = np.column_stack((trim, trims.pull_of(block, spec.felt), block.rate[:, 2]))
+                level = trims.level_of(block, spec.layout, spec.source)
+                fresh = np.column_stack((trim, trims.pull_of(block, spec.felt), block.rate[:, 2], level))
                 known = known & np.isfinite(fresh).all(axis=1)
                 fresh = np.column_stack((np.nan_to_num(fresh), known))
                 each = np.asarray(np.concatenate((rest, fresh)), dtype=np.float64)
                 n = len(each) // size
-                parts.append(each[: n * size].reshape(n, size, 7).mean(axis=1))
+                parts.append(each[: n * size].reshape(n, size, 8).mean(axis=1))
                 rest = each[n * size :]
-            trim_pull_rate = np.concatenate(parts).T
-            x = np.zeros((col.OUTPUTS, trim_pull_rate.shape[1]))
-            x[col.TORQUE : col.TORQUE + 3], x[col.LEAN : col.LEAN + 2] = trim_pull_rate[:3], trim_pull_rate[3:5]
-            x[col.RATE + 2] = trim_pull_rate[5]
-            x[col.VALID] = trim_pull_rate[6] > 1.0 - 0.5 / size  # all rows are known
-            x[col.THRUST], x[col.COVERED] = 1.0, 1.0
+            seen = np.concatenate(parts).T
+            x = np.zeros((col.OUTPUTS, seen.shape[1]))
+            x[col.TORQUE : col.TORQUE + 3], x[col.LEAN : col.LEAN + 2] = seen[:3] * seen[6], seen[3:5]
+            x[col.RATE + 2], x[col.THRUST], x[col.COVERED] = seen[5], seen[6], 1.0
+            x[col.VALID] = seen[7] > 1.0 - 0.5 / size  # all rows are known
             found.append(x)
         return found
 
@@ -393,7 +398,7 @@ class TrimMonitor(Monitor[Spec]):
         """
         spec, found = self.spec, [np.empty((3, 0))]
         for x in of_each([flight], (spec.layout, spec.source, spec.felt), self._parts_of)[0]:
-            trim, rate = x[col.TORQUE : col.TORQUE + 3].copy(), x[col.RATE + 2]
+            trim, rate = x[col.TORQUE : col.TORQUE + 3] / np.maximum(x[col.THRUST], trims.MIN_OUTPUT), x[col.RATE + 2]
             trim[:2] -= np.array(spec.pull)[:, None] * x[col.LEAN : col.LEAN + 2]
             taken = spec.turn[0] * rate + spec.turn[1] * np.gradient(rate, PART_S) if len(rate) > 1 else rate
             trim[2] -= taken
@@ -429,8 +434,8 @@ class TrimMonitor(Monitor[Spec]):
         head = [spec.source == "torque", spec.felt, layout.rotors, parts, rows, dt_s, window]
         gain, C = layout.torque_gain or (0.0, 0.0, 0.0), layout.unmixing
         learnt = [*spec.pull, *spec.turn, *np.square(spec.pull_sd), *spec.mean, *spec.spread, *gain]
-        mem = np.zeros(SUMS + 6 * (parts + 2) + (FIGURES + 1) * parts + 12 * window)
-        mem[SUMS : SUMS + 12] = np.nan
+        mem = np.zeros(SUMS + SUMMED * (parts + 2) + (FIGURES + 1) * parts + 2 * (MEANS + 1) * window)
+        mem[SUMS : SUMS + 2 * SUMMED] = np.nan
         own = self.own(self.period_s(dt_s))
         return Begin(np.array([*head, *learnt, *own, *C.sum(axis=1), *C.ravel()]), mem)
 
@@ -483,16 +488,16 @@ def _with_laws(spec: Spec, flights: Sequence[Sequence[FloatArray]], dt_s: float)
             means.append(np.concatenate(usable) - np.concatenate(usable).mean(axis=0))
     ticks = np.concatenate(means)
 
-    def fitted(axis: int, of: slice, prior: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def fitted(axis: int, of: list[int], prior: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArray]:
         return held_law(ticks[:, axis], ticks[:, of], prior, sd, trims.YAW_FLOOR, window)
 
-    law, P = fitted(2, slice(5, 8), PRIOR, PRIOR_SD)
+    law, P = fitted(2, [5, 7, 8], PRIOR, PRIOR_SD)
     if law[2] < 0.0:  # rotors without inertia where that is the best one: a command that answers noise
-        law, P = (np.pad(found, (0, 1)) for found in fitted(2, slice(5, 7), PRIOR[:2], PRIOR_SD[:2]))
+        law, P = (np.pad(found, (0, 1)) for found in fitted(2, [5, 7], PRIOR[:2], PRIOR_SD[:2]))
     spec = replace(spec, turn=three(law), turn_covariance=(three(P[0]), three(P[1]), three(P[2])))
     if not spec.felt:
         return spec
-    (k1, P1), (k2, P2) = (fitted(i, slice(3 + i, 4 + i), np.zeros(1), np.full(1, trims.TILT_TRIM)) for i in range(2))
+    (k1, P1), (k2, P2) = (fitted(i, [3 + i], np.zeros(1), np.full(1, trims.TILT_TRIM)) for i in range(2))
     return replace(spec, pull=(float(k1[0]), float(k2[0])), pull_sd=(math.sqrt(P1[0, 0]), math.sqrt(P2[0, 0])))
 
 

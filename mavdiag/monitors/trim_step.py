@@ -22,10 +22,10 @@ HOLD = 0.012  # of hover: the reference waits while a shift is larger, so that a
 HOLD_S = 120.0  # of judged flight it waits, for what a vehicle has carried so long is its own (our choice)
 SESSION = 0.06  # of hover: a rise against the healthy trim that a session explains (our choice)
 # Places of its own: in the parameters how fast and how far the reference follows in a tick, and the length of a
-# tick; in the memory the reference (trim and lean), the way back from it to where the trim was healthy
+# tick; in the memory the reference (trim, lean, lift), the way back from it to where the trim was healthy
 # (zero while that is the reference itself), judged flight since it waits, 1 if there is one.
 FOLLOW, MOST, TICK_S = trim.OWN, trim.OWN + 1, trim.OWN + 2
-REFERENCE, BACK, HELD, THERE = trim.MINE, trim.MINE + 5, trim.MINE + 8, trim.MINE + 9
+REFERENCE, BACK, HELD, THERE = trim.MINE, trim.MINE + 6, trim.MINE + 9, trim.MINE + 10
 
 
 @spec
@@ -52,41 +52,44 @@ def _share(par: Floats, mem: Floats, shift: Floats) -> float:
 
 @jit
 def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> bool:
-    """After a tick: the shift of the present window from the reference, (5,), zero where it is not judged.
+    """After a tick: the shift of the present window from the reference, (6,), zero where it is not judged.
 
     before: room for that of the window before.
     """
     window = int(par[trim.WINDOW])
-    for j in range(5):
+    for j in range(trim.MEANS):
         shift[j] = 0.0
     if mem[trim.RUN] < 2 * window:
         return False
     trim.window_means(par, mem, 0, shift)
     trim.window_means(par, mem, window, before)
     if mem[THERE] < 0.5:
-        for j in range(5):
+        for j in range(trim.MEANS):
             mem[REFERENCE + j] = before[j]
             before[j] -= par[trim.MEAN + j] if j < 3 else 0.0
+        before[trim.LIFT] = 0.0
         far = trim.highest_rise(par, before) > SESSION
-        for j in range(5):
+        for j in range(trim.MEANS):
             if j < 3:
                 mem[BACK + j] = -before[j] if far else 0.0
             before[j] = mem[REFERENCE + j]
         mem[HELD], mem[THERE] = 0.0, 1.0
-    for j in range(5):
+    for j in range(trim.MEANS):
         shift[j], before[j] = shift[j] - mem[REFERENCE + j], before[j] - mem[REFERENCE + j]
     share = _share(par, mem, shift)
     for j in range(3):
         shift[j] -= share * mem[BACK + j]
     if max(trim.highest_rise(par, shift), trim.highest_rise(par, before)) <= HOLD:
-        for j in range(5):
-            step = before[j] * par[FOLLOW]
-            mem[REFERENCE + j] += min(max(step, -par[MOST]), par[MOST]) if j < 3 else step
+        fastest = par[MOST]
+        for j in (0, 1, 2, trim.LIFT):
+            fastest = max(fastest, abs(before[j]) * par[FOLLOW])
+        for j in range(trim.MEANS):  # what a load moves together goes back together
+            mem[REFERENCE + j] += before[j] * par[FOLLOW] * par[MOST] / fastest
         mem[HELD] = 0.0
     elif mem[HELD] < HOLD_S:
         mem[HELD] += par[TICK_S]
     else:
-        for j in range(5):
+        for j in range(trim.MEANS):
             mem[REFERENCE + j] += before[j]
         for j in range(3):
             mem[BACK + j] -= before[j]
@@ -97,7 +100,7 @@ def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> boo
 @cached
 def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The best single-rotor rise at the end of each tick."""
-    k, shift, before = 0, np.empty(5), np.empty(5)
+    k, shift, before = 0, np.empty(trim.MEANS), np.empty(trim.MEANS)
     for i in range(first, x.shape[1]):
         if trim.take_row(par, mem, x, i):
             trim.take_tick(par, mem, mem[trim.KNOWN] > 0.5 and x[COVERED, i] > 0.5)
@@ -112,7 +115,11 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
 
         m: trim averaged over 5 s as rotor_trim has it,    a_j: rise of rotor j that explains m - m_ref
         statistic = max_j a_j
-        m_ref <- m_ref + clip((m(t - 5 s) - m_ref) dt/30 s, +-0.0003 dt)    while both are within 0.012
+        m_ref <- m_ref + (m(t - 5 s) - m_ref) dt/30 s, at most 0.0003 dt,    while both are within 0.012
+        var(m_roll), var(m_pitch): their spread^2 + (0.3 ln(o/o_ref))^2,    o: mean output, which has a reference, too
+
+    A load shifts roll and pitch by its weight, which o shows, times its place: 0.3 of the rotors' distance is usual,
+    and a weak rotor is at 1. So a load counts little, and in full a rotor that lost thrust but no drag.
 
     m_ref begins as the first 5 s of a flight that the envelope covers: ground effect is no reference. What was there
     from the start does not count, and of a rise of r a second only 37 r is seen: a session's offset, a battery, wear.
@@ -121,9 +128,10 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     from the nearest point of the way there, so that a repair in flight is no fault of the other rotors. `level` equals
     the statistic. `rotors` are the a_j by the spreads as they are: a session's load is in m and m_ref alike.
 
-    Warm-up: 10 s of unbroken valid flight as the envelope covers it. Latency: up to 5 s. False alarms: a payload that
-    is picked up shifts roll and pitch, which count little. Blind spots: damage that was there at take-off (the
-    rotor-trim monitor sees it) or grows slowly, and hops shorter than 10 s.
+    Warm-up: 10 s of unbroken valid flight as the envelope covers it. Latency: up to 5 s. False alarms: a load that is
+    hung under one rotor, or slips. Blind spots: damage that was there at take-off (the rotor-trim monitor sees it) or
+    grows slowly, the minutes after a heavy load was picked up or dropped for all that yaw does not show, and hops
+    shorter than 10 s.
     """
 
     name = "trim_step"

@@ -204,7 +204,8 @@ class AlignSpec:
     @cached_property
     def limits_ns(self) -> list[int]:
         """How far samples reach, for each stream; then `BREAK` ... [ns]."""
-        usable_s = max(self.max_gap_s, (min(MOST_LOST, GLITCH_S / self.dt_s) + 1.2) * self.dt_s)  # what a glitch leaves
+        glitch_s = (min(MOST_LOST, GLITCH_S / self.dt_s) + MISSING) * self.dt_s
+        usable_s = max(self.max_gap_s, glitch_s)
         reach_s = [max(span_s, usable_s) if place < THRUST else span_s for place, span_s in enumerate(REACHES_S)]
         spans_s = [BREAK_S, BREAK_S, *reach_s[2:], BREAK_S, REORDER_S, usable_s, SETTLE_GAP_S, SETTLE_START_S]
         return [NEVER_NS if span_s == math.inf else round(span_s * NS_PER_S) for span_s in spans_s]

@@ -6,8 +6,9 @@ A sample is *lost* if it is no number, is beyond what any sensor measures, or le
 
 x_last is the last believed sample, T the usual period, `most` twice the healthy leap or a small one; c the slope of
 the two samples believed last where the healthy signal leaps less by it (n (n + 1)/2 then stands for n), else 0. What
-leaps waits: back after 3 samples (2 at 50 Hz and below) it was a glitch, else, or if 5 of the 20 before leapt half as
-far, it is how the signal moves. What holds its last value does not wait. A stamp that leaps is lost until one follows.
+leaps waits: if it leaps back within 3 samples (2 at 50 Hz and below) it was a glitch; else, or if 5 of the 20 before
+leapt half as far, it is how the signal moves. What holds its last value does not wait. A stamp that leaps is lost until
+one follows.
 
 A sample is *dead* if it repeats the one before for much longer than ever in health (gyro and accelerometer: each axis,
 within a twentieth of the quietest noise), and at once if all zero where no vehicle reads so. Then it is unknown. The
@@ -322,7 +323,8 @@ def _decide(s: Samples, there: int, i: int) -> tuple[int, bool]:
         for column in range(s.columns):
             one = _away(s, column, s.v[here, column], s.t_ns[here] - last_ns)
             other = _away(s, column, s.v[before, column], s.t_ns[before] - last_ns)
-            lost = lost or _size(s, column, _short(s, one - other), s.t_ns[here] - s.t_ns[before]) > 1.0
+            back, span_ns = _short(s, one - other), s.t_ns[here] - s.t_ns[before]
+            lost = lost or (back * other < 0.0 and _size(s, column, back, span_ns) > 1.0)
     for k in range(run):
         s.counts[NUMBERS + kept + k] = number + k
         s.mem[SIZES + kept + k] = _leap(s, i + k)

@@ -182,11 +182,6 @@ class Threshold:
         return f"{kind} to {self.budget_per_hour:.3g} alarms/h from {basis}; {shown}{suspected}"
 
 
-def false_alarms_per_flight(flights: int) -> float:
-    """Probability that a healthy flight exceeds the maximum of `flights` equal healthy ones."""
-    return 1.0 / (flights + 1)
-
-
 def threshold_of(
     scores: Scores,
     *,
@@ -246,7 +241,7 @@ def threshold_of(
         demonstrated_per_hour=poisson_upper(exceeding) / hours,
         suspected=(suspected, suspected_within),
         flights_per_suspicion=flights_per_suspicion,
-        false_alarms_per_flight=false_alarms_per_flight(len(sessions)),
+        false_alarms_per_flight=1.0 / (len(sessions) + 1),
     )
 
 

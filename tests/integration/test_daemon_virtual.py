@@ -446,7 +446,7 @@ def test_what_tells_rotors_and_filter_is_read_while_it_learns_and_nothing_is_eve
     decoder, receive = Decoder(), bench.far.receive
 
     def listening(timeout_s: float) -> list[Chunk]:
-        chunks = receive(timeout_s)
+        chunks = list(receive(timeout_s))
         heard.extend(frame for data, host_ns in chunks for frame in decoder.feed_datagram(data, host_ns))
         return chunks
 

@@ -137,7 +137,7 @@ class PilotedVehicle(Endpoint):
         """It flies on."""
 
     def _drain(self) -> list[Chunk]:
-        return self._near.receive(0.0)
+        return list(self._near.receive(0.0))
 
     def receive(self, timeout_s: float) -> list[Chunk]:
         """Let the vehicle fly on; what it sent."""

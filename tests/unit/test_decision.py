@@ -83,6 +83,13 @@ def test_coming_near_is_suspected_and_goes_away_after_two_calm_seconds() -> None
     assert events == ()
 
 
+@pytest.mark.parametrize(("memory_s", "raised_s", "suspected"), [(1.3, 0.6, False), (1.3, 0.9, True), (3.0, 0.2, True)])
+def test_a_suspicion_rests_on_two_seconds_of_flight(memory_s: float, raised_s: float, suspected: bool) -> None:
+    spec = DecisionSpec((made_slot("innovation", 0.5, memory_s=memory_s),))
+    _, _, changes = decide(spec, (statistic(profile((2, 0.3), (raised_s, 0.42), (1, 0.3))),))
+    assert (Stage.SUSPECTED in stages(changes)) == suspected
+
+
 def test_a_suspicion_names_the_rotor_that_is_to_be_inspected() -> None:
     state, _, changes = decided(values(profile((2, 0.3), (1, 0.42), (4, 0.3)), rotor=3))
     assert [(one.stage, one.rotor) for one in changes[1:]] == [(Stage.SUSPECTED, 3), (Stage.QUIET, None)]

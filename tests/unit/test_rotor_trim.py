@@ -12,7 +12,7 @@ from made_rows import calibrated, example_context
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.airframe.trim import (
-    LEVEL_RATIO,
+    BESIDE,
     TILT_TRIM,
     rises,
     source_among,
@@ -265,12 +265,12 @@ def test_outputs_are_preferred_to_commands() -> None:
             source_among([sources_of([rows], frame)], frame)
 
 
-@given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=5, max_size=5))
+@given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=6, max_size=6))
 def test_the_compiled_rise_is_that_of_arrays(frame: str, shift: list[float]) -> None:
     layout, both = layout_named(frame), np.array([shift])
     par = RotorTrim(RotorTrimSpec(layout=layout, source="actuator", spread=WEIGHTS)).begin(0.01).par
-    wind = TILT_TRIM * math.hypot(*shift[3:])
-    spread = np.array([*(math.hypot(max(sd, LEVEL_RATIO * WEIGHTS[2]), wind) for sd in WEIGHTS[:2]), WEIGHTS[2]])
+    wind, load = TILT_TRIM * math.hypot(*shift[3:5]), BESIDE * shift[5]
+    spread = np.array([*(math.hypot(sd, wind, load) for sd in WEIGHTS[:2]), WEIGHTS[2]])
     expected = rises(both[:, :3], layout, spread)[0]
     found = [rise(par, rotor, both[0], True) for rotor in range(layout.rotors)]
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)

@@ -10,7 +10,7 @@ from mavdiag.monitors.rotor_trim import WINDOW_S
 from mavdiag.monitors.trim_step import MEMORY_S, TrimStep, TrimStepSpec
 from mavdiag.rows.block import COVERED, columns_of, no_past
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import FloatArray
+from mavdiag.telemetry import FloatArray, Three
 from mavdiag.testing import example_rows
 
 CALM = (0.03, 0.03, 0.01)
@@ -19,8 +19,8 @@ DT_S = 0.02
 ROTORS = [(frame, rotor) for frame in sorted(LAYOUTS) for rotor in range(layout_named(frame).rotors)]
 
 
-def read(outputs: FloatArray, frame: str = "x", setpoint: FloatArray | None = None) -> Statistic:
-    spec = TrimStepSpec(layout=layout_named(frame), source="actuator", spread=CALM)
+def read(outputs: FloatArray, frame: str = "x", setpoint: FloatArray | None = None, spread: Three = CALM) -> Statistic:
+    spec = TrimStepSpec(layout=layout_named(frame), source="actuator", spread=spread)
     monitor = TrimStep(spec)
     return monitor.step(monitor.start(), example_rows(len(outputs), DT_S, actuator=outputs, setpoint=setpoint))[1]
 
@@ -40,6 +40,17 @@ def test_a_step_of_each_rotor_of_each_layout_is_found_and_named(frame: str, roto
     assert after[0] == pytest.approx(0.1 / (1 + 0.1 / n), rel=0.1)
     assert int(found.rotors[found.t_ns >= 25.6e9][0].argmax()) == rotor
     np.testing.assert_array_equal(found.level, found.value)
+
+
+@pytest.mark.parametrize(("place", "found"), [(0.0, False), (0.3, False), (1.0, True)])
+@pytest.mark.parametrize("weight", [0.02, 0.05, -0.05])  # of the vehicle's: taken up or dropped
+def test_a_load_is_no_weak_rotor_unless_it_hangs_under_one(weight: float, place: float, found: bool) -> None:
+    outputs, arms = level(120), np.sign(layout_named("x").mixing[:, :2])
+    outputs[1000:] *= 1.0 + weight * (1.0 + place * arms @ arms[2])
+    shown = read(outputs, spread=(0.002, 0.002, 0.002))
+    value, rotors = shown.value[shown.valid], shown.rotors[shown.valid]
+    assert (value.max() > LEAST) == found
+    assert not found or rotors[value.argmax()].argmax() == (2 if weight > 0 else 3)
 
 
 @pytest.mark.parametrize("per_s", [1e-5, 1e-4, 2e-4])
