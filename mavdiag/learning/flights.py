@@ -133,8 +133,10 @@ def airborne(
     held, makers, judged = hold(flight, shelf), list[Callable[[], Rows]](), 0
     for rows in pieces_of(front, held.pieces()):
         judged += int(np.count_nonzero(rows.rates.valid))
-        block = with_outputs(rows.block, rows.block.actuator.T[:outputs], rows.block.rotor_speed.T[:outputs])
-        get = shelf.put([block.t_ns, block.x, rows.rates_ns])
+        block = rows.block
+        if outputs is not None:
+            block = with_outputs(block, block.actuator.T[:outputs], block.rotor_speed.T[:outputs])
+        get = shelf.put([block.t_ns, block.x.T, rows.rates_ns])
         makers.append(partial(_rows, block.segment, block.dt_s, block.outputs, get))
     return long_enough(held, Looks(makers), judged * front.align.dt_s)
 
@@ -160,8 +162,8 @@ def long_enough(held: HeldLog, rows: Looks, judged_s: float) -> LearntFlight:
 
 
 def _rows(segment: int, dt_s: float, outputs: int, get: Callable[[], Arrays]) -> Rows:
-    t_ns, x, rates_ns = get()
-    return Rows(Block(segment, dt_s, t_ns, x, outputs), rates_ns)
+    t_ns, columns, rates_ns = get()
+    return Rows(Block(segment, dt_s, t_ns, columns.T, outputs), rates_ns)
 
 
 def _in_order(outputs: tuple[int, ...], make: Callable[[], Rows]) -> Rows:
