@@ -5,9 +5,11 @@ for each look (guards, fits, scores), and of many flights one is in memory at a 
 """
 
 import ctypes
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -122,23 +124,33 @@ class LearntFlight:
 
 
 def airborne(
-    front: Front, flight: Log | HeldLog, shelf: Shelf | None = None, outputs: int | None = None
+    front: Front,
+    flight: Log | HeldLog,
+    shelf: Shelf | None = None,
+    outputs: int | None = None,
+    glances: Mapping[str, Callable[[Rows], Iterable[Any]]] = MappingProxyType({}),
 ) -> LearntFlight:
     """The flying part of a flight, put aside, without a shelf in memory.
 
-    outputs: columns of outputs and of rotor speeds that are kept, None for all. Raises InputError, naming the flight,
-    if there is hardly any.
+    outputs: columns of outputs and of rotor speeds that are kept, None for all. glances: what is to be found in the
+    rows, by name, for `Looks.once`. Raises InputError, naming the flight, if there is hardly any.
     """
-    shelf = shelf or Shelf(IN_MEMORY)
+    shelf, answers = shelf or Shelf(IN_MEMORY), {what: list[Any]() for what in glances}
     held, makers, judged = hold(flight, shelf), list[Callable[[], Rows]](), 0
     for rows in pieces_of(front, held.pieces()):
         judged += int(np.count_nonzero(rows.rates.valid))
+        for what, glance in glances.items():
+            answers[what] += glance(rows)
         block = rows.block
         if outputs is not None:
             block = with_outputs(block, block.actuator.T[:outputs], block.rotor_speed.T[:outputs])
         get = shelf.put([block.t_ns, block.x.T, rows.rates_ns])
         makers.append(partial(_rows, block.segment, block.dt_s, block.outputs, get))
-    return long_enough(held, Looks(makers), judged * front.align.dt_s)
+    judged_s = judged * front.align.dt_s
+    if judged_s < MIN_FLIGHT_S:
+        never = "" if judged_s else " (never armed, or no thrust)"
+        raise InputError(f"{held.label.name}: only {judged_s:.1f} s of airborne flight{never}, too short to learn from")
+    return LearntFlight(held, Looks(makers, answers=answers), judged_s)
 
 
 def outputs_in_use(flights: Sequence[HeldLog]) -> int:
@@ -151,14 +163,6 @@ def outputs_in_use(flights: Sequence[HeldLog]) -> int:
                 used = told if signal is Signal.ROTOR_SPEED else told | np.isnan(series.values)
                 most = max(most, *(np.flatnonzero(used.any(axis=0)) + 1).tolist(), 0)
     return most
-
-
-def long_enough(held: HeldLog, rows: Looks, judged_s: float) -> LearntFlight:
-    """The flight, if there is enough of it to learn from; raises InputError, naming it, if there is not."""
-    if judged_s < MIN_FLIGHT_S:
-        never = "" if judged_s else " (never armed, or no thrust)"
-        raise InputError(f"{held.label.name}: only {judged_s:.1f} s of airborne flight{never}, too short to learn from")
-    return LearntFlight(held, rows, judged_s)
 
 
 def _rows(segment: int, dt_s: float, outputs: int, get: Callable[[], Arrays]) -> Rows:
