@@ -177,13 +177,16 @@ class Column:
 
     def add(self, rows: NDArray[Any]) -> None:
         """Put rows behind those that came. Raises UsageError if the disk is full."""
-        self._count += len(rows)
+        first, self._count = self._count, self._count + len(rows)
         if self._file is None:
-            self._rows.resize((self._count, *self._rows.shape[1:]), refcheck=False)
-            self._rows[self._count - len(rows) :] = rows
-            if self._rows.nbytes < COLUMN_BYTES:
+            if self._count > len(self._rows):  # room for as much again
+                before, room = self._rows[:first], max(self._count, 2 * first)
+                self._rows = np.empty((room, *before.shape[1:]), before.dtype)
+                self._rows[:first] = before
+            self._rows[first : self._count] = rows
+            if self._rows[: self._count].nbytes < COLUMN_BYTES:
                 return
-            self._file, rows = tempfile.TemporaryFile(buffering=0), self._rows  # noqa: SIM115  # until it is mapped
+            self._file, rows = tempfile.TemporaryFile(buffering=0), self._rows[: self._count]  # noqa: SIM115  # until it is mapped
             self._rows = rows[:0].copy()
         with enough_room(rows.nbytes):
             _write(self._file, _bytes_of(rows))
@@ -191,6 +194,7 @@ class Column:
     def whole(self) -> NDArray[Any]:
         """All rows, read-only if they lie in a file."""
         if self._file is None:
+            self._rows.resize((self._count, *self._rows.shape[1:]), refcheck=False)
             return self._rows
         with self._file as file:
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError
-from mavdiag.link.codec import NO_FRAMES, STAMP_BYTES, Decoder, Frame, Frames
+from mavdiag.link.codec import STAMP_BYTES, Decoder, Frame, Frames
 from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Evidence, detect_profile, profile_named, with_imu
@@ -111,7 +111,8 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
         at, frames = decoder.size, decoder.take_stream(window, last=last)
         if not len(frames):
             continue
-        for sysid, own in frames.by_sysid().items():
+        for sysid in np.unique(frames.rows["sender"] >> 8).tolist():
+            own = _of_system(frames, sysid)
             system = systems.setdefault(sysid, _System(int(own.rows["host_ns"][0])))
             system.take(own)
             system.parameters += own.of(MessageId.PARAM_VALUE)
@@ -212,8 +213,13 @@ def _converted(path: Path, pieces: list[_Piece], sysid: int, decoder: SampleDeco
             rows = np.zeros(len(kept), FRAME)
             rows[_KEPT] = kept
             forget(kept)
-            own = Frames(data, rows).by_sysid()
-            yield decoder.step(state, own.get(sysid, NO_FRAMES))
+            yield decoder.step(state, _of_system(Frames(data, rows), sysid))
+
+
+def _of_system(frames: Frames, sysid: int) -> Frames:
+    """Those of a system id, where they lie."""
+    own = frames.rows["sender"] >> 8 == sysid
+    return frames if own.all() else frames.where(own)
 
 
 def _names(sysids: Iterable[int]) -> str:
