@@ -3,6 +3,7 @@
 A `Shelf` puts arrays aside that are too many for the memory, and a `Column` those that come piece by piece.
 """
 
+import ctypes
 import mmap
 import os
 import secrets
@@ -25,6 +26,7 @@ TOML_BYTES = 32 << 10  # the longest of ours has 7 kB; tomllib takes seconds for
 TEXT_BYTES = 8 << 20  # baselines have some hundred kilobytes (our choice)
 SHELF_BYTES = 8 << 20  # of arrays that a shelf keeps in memory before it opens its file (our choice)
 COLUMN_BYTES = 8 << 20  # of a column that comes piece by piece, until it goes into a file (our choice)
+MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
 ALIGN_BYTES = 8  # of an array in a file: that of its numbers
 
 
@@ -209,6 +211,21 @@ def forget(*arrays: NDArray[Any]) -> None:
             base = base.base
         if isinstance(base, mmap.mmap):
             base.madvise(mmap.MADV_DONTNEED)
+
+
+def give_back() -> None:
+    """Give memory that was freed back to the system, where the C library keeps it (glibc: half of a long log)."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
+
+
+def keep_freed(size: int) -> None:
+    """Have the C library (glibc) keep for what is made next what is freed of arrays up to this size [bytes]."""
+    set_option = getattr(ctypes.CDLL(None), "mallopt", None)
+    if set_option is not None:
+        for option in (MMAP_THRESHOLD, TRIM_THRESHOLD):
+            set_option(option, size)
 
 
 @contextmanager

@@ -4,7 +4,6 @@ Signals and rows are put on a shelf, which is a file if they are many: a flight 
 for each look (guards, fits, scores), and of many flights one is in memory at a time.
 """
 
-import ctypes
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -35,7 +34,6 @@ SHAKE_SHARE = 0.2  # of the usual noise of the gyro in flight; at rest it has a 
 SLOW_SETPOINT_PERIODS = 2.5  # a set-point stream slower than the gyro has gaps by nature (our choice)
 PIECE_ROWS = 60_000  # that are made and looked at together (our choice: 20 MB)
 IN_MEMORY = 1 << 62  # bytes
-MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
 KEPT_BYTES = 20 << 20  # holds the columns of 40 s at 1 kHz (our choice; more leaves gaps in the memory)
 
 
@@ -183,21 +181,6 @@ def pieces_of(front: Front, pieces: Iterable[Telemetry]) -> Iterator[Rows]:
 def rows_of(front: Front, telemetry: Telemetry) -> tuple[Rows, ...]:
     """All rows of a whole flight."""
     return tuple(pieces_of(front, in_pieces(telemetry, PIECE_ROWS)))
-
-
-def give_back() -> None:
-    """Give memory that was freed back to the system, where the C library keeps it (glibc: half of a long log)."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
-
-
-def keep_freed() -> None:
-    """Have the C library (glibc) keep what is freed for what is made next, until `give_back`: a third of the faults."""
-    set_option = getattr(ctypes.CDLL(None), "mallopt", None)
-    if set_option is not None:
-        for option, size in ((MMAP_THRESHOLD, KEPT_BYTES), (TRIM_THRESHOLD, KEPT_BYTES)):
-            set_option(option, size)
 
 
 def front_for(flights: Iterable[Log | HeldLog], window_s: float, gate: GateSpec | None = None) -> Front:

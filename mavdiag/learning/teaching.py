@@ -23,7 +23,6 @@ from mavdiag.learning.flights import (
     LearntFlight,
     airborne,
     front_for,
-    give_back,
     hold,
     odd_rate,
     outputs_in_use,
@@ -34,7 +33,7 @@ from mavdiag.rows.grid import steps_of
 from mavdiag.rows.quality import LinkQuality, alike, learnt_quality
 from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
 from mavdiag.rows.windows import window_mean, window_rows
-from mavdiag.storage import Shelf
+from mavdiag.storage import Shelf, give_back
 from mavdiag.telemetry import FloatArray, IntArray, Log, Signal
 from mavdiag.units import NS_PER_S
 
