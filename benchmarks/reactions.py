@@ -59,7 +59,7 @@ HEIGHT_M, LEG_S = 2.0, 6.0
 SIDE_M, WIND_M_S = (3.0, 5.0), (0.0, 1.0)  # from, to
 UPRIGHT_RAD, GROUND_M = math.radians(10.0), 0.15
 BLOCK_S, TICK_S = 0.08, 0.01  # of the emulator: longer than usual, so that it is done sooner
-HEALTHY_S, HEALTHY_BLOCK_S, HEALTHY_TICK_S = 600.0, 0.4, 0.02  # of a healthy flight, in which nothing is timed
+HEALTHY_S = 600.0  # of a healthy flight
 AUTOPILOT, DETECTOR = (1, 1), (1, 191)
 NAN = float("nan")
 
@@ -182,13 +182,8 @@ def fly(
     call: str | None = None,
     until_s: float = END_S,
     record: Path | None = None,
-    block_s: float = BLOCK_S,
-    tick_s: float = TICK_S,
 ) -> Flown:
-    """One flight. call: how it is called off, 2 s after it was announced. record: a flight to learn from.
-
-    block_s, tick_s: of the emulator.
-    """
+    """One flight. call: how it is called off, 2 s after it was announced. record: a flight to learn from."""
     goal: dict[str, object] = {"learn": 1e6} if record else {"baseline": Path("-"), "on_fault": TABLE[place]}
     settings, known = Settings.model_validate(goal), None if record else baseline(place, craft)
     config = craft.config(seed)
@@ -226,7 +221,7 @@ def fly(
             return armed and bool(last) and not last[0].motors[-1]
 
         plant_of = (lambda config: cast(Plant, LoopPlant(config))) if craft.in_loop else Plant
-        with patch("sitl_plant.emulator.BLOCK_S", block_s), patch("sitl_plant.emulator.TICK_S", tick_s):
+        with patch("sitl_plant.emulator.BLOCK_S", BLOCK_S), patch("sitl_plant.emulator.TICK_S", TICK_S):
             flight.fly(config, until_s, PROFILE, craft.rate_hz, stop=landed, watch=watch, plant_of=plant_of)
         figures = bench.daemon.fleet.figures()
         bench.close()
@@ -315,7 +310,7 @@ def healthy(options: argparse.Namespace, codes: list[str]) -> None:
     while flown_s < 3600.0 * options.healthy_h:
         (vehicle, drone), place = CRAFTS[number % len(CRAFTS)], PLACES[number % 3]
         craft = Craft(vehicle, drone, rate_hz=options.rate)
-        one = fly(place, 1000 + number, craft=craft, until_s=HEALTHY_S, block_s=HEALTHY_BLOCK_S, tick_s=HEALTHY_TICK_S)
+        one = fly(place, 1000 + number, craft=craft, until_s=HEALTHY_S)
         flown_s, acted, number = flown_s + one.flown_s, acted + len(one.commands), number + 1
         told = f": {one}" if one.commands or one.declared_s is not None else ""
         print(
