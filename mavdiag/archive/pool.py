@@ -10,6 +10,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 
 from mavdiag.errors import LinkError, UsageError, missing_extra
@@ -40,7 +41,7 @@ class TaskExecutor:
     pool: Executor
     in_flight: int
     manned: Callable[[], bool] = lambda: True
-    sent: Callable[[Callable[..., Any]], tuple[Any, ...]] = lambda function: (function,)
+    sent: Callable[[Callable[..., Any]], Callable[..., Any]] = lambda function: function
 
 
 def run_all(
@@ -105,7 +106,7 @@ def _done(result: Result) -> Future[Result]:
 
 def _submitted(executor: TaskExecutor, function: Callable[[Task], Result], task: Task) -> Future[Result]:
     try:
-        return executor.pool.submit(*executor.sent(function), task)
+        return executor.pool.submit(executor.sent(function), task)
     except BrokenExecutor as error:
         future = Future[Result]()
         future.set_exception(error)
@@ -204,7 +205,7 @@ def dask_executor(address: str) -> Iterator[TaskExecutor]:
         if not threads:
             raise LinkError(f"the Dask scheduler at {address} has no workers; start some with `dask worker {address}`")
         pool = client.get_executor(pure=False)
-        yield TaskExecutor(pool, 2 * threads, manned, lambda function: (_called, pickle.dumps(function)))
+        yield TaskExecutor(pool, 2 * threads, manned, lambda function: partial(_called, pickle.dumps(function)))
 
 
 def _called(function: bytes, task: Any) -> Any:

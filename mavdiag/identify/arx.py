@@ -122,7 +122,8 @@ class ArxModel:
         newest = (np.zeros(0) if past is None else past[::-1][: self.lag] for past in (past_u, past_y))
         b, a, u0, y0 = (np.pad(one, (0, self.lag + 1 - len(one))) for one in (self.b, self.a, *newest))
         begun = [b[k:] @ u0[: len(b) - k] - a[k:] @ y0[: len(a) - k] for k in range(1, len(b))]
-        return filtered(b, a, np.array(u, dtype=np.float64, ndmin=2), np.array([*begun, 0.0]))[0]
+        y: FloatArray = filtered(b, a, np.array(u, dtype=np.float64, ndmin=2), np.array([*begun, 0.0]))[0]
+        return y
 
     def predict(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """One-step prediction from the measured past, (n,), (n,) -> (n - lag,): row i predicts y[i + lag]."""

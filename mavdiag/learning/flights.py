@@ -4,7 +4,7 @@ Signals and rows are put on a shelf, which is a file if they are many: a flight 
 for each look (guards, fits, scores), and of many flights one is in memory at a time.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
@@ -133,7 +133,8 @@ def airborne(
     outputs: columns of outputs and of rotor speeds that are kept, None for all. glances: what is to be found in the
     rows, by name, for `Looks.once`. Raises InputError, naming the flight, if there is hardly any.
     """
-    shelf, answers = shelf or Shelf(IN_MEMORY), {what: list[Any]() for what in glances}
+    shelf = shelf or Shelf(IN_MEMORY)
+    answers: dict[Hashable, list[Any]] = {what: [] for what in glances}
     held, makers, judged = hold(flight, shelf), list[Callable[[], Rows]](), 0
     for rows in pieces_of(front, held.pieces()):
         judged += int(np.count_nonzero(rows.rates.valid))

@@ -498,8 +498,8 @@ def alike(one: LinkQuality, other: LinkQuality, pieces: Iterable[Telemetry]) -> 
     """Whether both believe the same of a log, which comes in pieces, and none waits for the next piece."""
     memories = dict[tuple[Signal, int], Memory]()
     for series in (series for piece in pieces for series in piece.series):
-        seen, columns = [], series.values.shape[1]
-        rules = [quality.rule(series.signal, columns) for quality in (one, other)]
+        seen, columns = list[Series](), series.values.shape[1]
+        rules = one.rule(series.signal, columns), other.rule(series.signal, columns)
         if np.array_equal(*rules):
             continue
         for number, rule in enumerate(rules):
