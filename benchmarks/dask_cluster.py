@@ -13,6 +13,8 @@ from pathlib import Path
 __all__ = ["cluster"]
 
 PATIENCE_S = 60.0
+# Of a worker, as docs/operating.md advises: threads share their memory, and Dask does not keep where its time goes.
+LEAN = {"MALLOC_ARENA_MAX": "1", "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False"}
 
 
 @contextmanager
@@ -32,7 +34,7 @@ def cluster(workers: int) -> Iterator[tuple[str, list[subprocess.Popen[str]]]]:
             address = json.loads(told.read_text())["address"]
             single = ("--nthreads", "1", "--no-nanny", "--local-directory", folder)
             program = [sys.executable, "-m", "distributed.cli.dask_worker", address, *local, *single]
-            environment = {**quiet, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+            environment = {**quiet, **LEAN, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
             started += [subprocess.Popen(program, env=environment, text=True) for _ in range(workers)]
             wait_for(address, workers)
             yield address, started

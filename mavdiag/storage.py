@@ -3,6 +3,7 @@
 A `Shelf` puts arrays aside that are too many for the memory, and a `Column` those that come piece by piece.
 """
 
+import ctypes
 import mmap
 import os
 import secrets
@@ -25,6 +26,7 @@ TOML_BYTES = 32 << 10  # the longest of ours has 7 kB; tomllib takes seconds for
 TEXT_BYTES = 8 << 20  # baselines have some hundred kilobytes (our choice)
 SHELF_BYTES = 8 << 20  # of arrays that a shelf keeps in memory before it opens its file (our choice)
 COLUMN_BYTES = 8 << 20  # of a column that comes piece by piece, until it goes into a file (our choice)
+MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
 ALIGN_BYTES = 8  # of an array in a file: that of its numbers
 
 
@@ -177,13 +179,16 @@ class Column:
 
     def add(self, rows: NDArray[Any]) -> None:
         """Put rows behind those that came. Raises UsageError if the disk is full."""
-        self._count += len(rows)
+        first, self._count = self._count, self._count + len(rows)
         if self._file is None:
-            self._rows.resize((self._count, *self._rows.shape[1:]), refcheck=False)
-            self._rows[self._count - len(rows) :] = rows
-            if self._rows.nbytes < COLUMN_BYTES:
+            if self._count > len(self._rows):  # room for as much again
+                before, room = self._rows[:first], max(self._count, 2 * first)
+                self._rows = np.empty((room, *before.shape[1:]), before.dtype)
+                self._rows[:first] = before
+            self._rows[first : self._count] = rows
+            if self._rows[: self._count].nbytes < COLUMN_BYTES:
                 return
-            self._file, rows = tempfile.TemporaryFile(buffering=0), self._rows  # noqa: SIM115  # until it is mapped
+            self._file, rows = tempfile.TemporaryFile(buffering=0), self._rows[: self._count]  # noqa: SIM115  # until it is mapped
             self._rows = rows[:0].copy()
         with enough_room(rows.nbytes):
             _write(self._file, _bytes_of(rows))
@@ -191,6 +196,7 @@ class Column:
     def whole(self) -> NDArray[Any]:
         """All rows, read-only if they lie in a file."""
         if self._file is None:
+            self._rows.resize((self._count, *self._rows.shape[1:]), refcheck=False)
             return self._rows
         with self._file as file:
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
@@ -205,6 +211,21 @@ def forget(*arrays: NDArray[Any]) -> None:
             base = base.base
         if isinstance(base, mmap.mmap):
             base.madvise(mmap.MADV_DONTNEED)
+
+
+def give_back() -> None:
+    """Give memory that was freed back to the system, where the C library keeps it (glibc: half of a long log)."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
+
+
+def keep_freed(size: int) -> None:
+    """Have the C library (glibc) keep for what is made next what is freed of arrays up to this size [bytes]."""
+    set_option = getattr(ctypes.CDLL(None), "mallopt", None)
+    if set_option is not None:
+        for option in (MMAP_THRESHOLD, TRIM_THRESHOLD):
+            set_option(option, size)
 
 
 @contextmanager

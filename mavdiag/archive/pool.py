@@ -3,15 +3,18 @@
 import logging
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import TypeVar
+from functools import partial
+from typing import Any, TypeVar
 
 from mavdiag.errors import LinkError, UsageError, missing_extra
+from mavdiag.storage import give_back, keep_freed
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -22,17 +25,23 @@ ENVIRONMENT = {
     "MALLOC_MMAP_THRESHOLD_": str(32 << 20),
     "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
 }
+KEPT_BYTES = 1 << 20  # of a worker of Dask, to whose memory nobody else looks (our choice)
 PATIENCE_S = 10.0  # for a scheduler to answer
 QUIET_S = 15.0  # without an answer, until it is looked whether there is any worker (our choice)
 
 
 @dataclass(frozen=True, slots=True)
 class TaskExecutor:
-    """Where tasks run. in_flight: how many are handed out at a time. manned: whether there is any worker."""
+    """Where tasks run. in_flight: how many are handed out at a time. manned: whether there is any worker.
+
+    sent: what goes to the pool in place of a function. A Dask scheduler unpacks what it hands on, and would load all
+    that judges (40 MB) for a function of ours.
+    """
 
     pool: Executor
     in_flight: int
     manned: Callable[[], bool] = lambda: True
+    sent: Callable[[Callable[..., Any]], Callable[..., Any]] = lambda function: function
 
 
 def run_all(
@@ -97,7 +106,7 @@ def _done(result: Result) -> Future[Result]:
 
 def _submitted(executor: TaskExecutor, function: Callable[[Task], Result], task: Task) -> Future[Result]:
     try:
-        return executor.pool.submit(function, task)
+        return executor.pool.submit(executor.sent(function), task)
     except BrokenExecutor as error:
         future = Future[Result]()
         future.set_exception(error)
@@ -195,4 +204,13 @@ def dask_executor(address: str) -> Iterator[TaskExecutor]:
         threads = sum(client.nthreads().values())
         if not threads:
             raise LinkError(f"the Dask scheduler at {address} has no workers; start some with `dask worker {address}`")
-        yield TaskExecutor(client.get_executor(pure=False), 2 * threads, manned)
+        pool = client.get_executor(pure=False)
+        yield TaskExecutor(pool, 2 * threads, manned, lambda function: partial(_called, pickle.dumps(function)))
+
+
+def _called(function: bytes, task: Any) -> Any:
+    keep_freed(KEPT_BYTES)
+    try:
+        return pickle.loads(function)(task)
+    finally:
+        give_back()

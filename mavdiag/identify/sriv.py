@@ -22,11 +22,10 @@ from mavdiag.identify.arx import (
     Estimate,
     Order,
     Segment,
-    lagged,
+    filtered,
     least_squares,
     polynomials,
     reach,
-    regressors,
     solve,
     triangle,
 )
@@ -146,27 +145,25 @@ def _by_length(segments: Sequence[Segment]) -> list[Segment]:
 
 
 def _filtered(group: Segment, order: Order, theta: FloatArray) -> FloatArray:
-    """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f] of a group, (c, m, rows), their free responses taken out."""
-    from scipy.signal import lfilter  # 0.8 s to import: only offline work pays it
-
-    a, b = polynomials(theta, order)
-    x = lfilter(b, a, group.u)
-    u_f, x_f, y_f = lfilter([1.0], a, np.stack((group.u, x, group.y)))
-    Z, _ = regressors(Segment(u_f, x_f), order)
-    first = reach(order)
-    columns = np.concatenate((Z, -lagged(y_f, 1, order[0], first), y_f[None, :, first:]))
-    free, _ = np.linalg.qr(lfilter([1.0], a, np.eye(order[0], columns.shape[-1])).T)
+    """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f] of a group, (m, rows, c), their free responses taken out."""
+    (na, nb, nk), first, n = order, reach(order), len(group)
+    A, B = (np.pad(one, (0, first + 1 - len(one))) for one in polynomials(theta, order))
+    one, at_rest = np.eye(1, first + 1)[0], np.zeros(first + 1)
+    x = filtered(B, A, group.u, at_rest)
+    u_f, x_f, y_f, free = (filtered(one, A, signal, at_rest) for signal in (group.u, x, group.y, np.eye(na, n - first)))
+    lags, delays = range(1, na + 1), range(nk, nk + nb)
+    lagged = [*((-x_f, lag) for lag in lags), *((u_f, lag) for lag in delays), *((-y_f, lag) for lag in lags), (y_f, 0)]
+    columns = np.stack([signal[:, first - lag : n - lag] for signal, lag in lagged], axis=2)
+    free, _ = np.linalg.qr(free.T)
     lasts = 1 + int(np.flatnonzero(~(np.abs(free).max(axis=1) <= EPSILON**2))[-1])  # then it is less than any rounding
-    begin = columns[..., :lasts]
-    begin -= (begin @ free[:lasts]) @ free[:lasts].T
+    columns[:, :lasts] -= free[:lasts] @ (free[:lasts].T @ columns[:, :lasts])
     return columns
 
 
 def _reduced(columns: FloatArray, na: int) -> FloatArray:
     """R of the columns [Z_f Phi_f y_f]."""
-    c = len(columns)
-    R = triangle(columns.reshape(c, -1).T)
-    d = c - na - 1
+    c = columns.shape[2]
+    R, d = triangle(columns.reshape(-1, c)), c - na - 1
     return R[:, [*range(d), *range(d, d + na), *range(na, d), c - 1]]
 
 
@@ -176,21 +173,18 @@ def _coloured(data: Sequence[Segment], order: Order, point: _Point) -> FloatArra
     (Soderstrom and Stoica, System Identification, ch. 8). r_e: autocovariance of the residual under a Bartlett window
     of sqrt(n) lags (our choice).
     """
-    from scipy.signal import fftconvolve  # 0.8 s to import: only offline work pays it
-
-    na, d = order[0], len(point.theta)
-    lags = int(np.sqrt(point.rows))
+    na, d, lags = order[0], len(point.theta), int(np.sqrt(point.rows))
     r_e, instruments = np.zeros(lags), []
     for group in data:
         columns = _filtered(group, order, point.theta)
-        Z = columns[:d]
-        e = columns[-1] - np.tensordot(point.theta, np.concatenate((columns[d : d + na], Z[na:])), 1)
-        products = fftconvolve(e, e[:, ::-1], axes=1).sum(axis=0)[e.shape[1] - 1 :][:lags]
+        e = columns[..., -1] - np.concatenate((columns[..., d : d + na], columns[..., na:d]), axis=2) @ point.theta
+        size = 1 << (e.shape[1] + lags).bit_length()  # circular products of this length are those of zeros around
+        products = np.fft.irfft(np.square(np.abs(np.fft.rfft(e, size))).sum(axis=0), size)[: min(lags, e.shape[1])]
         r_e[: len(products)] += products / point.rows
-        instruments.append(Z)
-    weights = r_e * (1.0 - np.arange(lags) / lags)
-    both_sides = np.concatenate((weights[:0:-1], weights))[None, None]
-    S = np.zeros((d, d))
-    for Z in instruments:
-        S += np.tensordot(Z, fftconvolve(Z, both_sides, mode="same", axes=2), ((1, 2), (1, 2)))
+        instruments.append((columns[..., :d], size))
+    weights, S = r_e * (1.0 - np.arange(lags) / lags), np.zeros((d, d))
+    for Z, size in instruments:
+        both_sides = np.concatenate((weights, np.zeros(size + 1 - 2 * lags), weights[:0:-1]))
+        smooth = np.fft.rfft(Z, size, axis=1) * np.fft.rfft(both_sides)[:, None]
+        S += np.tensordot(Z, np.fft.irfft(smooth, size, axis=1)[:, : Z.shape[1]], ((0, 1), (0, 1)))
     return np.asarray(point.inverse @ (0.5 * (S + S.T)) @ point.inverse, dtype=np.float64)

@@ -4,10 +4,11 @@ Signals and rows are put on a shelf, which is a file if they are many: a flight 
 for each look (guards, fits, scores), and of many flights one is in memory at a time.
 """
 
-import ctypes
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,6 @@ SHAKE_SHARE = 0.2  # of the usual noise of the gyro in flight; at rest it has a 
 SLOW_SETPOINT_PERIODS = 2.5  # a set-point stream slower than the gyro has gaps by nature (our choice)
 PIECE_ROWS = 60_000  # that are made and looked at together (our choice: 20 MB)
 IN_MEMORY = 1 << 62  # bytes
-MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
 KEPT_BYTES = 20 << 20  # holds the columns of 40 s at 1 kHz (our choice; more leaves gaps in the memory)
 
 
@@ -122,21 +122,34 @@ class LearntFlight:
 
 
 def airborne(
-    front: Front, flight: Log | HeldLog, shelf: Shelf | None = None, outputs: int | None = None
+    front: Front,
+    flight: Log | HeldLog,
+    shelf: Shelf | None = None,
+    outputs: int | None = None,
+    glances: Mapping[str, Callable[[Rows], Iterable[Any]]] = MappingProxyType({}),
 ) -> LearntFlight:
     """The flying part of a flight, put aside, without a shelf in memory.
 
-    outputs: columns of outputs and of rotor speeds that are kept, None for all. Raises InputError, naming the flight,
-    if there is hardly any.
+    outputs: columns of outputs and of rotor speeds that are kept, None for all. glances: what is to be found in the
+    rows, by name, for `Looks.once`. Raises InputError, naming the flight, if there is hardly any.
     """
     shelf = shelf or Shelf(IN_MEMORY)
+    answers: dict[Hashable, list[Any]] = {what: [] for what in glances}
     held, makers, judged = hold(flight, shelf), list[Callable[[], Rows]](), 0
     for rows in pieces_of(front, held.pieces()):
         judged += int(np.count_nonzero(rows.rates.valid))
-        block = with_outputs(rows.block, rows.block.actuator.T[:outputs], rows.block.rotor_speed.T[:outputs])
-        get = shelf.put([block.t_ns, block.x, rows.rates_ns])
+        for what, glance in glances.items():
+            answers[what] += glance(rows)
+        block = rows.block
+        if outputs is not None:
+            block = with_outputs(block, block.actuator.T[:outputs], block.rotor_speed.T[:outputs])
+        get = shelf.put([block.t_ns, block.x.T, rows.rates_ns])
         makers.append(partial(_rows, block.segment, block.dt_s, block.outputs, get))
-    return long_enough(held, Looks(makers), judged * front.align.dt_s)
+    judged_s = judged * front.align.dt_s
+    if judged_s < MIN_FLIGHT_S:
+        never = "" if judged_s else " (never armed, or no thrust)"
+        raise InputError(f"{held.label.name}: only {judged_s:.1f} s of airborne flight{never}, too short to learn from")
+    return LearntFlight(held, Looks(makers, answers=answers), judged_s)
 
 
 def outputs_in_use(flights: Sequence[HeldLog]) -> int:
@@ -151,17 +164,9 @@ def outputs_in_use(flights: Sequence[HeldLog]) -> int:
     return most
 
 
-def long_enough(held: HeldLog, rows: Looks, judged_s: float) -> LearntFlight:
-    """The flight, if there is enough of it to learn from; raises InputError, naming it, if there is not."""
-    if judged_s < MIN_FLIGHT_S:
-        never = "" if judged_s else " (never armed, or no thrust)"
-        raise InputError(f"{held.label.name}: only {judged_s:.1f} s of airborne flight{never}, too short to learn from")
-    return LearntFlight(held, rows, judged_s)
-
-
 def _rows(segment: int, dt_s: float, outputs: int, get: Callable[[], Arrays]) -> Rows:
-    t_ns, x, rates_ns = get()
-    return Rows(Block(segment, dt_s, t_ns, x, outputs), rates_ns)
+    t_ns, columns, rates_ns = get()
+    return Rows(Block(segment, dt_s, t_ns, columns.T, outputs), rates_ns)
 
 
 def _in_order(outputs: tuple[int, ...], make: Callable[[], Rows]) -> Rows:
@@ -177,21 +182,6 @@ def pieces_of(front: Front, pieces: Iterable[Telemetry]) -> Iterator[Rows]:
 def rows_of(front: Front, telemetry: Telemetry) -> tuple[Rows, ...]:
     """All rows of a whole flight."""
     return tuple(pieces_of(front, in_pieces(telemetry, PIECE_ROWS)))
-
-
-def give_back() -> None:
-    """Give memory that was freed back to the system, where the C library keeps it (glibc: half of a long log)."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
-
-
-def keep_freed() -> None:
-    """Have the C library (glibc) keep what is freed for what is made next, until `give_back`: a third of the faults."""
-    set_option = getattr(ctypes.CDLL(None), "mallopt", None)
-    if set_option is not None:
-        for option, size in ((MMAP_THRESHOLD, KEPT_BYTES), (TRIM_THRESHOLD, KEPT_BYTES)):
-            set_option(option, size)
 
 
 def front_for(flights: Iterable[Log | HeldLog], window_s: float, gate: GateSpec | None = None) -> Front:

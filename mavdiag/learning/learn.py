@@ -34,7 +34,7 @@ from mavdiag.baseline import (
 from mavdiag.chain import front_of
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
-from mavdiag.learning.flights import HeldLog, LearntFlight, airborne, give_back, hold, keep_freed, sessions_of
+from mavdiag.learning.flights import KEPT_BYTES, HeldLog, LearntFlight, airborne, hold, sessions_of
 from mavdiag.learning.rotors import of_log_kind, with_rotors
 from mavdiag.learning.suspicions import courses, grade_of, least_damage, suspicions
 from mavdiag.learning.teaching import one_vehicle, refuse, repeated, taught, upsets
@@ -46,7 +46,7 @@ from mavdiag.monitors.fitting import judged_together
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.rows.front import Rows
-from mavdiag.storage import Shelf
+from mavdiag.storage import Shelf, give_back, keep_freed
 from mavdiag.telemetry import Axis, Log
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima, pooled, score
@@ -123,7 +123,7 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
     Raises InputError if a flight lacks the gyro or never flies, and IdentificationError if no monitor can work.
     """
     with Shelf() as shelf:
-        keep_freed()
+        keep_freed(KEPT_BYTES)  # a third of the page faults
         held = [hold(log, shelf) for log in flights]
         give_back()
         if not held:
@@ -208,7 +208,6 @@ def _fit_all(
             found[kind] = specs, [[kind(spec) for spec in kind.fit(rest, near)] for _, rest in pairs]
         except (InputError, IdentificationError) as error:
             refused[kind] = str(error)
-        give_back()
     parts: dict[type[Monitor[Any]], list[tuple[Axis | None, Scores]]] = {kind: [] for kind in found}
     numbers = {id(flight): number for number, flight in enumerate(flights)}  # pieces are of flight 0
     for fold, (left_out, _) in enumerate(pairs):

@@ -7,7 +7,7 @@ it. All limits are our choices; `benchmarks/broken_teaching.py` has what they fi
 
 import itertools
 import math
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,22 +23,18 @@ from mavdiag.learning.flights import (
     LearntFlight,
     airborne,
     front_for,
-    give_back,
     hold,
-    long_enough,
     odd_rate,
     outputs_in_use,
-    pieces_of,
 )
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.grid import steps_of
-from mavdiag.rows.quality import LinkQuality, learnt_quality
+from mavdiag.rows.quality import LinkQuality, alike, learnt_quality
 from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
 from mavdiag.rows.windows import window_mean, window_rows
-from mavdiag.storage import Shelf
+from mavdiag.storage import Shelf, give_back
 from mavdiag.telemetry import FloatArray, IntArray, Log, Signal
-from mavdiag.thresholds.heldout import Looks
 from mavdiag.units import NS_PER_S
 
 RUN = 16  # consecutive gyro samples that two flights do not have in common by chance (our choice)
@@ -267,17 +263,6 @@ def _seen(flight: LearntFlight, what: str) -> list[Any]:
     return found
 
 
-def _glanced(front: Front, held: HeldLog) -> LearntFlight:
-    """The flight with all that the guards want to know of its rows, which are not kept; raises as `airborne`."""
-    answers: dict[Hashable, list[Any]] = {what: [] for what in _GLANCES}
-    judged = 0
-    for rows in pieces_of(front, held.pieces()):
-        judged += int(np.count_nonzero(rows.rates.valid))
-        for what, glance in _GLANCES.items():
-            answers[what] += glance(rows)
-    return long_enough(held, Looks((), answers=answers), judged * front.align.dt_s)
-
-
 def _compared(logs: FloatArray, busy: FloatArray) -> FloatArray:
     """(b, 3) logarithms against what is expected, their median taken out."""
     logs = logs.copy()
@@ -375,13 +360,13 @@ def taught(
     while robust and len(held) > 2 and (odd := odd_rate(held, window_s)) is not None:
         left_out.append(f"all of {odd[1]}")
         del held[odd[0]]
-    front = front_for(held, window_s, gate)
+    front, outputs = front_for(held, window_s, gate), outputs_in_use(held)
 
     def flown(logs: Iterable[HeldLog]) -> list[LearntFlight]:
         flights = []
         for log in logs:
             try:
-                flights.append(_glanced(front, log))
+                flights.append(airborne(front, log, shelf, outputs, _GLANCES))
             except InputError as error:
                 if not robust:
                     raise
@@ -400,11 +385,12 @@ def taught(
             flights = [one for log in kept for one in same.get(id(log)) or flown([log])]
     if not flights:
         raise InputError(f"no healthy flight remains to learn from ({'; '.join(left_out)}); record others")
-    front = replace(front, align=replace(front.align, quality=_quality_of(flights)))
-    outputs = outputs_in_use([flight.held for flight in flights])
-    believed = tuple(airborne(front, flight.held, shelf, outputs) for flight in flights)
+    before, front = front, replace(front, align=replace(front.align, quality=_quality_of(flights)))
+    for i, flight in enumerate(flights):  # made anew only where that makes a difference
+        if not alike(before.align.quality, front.align.quality, flight.held.pieces()):
+            flights[i] = airborne(front, flight.held, shelf, outputs)
     give_back()
-    return Taught(front, believed, tuple(left_out))
+    return Taught(front, tuple(flights), tuple(left_out))
 
 
 def _quality_of(flights: Sequence[LearntFlight]) -> LinkQuality:

@@ -179,11 +179,20 @@ class Frames:
 
     def records(self, dtype: np.dtype[np.void]) -> Record:
         """(n,) the payloads as records, see `Layout.record_dtype`: all must be of that one message."""
-        size, bodies = dtype.itemsize, self.rows["body"]
-        inside = np.minimum(bodies[:, None] + np.arange(size), len(self.data) - 1)
+        size, bodies = dtype.itemsize, self.rows["body"].astype(np.int64)
+        if not len(bodies):
+            return np.empty(0, dtype)
+        data, behind = self.data, int(bodies.max()) + size - len(self.data)
+        if behind > 0:
+            data = np.concatenate((data, np.zeros(behind, np.uint8)))
+        payloads = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))[
+            bodies
+        ]  # one at every byte, none copied
         lengths = self.rows["stop"] - bodies
-        payloads = np.where(np.arange(size) < lengths[:, None], self.data[inside] if len(bodies) else inside, 0)
-        return np.ascontiguousarray(payloads, np.uint8).view(dtype)[:, 0]
+        short = np.flatnonzero(lengths < size)  # trailing zeros are trimmed
+        raw = payloads.view(np.uint8).reshape(-1, size)
+        raw[short] = np.where(np.arange(size) < lengths[short, None], raw[short], 0)
+        return payloads.view(dtype)
 
 
 def frames_of(frames: Iterable[Frame]) -> Frames:
@@ -281,8 +290,7 @@ class Decoder:
             self.records += count
             rows = self._admitted(data, rows)
         self.size += used
-        chosen = self._wanted[rows["row"]]
-        return Frames(data, rows[chosen]), used
+        return Frames(data, _those(rows, self._wanted[rows["row"]])), used
 
     def _admitted(self, data: Bytes, rows: NDArray[np.void]) -> NDArray[np.void]:
         """The frames that are genuine, and whose senders are heard from where they came."""
@@ -295,12 +303,16 @@ class Decoder:
                 self.heard.hear(data, rows[k : k + 1])
         if signing is None:
             self.heard.hear(data, rows)
-        rows = rows[rows["heard"] == HEARD]
+        rows = _those(rows, rows["heard"] == HEARD)
         if self._passed is not None:
             places = (rows[name].tolist() for name in ("begin", "after", "host_ns"))
             whole = data.tobytes()
             self._passed += [(whole[begin:after], host_ns) for begin, after, host_ns in zip(*places, strict=True)]
         return rows
+
+
+def _those(rows: NDArray[np.void], chosen: BoolArray) -> NDArray[np.void]:
+    return rows if chosen.all() else rows[chosen]  # it takes long to copy records
 
 
 class Encoder:

@@ -414,8 +414,9 @@ def _convert(
         if lookup[frame.row] < 0 or frame.sender & 0xFF != AUTOPILOT:
             continue
         source = sources[lookup[frame.row]]
-        for j in range(source.length):  # what is behind a payload's end was trimmed, and is zero
-            payload[j] = data[frame.body + j] if frame.body + j < frame.stop else 0
+        size = min(frame.stop - frame.body, source.length)
+        payload[:size] = data[frame.body : frame.body + size]
+        payload[size : source.length] = 0  # what was behind its end was trimmed
         if len(given_ns):
             at_ns, own.armed_ns = given_ns[k - 1], NEVER  # of one sender: no heartbeat is doubted
         else:

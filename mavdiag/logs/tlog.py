@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError
-from mavdiag.link.backlog import Backlog
 from mavdiag.link.codec import STAMP_BYTES, Decoder, Frame, Frames
 from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
@@ -28,6 +27,7 @@ from mavdiag.logs.log import TLOG_BYTES, LogKind, opened, windows_of
 from mavdiag.storage import Column, forget
 from mavdiag.telemetry import Log, Telemetry
 
+PIECE_BYTES = 5 << 20  # of a file whose frames are converted together: 40 s at 1 kHz (our choice)
 DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
 
 _WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
@@ -106,23 +106,29 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
 
     Never raises by itself: what is damaged is skipped and counted.
     """
-    decoder, places, systems = Decoder(_WANTED, stamped=True), list[tuple[int, int]](), dict[int, _System]()
-    waiting, seen_ns, counts, lean = Backlog(), list[int](), list[int](), Column(np.empty(0, _LEAN))
+    decoder, systems = Decoder(_WANTED, stamped=True), dict[int, _System]()
+    seen_ns, lean, begins, ends, counts = list[int](), Column(np.empty(0, _LEAN)), [0], [0], [0]
     for window, last in chain(zip(windows, repeat(False)), ((b"", True),)):
         at, frames = decoder.size, decoder.take_stream(window, last=last)
         if not len(frames):
             continue
-        waiting.put(frames)
-        for sysid, own in waiting.take_all():
+        for sysid in np.unique(frames.rows["sender"] >> 8).tolist():
+            own = _of_system(frames, sysid)
             system = systems.setdefault(sysid, _System(int(own.rows["host_ns"][0])))
             system.take(own)
             system.parameters += own.of(MessageId.PARAM_VALUE)
         seen_ns += [int(frames.rows["host_ns"].min()), int(frames.rows["host_ns"].max())]
-        lean.add(frames.rows[_KEPT].astype(_LEAN))
-        counts.append(len(frames))
-        places.append((at, len(frames.data)))
-    rows = np.split(lean.whole(), np.cumsum(counts)[:-1])
-    pieces = [_Piece(own, *place) for own, place in zip(rows, places, strict=True)] if places else []
+        if at + len(frames.data) - begins[-1] > PIECE_BYTES:
+            begins.append(at)
+            ends.append(at)
+            counts.append(0)
+        rows = frames.rows[_KEPT].astype(_LEAN)
+        for place in ("body", "stop"):
+            rows[place] += at - begins[-1]
+        lean.add(rows)
+        ends[-1], counts[-1] = at + len(frames.data), counts[-1] + len(frames)
+    cut = np.split(lean.whole(), np.cumsum(counts)[:-1])
+    pieces = [_Piece(rows, begin, end - begin) for rows, begin, end in zip(cut, begins, ends, strict=True) if len(rows)]
     span_ns = max(seen_ns, default=0) - min(seen_ns, default=0)
     totals = (decoder.size, decoder.records, decoder.garbage_bytes, decoder.senders, decoder.size - decoder.sound_end)
     return TlogContent(pieces, systems, span_ns, *totals)
@@ -214,7 +220,13 @@ def _converted(path: Path, pieces: list[_Piece], sysid: int, decoder: SampleDeco
             rows = np.zeros(len(kept), FRAME)
             rows[_KEPT] = kept
             forget(kept)
-            yield decoder.step(state, Frames(data, rows[rows["sender"] >> 8 == sysid]))
+            yield decoder.step(state, _of_system(Frames(data, rows), sysid))
+
+
+def _of_system(frames: Frames, sysid: int) -> Frames:
+    """Those of a system id, where they lie."""
+    own = frames.rows["sender"] >> 8 == sysid
+    return frames if own.all() else frames.where(own)
 
 
 def _names(sysids: Iterable[int]) -> str:

@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mavdiag.errors import InputError
+from mavdiag.identify.arx import filtered
 from mavdiag.monitors.base import Flights, Monitor, walk
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -40,13 +41,11 @@ def judged_together(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows]) ->
 
 def smoothed(x: FloatArray, alpha: float, start: FloatArray | None = None) -> FloatArray:
     """The exponential mean of whole records, (n, k) -> (n, k), from `start`, (k,), or zeros: `rows.running.follow`."""
-    from scipy.signal import lfilter  # 0.8 s to import: only offline work pays it
-
-    if len(x) == 0:
-        return x
-    before = np.zeros(x.shape[1]) if start is None else start
-    out, _ = lfilter([alpha], [1.0, alpha - 1.0], x, axis=0, zi=(1.0 - alpha) * before[None])
-    return np.asarray(out, dtype=np.float64)
+    begun = np.zeros((x.shape[1], 2))
+    begun[:, 0] = 0.0 if start is None else (1.0 - alpha) * start
+    weights = np.array([alpha, 0.0]), np.array([1.0, alpha - 1.0])
+    each = zip(x.T, begun, strict=True)
+    return np.stack([filtered(*weights, np.array(column, ndmin=2), state)[0] for column, state in each], axis=1)
 
 
 def three(values: Sequence[float] | FloatArray) -> Three:

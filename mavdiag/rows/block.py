@@ -236,5 +236,7 @@ def in_rotor_order(block: Block, outputs: Sequence[int] | None) -> Block:
 
 def with_outputs(block: Block, sent: FloatArray, speeds: FloatArray) -> Block:
     """The block with other outputs and speeds, (outputs, n) and (ESCs, n)."""
+    if not len(speeds) and np.shares_memory(sent, block.x[OUTPUTS : OUTPUTS + 1]):  # the first ones of those it has
+        return replace(block, x=block.x[: OUTPUTS + len(sent)], outputs=len(sent))
     gap = np.full((MOST - len(sent) if len(speeds) else 0, len(block)), np.nan)
     return replace(block, x=np.concatenate((block.x[:OUTPUTS], sent, gap, speeds)), outputs=len(sent))

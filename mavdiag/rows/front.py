@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavdiag.rows.align import AlignSpec, AlignState
+from mavdiag.rows.align import NEVER_NS, AlignSpec, AlignState
 from mavdiag.rows.block import Block
 from mavdiag.rows.block import Rows as Rows
 from mavdiag.rows.gate import Border, GateSpec, GateState
@@ -52,11 +52,12 @@ class Front:
 
     def pieces(self, parts: Iterable[Telemetry]) -> Iterator[Rows | Border]:
         """All that a whole flight gives, of which these are the parts (`in_pieces`)."""
-        state = self.start()
+        state, until_ns = self.start(), -NEVER_NS
         for part in parts:
+            yield from self._rows(state, self.align.rows(state.align, until_ns))
             self.align.append(state.align, (part,))
-            yield from self._rows(state, self.align.rows(state.align, self.align.take(state.align, live=False)))
-        yield from self._ended(state)
+            until_ns = self.align.take(state.align, live=False)
+        yield from self._ended(state)  # with the rows of the last part
 
     def _ended(self, state: FrontState) -> Iterator[Rows | Border]:
         yield from self._rows(state, self.align.finish(state.align))

@@ -505,6 +505,26 @@ def believed(quality: LinkQuality, telemetry: Telemetry) -> Telemetry:
     return Telemetry(tuple(series for series in looked if len(series)))
 
 
+def alike(one: LinkQuality, other: LinkQuality, pieces: Iterable[Telemetry]) -> bool:
+    """Whether both believe the same of a log, which comes in pieces, and none waits for the next piece."""
+    memories = dict[tuple[Signal, int], Memory]()
+    for series in (series for piece in pieces for series in piece.series):
+        seen, columns = list[Series](), series.values.shape[1]
+        rules = one.rule(series.signal, columns), other.rule(series.signal, columns)
+        if np.array_equal(*rules):
+            continue
+        for number, rule in enumerate(rules):
+            memory = memories.setdefault((series.signal, number), Memory(columns))
+            seen.append(_looked(rule, memory, series))
+            if memory.waiting is not None and len(memory.waiting):
+                return False
+        if len(seen[0]) != len(seen[1]) or not np.array_equal(seen[0].t_ns, seen[1].t_ns):
+            return False
+        if not np.array_equal(seen[0].values, seen[1].values, equal_nan=True):
+            return False
+    return True
+
+
 def _looked(
     rule: FloatArray, memory: Memory, series: Series, seen: FloatArray = NO_FIGURES, runs: IntArray = NO_RUNS
 ) -> Series:

@@ -15,7 +15,7 @@ from shared_data import shared
 import mavdiag as md
 from mavdiag.judging import LogVerdict
 from mavdiag.rows.align import HI, LO, PLACES, AlignSpec
-from mavdiag.rows.quality import LinkQuality, learnt_quality
+from mavdiag.rows.quality import LinkQuality, alike, learnt_quality
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 
 N, AT = 3000, 1600
@@ -216,6 +216,16 @@ def test_a_fast_set_point_hides_no_error_of_the_size_of_its_steps(at: int, error
     values = turning().values.copy()
     values[at : at + samples, 0] += error
     assert set(range(len(values))) - kept(values) == set(range(at, at + samples))
+
+
+def test_what_was_learnt_believes_all_of_its_own_log_and_not_an_error_in_it() -> None:
+    """Then learning makes no rows anew; where it makes a difference, it does."""
+    series, values = turning(), turning().values.copy()
+    values[1000, 0] += 2.0
+    wrong = Telemetry((Series(series.signal, series.t_ns, series.t_ns, values),))
+    assert alike(LinkQuality(), smooth(), [Telemetry((series,))])
+    assert not alike(LinkQuality(), smooth(), [wrong])
+    assert alike(smooth(), smooth(), [wrong])
 
 
 def test_a_corner_and_a_step_of_the_set_point_are_believed() -> None:
