@@ -14,8 +14,9 @@ command; one that is bent or fouled has more. The voltage is common to all rotor
 
 A rotor lags behind its command, and what an ESC tells behind the rotor: dv_j/dt. s_j r: yaw effect of rotor j
 (`airframe.layout`) and yaw rate, for an ESC tells the speed against the frame. b is common to all rotors and fitted by
-least squares with a prior, P its covariance: the monitor's own errors. It is fitted to what is judged, means of 5 s:
-single ticks of flights that turn have transients, whose correlation with r is not that of steady turns.
+least squares with a prior; P: its covariance, and LAW_LEAST^2 more of v, for the air from the side is not in the law.
+It is fitted to what is judged, means of 5 s: single ticks of flights that turn have transients, whose correlation with
+r is not that of steady turns.
 """
 
 import math
@@ -49,6 +50,7 @@ MADE_UP = 0.01  # so near to it no motor is (our choice)
 # What is held of b before any flight, and its standard deviation. 1/(1 + e) is 0.8 to 0.87, an ESC's dead band adds to
 # it; a lag is 0.05 s of a rotor and up to 0.1 s of an ESC at 10 Hz; the last is 2 e/(1 + e) of 1/w (estimates).
 LAW, LAW_SD = np.array([0.85, 0.0, 0.0]), np.array([0.15, 0.1, 0.0005])
+LAW_LEAST = 0.025  # of the first of b: emulated winds of 2 to 5 m/s change it by 0.04 (our choice)
 FLOOR = 2e-4  # of the speed: least spread that is believed, a seventh of a step of 14 rpm at 10,000 (our choice)
 COLUMNS = 3  # of x
 # Places in the parameters: rotors, rows of a tick, row period, ticks of a window, spread, b, P; of each rotor s, a, x0.
@@ -160,6 +162,7 @@ def _take_tick(
         for p in range(COLUMNS):
             for q in range(COLUMNS):
                 error += away[p] * par[ERRORS + COLUMNS * p + q] * away[q]
+        error += (LAW_LEAST * away[0]) ** 2
         for i in range(window):
             rests[i] = mem[of + i]
         found = _middle(rests) * par[SPREAD] / math.sqrt(par[SPREAD] ** 2 + max(error, 0.0)) * n / (n - 1.0)
