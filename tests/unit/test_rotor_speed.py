@@ -22,10 +22,11 @@ X = layout_named("x")
 CONTEXT = LearnContext(Airframe(layout=X), None, 0.01, 11)
 
 
-def rows_of(seed: int, ratio: FloatArray, n: int = 3000, slope: float = 0.85) -> list[Rows]:
-    """A flight at 100 Hz whose rotors turn with these factors for their commands."""
+def rows_of(seed: int, ratio: FloatArray, n: int = 3000, slope: float = 0.85, wander: float = 0.02) -> list[Rows]:
+    """A flight at 100 Hz whose rotors turn with these factors for their commands, which wander by so much."""
     rng = np.random.default_rng(seed)
-    outputs = 0.5 + 0.02 * np.cumsum(rng.standard_normal((n, 4)), axis=0) / np.sqrt(n)
+    walk = np.cumsum(rng.standard_normal((n, 4)), axis=0) / np.sqrt(n)
+    outputs = 0.5 + wander * (walk - walk.mean(axis=0))
     noise = 1.0 + 1e-3 * rng.standard_normal((n, 4))
     return [example_rows(n, actuator=outputs, rotor_speed=1500.0 * outputs**slope * ratio * noise)]
 
@@ -51,11 +52,18 @@ def test_it_measures_the_share_that_one_rotor_is_off_and_names_it(
 ) -> None:
     ratio = np.array([1.0, 1.02, 0.99, 1.01])
     ratio[rotor] *= 1 + share if faster else 1 - share
-    value, level, rotors = last(healthy, rows_of(seed, ratio, 1500))
+    value, level, rotors = last(healthy, rows_of(seed, ratio, 1500, wander=0.002))
     assert value == pytest.approx(share, abs=0.2 * share + 5e-4)  # its own errors make it careful
     assert (level > 0) == faster
     assert int(rotors.argmax()) == rotor
     assert np.sort(rotors)[-2] < 0.5 * value
+
+
+def test_the_farther_commands_are_from_those_learnt_the_less_a_speed_says(healthy: RotorSpeedSpec) -> None:
+    ratio = np.array([1.0, 1.02, 0.99, 1.05])
+    values = [last(healthy, rows_of(7, ratio, 1500, wander=wander))[0] for wander in (0.002, 0.05, 0.2)]
+    assert values == sorted(values, reverse=True)
+    assert values[2] < 0.5 * values[0]
 
 
 def test_the_voltage_and_what_all_rotors_share_cancel(healthy: RotorSpeedSpec) -> None:
