@@ -208,6 +208,7 @@ def _fit_all(
             found[kind] = specs, [[kind(spec) for spec in kind.fit(rest, near)] for _, rest in pairs]
         except (InputError, IdentificationError) as error:
             refused[kind] = str(error)
+        give_back()
     parts: dict[type[Monitor[Any]], list[tuple[Axis | None, Scores]]] = {kind: [] for kind in found}
     numbers = {id(flight): number for number, flight in enumerate(flights)}  # pieces are of flight 0
     for fold, (left_out, _) in enumerate(pairs):
