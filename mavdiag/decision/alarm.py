@@ -176,11 +176,8 @@ class DecisionSpec:
         if state.diagnosis.stage is not Stage.INSPECT:
             return state, (), ()
         diagnosis = Diagnosis(reason="the inspection is acknowledged", since_ns=t_ns)
-        return (
-            DecisionState(diagnosis, state.calm_ns, state.raised_ns, state.over_ns),
-            (),
-            (Change.of(diagnosis, t_ns),),
-        )
+        fresh = DecisionState(diagnosis, state.calm_ns, state.raised_ns, state.over_ns)
+        return fresh, (), (Change.of(diagnosis, t_ns),)
 
     def named(self, state: DecisionState, alarms: Sequence[Alarm]) -> tuple[Event, ...]:
         """Alarms as events, with the rotor, type and severity known now if they belong to the latest episode."""
