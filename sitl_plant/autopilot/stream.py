@@ -14,7 +14,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter, lfilter_zi
 
 from mavdiag.link.codec import layout_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag
@@ -91,6 +90,8 @@ class _Filter:
         self._state: FloatArray | None = None
 
     def step(self, x: FloatArray) -> FloatArray:
+        from scipy.signal import lfilter, lfilter_zi  # a second to load: only a profile with filters pays it
+
         if self._state is None:
             self._state = lfilter_zi(self._b, self._a)[:, np.newaxis] * x[0]
         y, self._state = lfilter(self._b, self._a, x, axis=0, zi=self._state)

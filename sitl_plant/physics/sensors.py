@@ -25,7 +25,6 @@ import math
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from scipy.signal import butter
 
 from mavdiag.errors import UsageError
 from mavdiag.jit import jit
@@ -99,13 +98,22 @@ class TwinImuState(NamedTuple):
 
 
 def butterworth(corner_hz: float, dt_s: float, kind: Literal["lowpass", "highpass"] = "lowpass") -> Biquad:
-    """Second-order Butterworth filter. A corner at or above half the sample rate is held at 0.499 of that rate."""
-    b0, b1, b2, _, a1, a2 = butter(2, min(corner_hz * dt_s, 0.499), kind, fs=1.0, output="sos")[0].tolist()
-    return b0, b1, b2, a1, a2
+    """Second-order Butterworth filter by the bilinear transform: `mode` with a damping of 1/sqrt(2) has its poles.
+
+    A corner at or above half the sample rate is held at 0.499 of that rate. scipy.signal has the same, and every start
+    of the plant would take a second more to load it.
+    """
+    k = math.tan(math.pi * min(corner_hz * dt_s, 0.499))
+    lossy = math.sqrt(2.0) * k
+    a0 = 1.0 + lossy + k * k
+    b0, b1 = (k * k / a0, 2.0 * k * k / a0) if kind == "lowpass" else (1.0 / a0, -2.0 / a0)
+    return b0, b1, b0, 2.0 * (k * k - 1.0) / a0, (1.0 - lossy + k * k) / a0
 
 
 def butterworth3(corner_hz: float, dt_s: float) -> FloatArray:
     """Third-order Butterworth low-pass, (2, 5): two sections, one after the other."""
+    from scipy.signal import butter  # only a vehicle as it was recorded has it
+
     return np.asarray(butter(3, corner_hz * dt_s, fs=1.0, output="sos")[:, [0, 1, 2, 4, 5]])
 
 

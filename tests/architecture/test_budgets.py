@@ -65,9 +65,10 @@ def loaded_by(statement: str) -> set[str]:
     return set(run.stdout.split())
 
 
-def test_the_detector_starts_without_heavy_imports() -> None:
-    heavy = {"matplotlib", "control", "scipy.signal", "pandas", "sitl_plant"}
-    assert not loaded_by("import detector.daemon") & heavy
+def test_detector_and_plant_start_without_heavy_imports() -> None:
+    heavy = {"matplotlib", "control", "scipy.signal", "pandas"}
+    assert not loaded_by("import detector.daemon") & {*heavy, "sitl_plant"}
+    assert not loaded_by("import sitl_plant.__main__; from sitl_plant.plant import *; Plant(PlantConfig())") & heavy
 
 
 def test_no_import_cycles() -> None:

@@ -2,14 +2,14 @@
 
 import math
 from functools import cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from plant_cases import nominal_airframe, quaternion_rotation
-from scipy.signal import bilinear, freqz, welch
+from scipy.signal import bilinear, butter, freqz, welch
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
@@ -401,6 +401,13 @@ def test_motors_are_off_or_idle_on_the_ground_and_the_integrals_wait(
 
 def imu(noise: float = 0.0) -> Imu:
     return Imu(np.zeros(3), np.zeros(CHANNELS), np.full(CHANNELS, noise), butterworth(250.0, 0.001))
+
+
+@pytest.mark.parametrize("corner_hz", [5.0, 80.0, 250.0, 480.0, 700.0])
+@pytest.mark.parametrize("kind", ["lowpass", "highpass"])
+def test_the_filters_are_those_of_scipy(corner_hz: float, kind: Literal["lowpass", "highpass"]) -> None:
+    expected = butter(2, min(corner_hz * 0.001, 0.499), kind, fs=1.0, output="sos")[0, [0, 1, 2, 4, 5]]
+    np.testing.assert_allclose(butterworth(corner_hz, 0.001, kind), expected, rtol=1e-12, atol=1e-14)
 
 
 def read(sensor: Imu, condition: SensorCondition, truth: FloatArray, normals: FloatArray) -> FloatArray:
