@@ -1,7 +1,7 @@
 """Which code made an answer (edge): a digest of sources and of what they compute with, so that answers never mix."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cache
 from importlib import metadata, resources
 from importlib.resources.abc import Traversable
@@ -9,19 +9,19 @@ from importlib.resources.abc import Traversable
 COMPUTED_BY = ("numpy", "scipy", "numba", "pymavlink", "pyulog")  # whose versions may change a figure
 
 
-def digest_of_sources(packages: Sequence[str], unrelated: Sequence[str] = ("__pycache__",)) -> str:
+@cache
+def digest_of_sources(packages: tuple[str, ...], unrelated: tuple[str, ...] = ("__pycache__",)) -> str:
     """A digest of all sources and data of packages and of the versions of what computes, 16 hexadecimal digits.
 
     unrelated: ends of the paths that are left out.
     """
     digest = hashlib.sha256(repr([(name, _version(name)) for name in COMPUTED_BY]).encode())
     for package in packages:
-        for name, content in sorted(_sources(resources.files(package), package, tuple(unrelated))):
+        for name, content in sorted(_sources(resources.files(package), package, unrelated)):
             digest.update(name.encode() + hashlib.sha256(content).digest())
     return digest.hexdigest()[:16]
 
 
-@cache
 def judging_version() -> str:
     """The digest of this package."""
     return digest_of_sources(("mavdiag",))

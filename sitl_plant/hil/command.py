@@ -110,10 +110,6 @@ def hil_options(
     return HilOptions(config, later, kind, math.inf if duration is None else duration, truth, told, wanted)
 
 
-def _say(line: str) -> None:
-    typer.echo(line, err=True)
-
-
 @options.with_options(hil_options)
 def serve_ardupilot(
     asked: HilOptions,
@@ -140,7 +136,8 @@ def serve_ardupilot(
                 if answer is not None:
                     port.answer(answer, peer)
                 elif counts.foreign == 1 > foreign:
-                    _say(f"ignored {len(data)} bytes that are no servo frame of ArduPilot, and shall ignore others too")
+                    what = f"{len(data)} bytes that are no servo frame of ArduPilot"
+                    commandline.say(f"ignored {what}, and shall ignore others too", err=True)
     took_s = time.monotonic() - started_s
     typer.echo(
         f"{simulation.t_s:.1f} s flown in {took_s:.1f} s; {counts.frames} frames ({counts.frames / took_s:.0f}/s), "
@@ -211,8 +208,8 @@ def _serve_mavlink(asked: HilOptions, address: str, rate_hz: float, *, period_s:
                     next_s + (bridge.period_s if hardware or not bridge.lockstep else period_s), sent_s - SLIP_S
                 )
             if hardware and not told and bridge.in_hil is False:
-                told = True
-                _say("the flight controller is not in HIL mode: load the file of --print-parameters px4 and restart it")
+                told, remedy = True, "load the file of --print-parameters px4 and restart it"
+                commandline.say(f"the flight controller is not in HIL mode: {remedy}", err=True)
         traffic = endpoint.traffic
     typer.echo(
         f"{simulation.t_s:.1f} s flown in {time.monotonic() - started_s:.1f} s; {bridge.controls} motor commands, "

@@ -165,11 +165,11 @@ def test_the_folder_is_that_of_the_xdg_specification(tmp_path: Path, monkeypatch
 @pytest.mark.parametrize("package", ["numpy", "scipy"])
 def test_the_version_is_that_of_the_sources_and_of_what_computes(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """An upgrade must not keep the answers of before."""
-    before, installed = judging_version.__wrapped__(), metadata.version
+    before, installed = digest_of_sources.__wrapped__(("mavdiag",)), metadata.version
     assert judging_version() == before
     assert digest_of_sources(("mavdiag",), ("__pycache__", "mavdiag/monitors/innovation.py")) != before
     monkeypatch.setattr(metadata, "version", lambda name: "0.0.0" if name == package else installed(name))
-    assert judging_version.__wrapped__() != before
+    assert digest_of_sources.__wrapped__(("mavdiag",)) != before
 
 
 def in_drawn_order(seed: int, deadly: frozenset[str]) -> Callable[..., Iterator[Any]]:
