@@ -35,8 +35,8 @@ levels = st.lists(st.tuples(st.sampled_from([0.0, 0.5, 1.0, 1.5, -2.0]), st.bool
 def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[float, bool]], axis: Axis) -> None:
     made, n = example_rows(len(rows) + 4), len(rows)
     turned, judged = (np.array(column) for column in zip(*rows, strict=True))
-    x = made.block.x[:, len(made.block) - len(made.rates_ns) :]
-    x[WHOLE : WHOLE + 2], x[U + 3 : U + 6] = judged, np.outer(np.eye(3)[axis.column], turned)
+    columns = made.block.x[:, len(made.block) - len(made.rates_ns) :]
+    columns[WHOLE : WHOLE + 2], columns[U + 3 : U + 6] = judged, np.outer(np.eye(3)[axis.column], turned)
     still = ModelRecord(a=(1.0, 0.0), b=(0.0,), dt_s=DT_S, order=(1, 1, 0), method=Method.LS)
     monitor = RunLength(RunLengthSpec(axis=axis, model=still, margin_rad_s=1.0))
     _, found = monitor.step(monitor.start(), made)
