@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mavdiag import __version__
-from mavdiag.archive.scan import own_cache
-from mavdiag.archive.sources import digest_of_sources
+from mavdiag.archive.scan import digest_of_sources, own_cache
 from mavdiag.as_json import json_line
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say

@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
 from mavdiag.archive.pool import died, run_all
-from mavdiag.archive.sources import digest_of_sources
+from mavdiag.archive.scan import digest_of_sources
 from mavdiag.as_json import event_json
 from mavdiag.baseline import dump, parse
 from mavdiag.commands.progress import shown

@@ -33,12 +33,13 @@ from mavdiag.archive.scan import (
     Question,
     Record,
     digest_of,
+    digest_of_sources,
     judge_file,
+    judging_version,
     open_cache,
     refused,
     scan,
 )
-from mavdiag.archive.sources import digest_of_sources, judging_version
 from mavdiag.archive.tables import COLUMNS, rows_of, write_csv, write_parquet
 from mavdiag.as_json import verdict_json
 from mavdiag.decision.alarm import Change
