@@ -96,7 +96,7 @@ class _Hangar:
 
     def record(self, log: Log, baseline: Baseline) -> FlightRecord:
         found = judge_in_full(log, baseline)
-        return record_of(log, found, baseline, airframe=self.name, added_ns=log.started_ns)
+        return replace(record_of(log, found, baseline), airframe=self.name, added_ns=log.started_ns)
 
 
 def highest(record: FlightRecord) -> float:

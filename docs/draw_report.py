@@ -3,6 +3,7 @@
 python docs/draw_report.py [FOLDER]
 """
 
+import re
 import sys
 from functools import cache
 from pathlib import Path
@@ -13,7 +14,7 @@ from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight, judge_in_full
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.report.chart import standing_alone
+from mavdiag.report.chart import FOLDER as REPORT
 from mavdiag.report.pictures import evidence_picture, residual_picture
 from mavdiag.report.sketch import Sketch
 from mavdiag.telemetry import Log
@@ -26,6 +27,7 @@ LINK = LinkSpec("qdrone2", 400.0)
 HEALTHY, JUDGED = (1, 2, 3), 9  # seeds of the flights
 FLIGHT_S, ONSET_S, FAULT, ROTOR = 20.0, 10.0, "F2/SV2", 1
 COLUMNS = 300
+WIDTH = 760  # of a drawing [px]
 CREATED = "2026-01-01T00:00:00+00:00"
 
 
@@ -46,6 +48,16 @@ def cracked() -> tuple[Log, JudgedFlight]:
     """A flight in which a propeller cracks."""
     log = fly(JUDGED, injections_of(FAULT, ROTOR, ONSET_S, 1.0, np.random.default_rng(0)))
     return log, judge_in_full(log, baseline())
+
+
+def standing_alone(svg: str) -> str:
+    """The drawing as a file of its own."""
+    height = int(re.findall(r'height="(\d+)"', svg)[0]) + 16
+    style = (REPORT / "chart.css").read_text(encoding="utf-8")
+    ground = '<rect width="100%" height="100%" class="ground"/>'
+    inner = svg.strip().replace('width="100%"', f'x="64" y="8" width="{WIDTH - 84}" overflow="visible"', 1)
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{height}" viewBox="0 0 {WIDTH} {height}">'
+    return f"{head}<style>{style}</style>{ground}{inner}</svg>\n"
 
 
 def main(folder: Path) -> None:

@@ -1,10 +1,8 @@
 """Rows from plain arrays: for the examples in the docstrings, and for tests."""
 
-from dataclasses import replace
-
 import numpy as np
 
-from mavdiag.rows.block import COVERED, OUTPUTS, RATE, VALID, WHOLE, Block, Part, Rows, U, with_outputs
+from mavdiag.rows.block import COVERED, OUTPUTS, RATE, VALID, WHOLE, Block, Part, Rows, with_outputs
 from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import BoolArray, FloatArray
 
@@ -43,10 +41,3 @@ def changed(block: Block, **columns: FloatArray | BoolArray | None) -> Block:
         part: Part[np.float64] = Block.__dict__[name]
         made.x[part.at] = column.T
     return made
-
-
-def with_rates(rows: Rows, u: FloatArray, y: FloatArray, commanded: BoolArray) -> Rows:
-    """The rows with other rates, (k, 3) and (k,)."""
-    block, lag = replace(rows.block, x=rows.block.x.copy()), len(rows.block) - len(rows.rates_ns)
-    block.x[WHOLE : WHOLE + 2, lag:], block.x[U : U + 3, lag:], block.x[U + 3 : U + 6, lag:] = commanded, u.T, y.T
-    return Rows(block, rows.rates_ns)

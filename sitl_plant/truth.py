@@ -8,8 +8,8 @@
 
 import json
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import TextIO
@@ -93,15 +93,9 @@ def _ns(t_s: float) -> float:
     return round(t_s * 1e9) if math.isfinite(t_s) else t_s
 
 
-@contextmanager
-def truth_file(path: Path | None) -> Iterator[TextIO | None]:
+def truth_file(path: Path | None) -> AbstractContextManager[TextIO | None]:
     """The open file, None for no file. Raises UsageError if it cannot be written."""
-    if path is None:
-        yield None
-        return
     try:
-        file = path.open("w", encoding="utf-8")
+        return nullcontext() if path is None else path.open("w", encoding="utf-8")
     except OSError as error:
         raise UsageError(f"cannot write {path}: {error.strerror}; choose another --truth file") from error
-    with file:
-        yield file

@@ -302,6 +302,12 @@ class Vehicle:
             raise ValueError("mocap.markers_m lie on one line")
         return self
 
+    @property
+    def hover_rad_s(self) -> float:
+        """The rotor speed that carries it."""
+        lift = self.body.mass_kg * G / (len(self.rotors) * self.propulsion.thrust_coefficient_n_s2)
+        return math.sqrt(lift)
+
 
 def airframe_of(vehicle: Vehicle, name: str) -> Airframe:
     """What a detector may know of such a vehicle: its rotors, its mass, and the rotor speed that carries it.
@@ -309,13 +315,12 @@ def airframe_of(vehicle: Vehicle, name: str) -> Airframe:
     The fault types were trained on the shipped QDrone 2 and hold for it alone.
     """
     places = [Place(rotor.position_m[0], rotor.position_m[1], rotor.spin) for rotor in vehicle.rotors]
-    lift = vehicle.body.mass_kg * G / (len(places) * vehicle.propulsion.thrust_coefficient_n_s2)
     shipped = vehicle == qdrone2()
     return Airframe(
         name=name,
         layout=airframe_named("qdrone2").layout if shipped else layout_at(vehicle.name, places),
         mass_kg=vehicle.body.mass_kg,
-        hover_rad_s=math.sqrt(lift),
+        hover_rad_s=vehicle.hover_rad_s,
         classifier=airframe_named("qdrone2").classifier if shipped else None,
     )
 

@@ -87,10 +87,8 @@ class Window:
     monitors: tuple[WindowMonitor, ...]
 
 
-def record_of(
-    log: Log, judged: JudgedFlight, baseline: Baseline, *, airframe: str = "", added_ns: int = 0
-) -> FlightRecord:
-    """What is kept of a flight. added_ns: the present time, unix epoch [ns]."""
+def record_of(log: Log, judged: JudgedFlight, baseline: Baseline) -> FlightRecord:
+    """What is kept of a flight, without its airframe and the time at which a history takes it in."""
     traces = () if judged.chain is None else slot_traces(judged.chain, judged.pieces)
     content = log.sha256 if log.vehicle is None else f"{log.sha256}:{log.vehicle}"
     trims = (trace.found for trace in traces if isinstance(trace.slot.monitor, RotorTrim))
@@ -98,11 +96,11 @@ def record_of(
     monitor = next((trace.slot.monitor for trace in traces if isinstance(trace.slot.monitor, RotorTrim)), None)
     verdict = judged.verdict
     return FlightRecord(
-        airframe,
+        "",
         log.name,
         content,
         log.started_ns,
-        added_ns,
+        0,
         baseline.digest,
         verdict.verdict,
         verdict.reason,

@@ -13,6 +13,8 @@ from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from functools import cache, lru_cache, partial
+from importlib import metadata, resources
+from importlib.resources.abc import Traversable
 from io import BufferedReader
 from pathlib import Path
 from typing import cast
@@ -23,7 +25,6 @@ from pydantic_core import to_json
 from mavdiag.archive.figures import FlightRecord, Window, record_of, windows_of
 from mavdiag.archive.paths import Named
 from mavdiag.archive.pool import died, run_all
-from mavdiag.archive.sources import judging_version
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.errors import InputError, LinkError, MavdiagError, UsageError
 from mavdiag.judging import JUDGED_SHARE, LogVerdict, Verdict, judge, judge_in_full
@@ -32,6 +33,7 @@ from mavdiag.logs.csv_columns import ColumnMap
 from mavdiag.storage import open_regular, read_text, write_atomically
 
 MOST_BYTES = 1 << 40  # the readers know how long a log of their kind may be
+COMPUTED_BY = ("numpy", "scipy", "numba", "pymavlink", "pyulog")  # whose versions may change a figure
 RECORD_BYTES = 64 << 20  # of one answer; a flight of an hour with an alarm a second has 1 MB (our choice)
 DIED = "the process that judged it died, perhaps for want of memory; judge it alone, or a part of it (--from, --to)"
 
@@ -167,6 +169,38 @@ def digest_of(path: Path) -> str:
             return hashlib.file_digest(cast(BufferedReader, file), "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+@cache
+def digest_of_sources(packages: tuple[str, ...], unrelated: tuple[str, ...] = ("__pycache__",)) -> str:
+    """A digest of all sources and data of packages and of the versions of what computes, 16 hexadecimal digits.
+
+    unrelated: ends of the paths that are left out.
+    """
+    digest = hashlib.sha256(repr([(name, _version(name)) for name in COMPUTED_BY]).encode())
+    for package in packages:
+        for name, content in sorted(_sources(resources.files(package), package, unrelated)):
+            digest.update(name.encode() + hashlib.sha256(content).digest())
+    return digest.hexdigest()[:16]
+
+
+def judging_version() -> str:
+    """The digest of this package."""
+    return digest_of_sources(("mavdiag",))
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def _sources(folder: Traversable, path: str, unrelated: tuple[str, ...]) -> Iterator[tuple[str, bytes]]:
+    for entry in folder.iterdir():
+        name = f"{path}/{entry.name}"
+        if not name.endswith(unrelated):
+            yield from _sources(entry, name, unrelated) if entry.is_dir() else [(name, entry.read_bytes())]
 
 
 def judge_file(path: str, question: Question) -> Record:

@@ -125,8 +125,7 @@ def show(
             say(json.dumps(shown.overview_json(overview)))
         else:
             _print(overview)
-    changed = any(overview.together is not None and overview.together.changed for overview in found)
-    raise typer.Exit(1 if changed or any(overview.warned or overview.faulty for overview in found) else 0)
+    raise typer.Exit(1 if any(overview.asks for overview in found) else 0)
 
 
 @app.command()

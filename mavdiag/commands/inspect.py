@@ -84,26 +84,23 @@ def inspect(
     alone, failed = len(named.logs) == 1, False
     as_table, table = sys.stdout.isatty() and not alone and not as_json, list[Inspection | dict[str, str]]()
     for source in each(named.logs, "looking"):
+        shown: Inspection | dict[str, str]
         try:
             if source.trouble:
                 raise InputError(source.trouble)
             log = read_part(source.path, vehicle, from_s, to_s, mapped, profile)
             counted = _counted(source.path, vehicle) if alone and log.profile in PROFILES else (None, {})
-            found = inspection_of(log, told, log.name, judged_by, *counted)
+            shown = found = inspection_of(log, told, log.name, judged_by, *counted)
+            text = in_full(found) if alone else in_one_line(found)
         except InputError as error:
             failed, said = True, str(error).removeprefix(f"{source.path}: ")
             if alone and not as_json:
                 raise InputError(f"{source.path}: {said}") from error
-            name = str(source.path)
-            if as_table:
-                table.append({"log": name, "error": said})
-            else:
-                say(json_line({"log": name, "error": said}) if as_json else f"{name}: error, {said}")
-            continue
+            shown, text = {"log": str(source.path), "error": said}, f"{source.path}: error, {said}"
         if as_table:
-            table.append(found)
-            continue
-        say(json_line(found) if as_json else in_full(found) if alone else in_one_line(found))
+            table.append(shown)
+        else:
+            say(json_line(shown) if as_json else text)
     if as_table:
         from mavdiag.terminal.tables import look_table  # rich takes time to load
 

@@ -25,6 +25,7 @@ from mavdiag.identify.estimate import sweep as fit_each
 from mavdiag.identify.lab import Figure, ModelFigures, draw_model, model_figures
 from mavdiag.logs.log import read_bytes
 from mavdiag.monitors.run_length import RunLengthSpec
+from mavdiag.rows.savgol import MIN_WINDOW
 from mavdiag.storage import check_output
 from mavdiag.telemetry import Axis
 
@@ -32,7 +33,6 @@ SETTLE_S = 1.0  # of each stretch that the fit figures leave out: it may begin i
 WINDOWS_S = (0.02, 0.05, 0.1, 0.2, 0.4)
 SHOWN_ROWS = 12
 RESPONSE_WINDOW_S = 2.0  # of the frequency-response estimate: lines 0.5 Hz apart (our choice)
-MIN_WINDOW = 5  # samples: the shortest Savitzky-Golay window of a parabola that smooths
 PASSED = 0.5  # cycles a window: above it the slope and the smoothing filter no longer pass alike (our choice)
 
 

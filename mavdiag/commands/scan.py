@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from mavdiag.archive.figures import FlightRecord, Window
+from mavdiag.archive.figures import FlightRecord
 from mavdiag.archive.paths import Named
 from mavdiag.archive.scan import Answer, Cache, Options, Question, open_cache
 from mavdiag.archive.scan import scan as archive
@@ -122,14 +122,13 @@ def judging(
 
 
 def _json_line(answer: Answer) -> str:
-    windows = [_window_json(window) for window in answer.record.windows]
-    return json.dumps(verdict_json(answer.verdict) | ({"windows": windows} if windows else {}))
-
-
-def _window_json(window: Window) -> dict[str, object]:
-    told = asdict(window) | {"ratio": number(window.ratio)}
-    told |= {name: round(told[name], 3) for name in ("judged_s", "flown_s")}
-    return {name: told[name] for name in ("from_s", "to_s", "verdict", "judged_s", "flown_s", "ratio", "monitor")}
+    told = verdict_json(answer.verdict)
+    for window in answer.record.windows:
+        part = {name: getattr(window, name) for name in ("from_s", "to_s", "verdict")}
+        part |= {"judged_s": round(window.judged_s, 3), "flown_s": round(window.flown_s, 3)}
+        part |= {"ratio": number(window.ratio), "monitor": window.monitor}
+        told.setdefault("windows", []).append(part)
+    return json.dumps(told)
 
 
 def _lines(answer: Answer) -> str:

@@ -10,7 +10,6 @@ import sysconfig
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import Annotated, BinaryIO, TypeAlias
 
@@ -90,7 +89,8 @@ def setup(
         flights = list(_known(folder, coverage, sysid, options))
         coach = _Coach(link, front_for([log], options.window_s, options.airframe.gate), coverage, passed)
         while coverage.step is not None:
-            path = next(path for path in map(partial(_flight, folder), itertools.count(1)) if not path.exists())
+            free = (folder / f"flight-{number:03d}.tlog" for number in itertools.count(1))
+            path = next(path for path in free if not path.exists())
             flights += [path] if coach.fly(path) else []
     if options.airframe.name == Airframe().name:
         options = with_airframe(options, None, f"vehicle {sysid}")
@@ -105,10 +105,6 @@ def setup(
         raise UsageError(f"the detector refuses {config}; see above")
     say(f"start it with: mavdiag-detector --config {config}")
     _offer_service(folder.resolve(), ask=not yes)
-
-
-def _flight(folder: Path, number: int) -> Path:
-    return folder / f"flight-{number:03d}.tlog"
 
 
 def _known(folder: Path, coverage: Coverage, sysid: int, options: LearnOptions) -> Iterator[Path]:

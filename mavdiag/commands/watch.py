@@ -39,11 +39,8 @@ def watch(
     figures and texts are shown. On a link that it listens on it sends nothing, on others a ground station's heartbeat.
     On a pipe it prints one line an event.
     """
-    from mavdiag.terminal import watching
-    from mavdiag.terminal.ground_station import (
-        GroundStation,  # here, for rich takes time to load
-        LiveJudge,
-    )
+    from mavdiag.terminal import watching  # here, for rich takes time to load
+    from mavdiag.terminal.ground_station import GroundStation, LiveJudge
 
     until = float("inf") if duration is None else time.monotonic() + duration
     with stop_signals() as stopped:
@@ -56,10 +53,8 @@ def watch(
                 raise UsageError("--baseline and --signing-key are for a link; a journal has its verdicts")
             with closing(watching.Journal(Path(source))) as journal:
                 return watching.follow(journal, vehicle, ended)
-        judged_by, key = (
-            None if baseline is None else Baseline.load(baseline),
-            None if signing_key is None else read_key(signing_key),
-        )
+        judged_by = None if baseline is None else Baseline.load(baseline)
+        key = None if signing_key is None else read_key(signing_key)
 
         def signing() -> Signing | None:
             return None if key is None else Signing(key, stamp=stamp_at(time.time_ns()))

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mavdiag import __version__
-from mavdiag.archive.scan import own_cache
-from mavdiag.archive.sources import digest_of_sources
+from mavdiag.archive.scan import digest_of_sources, own_cache
 from mavdiag.as_json import json_line
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
@@ -106,7 +105,7 @@ def thesis_rule(baseline: Baseline) -> Baseline:
 
 def own_baselines(*, quiet: bool, thorough: bool = False) -> tuple[Path, Path]:
     """The demo's baselines, of all monitors and of the thesis rule, learnt anew after any change of the sources."""
-    cache, digest = own_cache(), digest_of_sources(("mavdiag", "sitl_plant"), ("__pycache__",))
+    cache, digest = own_cache(), digest_of_sources(("mavdiag", "sitl_plant"))
     count = THOROUGH_FLIGHTS if thorough else QUICK_FLIGHTS
     fused, thesis = (cache / f"demo-{name}-{count}-{__version__}-{digest}.json" for name in ("fused", "thesis"))
     if _usable(fused) and _usable(thesis):

@@ -84,7 +84,8 @@ def trend_rows(overview: Overview) -> Iterator[dict[str, Any]]:
 
 
 def _trend_json(found: Review) -> dict[str, Any]:
-    series, trend, remaining = found.series, found.trend, found.remaining
+    series, trend = found.series, found.trend
+    remaining = trend and trend.remaining()
     told = {
         **{name: getattr(series, name) for name in ("monitor", "axis", "unit", "threshold")},
         "outlook": found.outlook.name.lower(),
@@ -146,8 +147,8 @@ def _sentence(found: Review) -> str:
     unit = f" {series.unit}" if series.unit else ""
     told += f"; {trend.level:.2f} of the threshold {series.threshold:.3g}{unit}"
     told += f", {slope:+.4f} a flight" if (slope := round(trend.slope, 4)) else ""
-    if found.outlook in (Outlook.GROWN, Outlook.WARNING) and found.remaining is not None:
-        told += f", there in {_flights(found.remaining)}"
+    if found.outlook in (Outlook.GROWN, Outlook.WARNING) and (remaining := trend.remaining()) is not None:
+        told += f", there in {_flights(remaining)}"
     return told + "".join(f"; jumped by {change.step:+.2f} at flight {change.number}" for change in found.changes)
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from mavdiag.archive.figures import FlightRecord
 from mavdiag.archive.together import Reference, Together, together
 from mavdiag.baseline import SESSION_GAP_NS
-from mavdiag.history.trend import Change, Remaining, Trend, changes_of, sessions_of, trend_of
+from mavdiag.history.trend import Change, Trend, changes_of, sessions_of, trend_of
 from mavdiag.judging import Verdict
 from mavdiag.monitors import BY_NAME
 from mavdiag.monitors.base import FaultKind
@@ -113,7 +113,7 @@ WARNS = (Outlook.WARNING, Outlook.REACHED)
 
 @dataclass(frozen=True, slots=True)
 class Review:
-    """What is found of one statistic in one stretch. trend, remaining: at the newest flight that it judged.
+    """What is found of one statistic in one stretch. trend: at the newest flight that it judged.
 
     warned_at: number of the flight since which it is warned of; None if it is not. changes: where it jumped.
     """
@@ -121,7 +121,6 @@ class Review:
     series: Series
     outlook: Outlook
     trend: Trend | None
-    remaining: Remaining | None
     warned_at: int | None
     changes: tuple[Change, ...]
 
@@ -151,6 +150,11 @@ class Overview:
         """Whether the last flight is a fault, and nothing was mended or changed since."""
         last = self.stretches[-1].flights if self.stretches else ()
         return bool(last) and last[-1].verdict is Verdict.FAULT
+
+    @property
+    def asks(self) -> bool:
+        """Whether it asks for action: a rotor has changed, a statistic is warned of, or the last flight is a fault."""
+        return bool(self.warned) or self.faulty or (self.together is not None and self.together.changed)
 
 
 def stretches_of(flights: Sequence[FlightRecord], marks: Sequence[Mark]) -> tuple[Stretch, ...]:
@@ -215,7 +219,7 @@ def review(series: Series) -> Review:
     trend = _trend_at(series, share, int(judged[-1])) if len(judged) >= CONFIRMED else None
     first = _first_level(share)
     if trend is None or first is None or len(series.number) < FIRST:
-        return Review(series, Outlook.TOO_FEW, None, None, None, changes)
+        return Review(series, Outlook.TOO_FEW, None, None, changes)
     since, grown = warned_at(series), trend.level - first
     error = float(np.hypot(np.sqrt(trend.level_variance), trend.scale / np.sqrt(FIRST / 2)))
     outlook = Outlook.GROWN if grown > SURE * error else Outlook.STEADY
@@ -223,7 +227,7 @@ def review(series: Series) -> Review:
         outlook = Outlook.REACHED
     elif since is not None and grown >= KEPT * (1.0 - first):
         outlook = Outlook.WARNING
-    return Review(series, outlook, trend, trend.remaining(), since if outlook in WARNS else None, changes)
+    return Review(series, outlook, trend, since if outlook in WARNS else None, changes)
 
 
 def warned_at(series: Series, *, before: int | None = None) -> int | None:

@@ -23,7 +23,6 @@ from mavdiag.rows.windows import spans
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 
 FOLDER = Path(__file__).parent
-SVG = "http://www.w3.org/2000/svg"
 COLUMNS = 1500  # of a line across the page (our choice)
 BREAK = 3.0  # a step of more than so many usual ones is a gap in the data (our choice)
 UNITS, HIGH = 4000, 1000
@@ -231,16 +230,6 @@ def template(name: str) -> Template:
     """A template of this folder, whose values are escaped."""
     made = Environment(autoescape=True, trim_blocks=True, finalize=lambda value: printable(str(value)))
     return made.from_string((FOLDER / name).read_text(encoding="utf-8"))
-
-
-def standing_alone(svg: str, width: int = 760) -> str:
-    """The drawing as a file of its own."""
-    height = int(re.findall(r'height="(\d+)"', svg)[0]) + 16
-    style = (FOLDER / "chart.css").read_text(encoding="utf-8")
-    ground = '<rect width="100%" height="100%" class="ground"/>'
-    inner = svg.strip().replace('width="100%"', f'x="64" y="8" width="{width - 84}" overflow="visible"', 1)
-    head = f'<svg xmlns="{SVG}" width="{width}" height="{height}" viewBox="0 0 {width} {height}">'
-    return f"{head}<style>{style}</style>{ground}{inner}</svg>\n"
 
 
 def embedded(svg: str, prefix: str) -> str:

@@ -207,36 +207,30 @@ def campaign_page(campaign: Campaign, path: str, created: str) -> str:
 def history_page(overviews: Sequence[Overview], created: str) -> str:
     """One page, what asks for attention first. created: ISO 8601, UTC."""
     airframes = [
-        {"asks": _asks(one), "lines": lines_of(one), "picture": _trends(one)}
-        for one in sorted(overviews, key=_asks, reverse=True)
+        {"asks": one.asks, "lines": lines_of(one), "picture": _trends(one)}
+        for one in sorted(overviews, key=lambda one: one.asks, reverse=True)
     ]
     return _page("history.html", title="History", airframes=airframes, created=created)
 
 
-def _asks(overview: Overview) -> bool:
-    changed = overview.together is not None and overview.together.changed
-    return changed or overview.faulty or bool(overview.warned)
-
-
 def _trends(overview: Overview) -> Picture | None:
     """A panel for each statistic, in shares of its threshold; None where nothing was judged yet."""
-    parts = [(stretch, series) for stretch in overview.stretches for series in series_of(stretch)]
+    parts: dict[str, list[tuple[FloatArray, FloatArray]]] = {}
+    for stretch in overview.stretches:
+        for series in series_of(stretch):
+            number = series.number.astype(np.float64) + stretch.first - 1
+            parts.setdefault(series.name, []).append((number, series.share))
     warned = {found.series.name for found in overview.warned}
     marks = [
         (stretch.first - 0.5, stretch.began) for stretch in overview.stretches if stretch.began and stretch.flights
     ]
     panels = []
-    for monitor, axis in dict.fromkeys((series.monitor, series.axis) for _, series in parts):
-        own = [(stretch, series) for stretch, series in parts if (series.monitor, series.axis) == (monitor, axis)]
-        number = _with_gaps([series.number.astype(np.float64) + stretch.first - 1 for stretch, series in own])
-        share = _with_gaps([series.share for _, series in own])
-        name = own[0][1].name
+    for name, own in parts.items():
         look = "measured" if name not in warned else "fault"
         label = f"{pictures.name_of(name)}{': warned of' if name in warned else ''}"
-        level = Panel(
-            label, [Line(number, share, look=look)], [(1.0, "threshold")], marks, y=(0.0, None), height=TREND_HEIGHT
-        )
-        panels.append(level)
+        number, share = (_with_gaps(stretches) for stretches in zip(*own, strict=True))
+        line = Line(number, share, look=look)
+        panels.append(Panel(label, [line], [(1.0, "threshold")], marks, y=(0.0, None), height=TREND_HEIGHT))
     if not panels or len(overview.flights) < 2:
         return None
     flights = overview.flights
@@ -273,7 +267,7 @@ def _templates() -> Environment:
     )
     styles = (FOLDER / "vendor" / "uPlot.min.css", FOLDER / "chart.css", FOLDER / "templates" / "style.css")
     found.filters |= {
-        "code": _with_code,
+        "code": lambda text: Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(printable(text))))),
         "fixed": lambda value, places: "-" if value is None else f"{value:.{places}f}",
         "above": lambda monitor: monitor.maximum is not None and monitor.maximum > monitor.threshold,
         "shown": lambda value, unit: "-" if value is None else f"{pictures.scaled(unit)[0] * value:.3g}",
@@ -296,8 +290,3 @@ def _templates() -> Environment:
 
 def _clock(t_s: float) -> datetime.datetime:
     return datetime.datetime.fromtimestamp(t_s, datetime.UTC)
-
-
-def _with_code(text: str) -> Markup:
-    """The text with what stands between backticks as code."""
-    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(printable(text)))))

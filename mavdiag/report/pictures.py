@@ -25,13 +25,13 @@ from mavdiag.link.modes import mode_name
 from mavdiag.link.profiles import PROFILES
 from mavdiag.look.figures import HARMONICS, SPECTRUM_S, Spectrum
 from mavdiag.monitors.base import Feature
-from mavdiag.monitors.run_length import MIN_PIECE_S
+from mavdiag.monitors.run_length import training_pieces
 from mavdiag.report.chart import FOLDER, Chart, Line, NotDrawn, Panel, Picture, columns_of, drawn, picture
 from mavdiag.report.drawing import RotorMark, airframe_svg
 from mavdiag.report.sketch import RateSketch, Sketch, SlotSketch
 from mavdiag.rows.block import Block
 from mavdiag.rows.rates import RateSpec
-from mavdiag.rows.windows import spans
+from mavdiag.rows.savgol import MIN_WINDOW
 from mavdiag.telemetry import Axis, FloatArray, Log, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_S
 
@@ -51,7 +51,6 @@ NAMES = dict(zip(FaultType, ("F1 edge cut", "F2 crack", "F3 surface unbalance"),
 LOOKS = tuple(f"l{number}" for number in range(1, 9))  # lines of equal rank
 LEAST_HZ = 2.0  # of a spectrum: below it is the flight itself
 WINDOWS_S = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
-LEAST = 5  # samples: the shortest window of a parabola that smooths
 LEAST_S = 0.5  # of a stretch that was not judged, for a page to name it (our choice)
 JOINED_S = 1.0  # between two values of one judged stretch (our choice)
 SHARES = ("fraction of ", "share of ")
@@ -426,18 +425,13 @@ def sweep_of(
     dt_s = blocks[0].dt_s
 
     def prepare(count: int) -> tuple[list[FloatArray], list[FloatArray]]:
-        """u and y of each stretch that can train a model."""
-        spec, us, ys = RateSpec.of(dt_s, count, polynomial), list[FloatArray](), list[FloatArray]()
+        spec = RateSpec.of(dt_s, count, polynomial)
         state = spec.start()
-        for block in blocks:
-            rates = spec.step(state, replace(block, x=block.x.copy())).rates
-            for first, stop in spans(rates.commanded):
-                if (stop - first) * rates.dt_s >= MIN_PIECE_S:
-                    us.append(rates.u[first:stop, axis.column])
-                    ys.append(rates.y[first:stop, axis.column])
-        return us, ys
+        rows = [spec.step(state, replace(block, x=block.x.copy())) for block in blocks]
+        pieces = training_pieces(rows, axis)
+        return [u for u, _ in pieces], [y for _, y in pieces]
 
-    counts = sorted({max(round(span / dt_s) | 1, LEAST, polynomial + 1 | 1) for span in WINDOWS_S})
+    counts = sorted({max(round(span / dt_s) | 1, MIN_WINDOW, polynomial + 1 | 1) for span in WINDOWS_S})
     return sweep(((order, count, prepare(count), None) for count in counts), dt=dt_s, method=method)
 
 
@@ -453,7 +447,10 @@ def windows_picture(sweeps: Mapping[Axis, Sequence[SweepRow]], dt_s: float, wind
         reasons = {row.refused for rows in sweeps.values() for row in rows if row.refused}
         why = min(reasons, default="it takes attitude set-points and a model in the baseline")
         raise NotDrawn(f"no model could be fitted to this flight: {why}")
-    lines = list(_fits(known))
+    lines = list[Line]()
+    for look, (axis, fits) in zip(LOOKS, known.items(), strict=False):
+        at, r2t = np.log10([window for window, _ in fits]), np.array([fit for _, fit in fits])
+        lines += [Line(at, r2t, axis.value, look), Line(at, r2t, "", f"{look} big", "dots")]
     ends = [math.log10(at) for fits in known.values() for at, _ in fits] + [math.log10(window_s)]
     ticks = [(math.log10(span), f"{span:g}") for span in WINDOWS_S if min(ends) - 0.05 <= math.log10(span)]
     marks = [(math.log10(window_s), f"baseline, {window_s:.3g} s")]
@@ -461,10 +458,3 @@ def windows_picture(sweeps: Mapping[Axis, Sequence[SweepRow]], dt_s: float, wind
     panel = Panel("fit R_T² of the simulated rate", lines, marks=marks, y=(None, 1.02), height=180)
     across = (min(ends) - 0.05, max([*ends, ticks[-1][0]]) + 0.05)
     return Chart([panel], across, f"{best}.", "", "window [s]", ticks, kind="still")
-
-
-def _fits(known: Mapping[Axis, Sequence[tuple[float, float]]]) -> Iterator[Line]:
-    for look, (axis, fits) in zip(LOOKS, known.items(), strict=False):
-        windows_s, r2t = np.transpose(fits)
-        yield Line(np.log10(windows_s), r2t, axis.value, look)
-        yield Line(np.log10(windows_s), r2t, "", f"{look} big", "dots")

@@ -10,7 +10,7 @@ from mavdiag.decision.diagnosis import Change, Diagnosis
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.judging import why_not
 from mavdiag.kernel import Gauge, Piece
-from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
+from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.datagrams import Chunk, Datagrams
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
 from mavdiag.link.ports import Endpoint, wait
@@ -26,10 +26,6 @@ BEAT_S = 1.0  # between our heartbeats
 MAV_STATE_ACTIVE, MAVLINK_VERSION = 4, 3  # in HEARTBEAT
 WANTED = (MessageId.STATUSTEXT, MessageId.NAMED_VALUE_FLOAT, MessageId.ATTITUDE)
 TEXTS = 10_000  # that are kept (our choice)
-
-_BOOT_MS = field_index(MessageId.ATTITUDE, "time_boot_ms")
-_NAME = field_index(MessageId.NAMED_VALUE_FLOAT, "name")
-_VALUE = field_index(MessageId.NAMED_VALUE_FLOAT, "value")
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,13 +176,11 @@ class GroundStation:
             return
         match frame.compid, frame.msgid:
             case Component.AUTOPILOT1, MessageId.ATTITUDE:
-                self._times[frame.sysid] = float(str(frame.fields[_BOOT_MS])) / 1e3
+                self._times[frame.sysid] = frame.value("time_boot_ms") / 1e3
             case Component.ONBOARD_COMPUTER, MessageId.STATUSTEXT:
                 (severity,), t_s = frame.numbers("severity"), self._times.get(frame.sysid, 0.0)
                 self.texts.append(ReceivedText(severity, printable(frame.text("text")), t_s))
                 fresh.append(self.texts[-1])
                 del self.texts[:-TEXTS]
             case Component.ONBOARD_COMPUTER, MessageId.NAMED_VALUE_FLOAT if self.shown in (None, frame.sysid):
-                name, value = frame.fields[_NAME], frame.fields[_VALUE]
-                if isinstance(name, bytes) and isinstance(value, float):
-                    self.figures[name.rstrip(b"\0").decode(errors="replace")] = value
+                self.figures[frame.text("name")] = frame.value("value")

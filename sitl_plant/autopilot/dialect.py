@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.errors import UsageError
-from mavdiag.link.messages import MavResult, MessageId
+from mavdiag.link.messages import Autopilot, MavResult, MessageId
+from mavdiag.link.modes import MODES
 from mavdiag.link.parameters import Encoding, Kind, Parameter
 from mavdiag.link.profiles import PROFILES, Profile, profile_named
 from sitl_plant.autopilot.schedule import Schedule
@@ -51,30 +52,24 @@ class ModeCode(NamedTuple):
     name: str
 
 
-_COPTER_MODES = tuple(
-    ModeCode(number, mode, name)
-    for mode, codes in (
-        (Mode.GUIDED, {4: "GUIDED"}),
-        (Mode.HOLD, {5: "LOITER", 16: "POSHOLD", 17: "BRAKE"}),
-        (Mode.MANUAL, {0: "STABILIZE", 2: "ALT_HOLD"}),
-        (Mode.MISSION, {3: "AUTO"}),
-        (Mode.RTL, {6: "RTL"}),
-        (Mode.LAND, {9: "LAND"}),
-    )
-    for number, name in codes.items()
+def _codes(meaning: Mapping[str, Mode], autopilot: Autopilot) -> tuple[ModeCode, ...]:
+    """The modes of these names, as `mavdiag.link.modes` has them, spelled as the autopilot itself spells them."""
+    px4 = autopilot is Autopilot.PX4
+    numbers = {name: number for number, name in MODES.items() if (number >= 1 << 16) is px4}
+    spelled = str.capitalize if px4 else str.upper
+    return tuple(ModeCode(numbers[name], mode, spelled(name)) for name, mode in meaning.items())
+
+
+_COPTER_MODES = _codes(
+    {"guided": Mode.GUIDED, "loiter": Mode.HOLD, "poshold": Mode.HOLD, "brake": Mode.HOLD, "stabilize": Mode.MANUAL}
+    | {"alt_hold": Mode.MANUAL, "auto": Mode.MISSION, "rtl": Mode.RTL, "land": Mode.LAND},
+    Autopilot.ARDUPILOTMEGA,
 )
-_PX4_MODES = tuple(
-    ModeCode(main << 16 | sub << 24, mode, name)
-    for mode, codes in (
-        (Mode.HOLD, {(4, 3): "Hold"}),
-        (Mode.GUIDED, {(6, 0): "Offboard"}),
-        (Mode.MANUAL, {(1, 0): "Manual", (2, 0): "Altitude", (3, 0): "Position", (7, 0): "Stabilized"}),
-        (Mode.TAKEOFF, {(4, 2): "Takeoff"}),
-        (Mode.MISSION, {(4, 4): "Mission"}),
-        (Mode.RTL, {(4, 5): "Return"}),
-        (Mode.LAND, {(4, 6): "Land"}),
-    )
-    for (main, sub), name in codes.items()
+_PX4_MODES = _codes(
+    {"hold": Mode.HOLD, "offboard": Mode.GUIDED, "manual": Mode.MANUAL, "altitude": Mode.MANUAL}
+    | {"position": Mode.MANUAL, "stabilized": Mode.MANUAL, "takeoff": Mode.TAKEOFF, "mission": Mode.MISSION}
+    | {"return": Mode.RTL, "land": Mode.LAND},
+    Autopilot.PX4,
 )
 
 SPEED_MOST, HEIGHT_MOST = 2.0, 50.0  # m/s that the thesis's cascade flies well; m

@@ -138,8 +138,8 @@ class Pilot:
 
     def set_velocity(self, velocity: Place, yaw: float | None) -> None:
         """Follow a velocity set-point [m/s]; it is obeyed for 3 s."""
-        here = self._led()
-        north, east, down = (at + VELOCITY_S * rate for at, rate in zip(here[:3], velocity, strict=True))
+        here, _ = self._led()
+        north, east, down = (at + VELOCITY_S * rate for at, rate in zip(here, velocity, strict=True))
         self.set_point((north, east, min(down, -LOWEST_M)), yaw, math.hypot(*velocity))
 
     def set_mode(self, custom_mode: int) -> MavResult:
@@ -222,7 +222,7 @@ class Pilot:
         if mode is Mode.LAND:
             return [Waypoint(lands=True)]
         if mode is Mode.RTL:
-            north, east, down = self._led()[:3]
+            (north, east, down), _ = self._led()
             down = min(down, -self._unit(self._dialect.return_height))
             return [Waypoint((north, east, down)), Waypoint((0.0, 0.0, down)), Waypoint(lands=True)]
         return [Waypoint()]
@@ -252,8 +252,7 @@ class Pilot:
             return
         doing = self._doing = self._plan.popleft()
         self.first = doing.item if doing.item is not None else self.first
-        led = self._led()
-        here = (led[0], led[1], led[2])
+        here, _ = self._led()
         if doing.lands:
             self._lead((here[0], here[1], trajectory.BELOW_M), trajectory.DESCENT_M_S, then=trajectory.LANDING)
         else:
@@ -265,23 +264,24 @@ class Pilot:
         over_s = self._now_s - self._ends_s
         return over_s > LATE_S or (over_s > SETTLE_S and math.dist(self.position, self._leg.end) < ACCEPT_M)
 
-    def _led(self) -> tuple[float, ...]:
+    def _led(self) -> tuple[Place, float]:
+        """Where the leg leads at present, and where it turns the nose."""
         out = np.zeros(trajectory.REFERENCE)
         trajectory.follow(self._leg, self._now_s, out)
-        return tuple(out.tolist())
+        north, east, down, *_, yaw, _, _ = out.tolist()
+        return (north, east, down), yaw
 
     def _lead(
         self, end: Place, speed: float = CLIMB_M_S, yaw: float | None = None, motors: float = FLYING, then: float = -1.0
     ) -> None:
-        led = self._led()
-        start = (led[0], led[1], led[2])
+        start, heading = self._led()
         ahead, up = math.hypot(end[0] - start[0], end[1] - start[1]), abs(end[2] - start[2])
         if yaw is None and motors == FLYING and ahead > NOSE_FROM_M and self._parameters.value(NOSE):
             yaw = math.atan2(end[1] - start[1], end[0] - start[0])
-        turn = 0.0 if yaw is None else float(wrapped(yaw - led[6]))
+        turn = 0.0 if yaw is None else float(wrapped(yaw - heading))
         if up:  # neither climbs nor descends faster than take-off
             speed = min(speed, CLIMB_M_S * math.hypot(ahead, up) / up)
         speed = min(max(speed, 0.01), SPEED_MOST)
         start, then = start if motors == FLYING else end, motors if then < 0.0 else then
-        self._leg = Leg(self._now_s, start, end, speed, led[6], turn, TURN_RAD_S, float(motors), float(then))
+        self._leg = Leg(self._now_s, start, end, speed, heading, turn, TURN_RAD_S, float(motors), float(then))
         self._turned = True

@@ -30,9 +30,6 @@ class _Beat:
         self.beats = beats
         return np.flatnonzero(passed[1:] > passed[:-1])
 
-    def restart(self, period_ns: int, now_ns: int) -> None:
-        self.period_ns, self.origin_ns, self.beats = period_ns, now_ns, 0
-
 
 class Schedule:
     """The rhythm of every message that a link can carry. Time is the vehicle's.
@@ -64,7 +61,7 @@ class Schedule:
             whole_us = interval_us // self._grain_us * self._grain_us if self._grain_us else interval_us
             interval_us = max(whole_us, self._attained_us)
         wanted_ns = beat.default_ns if interval_us == DEFAULT_INTERVAL else max(0, round(interval_us * 1e3))
-        beat.restart(wanted_ns, self._now_ns + 1)
+        beat.period_ns, beat.origin_ns, beat.beats = wanted_ns, self._now_ns + 1, 0
         return MavResult.ACCEPTED
 
     def set_stream(self, messages: Collection[int], rate_hz: float) -> None:

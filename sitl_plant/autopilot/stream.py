@@ -21,9 +21,10 @@ from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_US, RPM, G
 from sitl_plant.autopilot.dialect import ESC_GROUP, Dialect, Esc
 from sitl_plant.autopilot.schedule import Schedule
+from sitl_plant.physics.parameters import STEP_S
 from sitl_plant.physics.sensors import butterworth
 from sitl_plant.physics.trajectory import FLYING
-from sitl_plant.plant import STEP_NS, PlantSamples
+from sitl_plant.plant import PlantSamples
 
 Column: TypeAlias = FloatArray | IntArray | int  # (n,), or (n, k) for k fields side by side, or a constant
 Columns: TypeAlias = Mapping[str, Column]
@@ -50,7 +51,6 @@ _EAST_M = _NORTH_M * math.cos(math.radians(HOME_LAT_DEG))
 _HOME = (round(HOME_LAT_DEG * 1e7), round(HOME_LON_DEG * 1e7), round(HOME_ALT_M * 1e3))
 # ArduPilot, AP_InertialSensor.h: ACCEL_VIBE_FLOOR_FILT_HZ, ACCEL_VIBE_FILT_HZ, ACCEL_CLIP_THRESH_MSS
 VIBE_FLOOR_HZ, VIBE_HZ, CLIP_M_S2 = 5.0, 2.0, 16.0 * G - 0.5
-STEP_S = STEP_NS * 1e-9
 
 
 def to_global(position: FloatArray) -> FloatArray:

@@ -1,7 +1,6 @@
 """What the emulated autopilot reads from a frame, a command among them, and what it answers with."""
 
 import math
-from functools import cache
 from typing import NamedTuple, TypeAlias
 
 from mavdiag.errors import UsageError
@@ -32,18 +31,13 @@ class Forward(NamedTuple):
 Action: TypeAlias = Reply | Forward
 
 
-@cache
-def _place(msgid: int, name: str) -> int | None:
-    try:
-        return field_index(msgid, name)
-    except UsageError:
-        return None
-
-
 def optional(frame: Frame, name: str) -> float | None:
     """A number from a frame; None for a field that its message has not, and for what is no finite number."""
-    place = _place(frame.msgid, name)
-    value = frame.fields[place] if place is not None else None
+    try:
+        place = field_index(frame.msgid, name)
+    except UsageError:
+        return None
+    value = frame.fields[place]
     return value if isinstance(value, int | float) and math.isfinite(value) else None
 
 

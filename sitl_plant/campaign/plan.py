@@ -23,7 +23,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
 
 from mavdiag.errors import UsageError
 from mavdiag.monitors.base import FaultKind
-from mavdiag.units import S_PER_H, G
+from mavdiag.units import S_PER_H
 from sitl_plant.autopilot.telemetry import LinkSpec
 from sitl_plant.physics.faults import FAULTS, Fault, Injection, RotorDamage, SensorFault
 from sitl_plant.physics.parameters import STEP_S
@@ -198,8 +198,7 @@ def built(vehicle: Vehicle, condition: str) -> Vehicle:
     if row.resonance_hz is not None:
         imu = replace(imu, mount=SoftMount(*row.resonance_hz))
     if row.isolation is not None:
-        lift = vehicle.body.mass_kg * G / (len(vehicle.rotors) * vehicle.propulsion.thrust_coefficient_n_s2)
-        line_hz = math.sqrt(lift) / (2.0 * math.pi)
+        line_hz = vehicle.hover_rad_s / (2.0 * math.pi)
         imu = replace(imu, mount=SoftMount(isolating_hz(line_hz, row.isolation, MOUNT_DAMPING, STEP_S), MOUNT_DAMPING))
     return vehicle if imu == vehicle.imu else replace(vehicle, imu=imu)
 
@@ -251,11 +250,6 @@ def _known(factor: str, table: Collection[str], names: tuple[str, ...]) -> tuple
     return tuple(table) if EVERY in names else tuple(dict.fromkeys(names))
 
 
-def _linked(link: str) -> str:
-    parse_link(link)
-    return link
-
-
 _Count: TypeAlias = Annotated[int, Field(ge=1)]
 
 
@@ -276,7 +270,7 @@ class Design:
     manoeuvre: Annotated[tuple[str, ...], AfterValidator(partial(_known, "manoeuvre", MANOEUVRES))] = USUAL
     wind: tuple[Annotated[float, Field(ge=0, le=10)], ...] = (0.0, 1.0)
     payload: tuple[Annotated[float, Field(ge=0, le=1000)], ...] = (0.0, 100.0)
-    link: tuple[Annotated[str, AfterValidator(_linked)], ...] = ("qdrone2@1000",)
+    link: tuple[str, ...] = ("qdrone2@1000",)
     loss: tuple[Annotated[float, Field(ge=0, le=0.9)], ...] = (0.0,)
     # each with its share of flights and hours
     condition: Annotated[tuple[str, ...], AfterValidator(partial(_known, "condition", CONDITIONS))] = (CALM,)
@@ -285,6 +279,8 @@ class Design:
     def __post_init__(self) -> None:
         if max(self.rotors) > len(self.vehicle.rotors):
             raise UsageError(f"rotor must be 1 to {len(self.vehicle.rotors)}, not {max(self.rotors)}")
+        for link in self.link:
+            parse_link(link)
 
     @property
     def rotors(self) -> tuple[int, ...]:

@@ -9,7 +9,7 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
 from mavdiag.archive.pool import died, run_all
-from mavdiag.archive.sources import digest_of_sources
+from mavdiag.archive.scan import digest_of_sources
 from mavdiag.as_json import event_json
 from mavdiag.baseline import dump, parse
 from mavdiag.commands.progress import shown
@@ -55,7 +55,8 @@ WEAR_H = 10.0  # flown between the baseline and a flight with wear, at most (our
 START_NS = 1_767_225_600 * NS_PER_S  # 2026-01-01, the first flight learnt from
 PAUSE_S, DAY_S = 300.0, 86_400.0  # between flights of one session, and between sessions (our choice)
 EPISODE_S = 10.0  # alarms this near to each other count as one (our choice)
-# What cannot change a result: bytecode, and the edges.
+# What results follow from, and what of it cannot change one: bytecode, and the edges.
+PACKAGES = ("mavdiag", "sitl_plant")
 UNRELATED = (
     *("__pycache__", "py.typed", "__main__.py", "mavdiag/cli.py", "mavdiag/commands", "mavdiag/demo"),
     *("sitl_plant/campaign/command.py", "sitl_plant/campaign/summary.py"),
@@ -325,15 +326,10 @@ def _answer(verdict: LogVerdict, after: Sequence[JudgedEvent]) -> Answer:
     return Answer("suspicion" if kind is None else kind.value, **named)
 
 
-@cache
-def source_key() -> str:
-    """A digest of the sources and data that results follow from."""
-    return digest_of_sources(("mavdiag", "sitl_plant"), UNRELATED)
-
-
 def task_key(seed: int, task: LearnTask | FlightTask) -> str:
     """What a result is kept under."""
-    content = json.dumps([source_key(), seed, type(task).__name__, asdict(task)], sort_keys=True)
+    sources = digest_of_sources(PACKAGES, UNRELATED)
+    content = json.dumps([sources, seed, type(task).__name__, asdict(task)], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()[:20]
 
 

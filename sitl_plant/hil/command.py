@@ -27,7 +27,7 @@ from sitl_plant.physics.airframe import Payload
 from sitl_plant.physics.faults import Injection, fault_injection
 from sitl_plant.plant import PlantConfig
 from sitl_plant.truth import Truth, truth_file
-from sitl_plant.vehicle import Vehicle, vehicle_from
+from sitl_plant.vehicle import vehicle_from
 
 POLL_S = 0.2  # how often a signal is looked for
 PATIENCE_S = 1.0  # wall clock: a sensor message that was not answered for so long is followed by the next (our choice)
@@ -37,20 +37,18 @@ _PRINTED = "Print the parameter file to load into the autopilot, and end."
 
 @dataclass(frozen=True, slots=True)
 class HilOptions:
-    """What the commands share. duration_s: infinite if it was left open. told: of the fault, empty for none."""
+    """What the commands share. duration_s: infinite if it was left open."""
 
     config: PlantConfig
-    after_takeoff: tuple[Injection, ...]
-    vehicle: Vehicle
+    after_takeoff: tuple[Injection, ...]  # the fault, if there is one
     duration_s: float
     truth: Path | None
-    told: str
     parameters_of: AutopilotName | None
 
     def print_parameters(self, *, hardware: bool = False) -> bool:
         """Print the file of parameters if it was asked for, and say so."""
         if self.parameters_of:
-            typer.echo(parameter_file(self.vehicle, self.parameters_of, hardware=hardware), nl=False)
+            typer.echo(parameter_file(self.config.vehicle, self.parameters_of, hardware=hardware), nl=False)
         return bool(self.parameters_of)
 
     @contextmanager
@@ -65,8 +63,11 @@ class HilOptions:
             with working(options.STARTING):
                 watch = Truth(self.config, link, rate_hz, None, lines).write
                 simulation = Simulation(self.config, self.after_takeoff, watch)
-            told = self.told.format(motor=outputs.motor(self.config.rotor)) or "healthy"
-            typer.echo(f"{self.vehicle.name} stands ready, {told}; waiting for {autopilot} on {port.address}")
+            told = "healthy"
+            for fault in self.after_takeoff:
+                place = f"rotor {fault.rotor} (motor {outputs.motor(fault.rotor)})"
+                told = f"{fault.name} on {place} {fault.onset_s:g} s after the take-off"
+            typer.echo(f"{self.config.vehicle.name} stands ready, {told}; waiting for {autopilot} on {port.address}")
             yield port, simulation, lambda: simulation.t_s < self.duration_s and not stop()
 
 
@@ -106,12 +107,7 @@ def hil_options(
         seed=seed,
     )
     later = () if fault is None else (fault_injection(fault, rotor, onset, phenomenology),)
-    told = f"{fault} on rotor {rotor} (motor {{motor}}) {onset:g} s after the take-off" if fault else ""
-    return HilOptions(config, later, kind, math.inf if duration is None else duration, truth, told, wanted)
-
-
-def _say(line: str) -> None:
-    typer.echo(line, err=True)
+    return HilOptions(config, later, math.inf if duration is None else duration, truth, wanted)
 
 
 @options.with_options(hil_options)
@@ -127,7 +123,7 @@ def serve_ardupilot(
     """
     if asked.print_parameters():
         return
-    outputs = output_map(asked.vehicle, "ardupilot")
+    outputs = output_map(asked.config.vehicle, "ardupilot")
     if parse_address(listen).kind is not Kind.UDP_IN:
         raise UsageError(f"{listen}: the autopilot sends to a UDP port: write udpin:HOST:PORT")
     with asked.serving(listen, "ardupilot-json", 1000.0, "ArduPilot", outputs) as (port, simulation, goes_on):
@@ -140,7 +136,8 @@ def serve_ardupilot(
                 if answer is not None:
                     port.answer(answer, peer)
                 elif counts.foreign == 1 > foreign:
-                    _say(f"ignored {len(data)} bytes that are no servo frame of ArduPilot, and shall ignore others too")
+                    what = f"{len(data)} bytes that are no servo frame of ArduPilot"
+                    commandline.say(f"ignored {what}, and shall ignore others too", err=True)
     took_s = time.monotonic() - started_s
     typer.echo(
         f"{simulation.t_s:.1f} s flown in {took_s:.1f} s; {counts.frames} frames ({counts.frames / took_s:.0f}/s), "
@@ -186,7 +183,7 @@ def _serve_mavlink(asked: HilOptions, address: str, rate_hz: float, *, period_s:
     """
     if asked.print_parameters(hardware=hardware):
         return
-    outputs, peer = output_map(asked.vehicle, "px4"), "a flight controller" if hardware else "PX4"
+    outputs, peer = output_map(asked.config.vehicle, "px4"), "a flight controller" if hardware else "PX4"
     with asked.serving(address, "px4-hil", rate_hz, peer, outputs) as (endpoint, simulation, goes_on):
         bridge, decoder, started_s = Bridge(simulation, outputs, rate_hz), Decoder(WANTED), time.monotonic()
         feed = decoder.feed_datagram if endpoint.datagrams else decoder.feed
@@ -211,8 +208,8 @@ def _serve_mavlink(asked: HilOptions, address: str, rate_hz: float, *, period_s:
                     next_s + (bridge.period_s if hardware or not bridge.lockstep else period_s), sent_s - SLIP_S
                 )
             if hardware and not told and bridge.in_hil is False:
-                told = True
-                _say("the flight controller is not in HIL mode: load the file of --print-parameters px4 and restart it")
+                told, remedy = True, "load the file of --print-parameters px4 and restart it"
+                commandline.say(f"the flight controller is not in HIL mode: {remedy}", err=True)
         traffic = endpoint.traffic
     typer.echo(
         f"{simulation.t_s:.1f} s flown in {time.monotonic() - started_s:.1f} s; {bridge.controls} motor commands, "

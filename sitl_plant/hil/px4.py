@@ -17,7 +17,7 @@ from mavdiag.link.codec import Encoder, Frame, field_index
 from mavdiag.link.messages import Autopilot, MavCmd, MavType, MessageId, ModeFlag
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import G
-from sitl_plant.autopilot.stream import to_global
+from sitl_plant.autopilot.stream import FIX_3D, SATELLITES, to_global
 from sitl_plant.autopilot.wire import integer, number
 from sitl_plant.hil.simulation import OutputMap, Simulation
 from sitl_plant.plant import PlantSamples
@@ -26,7 +26,6 @@ WANTED = (MessageId.HIL_ACTUATOR_CONTROLS, MessageId.HEARTBEAT, MessageId.COMMAN
 LOCKSTEP = 1
 IMU, COMPASS, BARO = 0b111_111, 0b111_000_000, 0b1101_000_000_000  # HIL_SENSOR_UPDATED_FLAGS
 SYSID, COMPID = 142, 1  # our choice: neither a vehicle nor a ground station
-FIX_3D, SATELLITES = 3, 12
 CM = 100.0
 FIELD_N = np.array([0.21523, 0.00771, 0.42741])  # gauss, NED
 COMPASS_RMS, PRESSURE_RMS_HPA = 0.001, 0.01

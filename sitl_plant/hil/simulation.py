@@ -11,6 +11,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from mavdiag.errors import UsageError
+from mavdiag.link.parameters import Kind
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.faults import Injection
 from sitl_plant.physics.parameters import STEP_S
@@ -21,7 +22,6 @@ AutopilotName: TypeAlias = Literal["ardupilot", "px4"]
 Watch: TypeAlias = Callable[[PlantSamples, Sequence[Change]], None]
 FLYING_M = 0.1  # height above the start at which a take-off counts (our choice)
 FIRST_MOTOR = 101  # PX4's output function "Motor 1"
-INT32, REAL32 = 6, 9  # MAV_PARAM_TYPE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +82,8 @@ def parameter_file(vehicle: Vehicle, autopilot: AutopilotName, *, hardware: bool
     rows |= ({"SYS_HITL": 1} if hardware else {}) | {
         f"{output}{1 + n}": FIRST_MOTOR + n for n in range(len(pilot.rotors))
     }
-    lines = (f"1\t1\t{name}\t{value}\t{INT32 if isinstance(value, int) else REAL32}\n" for name, value in rows.items())
+    kinds = {int: Kind.INT32, float: Kind.REAL32}
+    lines = (f"1\t1\t{name}\t{value}\t{kinds[type(value)]}\n" for name, value in rows.items())
     return head + "# Vehicle-Id Component-Id Name Value Type\n" + "".join(lines)
 
 

@@ -33,12 +33,13 @@ from mavdiag.archive.scan import (
     Question,
     Record,
     digest_of,
+    digest_of_sources,
     judge_file,
+    judging_version,
     open_cache,
     refused,
     scan,
 )
-from mavdiag.archive.sources import digest_of_sources, judging_version
 from mavdiag.archive.tables import COLUMNS, rows_of, write_csv, write_parquet
 from mavdiag.as_json import verdict_json
 from mavdiag.decision.alarm import Change
@@ -165,11 +166,11 @@ def test_the_folder_is_that_of_the_xdg_specification(tmp_path: Path, monkeypatch
 @pytest.mark.parametrize("package", ["numpy", "scipy"])
 def test_the_version_is_that_of_the_sources_and_of_what_computes(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """An upgrade must not keep the answers of before."""
-    before, installed = judging_version.__wrapped__(), metadata.version
+    before, installed = digest_of_sources.__wrapped__(("mavdiag",)), metadata.version
     assert judging_version() == before
     assert digest_of_sources(("mavdiag",), ("__pycache__", "mavdiag/monitors/innovation.py")) != before
     monkeypatch.setattr(metadata, "version", lambda name: "0.0.0" if name == package else installed(name))
-    assert judging_version.__wrapped__() != before
+    assert digest_of_sources.__wrapped__(("mavdiag",)) != before
 
 
 def in_drawn_order(seed: int, deadly: frozenset[str]) -> Callable[..., Iterator[Any]]:

@@ -19,10 +19,11 @@ from mavdiag.monitors import innovation
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.innovation import Innovation, InnovationSpec
 from mavdiag.monitors.run_length import RunLength, RunLengthSpec
+from mavdiag.rows.block import WHOLE, U
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis
-from mavdiag.testing import example_rows, with_rates
+from mavdiag.testing import example_rows
 
 DT_S = 0.01
 CONTEXT = replace(example_context(), window=11)
@@ -32,9 +33,10 @@ levels = st.lists(st.tuples(st.sampled_from([0.0, 0.5, 1.0, 1.5, -2.0]), st.bool
 
 @given(rows=levels, axis=st.sampled_from(Axis))
 def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[float, bool]], axis: Axis) -> None:
-    flown, n = example_rows(len(rows) + 4), len(rows)
+    made, n = example_rows(len(rows) + 4), len(rows)
     turned, judged = (np.array(column) for column in zip(*rows, strict=True))
-    made = with_rates(flown, flown.rates.u, np.outer(turned, np.eye(3)[axis.column]), judged)
+    columns = made.block.x[:, len(made.block) - len(made.rates_ns) :]
+    columns[WHOLE : WHOLE + 2], columns[U + 3 : U + 6] = judged, np.outer(np.eye(3)[axis.column], turned)
     still = ModelRecord(a=(1.0, 0.0), b=(0.0,), dt_s=DT_S, order=(1, 1, 0), method=Method.LS)
     monitor = RunLength(RunLengthSpec(axis=axis, model=still, margin_rad_s=1.0))
     _, found = monitor.step(monitor.start(), made)
