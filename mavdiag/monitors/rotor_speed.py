@@ -12,11 +12,12 @@ command; one that is bent or fouled has more. The voltage is common to all rotor
     y_j = ln w_j - mean_k ln w_k,    v_j = ln u_j - mean_k ln u_k,    x_j = (v_j, dv_j/dt, s_j r),
     y_j = a_j + (x_j - x0_j)' b
 
-A rotor lags behind its command, and what an ESC tells behind the rotor: dv_j/dt. s_j r: yaw effect of rotor j
-(`airframe.layout`) and yaw rate, for an ESC tells the speed against the frame. b is common to all rotors and fitted by
-least squares with a prior; P: its covariance, and LAW_LEAST^2 more of v, for the air from the side is not in the law.
-It is fitted to what is judged, means of 5 s: single ticks of flights that turn have transients, whose correlation with
-r is not that of steady turns.
+A rotor lags behind its command, and what an ESC tells behind the rotor: the mean of v(t - lag) over a tick is that of v
+less the lag times what v rises by from end to end of the tick, over its length. s_j r: yaw effect of rotor j
+(`airframe.layout`) and yaw rate, for an ESC tells the speed against the frame. b is common to all rotors and fitted to
+ticks by least squares with a prior. P is its covariance, and of each of x FLOOR^2/mean(x^2) more: manoeuvres repeat, so
+what a law leaves that is no larger than FLOOR may go with one of x in all flights (a battery that sags with the thrust,
+the other lags). So flights in which x varies tell what wind makes of it, and calm ones leave it open.
 """
 
 import math
@@ -50,16 +51,16 @@ MADE_UP = 0.01  # so near to it no motor is (our choice)
 # What is held of b before any flight, and its standard deviation. 1/(1 + e) is 0.8 to 0.87, an ESC's dead band adds to
 # it; a lag is 0.05 s of a rotor and up to 0.1 s of an ESC at 10 Hz; the last is 2 e/(1 + e) of 1/w (estimates).
 LAW, LAW_SD = np.array([0.85, 0.0, 0.0]), np.array([0.15, 0.1, 0.0005])
-LAW_LEAST = 0.025  # of the first of b: emulated winds of 2 to 5 m/s change it by 0.04 (our choice)
 FLOOR = 2e-4  # of the speed: least spread that is believed, a seventh of a step of 14 rpm at 10,000 (our choice)
 COLUMNS = 3  # of x
 # Places in the parameters: rotors, rows of a tick, row period, ticks of a window, spread, b, P; of each rotor s, a, x0.
-# And in the memory: rows of the tick, known ones, usable ticks in a row, ticks so far; sums of the tick: u of each
-# rotor in its first half and in its second, w, then the yaw rate; of the window's ticks each rotor's residual, and how
-# far its x is from x0.
+# And in the memory: rows of the tick, known ones, usable ticks in a row, ticks so far; sums of the tick: of each rotor
+# u, u at its first end and at its last, w; then the yaw rate; of the window's ticks each rotor's residual, and how far
+# its x is from x0.
 ROTORS, ROWS, DT, WINDOW, SPREAD, LAWS, ERRORS, EACH = 0, 1, 2, 3, 4, 5, 8, 17
 OF_ROTOR = 5
 ROW, KNOWN, RUN, TICKS, SUMS = range(5)
+END = 10  # so many times as long as an end of a tick is the whole (our choice)
 TOLD = 3  # of a tick behind y and x of each rotor: mean ln w/u, whether it is usable, its number in the segment
 
 
@@ -82,12 +83,18 @@ class RotorSpeedSpec:
 
 
 @jit
+def _end(par: Floats) -> int:
+    """Rows of an end of a tick."""
+    return max(1, int(par[ROWS]) // END)
+
+
+@jit
 def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
     """Take a row; True where it completes a tick."""
     n = int(par[ROTORS])
     if mem[ROW] == 0.0:
         mem[KNOWN] = 0.0
-        for j in range(3 * n + 1):
+        for j in range(4 * n + 1):
             mem[SUMS + j] = 0.0
     known = x[col.VALID, i] > 0.5 and x.shape[0] >= col.SPEEDS + n and math.isfinite(x[col.RATE + 2, i])
     for j in range(n if known else 0):
@@ -95,11 +102,15 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
         known = known and u > MIN_OUTPUT and w > 0.0 and math.isfinite(u + w)
     if known:
         mem[KNOWN] += 1.0
-        half = SUMS + (0 if 2.0 * mem[ROW] < par[ROWS] else n)
+        end = _end(par)
         for j in range(n):
-            mem[half + j] += x[col.OUTPUTS + j, i]
-            mem[SUMS + 2 * n + j] += x[col.SPEEDS + j, i]
-        mem[SUMS + 3 * n] += x[col.RATE + 2, i]
+            mem[SUMS + j] += x[col.OUTPUTS + j, i]
+            if mem[ROW] < end:
+                mem[SUMS + n + j] += x[col.OUTPUTS + j, i]
+            if mem[ROW] >= par[ROWS] - end:
+                mem[SUMS + 2 * n + j] += x[col.OUTPUTS + j, i]
+            mem[SUMS + 3 * n + j] += x[col.SPEEDS + j, i]
+        mem[SUMS + 4 * n] += x[col.RATE + 2, i]
     mem[ROW] += 1.0
     if mem[ROW] < par[ROWS]:
         return False
@@ -111,12 +122,12 @@ def _take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
 def _find(par: Floats, mem: Floats, out: Floats) -> None:
     """y and x of each rotor from the sums of a whole tick, (n, 4); then mean ln w/u."""
     n, rows = int(par[ROTORS]), int(par[ROWS])
-    second = rows // 2
+    span_s = (rows - _end(par)) * par[DT]  # between the middles of the ends
     for j in range(n):
-        one, other, to = mem[SUMS + j], mem[SUMS + n + j], 4 * j
-        out[to], out[to + 1] = math.log(mem[SUMS + 2 * n + j] / rows), math.log((one + other) / rows)
-        out[to + 2] = math.log(other / second / one * (rows - second)) / (0.5 * rows * par[DT])
-        out[to + 3] = par[EACH + OF_ROTOR * j] * mem[SUMS + 3 * n] / rows
+        to = 4 * j
+        out[to], out[to + 1] = math.log(mem[SUMS + 3 * n + j] / rows), math.log(mem[SUMS + j] / rows)
+        out[to + 2] = math.log(mem[SUMS + 2 * n + j] / mem[SUMS + n + j]) / span_s
+        out[to + 3] = par[EACH + OF_ROTOR * j] * mem[SUMS + 4 * n] / rows
     for p in range(COLUMNS):  # all but s r are against the others
         mean = 0.0
         for j in range(n):
@@ -151,7 +162,7 @@ def _take_tick(
     n, window, best = int(par[ROTORS]), int(par[WINDOW]), 0.0
     place, rests, away = int(mem[TICKS]) % window, scratch[:window], scratch[window:]
     for j in range(n):
-        own, of, error = EACH + OF_ROTOR * j + 1, SUMS + 3 * n + 1 + (1 + COLUMNS) * window * j, 0.0
+        own, of, error = EACH + OF_ROTOR * j + 1, SUMS + 4 * n + 1 + (1 + COLUMNS) * window * j, 0.0
         mem[of + place] = tick[4 * j] - par[own]
         for p in range(COLUMNS):
             to, away[p] = of + (1 + p) * window, 0.0
@@ -162,7 +173,6 @@ def _take_tick(
         for p in range(COLUMNS):
             for q in range(COLUMNS):
                 error += away[p] * par[ERRORS + COLUMNS * p + q] * away[q]
-        error += (LAW_LEAST * away[0]) ** 2
         for i in range(window):
             rests[i] = mem[of + i]
         found = _middle(rests) * par[SPREAD] / math.sqrt(par[SPREAD] ** 2 + max(error, 0.0)) * n / (n - 1.0)
@@ -265,10 +275,11 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
             raise InputError("the speeds are made up of the outputs, as a simulator does")
         seen = [usable for flight in ticks if len(usable := _usable(flight, n))]
         means = [flight.mean(axis=0) for flight in seen]
-        size, none = _window(context.dt_s), np.empty((0, n, 4))
-        judged = [flight[: len(flight) // size * size].reshape(-1, size, n, 4).mean(axis=1) for flight in seen]
-        apart = np.concatenate([none, *(windows - windows.mean(axis=0) for windows in judged if len(windows))])
-        law, errors = held_law(apart[:, :, 0].ravel(), apart[:, :, 1:].reshape(-1, COLUMNS), LAW, LAW_SD, FLOOR, 1)
+        apart = np.concatenate([flight - mean for flight, mean in zip(seen, means, strict=True)])
+        y, x = apart[:, :, 0].ravel(), apart[:, :, 1:].reshape(-1, COLUMNS)
+        law, errors = held_law(y, x, LAW, LAW_SD, FLOOR, 1)
+        with_all = FLOOR**2 / np.maximum(np.square(x).mean(axis=0), FLOOR**2 / LAW_SD**2)
+        errors = errors + np.diag(with_all)
         mean = np.mean(means, axis=0)
         learnt = replace(
             still,
@@ -312,7 +323,7 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         spec, n, window = self.spec, self.rotors, _window(dt_s, self.spec.window_s)
         head = [n, _tick(dt_s), dt_s, window, spec.spread, *spec.law, *np.ravel(spec.errors)]
         each = np.column_stack((spec.layout.mixing[:, 2], spec.mean, np.array(spec.about)))
-        return Begin(np.array([*head, *each.ravel()]), np.zeros(SUMS + 3 * n + 1 + (1 + COLUMNS) * window * n))
+        return Begin(np.array([*head, *each.ravel()]), np.zeros(SUMS + 4 * n + 1 + (1 + COLUMNS) * window * n))
 
 
 def _tick(dt_s: float) -> int:

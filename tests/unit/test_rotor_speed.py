@@ -159,3 +159,31 @@ def test_a_rotor_that_lags_behind_turns_of_one_sense_is_silent_in_turns_of_the_o
     (spec,) = RotorSpeed.fit([flight(seed, 1.0) for seed in range(3)], CONTEXT)
     values = [found.value[found.valid].max() for found in RotorSpeed(spec).over(flight(9, -1.0))]
     assert max(values) < 0.001
+
+
+def test_a_law_from_short_pulses_holds_in_a_steady_trim_that_was_not_learnt() -> None:
+    """Pulses of a second teach, each rotor 0.08 s behind them; wind leans the vehicle for a whole flight."""
+
+    def flight(seed: int, trim: float) -> list[Rows]:
+        rng, n = np.random.default_rng(seed), 6000
+        pulses = np.convolve(rng.standard_normal(n) * (rng.random(n) < 0.01), np.hanning(100), "same")
+        outputs = 0.4 * (1 + np.outer(0.02 * pulses + trim, X.mixing[:, 1]) + 0.002 * rng.standard_normal((n, 4)))
+        behind = np.concatenate((outputs[:8], outputs[:-8]))
+        return [example_rows(n, actuator=outputs, rotor_speed=1500.0 * behind)]
+
+    (spec,) = RotorSpeed.fit([flight(seed, 0.0) for seed in range(3)], CONTEXT)
+    assert abs(spec.law[0] - 1.0) < 2 * np.sqrt(spec.errors[0][0]) < 0.05
+    assert spec.law[1] == pytest.approx(-0.08, abs=0.01)
+    values = [found.value[found.valid].max() for found in RotorSpeed(spec).over(flight(9, 0.1))]
+    assert max(values) < 0.001
+
+
+def test_calm_flights_leave_open_what_a_large_command_makes_of_a_speed() -> None:
+    """The less the commands of the teaching flights vary, the larger the error of the law, up to what is believed."""
+    own = np.ones(4)
+    unsure = [
+        np.sqrt(RotorSpeed.fit([rows_of(seed, own, wander=wander) for seed in range(3)], CONTEXT)[0].errors[0][0])
+        for wander in (0.0002, 0.005, 0.05)
+    ]
+    assert unsure[1] == pytest.approx(10 * unsure[2], rel=0.05)
+    assert unsure[1] < unsure[0] == pytest.approx(LAW_SD[0], rel=0.1)
