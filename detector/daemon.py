@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
+from detector.component import Sender
 from detector.config import Settings
 from detector.fitting import FittingJob, ProcessFitter
 from detector.fleet import Fleet, Turn
@@ -23,7 +24,6 @@ from detector.notify import Notifier
 from detector.relay import Relay
 from detector.requests import Handled, Requests
 from detector.rules import parse_rules
-from detector.sender import MavlinkSender
 from detector.states import State
 from detector.values import (
     AskInterval,
@@ -45,7 +45,7 @@ from mavdiag.inspections import Inspections
 from mavdiag.link.codec import message_name
 from mavdiag.link.datagrams import Chunk, Datagrams, as_columns, joined_datagrams
 from mavdiag.link.keys import KeptSigning
-from mavdiag.link.messages import MessageId
+from mavdiag.link.messages import MavCmd, MessageId
 from mavdiag.link.ports import PEER_FRESH_S, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.sequence import Source
@@ -148,7 +148,7 @@ class Daemon:
             [file.write for file in (journal, web, *hooks) if file], host.say, self._when, settings.save
         )
         self._inspections = inspections or Inspections(None, host.say)
-        self._senders: dict[int, MavlinkSender] = {}
+        self._senders: dict[int, Sender] = {}
         self._requests = Requests(self.fleet, settings.keep_rates, self._sender, self._signing)
         self._started = self._beat_at = self._now()
         self._late, self._latest_s, self._unclear = 0, 0.0, set[tuple[int, str]]()
@@ -256,9 +256,9 @@ class Daemon:
         for file in self._files.values():
             file.flush()
 
-    def _sender(self, vehicle: int) -> MavlinkSender:
+    def _sender(self, vehicle: int) -> Sender:
         if vehicle not in self._senders:
-            self._senders[vehicle] = MavlinkSender(vehicle, self._signing)
+            self._senders[vehicle] = Sender(vehicle, self._signing)
         return self._senders[vehicle]
 
     def _knows(self, sysid: int) -> bool:
@@ -271,7 +271,9 @@ class Daemon:
             if len(asked) == UID_TRIES:
                 return True
             asked.append(now)
-            self._relay.send(self._sender(sysid).ask(MessageId.AUTOPILOT_VERSION), to_all=False)
+            self._relay.send(
+                self._sender(sysid).command(MavCmd.REQUEST_MESSAGE, MessageId.AUTOPILOT_VERSION), to_all=False
+            )
         return False
 
     def _own(self, sysid: int) -> Baseline | None:
@@ -346,10 +348,10 @@ class Daemon:
         """Heartbeats of the sessions that work; on a link where we must send first, also before a vehicle."""
         for sysid, vehicle in self.fleet.vehicles.items():
             if vehicle.session.working:
-                self._relay.send(self._sender(sysid).heartbeat(vehicle.session.state))
+                self._relay.send(self._sender(sysid).beat(vehicle.session.state))
         if self._announces and not self.fleet.vehicles:
             first = self._sender(self._settings.vehicle or FIRST_VEHICLE)
-            self._relay.send(first.heartbeat(State.WAITING), to_all=False)
+            self._relay.send(first.beat(State.WAITING), to_all=False)
         if self._metrics is not None or self._web is not None:
             figures = self.figures()
             if self._metrics is not None:

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 from memory_port import memory_pair
 
+from detector.component import Sender
 from detector.relay import DATAGRAM_BYTES, Relay
 from detector.requests import Handled, Requests
-from detector.sender import MavlinkSender
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.profiles import PROFILES
@@ -67,7 +67,7 @@ STATION = Encoder(255, Component.MISSIONPLANNER)
 def handled(message: bytes, *vehicles: int) -> Handled:
     streams = {sysid: SimpleNamespace(profile=PROFILES["ardupilot"]) for sysid in vehicles}
     fleet: Any = SimpleNamespace(vehicles=dict.fromkeys(vehicles), link=SimpleNamespace(vehicles=streams))
-    requests = Requests(fleet, True, MavlinkSender)
+    requests = Requests(fleet, True, Sender)
     return requests.from_behind([message], Instant(0))
 
 
