@@ -99,12 +99,8 @@ class Reaction:
         return bool(self._sticks)
 
     @property
-    def pending(self) -> bool:
-        """Whether something is about to be done that may be called off."""
-        return bool(self._pending)
-
-    @property
-    def _pending(self) -> list[int]:
+    def pending(self) -> list[int]:
+        """The rows that are about to do something, and may be called off."""
         return [n for n, row in self._rows.items() if row.step not in _ASKED and self._rules[n].command is not None]
 
     def step(self, held: Diagnosis, armed: bool, inbox: Inbox, now: Instant) -> list[Effect]:
@@ -137,7 +133,7 @@ class Reaction:
     def acknowledge(self, whose: str) -> list[Effect]:
         """Call off what is pending. whose: who says so."""
         self._effects = []
-        if pending := self._pending:
+        if pending := self.pending:
             self._call_off(min(pending), f"acknowledged by {whose}")
         return self._effects
 

@@ -160,9 +160,8 @@ class Player:
         self._shown, recent = max(1, self._due(to_s)), self._due(to_s - BACK_S)
         past = self._judged.moments[: self._shown]
         self._lines = [f"C {self._judged.begin_ns:x}-{self._jumps}\n"]
-        self._lines += [f"A {self._judged.vehicle} {moment.about}\n" for moment in past if moment.about is not None][
-            -1:
-        ]
+        known = [moment.about for moment in past if moment.about is not None]
+        self._lines += [f"A {self._judged.vehicle} {about}\n" for about in known[-1:]]
         self._enter(past)
         if past:
             self._lines += [

@@ -8,11 +8,10 @@ from typing import Final
 
 from detector.alerts import Kind, NamedValues, Notice, Presenter, Telling
 from detector.judging import Judge, beginning, chain_for, records_of, words_of
-from detector.negotiate import CALM_S, Negotiation
 from detector.reaction import Reaction
 from detector.rules import parse_modes, parse_rules
 from detector.states import TABLE, State, Trigger
-from detector.streams import Demand, Hindrance, Reason, Streams
+from detector.streams import CALM_S, Demand, Hindrance, Negotiation, Reason, Streams
 from detector.values import AskParameters, Effect, Inbox, Learn, LearningFailed, Note, SessionSpec, StateChanged
 from mavdiag.airframe.fingerprint import Outcome
 from mavdiag.baseline import check_link
@@ -30,10 +29,8 @@ from mavdiag.telemetry import Instant, Signal, Telemetry
 WAITED_CHUNKS = 256  # kept while the streams are measured: some ten seconds (our choice)
 LOOK_S = 0.1  # between two looks at what the streams lack (our choice)
 IDLE_S = 3.0  # that nothing is judged is said after so long (our choice)
-STICKS_S, STICKS_HZ = (
-    60.0,
-    5.0,
-)  # how often a pilot's sticks are asked for until they are told, and their rate (our choice)
+# How often a pilot's sticks are asked for until they are told, and their rate (our choice).
+STICKS_S, STICKS_HZ = 60.0, 5.0
 ARMED_FROM = 0.5  # of the signal, which is 0 or 1
 PROGRESS_STEP = 25  # percent of learning between two texts
 FITS = 3  # fits that may fail before learning is given up (our choice)
@@ -136,7 +133,7 @@ class Session:
     @property
     def acknowledgeable(self) -> bool:
         """Whether `acknowledge` has an effect."""
-        return self.diagnosis.stage is Stage.INSPECT or self.reaction.pending
+        return self.diagnosis.stage is Stage.INSPECT or bool(self.reaction.pending)
 
     def tune(self, **settings: float) -> tuple[Effect, ...]:
         """Go on with other settings: `threshold_scale` on the ground, `texts_per_minute`. Valid values only."""

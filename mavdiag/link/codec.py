@@ -185,9 +185,8 @@ class Frames:
         data, behind = self.data, int(bodies.max()) + size - len(self.data)
         if behind > 0:
             data = np.concatenate((data, np.zeros(behind, np.uint8)))
-        payloads = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))[
-            bodies
-        ]  # one at every byte, none copied
+        anywhere = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))  # one at every byte, none copied
+        payloads = anywhere[bodies]
         lengths = self.rows["stop"] - bodies
         short = np.flatnonzero(lengths < size)  # trailing zeros are trimmed
         raw = payloads.view(np.uint8).reshape(-1, size)

@@ -55,9 +55,7 @@ CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choic
 LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
 USEFUL_FRAMES = 20  # of an IMU message, before it is taken at once (our choice)
 CHOICE_S = 1.0  # for which the choice stays open otherwise, from the first IMU message of any kind on (our choice)
-REQUESTS_MAX = (
-    16  # requests to one vehicle's computer that are handed out at a time, so a flood is not answered (our choice)
-)
+REQUESTS_MAX = 16  # requests to one vehicle's computer at a time: a flood is not answered (our choice)
 MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up ones cost little (our choice)
 
 #: Messages that carry a command.

@@ -22,10 +22,9 @@ from detector.config import SessionSettings, Settings
 from detector.fitting import FittingJob, ProcessFitter
 from detector.fleet import Fleet, Vehicle
 from detector.judging import Judge, chain_for
-from detector.negotiate import HELD_S, Negotiation
 from detector.session import FITS, Session
 from detector.states import TABLE, State
-from detector.streams import Streams
+from detector.streams import HELD_S, Negotiation, Streams
 from detector.values import (
     AskInterval,
     Effect,
