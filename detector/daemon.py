@@ -43,12 +43,11 @@ from mavdiag.baseline import Baseline
 from mavdiag.decision.diagnosis import Change
 from mavdiag.inspections import Inspections
 from mavdiag.link.codec import message_name
-from mavdiag.link.datagrams import Chunk, Datagrams, as_columns, joined_datagrams
+from mavdiag.link.datagrams import Datagrams, joined_datagrams
 from mavdiag.link.keys import KeptSigning
 from mavdiag.link.messages import MavCmd, MessageId
 from mavdiag.link.ports import PEER_FRESH_S, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
-from mavdiag.link.sequence import Source
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 
@@ -293,16 +292,10 @@ class Daemon:
 
     def _take(self, now: Instant) -> None:
         """Read the vehicle's link, and hand on what it brings."""
-        pieces, chunks, sources = list[Datagrams](), list[Chunk](), list[Source]()
-        for _ in range(DRAINS):
-            more = self._link.receive(0.0)
-            if not more:
-                break
-            if self._link.datagrams:
-                pieces.append(as_columns(more, self._link.sources))
-            else:
-                chunks, sources = [*chunks, *more], [*sources, *self._link.sources]
-        self.fleet.take(joined_datagrams(pieces) if self._link.datagrams else chunks, now, sources)
+        pieces = list[Datagrams]()
+        while len(pieces) < DRAINS and (more := self._link.receive(0.0)):
+            pieces.append(more)
+        self.fleet.take(joined_datagrams(pieces), now)
 
     def _watch(self, now: Instant) -> None:
         self._link.trust(self._guard.sources(now, PEER_FRESH_S), alone=self._signing is not None)

@@ -8,7 +8,7 @@ data (`due_turns`): nothing is lost, and verdicts come later, which is told.
 
 import traceback
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -21,7 +21,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.kernel import LOOK_NS
 from mavdiag.link.clock import Timesync, exchanged
 from mavdiag.link.codec import Frame
-from mavdiag.link.datagrams import Chunk, Datagrams
+from mavdiag.link.datagrams import Datagrams
 from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
@@ -143,9 +143,9 @@ class Fleet:
         self._spec_of, self._knows = spec_of, knows
         self._left: set[int] = set()
 
-    def take(self, chunks: Sequence[Chunk] | Datagrams, now: Instant, sources: Sequence[Source] = ()) -> None:
-        """Take bytes with their time of arrival. sources: of each chunk; empty for a link with one other end."""
-        self.link.take(chunks, now.ns, sources)
+    def take(self, some: Datagrams, now: Instant) -> None:
+        """Take what the link brought."""
+        self.link.take(some, now.ns)
         for sysid in self.link.vehicles.keys() - self.vehicles.keys() - self._left:
             if not self._knows(sysid):
                 self.link.received(sysid)  # what it tells of itself is in the stream then

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mavdiag.errors import UsageError
 from mavdiag.jit import cached, jit
-from mavdiag.link.datagrams import Bytes, Chunk, Datagrams, as_columns
+from mavdiag.link.datagrams import Bytes, Datagrams, as_columns
 from mavdiag.link.layout import EXTRA_LAYOUTS, Argument, FieldValue, Layout, cut
 from mavdiag.link.messages import Component, MessageId, Severity
 from mavdiag.link.sequence import FRAME, HEARD, REFUSED, LinkCount, Senders, Source
@@ -263,7 +263,7 @@ class Decoder:
 
     def feed_datagram(self, data: bytes, host_ns: int) -> list[Frame]:
         """Take one datagram: what it leaves unfinished is garbage and does not spoil the next one."""
-        return list(self.take_datagrams([(data, host_ns)]))
+        return list(self.take_datagrams(as_columns([(data, host_ns)])))
 
     def take_stream(self, data: bytes, host_ns: int = 0, source: Source = None, *, last: bool = False) -> Frames:
         """As `feed`, for many frames. source: where the bytes come from. last: nothing follows them."""
@@ -273,9 +273,8 @@ class Decoder:
         self._pending = buffer[used:]
         return frames
 
-    def take_datagrams(self, chunks: Sequence[Chunk] | Datagrams, sources: Sequence[Source] = ()) -> Frames:
-        """As `feed_datagram`, for many datagrams, each with its time of arrival [ns]. sources: where each is from."""
-        some = as_columns(chunks, sources)
+    def take_datagrams(self, some: Datagrams) -> Frames:
+        """As `feed_datagram`, for many datagrams."""
         numbers = np.array(self.heard.numbers(some.peers), np.int64)[some.whose]
         return self._scan(some.data, np.array([some.sizes, some.host_ns, numbers]), whole=True)[0]
 

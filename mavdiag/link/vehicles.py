@@ -8,7 +8,6 @@ lets a vehicle enter only with two like heartbeats and running numbers that are 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import repeat
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from mavdiag.link.codec import (
     frames_joined,
     frames_of,
 )
-from mavdiag.link.datagrams import Chunk, Datagrams
+from mavdiag.link.datagrams import Datagrams
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
 from mavdiag.link.parameters import ASKING as PARAMETERS_ASKED
 from mavdiag.link.parameters import parameters_in
@@ -318,20 +317,17 @@ class LinkDecoder:
         """Let others be a vehicle's on-board computer."""
         self.decoder.heard.give_up(sysid << 8 | Component.ONBOARD_COMPUTER)
 
-    def feed(
-        self, chunks: Sequence[Chunk] | Datagrams, now_ns: int, sources: Sequence[Source] = ()
-    ) -> dict[int, Received]:
-        """Take bytes, each with time of arrival [ns] and source; return what is new, by vehicle that has entered."""
-        self.take(chunks, now_ns, sources)
+    def feed(self, some: Datagrams, now_ns: int) -> dict[int, Received]:
+        """Take what the link brought; return what is new, by vehicle that has entered."""
+        self.take(some, now_ns)
         return {sysid: self.received(sysid) for sysid in sorted({*self._unread, *self._backlog.sysids})}
 
-    def take(self, chunks: Sequence[Chunk] | Datagrams, now_ns: int, sources: Sequence[Source] = ()) -> None:
-        """Take bytes as `feed` does; what is for or from vehicles that have entered waits for `received`."""
+    def take(self, some: Datagrams, now_ns: int) -> None:
+        """Take what `feed` does; what is for or from vehicles that have entered waits for `received`."""
         if self._datagrams:
-            taken = [self.decoder.take_datagrams(chunks, sources)]
+            taken = [self.decoder.take_datagrams(some)]
         else:
-            ends = sources or repeat(None)
-            taken = [self.decoder.take_stream(*chunk, end) for chunk, end in zip(chunks, ends, strict=False)]
+            taken = [self.decoder.take_stream(*chunk, end) for chunk, end in zip(some, some.sources, strict=True)]
         for frames in taken:
             if len(frames):
                 self._file(frames, now_ns)
