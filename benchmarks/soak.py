@@ -195,7 +195,9 @@ def real(minutes: float, rate_hz: float, seed: int) -> None:
             host_ns = time.monotonic_ns()
             for stream in daemon.fleet.link.vehicles.values():
                 if stream.state.timeline.reboots == flights and stream.state.timeline.t_ns is not None:
-                    lead_ns = min(lead_ns, stream.state.timeline.host_ns - stream.state.timeline.t_ns)
+                    lead_ns = min(
+                        lead_ns, int(stream.state.timeline.records[0]["host_ns"][0]) - stream.state.timeline.t_ns
+                    )
                     record.look(daemon.fleet, host_ns, lead_ns)
             for data, now_ns in station.receive(0.0):
                 for frame in decoder.feed(data, now_ns):

@@ -9,14 +9,14 @@ data (`due_turns`): nothing is lost, and verdicts come later, which is told.
 import traceback
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
 
 from detector.session import Session
 from detector.states import State
 from detector.streams import METERED
-from detector.values import Effect, EventOpened, Inbox, LearningFailed, Note, SessionSpec, VehicleFigures
+from detector.values import Effect, EventOpened, LearningFailed, Note, SessionSpec, VehicleFigures
 from mavdiag.baseline import Baseline
 from mavdiag.kernel import LOOK_NS
 from mavdiag.link.clock import Timesync, exchanged
@@ -26,7 +26,7 @@ from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
-from mavdiag.link.vehicles import VEHICLES_MAX, LinkDecoder, mode_in, sticks_in
+from mavdiag.link.vehicles import VEHICLES_MAX, LinkDecoder
 from mavdiag.telemetry import Instant, Series, Signal
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
@@ -208,19 +208,17 @@ class Fleet:
         return [*turns, *(self._parted(sysid, now, lambda sysid, _: Turn(sysid, ends[sysid]())) for sysid in ends)]
 
     def _turn(self, sysid: int, now: Instant) -> Turn:
-        vehicle, stream, received = self.vehicles[sysid], self.link.vehicles[sysid], self.link.received(sysid)
-        session, came, alive = vehicle.session, received.telemetry, received.present
-        reboots, imu = stream.state.timeline.reboots, stream.profile.imu
-        mode, sticks = (mode_in(received.frames), sticks_in(received.frames)) if received.frames else (None, {})
-        sticks = {**sticks, **vehicle.sticks}
-        inbox = Inbox(came, alive, reboots, received.acks, vehicle.outcome, received.parameters, imu, mode, sticks)
+        vehicle, received = self.vehicles[sysid], self.link.received(sysid)
+        session, outcome = vehicle.session, vehicle.outcome
+        if vehicle.sticks:
+            received = replace(received, sticks={**received.sticks, **vehicle.sticks})
         vehicle.outcome, vehicle.sticks = None, {}
-        effects = session.step(inbox, now)
+        effects = session.step(received, now, outcome)
         vehicle.events += sum(isinstance(effect, EventOpened) for effect in effects)
         if session.spec.settings.negotiate:
-            vehicle.timesync, messages = exchanged(vehicle.timesync, received.frames, now.ns, alive=alive)
+            vehicle.timesync, messages = exchanged(vehicle.timesync, received.frames, now.ns, alive=received.alive)
             effects = (*effects, *messages)
-        latency_s = vehicle.wait(came.get(Signal.BODY_RATE), now.ns, self.looks)
+        latency_s = vehicle.wait(received.telemetry.get(Signal.BODY_RATE), now.ns, self.looks)
         return Turn(sysid, effects, received.asked, latency_s)
 
     def _parted(self, sysid: int, now: Instant, work: Callable[[int, Instant], Turn]) -> Turn:

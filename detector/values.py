@@ -9,10 +9,9 @@ from detector.states import State
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Event
 from mavdiag.link.clock import Timesync, TimesyncMessage
-from mavdiag.link.messages import MessageId, Severity
+from mavdiag.link.messages import Severity
 from mavdiag.link.ports import Traffic
 from mavdiag.link.profiles import Profile
-from mavdiag.link.vehicles import Ack
 from mavdiag.telemetry import Instant, Telemetry
 
 
@@ -33,24 +32,9 @@ class SessionSpec:
 
 @dataclass(frozen=True, slots=True)
 class LearningFailed:
-    """The answer to `Learn`: why there is no baseline, in one line."""
+    """The answer to `Learn` if there is no baseline: why, in one line."""
 
     reason: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Inbox:
-    """What came for one vehicle since the last step."""
-
-    telemetry: Telemetry = field(default_factory=Telemetry)
-    alive: bool = False  # whether any frame of its autopilot came
-    reboots: int = 0  # all so far
-    acks: tuple[Ack, ...] = ()  # of its autopilot
-    outcome: Baseline | LearningFailed | None = None  # of the last `Learn`
-    parameters: Mapping[str, float] = field(default_factory=dict)  # of its autopilot that passed by so far, by name
-    imu: MessageId | None = None  # the message that its gyro is read from; None for the profile's
-    mode: int | None = None  # custom_mode of its latest heartbeat; None if none came
-    sticks: Mapping[int, tuple[int, ...]] = field(default_factory=dict)  # a pilot's, by message; see `STICKS`
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +80,7 @@ class SendCommand:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Learn:
-    """Make a baseline from this healthy flight; the answer comes back in an inbox."""
+    """Make a baseline from this healthy flight; the outcome is given to a later step."""
 
     profile: str
     telemetry: Telemetry

@@ -248,12 +248,16 @@ class _Unread:
 class Received:
     """What came from, or for, one vehicle since the last call."""
 
-    frames: tuple[Frame, ...] = ()  # of its system id, any component, that are no measurements, in order of arrival
     telemetry: Telemetry = field(default_factory=Telemetry)
-    present: bool = False  # its autopilot sent frames
-    acks: tuple[Ack, ...] = ()  # its answers to our commands
+    alive: bool = False  # whether its autopilot sent any frame
+    reboots: int = 0  # all so far
+    acks: tuple[Ack, ...] = ()  # its autopilot's answers to our commands
+    parameters: Mapping[str, float] = field(default_factory=dict)  # of its autopilot that passed by so far, by name
+    imu: MessageId | None = None  # the message that its gyro is read from; None for the profile's
+    mode: int | None = None  # custom_mode of its latest heartbeat; None if none came
+    sticks: Mapping[int, tuple[int, ...]] = field(default_factory=dict)  # a pilot's, by message; see `STICKS`
     asked: tuple[Frame, ...] = ()  # what others ask of its on-board computer
-    parameters: Mapping[str, float] = field(default_factory=dict)  # its own that passed by since it entered
+    frames: tuple[Frame, ...] = ()  # of its system id, any component, that are no measurements, in order of arrival
 
 
 class LinkDecoder:
@@ -373,9 +377,10 @@ class LinkDecoder:
         frames = frames_joined([*unread.pieces, frames]) if unread.pieces else frames
         talks = _TALKS[frames.rows["row"]]
         talk = tuple(frames.where(talks)) if np.count_nonzero(talks) else ()
-        present = bool(np.count_nonzero(frames.rows["sender"] & 0xFF == AUTOPILOT))
+        alive = bool(np.count_nonzero(frames.rows["sender"] & 0xFF == AUTOPILOT))
         telemetry = stream.step(frames, talk)
-        return Received(talk, telemetry, present, acks_in(talk), tuple(unread.asked), stream.parameters)
+        told = (acks_in(talk), stream.parameters, stream.profile.imu, mode_in(talk), sticks_in(talk))
+        return Received(telemetry, alive, stream.state.timeline.reboots, *told, tuple(unread.asked), talk)
 
     def urgent(self) -> set[int]:
         """The vehicles for or from which something waits that wants an answer."""

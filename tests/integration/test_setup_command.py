@@ -19,9 +19,8 @@ from mavdiag.commandline import say
 from mavdiag.commands.setup import BASELINE, CONFIG, setup
 from mavdiag.errors import InputError
 from mavdiag.learning.coaching import ROUNDS, Coverage, Task
-from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
+from mavdiag.link.codec import Argument, Decoder, Encoder, Frame, field_index
 from mavdiag.link.datagrams import Chunk, Datagrams, as_columns
-from mavdiag.link.layout import Argument
 from mavdiag.link.messages import MavCmd, MessageId
 from mavdiag.link.ports.base import Endpoint
 from mavdiag.units import NS_PER_S

@@ -13,11 +13,11 @@ from mavdiag.link.codec import (
     UNKNOWN,
     Decoder,
     Encoder,
+    FieldValue,
     Frame,
     layout_of,
 )
 from mavdiag.link.datagrams import as_columns
-from mavdiag.link.layout import FieldValue
 from mavdiag.link.messages import MessageId
 
 HEARTBEAT = (2, 3, 128, 0, 4, 3)

@@ -30,7 +30,6 @@ from detector.values import (
     Effect,
     EventClosed,
     EventOpened,
-    Inbox,
     Learn,
     LearningFailed,
     Note,
@@ -46,7 +45,7 @@ from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.errors import BaselineError
 from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import LAST_RESORT, PROFILES
-from mavdiag.link.vehicles import Ack
+from mavdiag.link.vehicles import Ack, Received
 from mavdiag.link.wants import Want
 from mavdiag.telemetry import Axis, FloatArray, Instant, Series, Signal, Telemetry
 from mavdiag.units import G
@@ -230,12 +229,12 @@ def test_events_do_not_depend_on_how_often_the_session_steps() -> None:
     assert len(found[0]) == 1
 
 
-def weighing(felt_g: float, t_s: float) -> Inbox:
+def weighing(felt_g: float, t_s: float) -> Received:
     """A quarter of a second of both streams and of an accelerometer that feels so much."""
     t_ns = np.round((1.0 + t_s + np.arange(25) / 100) * 1e9).astype(np.int64)
     still, down = np.zeros((25, 3)), np.tile([0.0, 0.0, -felt_g * G], (25, 1))
     signals = ((Signal.ATTITUDE_SETPOINT, still), (Signal.BODY_RATE, still), (Signal.SPECIFIC_FORCE, down))
-    return Inbox(Telemetry(tuple(Series(one, t_ns, t_ns, values) for one, values in signals)), alive=True)
+    return Received(Telemetry(tuple(Series(one, t_ns, t_ns, values) for one, values in signals)), alive=True)
 
 
 def test_a_scale_that_gravity_contradicts_is_told_with_the_profile_to_try_and_nothing_is_judged() -> None:
@@ -343,7 +342,7 @@ def act(story: Story, action: tuple[object, ...]) -> None:
         case ("slow", int(every)):
             story.fly(3.0, every=every)
         case ("garbage", int(seed)):
-            story.give(Inbox(garbage(seed), alive=True, reboots=story.reboots))
+            story.give(Received(garbage(seed), alive=True, reboots=story.reboots))
 
 
 @settings(max_examples=40)

@@ -102,8 +102,8 @@ def test_acknowledgements_and_commands_are_handed_out() -> None:
     assert list(received) == [1]
     assert received[1].acks == (Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED),)
     assert [command_in(frame) for frame in received[1].asked] == [Command(MavCmd.REQUEST_MESSAGE, 255, 190)]
-    assert received[1].present
-    assert not decoder.feed(as_columns([(b"".join(ask), S)]), S)[1].present
+    assert received[1].alive
+    assert not decoder.feed(as_columns([(b"".join(ask), S)]), S)[1].alive
 
 
 def test_b28_a_truncated_datagram_is_not_joined_to_the_next() -> None:
