@@ -1,7 +1,4 @@
-"""What every endpoint is: bytes in with the host's time, bytes out, honest counts, and one way to wait.
-
-Edge module: file descriptors and the host clock live here and in the modules beside it.
-"""
+"""What every endpoint is (edge): bytes in with the host's time, bytes out, honest counts, and one way to wait."""
 
 import errno
 import os
