@@ -6,11 +6,11 @@ are not kept over a restart: the settings are in force again. No clock, no socke
 
 from detector.session import Session
 from detector.states import State
-from detector.values import AskInterval, AskParameters, Effect, Note, SendCommand, SendFloat, SendText
+from detector.values import AskParameters, Effect, Note, SendCommand, SendFloat, SendText
 from mavdiag import __version__
 from mavdiag.link.clock import TimesyncMessage
 from mavdiag.link.codec import Frame
-from mavdiag.link.messages import MavCmd, MavResult, MessageId
+from mavdiag.link.messages import MavResult, MessageId
 from mavdiag.link.parameters import Parameter, Parameters
 from mavdiag.link.vehicles import Command
 from mavdiag.link.wants import Companion
@@ -55,8 +55,6 @@ class Sender(Companion):
             case SendFloat(name, value, vehicle_ns):
                 boot_ms = vehicle_ns // NS_PER_MS % _MS_TURN  # the vehicle's own
                 return [self.encode(MessageId.NAMED_VALUE_FLOAT, boot_ms, name.encode(), value)], True
-            case AskInterval(msgid, interval_us):
-                return [self.command(MavCmd.SET_MESSAGE_INTERVAL, msgid, interval_us)], False
             case SendCommand(number, parameters, confirmation):
                 return [self.command(number, *parameters, confirmation=confirmation)], False
             case AskParameters(names):

@@ -26,13 +26,11 @@ from detector.requests import Handled, Requests
 from detector.rules import parse_rules
 from detector.states import State
 from detector.values import (
-    AskInterval,
     DaemonFigures,
     Effect,
     EventOpened,
     Learn,
     LinkFigures,
-    Note,
     SendFloat,
     SessionSpec,
     is_working,
@@ -42,7 +40,6 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.decision.diagnosis import Change
 from mavdiag.inspections import Inspections
-from mavdiag.link.codec import message_name
 from mavdiag.link.datagrams import Datagrams, joined_datagrams
 from mavdiag.link.keys import KeptSigning
 from mavdiag.link.messages import MavCmd, MessageId
@@ -387,8 +384,6 @@ class Daemon:
         if isinstance(effect, SendFloat):
             return  # it is not worth a line
         match effect:
-            case AskInterval(msgid, interval_us):
-                self._reporter.record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
             case Learn():
                 airframe = self._airframe or Airframe(name=f"vehicle {sysid}")
                 airframe = replace(airframe, name=self._settings.name or airframe.name)

@@ -214,7 +214,7 @@ class Session:
         blind = self.reaction.commands and not self.reaction.sticks_known and self.state is State.MONITORING
         if blind and (self._sticks_asked is None or now - self._sticks_asked >= STICKS_S):
             self._sticks_asked = now
-            self._effects.append(self._negotiation.ask_for(MessageId.RC_CHANNELS, STICKS_HZ, now))
+            self._effects += self._negotiation.ask_for(MessageId.RC_CHANNELS, STICKS_HZ, now)
         effects, notices = self._negotiation.step(self._demand(received).wants, streams, received.acks, now)
         self._effects += effects
         self._notices += notices

@@ -17,7 +17,7 @@ import numpy as np
 
 from detector.alerts import Kind, Notice
 from detector.config import SessionSettings
-from detector.values import AskInterval, Effect, Note
+from detector.values import Effect, Note, SendCommand
 from mavdiag.baseline import RATE_TOLERANCE, Baseline
 from mavdiag.link.codec import message_name
 from mavdiag.link.messages import MavCmd, MavResult
@@ -321,18 +321,19 @@ class Negotiation:
             ask, right = self._asks[msgid], want.least_hz <= rate_hz <= want.most_hz
             ask.look(right, now)
             if not right and ask.due(now):
-                effects.append(AskInterval(msgid, round(1e6 / want.ask_hz)))
+                effects += self.ask_for(msgid, want.ask_hz, now)
                 ask.tries, ask.at = ask.tries + 1, now
-                self._awaited.append((msgid, now))
             effects += self._told(ask, msgid, want, streams, rate_hz, now)
         notices, told = self._reported(rates_hz, now), None not in rates_hz.values()
         self.calm = told and not (effects or notices or any(ask.pressing(now) for ask in self._asks.values()))
         return effects, notices
 
-    def ask_for(self, msgid: int, rate_hz: float, now: Instant) -> AskInterval:
-        """Ask once for a stream that is not measured here."""
+    def ask_for(self, msgid: int, rate_hz: float, now: Instant) -> list[Effect]:
+        """Ask once for a stream."""
         self._awaited.append((msgid, now))
-        return AskInterval(msgid, round(1e6 / rate_hz))
+        interval_us = round(1e6 / rate_hz)
+        told = Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz")
+        return [SendCommand(MavCmd.SET_MESSAGE_INTERVAL, (msgid, interval_us)), told]
 
     def _acknowledged(self, acks: Sequence[Ack], now: Instant) -> list[Note]:
         """Acknowledgements are taken to come in the order of the requests; MAVLink has nothing better for them."""

@@ -55,14 +55,6 @@ class SendFloat:
 
 
 @dataclass(frozen=True, slots=True)
-class AskInterval:
-    """MAV_CMD_SET_MESSAGE_INTERVAL to the vehicle's autopilot."""
-
-    msgid: int
-    interval_us: int
-
-
-@dataclass(frozen=True, slots=True)
 class AskParameters:
     """PARAM_REQUEST_READ of some parameters of the vehicle's autopilot, by name."""
 
@@ -75,7 +67,7 @@ class SendCommand:
 
     command: int
     parameters: tuple[float, ...]
-    confirmation: int  # how often it was sent before
+    confirmation: int = 0  # how often it was sent before
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +119,7 @@ class Note:
 
 #: What is worth a line in the journal. A `Change` is of the diagnosis, a `Baseline` was learned: keep it.
 Record: TypeAlias = SendText | StateChanged | Change | EventOpened | EventClosed | TextSuppressed | Note | Baseline
-Effect: TypeAlias = Record | SendFloat | AskInterval | AskParameters | SendCommand | Learn | TimesyncMessage
+Effect: TypeAlias = Record | SendFloat | AskParameters | SendCommand | Learn | TimesyncMessage
 
 
 @dataclass(frozen=True, slots=True)

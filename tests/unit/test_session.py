@@ -26,13 +26,13 @@ from detector.session import FITS, Session
 from detector.states import TABLE, State
 from detector.streams import HELD_S, Negotiation, Streams
 from detector.values import (
-    AskInterval,
     Effect,
     EventClosed,
     EventOpened,
     Learn,
     LearningFailed,
     Note,
+    SendCommand,
     SendFloat,
     SendText,
     SessionSpec,
@@ -158,11 +158,11 @@ def test_b6_another_rate_is_asked_for_and_waited_for_but_never_a_reason_to_be_of
     story = Story(SessionSpec(QDRONE2, baseline_for(rate_hz=50.0)), seconds=200)
     story.fly(15.0)
     assert story.state.reason == "rate not the baseline's (100 Hz)"
-    assert AskInterval(MessageId.RAW_IMU, 20_000) in [effect for _, effect in story.log]
+    assert SendCommand(MavCmd.SET_MESSAGE_INTERVAL, (MessageId.RAW_IMU, 20_000)) in [effect for _, effect in story.log]
     story.fly(100.0)
     assert story.at(State.WAITING)
     assert story.session.working
-    requests = [at for at, effect in story.log if isinstance(effect, AskInterval)]
+    requests = [at for at, effect in story.log if isinstance(effect, SendCommand)]
     assert min(b - a for a, b in itertools.pairwise(requests)) >= 2.0
     assert len(requests) < 12  # paced: the autopilot does not do it
     story.fly(3.0, every=2)
@@ -360,7 +360,7 @@ def test_whatever_happens_the_laws_hold(actions: list[tuple[object, ...]], with_
     for effect in effects:
         if isinstance(effect, SendFloat):
             assert 0 < len(effect.name.encode()) <= 10
-    asked = [(at, effect.msgid) for at, effect in story.log if isinstance(effect, AskInterval)]
+    asked = [(at, effect.parameters[0]) for at, effect in story.log if isinstance(effect, SendCommand)]
     for msgid in {msgid for _, msgid in asked}:
         assert sum(one == msgid for _, one in asked) <= 1 + story.reboots + story.s / 2.0
     assert sum(isinstance(effect, Learn) for effect in effects) <= FITS * (1 + story.reboots)
@@ -506,7 +506,9 @@ class Talk:
             streams: Any = MadeStreams(*seen)
             effects, _ = self.negotiation.step([stream.want for stream in seen], streams, acks, now)
             acks = ()
-            self.asked += [(self.ticks * TICK_S, one.msgid) for one in effects if isinstance(one, AskInterval)]
+            self.asked += [
+                (self.ticks * TICK_S, int(one.parameters[0])) for one in effects if isinstance(one, SendCommand)
+            ]
             self.notes += [one.text for one in effects if isinstance(one, Note)]
 
 
