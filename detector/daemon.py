@@ -273,7 +273,6 @@ class Daemon:
         return False
 
     def _own(self, sysid: int) -> Baseline | None:
-        """The baseline of a vehicle alone."""
         stream = self.fleet.link.vehicles.get(sysid)
         return self._baselines.get(sysid) or self._baselines.get("" if stream is None else stream.uid)
 
@@ -288,14 +287,15 @@ class Daemon:
         return SessionSpec(profile, baseline, self._settings, self._unix_ns() - self._host.now_ns(), held)
 
     def _take(self, now: Instant) -> None:
-        """Read the vehicle's link, and hand on what it brings."""
         pieces = list[Datagrams]()
         while len(pieces) < DRAINS and (more := self._link.receive(0.0)):
             pieces.append(more)
         self.fleet.take(joined_datagrams(pieces), now)
 
     def _watch(self, now: Instant) -> None:
-        self._link.trust(self._guard.sources(now, PEER_FRESH_S), alone=self._signing is not None)
+        sources = self.fleet.link.sources_since(now.ns - round(PEER_FRESH_S * NS_PER_S))
+        trusted = [source for source in sources if isinstance(source, tuple)]
+        self._link.trust(trusted, alone=self._signing is not None)
         turns, texts = self._guard.look(now, self._link.traffic.turned_away)
         for sysid, whose in self._inspections.acknowledged():
             self._acknowledge(sysid, whose)

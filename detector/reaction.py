@@ -67,8 +67,6 @@ _ASKED = (Step.ASKED, Step.ASKED_AGAIN)
 
 @dataclass(slots=True)
 class _Row:
-    """A row that was called for."""
-
     since: Instant
     asked: Instant  # when its command was sent last
     step: Step = Step.COUNTING

@@ -257,8 +257,6 @@ class Demand:
 
 @dataclass(slots=True)
 class _Ask:
-    """What was asked for one message."""
-
     tries: int = 0  # since its rate held last
     at: Instant | None = None  # when it was asked for last
     answer: int | None = None  # MAV_RESULT of the last acknowledgement; None if none came

@@ -34,7 +34,7 @@ Argument: TypeAlias = int | float | bytes | str | Sequence[int] | Sequence[float
 Record: TypeAlias = NDArray[Any]
 
 UNKNOWN = -1  # stands for every message id outside the dialect in `LinkCount.by_message`
-TEXT_BYTES = 50  # STATUSTEXT.text
+TEXT_BYTES = 50  # STATUSTEXT.text; Mission Planner and MAVROS do not put longer ones together
 AUTOPILOT = int(Component.AUTOPILOT1)
 STAMP_BYTES = 8  # before each frame of a telemetry log: microseconds since 1970, most significant first
 LATEST_US = 1 << 52  # year 2112: a later stamp is damage, whatever follows it

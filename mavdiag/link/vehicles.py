@@ -221,7 +221,6 @@ class _Waiting:
             self._note(frame)
 
     def forget(self) -> None:
-        """Keep none of the frames."""
         self.pieces, self.count = [], 0
 
     def _note(self, frame: Frame) -> None:
@@ -304,9 +303,10 @@ class LinkDecoder:
         """What came from one vehicle's autopilot so far; None if nothing did."""
         return self.decoder.heard.count(sysid << 8 | AUTOPILOT)
 
-    def heard_since(self, host_ns: int) -> list[int]:
-        """The vehicles whose autopilots were heard at this time or later [ns]."""
-        return [sysid for sysid in self.vehicles if self.decoder.heard.heard_ns(sysid << 8 | AUTOPILOT) >= host_ns]
+    def sources_since(self, host_ns: int) -> list[Source]:
+        """Where the vehicles are heard from whose autopilots were heard at this time or later [ns]."""
+        heard, keys = self.decoder.heard, (sysid << 8 | AUTOPILOT for sysid in self.vehicles)
+        return list(dict.fromkeys(heard.source(key) for key in keys if heard.heard_ns(key) >= host_ns))
 
     def source(self, sysid: int, compid: int = AUTOPILOT) -> Source:
         """Where a vehicle's autopilot, or another sender, is heard from; None on a link with one other end."""

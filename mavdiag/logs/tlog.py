@@ -218,7 +218,6 @@ def _converted(path: Path, pieces: list[_Piece], sysid: int, decoder: SampleDeco
 
 
 def _of_system(frames: Frames, sysid: int) -> Frames:
-    """Those of a system id, where they lie."""
     own = frames.rows["sender"] >> 8 == sysid
     return frames if own.all() else frames.where(own)
 

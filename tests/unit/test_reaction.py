@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from detector.alerts import TEXT_BYTES, Kind, Notice, Presenter, Telling
+from detector.alerts import Kind, Notice, Presenter, Telling
 from detector.reaction import ANSWER_S, NOTICE_S, OWN_S, STICK, Reaction
 from detector.rules import AUTOMATIC, parse_modes, parse_rules
 from detector.values import Effect, Note, SendCommand, SendText
@@ -21,7 +21,7 @@ from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
 from mavdiag.decision.words import held_advice, held_sentence
 from mavdiag.errors import UsageError
 from mavdiag.judging import MonitorSummary
-from mavdiag.link.codec import Decoder, Encoder
+from mavdiag.link.codec import TEXT_BYTES, Decoder, Encoder
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.vehicles import Ack, Received, acks_in, mode_in, sticks_in
 from mavdiag.monitors import MONITORS, by_name

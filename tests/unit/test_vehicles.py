@@ -260,8 +260,8 @@ def test_a_careful_decoder_wants_two_heartbeats_of_one_sender() -> None:
         link.feed(as_columns(chunks, [HERE] * len(chunks)), chunks[-1][1])
         assert bool(link.vehicles) is (k > 0)
     assert link.source(1) == HERE
-    assert link.heard_since(2 * S) == [1]
-    assert link.heard_since(30 * S) == []
+    assert link.sources_since(2 * S) == [HERE]
+    assert link.sources_since(30 * S) == []
 
 
 def test_why_a_vehicle_waits_is_told_after_seconds() -> None:

@@ -48,7 +48,6 @@ class _Client(Stream):
 
     @property
     def stuffed(self) -> bool:
-        """Whether it brings nothing but garbage."""
         return self._decoder.size - self._garbage_from >= GARBAGE_BYTES
 
     def take(self, most_bytes: int) -> bytes | None:

@@ -57,8 +57,6 @@ _receive_many = ctypes.CDLL(None, use_errno=True).recvmmsg
 
 
 class _Mailbag:
-    """Room for the datagrams of one call."""
-
     def __init__(self) -> None:
         self._data = np.empty((AT_ONCE, _ROOM), np.uint8)  # what is not touched costs nothing
         self._names = np.zeros((AT_ONCE, _NAME_BYTES), np.uint8)
@@ -119,11 +117,9 @@ class _Udp(Endpoint):
             raise link_error(self.address, error) from error
 
     def filenos(self) -> tuple[int, ...]:
-        """The socket's descriptor."""
         return (self._socket.fileno(),) if self._socket.fileno() >= 0 else ()
 
     def close(self) -> None:
-        """Close the socket."""
         self._socket.close()
 
     def _drain(self) -> Datagrams:
