@@ -16,8 +16,7 @@ from pathlib import Path
 from detector.session import Session
 from detector.states import State
 from detector.streams import METERED
-from detector.values import Effect, EventOpened, LearningFailed, Note, SessionSpec, VehicleFigures
-from mavdiag.baseline import Baseline
+from detector.values import Effect, EventOpened, FitOutcome, Note, SessionSpec, VehicleFigures
 from mavdiag.kernel import LOOK_NS
 from mavdiag.link.clock import Timesync, exchanged
 from mavdiag.link.codec import Frame
@@ -60,7 +59,7 @@ class Vehicle:
         self.judged_ns: int | None = None  # the vehicle's time up to which was judged
         self.vain = 0  # turns in a row that the data ought to have come for, and had not
         self.first_ns: int | None = None  # when the first gyro sample came that was not judged then (host)
-        self.outcome: Baseline | LearningFailed | None = None  # of its last `Learn`, until the session gets it
+        self.outcome: FitOutcome | None = None  # of its last `Learn`, until the session gets it
         self.sticks: dict[int, tuple[int, ...]] = {}  # told by ground stations behind, until the session gets them
         self.events = 0  # that were opened, so far
         self.timesync = Timesync()  # asked and answered where we may negotiate

@@ -12,9 +12,9 @@ from detector.reaction import Reaction
 from detector.rules import parse_modes, parse_rules
 from detector.states import TABLE, State, Trigger
 from detector.streams import CALM_S, Demand, Hindrance, Negotiation, Reason, Streams
-from detector.values import AskParameters, Effect, Learn, LearningFailed, Note, SessionSpec, StateChanged
+from detector.values import AskParameters, Effect, FitOutcome, Learn, LearningFailed, Note, SessionSpec, StateChanged
 from mavdiag.airframe.fingerprint import Outcome
-from mavdiag.baseline import Baseline, check_link
+from mavdiag.baseline import check_link
 from mavdiag.chain import ChainOutput
 from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Stage
 from mavdiag.decision.words import motors_words
@@ -55,7 +55,7 @@ class Session:
         self._named_values = NamedValues(1.0 / settings.named_values_hz)
         self.armed, self._armings = False, 0
         self.came = Telemetry()  # with the last step
-        self._outcome: Baseline | LearningFailed | None = None
+        self._outcome: FitOutcome | None = None
         self._looked, self._changes = Instant(0), 0  # when it was asked what the streams lack; rates changed by then
         self._unjudged: dict[str, str] = {}  # monitors that were said not to judge, with the reason
         self._effects: list[Effect] = []
@@ -82,9 +82,7 @@ class Session:
         """Whether it does its work or still may: only then its heartbeat goes out."""
         return self.state is not State.FAULTED
 
-    def step(
-        self, received: Received, now: Instant, outcome: Baseline | LearningFailed | None = None
-    ) -> tuple[Effect, ...]:
+    def step(self, received: Received, now: Instant, outcome: FitOutcome | None = None) -> tuple[Effect, ...]:
         """Take in what came since the last step. Call it regularly, though nothing came: time changes things.
 
         outcome: of the last `Learn`.

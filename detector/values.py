@@ -37,6 +37,9 @@ class LearningFailed:
     reason: str
 
 
+FitOutcome: TypeAlias = Baseline | LearningFailed
+
+
 @dataclass(frozen=True, slots=True)
 class SendText:
     """One STATUSTEXT, at most 50 bytes."""

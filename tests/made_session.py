@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from detector.config import SessionSettings
 from detector.session import Session
 from detector.states import State
-from detector.values import Effect, LearningFailed, SendText, SessionSpec, StateChanged
+from detector.values import Effect, FitOutcome, SendText, SessionSpec, StateChanged
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline, Link, MonitorEntry, Provenance, SourceLog, Window, sealed
@@ -189,12 +189,12 @@ class Story:
             self.give(Received(reboots=self.reboots))
         return [effect for _, effect in self.log[before:]]
 
-    def give(self, received: Received, outcome: Baseline | LearningFailed | None = None) -> list[Effect]:
+    def give(self, received: Received, outcome: FitOutcome | None = None) -> list[Effect]:
         effects = self.session.step(received, self.now, outcome)
         self.log += [(self.s, effect) for effect in effects]
         return list(effects)
 
-    def answer(self, outcome: Baseline | LearningFailed) -> list[Effect]:
+    def answer(self, outcome: FitOutcome) -> list[Effect]:
         return self.give(Received(alive=True, reboots=self.reboots), outcome)
 
     def acknowledge(self, ack: Ack) -> list[Effect]:
