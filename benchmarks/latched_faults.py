@@ -24,13 +24,14 @@ from emulated import as_flight
 
 from detector.config import SessionSettings
 from detector.session import Session
-from detector.values import Inbox, SendText, SessionSpec
+from detector.values import SendText, SessionSpec
 from mavdiag.baseline import Baseline
 from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.inspections import Inspections
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.messages import Severity
 from mavdiag.link.profiles import PROFILES
+from mavdiag.link.vehicles import Received
 from mavdiag.telemetry import Instant, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 from sitl_plant.autopilot.telemetry import flight_telemetry
@@ -87,7 +88,7 @@ def told(
         if event == "restart" and edge_ns == round(EVENT_S * NS_PER_S):
             kept = Inspections(journal, print)  # the daemon died: it reads what it had written
             session = Session(replace(spec, held=kept.held(1, 0)), Instant(edge_ns))
-        for effect in session.step(Inbox(piece, alive=bool(piece.series)), Instant(edge_ns + STEP_NS)):
+        for effect in session.step(Received(piece, alive=bool(piece.series)), Instant(edge_ns + STEP_NS)):
             if isinstance(effect, SendText):
                 texts.append((edge_ns / NS_PER_S, effect))
             elif isinstance(effect, Change):

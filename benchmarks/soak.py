@@ -33,6 +33,7 @@ from detector.values import SendText, SessionSpec
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import LOOK_NS
 from mavdiag.link.codec import Decoder, Encoder
+from mavdiag.link.datagrams import as_columns
 from mavdiag.link.messages import Component, MessageId, Severity
 from mavdiag.link.ports import Endpoint, open_endpoint
 from mavdiag.link.samples import SOURCES
@@ -162,7 +163,7 @@ def _look(
     fleet: Fleet, record: Record, chunks: list[tuple[bytes, int]], now_ns: int, base_ns: int
 ) -> list[tuple[int, str]]:
     """One look at the link; the texts of declared faults, with their time since the beginning."""
-    fleet.take(chunks, Instant(now_ns))
+    fleet.take(as_columns(chunks), Instant(now_ns))
     said = [
         (now_ns - base_ns, effect.text)
         for turn in fleet.judge(Instant(now_ns))
@@ -194,7 +195,9 @@ def real(minutes: float, rate_hz: float, seed: int) -> None:
             host_ns = time.monotonic_ns()
             for stream in daemon.fleet.link.vehicles.values():
                 if stream.state.timeline.reboots == flights and stream.state.timeline.t_ns is not None:
-                    lead_ns = min(lead_ns, stream.state.timeline.host_ns - stream.state.timeline.t_ns)
+                    lead_ns = min(
+                        lead_ns, int(stream.state.timeline.records[0]["host_ns"][0]) - stream.state.timeline.t_ns
+                    )
                     record.look(daemon.fleet, host_ns, lead_ns)
             for data, now_ns in station.receive(0.0):
                 for frame in decoder.feed(data, now_ns):

@@ -1,7 +1,4 @@
-"""The `mavdiag-detector` command (edge): watch vehicles over MAVLink and report a damaged propeller.
-
-Its options are those of `detector.config`, and the few that stand here.
-"""
+"""The `mavdiag-detector` command (edge): watch vehicles over MAVLink and report a damaged propeller."""
 
 import contextlib
 import gc
@@ -19,7 +16,7 @@ import typer
 from detector.config import Settings, collect_values, example_text, load_settings, options, split_address
 from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
-from detector.flights import Flights, check_installed
+from detector.flights import Flights
 from detector.hooks import Hook
 from detector.journal import Journal, Recorder, baselines_in, kept_baselines
 from detector.notify import Notifier
@@ -103,7 +100,8 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
         baseline, baselines = _baselines(settings)
         airframe = _airframe(settings)
         _warm()
-        signing, journal, recorder, metrics, web = None, None, None, None, None
+        signing, journal, recorder, flights, metrics, web = None, None, None, None, None, None
+        epoch_ns = time.time_ns() - time.monotonic_ns()
         if settings.signing_key is not None:
             kept = open_signing(settings.signing_key, "detector", time.time_ns(), reset=reset_stamp)
             signing = stack.enter_context(closing(kept))
@@ -115,10 +113,12 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
             sizes = settings.journal_mb, settings.journal_keep
             journal = stack.enter_context(closing(Journal(settings.journal, _say, *sizes)))
         if settings.record is not None:
-            epoch_ns, sizes = time.time_ns() - time.monotonic_ns(), (settings.record_mb, settings.record_keep)
+            sizes = settings.record_mb, settings.record_keep
             recorder = stack.enter_context(closing(Recorder(settings.record, epoch_ns, _say, *sizes)))
         hooks = [stack.enter_context(closing(Hook(address, _say))) for address in settings.hook]
-        flights = None if settings.history is None else stack.enter_context(closing(_flights(settings)))
+        if settings.history is not None:
+            recorded = Flights(settings.history, settings.flights or Path(), epoch_ns, _say)
+            flights = stack.enter_context(closing(recorded))
         if settings.metrics is not None:
             from detector.metrics import Metrics  # only if asked for: the import takes its time
 
@@ -168,8 +168,7 @@ def _warm() -> None:
 def _baselines(settings: Settings) -> tuple[Baseline | None, dict[int | str, Baseline]]:
     """The baseline for all vehicles, and those of single ones, by system id or uid; what was learned earlier, too."""
     baseline = None if settings.baseline is None else Baseline.load(settings.baseline)
-    kept = {} if settings.learn is None or settings.save is None else kept_baselines(settings.save)
-    learned = {sysid: known for sysid, (_, known) in kept.items()}
+    learned = {} if settings.learn is None or settings.save is None else kept_baselines(settings.save)
     baseline = learned.pop(0, baseline)
     folder = {} if settings.baselines is None else baselines_in(settings.baselines)
     return baseline, learned | folder | {sysid: Baseline.load(own.baseline) for sysid, own in settings.vehicles.items()}
@@ -183,12 +182,6 @@ def _airframe(settings: Settings) -> Airframe | None:
 
     told = Airframe() if settings.airframe is None else airframe_from(settings.airframe)
     return told if settings.layout is None else with_layout(told, settings.layout)
-
-
-def _flights(settings: Settings) -> Flights:
-    check_installed()
-    epoch_ns = time.time_ns() - time.monotonic_ns()
-    return Flights(settings.history or "", settings.flights or Path(), epoch_ns, _say)
 
 
 def _web(settings: Settings, address: str) -> "Feed":

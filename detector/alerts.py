@@ -15,12 +15,12 @@ from mavdiag.chain import ChainOutput
 from mavdiag.decision.diagnosis import Diagnosis, Stage
 from mavdiag.decision.words import finding_words, motors_words
 from mavdiag.kernel import Slot
+from mavdiag.link.codec import TEXT_BYTES
 from mavdiag.link.messages import Severity
 from mavdiag.monitors import BY_NAME
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis, Instant
 
-TEXT_BYTES = 50  # STATUSTEXT.text; Mission Planner and MAVROS do not put longer ones together
 GAP_S = 2.0  # MAVProxy suppresses identical text within 2 s
 MINUTE_S = 60.0
 LULL_S = 5.0  # a lasting matter that is offered again within so long goes on where it was (our choice)
@@ -153,8 +153,6 @@ def _finding(kind: Kind, diagnosis: Diagnosis, key: str = "") -> Notice:
 
 @dataclass(slots=True)
 class _Matter:
-    """What was said of a lasting matter."""
-
     key: str
     begun: Instant  # when it was said first
     at: Instant  # ... and last

@@ -1,8 +1,4 @@
-"""`mavdiag-detector --check` and `--working` (edge).
-
-The first tells what a start with these settings would do, and whether it could; it opens no link. The second asks a
-running daemon, by its metrics, whether it does its work; it says nothing about the vehicles.
-"""
+"""`mavdiag-detector --check` and `--working` (edge)."""
 
 import http.client
 from collections.abc import Iterator, Mapping
@@ -27,7 +23,7 @@ ANY = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # who listens everywhere is asked o
 def plan(
     settings: Settings, baseline: Baseline | None, own: Mapping[int | str, Baseline], airframe: Airframe | None
 ) -> Iterator[str]:
-    """What a start would do, line by line; baselines and airframe as they were loaded.
+    """What a start would do, line by line; baselines and airframe as they were loaded. No link is opened.
 
     Raises UsageError, LinkError or BaselineError where it could not.
     """
@@ -101,7 +97,7 @@ def _summary(baseline: Baseline, settings: Settings) -> str:
 
 
 def ask_working(metrics: str | None) -> str:
-    """Why the daemon that serves its figures there does not work, in one line; empty if it does.
+    """Why the daemon that serves its figures there does not work, in one line; empty if it does, whatever vehicles do.
 
     Raises UsageError if there is no address.
     """

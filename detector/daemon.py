@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
+from detector.component import Sender
 from detector.config import Settings
 from detector.fitting import FittingJob, ProcessFitter
 from detector.fleet import Fleet, Turn
@@ -23,16 +24,13 @@ from detector.notify import Notifier
 from detector.relay import Relay
 from detector.requests import Handled, Requests
 from detector.rules import parse_rules
-from detector.sender import MavlinkSender
 from detector.states import State
 from detector.values import (
-    AskInterval,
     DaemonFigures,
     Effect,
     EventOpened,
     Learn,
     LinkFigures,
-    Note,
     SendFloat,
     SessionSpec,
     is_working,
@@ -42,13 +40,11 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.decision.diagnosis import Change
 from mavdiag.inspections import Inspections
-from mavdiag.link.codec import message_name
-from mavdiag.link.datagrams import Chunk, Datagrams, as_columns, joined_datagrams
+from mavdiag.link.datagrams import Datagrams, joined_datagrams
 from mavdiag.link.keys import KeptSigning
-from mavdiag.link.messages import MessageId
+from mavdiag.link.messages import MavCmd, MessageId
 from mavdiag.link.ports import PEER_FRESH_S, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
-from mavdiag.link.sequence import Source
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 
@@ -148,7 +144,7 @@ class Daemon:
             [file.write for file in (journal, web, *hooks) if file], host.say, self._when, settings.save
         )
         self._inspections = inspections or Inspections(None, host.say)
-        self._senders: dict[int, MavlinkSender] = {}
+        self._senders: dict[int, Sender] = {}
         self._requests = Requests(self.fleet, settings.keep_rates, self._sender, self._signing)
         self._started = self._beat_at = self._now()
         self._late, self._latest_s, self._unclear = 0, 0.0, set[tuple[int, str]]()
@@ -256,9 +252,9 @@ class Daemon:
         for file in self._files.values():
             file.flush()
 
-    def _sender(self, vehicle: int) -> MavlinkSender:
+    def _sender(self, vehicle: int) -> Sender:
         if vehicle not in self._senders:
-            self._senders[vehicle] = MavlinkSender(vehicle, self._signing)
+            self._senders[vehicle] = Sender(vehicle, self._signing)
         return self._senders[vehicle]
 
     def _knows(self, sysid: int) -> bool:
@@ -271,11 +267,12 @@ class Daemon:
             if len(asked) == UID_TRIES:
                 return True
             asked.append(now)
-            self._relay.send(self._sender(sysid).ask(MessageId.AUTOPILOT_VERSION), to_all=False)
+            self._relay.send(
+                self._sender(sysid).command(MavCmd.REQUEST_MESSAGE, MessageId.AUTOPILOT_VERSION), to_all=False
+            )
         return False
 
     def _own(self, sysid: int) -> Baseline | None:
-        """The baseline of a vehicle alone."""
         stream = self.fleet.link.vehicles.get(sysid)
         return self._baselines.get(sysid) or self._baselines.get("" if stream is None else stream.uid)
 
@@ -290,20 +287,15 @@ class Daemon:
         return SessionSpec(profile, baseline, self._settings, self._unix_ns() - self._host.now_ns(), held)
 
     def _take(self, now: Instant) -> None:
-        """Read the vehicle's link, and hand on what it brings."""
-        pieces, chunks, sources = list[Datagrams](), list[Chunk](), list[Source]()
-        for _ in range(DRAINS):
-            more = self._link.receive(0.0)
-            if not more:
-                break
-            if self._link.datagrams:
-                pieces.append(as_columns(more, self._link.sources))
-            else:
-                chunks, sources = [*chunks, *more], [*sources, *self._link.sources]
-        self.fleet.take(joined_datagrams(pieces) if self._link.datagrams else chunks, now, sources)
+        pieces = list[Datagrams]()
+        while len(pieces) < DRAINS and (more := self._link.receive(0.0)):
+            pieces.append(more)
+        self.fleet.take(joined_datagrams(pieces), now)
 
     def _watch(self, now: Instant) -> None:
-        self._link.trust(self._guard.sources(now, PEER_FRESH_S), alone=self._signing is not None)
+        sources = self.fleet.link.sources_since(now.ns - round(PEER_FRESH_S * NS_PER_S))
+        trusted = [source for source in sources if isinstance(source, tuple)]
+        self._link.trust(trusted, alone=self._signing is not None)
         turns, texts = self._guard.look(now, self._link.traffic.turned_away)
         for sysid, whose in self._inspections.acknowledged():
             self._acknowledge(sysid, whose)
@@ -346,10 +338,10 @@ class Daemon:
         """Heartbeats of the sessions that work; on a link where we must send first, also before a vehicle."""
         for sysid, vehicle in self.fleet.vehicles.items():
             if vehicle.session.working:
-                self._relay.send(self._sender(sysid).heartbeat(vehicle.session.state))
+                self._relay.send(self._sender(sysid).beat(vehicle.session.state))
         if self._announces and not self.fleet.vehicles:
             first = self._sender(self._settings.vehicle or FIRST_VEHICLE)
-            self._relay.send(first.heartbeat(State.WAITING), to_all=False)
+            self._relay.send(first.beat(State.WAITING), to_all=False)
         if self._metrics is not None or self._web is not None:
             figures = self.figures()
             if self._metrics is not None:
@@ -392,8 +384,6 @@ class Daemon:
         if isinstance(effect, SendFloat):
             return  # it is not worth a line
         match effect:
-            case AskInterval(msgid, interval_us):
-                self._reporter.record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
             case Learn():
                 airframe = self._airframe or Airframe(name=f"vehicle {sysid}")
                 airframe = replace(airframe, name=self._settings.name or airframe.name)

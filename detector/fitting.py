@@ -11,16 +11,14 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
-from detector.values import Learn, LearningFailed
+from detector.values import FitOutcome, Learn, LearningFailed
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.baseline import Baseline, sealed
+from mavdiag.baseline import sealed
 from mavdiag.errors import MavdiagError
 from mavdiag.telemetry import Log
 
 LIMIT_S = 300.0  # longer than any fit takes on a small companion computer (our choice)
 NICENESS = 10  # the receive loop comes first
-
-Outcome = Baseline | LearningFailed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +31,7 @@ class FittingJob:
     accept: bool = False  # a baseline of grade D is taken, too
 
 
-def fit_baseline(job: FittingJob) -> Outcome:
+def fit_baseline(job: FittingJob) -> FitOutcome:
     """Make a baseline here and now, as `mavdiag identify` does by default."""
     # Imported by the process that fits, not by the daemon: it brings the identification with it.
     from mavdiag.learning import LearnOptions, learn
@@ -71,12 +69,12 @@ class ProcessFitter:
         self._waiting.append(job)
         self._next()
 
-    def poll(self) -> list[tuple[int, Outcome]]:
+    def poll(self) -> list[tuple[int, FitOutcome]]:
         """Outcomes since the last call, by system id. A job that takes too long has failed."""
         if self._running is None:
             return []
         vehicle, _, answer, since_s = self._running
-        outcome: Outcome = LearningFailed("the fitting process ended early or took too long; fly on to try again")
+        outcome: FitOutcome = LearningFailed("the fitting process ended early or took too long; fly on to try again")
         if answer.poll():
             with contextlib.suppress(EOFError):  # it ended without an answer
                 outcome = answer.recv()

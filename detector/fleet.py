@@ -8,25 +8,24 @@ data (`due_turns`): nothing is lost, and verdicts come later, which is told.
 
 import traceback
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
 
 from detector.session import Session
 from detector.states import State
 from detector.streams import METERED
-from detector.values import Effect, EventOpened, Inbox, LearningFailed, Note, SessionSpec, VehicleFigures
-from mavdiag.baseline import Baseline
+from detector.values import Effect, EventOpened, FitOutcome, Note, SessionSpec, VehicleFigures
 from mavdiag.kernel import LOOK_NS
 from mavdiag.link.clock import Timesync, exchanged
 from mavdiag.link.codec import Frame
-from mavdiag.link.datagrams import Chunk, Datagrams
+from mavdiag.link.datagrams import Datagrams
 from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
-from mavdiag.link.vehicles import VEHICLES_MAX, LinkDecoder, mode_in, sticks_in
+from mavdiag.link.vehicles import VEHICLES_MAX, LinkDecoder
 from mavdiag.telemetry import Instant, Series, Signal
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
@@ -60,7 +59,7 @@ class Vehicle:
         self.judged_ns: int | None = None  # the vehicle's time up to which was judged
         self.vain = 0  # turns in a row that the data ought to have come for, and had not
         self.first_ns: int | None = None  # when the first gyro sample came that was not judged then (host)
-        self.outcome: Baseline | LearningFailed | None = None  # of its last `Learn`, until the session gets it
+        self.outcome: FitOutcome | None = None  # of its last `Learn`, until the session gets it
         self.sticks: dict[int, tuple[int, ...]] = {}  # told by ground stations behind, until the session gets them
         self.events = 0  # that were opened, so far
         self.timesync = Timesync()  # asked and answered where we may negotiate
@@ -143,9 +142,9 @@ class Fleet:
         self._spec_of, self._knows = spec_of, knows
         self._left: set[int] = set()
 
-    def take(self, chunks: Sequence[Chunk] | Datagrams, now: Instant, sources: Sequence[Source] = ()) -> None:
-        """Take bytes with their time of arrival. sources: of each chunk; empty for a link with one other end."""
-        self.link.take(chunks, now.ns, sources)
+    def take(self, some: Datagrams, now: Instant) -> None:
+        """Take what the link brought."""
+        self.link.take(some, now.ns)
         for sysid in self.link.vehicles.keys() - self.vehicles.keys() - self._left:
             if not self._knows(sysid):
                 self.link.received(sysid)  # what it tells of itself is in the stream then
@@ -208,19 +207,17 @@ class Fleet:
         return [*turns, *(self._parted(sysid, now, lambda sysid, _: Turn(sysid, ends[sysid]())) for sysid in ends)]
 
     def _turn(self, sysid: int, now: Instant) -> Turn:
-        vehicle, stream, received = self.vehicles[sysid], self.link.vehicles[sysid], self.link.received(sysid)
-        session, came, alive = vehicle.session, received.telemetry, received.present
-        reboots, imu = stream.state.timeline.reboots, stream.profile.imu
-        mode, sticks = (mode_in(received.frames), sticks_in(received.frames)) if received.frames else (None, {})
-        sticks = {**sticks, **vehicle.sticks}
-        inbox = Inbox(came, alive, reboots, received.acks, vehicle.outcome, received.parameters, imu, mode, sticks)
+        vehicle, received = self.vehicles[sysid], self.link.received(sysid)
+        session, outcome = vehicle.session, vehicle.outcome
+        if vehicle.sticks:
+            received = replace(received, sticks={**received.sticks, **vehicle.sticks})
         vehicle.outcome, vehicle.sticks = None, {}
-        effects = session.step(inbox, now)
+        effects = session.step(received, now, outcome)
         vehicle.events += sum(isinstance(effect, EventOpened) for effect in effects)
         if session.spec.settings.negotiate:
-            vehicle.timesync, messages = exchanged(vehicle.timesync, received.frames, now.ns, alive=alive)
+            vehicle.timesync, messages = exchanged(vehicle.timesync, received.frames, now.ns, alive=received.alive)
             effects = (*effects, *messages)
-        latency_s = vehicle.wait(came.get(Signal.BODY_RATE), now.ns, self.looks)
+        latency_s = vehicle.wait(received.telemetry.get(Signal.BODY_RATE), now.ns, self.looks)
         return Turn(sysid, effects, received.asked, latency_s)
 
     def _parted(self, sysid: int, now: Instant, work: Callable[[int, Instant], Turn]) -> Turn:

@@ -51,10 +51,11 @@ def check_installed() -> None:
 class Flights(Courier):
     """Records the flights of all vehicles. folder: of the recordings. epoch_ns, warn: as in `Recorder`, `Courier`.
 
-    Raises UsageError if the folder cannot be used.
+    Raises UsageError if the folder or the history's database cannot be used.
     """
 
     def __init__(self, database: str, folder: Path, epoch_ns: int, warn: Callable[[str], None]) -> None:
+        check_installed()
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:

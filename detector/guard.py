@@ -7,12 +7,10 @@ from dataclasses import dataclass, field
 from detector.fleet import Turn
 from detector.values import Effect, Note, SendText
 from mavdiag.link.messages import Component, Severity
-from mavdiag.link.ports import SocketAddress
 from mavdiag.link.sequence import PINNED_S, LinkCount, Source
 from mavdiag.link.signing import Refusal, Signing
 from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.telemetry import Instant
-from mavdiag.units import NS_PER_S
 
 AGAIN_S = 60.0  # how often refused signatures are told again while they go on (our choice)
 RESTARTS = 3  # new beginnings of the running numbers in a second, and
@@ -47,11 +45,6 @@ class Guard:
         self._link, self._signing = link, signing
         self._known: dict[int, _Known] = {}
         self._counts: dict[str, tuple[int, Instant]] = {}  # what was told of a count last, and when
-
-    def sources(self, now: Instant, within_s: float) -> list[SocketAddress]:
-        """Where the vehicles are heard from that were heard lately."""
-        heard = self._link.heard_since(now.ns - round(within_s * NS_PER_S))
-        return [source for source in dict.fromkeys(map(self._link.source, heard)) if isinstance(source, tuple)]
 
     def look(self, now: Instant, turned_away: int = 0) -> tuple[list[Turn], list[str]]:
         """What is new: what to tell about vehicles, and about the link. turned_away: clients of its server so far."""

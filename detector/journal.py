@@ -309,15 +309,15 @@ class Reporter:
             self.record(sysid, Note(f"baseline saved to {path}"))
 
 
-def kept_baselines(path: Path) -> dict[int, tuple[Path, Baseline]]:
+def kept_baselines(path: Path) -> dict[int, Baseline]:
     """What earlier starts learned and kept under this name, by system id; 0 for one that was not learned live.
 
     Raises BaselineError for a file that is none.
     """
     own = re.compile(rf"{re.escape(path.stem)}-\d+{re.escape(path.suffix)}")
     beside = [near for near in path.parent.iterdir() if own.fullmatch(near.name)] if path.parent.is_dir() else []
-    loaded = [(file, Baseline.load(file)) for file in (path, *sorted(beside)) if file.is_file()]
-    return {baseline.provenance.vehicle: (file, baseline) for file, baseline in reversed(loaded)}
+    loaded = [Baseline.load(file) for file in (path, *sorted(beside)) if file.is_file()]
+    return {baseline.provenance.vehicle: baseline for baseline in reversed(loaded)}
 
 
 def baselines_in(folder: Path) -> dict[int | str, Baseline]:

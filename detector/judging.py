@@ -128,13 +128,12 @@ class _Sight:
         self._pieces = [
             (t_ns, piece) for t_ns, piece in self._pieces if since_ns <= t_ns <= flown_ns or t_ns >= now_ns - LATEST_NS
         ]
-        self.hidden = "" if now_ns - flown_ns < HIDDEN_S * NS_PER_S else self._hidden()
-
-    def _hidden(self) -> str:
-        front = self._chain.front
-        telemetry = joined([piece for _, piece in self._pieces])
-        found = hidden_flight(telemetry, front.gate, front.align.quality, self._spans)
-        return found[-1].reason if found and self._pieces[-1][0] / NS_PER_S - found[-1].end_s < 1.0 else ""
+        self.hidden, front = "", self._chain.front
+        if now_ns - flown_ns >= HIDDEN_S * NS_PER_S:
+            telemetry = joined([piece for _, piece in self._pieces])
+            found = hidden_flight(telemetry, front.gate, front.align.quality, self._spans)
+            if found and self._pieces[-1][0] / NS_PER_S - found[-1].end_s < 1.0:
+                self.hidden = found[-1].reason
 
 
 def unjudged_s(account: Account) -> dict[str, float]:

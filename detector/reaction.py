@@ -13,11 +13,11 @@ from enum import StrEnum
 
 from detector.alerts import Kind, Notice
 from detector.rules import Rule, names_of
-from detector.values import Effect, Inbox, Note, SendCommand
+from detector.values import Effect, Note, SendCommand
 from mavdiag.decision.diagnosis import Diagnosis
 from mavdiag.decision.words import motors_words
-from mavdiag.link.messages import Autopilot, MavCmd, MavResult
-from mavdiag.link.modes import mode_name
+from mavdiag.link.messages import Autopilot, MavCmd, MavResult, mode_name
+from mavdiag.link.vehicles import Received
 from mavdiag.telemetry import Instant
 
 NOTICE_S = 5.0  # an action is announced so long before (our choice: time to look up and touch a stick)
@@ -67,8 +67,6 @@ _ASKED = (Step.ASKED, Step.ASKED_AGAIN)
 
 @dataclass(slots=True)
 class _Row:
-    """A row that was called for."""
-
     since: Instant
     asked: Instant  # when its command was sent last
     step: Step = Step.COUNTING
@@ -99,22 +97,18 @@ class Reaction:
         return bool(self._sticks)
 
     @property
-    def pending(self) -> bool:
-        """Whether something is about to be done that may be called off."""
-        return bool(self._pending)
-
-    @property
-    def _pending(self) -> list[int]:
+    def pending(self) -> list[int]:
+        """The rows that are about to do something, and may be called off."""
         return [n for n, row in self._rows.items() if row.step not in _ASKED and self._rules[n].command is not None]
 
-    def step(self, held: Diagnosis, armed: bool, inbox: Inbox, now: Instant) -> list[Effect]:
+    def step(self, held: Diagnosis, armed: bool, received: Received, now: Instant) -> list[Effect]:
         """Take in what came and what is held of the vehicle now; return what to do and to say."""
         if not self._rules:
             return []
         self._effects = []
-        self._mode = self._mode if inbox.mode is None else inbox.mode
+        self._mode = self._mode if received.mode is None else received.mode
         ready = armed and not self._modes.isdisjoint({mode_name(self._mode), str(self._mode)})
-        self._watch(inbox, now)
+        self._watch(received, now)
         names = names_of(held) if ready else ()
         name = next((name for name in names if any(rule.finding == name for rule in self._rules)), None)
         for number, rule in enumerate(self._rules):
@@ -129,7 +123,7 @@ class Reaction:
                 self._effects.append(Note(f"on fault: {rule}: {held}"))
         for number in sorted(self._rows):
             if number in self._rows:
-                self._wait(number, held, inbox, now)
+                self._wait(number, held, received, now)
         if not armed:
             self._open, self._rows = len(self._rules), {}
         return self._effects
@@ -137,26 +131,26 @@ class Reaction:
     def acknowledge(self, whose: str) -> list[Effect]:
         """Call off what is pending. whose: who says so."""
         self._effects = []
-        if pending := self._pending:
+        if pending := self.pending:
             self._call_off(min(pending), f"acknowledged by {whose}")
         return self._effects
 
-    def _watch(self, inbox: Inbox, now: Instant) -> None:
+    def _watch(self, received: Received, now: Instant) -> None:
         """Call off what was announced if the pilot does something."""
-        self._sticks |= inbox.sticks
+        self._sticks |= received.sticks
         own = self._own_until is not None and now.ns < self._own_until.ns
         for number, row in sorted(self._rows.items()):
             changed = f"mode {mode_name(self._mode)}" if self._mode != row.mode else ""
             if row.step in _ASKED and changed:
                 self._move(number, Trigger.TAKEN, changed)
-            elif row.step is Step.ANNOUNCED and (changed or _moved(inbox.sticks, row.sticks)):
+            elif row.step is Step.ANNOUNCED and (changed or _moved(received.sticks, row.sticks)):
                 if own and changed:
                     row.mode = self._mode
                 else:
                     return self._call_off(number, changed or "a stick was moved")
         return None
 
-    def _wait(self, number: int, held: Diagnosis, inbox: Inbox, now: Instant) -> None:
+    def _wait(self, number: int, held: Diagnosis, received: Received, now: Instant) -> None:
         rule, row = self._rules[number], self._rows[number]
         waited_s = now - row.since
         match row.step:
@@ -177,7 +171,7 @@ class Reaction:
                 self._close(number)
             case Step.ASKED | Step.ASKED_AGAIN:
                 command = self._command(rule)
-                results = [ack.result for ack in inbox.acks if ack.command == command]
+                results = [ack.result for ack in received.acks if ack.command == command]
                 if results and results[-1] in _TAKEN:
                     self._own_until = now + OWN_S
                     self._move(number, Trigger.TAKEN)

@@ -19,7 +19,7 @@ from detector.config import SessionSettings, page_address
 from detector.journal import Reporter, When
 from detector.session import Session
 from detector.streams import METERED
-from detector.values import DaemonFigures, EventOpened, Inbox, SessionSpec, VehicleFigures
+from detector.values import DaemonFigures, EventOpened, SessionSpec, VehicleFigures
 from detector.web.child import Place, ServerProcess, read_token
 from detector.web.snapshot import BACK_S, Level, Snapshots, Track, about, fleet_now
 from mavdiag import commandline
@@ -28,6 +28,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, warm
 from mavdiag.judging import suited
 from mavdiag.link.profiles import PROFILES
+from mavdiag.link.vehicles import Received
 from mavdiag.logs import read_log
 from mavdiag.rows.front import in_pieces
 from mavdiag.telemetry import Instant, Log, Signal, Telemetry
@@ -92,7 +93,7 @@ class Judged:
         ends = [int(series.t_ns[-1]) for series in telemetry or () if len(series)]
         self._at = max(self._at, Instant(max(ends, default=0)))
         self._track.take(telemetry or Telemetry())
-        effects = session.finish() if telemetry is None else session.step(Inbox(telemetry, alive=True), self._at)
+        effects = session.finish() if telemetry is None else session.step(Received(telemetry, alive=True), self._at)
         for effect in effects:
             self._alarms += isinstance(effect, EventOpened)
             self._reporter.record(self.vehicle, effect)
@@ -160,9 +161,8 @@ class Player:
         self._shown, recent = max(1, self._due(to_s)), self._due(to_s - BACK_S)
         past = self._judged.moments[: self._shown]
         self._lines = [f"C {self._judged.begin_ns:x}-{self._jumps}\n"]
-        self._lines += [f"A {self._judged.vehicle} {moment.about}\n" for moment in past if moment.about is not None][
-            -1:
-        ]
+        known = [moment.about for moment in past if moment.about is not None]
+        self._lines += [f"A {self._judged.vehicle} {about}\n" for about in known[-1:]]
         self._enter(past)
         if past:
             self._lines += [

@@ -9,9 +9,8 @@ all groups becomes requests for those that hold none.
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from detector import component
+from detector.component import Sender, answer
 from detector.fleet import Fleet, Turn
-from detector.sender import MavlinkSender
 from detector.values import Effect, Note
 from mavdiag.link.codec import Decoder, Encoder, Frame, message_name
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
@@ -60,7 +59,7 @@ class Requests:
     """
 
     def __init__(
-        self, fleet: Fleet, keep_rates: bool, sender: Callable[[int], MavlinkSender], signing: Signing | None = None
+        self, fleet: Fleet, keep_rates: bool, sender: Callable[[int], Sender], signing: Signing | None = None
     ) -> None:
         self._fleet, self._keep_rates, self._sender, self._signing = fleet, keep_rates, sender, signing
         self._decoder = Decoder(GUARDED | ASKING | STICKS.keys())
@@ -110,20 +109,13 @@ class Requests:
                 result = MavResult.ACCEPTED if session.acknowledgeable else MavResult.FAILED
                 result = result if trusted else MavResult.DENIED
                 effects = session.acknowledge(f"{frame.sysid}/{frame.compid}") if trusted else effects
-            elif (version := self._version(command, sender)) is not None:
+            elif (version := sender.version(_requested(command))) is not None:
                 result, more = MavResult.ACCEPTED, [version]
             more = [sender.answer(command, result), *more]
         else:
-            more, told = component.answer(frame, session, sender, trusted=trusted)
+            more, told = answer(frame, session, sender, trusted=trusted)
             effects += told
         return Handled((), tuple(more), (Turn(sysid, effects),) if effects else ())
-
-    def _version(self, command: Command, sender: MavlinkSender) -> bytes | None:
-        """The message that a command asks for; None if there is none."""
-        if command.command == MavCmd.REQUEST_AUTOPILOT_CAPABILITIES:
-            return component.version_frame(sender, MessageId.AUTOPILOT_VERSION)
-        asks = command.command == MavCmd.REQUEST_MESSAGE and 0 <= command.parameter < 1 << 24
-        return component.version_frame(sender, int(command.parameter)) if asks else None
 
     def _kept(self, frame: Frame) -> Handled | None:
         """What becomes of a request for a rate that is needed here; None if it is passed on."""
@@ -146,7 +138,7 @@ class Requests:
                     (frame.value("req_message_rate"), frame.value("start_stop")),
                 )
                 others = (group for group in GROUPS if group not in held)
-                passed += [self._sender(vehicle).frame(frame.msgid, *to, group, *rate) for group in others]
+                passed += [self._sender(vehicle).encode(frame.msgid, *to, group, *rate) for group in others]
         elif frame.value("command") != MavCmd.SET_MESSAGE_INTERVAL or frame.value("param1") not in needed[vehicle]:
             return None
         else:
@@ -163,6 +155,14 @@ class Requests:
         new = kind not in self._noted and len(self._noted) < NOTED_MOST
         self._noted |= {kind} if new else set()
         return new
+
+
+def _requested(command: Command) -> int:
+    """The message that a command asks for; -1 if it asks for none."""
+    if command.command == MavCmd.REQUEST_AUTOPILOT_CAPABILITIES:
+        return MessageId.AUTOPILOT_VERSION
+    asks = command.command == MavCmd.REQUEST_MESSAGE and 0 <= command.parameter < 1 << 24
+    return int(command.parameter) if asks else -1
 
 
 def _addressed(frame: Frame, needed: Mapping[int, Collection[int]]) -> int | None:

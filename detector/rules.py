@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from mavdiag.decision.diagnosis import Diagnosis, Stage
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import command_numbers
-from mavdiag.link.messages import MavCmd
-from mavdiag.link.modes import MODES
+from mavdiag.link.messages import MODES, MavCmd
 from mavdiag.monitors.base import FaultKind
 
 DECLARED, SUSPECTED = "fault", "suspected"  # a fault of any kind; a suspicion

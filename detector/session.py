@@ -1,4 +1,4 @@
-"""One vehicle's session, sans I/O: `session.step(inbox, now) -> effects`.
+"""One vehicle's session, sans I/O: `session.step(received, now) -> effects`.
 
 `now` is the host's clock and rules what is said and given up; the judgement itself runs on the vehicle's clock.
 """
@@ -8,12 +8,11 @@ from typing import Final
 
 from detector.alerts import Kind, NamedValues, Notice, Presenter, Telling
 from detector.judging import Judge, beginning, chain_for, records_of, words_of
-from detector.negotiate import CALM_S, Negotiation
 from detector.reaction import Reaction
 from detector.rules import parse_modes, parse_rules
 from detector.states import TABLE, State, Trigger
-from detector.streams import Demand, Hindrance, Reason, Streams
-from detector.values import AskParameters, Effect, Inbox, Learn, LearningFailed, Note, SessionSpec, StateChanged
+from detector.streams import CALM_S, Demand, Hindrance, Negotiation, Reason, Streams
+from detector.values import AskParameters, Effect, FitOutcome, Learn, LearningFailed, Note, SessionSpec, StateChanged
 from mavdiag.airframe.fingerprint import Outcome
 from mavdiag.baseline import check_link
 from mavdiag.chain import ChainOutput
@@ -24,16 +23,15 @@ from mavdiag.link.codec import message_name
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import LAST_RESORT, Profile
 from mavdiag.link.samples import joined
+from mavdiag.link.vehicles import Received
 from mavdiag.link.wants import Reading
 from mavdiag.telemetry import Instant, Signal, Telemetry
 
 WAITED_CHUNKS = 256  # kept while the streams are measured: some ten seconds (our choice)
 LOOK_S = 0.1  # between two looks at what the streams lack (our choice)
 IDLE_S = 3.0  # that nothing is judged is said after so long (our choice)
-STICKS_S, STICKS_HZ = (
-    60.0,
-    5.0,
-)  # how often a pilot's sticks are asked for until they are told, and their rate (our choice)
+# How often a pilot's sticks are asked for until they are told, and their rate (our choice).
+STICKS_S, STICKS_HZ = 60.0, 5.0
 ARMED_FROM = 0.5  # of the signal, which is 0 or 1
 PROGRESS_STEP = 25  # percent of learning between two texts
 FITS = 3  # fits that may fail before learning is given up (our choice)
@@ -57,6 +55,7 @@ class Session:
         self._named_values = NamedValues(1.0 / settings.named_values_hz)
         self.armed, self._armings = False, 0
         self.came = Telemetry()  # with the last step
+        self._outcome: FitOutcome | None = None
         self._looked, self._changes = Instant(0), 0  # when it was asked what the streams lack; rates changed by then
         self._unjudged: dict[str, str] = {}  # monitors that were said not to judge, with the reason
         self._effects: list[Effect] = []
@@ -83,21 +82,24 @@ class Session:
         """Whether it does its work or still may: only then its heartbeat goes out."""
         return self.state is not State.FAULTED
 
-    def step(self, inbox: Inbox, now: Instant) -> tuple[Effect, ...]:
-        """Take in what came since the last step. Call it regularly, with an empty inbox too: time changes things."""
-        self._effects, self._notices, self.came = [], [], inbox.telemetry
-        self._link(inbox, now)
-        self._reboot(inbox)
-        self._observe(inbox, now)
+    def step(self, received: Received, now: Instant, outcome: FitOutcome | None = None) -> tuple[Effect, ...]:
+        """Take in what came since the last step. Call it regularly, though nothing came: time changes things.
+
+        outcome: of the last `Learn`.
+        """
+        self._effects, self._notices, self.came, self._outcome = [], [], received.telemetry, outcome
+        self._link(received, now)
+        self._reboot(received)
+        self._observe(received, now)
         if self.state is not State.LOST:
-            getattr(self, f"_{self.state}")(inbox, now)
-        armed = inbox.telemetry.get(Signal.ARMED)
+            getattr(self, f"_{self.state}")(received, now)
+        armed = received.telemetry.get(Signal.ARMED)
         if armed is not None and len(armed):
             was_armed, self.armed = self.armed, bool(armed.values[-1, 0] >= ARMED_FROM)
             self._armings += self.armed and not was_armed
         held = self._held if self.judge is None else self.judge.memory.decision.decided
         held = self.diagnosis if held.stage is Stage.SUSPECTED else held  # with the evidence that is told
-        self._effects += self.reaction.step(held, self.armed, inbox, now)
+        self._effects += self.reaction.step(held, self.armed, received, now)
         self._notices += self._telling.step(held, self._armings)
         return (*self._effects, *self._presenter.present(self._notices, now))
 
@@ -136,7 +138,7 @@ class Session:
     @property
     def acknowledgeable(self) -> bool:
         """Whether `acknowledge` has an effect."""
-        return self.diagnosis.stage is Stage.INSPECT or self.reaction.pending
+        return self.diagnosis.stage is Stage.INSPECT or bool(self.reaction.pending)
 
     def tune(self, **settings: float) -> tuple[Effect, ...]:
         """Go on with other settings: `threshold_scale` on the ground, `texts_per_minute`. Valid values only."""
@@ -166,9 +168,9 @@ class Session:
         self._move(trigger, reason)
         self._say(Kind.OFF, reason)
 
-    def _link(self, inbox: Inbox, now: Instant) -> None:
+    def _link(self, received: Received, now: Instant) -> None:
         limit_s = self.settings.link_lost_s
-        if inbox.alive:
+        if received.alive:
             silent_s, self.latest = now - self.latest, now
             if self.state is State.LOST:
                 self._move(Trigger.LINK_BACK)
@@ -179,22 +181,22 @@ class Session:
             self._begin_link()
             self._say(Kind.LINK_LOST)
 
-    def _reboot(self, inbox: Inbox) -> None:
-        if inbox.reboots == self.reboots or Trigger.REBOOT not in TABLE[self.state]:
+    def _reboot(self, received: Received) -> None:
+        if received.reboots == self.reboots or Trigger.REBOOT not in TABLE[self.state]:
             return
         self._effects += self.finish()
-        self._held, self.judge, self.reboots, self._unjudged = self.diagnosis, None, inbox.reboots, {}
+        self._held, self.judge, self.reboots, self._unjudged = self.diagnosis, None, received.reboots, {}
         self._begin_link()
         self._begin_learning()
         self._move(Trigger.REBOOT)
         self._say(Kind.REBOOT)
 
-    def _observe(self, inbox: Inbox, now: Instant) -> None:
+    def _observe(self, received: Received, now: Instant) -> None:
         if self.state is State.LOST:
             return
-        streams, profile, own = self.streams, self._profile(inbox), self.spec.profile
+        streams, profile, own = self.streams, self._profile(received), self.spec.profile
         had_gyro, had_doubt = streams.gyro.samples > 0, streams.scale_doubt
-        streams.observe(inbox.telemetry, now, profile)
+        streams.observe(received.telemetry, now, profile)
         if streams.gyro.samples and not had_gyro and profile.imu != own.imu:
             text = f"the gyro is read from {message_name(profile.imu)}, for {message_name(own.imu)} does not come"
             poor = ": the estimator's rates, filtered, at a low rate and without accelerometer"
@@ -203,23 +205,23 @@ class Session:
             felt = f"but {streams.scale_doubt}"
             self._effects.append(Note(f"the vehicle does not feel 1 g by the scale of the profile {own.name}, {felt}"))
         calm = self._negotiation.calm and streams.changes == self._changes and self.baseline is not None
-        looked = now - self._looked < (CALM_S if calm else LOOK_S) and not inbox.acks
+        looked = now - self._looked < (CALM_S if calm else LOOK_S) and not received.acks
         if looked or not self.settings.negotiate or self.state in (State.FITTING, State.FAULTED):
             return
         self._looked, self._changes = now, streams.changes
         blind = self.reaction.commands and not self.reaction.sticks_known and self.state is State.MONITORING
         if blind and (self._sticks_asked is None or now - self._sticks_asked >= STICKS_S):
             self._sticks_asked = now
-            self._effects.append(self._negotiation.ask_for(MessageId.RC_CHANNELS, STICKS_HZ, now))
-        effects, notices = self._negotiation.step(self._demand(inbox).wants, streams, inbox.acks, now)
+            self._effects += self._negotiation.ask_for(MessageId.RC_CHANNELS, STICKS_HZ, now)
+        effects, notices = self._negotiation.step(self._demand(received).wants, streams, received.acks, now)
         self._effects += effects
         self._notices += notices
         if self.baseline is None:  # what they tell of rotors and filter is learnt with the flight
-            self._reading, names = self._reading.step(own.autopilot, inbox.parameters, now)
+            self._reading, names = self._reading.step(own.autopilot, received.parameters, now)
             self._effects += [AskParameters(names)] if names else []
 
-    def _demand(self, inbox: Inbox) -> Demand:
-        judge, profile = self.judge, self._profile(inbox)
+    def _demand(self, received: Received) -> Demand:
+        judge, profile = self.judge, self._profile(received)
         rests_on = (id(self.baseline), id(judge and judge.chain), profile.imu)
         if self._demanded is None or self._demanded[0] != rests_on:
             judged = [slot.monitor.signals for slot in judge.chain.slots] if judge else []
@@ -227,14 +229,14 @@ class Session:
             self._demanded = (rests_on, Demand.of(self.settings, profile, self.baseline, judged))
         return self._demanded[1]
 
-    def _profile(self, inbox: Inbox) -> Profile:  # of the link, with the IMU message that is read
+    def _profile(self, received: Received) -> Profile:  # of the link, with the IMU message that is read
         profile = self.spec.profile
-        return profile if inbox.imu in (None, profile.imu) else replace(profile, imu=inbox.imu)
+        return profile if received.imu in (None, profile.imu) else replace(profile, imu=received.imu)
 
-    def _lack(self, inbox: Inbox) -> Hindrance | None:
-        return self._demand(inbox).lack(self.streams, judging=self.state is State.MONITORING)
+    def _lack(self, received: Received) -> Hindrance | None:
+        return self._demand(received).lack(self.streams, judging=self.state is State.MONITORING)
 
-    def _waiting(self, inbox: Inbox, now: Instant) -> None:
+    def _waiting(self, received: Received, now: Instant) -> None:
         if self.baseline is not None and (self.judge is None or self.judge.baseline is not self.baseline):
             try:
                 check_link(self.baseline, profile=self.spec.profile.name, dt_s=self.baseline.link.dt_s)
@@ -244,9 +246,9 @@ class Session:
             self.judge = Judge(self.baseline, chain, now, self._landed())
             notes, notices = beginning(self.baseline, chain, self.settings)
             self._effects, self._notices = [*self._effects, *notes], [*self._notices, *notices]
-        lack = self._lack(inbox)
+        lack = self._lack(received)
         if lack is None or lack.reason in (Reason.MEASURING, Reason.NO_GYRO, Reason.NO_SETPOINTS):
-            self._waited = [*self._waited, inbox.telemetry][-WAITED_CHUNKS:]
+            self._waited = [*self._waited, received.telemetry][-WAITED_CHUNKS:]
         else:
             self._waited = []  # no wrong rate later
         if lack is not None:
@@ -259,29 +261,29 @@ class Session:
         self._record(self.judge, self.judge.step(joined(waited), now))
         return self._move(Trigger.READY_TO_JUDGE)
 
-    def _learning(self, inbox: Inbox, now: Instant) -> None:
-        lack = self._lack(inbox)
+    def _learning(self, received: Received, now: Instant) -> None:
+        lack = self._lack(received)
         if lack is not None:
             return self._move(Trigger.STREAMS_LOST, lack.text)
         profile, goal_s = self.spec.profile, (self.settings.learn or 0.0) * (1 + self._failed)
         ground = self.streams.on_ground(profile.gate)
-        gyro = inbox.telemetry.get(Signal.BODY_RATE)
+        gyro = received.telemetry.get(Signal.BODY_RATE)
         if ground is None:
-            self._flight.append(inbox.telemetry)
+            self._flight.append(received.telemetry)
             self.flight_s += (0 if gyro is None else len(gyro)) * (self.streams.gyro.periods_s or (0.0,))[-1]
         if self.flight_s >= goal_s:
             self._move(Trigger.COLLECTED)
             self._flight = [joined(self._flight)]
-            self._effects.append(Learn(profile.name, self._flight[0], inbox.parameters))
+            self._effects.append(Learn(profile.name, self._flight[0], received.parameters))
             return self._say(Kind.FITTING)
         percent = int(100 * self.flight_s / goal_s)
         shown, why = percent - percent % PROGRESS_STEP, f": {ground.text}" if ground else ""
         self.reason = f"{percent} % of {goal_s:g} s{why}"
         return self._say(Kind.LEARNING, str(percent), why, key=f"{shown}{why}")
 
-    def _fitting(self, inbox: Inbox, now: Instant) -> None:
+    def _fitting(self, received: Received, now: Instant) -> None:
         """A fit that failed is tried again with more flight: what was collected stays."""
-        outcome = inbox.outcome
+        outcome = self._outcome
         if outcome is None:
             return None
         if isinstance(outcome, LearningFailed):
@@ -297,13 +299,13 @@ class Session:
         refused = len(outcome.not_judgeable)
         return self._say(Kind.LEARNED, str(len(outcome.monitors)), f", {refused} cannot" if refused else "")
 
-    def _monitoring(self, inbox: Inbox, now: Instant) -> None:
-        judge, lack = self.judge, self._lack(inbox)
+    def _monitoring(self, received: Received, now: Instant) -> None:
+        judge, lack = self.judge, self._lack(received)
         if judge is None or lack is not None:
             self._stop_judging()
             self._waited = []
             return self._move(Trigger.STREAMS_LOST, lack.text if lack else "")
-        output = judge.step(inbox.telemetry, now)
+        output = judge.step(received.telemetry, now)
         self._record(judge, output)
         self._effects += self._named_values.step(output, now)
         if not (why := judge.sight.hidden):
@@ -336,5 +338,5 @@ class Session:
         if judge.memory.decision.decided.stage not in (Stage.FAULT, Stage.INSPECT) or unjudged:
             self._say(Kind.MONITORING, short, key=short)
 
-    def _faulted(self, inbox: Inbox, now: Instant) -> None:
+    def _faulted(self, received: Received, now: Instant) -> None:
         self._say(Kind.OFF, self.reason)

@@ -9,10 +9,9 @@ from detector.states import State
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Event
 from mavdiag.link.clock import Timesync, TimesyncMessage
-from mavdiag.link.messages import MessageId, Severity
+from mavdiag.link.messages import Severity
 from mavdiag.link.ports import Traffic
 from mavdiag.link.profiles import Profile
-from mavdiag.link.vehicles import Ack
 from mavdiag.telemetry import Instant, Telemetry
 
 
@@ -33,24 +32,12 @@ class SessionSpec:
 
 @dataclass(frozen=True, slots=True)
 class LearningFailed:
-    """The answer to `Learn`: why there is no baseline, in one line."""
+    """The answer to `Learn` if there is no baseline: why, in one line."""
 
     reason: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Inbox:
-    """What came for one vehicle since the last step."""
-
-    telemetry: Telemetry = field(default_factory=Telemetry)
-    alive: bool = False  # whether any frame of its autopilot came
-    reboots: int = 0  # all so far
-    acks: tuple[Ack, ...] = ()  # of its autopilot
-    outcome: Baseline | LearningFailed | None = None  # of the last `Learn`
-    parameters: Mapping[str, float] = field(default_factory=dict)  # of its autopilot that passed by so far, by name
-    imu: MessageId | None = None  # the message that its gyro is read from; None for the profile's
-    mode: int | None = None  # custom_mode of its latest heartbeat; None if none came
-    sticks: Mapping[int, tuple[int, ...]] = field(default_factory=dict)  # a pilot's, by message; see `STICKS`
+FitOutcome: TypeAlias = Baseline | LearningFailed
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,14 +58,6 @@ class SendFloat:
 
 
 @dataclass(frozen=True, slots=True)
-class AskInterval:
-    """MAV_CMD_SET_MESSAGE_INTERVAL to the vehicle's autopilot."""
-
-    msgid: int
-    interval_us: int
-
-
-@dataclass(frozen=True, slots=True)
 class AskParameters:
     """PARAM_REQUEST_READ of some parameters of the vehicle's autopilot, by name."""
 
@@ -91,12 +70,12 @@ class SendCommand:
 
     command: int
     parameters: tuple[float, ...]
-    confirmation: int  # how often it was sent before
+    confirmation: int = 0  # how often it was sent before
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Learn:
-    """Make a baseline from this healthy flight; the answer comes back in an inbox."""
+    """Make a baseline from this healthy flight; the outcome is given to a later step."""
 
     profile: str
     telemetry: Telemetry
@@ -143,7 +122,7 @@ class Note:
 
 #: What is worth a line in the journal. A `Change` is of the diagnosis, a `Baseline` was learned: keep it.
 Record: TypeAlias = SendText | StateChanged | Change | EventOpened | EventClosed | TextSuppressed | Note | Baseline
-Effect: TypeAlias = Record | SendFloat | AskInterval | AskParameters | SendCommand | Learn | TimesyncMessage
+Effect: TypeAlias = Record | SendFloat | AskParameters | SendCommand | Learn | TimesyncMessage
 
 
 @dataclass(frozen=True, slots=True)

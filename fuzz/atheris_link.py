@@ -16,6 +16,7 @@ with atheris.instrument_imports(include=["mavdiag.link", "detector"]):
     from detector.fleet import Fleet
     from detector.values import SessionSpec
     from mavdiag.link.codec import Encoder
+    from mavdiag.link.datagrams import as_columns
     from mavdiag.link.messages import MessageId
     from mavdiag.link.samples import SOURCES
 
@@ -56,11 +57,11 @@ def one_input(data: bytes) -> None:
                 chunks += [(frame, now_ns) for frame in FLIGHT[before:flown]]
             case _:
                 now_ns += wire.PickValueInList(STEPS_NS)
-                fleet.take(chunks, Instant(now_ns))
+                fleet.take(as_columns(chunks), Instant(now_ns))
                 fleet.judge(Instant(now_ns))
                 fleet.figures()
                 chunks = []
-    fleet.take(chunks, Instant(now_ns))
+    fleet.take(as_columns(chunks), Instant(now_ns))
     fleet.judge(Instant(now_ns))
     fleet.finish(Instant(now_ns))
 

@@ -25,6 +25,7 @@ from detector.fleet import Fleet
 from detector.states import State
 from detector.values import EventOpened, SendText, SessionSpec
 from mavdiag.link.codec import Decoder, Encoder
+from mavdiag.link.datagrams import as_columns
 from mavdiag.link.messages import MessageId, Severity
 from mavdiag.link.samples import SOURCES
 from mavdiag.telemetry import Instant
@@ -130,7 +131,7 @@ def fuzzed(count: int, seed: int, spoof: bool = False, progress: float = 0.0, a_
         between = max(1, len(hostile) // len(genuine))
         mixed = [one for k, frame in enumerate(genuine) for one in (frame, *hostile[k * between : (k + 1) * between])]
         mixed += hostile[len(genuine) * between :]
-        fleet.take([(data, now_ns) for data in mixed], Instant(now_ns))
+        fleet.take(as_columns([(data, now_ns) for data in mixed]), Instant(now_ns))
         for turn in fleet.judge(Instant(now_ns)):
             for effect in turn.effects:
                 events += isinstance(effect, EventOpened)

@@ -10,14 +10,14 @@ from scipy.signal import lfilter
 from detector.config import SessionSettings
 from detector.session import Session
 from detector.states import State
-from detector.values import Effect, Inbox, LearningFailed, SendText, SessionSpec, StateChanged
+from detector.values import Effect, FitOutcome, SendText, SessionSpec, StateChanged
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline, Link, MonitorEntry, Provenance, SourceLog, Window, sealed
 from mavdiag.identify import Method
 from mavdiag.identify.arx import ModelRecord
 from mavdiag.link.profiles import PROFILES
-from mavdiag.link.vehicles import Ack
+from mavdiag.link.vehicles import Ack, Received
 from mavdiag.monitors.rotor_trim import RotorTrimSpec
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.monitors.unbalance import UnbalanceSpec
@@ -178,7 +178,7 @@ class Story:
                 held = 0.5 + 0.001 * np.sin(np.outer(t_ns / 1e8, [1.0, 1.1, 1.2, 1.3]))
                 kept = (*kept, Series(Signal.ACTUATOR, t_ns, t_ns, held))
             self.passed += chunk
-            self.give(Inbox(Telemetry(kept), alive=True, reboots=self.reboots, parameters=self.parameters))
+            self.give(Received(Telemetry(kept), alive=True, reboots=self.reboots, parameters=self.parameters))
         return [effect for _, effect in self.log[before:]]
 
     def silence(self, seconds: float) -> list[Effect]:
@@ -186,19 +186,19 @@ class Story:
         chunk, before = round(self.chunk_s * RATE_HZ), len(self.log)
         for _ in range(round(seconds * RATE_HZ / chunk)):
             self.passed += chunk
-            self.give(Inbox(reboots=self.reboots))
+            self.give(Received(reboots=self.reboots))
         return [effect for _, effect in self.log[before:]]
 
-    def give(self, inbox: Inbox) -> list[Effect]:
-        effects = self.session.step(inbox, self.now)
+    def give(self, received: Received, outcome: FitOutcome | None = None) -> list[Effect]:
+        effects = self.session.step(received, self.now, outcome)
         self.log += [(self.s, effect) for effect in effects]
         return list(effects)
 
-    def answer(self, outcome: Baseline | LearningFailed) -> list[Effect]:
-        return self.give(Inbox(alive=True, reboots=self.reboots, outcome=outcome))
+    def answer(self, outcome: FitOutcome) -> list[Effect]:
+        return self.give(Received(alive=True, reboots=self.reboots), outcome)
 
     def acknowledge(self, ack: Ack) -> list[Effect]:
-        return self.give(Inbox(alive=True, reboots=self.reboots, acks=(ack,)))
+        return self.give(Received(alive=True, reboots=self.reboots, acks=(ack,)))
 
     def at(self, state: State) -> bool:
         return self.session.state is state

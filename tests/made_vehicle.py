@@ -11,12 +11,13 @@ from memory_port import MemoryEndpoint, memory_pair
 
 from detector.config import Settings
 from detector.daemon import Daemon, Host
-from detector.fitting import FittingJob, Outcome, ProcessFitter
+from detector.fitting import FittingJob, ProcessFitter
 from detector.flights import Flights
 from detector.hooks import Hook
 from detector.journal import Journal, Recorder
 from detector.metrics import Metrics
 from detector.notify import Notifier
+from detector.values import FitOutcome
 from detector.web.feed import Feed
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
@@ -60,7 +61,7 @@ class VirtualHost(Host):
 class FakeFitter(ProcessFitter):
     """Answers every job with what it was given, two looks later."""
 
-    def __init__(self, outcome: Outcome | None = None) -> None:
+    def __init__(self, outcome: FitOutcome | None = None) -> None:
         super().__init__()
         self.outcome = outcome
         self.jobs: list[FittingJob] = []
@@ -71,7 +72,7 @@ class FakeFitter(ProcessFitter):
         self.jobs.append(job)
         self._looks.append((2, job.vehicle))
 
-    def poll(self) -> list[tuple[int, Outcome]]:
+    def poll(self) -> list[tuple[int, FitOutcome]]:
         self._looks = [(looks - 1, vehicle) for looks, vehicle in self._looks]
         done = [(vehicle, self.outcome) for looks, vehicle in self._looks if looks <= 0 and self.outcome is not None]
         self._looks = [one for one in self._looks if one[0] > 0]

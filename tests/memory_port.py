@@ -8,7 +8,8 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from mavdiag.link.ports.base import Chunk, Endpoint
+from mavdiag.link.datagrams import Datagrams, as_columns
+from mavdiag.link.ports.base import Endpoint
 
 
 class _Mailbox:
@@ -65,8 +66,8 @@ class MemoryEndpoint(Endpoint):
     def close(self) -> None:
         self._inbox.close()
 
-    def _drain(self) -> list[Chunk]:
-        return [(data, self._clock()) for data in self._inbox.take()]
+    def _drain(self) -> Datagrams:
+        return as_columns([(data, self._clock()) for data in self._inbox.take()])
 
 
 def memory_pair(
@@ -76,7 +77,7 @@ def memory_pair(
 
     >>> near, far = memory_pair(clock=lambda: 7)
     >>> near.send(b"hello")
-    >>> far.receive(timeout_s=0.0)
+    >>> list(far.receive(timeout_s=0.0))
     [(b'hello', 7)]
     """
     one, other = _Mailbox(capacity), _Mailbox(capacity)

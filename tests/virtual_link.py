@@ -8,6 +8,7 @@ from detector.fleet import Fleet
 from detector.values import EventOpened, SendText, SessionSpec
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Stage
+from mavdiag.link.datagrams import as_columns
 from mavdiag.link.sequence import LinkCount
 from mavdiag.link.shim import Shim
 from mavdiag.telemetry import Instant
@@ -60,7 +61,7 @@ def heard(frames: Iterable[tuple[int, bytes]], baseline: Baseline, shim: Shim | 
 
 def _look(fleet: Fleet, found: Heard, messages: Iterable[bytes], now_ns: int) -> None:
     host_ns = START_NS + now_ns
-    fleet.take([(data, host_ns) for data in messages], Instant(host_ns))
+    fleet.take(as_columns([(data, host_ns) for data in messages]), Instant(host_ns))
     for turn in fleet.judge(Instant(host_ns)):
         for effect in turn.effects:
             match effect:

@@ -149,7 +149,7 @@ def ask_for_all(link: Link, vehicle: int) -> tuple[str, ...]:
             rates = {msgid: count / LISTEN_S for msgid, count in since.items()}
             came = {msgid for msgid, count in _counts(link).items() if count > since.get(msgid, 0)}
             rates |= {want.msgid: want.ask_hz for want in wants if want.msgid in came.intersection(asker.streams)}
-            frames += asker.stream(wants, rates, now) + asker.read(profile.autopilot, link.stream.parameters, now)
+            frames += asker.stream(wants, rates, now) + asker.read_all(profile.autopilot, link.stream.parameters, now)
         link.send(frames)
 
     link.record(LISTEN_S + ASK_S, request)

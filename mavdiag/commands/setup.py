@@ -30,7 +30,7 @@ from mavdiag.learning.suspicions import accepted
 from mavdiag.link.codec import message_name
 from mavdiag.link.keys import read_key
 from mavdiag.link.link import POLL_S, Link, open_link
-from mavdiag.link.messages import Autopilot, MavType
+from mavdiag.link.messages import Autopilot, MavType, Severity
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.wants import Asker, remedy
 from mavdiag.logs import read_part
@@ -217,7 +217,7 @@ class _Coach:
         if again and not flies:
             return []
         say(f"now {task}: {words}")
-        return [self._asker.tell(f"now {task}" + (f" {step.left_s} s" if flies and step else ""))]
+        return [self._asker.statustext(Severity.INFO, f"now {task}" + (f" {step.left_s} s" if flies and step else ""))]
 
 
 def config_text(endpoint: str, sysid: int, folder: Path, signing_key: Path | None) -> str:

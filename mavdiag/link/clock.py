@@ -15,7 +15,6 @@ TIMESYNC (https://mavlink.io/en/services/timesync.html) is answered and asked; w
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -52,15 +51,9 @@ REBOOT = NEVER - 1  # stands for "the vehicle has started anew"
 MESSAGES_MAX = 32  # that are stamped, of one vehicle: there are 18
 SECONDS = WINDOW + 3  # of leads that there is room for: a window with both its ends, and one more
 _DAY_NS = 86_400 * NS_PER_S
-
-
-class Clock(IntEnum):
-    """The clocks that a vehicle's messages may be stamped on."""
-
-    BOOT_MS = 0  # milliseconds since boot, 32 bits
-    BOOT_US = 1  # microseconds since boot, 64 bits
-    BOOT_US_32 = 2  # microseconds since boot, 32 bits
-    UNIX = 3  # microseconds since 1970
+# The clocks that a vehicle's messages may be stamped on: milliseconds since boot in 32 bits, microseconds since boot in
+# 64 bits and in 32, microseconds since 1970.
+_BOOT_MS, _BOOT_US, _BOOT_US_32, _UNIX = range(CLOCKS := 4)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,14 +96,14 @@ _MEM = _integers(
     ("seen_ns", "i8", 2),
     ("high_ns", "i8", 2),
 )
-_CLOCKS = (("leads", _LEAD, len(Clock)), ("offsets", _OFFSET, len(Clock)))
+_CLOCKS = (("leads", _LEAD, CLOCKS), ("offsets", _OFFSET, CLOCKS))
 _TIME = _integers("", ("mem", _MEM, (1,)), ("readings", _READING, MESSAGES_MAX), *_CLOCKS)
 
 
 class VehicleTime:
     """Where one vehicle's time stands; `stamp` changes it in place. words: all of the records above.
 
-    records: (1,) the vehicle; (32,) the counters of its messages; (4,) leads and offsets, by `Clock`: for `stamp`.
+    records: (1,) the vehicle; (32,) the counters of its messages; (4,) leads and offsets of the clocks: for `stamp`.
     """
 
     def __init__(self) -> None:
@@ -127,11 +120,6 @@ class VehicleTime:
         """Latest time known [ns], None before the first stamp."""
         latest = self._told("t_ns")
         return None if latest == NEVER else latest
-
-    @property
-    def host_ns(self) -> int:
-        """When the last stamp was received [ns]."""
-        return self._told("host_ns")
 
     @property
     def reboots(self) -> int:
@@ -153,7 +141,6 @@ class VehicleTime:
         return None
 
 
-_BOOT_MS, _BOOT_US, _BOOT_US_32, _UNIX = (int(clock) for clock in Clock)
 _IN_LINE, _LEFT_OUT, _BROKEN_OFF = 0, 1, 2  # what a stamp is
 
 

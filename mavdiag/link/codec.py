@@ -1,16 +1,19 @@
 """MAVLink 1 and 2 frames to values and back: the only module that knows pymavlink.
 
+Fields travel sorted by size and are declared in another order; arrays lie flat; text is bytes padded with NUL.
 Of pymavlink only the generated dialect is used. One compiled loop finds the frames (https://mavlink.io/en/guide/serialization.html).
 It never raises on input: what is not a frame is counted, and scanning resumes right behind the false marker. Checksums
 are taken eight bytes at a time by tables ("slicing by eight", Kounavis and Berry 2005).
 """
 
+import math
+import re
 import struct
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import Any, NamedTuple, TypeAlias
+from functools import cache, cached_property
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
@@ -19,18 +22,19 @@ from numpy.typing import NDArray
 
 from mavdiag.errors import UsageError
 from mavdiag.jit import cached, jit
-from mavdiag.link.datagrams import Bytes, Chunk, Datagrams, as_columns
-from mavdiag.link.layout import EXTRA_LAYOUTS, Argument, FieldValue, Layout, cut
+from mavdiag.link.datagrams import Bytes, Datagrams, as_columns
 from mavdiag.link.messages import Component, MessageId, Severity
 from mavdiag.link.sequence import FRAME, HEARD, REFUSED, LinkCount, Senders, Source
 from mavdiag.link.signing import SEAL_BYTES, SIGNED_FLAG, Signing
 from mavdiag.telemetry import BoolArray, IntArray
 from mavdiag.units import NS_PER_US
 
+FieldValue: TypeAlias = int | float | bytes
+Argument: TypeAlias = int | float | bytes | str | Sequence[int] | Sequence[float]
 Record: TypeAlias = NDArray[Any]
 
 UNKNOWN = -1  # stands for every message id outside the dialect in `LinkCount.by_message`
-TEXT_BYTES = 50  # STATUSTEXT.text
+TEXT_BYTES = 50  # STATUSTEXT.text; Mission Planner and MAVROS do not put longer ones together
 AUTOPILOT = int(Component.AUTOPILOT1)
 STAMP_BYTES = 8  # before each frame of a telemetry log: microseconds since 1970, most significant first
 LATEST_US = 1 << 52  # year 2112: a later stamp is damage, whatever follows it
@@ -40,7 +44,157 @@ FALSE_MARKERS = 64
 _V1, _V2 = 0xFE, 0xFD
 _SHORTEST_V1, _SHORTEST_V2 = 8, 12  # header and checksum round an empty payload
 _NOT_YET = -1
+FLOAT32_MAX = 3.4028234663852886e38  # IEEE 754 binary32
+_INTEGERS = {
+    code: (-(1 << bits - 1), (1 << bits - 1) - 1) if code.islower() else (0, (1 << bits) - 1)
+    for codes, bits in (("bB", 8), ("hH", 16), ("iI", 32), ("qQ", 64))
+    for code in codes
+}
 _pack_header = struct.Struct("<BBBBBBHB").pack  # without the marker and with the message id in two parts
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One message on the wire."""
+
+    name: str
+    names: tuple[str, ...]  # fields as declared
+    sizes: tuple[int, ...]  # places that each takes in a flat tuple
+    order: tuple[int, ...]  # declared index of each wire field
+    packer: struct.Struct
+    crc_extra: bytes  # the one-byte checksum seed, different for each definition of a message
+
+    @cached_property
+    def codes(self) -> tuple[str, ...]:
+        """The struct code of each place of the wire; text is one place, with its length, as in `50s`."""
+        runs = re.findall(r"(\d*)([a-zA-Z])", self.packer.format)
+        places = ([count + code] if code == "s" else [code] * int(count or 1) for count, code in runs)
+        return tuple(code for run in places for code in run)
+
+    def place(self, name: str) -> int:
+        """Where a field, or an array's first element, is in the flat tuple. Raises UsageError if there is none."""
+        if name not in self.names:
+            raise UsageError(f"{self.name} has no field {name}")
+        before = self.order[: self.order.index(self.names.index(name))]
+        return sum(self.sizes[index] for index in before)
+
+    def offset(self, name: str) -> tuple[int, str]:
+        """At which byte of the payload a field begins, and its struct code. Raises UsageError if there is none."""
+        place = self.place(name)
+        return struct.calcsize("<" + "".join(self.codes[:place])), self.codes[place]
+
+    def record_dtype(self, *columns: tuple[str, int]) -> np.dtype[np.void]:
+        """How numpy reads payloads as records of some columns (field, count): so many places from the field on.
+
+        Raises UsageError if there is no such field, or the places differ in type.
+        """
+        formats, offsets = [], []
+        for name, count in columns:
+            place, (offset, code) = self.place(name), self.offset(name)
+            if set(self.codes[place : place + count]) != {code}:
+                raise UsageError(f"{self.name}: {count} places from {name} on are not of one type")
+            formats.append(np.dtype("<" + code) if count == 1 else np.dtype(("<" + code, count)))
+            offsets.append(offset)
+        names = [name for name, _ in columns]
+        return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": self.packer.size})
+
+    def pack(self, fields: Sequence[Argument]) -> bytes:
+        """The payload, not trimmed, from fields in the declared order; trailing ones left out are zero.
+
+        Integers are rounded and saturated, text is cut. Raises UsageError for too many fields, an array of the wrong
+        length, or a value that its field cannot hold at all.
+        """
+        if len(fields) > len(self.names):
+            raise UsageError(f"{self.name} has {len(self.names)} fields, not {len(fields)}")
+        if len(fields) < len(self.names):
+            fields = [*fields, *(0 if size == 1 else (0,) * size for size in self.sizes[len(fields) :])]
+        places: list[Argument] = []
+        for index in self.order:
+            if self.sizes[index] == 1:
+                places.append(fields[index])
+            else:
+                places += fields[index]  # type: ignore[arg-type]  # a scalar here raises TypeError below
+        try:
+            return self.packer.pack(*places)  # the common case: everything fits as it is
+        except (struct.error, OverflowError):
+            pass
+        if len(self.codes) != len(places):
+            wanted = f"{self.name} takes {len(self.codes)} values in all, not {len(places)}"
+            raise UsageError(f"{wanted}: an array is too long or short")
+        try:
+            return self.packer.pack(*(_fit(code, place) for code, place in zip(self.codes, places, strict=True)))
+        except (struct.error, TypeError, ValueError) as error:
+            raise UsageError(f"{self.name}: {error}") from error
+
+
+def _fit(code: str, value: Argument) -> FieldValue:
+    """The nearest value that the field can hold. Raises ValueError or TypeError if there is none (a NaN integer)."""
+    limits = _INTEGERS.get(code)
+    if limits is not None:
+        number = cast(float, value)  # anything else raises TypeError in the comparison
+        return limits[0] if number < limits[0] else limits[1] if number > limits[1] else round(number)
+    if code in ("f", "d"):
+        number = cast(float, value)
+        within = min(max(number, -FLOAT32_MAX), FLOAT32_MAX)
+        return within if code == "f" and math.isfinite(number) else number
+    if isinstance(value, str):
+        return cut(value, int(code[:-1]))
+    if isinstance(value, bytes):
+        return value
+    raise TypeError(f"text wanted, not {value!r}")
+
+
+def cut(text: str, size: int) -> bytes:
+    """The text in UTF-8 within `size` bytes, cut at a whole character."""
+    return text.encode()[:size].decode(errors="ignore").encode()
+
+
+_TYPES = {"char": "s", "uint8_t": "B", "int16_t": "h", "uint16_t": "H", "int32_t": "i", "uint32_t": "I"}
+_TYPES |= {"uint64_t": "Q", "float": "f"}
+
+
+def defined(name: str, *fields: str) -> Layout:
+    """The layout of a message by its definition, without extensions.
+
+    Fields travel by falling size of their type; the seed is the checksum of their names and types.
+
+    >>> defined("ESC_STATUS", "uint8_t index", "uint64_t time_usec", "int32_t rpm[4]").order
+    (1, 2, 0)
+    """
+    parts = (re.fullmatch(r"(\w+) (\w+)(?:\[(\d+)\])?", text) for text in fields)
+    declared = [(_TYPES[part[1]], int(part[3] or 0), part[1], part[2]) for part in parts if part]
+    order = sorted(range(len(declared)), key=lambda index: -struct.calcsize(declared[index][0]))
+    crc = mcrf4xx(f"{name} ".encode())
+    for _, count, kind, field in (declared[index] for index in order):
+        crc = mcrf4xx(f"{kind} {field} ".encode() + bytes([count] if count else []), crc)
+    return Layout(
+        name,
+        tuple(field for *_, field in declared),
+        tuple(1 if code == "s" else count or 1 for code, count, *_ in declared),
+        tuple(order),
+        struct.Struct("<" + "".join(f"{declared[index][1] or 1}{declared[index][0]}" for index in order)),
+        bytes([crc & 0xFF ^ crc >> 8]),
+    )
+
+
+_ROTORS = ("int32_t rpm[4]", "float voltage[4]", "float current[4]")
+_VERSIONS = ("uint16_t version", "uint16_t min_version", "uint16_t max_version")
+_HASHES = ("uint8_t spec_version_hash[8]", "uint8_t library_version_hash[8]")
+_MODES = ("uint8_t number_modes", "uint8_t mode_index", "uint8_t standard_mode")
+_MODE = ("uint32_t custom_mode", "uint32_t properties", "char mode_name[35]")
+_TIMES = ("uint64_t capabilities", "uint32_t time_boot_ms", "uint32_t time_manufacture_s")
+_NAMES = (
+    *("char vendor_name[32]", "char model_name[32]"),
+    *("char software_version[24]", "char hardware_version[24]", "char serial_number[32]"),
+)
+
+#: Messages of common.xml that the dialect shipped with pymavlink 2.4 leaves out.
+EXTRA_LAYOUTS: Mapping[int, Layout] = {
+    MessageId.ESC_STATUS: defined("ESC_STATUS", "uint8_t index", "uint64_t time_usec", *_ROTORS),
+    MessageId.PROTOCOL_VERSION: defined("PROTOCOL_VERSION", *_VERSIONS, *_HASHES),
+    MessageId.COMPONENT_INFORMATION_BASIC: defined("COMPONENT_INFORMATION_BASIC", *_TIMES, *_NAMES),
+    MessageId.AVAILABLE_MODES: defined("AVAILABLE_MODES", *_MODES, *_MODE),
+}
 
 
 class Frame(NamedTuple):
@@ -185,9 +339,8 @@ class Frames:
         data, behind = self.data, int(bodies.max()) + size - len(self.data)
         if behind > 0:
             data = np.concatenate((data, np.zeros(behind, np.uint8)))
-        payloads = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))[
-            bodies
-        ]  # one at every byte, none copied
+        anywhere = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))  # one at every byte, none copied
+        payloads = anywhere[bodies]
         lengths = self.rows["stop"] - bodies
         short = np.flatnonzero(lengths < size)  # trailing zeros are trimmed
         raw = payloads.view(np.uint8).reshape(-1, size)
@@ -264,7 +417,7 @@ class Decoder:
 
     def feed_datagram(self, data: bytes, host_ns: int) -> list[Frame]:
         """Take one datagram: what it leaves unfinished is garbage and does not spoil the next one."""
-        return list(self.take_datagrams([(data, host_ns)]))
+        return list(self.take_datagrams(as_columns([(data, host_ns)])))
 
     def take_stream(self, data: bytes, host_ns: int = 0, source: Source = None, *, last: bool = False) -> Frames:
         """As `feed`, for many frames. source: where the bytes come from. last: nothing follows them."""
@@ -274,9 +427,8 @@ class Decoder:
         self._pending = buffer[used:]
         return frames
 
-    def take_datagrams(self, chunks: Sequence[Chunk] | Datagrams, sources: Sequence[Source] = ()) -> Frames:
-        """As `feed_datagram`, for many datagrams, each with its time of arrival [ns]. sources: where each is from."""
-        some = as_columns(chunks, sources)
+    def take_datagrams(self, some: Datagrams) -> Frames:
+        """As `feed_datagram`, for many datagrams."""
         numbers = np.array(self.heard.numbers(some.peers), np.int64)[some.whose]
         return self._scan(some.data, np.array([some.sizes, some.host_ns, numbers]), whole=True)[0]
 

@@ -1,4 +1,4 @@
-"""Many datagrams as columns: what comes by the ten thousand a second is no object each."""
+"""What a link brought, as columns: what comes by the ten thousand a second is no object each."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ Chunk: TypeAlias = tuple[bytes, int]  # the bytes as they came, and the host clo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Datagrams:
-    """Datagrams in order of arrival; iterates them one by one.
+    """Datagrams, or reads of a byte stream, in order of arrival; iterates them one by one.
 
     data: bytes of all, end to end. sizes, host_ns, whose: (n,) bytes, time of arrival [ns] and sender of each, by its
     place in `peers`.
@@ -48,11 +48,11 @@ class Datagrams:
         return [self.peers[number] for number in whose] or [*self.peers] * len(self)
 
 
-def as_columns(chunks: "Sequence[Chunk] | Datagrams", sources: Sequence[Source] = ()) -> Datagrams:
-    """Datagrams one by one as columns. sources: the sender of each; empty where there is one other end."""
-    if isinstance(chunks, Datagrams):
-        return chunks
-    data, times = zip(*chunks, strict=True) if chunks else ((), ())
+def as_columns(chunks: Sequence[Chunk], sources: Sequence[Source] = ()) -> Datagrams:
+    """What came one by one as columns. sources: the sender of each; empty where there is one other end."""
+    if not chunks:
+        return NOTHING
+    data, times = zip(*chunks, strict=True)
     places = {source: place for place, source in enumerate(dict.fromkeys(sources or (None,)))}
     whose = [places[source] for source in sources] if sources else [0] * len(data)
     sizes, host_ns, numbers = np.array([[*map(len, data)], times, whose], np.int64)
@@ -61,15 +61,15 @@ def as_columns(chunks: "Sequence[Chunk] | Datagrams", sources: Sequence[Source] 
 
 def joined_datagrams(pieces: Sequence[Datagrams]) -> Datagrams:
     """All of these as one, in this order."""
-    if len(pieces) == 1:
-        return pieces[0]
+    if len(pieces) < 2:
+        return pieces[0] if pieces else NOTHING
     peers, whose = list[Source](), list[IntArray]()
     for piece in pieces:
         whose.append(piece.whose + len(peers))
         peers += piece.peers
     columns = ((piece.data, piece.sizes, piece.host_ns) for piece in pieces)
-    data, sizes, host_ns = map(np.concatenate, zip(*columns, strict=True)) if pieces else (_NO_BYTES, _NONE, _NONE)
-    return Datagrams(data, sizes, host_ns, np.concatenate([_NONE, *whose]), tuple(peers))
+    data, sizes, host_ns = map(np.concatenate, zip(*columns, strict=True))
+    return Datagrams(data, sizes, host_ns, np.concatenate(whose), tuple(peers))
 
 
 @cached
@@ -83,4 +83,5 @@ def end_to_end(room: Bytes, sizes: IntArray) -> Bytes:
     return data
 
 
-_NO_BYTES, _NONE = np.empty(0, np.uint8), np.empty(0, np.int64)
+_NONE = np.empty(0, np.int64)
+NOTHING = Datagrams(np.empty(0, np.uint8), _NONE, _NONE, _NONE, (None,))

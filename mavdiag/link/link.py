@@ -92,8 +92,7 @@ class Link(AbstractContextManager["Link"]):
 
         Raises InputError if there are several vehicles and none was named.
         """
-        chunks = self._endpoint.receive(timeout_s)
-        received = self._decoder.feed(chunks, time.monotonic_ns(), self._endpoint.sources)
+        received = self._decoder.feed(self._endpoint.receive(timeout_s), time.monotonic_ns())
         known = sorted(self._decoder.vehicles)
         if self._vehicle is None and known:
             if len(known) > 1:

@@ -10,8 +10,7 @@ from collections.abc import Iterable, Sequence
 from enum import IntEnum, StrEnum
 from typing import NamedTuple
 
-from mavdiag.link.codec import AUTOPILOT, Frame
-from mavdiag.link.layout import Argument
+from mavdiag.link.codec import AUTOPILOT, Argument, Frame
 from mavdiag.link.messages import Autopilot, MessageId
 
 ASKING = frozenset((MessageId.PARAM_REQUEST_READ, MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_SET))

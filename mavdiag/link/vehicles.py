@@ -8,7 +8,6 @@ lets a vehicle enter only with two like heartbeats and running numbers that are 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import repeat
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from mavdiag.link.codec import (
     frames_joined,
     frames_of,
 )
-from mavdiag.link.datagrams import Chunk, Datagrams
+from mavdiag.link.datagrams import Datagrams
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
 from mavdiag.link.parameters import ASKING as PARAMETERS_ASKED
 from mavdiag.link.parameters import parameters_in
@@ -55,9 +54,7 @@ CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choic
 LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
 USEFUL_FRAMES = 20  # of an IMU message, before it is taken at once (our choice)
 CHOICE_S = 1.0  # for which the choice stays open otherwise, from the first IMU message of any kind on (our choice)
-REQUESTS_MAX = (
-    16  # requests to one vehicle's computer that are handed out at a time, so a flood is not answered (our choice)
-)
+REQUESTS_MAX = 16  # requests to one vehicle's computer at a time: a flood is not answered (our choice)
 MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up ones cost little (our choice)
 
 #: Messages that carry a command.
@@ -224,7 +221,6 @@ class _Waiting:
             self._note(frame)
 
     def forget(self) -> None:
-        """Keep none of the frames."""
         self.pieces, self.count = [], 0
 
     def _note(self, frame: Frame) -> None:
@@ -251,12 +247,16 @@ class _Unread:
 class Received:
     """What came from, or for, one vehicle since the last call."""
 
-    frames: tuple[Frame, ...] = ()  # of its system id, any component, that are no measurements, in order of arrival
     telemetry: Telemetry = field(default_factory=Telemetry)
-    present: bool = False  # its autopilot sent frames
-    acks: tuple[Ack, ...] = ()  # its answers to our commands
+    alive: bool = False  # whether its autopilot sent any frame
+    reboots: int = 0  # all so far
+    acks: tuple[Ack, ...] = ()  # its autopilot's answers to our commands
+    parameters: Mapping[str, float] = field(default_factory=dict)  # of its autopilot that passed by so far, by name
+    imu: MessageId | None = None  # the message that its gyro is read from; None for the profile's
+    mode: int | None = None  # custom_mode of its latest heartbeat; None if none came
+    sticks: Mapping[int, tuple[int, ...]] = field(default_factory=dict)  # a pilot's, by message; see `STICKS`
     asked: tuple[Frame, ...] = ()  # what others ask of its on-board computer
-    parameters: Mapping[str, float] = field(default_factory=dict)  # its own that passed by since it entered
+    frames: tuple[Frame, ...] = ()  # of its system id, any component, that are no measurements, in order of arrival
 
 
 class LinkDecoder:
@@ -303,9 +303,10 @@ class LinkDecoder:
         """What came from one vehicle's autopilot so far; None if nothing did."""
         return self.decoder.heard.count(sysid << 8 | AUTOPILOT)
 
-    def heard_since(self, host_ns: int) -> list[int]:
-        """The vehicles whose autopilots were heard at this time or later [ns]."""
-        return [sysid for sysid in self.vehicles if self.decoder.heard.heard_ns(sysid << 8 | AUTOPILOT) >= host_ns]
+    def sources_since(self, host_ns: int) -> list[Source]:
+        """Where the vehicles are heard from whose autopilots were heard at this time or later [ns]."""
+        heard, keys = self.decoder.heard, (sysid << 8 | AUTOPILOT for sysid in self.vehicles)
+        return list(dict.fromkeys(heard.source(key) for key in keys if heard.heard_ns(key) >= host_ns))
 
     def source(self, sysid: int, compid: int = AUTOPILOT) -> Source:
         """Where a vehicle's autopilot, or another sender, is heard from; None on a link with one other end."""
@@ -320,20 +321,17 @@ class LinkDecoder:
         """Let others be a vehicle's on-board computer."""
         self.decoder.heard.give_up(sysid << 8 | Component.ONBOARD_COMPUTER)
 
-    def feed(
-        self, chunks: Sequence[Chunk] | Datagrams, now_ns: int, sources: Sequence[Source] = ()
-    ) -> dict[int, Received]:
-        """Take bytes, each with time of arrival [ns] and source; return what is new, by vehicle that has entered."""
-        self.take(chunks, now_ns, sources)
+    def feed(self, some: Datagrams, now_ns: int) -> dict[int, Received]:
+        """Take what the link brought; return what is new, by vehicle that has entered."""
+        self.take(some, now_ns)
         return {sysid: self.received(sysid) for sysid in sorted({*self._unread, *self._backlog.sysids})}
 
-    def take(self, chunks: Sequence[Chunk] | Datagrams, now_ns: int, sources: Sequence[Source] = ()) -> None:
-        """Take bytes as `feed` does; what is for or from vehicles that have entered waits for `received`."""
+    def take(self, some: Datagrams, now_ns: int) -> None:
+        """Take what `feed` does; what is for or from vehicles that have entered waits for `received`."""
         if self._datagrams:
-            taken = [self.decoder.take_datagrams(chunks, sources)]
+            taken = [self.decoder.take_datagrams(some)]
         else:
-            ends = sources or repeat(None)
-            taken = [self.decoder.take_stream(*chunk, end) for chunk, end in zip(chunks, ends, strict=False)]
+            taken = [self.decoder.take_stream(*chunk, end) for chunk, end in zip(some, some.sources, strict=True)]
         for frames in taken:
             if len(frames):
                 self._file(frames, now_ns)
@@ -379,9 +377,10 @@ class LinkDecoder:
         frames = frames_joined([*unread.pieces, frames]) if unread.pieces else frames
         talks = _TALKS[frames.rows["row"]]
         talk = tuple(frames.where(talks)) if np.count_nonzero(talks) else ()
-        present = bool(np.count_nonzero(frames.rows["sender"] & 0xFF == AUTOPILOT))
+        alive = bool(np.count_nonzero(frames.rows["sender"] & 0xFF == AUTOPILOT))
         telemetry = stream.step(frames, talk)
-        return Received(talk, telemetry, present, acks_in(talk), tuple(unread.asked), stream.parameters)
+        told = (acks_in(talk), stream.parameters, stream.profile.imu, mode_in(talk), sticks_in(talk))
+        return Received(telemetry, alive, stream.state.timeline.reboots, *told, tuple(unread.asked), talk)
 
     def urgent(self) -> set[int]:
         """The vehicles for or from which something waits that wants an answer."""

@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from mavdiag.link.codec import Encoder
-from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId, Severity
+from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId
 from mavdiag.link.profiles import LAST_RESORT, Profile
 from mavdiag.link.signing import Signing
 from mavdiag.telemetry import Instant, Signal
@@ -180,15 +180,32 @@ class Reading:
         return Reading({**self.tries, **{name: tries[name] + 1 for name in due}}, now), tuple(due)
 
 
-class Asker:
-    """Asks one vehicle, by its system id, whose on-board computer we are.
-
-    signing: signs what is sent. streams: tries and the time of the last one, by message.
-    """
+class Companion(Encoder):
+    """Encodes as the on-board computer of one vehicle, by its system id. signing: signs what is sent."""
 
     def __init__(self, vehicle: int, signing: Signing | None = None) -> None:
-        self._encoder = Encoder(vehicle, Component.ONBOARD_COMPUTER, signing)
-        self._target = (vehicle, Component.AUTOPILOT1)
+        super().__init__(vehicle, Component.ONBOARD_COMPUTER, signing)
+        self._autopilot = (vehicle, Component.AUTOPILOT1)
+
+    def heartbeat(self, status: int = STANDBY) -> bytes:
+        """HEARTBEAT. status: MAV_STATE."""
+        kinds = (MavType.ONBOARD_CONTROLLER, Autopilot.INVALID)
+        return self.encode(MessageId.HEARTBEAT, *kinds, 0, 0, status, MAVLINK_VERSION)
+
+    def command(self, number: int, *parameters: float, confirmation: int = 0) -> bytes:
+        """A command (MAV_CMD) to the autopilot. confirmation: how often it was sent before."""
+        return self.encode(MessageId.COMMAND_LONG, *self._autopilot, number, confirmation, *parameters)
+
+    def read(self, name: str) -> bytes:
+        """PARAM_REQUEST_READ of one of the autopilot's parameters."""
+        return self.encode(MessageId.PARAM_REQUEST_READ, *self._autopilot, name, -1)
+
+
+class Asker(Companion):
+    """Asks one vehicle for what a diagnosis needs. streams: tries and the time of the last one, by message."""
+
+    def __init__(self, vehicle: int, signing: Signing | None = None) -> None:
+        super().__init__(vehicle, signing)
         self._beat: Instant | None = None
         self._reading = Reading()
         self.streams: dict[int, tuple[int, Instant]] = {}
@@ -198,17 +215,12 @@ class Asker:
         if self._beat is not None and now - self._beat < BEAT_S:
             return []
         self._beat = now
-        kind = (MavType.ONBOARD_CONTROLLER, Autopilot.INVALID, 0, 0, STANDBY, MAVLINK_VERSION)
-        return [self._encoder.encode(MessageId.HEARTBEAT, *kind)]
+        return [self.heartbeat()]
 
-    def tell(self, text: str) -> bytes:
-        """A STATUSTEXT for the ground stations."""
-        return self._encoder.statustext(Severity.INFO, text)
-
-    def read(self, autopilot: int, known: Mapping[str, float], now: Instant) -> list[bytes]:
+    def read_all(self, autopilot: int, known: Mapping[str, float], now: Instant) -> list[bytes]:
         """The parameters that tell rotors and filter, until they are known. known: those that came."""
         self._reading, names = self._reading.step(autopilot, known, now)
-        return [self._encoder.encode(MessageId.PARAM_REQUEST_READ, *self._target, name, -1) for name in names]
+        return [self.read(name) for name in names]
 
     def stream(self, wants: Sequence[Want], rates_hz: Mapping[int, float], now: Instant) -> list[bytes]:
         """The streams that do not come, or too slowly. rates_hz: of what comes, by message."""
@@ -218,6 +230,5 @@ class Asker:
             due = tries == 0 or (tries < TRIES and now - at >= AGAIN_S)
             if rates_hz.get(want.msgid, 0.0) < want.least_hz and due:
                 self.streams[want.msgid] = (tries + 1, now)
-                interval = (MavCmd.SET_MESSAGE_INTERVAL, 0, want.msgid, round(1e6 / want.ask_hz))
-                frames.append(self._encoder.encode(MessageId.COMMAND_LONG, *self._target, *interval))
+                frames.append(self.command(MavCmd.SET_MESSAGE_INTERVAL, want.msgid, round(1e6 / want.ask_hz)))
         return frames

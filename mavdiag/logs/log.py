@@ -23,8 +23,6 @@ TLOG_BYTES = 8 << 30  # of a telemetry log, at most: about as much is held in me
 WINDOW_BYTES = 2 << 20  # of a file that is read piece by piece: 8 MB take 50 MB more memory and no less time (measured)
 MAX_TIME_US = 2**53  # 285 years: anything later is damage, and would not fit in nanoseconds
 
-#: Reads a file. The arguments are the path, the MAVLink system id and the link profile, each None if it is not given.
-Reader: TypeAlias = Callable[[Path, int | None, str | None], Log]
 Conversion: TypeAlias = Callable[[FloatArray], FloatArray]
 
 
@@ -34,7 +32,7 @@ class LogKind:
 
     name: str  # for messages
     recognise: Callable[[bytes], bool]  # whether a file's first bytes are of this kind
-    read: Reader
+    read: Callable[[Path, int | None, str | None], Log]  # by path, MAVLink system id and profile, None if not given
     profiles: tuple[str, ...] = ()  # that of every such log, and others that can be asked for; () if messages show it
     gate: GateSpec | None = None  # what counts as flying in it; None where the profile's holds
     airframe_name: str | None = None  # of the one airframe that writes such logs; None if it may be any

@@ -141,19 +141,7 @@ def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None
     None recognises it by the messages. Raises InputError if the file is not such a log, is damaged beyond use, holds no
     multirotor or several, or does not show its profile; UsageError for an unknown profile.
     """
-
-    def chosen(content: TlogContent) -> list[int]:
-        flying = content.flying if vehicle is None else [vehicle]
-        if not flying:
-            raise InputError(f"{path}: no autopilot's heartbeat in the log; name the vehicle if there is one")
-        if len(flying) > 1:
-            each = "choose one with --vehicle (in Python, mavdiag.vehicle_stream reads each of them)"
-            raise InputError(f"{path}: holds the vehicles {_names(flying)}; {each}")
-        if flying[0] not in content.systems:
-            raise InputError(f"{path}: nothing from vehicle {flying[0]}; there is {_names(content.systems) or 'none'}")
-        return flying
-
-    return next(_flights(path, profile, chosen)).log
+    return next(_flights(path, profile, vehicle, several=False)).log
 
 
 def vehicle_stream(path: str | Path, profile: str | None = None) -> Iterator[VehicleLog]:
@@ -164,17 +152,10 @@ def vehicle_stream(path: str | Path, profile: str | None = None) -> Iterator[Veh
     of all; None recognises that of each. Raises as `read_tlog` does; for a vehicle whose profile is not clear when its
     turn comes.
     """
-    path = Path(path)
-
-    def chosen(content: TlogContent) -> list[int]:
-        if not content.flying:
-            raise InputError(f"{path}: no autopilot's heartbeat in the log")
-        return content.flying
-
-    return _flights(path, profile, chosen)
+    return _flights(Path(path), profile, None, several=True)
 
 
-def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], list[int]]) -> Iterator[VehicleLog]:
+def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: bool) -> Iterator[VehicleLog]:
     digest = hashlib.sha256()
     content = decode_tlog(_summed(path, digest.update))
     if content.records == 0:
@@ -182,7 +163,7 @@ def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], li
     if content.damaged_bytes > DAMAGED_SHARE * content.size:
         share = round(100 * content.damaged_bytes / content.size)
         raise InputError(f"{path}: {share} % of the file is damaged; get a sound copy")
-    sysids, types = choose(content), content.mav_types
+    sysids, types = _chosen(path, content, vehicle, several=several), content.mav_types
     if refused := next((text for sysid in sysids if (text := refusal(types.get(sysid)))), ""):
         raise InputError(f"{path}: {refused}")
     left_out = tuple(f"vehicle {sysid} is left out: {text}" for sysid, kind in types.items() if (text := refusal(kind)))
@@ -198,6 +179,19 @@ def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], li
         notes, parameters = (*content.notes, *left_out), parameters_in(system.parameters, known.autopilot)
         named = (name, digest.hexdigest(), known.name, telemetry, system.heard_ns, notes, parameters)
         yield VehicleLog(sysid, Log(*named, mav_type=types.get(sysid), vehicle=sysid))
+
+
+def _chosen(path: Path, content: TlogContent, vehicle: int | None, *, several: bool) -> list[int]:
+    flying = content.flying if vehicle is None else [vehicle]
+    if not flying:
+        remedy = "" if several else "; name the vehicle if there is one"
+        raise InputError(f"{path}: no autopilot's heartbeat in the log{remedy}")
+    if len(flying) > 1 and not several:
+        each = "choose one with --vehicle (in Python, mavdiag.vehicle_stream reads each of them)"
+        raise InputError(f"{path}: holds the vehicles {_names(flying)}; {each}")
+    if flying[0] not in content.systems:
+        raise InputError(f"{path}: nothing from vehicle {flying[0]}; there is {_names(content.systems) or 'none'}")
+    return flying
 
 
 def _summed(path: Path, update: Callable[[bytes], None]) -> Iterator[bytes]:
@@ -224,7 +218,6 @@ def _converted(path: Path, pieces: list[_Piece], sysid: int, decoder: SampleDeco
 
 
 def _of_system(frames: Frames, sysid: int) -> Frames:
-    """Those of a system id, where they lie."""
     own = frames.rows["sender"] >> 8 == sysid
     return frames if own.all() else frames.where(own)
 

@@ -17,7 +17,7 @@ import numpy as np
 from pyulog import ULog, ULogException
 
 from mavdiag.errors import InputError
-from mavdiag.link.modes import px4_custom_mode
+from mavdiag.link.messages import px4_custom_mode
 from mavdiag.link.samples import euler_angles
 from mavdiag.logs.log import (
     MAX_TIME_US,

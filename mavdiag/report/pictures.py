@@ -20,8 +20,7 @@ from mavdiag.decision.words import OBSERVES
 from mavdiag.identify import Method, Order
 from mavdiag.identify.estimate import SweepRow, sweep
 from mavdiag.judging import JudgedFlight
-from mavdiag.link.messages import Autopilot
-from mavdiag.link.modes import mode_name
+from mavdiag.link.messages import Autopilot, mode_name
 from mavdiag.link.profiles import PROFILES
 from mavdiag.look.figures import HARMONICS, SPECTRUM_S, Spectrum
 from mavdiag.monitors.base import Feature

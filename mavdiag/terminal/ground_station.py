@@ -1,7 +1,6 @@
 """A small ground station (edge): it receives one link, keeps what a pilot would see, and may judge a vehicle itself."""
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from mavdiag.baseline import Baseline
@@ -11,10 +10,10 @@ from mavdiag.errors import BaselineError, InputError
 from mavdiag.judging import why_not
 from mavdiag.kernel import Gauge, Piece
 from mavdiag.link.codec import Decoder, Encoder, Frame
-from mavdiag.link.datagrams import Chunk, Datagrams
+from mavdiag.link.datagrams import Datagrams
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
 from mavdiag.link.ports import Endpoint, wait
-from mavdiag.link.sequence import LinkCount, Source
+from mavdiag.link.sequence import LinkCount
 from mavdiag.link.signing import Signing
 from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.printable import printable
@@ -58,11 +57,9 @@ class LiveJudge:
         self._state = self.chain.start()
         self._decoder = LinkDecoder(None, self.vehicle, self.datagrams, signing=self.signing)
 
-    def take(
-        self, chunks: Sequence[Chunk] | Datagrams, now_ns: int, sources: Sequence[Source] = ()
-    ) -> tuple[Change, ...]:
-        """Take bytes of the link, each with its time of arrival [ns]; return the changes of the decision."""
-        received = self._decoder.feed(chunks, now_ns, sources)
+    def take(self, some: Datagrams, now_ns: int) -> tuple[Change, ...]:
+        """Take what the link brought; return the changes of the decision."""
+        received = self._decoder.feed(some, now_ns)
         known = sorted(self._decoder.vehicles)
         if self.vehicle is None and len(known) > 1:
             raise InputError(f"there are the vehicles {', '.join(map(str, known))}; choose one with --vehicle")
@@ -153,7 +150,7 @@ class GroundStation:
             for frame in decode(data, host_ns):
                 self._take(frame, fresh)
         if self.judge is not None:
-            fresh += self.judge.take(chunks, time.monotonic_ns(), self.endpoint.sources)
+            fresh += self.judge.take(chunks, time.monotonic_ns())
         return fresh
 
     @property

@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.errors import UsageError
-from mavdiag.link.messages import Autopilot, MavResult, MessageId
-from mavdiag.link.modes import MODES
+from mavdiag.link.messages import MODES, Autopilot, MavResult, MessageId
 from mavdiag.link.parameters import Encoding, Kind, Parameter
 from mavdiag.link.profiles import PROFILES, Profile, profile_named
 from sitl_plant.autopilot.schedule import Schedule
@@ -53,7 +52,7 @@ class ModeCode(NamedTuple):
 
 
 def _codes(meaning: Mapping[str, Mode], autopilot: Autopilot) -> tuple[ModeCode, ...]:
-    """The modes of these names, as `mavdiag.link.modes` has them, spelled as the autopilot itself spells them."""
+    """The modes of these names, as `MODES` has them, spelled as the autopilot itself spells them."""
     px4 = autopilot is Autopilot.PX4
     numbers = {name: number for number, name in MODES.items() if (number >= 1 << 16) is px4}
     spelled = str.capitalize if px4 else str.upper

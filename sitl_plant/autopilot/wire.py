@@ -4,8 +4,7 @@ import math
 from typing import NamedTuple, TypeAlias
 
 from mavdiag.errors import UsageError
-from mavdiag.link.codec import Frame, field_index
-from mavdiag.link.layout import Argument
+from mavdiag.link.codec import Argument, Frame, field_index
 from mavdiag.link.messages import MessageId
 
 NOT_SET = 0x7FFFFFFF  # of the integers x and y

@@ -130,7 +130,8 @@ def serve_ardupilot(
         lockstep, started_s = Lockstep(simulation, outputs), time.monotonic()
         counts = lockstep.counts
         while goes_on():
-            for (data, _), peer in zip(port.receive(POLL_S), port.sources, strict=True):
+            received = port.receive(POLL_S)
+            for (data, _), peer in zip(received, received.sources, strict=True):
                 foreign = counts.foreign
                 answer = lockstep.feed(data, peer, time.monotonic())
                 if answer is not None:

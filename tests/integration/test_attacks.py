@@ -25,10 +25,10 @@ from detector.fleet import Fleet, due_turns
 from detector.states import State
 from detector.values import SendText, SessionSpec
 from mavdiag.link.codec import Decoder, Encoder, field_index
+from mavdiag.link.datagrams import Datagrams, as_columns
 from mavdiag.link.keys import KeptSigning
 from mavdiag.link.messages import Component, MavCmd, MessageId, Severity
 from mavdiag.link.ports import SocketAddress, open_endpoint
-from mavdiag.link.ports.base import Chunk
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.samples import sources
 from mavdiag.link.signing import Refusal, Signing, stamp_at
@@ -46,11 +46,10 @@ class Listening(MemoryEndpoint):
         self.host = host
         self.strange: list[tuple[bytes, SocketAddress]] = []
 
-    def _drain(self) -> list[Chunk]:
+    def _drain(self) -> Datagrams:
         own = [(data, HERE) for data in self._inbox.take()]
         found, self.strange = [*own, *self.strange], []
-        self.sources = [source for _, source in found]
-        return [(data, self.host.ns) for data, _ in found]
+        return as_columns([(data, self.host.ns) for data, _ in found], [source for _, source in found])
 
 
 class Attacked(Bench):
@@ -442,8 +441,7 @@ def test_a_flood_hides_no_trusted_peer_and_moves_no_answer() -> None:
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
     ):
         peer.send(b"0")
-        near.receive(5.0)
-        (source,) = near.sources
+        (source,) = near.receive(5.0).sources
         place = ("127.0.0.1", int(near.address.rpartition(":")[2]))
         got: list[int] = []
         for k in range(1, 500):  # promoted amid its stream, which keeps its order
@@ -459,8 +457,7 @@ def test_a_flood_hides_no_trusted_peer_and_moves_no_answer() -> None:
             peer.send(b"%d" % k)
         own, before = 0, time.monotonic()
         for _ in range(20):
-            near.receive(0.0)
-            own += near.sources.count(source)
+            own += near.receive(0.0).sources.count(source)
         assert own == 2000
         assert near.traffic.received < 20_000 + 30_000 * (time.monotonic() - before)
         near.send(b"answer")
@@ -510,7 +507,7 @@ def test_wild_frames_and_garbage_are_survived(seed: int, datagrams: bool, learni
         if rng.random() < 0.3:
             frames.insert(int(rng.integers(0, 5)), rng.bytes(int(rng.integers(0, 300))))
         now = Instant(now.ns + TICK_NS)
-        one.take([(frame, now.ns) for frame in frames], now)
+        one.take(as_columns([(frame, now.ns) for frame in frames]), now)
         for turn in one.judge(now):
             for effect in turn.effects:
                 assert not isinstance(effect, SendText) or 0 < len(effect.text.encode()) <= 50

@@ -25,7 +25,7 @@ from mavsdk.plugins.failure import FailureType, FailureUnit
 from mavsdk.plugins.mission_raw import MissionItem
 from processes import ALERT, PATIENCE_S, companion, flying, process, running
 
-from detector.component import CHANGES
+from detector.component import PARAMETERS
 from mavdiag.link.messages import Component
 from sitl_plant.autopilot.stream import HOME_ALT_M, HOME_LAT_DEG, HOME_LON_DEG
 
@@ -132,7 +132,7 @@ def test_mavsdk_reads_and_sets_them(tmp_path: Path) -> None:
                 with suppress(ParamError):  # the binding of 4.1 says "unknown" after it has selected it, too
                     await parameters.select_component(Component.ONBOARD_COMPUTER, ProtocolVersion.V1)
                 with suppress(ParamError):  # one by one: all at once it mixes with those of the autopilot that it hears
-                    told |= {name: await parameters.get_param_float(name) for name in CHANGES}
+                    told |= {name: await parameters.get_param_float(name) for name in PARAMETERS}
             assert told == {"PROP_SCALE": 1.0, "PROP_TEXTS": 30.0, "PROP_ACK": 0.0}
             await parameters.set_param_float("PROP_TEXTS", 12.0)
             assert await parameters.get_param_float("PROP_TEXTS") == 12.0

@@ -13,7 +13,7 @@ from made_vehicle import Bench, MadeVehicle, received
 from test_daemon_virtual import STATION, US, field, of
 from typer.testing import CliRunner
 
-from detector.component import CHANGES
+from detector.component import PARAMETERS
 from detector.config import Settings
 from mavdiag import __version__, inspections
 from mavdiag.baseline import Baseline
@@ -220,7 +220,7 @@ def test_everybody_reads_the_parameters_and_pymavlink_agrees(bench: Bench, behin
     found = asked(bench, STATION.encode(MessageId.PARAM_REQUEST_LIST, *US), behind=behind)
     assert values(found) == {"PROP_SCALE": 1.0, "PROP_TEXTS": 30.0, "PROP_ACK": 0.0}
     assert [field(one, "param_index") for one in of(found, MessageId.PARAM_VALUE)] == [0, 1, 2]
-    assert {field(one, "param_count") for one in of(found, MessageId.PARAM_VALUE)} == {len(CHANGES)}
+    assert {field(one, "param_count") for one in of(found, MessageId.PARAM_VALUE)} == {len(PARAMETERS)}
     for name, index, right in (("PROP_TEXTS", -1, "PROP_TEXTS"), ("", 0, "PROP_SCALE")):
         found = asked(bench, STATION.encode(MessageId.PARAM_REQUEST_READ, *US, name, index), behind=behind)
         assert list(values(found)) == [right]

@@ -23,8 +23,8 @@ from detector.notify import Notifier
 from detector.states import State
 from mavdiag.baseline import Baseline
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
+from mavdiag.link.datagrams import Datagrams
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, Severity
-from mavdiag.link.ports import Chunk
 from mavdiag.logs.tlog import read_tlog
 from mavdiag.telemetry import Instant, Signal
 from sitl_plant.physics.faults import Injection, RotorDamage
@@ -445,8 +445,8 @@ def test_what_tells_rotors_and_filter_is_read_while_it_learns_and_nothing_is_eve
     heard: list[Frame] = []
     decoder, receive = Decoder(), bench.far.receive
 
-    def listening(timeout_s: float) -> list[Chunk]:
-        chunks = list(receive(timeout_s))
+    def listening(timeout_s: float) -> Datagrams:
+        chunks = receive(timeout_s)
         heard.extend(frame for data, host_ns in chunks for frame in decoder.feed_datagram(data, host_ns))
         return chunks
 

@@ -19,10 +19,10 @@ from mavdiag.commandline import say
 from mavdiag.commands.setup import BASELINE, CONFIG, setup
 from mavdiag.errors import InputError
 from mavdiag.learning.coaching import ROUNDS, Coverage, Task
-from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
-from mavdiag.link.layout import Argument
+from mavdiag.link.codec import Argument, Decoder, Encoder, Frame, field_index
+from mavdiag.link.datagrams import Chunk, Datagrams, as_columns
 from mavdiag.link.messages import MavCmd, MessageId
-from mavdiag.link.ports.base import Chunk, Endpoint
+from mavdiag.link.ports.base import Endpoint
 from mavdiag.units import NS_PER_S
 from sitl_plant.autopilot.commands import Autopilot
 from sitl_plant.autopilot.dialect import dialect_named
@@ -111,7 +111,6 @@ class PilotedVehicle(Endpoint):
     """
 
     datagrams = True
-    sources = ()
 
     def __init__(self, profile: str, clock: Clock, *, deaf: bool = False, seed: int = 0) -> None:
         super().__init__("memory:near")
@@ -136,10 +135,10 @@ class PilotedVehicle(Endpoint):
     def close(self) -> None:
         """It flies on."""
 
-    def _drain(self) -> list[Chunk]:
-        return list(self._near.receive(0.0))
+    def _drain(self) -> Datagrams:
+        return self._near.receive(0.0)
 
-    def receive(self, timeout_s: float) -> list[Chunk]:
+    def receive(self, timeout_s: float) -> Datagrams:
         """Let the vehicle fly on; what it sent."""
         steps = max(1, round(timeout_s * NS_PER_S / STEP_NS))
         filtered = self._filters.step(self.plant.advance(steps))
@@ -243,7 +242,6 @@ class Played(Endpoint):
     """The near end of a link on which a recording is played; what is sent is kept. Long after its end it stops."""
 
     datagrams = True
-    sources = ()
 
     def __init__(self, path: Path, clock: Clock) -> None:
         super().__init__("memory:near")
@@ -269,10 +267,10 @@ class Played(Endpoint):
     def close(self) -> None:
         """It stays open."""
 
-    def _drain(self) -> list[Chunk]:
-        return []
+    def _drain(self) -> Datagrams:
+        return as_columns(())
 
-    def receive(self, timeout_s: float) -> list[Chunk]:
+    def receive(self, timeout_s: float) -> Datagrams:
         self.clock.ns += max(1, round(timeout_s * NS_PER_S))
         if self.clock.ns > self._stop_ns:
             raise KeyboardInterrupt
@@ -280,7 +278,7 @@ class Played(Endpoint):
         while self._records and self._records[0][0] + self._late_ns <= self.clock.ns:
             found.append((self._records.popleft()[1], self.clock.ns))
         self.heard.update(parameter(one) for data, ns in found for one in self._decoder.feed(data, ns))
-        return found
+        return as_columns(found)
 
 
 def records(path: Path) -> Iterator[tuple[int, bytes]]:

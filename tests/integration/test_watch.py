@@ -24,6 +24,7 @@ from processes import ALERT, PATIENCE_S, companion, flying
 from mavdiag.decision.diagnosis import Change
 from mavdiag.judging import judge_in_full
 from mavdiag.link.codec import frame_length
+from mavdiag.link.datagrams import as_columns
 from mavdiag.logs import read_log
 from mavdiag.terminal.ground_station import LiveJudge
 from mavdiag.traces import rate_traces
@@ -56,8 +57,8 @@ def test_a_link_is_judged_as_its_log(tmp_path: Path) -> None:
     frames = chunks(path.read_bytes())
     for first in range(0, len(frames), 200):
         some = frames[first : first + 200]
-        changes += live.take(some, some[-1][1])
-        brief.take(some, some[-1][1])
+        changes += live.take(as_columns(some), some[-1][1])
+        brief.take(as_columns(some), some[-1][1])
     (trace, _) = rate_traces(brief.chain, brief.pieces)
     assert 1.9 <= (trace.t_ns[-1] - trace.t_ns[0]) / 1e9 <= 2.6  # only the last seconds are kept
     assert changes == list(log.verdict.changes)[: len(changes)]

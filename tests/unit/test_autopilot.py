@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavdiag.airframe.parameters import layout_from_parameters
-from mavdiag.link.codec import Decoder, Encoder, Frame
-from mavdiag.link.layout import Argument
+from mavdiag.link.codec import Argument, Decoder, Encoder, Frame
 from mavdiag.link.messages import Autopilot as Maker
 from mavdiag.link.messages import MavCmd, MavResult, MessageId
 from mavdiag.link.parameters import Encoding, Kind, Parameter, Parameters, parameters_in

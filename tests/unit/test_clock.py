@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from mavdiag.link.clock import (
+    _BOOT_US_32,
     MS_32,
     NEVER,
     REBOOT,
     US_32,
     US_64,
-    Clock,
     Counter,
     VehicleTime,
     stamp,
@@ -94,7 +94,7 @@ def test_b7_the_turns_of_a_first_reading_are_chosen_by_the_time_since_boot(turns
     true_us = turns * (1 << 32) + 2_000_000_000
     boot = (US_64, ints([true_us + error_s * 1_000_000]), ints([0]))
     time, _ = taken(boot, (US_32, ints([true_us % (1 << 32)]), ints([1])))
-    lead = time.records[2][Clock.BOOT_US_32]
+    lead = time.records[2][_BOOT_US_32]
     assert lead["first_ns"] == 1 - true_us * 1000
 
 

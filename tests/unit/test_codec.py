@@ -13,10 +13,11 @@ from mavdiag.link.codec import (
     UNKNOWN,
     Decoder,
     Encoder,
+    FieldValue,
     Frame,
     layout_of,
 )
-from mavdiag.link.layout import FieldValue
+from mavdiag.link.datagrams import as_columns
 from mavdiag.link.messages import MessageId
 
 HEARTBEAT = (2, 3, 128, 0, 4, 3)
@@ -206,8 +207,9 @@ def test_datagrams_at_once_are_heard_as_one_by_one(datagrams: list[tuple[bytes, 
     chunks = [(data, at_ns) for (data, _, _), at_ns in zip(datagrams, times, strict=True)]
     sources = [source for _, _, source in datagrams]
     single, whole = Decoder(), Decoder()
-    each = [frame for one in zip(chunks, sources, strict=True) for frame in single.take_datagrams([one[0]], [one[1]])]
-    assert list(whole.take_datagrams(chunks, sources)) == each
+    alone = (as_columns([chunk], [source]) for chunk, source in zip(chunks, sources, strict=True))
+    each = [frame for one in alone for frame in single.take_datagrams(one)]
+    assert list(whole.take_datagrams(as_columns(chunks, sources))) == each
     assert (whole.garbage_bytes, whole.records) == (single.garbage_bytes, single.records)
     assert whole.senders == single.senders
     for sender in single.senders:

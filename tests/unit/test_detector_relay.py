@@ -6,10 +6,11 @@ from typing import Any
 import pytest
 from memory_port import memory_pair
 
+from detector.component import Sender
 from detector.relay import DATAGRAM_BYTES, Relay
 from detector.requests import Handled, Requests
-from detector.sender import MavlinkSender
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
+from mavdiag.link.datagrams import as_columns
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.vehicles import LinkDecoder
@@ -32,7 +33,7 @@ def relayed(chunks: list[bytes], datagrams: bool) -> list[bytes]:
     behind, far = memory_pair(clock=lambda: 0)
     passed: list[tuple[bytes, int]] = []
     link = LinkDecoder(datagrams=datagrams, passed=passed)
-    link.feed([(chunk, 0) for chunk in chunks], 0)
+    link.feed(as_columns([(chunk, 0) for chunk in chunks]), 0)
     Relay(near, [behind]).pass_on(passed)
     return [data for data, _ in far.receive(0.0)]
 
@@ -67,7 +68,7 @@ STATION = Encoder(255, Component.MISSIONPLANNER)
 def handled(message: bytes, *vehicles: int) -> Handled:
     streams = {sysid: SimpleNamespace(profile=PROFILES["ardupilot"]) for sysid in vehicles}
     fleet: Any = SimpleNamespace(vehicles=dict.fromkeys(vehicles), link=SimpleNamespace(vehicles=streams))
-    requests = Requests(fleet, True, MavlinkSender)
+    requests = Requests(fleet, True, Sender)
     return requests.from_behind([message], Instant(0))
 
 

@@ -24,6 +24,7 @@ from mavdiag.errors import InputError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.codec import Encoder
+from mavdiag.link.datagrams import as_columns
 from mavdiag.link.messages import Autopilot, MavType, MessageId
 from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.rows.block import Block
@@ -560,7 +561,8 @@ def test_a_link_carries_the_parameters_that_pass_by_before_the_vehicle_entered_a
         data += encoder.encode(MessageId.ATTITUDE_TARGET, 5000 + 10 * k, 0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, 0.5)
         data += encoder.encode(MessageId.RAW_IMU, 5_000_000 + 10_000 * k, 0, 0, -1000, 1, 2, 3)
         data += b"".join(value(encoder, *pair, REAL32) for pair in named.items()) if k == 1 else b""
-        received = decoder.feed([(data, (k + 1) * 10_000_000)], (k + 1) * 10_000_000)
+        received = decoder.feed(as_columns([(data, (k + 1) * 10_000_000)]), (k + 1) * 10_000_000)
     assert received[1].parameters == named
-    again = decoder.feed([(value(Encoder(1, 1), "FRAME_TYPE", 0.0, REAL32), 4_000_000_000)], 4_000_000_000)
+    later = (value(Encoder(1, 1), "FRAME_TYPE", 0.0, REAL32), 4_000_000_000)
+    again = decoder.feed(as_columns([later]), 4_000_000_000)
     assert again[1].parameters == {**named, "FRAME_TYPE": 0.0}

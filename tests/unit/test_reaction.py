@@ -11,19 +11,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from detector.alerts import TEXT_BYTES, Kind, Notice, Presenter, Telling
+from detector.alerts import Kind, Notice, Presenter, Telling
 from detector.reaction import ANSWER_S, NOTICE_S, OWN_S, STICK, Reaction
 from detector.rules import AUTOMATIC, parse_modes, parse_rules
-from detector.values import Effect, Inbox, Note, SendCommand, SendText
+from detector.values import Effect, Note, SendCommand, SendText
 from mavdiag.as_json import event_json, json_line
 from mavdiag.decision.alarm import Event
 from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
 from mavdiag.decision.words import held_advice, held_sentence
 from mavdiag.errors import UsageError
 from mavdiag.judging import MonitorSummary
-from mavdiag.link.codec import Decoder, Encoder
+from mavdiag.link.codec import TEXT_BYTES, Decoder, Encoder
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
-from mavdiag.link.vehicles import Ack, acks_in, mode_in, sticks_in
+from mavdiag.link.vehicles import Ack, Received, acks_in, mode_in, sticks_in
 from mavdiag.monitors import MONITORS, by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis, Instant
@@ -59,8 +59,8 @@ class Flight:
         for _ in range(round(seconds / TICK_S)):
             self.ticks += 1
             told = {int(RC): tuple(sticks)} if sticks else {}
-            inbox = Inbox(alive=True, acks=self._acks, mode=self.mode, sticks=told)
-            effects = self.reaction.step(self.held, self.armed, inbox, Instant(round(1e12) + round(self.s * 1e9)))
+            received = Received(alive=True, acks=self._acks, mode=self.mode, sticks=told)
+            effects = self.reaction.step(self.held, self.armed, received, Instant(round(1e12) + round(self.s * 1e9)))
             self._take(effects)
 
     def _take(self, effects: Sequence[Effect]) -> None:

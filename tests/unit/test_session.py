@@ -22,19 +22,17 @@ from detector.config import SessionSettings, Settings
 from detector.fitting import FittingJob, ProcessFitter
 from detector.fleet import Fleet, Vehicle
 from detector.judging import Judge, chain_for
-from detector.negotiate import HELD_S, Negotiation
 from detector.session import FITS, Session
 from detector.states import TABLE, State
-from detector.streams import Streams
+from detector.streams import HELD_S, Negotiation, Streams
 from detector.values import (
-    AskInterval,
     Effect,
     EventClosed,
     EventOpened,
-    Inbox,
     Learn,
     LearningFailed,
     Note,
+    SendCommand,
     SendFloat,
     SendText,
     SessionSpec,
@@ -47,7 +45,7 @@ from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.errors import BaselineError
 from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import LAST_RESORT, PROFILES
-from mavdiag.link.vehicles import Ack
+from mavdiag.link.vehicles import Ack, Received
 from mavdiag.link.wants import Want
 from mavdiag.telemetry import Axis, FloatArray, Instant, Series, Signal, Telemetry
 from mavdiag.units import G
@@ -160,11 +158,11 @@ def test_b6_another_rate_is_asked_for_and_waited_for_but_never_a_reason_to_be_of
     story = Story(SessionSpec(QDRONE2, baseline_for(rate_hz=50.0)), seconds=200)
     story.fly(15.0)
     assert story.state.reason == "rate not the baseline's (100 Hz)"
-    assert AskInterval(MessageId.RAW_IMU, 20_000) in [effect for _, effect in story.log]
+    assert SendCommand(MavCmd.SET_MESSAGE_INTERVAL, (MessageId.RAW_IMU, 20_000)) in [effect for _, effect in story.log]
     story.fly(100.0)
     assert story.at(State.WAITING)
     assert story.session.working
-    requests = [at for at, effect in story.log if isinstance(effect, AskInterval)]
+    requests = [at for at, effect in story.log if isinstance(effect, SendCommand)]
     assert min(b - a for a, b in itertools.pairwise(requests)) >= 2.0
     assert len(requests) < 12  # paced: the autopilot does not do it
     story.fly(3.0, every=2)
@@ -231,12 +229,12 @@ def test_events_do_not_depend_on_how_often_the_session_steps() -> None:
     assert len(found[0]) == 1
 
 
-def weighing(felt_g: float, t_s: float) -> Inbox:
+def weighing(felt_g: float, t_s: float) -> Received:
     """A quarter of a second of both streams and of an accelerometer that feels so much."""
     t_ns = np.round((1.0 + t_s + np.arange(25) / 100) * 1e9).astype(np.int64)
     still, down = np.zeros((25, 3)), np.tile([0.0, 0.0, -felt_g * G], (25, 1))
     signals = ((Signal.ATTITUDE_SETPOINT, still), (Signal.BODY_RATE, still), (Signal.SPECIFIC_FORCE, down))
-    return Inbox(Telemetry(tuple(Series(one, t_ns, t_ns, values) for one, values in signals)), alive=True)
+    return Received(Telemetry(tuple(Series(one, t_ns, t_ns, values) for one, values in signals)), alive=True)
 
 
 def test_a_scale_that_gravity_contradicts_is_told_with_the_profile_to_try_and_nothing_is_judged() -> None:
@@ -344,7 +342,7 @@ def act(story: Story, action: tuple[object, ...]) -> None:
         case ("slow", int(every)):
             story.fly(3.0, every=every)
         case ("garbage", int(seed)):
-            story.give(Inbox(garbage(seed), alive=True, reboots=story.reboots))
+            story.give(Received(garbage(seed), alive=True, reboots=story.reboots))
 
 
 @settings(max_examples=40)
@@ -362,7 +360,7 @@ def test_whatever_happens_the_laws_hold(actions: list[tuple[object, ...]], with_
     for effect in effects:
         if isinstance(effect, SendFloat):
             assert 0 < len(effect.name.encode()) <= 10
-    asked = [(at, effect.msgid) for at, effect in story.log if isinstance(effect, AskInterval)]
+    asked = [(at, effect.parameters[0]) for at, effect in story.log if isinstance(effect, SendCommand)]
     for msgid in {msgid for _, msgid in asked}:
         assert sum(one == msgid for _, one in asked) <= 1 + story.reboots + story.s / 2.0
     assert sum(isinstance(effect, Learn) for effect in effects) <= FITS * (1 + story.reboots)
@@ -508,7 +506,9 @@ class Talk:
             streams: Any = MadeStreams(*seen)
             effects, _ = self.negotiation.step([stream.want for stream in seen], streams, acks, now)
             acks = ()
-            self.asked += [(self.ticks * TICK_S, one.msgid) for one in effects if isinstance(one, AskInterval)]
+            self.asked += [
+                (self.ticks * TICK_S, int(one.parameters[0])) for one in effects if isinstance(one, SendCommand)
+            ]
             self.notes += [one.text for one in effects if isinstance(one, Note)]
 
 

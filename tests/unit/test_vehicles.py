@@ -13,6 +13,7 @@ import mavdiag as md
 from mavdiag.airframe.vehicle_type import MULTIROTORS
 from mavdiag.errors import InputError
 from mavdiag.link.codec import Decoder, Encoder, message_name
+from mavdiag.link.datagrams import as_columns
 from mavdiag.link.link import Link
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
 from mavdiag.link.parameters import parameters_in
@@ -57,7 +58,7 @@ def run(decoder: LinkDecoder, chunks: list[tuple[bytes, int]]) -> int:
     """Feed chunk by chunk; how many gyro samples came out."""
     found = 0
     for chunk in chunks:
-        for received in decoder.feed([chunk], chunk[1]).values():
+        for received in decoder.feed(as_columns([chunk]), chunk[1]).values():
             rate = received.telemetry.get(Signal.BODY_RATE)
             found += 0 if rate is None else len(rate)
     return found
@@ -97,12 +98,12 @@ def test_acknowledgements_and_commands_are_handed_out() -> None:
     computer = Component.ONBOARD_COMPUTER
     targets = ((1, computer), (1, Component.AUTOPILOT1), (9, computer))
     ask = [station.encode(MessageId.COMMAND_LONG, *target, MavCmd.REQUEST_MESSAGE) for target in targets]
-    received = decoder.feed([(b"".join([ours, other, *ask]), S)], S)
+    received = decoder.feed(as_columns([(b"".join([ours, other, *ask]), S)]), S)
     assert list(received) == [1]
     assert received[1].acks == (Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED),)
     assert [command_in(frame) for frame in received[1].asked] == [Command(MavCmd.REQUEST_MESSAGE, 255, 190)]
-    assert received[1].present
-    assert not decoder.feed([(b"".join(ask), S)], S)[1].present
+    assert received[1].alive
+    assert not decoder.feed(as_columns([(b"".join(ask), S)]), S)[1].alive
 
 
 def test_b28_a_truncated_datagram_is_not_joined_to_the_next() -> None:
@@ -153,7 +154,7 @@ def test_the_rates_of_attitude_are_read_only_where_no_imu_message_comes_for_long
     assert run(decoder, rows[:-1]) == pytest.approx(100, abs=12)
     stream = decoder.vehicles[1]
     assert message_name(stream.profile.imu) == "ATTITUDE"
-    received = decoder.feed(rows[-1:], rows[-1][1])
+    received = decoder.feed(as_columns(rows[-1:]), rows[-1][1])
     assert received[1].telemetry[Signal.BODY_RATE].values.tolist() == [pytest.approx([0.01, 0.02, 0.03])]
     sender.k = 4000
     raw = [(data, at_ns) for data, at_ns in sender.chunks(50)]
@@ -238,12 +239,12 @@ def test_made_up_senders_and_unknown_ids_cost_bounded_memory() -> None:
     for warm in (frames[:2000], unknown[:2000]):
         for frame in warm:
             decoder.feed_datagram(frame, 0)
-            link.feed([(frame, 0)], 0, [THERE])
+            link.feed(as_columns([(frame, 0)], [THERE]), 0)
     flood = [(frame, k) for k, frame in enumerate((*frames, *unknown))]
     tracemalloc.start()
     for k in range(0, len(flood), 100):
-        decoder.take_datagrams(flood[k : k + 100])
-    link.feed([(frame, 0) for frame in frames], S, [THERE] * len(frames))
+        decoder.take_datagrams(as_columns(flood[k : k + 100]))
+    link.feed(as_columns([(frame, 0) for frame in frames], [THERE] * len(frames)), S)
     grown, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert grown < 3e6
@@ -256,11 +257,11 @@ def test_a_careful_decoder_wants_two_heartbeats_of_one_sender() -> None:
     link, encoder = LinkDecoder(careful=True), Encoder(1, 1)
     for k in range(3):
         chunks = second(encoder, k)
-        link.feed(chunks, chunks[-1][1], [HERE] * len(chunks))
+        link.feed(as_columns(chunks, [HERE] * len(chunks)), chunks[-1][1])
         assert bool(link.vehicles) is (k > 0)
     assert link.source(1) == HERE
-    assert link.heard_since(2 * S) == [1]
-    assert link.heard_since(30 * S) == []
+    assert link.sources_since(2 * S) == [HERE]
+    assert link.sources_since(30 * S) == []
 
 
 def test_why_a_vehicle_waits_is_told_after_seconds() -> None:
@@ -270,7 +271,7 @@ def test_why_a_vehicle_waits_is_told_after_seconds() -> None:
         beat(other)  # so their numbers are 100 apart
     for k in range(9):
         chunks = [chunk for pair in zip(second(one, k), second(other, k), strict=True) for chunk in pair]
-        link.feed(chunks, chunks[-1][1], [HERE] * len(chunks))
+        link.feed(as_columns(chunks, [HERE] * len(chunks)), chunks[-1][1])
         told.append(link.waiting.get(1, "").startswith("its frames are numbered as of two senders"))
     assert told == [False] * 5 + [True] * 4
     assert not link.vehicles
@@ -380,9 +381,9 @@ def test_a_ulog_tells_it_by_the_vehicle_s_state_or_a_parameter(types: list[int],
 def test_on_a_link_only_a_multirotor_enters(careful: bool) -> None:
     decoder = LinkDecoder(careful=careful)
     wrong = Encoder(7, 1).encode(MessageId.HEARTBEAT, 11, 3, 128, 0, 4, 3)  # made up or damaged: it keeps nobody out
-    decoder.feed([(wrong, 0)], 0)
+    decoder.feed(as_columns([(wrong, 0)]), 0)
     for t_us, frame in sorted([*stream(11, sysid=1, n=600), *stream(2, sysid=7, n=600)], key=lambda one: one[0]):
-        decoder.feed([(frame, 1_000 * t_us)], 1_000 * t_us)
+        decoder.feed(as_columns([(frame, 1_000 * t_us)]), 1_000 * t_us)
     assert list(decoder.vehicles) == [7]
     assert decoder.waiting == {1: BOAT}
 

@@ -19,12 +19,12 @@ from enum import StrEnum
 from typing import NamedTuple, TypeAlias
 
 from mavdiag.errors import LinkError, UsageError
-from mavdiag.link.ports.base import Chunk, Endpoint, SocketAddress, Traffic, link_error, wait
+from mavdiag.link.ports.base import Endpoint, SocketAddress, Traffic, link_error, wait
 from mavdiag.link.ports.serial import Serial
 from mavdiag.link.ports.tcp import TcpClient, TcpServer
 from mavdiag.link.ports.udp import PEER_FRESH_S, UdpIn, UdpOut
 
-__all__ = ["PEER_FRESH_S", "Chunk", "Endpoint", "SocketAddress", "Traffic", "wait"]
+__all__ = ["PEER_FRESH_S", "Endpoint", "SocketAddress", "Traffic", "wait"]
 
 _NetworkPort: TypeAlias = Callable[[str, socket.AddressFamily, SocketAddress], Endpoint]
 _NETWORK = re.compile(r"(?P<kind>udpin|udpout|tcp|tcpin):(?P<host>\[[0-9A-Fa-f:.%\w]+\]|[^:\[\]\s]+):(?P<port>\d{1,5})")

@@ -1,7 +1,4 @@
-"""What every endpoint is: bytes in with the host's time, bytes out, honest counts, and one way to wait.
-
-Edge module: file descriptors and the host clock live here and in the modules beside it.
-"""
+"""What every endpoint is (edge): bytes in with the host's time, bytes out, honest counts, and one way to wait."""
 
 import errno
 import os
@@ -15,8 +12,7 @@ from types import TracebackType
 from typing import TypeAlias
 
 from mavdiag.errors import LinkError
-from mavdiag.link.datagrams import Chunk as Chunk
-from mavdiag.link.datagrams import Datagrams
+from mavdiag.link.datagrams import Chunk, Datagrams, as_columns
 
 SocketAddress: TypeAlias = tuple[str | int | bytes, ...]  # as the socket module resolves it
 
@@ -61,11 +57,9 @@ class Endpoint(AbstractContextManager["Endpoint"]):
 
     address: in the notation of `open_endpoint`, with the port that was really bound.
     datagrams: whether a chunk is a datagram, so that what it leaves unfinished must not be joined to the next one.
-    sources: the sender of each chunk that the latest `receive` returned; empty where there is one other end.
     """
 
     datagrams = False
-    sources: Sequence[SocketAddress] = ()
 
     def __init__(self, address: str) -> None:
         self.address, self._count = address, Traffic()
@@ -86,7 +80,7 @@ class Endpoint(AbstractContextManager["Endpoint"]):
     def filenos(self) -> tuple[int, ...]:
         """The descriptors that become readable when there is something to receive; none while disconnected."""
 
-    def receive(self, timeout_s: float) -> list[Chunk] | Datagrams:
+    def receive(self, timeout_s: float) -> Datagrams:
         """Wait up to `timeout_s` for the first chunk, then take what is there (bounded). Empty if nothing came."""
         until = time.monotonic() + timeout_s
         while not (chunks := self._drain()) and (left := until - time.monotonic()) > 0:
@@ -111,7 +105,7 @@ class Endpoint(AbstractContextManager["Endpoint"]):
         """Let go of the port or device. Closing twice is harmless; a closed endpoint receives and sends nothing."""
 
     @abstractmethod
-    def _drain(self) -> list[Chunk] | Datagrams:
+    def _drain(self) -> Datagrams:
         """Take what is there without waiting; reconnect if it is time to."""
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
@@ -209,13 +203,12 @@ class Reconnecting(Endpoint):
         self._retry_at = now + self._pause_s
         self._pause_s = min(2.0 * self._pause_s, RETRY_MAX_S)
 
-    def _drain(self) -> list[Chunk]:
+    def _drain(self) -> Datagrams:
         if self._stream is None and time.monotonic() >= self._retry_at:
             try:
                 self._begin()
             except OSError:  # still absent: the next retry may find it
                 self._wait()
-                return []
         chunks: list[Chunk] = []
         while self._stream is not None and len(chunks) < _DRAIN_READS:
             data = self._stream.read()
@@ -225,4 +218,4 @@ class Reconnecting(Endpoint):
                 chunks.append((data, time.monotonic_ns()))
             else:
                 break
-        return chunks
+        return as_columns(chunks)

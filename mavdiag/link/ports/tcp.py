@@ -4,7 +4,8 @@ import socket
 import time
 
 from mavdiag.link.codec import Decoder, split_frames
-from mavdiag.link.ports.base import Chunk, Endpoint, Reconnecting, SocketAddress, Stream, link_error
+from mavdiag.link.datagrams import Chunk, Datagrams, as_columns
+from mavdiag.link.ports.base import Endpoint, Reconnecting, SocketAddress, Stream, link_error
 
 CLIENTS_MAX = 16  # of a server: for a further one an idle one makes room, else that one is turned away
 IDLE_S = 5.0  # without a frame, before a client may have to make room (our choice)
@@ -47,7 +48,6 @@ class _Client(Stream):
 
     @property
     def stuffed(self) -> bool:
-        """Whether it brings nothing but garbage."""
         return self._decoder.size - self._garbage_from >= GARBAGE_BYTES
 
     def take(self, most_bytes: int) -> bytes | None:
@@ -111,7 +111,7 @@ class TcpServer(Endpoint):
             client.close()
         self._clients.clear()
 
-    def _drain(self) -> list[Chunk]:
+    def _drain(self) -> Datagrams:
         self._accept()
         chunks: list[Chunk] = []
         sources: list[SocketAddress] = []
@@ -123,8 +123,7 @@ class TcpServer(Endpoint):
             elif data:
                 chunks.append((data, time.monotonic_ns()))
                 sources.append(client.name)
-        self.sources = sources
-        return chunks
+        return as_columns(chunks, sources)
 
     def _accept(self) -> None:
         for _ in range(CLIENTS_MAX):

@@ -21,7 +21,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from mavdiag.link.datagrams import Chunk, Datagrams, end_to_end, joined_datagrams
+from mavdiag.link.datagrams import Datagrams, end_to_end, joined_datagrams
 from mavdiag.link.ports.base import Endpoint, SocketAddress, link_error
 from mavdiag.units import NS_PER_S
 
@@ -57,8 +57,6 @@ _receive_many = ctypes.CDLL(None, use_errno=True).recvmmsg
 
 
 class _Mailbag:
-    """Room for the datagrams of one call."""
-
     def __init__(self) -> None:
         self._data = np.empty((AT_ONCE, _ROOM), np.uint8)  # what is not touched costs nothing
         self._names = np.zeros((AT_ONCE, _NAME_BYTES), np.uint8)
@@ -119,19 +117,17 @@ class _Udp(Endpoint):
             raise link_error(self.address, error) from error
 
     def filenos(self) -> tuple[int, ...]:
-        """The socket's descriptor."""
         return (self._socket.fileno(),) if self._socket.fileno() >= 0 else ()
 
     def close(self) -> None:
-        """Close the socket."""
         self._socket.close()
 
-    def _drain(self) -> list[Chunk] | Datagrams:
+    def _drain(self) -> Datagrams:
         pieces = list[Datagrams]()
         if self._socket.fileno() >= 0:
             self._read(self._socket, pieces, _DRAIN_MAX)
         alone = [replace(piece, whose=np.zeros_like(piece.whose), peers=(None,)) for piece in pieces]
-        return joined_datagrams(alone) if alone else []
+        return joined_datagrams(alone)
 
     def _read(self, link: socket.socket, pieces: list[Datagrams], units: float) -> float:
         """Take what is there, as far as so many units allow; returns how many are left."""
@@ -217,7 +213,7 @@ class UdpIn(_Udp):
                     self._trusted[peer], self._before = own, _account(self._socket)[_WAITING]
                     self._peers.setdefault(peer, time.monotonic())
 
-    def _drain(self) -> list[Chunk] | Datagrams:
+    def _drain(self) -> Datagrams:
         pieces = list[Datagrams]()
         if self._socket.fileno() >= 0 and (self._before > 0 or not self._trusted):
             left = self._read(self._socket, pieces, _DRAIN_MAX)
@@ -230,9 +226,7 @@ class UdpIn(_Udp):
         self._filled_s = now_s
         if self._trusted and self._units >= 1.0:
             self._units = self._read(self._socket, pieces, self._units)
-        found = joined_datagrams(pieces)
-        self.sources = found.sources
-        return found if pieces else []
+        return joined_datagrams(pieces)
 
     def _note_senders(self, peers: Iterable[SocketAddress]) -> None:
         for peer in peers:
