@@ -106,17 +106,6 @@ def test_the_command_reuses_and_reports(program: Any, tmp_path: Path) -> None:
     assert path.read_text() == before
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [("--conditions", "wind=strong"), ("--flights", "-3"), ("-o", ".")],
-)
-def test_the_command_says_no_in_one_line(program: Any, arguments: tuple[str, ...], tmp_path: Path) -> None:
-    nothing = ("-o", str(tmp_path / "r.jsonl"), "--flights", "0", "--hours", "0", "--workers", "1")
-    code, _, err = program(SITL_PLANT, "campaign", *nothing, *arguments)
-    assert code == 2
-    assert len([line for line in err.splitlines() if line.startswith("sitl-plant: ")]) == 1, err
-
-
 def test_every_cause_meets_every_rotor_and_scale_equally_often() -> None:
     flights = make_plan(Design(flights=12 * len(CAUSES), hours=0.0))
     assert set(Counter((flight.cause, flight.rotor) for flight in flights).values()) == {3}

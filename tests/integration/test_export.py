@@ -59,21 +59,6 @@ def test_a_table_has_each_sample_once(tmp_path: Path, kind: str) -> None:
     assert np.allclose(frame.index, t_s, atol=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["x.ulg"], "name one LOG and one of --mcap, --csv, --parquet"),
-        (["x.ulg", "--mcap", "--csv"], "name one LOG and one of"),
-        (["x.ulg", "--lua", "b.json"], "--lua takes a baseline"),
-        (["absent.ulg", "--csv"], "absent.ulg"),
-    ],
-)
-def test_what_cannot_be_exported_is_told_in_a_line(arguments: list[str], says: str) -> None:
-    result = CliRunner().invoke(app, ["export", *arguments])
-    assert isinstance(result.exception, md.MavdiagError)
-    assert says in str(result.exception)
-
-
 def test_a_notebook_shows_logs_verdicts_and_baselines_as_tables() -> None:
     verdict = md.judge(WEAK, whole())
     highest = verdict.to_frame()["ratio"].to_dict()

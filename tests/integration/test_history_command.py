@@ -146,34 +146,6 @@ def test_csv_has_a_row_for_each_monitor_and_each_trend(mavdiag: Any, wearing: Pa
     }
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((), "no history there; make one with `mavdiag history add`"),
-        (("list", "--csv"), "'--csv' requires an argument"),
-        (("--airframe", "x", "list"), "unexpected extra argument"),
-        (("mark", "--airframe", "x"), "say what was done"),
-        (("mark", "--airframe", "x", "--repair", "--at", "yesterday"), "write it like 2026-03-01"),
-        (("show", "--database", "postgresql://me:secret@127.0.0.1:1/fleet"), "Connection refused"),
-        (("add", "x.tlog", "--baseline", "none.json"), "none.json: no such file"),
-        (("add", "x", "--baseline", "b", "--at", "2026-01-01", "--ordered", "file-time"), "both say when"),
-        (("show", "--database", "/etc/passwd"), "file is not a database"),
-        (("show", "--database", "/tmp"), "/tmp: is a folder"),
-        (("show", "--database", "mysql://a@b/c"), "an SQLite file or a postgresql"),
-        (("show", "--database", ""), "name the history"),
-    ],
-)
-def test_what_cannot_be_is_said_in_one_line(
-    mavdiag: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], words: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    code, out, err = mavdiag("history", *arguments)
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert words in err
-    assert "secret" not in err
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_page_shows_the_trends_and_what_asks_for_attention_first(mavdiag: Any, wearing: Path) -> None:
     with open_history(str(wearing), write=True) as history:
         history.mark(Mark("calm", history.flights("calm")[30].t_ns - 1, MarkKind.NEW_PROPELLERS))

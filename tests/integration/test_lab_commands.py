@@ -51,23 +51,6 @@ def test_models_of_a_baseline_are_those_of_its_fsd_monitors(mavdiag: Any, flight
     assert code in (0, 1, 4)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["model", "absent.tlog"], "absent.tlog: no such file"),
-        (["model", "track", "LOG", "--every", "0"], "--every and --memory must be longer"),
-        (["model", "LOG", "--plot", "/dev/null"], "not a regular file"),
-        (["model", "LOG", "--order", "2;2"], "three whole numbers"),
-        (["identify", "LOG", "-o", "x.json", "--from", "nan"], "--from nan: give a time"),  # R3
-        (["baseline", "show", "absent.json"], "no such file; make a baseline"),
-    ],
-)
-def test_bad_input_is_one_line_and_exit_2(mavdiag: Any, flights: list[Path], arguments: list[str], words: str) -> None:
-    code, out, err = mavdiag(*[str(flights[0]) if one == "LOG" else one for one in arguments])
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert words in err
-
-
 FLIGHT_S = 25.0
 RISE = 0.3  # of the command of the front right rotor
 OWN = tuple(f"F0_SV0_SP1_t2_D1_R{number}.mat" for number in (1, 2, 3))

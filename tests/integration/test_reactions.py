@@ -13,7 +13,7 @@ from loop_plant import HIL_HZ, LoopPlant
 from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle, received
 from reactions import IN_LOOP, PROFILE, Station, fly
-from test_attacks import UDP_IN, Attacked, random_frames
+from test_attacks import UDP_IN, Attacked
 from test_daemon_virtual import STATION, US, field, of
 from typer.testing import CliRunner
 from virtual_flight import VirtualFlight
@@ -104,32 +104,6 @@ def test_without_the_option_nothing_is_ever_commanded(benches: Benches) -> None:
     bench = benches("")
     damaged(bench, 30.0)
     assert commanded(bench) == []
-
-
-def stranger(name: str) -> Iterator[list[bytes]]:
-    """Somebody else who wants a reaction: frames of a damaged flight in its name, texts, commands."""
-    if name == "damaged flight":
-        old = MadeVehicle(1)
-        old.turning, old.custom_mode = 3.0, LOITER
-        return itertools.cycle([old.samples(4) for _ in range(500)])
-    if name == "random frames":
-        return random_frames(7, (1, 1))
-    if name == "our own name":
-        ours = Encoder(*US)
-        text = ours.statustext(Severity.CRITICAL, "PROP THRUST LOST motor 3")
-        order = ours.encode(MessageId.COMMAND_LONG, 1, 1, MavCmd.NAV_LAND, 0, *[0.0] * 7)
-        return itertools.repeat([text, order])
-    every = (MavCmd.NAV_LAND, MavCmd.INJECT_FAILURE, MavCmd.USER_1, 31011)
-    return itertools.cycle([[STATION.encode(MessageId.COMMAND_LONG, *US, number, 0, *[1.0] * 7)] for number in every])
-
-
-@pytest.mark.parametrize("name", ["damaged flight", "random frames", "our own name", "commands"])
-def test_a_forged_sender_causes_none(benches: Benches, name: str) -> None:
-    bench = benches("suspected: land; fault: land; gross loss: land")
-    bench.fly(20.0, stranger(name))
-    assert commanded(bench) == []
-    damaged(bench, 2.0)  # the genuine fault does
-    assert len(commanded(bench)) == 2  # asked again, as this vehicle does not answer
 
 
 @pytest.mark.parametrize("how", ["ack", "stick", "mode", "mavdiag ack"])

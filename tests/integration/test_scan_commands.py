@@ -182,33 +182,6 @@ def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(scan: Any, arc
     assert "5 of 5 answers were known already; --no-cache judges anew" in err
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--csv", "absent/a.csv"), "absent/a.csv: cannot be written"),
-        (("--parquet", "."), ".: is a folder"),
-        (("--from", "nan"), "--from nan: give a time in seconds"),
-        (("--cache", "baseline.json"), "baseline.json: no folder to keep answers in"),
-        (("--windows", "0.5"), "Invalid value for '--windows'"),
-        (("--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler at tcp://127.0.0.1:1"),
-    ],
-)
-def test_what_cannot_be_is_one_line_before_anything_is_judged(
-    scan: Any,
-    archive: Path,
-    baseline_archive: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    options: tuple[str, str],
-    words: str,
-) -> None:
-    monkeypatch.chdir(baseline_archive.parent)
-    monkeypatch.setattr("mavdiag.archive.pool.PATIENCE_S", 0.5)
-    code, out, err = scan(archive / "a.tlog", *options)
-    assert (code, out) == (2, "")
-    assert words in err.splitlines()[-1]
-    assert sum(line.startswith("mavdiag: ") for line in err.splitlines()) == 1
-
-
 def heed_interrupts() -> None:
     """In a child: what was started in the background of a shell would ignore SIGINT."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_archive import content as telemetry_log
 from made_logs import (
     ULOG_HEAD,
     CrazyflieEvent,
@@ -480,7 +481,9 @@ def test_unusable_files_are_one_line(
     [
         ulog([SENSORS], [sensors(1_000 * k) for k in range(1, 9)]),
         dataflash([IMU], [imu(1_000 * k) for k in range(1, 9)]),
+        telemetry_log(1, 300),
     ],
+    ids=["ulog", "dataflash", "tlog"],
 )
 def test_r7_a_log_that_was_cut_off_says_so(tmp_path: Path, content: bytes, lost: int, notes: int) -> None:
     log = read(tmp_path, content[: len(content) - lost])
