@@ -35,7 +35,6 @@ from mavdiag.learning.learn import extend
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.monitors.base import Monitor
 from mavdiag.monitors.rotor_trim import RotorTrim
-from mavdiag.monitors.run_length import RunLength
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Log, Signal, Telemetry
 from mavdiag.testing import example_rows
@@ -395,22 +394,16 @@ def test_text_and_back_is_the_same(made: Any) -> None:
         (("window", "samples"), 100, "window"),
         (("monitors", FSD, "spec", "model", "a"), [1.0], "monitors.0.spec"),
         (("monitors", FSD, "spec", "axis"), "sideways", "monitors.0.spec"),
-        (("monitors", FSD, "spec", "margin_rad_s"), 0.0, "monitors.0.spec"),
-        (("monitors", FSD, "spec", "colour"), "red", "monitors.0.spec"),
         (("monitors", FSD, "spec", "delay_s"), 1e308, "monitors.0.spec"),
-        (("monitors", FSD, "spec", "delay_s"), 2**62, "monitors.0.spec"),
         (("monitors", FSD, "spec", "delay_s"), -1.0, "monitors.0.spec"),
         (("monitors", FSD, "spec"), {}, "monitors.0.spec"),
-        (("monitors", FSD, "spec"), 7, "monitors.0.spec"),
         (("monitors", FSD, "spec"), None, "monitors.0.spec"),
         (("monitors", FSD, "threshold", "value"), "long", "monitors.0.threshold.value"),
         (("monitors", FSD, "threshold", "rule"), "hunch", "monitors.0.threshold.rule"),
         (("monitors",), [], "monitors"),
-        (("monitors",), 5, "monitors"),
         (("provenance", "logs"), [], "provenance.logs"),
         (("provenance", "logs", 0, "sha256"), "abc", "provenance.logs.0.sha256"),
         (("airframe", "colour"), "red", "airframe"),
-        (("airframe", "mass_kg"), -1.0, "airframe"),
         (("airframe", "name"), "another", "digest"),
         (("not_judgeable", 0, "reason"), 3, "not_judgeable.0.reason"),
         (("monitors", FSD, "spec", "kind"), "hunch", "monitors.0.spec: no monitor hunch"),
@@ -439,13 +432,3 @@ def test_another_link_is_refused_with_the_field() -> None:
         check_link(thesis(), profile="px4", dt_s=0.001)
     with pytest.raises(BaselineError, match=r"link\.dt_s: .*1000\.0 Hz.*500\.0 Hz"):
         check_link(thesis(), profile="qdrone2", dt_s=0.002)
-
-
-def test_a_chain_from_the_file_is_the_chain_that_was_learnt(tmp_path: Path) -> None:
-    path = tmp_path / "b.json"
-    thesis().save(path)
-    slot = chain_of(Baseline.load(path)).slots[0]
-    spec, fml = thesis().monitors[0].spec, thesis().monitors[0].threshold
-    assert isinstance(slot.monitor, RunLength)
-    np.testing.assert_array_equal(slot.monitor.spec.model.a, spec.model.a)
-    assert (slot.threshold, slot.decides) == (fml.value, True)  # it stands alone

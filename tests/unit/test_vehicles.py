@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_logs import DataFlashMessage, ULogTopic, dataflash, ulog, ulog_message
+from made_logs import IMU, PARM, SENSORS, STAMP, DataFlashMessage, ULogTopic, dataflash, ulog, ulog_message
 from memory_port import memory_pair
 
 import mavdiag as md
@@ -280,11 +280,7 @@ BOAT = "a boat (MAV_TYPE 11): mavdiag judges multirotors only"
 START_US = 1_763_000_000_000_000
 
 MSG = DataFlashMessage(33, "MSG", "QZ", "TimeUS,Message")
-PARM = DataFlashMessage(32, "PARM", "QNf", "TimeUS,Name,Value")
-IMU = DataFlashMessage(163, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
-SENSORS = ULogTopic(1, "sensor_combined", (("uint64_t", "timestamp"), ("float[3]", "gyro_rad")))
-STATE_FIELDS = (("uint64_t", "timestamp"), ("uint8_t", "arming_state"), ("uint8_t", "system_type"))
-STATUS = ULogTopic(7, "vehicle_status", STATE_FIELDS)
+STATUS = ULogTopic(7, "vehicle_status", (STAMP, ("uint8_t", "arming_state"), ("uint8_t", "system_type")))
 
 
 def stream(kind: int, sysid: int = 1, n: int = 300) -> list[tuple[int, bytes]]:
@@ -368,7 +364,7 @@ def test_a_ulog_tells_it_by_the_vehicle_s_state_or_a_parameter(types: list[int],
     records = [STATUS.record(10 + k, 2, kind) for k, kind in enumerate(types)]
     key, path = b"int32_t MAV_TYPE", tmp_path / "log.ulg"
     records += [] if types else [ulog_message("P", bytes([len(key)]) + key + (12).to_bytes(4, "little"))]
-    path.write_bytes(ulog([SENSORS, STATUS], [*records, SENSORS.record(9, 0, 0, 0)]))
+    path.write_bytes(ulog([SENSORS, STATUS], [*records, SENSORS.record(9, *[0.0] * 6)]))
     if not name:
         assert md.read_log(path).mav_type == 2
         return
