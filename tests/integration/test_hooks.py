@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle
+from web_page import wait_for
 
 from detector.config import Settings
 from detector.hooks import QUEUED, Hook
@@ -24,13 +25,6 @@ from mavdiag.link.messages import Autopilot
 pytestmark = pytest.mark.realtime
 WAIT_S = 20.0
 BROKER = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
-
-
-def wait_for(found: Callable[[], object]) -> None:
-    deadline = time.monotonic() + WAIT_S
-    while not found():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 class Server:

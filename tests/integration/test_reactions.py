@@ -12,7 +12,7 @@ import pytest
 from loop_plant import HIL_HZ, LoopPlant
 from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle, received
-from reactions import IN_LOOP, PROFILE, Station, fly
+from reactions import IN_LOOP, PROFILE, USUAL, Station, fly
 from test_attacks import UDP_IN, Attacked
 from test_daemon_virtual import STATION, US, field, of
 from typer.testing import CliRunner
@@ -26,6 +26,7 @@ from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Sever
 from sitl_plant.plant import Plant, PlantSamples
 
 LOITER = 5
+CRAFT = replace(USUAL, rate_hz=200.0)  # of its link
 ACKNOWLEDGEMENT = STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.USER_1, 0, *[0.0] * 7)
 Benches = Callable[..., Attacked]
 
@@ -149,20 +150,20 @@ def test_a_lost_link_ends_it_until_the_fault_is_found_again(benches: Benches) ->
 
 
 def test_a_mission_with_a_crack_is_flown_home_after_the_delay_and_a_call_off_lets_it_go_on() -> None:
-    flown = fly("mission", 100, "F2/SV3")
+    flown = fly("mission", 100, "F2/SV3", craft=CRAFT)
     assert flown.commands == ["rtl"]
     assert flown.announced
     assert flown.late_s is not None
     assert -0.01 <= flown.late_s <= 0.5
     assert flown.down
-    left = fly("mission", 101, "F2/SV3", call="stick", until_s=50.0)
+    left = fly("mission", 101, "F2/SV3", craft=CRAFT, call="stick", until_s=50.0)
     assert left.called_off
     assert left.commands == []
     assert not left.down
 
 
 def test_a_healthy_mission_is_left_alone() -> None:
-    flown = fly("mission", 102, until_s=40.0)
+    flown = fly("mission", 102, craft=CRAFT, until_s=40.0)
     assert (flown.commands, flown.announced, flown.declared_s) == ([], False, None)
     assert flown.judged > 0.5
 

@@ -34,12 +34,10 @@ from made_logs import (
 )
 from made_logs import content as mat_content
 from made_session import baseline_for
-from typer.testing import CliRunner
 
 from detector.config import load_settings
 from mavdiag.airframe.load import load_airframe
 from mavdiag.baseline import Baseline, dump, sealed
-from mavdiag.cli import app
 from mavdiag.errors import InputError, MavdiagError, UsageError
 from mavdiag.logs import read_log
 from mavdiag.logs.crazyflie import read_crazyflie
@@ -114,9 +112,6 @@ def test_a_hostile_baseline(name: str, tmp_path: Path) -> None:
     path = tmp_path / "b.json"
     path.write_text(TEXTS[name])
     assert len(refused("baseline", path)) < 500
-    run = CliRunner().invoke(app, ["baseline", "check", str(path)])
-    assert isinstance(run.exception, MavdiagError)
-    assert "\n" not in str(run.exception)
 
 
 def places(value: object, at: tuple[object, ...] = ()) -> list[tuple[object, ...]]:

@@ -299,6 +299,7 @@ def held(state: SampleState) -> tuple[bytes, bytes]:
 MADE = (lambda seed: streams(seed, False), lambda seed: streams(seed, True), two_paths)
 
 
+@settings(max_examples=12)
 @pytest.mark.parametrize("made", MADE, ids=["boot", "epoch", "two paths"])
 @given(st.integers(0, 10**6), st.lists(st.integers(1, 300), min_size=1, max_size=8))
 def test_b9_how_frames_are_cut_does_not_matter(made: Callable[[int], list[Frame]], seed: int, sizes: list[int]) -> None:
