@@ -147,7 +147,7 @@ def test_the_command_passes_messages_both_ways_and_says_what_became_of_them() ->
 
 
 MS = 1_000_000
-COUNT = 10_000
+COUNT = 20_000
 
 
 def passed(
@@ -171,7 +171,7 @@ def test_loss_duplicates_and_corruption_are_as_often_as_asked() -> None:
     assert count.corrupted / COUNT == pytest.approx(0.02, abs=0.004)
     assert count.passed == len(found) == COUNT - count.lost + count.duplicated
     wrong = sum(number != ms for ms, number in found)
-    assert count.corrupted <= wrong <= count.corrupted + 10  # second copies as well
+    assert count.corrupted <= wrong <= count.corrupted + 20  # second copies as well
     assert count.reordered == 0
 
 
