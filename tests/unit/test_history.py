@@ -190,7 +190,7 @@ def server() -> Iterator[str]:
     os.chown(home, user, -1)
 
     def run(program: str, *options: str) -> None:
-        told = [programs[-1] / program, "-D", home / "data", *options]
+        told: list[str | Path] = [programs[-1] / program, "-D", home / "data", *options]
         subprocess.run(told, user=user, cwd=home, check=True, stdout=subprocess.DEVNULL, timeout=120)
 
     run("initdb", *("-U", "owner", "-A", "trust", "-N", "-E", "UTF8", "--locale=C"))

@@ -300,7 +300,7 @@ def finding(
     rotor, fault_type, severity = cause
     told: dict[str, Any] = {"axis": axis, "rotor": rotor, "fault_type": fault_type, "severity": severity, "seen": True}
     told |= {"unit": UNITS.get(monitor, ""), "statistic": found, "threshold": limit, "kind": by_name(monitor).kind}
-    return Diagnosis(stage, "made", monitor, rotors=() if rotor is None else (RotorSpan(rotor, 0),), **told)
+    return Diagnosis(stage, "made", monitor=monitor, rotors=() if rotor is None else (RotorSpan(rotor, 0),), **told)
 
 
 def text(*diagnoses: Diagnosis) -> str:
