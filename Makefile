@@ -45,11 +45,11 @@ demo: $(COMPILED)  ## the main job: plant, detector and alert over MAVLink on lo
 
 test: virtual realtime  ## the whole test suite
 
-virtual: $(COMPILED)  ## the tests that need no wall clock
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime"
+virtual: $(COMPILED)  ## the tests that need no wall clock, in the order of the files: those that take longest come first
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not realtime"
 
-realtime: $(COMPILED)  ## those that need it, and the machine for themselves
-	$(BIN)/python -m pytest -n 3 --dist loadfile -m realtime $$(grep -rl --include='test_*.py' mark.realtime tests)
+realtime: $(COMPILED)  ## those that need it, and the machine for themselves: they mostly wait
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m realtime $$(grep -rl --include='test_*.py' mark.realtime tests)
 
 lint: $(STAMP)  ## ruff: rules and format
 	$(BIN)/ruff check .

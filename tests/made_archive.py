@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from flying_telemetry import flying
-from made_baselines import FRAME, NOW
+from made_baselines import FRAME, NOW, kept
 from scipy.spatial.transform import Rotation
 
 from mavdiag.archive.scan import Options, Question
@@ -65,9 +65,12 @@ def made(folder: Path, *names: str, first_seed: int = 1, shaken: Sequence[str] =
 
 @cache
 def archive_baseline() -> Baseline:
-    with tempfile.TemporaryDirectory() as folder:
-        logs = [read_log(path) for path in made(Path(folder), "a", "b", "c", first_seed=100)]
-    return learn(logs, LearnOptions(airframe=FRAME, monitors=MONITORS), created=NOW)
+    def learnt() -> Baseline:
+        with tempfile.TemporaryDirectory() as folder:
+            logs = [read_log(path) for path in made(Path(folder), "a", "b", "c", first_seed=100)]
+        return learn(logs, LearnOptions(airframe=FRAME, monitors=MONITORS), created=NOW)
+
+    return kept("archive", learnt)
 
 
 def asked(options: Options | None = None) -> Question:

@@ -51,7 +51,7 @@ KEPT = ROOT / ".cache" / "baselines"
 def _sources() -> str:
     """Digest of what a baseline of made flights depends on."""
     digest = hashlib.sha256(" ".join([platform.python_version(), *map(version, ("numpy", "numba", "scipy"))]).encode())
-    made = [ROOT / "tests" / f"{name}.py" for name in ("flying_telemetry", "made_telemetry", "made_baselines")]
+    made = [ROOT / "tests" / "flying_telemetry.py", *(ROOT / "tests").glob("made_*.py")]
     packages = [path for name in ("mavdiag", "sitl_plant") for path in (ROOT / name).rglob("*.*")]
     for path in sorted(path for path in (*made, *packages) if path.suffix in (".py", ".toml", ".json")):
         digest.update(path.read_bytes())

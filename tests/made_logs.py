@@ -86,6 +86,13 @@ def dataflash(messages: Sequence[DataFlashMessage], records: Sequence[bytes]) ->
     return b"".join(message.definition() for message in (DATAFLASH_SELF, *messages)) + b"".join(records)
 
 
+IMU = DataFlashMessage(163, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+ATT = DataFlashMessage(70, "ATT", "Qccccff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
+RATE = DataFlashMessage(73, "RATE", "Qfffffffff", "TimeUS,RDes,R,ROut,PDes,P,POut,YDes,Y,YOut")
+RCOU = DataFlashMessage(62, "RCOU", "QHHHHHH", "TimeUS,C1,C2,C3,C4,C5,C6")
+PARM = DataFlashMessage(32, "PARM", "QNf", "TimeUS,Name,Value")
+
+
 @dataclass(frozen=True)
 class ULogTopic:
     """A topic of a ULog; a field is (type, name) or (type[count], name)."""
@@ -110,6 +117,11 @@ class ULogTopic:
 
     def record(self, *values: float) -> bytes:
         return ulog_message("D", struct.pack("<H", self.number) + struct.pack(self.codes, *values))
+
+
+STAMP = ("uint64_t", "timestamp")
+SENSORS = ULogTopic(1, "sensor_combined", (STAMP, ("float[3]", "gyro_rad"), ("float[3]", "accelerometer_m_s2")))
+SETPOINT = ULogTopic(2, "vehicle_attitude_setpoint", (STAMP, ("float[4]", "q_d"), ("float[3]", "thrust_body")))
 
 
 def ulog_message(kind: str, body: bytes) -> bytes:

@@ -4,11 +4,14 @@ import ast
 import statistics
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("mavdiag", "sitl_plant", "detector")
-FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+FILES = {path: path.read_text() for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))}
+TREES = {path: ast.parse(text) for path, text in FILES.items()}
+NODES = {path: list(ast.walk(tree)) for path, tree in TREES.items()}
 
 FUNCTION_LINES = 60
 FUNCTION_LINES_P90 = 25
@@ -17,7 +20,7 @@ FUNCTION_LINES_P90 = 25
 def functions(path: Path) -> list[tuple[str, int]]:
     """Each function with its length in lines, its signature and docstring left out."""
     found = []
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in NODES[path]:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             body = node.body[1:] if ast.get_docstring(node) else node.body
             length = (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
@@ -34,10 +37,9 @@ def test_no_function_is_longer_than_60_lines_and_nine_in_ten_have_25() -> None:
 def test_no_broad_except_but_the_one_that_parts_vehicles_and_no_mavutil() -> None:
     """One session's exception must not end the daemon for all vehicles: that one place may catch everything."""
     broad = []
-    for path in FILES:
-        text = path.read_text()
+    for path, text in FILES.items():
         assert "mavutil" not in text, path
-        for node in ast.walk(ast.parse(text)):
+        for node in NODES[path]:
             if not isinstance(node, ast.ExceptHandler):
                 continue
             names = {"Exception", "BaseException"}
@@ -48,10 +50,9 @@ def test_no_broad_except_but_the_one_that_parts_vehicles_and_no_mavutil() -> Non
 
 def test_every_module_says_what_it_is_and_no_docstring_is_a_promise() -> None:
     """A package whose only documentation was a TODO passed the first of them."""
-    for path in FILES:
-        tree = ast.parse(path.read_text())
+    for path, tree in TREES.items():
         assert ast.get_docstring(tree), f"{path}: no module docstring"
-        for node in ast.walk(tree):
+        for node in NODES[path]:
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
                 text = ast.get_docstring(node)
                 assert text is None or text.strip(), f"{path}:{getattr(node, 'lineno', 1)}: empty docstring"
@@ -72,10 +73,8 @@ def test_detector_and_plant_start_without_heavy_imports() -> None:
 
 
 def test_no_import_cycles() -> None:
-    graph = {module_name(path): imports_of(path) for path in FILES}
-    done: set[str] = set()
-    for name in graph:
-        walk(name, graph, (), done)
+    names = {module_name(path) for path in FILES}
+    TopologicalSorter({module_name(path): imports_of(path, names) for path in FILES}).prepare()
 
 
 def module_name(path: Path) -> str:
@@ -83,22 +82,13 @@ def module_name(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imports_of(path: Path) -> set[str]:
-    """First-party modules that a file imports when it is imported itself."""
-    names = {module_name(other) for other in FILES}
+def imports_of(path: Path, names: set[str]) -> set[str]:
+    """Those of these modules that a file imports when it is imported itself."""
     found = set()
-    for node in ast.parse(path.read_text()).body:
+    for node in TREES[path].body:
         if isinstance(node, ast.ImportFrom) and node.module:
             found |= {node.module} & names
             found |= {f"{node.module}.{alias.name}" for alias in node.names} & names
         elif isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names} & names
     return found - {module_name(path)}
-
-
-def walk(name: str, graph: dict[str, set[str]], above: tuple[str, ...], done: set[str]) -> None:
-    assert name not in above, f"import cycle: {' -> '.join((*above, name))}"
-    if name not in done:
-        for other in graph[name]:
-            walk(other, graph, (*above, name), done)
-        done.add(name)

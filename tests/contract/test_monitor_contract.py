@@ -21,6 +21,8 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors import MONITORS, by_name, monitor_of
 from mavdiag.monitors.base import LearnContext, Monitor
 from mavdiag.monitors.fitting import variance_law
+from mavdiag.monitors.rotor_signature import RotorSignature
+from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Signal, Telemetry
@@ -187,13 +189,6 @@ def test_names_are_unique_and_find_their_monitor() -> None:
         assert type(monitor_of(specs(kind)[0])) is kind
 
 
-@cache
-def flights() -> list[list[Rows]]:
-    """Three flights, one of them with two breaks and losses."""
-    broken = without(flying(3000, 2), (8.0, 9.5), (15.0, 15.2), (20.0, 22.0))
-    return [flying_rows(one) for one in (flying(2600, 1), broken, flying(2800, 3))]
-
-
 @given(st.integers(0, 999), st.floats(-2.0, 2.0))
 def test_the_variance_law_is_the_non_negative_least_squares(seed: int, slope: float) -> None:
     rng = np.random.default_rng(seed)
@@ -203,9 +198,6 @@ def test_the_variance_law_is_the_non_negative_least_squares(seed: int, slope: fl
     (least0, least1), _ = nnls(np.column_stack((np.ones(200), busy)), squares)
     assert k1 == pytest.approx(least1, rel=1e-6, abs=1e-9)
     assert k0 == pytest.approx(max(least0, 0.05 * squares.mean()), rel=1e-6)
-
-
-SPECS = {kind.name: kind.fit(flights(), CONTEXT)[0] for kind in MONITORS if kind.name != "unbalance"}
 
 
 @pytest.mark.parametrize(
@@ -223,11 +215,11 @@ SPECS = {kind.name: kind.fit(flights(), CONTEXT)[0] for kind in MONITORS if kind
 )
 def test_a_spec_that_describes_nothing_is_refused_by_its_field(kind: str, field: str, value: object) -> None:
     with pytest.raises(InputError, match=f"{kind}: {field}"):
-        replace(SPECS[kind], **{field: value})
+        replace(specs(by_name(kind))[0], **{field: value})
 
 
 def test_what_fits_together_is_checked_together() -> None:
     with pytest.raises(InputError, match="not known"):
-        replace(SPECS["rotor_trim"], source="torque")
+        replace(specs(RotorTrim)[0], source="torque")
     with pytest.raises(InputError, match="odd"):
-        replace(SPECS["rotor_signature"].motion, window=4)
+        replace(specs(RotorSignature)[0].motion, window=4)

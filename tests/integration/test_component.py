@@ -16,7 +16,6 @@ from typer.testing import CliRunner
 from detector.component import PARAMETERS
 from detector.config import Settings
 from mavdiag import __version__, inspections
-from mavdiag.baseline import Baseline
 from mavdiag.cli import app
 from mavdiag.decision.alarm import NOTHING_SEEN
 from mavdiag.decision.diagnosis import Change, RotorSpan, Stage
@@ -35,7 +34,7 @@ Benches = Callable[..., Bench]
 def benches(tmp_path: Path) -> Iterator[Benches]:
     made: list[Bench] = []
 
-    def make(baseline: Baseline | None = None) -> Bench:
+    def make() -> Bench:
         settings = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
         journal = tmp_path / "journal.jsonl"
         if made and made[-1].file is not None:
@@ -43,7 +42,7 @@ def benches(tmp_path: Path) -> Iterator[Benches]:
         made.append(
             Bench(
                 settings,
-                baseline or baseline_for(),
+                baseline_for(),
                 vehicles=[MadeVehicle(1)],
                 links_behind=1,
                 journal=journal,
@@ -184,14 +183,10 @@ REAL32, INT8 = 9, 2
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    settings = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
-    made = Bench(
-        settings, baseline_for(), vehicles=[MadeVehicle(1)], links_behind=1, journal=tmp_path / "journal.jsonl"
-    )
+def bench(benches: Benches) -> Bench:
+    made = benches()
     made.run(5.0)
-    yield made
-    made.close()
+    return made
 
 
 def asked(bench: Bench, frame: bytes, *, behind: bool = True) -> list[Frame]:

@@ -5,6 +5,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -273,24 +274,18 @@ def test_each_vehicle_of_a_fleet_is_judged_by_its_own_baseline(benches: Benches)
     assert "watching 2 vehicles by a baseline of its own" in bench.host.lines[0]
 
 
-UDP_IN_SURVIVAL = "udpin:127.0.0.1:0"
-WATCH = Settings(connect=UDP_IN_SURVIVAL, baseline=Path("b.json"))
+WATCH = Settings(connect=UDP_IN, baseline=Path("b.json"))
 
 
 @pytest.fixture
-def watching() -> Iterator[Callable[..., Bench]]:
-    made: list[Bench] = []
-
-    def make(host: VirtualHost | None = None) -> Bench:
-        bench = Bench(WATCH, vehicles=[MadeVehicle(1)], baseline=baseline_for(), host=host or VirtualHost())
-        made.append(bench)
+def watching(benches: Benches) -> Benches:
+    def make(**options: object) -> Bench:
+        bench = benches(WATCH, MadeVehicle(1), baseline=baseline_for(), **options)
         bench.run(6.0)
         assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
         return bench
 
-    yield make
-    for bench in made:
-        bench.close()
+    return make
 
 
 def unheard(bench: Bench, seconds: float) -> None:
@@ -315,7 +310,7 @@ def finds_a_fault(bench: Bench) -> bool:
     return quiet and bool(alarms(bench))
 
 
-def test_a_vehicle_that_reboots_is_watched_again(watching: Callable[..., Bench]) -> None:
+def test_a_vehicle_that_reboots_is_watched_again(watching: Benches) -> None:
     bench = watching()
     unheard(bench, 4.0)
     bench.vehicles[0].sent = 0
@@ -326,7 +321,7 @@ def test_a_vehicle_that_reboots_is_watched_again(watching: Callable[..., Bench])
 
 
 @pytest.mark.parametrize("cut_s", [1.0, 60.0])
-def test_a_link_that_was_cut_is_judged_again(watching: Callable[..., Bench], cut_s: float) -> None:
+def test_a_link_that_was_cut_is_judged_again(watching: Benches, cut_s: float) -> None:
     bench = watching()
     unheard(bench, cut_s)
     assert (bench.daemon.fleet.vehicles[1].session.state is State.LOST) == (cut_s > 3.0)
@@ -367,9 +362,9 @@ class SteppedHost(VirtualHost):
 
 
 @pytest.mark.parametrize("days", [-400, 400])
-def test_a_step_of_the_wall_clock_changes_nothing(watching: Callable[..., Bench], days: int) -> None:
+def test_a_step_of_the_wall_clock_changes_nothing(watching: Benches, days: int) -> None:
     host = SteppedHost()
-    bench = watching(host)
+    bench = watching(host=host)
     (before,) = bench.daemon.fleet.figures()
     host.ahead = timedelta(days=days)
     bench.run(5.0)
@@ -388,7 +383,7 @@ def test_a_full_disk_leaves_the_old_baseline_and_the_watch(tmp_path: Path, monke
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", full)
-    settings = Settings(connect=UDP_IN_SURVIVAL, learn=5.0, save=path)
+    settings = Settings(connect=UDP_IN, learn=5.0, save=path)
     bench = Bench(settings, vehicles=[MadeVehicle(1)], fitter=FakeFitter(baseline_for()))
     bench.run(12.0)
     assert path.read_bytes() == before
@@ -424,14 +419,11 @@ def baseline() -> Baseline:
     "station", [GroundStation.by_streams(), GroundStation.by_intervals(STREAMS)], ids=["66", "511"]
 )
 def test_l3_a_station_that_resets_rates_costs_a_tenth_of_the_time(baseline: Baseline, station: GroundStation) -> None:
-    bench = Bench(Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json")), baseline=baseline)
-    try:
+    with closing(Bench(WATCH, baseline=baseline)) as bench:
         flight = VirtualFlight(bench, station)
         flight.fly(PlantConfig(seed=9, vehicle=VEHICLE), FLOWN_S)
         session = bench.daemon.fleet.vehicles[1].session
         requests = [line for line in bench.host.lines if "asked for RAW_IMU" in line]
-    finally:
-        bench.close()
     assert session.working
     assert not any(State.FAULTED in line for line in bench.host.lines)
     assert flight.share_judged(SETTLED_S) >= 0.9
@@ -441,21 +433,18 @@ def test_l3_a_station_that_resets_rates_costs_a_tenth_of_the_time(baseline: Base
 
 
 def test_what_tells_rotors_and_filter_is_read_while_it_learns_and_nothing_is_ever_set() -> None:
-    bench = Bench(Settings(connect="udpin:127.0.0.1:0", learn=500.0), links_behind=0)
-    heard: list[Frame] = []
-    decoder, receive = Decoder(), bench.far.receive
+    heard, decoder = list[Frame](), Decoder()
+    with closing(Bench(Settings(connect=UDP_IN, learn=500.0))) as bench:
+        receive = bench.far.receive
 
-    def listening(timeout_s: float) -> Datagrams:
-        chunks = receive(timeout_s)
-        heard.extend(frame for data, host_ns in chunks for frame in decoder.feed_datagram(data, host_ns))
-        return chunks
+        def listening(timeout_s: float) -> Datagrams:
+            chunks = receive(timeout_s)
+            heard.extend(frame for data, host_ns in chunks for frame in decoder.feed_datagram(data, host_ns))
+            return chunks
 
-    try:
         with patch.object(bench.far, "receive", listening):
             VirtualFlight(bench).fly(PlantConfig(seed=3), 8.0)
         parameters = bench.daemon.fleet.link.vehicles[1].parameters
-    finally:
-        bench.close()
     assert (parameters["FRAME_CLASS"], parameters["INS_GYRO_FILTER"]) == (1.0, 20.0)
     assert {frame.msgid for frame in heard} <= SENT
     names = Counter(frame.fields[NAME] for frame in heard if frame.msgid == MessageId.PARAM_REQUEST_READ)
@@ -468,14 +457,11 @@ def test_what_tells_rotors_and_filter_is_read_while_it_learns_and_nothing_is_eve
 def test_esc_telemetry_is_learnt_from_metered_and_the_weak_rotor_is_named(profile: str) -> None:
     baseline = learnt(healthy_flights(range(3), 40.0, profile, vehicle=VEHICLE))
     assert "rotor_speed" in {entry.spec.kind for entry in baseline.monitors}
-    bench = Bench(Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json")), baseline=baseline)
     damage = Injection(RotorDamage(thrust_factor=0.9, drag_factor=0.9), rotor=3, onset_s=20.0)
-    try:
+    with closing(Bench(WATCH, baseline=baseline)) as bench:
         VirtualFlight(bench).fly(PlantConfig(seed=9, vehicle=VEHICLE, injections=(damage,)), 35.0, profile)
         (figures,) = bench.daemon.fleet.figures()
         lines = bench.host.lines
-    finally:
-        bench.close()
     assert any("PROP FAULT motor 3" in line for line in lines)
     assert dict(figures.rates)["rotor_speed"] == pytest.approx(10.0, rel=0.1)
     assert figures.diagnosis.rotor == 3

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from broken_teaching import MONITORS, Pool, Tally, judge_sets, pool_of
+from virtual_flight import healthy_flights
+from virtual_flight import learnt as healthy_learnt
 
 import mavdiag as md
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
-from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.decision.alarm import Stage
 from mavdiag.judging import Verdict, judge
@@ -41,12 +42,7 @@ def flown(config: PlantConfig, duration_s: float) -> Telemetry:
 
 @cache
 def baseline() -> Baseline:
-    flights = [
-        Log(f"f{seed}", f"{seed:064x}", "qdrone2", flown(PlantConfig(seed=100 + seed), 25.0)) for seed in range(6)
-    ]
-    return parse(
-        dump(learn(flights, LearnOptions(airframe=airframe_named("qdrone2")), created="2026-01-01T00:00:00+00:00"))
-    )
+    return parse(dump(healthy_learnt(healthy_flights(range(100, 106), 25.0, "qdrone2"))))
 
 
 @cache

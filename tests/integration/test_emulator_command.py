@@ -15,7 +15,6 @@ import pytest
 from memory_port import MemoryEndpoint, memory_pair
 from processes import PATIENCE_S, process
 
-from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
 from mavdiag.link.messages import MessageId, ModeFlag, Severity
 from mavdiag.link.ports import Endpoint, open_endpoint
@@ -46,36 +45,6 @@ def test_the_same_options_give_the_same_file_and_another_seed_another(program: A
     assert (lines[0]["seed"], lines[0]["started_unix_ns"]) == (5, None)
     assert (lines[2]["t_s"], lines[2]["fault"], lines[2]["rotor"]) == (1.0, "F2/SV2", 3)
     assert [line["fault_present"] for line in lines if line["record"] == "state"] == [False, True]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "advice"),
-    [
-        (["run", "--fault", "F9/SV1"], "no fault 'F9/SV1': give F1, F2 or F3"),
-        (["run", "--onset", "3"], "--onset needs a fault"),
-        (["run", "--rate", "5000"], "rate must be 1 to 1000 Hz"),
-        (["run", "--profile", "betaflight"], "no link profile betaflight"),
-        (["run", "--speed", "fast"], "speed must be 0.01 to 100, or max"),
-        (["run", "--duration", "-1"], "duration must be positive"),
-        (["run", "--out", "udpout:localhost"], "malformed address"),
-        (["run", "--out", "/dev/no-such-tty,57600"], "no such device"),
-        (["run", "--truth", "/no/such/folder/truth.jsonl", "--out", "udpin:127.0.0.1:0"], "choose another --truth"),
-        (["record", "-o", "/no/such/folder/x.tlog", "--duration", "1"], "cannot write"),
-        (["record"], "-o"),
-        (["serve-ardupilot", "--listen", "tcpin:127.0.0.1:9002"], "write udpin:HOST:PORT"),
-        (["serve-ardupilot", "--fault", "F1/SV1", "--rotor", "7"], "rotor must be 1 to 4"),
-        (["serve-ardupilot", "--print-parameters", "betaflight"], "give ardupilot or px4"),
-        (["serve-ardupilot", "--truth", "/no/such/folder/t.jsonl", "--listen", "udpin:127.0.0.1:0"], "choose another"),
-        (["serve-px4", "--rate", "5"], "rate"),
-        (["serve-hil", "/dev/no-such-tty,921600"], "no such device"),
-    ],
-)
-def test_a_mistake_is_one_line_on_stderr_and_exit_code_2(program: Any, arguments: list[str], advice: str) -> None:
-    code, out, err = program("sitl_plant.__main__", *arguments)
-    assert code == 2
-    assert advice in err
-    assert err.count("\n") == 1, err
-    assert out == ""
 
 
 @pytest.mark.realtime
@@ -172,19 +141,6 @@ def test_only_the_vehicles_that_are_named_get_the_fault() -> None:
     with patch("multiprocessing.context.ForkContext.Process", Inline):
         fleet.__wrapped__(flight_plan(fault="F2/SV2", seed=5), 4, "2,4", "udpout:127.0.0.1:9")  # type: ignore[attr-defined]  # the command without its options
     assert flown == [(1, None, 5), (2, "F2/SV2", 6), (3, None, 7), (4, "F2/SV2", 8)]
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"faulty": "9"}, r"name system ids of the fleet, 1 to 2"),
-        ({"faulty": "x"}, r"name system ids of the fleet"),
-        ({"count": 300}, r"system ids end at 255"),
-    ],
-)
-def test_a_fleet_that_cannot_be_flown_is_refused(options: dict[str, object], says: str) -> None:
-    with pytest.raises(UsageError, match=says):
-        fleet.__wrapped__(flight_plan(fault="F2/SV2"), **{"count": 2, "out": "udpout:127.0.0.1:9"} | options)  # type: ignore[attr-defined]  # the command without its options
 
 
 # The run loop over in-memory links, as fast as it goes: what is said, answered and passed on

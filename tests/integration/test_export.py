@@ -59,21 +59,6 @@ def test_a_table_has_each_sample_once(tmp_path: Path, kind: str) -> None:
     assert np.allclose(frame.index, t_s, atol=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["x.ulg"], "name one LOG and one of --mcap, --csv, --parquet"),
-        (["x.ulg", "--mcap", "--csv"], "name one LOG and one of"),
-        (["x.ulg", "--lua", "b.json"], "--lua takes a baseline"),
-        (["absent.ulg", "--csv"], "absent.ulg"),
-    ],
-)
-def test_what_cannot_be_exported_is_told_in_a_line(arguments: list[str], says: str) -> None:
-    result = CliRunner().invoke(app, ["export", *arguments])
-    assert isinstance(result.exception, md.MavdiagError)
-    assert says in str(result.exception)
-
-
 def test_a_notebook_shows_logs_verdicts_and_baselines_as_tables() -> None:
     verdict = md.judge(WEAK, whole())
     highest = verdict.to_frame()["ratio"].to_dict()
@@ -88,7 +73,10 @@ def test_a_notebook_shows_logs_verdicts_and_baselines_as_tables() -> None:
 @pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.ipynb")), ids=lambda path: path.stem)
 def test_every_notebook_runs(path: Path, tmp_path: Path) -> None:
     copy = tmp_path / path.name
-    copy.write_text(path.read_text())
+    text = path.read_text()
+    slower = text.replace('\\"record\\",', '\\"record\\", \\"--rate\\", \\"200\\",')  # it says the same, sooner
+    assert slower != text
+    copy.write_text(slower)
     run = [sys.executable, "-m", "jupyter", "execute", "--inplace", copy.name]
     subprocess.run(run, cwd=tmp_path, check=True, timeout=300, capture_output=True)
     outputs = [out for cell in json.loads(copy.read_text())["cells"] for out in cell.get("outputs", ())]

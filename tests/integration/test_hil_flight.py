@@ -1,6 +1,6 @@
 """A small autopilot flies the served plant from the ground and back, over each protocol, through sockets and a process.
 
-The bytes are packed and read by the test. Where a real autopilot is named, one flies as well.
+ArduPilot's bytes are packed and read by the test, those of MAVLink by pymavlink.
 """
 
 import json
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -33,16 +34,6 @@ from sitl_plant.hil.simulation import AutopilotName, Simulation, output_map, par
 from sitl_plant.physics.faults import Injection
 from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import allocation, qdrone2, vehicle_named
-
-# By message: its layout on the wire, and its seed.
-LAYOUTS = {
-    0: ("<IBBBBB", 50),  # HEARTBEAT: custom_mode, type, autopilot, base_mode, system_status, mavlink_version
-    76: ("<7fH3B", 152),  # COMMAND_LONG: param1 to 7, command, target system and component, confirmation
-    93: ("<QQ16fB", 47),  # HIL_ACTUATOR_CONTROLS: time_usec, flags, controls, mode
-    107: ("<Q13fIB", 108),  # HIL_SENSOR: time_usec, acc, gyro, mag, pressures, altitude, temperature, updated, id
-    113: ("<QiiiHHHhhhHBBBH", 124),  # HIL_GPS: time, lat, lon, alt, eph, epv, vel, vn, ve, vd, cog, fix, satellites
-    115: ("<Q4f3f3i3hHH3h", 4),  # HIL_STATE_QUATERNION: time, q, rates, lat, lon, alt, v, airspeeds, acc
-}
 
 
 def servo_bytes(count: int, pwm: Sequence[int], rate_hz: int = 1000, channels: int = 16, magic: int = 0) -> bytes:
@@ -63,42 +54,26 @@ def answered(data: bytes | None) -> dict[str, Any]:
     return found
 
 
-def x25(data: bytes) -> int:
-    """CRC-16/MCRF4XX, bit by bit."""
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (0x8408 if crc & 1 else 0)
-    return crc
-
-
-def mavlink_bytes(msgid: int, *values: float, seq: int = 0, sysid: int = 1, compid: int = 1) -> bytes:
-    """A MAVLink 2 frame from values in the order of the wire."""
-    layout, seed = LAYOUTS[msgid]
-    payload = struct.pack(layout, *values).rstrip(b"\0") or b"\0"
-    body = struct.pack("<BBBBBBHB", len(payload), 0, 0, seq & 255, sysid, compid, msgid & 0xFFFF, msgid >> 16) + payload
-    return b"\xfd" + body + struct.pack("<H", x25(body + bytes([seed])))
+def packed(message: dialect.MAVLink_message, seq: int = 0) -> bytes:
+    mav = dialect.MAVLink(None, 1, 1)
+    mav.seq = seq & 255
+    return bytes(message.pack(mav))
 
 
 def controls_bytes(t_us: int, controls: Sequence[float], armed: bool = True, flags: int = 1, seq: int = 0) -> bytes:
     """HIL_ACTUATOR_CONTROLS as PX4 in simulation sends it: 1 in the flags for lockstep, mode custom and armed."""
     outputs = [*controls, *[0.0] * (16 - len(controls))]
-    return mavlink_bytes(93, t_us, flags, *outputs, 1 | 128 * armed, seq=seq)
+    return packed(dialect.mavlink_map[93](t_us, outputs, 1 | 128 * armed, flags), seq)
 
 
-def frames_in(data: bytes) -> Iterator[tuple[int, tuple[Any, ...], int]]:
-    """Message, values and end of each whole frame; its checksum is checked."""
-    at = 0
-    while len(data) - at >= 12 and len(data) - at >= data[at + 1] + 12:
-        length = data[at + 1]
-        assert data[at] == 0xFD
-        msgid = int.from_bytes(data[at + 7 : at + 10], "little")
-        layout, seed = LAYOUTS[msgid]
-        end = at + 10 + length
-        assert x25(data[at + 1 : end] + bytes([seed])) == int.from_bytes(data[end : end + 2], "little")
-        at = end + 2
-        yield msgid, struct.unpack(layout, data[end - length : end].ljust(struct.calcsize(layout), b"\0")), at
+def frames_in(data: bytes, mav: dialect.MAVLink | None = None) -> list[tuple[int, tuple[Any, ...]]]:
+    """Message and values, in the order of the wire, of each frame that is whole. mav: keeps the rest."""
+    found = []
+    for message in (mav or dialect.MAVLink(None)).parse_buffer(data) or ():
+        values = (getattr(message, name) for name in message.ordered_fieldnames)
+        flat = chain.from_iterable(one if isinstance(one, list) else [one] for one in values)
+        found.append((message.get_msgId(), tuple(flat)))
+    return found
 
 
 MOTORS = (2, 3, 4, 1)  # quad X of both autopilots: front right, rear left, front left, rear right
@@ -187,9 +162,10 @@ class Px4(AbstractContextManager["Px4"]):
     def __init__(self, port: int) -> None:
         self._link = socket.create_connection(("127.0.0.1", port), PATIENCE_S)
         self._link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._link.sendall(mavlink_bytes(76, 115.0, 4e3, 0, 0, 0, 0, 0, 511, 0, 0, 0))
-        self._link.sendall(mavlink_bytes(0, 0, 0, 12, 0, 0, 0))
-        self._pending, self._gyro, self._seq = b"", [0.0] * 3, 0
+        self._link.sendall(packed(dialect.mavlink_map[76](0, 0, 511, 0, 115.0, 4e3, 0, 0, 0, 0, 0)))
+        self._link.sendall(packed(dialect.mavlink_map[0](0, 12, 0, 0, 0, 0)))
+        self._mav, self._gyro, self._seq = dialect.MAVLink(None), [0.0] * 3, 0
+        self._waiting = list[tuple[int, tuple[Any, ...]]]()
         self._t_us: int | None = None
 
     def exchange(self, duties: tuple[float, ...]) -> Sensed:
@@ -198,15 +174,15 @@ class Px4(AbstractContextManager["Px4"]):
             self._seq += 1
             self._link.sendall(controls_bytes(self._t_us, duties, armed=any(duties), seq=self._seq))
         while True:
-            for msgid, values, end in frames_in(self._pending):
+            while self._waiting:
+                msgid, values = self._waiting.pop(0)
                 if msgid == 107:
                     self._t_us, self._gyro = values[0], list(values[4:7])
                 if msgid == 115 and values[0] == self._t_us:
-                    self._pending = self._pending[end:]
                     return self._state(values)
             data = self._link.recv(4096)
             assert data, "the plant hung up"
-            self._pending += data
+            self._waiting += frames_in(data, self._mav)
 
     def _state(self, values: tuple[float, ...]) -> Sensed:
         north = np.radians(values[8] * 1e-7 - HOME[0]) * EARTH_M
@@ -242,10 +218,10 @@ def test_a_flight_controller_in_hil_mode_in_real_time() -> None:
     ):
         link.connect(("127.0.0.1", int(first_line(plant).rpartition(":")[2])))
         link.settimeout(PATIENCE_S)
-        link.send(mavlink_bytes(0, 0, 2, 12, 81, 4, 3))
+        link.send(packed(dialect.mavlink_map[0](2, 12, 81, 0, 4, 3)))
         started_s, sensors = time.monotonic(), 0
         while sensors < 490:
-            sensors += sum(msgid == 107 for msgid, _, _ in frames_in(link.recv(2048)))
+            sensors += sum(msgid == 107 for msgid, _ in frames_in(link.recv(2048)))
             if sensors % 50 == 0:
                 link.send(controls_bytes(0, [0.2] * 4, flags=15))
         assert time.monotonic() - started_s > 1.5
@@ -264,12 +240,12 @@ def lockstep(*faults: Injection, **options: float) -> tuple[Lockstep, Simulation
     return Lockstep(simulation, output_map(simulation.config.vehicle, "ardupilot")), simulation
 
 
-@pytest.mark.parametrize("rate_hz", [50, 333, 400, 1000, 1200, 2500])
+@pytest.mark.parametrize("rate_hz", [50, 333, 1000, 2500])
 def test_flight_time_is_frames_over_rate(rate_hz: int) -> None:
     link, simulation = lockstep()
-    frames = 2 * rate_hz
+    frames = rate_hz
     stamps = [answered(link.feed(servo_bytes(count, OFF, rate_hz), "a", 0.0))["timestamp"] for count in range(frames)]
-    assert simulation.t_s == pytest.approx(2.001, abs=0.0015)  # the sensors were read once before the first frame
+    assert simulation.t_s == pytest.approx(1.001, abs=0.0015)  # the sensors were read once before the first frame
     assert np.all(np.diff(stamps) >= 0.0)
     assert np.diff(stamps).max() <= 1.0 / rate_hz + 0.001
 
@@ -347,11 +323,7 @@ def hear(link: Bridge, data: bytes) -> None:
 
 
 def sent(link: Bridge, periods: int) -> list[tuple[int, tuple[float, ...]]]:
-    return [
-        (msgid, values)
-        for message in chain.from_iterable(link.advance() for _ in range(periods))
-        for msgid, values, _ in frames_in(message)
-    ]
+    return [one for _ in range(periods) for message in link.advance() for one in frames_in(message)]
 
 
 def of(messages: list[tuple[int, tuple[float, ...]]], msgid: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:

@@ -4,11 +4,11 @@ import csv
 import io
 import json
 import os
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
@@ -18,6 +18,8 @@ from made_history import DAY_NS, START_NS, records
 from made_session import baseline_for
 from made_vehicle import EPOCH_NS, Bench, MadeVehicle, received
 from processes import record
+from typer.testing import CliRunner
+from web_page import wait_for
 
 from detector.config import Settings
 from detector.flights import Flights
@@ -25,6 +27,7 @@ from detector.hooks import Courier
 from detector.journal import baselines_in
 from mavdiag.archive.scan import Answer, Options, Question, Record, judge_file
 from mavdiag.baseline import Baseline
+from mavdiag.cli import app
 from mavdiag.history.store import open_history
 from mavdiag.history.warn import Mark, MarkKind
 from mavdiag.judging import LogVerdict, Verdict
@@ -54,7 +57,7 @@ def test_flights_are_judged_kept_once_and_listed(mavdiag: Any, tmp_path: Path, m
     logs = sorted(tmp_path.glob("*.tlog"))
     assert mavdiag("identify", *logs[:3], "-o", "b.json", "--airframe", "qdrone2", "--name", "drone 1")[0] == 0
     (tmp_path / "damaged.tlog").write_bytes(b"")
-    code, out, _ = mavdiag("history", "add", *logs[2:], "damaged.tlog", "--baseline", "b.json")
+    code, out, _ = mavdiag("history", "add", *logs[2:], "damaged.tlog", "--baseline", "b.json", "--jobs", 1)
     said = out.splitlines()
     assert (code, len(said)) == (2, 3)
     assert [": added, healthy, " in line for line in said] == [True, True, False]
@@ -146,34 +149,6 @@ def test_csv_has_a_row_for_each_monitor_and_each_trend(mavdiag: Any, wearing: Pa
     }
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((), "no history there; make one with `mavdiag history add`"),
-        (("list", "--csv"), "'--csv' requires an argument"),
-        (("--airframe", "x", "list"), "unexpected extra argument"),
-        (("mark", "--airframe", "x"), "say what was done"),
-        (("mark", "--airframe", "x", "--repair", "--at", "yesterday"), "write it like 2026-03-01"),
-        (("show", "--database", "postgresql://me:secret@127.0.0.1:1/fleet"), "Connection refused"),
-        (("add", "x.tlog", "--baseline", "none.json"), "none.json: no such file"),
-        (("add", "x", "--baseline", "b", "--at", "2026-01-01", "--ordered", "file-time"), "both say when"),
-        (("show", "--database", "/etc/passwd"), "file is not a database"),
-        (("show", "--database", "/tmp"), "/tmp: is a folder"),
-        (("show", "--database", "mysql://a@b/c"), "an SQLite file or a postgresql"),
-        (("show", "--database", ""), "name the history"),
-    ],
-)
-def test_what_cannot_be_is_said_in_one_line(
-    mavdiag: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], words: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    code, out, err = mavdiag("history", *arguments)
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert words in err
-    assert "secret" not in err
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_page_shows_the_trends_and_what_asks_for_attention_first(mavdiag: Any, wearing: Path) -> None:
     with open_history(str(wearing), write=True) as history:
         history.mark(Mark("calm", history.flights("calm")[30].t_ns - 1, MarkKind.NEW_PROPELLERS))
@@ -188,15 +163,7 @@ def test_a_page_shows_the_trends_and_what_asks_for_attention_first(mavdiag: Any,
 
 
 UDP_IN = "udpin:127.0.0.1:0"
-WAIT_S = 120.0
 UID = "0011223344556677"
-
-
-def wait_for(found: Callable[[], object]) -> None:
-    deadline = time.monotonic() + WAIT_S
-    while not found():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 def flown(bench: Bench, seconds: float, *, armed: bool = True) -> None:
@@ -207,6 +174,13 @@ def flown(bench: Bench, seconds: float, *, armed: bool = True) -> None:
 
 def watching(baseline: Baseline, flights: Flights, *vehicles: MadeVehicle) -> Bench:
     return Bench(Settings(connect=UDP_IN, learn=1.0), baseline=baseline, flights=flights, vehicles=list(vehicles))
+
+
+def in_this_process(command: list[str], **_: object) -> SimpleNamespace:
+    """In place of `subprocess.run`: the same command without a process of its own."""
+    ran = CliRunner().invoke(app, command[command.index("mavdiag") + 1 :])
+    said = "" if ran.exception is None else str(ran.exception)
+    return SimpleNamespace(returncode=ran.exit_code, stdout=ran.output, stderr=said)
 
 
 def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> None:
@@ -222,14 +196,14 @@ def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> N
         kept.setdefault(*copied(line))
         Courier.put(flights, line)
 
-    with patch.object(flights, "put", put):
+    with patch.object(flights, "put", put), patch("detector.flights.subprocess.run", in_this_process):
         flown(bench, 3.0, armed=False)
         flown(bench, 20.0)
         flown(bench, 2.0, armed=False)
         flown(bench, 20.0)
         bench.close()  # in flight: what is there is a flight, too
-    wait_for(lambda: not list(folder.glob("*.tlog")))
-    flights.close()
+        wait_for(lambda: not list(folder.glob("*.tlog")), "the flights are added")
+        flights.close()
     assert (flights.lost, said) == (0, [])
     with history.open_history(database) as opened:
         assert opened.names() == ("racer 3", "racer 4")
@@ -257,9 +231,10 @@ def test_a_flight_that_cannot_be_added_is_told_and_added_by_the_next_start(tmp_p
         flights = Flights(str(missing), folder, EPOCH_NS, said.append)
     flights._pause_s = 0.0
     bench = watching(baseline_for(), flights, MadeVehicle(3))
-    flown(bench, 12.0)
-    flown(bench, 2.0, armed=False)
-    wait_for(lambda: flights.lost)
+    with patch("detector.flights.subprocess.run", in_this_process):
+        flown(bench, 12.0)
+        flown(bench, 2.0, armed=False)
+        wait_for(lambda: flights.lost, "it gives up")
     bench.close()
     flights.close()
     assert len(list(folder.glob("3-*.tlog"))) == 1
@@ -267,7 +242,7 @@ def test_a_flight_that_cannot_be_added_is_told_and_added_by_the_next_start(tmp_p
     missing.parent.mkdir()
     flights = Flights(str(missing), folder, EPOCH_NS, said.append)
     bench = watching(baseline_for(), flights)
-    wait_for(lambda: not list(folder.glob("3-*.tlog")))
+    wait_for(lambda: not list(folder.glob("3-*.tlog")), "the flight is added")
     bench.close()
     flights.close()
     with history.open_history(str(missing)) as opened:

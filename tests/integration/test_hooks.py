@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -16,22 +16,15 @@ from pathlib import Path
 import pytest
 from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle
+from web_page import wait_for
 
-from detector.config import Settings, load_settings
+from detector.config import Settings
 from detector.hooks import QUEUED, Hook
-from mavdiag.errors import UsageError
 from mavdiag.link.messages import Autopilot
 
 pytestmark = pytest.mark.realtime
 WAIT_S = 20.0
 BROKER = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
-
-
-def wait_for(found: Callable[[], object]) -> None:
-    deadline = time.monotonic() + WAIT_S
-    while not found():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 class Server:
@@ -199,23 +192,3 @@ def test_a_broker_gets_each_line(tmp_path: Path) -> None:
         listener.loop_stop()
         broker.terminate()
         broker.wait(WAIT_S)
-
-
-@pytest.mark.parametrize(
-    ("address", "says"),
-    [
-        ("exec:no-such-program-at-all", "there is no program 'no-such-program-at-all'"),
-        ("exec:", "there is no program ''"),
-        ('exec:"echo', "No closing quotation"),
-        ("ftp://127.0.0.1/x", "write exec:PROGRAM"),
-        ("http:///x", "write exec:PROGRAM"),
-        ("mqtt://127.0.0.1", "write exec:PROGRAM"),
-        ("http://127.0.0.1:99999/x", "Port out of range"),
-        ("http://me:secret@127.0.0.1/x", "no room for a user or password"),
-    ],
-)
-def test_a_malformed_hook_is_refused_with_one_line(address: str, says: str) -> None:
-    with pytest.raises(UsageError, match=says) as refused:
-        load_settings(None, {"connect": "udpin:127.0.0.1:0", "baseline": "b.json", "hook": [address]})
-    assert "secret" not in str(refused.value)
-    assert "\n" not in str(refused.value)

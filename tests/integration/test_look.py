@@ -1,9 +1,6 @@
 """A first look at flights without a baseline: what it finds is there, and it never calls a vehicle healthy."""
 
 import json
-import threading
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,6 +10,7 @@ from flying_telemetry import flying
 from made_baselines import logged
 from shared_data import shared
 from typer.testing import CliRunner
+from virtual_endpoint import Clock, VirtualEndpoint, linked
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_named
@@ -20,8 +18,8 @@ from mavdiag.baseline import Baseline
 from mavdiag.cli import app
 from mavdiag.commands.inspect import inspect
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
+from mavdiag.link.datagrams import Datagrams, as_columns
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
-from mavdiag.link.ports import open_endpoint
 from mavdiag.logs import read_log
 from mavdiag.look.inspection import inspection_of
 from mavdiag.look.words import in_full, in_one_line
@@ -143,7 +141,7 @@ def test_gyro_and_accelerometer_alone_are_enough_to_find_an_unbalance(csv_folder
     sound = recording(csv_folder / "sound.csv", 41)
     damaged = recording(csv_folder / "damaged.csv", 42, fault="F1/SV3", rotor=3, onset_s=4.0)
     judged = RUN.invoke(
-        app, ["scan", str(sound), str(damaged), *columns, "--baseline", baseline, "--json", "--no-cache"]
+        app, ["scan", str(sound), str(damaged), *columns, "--baseline", baseline, "--json", "--no-cache", "--jobs", "1"]
     )
     first, second = (json.loads(line) for line in judged.stdout.splitlines())
     assert (first["verdict"], second["verdict"]) == ("healthy", "fault"), judged.output
@@ -192,29 +190,24 @@ def test_log171_is_seen_to_tumble_with_a_motor_at_its_limit() -> None:
     assert "no output reached an end" in earlier
 
 
-def free_address() -> str:
-    with open_endpoint("udpin:127.0.0.1:0") as endpoint:
-        return endpoint.address
-
-
-class FreshArduPilot:
+class FreshArduPilot(VirtualEndpoint):
     """Sends heartbeats until it is asked for more, and knows some parameters: ArduPilot after a start.
 
     heard: every frame that came.
     """
 
-    PARAMETERS: ClassVar = {
-        "FRAME_CLASS": 1.0,
-        "FRAME_TYPE": 1.0,
-        "INS_GYRO_FILTER": 18.0,
-    }  # clearly below a fifth of 100 Hz
-    COUNTS = 1000
+    # The corner is clearly below a fifth of 100 Hz.
+    PARAMETERS: ClassVar = {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0, "INS_GYRO_FILTER": 18.0}
 
     def __init__(self) -> None:
-        self.heard: list[Frame] = []
-        self._encoder, self._rates = Encoder(1, Component.AUTOPILOT1), dict[int, float]()
+        super().__init__(Clock())
+        self.heard, self._waiting, self._decoder = list[Frame](), list[bytes](), Decoder()
+        self._encoder, self._rates, self._k = Encoder(1, Component.AUTOPILOT1), dict[int, float](), 0
 
-    def answer(self, frame: Frame) -> list[bytes]:
+    def send(self, data: bytes) -> None:
+        self._waiting += [answer for frame in self._decoder.feed_datagram(data, 0) for answer in self.answers(frame)]
+
+    def answers(self, frame: Frame) -> list[bytes]:
         self.heard.append(frame)
         encode = self._encoder.encode
         if frame.msgid == MessageId.COMMAND_LONG:
@@ -240,41 +233,26 @@ class FreshArduPilot:
             if k % max(1, round(100 / rate_hz)):
                 continue
             if msgid == MessageId.RAW_IMU:
-                frames.append(encode(msgid, 1000 * t_ms, 0, 0, -self.COUNTS, 1, 2, 3))
+                frames.append(encode(msgid, 1000 * t_ms, 0, 0, -1000, 1, 2, 3))
             elif msgid == MessageId.ATTITUDE_TARGET:
                 frames.append(encode(msgid, t_ms, 0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, 0.5))
             else:
                 frames.append(encode(msgid, t_ms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
         return frames
 
-    def run(self, address: str, stop: threading.Event) -> None:
-        """By the clock: every message is sent, however seldom this runs; maybe the first before anybody listens."""
-        decoder, began_s, k = Decoder(), time.monotonic(), 0
-        with open_endpoint(address.replace("udpin", "udpout")) as endpoint:
-            while not stop.wait(0.01):
-                chunks = endpoint.receive(0.0)
-                heard = [frame for data, host_ns in chunks for frame in decoder.feed_datagram(data, host_ns)]
-                answers = [answer for frame in heard for answer in self.answer(frame)]
-                first, k = k, 1 + int(100 * (time.monotonic() - began_s))
-                for sent in (*answers, *(message for step in range(first, k) for message in self.messages(step))):
-                    endpoint.send(sent)
+    def receive(self, timeout_s: float) -> Datagrams:
+        """Let time pass; what it sent."""
+        first, self._k = self._k, self._k + max(1, round(100 * timeout_s))
+        self.clock.ns += (self._k - first) * 10_000_000
+        sent = [*self._waiting, *(message for k in range(first, self._k) for message in self.messages(k))]
+        self._waiting = []
+        return as_columns([(data, self.clock.ns) for data in sent])
 
 
-def beside(vehicle: FreshArduPilot, look: Callable[[str], None]) -> None:
-    address, stop = free_address(), threading.Event()
-    sender = threading.Thread(target=vehicle.run, args=(address, stop))
-    sender.start()
-    try:
-        look(address)
-    finally:
-        stop.set()
-        sender.join()
-
-
-@pytest.mark.realtime
 def test_l10_a_fresh_ardupilot_is_told_what_gives_each_monitor_its_streams(capsys: pytest.CaptureFixture[str]) -> None:
     vehicle = FreshArduPilot()
-    beside(vehicle, lambda address: inspect([address], duration=3.0))
+    with linked(vehicle):
+        inspect(["udpin:127.0.0.1:14550"], duration=3.0)
     shown = capsys.readouterr().out
     assert max(map(len, shown.splitlines())) <= 80
     assert "profile ardupilot" in shown
@@ -284,10 +262,10 @@ def test_l10_a_fresh_ardupilot_is_told_what_gives_each_monitor_its_streams(capsy
     assert vehicle.heard == []  # it listens only
 
 
-@pytest.mark.realtime
 def test_a_fresh_ardupilot_is_asked_for_streams_and_rotors_and_nothing_set(capsys: pytest.CaptureFixture[str]) -> None:
     vehicle = FreshArduPilot()
-    beside(vehicle, lambda address: inspect([address], duration=3.0, ask=True, as_json=True))
+    with linked(vehicle):
+        inspect(["udpin:127.0.0.1:14550"], duration=3.0, ask=True, as_json=True)
     found: dict[str, Any] = json.loads(capsys.readouterr().out)
     works = {one["monitor"] for one in found["monitors"] if one["works"]}
     assert {"fsd", "innovation", "rotor_signature", "sensor_drift", "control_loss", "thrust_loss"} == works

@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 import pytest
 from flying_telemetry import flying
-from made_baselines import FRAME, NOW, healthy, logged
+from made_baselines import FRAME, NOW, healthy, kept, logged
 from made_telemetry import START_NS
 from scipy.spatial.transform import Rotation
 
@@ -24,7 +24,7 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge_in_full
-from mavdiag.learning import LearnOptions
+from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.codec import Decoder, Encoder
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES
@@ -69,8 +69,9 @@ def unchanged(telemetry: Telemetry) -> Telemetry:
 
 @cache
 def taught(change: Transform = unchanged, frame: Airframe = FRAME) -> Baseline:
-    teachers = (replace(log, telemetry=change(log.telemetry)) for log in healthy(3, SAMPLES))
-    return md.learn(teachers, options=LearnOptions(airframe=frame), created=NOW)
+    teachers = [replace(log, telemetry=change(log.telemetry)) for log in healthy(3, SAMPLES)]
+    key = " ".join(log.telemetry.digest for log in teachers)
+    return kept(f"{frame} {key}", lambda: learn(teachers, LearnOptions(airframe=frame), created=NOW))
 
 
 @cache
@@ -240,8 +241,6 @@ UNITS: dict[str, Transform] = {
     "of a larger full scale": lambda telemetry: with_columns(
         telemetry, {Signal.ACTUATOR: lambda outputs: 0.8 * outputs}
     ),
-    "shares": sent("px4", STATUS, (4,), 0.0, 1.0),
-    "microseconds": sent("px4", STATUS, (4,), 1000.0, 2000.0),
     "dshot": sent("px4", STATUS, (8,), 0.0, 2047.0),  # of eight outputs: unused ones, at 0, tell it
     "whole microseconds": sent("ardupilot", SERVO, (0,), 1000.0, 2000.0),
 }

@@ -15,25 +15,21 @@ from made_session import baseline_for
 from made_vehicle import RATE_HZ, MadeVehicle
 from memory_port import memory_pair
 from processes import PATIENCE_S
+from virtual_flight import healthy_flights, learnt
 from virtual_link import heard
 
-from mavdiag.airframe.load import airframe_named
 from mavdiag.as_json import event_json
 from mavdiag.commands.shim import Passage
 from mavdiag.demo.subprocesses import Child, child
 from mavdiag.errors import LinkError, UsageError
 from mavdiag.judging import judge
-from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.ports import Endpoint, open_endpoint, wait
 from mavdiag.link.shim import Impairment, Shim
 from mavdiag.logs import read_log
 from mavdiag.logs.tlog import tlog_record
-from mavdiag.telemetry import Log
 from mavdiag.units import NS_PER_S
-from sitl_plant.autopilot.telemetry import flight_telemetry
-from sitl_plant.plant import PlantConfig
 
-SECONDS, ONSET_S = 24.0, 12.0
+SECONDS, ONSET_S = 20.0, 10.0
 SAME = ("monitor", "axis", "threshold", "rotor", "fault_type", "severity")
 FIELDS = ("t_s", "end_s", "statistic", *SAME)
 
@@ -58,10 +54,7 @@ def in_order(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 @pytest.mark.realtime
 def test_the_journal_and_the_scan_of_the_recording_agree(tmp_path: Path) -> None:
-    flights = [
-        Log(f"f{i}", f"{i:064x}", "qdrone2", flight_telemetry(PlantConfig(seed=50 + i), 20.0)[0]) for i in range(4)
-    ]
-    baseline = learn(flights, LearnOptions(airframe=airframe_named("qdrone2")), created="2026-01-01T00:00:00+00:00")
+    baseline = learnt(healthy_flights(range(100, 106), 25.0, "qdrone2"))
     file, journal, log = tmp_path / "b.json", tmp_path / "events.jsonl", tmp_path / "flight.tlog"
     baseline.save(file)
     with (

@@ -12,8 +12,8 @@ import pytest
 from loop_plant import HIL_HZ, LoopPlant
 from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle, received
-from reactions import IN_LOOP, PROFILE, Station, fly
-from test_attacks import UDP_IN, Attacked, random_frames
+from reactions import IN_LOOP, PROFILE, USUAL, Station, fly
+from test_attacks import UDP_IN, Attacked
 from test_daemon_virtual import STATION, US, field, of
 from typer.testing import CliRunner
 from virtual_flight import VirtualFlight
@@ -26,6 +26,7 @@ from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Sever
 from sitl_plant.plant import Plant, PlantSamples
 
 LOITER = 5
+CRAFT = replace(USUAL, rate_hz=200.0)  # of its link
 ACKNOWLEDGEMENT = STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.USER_1, 0, *[0.0] * 7)
 Benches = Callable[..., Attacked]
 
@@ -106,32 +107,6 @@ def test_without_the_option_nothing_is_ever_commanded(benches: Benches) -> None:
     assert commanded(bench) == []
 
 
-def stranger(name: str) -> Iterator[list[bytes]]:
-    """Somebody else who wants a reaction: frames of a damaged flight in its name, texts, commands."""
-    if name == "damaged flight":
-        old = MadeVehicle(1)
-        old.turning, old.custom_mode = 3.0, LOITER
-        return itertools.cycle([old.samples(4) for _ in range(500)])
-    if name == "random frames":
-        return random_frames(7, (1, 1))
-    if name == "our own name":
-        ours = Encoder(*US)
-        text = ours.statustext(Severity.CRITICAL, "PROP THRUST LOST motor 3")
-        order = ours.encode(MessageId.COMMAND_LONG, 1, 1, MavCmd.NAV_LAND, 0, *[0.0] * 7)
-        return itertools.repeat([text, order])
-    every = (MavCmd.NAV_LAND, MavCmd.INJECT_FAILURE, MavCmd.USER_1, 31011)
-    return itertools.cycle([[STATION.encode(MessageId.COMMAND_LONG, *US, number, 0, *[1.0] * 7)] for number in every])
-
-
-@pytest.mark.parametrize("name", ["damaged flight", "random frames", "our own name", "commands"])
-def test_a_forged_sender_causes_none(benches: Benches, name: str) -> None:
-    bench = benches("suspected: land; fault: land; gross loss: land")
-    bench.fly(20.0, stranger(name))
-    assert commanded(bench) == []
-    damaged(bench, 2.0)  # the genuine fault does
-    assert len(commanded(bench)) == 2  # asked again, as this vehicle does not answer
-
-
 @pytest.mark.parametrize("how", ["ack", "stick", "mode", "mavdiag ack"])
 def test_it_is_called_off_by_a_link_behind_or_the_vehicles_mode(benches: Benches, tmp_path: Path, how: str) -> None:
     bench = benches()
@@ -175,20 +150,20 @@ def test_a_lost_link_ends_it_until_the_fault_is_found_again(benches: Benches) ->
 
 
 def test_a_mission_with_a_crack_is_flown_home_after_the_delay_and_a_call_off_lets_it_go_on() -> None:
-    flown = fly("mission", 100, "F2/SV3")
+    flown = fly("mission", 100, "F2/SV3", craft=CRAFT)
     assert flown.commands == ["rtl"]
     assert flown.announced
     assert flown.late_s is not None
     assert -0.01 <= flown.late_s <= 0.5
     assert flown.down
-    left = fly("mission", 101, "F2/SV3", call="stick", until_s=50.0)
+    left = fly("mission", 101, "F2/SV3", craft=CRAFT, call="stick", until_s=50.0)
     assert left.called_off
     assert left.commands == []
     assert not left.down
 
 
 def test_a_healthy_mission_is_left_alone() -> None:
-    flown = fly("mission", 102, until_s=40.0)
+    flown = fly("mission", 102, craft=CRAFT, until_s=40.0)
     assert (flown.commands, flown.announced, flown.declared_s) == ([], False, None)
     assert flown.judged > 0.5
 

@@ -15,7 +15,6 @@ from typer.testing import CliRunner
 from web_page import browser, violations
 
 from mavdiag import cli
-from mavdiag.errors import MavdiagError
 from mavdiag.face import learn
 
 SECTIONS = 11
@@ -82,28 +81,6 @@ def test_a_folder_makes_one_page_and_a_bad_file_does_not_lose_the_others(tmp_pat
     assert "<b>empty.bin" in page.said
     assert "no flight logs" in said
     assert said.splitlines()[-1].startswith("written to ")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        ((), "name logs and --baseline FILE"),
-        (("x.tlog", "--baseline", "gone.json"), "gone.json: no such file"),
-        (("--campaign", "gone.jsonl"), "gone.jsonl: no such file"),
-        (("x.tlog", "--campaign", "c.jsonl"), "neither logs nor --baseline"),
-        (("x.tlog", "-o", "no-folder/x.html"), "no folder"),
-        (("empty", "--baseline", "baseline.json"), "no log there; name files, a folder, or a pattern"),
-    ],
-)
-def test_what_cannot_be_done_is_one_line(
-    arguments: tuple[str, ...], reason: str, tmp_path: Path, baseline: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(baseline.parent)
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(MavdiagError, match=reason) as caught:
-        run(*arguments)
-    assert "\n" not in str(caught.value)
-    assert not (tmp_path / "report.html").exists()
 
 
 webdriver = pytest.importorskip("selenium.webdriver")

@@ -72,7 +72,7 @@ def test_a_healthy_flight_is_0_and_a_crack_is_1(mavdiag: Any, baseline: Path, he
     code, out, err = mavdiag("scan", healthy[0], "--baseline", baseline)
     assert (code, err) == (0, ""), out
     assert out.startswith(f"{healthy[0]}: healthy, no alarm; judged ")
-    code, out, _ = mavdiag("scan", healthy[0], crack, "--baseline", baseline)
+    code, out, _ = mavdiag("scan", healthy[0], crack, "--baseline", baseline, "--jobs", 1)
     assert code == 1
     assert [line.split(": ")[1].split(",")[0] for line in out.splitlines()] == ["healthy", "fault"]
     assert "rotor 3" in out.splitlines()[1]
@@ -99,12 +99,12 @@ def test_the_json_line_has_the_fields_of_the_contract(mavdiag: Any, baseline: Pa
 def test_what_cannot_be_judged_is_3_and_an_error_2(
     mavdiag: Any, baseline: Path, healthy: list[Path], crack: Path, short: Path, tmp_path: Path
 ) -> None:
-    code, out, _ = mavdiag("scan", healthy[0], short, "--baseline", baseline)
+    code, out, _ = mavdiag("scan", healthy[0], short, "--baseline", baseline, "--jobs", 1)
     assert code == 3
     assert "not_judgeable" in out
     assert "of take-off or start" in out
     absent = tmp_path / "absent.tlog"
-    code, out, err = mavdiag("scan", absent, crack, "--baseline", baseline, "--json")
+    code, out, err = mavdiag("scan", absent, crack, "--baseline", baseline, "--json", "--jobs", 1)
     assert code == 2
     lines = [json.loads(line) for line in out.splitlines()]
     assert [one["verdict"] for one in lines] == ["error", "fault"]
@@ -177,36 +177,9 @@ def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(scan: Any, arc
     assert [one["verdict"] for one in lines] == ["healthy", "healthy", "fault", "healthy", "healthy", "error"]
     assert {**lines[0], "log": ""} == {**lines[3], "log": ""}
     assert len(list(tmp_path.glob("cache/scan/*/*.json"))) == 4
-    code, out, err = scan(archive, "--cache", tmp_path / "cache")
+    code, out, err = scan(archive, "--cache", tmp_path / "cache", "--jobs", 1)
     assert (code, len(out.splitlines())) == (1, 5)
     assert "5 of 5 answers were known already; --no-cache judges anew" in err
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--csv", "absent/a.csv"), "absent/a.csv: cannot be written"),
-        (("--parquet", "."), ".: is a folder"),
-        (("--from", "nan"), "--from nan: give a time in seconds"),
-        (("--cache", "baseline.json"), "baseline.json: no folder to keep answers in"),
-        (("--windows", "0.5"), "Invalid value for '--windows'"),
-        (("--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler at tcp://127.0.0.1:1"),
-    ],
-)
-def test_what_cannot_be_is_one_line_before_anything_is_judged(
-    scan: Any,
-    archive: Path,
-    baseline_archive: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    options: tuple[str, str],
-    words: str,
-) -> None:
-    monkeypatch.chdir(baseline_archive.parent)
-    monkeypatch.setattr("mavdiag.archive.pool.PATIENCE_S", 0.5)
-    code, out, err = scan(archive / "a.tlog", *options)
-    assert (code, out) == (2, "")
-    assert words in err.splitlines()[-1]
-    assert sum(line.startswith("mavdiag: ") for line in err.splitlines()) == 1
 
 
 def heed_interrupts() -> None:

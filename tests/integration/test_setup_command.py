@@ -3,7 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from memory_port import memory_pair
 from shared_data import shared
+from virtual_endpoint import Clock, VirtualEndpoint, linked
 
 from detector.config import load_settings
 from mavdiag.baseline import Baseline
@@ -22,7 +23,6 @@ from mavdiag.learning.coaching import ROUNDS, Coverage, Task
 from mavdiag.link.codec import Argument, Decoder, Encoder, Frame, field_index
 from mavdiag.link.datagrams import Chunk, Datagrams, as_columns
 from mavdiag.link.messages import MavCmd, MessageId
-from mavdiag.link.ports.base import Endpoint
 from mavdiag.units import NS_PER_S
 from sitl_plant.autopilot.commands import Autopilot
 from sitl_plant.autopilot.dialect import dialect_named
@@ -34,26 +34,7 @@ NAN = float("nan")
 CORNERS = ((1.5, 1.5), (1.5, -1.5), (-1.5, -1.5), (-1.5, 1.5))  # m, of the square
 AIRBORNE_M = -0.3  # down
 TASKS = {"take off": 30.0, "hover": 60.0, "square": 2.6, "nose": 2.5, "land": 60.0}  # how often an order goes out [s]
-START_NS = 1000 * NS_PER_S
-
-
-class Clock:
-    """In place of the module `time`: it stands still until the vehicle flies on."""
-
-    def __init__(self) -> None:
-        self.ns = START_NS
-
-    def monotonic_ns(self) -> int:
-        return self.ns
-
-    def time_ns(self) -> int:
-        return 1_777_600_000 * NS_PER_S + self.ns
-
-    def monotonic(self) -> float:
-        return self.ns / NS_PER_S
-
-    def time(self) -> float:
-        return self.time_ns() / NS_PER_S
+PLAYED_S = 90.0  # of a recording
 
 
 class Pilot:
@@ -104,17 +85,15 @@ class Pilot:
         self._send(self._station.encode(msgid, *fields))
 
 
-class PilotedVehicle(Endpoint):
+class PilotedVehicle(VirtualEndpoint):
     """The near end of the vehicle's link. To receive for some time lets it fly for so long.
 
     deaf: it hears its pilot only. flown_s: in the air so far.
     """
 
-    datagrams = True
-
     def __init__(self, profile: str, clock: Clock, *, deaf: bool = False, seed: int = 0) -> None:
-        super().__init__("memory:near")
-        self.clock, self.flown_s, self._deaf, dialect = clock, 0.0, deaf, dialect_named(profile)
+        super().__init__(clock)
+        self.flown_s, self._deaf, dialect = 0.0, deaf, dialect_named(profile)
         flight = PlantConfig(trajectory="commanded", start="ground", seed=seed)
         self.plant, self._filters = Plant(flight), ImuFilters(dialect, flight.seed)
         self._near, far = memory_pair(clock=clock.monotonic_ns)
@@ -122,21 +101,8 @@ class PilotedVehicle(Endpoint):
         self.autopilot = Autopilot([self._link.schedule], dialect, flight)
         self.pilot = Pilot(profile, lambda data: self._take(Decoder().feed(data, 0)))
 
-    @property
-    def connected(self) -> bool:
-        return True
-
-    def filenos(self) -> tuple[int, ...]:
-        return ()
-
     def send(self, data: bytes) -> None:
         self._near.send(data)
-
-    def close(self) -> None:
-        """It flies on."""
-
-    def _drain(self) -> Datagrams:
-        return self._near.receive(0.0)
 
     def receive(self, timeout_s: float) -> Datagrams:
         """Let the vehicle fly on; what it sent."""
@@ -154,7 +120,7 @@ class PilotedVehicle(Endpoint):
             obey(self.plant, order)
         self.flown_s += timeout_s * bool(filtered.samples.position[-1, 2] < AIRBORNE_M)
         self.pilot.fly(self.plant.t_ns / NS_PER_S)
-        return self._drain()
+        return self._near.receive(0.0)
 
     def _take(self, frames: Iterable[Frame]) -> None:
         for frame in frames:
@@ -179,14 +145,12 @@ def coached(vehicle: "PilotedVehicle | Played", hear: Heard | None = None) -> It
         if hear is not None:
             hear(text)
 
-    places = ("mavdiag.link.link", "mavdiag.commands.inspect", "mavdiag.commands.setup")
-    with ExitStack() as stack:
-        for place in places:
-            stack.enter_context(patch(f"{place}.time", vehicle.clock))
-        stack.enter_context(patch("mavdiag.link.link.open_endpoint", lambda address: vehicle))
-        stack.enter_context(patch("mavdiag.commands.setup.say", told))
-        stack.enter_context(patch("mavdiag.commands.setup.POLL_S", 0.2))  # fewer and longer looks at the link
-        stack.enter_context(patch("typer.confirm", side_effect=AssertionError("a question")))
+    with (
+        linked(vehicle),
+        patch("mavdiag.commands.setup.say", told),
+        patch("mavdiag.commands.setup.POLL_S", 0.2),  # fewer and longer looks at the link
+        patch("typer.confirm", side_effect=AssertionError("a question")),
+    ):
         yield lines
 
 
@@ -238,37 +202,22 @@ def test_what_does_not_come_is_told_with_the_parameter_that_gives_it(tmp_path: P
     assert vehicle.flown_s == 0.0
 
 
-class Played(Endpoint):
+class Played(VirtualEndpoint):
     """The near end of a link on which a recording is played; what is sent is kept. Long after its end it stops."""
 
-    datagrams = True
-
     def __init__(self, path: Path, clock: Clock) -> None:
-        super().__init__("memory:near")
-        self.clock, self.sent, self._records = clock, Decoder(), deque(records(path))
+        super().__init__(clock)
+        self.sent, self._records = Decoder(), deque(records(path, PLAYED_S))
         self.asked = list[Frame]()
         self._late_ns = clock.ns - self._records[0][0]
         self._stop_ns = self._records[-1][0] + self._late_ns + 60 * NS_PER_S
         self.heard = set[str]()  # parameters
         self._decoder = Decoder((MessageId.PARAM_VALUE,))
 
-    @property
-    def connected(self) -> bool:
-        return True
-
-    def filenos(self) -> tuple[int, ...]:
-        return ()
-
     def send(self, data: bytes) -> None:
         frames = self.sent.feed(data, 0)
         assert not self.heard.intersection(map(parameter, frames)), "a parameter that was told is asked for"
         self.asked += frames
-
-    def close(self) -> None:
-        """It stays open."""
-
-    def _drain(self) -> Datagrams:
-        return as_columns(())
 
     def receive(self, timeout_s: float) -> Datagrams:
         self.clock.ns += max(1, round(timeout_s * NS_PER_S))
@@ -281,10 +230,11 @@ class Played(Endpoint):
         return as_columns(found)
 
 
-def records(path: Path) -> Iterator[tuple[int, bytes]]:
-    """Time [ns] and frame of each record of a .tlog."""
+def records(path: Path, most_s: float) -> Iterator[tuple[int, bytes]]:
+    """Time [ns] and frame of each record at the beginning of a .tlog."""
     data, at = path.read_bytes(), 0
-    while at + 10 < len(data):
+    until_us = int.from_bytes(data[:8], "big") + round(1e6 * most_s)
+    while at + 10 < len(data) and int.from_bytes(data[at : at + 8], "big") < until_us:
         more = 12 + 13 * (data[at + 10] & 1) if data[at + 8] == 0xFD else 8
         end = at + 8 + more + data[at + 9]
         yield 1000 * int.from_bytes(data[at : at + 8], "big"), data[at + 8 : end]

@@ -76,7 +76,7 @@ def test_a_link_is_judged_as_its_log(tmp_path: Path) -> None:
 @pytest.mark.realtime
 def test_watch_prints_the_alert_of_a_companion_and_ends_by_itself(tmp_path: Path) -> None:
     with flying("--rate", "100", "--duration", "60", links=2) as (address, companion_address):
-        command = [sys.executable, "-m", "mavdiag", "watch", address, "--duration", "8"]
+        command = [sys.executable, "-m", "mavdiag", "watch", address, "--duration", "6"]
         watching = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         with companion(companion_address) as alerter:
             while watching.poll() is None:

@@ -116,7 +116,7 @@ def test_every_fleet_is_seen_at_a_glance_on_screen_and_phone(chromium: Any, proc
 
 def test_a_replay_is_scrubbed_sped_up_and_seen_as_a_live_vehicle(chromium: Any, tmp_path: Path) -> None:
     log, baseline = tmp_path / "flight.tlog", tmp_path / "b.json"
-    record(log, ((60.0, 0.0), (20.0, 0.5), (520.0, 0.0)))
+    record(log, ((60.0, 0.0), (20.0, 0.5), (240.0, 0.0)))
     baseline_for().save(baseline)
     command = [sys.executable, "-m", "mavdiag", "replay", str(log), "--baseline", str(baseline), "--speed", "10"]
     with subprocess.Popen([*command, "--web", "127.0.0.1:0"], stdout=subprocess.PIPE, text=True) as child:

@@ -60,17 +60,14 @@ def test_a_replay_is_moved_by_posts_and_nothing_else_is_taken() -> None:
 def test_wrong_hosts_origins_methods_and_tokens_are_refused() -> None:
     with serving() as process:
         port = process.place.port
-        assert asked(port, Host=f"evil.example:{port}").status == 403
         assert asked(port, "/stream", Host=f"evil.example:{port}").status == 403
         assert asked(port, "/stream", Origin="http://evil.example").status == 403
-        assert asked(port, "/stream", Sec_Fetch_Site="cross-site").status == 403
         assert asked(port, "/", "POST").status == 405
         assert asked(port, "/", "HEAD").status == 405
     with serving(TOKEN) as process:
         port = process.place.port
         assert asked(port).status == 401
         assert asked(port, "/stream").status == 401
-        assert asked(port, "/?token=wrong").status == 401
         answer = asked(port, f"/?token={TOKEN}")
         assert (answer.status, answer.headers["Location"]) == (303, "./")
         cookie = answer.headers["Set-Cookie"]

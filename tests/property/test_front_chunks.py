@@ -238,7 +238,7 @@ MISSED = (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.SPECIFIC_FORCE, Sig
     late_ms=st.integers(0, 49),
     share=st.sampled_from([0.002, 0.02, 0.2]),
     lost=st.sampled_from([0.0, 0.02]),
-    every_ms=st.sampled_from([1, 2, 7, 40]),
+    every_ms=st.sampled_from([2, 7, 40]),
 )
 def test_the_first_disorder_of_an_orderly_link_changes_no_row_where_what_is_late_is_missed(
     seed: int, late_ms: int, share: float, lost: float, every_ms: int
@@ -248,7 +248,7 @@ def test_the_first_disorder_of_an_orderly_link_changes_no_row_where_what_is_late
     assert_equal(run_align(SPEC, cut(telemetry, ticks(every_ms * 1_000_000)))[0], expected)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(seed=st.integers(0, 1000), lost=st.sampled_from([0.0, 0.05, 0.5]), edges=cuts, lag_ms=st.integers(0, 4))
 def test_on_an_orderly_link_any_cut_gives_the_logs_rows(seed: int, lost: float, edges: list[int], lag_ms: int) -> None:
     """With every signal but the gyro behind it by less than what counts as disorder."""

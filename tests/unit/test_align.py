@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_telemetry import DT_NS, cut, series
+from made_telemetry import DT_NS, series
 from numpy.typing import NDArray
 
 from mavdiag.errors import InputError
@@ -190,27 +190,6 @@ def test_b22_memory_stays_bounded_when_the_gyro_stops_and_others_go_on() -> None
     t = clock(1000) + 40_000_000_000
     found = SPEC.step(state, linear_flight(t, t))
     assert {block.segment for block in found} == {1}
-
-
-@pytest.mark.parametrize("size", [1, 3, 40, 3000])
-def test_l1_the_yaw_setpoint_is_unwrapped_before_it_is_interpolated(size: int) -> None:
-    """A heading that turns three times, sent at 50 Hz in chunks of any size: no row lies on a ramp through zero."""
-    t = clock(6000)
-    heading = 1.0 + np.pi * (t - t[0]) / 1e9
-    wrapped = np.mod(heading + np.pi, 2 * np.pi) - np.pi
-    sent = t[::20]
-    telemetry = Telemetry(
-        (
-            series(Signal.BODY_RATE, t, ramp(t)),
-            series(Signal.ATTITUDE_SETPOINT, sent, np.outer(wrapped[::20], [0, 0, 1])),
-        )
-    )
-    state = SPEC.start()
-    blocks: list[Block] = []
-    for chunk in cut(telemetry, [int(t[0]) + 5_000_000 + edge * DT_NS for edge in range(0, 6000, size)]):
-        blocks += SPEC.step(state, chunk)
-    blocks += SPEC.finish(state)
-    np.testing.assert_allclose(column(blocks, "setpoint")[:5981, 2], heading[:5981], atol=1e-9)
 
 
 def test_a_sample_that_is_no_number_is_a_lost_sample_and_what_comes_late_or_twice_is_dropped() -> None:

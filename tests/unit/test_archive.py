@@ -1,7 +1,6 @@
 """Many logs: what names them, the answers and how they are kept, windows, and the table."""
 
 import csv
-import json
 import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator
@@ -41,12 +40,9 @@ from mavdiag.archive.scan import (
     scan,
 )
 from mavdiag.archive.tables import COLUMNS, rows_of, write_csv, write_parquet
-from mavdiag.as_json import verdict_json
 from mavdiag.decision.alarm import Change
 from mavdiag.errors import InputError, UsageError
-from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge, judge_in_full
-from mavdiag.logs import read_log
-from mavdiag.logs.log import sha256_of
+from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge_in_full
 from mavdiag.monitors import BY_NAME
 
 LOG = content(1, 200)
@@ -106,21 +102,6 @@ def test_an_answer_is_the_same_when_it_is_read_again(tmp_path_factory: pytest.Te
     assert str(again) == str(record)
     assert type(again.verdict.verdict) is Verdict
     assert [type(change) for change in again.verdict.changes] == [Change] * len(record.verdict.changes)
-
-
-def test_an_answer_is_that_of_a_fresh_judgement_and_prints_the_same(tmp_path: Path) -> None:
-    (path,) = made(tmp_path, "crack.tlog", shaken=("crack.tlog",))
-    fresh = replace(judge(read_log(path), archive_baseline()), log=str(path))
-    assert fresh.verdict is Verdict.FAULT
-    assert fresh.events
-    record, cache = judge_file(str(path), asked()), Cache(tmp_path)
-    assert record.digest == digest_of(path) == sha256_of(path.read_bytes())
-    cache.put(record.digest, record)
-    kept = Cache(tmp_path).get(record.digest)
-    assert kept is not None
-    again = Answer(path, kept, fresh=False).verdict
-    assert str(again) == str(fresh)
-    assert json.dumps(verdict_json(again)) == json.dumps(verdict_json(fresh))
 
 
 def test_every_option_the_baseline_and_the_code_make_another_question(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,13 +2,13 @@
 
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from mavdiag.jit import cached
 from mavdiag.link.clock import (
     _BOOT_US_32,
     MS_32,
@@ -25,7 +25,7 @@ from mavdiag.telemetry import IntArray
 Stream = tuple[Counter, IntArray, IntArray]  # counts and times of arrival [ns]
 
 
-@numba.njit
+@cached
 def _stamped(time: tuple[Any, Any, Any, Any], counters: IntArray, frames: IntArray, t_ns: IntArray) -> None:
     for k in range(frames.shape[1]):
         number, count, host_ns = frames[0, k], frames[1, k], frames[2, k]

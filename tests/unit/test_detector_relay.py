@@ -46,11 +46,6 @@ def test_l7_what_a_byte_stream_brought_at_once_goes_on_in_packets_of_whole_frame
     assert decoded(messages) == 200
 
 
-def test_b28_a_truncated_datagram_of_one_peer_does_not_spoil_the_next_of_another() -> None:
-    first, second = frames(1, sysid=1)[0], frames(3, sysid=2)
-    assert relayed([first[:20], *second], datagrams=True) == [b"".join(second)]
-
-
 def test_a_byte_stream_is_put_together_wherever_it_was_cut() -> None:
     near, vehicle = memory_pair(clock=lambda: 0)
     behind, far = memory_pair(clock=lambda: 0)

@@ -4,7 +4,6 @@ Every command of ours in a console block goes through the parser of its subcomma
 in a folder with made flights. Python is executed, TOML is loaded by what loads it in the product.
 """
 
-import importlib.util
 import itertools
 import re
 import runpy
@@ -12,15 +11,16 @@ import shlex
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, reduce
 from importlib import import_module
 from pathlib import Path
+from pydoc import locate
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 import typer
-from pydantic import BaseModel
 from typer.testing import CliRunner
 
 import mavdiag as md
@@ -211,18 +211,16 @@ def test_the_tables_of_the_pages_are_loaded_by_the_product(tmp_path: Path) -> No
             assert TOML[page](path) is not None
 
 
-PAGE = (ROOT / "docs" / "theory.md").read_text(encoding="utf-8")
+def table(page: str, words: str) -> list[list[str]]:
+    """Cells of the first table from a line with these words on, without its head."""
+    lines = (ROOT / "docs" / page).read_text(encoding="utf-8").splitlines()
+    start = next(i for i, line in enumerate(lines) if words in line)
+    rows = itertools.dropwhile(lambda line: not line.startswith("|---"), lines[start:])
+    found = list(itertools.takewhile(lambda line: line.startswith("|"), rows))[1:]
+    return [[cell.strip() for cell in row.strip("|").split("|")] for row in found]
 
 
-def table(first_header: str) -> list[list[str]]:
-    """Cells of the table whose first column has this header, without its head."""
-    lines = PAGE.splitlines()
-    start = next(i for i, line in enumerate(lines) if line.startswith(f"| {first_header} |"))
-    rows = itertools.takewhile(lambda line: line.startswith("|"), lines[start + 2 :])
-    return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
-
-
-SYMBOLS = table("Symbol")
+SYMBOLS = table("theory.md", "| Symbol |")
 
 
 @pytest.mark.parametrize("row", SYMBOLS, ids=[row[0] for row in SYMBOLS])
@@ -237,37 +235,14 @@ def test_every_symbol_has_a_code_name_a_unit_and_a_source(row: list[str]) -> Non
 
 
 def exists(name: str) -> bool:
-    """Whether a dotted name can be imported, or a file holds a TOML key."""
+    """Whether a dotted name is in the code, or a file holds a TOML key."""
     if ":" in name:
         file, keys = name.split(":")
-        return has_key(tomllib.loads((ROOT / file).read_text(encoding="utf-8")), keys.split("."))
-    parts = name.split(".")
-    if parts[0] == "sitl_plant":
-        pytest.importorskip("numba", reason="the plant is an extra")
-    for split in range(len(parts) - 1, 0, -1):
-        path = ROOT.joinpath(*parts[:split])
-        if path.is_dir() or path.with_suffix(".py").is_file():
-            return has_attribute(import_module(".".join(parts[:split])), parts[split:])
-    return False
-
-
-def has_key(data: object, keys: list[str]) -> bool:
-    for key in keys:
-        if not (isinstance(data, dict) and key in data):
-            return False
-        data = data[key]
-    return True
-
-
-def has_attribute(found: object, names: list[str]) -> bool:
-    for name in names:
-        if isinstance(found, type) and issubclass(found, BaseModel) and name in found.model_fields:
-            found = found.model_fields[name]
-        elif hasattr(found, name):
-            found = getattr(found, name)
-        else:
-            return False
-    return True
+        held: Any = tomllib.loads((ROOT / file).read_text(encoding="utf-8"))
+        return bool(reduce(lambda table, key: table.get(key, {}), keys.split("."), held) != {})
+    owner, _, last = name.rpartition(".")
+    found = locate(owner)
+    return hasattr(found, last) or last in getattr(found, "model_fields", ())
 
 
 MAKER = runpy.run_path(str(ROOT / "docs" / "make_constants.py"))
@@ -279,44 +254,22 @@ def test_the_table_is_up_to_date() -> None:
     )
 
 
-DRAWING = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-
-
-def cells_of(heading: str, column: int) -> list[str]:
-    """A column of the first cells_of after a heading, without its head."""
-    lines = DRAWING[DRAWING.index(heading) :].splitlines()
-    start = next(i for i, line in enumerate(lines) if line.startswith("|---"))
-    rows = []
-    for line in lines[start + 1 :]:
-        if not line.startswith("|"):
-            break
-        rows.append(line.strip("|").split("|")[column].strip())
-    return rows
-
-
 def test_the_layers_are_those_of_the_import_contract() -> None:
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     layers = next(one["layers"] for one in contracts if one["type"] == "layers")
     wanted = [{name.strip().removeprefix("mavdiag.") for name in layer.split("|")} for layer in layers[::-1]]
-    drawn = [set(re.findall(r"`([a-z_]+)`", cell)) for cell in cells_of("Within `mavdiag`", 0)]
+    drawn = [set(re.findall(r"`([a-z_]+)`", row[0])) for row in table("architecture.md", "Within `mavdiag`")]
     assert [one - {"__main__"} for one in wanted if one != {"__main__"}] == drawn
 
 
 def drawn_modules() -> list[str]:
-    blocks = re.findall(r"```\n(.*?)```", DRAWING, flags=re.DOTALL)
-    names = {name for block in blocks for line in block.splitlines() for name in line.split("  ")[:1]}
-    indented = {line.strip().split("  ")[0] for block in blocks for line in block.splitlines()}
-    return sorted(name for one in names | indented for name in re.findall(r"[a-z_]+(?:\.[a-z_]+)*", one))
+    lines = [line for block in blocks("docs/architecture.md", "") for line in block.splitlines()]
+    names = {part for line in lines for part in (line.split("  ")[0], line.strip().split("  ")[0])}
+    names |= {row[1].strip("`") for row in table("architecture.md", "## The values that cross")}
+    return sorted(name for one in names for name in re.findall(r"[a-z_]+(?:\.[a-z_]+)*", one))
 
 
-@pytest.mark.parametrize("name", [*drawn_modules(), *(m.strip("`") for m in cells_of("## The values that cross", 1))])
+@pytest.mark.parametrize("name", drawn_modules())
 def test_every_module_named_is_there(name: str) -> None:
     names = (name, f"mavdiag.{name}", f"detector.{name}")
-    assert any(one.split(".")[0] in ("mavdiag", "detector") and found(one) for one in names), name
-
-
-def found(module: str) -> bool:
-    try:
-        return importlib.util.find_spec(module) is not None
-    except ModuleNotFoundError:
-        return False
+    assert any(one.startswith(("mavdiag", "detector")) and isinstance(locate(one), ModuleType) for one in names), name

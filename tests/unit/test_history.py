@@ -5,14 +5,11 @@ import math
 import os
 import pwd
 import shutil
-import signal
 import sqlite3
 import subprocess
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -178,59 +175,31 @@ def test_a_drawing_keeps_to_the_width_of_the_terminal(peaks: list[float | None],
     assert all(set(row) <= set(FLIGHT_COLUMNS) for one in found.flights for row in flight_rows(1, one))
 
 
-START_S = 30.0
-
-
-@contextmanager
-def postgres() -> Iterator[str]:
-    """Start it and yield the URL of an empty database. Skips the test, with the reason, where it cannot be had."""
-    psycopg = pytest.importorskip("psycopg", reason="the driver is in the extra `history`")
-    programs = sorted(Path("/usr/lib/postgresql").glob("*/bin"), key=lambda path: float(path.parts[-2]))
-    if not programs:
-        pytest.skip("PostgreSQL is not installed: apt install postgresql")
-    user = None
-    if os.getuid() == 0:  # it refuses to run as root
-        user = pwd.getpwnam("nobody").pw_uid
-    home = Path(tempfile.mkdtemp(prefix="pg", dir="/tmp"))  # a socket's path must be short
-    if user is not None:
-        os.chown(home, user, -1)
-    try:
-        made = [
-            str(programs[-1] / "initdb"),
-            "-D",
-            str(home / "data"),
-            *["-U", "owner", "-A", "trust", "-N", "-E", "UTF8"],
-        ]
-        subprocess.run([*made, "--locale=C"], user=user, cwd=home, check=True, capture_output=True, timeout=120)
-        run: list[str | Path] = [programs[-1] / "postgres", "-D", home / "data", "-k", home]
-        run += ["-c", "listen_addresses=", "-c", "fsync=off"]
-        quiet = subprocess.DEVNULL
-        server = subprocess.Popen(run, user=user, cwd=home, stdout=quiet, stderr=quiet)
-        try:
-            end_s = time.monotonic() + START_S
-            while True:
-                try:
-                    psycopg.connect(host=str(home), user="owner", dbname="postgres").close()
-                    break
-                except psycopg.OperationalError:
-                    assert server.poll() is None
-                    assert time.monotonic() < end_s
-                    time.sleep(0.05)
-            yield f"postgresql://owner@/postgres?host={home}"
-        finally:
-            server.send_signal(signal.SIGINT)  # "fast": whoever is connected is let go
-            server.wait(START_S)
-    finally:
-        shutil.rmtree(home, ignore_errors=True)
-
-
 pytest.importorskip("sqlalchemy", reason="the history is an extra")
 
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[str]:
-    with postgres() as url:
-        yield url
+    """The URL of an empty database of a server of its own. It refuses to run as root."""
+    pytest.importorskip("psycopg", reason="the driver is in the extra `history`")
+    programs = sorted(Path("/usr/lib/postgresql").glob("*/bin"), key=lambda path: float(path.parts[-2]))
+    if not programs:
+        pytest.skip("PostgreSQL is not installed: apt install postgresql")
+    user = pwd.getpwnam("nobody").pw_uid if os.getuid() == 0 else os.getuid()
+    home = Path(tempfile.mkdtemp(prefix="pg", dir="/tmp"))  # a socket's path must be short
+    os.chown(home, user, -1)
+
+    def run(program: str, *options: str) -> None:
+        told: list[str | Path] = [programs[-1] / program, "-D", home / "data", *options]
+        subprocess.run(told, user=user, cwd=home, check=True, stdout=subprocess.DEVNULL, timeout=120)
+
+    run("initdb", *("-U", "owner", "-A", "trust", "-N", "-E", "UTF8", "--locale=C"))
+    run("pg_ctl", "start", "-w", "-s", "-l", str(home / "log"), "-o", f"-k {home} -c listen_addresses= -c fsync=off")
+    try:
+        yield f"postgresql://owner@/postgres?host={home}"
+    finally:
+        run("pg_ctl", "stop", "-w", "-s", "-m", "fast")  # whoever is connected is let go
+        shutil.rmtree(home, ignore_errors=True)
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])

@@ -14,6 +14,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made_logs import (
+    ATT,
+    IMU,
+    PARM,
+    RATE,
+    RCOU,
+    SENSORS,
+    SETPOINT,
+    STAMP,
     CrazyflieEvent,
     DataFlashMessage,
     ULogTopic,
@@ -26,12 +34,10 @@ from made_logs import (
 )
 from made_logs import content as mat_content
 from made_session import baseline_for
-from typer.testing import CliRunner
 
 from detector.config import load_settings
 from mavdiag.airframe.load import load_airframe
 from mavdiag.baseline import Baseline, dump, sealed
-from mavdiag.cli import app
 from mavdiag.errors import InputError, MavdiagError, UsageError
 from mavdiag.logs import read_log
 from mavdiag.logs.crazyflie import read_crazyflie
@@ -49,10 +55,9 @@ READERS: dict[str, Callable[[Path], object]] = {
     "airframe": load_airframe,
     "vehicle": load_vehicle,
 }
-MOST_BYTES = 64e6
 
 
-def refused(reader: str, path: Path) -> str:
+def refused(reader: str, path: Path, most_bytes: float = 64e6) -> str:
     """The one line that a reader has for a file."""
     tracemalloc.start()
     try:
@@ -61,7 +66,7 @@ def refused(reader: str, path: Path) -> str:
         _, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert most < MOST_BYTES
+    assert most < most_bytes
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -107,9 +112,6 @@ def test_a_hostile_baseline(name: str, tmp_path: Path) -> None:
     path = tmp_path / "b.json"
     path.write_text(TEXTS[name])
     assert len(refused("baseline", path)) < 500
-    run = CliRunner().invoke(app, ["baseline", "check", str(path)])
-    assert isinstance(run.exception, MavdiagError)
-    assert "\n" not in str(run.exception)
 
 
 def places(value: object, at: tuple[object, ...] = ()) -> list[tuple[object, ...]]:
@@ -179,13 +181,7 @@ def test_a_decompression_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     path = tmp_path / "bomb.mat"
     path.write_bytes(mat_file(bytes(48 << 20), 1 << 27))
     assert path.stat().st_size < 100_000
-    tracemalloc.start()
-    with pytest.raises(MavdiagError) as caught:
-        read_log(path)
-    _, most = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert most < 16 << 20
-    assert "\n" not in str(caught.value)
+    refused("log", path, most_bytes=16 << 20)
 
 
 def test_r5_nothing_but_a_regular_file_is_replaced(tmp_path: Path) -> None:
@@ -249,11 +245,6 @@ CRAZYFLIE = crazyflie_content(
     [PID.record(1_000 * k, k, -k, 0.5) + (MARK.record(1_000 * k + 1, k) if k % 3 else b"") for k in range(8)],
 )
 
-IMU = DataFlashMessage(163, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
-ATT = DataFlashMessage(70, "ATT", "Qccccff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
-RATE = DataFlashMessage(73, "RATE", "Qfffffffff", "TimeUS,RDes,R,ROut,PDes,P,POut,YDes,Y,YOut")
-RCOU = DataFlashMessage(62, "RCOU", "QHHHH", "TimeUS,C1,C2,C3,C4")
-PARM = DataFlashMessage(32, "PARM", "QNf", "TimeUS,Name,Value")
 EV = DataFlashMessage(13, "EV", "B", "Id")
 GPS = DataFlashMessage(90, "GPS", "QBIH", "TimeUS,Status,GMS,GWk")
 COUNT = 12
@@ -266,7 +257,7 @@ DATAFLASH = dataflash(
             IMU.record(10_000 * k + 1, 0, 0.1 * k, 0, 0, 0, 0, -9.8)
             + ATT.record(10_000 * k + 1, 100 * k, 90 * k, 0, 0, 0, 0)
             + RATE.record(10_000 * k + 1, k, k, 0, 0, 0, 0, 0, 0, 0)
-            + RCOU.record(10_000 * k + 1, 1500, 1500, 1500, 1500 + k)
+            + RCOU.record(10_000 * k + 1, 1500, 1500, 1500, 1500 + k, 0, 0)
             + EV.record(10 + k % 2)
             + GPS.record(10_000 * k + 1, 3, 1_000 * k, 2086)
             for k in range(COUNT)
@@ -274,9 +265,6 @@ DATAFLASH = dataflash(
     ],
 )
 
-STAMP = ("uint64_t", "timestamp")
-SENSORS = ULogTopic(1, "sensor_combined", (STAMP, ("float[3]", "gyro_rad"), ("float[3]", "accelerometer_m_s2")))
-SETPOINT = ULogTopic(2, "vehicle_attitude_setpoint", (STAMP, ("float[4]", "q_d"), ("float[3]", "thrust_body")))
 STATUS = ULogTopic(3, "vehicle_status", (STAMP, ("uint8_t", "arming_state")))
 UTC = ULogTopic(4, "vehicle_gps_position", (STAMP, ("uint64_t", "time_utc_usec")))
 CYCLES = [

@@ -233,16 +233,3 @@ def test_b3_a_landing_closes_the_events_and_nothing_goes_into_the_next_flight(ev
     assert len(landing) == 1
     assert landing[0].t_ns == pytest.approx(START_NS + 16e9, abs=0.2e9)
     assert (state.diagnosis.stage, state.diagnosis.rotor) == (Stage.INSPECT, 2)
-
-
-def test_b3_the_end_of_a_watch_closes_what_is_open() -> None:
-    """B3, where the link is lost in flight."""
-    chain, weak = chain_of(whole()), flying(2000, 1, weak_rotor=2, rise=0.3)
-    state, output = chain.step(chain.start(), weak)
-    assert state.diagnosis.stage is Stage.FAULT
-    opened = [one for one in output.events if one.end_ns is None]
-    state, output = chain.end_flight(state)
-    assert {one.start_ns for one in output.events} == {one.start_ns for one in opened}
-    assert all(one.end_ns is not None for one in output.events)
-    assert (state.diagnosis.stage, state.diagnosis.rotor) == (Stage.INSPECT, 2)
-    assert chain.end_flight(state)[1].events == ()

@@ -102,7 +102,7 @@ def test_a_layout_is_found_from_a_flight(name: str, driver: str) -> None:
         assert driver in found.reason
 
 
-@pytest.mark.parametrize("rows", [1, 4, 7, 333])
+@pytest.mark.parametrize("rows", [3, 333])
 def test_l6_a_live_link_and_a_log_find_the_same(rows: int) -> None:
     """L6: a live link gives 4 rows a time, a log all of them; the answer is the same, to the last digit."""
     for name in ("x", "plus"):

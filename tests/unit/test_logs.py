@@ -7,7 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_archive import content as telemetry_log
 from made_logs import (
+    ATT,
+    IMU,
+    PARM,
+    RATE,
+    RCOU,
+    SENSORS,
+    SETPOINT,
+    STAMP,
     ULOG_HEAD,
     CrazyflieEvent,
     DataFlashMessage,
@@ -198,18 +207,8 @@ def test_what_is_no_sound_csv_file_is_one_line(tmp_path: Path, text: str) -> Non
     assert "\n" not in str(caught.value)
 
 
-STAMP = ("uint64_t", "timestamp")
-SENSORS = ULogTopic(
-    1,
-    "sensor_combined",
-    (
-        STAMP,
-        ("float[3]", "gyro_rad"),
-        ("int32_t", "accelerometer_timestamp_relative"),
-        ("float[3]", "accelerometer_m_s2"),
-    ),
-)
-SETPOINT = ULogTopic(2, "vehicle_attitude_setpoint", (STAMP, ("float[4]", "q_d"), ("float[3]", "thrust_body")))
+GYRO, FORCE = SENSORS.fields[1:]
+DELAYED = ULogTopic(1, "sensor_combined", (STAMP, GYRO, ("int32_t", "accelerometer_timestamp_relative"), FORCE))
 OLD_SETPOINT = ULogTopic(
     2,
     "vehicle_attitude_setpoint",
@@ -223,7 +222,7 @@ HALF, NAN = math.sqrt(0.5), math.nan
 
 
 def sensors(time_us: int, rate: float = 0.0, delay_us: int = 0) -> bytes:
-    return SENSORS.record(time_us, rate, 0, 0, delay_us, 0, 0, -9.81)
+    return DELAYED.record(time_us, rate, 0, 0, delay_us, 0, 0, -9.81)
 
 
 def read(folder: Path, content: bytes) -> Log:
@@ -258,7 +257,7 @@ def test_topics_become_signals_in_si_and_frd(
 def test_l6_outputs_that_never_move_are_no_motors(tmp_path: Path) -> None:
     still = (1500.0,) * 2
     rows = [OUTPUTS.record(1_000 * k, 1100.0 + k, 1200.0, 1300.0 + k, *still, *(0.0,) * 11) for k in range(1, 9)]
-    log = read(tmp_path, ulog([SENSORS, OUTPUTS], [sensors(1_000), *rows]))
+    log = read(tmp_path, ulog([DELAYED, OUTPUTS], [sensors(1_000), *rows]))
     assert log["actuator"].values.shape == (8, 3)
 
 
@@ -270,19 +269,13 @@ def test_speeds_of_escs_go_to_the_motors_that_they_drive() -> None:
     assert _by_motor(np.zeros((1, 16))).size == 0  # they say nothing: the ESCs' own order counts
 
 
-IMU = DataFlashMessage(163, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
-ATT = DataFlashMessage(70, "ATT", "Qccccff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
-RATE_FIELDS = "RDes,R,ROut,PDes,P,POut,YDes,Y,YOut"
-RATE = DataFlashMessage(73, "RATE", "Qfffffffff", f"TimeUS,{RATE_FIELDS}")
-RCOU = DataFlashMessage(62, "RCOU", "QHHHHHH", "TimeUS,C1,C2,C3,C4,C5,C6")
 ESC = DataFlashMessage(63, "ESC", "QBffffcfcf", "TimeUS,Instance,RPM,RawRPM,Volt,Curr,Temp,CTot,MotTemp,Err")
 OLD_ESC = DataFlashMessage(64, "ESC2", "QeCCcH", "TimeUS,RPM,Volt,Curr,Temp,CTot")
 RPMS = DataFlashMessage(65, "RPM", "Qff", "TimeUS,rpm1,rpm2")
 ISBH = DataFlashMessage(67, "ISBH", "QHBBHHQf", "TimeUS,N,type,instance,mul,smp_cnt,SampleUS,smp_rate")
 ISBD = DataFlashMessage(68, "ISBD", "QHHaaa", "TimeUS,N,seqno,x,y,z")
 EDT2 = DataFlashMessage(66, "EDT2", "QBBBB", "TimeUS,Instance,Stress,MaxStress,Status")
-PARM = DataFlashMessage(32, "PARM", "QNf", "TimeUS,Name,Value")
-OLD_RATE = DataFlashMessage(29, "RATE", "Ifffffffff", f"TimeMS,{RATE_FIELDS}")
+OLD_RATE = DataFlashMessage(29, "RATE", "Ifffffffff", RATE.labels.replace("TimeUS", "TimeMS"))
 
 
 def imu(time_us: int, rate: float = 0.0, instance: int = 0) -> bytes:
@@ -442,7 +435,7 @@ def test_modes_and_coordinates_are_those_of_every_era(tmp_path: Path) -> None:
         (read_crazyflie, b"", "empty"),
         (
             read_ulog,
-            ulog([SENSORS], [])[:16] + ulog_message("\0", b"x" * 40)[:-8],
+            ulog([DELAYED], [])[:16] + ulog_message("\0", b"x" * 40)[:-8],
             "beyond use",
         ),  # pyulog would not come back
         (read_ulog, ulog([], [ulog_message("F", b"sensor_combined:sensor_combined[2] inner;")]), "within itself"),
@@ -451,7 +444,7 @@ def test_modes_and_coordinates_are_those_of_every_era(tmp_path: Path) -> None:
             ulog([], [ulog_message("F", b"a:uint8_t[60000] x;"), ulog_message("F", b"b:a[60000] x;")]),
             "too many fields",
         ),
-        (read_ulog, ulog([SENSORS], []), "no record"),
+        (read_ulog, ulog([DELAYED], []), "no record"),
         (read_ulog, ULOG_HEAD, "damaged"),
         (read_ulog, ulog([], [ulog_message("B", bytes(8) + b"\xff" * 8 + bytes(24))]), "incompatible"),
         (read_ulog, b"\xa3\x95\x80\x80 another kind of file", "damaged"),
@@ -478,9 +471,11 @@ def test_unusable_files_are_one_line(
 @pytest.mark.parametrize(
     "content",
     [
-        ulog([SENSORS], [sensors(1_000 * k) for k in range(1, 9)]),
+        ulog([DELAYED], [sensors(1_000 * k) for k in range(1, 9)]),
         dataflash([IMU], [imu(1_000 * k) for k in range(1, 9)]),
+        telemetry_log(1, 300),
     ],
+    ids=["ulog", "dataflash", "tlog"],
 )
 def test_r7_a_log_that_was_cut_off_says_so(tmp_path: Path, content: bytes, lost: int, notes: int) -> None:
     log = read(tmp_path, content[: len(content) - lost])

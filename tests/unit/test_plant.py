@@ -293,8 +293,8 @@ def test_two_payloads_are_point_masses_about_the_common_centre() -> None:
     np.testing.assert_allclose(body.inverse @ inertia, np.eye(3), atol=1e-12)
 
 
-def in_motion() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Momentum (3,) and angular momentum (3,) about the world's origin, of vehicle and payload, before and after."""
+def test_momentum_and_angular_momentum_are_kept() -> None:
+    """Of vehicle and payload about the world's origin, before and after it is taken up."""
     airframe = nominal_airframe(qdrone2())
     model = make_model(airframe, Payload(), path(Shape.HOVER, 1.0, 0.5, 0.0, 1.0), np.zeros(3))
     state = initial_state(model, np.zeros(4))
@@ -314,11 +314,6 @@ def in_motion() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     p1, L1 = p1 + BESIDE.mass_kg * speed, L1 + np.cross(place, BESIDE.mass_kg * speed)
     after = reload(model, state, airframe, (Payload(), BESIDE))
     p2, L2 = of_vehicle(after.body.inertia, after.body.mass)
-    return p1, L1, p2, L2
-
-
-def test_momentum_and_angular_momentum_are_kept() -> None:
-    p1, L1, p2, L2 = in_motion()
     np.testing.assert_allclose(p2, p1, atol=1e-12)
     np.testing.assert_allclose(L2, L1, atol=1e-12)
 

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -295,24 +296,11 @@ def finding(
     limit: float = 0.12,
     cause: tuple[int | None, str | None, int | None] = (None, None, None),
     stage: Stage = Stage.FAULT,
-    seen: bool = True,
 ) -> Diagnosis:
     rotor, fault_type, severity = cause
-    return Diagnosis(
-        stage=stage,
-        reason="made",
-        monitor=monitor,
-        axis=axis,
-        unit=UNITS.get(monitor, ""),
-        statistic=found,
-        threshold=limit,
-        rotor=rotor,
-        fault_type=fault_type,
-        severity=severity,
-        kind=by_name(monitor).kind,
-        seen=seen,
-        rotors=() if rotor is None else (RotorSpan(rotor, 0),),
-    )
+    told: dict[str, Any] = {"axis": axis, "rotor": rotor, "fault_type": fault_type, "severity": severity, "seen": True}
+    told |= {"unit": UNITS.get(monitor, ""), "statistic": found, "threshold": limit, "kind": by_name(monitor).kind}
+    return Diagnosis(stage, "made", monitor=monitor, rotors=() if rotor is None else (RotorSpan(rotor, 0),), **told)
 
 
 def text(*diagnoses: Diagnosis) -> str:

@@ -186,14 +186,3 @@ def test_b10_every_flight_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     one, other = fit([calm, rough]), fit([rough, calm])
     assert one.k0 == pytest.approx(other.k0, rel=1e-6)
     assert one.k0[0] > 10 * fit([calm]).k0[0]
-
-
-def test_b2_a_set_point_that_stops_is_not_judged() -> None:
-    """B2: without a set-point there is no prediction."""
-    rows = responding(3000, 22)
-    stopped = np.arange(3000) < 1500
-    spec = fit([[responding(6000, 23)]])
-    silent = example_rows(3000, DT_S, setpoint=rows.block.setpoint, rate=rows.block.rate, setpoint_valid=stopped)
-    found = read(spec, silent)
-    assert found.valid[:1400].any()
-    assert not found.valid[1500:].any()

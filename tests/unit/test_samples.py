@@ -1,6 +1,7 @@
 """Frames become SI samples: scales to the quantum, masks, clocks, and no dependence on how the frames are cut."""
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from math import pi
 
@@ -295,9 +296,14 @@ def held(state: SampleState) -> tuple[bytes, bytes]:
     return state.timeline.words.tobytes(), state.memory.tobytes()
 
 
-@given(st.integers(0, 10**6), st.booleans(), st.lists(st.integers(1, 300), min_size=1, max_size=8))
-def test_how_frames_are_cut_does_not_matter(seed: int, epoch_imu: bool, sizes: list[int]) -> None:
-    frames, converter = streams(seed, epoch_imu), SampleDecoder(PROFILES["qdrone2"])
+MADE = (lambda seed: streams(seed, False), lambda seed: streams(seed, True), two_paths)
+
+
+@settings(max_examples=12)
+@pytest.mark.parametrize("made", MADE, ids=["boot", "epoch", "two paths"])
+@given(st.integers(0, 10**6), st.lists(st.integers(1, 300), min_size=1, max_size=8))
+def test_b9_how_frames_are_cut_does_not_matter(made: Callable[[int], list[Frame]], seed: int, sizes: list[int]) -> None:
+    frames, converter = made(seed), SampleDecoder(PROFILES["qdrone2"])
     whole_state = SampleState()
     whole = converter.step(whole_state, frames)
     state, pieces, at, k = SampleState(), [], 0, 0
@@ -306,19 +312,7 @@ def test_how_frames_are_cut_does_not_matter(seed: int, epoch_imu: bool, sizes: l
         pieces.append(converter.step(state, frames[at : at + size]))
         at, k = at + size, k + 1
     assert held(state) == held(whole_state)
-    assert state.timeline.reboots == 1
-    assert same(joined(pieces), whole)
-
-
-@settings(max_examples=30)
-@given(st.integers(0, 10**6), st.integers(1, 300))
-def test_b9_how_two_paths_are_cut_does_not_matter(seed: int, size: int) -> None:
-    frames, converter = two_paths(seed), SampleDecoder(PROFILES["qdrone2"])
-    whole_state = SampleState()
-    whole = converter.step(whole_state, frames)
-    state = SampleState()
-    pieces = [converter.step(state, frames[k : k + size]) for k in range(0, len(frames), size)]
-    assert held(state) == held(whole_state)
+    assert state.timeline.reboots == 1 or made is two_paths
     assert same(joined(pieces), whole)
 
 

@@ -121,14 +121,6 @@ def test_each_vehicle_of_several_is_read_in_one_pass(tmp_path: Path) -> None:
         list(vehicle_stream(written(tmp_path, companion)))
 
 
-@pytest.mark.parametrize(("lost", "notes"), [(0, 0), (1, 1), (20, 1)])
-def test_r7_a_log_that_was_cut_off_says_so(tmp_path: Path, lost: int, notes: int) -> None:
-    data = b"".join(records())
-    log = read_log(written(tmp_path, data[: len(data) - lost]))
-    assert len(log.notes) == notes
-    assert all("ends within a record" in note for note in log.notes)
-
-
 def test_b18_a_log_of_an_unknown_vehicle_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path, b"".join(records(scale=16_384)))
     with pytest.raises(InputError, match=r"vehicle 1: its link profile is not clear.*give --profile"):

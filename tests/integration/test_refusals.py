@@ -1,0 +1,113 @@
+"""What a command cannot do is one line on stderr and exit code 2, before anything is done."""
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from made_archive import archive_baseline, made
+
+PROGRAMS = {"mavdiag": "mavdiag.cli", "mavdiag-detector": "detector.__main__", "sitl-plant": "sitl_plant.__main__"}
+CAMPAIGN = "sitl-plant campaign -o r.jsonl --flights 0 --hours 0 --workers 1"
+FLEET = "sitl-plant fleet -n 2 --fault F2/SV2 --out udpout:127.0.0.1:9"
+LEARN, HISTORY = "mavdiag-detector --learn 10 --save b.json", "mavdiag history show --database"
+SCAN = "mavdiag scan a.tlog --baseline baseline.json"
+REFUSED = [
+    ("sitl-plant run --fault F9/SV1", "no fault 'F9/SV1': give F1, F2 or F3"),
+    ("sitl-plant run --onset 3", "--onset needs a fault"),
+    ("sitl-plant run --rate 5000", "rate must be 1 to 1000 Hz"),
+    ("sitl-plant run --profile betaflight", "no link profile betaflight"),
+    ("sitl-plant run --speed fast", "speed must be 0.01 to 100, or max"),
+    ("sitl-plant run --duration -1", "duration must be positive"),
+    ("sitl-plant run --out udpout:localhost", "malformed address"),
+    ("sitl-plant run --out /dev/no-such-tty,57600", "no such device"),
+    ("sitl-plant run --truth /no/such/t.jsonl --out udpin:127.0.0.1:0", "choose another --truth"),
+    ("sitl-plant record -o /no/such/x.tlog --duration 1", "cannot write"),
+    ("sitl-plant record", "-o"),
+    ("sitl-plant serve-ardupilot --listen tcpin:127.0.0.1:9002", "write udpin:HOST:PORT"),
+    ("sitl-plant serve-ardupilot --fault F1/SV1 --rotor 7", "rotor must be 1 to 4"),
+    ("sitl-plant serve-ardupilot --print-parameters betaflight", "give ardupilot or px4"),
+    ("sitl-plant serve-ardupilot --truth /no/such/t.jsonl --listen udpin:127.0.0.1:0", "choose another"),
+    ("sitl-plant serve-px4 --rate 5", "rate"),
+    ("sitl-plant serve-hil /dev/no-such-tty,921600", "no such device"),
+    (f"{CAMPAIGN} --conditions wind=strong", "wind"),
+    (f"{CAMPAIGN} --flights -3", "flights"),
+    (f"{CAMPAIGN} -o .", "Is a directory"),
+    (f"{FLEET} --faulty 9", "name system ids of the fleet, 1 to 2"),
+    (f"{FLEET} --faulty x", "name system ids of the fleet"),
+    (f"{FLEET} -n 200 --system-id 100", "system ids end at 255"),
+    ("mavdiag-detector", "name a --baseline FILE, or --learn SECONDS"),
+    ("mavdiag-detector --lern 10", "No such option: --lern"),
+    ("mavdiag-detector --baseline absent.json", "absent.json: no such file; make a baseline with `mavdiag identify`"),
+    ("mavdiag-detector --baseline /dev/null", "is not a regular file"),
+    (f"{LEARN} --connect udp:1", "malformed address 'udp:1'"),
+    (f"{LEARN} --connect /dev/absent,57600", "no such device"),
+    (f"{LEARN} --connect udpin:127.0.0.1:0 --journal absent/j.jsonl", "choose another --journal file"),
+    (f"{LEARN} --connect udpin:127.0.0.1:0 --record absent/f.tlog", "choose another --record file"),
+    (f"{LEARN} --connect udpin:127.0.0.1:0 --airframe absent.toml", "absent.toml"),
+    (f"{LEARN} --config absent.toml", "absent.toml: no such file; check --config"),
+    ("mavdiag-detector --check --baseline absent.json", "absent.json: no such file"),
+    (f"{LEARN} --check --record .", "is a folder"),
+    ("mavdiag-detector --check --learn 9 --save absent/b.json", "there is no folder absent"),
+    ("mavdiag history", "no history there; make one with `mavdiag history add`"),
+    ("mavdiag history list --csv", "'--csv' requires an argument"),
+    ("mavdiag history --airframe x list", "unexpected extra argument"),
+    ("mavdiag history mark --airframe x", "say what was done"),
+    ("mavdiag history mark --airframe x --repair --at yesterday", "write it like 2026-03-01"),
+    (f"{HISTORY} postgresql://me:secret@127.0.0.1:1/fleet", "Connection refused"),
+    ("mavdiag history add x.tlog --baseline none.json", "none.json: no such file"),
+    ("mavdiag history add x --baseline b --at 2026-01-01 --ordered file-time", "both say when"),
+    (f"{HISTORY} /etc/passwd", "file is not a database"),
+    (f"{HISTORY} /tmp", "/tmp: is a folder"),
+    (f"{HISTORY} mysql://a@b/c", "an SQLite file or a postgresql"),
+    (f"{HISTORY} ''", "name the history"),
+    ("mavdiag model absent.tlog", "absent.tlog: no such file"),
+    ("mavdiag model track a.tlog --every 0", "--every and --memory must be longer"),
+    ("mavdiag model a.tlog --plot /dev/null", "not a regular file"),
+    ("mavdiag model a.tlog --order '2;2'", "three whole numbers"),
+    ("mavdiag identify a.tlog -o x.json --from nan", "--from nan: give a time"),  # R3
+    ("mavdiag baseline show absent.json", "no such file; make a baseline"),
+    ("mavdiag export x.ulg", "name one LOG and one of --mcap, --csv, --parquet"),
+    ("mavdiag export x.ulg --mcap --csv", "name one LOG and one of"),
+    ("mavdiag export x.ulg --lua b.json", "--lua takes a baseline"),
+    ("mavdiag export absent.ulg --csv", "absent.ulg"),
+    ("mavdiag report", "name logs and --baseline FILE"),
+    ("mavdiag report x.tlog --baseline gone.json", "gone.json: no such file"),
+    ("mavdiag report --campaign gone.jsonl", "gone.jsonl: no such file"),
+    ("mavdiag report x.tlog --campaign c.jsonl", "neither logs nor --baseline"),
+    ("mavdiag report x.tlog -o no-folder/x.html", "no folder"),
+    ("mavdiag report empty --baseline baseline.json", "no log there; name files, a folder, or a pattern"),
+    (f"{SCAN} --csv absent/a.csv", "absent/a.csv: cannot be written"),
+    (f"{SCAN} --parquet .", ".: is a folder"),
+    (f"{SCAN} --from nan", "--from nan: give a time in seconds"),
+    (f"{SCAN} --cache baseline.json", "baseline.json: no folder to keep answers in"),
+    (f"{SCAN} --windows 0.5", "Invalid value for '--windows'"),
+    (f"{SCAN} --scheduler tcp://127.0.0.1:1", "no Dask scheduler at tcp://127.0.0.1:1"),
+]
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a log, a baseline and an empty folder."""
+    folder = tmp_path_factory.mktemp("place")
+    made(folder, "a.tlog")
+    archive_baseline().save(folder / "baseline.json")
+    (folder / "empty").mkdir()
+    return folder
+
+
+@pytest.mark.parametrize(("command", "words"), REFUSED)
+def test_what_cannot_be_done_is_one_line_and_leaves_nothing(
+    program: Callable[..., tuple[int, str, str]], place: Path, monkeypatch: pytest.MonkeyPatch, command: str, words: str
+) -> None:
+    monkeypatch.chdir(place)
+    monkeypatch.setattr("mavdiag.archive.pool.PATIENCE_S", 0.5)
+    before = sorted(place.rglob("*"))
+    name, *arguments = shlex.split(command)
+    code, out, err = program(PROGRAMS[name], *arguments)
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
+    assert line.startswith(f"{name}: ")
+    assert words in line
+    assert "secret" not in line
+    assert sorted(place.rglob("*")) == before
