@@ -32,6 +32,11 @@ $(VENV)/.plant: $(STAMP)
 	$(BIN)/sitl-plant record --duration 1 -o $(VENV)/warm.tlog
 	@touch $@
 
+# a vehicle as it was recorded has code of its own, which tests in two processes would compile twice
+$(VENV)/.recorded: $(VENV)/.plant
+	$(BIN)/sitl-plant record --duration 1 --vehicle qdrone2-recorded -o $(VENV)/warm.tlog
+	@touch $@
+
 system:  ## Chromium, Mosquitto, PostgreSQL and help2man for what uses them, where this may install them
 	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
 	  command -v chromedriver >/dev/null && command -v /usr/sbin/mosquitto >/dev/null && command -v help2man >/dev/null && ls /usr/lib/postgresql/*/bin/postgres >/dev/null 2>&1 || \
@@ -45,7 +50,7 @@ demo: $(COMPILED)  ## the main job: plant, detector and alert over MAVLink on lo
 
 test: virtual realtime  ## the whole test suite
 
-virtual: $(COMPILED)  ## the tests that need no wall clock, in the order of the files: those that take longest come first
+virtual: $(COMPILED) $(VENV)/.recorded  ## the tests that need no wall clock, in the order of the files: those that take longest come first
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not realtime"
 
 realtime: $(COMPILED)  ## those that need it, and the machine for themselves: they mostly wait
