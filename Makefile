@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 INSTALL := $(BIN)/uv pip install --quiet --python $(BIN)/python --constraint constraints.txt
+# With it every process compiles all modules anew, for two seconds.
+unexport PYTHONDONTWRITEBYTECODE
 COMPILED := $(VENV)/.kernel $(VENV)/.rows $(VENV)/.plant
 
 .PHONY: system demo test virtual realtime lint types layers doctest docs examples screenshots dist deb try-deb packages \

@@ -5,9 +5,9 @@
 
 Each airframe is a new specimen of one of three vehicles in turn. A session has its own battery, centre of gravity, gyro
 bias and seating of the propellers (`in_session`), and other propellers, whose thrust differs by up to that share, if it
-is above 0. Baselines are taught by n flights of one session, or of three; the judged flights are of other sessions,
-with five in each. All flights are made once. Promised are alarms in one session of 20, for a session counts as an hour
-(`mavdiag.thresholds.rule`), and one suspected flight in 50.
+is above 0. Each session begins with another shape of flight. Baselines are taught by n flights of one session, or of
+three; the judged flights are of other sessions, with five in each. All flights are made once. Promised are alarms in
+one session of 20, for a session counts as an hour (`mavdiag.thresholds.rule`), and one suspected flight in 50.
 Printed for each way of teaching: sessions with an alarm (a verdict of a fault) and suspected flights, declared ones
 included, with their rates and 95 % limits; alarms an hour by the clock; and the share of airframes whose own counts
 exclude a promise at 95 %, with the 95 % upper limit of that share. Beside stands how often each monitor spoke.
@@ -70,7 +70,7 @@ def flights_of(airframe: int, session: int, count: int, options: argparse.Namesp
     for number in range(count):
         config = PlantConfig(
             airframe=own,
-            trajectory=SHAPES[number % len(SHAPES)],
+            trajectory=SHAPES[(session + number) % len(SHAPES)],
             wind_m_s=float(rng.choice(WINDS_M_S)),
             seed=int(rng.integers(2**31)),
         )

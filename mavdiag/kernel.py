@@ -574,7 +574,8 @@ class Kernel:
         done = max(0, now_ns // LOOK_NS + 1 - first)
         old = int(memory.bins_ns.searchsorted(first_ns - self._longest_ns))
         known, opened = len(memory.bins_ns) - old, len(memory.open_ns)
-        bins = _grown(memory.bins_ns[old:], most_bins(times[1])), _grown(memory.bins[old:], most_bins(times[1]))
+        more = most_bins(times[1])
+        bins = _grown(memory.bins_ns[old:], more), _grown(memory.bins[old:], more)
         rows_open = _grown(memory.open_ns, n), _grown(memory.bits, n)
         looks = self._records(done + 2)
         looks[:2] = memory.looks
@@ -595,8 +596,10 @@ class Kernel:
             pairs = zip(told[1][:tells].tolist(), told[0][:tells].tolist(), strict=True)
             memory.told += tuple(Alarm(first + look, *whose, *high) for (look, *whose), high in pairs)
         memory.past, memory.next_look = columns.past, first + done
-        alarms = tuple(sorted((one for one in memory.told if one.look < memory.next_look), key=lambda one: one.look))
-        memory.told = tuple(one for one in memory.told if one.look >= memory.next_look)
+        alarms: tuple[Alarm, ...] = ()
+        if memory.told:
+            alarms = tuple(sorted(one for one in memory.told if one.look < memory.next_look))
+            memory.told = tuple(one for one in memory.told if one.look >= memory.next_look)
         memory.bins_ns, memory.bins, memory.looks = bins[0][:known], bins[1][:known], looks[done:]
         memory.unjudged = _stretches(memory.unjudged, rows_open[0][:gone], self.dt_s)
         memory.open_ns, memory.bits = rows_open[0][gone:opened], rows_open[1][gone:opened]

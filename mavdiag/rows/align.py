@@ -101,6 +101,7 @@ class AlignState:
     """All that the aligner remembers between chunks.
 
     reached, ends: latest stamp and `END` of each as it came. sent, taken: how many columns it has, and which are used.
+    into: where they are put: times of vehicle and receiver, values. believed: latest stamps when rows were made last.
     """
 
     def __init__(self, limits_ns: IntArray) -> None:
@@ -111,8 +112,9 @@ class AlignState:
         values = tuple(np.empty((0, width)) for width in WIDTHS)
         knows = np.zeros((count, 0)), np.zeros((count, 0)), np.zeros((count, 0), dtype=np.int64)
         self.streams = Streams(times, hosts, values, marks, *knows, np.zeros((count, 3)), now, limits_ns)
-        self.reached, self.ends, self.sent = [-NEVER_NS] * count, [0] * count, [0] * count
-        self.taken: list[list[int] | None] = [None] * count
+        self.into, self.ends, self.sent = list(zip(times, hosts, values, strict=True)), [0] * count, [0] * count
+        self.reached, self.believed = [-NEVER_NS] * count, [-NEVER_NS] * count
+        self.taken: list[list[int] | slice] = [slice(None)] * count
 
     @property
     def last_ns(self) -> int:
@@ -124,37 +126,39 @@ class AlignState:
         """Latest time of the gyro [ns]."""
         return self.reached[GYRO]
 
-    def append(self, series: Series, spec: "AlignSpec") -> None:
+    def append(self, telemetry: Telemetry, spec: "AlignSpec") -> None:
         """Put samples behind those that came. Raises InputError if their columns are others than before."""
-        place, count, found = PLACES.get(series.signal), len(series.t_ns), series.values.shape[1]
-        if place is None or not count or spec.takes.get(series.signal) == ():
-            return
-        end, room = self.ends[place], len(self.streams.times[place])
-        if not room:
-            self._begin(place, found, spec)
-        if found != self.sent[place]:
-            raise InputError(f"{series.signal} has {found} columns in place of {self.sent[place]}")
-        if end + count > room:
-            end = self._make_room(place, count)
-        (times, hosts, values), stop, taken = self.streams[:3], end + count, self.taken[place]
-        times[place][end:stop], hosts[place][end:stop] = series.t_ns, series.host_ns
-        if taken is None:
-            values[place][end:stop, :found] = series.values
-        else:
-            for column, of in enumerate(taken):
-                values[place][end:stop, column] = series.values[:, of] if of < found else np.nan
-        self.ends[place], self.reached[place] = stop, max(self.reached[place], int(series.t_ns[-1]))
+        places, ends, reached = spec.places, self.ends, self.reached
+        for series in telemetry.series:
+            place, t_ns, values = places.get(series.signal), series.t_ns, series.values
+            if place is None or not len(t_ns):
+                continue
+            end, count, found = ends[place], len(t_ns), values.shape[1]
+            if end + count > len(self.into[place][0]):
+                end = self._make_room(place, count, found, spec)
+            (times, hosts, to), taken, stop = self.into[place], self.taken[place], end + count
+            if found != self.sent[place]:
+                raise InputError(f"{series.signal} has {found} columns in place of {self.sent[place]}")
+            times[end:stop], hosts[end:stop] = t_ns, series.host_ns
+            if isinstance(taken, slice):
+                to[end:stop] = values[:, taken]
+            else:
+                for column, of in enumerate(taken):
+                    to[end:stop, column] = values[:, of] if of < found else np.nan
+            ends[place], last_ns = stop, t_ns.item(-1)
+            if last_ns > reached[place]:
+                reached[place] = last_ns
 
     def _begin(self, place: int, found: int, spec: "AlignSpec") -> None:
         """Learn of the first samples of a stream what is believed of it; a column that is not sent is nan."""
-        signal, values, columns = STREAMS[place], self.streams.values, found
-        if signal in spec.takes:
-            taken = list(spec.takes[signal])
-            while taken and taken[-1] >= found:  # nothing is known of what is not sent
-                del taken[-1]
-            self.taken[place], columns = None if taken == list(range(found)) else taken, len(taken)
+        signal, values = STREAMS[place], self.streams.values
+        taken = list(spec.takes.get(signal, range(found)))
+        while taken and taken[-1] >= found:  # nothing is known of what is not sent
+            del taken[-1]
+        columns = len(taken)
+        self.taken[place] = slice(columns) if taken == list(range(columns)) else taken
         self.sent[place] = found if place >= OUTPUTS else WIDTHS[place] - (place == GYRO)
-        rule = spec.quality.rule(signal, found, self.taken[place])
+        rule = spec.quality.rule(signal, found, taken)
         sizes = len(rule), COLUMN + 4 * columns, RUNS + 1 + columns
         rules, figures, counts = (_widened(*pair) for pair in zip(self.streams[4:7], sizes, strict=True))
         rules[place, : len(rule)] = rule
@@ -162,8 +166,10 @@ class AlignState:
             values = (*values[:place], np.empty((0, columns)), *values[place + 1 :])
         self.streams = self.streams._replace(values=values, rules=rules, figures=figures, counts=counts)
 
-    def _make_room(self, place: int, count: int) -> int:
+    def _make_room(self, place: int, count: int, found: int, spec: "AlignSpec") -> int:
         """Move the samples that are kept to the front, of longer arrays if need be; returns where the next are put."""
+        if not len(self.into[place][0]):
+            self._begin(place, found, spec)
         (times, hosts, values), (lo, hi), end = (
             self.streams[:3],
             self.streams.marks[place, :END].tolist(),
@@ -177,6 +183,7 @@ class AlignState:
             hosts = (*hosts[:place], np.empty(room, dtype=np.int64), *hosts[place + 1 :])
             values = (*values[:place], np.empty((room, width)), *values[place + 1 :])
             self.streams = self.streams._replace(times=times, hosts=hosts, values=values)
+            self.into[place] = times[place], hosts[place], values[place][:, : WIDTHS[place] - (place == GYRO) or width]
         for new, old in zip((times[place], hosts[place], values[place]), olds, strict=True):
             new[:kept] = old[lo:end]
         self.streams.marks[place, :END] = 0, hi - lo
@@ -200,6 +207,11 @@ class AlignSpec:
     def __post_init__(self) -> None:
         if not 0 < self.dt_s < BREAK_S:
             raise InputError(f"sample time {self.dt_s} s must lie between 0 and {BREAK_S} s")
+
+    @cached_property
+    def places(self) -> dict[Signal, int]:
+        """The streams that are looked at."""
+        return {signal: place for signal, place in PLACES.items() if self.takes.get(signal) != ()}
 
     @cached_property
     def limits_ns(self) -> list[int]:
@@ -226,8 +238,7 @@ class AlignSpec:
     def append(self, state: AlignState, chunks: Iterable[Telemetry]) -> None:
         """Keep chunks for the next `take`."""
         for telemetry in chunks:
-            for series in telemetry.series:
-                state.append(series, self)
+            state.append(telemetry, self)
 
     def take(self, state: AlignState, *, live: bool = True) -> int:
         """Believe and sort what came; returns up to when rows are complete [ns]. A log's rows always wait."""
@@ -235,7 +246,8 @@ class AlignSpec:
         marks[:, END] = state.ends
         room = np.empty((3, max(state.ends)), dtype=np.int64)
         until_ns = _take(state.streams, room, hurries, self.dt_s * NS_PER_S)
-        state.reached, state.ends = marks[:, NEWEST].tolist(), marks[:, END].tolist()
+        state.believed, state.ends = marks[:, NEWEST].tolist(), marks[:, END].tolist()
+        state.reached[:] = state.believed
         return until_ns
 
     def rows(self, state: AlignState, until_ns: int) -> Iterator[Block]:
@@ -249,9 +261,8 @@ class AlignSpec:
 
     def reached_ns(self, state: AlignState) -> int:
         """No row later than this comes of what was appended [ns], if it is believed as what came before."""
-        newest, limits, calm_ns = state.reached, self.limits_ns, int(state.streams.now[CALM])
-        believed = state.streams.marks[:, NEWEST].tolist()
-        gyro_ns = newest[GYRO]
+        newest, believed, limits = state.reached, state.believed, self.limits_ns
+        gyro_ns, calm_ns = newest[GYRO], int(state.streams.now[CALM])
         safe = max(gyro_ns, max(newest) - limits[BREAK]) - limits[REORDER]
         found = max(safe, gyro_ns - ORDER_NS) if self.grid is Grid.NATIVE and gyro_ns > calm_ns else safe
         for place in range(SETPOINT, THRUST):
