@@ -258,8 +258,9 @@ def _parts(flight: Sequence[Rows]) -> Iterator[Block]:
     most = min(len(places), MOST_PARTS)
     for first, stop in (places[i * len(places) // most] for i in range(most)):
         low, high = np.searchsorted(stops, (first, stop - 1), side="right").tolist()
-        offset = first - int(stops[low]) + sizes[low][1]
-        yield joined(flight[low : high + 1])[0].rows(offset, offset + stop - first)
+        begins = [(number, int(stops[number]) - sizes[number][1]) for number in range(low, high + 1)]
+        own = [flight[number].part(max(first - at, 0), min(stop - at, sizes[number][1])) for number, at in begins]
+        yield joined(own)[0]
 
 
 def traits(blocks: Iterable[Block], layout: RotorLayout | None) -> FloatArray:

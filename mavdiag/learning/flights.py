@@ -32,7 +32,7 @@ MIN_FLIGHT_S = 2.0  # less airborne flight than this teaches nothing (our choice
 MAX_GAP_S = 0.035  # METHOD section 4: gaps up to 35 ms may be interpolated
 SHAKE_SHARE = 0.2  # of the usual noise of the gyro in flight; at rest it has a fiftieth (our choice)
 SLOW_SETPOINT_PERIODS = 2.5  # a set-point stream slower than the gyro has gaps by nature (our choice)
-PIECE_ROWS = 60_000  # that are made and looked at together (our choice: 20 MB)
+PIECE_ROWS = 40_000  # that are made and looked at together (our choice: 20 MB)
 IN_MEMORY = 1 << 62  # bytes
 KEPT_BYTES = 20 << 20  # holds the columns of 40 s at 1 kHz (our choice; more leaves gaps in the memory)
 

@@ -196,36 +196,61 @@ def _margins(specs: Sequence[RunLengthSpec], flights: Flights) -> list[float]:
     return [float(one.max() if most else np.percentile(one, 90, method="hazen")) for one in joined]
 
 
-def training_spans(flight: Sequence[Rows]) -> list[tuple[int, int, int]]:
-    """Unbroken valid stretches, long enough to train on: number of the piece of rows, first rate and last + 1."""
-    return [
-        (number, first, stop)
-        for number, rows in enumerate(flight)
-        for first, stop in spans(rows.rates.commanded)
-        if (stop - first) * rows.rates.dt_s >= MIN_PIECE_S
-    ]
+Parts = list[tuple[int, int, int]]
+"""An unbroken stretch of rates by its parts: number of the piece of rows, first rate in it and last + 1."""
+
+
+def training_spans(flight: Sequence[Rows]) -> list[Parts]:
+    """Valid stretches, long enough to train on, of at most `TRAIN_ROWS`; the same ones for any cut into pieces."""
+    found, goes_on, least = list[Parts](), False, 0.0
+    for number, (begins, rows) in enumerate(parted(flight)):
+        commanded, goes_on, least = rows.rates.commanded, goes_on and not begins, MIN_PIECE_S / rows.rates.dt_s
+        for first, stop in spans(commanded):
+            if first or not goes_on:
+                found.append([])
+            while first < stop:
+                if _rows_in(found[-1]) == TRAIN_ROWS:
+                    found.append([])
+                end = min(stop, first + TRAIN_ROWS - _rows_in(found[-1]))
+                found[-1].append((number, first, end))
+                first = end
+        goes_on = bool(commanded[-1]) if len(commanded) else goes_on
+    return [stretch for stretch in found if _rows_in(stretch) >= least]
+
+
+def _rows_in(stretch: Parts) -> int:
+    return sum(stop - first for _, first, stop in stretch)
+
+
+def _rates_in(flight: Sequence[Rows], stretch: Parts, axis: Axis, most: int) -> tuple[FloatArray, FloatArray]:
+    """The first rows of u and y of one axis in a stretch; copies, so that of what is mapped no more stays in memory."""
+    parts = list[FloatArray]()
+    for number, first, stop in stretch:
+        rates, stop = flight[number].rates, min(stop, first + most)
+        parts.append(np.stack((rates.u[first:stop, axis.column], rates.y[first:stop, axis.column])))
+        most -= stop - first
+        if most == 0:
+            break
+    u, y = np.concatenate(parts, axis=1)
+    return u, y
 
 
 def training_pieces(flight: Sequence[Rows], axis: Axis) -> list[tuple[FloatArray, FloatArray]]:
-    """Unbroken valid stretches of u and y of one axis, long enough to train on."""
-    found = ((flight[number].rates, first, stop) for number, first, stop in training_spans(flight))
-    return [(one.u[first:stop, axis.column], one.y[first:stop, axis.column]) for one, first, stop in found]
+    """u and y of one axis in each of the stretches to train on."""
+    return [_rates_in(flight, stretch, axis, TRAIN_ROWS) for stretch in training_spans(flight)]
 
 
 def _train(flights: Flights, axis: Axis, context: LearnContext) -> ArxModel:
     """A model of one axis from a like share of every flight (T 5.4). Raises IdentificationError, naming the axis."""
     places = of_each(flights, "training spans", training_spans)
-    lengths = [stop - first for of_flight in places for _, first, stop in of_flight]
+    lengths = [_rows_in(stretch) for of_flight in places for stretch in of_flight]
     if not lengths:
         raise IdentificationError(f"{axis}: no unbroken stretch of {MIN_PIECE_S:.0f} s to identify from; fly longer")
     dt_s, near = context.dt_s, next((one.model.model() for one in context.near if one.axis == axis), None)
     taken = iter(cut_to_share(lengths, TRAIN_ROWS, round(MIN_PIECE_S / dt_s)))
-    u, y = list[FloatArray](), list[FloatArray]()
-    for flight, of_flight in zip(flights, places, strict=True):
-        for number, first, _ in of_flight:
-            rates, stop = flight[number].rates, first + next(taken)
-            for found, of_axes in ((u, rates.u), (y, rates.y)):  # copies: of what is mapped no more stays in memory
-                found.append(of_axes[first:stop, axis.column].copy())
+    each = [(flight, stretch) for flight, stretches in zip(flights, places, strict=True) for stretch in stretches]
+    pairs = [_rates_in(flight, stretch, axis, next(taken)) for flight, stretch in each]
+    u, y = [one for one, _ in pairs], [one for _, one in pairs]
     figures, method = context.figures, context.method
     try:
         model = fit(u, y, context.order, dt=dt_s, method=method, settle_s=SETTLE_S, figures=figures, near=near)

@@ -95,7 +95,8 @@ class VibrationLevel(Monitor[VibrationLevelSpec]):
 
 def _levels(flight: Sequence[Rows]) -> tuple[float, float]:
     """How many rows have a level, and the sum of their levels."""
-    blocks = [rows.block for rows in flight]
-    known = [block.valid & block.known(Signal.VIBRATION) for block in blocks]
-    sizes = [np.linalg.norm(block.vibration[where], axis=1) for block, where in zip(blocks, known, strict=True)]
-    return float(sum(map(len, sizes))), sum(float(size.sum()) for size in sizes)
+    count, total = 0, 0.0
+    for block in (rows.block for rows in flight):
+        sizes = np.linalg.norm(block.vibration[block.valid & block.known(Signal.VIBRATION)], axis=1)
+        count, total = count + len(sizes), total + float(sizes.sum())
+    return float(count), total

@@ -214,6 +214,14 @@ def test_on_disk_the_same_is_learnt_and_extended(seed: int, count: int, gap_s: f
         assert_alike(on_disk(lambda make=make: make(made(20))), make(list(made(20))))  # type: ignore[misc]
 
 
+@pytest.mark.parametrize("rows", [700, 1900])
+def test_the_same_is_learnt_however_a_log_is_cut(rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mavdiag.monitors.run_length.TRAIN_ROWS", 1000)
+    uncut = learn(healthy(2), OPTIONS, created=NOW)
+    monkeypatch.setattr("mavdiag.learning.flights.PIECE_ROWS", rows)
+    assert_alike(learn(healthy(2), OPTIONS, created=NOW), uncut)
+
+
 def test_what_robust_teaching_leaves_out_is_left_out_on_disk_too() -> None:
     flights = healthy(4)
     crash = flying(2600, 9)
