@@ -29,7 +29,7 @@ from mavdiag.rows.block import Block
 from mavdiag.rows.grid import Grid as Grid
 from mavdiag.rows.grid import measure_grid as measure_grid
 from mavdiag.rows.quality import COLUMN, GLITCH_S, MOST_LOST, REORDER_S, RUNS, TURN, LinkQuality, Samples, look_at
-from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
 # Of each signal its number of columns (of outputs the sent ones; the gyro's last is its doubt), and how far its
@@ -183,7 +183,7 @@ class AlignState:
             hosts = (*hosts[:place], np.empty(room, dtype=np.int64), *hosts[place + 1 :])
             values = (*values[:place], np.empty((room, width)), *values[place + 1 :])
             self.streams = self.streams._replace(times=times, hosts=hosts, values=values)
-            self.into[place] = times[place], hosts[place], values[place][:, : WIDTHS[place] - (place == GYRO) or width]
+            self.into[place] = times[place], hosts[place], values[place][:, : width - (place == GYRO)]
         for new, old in zip((times[place], hosts[place], values[place]), olds, strict=True):
             new[:kept] = old[lo:end]
         self.streams.marks[place, :END] = 0, hi - lo
