@@ -221,14 +221,18 @@ def _fit_all(
     unknown = f" ({basis})" if basis else ""
     for kind in kinds:
         monitors = list(map(kind, found[kind][0])) if kind in found else []
+        fits = found[kind][1] if kind in found else []
+        axes = [one.axis for one in monitors if all(one.axis in [other.axis for other in fit] for fit in fits)]
         try:
             scored = by_axis(parts[kind]) if kind in found else {}
             reasons = [refused[kind] + unknown * ("layout" in refused[kind])] if kind in refused else []
         except IdentificationError as error:
             scored, reasons, monitors = {}, [str(error)], []
-        fitted += [(monitor, scored[monitor.axis]) for monitor in monitors if monitor.axis in scored]
+        fitted += [(one, scored[one.axis]) for one in monitors if one.axis in scored and one.axis in axes]
         short = "too little healthy flight to score it; fly longer"
-        reasons += [f"{monitor.axis}: {short}" for monitor in monitors if monitor.axis not in scored]
+        reasons += [f"{one.axis}: {short}" for one in monitors if one.axis not in scored]
+        single = "without one of the flights it cannot be modelled; fly more that move this axis"  # nor be scored on it
+        reasons += [f"{one.axis}: {single}" for one in monitors if one.axis in scored and one.axis not in axes]
         if kind is RunLength and monitors:
             flat = "it cannot be modelled; fly a trajectory that moves this axis"
             modelled = [monitor.axis for monitor in monitors]

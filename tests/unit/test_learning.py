@@ -94,6 +94,15 @@ def test_b11_one_monitor_s_need_does_not_hinder_another() -> None:
     assert {one.monitor for one in both.not_judgeable} == {"fsd"}
 
 
+def test_an_axis_that_one_flight_alone_moves_is_not_scored_on_the_others() -> None:
+    """It was: the flight that no fit without it can judge did not count, and the threshold came out as 1e-11 s."""
+    flat = [changed(flying(3000, i), Signal.ATTITUDE_SETPOINT, lambda x: x * (1.0, 0.0, 1.0)) for i in (1, 2)]
+    flights = [made(0, flying(3000, 0), "px4"), *(made(i, one, "px4") for i, one in enumerate(flat, start=1))]
+    found = learn(flights, LearnOptions(airframe=FRAME, monitors=("fsd",)), created=NOW)
+    assert [entry.spec.axis for entry in found.monitors] == ["roll"]
+    assert [one.reason[:33] for one in found.not_judgeable] == ["pitch: without one of the flights"]
+
+
 def test_b18_nothing_is_taken_from_a_vehicle_that_was_not_named() -> None:
     """B18: an unknown vehicle got the layout, the mass and the rotor speed of a QDrone 2."""
     found = learn(plain(2), LearnOptions(airframe=UNKNOWN), created=NOW)
