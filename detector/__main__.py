@@ -65,7 +65,8 @@ def detect(
     Needs --baseline FILE or --learn SECONDS. It sends a heartbeat, texts, their figures and stream requests, as
     component 191 of the vehicle's system; it never arms and never sets a parameter. Only --on-fault lets it command.
 
-    Every setting of --config can be given in the environment too, as MAVDIAG_DETECTOR_ and its name in capitals.
+    Every setting of --config but `vehicles` can be given in the environment too, as MAVDIAG_DETECTOR_ and its name in
+    capitals.
 
     Exit code 0 when stopped, 1 if --working finds it does not work, 2 for a wrong option, baseline or address.
     """

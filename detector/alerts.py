@@ -1,8 +1,9 @@
 """What is said to the operator, how loudly and how often: a table, and a presenter that keeps to it.
 
 A *lasting* matter is offered at every step. It is said when it begins, when what it is about changes, and at the times
-that the table gives; it is over once it was not offered for 5 s. Anything else is offered and said once. All texts of a
-vehicle keep to a budget a minute, half of it for declared faults; what that holds back is counted and recorded.
+that the table gives; it is over once it was not offered for 5 s. Anything else is offered and said once. The texts of a
+vehicle, but for those of reactions and guards, keep to a budget a minute, half of it for declared faults; what that
+holds back is counted and recorded.
 """
 
 from collections.abc import Mapping, Sequence

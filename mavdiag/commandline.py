@@ -1,6 +1,6 @@
 """How every command of this project behaves at its edge: one line on stderr for an error, and a stated exit code.
 
-0 done, 1 a verdict that asks for action, 2 an error, 3 not judgeable, 130 stopped by Ctrl-C.
+0 done, 1 a verdict that asks for action, 2 an error, 3 not judgeable, 4 suspected, 130 stopped by Ctrl-C.
 """
 
 import os

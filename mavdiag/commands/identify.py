@@ -1,7 +1,7 @@
 """`mavdiag identify`: healthy flights to a baseline; `mavdiag baseline show|check|extend`: what one says."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -23,6 +23,7 @@ from mavdiag.learning.suspicions import accepted
 from mavdiag.logs import read_part
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.storage import check_output
+from mavdiag.telemetry import Log
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, FLIGHTS_PER_SUSPICION, ThresholdRule
 
 
@@ -103,11 +104,19 @@ def make_baseline(
     columns: Path | None = None,
 ) -> Baseline:
     """A baseline from log files, folders and patterns, stamped with the time of now. columns: map of CSV recordings."""
+    count, flights = _read(logs, vehicle, from_s, to_s, columns)
+    with followed(flights, f"learning from {count} flights ...") as taken:
+        return learn(taken, options, created=now())
+
+
+def _read(
+    logs: Sequence[Path], vehicle: int | None, from_s: float | None, to_s: float | None, columns: Path | None
+) -> tuple[int, Iterator[Log]]:
+    """How many logs are named, and each, read as it is taken."""
     found, mapped = opt.find_logs(logs, columns)
     paths = found.paths()
-    flights = (read_part(path, vehicle, from_s, to_s, mapped) for path in each(paths, "read", sizes_of(paths)))
-    with followed(flights, f"learning from {len(paths)} flights ...") as taken:
-        return learn(taken, options, created=now())
+    each_read = each(paths, "read", sizes_of(paths))
+    return len(paths), (read_part(path, vehicle, from_s, to_s, mapped) for path in each_read)
 
 
 app = application("Look into a baseline file, or add healthy flights to it.")
@@ -139,12 +148,13 @@ def extend(
     vehicle: opt.Vehicle = None,
     from_s: opt.FromS = None,
     to_s: opt.ToS = None,
+    columns: opt.Columns = None,
 ) -> None:
     """Add healthy flights of another session, or tell that the propellers are new."""
     check_output(output)
     baseline = Baseline.load(file)
-    flights = (read_part(path, vehicle, from_s, to_s) for path in each(logs, "reading"))
-    with followed(flights, f"adding {len(logs)} flights ...") as taken:
+    count, flights = _read(logs, vehicle, from_s, to_s, columns)
+    with followed(flights, f"adding {count} flights ...") as taken:
         longer = extended(baseline, taken, new_propellers=new_propellers, created=now())
     if not accept:
         accepted(longer, "--accept")

@@ -177,3 +177,10 @@ def test_the_command_adds_flights(mavdiag: Callable[..., Ran], tmp_path: Path) -
     made = Baseline.load(new)
     assert [one.name for one in made.provenance.logs] == ["f0", "f1", "f2", "f10", "f11"]
     assert Baseline.load(old) == monday()
+    folder = tmp_path / "flights"
+    folder.mkdir()
+    for name in ("f10.tlog", "f11.tlog"):
+        (folder / name).write_bytes(b"\xfd" * 100)
+    code, out, err = mavdiag("baseline", "extend", old, folder, "-o", new)
+    assert (code, err) == (0, "")
+    assert Baseline.load(new).provenance.logs == made.provenance.logs
