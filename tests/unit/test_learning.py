@@ -100,7 +100,7 @@ def test_an_axis_that_one_flight_alone_moves_is_not_scored_on_the_others() -> No
     flights = [made(0, flying(3000, 0), "px4"), *(made(i, one, "px4") for i, one in enumerate(flat, start=1))]
     found = learn(flights, LearnOptions(airframe=FRAME, monitors=("fsd",)), created=NOW)
     assert [entry.spec.axis for entry in found.monitors] == ["roll"]
-    assert [one.reason[:33] for one in found.not_judgeable] == ["pitch: without one of the flights"]
+    assert [one.reason[:36] for one in found.not_judgeable] == ["pitch: without a part of the flights"]
 
 
 def test_b18_nothing_is_taken_from_a_vehicle_that_was_not_named() -> None:
