@@ -23,11 +23,20 @@ LEFT_OUT = shutil.ignore_patterns(".git", ".venv", ".nox", ".*_cache", "__pycach
 ROOMS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # files, and the tests that should notice
     "decision": (
         ("mavdiag/decision",),
-        ("decision", "alerts_policy", "report_page", "judging_logs"),
+        ("decision", "kernel", "journal", "judging_logs", "face", "report_page", "session"),
     ),
     "monitors": (
         ("mavdiag/monitors",),
-        ("unbalance", "trim", "trim_step", "rotor_trim", "rotor_signature", "run_length", "sensor_monitors", "jolts"),
+        (
+            "unbalance",
+            "trim_step",
+            "rotor_trim",
+            "rotor_speed",
+            "rotor_signature",
+            "run_length",
+            "sensor_monitors",
+            "kernel",
+        ),
     ),
 }
 UNCOMPILED = ("monitors",)  # else each mutant is compiled anew, which takes a minute of processor time

@@ -1,6 +1,7 @@
 """The house rules that a tool can check: sizes, broad excepts, import-time side effects, documented packages."""
 
 import ast
+import runpy
 import statistics
 import subprocess
 import sys
@@ -92,3 +93,9 @@ def imports_of(path: Path, names: set[str]) -> set[str]:
         elif isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names} & names
     return found - {module_name(path)}
+
+
+def test_the_tests_that_the_mutation_run_names_are_there() -> None:
+    rooms = runpy.run_path(str(ROOT / "benchmarks" / "mutants.py"))["ROOMS"]
+    named = [ROOT / "tests" / "unit" / f"test_{name}.py" for _, tests in rooms.values() for name in tests]
+    assert [path.name for path in named if not path.exists()] == []
