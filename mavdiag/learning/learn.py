@@ -231,7 +231,7 @@ def _fit_all(
         fitted += [(one, scored[one.axis]) for one in monitors if one.axis in scored and one.axis in axes]
         short = "too little healthy flight to score it; fly longer"
         reasons += [f"{one.axis}: {short}" for one in monitors if one.axis not in scored]
-        single = "without a part of the flights it cannot be modelled; fly more that moves this axis"  # nor be scored on it
+        single = "without a part of the flights it cannot be modelled; fly more that moves this axis"
         reasons += [f"{one.axis}: {single}" for one in monitors if one.axis in scored and one.axis not in axes]
         if kind is RunLength and monitors:
             flat = "it cannot be modelled; fly a trajectory that moves this axis"
