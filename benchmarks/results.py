@@ -63,7 +63,7 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         "python benchmarks/reactions.py faults",
         "python benchmarks/reactions.py loop",
         "python benchmarks/reactions.py called",
-        "python benchmarks/reactions.py healthy --healthy-h 10",
+        "python benchmarks/reactions.py healthy --healthy-h 10 --rate 200",
         "python benchmarks/hook_delay.py",
     ),
     "loop": (
