@@ -65,15 +65,6 @@ def shift(mem: FloatArray, at: int, length: int, value: float) -> int:
     return at + 1 + place
 
 
-@summing
-def dot(taps: FloatArray, first: int, values: FloatArray, begin: int, length: int) -> float:
-    """Scalar product of taps from `first` on and values from `begin` on."""
-    found = 0.0
-    for i in range(length):
-        found += taps[first + i] * values[begin + i]
-    return found
-
-
 @jit
 def follow(mem: FloatArray, at: int, value: float, alpha: float) -> float:
     """Exponential mean s <- s + alpha (value - s); returns the new s."""
