@@ -12,9 +12,10 @@ from made_statistics import decide, made_slot, statistic
 from mavdiag.airframe.layout import Motor, layout_named
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.decision.alarm import LEFT_ALONE, NEXT, DecisionSpec, DecisionState
-from mavdiag.decision.diagnosis import Change, Event, Stage
+from mavdiag.decision.diagnosis import Change, Diagnosis, Event, Stage
 from mavdiag.decision.grading import Assessment, FaultTypes, Gathered, assess, known_fault_types
 from mavdiag.decision.kinds import Reading, grown, isolate, named
+from mavdiag.decision.words import fault_reason, finding_words
 from mavdiag.kernel import EVIDENCE, LAST_LEVEL, LOOK_NS, Alarm, Height, Looked
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import FaultKind, Feature, RotorEvidence
@@ -135,6 +136,10 @@ def test_u2_every_rotor_is_named_with_its_span_and_its_own_figure() -> None:
     assert named == [(1, 1.0), (4, 2.0), (1, 1.5)]  # H12: the first motor had the figure of the second
     assert [one.rotor for one in events] == [1, 1, 4, 4, 1, 1]
     assert state.diagnosis.declared_ns == 2 * NS_PER_S
+    found = [change for change in changes if change.stage is Stage.FAULT]
+    told = fault_reason(FaultKind.PROPELLER, found, events)
+    assert "; rotor 1 from 2.0 s, rotor 4 from 22.0 s, rotor 1 from 42.0 s" in told
+    assert " from 2.00 s" in str(events[0])
 
 
 def test_a_rotor_that_comes_back_goes_on_with_its_span() -> None:
@@ -517,6 +522,11 @@ def test_of_a_look_that_began_too_early_its_last_value_counts() -> None:
     state = Gathered(0).add(Feature.UNBALANCE, mixed, round(0.65 * NS_PER_S))
     found = state.add(Feature.RISE, mixed, 4 * NS_PER_S).features(2)
     assert found == pytest.approx([np.log(2.0), np.nan, 20.0], nan_ok=True)
+
+
+def test_a_trim_is_told_as_the_share_of_thrust_that_is_lost() -> None:
+    found = Diagnosis(Stage.FAULT, rotor=3, monitor="rotor_trim", statistic=0.25, threshold=0.1)
+    assert finding_words(found) == "motor 3 lost 20% thrust"  # a rise r answers a loss of r/(1 + r)
 
 
 def test_9_the_rise_is_that_of_the_rotor_that_is_named_at_last() -> None:
