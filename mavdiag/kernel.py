@@ -596,10 +596,8 @@ class Kernel:
             pairs = zip(told[1][:tells].tolist(), told[0][:tells].tolist(), strict=True)
             memory.told += tuple(Alarm(first + look, *whose, *high) for (look, *whose), high in pairs)
         memory.past, memory.next_look = columns.past, first + done
-        alarms: tuple[Alarm, ...] = ()
-        if memory.told:
-            alarms = tuple(sorted(one for one in memory.told if one.look < memory.next_look))
-            memory.told = tuple(one for one in memory.told if one.look >= memory.next_look)
+        alarms = tuple(sorted((one for one in memory.told if one.look < memory.next_look), key=lambda one: one.look))
+        memory.told = tuple(one for one in memory.told if one.look >= memory.next_look)
         memory.bins_ns, memory.bins, memory.looks = bins[0][:known], bins[1][:known], looks[done:]
         memory.unjudged = _stretches(memory.unjudged, rows_open[0][:gone], self.dt_s)
         memory.open_ns, memory.bits = rows_open[0][gone:opened], rows_open[1][gone:opened]

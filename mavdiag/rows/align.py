@@ -101,7 +101,7 @@ class AlignState:
     """All that the aligner remembers between chunks.
 
     reached, ends: latest stamp and `END` of each as it came. sent, taken: how many columns it has, and which are used.
-    into: where they are put: times of vehicle and receiver, values. believed: latest stamps when rows were made last.
+    into: where they are put: times of vehicle and receiver, values.
     """
 
     def __init__(self, limits_ns: IntArray) -> None:
@@ -113,7 +113,7 @@ class AlignState:
         knows = np.zeros((count, 0)), np.zeros((count, 0)), np.zeros((count, 0), dtype=np.int64)
         self.streams = Streams(times, hosts, values, marks, *knows, np.zeros((count, 3)), now, limits_ns)
         self.into, self.ends, self.sent = list(zip(times, hosts, values, strict=True)), [0] * count, [0] * count
-        self.reached, self.believed = [-NEVER_NS] * count, [-NEVER_NS] * count
+        self.reached = [-NEVER_NS] * count
         self.taken: list[list[int] | slice] = [slice(None)] * count
 
     @property
@@ -134,11 +134,13 @@ class AlignState:
             if place is None or not len(t_ns):
                 continue
             end, count, found = ends[place], len(t_ns), values.shape[1]
-            if end + count > len(self.into[place][0]):
-                end = self._make_room(place, count, found, spec)
-            (times, hosts, to), taken, stop = self.into[place], self.taken[place], end + count
-            if found != self.sent[place]:
+            if not self.sent[place]:
+                self._begin(place, found, spec)
+            if found != self.sent[place]:  # before anything is moved: the state stays whole
                 raise InputError(f"{series.signal} has {found} columns in place of {self.sent[place]}")
+            if end + count > len(self.into[place][0]):
+                end = self._make_room(place, count)
+            (times, hosts, to), taken, stop = self.into[place], self.taken[place], end + count
             times[end:stop], hosts[end:stop] = t_ns, series.host_ns
             if isinstance(taken, slice):
                 to[end:stop] = values[:, taken]
@@ -166,10 +168,8 @@ class AlignState:
             values = (*values[:place], np.empty((0, columns)), *values[place + 1 :])
         self.streams = self.streams._replace(values=values, rules=rules, figures=figures, counts=counts)
 
-    def _make_room(self, place: int, count: int, found: int, spec: "AlignSpec") -> int:
+    def _make_room(self, place: int, count: int) -> int:
         """Move the samples that are kept to the front, of longer arrays if need be; returns where the next are put."""
-        if not len(self.into[place][0]):
-            self._begin(place, found, spec)
         (times, hosts, values), (lo, hi), end = (
             self.streams[:3],
             self.streams.marks[place, :END].tolist(),
@@ -246,8 +246,7 @@ class AlignSpec:
         marks[:, END] = state.ends
         room = np.empty((3, max(state.ends)), dtype=np.int64)
         until_ns = _take(state.streams, room, hurries, self.dt_s * NS_PER_S)
-        state.believed, state.ends = marks[:, NEWEST].tolist(), marks[:, END].tolist()
-        state.reached[:] = state.believed
+        state.reached, state.ends = marks[:, NEWEST].tolist(), marks[:, END].tolist()
         return until_ns
 
     def rows(self, state: AlignState, until_ns: int) -> Iterator[Block]:
@@ -261,8 +260,9 @@ class AlignSpec:
 
     def reached_ns(self, state: AlignState) -> int:
         """No row later than this comes of what was appended [ns], if it is believed as what came before."""
-        newest, believed, limits = state.reached, state.believed, self.limits_ns
-        gyro_ns, calm_ns = newest[GYRO], int(state.streams.now[CALM])
+        newest, limits, calm_ns = state.reached, self.limits_ns, int(state.streams.now[CALM])
+        believed = state.streams.marks[:, NEWEST].tolist()
+        gyro_ns = newest[GYRO]
         safe = max(gyro_ns, max(newest) - limits[BREAK]) - limits[REORDER]
         found = max(safe, gyro_ns - ORDER_NS) if self.grid is Grid.NATIVE and gyro_ns > calm_ns else safe
         for place in range(SETPOINT, THRUST):

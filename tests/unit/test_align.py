@@ -209,11 +209,16 @@ def test_a_sample_that_is_no_number_is_a_lost_sample_and_what_comes_late_or_twic
     np.testing.assert_allclose(column(rows, "rate"), ramp(t), atol=1e-9)
 
 
-def test_a_signal_whose_number_of_columns_changes_is_refused() -> None:
-    t, state = clock(100), SPEC.start()
-    SPEC.step(state, Telemetry((series(Signal.ACTUATOR, t, np.ones((100, 4))),)))
+def test_a_signal_whose_number_of_columns_changes_is_refused_and_nothing_else_is_lost() -> None:
+    t, odd = clock(1000), series(Signal.ACTUATOR, clock(2000), np.ones((2000, 6)))
+    flight = (*linear_flight(t, t).series, series(Signal.ACTUATOR, t, np.arange(4000.0).reshape(1000, 4) / 4000))
+    first, rest = (Telemetry(tuple(one.where(part) for one in flight)) for part in (slice(500), slice(500, None)))
+    state = SPEC.start()
+    blocks = SPEC.step(state, first)
     with pytest.raises(InputError, match="actuator has 6 columns in place of 4"):
-        SPEC.step(state, Telemetry((series(Signal.ACTUATOR, t + 10**9, np.ones((100, 6))),)))
+        SPEC.step(state, Telemetry((odd,)))
+    blocks += [*SPEC.step(state, rest), *SPEC.finish(state)]
+    assert np.array_equal(column(blocks, "actuator"), column(whole(Telemetry(flight)), "actuator"), equal_nan=True)
 
 
 def block(
