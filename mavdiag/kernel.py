@@ -156,22 +156,34 @@ def _check_rows(x: Any, t_ns: IntArray, failed: IntArray, checks: IntArray, coun
     failed[:] = 0
     for number in range(len(checks)):
         row, stop, bit = checks[number, 0], min(checks[number, 1], len(x)), 1 << number
-        if row < 0:
+        for k in range(max(row, 0), stop if row >= 0 else 0):
+            known = x[k, first:]
             for i in range(len(t_ns)):
-                failed[i] |= 0 if x[checks[number, 1], first + i] > 0.5 else bit
+                failed[i] |= 0 if abs(known[i]) < np.inf else bit
+        if row < 0:
+            known = x[checks[number, 1], first:]
+            for i in range(len(t_ns)):
+                failed[i] |= 0 if known[i] > 0.5 else bit
         elif row >= stop:
             failed |= bit
-        for k in range(row if row >= 0 else stop, stop):
-            for i in range(len(t_ns)):
-                failed[i] |= 0 if abs(x[k, first + i]) < np.inf else bit
-        for i in range(len(t_ns)):
-            missing[number] += 1 if x[col.VALID, first + i] > 0.5 and failed[i] & bit else 0
+    anything = 0
     for i in range(len(t_ns)):
-        doubts[int(x[col.DOUBT, first + i])] += 1
+        anything |= failed[i]
+    for number in range(len(checks)):
+        for i in range(len(t_ns) if anything >> number & 1 else 0):
+            missing[number] += 1 if x[col.VALID, first + i] > 0.5 and failed[i] >> number & 1 else 0
+    plain, opens = 0, n[OPEN_ROWS]
+    for i in range(len(t_ns)):
+        if x[col.DOUBT, first + i] == 0.0:
+            plain += 1
+        else:
+            doubts[int(x[col.DOUBT, first + i])] += 1
         if t_ns[i] >= n[SETTLED]:
-            open_ns[n[OPEN_ROWS]], bits[n[OPEN_ROWS]] = t_ns[i], failed[i]
-            n[OPEN_ROWS] += 1
-            n[FLOWN] += 1
+            open_ns[opens], bits[opens] = t_ns[i], failed[i]
+            opens += 1
+    doubts[0] += plain
+    n[FLOWN] += opens - n[OPEN_ROWS]
+    n[OPEN_ROWS] = opens
 
 
 @jit

@@ -121,35 +121,67 @@ def _trim(par: Floats, x: Floats, i: int) -> tuple[float, float, float, float]:
 
 
 @jit
-def take_row(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
-    """Take a row; True where it completes a tick, whose parts stand at `_found_at`, and `mem[KNOWN]` if it is whole."""
-    to, (roll, pitch, yaw, level), rate = SUMS + SUMMED * (2 + int(mem[PART])), _trim(par, x, i), x[col.RATE + 2, i]
-    pull_x, pull_y = x[col.LEAN, i], x[col.LEAN + 1, i]
-    if par[FELT] > 0.5:
-        pull_x, pull_y = -x[col.FORCE + 1, i] / G, x[col.FORCE, i] / G
-    if mem[ROW] == 0.0:
-        for j in range(SUMMED):
-            mem[to + j] = 0.0
-        if mem[PART] == 0.0:
-            mem[KNOWN] = mem[MOVED] = 0.0
-            mem[FIRST], mem[FIRST + 1], mem[FIRST + 2] = roll, pitch, yaw
-    if x[col.VALID, i] > 0.5 and math.isfinite(roll + pitch + yaw + rate + pull_x + pull_y):
-        mem[KNOWN] += 1.0
-        mem[to], mem[to + 1], mem[to + 2] = mem[to] + roll, mem[to + 1] + pitch, mem[to + 2] + yaw
-        mem[to + 3], mem[to + 4] = mem[to + 3] + pull_x, mem[to + 4] + pull_y
-        mem[to + 5], mem[to + 6] = mem[to + 5] + rate, mem[to + 6] + level
-        if roll != mem[FIRST] or pitch != mem[FIRST + 1] or yaw != mem[FIRST + 2]:
-            mem[MOVED] = 1.0
-    mem[ROW] += 1.0
+def take_rows(par: Floats, mem: Floats, x: Floats, begin: int) -> tuple[int, bool]:
+    """Take rows of one part; returns where the next one begins, and whether a tick is complete with them.
+
+    Its parts stand at `_found_at`, and `mem[KNOWN]` says if it is whole.
+    """
+    stop = min(begin + int(par[ROWS] - mem[ROW]), x.shape[1])
+    if mem[PART] == 0.0 and mem[ROW] == 0.0 and begin < stop:
+        mem[KNOWN] = mem[MOVED] = 0.0
+        mem[FIRST], mem[FIRST + 1], mem[FIRST + 2], _ = _trim(par, x, begin)
+    _add_rows(par, mem, x, begin, stop)
+    mem[ROW] += stop - begin
     if mem[ROW] < par[ROWS]:
-        return False
+        return stop, False
     mem[ROW], mem[PART] = 0.0, mem[PART] + 1.0
     if mem[PART] < par[PARTS]:
-        return False
+        return stop, False
     whole = mem[KNOWN] >= par[PARTS] * par[ROWS] and mem[MOVED] > 0.5
     mem[PART], mem[KNOWN] = 0.0, 1.0 if whole else 0.0
     _find(par, mem, whole)
-    return True
+    return stop, True
+
+
+@jit
+def _add_rows(par: Floats, mem: Floats, x: Floats, begin: int, stop: int) -> None:
+    """Add rows to the sums of their part."""
+    sums = mem[SUMS + SUMMED * (2 + int(mem[PART])) :][:SUMMED]
+    if mem[ROW] == 0.0:
+        sums[:] = 0.0
+    of_roll, of_pitch, of_yaw, pull_x, pull_y, turned, lifted = (
+        sums[0],
+        sums[1],
+        sums[2],
+        sums[3],
+        sums[4],
+        sums[5],
+        sums[6],
+    )
+    known, moved, felt = mem[KNOWN], mem[MOVED], par[FELT] > 0.5
+    first_roll, first_pitch, first_yaw = mem[FIRST], mem[FIRST + 1], mem[FIRST + 2]
+    for i in range(begin, stop):
+        (roll, pitch, yaw, level), rate = _trim(par, x, i), x[col.RATE + 2, i]
+        if felt:
+            side, ahead = -x[col.FORCE + 1, i] / G, x[col.FORCE, i] / G
+        else:
+            side, ahead = x[col.LEAN, i], x[col.LEAN + 1, i]
+        if x[col.VALID, i] > 0.5 and math.isfinite(roll + pitch + yaw + rate + side + ahead):
+            known += 1.0
+            of_roll, of_pitch, of_yaw = of_roll + roll, of_pitch + pitch, of_yaw + yaw
+            pull_x, pull_y, turned, lifted = pull_x + side, pull_y + ahead, turned + rate, lifted + level
+            if roll != first_roll or pitch != first_pitch or yaw != first_yaw:
+                moved = 1.0
+    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5], sums[6] = (
+        of_roll,
+        of_pitch,
+        of_yaw,
+        pull_x,
+        pull_y,
+        turned,
+        lifted,
+    )
+    mem[KNOWN], mem[MOVED] = known, moved
 
 
 @jit
@@ -287,18 +319,19 @@ def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rot
 @cached
 def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The best single-rotor rise at the end of each tick."""
-    k, shift = 0, np.empty(MEANS)
-    for i in range(first, x.shape[1]):
-        if not take_row(par, mem, x, i):
+    k, begin, shift = 0, first, np.empty(MEANS)
+    while begin < x.shape[1]:
+        begin, ended = take_rows(par, mem, x, begin)
+        if not ended:
             continue
-        take_tick(par, mem, mem[KNOWN] > 0.5 and x[col.COVERED, i] > 0.5)
+        take_tick(par, mem, mem[KNOWN] > 0.5 and x[col.COVERED, begin - 1] > 0.5)
         sound = mem[RUN] >= par[WINDOW]
         window_means(par, mem, 0, shift)
         shift[LIFT] = 0.0  # what the vehicle weighed when it was learnt is not known
         for j in range(LIFT):
             shift[j] = shift[j] - (par[MEAN + j] if j < 3 else 0.0) if sound else 0.0
         write(par, mem, shift, sound, out, rotors, k)
-        at[k] = i - first
+        at[k] = begin - 1 - first
         k += 1
     return k
 

@@ -100,12 +100,13 @@ def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> boo
 @cached
 def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """The best single-rotor rise at the end of each tick."""
-    k, shift, before = 0, np.empty(trim.MEANS), np.empty(trim.MEANS)
-    for i in range(first, x.shape[1]):
-        if trim.take_row(par, mem, x, i):
-            trim.take_tick(par, mem, mem[trim.KNOWN] > 0.5 and x[COVERED, i] > 0.5)
+    k, begin, shift, before = 0, first, np.empty(trim.MEANS), np.empty(trim.MEANS)
+    while begin < x.shape[1]:
+        begin, ended = trim.take_rows(par, mem, x, begin)
+        if ended:
+            trim.take_tick(par, mem, mem[trim.KNOWN] > 0.5 and x[COVERED, begin - 1] > 0.5)
             trim.write(par, mem, shift, _take_window(par, mem, shift, before), out, rotors, k)
-            at[k] = i - first
+            at[k] = begin - 1 - first
             k += 1
     return k
 
