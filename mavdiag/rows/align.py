@@ -80,14 +80,16 @@ SEGMENT, LAST, DONE, CALM, BLANK = range(5)
 class Streams(NamedTuple):
     """Samples of each signal by their place in `STREAMS`; compiled loops change them in place.
 
-    times, hosts, values: (n,), (n,), (n, k) in order of time, strictly rising up to `HI`; behind it in order of
-    arrival. marks: `LO` ... of each. rules, figures, counts: of each what `rows.quality` knows. turns: full turns that
-    belong to the first sample of an angle. now: `SEGMENT` ... limits_ns: how far samples reach, then `BREAK` ...
+    times, hosts: (streams, n) in order of time, strictly rising up to `HI`; behind it in order of arrival. values:
+    (columns, n), those of a stream from `firsts` on. marks: `LO` ... of each. rules, figures, counts: of each what
+    `rows.quality` knows. turns: full turns that belong to the first sample of an angle. now: `SEGMENT` ... limits_ns:
+    how far samples reach, then `BREAK` ...
     """
 
-    times: tuple[IntArray, ...]
-    hosts: tuple[IntArray, ...]
-    values: tuple[FloatArray, ...]
+    times: IntArray
+    hosts: IntArray
+    values: FloatArray
+    firsts: IntArray
     marks: IntArray
     rules: FloatArray
     figures: FloatArray
@@ -101,20 +103,20 @@ class AlignState:
     """All that the aligner remembers between chunks.
 
     reached, ends: latest stamp and `END` of each as it came. sent, taken: how many columns it has, and which are used.
-    into: where they are put: times of vehicle and receiver, values.
+    into: where they are put: times of vehicle and receiver, values (n, k).
     """
 
     def __init__(self, limits_ns: IntArray) -> None:
         count = len(STREAMS)
         marks, now = np.zeros((count, STEP + 1), dtype=np.int64), np.full(BLANK + 2, -NEVER_NS)
         marks[:, [NEWEST, FLOOR]], now[[SEGMENT, CALM]] = -NEVER_NS, (-1, NEVER_NS)
-        times, hosts = (tuple(np.empty(0, np.int64) for _ in STREAMS) for _ in range(2))
-        values = tuple(np.empty((0, width)) for width in WIDTHS)
         knows = np.zeros((count, 0)), np.zeros((count, 0)), np.zeros((count, 0), dtype=np.int64)
-        self.streams = Streams(times, hosts, values, marks, *knows, np.zeros((count, 3)), now, limits_ns)
-        self.into, self.ends, self.sent = list(zip(times, hosts, values, strict=True)), [0] * count, [0] * count
-        self.reached = [-NEVER_NS] * count
+        arrays = np.empty((count, 0), np.int64), np.empty((count, 0), np.int64), np.empty((sum(WIDTHS), 0))
+        firsts = np.cumsum((0, *WIDTHS))
+        self.streams = Streams(*arrays, firsts, marks, *knows, np.zeros((count, 3)), now, limits_ns)
+        self.ends, self.sent, self.reached = [0] * count, [0] * count, [-NEVER_NS] * count
         self.taken: list[list[int] | slice] = [slice(None)] * count
+        self._look()
 
     @property
     def last_ns(self) -> int:
@@ -138,7 +140,7 @@ class AlignState:
                 self._begin(place, found, spec)
             if found != self.sent[place]:  # before anything is moved: the state stays whole
                 raise InputError(f"{series.signal} has {found} columns in place of {self.sent[place]}")
-            if end + count > len(self.into[place][0]):
+            if end + count > self.streams.times.shape[1]:
                 end = self._make_room(place, count)
             (times, hosts, to), taken, stop = self.into[place], self.taken[place], end + count
             times[end:stop], hosts[end:stop] = t_ns, series.host_ns
@@ -153,7 +155,7 @@ class AlignState:
 
     def _begin(self, place: int, found: int, spec: "AlignSpec") -> None:
         """Learn of the first samples of a stream what is believed of it; a column that is not sent is nan."""
-        signal, values = STREAMS[place], self.streams.values
+        signal, (times, _, values, firsts) = STREAMS[place], self.streams[:4]
         taken = list(spec.takes.get(signal, range(found)))
         while taken and taken[-1] >= found:  # nothing is known of what is not sent
             del taken[-1]
@@ -162,32 +164,34 @@ class AlignState:
         self.sent[place] = found if place >= OUTPUTS else WIDTHS[place] - (place == GYRO)
         rule = spec.quality.rule(signal, found, taken)
         sizes = len(rule), COLUMN + 4 * columns, RUNS + 1 + columns
-        rules, figures, counts = (_widened(*pair) for pair in zip(self.streams[4:7], sizes, strict=True))
+        rules, figures, counts = (_widened(*pair) for pair in zip(self.streams[5:8], sizes, strict=True))
         rules[place, : len(rule)] = rule
         if place >= OUTPUTS:
-            values = (*values[:place], np.empty((0, columns)), *values[place + 1 :])
+            above, below = np.split(values, [firsts[place + 1]])
+            values = np.concatenate((above, np.empty((columns, times.shape[1])), below))
+            firsts[place + 1 :] += columns
         self.streams = self.streams._replace(values=values, rules=rules, figures=figures, counts=counts)
+        self._look()
 
     def _make_room(self, place: int, count: int) -> int:
         """Move the samples that are kept to the front, of longer arrays if need be; returns where the next are put."""
-        (times, hosts, values), (lo, hi), end = (
-            self.streams[:3],
-            self.streams.marks[place, :END].tolist(),
-            self.ends[place],
-        )
-        kept, width, room = end - lo, values[place].shape[1], len(times[place])
-        olds = times[place], hosts[place], values[place]
+        (lo, hi), end = self.streams.marks[place, :END].tolist(), self.ends[place]
+        kept, room, (times, hosts, values) = end - lo, self.streams.times.shape[1], self.into[place]
         if kept + count + ROOM // 2 > room:
             room = ROOM + 3 * (kept + count) // 2
-            times = (*times[:place], np.empty(room, dtype=np.int64), *times[place + 1 :])
-            hosts = (*hosts[:place], np.empty(room, dtype=np.int64), *hosts[place + 1 :])
-            values = (*values[:place], np.empty((room, width)), *values[place + 1 :])
-            self.streams = self.streams._replace(times=times, hosts=hosts, values=values)
-            self.into[place] = times[place], hosts[place], values[place][:, : width - (place == GYRO)]
-        for new, old in zip((times[place], hosts[place], values[place]), olds, strict=True):
+            longer = (_widened(one, room) for one in self.streams[:3])
+            self.streams = self.streams._replace(**dict(zip(("times", "hosts", "values"), longer, strict=True)))
+            self._look()
+        for new, old in zip(self.into[place], (times, hosts, values), strict=True):
             new[:kept] = old[lo:end]
         self.streams.marks[place, :END] = 0, hi - lo
         return int(kept)
+
+    def _look(self) -> None:
+        (times, hosts, values), edges = self.streams[:3], self.streams.firsts.tolist()
+        stops = [stop - (place == GYRO) for place, stop in enumerate(edges[1:])]  # without the doubt
+        parts = [values[first:stop].T for first, stop in zip(edges, stops, strict=False)]
+        self.into = list(zip(times, hosts, parts, strict=True))
 
 
 @dataclass(frozen=True)
@@ -255,7 +259,8 @@ class AlignSpec:
         while more:
             t_ns, x, more = _rows(state.streams, until_ns, dt_ns, resampled)
             if len(t_ns):
-                outputs = min(state.streams.values[OUTPUTS].shape[1], col.MOST)
+                firsts = state.streams.firsts
+                outputs = min(int(firsts[SPEEDS] - firsts[OUTPUTS]), col.MOST)
                 yield Block(int(state.streams.now[SEGMENT]), self.dt_s, t_ns, x, outputs)
 
     def reached_ns(self, state: AlignState) -> int:
@@ -299,9 +304,10 @@ def _middle(steps: IntArray) -> int:
 @jit
 def _believe(s: Streams, place: int) -> int:
     """Move the believed ones of the samples that came behind the others, then what waits; returns how many they are."""
-    first, last, v = s.marks[place, HI], s.marks[place, END], s.values[place][s.marks[place, HI] : s.marks[place, END]]
-    t_ns, host_ns, columns = s.times[place][first:last], s.hosts[place][first:last], v.shape[1] - (place == GYRO)
-    samples = Samples(columns, s.rules[place], s.figures[place], s.counts[place], t_ns, host_ns, v)
+    first, last, row, stop = s.marks[place, HI], s.marks[place, END], s.firsts[place], s.firsts[place + 1]
+    t_ns, host_ns, columns = s.times[place, first:last], s.hosts[place, first:last], stop - row - (place == GYRO)
+    own = s.rules[place], s.figures[place], s.counts[place]
+    samples = Samples(columns, own[0], own[1], own[2], t_ns, host_ns, s.values[row:stop], first)
     kept, done, there = look_at(samples, s.marks[place, WAITED], s.turns[place][:0], s.counts[place][:0])
     _move(s, place, first + done, first + there, first + kept)
     s.marks[place, WAITED], s.marks[place, END] = there - done, first + kept + there - done
@@ -310,10 +316,11 @@ def _believe(s: Streams, place: int) -> int:
 
 @jit
 def _move(s: Streams, place: int, first: int, stop: int, to: int) -> None:
+    times, hosts = s.times[place], s.hosts[place]
     for i in range(first, stop if to < first else first):
-        s.times[place][to], s.hosts[place][to] = s.times[place][i], s.hosts[place][i]
-        for column in range(s.values[place].shape[1]):
-            s.values[place][to, column] = s.values[place][i, column]
+        times[to], hosts[to] = times[i], hosts[i]
+        for row in range(s.firsts[place], s.firsts[place + 1]):
+            s.values[row, to] = s.values[row, i]
         to += 1
 
 
@@ -323,7 +330,7 @@ def _merge(s: Streams, place: int, count: int, gyro: IntArray, gyro_ns: int, ste
 
     gyro: (2, m) times of vehicle and receiver of what the gyro brings, after gyro_ns. steps: room.
     """
-    t, host, v, marks = s.times[place], s.hosts[place], s.values[place], s.marks[place]
+    t, host, marks = s.times[place], s.hosts[place], s.marks[place]
     lo, hi, begin, newest, late, behind, risen = marks[LO], marks[HI], marks[HI], marks[NEWEST], False, 0, 0
     expected = count if hi > lo else count - 1
     for i in range(begin, begin + count):
@@ -343,8 +350,8 @@ def _merge(s: Streams, place: int, count: int, gyro: IntArray, gyro_ns: int, ste
             _move(s, place, i, i + 1, hi)
         while at > lo and t[at - 1] > at_ns:
             t[at], t[at - 1] = t[at - 1], t[at]
-            for column in range(v.shape[1]):
-                v[at, column], v[at - 1, column] = v[at - 1, column], v[at, column]
+            for row in range(s.firsts[place], s.firsts[place + 1]):
+                s.values[row, at], s.values[row, at - 1] = s.values[row, at - 1], s.values[row, at]
             at -= 1
         hi += 1
         if at > lo and t[at - 1] == at_ns:
@@ -383,7 +390,7 @@ def _take(s: Streams, room: IntArray, hurries: bool, dt_ns: float) -> int:
         if place == GYRO:
             fresh = count
             for i in range(fresh):
-                room[1, i], room[2, i] = s.times[GYRO][first + i], s.hosts[GYRO][first + i]
+                room[1, i], room[2, i] = s.times[GYRO, first + i], s.hosts[GYRO, first + i]
         late |= _merge(s, place, count, room[1:, :fresh], gyro_ns, room[0])
     if fresh and s.now[CALM] == NEVER_NS:
         s.now[CALM] = room[1, 0] + BEGIN_NS
@@ -460,14 +467,16 @@ def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool) -> tuple[Int
         if broken:
             rows[0], count = last, 1
         for i in range(first, stop):
-            steps, begin = int(np.round((t[i] - last) / dt_ns)), last
+            begin, apart = last, (t[i] - last) / dt_ns
+            steps = 1 if 0.5 < apart < 1.5 else int(np.round(apart))
             for k in range(1, steps + 1):
                 rows[count] = last = t[i] if k == steps else begin + int(np.round(k * (t[i] - begin) / steps))
                 count += 1
     if broken:
         s.now[SEGMENT], s.now[BLANK] = s.now[SEGMENT] + 1, rows[0] + s.limits_ns[SETTLE_START]
     s.now[DONE] = t[stop - 1]
-    outputs, speeds = FIRST[OUTPUTS] + min(s.values[OUTPUTS].shape[1], col.MOST), s.values[SPEEDS].shape[1]
+    speeds = s.firsts[SPEEDS + 1] - s.firsts[SPEEDS]
+    outputs = FIRST[OUTPUTS] + min(s.firsts[SPEEDS] - s.firsts[OUTPUTS], col.MOST)
     x = np.empty((FIRST[SPEEDS] + speeds if speeds else outputs, count))
     x[col.COVERED], x[col.WHOLE : col.RATE], x[col.U : col.OUTPUTS], x[outputs:] = 1.0, 0.0, np.nan, np.nan
     if count:
@@ -485,11 +494,11 @@ def _turn(before: float, after: float) -> float:
 @jit
 def _behind(s: Streams, place: int, at: int, row_ns: int) -> int:
     """The last sample up to a row, from one before it on; of an angle with the full turns that belong to it."""
-    t, v, hi = s.times[place], s.values[place], s.marks[place, HI]
+    t, first, hi = s.times[place], s.firsts[place], s.marks[place, HI]
     while at + 1 < hi and t[at + 1] <= row_ns:
         if place in (SETPOINT, ATTITUDE):
             for column in range(3):
-                s.turns[place, column] += _turn(v[at, column], v[at + 1, column])
+                s.turns[place, column] += _turn(s.values[first + column, at], s.values[first + column, at + 1])
         at += 1
     return at
 
@@ -497,7 +506,7 @@ def _behind(s: Streams, place: int, at: int, row_ns: int) -> int:
 @jit
 def _settle(s: Streams, place: int, at: int) -> None:
     if at > s.marks[place, LO]:
-        s.marks[place, LO], s.marks[place, FLOOR] = at, s.times[place][at]
+        s.marks[place, LO], s.marks[place, FLOOR] = at, s.times[place, at]
 
 
 @jit
@@ -510,8 +519,9 @@ def _fill(s: Streams, rows: IntArray, x: FloatArray) -> None:
 @jit
 def _hold(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
     """The last value at each row, nan where it is older than the limit; returns the last sample that was read."""
-    t, v, at, hi, limit_ns = s.times[place], s.values[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
-    i, first, columns = 0, FIRST[place], min(v.shape[1], col.MOST) if place == OUTPUTS else v.shape[1]
+    t, at, hi, limit_ns = s.times[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
+    i, first, of, columns = 0, FIRST[place], s.firsts[place], s.firsts[place + 1] - s.firsts[place]
+    columns = min(columns, col.MOST) if place == OUTPUTS else columns
     while i < len(rows):
         while at + 1 < hi and t[at + 1] <= rows[i]:
             at += 1
@@ -523,9 +533,8 @@ def _hold(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
         elif at == hi:
             stop = len(rows)
         for column in range(columns):
-            value = v[at, column] if known else np.nan
-            for k in range(i, stop):
-                x[first + column, k] = value
+            value = s.values[of + column, at] if known else np.nan
+            x[first + column, i:stop] = value
         i = stop
     return int(at)
 
@@ -536,7 +545,7 @@ def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
 
     Rows are taken together as far as they lie between the same two samples, or each at the time of the next sample.
     """
-    t, v, at, hi, limit_ns = s.times[place], s.values[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
+    t, at, hi, limit_ns = s.times[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
     angle, turns, i, count = place in (SETPOINT, ATTITUDE), s.turns[place], 0, len(rows)
     while i < count:
         if at + 1 < hi and t[at + 1] <= rows[i]:
@@ -553,26 +562,26 @@ def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
             gap, until = t[at + 1] - t[at], t[at + 1]
         while not matches and stop < count and rows[stop] < until:
             stop += 1
-        for column in range(v.shape[1]):
-            to = FIRST[place] + column if column < 3 else col.DOUBT
+        for column in range(s.firsts[place + 1] - s.firsts[place]):
+            v, to = s.values[s.firsts[place] + column], x[FIRST[place] + column if column < 3 else col.DOUBT, i:stop]
             if since < 0 or (gap > limit_ns and place > SETPOINT):
-                for k in range(i, stop):
-                    x[to, k] = 0.0 if place == SETPOINT else np.nan
+                to[:] = 0.0 if place == SETPOINT else np.nan
             elif not angle and matches:
-                for k in range(stop - i):
-                    x[to, i + k] = v[at + k, column]
+                new = v[at:]
+                for k in range(len(to)):
+                    to[k] = new[k]
             elif matches:
-                x[to, i] = v[at, column] + TURN * turns[column]
+                to[0] = v[at] + TURN * turns[column]
                 for k in range(1, stop - i):
-                    turns[column] += _turn(v[at + k - 1, column], v[at + k, column])
-                    x[to, i + k] = v[at + k, column] + TURN * turns[column]
+                    turns[column] += _turn(v[at + k - 1], v[at + k])
+                    to[k] = v[at + k] + TURN * turns[column]
             else:
-                value = v[at, column] + (TURN * turns[column] if angle else 0.0)
-                after = v[at + 1, column] if gap <= limit_ns else value
+                value = v[at] + (TURN * turns[column] if angle else 0.0)
+                after = v[at + 1] if gap <= limit_ns else value
                 if gap <= limit_ns and angle:
-                    after += TURN * (turns[column] + _turn(v[at, column], after))
+                    after += TURN * (turns[column] + _turn(v[at], after))
                 for k in range(i, stop):
-                    x[to, k] = value + ((rows[k] - t[at]) / gap * (after - value) if gap <= limit_ns else 0.0)
+                    to[k - i] = value + ((rows[k] - t[at]) / gap * (after - value) if gap <= limit_ns else 0.0)
         if place <= SETPOINT:
             _mark_usable(s, place, rows, i, stop, gap, x)
         at, i = at + (stop - i - 1 if matches else 0), stop

@@ -202,9 +202,9 @@ class Memory:
 
 
 class Samples(NamedTuple):
-    """Rule and memory of a signal, and its samples: (n,) times of vehicle and receiver, (n, columns) values.
+    """Rule and memory of a signal, and its samples: (n,) times of vehicle and receiver, (columns, ..) values.
 
-    The gyro has a column more, for `Doubt` as a number.
+    The values of the samples are those from place `at` on. The gyro has a column more, for `Doubt` as a number.
     """
 
     columns: int
@@ -214,6 +214,7 @@ class Samples(NamedTuple):
     t_ns: IntArray
     host_ns: IntArray
     v: FloatArray
+    at: int
 
 
 @inline
@@ -241,9 +242,41 @@ def _size(s: Samples, column: int, away: float, span_ns: int) -> float:
 def _leap(s: Samples, i: int) -> float:
     found, span_ns = 0.0, s.t_ns[i] - s.counts[LAST_NS]
     for column in range(s.columns):
-        size = _size(s, column, _away(s, column, s.v[i, column], span_ns), span_ns)
+        size = _size(s, column, _away(s, column, s.v[column, s.at + i], span_ns), span_ns)
         found = max(found, size) if size == size else found
     return found
+
+
+@jit
+def _goes_on(s: Samples, row: FloatArray, first: int, stop: int, leads: bool, leap: float) -> bool:
+    """Whether no sample of a column leaps from the two before, and no angle takes a turn."""
+    t_ns, turn, odd = s.t_ns, math.pi if s.rule[ANGLE] > 0.0 else np.inf, 0
+    most = min(leap, turn)
+    for i in range(max(first, 2), max(first, 2) if leads else stop):
+        odd += 0 if abs(row[i] - row[i - 1]) <= most else 1
+    for i in range(max(first, 2), stop if leads else 0):
+        before, before_ns, span_ns = row[i - 1] - row[i - 2], t_ns[i - 1] - t_ns[i - 2], t_ns[i] - t_ns[i - 1]
+        step, lead = row[i] - row[i - 1], before * (1.0 / before_ns) * span_ns if before_ns != 0 else 0.0
+        odd += 0 if (abs(step - lead) <= most) & (abs(step) <= turn) & (abs(before) <= turn) else 1
+    return odd == 0
+
+
+@jit
+def _longest_run(row: FloatArray, first: int, stop: int, run: int, quiet: float) -> int:
+    """Longest repetition, of which there were so many before."""
+    longest = run
+    for i in range(max(first, 1), stop):
+        run = run + 1 if not abs(row[i] - row[i - 1]) > quiet else 0
+        longest = max(longest, run)
+    return longest
+
+
+@jit
+def _any_zero(row: FloatArray, first: int, stop: int) -> bool:
+    zeros = 0
+    for i in range(max(first, 0), stop):
+        zeros += 0 if 0.0 < abs(row[i]) < np.inf else 1
+    return zeros > 0
 
 
 @jit
@@ -265,8 +298,14 @@ def _plain(s: Samples, first: int, stop: int) -> int:
         alone, may_rest = rule[LEAP + 3 * columns + column], rule[ZERO_IS_DEAD] + rule[NOT_ZERO] == 0.0
         if gyro and not mem[at + 3 * columns] <= rule[MOST_STEP]:
             return first
+        row = s.v[column, s.at :]
         for i in range(first, stop):
-            value, span_ns = s.v[i, column], t_ns[i] - before_ns
+            if i == first + 2 and _goes_on(s, row, i, stop, leads > 0.0, leap):
+                longest = _longest_run(row, i, stop, run, quiet)
+                if longest <= alone:
+                    moves = moves and longest <= frozen and (may_rest or not _any_zero(row, i, stop))
+                    break
+            value, span_ns = row[i], t_ns[i] - before_ns
             run = run + 1 if not abs(value - came) > quiet else 0
             if run > alone or abs(_short(s, value - last - slope * span_ns)) > leap:
                 stop = i
@@ -321,8 +360,8 @@ def _decide(s: Samples, there: int, i: int) -> tuple[int, bool]:
     else:
         here, before = i + run, i + run - 1
         for column in range(s.columns):
-            one = _away(s, column, s.v[here, column], s.t_ns[here] - last_ns)
-            other = _away(s, column, s.v[before, column], s.t_ns[before] - last_ns)
+            one = _away(s, column, s.v[column, s.at + here], s.t_ns[here] - last_ns)
+            other = _away(s, column, s.v[column, s.at + before], s.t_ns[before] - last_ns)
             back, span_ns = _short(s, one - other), s.t_ns[here] - s.t_ns[before]
             lost = lost or (back * other < 0.0 and _size(s, column, back, span_ns) > 1.0)
     for k in range(run):
@@ -347,9 +386,8 @@ def _believe(s: Samples, first: int, stop: int) -> None:
     share = 1.0 / span_ns if span_ns != 0 and s.rule[LEADING] else 0.0
     for column in range(s.columns):
         at, leads = COLUMN + column, share != 0.0 and s.rule[LEAP + s.columns + column]
-        before = s.v[i - 1, column] if several else s.mem[at]
-        s.mem[at + s.columns] = _short(s, s.v[i, column] - before) * share if leads else 0.0
-        s.mem[at] = s.v[i, column]
+        before, value = s.v[column, s.at + i - 1] if several else s.mem[at], s.v[column, s.at + i]
+        s.mem[at + s.columns], s.mem[at] = _short(s, value - before) * share if leads else 0.0, value
     s.counts[LAST_NS] = s.t_ns[i]
 
 
@@ -360,16 +398,14 @@ def _measure(s: Samples, first: int, stop: int) -> float:
     coarsest, jitter, before_ns, same = 0.0, mem[JITTER], counts[CAME_NS], 1 << 62
     for column in range(columns):
         at, moved = COLUMN + 2 * columns + column, stop - 1  # the last sample that did not repeat the one before
-        came, finest, quiet = mem[at], mem[at + columns], s.rule[LEAP + 2 * columns + column]
-        while (
-            moved >= first and not abs(s.v[moved, column] - (s.v[moved - 1, column] if moved > first else came)) > quiet
-        ):
+        came, finest, quiet, row = mem[at], mem[at + columns], s.rule[LEAP + 2 * columns + column], s.v[column, s.at :]
+        while moved >= first and not abs(row[moved] - (row[moved - 1] if moved > first else came)) > quiet:
             moved -= 1
         run = stop - 1 - moved + (counts[RUNS + 1 + column] if moved < first else 0) if counts[COUNT] > 0 else 0
         for i in range(first, stop if gyro else first):
-            step, came = abs(s.v[i, column] - came), s.v[i, column]
+            step, came = abs(row[i] - came), row[i]
             finest = min(finest, step) if step > SAME else finest
-        mem[at], counts[RUNS + 1 + column], same = s.v[stop - 1, column], run, min(same, run)
+        mem[at], counts[RUNS + 1 + column], same = row[stop - 1], run, min(same, run)
         if gyro:
             mem[at + columns], coarsest = finest, max(coarsest, finest)
     for i in range(first, stop if gyro else first):
@@ -385,21 +421,21 @@ def _use(s: Samples, i: int, finest: float) -> bool:
     rule, v, columns = s.rule, s.v, s.columns
     frozen, zero, alone = s.counts[RUNS] > rule[LEAP + 4 * columns], rule[ZERO_IS_DEAD] > 0.0, False
     for column in range(columns):
-        zero = zero and v[i, column] == 0.0
+        zero = zero and v[column, s.at + i] == 0.0
         alone = alone or s.counts[RUNS + 1 + column] > rule[LEAP + 3 * columns + column]
-    dead = (frozen or zero) and not v[i, 0] < rule[LOWEST]
+    dead = (frozen or zero) and not v[0, s.at + i] < rule[LOWEST]
     if rule[GYRO]:
         if dead or alone:
-            v[i, columns] = FROZEN_CODE
+            v[columns, s.at + i] = FROZEN_CODE
         elif finest > rule[MOST_STEP]:
-            v[i, columns] = RESOLUTION_CODE
+            v[columns, s.at + i] = RESOLUTION_CODE
         elif s.mem[JITTER] > rule[MOST_JITTER]:
-            v[i, columns] = STAMPS_CODE
+            v[columns, s.at + i] = STAMPS_CODE
         return True
     if (dead or alone) and not (rule[RESTS] or rule[ANGLE]):
         for column in range(columns):
             if dead or s.counts[RUNS + 1 + column] > rule[LEAP + 3 * columns + column]:
-                v[i, column] = np.nan
+                v[column, s.at + i] = np.nan
     return not (dead and rule[ANGLE])
 
 
@@ -407,7 +443,7 @@ def _use(s: Samples, i: int, finest: float) -> bool:
 def _in_range(s: Samples, i: int) -> bool:
     """Whether a sensor may have measured it; nan where rows may have it: some vehicles log some columns only."""
     for column in range(s.columns):
-        size = abs(s.v[i, column])
+        size = abs(s.v[column, s.at + i])
         if size > s.rule[GREATEST] or (size != size and s.rule[MUST_BE_FINITE]):
             return False
     return True
@@ -417,15 +453,15 @@ def _in_range(s: Samples, i: int) -> bool:
 def _move(s: Samples, i: int, to: int) -> None:
     if to < i:
         s.t_ns[to], s.host_ns[to] = s.t_ns[i], s.host_ns[i]
-        for column in range(s.v.shape[1]):
-            s.v[to, column] = s.v[i, column]
+        for column in range(s.v.shape[0]):
+            s.v[column, s.at + to] = s.v[column, s.at + i]
 
 
 @inline
 def _take(s: Samples, i: int, lost: bool, kept: int, seen: FloatArray, runs: IntArray) -> int:
     """Measure a sample that is decided, and move it to the believed ones, if it is; returns how many there are."""
     if s.rule[GYRO]:
-        s.v[i, s.columns] = 0.0
+        s.v[s.columns, s.at + i] = 0.0
     if s.rule[LEARNT]:
         finest = _measure(s, i, i + 1)
         if lost:
@@ -440,9 +476,9 @@ def _take(s: Samples, i: int, lost: bool, kept: int, seen: FloatArray, runs: Int
             return kept
     zero = s.rule[NOT_ZERO] > 0.0
     for column in range(s.columns):
-        zero = zero and (s.v[i, column] == 0.0 or not math.isfinite(s.v[i, column]))
+        zero = zero and (s.v[column, s.at + i] == 0.0 or not math.isfinite(s.v[column, s.at + i]))
     if zero:  # which no vehicle in flight has
-        s.v[i, : s.columns] = np.nan
+        s.v[: s.columns, s.at + i] = np.nan
     _move(s, i, kept)
     return kept + 1
 
@@ -471,8 +507,8 @@ def look_at(s: Samples, waited: int, seen: FloatArray, runs: IntArray) -> tuple[
             s.counts[ALONE] = 0
             _believe(s, done, stop)
             _measure(s, done, stop)
-            for i in range(done, stop if s.rule[GYRO] or kept < done else done):
-                s.v[i, s.columns :] = 0.0
+            s.v[s.columns :, s.at + done : s.at + stop] = 0.0
+            for i in range(done, stop if kept < done else done):
                 _move(s, i, kept + i - done)
             kept, done = kept + stop - done, stop
             continue
@@ -533,14 +569,14 @@ def _looked(
     waited = 0 if before is None else len(before)
     count = waited + len(series)
     t_ns, host_ns = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
-    values = np.empty((count, columns + int(rule[GYRO])))
+    values = np.empty((columns + int(rule[GYRO]), count))
     if before is not None:
-        t_ns[:waited], host_ns[:waited], values[:waited] = before.t_ns, before.host_ns, before.values
-    t_ns[waited:], host_ns[waited:], values[waited:, :columns] = series.t_ns, series.host_ns, series.values
-    samples = Samples(columns, rule, memory.figures, memory.counts, t_ns, host_ns, values)
+        t_ns[:waited], host_ns[:waited], values[:, :waited] = before.t_ns, before.host_ns, before.values.T
+    t_ns[waited:], host_ns[waited:], values[:columns, waited:] = series.t_ns, series.host_ns, series.values.T
+    samples = Samples(columns, rule, memory.figures, memory.counts, t_ns, host_ns, values, 0)
     kept, done, there = look_at(samples, waited, seen, runs)
-    memory.waiting = Series(series.signal, t_ns[done:there], host_ns[done:there], values[done:there])
-    return Series(series.signal, t_ns[:kept], host_ns[:kept], values[:kept])
+    memory.waiting = Series(series.signal, t_ns[done:there], host_ns[done:there], values[:, done:there].T)
+    return Series(series.signal, t_ns[:kept], host_ns[:kept], values[:, :kept].T)
 
 
 def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]]) -> LinkQuality:
