@@ -60,6 +60,9 @@ class ChainOutput:
         return self.pieces[-1].gauges if self.pieces else ()
 
 
+NOTHING = ChainOutput()
+
+
 @dataclass(slots=True, eq=False)
 class ChainState:
     """Memory of the front, the kernel and the decision; a step changes it in place.
@@ -137,24 +140,24 @@ class Chain:
     def step(self, state: ChainState, telemetry: Telemetry) -> tuple[ChainState, ChainOutput]:
         """Take in a chunk of telemetry; return what it brought."""
         if not telemetry.series:
-            return state, ChainOutput()
+            return state, NOTHING
         state.waiting.append(telemetry)
         if not state.measured:
             del state.waiting[:-MOST_UNMEASURED]
             if _gyro_s(state.waiting) < MEASURED_S:
-                return state, ChainOutput()
+                return state, NOTHING
             gyro = (Telemetry(tuple(one for one in chunk if one.signal is Signal.BODY_RATE)) for chunk in state.waiting)
             refused = self.refusal(joined(gyro), MEASURED_S)
             if refused is not None:
                 state.refused, state.measured = refused, not refused
             if not state.measured:
                 state.waiting = [] if refused else state.waiting
-                return state, ChainOutput()
+                return state, NOTHING
         align, waiting, state.waiting, state.chunks = state.front.align, state.waiting, [], state.chunks + 1
         self.front.align.append(align, waiting)
         next_ns = (align.last_ns // LOOK_NS + 1) * LOOK_NS
         if state.chunks < MOST_WAITING and self.front.align.reached_ns(align) < next_ns:
-            return state, ChainOutput()  # nothing can be decided before the rows of the next look
+            return state, NOTHING  # nothing can be decided before the rows of the next look
         return self.judge(state, self._taken(state))
 
     def missing_ns(self, state: ChainState) -> int:

@@ -594,10 +594,10 @@ class Kernel:
         readings, found = np.empty((done, *memory.latest.shape)), np.empty((2, done), dtype=np.int64)
         told = np.empty((2 * slots * n, 2)), np.empty((2 * slots * n, 4), dtype=np.int64)
         out, rotors = np.empty((slots, 4, n)), np.empty((self._tellers, n, self._rotors))
-        at, counts = np.empty((slots, n), dtype=np.int64), np.zeros(slots, dtype=np.int64)
-        late_ns = now_ns - self._late_ns
-        numbers, lag = np.zeros(NUMBERS, dtype=np.int64), columns.known - columns.first
-        numbers[: OPEN_ROWS + 1] = columns.first, lag, first, block.settled_ns, late_ns, *self._bins, known, opened
+        at, counts = np.empty((slots, n), dtype=np.int64), np.empty(slots, dtype=np.int64)
+        lag, settled_ns, late_ns = columns.known - columns.first, block.settled_ns, now_ns - self._late_ns
+        given = [columns.first, lag, first, settled_ns, late_ns, *self._bins, known, opened]
+        numbers = np.array(given + [0] * (NUMBERS - len(given)))
         state = (memory.mem, memory.latest, memory.alarms, memory.alarms_ns)
         counted = (memory.tally, memory.outside, memory.missing, memory.doubts)
         looked = (looks, readings, found[0], found[1], *told)
@@ -607,9 +607,10 @@ class Kernel:
         if tells:
             pairs = zip(told[1][:tells].tolist(), told[0][:tells].tolist(), strict=True)
             memory.told += tuple(Alarm(first + look, *whose, *high) for (look, *whose), high in pairs)
-        memory.past, memory.next_look = columns.past, first + done
-        alarms = tuple(sorted((one for one in memory.told if one.look < memory.next_look), key=lambda one: one.look))
-        memory.told = tuple(one for one in memory.told if one.look >= memory.next_look)
+        memory.past, memory.next_look, alarms = columns.past, first + done, memory.told
+        if alarms:
+            memory.told = tuple(one for one in alarms if one.look >= first + done)
+            alarms = tuple(sorted((one for one in alarms if one.look < first + done), key=lambda one: one.look))
         memory.bins_ns, memory.bins, memory.looks = bins[0][:known], bins[1][:known], looks[done:]
         memory.unjudged = _stretches(memory.unjudged, rows_open[0][:gone], self.dt_s)
         memory.open_ns, memory.bits = rows_open[0][gone:opened], rows_open[1][gone:opened]

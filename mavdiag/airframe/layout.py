@@ -7,6 +7,7 @@ yaw nose right are positive). Rotors are numbered from 1 as the vehicle numbers 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -89,7 +90,14 @@ class RotorLayout:
     @property
     def unmixing(self) -> FloatArray:
         """C = pinv(B), (3, rotors): trim m = C w; column j is the trim that a unit rise of rotor j makes."""
-        return np.asarray(np.linalg.pinv(self.mixing), dtype=np.float64)
+        return _unmixing(self.signs)
+
+
+@cache
+def _unmixing(signs: tuple[tuple[float, ...], ...]) -> FloatArray:
+    found = np.asarray(np.linalg.pinv(np.array(signs, dtype=np.float64).reshape(len(signs), -1)), dtype=np.float64)
+    found.flags.writeable = False
+    return found
 
 
 @dataclass(frozen=True, slots=True)

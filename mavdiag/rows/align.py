@@ -103,7 +103,7 @@ class AlignState:
     """All that the aligner remembers between chunks.
 
     reached, ends: latest stamp and `END` of each as it came. sent, taken: how many columns it has, and which are used.
-    into: where they are put: times of vehicle and receiver, values (n, k).
+    room: samples in an array. into: where they are put: times of vehicle and receiver, values (n, k).
     """
 
     def __init__(self, limits_ns: IntArray) -> None:
@@ -114,7 +114,7 @@ class AlignState:
         arrays = np.empty((count, 0), np.int64), np.empty((count, 0), np.int64), np.empty((sum(WIDTHS), 0))
         firsts = np.cumsum((0, *WIDTHS))
         self.streams = Streams(*arrays, firsts, marks, *knows, np.zeros((count, 3)), now, limits_ns)
-        self.ends, self.sent, self.reached = [0] * count, [0] * count, [-NEVER_NS] * count
+        self.room, self.ends, self.sent, self.reached = 0, [0] * count, [0] * count, [-NEVER_NS] * count
         self.taken: list[list[int] | slice] = [slice(None)] * count
         self._look()
 
@@ -130,26 +130,27 @@ class AlignState:
 
     def append(self, telemetry: Telemetry, spec: "AlignSpec") -> None:
         """Put samples behind those that came. Raises InputError if their columns are others than before."""
-        places, ends, reached = spec.places, self.ends, self.reached
+        places, ends, sent, reached = spec.places, self.ends, self.sent, self.reached
         for series in telemetry.series:
-            place, t_ns, values = places.get(series.signal), series.t_ns, series.values
-            if place is None or not len(t_ns):
+            place, values = places.get(series.signal), series.values
+            count, found = values.shape
+            if place is None or not count:
                 continue
-            end, count, found = ends[place], len(t_ns), values.shape[1]
-            if not self.sent[place]:
+            if not sent[place]:
                 self._begin(place, found, spec)
-            if found != self.sent[place]:  # before anything is moved: the state stays whole
-                raise InputError(f"{series.signal} has {found} columns in place of {self.sent[place]}")
-            if end + count > self.streams.times.shape[1]:
+            if found != sent[place]:  # before anything is moved: the state stays whole
+                raise InputError(f"{series.signal} has {found} columns in place of {sent[place]}")
+            end = ends[place]
+            if end + count > self.room:
                 end = self._make_room(place, count)
-            (times, hosts, to), taken, stop = self.into[place], self.taken[place], end + count
-            times[end:stop], hosts[end:stop] = t_ns, series.host_ns
+            (times, hosts, to), taken, stop, t_ns = self.into[place], self.taken[place], end + count, series.t_ns
+            times[end:stop], hosts[end:stop], ends[place] = t_ns, series.host_ns, stop
             if isinstance(taken, slice):
                 to[end:stop] = values[:, taken]
             else:
                 for column, of in enumerate(taken):
                     to[end:stop, column] = values[:, of] if of < found else np.nan
-            ends[place], last_ns = stop, t_ns.item(-1)
+            last_ns = t_ns.item(-1)
             if last_ns > reached[place]:
                 reached[place] = last_ns
 
@@ -176,10 +177,10 @@ class AlignState:
     def _make_room(self, place: int, count: int) -> int:
         """Move the samples that are kept to the front, of longer arrays if need be; returns where the next are put."""
         (lo, hi), end = self.streams.marks[place, :END].tolist(), self.ends[place]
-        kept, room, (times, hosts, values) = end - lo, self.streams.times.shape[1], self.into[place]
-        if kept + count + ROOM // 2 > room:
-            room = ROOM + 3 * (kept + count) // 2
-            longer = (_widened(one, room) for one in self.streams[:3])
+        kept, (times, hosts, values) = end - lo, self.into[place]
+        if kept + count + ROOM // 2 > self.room:
+            self.room = ROOM + 3 * (kept + count) // 2
+            longer = (_widened(one, self.room) for one in self.streams[:3])
             self.streams = self.streams._replace(**dict(zip(("times", "hosts", "values"), longer, strict=True)))
             self._look()
         for new, old in zip(self.into[place], (times, hosts, values), strict=True):

@@ -127,10 +127,10 @@ class GateSpec:
             if now[AIRBORNE]:
                 out += [*self._break_off(state), Border(int(now[LAST_NS]))]
             now[[SOURCE, SOURCE_NS]], state.tail = (block.segment, block.t_ns[0]), state.tail[:0]
-        trim_ns = round(self.trim_end_s * NS_PER_S)
-        height, thrust = (-math.inf if one is None else float(one) for one in (self.min_height_m, self.min_thrust))
+        trim_ns, told = round(self.trim_end_s * NS_PER_S), self._told(state, block)
+        height = -math.inf if self.min_height_m is None else float(self.min_height_m)
+        thrust = -math.inf if self.min_thrust is None else float(self.min_thrust)
         limits = height, thrust, self.need_armed, block.dt_s, round(self.trim_start_s * NS_PER_S)
-        told = self._told(state, block)
         while first < n:
             took, stop, landed = _follow(now, limits, block.t_ns, block.x, told, block.outputs, first)
             if took < stop:

@@ -107,23 +107,30 @@ class Habit(BaseModel):
     lowest: float
     leads: tuple[bool, ...] = ()
 
-    def limits(self, taken: Sequence[int]) -> FloatArray:
+    def limits(self, taken: Sequence[int]) -> list[float]:
         """Longest leap, whether it leads, step of silence, longest repetition: of each column; the last also of all.
 
         taken: these columns; nothing is known of those that there are not.
         """
-        leap, longest, columns = np.array(self.leap), np.array(self.still, dtype=np.float64), len(self.leap)
-        if self.signal in SENSORS:
-            leap = np.where(leap > 0, FAR * leap, np.inf)  # one that never moved may do so
+        (whole, *each), columns, sensor = self.still, len(self.leap), self.signal in SENSORS
+        if sensor:
+            leap = [FAR * one if one > 0 else math.inf for one in self.leap]  # one that never moved may do so
         else:
-            leap = np.maximum(FAR * leap, RANGES[self.signal][1])
-        still = STILL_FACTOR * longest + STILL_MORE
-        still[0] = max(min(still[0], STILL_S / self.period_s), STILL_LEAST * longest[0] + STILL_MORE)
-        still = np.floor(still) if self.signal is not Signal.ATTITUDE_SETPOINT else longest + STILL_MORE
-        alone = np.append(still[1:], np.full(1 + columns - len(still), np.inf))
-        each = np.array([leap, self.leads or np.zeros(columns), self.quiet, alone])
-        each = np.column_stack((each, (np.inf, 0.0, 0.0, np.inf)))[:, np.minimum(taken, columns)]
-        return np.append(each.ravel(), still[0])
+            leap = [max(FAR * one, RANGES[self.signal][1]) for one in self.leap]
+        if self.signal is Signal.ATTITUDE_SETPOINT:
+            longest = float(whole + STILL_MORE)
+        else:
+            most = min(STILL_FACTOR * whole + STILL_MORE, STILL_S / self.period_s)
+            longest = float(math.floor(max(most, STILL_LEAST * whole + STILL_MORE)))
+        alone = [float(math.floor(STILL_FACTOR * one + STILL_MORE)) for one in each]
+        tables = leap, self.leads, self.quiet, alone
+        unknown = math.inf, 0.0, 0.0, math.inf
+        found = [
+            float(table[at]) if at < len(table) else none
+            for table, none in zip(tables, unknown, strict=True)
+            for at in (min(one, columns) for one in taken)
+        ]
+        return [*found, longest]
 
 
 class LinkQuality(BaseModel):

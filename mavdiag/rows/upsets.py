@@ -20,7 +20,7 @@ from mavdiag.units import NS_PER_MS, NS_PER_S, G
 
 SIGN_S = 0.4  # of the means (our choice)
 BIN_S = 0.1  # steps of these means, where rows come at 20 Hz or more (our choice)
-LOOK_NS = 10 * NS_PER_MS  # between two looks at the attitude, which no vehicle changes by much in it (our choice)
+LOOK_NS = 20 * NS_PER_MS  # between two looks at the attitude, which no vehicle changes by much in it (our choice)
 FALL_G = 0.3  # a vehicle that descends on purpose keeps more than half (our choice)
 UPSIDE_DOWN_G = 0.3  # towards the belly (our choice)
 TILT_RAD = math.radians(90.0)  # from the vertical (our choice)
@@ -76,7 +76,7 @@ def _sum_bins(t_ns: IntArray, bin_ns: int, signals: Any, setpoint_valid: BoolArr
         for axis in range(3):
             square += force[axis, i] ** 2 if math.isfinite(force[axis, i]) else 0.0
         bin_[3] += 1.0
-        bin_[4] += math.hypot(rate[0, i], rate[1, i])
+        bin_[4] += math.sqrt(rate[0, i] ** 2 + rate[1, i] ** 2)
         bin_[5] += math.sqrt(square) / G if math.isfinite(down) else np.nan
         bin_[6] += down / G
         if t_ns[i] // LOOK_NS == looked:
