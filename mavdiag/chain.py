@@ -125,7 +125,9 @@ class Chain:
     def __post_init__(self) -> None:
         dt_s = self.front.align.dt_s
         kernel = Kernel(self.slots, self.baseline.envelope, dt_s, self.front.rates.window // 2 * dt_s)
+        front = replace(self.front, align=replace(self.front.align, before=kernel.back))
         object.__setattr__(self, "kernel", kernel)
+        object.__setattr__(self, "front", front)  # with the room that the kernel's columns of before need
 
     @property
     def slots(self) -> tuple[Slot, ...]:

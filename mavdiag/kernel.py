@@ -530,7 +530,7 @@ class Kernel:
         self._bit = {check: number for number, check in enumerate(checks)}
         begun = [slot.monitor.begin(dt_s) for slot in slots]
         own, memories = [one.par for one in begun], [conditions_memory(), *(one.mem for one in begun)]
-        self._back, self._start = max((one.back for one in begun), default=0), np.concatenate(memories)
+        self.back, self._start = max((one.back for one in begun), default=0), np.concatenate(memories)
         self._rotors = max((slot.monitor.rotors for slot in slots), default=0)
         plan = self._plan(np.cumsum([0, *map(len, own)]), np.cumsum(list(map(len, memories))))
         limits = limits_of(covered)
@@ -565,7 +565,7 @@ class Kernel:
         tally, outside, alarms = np.zeros((slots, 2)), np.zeros((slots, COUNT, 3)), np.zeros((slots, 4))
         latest[:, AT], tally[:, PEAK] = NEVER, -np.inf
         counts = np.zeros(len(self._bit), dtype=np.int64), np.zeros(len(DOUBTS), dtype=np.int64)
-        segment = self._start.copy(), col.no_past(self._back), latest, alarms, np.zeros((slots, 2), dtype=np.int64)
+        segment = self._start.copy(), col.no_past(self.back), latest, alarms, np.zeros((slots, 2), dtype=np.int64)
         bins = never, np.empty((0, 2 * COUNT))
         return Memory(*segment, tally, outside, *counts, *bins, self._records(2), never, never)
 

@@ -426,7 +426,7 @@ def sweep_of(
     def prepare(count: int) -> tuple[list[FloatArray], list[FloatArray]]:
         spec = RateSpec.of(dt_s, count, polynomial)
         state = spec.start()
-        rows = [spec.step(state, replace(block, x=block.x.copy())) for block in blocks]
+        rows = [spec.step(state, replace(block, whole=block.x.copy(), first=0)) for block in blocks]
         pieces = training_pieces(rows, axis)
         return [u for u, _ in pieces], [y for _, y in pieces]
 

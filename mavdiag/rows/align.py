@@ -201,6 +201,7 @@ class AlignSpec:
 
     max_gap_s: longest gap of gyro and set-point that is interpolated. quality: what healthy flights showed of the link.
     takes: the columns of a signal that rows have, in this order, where not all as they come; none: it is not looked at.
+    before: columns of room in front of the rows of each block.
     """
 
     dt_s: float
@@ -208,6 +209,7 @@ class AlignSpec:
     max_gap_s: float = 0.035
     quality: LinkQuality = field(default_factory=LinkQuality)
     takes: Mapping[Signal, Sequence[int]] = field(default_factory=dict)
+    before: int = 0
 
     def __post_init__(self) -> None:
         if not 0 < self.dt_s < BREAK_S:
@@ -258,11 +260,11 @@ class AlignSpec:
         """The rows up to a time, a block of each segment."""
         dt_ns, resampled, more = self.dt_s * NS_PER_S, self.grid is Grid.RESAMPLED, True
         while more:
-            t_ns, x, more = _rows(state.streams, until_ns, dt_ns, resampled)
+            t_ns, x, more = _rows(state.streams, until_ns, dt_ns, resampled, self.before)
             if len(t_ns):
                 firsts = state.streams.firsts
                 outputs = min(int(firsts[SPEEDS] - firsts[OUTPUTS]), col.MOST)
-                yield Block(int(state.streams.now[SEGMENT]), self.dt_s, t_ns, x, outputs)
+                yield Block(int(state.streams.now[SEGMENT]), self.dt_s, t_ns, x, outputs, 0, self.before)
 
     def reached_ns(self, state: AlignState) -> int:
         """No row later than this comes of what was appended [ns], if it is believed as what came before."""
@@ -444,8 +446,8 @@ def _horizon(s: Streams, hurries: bool, dt_ns: float) -> int:
 
 
 @cached
-def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool) -> tuple[IntArray, FloatArray, bool]:
-    """Times of the next rows of one segment, and x of `rows.block` without rates.
+def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool, before: int) -> tuple[IntArray, FloatArray, bool]:
+    """Times of the next rows of one segment, and x of `rows.block` without rates, behind some room.
 
     On a native grid every sample is a row, but for one that is nearer than half a period to the last row, and what is
     missing between two is filled evenly. The last: whether gyro samples are left.
@@ -478,10 +480,10 @@ def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool) -> tuple[Int
     s.now[DONE] = t[stop - 1]
     speeds = s.firsts[SPEEDS + 1] - s.firsts[SPEEDS]
     outputs = FIRST[OUTPUTS] + min(s.firsts[SPEEDS] - s.firsts[OUTPUTS], col.MOST)
-    x = np.empty((FIRST[SPEEDS] + speeds if speeds else outputs, count))
+    x = np.empty((FIRST[SPEEDS] + speeds if speeds else outputs, before + count))
     x[col.COVERED], x[col.WHOLE : col.RATE], x[col.U : col.OUTPUTS], x[outputs:] = 1.0, 0.0, np.nan, np.nan
     if count:
-        _fill(s, rows[:count], x)
+        _fill(s, rows[:count], x, before)
         s.now[LAST] = rows[count - 1]
     return rows[:count], x, stop < hi and t[stop] <= until_ns
 
@@ -511,14 +513,17 @@ def _settle(s: Streams, place: int, at: int) -> None:
 
 
 @jit
-def _fill(s: Streams, rows: IntArray, x: FloatArray) -> None:
+def _fill(s: Streams, rows: IntArray, x: FloatArray, before: int) -> None:
     """Read all streams at the times of rows into x; what lies before is settled."""
     for place in range(len(s.marks)):
-        _settle(s, place, _hold(s, place, rows, x) if place >= THRUST else _interpolate(s, place, rows, x))
+        if place >= THRUST:
+            _settle(s, place, _hold(s, place, rows, x, before))
+        else:
+            _settle(s, place, _interpolate(s, place, rows, x, before))
 
 
 @jit
-def _hold(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
+def _hold(s: Streams, place: int, rows: IntArray, x: FloatArray, before: int) -> int:
     """The last value at each row, nan where it is older than the limit; returns the last sample that was read."""
     t, at, hi, limit_ns = s.times[place], s.marks[place, LO], s.marks[place, HI], s.limits_ns[place]
     i, first, of, columns = 0, FIRST[place], s.firsts[place], s.firsts[place + 1] - s.firsts[place]
@@ -535,13 +540,13 @@ def _hold(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
             stop = len(rows)
         for column in range(columns):
             value = s.values[of + column, at] if known else np.nan
-            x[first + column, i:stop] = value
+            x[first + column, before + i : before + stop] = value
         i = stop
     return int(at)
 
 
 @jit
-def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
+def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray, before: int) -> int:
     """The value between the samples around each row (too far apart: the last, or nan); returns the last one read.
 
     Rows are taken together as far as they lie between the same two samples, or each at the time of the next sample.
@@ -564,7 +569,8 @@ def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
         while not matches and stop < count and rows[stop] < until:
             stop += 1
         for column in range(s.firsts[place + 1] - s.firsts[place]):
-            v, to = s.values[s.firsts[place] + column], x[FIRST[place] + column if column < 3 else col.DOUBT, i:stop]
+            v, row = s.values[s.firsts[place] + column], FIRST[place] + column if column < 3 else col.DOUBT
+            to = x[row, before + i : before + stop]
             if since < 0 or (gap > limit_ns and place > SETPOINT):
                 to[:] = 0.0 if place == SETPOINT else np.nan
             elif not angle and matches:
@@ -584,22 +590,26 @@ def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray) -> int:
                 for k in range(i, stop):
                     to[k - i] = value + ((rows[k] - t[at]) / gap * (after - value) if gap <= limit_ns else 0.0)
         if place <= SETPOINT:
-            _mark_usable(s, place, rows, i, stop, gap, x)
+            _mark_usable(s, place, rows[i:stop], gap, x, before + i)
         at, i = at + (stop - i - 1 if matches else 0), stop
     return int(at)
 
 
 @jit
-def _mark_usable(s: Streams, place: int, rows: IntArray, first: int, stop: int, gap: int, x: FloatArray) -> None:
+def _mark_usable(s: Streams, place: int, rows: IntArray, gap: int, x: FloatArray, begin: int) -> None:
     """Mark rows outside of gaps and of what must settle after them; what follows a doubt is as after a gap."""
-    blank_ns, to = s.now[BLANK + place], col.VALID if place == GYRO else col.SETPOINT
-    for i in range(first, stop):
-        doubted = place == GYRO and x[col.DOUBT, i] > 0.0
+    blank_ns, to, doubt = (
+        s.now[BLANK + place],
+        x[col.VALID if place == GYRO else col.SETPOINT, begin:],
+        x[col.DOUBT, begin:],
+    )
+    for i in range(len(rows)):
+        doubted = place == GYRO and doubt[i] > 0.0
         long_ns = max(gap, s.limits_ns[USABLE] + 1) if doubted else gap
         if long_ns > s.limits_ns[USABLE]:
             settle = s.limits_ns[SETTLE_START] if long_ns > s.limits_ns[BREAK] else s.limits_ns[SETTLE_GAP]
             blank_ns = max(blank_ns, rows[i] + settle)
-        x[to, i] = 1.0 if rows[i] > blank_ns else 0.0
+        to[i] = 1.0 if rows[i] > blank_ns else 0.0
         if doubted:
-            x[col.DOUBT, i] = math.ceil(x[col.DOUBT, i])
+            doubt[i] = math.ceil(doubt[i])
     s.now[BLANK + place] = blank_ns

@@ -77,7 +77,8 @@ class Block:
     A signal is nan in a row where it is unknown (see `rows.align`). Only the set-point stays finite; `setpoint_valid`
     says where it may be used. Columns and units of signals are those of `Signal`; angles have no jumps of 2 pi.
 
-    segment: number of the unbroken span of flight. t_ns: (n,) vehicle time. x: (rows, n), see `VALID`.
+    segment: number of the unbroken span of flight. t_ns: (n,) vehicle time. whole: (rows, ..) memory, in which its own
+    columns x, (rows, n), see `VALID`, begin with `first`; what is in front is room for those of before (`columns_of`).
     outputs: how many outputs the vehicle has sent; actuator is (n, outputs), rotor_speed (n, ESCs).
     settled_ns: rows before it are of a take-off, or of the start of the data. answers: what was found (`once`).
     """
@@ -85,9 +86,10 @@ class Block:
     segment: int
     dt_s: float
     t_ns: IntArray
-    x: FloatArray
+    whole: FloatArray
     outputs: int = 0
     settled_ns: int = 0
+    first: int = 0
     answers: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     rate = signal(Signal.BODY_RATE)
@@ -105,6 +107,11 @@ class Block:
     doubt = Part[np.float64](DOUBT, lambda x: x)
 
     @property
+    def x(self) -> FloatArray:
+        """(rows, n), see `VALID`."""
+        return self.whole[:, self.first : self.first + len(self.t_ns)]
+
+    @property
     def actuator(self) -> FloatArray:
         """(n, outputs)."""
         return self.x[OUTPUTS : OUTPUTS + self.outputs].T
@@ -118,7 +125,8 @@ class Block:
         settled_ns = self.settled_ns if settled_ns is None else settled_ns
         if stop - first == len(self.t_ns) and segment == self.segment and settled_ns == self.settled_ns:
             return self
-        return Block(segment, self.dt_s, self.t_ns[first:stop], self.x[:, first:stop], self.outputs, settled_ns)
+        t_ns = self.t_ns[first:stop]
+        return Block(segment, self.dt_s, t_ns, self.whole, self.outputs, settled_ns, self.first + first)
 
     def known(self, signal: Signal, columns: slice = slice(None)) -> BoolArray:
         """(n,) where the row carries these columns of a signal; nowhere if rows have none for it.
@@ -198,7 +206,7 @@ class Columns:
     @property
     def past(self) -> FloatArray:
         """The latest columns, for the front of the next ones."""
-        return self.x[:OUTPUTS, self.x.shape[1] - self.first :].copy()
+        return self.x[:OUTPUTS, self.x.shape[1] - self.first :]
 
 
 def no_past(back: int) -> FloatArray:
@@ -207,12 +215,18 @@ def no_past(back: int) -> FloatArray:
 
 
 def columns_of(rows: Rows, past: FloatArray) -> Columns:
-    """The columns of some rows behind `past`; a lean that is not known is none, and so are rates of another segment."""
-    fresh, first, lag = rows.block.x, past.shape[1], len(rows.block) - len(rows.rates_ns)
-    x = np.empty((len(fresh), first + fresh.shape[1]))
-    x[:OUTPUTS, :first], x[OUTPUTS:, :first], x[:, first:] = past, np.nan, fresh
-    if np.count_nonzero(fresh[SETPOINT]) < fresh.shape[1]:
-        x[LEAN:HEADING, first:][:, fresh[SETPOINT] < 0.5] = 0.0
+    """The columns of some rows behind `past`; a lean that is not known is none, and so are rates of another segment.
+
+    They stay where they are if there is just the room in front of them.
+    """
+    (block, x), first, lag = (rows.block, rows.block.whole), past.shape[1], len(rows.block) - len(rows.rates_ns)
+    if not block.first == first == x.shape[1] - len(block) > 0:
+        x = np.empty((len(x), first + len(block)))
+        x[:, first:] = block.x
+    x[:OUTPUTS, :first], x[OUTPUTS:, :first] = past, np.nan
+    known = x[SETPOINT, first:]
+    if np.count_nonzero(known) < len(block):
+        x[LEAN:HEADING, first:][:, known < 0.5] = 0.0
     if lag:
         x[COMMANDED, first : first + lag], x[U:OUTPUTS, first : first + lag] = 0.0, np.nan
     return Columns(x, first, first + lag)
@@ -237,6 +251,7 @@ def in_rotor_order(block: Block, outputs: Sequence[int] | None) -> Block:
 def with_outputs(block: Block, sent: FloatArray, speeds: FloatArray) -> Block:
     """The block with other outputs and speeds, (outputs, n) and (ESCs, n)."""
     if not len(speeds) and np.shares_memory(sent, block.x[OUTPUTS : OUTPUTS + 1]):  # the first ones of those it has
-        return replace(block, x=block.x[: OUTPUTS + len(sent)], outputs=len(sent))
+        return replace(block, whole=block.whole[: OUTPUTS + len(sent)], outputs=len(sent))
     gap = np.full((MOST - len(sent) if len(speeds) else 0, len(block)), np.nan)
-    return replace(block, x=np.concatenate((block.x[:OUTPUTS], sent, gap, speeds)), outputs=len(sent))
+    x = np.concatenate((block.x[:OUTPUTS], sent, gap, speeds))
+    return replace(block, whole=x, first=0, outputs=len(sent))

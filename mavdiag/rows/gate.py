@@ -127,12 +127,12 @@ class GateSpec:
             if now[AIRBORNE]:
                 out += [*self._break_off(state), Border(int(now[LAST_NS]))]
             now[[SOURCE, SOURCE_NS]], state.tail = (block.segment, block.t_ns[0]), state.tail[:0]
-        trim_ns, told = round(self.trim_end_s * NS_PER_S), self._told(state, block)
+        trim_ns, told, place = round(self.trim_end_s * NS_PER_S), self._told(state, block), (block.whole, block.first)
         height = -math.inf if self.min_height_m is None else float(self.min_height_m)
         thrust = -math.inf if self.min_thrust is None else float(self.min_thrust)
         limits = height, thrust, self.need_armed, block.dt_s, round(self.trim_start_s * NS_PER_S)
         while first < n:
-            took, stop, landed = _follow(now, limits, block.t_ns, block.x, told, block.outputs, first)
+            took, stop, landed = _follow(now, limits, block.t_ns, place, told, block.outputs, first)
             if took < stop:
                 state.rows.append(block.rows(took, stop, int(now[SPAN]), int(now[SETTLED_NS])))
             out += state.release(int(now[LAST_NS]) - trim_ns)
@@ -183,18 +183,22 @@ def _idle(x: FloatArray, outputs: int, i: int) -> bool:
 
 @cached_loop
 def _follow(
-    now: IntArray, limits: Any, t_ns: IntArray, x: FloatArray, told: BoolArray, outputs: int, first: int
+    now: IntArray, limits: Any, t_ns: IntArray, place: Any, told: BoolArray, outputs: int, first: int
 ) -> tuple[int, int, bool]:
-    """Follow rows from the first on, up to a landing or their end; returns which may be flight, and if it landed."""
-    (least_height, least_thrust, need_armed, dt_s, trim_ns), took = limits, first
-    rate, height, thrust, armed = x[col.RATE : col.FORCE], x[col.HEIGHT], x[col.THRUST], x[col.ARMED]
-    valid, doubt = x[col.VALID], x[col.DOUBT]
+    """Follow rows from the first on, up to a landing or their end; returns which may be flight, and if it landed.
+
+    place: x, and the first of the columns that belong to t_ns.
+    """
+    (least_height, least_thrust, need_armed, dt_s, trim_ns), took, (x, at) = limits, first, place
+    height, thrust, armed = x[col.HEIGHT, at:], x[col.THRUST, at:], x[col.ARMED, at:]
+    valid, doubt = x[col.VALID, at:], x[col.DOUBT, at:]
+    p, q, r = x[col.RATE, at:], x[col.RATE + 1, at:], x[col.RATE + 2, at:]
     for i in range(first, len(t_ns)):
         t, low = t_ns[i], height[i] < least_height or thrust[i] < least_thrust
         if math.isfinite(thrust[i]):
             now[THRUST_NS] = t
         elif least_thrust > -math.inf:
-            low = low or _idle(x, outputs, i)
+            low = low or _idle(x, outputs, at + i)
             unseen = not math.isfinite(height[i]) or least_height == -math.inf
             if unseen and now[THRUST_NS] > NEVER_NS and t - now[THRUST_NS] > THRUST_LOST_NS:
                 valid[i], doubt[i] = 0.0, doubt[i] if doubt[i] > 0.0 else THRUST_CODE
@@ -210,8 +214,7 @@ def _follow(
                 now[BLANK_NS] += trim_ns
                 now[SETTLED_NS] = max(now[SOURCE_NS] + START_NS, now[BLANK_NS])
             now[AIRBORNE], now[RESUMES], now[SPAN] = 1, 0, now[SPAN] + 1
-        size = max(abs(rate[0, i]), abs(rate[1, i]), abs(rate[2, i]))
-        loud = size > QUIET_RAD_S and math.isfinite(rate[0, i] + rate[1, i] + rate[2, i])
+        loud = max(abs(p[i]), abs(q[i]), abs(r[i])) > QUIET_RAD_S and math.isfinite(p[i] + q[i] + r[i])
         if low and not now[LOW]:
             now[LOW], now[BEGUN_NS], now[LOUD_NS], now[LATE], now[LOUD], now[TUMBLES] = 1, t, t, 0, 0, 0
         if disarmed or (low and not loud and t - now[LOUD_NS] >= QUIET_S * NS_PER_S):

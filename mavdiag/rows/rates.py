@@ -12,7 +12,7 @@ newest row is added. They are formed anew at fixed rows of a segment, so that wh
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -67,9 +67,9 @@ class RateSpec:
             state.segment = block.segment
             state.memory[:] = 0.0
         known = min(len(block), max(0, len(block) + int(state.memory[ROWS]) - self.window + 1))
-        rates_ns, x = np.empty(known, dtype=np.int64), np.ascontiguousarray(block.x)
-        _filter(state.memory, state.times, self.weights, block.t_ns, x, rates_ns)
-        return Rows(block if x is block.x else replace(block, x=x), rates_ns)
+        rates_ns, place = np.empty(known, dtype=np.int64), (block.whole, block.first)
+        _filter(state.memory, state.times, self.weights, block.t_ns, place, rates_ns)
+        return Rows(block, rates_ns)
 
 
 def body_rates(phi: Any, theta: Any, dphi: Any, dtheta: Any, dpsi: Any) -> tuple[Any, Any, Any]:
@@ -140,24 +140,30 @@ def _smooth(
 
 @cached_loop
 def _filter(
-    mem: FloatArray, times: IntArray, weights: tuple[float, float, float], t_ns: IntArray, x: FloatArray, made: IntArray
+    mem: FloatArray, times: IntArray, weights: tuple[float, float, float], t_ns: IntArray, place: Any, made: IntArray
 ) -> None:
-    """Put into x the rates of the windows that its columns complete, and into `made` their times."""
+    """Put into x the rates of the windows that its columns complete, and into `made` their times.
+
+    place: x, and the first of the columns that belong to t_ns.
+    """
+    (x, begin), stop = place, place[1] + len(t_ns)
     window, first, none = len(times), len(t_ns) - len(made), x[U, :0]
     for axis in range(3):
-        _smooth(mem, axis, weights, x[RATE + axis], window, (x[Y + axis], none, x[GYRO + axis]))
-    for angle, values in enumerate((x[WHOLE], x[COMMANDED], none)):  # where they stand until they are used
-        _smooth(mem, 3 + angle, weights, x[LEAN + angle], window, (values, x[U + angle], none))
+        to = x[Y + axis, begin:stop], none, x[GYRO + axis, begin:stop]
+        _smooth(mem, axis, weights, x[RATE + axis, begin:stop], window, to)
+    for angle, values in enumerate((x[WHOLE, begin:stop], x[COMMANDED, begin:stop], none)):  # until they are used
+        _smooth(mem, 3 + angle, weights, x[LEAN + angle, begin:stop], window, (values, x[U + angle, begin:stop], none))
     rows = int(mem[ROWS])
-    for i in range(len(t_ns)):
-        times[(rows + i) % window] = t_ns[i]
+    for number in range(len(t_ns)):
+        i = begin + number
+        times[(rows + number) % window] = t_ns[number]
         valid = x[VALID, i] > 0.5
         mem[SOUND] = mem[SOUND] + 1.0 if valid else 0.0
         mem[WANTED] = mem[WANTED] + 1.0 if valid and x[SETPOINT, i] > 0.5 else 0.0
-        if i < first:
+        if number < first:
             x[WHOLE, i], x[COMMANDED, i], x[U : GYRO + 3, i] = 0.0, 0.0, np.nan
             continue
-        made[i - first] = times[(rows + i + window - window // 2) % window]
+        made[number - first] = times[(rows + number + window - window // 2) % window]
         x[U, i], x[U + 1, i], x[U + 2, i] = _turned(x[WHOLE, i], x[COMMANDED, i], x[U, i], x[U + 1, i], x[U + 2, i])
         x[WHOLE, i], x[COMMANDED, i] = mem[SOUND] >= window, mem[WANTED] >= window
     mem[ROWS] += len(t_ns)
