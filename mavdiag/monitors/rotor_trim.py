@@ -146,42 +146,23 @@ def take_rows(par: Floats, mem: Floats, x: Floats, begin: int) -> tuple[int, boo
 @jit
 def _add_rows(par: Floats, mem: Floats, x: Floats, begin: int, stop: int) -> None:
     """Add rows to the sums of their part."""
-    sums = mem[SUMS + SUMMED * (2 + int(mem[PART])) :][:SUMMED]
+    sums, known, felt = mem[SUMS + SUMMED * (2 + int(mem[PART])) :][:SUMMED], mem[KNOWN], par[FELT] > 0.5
     if mem[ROW] == 0.0:
         sums[:] = 0.0
-    of_roll, of_pitch, of_yaw, pull_x, pull_y, turned, lifted = (
-        sums[0],
-        sums[1],
-        sums[2],
-        sums[3],
-        sums[4],
-        sums[5],
-        sums[6],
-    )
-    known, moved, felt = mem[KNOWN], mem[MOVED], par[FELT] > 0.5
-    first_roll, first_pitch, first_yaw = mem[FIRST], mem[FIRST + 1], mem[FIRST + 2]
     for i in range(begin, stop):
         (roll, pitch, yaw, level), rate = _trim(par, x, i), x[col.RATE + 2, i]
         if felt:
-            side, ahead = -x[col.FORCE + 1, i] / G, x[col.FORCE, i] / G
+            pull_x, pull_y = -x[col.FORCE + 1, i] / G, x[col.FORCE, i] / G
         else:
-            side, ahead = x[col.LEAN, i], x[col.LEAN + 1, i]
-        if x[col.VALID, i] > 0.5 and math.isfinite(roll + pitch + yaw + rate + side + ahead):
+            pull_x, pull_y = x[col.LEAN, i], x[col.LEAN + 1, i]
+        if x[col.VALID, i] > 0.5 and math.isfinite(roll + pitch + yaw + rate + pull_x + pull_y):
             known += 1.0
-            of_roll, of_pitch, of_yaw = of_roll + roll, of_pitch + pitch, of_yaw + yaw
-            pull_x, pull_y, turned, lifted = pull_x + side, pull_y + ahead, turned + rate, lifted + level
-            if roll != first_roll or pitch != first_pitch or yaw != first_yaw:
-                moved = 1.0
-    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5], sums[6] = (
-        of_roll,
-        of_pitch,
-        of_yaw,
-        pull_x,
-        pull_y,
-        turned,
-        lifted,
-    )
-    mem[KNOWN], mem[MOVED] = known, moved
+            sums[0], sums[1], sums[2] = sums[0] + roll, sums[1] + pitch, sums[2] + yaw
+            sums[3], sums[4], sums[5] = sums[3] + pull_x, sums[4] + pull_y, sums[5] + rate
+            sums[6] += level
+            if roll != mem[FIRST] or pitch != mem[FIRST + 1] or yaw != mem[FIRST + 2]:
+                mem[MOVED] = 1.0
+    mem[KNOWN] = known
 
 
 @jit
