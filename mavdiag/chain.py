@@ -23,6 +23,7 @@ from mavdiag.link.samples import joined
 from mavdiag.link.samples import warm as warm_samples
 from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.rows.align import BREAK_S, AlignSpec
+from mavdiag.rows.block import OUTPUTS
 from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.front import warm as warm_rows
 from mavdiag.rows.gate import Border
@@ -148,23 +149,30 @@ class Chain:
             del state.waiting[:-MOST_UNMEASURED]
             if _gyro_s(state.waiting) < MEASURED_S:
                 return state, NOTHING
-            gyro = (Telemetry(tuple(one for one in chunk if one.signal is Signal.BODY_RATE)) for chunk in state.waiting)
-            refused = self.refusal(joined(gyro), MEASURED_S)
+            rates = (
+                Telemetry(tuple(one for one in chunk if one.signal is Signal.BODY_RATE)) for chunk in state.waiting
+            )
+            refused = self.refusal(joined(rates), MEASURED_S)
             if refused is not None:
                 state.refused, state.measured = refused, not refused
             if not state.measured:
                 state.waiting = [] if refused else state.waiting
                 return state, NOTHING
-        align, waiting, state.waiting, state.chunks = state.front.align, state.waiting, [], state.chunks + 1
-        self.front.align.append(align, waiting)
+        state.chunks += 1
+        align, gyro, may_wait = state.front.align, telemetry.get(Signal.BODY_RATE), state.chunks < MOST_WAITING
         next_ns = (align.last_ns // LOOK_NS + 1) * LOOK_NS
-        if state.chunks < MOST_WAITING and self.front.align.reached_ns(align) < next_ns:
+        if may_wait and gyro is not None and len(gyro) and gyro.t_ns[-1] < next_ns:
             return state, NOTHING  # nothing can be decided before the rows of the next look
+        self._append(state)
+        if may_wait and self.front.align.reached_ns(align) < next_ns:
+            return state, NOTHING
         return self.judge(state, self._taken(state))
 
     def missing_ns(self, state: ChainState) -> int:
         """How much of the gyro is missing until the next look is whole [ns], two looks at most; 0 if it is overdue."""
         align = state.front.align
+        if state.measured:
+            self._append(state)
         next_ns = (align.last_ns // LOOK_NS + 1) * LOOK_NS
         return min(max(0, self.front.align.expected_ns(align, next_ns) - align.newest_ns), 2 * LOOK_NS)
 
@@ -244,12 +252,18 @@ class Chain:
         count = int(np.count_nonzero(rows.block.valid))
         if count == 0 and not (state.beginning and state.beginning[-1].block.valid.any()):
             return None  # nothing is measured in it; one such block parts the others
-        state.beginning.append(rows)
+        block = rows.block
+        kept = replace(block, whole=block.x[: OUTPUTS + block.outputs].copy(), first=0)  # without the room
+        state.beginning.append(Rows(kept, rows.rates_ns))
         if state.begun_s + count * rows.block.dt_s < FIRST_S:
             state.begun_s += count * rows.block.dt_s
             return None
         beginning, state.beginning = state.beginning, None
         return compare(self.baseline.fingerprint, beginning, self.baseline.airframe.layout)
+
+    def _append(self, state: ChainState) -> None:
+        waiting, state.waiting = state.waiting, []
+        self.front.align.append(state.front.align, waiting)
 
     def _taken(self, state: ChainState) -> tuple[Rows | Border, ...]:
         waiting, state.waiting, state.chunks = state.waiting, [], 0
