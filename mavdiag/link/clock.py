@@ -20,7 +20,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mavdiag.jit import jit
+from mavdiag.jit import inline, jit
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MessageId
 from mavdiag.units import NS_PER_MS, NS_PER_S, NS_PER_US
@@ -145,7 +145,7 @@ class VehicleTime:
 _IN_LINE, _LEFT_OUT, _BROKEN_OFF = 0, 1, 2  # what a stamp is
 
 
-@jit
+@inline
 def stamp(
     records: tuple[Records, Records, Records, Records], msgid: int, tick: int, turn: int, count: int, now_ns: int
 ) -> int:
@@ -276,7 +276,7 @@ def _rebooted(mem: Fields, reading: Fields, clock_ns: int, now_ns: int) -> bool:
     return bool(mem.rivals == AGREEING)
 
 
-@jit
+@inline
 def _placed(mem: Fields, leads: Records, offsets: Records, clock_ns: int, now_ns: int, clock: int) -> Any:
     """The vehicle's time of a stamp in line; `NEVER` where its clock is not laid over the reference yet."""
     if mem.reference < 0:
