@@ -24,7 +24,7 @@ from mavdiag.errors import UsageError
 from mavdiag.jit import cached, jit
 from mavdiag.link.datagrams import Bytes, Datagrams, as_columns
 from mavdiag.link.messages import Component, MessageId, Severity
-from mavdiag.link.sequence import FRAME, HEARD, REFUSED, LinkCount, Senders, Source
+from mavdiag.link.sequence import FRAME, HEARD, PLAIN, REFUSED, LinkCount, Senders, Source
 from mavdiag.link.signing import SEAL_BYTES, SIGNED_FLAG, Signing
 from mavdiag.telemetry import BoolArray, IntArray
 from mavdiag.units import NS_PER_US
@@ -317,7 +317,7 @@ class Frames:
 
     def where(self, chosen: BoolArray | IntArray | slice) -> "Frames":
         """Some of them."""
-        return Frames(self.data, self.rows[chosen])
+        return Frames(self.data, _those(self.rows, chosen))
 
     def of(self, *msgids: int, compid: int | None = None) -> "Frames":
         """Those of some messages. compid: and of this component of any vehicle; None for all."""
@@ -341,8 +341,8 @@ class Frames:
             data = np.concatenate((data, np.zeros(behind, np.uint8)))
         anywhere = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))  # one at every byte, none copied
         payloads = anywhere[bodies]
-        lengths = self.rows["stop"] - bodies
-        short = np.flatnonzero(lengths < size)  # trailing zeros are trimmed
+        lengths, fields = self.rows["stop"] - bodies, (dtype.fields or {}).values()
+        short = np.flatnonzero(lengths < max(at + kind.itemsize for kind, at, *_ in fields))  # trailing zeros trimmed
         raw = payloads.view(np.uint8).reshape(-1, size)
         raw[short] = np.where(np.arange(size) < lengths[short, None], raw[short], 0)
         return payloads.view(dtype)
@@ -442,7 +442,8 @@ class Decoder:
             self.records += count
             rows = self._admitted(data, rows)
         self.size += used
-        return Frames(data, _those(rows, self._wanted[rows["row"]])), used
+        wanted = self._wanted[rows["row"]]
+        return Frames(data, rows if wanted.all() else _those(rows, wanted)), used
 
     def _admitted(self, data: Bytes, rows: NDArray[np.void]) -> NDArray[np.void]:
         """The frames that are genuine, and whose senders are heard from where they came."""
@@ -455,7 +456,8 @@ class Decoder:
                 self.heard.hear(data, rows[k : k + 1])
         if signing is None:
             self.heard.hear(data, rows)
-        rows = _those(rows, rows["heard"] == HEARD)
+        heard = rows["heard"] == HEARD
+        rows = rows if heard.all() else _those(rows, heard)
         if self._passed is not None:
             places = (rows[name].tolist() for name in ("begin", "after", "host_ns"))
             whole = data.tobytes()
@@ -463,8 +465,10 @@ class Decoder:
         return rows
 
 
-def _those(rows: NDArray[np.void], chosen: BoolArray) -> NDArray[np.void]:
-    return rows if chosen.all() else rows[chosen]  # it takes long to copy records
+def _those(rows: NDArray[np.void], chosen: BoolArray | IntArray | slice) -> NDArray[np.void]:
+    """Some of the rows, as plain bytes: numpy is slow to copy records."""
+    those: NDArray[np.void] = rows.view(PLAIN)[chosen].view(FRAME)
+    return those
 
 
 class Encoder:

@@ -39,6 +39,7 @@ _PLACES = [(name, "i4") for name in ("begin", "body", "stop", "after", "source")
 FRAME = np.dtype(
     [("host_ns", "i8"), *_PLACES, ("row", "i2"), ("sender", "u2"), ("seq", "u1"), ("heard", "u1")], align=True
 )
+PLAIN = np.dtype((np.void, FRAME.itemsize))  #: its bytes: numpy copies them twenty times as fast
 
 # One sender. sums: checksum of the latest frame of each number, plus 1; missed: how many frames had been received when
 # a number was missed, plus 1; contested: numbers of clashes that nobody has looked at yet.

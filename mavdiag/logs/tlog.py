@@ -22,12 +22,12 @@ from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Evidence, detect_profile, profile_named, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState, joined
-from mavdiag.link.sequence import FRAME, LinkCount
+from mavdiag.link.sequence import FRAME, PLAIN, LinkCount
 from mavdiag.logs.log import TLOG_BYTES, LogKind, opened, windows_of
 from mavdiag.storage import Column, forget
 from mavdiag.telemetry import Log, Telemetry
 
-PIECE_BYTES = 5 << 20  # of a file whose frames are converted together: 40 s at 1 kHz (our choice)
+PIECE_BYTES = 8 << 20  # of a file whose frames are converted together: 5 min at 100 Hz (our choice)
 DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
 
 _WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
@@ -43,14 +43,10 @@ class _System(Evidence):
         self.heard_ns, self.parameters = heard_ns, list[Frame]()
 
 
-_KEPT = ["host_ns", "body", "stop", "row", "sender"]  # of a file's frames, until they are converted
-_LEAN = np.dtype([(name, FRAME[name]) for name in _KEPT])
-
-
 class _Piece(NamedTuple):
     """Frames of a log, without the bytes that they lie in: where these begin, and how many they are."""
 
-    rows: NDArray[np.void]
+    rows: NDArray[np.void]  # `FRAME`, of whose places only the payload's are counted from there
     at: int
     size: int
 
@@ -107,7 +103,7 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
     Never raises by itself: what is damaged is skipped and counted.
     """
     decoder, systems = Decoder(_WANTED, stamped=True), dict[int, _System]()
-    seen_ns, lean, begins, ends, counts = list[int](), Column(np.empty(0, _LEAN)), [0], [0], [0]
+    seen_ns, kept, begins, ends, counts = list[int](), Column(np.empty(0, PLAIN)), [0], [0], [0]
     for window, last in chain(zip(windows, repeat(False)), ((b"", True),)):
         at, frames = decoder.size, decoder.take_stream(window, last=last)
         if not len(frames):
@@ -122,12 +118,11 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
             begins.append(at)
             ends.append(at)
             counts.append(0)
-        rows = frames.rows[_KEPT].astype(_LEAN)
         for place in ("body", "stop"):
-            rows[place] += at - begins[-1]
-        lean.add(rows)
+            frames.rows[place] += at - begins[-1]
+        kept.add(frames.rows.view(PLAIN))
         ends[-1], counts[-1] = at + len(frames.data), counts[-1] + len(frames)
-    cut = np.split(lean.whole(), np.cumsum(counts)[:-1])
+    cut = np.split(kept.whole().view(FRAME), np.cumsum(counts)[:-1])
     pieces = [_Piece(rows, begin, end - begin) for rows, begin, end in zip(cut, begins, ends, strict=True) if len(rows)]
     span_ns = max(seen_ns, default=0) - min(seen_ns, default=0)
     totals = (decoder.size, decoder.records, decoder.garbage_bytes, decoder.senders, decoder.size - decoder.sound_end)
@@ -206,15 +201,14 @@ def _converted(path: Path, pieces: list[_Piece], sysid: int, decoder: SampleDeco
     pieces.reverse()
     with opened(path, TLOG_BYTES) as file:
         while pieces:
-            kept, at, size = pieces.pop()
+            rows, at, size = pieces.pop()
             file.seek(at)
             data = np.frombuffer(file.read(size), np.uint8)
             if len(data) < size:
                 raise InputError(f"{path}: it became shorter while it was read; read it again")
-            rows = np.zeros(len(kept), FRAME)
-            rows[_KEPT] = kept
-            forget(kept)
-            yield decoder.step(state, _of_system(Frames(data, rows), sysid))
+            own = Frames(data, rows).where(rows["sender"] >> 8 == sysid)
+            forget(rows)
+            yield decoder.step(state, own)
 
 
 def _of_system(frames: Frames, sysid: int) -> Frames:

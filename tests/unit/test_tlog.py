@@ -179,7 +179,7 @@ def placed(content: TlogContent) -> list[tuple[int, ...]]:
     return [
         (host_ns, at + body, stop - body, row, sender)
         for rows, at, _ in content.pieces
-        for host_ns, body, stop, row, sender in rows.tolist()
+        for host_ns, body, stop, row, sender in rows[["host_ns", "body", "stop", "row", "sender"]].tolist()
     ]
 
 
