@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mavdiag.jit import allocating, cached, inline, jit
 from mavdiag.link.clock import MS_32, NEVER, REBOOT, US_32, US_64, Counter, VehicleTime, stamp
-from mavdiag.link.codec import AUTOPILOT, MSGIDS, ROWS, Decoder, Encoder, Frame, Frames, frames_of, layout_of
+from mavdiag.link.codec import AUTOPILOT, MSGIDS, ROWS, Decoder, Encoder, Frame, Frames, anywhere, frames_of, layout_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.storage import Column, forget
@@ -183,9 +183,9 @@ class SampleDecoder:
         given_ns: (n,) their vehicle times, if known.
         """
         some, memory = frames_of(frames), (state.timeline.records, state.memory)
-        columns = some.data, _anywhere(some.data, "<i8"), some.rows
+        columns = some.data, anywhere(some.data, "<i8"), some.rows
         room = np.zeros(PAYLOAD_BYTES, np.uint8)
-        payload = room, _anywhere(room, "<i8"), _anywhere(room, "<f4")
+        payload = room, anywhere(room, "<i8"), anywhere(room, "<f4")
         t_ns, host_ns, values, filled = _convert(columns, given_ns, self._table, memory, payload)
         series = []
         for signal, width, (first, place, count) in zip(_SIGNALS, _COLUMNS, filled.tolist(), strict=True):
@@ -193,11 +193,6 @@ class SampleDecoder:
                 block = values[place : place + count * width].reshape(count, width)
                 series.append(Series(signal, t_ns[first : first + count], host_ns[first : first + count], block))
         return Telemetry(tuple(series))
-
-
-def _anywhere(data: Bytes, code: str) -> NDArray[Any]:
-    """A number at every byte where one has room, none copied."""
-    return np.ndarray((max(0, len(data) + 1 - np.dtype(code).itemsize),), code, data, 0, (1,))
 
 
 def _counted(row: Source) -> tuple[int, ...]:
