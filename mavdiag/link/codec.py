@@ -21,7 +21,7 @@ from fastcrc.crc16 import mcrf4xx
 from numpy.typing import NDArray
 
 from mavdiag.errors import UsageError
-from mavdiag.jit import cached, inline
+from mavdiag.jit import cached_loop, inline
 from mavdiag.link.datagrams import Bytes, Datagrams, as_columns
 from mavdiag.link.messages import Component, MessageId, Severity
 from mavdiag.link.sequence import FRAME, HEARD, PLAIN, REFUSED, LinkCount, Senders, Source
@@ -515,7 +515,7 @@ def _tables() -> NDArray[np.uint16]:
     return tables
 
 
-@cached
+@cached_loop
 def _find(
     data: Bytes,
     words: IntArray,

@@ -233,13 +233,13 @@ def joined(pieces: Iterable[Telemetry]) -> Telemetry:
     """
     columns, alone = dict[Signal, list[Column]](), Telemetry()
     for number, piece in enumerate(pieces):
-        alone = Telemetry() if number else piece
-        for series in piece.series:
+        for series in (*alone.series, *piece.series) if number else ():
             arrays = (series.t_ns, series.host_ns, series.values)
             held = columns.setdefault(series.signal, [Column(one) for one in arrays])
             for column, more in zip(held, arrays, strict=True):
                 column.add(more)
-    if alone.series:
+        alone = Telemetry() if number else piece
+    if not columns:
         return alone
     found, known = list[Series](), list[NDArray[Any]]()
     for signal in (one for one in Signal if one in columns):

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mavdiag.jit import cached, jit
+from mavdiag.jit import cached_loop, jit
 from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_S
 
@@ -260,7 +260,7 @@ def _admit(sender: Fields, frame: Fields) -> bool:
     return True
 
 
-@cached
+@cached_loop
 def _hear(
     data: NDArray[np.uint8],
     rows: NDArray[Any],
