@@ -208,14 +208,15 @@ def _converted(
             data = np.frombuffer(file.read(size), np.uint8) if pieces else latest
             if len(data) < size:
                 raise InputError(f"{path}: it became shorter while it was read; read it again")
-            own = Frames(data, rows).where(rows["sender"] >> 8 == sysid)
+            own = _of_system(Frames(data, rows), sysid)
             forget(rows)
             yield decoder.step(state, own)
 
 
 def _of_system(frames: Frames, sysid: int) -> Frames:
     own = frames.rows["sender"] >> 8 == sysid
-    return frames if own.all() else frames.where(own)
+    # what lies in a file is copied, too: compiled functions take what can be written to
+    return frames if own.all() and frames.rows.flags.writeable else frames.where(own)
 
 
 def _names(sysids: Iterable[int]) -> str:
