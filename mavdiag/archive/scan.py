@@ -8,13 +8,12 @@ error; so is one whose judging ends its worker. Nothing else is lost by it.
 """
 
 import hashlib
-import json
 import os
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache, partial
 from importlib import metadata, resources
 from importlib.resources.abc import Traversable
@@ -136,9 +135,8 @@ class Cache:
         """Keep what was answered for a content at once; an error only as long as this program runs."""
         if self._folder is not None and record.digest:
             try:
-                return write_atomically(
-                    self._folder / f"{record.digest}.json", json.dumps(asdict(record)), durable=False
-                )
+                text = to_json(record, inf_nan_mode="constants")
+                return write_atomically(self._folder / f"{record.digest}.json", text, durable=False)
             except UsageError as error:
                 self._folder = None
                 self._warn(f"answers are not kept any more: {error}")

@@ -113,7 +113,7 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
         at, frames = decoder.size, decoder.take_stream(window, last=last)
         if not len(frames):
             continue
-        for sysid in np.unique(frames.rows["sender"] >> 8).tolist():
+        for sysid in np.flatnonzero(np.bincount(frames.rows["sender"] >> 8)).tolist():
             own = _of_system(frames, sysid)
             system = systems.setdefault(sysid, _System(int(own.rows["host_ns"][0])))
             system.take(own)
