@@ -292,10 +292,13 @@ def _placed(mem: Fields, leads: Records, offsets: Records, clock_ns: int, now_ns
     elif second == lead.seconds[k]:
         lead.least[k] = min(lead.least[k], lead_ns)
     t_ns = clock_ns if clock == mem.reference else NEVER
+    base = leads[mem.reference]
     for other in range(len(leads)):
-        if other != mem.reference and leads[other].seen:
+        own, offset = leads[other], offsets[other]
+        due = other == clock or not offset.known or offset.second < max(own.last_s, base.last_s)
+        if due and own.seen and other != mem.reference:
             boot = mem.reference != _UNIX and other != _UNIX
-            laid_ns = _follow(offsets[other], leads[other], leads[mem.reference], boot, now_ns)
+            laid_ns = _follow(offset, own, base, boot, now_ns)
             if other == clock and laid_ns != NEVER:
                 t_ns = clock_ns + min(max(laid_ns, -HIGHEST_NS), HIGHEST_NS)
     if t_ns != NEVER:

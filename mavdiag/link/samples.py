@@ -357,10 +357,12 @@ def _filled(words: Words, floats: Any, part: Any, host_ns: int, memory: Any, out
         return _heartbeat(words, part, host_ns, memory, out)
     if part.form == Form.VOLTAGE and words[part.at] & part.mask == UNKNOWN_MV:
         return False
+    sound = True
     if part.form == Form.ANGLES:
         at, one = part.at, np.float64(1.0)  # not in single precision
         q = one * floats[at], one * floats[at + 4], one * floats[at + 8], one * floats[at + 12]
         out[0], out[1], out[2] = _angles(q[0], q[1], q[2], q[3])
+        sound = math.isfinite(out[0])
     elif part.form == Form.PULSES:
         _pulses(words, part, out)
     elif part.form == Form.OUTPUTS:
@@ -368,11 +370,9 @@ def _filled(words: Words, floats: Any, part: Any, host_ns: int, memory: Any, out
     else:
         for k in range(part.width):
             out[k] = part.unit * _number(words, floats, part.at + part.size * k, part)
-    for k in range(part.width):
-        if not math.isfinite(out[k]):
-            memory.dropped += 1
-            return False
-    return True
+            sound = sound and math.isfinite(out[k])
+    memory.dropped += int(not sound)
+    return sound
 
 
 _GCS, _COMPUTER, _ARMED = int(MavType.GCS), int(MavType.ONBOARD_CONTROLLER), int(ModeFlag.SAFETY_ARMED)
