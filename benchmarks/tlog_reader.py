@@ -23,7 +23,7 @@ from importlib import import_module
 from pathlib import Path
 
 from mavdiag.logs.log import windows_of
-from mavdiag.logs.tlog import TlogContent, decode_tlog, read_tlog
+from mavdiag.logs.tlog import PIECE_BYTES, TlogContent, decode_tlog, read_tlog
 
 SEED = 1
 
@@ -38,7 +38,7 @@ def peer(path: Path) -> int:
 
 def decoded(path: Path) -> TlogContent:
     """Every frame checked, the wanted ones as columns, read as `read_tlog` reads them."""
-    return decode_tlog(windows_of(path))
+    return decode_tlog(windows_of(path, PIECE_BYTES))
 
 
 def seconds_of(work: Callable[[], object]) -> float:

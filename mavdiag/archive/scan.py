@@ -2,16 +2,18 @@
 
     logs ─ digest ─▶ known? ─ no ─▶ judge ─▶ keep ─▶ answers of all logs with this content
 
-A log that cannot be read is answered as an error; so is one whose judging ends its worker. Nothing else is lost by it.
+Where no answer is kept yet, only logs of one size and one beginning can be copies of each other, and only these are
+read for their digests; of the others the worker that judges them tells it. A log that cannot be read is answered as an
+error; so is one whose judging ends its worker. Nothing else is lost by it.
 """
 
 import hashlib
-import json
 import os
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache, partial
 from importlib import metadata, resources
 from importlib.resources.abc import Traversable
@@ -30,10 +32,12 @@ from mavdiag.errors import InputError, LinkError, MavdiagError, UsageError
 from mavdiag.judging import JUDGED_SHARE, LogVerdict, Verdict, judge, judge_in_full
 from mavdiag.logs import read_part
 from mavdiag.logs.csv_columns import ColumnMap
-from mavdiag.storage import open_regular, read_text, write_atomically
+from mavdiag.logs.log import opened
+from mavdiag.storage import read_text, write_atomically
 
 MOST_BYTES = 1 << 40  # the readers know how long a log of their kind may be
 COMPUTED_BY = ("numpy", "scipy", "numba", "pymavlink", "pyulog")  # whose versions may change a figure
+HEAD_BYTES = 4096  # of a log that is looked at for copies: it holds the time of its flight (our choice)
 RECORD_BYTES = 64 << 20  # of one answer; a flight of an hour with an alarm a second has 1 MB (our choice)
 DIED = "the process that judged it died, perhaps for want of memory; judge it alone, or a part of it (--from, --to)"
 
@@ -112,6 +116,11 @@ class Cache:
     def __init__(self, folder: Path | None = None, warn: Callable[[str], None] = lambda text: None) -> None:
         self._folder, self._warn, self._held = folder, warn, dict[str, Record]()
 
+    @property
+    def empty(self) -> bool:
+        """Whether there is no answer yet."""
+        return not (self._held or (self._folder is not None and any(self._folder.glob("*.json"))))
+
     def get(self, digest: str) -> Record | None:
         """The answer for a content; None if there is none, or its file is damaged."""
         if digest in self._held or self._folder is None:
@@ -126,9 +135,8 @@ class Cache:
         """Keep what was answered for a content at once; an error only as long as this program runs."""
         if self._folder is not None and record.digest:
             try:
-                return write_atomically(
-                    self._folder / f"{record.digest}.json", json.dumps(asdict(record)), durable=False
-                )
+                text = to_json(record, inf_nan_mode="constants")
+                return write_atomically(self._folder / f"{record.digest}.json", text, durable=False)
             except UsageError as error:
                 self._folder = None
                 self._warn(f"answers are not kept any more: {error}")
@@ -164,11 +172,14 @@ def open_cache(folder: Path | None, scope: str, warn: Callable[[str], None] = la
 
 def digest_of(path: Path) -> str:
     """SHA-256 of a file's content, hexadecimal. Raises InputError if it cannot be read."""
-    try:
-        with open_regular(path, MOST_BYTES) as file:
-            return hashlib.file_digest(cast(BufferedReader, file), "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    with opened(path, MOST_BYTES) as file:
+        return hashlib.file_digest(cast(BufferedReader, file), "sha256").hexdigest()
+
+
+def head_of(path: Path) -> str:
+    """Size and beginning of a file, which copies have in common, in short. Raises InputError if it cannot be read."""
+    with opened(path, MOST_BYTES) as file:
+        return f"{os.fstat(file.fileno()).st_size} {hashlib.sha256(file.read(HEAD_BYTES)).hexdigest()}"
 
 
 @cache
@@ -244,22 +255,26 @@ def scan(
     workers, warn: as of `run_all`. Raises UsageError or LinkError if the workers cannot go on.
     """
     kept = cache or Cache()
-    seen: list[str | Record] = []  # of each log so far: its digest, or why it has none
+    seen: list[str | Record] = []  # of each log so far: its digest, or its path if it is no copy, or why it has none
     digest_at, found = dict[str, str](), dict[str, Record]()
     before, finished = set[str](), set[str]()
+    heads, fresh = [_told(log, head_of) for log in logs], kept.empty
+    alike = Counter(head for head in heads if isinstance(head, str))
 
     def tasks() -> Iterator[str]:
         asked = set[str]()
-        for log in logs:
-            seen.append(_digest(log))
-            digest, path = seen[-1], str(log.path.absolute())
+        for log, head in zip(logs, heads, strict=True):
+            path = str(log.path.absolute())
+            alone = isinstance(head, str) and fresh and alike[head] == 1
+            seen.append(path if alone else _told(log, digest_of))
+            digest = seen[-1]
             if isinstance(digest, str) and digest not in asked:
                 asked.add(digest)
                 digest_at[path] = digest
                 yield path
 
     def known(path: str) -> Record | None:
-        record = kept.get(digest_at[path])
+        record = None if digest_at[path] == path else kept.get(digest_at[path])
         before.update(() if record is None else (digest_at[path],))
         return record
 
@@ -288,9 +303,9 @@ def scan(
     yield from ready(count)
 
 
-def _digest(log: Named) -> str | Record:
+def _told(log: Named, tell: Callable[[Path], str]) -> str | Record:
     try:
-        return refused(log.trouble) if log.trouble else digest_of(log.path)
+        return refused(log.trouble) if log.trouble else tell(log.path)
     except InputError as error:
         return refused(str(error).removeprefix(f"{log.path}: "))
 

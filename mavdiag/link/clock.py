@@ -20,7 +20,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mavdiag.jit import jit
+from mavdiag.jit import inline, jit
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MessageId
 from mavdiag.units import NS_PER_MS, NS_PER_S, NS_PER_US
@@ -81,9 +81,10 @@ def _integers(names: str, *others: tuple[str, Any, Any]) -> np.dtype[np.void]:
 # its turns; when it was last received in line; the most that it was ahead of the receiver's clock, which drift takes
 # back slowly; and the other clock that its latest samples show, with how many in a row agree on it.
 _READING = _integers("msgid used count host_ns line_ns rival_ns rival_host_ns rivals")
-# How far the receiver's clock leads one of the vehicle's: whether it was seen, in which second first, with which lead;
-# and the latest seconds in which it was seen, each at its place modulo `SECONDS`, with their least leads.
-_LEAD = _integers("seen first_s first_ns", ("seconds", "i8", SECONDS), ("least", "i8", SECONDS))
+# How far the receiver's clock leads one of the vehicle's: whether it was seen, in which second first, with which lead,
+# and in which last; and the latest seconds in which it was seen, each at its place modulo `SECONDS`, with their least
+# leads.
+_LEAD = _integers("seen first_s first_ns last_s", ("seconds", "i8", SECONDS), ("least", "i8", SECONDS))
 # What lays a clock over the reference in one second of the receiver's clock: what to add at its beginning and its end;
 # whether it counts as one clock with the reference, but for whole turns; the part of its lead that is a delay of its
 # messages; seconds in a row in which a shared clock was apart; and when it began, or was set last, and what it was.
@@ -144,7 +145,7 @@ class VehicleTime:
 _IN_LINE, _LEFT_OUT, _BROKEN_OFF = 0, 1, 2  # what a stamp is
 
 
-@jit
+@inline
 def stamp(
     records: tuple[Records, Records, Records, Records], msgid: int, tick: int, turn: int, count: int, now_ns: int
 ) -> int:
@@ -275,7 +276,7 @@ def _rebooted(mem: Fields, reading: Fields, clock_ns: int, now_ns: int) -> bool:
     return bool(mem.rivals == AGREEING)
 
 
-@jit
+@inline
 def _placed(mem: Fields, leads: Records, offsets: Records, clock_ns: int, now_ns: int, clock: int) -> Any:
     """The vehicle's time of a stamp in line; `NEVER` where its clock is not laid over the reference yet."""
     if mem.reference < 0:
@@ -284,17 +285,20 @@ def _placed(mem: Fields, leads: Records, offsets: Records, clock_ns: int, now_ns
             mem.base_ns = mem.t_ns + max(now_ns - mem.host_ns, REBOOT_GAP_NS) - clock_ns
     lead, lead_ns, second = leads[clock], now_ns - clock_ns, now_ns // NS_PER_S
     if not lead.seen:
-        lead.seen, lead.first_s, lead.first_ns = 1, second, lead_ns
-    k = second % SECONDS
+        lead.seen, lead.first_s, lead.first_ns, lead.last_s = 1, second, lead_ns, second
+    k, lead.last_s = second % SECONDS, max(lead.last_s, second)
     if second > lead.seconds[k]:
         lead.seconds[k], lead.least[k] = second, lead_ns
     elif second == lead.seconds[k]:
         lead.least[k] = min(lead.least[k], lead_ns)
     t_ns = clock_ns if clock == mem.reference else NEVER
+    base = leads[mem.reference]
     for other in range(len(leads)):
-        if other != mem.reference and leads[other].seen:
+        own, offset = leads[other], offsets[other]
+        due = other == clock or not offset.known or offset.second < max(own.last_s, base.last_s)
+        if due and own.seen and other != mem.reference:
             boot = mem.reference != _UNIX and other != _UNIX
-            laid_ns = _follow(offsets[other], leads[other], leads[mem.reference], boot, now_ns)
+            laid_ns = _follow(offset, own, base, boot, now_ns)
             if other == clock and laid_ns != NEVER:
                 t_ns = clock_ns + min(max(laid_ns, -HIGHEST_NS), HIGHEST_NS)
     if t_ns != NEVER:
@@ -334,15 +338,13 @@ def _follow(offset: Fields, own: Fields, base: Fields, boot: bool, now_ns: int) 
     first_s = max(own.first_s, base.first_s)
     second = offset.second if offset.known else first_s - 1
     found_ns = _at(offset, now_ns) if offset.known else NEVER
-    while True:
+    while second < max(own.last_s, base.last_s):
         following = HIGHEST_NS  # the first second after this one in which either clock was seen
         for k in range(SECONDS):
             if second < own.seconds[k] < following:
                 following = own.seconds[k]
             if second < base.seconds[k] < following:
                 following = base.seconds[k]
-        if following == HIGHEST_NS:
-            return found_ns
         second = following
         if offset.known:
             _go_on(offset, own, base, first_s, second)
@@ -350,6 +352,7 @@ def _follow(offset: Fields, own: Fields, base: Fields, boot: bool, now_ns: int) 
             _lay(offset, own, base, boot, first_s, second)
         if offset.known and second <= now_ns // NS_PER_S:
             found_ns = _at(offset, now_ns)
+    return found_ns
 
 
 @jit

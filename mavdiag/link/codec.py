@@ -21,10 +21,10 @@ from fastcrc.crc16 import mcrf4xx
 from numpy.typing import NDArray
 
 from mavdiag.errors import UsageError
-from mavdiag.jit import cached, jit
+from mavdiag.jit import cached_loop, inline
 from mavdiag.link.datagrams import Bytes, Datagrams, as_columns
 from mavdiag.link.messages import Component, MessageId, Severity
-from mavdiag.link.sequence import FRAME, HEARD, REFUSED, LinkCount, Senders, Source
+from mavdiag.link.sequence import FRAME, HEARD, PLAIN, REFUSED, LinkCount, Senders, Source
 from mavdiag.link.signing import SEAL_BYTES, SIGNED_FLAG, Signing
 from mavdiag.telemetry import BoolArray, IntArray
 from mavdiag.units import NS_PER_US
@@ -317,7 +317,7 @@ class Frames:
 
     def where(self, chosen: BoolArray | IntArray | slice) -> "Frames":
         """Some of them."""
-        return Frames(self.data, self.rows[chosen])
+        return Frames(self.data, _those(self.rows, chosen))
 
     def of(self, *msgids: int, compid: int | None = None) -> "Frames":
         """Those of some messages. compid: and of this component of any vehicle; None for all."""
@@ -339,13 +339,17 @@ class Frames:
         data, behind = self.data, int(bodies.max()) + size - len(self.data)
         if behind > 0:
             data = np.concatenate((data, np.zeros(behind, np.uint8)))
-        anywhere = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))  # one at every byte, none copied
-        payloads = anywhere[bodies]
-        lengths = self.rows["stop"] - bodies
-        short = np.flatnonzero(lengths < size)  # trailing zeros are trimmed
+        payloads = anywhere(data, f"V{size}")[bodies]
+        lengths, fields = self.rows["stop"] - bodies, (dtype.fields or {}).values()
+        short = np.flatnonzero(lengths < max(at + kind.itemsize for kind, at, *_ in fields))  # trailing zeros trimmed
         raw = payloads.view(np.uint8).reshape(-1, size)
         raw[short] = np.where(np.arange(size) < lengths[short, None], raw[short], 0)
         return payloads.view(dtype)
+
+
+def anywhere(data: Bytes, code: str) -> NDArray[Any]:
+    """(n,) what lies at each byte as a number or as bytes of this type, where it has room; none is copied."""
+    return np.ndarray((max(0, len(data) + 1 - np.dtype(code).itemsize),), code, data, 0, (1,))
 
 
 def frames_of(frames: Iterable[Frame]) -> Frames:
@@ -434,7 +438,7 @@ class Decoder:
 
     def _scan(self, data: Bytes, chunks: IntArray, *, whole: bool) -> tuple[Frames, int]:
         found = np.empty(len(data) // (_SHORTEST_V1 + self._gap) + 1, FRAME)
-        count, used = _find(data, chunks, whole, self._gap, _KNOWN, _tables(), found)
+        count, used = _find(data, anywhere(data, "<i8"), chunks, whole, self._gap, _KNOWN, _tables(), found)
         rows = found[:count]
         if count:
             self.sound_end = self.size + int(rows["after"][-1])
@@ -442,7 +446,8 @@ class Decoder:
             self.records += count
             rows = self._admitted(data, rows)
         self.size += used
-        return Frames(data, _those(rows, self._wanted[rows["row"]])), used
+        wanted = self._wanted[rows["row"]]
+        return Frames(data, rows if wanted.all() else _those(rows, wanted)), used
 
     def _admitted(self, data: Bytes, rows: NDArray[np.void]) -> NDArray[np.void]:
         """The frames that are genuine, and whose senders are heard from where they came."""
@@ -455,7 +460,8 @@ class Decoder:
                 self.heard.hear(data, rows[k : k + 1])
         if signing is None:
             self.heard.hear(data, rows)
-        rows = _those(rows, rows["heard"] == HEARD)
+        heard = rows["heard"] == HEARD
+        rows = rows if heard.all() else _those(rows, heard)
         if self._passed is not None:
             places = (rows[name].tolist() for name in ("begin", "after", "host_ns"))
             whole = data.tobytes()
@@ -463,8 +469,10 @@ class Decoder:
         return rows
 
 
-def _those(rows: NDArray[np.void], chosen: BoolArray) -> NDArray[np.void]:
-    return rows if chosen.all() else rows[chosen]  # it takes long to copy records
+def _those(rows: NDArray[np.void], chosen: BoolArray | IntArray | slice) -> NDArray[np.void]:
+    """Some of the rows, as plain bytes: numpy is slow to copy records."""
+    those: NDArray[np.void] = rows.view(PLAIN)[chosen].view(FRAME)
+    return those
 
 
 class Encoder:
@@ -507,9 +515,10 @@ def _tables() -> NDArray[np.uint16]:
     return tables
 
 
-@cached
+@cached_loop
 def _find(
     data: Bytes,
+    words: IntArray,
     chunks: IntArray,
     whole: bool,
     gap: int,
@@ -528,7 +537,7 @@ def _find(
         while at < end:
             marker, after = data[at], at
             if marker in (_V1, _V2):
-                after = _take(data, at, end, whole, gap, known, tables, found[count])
+                after = _take(data, words, at, end, whole, gap, known, tables, found[count])
             if after == _NOT_YET:
                 break
             if after > at:
@@ -546,9 +555,10 @@ def _find(
     return count, end
 
 
-@jit
+@inline
 def _take(
     data: Bytes,
+    words: IntArray,
     begin: int,
     end: int,
     whole: bool,
@@ -583,7 +593,7 @@ def _take(
         if after != end and (following >= end or (data[following] != _V1 and data[following] != _V2)):
             return begin
         row = known[len(known) - 1, 0]
-    elif _checksum(data, begin + 1, stop, seed, tables) != (zero + data[stop]) | (zero + data[stop + 1]) << 8:
+    elif _checksum(data, words, begin + 1, stop, seed, tables) != (zero + data[stop]) | (zero + data[stop + 1]) << 8:
         return begin
     frame.begin, frame.body, frame.stop, frame.after, frame.row = begin, body, stop, after, row
     frame.sender = (zero + data[header + 1]) << 8 | (zero + data[header + 2])
@@ -591,16 +601,15 @@ def _take(
     return int(after)
 
 
-@jit
-def _checksum(data: Bytes, first: int, stop: int, seed: int, tables: NDArray[np.uint16]) -> int:
-    crc, k, zero = np.int64(0xFFFF), first, np.int64(0)
+@inline
+def _checksum(data: Bytes, words: IntArray, first: int, stop: int, seed: int, tables: NDArray[np.uint16]) -> int:
+    crc, k = np.int64(0xFFFF), first
     while k + 8 <= stop:
-        before, crc = crc, zero
-        for j in range(8):
-            byte = zero + data[k + j]
-            if j < 2:
-                byte ^= before >> 8 * j & 0xFF
-            crc ^= tables[7 - j, byte]
+        word, later = words[k], np.int64(0)
+        for j in range(2, 8):
+            later ^= tables[7 - j, word >> 8 * j & 0xFF]
+        word ^= crc
+        crc = later ^ (tables[7, word & 0xFF] ^ tables[6, word >> 8 & 0xFF])
         k += 8
     while k < stop:
         crc = crc >> 8 ^ tables[0, (crc ^ data[k]) & 0xFF]

@@ -7,6 +7,7 @@ autopilot is one row of `_ROWS`, and its number in `mavdiag.link.messages.Autopi
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import isfinite
 from typing import Self
 
@@ -62,6 +63,7 @@ class Evidence:
         if len(self._raw) < WEIGHED:
             raw = frames.of(MessageId.RAW_IMU, compid=AUTOPILOT).where(slice(WEIGHED - len(self._raw)))
             self._raw = np.concatenate((self._raw, raw.records(_RAW_IMU)))
+            self.__dict__.pop("weight", None)  # of fewer
         return self
 
     @property
@@ -77,7 +79,7 @@ class Evidence:
         """What its heartbeats name it, MAV_AUTOPILOT."""
         return frozenset(autopilot for _, autopilot in self.beats)
 
-    @property
+    @cached_property
     def weight(self) -> float:
         """Median size of RAW_IMU's acceleration, in counts, for a vehicle feels its own weight; NaN without it."""
         sizes = np.linalg.norm(self._raw["xacc"].astype(np.float64), axis=1)

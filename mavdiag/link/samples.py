@@ -15,9 +15,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mavdiag.jit import allocating, cached, jit
+from mavdiag.jit import allocating, cached, inline, jit
 from mavdiag.link.clock import MS_32, NEVER, REBOOT, US_32, US_64, Counter, VehicleTime, stamp
-from mavdiag.link.codec import AUTOPILOT, MSGIDS, ROWS, Decoder, Encoder, Frame, Frames, frames_of, layout_of
+from mavdiag.link.codec import AUTOPILOT, MSGIDS, ROWS, Decoder, Encoder, Frame, Frames, anywhere, frames_of, layout_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.storage import Column, forget
@@ -25,9 +25,11 @@ from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_S, RPM
 
 Bytes: TypeAlias = NDArray[np.uint8]
+Words: TypeAlias = IntArray  # 8 bytes each, one at every byte
 
 # Columns of ACTUATOR and of ROTOR_SPEED, always: unused outputs are 0, rotors never reported NaN.
 ACTUATORS = ROTORS = 16
+PAYLOAD_BYTES = 255 + 8  # room for any, and to read a word at its last byte
 UNKNOWN_MV = 0xFFFF  # SYS_STATUS.voltage_battery: not sent
 LEAST_US, MOST_US = 1000.0, 2000.0  # PWM for 0 and full output
 PULSE_LEAST_US = 800.0  # no pulse is shorter (our choice: the shortest disarmed one of PX4 is 900)
@@ -131,10 +133,10 @@ def sources(profile: Profile, table: Iterable[Source] = SOURCES) -> tuple[Source
 # What one vehicle's conversion carries on: the rotors' latest known speeds [rad/s], NaN for unknown; rows with NaN,
 # infinity or no quaternion; when the latest armed heartbeat was received; and disarmed ones amid armed ones, left out.
 _MEMORY = np.dtype([("speeds", "f8", ROTORS), *((name, "i8") for name in ("dropped", "armed_ns", "contrary"))])
-# Of a message: bytes of its payload, `Counter`, place and bytes of its count, and which parts are its.
-_SOURCE = np.dtype([(name, "i8") for name in ("length", "tick", "turn", "at", "size", "first", "last")])
-# `Part`, with places in the payload; a rotor's number beside it is negative. bits 16: signed, 32: floating.
-_INDEXES = ("signal", "form", "at", "kind", "size", "width", "hidden", "bits", "beside")
+# Of a message: bytes of its payload, `Counter`, place of its count and the bits of this in a word, and its parts.
+_SOURCE = np.dtype([(name, "i8") for name in ("length", "tick", "turn", "at", "mask", "first", "last")])
+# `Part`, with places in the payload; a rotor's number beside it is negative. kind 16: signed, 32: floating.
+_INDEXES = ("signal", "form", "at", "kind", "size", "mask", "width", "hidden", "bits", "beside")
 _PART = np.dtype([*((name, "i8") for name in _INDEXES), ("unit", "f8"), ("zero", "f8")])
 _KINDS = {"f": 32, "h": 16, "i": 16}
 
@@ -181,7 +183,10 @@ class SampleDecoder:
         given_ns: (n,) their vehicle times, if known.
         """
         some, memory = frames_of(frames), (state.timeline.records, state.memory)
-        t_ns, host_ns, values, filled = _convert(some.data, some.rows, given_ns, self._table, memory)
+        columns = some.data, anywhere(some.data, "<i8"), some.rows
+        room = np.zeros(PAYLOAD_BYTES, np.uint8)
+        payload = room, anywhere(room, "<i8"), anywhere(room, "<f4")
+        t_ns, host_ns, values, filled = _convert(columns, given_ns, self._table, memory, payload)
         series = []
         for signal, width, (first, place, count) in zip(_SIGNALS, _COLUMNS, filled.tolist(), strict=True):
             if count:
@@ -196,7 +201,12 @@ def _counted(row: Source) -> tuple[int, ...]:
         return (layout.packer.size, 0, 0, 0, 0)
     (name, counter), size = row.time, layout.packer.size
     at, code = layout.offset(name)
-    return (size, counter.tick_ns, counter.turn, at, calcsize("<" + code))
+    return (size, counter.tick_ns, counter.turn, at, _mask(calcsize("<" + code)))
+
+
+def _mask(size: int) -> int:
+    """The bits of a number of so many bytes in a word of 8."""
+    return -1 if size == 8 else (1 << 8 * size) - 1
 
 
 def _laid(profile: Profile, msgid: int, part: Part) -> tuple[float, ...]:
@@ -207,7 +217,7 @@ def _laid(profile: Profile, msgid: int, part: Part) -> tuple[float, ...]:
     low, high = profile.actuator_span if part.form is Form.PULSES else (0.0, 1.0)
     unit = getattr(profile, part.unit) if isinstance(part.unit, str) else part.unit / (high - low)
     kind, size = _KINDS.get(code, 0), calcsize("<" + code)
-    return (number, part.form, at, kind, size, _COLUMNS[number], hidden, bits, beside, unit, low)
+    return (number, part.form, at, kind, size, _mask(size), _COLUMNS[number], hidden, bits, beside, unit, low)
 
 
 def warm() -> None:
@@ -223,13 +233,13 @@ def joined(pieces: Iterable[Telemetry]) -> Telemetry:
     """
     columns, alone = dict[Signal, list[Column]](), Telemetry()
     for number, piece in enumerate(pieces):
-        alone = Telemetry() if number else piece
-        for series in piece.series:
+        for series in (*alone.series, *piece.series) if number else ():
             arrays = (series.t_ns, series.host_ns, series.values)
             held = columns.setdefault(series.signal, [Column(one) for one in arrays])
             for column, more in zip(held, arrays, strict=True):
                 column.add(more)
-    if alone.series:
+        alone = Telemetry() if number else piece
+    if not columns:
         return alone
     found, known = list[Series](), list[NDArray[Any]]()
     for signal in (one for one in Signal if one in columns):
@@ -274,38 +284,30 @@ def _angles(w: float, x: float, y: float, z: float) -> tuple[float, float, float
 
 
 @jit
-def _count(payload: Bytes, at: int, size: int) -> int:
-    value = np.int64(0)
-    for k in range(size):
-        value |= np.int64(payload[at + k]) << 8 * k
-    return int(value)
-
-
-@jit
-def _number(payload: Bytes, floats: Any, at: int, part: Any) -> float:
+def _number(words: Words, floats: Any, at: int, part: Any) -> float:
     if part.kind == 32:
-        return np.float64(floats[at // 4])
-    value = _count(payload, at, part.size)
-    return np.float64(value - (1 << 8 * part.size if part.kind == 16 and value >= 1 << 8 * part.size - 1 else 0))
+        return np.float64(floats[at])
+    value = words[at] & part.mask
+    return np.float64(value - (part.mask + 1 if part.kind == 16 and value > part.mask >> 1 else 0))
 
 
 @jit
-def _pulses(payload: Bytes, part: Any, out: FloatArray) -> None:
+def _pulses(words: Words, part: Any, out: FloatArray) -> None:
     for k in range(ACTUATORS):
         at = part.at + 2 * k if k < 8 else part.beside + 2 * (k - 8)
-        out[k] = min(max((_count(payload, at, 2) - part.zero) * part.unit, 0.0), 1.0)
+        out[k] = min(max(((words[at] & part.mask) - part.zero) * part.unit, 0.0), 1.0)
 
 
 @jit
-def _outputs(payload: Bytes, floats: Any, part: Any, out: FloatArray) -> None:
+def _outputs(words: Words, floats: Any, part: Any, out: FloatArray) -> None:
     """PX4 sends what its driver gets, and no unit: told by the values of each message.
 
     Nothing above 1: shares, as in simulation. No output below 800: microseconds. Else DShot, where unused ones are 0.
     """
-    number = _count(payload, part.beside, 4)
+    number = words[part.beside] & 0xFFFFFFFF
     highest, least, low, span = 0.0, PULSE_LEAST_US, 0.0, DSHOT_FULL
     for k in range(ACTUATORS):
-        out[k] = _number(payload, floats, part.at + 4 * k, part)
+        out[k] = _number(words, floats, part.at + 4 * k, part)
         if not math.isfinite(out[k]):
             out[k] = 0.0
         elif k < number or number < 1:
@@ -320,20 +322,20 @@ def _outputs(payload: Bytes, floats: Any, part: Any, out: FloatArray) -> None:
 
 
 @jit
-def _rotors(payload: Bytes, floats: Any, part: Any, memory: Any, out: FloatArray) -> bool:
+def _rotors(words: Words, floats: Any, part: Any, memory: Any, out: FloatArray) -> bool:
     """Four rotors; returns whether there are such. `ESC_STATUS` tells the first of them by its index."""
-    first = _count(payload, part.beside, 1) if part.beside >= 0 else -1 - part.beside
+    first = words[part.beside] & 0xFF if part.beside >= 0 else -1 - part.beside
     for k in range(min(4, ROTORS - first)):
-        memory.speeds[first + k] = part.unit * abs(_number(payload, floats, part.at + part.size * k, part))
+        memory.speeds[first + k] = part.unit * abs(_number(words, floats, part.at + part.size * k, part))
     for k in range(ROTORS):
         out[k] = memory.speeds[k]
-    return first < ROTORS
+    return bool(first < ROTORS)
 
 
 @jit
-def _heartbeat(payload: Bytes, part: Any, host_ns: int, memory: Any, out: FloatArray) -> bool:
+def _heartbeat(words: Words, part: Any, host_ns: int, memory: Any, out: FloatArray) -> bool:
     """Whether a heartbeat is a vehicle's, and is believed: a disarmed one amid armed ones is another sender's."""
-    kind, armed = payload[part.beside], payload[part.at] & _ARMED > 0
+    kind, armed = words[part.beside] & 0xFF, words[part.at] & _ARMED > 0
     if kind in (_GCS, _COMPUTER):
         return False
     out[0] = 1.0 if armed else 0.0
@@ -344,33 +346,33 @@ def _heartbeat(payload: Bytes, part: Any, host_ns: int, memory: Any, out: FloatA
     return not doubted
 
 
-@jit
-def _filled(payload: Bytes, floats: Any, part: Any, host_ns: int, memory: Any, out: FloatArray) -> bool:
+@inline
+def _filled(words: Words, floats: Any, part: Any, host_ns: int, memory: Any, out: FloatArray) -> bool:
     """Whether a part of a frame is meant and sound; then its values are in `out`."""
-    if payload[part.hidden] & part.bits:
+    if words[part.hidden] & part.bits:
         return False
     if part.form == Form.ROTORS:
-        return _rotors(payload, floats, part, memory, out)
+        return _rotors(words, floats, part, memory, out)
     if part.form == Form.ARMED:
-        return _heartbeat(payload, part, host_ns, memory, out)
-    if part.form == Form.VOLTAGE and _count(payload, part.at, 2) == UNKNOWN_MV:
+        return _heartbeat(words, part, host_ns, memory, out)
+    if part.form == Form.VOLTAGE and words[part.at] & part.mask == UNKNOWN_MV:
         return False
+    sound = True
     if part.form == Form.ANGLES:
-        at, one = part.at // 4, np.float64(1.0)  # not in single precision
-        q = one * floats[at], one * floats[at + 1], one * floats[at + 2], one * floats[at + 3]
+        at, one = part.at, np.float64(1.0)  # not in single precision
+        q = one * floats[at], one * floats[at + 4], one * floats[at + 8], one * floats[at + 12]
         out[0], out[1], out[2] = _angles(q[0], q[1], q[2], q[3])
+        sound = math.isfinite(out[0])
     elif part.form == Form.PULSES:
-        _pulses(payload, part, out)
+        _pulses(words, part, out)
     elif part.form == Form.OUTPUTS:
-        _outputs(payload, floats, part, out)
+        _outputs(words, floats, part, out)
     else:
         for k in range(part.width):
-            out[k] = part.unit * _number(payload, floats, part.at + part.size * k, part)
-    whole = True
-    for k in range(part.width):
-        whole = whole and math.isfinite(out[k])
-    memory.dropped += int(not whole)
-    return whole
+            out[k] = part.unit * _number(words, floats, part.at + part.size * k, part)
+            sound = sound and math.isfinite(out[k])
+    memory.dropped += int(not sound)
+    return sound
 
 
 _GCS, _COMPUTER, _ARMED = int(MavType.GCS), int(MavType.ONBOARD_CONTROLLER), int(ModeFlag.SAFETY_ARMED)
@@ -393,41 +395,62 @@ def _room(rows: NDArray[Any], lookup: NDArray[np.int16], sources: Any, parts: An
 
 @cached
 def _convert(
-    data: Bytes,
-    rows: NDArray[Any],
+    frames: tuple[Bytes, Words, NDArray[Any]],
     given_ns: IntArray,
     table: tuple[NDArray[np.int16], Any, Any, IntArray],
     memory: tuple[tuple[Any, Any, Any, Any], Any],
+    payload: tuple[Bytes, Words, Any],
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
     """Times, times of arrival and values of all signals; and where each one's rows and values begin, and how many."""
     lookup, sources, parts, widths = table
-    time, own = memory[0], memory[1][0]
-    filled = _room(rows, lookup, sources, parts, widths)
+    filled = _room(frames[2], lookup, sources, parts, widths)
     room = filled[-1, 0] + filled[-1, 2]
     t_ns, host_ns = np.empty(room, np.int64), np.empty(room, np.int64)
     values = np.empty(filled[-1, 1] + filled[-1, 2] * widths[-1])
     filled[:, 2] = 0
-    payload = np.zeros(256, np.uint8)
-    floats, k = payload.view(np.float32), 0
+    _fill(frames, given_ns, table, memory, payload, (t_ns, host_ns, values, filled))
+    return t_ns, host_ns, values, filled
+
+
+@jit
+def _fill(
+    frames: tuple[Bytes, Words, NDArray[Any]],
+    given_ns: IntArray,
+    table: tuple[NDArray[np.int16], Any, Any, IntArray],
+    memory: tuple[tuple[Any, Any, Any, Any], Any],
+    payload: tuple[Bytes, Words, Any],
+    signals: tuple[IntArray, IntArray, FloatArray, IntArray],
+) -> None:
+    rows, (lookup, sources, parts, _), (time, own) = frames[2], table, (memory[0], memory[1][0])
+    (t_ns, host_ns, values, filled), k = signals, 0
     while k < len(rows):
         frame, k = rows[k], k + 1
         if lookup[frame.row] < 0 or frame.sender & 0xFF != AUTOPILOT:
             continue
         source = sources[lookup[frame.row]]
-        size = min(frame.stop - frame.body, source.length)
-        payload[:size] = data[frame.body : frame.body + size]
-        payload[size : source.length] = 0  # what was behind its end was trimmed
+        _lay(frames[0], frames[1], frame.body, min(frame.stop - frame.body, source.length), source.length, payload)
         if len(given_ns):
             at_ns, own.armed_ns = given_ns[k - 1], NEVER  # of one sender: no heartbeat is doubted
         else:
-            count = _count(payload, source.at, source.size)
+            count = payload[1][source.at] & source.mask
             at_ns = stamp(time, frame.row, source.tick, source.turn, count, frame.host_ns)
         if at_ns == REBOOT:
             own.speeds[:], own.armed_ns, k = np.nan, NEVER, k - 1
         for p in range(source.first, source.last if at_ns > NEVER else source.first):
             part, done = parts[p], filled[parts[p].signal]
             place, row = done[1] + done[2] * part.width, done[0] + done[2]
-            if _filled(payload, floats, part, frame.host_ns, own, values[place : place + part.width]):
+            out = values[place : place + part.width]
+            if _filled(payload[1], payload[2], part, frame.host_ns, own, out):
                 t_ns[row], host_ns[row] = at_ns, frame.host_ns
                 done[2] += 1
-    return t_ns, host_ns, values, filled
+
+
+@inline
+def _lay(data: Bytes, words: Words, begin: int, size: int, length: int, payload: tuple[Bytes, Words, Any]) -> None:
+    """Copy a payload to where its numbers are read. size: of it; up to its length the zeros behind it were trimmed."""
+    for k in range(0, length, 8):
+        payload[1][k] = 0
+    for k in range(0, size - 7, 8):
+        payload[1][k] = words[begin + k]
+    for k in range(size & ~7, size):
+        payload[0][k] = data[begin + k]

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mavdiag.jit import cached, jit
+from mavdiag.jit import cached_loop, jit
 from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_S
 
@@ -39,6 +39,7 @@ _PLACES = [(name, "i4") for name in ("begin", "body", "stop", "after", "source")
 FRAME = np.dtype(
     [("host_ns", "i8"), *_PLACES, ("row", "i2"), ("sender", "u2"), ("seq", "u1"), ("heard", "u1")], align=True
 )
+PLAIN = np.dtype((np.void, FRAME.itemsize))  #: its bytes: numpy copies them twenty times as fast
 
 # One sender. sums: checksum of the latest frame of each number, plus 1; missed: how many frames had been received when
 # a number was missed, plus 1; contested: numbers of clashes that nobody has looked at yet.
@@ -259,7 +260,7 @@ def _admit(sender: Fields, frame: Fields) -> bool:
     return True
 
 
-@cached
+@cached_loop
 def _hear(
     data: NDArray[np.uint8],
     rows: NDArray[Any],

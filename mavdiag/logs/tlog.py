@@ -18,16 +18,17 @@ from numpy.typing import NDArray
 from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError
 from mavdiag.link.codec import STAMP_BYTES, Decoder, Frame, Frames
+from mavdiag.link.datagrams import Bytes
 from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Evidence, detect_profile, profile_named, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState, joined
-from mavdiag.link.sequence import FRAME, LinkCount
+from mavdiag.link.sequence import FRAME, PLAIN, LinkCount
 from mavdiag.logs.log import TLOG_BYTES, LogKind, opened, windows_of
 from mavdiag.storage import Column, forget
 from mavdiag.telemetry import Log, Telemetry
 
-PIECE_BYTES = 5 << 20  # of a file whose frames are converted together: 40 s at 1 kHz (our choice)
+PIECE_BYTES = 8 << 20  # of a file that is read and converted at a time: 5 min at 100 Hz (our choice)
 DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
 
 _WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
@@ -43,14 +44,13 @@ class _System(Evidence):
         self.heard_ns, self.parameters = heard_ns, list[Frame]()
 
 
-_KEPT = ["host_ns", "body", "stop", "row", "sender"]  # of a file's frames, until they are converted
-_LEAN = np.dtype([(name, FRAME[name]) for name in _KEPT])
+_NO_BYTES = np.empty(0, np.uint8)
 
 
 class _Piece(NamedTuple):
     """Frames of a log, without the bytes that they lie in: where these begin, and how many they are."""
 
-    rows: NDArray[np.void]
+    rows: NDArray[np.void]  # `FRAME`, whose places are counted from there
     at: int
     size: int
 
@@ -60,6 +60,7 @@ class TlogContent:
     """What a telemetry log holds."""
 
     pieces: list[_Piece]  # frames that any profile reads, of all senders, in order
+    latest: Bytes  # that the last piece lies in: a short log is read once
     systems: Mapping[int, _System]  # by system id
     span_ns: int  # from the earliest of these frames to the latest
     size: int  # bytes of the file
@@ -107,31 +108,25 @@ def decode_tlog(windows: Iterable[bytes]) -> TlogContent:
     Never raises by itself: what is damaged is skipped and counted.
     """
     decoder, systems = Decoder(_WANTED, stamped=True), dict[int, _System]()
-    seen_ns, lean, begins, ends, counts = list[int](), Column(np.empty(0, _LEAN)), [0], [0], [0]
+    seen_ns, kept, places, data = list[int](), Column(np.empty(0, PLAIN)), list[tuple[int, int, int]](), _NO_BYTES
     for window, last in chain(zip(windows, repeat(False)), ((b"", True),)):
         at, frames = decoder.size, decoder.take_stream(window, last=last)
         if not len(frames):
             continue
-        for sysid in np.unique(frames.rows["sender"] >> 8).tolist():
+        for sysid in np.flatnonzero(np.bincount(frames.rows["sender"] >> 8)).tolist():
             own = _of_system(frames, sysid)
             system = systems.setdefault(sysid, _System(int(own.rows["host_ns"][0])))
             system.take(own)
             system.parameters += own.of(MessageId.PARAM_VALUE)
         seen_ns += [int(frames.rows["host_ns"].min()), int(frames.rows["host_ns"].max())]
-        if at + len(frames.data) - begins[-1] > PIECE_BYTES:
-            begins.append(at)
-            ends.append(at)
-            counts.append(0)
-        rows = frames.rows[_KEPT].astype(_LEAN)
-        for place in ("body", "stop"):
-            rows[place] += at - begins[-1]
-        lean.add(rows)
-        ends[-1], counts[-1] = at + len(frames.data), counts[-1] + len(frames)
-    cut = np.split(lean.whole(), np.cumsum(counts)[:-1])
-    pieces = [_Piece(rows, begin, end - begin) for rows, begin, end in zip(cut, begins, ends, strict=True) if len(rows)]
+        kept.add(frames.rows.view(PLAIN))
+        data = frames.data
+        places.append((len(frames), at, len(data)))
+    cut = np.split(kept.whole().view(FRAME), np.cumsum([count for count, *_ in places])[:-1])
+    pieces = [_Piece(rows, at, size) for rows, (_, at, size) in zip(cut, places, strict=False)]
     span_ns = max(seen_ns, default=0) - min(seen_ns, default=0)
     totals = (decoder.size, decoder.records, decoder.garbage_bytes, decoder.senders, decoder.size - decoder.sound_end)
-    return TlogContent(pieces, systems, span_ns, *totals)
+    return TlogContent(pieces, data, systems, span_ns, *totals)
 
 
 def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None) -> Log:
@@ -174,7 +169,7 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
             raise InputError(f"{path}: vehicle {sysid}: {why}")
         decoder = SampleDecoder(with_imu(known, system.counts))
         pieces = content.pieces if sysid == sysids[-1] else content.pieces.copy()
-        telemetry = joined(_converted(path, pieces, sysid, decoder))
+        telemetry = joined(_converted(path, pieces, content.latest, sysid, decoder))
         name = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}"
         notes, parameters = (*content.notes, *left_out), parameters_in(system.parameters, known.autopilot)
         named = (name, digest.hexdigest(), known.name, telemetry, system.heard_ns, notes, parameters)
@@ -195,31 +190,33 @@ def _chosen(path: Path, content: TlogContent, vehicle: int | None, *, several: b
 
 
 def _summed(path: Path, update: Callable[[bytes], None]) -> Iterator[bytes]:
-    for window in windows_of(path, most=TLOG_BYTES):
+    for window in windows_of(path, PIECE_BYTES, TLOG_BYTES):
         update(window)
         yield window
 
 
-def _converted(path: Path, pieces: list[_Piece], sysid: int, decoder: SampleDecoder) -> Iterator[Telemetry]:
-    """The telemetry of one vehicle, piece by piece; uses the pieces up."""
+def _converted(
+    path: Path, pieces: list[_Piece], latest: Bytes, sysid: int, decoder: SampleDecoder
+) -> Iterator[Telemetry]:
+    """The telemetry of one vehicle, piece by piece; uses the pieces up. latest: the bytes of the last one."""
     state = SampleState()
     pieces.reverse()
     with opened(path, TLOG_BYTES) as file:
         while pieces:
-            kept, at, size = pieces.pop()
+            rows, at, size = pieces.pop()
             file.seek(at)
-            data = np.frombuffer(file.read(size), np.uint8)
+            data = np.frombuffer(file.read(size), np.uint8) if pieces else latest
             if len(data) < size:
                 raise InputError(f"{path}: it became shorter while it was read; read it again")
-            rows = np.zeros(len(kept), FRAME)
-            rows[_KEPT] = kept
-            forget(kept)
-            yield decoder.step(state, _of_system(Frames(data, rows), sysid))
+            own = _of_system(Frames(data, rows), sysid)
+            forget(rows)
+            yield decoder.step(state, own)
 
 
 def _of_system(frames: Frames, sysid: int) -> Frames:
     own = frames.rows["sender"] >> 8 == sysid
-    return frames if own.all() else frames.where(own)
+    # what lies in a file is copied, too: compiled functions take what can be written to
+    return frames if own.all() and frames.rows.flags.writeable else frames.where(own)
 
 
 def _names(sysids: Iterable[int]) -> str:

@@ -224,6 +224,30 @@ def test_answers_are_kept_and_found_again_and_errors_are_not(tmp_path: Path) -> 
         assert answer.verdict.reason.startswith(words)
 
 
+def test_only_what_may_be_a_copy_is_read_to_tell_copies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files of one beginning and one size are told apart by their ends; with answers kept every log is looked up."""
+    read, cache = list[str](), open_cache(tmp_path / "cache", asked().scope)
+    beginning = bytes(module.HEAD_BYTES)
+    contents = {"a": beginning + b"1", "b": beginning + b"2", "c": beginning + b"1", "d": beginning, "e": b"\1"}
+    for name, data in contents.items():
+        (tmp_path / name).write_bytes(data)
+
+    def digested(path: Path) -> str:
+        read.append(path.name)
+        return digest_of(path)
+
+    def judge(path: str, question: Question) -> Record:
+        return Record(digest_of(Path(path)), LogVerdict("", Verdict.HEALTHY, Path(path).name))
+
+    monkeypatch.setattr(module, "digest_of", digested)
+    monkeypatch.setattr(module, "judge_file", judge)
+    logs = logs_named([tmp_path / name for name in contents]).logs
+    assert [answer.verdict.reason for answer in scan(logs, asked(), 1, cache)] == ["a", "b", "a", "d", "e"]
+    assert read == ["a", "b", "c"]
+    assert [answer.fresh for answer in scan(logs, asked(), 1, cache)] == [False] * 5
+    assert read[3:] == list(contents)
+
+
 def test_run_all_gives_every_task_its_result_though_workers_die() -> None:
     ended = dict(run_all(work, iter([1, -1, 2, 0, -2, 3, 4, 5]), 2, known=lambda task: 99 if task == 5 else None))
     assert {task: future.result() for task, future in ended.items() if task > 0} == {1: 1, 2: 4, 3: 9, 4: 16, 5: 99}

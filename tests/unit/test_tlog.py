@@ -1,7 +1,6 @@
 """Telemetry logs made by hand: whole, damaged, of several vehicles, or something else altogether."""
 
 from contextlib import closing
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from mavdiag.link.codec import UNKNOWN, Encoder
 from mavdiag.link.messages import MavType, MessageId
 from mavdiag.link.signing import Signing
 from mavdiag.logs import read_log
-from mavdiag.logs.log import sha256_of, windows_of
+from mavdiag.logs.log import sha256_of
 from mavdiag.logs.tlog import TlogContent, decode_tlog, read_tlog, tlog_record, vehicle_stream
 from mavdiag.telemetry import Signal
 
@@ -165,7 +164,7 @@ def test_windows_read_as_pymavlink(tmp_path: Path, monkeypatch: pytest.MonkeyPat
                 imu.append([1000 * told["time_usec"], *(1e-3 * told[f"{axis}gyro"] for axis in "xyz")])
             elif message.get_srcSystem() == 1:
                 thrust.append(told["thrust"])
-    monkeypatch.setattr("mavdiag.logs.tlog.windows_of", partial(windows_of, size=window))
+    monkeypatch.setattr("mavdiag.logs.tlog.PIECE_BYTES", window)
     log = read_tlog(path, vehicle=1)
     rate = log.telemetry.need(Signal.BODY_RATE)
     assert len(times) > 700
@@ -179,7 +178,7 @@ def placed(content: TlogContent) -> list[tuple[int, ...]]:
     return [
         (host_ns, at + body, stop - body, row, sender)
         for rows, at, _ in content.pieces
-        for host_ns, body, stop, row, sender in rows.tolist()
+        for host_ns, body, stop, row, sender in rows[["host_ns", "body", "stop", "row", "sender"]].tolist()
     ]
 
 
