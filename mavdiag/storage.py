@@ -222,7 +222,7 @@ def give_back() -> None:
 
 
 def keep_freed(size: int) -> None:
-    """Have the C library (glibc) keep for what is made next what is freed of arrays up to this size [bytes], two of them."""
+    """Have the C library (glibc) keep what is freed for what is made next: two arrays of up to this size [bytes]."""
     set_option = getattr(ctypes.CDLL(None), "mallopt", None)
     if set_option is not None:
         set_option(MMAP_THRESHOLD, size)

@@ -330,9 +330,11 @@ def _noise(found: Sequence[Bends]) -> FloatArray:
     squares, steps = (np.concatenate((none, *parts), axis=1) for parts in zip((none, none), *found, strict=True))
     levels = []
     for square, step in zip(squares, steps, strict=True):
-        square, step = square[np.isfinite(square)], step[step > 0]
-        resolution = float(np.quantile(step, RESOLUTION_SHARE, method="lower")) if len(step) else 0.0
-        calm = max(float(np.quantile(square, CALM_SHARE)), resolution**2 / 2) if len(square) else 0.0
+        square = square[np.isfinite(square)]
+        calm, moved = float(np.quantile(square, CALM_SHARE)) if len(square) else 0.0, np.count_nonzero(step)
+        finer = np.count_nonzero(step <= math.sqrt(2.0 * calm)) - (len(step) - moved)
+        if len(square) and finer <= RESOLUTION_SHARE * (moved - 1):  # only then is the resolution needed
+            calm = float(np.quantile(step[step > 0], RESOLUTION_SHARE, method="lower")) ** 2 / 2
         levels.append(0.5 * math.log(calm) if calm > 0 else math.nan)
     return np.array(levels)
 
