@@ -109,7 +109,7 @@ def _shaking(number: int, flight: LearntFlight) -> Course:
     t_s, value, dt_s = [np.empty(0)], [np.empty(0)], 0.0
     for block in (rows.block for rows in flight.rows):
         dt_s, second = block.dt_s, window_rows(1.0, block.dt_s)
-        squares = np.square(np.diff(block.force[:, :2], n=2, axis=0)).sum(axis=1)
+        squares = np.square(np.diff(block.force[:, :2].T, n=2)).sum(axis=0)
         known = np.isfinite(squares) & block.valid[2:]
         count = len(squares) // second
         parts = np.where(known, squares, 0.0)[: count * second].reshape(count, second)

@@ -348,18 +348,17 @@ class TrimMonitor(Monitor[Spec]):
         """
         found, spec = [], self.spec
         for segment in segments(flight):
-            parts, rest = list[FloatArray](), np.empty((0, 8))
+            parts, rest = list[FloatArray](), np.empty((8, 0))
             for block in (rows.block for rows in segment):
                 size, (trim, known) = _tick_shape(block.dt_s)[1], trims.trim_of(block, spec.layout, spec.source)
                 level = trims.level_of(block, spec.layout, spec.source)
-                fresh = np.column_stack((trim, trims.pull_of(block, spec.felt), block.rate[:, 2], level))
-                known = known & np.isfinite(fresh).all(axis=1)
-                fresh = np.column_stack((np.nan_to_num(fresh), known))
-                each = np.asarray(np.concatenate((rest, fresh)), dtype=np.float64)
-                n = len(each) // size
-                parts.append(each[: n * size].reshape(n, size, 8).mean(axis=1))
-                rest = each[n * size :]
-            seen = np.concatenate(parts).T
+                fresh = np.vstack((trim.T, trims.pull_of(block, spec.felt).T, block.rate[:, 2], level))
+                known = known & np.isfinite(fresh).all(axis=0)
+                each = np.concatenate((rest, np.vstack((np.where(np.isfinite(fresh), fresh, 0.0), known))), axis=1)
+                n = each.shape[1] // size
+                parts.append(each[:, : n * size].reshape(8, n, size).mean(axis=2))
+                rest = each[:, n * size :]
+            seen = np.concatenate(parts, axis=1)
             x = np.zeros((col.OUTPUTS, seen.shape[1]))
             x[col.TORQUE : col.TORQUE + 3], x[col.LEAN : col.LEAN + 2] = seen[:3] * seen[6], seen[3:5]
             x[col.RATE + 2], x[col.THRUST], x[col.COVERED] = seen[5], seen[6], 1.0
