@@ -150,9 +150,10 @@ def _filtered(group: Segment, order: Order, theta: FloatArray) -> FloatArray:
     na, first, n = order[0], reach(order), len(group)
     A, B = (np.pad(one, (0, first + 1 - len(one))) for one in polynomials(theta, order))
     columns = _columns(B, A, group.u, group.y, order)
-    free, _ = np.linalg.qr(filtered(np.eye(1, first + 1)[0], A, np.eye(na, n - first), np.zeros(first + 1)).T)
-    lasts = 1 + int(np.flatnonzero(~(np.abs(free).max(axis=1) <= EPSILON**2))[-1])  # then it is less than any rounding
-    columns[:, :lasts] -= free[:lasts] @ (free[:lasts].T @ columns[:, :lasts])
+    free = filtered(np.eye(1, first + 1)[0], A, np.eye(na, n - first), np.zeros(first + 1))
+    lasts = 1 + int(np.flatnonzero(~(np.abs(free).max(axis=0) <= EPSILON**2))[-1])  # then it is less than any rounding
+    Q, _ = np.linalg.qr(free[:, :lasts].T)
+    columns[:, :lasts] -= Q @ (Q.T @ columns[:, :lasts])
     return columns
 
 

@@ -394,7 +394,7 @@ class Residuals(NamedTuple):
 def residuals_of(motion: HealthyMotion, samples: FloatArray, follows: bool = True) -> Residuals:
     """The residuals of a whole segment, by the loop that judges. samples: (k, 7)."""
     begun, n = _begin(motion, follows, 1, np.ones(1), (1, 1), np.empty(0)), len(samples)
-    x, out = np.zeros((OUTPUTS, n)), np.empty((TRACE + 10, n))
+    x, out = np.empty((OUTPUTS, n)), np.empty((TRACE + 10, n))  # the loop reads no other rows than these
     x[U : U + 2], x[Y : Y + 2], x[FORCE + 2], x[THRUST], x[COMMANDED] = np.split(samples.T, (2, 4, 5, 6))
     RotorSignature.run(begun.par, begun.mem, x, 0, 0, out, np.empty((n, 0)), np.empty(n, dtype=np.int64))
     r, n_, busy = (out[TRACE + 3 * i : TRACE + 3 * i + 3].T for i in range(3))
