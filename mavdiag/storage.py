@@ -28,7 +28,7 @@ SHELF_BYTES = 8 << 20  # of arrays that a shelf keeps in memory before it opens 
 COLUMN_BYTES = 8 << 20  # of a column that comes piece by piece, until it goes into a file (our choice)
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
 ALIGN_BYTES = 8  # of an array in a file: that of its numbers
-WRITE_BYTES = 1 << 20  # that are written at a time: of many together the system takes three times as long (measured)
+WRITE_BYTES = 1 << 20  # that are written at a time: many together take three times as long (our choice)
 
 
 @contextmanager

@@ -123,7 +123,7 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
     Raises InputError if a flight lacks the gyro or never flies, and IdentificationError if no monitor can work.
     """
     with Shelf() as shelf:
-        keep_freed(KEPT_BYTES)  # a third of the page faults
+        keep_freed(KEPT_BYTES)  # half of the page faults
         held = [hold(log, shelf) for log in flights]
         give_back()
         if not held:
