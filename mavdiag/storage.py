@@ -28,6 +28,7 @@ SHELF_BYTES = 8 << 20  # of arrays that a shelf keeps in memory before it opens 
 COLUMN_BYTES = 8 << 20  # of a column that comes piece by piece, until it goes into a file (our choice)
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
 ALIGN_BYTES = 8  # of an array in a file: that of its numbers
+WRITE_BYTES = 1 << 20  # that are written at a time: many together take three times as long (our choice)
 
 
 @contextmanager
@@ -221,11 +222,11 @@ def give_back() -> None:
 
 
 def keep_freed(size: int) -> None:
-    """Have the C library (glibc) keep for what is made next what is freed of arrays up to this size [bytes]."""
+    """Have the C library (glibc) keep what is freed for what is made next: two arrays of up to this size [bytes]."""
     set_option = getattr(ctypes.CDLL(None), "mallopt", None)
     if set_option is not None:
-        for option in (MMAP_THRESHOLD, TRIM_THRESHOLD):
-            set_option(option, size)
+        set_option(MMAP_THRESHOLD, size)
+        set_option(TRIM_THRESHOLD, 2 * size)
 
 
 @contextmanager
@@ -243,10 +244,10 @@ def _bytes_of(rows: NDArray[Any]) -> memoryview:
 
 
 def _write(file: BinaryIO, data: memoryview) -> int:
-    """Write all of it, of which the system may take less at once; returns how many bytes these are."""
+    """Write all of it piece by piece, of which the system may take less; returns how many bytes these are."""
     left = data
     while len(left):
-        left = left[file.write(left) :]
+        left = left[file.write(left[:WRITE_BYTES]) :]
     return len(data)
 
 

@@ -113,12 +113,12 @@ def moving_outputs(blocks: Iterable[Block]) -> list[int]:
     width = max((block.actuator.shape[1] for block in blocks if len(block)), default=0)
     low, high, total, count = np.array([[np.inf], [-np.inf], [0.0], [0.0]]) * np.ones(width)
     for block in blocks:
-        outputs = block.actuator[block.valid]
-        own, known = slice(0, outputs.shape[1]), np.isfinite(outputs)
-        low[own] = np.minimum(low[own], np.where(known, outputs, np.inf).min(axis=0, initial=np.inf))
-        high[own] = np.maximum(high[own], np.where(known, outputs, -np.inf).max(axis=0, initial=-np.inf))
-        total[own] += np.where(known, outputs, 0.0).sum(axis=0)
-        count[own] += known.sum(axis=0)
+        outputs = block.actuator.T
+        own, known = slice(0, len(outputs)), np.isfinite(outputs) & block.valid
+        low[own] = np.minimum(low[own], np.where(known, outputs, np.inf).min(axis=1, initial=np.inf))
+        high[own] = np.maximum(high[own], np.where(known, outputs, -np.inf).max(axis=1, initial=-np.inf))
+        total[own] += np.where(known, outputs, 0.0).sum(axis=1)
+        count[own] += known.sum(axis=1)
     return np.flatnonzero((high > low) & (total / np.maximum(count, 1) > MIN_OUTPUT)).tolist()
 
 
@@ -147,23 +147,23 @@ class _Fit:
 
 
 def _drivers(block: Block) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, 3) each, in the order of `DRIVERS`; the gyro in place of its differences."""
-    return block.torque, block.rate_setpoint - block.rate, block.rate
+    """(3, n) each, in the order of `DRIVERS`; the gyro in place of its differences."""
+    return block.torque.T, block.rate_setpoint.T - block.rate.T, block.rate.T
 
 
 def _shares(block: Block, columns: Sequence[int]) -> FloatArray:
-    """w, (n, outputs): nan where a row is not judged or the motors do not carry."""
-    outputs = np.full((len(block), len(columns)), np.nan)
+    """w, (outputs, n): nan where a row is not judged or the motors do not carry."""
+    outputs = np.full((len(columns), len(block)), np.nan)
     there = [i for i, column in enumerate(columns) if column < block.actuator.shape[1]]
-    outputs[:, there] = np.where(block.valid[:, None], block.actuator[:, [columns[i] for i in there]], np.nan)
-    mean = outputs.mean(axis=1, keepdims=True)
+    outputs[there] = np.where(block.valid, block.actuator.T[[columns[i] for i in there]], np.nan)
+    mean = outputs.mean(axis=0)
     return np.asarray(outputs / np.where(mean > MIN_OUTPUT, mean, np.nan) - 1.0)
 
 
 def _pieces(
     blocks: Iterable[Block], columns: Sequence[int], driver: int, reach_s: float
 ) -> Iterator[tuple[float, FloatArray]]:
-    """Period and [ w x ] of unbroken rows, `PIECE_ROWS` at a time; what a change reaches over comes twice."""
+    """Period and [ w x ]' of unbroken rows, `PIECE_ROWS` at a time; what a change reaches over comes twice."""
     rows, last = list[FloatArray](), None
     for block in blocks:
         if not len(block):
@@ -171,28 +171,28 @@ def _pieces(
         if last is not None and not (
             block.segment == last.segment and 0 < block.t_ns[0] - last.t_ns[-1] < 2.5e9 * block.dt_s
         ):
-            yield last.dt_s, np.concatenate(rows)
+            yield last.dt_s, np.concatenate(rows, axis=1)
             rows, last = [], None
         x = _drivers(block)[driver]
         if driver == len(DRIVERS) - 1:
-            x = np.diff(x, axis=0, prepend=np.full((1, 3), np.nan) if last is None else last.rate[-1:])
-        rows.append(np.hstack([_shares(block, columns), x]))
+            x = np.diff(x, prepend=np.full((3, 1), np.nan) if last is None else last.rate.T[:, -1:])
+        rows.append(np.vstack([_shares(block, columns), x]))
         last = block
-        while sum(map(len, rows)) >= PIECE_ROWS:
-            table = np.concatenate(rows)
-            yield block.dt_s, table[:PIECE_ROWS]
-            rows = [table[PIECE_ROWS - round(SPAN_S / block.dt_s) - round(reach_s / block.dt_s) :]]
+        while sum(one.shape[1] for one in rows) >= PIECE_ROWS:
+            table = np.concatenate(rows, axis=1)
+            yield block.dt_s, table[:, :PIECE_ROWS]
+            rows = [table[:, PIECE_ROWS - round(SPAN_S / block.dt_s) - round(reach_s / block.dt_s) :]]
     if last is not None:
-        yield last.dt_s, np.concatenate(rows)
+        yield last.dt_s, np.concatenate(rows, axis=1)
 
 
 def _fit(blocks: Iterable[Block], columns: Sequence[int]) -> _Fit | None:
     """The fit of these outputs to the first driver that half of the judged rows carry, by sums of products."""
     judged, known = 0, np.zeros(len(DRIVERS), dtype=np.int64)
     for block in blocks:
-        flown = np.isfinite(_shares(block, columns)[:, 0])
+        flown = np.isfinite(_shares(block, columns)[0])
         judged += int(np.count_nonzero(flown))
-        known += [np.count_nonzero(flown & np.isfinite(x).all(axis=1)) for x in _drivers(block)]
+        known += [np.count_nonzero(flown & np.isfinite(x).all(axis=0)) for x in _drivers(block)]
     carried = np.flatnonzero(2 * known > judged).tolist()
     if not carried:
         return None
@@ -201,14 +201,14 @@ def _fit(blocks: Iterable[Block], columns: Sequence[int]) -> _Fit | None:
     products = np.zeros((len(lags_s), outputs + 4, outputs + 4))
     for dt_s, table in _pieces(blocks, columns, carried[0], lags_s[-1]):
         span = max(1, round(SPAN_S / dt_s))
-        n, overlap = len(table) - span - round(lags_s[-1] / dt_s), max(overlap, span)
+        n, overlap = table.shape[1] - span - round(lags_s[-1] / dt_s), max(overlap, span)
         for sums, lag in zip(products, (round(lag_s / dt_s) for lag_s in lags_s if n > 0), strict=False):
-            w, x = table[: span + n, :outputs], table[lag : lag + span + n, outputs:]
-            changes = np.hstack([w[span:] - w[:n], x[span:] - x[:n], np.ones((n, 1))])
-            changes = changes[np.isfinite(changes).all(axis=1)]
-            for first in range(0, len(changes), TOGETHER):
-                part = changes[first : first + TOGETHER]
-                sums += part.T @ part
+            w, x = table[:outputs, : span + n], table[outputs:, lag : lag + span + n]
+            changes = np.vstack([w[:, span:] - w[:, :n], x[:, span:] - x[:, :n], np.ones((1, n))])
+            changes = changes[:, np.isfinite(changes).all(axis=0)]
+            for first in range(0, changes.shape[1], TOGETHER):
+                part = changes[:, first : first + TOGETHER]
+                sums += part @ part.T
     fits = [_solved(sums, overlap, DRIVERS[carried[0]]) for sums in products]
     return max((fit for fit in fits if fit is not None), key=lambda fit: fit.explained, default=None)
 

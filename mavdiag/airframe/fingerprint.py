@@ -22,7 +22,7 @@ from mavdiag.errors import InputError
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import window_all, window_mean, window_rows
-from mavdiag.telemetry import BoolArray, FloatArray, Signal
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
 FIRST_S = 20.0  # of judged flight that is compared (our choice)
 PART_S = 10.0  # of a learnt flight, by which its spread is measured: half of that, so that 30 s have three (our choice)
@@ -284,11 +284,12 @@ def _shown(block: Block, layout: RotorLayout | None) -> _Shown:
     levels, width = np.empty(0), block.actuator.shape[1]
     if layout is not None:
         values, known = shown_trim(block, layout)
-        trim = window_mean(values, window)[window_all(known & calm, window)][:: max(1, window // 4)]
+        starts = np.flatnonzero(window_all(known & calm, window))[:: max(1, window // 4)]
+        trim = means_from(values.T, starts, window).T
         if width and not np.isfinite(block.thrust[calm]).any():
             levels = block.actuator[calm, : layout.rotors].mean(axis=1)
     gyro, felt = (_bends(values.T, block.valid, block.dt_s) for values in (block.rate, block.force))
-    outputs = block.actuator.T[:, block.known(Signal.ACTUATOR) & block.valid]
+    outputs = np.compress(block.known(Signal.ACTUATOR) & block.valid, block.actuator.T, axis=1)
     return _Shown(trim, gyro, felt, block.thrust[calm], levels, outputs)
 
 
@@ -311,7 +312,7 @@ def _calm(block: Block) -> BoolArray:
     if not len(block):
         return block.valid
     window = min(window_rows(TRIM_S, block.dt_s), len(block))
-    squares = window_mean(np.square(block.rate).sum(axis=1)[:, None], window)[:, 0]
+    squares = window_mean(np.square(block.rate.T).sum(axis=0)[:, None], window)[:, 0]
     squares = np.pad(squares, (0, len(block) - len(squares)), mode="edge")
     return np.asarray(block.valid & (squares < CALM_RAD_S**2), dtype=np.bool_)
 
@@ -321,7 +322,16 @@ def _bends(values: FloatArray, valid: BoolArray, dt_s: float) -> Bends:
     known, window = valid & np.isfinite(values[2]), window_rows(NOISE_WINDOW_S, dt_s)
     steps = np.diff(values)
     bends = np.where(window_all(known, 3), np.square(np.diff(steps)), np.nan)
-    return window_mean(bends.T, window)[:: max(1, window // 2)].T, np.abs(steps[:, window_all(known, 2)])
+    starts = np.arange(0, bends.shape[1] - window + 1, max(1, window // 2))
+    return means_from(bends, starts, window), np.abs(np.compress(window_all(known, 2), steps, axis=1))
+
+
+def means_from(values: FloatArray, starts: IntArray, window: int) -> FloatArray:
+    """Means over the windows that begin at some rows, (k, n) -> (k, starts); one with a NaN is NaN."""
+    if not len(starts):
+        return np.empty((len(values), 0))
+    windows = np.lib.stride_tricks.sliding_window_view(values, window, axis=1)
+    return np.asarray(windows[:, starts].mean(axis=2), dtype=np.float64)
 
 
 def _noise(found: Sequence[Bends]) -> FloatArray:
@@ -330,9 +340,11 @@ def _noise(found: Sequence[Bends]) -> FloatArray:
     squares, steps = (np.concatenate((none, *parts), axis=1) for parts in zip((none, none), *found, strict=True))
     levels = []
     for square, step in zip(squares, steps, strict=True):
-        square, step = square[np.isfinite(square)], step[step > 0]
-        resolution = float(np.quantile(step, RESOLUTION_SHARE, method="lower")) if len(step) else 0.0
-        calm = max(float(np.quantile(square, CALM_SHARE)), resolution**2 / 2) if len(square) else 0.0
+        square = square[np.isfinite(square)]
+        calm, moved = float(np.quantile(square, CALM_SHARE)) if len(square) else 0.0, np.count_nonzero(step)
+        finer = np.count_nonzero(step <= math.sqrt(2.0 * calm)) - (len(step) - moved)
+        if len(square) and finer <= RESOLUTION_SHARE * (moved - 1):  # only then is the resolution needed
+            calm = float(np.quantile(step[step > 0], RESOLUTION_SHARE, method="lower")) ** 2 / 2
         levels.append(0.5 * math.log(calm) if calm > 0 else math.nan)
     return np.array(levels)
 

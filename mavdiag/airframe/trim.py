@@ -53,7 +53,8 @@ def sources_of(flight: Sequence[Rows], layout: RotorLayout) -> BoolArray:
 
     def moves(block: Block, source: Source) -> bool:
         trim, known = trim_of(block, layout, source)
-        return bool((trim[known] != trim[known][:1]).any())
+        shown = np.compress(known, trim.T, axis=1)
+        return bool((shown != shown[:, :1]).any())
 
     return np.array([any(moves(rows.block, source) for rows in flight) for source in SOURCES])
 
@@ -74,18 +75,18 @@ def trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArr
 
 
 def _trim(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
-    own, C, trim = slice(0, layout.rotors), layout.unmixing, np.zeros((len(block), 3))
+    own, C, trim = slice(0, layout.rotors), layout.unmixing, np.zeros((3, len(block)))
     level = level_of(block, layout, source)
     if source == "actuator" and block.actuator.shape[1] >= layout.rotors:
-        outputs, known = block.actuator[:, own], block.known(Signal.ACTUATOR, own)  # others move no rotor
-        command = np.einsum("kr,nr->nk", C, outputs - level[:, None])
+        outputs, known = block.actuator.T[own], block.known(Signal.ACTUATOR, own)  # others move no rotor
+        command = np.einsum("kr,rn->kn", C, outputs - level)
     elif source == "torque" and layout.torque_gain is not None:  # what the mixer adds to the thrust is B m
         known = block.known(Signal.TORQUE_COMMAND)
-        command = block.torque * np.array(layout.torque_gain)
+        command = block.torque.T * np.array(layout.torque_gain)[:, None]
     else:
-        return trim, np.zeros(len(block), dtype=np.bool_)
+        return trim.T, np.zeros(len(block), dtype=np.bool_)
     known = known & block.valid & (level > MIN_OUTPUT)
-    return np.divide(command, level[:, None], out=trim, where=known[:, None]), known
+    return np.divide(command, level, out=trim, where=known).T, known
 
 
 def level_of(block: Block, layout: RotorLayout, source: Source) -> FloatArray:

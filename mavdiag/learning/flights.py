@@ -34,7 +34,7 @@ SHAKE_SHARE = 0.2  # of the usual noise of the gyro in flight; at rest it has a 
 SLOW_SETPOINT_PERIODS = 2.5  # a set-point stream slower than the gyro has gaps by nature (our choice)
 PIECE_ROWS = 40_000  # that are made and looked at together (our choice: 20 MB)
 IN_MEMORY = 1 << 62  # bytes
-KEPT_BYTES = 20 << 20  # holds the columns of 40 s at 1 kHz (our choice; more leaves gaps in the memory)
+KEPT_BYTES = 32 << 20  # holds the columns of 40 s at 1 kHz (our choice; the most that glibc takes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

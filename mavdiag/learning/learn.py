@@ -123,7 +123,7 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
     Raises InputError if a flight lacks the gyro or never flies, and IdentificationError if no monitor can work.
     """
     with Shelf() as shelf:
-        keep_freed(KEPT_BYTES)  # a third of the page faults
+        keep_freed(KEPT_BYTES)  # half of the page faults
         held = [hold(log, shelf) for log in flights]
         give_back()
         if not held:
@@ -144,6 +144,7 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
         thesis = options.axes, options.method, options.order, options.margin_rule
         context = LearnContext(airframe, corner_hz, front.align.dt_s, front.rates.window, *thesis)
         fitted, refusals = _fit_all(rows, sessions, options, context)
+        give_back()
         if not fitted:
             reasons = "; ".join(f"{refusal.monitor}: {refusal.reason}" for refusal in refusals)
             raise IdentificationError(f"no monitor can judge such flights ({reasons})")

@@ -33,7 +33,7 @@ from mavdiag.learning.teaching import Finding
 from mavdiag.monitors import monitor_of
 from mavdiag.monitors.fitting import judged_together
 from mavdiag.rows.windows import window_rows
-from mavdiag.telemetry import FloatArray
+from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import G_MM_PER_KG_M, NS_PER_S, RPM
 
 STEADY = ("rotor_signature", "unbalance", "vibration_level")  # alike in every healthy flight, whatever is flown
@@ -109,7 +109,7 @@ def _shaking(number: int, flight: LearntFlight) -> Course:
     t_s, value, dt_s = [np.empty(0)], [np.empty(0)], 0.0
     for block in (rows.block for rows in flight.rows):
         dt_s, second = block.dt_s, window_rows(1.0, block.dt_s)
-        squares = np.square(np.diff(block.force[:, :2], n=2, axis=0)).sum(axis=1)
+        squares = np.square(np.diff(block.force[:, :2].T, n=2)).sum(axis=0)
         known = np.isfinite(squares) & block.valid[2:]
         count = len(squares) // second
         parts = np.where(known, squares, 0.0)[: count * second].reshape(count, second)
@@ -137,13 +137,12 @@ def _change(course: Course) -> Finding | None:
     best: tuple[float, float, int] = (0.0, 0.0, 0)
     if len(x) < 2 * PART_S or np.ptp(x, axis=0).max(initial=0.0) < least:  # no two medians lie further apart
         return None
-    for at in np.unique(np.linspace(PART_S, len(x) - PART_S, SPLITS).astype(np.int64)):
-        before, after = np.median(x[:at], axis=0), np.median(x[at:], axis=0)
-        shift = after - before
-        small = (np.abs(shift) if trim else shift) < least
-        if small.all():
-            continue
-        left = np.abs(np.concatenate((x[:at] - before, x[at:] - after)))
+    splits = np.unique(np.linspace(PART_S, len(x) - PART_S, SPLITS).astype(np.int64))
+    befores, afters = _medians(x, splits), _medians(x[::-1], len(x) - splits)
+    smalls = (np.abs(afters - befores) if trim else afters - befores) < least
+    for i in np.flatnonzero(~smalls.all(axis=1)):
+        at, before, after, small = splits[i], befores[i], afters[i], smalls[i]
+        shift, left = after - before, np.abs(np.concatenate((x[:at] - before, x[at:] - after)))
         sure = np.where(small, 0.0, np.abs(shift) / np.hypot(1.4826 * np.median(left, axis=0), floor))
         j = int(sure.argmax())
         best = max(best, (float(sure[j]), float(shift[j]), int(at)))
@@ -153,6 +152,13 @@ def _change(course: Course) -> Finding | None:
     much = f"a motor is commanded {100 * moved:+.0f} %" if trim else f"{math.exp(moved):.2g} times what it was before"
     text = f"from {course.t_s[at]:.0f} s on: {course.name}: {much}: something changed in flight"
     return Finding(course.number, course.log, text)
+
+
+def _medians(x: FloatArray, counts: IntArray) -> FloatArray:
+    """The medians of the first so many rows, (n, c) and (s,) -> (s, c)."""
+    some = np.sort(np.where(np.arange(len(x))[:, None] < counts[:, None, None], x, np.inf), axis=1)
+    each = np.arange(len(counts))
+    return np.asarray(0.5 * (some[each, (counts - 1) // 2] + some[each, counts // 2]), dtype=np.float64)
 
 
 def _odd(found: Sequence[Course]) -> Iterator[Finding]:

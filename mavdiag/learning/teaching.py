@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from mavdiag.airframe.fingerprint import means_from
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import LEVEL_RATIO, shown_trim
 from mavdiag.errors import InputError
@@ -32,7 +33,7 @@ from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.grid import steps_of
 from mavdiag.rows.quality import LinkQuality, alike, learnt_quality
 from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
-from mavdiag.rows.windows import window_mean, window_rows
+from mavdiag.rows.windows import window_rows
 from mavdiag.storage import Shelf, give_back
 from mavdiag.telemetry import FloatArray, IntArray, Log, Signal
 from mavdiag.units import NS_PER_S
@@ -226,16 +227,16 @@ def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
 def _blocks(rows: Rows) -> Iterator[tuple[float, ...]]:
     """Of each few seconds: start and end [s], logarithms of gyro noise, rate error and thrust, rms commanded rate."""
     block, rates = rows.block, rows.rates
-    noise, size = np.square(np.diff(block.rate, n=2, axis=0)).sum(axis=1), window_rows(BLOCK_S, block.dt_s)
+    noise, size = np.square(np.diff(block.rate.T, n=2)).sum(axis=0), window_rows(BLOCK_S, block.dt_s)
     # a last block that is shorter than half belongs to the one before
     for first, stop in itertools.pairwise([*range(0, max(1, len(block) - size // 2), size), len(block)]):
         if np.count_nonzero(block.valid[first:stop]) < 0.5 * size:
             continue
         low_ns, high_ns = block.t_ns[[first, stop - 1]].tolist()
         inside = slice(*np.searchsorted(rates.t_ns, [low_ns, high_ns + 1]).tolist())
-        known, u = rates.commanded[inside], rates.u[inside]
-        error = np.where(known, np.square(rates.y[inside] - u).sum(axis=1), np.nan)
-        busy = math.sqrt(float(np.square(u[known]).sum(axis=1).mean())) if known.any() else 0.0
+        known, u = rates.commanded[inside], rates.u[inside].T
+        error = np.where(known, np.square(rates.y[inside].T - u).sum(axis=0), np.nan)
+        busy = math.sqrt(float(np.square(u).sum(axis=0)[known].mean())) if known.any() else 0.0
         quick = np.where(block.valid[first + 2 : stop], noise[first : stop - 2], np.nan)
         thrust = _median(block.thrust[first:stop][block.valid[first:stop]])
         figures = _typical(quick, block.dt_s), _typical(error, block.dt_s), thrust
@@ -282,7 +283,7 @@ def _median(x: FloatArray) -> float:
 def _typical(squares: FloatArray, dt_s: float) -> float:
     """Median over windows of their rms, (n,); NaN if no window is whole."""
     window = window_rows(WINDOW_S, dt_s)
-    means = window_mean(squares[:, None], window)[:: max(1, window // 2), 0]
+    means = means_from(squares[None], np.arange(0, len(squares) - window + 1, max(1, window // 2)), window)[0]
     known = means[np.isfinite(means)]
     return math.sqrt(float(np.median(known))) if len(known) else math.nan
 

@@ -139,22 +139,23 @@ class Innovation(Monitor[InnovationSpec]):
             rate_hz = 1 / context.dt_s
             raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; a one-step prediction needs {MIN_RATE_HZ:.0f} Hz")
         pairs = _training_pairs(flights)
-        if all((one.y[LAG:] == one.y[LAG]).all() for one in pairs) and sum(len(one.valid) for one in pairs) >= MIN_ROWS:
+        still = all((one.y[:, LAG:] == one.y[:, LAG : LAG + 1]).all() for one in pairs)
+        if still and sum(len(one.valid) for one in pairs) >= MIN_ROWS:
             raise IdentificationError(CONSTANT)
         rows = sum(int(one.valid.sum()) for one in pairs)
         if rows < MIN_ROWS:
             raise IdentificationError(f"only {rows} rows of healthy flight, {MIN_ROWS} are needed; fly longer")
-        mean = np.concatenate([one.y[LAG:][one.valid] for one in pairs]).mean(axis=0)
-        busy = np.concatenate([one.busy[one.valid] for one in pairs])
+        mean = np.concatenate([np.compress(one.valid, one.y[:, LAG:], axis=1) for one in pairs], axis=1).mean(axis=1)
+        busy = np.concatenate([np.compress(one.valid, one.busy, axis=1) for one in pairs], axis=1)
         a, b, laws = list[Four](), list[Four](), list[tuple[float, float]]()
         for axis in range(3):
-            # [ -y(t-1) .. -y(t-4)   u(t-1) .. u(t-4)   y(t) ]    (n, 9), the valid rows of all flights
-            stacked = np.concatenate([_regression(one, axis, float(mean[axis])) for one in pairs])
-            theta = _least_squares(triangle(stacked))
-            squares = np.square(stacked[:, -1] - stacked[:, :-1] @ theta)
+            # [ -y(t-1) .. -y(t-4)   u(t-1) .. u(t-4)   y(t) ]'    (9, n), the valid rows of all flights
+            stacked = np.concatenate([_regression(one, axis, float(mean[axis])) for one in pairs], axis=1)
+            theta = _least_squares(triangle(stacked.T))
+            squares = np.square(stacked[-1] - theta @ stacked[:-1])
             if squares.mean() == 0.0:
                 raise IdentificationError(CONSTANT)
-            laws.append(variance_law(squares, busy[:, axis]))
+            laws.append(variance_law(squares, busy[axis]))
             a.append(_four(theta[:LAG]))
             b.append(_four(theta[LAG:]))
         found = InnovationSpec(
@@ -180,10 +181,10 @@ class Innovation(Monitor[InnovationSpec]):
 class _Pairs(NamedTuple):
     """n rows and the 4 before them."""
 
-    u: FloatArray  # (4 + n, 3) commanded and measured rate [rad/s]
+    u: FloatArray  # (3, 4 + n) commanded and measured rate [rad/s]
     y: FloatArray
     valid: BoolArray  # (n,) the row and the 4 before it may be judged
-    busy: FloatArray  # (n, 3) exponential mean of u^2
+    busy: FloatArray  # (3, n) exponential mean of u^2
 
 
 def _training_pairs(flights: Flights) -> list[_Pairs]:
@@ -205,25 +206,25 @@ def _pairs_of(segment: Iterable[Rows], most: int) -> _Pairs:
     for rates in (rows.rates for rows in segment):
         dt_s = rates.dt_s
         n = int(np.searchsorted(np.cumsum(rates.commanded), most)) + 1
-        parts.append((rates.u[:n], rates.gyro[:n], rates.commanded[:n]))
+        parts.append((rates.u[:n].T, rates.gyro[:n].T, rates.commanded[:n]))
         most -= int(np.count_nonzero(rates.commanded[:n]))
         if most <= 0:
             break
-    u, y, good = (np.concatenate(column) for column in zip(*parts, strict=True))
-    known = np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)
-    u, y = (np.concatenate((np.zeros((LAG, 3)), np.where(np.isfinite(one), one, 0.0))) for one in (u, y))
-    changed = np.concatenate(([False], (y[1:] != y[:-1]).any(axis=1)))
+    u, y, good = (np.concatenate(column, axis=-1) for column in zip(*parts, strict=True))
+    known = np.isfinite(u).all(axis=0) & np.isfinite(y).all(axis=0)
+    u, y = (np.concatenate((np.zeros((3, LAG)), np.where(np.isfinite(one), one, 0.0)), axis=1) for one in (u, y))
+    changed = np.concatenate(([False], (y[:, 1:] != y[:, :-1]).any(axis=0)))
     stirred = ~window_all(~changed, STILL_ROWS)[LAG - STILL_ROWS + 1 :]
     valid = np.concatenate((np.zeros(LAG, dtype=np.bool_), good & known & stirred))
-    busy = smoothed(np.square(u[LAG:]), forgetting(MEMORY_S, dt_s))
+    busy = smoothed(np.square(u[:, LAG:]).T, forgetting(MEMORY_S, dt_s)).T
     return _Pairs(u, y, window_all(valid, LAG + 1), busy)
 
 
 def _regression(pairs: _Pairs, axis: int, mean: float) -> FloatArray:
-    """The valid rows of the regression of one axis."""
-    y, u, n = pairs.y[:, axis] - mean, pairs.u[:, axis], len(pairs.valid)
+    """The regression of one axis, (9, k) of its valid rows."""
+    y, u, n = pairs.y[axis] - mean, pairs.u[axis], len(pairs.valid)
     columns = [signal[LAG - i : LAG - i + n] for signal in (-y, u) for i in range(1, LAG + 1)]
-    return np.column_stack((*columns, y[LAG:]))[pairs.valid]
+    return np.compress(pairs.valid, [*columns, y[LAG:]], axis=1)
 
 
 def _least_squares(R: FloatArray) -> FloatArray:

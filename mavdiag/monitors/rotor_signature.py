@@ -366,18 +366,19 @@ def _begin(
 def samples_of(flight: Sequence[Rows], stride: int, window: int) -> list[FloatArray]:
     """The samples of each segment of a flight, (k, 7): roll and pitch rate commanded, the same measured, acceleration
     down, thrust, 1 where all but the thrust is known. window: rows of the smoothing, odd."""
-    taps, found, felt, wait = coefficients(window, min(2, window - 1))[0], list[list[FloatArray]](), np.empty((0, 2)), 0
+    taps, found, felt, wait = coefficients(window, min(2, window - 1))[0], list[list[FloatArray]](), np.empty((2, 0)), 0
     for begins, rows in parted(flight):
         if begins:
-            felt, wait = np.full((window - 1, 2), np.nan), 0
+            felt, wait = np.full((2, window - 1), np.nan), 0
             found.append([])
-        felt = np.concatenate((felt, np.column_stack((rows.block.force[:, 2], rows.block.thrust))))
-        u, y, told, n = rows.rates.u, rows.rates.y, rows.rates.commanded, len(rows.rates)
-        smooth = np.column_stack([np.correlate(signal, taps, "valid") for signal in felt.T])[-n or len(felt) :]
-        samples = np.column_stack((u[:, :2], y[:, :2], smooth))[wait::stride]
-        known = told[wait::stride] & np.isfinite(samples[:, :5]).all(axis=1)
+        felt = np.concatenate((felt, (rows.block.force[:, 2], rows.block.thrust)), axis=1)
+        rates, n, size = rows.rates, len(rows.rates), felt.shape[1]
+        windows = np.lib.stride_tricks.sliding_window_view(felt, window, axis=1)[:, -n or size :][:, wait::stride]
+        u, y, told = rates.u[wait::stride, :2], rates.y[wait::stride, :2], rates.commanded[wait::stride]
+        samples = np.column_stack((u, y, np.einsum("skw,w->ks", windows, taps)))
+        known = told & np.isfinite(samples[:, :5]).all(axis=1)
         found[-1].append(np.column_stack((samples, known)))
-        felt, wait = felt[len(felt) - window + 1 :], (wait - n) % stride
+        felt, wait = felt[:, size - window + 1 :], (wait - n) % stride
     return [np.concatenate(parts) for parts in found]
 
 
@@ -393,7 +394,7 @@ class Residuals(NamedTuple):
 def residuals_of(motion: HealthyMotion, samples: FloatArray, follows: bool = True) -> Residuals:
     """The residuals of a whole segment, by the loop that judges. samples: (k, 7)."""
     begun, n = _begin(motion, follows, 1, np.ones(1), (1, 1), np.empty(0)), len(samples)
-    x, out = np.zeros((OUTPUTS, n)), np.empty((TRACE + 10, n))
+    x, out = np.empty((OUTPUTS, n)), np.empty((TRACE + 10, n))  # the loop reads no other rows than these
     x[U : U + 2], x[Y : Y + 2], x[FORCE + 2], x[THRUST], x[COMMANDED] = np.split(samples.T, (2, 4, 5, 6))
     RotorSignature.run(begun.par, begun.mem, x, 0, 0, out, np.empty((n, 0)), np.empty(n, dtype=np.int64))
     r, n_, busy = (out[TRACE + 3 * i : TRACE + 3 * i + 3].T for i in range(3))

@@ -335,7 +335,7 @@ class TrimMonitor(Monitor[Spec]):
         self.signals = trims.SIGNALS[spec.source] | ({Signal.SPECIFIC_FORCE} if spec.felt else set())
         own = slice(0, spec.layout.rotors)  # those that move a rotor
         self.takes = {Signal.ACTUATOR: own, Signal.SPECIFIC_FORCE: trims.ALONG_DISCS}
-        self.memory_s = spec.window_s + TICK_S
+        self.memory_s, self.unmixing = spec.window_s + TICK_S, spec.layout.unmixing
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[Spec, ...]:
@@ -362,18 +362,17 @@ class TrimMonitor(Monitor[Spec]):
         """
         found, spec = [], self.spec
         for segment in segments(flight):
-            parts, rest = list[FloatArray](), np.empty((0, 8))
+            parts, rest = list[FloatArray](), np.empty((8, 0))
             for block in (rows.block for rows in segment):
                 size, (trim, known) = _tick_shape(block.dt_s)[1], trims.trim_of(block, spec.layout, spec.source)
                 level = trims.level_of(block, spec.layout, spec.source)
-                fresh = np.column_stack((trim, trims.pull_of(block, spec.felt), block.rate[:, 2], level))
-                known = known & np.isfinite(fresh).all(axis=1)
-                fresh = np.column_stack((np.nan_to_num(fresh), known))
-                each = np.asarray(np.concatenate((rest, fresh)), dtype=np.float64)
-                n = len(each) // size
-                parts.append(each[: n * size].reshape(n, size, 8).mean(axis=1))
-                rest = each[n * size :]
-            seen = np.concatenate(parts).T
+                fresh = np.vstack((trim.T, trims.pull_of(block, spec.felt).T, block.rate[:, 2], level))
+                known = known & np.isfinite(fresh).all(axis=0)
+                each = np.concatenate((rest, np.vstack((np.where(np.isfinite(fresh), fresh, 0.0), known))), axis=1)
+                n = each.shape[1] // size
+                parts.append(each[:, : n * size].reshape(8, n, size).mean(axis=2))
+                rest = each[:, n * size :]
+            seen = np.concatenate(parts, axis=1)
             x = np.zeros((col.OUTPUTS, seen.shape[1]))
             x[col.TORQUE : col.TORQUE + 3], x[col.LEAN : col.LEAN + 2] = seen[:3] * seen[6], seen[3:5]
             x[col.RATE + 2], x[col.THRUST], x[col.COVERED] = seen[5], seen[6], 1.0
@@ -446,7 +445,7 @@ class TrimMonitor(Monitor[Spec]):
         spec, layout, (parts, rows) = self.spec, self.spec.layout, _tick_shape(dt_s)
         window = max(1, round(spec.window_s / self.period_s(dt_s)))
         head = [spec.source == "torque", spec.felt, layout.rotors, parts, rows, dt_s, window]
-        gain, C = layout.torque_gain or (0.0, 0.0, 0.0), layout.unmixing
+        gain, C = layout.torque_gain or (0.0, 0.0, 0.0), self.unmixing
         learnt = [*spec.pull, *spec.turn, *np.square(spec.pull_sd), *spec.mean, *spec.spread, *gain]
         mem = np.zeros(SUMS + SUMMED * (parts + 2) + (FIGURES + 1) * parts + 2 * (MEANS + 1) * window)
         mem[SUMS : SUMS + 2 * SUMMED] = np.nan

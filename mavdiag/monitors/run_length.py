@@ -185,7 +185,8 @@ def _margins(specs: Sequence[RunLengthSpec], flights: Flights) -> list[float]:
         rates, n = rows.rates, len(rows.rates)
         begun = [RunLength(spec).begin(rates.dt_s) for spec in specs] if begins else begun
         x, out = np.empty((GYRO, n)), np.empty((TRACE, n))
-        x[COMMANDED], x[U : U + 3], x[Y : Y + 3] = rates.commanded, rates.u.T, rates.y.T
+        for row in (COMMANDED, *(first + one.axis.column for first in (U, Y) for one in specs)):
+            x[row] = rates.x[row]
         for found, one in zip(levels, begun, strict=True):
             RunLength.run(one.par, one.mem, x, 0, 0, out, NO_ROTORS, np.empty(n, dtype=np.int64))
             found.append(np.abs(out[RESIDUAL, out[SOUND] > 0.5]))

@@ -259,23 +259,22 @@ def _ticks(flight: Sequence[Rows], still: SensorDriftSpec) -> FloatArray:
 
 def _biases(flight: Sequence[Rows], tick: int) -> FloatArray:
     """(n, 4) of whole ticks: gyro less the rate of the attitude, and vertical specific force beyond -g."""
-    found, rest = [np.empty((0, 4))], np.empty((0, 10))
+    found, rest = [np.empty((0, 4))], np.empty((10, 0))
     for begins, block in ((begins, rows.block) for begins, rows in parted(flight)):
-        fresh = np.column_stack((block.rate, block.force, block.attitude, block.valid))
-        rows = np.asarray(fresh if begins else np.concatenate((rest, fresh)), dtype=np.float64)
-        n = len(rows) // tick * tick
-        found.append(_gyro_errors(rows[:n], tick, block.dt_s))
-        rest = rows[n:]
+        fresh = np.vstack((block.rate.T, block.force.T, block.attitude.T, block.valid))
+        rows = np.asarray(fresh if begins else np.concatenate((rest, fresh), axis=1), dtype=np.float64)
+        n = rows.shape[1] // tick * tick
+        found.append(_gyro_errors(rows[:, :n], tick, block.dt_s))
+        rest = rows[:, n:]
     return np.concatenate(found)
 
 
 def _gyro_errors(rows: FloatArray, tick: int, dt_s: float) -> FloatArray:
-    """(n, 4) of rows of gyro, accelerometer, attitude and validity, (n tick, 10)."""
-    known = (rows[:, 9] > 0) & np.isfinite(rows).all(axis=1)
-    known &= (np.abs(rows[:, 6:8]) < STEEP_RAD).all(axis=1) & (np.abs(rows[:, :3]) < FAST_RAD_S).all(axis=1)
-    ticks = rows[:, :9].reshape(-1, tick, 9)[known.reshape(-1, tick).all(axis=1)]
-    mean, span_s = ticks.mean(axis=1), max(1, tick - 1) * dt_s
-    rates = np.column_stack(body_rates(mean[:, 6], mean[:, 7], *((ticks[:, -1, 6:] - ticks[:, 0, 6:]) / span_s).T))
-    (x, y, z), (sin_phi, sin_theta) = np.moveaxis(ticks[:, :, 3:6], 2, 0), np.moveaxis(np.sin(ticks[:, :, 6:8]), 2, 0)
-    down = np.cos(ticks[:, :, 7]) * (sin_phi * y + np.cos(ticks[:, :, 6]) * z) - sin_theta * x
-    return np.column_stack((mean[:, :3] - rates, (down + GRAVITY).mean(axis=1)))
+    """(n, 4) of rows of gyro, accelerometer, attitude and validity, (10, n tick)."""
+    known = (rows[9] > 0) & np.isfinite(rows).all(axis=0)
+    known &= (np.abs(rows[6:8]) < STEEP_RAD).all(axis=0) & (np.abs(rows[:3]) < FAST_RAD_S).all(axis=0)
+    ticks = np.compress(known.reshape(-1, tick).all(axis=1), rows[:9].reshape(9, -1, tick), axis=1)
+    mean, (x, y, z, phi, theta, _) = ticks.mean(axis=2), ticks[3:]
+    slopes = (ticks[6:, :, -1] - ticks[6:, :, 0]) / (max(1, tick - 1) * dt_s)
+    down = np.cos(theta) * (np.sin(phi) * y + np.cos(phi) * z) - np.sin(theta) * x
+    return np.column_stack(((mean[:3] - body_rates(mean[6], mean[7], *slopes)).T, (down + GRAVITY).mean(axis=1)))
