@@ -1,4 +1,4 @@
-"""The house rules that a tool can check: sizes, broad excepts, import-time side effects, documented packages."""
+"""The house rules that a tool can check: sizes, broad excepts, import-time side effects, import cycles."""
 
 import ast
 import runpy
@@ -12,7 +12,6 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("mavdiag", "sitl_plant", "detector")
 FILES = {path: path.read_text() for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))}
 TREES = {path: ast.parse(text) for path, text in FILES.items()}
-NODES = {path: list(ast.walk(tree)) for path, tree in TREES.items()}
 
 FUNCTION_LINES = 60
 FUNCTION_LINES_P90 = 25
@@ -21,7 +20,7 @@ FUNCTION_LINES_P90 = 25
 def functions(path: Path) -> list[tuple[str, int]]:
     """Each function with its length in lines, its signature and docstring left out."""
     found = []
-    for node in NODES[path]:
+    for node in ast.walk(TREES[path]):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             body = node.body[1:] if ast.get_docstring(node) else node.body
             length = (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
@@ -36,28 +35,9 @@ def test_no_function_is_longer_than_60_lines_and_nine_in_ten_have_25() -> None:
 
 
 def test_no_broad_except_but_the_one_that_parts_vehicles_and_no_mavutil() -> None:
-    """One session's exception must not end the daemon for all vehicles: that one place may catch everything."""
-    broad = []
-    for path, text in FILES.items():
-        assert "mavutil" not in text, path
-        for node in NODES[path]:
-            if not isinstance(node, ast.ExceptHandler):
-                continue
-            names = {"Exception", "BaseException"}
-            if node.type is None or (isinstance(node.type, ast.Name) and node.type.id in names):
-                broad.append(str(path.relative_to(ROOT)))
-    assert broad in ([], ["detector/fleet.py"])
-
-
-def test_every_module_says_what_it_is_and_no_docstring_is_a_promise() -> None:
-    """A package whose only documentation was a TODO passed the first of them."""
-    for path, tree in TREES.items():
-        assert ast.get_docstring(tree), f"{path}: no module docstring"
-        for node in NODES[path]:
-            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-                text = ast.get_docstring(node)
-                assert text is None or text.strip(), f"{path}:{getattr(node, 'lineno', 1)}: empty docstring"
-                assert "TODO" not in (text or ""), f"{path}: TODO in the docstring of {getattr(node, 'name', 'it')}"
+    """ruff refuses what has no such mark. One session's exception must not end the daemon for all vehicles."""
+    assert [str(path.relative_to(ROOT)) for path, text in FILES.items() if "BLE001" in text] == ["detector/fleet.py"]
+    assert not any("mavutil" in text for text in FILES.values())
 
 
 def loaded_by(statement: str) -> set[str]:

@@ -16,6 +16,7 @@ import pytest
 from made_session import baseline_for
 from made_vehicle import RATE_HZ, TICK_S, Bench, FakeFitter, MadeVehicle, VirtualHost, received
 from memory_port import MemoryEndpoint
+from test_attacks import COMMANDS, SENT
 from virtual_flight import GroundStation, VirtualFlight, healthy_flights, learnt
 
 from detector.config import Settings, VehicleSettings
@@ -33,7 +34,6 @@ from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import qdrone2
 
 UDP_IN, UDP_OUT = "udpin:127.0.0.1:0", "udpout:127.0.0.1:14550"
-ACK_COMMAND, ACK_RESULT = (field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result"))
 Benches = Callable[..., Bench]
 
 
@@ -59,24 +59,6 @@ def texts(frames: list[Frame]) -> list[str]:
     return [frame.text("text") for frame in of(frames, MessageId.STATUSTEXT)]
 
 
-def figure(frame: Frame) -> tuple[str, float]:
-    name, value = (frame.fields[field_index(MessageId.NAMED_VALUE_FLOAT, field)] for field in ("name", "value"))
-    assert isinstance(name, bytes)
-    assert isinstance(value, float)
-    return name.rstrip(b"\0").decode(), value
-
-
-def test_the_heartbeat_is_a_companions_with_the_vehicles_system_id(benches: Benches) -> None:
-    bench = benches(Settings(connect=UDP_IN, learn=5.0), MadeVehicle(7))
-    bench.run(10.0)
-    beats = of(received(bench.far), MessageId.HEARTBEAT)
-    assert len(beats) == pytest.approx(10, abs=2)
-    for beat in beats:
-        assert (beat.sysid, beat.compid) == (7, Component.ONBOARD_COMPUTER)
-        assert beat.fields[field_index(MessageId.HEARTBEAT, "type")] == MavType.ONBOARD_CONTROLLER
-        assert beat.fields[field_index(MessageId.HEARTBEAT, "autopilot")] == Autopilot.INVALID
-
-
 @pytest.mark.parametrize(("expected", "sysid"), [(None, 1), (42, 42)])
 def test_a_link_to_be_spoken_to_first_gets_heartbeats_only(benches: Benches, expected: int | None, sysid: int) -> None:
     bench = benches(Settings(connect=UDP_OUT, learn=5.0, vehicle=expected))
@@ -92,7 +74,11 @@ def test_two_vehicles_on_one_link_have_a_session_each(benches: Benches, tmp_path
     bench.run(12.0)
     assert {job.vehicle for job in fitter.jobs} == {1, 2}
     frames = received(bench.far)
-    assert {frame.sysid for frame in of(frames, MessageId.HEARTBEAT)} == {1, 2}
+    beats = of(frames, MessageId.HEARTBEAT)
+    assert {beat.sysid for beat in beats} == {1, 2}
+    assert {(field(beat, "type"), field(beat, "autopilot")) for beat in beats} == {
+        (MavType.ONBOARD_CONTROLLER, Autopilot.INVALID)
+    }
     assert {frame.compid for frame in frames} == {Component.ONBOARD_COMPUTER}
     assert sorted(path.name for path in tmp_path.iterdir()) == ["b-2.json", "b.json"]
     for sysid in (1, 2):  # one sequence for each, without a hole
@@ -109,7 +95,7 @@ def test_commands_for_others_are_ignored_and_ours_are_declined(benches: Benches)
         bench.far.send(station.encode(MessageId.COMMAND_LONG, *target, MavCmd.REQUEST_MESSAGE, 0, 244))
     bench.run(0.2)
     [ack] = of(received(bench.far), MessageId.COMMAND_ACK)
-    assert (ack.fields[ACK_COMMAND], ack.fields[ACK_RESULT]) == (MavCmd.REQUEST_MESSAGE, MavResult.UNSUPPORTED)
+    assert (field(ack, "command"), field(ack, "result")) == (MavCmd.REQUEST_MESSAGE, MavResult.UNSUPPORTED)
     assert (ack.sysid, ack.compid) == (1, Component.ONBOARD_COMPUTER)
 
 
@@ -141,7 +127,7 @@ def test_a_fault_is_on_the_wire_as_text_and_as_figures(benches: Benches) -> None
     # This baseline has no monitor of sensors, so nothing is waited for.
     assert [one.numbers("severity", "id") for one in said] == [(Severity.CRITICAL, 0)]
     assert said[0].text("text") == "PROP FAULT roll attitude unlike the model"
-    figures = dict(figure(frame) for frame in of(frames, MessageId.NAMED_VALUE_FLOAT))
+    figures = {field(one, "name"): field(one, "value") for one in of(frames, MessageId.NAMED_VALUE_FLOAT)}
     assert set(figures) == {"PF_RES", "PF_MARG", "PF_FSD", "PF_FML"}
     assert figures["PF_RES"] == pytest.approx(0.5, abs=0.05)
     assert figures["PF_FML"] == pytest.approx(0.3)
@@ -298,7 +284,7 @@ def unheard(bench: Bench, seconds: float) -> None:
 
 def alarms(bench: Bench) -> list[str]:
     """The texts of declared faults since the last time."""
-    texts = [frame for frame in received(bench.far) if frame.msgid == MessageId.STATUSTEXT]
+    texts = of(received(bench.far), MessageId.STATUSTEXT)
     return [one.text("text") for one in texts if one.numbers("severity") <= (Severity.CRITICAL,)]
 
 
@@ -343,8 +329,7 @@ def test_an_error_of_the_program_takes_off_one_vehicle_alone(tmp_path: Path, mon
     bench.run(3.0)
     states = {one.vehicle: one.state for one in bench.daemon.fleet.figures()}
     assert states == {1: State.MONITORING, 2: State.FAULTED}
-    texts = [frame.text("text") for frame in received(bench.far) if frame.msgid == MessageId.STATUSTEXT]
-    assert [text for text in texts if "OFF" in text] == ["PROP OFF: KeyError: internal error"]
+    assert [text for text in texts(received(bench.far)) if "OFF" in text] == ["PROP OFF: KeyError: internal error"]
     assert finds_a_fault(bench)
     bench.close()
     lines = [json.loads(one) for one in journal.read_text().splitlines()]
@@ -397,16 +382,6 @@ def test_a_full_disk_leaves_the_old_baseline_and_the_watch(tmp_path: Path, monke
 VEHICLE = replace(qdrone2(), propulsion=replace(qdrone2().propulsion, load_share=0.2))
 SETTLED_S = 15.0  # the live gate's 5 s, and the longest window
 FLOWN_S = 46.0
-SENT = {
-    MessageId.HEARTBEAT,
-    MessageId.STATUSTEXT,
-    MessageId.NAMED_VALUE_FLOAT,
-    MessageId.COMMAND_LONG,
-    MessageId.PARAM_REQUEST_READ,
-    MessageId.TIMESYNC,
-}
-NAME = field_index(MessageId.PARAM_REQUEST_READ, "param_id")
-COMMAND = field_index(MessageId.COMMAND_LONG, "command")
 STREAMS = (MessageId.RAW_IMU, MessageId.ATTITUDE_TARGET, MessageId.SERVO_OUTPUT_RAW, MessageId.ATTITUDE)
 
 
@@ -447,10 +422,9 @@ def test_what_tells_rotors_and_filter_is_read_while_it_learns_and_nothing_is_eve
         parameters = bench.daemon.fleet.link.vehicles[1].parameters
     assert (parameters["FRAME_CLASS"], parameters["INS_GYRO_FILTER"]) == (1.0, 20.0)
     assert {frame.msgid for frame in heard} <= SENT
-    names = Counter(frame.fields[NAME] for frame in heard if frame.msgid == MessageId.PARAM_REQUEST_READ)
+    names = Counter(field(frame, "param_id") for frame in of(heard, MessageId.PARAM_REQUEST_READ))
     assert max(names.values()) <= 3  # an output that this vehicle does not have
-    commands = {frame.fields[COMMAND] for frame in heard if frame.msgid == MessageId.COMMAND_LONG}
-    assert commands <= {MavCmd.SET_MESSAGE_INTERVAL}
+    assert {field(frame, "command") for frame in of(heard, MessageId.COMMAND_LONG)} <= COMMANDS
 
 
 @pytest.mark.parametrize("profile", ["ardupilot", "px4"])

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from broken_teaching import MONITORS, Pool, Tally, judge_sets, pool_of
+from scipy.signal import welch
 from virtual_flight import healthy_flights
 from virtual_flight import learnt as healthy_learnt
 
@@ -91,11 +92,6 @@ def test_the_estimated_unbalance_is_that_of_the_table_and_placed() -> None:
     level, rotors = (np.concatenate(columns) for columns in zip(*found, strict=True))
     assert float(level.mean()) == pytest.approx(3.77, rel=0.15)  # T Table 3.2; own unbalance adds
     assert int(rotors.sum(axis=0).argmax()) + 1 == 2
-
-
-@pytest.fixture(scope="module")
-def flights() -> dict[int, PlantSamples]:
-    return {drone: Plant(PlantConfig(drone=drone, seed=drone)).advance(33_000) for drone in (1, 2, 3)}
 
 
 NOW = "2026-01-01T00:00:00+00:00"
@@ -216,16 +212,12 @@ def in_flight(samples: PlantSamples) -> slice:
 
 
 def bands(signal: FloatArray) -> FloatArray:
-    from scipy.signal import welch
-
     f, power = welch(signal, 1000.0, nperseg=1000)
     edges = ((50, 100), (100, 200), (200, 500))
     return np.sqrt([power[(f >= low) & (f < high)].sum() * f[1] for low, high in edges])
 
 
 def peak(signal: FloatArray, above_hz: float = 0.0, nperseg: int = 4096) -> float:
-    from scipy.signal import welch
-
     f, power = welch(signal, 1000.0, nperseg=nperseg)
     return float(f[f > above_hz][power[f > above_hz].argmax()])
 
@@ -276,8 +268,6 @@ def test_yaw_cycles_at_24_hz_on_the_ground_with_a_saturated_torque_and_not_in_fl
     assert 23.5 < peak(log["gyro"][standing, 0, 2]) < 25.0
     assert np.mean(np.isclose(np.abs(log["torque"][standing, 2]), 0.0984)) > 0.5
     assert np.abs(log["gyro"][: ARM_MS - 100, 0]).max() < 0.05
-    from scipy.signal import welch
-
     f, power = welch(
         np.column_stack([log["gyro"][standing, 0, 2], log["gyro"][flown, 0, 2][:6000]]).T, 1000, nperseg=2048
     )

@@ -101,12 +101,6 @@ def test_a_fault_brings_one_command_and_every_step_is_in_the_journal(benches: Be
     ]
 
 
-def test_without_the_option_nothing_is_ever_commanded(benches: Benches) -> None:
-    bench = benches("")
-    damaged(bench, 30.0)
-    assert commanded(bench) == []
-
-
 @pytest.mark.parametrize("how", ["ack", "stick", "mode", "mavdiag ack"])
 def test_it_is_called_off_by_a_link_behind_or_the_vehicles_mode(benches: Benches, tmp_path: Path, how: str) -> None:
     bench = benches()

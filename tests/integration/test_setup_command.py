@@ -19,7 +19,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands.setup import BASELINE, CONFIG, setup
 from mavdiag.errors import InputError
-from mavdiag.learning.coaching import ROUNDS, Coverage, Task
+from mavdiag.learning.coaching import ROUNDS
 from mavdiag.link.codec import Argument, Decoder, Encoder, Frame, field_index
 from mavdiag.link.datagrams import Chunk, Datagrams, as_columns
 from mavdiag.link.messages import MavCmd, MessageId
@@ -278,12 +278,3 @@ def test_a_recorded_link_tells_what_it_is_and_that_it_ends(name: str, finds: tup
         MessageId.PARAM_REQUEST_READ,
     }
     assert len(list(tmp_path.glob("flight-*.tlog"))) == 1
-
-
-def test_the_tasks_are_asked_for_in_rounds_until_all_is_flown() -> None:
-    coverage, asked = Coverage(), list[Task]()
-    while (step := coverage.step) is not None:
-        asked.append(step.task)
-        coverage.flown_s[step.task] += step.left_s
-    assert asked == [*Task] * ROUNDS
-    assert coverage.flown_s == {task: task.wanted_s for task in Task}

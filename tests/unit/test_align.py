@@ -77,6 +77,14 @@ def test_a_long_gap_is_blanked_with_what_follows_it_for_300_ms() -> None:
     assert {b.segment for b in blocks} == {0}
 
 
+def test_a_heading_that_passes_pi_is_no_step() -> None:
+    t = clock(3000)
+    yaw = np.mod(np.arange(3000) / 500, 2 * np.pi) - np.pi
+    setpoint = series(Signal.ATTITUDE_SETPOINT, t, np.outer(yaw, [0.0, 0.0, 1.0]))
+    blocks = whole(Telemetry((series(Signal.BODY_RATE, t, ramp(t)), setpoint)))
+    np.testing.assert_allclose(np.diff(column(blocks, "setpoint")[:, 2]), 0.002, atol=1e-9)
+
+
 LOSSES, LOGGER = (
     np.random.default_rng(4).random(5000) > 0.2,
     np.random.default_rng(8).integers(4_500_000, 13_000_000, 3000),

@@ -76,13 +76,7 @@ def test_a_watch_gives_what_the_verdict_on_the_log_gives() -> None:
     assert str(watch.diagnosis) == "inspect: the flight with the fault has ended, rotor 3"
 
 
-def fed(watch: md.Watch, telemetry: Telemetry) -> list[int]:
-    """The vehicle times that the rows of its steps reached."""
-    reached = []
-    for chunk in cut(telemetry, list(range(0, 70 * 10**9, 10**8))):
-        watch.step(chunk)
-        reached += [] if watch.output.now_ns is None else [watch.output.now_ns]
-    return reached
+EVERY = list(range(0, 70 * 10**9, 10**8))
 
 
 def test_1_a_watch_refuses_a_link_of_another_rate_or_profile() -> None:
@@ -91,7 +85,7 @@ def test_1_a_watch_refuses_a_link_of_another_rate_or_profile() -> None:
     for profile, says in ((None, "50.0 Hz"), ("qdrone2", "'qdrone2'")):
         watch = md.Watch(whole(), profile)
         with pytest.raises(BaselineError, match=f"another link: link.*{says}"):
-            fed(watch, flying(3000, 5) if profile else Telemetry(tuple(halved)))
+            list(map(watch.step, cut(flying(3000, 5) if profile else Telemetry(tuple(halved)), EVERY)))
         assert watch.diagnosis.stage == "not judged"
         assert says in watch.diagnosis.reason
         assert not watch.output.pieces

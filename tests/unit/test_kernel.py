@@ -13,12 +13,13 @@ from made_baselines import thesis, whole
 from made_statistics import alarms_of, assert_alike, looked_of
 from made_telemetry import START_NS, cut, flight
 
-from mavdiag.chain import Chain, ChainState, chain_of
+from mavdiag.chain import Chain, ChainOutput, ChainState, chain_of
 from mavdiag.decision.diagnosis import Change, Event, Stage
 from mavdiag.kernel import Account, Alarm, Looked, Piece, Stretch
 from mavdiag.rows.align import Grid
+from mavdiag.rows.block import SPEEDS
 from mavdiag.rows.front import Rows
-from mavdiag.telemetry import IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 N = 4600
@@ -143,24 +144,28 @@ def test_accounts_add_up(name: str) -> None:
     assert lost == pytest.approx((flown - covered) * rows.block.dt_s)
 
 
-Story = tuple[list[Event], list[Change], ChainState]
+Story = tuple[list[Event], list[Change], ChainState, FloatArray]
 
 
 def run(chain: Chain, chunks: list[Telemetry]) -> Story:
-    """All events and changes in the order in which they came."""
-    state, events, changes = chain.start(), list[Event](), list[Change]()
+    """All events and changes in the order in which they came, the end, and the time and signals of every row."""
+    state, outputs = chain.start(), list[ChainOutput]()
     for chunk in chunks:
         state, output = chain.step(state, chunk)
-        events += output.events
-        changes += output.changes
+        outputs.append(output)
     state, output = chain.finish(state)
-    return [*events, *output.events], [*changes, *output.changes], state
+    outputs.append(output)
+    blocks = [piece.rows.block for one in outputs for piece in one.pieces]
+    rows = np.concatenate([np.vstack((one.t_ns, one.x[:SPEEDS])) for one in blocks], axis=1)
+    events, changes = ([x for one in outputs for x in getattr(one, name)] for name in ("events", "changes"))
+    return events, changes, state, rows
 
 
 def assert_same(found: Story, expected: Story) -> None:
     """Equal, but for the rounding of running sums."""
     assert_alike(found[0], expected[0])
     assert_alike(found[1], expected[1])
+    np.testing.assert_allclose(found[3], expected[3], rtol=1e-9, atol=1e-9)
     assert found[2].judged_s == pytest.approx(expected[2].judged_s)
     assert found[2].diagnosis.stage is expected[2].diagnosis.stage
     for one, other in zip(found[2].accounts, expected[2].accounts, strict=True):
@@ -193,7 +198,7 @@ def uncut(seed: int, grid: Grid, trim_end_s: float) -> Story:
     trim_end_s=st.sampled_from([0.0, 0.6]),
 )
 def test_l5_any_cut_gives_equal_events_and_changes(seed: int, edges: list[int], grid: Grid, trim_end_s: float) -> None:
-    """L5: scan and live differed in type and severity. With faults, borders, and signals that stop."""
+    """L5: scan and live differed in type and severity. With rows, faults, borders, and signals that stop."""
     cuts = sorted(START_NS + edge * DT_NS for edge in edges)
     assert_same(run(chain(grid, trim_end_s), cut(hard_flight(seed), cuts)), uncut(seed, grid, trim_end_s))
 
@@ -222,7 +227,7 @@ def test_b3_a_landing_closes_the_events_and_nothing_goes_into_the_next_flight(ev
     weak = flying(2000, 1, weak_rotor=2, rise=0.3)
     two = said(weak, flying(3500, 2), armed=((0, 16), (26, 55)))
     cuts = list(range(START_NS, START_NS + 55 * 10**9, every_ms * 1_000_000))
-    events, changes, state = run(chain_of(whole()), cut(two, cuts))
+    events, changes, state, _ = run(chain_of(whole()), cut(two, cuts))
     second_ns = START_NS + 25 * 10**9
     assert events
     assert all(one.start_ns < second_ns for one in events)

@@ -1,11 +1,7 @@
 """The rate pair: Savitzky-Golay filters that run, equal delays, body rates, and validity of whole windows."""
 
-import itertools
-
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.signal import savgol_coeffs, savgol_filter
 from scipy.spatial.transform import Rotation
@@ -41,17 +37,6 @@ def test_running_moments_are_the_filters_of_scipy(window: int, order: int) -> No
     slope = savgol_filter(roll[:, 0], window, order, deriv=1, delta=DT_S)[m:-m]
     np.testing.assert_allclose(out.u[:, 0], slope, atol=1e-9 * np.abs(slope).max())
     np.testing.assert_array_equal(out.gyro, rate[m:-m])
-
-
-@given(edges=st.lists(st.integers(0, 1500), max_size=12), window=st.sampled_from([5, 11, 101]), seed=st.integers(0, 99))
-def test_any_cut_gives_the_same_bits(edges: list[int], window: int, seed: int) -> None:
-    rng, spec = np.random.default_rng(seed), RateSpec.of(DT_S, window)
-    rows = block(rng.normal(0, 1, (1500, 3)), rng.normal(0, 1, (1500, 3)))
-    rows = changed(rows, valid=rng.random(1500) > 0.01, setpoint_valid=rng.random(1500) > 0.01)
-    state, whole = spec.start(), spec.step(spec.start(), rows).rates
-    parts = [spec.step(state, rows.rows(a, b)).rates for a, b in itertools.pairwise(sorted({0, 1500, *edges}))]
-    for name in ("t_ns", "u", "y", "gyro", "valid", "commanded"):
-        np.testing.assert_array_equal(np.concatenate([getattr(one, name) for one in parts]), getattr(whole, name))
 
 
 def test_l1_u_is_the_body_rate_of_a_vehicle_that_turns_and_leans() -> None:

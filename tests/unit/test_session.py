@@ -47,7 +47,7 @@ from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId, Sever
 from mavdiag.link.profiles import LAST_RESORT, PROFILES
 from mavdiag.link.vehicles import Ack, Received
 from mavdiag.link.wants import Want
-from mavdiag.telemetry import Axis, FloatArray, Instant, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, Instant, Series, Signal, Telemetry
 from mavdiag.units import G
 
 QDRONE2 = PROFILES["qdrone2"]
@@ -215,18 +215,6 @@ def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
     effects = story.fly(25.0)
     [job] = [effect for effect in effects if isinstance(effect, Learn)]
     assert len(job.telemetry.need(Signal.BODY_RATE)) == pytest.approx(40 * 100, abs=10)
-
-
-def test_events_do_not_depend_on_how_often_the_session_steps() -> None:
-    found = []
-    for chunk_s in (0.02, 0.1, 0.5):
-        story = Story(SessionSpec(QDRONE2, baseline_for(axes=(Axis.ROLL, Axis.PITCH))), chunk_s=chunk_s)
-        story.fly(10.0)
-        story.fly(3.0, push=0.5)
-        story.fly(7.0)
-        found.append([e.event for _, e in story.log if isinstance(e, EventClosed)])
-    assert found[0] == found[1] == found[2]
-    assert len(found[0]) == 1
 
 
 def weighing(felt_g: float, t_s: float) -> Received:
