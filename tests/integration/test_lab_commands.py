@@ -12,6 +12,10 @@ from processes import record
 from mavdiag import cli
 from mavdiag.baseline import Baseline
 
+FLIGHT_S = 25.0
+RISE = 0.3  # of the command of the front right rotor
+OWN = tuple(f"F0_SV0_SP1_t2_D1_R{number}.mat" for number in (1, 2, 3))
+
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
@@ -48,11 +52,6 @@ def test_models_of_a_baseline_are_those_of_its_fsd_monitors(mavdiag: Any, flight
     assert json.loads(out)["log"] == str(flights[0])  # R1
     assert json.loads(out)["monitors"]["fsd"]["judged_s"] > 5.0
     assert code in (0, 1, 4)
-
-
-FLIGHT_S = 25.0
-RISE = 0.3  # of the command of the front right rotor
-OWN = tuple(f"F0_SV0_SP1_t2_D1_R{number}.mat" for number in (1, 2, 3))
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ from made_baselines import whole
 from made_report import pages
 from page_reading import Page, check
 from screenshots import look_as, open_whole
+from selenium import webdriver
 from shared_data import shared
 from typer.testing import CliRunner
 from web_page import browser, violations
@@ -81,9 +82,6 @@ def test_a_folder_makes_one_page_and_a_bad_file_does_not_lose_the_others(tmp_pat
     assert "<b>empty.bin" in page.said
     assert "no flight logs" in said
     assert said.splitlines()[-1].startswith("written to ")
-
-
-webdriver = pytest.importorskip("selenium.webdriver")
 
 
 LEAST_PX = 11.0

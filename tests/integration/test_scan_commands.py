@@ -25,12 +25,8 @@ VERDICT_KEYS = {
     "monitors", "events", "notes",
 }  # fmt: skip
 MONITOR_KEYS = {"max", "threshold", "unit", "alarms", "judged_s", "not_judged", "outside_s", "axis"}
-
-
-def recorded(folder: Path, name: str, *options: str) -> Path:
-    path = folder / name
-    record(path, *options)
-    return path
+NAMES = ("a.tlog", "b/1.tlog", "b/2.tlog", "c.tlog")
+COUNT = 30
 
 
 @pytest.fixture(scope="module")
@@ -40,19 +36,21 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def healthy(folder: Path) -> list[Path]:
-    recorded(folder, "h.tlog", "--flights", "4", "--duration", "25", "--seed", "70")
+    record(folder / "h.tlog", "--flights", "4", "--duration", "25", "--seed", "70")
     return sorted(folder.glob("h*.tlog"))
 
 
 @pytest.fixture(scope="module")
 def crack(folder: Path) -> Path:
     fault = ("--fault", "F2/SV2", "--rotor", "3", "--onset", "12", "--duration", "22", "--seed", "7")
-    return recorded(folder, "crack.tlog", *fault)
+    record(folder / "crack.tlog", *fault)
+    return folder / "crack.tlog"
 
 
 @pytest.fixture(scope="module")
 def short(folder: Path) -> Path:
-    return recorded(folder, "short.tlog", "--duration", "3", "--seed", "8")
+    record(folder / "short.tlog", "--duration", "3", "--seed", "8")
+    return folder / "short.tlog"
 
 
 @pytest.fixture
@@ -131,9 +129,6 @@ def test_show_and_check(mavdiag: Any, baseline: Path, tmp_path: Path) -> None:
     assert f"{spoilt}: digest: " in err
 
 
-NAMES = ("a.tlog", "b/1.tlog", "b/2.tlog", "c.tlog")
-
-
 @pytest.fixture(scope="module")
 def baseline_archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("baseline_archive") / "baseline.json"
@@ -160,10 +155,6 @@ def scan(mavdiag: Any, baseline_archive: Path) -> Any:
     return run
 
 
-def command(*arguments: object) -> list[str]:
-    return [sys.executable, "-m", "mavdiag", "scan", *map(str, arguments)]
-
-
 def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(scan: Any, archive: Path, tmp_path: Path) -> None:
     alone = scan(archive, archive / "absent.tlog", "--json", "--jobs", 1, "--no-cache")
     pool = scan(archive, archive / "absent.tlog", "--json", "--jobs", 2, "--cache", tmp_path / "cache")
@@ -182,11 +173,6 @@ def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(scan: Any, arc
     assert "5 of 5 answers were known already; --no-cache judges anew" in err
 
 
-def heed_interrupts() -> None:
-    """In a child: what was started in the background of a shell would ignore SIGINT."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
 @pytest.mark.realtime
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_a_scan_that_is_stopped_leaves_no_process_and_goes_on(
@@ -198,10 +184,16 @@ def test_a_scan_that_is_stopped_leaves_no_process_and_goes_on(
     many.mkdir()
     for k in range(400):
         (many / f"{k:03d}.tlog").write_bytes((int.from_bytes(first[:8], "big") - k).to_bytes(8, "big") + first[8:])
-    told = command(many, "--baseline", baseline_archive, "--cache", tmp_path / "cache", "--jobs", 2, "--json")
+    options = ("--baseline", baseline_archive, "--cache", tmp_path / "cache", "--jobs", 2, "--json")
+    told = [sys.executable, "-m", "mavdiag", "scan", *map(str, (many, *options))]
     pipe = subprocess.PIPE
     child = subprocess.Popen(
-        told, stdout=pipe, stderr=pipe, text=True, start_new_session=True, preexec_fn=heed_interrupts
+        told,
+        stdout=pipe,
+        stderr=pipe,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background would ignore it
     )
     assert child.stdout is not None
     child.stdout.readline()
@@ -240,11 +232,6 @@ def alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
-
-
-pytest.importorskip("distributed", reason="Dask is an extra")
-
-COUNT = 30
 
 
 @pytest.mark.realtime

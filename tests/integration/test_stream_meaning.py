@@ -23,6 +23,9 @@ from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 
 N = 3000  # samples: 3 s of a square flown with a badly unbalanced rotor
 EVERY_PROFILE = pytest.mark.parametrize("profile", list(PROFILES))
+SECONDS = 3.0
+CONFIG = PlantConfig(fault="F1/SV3", rotor=2, seed=5, heading_rad=0.7)
+LINKS = [("qdrone2", None), ("qdrone2", 250.0), ("spec", 1000.0), ("ardupilot", 50.0), ("px4", 160.0)]
 
 
 @cache
@@ -30,21 +33,13 @@ def flight() -> PlantSamples:
     return Plant(PlantConfig(fault="F1/SV3", rotor=2, seed=5)).advance(N)
 
 
-def streamed(profile: str, blocks: Sequence[int] = (N,)) -> list[tuple[int, bytes]]:
-    dialect = DIALECTS[profile]
-    schedule = dialect.schedule(None)
-    filters, encode, first = ImuFilters(dialect, seed=3), Encoder(1, 1).encode_payload, 0
-    frames: list[tuple[int, bytes]] = []
-    for n in blocks:
-        messages = messages_due(filters.step(flight().rows(first, first + n)), schedule, dialect)
-        frames += [(message.t_ns, encode(message.msgid, message.payload)) for message in messages]
-        first += n
-    return frames
-
-
 def decoded(profile: str) -> list[Frame]:
-    decoder = Decoder()
-    frames = [frame for t_ns, data in streamed(profile) for frame in decoder.feed(data, t_ns)]
+    dialect, decoder, encode = DIALECTS[profile], Decoder(), Encoder(1, 1).encode_payload
+    filtered = ImuFilters(dialect, seed=3).step(flight().rows(0, N))
+    messages = [
+        (one.t_ns, encode(one.msgid, one.payload)) for one in messages_due(filtered, dialect.schedule(None), dialect)
+    ]
+    frames = [frame for t_ns, data in messages for frame in decoder.feed(data, t_ns)]
     assert decoder.garbage_bytes == 0
     (count,) = decoder.senders.values()
     assert UNKNOWN not in count.by_message
@@ -144,11 +139,6 @@ def test_the_vibration_level_is_ardupilots() -> None:
     sent = values_of(decoded("ardupilot"), MessageId.VIBRATION, "vibration_x", "vibration_y", "vibration_z")
     np.testing.assert_allclose(sent, np.array(vibe)[::100][: len(sent)], rtol=1e-3, atol=1e-9)
     assert sent[-1, 0] > 0.5  # m/s^2: the damaged rotor shakes
-
-
-SECONDS = 3.0
-CONFIG = PlantConfig(fault="F1/SV3", rotor=2, seed=5, heading_rad=0.7)
-LINKS = [("qdrone2", None), ("qdrone2", 250.0), ("spec", 1000.0), ("ardupilot", 50.0), ("px4", 160.0)]
 
 
 def frames_of(config: PlantConfig, profile: str, rate_hz: float, seconds: float = 1.0) -> list[Frame]:

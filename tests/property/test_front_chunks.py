@@ -12,6 +12,7 @@ from mavdiag.rows.running import FRESH, mean_size, push, total
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 
 START_NS = 1_000_000_000
+MISSED = (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.SPECIFIC_FORCE, Signal.ATTITUDE)
 
 
 @given(seed=st.integers(0, 10_000), shift_s=st.sampled_from([-30.0, -1.0, 0.5, 60.0]))
@@ -49,13 +50,6 @@ COLUMNS = ("t_ns", "setpoint", "rate", "force", "attitude", "thrust", "actuator"
 FLAGS = ("valid", "setpoint_valid")
 
 
-def sent(seed: int) -> dict[Signal, tuple[IntArray, FloatArray]]:
-    """Times and values of each signal."""
-    rng = np.random.default_rng(seed)
-    every = {signal: START_NS + DT_NS * np.arange(0, N, step, dtype=np.int64) for signal, step in STEPS.items()}
-    return {signal: (t, rng.normal(size=(len(t), WIDTHS.get(signal, 3)))) for signal, t in every.items()}
-
-
 def arrived(
     seed: int,
     late_ns: int = 0,
@@ -65,8 +59,10 @@ def arrived(
     signals: tuple[Signal, ...] = tuple(STEPS),
 ) -> Telemetry:
     """In order of arrival: of these signals, a share of the samples from a time on is late; another share is lost."""
-    rng, parts = np.random.default_rng(seed + 1), []
-    for signal, (t, v) in sent(seed).items():
+    rng, made, parts = np.random.default_rng(seed + 1), np.random.default_rng(seed), []
+    for signal, step in STEPS.items():
+        t = START_NS + DT_NS * np.arange(0, N, step, dtype=np.int64)
+        v = made.normal(size=(len(t), WIDTHS.get(signal, 3)))
         kept = (rng.random(len(t)) >= lost) | (t == START_NS)
         t, v = t[kept], v[kept]
         late = (rng.random(len(t)) < share) & (t >= since_ns) & (signal in signals)
@@ -80,10 +76,6 @@ def in_order(telemetry: Telemetry) -> Telemetry:
     orders = [np.argsort(one.t_ns, kind="stable") for one in telemetry.series]
     pairs = zip(telemetry.series, orders, strict=True)
     return Telemetry(tuple(Series(s.signal, s.t_ns[at], s.t_ns[at], s.values[at]) for s, at in pairs))
-
-
-def table(blocks: list[Block]) -> dict[str, FloatArray]:
-    return {name: np.concatenate([getattr(block, name) for block in blocks]) for name in (*COLUMNS, *FLAGS)}
 
 
 def run(spec: AlignSpec, chunks: list[Telemetry]) -> tuple[dict[str, FloatArray], IntArray]:
@@ -100,7 +92,9 @@ def run(spec: AlignSpec, chunks: list[Telemetry]) -> tuple[dict[str, FloatArray]
         if state.last_ns > -NEVER_NS:
             newest = int(state.streams.marks[GYRO, NEWEST])
             behind.append((newest, newest - state.last_ns))
-    return table([*blocks, *spec.finish(state)]), np.array(behind)
+    blocks += spec.finish(state)
+    table = {name: np.concatenate([getattr(block, name) for block in blocks]) for name in (*COLUMNS, *FLAGS)}
+    return table, np.array(behind)
 
 
 def assert_equal(found: dict[str, FloatArray], expected: dict[str, FloatArray]) -> None:
@@ -131,9 +125,6 @@ def test_disorder_within_the_wait_gives_the_rows_of_the_sorted_stream(
     expected, _ = run(spec, [in_order(telemetry)])
     assert_equal(run(spec, cut(telemetry, sorted(edges)))[0], expected)
     assert_equal(run(spec, cut(telemetry, ticks(40_000_000)))[0], expected)
-
-
-MISSED = (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.SPECIFIC_FORCE, Signal.ATTITUDE)
 
 
 @settings(max_examples=15, deadline=None)

@@ -19,6 +19,11 @@ from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.testing import changed, example_rows
 
 SPEC = AlignSpec(0.001)
+LOSSES, LOGGER = (
+    np.random.default_rng(4).random(5000) > 0.2,
+    np.random.default_rng(8).integers(4_500_000, 13_000_000, 3000),
+)
+DROPPING = np.where(np.arange(3000) % 3 == 0, LOGGER, 4_000_000)  # R8: the median step says 250 Hz
 
 
 def ramp(t_ns: IntArray) -> FloatArray:
@@ -85,13 +90,6 @@ def test_a_heading_that_passes_pi_is_no_step() -> None:
     np.testing.assert_allclose(np.diff(column(blocks, "setpoint")[:, 2]), 0.002, atol=1e-9)
 
 
-LOSSES, LOGGER = (
-    np.random.default_rng(4).random(5000) > 0.2,
-    np.random.default_rng(8).integers(4_500_000, 13_000_000, 3000),
-)
-DROPPING = np.where(np.arange(3000) % 3 == 0, LOGGER, 4_000_000)  # R8: the median step says 250 Hz
-
-
 @pytest.mark.parametrize(
     ("steps", "dt_s", "grid"),
     [
@@ -145,14 +143,6 @@ def test_a_setpoint_that_stops_leaves_the_gyro_rows_valid_and_is_waited_for_one_
     assert len(column(early, "t_ns")) == 3100 - 5  # no wait any more
 
 
-def with_stopped(signal: Signal, width: int, step: int = 1) -> tuple[IntArray, list[Block]]:
-    """Rows of 12 s at 100 Hz in which one more signal stops after 4 s."""
-    t = clock(1200)[0] + 10 * DT_NS * np.arange(1200, dtype=np.int64)
-    base = linear_flight(t, t)
-    extra = series(signal, t[:400:step], np.ones((len(t[:400:step]), width)))
-    return t, whole(Telemetry((*base.series, extra)), AlignSpec(0.01))
-
-
 @pytest.mark.parametrize(
     ("signal", "width", "step", "limit_s"),
     [
@@ -167,10 +157,12 @@ def with_stopped(signal: Signal, width: int, step: int = 1) -> tuple[IntArray, l
     ],
 )
 def test_b2_a_stopped_signal_is_unknown_after_its_limit(signal: Signal, width: int, step: int, limit_s: float) -> None:
-    t, blocks = with_stopped(signal, width, step)
+    """Rows of 12 s at 100 Hz in which one more signal stops after 4 s."""
+    t = clock(1200)[0] + 10 * DT_NS * np.arange(1200, dtype=np.int64)
+    extra = series(signal, t[:400:step], np.ones((len(t[:400:step]), width)))
+    blocks = whole(Telemetry((*linear_flight(t, t).series, extra)), AlignSpec(0.01))
     known = np.concatenate([block.known(signal) for block in blocks])
-    last_ns = t[:400:step][-1]
-    np.testing.assert_array_equal(known, t <= last_ns + round(limit_s * 1e9))
+    np.testing.assert_array_equal(known, t <= t[:400:step][-1] + round(limit_s * 1e9))
     assert column(blocks, "valid")[101:].all()  # the gyro does not depend on it
 
 
@@ -263,13 +255,6 @@ def spans(spec: GateSpec, blocks: list[Block]) -> list[tuple[int, ...]]:
     return found
 
 
-def hop() -> FloatArray:
-    """On the ground, 1000 rows in the air, 1500 rows on the ground, 1000 rows in the air, down."""
-    thrust = np.zeros(5500)
-    thrust[500:1500] = thrust[3000:4000] = 0.5
-    return thrust
-
-
 def tumble(n: int) -> FloatArray:
     """(n,) roll rate of a vehicle that tumbles [rad/s]."""
     return 9.0 + 8.0 * np.sin(np.arange(n) / 50)
@@ -281,6 +266,7 @@ def levels(*pairs: tuple[int, float]) -> FloatArray:
 
 THRUST = GateSpec(min_thrust=0.1)
 TRIMMED = GateSpec(min_thrust=0.1, trim_start_s=0.3, trim_end_s=0.2)
+HOP = levels((500, 0.0), (1000, 0.5), (1500, 0.0), (1000, 0.5), (1500, 0.0))
 DROP = levels((1000, 0.5), (3000, 0.0))  # thrust of a landing, or of a vehicle that tumbles
 DIP = levels((1000, 0.5), (900, 0.0), (600, 0.5), (900, 0.0), (600, 0.5))
 SPIKE, TWO_SAMPLES, UP = np.zeros(4000), np.zeros(4000), np.full(1000, 0.5)
@@ -288,7 +274,7 @@ SPIKE[1300:1800], TWO_SAMPLES[[1700, 2600]] = 11.0, 30.0
 CASES = {
     "each flight is a segment of its own": (
         THRUST,
-        [block(hop())],
+        [block(HOP)],
         [(0, 500, 1499), (1499,), (1, 3000, 3999), (3999,)],
     ),
     "a dip of thrust is no landing": (THRUST, [block(DIP)], [(0, 0, 3999)]),

@@ -46,6 +46,10 @@ from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge_in_full
 from mavdiag.monitors import BY_NAME
 
 LOG = content(1, 200)
+DIGEST = "ab" * 32
+PAGE = (Path(__file__).parents[2] / "docs" / "operating.md").read_text(encoding="utf-8")
+NAMES = list(COLUMNS)
+NEW = flying(4000, 5, weak_rotor=3, rise=0.2)
 
 
 def tree(folder: Path, *names: str) -> Path:
@@ -87,9 +91,6 @@ def test_what_names_no_log_is_trouble_and_an_error_where_all_are_needed(tmp_path
     assert one.trouble.startswith("no log there; name files, a folder, or a pattern")
     with pytest.raises(InputError, match="no log there"):
         logs_named([tmp_path / argument]).paths()
-
-
-DIGEST = "ab" * 32
 
 
 @given(st.from_type(Record))
@@ -243,16 +244,6 @@ class Cluster(Executor):
         return self.tasks[-1]
 
 
-def on_cluster(monkeypatch: pytest.MonkeyPatch, manned: Callable[[Cluster], bool]) -> None:
-    @contextmanager
-    def opened(address: str) -> Iterator[TaskExecutor]:
-        cluster = Cluster()
-        yield TaskExecutor(cluster, 2, lambda: manned(cluster))
-
-    monkeypatch.setattr(pool, "QUIET_S", 0.001)
-    monkeypatch.setattr(pool, "dask_executor", opened)
-
-
 @pytest.mark.parametrize(
     ("error", "words"),
     [
@@ -272,14 +263,16 @@ def test_an_error_of_a_worker_is_the_answer_of_its_log(
         cluster.tasks[-1].set_exception(error)
         return False
 
-    on_cluster(monkeypatch, manned)
+    @contextmanager
+    def opened(address: str) -> Iterator[TaskExecutor]:
+        cluster = Cluster()
+        yield TaskExecutor(cluster, 2, lambda: manned(cluster))
+
+    monkeypatch.setattr(pool, "QUIET_S", 0.001)
+    monkeypatch.setattr(pool, "dask_executor", opened)
     (answer,) = scan(logs_named(made(tmp_path, "a.tlog")).logs, asked(), "tcp://there", None, warned.append)
     assert words in answer.verdict.reason
     assert (len(warned), warned[0].startswith("no worker is left; waiting")) == (1, True)
-
-
-PAGE = (Path(__file__).parents[2] / "docs" / "operating.md").read_text(encoding="utf-8")
-NAMES = list(COLUMNS)
 
 
 @pytest.fixture(scope="module")
@@ -340,9 +333,6 @@ def test_every_column_is_in_the_manual() -> None:
     own = [name for name in NAMES if not any(name.startswith(f"{monitor}_") for monitor in BY_NAME)]
     assert set(own) <= named
     assert {"MONITOR_judged_s", "MONITOR_ratio"} <= named
-
-
-NEW = flying(4000, 5, weak_rotor=3, rise=0.2)
 
 
 @pytest.fixture(scope="module")

@@ -9,18 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavdiag.errors import UsageError
-from mavdiag.link.codec import (
-    UNKNOWN,
-    Decoder,
-    Encoder,
-    FieldValue,
-    Frame,
-    layout_of,
-)
+from mavdiag.link.codec import UNKNOWN, Decoder, Encoder, FieldValue, layout_of
 from mavdiag.link.datagrams import as_columns
 from mavdiag.link.messages import MessageId
 
 HEARTBEAT = (2, 3, 128, 0, 4, 3)
+BY_VERSION = [(v, n) for v in (1, 2) for n in sorted(dialect.mavlink_map) if v == 2 or n < 256]
 
 
 def peer(seq: int = 0) -> dialect.MAVLink:
@@ -38,10 +32,6 @@ def wire_values(message: dialect.MAVLink_message) -> tuple[FieldValue, ...]:
     return tuple(values)
 
 
-def stripped(fields: tuple[FieldValue, ...]) -> tuple[FieldValue, ...]:
-    return tuple(v.rstrip(b"\0") if isinstance(v, bytes) else v for v in fields)
-
-
 def sample_arguments(message: type[dialect.MAVLink_message]) -> list[object]:
     """Small values that differ from field to field, in declaration order, as pymavlink's constructor takes them."""
     arguments: list[object] = []
@@ -57,9 +47,6 @@ def sample_arguments(message: type[dialect.MAVLink_message]) -> list[object]:
     return arguments
 
 
-BY_VERSION = [(v, n) for v in (1, 2) for n in sorted(dialect.mavlink_map) if v == 2 or n < 256]
-
-
 @pytest.mark.parametrize(("version", "number"), BY_VERSION)
 def test_every_message_of_the_dialect_travels_both_ways(version: int, number: int) -> None:
     message = dialect.mavlink_map[number]
@@ -69,7 +56,8 @@ def test_every_message_of_the_dialect_travels_both_ways(version: int, number: in
     parsed = peer().parse_buffer(theirs)
     assert parsed is not None
     assert (frame.msgid, frame.sysid, frame.compid, frame.seq, frame.host_ns) == (number, 1, 1, 0, 5)
-    assert stripped(frame.fields) == wire_values(parsed[0])
+    fields = tuple(one.rstrip(b"\0") if isinstance(one, bytes) else one for one in frame.fields)
+    assert fields == wire_values(parsed[0])
     if version == 2:
         encoder = Encoder(1, 1)
         assert encoder.encode(number, *arguments) == theirs  # type: ignore[arg-type]  # generic test values
@@ -135,17 +123,6 @@ def test_frames_outside_the_dialect_are_taken_on_trust_only_before_another_frame
     assert decoder.records == 1
 
 
-def numbered(sequence: list[int]) -> Decoder:
-    """A decoder that was fed heartbeats with these sequence numbers."""
-    message = dialect.mavlink_map[0](*HEARTBEAT)
-    decoder = Decoder()
-    frames: list[Frame] = []
-    for seq in sequence:
-        frames += decoder.feed(message.pack(peer(seq % 256)), 0)
-    assert len(frames) == len(sequence)
-    return decoder
-
-
 @pytest.mark.parametrize(
     ("sequence", "lost", "reordered", "duplicated", "restarts"),
     [
@@ -162,7 +139,9 @@ def numbered(sequence: list[int]) -> Decoder:
     ],
 )
 def test_losses_are_counted(sequence: list[int], lost: int, reordered: int, duplicated: int, restarts: int) -> None:
-    count = numbered(sequence).senders[1, 1]
+    message, decoder = dialect.mavlink_map[0](*HEARTBEAT), Decoder()
+    assert [len(decoder.feed(message.pack(peer(seq % 256)), 0)) for seq in sequence] == [1] * len(sequence)
+    count = decoder.senders[1, 1]
     assert count.received == len(sequence)
     assert (count.lost, count.reordered, count.duplicated, count.restarts) == (lost, reordered, duplicated, restarts)
 

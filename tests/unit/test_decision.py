@@ -32,6 +32,12 @@ MOVING = made_slot("rotor_signature", 4.0, evidence=HOW, feature=Feature.MOTION,
 THESIS = made_slot("fsd", 0.1, decides=False, axis=Axis.ROLL, delay_s=0.05, clear_s=0.0)
 SPEC = DecisionSpec((SHAKING, MOVING, THESIS))
 STEP_S = 0.02
+TRIM = made_slot("trim_step", 0.01, evidence=RotorEvidence(10.0, relative=True, direct=False))
+SHAKING_KINDS = (0.05, 0.95, -0.45, -0.5)
+DIRECT = [kind for kind in MONITORS if kind.evidence is not None]
+TRAINED = ("qdrone2", 1000.0)  # profile and rate of the links that the classifier was trained for
+KNOWN = known_fault_types("qdrone2-emulated", *TRAINED)
+LATE = max(KNOWN, key=lambda one: one.after_s)
 
 
 def at(rotor: int | None) -> tuple[float, ...]:
@@ -70,18 +76,16 @@ def test_one_monitor_above_its_threshold_is_a_fault_and_names_the_rotor() -> Non
         ("unbalance", 3 * NS_PER_S, None, 2)
     ]
     assert state.diagnosis.stage is Stage.FAULT
-
-
-def test_a_value_counts_from_when_it_is_known() -> None:
     _, _, changes = decided(NOTHING, values(profile((3, 1.0), (3, 6.0))))
-    assert changes[1].t_ns == round(3.1 * NS_PER_S)  # the first look after 3.05 s
+    assert changes[1].t_ns == round(3.1 * NS_PER_S)  # the first look after 3.05 s, when the value is known
 
 
-def test_coming_near_is_suspected_and_goes_away_after_two_calm_seconds() -> None:
+def test_coming_near_is_suspected_with_its_rotor_and_goes_away_after_two_calm_seconds() -> None:
     _, events, changes = decided(values(profile((2, 0.3), (1, 0.42), (1, 0.3), (1, 0.36), (4, 0.3))))
     assert stages(changes) == [Stage.QUIET, Stage.SUSPECTED, Stage.QUIET]
     assert changes[2].t_ns == pytest.approx(7 * NS_PER_S, abs=0.11 * NS_PER_S)
     assert events == ()
+    assert [(one.stage, one.rotor) for one in changes[1:]] == [(Stage.SUSPECTED, 1), (Stage.QUIET, None)]
 
 
 @pytest.mark.parametrize(("memory_s", "raised_s", "suspected"), [(1.3, 0.6, False), (1.3, 0.9, True), (3.0, 0.2, True)])
@@ -89,12 +93,6 @@ def test_a_suspicion_rests_on_two_seconds_of_flight(memory_s: float, raised_s: f
     spec = DecisionSpec((made_slot("innovation", 0.5, memory_s=memory_s),))
     _, _, changes = decide(spec, (statistic(profile((2, 0.3), (raised_s, 0.42), (1, 0.3))),))
     assert (Stage.SUSPECTED in stages(changes)) == suspected
-
-
-def test_a_suspicion_names_the_rotor_that_is_to_be_inspected() -> None:
-    state, _, changes = decided(values(profile((2, 0.3), (1, 0.42), (4, 0.3)), rotor=3))
-    assert [(one.stage, one.rotor) for one in changes[1:]] == [(Stage.SUSPECTED, 3), (Stage.QUIET, None)]
-    assert state.diagnosis.rotor is None
 
 
 def seen(changes: tuple[Change, ...]) -> list[bool]:
@@ -154,9 +152,6 @@ def test_a_name_that_was_wrong_at_first_is_replaced() -> None:
     _, _, changes = decided(shaking)
     assert [one.rotor for one in changes if one.stage is Stage.FAULT] == [2, 3]
     assert [one.rotor for one in changes[-1].rotors] == [3]
-
-
-TRIM = made_slot("trim_step", 0.01, evidence=RotorEvidence(10.0, relative=True, direct=False))
 
 
 @pytest.mark.parametrize(("named", "rotors"), [(1, [1]), (3, [1, 2])])
@@ -304,10 +299,8 @@ PROPELLER, THRUST = replace(PROPELLER, rotors=FIRST), replace(THRUST, rotors=THI
     ],
 )
 def test_the_gravest_kind_holds(held: FaultKind | None, readings: list[Reading], kind: FaultKind) -> None:
+    """But a propeller fault of long ago becomes no sensor fault; it may get out of control."""
     assert grown(held, readings, NS_PER_S) is kind
-
-
-def test_a_propeller_fault_of_long_ago_becomes_no_sensor_fault_but_may_get_out_of_control() -> None:
     assert grown(FaultKind.PROPELLER, [PROPELLER, SENSOR], 10 * NS_PER_S) is FaultKind.SENSOR
     assert grown(FaultKind.PROPELLER, [PROPELLER, SENSOR], 11 * NS_PER_S) is FaultKind.PROPELLER
     assert grown(FaultKind.PROPELLER, [PROPELLER, SENSOR, CONTROL], 11 * NS_PER_S) is FaultKind.LOSS_OF_CONTROL
@@ -322,11 +315,6 @@ def test_a_rotor_is_named_only_while_that_is_certain() -> None:
     for kind in (FaultKind.SENSOR, FaultKind.LOSS_OF_CONTROL):
         assert named(kind, [PROPELLER, THRUST], False).rotor is None
     assert [named(FaultKind.GROSS_LOSS, [PROPELLER, THRUST], has).rotor for has in (False, True)] == [3, None]
-
-
-def level(*pieces: tuple[float, float]) -> FloatArray:
-    """Pieces of (seconds, ratio)."""
-    return np.concatenate([np.full(round(span / STEP_S), ratio) for span, ratio in pieces])
 
 
 def values_kinds(x: FloatArray, *rotors: tuple[float, tuple[float, ...]]) -> Statistic:
@@ -348,8 +336,8 @@ def decided_kinds(
 
 
 def test_a_name_that_a_sensor_gave_is_withdrawn_from_the_fault_and_its_events() -> None:
-    shaking = values_kinds(level((2, 0.3), (4, 3.0)), (6, FIRST))
-    _, events, changes = decided_kinds(shaking, level((3, 0.1), (3, 2.0)))
+    shaking = values_kinds(profile((2, 0.3), (4, 3.0)), (6, FIRST))
+    _, events, changes = decided_kinds(shaking, profile((3, 0.1), (3, 2.0)))
     faults = [one for one in changes if one.stage is Stage.FAULT]
     assert [(one.kind, one.rotor) for one in faults] == [(FaultKind.PROPELLER, 1), (FaultKind.SENSOR, None)]
     assert (faults[1].monitor, faults[1].reason) == ("sensor_noise", "it is a sensor fault")
@@ -361,8 +349,8 @@ def test_a_name_that_a_sensor_gave_is_withdrawn_from_the_fault_and_its_events() 
 
 def test_in_an_upset_the_first_name_stays_and_the_kind_grows() -> None:
     """The last name overwrote the first: right at 0.7 s in 7 of 7, wrong at the end in 6 of 7."""
-    shaking = values_kinds(level((2, 0.3), (4, 3.0)), (3, FIRST), (3, tuple(2.0 * x for x in THIRD)))
-    state, _, changes = decided_kinds(shaking, level((6, 0.1)), level((2.9, 0.1), (3.1, 3.0)))
+    shaking = values_kinds(profile((2, 0.3), (4, 3.0)), (3, FIRST), (3, tuple(2.0 * x for x in THIRD)))
+    state, _, changes = decided_kinds(shaking, profile((6, 0.1)), profile((2.9, 0.1), (3.1, 3.0)))
     assert [(one.kind, one.rotor) for one in changes if one.stage is Stage.FAULT] == [
         (FaultKind.PROPELLER, 1),
         (FaultKind.LOSS_OF_CONTROL, 1),
@@ -372,18 +360,14 @@ def test_in_an_upset_the_first_name_stays_and_the_kind_grows() -> None:
 
 def test_a_fault_without_a_name_waits_three_looks_where_sensors_are_checked() -> None:
     """The noise of a gyro was announced as a propeller fault before its own monitor had spoken."""
-    unnamed = values_kinds(level((2, 0.3), (2, 3.0)), (4, (0.0,) * 4))
-    _, _, changes = decided_kinds(unnamed, level((4, 0.1)))
+    unnamed = values_kinds(profile((2, 0.3), (2, 3.0)), (4, (0.0,) * 4))
+    _, _, changes = decided_kinds(unnamed, profile((4, 0.1)))
     assert [(one.t_ns, one.kind) for one in changes[1:]] == [
         (2 * NS_PER_S, None),
         (round(2.3 * NS_PER_S), FaultKind.PROPELLER),
     ]
-    _, _, noisy = decided_kinds(unnamed, level((2.15, 0.1), (1.85, 3.0)))
+    _, _, noisy = decided_kinds(unnamed, profile((2.15, 0.1), (1.85, 3.0)))
     assert [one.kind for one in noisy[1:]] == [None, FaultKind.SENSOR]
-
-
-SHAKING_KINDS = (0.05, 0.95, -0.45, -0.5)
-DIRECT = [kind for kind in MONITORS if kind.evidence is not None]
 
 
 def reading(how: RotorEvidence | None, ratio: float, threshold: float, rotors: tuple[float, ...]) -> Reading:
@@ -394,20 +378,14 @@ def of(kind: type[Unbalance | RotorSignature | RotorTrim], ratio: float, *rotors
     return reading(kind.evidence, ratio, 0.5, rotors)
 
 
-def test_two_that_contradict_each_other_name_none() -> None:
+def test_what_contradicts_is_far_below_its_threshold_or_follows_from_the_damage_names_no_rotor() -> None:
     how = RotorEvidence(8.0)
     found = isolate([reading(how, 2.0, 0.5, (0.9, 0, 0, 0)), reading(how, 2.0, 0.5, (0, 0.9, 0, 0))])
     assert found.rotor is None
     assert found.confidence == pytest.approx(0.5, abs=0.01)
-
-
-def test_a_monitor_far_below_its_threshold_does_not_count() -> None:
     calm = of(RotorSignature, 0.5, 1.0, -1.0, -1.0, -1.0)
     assert isolate([calm]).confidence == 0.0
     assert isolate([calm, of(Unbalance, 1.2, *SHAKING_KINDS)]).rotor == 2
-
-
-def test_trim_does_not_count_while_the_damage_itself_is_observed() -> None:
     trim = of(RotorTrim, 3.0, 2.0, -1.0, -1.0, -1.0)
     assert isolate([trim]).rotor == 1
     assert isolate([trim, of(Unbalance, 0.9, *SHAKING_KINDS)]).rotor != 2
@@ -450,11 +428,6 @@ def test_rotors_of_an_arm_are_one_place() -> None:
     assert pickle.loads(pickle.dumps(named)).members == (1, 4)
 
 
-TRAINED = ("qdrone2", 1000.0)  # profile and rate of the links that the classifier was trained for
-KNOWN = known_fault_types("qdrone2-emulated", *TRAINED)
-LATE = max(KNOWN, key=lambda one: one.after_s)
-
-
 def centre(code: str, strength: float = 1.0) -> FloatArray:
     wanted = (FaultType(code[:2]), int(code[-1]), strength)
     return next(c.mean for c in LATE.clouds if (c.fault_type, c.severity, c.strength) == wanted)
@@ -493,12 +466,9 @@ def test_the_shares_are_those_of_bayes_by_scipy() -> None:
     assert found.confidence == pytest.approx(share, rel=1e-9)
 
 
-def test_without_the_trim_the_other_features_decide() -> None:
+def test_without_the_trim_the_others_decide_and_what_no_fault_looks_like_or_lies_between_two_gets_no_name() -> None:
     assert assess(np.array([*centre("F2/SV2")[:2], np.nan]), LATE).fault_type is FaultType.CRACK
     assert assess(np.array([*centre("F2/SV2")[:1], np.nan, 1.0]), LATE) == Assessment()
-
-
-def test_what_no_fault_looks_like_or_lies_between_two_types_gets_no_name() -> None:
     assert assess(np.array([np.log(60.0), np.log(2.0), 30.0]), LATE) == Assessment()
     a, b = centre("F2/SV3", 0.5), centre("F3/SV1", 1.0)
     known = FaultTypes(0.0, tuple(c for c in LATE.clouds if c.strength == 1.0))

@@ -56,6 +56,7 @@ WRITTEN = (
     *("cracked.tlog", "my_drone.json", "report.html", "drone1.csv", "FILE", "propeller.lua"),
     *("trends.html", "flights.csv", "mavdiag-history.sqlite"),
 )
+MAKER = runpy.run_path(str(ROOT / "docs" / "make_constants.py"))
 
 
 def blocks(page: str, language: str) -> list[str]:
@@ -88,7 +89,6 @@ def ours() -> list[tuple[str, str]]:
 def program(name: str) -> typer.Typer:
     apps = {"mavdiag": mavdiag, "mavdiag-detector": detector}
     if name == "sitl-plant":
-        pytest.importorskip("numba", reason="the plant is an extra")
         apps[name] = import_module("sitl_plant.__main__").app
     return apps[name]
 
@@ -123,7 +123,6 @@ def test_a_command_of_a_block_is_taken_by_the_real_command_line(page: str, line:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Where the commands of the pages find their files: flights of an emulated quadcopter."""
-    pytest.importorskip("numba", reason="the plant is an extra")
     here = tmp_path_factory.mktemp("pages")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(here)
@@ -243,9 +242,6 @@ def exists(name: str) -> bool:
     owner, _, last = name.rpartition(".")
     found = locate(owner)
     return hasattr(found, last) or last in getattr(found, "model_fields", ())
-
-
-MAKER = runpy.run_path(str(ROOT / "docs" / "make_constants.py"))
 
 
 def test_the_table_is_up_to_date() -> None:

@@ -26,6 +26,10 @@ from sitl_plant.vehicle import allocation, load_vehicle, qdrone2, shipped_vehicl
 
 G = 9.81
 MASS = 1.504
+HOVER = PlantConfig(trajectory="hover", seed=4)
+DRONE = drone(qdrone2(), 2)
+BESIDE = Payload(0.2, (0.012, -0.016, 0.05))  # 200 g, 20 mm beside the centre
+SOURCE = (Path(vehicle_module.__file__).parent / "qdrone2.toml").read_text(encoding="utf-8")
 
 
 def digest(parts: list[PlantSamples]) -> str:
@@ -177,8 +181,6 @@ def test_impossible_flights_are_refused_in_one_line(config: dict[str, str | int 
 
 # What is changed in flight: causes, wind, battery; and what the truth file says of it
 
-HOVER = PlantConfig(trajectory="hover", seed=4)
-
 
 def test_injected_in_flight_is_as_configured_before_it() -> None:
     cause = Injection(RotorDamage(0.9, 1.2), rotor=2, onset_s=0.5, angle_rad=1.0)
@@ -249,8 +251,6 @@ def test_the_truth_has_every_change_with_its_time() -> None:
 
 # One specimen: sessions, propellers, wear; a payload taken up and dropped in flight
 
-DRONE = drone(qdrone2(), 2)
-
 
 @pytest.mark.parametrize("spread", [0.01, 0.03])
 def test_a_new_set_of_propellers_differs_uniformly_and_is_balanced_as_permitted(spread: float) -> None:
@@ -270,9 +270,6 @@ def test_a_vehicle_without_cameras_stays_in_its_hall(seed: int) -> None:
     assert np.abs(samples.position[:, :2] - 0.5).max() < 3.0
     assert samples.position[:, 2].max() < -0.5
     assert np.abs(samples.position[:, 2]).max() < 2.0
-
-
-BESIDE = Payload(0.2, (0.012, -0.016, 0.05))  # 200 g, 20 mm beside the centre
 
 
 def test_two_payloads_are_point_masses_about_the_common_centre() -> None:
@@ -316,9 +313,6 @@ def test_momentum_and_angular_momentum_are_kept() -> None:
     p2, L2 = of_vehicle(after.body.inertia, after.body.mass)
     np.testing.assert_allclose(p2, p1, atol=1e-12)
     np.testing.assert_allclose(L2, L1, atol=1e-12)
-
-
-SOURCE = (Path(vehicle_module.__file__).parent / "qdrone2.toml").read_text(encoding="utf-8")
 
 
 def edited(tmp_path: Path, old: str, new: str) -> Path:

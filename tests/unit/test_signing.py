@@ -3,6 +3,7 @@
 import hashlib
 import os
 from pathlib import Path
+from unittest.mock import patch
 
 import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
@@ -17,6 +18,7 @@ KEY = hashlib.sha256(b"correct horse").digest()
 NOW_NS = 1_800_000_000 * 1_000_000_000
 NOW = stamp_at(NOW_NS)
 HEARTBEAT = (2, 3, 0, 0, 4, 3)
+S = 1_000_000_000
 
 
 def peer(key: bytes = KEY, stamp: int = NOW, link_id: int = 0) -> dialect.MAVLink:
@@ -26,13 +28,6 @@ def peer(key: bytes = KEY, stamp: int = NOW, link_id: int = 0) -> dialect.MAVLin
     mav.signing.secret_key, mav.signing.sign_outgoing = key, True
     mav.signing.timestamp, mav.signing.link_id = stamp, link_id
     return mav
-
-
-def beat(mav: dialect.MAVLink) -> bytes:
-    """pymavlink's next heartbeat."""
-    packed = bytes(dialect.mavlink_map[0](*HEARTBEAT).pack(mav))
-    mav.seq = (mav.seq + 1) % 256
-    return packed
 
 
 def beats(count: int, signing: Signing, compid: int = 1) -> list[bytes]:
@@ -56,15 +51,14 @@ def test_a_heartbeat_is_sealed_as_the_specification_has_it() -> None:
     assert frame.hex() == body + link + stamp + signature
 
 
-def test_what_we_sign_pymavlink_accepts() -> None:
-    signing, mav = Signing(KEY, stamp=NOW), peer()
-    for frame in beats(300, signing):
+def test_what_we_sign_pymavlink_accepts_and_the_other_way_round() -> None:
+    mav, theirs = peer(), list[bytes]()
+    for frame in beats(300, Signing(KEY, stamp=NOW)):
         assert [message.get_type() for message in mav.parse_buffer(frame) or ()] == ["HEARTBEAT"]
-
-
-def test_what_pymavlink_signs_we_accept() -> None:
     (signing, decoder), mav = verifier(), peer(link_id=9)
-    assert [frame.seq for frame in heard(decoder, *(beat(mav) for _ in range(300)))] == [k % 256 for k in range(300)]
+    for mav.seq in (k % 256 for k in range(300)):
+        theirs.append(bytes(dialect.mavlink_map[0](*HEARTBEAT).pack(mav)))
+    assert [frame.seq for frame in heard(decoder, *theirs)] == [k % 256 for k in range(300)]
     assert (signing.accepted, signing.refused) == (300, {})
 
 
@@ -129,9 +123,6 @@ def test_holders_of_the_key_cannot_fill_the_memory_either(monkeypatch: pytest.Mo
     assert (signing.accepted, signing.refused) == (10, {Refusal.STALE: 10})
 
 
-S = 1_000_000_000
-
-
 def key_file(folder: Path, content: bytes = b"correct horse\n", mode: int = 0o600) -> Path:
     path = folder / "key"
     path.write_bytes(content)
@@ -152,14 +143,10 @@ def test_a_key_that_others_may_read_is_refused(tmp_path: Path, mode: int) -> Non
     assert "\n" not in str(caught.value)
 
 
-def test_another_users_key_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_no_regular_file_of_one_line_of_this_user_is_refused_at_once(tmp_path: Path) -> None:
     found = os.stat_result((0o100600, 0, 0, 1, 12_345, 0, 0, 0, 0, 0))
-    monkeypatch.setattr("mavdiag.link.keys.os.fstat", lambda _: found)
-    with pytest.raises(UsageError, match="another user's"):
+    with patch("mavdiag.link.keys.os.fstat", lambda _: found), pytest.raises(UsageError, match="another user's"):
         read_key(key_file(tmp_path))
-
-
-def test_what_is_no_regular_file_of_one_line_is_refused_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo")
     (tmp_path / "zero").symlink_to("/dev/zero")
     for name, why in (("fifo", "regular"), ("zero", "regular"), (".", "folder"), ("none", "no such file")):
