@@ -270,15 +270,16 @@ def test_a_careful_decoder_wants_two_heartbeats_of_one_sender() -> None:
 
 
 def test_why_a_vehicle_waits_is_told_after_seconds() -> None:
-    link, one, other = LinkDecoder(careful=True), Sender(), Sender()
+    link, one, other = LinkDecoder(careful=True), *(MadeVehicle(1, Autopilot.ARDUPILOTMEGA) for _ in range(2))
     told: list[bool] = []
     for _ in range(100):
-        other.heartbeat()  # so their numbers are 100 apart
-    for _ in range(9):
-        chunks = [chunk for pair in zip(one.chunks(100), other.chunks(100), strict=True) for chunk in pair]
-        link.feed(as_columns(chunks, [HERE] * len(chunks)), chunks[-1][1])
+        beat(other.encoder)  # so their numbers are 100 apart
+    for k in range(9):
+        frames = [frame for pair in zip(one.samples(100), other.samples(100), strict=True) for frame in pair]
+        at_ns = [k * S + n * S // len(frames) for n in range(len(frames))]
+        link.feed(as_columns(list(zip(frames, at_ns, strict=True)), [HERE] * len(frames)), at_ns[-1])
         told.append(link.waiting.get(1, "").startswith("its frames are numbered as of two senders"))
-    assert told == [False] * 6 + [True] * 3
+    assert told == [False] * 5 + [True] * 4
     assert not link.vehicles
 
 
