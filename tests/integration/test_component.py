@@ -26,7 +26,7 @@ from mavdiag.decision.alarm import NOTHING_SEEN
 from mavdiag.decision.diagnosis import Change, RotorSpan, Stage
 from mavdiag.errors import UsageError
 from mavdiag.inspections import Inspections
-from mavdiag.link.codec import Encoder, Frame
+from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
 from mavdiag.monitors.base import FaultKind
 
@@ -328,10 +328,6 @@ def commanded(bench: Attacked) -> list[Frame]:
     return [frame for frame in frames if field(frame, "command") != MavCmd.SET_MESSAGE_INTERVAL]
 
 
-def answer(bench: Attacked, sender: Encoder, target: tuple[int, int] = US) -> bytes:
-    return sender.encode(MessageId.COMMAND_ACK, MavCmd.NAV_RETURN_TO_LAUNCH, MavResult.ACCEPTED, 0, 0, *target)
-
-
 def noted(tmp_path: Path) -> list[str]:
     lines = map(json.loads, (tmp_path / "journal.jsonl").read_text().splitlines())
     return [line["text"] for line in lines if line["kind"] == "note" and "on fault" in line["text"]]
@@ -345,7 +341,8 @@ def test_a_fault_brings_one_command_and_every_step_is_in_the_journal(benches: Be
     assert [field(order, name) for name in ("target_system", "target_component", "command", "confirmation")] == [
         *(1, Component.AUTOPILOT1, MavCmd.NAV_RETURN_TO_LAUNCH, 0)
     ]
-    bench.far.send(answer(bench, bench.vehicles[0].encoder))
+    accepted = (MavCmd.NAV_RETURN_TO_LAUNCH, MavResult.ACCEPTED, 0, 0, *US)
+    bench.far.send(bench.vehicles[0].encoder.encode(MessageId.COMMAND_ACK, *accepted))
     bench.fly(30.0)
     assert commanded(bench) == []
     found, *steps = noted(tmp_path)

@@ -268,14 +268,6 @@ def watching(benches: Benches) -> Benches:
     return make
 
 
-def unheard(bench: Bench, seconds: float) -> None:
-    """The vehicle flies on, and nothing of it arrives."""
-    for _ in range(round(seconds / TICK_S)):
-        bench.vehicles[0].samples(round(TICK_S * RATE_HZ))
-        bench.host.sleep(TICK_S)
-        bench.daemon.tick()
-
-
 def alarms(bench: Bench) -> list[str]:
     """The texts of declared faults since the last time."""
     texts = of(received(bench.far), MessageId.STATUSTEXT)
@@ -295,7 +287,10 @@ def test_a_vehicle_that_was_not_heard_or_rebooted_is_judged_again(
     watching: Benches, cut_s: float, reboots: int
 ) -> None:
     bench = watching()
-    unheard(bench, cut_s)
+    for _ in range(round(cut_s / TICK_S)):  # it flies on, and nothing of it arrives
+        bench.vehicles[0].samples(round(TICK_S * RATE_HZ))
+        bench.host.sleep(TICK_S)
+        bench.daemon.tick()
     assert (bench.daemon.fleet.vehicles[1].session.state is State.LOST) == (cut_s > 3.0)
     bench.vehicles[0].sent *= 1 - reboots
     bench.run(8.0)

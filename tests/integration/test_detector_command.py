@@ -252,12 +252,6 @@ def test_what_was_learned_is_found_again_by_its_vehicle(tmp_path: Path) -> None:
         kept_baselines(path)
 
 
-def unit() -> dict[str, str]:
-    """The settings of the section [Service]."""
-    section = UNIT.read_text().partition("[Service]")[2].partition("[Install]")[0]
-    return dict(re.findall(r"^(\w+)=(.*)$", section, re.MULTILINE))
-
-
 def instructions(path: Path = CONTAINER) -> list[tuple[str, str]]:
     """Instructions of a container file in order, with what follows each."""
     text = re.sub(r"^#.*\n", "", path.read_text(), flags=re.MULTILINE).replace("\\\n", " ")
@@ -265,7 +259,8 @@ def instructions(path: Path = CONTAINER) -> list[tuple[str, str]]:
 
 
 def test_the_unit_is_supervised_and_has_no_rights_to_spare() -> None:
-    service = unit()
+    section = UNIT.read_text().partition("[Service]")[2].partition("[Install]")[0]
+    service = dict(re.findall(r"^(\w+)=(.*)$", section, re.MULTILINE))
     assert service["Type"] == "notify"
     assert float(service["WatchdogSec"]) >= 5  # the loop gives a sign of life once a second
     assert service["ExecStart"] == PROGRAM

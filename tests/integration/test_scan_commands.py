@@ -1,4 +1,4 @@
-"""`mavdiag identify`, `scan` and `baseline` as a user meets them, on recordings of the emulator."""
+"""`mavdiag identify`, `scan`, `baseline` and `model` as a user meets them, on recordings of the emulator."""
 
 import json
 import shutil
@@ -11,9 +11,12 @@ from typing import Any
 
 import pytest
 from dask_cluster import cluster
+from droneprop_table import table_of
 from made_archive import archive_baseline, made
+from made_logs import flight, written
 from processes import PATIENCE_S, record
 
+from mavdiag.baseline import Baseline
 from mavdiag.monitors import BY_NAME
 
 EVENT_KEYS = {
@@ -45,12 +48,6 @@ def crack(folder: Path) -> Path:
     fault = ("--fault", "F2/SV2", "--rotor", "3", "--onset", "12", "--duration", "22", "--seed", "7")
     record(folder / "crack.tlog", *fault)
     return folder / "crack.tlog"
-
-
-@pytest.fixture(scope="module")
-def short(folder: Path) -> Path:
-    record(folder / "short.tlog", "--duration", "3", "--seed", "8")
-    return folder / "short.tlog"
 
 
 @pytest.fixture
@@ -95,9 +92,10 @@ def test_the_json_line_has_the_fields_of_the_contract(mavdiag: Any, baseline: Pa
 
 
 def test_what_cannot_be_judged_is_3_and_an_error_2(
-    mavdiag: Any, baseline: Path, healthy: list[Path], crack: Path, short: Path, tmp_path: Path
+    mavdiag: Any, baseline: Path, healthy: list[Path], crack: Path, tmp_path: Path
 ) -> None:
-    code, out, _ = mavdiag("scan", healthy[0], short, "--baseline", baseline, "--jobs", 1)
+    record(tmp_path / "short.tlog", "--duration", "3", "--seed", "8")
+    code, out, _ = mavdiag("scan", healthy[0], tmp_path / "short.tlog", "--baseline", baseline, "--jobs", 1)
     assert code == 3
     assert "not_judgeable" in out
     assert "of take-off or start" in out
@@ -259,3 +257,81 @@ def test_a_killed_worker_loses_nothing_and_gives_nothing_twice(tmp_path: Path) -
     assert lines == pool.stdout.splitlines()
     assert [json.loads(line)["log"] for line in lines] == [f"logs/{name}" for name in names]
     assert sum(json.loads(line)["verdict"] == "fault" for line in lines) == len(names[::7])
+
+
+FLIGHT_S = 25.0
+RISE = 0.3  # of the command of the front right rotor
+OWN = tuple(f"F0_SV0_SP1_t2_D1_R{number}.mat" for number in (1, 2, 3))
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    recordings = tmp_path_factory.mktemp("flights")
+    record(recordings / "f.tlog", "--flights", "3", "--duration", "20", "--seed", "70")
+    return sorted(recordings.glob("*.tlog"))
+
+
+def test_the_model_of_a_log_has_figures_with_standard_errors(mavdiag: Any, flights: list[Path], tmp_path: Path) -> None:
+    picture = tmp_path / "m.svg"
+    code, out, _ = mavdiag("model", flights[0], "--axis", "both", "--plot", picture)
+    assert code == 0
+    assert out.count("standard errors from the covariance of the parameters") == 2
+    assert "bandwidth" in out
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["m-pitch.svg", "m-roll.svg"]
+    _, out, _ = mavdiag("model", "show", flights[0], "--axis", "roll", "--json")
+    found = json.loads(out)
+    assert found["dc_gain"]["value"] == pytest.approx(0.93, abs=0.05)
+    assert 0 < found["dc_gain"]["standard_error"] < 0.05
+    assert found["poles"][0]["damping"]["value"] > 0
+
+
+def test_models_of_a_baseline_are_those_of_its_fsd_monitors(mavdiag: Any, flights: list[Path], tmp_path: Path) -> None:
+    baseline = tmp_path / "b.json"
+    asked = ("--airframe", "qdrone2", "--name", "drone 1", "--monitors", "thesis", "--details")
+    code, out, _ = mavdiag("identify", *flights, "-o", baseline, *asked)
+    assert code == 0
+    assert "drone 1 (airframe)\nrotor layout qdrone2 (told)\n" in out
+    assert out.endswith(f"written to {baseline}\n")
+    code, out, _ = mavdiag("model", baseline, "--json", "--plot", tmp_path / "b.svg")
+    assert code == 0
+    assert [json.loads(line)["axis"] for line in out.splitlines()] == ["roll", "pitch"]  # B26: both by default
+    code, out, _ = mavdiag("scan", flights[0], "--baseline", baseline, "--json")
+    assert json.loads(out)["log"] == str(flights[0])  # R1
+    assert json.loads(out)["monitors"]["fsd"]["judged_s"] > 5.0
+    assert code in (0, 1, 4)
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """D1 shakes most, and one of two damaged propellers lost lift."""
+    base = tmp_path_factory.mktemp("droneprop")
+    made = {name: flight(FLIGHT_S, 40 + i) for i, name in enumerate(OWN)}
+    made |= {"F0_SV0_SP1_t2_D2.mat": flight(FLIGHT_S, 51, line=0.6)}
+    made |= {"F0_SV0_SP1_t2_D3.mat": flight(FLIGHT_S, 52, line=0.5)}
+    made |= {"F1_SV1_SP1_t2.mat": flight(FLIGHT_S, 53)}
+    made |= {"F3_SV3_SP1_t2.mat": flight(FLIGHT_S, 54, weak_rotor=2, rise=RISE)}
+    for name, rows in made.items():
+        written(base / name, rows)
+    return base
+
+
+def test_recordings_of_dronepropa_teach_a_baseline_by_which_the_weak_rotor_alone_is_found(
+    mavdiag: Any, recordings: Path
+) -> None:
+    path, own = recordings / "d1.json", [recordings / name for name in OWN]
+    # The made flights shake more than balanced rotors do, which only their maker knows to be healthy.
+    assert mavdiag("identify", *own, "-o", path)[0] == 2
+    assert mavdiag("identify", *own, "-o", path, "--accept")[0] == 0
+    learnt = Baseline.load(path)
+    layout = learnt.airframe.layout
+    assert (learnt.airframe.name, layout and layout.name) == ("QDrone 2 as recorded", "qdrone2")
+    assert (learnt.airframe.classifier, learnt.link.profile) == (None, "dronepropa")
+    assert learnt.provenance.logs[0].sha256
+    assert "rotor_trim" in {entry.spec.kind for entry in learnt.monitors}
+    code, out, _ = mavdiag("scan", *sorted(recordings.glob("F*_SP1_t2*.mat")), "--baseline", path, "--jobs", 1)
+    told = dict(line.split(": ", 1) for line in out.splitlines())
+    flagged = {Path(name).name for name, text in told.items() if text.startswith("fault")}
+    assert (code, len(told), flagged) == (1, 7, {"F3_SV3_SP1_t2.mat"})
+    assert "rotor 2" in next(text for text in told.values() if text.startswith("fault"))
+    table, _, _ = table_of(recordings, learnt)
+    assert {one.name.label for one in table} >= {"healthy D1, R1", "healthy D2", "healthy D3", "F3/SV3"}

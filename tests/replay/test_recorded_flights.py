@@ -13,6 +13,7 @@ import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
 from made_rows import calibrated
+from recorded_flights import part
 from scipy.signal import savgol_filter
 from shared_data import shared
 
@@ -127,10 +128,6 @@ def test_arducopter_hides_a_weak_motor_but_its_outputs_show_it(taught: str) -> N
 @cache
 def crazypad_guards(folder: str) -> tuple[Log, ...]:
     return tuple(read_log(path) for path in sorted(shared(f"data/crazypad/{folder}").glob("E8_log*")))
-
-
-def part(log: Log, from_s: float | None, to_s: float | None) -> Log:
-    return replace(log, telemetry=between(log.telemetry, from_s, to_s))
 
 
 def test_a_real_flight_teaches_up_to_its_upset_and_is_refused_with_it() -> None:
@@ -362,23 +359,11 @@ def test_counts_and_values_equal_pymavlink() -> None:
     np.testing.assert_allclose(force.values, 1e-3 * G * np.column_stack([counts_of[f"{axis}acc"] for axis in "xyz"]))
 
 
-def recording() -> Telemetry:
-    return read_ulog(shared(FILE)).telemetry
-
-
-def median_rate_hz(telemetry: Telemetry, signal: Signal) -> float:
-    return float(1e9 / np.median(np.diff(telemetry.need(signal).t_ns)))
-
-
-def test_rates_are_those_of_the_recording() -> None:
-    telemetry = recording()
-    assert median_rate_hz(telemetry, Signal.BODY_RATE) == pytest.approx(250, rel=0.01)
-    assert median_rate_hz(telemetry, Signal.ATTITUDE_SETPOINT) == pytest.approx(50, rel=0.01)
-    assert median_rate_hz(telemetry, Signal.RATE_SETPOINT) == pytest.approx(84, rel=0.02)
-
-
-def test_the_attitude_turns_as_the_gyro_says() -> None:
-    telemetry = recording()
+def test_rates_are_those_of_the_recording_and_the_attitude_turns_as_the_gyro_says() -> None:
+    telemetry = read_ulog(shared(FILE)).telemetry
+    rates = ((Signal.BODY_RATE, 250), (Signal.ATTITUDE_SETPOINT, 50), (Signal.RATE_SETPOINT, 84))
+    for signal, hz in rates:
+        assert 1e9 / np.median(np.diff(telemetry.need(signal).t_ns)) == pytest.approx(hz, rel=0.01)
     attitude, gyro = telemetry.need(Signal.ATTITUDE), telemetry.need(Signal.BODY_RATE)
     moved = attitude.t_ns < attitude.t_ns[0] + 10_000_000_000
     for axis in (0, 1):

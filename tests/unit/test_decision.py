@@ -8,14 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made_statistics import decide, made_slot, statistic
+from scipy.stats import multivariate_normal
 
 from mavdiag.airframe.layout import Motor, layout_named
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.decision.alarm import LEFT_ALONE, NEXT, DecisionSpec, DecisionState
-from mavdiag.decision.diagnosis import Change, Diagnosis, Event, Stage
+from mavdiag.decision.diagnosis import Change, Event, Stage
 from mavdiag.decision.grading import Assessment, FaultTypes, Gathered, assess, known_fault_types
 from mavdiag.decision.kinds import Reading, grown, isolate, named
-from mavdiag.decision.words import fault_reason, finding_words
+from mavdiag.decision.words import fault_reason
 from mavdiag.kernel import EVIDENCE, LAST_LEVEL, LOOK_NS, Alarm, Height, Looked
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import FaultKind, Feature, RotorEvidence
@@ -99,7 +100,7 @@ def seen(changes: tuple[Change, ...]) -> list[bool]:
     return [change.seen for change in changes if change.stage is Stage.FAULT]
 
 
-def test_a_fault_lasts_and_is_only_no_longer_seen() -> None:
+def test_a_fault_lasts_is_only_no_longer_seen_and_a_rotor_that_comes_back_goes_on() -> None:
     """H3: the end of a transient was the end of the fault: 12 of 12 lasting losses were called clear."""
     state, _, changes = decided(values(profile((2, 0.3), *[(1.5, 1.0), (1.5, 0.2)] * 3, (30, 0.2))))
     assert stages(changes) == [Stage.QUIET, Stage.FAULT, Stage.FAULT]
@@ -108,6 +109,8 @@ def test_a_fault_lasts_and_is_only_no_longer_seen() -> None:
     (span,) = state.diagnosis.rotors
     assert (span.rotor, span.since_ns) == (1, 2 * NS_PER_S)
     assert span.end_ns == pytest.approx(9.5 * NS_PER_S, abs=0.11 * NS_PER_S)
+    _, _, changes = decided(values(profile((2, 0.3), *[(3, 1.0), (5, 0.1)] * 3, (1, 1.0)), rotor=3))
+    assert [(one.rotor, one.since_ns, one.end_ns) for one in changes[-1].rotors] == [(3, 2 * NS_PER_S, None)]
 
 
 def test_3a_another_slot_that_is_calm_does_not_speak_for_the_one_that_was_over() -> None:
@@ -138,11 +141,6 @@ def test_u2_every_rotor_is_named_with_its_span_and_its_own_figure() -> None:
     told = fault_reason(FaultKind.PROPELLER, found, events)
     assert "; rotor 1 from 2.0 s, rotor 4 from 22.0 s, rotor 1 from 42.0 s" in told
     assert " from 2.00 s" in str(events[0])
-
-
-def test_a_rotor_that_comes_back_goes_on_with_its_span() -> None:
-    _, _, changes = decided(values(profile((2, 0.3), *[(3, 1.0), (5, 0.1)] * 3, (1, 1.0)), rotor=3))
-    assert [(one.rotor, one.since_ns, one.end_ns) for one in changes[-1].rotors] == [(3, 2 * NS_PER_S, None)]
 
 
 def test_a_name_that_was_wrong_at_first_is_replaced() -> None:
@@ -457,8 +455,6 @@ def test_the_middle_of_a_cloud_is_its_fault(code: str, strength: float) -> None:
 
 
 def test_the_shares_are_those_of_bayes_by_scipy() -> None:
-    from scipy.stats import multivariate_normal
-
     near = np.add(centre("F3/SV1", 0.5), (0.05, 0.1, 0.2))
     density = [(c.fault_type, multivariate_normal(c.mean, c.covariance).pdf(near)) for c in LATE.clouds]
     found = assess(near, LATE)
@@ -476,7 +472,8 @@ def test_without_the_trim_the_others_decide_and_what_no_fault_looks_like_or_lies
     assert {None, FaultType.SURFACE_UNBALANCE} <= named
 
 
-def test_only_windows_after_the_declaration_are_gathered() -> None:
+def test_only_windows_after_the_declaration_are_gathered_and_rises_of_the_rotor_that_is_named_at_last() -> None:
+    """Rises of two rotors were averaged when the name changed: a true 0.0 was 0.15."""
     state = Gathered(10 * NS_PER_S)
     for number in range(-50, 100):  # looks after the declaration
         until_ns = state.since_ns + number * LOOK_NS
@@ -484,23 +481,11 @@ def test_only_windows_after_the_declaration_are_gathered() -> None:
         state = state.add(Feature.MOTION, look(9.0 if number < 30 else 0.1), until_ns - LOOK_NS // 2)
         state = state.add(Feature.RISE, look(0.0, (0.0, 0.5 if number < 40 else 0.03, 0.0, 0.0)), until_ns)
     assert state.features(2) == pytest.approx([np.log(2.0), np.log(0.1), 3.0])
-
-
-def test_of_a_look_that_began_too_early_its_last_value_counts() -> None:
-    mixed = look(9.0, (0.9, 0.9))
+    mixed = look(9.0, (0.9, 0.9))  # it began too early: its last value counts
     mixed[LAST_LEVEL], mixed[EVIDENCE : EVIDENCE + 2] = 2.0, (0.1, 0.2)
     state = Gathered(0).add(Feature.UNBALANCE, mixed, round(0.65 * NS_PER_S))
     found = state.add(Feature.RISE, mixed, 4 * NS_PER_S).features(2)
     assert found == pytest.approx([np.log(2.0), np.nan, 20.0], nan_ok=True)
-
-
-def test_a_trim_is_told_as_the_share_of_thrust_that_is_lost() -> None:
-    found = Diagnosis(Stage.FAULT, rotor=3, monitor="rotor_trim", statistic=0.25, threshold=0.1)
-    assert finding_words(found) == "motor 3 lost 20% thrust"  # a rise r answers a loss of r/(1 + r)
-
-
-def test_9_the_rise_is_that_of_the_rotor_that_is_named_at_last() -> None:
-    """Rises of two rotors were averaged when the name changed: a true 0.0 was 0.15."""
     state = Gathered(0).add(Feature.RISE, look(0.0, (0.1, 0.3)), 5 * NS_PER_S)
     assert [state.features(rotor)[2] for rotor in (1, 2)] == pytest.approx([10.0, 30.0])
     assert np.isnan([state.features(None), state.features(3)]).all()

@@ -28,7 +28,7 @@ from mavdiag.identify.estimate import (
     sweep,
     validate,
 )
-from mavdiag.identify.lab import ModelFigures, estimate_response, model_figures, model_response, track
+from mavdiag.identify.lab import estimate_response, model_figures, model_response, track
 from mavdiag.identify.sriv import sriv
 from mavdiag.rows.savgol import coefficients
 from mavdiag.telemetry import FloatArray
@@ -436,15 +436,11 @@ def test_margins_are_those_of_the_loop_that_unit_feedback_closes() -> None:
     assert found.modulus_margin.value == pytest.approx(float(np.abs(1 + L).min()), rel=1e-3)
 
 
-def numbers(found: ModelFigures) -> list[tuple[float, float]]:
-    pole = found.poles[0]
-    chosen = (pole.natural_hz, pole.damping, found.dc_gain, found.bandwidth_hz, found.gain_margin_db)
-    return [(one.value or math.nan, one.standard_error or math.nan) for one in chosen]
-
-
 def test_standard_errors_by_the_delta_method_are_the_scatter_of_repeated_experiments() -> None:
-    trains = [record(WELL, 1500, 0.1, seed) for seed in range(40)]
-    models = [fit(train.u, train.y, dt=DT) for train in trains]
-    table = np.array([numbers(model_figures(model)) for model in models])
-    scatter, stated = table[:, :, 0].std(axis=0, ddof=1), table[:, :, 1].mean(axis=0)
+    trains, table = [record(WELL, 1500, 0.1, seed) for seed in range(40)], []
+    for found in (model_figures(fit(train.u, train.y, dt=DT)) for train in trains):
+        pole = found.poles[0]
+        chosen = (pole.natural_hz, pole.damping, found.dc_gain, found.bandwidth_hz, found.gain_margin_db)
+        table.append([(one.value or math.nan, one.standard_error or math.nan) for one in chosen])
+    scatter, stated = np.std(table, axis=0, ddof=1)[:, 0], np.mean(table, axis=0)[:, 1]
     assert_allclose(stated, scatter, rtol=0.35)

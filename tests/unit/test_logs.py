@@ -323,7 +323,7 @@ def test_outputs_and_speeds_of_escs_follow_the_motor_functions_and_speeds_grow_o
     assert log.motor_order
 
 
-def test_older_and_other_messages_tell_speeds_where_it_is_known_of_which_rotor(tmp_path: Path) -> None:
+def test_older_and_other_messages_tell_speeds_of_known_rotors_and_what_an_esc_complains_of(tmp_path: Path) -> None:
     old = read_bin(tmp_path, dataflash([OLD_ESC], [OLD_ESC.record(10, 600_000, 1600, 400, 3000, 0)]))
     np.testing.assert_allclose(old[Signal.ROTOR_SPEED].values, [[np.nan, 200 * math.pi]])
     masks = [PARM.record(1, b"RPM1_ESC_MASK", 4), PARM.record(1, b"RPM2_ESC_MASK", 3)]
@@ -331,13 +331,8 @@ def test_older_and_other_messages_tell_speeds_where_it_is_known_of_which_rotor(t
     np.testing.assert_allclose(log[Signal.ROTOR_SPEED].values, [[np.nan, np.nan, 200 * math.pi]])
     unknown = read_bin(tmp_path, dataflash([IMU, RPMS], [imu(1), RPMS.record(10, 6000, 600)]))
     assert unknown.telemetry.get(Signal.ROTOR_SPEED) is None
-
-
-def test_what_an_esc_complains_of_is_told(tmp_path: Path) -> None:
-    log = read_bin(
-        tmp_path, dataflash([IMU, EDT2], [imu(1), EDT2.record(2, 2, 9, 9, 3), EDT2.record(3, 2, 9, 9, 8 | 16)])
-    )
-    assert log.notes == ("ESC 3 told a warning", "ESC 3 told an error")
+    told = [imu(1), EDT2.record(2, 2, 9, 9, 3), EDT2.record(3, 2, 9, 9, 8 | 16)]
+    assert read_bin(tmp_path, dataflash([IMU, EDT2], told)).notes == ("ESC 3 told a warning", "ESC 3 told an error")
 
 
 def test_raw_batches_are_read_up_to_their_first_gap_and_show_the_line_of_the_rotors(tmp_path: Path) -> None:
@@ -531,12 +526,16 @@ def test_damage_costs_only_the_records_it_hits(tmp_path: Path, seed: int) -> Non
         (tlog_record(START_US, Encoder(1, 1).encode(MessageId.ATTITUDE, 1)), "no autopilot's heartbeat"),
         (tlog_record(START_US, heartbeat(Encoder(255, 1), MavType.GCS, 8)), "no autopilot's heartbeat"),
         (b"".join(records(1, 9) + records(7, 9)), "vehicles 1, 7; choose one.*vehicle_stream"),
+        (b"".join(records(scale=16_384)), r"vehicle 1: its link profile is not clear.*give --profile"),  # B18
     ],
 )
 def test_what_cannot_be_read_says_why(tmp_path: Path, data: bytes, words: str) -> None:
+    path = written(tmp_path / "flight.tlog", data)
     with pytest.raises(InputError, match=words) as caught:
-        read_log(written(tmp_path / "flight.tlog", data))
+        read_log(path)
     assert "\n" not in str(caught.value)
+    if "--profile" in words:
+        assert read_log(path, profile="ardupilot").profile == "ardupilot"
 
 
 def test_each_vehicle_of_several_is_read_in_one_pass(tmp_path: Path) -> None:
@@ -558,13 +557,6 @@ def test_each_vehicle_of_several_is_read_in_one_pass(tmp_path: Path) -> None:
     assert alone_in_file.log.name == "flight.tlog"
     with pytest.raises(InputError, match="no autopilot's heartbeat"):
         list(vehicle_stream(written(tmp_path / "flight.tlog", companion)))
-
-
-def test_b18_a_log_of_an_unknown_vehicle_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path / "flight.tlog", b"".join(records(scale=16_384)))
-    with pytest.raises(InputError, match=r"vehicle 1: its link profile is not clear.*give --profile"):
-        read_log(path)
-    assert read_log(path, profile="ardupilot").profile == "ardupilot"
 
 
 def flight(rng: np.random.Generator) -> list[bytes]:

@@ -401,15 +401,12 @@ def test_what_is_held_and_what_to_do(held: Diagnosis, words: str, advice: str) -
         assert bool(said) == bool(wanted)
 
 
-def test_the_run_length_and_its_limit_are_told_of_the_thesis_monitor_only() -> None:
+def test_the_run_length_is_told_of_the_thesis_monitor_only_and_what_is_not_finite_is_null() -> None:
     event = Event("fsd", Axis.ROLL, 60_000_000_000, None, 0.41, 0.12, 0.05)
     found = json.loads(json.dumps(event_json(60.0, None, event)))
     assert (found["axis"], found["fsd_s"], found["fml_s"], found["end_s"]) == ("roll", 0.41, 0.12, None)
     other = event_json(1.0, 2.0, Event("innovation", None, 1, 2, float("inf"), 0.12, 0.05, rotor=2, confidence=0.98765))
     assert (other["statistic"], other["fsd_s"], other["rotor"], other["confidence"]) == (None, None, 2, 0.988)
-
-
-def test_what_is_not_finite_is_null_wherever_it_stands() -> None:
     silent = MonitorSummary("unbalance", Axis.ROLL, float("nan"), float("inf"), "g mm", 0)
     found = json.loads(json_line({"a": (1.5, float("-inf")), "b": [silent]}))
     assert found["a"] == [1.5, None]

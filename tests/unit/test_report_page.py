@@ -170,15 +170,6 @@ def test_what_is_no_campaign_says_what_to_name(tmp_path: Path, content: bytes, r
         read_campaign(path)
 
 
-@cache
-def sketch() -> Sketch:
-    log, judged = cracked()
-    assert judged.chain is not None
-    found = Sketch(log, 300)
-    found.take(judged.chain, judged.pieces)
-    return found
-
-
 def blocks() -> list[Block]:
     return joined([piece.rows for piece in cracked()[1].pieces])
 
@@ -229,7 +220,11 @@ def test_the_spectrum_is_scipys_and_its_peak_is_the_rotors_speed() -> None:
     use = frequency > 5
     np.testing.assert_allclose(spectrum.frequency_hz, frequency, rtol=1e-3)
     np.testing.assert_allclose(spectrum.power[use], power[use], rtol=0.01)
-    drawn = sketch().spectrum
+    judged = cracked()[1]
+    assert judged.chain is not None
+    sketch = Sketch(log, 300)
+    sketch.take(judged.chain, judged.pieces)
+    drawn = sketch.spectrum
     assert drawn is not None
     assert abs(drawn.averaged - spectrum.averaged) <= 2
     np.testing.assert_allclose(drawn.power[use], spectrum.power[use], rtol=0.3)

@@ -27,7 +27,6 @@ from detector.session import FITS, Session
 from detector.states import TABLE, State
 from detector.streams import HELD_S, Negotiation, Streams
 from detector.values import (
-    Effect,
     Learn,
     LearningFailed,
     Note,
@@ -69,10 +68,6 @@ def watching(seconds: int = 120, **changes: object) -> Story:
     story.fly(5.0)
     assert story.at(State.MONITORING)
     return story
-
-
-def texts(effects: list[Effect]) -> list[str]:
-    return [effect.text for effect in effects if isinstance(effect, SendText)]
 
 
 def test_it_learns_then_watches_then_alerts_and_never_says_that_it_is_clear() -> None:
@@ -171,12 +166,8 @@ def test_b6_a_throttled_link_is_judged_again_within_three_seconds_of_the_right_r
     assert State.FAULTED not in story.states
 
 
-def ardupilot(*names: str) -> SessionSpec:
-    return SessionSpec(PROFILES["ardupilot"], baseline_for("ardupilot", names=names))
-
-
 def test_l2_what_the_optional_streams_lack_is_told_and_hinders_nothing() -> None:
-    story = Story(ardupilot("fsd", "rotor_trim"))
+    story = Story(SessionSpec(PROFILES["ardupilot"], baseline_for("ardupilot", names=("fsd", "rotor_trim"))))
     story.fly(12.0)
     assert story.at(State.MONITORING)
     trim = label_of("rotor_trim")
@@ -240,7 +231,8 @@ def test_c1_a_vehicle_that_flies_and_is_not_judged_is_told(reason: str) -> None:
     assert story.state.reason == f"not judged: {reason}"
     story.fly(6.0)
     assert story.state.reason.startswith("monitoring")
-    assert not any("not judged: it" in text for text in texts(story.fly(10.0)))
+    later = [one.text for one in story.fly(10.0) if isinstance(one, SendText)]
+    assert not any("not judged: it" in text for text in later)
 
 
 def test_every_state_has_a_handler_and_states_and_settings_are_documented() -> None:

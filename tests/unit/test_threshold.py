@@ -79,24 +79,23 @@ def test_with_one_flight_the_prior_stands_and_with_many_the_data() -> None:
     assert many.value < one.value
 
 
-def test_shares_are_of_the_mean_and_no_threshold_is_below_the_least() -> None:
+def test_shares_are_of_the_mean_and_the_least_and_the_same_session_count() -> None:
     assert known([4.0], [0], [0], Prior(session=0.5)).session_sd == pytest.approx(2.0)
     assert known([0.01, 0.01], [0, 0], [0], Prior(least=2.0)).value == 2.0
-
-
-def test_a_flight_of_the_same_session_has_a_lower_threshold() -> None:
     found = known([1.0, 1.1, 0.9, 1.0], [0, 1, 2, 3], [0, 0, 0, 0], Prior(session=0.5))
     assert found.within(same_session=True) < found.within(same_session=False) == found.value
     assert "from 4 flights in 1 session" in found.statement()
 
 
-def test_broken_scores_and_budgets_are_refused() -> None:
+def test_broken_scores_and_budgets_and_too_short_flights_are_refused() -> None:
     for budget in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(UsageError, match="budget"):
             threshold_of(whole([1.0]), sessions=[0], budget_per_hour=budget)
     for maxima in ([], [math.nan], [math.inf, 1.0]):
         with pytest.raises(IdentificationError, match="finite"):
             threshold_of(whole(maxima), sessions=[0])
+    with pytest.raises(IdentificationError, match="fly longer"):
+        calibrated(VibrationLevel, [shaken(0.3, seconds=4.0)], example_context())
 
 
 @pytest.mark.parametrize(
@@ -140,11 +139,6 @@ def test_a_flight_is_scored_by_a_fit_that_did_not_see_it() -> None:
     scores = held_out_scores([shaken(0.3, seconds=35.0, segment=i) for i in range(3)], fitted)
     assert seen == [[1, 2], [0, 2], [0, 1]]
     assert len(scores[None].maxima) == 9
-
-
-def test_too_short_a_flight_says_so() -> None:
-    with pytest.raises(IdentificationError, match="fly longer"):
-        calibrated(VibrationLevel, [shaken(0.3, seconds=4.0)], example_context())
 
 
 def level(x: FloatArray, budget: float, prior: Prior = USUAL, rule: ThresholdRule = ThresholdRule.GUMBEL) -> Threshold:

@@ -138,7 +138,7 @@ def test_a_still_vehicle_gets_room_of_some_half_a_metre_per_second_squared() -> 
 
 
 @pytest.mark.parametrize(("corner", "taps"), [(0.06, 61), (0.15, 25), (0.25, 15)])
-def test_the_high_pass_answers_as_one_by_scipy(corner: float, taps: int) -> None:
+def test_the_high_pass_answers_as_one_by_scipy_or_is_refused(corner: float, taps: int) -> None:
     peer = firwin(taps, 2 * corner, window=("kaiser", 4.0), pass_zero=False)
     ours = highpass(corner, taps)
     for f in np.linspace(0, np.pi, 40):
@@ -146,12 +146,9 @@ def test_the_high_pass_answers_as_one_by_scipy(corner: float, taps: int) -> None
         assert gains[0] == pytest.approx(gains[1], abs=0.02)
     assert ours.sum() == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(ours, ours[::-1])
-
-
-@pytest.mark.parametrize(("corner", "taps"), [(0.06, 60), (0.06, 1), (0.0, 61), (0.5, 61)])
-def test_an_impossible_high_pass_is_refused(corner: float, taps: int) -> None:
-    with pytest.raises(UsageError):
-        highpass(corner, taps)
+    for wrong in ((corner, taps - 1), (corner, 1), (0.0, taps), (0.5, taps)):
+        with pytest.raises(UsageError):
+            highpass(*wrong)
 
 
 def test_the_worked_example_of_the_thesis() -> None:

@@ -183,9 +183,6 @@ def test_a_flight_from_waiting_to_a_fault_and_to_the_ground() -> None:
     }
 
 
-# --- The strips: the same points however the flight is cut, and no peak is lost
-
-
 def filled(count: int, run: str = "r") -> Board:
     board = Board(run)
     for number in range(1, count + 1):
