@@ -228,7 +228,7 @@ def test_each_log_is_answered_once_in_order_and_each_content_judged_once(
     for words, answer in zip(contents, answers, strict=True):
         died = first[words] in deadly
         assert answer.verdict.verdict is (Verdict.ERROR if died else Verdict.HEALTHY)
-        assert answer.verdict.reason == (module.DIED if died else text)
+        assert answer.verdict.reason == (module.DIED if died else words)
     assert sum(answer.fresh for answer in answers) == len(set(contents))
 
 
