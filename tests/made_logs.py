@@ -4,8 +4,8 @@ import struct
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -17,18 +17,7 @@ from mavdiag.telemetry import FloatArray
 
 ULOG_HEAD = b"ULog\x01\x12\x35"
 DATAFLASH_FMT = 0x80
-_DATAFLASH_CODES = {
-    "c": "h",
-    "C": "H",
-    "e": "i",
-    "E": "I",
-    "L": "i",
-    "M": "B",
-    "n": "4s",
-    "N": "16s",
-    "Z": "64s",
-    "a": "32h",
-}
+_DATAFLASH_CODES = dict(zip("cCeELMnNZa", ("h", "H", "i", "I", "i", "B", "4s", "16s", "64s", "32h"), strict=True))
 _ULOG_CODES = {"uint64_t": "Q", "int32_t": "i", "uint8_t": "B", "float": "f", "double": "d"}
 
 
@@ -187,14 +176,13 @@ def flight(duration_s: float, seed: int, *, weak_rotor: int = 0, rise: float = 0
 
 
 def content(rows: Mapping[str, Any], *, compressed: bool = True) -> bytes:
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "made.mat"
-        savemat(path, dict(rows), do_compression=compressed)
-        return path.read_bytes()
+    file = BytesIO()
+    savemat(file, dict(rows), do_compression=compressed)  # type: ignore[arg-type]  # the stubs know no open files
+    return file.getvalue()
 
 
 def written(path: Path, rows: Mapping[str, FloatArray]) -> Path:
-    path.write_bytes(content(rows, compressed=False))
+    savemat(path, dict(rows), appendmat=False)
     return path
 
 

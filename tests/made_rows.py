@@ -6,6 +6,8 @@ from typing import Any
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
 from mavdiag.monitors.base import Flights, LearnContext, Monitor
+from mavdiag.rows.front import Rows
+from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis
 from mavdiag.testing import WINDOW
 from mavdiag.thresholds.heldout import BLOCK_S, Scores, by_axis, folds, score
@@ -47,3 +49,8 @@ def calibrated(
     found = scores[monitor.axis]
     sessions = list(range(len(flights)))
     return monitor, threshold_of(found, sessions=sessions, budget_per_hour=budget_per_hour, prior=kind.prior)
+
+
+def read(monitor: Monitor[Any], rows: Rows) -> Statistic:
+    """What it makes of rows, from the beginning."""
+    return monitor.step(monitor.start(), rows)[1]

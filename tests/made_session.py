@@ -5,6 +5,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from made_telemetry import body_rates
 from scipy.signal import lfilter
 
 from detector.config import SessionSettings
@@ -42,17 +43,7 @@ def _attitude_and_rate(seconds: int, seed: int) -> tuple[FloatArray, FloatArray]
     n, rng = seconds * RATE_HZ, np.random.default_rng(seed)
     steps = np.repeat(rng.normal(0, 0.1, (n // 50 + 1, 3)), 50, axis=0)[:n]
     setpoint = np.asarray(lfilter([0.01], np.poly([0.9, 0.9]), steps, axis=0), dtype=np.float64)
-    phi, theta = setpoint[:, 0], setpoint[:, 1]
-    dphi, dtheta, dpsi = np.gradient(setpoint, 1 / RATE_HZ, axis=0).T
-    commanded = np.stack(
-        (
-            dphi - np.sin(theta) * dpsi,
-            np.cos(phi) * dtheta + np.sin(phi) * np.cos(theta) * dpsi,
-            -np.sin(phi) * dtheta + np.cos(phi) * np.cos(theta) * dpsi,
-        ),
-        axis=1,
-    )
-    clean = np.asarray(lfilter(B, A, commanded, axis=0), dtype=np.float64)
+    clean = np.asarray(lfilter(B, A, body_rates(setpoint, 1 / RATE_HZ), axis=0), dtype=np.float64)
     return setpoint, clean + NOISE * rng.standard_normal((n, 3))
 
 

@@ -1,10 +1,11 @@
 """A made vehicle on an in-memory link, and a daemon on a virtual clock that receives it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from memory_port import MemoryEndpoint, memory_pair
@@ -22,7 +23,7 @@ from detector.web.feed import Feed
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.inspections import Inspections
-from mavdiag.link.codec import Decoder, Encoder, Frame
+from mavdiag.link.codec import Decoder, Encoder, Frame, frame_length
 from mavdiag.link.keys import KeptSigning
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
 from mavdiag.link.ports import Endpoint
@@ -38,21 +39,21 @@ TICK_S = 0.04
 
 
 class VirtualHost(Host):
-    """Clocks that stand still until they are moved; log lines are kept."""
+    """Clocks that stand still until they are moved; log lines are kept. ahead: of the wall clock."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
         super().__init__(self.lines.append)
-        self.ns = START_NS
+        self.ns, self.cpu, self.ahead = START_NS, 0.0, timedelta(0)
 
     def now_ns(self) -> int:
         return self.ns
 
     def utc(self) -> datetime:
-        return datetime(2026, 5, 1, tzinfo=UTC) + timedelta(seconds=(self.ns - START_NS) / NS_PER_S)
+        return datetime(2026, 5, 1, tzinfo=UTC) + timedelta(seconds=(self.ns - START_NS) / NS_PER_S) + self.ahead
 
     def cpu_s(self) -> float:
-        return 0.0
+        return self.cpu
 
     def sleep(self, span_s: float) -> None:
         self.ns += round(span_s * NS_PER_S)
@@ -131,6 +132,17 @@ def record(path: Path, spans: Sequence[tuple[float, float]], sysid: int = 1) -> 
     path.write_bytes(data)
 
 
+def recorded(path: Path, most_s: float = math.inf) -> Iterator[tuple[bytes, int]]:
+    """Frame and time [ns] of each record at the beginning of a .tlog."""
+    data, at = path.read_bytes(), 0
+    until_us = int.from_bytes(data[:8], "big") + 1e6 * most_s
+    while at + 10 < len(data) and (time_us := int.from_bytes(data[at : at + 8], "big")) < until_us:
+        length = frame_length(data, at + 8)
+        assert length is not None
+        yield data[at + 8 : at + 8 + length], 1000 * time_us
+        at += 8 + length
+
+
 @dataclass
 class Bench:
     """A daemon on a memory link. far: the vehicle's end; behind: the far ends of the links behind the daemon."""
@@ -164,25 +176,10 @@ class Bench:
 
     def another(self, links: Sequence[Endpoint], signing: KeptSigning | None = None) -> Daemon:
         """A daemon on these links, of which the first is the vehicle's."""
-        return Daemon(
-            self.settings,
-            self.host,
-            links[0],
-            links[1:],
-            baseline=self.baseline,
-            fitter=self.fitter,
-            airframe=self.airframe,
-            journal=self.file,
-            recorder=self.recorder,
-            hooks=self.hooks,
-            flights=self.flights,
-            signing=signing,
-            baselines=self.baselines,
-            notifier=self.notifier,
-            metrics=self.metrics,
-            web=self.web,
-            inspections=self.inspections,
-        )
+        names = ("baseline", "fitter", "airframe", "hooks", "flights", "baselines", "notifier", "metrics", "web")
+        given: dict[str, Any] = {name: getattr(self, name) for name in (*names, "inspections")}
+        given |= {"journal": self.file, "recorder": self.recorder, "signing": signing}
+        return Daemon(self.settings, self.host, links[0], links[1:], **given)
 
     def run(self, seconds: float) -> None:
         """Let time pass in ticks; every vehicle sends."""

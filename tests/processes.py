@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
 
 import pytest
 from made_vehicle import MadeVehicle
@@ -69,32 +68,25 @@ def flying(*options: str, links: int = 1) -> Iterator[list[str]]:
         yield [address.replace("udpin", "udpout") for address in json.loads(line)["addresses"]]
 
 
-class Alerter(Protocol):
+class Companion:
     """Something on board that sends `ALERT` when it is told to, and again every so often."""
 
-    def alert(self) -> None: ...
-
-
-class _Companion:
-    def __init__(self, address: str) -> None:
-        self.endpoint = open_endpoint(address)
-        self._encoder = Encoder(1, Component.ONBOARD_COMPUTER)
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._endpoint, self._encoder = endpoint, Encoder(1, Component.ONBOARD_COMPUTER)
 
     def alert(self) -> None:
         """Hear what came in, say that we are here, and raise the alert."""
-        self.endpoint.receive(0.0)
-        self.endpoint.send(
-            self._encoder.encode(MessageId.HEARTBEAT, MavType.ONBOARD_CONTROLLER, Autopilot.INVALID, 0, 0, 4, 3)
-        )
-        self.endpoint.send(self._encoder.statustext(Severity.CRITICAL, ALERT))
+        self._endpoint.receive(0.0)
+        beat = (MavType.ONBOARD_CONTROLLER, Autopilot.INVALID, 0, 0, 4, 3)
+        self._endpoint.send(self._encoder.encode(MessageId.HEARTBEAT, *beat))
+        self._endpoint.send(self._encoder.statustext(Severity.CRITICAL, ALERT))
 
 
 @contextmanager
-def companion(address: str) -> Iterator[Alerter]:
+def companion(address: str) -> Iterator[Companion]:
     """A companion computer, system 1 component 191, that alerts; the detector's process can take its place."""
-    one = _Companion(address)
-    with one.endpoint:
-        yield one
+    with open_endpoint(address) as endpoint:
+        yield Companion(endpoint)
 
 
 COMMAND = [sys.executable, "-m", "detector"]
@@ -106,7 +98,7 @@ def ran(*options: str) -> subprocess.CompletedProcess[str]:
 
 @contextmanager
 def running(
-    *options: str, environ: Mapping[str, str] | None = None, before: Callable[[], None] | None = None
+    *options: str, environ: Mapping[str, str] | None = None, before: Callable[[], object] | None = None
 ) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The daemon, once it is ready; with its first line. before: what its process does first."""
     child = subprocess.Popen(

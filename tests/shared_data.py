@@ -1,4 +1,4 @@
-"""Where the recorded flights and reference values are, when they are there at all."""
+"""Where the recorded flights and reference values are, when they are there at all; and files that tests write."""
 
 import os
 from pathlib import Path
@@ -13,4 +13,10 @@ def shared(relative: str) -> Path:
     path = ROOT / relative
     if not path.exists():
         pytest.skip(f"recorded data not present: {relative} (set MAVDIAG_SHARED to its folder)")
+    return path
+
+
+def written(path: Path, content: str | bytes) -> Path:
+    """The path of a file with this content."""
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
     return path

@@ -37,6 +37,15 @@ from mavdiag.telemetry import Instant
 UDP_IN = "udpin:127.0.0.1:0"
 HERE, THERE = ("10.0.0.1", 14550), ("10.0.0.66", 4444)
 TICK_S = 0.04
+Forge = Callable[[int, int], tuple[int, list[Any]] | None]
+STATION = Encoder(255, 190)
+ACTS = "suspected: land; fault: land; gross loss: land"
+LOITER = 5
+BESIDE = ("another vehicle", "answers", "texts", "commands", "random frames", "damaged flight", "disarmed rows")
+TICK_NS = 40_000_000
+TAKEN = {MessageId.COMMAND_ACK, MessageId.COMMAND_LONG, MessageId.COMMAND_INT}
+HEARD = TAKEN | {source.message for profile in PROFILES.values() for source in sources(profile)}
+MESSAGES = sorted(int(message) for message in HEARD if message in dialect.mavlink_map)
 
 
 class Listening(MemoryEndpoint):
@@ -177,7 +186,7 @@ class Beset(MadeVehicle):
     forge: what is sent after the frame of this number; None for nothing. ahead: of the running number before it.
     """
 
-    def __init__(self, forge: Callable[[int, int], tuple[int, list[Any]] | None], ahead: int) -> None:
+    def __init__(self, forge: "Forge", ahead: int) -> None:
         super().__init__(1)
         self._forge, self._ahead, self._frames = forge, ahead, 0
 
@@ -195,34 +204,39 @@ class Beset(MadeVehicle):
         return found
 
 
-def leaping(every: int, ahead_s: float, once: bool = False) -> Callable[[int, int], tuple[int, list[Any]] | None]:
-    def forge(number: int, sent: int) -> tuple[int, list[Any]] | None:
-        if number != 1000 if once else number % every:
-            return None
-        return MessageId.RAW_IMU, [5_000_000 + 10_000 * sent + round(1e6 * ahead_s), 0, 0, -1000, 1, 2, 3]
-
-    return forge
+def every(count: int, msgid: int, fields: Callable[[int], list[Any]], first: int = 0) -> Forge:
+    """After each such frame of the vehicle, from the first on. fields: by the number of samples that it sent."""
+    return lambda number, sent: None if (number - first) % count else (msgid, fields(sent))
 
 
-def disarming(number: int, sent: int) -> tuple[int, list[Any]] | None:
-    return None if number % 67 else (MessageId.HEARTBEAT, [2, 0, 0, 0, 4, 3])
+def gyro(count: int, ahead_s: float = 0.0, first: int = 0, rate: int = 1) -> Forge:
+    """RAW_IMU, stamped so far ahead of the genuine one."""
+    ahead_us = round(1e6 * ahead_s)
+    return every(
+        count, MessageId.RAW_IMU, lambda sent: [5_000_000 + 10_000 * sent + ahead_us, 0, 0, -1000, rate, 2, 3], first
+    )
 
 
-def without_thrust(number: int, sent: int) -> tuple[int, list[Any]] | None:
-    if number % 5:
-        return None
-    return MessageId.ATTITUDE_TARGET, [5000 + 10 * sent, 0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, 0.0]
+def armed(count: int, mode: int, custom: int = 0) -> Forge:
+    return every(count, MessageId.HEARTBEAT, lambda _: [2, 0, mode, custom, 4, 3])
+
+
+WITHOUT_THRUST = every(
+    5, MessageId.ATTITUDE_TARGET, lambda sent: [5000 + 10 * sent, 0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, 0.0]
+)
+TILTED = every(20, MessageId.ATTITUDE, lambda sent: [5000 + 10 * sent, 2.5, 0.0, 0.0, 6.0, 0.0, 0.0])
+ONCE = 1 << 40
 
 
 CLASH, LEAP = "two senders seem to use the name of vehicle 1", "stamps that leap"
-FORGED: Mapping[str, tuple[Callable[[int, int], tuple[int, list[Any]] | None], int, str]] = {
-    "gyro 1/s stamped 1 h ahead": (leaping(201, 3600.0), 20, LEAP),
-    "gyro 10/s stamped 0.3 s ahead": (leaping(20, 0.3), 20, LEAP),
-    "one frame stamped 10 s ahead": (leaping(0, 10.0, once=True), 20, "whose stamps leap"),
-    "one frame with a number of the same look": (leaping(0, 120.0, once=True), 2, "with the number of another frame"),
-    "disarmed 3/s": (disarming, 1, CLASH),
-    "disarmed 3/s with other running numbers": (disarming, 200, "disarmed amid armed heartbeats"),
-    "thrust 0 at 40 Hz": (without_thrust, 1, CLASH),
+FORGED: Mapping[str, tuple[Forge, int, str]] = {
+    "gyro 1/s stamped 1 h ahead": (gyro(201, 3600.0), 20, LEAP),
+    "gyro 10/s stamped 0.3 s ahead": (gyro(20, 0.3), 20, LEAP),
+    "one frame stamped 10 s ahead": (gyro(ONCE, 10.0, first=1000), 20, "whose stamps leap"),
+    "one frame with a number of the same look": (gyro(ONCE, 120.0, first=1000), 2, "with the number of another frame"),
+    "disarmed 3/s": (armed(67, 0), 1, CLASH),
+    "disarmed 3/s with other running numbers": (armed(67, 0), 200, "disarmed amid armed heartbeats"),
+    "thrust 0 at 40 Hz": (WITHOUT_THRUST, 1, CLASH),
 }
 
 
@@ -241,30 +255,6 @@ def test_forged_frames_from_the_vehicles_own_address_do_not_blind(name: str) -> 
     bench.close()
 
 
-STATION = Encoder(255, 190)
-ACTS = "suspected: land; fault: land; gross loss: land"
-LOITER = 5
-
-
-def turning_rows(every: int, lag_ms: int = 0) -> Callable[[int, int], tuple[int, list[Any]] | None]:
-    """RAW_IMU of a vehicle that turns though nobody asked, stamped as the genuine one."""
-
-    def forge(number: int, sent: int) -> tuple[int, list[Any]] | None:
-        if number % every:
-            return None
-        return MessageId.RAW_IMU, [1000 * (5000 + 10 * sent - lag_ms), 0, 0, -1000, 3000, 0, 0]
-
-    return forge
-
-
-def tilted(number: int, sent: int) -> tuple[int, list[Any]] | None:
-    return None if number % 20 else (MessageId.ATTITUDE, [5000 + 10 * sent, 2.5, 0.0, 0.0, 6.0, 0.0, 0.0])
-
-
-def armed_in(mode: int) -> Callable[[int, int], tuple[int, list[Any]] | None]:
-    return lambda number, sent: None if number % 67 else (MessageId.HEARTBEAT, [2, 0, 129, mode, 4, 3])
-
-
 def acting(vehicle: MadeVehicle, **more: Any) -> Attacked:
     vehicle.custom_mode = LOITER
     return attacked(vehicle, on_fault=ACTS, **more)
@@ -277,12 +267,12 @@ def actions(bench: Attacked) -> list[tuple[int, int]]:
     return [(vehicle, command) for vehicle, command in asked if command not in COMMANDS]
 
 
-IN_ITS_PLACE: Mapping[str, Callable[[int, int], tuple[int, list[Any]] | None]] = {
-    "turning 10/s": turning_rows(20),
-    "turning 10/s between the genuine": turning_rows(20, -5),
-    "turning 100/s": turning_rows(2),
-    "tilted": tilted,
-    "armed in an automatic mode": armed_in(LOITER),
+IN_ITS_PLACE: Mapping[str, Forge] = {
+    "turning 10/s": gyro(20, rate=3000),
+    "turning 10/s between the genuine": gyro(20, 0.005, rate=3000),
+    "turning 100/s": gyro(2, rate=3000),
+    "tilted": TILTED,
+    "armed in an automatic mode": armed(67, 129, LOITER),
 }
 
 
@@ -322,9 +312,6 @@ def beside(name: str) -> Iterator[list[bytes]]:
         return random_frames(7, (1, 1))
     own.armed = name == "damaged flight"
     return itertools.cycle([[own.heartbeat(), *own.samples(4)] for _ in range(500)])
-
-
-BESIDE = ("another vehicle", "answers", "texts", "commands", "random frames", "damaged flight", "disarmed rows")
 
 
 @pytest.mark.parametrize("name", BESIDE)
@@ -473,12 +460,6 @@ def test_a_flood_hides_no_trusted_peer_and_moves_no_answer() -> None:
         stranger.setblocking(False)
         with pytest.raises(BlockingIOError):
             stranger.recv(100)
-
-
-TICK_NS = 40_000_000
-TAKEN = {MessageId.COMMAND_ACK, MessageId.COMMAND_LONG, MessageId.COMMAND_INT}
-HEARD = TAKEN | {source.message for profile in PROFILES.values() for source in sources(profile)}
-MESSAGES = sorted(int(message) for message in HEARD if message in dialect.mavlink_map)
 
 
 def wild(sysid: int, compid: int, rng: np.random.Generator) -> bytes:

@@ -32,6 +32,8 @@ TINY = Design(
     cause=("F2/SV3", "gyro-noise", "ejection"), phenomenology=(1.0,), manoeuvre=("square",), wind=(0.0,),
     payload=(0.0,),
 )  # fmt: skip
+CONDITIONED = replace(PRESETS["conditions"], airframes=2, flights=2 * len(CONDITIONS), hours=0.1 * len(CONDITIONS))
+DESIGN = Design(airframes=2, seed=9)
 
 
 def run(path: Path, design: Design = TINY, workers: int = 1) -> Results:
@@ -137,9 +139,6 @@ def test_nonsense_is_refused(text: str, message: str) -> None:
         with_conditions(Design(), [text])
 
 
-CONDITIONED = replace(PRESETS["conditions"], airframes=2, flights=2 * len(CONDITIONS), hours=0.1 * len(CONDITIONS))
-
-
 def test_every_condition_has_its_share_of_hours_and_causes() -> None:
     flights = make_plan(CONDITIONED)
     hours: dict[str, float] = {}
@@ -153,9 +152,6 @@ def test_every_condition_has_its_share_of_hours_and_causes() -> None:
     causes = Counter(flight.conditions.condition for flight in flights if flight.cause != HEALTHY)
     assert set(causes.values()) == {2}
     assert {flight.duration_s for flight in flights if flight.conditions.condition == "battery-10min"} == {600.0}
-
-
-DESIGN = Design(airframes=2, seed=9)
 
 
 def line(

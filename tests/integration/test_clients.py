@@ -5,6 +5,7 @@ import math
 import os
 import re
 import shutil
+import subprocess
 import sys
 import threading
 import time
@@ -23,17 +24,17 @@ from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.plugins.action import ActionError
 from mavsdk.plugins.failure import FailureType, FailureUnit
 from mavsdk.plugins.mission_raw import MissionItem
+from mavsdk.plugins.param import ParamError, ProtocolVersion
 from processes import ALERT, PATIENCE_S, companion, flying, process, running
 
 from detector.component import PARAMETERS
 from mavdiag.link.messages import Component
 from sitl_plant.autopilot.stream import HOME_ALT_M, HOME_LAT_DEG, HOME_LON_DEG
 
-pytest.importorskip("mavsdk", reason="mavsdk is not installed for this platform")
-
-
 pytestmark = pytest.mark.realtime
 T = TypeVar("T")
+METRE_DEG = 1.0 / 111_195.0
+MODULES = "link,param,output,mode,arm,cmdlong,wp"
 
 
 async def until(stream: AsyncGenerator[T, None], wanted: Callable[[T], bool]) -> T:
@@ -58,9 +59,6 @@ async def found(mavsdk: Mavsdk, address: str) -> System:
 
 def ground_station() -> Mavsdk:
     return Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION))
-
-
-METRE_DEG = 1.0 / 111_195.0
 
 
 async def fly_about(system: System) -> None:
@@ -120,10 +118,6 @@ def behind(folder: Path) -> Iterator[str]:
 
 
 def test_mavsdk_reads_and_sets_them(tmp_path: Path) -> None:
-    pytest.importorskip("mavsdk", reason="mavsdk is not installed for this platform")
-    from mavsdk.asyncio.plugins.param import ParamAsync
-    from mavsdk.plugins.param import ParamError, ProtocolVersion
-
     async def read(address: str) -> None:
         async with ground_station() as mavsdk:
             parameters = ParamAsync(await found(mavsdk, f"udpout:{address}"))
@@ -142,57 +136,48 @@ def test_mavsdk_reads_and_sets_them(tmp_path: Path) -> None:
 
 
 def test_mavproxy_shows_them(tmp_path: Path) -> None:
-    environment = {**os.environ, "HOME": str(tmp_path), "PYTHONUNBUFFERED": "1"}
-    printed: list[str] = []
-    with behind(tmp_path) as address:
-        command = mavproxy(f"udpout:{address}", "--daemon", "--non-interactive")
-        command = [part.replace("component=0", f"component={int(Component.ONBOARD_COMPUTER)}") for part in command]
-        with process([*command, "--cmd=param fetch"], cwd=tmp_path, env=environment) as station:
-            assert station.stdout is not None
-            reader = threading.Thread(target=printed.extend, args=(station.stdout,), daemon=True)
-            reader.start()
-            until = time.monotonic() + PATIENCE_S
-            while not any("Received 3 parameters" in line for line in printed) and time.monotonic() < until:
-                time.sleep(0.2)
-        reader.join(PATIENCE_S)
-    assert "Received 3 parameters" in "".join(printed), "".join(printed)
+    with (
+        behind(tmp_path) as address,
+        mavproxy(
+            tmp_path, f"udpout:{address}", "--cmd=param fetch", component=Component.ONBOARD_COMPUTER
+        ) as ground_station,
+    ):
+        output = printed(ground_station, "Received 3 parameters", lambda: None, 0.2)
+    assert "Received 3 parameters" in output, output
 
 
-MODULES = "link,param,output,mode,arm,cmdlong,wp"
-
-
-def mavproxy(address: str, *options: str) -> list[str]:
+@contextmanager
+def mavproxy(folder: Path, address: str, *options: str, component: int = 0) -> Iterator[subprocess.Popen[str]]:
     program = shutil.which("mavproxy.py", path=str(Path(sys.executable).parent))
     if program is None:
         pytest.skip("MAVProxy is not installed")
-    return [
-        sys.executable,
-        program,
-        f"--default-modules={MODULES}",
-        f"--master={address}",
-        "--target-system=1",  # without these two it hides the companion's component 191
-        "--target-component=0",
-        *options,
-    ]
+    # without the two targets it hides the companion's component 191
+    targets = ("--target-system=1", f"--target-component={component}", "--daemon", "--non-interactive")
+    command = [sys.executable, program, f"--default-modules={MODULES}", f"--master={address}", *targets, *options]
+    environment = {**os.environ, "HOME": str(folder), "PYTHONUNBUFFERED": "1"}
+    with process(command, cwd=folder, env=environment) as station:
+        yield station
+
+
+def printed(station: subprocess.Popen[str], words: str, meanwhile: Callable[[], None], pause_s: float) -> str:
+    """What it prints until these words come. meanwhile: what is done every `pause_s`."""
+    lines: list[str] = []
+    assert station.stdout is not None
+    threading.Thread(target=lines.extend, args=(station.stdout,), daemon=True).start()
+    until = time.monotonic() + PATIENCE_S
+    while not any(words in line for line in lines) and time.monotonic() < until:
+        meanwhile()
+        time.sleep(pause_s)
+    return "".join(lines)
 
 
 def test_mavproxy_prints_the_alert_of_a_companion(tmp_path: Path) -> None:
-    environment = {**os.environ, "HOME": str(tmp_path), "PYTHONUNBUFFERED": "1"}
-    printed: list[str] = []
     with (
         flying("--rate", "100", links=2) as (address, companion_address),
-        process(mavproxy(address, "--daemon", "--non-interactive"), cwd=tmp_path, env=environment) as ground_station,
+        mavproxy(tmp_path, address) as ground_station,
         companion(companion_address) as alerter,
     ):
-        assert ground_station.stdout is not None
-        reader = threading.Thread(target=printed.extend, args=(ground_station.stdout,), daemon=True)
-        reader.start()
-        until = time.monotonic() + PATIENCE_S
-        while not any(ALERT in line for line in printed) and time.monotonic() < until:
-            alerter.alert()
-            time.sleep(2.1)  # MAVProxy prints the same text only every 2 s
-    reader.join(PATIENCE_S)
-    output = "".join(printed)
+        output = printed(ground_station, ALERT, alerter.alert, 2.1)  # it prints the same text only every 2 s
     assert f"AP: {ALERT}" in output, output
     assert "Detected vehicle 1:1" in output
     assert "ARMED" in output

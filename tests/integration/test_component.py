@@ -1,15 +1,20 @@
-"""A declared fault after whatever ends the flight, to the end: told, kept over restarts, closed by who looked only."""
+"""A declared fault after whatever ends the flight: told, kept, acted on, and closed by who looked only; parameters."""
 
+import itertools
 import json
 import math
 import struct
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
 from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle, received
+from reactions import USUAL, fly
+from test_attacks import Attacked
 from test_daemon_virtual import STATION, US, field, of
 from typer.testing import CliRunner
 
@@ -22,33 +27,29 @@ from mavdiag.decision.diagnosis import Change, RotorSpan, Stage
 from mavdiag.errors import UsageError
 from mavdiag.inspections import Inspections
 from mavdiag.link.codec import Frame
-from mavdiag.link.messages import MavCmd, MavResult, MessageId
+from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
 from mavdiag.monitors.base import FaultKind
 
 TEXT = "PROP rotor unknown: inspect before flight"
 CLOSED = "PROP rotor unknown: inspection acknowledged"
-Benches = Callable[..., Bench]
+Benches = Callable[..., Attacked]
+ACKNOWLEDGEMENT = STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.USER_1, 0, *[0.0] * 7)
+REAL32, INT8 = 9, 2
+LOITER = 5
+CRAFT = replace(USUAL, rate_hz=200.0)  # of its link
 
 
 @pytest.fixture
 def benches(tmp_path: Path) -> Iterator[Benches]:
-    made: list[Bench] = []
+    made: list[Attacked] = []
 
-    def make() -> Bench:
-        settings = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
+    def make(table: str = "") -> Attacked:
+        settings = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"), on_fault=table)
         journal = tmp_path / "journal.jsonl"
         if made and made[-1].file is not None:
             made[-1].file.close()  # the end of the process before gives its lock back
-        made.append(
-            Bench(
-                settings,
-                baseline_for(),
-                vehicles=[MadeVehicle(1)],
-                links_behind=1,
-                journal=journal,
-                inspections=Inspections(journal, print),
-            )
-        )
+        kept: dict[str, Any] = {"journal": journal, "inspections": Inspections(journal, print)}
+        made.append(Attacked(settings, baseline_for(), vehicles=[MadeVehicle(1)], links_behind=1, **kept))
         return made[-1]
 
     yield make
@@ -72,10 +73,6 @@ def flown(bench: Bench, *, faulty: bool) -> Bench:
 
 def stage(bench: Bench) -> Stage:
     return bench.daemon.fleet.vehicles[1].session.diagnosis.stage
-
-
-def acknowledgement() -> bytes:
-    return STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.USER_1, 0, *[0.0] * 7)
 
 
 def answers(bench: Bench, frames: list[object]) -> list[int]:
@@ -127,14 +124,14 @@ def test_a_daemon_that_dies_in_flight_leaves_the_inspection_open(benches: Benche
 def test_a_ground_station_behind_acknowledges_and_a_stranger_on_an_unsigned_link_does_not(benches: Benches) -> None:
     bench = flown(benches(), faulty=True)
     received(bench.far)
-    bench.far.send(acknowledgement())
+    bench.far.send(ACKNOWLEDGEMENT)
     bench.run(0.2)
     assert answers(bench, received(bench.far)) == [MavResult.DENIED]  # type: ignore[arg-type]
     assert stage(bench) is Stage.INSPECT
     assert any("it may be forged" in line for line in bench.host.lines)
     for result in (MavResult.ACCEPTED, MavResult.FAILED):  # the second one finds nothing open
         received(bench.behind[0])
-        bench.behind[0].send(acknowledgement())
+        bench.behind[0].send(ACKNOWLEDGEMENT)
         bench.run(0.2)
         assert answers(bench, received(bench.behind[0])) == [result]  # type: ignore[arg-type]
     assert stage(bench) is not Stage.INSPECT
@@ -179,9 +176,6 @@ def test_an_acknowledgement_without_a_running_detector_is_taken_up_at_its_start(
     assert kept.acknowledged() == []
 
 
-REAL32, INT8 = 9, 2
-
-
 @pytest.fixture
 def bench(benches: Benches) -> Bench:
     made = benches()
@@ -216,6 +210,9 @@ def test_everybody_reads_the_parameters_and_pymavlink_agrees(bench: Bench, behin
     assert values(found) == {"PROP_SCALE": 1.0, "PROP_TEXTS": 30.0, "PROP_ACK": 0.0}
     assert [field(one, "param_index") for one in of(found, MessageId.PARAM_VALUE)] == [0, 1, 2]
     assert {field(one, "param_count") for one in of(found, MessageId.PARAM_VALUE)} == {len(PARAMETERS)}
+    for component in (0, 1):
+        other = asked(bench, STATION.encode(MessageId.PARAM_REQUEST_LIST, 1, component), behind=behind)
+        assert of(other, MessageId.PARAM_VALUE) == []
     for name, index, right in (("PROP_TEXTS", -1, "PROP_TEXTS"), ("", 0, "PROP_SCALE")):
         found = asked(bench, STATION.encode(MessageId.PARAM_REQUEST_READ, *US, name, index), behind=behind)
         assert list(values(found)) == [right]
@@ -224,12 +221,6 @@ def test_everybody_reads_the_parameters_and_pymavlink_agrees(bench: Bench, behin
     [answer] = of(asked(bench, STATION.encode(MessageId.PARAM_REQUEST_READ, *US, "", 0)), MessageId.PARAM_VALUE)
     fields = dialect.mavlink_map[MessageId.PARAM_VALUE].unpacker.unpack(answer.payload)
     assert fields == (1.0, 3, 0, b"PROP_SCALE".ljust(16, b"\0"), REAL32)
-
-
-@pytest.mark.parametrize("component", [0, 1])
-def test_what_is_asked_of_others_is_not_answered(bench: Bench, component: int) -> None:
-    frame = STATION.encode(MessageId.PARAM_REQUEST_LIST, 1, component)
-    assert of(asked(bench, frame), MessageId.PARAM_VALUE) == []
 
 
 def test_texts_are_set_in_flight_and_the_scale_on_the_ground(bench: Bench, tmp_path: Path) -> None:
@@ -317,3 +308,114 @@ def test_its_version_is_told(bench: Bench, command: tuple[float, ...], msgid: in
         ]
     nothing = asked(bench, STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.REQUEST_MESSAGE, 0, math.nan))
     assert [field(one, "result") for one in of(nothing, MessageId.COMMAND_ACK)] == [MavResult.UNSUPPORTED]
+
+
+def reacting(benches: Benches) -> Attacked:
+    bench = benches("fault after 6 s: rtl")
+    bench.vehicles[0].custom_mode = LOITER
+    bench.fly(5.0)
+    received(bench.far)
+    return bench
+
+
+def damaged(bench: Attacked, seconds: float) -> None:
+    bench.vehicles[0].turning = 0.5
+    bench.fly(seconds)
+
+
+def commanded(bench: Attacked) -> list[Frame]:
+    frames = [one for one in of(received(bench.far), MessageId.COMMAND_LONG) if (one.sysid, one.compid) == US]
+    return [frame for frame in frames if field(frame, "command") != MavCmd.SET_MESSAGE_INTERVAL]
+
+
+def noted(tmp_path: Path) -> list[str]:
+    lines = map(json.loads, (tmp_path / "journal.jsonl").read_text().splitlines())
+    return [line["text"] for line in lines if line["kind"] == "note" and "on fault" in line["text"]]
+
+
+def test_a_fault_brings_one_command_and_every_step_is_in_the_journal(benches: Benches, tmp_path: Path) -> None:
+    bench = reacting(benches)
+    damaged(bench, 7.0)
+    [order] = commanded(bench)
+    assert (order.sysid, order.compid) == US
+    assert [field(order, name) for name in ("target_system", "target_component", "command", "confirmation")] == [
+        *(1, Component.AUTOPILOT1, MavCmd.NAV_RETURN_TO_LAUNCH, 0)
+    ]
+    accepted = (MavCmd.NAV_RETURN_TO_LAUNCH, MavResult.ACCEPTED, 0, 0, *US)
+    bench.far.send(bench.vehicles[0].encoder.encode(MessageId.COMMAND_ACK, *accepted))
+    bench.fly(30.0)
+    assert commanded(bench) == []
+    found, *steps = noted(tmp_path)
+    assert found.startswith("on fault: fault after 6 s: rtl: propeller fault: ")
+    assert [step.split(": ")[3:] for step in steps] == [
+        ["counting -> announced", "its time is near"],
+        ["announced -> asked", "its time has come"],
+        ["asked -> over", "the autopilot took it"],
+    ]
+    said = [one for one in of(received(bench.behind[0]), MessageId.STATUSTEXT) if "rtl" in one.text("text")]
+    own = [(*one.numbers("severity"), one.text("text")) for one in said]
+    assert own == [
+        (Severity.CRITICAL, "PROP rtl in 5 s unless stick/mode/ack"),
+        (Severity.CRITICAL, "PROP rtl commanded: fault, rotor unknown"),
+    ]
+
+
+@pytest.mark.parametrize("how", ["ack", "stick", "mode", "mavdiag ack"])
+def test_it_is_called_off_by_a_link_behind_or_the_vehicles_mode(benches: Benches, tmp_path: Path, how: str) -> None:
+    bench = reacting(benches)
+    bench.behind[0].send(STATION.encode(MessageId.MANUAL_CONTROL, 1, 0, 0, 500, 0, 0))
+    damaged(bench, 4.0)
+    assert [one for one in noted(tmp_path) if "announced" in one]
+    if how == "ack":
+        bench.behind[0].send(ACKNOWLEDGEMENT)
+    elif how == "stick":
+        bench.behind[0].send(STATION.encode(MessageId.MANUAL_CONTROL, 1, 0, -300, 500, 0, 0))
+    elif how == "mode":
+        bench.vehicles[0].custom_mode = 16
+    else:
+        run = CliRunner().invoke(app, ["ack", str(tmp_path / "journal.jsonl"), "--by", "Ann"])
+        assert run.exit_code == 0, run.output
+    bench.fly(30.0)
+    assert commanded(bench) == []
+    assert [one for one in noted(tmp_path) if "announced -> over: called off" in one]
+    results = [field(one, "result") for one in of(received(bench.behind[0]), MessageId.COMMAND_ACK)]
+    assert results == [MavResult.ACCEPTED] * (how == "ack")
+
+
+def test_a_stranger_on_an_unsigned_link_does_not_call_it_off(benches: Benches) -> None:
+    bench = reacting(benches)
+    damaged(bench, 3.0)
+    sticks = (STATION.encode(MessageId.MANUAL_CONTROL, 1, 1000 * (-1) ** k, 0, 500, 0, 0) for k in itertools.count())
+    bench.fly(5.0, ([ACKNOWLEDGEMENT, stick] for stick in sticks))
+    assert len(commanded(bench)) == 2
+
+
+def test_a_lost_link_ends_it_until_the_fault_is_found_again(benches: Benches) -> None:
+    bench = reacting(benches)
+    damaged(bench, 4.0)
+    (vehicle,), bench.vehicles = bench.vehicles, []
+    bench.fly(10.0)
+    assert commanded(bench) == []
+    bench.vehicles = [vehicle]
+    vehicle.sent += 1000
+    bench.fly(20.0)
+    assert len(commanded(bench)) == 2
+
+
+def test_a_mission_with_a_crack_is_flown_home_after_the_delay_and_a_call_off_lets_it_go_on() -> None:
+    flown = fly("mission", 100, "F2/SV3", craft=CRAFT)
+    assert flown.commands == ["rtl"]
+    assert flown.announced
+    assert flown.late_s is not None
+    assert -0.01 <= flown.late_s <= 0.5
+    assert flown.down
+    left = fly("mission", 101, "F2/SV3", craft=CRAFT, call="stick", until_s=50.0)
+    assert left.called_off
+    assert left.commands == []
+    assert not left.down
+
+
+def test_a_healthy_mission_is_left_alone() -> None:
+    flown = fly("mission", 102, craft=CRAFT, until_s=40.0)
+    assert (flown.commands, flown.announced, flown.declared_s) == ([], False, None)
+    assert flown.judged > 0.5

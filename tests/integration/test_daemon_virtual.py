@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 from typing import NoReturn
 from unittest.mock import patch
@@ -16,6 +16,7 @@ import pytest
 from made_session import baseline_for
 from made_vehicle import RATE_HZ, TICK_S, Bench, FakeFitter, MadeVehicle, VirtualHost, received
 from memory_port import MemoryEndpoint
+from test_attacks import COMMANDS, SENT
 from virtual_flight import GroundStation, VirtualFlight, healthy_flights, learnt
 
 from detector.config import Settings, VehicleSettings
@@ -33,8 +34,14 @@ from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import qdrone2
 
 UDP_IN, UDP_OUT = "udpin:127.0.0.1:0", "udpout:127.0.0.1:14550"
-ACK_COMMAND, ACK_RESULT = (field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result"))
 Benches = Callable[..., Bench]
+STATION = Encoder(255, Component.MISSIONPLANNER)
+US = (1, Component.ONBOARD_COMPUTER)
+WATCH = Settings(connect=UDP_IN, baseline=Path("b.json"))
+VEHICLE = replace(qdrone2(), propulsion=replace(qdrone2().propulsion, load_share=0.2))
+SETTLED_S = 15.0  # the live gate's 5 s, and the longest window
+FLOWN_S = 46.0
+STREAMS = (MessageId.RAW_IMU, MessageId.ATTITUDE_TARGET, MessageId.SERVO_OUTPUT_RAW, MessageId.ATTITUDE)
 
 
 @pytest.fixture
@@ -59,24 +66,6 @@ def texts(frames: list[Frame]) -> list[str]:
     return [frame.text("text") for frame in of(frames, MessageId.STATUSTEXT)]
 
 
-def figure(frame: Frame) -> tuple[str, float]:
-    name, value = (frame.fields[field_index(MessageId.NAMED_VALUE_FLOAT, field)] for field in ("name", "value"))
-    assert isinstance(name, bytes)
-    assert isinstance(value, float)
-    return name.rstrip(b"\0").decode(), value
-
-
-def test_the_heartbeat_is_a_companions_with_the_vehicles_system_id(benches: Benches) -> None:
-    bench = benches(Settings(connect=UDP_IN, learn=5.0), MadeVehicle(7))
-    bench.run(10.0)
-    beats = of(received(bench.far), MessageId.HEARTBEAT)
-    assert len(beats) == pytest.approx(10, abs=2)
-    for beat in beats:
-        assert (beat.sysid, beat.compid) == (7, Component.ONBOARD_COMPUTER)
-        assert beat.fields[field_index(MessageId.HEARTBEAT, "type")] == MavType.ONBOARD_CONTROLLER
-        assert beat.fields[field_index(MessageId.HEARTBEAT, "autopilot")] == Autopilot.INVALID
-
-
 @pytest.mark.parametrize(("expected", "sysid"), [(None, 1), (42, 42)])
 def test_a_link_to_be_spoken_to_first_gets_heartbeats_only(benches: Benches, expected: int | None, sysid: int) -> None:
     bench = benches(Settings(connect=UDP_OUT, learn=5.0, vehicle=expected))
@@ -92,7 +81,11 @@ def test_two_vehicles_on_one_link_have_a_session_each(benches: Benches, tmp_path
     bench.run(12.0)
     assert {job.vehicle for job in fitter.jobs} == {1, 2}
     frames = received(bench.far)
-    assert {frame.sysid for frame in of(frames, MessageId.HEARTBEAT)} == {1, 2}
+    beats = of(frames, MessageId.HEARTBEAT)
+    assert {beat.sysid for beat in beats} == {1, 2}
+    assert {(field(beat, "type"), field(beat, "autopilot")) for beat in beats} == {
+        (MavType.ONBOARD_CONTROLLER, Autopilot.INVALID)
+    }
     assert {frame.compid for frame in frames} == {Component.ONBOARD_COMPUTER}
     assert sorted(path.name for path in tmp_path.iterdir()) == ["b-2.json", "b.json"]
     for sysid in (1, 2):  # one sequence for each, without a hole
@@ -109,7 +102,7 @@ def test_commands_for_others_are_ignored_and_ours_are_declined(benches: Benches)
         bench.far.send(station.encode(MessageId.COMMAND_LONG, *target, MavCmd.REQUEST_MESSAGE, 0, 244))
     bench.run(0.2)
     [ack] = of(received(bench.far), MessageId.COMMAND_ACK)
-    assert (ack.fields[ACK_COMMAND], ack.fields[ACK_RESULT]) == (MavCmd.REQUEST_MESSAGE, MavResult.UNSUPPORTED)
+    assert (field(ack, "command"), field(ack, "result")) == (MavCmd.REQUEST_MESSAGE, MavResult.UNSUPPORTED)
     assert (ack.sysid, ack.compid) == (1, Component.ONBOARD_COMPUTER)
 
 
@@ -141,7 +134,7 @@ def test_a_fault_is_on_the_wire_as_text_and_as_figures(benches: Benches) -> None
     # This baseline has no monitor of sensors, so nothing is waited for.
     assert [one.numbers("severity", "id") for one in said] == [(Severity.CRITICAL, 0)]
     assert said[0].text("text") == "PROP FAULT roll attitude unlike the model"
-    figures = dict(figure(frame) for frame in of(frames, MessageId.NAMED_VALUE_FLOAT))
+    figures = {field(one, "name"): field(one, "value") for one in of(frames, MessageId.NAMED_VALUE_FLOAT)}
     assert set(figures) == {"PF_RES", "PF_MARG", "PF_FSD", "PF_FML"}
     assert figures["PF_RES"] == pytest.approx(0.5, abs=0.05)
     assert figures["PF_FML"] == pytest.approx(0.3)
@@ -173,21 +166,15 @@ def test_l11_looks_that_come_late_are_counted_and_told(benches: Benches) -> None
     assert bench.daemon.figures().late == 5
 
 
-class SlowHost(VirtualHost):
-    """A machine on which judging a vehicle takes 10 ms of the processor."""
-
-    cpu = 0.0
-
-    def cpu_s(self) -> float:
-        return self.cpu
-
-
 @pytest.mark.parametrize("reading_s", [0.0, 0.1])
 def test_all_is_read_and_none_starves_when_there_is_too_much_to_judge(
     benches: Benches, monkeypatch: pytest.MonkeyPatch, reading_s: float
 ) -> None:
-    """Two or four of eight vehicles have their turn in a look, also if reading alone takes longer than a look has."""
-    host, vehicles = SlowHost(), [MadeVehicle(sysid) for sysid in range(1, 9)]
+    """Two or four of eight vehicles have their turn in a look, also if reading alone takes longer than a look has.
+
+    On a machine on which judging a vehicle takes 10 ms of the processor.
+    """
+    host, vehicles = VirtualHost(), [MadeVehicle(sysid) for sysid in range(1, 9)]
     bench = benches(judging(), *vehicles, baseline=baseline_for(), host=host)
     fleet = bench.daemon.fleet
     take, turn = fleet.take, fleet._turn
@@ -212,10 +199,6 @@ def test_all_is_read_and_none_starves_when_there_is_too_much_to_judge(
     assert [one.lost for one in figures] == [0] * 8
     assert max(one.judged_s for one in figures) - min(one.judged_s for one in figures) < 1.0
     assert min(one.judged_s for one in figures) > 3.0
-
-
-STATION = Encoder(255, Component.MISSIONPLANNER)
-US = (1, Component.ONBOARD_COMPUTER)
 
 
 def field(frame: Frame, name: str) -> object:
@@ -274,9 +257,6 @@ def test_each_vehicle_of_a_fleet_is_judged_by_its_own_baseline(benches: Benches)
     assert "watching 2 vehicles by a baseline of its own" in bench.host.lines[0]
 
 
-WATCH = Settings(connect=UDP_IN, baseline=Path("b.json"))
-
-
 @pytest.fixture
 def watching(benches: Benches) -> Benches:
     def make(**options: object) -> Bench:
@@ -288,17 +268,9 @@ def watching(benches: Benches) -> Benches:
     return make
 
 
-def unheard(bench: Bench, seconds: float) -> None:
-    """The vehicle flies on, and nothing of it arrives."""
-    for _ in range(round(seconds / TICK_S)):
-        bench.vehicles[0].samples(round(TICK_S * RATE_HZ))
-        bench.host.sleep(TICK_S)
-        bench.daemon.tick()
-
-
 def alarms(bench: Bench) -> list[str]:
     """The texts of declared faults since the last time."""
-    texts = [frame for frame in received(bench.far) if frame.msgid == MessageId.STATUSTEXT]
+    texts = of(received(bench.far), MessageId.STATUSTEXT)
     return [one.text("text") for one in texts if one.numbers("severity") <= (Severity.CRITICAL,)]
 
 
@@ -310,23 +282,19 @@ def finds_a_fault(bench: Bench) -> bool:
     return quiet and bool(alarms(bench))
 
 
-def test_a_vehicle_that_reboots_is_watched_again(watching: Benches) -> None:
+@pytest.mark.parametrize(("cut_s", "reboots"), [(1.0, 0), (60.0, 0), (4.0, 1)])
+def test_a_vehicle_that_was_not_heard_or_rebooted_is_judged_again(
+    watching: Benches, cut_s: float, reboots: int
+) -> None:
     bench = watching()
-    unheard(bench, 4.0)
-    bench.vehicles[0].sent = 0
-    bench.run(8.0)
-    assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 1
-    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
-    assert finds_a_fault(bench)
-
-
-@pytest.mark.parametrize("cut_s", [1.0, 60.0])
-def test_a_link_that_was_cut_is_judged_again(watching: Benches, cut_s: float) -> None:
-    bench = watching()
-    unheard(bench, cut_s)
+    for _ in range(round(cut_s / TICK_S)):  # it flies on, and nothing of it arrives
+        bench.vehicles[0].samples(round(TICK_S * RATE_HZ))
+        bench.host.sleep(TICK_S)
+        bench.daemon.tick()
     assert (bench.daemon.fleet.vehicles[1].session.state is State.LOST) == (cut_s > 3.0)
-    bench.run(6.0)
-    assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
+    bench.vehicles[0].sent *= 1 - reboots
+    bench.run(8.0)
+    assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == reboots
     assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
     assert finds_a_fault(bench)
 
@@ -343,8 +311,7 @@ def test_an_error_of_the_program_takes_off_one_vehicle_alone(tmp_path: Path, mon
     bench.run(3.0)
     states = {one.vehicle: one.state for one in bench.daemon.fleet.figures()}
     assert states == {1: State.MONITORING, 2: State.FAULTED}
-    texts = [frame.text("text") for frame in received(bench.far) if frame.msgid == MessageId.STATUSTEXT]
-    assert [text for text in texts if "OFF" in text] == ["PROP OFF: KeyError: internal error"]
+    assert [text for text in texts(received(bench.far)) if "OFF" in text] == ["PROP OFF: KeyError: internal error"]
     assert finds_a_fault(bench)
     bench.close()
     lines = [json.loads(one) for one in journal.read_text().splitlines()]
@@ -352,18 +319,9 @@ def test_an_error_of_the_program_takes_off_one_vehicle_alone(tmp_path: Path, mon
     assert lines[-1]["kind"] == "stop"
 
 
-class SteppedHost(VirtualHost):
-    """A machine whose wall clock is set by hand; the monotonic clock goes on."""
-
-    ahead = timedelta(0)
-
-    def utc(self) -> datetime:
-        return super().utc() + self.ahead
-
-
 @pytest.mark.parametrize("days", [-400, 400])
 def test_a_step_of_the_wall_clock_changes_nothing(watching: Benches, days: int) -> None:
-    host = SteppedHost()
+    host = VirtualHost()
     bench = watching(host=host)
     (before,) = bench.daemon.fleet.figures()
     host.ahead = timedelta(days=days)
@@ -392,22 +350,6 @@ def test_a_full_disk_leaves_the_old_baseline_and_the_watch(tmp_path: Path, monke
     assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
     assert finds_a_fault(bench)
     bench.close()
-
-
-VEHICLE = replace(qdrone2(), propulsion=replace(qdrone2().propulsion, load_share=0.2))
-SETTLED_S = 15.0  # the live gate's 5 s, and the longest window
-FLOWN_S = 46.0
-SENT = {
-    MessageId.HEARTBEAT,
-    MessageId.STATUSTEXT,
-    MessageId.NAMED_VALUE_FLOAT,
-    MessageId.COMMAND_LONG,
-    MessageId.PARAM_REQUEST_READ,
-    MessageId.TIMESYNC,
-}
-NAME = field_index(MessageId.PARAM_REQUEST_READ, "param_id")
-COMMAND = field_index(MessageId.COMMAND_LONG, "command")
-STREAMS = (MessageId.RAW_IMU, MessageId.ATTITUDE_TARGET, MessageId.SERVO_OUTPUT_RAW, MessageId.ATTITUDE)
 
 
 @pytest.fixture(scope="module")
@@ -447,10 +389,9 @@ def test_what_tells_rotors_and_filter_is_read_while_it_learns_and_nothing_is_eve
         parameters = bench.daemon.fleet.link.vehicles[1].parameters
     assert (parameters["FRAME_CLASS"], parameters["INS_GYRO_FILTER"]) == (1.0, 20.0)
     assert {frame.msgid for frame in heard} <= SENT
-    names = Counter(frame.fields[NAME] for frame in heard if frame.msgid == MessageId.PARAM_REQUEST_READ)
+    names = Counter(field(frame, "param_id") for frame in of(heard, MessageId.PARAM_REQUEST_READ))
     assert max(names.values()) <= 3  # an output that this vehicle does not have
-    commands = {frame.fields[COMMAND] for frame in heard if frame.msgid == MessageId.COMMAND_LONG}
-    assert commands <= {MavCmd.SET_MESSAGE_INTERVAL}
+    assert {field(frame, "command") for frame in of(heard, MessageId.COMMAND_LONG)} <= COMMANDS
 
 
 @pytest.mark.parametrize("profile", ["ardupilot", "px4"])

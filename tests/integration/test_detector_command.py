@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import time
-from configparser import RawConfigParser
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from made_baselines import FRAME, NOW, healthy
 from made_session import baseline_for
 from made_vehicle import MadeVehicle
 from processes import PATIENCE_S, ended, port_of, ran, running, until
+from shared_data import written
 
 from detector.config import ENVIRONMENT, Settings, example_text, load_settings
 from detector.journal import kept_baselines
@@ -26,7 +26,13 @@ from mavdiag.errors import BaselineError, UsageError
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.ports import open_endpoint
 
-LEARN, FREE = ("--learn", "10", "--save", "b.json"), ("--connect", "udpin:127.0.0.1:0")
+LEARN, UDP = ("--learn", "10", "--save", "b.json"), ("--connect", "udpin:127.0.0.1:0")
+LEARNING = ("--learn", "50", "--save", "b.json", *UDP)
+ROOT = Path(__file__).resolve().parents[2]
+UNIT = ROOT / "deploy" / "mavdiag-detector.service"
+CONTAINER = ROOT / "deploy" / "Containerfile"
+BLUEOS = ROOT / "deploy" / "blueos" / "Containerfile"
+PROGRAM = "/opt/mavdiag/bin/mavdiag-detector"
 
 
 def test_help_names_every_option_of_the_contract(program: Any) -> None:
@@ -36,24 +42,20 @@ def test_help_names_every_option_of_the_contract(program: Any) -> None:
     assert set(re.findall(r"--[a-z-]+(?=[ ,\n])", text)) >= {f"--{option}" for option in f"{own} {more}".split()}
 
 
-def default(number: int) -> None:
-    """Not ignored, as `nohup` has its children ignore SIGHUP."""
-    signal.signal(number, signal.SIG_DFL)
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_a_signal_stops_it_cleanly_with_a_summary_and_a_last_line(number: int, tmp_path: Path) -> None:
+    """Though its parent has its children ignore SIGHUP, as `nohup` does."""
     journal = tmp_path / "j.jsonl"
-    with running(*LEARN, *FREE, "--journal", str(journal), before=lambda: default(number)) as (child, first):
+    with running(*LEARN, *UDP, "--journal", str(journal), before=lambda: signal.signal(number, signal.SIG_DFL)) as (
+        child,
+        first,
+    ):
         assert port_of(first) > 0
         code, rest = ended(child, number)
     assert code == 0
     assert len(rest.splitlines()) == 1
     assert "stopped after" in rest
     assert [json.loads(line)["kind"] for line in journal.read_text().splitlines()] == ["start", "stop"]
-
-
-UDP = ("--connect", "udpin:127.0.0.1:0")
 
 
 @pytest.mark.realtime
@@ -81,17 +83,11 @@ def test_over_udp_it_learns_from_the_plant_and_finds_its_fault(tmp_path: Path) -
     assert [line for line in told() if line["kind"] == "event" and line["t_s"] > 24.0]
 
 
-LEARNING = ("--learn", "50", "--save", "b.json", *UDP)
-
-
 @pytest.fixture
 def baseline(tmp_path: Path) -> Path:
     path = tmp_path / "b.json"
     baseline_for().save(path)
     return path
-
-
-DETECTOR = "detector.__main__"
 
 
 def free_port() -> int:
@@ -108,7 +104,7 @@ def test_check_tells_what_a_start_would_do_and_opens_nothing(program: Any, basel
     )
     before = sorted(tmp_path.iterdir())
     with open_endpoint("udpin:127.0.0.1:0") as taken:
-        code, out, err = program(DETECTOR, "--config", config, "--connect", taken.address, "--check")
+        code, out, err = program("detector.__main__", "--config", config, "--connect", taken.address, "--check")
     assert code == 0, err
     assert [line.split()[0] for line in out.splitlines()] == [
         *("link", "watches", "judges", "vehicle", "thresholds", "forwards", "journal", "metrics")
@@ -188,12 +184,6 @@ def test_a_dead_link_behind_does_not_hold_up_the_vehicles(baseline: Path) -> Non
     assert "0 datagrams overflowed here" in rest
 
 
-def written(folder: Path, text: str) -> Path:
-    path = folder / "detector.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -224,14 +214,14 @@ def written(folder: Path, text: str) -> Path:
 )
 def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(UsageError) as caught:
-        load_settings(written(tmp_path, text), {})
+        load_settings(written(tmp_path / "detector.toml", text), {})
     assert words in str(caught.value)
     assert not {"\n", "secret"} & {*str(caught.value), *re.findall("secret", str(caught.value))}
 
 
 def test_the_environment_can_say_all_of_it(tmp_path: Path) -> None:
     environ = {
-        "MAVDIAG_DETECTOR_CONFIG": str(written(tmp_path, "learn = 30.0\nsave = 'b.json'\n")),
+        "MAVDIAG_DETECTOR_CONFIG": str(written(tmp_path / "detector.toml", "learn = 30.0\nsave = 'b.json'\n")),
         "MAVDIAG_DETECTOR_FORWARD": "/dev/ttyUSB1,57600 udpout:127.0.0.1:14551",
         "MAVDIAG_DETECTOR_KEEP_RATES": "true",
         "MAVDIAG_DETECTOR_SUSPECT": "fsd",
@@ -243,7 +233,7 @@ def test_the_environment_can_say_all_of_it(tmp_path: Path) -> None:
 
 
 def test_the_example_is_valid_and_shows_every_setting(tmp_path: Path) -> None:
-    settings = load_settings(written(tmp_path, example_text()), {})
+    settings = load_settings(written(tmp_path / "detector.toml", example_text()), {})
     assert settings == Settings(learn=120.0, save=Path("/var/lib/mavdiag/learned.json"))
     shown = set(re.findall(r"^(?:# )?(\w+) = ", example_text(), re.MULTILINE))
     assert shown == set(Settings.model_fields) - {"vehicles"}
@@ -262,48 +252,24 @@ def test_what_was_learned_is_found_again_by_its_vehicle(tmp_path: Path) -> None:
         kept_baselines(path)
 
 
-ROOT = Path(__file__).resolve().parents[2]
-UNIT = ROOT / "deploy" / "mavdiag-detector.service"
-CONTAINER = ROOT / "deploy" / "Containerfile"
-BLUEOS = ROOT / "deploy" / "blueos" / "Containerfile"
-PROGRAM = "/opt/mavdiag/bin/mavdiag-detector"
-
-
-def unit() -> dict[str, list[str]]:
-    """The settings of the section [Service], each with all its values."""
-    found: dict[str, list[str]] = {}
-    text = UNIT.read_text()
-    parser = RawConfigParser(strict=False)
-    parser.read_string(text)
-    assert parser.sections() == ["Unit", "Service", "Install"]
-    for line in text[text.index("[Service]") : text.index("[Install]")].splitlines():
-        name, equals, value = line.partition("=")
-        if equals and not line.startswith("#"):
-            found.setdefault(name, []).append(value)
-    return found
-
-
 def instructions(path: Path = CONTAINER) -> list[tuple[str, str]]:
     """Instructions of a container file in order, with what follows each."""
     text = re.sub(r"^#.*\n", "", path.read_text(), flags=re.MULTILINE).replace("\\\n", " ")
     return [(line.split(" ", 1)[0], line.split(" ", 1)[1]) for line in text.splitlines() if line.strip()]
 
 
-def set_there(text: str) -> set[str]:
-    return set(re.findall(rf"{ENVIRONMENT}(\w+)", text))
-
-
 def test_the_unit_is_supervised_and_has_no_rights_to_spare() -> None:
-    service = unit()
-    assert service["Type"] == ["notify"]
-    assert float(service["WatchdogSec"][0]) >= 5  # the loop gives a sign of life once a second
-    assert service["ExecStart"] == [PROGRAM]
-    assert service["ExecStartPre"] == [f"{PROGRAM} --check"]
+    section = UNIT.read_text().partition("[Service]")[2].partition("[Install]")[0]
+    service = dict(re.findall(r"^(\w+)=(.*)$", section, re.MULTILINE))
+    assert service["Type"] == "notify"
+    assert float(service["WatchdogSec"]) >= 5  # the loop gives a sign of life once a second
+    assert service["ExecStart"] == PROGRAM
+    assert service["ExecStartPre"] == f"{PROGRAM} --check"
     for name in ("DynamicUser", "NoNewPrivileges", "ProtectHome", "RestrictNamespaces", "RestrictSUIDSGID"):
-        assert service[name] == ["yes"], name
-    assert service["ProtectSystem"] == ["strict"]
-    assert service["CapabilityBoundingSet"] == [""]
-    assert set(service["RestrictAddressFamilies"][0].split()) == {"AF_INET", "AF_INET6", "AF_UNIX"}
+        assert service[name] == "yes", name
+    assert service["ProtectSystem"] == "strict"
+    assert service["CapabilityBoundingSet"] == ""
+    assert set(service["RestrictAddressFamilies"].split()) == {"AF_INET", "AF_INET6", "AF_UNIX"}
 
 
 def test_the_container_runs_as_nobody_and_can_be_read_only() -> None:
@@ -343,6 +309,6 @@ def test_the_extension_of_blueos_has_the_labels_that_its_store_reads() -> None:
 
 @pytest.mark.parametrize("path", [UNIT, CONTAINER, BLUEOS])
 def test_the_variables_named_there_are_settings(path: Path) -> None:
-    named = {name.lower() for name in set_there(path.read_text())}
+    named = {name.lower() for name in re.findall(rf"{ENVIRONMENT}(\w+)", path.read_text())}
     assert named
     assert named <= {*Settings.model_fields, "config"}

@@ -1,9 +1,11 @@
-"""What is learnt, found and named on emulated flights; and the signals of a QDrone 2 as it was recorded."""
+"""On emulated flights: what is learnt, found and named; the signals of a recorded QDrone 2; what is sent and read."""
 
+import itertools
 import math
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -11,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from broken_teaching import MONITORS, Pool, Tally, judge_sets, pool_of
+from made_telemetry import ROUNDING
+from scipy.signal import butter, lfilter, welch
 from virtual_flight import healthy_flights
 from virtual_flight import learnt as healthy_learnt
 
@@ -21,6 +25,10 @@ from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.decision.alarm import Stage
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
+from mavdiag.link.codec import UNKNOWN, Decoder, Encoder, Frame, field_index
+from mavdiag.link.messages import MessageId
+from mavdiag.link.profiles import PROFILES
+from mavdiag.link.samples import SampleDecoder, SampleState
 from mavdiag.monitors import BY_NAME
 from mavdiag.monitors.base import LearnContext
 from mavdiag.monitors.unbalance import Unbalance
@@ -29,11 +37,18 @@ from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
-from sitl_plant.autopilot.telemetry import flight_telemetry
+from sitl_plant.autopilot.dialect import DIALECTS, Esc, dialect_named
+from sitl_plant.autopilot.stream import ImuFilters, _EscFrames, messages_due
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
+from sitl_plant.emulator import recorded
+from sitl_plant.options import FlightPlan
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 from sitl_plant.vehicle import airframe_of, vehicle_named
 
 ONSET_S = 12.0  # 5 s after take-off nothing is judged
+FRONT = Front(AlignSpec(0.001, Grid.NATIVE), GateSpec(min_thrust=0.1), RateSpec.of(0.001, 101))
+QDRONE2 = Airframe(layout=layout_named("qdrone2"), mass_kg=1.504, hover_rad_s=1047.2)
+NOW = "2026-01-01T00:00:00+00:00"
 
 
 def flown(config: PlantConfig, duration_s: float) -> Telemetry:
@@ -45,11 +60,6 @@ def baseline() -> Baseline:
     return parse(dump(healthy_learnt(healthy_flights(range(100, 106), 25.0, "qdrone2"))))
 
 
-@cache
-def damaged(rotor: int) -> Telemetry:
-    return flown(PlantConfig(seed=7, fault="F2/SV2", rotor=rotor, onset_s=ONSET_S), 26.0)
-
-
 def test_every_monitor_can_work_on_this_link() -> None:
     assert [one.monitor for one in baseline().not_judgeable] == ["vibration_level"]  # no such message
     kinds = {entry.spec.kind for entry in baseline().monitors}
@@ -58,7 +68,8 @@ def test_every_monitor_can_work_on_this_link() -> None:
 
 @pytest.mark.parametrize("rotor", [1, 2, 3, 4])
 def test_a_crack_is_declared_soon_and_its_rotor_named(rotor: int) -> None:
-    verdict = judge(Log("crack", "", "qdrone2", damaged(rotor)), baseline())
+    config = PlantConfig(seed=7, fault="F2/SV2", rotor=rotor, onset_s=ONSET_S)
+    verdict = judge(Log("crack", "", "qdrone2", flown(config, 26.0)), baseline())
     assert verdict.verdict is Verdict.FAULT
     faults = [one for one in verdict.changes if one.stage is Stage.FAULT]
     assert ONSET_S < faults[0].t_ns / 1e9 < ONSET_S + 3.0
@@ -70,13 +81,6 @@ def test_a_crack_is_declared_soon_and_its_rotor_named(rotor: int) -> None:
 def test_a_healthy_flight_is_healthy(seed: int) -> None:
     verdict = judge(Log("healthy", "", "qdrone2", flown(PlantConfig(seed=seed), 25.0)), baseline())
     assert verdict.verdict is Verdict.HEALTHY, f"seed {seed}: {verdict.reason}"
-
-
-pytest.importorskip("numba", reason="the plant is an extra")
-
-
-FRONT = Front(AlignSpec(0.001, Grid.NATIVE), GateSpec(min_thrust=0.1), RateSpec.of(0.001, 101))
-QDRONE2 = Airframe(layout=layout_named("qdrone2"), mass_kg=1.504, hover_rad_s=1047.2)
 
 
 def fly(seed: int, fault: str | None = None, rotor: int = 1, seconds: float = 16.0) -> list[Rows]:
@@ -91,14 +95,6 @@ def test_the_estimated_unbalance_is_that_of_the_table_and_placed() -> None:
     level, rotors = (np.concatenate(columns) for columns in zip(*found, strict=True))
     assert float(level.mean()) == pytest.approx(3.77, rel=0.15)  # T Table 3.2; own unbalance adds
     assert int(rotors.sum(axis=0).argmax()) + 1 == 2
-
-
-@pytest.fixture(scope="module")
-def flights() -> dict[int, PlantSamples]:
-    return {drone: Plant(PlantConfig(drone=drone, seed=drone)).advance(33_000) for drone in (1, 2, 3)}
-
-
-NOW = "2026-01-01T00:00:00+00:00"
 
 
 @cache
@@ -215,21 +211,6 @@ def in_flight(samples: PlantSamples) -> slice:
     return slice(CUT_MS, int(np.flatnonzero(samples.motors == FLYING)[-1]) - 2000)
 
 
-def bands(signal: FloatArray) -> FloatArray:
-    from scipy.signal import welch
-
-    f, power = welch(signal, 1000.0, nperseg=1000)
-    edges = ((50, 100), (100, 200), (200, 500))
-    return np.sqrt([power[(f >= low) & (f < high)].sum() * f[1] for low, high in edges])
-
-
-def peak(signal: FloatArray, above_hz: float = 0.0, nperseg: int = 4096) -> float:
-    from scipy.signal import welch
-
-    f, power = welch(signal, 1000.0, nperseg=nperseg)
-    return float(f[f > above_hz][power[f > above_hz].argmax()])
-
-
 @pytest.mark.parametrize("drone", [1, 2, 3])
 def test_gyro_bands_have_the_published_energy(drone: int) -> None:
     """Three flights of drone 1 in the mean, one of drones 2 and 3 each; within a factor 1.5 in every band."""
@@ -237,8 +218,9 @@ def test_gyro_bands_have_the_published_energy(drone: int) -> None:
     found = []
     for k in range(len(PUBLISHED[drone])):
         samples = flight("t2-sp1", drone, 740 + 10 * drone + k)
-        log = samples.log
-        found.append(bands(log["gyro"][in_flight(samples), 0, 0]))
+        f, power = welch(samples.log["gyro"][in_flight(samples), 0, 0], 1000.0, nperseg=1000)
+        bands = ((50, 100), (100, 200), (200, 500))
+        found.append(np.sqrt([power[(f >= low) & (f < high)].sum() * f[1] for low, high in bands]))
     ratio = np.sqrt(np.mean(np.square(found), axis=0)) / published
     assert np.all((ratio > 1 / 1.5) & (ratio < 1.5)), ratio
 
@@ -273,11 +255,10 @@ def test_yaw_cycles_at_24_hz_on_the_ground_with_a_saturated_torque_and_not_in_fl
     samples = flight("t3-sp1", drone, 760 + drone)
     log = samples.log
     standing, flown = slice(ARM_MS + 700, LIFT_MS - 500), in_flight(samples)
-    assert 23.5 < peak(log["gyro"][standing, 0, 2]) < 25.0
+    f, power = welch(log["gyro"][standing, 0, 2], 1000.0, nperseg=4096)
+    assert 23.5 < f[1:][power[1:].argmax()] < 25.0
     assert np.mean(np.isclose(np.abs(log["torque"][standing, 2]), 0.0984)) > 0.5
     assert np.abs(log["gyro"][: ARM_MS - 100, 0]).max() < 0.05
-    from scipy.signal import welch
-
     f, power = welch(
         np.column_stack([log["gyro"][standing, 0, 2], log["gyro"][flown, 0, 2][:6000]]).T, 1000, nperseg=2048
     )
@@ -299,3 +280,148 @@ def test_the_motors_report_in_turn_and_too_much_and_the_gyro_has_the_steps_of_th
     assert order[:8] in [[(start - k) % 4 for k in range(8)] for start in range(4)]
     at = np.flatnonzero(changed[:, 2]) + CUT_MS + 1
     np.testing.assert_allclose(samples.esc_speed[at, 2], samples.rotor_speed[at, 2] * 14 / 12, rtol=1e-6)
+
+
+N = 3000  # samples: 3 s of a square flown with a badly unbalanced rotor
+EVERY_PROFILE = pytest.mark.parametrize("profile", list(PROFILES))
+SECONDS = 3.0
+CONFIG = PlantConfig(fault="F1/SV3", rotor=2, seed=5, heading_rad=0.7)
+LINKS = [("qdrone2", None), ("qdrone2", 250.0), ("spec", 1000.0), ("ardupilot", 50.0), ("px4", 160.0)]
+
+
+@cache
+def unbalanced() -> PlantSamples:
+    return Plant(PlantConfig(fault="F1/SV3", rotor=2, seed=5)).advance(N)
+
+
+def decoded(profile: str) -> list[Frame]:
+    dialect, decoder, encode = DIALECTS[profile], Decoder(), Encoder(1, 1).encode_payload
+    filtered = ImuFilters(dialect, seed=3).step(unbalanced().rows(0, N))
+    messages = [
+        (one.t_ns, encode(one.msgid, one.payload)) for one in messages_due(filtered, dialect.schedule(None), dialect)
+    ]
+    frames = [frame for t_ns, data in messages for frame in decoder.feed(data, t_ns)]
+    assert decoder.garbage_bytes == 0
+    (count,) = decoder.senders.values()
+    assert UNKNOWN not in count.by_message
+    assert (count.lost, count.reordered, count.duplicated) == (0, 0, 0)
+    return frames
+
+
+def telemetry_sent(profile: str) -> Telemetry:
+    return telemetry_of(decoded(profile), profile)
+
+
+def values_of(frames: Sequence[Frame], msgid: int, *names: str) -> FloatArray:
+    places = [field_index(msgid, name) for name in names]
+    return np.array([[frame.fields[place] for place in places] for frame in frames if frame.msgid == msgid], float)
+
+
+def test_an_esc_tells_its_speed_in_its_turn_in_steps_and_again_what_was_lost() -> None:
+    """However the flight is cut."""
+    samples, esc = unbalanced(), Esc(lost=0.2)
+    whole = _EscFrames(esc, 5).step(samples.t_ns, samples.rotor_speed)
+    cut, at = _EscFrames(esc, 5), [0, 7, 8, 250, N]
+    parts = [cut.step(samples.t_ns[a:b], samples.rotor_speed[a:b]) for a, b in itertools.pairwise(at)]
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+    step = esc.step_rpm * np.pi / 30
+    for rotor, told in enumerate(whole.T):
+        changes = np.flatnonzero(np.diff(told, prepend=np.nan) != 0)
+        changes = changes[np.isfinite(told[changes])][1:]  # the first one was told before
+        np.testing.assert_allclose(told[changes], samples.rotor_speed[changes, rotor], atol=0.51 * step)
+        phases = (samples.t_ns[changes] / 1e9 - 0.1 * rotor / 4) % 0.1
+        assert np.minimum(phases, 0.1 - phases).max() < 0.0011
+        np.testing.assert_allclose(told[changes] / step, np.rint(told[changes] / step), atol=1e-6)
+
+
+@EVERY_PROFILE
+def test_the_converter_reads_back_what_the_plant_measured(profile: str) -> None:
+    heard, samples, table = telemetry_sent(profile), unbalanced(), PROFILES[profile]
+    spoken = values_of(decoded(profile), MessageId.HEARTBEAT, "type", "autopilot", "mavlink_version")
+    assert spoken[0].tolist() == [2, table.autopilot, 3]
+    expected: list[tuple[Signal, FloatArray, float]] = [
+        (Signal.ATTITUDE_SETPOINT, samples.setpoint, 2e-6),  # float32
+        (Signal.RATE_SETPOINT, samples.rate_setpoint, 2e-6),
+        (Signal.THRUST_SETPOINT, samples.thrust_setpoint[:, None], 1e-7),
+        (Signal.ATTITUDE, samples.attitude[:, :3], 1e-6),
+        (Signal.HEIGHT, -samples.position[:, 2:], 1e-6),
+        (Signal.ACTUATOR, samples.duty, 0.5e-3 * 1.001),  # whole microseconds of 1000
+        (Signal.VOLTAGE, samples.battery_v[:, None], 0.5e-3 * 1.001),  # whole millivolts
+    ]
+    if DIALECTS[profile].esc is None:
+        expected += [(Signal.ROTOR_SPEED, samples.rotor_speed, np.pi / 60 * 1.001)]  # whole rpm
+    if table.imu_corner_hz is None:
+        unit = (table.gyro_unit, table.accel_unit) if table.imu is MessageId.RAW_IMU else (4e-7, 4e-6)
+        expected += [(Signal.BODY_RATE, samples.gyro, 0.501 * unit[0])]
+        expected += [(Signal.SPECIFIC_FORCE, samples.accel, 0.501 * unit[1])]
+    for signal, truth, tolerance in expected:
+        series = heard.need(signal)
+        rows = (series.host_ns - int(samples.t_ns[0])) // 1_000_000  # the tests' host clock is the samples' own
+        columns = truth.shape[1]
+        np.testing.assert_allclose(series.values[:, :columns], truth[rows], rtol=0, atol=tolerance, err_msg=signal)
+        assert not np.nan_to_num(series.values[:, columns:]).any()  # outputs and rotors that are not there
+
+
+@EVERY_PROFILE
+def test_stamps_are_of_the_sample_or_of_the_sending(profile: str) -> None:
+    table, dialect = PROFILES[profile], DIALECTS[profile]
+    frames = [frame for frame in decoded(profile) if frame.msgid == table.imu]
+    late_us = values_of(frames, table.imu, "time_usec")[:, 0] - np.array([frame.host_ns for frame in frames]) / 1e3
+    if dialect.send_delay_s:
+        assert np.ptp(late_us) > 0.5e6 * dialect.send_delay_s
+        assert 0 <= late_us.min() <= late_us.max() < 1e6 * dialect.send_delay_s
+    else:
+        assert np.all(late_us == 0)
+
+
+def test_ardupilots_imu_is_low_passed_at_20_hz() -> None:
+    heard, samples = telemetry_sent("ardupilot"), unbalanced()
+    b, a = butter(2, 20.0, fs=1000.0)
+    settled = 500  # the two filters start differently
+    for signal, raw, unit in ((Signal.BODY_RATE, samples.gyro, 1e-3), (Signal.SPECIFIC_FORCE, samples.accel, 9.81e-3)):
+        series = heard.need(signal)
+        rows = (series.host_ns - int(samples.t_ns[0])) // 1_000_000
+        expected = lfilter(b, a, raw - raw[0], axis=0) + raw[0]
+        late = rows > settled
+        np.testing.assert_allclose(series.values[late], expected[rows[late]], rtol=0, atol=0.55 * unit)
+
+
+def test_the_vibration_level_is_ardupilots() -> None:
+    """AP_InertialSensor::calc_vibration_and_clipping, sample by sample."""
+    accel = unbalanced().accel
+    floor, level = accel[0].copy(), np.zeros(3)
+    dt = 1e-3
+    alpha_floor, alpha_level = dt / (dt + 1 / (2 * np.pi * 5.0)), dt / (dt + 1 / (2 * np.pi * 2.0))
+    vibe = []
+    for a in accel:
+        floor += alpha_floor * (a - floor)
+        level += alpha_level * ((a - floor) ** 2 - level)
+        vibe.append(np.sqrt(level))
+    sent = values_of(decoded("ardupilot"), MessageId.VIBRATION, "vibration_x", "vibration_y", "vibration_z")
+    np.testing.assert_allclose(sent, np.array(vibe)[::100][: len(sent)], rtol=1e-3, atol=1e-9)
+    assert sent[-1, 0] > 0.5  # m/s^2: the damaged rotor shakes
+
+
+def frames_of(config: PlantConfig, profile: str, rate_hz: float, seconds: float = 1.0) -> list[Frame]:
+    decoder, plan = Decoder(), FlightPlan(config, dialect_named(profile), rate_hz)
+    return [frame for t_ns, data in recorded(plan, seconds, lambda _: None) for frame in decoder.feed(data, t_ns)]
+
+
+def telemetry_of(frames: list[Frame], profile: str) -> Telemetry:
+    return SampleDecoder(PROFILES[profile]).step(SampleState(), frames)
+
+
+@pytest.mark.parametrize(("profile", "rate_hz"), LINKS)
+def test_times_and_values_are_those_of_the_wire(profile: str, rate_hz: float | None) -> None:
+    direct, _ = flight_telemetry(CONFIG, SECONDS, LinkSpec(profile, rate_hz))
+    wire = telemetry_of(frames_of(CONFIG, profile, rate_hz or PROFILES[profile].rate_hz, SECONDS), profile)
+    compared = {series.signal for series in direct.series} - {Signal.ARMED, Signal.MODE}
+    assert {Signal.ATTITUDE_SETPOINT, Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.ACTUATOR} <= compared
+    assert (Signal.VIBRATION in compared) == PROFILES[profile].vibration
+    for signal in compared:
+        ours, theirs = direct.need(signal), wire.need(signal)
+        untimed = signal is Signal.VOLTAGE or (signal is Signal.ROTOR_SPEED and profile == "ardupilot")
+        if not untimed:
+            np.testing.assert_array_equal(ours.t_ns, theirs.t_ns, err_msg=signal)
+        np.testing.assert_allclose(ours.values[-len(theirs) :], theirs.values, rtol=0.0, atol=ROUNDING, err_msg=signal)
+        assert len(ours) - len(theirs) in ((0, 1) if untimed else (0,))

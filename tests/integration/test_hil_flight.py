@@ -1,4 +1,4 @@
-"""A small autopilot flies the served plant from the ground and back, over each protocol, through sockets and a process.
+"""A small autopilot flies the served plant over each protocol, through sockets and a process; and `sitl-plant` itself.
 
 ArduPilot's bytes are packed and read by the test, those of MAVLink by pymavlink.
 """
@@ -12,28 +12,46 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from memory_port import memory_pair
 from processes import PATIENCE_S, first_line, process
 from reference_pilot import Course, Pilot, Sensed
 
 from mavdiag.airframe.layout import layout_named
-from mavdiag.link.codec import Decoder
+from mavdiag.link.codec import Decoder, Encoder, field_index
+from mavdiag.link.messages import MessageId, ModeFlag, Severity
+from mavdiag.link.ports import Endpoint, open_endpoint
 from mavdiag.telemetry import FloatArray
+from sitl_plant.__main__ import fleet
+from sitl_plant.autopilot.dialect import DIALECTS
+from sitl_plant.emulator import Link, fly
 from sitl_plant.hil.ardupilot import Lockstep, servo_frame
 from sitl_plant.hil.px4 import WANTED, Bridge
 from sitl_plant.hil.simulation import AutopilotName, Simulation, output_map, parameter_file, pilot_of
+from sitl_plant.options import flight_plan
 from sitl_plant.physics.faults import Injection
 from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import allocation, qdrone2, vehicle_named
+
+MOTORS = (2, 3, 4, 1)  # quad X of both autopilots: front right, rear left, front left, rear right
+COURSE = Course(height_m=1.2, side_m=1.0, speed_m_s=0.8)
+HOME = (47.397742, 8.545594)
+EARTH_M = 6_371_000.0
+OFF, CLIMB = [1000] * 4, [1600] * 4
+RATE_HZ = 250
+FLEET = [sys.executable, "-m", "sitl_plant", "fleet", "--profile", "ardupilot", "--rate", "50"]
+MODE = field_index(MessageId.HEARTBEAT, "base_mode")
+DIALECT = DIALECTS["qdrone2"]
 
 
 def servo_bytes(count: int, pwm: Sequence[int], rate_hz: int = 1000, channels: int = 16, magic: int = 0) -> bytes:
@@ -74,12 +92,6 @@ def frames_in(data: bytes, mav: dialect.MAVLink | None = None) -> list[tuple[int
         flat = chain.from_iterable(one if isinstance(one, list) else [one] for one in values)
         found.append((message.get_msgId(), tuple(flat)))
     return found
-
-
-MOTORS = (2, 3, 4, 1)  # quad X of both autopilots: front right, rear left, front left, rear right
-COURSE = Course(height_m=1.2, side_m=1.0, speed_m_s=0.8)
-HOME = (47.397742, 8.545594)
-EARTH_M = 6_371_000.0
 
 
 @contextmanager
@@ -232,9 +244,6 @@ def test_a_flight_controller_in_hil_mode_in_real_time() -> None:
     assert "2.0 s flown" in said
 
 
-OFF, CLIMB = [1000] * 4, [1600] * 4
-
-
 def lockstep(*faults: Injection, **options: float) -> tuple[Lockstep, Simulation]:
     simulation = Simulation(PlantConfig(seed=3, **options), faults)  # type: ignore[arg-type]
     return Lockstep(simulation, output_map(simulation.config.vehicle, "ardupilot")), simulation
@@ -307,9 +316,6 @@ def test_pulses_become_duties_in_the_order_of_the_rotors() -> None:
     np.testing.assert_allclose(outputs.from_pwm([0, 900, 2100, 65535]), [1.0, 0.0, 0.0, 1.0])
     np.testing.assert_allclose(outputs.from_share([math.nan, -1.0, 2.0, 0.5]), [0.5, 0.0, 0.0, 1.0])
     assert [outputs.motor(rotor) for rotor in (1, 2, 3, 4)] == [4, 1, 2, 3]
-
-
-RATE_HZ = 250
 
 
 def bridge() -> Bridge:
@@ -391,3 +397,151 @@ def test_ardupilots_file_is_name_comma_value(name: str) -> None:
     hover = Plant(PlantConfig(vehicle=vehicle, drone=2, trajectory="hover")).advance(2000).duty
     assert values["MOT_THST_HOVER"] == pytest.approx(np.mean(hover**2), abs=0.015)
     assert all(len(parameter) <= 16 for parameter in values)
+
+
+def read_lines(path: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+
+
+def test_the_same_options_give_the_same_file_and_another_seed_another(program: Any, tmp_path: Path) -> None:
+    flight = ("--duration", "2", "--fault", "F2/SV2", "--rotor", "3", "--onset", "1", "--rate", "200", "--seed")
+    files = {name: tmp_path / f"{name}.tlog" for name in ("one", "same", "other")}
+    truth = tmp_path / "truth.jsonl"
+    for (name, path), seed in zip(files.items(), ("4", "4", "5"), strict=True):
+        code, out, err = program("sitl_plant.__main__", "record", "-o", path, *flight, seed, "--truth", truth)
+        assert code == 0, err
+        assert str(files[name]) in out
+    one, same, other = (path.read_bytes() for path in files.values())
+    assert one == same
+    assert one != other
+    lines = read_lines(truth)
+    assert [line["record"] for line in lines] == ["flight", "state", "onset", "state"]
+    assert (lines[0]["seed"], lines[0]["started_unix_ns"]) == (5, None)
+    assert (lines[2]["t_s"], lines[2]["fault"], lines[2]["rotor"]) == (1.0, "F2/SV2", 3)
+    assert [line["fault_present"] for line in lines if line["record"] == "state"] == [False, True]
+
+
+@pytest.mark.realtime
+def test_a_flight_keeps_the_wall_clock_and_no_message_comes_early() -> None:
+    with open_endpoint("udpin:127.0.0.1:0") as ear:
+        command = ["run", "--json", "--out", ear.address.replace("udpin", "udpout"), "--duration", "3"]
+        flight = subprocess.Popen([sys.executable, "-m", "sitl_plant", *command], stdout=subprocess.PIPE, text=True)
+        decoder, frames = Decoder(), []
+        place = field_index(MessageId.RAW_IMU, "time_usec")
+        until = time.monotonic() + PATIENCE_S
+        while flight.poll() is None and time.monotonic() < until:
+            frames += [frame for data, host_ns in ear.receive(0.1) for frame in decoder.feed(data, host_ns)]
+        frames += [frame for data, host_ns in ear.receive(0.1) for frame in decoder.feed(data, host_ns)]
+        output, _ = flight.communicate(timeout=PATIENCE_S)
+        assert ear.traffic.overflowed == 0
+    assert flight.returncode == 0
+    report = json.loads(output.splitlines()[-1])
+    assert report["event"] == "landed"
+    assert report["wall_s"] > 2.9
+    imu = [(frame.host_ns, int(frame.fields[place]) * 1000) for frame in frames if frame.msgid == MessageId.RAW_IMU]
+    assert len(imu) == 3000
+    assert decoder.senders[1, 1].lost == 0
+    if report["late_max_ms"] < 100.0:  # else the machine had other things to do, and the report says so
+        delay = [host_ns - t_ns for host_ns, t_ns in imu]
+        assert report["wall_s"] < 3.5
+        assert report["slips"] == 0
+        assert sorted(delay)[len(delay) // 2] - min(delay) < 0.1e9
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_flight_in_good_order(number: signal.Signals, tmp_path: Path) -> None:
+    truth = tmp_path / "truth.jsonl"
+    command = ["run", "--json", "--out", "udpin:127.0.0.1:0", "--truth", str(truth)]
+    flight = subprocess.Popen([sys.executable, "-m", "sitl_plant", *command], stdout=subprocess.PIPE, text=True)
+    assert flight.stdout is not None
+    assert json.loads(flight.stdout.readline())["event"] == "flying"
+    time.sleep(0.3)
+    flight.send_signal(number)
+    output, _ = flight.communicate(timeout=PATIENCE_S)
+    assert flight.returncode == 0
+    assert json.loads(output)["event"] == "landed"
+    assert [line["record"] for line in read_lines(truth)][:2] == ["flight", "state"]
+
+
+def heard(ends: list[Endpoint], until_disarmed: set[int]) -> list[dict[int, list[bool]]]:
+    """For each end, whether each system id was armed, heartbeat by heartbeat, until these landed."""
+    found: list[dict[int, list[bool]]] = [{} for _ in ends]
+    deadline, decoder = time.monotonic() + PATIENCE_S, Decoder({MessageId.HEARTBEAT})
+    landed = set[int]()
+    while landed < until_disarmed and time.monotonic() < deadline:
+        for end, own in zip(ends, found, strict=True):
+            for data, host_ns in end.receive(0.05):
+                for frame in decoder.feed_datagram(data, host_ns):
+                    armed = bool(int(frame.fields[MODE]) & ModeFlag.SAFETY_ARMED)
+                    told = own.setdefault(frame.sysid, [])
+                    landed |= {frame.sysid} if told and told[-1] and not armed else set()
+                    told.append(armed)
+    assert landed == until_disarmed
+    return found
+
+
+@pytest.mark.realtime
+def test_a_fleet_takes_off_and_lands_on_one_port() -> None:
+    with open_endpoint("udpin:127.0.0.1:0") as end:
+        out = end.address.replace("udpin", "udpout")
+        options = ["-n", "3", "--system-id", "7", "--out", out, "--takeoff", "--duration", "18"]
+        with process([*FLEET, *options]) as plant:
+            (found,) = heard([end], {7, 8, 9})
+            assert plant.wait(PATIENCE_S) == 0
+    assert set(found) == {7, 8, 9}
+    assert all(True in told for told in found.values())
+
+
+def test_only_the_vehicles_that_are_named_get_the_fault() -> None:
+    flown: list[tuple[int, str | None, int]] = []
+
+    class Inline:
+        """In place of a process."""
+
+        def __init__(self, target: object, args: tuple[object, ...]) -> None:
+            plan = args[0]
+            flown.append((plan.dialect.sysid, plan.config.fault, plan.config.seed))  # type: ignore[attr-defined]  # a plan
+
+        def start(self) -> None: ...
+        def join(self) -> None: ...
+        def is_alive(self) -> bool:
+            return False
+
+    with patch("multiprocessing.context.ForkContext.Process", Inline):
+        fleet.__wrapped__(flight_plan(fault="F2/SV2", seed=5), 4, "2,4", "udpout:127.0.0.1:9")  # type: ignore[attr-defined]  # the command without its options
+    assert flown == [(1, None, 5), (2, "F2/SV2", 6), (3, None, 7), (4, "F2/SV2", 8)]
+
+
+# The run loop over in-memory links, as fast as it goes: what is said, answered and passed on
+
+
+def test_an_alert_is_passed_on_in_its_senders_name() -> None:
+    """At the far ends of two links are a ground station and a companion computer."""
+    with ExitStack() as stack:
+        pairs = [[stack.enter_context(end) for end in memory_pair()] for _ in range(2)]
+        (_, station), (_, companion) = pairs
+        station.send(Encoder(255, 190).encode(MessageId.HEARTBEAT, 6, 8, 0, 0, 4, 3))
+        alerter, decoders = Encoder(1, 191), [Decoder(), Decoder()]
+        for rotor in (1, 2):
+            companion.send(alerter.statustext(Severity.CRITICAL, f"PROP FAULT r{rotor}"))
+        links, plant = [Link(near, DIALECT, 200.0) for near, _ in pairs], Plant(PlantConfig(seed=11))
+        fly(plant, DIALECT, links, duration_s=0.5, speed=None, stop=lambda: False, watch=lambda _: None)
+        forward, back = (
+            [frame for data, host_ns in far.receive(0.0) for frame in decoder.feed(data, host_ns)]
+            for (_, far), decoder in zip(pairs, decoders, strict=True)
+        )
+    assert [one.text("text") for one in forward if one.compid == 191] == ["PROP FAULT r1", "PROP FAULT r2"]
+    assert decoders[0].senders[1, 191].lost == 0
+    assert not [one for one in back if one.compid == 191 or one.sysid == 255]  # that was heard before the companion was
+
+
+def test_b28_a_cut_off_datagram_of_one_peer_does_not_spoil_the_next_ones() -> None:
+    with ExitStack() as stack:
+        near, far = (stack.enter_context(end) for end in memory_pair())
+        near.datagrams = True  # as a udpin endpoint has several peers
+        link, encoder = Link(near, DIALECT, None), Encoder(255, 190)
+        whole = encoder.encode(MessageId.HEARTBEAT, 6, 8, 0, 0, 4, 3)
+        far.send(whole[:-5])
+        far.send(encoder.encode(MessageId.HEARTBEAT, 6, 8, 0, 0, 4, 3))
+        assert [frame.seq for frame in link.receive()] == [1]

@@ -34,7 +34,8 @@ from mavdiag.judging import LogVerdict, Verdict
 from mavdiag.link.codec import field_index
 from mavdiag.link.messages import Autopilot, MavCmd, MessageId
 
-pytest.importorskip("sqlalchemy", reason="the history is an extra")
+UDP_IN = "udpin:127.0.0.1:0"
+UID = "0011223344556677"
 
 
 @pytest.fixture
@@ -51,7 +52,6 @@ def wearing(tmp_path: Path) -> Path:
 
 
 def test_flights_are_judged_kept_once_and_listed(mavdiag: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("numba", reason="the plant is an extra")
     monkeypatch.chdir(tmp_path)
     record(tmp_path / "logs.tlog", "--flights", "4", "--duration", "16", "--seed", "70")
     logs = sorted(tmp_path.glob("*.tlog"))
@@ -162,10 +162,6 @@ def test_a_page_shows_the_trends_and_what_asks_for_attention_first(mavdiag: Any,
     assert str(wearing) not in text
 
 
-UDP_IN = "udpin:127.0.0.1:0"
-UID = "0011223344556677"
-
-
 def flown(bench: Bench, seconds: float, *, armed: bool = True) -> None:
     for vehicle in bench.vehicles:
         vehicle.armed = armed
@@ -184,7 +180,6 @@ def in_this_process(command: list[str], **_: object) -> SimpleNamespace:
 
 
 def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> None:
-    history = pytest.importorskip("mavdiag.history.store", reason="the history is an extra")
     baseline = baseline_for()
     baseline = baseline.model_copy(update={"airframe": baseline.airframe.__class__(name="racer", scope="type")})
     database, folder, said = str(tmp_path / "history.sqlite"), tmp_path / "flights", list[str]()
@@ -193,7 +188,8 @@ def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> N
     kept: dict[str, bytes] = {}
 
     def put(line: bytes) -> None:
-        kept.setdefault(*copied(line))
+        path = Path(json.loads(line)[0])
+        kept.setdefault(path.name, path.read_bytes())
         Courier.put(flights, line)
 
     with patch.object(flights, "put", put), patch("detector.flights.subprocess.run", in_this_process):
@@ -205,7 +201,7 @@ def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> N
         wait_for(lambda: not list(folder.glob("*.tlog")), "the flights are added")
         flights.close()
     assert (flights.lost, said) == (0, [])
-    with history.open_history(database) as opened:
+    with open_history(database) as opened:
         assert opened.names() == ("racer 3", "racer 4")
         for number in (3, 4):
             records = opened.flights(f"racer {number}")
@@ -219,13 +215,7 @@ def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> N
                 assert record.judged_s > 10.0
 
 
-def copied(line: bytes) -> tuple[str, bytes]:
-    path = Path(json.loads(line)[0])
-    return path.name, path.read_bytes()
-
-
 def test_a_flight_that_cannot_be_added_is_told_and_added_by_the_next_start(tmp_path: Path) -> None:
-    history = pytest.importorskip("mavdiag.history.store", reason="the history is an extra")
     missing, folder, said = tmp_path / "missing" / "history.sqlite", tmp_path / "flights", list[str]()
     with patch("detector.hooks.PAUSE_S", 0.0):
         flights = Flights(str(missing), folder, EPOCH_NS, said.append)
@@ -245,7 +235,7 @@ def test_a_flight_that_cannot_be_added_is_told_and_added_by_the_next_start(tmp_p
     wait_for(lambda: not list(folder.glob("3-*.tlog")), "the flight is added")
     bench.close()
     flights.close()
-    with history.open_history(str(missing)) as opened:
+    with open_history(str(missing)) as opened:
         assert len(opened.flights(*opened.names())) == 1
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from flying_telemetry import flying
 from lupa import lua53
+from made_telemetry import changed as altered
 from shared_data import shared
 from typer.testing import CliRunner
 
@@ -37,7 +38,7 @@ from mavdiag.rows.block import Block
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import Border, GateSpec
 from mavdiag.rows.rates import RateSpec
-from mavdiag.telemetry import Series, Signal, Telemetry
+from mavdiag.telemetry import Signal, Telemetry
 from mavdiag.testing import changed
 from mavdiag.thresholds.heldout import Scores
 from mavdiag.thresholds.rule import threshold_of
@@ -112,6 +113,10 @@ function slots_now()
 end
 return w, sent
 """
+FLOAT32 = 1e-4  # relative: what a flight controller's single precision may change
+GATE = GateSpec(min_thrust=0.1, trim_start_s=5.0, trim_end_s=0.6)
+TURN = np.where(np.arange(6000) % 2000 < 1000, 0.6, -0.6)  # of the nose, to and fro [rad/s]
+NAMES = ("vibration_level", "rotor_trim", "thrust_loss")
 
 
 class Controller:
@@ -150,12 +155,6 @@ class Controller:
     def kilobytes(self) -> float:
         self._lua.execute("collectgarbage()")
         return float(self._lua.eval("collectgarbage('count')"))
-
-
-FLOAT32 = 1e-4  # relative: what a flight controller's single precision may change
-GATE = GateSpec(min_thrust=0.1, trim_start_s=5.0, trim_end_s=0.6)
-TURN = np.where(np.arange(6000) % 2000 < 1000, 0.6, -0.6)  # of the nose, to and fro [rad/s]
-NAMES = ("vibration_level", "rotor_trim", "thrust_loss")
 
 
 def told(telemetry: Telemetry) -> Telemetry:
@@ -334,17 +333,9 @@ def test_little_evidence_names_no_rotor() -> None:
 
 def falling(seed: int) -> Telemetry:
     """Half of the thrust is lost at 30 s and the vehicle rolls; then it lands, and flies again."""
-    parts = []
-    for one in flying(9000, seed).series:
-        values, at_s = one.values.copy(), (one.t_ns - one.t_ns.min()) / 1e9
-        if one.signal is Signal.SPECIFIC_FORCE:
-            values[(at_s > 30) & (at_s < 31), 2] *= 0.4
-        if one.signal is Signal.BODY_RATE:
-            values[(at_s > 30) & (at_s < 31), :2] += (-4.0, 4.0)
-        if one.signal is Signal.THRUST_SETPOINT:
-            values[(at_s > 50) & (at_s < 55)] = 0.0
-        parts.append(Series(one.signal, one.t_ns, one.host_ns, values))
-    return Telemetry(tuple(parts))
+    weak = altered(flying(9000, seed), Signal.SPECIFIC_FORCE, lambda force: force * [1.0, 1.0, 0.4], 30.0, 31.0)
+    rolling = altered(weak, Signal.BODY_RATE, lambda rate: np.add(rate, (-4.0, 4.0, 0.0)), 30.0, 31.0)
+    return altered(rolling, Signal.THRUST_SETPOINT, lambda _: 0.0, 50.0, 55.0)
 
 
 def test_lost_thrust_is_latched_forbids_arming_and_waits_for_somebody_who_looks() -> None:

@@ -55,6 +55,7 @@ REFUSED = [
     ("mavdiag history mark --airframe x", "say what was done"),
     ("mavdiag history mark --airframe x --repair --at yesterday", "write it like 2026-03-01"),
     (f"{HISTORY} postgresql://me:secret@127.0.0.1:1/fleet", "Connection refused"),
+    (f"{HISTORY} postgresql://me:secret@127.0.0.1:port/fleet", "postgresql"),
     ("mavdiag history add x.tlog --baseline none.json", "none.json: no such file"),
     ("mavdiag history add x --baseline b --at 2026-01-01 --ordered file-time", "both say when"),
     (f"{HISTORY} /etc/passwd", "file is not a database"),

@@ -1,4 +1,4 @@
-"""`mavdiag identify`, `scan` and `baseline` as a user meets them, on recordings of the emulator."""
+"""`mavdiag identify`, `scan`, `baseline` and `model` as a user meets them, on recordings of the emulator."""
 
 import json
 import shutil
@@ -11,9 +11,12 @@ from typing import Any
 
 import pytest
 from dask_cluster import cluster
+from droneprop_table import table_of
 from made_archive import archive_baseline, made
+from made_logs import flight, written
 from processes import PATIENCE_S, record
 
+from mavdiag.baseline import Baseline
 from mavdiag.monitors import BY_NAME
 
 EVENT_KEYS = {
@@ -25,12 +28,8 @@ VERDICT_KEYS = {
     "monitors", "events", "notes",
 }  # fmt: skip
 MONITOR_KEYS = {"max", "threshold", "unit", "alarms", "judged_s", "not_judged", "outside_s", "axis"}
-
-
-def recorded(folder: Path, name: str, *options: str) -> Path:
-    path = folder / name
-    record(path, *options)
-    return path
+NAMES = ("a.tlog", "b/1.tlog", "b/2.tlog", "c.tlog")
+COUNT = 30
 
 
 @pytest.fixture(scope="module")
@@ -40,19 +39,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def healthy(folder: Path) -> list[Path]:
-    recorded(folder, "h.tlog", "--flights", "4", "--duration", "25", "--seed", "70")
+    record(folder / "h.tlog", "--flights", "4", "--duration", "25", "--seed", "70")
     return sorted(folder.glob("h*.tlog"))
 
 
 @pytest.fixture(scope="module")
 def crack(folder: Path) -> Path:
     fault = ("--fault", "F2/SV2", "--rotor", "3", "--onset", "12", "--duration", "22", "--seed", "7")
-    return recorded(folder, "crack.tlog", *fault)
-
-
-@pytest.fixture(scope="module")
-def short(folder: Path) -> Path:
-    return recorded(folder, "short.tlog", "--duration", "3", "--seed", "8")
+    record(folder / "crack.tlog", *fault)
+    return folder / "crack.tlog"
 
 
 @pytest.fixture
@@ -97,9 +92,10 @@ def test_the_json_line_has_the_fields_of_the_contract(mavdiag: Any, baseline: Pa
 
 
 def test_what_cannot_be_judged_is_3_and_an_error_2(
-    mavdiag: Any, baseline: Path, healthy: list[Path], crack: Path, short: Path, tmp_path: Path
+    mavdiag: Any, baseline: Path, healthy: list[Path], crack: Path, tmp_path: Path
 ) -> None:
-    code, out, _ = mavdiag("scan", healthy[0], short, "--baseline", baseline, "--jobs", 1)
+    record(tmp_path / "short.tlog", "--duration", "3", "--seed", "8")
+    code, out, _ = mavdiag("scan", healthy[0], tmp_path / "short.tlog", "--baseline", baseline, "--jobs", 1)
     assert code == 3
     assert "not_judgeable" in out
     assert "of take-off or start" in out
@@ -131,9 +127,6 @@ def test_show_and_check(mavdiag: Any, baseline: Path, tmp_path: Path) -> None:
     assert f"{spoilt}: digest: " in err
 
 
-NAMES = ("a.tlog", "b/1.tlog", "b/2.tlog", "c.tlog")
-
-
 @pytest.fixture(scope="module")
 def baseline_archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("baseline_archive") / "baseline.json"
@@ -160,10 +153,6 @@ def scan(mavdiag: Any, baseline_archive: Path) -> Any:
     return run
 
 
-def command(*arguments: object) -> list[str]:
-    return [sys.executable, "-m", "mavdiag", "scan", *map(str, arguments)]
-
-
 def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(scan: Any, archive: Path, tmp_path: Path) -> None:
     alone = scan(archive, archive / "absent.tlog", "--json", "--jobs", 1, "--no-cache")
     pool = scan(archive, archive / "absent.tlog", "--json", "--jobs", 2, "--cache", tmp_path / "cache")
@@ -182,11 +171,6 @@ def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(scan: Any, arc
     assert "5 of 5 answers were known already; --no-cache judges anew" in err
 
 
-def heed_interrupts() -> None:
-    """In a child: what was started in the background of a shell would ignore SIGINT."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
 @pytest.mark.realtime
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_a_scan_that_is_stopped_leaves_no_process_and_goes_on(
@@ -198,10 +182,16 @@ def test_a_scan_that_is_stopped_leaves_no_process_and_goes_on(
     many.mkdir()
     for k in range(400):
         (many / f"{k:03d}.tlog").write_bytes((int.from_bytes(first[:8], "big") - k).to_bytes(8, "big") + first[8:])
-    told = command(many, "--baseline", baseline_archive, "--cache", tmp_path / "cache", "--jobs", 2, "--json")
+    options = ("--baseline", baseline_archive, "--cache", tmp_path / "cache", "--jobs", 2, "--json")
+    told = [sys.executable, "-m", "mavdiag", "scan", *map(str, (many, *options))]
     pipe = subprocess.PIPE
     child = subprocess.Popen(
-        told, stdout=pipe, stderr=pipe, text=True, start_new_session=True, preexec_fn=heed_interrupts
+        told,
+        stdout=pipe,
+        stderr=pipe,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background would ignore it
     )
     assert child.stdout is not None
     child.stdout.readline()
@@ -242,11 +232,6 @@ def alive(pid: int) -> bool:
         return False
 
 
-pytest.importorskip("distributed", reason="Dask is an extra")
-
-COUNT = 30
-
-
 @pytest.mark.realtime
 def test_a_killed_worker_loses_nothing_and_gives_nothing_twice(tmp_path: Path) -> None:
     names = [f"{number:03d}.tlog" for number in range(COUNT)]
@@ -272,3 +257,81 @@ def test_a_killed_worker_loses_nothing_and_gives_nothing_twice(tmp_path: Path) -
     assert lines == pool.stdout.splitlines()
     assert [json.loads(line)["log"] for line in lines] == [f"logs/{name}" for name in names]
     assert sum(json.loads(line)["verdict"] == "fault" for line in lines) == len(names[::7])
+
+
+FLIGHT_S = 25.0
+RISE = 0.3  # of the command of the front right rotor
+OWN = tuple(f"F0_SV0_SP1_t2_D1_R{number}.mat" for number in (1, 2, 3))
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    recordings = tmp_path_factory.mktemp("flights")
+    record(recordings / "f.tlog", "--flights", "3", "--duration", "20", "--seed", "70")
+    return sorted(recordings.glob("*.tlog"))
+
+
+def test_the_model_of_a_log_has_figures_with_standard_errors(mavdiag: Any, flights: list[Path], tmp_path: Path) -> None:
+    picture = tmp_path / "m.svg"
+    code, out, _ = mavdiag("model", flights[0], "--axis", "both", "--plot", picture)
+    assert code == 0
+    assert out.count("standard errors from the covariance of the parameters") == 2
+    assert "bandwidth" in out
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["m-pitch.svg", "m-roll.svg"]
+    _, out, _ = mavdiag("model", "show", flights[0], "--axis", "roll", "--json")
+    found = json.loads(out)
+    assert found["dc_gain"]["value"] == pytest.approx(0.93, abs=0.05)
+    assert 0 < found["dc_gain"]["standard_error"] < 0.05
+    assert found["poles"][0]["damping"]["value"] > 0
+
+
+def test_models_of_a_baseline_are_those_of_its_fsd_monitors(mavdiag: Any, flights: list[Path], tmp_path: Path) -> None:
+    baseline = tmp_path / "b.json"
+    asked = ("--airframe", "qdrone2", "--name", "drone 1", "--monitors", "thesis", "--details")
+    code, out, _ = mavdiag("identify", *flights, "-o", baseline, *asked)
+    assert code == 0
+    assert "drone 1 (airframe)\nrotor layout qdrone2 (told)\n" in out
+    assert out.endswith(f"written to {baseline}\n")
+    code, out, _ = mavdiag("model", baseline, "--json", "--plot", tmp_path / "b.svg")
+    assert code == 0
+    assert [json.loads(line)["axis"] for line in out.splitlines()] == ["roll", "pitch"]  # B26: both by default
+    code, out, _ = mavdiag("scan", flights[0], "--baseline", baseline, "--json")
+    assert json.loads(out)["log"] == str(flights[0])  # R1
+    assert json.loads(out)["monitors"]["fsd"]["judged_s"] > 5.0
+    assert code in (0, 1, 4)
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """D1 shakes most, and one of two damaged propellers lost lift."""
+    base = tmp_path_factory.mktemp("droneprop")
+    made = {name: flight(FLIGHT_S, 40 + i) for i, name in enumerate(OWN)}
+    made |= {"F0_SV0_SP1_t2_D2.mat": flight(FLIGHT_S, 51, line=0.6)}
+    made |= {"F0_SV0_SP1_t2_D3.mat": flight(FLIGHT_S, 52, line=0.5)}
+    made |= {"F1_SV1_SP1_t2.mat": flight(FLIGHT_S, 53)}
+    made |= {"F3_SV3_SP1_t2.mat": flight(FLIGHT_S, 54, weak_rotor=2, rise=RISE)}
+    for name, rows in made.items():
+        written(base / name, rows)
+    return base
+
+
+def test_recordings_of_dronepropa_teach_a_baseline_by_which_the_weak_rotor_alone_is_found(
+    mavdiag: Any, recordings: Path
+) -> None:
+    path, own = recordings / "d1.json", [recordings / name for name in OWN]
+    # The made flights shake more than balanced rotors do, which only their maker knows to be healthy.
+    assert mavdiag("identify", *own, "-o", path)[0] == 2
+    assert mavdiag("identify", *own, "-o", path, "--accept")[0] == 0
+    learnt = Baseline.load(path)
+    layout = learnt.airframe.layout
+    assert (learnt.airframe.name, layout and layout.name) == ("QDrone 2 as recorded", "qdrone2")
+    assert (learnt.airframe.classifier, learnt.link.profile) == (None, "dronepropa")
+    assert learnt.provenance.logs[0].sha256
+    assert "rotor_trim" in {entry.spec.kind for entry in learnt.monitors}
+    code, out, _ = mavdiag("scan", *sorted(recordings.glob("F*_SP1_t2*.mat")), "--baseline", path, "--jobs", 1)
+    told = dict(line.split(": ", 1) for line in out.splitlines())
+    flagged = {Path(name).name for name, text in told.items() if text.startswith("fault")}
+    assert (code, len(told), flagged) == (1, 7, {"F3_SV3_SP1_t2.mat"})
+    assert "rotor 2" in next(text for text in told.values() if text.startswith("fault"))
+    table, _, _ = table_of(recordings, learnt)
+    assert {one.name.label for one in table} >= {"healthy D1, R1", "healthy D2", "healthy D3", "F3/SV3"}

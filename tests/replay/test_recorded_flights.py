@@ -1,14 +1,20 @@
-"""Recorded flights are judged: layouts, guards, damaged propellers named, and health is silence."""
+"""Recorded flights: their readers against pymavlink and physics; layouts, damaged propellers named, silent health."""
 
-from collections.abc import Sequence
+import struct
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
 from made_rows import calibrated
+from recorded_flights import part
+from scipy.signal import savgol_filter
 from shared_data import shared
 
 import mavdiag as md
@@ -21,16 +27,21 @@ from mavdiag.errors import InputError
 from mavdiag.judging import Verdict
 from mavdiag.learning import LearnOptions, airborne, front_for, learn
 from mavdiag.learning.teaching import taught
+from mavdiag.link.messages import MessageId
 from mavdiag.logs import between, read_log
+from mavdiag.logs.crazyflie import read_crazyflie
+from mavdiag.logs.dataflash import Walk, read_dataflash
+from mavdiag.logs.log import Table
+from mavdiag.logs.tlog import decode_tlog
+from mavdiag.logs.ulog import read_ulog
 from mavdiag.monitors.base import Flights, LearnContext, Monitor
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.rows.align import AlignSpec, measure_grid
-from mavdiag.rows.block import Block
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import window_samples
-from mavdiag.telemetry import Log, Signal
+from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR
 from mavdiag.units import NS_PER_S
 
@@ -39,16 +50,25 @@ GATES = {
     "crazyflie": GateSpec(min_height_m=0.38, min_thrust=0.38, need_armed=False, trim_start_s=0.5, trim_end_s=0.6),
     "ardupilot-log": GateSpec(min_thrust=0.1, trim_start_s=1.0, trim_end_s=0.6),
 }
+CRAZYFLIE = airframe_named("crazyflie").layout
+UPSET_S = 239.0  # of log171.bin, as the data's own notes have it
+STAMP = "1970-01-01T00:00:00+00:00"
+DT_S = 1 / 101.1
+LAGS = range(16)  # the vehicle follows its setpoint within 0.15 s
+G = 9.80665
+FILE = "data/px4_real/pyulog_sample.ulg"
 
 
 @cache
-def flight(path: Path) -> tuple[Rows, ...]:
+def flight(path: Path, max_gap_s: float = 0.035) -> tuple[Rows, ...]:
     log = read_log(path)
     telemetry = log.telemetry
     dt_s, grid = measure_grid(telemetry)
     setpoint_s = float(np.median(np.diff(np.unique(telemetry.need(Signal.ATTITUDE_SETPOINT).t_ns)))) / 1e9
     gate = GATES.get(log.profile, GateSpec(min_thrust=0.1))
-    front = Front(AlignSpec(dt_s, grid, max(0.035, 2.5 * setpoint_s)), gate, RateSpec.of(dt_s, window_samples(dt_s)))
+    front = Front(
+        AlignSpec(dt_s, grid, max(max_gap_s, 2.5 * setpoint_s)), gate, RateSpec.of(dt_s, window_samples(dt_s))
+    )
     state, rows = front.step(front.start(), telemetry)
     return tuple(one for one in (*rows, *front.finish(state)[1]) if isinstance(one, Rows))
 
@@ -105,17 +125,9 @@ def test_arducopter_hides_a_weak_motor_but_its_outputs_show_it(taught: str) -> N
             assert rotor == 1
 
 
-CRAZYFLIE = airframe_named("crazyflie").layout
-UPSET_S = 239.0  # of log171.bin, as the data's own notes have it
-
-
 @cache
 def crazypad_guards(folder: str) -> tuple[Log, ...]:
     return tuple(read_log(path) for path in sorted(shared(f"data/crazypad/{folder}").glob("E8_log*")))
-
-
-def part(log: Log, from_s: float | None, to_s: float | None) -> Log:
-    return replace(log, telemetry=between(log.telemetry, from_s, to_s))
 
 
 def test_a_real_flight_teaches_up_to_its_upset_and_is_refused_with_it() -> None:
@@ -169,35 +181,20 @@ FLIGHTS = {
 }
 
 
-@cache
-def flown(path: Path) -> tuple[Block, ...]:
-    log = read_log(path)
-    dt_s, grid = measure_grid(log.telemetry)
-    gate = (airframe_named("crazyflie").gate if log.profile == "crazyflie" else None) or GateSpec(min_thrust=0.1)
-    front = Front(AlignSpec(dt_s, grid, max_gap_s=0.3), gate, RateSpec.of(dt_s, 5))
-    state, parts = front.step(front.start(), log.telemetry)
-    _, rest = front.finish(state)
-    return tuple(part.block for part in (*parts, *rest) if isinstance(part, Rows))
-
-
-def between_layout(blocks: tuple[Block, ...], from_s: float, to_s: float) -> list[Block]:
-    """The rows between two times since the first."""
-    begin = int(blocks[0].t_ns[0])
-    limits = [begin + round(at * NS_PER_S) for at in (from_s, to_s)]
-    cuts = [(one, np.searchsorted(one.t_ns, limits)) for one in blocks]
-    return [one.rows(int(first), int(stop)) for one, (first, stop) in cuts if stop > first]
-
-
 @pytest.mark.parametrize(("name", "layout"), FLIGHTS.items())
 def test_l6_every_part_of_a_flight_gives_the_layout_or_none(name: str, layout: str) -> None:
     """L6: one flight was x on the live link and unknown from its .tlog."""
-    blocks = flown(shared(f"data/{name}"))
+    blocks = [one.block for one in flight(shared(f"data/{name}"), 0.3)]
     whole = detect_layout(blocks)
     assert whole.layout is not None, whole
     assert whole.layout.name == layout
     flight_s = (blocks[-1].t_ns[-1] - blocks[0].t_ns[0]) / NS_PER_S
     starts = np.arange(0.0, flight_s - 20.0, max(10.0, flight_s / 30))
-    found = [detect_layout(between_layout(blocks, float(at), float(at) + 20.0)).layout for at in starts]
+    found = []
+    for at in starts:
+        limits = int(blocks[0].t_ns[0]) + np.round(np.array([at, at + 20.0]) * NS_PER_S).astype(np.int64)
+        cuts = [(one, np.searchsorted(one.t_ns, limits)) for one in blocks]
+        found.append(detect_layout([one.rows(int(a), int(b)) for one, (a, b) in cuts if b > a]).layout)
     named = [one.name for one in found if one is not None]
     assert set(named) == {layout}
     assert len(named) >= len(found) / 3  # the others say why not; a third of log171 is on the ground
@@ -207,12 +204,9 @@ def test_l6_every_part_of_a_flight_gives_the_layout_or_none(name: str, layout: s
 
 @pytest.mark.parametrize("name", ["crazypad/normal_flight/E8_log00", "arducopter_live/turning_nose_healthy.tlog"])
 def test_a_flight_without_outputs_says_so(name: str) -> None:
-    found = detect_layout(flown(shared(f"data/{name}")))
+    found = detect_layout(one.block for one in flight(shared(f"data/{name}"), 0.3))
     assert found.layout is None
     assert found.reason == "the data carry no rotor outputs that move"
-
-
-STAMP = "1970-01-01T00:00:00+00:00"
 
 
 @pytest.mark.parametrize(("autopilot", "teaching"), [("ap463", 0), ("px4", 1)])
@@ -231,3 +225,148 @@ def test_an_autopilot_in_the_loop_names_the_damaged_motor_and_is_silent_in_healt
     verdict = md.judge(faulty, base)
     assert verdict.verdict is Verdict.FAULT
     assert {one.rotor for one in verdict.changes if one.rotor} == {4}
+
+
+REAL = "data/ardupilot_real/log171.bin"  # Copter 3.3-dev, 2015
+SIMULATED = "data/arducopter_sitl/jsonplant_flight.bin"  # Copter 4.5.6
+CHECKED = {
+    REAL: ("IMU", "ATT", "RATE", "RCOU", "CTUN", "CURR", "BARO", "GPS", "EV"),
+    SIMULATED: ("IMU", "ATT", "RATE", "RCOU", "CTUN", "POS", "BARO", "VIBE", "BAT", "ARM", "EV", "GPS"),
+}
+INSTANCE = {"IMU": "I", "BARO": "I", "VIBE": "IMU", "BAT": "Inst", "GPS": "I"}
+
+
+@cache
+def oracle(path: Path, wanted: Collection[str]) -> dict[str, dict[str, FloatArray]]:
+    """Every numeric column of these messages, first instances only, as pymavlink reads them."""
+    reader = import_module("pymavlink.DFReader").DFReader_binary(str(path), zero_time_base=False)
+    rows: dict[str, list[dict[str, float]]] = defaultdict(list)
+    while (message := reader.recv_match(type=list(wanted))) is not None:
+        name = message.get_type()
+        fields = message.to_dict()
+        if fields.get(INSTANCE.get(name, ""), 0) == 0:
+            rows[name].append({k: v for k, v in fields.items() if isinstance(v, int | float)})
+    reader.close()
+    return {name: {k: np.array([row[k] for row in all_rows]) for k in all_rows[0]} for name, all_rows in rows.items()}
+
+
+@cache
+def tables(path: Path, wanted: Collection[str]) -> Mapping[str, Table]:
+    walk = Walk(wanted)
+    walk.feed(path.read_bytes())
+    return walk.finish()[0]
+
+
+@pytest.mark.parametrize(("file", "name"), [(file, name) for file, names in CHECKED.items() for name in names])
+def test_counts_and_values_are_those_of_pymavlink(file: str, name: str) -> None:
+    path = shared(file)
+    expected = oracle(path, CHECKED[file])[name]
+    table = tables(path, CHECKED[file])[name]
+    assert len(table.starts) == len(next(iter(expected.values())))
+    for label, values in expected.items():
+        np.testing.assert_allclose(table.column(label), values, rtol=1e-12, atol=1e-12, err_msg=label)
+
+
+@cache
+def real() -> Telemetry:
+    return read_dataflash(shared(REAL)).telemetry
+
+
+def test_the_upset_of_the_real_flight_is_where_it_was() -> None:
+    attitude = real().need(Signal.ATTITUDE)
+    over = np.abs(attitude.values[:, 0]) > np.radians(100)
+    assert float(attitude.t_ns[over][0]) * 1e-9 == pytest.approx(240, abs=3)
+    armed = real().need(Signal.ARMED)
+    assert (armed.t_ns * 1e-9).tolist() == pytest.approx([72.6], abs=0.1)
+
+
+@cache
+def healthy(number: int) -> Telemetry:
+    return read_crazyflie(shared("data/crazypad/normal_flight") / f"E8_log{number:02d}").telemetry
+
+
+def aloft(telemetry: Telemetry) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Rows at least half a second inside a flight: high enough, and with thrust."""
+    up = (telemetry.need(Signal.HEIGHT).values[:, 0] > 0.38) & (
+        telemetry.need(Signal.THRUST_SETPOINT).values[:, 0] > 0.38
+    )
+    return np.convolve(up, np.ones(101), "same") > 100.5
+
+
+def correlation(a: FloatArray, b: FloatArray) -> float:
+    return float(np.corrcoef(a, b)[0, 1])
+
+
+@pytest.mark.parametrize("number", range(5))
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_body_follows_its_setpoint_with_the_same_sign(number: int, axis: int) -> None:
+    telemetry = healthy(number)
+    rows = aloft(telemetry)
+    demand = savgol_filter(telemetry.need(Signal.ATTITUDE_SETPOINT).values[:, axis], 11, 2, deriv=1, delta=DT_S)
+    rate = savgol_filter(telemetry.need(Signal.BODY_RATE).values[:, axis], 11, 2)
+    found = [correlation(np.roll(demand, lag)[rows], rate[rows]) for lag in LAGS]
+    assert max(found) > 0.6
+    assert max(found) > abs(min(found))
+
+
+@pytest.mark.parametrize("number", range(5))
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_the_torque_command_pushes_against_the_rate_error(number: int, axis: int) -> None:
+    telemetry = healthy(number)
+    rows = aloft(telemetry)
+    error = telemetry.need(Signal.RATE_SETPOINT).values[:, axis] - telemetry.need(Signal.BODY_RATE).values[:, axis]
+    command = telemetry.need(Signal.TORQUE_COMMAND).values[:, axis]
+    assert correlation(np.diff(error)[rows[1:]], np.diff(command)[rows[1:]]) > 0.5  # changes: the integral part is slow
+
+
+def test_gravity_holds_the_vehicle_up() -> None:
+    telemetry = healthy(0)
+    force = telemetry.need(Signal.SPECIFIC_FORCE).values[aloft(telemetry), 2]
+    assert float(np.mean(force)) == pytest.approx(-9.81, rel=0.02)
+
+
+def parsed(data: bytes) -> list[tuple[int, dialect.MAVLink_message]]:
+    """Every record of a sound log by pymavlink: time [us] and message."""
+    mav, at, found = dialect.MAVLink(None), 0, []
+    while at < len(data):
+        (time_us,) = struct.unpack_from(">Q", data, at)
+        stop = at + 8 + 12 + data[at + 9]
+        found += [(time_us, message) for message in mav.parse_buffer(data[at + 8 : stop]) or ()]
+        at = stop
+    return found
+
+
+def test_counts_and_values_equal_pymavlink() -> None:
+    path = shared("data/arducopter_sitl/healthy_jsonplant2_sq1.tlog")
+    messages = parsed(path.read_bytes())
+    content = decode_tlog([path.read_bytes()])
+    counts = dict.fromkeys(content.senders[1, 1].by_message, 0)
+    for _, message in messages:
+        counts[message.get_msgId()] += 1
+    assert content.records == len(messages)
+    assert content.senders[1, 1].by_message == counts
+
+    log = read_log(path)
+    assert log.profile == "ardupilot"
+    imu = [(t, m.to_dict()) for t, m in messages if m.get_msgId() == MessageId.RAW_IMU]
+    rate, force = log.telemetry.need(Signal.BODY_RATE), log.telemetry.need(Signal.SPECIFIC_FORCE)
+    counts_of = {
+        name: np.array([m[name] for _, m in imu], dtype=np.float64) for name in imu[0][1] if name != "mavpackettype"
+    }
+    assert rate.t_ns.tolist() == (1000 * counts_of["time_usec"]).astype(int).tolist()
+    assert rate.host_ns.tolist() == [1000 * t for t, _ in imu]
+    np.testing.assert_allclose(rate.values, 1e-3 * np.column_stack([counts_of[f"{axis}gyro"] for axis in "xyz"]))
+    np.testing.assert_allclose(force.values, 1e-3 * G * np.column_stack([counts_of[f"{axis}acc"] for axis in "xyz"]))
+
+
+def test_rates_are_those_of_the_recording_and_the_attitude_turns_as_the_gyro_says() -> None:
+    telemetry = read_ulog(shared(FILE)).telemetry
+    rates = ((Signal.BODY_RATE, 250), (Signal.ATTITUDE_SETPOINT, 50), (Signal.RATE_SETPOINT, 84))
+    for signal, hz in rates:
+        assert 1e9 / np.median(np.diff(telemetry.need(signal).t_ns)) == pytest.approx(hz, rel=0.01)
+    attitude, gyro = telemetry.need(Signal.ATTITUDE), telemetry.need(Signal.BODY_RATE)
+    moved = attitude.t_ns < attitude.t_ns[0] + 10_000_000_000
+    for axis in (0, 1):
+        turned = np.gradient(attitude.values[moved, axis], attitude.t_ns[moved] * 1e-9)
+        measured = np.interp(attitude.t_ns[moved], gyro.t_ns, gyro.values[:, axis])
+        assert float(np.corrcoef(turned, measured)[0, 1]) > 0.9

@@ -1,4 +1,4 @@
-"""Alignment and gate: gaps, losses, disorder, separate rates, spans of flight, each with an answer known beforehand."""
+"""Rows of one time: joining, gaps and turns; and the rate pair by running Savitzky-Golay filters."""
 
 import dataclasses
 import itertools
@@ -9,16 +9,26 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made_telemetry import DT_NS, series
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
+from scipy.signal import savgol_coeffs, savgol_filter
+from scipy.spatial.transform import Rotation
 
 from mavdiag.errors import InputError
 from mavdiag.rows.align import GYRO, AlignSpec, Grid, measure_grid
 from mavdiag.rows.block import Block
 from mavdiag.rows.gate import Border, GateSpec
+from mavdiag.rows.rates import RateSpec
+from mavdiag.rows.savgol import coefficients, window_samples
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.testing import changed, example_rows
 
 SPEC = AlignSpec(0.001)
+LOSSES, LOGGER = (
+    np.random.default_rng(4).random(5000) > 0.2,
+    np.random.default_rng(8).integers(4_500_000, 13_000_000, 3000),
+)
+DROPPING = np.where(np.arange(3000) % 3 == 0, LOGGER, 4_000_000)  # R8: the median step says 250 Hz
 
 
 def ramp(t_ns: IntArray) -> FloatArray:
@@ -77,11 +87,12 @@ def test_a_long_gap_is_blanked_with_what_follows_it_for_300_ms() -> None:
     assert {b.segment for b in blocks} == {0}
 
 
-LOSSES, LOGGER = (
-    np.random.default_rng(4).random(5000) > 0.2,
-    np.random.default_rng(8).integers(4_500_000, 13_000_000, 3000),
-)
-DROPPING = np.where(np.arange(3000) % 3 == 0, LOGGER, 4_000_000)  # R8: the median step says 250 Hz
+def test_a_heading_that_passes_pi_is_no_step() -> None:
+    t = clock(3000)
+    yaw = np.mod(np.arange(3000) / 250, 2 * np.pi) - np.pi
+    setpoint = series(Signal.ATTITUDE_SETPOINT, t, np.outer(yaw, [0.0, 0.0, 1.0]))
+    blocks = whole(Telemetry((series(Signal.BODY_RATE, t, ramp(t)), setpoint)))
+    np.testing.assert_allclose(np.diff(column(blocks, "setpoint")[:, 2]), 0.004, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -137,14 +148,6 @@ def test_a_setpoint_that_stops_leaves_the_gyro_rows_valid_and_is_waited_for_one_
     assert len(column(early, "t_ns")) == 3100 - 5  # no wait any more
 
 
-def with_stopped(signal: Signal, width: int, step: int = 1) -> tuple[IntArray, list[Block]]:
-    """Rows of 12 s at 100 Hz in which one more signal stops after 4 s."""
-    t = clock(1200)[0] + 10 * DT_NS * np.arange(1200, dtype=np.int64)
-    base = linear_flight(t, t)
-    extra = series(signal, t[:400:step], np.ones((len(t[:400:step]), width)))
-    return t, whole(Telemetry((*base.series, extra)), AlignSpec(0.01))
-
-
 @pytest.mark.parametrize(
     ("signal", "width", "step", "limit_s"),
     [
@@ -159,10 +162,12 @@ def with_stopped(signal: Signal, width: int, step: int = 1) -> tuple[IntArray, l
     ],
 )
 def test_b2_a_stopped_signal_is_unknown_after_its_limit(signal: Signal, width: int, step: int, limit_s: float) -> None:
-    t, blocks = with_stopped(signal, width, step)
+    """Rows of 12 s at 100 Hz in which one more signal stops after 4 s."""
+    t = clock(1200)[0] + 10 * DT_NS * np.arange(1200, dtype=np.int64)
+    extra = series(signal, t[:400:step], np.ones((len(t[:400:step]), width)))
+    blocks = whole(Telemetry((*linear_flight(t, t).series, extra)), AlignSpec(0.01))
     known = np.concatenate([block.known(signal) for block in blocks])
-    last_ns = t[:400:step][-1]
-    np.testing.assert_array_equal(known, t <= last_ns + round(limit_s * 1e9))
+    np.testing.assert_array_equal(known, t <= t[:400:step][-1] + round(limit_s * 1e9))
     assert column(blocks, "valid")[101:].all()  # the gyro does not depend on it
 
 
@@ -255,13 +260,6 @@ def spans(spec: GateSpec, blocks: list[Block]) -> list[tuple[int, ...]]:
     return found
 
 
-def hop() -> FloatArray:
-    """On the ground, 1000 rows in the air, 1500 rows on the ground, 1000 rows in the air, down."""
-    thrust = np.zeros(5500)
-    thrust[500:1500] = thrust[3000:4000] = 0.5
-    return thrust
-
-
 def tumble(n: int) -> FloatArray:
     """(n,) roll rate of a vehicle that tumbles [rad/s]."""
     return 9.0 + 8.0 * np.sin(np.arange(n) / 50)
@@ -273,6 +271,7 @@ def levels(*pairs: tuple[int, float]) -> FloatArray:
 
 THRUST = GateSpec(min_thrust=0.1)
 TRIMMED = GateSpec(min_thrust=0.1, trim_start_s=0.3, trim_end_s=0.2)
+HOP = levels((500, 0.0), (1000, 0.5), (1500, 0.0), (1000, 0.5), (1500, 0.0))
 DROP = levels((1000, 0.5), (3000, 0.0))  # thrust of a landing, or of a vehicle that tumbles
 DIP = levels((1000, 0.5), (900, 0.0), (600, 0.5), (900, 0.0), (600, 0.5))
 SPIKE, TWO_SAMPLES, UP = np.zeros(4000), np.zeros(4000), np.full(1000, 0.5)
@@ -280,7 +279,7 @@ SPIKE[1300:1800], TWO_SAMPLES[[1700, 2600]] = 11.0, 30.0
 CASES = {
     "each flight is a segment of its own": (
         THRUST,
-        [block(hop())],
+        [block(HOP)],
         [(0, 500, 1499), (1499,), (1, 3000, 3999), (3999,)],
     ),
     "a dip of thrust is no landing": (THRUST, [block(DIP)], [(0, 0, 3999)]),
@@ -355,3 +354,72 @@ def test_without_a_thrust_set_point_outputs_that_all_idle_are_no_flight(thrust: 
         many = changed(block(np.full(100, thrust)), actuator=np.tile(row, (100, 1)))
         assert bool(spans(THRUST, [many])) == expected
         assert spans(GateSpec(), [many]) == [(0, 0, 99)]
+
+
+DT_S = 0.001
+RATES = RateSpec.of(DT_S, 101)
+
+
+def block_of(setpoint: FloatArray, rate: FloatArray | None = None) -> Block:
+    return example_rows(len(setpoint), DT_S, setpoint=setpoint, rate=rate).block
+
+
+def leaning_turn(t: FloatArray) -> FloatArray:
+    """(n, 3) roll, pitch, yaw of a vehicle that leans and turns its nose along a path."""
+    return np.column_stack((0.5 * np.sin(1.1 * t), 0.4 * np.cos(0.7 * t) - 0.1, 0.8 * t + 0.6 * np.sin(0.9 * t)))
+
+
+@pytest.mark.parametrize(("window", "order"), [(5, 2), (11, 1), (101, 2)])
+def test_running_moments_are_the_filters_of_scipy(window: int, order: int) -> None:
+    """After 100,000 rows, too, of which the first ones are large."""
+    rng, m = np.random.default_rng(1), window // 2
+    rate, roll = rng.normal(0, 1, (100_000, 3)), np.cumsum(rng.normal(0, 0.01, (100_000, 1)), axis=0)
+    rate[:200] += 1e3
+    spec = RateSpec.of(DT_S, window, order)
+    out = spec.step(spec.start(), block_of(roll * (1, 0, 0), rate)).rates
+    np.testing.assert_allclose(out.y, savgol_filter(rate, window, order, axis=0)[m:-m], atol=1e-9)
+    slope = savgol_filter(roll[:, 0], window, order, deriv=1, delta=DT_S)[m:-m]
+    np.testing.assert_allclose(out.u[:, 0], slope, atol=1e-9 * np.abs(slope).max())
+    np.testing.assert_array_equal(out.gyro, rate[m:-m])
+
+
+def test_l1_u_is_the_body_rate_of_a_vehicle_that_turns_and_leans() -> None:
+    """Truth from rotations, whose logarithm of the change over one step is the body rate, and no formula of W."""
+    t = np.arange(12_000, dtype=np.float64) * DT_S
+    out = RATES.step(RATES.start(), block_of(leaning_turn(t))).rates
+    at = np.round(out.t_ns / 1e9 / DT_S).astype(int)
+
+    def attitude(offset: float) -> Rotation:
+        return Rotation.from_euler("ZYX", leaning_turn(np.asarray(t[at] + offset, dtype=np.float64))[:, ::-1])
+
+    truth = (attitude(-1e-5).inv() * attitude(1e-5)).as_rotvec() / 2e-5
+    np.testing.assert_allclose(out.u, truth, atol=2e-3)  # the window of 0.1 s bends a curve a little
+    slopes = np.gradient(leaning_turn(t), DT_S, axis=0)[at]
+    assert np.abs(slopes - truth).max() > 0.3  # the slopes of the angles are no body rates
+
+
+def test_a_row_is_valid_and_commanded_only_with_its_whole_window_and_a_segment_begins_afresh() -> None:
+    rows, state = block_of(np.zeros((1000, 3))), RATES.start()
+    valid, setpoint_valid = np.arange(1000) >= 200, np.arange(1000) != 600
+    out = RATES.step(state, changed(rows, valid=valid, setpoint_valid=setpoint_valid)).rates
+    at = np.round(out.t_ns / 1e9 / DT_S).astype(int)
+    np.testing.assert_array_equal(out.valid, at >= 250)
+    np.testing.assert_array_equal(out.commanded, (at >= 250) & (np.abs(at - 600) > 50))
+    assert len(RATES.step(state, rows.rows(0, 50, segment=7)).rates) == 0
+    again = RATES.step(state, rows.rows(50, 101, segment=7)).rates
+    assert (len(again), int(again.t_ns[0])) == (1, int(rows.t_ns[50]))
+
+
+@pytest.mark.parametrize(("window", "order"), [(5, 2), (11, 2), (25, 3), (101, 2), (101, 4), (401, 2)])
+def test_coefficients_equal_scipy(window: int, order: int) -> None:
+    C = coefficients(window, order)
+    for degree, factor in enumerate((1, 1, 2)):
+        assert_allclose(factor * C[degree], savgol_coeffs(window, order, deriv=degree, use="dot"), atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("dt_s", "window_s", "expected"),
+    [(0.001, 0.1, 101), (1 / 999, 0.1, 101), (1 / 1002, 0.1, 101), (1 / 270, 0.1, 27), (0.005, 0.1, 21), (0.1, 0.1, 5)],
+)
+def test_window_samples(dt_s: float, window_s: float, expected: int) -> None:
+    assert window_samples(dt_s, window_s) == expected

@@ -20,11 +20,17 @@ from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.stream import to_global
 from sitl_plant.autopilot.wire import Action, Reply
 from sitl_plant.emulator import obey
-from sitl_plant.plant import Plant, PlantConfig, PlantSamples
+from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import airframe_of, shipped_vehicles, vehicle_named
 
 GCS, PLANT = (255, 190), (1, 1)
 NOW_NS = 5_000_000_000
+SECOND = 1_000_000_000
+LAT, LON = 473_977_420, 85_455_940
+FAST = 27
+ROWS = (Parameter("FIXED", 20.0), Parameter("COUNT", 1, Kind.INT32, (0, 3)), Parameter("SPEED", 1.5, span=(0.5, 2.0)))
+BLOCK_STEPS = 20
+NAN = float("nan")
 
 
 def autopilot(n_links: int = 3, profile: str = "qdrone2") -> Autopilot:
@@ -36,16 +42,8 @@ def frame(source: tuple[int, int], msgid: int, *fields: Argument) -> Frame:
     return Decoder().feed(Encoder(*source).encode(msgid, *fields), 0)[0]
 
 
-def heartbeat(source: tuple[int, int]) -> Frame:
-    return frame(source, MessageId.HEARTBEAT, 18, 8, 0, 0, 4, 3)
-
-
 def command(source: tuple[int, int], target: tuple[int, int], number: int, *parameters: float) -> Frame:
     return frame(source, MessageId.COMMAND_LONG, *target, number, 0, *parameters)
-
-
-def acknowledged(actions: list[Action]) -> list[tuple[Argument, Argument]]:
-    return [a.fields[:2] for a in actions if isinstance(a, Reply) and a.msgid == MessageId.COMMAND_ACK]  # type: ignore[misc]  # a slice of a tuple has no fixed length for mypy
 
 
 def replies(actions: list[Action], msgid: int) -> list[tuple[Argument, ...]]:
@@ -79,8 +77,8 @@ def test_every_command_for_it_is_acknowledged(
     target: tuple[int, int], number: int, parameters: tuple[float, ...], result: MavResult
 ) -> None:
     actions = autopilot().step(1, command(GCS, target, number, *parameters), NOW_NS)
-    assert acknowledged(actions) == [(number, result)]
-    assert replies(actions, MessageId.COMMAND_ACK)[0][4:] == GCS
+    [(told, verdict, _, _, *to)] = replies(actions, MessageId.COMMAND_ACK)
+    assert (told, verdict, *to) == (number, result, *GCS)
     tells = number == MavCmd.REQUEST_AUTOPILOT_CAPABILITIES or parameters == (148,)
     assert bool(replies(actions, MessageId.AUTOPILOT_VERSION)) == tells
 
@@ -97,7 +95,7 @@ def test_no_command_raises_and_none_is_forwarded_to_its_own_link(
 ) -> None:
     one = autopilot()
     for other in range(3):
-        one.step(other, heartbeat((250 - other, 190)), NOW_NS)
+        one.step(other, frame((250 - other, 190), MessageId.HEARTBEAT, 18, 8, 0, 0, 4, 3), NOW_NS)
     for action in one.step(link, command(source, target, number, *parameters), NOW_NS):
         assert isinstance(action, Reply) or action.link != link
 
@@ -124,9 +122,6 @@ def test_no_bytes_for_a_commanded_vehicle_raise(profile: str, messages: list[tup
 
 # The mission protocol of the emulated autopilot, as a ground station speaks it
 
-SECOND = 1_000_000_000
-LAT, LON = 473_977_420, 85_455_940
-
 
 def sent(msgid: int, *fields: Argument, source: tuple[int, int] = GCS) -> Frame:
     return Decoder().feed(Encoder(*source).encode(msgid, *PLANT, *fields), 0)[0]
@@ -140,17 +135,13 @@ def said(actions: list[Action]) -> list[tuple[int, tuple[Argument, ...]]]:
     return [(action.msgid, action.fields) for action in actions if isinstance(action, Reply)]
 
 
-def upload(one: Mission, count: int) -> list[tuple[int, tuple[Argument, ...]]]:
-    answer = said(one.step(0, sent(MessageId.MISSION_COUNT, count, 0), 0))
-    for seq in range(count):
-        assert answer == [(MessageId.MISSION_REQUEST_INT, (*GCS, seq, 0))]
-        answer = said(one.step(0, item(seq), 0))
-    return answer
-
-
 def test_what_was_uploaded_is_downloaded() -> None:
     one = Mission(lambda frames: True, lambda seq: None)
-    assert upload(one, 3) == [(MessageId.MISSION_ACK, (*GCS, 0, 0))]
+    answer = said(one.step(0, sent(MessageId.MISSION_COUNT, 3, 0), 0))
+    for seq in range(3):
+        assert answer == [(MessageId.MISSION_REQUEST_INT, (*GCS, seq, 0))]
+        answer = said(one.step(0, item(seq), 0))
+    assert answer == [(MessageId.MISSION_ACK, (*GCS, 0, 0))]
     assert said(one.step(0, sent(MessageId.MISSION_REQUEST_LIST, 0), 0)) == [(MessageId.MISSION_COUNT, (*GCS, 3, 0))]
     for msgid in (MessageId.MISSION_REQUEST_INT, MessageId.MISSION_REQUEST):
         [(kind, fields)] = said(one.step(0, sent(msgid, 2, 0), 0))
@@ -173,16 +164,9 @@ def test_a_lost_item_is_asked_for_again_and_an_upload_that_stops_is_given_up() -
 
 # The rhythm of messages: exact in the mean, never early, changed and denied as an autopilot does
 
-FAST, SLOW, QUIET = 27, 0, 105
-STEP_NS = 1_000_000
-
 
 def times(first: int, n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    return np.arange(first, first + n, dtype=np.int64) * STEP_NS
-
-
-def schedule() -> Schedule:
-    return Schedule({FAST: 1000.0, SLOW: 1.0, QUIET: 0.0}, ceiling_hz=1000.0)
+    return np.arange(first, first + n, dtype=np.int64) * 1_000_000
 
 
 @given(rate_hz=st.floats(0.5, 1000.0), blocks=st.lists(st.integers(1, 400), min_size=1, max_size=12))
@@ -200,7 +184,7 @@ def test_any_rate_is_met_to_one_message_however_the_time_is_cut(rate_hz: float, 
 
 @pytest.mark.parametrize(("msgid", "interval_us"), [(FAST, 999 / 1.01), (FAST, 1), (999, 10_000)])
 def test_what_cannot_be_sent_is_denied_and_changes_nothing(msgid: int, interval_us: float) -> None:
-    one = schedule()
+    one = Schedule({FAST: 1000.0, 0: 1.0, 105: 0.0}, ceiling_hz=1000.0)
     assert one.set_interval(msgid, interval_us) is MavResult.DENIED
     assert one.interval_us(FAST) == 1000
     assert one.interval_us(999) == 0
@@ -228,15 +212,8 @@ def test_a_profile_grants_rates_as_its_autopilot_does(
         assert len(rows[0]) == pytest.approx(attained_hz * seconds, rel=0.01)
 
 
-ROWS = (Parameter("FIXED", 20.0), Parameter("COUNT", 1, Kind.INT32, (0, 3)), Parameter("SPEED", 1.5, span=(0.5, 2.0)))
-
-
-def received(msgid: int, *fields: Argument) -> Frame:
-    return Decoder().feed(Encoder(255, 190).encode(msgid, *PLANT, *fields), 0)[0]
-
-
 def told(one: Parameters, msgid: int, *fields: Argument) -> list[tuple[Argument, ...]]:
-    asked = received(msgid, *fields)
+    asked = sent(msgid, *fields)
     if msgid == MessageId.PARAM_SET:
         one.change(*one.wanted(asked))
     return one.told(asked)
@@ -297,41 +274,20 @@ def test_the_geometry_that_is_told_is_the_vehicles(profile: str, name: str) -> N
         assert found.layout.alike(own)
 
 
-BLOCK_STEPS = 20
-
-
 class Vehicle:
-    """The emulator without its links: one ground station, 255/190, talks to it on link 0."""
+    """The emulator without its links: one ground station, 255/190, talks to it on link 0.
+
+    now: the latest samples. place: where it is, world NED. armed: whether the motors are on.
+    """
 
     def __init__(self, profile: str = "px4", seed: int = 3) -> None:
         config = PlantConfig(trajectory="commanded", start="ground", seed=seed)
-        self._dialect = dialect_named(profile)
+        self.dialect = dialect_named(profile)
         self.plant = Plant(config)
-        self.autopilot = Autopilot([self._dialect.schedule(None)], self._dialect, config)
+        self.autopilot = Autopilot([self.dialect.schedule(None)], self.dialect, config)
         self.said: list[Reply] = []
-        self.flown: list[PlantSamples] = []
         self._encoder = Encoder(255, 190)
         self.fly(0.1)
-
-    @property
-    def now(self) -> PlantSamples:
-        """The latest samples."""
-        return self.flown[-1]
-
-    @property
-    def place(self) -> tuple[float, float, float]:
-        """Where it is, world NED."""
-        north, east, down = self.now.position[-1].tolist()
-        return north, east, down
-
-    @property
-    def armed(self) -> bool:
-        """Whether the motors are on."""
-        return bool(self.now.motors[-1])
-
-    def code(self, mode: Mode) -> int:
-        """The custom_mode of a mode."""
-        return self._dialect.shown(mode)
 
     def send(self, msgid: int, *fields: Argument) -> list[Reply]:
         """Give it a message; its answers."""
@@ -346,24 +302,19 @@ class Vehicle:
         assert isinstance(result, int)
         return result
 
-    def fly(self, seconds: float) -> PlantSamples:
-        """Fly on; the last block."""
+    def fly(self, seconds: float) -> None:
         for _ in range(round(seconds * 1000 / BLOCK_STEPS)):
-            samples = self.plant.advance(BLOCK_STEPS)
-            self.flown.append(samples)
-            actions, orders = self.autopilot.watch(samples)
+            self.now = self.plant.advance(BLOCK_STEPS)
+            actions, orders = self.autopilot.watch(self.now)
             self._note(actions)
             for order in orders:
                 obey(self.plant, order)
-        return self.now
+        self.place, self.armed = tuple(self.now.position[-1].tolist()), bool(self.now.motors[-1])
 
     def _note(self, actions: list[Action]) -> list[Reply]:
         replies = [action for action in actions if isinstance(action, Reply)]
         self.said += replies
         return replies
-
-
-NAN = float("nan")
 
 
 def degrees(north: float, east: float) -> tuple[int, int]:
@@ -397,11 +348,11 @@ def test_a_flight_by_command_from_the_ground_to_the_ground(profile: str) -> None
     assert vehicle.place == pytest.approx((2.0, -1.0, -2.0), abs=0.15)
     assert vehicle.now.attitude[-1, 2] == pytest.approx(math.atan2(-1.0, 2.0), abs=0.1)  # the nose went along
     assert vehicle.order(MavCmd.NAV_RETURN_TO_LAUNCH) == MavResult.ACCEPTED
-    assert vehicle.autopilot.dialect.custom_mode == vehicle.code(Mode.RTL)
+    assert vehicle.autopilot.dialect.custom_mode == vehicle.dialect.shown(Mode.RTL)
     vehicle.fly(16.0)
     assert vehicle.place == pytest.approx((0.0, 0.0, 0.0), abs=0.15)
     assert not vehicle.armed
-    assert vehicle.autopilot.dialect.custom_mode != vehicle.code(Mode.GUIDED)
+    assert vehicle.autopilot.dialect.custom_mode != vehicle.dialect.shown(Mode.GUIDED)
     texts = [reply.fields[1] for reply in vehicle.said if reply.msgid == MessageId.STATUSTEXT]
     assert texts == ["Armed", "Refused: disarming is denied in flight", "Disarmed"]
 
@@ -429,7 +380,7 @@ def test_a_mission_is_paused_and_goes_on_where_the_autopilot_can(profile: str) -
     paused = vehicle.place
     vehicle.fly(8.0)
     assert vehicle.place == pytest.approx(paused, abs=0.3)
-    assert vehicle.autopilot.dialect.custom_mode == vehicle.code(Mode.MISSION)
+    assert vehicle.autopilot.dialect.custom_mode == vehicle.dialect.shown(Mode.MISSION)
     assert vehicle.order(MavCmd.DO_PAUSE_CONTINUE, 1) == MavResult.ACCEPTED
     vehicle.fly(8.0)
     assert vehicle.place == pytest.approx((3.0, 1.0, -1.5), abs=0.2)

@@ -1,6 +1,10 @@
-"""The codec against pymavlink's own, which packs and parses the same bytes, and its laws."""
+"""The codec against pymavlink's own, which packs and parses the same bytes; its laws; and signing, also by hand."""
 
+import hashlib
+import os
 import struct
+from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
@@ -9,18 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavdiag.errors import UsageError
-from mavdiag.link.codec import (
-    UNKNOWN,
-    Decoder,
-    Encoder,
-    FieldValue,
-    Frame,
-    layout_of,
-)
+from mavdiag.link.codec import UNKNOWN, Decoder, Encoder, FieldValue, Frame, layout_of
 from mavdiag.link.datagrams import as_columns
+from mavdiag.link.keys import AHEAD, open_signing, read_key
 from mavdiag.link.messages import MessageId
+from mavdiag.link.signing import STALE, Refusal, Signing, stamp_at
 
 HEARTBEAT = (2, 3, 128, 0, 4, 3)
+BY_VERSION = [(v, n) for v in (1, 2) for n in sorted(dialect.mavlink_map) if v == 2 or n < 256]
 
 
 def peer(seq: int = 0) -> dialect.MAVLink:
@@ -38,10 +38,6 @@ def wire_values(message: dialect.MAVLink_message) -> tuple[FieldValue, ...]:
     return tuple(values)
 
 
-def stripped(fields: tuple[FieldValue, ...]) -> tuple[FieldValue, ...]:
-    return tuple(v.rstrip(b"\0") if isinstance(v, bytes) else v for v in fields)
-
-
 def sample_arguments(message: type[dialect.MAVLink_message]) -> list[object]:
     """Small values that differ from field to field, in declaration order, as pymavlink's constructor takes them."""
     arguments: list[object] = []
@@ -57,9 +53,6 @@ def sample_arguments(message: type[dialect.MAVLink_message]) -> list[object]:
     return arguments
 
 
-BY_VERSION = [(v, n) for v in (1, 2) for n in sorted(dialect.mavlink_map) if v == 2 or n < 256]
-
-
 @pytest.mark.parametrize(("version", "number"), BY_VERSION)
 def test_every_message_of_the_dialect_travels_both_ways(version: int, number: int) -> None:
     message = dialect.mavlink_map[number]
@@ -69,7 +62,8 @@ def test_every_message_of_the_dialect_travels_both_ways(version: int, number: in
     parsed = peer().parse_buffer(theirs)
     assert parsed is not None
     assert (frame.msgid, frame.sysid, frame.compid, frame.seq, frame.host_ns) == (number, 1, 1, 0, 5)
-    assert stripped(frame.fields) == wire_values(parsed[0])
+    fields = tuple(one.rstrip(b"\0") if isinstance(one, bytes) else one for one in frame.fields)
+    assert fields == wire_values(parsed[0])
     if version == 2:
         encoder = Encoder(1, 1)
         assert encoder.encode(number, *arguments) == theirs  # type: ignore[arg-type]  # generic test values
@@ -135,17 +129,6 @@ def test_frames_outside_the_dialect_are_taken_on_trust_only_before_another_frame
     assert decoder.records == 1
 
 
-def numbered(sequence: list[int]) -> Decoder:
-    """A decoder that was fed heartbeats with these sequence numbers."""
-    message = dialect.mavlink_map[0](*HEARTBEAT)
-    decoder = Decoder()
-    frames: list[Frame] = []
-    for seq in sequence:
-        frames += decoder.feed(message.pack(peer(seq % 256)), 0)
-    assert len(frames) == len(sequence)
-    return decoder
-
-
 @pytest.mark.parametrize(
     ("sequence", "lost", "reordered", "duplicated", "restarts"),
     [
@@ -162,7 +145,9 @@ def numbered(sequence: list[int]) -> Decoder:
     ],
 )
 def test_losses_are_counted(sequence: list[int], lost: int, reordered: int, duplicated: int, restarts: int) -> None:
-    count = numbered(sequence).senders[1, 1]
+    message, decoder = dialect.mavlink_map[0](*HEARTBEAT), Decoder()
+    assert [len(decoder.feed(message.pack(peer(seq % 256)), 0)) for seq in sequence] == [1] * len(sequence)
+    count = decoder.senders[1, 1]
     assert count.received == len(sequence)
     assert (count.lost, count.reordered, count.duplicated, count.restarts) == (lost, reordered, duplicated, restarts)
 
@@ -214,3 +199,162 @@ def test_datagrams_at_once_are_heard_as_one_by_one(datagrams: list[tuple[bytes, 
     assert whole.senders == single.senders
     for sender in single.senders:
         assert whole.heard.source(sender[0] << 8 | sender[1]) == single.heard.source(sender[0] << 8 | sender[1])
+
+
+KEY = hashlib.sha256(b"correct horse").digest()
+NOW_NS = 1_800_000_000 * 1_000_000_000
+NOW = stamp_at(NOW_NS)
+BEAT = (2, 3, 0, 0, 4, 3)
+S = 1_000_000_000
+
+
+def signer(link_id: int = 0) -> dialect.MAVLink:
+    """pymavlink, signing with the key and checking by it."""
+    mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    mav.robust_parsing = True
+    mav.signing.secret_key, mav.signing.sign_outgoing = KEY, True
+    mav.signing.timestamp, mav.signing.link_id = NOW, link_id
+    return mav
+
+
+def beats(count: int, signing: Signing, compid: int = 1) -> list[bytes]:
+    encoder = Encoder(1, compid, signing)
+    return [encoder.encode(MessageId.HEARTBEAT, *BEAT) for _ in range(count)]
+
+
+def verifier() -> tuple[Signing, Decoder]:
+    signing = Signing(KEY, stamp=NOW)
+    return signing, Decoder(signing=signing)
+
+
+def heard(decoder: Decoder, *datagrams: bytes) -> list[Frame]:
+    return [frame for data in datagrams for frame in decoder.feed_datagram(data, 0)]
+
+
+def test_a_heartbeat_is_sealed_as_the_specification_has_it() -> None:
+    """By hand, with printf, xxd and sha256sum: link id 7, stamp 0x010203040507, the first 6 bytes of the hash."""
+    frame = Encoder(1, 1, Signing(bytes(range(32)), link_id=7, stamp=0x010203040506)).encode(0, *BEAT)
+    body, link, stamp, signature = "fd090100000101000000000000000203000403ad2f", "07", "070504030201", "4a418387aab5"
+    assert frame.hex() == body + link + stamp + signature
+
+
+def test_what_we_sign_pymavlink_accepts_and_the_other_way_round() -> None:
+    mav, theirs = signer(), list[bytes]()
+    for frame in beats(300, Signing(KEY, stamp=NOW)):
+        assert [message.get_type() for message in mav.parse_buffer(frame) or ()] == ["HEARTBEAT"]
+    (signing, decoder), mav = verifier(), signer(link_id=9)
+    for mav.seq in (k % 256 for k in range(300)):
+        theirs.append(bytes(dialect.mavlink_map[0](*BEAT).pack(mav)))
+    assert [frame.seq for frame in heard(decoder, *theirs)] == [k % 256 for k in range(300)]
+    assert (signing.accepted, signing.refused) == (300, {})
+
+
+def test_a_forged_frame_with_a_huge_stamp_does_not_stop_the_genuine_stream() -> None:
+    genuine = beats(20, Signing(KEY, stamp=NOW))
+    forged = beats(1, Signing(b"x" * 32, stamp=(1 << 48) - 2))[0]
+    signing, decoder = verifier()
+    assert len(heard(decoder, *genuine[:10], forged, *genuine[10:])) == 20
+    assert signing.refused == {Refusal.FORGED: 1}
+    assert signing.stamp < NOW + 100
+
+
+def test_every_bit_of_a_signed_frame_is_protected() -> None:
+    frame = beats(1, Signing(KEY, stamp=NOW))[0]
+    for place in range(3, len(frame)):
+        signing, _ = verifier()
+        changed = bytearray(frame)
+        changed[place] ^= 1
+        assert not signing.genuine(bytes(changed)), place
+        assert signing.refused == {Refusal.FORGED: 1}
+
+
+def test_unsigned_and_mavlink_1_are_refused_with_a_key() -> None:
+    signing, decoder = verifier()
+    (unsigned,) = beats(1, Signing(KEY, stamp=NOW))
+    plain = Encoder(1, 1).encode(MessageId.HEARTBEAT, *BEAT)
+    mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    old = bytes(dialect.mavlink_map[0](*BEAT).pack(mav, force_mavlink1=True))
+    unknown = bytearray(plain)
+    unknown[7:10] = b"\xff\xff\xff"
+    assert heard(decoder, plain, old, bytes(unknown)) == []
+    assert signing.refused == {Refusal.UNSIGNED: 2, Refusal.MAVLINK_1: 1}
+    assert decoder.senders == {}
+    assert len(heard(decoder, unsigned)) == 1
+
+
+def test_a_replayed_copy_of_a_signed_frame_is_refused_and_not_passed_on() -> None:
+    genuine, passed = beats(3, Signing(KEY, stamp=NOW)), list[tuple[bytes, int]]()
+    decoder = Decoder(signing=(signing := Signing(KEY, stamp=NOW)), passed=passed)
+    assert len(heard(decoder, *genuine, genuine[2], genuine[0])) == 3
+    assert passed == [(frame, 0) for frame in genuine]
+    assert signing.refused == {Refusal.REPLAYED: 2}
+
+
+def test_each_stream_has_its_own_stamps_and_a_new_one_older_than_a_minute_is_stale() -> None:
+    signing, decoder = verifier()
+    late = NOW - STALE // 2
+    assert len(heard(decoder, *beats(5, Signing(KEY, stamp=NOW)))) == 5
+    assert len(heard(decoder, *beats(5, Signing(KEY, link_id=1, stamp=late)))) == 5
+    assert heard(decoder, *beats(5, Signing(KEY, stamp=late))) == []
+    assert signing.refused == {Refusal.REPLAYED: 5}
+    assert heard(decoder, *beats(3, Signing(KEY, stamp=NOW - STALE - 10), compid=2)) == []
+    assert signing.refused[Refusal.STALE] == 3
+    assert len(heard(decoder, *beats(3, Signing(KEY, stamp=signing.stamp - STALE), compid=3))) == 3
+
+
+def test_holders_of_the_key_cannot_fill_the_memory_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mavdiag.link.signing.STREAMS_MAX", 10)
+    signing, decoder = verifier()
+    for compid in range(1, 21):
+        heard(decoder, *beats(1, Signing(KEY, stamp=NOW), compid))
+    assert (signing.accepted, signing.refused) == (10, {Refusal.STALE: 10})
+
+
+def key_file(folder: Path, content: bytes = b"correct horse\n", mode: int = 0o600) -> Path:
+    path = folder / "key"
+    path.write_bytes(content)
+    path.chmod(mode)
+    return path
+
+
+def test_a_passphrase_is_hashed_as_ground_stations_do_and_one_that_others_may_read_refused(tmp_path: Path) -> None:
+    for end in (b"", b"\n", b"\r\n"):
+        assert read_key(key_file(tmp_path, b"correct horse" + end)) == KEY
+    for mode in (0o640, 0o604, 0o660, 0o644, 0o610):
+        path = key_file(tmp_path, mode=mode)
+        with pytest.raises(UsageError, match=f"run `chmod 600 {path}`") as caught:
+            read_key(path)
+        assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_regular_file_of_one_line_of_this_user_is_refused_at_once(tmp_path: Path) -> None:
+    found = os.stat_result((0o100600, 0, 0, 1, 12_345, 0, 0, 0, 0, 0))
+    with patch("mavdiag.link.keys.os.fstat", lambda _: found), pytest.raises(UsageError, match="another user's"):
+        read_key(key_file(tmp_path))
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    for name, why in (("fifo", "regular"), ("zero", "regular"), (".", "folder"), ("none", "no such file")):
+        with pytest.raises(UsageError, match=why):
+            read_key(tmp_path / name)
+    for content, why in ((b"x" * 5000, "too large"), (b"", "one line"), (b"\r\n", "one line"), (b"a\nb\n", "one line")):
+        with pytest.raises(UsageError, match=why):
+            read_key(key_file(tmp_path, content))
+
+
+@pytest.mark.parametrize("text", ["", "soon", "-5", "9" * 16, str(1 << 48), "1e9"])
+def test_a_damaged_stamp_is_told(tmp_path: Path, text: str) -> None:
+    (tmp_path / "key.detector.stamp").write_text(text)
+    with pytest.raises(UsageError, match="no time stamp"):
+        open_signing(key_file(tmp_path), "detector", NOW_NS)
+
+
+def test_a_restart_uses_no_stamp_again_even_if_the_clock_went_back(tmp_path: Path) -> None:
+    first = open_signing(key_file(tmp_path), "detector", NOW_NS)
+    for k in range(200):
+        assert first.step(NOW_NS + k * S) is None
+        first.signing.seal(b"\xfd")
+    killed = first.signing.stamp  # no close
+    second = open_signing(tmp_path / "key", "detector", NOW_NS - 3600 * S)
+    assert killed < second.signing.stamp <= killed + AHEAD
+    second.close()
+    assert open_signing(tmp_path / "key", "detector", 0).signing.stamp == second.signing.stamp

@@ -8,14 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made_statistics import decide, made_slot, statistic
+from scipy.stats import multivariate_normal
 
 from mavdiag.airframe.layout import Motor, layout_named
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.decision.alarm import LEFT_ALONE, NEXT, DecisionSpec, DecisionState
-from mavdiag.decision.diagnosis import Change, Diagnosis, Event, Stage
+from mavdiag.decision.diagnosis import Change, Event, Stage
 from mavdiag.decision.grading import Assessment, FaultTypes, Gathered, assess, known_fault_types
 from mavdiag.decision.kinds import Reading, grown, isolate, named
-from mavdiag.decision.words import fault_reason, finding_words
+from mavdiag.decision.words import fault_reason
 from mavdiag.kernel import EVIDENCE, LAST_LEVEL, LOOK_NS, Alarm, Height, Looked
 from mavdiag.monitors import MONITORS
 from mavdiag.monitors.base import FaultKind, Feature, RotorEvidence
@@ -32,6 +33,12 @@ MOVING = made_slot("rotor_signature", 4.0, evidence=HOW, feature=Feature.MOTION,
 THESIS = made_slot("fsd", 0.1, decides=False, axis=Axis.ROLL, delay_s=0.05, clear_s=0.0)
 SPEC = DecisionSpec((SHAKING, MOVING, THESIS))
 STEP_S = 0.02
+TRIM = made_slot("trim_step", 0.01, evidence=RotorEvidence(10.0, relative=True, direct=False))
+SHAKING_KINDS = (0.05, 0.95, -0.45, -0.5)
+DIRECT = [kind for kind in MONITORS if kind.evidence is not None]
+TRAINED = ("qdrone2", 1000.0)  # profile and rate of the links that the classifier was trained for
+KNOWN = known_fault_types("qdrone2-emulated", *TRAINED)
+LATE = max(KNOWN, key=lambda one: one.after_s)
 
 
 def at(rotor: int | None) -> tuple[float, ...]:
@@ -70,18 +77,16 @@ def test_one_monitor_above_its_threshold_is_a_fault_and_names_the_rotor() -> Non
         ("unbalance", 3 * NS_PER_S, None, 2)
     ]
     assert state.diagnosis.stage is Stage.FAULT
-
-
-def test_a_value_counts_from_when_it_is_known() -> None:
     _, _, changes = decided(NOTHING, values(profile((3, 1.0), (3, 6.0))))
-    assert changes[1].t_ns == round(3.1 * NS_PER_S)  # the first look after 3.05 s
+    assert changes[1].t_ns == round(3.1 * NS_PER_S)  # the first look after 3.05 s, when the value is known
 
 
-def test_coming_near_is_suspected_and_goes_away_after_two_calm_seconds() -> None:
+def test_coming_near_is_suspected_with_its_rotor_and_goes_away_after_two_calm_seconds() -> None:
     _, events, changes = decided(values(profile((2, 0.3), (1, 0.42), (1, 0.3), (1, 0.36), (4, 0.3))))
     assert stages(changes) == [Stage.QUIET, Stage.SUSPECTED, Stage.QUIET]
     assert changes[2].t_ns == pytest.approx(7 * NS_PER_S, abs=0.11 * NS_PER_S)
     assert events == ()
+    assert [(one.stage, one.rotor) for one in changes[1:]] == [(Stage.SUSPECTED, 1), (Stage.QUIET, None)]
 
 
 @pytest.mark.parametrize(("memory_s", "raised_s", "suspected"), [(1.3, 0.6, False), (1.3, 0.9, True), (3.0, 0.2, True)])
@@ -91,17 +96,11 @@ def test_a_suspicion_rests_on_two_seconds_of_flight(memory_s: float, raised_s: f
     assert (Stage.SUSPECTED in stages(changes)) == suspected
 
 
-def test_a_suspicion_names_the_rotor_that_is_to_be_inspected() -> None:
-    state, _, changes = decided(values(profile((2, 0.3), (1, 0.42), (4, 0.3)), rotor=3))
-    assert [(one.stage, one.rotor) for one in changes[1:]] == [(Stage.SUSPECTED, 3), (Stage.QUIET, None)]
-    assert state.diagnosis.rotor is None
-
-
 def seen(changes: tuple[Change, ...]) -> list[bool]:
     return [change.seen for change in changes if change.stage is Stage.FAULT]
 
 
-def test_a_fault_lasts_and_is_only_no_longer_seen() -> None:
+def test_a_fault_lasts_is_only_no_longer_seen_and_a_rotor_that_comes_back_goes_on() -> None:
     """H3: the end of a transient was the end of the fault: 12 of 12 lasting losses were called clear."""
     state, _, changes = decided(values(profile((2, 0.3), *[(1.5, 1.0), (1.5, 0.2)] * 3, (30, 0.2))))
     assert stages(changes) == [Stage.QUIET, Stage.FAULT, Stage.FAULT]
@@ -110,6 +109,8 @@ def test_a_fault_lasts_and_is_only_no_longer_seen() -> None:
     (span,) = state.diagnosis.rotors
     assert (span.rotor, span.since_ns) == (1, 2 * NS_PER_S)
     assert span.end_ns == pytest.approx(9.5 * NS_PER_S, abs=0.11 * NS_PER_S)
+    _, _, changes = decided(values(profile((2, 0.3), *[(3, 1.0), (5, 0.1)] * 3, (1, 1.0)), rotor=3))
+    assert [(one.rotor, one.since_ns, one.end_ns) for one in changes[-1].rotors] == [(3, 2 * NS_PER_S, None)]
 
 
 def test_3a_another_slot_that_is_calm_does_not_speak_for_the_one_that_was_over() -> None:
@@ -142,11 +143,6 @@ def test_u2_every_rotor_is_named_with_its_span_and_its_own_figure() -> None:
     assert " from 2.00 s" in str(events[0])
 
 
-def test_a_rotor_that_comes_back_goes_on_with_its_span() -> None:
-    _, _, changes = decided(values(profile((2, 0.3), *[(3, 1.0), (5, 0.1)] * 3, (1, 1.0)), rotor=3))
-    assert [(one.rotor, one.since_ns, one.end_ns) for one in changes[-1].rotors] == [(3, 2 * NS_PER_S, None)]
-
-
 def test_a_name_that_was_wrong_at_first_is_replaced() -> None:
     shaking = values(profile((2, 0.3), (8, 1.0)), rotor=2)
     shaking.rotors[: int(3 / STEP_S)] = (0.2, 0.6, 0.0, 0.0)
@@ -154,9 +150,6 @@ def test_a_name_that_was_wrong_at_first_is_replaced() -> None:
     _, _, changes = decided(shaking)
     assert [one.rotor for one in changes if one.stage is Stage.FAULT] == [2, 3]
     assert [one.rotor for one in changes[-1].rotors] == [3]
-
-
-TRIM = made_slot("trim_step", 0.01, evidence=RotorEvidence(10.0, relative=True, direct=False))
 
 
 @pytest.mark.parametrize(("named", "rotors"), [(1, [1]), (3, [1, 2])])
@@ -304,10 +297,8 @@ PROPELLER, THRUST = replace(PROPELLER, rotors=FIRST), replace(THRUST, rotors=THI
     ],
 )
 def test_the_gravest_kind_holds(held: FaultKind | None, readings: list[Reading], kind: FaultKind) -> None:
+    """But a propeller fault of long ago becomes no sensor fault; it may get out of control."""
     assert grown(held, readings, NS_PER_S) is kind
-
-
-def test_a_propeller_fault_of_long_ago_becomes_no_sensor_fault_but_may_get_out_of_control() -> None:
     assert grown(FaultKind.PROPELLER, [PROPELLER, SENSOR], 10 * NS_PER_S) is FaultKind.SENSOR
     assert grown(FaultKind.PROPELLER, [PROPELLER, SENSOR], 11 * NS_PER_S) is FaultKind.PROPELLER
     assert grown(FaultKind.PROPELLER, [PROPELLER, SENSOR, CONTROL], 11 * NS_PER_S) is FaultKind.LOSS_OF_CONTROL
@@ -322,11 +313,6 @@ def test_a_rotor_is_named_only_while_that_is_certain() -> None:
     for kind in (FaultKind.SENSOR, FaultKind.LOSS_OF_CONTROL):
         assert named(kind, [PROPELLER, THRUST], False).rotor is None
     assert [named(FaultKind.GROSS_LOSS, [PROPELLER, THRUST], has).rotor for has in (False, True)] == [3, None]
-
-
-def level(*pieces: tuple[float, float]) -> FloatArray:
-    """Pieces of (seconds, ratio)."""
-    return np.concatenate([np.full(round(span / STEP_S), ratio) for span, ratio in pieces])
 
 
 def values_kinds(x: FloatArray, *rotors: tuple[float, tuple[float, ...]]) -> Statistic:
@@ -348,8 +334,8 @@ def decided_kinds(
 
 
 def test_a_name_that_a_sensor_gave_is_withdrawn_from_the_fault_and_its_events() -> None:
-    shaking = values_kinds(level((2, 0.3), (4, 3.0)), (6, FIRST))
-    _, events, changes = decided_kinds(shaking, level((3, 0.1), (3, 2.0)))
+    shaking = values_kinds(profile((2, 0.3), (4, 3.0)), (6, FIRST))
+    _, events, changes = decided_kinds(shaking, profile((3, 0.1), (3, 2.0)))
     faults = [one for one in changes if one.stage is Stage.FAULT]
     assert [(one.kind, one.rotor) for one in faults] == [(FaultKind.PROPELLER, 1), (FaultKind.SENSOR, None)]
     assert (faults[1].monitor, faults[1].reason) == ("sensor_noise", "it is a sensor fault")
@@ -361,8 +347,8 @@ def test_a_name_that_a_sensor_gave_is_withdrawn_from_the_fault_and_its_events() 
 
 def test_in_an_upset_the_first_name_stays_and_the_kind_grows() -> None:
     """The last name overwrote the first: right at 0.7 s in 7 of 7, wrong at the end in 6 of 7."""
-    shaking = values_kinds(level((2, 0.3), (4, 3.0)), (3, FIRST), (3, tuple(2.0 * x for x in THIRD)))
-    state, _, changes = decided_kinds(shaking, level((6, 0.1)), level((2.9, 0.1), (3.1, 3.0)))
+    shaking = values_kinds(profile((2, 0.3), (4, 3.0)), (3, FIRST), (3, tuple(2.0 * x for x in THIRD)))
+    state, _, changes = decided_kinds(shaking, profile((6, 0.1)), profile((2.9, 0.1), (3.1, 3.0)))
     assert [(one.kind, one.rotor) for one in changes if one.stage is Stage.FAULT] == [
         (FaultKind.PROPELLER, 1),
         (FaultKind.LOSS_OF_CONTROL, 1),
@@ -372,18 +358,14 @@ def test_in_an_upset_the_first_name_stays_and_the_kind_grows() -> None:
 
 def test_a_fault_without_a_name_waits_three_looks_where_sensors_are_checked() -> None:
     """The noise of a gyro was announced as a propeller fault before its own monitor had spoken."""
-    unnamed = values_kinds(level((2, 0.3), (2, 3.0)), (4, (0.0,) * 4))
-    _, _, changes = decided_kinds(unnamed, level((4, 0.1)))
+    unnamed = values_kinds(profile((2, 0.3), (2, 3.0)), (4, (0.0,) * 4))
+    _, _, changes = decided_kinds(unnamed, profile((4, 0.1)))
     assert [(one.t_ns, one.kind) for one in changes[1:]] == [
         (2 * NS_PER_S, None),
         (round(2.3 * NS_PER_S), FaultKind.PROPELLER),
     ]
-    _, _, noisy = decided_kinds(unnamed, level((2.15, 0.1), (1.85, 3.0)))
+    _, _, noisy = decided_kinds(unnamed, profile((2.15, 0.1), (1.85, 3.0)))
     assert [one.kind for one in noisy[1:]] == [None, FaultKind.SENSOR]
-
-
-SHAKING_KINDS = (0.05, 0.95, -0.45, -0.5)
-DIRECT = [kind for kind in MONITORS if kind.evidence is not None]
 
 
 def reading(how: RotorEvidence | None, ratio: float, threshold: float, rotors: tuple[float, ...]) -> Reading:
@@ -394,20 +376,14 @@ def of(kind: type[Unbalance | RotorSignature | RotorTrim], ratio: float, *rotors
     return reading(kind.evidence, ratio, 0.5, rotors)
 
 
-def test_two_that_contradict_each_other_name_none() -> None:
+def test_what_contradicts_is_far_below_its_threshold_or_follows_from_the_damage_names_no_rotor() -> None:
     how = RotorEvidence(8.0)
     found = isolate([reading(how, 2.0, 0.5, (0.9, 0, 0, 0)), reading(how, 2.0, 0.5, (0, 0.9, 0, 0))])
     assert found.rotor is None
     assert found.confidence == pytest.approx(0.5, abs=0.01)
-
-
-def test_a_monitor_far_below_its_threshold_does_not_count() -> None:
     calm = of(RotorSignature, 0.5, 1.0, -1.0, -1.0, -1.0)
     assert isolate([calm]).confidence == 0.0
     assert isolate([calm, of(Unbalance, 1.2, *SHAKING_KINDS)]).rotor == 2
-
-
-def test_trim_does_not_count_while_the_damage_itself_is_observed() -> None:
     trim = of(RotorTrim, 3.0, 2.0, -1.0, -1.0, -1.0)
     assert isolate([trim]).rotor == 1
     assert isolate([trim, of(Unbalance, 0.9, *SHAKING_KINDS)]).rotor != 2
@@ -450,11 +426,6 @@ def test_rotors_of_an_arm_are_one_place() -> None:
     assert pickle.loads(pickle.dumps(named)).members == (1, 4)
 
 
-TRAINED = ("qdrone2", 1000.0)  # profile and rate of the links that the classifier was trained for
-KNOWN = known_fault_types("qdrone2-emulated", *TRAINED)
-LATE = max(KNOWN, key=lambda one: one.after_s)
-
-
 def centre(code: str, strength: float = 1.0) -> FloatArray:
     wanted = (FaultType(code[:2]), int(code[-1]), strength)
     return next(c.mean for c in LATE.clouds if (c.fault_type, c.severity, c.strength) == wanted)
@@ -484,8 +455,6 @@ def test_the_middle_of_a_cloud_is_its_fault(code: str, strength: float) -> None:
 
 
 def test_the_shares_are_those_of_bayes_by_scipy() -> None:
-    from scipy.stats import multivariate_normal
-
     near = np.add(centre("F3/SV1", 0.5), (0.05, 0.1, 0.2))
     density = [(c.fault_type, multivariate_normal(c.mean, c.covariance).pdf(near)) for c in LATE.clouds]
     found = assess(near, LATE)
@@ -493,12 +462,9 @@ def test_the_shares_are_those_of_bayes_by_scipy() -> None:
     assert found.confidence == pytest.approx(share, rel=1e-9)
 
 
-def test_without_the_trim_the_other_features_decide() -> None:
+def test_without_the_trim_the_others_decide_and_what_no_fault_looks_like_or_lies_between_two_gets_no_name() -> None:
     assert assess(np.array([*centre("F2/SV2")[:2], np.nan]), LATE).fault_type is FaultType.CRACK
     assert assess(np.array([*centre("F2/SV2")[:1], np.nan, 1.0]), LATE) == Assessment()
-
-
-def test_what_no_fault_looks_like_or_lies_between_two_types_gets_no_name() -> None:
     assert assess(np.array([np.log(60.0), np.log(2.0), 30.0]), LATE) == Assessment()
     a, b = centre("F2/SV3", 0.5), centre("F3/SV1", 1.0)
     known = FaultTypes(0.0, tuple(c for c in LATE.clouds if c.strength == 1.0))
@@ -506,7 +472,8 @@ def test_what_no_fault_looks_like_or_lies_between_two_types_gets_no_name() -> No
     assert {None, FaultType.SURFACE_UNBALANCE} <= named
 
 
-def test_only_windows_after_the_declaration_are_gathered() -> None:
+def test_only_windows_after_the_declaration_are_gathered_and_rises_of_the_rotor_that_is_named_at_last() -> None:
+    """Rises of two rotors were averaged when the name changed: a true 0.0 was 0.15."""
     state = Gathered(10 * NS_PER_S)
     for number in range(-50, 100):  # looks after the declaration
         until_ns = state.since_ns + number * LOOK_NS
@@ -514,23 +481,11 @@ def test_only_windows_after_the_declaration_are_gathered() -> None:
         state = state.add(Feature.MOTION, look(9.0 if number < 30 else 0.1), until_ns - LOOK_NS // 2)
         state = state.add(Feature.RISE, look(0.0, (0.0, 0.5 if number < 40 else 0.03, 0.0, 0.0)), until_ns)
     assert state.features(2) == pytest.approx([np.log(2.0), np.log(0.1), 3.0])
-
-
-def test_of_a_look_that_began_too_early_its_last_value_counts() -> None:
-    mixed = look(9.0, (0.9, 0.9))
+    mixed = look(9.0, (0.9, 0.9))  # it began too early: its last value counts
     mixed[LAST_LEVEL], mixed[EVIDENCE : EVIDENCE + 2] = 2.0, (0.1, 0.2)
     state = Gathered(0).add(Feature.UNBALANCE, mixed, round(0.65 * NS_PER_S))
     found = state.add(Feature.RISE, mixed, 4 * NS_PER_S).features(2)
     assert found == pytest.approx([np.log(2.0), np.nan, 20.0], nan_ok=True)
-
-
-def test_a_trim_is_told_as_the_share_of_thrust_that_is_lost() -> None:
-    found = Diagnosis(Stage.FAULT, rotor=3, monitor="rotor_trim", statistic=0.25, threshold=0.1)
-    assert finding_words(found) == "motor 3 lost 20% thrust"  # a rise r answers a loss of r/(1 + r)
-
-
-def test_9_the_rise_is_that_of_the_rotor_that_is_named_at_last() -> None:
-    """Rises of two rotors were averaged when the name changed: a true 0.0 was 0.15."""
     state = Gathered(0).add(Feature.RISE, look(0.0, (0.1, 0.3)), 5 * NS_PER_S)
     assert [state.features(rotor)[2] for rotor in (1, 2)] == pytest.approx([10.0, 30.0])
     assert np.isnan([state.features(None), state.features(3)]).all()

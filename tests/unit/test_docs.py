@@ -28,7 +28,6 @@ from detector.__main__ import app as detector
 from mavdiag.airframe.load import load_airframe
 from mavdiag.cli import app as mavdiag
 from mavdiag.logs.csv_columns import load_column_map
-from mavdiag.storage import read_text
 
 ROOT = Path(__file__).resolve().parents[2]
 OTHERS = ("constants.md", "results-earlier.md")  # made from code; figures of older code
@@ -56,6 +55,7 @@ WRITTEN = (
     *("cracked.tlog", "my_drone.json", "report.html", "drone1.csv", "FILE", "propeller.lua"),
     *("trends.html", "flights.csv", "mavdiag-history.sqlite"),
 )
+MAKER = runpy.run_path(str(ROOT / "docs" / "make_constants.py"))
 
 
 def blocks(page: str, language: str) -> list[str]:
@@ -88,7 +88,6 @@ def ours() -> list[tuple[str, str]]:
 def program(name: str) -> typer.Typer:
     apps = {"mavdiag": mavdiag, "mavdiag-detector": detector}
     if name == "sitl-plant":
-        pytest.importorskip("numba", reason="the plant is an extra")
         apps[name] = import_module("sitl_plant.__main__").app
     return apps[name]
 
@@ -123,7 +122,6 @@ def test_a_command_of_a_block_is_taken_by_the_real_command_line(page: str, line:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Where the commands of the pages find their files: flights of an emulated quadcopter."""
-    pytest.importorskip("numba", reason="the plant is an extra")
     here = tmp_path_factory.mktemp("pages")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(here)
@@ -186,17 +184,11 @@ def test_the_python_of_a_page_runs(page: str, block: str, folder: Path, monkeypa
     exec(compile(block, page, "exec"), given)
 
 
-def load_hil(path: Path) -> Any:
-    """A vehicle file with these tables beside what it is derived from."""
-    path.write_text('name = "mine"\nbase = "qdrone2"\n' + read_text(path))
-    return import_module("sitl_plant.vehicle").load_vehicle(path)
-
-
 TOML = {
     "docs/airframe.md": load_airframe,
     "docs/operating.md": load_column_map,
     "docs/qdrone2-recorded.md": load_airframe,
-    "docs/hil.md": load_hil,
+    "docs/hil.md": import_module("sitl_plant.vehicle").load_vehicle,
 }
 
 
@@ -207,7 +199,8 @@ def test_the_tables_of_the_pages_are_loaded_by_the_product(tmp_path: Path) -> No
     for page, texts in found.items():
         for text in texts:
             path = tmp_path / "shown.toml"
-            path.write_text(text, encoding="utf-8")
+            head = 'name = "mine"\nbase = "qdrone2"\n' if page == "docs/hil.md" else ""  # the tables stand beside these
+            path.write_text(head + text, encoding="utf-8")
             assert TOML[page](path) is not None
 
 
@@ -243,9 +236,6 @@ def exists(name: str) -> bool:
     owner, _, last = name.rpartition(".")
     found = locate(owner)
     return hasattr(found, last) or last in getattr(found, "model_fields", ())
-
-
-MAKER = runpy.run_path(str(ROOT / "docs" / "make_constants.py"))
 
 
 def test_the_table_is_up_to_date() -> None:

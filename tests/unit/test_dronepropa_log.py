@@ -3,8 +3,8 @@
 import struct
 import zlib
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,18 +19,17 @@ from mavdiag.logs.matlab import read_matrices
 from mavdiag.telemetry import Signal
 
 MADE = flight(12.0, 3)
+Change = Callable[[Rows], None]
+MOTORS = (20, 21, 22, 23)  # rows of their commands
+RNG = np.random.default_rng(11)
+WANTED = {"one": 3, "two": 2}
+ROWS = {"one": RNG.standard_normal((3, 4000)), "two": RNG.standard_normal((2, 900))}
+WHOLE = content(ROWS)
 
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("dronepropa") / "any name", MADE)
-
-
-def changed(**rows: Callable[[Rows], None]) -> Rows:
-    copy = {name: table.copy() for name, table in MADE.items()}
-    for change in rows.values():
-        change(copy)
-    return copy
 
 
 def test_it_is_found_by_content_and_has_its_own_gate_and_airframe(path: Path) -> None:
@@ -65,24 +64,31 @@ def test_only_state_5_is_flight(path: Path) -> None:
     assert (begun_ns, judged[0], ended_ns) == (2_500_000_000, 5_500_000_000, pytest.approx(9_998_000_000, abs=2e6))
 
 
-def row(name: str, *numbers: int, factor: float) -> Callable[[Rows], None]:
+def row(name: str, *numbers: int, factor: float = 1.0, add: float = 0.0) -> Change:
     def change(rows: Rows) -> None:
         rows[name][[number - 1 for number in numbers]] *= factor
+        rows[name][[number - 1 for number in numbers]] += add
 
     return change
 
 
-def reorder(*order: int) -> Callable[[Rows], None]:
-    """The motor commands of rows 20 to 23 in another order."""
+def moved(numbers: tuple[int, ...], to: tuple[int, ...]) -> Change:
+    """What stands in these rows comes from those."""
 
     def change(rows: Rows) -> None:
-        rows["QDrone_data"][19:23] = rows["QDrone_data"][[19 + number - 1 for number in order]]
+        rows["QDrone_data"][np.array(numbers) - 1] = rows["QDrone_data"][np.array(to) - 1]
 
     return change
 
 
 def stand_still(rows: Rows) -> None:
     rows["QDrone_data"][0, 50] = rows["QDrone_data"][0, 49]
+
+
+def changed(folder: Path, change: Change) -> Path:
+    copy = {name: table.copy() for name, table in MADE.items()}
+    change(copy)
+    return written(folder / "F0.mat", copy)
 
 
 @pytest.mark.parametrize(
@@ -98,91 +104,65 @@ def stand_still(rows: Rows) -> None:
         (row("stabilizer_data", 9, factor=-1.0), "roll reference .* runs against"),
         (row("stabilizer_data", 10, factor=-1.0), "pitch reference .* runs against"),
         (row("commander_data", 25, factor=-1.0), "yaw .row 25. runs against"),
-        (reorder(1, 3, 2, 4), "motors are in another order"),  # the published table's
-        (reorder(4, 3, 2, 1), "motors are in another order"),  # one public program's
-        (reorder(2, 1, 4, 3), "motors are in another order"),
+        (moved(MOTORS, (20, 22, 21, 23)), "motors are in another order"),  # the published table's
+        (moved(MOTORS, (23, 22, 21, 20)), "motors are in another order"),  # one public program's
+        (moved(MOTORS, (21, 20, 23, 22)), "motors are in another order"),
         (stand_still, "time does not increase"),
         (row("QDrone_data", 1, factor=1e9), "time does not increase"),
         (row("QDrone_data", 30, 31, 32, factor=np.nan), "specific force is 0.00"),
     ],
 )
-def test_a_file_against_the_table_is_refused(tmp_path: Path, change: Callable[[Rows], None], reason: str) -> None:
-    file = written(tmp_path / "F0.mat", changed(one=change))
+def test_a_file_against_the_table_is_refused(tmp_path: Path, change: Change, reason: str) -> None:
+    file = changed(tmp_path, change)
     with pytest.raises(InputError, match=reason) as caught:
         read_log(file)
     assert str(file) in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def swap_copies(rows: Rows) -> None:
-    rows["QDrone_data"][[48, 50]] = rows["QDrone_data"][[50, 48]]
-
-
-def never_fly(rows: Rows) -> None:
-    rows["commander_data"][1] = 1.0
-
-
-def late_clock(rows: Rows) -> None:
-    rows["commander_data"][0] += 0.25
-
-
-def hold_still(rows: Rows) -> None:
-    rows["QDrone_data"][[3, 6, 28, 12]] = 0.0
-
-
 @pytest.mark.parametrize(
     ("change", "note", "absent"),
     [
-        (swap_copies, "speeds of the ESCs were left out", Signal.ROTOR_SPEED),
-        (never_fly, "less than 2 s in flight", Signal.ROTOR_SPEED),
-        (late_clock, "commander_data has times that differ from QDrone_data's by up to 0.25 s", None),
-        (hold_still, "too little yaw motion to check the sign of the raw yaw gyro", None),
+        (moved((49, 51), (51, 49)), "speeds of the ESCs were left out", Signal.ROTOR_SPEED),
+        (row("commander_data", 2, factor=0.0, add=1.0), "less than 2 s in flight", Signal.ROTOR_SPEED),
+        (
+            row("commander_data", 1, add=0.25),
+            "commander_data has times that differ from QDrone_data's by up to 0.25 s",
+            None,
+        ),
+        (
+            row("QDrone_data", 4, 7, 29, 13, factor=0.0),
+            "too little yaw motion to check the sign of the raw yaw gyro",
+            None,
+        ),
         (row("stabilizer_data", 19, factor=0.0), "no roll torque command", None),
     ],
 )
-def test_what_stays_open_is_a_note(
-    tmp_path: Path, change: Callable[[Rows], None], note: str, absent: Signal | None
-) -> None:
-    log = read_log(written(tmp_path / "F0.mat", changed(one=change)))
+def test_what_stays_open_is_a_note(tmp_path: Path, change: Change, note: str, absent: Signal | None) -> None:
+    log = read_log(changed(tmp_path, change))
     assert any(note in one for one in log.notes), log.notes
     assert (log.telemetry.get(Signal.ROTOR_SPEED) is None) == (absent is Signal.ROTOR_SPEED)
 
 
-RNG = np.random.default_rng(11)
-WANTED = {"one": 3, "two": 2}
-ROWS = {"one": RNG.standard_normal((3, 4000)), "two": RNG.standard_normal((2, 900))}
-
-
-def by_scipy(data: bytes, folder: Path) -> dict[str, Any]:
-    path = folder / "made.mat"
-    path.write_bytes(data)
-    return dict(loadmat(path))
-
-
 @pytest.mark.parametrize("compressed", [True, False])
 @pytest.mark.parametrize("dtype", ["f8", "f4", "i2", "u1"])
-def test_it_reads_what_scipy_reads(tmp_path: Path, compressed: bool, dtype: str) -> None:
+def test_it_reads_what_scipy_reads(compressed: bool, dtype: str) -> None:
     rows = {name: (20 * values).astype(dtype) for name, values in ROWS.items()}
     data = content({"other": np.ones((5, 7)), **rows, "text": np.array(["a", "b"])}, compressed=compressed)
     found, notes = read_matrices(data, WANTED)
-    for name, values in by_scipy(data, tmp_path).items():
+    for name, values in loadmat(BytesIO(data)).items():  # type: ignore[arg-type]  # the stubs know no open files
         if name in WANTED:
             np.testing.assert_array_equal(found[name], values.T)
     assert notes == ()
-
-
-def last_element(data: bytes) -> int:
-    position, begin = 128, 128
-    while position < len(data):
-        begin, position = position, position + 8 + struct.unpack_from("<I", data, position + 4)[0]
-    return begin
 
 
 @pytest.mark.parametrize("missing", [1, 2, 3, 4])
 def test_an_incomplete_checksum_is_a_note(missing: int) -> None:
     """As of F0_SV0_SP1_t3_D1_R1.mat, which strict readers refuse: with the length that belongs to it, or cut off."""
     data = content(ROWS)
-    begin = last_element(data)
+    position, begin = 128, 128  # of the last element
+    while position < len(data):
+        begin, position = position, position + 8 + struct.unpack_from("<I", data, position + 4)[0]
     body = data[begin + 8 : -missing]
     shortened = data[:begin] + struct.pack("<II", 15, len(body)) + body
     for cut in (shortened, data[:-missing]):
@@ -196,18 +176,6 @@ def compressed(inner: bytes) -> bytes:
     return content({})[:128] + struct.pack("<II", 15, len(packed)) + packed
 
 
-def with_wrong_checksum() -> bytes:
-    data = bytearray(content(ROWS))
-    data[-1] ^= 1
-    return bytes(data)
-
-
-def in_the_middle() -> bytes:
-    data = bytearray(content(ROWS))
-    data[200:5000] = bytes(4800)
-    return bytes(data)
-
-
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
@@ -217,8 +185,8 @@ def in_the_middle() -> bytes:
         (content({"one": ROWS["one"]}), "no two: it is another recording"),
         (content({"one": ROWS["one"].T, "two": ROWS["two"]}), "one is 4000 x 3, but a recording has 3 rows"),
         (content({"one": ROWS["one"] * 1j, "two": ROWS["two"]}), "one is of complex numbers"),
-        (with_wrong_checksum(), "incorrect data check"),
-        (in_the_middle(), "compressed data are damaged"),
+        (WHOLE[:-1] + bytes([WHOLE[-1] ^ 1]), "incorrect data check"),
+        (WHOLE[:200] + bytes(4800) + WHOLE[5000:], "compressed data are damaged"),
         (compressed(struct.pack("<II", 14, 2**31) + bytes(40)), "no one"),
     ],
 )

@@ -24,22 +24,35 @@ from mavdiag.link.ports.serial import Serial
 from mavdiag.link.ports.tcp import CLIENTS_MAX
 from mavdiag.link.ports.udp import PEERS_MAX
 
+PATIENCE_S = 5.0
 V1 = bytes.fromhex("fe09000101000000000002035104037ddd")
 V2 = Encoder(1, 1).encode(MessageId.HEARTBEAT, 2, 3, 81, 0, 4, 3)
+GARBAGE = {
+    "random": np.random.default_rng(3).bytes(200_000),
+    "markers": b"\xfd" * 200_000,
+    "short markers": b"\xfe\x00" * 100_000,
+    "no marker": b"GET / HTTP/1.1\r\n\r\n" * 10_000,
+}
+MALFORMED = (
+    *("", "udpin", "udpin:", "udpin::14550", "udpin:127.0.0.1", "udpin:127.0.0.1:", "udp:127.0.0.1:14550"),
+    *("udpin:127.0.0.1:65536", "udpin:127.0.0.1:-1", "udpin:::1:14550", "udpin:127.0.0.1:14550 ", "tcp:[::1:5760"),
+    *("udpout:127.0.0.1:0", "tcp:127.0.0.1:0", "/dev/ttyUSB0", "/dev/ttyUSB0,", "/dev/ttyUSB0,0", "ttyUSB0,57600"),
+)
+FRAME = bytes.fromhex("fd01000007010100000005abcd")  # a MAVLink 2 frame's outline: 1 byte of payload, 13 in all
 
 
-def receive_all(endpoint: Endpoint, n_bytes: int, patience_s: float = 5.0) -> bytes:
-    return receive_from(endpoint, n_bytes, patience_s)[0]
+def receive_all(endpoint: Endpoint, n_bytes: int) -> bytes:
+    return receive_from(endpoint, n_bytes)[0]
 
 
-def receive_from(endpoint: Endpoint, n_bytes: int, patience_s: float = 5.0) -> tuple[bytes, SocketAddress]:
-    """The bytes, and who sent the first of the latest chunks."""
+def receive_from(endpoint: Endpoint, n_bytes: int, patience_s: float = PATIENCE_S) -> tuple[bytes, SocketAddress]:
+    """The bytes, and who sent the first of the latest chunks, where that is told."""
     until, data, sources = time.monotonic() + patience_s, b"", list[SocketAddress]()
     while len(data) < n_bytes and time.monotonic() < until:
         received = endpoint.receive(0.1)
         data += b"".join(chunk for chunk, _ in received)
         sources = received.sources or sources
-    return data, sources[0]
+    return data, next(iter(sources), ("", 0))
 
 
 @pytest.mark.parametrize(("kind", "host"), [("udpin", "127.0.0.1"), ("udpin", "[::1]"), ("tcpin", "127.0.0.1")])
@@ -136,14 +149,6 @@ def test_a_tcp_server_cuts_its_clients_between_frames() -> None:
             assert receive_all(server, len(V2)) == V2
 
 
-GARBAGE = {
-    "random": np.random.default_rng(3).bytes(200_000),
-    "markers": b"\xfd" * 200_000,
-    "short markers": b"\xfe\x00" * 100_000,
-    "no marker": b"GET / HTTP/1.1\r\n\r\n" * 10_000,
-}
-
-
 @pytest.mark.parametrize("name", GARBAGE)
 def test_a_client_that_sends_only_garbage_is_hung_up_on_and_hides_nobody(name: str) -> None:
     with open_endpoint("tcpin:127.0.0.1:0") as server, ExitStack() as stack:
@@ -231,20 +236,6 @@ def test_a_message_that_fits_only_in_part_is_never_torn() -> None:
         assert arrived == frame * client.traffic.sent
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        *("", "udpin", "udpin:", "udpin::14550", "udpin:127.0.0.1", "udpin:127.0.0.1:", "udp:127.0.0.1:14550"),
-        *("udpin:127.0.0.1:65536", "udpin:127.0.0.1:-1", "udpin:::1:14550", "udpin:127.0.0.1:14550 ", "tcp:[::1:5760"),
-        *("udpout:127.0.0.1:0", "tcp:127.0.0.1:0", "/dev/ttyUSB0", "/dev/ttyUSB0,", "/dev/ttyUSB0,0", "ttyUSB0,57600"),
-    ],
-)
-def test_a_malformed_address_is_a_usage_error_of_one_line(text: str) -> None:
-    with pytest.raises(UsageError, match="malformed address") as caught:
-        open_endpoint(text)
-    assert "\n" not in str(caught.value)
-
-
 @pytest.mark.parametrize("kind", ["udpin", "tcpin"])
 def test_a_busy_port_says_so(kind: str) -> None:
     with (
@@ -255,16 +246,17 @@ def test_a_busy_port_says_so(kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("address", "advice"),
+    ("address", "kind", "advice"),
     [
-        ("udpin:192.0.2.1:0", "no such address: use 127.0.0.1"),  # TEST-NET-1 (RFC 5737) is nobody's address
-        ("udpout:no-such-host.invalid:14550", "unknown host 'no-such-host.invalid'"),
-        ("/dev/no-such-tty,57600", "no such device: plug it in"),
-        ("/dev/null,57600", "/dev/null,57600: "),
+        *((text, UsageError, "malformed address") for text in MALFORMED),
+        ("udpin:192.0.2.1:0", LinkError, "no such address: use 127.0.0.1"),  # TEST-NET-1 (RFC 5737) is nobody's
+        ("udpout:no-such-host.invalid:14550", LinkError, "unknown host 'no-such-host.invalid'"),
+        ("/dev/no-such-tty,57600", LinkError, "no such device: plug it in"),
+        ("/dev/null,57600", LinkError, "/dev/null,57600: "),
     ],
 )
-def test_what_cannot_be_opened_is_a_link_error_of_one_line(address: str, advice: str) -> None:
-    with pytest.raises(LinkError, match=advice) as caught:
+def test_what_cannot_be_opened_is_an_error_of_one_line(address: str, kind: type[Exception], advice: str) -> None:
+    with pytest.raises(kind, match=advice) as caught:
         open_endpoint(address)
     assert "\n" not in str(caught.value)
 
@@ -327,10 +319,6 @@ def test_a_server_that_comes_back_is_found_and_a_long_connection_counts_as_good(
         assert not client.connected  # what was closed stays closed
 
 
-PATIENCE_S = 5.0
-FRAME = bytes.fromhex("fd01000007010100000005abcd")  # a MAVLink 2 frame's outline: 1 byte of payload, 13 in all
-
-
 class PtyMaster(Endpoint):
     """The far side of a serial line: the controlling end of a pseudo-terminal."""
 
@@ -368,49 +356,29 @@ class Link:
     far: Endpoint
 
 
-def open_link(kind: str, stack: ExitStack) -> Link:
-    if kind == "memory":
-        one, other = memory_pair(capacity=1000)
-        return Link(stack.enter_context(one), stack.enter_context(other))
-    if kind == "serial":
-        master, slave = os.openpty()
-        stack.callback(os.close, slave)
-        distant = stack.enter_context(PtyMaster(master))
-        device = stack.enter_context(open_endpoint(f"{os.ttyname(slave)},115200"))
-        return Link(device, distant)
-    listen, talk = kind.split("/")
-    server = stack.enter_context(open_endpoint(f"{listen}:127.0.0.1:0"))
-    client = stack.enter_context(open_endpoint(server.address.replace(listen, talk)))
-    return Link(server, client)
-
-
-def reversed_link(link: Link) -> Link:
-    return Link(link.far, link.near)
-
-
 @pytest.fixture(params=["memory", "udpin/udpout", "udpout/udpin", "tcpin/tcp", "tcp/tcpin", "serial"])
 def link(request: pytest.FixtureRequest) -> Iterator[Link]:
     """A link whose two ends have heard each other; `near` is the end under test."""
-    near = str(request.param).partition("/")[0]
+    near, _, far = str(request.param).partition("/")
     with ExitStack() as stack:
-        link = open_link({"udpout": "udpin/udpout", "tcp": "tcpin/tcp"}.get(near, request.param), stack)
-        first, second = (link.near, link.far)
+        if near == "memory":
+            ends: list[Endpoint] = [stack.enter_context(end) for end in memory_pair(capacity=1000)]
+        elif near == "serial":
+            master, slave = os.openpty()
+            stack.callback(os.close, slave)
+            ends = [stack.enter_context(open_endpoint(f"{os.ttyname(slave)},115200"))]
+            ends.append(stack.enter_context(PtyMaster(master)))
+        else:
+            listen, talk = sorted((near, far), key=lambda kind: not kind.endswith("in"))
+            ends = [stack.enter_context(open_endpoint(f"{listen}:127.0.0.1:0"))]
+            ends.append(stack.enter_context(open_endpoint(ends[0].address.replace(listen, talk))))
+        first, second = ends
         second.receive(0.0)
         first.receive(0.0)
-        second.send(FRAME)
-        assert collect(first, len(FRAME)) == FRAME
-        first.send(FRAME)
-        assert collect(second, len(FRAME)) == FRAME
-        yield reversed_link(link) if near in ("udpout", "tcp") else link
-
-
-def collect(endpoint: Endpoint, n_bytes: int) -> bytes:
-    data = b""
-    while len(data) < n_bytes:
-        chunks = endpoint.receive(PATIENCE_S)
-        assert chunks, f"only {len(data)} of {n_bytes} bytes arrived"
-        data += b"".join(chunk for chunk, _ in chunks)
-    return data
+        for sender, receiver in ((second, first), (first, second)):
+            sender.send(FRAME)
+            assert receive_all(receiver, len(FRAME)) == FRAME
+        yield Link(*ends[:: -1 if near in ("udpout", "tcp") else 1])
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -420,7 +388,7 @@ def test_messages_arrive_whole_and_in_order_in_both_directions(link: Link, seed:
     for sender, receiver in ((link.near, link.far), (link.far, link.near)):
         for message in messages:
             sender.send(message)
-        assert collect(receiver, sum(map(len, messages))) == b"".join(messages)
+        assert receive_all(receiver, sum(map(len, messages))) == b"".join(messages)
 
 
 def test_each_chunk_carries_the_host_clock(link: Link) -> None:

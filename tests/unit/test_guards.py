@@ -1,15 +1,19 @@
-"""Guards of teaching: each made-up case is refused with its reason, and left out on demand."""
+"""Guards: each made-up case of teaching is refused with its reason, or left out; another vehicle is said to be one."""
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from flying_telemetry import flying
-from made_baselines import ALWAYS, FRAME, NOW, healthy
+from flying_telemetry import flying, flying_rows
+from made_baselines import ALWAYS, FRAME, NOW, healthy, logged, whole
 from made_telemetry import changed as changed_telemetry
 
+from mavdiag.airframe.fingerprint import TRAITS, Fingerprint, Likeness, Outcome, compare, fingerprint_of, joined, traits
+from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import InputError
+from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, airborne, front_for, learn
 from mavdiag.learning.teaching import far_blocks, repeated, taught, upsets
 from mavdiag.logs import between
@@ -17,49 +21,26 @@ from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
 
 OPTIONS = LearnOptions(airframe=FRAME, monitors=("rotor_trim",))
 ROBUST = replace(OPTIONS, robust=True)
+Change = Callable[[FloatArray], FloatArray]
 
 
-def changed(log: Log, signal: Signal, from_s: float, to_s: float, change: Callable[[FloatArray], FloatArray]) -> Log:
+def changed(log: Log, signal: Signal, from_s: float, to_s: float, change: Change) -> Log:
     """The log with the values of a signal changed between two times since its start."""
     return replace(log, telemetry=changed_telemetry(log.telemetry, signal, change, from_s, to_s))
 
 
-def with_attitude(log: Log) -> Log:
-    """The log with an estimated attitude equal to the set-point."""
-    setpoint = log[Signal.ATTITUDE_SETPOINT]
-    attitude = replace(setpoint, signal=Signal.ATTITUDE, values=setpoint.values.copy())
-    return replace(log, telemetry=Telemetry((*log.telemetry.series, attitude)))
-
-
-def falling(force: FloatArray) -> FloatArray:
-    return 0.1 * force
-
-
-def tumbling(rate: FloatArray) -> FloatArray:
-    return np.asarray(rate + np.array([7.0, 0.0, 0.0]))
-
-
-def over(angle: FloatArray) -> FloatArray:
-    return np.asarray(angle + np.array([2.5, 0.0, 0.0]))
-
-
-def turned(force: FloatArray) -> FloatArray:
-    return -force
-
-
-UPSETS = (
-    (Signal.SPECIFIC_FORCE, falling, "free fall, specific force 0.1"),
-    (Signal.BODY_RATE, tumbling, "it turns at"),
-    (Signal.ATTITUDE, over, "deg from its set-point"),
-    (Signal.SPECIFIC_FORCE, turned, "upside down, specific force 1.0 g"),
+TUMBLING, OVER = np.array([7.0, 0.0, 0.0]), np.array([2.5, 0.0, 0.0])
+UPSETS: tuple[tuple[Signal, Change, str], ...] = (
+    (Signal.SPECIFIC_FORCE, lambda force: 0.1 * force, "free fall, specific force 0.1"),
+    (Signal.BODY_RATE, lambda rate: rate + TUMBLING, "it turns at"),
+    (Signal.ATTITUDE, lambda angle: angle + OVER, "deg from its set-point"),
+    (Signal.SPECIFIC_FORCE, np.negative, "upside down, specific force 1.0 g"),
 )
 
 
 @pytest.mark.parametrize(("signal", "change", "says"), UPSETS)
-def test_a_log_that_ends_in_a_fall_is_refused_with_place_and_remedy(
-    signal: Signal, change: Callable[[FloatArray], FloatArray], says: str
-) -> None:
-    crash = changed(with_attitude(healthy(1)[0]), signal, 27.0, 30.0, change)
+def test_a_log_that_ends_in_a_fall_is_refused_with_place_and_remedy(signal: Signal, change: Change, says: str) -> None:
+    crash = changed(healthy(1)[0], signal, 27.0, 30.0, change)
     with pytest.raises(
         InputError, match=r"flight0: the flight ends in an upset, at 2[78].*cut the log before 2[56]"
     ) as e:
@@ -163,7 +144,7 @@ def test_one_odd_flight_or_a_small_distance_is_noted(other: int, rise: float) ->
 
 
 def test_nothing_left_is_said() -> None:
-    crash = changed(healthy(1, 600)[0], Signal.BODY_RATE, 2.5, 3.5, tumbling)
+    crash = changed(healthy(1, 600)[0], Signal.BODY_RATE, 2.5, 3.5, lambda rate: rate + TUMBLING)
     with pytest.raises(InputError, match="no healthy flight remains to learn from"):
         learn([crash], ROBUST, created=NOW)
 
@@ -176,3 +157,117 @@ def test_a_threshold_that_its_statistic_cannot_reach_is_not_judged_by() -> None:
     assert "cannot be reached (0.5 at most), blind to losses below " in trim.reason
     assert "rotor_trim" not in {entry.spec.kind for entry in found.monitors}
     assert (found.grade, "odd" in found.weak or "n3" in found.weak) == ("D", True)
+
+
+X = layout_named("x")
+CALM = changed_telemetry(flying(3000, 7), Signal.SPECIFIC_FORCE, lambda force: 0.4 * force)
+SHAKEN = 0.2 * np.random.default_rng(2).standard_normal((3000, 3))
+
+
+def learnt() -> Fingerprint:
+    found = fingerprint_of([flying_rows(flying(3000, seed)) for seed in range(100, 105)], X)
+    assert found is not None
+    return found
+
+
+def compared(telemetry: Telemetry) -> Likeness:
+    return compare(learnt(), flying_rows(telemetry), X)
+
+
+@pytest.mark.parametrize(
+    ("seed", "rotor", "rise"),
+    [*((seed, 0, 0.0) for seed in range(7, 12)), (7, 1, 0.03), (7, 2, 0.2), (7, 3, 0.5), (7, 4, 0.2)],
+)
+def test_new_flights_of_the_same_vehicle_are_alike_and_a_rise_of_one_rotor_is_damage(
+    seed: int, rotor: int, rise: float
+) -> None:
+    assert compared(flying(3000, seed, weak_rotor=rotor, rise=rise)).outcome is Outcome.ALIKE
+
+
+def yawed(telemetry: Telemetry, share: float) -> Telemetry:
+    """Outputs trimmed in yaw by a share of the hover command, which no single rotor does."""
+    return changed_telemetry(telemetry, Signal.ACTUATOR, lambda outputs: outputs + 0.5 * share * X.mixing[:, 2])
+
+
+@pytest.mark.parametrize(
+    ("flight", "outcome", "words"),
+    [
+        (yawed(flying(3000, 7), 0.12), Outcome.FAR, "does not look like E8: yaw trim +0.12"),
+        (yawed(flying(3000, 7), 0.006), Outcome.NEAR, "may be another vehicle than E8, or have new propellers"),
+        # nothing that breaks makes a sensor quieter; better balanced propellers do, by as much as 7
+        (
+            changed_telemetry(flying(3000, 7), Signal.SPECIFIC_FORCE, lambda x: 0.15 * x),
+            Outcome.NEAR,
+            "accelerometer noise",
+        ),
+        (changed_telemetry(flying(3000, 7), Signal.SPECIFIC_FORCE, lambda x: 0.03 * x), Outcome.FAR, "noise z 0.03"),
+        (changed_telemetry(flying(3000, 7), Signal.BODY_RATE, lambda rate: rate + SHAKEN), Outcome.ALIKE, ""),
+        (
+            changed_telemetry(flying(3000, 7), Signal.THRUST_SETPOINT, lambda x: 0.6 * x),
+            Outcome.FAR,
+            "hover throttle 0.6 times",
+        ),
+        (
+            changed_telemetry(flying(3000, 7), Signal.THRUST_SETPOINT, lambda x: 1.6 * x),
+            Outcome.NEAR,
+            "hover throttle 1.6 times",
+        ),
+    ],
+)
+def test_only_what_no_damage_does_is_another_vehicle(flight: Telemetry, outcome: Outcome, words: str) -> None:
+    found = compared(flight)
+    assert found.outcome is outcome
+    assert words in found.sentence("E8")
+    assert "the baseline's" in found.sentence("unnamed") or outcome is Outcome.ALIKE
+
+
+def test_more_motors_are_another_vehicle() -> None:
+    six = flying(3000, 7)
+    outputs = six.need(Signal.ACTUATOR)
+    wider = dataclasses.replace(outputs, values=np.concatenate((outputs.values, outputs.values[:, :2]), axis=1))
+    found = compared(Telemetry(tuple(wider if one is outputs else one for one in six.series)))
+    assert found.differing == ("6 motors (learnt 4)",)
+    assert found.outcome is Outcome.FAR
+
+
+@pytest.mark.parametrize(
+    ("flight", "judged", "words"),
+    [
+        (yawed(flying(3000, 7), 0.12), False, "another vehicle: does not look like made: yaw trim +0.12"),
+        (CALM, True, "; may be another vehicle than made, or have new"),
+    ],
+)
+def test_another_vehicle_is_not_judged_and_a_near_one_has_a_note(flight: Telemetry, judged: bool, words: str) -> None:
+    found = judge(logged(flight), whole())
+    assert (found.verdict is not Verdict.NOT_JUDGEABLE) == (found.judged_s > 0) == judged
+    assert words in found.reason
+    damaged = judge(logged(flying(3000, 7, weak_rotor=3, rise=0.3)), whole())
+    assert damaged.verdict is Verdict.FAULT
+    assert "another vehicle" not in damaged.reason
+
+
+def test_what_a_trait_varies_by_as_the_vehicle_flies_is_its_spread() -> None:
+    """Half of the learnt flight shakes more: a flight that shakes as its calm half did is of the same vehicle."""
+    learnt_flight, n = flying(4000, 7), 4000
+    factor = np.where(np.arange(n) % 2000 < 1000, 1.0, 4.0)[:, None]
+    mixed = changed_telemetry(
+        learnt_flight, Signal.SPECIFIC_FORCE, lambda force: force.mean(axis=0) + (force - force.mean(axis=0)) * factor
+    )
+    found, steady = fingerprint_of([flying_rows(mixed)], X), fingerprint_of([flying_rows(learnt_flight)], X)
+    assert found is not None
+    assert steady is not None
+    spreads = [{one.name: one.spread for one in each.figures}["accelerometer noise x"] for each in (steady, found)]
+    assert spreads[0] < 0.2
+    assert spreads[1] > 0.5
+    assert compare(found, flying_rows(CALM), X).outcome is Outcome.ALIKE
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.3])
+def test_a_noise_below_the_resolution_of_its_signal_is_the_resolution_s(noise: float) -> None:
+    """A sensor that hardly moves its last digit: how often it does follows what is flown."""
+    digit = 0.0098
+    values = digit * np.round(np.random.default_rng(3).normal(0.0, noise, (3000, 3)))
+    coarse = changed_telemetry(flying(3000, 7), Signal.SPECIFIC_FORCE, lambda _: values)
+    seen = dict(zip((one.name for one in TRAITS), traits(joined(flying_rows(coarse)), X), strict=True))
+    expected = [np.log(digit * np.sqrt(0.5)) if np.isfinite(seen["accelerometer noise x"]) else np.nan] * 3
+    np.testing.assert_allclose([seen[f"accelerometer noise {axis}"] for axis in "xyz"], expected, atol=0.2)

@@ -164,22 +164,15 @@ def test_a_hostile_table(reader: str, name: str, tmp_path: Path) -> None:
     refused(reader, path)
 
 
-def mat_file(content: bytes, claimed: int) -> bytes:
-    """A MATLAB file with one compressed matrix QDrone_data that says it is so long."""
-    flags = struct.pack("<II", 6, 8) + struct.pack("<II", 6, 0)
-    shape = struct.pack("<II", 5, 8) + struct.pack("<ii", 17, claimed)
-    name = struct.pack("<II", 1, 11) + b"QDrone_data".ljust(16, b"\0")
-    inner = flags + shape + name + struct.pack("<II", 9, 136 * claimed & 0xFFFFFFFF) + content
-    body = zlib.compress(struct.pack("<II", 14, len(inner) & 0xFFFFFFFF) + inner, 9)
-    head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
-    return head + struct.pack("<II", 15, len(body)) + body
-
-
 def test_a_decompression_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What a megabyte of the file would become is never made whole; the bound itself is lowered to keep this quick."""
     monkeypatch.setattr("mavdiag.logs.matlab.MAX_BYTES", 1 << 22)
-    path = tmp_path / "bomb.mat"
-    path.write_bytes(mat_file(bytes(48 << 20), 1 << 27))
+    shape = struct.pack("<IIII", 6, 8, 6, 0) + struct.pack("<IIii", 5, 8, 17, 1 << 27)
+    name = struct.pack("<II", 1, 11) + b"QDrone_data".ljust(16, b"\0")
+    inner = shape + name + struct.pack("<II", 9, 136 * (1 << 27) & 0xFFFFFFFF) + bytes(48 << 20)
+    body = zlib.compress(struct.pack("<II", 14, len(inner) & 0xFFFFFFFF) + inner, 9)
+    path, head = tmp_path / "bomb.mat", b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
+    path.write_bytes(head + struct.pack("<II", 15, len(body)) + body)
     assert path.stat().st_size < 100_000
     refused("log", path, most_bytes=16 << 20)
 

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -27,7 +28,7 @@ from mavdiag.identify.estimate import (
     sweep,
     validate,
 )
-from mavdiag.identify.lab import ModelFigures, estimate_response, model_figures, model_response, track
+from mavdiag.identify.lab import estimate_response, model_figures, model_response, track
 from mavdiag.identify.sriv import sriv
 from mavdiag.rows.savgol import coefficients
 from mavdiag.telemetry import FloatArray
@@ -37,6 +38,7 @@ WELL = ArxModel(np.array([1.0, -1.2, 0.52]), np.array([0.0, 0.5, 0.25]), 0.01, (
 
 #: The thesis's roll model (T Eq 5.1): a pole at 0.9985, where least squares fails.
 ROLL = ArxModel(np.array([1.0, -1.5326, 0.5333]), np.array([0.0, 0.0743, 0.0616]), 0.001, (2, 2, 1), Method.PUBLISHED)
+DT = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,16 +224,19 @@ def test_octaves_noisy_records_give_the_true_model(column: str) -> None:
     assert nrmse_percent(table["y_clean"], plain.simulate(table["u"])) < (97.0 if column == "y_out5" else 85.0)
 
 
+def rms(truth: ArxModel, fits: Iterable[ArxModel]) -> FloatArray:
+    """Of the errors of each parameter over their stated standard errors."""
+    return np.asarray(
+        np.sqrt(np.mean([((one.theta - truth.theta) / one.standard_errors) ** 2 for one in fits], axis=0))
+    )
+
+
 @pytest.mark.parametrize(("model", "n", "noise"), [(WELL, 1500, 0.2), (WELL, 1500, 0.5), (ROLL, 5000, 0.2)])
 def test_standard_errors_are_right(model: ArxModel, n: int, noise: float) -> None:
-    normalised = []
-    for seed in range(40):
-        data = record(model, n, noise, seed)
-        found = fit(data.u, data.y, dt=model.dt)
-        normalised.append((found.theta - model.theta) / found.standard_errors)
-    rms = np.sqrt(np.mean(np.square(normalised), axis=0))
+    flights = [record(model, n, noise, seed) for seed in range(40)]
+    found = rms(model, (fit(one.u, one.y, dt=model.dt) for one in flights))
     # 40 trials: the rms of a parameter has a standard deviation of 0.11
-    assert np.all((rms > 0.7) & (rms < 1.3)), rms
+    assert np.all((found > 0.7) & (found < 1.3)), found
 
 
 @pytest.mark.parametrize(("window", "hold"), [(5, 3), (101, 400)])
@@ -240,28 +245,22 @@ def test_standard_errors_hold_behind_a_smoothing_filter(window: int, hold: int) 
     slow = ArxModel(
         np.array([1.0, -1.98, 0.9805]), np.array([0.0, -0.0059, 0.0061]), 0.001, (2, 2, 1), Method.PUBLISHED
     )
-    normalised = []
+    value, fits = coefficients(window)[0], []
     for seed in range(30):
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.standard_normal(15_000 // hold), hold)
         clean = slow.simulate(u)
         y = clean + 0.2 * clean.std() * rng.standard_normal(len(u))
-        value = coefficients(window)[0]
-        found = fit(np.correlate(u, value, "valid"), np.correlate(y, value, "valid"), dt=0.001)
-        normalised.append((found.theta - slow.theta) / found.standard_errors)
-    rms = np.sqrt(np.mean(np.square(normalised), axis=0))
-    assert np.all((rms > 0.6) & (rms < 1.5)), rms
+        fits.append(fit(np.correlate(u, value, "valid"), np.correlate(y, value, "valid"), dt=0.001))
+    found = rms(slow, fits)
+    assert np.all((found > 0.6) & (found < 1.5)), found
 
 
 def test_flights_that_begin_in_motion_do_not_bias_it() -> None:
-    normalised = []
-    for seed in range(40):
-        data = record(ROLL, 6000, 0.2, seed)
-        parts = [slice(2000, 3000), slice(3500, 4700), slice(4800, 6000)]
-        found = fit([data.u[part] for part in parts], [data.y[part] for part in parts], dt=0.001)
-        normalised.append((found.theta - ROLL.theta) / found.standard_errors)
-    rms = np.sqrt(np.mean(np.square(normalised), axis=0))
-    assert np.all(rms < 1.4), rms
+    parts = [slice(2000, 3000), slice(3500, 4700), slice(4800, 6000)]
+    flights = [record(ROLL, 6000, 0.2, seed) for seed in range(40)]
+    found = rms(ROLL, (fit([one.u[p] for p in parts], [one.y[p] for p in parts], dt=0.001) for one in flights))
+    assert np.all(found < 1.4), found
 
 
 @pytest.mark.parametrize("order", [(1, 1, 1), (2, 5, 0), (3, 2, 1), (2, 1, 4)])
@@ -408,9 +407,6 @@ def test_the_order_that_made_the_data_is_chosen() -> None:
     assert best_row(rows).order == (2, 2, 1)
 
 
-DT = 0.01
-
-
 def test_figures_of_a_sampled_oscillator_are_those_of_the_textbook() -> None:
     wn, zeta = 2 * math.pi * 3.0, 0.4  # 3 Hz; poles exp((-zeta +- j sqrt(1 - zeta^2)) wn dt)
     pole = np.exp(complex(-zeta, math.sqrt(1 - zeta**2)) * wn * DT)
@@ -440,15 +436,11 @@ def test_margins_are_those_of_the_loop_that_unit_feedback_closes() -> None:
     assert found.modulus_margin.value == pytest.approx(float(np.abs(1 + L).min()), rel=1e-3)
 
 
-def numbers(found: ModelFigures) -> list[tuple[float, float]]:
-    pole = found.poles[0]
-    chosen = (pole.natural_hz, pole.damping, found.dc_gain, found.bandwidth_hz, found.gain_margin_db)
-    return [(one.value or math.nan, one.standard_error or math.nan) for one in chosen]
-
-
 def test_standard_errors_by_the_delta_method_are_the_scatter_of_repeated_experiments() -> None:
-    trains = [record(WELL, 1500, 0.1, seed) for seed in range(40)]
-    models = [fit(train.u, train.y, dt=DT) for train in trains]
-    table = np.array([numbers(model_figures(model)) for model in models])
-    scatter, stated = table[:, :, 0].std(axis=0, ddof=1), table[:, :, 1].mean(axis=0)
+    trains, table = [record(WELL, 1500, 0.1, seed) for seed in range(40)], []
+    for found in (model_figures(fit(train.u, train.y, dt=DT)) for train in trains):
+        pole = found.poles[0]
+        chosen = (pole.natural_hz, pole.damping, found.dc_gain, found.bandwidth_hz, found.gain_margin_db)
+        table.append([(one.value or math.nan, one.standard_error or math.nan) for one in chosen])
+    scatter, stated = np.std(table, axis=0, ddof=1)[:, 0], np.mean(table, axis=0)[:, 1]
     assert_allclose(stated, scatter, rtol=0.35)

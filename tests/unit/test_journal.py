@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import select
 import socket
 import threading
 import urllib.request
@@ -15,7 +16,7 @@ from typing import Any
 
 import pytest
 from made_session import baseline_for
-from made_vehicle import Bench, FakeFitter, MadeVehicle
+from made_vehicle import Bench, MadeVehicle
 
 from detector.config import Settings
 from detector.journal import MB, Appender, Journal, Reporter, When
@@ -263,37 +264,23 @@ def test_the_dashboard_asks_only_for_figures_and_labels_that_there_are(metrics: 
     assert len(set(places)) == len(places)
 
 
-@pytest.fixture
-def manager(tmp_path: Path) -> Iterator[socket.socket]:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as one:
-        one.bind(str(tmp_path / "notify"))
-        one.setblocking(False)
-        yield one
-
-
-def told(manager: socket.socket) -> list[str]:
-    found = []
-    while True:
-        try:
-            found.append(manager.recv(4096).decode())
-        except BlockingIOError:
-            return found
-
-
-def environ(manager: socket.socket, **more: str) -> dict[str, str]:
-    return {"NOTIFY_SOCKET": str(manager.getsockname()), **more}
-
-
-def test_the_daemon_gives_no_sign_of_life_while_all_sessions_are_off(manager: socket.socket) -> None:
-    """The baseline is of another profile."""
-    notifier = Notifier(environ(manager, WATCHDOG_USEC="30000000"))
-    settings = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
-    vehicle = MadeVehicle(1, Autopilot.ARDUPILOTMEGA)
-    bench = Bench(settings, baseline_for(), FakeFitter(), vehicles=[vehicle], notifier=notifier)
-    bench.run(5.0)
-    told(manager)
-    for _ in range(10):
-        bench.run(1.0)
-        assert "WATCHDOG=1" not in told(manager)
-    bench.close()
-    notifier.close()
+@pytest.mark.parametrize(("autopilot", "alive"), [(Autopilot.GENERIC, True), (Autopilot.ARDUPILOTMEGA, False)])
+def test_the_daemon_gives_a_sign_of_life_unless_all_sessions_are_off(
+    autopilot: Autopilot, alive: bool, tmp_path: Path
+) -> None:
+    """As where the baseline is of another profile."""
+    settings, signs = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json")), list[str]()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "notify"))
+        notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "30000000"})
+        bench = Bench(settings, baseline_for(), vehicles=[MadeVehicle(1, autopilot)], notifier=notifier)
+        bench.run(5.0)
+        while select.select([manager], [], [], 0.0)[0]:
+            manager.recv(4096)
+        for _ in range(10):
+            bench.run(1.0)
+            while select.select([manager], [], [], 0.0)[0]:
+                signs.append(manager.recv(4096).decode())
+        bench.close()
+        notifier.close()
+    assert ("WATCHDOG=1" in signs) == alive

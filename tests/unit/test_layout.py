@@ -1,17 +1,18 @@
 """Rotor layouts: their signs, finding them from a flight, and which output drives which rotor."""
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from flying_telemetry import flying
+from flying_telemetry import flying, without
 from hypothesis import given
 from hypothesis import strategies as st
 from made_baselines import ALWAYS, NOW
+from made_vehicle import MadeVehicle
 from scipy.signal import lfilter
+from shared_data import written
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.detect import contradicts, detect_layout
@@ -25,7 +26,7 @@ from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.codec import Encoder
 from mavdiag.link.datagrams import as_columns
-from mavdiag.link.messages import Autopilot, MavType, MessageId
+from mavdiag.link.messages import Autopilot, MessageId
 from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.rows.block import Block
 from mavdiag.rows.gate import GateSpec
@@ -56,6 +57,19 @@ PLACES: dict[str, tuple[str, list[tuple[int, int]]]] = {
         [(1, 1), (1, 1), (0, 1), (-1, 1), (-1, 1), (-1, -1), (-1, -1), (0, -1), (1, -1), (1, -1)],
     ),
 }
+UNKNOWN = Airframe(gate=ALWAYS)
+TRIM = ("rotor_trim", "innovation")
+COPTER_X = {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0}
+SERVOS_5 = {f"SERVO{n}_FUNCTION": 28.0 + n for n in (5, 6, 7, 8)}
+ROOT = Path(__file__).resolve().parents[2]
+PLACES_PARAMETERS = (
+    (0.15, 0.2, 0.05),
+    (-0.15, -0.2, 0.05),
+    (0.15, -0.2, -0.05),
+    (-0.15, 0.2, -0.05),
+)  # x, y, KM: PX4's quad x
+NUMBERS = st.one_of(st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -4.0, 0.5, 3e6, 1e9]), st.floats())
+NAMES = ("FRAME_CLASS", "FRAME_TYPE", "FRAME", "CA_AIRFRAME", "SERVO1_FUNCTION", "SERVO2_FUNCTION", "PWM_MAIN_FUNC1")
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
@@ -123,7 +137,8 @@ def test_what_stays_unclear_is_not_named() -> None:
     random = example_rows(2000, 0.01, rate=rng.normal(0, 0.1, (2000, 3)), actuator=noise).block
     reversed_signs = made_flight(RotorLayout("reversed", tuple((-r, -p, -y) for r, p, y in x.signs)), 1)
     other_spins = made_flight(RotorLayout("h", tuple((r, p, -y) for r, p, y in x.signs)), 1, yaw=1.0)
-    between = made_flight(RotorLayout("turned", tuple(_turned(s, 22.5) for s in x.signs)), 1)
+    c, s = math.cos(math.radians(22.5)), math.sin(math.radians(22.5))
+    between = made_flight(RotorLayout("turned", tuple((c * r - s * p, s * r + c * p, y) for r, p, y in x.signs)), 1)
     five = changed(reversed_signs, actuator=reversed_signs.actuator[:, [0, 1, 2, 3, 0]])
     shifted = changed(other_spins, actuator=np.hstack([np.zeros((2000, 4)), other_spins.actuator]))
     reasons = {
@@ -141,17 +156,6 @@ def test_what_stays_unclear_is_not_named() -> None:
     assert detect_layout([]).layout is None
 
 
-def _turned(signs: tuple[float, float, float], degrees: float) -> tuple[float, float, float]:
-    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    return c * signs[0] - s * signs[1], s * signs[0] + c * signs[1], signs[2]
-
-
-UNKNOWN = Airframe(gate=ALWAYS)
-TRIM = ("rotor_trim", "innovation")
-COPTER_X = {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0}
-SERVOS_5 = {f"SERVO{n}_FUNCTION": 28.0 + n for n in (5, 6, 7, 8)}
-
-
 def servo(n: int, seed: int) -> FloatArray:
     """(n, 1) of a camera servo that goes its own way."""
     steps = np.random.default_rng(seed).normal(0, 0.01, (n, 1))
@@ -162,14 +166,6 @@ def wide(block: Block, *columns: FloatArray | int) -> Block:
     """The block with these outputs: a motor by its number from 1, or a column."""
     parts = [block.actuator[:, [one - 1]] if isinstance(one, int) else one for one in columns]
     return changed(block, actuator=np.hstack(parts))
-
-
-def unyawed(layout: RotorLayout, seed: int) -> Block:
-    """20 s in which the outputs never answer a yaw command."""
-    rng = np.random.default_rng(seed)
-    torque = rng.normal(0, 0.02, (2000, 3))
-    outputs = 0.5 * (1 + torque * (1, 1, 0) @ layout.mixing.T) + rng.normal(0, 0.001, (2000, layout.rotors))
-    return example_rows(2000, actuator=outputs, torque=torque).block
 
 
 @pytest.mark.parametrize("name", ["x", "plus", "hexa-x", "octo-x"])
@@ -200,8 +196,10 @@ def test_another_order_is_found_where_yaw_is_seen(name: str) -> None:
         said = dict(zip(found.outputs, found.layout.signs, strict=True))
         for output, motor in enumerate(order, start=1):
             np.testing.assert_allclose(said[output], layout.signs[motor], atol=1e-6)
-    still = detect_layout([wide(unyawed(layout, 40), *(one + 1 for one in order))])
-    assert still.layout is None
+    torque, n = np.random.default_rng(40).normal(0, 0.02, (2000, 3)), layout.rotors
+    outputs = 0.5 * (1 + torque * (1, 1, 0) @ layout.mixing.T) + rng.normal(0, 0.001, (2000, n))
+    still = example_rows(2000, actuator=outputs, torque=torque).block  # the outputs never answer a yaw command
+    assert detect_layout([wide(still, *(one + 1 for one in order))]).layout is None
 
 
 @pytest.mark.parametrize("name", ["plus", "hexa-x", "octo-x", "octo-plus"])
@@ -296,27 +294,21 @@ def test_told_wins_over_parameters_and_parameters_over_flights_and_a_contradicti
     assert "the log is of another rotor layout: plus by the vehicle's parameters" in other.reason
 
 
-def silent(count: int) -> list[Log]:
-    return [
-        Log(f"f{i}", "", "px4", Telemetry(tuple(s for s in flying(3000, i) if s.signal is not Signal.ACTUATOR)))
-        for i in range(count)
-    ]
-
-
 def test_an_unknown_layout_is_loud_in_the_baseline_and_in_every_verdict() -> None:
-    baseline = taught(silent(2))
+    flown = [without(flying(3000, seed), (0.0, 1e9), signals=(Signal.ACTUATOR,)) for seed in (0, 1)]
+    silent = [Log(f"f{i}", "", "px4", telemetry) for i, telemetry in enumerate(flown)]
+    baseline = taught(silent)
     line = (
         "rotor layout unknown: the data carry no rotor outputs that move; rotor_signature, rotor_trim, rotor_speed, "
         "trim_step do not judge, and no rotor is named; name it with --layout or --airframe"
     )
     assert line in str(baseline).splitlines()
-    verdict = judge(silent(1)[0], baseline)
+    verdict = judge(silent[0], baseline)
     assert verdict.notes == (line,)
     assert line in verdict.reason
-    found = json.loads(json.dumps(verdict_json(verdict)))
-    assert found["notes"] == [line]
-    unconcerned = learn(silent(2), LearnOptions(airframe=UNKNOWN, monitors=("innovation",)), created=NOW)
-    assert judge(silent(1)[0], unconcerned).notes == ()
+    assert verdict_json(verdict)["notes"] == [line]
+    unconcerned = learn(silent, LearnOptions(airframe=UNKNOWN, monitors=("innovation",)), created=NOW)
+    assert judge(silent[0], unconcerned).notes == ()
 
 
 @pytest.mark.parametrize(("name", "weak", "arm"), [("x8", 6, "1/6"), ("y6", 4, "4/6"), ("y6b", 1, "1/2")])
@@ -328,16 +320,6 @@ def test_the_arm_is_named_where_rotors_share_one(name: str, weak: int, arm: str)
     assert found.verdict is Verdict.FAULT
     assert f"rotor {arm}" in found.reason
     assert found.rotor == int(arm[0])
-    assert json.loads(json.dumps(found.rotor)) == int(arm[0])
-
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-def written(folder: Path, text: str) -> Path:
-    path = folder / "vehicle.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 @pytest.mark.parametrize("name", BUILTIN)
@@ -349,9 +331,9 @@ def test_shipped_airframes_have_a_layout(name: str) -> None:
 
 def test_every_key_arrives_and_what_a_file_leaves_out_is_not_known(tmp_path: Path) -> None:
     """B18: nothing of a QDrone 2 is taken for another vehicle."""
-    assert load_airframe(written(tmp_path, 'name = "other"')) == Airframe(name="other")
+    assert load_airframe(written(tmp_path / "vehicle.toml", 'name = "other"')) == Airframe(name="other")
     path = written(
-        tmp_path,
+        tmp_path / "vehicle.toml",
         'name = "survey"\nscope = "type"\nlayout = "octo-x"\nmass_kg = 9\nhover_rpm = 3000\nimu_corner_hz = 20.5\n'
         'classifier = "ours"\n[gate]\nmin_height_m = 1\nmin_thrust = 0.2\nneed_armed = false\ntrim_start_s = 2\n'
         "trim_end_s = 1\n",
@@ -392,20 +374,11 @@ REFUSED = [
 
 @pytest.mark.parametrize(("text", "reason"), REFUSED)
 def test_what_is_wrong_is_named_with_its_file(tmp_path: Path, text: str, reason: str) -> None:
-    path = written(tmp_path, text)
+    path = written(tmp_path / "vehicle.toml", text)
     with pytest.raises(InputError) as caught:
         airframe_from(str(path))
     assert str(caught.value).startswith(f"{path}: {reason}")
     assert "\n" not in str(caught.value)
-
-
-REAL32 = 9
-PLACES_PARAMETERS = (
-    (0.15, 0.2, 0.05),
-    (-0.15, -0.2, 0.05),
-    (0.15, -0.2, -0.05),
-    (-0.15, 0.2, -0.05),
-)  # x, y, KM: PX4's quad x
 
 
 def servos(*functions: int, first: int = 1) -> dict[str, float]:
@@ -471,10 +444,6 @@ def test_servo_functions_say_which_output_drives_which_motor() -> None:
     old = {f"RC{n}_FUNCTION": float(one) for n, one in enumerate((33, 34, 35, 36), start=5)}
     assert layout_from_parameters(old).outputs == (5, 6, 7, 8)
     assert layout_from_parameters({**servos(34, 33, 36, 35), "RC9_FUNCTION": 33.0}).outputs == (2, 1, 4, 3)
-
-
-NUMBERS = st.one_of(st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -4.0, 0.5, 3e6, 1e9]), st.floats())
-NAMES = ("FRAME_CLASS", "FRAME_TYPE", "FRAME", "CA_AIRFRAME", "SERVO1_FUNCTION", "SERVO2_FUNCTION", "PWM_MAIN_FUNC1")
 
 
 @given(
@@ -548,21 +517,18 @@ def test_px4_rotors_are_places_and_senses_and_its_groups_of_outputs_must_agree()
     assert "motors on PWM_AUX, PWM_MAIN" in split.reason
 
 
-def value(encoder: Encoder, name: str, number: float, kind: int) -> bytes:
-    """A PARAM_VALUE as the autopilot of the encoder's user would send it."""
-    return encoder.encode(MessageId.PARAM_VALUE, name.encode(), number, kind, 100, 0xFFFF)
+def told(encoder: Encoder, name: str, number: float) -> bytes:
+    return encoder.encode(MessageId.PARAM_VALUE, name.encode(), number, 9, 100, 0xFFFF)
 
 
 def test_a_link_carries_the_parameters_that_pass_by_before_the_vehicle_entered_and_after() -> None:
-    named, encoder = {**COPTER_X, **servos(33, 34, 35, 36)}, Encoder(1, 1)
-    decoder, beat = LinkDecoder(datagrams=False), (MavType.QUADROTOR, Autopilot.ARDUPILOTMEGA, 128, 0, 4, 3)
+    named = {**COPTER_X, **servos(33, 34, 35, 36)}
+    decoder, vehicle = LinkDecoder(datagrams=False), MadeVehicle(1, Autopilot.ARDUPILOTMEGA)
     for k in range(300):
-        data = encoder.encode(MessageId.HEARTBEAT, *beat) if k % 100 == 0 else b""
-        data += encoder.encode(MessageId.ATTITUDE_TARGET, 5000 + 10 * k, 0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, 0.5)
-        data += encoder.encode(MessageId.RAW_IMU, 5_000_000 + 10_000 * k, 0, 0, -1000, 1, 2, 3)
-        data += b"".join(value(encoder, *pair, REAL32) for pair in named.items()) if k == 1 else b""
+        data = b"".join(vehicle.samples(1))
+        data += b"".join(told(vehicle.encoder, *pair) for pair in named.items()) if k == 1 else b""
         received = decoder.feed(as_columns([(data, (k + 1) * 10_000_000)]), (k + 1) * 10_000_000)
     assert received[1].parameters == named
-    later = (value(Encoder(1, 1), "FRAME_TYPE", 0.0, REAL32), 4_000_000_000)
+    later = (told(Encoder(1, 1), "FRAME_TYPE", 0.0), 4_000_000_000)
     again = decoder.feed(as_columns([later]), 4_000_000_000)
     assert again[1].parameters == {**named, "FRAME_TYPE": 0.0}

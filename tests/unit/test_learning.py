@@ -1,4 +1,4 @@
-"""Learning: what is refused, shared, told, kept on disk, and the sessions of flights."""
+"""Learning: what is refused, shared, told, kept on disk; sessions of flights; and more flights for a baseline."""
 
 import dataclasses
 import errno
@@ -24,7 +24,8 @@ import mavdiag.chain
 import mavdiag.kernel
 import mavdiag.monitors
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.baseline import SESSION_GAP_NS, Baseline, check_link, dump, parse
+from mavdiag.airframe.layout import layout_named
+from mavdiag.baseline import SESSION_GAP_NS, Baseline, MonitorEntry, check_link, dump, parse
 from mavdiag.chain import chain_of, front_of
 from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.judging import Verdict, judge
@@ -35,41 +36,39 @@ from mavdiag.learning.learn import extend
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.monitors.base import Monitor
 from mavdiag.monitors.rotor_trim import RotorTrim
+from mavdiag.rows.conditions import Condition
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Log, Signal, Telemetry
 from mavdiag.testing import example_rows
-from mavdiag.thresholds.heldout import Flights, folds
+from mavdiag.thresholds.heldout import folds
 from mavdiag.thresholds.rule import poisson_upper
 from mavdiag.units import NS_PER_S
 
 UNKNOWN = Airframe(gate=ALWAYS)
 ROLL = thesis_options(UNKNOWN)
+HALVED = Telemetry(tuple(s.where(slice(None, None, 2)) for s in flight(8000, 2).series))
+MONDAY = 1_777_600_000 * NS_PER_S
+HOUR = 3600 * NS_PER_S
+FSD, TRIM = 0, 5  # places in the list of the monitors
+Ran = tuple[int, str, str]
 
 
 def made(seed: int, telemetry: Telemetry | None = None, profile: str = "qdrone2") -> Log:
     return Log(f"f{seed}", f"{seed:064x}", profile, telemetry or flight(8000, seed))
 
 
-def test_a_missing_gyro_is_named_with_the_flight() -> None:
-    with pytest.raises(InputError, match="f7: no body rate"):
-        learn([made(7, without(flight(8000, 7), (0.0, 99.0), signals=[Signal.BODY_RATE]))], ROLL, created=NOW)
-
-
-def test_a_flight_on_the_ground_is_refused() -> None:
-    with pytest.raises(InputError, match=r"f3: only 0\.0 s of airborne flight"):
-        learn([made(3, changed(flight(8000, 3), Signal.ARMED, np.zeros_like))], ROLL, created=NOW)
-
-
-def test_flights_of_different_links_are_not_mixed() -> None:
-    with pytest.raises(InputError, match=r"different links \(px4, qdrone2\)"):
-        learn([made(1), made(2, profile="px4")], ROLL, created=NOW)
-
-
-def test_r8_a_flight_of_another_rate_is_named() -> None:
-    """R8: the refusal did not name the file."""
-    parts = tuple(s.where(slice(None, None, 2)) for s in flight(8000, 2).series)
-    with pytest.raises(InputError, match=r"f2 has a gyro rate of 500\.0 Hz, the others have 1000\.0 Hz"):
-        learn([made(1), made(2, Telemetry(parts)), made(3)], ROLL, created=NOW)
+@pytest.mark.parametrize(
+    ("logs", "says"),
+    [
+        ([made(7, without(flight(8000, 7), (0.0, 99.0), signals=[Signal.BODY_RATE]))], "f7: no body rate"),
+        ([made(3, changed(flight(8000, 3), Signal.ARMED, np.zeros_like))], r"f3: only 0\.0 s of airborne flight"),
+        ([made(1), made(2, profile="px4")], r"different links \(px4, qdrone2\)"),
+        ([made(1), made(2, HALVED), made(3)], r"f2 has a gyro rate of 500\.0 Hz, the others have 1000\.0 Hz"),  # R8
+    ],
+)
+def test_flights_that_cannot_teach_are_named(logs: list[Log], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        learn(logs, ROLL, created=NOW)
 
 
 @pytest.mark.parametrize(
@@ -176,12 +175,14 @@ def test_a_new_monitor_is_its_class_and_one_name_in_the_registry(monkeypatch: py
 
 
 OPTIONS = LearnOptions(airframe=FRAME)
+SQUARE = np.arange(9.0).reshape(3, 3)
 ARRAYS = (
     np.arange(12.0).reshape(4, 3),
     np.array([True, False, True]),
     np.empty((0, 3)),
     np.arange(7, dtype=np.int64)[::2],
     np.full((20, 2), np.nan),
+    *(SQUARE, SQUARE.T, SQUARE.view(np.int64)),  # that begin at one place are not one
 )
 
 
@@ -244,9 +245,13 @@ def test_what_robust_teaching_leaves_out_is_left_out_on_disk_too() -> None:
 
 
 @pytest.mark.parametrize("most_bytes", [0, 1 << 20])
-def test_what_was_put_aside_comes_back_as_often_as_it_is_asked(most_bytes: int) -> None:
+def test_what_was_put_aside_comes_back_as_often_as_it_is_asked_and_leaves_no_file(
+    most_bytes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with Shelf(most_bytes) as shelf:
         kept = [(shelf.put(arrays), arrays) for arrays in (ARRAYS, ARRAYS[::-1], ())]
+        assert list(tmp_path.iterdir()) == []  # not even while it is open
         for get, arrays in (*kept, *kept):
             for found, expected in zip(get(), arrays, strict=True):
                 assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
@@ -258,13 +263,6 @@ def test_what_was_put_aside_comes_back_as_often_as_it_is_asked(most_bytes: int) 
             outlives[0][0, 0] = 1.0
 
 
-def test_nothing_is_left_in_the_temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    with Shelf(0) as shelf:
-        shelf.put(ARRAYS)
-        assert list(tmp_path.iterdir()) == []  # not even while it is open
-
-
 def test_a_full_disk_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     class Full(io.BytesIO):
         def write(self, _: object) -> int:
@@ -273,19 +271,6 @@ def test_a_full_disk_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: Full())
     with Shelf(0) as shelf, pytest.raises(UsageError, match=r"No space left on device.*set TMPDIR"):
         shelf.put(ARRAYS)
-
-
-def test_arrays_that_begin_at_one_place_are_not_taken_for_one() -> None:
-    square = np.arange(9.0).reshape(3, 3)
-    with Shelf(0) as shelf:
-        first, turned, bits = shelf.put([square, square.T, square.view(np.int64)])()
-        np.testing.assert_array_equal(first, square)
-        np.testing.assert_array_equal(turned, square.T)
-        np.testing.assert_array_equal(bits, square.view(np.int64))
-
-
-MONDAY = 1_777_600_000 * NS_PER_S
-HOUR = 3600 * NS_PER_S
 
 
 def logs(*started_ns: int) -> list[Log]:
@@ -311,20 +296,14 @@ def test_the_wall_clock_tells_the_sessions(started: list[int], sessions: list[in
     assert sessions_of(logs(*[MONDAY] * 5), 2) == [0, 0, 0, 1, 1]  # what is told counts more
 
 
-def numbered(count: int) -> Flights:
-    return [[example_rows(500, segment=i)] for i in range(count)]
-
-
-def parts(flights: Flights) -> list[int]:
-    return [flight[0].block.segment for flight in flights]
-
-
 @pytest.mark.parametrize(("flights", "each", "count"), [(12, 2, 6), (30, 2, 10), (50, 1, 5)])
 def test_of_many_sessions_a_tenth_or_a_fifth_is_left_out_and_always_whole_ones(
     flights: int, each: int, count: int
 ) -> None:
-    sessions = [i // each for i in range(flights)]
-    found = [(parts(out), parts(rest)) for out, rest in folds(numbered(flights), sessions=sessions)]
+    sessions, numbered = [i // each for i in range(flights)], [[example_rows(500, segment=i)] for i in range(flights)]
+    found = [
+        [[flight[0].block.segment for flight in part] for part in parts] for parts in folds(numbered, sessions=sessions)
+    ]
     assert len(found) == count
     assert sorted(itertools.chain.from_iterable(out for out, _ in found)) == list(range(flights))
     for out, rest in found:
@@ -332,13 +311,14 @@ def test_of_many_sessions_a_tenth_or_a_fifth_is_left_out_and_always_whole_ones(
         assert sorted(out + rest) == list(range(flights))
 
 
-def flown(seed: int, started_ns: int) -> Log:
-    return Log(f"f{seed}", f"{seed:064x}", "px4", flying(2500, seed), started_ns=started_ns)
-
-
 @cache
 def two_days() -> Baseline:
-    flights = [flown(i, MONDAY + (i // 2) * 24 * HOUR + (i % 2) * HOUR // 6) for i in range(4)]
+    flights = [
+        dataclasses.replace(
+            made(i, flying(2500, i), "px4"), started_ns=MONDAY + (i // 2) * 24 * HOUR + (i % 2) * HOUR // 6
+        )
+        for i in range(4)
+    ]
     return learn(flights, LearnOptions(airframe=FRAME, monitors=("rotor_trim", "trim_step")), created=NOW)
 
 
@@ -374,35 +354,6 @@ def test_a_flight_within_an_hour_of_a_healthy_one_is_of_its_session(started_ns: 
     assert next(e for e in made.monitors if e.spec.kind == "rotor_trim").threshold.session_allowance > 0.005
 
 
-FSD, TRIM = 0, 5  # places in the list of the monitors
-
-
-@pytest.fixture(scope="module")
-def baseline() -> Baseline:
-    return whole()
-
-
-def edited(baseline: Baseline, *path: str | int, value: object) -> str:
-    raw: Any = json.loads(dump(baseline))
-    place = raw
-    for step in path[:-1]:
-        place = place[step]
-    place[path[-1]] = value
-    return json.dumps(raw)
-
-
-def words_of(text: str) -> str:
-    with pytest.raises(BaselineError) as refused:
-        parse(text)
-    assert "\n" not in str(refused.value)
-    return str(refused.value)
-
-
-@pytest.mark.parametrize("made", [whole, thesis])
-def test_text_and_back_is_the_same(made: Any) -> None:
-    assert parse(dump(made())) == made()
-
-
 @pytest.mark.parametrize(
     ("path", "value", "field"),
     [
@@ -430,10 +381,16 @@ def test_text_and_back_is_the_same(made: Any) -> None:
         (("airframe", "layout", "signs"), [[1.0, 1.0, 1.0]], "airframe"),
     ],
 )
-def test_what_does_not_fit_is_refused_by_name(
-    baseline: Baseline, path: tuple[str | int, ...], value: object, field: str
-) -> None:
-    assert words_of(edited(baseline, *path, value=value)).startswith(field)
+def test_what_does_not_fit_is_refused_by_name(path: tuple[str | int, ...], value: object, field: str) -> None:
+    raw: Any = json.loads(dump(whole()))
+    place = raw
+    for step in path[:-1]:
+        place = place[step]
+    place[path[-1]] = value
+    with pytest.raises(BaselineError) as refused:
+        parse(json.dumps(raw))
+    assert "\n" not in str(refused.value)
+    assert str(refused.value).startswith(field)
 
 
 @given(st.text(max_size=40), st.integers(0, 400))
@@ -449,3 +406,143 @@ def test_another_link_is_refused_with_the_field() -> None:
         check_link(thesis(), profile="px4", dt_s=0.001)
     with pytest.raises(BaselineError, match=r"link\.dt_s: .*1000\.0 Hz.*500\.0 Hz"):
         check_link(thesis(), profile="qdrone2", dt_s=0.002)
+
+
+DAY = 24 * 3600 * NS_PER_S
+LATER = "2026-02-02T00:00:00+00:00"
+FIVE = LearnOptions(
+    airframe=FRAME, monitors=("innovation", "rotor_signature", "vibration_level", "rotor_trim", "trim_step")
+)
+YAW = layout_named("x").mixing[:, 2]  # what each rotor does to yaw
+OTHER_SET = 0.03 * YAW  # of the hover command: thrusts within 3 %, all of them for yaw
+
+
+def flown(seed: int, started_ns: int = 0, telemetry: Telemetry | None = None) -> Log:
+    made = flying(2500, seed) if telemetry is None else telemetry
+    return Log(f"f{seed}", f"{seed:064x}", "px4", made, started_ns=started_ns)
+
+
+def reset(seed: int, n: int = 2500, weak_rotor: int = 0) -> Telemetry:
+    """A flight with the other propellers: another trim, and a fifth more vibration."""
+    made = flying(n, seed, weak_rotor=weak_rotor, rise=0.3 if weak_rotor else 0.0)
+    other = changed(made, Signal.ACTUATOR, lambda outputs: outputs + 0.5 * OTHER_SET)
+    return changed(other, Signal.VIBRATION, lambda level: 1.2 * level)
+
+
+@cache
+def monday() -> Baseline:
+    return learn([flown(i, MONDAY + i * 600 * NS_PER_S) for i in range(3)], FIVE, created=NOW)
+
+
+@cache
+def tuesday() -> Baseline:
+    return extend(monday(), [flown(i, MONDAY + DAY + i * 600 * NS_PER_S) for i in (10, 11)], created=LATER)
+
+
+def turned(seed: int, n: int = 2500) -> Telemetry:
+    """A flight whose nose turns all the time, and which takes no trim for it."""
+    made = flying(n, seed, turn=np.full(n, 0.9))
+    return changed(made, Signal.ACTUATOR, lambda outputs: outputs - 0.5 * 0.02 * 0.9 * YAW)
+
+
+def entry(baseline: Baseline, kind: str) -> MonitorEntry:
+    return next(one for one in baseline.monitors if one.spec.kind == kind)
+
+
+def test_a_new_session_is_added_to_what_supports_the_thresholds() -> None:
+    before, after = monday(), tuesday()
+    assert [one.session for one in after.provenance.logs] == [0, 0, 0, 1, 1]
+    assert after.provenance.logs[:3] == before.provenance.logs
+    assert after.healthy_hours > before.healthy_hours
+    assert after.promised == pytest.approx(before.promised)
+    for old, new in zip(before.monitors, after.monitors, strict=True):
+        assert (old.threshold.sessions, new.threshold.sessions) == (1, 2)
+        assert (old.threshold.flights, new.threshold.flights) == (3, 5)
+        assert new.threshold.hours > old.threshold.hours
+        assert new.scores.maxima[: len(old.scores.maxima)] == old.scores.maxima
+
+
+def test_it_widens_the_envelope() -> None:
+    wider = extend(monday(), [flown(12, MONDAY + DAY, turned(12))], created=NOW)
+    (old,), (new,) = (
+        [one for one in made.envelope if one.condition is Condition.YAW_RATE] for made in (monday(), wider)
+    )
+    assert new.high > 0.9 > 1.5 * old.high
+    assert {one.condition for one in wider.envelope} == {one.condition for one in monday().envelope}
+    turning = Log("t", "", "px4", turned(30, 3000))
+    silent = {one.name for one in judge(turning, monday()).monitors if one.outside_s > 10}
+    assert {"innovation", "rotor_trim", "trim_step"} <= silent
+    found = judge(turning, wider)
+    assert found.verdict is Verdict.HEALTHY
+    assert not any(one.outside_s for one in found.monitors)
+
+
+def test_a_flight_of_a_session_that_is_in_already_joins_that_one() -> None:
+    """And not the last one of the baseline."""
+    made = extend(tuesday(), [flown(13, MONDAY + 1800 * NS_PER_S), flown(14), flown(15, MONDAY + 9 * DAY)], created=NOW)
+    first, unknown, new = (one.session for one in made.provenance.logs[-3:])
+    assert first == 0
+    assert len({0, 1, unknown, new}) == 4
+    assert entry(made, "rotor_trim").threshold.sessions == 4
+
+
+def test_a_flight_that_is_in_it_already_is_refused() -> None:
+    with pytest.raises(InputError) as error:
+        extend(monday(), (flown(10), flown(2)), created=NOW)
+    assert str(error.value) == "f2: is in the baseline already; leave it out"
+
+
+@cache
+def refitted() -> Baseline:
+    """With new propellers, after a hover of 16 s."""
+    hover = flown(40, MONDAY + DAY, reset(40, 1600))
+    return extend(monday(), [hover], new_propellers=True, created=LATER)
+
+
+@pytest.mark.parametrize("seed", range(41, 45))
+def test_new_propellers_are_healthy_after_one_short_hover(seed: int) -> None:
+    healthy = Log("h", "", "px4", reset(seed, 3000), started_ns=MONDAY + 3 * DAY)
+    assert judge(healthy, monday()).verdict is not Verdict.HEALTHY  # or there is nothing to show
+    found = judge(healthy, refitted())
+    assert found.verdict is Verdict.HEALTHY, found.reason
+    assert {"rotor_trim", "vibration_level"} <= {one.name for one in found.monitors if one.judged_s > 10}
+
+
+@pytest.mark.parametrize("rotor", [1, 2, 3, 4])
+def test_a_weak_motor_is_still_found_with_them(rotor: int) -> None:
+    found = judge(Log("w", "", "px4", reset(50 + rotor, 3000, rotor), started_ns=MONDAY + 3 * DAY), refitted())
+    assert found.verdict is Verdict.FAULT
+    assert f"rotor {rotor}" in found.reason
+
+
+def test_new_propellers_change_the_level_and_nothing_else() -> None:
+    old, new = monday(), refitted()
+    assert [one.propellers for one in new.provenance.logs] == [0, 0, 0, 1]
+    assert not new.same_session(MONDAY)
+    assert new.same_session(MONDAY + DAY)
+    moved = np.array(entry(new, "rotor_trim").spec.mean) - np.array(entry(old, "rotor_trim").spec.mean)
+    np.testing.assert_allclose(moved, [0.0, 0.0, 0.03], atol=0.003)
+    for kind in ("rotor_trim", "trim_step"):
+        level = entry(new, kind).spec.mean
+        assert entry(new, kind).spec == dataclasses.replace(entry(old, kind).spec, mean=level)
+    ratio = entry(new, "vibration_level").spec.healthy / entry(old, "vibration_level").spec.healthy
+    assert ratio == pytest.approx(1.2, rel=0.05)
+    for kind in ("innovation", "rotor_signature"):
+        assert entry(new, kind).spec == entry(old, kind).spec
+    assert parse(dump(new)) == new
+
+
+def test_the_command_adds_flights(mavdiag: Callable[..., Ran], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A log's name says which flight it holds."""
+    monkeypatch.setattr("mavdiag.commands.identify.read_part", lambda path, *_: flown(int(path.stem[1:]), MONDAY + DAY))
+    monkeypatch.setattr("mavdiag.commands.progress.SLOW_S", 1e6)  # nothing is said of a slow machine
+    old, new = tmp_path / "old.json", tmp_path / "new.json"
+    monday().save(old)
+    code, out, err = mavdiag("baseline", "extend", old, "f10.tlog", "f11.tlog", "-o", new)
+    assert (code, err) == (0, "")
+    assert out.endswith(f"written to {new}\n")
+    assert "from 5 flights in 2 sessions" in out
+    assert "support    5 flights" in out
+    made = Baseline.load(new)
+    assert [one.name for one in made.provenance.logs] == ["f0", "f1", "f2", "f10", "f11"]
+    assert Baseline.load(old) == monday()

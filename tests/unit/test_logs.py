@@ -1,11 +1,13 @@
-"""Flight logs: kinds, units and directions, damage, and what cannot be read is one line."""
+"""Flight logs: kinds, units and directions, damage, several vehicles, and what cannot be read is one line."""
 
 import math
 import tracemalloc
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
+import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
 from made_archive import content as telemetry_log
 from made_logs import (
@@ -27,18 +29,27 @@ from made_logs import (
     ulog_message,
     with_checksum,
 )
+from pymavlink import mavutil
+from shared_data import written
 
 from mavdiag.errors import InputError
+from mavdiag.link.codec import UNKNOWN, Encoder
+from mavdiag.link.messages import MavType, MessageId
+from mavdiag.link.signing import Signing
 from mavdiag.logs import airframe_name_for, gate_for, kinds, read_log
 from mavdiag.logs.crazyflie import read_crazyflie
 from mavdiag.logs.csv_columns import load_column_map, parse_column_map
 from mavdiag.logs.dataflash import read_dataflash
-from mavdiag.logs.log import LogKind
+from mavdiag.logs.log import LogKind, sha256_of
+from mavdiag.logs.tlog import decode_tlog, read_tlog, tlog_record, vehicle_stream
 from mavdiag.logs.ulog import _by_motor, read_ulog
 from mavdiag.look.figures import rotor_line
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import Log, Series, Signal, Telemetry
 from mavdiag.testing import example_rows
+
+START_US = 1_763_000_000_000_000
+N = 300
 
 
 def read_made(path: Path, vehicle: int | None, profile: str | None) -> Log:
@@ -95,14 +106,8 @@ RECORDS = (
 )
 
 
-def written(folder: Path, content: bytes) -> Path:
-    path = folder / "log00"
-    path.write_bytes(content)
-    return path
-
-
 def test_units_and_signs_are_si_and_frd(tmp_path: Path) -> None:
-    log = read_crazyflie(written(tmp_path, with_checksum(crazyflie_content([PID, MARK], RECORDS))))
+    log = read_crazyflie(written(tmp_path / "log00", with_checksum(crazyflie_content([PID, MARK], RECORDS))))
     first = {series.signal: series.values[0] for series in log.telemetry.series}
     assert first[Signal.ATTITUDE_SETPOINT] == pytest.approx([math.radians(10), math.radians(-20), -math.pi / 2])
     assert first[Signal.BODY_RATE] == pytest.approx([0.1, 0.2, -0.3])
@@ -126,14 +131,8 @@ unit = "percent"
 """
 
 
-def written_csv(folder: Path, text: str) -> Path:
-    path = folder / "flight.csv"
-    path.write_text(text)
-    return path
-
-
 def test_units_and_directions_become_si_and_frd(tmp_path: Path) -> None:
-    path = written_csv(tmp_path, "m2,time,p,q,r,m1\n40,1000,90,180,-90,10\n50,1010,0,0,0,20\n")
+    path = written(tmp_path / "flight.csv", "m2,time,p,q,r,m1\n40,1000,90,180,-90,10\n50,1010,0,0,0,20\n")
     log = read_log(path, columns=parse_column_map(MAP))
     np.testing.assert_allclose(log[Signal.BODY_RATE].values[0], [np.pi / 2, -np.pi, -np.pi / 2])
     assert log[Signal.BODY_RATE].t_ns.tolist() == [1_000_000_000, 1_010_000_000]
@@ -142,7 +141,7 @@ def test_units_and_directions_become_si_and_frd(tmp_path: Path) -> None:
 
 
 def test_a_file_without_header_or_time_is_read_by_number_and_rate(tmp_path: Path) -> None:
-    path = written_csv(tmp_path, "comment\n1;2;3\n4;5;6\n7;8;9\n")
+    path = written(tmp_path / "flight.csv", "comment\n1;2;3\n4;5;6\n7;8;9\n")
     text = '[time]\nrate_hz = 200\n[body_rate]\ncolumns = ["1", "2", "3"]\nunit = "rad/s"\n'
     log = read_log(path, columns=parse_column_map(text + '[file]\ndelimiter = ";"\nskip_lines = 1\nheader = false\n'))
     np.testing.assert_allclose(log[Signal.BODY_RATE].values, [[1, 2, 3], [4, 5, 6], [7, 8, 9]])
@@ -183,7 +182,7 @@ def test_a_wrong_map_names_its_field(text: str, words: str, tmp_path: Path) -> N
 )
 def test_a_file_that_the_map_does_not_fit_is_one_line(content: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=words) as caught:
-        read_log(written_csv(tmp_path, content), columns=parse_column_map(MAP))
+        read_log(written(tmp_path / "flight.csv", content), columns=parse_column_map(MAP))
     assert "\n" not in str(caught.value)
 
 
@@ -197,7 +196,7 @@ def test_a_file_that_the_map_does_not_fit_is_one_line(content: str, words: str, 
     ],
 )
 def test_what_is_no_sound_csv_file_is_one_line(tmp_path: Path, text: str) -> None:
-    path = written_csv(tmp_path, text)
+    path = written(tmp_path / "flight.csv", text)
     tracemalloc.start()
     with pytest.raises(InputError) as caught:
         read_log(path, columns=parse_column_map(MAP))
@@ -221,14 +220,12 @@ POSITION = ULogTopic(8, "vehicle_local_position", (STAMP, ("float", "x"), ("floa
 HALF, NAN = math.sqrt(0.5), math.nan
 
 
+def read(folder: Path, content: bytes) -> Log:
+    return read_log(written(folder / "log_4", content))
+
+
 def sensors(time_us: int, rate: float = 0.0, delay_us: int = 0) -> bytes:
     return DELAYED.record(time_us, rate, 0, 0, delay_us, 0, 0, -9.81)
-
-
-def read(folder: Path, content: bytes) -> Log:
-    path = folder / "log_4.ulg"
-    path.write_bytes(content)
-    return read_log(path)
 
 
 @pytest.mark.parametrize(
@@ -283,9 +280,7 @@ def imu(time_us: int, rate: float = 0.0, instance: int = 0) -> bytes:
 
 
 def read_bin(folder: Path, content: bytes) -> Log:
-    path = folder / "00000007.BIN"
-    path.write_bytes(content)
-    return read_dataflash(path)
+    return read_dataflash(written(folder / "00000007.BIN", content))
 
 
 def first(log: Log, signal: Signal) -> list[float]:
@@ -301,43 +296,33 @@ def test_format_characters_carry_their_multiplier_and_angles_become_radians(tmp_
     assert log.profile == "ardupilot-log"
 
 
-def turning(message: DataFlashMessage, *values: float) -> list[bytes]:
-    """Two records of RATE among those of an IMU that turns at 10 deg/s."""
-    unit = 1 if message is OLD_RATE else 1_000
-    turn = math.radians(10)
-    return [imu(1_000, turn), message.record(2 * unit, *values), imu(3_000, turn), message.record(4 * unit, *values)]
-
-
 @pytest.mark.parametrize("message", [OLD_RATE, RATE])
 def test_rate_was_in_hundredths_up_to_copter_3_3(tmp_path: Path, message: DataFlashMessage) -> None:
-    log = read_bin(tmp_path, dataflash([IMU, message], turning(message, 2000, 1000, 450, 0, 0, 0, 0, 0, 0)))
+    """Among the records of an IMU that turns at 10 deg/s."""
+    unit, values, turn = 1 if message is OLD_RATE else 1_000, (2000, 1000, 450, *[0] * 6), math.radians(10)
+    told = [(imu(k * 1_000, turn), message.record((k + 1) * unit, *values)) for k in (1, 3)]
+    log = read_bin(tmp_path, dataflash([IMU, message], [record for pair in told for record in pair]))
     assert first(log, Signal.RATE_SETPOINT) == pytest.approx([math.radians(20), 0, 0])
     assert first(log, Signal.TORQUE_COMMAND) == pytest.approx([0.1, 0, 0])
-
-
-def test_outputs_follow_the_motor_functions(tmp_path: Path) -> None:
-    functions = {1: 0, 2: 34, 3: 33, 4: 10, 5: 35}
-    parameters = [PARM.record(1, f"SERVO{n}_FUNCTION".encode(), value) for n, value in functions.items()]
-    outputs = RCOU.record(2, 1100, 1200, 1300, 1400, 1500, 0)
-    log = read_bin(tmp_path, dataflash([PARM, RCOU], [*parameters, outputs]))
-    assert first(log, Signal.ACTUATOR) == pytest.approx([0.3, 0.2, 0.5])
 
 
 def told(time_us: int, instance: int, rpm: float) -> bytes:
     return ESC.record(time_us, instance, rpm + 100, rpm, 16, 4, 3000, 0, 3000, 0)
 
 
-def test_speeds_of_escs_follow_the_motor_functions_and_grow_old(tmp_path: Path) -> None:
-    functions = {1: 0, 2: 34, 3: 33, 5: 35}
+def test_outputs_and_speeds_of_escs_follow_the_motor_functions_and_speeds_grow_old(tmp_path: Path) -> None:
+    functions = {1: 0, 2: 34, 3: 33, 4: 10, 5: 35}
     parameters = [PARM.record(1, f"SERVO{n}_FUNCTION".encode(), value) for n, value in functions.items()]
     records = [told(10, 1, 6000), told(20, 2, -3000), told(30, 4, 600), told(1_600_000, 1, 6600)]
-    log = read_bin(tmp_path, dataflash([PARM, ESC], [*parameters, *records]))
+    outputs = RCOU.record(2, 1100, 1200, 1300, 1400, 1500, 0)
+    log = read_bin(tmp_path, dataflash([PARM, RCOU, ESC], [*parameters, outputs, *records]))
+    assert first(log, Signal.ACTUATOR) == pytest.approx([0.3, 0.2, 0.5])
     expected = np.array([[np.nan, 200, np.nan], [100, 200, np.nan], [100, 200, 20], [np.nan, 220, np.nan]])
     np.testing.assert_allclose(log[Signal.ROTOR_SPEED].values, expected * math.pi, rtol=1e-6)
     assert log.motor_order
 
 
-def test_older_and_other_messages_tell_speeds_where_it_is_known_of_which_rotor(tmp_path: Path) -> None:
+def test_older_and_other_messages_tell_speeds_of_known_rotors_and_what_an_esc_complains_of(tmp_path: Path) -> None:
     old = read_bin(tmp_path, dataflash([OLD_ESC], [OLD_ESC.record(10, 600_000, 1600, 400, 3000, 0)]))
     np.testing.assert_allclose(old[Signal.ROTOR_SPEED].values, [[np.nan, 200 * math.pi]])
     masks = [PARM.record(1, b"RPM1_ESC_MASK", 4), PARM.record(1, b"RPM2_ESC_MASK", 3)]
@@ -345,13 +330,8 @@ def test_older_and_other_messages_tell_speeds_where_it_is_known_of_which_rotor(t
     np.testing.assert_allclose(log[Signal.ROTOR_SPEED].values, [[np.nan, np.nan, 200 * math.pi]])
     unknown = read_bin(tmp_path, dataflash([IMU, RPMS], [imu(1), RPMS.record(10, 6000, 600)]))
     assert unknown.telemetry.get(Signal.ROTOR_SPEED) is None
-
-
-def test_what_an_esc_complains_of_is_told(tmp_path: Path) -> None:
-    log = read_bin(
-        tmp_path, dataflash([IMU, EDT2], [imu(1), EDT2.record(2, 2, 9, 9, 3), EDT2.record(3, 2, 9, 9, 8 | 16)])
-    )
-    assert log.notes == ("ESC 3 told a warning", "ESC 3 told an error")
+    told = [imu(1), EDT2.record(2, 2, 9, 9, 3), EDT2.record(3, 2, 9, 9, 8 | 16)]
+    assert read_bin(tmp_path, dataflash([IMU, EDT2], told)).notes == ("ESC 3 told a warning", "ESC 3 told an error")
 
 
 def test_raw_batches_are_read_up_to_their_first_gap_and_show_the_line_of_the_rotors(tmp_path: Path) -> None:
@@ -481,3 +461,144 @@ def test_r7_a_log_that_was_cut_off_says_so(tmp_path: Path, content: bytes, lost:
     log = read(tmp_path, content[: len(content) - lost])
     assert len(log.notes) == notes
     assert all("ends within a " in note for note in log.notes)
+
+
+def heartbeat(encoder: Encoder, kind: MavType = MavType.QUADROTOR, autopilot: int = 3) -> bytes:
+    return encoder.encode(MessageId.HEARTBEAT, kind, autopilot, 128, 0, 4, 3)
+
+
+def records(sysid: int = 1, n: int = N, scale: int = 1000) -> list[bytes]:
+    """n setpoints and IMU samples at 100 Hz, a heartbeat a second, and messages that nobody asks for."""
+    encoder, found = Encoder(sysid, 1), []
+    for k in range(n):
+        time_us = START_US + 10_000 * k
+        frames = [
+            encoder.encode(MessageId.ATTITUDE_TARGET, 5_000 + 10 * k, 0, (1.0, 0.001 * k, 0.0, 0.0), 0, 0, 0, 0.5),
+            encoder.encode(MessageId.RAW_IMU, 5_000_000 + 10_000 * k, k, 0, -scale, -k, 2, 3),
+            encoder.encode(MessageId.SYSTEM_TIME, time_us, 5_000 + 10 * k),
+        ]
+        if k % 100 == 0:
+            frames.append(heartbeat(encoder))
+        found += [tlog_record(time_us, frame) for frame in frames]
+    return found
+
+
+def test_a_whole_log_is_read(tmp_path: Path) -> None:
+    data = b"".join(records())
+    log = read_log(written(tmp_path / "flight.tlog", data))
+    assert (log.name, log.sha256, log.profile) == ("flight.tlog", sha256_of(data), "ardupilot")
+    assert log.started_ns == START_US * 1000
+    rate = log.telemetry.need(Signal.BODY_RATE)
+    assert rate.t_ns.tolist() == [5_000_000_000 + 10_000_000 * k for k in range(N)]
+    assert rate.host_ns.tolist() == [1000 * START_US + 10_000_000 * k for k in range(N)]
+    np.testing.assert_allclose(rate.values[-1], [-0.001 * (N - 1), 0.002, 0.003])
+    assert len(log.telemetry.need(Signal.ATTITUDE_SETPOINT)) == N
+    content = decode_tlog([data])
+    assert (content.records, content.damaged_bytes) == (3 * N + 3, 0)
+    assert content.senders[1, 1].lost == 0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_damage_costs_only_the_records_it_hits(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pieces = records()
+    for k in rng.choice(len(pieces), 20, replace=False):
+        harm = bytearray(pieces[k])
+        harm[8 + int(rng.integers(len(harm) - 8))] ^= 1 << int(rng.integers(8))
+        pieces[k] = bytes(harm)
+    data = b"".join(pieces[:100]) + rng.bytes(500) + b"".join(pieces[100:]) + pieces[0][:20]
+    content = decode_tlog([data])
+    known = {msgid: n for msgid, n in content.senders[1, 1].by_message.items() if msgid != UNKNOWN}
+    assert sum(known.values()) == len(pieces) - 20  # a frame whose id was hit counts as one of another dialect
+    assert content.records - len(pieces) + 20 <= 6
+    assert 520 <= content.damaged_bytes <= 520 + 20 * max(map(len, pieces))
+    assert len(read_tlog(written(tmp_path / "flight.tlog", data)).telemetry.need(Signal.BODY_RATE)) >= N - 20
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "empty"),
+        (b"time,roll,pitch\n1,2,3\n" * 40, "not a flight log"),
+        (b"\xfd" * 500, "no MAVLink frame"),
+        (b"".join(records(n=3)) + bytes(9000), "% of the file is damaged"),
+        (tlog_record(START_US, Encoder(1, 1).encode(MessageId.ATTITUDE, 1)), "no autopilot's heartbeat"),
+        (tlog_record(START_US, heartbeat(Encoder(255, 1), MavType.GCS, 8)), "no autopilot's heartbeat"),
+        (b"".join(records(1, 9) + records(7, 9)), "vehicles 1, 7; choose one.*vehicle_stream"),
+        (b"".join(records(scale=16_384)), r"vehicle 1: its link profile is not clear.*give --profile"),  # B18
+    ],
+)
+def test_what_cannot_be_read_says_why(tmp_path: Path, data: bytes, words: str) -> None:
+    path = written(tmp_path / "flight.tlog", data)
+    with pytest.raises(InputError, match=words) as caught:
+        read_log(path)
+    assert "\n" not in str(caught.value)
+    if "--profile" in words:
+        assert read_log(path, profile="ardupilot").profile == "ardupilot"
+
+
+def test_each_vehicle_of_several_is_read_in_one_pass(tmp_path: Path) -> None:
+    ours, theirs = records(1, 250), records(7, 160)
+    companion = tlog_record(START_US, heartbeat(Encoder(9, 191), MavType.ONBOARD_CONTROLLER, 8))
+    mixed = [one for pair in zip(ours, theirs, strict=False) for one in pair]
+    path = written(tmp_path / "flight.tlog", b"".join((companion, *mixed, *ours[len(theirs) :])))
+    found = list(vehicle_stream(path))
+    assert [one.vehicle for one in found] == [1, 7]
+    assert [one.log.name for one in found] == ["flight.tlog vehicle 1", "flight.tlog vehicle 7"]
+    for sysid, log in found:
+        alone = read_tlog(path, vehicle=sysid)
+        assert (log.sha256, log.profile, log.started_ns) == (alone.sha256, alone.profile, alone.started_ns)
+        for series in alone.telemetry:
+            assert np.array_equal(log[series.signal].values, series.values)
+            assert np.array_equal(log[series.signal].t_ns, series.t_ns)
+    assert len(found[1].log[Signal.BODY_RATE]) == 160
+    (alone_in_file,) = vehicle_stream(str(written(tmp_path / "flight.tlog", b"".join(ours))))
+    assert alone_in_file.log.name == "flight.tlog"
+    with pytest.raises(InputError, match="no autopilot's heartbeat"):
+        list(vehicle_stream(written(tmp_path / "flight.tlog", companion)))
+
+
+def flight(rng: np.random.Generator) -> list[bytes]:
+    """Two vehicles: MAVLink 1 and 2, signed stretches, records lost, swapped, broken, and of another dialect."""
+    plain, other, sealing = Encoder(1, 1), Encoder(7, 1), Encoder(1, 1, Signing(bytes(32), stamp=START_US // 10))
+    old, found = dialect.MAVLink(None, srcSystem=1, srcComponent=1), list[bytes]()
+    for k in range(400):
+        time_us, boot_us = START_US + 10_000 * k + int(rng.integers(4000)), 5_000_000 + 10_000 * k
+        encoder, counts = sealing if 50 < k < 120 else plain, rng.integers(-900, 900, 9).tolist()
+        frames = [
+            encoder.encode(MessageId.ATTITUDE_TARGET, boot_us // 1000, 0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, k / 400),
+            encoder.encode(MessageId.RAW_IMU, boot_us, *counts[:6]),
+            other.encode(MessageId.RAW_IMU, boot_us, *counts),
+            dialect.mavlink_map[MessageId.RAW_IMU](boot_us + 5000, *counts).pack(old, force_mavlink1=True),
+        ]
+        if k % 50 == 0:
+            stranger = bytearray(encoder.encode(MessageId.STATUSTEXT, 6, b"text"))
+            stranger[7:10] = b"\xff\xff\x7f"
+            frames += [heartbeat(encoder), heartbeat(other), bytes(stranger)]
+        found += [tlog_record(time_us, bytes(frame)) for frame in frames if rng.random() > 0.02]
+    for k in rng.integers(0, len(found) - 1, 20).tolist():
+        found[k], found[k + 1] = found[k + 1], found[k]
+    for k in rng.integers(0, len(found), 20).tolist():
+        found[k] = found[k][:-1] + bytes([found[k][-1] ^ 1])
+    return found
+
+
+@pytest.mark.parametrize(("seed", "window"), [(0, 997), (1, 4096), (2, 20_011), (3, 1 << 21)])
+def test_windows_read_as_pymavlink(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int, window: int) -> None:
+    path = written(tmp_path / "flight.tlog", b"".join(flight(np.random.default_rng(seed))))
+    times, imu, thrust = list[int](), list[list[float]](), list[float]()
+    with closing(mavutil.mavlink_connection(str(path), dialect="ardupilotmega")) as theirs:
+        while message := theirs.recv_match(type=["RAW_IMU", "ATTITUDE_TARGET"]):
+            told = {name: float(value) for name, value in message.to_dict().items() if isinstance(value, int | float)}
+            if message.get_srcSystem() == 1 and message.get_type() == "RAW_IMU":
+                times.append(round(1e6 * message._timestamp) * 1000)
+                imu.append([1000 * told["time_usec"], *(1e-3 * told[f"{axis}gyro"] for axis in "xyz")])
+            elif message.get_srcSystem() == 1:
+                thrust.append(told["thrust"])
+    monkeypatch.setattr("mavdiag.logs.tlog.PIECE_BYTES", window)
+    log = read_tlog(path, vehicle=1)
+    rate = log.telemetry.need(Signal.BODY_RATE)
+    assert len(times) > 700
+    assert rate.host_ns.tolist() == times
+    np.testing.assert_allclose(np.column_stack([rate.t_ns, rate.values]), imu)
+    assert log.telemetry.need(Signal.THRUST_SETPOINT).values[:, 0].tolist() == thrust

@@ -10,23 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plant_cases import nominal_airframe, quaternion_rotation
 from scipy.signal import bilinear, butter, freqz, welch
+from scipy.spatial.transform import Rotation
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.air import Turbulence, dryden
 from sitl_plant.physics.airframe import NO_PAYLOAD, drone
 from sitl_plant.physics.control import Controller, ControlState, control
-from sitl_plant.physics.dynamics import (
-    GRAVITY,
-    NO_GROUND,
-    RIGID,
-    STAGES,
-    WRENCH,
-    Body,
-    Ground,
-    grip,
-    rk4_step,
-)
+from sitl_plant.physics.dynamics import GRAVITY, NO_GROUND, RIGID, STAGES, WRENCH, Body, Ground, grip, rk4_step
 from sitl_plant.physics.faults import (
     FAULTS,
     Injection,
@@ -40,17 +31,7 @@ from sitl_plant.physics.kernel import Model
 from sitl_plant.physics.mocap import fit_pose
 from sitl_plant.physics.parameters import STEP_S, make_model
 from sitl_plant.physics.rotors import Condition, RotorState, advance_rotors
-from sitl_plant.physics.sensors import (
-    CHANNELS,
-    Imu,
-    ImuState,
-    SensorCondition,
-    advance_imu,
-    butterworth,
-    feel,
-    gain_of,
-    mode,
-)
+from sitl_plant.physics.sensors import CHANNELS, Imu, ImuState, advance_imu, butterworth, feel, gain_of, mode
 from sitl_plant.physics.trajectory import (
     DISARMED,
     FLYING,
@@ -65,6 +46,18 @@ from sitl_plant.physics.trajectory import (
     reference,
 )
 from sitl_plant.vehicle import allocation, qdrone2
+
+K_F, HOVER = 3.364e-6, 1047.2
+G_MM = 1e-6
+MARKERS = np.array(qdrone2().mocap.markers_m)
+ALL: IntArray = np.ones(len(MARKERS), dtype=np.int64)
+GUST_STEP_S = 0.02
+MODEL = dryden(5.0, 1.0)
+WEIGHT = 1.504 * 9.81
+DT = 0.001
+STUCK, GONE = RotorDamage(unbalance_g_mm=1.0), RotorDamage(0.0, 0.0, ejected=True)
+RECORDED = [shape for shape in Shape if shape.recorded]
+LIMITS = {1: (2.0, 3.14), 2: (0.333, 0.52)}  # DronePropA: SP1, SP2
 
 
 def body(inertia: FloatArray, mass: float = 1.5, drag: float = 0.0, hub_moment: float = 0.0) -> Body:
@@ -108,17 +101,13 @@ def test_free_tumbling_keeps_angular_momentum_and_energy(rotor_momentum: float) 
     assert energy() == pytest.approx(energy_before, rel=1e-9)
 
 
-def precession(t: float, transverse: float, axial: float, omega: tuple[float, float, float]) -> FloatArray:
-    """Torque-free axisymmetric body: the transverse rate turns at (Iz - I) / I of the axial rate (Goldstein, 5.6)."""
-    angle = (axial - transverse) / transverse * omega[2] * t
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([c * omega[0] - s * omega[1], s * omega[0] + c * omega[1], omega[2]])
-
-
 def test_integration_is_of_fourth_order() -> None:
+    """Torque-free axisymmetric body: the transverse rate turns at (Iz - I) / I of the axial rate (Goldstein, 5.6)."""
     omega = (2.0, -1.0, 20.0)
     b, wrench = body(np.diag([0.011, 0.011, 0.018])), np.zeros((STAGES, WRENCH))
-    exact = precession(1.0, 0.011, 0.018, omega)
+    angle = (0.018 - 0.011) / 0.011 * omega[2]  # after 1 s
+    c, s = math.cos(angle), math.sin(angle)
+    exact = np.array([c * omega[0] - s * omega[1], s * omega[0] + c * omega[1], omega[2]])
     errors = [np.linalg.norm(run(state(omega), b, wrench, 1.0, dt)[10:] - exact) for dt in (0.02, 0.01, 0.005)]
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert np.all(orders > 3.8), orders
@@ -151,10 +140,6 @@ def test_friction_holds_below_its_limit_without_creeping(push: tuple[float, floa
     settled = x[:3].copy()
     run(x, BOX, wrench, 10.0, ground=plane)
     np.testing.assert_allclose(x[:3], settled, atol=1e-9)
-
-
-K_F, HOVER = 3.364e-6, 1047.2
-G_MM = 1e-6
 
 
 def make() -> tuple[Model, Condition]:
@@ -234,22 +219,9 @@ def test_lift_and_mass_torques_oppose_each_other() -> None:
         assert cosine == pytest.approx(-1.0, abs=1e-6)
 
 
-MARKERS = np.array(qdrone2().mocap.markers_m)
-ALL: IntArray = np.ones(len(MARKERS), dtype=np.int64)
-
-
-def scipy_fit(model: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray]:
-    from scipy.spatial.transform import Rotation
-
-    rotation, _ = Rotation.align_vectors(seen - seen.mean(axis=0), model - model.mean(axis=0))
-    return np.asarray(rotation.as_matrix()), seen.mean(axis=0) - rotation.apply(model.mean(axis=0))
-
-
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("noise_m", [0.0, 0.00015, 0.01])
 def test_fit_is_the_least_squares_fit_of_scipy(seed: int, noise_m: float) -> None:
-    from scipy.spatial.transform import Rotation
-
     rng = np.random.default_rng(seed)
     turn, where = Rotation.from_quat(rng.standard_normal(4)), rng.uniform(-3, 3, 3)
     seen = turn.apply(MARKERS) + where + noise_m * rng.standard_normal(MARKERS.shape)
@@ -259,13 +231,10 @@ def test_fit_is_the_least_squares_fit_of_scipy(seed: int, noise_m: float) -> Non
     fit = np.zeros(RIGID)
     assert fit_pose(MARKERS, seen, visible, fit, np.zeros((9, 4)))
     kept = visible.astype(bool)
-    R, t = scipy_fit(MARKERS[kept], seen[kept])
-    np.testing.assert_allclose(quaternion_rotation(fit[6:10]), R, atol=1e-7)
-    np.testing.assert_allclose(fit[:3], t, atol=1e-7)
-
-
-GUST_STEP_S = 0.02
-MODEL = dryden(5.0, 1.0)
+    middle, centre = MARKERS[kept].mean(axis=0), seen[kept].mean(axis=0)
+    rotation, _ = Rotation.align_vectors(seen[kept] - centre, MARKERS[kept] - middle)
+    np.testing.assert_allclose(quaternion_rotation(fit[6:10]), rotation.as_matrix(), atol=1e-7)
+    np.testing.assert_allclose(fit[:3], centre - rotation.apply(middle), atol=1e-7)
 
 
 @pytest.fixture(scope="module")
@@ -293,8 +262,6 @@ def test_spectra_are_those_published(gusts: FloatArray, axis: int) -> None:
 
 
 # Attitude estimate and controllers: closed forms, directions, limits
-
-WEIGHT = 1.504 * 9.81
 
 
 @cache
@@ -393,25 +360,11 @@ def test_motors_are_off_or_idle_on_the_ground_and_the_integrals_wait(
 # The IMUs against kinematics, scipy and the sampling theorem; their mount; the two of the recordings
 
 
-def imu(noise: float = 0.0) -> Imu:
-    return Imu(np.zeros(3), np.zeros(CHANNELS), np.full(CHANNELS, noise), butterworth(250.0, 0.001))
-
-
 @pytest.mark.parametrize("corner_hz", [5.0, 80.0, 250.0, 480.0, 700.0])
 @pytest.mark.parametrize("kind", ["lowpass", "highpass"])
 def test_the_filters_are_those_of_scipy(corner_hz: float, kind: Literal["lowpass", "highpass"]) -> None:
     expected = butter(2, min(corner_hz * 0.001, 0.499), kind, fs=1.0, output="sos")[0, [0, 1, 2, 4, 5]]
     np.testing.assert_allclose(butterworth(corner_hz, 0.001, kind), expected, rtol=1e-12, atol=1e-14)
-
-
-def read(sensor: Imu, condition: SensorCondition, truth: FloatArray, normals: FloatArray) -> FloatArray:
-    z = np.zeros
-    state = ImuState(z((CHANNELS, 2)), z(CHANNELS), z(CHANNELS), z((CHANNELS, 2)))
-    out = np.empty((len(normals), CHANNELS))
-    for row in range(len(normals)):
-        advance_imu(state, sensor, condition, truth, normals, row, 0.001)
-        out[row] = state.reading
-    return out
 
 
 def test_lever_arm_is_the_acceleration_of_a_point_on_the_body() -> None:
@@ -446,12 +399,13 @@ def test_sensor_faults_act_as_written() -> None:
         Injection(SensorFault("accel", 2, scale=0.5)),
     )
     truth = np.array([0.3, 0.3, 0.3, 1.0, 1.0, 1.0])
-    out = read(imu(), sensor_condition(faults), truth, np.zeros((1000, CHANNELS)))
-    assert out[-1, 1] == pytest.approx(2 * 0.3 + 0.1 + 0.5, abs=0.002)
-    np.testing.assert_allclose(out[-1, [0, 2, 3, 4, 5]], [0.3, 0.3, 1.0, 1.0, 0.5], atol=1e-9)
-
-
-DT = 0.001
+    z, still = np.zeros, np.zeros((1000, CHANNELS))
+    sensor = Imu(z(3), z(CHANNELS), z(CHANNELS), butterworth(250.0, 0.001))
+    state = ImuState(z((CHANNELS, 2)), z(CHANNELS), z(CHANNELS), z((CHANNELS, 2)))
+    for row in range(1000):
+        advance_imu(state, sensor, sensor_condition(faults), truth, still, row, 0.001)
+    assert state.reading[1] == pytest.approx(2 * 0.3 + 0.1 + 0.5, abs=0.002)
+    np.testing.assert_allclose(state.reading[[0, 2, 3, 4, 5]], [0.3, 0.3, 1.0, 1.0, 0.5], atol=1e-9)
 
 
 @pytest.mark.parametrize(("hz", "damping"), [(25.0, 0.1), (50.0, 0.1), (165.0, 0.05), (300.0, 1.2)])
@@ -479,9 +433,6 @@ def test_other_text_is_refused_in_one_line(text: str) -> None:
         message = str(error)
     assert "F2/SV2" in message
     assert "\n" not in message
-
-
-STUCK, GONE = RotorDamage(unbalance_g_mm=1.0), RotorDamage(0.0, 0.0, ejected=True)
 
 
 def condition(damage: RotorDamage, angle: float = 0.5, rotor: int = 2) -> Condition:
@@ -538,10 +489,6 @@ def test_yaw_rate_is_the_slope_of_yaw_which_stays_within_pi(shape: Shape, nose: 
         slope = (after[6] - before[6] + math.pi) % (2 * math.pi) - math.pi
         assert slope / (2 * h) == pytest.approx(here[7], abs=1e-3)
         assert -math.pi <= here[6] < math.pi
-
-
-RECORDED = [shape for shape in Shape if shape.recorded]
-LIMITS = {1: (2.0, 3.14), 2: (0.333, 0.52)}  # DronePropA: SP1, SP2
 
 
 def flown(shape: Shape, seconds: float = 60.0, dt: float = 0.01, takeoff: bool = False) -> FloatArray:

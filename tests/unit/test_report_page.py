@@ -33,7 +33,7 @@ from mavdiag.report.page import FlightReport, campaign_page, flight_report, flig
 from mavdiag.report.pictures import sweep_of
 from mavdiag.report.sketch import Sketch
 from mavdiag.rows.block import Block
-from mavdiag.telemetry import Axis, FloatArray, Log, Signal
+from mavdiag.telemetry import Axis, Log, Signal
 
 CREATED = "2026-01-01T00:00:00+00:00"
 HOSTILE = "<script>alert(1)</script>\"'>&\u202e$x^2$<img src=x onerror=y>"
@@ -41,6 +41,8 @@ SECTIONS = (
     *("timeline", "flight", "evidence", "attitude", "rates", "residual", "fsd"),
     *("plane", "severity", "spectrum", "windows"),
 )
+SVG = "{http://www.w3.org/2000/svg}"
+COAXIAL = layout_at("y6", [Place(x, y, spin) for x, y in ((1, 1), (1, -1), (-1, 0)) for spin in ("cw", "ccw")])
 
 
 def report_of(log: Log, baseline: Baseline, *, figures: bool = True) -> FlightReport:
@@ -168,18 +170,6 @@ def test_what_is_no_campaign_says_what_to_name(tmp_path: Path, content: bytes, r
         read_campaign(path)
 
 
-pytest.importorskip("numba", reason="the plant is an extra")
-
-
-@cache
-def sketch() -> Sketch:
-    log, judged = cracked()
-    assert judged.chain is not None
-    found = Sketch(log, 300)
-    found.take(judged.chain, judged.pieces)
-    return found
-
-
 def blocks() -> list[Block]:
     return joined([piece.rows for piece in cracked()[1].pieces])
 
@@ -230,7 +220,11 @@ def test_the_spectrum_is_scipys_and_its_peak_is_the_rotors_speed() -> None:
     use = frequency > 5
     np.testing.assert_allclose(spectrum.frequency_hz, frequency, rtol=1e-3)
     np.testing.assert_allclose(spectrum.power[use], power[use], rtol=0.01)
-    drawn = sketch().spectrum
+    judged = cracked()[1]
+    assert judged.chain is not None
+    sketch = Sketch(log, 300)
+    sketch.take(judged.chain, judged.pieces)
+    drawn = sketch.spectrum
     assert drawn is not None
     assert abs(drawn.averaged - spectrum.averaged) <= 2
     np.testing.assert_allclose(drawn.power[use], spectrum.power[use], rtol=0.3)
@@ -252,17 +246,9 @@ def test_the_window_sweep_fits_what_identify_fits() -> None:
 def test_the_area_of_a_roc_is_the_chance_to_rank_a_pair_rightly(healthy: list[int], damaged: list[int]) -> None:
     low, high = (np.array(one, dtype=np.float64) for one in (healthy, damaged))
     roc = roc_of(low.tolist(), high.tolist())
-    assert roc.area == pytest.approx(ranked(low, high))
+    higher, equal = high[:, None] > low, high[:, None] == low  # Mann and Whitney: ties count half
+    assert roc.area == pytest.approx(np.mean(higher + 0.5 * equal))
     assert roc.at_threshold == pytest.approx((np.mean(low > 1), np.mean(high > 1)))
-
-
-def ranked(low: FloatArray, high: FloatArray) -> float:
-    """Mann and Whitney: the share of pairs in which the damaged flight scores higher, ties half."""
-    return float(np.mean((high[:, None] > low) + 0.5 * (high[:, None] == low)))
-
-
-SVG = "{http://www.w3.org/2000/svg}"
-COAXIAL = layout_at("y6", [Place(x, y, spin) for x, y in ((1, 1), (1, -1), (-1, 0)) for spin in ("cw", "ccw")])
 
 
 def discs(svg: str) -> dict[int, tuple[float, float, float]]:
@@ -270,16 +256,11 @@ def discs(svg: str) -> dict[int, tuple[float, float, float]]:
     found = {}
     for group in ElementTree.fromstring(svg).iter(f"{SVG}g"):
         if "data-rotor" in group.attrib:
-            disc = disc_of(group)
-            place = float(disc["cx"]), float(disc["cy"]), float(disc["r"])
-            found[int(group.attrib["data-rotor"])] = place
+            disc = group.find(f"{SVG}circle")
+            assert disc is not None
+            x, y, radius = (float(disc.attrib[name]) for name in ("cx", "cy", "r"))
+            found[int(group.attrib["data-rotor"])] = (x, y, radius)
     return found
-
-
-def disc_of(group: ElementTree.Element) -> dict[str, str]:
-    disc = group.find(f"{SVG}circle")
-    assert disc is not None
-    return disc.attrib
 
 
 @pytest.mark.parametrize("layout", [*LAYOUTS.values(), COAXIAL], ids=lambda layout: layout.name)

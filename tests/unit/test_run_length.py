@@ -7,9 +7,8 @@ import pytest
 from flying_telemetry import flying, flying_rows
 from hypothesis import given
 from hypothesis import strategies as st
-from made_rows import example_context
+from made_rows import example_context, read
 from made_telemetry import body_rates
-from scipy.optimize import nnls
 from scipy.signal import lfilter
 
 from mavdiag.errors import IdentificationError, InputError
@@ -17,11 +16,11 @@ from mavdiag.identify import Method
 from mavdiag.identify.arx import ModelRecord
 from mavdiag.monitors import innovation
 from mavdiag.monitors.base import Flights
+from mavdiag.monitors.fitting import variance_law
 from mavdiag.monitors.innovation import Innovation, InnovationSpec
 from mavdiag.monitors.run_length import RunLength, RunLengthSpec
 from mavdiag.rows.block import WHOLE, U
 from mavdiag.rows.front import Rows
-from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis
 from mavdiag.testing import example_rows
 
@@ -38,8 +37,7 @@ def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[fl
     columns = made.block.x[:, len(made.block) - len(made.rates_ns) :]
     columns[WHOLE : WHOLE + 2], columns[U + 3 : U + 6] = judged, np.outer(np.eye(3)[axis.column], turned)
     still = ModelRecord(a=(1.0, 0.0), b=(0.0,), dt_s=DT_S, order=(1, 1, 0), method=Method.LS)
-    monitor = RunLength(RunLengthSpec(axis=axis, model=still, margin_rad_s=1.0))
-    _, found = monitor.step(monitor.start(), made)
+    found = read(RunLength(RunLengthSpec(axis=axis, model=still, margin_rad_s=1.0)), made)
     expected, count = [], 0
     for x, v in rows:
         count = count + 1 if v and abs(x) > 1.0 else 0
@@ -83,11 +81,6 @@ def fit(flights: Flights, dt_s: float = DT_S) -> InnovationSpec:
     return spec
 
 
-def read(spec: InnovationSpec, rows: Rows) -> Statistic:
-    monitor = Innovation(spec)
-    return monitor.step(monitor.start(), rows)[1]
-
-
 def responding(n: int, seed: int, *, noise: float = 0.02, busy: float = 0.2, bias: float = 0.0) -> Rows:
     """A gyro that follows the commanded rate, with process noise of `noise` rad/s."""
     rng = np.random.default_rng(seed)
@@ -100,7 +93,7 @@ def responding(n: int, seed: int, *, noise: float = 0.02, busy: float = 0.2, bia
 
 def test_the_level_is_that_of_textbook_filters() -> None:
     rows, spec = responding(3000, 1), fit([[responding(6000, 2)]])
-    found = read(spec, rows)
+    found = read(Innovation(spec), rows)
     t = np.searchsorted(rows.block.t_ns, rows.rates.t_ns)
     z = []
     for k in range(3):
@@ -115,7 +108,7 @@ def test_the_level_is_that_of_textbook_filters() -> None:
     np.testing.assert_allclose(found.value[found.valid], expected, rtol=1e-9)
 
 
-def test_the_fit_is_least_squares_and_the_variance_non_negative() -> None:
+def test_the_fit_is_least_squares_with_the_variance_law_of_its_errors() -> None:
     rows = responding(6000, 3)
     spec = fit([[rows]])
     t = np.searchsorted(rows.block.t_ns, rows.rates.t_ns)
@@ -126,19 +119,16 @@ def test_the_fit_is_least_squares_and_the_variance_non_negative() -> None:
         phi = np.stack([*(-y[4 - i : n - i] for i in range(1, 5)), *(u[4 - i : n - i] for i in range(1, 5))], axis=1)
         theta = np.linalg.lstsq(phi, y[4:], rcond=None)[0]
         np.testing.assert_allclose([*spec.a[k], *spec.b[k]], theta, rtol=1e-6, atol=1e-9)
-        squares = (y[4:] - phi @ theta) ** 2
         alpha = 1 - np.exp(-DT_S / 0.35)
-        busy = lfilter([alpha], [1, alpha - 1], u**2)[4:]
-        wanted, _ = nnls(np.column_stack((np.ones_like(busy), busy)), squares)
-        assert spec.k0[k] == pytest.approx(max(wanted[0], 0.05 * squares.mean()), rel=1e-3)
-        assert spec.k1[k] == pytest.approx(wanted[1], rel=1e-3, abs=1e-9)
+        law = variance_law((y[4:] - phi @ theta) ** 2, lfilter([alpha], [1, alpha - 1], u**2)[4:])
+        assert (spec.k0[k], spec.k1[k]) == pytest.approx(law, rel=1e-3, abs=1e-9)
         assert spec.a[k][0] == pytest.approx(-0.7, abs=0.1)
 
 
 def test_a_gyro_bias_like_the_healthy_one_does_not_count() -> None:
     spec = fit([[responding(6000, 6, bias=0.05)]])
     assert spec.mean == pytest.approx((0.05, 0.05, 0.05), abs=0.02)
-    found = read(spec, responding(3000, 7, bias=0.05))
+    found = read(Innovation(spec), responding(3000, 7, bias=0.05))
     assert float(np.median(found.value[found.valid])) == pytest.approx(1.0, abs=0.1)
 
 
@@ -147,7 +137,7 @@ def test_one_wild_sample_adds_no_more_than_its_bound() -> None:
     rate = np.random.default_rng(12).normal(0, 0.02, (3000, 3))
     wild = rate.copy()
     wild[1000] = 1e300
-    calm, shocked = (read(spec, example_rows(3000, DT_S, rate=x)) for x in (rate, wild))
+    calm, shocked = (read(Innovation(spec), example_rows(3000, DT_S, rate=x)) for x in (rate, wild))
     assert np.isfinite(shocked.value).all()
     assert shocked.value[:1200].max() < (calm.value[:1200].max() ** 2 + 5 * 36.0 / 100) ** 0.5 + 0.01  # 5 rows feel it
     np.testing.assert_allclose(shocked.value[1200:], calm.value[1200:], atol=1e-3)
@@ -160,7 +150,7 @@ def test_one_rough_row_more_makes_no_leap() -> None:
     for many in range(25):
         rough = rate.copy()
         rough[800 : 800 + many] += 0.5 * (-1.0) ** np.arange(many)[:, np.newaxis]  # each row far from the one before
-        squares.append(float(read(spec, example_rows(1200, DT_S, rate=rough)).value[:850].max()) ** 2)
+        squares.append(float(read(Innovation(spec), example_rows(1200, DT_S, rate=rough)).value[:850].max()) ** 2)
     most = squares[-1]
     assert most > 100
     assert max(np.diff(squares)) < 0.12 * most  # 24 rows: even steps would be 0.04

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from made_rows import read
 from made_telemetry import body_rates
 
 from mavdiag.airframe.layout import layout_named
@@ -33,8 +34,7 @@ def level_force(angle: FloatArray) -> FloatArray:
 
 
 def drift(angle: FloatArray, rate: FloatArray, force: FloatArray) -> Statistic:
-    monitor = SensorDrift(AGREED)
-    return monitor.step(monitor.start(), example_rows(N, DT_S, rate=rate, force=force, attitude=angle))[1]
+    return read(SensorDrift(AGREED), example_rows(N, DT_S, rate=rate, force=force, attitude=angle))
 
 
 @pytest.mark.parametrize("yaw_rate", [0.0, 0.5, -2.0])
@@ -70,8 +70,7 @@ def noise(rng: np.random.Generator, *loud: tuple[int, float]) -> Statistic:
     x = rng.normal(0.0, 1.0 / np.sqrt(70.0), (N, 6))  # 70: sum of squares of the fourth difference
     for axis, times in loud:
         x[N // 2 :, axis] *= times
-    monitor = SensorNoise(QUIET)
-    return monitor.step(monitor.start(), example_rows(N, 0.001, rate=x[:, :3], force=x[:, 3:]))[1]
+    return read(SensorNoise(QUIET), example_rows(N, 0.001, rate=x[:, :3], force=x[:, 3:]))
 
 
 @pytest.mark.parametrize("axis", range(6))
@@ -92,14 +91,13 @@ def test_only_a_turn_that_nobody_commanded_is_a_loss_of_control() -> None:
     turning[1400:, 0] = turning[1399, 0]
     jump = np.zeros((N, 3))
     jump[1000:, 2] = 1.5
-    monitor = ControlLoss(ControlLossSpec())
     cases = {
         "upset": (rate, np.zeros((N, 3)), 10.0),
         "commanded": (rate, turning, 0.1),
         "set-point that jumps": (np.zeros((N, 3)), jump, 0.1),
     }
     for name, (measured, setpoint, value) in cases.items():
-        found = monitor.step(monitor.start(), example_rows(N, DT_S, rate=measured, setpoint=setpoint))[1]
+        found = read(ControlLoss(ControlLossSpec()), example_rows(N, DT_S, rate=measured, setpoint=setpoint))
         inside = slice(1010, 1390)  # the rate filters see the edges
         assert float(np.median(found.value[inside])) == pytest.approx(value, abs=0.2), name
 
@@ -112,7 +110,7 @@ def test_a_rotor_that_is_gone_is_named_by_how_the_vehicle_falls(rotor: int) -> N
     rate[2000:, :2] = -5.0 * layout.mixing[rotor - 1, :2]
     monitor = ThrustLoss(ThrustLossSpec(layout=layout, per_command=2 * GRAVITY))
     rows = example_rows(N, DT_S, rate=rate, force=force, thrust=np.full(N, 0.5))
-    _, found = monitor.step(monitor.start(), rows)
+    found = read(monitor, rows)
     assert found.value[:2000].max() < 0.01
     assert found.value[2015] == pytest.approx(0.4, abs=0.05)
     assert int(found.rotors[2015].argmax()) + 1 == rotor
@@ -125,6 +123,6 @@ def test_less_thrust_by_command_battery_or_payload_is_no_loss() -> None:
     force = np.column_stack((np.zeros((N, 2)), -2 * GRAVITY * battery * thrust))
     rate = np.full((N, 3), 3.0)
     monitor = ThrustLoss(ThrustLossSpec(layout=None, per_command=2 * GRAVITY))
-    _, found = monitor.step(monitor.start(), example_rows(N, DT_S, rate=rate, force=force, thrust=thrust))
+    found = read(monitor, example_rows(N, DT_S, rate=rate, force=force, thrust=thrust))
     assert found.value.max() < 0.1
     assert found.rotors.shape == (N, 0)

@@ -27,7 +27,7 @@ from mavdiag.judging import judge
 from mavdiag.link.messages import Severity
 from mavdiag.logs import read_log
 from mavdiag.printable import printable
-from mavdiag.telemetry import Axis, FloatArray
+from mavdiag.telemetry import Axis
 from mavdiag.terminal.ground_station import LiveJudge
 from mavdiag.terminal.playing import KEYS, Key, Position, keys_in, play
 from mavdiag.terminal.tables import verdict_table
@@ -35,11 +35,8 @@ from mavdiag.terminal.view import Curve, Level, Line, StripView, View, picture, 
 from mavdiag.terminal.watching import Journal, Screen, follow
 
 LEVEL = Level("unbalance", 0.5, 1.0, "g mm")
-
-
-def drawn(t_s: FloatArray, values: FloatArray, to_s: float = 10.0, rows: int = 4) -> list[str]:
-    """Of a strip from 0 s on, from -1 to 1, 40 characters wide."""
-    return [line.plain for line in strip(StripView("", "", (Curve(t_s, values, ""),), -1.0, 1.0), 0.0, to_s, 40, rows)]
+ERASED = "\x1b[1A\x1b[2K"  # up to the line of the bar, and away with it
+EVIL = "\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
 
 
 def test_a_log_is_replayed_as_a_link_is_watched(tmp_path: Path) -> None:
@@ -90,7 +87,8 @@ def test_a_spike_of_one_sample_is_seen() -> None:
     t_s = np.arange(10_000) / 1000
     values = np.zeros(10_000)
     values[5000] = 1.0
-    lines = drawn(t_s, values)
+    view = StripView("", "", (Curve(t_s, values, ""),), -1.0, 1.0)
+    lines = [line.plain for line in strip(view, 0.0, 10.0, 40, 4)]
     assert lines[0].strip() != ""
     assert lines[0][19:21].strip() != ""
     assert (lines[0][:19] + lines[0][21:]).strip() == ""
@@ -149,28 +147,16 @@ def test_every_rotor_that_was_named_stands_in_the_table() -> None:
     lines = console.export_text().splitlines()
     assert "rotor" in lines[0]
     assert [" ".join(line.split()[:4]) for line in lines[1:3]] == ["a.bin fault 1,4 98.7", "b.bin fault 4 98.7"]
-
-
-def test_a_narrow_terminal_leaves_room_for_the_names() -> None:
-    row: Row = {"verdict": "not_judgeable", "rotor": None, "rotors": "1 from 9 s; 2 from 9 s", "since_s": 1098.9}
-    row = {**row, "monitor": "rotor_signature", "ratio": 17.5, "judged_s": 9.0, "flown_s": 9.0, "reason": ""}
-    names = [f"turning_nose_{number}_healthy.tlog" for number in range(3)]
-    console = Console(width=80, file=io.StringIO(), record=True)
-    verdict_table([{**row, "log": name} for name in names], console)
+    console = Console(width=80, file=io.StringIO(), record=True)  # a narrow one leaves room for the names
+    row |= {"verdict": "not_judgeable", "rotor": None, "since_s": 1098.9, "monitor": "rotor_signature"}
+    verdict_table([{**row, "log": f"turning_nose_{number}_healthy.tlog"} for number in range(3)], console)
     lines = console.export_text().splitlines()
-    assert len(lines) == 2 + 2 * len(names) + 1
+    assert len(lines) == 2 + 2 * 3 + 1
     assert all(len(line) <= 80 for line in lines)
 
 
 def _line(kind: str, number: int, **content: object) -> str:
     return json.dumps({"kind": kind, "utc": "2026-01-01T00:00:00Z", "vehicle": number, "vehicle_s": 1.5, **content})
-
-
-def test_a_file_that_is_no_journal_is_not_followed(tmp_path: Path) -> None:
-    path = tmp_path / "flight.tlog"
-    path.write_bytes(b"\xfd\x1c\n\x00\xff\n")
-    with contextlib.closing(Journal(path)) as journal, pytest.raises(InputError, match="no journal of a detector"):
-        follow(journal, None, lambda: False)
 
 
 def test_a_journal_is_followed_over_torn_lines_and_a_rotation(tmp_path: Path) -> None:
@@ -203,9 +189,9 @@ def test_a_journal_is_followed_over_torn_lines_and_a_rotation(tmp_path: Path) ->
     journal.close()
     with pytest.raises(InputError, match="no such file"):
         Journal(tmp_path / "none.jsonl")
-
-
-ERASED = "\x1b[1A\x1b[2K"  # up to the line of the bar, and away with it
+    path.write_bytes(b"\xfd\x1c\n\x00\xff\n")
+    with contextlib.closing(Journal(path)) as other, pytest.raises(InputError, match="no journal of a detector"):
+        follow(other, None, lambda: False)
 
 
 class Terminal(io.StringIO):
@@ -224,15 +210,6 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return now
 
 
-def on_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
-    """Of the test that runs: pytest takes stderr for itself before it."""
-    made = Terminal()
-    monkeypatch.setattr(sys, "stderr", made)
-    monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setenv("TERM", "xterm")
-    return made
-
-
 @pytest.mark.parametrize("quiet", [False, True])
 def test_a_line_now_and_then_in_a_pipe(clock: list[float], capsys: pytest.CaptureFixture[str], quiet: bool) -> None:
     with shown("judged", [1.0] * 100, quiet=quiet) as progress:
@@ -245,8 +222,11 @@ def test_a_line_now_and_then_in_a_pipe(clock: list[float], capsys: pytest.Captur
 
 
 def test_a_bar_is_one_line_makes_room_and_goes_away(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = on_terminal(monkeypatch)
-    monkeypatch.setattr(sys, "stdout", terminal)
+    terminal = Terminal()
+    for stream in ("stderr", "stdout"):  # here: pytest takes stderr for itself before the test
+        monkeypatch.setattr(sys, stream, terminal)
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
     with shown("judged", [1.0, 1.0, 4.0]) as progress:
         clock[0] = 5.0
         progress.add(1.0)
@@ -257,9 +237,6 @@ def test_a_bar_is_one_line_makes_room_and_goes_away(clock: list[float], monkeypa
     assert "1 of 3, 5 s each, 0:00:25 left" in after
     assert after.count("\n") == 1  # before it is erased
     assert after.endswith(ERASED)
-
-
-EVIL = "\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
 
 
 def steering(text: str, keep: str = "\n") -> list[str]:

@@ -29,6 +29,14 @@ from mavdiag.thresholds.rule import (
     threshold_of,
 )
 
+maxima = st.lists(st.floats(0.01, 100.0), min_size=1, max_size=60).map(np.array)
+budgets = st.floats(1e-4, 100.0)
+FLIGHT_BLOCKS = 4  # of 10 s
+BUDGETS = (0.05, 0.01)  # alarms per hour
+PRIORS = (Prior(0.02, 0.01, shares=False), Prior(0.01, 0.005, shares=False))
+COLUMNS = np.array([[-0.25, 0.25, 0.25, -0.25], [0.25, 0.25, -0.25, -0.25]])
+DIFFUSE = 1.0  # variance of mu: a hundred standard deviations
+
 
 def shaken(level: float, seconds: float = 30.0, segment: int = 0, seed: int = 1) -> list[Rows]:
     n = round(seconds * 100)
@@ -71,27 +79,23 @@ def test_with_one_flight_the_prior_stands_and_with_many_the_data() -> None:
     assert many.value < one.value
 
 
-def test_shares_are_of_the_mean_and_no_threshold_is_below_the_least() -> None:
+def test_shares_are_of_the_mean_and_the_least_and_the_same_session_count() -> None:
     assert known([4.0], [0], [0], Prior(session=0.5)).session_sd == pytest.approx(2.0)
     assert known([0.01, 0.01], [0, 0], [0], Prior(least=2.0)).value == 2.0
-
-
-def test_a_flight_of_the_same_session_has_a_lower_threshold() -> None:
     found = known([1.0, 1.1, 0.9, 1.0], [0, 1, 2, 3], [0, 0, 0, 0], Prior(session=0.5))
     assert found.within(same_session=True) < found.within(same_session=False) == found.value
     assert "from 4 flights in 1 session" in found.statement()
 
 
-@pytest.mark.parametrize("budget", [0.0, -1.0, math.nan, math.inf])
-def test_a_budget_must_be_positive(budget: float) -> None:
-    with pytest.raises(UsageError, match="budget"):
-        threshold_of(whole([1.0]), sessions=[0], budget_per_hour=budget)
-
-
-@pytest.mark.parametrize("maxima", [[], [math.nan], [math.inf, 1.0]])
-def test_broken_scores_are_refused(maxima: list[float]) -> None:
-    with pytest.raises(IdentificationError, match="finite"):
-        threshold_of(whole(maxima), sessions=[0])
+def test_broken_scores_and_budgets_and_too_short_flights_are_refused() -> None:
+    for budget in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(UsageError, match="budget"):
+            threshold_of(whole([1.0]), sessions=[0], budget_per_hour=budget)
+    for maxima in ([], [math.nan], [math.inf, 1.0]):
+        with pytest.raises(IdentificationError, match="finite"):
+            threshold_of(whole(maxima), sessions=[0])
+    with pytest.raises(IdentificationError, match="fly longer"):
+        calibrated(VibrationLevel, [shaken(0.3, seconds=4.0)], example_context())
 
 
 @pytest.mark.parametrize(
@@ -137,15 +141,6 @@ def test_a_flight_is_scored_by_a_fit_that_did_not_see_it() -> None:
     assert len(scores[None].maxima) == 9
 
 
-def test_too_short_a_flight_says_so() -> None:
-    with pytest.raises(IdentificationError, match="fly longer"):
-        calibrated(VibrationLevel, [shaken(0.3, seconds=4.0)], example_context())
-
-
-maxima = st.lists(st.floats(0.01, 100.0), min_size=1, max_size=60).map(np.array)
-budgets = st.floats(1e-4, 100.0)
-
-
 def level(x: FloatArray, budget: float, prior: Prior = USUAL, rule: ThresholdRule = ThresholdRule.GUMBEL) -> Threshold:
     """Of blocks of 10 s, three of a flight and two flights of a session."""
     flights = np.arange(len(x)) // 3
@@ -163,13 +158,11 @@ def test_another_unit_gives_the_same_alarms(x: FloatArray, budget: float, scale:
     )
 
 
-@given(x=maxima, budget=budgets, factor=st.floats(1.01, 100.0))
-def test_a_smaller_budget_gives_a_higher_threshold(x: FloatArray, budget: float, factor: float) -> None:
+@given(x=maxima, budget=budgets, factor=st.floats(1.01, 100.0), more=st.floats(1.0, 10.0))
+def test_a_smaller_budget_or_a_wider_prior_never_lowers_it(
+    x: FloatArray, budget: float, factor: float, more: float
+) -> None:
     assert level(x, budget / factor).value >= level(x, budget).value
-
-
-@given(x=maxima, budget=budgets, more=st.floats(1.0, 10.0))
-def test_a_wider_prior_never_lowers_it(x: FloatArray, budget: float, more: float) -> None:
     wider = Prior(0.2 * more, 0.1 * more, 0.1)
     assert level(x, min(budget, 0.5), wider).value >= level(x, min(budget, 0.5)).value * (1 - 1e-12)
 
@@ -185,10 +178,6 @@ def test_the_healthy_flights_themselves_stay_below_the_maximum_rule(x: FloatArra
 def test_the_poisson_limit_agrees_with_chi_square(events: int) -> None:
     assert poisson_upper(events) == pytest.approx(float(chi2.ppf(0.95, 2 * events + 2)) / 2, rel=1e-6)
     assert float(poisson.cdf(events, poisson_upper(events))) == pytest.approx(0.05, abs=1e-6)
-
-
-FLIGHT_BLOCKS = 4  # of 10 s
-BUDGETS = (0.05, 0.01)  # alarms per hour
 
 
 def broken(flights: int, sessions: int, rng: np.random.Generator) -> tuple[float, ...]:
@@ -260,11 +249,6 @@ def test_the_maximum_rule_has_its_price(flights: int) -> None:
     assert np.mean(beaten) == pytest.approx(1 / (flights + 1), abs=0.03)
 
 
-PRIORS = (Prior(0.02, 0.01, shares=False), Prior(0.01, 0.005, shares=False))
-COLUMNS = np.array([[-0.25, 0.25, 0.25, -0.25], [0.25, 0.25, -0.25, -0.25]])
-DIFFUSE = 1.0  # variance of mu: a hundred standard deviations
-
-
 def flights(trims: FloatArray, learnt: int, sessions: list[int] | None = None, sets: list[int] | None = None) -> Flown:
     """Flights of a minute, each a session of its own and all of one set, unless told."""
     n = len(trims)
@@ -311,6 +295,11 @@ def test_a_rise_is_found_named_and_dated() -> None:
     assert found.odds > 1000
     assert int(np.argmax(found.shares)) == 2
     assert found.since == 3
+    many = np.zeros((400, 2))  # overflow nothing
+    many[10:] = 0.5 * COLUMNS[:, 0]
+    found = evidence_of(flights(many, 10), COLUMNS, PRIORS)
+    assert 1e100 < found.odds < np.inf
+    assert int(np.argmax(found.shares)) == 0
 
 
 def test_a_shift_of_everything_and_the_numbers_of_sessions_mean_nothing() -> None:
@@ -327,15 +316,6 @@ def test_flights_of_one_session_say_no_more_than_it_may_shift() -> None:
     many = evidence_of(flights(trims, 3), COLUMNS, PRIORS).odds
     assert one < 10
     assert many > 1e6
-
-
-def test_many_flights_overflow_nothing() -> None:
-    trims = np.zeros((400, 2))
-    trims[10:] = 0.5 * COLUMNS[:, 0]
-    found = evidence_of(flights(trims, 10), COLUMNS, PRIORS)
-    assert np.isfinite(found.odds)
-    assert found.odds > 1e100
-    assert int(np.argmax(found.shares)) == 0
 
 
 def test_without_new_flights_nothing_is_said() -> None:

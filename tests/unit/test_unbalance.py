@@ -4,18 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from made_rows import calibrated, example_context
+from made_rows import calibrated, example_context, read
 from scipy.signal import firwin, freqz
 
-from mavdiag.airframe.balance import (
-    Grade,
-    assess_unbalance,
-    grade_named,
-    permissible_unbalance_g_mm,
-    unbalance_g_mm,
-)
+from mavdiag.airframe.balance import Grade, assess_unbalance, grade_named, permissible_unbalance_g_mm, unbalance_g_mm
 from mavdiag.airframe.layout import layout_named
 from mavdiag.airframe.propellers import PROPELLERS, DamagedPropeller
 from mavdiag.errors import InputError, UsageError
@@ -30,6 +22,8 @@ from mavdiag.testing import example_rows
 MASS, HOVER = 1.504, 1047.2
 N = 3000
 T = np.arange(N) * 0.001
+ROTOR_G, SPEED_RPM = 30.0, 10_000.0  # T 3.2.2
+HEALTHY_MASS_G = 7.198  # T Table 3.2, two of three; the third weighs 7.197 g
 
 
 def fit(
@@ -70,17 +64,15 @@ def spec() -> UnbalanceSpec:
 
 @pytest.mark.parametrize("unbalance", [0.5, 1.4, 5.52])
 def test_the_figure_is_the_unbalance_that_shakes(spec: UnbalanceSpec, unbalance: float) -> None:
-    monitor = Unbalance(spec)
-    _, found = monitor.step(monitor.start(), shaken(1, unbalance))
-    assert monitor.unit == "g mm"
+    found = read(Unbalance(spec), shaken(1, unbalance))
+    assert Unbalance(spec).unit == "g mm"
     np.testing.assert_allclose(found.level[found.valid], unbalance, rtol=0.03)
 
 
 @pytest.mark.parametrize("rotor", [1, 2, 3, 4])
 @pytest.mark.parametrize("delay_s", [-0.001, 0.0, 0.001])
 def test_the_rotor_is_named_with_sensors_a_millisecond_apart(spec: UnbalanceSpec, rotor: int, delay_s: float) -> None:
-    monitor = Unbalance(spec)
-    _, found = monitor.step(monitor.start(), shaken(rotor, 1.4, gyro_delay_s=delay_s))
+    found = read(Unbalance(spec), shaken(rotor, 1.4, gyro_delay_s=delay_s))
     evidence = found.rotors[found.valid]
     assert (evidence.argmax(axis=1) + 1 == rotor).all()
     first, second = np.sort(evidence, axis=1)[:, [-1, -2]].T
@@ -123,21 +115,13 @@ def test_b12_the_high_pass_leaves_the_line_of_a_slow_rotor() -> None:
     pull = 1e-6 * unbalance_g_mm * hover**2 / 10.0
     force[:, :2] += pull * np.column_stack((np.cos(hover * T), np.sin(hover * T)))
     force[:, 0] += 1.0 * np.sin(2 * np.pi * 2 * T)  # the flight's own motion
-    monitor = Unbalance(spec)
-    _, found = monitor.step(monitor.start(), example_rows(N, 0.001, force=force, rate=gyro))
+    found = read(Unbalance(spec), example_rows(N, 0.001, force=force, rate=gyro))
     np.testing.assert_allclose(found.level[found.valid], unbalance_g_mm, rtol=0.05)
-
-
-def test_without_an_airframe_no_rotor_no_mass_and_no_speed_is_assumed() -> None:
-    force, gyro = noise(5)
-    spec = fit([[example_rows(N, 0.001, force=force, rate=gyro)]])
-    assert (spec.layout, spec.mass_kg, spec.hover_rad_s) == (None, None, None)
 
 
 def test_the_statistic_is_the_mean_norm_of_five_seconds() -> None:
     vibration = np.abs(np.random.default_rng(1).normal(1.0, 0.3, (1500, 3)))
-    monitor = VibrationLevel(VibrationLevelSpec(healthy=1.0))
-    _, found = monitor.step(monitor.start(), example_rows(1500, vibration=vibration))
+    found = read(VibrationLevel(VibrationLevelSpec(healthy=1.0)), example_rows(1500, vibration=vibration))
     size = np.sqrt((vibration**2).sum(axis=1))
     expected = [size[i - 499 : i + 1].mean() for i in range(499, 1500)]
     np.testing.assert_allclose(found.value[found.valid], expected, rtol=1e-12)
@@ -154,7 +138,7 @@ def test_a_still_vehicle_gets_room_of_some_half_a_metre_per_second_squared() -> 
 
 
 @pytest.mark.parametrize(("corner", "taps"), [(0.06, 61), (0.15, 25), (0.25, 15)])
-def test_the_high_pass_answers_as_one_by_scipy(corner: float, taps: int) -> None:
+def test_the_high_pass_answers_as_one_by_scipy_or_is_refused(corner: float, taps: int) -> None:
     peer = firwin(taps, 2 * corner, window=("kaiser", 4.0), pass_zero=False)
     ours = highpass(corner, taps)
     for f in np.linspace(0, np.pi, 40):
@@ -162,17 +146,9 @@ def test_the_high_pass_answers_as_one_by_scipy(corner: float, taps: int) -> None
         assert gains[0] == pytest.approx(gains[1], abs=0.02)
     assert ours.sum() == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(ours, ours[::-1])
-
-
-@pytest.mark.parametrize(("corner", "taps"), [(0.06, 60), (0.06, 1), (0.0, 61), (0.5, 61)])
-def test_an_impossible_high_pass_is_refused(corner: float, taps: int) -> None:
-    with pytest.raises(UsageError):
-        highpass(corner, taps)
-
-
-ROTOR_G, SPEED_RPM = 30.0, 10_000.0  # T 3.2.2
-HEALTHY_MASS_G = 7.198  # T Table 3.2, two of three; the third weighs 7.197 g
-SIZES = st.floats(1e-3, 1e3)
+    for wrong in ((corner, taps - 1), (corner, 1), (0.0, taps), (0.5, taps)):
+        with pytest.raises(UsageError):
+            highpass(*wrong)
 
 
 def test_the_worked_example_of_the_thesis() -> None:
@@ -202,18 +178,6 @@ def test_a_report_says_what_was_asked_and_what_is_met() -> None:
     huge = assess_unbalance(1e6, rotor_mass_g=ROTOR_G, speed_rpm=SPEED_RPM)
     assert (huge.met, huge.sentence.endswith("beyond G4000")) == (None, True)
     assert assess_unbalance(0.0, rotor_mass_g=1.0, speed_rpm=1.0).met is Grade.G0_4
-
-
-@given(unbalance=st.floats(0, 1e4), rotor=SIZES, speed=st.floats(100.0, 1e5), grade=st.sampled_from(Grade))
-def test_laws(unbalance: float, rotor: float, speed: float, grade: Grade) -> None:
-    report = assess_unbalance(unbalance, rotor_mass_g=rotor, speed_rpm=speed, grade=grade)
-    assert report.within == (report.met is not None and report.met.mm_s <= grade.mm_s)
-    assert report.ratio == pytest.approx(report.unbalance_g_mm / report.permissible_g_mm, rel=1e-9)
-    assert report.ratio == pytest.approx(report.specific_um / report.permissible_um, rel=1e-9)
-    assert report.permissible_g_mm == pytest.approx(1e3 * grade.mm_s * rotor / (2e3 * math.pi * speed / 60), rel=1e-12)
-    faster = assess_unbalance(unbalance, rotor_mass_g=rotor, speed_rpm=2 * speed).met
-    assert faster is None or (report.met is not None and report.met.mm_s <= faster.mm_s)
-    assert assess_unbalance(report.permissible_g_mm, rotor_mass_g=rotor, speed_rpm=speed, grade=grade).within
 
 
 @pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])

@@ -1,18 +1,25 @@
-"""Bytes of a link become vehicles: who is heard from where, who enters, and what made-up senders cost."""
+"""Bytes of a link become vehicles: who is heard from where, who enters, and what passes to the links behind."""
 
 import struct
 import tracemalloc
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from made_logs import IMU, PARM, SENSORS, STAMP, DataFlashMessage, ULogTopic, dataflash, ulog, ulog_message
+from made_telemetry import body_rates
+from made_vehicle import MadeVehicle
 from memory_port import memory_pair
 
 import mavdiag as md
+from detector import component
+from detector.relay import DATAGRAM_BYTES, Relay
+from detector.requests import Handled, Requests
 from mavdiag.airframe.vehicle_type import MULTIROTORS
 from mavdiag.errors import InputError
-from mavdiag.link.codec import Decoder, Encoder, message_name
+from mavdiag.link.codec import Decoder, Encoder, field_index, message_name
 from mavdiag.link.datagrams import as_columns
 from mavdiag.link.link import Link
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
@@ -22,12 +29,22 @@ from mavdiag.link.scale import gyro_checks
 from mavdiag.link.sequence import FRAME, HEARD, SENDERS_MAX, Intruder, Senders, Source
 from mavdiag.link.vehicles import Ack, Command, LinkDecoder, command_in
 from mavdiag.logs.tlog import tlog_record, vehicle_stream
-from mavdiag.telemetry import FloatArray, Series, Signal
+from mavdiag.telemetry import FloatArray, Instant, Series, Signal
 from mavdiag.units import DEG, NS_PER_S
 
 S = 1_000_000_000
 INT32, REAL32 = 6, 9  # MAV_PARAM_TYPE
 LEVEL = (1.0, 0.0, 0.0, 0.0)
+HERE, THERE = ("10.0.0.1", 14550), ("10.0.0.66", 4444)
+KEY = 1 << 8 | 1
+BOAT = "a boat (MAV_TYPE 11): mavdiag judges multirotors only"
+START_US = 1_763_000_000_000_000
+
+MSG = DataFlashMessage(33, "MSG", "QZ", "TimeUS,Message")
+STATUS = ULogTopic(7, "vehicle_status", (STAMP, ("uint8_t", "arming_state"), ("uint8_t", "system_type")))
+SECONDS = 30
+STATION = Encoder(255, Component.MISSIONPLANNER)
+BY_INT = STATION.encode(MessageId.COMMAND_INT, 1, 1, 0, MavCmd.SET_MESSAGE_INTERVAL, 0, 0, MessageId.RAW_IMU, 250_000)
 
 
 class Sender:
@@ -95,6 +112,7 @@ def test_acknowledgements_and_commands_are_handed_out() -> None:
     ack = (MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED, 0, 0, 1)
     ours = sender.encoder.encode(MessageId.COMMAND_ACK, *ack, Component.ONBOARD_COMPUTER)
     other = sender.encoder.encode(MessageId.COMMAND_ACK, *ack, Component.MISSIONPLANNER)
+    other += Encoder(1, 190).encode(MessageId.COMMAND_ACK, *ack, Component.ONBOARD_COMPUTER)
     computer = Component.ONBOARD_COMPUTER
     targets = ((1, computer), (1, Component.AUTOPILOT1), (9, computer))
     ask = [station.encode(MessageId.COMMAND_LONG, *target, MavCmd.REQUEST_MESSAGE) for target in targets]
@@ -177,10 +195,6 @@ def test_integers_are_cast_by_ardupilot_and_copied_by_px4(autopilot: Autopilot) 
     assert parameters_in(Decoder().feed(b"".join(frames), 0), autopilot) == {**whole, "REAL": 0.25}
 
 
-HERE, THERE = ("10.0.0.1", 14550), ("10.0.0.66", 4444)
-KEY = 1 << 8 | 1
-
-
 def heard(senders: Senders, key: int, seq: int, host_ns: int, source: Source) -> bool:
     """Whether a frame of a sender is heard."""
     row = np.zeros(1, FRAME)
@@ -191,15 +205,6 @@ def heard(senders: Senders, key: int, seq: int, host_ns: int, source: Source) ->
 
 def beat(encoder: Encoder, kind: MavType = MavType.QUADROTOR) -> bytes:
     return encoder.encode(MessageId.HEARTBEAT, kind, Autopilot.ARDUPILOTMEGA, 128, 0, 4, 3)
-
-
-def second(encoder: Encoder, k: int) -> list[tuple[bytes, int]]:
-    """One second of a vehicle, a datagram each."""
-    frames = [beat(encoder)]
-    for j in range(20):
-        frames.append(encoder.encode(MessageId.ATTITUDE_TARGET, 1000 * k + 50 * j, 0, (1.0, 0, 0, 0), 0, 0, 0, 0.5))
-        frames.append(encoder.encode(MessageId.RAW_IMU, 1000 * (1000 * k + 50 * j), 0, 0, -1000, 1, 2, 3))
-    return [(frame, k * S + n * S // 50) for n, frame in enumerate(frames)]
 
 
 def test_a_second_source_is_not_heard_while_the_first_is_alive() -> None:
@@ -254,9 +259,9 @@ def test_made_up_senders_and_unknown_ids_cost_bounded_memory() -> None:
 
 
 def test_a_careful_decoder_wants_two_heartbeats_of_one_sender() -> None:
-    link, encoder = LinkDecoder(careful=True), Encoder(1, 1)
+    link, sender = LinkDecoder(careful=True), Sender()
     for k in range(3):
-        chunks = second(encoder, k)
+        chunks = sender.chunks(100)
         link.feed(as_columns(chunks, [HERE] * len(chunks)), chunks[-1][1])
         assert bool(link.vehicles) is (k > 0)
     assert link.source(1) == HERE
@@ -265,38 +270,23 @@ def test_a_careful_decoder_wants_two_heartbeats_of_one_sender() -> None:
 
 
 def test_why_a_vehicle_waits_is_told_after_seconds() -> None:
-    link, one, other = LinkDecoder(careful=True), Encoder(1, 1), Encoder(1, 1)
+    link, one, other = LinkDecoder(careful=True), *(MadeVehicle(1, Autopilot.ARDUPILOTMEGA) for _ in range(2))
     told: list[bool] = []
     for _ in range(100):
-        beat(other)  # so their numbers are 100 apart
+        beat(other.encoder)  # so their numbers are 100 apart
     for k in range(9):
-        chunks = [chunk for pair in zip(second(one, k), second(other, k), strict=True) for chunk in pair]
-        link.feed(as_columns(chunks, [HERE] * len(chunks)), chunks[-1][1])
+        frames = [frame for pair in zip(one.samples(100), other.samples(100), strict=True) for frame in pair]
+        at_ns = [k * S + n * S // len(frames) for n in range(len(frames))]
+        link.feed(as_columns(list(zip(frames, at_ns, strict=True)), [HERE] * len(frames)), at_ns[-1])
         told.append(link.waiting.get(1, "").startswith("its frames are numbered as of two senders"))
     assert told == [False] * 5 + [True] * 4
     assert not link.vehicles
 
 
-BOAT = "a boat (MAV_TYPE 11): mavdiag judges multirotors only"
-START_US = 1_763_000_000_000_000
-
-MSG = DataFlashMessage(33, "MSG", "QZ", "TimeUS,Message")
-STATUS = ULogTopic(7, "vehicle_status", (STAMP, ("uint8_t", "arming_state"), ("uint8_t", "system_type")))
-
-
 def stream(kind: int, sysid: int = 1, n: int = 300) -> list[tuple[int, bytes]]:
     """Frames of a vehicle of this MAV_TYPE at 100 Hz, a heartbeat a second, with their times since the start [us]."""
-    encoder, found = Encoder(sysid, 1), []
-    for k in range(n):
-        data = encoder.encode(MessageId.HEARTBEAT, kind, 3, 128, 0, 4, 3) if k % 100 == 0 else b""
-        target = (5_000 + 10 * k, 0, LEVEL, 0, 0, 0, 0.5)
-        for frame in (
-            data,
-            encoder.encode(MessageId.ATTITUDE_TARGET, *target),
-            encoder.encode(MessageId.RAW_IMU, 5_000_000 + 10_000 * k, 0, 0, -1000, 1, 2, 3),
-        ):
-            found += [(10_000 * k, frame)] if frame else []
-    return found
+    vehicle = MadeVehicle(sysid, Autopilot.ARDUPILOTMEGA, kind)
+    return [(10_000 * k, frame) for k in range(n) for frame in vehicle.samples(1)]
 
 
 def tlog(path: Path, *streams: list[tuple[int, bytes]]) -> Path:
@@ -384,34 +374,23 @@ def test_on_a_link_only_a_multirotor_enters(careful: bool) -> None:
     assert decoder.waiting == {1: BOAT}
 
 
-SECONDS = 30
-
-
-def turning(t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Angles and body rates of a vehicle that rolls, pitches and turns its nose; the rates by small differences."""
-
-    def angles(at: FloatArray) -> FloatArray:
-        return np.stack((0.3 * np.sin(2 * at), 0.2 * np.sin(3 * at + 1), 0.5 * at + 0.4 * np.sin(at)), axis=1)
-
-    phi, theta, _ = angles(t).T
-    dphi, dtheta, dpsi = ((angles(t + 1e-6) - angles(t - 1e-6)) / 2e-6).T
-    p = dphi - np.sin(theta) * dpsi
-    q = np.cos(phi) * dtheta + np.sin(phi) * np.cos(theta) * dpsi
-    return angles(t), np.stack((p, q, np.cos(phi) * np.cos(theta) * dpsi - np.sin(phi) * dtheta), axis=1)
-
-
 def series(signal: Signal, t_s: FloatArray, values: FloatArray, late_s: float = 0.0) -> Series:
     t_ns = np.round((t_s + late_s) * NS_PER_S).astype(np.int64)
     return Series(signal, t_ns, t_ns, values)
+
+
+def angles(t: FloatArray) -> FloatArray:
+    """Of a vehicle that rolls, pitches and turns its nose."""
+    return np.stack((0.3 * np.sin(2 * t), 0.2 * np.sin(3 * t + 1), 0.5 * t + 0.4 * np.sin(t)), axis=1)
 
 
 def pair(scale: FloatArray, late_s: float, seed: int = 1) -> tuple[Series, Series]:
     """Gyro at 100 Hz with noise, in other units and stamped late, and the attitude at 25 Hz, wrapped."""
     t, slow = np.arange(0, SECONDS, 0.01), np.arange(0, SECONDS, 0.04)
     noise = np.random.default_rng(seed).normal(0, 0.02, (len(t), 3))
-    wrapped = (turning(slow)[0] + np.pi) % (2 * np.pi) - np.pi
+    wrapped = (angles(slow) + np.pi) % (2 * np.pi) - np.pi
     return (
-        series(Signal.BODY_RATE, t, (turning(t)[1] + noise) * scale, late_s),
+        series(Signal.BODY_RATE, t, (body_rates(angles(t), 0.01) + noise) * scale, late_s),
         series(Signal.ATTITUDE, slow, wrapped),
     )
 
@@ -443,3 +422,87 @@ def test_the_attitudes_slope_gives_scale_sign_and_delay_of_the_gyro(late_s: floa
 )
 def test_a_profile_against_gravity_is_told_with_the_one_that_fits(profile: str, felt_g: float, said: str) -> None:
     assert scale_doubt(PROFILES[profile], felt_g) == said
+
+
+def frames(count: int, sysid: int = 1) -> list[bytes]:
+    encoder = Encoder(sysid, 1)
+    return [encoder.encode(MessageId.RAW_IMU, 1000 * k, 1, 2, -1000, 3, 4, 5) for k in range(count)]
+
+
+def test_l7_what_a_byte_stream_brought_at_once_goes_on_in_packets_of_whole_frames() -> None:
+    """Datagrams of up to 4.4 kB went out: a client lost 46 % of the messages behind them."""
+    (near, _), (behind, far) = (memory_pair(clock=lambda: 0) for _ in range(2))
+    stream, passed, decoder = b"".join(frames(200)), list[tuple[bytes, int]](), Decoder()
+    LinkDecoder(datagrams=False, passed=passed).feed(as_columns([(stream[:4401], 0), (stream[4401:], 0)]), 0)
+    Relay(near, [behind]).pass_on(passed)
+    messages = [data for data, _ in far.receive(0.0)]
+    assert max(map(len, messages)) <= DATAGRAM_BYTES
+    assert sum(len(decoder.feed_datagram(message, 0)) for message in messages) == 200
+
+
+def test_a_byte_stream_is_put_together_wherever_it_was_cut() -> None:
+    near, vehicle = memory_pair(clock=lambda: 0)
+    behind, far = memory_pair(clock=lambda: 0)
+    behind.datagrams = False
+    stream, relay = b"".join(frames(20)), Relay(near, [behind])
+    for k in range(0, len(stream), 7):
+        far.send(stream[k : k + 7])
+        relay.pass_on([])
+    assert [data for data, _ in vehicle.receive(0.0)] == frames(20)
+
+
+def handled(message: bytes, *vehicles: int) -> Handled:
+    streams = {sysid: SimpleNamespace(profile=PROFILES["ardupilot"]) for sysid in vehicles}
+    fleet: Any = SimpleNamespace(vehicles=dict.fromkeys(vehicles), link=SimpleNamespace(vehicles=streams))
+    requests = Requests(fleet, True, component.Sender)
+    return requests.from_behind([message], Instant(0))
+
+
+def interval(target: tuple[int, int], msgid: int, command: int = MavCmd.SET_MESSAGE_INTERVAL) -> bytes:
+    return STATION.encode(MessageId.COMMAND_LONG, *target, command, 0, msgid, 250_000)
+
+
+def group(number: int, target: tuple[int, int] = (1, 1)) -> bytes:
+    return STATION.encode(MessageId.REQUEST_DATA_STREAM, *target, number, 4, 1)
+
+
+@pytest.mark.parametrize("message", [interval((1, 1), MessageId.RAW_IMU), BY_INT])
+def test_an_interval_of_a_message_that_is_needed_is_denied_in_the_autopilots_name(message: bytes) -> None:
+    found = handled(message, 1)
+    assert found.passed == ()
+    [ack] = Decoder().feed_datagram(found.answers[0], 0)
+    names = ("command", "result", "target_system", "target_component")
+    assert (ack.sysid, ack.compid, ack.msgid) == (1, 1, MessageId.COMMAND_ACK)
+    assert [ack.fields[field_index(MessageId.COMMAND_ACK, name)] for name in names] == [
+        MavCmd.SET_MESSAGE_INTERVAL,
+        MavResult.DENIED,
+        255,
+        Component.MISSIONPLANNER,
+    ]
+
+
+@pytest.mark.parametrize(
+    ("message", "vehicles"),
+    [
+        (interval((1, 1), MessageId.SYS_STATUS), (1,)),
+        (interval((2, 1), MessageId.RAW_IMU), (1,)),  # another vehicle
+        (interval((1, 100), MessageId.RAW_IMU), (1,)),  # a camera
+        (interval((1, 1), MessageId.RAW_IMU, MavCmd.REQUEST_MESSAGE), (1,)),
+        (group(6), (1,)),
+        (group(1, (2, 1)), (1,)),
+        (group(1, (1, 100)), (1,)),
+        (group(1, (0, 0)), (1, 2)),
+        (STATION.encode(MessageId.PARAM_REQUEST_LIST, 1, 1), (1,)),
+        (group(0, (0, 0)), ()),
+        (interval((0, 0), MessageId.RAW_IMU), ()),
+    ],
+)
+def test_everything_else_passes(message: bytes, vehicles: tuple[int, ...]) -> None:
+    assert handled(message, *vehicles) == Handled((message,))
+
+
+@pytest.mark.parametrize("target", [(1, 1), (1, 0), (0, 0)])
+def test_a_group_that_holds_what_is_needed_is_kept_back_and_noted(target: tuple[int, int]) -> None:
+    for number in (1, 12):
+        found = handled(group(number, target), 1)
+        assert (found.passed, found.answers, len(found.turns)) == ((), (), 1)

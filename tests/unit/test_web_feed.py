@@ -21,7 +21,7 @@ from detector.web.access import Access, Answer
 from detector.web.board import BATCH, FIRST, KEPT, Board, Reader, parse_last
 from detector.web.child import ServerProcess, read_token
 from detector.web.feed import Feed
-from detector.web.snapshot import TRACK_POINTS, Json, Level, Snapshots, Track, about
+from detector.web.snapshot import TRACK_POINTS, Level, Snapshots, Track, about
 from mavdiag.as_json import json_line
 from mavdiag.errors import UsageError
 from mavdiag.judging import judge
@@ -32,6 +32,10 @@ from mavdiag.telemetry import Instant, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 SETTINGS = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
+LOCAL = Access("127.0.0.1", 8080)
+BEHIND = Access("0.0.0.0", 8080, names=("blueos.local",))
+OPEN = Access("0.0.0.0", 8080, "a-token-of-24-characters")
+START = Instant(1_000_000_000_000)
 
 
 @dataclass
@@ -140,69 +144,43 @@ def test_a_track_has_a_point_a_second_of_the_signal_that_came_first() -> None:
     assert track.points[-1] == (299.9, -1.0)
 
 
-@dataclass
-class Watched:
-    """A made flight, and what the page shows of it."""
+def test_a_flight_from_waiting_to_a_fault_and_to_the_ground() -> None:
+    baseline, snapshots = baseline_for(names=("fsd", "rotor_trim", "vibration_level", "unbalance")), Snapshots()
+    story = Story(SessionSpec(PROFILES["qdrone2"], baseline, SessionSettings(negotiate=False)))
 
-    story: Story
-    snapshots: Snapshots = field(default_factory=Snapshots)
-
-    def after(self, seconds: float, **how: Any) -> dict[str, Any]:
-        """Fly on, and return the last snapshot as the page gets it."""
-        shown = ""
+    def after(seconds: float, **how: Any) -> dict[str, Any]:
+        """Fly on; the last snapshot as the page gets it."""
         for _ in range(round(seconds / 0.2)):
             pieces = list[Piece]()
             for _ in range(2):
-                self.story.fly(0.1, **how)
-                judge = self.story.session.judge
-                pieces += judge.pieces if judge is not None else ()
-            shown = json_line(self.shown(*pieces))
-        found: dict[str, Any] = json.loads(shown)
-        return found
+                story.fly(0.1, **how)
+                pieces += story.session.judge.pieces if story.session.judge is not None else ()
+            figures = VehicleFigures(1, story.session.state, 10, 0, 1.0, 0)
+            shown = snapshots.next(figures, story.session, pieces, Track(), story.now)
+        return dict(json.loads(json_line(shown)))
 
-    def shown(self, *pieces: Piece) -> Json:
-        session = self.story.session
-        figures = VehicleFigures(1, session.state, 10, 0, 1.0, 0)
-        return self.snapshots.next(figures, session, pieces, Track(), self.story.now)
-
-
-@pytest.fixture
-def watched() -> Watched:
-    baseline = baseline_for(names=("fsd", "rotor_trim", "vibration_level", "unbalance"))
-    settings = SessionSettings(negotiate=False)
-    return Watched(Story(SessionSpec(PROFILES["qdrone2"], baseline, settings)))
-
-
-def test_a_flight_from_waiting_to_a_fault_and_to_the_ground(watched: Watched) -> None:
-    first = watched.after(0.6)
+    first = after(0.6)
     assert (first["level"], first["state"]) == (Level.NOT_JUDGED, "waiting")
-    quiet = watched.after(15.0, outputs=True)
+    quiet = after(15.0, outputs=True)
     assert (quiet["level"], quiet["advice"], quiet["rotor"]) == (Level.QUIET, "", None)
     assert quiet["sentence"].startswith("2 of 4 monitors judge; nearest to its threshold is rotor trim, with")
     assert len(quiet["rises"]) == 4
-    by_name = dict(zip([one["name"] for one in slots_of(watched)], quiet["slots"], strict=True))
+    names = [one["name"] for one in about(1, "qdrone2", story.session.judge)["slots"]]
+    by_name = dict(zip(names, quiet["slots"], strict=True))
     assert by_name["fsd"]["value"] is not None
     assert by_name["rotor_trim"]["value"] is not None
     assert by_name["vibration_level"] == {"value": None, "reason": "no VIBRATION"}
-    found = watched.after(4.0, outputs=True, push=0.4)
+    found = after(4.0, outputs=True, push=0.4)
     assert found["level"] == Level.SUSPECTED  # beside others, the thesis rule does not decide
-    assert found["sentence"].startswith(
-        "A propeller fault is suspected, not declared, rotor unknown: how long the body"
-    )
+    assert found["sentence"].startswith("A propeller fault is suspected, not declared, rotor unknown")
     assert found["advice"].startswith("Look at the propellers before the next flight")
-    ground = watched.after(10.0, outputs=True, armed=False)
+    ground = after(10.0, outputs=True, armed=False)
     assert ground["level"] == Level.NOT_JUDGED
     assert ground["sentence"].startswith("Nothing is judged at this moment: it reads disarmed while its thrust says")
-    assert {slot["reason"] for slot in ground["slots"]} == {"not armed", "no VIBRATION"}
-    assert all(slot["value"] is None for slot in ground["slots"])
-
-
-def slots_of(watched: Watched) -> list[Json]:
-    slots: list[Json] = about(1, "qdrone2", watched.story.session.judge)["slots"]
-    return slots
-
-
-# --- The strips: the same points however the flight is cut, and no peak is lost
+    assert {(slot["value"], slot["reason"]) for slot in ground["slots"]} == {
+        (None, "not armed"),
+        (None, "no VIBRATION"),
+    }
 
 
 def filled(count: int, run: str = "r") -> Board:
@@ -286,11 +264,6 @@ def test_figures_go_to_those_who_look_at_the_vehicle_and_a_slow_page_loses_the_o
     late = events(board.enter(1, None).next())
     assert [event["event"] for event in late[:2]] == ["hello", "about"]
     assert late[-1]["data"] == "999"
-
-
-LOCAL = Access("127.0.0.1", 8080)
-BEHIND = Access("0.0.0.0", 8080, names=("blueos.local",))
-OPEN = Access("0.0.0.0", 8080, "a-token-of-24-characters")
 
 
 def judged(access: Access, path: str = "/stream", method: str = "GET", token: str | None = None, **more: str) -> Answer:
@@ -385,9 +358,6 @@ def test_a_token_file_keeps_the_rules_of_a_key_file(tmp_path: Path, content: str
         read_token(path)
     assert words in str(error.value)
     assert len(str(error.value).splitlines()) == 1
-
-
-START = Instant(1_000_000_000_000)
 
 
 @pytest.fixture(scope="module")
