@@ -223,15 +223,17 @@ def alerts(driver: Any, folder: Path, count: int) -> None:
         for _ in range(count):
             driver.execute_script("document.querySelectorAll('#list li').forEach((one) => { one.dataset.old = 1 })")
             vehicle.turning = 0.5
-            found = fly(far, vehicle, lambda text: "PROP FAULT" in text, 20.0)
+            found = fly(far, vehicle, lambda text: "FAULT" in text or "seen again" in text, 20.0)
             if found is None:
                 print("    no text came; is the machine too slow?")
                 return
             vehicle.turning = 0.0
-            fly(far, vehicle, lambda text: "cleared" in text or "over" in text, 12.0)
+            fly(far, vehicle, lambda text: "no longer seen" in text, 20.0)
             shown = driver.execute_script(
-                """return [...document.querySelectorAll('#list [data-kind=text][data-loud=critical]:not([data-old])')]
-                    .map((one) => Number(one.dataset.painted || one.dataset.shown))"""
+                """return [...document.querySelectorAll('#list li:not([data-old])')]
+                    .filter((one) => one.querySelector('.words').textContent === arguments[0])
+                    .map((one) => Number(one.dataset.painted || one.dataset.shown))""",
+                found[0],
             )
             delays += [min(shown) - found[1]] if shown else [float("inf")]
             fly(far, vehicle, lambda text: False, 3.0)
@@ -252,9 +254,9 @@ def burst(driver: Any) -> None:
         driver.execute_script(script)
         time.sleep(2.0)
         still = driver.execute_script("const was = longest; longest = 0; return was")
-        entry = '{"kind":"text","utc":"2026-05-01T10:00:00Z","vehicle":1,"severity":6,"text":"PROP monitoring"}'
+        entry = '{"kind":"text","utc":"2026-05-01T10:00:00Z","vehicle":1,"severity":4,"text":"PROP event %d"}'
         since = time.monotonic()
-        give(process, "".join(f"J {k} {entry}\n" for k in range(1, 1001)).rstrip("\n"))
+        give(process, "".join(f"J {k} {entry % k}\n" for k in range(1, 1001)).rstrip("\n"))
         while driver.execute_script("return mavdiag.last") < 1000:
             time.sleep(0.01)
         all_s = time.monotonic() - since

@@ -16,7 +16,8 @@ from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
 # Flags among the rows of x: the gyro may be judged: it is there, settled and airborne; the set-point is there and
 # settled; why the gyro, though it is there, must not be judged (a place in `rows.quality.DOUBTS`, 0 for none); the
-# flight is one that trims were learnt in; the gyro was valid in the whole window of a rate; so was the set-point.
+# flight is one that trims were learnt in, which the pass says; the gyro was valid in the whole window of a rate; so
+# was the set-point.
 VALID, SETPOINT, DOUBT, COVERED, WHOLE, COMMANDED = range(6)
 # Signals: three rows each, but for thrust, height and armed. LEAN: the commanded roll and pitch, before the commanded
 # HEADING. Y: the gyro, smoothed; GYRO: as it was measured; U: the commanded body rate. Outputs and, behind `MOST` of
@@ -93,7 +94,9 @@ class Block:
     answers: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     rate = signal(Signal.BODY_RATE)
-    setpoint = signal(Signal.ATTITUDE_SETPOINT)  # 0 before the first, held in an outage
+    setpoint = signal(
+        Signal.ATTITUDE_SETPOINT
+    )  # 0 before the first, held in an outage, of which roll and pitch are 0 once rates are made
     force = signal(Signal.SPECIFIC_FORCE)
     torque = signal(Signal.TORQUE_COMMAND)
     rate_setpoint = signal(Signal.RATE_SETPOINT)
@@ -215,7 +218,7 @@ def no_past(back: int) -> FloatArray:
 
 
 def columns_of(rows: Rows, past: FloatArray) -> Columns:
-    """The columns of some rows behind `past`; a lean that is not known is none, and so are rates of another segment.
+    """The columns of some rows behind `past`; rates of another segment are none.
 
     They stay where they are if there is just the room in front of them.
     """
@@ -224,9 +227,6 @@ def columns_of(rows: Rows, past: FloatArray) -> Columns:
         x = np.empty((len(x), first + len(block)))
         x[:, first:] = block.x
     x[:OUTPUTS, :first], x[OUTPUTS:, :first] = past, np.nan
-    known = x[SETPOINT, first:]
-    if np.count_nonzero(known) < len(block):
-        x[LEAN:HEADING, first:][:, known < 0.5] = 0.0
     if lag:
         x[COMMANDED, first : first + lag], x[U:OUTPUTS, first : first + lag] = 0.0, np.nan
     return Columns(x, first, first + lag)

@@ -160,6 +160,8 @@ def _filter(
         valid = x[VALID, i] > 0.5
         mem[SOUND] = mem[SOUND] + 1.0 if valid else 0.0
         mem[WANTED] = mem[WANTED] + 1.0 if valid and x[SETPOINT, i] > 0.5 else 0.0
+        if x[SETPOINT, i] < 0.5:  # a lean that is not known is none
+            x[LEAN, i] = x[LEAN + 1, i] = 0.0
         if number < first:
             x[WHOLE, i], x[COMMANDED, i], x[U : GYRO + 3, i] = 0.0, 0.0, np.nan
             continue

@@ -17,7 +17,7 @@ from mavdiag.chain import Chain, ChainOutput, ChainState, chain_of
 from mavdiag.decision.diagnosis import Change, Event, Stage
 from mavdiag.kernel import Account, Alarm, Looked, Piece, Stretch
 from mavdiag.rows.align import Grid
-from mavdiag.rows.block import SPEEDS
+from mavdiag.rows.block import COVERED, SPEEDS
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -153,7 +153,8 @@ def run(chain: Chain, chunks: list[Telemetry]) -> Story:
     state, output = chain.finish(state)
     outputs.append(output)
     blocks = [piece.rows.block for one in outputs for piece in one.pieces]
-    rows = np.concatenate([np.vstack((one.t_ns, one.x[:SPEEDS])) for one in blocks], axis=1)
+    own = [np.delete(one.x[:SPEEDS], COVERED, axis=0) for one in blocks]  # without what the pass writes
+    rows = np.concatenate([np.vstack((one.t_ns, x)) for one, x in zip(blocks, own, strict=True)], axis=1)
     events, changes = ([x for one in outputs for x in getattr(one, name)] for name in ("events", "changes"))
     return events, changes, state, rows
 
