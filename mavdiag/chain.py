@@ -23,7 +23,7 @@ from mavdiag.link.samples import joined
 from mavdiag.link.samples import warm as warm_samples
 from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.rows.align import BREAK_S, AlignSpec
-from mavdiag.rows.block import OUTPUTS
+from mavdiag.rows.block import OUTPUTS, Block
 from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.front import warm as warm_rows
 from mavdiag.rows.gate import Border
@@ -253,8 +253,8 @@ class Chain:
         if count == 0 and not (state.beginning and state.beginning[-1].block.valid.any()):
             return None  # nothing is measured in it; one such block parts the others
         block = rows.block
-        kept = replace(block, whole=block.x[: OUTPUTS + block.outputs].copy(), first=0)  # without the room
-        state.beginning.append(Rows(kept, rows.rates_ns))
+        x = block.x[: OUTPUTS + block.outputs].copy()  # without the room
+        state.beginning.append(Rows(Block(block.segment, block.dt_s, block.t_ns, x, block.outputs), rows.rates_ns))
         if state.begun_s + count * rows.block.dt_s < FIRST_S:
             state.begun_s += count * rows.block.dt_s
             return None

@@ -37,6 +37,7 @@ CALM_BELOW = 0.7  # of the threshold (our choice)
 LATE_NS = NS_PER_S  # so much a value may come after the rows of its time: half a filter's window (our choice)
 WAITING = "waiting for enough unbroken flight"  # why a monitor does not judge although its signals are known
 NAN, NEVER = float("nan"), -1e18
+MORE_BINS = 32  # that there is room for before old ones are dropped
 RANK = 1e9  # more than any ratio: of two at the same height the one that decides leads
 
 
@@ -332,13 +333,13 @@ def compiled() -> Callable[..., None]:
 
     @cached
     def run(
-        fixed: Any, state: Any, x: Any, times: Any, bins: Any, values: Any, looked: Any, opened: Any, numbers: Any
+        fixed: Any, state: Any, x: Any, times: Any, bins: Any, values: Any, looked: Any, rows: Any, numbers: Any
     ) -> None:
         """Take the next rows. What is remembered is changed in place, and so are the numbers of the pass."""
         (plan, thresholds, checks, limits, par), (t_ns, rates_ns) = fixed, times
         mem, latest, alarms, alarms_ns, tally, outside, missing, doubts = state
         (out, rotors, none, at, counts), (looks, readings, heights, leads, told, told_ns) = values, looked
-        first, all_stamps = numbers[BEFORE], np.empty(len(t_ns), dtype=np.int64)
+        first, all_stamps, opened = numbers[BEFORE], np.empty(len(t_ns), dtype=np.int64), (rows[0], rows[1])
         anywhere = _take_bins(x, times, bins, limits, mem, numbers) if limits[0, 3] >= 0.0 else 0
         _check_rows(x, t_ns, all_stamps, checks, (missing, doubts), opened, numbers)
         for slot in range(len(plan)):
@@ -506,8 +507,8 @@ class Memory:
     bins_ns: IntArray  # of conditions that may still count
     bins: FloatArray
     looks: FloatArray  # records of the next two looks
-    open_ns: IntArray  # rows that later values may still reach back to, and the checks that they fail
-    bits: IntArray
+    opened: IntArray  # (2, k) rows that later values may still reach back to: times, and the checks that they fail
+    known: int = 0  # how many bins there are
     next_look: int | None = None  # number of the first look that is not whole; None before the first row
     told: tuple[Alarm, ...] = ()  # of looks to come
     rows: int = 0
@@ -567,13 +568,13 @@ class Kernel:
         counts = np.zeros(len(self._bit), dtype=np.int64), np.zeros(len(DOUBTS), dtype=np.int64)
         segment = self._start.copy(), col.no_past(self.back), latest, alarms, np.zeros((slots, 2), dtype=np.int64)
         bins = never, np.empty((0, 2 * COUNT))
-        return Memory(*segment, tally, outside, *counts, *bins, self._records(2), never, never)
+        return Memory(*segment, tally, outside, *counts, *bins, self._records(2), np.empty((2, 0), dtype=np.int64))
 
     def restart(self, memory: Memory) -> None:
         """At the border of a segment: only what was counted stays, and no value reaches back over it."""
-        memory.unjudged = _stretches(memory.unjudged, memory.open_ns, self.dt_s)
+        memory.unjudged = _stretches(memory.unjudged, memory.opened[0], self.dt_s)
         fresh = self.start()
-        for name in ("mem", "past", "latest", "alarms", "alarms_ns", "bins_ns", "bins", "looks", "open_ns", "bits"):
+        for name in ("mem", "past", "latest", "alarms", "alarms_ns", "bins_ns", "bins", "known", "looks", "opened"):
             setattr(memory, name, getattr(fresh, name))
         memory.next_look, memory.told = None, ()
 
@@ -584,11 +585,13 @@ class Kernel:
         first_ns, now_ns = int(times[0][0]), int(times[0][-1])
         first = -(-first_ns // LOOK_NS) if memory.next_look is None else memory.next_look
         done = max(0, now_ns // LOOK_NS + 1 - first)
-        old = int(memory.bins_ns.searchsorted(first_ns - self._longest_ns))
-        known, opened = len(memory.bins_ns) - old, len(memory.open_ns)
-        more = most_bins(times[1])
-        bins = _grown(memory.bins_ns[old:], more), _grown(memory.bins[old:], more)
-        rows_open = _grown(memory.open_ns, n), _grown(memory.bits, n)
+        known, more, opened = memory.known, most_bins(times[1]), memory.opened.shape[1]
+        if known + more > len(memory.bins_ns):
+            old = int(memory.bins_ns[:known].searchsorted(first_ns - self._longest_ns))
+            ends_ns, conditions, known = memory.bins_ns[old:known], memory.bins[old:known], known - old
+            memory.bins_ns, memory.bins = _grown(ends_ns, more + MORE_BINS), _grown(conditions, more + MORE_BINS)
+        bins, rows_open = (memory.bins_ns, memory.bins), np.empty((2, opened + n), dtype=np.int64)
+        rows_open[:, :opened] = memory.opened
         looks = self._records(done + 2)
         looks[:2] = memory.looks
         readings, found = np.empty((done, *memory.latest.shape)), np.empty((2, done), dtype=np.int64)
@@ -603,7 +606,7 @@ class Kernel:
         looked = (looks, readings, found[0], found[1], *told)
         values = (out, rotors, NO_ROTORS, at, counts)
         judge(self._fixed, (*state, *counted), columns.x, times, bins, values, looked, rows_open, numbers)
-        known, opened, tells, gone, flown, covered = numbers[BINS:].tolist()
+        memory.known, opened, tells, gone, flown, covered = numbers[BINS:].tolist()
         if tells:
             pairs = zip(told[1][:tells].tolist(), told[0][:tells].tolist(), strict=True)
             memory.told += tuple(Alarm(first + look, *whose, *high) for (look, *whose), high in pairs)
@@ -611,9 +614,8 @@ class Kernel:
         if alarms:
             memory.told = tuple(one for one in alarms if one.look >= first + done)
             alarms = tuple(sorted((one for one in alarms if one.look < first + done), key=lambda one: one.look))
-        memory.bins_ns, memory.bins, memory.looks = bins[0][:known], bins[1][:known], looks[done:]
-        memory.unjudged = _stretches(memory.unjudged, rows_open[0][:gone], self.dt_s)
-        memory.open_ns, memory.bits = rows_open[0][gone:opened], rows_open[1][gone:opened]
+        memory.unjudged = _stretches(memory.unjudged, rows_open[0, :gone], self.dt_s)
+        memory.looks, memory.opened = looks[done:], rows_open[:, gone:opened]
         memory.rows, memory.flown, memory.judged = memory.rows + n, memory.flown + flown, memory.judged + covered
         piece = Piece(rows, self.slots, self._fixed[0], out, rotors, at, counts)
         heights, leads = found.tolist()

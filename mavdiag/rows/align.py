@@ -115,7 +115,7 @@ class AlignState:
         firsts = np.cumsum((0, *WIDTHS))
         self.streams = Streams(*arrays, firsts, marks, *knows, np.zeros((count, 3)), now, limits_ns)
         self.room, self.ends, self.sent, self.reached = 0, [0] * count, [0] * count, [-NEVER_NS] * count
-        self.taken: list[list[int] | slice] = [slice(None)] * count
+        self.taken: list[list[int] | slice | None] = [None] * count
         self._look()
 
     @property
@@ -145,7 +145,9 @@ class AlignState:
                 end = self._make_room(place, count)
             (times, hosts, to), taken, stop, t_ns = self.into[place], self.taken[place], end + count, series.t_ns
             times[end:stop], hosts[end:stop], ends[place] = t_ns, series.host_ns, stop
-            if isinstance(taken, slice):
+            if taken is None:
+                to[end:stop] = values
+            elif isinstance(taken, slice):
                 to[end:stop] = values[:, taken]
             else:
                 for column, of in enumerate(taken):
@@ -161,7 +163,8 @@ class AlignState:
         while taken and taken[-1] >= found:  # nothing is known of what is not sent
             del taken[-1]
         columns = len(taken)
-        self.taken[place] = slice(columns) if taken == list(range(columns)) else taken
+        first_ones = slice(columns) if taken == list(range(columns)) else taken
+        self.taken[place] = None if taken == list(range(found)) else first_ones
         self.sent[place] = found if place >= OUTPUTS else WIDTHS[place] - (place == GYRO)
         rule = spec.quality.rule(signal, found, taken)
         sizes = len(rule), COLUMN + 4 * columns, RUNS + 1 + columns
@@ -300,7 +303,11 @@ def _widened(table: NDArray[Any], width: int) -> NDArray[Any]:
 
 @allocating
 def _middle(steps: IntArray) -> int:
-    middle = (len(steps) - 1) // 2
+    equal, middle = 0, (len(steps) - 1) // 2
+    for step in steps:
+        equal += step == steps[0]
+    if 2 * equal > len(steps) + 1:
+        return int(steps[0])
     return int(np.partition(steps, middle)[middle])
 
 

@@ -42,6 +42,8 @@ HELD_BINS = 2  # for so long the last thrust and outputs hold
 IDLE_OUTPUT = 0.15  # ArduPilot's MOT_SPIN_MIN by default: a motor that carries is above it
 THRUST_CODE, NEVER_NS = DOUBTS.index(Doubt.THRUST), -(2**62)
 
+ALL_TELL = np.empty(0, dtype=np.bool_)
+
 # The segment of the rows before the gate, its first row; whether it is in the air; whether the data broke off in the
 # air, so that what flies next has not taken off; number of the flying span; when thrust was known last; until when rows
 # are invalid; until when it takes off, or the data begin; the last row that flew; rows that are held back, and how many
@@ -62,7 +64,8 @@ class Border:
 class GateState:
     """The rows held back, the gyro of the last SHAKE_S, and `SOURCE` ...; changed in place."""
 
-    def __init__(self) -> None:
+    def __init__(self, limits: tuple[float, float, bool, int]) -> None:
+        self.limits = limits
         self.rows: list[Block] = []
         self.tail: FloatArray = np.empty((0, 3))
         self.now: IntArray = np.zeros(TUMBLES + 1, dtype=np.int64)
@@ -118,7 +121,9 @@ class GateSpec:
 
     def start(self) -> GateState:
         """A fresh state: nothing flies yet."""
-        return GateState()
+        height = -math.inf if self.min_height_m is None else float(self.min_height_m)
+        thrust = -math.inf if self.min_thrust is None else float(self.min_thrust)
+        return GateState((height, thrust, self.need_armed, round(self.trim_start_s * NS_PER_S)))
 
     def step(self, state: GateState, block: Block) -> list[Block | Border]:
         """The next rows that fly, renumbered by flying span, held back by `trim_end_s`."""
@@ -128,11 +133,8 @@ class GateSpec:
                 out += [*self._break_off(state), Border(int(now[LAST_NS]))]
             now[[SOURCE, SOURCE_NS]], state.tail = (block.segment, block.t_ns[0]), state.tail[:0]
         trim_ns, told, place = round(self.trim_end_s * NS_PER_S), self._told(state, block), (block.whole, block.first)
-        height = -math.inf if self.min_height_m is None else float(self.min_height_m)
-        thrust = -math.inf if self.min_thrust is None else float(self.min_thrust)
-        limits = height, thrust, self.need_armed, block.dt_s, round(self.trim_start_s * NS_PER_S)
         while first < n:
-            took, stop, landed = _follow(now, limits, block.t_ns, place, told, block.outputs, first)
+            took, stop, landed = _follow(now, state.limits, block.dt_s, block.t_ns, place, told, block.outputs, first)
             if took < stop:
                 state.rows.append(block.rows(took, stop, int(now[SPAN]), int(now[SETTLED_NS])))
             out += state.release(int(now[LAST_NS]) - trim_ns)
@@ -159,9 +161,12 @@ class GateSpec:
         return out
 
     def _told(self, state: GateState, block: Block) -> BoolArray:
-        """(n,) the rows that tell of flight: by thrust, height or the shaking of the gyro in the half second before."""
+        """(n,) the rows that tell of flight: by thrust, height or the shaking of the gyro in the half second before.
+
+        Empty where all do.
+        """
         if self.least_shake is None:
-            return np.ones(len(block), dtype=np.bool_)
+            return ALL_TELL
         told = np.isfinite(block.thrust)
         if self.min_height_m is not None:
             told |= np.isfinite(block.height)
@@ -183,13 +188,13 @@ def _idle(x: FloatArray, outputs: int, i: int) -> bool:
 
 @cached_loop
 def _follow(
-    now: IntArray, limits: Any, t_ns: IntArray, place: Any, told: BoolArray, outputs: int, first: int
+    now: IntArray, limits: Any, dt_s: float, t_ns: IntArray, place: Any, told: BoolArray, outputs: int, first: int
 ) -> tuple[int, int, bool]:
     """Follow rows from the first on, up to a landing or their end; returns which may be flight, and if it landed.
 
     place: x, and the first of the columns that belong to t_ns.
     """
-    (least_height, least_thrust, need_armed, dt_s, trim_ns), took, (x, at) = limits, first, place
+    (least_height, least_thrust, need_armed, trim_ns), took, (x, at) = limits, first, place
     height, thrust, armed = x[col.HEIGHT, at:], x[col.THRUST, at:], x[col.ARMED, at:]
     valid, doubt = x[col.VALID, at:], x[col.DOUBT, at:]
     p, q, r = x[col.RATE, at:], x[col.RATE + 1, at:], x[col.RATE + 2, at:]
@@ -206,7 +211,7 @@ def _follow(
         if not now[AIRBORNE]:
             if disarmed or low:
                 now[RESUMES] = 0
-            if disarmed or low or not (now[RESUMES] or told[i]):
+            if disarmed or low or not (now[RESUMES] or len(told) == 0 or told[i]):
                 took = i + 1
                 continue
             now[BLANK_NS] = now[SETTLED_NS] = t
