@@ -8,6 +8,7 @@ rate is measured: a link that is not the baseline's is refused (`Chain.refusal`)
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,8 +39,7 @@ LEAST_OUTPUTS = 8  # that are looked at, so that a vehicle with more motors is k
 MEASURED_S = 2.0  # of gyro samples that a live link's rate is measured by (our choice)
 
 
-@dataclass(frozen=True, slots=True)
-class ChainOutput:
+class ChainOutput(NamedTuple):
     """What one chunk brought.
 
     events: alarms that opened (end_ns None) or closed. changes: of the decision. flight_s, judged_s: that came.
@@ -197,7 +197,7 @@ class Chain:
         state.decision, events, changes = self.decision.step(state.decision, last)
         lasting = self.decision.named(state.decision, self.kernel.open_alarms(state.memory))
         events, changes = (*output.events, *events, *lasting), (*output.changes, *changes)
-        return state, replace(output, events=events, changes=changes)
+        return state, output._replace(events=events, changes=changes)
 
     def renewed(self, state: ChainState, held: Diagnosis) -> ChainState:
         """After `finish`, for what may follow. held: what is known from before."""

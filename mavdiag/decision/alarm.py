@@ -332,13 +332,12 @@ def _ended(spans: tuple[RotorSpan, ...], t_ns: int) -> tuple[RotorSpan, ...]:
 
 def _since(state: DecisionState, height: Height | int, t_ns: int) -> DecisionState:
     """The state with the times since when all ratios are calm, one is raised, and one is over."""
-    holds = height == Height.CALM, height in (Height.RAISED, Height.OVER), height == Height.OVER
-    before = state.calm_ns, state.raised_ns, state.over_ns
-    calm, raised, over = (
-        (t_ns if ns is None else ns) if held else None for held, ns in zip(holds, before, strict=True)
-    )
-    same = (calm, raised, over) == before
-    return state if same else DecisionState(state.decided, calm, raised, over, state.episode, state.lead)
+    now_ns = [t_ns if ns is None else ns for ns in (state.calm_ns, state.raised_ns, state.over_ns)]
+    calm = now_ns[0] if height == Height.CALM else None
+    raised, over = now_ns[1] if height >= Height.RAISED else None, now_ns[2] if height == Height.OVER else None
+    if (calm, raised, over) == (state.calm_ns, state.raised_ns, state.over_ns):
+        return state
+    return DecisionState(state.decided, calm, raised, over, state.episode, state.lead)
 
 
 def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tuple[DecisionState, Height]:
