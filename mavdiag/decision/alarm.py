@@ -206,7 +206,7 @@ class DecisionSpec:
         """Look the transition up, and see whether the rotor can be named; True if anything changed."""
         held = state.diagnosis
         if held.rotors:
-            fresh = [replace(one, ratio=0.0) if _falls(one, held) else one for one in fresh]
+            fresh = [one._replace(ratio=0.0) if _falls(one, held) else one for one in fresh]
         state, height = _height_now(state, fresh, t_ns)
         stage, reason = NEXT.get((held.stage, height), (held.stage, held.reason))
         changed, now = stage is not held.stage, held
@@ -235,7 +235,8 @@ class DecisionSpec:
         over = episode.over | {key for key, ratio in ratios.items() if ratio > 1.0}
         calm = all(ratios.get(key, 1.0) < CALM_BELOW for key in over)
         calm_ns = (t_ns if episode.calm_ns is None else episode.calm_ns) if calm else None
-        episode = replace(episode, over=over, calm_ns=calm_ns)
+        if (over, calm_ns) != (episode.over, episode.calm_ns):
+            episode = replace(episode, over=over, calm_ns=calm_ns)
         if calm_ns is not None and t_ns - calm_ns >= CLEAR_NS:
             now = replace(now, seen=False, reason="no longer seen", rotors=_ended(now.rotors, calm_ns))
             return replace(episode, ended_ns=calm_ns), now

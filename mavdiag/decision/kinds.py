@@ -14,7 +14,6 @@ given stays, else the one that the loss itself shows.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from mavdiag.kernel import Slot
@@ -29,8 +28,7 @@ SILENT_BELOW = 0.5  # of the threshold (our choice)
 LOSSES = (FaultKind.LOSS_OF_CONTROL, FaultKind.GROSS_LOSS)
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(NamedTuple):
     """A slot's latest look that had a valid value: the highest statistic over threshold, the last statistic in it, and
     the last evidence for each rotor, or arm that rotors share; empty if the slot has none."""
 
@@ -42,9 +40,11 @@ class Reading:
     @classmethod
     def of(cls, slot: Slot, ratio: float, value: float, rotors: Sequence[float]) -> "Reading":
         """From the evidence for each rotor, nothing if the slot has none."""
-        arms, known = slot.evidence.arms if slot.evidence else (), rotors if slot.monitor.rotors else ()
-        by_arm = (max(known[rotor - 1] for rotor in arm.members) for arm in arms if known)
-        return cls(slot, ratio, value, tuple(by_arm) if arms else tuple(known))
+        if not slot.monitor.rotors:
+            return cls(slot, ratio, value)
+        arms = slot.evidence.arms if slot.evidence else ()
+        by_arm = (max(rotors[rotor - 1] for rotor in arm.members) for arm in arms)
+        return cls(slot, ratio, value, tuple(by_arm) if arms else tuple(rotors))
 
     def motor(self, place: int) -> int:
         """The rotor, or the arm, whose evidence stands there."""

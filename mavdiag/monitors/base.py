@@ -95,7 +95,10 @@ class FaultKind(StrEnum):
     @property
     def rank(self) -> int:
         """Place in that order."""
-        return tuple(FaultKind).index(self)
+        return _RANKS[self]
+
+
+_RANKS = {kind: rank for rank, kind in enumerate(FaultKind)}
 
 
 class Feature:

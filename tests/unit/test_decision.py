@@ -279,7 +279,7 @@ SPEC_KINDS = DecisionSpec(
     )
 )
 PROPELLER, SENSOR, CONTROL, THRUST = (Reading(slot, 2.0) for slot in SPEC_KINDS.slots)
-PROPELLER, THRUST = replace(PROPELLER, rotors=FIRST), replace(THRUST, rotors=THIRD)
+PROPELLER, THRUST = PROPELLER._replace(rotors=FIRST), THRUST._replace(rotors=THIRD)
 
 
 @pytest.mark.parametrize(
@@ -292,8 +292,8 @@ PROPELLER, THRUST = replace(PROPELLER, rotors=FIRST), replace(THRUST, rotors=THI
         (FaultKind.PROPELLER, [PROPELLER, CONTROL], FaultKind.LOSS_OF_CONTROL),
         (FaultKind.SENSOR, [PROPELLER], FaultKind.SENSOR),  # it never shrinks
         (FaultKind.GROSS_LOSS, [], FaultKind.GROSS_LOSS),
-        (None, [PROPELLER, replace(SENSOR, ratio=0.9)], FaultKind.PROPELLER),  # below its threshold
-        (None, [PROPELLER, replace(SENSOR, slot=replace(SENSOR.slot, decides=False))], FaultKind.PROPELLER),
+        (None, [PROPELLER, SENSOR._replace(ratio=0.9)], FaultKind.PROPELLER),  # below its threshold
+        (None, [PROPELLER, SENSOR._replace(slot=replace(SENSOR.slot, decides=False))], FaultKind.PROPELLER),
     ],
 )
 def test_the_gravest_kind_holds(held: FaultKind | None, readings: list[Reading], kind: FaultKind) -> None:
@@ -306,10 +306,10 @@ def test_the_gravest_kind_holds(held: FaultKind | None, readings: list[Reading],
 
 def test_a_rotor_is_named_only_while_that_is_certain() -> None:
     assert named(FaultKind.PROPELLER, [PROPELLER], False).rotor == 1
-    assert named(FaultKind.PROPELLER, [PROPELLER, replace(SENSOR, ratio=0.84)], False).rotor == 1
-    assert named(FaultKind.PROPELLER, [PROPELLER, replace(SENSOR, ratio=0.85)], False).rotor is None
-    assert named(FaultKind.PROPELLER, [PROPELLER, replace(CONTROL, ratio=0.49)], False).rotor == 1
-    assert named(FaultKind.PROPELLER, [PROPELLER, replace(CONTROL, ratio=0.5)], False).rotor is None
+    assert named(FaultKind.PROPELLER, [PROPELLER, SENSOR._replace(ratio=0.84)], False).rotor == 1
+    assert named(FaultKind.PROPELLER, [PROPELLER, SENSOR._replace(ratio=0.85)], False).rotor is None
+    assert named(FaultKind.PROPELLER, [PROPELLER, CONTROL._replace(ratio=0.49)], False).rotor == 1
+    assert named(FaultKind.PROPELLER, [PROPELLER, CONTROL._replace(ratio=0.5)], False).rotor is None
     for kind in (FaultKind.SENSOR, FaultKind.LOSS_OF_CONTROL):
         assert named(kind, [PROPELLER, THRUST], False).rotor is None
     assert [named(FaultKind.GROSS_LOSS, [PROPELLER, THRUST], has).rotor for has in (False, True)] == [3, None]
