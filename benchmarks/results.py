@@ -60,12 +60,14 @@ SECTIONS: dict[str, tuple[str, ...]] = {
     ),
     "attacks": ("python benchmarks/attacks.py --seconds 12",),
     "reactions": (
-        "python benchmarks/reactions.py faults",
+        "python benchmarks/reactions.py faults --place hover",
+        "python benchmarks/reactions.py faults --place cruise --seeds 2",
+        "python benchmarks/reactions.py faults --place mission --seeds 3",
         "python benchmarks/reactions.py loop",
-        "python benchmarks/reactions.py called",
-        "python benchmarks/reactions.py healthy --healthy-h 10 --rate 200",
+        "python benchmarks/reactions.py called --calls 3",
         "python benchmarks/hook_delay.py",
     ),
+    "no_reaction": ("python benchmarks/reactions.py healthy --healthy-h 10 --rate 200",),
     "loop": (
         "python benchmarks/hil.py --healthy-s 120",
         "python benchmarks/live_sessions.py resets --seconds 75",
