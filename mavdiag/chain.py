@@ -149,10 +149,8 @@ class Chain:
             del state.waiting[:-MOST_UNMEASURED]
             if _gyro_s(state.waiting) < MEASURED_S:
                 return state, NOTHING
-            rates = (
-                Telemetry(tuple(one for one in chunk if one.signal is Signal.BODY_RATE)) for chunk in state.waiting
-            )
-            refused = self.refusal(joined(rates), MEASURED_S)
+            rates = (tuple(one for one in chunk if one.signal is Signal.BODY_RATE) for chunk in state.waiting)
+            refused = self.refusal(joined(map(Telemetry, rates)), MEASURED_S)
             if refused is not None:
                 state.refused, state.measured = refused, not refused
             if not state.measured:

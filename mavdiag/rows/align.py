@@ -523,10 +523,8 @@ def _settle(s: Streams, place: int, at: int) -> None:
 def _fill(s: Streams, rows: IntArray, x: FloatArray, before: int) -> None:
     """Read all streams at the times of rows into x; what lies before is settled."""
     for place in range(len(s.marks)):
-        if place >= THRUST:
-            _settle(s, place, _hold(s, place, rows, x, before))
-        else:
-            _settle(s, place, _interpolate(s, place, rows, x, before))
+        read = _hold(s, place, rows, x, before) if place >= THRUST else _interpolate(s, place, rows, x, before)
+        _settle(s, place, read)
 
 
 @jit
@@ -605,11 +603,8 @@ def _interpolate(s: Streams, place: int, rows: IntArray, x: FloatArray, before: 
 @jit
 def _mark_usable(s: Streams, place: int, rows: IntArray, gap: int, x: FloatArray, begin: int) -> None:
     """Mark rows outside of gaps and of what must settle after them; what follows a doubt is as after a gap."""
-    blank_ns, to, doubt = (
-        s.now[BLANK + place],
-        x[col.VALID if place == GYRO else col.SETPOINT, begin:],
-        x[col.DOUBT, begin:],
-    )
+    blank_ns, doubt = s.now[BLANK + place], x[col.DOUBT, begin:]
+    to = x[col.VALID if place == GYRO else col.SETPOINT, begin:]
     for i in range(len(rows)):
         doubted = place == GYRO and doubt[i] > 0.0
         long_ns = max(gap, s.limits_ns[USABLE] + 1) if doubted else gap

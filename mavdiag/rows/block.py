@@ -94,9 +94,7 @@ class Block:
     answers: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     rate = signal(Signal.BODY_RATE)
-    setpoint = signal(
-        Signal.ATTITUDE_SETPOINT
-    )  # 0 before the first, held in an outage, of which roll and pitch are 0 once rates are made
+    setpoint = signal(Signal.ATTITUDE_SETPOINT)  # 0 before the first, held in an outage; once rates are made, there 0
     force = signal(Signal.SPECIFIC_FORCE)
     torque = signal(Signal.TORQUE_COMMAND)
     rate_setpoint = signal(Signal.RATE_SETPOINT)
