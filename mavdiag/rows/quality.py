@@ -255,38 +255,6 @@ def _leap(s: Samples, i: int) -> float:
 
 
 @jit
-def _goes_on(s: Samples, row: FloatArray, first: int, stop: int, leads: bool, leap: float) -> bool:
-    """Whether no sample of a column leaps from the two before, and no angle takes a turn."""
-    t_ns, turn, odd = s.t_ns, math.pi if s.rule[ANGLE] > 0.0 else np.inf, 0
-    most = min(leap, turn)
-    for i in range(max(first, 2), max(first, 2) if leads else stop):
-        odd += 0 if abs(row[i] - row[i - 1]) <= most else 1
-    for i in range(max(first, 2), stop if leads else 0):
-        before, before_ns, span_ns = row[i - 1] - row[i - 2], t_ns[i - 1] - t_ns[i - 2], t_ns[i] - t_ns[i - 1]
-        step, lead = row[i] - row[i - 1], before * (1.0 / before_ns) * span_ns if before_ns != 0 else 0.0
-        odd += 0 if (abs(step - lead) <= most) & (abs(step) <= turn) & (abs(before) <= turn) else 1
-    return odd == 0
-
-
-@jit
-def _longest_run(row: FloatArray, first: int, stop: int, run: int, quiet: float) -> int:
-    """Longest repetition, of which there were so many before."""
-    longest = run
-    for i in range(max(first, 1), stop):
-        run = run + 1 if not abs(row[i] - row[i - 1]) > quiet else 0
-        longest = max(longest, run)
-    return longest
-
-
-@jit
-def _any_zero(row: FloatArray, first: int, stop: int) -> bool:
-    zeros = 0
-    for i in range(max(first, 0), stop):
-        zeros += 0 if 0.0 < abs(row[i]) < np.inf else 1
-    return zeros > 0
-
-
-@jit
 def _plain(s: Samples, first: int, stop: int) -> int:
     """Up to where no sample leaps and rows use each as it came: the usual case, looked at column by column."""
     rule, mem, counts, columns, t_ns = s.rule, s.mem, s.counts, s.columns, s.t_ns
@@ -307,11 +275,6 @@ def _plain(s: Samples, first: int, stop: int) -> int:
             return first
         row = s.v[column, s.at :]
         for i in range(first, stop):
-            if i == first + 2 and _goes_on(s, row, i, stop, leads > 0.0, leap):
-                longest = _longest_run(row, i, stop, run, quiet)
-                if longest <= alone:
-                    moves = moves and longest <= frozen and (may_rest or not _any_zero(row, i, stop))
-                    break
             value, span_ns = row[i], t_ns[i] - before_ns
             run = run + 1 if not abs(value - came) > quiet else 0
             if run > alone or abs(_short(s, value - last - slope * span_ns)) > leap:
