@@ -488,7 +488,7 @@ def _rows(s: Streams, until_ns: int, dt_ns: float, resampled: bool, before: int)
     speeds = s.firsts[SPEEDS + 1] - s.firsts[SPEEDS]
     outputs = FIRST[OUTPUTS] + min(s.firsts[SPEEDS] - s.firsts[OUTPUTS], col.MOST)
     x = np.empty((FIRST[SPEEDS] + speeds if speeds else outputs, before + count))
-    x[col.COVERED], x[col.WHOLE : col.RATE], x[col.U : col.OUTPUTS], x[outputs:] = 1.0, 0.0, np.nan, np.nan
+    x[col.COVERED], x[outputs : FIRST[SPEEDS]] = 1.0, np.nan  # rates are put in by `rows.rates`
     if count:
         _fill(s, rows[:count], x, before)
         s.now[LAST] = rows[count - 1]

@@ -8,14 +8,14 @@ import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+import mavdiag.rows.block as col
 from mavdiag.jit import cached_loop, jit
 from mavdiag.rows.block import Block
 from mavdiag.rows.windows import spans, window_mean
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray
+from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_S, G
 
 SIGN_S = 0.4  # of the means (our choice)
@@ -52,41 +52,43 @@ def motion_of(block: Block) -> FloatArray:
     bin_ns = round(bin_s * NS_PER_S)
     found = np.zeros((int(block.t_ns[-1] // bin_ns - block.t_ns[0] // bin_ns) + 1, 10))
     found[:, 0], found[:, 2] = block.segment, bin_s
-    signals = block.rate, block.force, block.attitude, block.setpoint
-    columns = tuple(np.ascontiguousarray(one.T) for one in signals)
-    return found[: _sum_bins(block.t_ns, bin_ns, columns, block.setpoint_valid, found)]
+    return found[: _sum_bins(block.t_ns, bin_ns, block.whole, block.first, found)]
 
 
 @jit
-def _thrust(angle: FloatArray, i: int) -> tuple[float, float, float]:
-    """Where the thrust points, of roll and pitch; the heading does not matter."""
-    cos_roll = math.cos(angle[0, i])
-    return math.sin(angle[1, i]) * cos_roll, -math.sin(angle[0, i]), math.cos(angle[1, i]) * cos_roll
+def _thrust(roll: float, pitch: float) -> tuple[float, float, float]:
+    """Where the thrust points; the heading does not matter."""
+    cos_roll = math.cos(roll)
+    return math.sin(pitch) * cos_roll, -math.sin(roll), math.cos(pitch) * cos_roll
 
 
 @cached_loop
-def _sum_bins(t_ns: IntArray, bin_ns: int, signals: Any, setpoint_valid: BoolArray, found: FloatArray) -> int:
-    """Sums of each bin that has rows; returns how many there are. Signals are (3, n)."""
-    (rate, force, attitude, setpoint), place, looked = signals, -1, -1
+def _sum_bins(t_ns: IntArray, bin_ns: int, x: FloatArray, first: int, found: FloatArray) -> int:
+    """Sums of each bin that has rows; returns how many there are. first: the column of x that the first row is in."""
+    place, until_ns, look_ns = -1, 0, 0
     for i in range(len(t_ns)):
-        if place < 0 or t_ns[i] // bin_ns != found[place, 1]:
+        if place < 0 or t_ns[i] >= until_ns:
             place += 1
             found[place, 1] = t_ns[i] // bin_ns
-        bin_, square, down = found[place], 0.0, force[2, i]  # a vehicle that sends the z axis alone has that
-        for axis in range(3):
-            square += force[axis, i] ** 2 if math.isfinite(force[axis, i]) else 0.0
+            until_ns = (t_ns[i] // bin_ns + 1) * bin_ns
+        k = first + i
+        bin_, square, down = found[place], 0.0, x[col.FORCE + 2, k]  # a vehicle that sends the z axis alone has that
+        for axis in range(col.FORCE, col.FORCE + 3):
+            square += x[axis, k] ** 2 if math.isfinite(x[axis, k]) else 0.0
         bin_[3] += 1.0
-        bin_[4] += math.sqrt(rate[0, i] ** 2 + rate[1, i] ** 2)
+        bin_[4] += math.sqrt(x[col.RATE, k] ** 2 + x[col.RATE + 1, k] ** 2)
         bin_[5] += math.sqrt(square) / G if math.isfinite(down) else np.nan
         bin_[6] += down / G
-        if t_ns[i] // LOOK_NS == looked:
+        if t_ns[i] < look_ns:
             continue
-        looked = t_ns[i] // LOOK_NS
-        (x, y, z), (x_wanted, y_wanted, z_wanted) = _thrust(attitude, i), _thrust(setpoint, i)
-        along = x * x_wanted + y * y_wanted + z * z_wanted
+        look_ns = (t_ns[i] // LOOK_NS + 1) * LOOK_NS
+        north, east, down = _thrust(x[col.ATTITUDE, k], x[col.ATTITUDE + 1, k])
+        wanted = _thrust(x[col.LEAN, k], x[col.LEAN + 1, k])
+        along = north * wanted[0] + east * wanted[1] + down * wanted[2]
         bin_[7] += 1.0
-        bin_[8] += math.acos(min(max(z, -1.0), 1.0)) if z == z else np.nan
-        bin_[9] += math.acos(min(max(along, -1.0), 1.0)) if along == along and setpoint_valid[i] else np.nan
+        bin_[8] += math.acos(min(max(down, -1.0), 1.0)) if down == down else np.nan
+        known = along == along and x[col.SETPOINT, k] > 0.5
+        bin_[9] += math.acos(min(max(along, -1.0), 1.0)) if known else np.nan
     return place + 1
 
 
