@@ -3,11 +3,10 @@
 import http.client
 from collections.abc import Iterator, Mapping
 
-from detector.config import Settings, split_address
-from detector.flights import check_installed as check_history
+from detector.config import Settings, check_installed, split_address
 from detector.judging import rescaled
 from detector.rules import parse_rules
-from detector.web.child import Place, check_installed, read_token
+from detector.web.child import Place, read_token
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.errors import LinkError, UsageError
@@ -66,13 +65,13 @@ def _files_and_ports(settings: Settings) -> Iterator[str]:
                 check_output(path)
             yield f"{option:<10} {path}, at most {keep + 1} files of {mb:g} MB"
     if settings.history is not None:
-        check_history()
+        check_installed("--history", "SQLAlchemy", "history")
         yield f"history    {settings.history}; flights wait in {settings.flights}"
     if settings.metrics is not None:
         host, port = split_address(settings.metrics, "metrics")
         yield f"metrics    http://{host}:{port}/metrics"
     if settings.web is not None:
-        check_installed()
+        check_installed("--web", "aiohttp", "web")
         token = None if settings.web_token_file is None else read_token(settings.web_token_file)
         asks = "" if token is None else f"; asks for the token in {settings.web_token_file}"
         yield f"web page   {Place(*split_address(settings.web, 'web'), token).url}{asks}"

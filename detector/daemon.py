@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
-from detector.component import Sender
+from detector.component import Handled, Requests, Sender
 from detector.config import Settings
 from detector.fitting import FittingJob, ProcessFitter
 from detector.fleet import Fleet, Turn
@@ -22,19 +22,9 @@ from detector.hooks import Hook
 from detector.journal import Journal, Recorder, Reporter, When
 from detector.notify import Notifier
 from detector.relay import Relay
-from detector.requests import Handled, Requests
 from detector.rules import parse_rules
 from detector.states import State
-from detector.values import (
-    DaemonFigures,
-    Effect,
-    EventOpened,
-    Learn,
-    LinkFigures,
-    SendFloat,
-    SessionSpec,
-    is_working,
-)
+from detector.values import DaemonFigures, Effect, EventOpened, Learn, LinkFigures, SendFloat, SessionSpec, is_working
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
@@ -133,13 +123,8 @@ class Daemon:
             knows=self._knows,
         )
         self._guard = Guard(self.fleet.link, self._signing)
-        takers = (
-            *((hook.name, hook) for hook in hooks),
-            ("journal", journal),
-            ("record", recorder),
-            ("history", flights),
-        )
-        self._files = {name: file for name, file in takers if file is not None}
+        files = {hook.name: hook for hook in hooks} | {"journal": journal, "record": recorder, "history": flights}
+        self._files = {name: file for name, file in files.items() if file is not None}
         self._reporter = Reporter(
             [file.write for file in (journal, web, *hooks) if file], host.say, self._when, settings.save
         )

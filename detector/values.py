@@ -30,14 +30,8 @@ class SessionSpec:
         return now.ns + self.unix_offset_ns if self.unix_offset_ns else 0
 
 
-@dataclass(frozen=True, slots=True)
-class LearningFailed:
-    """The answer to `Learn` if there is no baseline: why, in one line."""
-
-    reason: str
-
-
-FitOutcome: TypeAlias = Baseline | LearningFailed
+#: The answer to `Learn`: a baseline, or in one line why there is none.
+FitOutcome: TypeAlias = Baseline | str
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,6 @@ ends by itself is started again, after a pause.
 """
 
 import contextlib
-import importlib.util
 import json
 import os
 import select
@@ -16,7 +15,8 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from mavdiag.errors import LinkError, UsageError, missing_extra
+from detector.config import check_installed
+from mavdiag.errors import LinkError, UsageError
 from mavdiag.link.keys import read_secret
 from mavdiag.telemetry import Instant
 
@@ -56,12 +56,6 @@ def read_token(path: Path) -> str:
     return text
 
 
-def check_installed() -> None:
-    """Raise UsageError, saying what to install, unless the server's library is there."""
-    if importlib.util.find_spec("aiohttp") is None:
-        raise missing_extra("--web", "aiohttp", "web")
-
-
 class ServerProcess:
     """The process. run: of the daemon. say: takes a log line."""
 
@@ -75,7 +69,7 @@ class ServerProcess:
 
     def start(self) -> None:
         """Start it and wait until it listens. Raises UsageError or LinkError, in one line, if it cannot."""
-        check_installed()
+        check_installed("--web", "aiohttp", "web")
         self._spawn()
         answers = self._read() if select.select([self._stdout], [], [], START_S)[0] else ["silent"]
         word, _, rest = (answers or ["refused its process ended"])[0].partition(" ")
