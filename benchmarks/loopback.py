@@ -20,8 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mavdiag.commands.identify import make_baseline
-from mavdiag.demo.closed_loop import DemoResult, Flight, closed_loop
-from mavdiag.demo.subprocesses import POLL_S, run_child
+from mavdiag.demo.subprocesses import POLL_S, DemoResult, Flight, closed_loop, run_child
 from mavdiag.learning import thesis_options
 
 FAULTS = tuple(f"F{kind}/SV{severity}" for kind in (1, 2, 3) for severity in (1, 2, 3))

@@ -111,15 +111,6 @@ def ask_working(metrics: str | None) -> str:
         return f"{metrics} does not answer ({error})"
     finally:
         connection.close()
-    return hindrance(page)
-
-
-def hindrance(page: str) -> str:
-    """The same, from a page of figures.
-
-    >>> hindrance("mavdiag_session_working 1.0\\nmavdiag_figures_age_seconds 0.4\\n")
-    ''
-    """
     found = dict(line.split(" ", 1) for line in page.splitlines() if line.startswith("mavdiag_") and " " in line)
     try:
         works, age_s = float(found["mavdiag_session_working"]), float(found["mavdiag_figures_age_seconds"])

@@ -9,9 +9,8 @@ from pathlib import Path
 from rich.console import Console
 
 from mavdiag.baseline import Baseline
-from mavdiag.demo.closed_loop import Flight, closed_loop
 from mavdiag.demo.command import DETECTOR, SPAN_S, THESIS, flight_view, own_baselines
-from mavdiag.demo.subprocesses import POLL_S
+from mavdiag.demo.subprocesses import POLL_S, Flight, closed_loop
 from mavdiag.terminal.ground_station import LiveJudge
 from mavdiag.terminal.view import Line, line_for, picture
 

@@ -82,7 +82,7 @@ def about(vehicle: int, profile: str, judge: Judge | None) -> Json:
     airframe = judge.baseline.airframe
     named |= {"airframe": airframe.name, "layout": judge.baseline.layout_statement}
     if airframe.layout is not None:
-        named["drawing"] = airframe_svg(airframe.layout, title=f"airframe of {airframe.name}", prefix="airframe")
+        named["drawing"] = airframe_svg(airframe.layout, title=f"airframe of {airframe.name}")
     for slot in judge.chain.slots:
         monitor = slot.monitor
         margin = monitor.reference if monitor.name == "fsd" else None

@@ -17,8 +17,7 @@ from mavdiag.commandline import say
 from mavdiag.commands.identify import make_baseline
 from mavdiag.commands.report import write_report
 from mavdiag.decision.diagnosis import Change, Stage
-from mavdiag.demo.closed_loop import DemoResult, Flight, Loop, closed_loop
-from mavdiag.demo.subprocesses import run_child
+from mavdiag.demo.subprocesses import DemoResult, Flight, Loop, closed_loop, run_child
 from mavdiag.errors import BaselineError, UsageError
 from mavdiag.face import with_airframe
 from mavdiag.learning import LearnOptions, thesis_options
@@ -93,7 +92,10 @@ def demo(
             typer.echo(json_line(told))
         else:
             _print_result(result, flight, changes)
-            _print_report(record, fused, report or own_cache() / "demo-report.html")
+            page, log = report or own_cache() / "demo-report.html", replace(read_log(record), name="the demo's flight")
+            page.parent.mkdir(parents=True, exist_ok=True)
+            say(f"the recorded flight, judged as a log: {write_report(log, Baseline.load(fused), fused, page)}")
+            say(f"its report: {page}")
     raise typer.Exit(0 if result.good else 1)
 
 
@@ -115,8 +117,14 @@ def own_baselines(*, quiet: bool, thorough: bool = False) -> tuple[Path, Path]:
         typer.echo(f"recording {count} healthy flights of {HEALTHY_S:g} s, as fast as they go ...")
     with tempfile.TemporaryDirectory() as folder:
         half = count // 2
+
+        def record(first: int) -> None:
+            file = str(Path(folder) / f"healthy{first:02d}.tlog")
+            flights = ("--flights", str(half), "--seed", str(1000 + first), "--duration", f"{HEALTHY_S:g}")
+            run_child("sitl_plant", "record", "-o", file, *flights)
+
         with ThreadPoolExecutor(2) as pool:  # one process a core of a small machine
-            list(pool.map(lambda first: _record(Path(folder), first, half), (0, half)))
+            list(pool.map(record, (0, half)))
         logs = sorted(Path(folder).glob("*.tlog"))
         if not quiet:
             typer.echo("identifying the healthy airframe ...")
@@ -131,12 +139,6 @@ def _usable(path: Path) -> bool:
         return bool(thesis_rule(Baseline.load(path)).monitors)
     except BaselineError:
         return False
-
-
-def _record(folder: Path, first: int, count: int) -> None:
-    file, seed = str(folder / f"healthy{first:02d}.tlog"), str(1000 + first)
-    flights = ("--flights", str(count), "--seed", seed, "--duration", f"{HEALTHY_S:g}")
-    run_child("sitl_plant", "record", "-o", file, *flights)
 
 
 def watch(loop: Loop, flight: Flight, *, quiet: bool) -> list[Change]:
@@ -184,11 +186,3 @@ def _print_result(result: DemoResult, flight: Flight, changes: Sequence[Change])
         say("before the onset nothing was alerted: the loop is closed")
     else:
         say(f"not good: {result.false_alarms} alerts before the onset" if result.false_alarms else "not good")
-
-
-def _print_report(record: Path, baseline: Path, page: Path) -> None:
-    flown, log = Baseline.load(baseline), replace(read_log(record), name="the demo's flight")
-    page.parent.mkdir(parents=True, exist_ok=True)
-    verdict = write_report(log, flown, baseline, page)
-    say(f"the recorded flight, judged as a log: {verdict}")
-    say(f"its report: {page}")

@@ -29,6 +29,7 @@ one false change point in a hundred series of 200 healthy flights (`benchmarks/h
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,8 +67,7 @@ class Sessions:
         return 2 * self.flights / (1 + self.flights)
 
 
-@dataclass(frozen=True, slots=True)
-class Remaining:
+class Remaining(NamedTuple):
     """Flights until the threshold: the estimate, and its 90 % interval. high is infinite where no end is certain."""
 
     flights: float
@@ -90,11 +90,11 @@ class Trend:
     scale: float
     sessions: int
 
-    def remaining(self, quantile: float = NORMAL_90) -> Remaining | None:
-        """Flights until the level is the threshold; None if it does not grow. quantile: of the normal law."""
+    def remaining(self) -> Remaining | None:
+        """Flights until the level is the threshold; None if it does not grow."""
         if self.slope <= 0:
             return None
-        gap, q2 = 1.0 - self.level, quantile**2
+        gap, q2 = 1.0 - self.level, NORMAL_90**2
         # (b^2 - q^2 Vbb) R^2 - 2 (gap b + q^2 Vab) R + gap^2 - q^2 Vaa <= 0
         square = self.slope**2 - q2 * self.slope_variance
         linear = gap * self.slope + q2 * self.covariance

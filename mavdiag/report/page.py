@@ -169,17 +169,10 @@ def flights_page(flights: Sequence[FlightReport], baseline: Baseline, path: str,
     flights = sorted(flights, key=lambda flight: ORDER.index(flight.verdict.verdict))
     counts = Counter(flight.verdict.verdict.value for flight in flights)
     alone, names = len(flights) == 1, apart([flight.verdict.log for flight in flights])
-    return _page(
-        "flights.html",
-        title=Path(flights[0].verdict.log).name if alone else f"{len(flights)} flights",
-        flights=flights,
-        alone=alone,
-        counts=", ".join(f"{counts[verdict]} {short}" for verdict, short in words.VERDICTS.items() if counts[verdict]),
-        names=names,
-        baseline=baseline,
-        baseline_path=path,
-        created=created,
-    )
+    title = Path(flights[0].verdict.log).name if alone else f"{len(flights)} flights"
+    told = ", ".join(f"{counts[verdict]} {short}" for verdict, short in words.VERDICTS.items() if counts[verdict])
+    whose = {"baseline": baseline, "baseline_path": path, "created": created}
+    return _page("flights.html", title=title, flights=flights, alone=alone, counts=told, names=names, **whose)
 
 
 def campaign_page(campaign: Campaign, path: str, created: str) -> str:

@@ -26,7 +26,7 @@ from mavdiag.look.figures import HARMONICS, SPECTRUM_S, Spectrum
 from mavdiag.monitors.base import Feature
 from mavdiag.monitors.run_length import training_pieces
 from mavdiag.report.chart import FOLDER, Chart, Line, NotDrawn, Panel, Picture, columns_of, drawn, picture
-from mavdiag.report.drawing import RotorMark, airframe_svg
+from mavdiag.report.drawing import airframe_svg
 from mavdiag.report.sketch import RateSketch, Sketch, SlotSketch
 from mavdiag.rows.block import Block
 from mavdiag.rows.rates import RateSpec
@@ -215,10 +215,10 @@ def evidence_picture(sketch: Sketch) -> Chart:
 
 def airframe_drawing(layout: RotorLayout, sketch: Sketch, named: Collection[int]) -> str:
     """The airframe with the highest rise of each rotor. named: rotors to be filled."""
-    marks, rises = dict[int, RotorMark](), told_rises(sketch)
+    marks, rises = dict[int, tuple[str, str]](), told_rises(sketch)
     for number in range(1, layout.rotors + 1):
         label = "" if rises is None else f"{100 * float(np.nanmax(rises.rotors[number - 1].high)):+.1f} %"
-        marks[number] = RotorMark(label, "fault" if number in named else "")
+        marks[number] = label, "fault" if number in named else ""
     told = f"named: {', '.join(map(str, named))}" if named else "no rotor is named"
     return airframe_svg(layout, marks, title=f"Airframe from above, the nose up: {told}")
 
