@@ -57,24 +57,13 @@ _ANNOUNCING = (Kind.UDP_OUT, Kind.TCP_CLIENT, Kind.SERIAL)
 class Host:
     """The machine: its clocks, and a place for log lines. Tests bring their own."""
 
+    now_ns: Callable[[], int] = staticmethod(time.monotonic_ns)
+    utc: Callable[[], datetime] = staticmethod(partial(datetime.now, UTC))
+    cpu_s: Callable[[], float] = staticmethod(time.process_time)
+    sleep: Callable[[float], None] = staticmethod(time.sleep)
+
     def __init__(self, say: Callable[[str], None]) -> None:
         self.say = say
-
-    def now_ns(self) -> int:
-        """The monotonic clock [ns]."""
-        return time.monotonic_ns()
-
-    def utc(self) -> datetime:
-        """The wall clock."""
-        return datetime.now(UTC)
-
-    def cpu_s(self) -> float:
-        """Processor time used so far [s]."""
-        return time.process_time()
-
-    def sleep(self, span_s: float) -> None:
-        """Wait."""
-        time.sleep(span_s)
 
 
 class Daemon:

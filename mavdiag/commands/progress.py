@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 from threading import Timer
@@ -104,15 +104,3 @@ def working(text: str) -> Iterator[None]:
     finally:
         line.cancel()
         line.join()
-
-
-@contextmanager
-def followed(items: Iterable[T], text: str) -> Iterator[Iterator[T]]:
-    """The items, to be taken one by one; a spinner from the last one on, until the block ends."""
-    with ExitStack() as stack:
-
-        def taken() -> Iterator[T]:
-            yield from items
-            stack.enter_context(working(text))
-
-        yield taken()

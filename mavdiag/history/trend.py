@@ -131,7 +131,8 @@ def trend_of(sessions: Sessions, now: float) -> Trend | None:
         inverse = np.linalg.inv((X.T * w) @ X)
         line = inverse @ (X.T @ (w * y))
         r = (y - X @ line) * np.sqrt(base)
-        scale = max(MAD * _weighted_median(np.abs(r), recent), steps, LEAST_SCALE)
+        median = np.quantile(np.abs(r), 0.5, weights=recent, method="inverted_cdf")
+        scale = max(MAD * float(median), steps, LEAST_SCALE)
         h = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(r), 1e-12))
     root = X * (w / np.sqrt(base))[:, None]
     (a, b), (_, c) = (scale**2 * inverse @ (root.T @ root) @ inverse).tolist()
@@ -142,12 +143,6 @@ def scale_of_steps(sessions: Sessions) -> float:
     """Standard deviation of a session of one flight, from the steps between neighbours."""
     spread = np.sqrt(1 / sessions.weight[1:] + 1 / sessions.weight[:-1])
     return MAD * float(np.median(np.abs(np.diff(sessions.share)) / spread))
-
-
-def _weighted_median(values: FloatArray, weight: FloatArray) -> float:
-    order = np.argsort(values)
-    total = np.cumsum(weight[order])
-    return float(values[order[np.searchsorted(total, total[-1] / 2)]])
 
 
 @dataclass(frozen=True, slots=True)
