@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from detector.config import Settings, check_installed, split_address
 from detector.judging import rescaled
 from detector.rules import parse_rules
-from detector.web.child import Place, read_token
+from detector.web.access import Access
+from detector.web.child import read_token
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.errors import LinkError, UsageError
@@ -74,7 +75,7 @@ def _files_and_ports(settings: Settings) -> Iterator[str]:
         check_installed("--web", "aiohttp", "web")
         token = None if settings.web_token_file is None else read_token(settings.web_token_file)
         asks = "" if token is None else f"; asks for the token in {settings.web_token_file}"
-        yield f"web page   {Place(*split_address(settings.web, 'web'), token).url}{asks}"
+        yield f"web page   {Access(*split_address(settings.web, 'web'), token).url}{asks}"
 
 
 def _absence(address: str) -> str:

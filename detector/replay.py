@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -20,7 +21,8 @@ from detector.journal import Reporter, When
 from detector.session import Session
 from detector.streams import METERED
 from detector.values import DaemonFigures, EventOpened, SessionSpec, VehicleFigures
-from detector.web.child import Place, ServerProcess, read_token
+from detector.web.access import Access
+from detector.web.child import ServerProcess, read_token
 from detector.web.snapshot import BACK_S, Level, Snapshots, Track, about, fleet_now
 from mavdiag import commandline
 from mavdiag.as_json import json_line
@@ -213,10 +215,8 @@ def serve(
         judged = Judged(read, known, read.vehicle or vehicle or 1)
         warm()
         token = None if web_token_file is None else read_token(web_token_file)
-        host, port = page_address(web, web_token_file)
-        child = ServerProcess(
-            Place(host, port, token, niceness=0), f"{judged.begin_ns:x}-0", lambda text: commandline.say(text, err=True)
-        )
+        place, run = Access(*page_address(web, web_token_file), token), f"{judged.begin_ns:x}-0"
+        child = ServerProcess(place, run, partial(commandline.say, err=True), niceness=0)
         with closing(child):
             child.start()
             commandline.say(f"replay: {log.name} on {child.where}; Ctrl-C ends it")

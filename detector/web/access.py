@@ -59,6 +59,11 @@ class Access:
     names: tuple[str, ...] = ()  # under which a proxy serves the page, on a port of its own; it says who may
 
     @property
+    def url(self) -> str:
+        """Where to open the page."""
+        return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}/"
+
+    @property
     def cookie(self) -> str:
         """Name of the cookie; cookies are shared by all ports of a host."""
         return f"mavdiag-{self.port}"

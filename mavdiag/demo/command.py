@@ -17,7 +17,7 @@ from mavdiag.commandline import say
 from mavdiag.commands.identify import make_baseline
 from mavdiag.commands.report import write_report
 from mavdiag.decision.diagnosis import Change, Stage
-from mavdiag.demo.subprocesses import DemoResult, Flight, Loop, closed_loop, run_child
+from mavdiag.demo.subprocesses import Child, DemoResult, Flight, closed_loop, run_child
 from mavdiag.errors import BaselineError, UsageError
 from mavdiag.face import with_airframe
 from mavdiag.learning import LearnOptions, thesis_options
@@ -76,9 +76,9 @@ def demo(
     flight = Flight(duration, fault, rotor, round(ONSET_SHARE * duration, 1), seed)
     with tempfile.TemporaryDirectory() as folder:
         record = Path(folder) / "flight.tlog"
-        with closed_loop(flight, fused, LiveJudge(reference, SPAN_S), record) as loop:
-            changes = watch(loop, flight, quiet=as_json)
-        result = DemoResult(flight.onset_s, tuple(loop.station.texts))
+        with closed_loop(flight, fused, LiveJudge(reference, SPAN_S), record) as (plant, _, station):
+            changes = watch(plant, station, flight, quiet=as_json)
+        result = DemoResult(flight.onset_s, tuple(station.texts))
         if as_json:
             detected = result.detected_s
             told = {
@@ -141,14 +141,14 @@ def _usable(path: Path) -> bool:
         return False
 
 
-def watch(loop: Loop, flight: Flight, *, quiet: bool) -> list[Change]:
+def watch(plant: Child, station: GroundStation, flight: Flight, *, quiet: bool) -> list[Change]:
     """Show the flight until it is over, if there is somebody to show it to; return the changes of the thesis rule."""
     from mavdiag.terminal.watching import listen
 
     def view(events: Sequence["Line"]) -> "View":
-        return flight_view(loop.station, flight, events)
+        return flight_view(station, flight, events)
 
-    return listen(loop.station, view, (DETECTOR, THESIS), lambda: not loop.plant.running, quiet=quiet)
+    return listen(station, view, (DETECTOR, THESIS), lambda: not plant.running, quiet=quiet)
 
 
 def flight_view(station: GroundStation, flight: Flight, events: Sequence["Line"]) -> "View":

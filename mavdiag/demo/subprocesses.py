@@ -118,15 +118,6 @@ class Flight:
 
 
 @dataclass(frozen=True, slots=True)
-class Loop:
-    """The running processes and the ground station that receives from them."""
-
-    plant: Child
-    detector: Child
-    station: GroundStation
-
-
-@dataclass(frozen=True, slots=True)
 class DemoResult:
     """What the ground station saw. Times in seconds of flight; detected_s is None if nothing was alerted in time."""
 
@@ -157,8 +148,8 @@ class DemoResult:
 @contextlib.contextmanager
 def closed_loop(
     flight: Flight, baseline: Path, judge: LiveJudge | None = None, record: Path | None = None
-) -> Iterator[Loop]:
-    """Vehicle, detector and ground station over UDP on loopback, on ports of their own. Raises LinkError."""
+) -> Iterator[tuple[Child, Child, GroundStation]]:
+    """Vehicle, detector and a ground station that hears both, over UDP on ports of their own. Raises LinkError."""
     kept = () if record is None else ("--record", str(record))
     with (
         open_endpoint("udpin:127.0.0.1:0") as endpoint,
@@ -171,4 +162,4 @@ def closed_loop(
         ground = endpoint.address.replace("udpin", "udpout")
         with child("sitl_plant", "run", "--out", f"udpout:{found[1]}", "--out", ground, *flight.arguments) as plant:
             plant.wait_for("flies", READY_S)
-            yield Loop(plant, detector, GroundStation(endpoint, judge))
+            yield plant, detector, GroundStation(endpoint, judge)

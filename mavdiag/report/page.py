@@ -120,11 +120,8 @@ def _pictures(
     line = _rotor_line(log, frame, sketch, corner_hz)
     monitors = (pictures.monitor_picture(name, sketch, baseline) for name in pictures.spoken(judged))
     window_s = baseline.window.samples * baseline.link.dt_s
-    flight = (
-        pictures.timeline(log, judged, sketch),
-        pictures.flight_picture(telemetry, sketch),
-        *(picture for picture in monitors if picture is not None),
-    )
+    beginning = (pictures.timeline(log, judged, sketch), pictures.flight_picture(telemetry, sketch))
+    flight = (*beginning, *filter(None, monitors))
     method = (
         pictures.evidence_picture(sketch),
         pictures.attitude_picture(telemetry, sketch),
@@ -136,8 +133,8 @@ def _pictures(
         pictures.spectrum_picture(sketch.spectrum, line, corner_hz, 1 / sketch.dt_s),
         pictures.windows_picture(sweeps, sketch.dt_s, window_s),
     )
-    told = [tuple(_explained(picture, baseline, judged) for picture in part) for part in (flight, method)]
-    return told[0], told[1]
+    shown, folded = (tuple(_explained(picture, baseline, judged) for picture in part) for part in (flight, method))
+    return shown, folded
 
 
 def _explained(picture: Picture, baseline: Baseline, judged: JudgedFlight) -> Picture:
@@ -214,28 +211,22 @@ def _trends(overview: Overview) -> Picture | None:
             number = series.number.astype(np.float64) + stretch.first - 1
             parts.setdefault(series.name, []).append((number, series.share))
     warned = {found.series.name for found in overview.warned}
-    marks = [
-        (stretch.first - 0.5, stretch.began) for stretch in overview.stretches if stretch.began and stretch.flights
-    ]
+    marks = [(one.first - 0.5, one.began) for one in overview.stretches if one.began and one.flights]
     panels = []
     for name, own in parts.items():
         look = "measured" if name not in warned else "fault"
         label = f"{pictures.name_of(name)}{': warned of' if name in warned else ''}"
-        number, share = (_with_gaps(stretches) for stretches in zip(*own, strict=True))
-        line = Line(number, share, look=look)
+        number, share = (
+            np.concatenate([np.append(part, np.nan) for part in parts])[:-1] for parts in zip(*own, strict=True)
+        )
+        line = Line(number, share, look=look)  # with gaps between the stretches
         panels.append(Panel(label, [line], [(1.0, "threshold")], marks, y=(0.0, None), height=TREND_HEIGHT))
     if not panels or len(overview.flights) < 2:
         return None
-    flights = overview.flights
-    words = f"{overview.airframe}: statistics of {len(flights)} flights in shares of their thresholds"
-    span = (0.5, len(flights) + 0.5)
-    chart = Chart(panels, span, words, x_label="flight", kind="still")
+    count = len(overview.flights)
+    words = f"{overview.airframe}: statistics of {count} flights in shares of their thresholds"
+    chart = Chart(panels, (0.5, count + 0.5), words, x_label="flight", kind="still")
     return drawn("trends", chart, overview.airframe)
-
-
-def _with_gaps(parts: Sequence[FloatArray]) -> FloatArray:
-    """One after the other, with a gap between them."""
-    return np.concatenate([np.append(part, np.nan) for part in parts])[:-1]
 
 
 def _page(template: str, **values: object) -> str:
