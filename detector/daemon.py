@@ -114,9 +114,8 @@ class Daemon:
         self._guard = Guard(self.fleet.link, self._signing)
         files = {hook.name: hook for hook in hooks} | {"journal": journal, "record": recorder, "history": flights}
         self._files = {name: file for name, file in files.items() if file is not None}
-        self._reporter = Reporter(
-            [file.write for file in (journal, web, *hooks) if file], host.say, self._when, settings.save
-        )
+        writers = [file.write for file in (journal, web, *hooks) if file]
+        self._reporter = Reporter(writers, host.say, self._when, settings.save)
         self._inspections = inspections or Inspections(None, host.say)
         self._senders: dict[int, Sender] = {}
         self._requests = Requests(self.fleet, settings.keep_rates, self._sender, self._signing)
@@ -241,9 +240,8 @@ class Daemon:
             if len(asked) == UID_TRIES:
                 return True
             asked.append(now)
-            self._relay.send(
-                self._sender(sysid).command(MavCmd.REQUEST_MESSAGE, MessageId.AUTOPILOT_VERSION), to_all=False
-            )
+            frame = self._sender(sysid).command(MavCmd.REQUEST_MESSAGE, MessageId.AUTOPILOT_VERSION)
+            self._relay.send(frame, to_all=False)
         return False
 
     def _own(self, sysid: int) -> Baseline | None:

@@ -113,8 +113,7 @@ class Flights(Courier):
 
     def _hand_over(self, path: Path, sysid: int, baseline: Baseline) -> None:
         self._baselines[baseline.digest] = baseline
-        name = baseline.airframe.name
-        name = name if baseline.airframe.scope == "airframe" else f"{name} {sysid}"
+        name = baseline.airframe.name + ("" if baseline.airframe.scope == "airframe" else f" {sysid}")
         self.put(json.dumps([str(path), sysid, baseline.digest, name]).encode())
 
     @contextmanager

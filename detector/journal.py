@@ -94,9 +94,8 @@ def _stage(change: Change) -> Content:
     names = ("stage", "reason", "monitor", "axis", "statistic", "threshold", "rotor")
     held: Content = plain({name: getattr(change, name) for name in names} | {"fault_kind": change.kind})
     spans = [{"rotor": span.rotor, "since_s": _s(span.since_ns), "end_s": _s(span.end_ns)} for span in change.rotors]
-    return (
-        {"t_s": _s(change.t_ns)} | held | {"seen": change.seen, "declared_s": _s(change.declared_ns), "rotors": spans}
-    )
+    declared_s = _s(change.declared_ns)
+    return {"t_s": _s(change.t_ns)} | held | {"seen": change.seen, "declared_s": declared_s, "rotors": spans}
 
 
 def _s(t_ns: int | None) -> float | None:

@@ -192,7 +192,5 @@ class Reaction:
 
 def _moved(sticks: Mapping[int, tuple[int, ...]], before: dict[int, tuple[int, ...]]) -> bool:
     """Whether sticks are elsewhere than before; those told for the first time are noted there."""
-    return any(
-        max(abs(a - b) for a, b in zip(at, before.setdefault(msgid, at), strict=True)) >= STICK
-        for msgid, at in sticks.items()
-    )
+    pairs = (zip(at, before.setdefault(msgid, at), strict=True) for msgid, at in sticks.items())
+    return any(max(abs(a - b) for a, b in pair) >= STICK for pair in pairs)

@@ -76,9 +76,8 @@ class Judged:
         offset_ns = log.started_ns - self.begin_ns if log.started_ns else 0
         profile = replace(PROFILES["qdrone2"], name=log.profile or baseline.link.profile)
         settings = SessionSettings(negotiate=False, min_rate_hz=LEAST_HZ)
-        self._session = Session(
-            SessionSpec(profile, suited(baseline, log), settings, offset_ns), Instant(self.begin_ns)
-        )
+        spec = SessionSpec(profile, suited(baseline, log), settings, offset_ns)
+        self._session = Session(spec, Instant(self.begin_ns))
         self._steps = in_pieces(log.telemetry, max(1, round(STEP_S / baseline.link.dt_s)))
         self._snapshots, self._track, self._entries, self._alarms = Snapshots(), Track(), list[str](), 0
         self._chain: Chain | None = None
@@ -110,9 +109,8 @@ class Judged:
         rates = tuple((signal.value, session.streams.meter(signal).rate_hz) for signal in METERED)
         figures = VehicleFigures(self.vehicle, session.state, 0, 0, spans[0], self._alarms, spans[1], rates)
         shown = self._snapshots.next(figures, session, judge.pieces if judge else (), self._track, self._at)
-        fleet = fleet_now(
-            DaemonFigures((figures,), (), 0, 0.0), {self.vehicle: session}, self._at, Instant(self.begin_ns)
-        )
+        everything, began = DaemonFigures((figures,), (), 0, 0.0), Instant(self.begin_ns)
+        fleet = fleet_now(everything, {self.vehicle: session}, self._at, began)
         entries, self._entries = tuple(self._entries), []
         strips = json_line(shown.pop("strips"))[1:-1]
         return Moment(self._at.ns, told, json_line(fleet), json_line(shown), strips, entries, shown["level"])
@@ -167,10 +165,8 @@ class Player:
         self._lines += [f"A {self._judged.vehicle} {about}\n" for about in known[-1:]]
         self._enter(past)
         if past:
-            self._lines += [
-                f"N {self._judged.vehicle} {now_of(past[min(recent, self._shown - 1) :])}\n",
-                f"F {past[-1].fleet}\n",
-            ]
+            now = now_of(past[min(recent, self._shown - 1) :])
+            self._lines += [f"N {self._judged.vehicle} {now}\n", f"F {past[-1].fleet}\n"]
 
     def _due(self, at_s: float) -> int:
         at_ns = self._judged.begin_ns + round(at_s * NS_PER_S)

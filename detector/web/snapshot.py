@@ -221,11 +221,8 @@ def thesis_traces(piece: Piece) -> list[SlotTrace]:
 
 def strips_of(traces: Iterable[SlotTrace]) -> list[Json]:
     """One for each trace of the thesis rule, which has an axis; without rows, without points."""
-    return [
-        {"axis": trace.slot.monitor.axis, **_points(trace.found)}
-        for trace in traces
-        if trace.slot.monitor.name == "fsd"
-    ]
+    thesis = (trace for trace in traces if trace.slot.monitor.name == "fsd")
+    return [{"axis": trace.slot.monitor.axis, **_points(trace.found)} for trace in thesis]
 
 
 def _points(found: Statistic) -> Json:

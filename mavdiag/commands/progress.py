@@ -27,9 +27,8 @@ class Shown:
         self._text, self._total, self._work = text, len(sizes), sum(sizes) or 1.0
         self._done, self._finished, self._started = 0, 0.0, time.monotonic()
         self._bar, self._next_s = bar, first_s
-        self._task = (
-            None if bar is None else bar.add_task(text, total=self._work if self._total > 1 else None, words="")
-        )
+        total = self._work if self._total > 1 else None
+        self._task = None if bar is None else bar.add_task(text, total=total, words="")
 
     def add(self, size: float) -> None:
         """One more item is done; size: its own, of `sizes`."""

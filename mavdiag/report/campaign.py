@@ -178,10 +178,8 @@ def _roc(campaign: Campaign) -> Chart:
         false_share, true_share = (np.array([100 * at]) for at in roc.at_threshold)
         lines.append(Line(false_share, true_share, "", f"{look} big", "dots"))
     panel = Panel("damaged flights found [%]", lines, y=(-2, 102), height=260)
-    words = "; ".join(
-        f"terms x{scale:g}: area {roc.area:.3f} of {count} damaged and {len(healthy)} healthy flights"
-        for scale, count, roc in curves
-    )
+    of = f"damaged and {len(healthy)} healthy flights"
+    words = "; ".join(f"terms x{scale:g}: area {roc.area:.3f} of {count} {of}" for scale, count, roc in curves)
     note = (
         f"{len(healthy)} healthy flights; the score is the highest statistic over its threshold of the monitors that "
         "decide about propellers, of the whole healthy flight, and of a damaged one after the onset."

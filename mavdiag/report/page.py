@@ -196,10 +196,8 @@ def campaign_page(campaign: Campaign, path: str, created: str) -> str:
 
 def history_page(overviews: Sequence[Overview], created: str) -> str:
     """One page, what asks for attention first. created: ISO 8601, UTC."""
-    airframes = [
-        {"asks": one.asks, "lines": lines_of(one), "picture": _trends(one)}
-        for one in sorted(overviews, key=lambda one: one.asks, reverse=True)
-    ]
+    first = sorted(overviews, key=lambda one: one.asks, reverse=True)
+    airframes = [{"asks": one.asks, "lines": lines_of(one), "picture": _trends(one)} for one in first]
     return _page("history.html", title="History", airframes=airframes, created=created)
 
 
@@ -216,10 +214,9 @@ def _trends(overview: Overview) -> Picture | None:
     for name, own in parts.items():
         look = "measured" if name not in warned else "fault"
         label = f"{pictures.name_of(name)}{': warned of' if name in warned else ''}"
-        number, share = (
-            np.concatenate([np.append(part, np.nan) for part in parts])[:-1] for parts in zip(*own, strict=True)
-        )
-        line = Line(number, share, look=look)  # with gaps between the stretches
+        parted = ([np.append(part, np.nan) for part in both] for both in zip(*own, strict=True))
+        number, share = (np.concatenate(both)[:-1] for both in parted)
+        line = Line(number, share, look=look)
         panels.append(Panel(label, [line], [(1.0, "threshold")], marks, y=(0.0, None), height=TREND_HEIGHT))
     if not panels or len(overview.flights) < 2:
         return None

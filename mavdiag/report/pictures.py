@@ -180,14 +180,12 @@ def monitor_picture(name: str, sketch: Sketch, baseline: Baseline) -> Picture | 
         healthy = min(factor * usual.get(one.slot.key, 0.0), factor * one.slot.threshold)
         lines = [one.value.line("this flight", factor=factor)]
         if monitor.unit == RISE and one.rotors:
-            lines = [
-                rotor.line(f"rotor {number}", look, factor)
-                for number, (rotor, look) in enumerate(zip(one.rotors, LOOKS, strict=False), start=1)
-            ]
+            looks = enumerate(zip(one.rotors, LOOKS, strict=False), start=1)
+            lines = [rotor.line(f"rotor {number}", look, factor) for number, (rotor, look) in looks]
         limit = factor * one.slot.threshold
         least = None if len(lines) > 1 else 0.0
-        shown = Panel(label, lines, [(limit, f"threshold {limit:.3g}")], healthy=healthy, y=(least, None), height=150)
-        panels.append(shown)
+        levels = [(limit, f"threshold {limit:.3g}")]
+        panels.append(Panel(label, lines, levels, healthy=healthy, y=(least, None), height=150))
         most = factor * float(np.nanmax(one.value.high))
         told.append(f"{label}: highest {most:.3g}, threshold {limit:.3g}, in health usually up to {healthy:.3g}")
     words = f"{'; '.join(told)}."
@@ -378,9 +376,8 @@ def attitude_picture(telemetry: Telemetry, sketch: Sketch) -> Chart:
     ]
     most = ((name, np.nanmax(np.abs(series.values[:, :2]), axis=0, initial=0.0) / DEG) for series, _, name in shown)
     words = "; ".join(f"{name}: roll within {roll:.0f}°, pitch within {pitch:.0f}°" for name, (roll, pitch) in most)
-    return Chart(
-        panels, sketch.span, f"{words}.", "" if len(shown) == 2 else f"This log has {shown[0][2]} angles only."
-    )
+    note = "" if len(shown) == 2 else f"This log has {shown[0][2]} angles only."
+    return Chart(panels, sketch.span, f"{words}.", note)
 
 
 def folded(hz: float, rate_hz: float) -> float:
@@ -437,11 +434,8 @@ def sweep_of(
 @picture("windows")
 def windows_picture(sweeps: Mapping[Axis, Sequence[SweepRow]], dt_s: float, window_s: float) -> Chart:
     """R_T^2 against the window, by axis. window_s: the baseline's."""
-    known = {
-        axis: [(row.window * dt_s, row.model.r2t) for row in rows if row.model]
-        for axis, rows in sweeps.items()
-        if any(row.model for row in rows)
-    }
+    found = {axis: [(row.window * dt_s, row.model.r2t) for row in of if row.model] for axis, of in sweeps.items()}
+    known = {axis: fits for axis, fits in found.items() if fits}
     if not known:
         reasons = {row.refused for rows in sweeps.values() for row in rows if row.refused}
         why = min(reasons, default="it takes attitude set-points and a model in the baseline")
