@@ -57,10 +57,9 @@ def plan(
 
 
 def _files_and_ports(settings: Settings) -> Iterator[str]:
-    for option, path, mb, keep in (
-        ("journal", settings.journal, settings.journal_mb, settings.journal_keep),
-        ("record", settings.record, settings.record_mb, settings.record_keep),
-    ):
+    journal = ("journal", settings.journal, settings.journal_mb, settings.journal_keep)
+    record = ("record", settings.record, settings.record_mb, settings.record_keep)
+    for option, path, mb, keep in (journal, record):
         if path is not None:
             if not path.is_fifo():
                 check_output(path)

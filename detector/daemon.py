@@ -158,13 +158,21 @@ class Daemon:
 
     def tick(self) -> None:
         """One look: take what came, let the sessions go on as there is time, do what they want."""
-        now, known = self._now(), len(self.fleet.vehicles)
-        self._take(now)
+        now, known, host, tick_s = self._now(), len(self.fleet.vehicles), self._host, self._settings.tick_s
+        pieces = list[Datagrams]()
+        while len(pieces) < DRAINS and (more := self._link.receive(0.0)):
+            pieces.append(more)
+        self.fleet.take(joined_datagrams(pieces), now)
         for sysid, outcome in self._fitter.poll():
             self.fleet.vehicles[sysid].outcome = outcome
-        turns = self.fleet.judge(now, self._time_to_judge(now))
+        since_s = host.cpu_s()
+
+        def has_time() -> bool:
+            return self._now() - now < MOST * tick_s or host.cpu_s() - since_s < LEAST * tick_s
+
+        turns = self.fleet.judge(now, has_time)
         if self._flights is not None:
-            self._flights.look(self._passed, self.fleet.vehicles, now, self._host.utc())
+            self._flights.look(self._passed, self.fleet.vehicles, now, host.utc())
         self._relay.pass_on(self._passed)
         self._passed.clear()
         self._report_new(known)
@@ -207,11 +215,6 @@ class Daemon:
 
     def _now(self) -> Instant:
         return Instant(self._host.now_ns())
-
-    def _time_to_judge(self, begun: Instant) -> Callable[[], bool]:
-        """Whether a tick that began then has time for another vehicle, once the link was read."""
-        host, tick_s, since_s = self._host, self._settings.tick_s, self._host.cpu_s()
-        return lambda: self._now() - begun < MOST * tick_s or host.cpu_s() - since_s < LEAST * tick_s
 
     def _when(self, sysid: int | None) -> When:
         timeline = None if sysid is None else self.fleet.link.vehicles[sysid].state.timeline
@@ -257,12 +260,6 @@ class Daemon:
             self._host.say(f"vehicle {sysid}: not watched: it has no baseline; name one in [vehicles.{sysid}]{where}")
             return None
         return SessionSpec(profile, baseline, self._settings, self._unix_ns() - self._host.now_ns(), held)
-
-    def _take(self, now: Instant) -> None:
-        pieces = list[Datagrams]()
-        while len(pieces) < DRAINS and (more := self._link.receive(0.0)):
-            pieces.append(more)
-        self.fleet.take(joined_datagrams(pieces), now)
 
     def _watch(self, now: Instant) -> None:
         sources = self.fleet.link.sources_since(now.ns - round(PEER_FRESH_S * NS_PER_S))

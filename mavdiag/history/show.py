@@ -9,7 +9,6 @@ import numpy as np
 
 from mavdiag.archive.figures import FlightRecord
 from mavdiag.as_json import DIGITS, plain
-from mavdiag.history.trend import Remaining
 from mavdiag.history.warn import WARNS, Outlook, Overview, Review
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
@@ -138,13 +137,9 @@ def _sentence(found: Review) -> str:
     told += f"; {trend.level:.2f} of the threshold {series.threshold:.3g}{unit}"
     told += f", {slope:+.4f} a flight" if (slope := round(trend.slope, 4)) else ""
     if found.outlook in (Outlook.GROWN, Outlook.WARNING) and (remaining := trend.remaining()) is not None:
-        told += f", there in {_flights(remaining)}"
+        best, low, high = (f"{value:.0f}" if value <= FAR else f"over {FAR}" for value in remaining)
+        told += f", there in {best} flights ({low} to {high if math.isfinite(remaining.high) else 'no end'})"
     return told + "".join(f"; jumped by {change.step:+.2f} at flight {change.number}" for change in found.changes)
-
-
-def _flights(remaining: Remaining) -> str:
-    best, low, high = (f"{value:.0f}" if value <= FAR else f"over {FAR}" for value in remaining)
-    return f"{best} flights ({low} to {high if math.isfinite(remaining.high) else 'no end'})"
 
 
 def sparkline(share: FloatArray, width: int) -> str:

@@ -160,7 +160,10 @@ def changes_of(sessions: Sessions) -> tuple[Change, ...]:
     if m < 2 * LEAST_BESIDE:
         return ()
     scale = max(scale_of_steps(sessions), 1e-6)
-    y, found = _held(sessions.share, scale / np.sqrt(sessions.weight)), dict[int, Change]()
+    room, found = ODD * scale / np.sqrt(sessions.weight), dict[int, Change]()
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(sessions.share, 2, mode="edge"), 5)
+    middle = np.median(near, axis=1)
+    y = np.clip(sessions.share, middle - room, middle + room)
     while True:
         cuts = (0, *found, m)
         borders = range(LEAST_BESIDE, m - LEAST_BESIDE + 1)
@@ -187,9 +190,3 @@ def _step_at(sessions: Sessions, y: FloatArray, scale: float, k: int, cuts: Sequ
         return None
     before = int(sessions.number[k - 1] + (sessions.flights[k - 1] - 1) / 2)
     return Change(before + 1, step, step / (scale * float(np.sqrt(inverse[2, 2]))))
-
-
-def _held(y: FloatArray, scale: FloatArray) -> FloatArray:
-    padded = np.pad(y, 2, mode="edge")
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
-    return np.asarray(np.clip(y, middle - ODD * scale, middle + ODD * scale))

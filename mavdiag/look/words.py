@@ -16,12 +16,11 @@ CLOSING = "this is no verdict: that takes a baseline of flights with sound prope
 
 def in_full(found: Inspection) -> str:
     """All about one log or link, in lines of at most 80 characters."""
-    return "\n".join(
-        textwrap.fill(printable(text), WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
-        if isinstance(text, str)
-        else "\n".join(map(printable, text))
-        for text in _paragraphs(found)
+    wrapper = textwrap.TextWrapper(WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    lines = (
+        wrapper.wrap(printable(text)) if isinstance(text, str) else map(printable, text) for text in _paragraphs(found)
     )
+    return "\n".join(itertools.chain.from_iterable(lines))
 
 
 def in_one_line(found: Inspection) -> str:

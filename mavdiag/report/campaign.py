@@ -180,10 +180,9 @@ def _roc(campaign: Campaign) -> Chart:
     panel = Panel("damaged flights found [%]", lines, y=(-2, 102), height=260)
     of = f"damaged and {len(healthy)} healthy flights"
     words = "; ".join(f"terms x{scale:g}: area {roc.area:.3f} of {count} {of}" for scale, count, roc in curves)
-    note = (
-        f"{len(healthy)} healthy flights; the score is the highest statistic over its threshold of the monitors that "
-        "decide about propellers, of the whole healthy flight, and of a damaged one after the onset."
-    )
+    score = "the highest statistic over its threshold of the monitors that decide about propellers"
+    when = "of the whole healthy flight, and of a damaged one after the onset"
+    note = f"{len(healthy)} healthy flights; the score is {score}, {when}."
     return Chart([panel], (-1, 101), f"{words}.", note, "healthy flights flagged [%]", kind="still")
 
 
