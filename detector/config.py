@@ -115,9 +115,8 @@ class Settings(SessionSettings):
             if getattr(self, option) is not None and self.learn is None:
                 raise ValueError(f"--{option} is about what --learn SECONDS learns; add --learn or leave it out")
         if (self.web_token_file is not None or self.web_names) and self.web is None:
-            raise ValueError(
-                "--web-token-file and web_names are about the live page; add --web HOST:PORT or leave it out"
-            )
+            about = "--web-token-file and web_names are about the live page"
+            raise ValueError(f"{about}; add --web HOST:PORT or leave it out")
         if (self.history is None) != (self.flights is None):
             raise ValueError("--history FILE|URL and --flights DIR go together")
         return self

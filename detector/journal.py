@@ -60,10 +60,8 @@ def mark(kind: str, when: When, content: Content) -> str:
 def _told(record: Record, when: When) -> tuple[str, Content, str, bool]:
     """Kind and content of a record's line, its words in the log, empty for none, and whether it is about an alert."""
     match record:
-        case EventClosed(event):
-            return "event", _event(event, when), "", True
-        case EventOpened(event):
-            return "opened", _event(event, when), "", True
+        case EventClosed(event) | EventOpened(event):
+            return "opened" if isinstance(record, EventOpened) else "event", _event(event, when), "", True
         case StateChanged(old, new, reason):
             return "state", {"from": old, "to": new, "reason": reason}, f"{old} -> {new}: {reason}", False
         case Change(stage=stage, reason=reason):

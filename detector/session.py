@@ -240,7 +240,8 @@ class Session:
         if self.baseline is not None and (self.judge is None or self.judge.baseline is not self.baseline):
             try:
                 check_link(self.baseline, profile=self.spec.profile.name, dt_s=self.baseline.link.dt_s)
-                chain = chain_for(self.baseline, self.settings, self.spec.unix_ns(now))
+                offset_ns = self.spec.unix_offset_ns
+                chain = chain_for(self.baseline, self.settings, now.ns + offset_ns if offset_ns else 0)
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error))
             self.judge = Judge(self.baseline, chain, now, self._landed())

@@ -105,27 +105,25 @@ def make_baseline(
     columns: Path | None = None,
 ) -> Baseline:
     """A baseline from log files, folders and patterns, stamped with the time of now. columns: map of CSV recordings."""
-    with _taken("learning from", logs, vehicle, from_s, to_s, columns) as flights:
+    with _taken("learning from", logs, vehicle, (from_s, to_s), columns) as flights:
         return learn(flights, options, created=now())
 
 
 @contextmanager
 def _taken(
-    what: str,
-    logs: Sequence[Path],
-    vehicle: int | None,
-    from_s: float | None,
-    to_s: float | None,
-    columns: Path | None,
+    what: str, logs: Sequence[Path], vehicle: int | None, cut: tuple[float | None, float | None], columns: Path | None
 ) -> Iterator[Iterator[Log]]:
-    """The logs that are named, each read as it is taken; a spinner from the last one on, until the block ends."""
+    """The logs that are named, each read as it is taken; a spinner from the last one on, until the block ends.
+
+    what: is done with them. cut: first and last time of the vehicle's clock that count [s], None for no limit.
+    """
     found, mapped = opt.find_logs(logs, columns)
     paths = found.paths()
     with ExitStack() as stack:
 
         def taken() -> Iterator[Log]:
             for path in each(paths, "read", sizes_of(paths)):
-                yield read_part(path, vehicle, from_s, to_s, mapped)
+                yield read_part(path, vehicle, *cut, mapped)
             stack.enter_context(working(f"{what} {len(paths)} flights ..."))
 
         yield taken()
@@ -165,7 +163,7 @@ def extend(
     """Add healthy flights of another session, or tell that the propellers are new."""
     check_output(output)
     baseline = Baseline.load(file)
-    with _taken("adding", logs, vehicle, from_s, to_s, columns) as flights:
+    with _taken("adding", logs, vehicle, (from_s, to_s), columns) as flights:
         longer = extended(baseline, flights, new_propellers=new_propellers, created=now())
     if not accept:
         accepted(longer, "--accept")

@@ -159,12 +159,9 @@ def flight_view(station: GroundStation, flight: Flight, events: Sequence["Line"]
     phase = f"damaged: {fault} since" if now_s >= flight.onset_s else f"healthy; {fault} comes at"
     alerts = [line for line in events if line.severity <= Severity.CRITICAL and line.text.startswith(DETECTOR)]
     shown = link_view(station, now_s, SPAN_S, Axis.ROLL, events)
-    return replace(
-        shown,
-        title=f"flight {now_s:.1f} of {flight.duration_s:g} s, {phase} {flight.onset_s:g} s",
-        headline=alerts[-1].text.removeprefix(DETECTOR) if alerts else "no alert",
-        alert=bool(alerts),
-    )
+    title = f"flight {now_s:.1f} of {flight.duration_s:g} s, {phase} {flight.onset_s:g} s"
+    says = alerts[-1].text.removeprefix(DETECTOR) if alerts else "no alert"
+    return replace(shown, title=title, headline=says, alert=bool(alerts))
 
 
 def _print_result(result: DemoResult, flight: Flight, changes: Sequence[Change]) -> None:

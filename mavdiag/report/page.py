@@ -110,11 +110,9 @@ def _pictures(
 ) -> tuple[tuple[Picture, ...], tuple[Picture, ...]]:
     """Those of the flight, and those of the method."""
     frame, telemetry = baseline.airframe, log.telemetry
-    sweeps = {
-        spec.axis: pictures.sweep_of(blocks, spec.axis, spec.model.order, spec.model.method, baseline.window.order)
-        for spec in (entry.spec for entry in baseline.monitors)
-        if isinstance(spec, RunLengthSpec) and (blocks := sketch.blocks)
-    }
+    rules = [entry.spec for entry in baseline.monitors if isinstance(entry.spec, RunLengthSpec)]
+    modelled, order = {rule.axis: rule.model for rule in rules if sketch.blocks}, baseline.window.order
+    sweeps = {a: pictures.sweep_of(sketch.blocks, a, m.order, m.method, order) for a, m in modelled.items()}
     profile = PROFILES.get(log.profile)
     corner_hz = frame.imu_corner_hz or (None if profile is None else profile.imu_corner_hz)
     line = _rotor_line(log, frame, sketch, corner_hz)
