@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -225,14 +225,7 @@ def serve(
                 child.wait(LOOK_S if judged.done else 0.0)
 
 
-app = commandline.application("Play a log on the live page.")
-app.command()(serve)
-
-
-def main() -> NoReturn:
-    """Entry point of the process."""
-    commandline.run(app, "mavdiag replay")
-
-
 if __name__ == "__main__":
-    main()
+    app = commandline.application("Play a log on the live page.")
+    app.command()(serve)
+    commandline.run(app, "mavdiag replay")
