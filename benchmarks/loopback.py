@@ -20,8 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mavdiag.commands.identify import make_baseline
-from mavdiag.demo.closed_loop import DemoResult, Flight, closed_loop
-from mavdiag.demo.subprocesses import POLL_S, run_child
+from mavdiag.demo.subprocesses import POLL_S, DemoResult, Flight, closed_loop, run_child
 from mavdiag.learning import thesis_options
 
 FAULTS = tuple(f"F{kind}/SV{severity}" for kind in (1, 2, 3) for severity in (1, 2, 3))
@@ -51,19 +50,19 @@ def learn(folder: Path, flights: int, seed: int) -> Path:
 
 def fly(flight: Flight, baseline: Path) -> Result:
     """One flight in real time; a fault's ends when it is alerted."""
-    with closed_loop(flight, baseline) as loop:
-        while loop.plant.running:
-            loop.station.listen(POLL_S)
-            outcome = DemoResult(flight.onset_s, tuple(loop.station.texts))
+    with closed_loop(flight, baseline) as (plant, detector, station):
+        while plant.running:
+            station.listen(POLL_S)
+            outcome = DemoResult(flight.onset_s, tuple(station.texts))
             if flight.fault and outcome.detected_s is not None:
                 break
-        loop.plant.end()
-        loop.station.listen(POLL_S)
-        loop.detector.end()
-        printed = " ".join(loop.detector.lines)
+        plant.end()
+        station.listen(POLL_S)
+        detector.end()
+        printed = " ".join(detector.lines)
     cpu, lost = re.search(r"([\d.]+) % CPU", printed), re.search(r"(\d+) datagrams overflowed", printed)
     return Result(
-        DemoResult(flight.onset_s, tuple(loop.station.texts)),
+        DemoResult(flight.onset_s, tuple(station.texts)),
         float(cpu[1]) if cpu else float("nan"),
         int(lost[1]) if lost else -1,
     )

@@ -20,6 +20,7 @@ from detector.flights import Flights
 from detector.hooks import Hook
 from detector.journal import Journal, Recorder, baselines_in, kept_baselines
 from detector.notify import Notifier
+from detector.web.access import Access
 from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
@@ -96,8 +97,9 @@ app.command()(detect)
 
 def _serve(settings: Settings, *, reset_stamp: bool) -> None:
     with ExitStack() as stack:
-        stop = stack.enter_context(commandline.stop_signals())
-        notifier = stack.enter_context(closing(Notifier(os.environ)))
+        enter = stack.enter_context
+        stop = enter(commandline.stop_signals())
+        notifier = enter(closing(Notifier(os.environ)))
         baseline, baselines = _baselines(settings)
         airframe = _airframe(settings)
         _warm()
@@ -105,27 +107,25 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
         epoch_ns = time.time_ns() - time.monotonic_ns()
         if settings.signing_key is not None:
             kept = open_signing(settings.signing_key, "detector", time.time_ns(), reset=reset_stamp)
-            signing = stack.enter_context(closing(kept))
+            signing = enter(closing(kept))
             if signing.doubt:
                 _say(signing.doubt)
-        link = stack.enter_context(open_endpoint(settings.connect))
-        behind = [stack.enter_context(open_endpoint(address, absent_ok=True)) for address in settings.forward]
+        link = enter(open_endpoint(settings.connect))
+        behind = [enter(open_endpoint(address, absent_ok=True)) for address in settings.forward]
         if settings.journal is not None:
-            sizes = settings.journal_mb, settings.journal_keep
-            journal = stack.enter_context(closing(Journal(settings.journal, _say, *sizes)))
+            journal = enter(closing(Journal(settings.journal, _say, settings.journal_mb, settings.journal_keep)))
         if settings.record is not None:
             sizes = settings.record_mb, settings.record_keep
-            recorder = stack.enter_context(closing(Recorder(settings.record, epoch_ns, _say, *sizes)))
-        hooks = [stack.enter_context(closing(Hook(address, _say))) for address in settings.hook]
+            recorder = enter(closing(Recorder(settings.record, epoch_ns, _say, *sizes)))
+        hooks = [enter(closing(Hook(address, _say))) for address in settings.hook]
         if settings.history is not None:
-            recorded = Flights(settings.history, settings.flights or Path(), epoch_ns, _say)
-            flights = stack.enter_context(closing(recorded))
+            flights = enter(closing(Flights(settings.history, settings.flights or Path(), epoch_ns, _say)))
         if settings.metrics is not None:
             from detector.metrics import Metrics  # only if asked for: the import takes its time
 
-            metrics = stack.enter_context(closing(Metrics(*split_address(settings.metrics, "metrics"))))
+            metrics = enter(closing(Metrics(*split_address(settings.metrics, "metrics"))))
         if settings.web is not None:
-            web = stack.enter_context(closing(_web(settings, settings.web)))
+            web = enter(closing(_web(settings, settings.web)))
         gc.freeze()  # what is there by now stays: to go through it again would hold up the link
         gc.set_threshold(COLLECT_AT)
         Daemon(
@@ -186,11 +186,13 @@ def _airframe(settings: Settings) -> Airframe | None:
 
 
 def _web(settings: Settings, address: str) -> "Feed":
-    from detector.web.child import Place, ServerProcess, read_token  # only if asked for
+    from detector.web.child import ServerProcess, read_token  # only if asked for
     from detector.web.feed import Feed
 
     token = None if settings.web_token_file is None else read_token(settings.web_token_file)
-    child = ServerProcess(Place(*split_address(address, "web"), token, settings.web_names), f"{time.time_ns():x}", _say)
+    child = ServerProcess(
+        Access(*split_address(address, "web"), token, settings.web_names), f"{time.time_ns():x}", _say
+    )
     child.start()
     return Feed(child, Instant(time.monotonic_ns()))
 

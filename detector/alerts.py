@@ -6,7 +6,7 @@ vehicle, but for those of reactions and guards, keep to a budget a minute, half 
 holds back is counted and recorded.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import pairwise
@@ -15,7 +15,6 @@ from detector.values import Effect, SendFloat, SendText, TextSuppressed
 from mavdiag.chain import ChainOutput
 from mavdiag.decision.diagnosis import Diagnosis, Stage
 from mavdiag.decision.words import finding_words, motors_words
-from mavdiag.kernel import Slot
 from mavdiag.link.codec import TEXT_BYTES
 from mavdiag.link.messages import Severity
 from mavdiag.monitors import BY_NAME
@@ -85,11 +84,7 @@ class Kind(Enum):
     OTHER_LAYOUT = Policy(Severity.WARNING, "PROP flights contradict rotor layout {}")  # its name
 
 
-_DECLARED: Mapping[FaultKind | None, Kind] = {
-    FaultKind.SENSOR: Kind.SENSOR,
-    FaultKind.LOSS_OF_CONTROL: Kind.CONTROL,
-    FaultKind.GROSS_LOSS: Kind.THRUST,
-}
+_DECLARED = {FaultKind.SENSOR: Kind.SENSOR, FaultKind.LOSS_OF_CONTROL: Kind.CONTROL, FaultKind.GROSS_LOSS: Kind.THRUST}
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +135,8 @@ class Telling:
         if diagnosis.stage is Stage.INSPECT:
             return [Notice(Kind.INSPECT, (motors,), f"{motors} {arming}")]
         if self._loud:
-            return [_finding(_DECLARED.get(diagnosis.kind, Kind.FAULT), diagnosis, f"{diagnosis.kind} {motors}")]
+            kind = Kind.FAULT if diagnosis.kind is None else _DECLARED.get(diagnosis.kind, Kind.FAULT)
+            return [_finding(kind, diagnosis, f"{diagnosis.kind} {motors}")]
         if diagnosis.seen:
             return [_finding(Kind.AGAIN, diagnosis)]
         named = diagnosis.rotor is not None or diagnosis.kind is FaultKind.SENSOR
@@ -192,14 +188,11 @@ class Presenter:
                 matter.offered = now
             elif now - matter.offered >= LULL_S:
                 del self._said[kind]
-        if self._held:
-            self._held = {matter for matter in self._held if matter[0] in offered}
+        self._held = {matter for matter in self._held if matter[0] in offered}
         return effects
 
     def _ripe(self, notices: Sequence[Notice], now: Instant) -> list[Notice]:
         """The notices but those that wait; and what waited and is offered no more, unless something critical is."""
-        if not self._waiting and not any(notice.kind.value.wait_s for notice in notices):
-            return list(notices)
         offered = {notice.kind: notice for notice in notices}
         critical = any(kind.value.severity <= Severity.CRITICAL for kind in offered)
         over = [notice for kind, (notice, _) in self._waiting.items() if kind not in offered and not critical]
@@ -243,7 +236,6 @@ class NamedValues:
     def __init__(self, period_s: float = 0.2) -> None:
         self._period_s = period_s
         self._sent: Instant | None = None
-        self._slots, self._thesis = tuple[Slot, ...](), list[int]()  # of those slots the ones that are sent
         self._residual = self._fsd_s = 0.0
 
     def step(self, output: ChainOutput, now: Instant) -> list[SendFloat]:
@@ -251,11 +243,9 @@ class NamedValues:
         if output.now_ns is None:
             return []
         piece = output.pieces[-1]
-        if piece.slots is not self._slots:
-            thesis = [number for number, slot in enumerate(piece.slots) if slot.monitor.name == "fsd"]
-            self._thesis = sorted(thesis, key=lambda number: piece.slots[number].monitor.axis is not Axis.ROLL)
-            self._slots = piece.slots
-        gauge = next((gauge for number in self._thesis if (gauge := piece.gauge(number)) is not None), None)
+        thesis = [number for number, slot in enumerate(piece.slots) if slot.monitor.name == "fsd"]
+        thesis.sort(key=lambda number: piece.slots[number].monitor.axis is not Axis.ROLL)
+        gauge = next((gauge for number in thesis if (gauge := piece.gauge(number)) is not None), None)
         if gauge is None:
             return []
         self._residual = max(self._residual, gauge.signal, key=abs)

@@ -3,11 +3,11 @@
 import http.client
 from collections.abc import Iterator, Mapping
 
-from detector.config import Settings, split_address
-from detector.flights import check_installed as check_history
+from detector.config import Settings, check_installed, split_address
 from detector.judging import rescaled
 from detector.rules import parse_rules
-from detector.web.child import Place, check_installed, read_token
+from detector.web.access import Access
+from detector.web.child import read_token
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.errors import LinkError, UsageError
@@ -57,25 +57,24 @@ def plan(
 
 
 def _files_and_ports(settings: Settings) -> Iterator[str]:
-    for option, path, mb, keep in (
-        ("journal", settings.journal, settings.journal_mb, settings.journal_keep),
-        ("record", settings.record, settings.record_mb, settings.record_keep),
-    ):
+    journal = ("journal", settings.journal, settings.journal_mb, settings.journal_keep)
+    record = ("record", settings.record, settings.record_mb, settings.record_keep)
+    for option, path, mb, keep in (journal, record):
         if path is not None:
             if not path.is_fifo():
                 check_output(path)
             yield f"{option:<10} {path}, at most {keep + 1} files of {mb:g} MB"
     if settings.history is not None:
-        check_history()
+        check_installed("--history", "SQLAlchemy", "history")
         yield f"history    {settings.history}; flights wait in {settings.flights}"
     if settings.metrics is not None:
         host, port = split_address(settings.metrics, "metrics")
         yield f"metrics    http://{host}:{port}/metrics"
     if settings.web is not None:
-        check_installed()
+        check_installed("--web", "aiohttp", "web")
         token = None if settings.web_token_file is None else read_token(settings.web_token_file)
         asks = "" if token is None else f"; asks for the token in {settings.web_token_file}"
-        yield f"web page   {Place(*split_address(settings.web, 'web'), token).url}{asks}"
+        yield f"web page   {Access(*split_address(settings.web, 'web'), token).url}{asks}"
 
 
 def _absence(address: str) -> str:
@@ -112,15 +111,6 @@ def ask_working(metrics: str | None) -> str:
         return f"{metrics} does not answer ({error})"
     finally:
         connection.close()
-    return hindrance(page)
-
-
-def hindrance(page: str) -> str:
-    """The same, from a page of figures.
-
-    >>> hindrance("mavdiag_session_working 1.0\\nmavdiag_figures_age_seconds 0.4\\n")
-    ''
-    """
     found = dict(line.split(" ", 1) for line in page.splitlines() if line.startswith("mavdiag_") and " " in line)
     try:
         works, age_s = float(found["mavdiag_session_working"]), float(found["mavdiag_figures_age_seconds"])

@@ -3,6 +3,7 @@
 Each setting is one field, with its option of the command line where it has one; `detector/example.toml` documents it.
 """
 
+import importlib.util
 import inspect
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,7 +16,7 @@ from typer.models import OptionInfo
 from detector.hooks import parse_hook
 from detector.rules import AUTOMATIC, parse_modes, parse_rules
 from detector.web.access import is_loopback
-from mavdiag.errors import InputError, UsageError
+from mavdiag.errors import InputError, UsageError, missing_extra
 from mavdiag.link.ports import parse_address
 from mavdiag.link.profiles import profile_named
 from mavdiag.storage import read_toml
@@ -114,9 +115,8 @@ class Settings(SessionSettings):
             if getattr(self, option) is not None and self.learn is None:
                 raise ValueError(f"--{option} is about what --learn SECONDS learns; add --learn or leave it out")
         if (self.web_token_file is not None or self.web_names) and self.web is None:
-            raise ValueError(
-                "--web-token-file and web_names are about the live page; add --web HOST:PORT or leave it out"
-            )
+            about = "--web-token-file and web_names are about the live page"
+            raise ValueError(f"{about}; add --web HOST:PORT or leave it out")
         if (self.history is None) != (self.flights is None):
             raise ValueError("--history FILE|URL and --flights DIR go together")
         return self
@@ -207,6 +207,12 @@ def page_address(web: str, token_file: Path | None, names: Sequence[str] = ()) -
     if token_file is None and not is_loopback(host) and not names:
         raise UsageError(f"--web {web}: others reach {host}; name a --web-token-file FILE, or 127.0.0.1")
     return host, port
+
+
+def check_installed(option: str, package: str, extra: str) -> None:
+    """Raise UsageError, saying what to install, unless the package is there that an option needs."""
+    if importlib.util.find_spec(package.lower()) is None:
+        raise missing_extra(option, package, extra)
 
 
 def split_address(text: str, what: str) -> tuple[str, int]:

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
-from detector.component import Sender
+from detector.component import Handled, Requests, Sender
 from detector.config import Settings
 from detector.fitting import FittingJob, ProcessFitter
 from detector.fleet import Fleet, Turn
@@ -22,19 +22,9 @@ from detector.hooks import Hook
 from detector.journal import Journal, Recorder, Reporter, When
 from detector.notify import Notifier
 from detector.relay import Relay
-from detector.requests import Handled, Requests
 from detector.rules import parse_rules
 from detector.states import State
-from detector.values import (
-    DaemonFigures,
-    Effect,
-    EventOpened,
-    Learn,
-    LinkFigures,
-    SendFloat,
-    SessionSpec,
-    is_working,
-)
+from detector.values import DaemonFigures, Effect, EventOpened, Learn, LinkFigures, SendFloat, SessionSpec, is_working
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
@@ -67,24 +57,13 @@ _ANNOUNCING = (Kind.UDP_OUT, Kind.TCP_CLIENT, Kind.SERIAL)
 class Host:
     """The machine: its clocks, and a place for log lines. Tests bring their own."""
 
+    now_ns: Callable[[], int] = staticmethod(time.monotonic_ns)
+    utc: Callable[[], datetime] = staticmethod(partial(datetime.now, UTC))
+    cpu_s: Callable[[], float] = staticmethod(time.process_time)
+    sleep: Callable[[float], None] = staticmethod(time.sleep)
+
     def __init__(self, say: Callable[[str], None]) -> None:
         self.say = say
-
-    def now_ns(self) -> int:
-        """The monotonic clock [ns]."""
-        return time.monotonic_ns()
-
-    def utc(self) -> datetime:
-        """The wall clock."""
-        return datetime.now(UTC)
-
-    def cpu_s(self) -> float:
-        """Processor time used so far [s]."""
-        return time.process_time()
-
-    def sleep(self, span_s: float) -> None:
-        """Wait."""
-        time.sleep(span_s)
 
 
 class Daemon:
@@ -133,16 +112,10 @@ class Daemon:
             knows=self._knows,
         )
         self._guard = Guard(self.fleet.link, self._signing)
-        takers = (
-            *((hook.name, hook) for hook in hooks),
-            ("journal", journal),
-            ("record", recorder),
-            ("history", flights),
-        )
-        self._files = {name: file for name, file in takers if file is not None}
-        self._reporter = Reporter(
-            [file.write for file in (journal, web, *hooks) if file], host.say, self._when, settings.save
-        )
+        files = {hook.name: hook for hook in hooks} | {"journal": journal, "record": recorder, "history": flights}
+        self._files = {name: file for name, file in files.items() if file is not None}
+        writers = [file.write for file in (journal, web, *hooks) if file]
+        self._reporter = Reporter(writers, host.say, self._when, settings.save)
         self._inspections = inspections or Inspections(None, host.say)
         self._senders: dict[int, Sender] = {}
         self._requests = Requests(self.fleet, settings.keep_rates, self._sender, self._signing)
@@ -185,13 +158,21 @@ class Daemon:
 
     def tick(self) -> None:
         """One look: take what came, let the sessions go on as there is time, do what they want."""
-        now, known = self._now(), len(self.fleet.vehicles)
-        self._take(now)
+        now, known, host, tick_s = self._now(), len(self.fleet.vehicles), self._host, self._settings.tick_s
+        pieces = list[Datagrams]()
+        while len(pieces) < DRAINS and (more := self._link.receive(0.0)):
+            pieces.append(more)
+        self.fleet.take(joined_datagrams(pieces), now)
         for sysid, outcome in self._fitter.poll():
             self.fleet.vehicles[sysid].outcome = outcome
-        turns = self.fleet.judge(now, self._time_to_judge(now))
+        since_s = host.cpu_s()
+
+        def has_time() -> bool:
+            return self._now() - now < MOST * tick_s or host.cpu_s() - since_s < LEAST * tick_s
+
+        turns = self.fleet.judge(now, has_time)
         if self._flights is not None:
-            self._flights.look(self._passed, self.fleet.vehicles, now, self._host.utc())
+            self._flights.look(self._passed, self.fleet.vehicles, now, host.utc())
         self._relay.pass_on(self._passed)
         self._passed.clear()
         self._report_new(known)
@@ -235,11 +216,6 @@ class Daemon:
     def _now(self) -> Instant:
         return Instant(self._host.now_ns())
 
-    def _time_to_judge(self, begun: Instant) -> Callable[[], bool]:
-        """Whether a tick that began then has time for another vehicle, once the link was read."""
-        host, tick_s, since_s = self._host, self._settings.tick_s, self._host.cpu_s()
-        return lambda: self._now() - begun < MOST * tick_s or host.cpu_s() - since_s < LEAST * tick_s
-
     def _when(self, sysid: int | None) -> When:
         timeline = None if sysid is None else self.fleet.link.vehicles[sysid].state.timeline
         return When(self._host.utc(), sysid, None if timeline is None else timeline.t_ns)
@@ -267,9 +243,8 @@ class Daemon:
             if len(asked) == UID_TRIES:
                 return True
             asked.append(now)
-            self._relay.send(
-                self._sender(sysid).command(MavCmd.REQUEST_MESSAGE, MessageId.AUTOPILOT_VERSION), to_all=False
-            )
+            frame = self._sender(sysid).command(MavCmd.REQUEST_MESSAGE, MessageId.AUTOPILOT_VERSION)
+            self._relay.send(frame, to_all=False)
         return False
 
     def _own(self, sysid: int) -> Baseline | None:
@@ -285,12 +260,6 @@ class Daemon:
             self._host.say(f"vehicle {sysid}: not watched: it has no baseline; name one in [vehicles.{sysid}]{where}")
             return None
         return SessionSpec(profile, baseline, self._settings, self._unix_ns() - self._host.now_ns(), held)
-
-    def _take(self, now: Instant) -> None:
-        pieces = list[Datagrams]()
-        while len(pieces) < DRAINS and (more := self._link.receive(0.0)):
-            pieces.append(more)
-        self.fleet.take(joined_datagrams(pieces), now)
 
     def _watch(self, now: Instant) -> None:
         sources = self.fleet.link.sources_since(now.ns - round(PEER_FRESH_S * NS_PER_S))

@@ -11,7 +11,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
-from detector.values import FitOutcome, Learn, LearningFailed
+from detector.values import FitOutcome, Learn
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import sealed
 from mavdiag.errors import MavdiagError
@@ -45,7 +45,7 @@ def fit_baseline(job: FittingJob) -> FitOutcome:
         if not job.accept:
             baseline = accepted(baseline, "accept = true")
     except MavdiagError as error:
-        return LearningFailed(str(error))
+        return str(error)
     provenance = baseline.provenance.model_copy(update={"vehicle": job.vehicle})
     return sealed(baseline.model_copy(update={"provenance": provenance}))
 
@@ -74,7 +74,7 @@ class ProcessFitter:
         if self._running is None:
             return []
         vehicle, _, answer, since_s = self._running
-        outcome: FitOutcome = LearningFailed("the fitting process ended early or took too long; fly on to try again")
+        outcome: FitOutcome = "the fitting process ended early or took too long; fly on to try again"
         if answer.poll():
             with contextlib.suppress(EOFError):  # it ended without an answer
                 outcome = answer.recv()

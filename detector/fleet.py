@@ -160,13 +160,10 @@ class Fleet:
 
     def judge(self, now: Instant, has_time: Callable[[], bool] = lambda: True) -> list[Turn]:
         """Give those their turn that are due, as in `due_turns`. Time alone changes things: call it regularly."""
-        urgent = self.link.urgent()
-        due = {
-            sysid: vehicle.turn
-            for sysid, vehicle in self.vehicles.items()
-            if vehicle.due_ns <= now.ns or vehicle.outcome is not None or sysid in urgent
-        }
-        turns = []
+        urgent, turns, due = self.link.urgent(), list[Turn](), dict[int, Instant]()
+        for sysid, vehicle in self.vehicles.items():
+            if vehicle.due_ns <= now.ns or vehicle.outcome is not None or sysid in urgent:
+                due[sysid] = vehicle.turn
         for sysid, _ in due_turns(due, now, self.link.source, has_time):
             self.longest_s = max(self.longest_s, (now.ns - self.vehicles[sysid].due_ns) / NS_PER_S)
             turns.append(self._parted(sysid, now, self._turn))
@@ -200,9 +197,8 @@ class Fleet:
     def finish(self, now: Instant, has_time: Callable[[], bool] = lambda: True) -> list[Turn]:
         """Judge what waits, while there is time, and what is left to say when the daemon stops."""
         waiting = {sysid: vehicle.turn for sysid, vehicle in self.vehicles.items()}
-        turns = [
-            self._parted(sysid, now, self._turn) for sysid, _ in due_turns(waiting, now, self.link.source, has_time)
-        ]
+        due = due_turns(waiting, now, self.link.source, has_time)
+        turns = [self._parted(sysid, now, self._turn) for sysid, _ in due]
         ends = {sysid: vehicle.session.finish for sysid, vehicle in self.vehicles.items()}
         return [*turns, *(self._parted(sysid, now, lambda sysid, _: Turn(sysid, ends[sysid]())) for sysid in ends)]
 

@@ -5,7 +5,6 @@ history add`, a process of its own that gives way to the daemon: the record is t
 the recording is deleted. One that could not be added stays in the folder, and is tried again at the next start.
 """
 
-import importlib.util
 import json
 import subprocess
 import sys
@@ -17,10 +16,11 @@ from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
+from detector.config import check_installed
 from detector.fleet import Vehicle
 from detector.hooks import Courier
 from mavdiag.baseline import Baseline, dump
-from mavdiag.errors import UsageError, missing_extra
+from mavdiag.errors import UsageError
 from mavdiag.judging import MIN_JUDGED_S
 from mavdiag.logs.tlog import tlog_record
 from mavdiag.storage import write_atomically
@@ -42,12 +42,6 @@ class _Flight:
     before_s: float
 
 
-def check_installed() -> None:
-    """Raise UsageError where the history's database cannot be used."""
-    if importlib.util.find_spec("sqlalchemy") is None:
-        raise missing_extra("--history", "SQLAlchemy", "history")
-
-
 class Flights(Courier):
     """Records the flights of all vehicles. folder: of the recordings. epoch_ns, warn: as in `Recorder`, `Courier`.
 
@@ -55,7 +49,7 @@ class Flights(Courier):
     """
 
     def __init__(self, database: str, folder: Path, epoch_ns: int, warn: Callable[[str], None]) -> None:
-        check_installed()
+        check_installed("--history", "SQLAlchemy", "history")
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -119,8 +113,7 @@ class Flights(Courier):
 
     def _hand_over(self, path: Path, sysid: int, baseline: Baseline) -> None:
         self._baselines[baseline.digest] = baseline
-        name = baseline.airframe.name
-        name = name if baseline.airframe.scope == "airframe" else f"{name} {sysid}"
+        name = baseline.airframe.name + ("" if baseline.airframe.scope == "airframe" else f" {sysid}")
         self.put(json.dumps([str(path), sysid, baseline.digest, name]).encode())
 
     @contextmanager

@@ -35,19 +35,16 @@ Deliver: TypeAlias = Callable[[bytes], object]  # raises OSError or ValueError i
 def parse_hook(text: str) -> Deliver:
     """Say how a line is delivered to a hook. Raises UsageError for a malformed one, or a program that is not there."""
     scheme, _, rest = text.partition(":")
-    if scheme == "exec":
-        try:
-            words = shlex.split(rest)
-        except ValueError as error:
-            raise UsageError(f"hook {text!r}: {error}") from error
-        if not words or shutil.which(words[0]) is None:
-            raise UsageError(f"hook {text!r}: there is no program {(words or [''])[0]!r}")
-        return lambda line: _run(words, line)
+    program, address = (rest, "") if scheme == "exec" else ("", text)
     try:
-        parts = urlsplit(text)
+        words, parts = shlex.split(program), urlsplit(address)
         host, port = parts.hostname, parts.port
     except ValueError as error:
         raise UsageError(f"hook {text!r}: {error}") from error
+    if scheme == "exec":
+        if not words or shutil.which(words[0]) is None:
+            raise UsageError(f"hook {text!r}: there is no program {(words or [''])[0]!r}")
+        return lambda line: _run(words, line)
     if parts.username is not None or parts.password is not None:
         raise UsageError("a hook's address has no room for a user or password: others would see it in the process list")
     if scheme in ("http", "https") and host:

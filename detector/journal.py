@@ -60,10 +60,8 @@ def mark(kind: str, when: When, content: Content) -> str:
 def _told(record: Record, when: When) -> tuple[str, Content, str, bool]:
     """Kind and content of a record's line, its words in the log, empty for none, and whether it is about an alert."""
     match record:
-        case EventClosed(event):
-            return "event", _event(event, when), "", True
-        case EventOpened(event):
-            return "opened", _event(event, when), "", True
+        case EventClosed(event) | EventOpened(event):
+            return "opened" if isinstance(record, EventOpened) else "event", _event(event, when), "", True
         case StateChanged(old, new, reason):
             return "state", {"from": old, "to": new, "reason": reason}, f"{old} -> {new}: {reason}", False
         case Change(stage=stage, reason=reason):
@@ -94,9 +92,8 @@ def _stage(change: Change) -> Content:
     names = ("stage", "reason", "monitor", "axis", "statistic", "threshold", "rotor")
     held: Content = plain({name: getattr(change, name) for name in names} | {"fault_kind": change.kind})
     spans = [{"rotor": span.rotor, "since_s": _s(span.since_ns), "end_s": _s(span.end_ns)} for span in change.rotors]
-    return (
-        {"t_s": _s(change.t_ns)} | held | {"seen": change.seen, "declared_s": _s(change.declared_ns), "rotors": spans}
-    )
+    declared_s = _s(change.declared_ns)
+    return {"t_s": _s(change.t_ns)} | held | {"seen": change.seen, "declared_s": declared_s, "rotors": spans}
 
 
 def _s(t_ns: int | None) -> float | None:

@@ -96,11 +96,9 @@ class Metrics(Collector):
         if self._shown is None:
             return
         figures, at_ns, events = self._shown
-        counts: list[Sample] = [
-            *(("entries_lost", (name,), count) for name, count in figures.lost_entries),
-            *(("frames_refused", (cause,), count) for cause, count in figures.refused),
-            *(("events", labels, count) for labels, count in events.items()),
-        ]
+        counts: list[Sample] = [("entries_lost", (name,), count) for name, count in figures.lost_entries]
+        counts += [("frames_refused", (cause,), count) for cause, count in figures.refused]
+        counts += [("events", labels, count) for labels, count in events.items()]
         families: dict[str, GaugeMetricFamily | CounterMetricFamily] = {
             **{name: GaugeMetricFamily(f"mavdiag_{name}", text, labels=of) for name, (text, of) in GAUGES.items()},
             **{name: CounterMetricFamily(f"mavdiag_{name}", text, labels=of) for name, (text, of) in COUNTERS.items()},

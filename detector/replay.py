@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,8 @@ from detector.journal import Reporter, When
 from detector.session import Session
 from detector.streams import METERED
 from detector.values import DaemonFigures, EventOpened, SessionSpec, VehicleFigures
-from detector.web.child import Place, ServerProcess, read_token
+from detector.web.access import Access
+from detector.web.child import ServerProcess, read_token
 from detector.web.snapshot import BACK_S, Level, Snapshots, Track, about, fleet_now
 from mavdiag import commandline
 from mavdiag.as_json import json_line
@@ -74,9 +76,8 @@ class Judged:
         offset_ns = log.started_ns - self.begin_ns if log.started_ns else 0
         profile = replace(PROFILES["qdrone2"], name=log.profile or baseline.link.profile)
         settings = SessionSettings(negotiate=False, min_rate_hz=LEAST_HZ)
-        self._session = Session(
-            SessionSpec(profile, suited(baseline, log), settings, offset_ns), Instant(self.begin_ns)
-        )
+        spec = SessionSpec(profile, suited(baseline, log), settings, offset_ns)
+        self._session = Session(spec, Instant(self.begin_ns))
         self._steps = in_pieces(log.telemetry, max(1, round(STEP_S / baseline.link.dt_s)))
         self._snapshots, self._track, self._entries, self._alarms = Snapshots(), Track(), list[str](), 0
         self._chain: Chain | None = None
@@ -108,9 +109,8 @@ class Judged:
         rates = tuple((signal.value, session.streams.meter(signal).rate_hz) for signal in METERED)
         figures = VehicleFigures(self.vehicle, session.state, 0, 0, spans[0], self._alarms, spans[1], rates)
         shown = self._snapshots.next(figures, session, judge.pieces if judge else (), self._track, self._at)
-        fleet = fleet_now(
-            DaemonFigures((figures,), (), 0, 0.0), {self.vehicle: session}, self._at, Instant(self.begin_ns)
-        )
+        everything, began = DaemonFigures((figures,), (), 0, 0.0), Instant(self.begin_ns)
+        fleet = fleet_now(everything, {self.vehicle: session}, self._at, began)
         entries, self._entries = tuple(self._entries), []
         strips = json_line(shown.pop("strips"))[1:-1]
         return Moment(self._at.ns, told, json_line(fleet), json_line(shown), strips, entries, shown["level"])
@@ -165,10 +165,8 @@ class Player:
         self._lines += [f"A {self._judged.vehicle} {about}\n" for about in known[-1:]]
         self._enter(past)
         if past:
-            self._lines += [
-                f"N {self._judged.vehicle} {now_of(past[min(recent, self._shown - 1) :])}\n",
-                f"F {past[-1].fleet}\n",
-            ]
+            now = now_of(past[min(recent, self._shown - 1) :])
+            self._lines += [f"N {self._judged.vehicle} {now}\n", f"F {past[-1].fleet}\n"]
 
     def _due(self, at_s: float) -> int:
         at_ns = self._judged.begin_ns + round(at_s * NS_PER_S)
@@ -213,10 +211,8 @@ def serve(
         judged = Judged(read, known, read.vehicle or vehicle or 1)
         warm()
         token = None if web_token_file is None else read_token(web_token_file)
-        host, port = page_address(web, web_token_file)
-        child = ServerProcess(
-            Place(host, port, token, niceness=0), f"{judged.begin_ns:x}-0", lambda text: commandline.say(text, err=True)
-        )
+        place, run = Access(*page_address(web, web_token_file), token), f"{judged.begin_ns:x}-0"
+        child = ServerProcess(place, run, partial(commandline.say, err=True), niceness=0)
         with closing(child):
             child.start()
             commandline.say(f"replay: {log.name} on {child.where}; Ctrl-C ends it")
@@ -229,14 +225,7 @@ def serve(
                 child.wait(LOOK_S if judged.done else 0.0)
 
 
-app = commandline.application("Play a log on the live page.")
-app.command()(serve)
-
-
-def main() -> NoReturn:
-    """Entry point of the process."""
-    commandline.run(app, "mavdiag replay")
-
-
 if __name__ == "__main__":
-    main()
+    app = commandline.application("Play a log on the live page.")
+    app.command()(serve)
+    commandline.run(app, "mavdiag replay")

@@ -12,7 +12,7 @@ from detector.reaction import Reaction
 from detector.rules import parse_modes, parse_rules
 from detector.states import TABLE, State, Trigger
 from detector.streams import CALM_S, Demand, Hindrance, Negotiation, Reason, Streams
-from detector.values import AskParameters, Effect, FitOutcome, Learn, LearningFailed, Note, SessionSpec, StateChanged
+from detector.values import AskParameters, Effect, FitOutcome, Learn, Note, SessionSpec, StateChanged
 from mavdiag.airframe.fingerprint import Outcome
 from mavdiag.baseline import check_link
 from mavdiag.chain import ChainOutput
@@ -209,8 +209,8 @@ class Session:
         if looked or not self.settings.negotiate or self.state in (State.FITTING, State.FAULTED):
             return
         self._looked, self._changes = now, streams.changes
-        blind = self.reaction.commands and not self.reaction.sticks_known and self.state is State.MONITORING
-        if blind and (self._sticks_asked is None or now - self._sticks_asked >= STICKS_S):
+        asked = self._sticks_asked is not None and now - self._sticks_asked < STICKS_S
+        if self.state is State.MONITORING and self.reaction.blind and not asked:
             self._sticks_asked = now
             self._effects += self._negotiation.ask_for(MessageId.RC_CHANNELS, STICKS_HZ, now)
         effects, notices = self._negotiation.step(self._demand(received).wants, streams, received.acks, now)
@@ -240,7 +240,8 @@ class Session:
         if self.baseline is not None and (self.judge is None or self.judge.baseline is not self.baseline):
             try:
                 check_link(self.baseline, profile=self.spec.profile.name, dt_s=self.baseline.link.dt_s)
-                chain = chain_for(self.baseline, self.settings, self.spec.unix_ns(now))
+                offset_ns = self.spec.unix_offset_ns
+                chain = chain_for(self.baseline, self.settings, now.ns + offset_ns if offset_ns else 0)
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error))
             self.judge = Judge(self.baseline, chain, now, self._landed())
@@ -286,12 +287,12 @@ class Session:
         outcome = self._outcome
         if outcome is None:
             return None
-        if isinstance(outcome, LearningFailed):
+        if isinstance(outcome, str):
             self._failed += 1
             if self._failed >= FITS:
-                return self._off(Trigger.GIVEN_UP, f"cannot learn: {outcome.reason}")
-            self._move(Trigger.NOT_FITTED, outcome.reason)
-            return self._say(Kind.NOT_LEARNED, outcome.reason)
+                return self._off(Trigger.GIVEN_UP, f"cannot learn: {outcome}")
+            self._move(Trigger.NOT_FITTED, outcome)
+            return self._say(Kind.NOT_LEARNED, outcome)
         self.baseline = outcome
         self._begin_learning()
         self._move(Trigger.FITTED)

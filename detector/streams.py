@@ -336,8 +336,7 @@ class Negotiation:
     def _acknowledged(self, acks: Sequence[Ack], now: Instant) -> list[Note]:
         """Acknowledgements are taken to come in the order of the requests; MAVLink has nothing better for them."""
         notes = []
-        if self._awaited:
-            self._awaited = [(msgid, at) for msgid, at in self._awaited if now - at <= ACK_S]
+        self._awaited = [(msgid, at) for msgid, at in self._awaited if now - at <= ACK_S]
         for ack in acks:
             if ack.command == MavCmd.SET_MESSAGE_INTERVAL and self._awaited:
                 msgid, _ = self._awaited.pop(0)

@@ -12,7 +12,7 @@ from mavdiag.link.clock import Timesync, TimesyncMessage
 from mavdiag.link.messages import Severity
 from mavdiag.link.ports import Traffic
 from mavdiag.link.profiles import Profile
-from mavdiag.telemetry import Instant, Telemetry
+from mavdiag.telemetry import Telemetry
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,19 +25,9 @@ class SessionSpec:
     unix_offset_ns: int = 0  # wall clock less the host's clock [ns]; 0 if the wall clock is not known
     held: Diagnosis = NOTHING_SEEN  # what is known of the vehicle from before: an open inspection
 
-    def unix_ns(self, now: Instant) -> int:
-        """Wall-clock time, unix epoch [ns]; 0 if it is not known."""
-        return now.ns + self.unix_offset_ns if self.unix_offset_ns else 0
 
-
-@dataclass(frozen=True, slots=True)
-class LearningFailed:
-    """The answer to `Learn` if there is no baseline: why, in one line."""
-
-    reason: str
-
-
-FitOutcome: TypeAlias = Baseline | LearningFailed
+#: The answer to `Learn`: a baseline, or in one line why there is none.
+FitOutcome: TypeAlias = Baseline | str
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,8 @@ from pathlib import Path
 from rich.console import Console
 
 from mavdiag.baseline import Baseline
-from mavdiag.demo.closed_loop import Flight, closed_loop
 from mavdiag.demo.command import DETECTOR, SPAN_S, THESIS, flight_view, own_baselines
-from mavdiag.demo.subprocesses import POLL_S
+from mavdiag.demo.subprocesses import POLL_S, Flight, closed_loop
 from mavdiag.terminal.ground_station import LiveJudge
 from mavdiag.terminal.view import Line, line_for, picture
 
@@ -24,10 +23,10 @@ def main() -> None:
     console = Console(record=True, width=100, file=io.StringIO())
     fused, thesis = own_baselines(quiet=True)
     events: list[Line] = []
-    with closed_loop(FLIGHT, fused, LiveJudge(Baseline.load(thesis), SPAN_S)) as loop:
-        while loop.plant.running and loop.station.t_s < UNTIL_S:
-            events += [line_for(one, DETECTOR, THESIS) for one in loop.station.listen(POLL_S)]
-        console.print(picture(flight_view(loop.station, FLIGHT, events), console.width))
+    with closed_loop(FLIGHT, fused, LiveJudge(Baseline.load(thesis), SPAN_S)) as (plant, _, station):
+        while plant.running and station.t_s < UNTIL_S:
+            events += [line_for(one, DETECTOR, THESIS) for one in station.listen(POLL_S)]
+        console.print(picture(flight_view(station, FLIGHT, events), console.width))
     Path(__file__).with_name("demo.svg").write_text(console.export_svg(title="mavdiag demo"), encoding="utf-8")
 
 

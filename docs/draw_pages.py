@@ -11,9 +11,8 @@ from web_page import browser
 
 from mavdiag.baseline import Baseline
 from mavdiag.commands.report import write_report
-from mavdiag.demo.closed_loop import READY_S, Flight
 from mavdiag.demo.command import own_baselines
-from mavdiag.demo.subprocesses import child
+from mavdiag.demo.subprocesses import READY_S, Flight, child
 from mavdiag.logs import read_log
 
 FLIGHT = Flight(duration_s=60.0, fault="F2/SV2", rotor=1, onset_s=15.0, seed=1)

@@ -15,7 +15,8 @@ from typing import Any
 import pytest
 from processes import PATIENCE_S
 
-from detector.web.child import Place, ServerProcess
+from detector.web.access import Access
+from detector.web.child import ServerProcess
 from mavdiag.telemetry import Instant
 
 CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")
@@ -40,7 +41,7 @@ def serving(
     token: str | None = None, host: str = "127.0.0.1", run: str = "r1", names: tuple[str, ...] = ()
 ) -> Iterator[ServerProcess]:
     """The server alone, on a free port; a test is its daemon."""
-    process = ServerProcess(Place(host, 0, token, names), run, lambda line: None)
+    process = ServerProcess(Access(host, 0, token, names), run, lambda line: None)
     process.start()
     try:
         yield process

@@ -59,6 +59,11 @@ class Access:
     names: tuple[str, ...] = ()  # under which a proxy serves the page, on a port of its own; it says who may
 
     @property
+    def url(self) -> str:
+        """Where to open the page."""
+        return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}/"
+
+    @property
     def cookie(self) -> str:
         """Name of the cookie; cookies are shared by all ports of a host."""
         return f"mavdiag-{self.port}"
@@ -87,12 +92,15 @@ class Access:
         return Answer.PASS if by_cookie or by_bearer else Answer.NO_TOKEN
 
     def _knows(self, host: str) -> bool:
-        name, port = _split(host)
+        name, colon, digits = host.lower().rpartition(":")
+        if not colon or host.endswith("]"):
+            name, digits = host.lower(), "80"
+        sound, name = digits.isdecimal() and digits.isascii() and len(digits) <= PORT_DIGITS, name.strip("[]")
         if self.names:
             return name in self.names or _is_address(name)
         known = (self.host.lower(), *(_LOCAL_NAMES if is_loopback(self.host) else ()))
         anywhere = self.host in _ANYWHERE and (name == "localhost" or _is_address(name))
-        return port == self.port and (name in known or anywhere)
+        return sound and int(digits) == self.port and (name in known or anywhere)
 
 
 def _of_this_page(path: str, host: str, headers: Mapping[str, str]) -> bool:
@@ -110,13 +118,6 @@ def _is_address(name: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _split(host: str) -> tuple[str, int]:
-    name, colon, port = host.lower().rpartition(":")
-    if not colon or host.endswith("]"):
-        return host.lower().strip("[]"), 80
-    return name.strip("[]"), int(port) if port.isdecimal() and port.isascii() and len(port) <= PORT_DIGITS else -1
 
 
 def _same(given: str, known: str) -> bool:

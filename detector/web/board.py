@@ -21,17 +21,13 @@ STRIP_PARTS = 110  # snapshots of a vehicle that are kept: over 20 s of strips
 BATCH = 1000  # entries that one answer holds at most: one page that catches up must not hold the others
 
 
-@dataclass(slots=True)
 class Board:
     """run: of the daemon; numbers of one run mean nothing in another one."""
 
-    run: str
-    entries: deque[tuple[int, str]] = field(default_factory=lambda: deque(maxlen=KEPT))
-    fleet: str = ""
-    playing: str = ""
-    about: dict[int, str] = field(default_factory=dict)
-    now: dict[int, deque[str]] = field(default_factory=dict)
-    readers: "set[Reader]" = field(default_factory=set)
+    def __init__(self, run: str) -> None:
+        self.run, self.entries = run, deque[tuple[int, str]](maxlen=KEPT)
+        self.fleet = self.playing = ""
+        self.about, self.now, self.readers = dict[int, str](), dict[int, deque[str]](), set[Reader]()
 
     @property
     def newest(self) -> int:
@@ -54,7 +50,12 @@ class Board:
             self.playing = rest
             self._give(None, "playing", rest)
         elif kind == "C":
-            self._begin_anew(rest)
+            self.run = rest
+            for held in (self.entries, self.about, self.now):
+                held.clear()
+            for reader in self.readers:
+                reader.waiting.clear()
+                reader.begin(None)
         elif not head.isdecimal():
             return
         elif kind == "J" and int(head) > self.newest:
@@ -69,14 +70,6 @@ class Board:
             self.now.setdefault(int(head), deque(maxlen=STRIP_PARTS)).append(content)
             self._give(int(head), "now", content)
 
-    def _begin_anew(self, run: str) -> None:
-        self.run = run
-        for held in (self.entries, self.about, self.now):
-            held.clear()
-        for reader in self.readers:
-            reader.waiting.clear()
-            reader.begin(None)
-
     def _give(self, vehicle: int | None, kind: str, content: str) -> None:
         for reader in self.readers:
             if vehicle in (None, reader.vehicle):
@@ -86,10 +79,8 @@ class Board:
         """A page begins to read. last: number of the last entry that it has; None for a page that is new."""
         reader = Reader(self, vehicle)
         reader.begin(last)
-        state = (("playing", self.playing), ("fleet", self.fleet))
+        state = (("playing", self.playing), ("fleet", self.fleet), ("about", self.about.get(vehicle or -1, "")))
         reader.waiting.extend((kind, content) for kind, content in state if content)
-        if vehicle is not None and vehicle in self.about:
-            reader.waiting.append(("about", self.about[vehicle]))
         reader.waiting.extend(("now", part) for part in self.now.get(vehicle or -1, ()))
         self.readers.add(reader)
         return reader

@@ -5,7 +5,6 @@ ends by itself is started again, after a pause.
 """
 
 import contextlib
-import importlib.util
 import json
 import os
 import select
@@ -13,10 +12,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
-from mavdiag.errors import LinkError, UsageError, missing_extra
+from detector.config import check_installed
+from detector.web.access import Access
+from mavdiag.errors import LinkError, UsageError
 from mavdiag.link.keys import read_secret
 from mavdiag.telemetry import Instant
 
@@ -28,25 +29,6 @@ TOKEN_LEAST = 16  # characters
 COMMAND = ("-P", "-m", "detector.web.server")  # -P: not what lies in the present folder
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where and how the page is served. port: 0 for a free one. token: that it asks for; None for none.
-
-    names: of a proxy. niceness: of the process, for a daemon's receive loop comes first.
-    """
-
-    host: str
-    port: int
-    token: str | None
-    names: tuple[str, ...] = ()
-    niceness: int = 5
-
-    @property
-    def url(self) -> str:
-        """Where to open it."""
-        return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}/"
-
-
 def read_token(path: Path) -> str:
     """The token in a file. Raises UsageError unless the file keeps the rules of a key file, and the line will do."""
     form = f"{TOKEN_LEAST} or more ASCII characters without blanks"
@@ -56,17 +38,14 @@ def read_token(path: Path) -> str:
     return text
 
 
-def check_installed() -> None:
-    """Raise UsageError, saying what to install, unless the server's library is there."""
-    if importlib.util.find_spec("aiohttp") is None:
-        raise missing_extra("--web", "aiohttp", "web")
-
-
 class ServerProcess:
-    """The process. run: of the daemon. say: takes a log line."""
+    """The process. place: where it listens, port 0 for a free one, and who may read. run: of the daemon.
 
-    def __init__(self, place: Place, run: str, say: Callable[[str], None]) -> None:
-        self.place, self._run, self._say = place, run, say
+    say: takes a log line. niceness: of the process, for a daemon's receive loop comes first.
+    """
+
+    def __init__(self, place: Access, run: str, say: Callable[[str], None], niceness: int = 5) -> None:
+        self.place, self._run, self._say, self._niceness = place, run, say, niceness
         self._process: subprocess.Popen[bytes] | None = None
         self._stdin = self._stdout = -1  # its descriptors, which never block
         self._unsent, self._unread = b"", b""
@@ -75,7 +54,7 @@ class ServerProcess:
 
     def start(self) -> None:
         """Start it and wait until it listens. Raises UsageError or LinkError, in one line, if it cannot."""
-        check_installed()
+        check_installed("--web", "aiohttp", "web")
         self._spawn()
         answers = self._read() if select.select([self._stdout], [], [], START_S)[0] else ["silent"]
         word, _, rest = (answers or ["refused its process ended"])[0].partition(" ")
@@ -153,7 +132,7 @@ class ServerProcess:
         self._stdin, self._stdout = (stream.fileno() for stream in (process.stdin, process.stdout) if stream)
         for descriptor in (self._stdin, self._stdout):
             os.set_blocking(descriptor, False)
-        told = asdict(self.place) | {"run": self._run}
+        told = asdict(self.place) | {"run": self._run, "niceness": self._niceness}
         self._unsent = f"{json.dumps(told)}\n".encode()
         self._flush()
 

@@ -62,11 +62,13 @@ class Feed:
         for line in lines:
             self._heard(line)
         for turn in turns:
-            session = fleet.vehicles[turn.vehicle].session
-            judge = session.judge
-            self._tracks[turn.vehicle].take(session.came)
-            if judge is not None and judge.pieces:
-                self._keep(turn.vehicle, judge.pieces)
+            sysid, session = turn.vehicle, fleet.vehicles[turn.vehicle].session
+            self._tracks[sysid].take(session.came)
+            pieces = () if session.judge is None else session.judge.pieces
+            if pieces and sysid in self._watched:
+                self._pieces[sysid] = [*self._pieces.get(sysid, ()), *pieces][-PIECES_MOST:]
+            elif pieces and (sysid in self._back or len(self._back) < BACK_MOST):
+                self._back.setdefault(sysid, deque(maxlen=BACK_PIECES)).extend(map(thesis_traces, pieces))
         self._give()
         if self._watched and now - self._shown >= SNAPSHOT_S:
             self._shown = now
@@ -96,12 +98,6 @@ class Feed:
             self._watched = tuple(int(number) for number in rest.split() if is_vehicle(number))[:WATCHED_MOST]
             self._pieces = {sysid: self._pieces[sysid] for sysid in self._watched if sysid in self._pieces}
             self._snapshots = {sysid: self._snapshots.get(sysid) or Snapshots() for sysid in self._watched}
-
-    def _keep(self, sysid: int, pieces: Sequence[Piece]) -> None:
-        if sysid in self._watched:
-            self._pieces[sysid] = [*self._pieces.get(sysid, ()), *pieces][-PIECES_MOST:]
-        elif sysid in self._back or len(self._back) < BACK_MOST:
-            self._back.setdefault(sysid, deque(maxlen=BACK_PIECES)).extend(map(thesis_traces, pieces))
 
     def _put(self, head: str, content: str) -> bool:
         return self._child.put(f"{head} {content}\n".encode())

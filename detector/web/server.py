@@ -202,12 +202,7 @@ async def _serve() -> None:
         await runner.cleanup()
 
 
-def main() -> None:
-    """Serve until stdin ends. Ctrl-C goes to both processes, but is the daemon's business."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to both processes, but is the daemon's business
     with contextlib.suppress(ConnectionError, BrokenPipeError):
         asyncio.run(_serve())
-
-
-if __name__ == "__main__":
-    main()

@@ -82,7 +82,7 @@ def about(vehicle: int, profile: str, judge: Judge | None) -> Json:
     airframe = judge.baseline.airframe
     named |= {"airframe": airframe.name, "layout": judge.baseline.layout_statement}
     if airframe.layout is not None:
-        named["drawing"] = airframe_svg(airframe.layout, title=f"airframe of {airframe.name}", prefix="airframe")
+        named["drawing"] = airframe_svg(airframe.layout, title=f"airframe of {airframe.name}")
     for slot in judge.chain.slots:
         monitor = slot.monitor
         margin = monitor.reference if monitor.name == "fsd" else None
@@ -221,11 +221,8 @@ def thesis_traces(piece: Piece) -> list[SlotTrace]:
 
 def strips_of(traces: Iterable[SlotTrace]) -> list[Json]:
     """One for each trace of the thesis rule, which has an axis; without rows, without points."""
-    return [
-        {"axis": trace.slot.monitor.axis, **_points(trace.found)}
-        for trace in traces
-        if trace.slot.monitor.name == "fsd"
-    ]
+    thesis = (trace for trace in traces if trace.slot.monitor.name == "fsd")
+    return [{"axis": trace.slot.monitor.axis, **_points(trace.found)} for trace in thesis]
 
 
 def _points(found: Statistic) -> Json:

@@ -1,6 +1,5 @@
 """`mavdiag history`: flights of an airframe kept in a database, their trends, and warnings before a threshold."""
 
-import importlib
 import json
 import sys
 import time
@@ -121,10 +120,7 @@ def show(
 
         write_atomically(html, history_page(found, now()))
     for overview in found:
-        if as_json:
-            say(json.dumps(shown.overview_json(overview)))
-        else:
-            _print(overview)
+        _print(overview, as_json=as_json)
     raise typer.Exit(1 if any(overview.asks for overview in found) else 0)
 
 
@@ -164,11 +160,10 @@ def _added(history: "History", answer: Answer, airframe: str, *, again: bool, by
 def _open(database: str, *, create: bool = False, write: bool = False) -> "AbstractContextManager[History]":
     """SQLAlchemy is loaded here and nowhere else. Raises UsageError if it is not installed."""
     try:
-        store = importlib.import_module("mavdiag.history.store")
+        from mavdiag.history.store import open_history
     except ImportError as error:
         raise missing_extra("a history", "SQLAlchemy", "history") from error
-    opened: AbstractContextManager[History] = store.open_history(database, create=create, write=write)
-    return opened
+    return open_history(database, create=create, write=write)
 
 
 def _time(text: str) -> int:
@@ -189,8 +184,10 @@ def _flight_line(number: int, record: FlightRecord) -> str:
     return f"{told}, {record.log}"
 
 
-def _print(overview: Overview) -> None:
+def _print(overview: Overview, *, as_json: bool) -> None:
     """Drawn on a terminal, in its width; plain lines elsewhere."""
+    if as_json:
+        return say(json.dumps(shown.overview_json(overview)))
     if not sys.stdout.isatty():
         return say("\n".join(line.text for line in shown.lines_of(overview)))
     from rich.console import Console

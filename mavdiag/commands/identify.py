@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +15,7 @@ from mavdiag.airframe.load import BUILTIN
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say
 from mavdiag.commands import options as opt
-from mavdiag.commands.progress import each, followed, sizes_of
+from mavdiag.commands.progress import each, sizes_of, working
 from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
@@ -104,19 +105,28 @@ def make_baseline(
     columns: Path | None = None,
 ) -> Baseline:
     """A baseline from log files, folders and patterns, stamped with the time of now. columns: map of CSV recordings."""
-    count, flights = _read(logs, vehicle, from_s, to_s, columns)
-    with followed(flights, f"learning from {count} flights ...") as taken:
-        return learn(taken, options, created=now())
+    with _taken("learning from", logs, vehicle, (from_s, to_s), columns) as flights:
+        return learn(flights, options, created=now())
 
 
-def _read(
-    logs: Sequence[Path], vehicle: int | None, from_s: float | None, to_s: float | None, columns: Path | None
-) -> tuple[int, Iterator[Log]]:
-    """How many logs are named, and each, read as it is taken."""
+@contextmanager
+def _taken(
+    what: str, logs: Sequence[Path], vehicle: int | None, cut: tuple[float | None, float | None], columns: Path | None
+) -> Iterator[Iterator[Log]]:
+    """The logs that are named, each read as it is taken; a spinner from the last one on, until the block ends.
+
+    what: is done with them. cut: first and last time of the vehicle's clock that count [s], None for no limit.
+    """
     found, mapped = opt.find_logs(logs, columns)
     paths = found.paths()
-    each_read = each(paths, "read", sizes_of(paths))
-    return len(paths), (read_part(path, vehicle, from_s, to_s, mapped) for path in each_read)
+    with ExitStack() as stack:
+
+        def taken() -> Iterator[Log]:
+            for path in each(paths, "read", sizes_of(paths)):
+                yield read_part(path, vehicle, *cut, mapped)
+            stack.enter_context(working(f"{what} {len(paths)} flights ..."))
+
+        yield taken()
 
 
 app = application("Look into a baseline file, or add healthy flights to it.")
@@ -153,9 +163,8 @@ def extend(
     """Add healthy flights of another session, or tell that the propellers are new."""
     check_output(output)
     baseline = Baseline.load(file)
-    count, flights = _read(logs, vehicle, from_s, to_s, columns)
-    with followed(flights, f"adding {count} flights ...") as taken:
-        longer = extended(baseline, taken, new_propellers=new_propellers, created=now())
+    with _taken("adding", logs, vehicle, (from_s, to_s), columns) as flights:
+        longer = extended(baseline, flights, new_propellers=new_propellers, created=now())
     if not accept:
         accepted(longer, "--accept")
     longer.save(output)

@@ -62,9 +62,8 @@ def show(
         specs = (entry.spec for entry in Baseline.load(file).monitors)
         known = {spec.axis: spec.model for spec in specs if isinstance(spec, RunLengthSpec)}
         if not known:
-            raise BaselineError(
-                "the baseline has no fsd monitor, so no model; `mavdiag model LOG` fits one to a flight"
-            )
+            why = "the baseline has no fsd monitor, so no model; `mavdiag model LOG` fits one to a flight"
+            raise BaselineError(why)
         models = {name: record.model() for name, record in known.items() if name in opt.axes_of(axis)}
         if not models:
             raise UsageError(f"{file}: has no model of the {axis} axis; choose another --axis")

@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 from threading import Timer
@@ -27,9 +27,8 @@ class Shown:
         self._text, self._total, self._work = text, len(sizes), sum(sizes) or 1.0
         self._done, self._finished, self._started = 0, 0.0, time.monotonic()
         self._bar, self._next_s = bar, first_s
-        self._task = (
-            None if bar is None else bar.add_task(text, total=self._work if self._total > 1 else None, words="")
-        )
+        total = self._work if self._total > 1 else None
+        self._task = None if bar is None else bar.add_task(text, total=total, words="")
 
     def add(self, size: float) -> None:
         """One more item is done; size: its own, of `sizes`."""
@@ -104,15 +103,3 @@ def working(text: str) -> Iterator[None]:
     finally:
         line.cancel()
         line.join()
-
-
-@contextmanager
-def followed(items: Iterable[T], text: str) -> Iterator[Iterator[T]]:
-    """The items, to be taken one by one; a spinner from the last one on, until the block ends."""
-    with ExitStack() as stack:
-
-        def taken() -> Iterator[T]:
-            yield from items
-            stack.enter_context(working(text))
-
-        yield taken()

@@ -54,10 +54,8 @@ def report(
     reference = Baseline.load(baseline)
     found, mapped = opt.find_logs(logs, columns)
     points = max(LEAST_POINTS, COLUMNS // max(1, len(found.logs) // 4))  # fewer where many logs share a page
-    reports = [
-        _flight(named, reference, vehicle, mapped, points, figures=number < DRAWN)
-        for number, named in enumerate(each(found.logs, "drawn", sizes_of(named.path for named in found.logs)))
-    ]
+    numbered = enumerate(each(found.logs, "drawn", sizes_of(named.path for named in found.logs)))
+    reports = [_flight(one, reference, vehicle, mapped, points, figures=number < DRAWN) for number, one in numbered]
     verdicts = [flight.verdict for flight in reports]
     if all(verdict.verdict is Verdict.ERROR for verdict in verdicts):
         more = f"; nor could {len(reports) - 1} others be read" if len(reports) > 1 else ""

@@ -210,24 +210,18 @@ class _Coach:
             task, words = "land", "all is flown"
         else:
             task, words = step.task.title, f"{step.task.words}; {step.left_s} s, round {step.round} of {ROUNDS}"
-        if self._told is not None and self._told[0] == task and now - self._told[1] < AGAIN_S:
+        told, at = self._told or ("", now)
+        if told == task and (not flies or now - at < AGAIN_S):
             return []
-        again = self._told is not None and self._told[0] == task
         self._told = task, now
-        if again and not flies:
-            return []
         say(f"now {task}: {words}")
         return [self._asker.statustext(Severity.INFO, f"now {task}" + (f" {step.left_s} s" if flies and step else ""))]
 
 
 def config_text(endpoint: str, sysid: int, folder: Path, signing_key: Path | None) -> str:
     """The detector's configuration for a vehicle whose baseline and journal are in a folder."""
-    values: dict[str, str | int] = {
-        "connect": endpoint,
-        "vehicle": sysid,
-        "baseline": str(folder / BASELINE),
-        "journal": str(folder / "events.jsonl"),
-    }
+    values: dict[str, str | int] = {"connect": endpoint, "vehicle": sysid, "baseline": str(folder / BASELINE)}
+    values["journal"] = str(folder / "events.jsonl")
     if signing_key is not None:
         values["signing_key"] = str(signing_key.resolve())
     # JSON's strings and whole numbers are TOML's, too.

@@ -93,7 +93,7 @@ def replay(
         os.execv(sys.executable, [sys.executable, "-P", "-m", PAGE, *options, "--", str(log), str(baseline), web])
     from mavdiag.judging import suited
     from mavdiag.terminal.ground_station import LiveJudge  # here, for rich takes time to load
-    from mavdiag.terminal.playing import play
+    from mavdiag.terminal.watching import play
 
     with stop_signals() as stopped:
         read, known = read_log(log, vehicle), Baseline.load(baseline)

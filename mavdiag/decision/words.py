@@ -16,7 +16,7 @@ from mavdiag.monitors.base import FaultKind
 from mavdiag.units import NS_PER_S
 
 if TYPE_CHECKING:  # a verdict is made above this module
-    from mavdiag.judging import LogVerdict, MonitorSummary
+    from mavdiag.judging import LogVerdict
 
 MOTORS_MOST = 8  # that are listed by number; more do not fit into a text (our choice)
 MOSTLY = 0.5  # of what was judged: a monitor that judged more has judged the flight (our choice)
@@ -66,11 +66,6 @@ def motors_words(finding: Diagnosis) -> str:
     if finding.kind is FaultKind.SENSOR:
         return "IMU"
     return "rotor unknown" if finding.kind in (None, FaultKind.PROPELLER) else "all motors"
-
-
-def stage_line(stage: str, reason: str, rotor: int | None = None, kind: str | None = None) -> str:
-    """A stage of the decision in one line, by the kind of its fault where it is known."""
-    return f"{kind or stage}: {reason}" + ("" if rotor is None else f", rotor {rotor}")
 
 
 def diagnosis_line(held: Diagnosis) -> str:
@@ -186,20 +181,16 @@ def _likeness(held: Diagnosis) -> str:
 
 def certainty(verdict: "LogVerdict") -> str:
     """How sure the verdict is, and what it rests on: one or two sentences; empty where nothing was judged."""
-    told = sorted((one for one in verdict.monitors if one.maximum is not None), key=_ratio, reverse=True)
+    told = sorted((one for one in verdict.monitors if one.maximum is not None), key=lambda one: one.ratio, reverse=True)
     if verdict.verdict == "suspected":
         return f"{own_reason(verdict)}."
-    if verdict.verdict == "healthy":
-        decided = (
-            f"{one.name.replace('_', ' ')}, came to {100 * _ratio(one):.0f} % of its threshold"
-            for one in told
-            if one.decides
-        )
-        nearest = next(decided, "")
-        return f"The deciding monitor that came nearest, {nearest}." if nearest else ""
+    nearest = next((one for one in told if one.decides), None)
+    if verdict.verdict == "healthy" and nearest is not None:
+        share = f"{100 * nearest.ratio:.0f} % of its threshold"
+        return f"The deciding monitor that came nearest, {nearest.name.replace('_', ' ')}, came to {share}."
     if verdict.verdict != "fault":
         return ""
-    above = [f"{one.name.replace('_', ' ')} {_ratio(one):.1f} times" for one in told if _ratio(one) > 1]
+    above = [f"{one.name.replace('_', ' ')} {one.ratio:.1f} times" for one in told if one.ratio > 1]
     events, named = [judged.event for judged in verdict.events], [one for one in verdict.changes if one.confidence]
     text = f"Above their thresholds: {', '.join(above) or 'none at the end'} ({_count(events)})."
     if verdict.rotor is not None and named:
@@ -209,13 +200,10 @@ def certainty(verdict: "LogVerdict") -> str:
 
 def advice(verdict: "LogVerdict") -> str:
     """What to do now, one sentence."""
-    inspect = (
-        "Look at the propellers" if verdict.rotor is None else f"Inspect motor {verdict.rotor} before the next flight"
-    )
-    several = "s" * (len(rotors_of(verdict)) > 1)
-    first = (
-        f"the propeller{several} of {_rotors(verdict)} first, then the others" if verdict.rotor else "the propellers"
-    )
+    inspect, first = "Look at the propellers", "the propellers"
+    if verdict.rotor is not None:
+        inspect, several = f"Inspect motor {verdict.rotor} before the next flight", "s" * (len(rotors_of(verdict)) > 1)
+        first = f"the propeller{several} of {_rotors(verdict)} first, then the others"
     what = verdict.verdict.value
     if what == "fault" and verdict.kind not in (None, FaultKind.PROPELLER):
         what = "sensor" if verdict.kind is FaultKind.SENSOR else "loss"
@@ -234,11 +222,8 @@ def advice(verdict: "LogVerdict") -> str:
 def unjudged(verdict: "LogVerdict") -> tuple[str, ...]:
     """The monitors that judged less than half of what was judged, and why: one phrase each."""
     enough = MOSTLY * verdict.judged_s
-    return tuple(
-        f"{m.name} judged {m.judged_s:.0f} s: {m.not_judged}"
-        for m in verdict.monitors
-        if m.not_judged and m.judged_s <= enough
-    )
+    few = (one for one in verdict.monitors if one.not_judged and one.judged_s <= enough)
+    return tuple(f"{one.name} judged {one.judged_s:.0f} s: {one.not_judged}" for one in few)
 
 
 def own_reason(verdict: "LogVerdict") -> str:
@@ -254,7 +239,3 @@ def _doubt(events: Sequence[Event]) -> str:
 
 def _count(events: Sequence[Event]) -> str:
     return f"{len(events)} alarm{'s' if len(events) != 1 else ''}"
-
-
-def _ratio(monitor: "MonitorSummary") -> float:
-    return 0.0 if monitor.maximum is None or not monitor.threshold else monitor.maximum / monitor.threshold

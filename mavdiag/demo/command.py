@@ -17,8 +17,7 @@ from mavdiag.commandline import say
 from mavdiag.commands.identify import make_baseline
 from mavdiag.commands.report import write_report
 from mavdiag.decision.diagnosis import Change, Stage
-from mavdiag.demo.closed_loop import DemoResult, Flight, Loop, closed_loop
-from mavdiag.demo.subprocesses import run_child
+from mavdiag.demo.subprocesses import Child, DemoResult, Flight, closed_loop, run_child
 from mavdiag.errors import BaselineError, UsageError
 from mavdiag.face import with_airframe
 from mavdiag.learning import LearnOptions, thesis_options
@@ -77,9 +76,9 @@ def demo(
     flight = Flight(duration, fault, rotor, round(ONSET_SHARE * duration, 1), seed)
     with tempfile.TemporaryDirectory() as folder:
         record = Path(folder) / "flight.tlog"
-        with closed_loop(flight, fused, LiveJudge(reference, SPAN_S), record) as loop:
-            changes = watch(loop, flight, quiet=as_json)
-        result = DemoResult(flight.onset_s, tuple(loop.station.texts))
+        with closed_loop(flight, fused, LiveJudge(reference, SPAN_S), record) as (plant, _, station):
+            changes = watch(plant, station, flight, quiet=as_json)
+        result = DemoResult(flight.onset_s, tuple(station.texts))
         if as_json:
             detected = result.detected_s
             told = {
@@ -93,7 +92,10 @@ def demo(
             typer.echo(json_line(told))
         else:
             _print_result(result, flight, changes)
-            _print_report(record, fused, report or own_cache() / "demo-report.html")
+            page, log = report or own_cache() / "demo-report.html", replace(read_log(record), name="the demo's flight")
+            page.parent.mkdir(parents=True, exist_ok=True)
+            say(f"the recorded flight, judged as a log: {write_report(log, Baseline.load(fused), fused, page)}")
+            say(f"its report: {page}")
     raise typer.Exit(0 if result.good else 1)
 
 
@@ -115,8 +117,14 @@ def own_baselines(*, quiet: bool, thorough: bool = False) -> tuple[Path, Path]:
         typer.echo(f"recording {count} healthy flights of {HEALTHY_S:g} s, as fast as they go ...")
     with tempfile.TemporaryDirectory() as folder:
         half = count // 2
+
+        def record(first: int) -> None:
+            file = str(Path(folder) / f"healthy{first:02d}.tlog")
+            flights = ("--flights", str(half), "--seed", str(1000 + first), "--duration", f"{HEALTHY_S:g}")
+            run_child("sitl_plant", "record", "-o", file, *flights)
+
         with ThreadPoolExecutor(2) as pool:  # one process a core of a small machine
-            list(pool.map(lambda first: _record(Path(folder), first, half), (0, half)))
+            list(pool.map(record, (0, half)))
         logs = sorted(Path(folder).glob("*.tlog"))
         if not quiet:
             typer.echo("identifying the healthy airframe ...")
@@ -133,20 +141,14 @@ def _usable(path: Path) -> bool:
         return False
 
 
-def _record(folder: Path, first: int, count: int) -> None:
-    file, seed = str(folder / f"healthy{first:02d}.tlog"), str(1000 + first)
-    flights = ("--flights", str(count), "--seed", seed, "--duration", f"{HEALTHY_S:g}")
-    run_child("sitl_plant", "record", "-o", file, *flights)
-
-
-def watch(loop: Loop, flight: Flight, *, quiet: bool) -> list[Change]:
+def watch(plant: Child, station: GroundStation, flight: Flight, *, quiet: bool) -> list[Change]:
     """Show the flight until it is over, if there is somebody to show it to; return the changes of the thesis rule."""
     from mavdiag.terminal.watching import listen
 
     def view(events: Sequence["Line"]) -> "View":
-        return flight_view(loop.station, flight, events)
+        return flight_view(station, flight, events)
 
-    return listen(loop.station, view, (DETECTOR, THESIS), lambda: not loop.plant.running, quiet=quiet)
+    return listen(station, view, (DETECTOR, THESIS), lambda: not plant.running, quiet=quiet)
 
 
 def flight_view(station: GroundStation, flight: Flight, events: Sequence["Line"]) -> "View":
@@ -157,12 +159,9 @@ def flight_view(station: GroundStation, flight: Flight, events: Sequence["Line"]
     phase = f"damaged: {fault} since" if now_s >= flight.onset_s else f"healthy; {fault} comes at"
     alerts = [line for line in events if line.severity <= Severity.CRITICAL and line.text.startswith(DETECTOR)]
     shown = link_view(station, now_s, SPAN_S, Axis.ROLL, events)
-    return replace(
-        shown,
-        title=f"flight {now_s:.1f} of {flight.duration_s:g} s, {phase} {flight.onset_s:g} s",
-        headline=alerts[-1].text.removeprefix(DETECTOR) if alerts else "no alert",
-        alert=bool(alerts),
-    )
+    title = f"flight {now_s:.1f} of {flight.duration_s:g} s, {phase} {flight.onset_s:g} s"
+    says = alerts[-1].text.removeprefix(DETECTOR) if alerts else "no alert"
+    return replace(shown, title=title, headline=says, alert=bool(alerts))
 
 
 def _print_result(result: DemoResult, flight: Flight, changes: Sequence[Change]) -> None:
@@ -184,11 +183,3 @@ def _print_result(result: DemoResult, flight: Flight, changes: Sequence[Change])
         say("before the onset nothing was alerted: the loop is closed")
     else:
         say(f"not good: {result.false_alarms} alerts before the onset" if result.false_alarms else "not good")
-
-
-def _print_report(record: Path, baseline: Path, page: Path) -> None:
-    flown, log = Baseline.load(baseline), replace(read_log(record), name="the demo's flight")
-    page.parent.mkdir(parents=True, exist_ok=True)
-    verdict = write_report(log, flown, baseline, page)
-    say(f"the recorded flight, judged as a log: {verdict}")
-    say(f"its report: {page}")

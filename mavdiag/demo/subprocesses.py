@@ -1,18 +1,28 @@
-"""Child processes of the demo (edge): started from this Python by module name, and always ended."""
+"""The closed loop of the demo and the loopback benchmark (edge): vehicle and detector as processes, a ground station.
+
+A process is started from this Python by module name, and always ended.
+"""
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
 
 from mavdiag.errors import LinkError
+from mavdiag.link.messages import Severity
+from mavdiag.link.ports import open_endpoint
+from mavdiag.terminal.ground_station import GroundStation, LiveJudge, ReceivedText
 
 GRACE_S = 3.0
 POLL_S = 0.05
+READY_S = 120.0  # the emulator compiles its loop at its first start
 
 
 class Child:
@@ -21,10 +31,8 @@ class Child:
     def __init__(self, module: str, *arguments: str) -> None:
         self.module, self._printed, self._told = module, b"", 0
         self._output = tempfile.TemporaryFile()  # noqa: SIM115  # closed when the process has ended
-        command = [sys.executable, "-m", module, *arguments]
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=self._output, stderr=subprocess.STDOUT
-        )
+        command, null = [sys.executable, "-m", module, *arguments], subprocess.DEVNULL
+        self._process = subprocess.Popen(command, stdin=null, stdout=self._output, stderr=subprocess.STDOUT)
 
     @property
     def lines(self) -> list[str]:
@@ -89,3 +97,69 @@ def run_child(module: str, *arguments: str) -> None:
     with child(module, *arguments) as process:
         if process.finish() != 0:
             raise LinkError(f"{module} failed: {process.last}")
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """What the emulator flies. fault: a code, None for a healthy flight; onset_s, duration_s: flight time."""
+
+    duration_s: float
+    fault: str | None = None
+    rotor: int = 1
+    onset_s: float = 0.0
+    seed: int = 0
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """As arguments of the emulator."""
+        flight = ("--duration", f"{self.duration_s:g}", "--seed", str(self.seed))
+        fault = ("--fault", self.fault or "", "--rotor", f"{self.rotor}", "--onset", f"{self.onset_s:g}")
+        return flight if self.fault is None else flight + fault
+
+
+@dataclass(frozen=True, slots=True)
+class DemoResult:
+    """What the ground station saw. Times in seconds of flight; detected_s is None if nothing was alerted in time."""
+
+    onset_s: float
+    texts: tuple[ReceivedText, ...]
+
+    @property
+    def alerts(self) -> tuple[ReceivedText, ...]:
+        """Declared faults."""
+        return tuple(text for text in self.texts if text.severity <= Severity.CRITICAL)
+
+    @property
+    def false_alarms(self) -> int:
+        """Faults that were declared before there was one."""
+        return sum(text.t_s < self.onset_s for text in self.alerts)
+
+    @property
+    def detected_s(self) -> float | None:
+        """When the fault was first alerted."""
+        return next((text.t_s for text in self.alerts if text.t_s >= self.onset_s), None)
+
+    @property
+    def good(self) -> bool:
+        """Alerted after the onset, and silent before."""
+        return self.detected_s is not None and self.false_alarms == 0
+
+
+@contextlib.contextmanager
+def closed_loop(
+    flight: Flight, baseline: Path, judge: LiveJudge | None = None, record: Path | None = None
+) -> Iterator[tuple[Child, Child, GroundStation]]:
+    """Vehicle, detector and a ground station that hears both, over UDP on ports of their own. Raises LinkError."""
+    kept = () if record is None else ("--record", str(record))
+    with (
+        open_endpoint("udpin:127.0.0.1:0") as endpoint,
+        child("detector", "--connect", "udpin:127.0.0.1:0", "--baseline", str(baseline), *kept) as detector,
+    ):
+        line = detector.wait_for("ready", READY_S)
+        found = re.search(r"udpin:([\d.]+:\d+)", line)
+        if found is None:
+            raise LinkError(f"the detector did not print where it listens: {line}")
+        ground = endpoint.address.replace("udpin", "udpout")
+        with child("sitl_plant", "run", "--out", f"udpout:{found[1]}", "--out", ground, *flight.arguments) as plant:
+            plant.wait_for("flies", READY_S)
+            yield plant, detector, GroundStation(endpoint, judge)

@@ -51,16 +51,10 @@ def topics_of(log: Log, judged: JudgedFlight | None = None) -> Iterator[Topic]:
     if judged is None or judged.chain is None:
         return
     for rate in rate_traces(judged.chain, judged.pieces):
-        columns = {
-            "commanded": rate.commanded,
-            "measured": rate.measured,
-            "simulated": rate.simulated,
-            "residual": rate.residual,
-            "margin": np.full(len(rate.t_ns), rate.margin_rad_s),
-            "fsd_s": rate.fsd_s,
-            "fml_s": np.full(len(rate.t_ns), rate.fml_s),
-        }
-        yield Topic(f"model/{rate.axis}", tuple(columns), rate.t_ns, np.column_stack(list(columns.values())))
+        columns = {name: getattr(rate, name) for name in ("commanded", "measured", "simulated", "residual")}
+        columns |= {"margin": rate.margin_rad_s, "fsd_s": rate.fsd_s, "fml_s": rate.fml_s}
+        values = np.column_stack(np.broadcast_arrays(*columns.values()))
+        yield Topic(f"model/{rate.axis}", tuple(columns), rate.t_ns, values)
     for trace in slot_traces(judged.chain, judged.pieces):
         slot, found = trace.slot, trace.found
         name = "/".join(("monitor", *(part for part in slot.key if part is not None)))

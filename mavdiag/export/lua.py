@@ -64,9 +64,8 @@ def applet(baseline: Baseline, table_key: int = TABLE_KEY) -> str:
     monitors = [monitor_of(entry.spec) for entry in small.monitors]
     arms = [] if layout is None else sorted((rotor, arm) for arm in layout.arms for rotor in arm.members)
     loader, spans_s = PackageLoader("mavdiag.export", "."), (gates.QUIET_S, gates.BACK_S, gates.LOUD_S)
-    template = Environment(
-        loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=literal
-    ).get_template("propeller.lua")
+    made = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=literal)
+    template = made.get_template("propeller.lua")
     spans_ms = alarm.CLEAR_NS // NS_PER_MS, kernel.STALE_LOOKS * kernel.LOOK_NS // NS_PER_MS
     return template.render(
         version=f"mavdiag {__version__}",

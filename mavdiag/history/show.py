@@ -9,7 +9,6 @@ import numpy as np
 
 from mavdiag.archive.figures import FlightRecord
 from mavdiag.as_json import DIGITS, plain
-from mavdiag.history.trend import Remaining
 from mavdiag.history.warn import WARNS, Outlook, Overview, Review
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
@@ -35,14 +34,9 @@ class Line(NamedTuple):
 
 def flight_json(number: int, record: FlightRecord) -> dict[str, Any]:
     """A flight. number: in the history of its airframe, from 1."""
-    told = {name: getattr(record, name) for name in ("t_ns", "log", "content", "baseline", "verdict", "reason")}
-    judged = {
-        "judged_s": record.judged_s,
-        "monitors": record.slots,
-        "rotor_trim": record.rotor_trim,
-        "trim": record.trim,
-    }
-    found: dict[str, Any] = plain({"airframe": record.airframe, "flight": number, **told, **judged}, DIGITS)
+    names = ("t_ns", "log", "content", "baseline", "verdict", "reason", "judged_s", "slots", "rotor_trim", "trim")
+    told = {"monitors" if name == "slots" else name: getattr(record, name) for name in names}
+    found: dict[str, Any] = plain({"airframe": record.airframe, "flight": number, **told}, DIGITS)
     return found
 
 
@@ -50,9 +44,9 @@ def flight_rows(number: int, record: FlightRecord) -> Iterator[dict[str, Any]]:
     """A row for each monitor and axis, and for each rotor's trim; one with neither for a flight that has none."""
     told = flight_json(number, record)
     head = {name: told[name] for name in FLIGHT_COLUMNS[:7]} | {"flight_judged_s": told["judged_s"]}
+    of_rotor = {"unit": "fraction of hover"}
     trims = [
-        {"monitor": f"trim of rotor {rotor}", "unit": "fraction of hover", "median": trim}
-        for rotor, trim in enumerate(told["rotor_trim"], 1)
+        of_rotor | {"monitor": f"trim of rotor {n}", "median": trim} for n, trim in enumerate(told["rotor_trim"], 1)
     ]
     for figures in [*told["monitors"], *trims] or [{}]:
         yield head | figures
@@ -65,10 +59,7 @@ def overview_json(overview: Overview) -> dict[str, Any]:
         "flights": len(overview.flights),
         "last_verdict": overview.flights[-1].verdict if overview.flights else None,
         "warned": [found.series.name for found in overview.warned],
-        "stretches": [
-            {"first": stretch.first, "began": stretch.began, "flights": len(stretch.flights)}
-            for stretch in overview.stretches
-        ],
+        "stretches": [{"first": s.first, "began": s.began, "flights": len(s.flights)} for s in overview.stretches],
         "trends": [_trend_json(found) for found in overview.found],
         "rotor_growth": plain(overview.rotor_growth, DIGITS),
         "together": overview.together and overview.together.as_json(),
@@ -77,10 +68,10 @@ def overview_json(overview: Overview) -> dict[str, Any]:
 
 def trend_rows(overview: Overview) -> Iterator[dict[str, Any]]:
     """A row for each statistic of the present stretch."""
+    of_all = {"airframe": overview.airframe, "flights": len(overview.flights)}
     for found in overview.found:
         changes = " ".join(f"{change.number}:{change.step:+.3f}" for change in found.changes)
-        of_all = {"airframe": overview.airframe, "flights": len(overview.flights), "changes": changes}
-        yield _trend_json(found) | of_all
+        yield _trend_json(found) | of_all | {"changes": changes}
 
 
 def _trend_json(found: Review) -> dict[str, Any]:
@@ -92,9 +83,7 @@ def _trend_json(found: Review) -> dict[str, Any]:
         "level": trend and trend.level,
         "growth": trend and trend.slope,
         "growth_error": trend and math.sqrt(trend.slope_variance),
-        "remaining": remaining and remaining.flights,
-        "remaining_low": remaining and remaining.low,
-        "remaining_high": remaining and remaining.high,
+        **dict(zip(("remaining", "remaining_low", "remaining_high"), remaining or (None,) * 3, strict=True)),
         "warned_at": found.warned_at,
         "changes": [{"flight": change.number, "step": change.step, "t": change.t} for change in found.changes],
     }
@@ -148,14 +137,9 @@ def _sentence(found: Review) -> str:
     told += f"; {trend.level:.2f} of the threshold {series.threshold:.3g}{unit}"
     told += f", {slope:+.4f} a flight" if (slope := round(trend.slope, 4)) else ""
     if found.outlook in (Outlook.GROWN, Outlook.WARNING) and (remaining := trend.remaining()) is not None:
-        told += f", there in {_flights(remaining)}"
+        best, low, high = (f"{value:.0f}" if value <= FAR else f"over {FAR}" for value in remaining)
+        told += f", there in {best} flights ({low} to {high if math.isfinite(remaining.high) else 'no end'})"
     return told + "".join(f"; jumped by {change.step:+.2f} at flight {change.number}" for change in found.changes)
-
-
-def _flights(remaining: Remaining) -> str:
-    numbers = (remaining.flights, remaining.low, remaining.high)
-    best, low, high = (f"{value:.0f}" if value <= FAR else f"over {FAR}" for value in numbers)
-    return f"{best} flights ({low} to {high if math.isfinite(remaining.high) else 'no end'})"
 
 
 def sparkline(share: FloatArray, width: int) -> str:

@@ -29,6 +29,7 @@ one false change point in a hundred series of 200 healthy flights (`benchmarks/h
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,8 +67,7 @@ class Sessions:
         return 2 * self.flights / (1 + self.flights)
 
 
-@dataclass(frozen=True, slots=True)
-class Remaining:
+class Remaining(NamedTuple):
     """Flights until the threshold: the estimate, and its 90 % interval. high is infinite where no end is certain."""
 
     flights: float
@@ -90,11 +90,11 @@ class Trend:
     scale: float
     sessions: int
 
-    def remaining(self, quantile: float = NORMAL_90) -> Remaining | None:
-        """Flights until the level is the threshold; None if it does not grow. quantile: of the normal law."""
+    def remaining(self) -> Remaining | None:
+        """Flights until the level is the threshold; None if it does not grow."""
         if self.slope <= 0:
             return None
-        gap, q2 = 1.0 - self.level, quantile**2
+        gap, q2 = 1.0 - self.level, NORMAL_90**2
         # (b^2 - q^2 Vbb) R^2 - 2 (gap b + q^2 Vab) R + gap^2 - q^2 Vaa <= 0
         square = self.slope**2 - q2 * self.slope_variance
         linear = gap * self.slope + q2 * self.covariance
@@ -131,7 +131,8 @@ def trend_of(sessions: Sessions, now: float) -> Trend | None:
         inverse = np.linalg.inv((X.T * w) @ X)
         line = inverse @ (X.T @ (w * y))
         r = (y - X @ line) * np.sqrt(base)
-        scale = max(MAD * _weighted_median(np.abs(r), recent), steps, LEAST_SCALE)
+        median = np.quantile(np.abs(r), 0.5, weights=recent, method="inverted_cdf")
+        scale = max(MAD * float(median), steps, LEAST_SCALE)
         h = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(r), 1e-12))
     root = X * (w / np.sqrt(base))[:, None]
     (a, b), (_, c) = (scale**2 * inverse @ (root.T @ root) @ inverse).tolist()
@@ -142,12 +143,6 @@ def scale_of_steps(sessions: Sessions) -> float:
     """Standard deviation of a session of one flight, from the steps between neighbours."""
     spread = np.sqrt(1 / sessions.weight[1:] + 1 / sessions.weight[:-1])
     return MAD * float(np.median(np.abs(np.diff(sessions.share)) / spread))
-
-
-def _weighted_median(values: FloatArray, weight: FloatArray) -> float:
-    order = np.argsort(values)
-    total = np.cumsum(weight[order])
-    return float(values[order[np.searchsorted(total, total[-1] / 2)]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +160,10 @@ def changes_of(sessions: Sessions) -> tuple[Change, ...]:
     if m < 2 * LEAST_BESIDE:
         return ()
     scale = max(scale_of_steps(sessions), 1e-6)
-    y, found = _held(sessions.share, scale / np.sqrt(sessions.weight)), dict[int, Change]()
+    room, found = ODD * scale / np.sqrt(sessions.weight), dict[int, Change]()
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(sessions.share, 2, mode="edge"), 5)
+    middle = np.median(near, axis=1)
+    y = np.clip(sessions.share, middle - room, middle + room)
     while True:
         cuts = (0, *found, m)
         borders = range(LEAST_BESIDE, m - LEAST_BESIDE + 1)
@@ -192,9 +190,3 @@ def _step_at(sessions: Sessions, y: FloatArray, scale: float, k: int, cuts: Sequ
         return None
     before = int(sessions.number[k - 1] + (sessions.flights[k - 1] - 1) / 2)
     return Change(before + 1, step, step / (scale * float(np.sqrt(inverse[2, 2]))))
-
-
-def _held(y: FloatArray, scale: FloatArray) -> FloatArray:
-    padded = np.pad(y, 2, mode="edge")
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
-    return np.asarray(np.clip(y, middle - ODD * scale, middle + ODD * scale))

@@ -197,9 +197,8 @@ def overview_of(
     present = stretches[-1] if stretches else None
     found = [review(series) for series in series_of(present)] if present else []
     found.sort(key=lambda found: -1.0 if found.trend is None else found.trend.level, reverse=True)
-    return Overview(
-        airframe, tuple(flights), stretches, tuple(found), _rotor_growth(present), _said(present, references)
-    )
+    growth, said = _rotor_growth(present), _said(present, references)
+    return Overview(airframe, tuple(flights), stretches, tuple(found), growth, said)
 
 
 def _said(stretch: Stretch | None, references: Sequence[Reference]) -> Together | None:

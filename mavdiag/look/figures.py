@@ -123,12 +123,11 @@ def vibration(flight: Sequence[Block]) -> Vibration | None:
 
 def spectrum_of(flight: Sequence[Block], least_s: float = SPECTRUM_S) -> Spectrum | None:
     """Spectrum of the accelerometer's x and y, by Welch's averages over stretches of `least_s` [s] or more."""
-    stretches = [
-        block.force[first:stop]
-        for block in flight
-        for first, stop in spans(block.valid & np.isfinite(block.force[:, :2]).all(axis=1))
-        if stop - first >= max(round(SPECTRUM_S / block.dt_s), least_s / block.dt_s)
-    ]
+    stretches = list[FloatArray]()
+    for block in flight:
+        least = max(round(SPECTRUM_S / block.dt_s), least_s / block.dt_s)
+        found = spans(block.valid & np.isfinite(block.force[:, :2]).all(axis=1))
+        stretches += [block.force[first:stop] for first, stop in found if stop - first >= least]
     return _welch(stretches, 1 / flight[0].dt_s) if flight else None
 
 

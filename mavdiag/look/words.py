@@ -16,12 +16,11 @@ CLOSING = "this is no verdict: that takes a baseline of flights with sound prope
 
 def in_full(found: Inspection) -> str:
     """All about one log or link, in lines of at most 80 characters."""
-    return "\n".join(
-        textwrap.fill(printable(text), WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
-        if isinstance(text, str)
-        else "\n".join(map(printable, text))
-        for text in _paragraphs(found)
+    wrapper = textwrap.TextWrapper(WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    lines = (
+        wrapper.wrap(printable(text)) if isinstance(text, str) else map(printable, text) for text in _paragraphs(found)
     )
+    return "\n".join(itertools.chain.from_iterable(lines))
 
 
 def in_one_line(found: Inspection) -> str:
@@ -35,7 +34,7 @@ def in_one_line(found: Inspection) -> str:
 
 def parts_of(found: Inspection) -> list[str]:
     """What a flight shows in short: upset, busiest motor, saturation, vibration, rotor line, what could be judged."""
-    parts = list(filter(None, (found.upset,)))
+    parts = [found.upset] if found.upset else []
     busiest = max(found.loads, key=lambda load: load.over_mean, default=None)
     if busiest is not None and busiest.over_mean >= NOTABLE:
         parts.append(f"motor {busiest.number} {100 * busiest.over_mean:+.1f} %")
@@ -117,10 +116,8 @@ def _clock(clock: Clock) -> str:
 def _signals(found: Sequence[Summary]) -> list[str]:
     lines = [f"{'signal':<20}{'samples':>8}{'rate Hz':>9}{'jitter ms':>10}{'gap s':>8}  range of each column"]
     for signal in found:
-        each = (
-            "no number" if low is None or high is None else f"{low:.3g}..{high:.3g}"
-            for low, high in zip(signal.lowest, signal.highest, strict=True)
-        )
+        ends = zip(signal.lowest, signal.highest, strict=True)
+        each = ("no number" if low is None or high is None else f"{low:.3g}..{high:.3g}" for low, high in ends)
         counted = ((text, len(list(alike))) for text, alike in itertools.groupby(each))
         ranges = [text if count == 1 else f"{text} x{count}" for text, count in counted]
         timing = ((signal.rate_hz, 9, 1), (signal.jitter_ms, 10, 2), (signal.longest_gap_s, 8, 3))

@@ -118,16 +118,14 @@ def read_campaign(path: Path) -> Campaign:
         data = file.read()
     try:
         return parse_campaign(data.decode())
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not UTF-8 text; {REMEDY}") from error
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    except (UnicodeDecodeError, InputError) as error:
+        reason = error if isinstance(error, InputError) else f"not UTF-8 text; {REMEDY}"
+        raise InputError(f"{path}: {reason}") from error
 
 
 def parse_campaign(text: str) -> Campaign:
     """Read the results in a text of lines. Raises InputError if there is no flight among them."""
-    flights: dict[str, CampaignFlight] = {}
-    unread = 0
+    flights, unread = dict[str, CampaignFlight](), 0
     for line in filter(str.strip, text.splitlines()):
         try:
             found = _LINE.validate_json(line)
@@ -150,11 +148,9 @@ def roc_of(healthy: Sequence[float], damaged: Sequence[float]) -> Roc:
     """
     if not healthy or not damaged:
         raise InputError("a curve needs the scores of healthy and of damaged flights")
-    limits = np.unique([*healthy, *damaged])[::-1]
-    false_share, true_share = (
-        np.append(0.0, (np.asarray(scores) >= limits[:, None]).mean(axis=1)) for scores in (healthy, damaged)
-    )
-    at_one = (float(np.mean(np.asarray(healthy) > 1.0)), float(np.mean(np.asarray(damaged) > 1.0)))
+    limits, both = np.unique([*healthy, *damaged])[::-1], (np.asarray(healthy), np.asarray(damaged))
+    false_share, true_share = (np.append(0.0, (scores >= limits[:, None]).mean(axis=1)) for scores in both)
+    at_one = (float(np.mean(both[0] > 1.0)), float(np.mean(both[1] > 1.0)))
     return Roc(false_share, true_share, float(np.trapezoid(true_share, false_share)), at_one)
 
 
@@ -177,20 +173,16 @@ def _roc(campaign: Campaign) -> Chart:
         raise NotDrawn(f"{lacking}; campaigns of this version write them")
     lines = [Line(np.array([0.0, 100.0]), np.array([0.0, 100.0]), "chance", "faint")]
     for look, (scale, _, roc) in zip(LOOKS, curves, strict=False):
-        lines.append(
-            Line(100 * roc.false_share, 100 * roc.true_share, f"fitted terms x{scale:g}: area {roc.area:.3f}", look)
-        )
+        label = f"fitted terms x{scale:g}: area {roc.area:.3f}"
+        lines.append(Line(100 * roc.false_share, 100 * roc.true_share, label, look))
         false_share, true_share = (np.array([100 * at]) for at in roc.at_threshold)
         lines.append(Line(false_share, true_share, "", f"{look} big", "dots"))
     panel = Panel("damaged flights found [%]", lines, y=(-2, 102), height=260)
-    words = "; ".join(
-        f"terms x{scale:g}: area {roc.area:.3f} of {count} damaged and {len(healthy)} healthy flights"
-        for scale, count, roc in curves
-    )
-    note = (
-        f"{len(healthy)} healthy flights; the score is the highest statistic over its threshold of the monitors that "
-        "decide about propellers, of the whole healthy flight, and of a damaged one after the onset."
-    )
+    of = f"damaged and {len(healthy)} healthy flights"
+    words = "; ".join(f"terms x{scale:g}: area {roc.area:.3f} of {count} {of}" for scale, count, roc in curves)
+    score = "the highest statistic over its threshold of the monitors that decide about propellers"
+    when = "of the whole healthy flight, and of a damaged one after the onset"
+    note = f"{len(healthy)} healthy flights; the score is {score}, {when}."
     return Chart([panel], (-1, 101), f"{words}.", note, "healthy flights flagged [%]", kind="still")
 
 

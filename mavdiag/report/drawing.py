@@ -7,7 +7,6 @@ Content-Security-Policy lets it pass. Its elements are in drawing.svg, a templat
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from mavdiag.airframe.layout import Place, RotorLayout
 from mavdiag.report.chart import template
@@ -19,14 +18,6 @@ SHARE = 0.44  # of the distance between two rotors that a radius takes: neighbou
 APART = 0.75  # how far rotors of one place are drawn apart, of the vehicle's reach (our choice)
 BODY = 19.0  # radius of the body
 LABEL_FROM = 20.0  # radius of a rotor from which on its label fits into it; else it stands below
-
-
-@dataclass(frozen=True, slots=True)
-class RotorMark:
-    """What is shown of one rotor: a short text in the disc, and a further class of its group."""
-
-    label: str = ""
-    kind: str = ""
 
 
 def rotor_places(layout: RotorLayout) -> tuple[Place, ...]:
@@ -56,13 +47,11 @@ def where(place: Place) -> str:
     return f"{along} {across}".strip() or "centre"
 
 
-def airframe_svg(
-    layout: RotorLayout, marks: Mapping[int, RotorMark] | None = None, *, title: str = "", prefix: str = "airframe"
-) -> str:
-    """Draw an `<svg>` element that can stand in a page or in a file.
+def airframe_svg(layout: RotorLayout, marks: Mapping[int, tuple[str, str]] | None = None, *, title: str = "") -> str:
+    """Draw an `<svg>` element that can stand in a page or in a file; `airframe-rotor-3` is the group of rotor 3.
 
-    marks: what is shown of a rotor, by its number from 1. title: its accessible name; without it, the layout's name.
-    prefix: of all ids, `PREFIX-rotor-3` for the group of rotor 3; another one for each drawing of a page.
+    marks: by a rotor's number from 1 a short text in its disc, and a further class of its group. title: its accessible
+    name; without it, the layout's name.
     """
     places, marks, middle = rotor_places(layout), marks or {}, SIZE / 2
     points = [(middle + REACH * place.y_m, middle - REACH * place.x_m) for place in places]
@@ -71,7 +60,7 @@ def airframe_svg(
     inside, height = radius >= LABEL_FROM, min(20.0, 0.8 * radius)
     rotors = []
     for number, ((x, y), place) in enumerate(zip(points, places, strict=True), start=1):
-        mark = marks.get(number, RotorMark())
+        label, kind = marks.get(number, ("", ""))
         share = max(0.0, 1.0 - radius / max(radius, math.dist((x, y), (middle, middle))))  # of the arm, to the rim
         rotors.append(
             {
@@ -80,8 +69,9 @@ def airframe_svg(
                 "y": round(y, 1),
                 "arm": (round(middle + share * (x - middle), 1), round(middle + share * (y - middle), 1)),
                 "spin": place.spin,
-                "mark": mark,
-                "number_y": round(y + 0.36 * height - (0.3 * height if mark.label and inside else 0.0), 1),
+                "label": label,
+                "kind": kind,
+                "number_y": round(y + 0.36 * height - (0.3 * height if label and inside else 0.0), 1),
                 "label_y": round(y + 0.75 * height if inside else y + radius + 10.0, 1),
             }
         )
@@ -90,7 +80,6 @@ def airframe_svg(
         size=f"{SIZE:g}",
         middle=middle,
         body=BODY,
-        prefix=prefix,
         title=title or f"airframe {layout.name}",
         words="; ".join(f"rotor {number} {text}" for number, text in enumerate(words, start=1)),
         rotors=rotors,

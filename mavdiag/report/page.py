@@ -110,21 +110,16 @@ def _pictures(
 ) -> tuple[tuple[Picture, ...], tuple[Picture, ...]]:
     """Those of the flight, and those of the method."""
     frame, telemetry = baseline.airframe, log.telemetry
-    sweeps = {
-        spec.axis: pictures.sweep_of(blocks, spec.axis, spec.model.order, spec.model.method, baseline.window.order)
-        for spec in (entry.spec for entry in baseline.monitors)
-        if isinstance(spec, RunLengthSpec) and (blocks := sketch.blocks)
-    }
+    rules = [entry.spec for entry in baseline.monitors if isinstance(entry.spec, RunLengthSpec)]
+    modelled, order = {rule.axis: rule.model for rule in rules if sketch.blocks}, baseline.window.order
+    sweeps = {a: pictures.sweep_of(sketch.blocks, a, m.order, m.method, order) for a, m in modelled.items()}
     profile = PROFILES.get(log.profile)
     corner_hz = frame.imu_corner_hz or (None if profile is None else profile.imu_corner_hz)
     line = _rotor_line(log, frame, sketch, corner_hz)
     monitors = (pictures.monitor_picture(name, sketch, baseline) for name in pictures.spoken(judged))
     window_s = baseline.window.samples * baseline.link.dt_s
-    flight = (
-        pictures.timeline(log, judged, sketch),
-        pictures.flight_picture(telemetry, sketch),
-        *(picture for picture in monitors if picture is not None),
-    )
+    beginning = (pictures.timeline(log, judged, sketch), pictures.flight_picture(telemetry, sketch))
+    flight = (*beginning, *filter(None, monitors))
     method = (
         pictures.evidence_picture(sketch),
         pictures.attitude_picture(telemetry, sketch),
@@ -136,8 +131,8 @@ def _pictures(
         pictures.spectrum_picture(sketch.spectrum, line, corner_hz, 1 / sketch.dt_s),
         pictures.windows_picture(sweeps, sketch.dt_s, window_s),
     )
-    told = [tuple(_explained(picture, baseline, judged) for picture in part) for part in (flight, method)]
-    return told[0], told[1]
+    shown, folded = (tuple(_explained(picture, baseline, judged) for picture in part) for part in (flight, method))
+    return shown, folded
 
 
 def _explained(picture: Picture, baseline: Baseline, judged: JudgedFlight) -> Picture:
@@ -169,17 +164,10 @@ def flights_page(flights: Sequence[FlightReport], baseline: Baseline, path: str,
     flights = sorted(flights, key=lambda flight: ORDER.index(flight.verdict.verdict))
     counts = Counter(flight.verdict.verdict.value for flight in flights)
     alone, names = len(flights) == 1, apart([flight.verdict.log for flight in flights])
-    return _page(
-        "flights.html",
-        title=Path(flights[0].verdict.log).name if alone else f"{len(flights)} flights",
-        flights=flights,
-        alone=alone,
-        counts=", ".join(f"{counts[verdict]} {short}" for verdict, short in words.VERDICTS.items() if counts[verdict]),
-        names=names,
-        baseline=baseline,
-        baseline_path=path,
-        created=created,
-    )
+    title = Path(flights[0].verdict.log).name if alone else f"{len(flights)} flights"
+    told = ", ".join(f"{counts[verdict]} {short}" for verdict, short in words.VERDICTS.items() if counts[verdict])
+    whose = {"baseline": baseline, "baseline_path": path, "created": created}
+    return _page("flights.html", title=title, flights=flights, alone=alone, counts=told, names=names, **whose)
 
 
 def campaign_page(campaign: Campaign, path: str, created: str) -> str:
@@ -206,10 +194,8 @@ def campaign_page(campaign: Campaign, path: str, created: str) -> str:
 
 def history_page(overviews: Sequence[Overview], created: str) -> str:
     """One page, what asks for attention first. created: ISO 8601, UTC."""
-    airframes = [
-        {"asks": one.asks, "lines": lines_of(one), "picture": _trends(one)}
-        for one in sorted(overviews, key=lambda one: one.asks, reverse=True)
-    ]
+    first = sorted(overviews, key=lambda one: one.asks, reverse=True)
+    airframes = [{"asks": one.asks, "lines": lines_of(one), "picture": _trends(one)} for one in first]
     return _page("history.html", title="History", airframes=airframes, created=created)
 
 
@@ -221,28 +207,21 @@ def _trends(overview: Overview) -> Picture | None:
             number = series.number.astype(np.float64) + stretch.first - 1
             parts.setdefault(series.name, []).append((number, series.share))
     warned = {found.series.name for found in overview.warned}
-    marks = [
-        (stretch.first - 0.5, stretch.began) for stretch in overview.stretches if stretch.began and stretch.flights
-    ]
+    marks = [(one.first - 0.5, one.began) for one in overview.stretches if one.began and one.flights]
     panels = []
     for name, own in parts.items():
         look = "measured" if name not in warned else "fault"
         label = f"{pictures.name_of(name)}{': warned of' if name in warned else ''}"
-        number, share = (_with_gaps(stretches) for stretches in zip(*own, strict=True))
+        parted = ([np.append(part, np.nan) for part in both] for both in zip(*own, strict=True))
+        number, share = (np.concatenate(both)[:-1] for both in parted)
         line = Line(number, share, look=look)
         panels.append(Panel(label, [line], [(1.0, "threshold")], marks, y=(0.0, None), height=TREND_HEIGHT))
     if not panels or len(overview.flights) < 2:
         return None
-    flights = overview.flights
-    words = f"{overview.airframe}: statistics of {len(flights)} flights in shares of their thresholds"
-    span = (0.5, len(flights) + 0.5)
-    chart = Chart(panels, span, words, x_label="flight", kind="still")
+    count = len(overview.flights)
+    words = f"{overview.airframe}: statistics of {count} flights in shares of their thresholds"
+    chart = Chart(panels, (0.5, count + 0.5), words, x_label="flight", kind="still")
     return drawn("trends", chart, overview.airframe)
-
-
-def _with_gaps(parts: Sequence[FloatArray]) -> FloatArray:
-    """One after the other, with a gap between them."""
-    return np.concatenate([np.append(part, np.nan) for part in parts])[:-1]
 
 
 def _page(template: str, **values: object) -> str:

@@ -26,7 +26,7 @@ from mavdiag.look.figures import HARMONICS, SPECTRUM_S, Spectrum
 from mavdiag.monitors.base import Feature
 from mavdiag.monitors.run_length import training_pieces
 from mavdiag.report.chart import FOLDER, Chart, Line, NotDrawn, Panel, Picture, columns_of, drawn, picture
-from mavdiag.report.drawing import RotorMark, airframe_svg
+from mavdiag.report.drawing import airframe_svg
 from mavdiag.report.sketch import RateSketch, Sketch, SlotSketch
 from mavdiag.rows.block import Block
 from mavdiag.rows.rates import RateSpec
@@ -180,14 +180,12 @@ def monitor_picture(name: str, sketch: Sketch, baseline: Baseline) -> Picture | 
         healthy = min(factor * usual.get(one.slot.key, 0.0), factor * one.slot.threshold)
         lines = [one.value.line("this flight", factor=factor)]
         if monitor.unit == RISE and one.rotors:
-            lines = [
-                rotor.line(f"rotor {number}", look, factor)
-                for number, (rotor, look) in enumerate(zip(one.rotors, LOOKS, strict=False), start=1)
-            ]
+            looks = enumerate(zip(one.rotors, LOOKS, strict=False), start=1)
+            lines = [rotor.line(f"rotor {number}", look, factor) for number, (rotor, look) in looks]
         limit = factor * one.slot.threshold
         least = None if len(lines) > 1 else 0.0
-        shown = Panel(label, lines, [(limit, f"threshold {limit:.3g}")], healthy=healthy, y=(least, None), height=150)
-        panels.append(shown)
+        levels = [(limit, f"threshold {limit:.3g}")]
+        panels.append(Panel(label, lines, levels, healthy=healthy, y=(least, None), height=150))
         most = factor * float(np.nanmax(one.value.high))
         told.append(f"{label}: highest {most:.3g}, threshold {limit:.3g}, in health usually up to {healthy:.3g}")
     words = f"{'; '.join(told)}."
@@ -215,10 +213,10 @@ def evidence_picture(sketch: Sketch) -> Chart:
 
 def airframe_drawing(layout: RotorLayout, sketch: Sketch, named: Collection[int]) -> str:
     """The airframe with the highest rise of each rotor. named: rotors to be filled."""
-    marks, rises = dict[int, RotorMark](), told_rises(sketch)
+    marks, rises = dict[int, tuple[str, str]](), told_rises(sketch)
     for number in range(1, layout.rotors + 1):
         label = "" if rises is None else f"{100 * float(np.nanmax(rises.rotors[number - 1].high)):+.1f} %"
-        marks[number] = RotorMark(label, "fault" if number in named else "")
+        marks[number] = label, "fault" if number in named else ""
     told = f"named: {', '.join(map(str, named))}" if named else "no rotor is named"
     return airframe_svg(layout, marks, title=f"Airframe from above, the nose up: {told}")
 
@@ -378,9 +376,8 @@ def attitude_picture(telemetry: Telemetry, sketch: Sketch) -> Chart:
     ]
     most = ((name, np.nanmax(np.abs(series.values[:, :2]), axis=0, initial=0.0) / DEG) for series, _, name in shown)
     words = "; ".join(f"{name}: roll within {roll:.0f}°, pitch within {pitch:.0f}°" for name, (roll, pitch) in most)
-    return Chart(
-        panels, sketch.span, f"{words}.", "" if len(shown) == 2 else f"This log has {shown[0][2]} angles only."
-    )
+    note = "" if len(shown) == 2 else f"This log has {shown[0][2]} angles only."
+    return Chart(panels, sketch.span, f"{words}.", note)
 
 
 def folded(hz: float, rate_hz: float) -> float:
@@ -437,11 +434,8 @@ def sweep_of(
 @picture("windows")
 def windows_picture(sweeps: Mapping[Axis, Sequence[SweepRow]], dt_s: float, window_s: float) -> Chart:
     """R_T^2 against the window, by axis. window_s: the baseline's."""
-    known = {
-        axis: [(row.window * dt_s, row.model.r2t) for row in rows if row.model]
-        for axis, rows in sweeps.items()
-        if any(row.model for row in rows)
-    }
+    found = {axis: [(row.window * dt_s, row.model.r2t) for row in of if row.model] for axis, of in sweeps.items()}
+    known = {axis: fits for axis, fits in found.items() if fits}
     if not known:
         reasons = {row.refused for rows in sweeps.values() for row in rows if row.refused}
         why = min(reasons, default="it takes attitude set-points and a model in the baseline")

@@ -138,12 +138,11 @@ class Sketch:
             return
         self.shown.append(traces)
         (start_s, stop_s), now_s = self.moment, self.s(int(traces[0].t_ns[-1]))
-        ends = [(self.s(int(parts[0].t_ns[0])), self.s(int(parts[0].t_ns[-1]))) for parts in self.shown]
-        self.shown = [
-            parts
-            for parts, (first_s, last_s) in zip(self.shown, ends, strict=True)
-            if last_s >= now_s - SHOWN_S or (last_s >= start_s and first_s <= stop_s)
-        ]
+
+        def near(first_s: float, last_s: float) -> bool:
+            return last_s >= now_s - SHOWN_S or (last_s >= start_s and first_s <= stop_s)
+
+        self.shown = [one for one in self.shown if near(*map(self.s, one[0].t_ns[[0, -1]].tolist()))]
 
     @property
     def moment(self) -> tuple[float, float]:

@@ -71,9 +71,8 @@ class LiveJudge:
 
     def judge(self, telemetry: Telemetry | None) -> tuple[Change, ...]:
         """Judge what came next, as `take`; None at the end of a log."""
-        self._state, output = (
-            self.chain.finish(self._state) if telemetry is None else self.chain.step(self._state, telemetry)
-        )
+        chain, state = self.chain, self._state
+        self._state, output = chain.finish(state) if telemetry is None else chain.step(state, telemetry)
         if self._state.refused:
             raise BaselineError(self._state.refused)
         self._gauges.update({(gauge.monitor, gauge.axis): gauge for gauge in output.gauges})

@@ -198,10 +198,8 @@ def _strips_of(trace: RateTrace) -> tuple[StripView, StripView]:
     far = max(OF_MARGIN * margin, _highest(residual))
     rates = (Curve(t_s, simulated, "cyan", name="simulated"), Curve(t_s, measured, "bright_white", name="measured"))
     beside = (*limits, Curve(t_s, residual, "yellow", name="residual"))
-    return (
-        StripView(f"{trace.axis} rate", "rad/s", rates, -reach, reach),
-        StripView("residual", "rad/s", beside, -far, far),
-    )
+    rate = StripView(f"{trace.axis} rate", "rad/s", rates, -reach, reach)
+    return rate, StripView("residual", "rad/s", beside, -far, far)
 
 
 def _highest(values: FloatArray) -> float:

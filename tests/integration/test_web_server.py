@@ -23,8 +23,8 @@ from web_page import Reader, asked, give, serving, wait_for
 
 from detector.config import Settings
 from detector.hooks import QUEUED, Hook
-from detector.web.access import HEADERS
-from detector.web.child import Place, ServerProcess
+from detector.web.access import HEADERS, Access
+from detector.web.child import ServerProcess
 from detector.web.server import SERVICE
 from mavdiag.link.messages import Autopilot
 from mavdiag.telemetry import Instant
@@ -135,7 +135,7 @@ def test_a_reconnect_loses_nothing_and_gets_nothing_twice() -> None:
 
 def test_the_server_is_started_again_and_the_daemon_only_says_so() -> None:
     lines: list[str] = []
-    process = ServerProcess(Place("127.0.0.1", 0, None), "r1", lines.append)
+    process = ServerProcess(Access("127.0.0.1", 0, None), "r1", lines.append)
     process.start()
     try:
         port, killed = process.place.port, process._process

@@ -28,7 +28,7 @@ from mavdiag.judging import LogVerdict, Verdict
 from mavdiag.look.figures import spectrum_of
 from mavdiag.report.campaign import parse_campaign, read_campaign, roc_of
 from mavdiag.report.chart import Chart, Line, Panel, Picture, Thinned, picture, ticks_of
-from mavdiag.report.drawing import SIZE, RotorMark, airframe_svg
+from mavdiag.report.drawing import SIZE, airframe_svg
 from mavdiag.report.page import FlightReport, campaign_page, flight_report, flights_page
 from mavdiag.report.pictures import sweep_of
 from mavdiag.report.sketch import Sketch
@@ -286,7 +286,7 @@ def test_the_rotors_are_where_the_vehicle_has_them_and_turn_as_it_says() -> None
 @given(st.text(), st.text())
 def test_no_text_breaks_out(title: str, label: str) -> None:
     layout = layout_named("x")
-    hostile = RotorMark(label=f"{label}</text><script>1</script>", kind='"><script>')
+    hostile = (f"{label}</text><script>1</script>", '"><script>')
     text = airframe_svg(layout, {1: hostile}, title=f"<{title}")
     root = ElementTree.fromstring(text)
     assert {one.tag.removeprefix(SVG) for one in root.iter()} == {

@@ -28,7 +28,6 @@ from detector.states import TABLE, State
 from detector.streams import HELD_S, Negotiation, Streams
 from detector.values import (
     Learn,
-    LearningFailed,
     Note,
     SendCommand,
     SendFloat,
@@ -184,7 +183,7 @@ def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
     story.fly(26.0)
     assert story.at(State.FITTING)
     collected = story.state.flight_s
-    story.answer(LearningFailed("roll: the input is not exciting enough"))
+    story.answer("roll: the input is not exciting enough")
     assert story.at(State.LEARNING)
     assert story.session.working
     assert story.state.flight_s >= collected >= 20.0
@@ -285,7 +284,7 @@ def act(story: Story, action: tuple[object, ...]) -> None:
         case ("learned", str(profile)):
             story.answer(baseline_for(profile))
         case ("failed",):
-            story.answer(LearningFailed("no"))
+            story.answer("no")
         case ("ack", MavResult() as result):
             story.acknowledge(Ack(MavCmd.SET_MESSAGE_INTERVAL, result))
         case ("without", Signal() as signal):

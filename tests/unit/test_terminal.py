@@ -29,10 +29,9 @@ from mavdiag.logs import read_log
 from mavdiag.printable import printable
 from mavdiag.telemetry import Axis
 from mavdiag.terminal.ground_station import LiveJudge
-from mavdiag.terminal.playing import KEYS, Key, Position, keys_in, play
 from mavdiag.terminal.tables import verdict_table
 from mavdiag.terminal.view import Curve, Level, Line, StripView, View, picture, strip
-from mavdiag.terminal.watching import Journal, Screen, follow
+from mavdiag.terminal.watching import KEYS, Journal, Key, Position, Screen, follow, keys_in, play
 
 LEVEL = Level("unbalance", 0.5, 1.0, "g mm")
 ERASED = "\x1b[1A\x1b[2K"  # up to the line of the bar, and away with it

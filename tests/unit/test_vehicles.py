@@ -15,8 +15,8 @@ from memory_port import memory_pair
 
 import mavdiag as md
 from detector import component
+from detector.component import Handled, Requests
 from detector.relay import DATAGRAM_BYTES, Relay
-from detector.requests import Handled, Requests
 from mavdiag.airframe.vehicle_type import MULTIROTORS
 from mavdiag.errors import InputError
 from mavdiag.link.codec import Decoder, Encoder, field_index, message_name
