@@ -28,7 +28,7 @@ from mavdiag.logs.log import TLOG_BYTES, LogKind, opened, windows_of
 from mavdiag.storage import Column, forget
 from mavdiag.telemetry import Log, Telemetry
 
-PIECE_BYTES = 8 << 20  # of a file that is read and converted at a time: 5 min at 100 Hz (our choice)
+PIECE_BYTES = 8 << 20  # of a file that is read at a time, of a longer one half: 5 min at 100 Hz (our choice)
 DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
 
 _WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
@@ -190,7 +190,8 @@ def _chosen(path: Path, content: TlogContent, vehicle: int | None, *, several: b
 
 
 def _summed(path: Path, update: Callable[[bytes], None]) -> Iterator[bytes]:
-    for window in windows_of(path, PIECE_BYTES, TLOG_BYTES):
+    size = PIECE_BYTES if path.stat().st_size <= PIECE_BYTES else PIECE_BYTES // 2
+    for window in windows_of(path, size, TLOG_BYTES):
         update(window)
         yield window
 

@@ -136,8 +136,11 @@ class AlignState:
             count, found = values.shape
             if place is None or not count:
                 continue
-            if not sent[place]:
-                self._begin(place, found, spec)
+            if not sent[place]:  # all new ones together, before there is much to move
+                new = [(places.get(one.signal), one.values.shape) for one in telemetry.series]
+                for at, (samples, columns) in new:
+                    if at is not None and samples and not sent[at]:
+                        self._begin(at, columns, spec)
             if found != sent[place]:  # before anything is moved: the state stays whole
                 raise InputError(f"{series.signal} has {found} columns in place of {sent[place]}")
             end = ends[place]
