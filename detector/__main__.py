@@ -29,13 +29,13 @@ from mavdiag.inspections import Inspections
 from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
 from mavdiag.printable import printable
+from mavdiag.storage import COLLECT_AT
 from mavdiag.telemetry import Instant
 
 if TYPE_CHECKING:
     from detector.web.feed import Feed
 
 COMPILE_S = 3.0  # of processor time before it is said; to load what was compiled takes half a second (our choice)
-COLLECT_AT = 20_000  # containers more than before; a tick of a full link makes some thousands (our choice; Python: 700)
 
 app = commandline.application("Watch vehicles over MAVLink for damaged propellers.", completed=True)
 

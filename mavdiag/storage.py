@@ -26,6 +26,7 @@ TOML_BYTES = 32 << 10  # the longest of ours has 7 kB; tomllib takes seconds for
 TEXT_BYTES = 8 << 20  # baselines have some hundred kilobytes (our choice)
 SHELF_BYTES = 8 << 20  # of arrays that a shelf keeps in memory before it opens its file (our choice)
 COLUMN_BYTES = 8 << 20  # of a column that comes piece by piece, until it goes into a file (our choice)
+COLLECT_AT = 20_000  # containers more than before; a tick of a full link makes some thousands (our choice; Python: 700)
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
 ALIGN_BYTES = 8  # of an array in a file: that of its numbers
 WRITE_BYTES = 1 << 20  # that are written at a time: many together take three times as long (our choice)

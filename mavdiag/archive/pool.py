@@ -1,5 +1,6 @@
 """Many tasks on workers (edge): processes of this machine, those of a Dask cluster, or this process alone."""
 
+import gc
 import logging
 import multiprocessing
 import os
@@ -14,7 +15,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from mavdiag.errors import LinkError, UsageError, missing_extra
-from mavdiag.storage import give_back, keep_freed
+from mavdiag.storage import COLLECT_AT, give_back, keep_freed
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -166,6 +167,7 @@ def _start(pool: Executor, workers: int) -> None:
 
 
 def _settle() -> None:
+    gc.set_threshold(COLLECT_AT)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
