@@ -1,6 +1,6 @@
 """What the detector does about a fault, if the table of `detector.rules` asks for it. No clock, no socket.
 
-Every row of the table that a diagnosis calls for has a life of its own, in steps. It counts from the finding on, is
+Every row of the table that a diagnosis calls for has a life of its own, `TABLE`. It counts from the finding on, is
 announced `NOTICE_S` before it acts, or as long as its delay, and may be called off from then on: by another flight
 mode, a stick, an acknowledgement. A row that acted or was called off is over for this flight, and so are all rows of
 findings that are less grave. Only the session's own diagnosis calls for a row, and only while the vehicle is armed and
@@ -37,6 +37,31 @@ class Step(StrEnum):
     OVER = "over"
 
 
+class Trigger(StrEnum):
+    """What moves a row."""
+
+    NEAR = "its time is near"
+    DUE = "its time has come"
+    TAKEN = "the autopilot took it"
+    NOT_TAKEN = "the autopilot did not take it"
+    TOLD = "the text was sent"
+    CALLED_OFF = "called off"
+    GONE = "no longer called for"
+
+
+TABLE: Mapping[Step, Mapping[Trigger, Step]] = {
+    Step.COUNTING: {
+        Trigger.NEAR: Step.ANNOUNCED,
+        Trigger.DUE: Step.ASKED,
+        Trigger.TOLD: Step.OVER,
+        Trigger.CALLED_OFF: Step.OVER,
+        Trigger.GONE: Step.OVER,
+    },
+    Step.ANNOUNCED: {Trigger.DUE: Step.ASKED, Trigger.CALLED_OFF: Step.OVER, Trigger.GONE: Step.OVER},
+    Step.ASKED: {Trigger.TAKEN: Step.OVER, Trigger.NOT_TAKEN: Step.ASKED_AGAIN, Trigger.GONE: Step.OVER},
+    Step.ASKED_AGAIN: {Trigger.TAKEN: Step.OVER, Trigger.NOT_TAKEN: Step.OVER, Trigger.GONE: Step.OVER},
+    Step.OVER: {},
+}
 _ASKED = (Step.ASKED, Step.ASKED_AGAIN)
 
 
@@ -87,7 +112,7 @@ class Reaction:
                 # What was sent is answered in another mode too, which it brings
                 if row is not None and not (row.step in _ASKED and armed and names_of(held)):
                     where = f"mode {mode_name(self._mode)}" if armed else "disarmed"
-                    self._move(number, Step.OVER, f"no longer called for: {held.title if ready else where}")
+                    self._move(number, Trigger.GONE, held.title if ready else where)
             elif row is None:
                 self._rows[number] = _Row(now, now)
                 self._effects.append(Note(f"on fault: {rule}: {held}"))
@@ -112,7 +137,7 @@ class Reaction:
         for number, row in sorted(self._rows.items()):
             changed = f"mode {mode_name(self._mode)}" if self._mode != row.mode else ""
             if row.step in _ASKED and changed:
-                self._move(number, Step.OVER, f"the autopilot took it: {changed}")
+                self._move(number, Trigger.TAKEN, changed)
             elif row.step is Step.ANNOUNCED and (changed or _moved(received.sticks, row.sticks)):
                 if own and changed:
                     row.mode = self._mode
@@ -128,15 +153,15 @@ class Reaction:
                 if waited_s >= rule.delay_s - min(NOTICE_S, rule.delay_s):
                     left = f"{rule.delay_s - waited_s:.0f} s unless stick/mode/ack"
                     self._effects.append(Notice(Kind.REACTING, (rule.action, left)).effect)
-                    self._move(number, Step.ANNOUNCED, "its time is near")
+                    self._move(number, Trigger.NEAR)
             case Step.COUNTING | Step.ANNOUNCED if waited_s >= rule.delay_s:
                 motors = f"{rule.finding}, {motors_words(held)}"
                 if rule.command is None:
                     self._effects.append(Notice(Kind.ON_FAULT, (motors,)).effect)
-                    self._move(number, Step.OVER, "the text was sent")
+                    self._move(number, Trigger.TOLD)
                 else:
                     self._effects.append(Notice(Kind.REACTED, (rule.action, f"commanded: {motors}")).effect)
-                    self._move(number, Step.ASKED, "its time has come")
+                    self._move(number, Trigger.DUE)
                     self._ask(number, now)
                 self._close(number)
             case Step.ASKED | Step.ASKED_AGAIN:
@@ -144,12 +169,11 @@ class Reaction:
                 results = [ack.result for ack in received.acks if ack.command == command]
                 if results and results[-1] in _TAKEN:
                     self._own_until = now + OWN_S
-                    self._move(number, Step.OVER, "the autopilot took it")
+                    self._move(number, Trigger.TAKEN)
                 elif results or now - row.asked >= ANSWER_S:
                     why = next((result.name for result in MavResult if result in results[-1:]), "no answer")
                     again = row.step is Step.ASKED
-                    to = Step.ASKED_AGAIN if again else Step.OVER
-                    self._move(number, to, f"the autopilot did not take it: {why}")
+                    self._move(number, Trigger.NOT_TAKEN, why)
                     if again:
                         self._ask(number, now)
                     else:
@@ -169,28 +193,31 @@ class Reaction:
         """Let this row and those that are less grave be over for this flight."""
         self._open = min(self._open, number)
         for other in [other for other in self._rows if other > number]:
-            self._move(other, Step.OVER, f"no longer called for: {self._rules[number].action} goes before")
+            self._move(other, Trigger.GONE, f"{self._rules[number].action} goes before")
 
     def _call_off(self, number: int, why: str) -> None:
         """Call off all rows of a row's finding, and those that are less grave."""
         rule = self._rules[number]
         number = next(n for n, other in enumerate(self._rules) if other.finding == rule.finding)
         for other in [other for other, row in self._rows.items() if other >= number and row.step not in _ASKED]:
-            self._move(other, Step.OVER, f"called off: {why}")
+            self._move(other, Trigger.CALLED_OFF, why)
         self._close(number)
         self._effects.append(Notice(Kind.REACTED, (rule.action, f"called off: {why}")).effect)
 
-    def _move(self, number: int, to: Step, why: str) -> None:
+    def _move(self, number: int, trigger: Trigger, why: str = "") -> None:
         row = self._rows[number]
-        if to in (Step.ANNOUNCED, Step.ASKED):
+        old, row.step = row.step, TABLE[row.step][trigger]
+        if trigger in (Trigger.NEAR, Trigger.DUE):
             row.mode, row.sticks = self._mode, dict(self._sticks)
-        self._effects.append(Note(f"on fault: {self._rules[number]}: {row.step} -> {to}: {why}"))
-        row.step = to
-        if to is Step.OVER:
+        told = f"{trigger}: {why}" if why else str(trigger)
+        self._effects.append(Note(f"on fault: {self._rules[number]}: {old} -> {row.step}: {told}"))
+        if row.step is Step.OVER:
             del self._rows[number]
 
 
 def _moved(sticks: Mapping[int, tuple[int, ...]], before: dict[int, tuple[int, ...]]) -> bool:
     """Whether sticks are elsewhere than before; those told for the first time are noted there."""
-    pairs = (zip(at, before.setdefault(msgid, at), strict=True) for msgid, at in sticks.items())
-    return any(max(abs(a - b) for a, b in pair) >= STICK for pair in pairs)
+    return any(
+        max(abs(a - b) for a, b in zip(at, before.setdefault(msgid, at), strict=True)) >= STICK
+        for msgid, at in sticks.items()
+    )

@@ -21,8 +21,8 @@ from mavdiag.airframe.trim import LEVEL_RATIO, MIN_OUTPUT, rises, shown_trim
 from mavdiag.errors import InputError
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
-from mavdiag.rows.windows import window_all, window_mean, window_rows
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
+from mavdiag.rows.windows import means_from, window_all, window_mean, window_rows
+from mavdiag.telemetry import BoolArray, FloatArray, Signal
 
 FIRST_S = 20.0  # of judged flight that is compared (our choice)
 PART_S = 10.0  # of a learnt flight, by which its spread is measured: half of that, so that 30 s have three (our choice)
@@ -324,14 +324,6 @@ def _bends(values: FloatArray, valid: BoolArray, dt_s: float) -> Bends:
     bends = np.where(window_all(known, 3), np.square(np.diff(steps)), np.nan)
     starts = np.arange(0, bends.shape[1] - window + 1, max(1, window // 2))
     return means_from(bends, starts, window), np.abs(np.compress(window_all(known, 2), steps, axis=1))
-
-
-def means_from(values: FloatArray, starts: IntArray, window: int) -> FloatArray:
-    """Means over the windows that begin at some rows, (k, n) -> (k, starts); one with a NaN is NaN."""
-    if not len(starts):
-        return np.empty((len(values), 0))
-    windows = np.lib.stride_tricks.sliding_window_view(values, window, axis=1)
-    return np.asarray(windows[:, starts].mean(axis=2), dtype=np.float64)
 
 
 def _noise(found: Sequence[Bends]) -> FloatArray:

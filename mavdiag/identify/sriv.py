@@ -29,7 +29,6 @@ from mavdiag.identify.arx import (
     solve,
     triangle,
 )
-from mavdiag.jit import cached
 from mavdiag.telemetry import FloatArray
 
 PATIENCE = 8  # iterations without progress before it gives up; good data settle in 3 to 8 (our choice)
@@ -147,41 +146,18 @@ def _by_length(segments: Sequence[Segment]) -> list[Segment]:
 
 def _filtered(group: Segment, order: Order, theta: FloatArray) -> FloatArray:
     """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f] of a group, (m, rows, c), their free responses taken out."""
-    na, first, n = order[0], reach(order), len(group)
+    (na, nb, nk), first, n = order, reach(order), len(group)
     A, B = (np.pad(one, (0, first + 1 - len(one))) for one in polynomials(theta, order))
-    columns = _columns(B, A, group.u, group.y, order)
-    free = filtered(np.eye(1, first + 1)[0], A, np.eye(na, n - first), np.zeros(first + 1))
+    one, at_rest = np.eye(1, first + 1)[0], np.zeros(first + 1)
+    x = filtered(B, A, group.u, at_rest)
+    u_f, x_f, y_f, free = (filtered(one, A, signal, at_rest) for signal in (group.u, x, group.y, np.eye(na, n - first)))
+    lags, delays = range(1, na + 1), range(nk, nk + nb)
+    lagged = [*((-x_f, lag) for lag in lags), *((u_f, lag) for lag in delays), *((-y_f, lag) for lag in lags), (y_f, 0)]
+    columns = np.stack([signal[:, first - lag : n - lag] for signal, lag in lagged], axis=2)
     lasts = 1 + int(np.flatnonzero(~(np.abs(free).max(axis=0) <= EPSILON**2))[-1])  # then it is less than any rounding
     Q, _ = np.linalg.qr(free[:, :lasts].T)
     columns[:, :lasts] -= Q @ (Q.T @ columns[:, :lasts])
     return columns
-
-
-@cached
-def _columns(b: FloatArray, a: FloatArray, u: FloatArray, y: FloatArray, order: Order) -> FloatArray:
-    """The columns of `_filtered` with their free responses, from rest. b, a: (k,) with a[0] = 1. u, y: (m, n)."""
-    (na, nb, nk), n, first = order, u.shape[1], len(a) - 1
-    out, past, state = np.empty((len(u), n - first, 2 * na + nb + 1)), np.empty((3, n)), np.empty((4, first + 1))
-    u_f, x_f, y_f = past
-    for row in range(len(u)):
-        state[:] = 0.0
-        for t in range(n):  # x = (B/A) u, and 1/A of x, u and y: each as `identify.arx.filtered` has it
-            into, measured = u[row, t], y[row, t]
-            x, u_f[t], y_f[t] = b[0] * into + state[0, 0], into + state[1, 0], measured + state[2, 0]
-            x_f[t] = x + state[3, 0]
-            for k in range(1, first + 1):
-                state[0, k - 1] = b[k] * into - a[k] * x + state[0, k]
-                state[1, k - 1] = state[1, k] - a[k] * u_f[t]
-                state[2, k - 1] = state[2, k] - a[k] * y_f[t]
-                state[3, k - 1] = state[3, k] - a[k] * x_f[t]
-        for t in range(first, n):
-            to = out[row, t - first]
-            for lag in range(1, na + 1):
-                to[lag - 1], to[na + nb + lag - 1] = -x_f[t - lag], -y_f[t - lag]
-            for delay in range(nb):
-                to[na + delay] = u_f[t - nk - delay]
-            to[2 * na + nb] = y_f[t]
-    return out
 
 
 def _reduced(columns: FloatArray, na: int) -> FloatArray:

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from mavdiag.airframe.fingerprint import means_from
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import LEVEL_RATIO, shown_trim
 from mavdiag.errors import InputError
@@ -33,7 +32,7 @@ from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.grid import steps_of
 from mavdiag.rows.quality import LinkQuality, alike, learnt_quality
 from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
-from mavdiag.rows.windows import window_rows
+from mavdiag.rows.windows import means_from, window_rows
 from mavdiag.storage import Shelf, give_back
 from mavdiag.telemetry import FloatArray, IntArray, Log, Signal
 from mavdiag.units import NS_PER_S

@@ -6,6 +6,7 @@ to find its frames and whose they are, and to convert those of a vehicle.
 """
 
 import hashlib
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain, repeat
@@ -190,7 +191,8 @@ def _chosen(path: Path, content: TlogContent, vehicle: int | None, *, several: b
 
 
 def _summed(path: Path, update: Callable[[bytes], None]) -> Iterator[bytes]:
-    size = PIECE_BYTES if path.stat().st_size <= PIECE_BYTES else PIECE_BYTES // 2
+    with opened(path, TLOG_BYTES) as file:
+        size = PIECE_BYTES if os.fstat(file.fileno()).st_size <= PIECE_BYTES else PIECE_BYTES // 2
     for window in windows_of(path, size, TLOG_BYTES):
         update(window)
         yield window

@@ -335,7 +335,7 @@ class TrimMonitor(Monitor[Spec]):
         self.signals = trims.SIGNALS[spec.source] | ({Signal.SPECIFIC_FORCE} if spec.felt else set())
         own = slice(0, spec.layout.rotors)  # those that move a rotor
         self.takes = {Signal.ACTUATOR: own, Signal.SPECIFIC_FORCE: trims.ALONG_DISCS}
-        self.memory_s, self.unmixing = spec.window_s + TICK_S, spec.layout.unmixing
+        self.memory_s = spec.window_s + TICK_S
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[Spec, ...]:
@@ -445,7 +445,7 @@ class TrimMonitor(Monitor[Spec]):
         spec, layout, (parts, rows) = self.spec, self.spec.layout, _tick_shape(dt_s)
         window = max(1, round(spec.window_s / self.period_s(dt_s)))
         head = [spec.source == "torque", spec.felt, layout.rotors, parts, rows, dt_s, window]
-        gain, C = layout.torque_gain or (0.0, 0.0, 0.0), self.unmixing
+        gain, C = layout.torque_gain or (0.0, 0.0, 0.0), layout.unmixing
         learnt = [*spec.pull, *spec.turn, *np.square(spec.pull_sd), *spec.mean, *spec.spread, *gain]
         mem = np.zeros(SUMS + SUMMED * (parts + 2) + (FIGURES + 1) * parts + 2 * (MEANS + 1) * window)
         mem[SUMS : SUMS + 2 * SUMMED] = np.nan

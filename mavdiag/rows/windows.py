@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.telemetry import BoolArray, FloatArray
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 
 BETA = 4.0  # of the Kaiser window: 45 dB of stop band (our choice)
 
@@ -46,6 +46,14 @@ def window_mean(x: FloatArray, window: int) -> FloatArray:
     out += begins[:, :known]
     out /= window
     return out.T
+
+
+def means_from(values: FloatArray, starts: IntArray, window: int) -> FloatArray:
+    """Means over the windows that begin at some rows, (k, n) -> (k, starts); one with a NaN is NaN."""
+    if not len(starts):
+        return np.empty((len(values), 0))
+    windows = np.lib.stride_tricks.sliding_window_view(values, window, axis=1)
+    return np.asarray(windows[:, starts].mean(axis=2), dtype=np.float64)
 
 
 def window_all(flags: BoolArray, window: int) -> BoolArray:

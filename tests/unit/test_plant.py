@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+import re
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Literal
@@ -316,6 +317,17 @@ def edited(tmp_path: Path, old: str, new: str) -> Path:
     file = tmp_path / "edited.toml"
     file.write_text(SOURCE.replace(old, new), encoding="utf-8")
     return file
+
+
+@pytest.mark.parametrize(("name", "many"), [("qdrone2", 60), ("qdrone2-recorded", 50)])
+def test_every_number_in_the_file_has_its_source_beside_it(name: str, many: int) -> None:
+    """The thesis, a data sheet, an autopilot's own documentation, or plainly: estimate, fitted."""
+    text = (Path(vehicle_module.__file__).parent / f"{name}.toml").read_text(encoding="utf-8")
+    numbers = [line for line in text.splitlines() if re.match(r"\w+ = [^\"]*\d", line)]
+    assert len(numbers) > many
+    sources = "T Table|T Eq|T 3|data sheet|hover|ArduPilot:|PX4:|manufacturer|measured|inferred|estimate|fitted"
+    known = re.compile(rf"# .*({sources})")
+    assert [line for line in numbers if not known.search(line)] == []
 
 
 def test_mixer_is_the_inverse_of_the_mapping_and_the_one_of_the_thesis() -> None:

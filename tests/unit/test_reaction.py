@@ -23,8 +23,8 @@ from mavdiag.decision.words import held_advice, held_sentence
 from mavdiag.errors import UsageError
 from mavdiag.judging import MonitorSummary
 from mavdiag.link.codec import TEXT_BYTES, Decoder, Encoder
-from mavdiag.link.messages import MavCmd, MavResult, MessageId
-from mavdiag.link.vehicles import Ack, Received, mode_in, sticks_in
+from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
+from mavdiag.link.vehicles import Ack, Received, acks_in, mode_in, sticks_in
 from mavdiag.monitors import MONITORS, by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis, Instant
@@ -399,6 +399,17 @@ def test_what_is_held_and_what_to_do(held: Diagnosis, words: str, advice: str) -
     for said, wanted in ((held_sentence(held), words), (held_advice(held), advice)):
         assert re.search(wanted, said)
         assert bool(said) == bool(wanted)
+
+
+def test_answers_of_other_systems_and_to_others_do_not_count() -> None:
+    ours = (MavCmd.NAV_LAND, MavResult.ACCEPTED, 0, 0)
+    frames = []
+    for sender, target in [((2, 1), (2, 191)), ((1, 190), (1, 191)), ((1, 1), (255, 190)), ((1, 1), (7, 191))]:
+        frames += Decoder().feed(Encoder(*sender).encode(MessageId.COMMAND_ACK, *ours, *target), 0)
+    # The frames of another system never reach a vehicle's session, see `LinkDecoder.received`.
+    assert acks_in(frame for frame in frames if frame.sysid == 1) == ()
+    [right] = Decoder().feed(Encoder(1, 1).encode(MessageId.COMMAND_ACK, *ours, 1, Component.ONBOARD_COMPUTER), 0)
+    assert acks_in([right]) == (Ack(MavCmd.NAV_LAND, MavResult.ACCEPTED),)
 
 
 def test_the_run_length_is_told_of_the_thesis_monitor_only_and_what_is_not_finite_is_null() -> None:
