@@ -102,10 +102,11 @@ def due_turns(
     queues: defaultdict[Source, list[int]] = defaultdict(list)
     for sysid in sorted(judged, key=lambda sysid: judged[sysid].ns):
         queues[source_of(sysid)].append(sysid)
-    rounds, none_yet = zip_longest(*sorted(queues.values(), key=lambda queue: judged[queue[-1]].ns)), True
+    rounds = zip_longest(*sorted(queues.values(), key=lambda queue: judged[queue[-1]].ns))
+    time_left, none_yet = True, True
     for sysid in (sysid for each in rounds for sysid in each if sysid is not None):
-        waited_s = now - judged[sysid]
-        if has_time() or (none_yet and waited_s > MOST_S):
+        time_left, waited_s = time_left and has_time(), now - judged[sysid]  # asking takes time, too
+        if time_left or (none_yet and waited_s > MOST_S):
             none_yet = False
             yield sysid, waited_s
 

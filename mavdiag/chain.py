@@ -203,10 +203,11 @@ class Chain:
         state.decision = DecisionState(held)
         return state
 
-    def refusal(self, telemetry: Telemetry, least_s: float = 0.0) -> str | None:
+    def refusal(self, telemetry: Telemetry, least_s: float = 0.0, mean_s: float | None = None) -> str | None:
         """Why data do not suit the baseline; empty if they do, None if too few (below `least_s` of gyro) to tell.
 
         Streams may be irregular, or lose much: neither mean nor median of another rate is the baseline's.
+        mean_s: the period of their grid, where it is measured already.
         """
         series = telemetry.get(Signal.BODY_RATE)
         steps = steps_of(np.empty(0, dtype=np.int64) if series is None else series.t_ns) / NS_PER_S
@@ -214,7 +215,7 @@ class Chain:
         if len(steps) + 1 < LEAST_SAMPLES or float(np.sum(steps)) < least_s:
             return None
         found = ""
-        for dt_s in (measure_grid(telemetry)[0], float(np.median(steps))):
+        for dt_s in (measure_grid(telemetry)[0] if mean_s is None else mean_s, float(np.median(steps))):
             try:
                 check_link(self.baseline, profile=self.profile or self.baseline.link.profile, dt_s=dt_s)
                 return ""

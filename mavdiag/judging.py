@@ -156,7 +156,7 @@ def judge_in_full(
     except InputError as error:
         return refused(str(error))
     chain = chain_of(suited(baseline, log), log.started_ns, log.profile)
-    if refusal := chain.refusal(log.telemetry):
+    if refusal := chain.refusal(log.telemetry, mean_s=dt_s):
         return refused(refusal, 1 / dt_s)
     run = _Run(log, chain, judged_share, keep, show)
     alike = run.likeness.sentence(baseline.airframe.name)

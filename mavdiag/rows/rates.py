@@ -13,30 +13,29 @@ newest row is added. They are formed anew at fixed rows of a segment, so that wh
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.jit import cached_loop, jit
+from mavdiag.jit import cached, jit
 from mavdiag.rows.block import COMMANDED, GYRO, LEAN, RATE, SETPOINT, VALID, WHOLE, Block, Rows, U, Y
 from mavdiag.rows.savgol import coefficients
 from mavdiag.telemetry import FloatArray, IntArray
 
 ANEW = 4  # windows after which the moments are formed anew (our choice)
 SIGNALS = 6  # gyro p, q, r; set-point roll, pitch, yaw
-# Places in the memory: of each signal three moments, and for how many rows what is no number spoils it; rows so far,
-# rows in a line in which the gyro was valid, and in which the set-point was, too; then the last rows of each signal.
-SPOILT, ROWS, SOUND, WANTED, HISTORY = 18, 24, 25, 26, 27
+# Places in the memory: of each signal three moments, and for how many rows what is no number spoils it; the segment,
+# its rows so far, rows in a line in which the gyro was valid, and in which the set-point was, too; then the last rows
+# of each signal.
+SPOILT, SEGMENT, ROWS, SOUND, WANTED, HISTORY = 18, 24, 25, 26, 27, 28
 
 
-class RateState:
+class RateState(NamedTuple):
     """What the filters remember of a segment; changed in place. times: (window,) of the last rows [ns]."""
 
-    def __init__(self, window: int) -> None:
-        self.segment = -1
-        self.memory: FloatArray = np.zeros(HISTORY + SIGNALS * window)
-        self.times: IntArray = np.zeros(window, dtype=np.int64)
+    memory: FloatArray
+    times: IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,17 +58,13 @@ class RateSpec:
 
     def start(self) -> RateState:
         """A fresh state, before the first row."""
-        return RateState(self.window)
+        state = RateState(np.zeros(HISTORY + SIGNALS * self.window), np.zeros(self.window, dtype=np.int64))
+        state.memory[SEGMENT] = -1.0
+        return state
 
     def step(self, state: RateState, block: Block) -> Rows:
         """Take the next rows; they get the rates whose windows they complete."""
-        if block.segment != state.segment:
-            state.segment = block.segment
-            state.memory[:] = 0.0
-        known = min(len(block), max(0, len(block) + int(state.memory[ROWS]) - self.window + 1))
-        rates_ns, place = np.empty(known, dtype=np.int64), (block.whole, block.first)
-        _filter(state.memory, state.times, self.weights, block.t_ns, place, rates_ns)
-        return Rows(block, rates_ns)
+        return Rows(block, filtered(state, self.weights, block.segment, block.t_ns, (block.whole, block.first)))
 
 
 def body_rates(phi: Any, theta: Any, dphi: Any, dtheta: Any, dpsi: Any) -> tuple[Any, Any, Any]:
@@ -138,15 +133,10 @@ def _smooth(
     mem[3 * signal], mem[3 * signal + 1], mem[3 * signal + 2], mem[SPOILT + signal] = m0, m1, m2, spoilt
 
 
-@cached_loop
-def _filter(
-    mem: FloatArray, times: IntArray, weights: tuple[float, float, float], t_ns: IntArray, place: Any, made: IntArray
-) -> None:
-    """Put into x the rates of the windows that its columns complete, and into `made` their times.
-
-    place: x, and the first of the columns that belong to t_ns.
-    """
-    (x, begin), stop = place, place[1] + len(t_ns)
+@jit
+def _filter(s: RateState, weights: tuple[float, float, float], t_ns: IntArray, place: Any, made: IntArray) -> None:
+    """Put into x the rates of the windows that its columns complete, and into `made` their times."""
+    (mem, times), (x, begin), stop = s, place, place[1] + len(t_ns)
     window, first, none = len(times), len(t_ns) - len(made), x[U, :0]
     for axis in range(3):
         to = x[Y + axis, begin:stop], none, x[GYRO + axis, begin:stop]
@@ -169,3 +159,18 @@ def _filter(
         x[U, i], x[U + 1, i], x[U + 2, i] = _turned(x[WHOLE, i], x[COMMANDED, i], x[U, i], x[U + 1, i], x[U + 2, i])
         x[WHOLE, i], x[COMMANDED, i] = mem[SOUND] >= window, mem[WANTED] >= window
     mem[ROWS] += len(t_ns)
+
+
+@cached
+def filtered(s: RateState, weights: tuple[float, float, float], segment: int, t_ns: IntArray, place: Any) -> IntArray:
+    """Put into x the rates of the windows that the next rows of a segment complete; return their times [ns].
+
+    place: x, and the first of the columns that belong to t_ns.
+    """
+    if s.memory[SEGMENT] != segment:
+        s.memory[:] = 0.0
+        s.memory[SEGMENT] = segment
+    known = min(len(t_ns), max(0, len(t_ns) + int(s.memory[ROWS]) - len(s.times) + 1))
+    made = np.empty(known, dtype=np.int64)
+    _filter(s, weights, t_ns, place, made)
+    return made

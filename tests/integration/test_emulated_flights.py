@@ -167,7 +167,7 @@ from mavdiag import kernel
 from mavdiag.rows import align, gate, rates
 
 baseline = whole()
-kernels = [kernel.judge, align._take, align._rows, gate._follow, rates._filter]
+kernels = [kernel.judge, align._take, align._rows, gate._follow, rates.filtered]
 warm()
 chain = chain_of(baseline)
 state, telemetry = chain.start(), flying(3000, 7)
