@@ -78,10 +78,10 @@ def _last(values: Iterable[Value]) -> Value:
     return next((value for value in reversed(list(values)) if value is not None), None)
 
 
-def write_csv(path: Path, rows: Iterable[Row], columns: Iterable[str] = COLUMNS) -> None:
+def write_csv(path: Path, rows: Iterable[Row]) -> None:
     """Write rows with a head. What is not known is an empty field. Raises UsageError if it cannot be written."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(columns), extrasaction="ignore", lineterminator="\n")
+    writer = csv.DictWriter(text, list(COLUMNS), extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     write_atomically(path, text.getvalue().encode(errors="surrogateescape"))

@@ -14,7 +14,6 @@ from typer import Option
 
 from mavdiag.archive.figures import FlightRecord
 from mavdiag.archive.scan import Answer, Options, Question
-from mavdiag.archive.tables import write_csv
 from mavdiag.archive.together import reference_of
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say
@@ -36,7 +35,6 @@ FILE = "mavdiag-history.sqlite"
 Database: TypeAlias = Annotated[str, Option(metavar="FILE|URL", help="SQLite, or postgresql://user@host/name.")]
 Ordered: TypeAlias = Literal["named", "file-time"]
 AirframeName: TypeAlias = Annotated[str | None, Option("--airframe", metavar="NAME", help="Only this airframe.")]
-CsvFile: TypeAlias = Annotated[Path | None, Option("--csv", metavar="FILE", help="Write a table, too.")]
 
 app = application(
     "Keep the judged flights of airframes, draw their trends, warn before a threshold is reached.\n\n"
@@ -83,18 +81,13 @@ def add(
 
 
 @app.command("list")
-def list_flights(
-    airframe: AirframeName = None, database: Database = FILE, as_json: opt.AsJson = False, csv_file: CsvFile = None
-) -> None:
+def list_flights(airframe: AirframeName = None, database: Database = FILE, as_json: opt.AsJson = False) -> None:
     """List the flights that are kept, with the statistic that came nearest to its threshold."""
     with _open(database) as history:
         kept = [history.flights(name) for name in history.names(airframe)]
-    numbered = [(number, record) for flights in kept for number, record in enumerate(flights, 1)]
-    if csv_file is not None:
-        rows = (row for number, record in numbered for row in shown.flight_rows(number, record))
-        write_csv(csv_file, rows, shown.FLIGHT_COLUMNS)
-    for number, record in numbered:
-        say(json.dumps(shown.flight_json(number, record)) if as_json else _flight_line(number, record))
+    for flights in kept:
+        for number, record in enumerate(flights, 1):
+            say(json.dumps(shown.flight_json(number, record)) if as_json else _flight_line(number, record))
 
 
 @app.command()
@@ -102,7 +95,6 @@ def show(
     airframe: AirframeName = None,
     database: Database = FILE,
     as_json: opt.AsJson = False,
-    csv_file: CsvFile = None,
     html: Annotated[Path | None, Option(metavar="FILE", help="Write a page with the trends.")] = None,
 ) -> None:
     """Draw the trends since the propellers were new.
@@ -113,8 +105,6 @@ def show(
         names = history.names(airframe)
         known = history.references()
         found = [overview_of(name, history.flights(name), history.marks(name), known) for name in names]
-    if csv_file is not None:
-        write_csv(csv_file, (row for overview in found for row in shown.trend_rows(overview)), shown.TREND_COLUMNS)
     if html is not None:
         from mavdiag.report.page import history_page
 

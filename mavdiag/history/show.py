@@ -1,7 +1,6 @@
-"""What is shown of an airframe: sentences and drawings, JSON, and rows of CSV. Pure."""
+"""What is shown of an airframe: sentences and drawings, and JSON. Pure."""
 
 import math
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
@@ -13,14 +12,6 @@ from mavdiag.history.warn import WARNS, Outlook, Overview, Review
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
 
-FLIGHT_COLUMNS = (
-    *("airframe", "flight", "t_ns", "log", "content", "baseline", "verdict", "flight_judged_s"),
-    *("monitor", "axis", "unit", "threshold", "median", "peak", "judged_s"),
-)
-TREND_COLUMNS = (
-    *("airframe", "flights", "monitor", "axis", "unit", "threshold", "outlook", "level", "growth", "growth_error"),
-    *("remaining", "remaining_low", "remaining_high", "warned_at", "changes"),
-)
 LEVELS = "▁▂▃▄▅▆▇█"
 FAR = 1000  # flights: beyond it a number is no forecast
 
@@ -40,18 +31,6 @@ def flight_json(number: int, record: FlightRecord) -> dict[str, Any]:
     return found
 
 
-def flight_rows(number: int, record: FlightRecord) -> Iterator[dict[str, Any]]:
-    """A row for each monitor and axis, and for each rotor's trim; one with neither for a flight that has none."""
-    told = flight_json(number, record)
-    head = {name: told[name] for name in FLIGHT_COLUMNS[:7]} | {"flight_judged_s": told["judged_s"]}
-    of_rotor = {"unit": "fraction of hover"}
-    trims = [
-        of_rotor | {"monitor": f"trim of rotor {n}", "median": trim} for n, trim in enumerate(told["rotor_trim"], 1)
-    ]
-    for figures in [*told["monitors"], *trims] or [{}]:
-        yield head | figures
-
-
 def overview_json(overview: Overview) -> dict[str, Any]:
     """What is found of an airframe; levels and growth in shares of the threshold."""
     return {
@@ -64,14 +43,6 @@ def overview_json(overview: Overview) -> dict[str, Any]:
         "rotor_growth": plain(overview.rotor_growth, DIGITS),
         "together": overview.together and overview.together.as_json(),
     }
-
-
-def trend_rows(overview: Overview) -> Iterator[dict[str, Any]]:
-    """A row for each statistic of the present stretch."""
-    of_all = {"airframe": overview.airframe, "flights": len(overview.flights)}
-    for found in overview.found:
-        changes = " ".join(f"{change.number}:{change.step:+.3f}" for change in found.changes)
-        yield _trend_json(found) | of_all | {"changes": changes}
 
 
 def _trend_json(found: Review) -> dict[str, Any]:

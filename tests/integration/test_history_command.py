@@ -1,7 +1,5 @@
 """`mavdiag history` as a user meets it: on recordings of the emulator, and on a history of many flights."""
 
-import csv
-import io
 import json
 import os
 from collections.abc import Iterator
@@ -134,19 +132,12 @@ def test_logs_without_a_clock_follow_each_other_as_named_or_by_the_time_of_their
     assert order == {"named": [("c", 1)], "file-time": [("c", 1), ("b", 10), ("a", 30)]}
 
 
-def test_csv_has_a_row_for_each_monitor_and_each_trend(mavdiag: Any, wearing: Path, tmp_path: Path) -> None:
-    table = tmp_path / "table.csv"
-    code, out, _ = mavdiag("history", "list", "--airframe", "calm", "--csv", table, "--database", wearing)
-    rows = list(csv.DictReader(io.StringIO(table.read_text())))
-    assert (code, len(rows), len(out.splitlines())) == (0, 60 * 8, 60)
-    assert {row["monitor"] for row in rows} >= {"fsd", "unbalance", "trim of rotor 4"}
-    code, out, _ = mavdiag("history", "--csv", table, "--database", wearing)
-    rows = list(csv.DictReader(io.StringIO(table.read_text())))
-    assert code == 1
-    assert {(row["airframe"], row["outlook"]) for row in rows if row["monitor"] == "unbalance"} == {
-        ("calm", "steady"),
-        ("worn", "warning"),
-    }
+def test_the_list_as_json_has_each_monitor_and_each_rotor(mavdiag: Any, wearing: Path) -> None:
+    code, out, _ = mavdiag("history", "list", "--airframe", "calm", "--json", "--database", wearing)
+    flights = [json.loads(line) for line in out.splitlines()]
+    assert (code, [one["flight"] for one in flights]) == (0, list(range(1, 61)))
+    assert {monitor["monitor"] for monitor in flights[-1]["monitors"]} >= {"fsd", "unbalance"}
+    assert len(flights[-1]["rotor_trim"]) == 4
 
 
 def test_a_page_shows_the_trends_and_what_asks_for_attention_first(mavdiag: Any, wearing: Path) -> None:

@@ -50,7 +50,7 @@ REFUSED = [
     (f"{LEARN} --check --record .", "is a folder"),
     ("mavdiag-detector --check --learn 9 --save absent/b.json", "there is no folder absent"),
     ("mavdiag history", "no history there; make one with `mavdiag history add`"),
-    ("mavdiag history list --csv", "'--csv' requires an argument"),
+    ("mavdiag history list --airframe", "'--airframe' requires an argument"),
     ("mavdiag history --airframe x list", "unexpected extra argument"),
     ("mavdiag history mark --airframe x", "say what was done"),
     ("mavdiag history mark --airframe x --repair --at yesterday", "write it like 2026-03-01"),

@@ -53,7 +53,7 @@ from mavdiag.archive.tables import COLUMNS, rows_of, write_csv, write_parquet
 from mavdiag.archive.together import Reference, Taught, together
 from mavdiag.decision.alarm import Change
 from mavdiag.errors import InputError, UsageError
-from mavdiag.history.show import FLIGHT_COLUMNS, TREND_COLUMNS, flight_rows, lines_of, overview_json, trend_rows
+from mavdiag.history.show import lines_of, overview_json
 from mavdiag.history.store import VERSION, address_of, open_history
 from mavdiag.history.trend import MEMORY, Sessions, Trend, changes_of, sessions_of, trend_of
 from mavdiag.history.warn import (
@@ -544,8 +544,6 @@ def test_a_drawing_keeps_to_the_width_of_the_terminal(peaks: list[float | None],
     assert len(drawn) == sum(one.trend is not None for one in found.found)
     assert all(len(text) <= max(width, 5) for text in drawn)
     json.dumps(overview_json(found), allow_nan=False)
-    assert all(set(TREND_COLUMNS) <= set(row) for row in trend_rows(found))
-    assert all(set(row) <= set(FLIGHT_COLUMNS) for one in found.flights for row in flight_rows(1, one))
 
 
 @pytest.fixture(scope="module")

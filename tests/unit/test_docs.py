@@ -48,12 +48,12 @@ RUN = (
     "mavdiag history add flights/ --baseline drone1.json",
     "mavdiag history show --html trends.html",
     'mavdiag history mark --airframe "drone 1" --new-propellers',
-    'mavdiag history list --airframe "drone 1" --csv flights.csv',
+    'mavdiag history list --airframe "drone 1" --json',
     "sitl-plant serve-ardupilot --print-parameters ardupilot",
 )
 WRITTEN = (
     *("cracked.tlog", "my_drone.json", "report.html", "drone1.csv", "FILE", "propeller.lua"),
-    *("trends.html", "flights.csv", "mavdiag-history.sqlite"),
+    *("trends.html", "mavdiag-history.sqlite"),
 )
 MAKER = runpy.run_path(str(ROOT / "docs" / "make_constants.py"))
 
