@@ -1,13 +1,11 @@
 """`mavdiag identify`: healthy flights to a baseline; `mavdiag baseline show|check|extend`: what one says."""
 
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import typer
 from typer import Argument, Option
 
 from mavdiag.airframe.layout import LAYOUTS
@@ -60,7 +58,6 @@ def identify(
     to_s: opt.ToS = None,
     columns: opt.Columns = None,
     details: Annotated[bool, Option("--details", help="Tell all that it holds, as `mavdiag baseline show`.")] = False,
-    as_json: opt.AsJson = False,
 ) -> None:
     """Fit a baseline to healthy flights; say how good it is, what it would notice, and what would make it better."""
     check_output(output)
@@ -85,14 +82,12 @@ def identify(
     if not accept:
         accepted(baseline, "--accept")
     baseline.save(output)
-    if details and not as_json:
+    if details:
         return say(f"{baseline}\nwritten to {output}")
     if baseline.layout_doubt:
         say(baseline.layout_doubt, err=True)
-    if not as_json:
-        count, hours = len(baseline.provenance.logs), baseline.healthy_hours
-        return say(f"written to {output}, from {count} flights of {60 * hours:.1f} min in all\n{baseline.conclusion}")
-    return typer.echo(json.dumps(baseline.model_dump(mode="json", by_alias=True)))
+    count, hours = len(baseline.provenance.logs), baseline.healthy_hours
+    return say(f"written to {output}, from {count} flights of {60 * hours:.1f} min in all\n{baseline.conclusion}")
 
 
 def make_baseline(
@@ -135,10 +130,9 @@ File = Annotated[Path, Argument(help="Baseline made by `mavdiag identify`.")]
 
 
 @app.command()
-def show(file: File, as_json: opt.AsJson = False) -> None:
+def show(file: File) -> None:
     """Print what a baseline says: whose it is, its thresholds with what supports them, and what cannot be judged."""
-    baseline = Baseline.load(file)
-    say(json.dumps(baseline.model_dump(mode="json", by_alias=True)) if as_json else str(baseline))
+    say(str(Baseline.load(file)))
 
 
 @app.command()

@@ -116,8 +116,6 @@ def test_show_and_check(mavdiag: Any, baseline: Path, tmp_path: Path) -> None:
     assert "rotor_trim      threshold" in out
     assert "in a session of these flights; another may differ" in out
     assert "\nenvelope        yaw rate up to " in out
-    code, out, _ = mavdiag("baseline", "show", baseline, "--json")
-    assert json.loads(out) == json.loads(baseline.read_text())
     code, out, _ = mavdiag("baseline", "check", baseline)
     assert (code, out.startswith(f"{baseline}: sound, sha256:")) == (0, True)
     spoilt = tmp_path / "spoilt.json"
