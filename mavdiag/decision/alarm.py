@@ -19,7 +19,7 @@ recording give the same.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event, RotorSpan, Stage
 from mavdiag.decision.grading import FaultTypes, Gathered, assess
@@ -31,7 +31,6 @@ from mavdiag.kernel import (
     NAN,
     RATIO,
     READ,
-    READ_ROTORS,
     STALE_LOOKS,
     Alarm,
     Height,
@@ -39,7 +38,7 @@ from mavdiag.kernel import (
     Slot,
 )
 from mavdiag.monitors.base import FaultKind
-from mavdiag.telemetry import Axis, FloatArray
+from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
 
 # What the rest of the project takes from here; the values are those of `decision.diagnosis`.
@@ -88,19 +87,25 @@ class Episode:
 
     begun_ns: int
     gathered: Gathered
-    over: frozenset[tuple[str, Axis | None]] = frozenset()
+    over: frozenset[Slot] = frozenset()
     calm_ns: int | None = None
     ended_ns: int | None = None
     lead: float = 0.0
     graded: int = 0
 
 
+class Lead(NamedTuple):
+    """The evidence that leads: slot (None for none), ratio and value."""
+
+    slot: Slot | None = None
+    ratio: float = NAN
+    value: float = NAN
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DecisionState:
-    """What is held; since when all ratios are calm, one is raised or over, and one is over (None if not); the latest
-    episode of a fault.
-
-    lead: slot (None for none), ratio and value of the evidence that leads since it was decided; None for as decided.
+    """What is held, but for the evidence that leads (None: that of the diagnosis); since when all ratios are calm, one
+    is raised or over, and one is over (None if not); the latest episode of a fault.
     """
 
     decided: Diagnosis = NOTHING_SEEN
@@ -108,16 +113,27 @@ class DecisionState:
     raised_ns: int | None = None
     over_ns: int | None = None
     episode: Episode | None = None
-    lead: tuple[Slot | None, float, float] | None = None
+    lead: Lead | None = None
 
     @property
     def diagnosis(self) -> Diagnosis:
-        """What is held, with the evidence that leads now."""
-        return self.decided if self.lead is None else _shown(self.decided, *self.lead)
+        """What is held, with the evidence that leads."""
+        if self.lead is None:
+            return self.decided
+        slot, ratio, value = self.lead
+        if slot is None:
+            return replace(self.decided, monitor=None, axis=None, unit="", statistic=NAN, threshold=NAN)
+        (name, axis), threshold = slot.key, slot.threshold
+        evidence = max(value, ratio * threshold)
+        return replace(
+            self.decided, monitor=name, axis=axis, unit=slot.monitor.unit, statistic=evidence, threshold=threshold
+        )
 
-    def deciding(self, diagnosis: Diagnosis, episode: Episode | None = None) -> "DecisionState":
-        """The state with another diagnosis, and another episode if there is one."""
-        return DecisionState(diagnosis, self.calm_ns, self.raised_ns, self.over_ns, episode or self.episode)
+    def deciding(self, diagnosis: Diagnosis, lead: Lead | None, episode: Episode | None = None) -> "DecisionState":
+        """The state with another diagnosis and lead, and another episode if there is one."""
+        return DecisionState(
+            diagnosis, self.calm_ns, self.raised_ns, self.over_ns, episode or self.episode, lead or self.lead
+        )
 
 
 Step: TypeAlias = tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]
@@ -147,13 +163,11 @@ class DecisionSpec:
                 if last and state.decided.stage not in (Stage.FAULT, Stage.INSPECT):
                     slot = looked.leads[number]
                     known = looked.readings[number, slot, : READ + 1].tolist() if slot >= 0 else (NAN, NAN)
-                    lead = (self.slots[slot] if slot >= 0 else None, known[RATIO], known[READ])
-                    state = DecisionState(
-                        state.decided, state.calm_ns, state.raised_ns, state.over_ns, state.episode, lead
-                    )
+                    lead = Lead(self.slots[slot] if slot >= 0 else None, known[RATIO], known[READ])
+                    state = state.deciding(state.decided, lead)
                 continue
-            rows = enumerate(looked.readings[number].tolist())
-            fresh = [self._reading(slot, row) for slot, row in rows if t_ns / LOOK_NS - row[AT] <= STALE_LOOKS]
+            rows, oldest = zip(self.slots, looked.readings[number].tolist(), strict=True), t_ns / LOOK_NS - STALE_LOOKS
+            fresh = [Reading.of(slot, row) for slot, row in rows if row[AT] >= oldest]
             state, change = self._decide(state, fresh, t_ns)
             if state.decided.stage is Stage.FAULT:
                 state, graded = self._grade(state, looked.sums[number], t_ns)
@@ -198,15 +212,11 @@ class DecisionSpec:
             return LEFT_ALONE[Stage.INSPECT]  # like it, a fault that is not seen waits for a ratio above 1
         return LEFT_ALONE[held.stage]
 
-    def _reading(self, number: int, row: Sequence[float]) -> Reading:
-        slot = self.slots[number]
-        return Reading.of(slot, row[RATIO], row[READ], row[READ_ROTORS:])
-
     def _decide(self, state: DecisionState, fresh: list[Reading], t_ns: int) -> tuple[DecisionState, bool]:
         """Look the transition up, and see whether the rotor can be named; True if anything changed."""
-        held = state.diagnosis
+        held = state.decided
         if held.rotors:
-            fresh = [one._replace(ratio=0.0) if _falls(one, held) else one for one in fresh]
+            fresh = [one._replace(ratio=0.0) if one.rotors and _falls(one, held) else one for one in fresh]
         state, height = _height_now(state, fresh, t_ns)
         stage, reason = NEXT.get((held.stage, height), (held.stage, held.reason))
         changed, now = stage is not held.stage, held
@@ -214,26 +224,26 @@ class DecisionSpec:
             now = replace(held, stage=stage, reason=reason, since_ns=t_ns)
         if stage is not Stage.FAULT:
             now, news = _suspected_rotor(now, fresh, height)
-            return state.deciding(_leading(now, fresh)), changed or news
+            return state.deciding(now, _leading(now, fresh)), changed or news
         if height is Height.OVER and not held.seen:
             why = "the fault is seen again" if held.stage is stage else reason
             declared_ns = t_ns if held.declared_ns is None else held.declared_ns
             kind = held.kind if held.stage is Stage.FAULT else None  # of another flight
             now = Diagnosis(stage, why, now.since_ns, kind=kind, declared_ns=declared_ns, seen=True, rotors=held.rotors)
-            changed, state = True, replace(state, episode=Episode(t_ns, Gathered(t_ns)))
+            changed, state = True, replace(state, episode=Episode(t_ns, Gathered(t_ns)), lead=Lead())
         if state.episode is None or not now.seen:
-            return state.deciding(now), changed
+            return state, changed
         episode, after = self._episode(state.episode, now, fresh, t_ns)
         news = after.seen is not now.seen or after.kind is not now.kind or after.rotor != now.rotor
-        return state.deciding(after, episode), changed or news
+        return state.deciding(after, _leading(after, fresh), episode), changed or news
 
     def _episode(
         self, episode: Episode, now: Diagnosis, fresh: Sequence[Reading], t_ns: int
     ) -> tuple[Episode, Diagnosis]:
         """What is seen of a fault at a look: whether it still is, its kind, and its rotor."""
-        ratios = {reading.slot.key: reading.ratio for reading in fresh if reading.slot.decides}
-        over = episode.over | {key for key, ratio in ratios.items() if ratio > 1.0}
-        calm = all(ratios.get(key, 1.0) < CALM_BELOW for key in over)
+        ratios = {reading.slot: reading.ratio for reading in fresh if reading.slot.decides}
+        over = episode.over | {slot for slot, ratio in ratios.items() if ratio > 1.0}
+        calm = all(ratios.get(slot, 1.0) < CALM_BELOW for slot in over)
         calm_ns = (t_ns if episode.calm_ns is None else episode.calm_ns) if calm else None
         if (over, calm_ns) != (episode.over, episode.calm_ns):
             episode = replace(episode, over=over, calm_ns=calm_ns)
@@ -243,7 +253,6 @@ class DecisionSpec:
         kind = grown(now.kind, fresh, t_ns - episode.begun_ns)
         if kind is not now.kind:
             now = replace(now, kind=kind, reason=now.reason if now.kind is None else f"it is a {kind}")
-        now = _leading(now, fresh)
         if kind is FaultKind.SENSOR:
             before = _ended(tuple(span for span in now.rotors if span.since_ns < episode.begun_ns), t_ns)
             now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None, rotors=before)
@@ -253,13 +262,13 @@ class DecisionSpec:
             if place.rotor != now.rotor:
                 spans = _with_rotor(now, place.rotor, episode.begun_ns, t_ns)
                 reason = now.reason if t_ns == episode.begun_ns else "the rotor is named"
-                now = _leading(replace(now, rotor=place.rotor, reason=reason, rotors=spans), fresh)
+                now = replace(now, rotor=place.rotor, reason=reason, rotors=spans)
             now = replace(now, confidence=place.confidence)
         return episode, now
 
     def _grade(self, state: DecisionState, sums: FloatArray, t_ns: int) -> tuple[DecisionState, bool]:
         """Gather the features, and name type and severity at each of the fixed times after the declaration."""
-        episode, now = state.episode, state.diagnosis
+        episode, now = state.episode, state.decided
         if episode is None or episode.graded >= len(self.known) or now.kind is not FaultKind.PROPELLER:
             return state, False
         gathered, known = episode.gathered, self.known[episode.graded]
@@ -273,7 +282,7 @@ class DecisionSpec:
         after = replace(now, fault_type=found.fault_type, severity=found.severity)
         news = after != now
         after = replace(after, reason="the kind of fault is named") if news else after
-        return state.deciding(after, replace(episode, graded=episode.graded + 1)), news
+        return state.deciding(after, None, replace(episode, graded=episode.graded + 1)), news
 
 
 def height_of(ratio: float, slot: Slot) -> Height:
@@ -298,7 +307,7 @@ def landed(held: Diagnosis, t_ns: int) -> Diagnosis:
 def _falls(reading: Reading, held: Diagnosis) -> bool:
     """Whether the fall of a rotor's command that was named explains a trim better than the rise of any rotor."""
     a = reading.rotors
-    if reading.direct or not a or -min(a) < max(a):
+    if reading.direct or -min(a) < max(a):
         return False
     return reading.motor(a.index(min(a))) in [span.rotor for span in held.rotors]
 
@@ -338,7 +347,7 @@ def _since(state: DecisionState, height: Height | int, t_ns: int) -> DecisionSta
     raised, over = now_ns[1] if height >= Height.RAISED else None, now_ns[2] if height == Height.OVER else None
     if (calm, raised, over) == (state.calm_ns, state.raised_ns, state.over_ns):
         return state
-    return DecisionState(state.decided, calm, raised, over, state.episode, state.lead)
+    return replace(state, calm_ns=calm, raised_ns=raised, over_ns=over)
 
 
 def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tuple[DecisionState, Height]:
@@ -348,7 +357,7 @@ def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tu
     state = _since(state, height, t_ns)
     if state.calm_ns is not None and t_ns - state.calm_ns >= CLEAR_NS:
         return state, Height.SETTLED
-    if state.over_ns is not None and t_ns - state.over_ns < DOUBT_NS and not state.diagnosis.seen:
+    if state.over_ns is not None and t_ns - state.over_ns < DOUBT_NS and not state.decided.seen:
         kind = grown(None, fresh, 0)
         checked = any(one.slot.monitor.kind is FaultKind.SENSOR for one in fresh)  # without these nothing is waited for
         doubtful = checked and kind is FaultKind.PROPELLER and named(kind, fresh, False).rotor is None
@@ -359,25 +368,17 @@ def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tu
     return state, height
 
 
-def _leading(it: Diagnosis, fresh: Sequence[Reading]) -> Diagnosis:
-    """The diagnosis with the present evidence of the highest ratio; a fault keeps the latest that was above.
+def _leading(it: Diagnosis, fresh: Sequence[Reading]) -> Lead | None:
+    """The present evidence of the highest ratio; a fault keeps (None) the latest that was above.
 
     A trim that shows another rotor than the named one is no evidence of it.
     """
     if it.stage in (Stage.FAULT, Stage.INSPECT):
         fresh = [one for one in fresh if it.seen and one.ratio > 1.0 and one.slot.decides and _speaks(one, it)]
         if not fresh:
-            return it
-    ranks = [(height_of(one.ratio, one.slot), one.slot.decides, one.ratio) for one in fresh]
-    best = fresh[ranks.index(max(ranks))] if ranks else None
-    return _shown(it, best.slot, best.ratio, best.value) if best else _shown(it, None)
-
-
-def _shown(it: Diagnosis, slot: Slot | None, ratio: float = NAN, value: float = NAN) -> Diagnosis:
-    if slot is None:
-        return replace(it, monitor=None, axis=None, unit="", statistic=NAN, threshold=NAN)
-    (name, axis), evidence = slot.key, max(value, ratio * slot.threshold)
-    return replace(it, monitor=name, axis=axis, unit=slot.monitor.unit, statistic=evidence, threshold=slot.threshold)
+            return None
+    best = max(fresh, key=lambda one: (height_of(one.ratio, one.slot), one.slot.decides, one.ratio), default=None)
+    return Lead() if best is None else Lead(best.slot, best.ratio, best.value)
 
 
 def _speaks(reading: Reading, it: Diagnosis) -> bool:

@@ -16,16 +16,15 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from mavdiag.kernel import Slot
+from mavdiag.kernel import RATIO, READ, READ_ROTORS, Slot
 from mavdiag.monitors.base import FaultKind
 from mavdiag.units import NS_PER_S
 
 SENSOR_WITHIN_NS = 10 * NS_PER_S  # of a declaration (our choice: the slower half of the sensors' checks takes so long)
-DOUBTFUL_FROM = 0.85  # of a sensor monitor's threshold: what counts as not calm (our choice)
-UPSET_FROM = 0.5  # of the threshold of a loss (our choice)
+# Of the threshold of a monitor of that kind: from there on a rotor's evidence is doubtful (our choice).
+DOUBTFUL_FROM = {FaultKind.SENSOR: 0.85, FaultKind.LOSS_OF_CONTROL: 0.5, FaultKind.GROSS_LOSS: 0.5}
 NAME_AT = 0.9  # our choice; see the module's text
 SILENT_BELOW = 0.5  # of the threshold (our choice)
-LOSSES = (FaultKind.LOSS_OF_CONTROL, FaultKind.GROSS_LOSS)
 
 
 class Reading(NamedTuple):
@@ -38,13 +37,13 @@ class Reading(NamedTuple):
     rotors: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, slot: Slot, ratio: float, value: float, rotors: Sequence[float]) -> "Reading":
-        """From the evidence for each rotor, nothing if the slot has none."""
+    def of(cls, slot: Slot, row: Sequence[float]) -> "Reading":
+        """From `kernel.RATIO` and its fellows of a slot."""
         if not slot.monitor.rotors:
-            return cls(slot, ratio, value)
-        arms = slot.evidence.arms if slot.evidence else ()
+            return cls(slot, row[RATIO], row[READ])
+        arms, rotors = slot.evidence.arms if slot.evidence else (), row[READ_ROTORS:]
         by_arm = (max(rotors[rotor - 1] for rotor in arm.members) for arm in arms)
-        return cls(slot, ratio, value, tuple(by_arm) if arms else tuple(rotors))
+        return cls(slot, row[RATIO], row[READ], tuple(by_arm) if arms else tuple(rotors))
 
     def motor(self, place: int) -> int:
         """The rotor, or the arm, whose evidence stands there."""
@@ -63,10 +62,6 @@ class Reading(NamedTuple):
         """It observes a damaged rotor itself, or tells nothing of rotors."""
         return self.slot.evidence is None or self.slot.evidence.direct
 
-    def at_least(self, share: float, *kinds: FaultKind) -> bool:
-        """Whether a monitor of one of these kinds is at such a share of its threshold."""
-        return self.slot.monitor.kind in kinds and self.ratio >= share
-
 
 class Isolation(NamedTuple):
     """Which rotor it is.
@@ -84,15 +79,13 @@ class Isolation(NamedTuple):
 def isolate(readings: Sequence[Reading]) -> Isolation:
     """Put the evidence together. Evidence on fewer rotors than the most is of another layout, and does not count."""
     most = max((len(reading.rotors) for reading in readings), default=0)
-    observed = any(
-        one.ratio > 1 and one.direct and one.unit > 0 and _sure(one.unit, one.rotors) >= NAME_AT for one in readings
-    )
+    worth = [(reading, reading.unit) for reading in readings]
+    observed = any(one.ratio > 1 and one.direct and unit and _sure(unit, one.rotors) >= NAME_AT for one, unit in worth)
     logits = [0.0] * most
-    for reading in readings:
+    for reading, unit in worth:
         gate = min(max((reading.ratio - SILENT_BELOW) / (1.0 - SILENT_BELOW), 0.0), 1.0)
-        unit = reading.unit * gate if len(reading.rotors) == most and (reading.direct or not observed) else 0.0
-        if unit:
-            logits = [a + unit * b for a, b in zip(logits, reading.rotors, strict=True)]
+        if unit * gate and len(reading.rotors) == most and (reading.direct or not observed):
+            logits = [a + unit * gate * b for a, b in zip(logits, reading.rotors, strict=True)]
     if not any(logits):
         return Isolation()
     first, second = sorted(logits, reverse=True)[:2] if most > 1 else (logits[0], logits[0])
@@ -117,9 +110,7 @@ def grown(kind: FaultKind | None, readings: Sequence[Reading], lasted_ns: int) -
 def named(kind: FaultKind, readings: Sequence[Reading], has_name: bool) -> Isolation:
     """Which rotor the evidence of this moment names, if any may be named. has_name: a rotor was named before."""
     lost = kind is FaultKind.GROSS_LOSS and not has_name
-    doubtful = any(
-        one.at_least(DOUBTFUL_FROM, FaultKind.SENSOR) or one.at_least(UPSET_FROM, *LOSSES) for one in readings
-    )
+    doubtful = any(one.ratio >= DOUBTFUL_FROM.get(one.slot.monitor.kind, math.inf) for one in readings)
     if not lost and (kind is not FaultKind.PROPELLER or doubtful):
         return Isolation()
     return isolate([one for one in readings if one.slot.monitor.kind is kind and one.slot.evidence is not None])

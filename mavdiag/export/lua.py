@@ -15,6 +15,7 @@ from mavdiag.baseline import Baseline, MonitorEntry, Window
 from mavdiag.decision import alarm, kinds
 from mavdiag.errors import UsageError
 from mavdiag.monitors import monitor_of, rotor_trim, thrust_loss
+from mavdiag.monitors.base import FaultKind
 from mavdiag.printable import printable
 from mavdiag.rows import gate as gates
 from mavdiag.rows.grid import Grid
@@ -67,6 +68,7 @@ def applet(baseline: Baseline, table_key: int = TABLE_KEY) -> str:
     made = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=literal)
     template = made.get_template("propeller.lua")
     spans_ms = alarm.CLEAR_NS // NS_PER_MS, kernel.STALE_LOOKS * kernel.LOOK_NS // NS_PER_MS
+    upset_from = kinds.DOUBTFUL_FROM[FaultKind.GROSS_LOSS]
     return template.render(
         version=f"mavdiag {__version__}",
         baseline=baseline,
@@ -83,7 +85,7 @@ def applet(baseline: Baseline, table_key: int = TABLE_KEY) -> str:
         turning=rotor_trim.TURN_TRIM,
         gravity=G,
         infinity=math.inf,
-        decision=(kernel.CALM_BELOW, *spans_ms, kinds.NAME_AT, kinds.UPSET_FROM, kinds.SILENT_BELOW),
+        decision=(kernel.CALM_BELOW, *spans_ms, kinds.NAME_AT, upset_from, kinds.SILENT_BELOW),
         quiet=(gates.QUIET_RAD_S, *(round(span_s * 1000) for span_s in spans_s)),
     )
 

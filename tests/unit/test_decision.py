@@ -418,7 +418,7 @@ def test_rotors_of_an_arm_are_one_place() -> None:
         made_slot("any", 0.5, evidence=arms),
         RotorTrimSpec(layout=layout_named("x"), source="actuator", spread=(1.0, 1.0, 1.0)),
     )
-    together = Reading.of(replace(slot, monitor=RotorTrim(trim)), 2.0, 0.9, both)
+    together = Reading.of(replace(slot, monitor=RotorTrim(trim)), (2.0, 0.9, 0.0, *both))
     assert together.rotors == (0.9, 0.1)
     assert isolate([apart]).rotor is None
     named = isolate([together]).rotor
