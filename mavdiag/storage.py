@@ -133,9 +133,10 @@ class Shelf:
             self._file = None
 
     def put(self, arrays: Sequence[NDArray[Any]]) -> Callable[[], Arrays]:
-        """Keep these arrays. What is returned gives them, read-only, as often as it is called while the shelf is open.
+        """Keep these arrays. What is returned gives them as often as it is called while the shelf is open.
 
-        An array whose rows are all alike takes the place of one. Raises UsageError if the disk is full.
+        What is written to those that come from the file, this call alone has. An array whose rows are all alike takes
+        the place of one. Raises UsageError if the disk is full.
         """
         size = sum(one.nbytes for one in arrays)
         if size <= self._left:
@@ -164,7 +165,7 @@ class Shelf:
         end, begin = self._end, places[0][0] // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
 
         def get() -> Arrays:
-            mapped = mmap.mmap(file.fileno(), end - begin, access=mmap.ACCESS_READ, offset=begin)
+            mapped = mmap.mmap(file.fileno(), end - begin, access=mmap.ACCESS_COPY, offset=begin)
             return tuple(np.ndarray(shape, dtype, mapped, at - begin, strides) for at, dtype, shape, strides in places)
 
         return get
