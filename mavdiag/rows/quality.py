@@ -624,7 +624,7 @@ def _moved(signal: Signal, parts: Sequence[Series]) -> Habit:
     found = []
     for one in parts:
         seconds = np.zeros((min(len(one), int(one.t_ns[-1] - one.t_ns[0]) // NS_PER_S + 1), 2 + 3 * columns))
-        values = np.ascontiguousarray(one.values, dtype=np.float64)
+        values = np.ascontiguousarray(one.values.T, dtype=np.float64)
         found.append(seconds[: _by_second(one.t_ns, values, signal in ANGLES, period_ns, seconds)])
     steps, pauses, *figures = np.concatenate(found).T
     plain, bent, squares = np.split(np.array(figures), 3)
@@ -645,23 +645,23 @@ def _moved(signal: Signal, parts: Sequence[Series]) -> Habit:
 
 @cached_loop
 def _by_second(t_ns: IntArray, values: FloatArray, angle: bool, period_ns: float, seconds: FloatArray) -> int:
-    """Sum up each second of a signal that has steps; returns how many there are.
+    """Sum up each second of a signal, (columns, n), that has steps; returns how many there are.
 
     seconds: (.., 2 + 3 columns) the steps, the longest [ns]; of each column the greatest departure from the value
     before and from where the two before lead, for the time, and the sum of squares of the former.
     """
-    row, columns, number = -1, values.shape[1], -1
+    row, columns, until_ns = -1, len(values), t_ns[0]
     for i in range(1, len(t_ns)):
-        if (t_ns[i] - t_ns[0]) // NS_PER_S != number:
-            row, number = row + 1, (t_ns[i] - t_ns[0]) // NS_PER_S
+        if t_ns[i] >= until_ns:
+            row, until_ns = row + 1, t_ns[i] + NS_PER_S - (t_ns[i] - t_ns[0]) % NS_PER_S
         second, span_ns = seconds[row], t_ns[i] - t_ns[i - 1]
         n = max(span_ns / period_ns, 1.0)
         second[0] += 1.0
         second[1] = max(second[1], span_ns)
         for column in range(columns):
-            step, before = values[i, column] - values[i - 1, column], np.nan
+            step, before = values[column, i] - values[column, i - 1], np.nan
             if i > 1:
-                before = values[i - 1, column] - values[i - 2, column]
+                before = values[column, i - 1] - values[column, i - 2]
             if angle:
                 step, before = step - TURN * np.round(step / TURN), before - TURN * np.round(before / TURN)
             bend = step - before / (t_ns[i - 1] - t_ns[i - 2]) * span_ns if i > 1 else np.nan
