@@ -27,6 +27,7 @@ TEXT_BYTES = 8 << 20  # baselines have some hundred kilobytes (our choice)
 SHELF_BYTES = 8 << 20  # of arrays that a shelf keeps in memory before it opens its file (our choice)
 COLUMN_BYTES = 8 << 20  # of a column that comes piece by piece, until it goes into a file (our choice)
 COLLECT_AT = 20_000  # containers more than before; a tick of a full link makes some thousands (our choice; Python: 700)
+KEPT = 8  # our choice: fewer are given back and faulted in again for each flight, and the most memory is the same
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
 ALIGN_BYTES = 8  # of an array in a file: that of its numbers
 WRITE_BYTES = 1 << 20  # that are written at a time: many together take three times as long (our choice)
@@ -132,9 +133,10 @@ class Shelf:
             self._file = None
 
     def put(self, arrays: Sequence[NDArray[Any]]) -> Callable[[], Arrays]:
-        """Keep these arrays. What is returned gives them, read-only, as often as it is called while the shelf is open.
+        """Keep these arrays. What is returned gives them as often as it is called while the shelf is open.
 
-        An array whose rows are all alike takes the place of one. Raises UsageError if the disk is full.
+        What is written to those that come from the file, this call alone has. An array whose rows are all alike takes
+        the place of one. Raises UsageError if the disk is full.
         """
         size = sum(one.nbytes for one in arrays)
         if size <= self._left:
@@ -163,7 +165,7 @@ class Shelf:
         end, begin = self._end, places[0][0] // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
 
         def get() -> Arrays:
-            mapped = mmap.mmap(file.fileno(), end - begin, access=mmap.ACCESS_READ, offset=begin)
+            mapped = mmap.mmap(file.fileno(), end - begin, access=mmap.ACCESS_COPY, offset=begin)
             return tuple(np.ndarray(shape, dtype, mapped, at - begin, strides) for at, dtype, shape, strides in places)
 
         return get
@@ -223,11 +225,11 @@ def give_back() -> None:
 
 
 def keep_freed(size: int) -> None:
-    """Have the C library (glibc) keep what is freed for what is made next: two arrays of up to this size [bytes]."""
+    """Have the C library (glibc) keep what is freed for what is made next: `KEPT` arrays of up to this size [bytes]."""
     set_option = getattr(ctypes.CDLL(None), "mallopt", None)
     if set_option is not None:
         set_option(MMAP_THRESHOLD, size)
-        set_option(TRIM_THRESHOLD, 2 * size)
+        set_option(TRIM_THRESHOLD, KEPT * size)
 
 
 @contextmanager

@@ -145,25 +145,25 @@ def _by_length(segments: Sequence[Segment]) -> list[Segment]:
 
 
 def _filtered(group: Segment, order: Order, theta: FloatArray) -> FloatArray:
-    """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f] of a group, (m, rows, c), their free responses taken out."""
+    """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f] of a group, (c, m, rows), their free responses taken out."""
     (na, nb, nk), first, n = order, reach(order), len(group)
     A, B = (np.pad(one, (0, first + 1 - len(one))) for one in polynomials(theta, order))
     one, at_rest = np.eye(1, first + 1)[0], np.zeros(first + 1)
-    x = filtered(B, A, group.u, at_rest)
-    u_f, x_f, y_f, free = (filtered(one, A, signal, at_rest) for signal in (group.u, x, group.y, np.eye(na, n - first)))
+    u_f, y_f, free = (filtered(one, A, signal, at_rest) for signal in (group.u, group.y, np.eye(na, n - first)))
+    x_f = filtered(B, A, u_f, at_rest)
     lags, delays = range(1, na + 1), range(nk, nk + nb)
     lagged = [*((-x_f, lag) for lag in lags), *((u_f, lag) for lag in delays), *((-y_f, lag) for lag in lags), (y_f, 0)]
-    columns = np.stack([signal[:, first - lag : n - lag] for signal, lag in lagged], axis=2)
+    columns = np.stack([signal[:, first - lag : n - lag] for signal, lag in lagged])
     lasts = 1 + int(np.flatnonzero(~(np.abs(free).max(axis=0) <= EPSILON**2))[-1])  # then it is less than any rounding
     Q, _ = np.linalg.qr(free[:, :lasts].T)
-    columns[:, :lasts] -= Q @ (Q.T @ columns[:, :lasts])
+    columns[..., :lasts] -= columns[..., :lasts] @ Q @ Q.T
     return columns
 
 
 def _reduced(columns: FloatArray, na: int) -> FloatArray:
     """R of the columns [Z_f Phi_f y_f]."""
-    c = columns.shape[2]
-    R, d = triangle(columns.reshape(-1, c)), c - na - 1
+    c = len(columns)
+    R, d = triangle(columns.reshape(c, -1).T), c - na - 1
     return R[:, [*range(d), *range(d, d + na), *range(na, d), c - 1]]
 
 
@@ -177,14 +177,14 @@ def _coloured(data: Sequence[Segment], order: Order, point: _Point) -> FloatArra
     r_e, instruments = np.zeros(lags), []
     for group in data:
         columns = _filtered(group, order, point.theta)
-        e = columns[..., -1] - np.concatenate((columns[..., d : d + na], columns[..., na:d]), axis=2) @ point.theta
+        e = columns[-1] - np.tensordot(point.theta, np.concatenate((columns[d : d + na], columns[na:d])), 1)
         size = 1 << (e.shape[1] + lags).bit_length()  # circular products of this length are those of zeros around
         products = np.fft.irfft(np.square(np.abs(np.fft.rfft(e, size))).sum(axis=0), size)[: min(lags, e.shape[1])]
         r_e[: len(products)] += products / point.rows
-        instruments.append((columns[..., :d], size))
+        instruments.append((columns[:d], size))
     weights, S = r_e * (1.0 - np.arange(lags) / lags), np.zeros((d, d))
     for Z, size in instruments:
         both_sides = np.concatenate((weights, np.zeros(size + 1 - 2 * lags), weights[:0:-1]))
-        smooth = np.fft.rfft(Z, size, axis=1) * np.fft.rfft(both_sides)[:, None]
-        S += np.tensordot(Z, np.fft.irfft(smooth, size, axis=1)[:, : Z.shape[1]], ((0, 1), (0, 1)))
+        smooth = np.fft.rfft(Z, size) * np.fft.rfft(both_sides)
+        S += np.tensordot(Z, np.fft.irfft(smooth, size)[..., : Z.shape[2]], ((1, 2), (1, 2)))
     return np.asarray(point.inverse @ (0.5 * (S + S.T)) @ point.inverse, dtype=np.float64)

@@ -16,6 +16,7 @@ from mavdiag.baseline import SESSION_GAP_NS
 from mavdiag.errors import InputError
 from mavdiag.link.samples import joined
 from mavdiag.logs import gate_for
+from mavdiag.monitors.base import ROOM
 from mavdiag.rows.align import USED, AlignSpec, Grid, measure_grid
 from mavdiag.rows.block import Block, in_rotor_order, with_outputs
 from mavdiag.rows.front import Front, Rows, in_pieces
@@ -143,7 +144,9 @@ def airborne(
         block = rows.block
         if outputs is not None:
             block = with_outputs(block, block.actuator.T[:outputs], block.rotor_speed.T[:outputs])
-        get = shelf.put([block.t_ns, block.x.T, rows.rates_ns])
+        x = np.empty((len(block.x), ROOM + len(block)))
+        x[:, :ROOM], x[:, ROOM:] = np.nan, block.x
+        get = shelf.put([block.t_ns, x.T, rows.rates_ns])
         makers.append(partial(_rows, block.segment, block.dt_s, block.outputs, get))
     judged_s = judged * front.align.dt_s
     if judged_s < MIN_FLIGHT_S:
@@ -166,7 +169,7 @@ def outputs_in_use(flights: Sequence[HeldLog]) -> int:
 
 def _rows(segment: int, dt_s: float, outputs: int, get: Callable[[], Arrays]) -> Rows:
     t_ns, columns, rates_ns = get()
-    return Rows(Block(segment, dt_s, t_ns, columns.T, outputs), rates_ns)
+    return Rows(Block(segment, dt_s, t_ns, columns.T, outputs, first=ROOM), rates_ns)
 
 
 def _in_order(outputs: tuple[int, ...], make: Callable[[], Rows]) -> Rows:

@@ -30,7 +30,7 @@ from mavdiag.learning.flights import (
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.grid import steps_of
-from mavdiag.rows.quality import LinkQuality, alike, learnt_quality
+from mavdiag.rows.quality import LinkQuality, adds_nothing, learnt_quality
 from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
 from mavdiag.rows.windows import means_from, window_rows
 from mavdiag.storage import Shelf, give_back
@@ -385,9 +385,9 @@ def taught(
             flights = [one for log in kept for one in same.get(id(log)) or flown([log])]
     if not flights:
         raise InputError(f"no healthy flight remains to learn from ({'; '.join(left_out)}); record others")
-    before, front = front, replace(front, align=replace(front.align, quality=_quality_of(flights)))
+    front = replace(front, align=replace(front.align, quality=_quality_of(flights)))
     for i, flight in enumerate(flights):  # made anew only where that makes a difference
-        if not alike(before.align.quality, front.align.quality, flight.held.pieces()):
+        if not adds_nothing(front.align.quality, flight.held.pieces()):
             flights[i] = airborne(front, flight.held, shelf, outputs)
     give_back()
     return Taught(front, tuple(flights), tuple(left_out))

@@ -26,6 +26,7 @@ from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, FloatArray, Signal
 from mavdiag.thresholds.rule import Prior, prior_of
 
+ROOM = 256  # columns in front of rows that are put aside: more than any monitor looks back at 1 kHz (our choice)
 Spec = TypeVar("Spec")
 Flights: TypeAlias = Sequence[Sequence[Rows]]
 """Flights as monitors are fitted to them: for each flight its rows of flying, in order."""
@@ -251,13 +252,14 @@ def walk(
 ) -> Iterator[Iterator[tuple[Statistic, FloatArray]]]:
     """Of each piece of a flight what each monitor judges (`Monitor.judge`), from a fresh state at every segment.
 
-    One monitor's answer is made as it is taken, so that few of them and one piece of rows are in memory.
+    One monitor's answer is made as it is taken, so that few of them and one piece of rows are in memory. Rows with so
+    much room in front stay where they are.
     """
     begun, past = list[Begin](), no_past(0)
     for begins, rows in parted(flight):
         if begins:
             begun = [monitor.begin(rows.block.dt_s) for monitor in monitors]
-            past = no_past(max((one.back for one in begun), default=0))
+            past = no_past(max([ROOM, *(one.back for one in begun)]))
         columns = columns_of(rows, past)
         past = columns.past
         yield _judged(monitors, begun, rows, columns, more)

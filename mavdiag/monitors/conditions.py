@@ -13,7 +13,7 @@ import numpy as np
 
 import mavdiag.rows.block as col
 from mavdiag.jit import cached, jit
-from mavdiag.monitors.base import parted
+from mavdiag.monitors.base import ROOM, parted
 from mavdiag.rows.conditions import BIN_S, Condition
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, IntArray
@@ -140,8 +140,10 @@ def take_rows(
 
 
 @cached
-def _measured(mem: FloatArray, x: FloatArray, known: int, times: Any, end_ns: IntArray, values: FloatArray) -> int:
-    return take_rows(mem, x, 0, known, times, end_ns, values, 0)
+def _measured(
+    mem: FloatArray, x: FloatArray, first: int, known: int, times: Any, end_ns: IntArray, values: FloatArray
+) -> int:
+    return take_rows(mem, x, first, known, times, end_ns, values, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,10 +164,10 @@ def measure(flight: Sequence[Rows]) -> Iterator[Conditions]:
     mem = conditions_memory()
     for begins, rows in parted(flight):
         mem = conditions_memory() if begins else mem
-        columns, most = col.columns_of(rows, col.no_past(0)), most_bins(rows.rates_ns)
+        columns, most = col.columns_of(rows, col.no_past(ROOM)), most_bins(rows.rates_ns)
         end_ns, values = np.empty(most, dtype=np.int64), np.empty((most, COUNT))
-        times = rows.block.t_ns.copy(), rows.rates_ns.copy()  # what is mapped from a file cannot be written
-        count = _measured(mem, columns.x, columns.known, times, end_ns, values)
+        times = rows.block.t_ns, rows.rates_ns
+        count = _measured(mem, columns.x, columns.first, columns.known, times, end_ns, values)
         yield Conditions(end_ns[:count], values[:count])
         del rows, columns
 

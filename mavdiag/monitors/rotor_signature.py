@@ -327,9 +327,8 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
         if not pieces:
             raise IdentificationError(f"no unbroken {MIN_PIECE_S:g} s of flight to identify from; fly longer")
         roll, pitch = (_rate(pieces, axis, period_s, context) for axis in (0, 1))
-        motion = HealthyMotion(
-            dt_s=dt_s, stride=stride, window=context.window, roll=roll, pitch=pitch, heave=_heave(pieces, period_s)
-        )
+        heave = _heave(pieces, period_s, context)
+        motion = HealthyMotion(dt_s=dt_s, stride=stride, window=context.window, roll=roll, pitch=pitch, heave=heave)
         return (RotorSignatureSpec(layout=layout, motion=_with_variances(motion, samples)),)
 
     def period_s(self, dt_s: float) -> float:
@@ -451,13 +450,14 @@ def _rate(pieces: Sequence[FloatArray], axis: int, period_s: float, context: Lea
     raise IdentificationError(f"{('roll', 'pitch')[axis]}: {reason}")
 
 
-def _heave(pieces: Sequence[FloatArray], period_s: float) -> ModelRecord:
+def _heave(pieces: Sequence[FloatArray], period_s: float, context: LearnContext) -> ModelRecord:
     """Vertical acceleration on thrust, both less their 1 s mean; nothing where thrust is unknown or not moved."""
     alpha = forgetting(DRIFT_S, period_s)
     heaves = [piece[:, 4:6] for piece in pieces if np.isfinite(piece[:, 4:6]).all()]
     moved = [heave - smoothed(heave, alpha, heave[0]) for heave in heaves]
     y, u = ([one[:, column] for one in moved] for column in (0, 1))
     try:
-        return ModelRecord.of(identify(u, y, HEAVE_ORDER, dt=period_s, method=Method.LS))
+        found = identify(u, y, HEAVE_ORDER, dt=period_s, method=Method.LS, figures=context.figures)
+        return ModelRecord.of(found)
     except IdentificationError:
         return ModelRecord(a=(1.0, 0.0), b=(0.0,), dt_s=period_s, order=(1, 1, 0), method=Method.LS)

@@ -18,10 +18,10 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import ArxModel, fit
 from mavdiag.identify.arx import ModelRecord
 from mavdiag.jit import cached, jit
-from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, parted
+from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, parted, walk
 from mavdiag.monitors.fitting import cut_to_share, of_each
 from mavdiag.monitors.spec import Delay, Positive, spec
-from mavdiag.rows.block import COMMANDED, GYRO, LEVEL, RESIDUAL, SOUND, TRACE, VALUE, Floats, Ints, U, Y
+from mavdiag.rows.block import COMMANDED, LEVEL, RESIDUAL, SOUND, VALUE, Floats, Ints, U, Y
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import spans
@@ -29,7 +29,6 @@ from mavdiag.telemetry import Axis, FloatArray, Signal
 
 TRAIN_ROWS = 60_000  # one minute at 1 kHz: beyond it a model's standard errors no longer matter (our choice)
 SETTLE_S = 1.0  # of each stretch that does not count in the figures of fit: it may begin in motion (our choice)
-NO_ROTORS = np.empty((0, 0))
 MIN_PIECE_S = 2.0  # shorter valid stretches do not train a model (our choice)
 # Places in the parameters, where the coefficients of B and A follow; and in the memory, where those of the model do.
 DT, MARGIN, AXIS, ORDER, TAPS = range(5)
@@ -180,16 +179,10 @@ class RunLength(Monitor[RunLengthSpec]):
 def _margins(specs: Sequence[RunLengthSpec], flights: Flights) -> list[float]:
     """Margin [rad/s] of each axis over all judged rows of all flights, whose rates are looked at once; the percentile
     is Hazen's, which MATLAB's prctile uses. Raises InputError if there are no such rows."""
-    levels, begun = [[np.empty(0)] for _ in specs], list[Begin]()
-    for begins, rows in (pair for flight in flights for pair in parted(flight)):
-        rates, n = rows.rates, len(rows.rates)
-        begun = [RunLength(spec).begin(rates.dt_s) for spec in specs] if begins else begun
-        x, out = np.empty((GYRO, n)), np.empty((TRACE, n))
-        for row in (COMMANDED, *(first + one.axis.column for first in (U, Y) for one in specs)):
-            x[row] = rates.x[row]
-        for found, one in zip(levels, begun, strict=True):
-            RunLength.run(one.par, one.mem, x, 0, 0, out, NO_ROTORS, np.empty(n, dtype=np.int64))
-            found.append(np.abs(out[RESIDUAL, out[SOUND] > 0.5]))
+    levels, monitors = [[np.empty(0)] for _ in specs], list(map(RunLength, specs))
+    for judged in (piece for flight in flights for piece in walk(monitors, flight)):
+        for found, (statistic, out) in zip(levels, judged, strict=True):
+            found.append(np.abs(out[RESIDUAL, statistic.valid]))
     if sum(map(len, levels[0])) == 0:
         raise InputError("the healthy flights have no judged rows: are they long enough and airborne?")
     most = specs[0].margin_rule is MarginRule.MAXIMUM

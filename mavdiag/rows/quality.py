@@ -385,6 +385,28 @@ def _measure(s: Samples, first: int, stop: int) -> float:
     return coarsest if counts[COUNT] > RESOLUTION_SAMPLES and math.isfinite(coarsest) else 0.0
 
 
+@jit
+def _watch(s: Samples, first: int, stop: int, seen: FloatArray, runs: IntArray) -> float:
+    """`_measure`, with what it counts after each sample put into `seen` and `runs` (`look_at`) where they are given."""
+    columns, jitter, before_ns = s.columns, s.mem[JITTER], s.counts[CAME_NS]
+    traced, knows = runs[s.counts[TRACED] :], s.counts[COUNT] > 0
+    for column in range(columns if len(seen) else 0):
+        came, run, longest = s.mem[COLUMN + 2 * columns + column], s.counts[RUNS + 1 + column], 0
+        quiet, row = s.rule[LEAP + 2 * columns + column], s.v[column, s.at :]
+        for i in range(first, stop):
+            run, came = run + 1 if knows and not abs(row[i] - came) > quiet else 0, row[i]
+            longest, traced[i - first] = max(longest, run), run if column == 0 else min(traced[i - first], run)
+        seen[1 + column] = max(seen[1 + column], longest)
+    for i in range(first, stop if len(seen) else first):
+        jitter, before_ns = _scatter(s, jitter, s.t_ns[i] - before_ns), s.t_ns[i]
+        seen[0], seen[1 + columns] = max(seen[0], traced[i - first]), max(seen[1 + columns], jitter)
+    finest = _measure(s, first, stop)
+    if len(seen):
+        seen[2 + columns] = finest
+        s.counts[TRACED] += stop - first
+    return finest
+
+
 @inline
 def _use(s: Samples, i: int, finest: float) -> bool:
     """Make of a sample what rows may use, after `_measure`; whether they may."""
@@ -433,16 +455,8 @@ def _take(s: Samples, i: int, lost: bool, kept: int, seen: FloatArray, runs: Int
     if s.rule[GYRO]:
         s.v[s.columns, s.at + i] = 0.0
     if s.rule[LEARNT]:
-        finest = _measure(s, i, i + 1)
-        if lost:
-            return kept
-        if len(seen):
-            runs[s.counts[TRACED]] = s.counts[RUNS]
-            s.counts[TRACED] += 1
-            for k in range(1 + s.columns):
-                seen[k] = max(seen[k], s.counts[RUNS + k])
-            seen[1 + s.columns], seen[2 + s.columns] = max(seen[1 + s.columns], s.mem[JITTER]), finest
-        if not _use(s, i, finest):
+        finest = _watch(s, i, i + 1, seen[:0] if lost else seen, runs)
+        if lost or not _use(s, i, finest):
             return kept
     zero = s.rule[NOT_ZERO] > 0.0
     for column in range(s.columns):
@@ -471,12 +485,12 @@ def look_at(s: Samples, waited: int, seen: FloatArray, runs: IntArray) -> tuple[
     kept = done = 0
     while done < there:
         stop, run, lost = done, 1, False
-        if s.rule[LEARNT] and s.counts[COUNT] and not len(seen):
+        if s.rule[LEARNT] and s.counts[COUNT]:
             stop = _plain(s, done, min(done + TOGETHER, there))
         if stop > done:
             s.counts[ALONE] = 0
             _believe(s, done, stop)
-            _measure(s, done, stop)
+            _watch(s, done, stop, seen, runs)
             s.v[s.columns :, s.at + done : s.at + stop] = 0.0
             for i in range(done, stop if kept < done else done):
                 _move(s, i, kept + i - done)
@@ -511,22 +525,22 @@ def believed(quality: LinkQuality, telemetry: Telemetry) -> Telemetry:
     return Telemetry(tuple(series for series in looked if len(series)))
 
 
-def alike(one: LinkQuality, other: LinkQuality, pieces: Iterable[Telemetry]) -> bool:
-    """Whether both believe the same of a log, which comes in pieces, and none waits for the next piece."""
-    memories = dict[tuple[Signal, int], Memory]()
+def adds_nothing(quality: LinkQuality, pieces: Iterable[Telemetry]) -> bool:
+    """Whether the same of a log, which comes in pieces, is believed of a link of which nothing is known, and at once.
+
+    What comes out as it came in would do so there as well.
+    """
+    memories = dict[Signal, Memory]()
     for series in (series for piece in pieces for series in piece.series):
-        seen, columns = list[Series](), series.values.shape[1]
-        rules = one.rule(series.signal, columns), other.rule(series.signal, columns)
-        if np.array_equal(*rules):
-            continue
-        for number, rule in enumerate(rules):
-            memory = memories.setdefault((series.signal, number), Memory(columns))
-            seen.append(_looked(rule, memory, series))
-            if memory.waiting is not None and len(memory.waiting):
-                return False
-        if len(seen[0]) != len(seen[1]) or not np.array_equal(seen[0].t_ns, seen[1].t_ns):
+        columns = series.values.shape[1]
+        memory = memories.setdefault(series.signal, Memory(columns))
+        found = _looked(quality.rule(series.signal, columns), memory, series)
+        if memory.waiting is not None and len(memory.waiting):
             return False
-        if not np.array_equal(seen[0].values, seen[1].values, equal_nan=True):
+        if np.array_equal(found.values[:, :columns], series.values) and not found.values[:, columns:].any():
+            continue
+        other = _looked(LinkQuality().rule(series.signal, columns), Memory(columns), series)
+        if not np.array_equal(found.values, other.values, equal_nan=True):
             return False
     return True
 
@@ -597,6 +611,7 @@ def _watched(habit: Habit, series: Series) -> tuple[FloatArray, IntArray]:
     """`seen` and `runs` of `look_at`, of the samples that are not lost by what the habit says of leaps."""
     columns, runs = series.values.shape[1], np.empty(len(series), dtype=np.int64)
     rule = LinkQuality(habits=(habit,)).rule(series.signal, columns)
+    rule[[ZERO_IS_DEAD, NOT_ZERO]], rule[[MOST_JITTER, MOST_STEP]], rule[LEAP + 3 * columns :] = 0.0, np.inf, np.inf
     memory, seen = Memory(columns), np.zeros(columns + 3)
     for first in range(0, len(series), PIECE):
         _looked(rule, memory, series.where(slice(first, first + PIECE)), seen, runs)
@@ -609,7 +624,7 @@ def _moved(signal: Signal, parts: Sequence[Series]) -> Habit:
     found = []
     for one in parts:
         seconds = np.zeros((min(len(one), int(one.t_ns[-1] - one.t_ns[0]) // NS_PER_S + 1), 2 + 3 * columns))
-        values = np.ascontiguousarray(one.values, dtype=np.float64)
+        values = np.ascontiguousarray(one.values.T, dtype=np.float64)
         found.append(seconds[: _by_second(one.t_ns, values, signal in ANGLES, period_ns, seconds)])
     steps, pauses, *figures = np.concatenate(found).T
     plain, bent, squares = np.split(np.array(figures), 3)
@@ -630,23 +645,23 @@ def _moved(signal: Signal, parts: Sequence[Series]) -> Habit:
 
 @cached_loop
 def _by_second(t_ns: IntArray, values: FloatArray, angle: bool, period_ns: float, seconds: FloatArray) -> int:
-    """Sum up each second of a signal that has steps; returns how many there are.
+    """Sum up each second of a signal, (columns, n), that has steps; returns how many there are.
 
     seconds: (.., 2 + 3 columns) the steps, the longest [ns]; of each column the greatest departure from the value
     before and from where the two before lead, for the time, and the sum of squares of the former.
     """
-    row, columns, number = -1, values.shape[1], -1
+    row, columns, until_ns = -1, len(values), t_ns[0]
     for i in range(1, len(t_ns)):
-        if (t_ns[i] - t_ns[0]) // NS_PER_S != number:
-            row, number = row + 1, (t_ns[i] - t_ns[0]) // NS_PER_S
+        if t_ns[i] >= until_ns:
+            row, until_ns = row + 1, t_ns[i] + NS_PER_S - (t_ns[i] - t_ns[0]) % NS_PER_S
         second, span_ns = seconds[row], t_ns[i] - t_ns[i - 1]
         n = max(span_ns / period_ns, 1.0)
         second[0] += 1.0
         second[1] = max(second[1], span_ns)
         for column in range(columns):
-            step, before = values[i, column] - values[i - 1, column], np.nan
+            step, before = values[column, i] - values[column, i - 1], np.nan
             if i > 1:
-                before = values[i - 1, column] - values[i - 2, column]
+                before = values[column, i - 1] - values[column, i - 2]
             if angle:
                 step, before = step - TURN * np.round(step / TURN), before - TURN * np.round(before / TURN)
             bend = step - before / (t_ns[i - 1] - t_ns[i - 2]) * span_ns if i > 1 else np.nan
