@@ -98,9 +98,8 @@ class Session:
             was_armed, self.armed = self.armed, bool(armed.values[-1, 0] >= ARMED_FROM)
             self._armings += self.armed and not was_armed
         held = self._held if self.judge is None else self.judge.memory.decision.decided
-        held = (
-            self.diagnosis if held.stage in (Stage.FAULT, Stage.SUSPECTED) else held
-        )  # with the evidence that is told
+        if held.stage in (Stage.FAULT, Stage.SUSPECTED):
+            held = self.diagnosis  # with the evidence that is told
         self._effects += self.reaction.step(held, self.armed, received, now)
         self._notices += self._telling.step(held, self._armings)
         return (*self._effects, *self._presenter.present(self._notices, now))
