@@ -582,8 +582,6 @@ class Kernel:
         """Take the next rows of the segment; return the looks that they make whole, and all values."""
         block, columns, slots = rows.block, col.columns_of(rows, memory.past), len(self.slots)
         n, times = len(block), (block.t_ns, rows.rates_ns)
-        if not times[0].flags.writeable:  # as of a log
-            times = times[0].copy(), times[1].copy()
         first_ns, now_ns = times[0].item(0), times[0].item(-1)
         first = -(-first_ns // LOOK_NS) if memory.next_look is None else memory.next_look
         done = max(0, now_ns // LOOK_NS + 1 - first)

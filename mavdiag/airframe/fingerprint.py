@@ -330,13 +330,12 @@ def _noise(found: Sequence[Bends]) -> FloatArray:
     """(3,) log rms of second differences in the calmest fifth of windows, at least that of a rounding, q^2/2."""
     none = np.empty((3, 0))
     squares, steps = (np.concatenate((none, *parts), axis=1) for parts in zip((none, none), *found, strict=True))
-    levels, ordered = [], np.sort(squares)  # what is not known comes last
-    for square, count, step in zip(ordered, np.isfinite(ordered).sum(axis=1).tolist(), steps, strict=True):
-        calm, moved = 0.0, np.count_nonzero(step)
-        if count:
-            calm = float(np.interp(CALM_SHARE * (count - 1), np.arange(count), square[:count]))
+    levels = []
+    for square, step in zip(squares, steps, strict=True):
+        square = square[np.isfinite(square)]
+        calm, moved = float(np.quantile(square, CALM_SHARE)) if len(square) else 0.0, np.count_nonzero(step)
         finer = np.count_nonzero(step <= math.sqrt(2.0 * calm)) - (len(step) - moved)
-        if count and finer <= RESOLUTION_SHARE * (moved - 1):  # only then is the resolution needed
+        if len(square) and finer <= RESOLUTION_SHARE * (moved - 1):  # only then is the resolution needed
             calm = float(np.quantile(step[step > 0], RESOLUTION_SHARE, method="lower")) ** 2 / 2
         levels.append(0.5 * math.log(calm) if calm > 0 else math.nan)
     return np.array(levels)

@@ -387,23 +387,17 @@ def _measure(s: Samples, first: int, stop: int) -> float:
 
 @jit
 def _watch(s: Samples, first: int, stop: int, seen: FloatArray, runs: IntArray) -> float:
-    """`_measure`, with what it counts after each sample put into `seen` and `runs` (`look_at`) where they are given."""
-    columns, jitter, before_ns = s.columns, s.mem[JITTER], s.counts[CAME_NS]
-    traced, knows = runs[s.counts[TRACED] :], s.counts[COUNT] > 0
-    for column in range(columns if len(seen) else 0):
-        came, run, longest = s.mem[COLUMN + 2 * columns + column], s.counts[RUNS + 1 + column], 0
-        quiet, row = s.rule[LEAP + 2 * columns + column], s.v[column, s.at :]
-        for i in range(first, stop):
-            run, came = run + 1 if knows and not abs(row[i] - came) > quiet else 0, row[i]
-            longest, traced[i - first] = max(longest, run), run if column == 0 else min(traced[i - first], run)
-        seen[1 + column] = max(seen[1 + column], longest)
-    for i in range(first, stop if len(seen) else first):
-        jitter, before_ns = _scatter(s, jitter, s.t_ns[i] - before_ns), s.t_ns[i]
-        seen[0], seen[1 + columns] = max(seen[0], traced[i - first]), max(seen[1 + columns], jitter)
-    finest = _measure(s, first, stop)
-    if len(seen):
-        seen[2 + columns] = finest
-        s.counts[TRACED] += stop - first
+    """`_measure`, after each sample where `seen` and `runs` are wanted (`look_at`)."""
+    if not len(seen):
+        return _measure(s, first, stop)
+    finest = 0.0
+    for i in range(first, stop):
+        finest = _measure(s, i, i + 1)
+        runs[s.counts[TRACED]] = s.counts[RUNS]
+        s.counts[TRACED] += 1
+        for k in range(1 + s.columns):
+            seen[k] = max(seen[k], s.counts[RUNS + k])
+        seen[1 + s.columns], seen[2 + s.columns] = max(seen[1 + s.columns], s.mem[JITTER]), finest
     return finest
 
 
