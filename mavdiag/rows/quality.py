@@ -362,43 +362,41 @@ def _believe(s: Samples, first: int, stop: int) -> None:
 
 
 @jit
-def _measure(s: Samples, first: int, stop: int) -> float:
-    """Count repetitions after some samples, and of the gyro follow jitter and finest step; returns the resolution."""
-    mem, counts, columns, gyro = s.mem, s.counts, s.columns, s.rule[GYRO] > 0.0
+def _measure(s: Samples, first: int, stop: int, seen: FloatArray, runs: IntArray) -> float:
+    """Count repetitions after some samples, and of the gyro follow jitter and finest step; returns the resolution.
+
+    seen, runs: as in `look_at`, or empty.
+    """
+    mem, counts, columns, gyro, knows = s.mem, s.counts, s.columns, s.rule[GYRO] > 0.0, s.counts[COUNT] > 0
     coarsest, jitter, before_ns, same = 0.0, mem[JITTER], counts[CAME_NS], 1 << 62
+    noted, traced = len(seen) > 0, runs[counts[TRACED] :]
     for column in range(columns):
-        at, moved = COLUMN + 2 * columns + column, stop - 1  # the last sample that did not repeat the one before
+        at, run, longest = COLUMN + 2 * columns + column, counts[RUNS + 1 + column], 0
         came, finest, quiet, row = mem[at], mem[at + columns], s.rule[LEAP + 2 * columns + column], s.v[column, s.at :]
-        while moved >= first and not abs(row[moved] - (row[moved - 1] if moved > first else came)) > quiet:
-            moved -= 1
-        run = stop - 1 - moved + (counts[RUNS + 1 + column] if moved < first else 0) if counts[COUNT] > 0 else 0
-        for i in range(first, stop if gyro else first):
+        for i in range(first, stop):
             step, came = abs(row[i] - came), row[i]
-            finest = min(finest, step) if step > SAME else finest
-        mem[at], counts[RUNS + 1 + column], same = row[stop - 1], run, min(same, run)
+            run = run + 1 if knows and not step > quiet else 0
+            if gyro:
+                finest = min(finest, step) if step > SAME else finest
+            if noted:
+                longest, traced[i - first] = max(longest, run), run if column == 0 else min(traced[i - first], run)
+        mem[at], counts[RUNS + 1 + column], same = came, run, min(same, run)
+        if noted:
+            seen[1 + column] = max(seen[1 + column], longest)
         if gyro:
             mem[at + columns], coarsest = finest, max(coarsest, finest)
-    for i in range(first, stop if gyro else first):
-        jitter, before_ns = _scatter(s, jitter, s.t_ns[i] - before_ns), s.t_ns[i]
+    for i in range(first, stop if gyro or noted else first):
+        if gyro:
+            jitter, before_ns = _scatter(s, jitter, s.t_ns[i] - before_ns), s.t_ns[i]
+        if noted:
+            seen[0], seen[1 + columns] = max(seen[0], traced[i - first]), max(seen[1 + columns], jitter)
     mem[JITTER], counts[RUNS], counts[CAME_NS] = jitter, same, s.t_ns[stop - 1]
     counts[COUNT] += stop - first
-    return coarsest if counts[COUNT] > RESOLUTION_SAMPLES and math.isfinite(coarsest) else 0.0
-
-
-@jit
-def _watch(s: Samples, first: int, stop: int, seen: FloatArray, runs: IntArray) -> float:
-    """`_measure`, after each sample where `seen` and `runs` are wanted (`look_at`)."""
-    if not len(seen):
-        return _measure(s, first, stop)
-    finest = 0.0
-    for i in range(first, stop):
-        finest = _measure(s, i, i + 1)
-        runs[s.counts[TRACED]] = s.counts[RUNS]
-        s.counts[TRACED] += 1
-        for k in range(1 + s.columns):
-            seen[k] = max(seen[k], s.counts[RUNS + k])
-        seen[1 + s.columns], seen[2 + s.columns] = max(seen[1 + s.columns], s.mem[JITTER]), finest
-    return finest
+    resolution = coarsest if counts[COUNT] > RESOLUTION_SAMPLES and math.isfinite(coarsest) else 0.0
+    if noted:
+        seen[2 + columns] = resolution
+        counts[TRACED] += stop - first
+    return resolution
 
 
 @inline
@@ -449,7 +447,7 @@ def _take(s: Samples, i: int, lost: bool, kept: int, seen: FloatArray, runs: Int
     if s.rule[GYRO]:
         s.v[s.columns, s.at + i] = 0.0
     if s.rule[LEARNT]:
-        finest = _watch(s, i, i + 1, seen[:0] if lost else seen, runs)
+        finest = _measure(s, i, i + 1, seen[:0] if lost else seen, runs)
         if lost or not _use(s, i, finest):
             return kept
     zero = s.rule[NOT_ZERO] > 0.0
@@ -484,7 +482,7 @@ def look_at(s: Samples, waited: int, seen: FloatArray, runs: IntArray) -> tuple[
         if stop > done:
             s.counts[ALONE] = 0
             _believe(s, done, stop)
-            _watch(s, done, stop, seen, runs)
+            _measure(s, done, stop, seen, runs)
             s.v[s.columns :, s.at + done : s.at + stop] = 0.0
             for i in range(done, stop if kept < done else done):
                 _move(s, i, kept + i - done)
