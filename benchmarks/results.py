@@ -32,12 +32,15 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         "python benchmarks/arducopter_live.py FOLDER/arducopter_live",
         "python benchmarks/layouts.py --shared FOLDER",
         "python benchmarks/crazypad_thesis.py FOLDER/crazypad",
+        "python benchmarks/evidence.py recorded FOLDER/crazypad",
+        "python benchmarks/arducopter_live.py FOLDER/arducopter_live --turning --seed 2",
+        "mavdiag identify FOLDER/autopilots_in_the_loop/ap463_hil_healthy.tlog -o TEMPORARY/b.json",
     ),
     "campaign": (
         f"sitl-plant campaign --flights 216 --hours 0 {CAMPAIGN} --conditions cause=fault --conditions wind=0,0.5,1 "
         "--conditions payload=0 --conditions phenomenology=0,0.5,1 --seed 41 --fresh -o TEMPORARY/faults.jsonl",
         "python benchmarks/campaign_grades.py TEMPORARY/faults.jsonl",
-        f"sitl-plant campaign --flights 0 --hours 4 --duration 60 {CAMPAIGN} --conditions wind=0,0.5,1,1.5 "
+        f"sitl-plant campaign --flights 0 --hours 12 --duration 60 {CAMPAIGN} --conditions wind=0,0.5,1,1.5 "
         "--conditions payload=0,50,100 --seed 46 --fresh -o TEMPORARY/healthy.jsonl",
         "sitl-plant campaign --flights 72 --hours 0 --airframes 2 --learn-flights 5 --conditions cause=sensor,loss "
         "--seed 97 --fresh -o TEMPORARY/sensors.jsonl",
@@ -71,7 +74,7 @@ SECTIONS: dict[str, tuple[str, ...]] = {
     "loop": (
         "python benchmarks/hil.py --healthy-s 120",
         "python benchmarks/live_sessions.py resets --seconds 75",
-        "python benchmarks/live_sessions.py takeoffs --flights 20",
+        "python benchmarks/live_sessions.py takeoffs --flights 60",
         "python benchmarks/bad_link.py --seed 9200 --healthy 2",
     ),
     "thesis": (
@@ -79,7 +82,12 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         "python benchmarks/identification.py --seeds 3",
         "python benchmarks/false_alarm_law.py",
     ),
-    "damage": ("python benchmarks/least_damage.py --airframes 2 --flights 8 --seed 701",),
+    "damage": (
+        "python benchmarks/least_damage.py --airframes 2 --flights 8 --seed 701",
+        "python benchmarks/rotor_speed.py --flights 30 --airframes 2 --seed 971",
+    ),
+    "calibration": ("python benchmarks/calibration.py --airframes 40 --seed 95",),
+    "peers": ("python benchmarks/peers_table.py",),
     "speed": (
         "python benchmarks/chain_speed.py --seconds 30 --repeats 5",
         "python benchmarks/scan_speed.py --repeats 5",
@@ -90,9 +98,16 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         "python benchmarks/latency.py",
     ),
     "daemon": (
+        "mavdiag demo --json",
         "python benchmarks/detector_load.py --seconds 15",
         "python benchmarks/many_vehicles.py --seconds 14",
         "python benchmarks/loopback.py --healthy-minutes 0",
+        "python benchmarks/fleet.py",
+    ),
+    "soak": (
+        "python fuzz/datagrams.py --count 100000",
+        "python benchmarks/soak.py virtual --hours 2",
+        "python benchmarks/soak.py real --minutes 5",
     ),
     "logs": (
         "python benchmarks/dataflash_reader.py FOLDER/ardupilot_real/log171.bin",
@@ -103,9 +118,18 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         "python benchmarks/archive.py --folder TEMPORARY/archive --flights 200 --dask",
         "python benchmarks/identify_cost.py TEMPORARY/identify",
     ),
-    "history": ("python benchmarks/history_wear.py drawn --seed 9300",),
-    "page": ("python benchmarks/live_page.py --pairs 4 --seconds 10",),
-    "mutants": ("nox -s mutants",),
+    "history": (
+        "python benchmarks/history_wear.py drawn --seed 9300",
+        "python benchmarks/history_wear.py emulated --seed 7100 --keep TEMPORARY/history",
+    ),
+    "page": (
+        "python benchmarks/live_page.py --pairs 4 --seconds 10",
+        "python benchmarks/replay_page.py",
+    ),
+    "mutants": (
+        "python benchmarks/mutants.py --room decision --count 40 --seed 2",
+        "python benchmarks/mutants.py --room monitors --count 12 --seed 1 --longest 1200",
+    ),
 }
 
 

@@ -11,7 +11,7 @@ is a vehicle that has rebooted; every second one has a fault 10 s before its end
 
 Memory is the resident set; its growth is the slope of a straight line through it after the first quarter. The latency
 of a verdict is from the sending of a gyro sample to the end of the look in which its row was judged. As the decision is
-made for each 0.1 s, it is also printed for the first sample at or after each of these times alone.
+made every 80 ms, it is also printed for the first sample at or after each of these times alone.
 """
 
 import argparse

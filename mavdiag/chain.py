@@ -2,7 +2,7 @@
 
     telemetry ─ front ─▶ rows ─ kernel ─▶ looks ─ decision ─▶ events, changes
 
-Chunks wait in the front until they bring the rows of the next look, every 0.1 s. The first 2 s wait until the gyro's
+Chunks wait in the front until they bring the rows of the next look (`LOOK_NS`). The first 2 s wait until the gyro's
 rate is measured: a link that is not the baseline's is refused (`Chain.refusal`), and measured again every 2 s.
 """
 

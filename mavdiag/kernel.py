@@ -1,7 +1,7 @@
 """The one pass over rows of flight: every monitor, what the envelope lets count, and what the decision looks at.
 
     rows ─▶ columns x ─▶ bins of conditions ─▶ each slot: its monitor's loop ─▶ value, as the envelope lets it count
-         ─▶ a record for each slot and look (0.1 s), alarms, and how long each slot judged
+         ─▶ a record for each slot and look (80 ms), alarms, and how long each slot judged
 
 A value belongs to the first look at which it is known: its time stamp and the monitor's delay have passed, and its row
 has come. So no look depends on how the rows were cut. All of a segment's memory is in a few arrays.
@@ -29,10 +29,10 @@ from mavdiag.rows.quality import DOUBTS
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, FloatArray, IntArray, Signal
 from mavdiag.thresholds.envelope import ORDER, Covered, excess_of, farthest, limits_of, seen_from
-from mavdiag.units import NS_PER_S
+from mavdiag.units import NS_PER_MS, NS_PER_S
 
-LOOK_NS = NS_PER_S // 10  # time between two looks (our choice)
-STALE_LOOKS = 10  # a slot whose last valid value is older does not count (our choice)
+LOOK_NS = 80 * NS_PER_MS  # time between two looks: of 100 ms a sample waits for a verdict for up to 80 (our choice)
+STALE_LOOKS = 12  # a slot whose last valid value is older does not count (our choice)
 CALM_BELOW = 0.7  # of the threshold (our choice)
 LATE_NS = NS_PER_S  # so much a value may come after the rows of its time: half a filter's window (our choice)
 WAITING = "waiting for enough unbroken flight"  # why a monitor does not judge although its signals are known
@@ -449,7 +449,7 @@ class Looked(NamedTuple):
     heights: Sequence[int | None] = ()  # of the highest fresh ratio; None where it is to be found anew
     leads: Sequence[int] = ()  # whose it is, -1 for none
     alarms: tuple[Alarm, ...] = ()  # what opened or closed, in order of looks
-    end_ns: int | None = None  # vehicle time of the last look, where it is none of every 0.1 s
+    end_ns: int | None = None  # vehicle time of the last look, where it is not at a whole number of `LOOK_NS`
 
 
 @dataclass(frozen=True, slots=True)

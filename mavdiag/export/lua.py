@@ -18,6 +18,7 @@ from mavdiag.monitors import monitor_of, rotor_trim, thrust_loss
 from mavdiag.monitors.base import FaultKind
 from mavdiag.printable import printable
 from mavdiag.rows import gate as gates
+from mavdiag.rows.conditions import BIN_S
 from mavdiag.rows.grid import Grid
 from mavdiag.thresholds.envelope import ORDER, limits_of
 from mavdiag.units import NS_PER_MS, G
@@ -67,7 +68,8 @@ def applet(baseline: Baseline, table_key: int = TABLE_KEY) -> str:
     loader, spans_s = PackageLoader("mavdiag.export", "."), (gates.QUIET_S, gates.BACK_S, gates.LOUD_S)
     made = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=literal)
     template = made.get_template("propeller.lua")
-    spans_ms = alarm.CLEAR_NS // NS_PER_MS, kernel.STALE_LOOKS * kernel.LOOK_NS // NS_PER_MS
+    look_ms = kernel.LOOK_NS // NS_PER_MS
+    spans_ms = alarm.CLEAR_NS // NS_PER_MS, kernel.STALE_LOOKS * look_ms
     upset_from = kinds.DOUBTFUL_FROM[FaultKind.GROSS_LOSS]
     return template.render(
         version=f"mavdiag {__version__}",
@@ -85,6 +87,8 @@ def applet(baseline: Baseline, table_key: int = TABLE_KEY) -> str:
         turning=rotor_trim.TURN_TRIM,
         gravity=G,
         infinity=math.inf,
+        bin_ms=round(1000 * BIN_S),
+        look_ms=look_ms,
         decision=(kernel.CALM_BELOW, *spans_ms, kinds.NAME_AT, upset_from, kinds.SILENT_BELOW),
         quiet=(gates.QUIET_RAD_S, *(round(span_s * 1000) for span_s in spans_s)),
     )

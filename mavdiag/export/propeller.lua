@@ -38,7 +38,7 @@ local B = { -- trims are fractions of hover, by roll, pitch and yaw
 {% endfor %}
 }
 
-local STEP, LOOK, NAN, HUGE = 50, 100, 0.0 / 0.0, math.huge -- ms between rows, and between decisions
+local STEP, BIN, LOOK, NAN, HUGE = 50, {{ bin_ms }}, {{ look_ms }}, 0.0 / 0.0, math.huge -- ms between rows, bins and decisions
 local R, ARMS, MOTORS = #B.arms, B.arms, {33, 34, 35, 36, 37, 38, 39, 40, 82, 83, 84, 85} -- SERVOn_FUNCTION
 local max, min, abs = math.max, math.min, math.abs
 
@@ -100,16 +100,16 @@ local function close_bin()
   local one, lean, roll, pitch = bins[bin.number % #bins + 1], leans[bin.number % #leans + 1], 0.0, 0.0
   lean[1], lean[2] = bin.roll / bin.leans, bin.pitch / bin.leans
   for i = 1, #leans do roll, pitch = roll + leans[i][1], pitch + leans[i][2] end
-  one.stop = (bin.number + 1) * LOOK
+  one.stop = (bin.number + 1) * BIN
   one.level = max(excess(B.throttle, bin.thrust / bin.n), excess(B.height, bin.height))
   one.all = max(one.level, excess(B.tilt, math.sqrt(roll * roll + pitch * pitch) / #leans),
     excess(B.yaw_rate, abs(bin.yaw / bin.n)))
   if one.all > 0.0 then bin.beyond = one.stop end
 end
 local function take_bin(row)
-  if bin.number ~= row.t // LOOK then
+  if bin.number ~= row.t // BIN then
     if bin.number and bin.number >= first_bin then close_bin() end
-    bin.number, bin.n, bin.leans, bin.height = row.t // LOOK, 0, 0, NAN
+    bin.number, bin.n, bin.leans, bin.height = row.t // BIN, 0, 0, NAN
     bin.roll, bin.pitch, bin.thrust, bin.yaw = 0.0, 0.0, 0.0, 0.0
   end
   if not row.valid then return end
@@ -122,7 +122,7 @@ local function farthest(t, memory, which)
   local far = 0.0
   for i = 1, bin.beyond + memory > t and #bins or 0 do
     local one = bins[i]
-    if one.stop + memory > t and one.stop + 2 * LOOK <= t then far = max(far, one[which]) end
+    if one.stop + memory > t and one.stop + 2 * BIN <= t then far = max(far, one[which]) end
   end
   return far
 end
@@ -323,7 +323,7 @@ local function begin_flight(t)
   for i = 1, #bins do bins[i].stop, bins[i].all, bins[i].level = -HUGE, 0.0, 0.0 end
   for i = 1, #leans do leans[i][1], leans[i][2] = NAN, NAN end
   for i = 1, #parts do parts[i][6] = NAN end
-  bin.number, bin.beyond, first_bin = nil, -HUGE, t // LOOK + 1
+  bin.number, bin.beyond, first_bin = nil, -HUGE, t // BIN + 1
   level_run, pull_run, usual, part, rows, tick, tick_run = 0, 0, 1.0, 1, 0, 0, 0
   for _, slot in ipairs(slots) do slot.highest, slot.ratio, slot.value, slot.at = nil, 0.0, 0.0, -HUGE end
   look, calm, air, low = nil, nil, true, false
