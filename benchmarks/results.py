@@ -16,6 +16,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
@@ -127,8 +128,8 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         "python benchmarks/replay_page.py",
     ),
     "mutants": (
-        "python benchmarks/mutants.py --room decision --count 40 --seed 2",
-        "python benchmarks/mutants.py --room monitors --count 12 --seed 1 --longest 1200",
+        "nox -s mutants -- --room decision --count 40 --seed 2",
+        "nox -s mutants -- --room monitors --count 12 --seed 1 --longest 1200",
     ),
 }
 
@@ -172,12 +173,14 @@ def run(command: str, shared: Path | None, temporary: str) -> str | None:
     program = Path(sys.executable).with_name(words[0])
     paths = os.pathsep.join((str(ROOT / "tests"), str(ROOT / "benchmarks"), str(ROOT / "fuzz")))
     environment = {**os.environ, "PYTHONPATH": paths}
+    started = time.monotonic()
     done = subprocess.run([str(program), *words[1:]], cwd=ROOT, env=environment, capture_output=True, text=True)
     if done.returncode not in (0, 1):
         print(done.stdout, done.stderr, sep="\n", file=sys.stderr)
         return None
     text = done.stdout.replace(temporary, "TEMPORARY")
-    return f"$ {command}\n{text.replace(data, 'FOLDER') if data else text}".rstrip()
+    text = f"$ {command}\n{text.replace(data, 'FOLDER') if data else text}".rstrip()
+    return f"{text}\n[{time.monotonic() - started:.0f} s by the clock]"
 
 
 def provenance() -> str:
