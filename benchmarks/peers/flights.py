@@ -117,7 +117,7 @@ def flown(config: PlantConfig, duration_s: float) -> Flown:
         y=np.concatenate([one.rates.y for one in rows])[first:stop],
         gyro=np.concatenate([one.block.rate for one in rows])[raw],
         force=np.concatenate([one.block.force for one in rows])[raw],
-        duty=np.concatenate([one.block.actuator for one in rows])[raw],
+        duty=np.concatenate([one.block.actuator for one in rows])[raw, :4],  # the outputs that have a rotor
         delay_s=WINDOW_S / 2,
         front_s=front_s,
         truth=truth,

@@ -11,6 +11,7 @@ from mavdiag.rows.block import Block
 from mavdiag.rows.block import Rows as Rows
 from mavdiag.rows.gate import Border, GateSpec, GateState
 from mavdiag.rows.grid import measure_grid
+from mavdiag.rows.quality import LinkQuality, believed
 from mavdiag.rows.rates import RateSpec, RateState
 from mavdiag.telemetry import IntArray, Series, Signal, Telemetry
 
@@ -99,5 +100,6 @@ def warm() -> None:
     t_ns = 10_000_000 * np.arange(100)
     telemetry = Telemetry((Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((100, 3))),))
     measure_grid(telemetry)
+    believed(LinkQuality(), telemetry)  # as the first landing asks for
     front = Front(AlignSpec(0.01), GateSpec(), RateSpec.of(0.01, 5))
     front.step(front.start(), telemetry)

@@ -3,6 +3,8 @@
 import errno
 import json
 import os
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -215,6 +217,30 @@ def asked(bench: Bench, end: MemoryEndpoint, frame: bytes) -> list[Frame]:
     end.send(frame)
     bench.run(0.1)
     return received(end)
+
+
+LANDING = """
+import sys
+from numba.core.dispatcher import Dispatcher
+from test_daemon_virtual import Baseline, Bench, MadeVehicle, Path, judging
+from mavdiag.chain import warm
+def compiled():
+    found = [one for name, of in sys.modules.items() if name.startswith("mavdiag.") for one in vars(of).values()]
+    return {f"{one} {len(one.signatures)}" for one in found if isinstance(one, Dispatcher) and one.signatures}
+warm()
+bench = Bench(judging(), vehicles=[MadeVehicle(1)], baseline=Baseline.load(Path(sys.argv[1])))
+before = compiled()
+bench.run(25.0)
+bench.vehicles[0].armed = False
+bench.run(8.0)
+assert compiled() <= before, compiled() - before"""
+
+
+def test_neither_a_flight_nor_its_landing_compiles_anything(tmp_path: Path) -> None:
+    """The first landing after an installation held the daemon up while `believed` was compiled."""
+    baseline_for().save(tmp_path / "b.json")
+    own = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    subprocess.run([sys.executable, "-c", LANDING, tmp_path / "b.json"], check=True, env=own)
 
 
 def test_rates_that_are_needed_are_kept_and_everything_else_passes(benches: Benches) -> None:

@@ -63,11 +63,6 @@ def decided(
     return decide(SPEC, (shaking, moving, thesis))
 
 
-def look_after(t_s: float) -> int:
-    """Time of the first look at or after it [ns]."""
-    return -(-round(t_s * NS_PER_S) // LOOK_NS) * LOOK_NS
-
-
 def stages(changes: tuple[Change, ...]) -> list[Stage]:
     return [change.stage for change in changes]
 
@@ -77,13 +72,13 @@ def test_one_monitor_above_its_threshold_is_a_fault_and_names_the_rotor() -> Non
     assert stages(changes) == [Stage.QUIET, Stage.FAULT]
     fault = changes[1]
     assert (fault.monitor, fault.statistic, fault.threshold, fault.rotor) == ("unbalance", 2.1, 0.5, 2)
-    assert fault.t_ns == look_after(3.0)
+    assert fault.t_ns == 38 * LOOK_NS
     assert [(one.monitor, one.start_ns, one.end_ns, one.rotor) for one in events] == [
         ("unbalance", 3 * NS_PER_S, None, 2)
     ]
     assert state.diagnosis.stage is Stage.FAULT
     _, _, changes = decided(NOTHING, values(profile((3, 1.0), (3, 6.0))))
-    assert changes[1].t_ns == look_after(3.05)  # when the value is known
+    assert changes[1].t_ns == 39 * LOOK_NS  # when the value is known
 
 
 def test_coming_near_is_suspected_with_its_rotor_and_goes_away_after_two_calm_seconds() -> None:
@@ -367,7 +362,7 @@ def test_a_fault_without_a_name_waits_0_3_s_where_sensors_are_checked() -> None:
     _, _, changes = decided_kinds(unnamed, profile((4, 0.1)))
     assert [(one.t_ns, one.kind) for one in changes[1:]] == [
         (2 * NS_PER_S, None),
-        (look_after(2.3), FaultKind.PROPELLER),
+        (29 * LOOK_NS, FaultKind.PROPELLER),
     ]
     _, _, noisy = decided_kinds(unnamed, profile((2.15, 0.1), (1.85, 3.0)))
     assert [one.kind for one in noisy[1:]] == [None, FaultKind.SENSOR]

@@ -30,8 +30,7 @@ from mavdiag.cli import app as mavdiag
 from mavdiag.logs.csv_columns import load_column_map
 
 ROOT = Path(__file__).resolve().parents[2]
-OTHERS = ("constants.md", "results-earlier.md")  # made from code; figures of older code
-PAGES = ("README.md", *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md") if page.name not in OTHERS))
+PAGES = ("README.md", *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("[!c]*.md")))  # no constants
 PROGRAMS = ("mavdiag", "mavdiag-detector", "sitl-plant")
 
 # Run in this order: what one writes, a later one reads.
