@@ -71,7 +71,7 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         "python benchmarks/reactions.py called --calls 3",
         "python benchmarks/hook_delay.py",
     ),
-    "no_reaction": ("python benchmarks/reactions.py healthy --healthy-h 10 --rate 200",),
+    "no_reaction": ("python benchmarks/reactions.py healthy --healthy-h 0.6 --rate 200",),
     "loop": (
         "python benchmarks/hil.py --healthy-s 120",
         "python benchmarks/live_sessions.py resets --seconds 75",

@@ -30,7 +30,8 @@ from mavdiag.cli import app as mavdiag
 from mavdiag.logs.csv_columns import load_column_map
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("README.md", *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("[!c]*.md")))  # no constants
+NAMES = {page.name for page in (ROOT / "docs").glob("*.md")} - {"constants.md"}  # which is made from code
+PAGES = ("README.md", *sorted(f"docs/{name}" for name in NAMES))
 PROGRAMS = ("mavdiag", "mavdiag-detector", "sitl-plant")
 
 # Run in this order: what one writes, a later one reads.
