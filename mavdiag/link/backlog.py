@@ -25,7 +25,6 @@ class Backlog:
         self._lists, self._used = np.zeros((256, 4), np.int64), np.zeros(2, np.int64)
         self._rows, self._after, self._data = _room(0, 0)
         self._make_room(ROOM, SHARE * ROOM)
-        self.put(self.take(0))  # all is compiled, or loaded, before anything comes
 
     def put(self, frames: Frames) -> None:
         """Take these frames."""

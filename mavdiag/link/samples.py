@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavdiag.jit import allocating, cached, inline, jit
+from mavdiag.link.backlog import Backlog
 from mavdiag.link.clock import MS_32, NEVER, REBOOT, US_32, US_64, Counter, VehicleTime, stamp
 from mavdiag.link.codec import AUTOPILOT, MSGIDS, ROWS, Decoder, Encoder, Frame, Frames, anywhere, frames_of, layout_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
@@ -224,6 +225,8 @@ def warm() -> None:
     """Compile what finds and converts frames, or load it from disk, before the first comes: seconds, or half of one."""
     SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), Decoder().feed(Encoder(1, 1).encode(MessageId.HEARTBEAT), 0))
     euler_angles(np.empty((0, 4)))
+    backlog = Backlog()
+    backlog.put(backlog.take(0))
 
 
 def joined(pieces: Iterable[Telemetry]) -> Telemetry:

@@ -228,8 +228,8 @@ def compiled():
     found = [one for name, of in sys.modules.items() if name.startswith("mavdiag.") for one in vars(of).values()]
     return {f"{one} {len(one.signatures)}" for one in found if isinstance(one, Dispatcher) and one.signatures}
 warm()
-bench = Bench(judging(), vehicles=[MadeVehicle(1)], baseline=Baseline.load(Path(sys.argv[1])))
 before = compiled()
+bench = Bench(judging(), vehicles=[MadeVehicle(1)], baseline=Baseline.load(Path(sys.argv[1])))
 bench.run(25.0)
 bench.vehicles[0].armed = False
 bench.run(8.0)
@@ -237,7 +237,7 @@ assert compiled() <= before, compiled() - before"""
 
 
 def test_neither_a_flight_nor_its_landing_compiles_anything(tmp_path: Path) -> None:
-    """The first landing after an installation held the daemon up while `believed` was compiled."""
+    """The first landing after an installation held the daemon up while `believed` was compiled, the start `Backlog`."""
     baseline_for().save(tmp_path / "b.json")
     own = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     subprocess.run([sys.executable, "-c", LANDING, tmp_path / "b.json"], check=True, env=own)
