@@ -71,7 +71,7 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         "python benchmarks/reactions.py called --calls 3",
         "python benchmarks/hook_delay.py",
     ),
-    "no_reaction": ("python benchmarks/reactions.py healthy --healthy-h 0.6 --rate 200",),
+    "no_reaction": ("python benchmarks/reactions.py healthy --healthy-h 10 --rate 200",),
     "loop": (
         "python benchmarks/hil.py --healthy-s 120",
         "python benchmarks/live_sessions.py resets --seconds 75",
@@ -116,7 +116,7 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         "python benchmarks/ulog_reader.py FOLDER/px4_real/pyulog_sample.ulg",
         "python benchmarks/tlog_reader.py",
         "python benchmarks/report_size.py",
-        "python benchmarks/archive.py --folder TEMPORARY/archive --flights 200 --dask",
+        "python benchmarks/archive.py --folder TEMPORARY/archive --flights 1000 --dask",
         "python benchmarks/identify_cost.py TEMPORARY/identify",
     ),
     "history": ("python benchmarks/history_wear.py drawn --seed 9300",),
