@@ -348,8 +348,13 @@ class Frames:
 
 
 def anywhere(data: Bytes, code: str) -> NDArray[Any]:
-    """(n,) what lies at each byte as a number or as bytes of this type, where it has room; none is copied."""
-    return np.ndarray((max(0, len(data) + 1 - np.dtype(code).itemsize),), code, data, 0, (1,))
+    """(n,) what lies at each byte as a number or as bytes of this type, where it has room; none is copied.
+
+    n is 2 at least, with zeros behind the data, for numba compiles anew for an array of one or none.
+    """
+    size = np.dtype(code).itemsize
+    data = data if len(data) > size else np.frombuffer(data.tobytes().ljust(size + 1, b"\0"), np.uint8)
+    return np.ndarray((len(data) + 1 - size,), code, data, 0, (1,))
 
 
 def frames_of(frames: Iterable[Frame]) -> Frames:
