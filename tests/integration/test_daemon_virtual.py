@@ -240,7 +240,7 @@ assert compiled() <= before, compiled() - before"""
 
 
 def test_nothing_compiles_in_flight_nor_at_its_landing_nor_for_a_few_bytes(tmp_path: Path) -> None:
-    """The first landing, and the first 8 bytes that came alone, held the daemon up for seconds after an installation."""
+    """The first landing, and 8 bytes that came alone, held the daemon up for seconds after an installation."""
     baseline_for().save(tmp_path / "b.json")
     own = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     subprocess.run([sys.executable, "-c", LANDING, tmp_path / "b.json"], check=True, env=own)
