@@ -29,7 +29,6 @@ from mavdiag.inspections import Inspections
 from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
 from mavdiag.printable import printable
-from mavdiag.storage import COLLECT_AT
 from mavdiag.telemetry import Instant
 
 if TYPE_CHECKING:
@@ -127,7 +126,6 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
         if settings.web is not None:
             web = enter(closing(_web(settings, settings.web)))
         gc.freeze()  # what is there by now stays: to go through it again would hold up the link
-        gc.set_threshold(COLLECT_AT)
         Daemon(
             settings,
             Host(_say),
