@@ -18,7 +18,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-LEFT_OUT = shutil.ignore_patterns(".git", ".venv", ".nox", ".*_cache", "__pycache__", "out", "*.egg-info", ".cache")
+LEFT_OUT = shutil.ignore_patterns(".git", ".venv", ".nox", ".*cache*", "__pycache__", "out", "build", "dist", "*.egg-info")
 
 ROOMS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # files, and the tests that should notice
     "decision": (

@@ -172,7 +172,7 @@ def run(command: str, shared: Path | None, temporary: str) -> str | None:
     environment = {**os.environ, "PYTHONPATH": paths}
     started = time.monotonic()
     done = subprocess.run([str(program), *words[1:]], cwd=ROOT, env=environment, capture_output=True, text=True)
-    if done.returncode not in (0, 1) or "Traceback (most recent call last)" in done.stderr:
+    if done.returncode not in (0, 1) or "Traceback (most recent call last)" in done.stdout + done.stderr:
         print(done.stdout, done.stderr, sep="\n", file=sys.stderr)
         return None
     text = done.stdout.replace(temporary, "TEMPORARY")
