@@ -248,7 +248,7 @@ class Daemon:
                 return True
             asked.append(now)
             frame = self._sender(sysid).command(MavCmd.REQUEST_MESSAGE, MessageId.AUTOPILOT_VERSION)
-            self._relay.send(frame, to_all=False)
+            self._relay.send(frame, to_all=False, source=self.fleet.link.source(sysid))
         return False
 
     def _own(self, sysid: int) -> Baseline | None:
@@ -353,7 +353,7 @@ class Daemon:
     def _act(self, sysid: int, effect: Effect) -> None:
         frames, for_all = self._sender(sysid).frames(effect)
         for frame in frames:
-            self._relay.send(frame, to_all=for_all)
+            self._relay.send(frame, to_all=for_all, source=None if for_all else self.fleet.link.source(sysid))
         if isinstance(effect, SendFloat):
             return  # it is not worth a line
         match effect:

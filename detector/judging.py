@@ -50,9 +50,9 @@ class Judge:
         self.sight.step(telemetry, output)
         return output
 
-    def end_flight(self) -> ChainOutput:
-        """The flight cannot be followed any longer: what is open is closed."""
-        self.memory, output = self.chain.end_flight(self.memory)
+    def end_flight(self, *, landed: bool) -> ChainOutput:
+        """The flight cannot be followed any longer: what is open is closed. landed: else a fault stays."""
+        self.memory, output = self.chain.end_flight(self.memory, landed=landed)
         self.pieces = ()
         return output
 

@@ -10,6 +10,7 @@ from operator import itemgetter
 from detector.journal import Recorder
 from mavdiag.link.codec import split_frames
 from mavdiag.link.ports import Endpoint
+from mavdiag.link.sequence import Source
 
 DATAGRAM_BYTES = 1_400  # what every network carries in one piece (Ethernet's 1,500 less the headers and a tunnel's)
 
@@ -42,7 +43,8 @@ class Relay:
     ) -> None:
         self._main, self._behind, self._recorder, self._upward = main, tuple(behind), recorder, upward
         self._begun = [b""] * len(self._behind)  # of a frame whose rest has not come from a byte stream
-        self._own: list[tuple[bytes, bool]] = []  # frames of our own that wait; whether they are for everybody
+        # Frames of our own that wait; whether they are for everybody; which sender of the vehicle's link they are for.
+        self._own: list[tuple[bytes, bool, Source]] = []
 
     def pass_on(self, frames: Sequence[tuple[bytes, int]]) -> None:
         """Pass frames, each with its time of arrival [ns], to every link behind, and back what these bring."""
@@ -59,13 +61,22 @@ class Relay:
                 for message in packed(self._upward(whole, endpoint)):
                     self._main.send(message)
 
-    def send(self, frame: bytes, *, to_all: bool = True) -> None:
-        """One frame of our own, to everybody or to the vehicle alone, with the next `flush`."""
-        self._own.append((frame, to_all))
+    def send(self, frame: bytes, *, to_all: bool = True, source: Source = None) -> None:
+        """One frame of our own, to everybody or to the vehicle's link alone, with the next `flush`.
+
+        source: the sender on that link that alone gets it, None for all of them.
+        """
+        self._own.append((frame, to_all, source))
 
     def flush(self) -> None:
         """Send our own frames that wait, in their order; do so before anything else is sent of ours."""
-        for endpoint in (self._main, *self._behind) if self._own else ():
-            for message in packed(frame for frame, to_all in self._own if to_all or endpoint is self._main):
+        own, self._own = self._own, []
+        for source, some in groupby(own, itemgetter(2)):
+            for message in packed(frame for frame, *_ in some):
+                if source is None:
+                    self._main.send(message)
+                else:
+                    self._main.answer(message, source)
+        for endpoint in self._behind if own else ():
+            for message in packed(frame for frame, to_all, _ in own if to_all):
                 endpoint.send(message)
-        self._own.clear()

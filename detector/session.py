@@ -177,7 +177,7 @@ class Session:
                 self._move(Trigger.LINK_BACK)
                 self._say(Kind.LINK_BACK, f"{silent_s:.0f}" if silent_s >= 99.95 else f"{silent_s:.1f}")
         elif now - self.latest > limit_s and Trigger.LINK_LOST in TABLE[self.state]:
-            self._stop_judging()
+            self._stop_judging(landed=True)
             self._move(Trigger.LINK_LOST, f"nothing came for {limit_s:g} s")
             self._begin_link()
             self._say(Kind.LINK_LOST)
@@ -238,6 +238,8 @@ class Session:
         return self._demand(received).lack(self.streams, judging=self.state is State.MONITORING)
 
     def _waiting(self, received: Received, now: Instant) -> None:
+        if not self.armed and self.diagnosis.stage is Stage.FAULT:
+            self._stop_judging(landed=True)
         if self.baseline is not None and (self.judge is None or self.judge.baseline is not self.baseline):
             try:
                 check_link(self.baseline, profile=self.spec.profile.name, dt_s=self.baseline.link.dt_s)
@@ -304,7 +306,7 @@ class Session:
     def _monitoring(self, received: Received, now: Instant) -> None:
         judge, lack = self.judge, self._lack(received)
         if judge is None or lack is not None:
-            self._stop_judging()
+            self._stop_judging(landed=not self.armed)
             self._waited = []
             return self._move(Trigger.STREAMS_LOST, lack.text if lack else "")
         output = judge.step(received.telemetry, now)
@@ -322,9 +324,9 @@ class Session:
         if output.likeness is not None and output.likeness.outcome is Outcome.FAR:
             self._say(Kind.OTHER_VEHICLE)
 
-    def _stop_judging(self) -> None:
+    def _stop_judging(self, *, landed: bool) -> None:
         if self.judge is not None:
-            self._record(self.judge, self.judge.end_flight())
+            self._record(self.judge, self.judge.end_flight(landed=landed))
 
     def _idle(self, judge: Judge, now: Instant) -> None:
         ground, unjudged = self.streams.on_ground(judge.chain.front.gate), judge.not_judged(self.streams, now)

@@ -34,7 +34,8 @@ from mavdiag.telemetry import Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 MOST_WAITING = 32  # chunks that may wait: time that stands still must not fill the memory (our choice)
-MOST_UNMEASURED = 1024  # the same while the rate is not measured: 2 s of small chunks (our choice)
+MOST_UNMEASURED = 128  # the same while the rate is not measured: then they are joined (our choice)
+MOST_GYRO = 1 << 16  # samples in them: above 2 s at any rate, or their time stands still (our choice)
 LEAST_OUTPUTS = 8  # that are looked at, so that a vehicle with more motors is known as another one (our choice)
 MEASURED_S = 2.0  # of gyro samples that a live link's rate is measured by (our choice)
 
@@ -146,7 +147,10 @@ class Chain:
             return state, NOTHING
         state.waiting.append(telemetry)
         if not state.measured:
-            del state.waiting[:-MOST_UNMEASURED]
+            if len(state.waiting) > MOST_UNMEASURED:
+                whole = joined(state.waiting)
+                gyro = whole.get(Signal.BODY_RATE)
+                state.waiting = [whole] if gyro is not None and len(gyro) <= MOST_GYRO else []
             if _gyro_s(state.waiting) < MEASURED_S:
                 return state, NOTHING
             rates = (tuple(one for one in chunk if one.signal is Signal.BODY_RATE) for chunk in state.waiting)
@@ -174,12 +178,12 @@ class Chain:
         next_ns = (align.last_ns // LOOK_NS + 1) * LOOK_NS
         return min(max(0, self.front.align.expected_ns(align, next_ns) - align.newest_ns), 2 * LOOK_NS)
 
-    def end_flight(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
-        """The link was lost or the watch ends: close what is open. Rows may go on later."""
+    def end_flight(self, state: ChainState, *, landed: bool = True) -> tuple[ChainState, ChainOutput]:
+        """It cannot be followed any longer: close what is open. Rows may go on later. landed: else a fault stays."""
         parts = (*self._taken(state), *self.front.settle(state.front)[1])
         ends = [int(part.block.t_ns[-1]) for part in parts if isinstance(part, Rows) and len(part.block)]
         end_ns = ends[-1] if ends else state.now_ns
-        return self.judge(state, parts if end_ns is None else (*parts, Border(end_ns)))
+        return self.judge(state, parts if end_ns is None else (*parts, Border(end_ns, landed)))
 
     def acknowledge(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
         """Somebody has looked at the vehicle: an open inspection is closed."""
@@ -230,7 +234,9 @@ class Chain:
         for part in parts:
             if isinstance(part, Border):
                 left, ended = self.kernel.close(memory, part.t_ns), self.kernel.open_alarms(memory, ended=True)
-                state.decision, told, changed = self.decision.end_flight(state.decision, left, ended, part.t_ns)
+                state.decision, told, changed = self.decision.end_segment(
+                    state.decision, left, ended, part.t_ns, flies=not part.landed
+                )
                 self.kernel.restart(memory)
             elif len(part.block):
                 looked, piece = self.kernel.step(memory, part)
@@ -266,7 +272,7 @@ class Chain:
 
     def _taken(self, state: ChainState) -> tuple[Rows | Border, ...]:
         waiting, state.waiting, state.chunks = state.waiting, [], 0
-        return self.front.step(state.front, *waiting)[1]
+        return self.front.step(state.front, *waiting)[1] if state.measured else ()
 
 
 def _gyro_s(pieces: Sequence[Telemetry]) -> float:

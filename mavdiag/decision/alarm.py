@@ -81,12 +81,14 @@ LEFT_ALONE: dict[Stage, tuple[Height, ...]] = {
 class Episode:
     """A time in which a fault is seen.
 
-    over: the deciding slots that were over. calm_ns: since when all of these are calm. ended_ns: the same, once it is
-    no longer seen. lead: of the named rotor when it was most certain [logits]. graded: fixed times that have passed.
+    before: the rotors that were named until then. over: the deciding slots that were over. calm_ns: since when all of
+    these are calm. ended_ns: the same, once it is no longer seen. lead: of the named rotor when it was most certain
+    [logits]. graded: fixed times that have passed.
     """
 
     begun_ns: int
     gathered: Gathered
+    before: tuple[RotorSpan, ...] = ()
     over: frozenset[Slot] = frozenset()
     calm_ns: int | None = None
     ended_ns: int | None = None
@@ -177,9 +179,17 @@ class DecisionSpec:
             left_alone, before = self._left_alone(state), None
         return state, tuple(events), tuple(changes)
 
-    def end_flight(self, state: DecisionState, looked: Looked, ended: Sequence[Alarm], t_ns: int) -> Step:
-        """The flight or its segment ended at that time. looked: what was left; ended: the alarms that were open."""
+    def end_segment(
+        self, state: DecisionState, looked: Looked, ended: Sequence[Alarm], t_ns: int, *, flies: bool = False
+    ) -> Step:
+        """The flight or its segment ended at that time. looked: what was left; ended: the alarms that were open.
+
+        flies: it may still fly, so that a fault and its episode stay.
+        """
         state, events, changes = self.step(state, looked)
+        if flies and state.decided.stage is Stage.FAULT:
+            events = (*events, *self.named(state, ended))
+            return DecisionState(state.decided, episode=state.episode, lead=state.lead), events, changes
         held = landed(state.diagnosis, t_ns)
         if held.stage is not state.diagnosis.stage:
             changes = (*changes, Change.of(held, t_ns))
@@ -224,18 +234,17 @@ class DecisionSpec:
             now = replace(held, stage=stage, reason=reason, since_ns=t_ns)
         if stage is not Stage.FAULT:
             now, news = _suspected_rotor(now, fresh, height)
-            return state.deciding(now, _leading(now, fresh)), changed or news
+            return state.deciding(now, _leading(now, fresh, state.lead)), changed or news
         if height is Height.OVER and not held.seen:
             why = "the fault is seen again" if held.stage is stage else reason
             declared_ns = t_ns if held.declared_ns is None else held.declared_ns
-            kind = held.kind if held.stage is Stage.FAULT else None  # of another flight
-            now = Diagnosis(stage, why, now.since_ns, kind=kind, declared_ns=declared_ns, seen=True, rotors=held.rotors)
-            changed, state = True, replace(state, episode=Episode(t_ns, Gathered(t_ns)), lead=Lead())
+            now = Diagnosis(stage, why, now.since_ns, declared_ns=declared_ns, seen=True, rotors=held.rotors)
+            changed, state = True, replace(state, episode=Episode(t_ns, Gathered(t_ns), held.rotors), lead=Lead())
         if state.episode is None or not now.seen:
             return state, changed
         episode, after = self._episode(state.episode, now, fresh, t_ns)
         news = after.seen is not now.seen or after.kind is not now.kind or after.rotor != now.rotor
-        return state.deciding(after, _leading(after, fresh), episode), changed or news
+        return state.deciding(after, _leading(after, fresh, state.lead), episode), changed or news
 
     def _episode(
         self, episode: Episode, now: Diagnosis, fresh: Sequence[Reading], t_ns: int
@@ -254,13 +263,12 @@ class DecisionSpec:
         if kind is not now.kind:
             now = replace(now, kind=kind, reason=now.reason if now.kind is None else f"it is a {kind}")
         if kind is FaultKind.SENSOR:
-            before = _ended(tuple(span for span in now.rotors if span.since_ns < episode.begun_ns), t_ns)
-            now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None, rotors=before)
+            now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None, rotors=episode.before)
         place = named(kind, fresh, now.rotor is not None)
         if place.rotor is not None and (now.rotor is None or place.lead > episode.lead):  # the most certain name holds
             episode = replace(episode, lead=place.lead)
             if place.rotor != now.rotor:
-                spans = _with_rotor(now, place.rotor, episode.begun_ns, t_ns)
+                spans = _with_rotor(now, place.rotor, episode, t_ns)
                 reason = now.reason if t_ns == episode.begun_ns else "the rotor is named"
                 now = replace(now, rotor=place.rotor, reason=reason, rotors=spans)
             now = replace(now, confidence=place.confidence)
@@ -324,11 +332,11 @@ def _suspected_rotor(now: Diagnosis, fresh: Sequence[Reading], height: Height) -
     return replace(now, rotor=place.rotor, confidence=place.confidence), True
 
 
-def _with_rotor(now: Diagnosis, rotor: int, begun_ns: int, t_ns: int) -> tuple[RotorSpan, ...]:
+def _with_rotor(now: Diagnosis, rotor: int, episode: Episode, t_ns: int) -> tuple[RotorSpan, ...]:
     """The spans with a rotor that is named now: since the episode began, if no other one was named before it in it."""
-    spans, since_ns = now.rotors, begun_ns
-    if now.rotor is not None and t_ns - begun_ns < CORRECTED_NS:
-        spans = spans[:-1]
+    spans, since_ns = now.rotors, episode.begun_ns
+    if now.rotor is not None and t_ns - episode.begun_ns < CORRECTED_NS:
+        spans = episode.before
     elif now.rotor is not None:
         spans, since_ns = _ended(spans, t_ns), t_ns
     if spans and spans[-1].rotor == rotor:
@@ -368,13 +376,15 @@ def _height_now(state: DecisionState, fresh: Sequence[Reading], t_ns: int) -> tu
     return state, height
 
 
-def _leading(it: Diagnosis, fresh: Sequence[Reading]) -> Lead | None:
+def _leading(it: Diagnosis, fresh: Sequence[Reading], known: Lead | None) -> Lead | None:
     """The present evidence of the highest ratio; a fault keeps (None) the latest that was above.
 
-    A trim that shows another rotor than the named one is no evidence of it.
+    A trim that shows another rotor than the named one is no evidence of it, unless there was none (known).
     """
     if it.stage in (Stage.FAULT, Stage.INSPECT):
-        fresh = [one for one in fresh if it.seen and one.ratio > 1.0 and one.slot.decides and _speaks(one, it)]
+        over = [one for one in fresh if it.seen and one.ratio > 1.0 and one.slot.decides]
+        none = known is None or known.slot is None
+        fresh = [one for one in over if _speaks(one, it)] or (over if none else [])
         if not fresh:
             return None
     best = max(fresh, key=lambda one: (height_of(one.ratio, one.slot), one.slot.decides, one.ratio), default=None)

@@ -1,7 +1,7 @@
 """What kind of fault it is, and which rotor has it: the evidence of all slots, put into one answer or "unknown".
 
 The gravest of what the alarms of the monitors above their thresholds mean holds (`mavdiag.monitors.base.FaultKind`); it
-never shrinks. A propeller fault becomes a sensor fault only within 10 s of its declaration.
+never shrinks while the fault is seen. A propeller fault becomes a sensor fault only within 10 s of its declaration.
 
     logit_j = sum over monitors of  w_m g_m e_mj,    p = softmax(logit),    named if max p >= 0.9
 

@@ -86,13 +86,12 @@ def fault_reason(kind: FaultKind | None, faults: Sequence[Change], events: Seque
 
     kind: the gravest of the faults, which the reason is about. events: all alarms of the flight.
     """
-    faults = [change for change in faults if change.kind is kind]
+    spans, faults = faults[-1].rotors, [change for change in faults if change.kind is kind]
     worst = max(faults, key=lambda change: change.statistic / change.threshold if change.threshold else 0.0)
     same = (event.statistic for event in events if (event.monitor, event.axis) == (worst.monitor, worst.axis))
     statistic, places = max(same, default=worst.statistic), 3
     while places < 9 and f"{statistic:.{places}g}" == f"{worst.threshold:.{places}g}" != "0":
         places += 1
-    spans = faults[-1].rotors
     rotor = f"; rotor {spans[0].rotor}" if len(spans) == 1 else ""
     if len(spans) > 1:
         named = (f"rotor {span.rotor} from {span.since_ns / NS_PER_S:.1f} s" for span in spans[:MOTORS_MOST])
@@ -119,7 +118,8 @@ def headline(verdict: "LogVerdict") -> str:
     for change in verdict.changes:  # the type that was named last
         if kind is FaultKind.PROPELLER is change.kind and change.stage is Stage.FAULT and change.fault_type is not None:
             graded = _likeness(change)
-    return f"A {kind}{where} was found{graded}."
+    other = kind is FaultKind.SENSOR and verdict.rotor is not None  # a rotor is named of no sensor fault
+    return f"A {kind}{where} was found{f', and a {FaultKind.PROPELLER} of {_rotors(verdict)}' * other}{graded}."
 
 
 def rotors_of(verdict: "LogVerdict") -> tuple[int, ...]:
@@ -206,7 +206,7 @@ def advice(verdict: "LogVerdict") -> str:
         first = f"the propeller{several} of {_rotors(verdict)} first, then the others"
     what = verdict.verdict.value
     if what == "fault" and verdict.kind not in (None, FaultKind.PROPELLER):
-        what = "sensor" if verdict.kind is FaultKind.SENSOR else "loss"
+        what = ("sensor" if verdict.rotor is None else what) if verdict.kind is FaultKind.SENSOR else "loss"
     return {
         "fault": f"Before the next flight, look at {first}: nicks, cracks, a bent blade, a loose or changed propeller.",
         "sensor": "Before the next flight, check the inertial sensor and its mount; no propeller is blamed.",

@@ -56,9 +56,13 @@ LOW, BEGUN_NS, LOUD_NS, UP_NS, LATE, LOUD, TUMBLES = range(11, 18)
 
 @dataclass(frozen=True, slots=True)
 class Border:
-    """A flying span has ended, by a landing or a break. t_ns: vehicle time of the last row that flew."""
+    """A flying span has ended. t_ns: vehicle time of the last row that flew. landed: else the data broke off.
+
+    Where they broke off, and what comes next does not fly, a second one tells of the landing.
+    """
 
     t_ns: int
+    landed: bool = True
 
 
 class GateState:
@@ -130,7 +134,7 @@ class GateSpec:
         out, now, first, n = list[Block | Border](), state.now, 0, len(block)
         if block.segment != now[SOURCE]:
             if now[AIRBORNE]:
-                out += [*self._break_off(state), Border(int(now[LAST_NS]))]
+                out += [*self._break_off(state), Border(int(now[LAST_NS]), landed=False)]
             now[[SOURCE, SOURCE_NS]], state.tail = (block.segment, block.t_ns[0]), state.tail[:0]
         trim_ns, told, place = round(self.trim_end_s * NS_PER_S), self._told(state, block), (block.whole, block.first)
         while first < n:
@@ -209,11 +213,14 @@ def _follow(
                 valid[i], doubt[i] = 0.0, doubt[i] if doubt[i] > 0.0 else THRUST_CODE
         disarmed = need_armed and armed[i] < 0.5
         if not now[AIRBORNE]:
+            took = i + 1
             if disarmed or low:
-                now[RESUMES] = 0
-            if disarmed or low or not (now[RESUMES] or len(told) == 0 or told[i]):
-                took = i + 1
+                if now[RESUMES]:
+                    return took, i, True
                 continue
+            if not (now[RESUMES] or len(told) == 0 or told[i]):
+                continue
+            took = i
             now[BLANK_NS] = now[SETTLED_NS] = t
             if not now[RESUMES]:
                 now[BLANK_NS] += trim_ns

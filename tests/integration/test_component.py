@@ -111,6 +111,19 @@ def test_a_landing_opens_an_inspection_that_stays_until_the_command_closes_it(be
     assert str(run.exception).endswith("no inspection is open")
 
 
+def test_a_pause_of_the_link_withdraws_no_fault_but_a_landing_in_it_does(benches: Benches) -> None:
+    """A pause of 1.2 s made it an inspection in flight, and ended the reaction."""
+    bench = benches()
+    (vehicle,), vehicle.turning = bench.vehicles, 0.5
+    bench.run(8.0)
+    for lands in (False, True):
+        bench.vehicles, vehicle.armed = [], not lands
+        bench.run(1.5)
+        bench.vehicles, vehicle.sent = [vehicle], vehicle.sent + 150
+        bench.run(3.0)
+        assert stage(bench) is (Stage.INSPECT if lands else Stage.FAULT)
+
+
 def test_a_daemon_that_dies_in_flight_leaves_the_inspection_open(benches: Benches) -> None:
     bench = benches()
     bench.run(4.0)
@@ -392,7 +405,7 @@ def test_a_stranger_on_an_unsigned_link_does_not_call_it_off(benches: Benches) -
 
 def test_a_lost_link_ends_it_until_the_fault_is_found_again(benches: Benches) -> None:
     bench = reacting(benches)
-    damaged(bench, 4.0)
+    damaged(bench, 2.0)
     (vehicle,), bench.vehicles = bench.vehicles, []
     bench.fly(10.0)
     assert commanded(bench) == []

@@ -235,7 +235,7 @@ def by_python(baseline: Baseline, telemetry: Telemetry) -> Judged:
     for part in pieces(chain.front, telemetry):
         if isinstance(part, Border):
             left, ended = chain.kernel.close(memory, part.t_ns), chain.kernel.open_alarms(memory, ended=True)
-            state, _, changes = chain.decision.end_flight(state, left, ended, part.t_ns)
+            state, _, changes = chain.decision.end_segment(state, left, ended, part.t_ns, flies=not part.landed)
             chain.kernel.restart(memory)
             note(left, changes)
             found.stage(state.diagnosis.stage, state.diagnosis.rotor, False)

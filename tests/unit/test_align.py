@@ -269,6 +269,12 @@ def levels(*pairs: tuple[int, float]) -> FloatArray:
     return np.concatenate([np.full(n, value) for n, value in pairs])
 
 
+def test_a_break_is_no_landing_until_what_follows_does_not_fly() -> None:
+    state, blocks = THRUST.start(), [block(levels((900, 0.5))), block(levels((99, 0.0)), first=4000, segment=1)]
+    parts = [part for one in blocks for part in THRUST.step(state, one)]
+    assert [(one.t_ns // DT_NS, one.landed) for one in parts if isinstance(one, Border)] == [(899, False), (899, True)]
+
+
 THRUST = GateSpec(min_thrust=0.1)
 TRIMMED = GateSpec(min_thrust=0.1, trim_start_s=0.3, trim_end_s=0.2)
 HOP = levels((500, 0.0), (1000, 0.5), (1500, 0.0), (1000, 0.5), (1500, 0.0))

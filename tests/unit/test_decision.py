@@ -217,20 +217,42 @@ def test_b3_the_end_of_a_flight_closes_its_events_and_forgets_them() -> None:
     state, opened, _ = decided(values(profile((2, 0.3), (2, 2.0)), rotor=4))
     assert [one.end_ns for one in opened] == [None]
     open_ = Alarm(0, 0, 2 * NS_PER_S, round(3.98 * NS_PER_S), 2.0, 2.0)
-    state, closed, changes = SPEC.end_flight(state, Looked(), [open_], 4 * NS_PER_S)
+    state, closed, changes = SPEC.end_segment(state, Looked(), [open_], 4 * NS_PER_S)
     assert [(one.start_ns, one.end_ns, one.rotor) for one in closed] == [(2 * NS_PER_S, open_.end_ns, 4)]
     assert [(one.stage, one.rotor) for one in changes] == [(Stage.INSPECT, 4)]
     after = values(profile((4, 0.3)), first_s=100.0)
     assert decide(SPEC, (after, NOTHING, NOTHING), state)[1:] == ((), ())
 
 
+def test_data_that_break_off_withdraw_no_fault() -> None:
+    state, _, _ = decided(values(profile((2, 0.3), (2, 2.0)), rotor=4))
+    after, _, changes = SPEC.end_segment(state, Looked(), (), 4 * NS_PER_S, flies=True)
+    assert (after.diagnosis, after.episode, changes) == (state.diagnosis, state.episode, ())
+
+
+def test_a_name_that_is_corrected_in_one_episode_stays_of_the_one_before() -> None:
+    x = values(profile((2, 0.3), (10, 1.0), (10, 0.1), (10, 2.0)))
+    x.rotors[round(24 / STEP_S) :] = 2 * np.array(at(3))
+    spans = decided(x)[0].diagnosis.rotors
+    assert [(one.rotor, one.since_ns / NS_PER_S) for one in spans] == [(1, 2.0), (3, 22.0)]
+    assert spans[0].end_ns == pytest.approx(12 * NS_PER_S, abs=LOOK_NS)
+
+
+def test_what_declares_a_fault_is_its_evidence_though_it_shows_another_rotor() -> None:
+    trim = replace(TRIM, threshold=0.1)
+    risen = values(profile((2, 0.01), (6, 0.12)))
+    risen.rotors[:] = (0.12, 0.11, -0.1, -0.1)
+    _, _, (_, fault) = decide(DecisionSpec((SHAKING, trim)), (values(profile((2, 0.3), (6, 0.48)), rotor=2), risen))
+    assert (fault.rotor, fault.monitor, fault.statistic) == (2, "trim_step", 0.12)
+
+
 def test_an_inspection_lasts_through_flights_until_it_is_acknowledged() -> None:
     state, _, _ = decided(values(profile((2, 0.3), (2, 2.0)), rotor=4))
     assert SPEC.acknowledge(state, 4 * NS_PER_S) == (state, (), ())  # not in flight
-    state, _, _ = SPEC.end_flight(state, Looked(), (), 4 * NS_PER_S)
+    state, _, _ = SPEC.end_segment(state, Looked(), (), 4 * NS_PER_S)
     calm, bad = (values(profile((4, level)), rotor=2, first_s=100.0) for level in (0.3, 2.0))
     flown, _, _ = decide(SPEC, (calm, NOTHING, NOTHING), state)
-    landed, _, changes = SPEC.end_flight(flown, Looked(), (), 104 * NS_PER_S)
+    landed, _, changes = SPEC.end_segment(flown, Looked(), (), 104 * NS_PER_S)
     assert (landed.diagnosis, changes) == (state.diagnosis, ())
     _, _, changes = decide(SPEC, (bad, NOTHING, NOTHING), state)
     assert [(one.stage, one.rotor, [span.rotor for span in one.rotors]) for one in changes] == [

@@ -14,6 +14,7 @@ from made_logs import ULOG_HEAD
 from made_telemetry import START_NS, cut, flight
 
 import mavdiag as md
+from mavdiag.chain import chain_of
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.look.inspection import summary
@@ -91,6 +92,20 @@ def test_1_a_watch_refuses_a_link_of_another_rate_or_profile() -> None:
         assert watch.diagnosis.stage == "not judged"
         assert says in watch.diagnosis.reason
         assert not watch.output.pieces
+
+
+@pytest.mark.parametrize(("slower", "judged"), [(1, True), (2, False)])
+def test_a_link_that_comes_in_small_chunks_is_measured_and_a_refused_one_never_judged(
+    slower: int, judged: bool
+) -> None:
+    times = [replace(one, t_ns=one.t_ns * slower, host_ns=one.host_ns * slower) for one in flying(600, 5).series]
+    chain, found = chain_of(whole()), 0.0
+    state, edges = chain.start(), list(range(START_NS, START_NS + 12 * 10**9, 10**7))
+    for one in (one for chunk in cut(Telemetry(tuple(times)), edges) for one in chunk.series):
+        state, output = chain.step(state, Telemetry((one,)))
+        found += output.judged_s
+    assert (found + chain.end_flight(state)[1].judged_s > 1.0) is judged
+    assert bool(state.refused) is not judged
 
 
 def test_a_log_of_arrays_is_learnt_from_and_judged(tmp_path: Path) -> None:

@@ -451,6 +451,17 @@ def test_a_byte_stream_is_put_together_wherever_it_was_cut() -> None:
     assert [data for data, _ in vehicle.receive(0.0)] == frames(20)
 
 
+def test_what_is_for_one_vehicle_goes_to_where_it_is_heard_from_alone() -> None:
+    """A drone with the same system id on the same port was told to land, too."""
+    told: list[tuple[object, bytes]] = []
+    near: Any = SimpleNamespace(send=lambda data: told.append(("all", data)), answer=lambda *to: told.append(to[::-1]))
+    relay = Relay(near, [])
+    relay.send(b"text")
+    relay.send(b"land", to_all=False, source="there")
+    relay.flush()
+    assert told == [("all", b"text"), ("there", b"land")]
+
+
 def handled(message: bytes, *vehicles: int) -> Handled:
     streams = {sysid: SimpleNamespace(profile=PROFILES["ardupilot"]) for sysid in vehicles}
     fleet: Any = SimpleNamespace(vehicles=dict.fromkeys(vehicles), link=SimpleNamespace(vehicles=streams))
