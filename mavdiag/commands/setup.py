@@ -35,8 +35,9 @@ from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.wants import Asker, remedy
 from mavdiag.logs import read_part
 from mavdiag.logs.tlog import tlog_record
-from mavdiag.look.inspection import RIGHT, SLACK, Inspection, inspection_of
+from mavdiag.look.inspection import RIGHT, Inspection, inspection_of
 from mavdiag.look.words import in_full
+from mavdiag.monitors.base import SLACK
 from mavdiag.monitors.run_length import RunLength
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import Border

@@ -204,6 +204,7 @@ def _fit_all(
     kinds = tuple(dict.fromkeys(map(by_name, options.monitors)))
     for kind in kinds:
         try:
+            kind.need_stream(1 / context.dt_s, context.imu_corner_hz, context.airframe.hover_rad_s)
             specs = kind.fit(flights, context)
             near = replace(context, figures=False, near=specs)
             found[kind] = specs, [[kind(spec) for spec in kind.fit(rest, near)] for _, rest in pairs]

@@ -38,7 +38,6 @@ LIMIT = 1e6  # a value is cut here
 GRAVITY = 9.80665
 SINE, COSINE = (tuple(1.0 / math.factorial(k) for k in range(first, -1, -2)) for first in (15, 14))
 COLUMNS = 5  # of the history: tilt about two axes, heading, vertical acceleration, turned angle
-MIN_RATE_HZ = 20.0  # below it turns are not followed from sample to sample (our choice)
 # Places in the parameters; and in the memory: rows of the tick and valid ones, sums of the tick (with what a bias is
 # multiplied by from `TURNED` on), angles since the last gap, ticks since then, the history of each column.
 DT, TICK, MEAN, LAG, LIFT, VERTICAL, BIAS, SPREADS = *range(7), 9
@@ -210,6 +209,7 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.ATTITUDE})
     kind = FaultKind.SENSOR
     least = 2.5
+    least_hz = 20.0  # below it turns are not followed from sample to sample (our choice)
     spec_type = SensorDriftSpec
     unit = "x healthy rms"
     reach = LIMIT  # where a value is cut
@@ -218,7 +218,6 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorDriftSpec, ...]:
         """Healthy biases and spreads. Raises InputError if the vehicle sends no attitude."""
-        context.need_rate(MIN_RATE_HZ)
         still = SensorDriftSpec(dt_s=context.dt_s, bias=(0.0, 0.0, 0.0), vertical=0.0, tilt=1.0, heading=1.0, lift=1.0)
         biases = np.concatenate(of_each(flights, cls.name, lambda flight: _biases(flight, still.tick)))
         if not len(biases):

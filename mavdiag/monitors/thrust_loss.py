@@ -29,7 +29,6 @@ TUMBLING_RAD_S = 8.0
 CUT = 10.0  # times the healthy specific force per command; more is no flight (our choice)
 COLUMNS = 5  # specific force, command, gyro x and y, rate
 ONLY_Z = slice(2, 3)  # of the accelerometer
-MIN_RATE_HZ = 20.0  # below it an upset is over between two samples (our choice)
 # Places in the parameters, where of each rotor the unit vector of roll and pitch rate follows that its loss begins; and
 # in the memory.
 WINDOW, PER_COMMAND, ALPHA, LOST = range(4)
@@ -91,6 +90,7 @@ class ThrustLoss(Monitor[ThrustLossSpec]):
     clear_s = 1.0
     least = LEAST_SHARE
     evidence = RotorEvidence(8.0)  # neighbours differ by a cosine of 0.7 and more
+    least_hz = 20.0  # below it an upset is over between two samples (our choice)
     spec_type = ThrustLossSpec
     unit = "share of thrust"
     reach = 1.0  # all of the thrust
@@ -100,7 +100,6 @@ class ThrustLoss(Monitor[ThrustLossSpec]):
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[ThrustLossSpec, ...]:
         """Healthy specific force per command. Raises InputError without accelerometer or collective command."""
-        context.need_rate(MIN_RATE_HZ)
         count, total_ = np.sum(of_each(flights, cls.name, _per_command), axis=0).tolist()
         if not total_ > 0:
             raise InputError("no flight with an accelerometer along z and a collective thrust command")

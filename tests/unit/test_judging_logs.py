@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from flying_telemetry import flying, without
 from made_baselines import FRAME, NOW, healthy, logged, plain, thesis, trim, whole
+from made_rows import WINDOW, example_rows
+from made_rows import changed as with_columns
 from made_statistics import assert_alike
 from made_telemetry import START_NS, changed, flight
 from scipy.signal import lfilter
@@ -33,8 +35,6 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, FloatArray, Series, Signal, Telemetry
-from mavdiag.testing import WINDOW, example_rows
-from mavdiag.testing import changed as with_columns
 from mavdiag.thresholds.envelope import ORDER, RULES, Covered, excess_of, limits_of
 from mavdiag.traces import rate_traces
 from mavdiag.units import NS_PER_S

@@ -18,6 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_baselines import ALWAYS, FRAME, NOW, healthy, plain, thesis, whole
 from made_monitor import MadeUp
+from made_rows import example_rows
 from made_telemetry import changed, flight
 
 import mavdiag.chain
@@ -39,7 +40,6 @@ from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.rows.conditions import Condition
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Log, Signal, Telemetry
-from mavdiag.testing import example_rows
 from mavdiag.thresholds.heldout import folds
 from mavdiag.thresholds.rule import poisson_upper
 from mavdiag.units import NS_PER_S

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from made_rows import read
+from made_rows import example_rows, read
 from made_telemetry import body_rates
 
 from mavdiag.airframe.layout import layout_named
@@ -12,7 +12,6 @@ from mavdiag.monitors.sensor_noise import SensorNoise, SensorNoiseSpec
 from mavdiag.monitors.thrust_loss import ThrustLoss, ThrustLossSpec
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import example_rows
 
 DT_S = 0.01
 N = 4000
