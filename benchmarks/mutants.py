@@ -18,7 +18,9 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-LEFT_OUT = shutil.ignore_patterns(".git", ".venv", ".nox", ".*cache*", "__pycache__", "out", "build", "dist", "*.egg-info")
+LEFT_OUT = shutil.ignore_patterns(
+    ".git", ".venv", ".nox", ".*cache*", "__pycache__", "out", "build", "dist", "*.egg-info"
+)
 
 ROOMS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # files, and the tests that should notice
     "decision": (

@@ -71,10 +71,6 @@ def source_among(shown: Sequence[BoolArray], layout: RotorLayout) -> Source:
 
 def trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
     """Roll, pitch and yaw trim of each row, (n, 3) [fraction of hover], and where it may be used; zero elsewhere."""
-    return block.once((source, layout), lambda: _trim(block, layout, source))
-
-
-def _trim(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
     own, C, trim = slice(0, layout.rotors), layout.unmixing, np.zeros((3, len(block)))
     level = level_of(block, layout, source)
     if source == "actuator" and block.actuator.shape[1] >= layout.rotors:
