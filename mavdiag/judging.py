@@ -10,7 +10,7 @@ import numpy as np
 from mavdiag.airframe.fingerprint import Likeness, Outcome, compare
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.baseline import Baseline
-from mavdiag.chain import Chain, ChainOutput, ChainState, chain_of
+from mavdiag.chain import Chain, ChainOutput, chain_of
 from mavdiag.decision.diagnosis import Change, Event, RotorSpan, Stage
 from mavdiag.decision.words import fault_reason, inspect_words
 from mavdiag.errors import InputError
@@ -198,17 +198,17 @@ class _Run:
         for part in chain.front.pieces(in_pieces(log.telemetry, PIECE_ROWS)):
             if isinstance(part, Rows) and len(part.block):
                 self._flew(part.block)
-            self._take(*chain.judge(self.state, (part,)))
+            self._take(chain.judge(self.state, (part,)))
             if self.likeness.outcome is Outcome.FAR:
                 return
         learnt = chain.baseline.fingerprint
         if self.state.beginning and learnt is not None:
             self.likeness = compare(learnt, self.state.beginning, chain.baseline.airframe.layout)
-        self._take(*chain.finish(self.state))
+        self._take(chain.finish(self.state))
         self._settle()
 
-    def _take(self, state: ChainState, output: ChainOutput) -> None:
-        self.state, self.likeness = state, output.likeness or self.likeness
+    def _take(self, output: ChainOutput) -> None:
+        self.likeness = output.likeness or self.likeness
         self._found += output.events
         self.changes += output.changes
         self.kept += [piece.shrunk() for piece in output.pieces] if self.keep else ()

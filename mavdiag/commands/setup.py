@@ -171,7 +171,7 @@ class _Coach:
                 telemetry, now = self._link.poll(POLL_S), Instant(time.monotonic_ns())
                 heard, self._silent = (now, False) if telemetry.series else (heard, self._silent)
                 lost = now - heard > SILENT_S
-                state, parts = self._front.step(state, telemetry)
+                parts = self._front.step(state, telemetry)
                 rows += [part for part in parts if isinstance(part, Rows)]
                 ended = any(isinstance(part, Border) for part in parts) or lost
                 if rows and file is None:

@@ -81,8 +81,9 @@ def test_a_healthy_flight_is_healthy(seed: int) -> None:
 
 def fly(seed: int, fault: str | None = None, rotor: int = 1, seconds: float = 16.0) -> list[Rows]:
     config = PlantConfig(drone=1, seed=seed, fault=fault, rotor=rotor, wind_m_s=0.5)
-    state, rows = FRONT.step(FRONT.start(), flight_telemetry(config, seconds)[0])
-    return [one for one in (*rows, *FRONT.finish(state)[1]) if isinstance(one, Rows)]
+    state = FRONT.start()
+    rows = FRONT.step(state, flight_telemetry(config, seconds)[0])
+    return [one for one in (*rows, *FRONT.finish(state)) if isinstance(one, Rows)]
 
 
 def test_the_estimated_unbalance_is_that_of_the_table_and_placed() -> None:

@@ -167,7 +167,7 @@ def told(telemetry: Telemetry) -> Telemetry:
 
 
 def pieces(front: Front, telemetry: Telemetry) -> Iterator[Rows | Border]:
-    for part in front.step(front.start(), telemetry)[1]:  # what waits at the end of a log waits on
+    for part in front.step(front.start(), telemetry):  # what waits at the end of a log waits on
         if isinstance(part, Rows):
             setpoint = part.block.setpoint.copy()
             setpoint[:, 2] = np.nan

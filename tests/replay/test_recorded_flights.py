@@ -69,8 +69,9 @@ def flight(path: Path, max_gap_s: float = 0.035) -> tuple[Rows, ...]:
     front = Front(
         AlignSpec(dt_s, grid, max(max_gap_s, 2.5 * setpoint_s)), gate, RateSpec.of(dt_s, window_samples(dt_s))
     )
-    state, rows = front.step(front.start(), telemetry)
-    return tuple(one for one in (*rows, *front.finish(state)[1]) if isinstance(one, Rows))
+    state = front.start()
+    rows = front.step(state, telemetry)
+    return tuple(one for one in (*rows, *front.finish(state)) if isinstance(one, Rows))
 
 
 def learnt(kind: type[Monitor[Any]], flights: Flights, layout: RotorLayout | None = None) -> tuple[Monitor[Any], float]:
