@@ -80,8 +80,7 @@ def _told(record: Record, when: When) -> tuple[str, Content, str, bool]:
 
 
 def _event(event: Event, when: When) -> Content:
-    end_s = None if event.end_ns is None else event.end_ns / NS_PER_S
-    content = Content(event_json(event.start_ns / NS_PER_S, end_s, event))
+    content = Content(event_json(event))
     if when.vehicle_ns is not None:
         since = timedelta(seconds=(when.vehicle_ns - event.start_ns) / NS_PER_S)
         content["start_utc"] = _iso(when.utc - since)

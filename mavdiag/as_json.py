@@ -49,13 +49,13 @@ def spans_json(rotors: Iterable[RotorSpan]) -> list[dict[str, Any]]:
     return [{"rotor": one.rotor, "since_s": seconds(one.since_ns), "end_s": seconds(one.end_ns)} for one in rotors]
 
 
-def event_json(t_s: float, end_s: float | None, event: Event) -> dict[str, Any]:
-    """An event. t_s, end_s: of the vehicle's clock [s]; fsd_s, fml_s: of the thesis's monitor, else null."""
+def event_json(event: Event) -> dict[str, Any]:
+    """An event. Times are of the vehicle's clock; fsd_s, fml_s: of the thesis's monitor, else null."""
     figures = {"statistic": number(event.statistic), "threshold": number(event.threshold)}
     thesis = event.monitor == "fsd"
     return {
-        "t_s": round(t_s, 6),
-        "end_s": _rounded(end_s),
+        "t_s": seconds(event.start_ns),
+        "end_s": seconds(event.end_ns),
         "monitor": event.monitor,
         "axis": event.axis,
         **figures,
@@ -75,7 +75,7 @@ def verdict_json(verdict: "LogVerdict") -> dict[str, Any]:
         "log": verdict.log,
         "verdict": verdict.verdict,
         "kind": verdict.kind,
-        "since_s": _rounded(verdict.since_s),
+        "since_s": None if verdict.since_s is None else round(verdict.since_s, 6),
         "rotor": verdict.rotor,
         "rotors": spans_json(verdict.rotors),
         "reason": verdict.reason,
@@ -97,9 +97,5 @@ def verdict_json(verdict: "LogVerdict") -> dict[str, Any]:
             }
             for monitor in verdict.monitors
         },
-        "events": [event_json(judged.t_s, judged.end_s, judged.event) for judged in verdict.events],
+        "events": [event_json(event) for event in verdict.events],
     }
-
-
-def _rounded(t_s: float | None) -> float | None:
-    return None if t_s is None else round(t_s, 6)

@@ -70,15 +70,6 @@ class MonitorSummary:
 
 
 @dataclass(frozen=True, slots=True)
-class JudgedEvent:
-    """An event in seconds of the vehicle's clock. end_s is None if it lasted to the end of the log."""
-
-    t_s: float
-    end_s: float | None
-    event: Event
-
-
-@dataclass(frozen=True, slots=True)
 class LogVerdict(Tabular):
     """The verdict on one log. rate_hz: of the gyro. changes: the decision's log.
 
@@ -97,7 +88,7 @@ class LogVerdict(Tabular):
     profile: str = ""
     rate_hz: float = 0.0
     monitors: tuple[MonitorSummary, ...] = ()
-    events: tuple[JudgedEvent, ...] = ()
+    events: tuple[Event, ...] = ()
     changes: tuple[Change, ...] = ()
     notes: tuple[str, ...] = ()
     kind: FaultKind | None = None
@@ -250,7 +241,7 @@ class _Run:
             self.log.profile,
             rate_hz,
             self.monitors,
-            tuple(JudgedEvent(event.start_ns / NS_PER_S, _seconds(event.end_ns), event) for event in self.events),
+            tuple(self.events),
             tuple(self.changes),
             notes,
             kind,
@@ -354,7 +345,3 @@ def why_not(chain: Chain, account: Account) -> str | None:
     if not reasons or max(reasons.values()) < MIN_JUDGED_S:
         return "no flight" if account.flight_s == 0 else None if account.judged_s else "too short a flight"
     return max(reasons, key=lambda reason: reasons[reason])
-
-
-def _seconds(t_ns: int | None) -> float | None:
-    return None if t_ns is None else t_ns / NS_PER_S

@@ -67,8 +67,8 @@ OTHERS = 0.02  # probability of a prior's other class, to which no real vehicle 
 TINY = 1e-12  # no statistic differs by less
 REACH = 6.0  # arsinh of how many spreads a flight may lie apart
 RAREST, SUREST = 1e-6, 10.0  # rates -ln(1 - probability) that are told apart (our choice: once in a century of flight)
-# Healthy flights after which the maximum rule's false-alarm share is below 5 %, with 95 % confidence (METHOD section 4).
-GUARANTEE_FLIGHTS = 59  # 1 - 0.95^n >= 0.95
+# Healthy flights after which the maximum rule's false-alarm share is below 5 % with a confidence of 95 %.
+GUARANTEE_FLIGHTS = 59  # METHOD section 4: 1 - 0.95^n >= 0.95
 WORTH_SAYING_PER_HOUR = 1.0  # a limit on the alarms that is above it tells nobody anything (our choice)
 
 

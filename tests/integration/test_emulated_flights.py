@@ -69,7 +69,7 @@ def test_a_crack_is_declared_soon_and_its_rotor_named(rotor: int) -> None:
     assert verdict.verdict is Verdict.FAULT
     faults = [one for one in verdict.changes if one.stage is Stage.FAULT]
     assert ONSET_S < faults[0].t_ns / 1e9 < ONSET_S + 3.0
-    assert {one.event.rotor for one in verdict.events if one.event.rotor is not None} == {rotor}
+    assert {one.rotor for one in verdict.events if one.rotor is not None} == {rotor}
     assert {one.fault_type for one in faults} <= {None, "F2", "F3"}  # a crack, or what looks like one
 
 

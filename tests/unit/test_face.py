@@ -74,7 +74,7 @@ def test_a_watch_gives_what_the_verdict_on_the_log_gives() -> None:
     changes = [one for one in news if isinstance(one, Change)]
     assert [(one.stage, one.t_ns) for one in changes] == [(one.stage, one.t_ns) for one in verdict.changes]
     opened = {one.start_ns for one in news if isinstance(one, Event)}
-    assert opened == {one.event.start_ns for one in verdict.events}
+    assert opened == {one.start_ns for one in verdict.events}
     closed = watch.end_flight()
     assert not [one for one in watch.end_flight() if isinstance(one, Event)]
     assert [one.end_ns is not None for one in closed if isinstance(one, Event)] == [True]
@@ -104,7 +104,7 @@ def test_a_log_of_arrays_is_learnt_from_and_judged(tmp_path: Path) -> None:
     verdict = md.judge(of_arrays("weak", flying(3000, 5, weak_rotor=3, rise=0.2)), tmp_path / "b.json")
     assert (verdict.verdict, baseline.airframe.name) == (md.Verdict.FAULT, "drone 7")
     assert str(verdict).startswith("weak: fault, rotor_trim 0.1")
-    assert verdict.events[0].event.rotor == 3
+    assert verdict.events[0].rotor == 3
     assert len({log.sha256 for log in logs}) == 3
 
 

@@ -169,7 +169,7 @@ def test_a_new_monitor_is_its_class_and_one_name_in_the_registry(monkeypatch: py
     heavy = changed(flying(3000, 9), Signal.SPECIFIC_FORCE, lambda force: 1.5 * force)
     verdict = judge(made(9, heavy, "px4"), baseline)
     assert verdict.verdict is Verdict.FAULT
-    assert [one.event.monitor for one in verdict.events] == ["made_up"]
+    assert [one.monitor for one in verdict.events] == ["made_up"]
     assert verdict.reason.startswith("made_up")
     assert judge(made(8, flying(3000, 8), "px4"), baseline).verdict is Verdict.HEALTHY
 
