@@ -12,7 +12,7 @@ from mavdiag.rows.block import COVERED, OUTPUTS, RATE, VALID, WHOLE, Block, Part
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, BoolArray, FloatArray
-from mavdiag.thresholds.heldout import BLOCK_S, Scores, by_axis, folds, score
+from mavdiag.thresholds.heldout import Scores, by_axis, folds, score
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, Threshold, threshold_of
 
 WINDOW = 5  # samples of the rate filters
@@ -64,14 +64,13 @@ def example_context(
 def held_out_scores(
     flights: Flights,
     fit: Callable[[Flights], Sequence[Monitor[Any]]],
-    block_s: float = BLOCK_S,
     sessions: Sequence[int] | None = None,
 ) -> dict[Axis | None, Scores]:
     """Scores of all flights by axis, each flight scored by a fit that did not see it. fit: the monitors of a fit."""
     numbers = {id(flight): number for number, flight in enumerate(flights)}
-    pairs = ((left_out, fit(rest)) for left_out, rest in folds(flights, block_s, sessions))
+    pairs = ((left_out, fit(rest)) for left_out, rest in folds(flights, sessions))
     return by_axis(
-        (one.axis, score(one, flight, block_s, numbers.get(id(flight), 0)))
+        (one.axis, score(one, flight, numbers.get(id(flight), 0)))
         for left, found in pairs
         for one in found
         for flight in left

@@ -27,6 +27,7 @@ import numpy as np
 from pydantic import Field
 
 from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.trim import ALONG_Z
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import Method
 from mavdiag.identify import fit as identify
@@ -60,7 +61,6 @@ HEAVE_ORDER = (2, 2, 1)
 TRAIN_SAMPLES = 120_000  # more of it no longer changes the coefficients (our choice)
 MIN_PIECE_S = 1.0  # shorter valid stretches train nothing (our choice)
 LEAST_POWER = 1e-12  # of a normalised residual; keeps a channel without noise from a division by zero
-ONLY_Z = slice(2, 3)  # of the accelerometer
 # Means of n_r^2, n_p^2, n_r n_p, n_h^2, n_r n_h, n_p n_h in healthy flight, in place of rows that are not there yet.
 HEALTHY = (1.0, 1.0, 0.0, 1.0, 0.0, 0.0)
 
@@ -304,7 +304,7 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     spec_type = RotorSignatureSpec
     unit = "x healthy rms"
     feature = Feature.MOTION
-    takes = MappingProxyType({Signal.SPECIFIC_FORCE: ONLY_Z})
+    takes = MappingProxyType({Signal.SPECIFIC_FORCE: ALONG_Z})
     run = staticmethod(run)
 
     def __init__(self, spec: RotorSignatureSpec) -> None:

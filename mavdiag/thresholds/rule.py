@@ -328,9 +328,9 @@ class Law:
         values = np.array([getattr(part, component) for part in self.parts])
         return math.pow(float(self.weights @ values**power), 1 / power)
 
-    def rate(self, level: float, flights: float, same_session: bool = False) -> float:
+    def rate(self, level: float, flights: float) -> float:
         """How often so many flights exceed a level."""
-        return max(RAREST, self._rate(level, [part.below(flights) for part in self.parts], same_session))
+        return max(RAREST, self._rate(level, [part.below(flights) for part in self.parts], same_session=False))
 
     def level(self, rate: float, flights: float, same_session: bool = False) -> float:
         """The level that so many flights exceed so often, and at least the smallest that means anything."""

@@ -160,7 +160,7 @@ def assert_same(found: Story, expected: Story) -> None:
     assert_alike(found[0], expected[0])
     assert_alike(found[1], expected[1])
     np.testing.assert_allclose(found[3], expected[3], rtol=1e-9, atol=1e-9)
-    assert found[2].judged_s == pytest.approx(expected[2].judged_s)
+    assert found[2].memory.judged == expected[2].memory.judged
     assert found[2].diagnosis.stage is expected[2].diagnosis.stage
     for one, other in zip(found[2].accounts, expected[2].accounts, strict=True):
         assert one.peak == (None if other.peak is None else pytest.approx(other.peak, rel=1e-9))

@@ -45,7 +45,7 @@ from mavdiag.thresholds.rule import poisson_upper
 from mavdiag.units import NS_PER_S
 
 UNKNOWN = Airframe(gate=ALWAYS)
-ROLL = thesis_options(UNKNOWN)
+ROLL = dataclasses.replace(thesis_options(), airframe=UNKNOWN)
 HALVED = Telemetry(tuple(s.where(slice(None, None, 2)) for s in flight(8000, 2).series))
 MONDAY = 1_777_600_000 * NS_PER_S
 HOUR = 3600 * NS_PER_S
