@@ -20,7 +20,7 @@ from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.decision.alarm import Stage
 from mavdiag.judging import Verdict, judge
-from mavdiag.learning import LearnOptions, learn
+from mavdiag.learning import LearnOptions, learn, rows_of
 from mavdiag.link.codec import UNKNOWN, Decoder, Encoder, Frame, field_index
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES
@@ -81,9 +81,7 @@ def test_a_healthy_flight_is_healthy(seed: int) -> None:
 
 def fly(seed: int, fault: str | None = None, rotor: int = 1, seconds: float = 16.0) -> list[Rows]:
     config = PlantConfig(drone=1, seed=seed, fault=fault, rotor=rotor, wind_m_s=0.5)
-    state = FRONT.start()
-    rows = FRONT.step(state, flight_telemetry(config, seconds)[0])
-    return [one for one in (*rows, *FRONT.finish(state)) if isinstance(one, Rows)]
+    return list(rows_of(FRONT, flight_telemetry(config, seconds)[0]))
 
 
 def test_the_estimated_unbalance_is_that_of_the_table_and_placed() -> None:
