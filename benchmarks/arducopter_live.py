@@ -72,11 +72,8 @@ def stretches(path: Path) -> list[Stretch]:
 def run(baseline: Baseline, pieces: Sequence[Telemetry]) -> tuple[tuple[Event, ...], tuple[Change, ...]]:
     """Events and changes of a flight that comes in pieces."""
     chain = chain_of(baseline)
-    state, outputs = chain.start(), []
-    for piece in pieces:
-        state, output = chain.step(state, piece)
-        outputs.append(output)
-    outputs.append(chain.finish(state)[1])
+    state = chain.start()
+    outputs = [*(chain.step(state, piece) for piece in pieces), chain.finish(state)]
     return tuple(e for one in outputs for e in one.events), tuple(c for one in outputs for c in one.changes)
 
 

@@ -106,7 +106,7 @@ def calibrated(airframe: int, options: argparse.Namespace) -> dict[Way, Count | 
             len(faults),
             len(set(faults)),
             len(bad),
-            Counter({event.event.monitor for one in bad for event in one.events}),
+            Counter({event.monitor for one in bad for event in one.events}),
         )
     return found
 

@@ -17,6 +17,7 @@ import timeit
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -28,8 +29,11 @@ from mavdiag.identify.estimate import r_squared, sweep
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import coefficients
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import example_rows
 from sitl_plant.plant import Plant, PlantConfig
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from made_rows import example_rows
 
 DT_S = 0.001
 START_S = 3.0  # the take-off and the first corner

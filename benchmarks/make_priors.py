@@ -35,7 +35,7 @@ from mavdiag.monitors import by_name
 from mavdiag.storage import write_atomically
 from mavdiag.telemetry import Log
 from mavdiag.thresholds.heldout import Scores
-from mavdiag.thresholds.rule import DEGREES, priors_file, shown_spreads
+from mavdiag.thresholds.rule import DEGREES, GUMBEL_SCALE, Prior, part_of, priors_file
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.campaign.worker import CREATED, specimen
 from sitl_plant.physics.airframe import in_session, with_propellers
@@ -85,6 +85,16 @@ def shown(baseline: Baseline) -> Shown:
         scores = Scores(maxima, np.array(held.spans_s), np.array(held.flights))
         found.setdefault(entry.spec.kind, shown_spreads(scores, sessions, prior))
     return found
+
+
+def shown_spreads(scores: Scores, sessions: Sequence[int], prior: Prior) -> tuple[tuple[float, int], ...]:
+    """What healthy flights alone show, in the prior's unit: standard deviation between sessions, between flights and
+    within a flight, each with its degrees of freedom; with none the prior's own."""
+    found, _ = part_of(scores, sessions, prior, nu=1e-9)
+    unit = abs(float(scores.maxima.mean())) if prior.shares else 1.0
+    sds = found.session_sd, found.flight_sd, found.beta / GUMBEL_SCALE
+    degrees = found.sessions - 1, found.flights - found.sessions, len(scores.maxima) - found.flights
+    return tuple((sd / unit, count) for sd, count in zip(sds, degrees, strict=True))
 
 
 def pooled(airframes: Sequence[Shown], monitor: str) -> dict[str, float]:

@@ -97,8 +97,7 @@ def judged(setup: Setup, name: str, loss: float, seed: int) -> Found:
     damage = (Injection(DAMAGE[name](loss), rotor, onset_s, angle_rad=float(rng.uniform(0, 6.283))),) if loss else ()
     found, onset_ns = judge(setup.flight(seed, damage), taught(setup)), round(onset_s * NS_PER_S)
     since = onset_ns if loss else 0
-    events = [one.event for one in found.events]
-    alarms = [one for one in events if one.monitor == "rotor_speed" and one.start_ns >= since]
+    alarms = [one for one in found.events if one.monitor == "rotor_speed" and one.start_ns >= since]
     fault = any(one.stage is Stage.FAULT and one.t_ns >= since for one in found.changes)
     summary = next(one for one in found.monitors if one.name == "rotor_speed")
     return Found(

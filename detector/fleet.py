@@ -89,14 +89,14 @@ def due_turns(
     now: Instant,
     source_of: Callable[[int], Source],
     has_time: Callable[[], bool] = lambda: True,
-) -> Iterator[tuple[int, float]]:
-    """System ids with the time since they were judged [s], in rounds: of each source the vehicle that waited longest,
-    then of each source the second, and so on: who makes up vehicles delays those of his own source.
+) -> Iterator[int]:
+    """System ids in rounds: of each source the vehicle that waited longest, then of each source the second, and so on:
+    who makes up vehicles delays those of his own source.
 
     has_time: whether a look has time for another vehicle; one that waited for `MOST_S` has its turn all the same.
 
     >>> judged = {1: Instant(30), 2: Instant(10), 3: Instant(20)}
-    >>> [sysid for sysid, _ in due_turns(judged, Instant(40), lambda sysid: "one" if sysid == 1 else "other")]
+    >>> list(due_turns(judged, Instant(40), lambda sysid: "one" if sysid == 1 else "other"))
     [2, 1, 3]
     """
     queues: defaultdict[Source, list[int]] = defaultdict(list)
@@ -105,10 +105,10 @@ def due_turns(
     rounds = zip_longest(*sorted(queues.values(), key=lambda queue: judged[queue[-1]].ns))
     time_left, none_yet = True, True
     for sysid in (sysid for each in rounds for sysid in each if sysid is not None):
-        time_left, waited_s = time_left and has_time(), now - judged[sysid]  # asking takes time, too
-        if time_left or (none_yet and waited_s > MOST_S):
+        time_left = time_left and has_time()  # asking takes time, too
+        if time_left or (none_yet and now - judged[sysid] > MOST_S):
             none_yet = False
-            yield sysid, waited_s
+            yield sysid
 
 
 class Fleet:
@@ -165,7 +165,7 @@ class Fleet:
         for sysid, vehicle in self.vehicles.items():
             if vehicle.due_ns <= now.ns or vehicle.outcome is not None or sysid in urgent:
                 due[sysid] = vehicle.turn
-        for sysid, _ in due_turns(due, now, self.link.source, has_time):
+        for sysid in due_turns(due, now, self.link.source, has_time):
             self.longest_s = max(self.longest_s, (now.ns - self.vehicles[sysid].due_ns) / NS_PER_S)
             turns.append(self._parted(sysid, now, self._turn))
         return turns
@@ -199,7 +199,7 @@ class Fleet:
         """Judge what waits, while there is time, and what is left to say when the daemon stops."""
         waiting = {sysid: vehicle.turn for sysid, vehicle in self.vehicles.items()}
         due = due_turns(waiting, now, self.link.source, has_time)
-        turns = [self._parted(sysid, now, self._turn) for sysid, _ in due]
+        turns = [self._parted(sysid, now, self._turn) for sysid in due]
         ends = {sysid: vehicle.session.finish for sysid, vehicle in self.vehicles.items()}
         return [*turns, *(self._parted(sysid, now, lambda sysid, _: Turn(sysid, ends[sysid]())) for sysid in ends)]
 

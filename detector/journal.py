@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from detector.values import Effect, EventClosed, EventOpened, Note, Record, SendText, StateChanged, TextSuppressed
-from mavdiag.as_json import event_json, plain
+from mavdiag.as_json import event_json, plain, seconds, spans_json
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import UsageError
@@ -53,7 +53,7 @@ def mark(kind: str, when: When, content: Content) -> str:
     """One line of the journal, without its newline."""
     head: Content = {"kind": kind, "utc": _iso(when.utc), "vehicle": when.vehicle}
     if when.vehicle_ns is not None:
-        head["vehicle_s"] = _s(when.vehicle_ns)
+        head["vehicle_s"] = seconds(when.vehicle_ns)
     return json.dumps({**head, **content}, allow_nan=False)
 
 
@@ -80,8 +80,7 @@ def _told(record: Record, when: When) -> tuple[str, Content, str, bool]:
 
 
 def _event(event: Event, when: When) -> Content:
-    end_s = None if event.end_ns is None else event.end_ns / NS_PER_S
-    content = Content(event_json(event.start_ns / NS_PER_S, end_s, event))
+    content = Content(event_json(event))
     if when.vehicle_ns is not None:
         since = timedelta(seconds=(when.vehicle_ns - event.start_ns) / NS_PER_S)
         content["start_utc"] = _iso(when.utc - since)
@@ -91,13 +90,8 @@ def _event(event: Event, when: When) -> Content:
 def _stage(change: Change) -> Content:
     names = ("stage", "reason", "monitor", "axis", "statistic", "threshold", "rotor")
     held: Content = plain({name: getattr(change, name) for name in names} | {"fault_kind": change.kind})
-    spans = [{"rotor": span.rotor, "since_s": _s(span.since_ns), "end_s": _s(span.end_ns)} for span in change.rotors]
-    declared_s = _s(change.declared_ns)
-    return {"t_s": _s(change.t_ns)} | held | {"seen": change.seen, "declared_s": declared_s, "rotors": spans}
-
-
-def _s(t_ns: int | None) -> float | None:
-    return None if t_ns is None else round(t_ns / NS_PER_S, 6)
+    rest = {"seen": change.seen, "declared_s": seconds(change.declared_ns), "rotors": spans_json(change.rotors)}
+    return {"t_s": seconds(change.t_ns)} | held | rest
 
 
 def _iso(at: datetime) -> str:

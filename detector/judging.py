@@ -43,7 +43,7 @@ class Judge:
 
     def step(self, telemetry: Telemetry, now: Instant) -> ChainOutput:
         """Judge the next telemetry."""
-        self.memory, output = self.chain.step(self.memory, telemetry)
+        output = self.chain.step(self.memory, telemetry)
         self.judged = now if output.judged_s > 0 else self.judged
         self._count(output)
         self.pieces = output.pieces
@@ -52,19 +52,19 @@ class Judge:
 
     def end_flight(self, *, landed: bool) -> ChainOutput:
         """The flight cannot be followed any longer: what is open is closed. landed: else a fault stays."""
-        self.memory, output = self.chain.end_flight(self.memory, landed=landed)
+        output = self.chain.end_flight(self.memory, landed=landed)
         self.pieces = ()
         return output
 
     def finish(self) -> tuple[Record, ...]:
         """The watch ends: judge the rows that waited, and record the open events with their end not seen."""
-        self.memory, output = self.chain.finish(self.memory)
+        output = self.chain.finish(self.memory)
         self._count(output)
         diagnosis, held = self.memory.diagnosis, self.landed()
         changes = output.changes
         if diagnosis.stage is Stage.FAULT:
             changes = (*changes, Change.of(held, self.memory.now_ns or 0))
-        self.memory = self.chain.renewed(self.memory, held)
+        self.chain.renew(self.memory, held)
         latest = {(event.monitor, event.axis, event.start_ns): event for event in output.events}
         return (*(EventClosed(event) for event in latest.values()), *changes)
 
@@ -75,7 +75,7 @@ class Judge:
 
     def acknowledge(self) -> tuple[Change, ...]:
         """Somebody has looked at the vehicle."""
-        self.memory, output = self.chain.acknowledge(self.memory)
+        output = self.chain.acknowledge(self.memory)
         return output.changes
 
     def not_judged(self, streams: Streams, now: Instant) -> dict[str, str]:

@@ -2,11 +2,11 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
-from mavdiag.decision.alarm import Event
+from mavdiag.decision.diagnosis import Event, RotorSpan
 from mavdiag.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -39,13 +39,23 @@ def number(value: float | None) -> float | None:
     return None if value is None else plain(float(value), DIGITS)
 
 
-def event_json(t_s: float, end_s: float | None, event: Event) -> dict[str, Any]:
-    """An event. t_s, end_s: of the vehicle's clock [s]; fsd_s, fml_s: of the thesis's monitor, else null."""
+def seconds(t_ns: int | None) -> float | None:
+    """A time in seconds, to a microsecond."""
+    return None if t_ns is None else round(t_ns / NS_PER_S, 6)
+
+
+def spans_json(rotors: Iterable[RotorSpan]) -> list[dict[str, Any]]:
+    """The rotors that were named."""
+    return [{"rotor": one.rotor, "since_s": seconds(one.since_ns), "end_s": seconds(one.end_ns)} for one in rotors]
+
+
+def event_json(event: Event) -> dict[str, Any]:
+    """An event. Times are of the vehicle's clock; fsd_s, fml_s: of the thesis's monitor, else null."""
     figures = {"statistic": number(event.statistic), "threshold": number(event.threshold)}
     thesis = event.monitor == "fsd"
     return {
-        "t_s": round(t_s, 6),
-        "end_s": _rounded(end_s),
+        "t_s": seconds(event.start_ns),
+        "end_s": seconds(event.end_ns),
         "monitor": event.monitor,
         "axis": event.axis,
         **figures,
@@ -65,12 +75,9 @@ def verdict_json(verdict: "LogVerdict") -> dict[str, Any]:
         "log": verdict.log,
         "verdict": verdict.verdict,
         "kind": verdict.kind,
-        "since_s": _rounded(verdict.since_s),
+        "since_s": None if verdict.since_s is None else round(verdict.since_s, 6),
         "rotor": verdict.rotor,
-        "rotors": [
-            {"rotor": span.rotor, "since_s": _seconds(span.since_ns), "end_s": _seconds(span.end_ns)}
-            for span in verdict.rotors
-        ],
+        "rotors": spans_json(verdict.rotors),
         "reason": verdict.reason,
         "notes": list(verdict.notes),
         "judged_s": round(verdict.judged_s, 3),
@@ -90,13 +97,5 @@ def verdict_json(verdict: "LogVerdict") -> dict[str, Any]:
             }
             for monitor in verdict.monitors
         },
-        "events": [event_json(judged.t_s, judged.end_s, judged.event) for judged in verdict.events],
+        "events": [event_json(event) for event in verdict.events],
     }
-
-
-def _rounded(t_s: float | None) -> float | None:
-    return None if t_s is None else round(t_s, 6)
-
-
-def _seconds(t_ns: int | None) -> float | None:
-    return None if t_ns is None else round(t_ns / NS_PER_S, 6)

@@ -38,7 +38,7 @@ from mavdiag.storage import read_text, write_atomically
 from mavdiag.tabular import Tabular
 from mavdiag.telemetry import Signal
 from mavdiag.thresholds.envelope import Covered
-from mavdiag.thresholds.rule import Threshold, ThresholdRule, flights_for_guarantee
+from mavdiag.thresholds.rule import GUARANTEE_FLIGHTS, Threshold, ThresholdRule
 from mavdiag.units import NS_PER_S
 
 ENOUGH_SESSIONS = 5  # from here on another one teaches little of how sessions differ (our choice)
@@ -313,7 +313,7 @@ class Baseline(Part, Tabular):
         names, flights, advice = {entry.spec.kind for entry in self.monitors}, len(self.provenance.logs), list[str]()
         days = ENOUGH_SESSIONS - len({one.session for one in self.provenance.logs})
         by_maximum = any(entry.threshold.rule is ThresholdRule.MAXIMUM for entry in self.monitors)
-        if by_maximum and (missing := flights_for_guarantee() - flights) > 0:
+        if by_maximum and (missing := GUARANTEE_FLIGHTS - flights) > 0:
             advice.append(f"{missing} more flights, for a 95/95 guarantee by the longest healthy run")
         elif days > 0:
             advice.append(f"healthy flights of {days} more day{'s' if days > 1 else ''} (`mavdiag baseline extend`)")

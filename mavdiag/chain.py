@@ -94,11 +94,6 @@ class ChainState:
         return replace(held, reason=self.refused) if self.refused else held
 
     @property
-    def judged_s(self) -> float:
-        """Flown time that any slot that decides about propellers judged, since the start [s]."""
-        return self.memory.judged * self.kernel.dt_s
-
-    @property
     def idle(self) -> tuple[int, ...]:
         """The slots that have not judged anything yet, by number."""
         return tuple(np.flatnonzero(self.memory.tally[:, VALUES] == 0).tolist())
@@ -141,10 +136,10 @@ class Chain:
         beginning = None if self.baseline.fingerprint is None else list[Rows]()
         return ChainState(self.kernel, self.front.start(), self.kernel.start(), DecisionState(held), None, beginning)
 
-    def step(self, state: ChainState, telemetry: Telemetry) -> tuple[ChainState, ChainOutput]:
+    def step(self, state: ChainState, telemetry: Telemetry) -> ChainOutput:
         """Take in a chunk of telemetry; return what it brought."""
         if not telemetry.series:
-            return state, NOTHING
+            return NOTHING
         state.waiting.append(telemetry)
         if not state.measured:
             if len(state.waiting) > MOST_UNMEASURED:
@@ -152,22 +147,22 @@ class Chain:
                 gyro = whole.get(Signal.BODY_RATE)
                 state.waiting = [whole] if gyro is not None and len(gyro) <= MOST_GYRO else []
             if _gyro_s(state.waiting) < MEASURED_S:
-                return state, NOTHING
+                return NOTHING
             rates = (tuple(one for one in chunk if one.signal is Signal.BODY_RATE) for chunk in state.waiting)
             refused = self.refusal(joined(map(Telemetry, rates)), MEASURED_S)
             if refused is not None:
                 state.refused, state.measured = refused, not refused
             if not state.measured:
                 state.waiting = [] if refused else state.waiting
-                return state, NOTHING
+                return NOTHING
         state.chunks += 1
         align, gyro, may_wait = state.front.align, telemetry.get(Signal.BODY_RATE), state.chunks < MOST_WAITING
         next_ns = (align.last_ns // LOOK_NS + 1) * LOOK_NS
         if may_wait and gyro is not None and len(gyro) and gyro.t_ns[-1] < next_ns:
-            return state, NOTHING  # nothing can be decided before the rows of the next look
+            return NOTHING  # nothing can be decided before the rows of the next look
         self._append(state)
         if may_wait and self.front.align.reached_ns(align) < next_ns:
-            return state, NOTHING
+            return NOTHING
         return self.judge(state, self._taken(state))
 
     def missing_ns(self, state: ChainState) -> int:
@@ -178,34 +173,33 @@ class Chain:
         next_ns = (align.last_ns // LOOK_NS + 1) * LOOK_NS
         return min(max(0, self.front.align.expected_ns(align, next_ns) - align.newest_ns), 2 * LOOK_NS)
 
-    def end_flight(self, state: ChainState, *, landed: bool = True) -> tuple[ChainState, ChainOutput]:
+    def end_flight(self, state: ChainState, *, landed: bool = True) -> ChainOutput:
         """It cannot be followed any longer: close what is open. Rows may go on later. landed: else a fault stays."""
-        parts = (*self._taken(state), *self.front.settle(state.front)[1])
+        parts = (*self._taken(state), *self.front.settle(state.front))
         ends = [int(part.block.t_ns[-1]) for part in parts if isinstance(part, Rows) and len(part.block)]
         end_ns = ends[-1] if ends else state.now_ns
         return self.judge(state, parts if end_ns is None else (*parts, Border(end_ns, landed)))
 
-    def acknowledge(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
+    def acknowledge(self, state: ChainState) -> ChainOutput:
         """Somebody has looked at the vehicle: an open inspection is closed."""
         state.decision, _, changes = self.decision.acknowledge(state.decision, state.now_ns or 0)
-        return state, ChainOutput(changes=changes)
+        return ChainOutput(changes=changes)
 
-    def finish(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
+    def finish(self, state: ChainState) -> ChainOutput:
         """The end of a log: the last rows, and events that are still open, with end_ns None."""
-        state, output = self.judge(state, (*self._taken(state), *self.front.finish(state.front)[1]))
+        output = self.judge(state, (*self._taken(state), *self.front.finish(state.front)))
         if state.now_ns is None:
-            return state, output
+            return output
         last = self.kernel.close(state.memory, state.now_ns)
         state.decision, events, changes = self.decision.step(state.decision, last)
         lasting = self.decision.named(state.decision, self.kernel.open_alarms(state.memory))
         events, changes = (*output.events, *events, *lasting), (*output.changes, *changes)
-        return state, output._replace(events=events, changes=changes)
+        return output._replace(events=events, changes=changes)
 
-    def renewed(self, state: ChainState, held: Diagnosis) -> ChainState:
+    def renew(self, state: ChainState, held: Diagnosis) -> None:
         """After `finish`, for what may follow. held: what is known from before."""
         self.kernel.restart(state.memory)
         state.decision = DecisionState(held)
-        return state
 
     def refusal(self, telemetry: Telemetry, least_s: float = 0.0, mean_s: float | None = None) -> str | None:
         """Why data do not suit the baseline; empty if they do, None if too few (below `least_s` of gyro) to tell.
@@ -227,7 +221,7 @@ class Chain:
                 found = found or f"another link: {error}"
         return found
 
-    def judge(self, state: ChainState, parts: Sequence[Rows | Border]) -> tuple[ChainState, ChainOutput]:
+    def judge(self, state: ChainState, parts: Sequence[Rows | Border]) -> ChainOutput:
         """Take in rows that its front made."""
         events, changes, pieces, likeness = list[Event](), list[Change](), list[Piece](), None
         rows, judged, memory, now_ns = state.memory.rows, state.memory.judged, state.memory, None
@@ -249,7 +243,7 @@ class Chain:
             events += told
             changes += changed
         spans_s = (memory.rows - rows) * self.kernel.dt_s, (memory.judged - judged) * self.kernel.dt_s
-        return state, ChainOutput(tuple(events), tuple(changes), *spans_s, now_ns, likeness, tuple(pieces))
+        return ChainOutput(tuple(events), tuple(changes), *spans_s, now_ns, likeness, tuple(pieces))
 
     def _compared(self, state: ChainState, rows: Rows) -> Likeness | None:
         if state.beginning is None or self.baseline.fingerprint is None:
@@ -272,7 +266,7 @@ class Chain:
 
     def _taken(self, state: ChainState) -> tuple[Rows | Border, ...]:
         waiting, state.waiting, state.chunks = state.waiting, [], 0
-        return self.front.step(state.front, *waiting)[1] if state.measured else ()
+        return self.front.step(state.front, *waiting) if state.measured else ()
 
 
 def _gyro_s(pieces: Sequence[Telemetry]) -> float:

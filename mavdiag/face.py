@@ -132,14 +132,14 @@ class Watch:
 
         Raises BaselineError if the telemetry, after two seconds, has another rate or profile than the baseline.
         """
-        self._state, self.output = self._chain.step(self._state, telemetry)
+        self.output = self._chain.step(self._state, telemetry)
         if self._state.refused:
             raise BaselineError(self._state.refused)
         return _in_order(self.output)
 
     def end_flight(self) -> tuple[Event | Change, ...]:
         """The vehicle landed or the link was lost: close what is open."""
-        self._state, self.output = self._chain.end_flight(self._state)
+        self.output = self._chain.end_flight(self._state)
         return _in_order(self.output)
 
     @property

@@ -10,7 +10,7 @@ import numpy as np
 from mavdiag.airframe.fingerprint import Likeness, Outcome, compare
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.baseline import Baseline
-from mavdiag.chain import Chain, ChainOutput, ChainState, chain_of
+from mavdiag.chain import Chain, ChainOutput, chain_of
 from mavdiag.decision.diagnosis import Change, Event, RotorSpan, Stage
 from mavdiag.decision.words import fault_reason, inspect_words
 from mavdiag.errors import InputError
@@ -70,15 +70,6 @@ class MonitorSummary:
 
 
 @dataclass(frozen=True, slots=True)
-class JudgedEvent:
-    """An event in seconds of the vehicle's clock. end_s is None if it lasted to the end of the log."""
-
-    t_s: float
-    end_s: float | None
-    event: Event
-
-
-@dataclass(frozen=True, slots=True)
 class LogVerdict(Tabular):
     """The verdict on one log. rate_hz: of the gyro. changes: the decision's log.
 
@@ -97,7 +88,7 @@ class LogVerdict(Tabular):
     profile: str = ""
     rate_hz: float = 0.0
     monitors: tuple[MonitorSummary, ...] = ()
-    events: tuple[JudgedEvent, ...] = ()
+    events: tuple[Event, ...] = ()
     changes: tuple[Change, ...] = ()
     notes: tuple[str, ...] = ()
     kind: FaultKind | None = None
@@ -198,17 +189,17 @@ class _Run:
         for part in chain.front.pieces(in_pieces(log.telemetry, PIECE_ROWS)):
             if isinstance(part, Rows) and len(part.block):
                 self._flew(part.block)
-            self._take(*chain.judge(self.state, (part,)))
+            self._take(chain.judge(self.state, (part,)))
             if self.likeness.outcome is Outcome.FAR:
                 return
         learnt = chain.baseline.fingerprint
         if self.state.beginning and learnt is not None:
             self.likeness = compare(learnt, self.state.beginning, chain.baseline.airframe.layout)
-        self._take(*chain.finish(self.state))
+        self._take(chain.finish(self.state))
         self._settle()
 
-    def _take(self, state: ChainState, output: ChainOutput) -> None:
-        self.state, self.likeness = state, output.likeness or self.likeness
+    def _take(self, output: ChainOutput) -> None:
+        self.likeness = output.likeness or self.likeness
         self._found += output.events
         self.changes += output.changes
         self.kept += [piece.shrunk() for piece in output.pieces] if self.keep else ()
@@ -250,7 +241,7 @@ class _Run:
             self.log.profile,
             rate_hz,
             self.monitors,
-            tuple(JudgedEvent(event.start_ns / NS_PER_S, _seconds(event.end_ns), event) for event in self.events),
+            tuple(self.events),
             tuple(self.changes),
             notes,
             kind,
@@ -354,7 +345,3 @@ def why_not(chain: Chain, account: Account) -> str | None:
     if not reasons or max(reasons.values()) < MIN_JUDGED_S:
         return "no flight" if account.flight_s == 0 else None if account.judged_s else "too short a flight"
     return max(reasons, key=lambda reason: reasons[reason])
-
-
-def _seconds(t_ns: int | None) -> float | None:
-    return None if t_ns is None else t_ns / NS_PER_S

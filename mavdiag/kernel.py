@@ -713,7 +713,5 @@ def _stretches(before: tuple[Stretch, ...], rows_ns: IntArray, dt_s: float) -> t
 
 def warm() -> None:
     """Compile the pass, or load it from where it is kept."""
-    from mavdiag.testing import example_rows  # values for tests, which nothing else here needs
-
-    kernel = Kernel((), (), 0.01, 0.02)
-    kernel.step(kernel.start(), example_rows(20))
+    kernel, t_ns = Kernel((), (), 0.01, 0.02), 10_000_000 * np.arange(20)
+    kernel.step(kernel.start(), Rows(col.Block(0, 0.01, t_ns, np.zeros((col.OUTPUTS, len(t_ns)))), t_ns))

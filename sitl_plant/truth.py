@@ -33,7 +33,7 @@ class Truth:
     ) -> None:
         self._config, self._started_unix_ns, self._file, self._t_ns = config, started_unix_ns, file, math.inf
         self._link = {"profile": profile, "rate_hz": rate_hz}
-        self._causes = self._configured()
+        self._causes = list[Injection]()
 
     def write(self, samples: PlantSamples, changes: Sequence[Change] = ()) -> None:
         """Write the lines of a block (n >= 1). changes: `Plant.take_changes`, made before the block."""
@@ -43,13 +43,10 @@ class Truth:
             self._file.writelines(f"{line}\n" for line in begins + self.step(samples, changes))
             self._file.flush()
 
-    def _configured(self) -> list[Injection]:
-        return list(self._config.all_injections()[:1]) if self._config.fault else []
-
     def head(self) -> str:
         """The first line of a flight, which now begins."""
         config = self._config
-        self._causes = self._configured()
+        self._causes = list(config.all_injections()[:1]) if config.fault else []
         line: dict[str, object] = {"record": "flight", "vehicle": config.vehicle.name}
         line |= {name: getattr(config, name) for name in ("drone", "trajectory", "nose", "start", "fault")}
         line |= {name: getattr(config, name) if config.fault else None for name in ("rotor", "onset_s")}

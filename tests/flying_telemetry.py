@@ -76,8 +76,9 @@ def flying(
 
 def flying_rows(telemetry: Telemetry) -> list[Rows]:
     front = flying_front()
-    state, rows = front.step(front.start(), telemetry)
-    return [one for one in (*rows, *front.finish(state)[1]) if isinstance(one, Rows)]
+    state = front.start()
+    rows = front.step(state, telemetry)
+    return [one for one in (*rows, *front.finish(state)) if isinstance(one, Rows)]
 
 
 def without(

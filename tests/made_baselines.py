@@ -7,6 +7,7 @@ flights, and the versions of what computes. Call it with a key that tells the fl
 import hashlib
 import platform
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -83,5 +84,5 @@ def trim() -> Baseline:
 @cache
 def thesis() -> Baseline:
     """The thesis's monitor alone, roll and pitch."""
-    options = thesis_options(Airframe(gate=ALWAYS), BOTH)
+    options = replace(thesis_options(), airframe=Airframe(gate=ALWAYS), axes=BOTH)
     return kept("thesis", lambda: learn(plain(3), options, created=NOW))

@@ -1,17 +1,55 @@
-"""Context and thresholds as learning makes them, for tests that look at one monitor alone."""
+"""Rows from plain arrays; context and thresholds as learning makes them, for tests that look at one monitor alone."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
 from mavdiag.monitors.base import Flights, LearnContext, Monitor
-from mavdiag.rows.front import Rows
+from mavdiag.rows.block import COVERED, OUTPUTS, RATE, VALID, WHOLE, Block, Part, Rows, with_outputs
+from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import Axis
-from mavdiag.testing import WINDOW
-from mavdiag.thresholds.heldout import BLOCK_S, Scores, by_axis, folds, score
+from mavdiag.telemetry import Axis, BoolArray, FloatArray
+from mavdiag.thresholds.heldout import Scores, by_axis, folds, score
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, Threshold, threshold_of
+
+WINDOW = 5  # samples of the rate filters
+
+
+def example_rows(
+    n: int,
+    dt_s: float = 0.01,
+    *,
+    segment: int = 0,
+    setpoint: FloatArray | None = None,
+    rate: FloatArray | None = None,
+    **columns: FloatArray | BoolArray | None,
+) -> Rows:
+    """n rows of one segment with the columns of `Block` given, (n, k) each; other signals are absent.
+
+    The set-point is at rest if not given; the gyro turns the nose as it commands. Rate filters of 5 samples.
+    """
+    x, setpoint = np.full((OUTPUTS, n), np.nan), np.zeros((n, 3)) if setpoint is None else setpoint
+    x[: WHOLE + 1], x[VALID : VALID + 2], x[COVERED], x[WHOLE : RATE + 3] = 0.0, 1.0, 1.0, 0.0
+    if rate is None and n > 1:
+        x[RATE + 2] = np.gradient(setpoint[:, 2], dt_s)
+    t_ns = round(segment * 1e12) + np.round(np.arange(n) * dt_s * 1e9).astype(np.int64)
+    block = changed(Block(segment, dt_s, t_ns, x), setpoint=setpoint, rate=rate, armed=np.ones(n), **columns)
+    spec = RateSpec.of(dt_s, WINDOW)
+    return spec.step(spec.start(), block)
+
+
+def changed(block: Block, **columns: FloatArray | BoolArray | None) -> Block:
+    """The block with other columns, (n,) or (n, k); None leaves one as it is."""
+    given = {name: column for name, column in columns.items() if column is not None}
+    sent, speeds = given.pop("actuator", block.actuator).T, given.pop("rotor_speed", block.rotor_speed).T
+    made = with_outputs(block, np.asarray(sent, np.float64), np.asarray(speeds, np.float64))
+    for name, column in given.items():
+        part: Part[np.float64] = Block.__dict__[name]
+        made.x[part.at] = column.T
+    return made
 
 
 def example_context(
@@ -26,14 +64,13 @@ def example_context(
 def held_out_scores(
     flights: Flights,
     fit: Callable[[Flights], Sequence[Monitor[Any]]],
-    block_s: float = BLOCK_S,
     sessions: Sequence[int] | None = None,
 ) -> dict[Axis | None, Scores]:
     """Scores of all flights by axis, each flight scored by a fit that did not see it. fit: the monitors of a fit."""
     numbers = {id(flight): number for number, flight in enumerate(flights)}
-    pairs = ((left_out, fit(rest)) for left_out, rest in folds(flights, block_s, sessions))
+    pairs = ((left_out, fit(rest)) for left_out, rest in folds(flights, sessions))
     return by_axis(
-        (one.axis, score(one, flight, block_s, numbers.get(id(flight), 0)))
+        (one.axis, score(one, flight, numbers.get(id(flight), 0)))
         for left, found in pairs
         for one in found
         for flight in left
@@ -53,4 +90,4 @@ def calibrated(
 
 def read(monitor: Monitor[Any], rows: Rows) -> Statistic:
     """What it makes of rows, from the beginning."""
-    return monitor.step(monitor.start(), rows)[1]
+    return next(monitor.over([rows]))

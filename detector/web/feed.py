@@ -28,10 +28,10 @@ WATCHED_MOST = 8  # vehicles that are shown at a time, so that pages cannot load
 
 
 class Feed:
-    """The daemon's end. child: who serves the page. began: now."""
+    """The daemon's end. child: who serves the page. began: now. where: the page is, for a person."""
 
     def __init__(self, child: ServerProcess, began: Instant) -> None:
-        self._child, self._began = child, began
+        self._child, self._began, self.where = child, began, child.where
         self._entries: deque[str] = deque(maxlen=KEPT)
         self._count, self._given = 0, 0
         self._watched: tuple[int, ...] = ()
@@ -42,11 +42,6 @@ class Feed:
         self._about: dict[int, Chain | None] = {}
         self._shown = began
         self._acknowledged: list[int] = []
-
-    @property
-    def where(self) -> str:
-        """Where the page is, for a person."""
-        return self._child.where
 
     def write(self, text: str, urgent: bool = False) -> None:
         """Take an entry of the journal."""

@@ -25,7 +25,7 @@ from detector.values import DaemonFigures, VehicleFigures
 from mavdiag.chain import Chain
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.decision.words import held_advice, held_sentence
-from mavdiag.kernel import WAITING, Account, Piece
+from mavdiag.kernel import NO_ROTORS, WAITING, Account, Piece
 from mavdiag.link.wants import LABELS
 from mavdiag.monitors.base import Feature
 from mavdiag.report.drawing import airframe_svg
@@ -44,7 +44,6 @@ PLACES = (Signal.POSITION, Signal.COORDINATES)
 EARTH_M = 6_371_009.0  # mean radius (IUGG)
 MOST = 1e6  # that a point may show: what is not finite, or beyond it, is no figure for a strip
 _FIRST: IntArray = np.zeros(1, dtype=np.int64)
-_NO_ROTORS: FloatArray = np.empty((0, 0))
 
 Json = dict[str, Any]
 
@@ -213,7 +212,7 @@ def _why(account: Account, before: Account) -> str:
 def thesis_traces(piece: Piece) -> list[SlotTrace]:
     """What the thesis rule gave in a piece, and nothing else of it: little memory for a display that may come."""
     return [
-        SlotTrace(slot, slot.monitor.statistic(piece.rows, out[:, :count].copy(), _NO_ROTORS, at[:count]))
+        SlotTrace(slot, slot.monitor.statistic(piece.rows, out[:, :count].copy(), NO_ROTORS, at[:count]))
         for slot, out, at, count in zip(piece.slots, piece.out, piece.at, piece.counts, strict=True)
         if slot.monitor.name == "fsd"
     ]

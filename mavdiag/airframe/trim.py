@@ -25,7 +25,7 @@ YAW_FLOOR = 0.002  # of the hover command: smallest yaw spread that is believed 
 LEVEL_RATIO = 3.0  # least spread of roll and pitch over yaw's: payload and wind move them; METHOD 5 has .07 to .012
 BESIDE = 0.3  # how far beside the centre what is taken up in flight hangs, over the rotors' distance (sd, our choice)
 TILT_TRIM = 0.3  # 1/rad: roll and pitch trim that a steady tilt in wind may bring (estimate; emulated: 0.28)
-ALONG_DISCS = slice(0, 2)  # x and y of the accelerometer
+ALONG_DISCS, ALONG_Z = slice(0, 2), slice(2, 3)  # of the accelerometer
 FELT_SHARE = 0.99  # of the rows that must have them (our choice)
 MOST_LOSS = 1 / 3  # of a rotor's thrust; with less left no output can answer (our choice)
 MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)
@@ -71,10 +71,6 @@ def source_among(shown: Sequence[BoolArray], layout: RotorLayout) -> Source:
 
 def trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
     """Roll, pitch and yaw trim of each row, (n, 3) [fraction of hover], and where it may be used; zero elsewhere."""
-    return block.once((source, layout), lambda: _trim(block, layout, source))
-
-
-def _trim(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
     own, C, trim = slice(0, layout.rotors), layout.unmixing, np.zeros((3, len(block)))
     level = level_of(block, layout, source)
     if source == "actuator" and block.actuator.shape[1] >= layout.rotors:

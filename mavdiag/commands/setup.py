@@ -35,8 +35,9 @@ from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.wants import Asker, remedy
 from mavdiag.logs import read_part
 from mavdiag.logs.tlog import tlog_record
-from mavdiag.look.inspection import RIGHT, SLACK, Inspection, inspection_of
+from mavdiag.look.inspection import RIGHT, Inspection, inspection_of
 from mavdiag.look.words import in_full
+from mavdiag.monitors.base import SLACK
 from mavdiag.monitors.run_length import RunLength
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import Border
@@ -170,7 +171,7 @@ class _Coach:
                 telemetry, now = self._link.poll(POLL_S), Instant(time.monotonic_ns())
                 heard, self._silent = (now, False) if telemetry.series else (heard, self._silent)
                 lost = now - heard > SILENT_S
-                state, parts = self._front.step(state, telemetry)
+                parts = self._front.step(state, telemetry)
                 rows += [part for part in parts if isinstance(part, Rows)]
                 ended = any(isinstance(part, Border) for part in parts) or lost
                 if rows and file is None:

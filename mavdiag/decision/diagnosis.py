@@ -112,9 +112,18 @@ class Event:
     confidence: float | None = None
     kind: FaultKind | None = None
 
+    @property
+    def t_s(self) -> float:
+        """`start_ns` in seconds."""
+        return self.start_ns / NS_PER_S
+
+    @property
+    def end_s(self) -> float | None:
+        """`end_ns` in seconds."""
+        return None if self.end_ns is None else self.end_ns / NS_PER_S
+
     def __str__(self) -> str:
         axis = f" {self.axis}" if self.axis is not None else ""
-        end = "" if self.end_ns is None else f" to {self.end_ns / NS_PER_S:.2f} s"
+        end = "" if self.end_s is None else f" to {self.end_s:.2f} s"
         where = "" if self.rotor is None else f", rotor {self.rotor}"
-        start = f"from {self.start_ns / NS_PER_S:.2f} s"
-        return f"{self.monitor}{axis} {self.statistic:.3g} > {self.threshold:.3g} {start}{end}{where}"
+        return f"{self.monitor}{axis} {self.statistic:.3g} > {self.threshold:.3g} from {self.t_s:.2f} s{end}{where}"

@@ -191,11 +191,11 @@ def certainty(verdict: "LogVerdict") -> str:
     if verdict.verdict != "fault":
         return ""
     above = [f"{one.name.replace('_', ' ')} {one.ratio:.1f} times" for one in told if one.ratio > 1]
-    events, named = [judged.event for judged in verdict.events], [one for one in verdict.changes if one.confidence]
-    text = f"Above their thresholds: {', '.join(above) or 'none at the end'} ({_count(events)})."
+    named = [one for one in verdict.changes if one.confidence]
+    text = f"Above their thresholds: {', '.join(above) or 'none at the end'} ({_count(verdict.events)})."
     if verdict.rotor is not None and named:
         text += f" The rotor is named with {100 * (named[-1].confidence or 0.0):.0f} % confidence."
-    return text + (f" This alone does not tell the cause ({doubt})." if (doubt := _doubt(events)) else "")
+    return text + (f" This alone does not tell the cause ({doubt})." if (doubt := _doubt(verdict.events)) else "")
 
 
 def advice(verdict: "LogVerdict") -> str:

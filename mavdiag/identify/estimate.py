@@ -111,9 +111,9 @@ def _correlations(x: FloatArray, z: FloatArray, lags: int) -> FloatArray:
     return np.array([x[lag:] @ z[: len(z) - lag] for lag in range(lags + 1)]) / scale
 
 
-def one_step_report(model: ArxModel, u: FloatArray, y: FloatArray, lags: int = LAGS) -> ResidualReport:
+def one_step_report(model: ArxModel, u: FloatArray, y: FloatArray) -> ResidualReport:
     """Examine the one-step prediction error, which least squares makes white. u, y: (n,)."""
-    return examine_residual(y[model.lag :] - model.predict(u, y), u[model.lag :], lags)
+    return examine_residual(y[model.lag :] - model.predict(u, y), u[model.lag :])
 
 
 def fit(
@@ -210,10 +210,10 @@ def sweep(candidates: Iterable[Candidate], *, dt: float, method: Method | str = 
     return tuple(rows)
 
 
-def best_row(rows: Iterable[SweepRow], tolerance: float = 0.01) -> SweepRow:
-    """The row with the lowest YIC among those whose R_T^2 is within `tolerance` (our choice) of the best."""
+def best_row(rows: Iterable[SweepRow]) -> SweepRow:
+    """The row with the lowest YIC among those whose R_T^2 is within 0.01 (our choice) of the best."""
     usable = {row: row.model.yic for row in rows if row.model is not None}
     if not usable:
         raise IdentificationError("no candidate could be identified; record longer or more excited flight")
-    limit = max(row.score for row in usable) - tolerance
+    limit = max(row.score for row in usable) - 0.01
     return min((row for row in usable if row.score >= limit), key=usable.__getitem__)

@@ -105,11 +105,9 @@ class LearnOptions:
             raise UsageError(f"sessions must be 1 or more, not {self.sessions}")
 
 
-def thesis_options(airframe: Airframe | None = None, axes: tuple[Axis, ...] = (Axis.ROLL,)) -> LearnOptions:
+def thesis_options() -> LearnOptions:
     """The thesis's own way: one monitor, FML the longest healthy run, roll the primary axis (T 5.5)."""
-    return LearnOptions(
-        axes=axes, airframe=airframe or Airframe(), monitors=(RunLength.name,), rule=ThresholdRule.MAXIMUM
-    )
+    return LearnOptions(axes=(Axis.ROLL,), monitors=(RunLength.name,), rule=ThresholdRule.MAXIMUM)
 
 
 Fitted: TypeAlias = tuple[Monitor[Any], Scores]  # by its fit to all flights, and on flights that a fit did not see
@@ -204,6 +202,7 @@ def _fit_all(
     kinds = tuple(dict.fromkeys(map(by_name, options.monitors)))
     for kind in kinds:
         try:
+            kind.need_stream(1 / context.dt_s, context.imu_corner_hz, context.airframe.hover_rad_s)
             specs = kind.fit(flights, context)
             near = replace(context, figures=False, near=specs)
             found[kind] = specs, [[kind(spec) for spec in kind.fit(rest, near)] for _, rest in pairs]
@@ -250,7 +249,7 @@ def _scores(monitors: Sequence[Monitor[Any]], flight: Sequence[Rows], number: in
             values[i].append(statistic.value[statistic.valid])
             periods_s[i] = statistic.period_s
     columns = zip(values, periods_s, strict=True)
-    return [maxima(np.concatenate(parts), period_s, number=number) for parts, period_s in columns]
+    return [maxima(np.concatenate(parts), period_s, number) for parts, period_s in columns]
 
 
 def _entries(fitted: Sequence[Fitted], options: LearnOptions, sessions: Sequence[int]) -> Iterator[MonitorEntry]:
@@ -336,10 +335,9 @@ def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool =
                 spec, ratio, fresh = _moved(baseline, entry, rows)
             else:
                 fresh = [score(monitor_of(spec), flight, number=len(old) + i) for i, flight in enumerate(rows)]
+                spec = monitor_of(spec).extended(rows, len(before))
             reached, spans_s, numbers = map(np.array, (entry.scores.maxima, entry.scores.spans_s, entry.scores.flights))
             scores = pooled([Scores(ratio * reached, spans_s, numbers), *fresh])
-            if not new_propellers:
-                spec = monitor_of(spec).extended(rows, len(before))
             fitted.append((monitor_of(spec), scores))
         all_sessions = [*(log.session for log in old), *sessions]
         shares = zip(baseline.monitors, fitted, _shares(fitted, all_sessions, baseline.promised), strict=True)

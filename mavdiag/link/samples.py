@@ -19,13 +19,13 @@ from mavdiag.jit import allocating, cached, inline, jit
 from mavdiag.link.backlog import Backlog
 from mavdiag.link.clock import MS_32, NEVER, REBOOT, US_32, US_64, Counter, VehicleTime, stamp
 from mavdiag.link.codec import AUTOPILOT, MSGIDS, ROWS, Decoder, Encoder, Frame, Frames, anywhere, frames_of, layout_of
+from mavdiag.link.datagrams import Bytes
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.storage import Column, forget
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_S, RPM
 
-Bytes: TypeAlias = NDArray[np.uint8]
 Words: TypeAlias = IntArray  # 8 bytes each, one at every byte
 
 # Columns of ACTUATOR and of ROTOR_SPEED, always: unused outputs are 0, rotors never reported NaN.
@@ -259,20 +259,16 @@ def _shared(like: NDArray[Any], known: list[NDArray[Any]]) -> NDArray[Any]:
     return found
 
 
+@cached
 def euler_angles(q: FloatArray) -> FloatArray:
     """Roll, pitch, yaw [rad], (n, 3), of quaternions w, x, y, z (n, 4); NaN for a length outside of 0.1 to 10.
 
     Body to world, order z-y-x. The length of q does not matter.
     """
     angles = np.empty((len(q), 3))
-    _fill_angles(q, angles)
-    return angles
-
-
-@cached
-def _fill_angles(q: FloatArray, angles: FloatArray) -> None:
     for k in range(len(q)):
         angles[k, 0], angles[k, 1], angles[k, 2] = _angles(q[k, 0], q[k, 1], q[k, 2], q[k, 3])
+    return angles
 
 
 @jit

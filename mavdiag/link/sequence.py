@@ -94,9 +94,6 @@ class Senders:
         self._sources: dict[int, Source] = {0: None}
         self._latest = 0  # number of a source
 
-    def __len__(self) -> int:
-        return self._used
-
     def keep(self, key: int) -> None:
         """Let a sender never make room."""
         self._flags[key] |= _KEPT
@@ -256,7 +253,6 @@ def _admit(sender: Fields, frame: Fields) -> bool:
             sender.refused += 1
             return False
         sender.source = frame.source
-    sender.heard_ns = frame.host_ns
     return True
 
 

@@ -44,7 +44,7 @@ class Signing:
     """One holder of a key (32 bytes), for all frames that it sends, with this link id, and receives.
 
     stamp: the newest time stamp, sent or accepted [10 us]; nothing older is sent any more.
-    accepted: frames that were genuine so far. refused: those that were not, by the cause.
+    refused: frames that were not genuine so far, by the cause.
     """
 
     def __init__(self, key: bytes, *, link_id: int = 0, stamp: int = 0) -> None:
@@ -55,7 +55,6 @@ class Signing:
         self.stamp = stamp
         self._streams: dict[bytes, int] = {}
         self.refused: Counter[Refusal] = Counter()
-        self.accepted = 0
 
     def advance(self, unix_ns: int) -> None:
         """Let the stamp follow the wall clock [ns]; it never goes back."""
@@ -87,7 +86,6 @@ class Signing:
             return self._refuse(Refusal.STALE)
         self._streams[stream] = stamp
         self.stamp = max(self.stamp, stamp)
-        self.accepted += 1
         return True
 
     def _digest(self, data: bytes) -> bytes:

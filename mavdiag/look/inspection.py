@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from mavdiag import monitors
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.detect import moving_outputs
 from mavdiag.airframe.fingerprint import joined
@@ -26,7 +25,6 @@ from mavdiag.link.wants import LABELS, log_remedy, messages_of, remedy
 from mavdiag.look import figures
 from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.monitors.base import Monitor
-from mavdiag.monitors.unbalance import corner_of
 from mavdiag.rows.grid import distinct, mean_step, steps_of
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S
@@ -38,18 +36,6 @@ WINDOW_S = 0.1  # of the rate filters, as `mavdiag identify` has it by default
 LATE_SHARE = 95.0  # percentile of the transport delay that is called its spread
 DRIFT_S = 10  # within fewer seconds the drift of a clock is lost in the transport (our choice)
 LEAST_CLOCK = 20  # samples that a clock is seen by (our choice)
-SLACK = 0.98  # a rate that is this share of what is needed will do
-
-# The slowest gyro that a monitor can work with [Hz].
-_LEAST_HZ: Mapping[str, float] = {
-    "innovation": monitors.innovation.MIN_RATE_HZ,
-    "rotor_signature": monitors.rotor_signature.MIN_RATE_HZ,
-    "rotor_speed": monitors.rotor_speed.MIN_RATE_HZ,
-    "sensor_noise": monitors.sensor_noise.LEAST_RATE_HZ,
-    "sensor_drift": monitors.sensor_drift.MIN_RATE_HZ,
-    "control_loss": monitors.control_loss.MIN_RATE_HZ,
-    "thrust_loss": monitors.thrust_loss.MIN_RATE_HZ,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,7 +253,7 @@ def monitor_states(
         rows = {monitor.name: (type(monitor), monitor.signals) for monitor in fits}
     states = []
     for kind, needs in rows.values():
-        missing = (*_signals(log, _choice(needs, rates), rates), *_stream(log, kind, rates))
+        missing = (*_signals(log, _choice(needs, rates), rates), *_stream(log, kind, rates, airframe))
         if kind.needs_layout and airframe.layout is None and baseline is None:
             missing += ("rotor layout: give --layout, or let the vehicle tell FRAME_CLASS and FRAME_TYPE or CA_ROTORn",)
         states.append(MonitorState(kind.name, kind.label, not missing, missing))
@@ -335,21 +321,13 @@ def _signals(log: Log, needs: Iterable[Signal], rates: Mapping[str, float]) -> t
     return tuple(missing.values())
 
 
-def _stream(log: Log, kind: type[Monitor[Any]], rates: Mapping[str, float]) -> tuple[str, ...]:
+def _stream(log: Log, kind: type[Monitor[Any]], rates: Mapping[str, float], airframe: Airframe) -> tuple[str, ...]:
     """Why the gyro's stream does not carry what a monitor looks for."""
-    rate_hz, least_hz = rates.get(Signal.BODY_RATE, 0.0), _LEAST_HZ.get(kind.name, 0.0)
+    rate_hz, profile = rates.get(Signal.BODY_RATE, 0.0), PROFILES.get(log.profile)
     if not rate_hz or Signal.BODY_RATE not in kind.needs:
         return ()
-    if rate_hz < SLACK * least_hz:
-        return (f"the gyro comes at {rate_hz:.0f} Hz, {least_hz:.0f} Hz are needed",)
-    profile = PROFILES.get(log.profile)
-    corner_hz = None if profile is None else profile.corner_hz(log.parameters)
-    deaf_hz = monitors.sensor_noise.LOWPASS_SHARE * rate_hz
-    if kind.name == "sensor_noise" and corner_hz is not None and corner_hz < deaf_hz:
-        return (f"the IMU stream is low-passed at {corner_hz:g} Hz, which takes its noise out of it",)
     try:
-        if kind.name == "unbalance":
-            corner_of(rate_hz, corner_hz)
+        kind.need_stream(rate_hz, None if profile is None else profile.corner_hz(log.parameters), airframe.hover_rad_s)
     except InputError as error:
         return (str(error),)
     return ()

@@ -26,6 +26,7 @@ from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, FloatArray, Signal
 from mavdiag.thresholds.rule import Prior, prior_of
 
+SLACK = 0.98  # a nominal rate is met within 2 % (our choice)
 ROOM = 256  # columns in front of rows that are put aside: more than any monitor looks back at 1 kHz (our choice)
 Spec = TypeVar("Spec")
 Flights: TypeAlias = Sequence[Sequence[Rows]]
@@ -63,11 +64,6 @@ class LearnContext:
     def delay_s(self) -> float:
         """Half the window of the rate filters [s]."""
         return self.window // 2 * self.dt_s
-
-    def need_rate(self, least_hz: float) -> None:
-        """Raises InputError if rows come more seldom."""
-        if 1 / self.dt_s < least_hz:
-            raise InputError(f"the gyro comes at {1 / self.dt_s:.3g} Hz; {least_hz:.0f} Hz are needed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,10 +128,6 @@ class Begin(NamedTuple):
     back: int = 0
 
 
-State: TypeAlias = tuple[FloatArray, FloatArray, FloatArray] | None
-"""Of one monitor: parameters, memory, latest columns; None before the first row of a segment."""
-
-
 class Monitor(ABC, Generic[Spec]):
     """One statistic; of one body axis, or of the whole vehicle. What depends on the fit is set in `__init__`."""
 
@@ -151,6 +143,8 @@ class Monitor(ABC, Generic[Spec]):
     prior: ClassVar[Prior]  # how its healthy maxima differ, before any flight tells (`thresholds.rule.prior_of`)
     least: ClassVar[float] = 0.0  # the smallest threshold that means anything, in its unit
     evidence: ClassVar[RotorEvidence | None] = None  # how it knows about rotors; None if it does not
+    least_hz: ClassVar[float] = 0.0  # the slowest gyro that it can work with
+    why_hz: ClassVar[str] = "{:.0f} Hz are needed"  # how that is said
     needs_layout: ClassVar[bool] = False  # it cannot be fitted where the rotor layout is not known
     doubt: ClassVar[str] = ""  # what a verdict adds where no deciding monitor without a doubt has an alarm
     run: ClassVar[Loop]  # its equation, compiled
@@ -175,6 +169,15 @@ class Monitor(ABC, Generic[Spec]):
         self.spec, self.signals = spec, self.needs  # signals: that this fit rests on, where it chose between them
         self.rotors = 0 if layout is None else layout.rotors  # for how many it gives evidence
         self.delay_s = float(getattr(spec, "delay_s", 0.0))  # how much later than its time stamp a value is known
+
+    @classmethod
+    def need_stream(cls, rate_hz: float, imu_corner_hz: float | None = None, hover_rad_s: float | None = None) -> None:
+        """Raises InputError if such a stream does not carry what it looks for; asked before `fit`.
+
+        rate_hz: of the gyro. imu_corner_hz: as of `LearnContext`. hover_rad_s: rotor speed at hover, if known.
+        """
+        if rate_hz < SLACK * cls.least_hz:
+            raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; {cls.why_hz.format(cls.least_hz)}")
 
     @classmethod
     @abstractmethod
@@ -204,17 +207,6 @@ class Monitor(ABC, Generic[Spec]):
     def period_s(self, dt_s: float) -> float:
         """Span of flight that one value stands for [s], at a row period."""
         return dt_s
-
-    def start(self) -> State:
-        """A fresh state, before the first row of a segment."""
-        return None
-
-    def step(self, state: State, rows: Rows) -> tuple[State, Statistic]:
-        """Take the next rows of the same segment. Any cut into chunks gives the same values."""
-        par, mem, back = self.begin(rows.block.dt_s)
-        mem, past = (mem, no_past(back)) if state is None else (state[1].copy(), state[2])
-        columns = columns_of(rows, past)
-        return (par, mem, columns.past), self.judge(par, mem, rows, columns)[0]
 
     def judge(
         self, par: FloatArray, mem: FloatArray, rows: Rows, columns: Columns, more: int = 0

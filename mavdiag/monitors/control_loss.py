@@ -13,7 +13,6 @@ from mavdiag.rows.block import COMMANDED, LEVEL, SOUND, VALUE, Floats, Ints, U, 
 from mavdiag.telemetry import Signal
 
 LEAST_RAD_S = 7.0  # 400 deg/s beyond the command; emulated flights whose position jumps reach 5.7 (our choice)
-MIN_RATE_HZ = 20.0  # below it an upset is over between two samples (our choice)
 
 
 @spec
@@ -59,6 +58,7 @@ class ControlLoss(Monitor[ControlLossSpec]):
     clear_s = 1.0
     least = LEAST_RAD_S
     by_rates = True
+    least_hz = 20.0  # below it an upset is over between two samples (our choice)
     spec_type = ControlLossSpec
     unit = "rad/s"
     run = staticmethod(run)
@@ -66,7 +66,6 @@ class ControlLoss(Monitor[ControlLossSpec]):
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[ControlLossSpec, ...]:
         """Nothing is fitted; the healthy flights set the threshold. Raises InputError without gyro or set-point."""
-        context.need_rate(MIN_RATE_HZ)
         need_commanded(flights)
         return (ControlLossSpec(delay_s=context.delay_s),)
 

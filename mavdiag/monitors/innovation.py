@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from mavdiag.errors import IdentificationError, InputError
+from mavdiag.errors import IdentificationError
 from mavdiag.identify.arx import triangle
 from mavdiag.jit import allocating, cached
 from mavdiag.monitors.base import Begin, Flights, LearnContext, Monitor, segments
@@ -33,7 +33,6 @@ GLITCH_ROWS = 3 + LAG  # whose innovations three bad samples spoil
 # (our choice).
 LIMIT, MOST = 6.0, 1e6
 STILL_ROWS = 3  # equal ones after another say nothing new, be they rounded or repeated (our choice)
-MIN_RATE_HZ = 20.0  # below it a step ahead is too far to predict a rate (our choice)
 # Places in the parameters, of each axis mean, k0, k1, a and b; and in the memory: good rows and equal rows in a row,
 # the mean square of each axis's command, and the mean of the innovations.
 WINDOW, ALPHA, AXES = range(3)
@@ -121,6 +120,8 @@ class Innovation(Monitor[InnovationSpec]):
     phrase = "attitude unlike the model"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     depends = frozenset({Condition.YAW_RATE, Condition.HEIGHT, Condition.THROTTLE, Condition.COMMANDED_ACCELERATION})
+    least_hz = 20.0  # below it a step ahead is too far to predict a rate (our choice)
+    why_hz = "a one-step prediction needs {:.0f} Hz"
     by_rates = True
     spec_type = InnovationSpec
     unit = "x healthy rms"
@@ -135,9 +136,6 @@ class Innovation(Monitor[InnovationSpec]):
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[InnovationSpec, ...]:
         """Identify the healthy one-step prediction, of a like share of every flight's rows."""
         need_commanded(flights)
-        if 1 / context.dt_s < MIN_RATE_HZ:
-            rate_hz = 1 / context.dt_s
-            raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; a one-step prediction needs {MIN_RATE_HZ:.0f} Hz")
         pairs = _training_pairs(flights)
         still = all((one.y[:, LAG:] == one.y[:, LAG : LAG + 1]).all() for one in pairs)
         if still and sum(len(one.valid) for one in pairs) >= MIN_ROWS:

@@ -27,6 +27,7 @@ import numpy as np
 from pydantic import Field
 
 from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.trim import ALONG_Z
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import Method
 from mavdiag.identify import fit as identify
@@ -59,9 +60,7 @@ ORDERS = ((3, 3, 1), (2, 2, 1))  # the rate loop has three poles that count; the
 HEAVE_ORDER = (2, 2, 1)
 TRAIN_SAMPLES = 120_000  # more of it no longer changes the coefficients (our choice)
 MIN_PIECE_S = 1.0  # shorter valid stretches train nothing (our choice)
-MIN_RATE_HZ = 50.0  # METHOD section 4: below it the residual degrades
 LEAST_POWER = 1e-12  # of a normalised residual; keeps a channel without noise from a division by zero
-ONLY_Z = slice(2, 3)  # of the accelerometer
 # Means of n_r^2, n_p^2, n_r n_p, n_h^2, n_r n_h, n_p n_h in healthy flight, in place of rows that are not there yet.
 HEALTHY = (1.0, 1.0, 0.0, 1.0, 0.0, 0.0)
 
@@ -299,11 +298,13 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
     # flights show (our choice).
     least = 3.5
     evidence = RotorEvidence(8.0)  # a difference of 0.3 between mean correlations named the right rotor in 99 of 100
+    least_hz = 50.0  # METHOD section 4: below it the residual degrades
+    why_hz = "{:.0f} Hz are needed, better 100"
     needs_layout = True
     spec_type = RotorSignatureSpec
     unit = "x healthy rms"
     feature = Feature.MOTION
-    takes = MappingProxyType({Signal.SPECIFIC_FORCE: ONLY_Z})
+    takes = MappingProxyType({Signal.SPECIFIC_FORCE: ALONG_Z})
     run = staticmethod(run)
 
     def __init__(self, spec: RotorSignatureSpec) -> None:
@@ -317,8 +318,6 @@ class RotorSignature(Monitor[RotorSignatureSpec]):
         """Identify the healthy motion."""
         layout, stride, dt_s = context.layout, max(1, round(SAMPLE_S / context.dt_s)), context.dt_s
         need_commanded(flights)
-        if 1 / dt_s < 0.98 * MIN_RATE_HZ:
-            raise InputError(f"the gyro comes at {1 / dt_s:.3g} Hz; {MIN_RATE_HZ:.0f} Hz are needed, better 100")
         if not any(of_each(flights, "felt z", _felt)):
             raise InputError("no accelerometer, which separates a rotor from its opposite")
         gathered = of_each(flights, cls.name, lambda flight: samples_of(flight, stride, context.window))

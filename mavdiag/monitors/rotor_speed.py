@@ -45,7 +45,6 @@ from mavdiag.units import RPM
 WINDOW_S = 5.0  # our choice, as of the trim
 TICK_S = 0.5  # a value twice a second; longer than a rotor's lag and an ESC's delay (our choice)
 MIDDLE = 0.6  # share of the ticks of a window that count, those in the middle: a wild ESC frame spoils one (our choice)
-MIN_RATE_HZ = 10.0  # of the rows; ESCs at 1 Hz are seen, at 10 Hz as ArduPilot and PX4 send them they scatter less
 MADE_UP_RAD_S = 6000 * RPM  # that PX4 tells of full output in simulation (SimulatorMavlink: ESC_STATUS)
 MADE_UP = 0.01  # so near to it no motor is (our choice)
 # What is held of b before any flight, and its standard deviation. 1/(1 + e) is 0.8 to 0.87, an ESC's dead band adds to
@@ -245,6 +244,7 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
     needs = frozenset({Signal.BODY_RATE, Signal.ACTUATOR, Signal.ROTOR_SPEED})
     depends = TRIM_CONDITIONS
     evidence = RotorEvidence(10.0, relative=True)  # at the threshold the others are a third of it or less
+    least_hz = 10.0  # of the rows; ESCs at 1 Hz are seen, at 10 Hz as ArduPilot and PX4 send them they scatter less
     needs_layout = True
     spec_type = RotorSpeedSpec
     unit = "share of speed"
@@ -262,7 +262,6 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
 
         Raises InputError without the outputs and speeds of all rotors, or if the speeds are made up of the outputs.
         """
-        context.need_rate(MIN_RATE_HZ)
         n, layout = context.layout.rotors, context.layout
         no = ((0.0, 0.0, 0.0),) * 3
         still = RotorSpeedSpec(layout=layout, mean=(0.0,) * n, about=((0.0,) * 3,) * n, errors=no, spread=FLOOR)

@@ -21,6 +21,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import body_rates
 from mavdiag.rows.running import past_size, shift
 from mavdiag.telemetry import FloatArray, Signal, Three
+from mavdiag.units import G
 
 TICK_S = 0.1  # our choice
 MEAN_S = 2.0  # of the attitude that the gyro does not explain, now and then (our choice)
@@ -35,10 +36,8 @@ LEAST_ANGLE = 0.01  # rad: smallest healthy disagreement that is believed (our c
 LEAST_VERTICAL = 0.08  # m/s^2 (our choice)
 STEEP_RAD, FAST_RAD_S = 0.7, 6.0  # beyond it small angles do not hold, and an upset begins (our choice)
 LIMIT = 1e6  # a value is cut here
-GRAVITY = 9.80665
 SINE, COSINE = (tuple(1.0 / math.factorial(k) for k in range(first, -1, -2)) for first in (15, 14))
 COLUMNS = 5  # of the history: tilt about two axes, heading, vertical acceleration, turned angle
-MIN_RATE_HZ = 20.0  # below it turns are not followed from sample to sample (our choice)
 # Places in the parameters; and in the memory: rows of the tick and valid ones, sums of the tick (with what a bias is
 # multiplied by from `TURNED` on), angles since the last gap, ticks since then, the history of each column.
 DT, TICK, MEAN, LAG, LIFT, VERTICAL, BIAS, SPREADS = *range(7), 9
@@ -97,7 +96,7 @@ def _add_rows(mem: Floats, x: Floats, begin: int, stop: int) -> None:
         mem[SUMS + 4] += phi * c - theta * s
         mem[SUMS + 5] += phi * s + theta * c
         mem[SUMS + 6] += psi
-        mem[SUMS + 7] += cos_theta * (sin_phi * ay + cos_phi * az) - sin_theta * ax + GRAVITY
+        mem[SUMS + 7] += cos_theta * (sin_phi * ay + cos_phi * az) - sin_theta * ax + G
         mem[TURNED] += c
         mem[TURNED + 1] += s
         mem[TURNED + 2] += sin_phi / cos_theta
@@ -210,6 +209,7 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.ATTITUDE})
     kind = FaultKind.SENSOR
     least = 2.5
+    least_hz = 20.0  # below it turns are not followed from sample to sample (our choice)
     spec_type = SensorDriftSpec
     unit = "x healthy rms"
     reach = LIMIT  # where a value is cut
@@ -218,7 +218,6 @@ class SensorDrift(Monitor[SensorDriftSpec]):
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorDriftSpec, ...]:
         """Healthy biases and spreads. Raises InputError if the vehicle sends no attitude."""
-        context.need_rate(MIN_RATE_HZ)
         still = SensorDriftSpec(dt_s=context.dt_s, bias=(0.0, 0.0, 0.0), vertical=0.0, tilt=1.0, heading=1.0, lift=1.0)
         biases = np.concatenate(of_each(flights, cls.name, lambda flight: _biases(flight, still.tick)))
         if not len(biases):
@@ -277,4 +276,4 @@ def _gyro_errors(rows: FloatArray, tick: int, dt_s: float) -> FloatArray:
     mean, (x, y, z, phi, theta, _) = ticks.mean(axis=2), ticks[3:]
     slopes = (ticks[6:, :, -1] - ticks[6:, :, 0]) / (max(1, tick - 1) * dt_s)
     down = np.cos(theta) * (np.sin(phi) * y + np.cos(phi) * z) - np.sin(theta) * x
-    return np.column_stack(((mean[:3] - body_rates(mean[6], mean[7], *slopes)).T, (down + GRAVITY).mean(axis=1)))
+    return np.column_stack(((mean[:3] - body_rates(mean[6], mean[7], *slopes)).T, (down + G).mean(axis=1)))

@@ -8,7 +8,7 @@ import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import allocating, cached
-from mavdiag.monitors.base import Begin, FaultKind, Flights, LearnContext, Monitor
+from mavdiag.monitors.base import SLACK, Begin, FaultKind, Flights, LearnContext, Monitor
 from mavdiag.monitors.fitting import of_each, traced
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.block import LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
@@ -20,7 +20,6 @@ from mavdiag.telemetry import FloatArray, Signal
 WINDOW_S = 0.5  # our choice: that of the unbalance monitor, so that the two are equally quick
 ORDER = 4  # of the difference: it leaves 0.0006 of a motion at 5 Hz at 200 Hz (our choice)
 AXES = 6  # gyro x, y, z and accelerometer x, y, z
-LEAST_RATE_HZ = 98.0  # below it the difference is the flight's own motion (our choice)
 LOWPASS_SHARE = 0.2  # of the rate: a stream that is low-passed below it has lost its noise (our choice)
 LIMIT = 6.0  # healthy rms; a difference is cut here, so that one knock is no noise (our choice)
 MIN_ROWS = 500  # our choice
@@ -98,19 +97,23 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
     # Estimates: a simulated ArduCopter at 100 Hz, where the differences hold motion, reached 2.2 in healthy flight; and
     # new propellers of another session may shake one axis of the gyro five times as much as those that were learnt.
     least = 2.4
+    least_hz = 100.0  # below it the difference is the flight's own motion (our choice)
     spec_type = SensorNoiseSpec
     unit = "ln of power"
     reach = 2.0 * math.log(LIMIT)  # the logarithm of the power at which differences are cut: 3.58
     run = staticmethod(run)
 
     @classmethod
+    def need_stream(cls, rate_hz: float, imu_corner_hz: float | None = None, hover_rad_s: float | None = None) -> None:
+        """The noise shows in a fast stream that is not low-passed."""
+        if rate_hz < SLACK * cls.least_hz:
+            raise InputError(f"the IMU comes at {rate_hz:.3g} Hz; its noise shows from {cls.least_hz:.0f} Hz on")
+        if imu_corner_hz is not None and imu_corner_hz < LOWPASS_SHARE * rate_hz:
+            raise InputError(f"the IMU stream is low-passed at {imu_corner_hz:g} Hz, which takes its noise out of it")
+
+    @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorNoiseSpec, ...]:
-        """Healthy noise of the six axes. Raises InputError if the stream does not carry it."""
-        rate_hz, corner_hz = 1 / context.dt_s, context.imu_corner_hz
-        if rate_hz < LEAST_RATE_HZ:
-            raise InputError(f"the IMU comes at {rate_hz:.3g} Hz; its noise shows from 100 Hz on")
-        if corner_hz is not None and corner_hz < LOWPASS_SHARE * rate_hz:
-            raise InputError(f"the IMU stream is low-passed at {corner_hz:g} Hz, which takes its noise out of it")
+        """Healthy noise of the six axes."""
         found = of_each(flights, cls.name, _squares)
         count = sum(rows for rows, _ in found)
         if count < MIN_ROWS:

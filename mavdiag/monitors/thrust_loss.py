@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.trim import ALONG_Z
 from mavdiag.errors import InputError
 from mavdiag.jit import cached
 from mavdiag.monitors.base import Begin, FaultKind, Flights, LearnContext, Monitor, RotorEvidence
@@ -28,8 +29,6 @@ LEAST_SHARE = 0.3  # of the thrust: a quarter, and more as the controller gives 
 TUMBLING_RAD_S = 8.0
 CUT = 10.0  # times the healthy specific force per command; more is no flight (our choice)
 COLUMNS = 5  # specific force, command, gyro x and y, rate
-ONLY_Z = slice(2, 3)  # of the accelerometer
-MIN_RATE_HZ = 20.0  # below it an upset is over between two samples (our choice)
 # Places in the parameters, where of each rotor the unit vector of roll and pitch rate follows that its loss begins; and
 # in the memory.
 WINDOW, PER_COMMAND, ALPHA, LOST = range(4)
@@ -91,16 +90,16 @@ class ThrustLoss(Monitor[ThrustLossSpec]):
     clear_s = 1.0
     least = LEAST_SHARE
     evidence = RotorEvidence(8.0)  # neighbours differ by a cosine of 0.7 and more
+    least_hz = 20.0  # below it an upset is over between two samples (our choice)
     spec_type = ThrustLossSpec
     unit = "share of thrust"
     reach = 1.0  # all of the thrust
-    takes = MappingProxyType({Signal.SPECIFIC_FORCE: ONLY_Z})
+    takes = MappingProxyType({Signal.SPECIFIC_FORCE: ALONG_Z})
     run = staticmethod(run)
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[ThrustLossSpec, ...]:
         """Healthy specific force per command. Raises InputError without accelerometer or collective command."""
-        context.need_rate(MIN_RATE_HZ)
         count, total_ = np.sum(of_each(flights, cls.name, _per_command), axis=0).tolist()
         if not total_ > 0:
             raise InputError("no flight with an accelerometer along z and a collective thrust command")
@@ -120,7 +119,7 @@ def _per_command(flight: Sequence[Rows]) -> tuple[float, float]:
     """How many rows tell the specific force per command, and its sum."""
     count, total_ = 0, 0.0
     for block in (rows.block for rows in flight):
-        known = block.valid & np.isfinite(block.rate).all(axis=1) & block.known(Signal.SPECIFIC_FORCE, ONLY_Z)
+        known = block.valid & np.isfinite(block.rate).all(axis=1) & block.known(Signal.SPECIFIC_FORCE, ALONG_Z)
         known = known & (block.thrust > MIN_THRUST)
         count += int(np.count_nonzero(known))
         total_ -= float(np.sum(block.force[known, 2] / block.thrust[known]))

@@ -15,7 +15,7 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import ALONG_DISCS, felt_share
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import allocating, cached, jit
-from mavdiag.monitors.base import Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence
+from mavdiag.monitors.base import SLACK, Begin, Feature, Flights, LearnContext, Monitor, RotorEvidence
 from mavdiag.monitors.fitting import of_each, traced
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.block import FORCE, LEVEL, RATE, SOUND, TRACE, VALID, VALUE, Floats, Ints
@@ -37,7 +37,6 @@ CORNER_SHARE = 0.36  # of the rotor's frequency, where that is lower: 60 Hz at t
 BAND_SHARE = 0.25  # of the sample rate: corner where the stream is too slow for the line itself (our choice)
 FULL_RATE_HZ = 400.0  # from here on the line at one per revolution is seen as it is (METHOD section 4)
 LEAST_RATE_HZ = 100.0  # below it nothing above the flight's own motion is left (METHOD section 4)
-SLACK = 0.98  # a nominal rate is met within 2 % (our choice)
 # Places in the parameters: of each rotor the pattern of its covariances and its sense; then the filter. And in the
 # memory: rows so far, valid rows in a row, rows of the tick and its sums, the last filtered x and y; the means.
 TICK, TICKS, SCALE, POWER, TURNING, COVARIANCE_X, COVARIANCE_Y, NOISE, TURNS, LENGTH, PATTERNS = range(11)
@@ -230,6 +229,7 @@ class Unbalance(Monitor[UnbalanceSpec]):
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE})
     depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
     evidence = RotorEvidence(8.0)  # the sense of turning and the place agree (1) or do not (0 and below)
+    least_hz = LEAST_RATE_HZ
     spec_type = UnbalanceSpec
     takes = MappingProxyType({Signal.SPECIFIC_FORCE: ALONG_DISCS})
     run = staticmethod(run)
@@ -239,6 +239,11 @@ class Unbalance(Monitor[UnbalanceSpec]):
         self.unit = "m/s^2" if spec.mass_kg is None else "g mm"
         self.feature = None if spec.mass_kg is None else Feature.UNBALANCE
         self.memory_s = spec.window_s + (len(spec.taps) + spec.tick) * spec.dt_s
+
+    @classmethod
+    def need_stream(cls, rate_hz: float, imu_corner_hz: float | None = None, hover_rad_s: float | None = None) -> None:
+        """It must carry a rotor's vibration (`corner_of`)."""
+        corner_of(rate_hz, imu_corner_hz, hover_rad_s)
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[UnbalanceSpec, ...]:

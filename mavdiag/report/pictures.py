@@ -97,7 +97,7 @@ def _held(judged: JudgedFlight, sketch: Sketch) -> Iterator[tuple[str, str, floa
             yield *STAGES[change.stage], sketch.s(change.t_ns), ends(after_ns)
     for span in verdict.rotors:
         yield f"Rotor {span.rotor} named", "fault", sketch.s(span.since_ns), ends(span.end_ns)
-    for event in (one.event for one in verdict.events):
+    for event in verdict.events:
         name = " ".join(filter(None, (name_of(event.monitor), event.axis)))
         yield f"Alarm, {name}", "alarm", sketch.s(event.start_ns), ends(event.end_ns)
 

@@ -5,8 +5,8 @@ about (`rows.rates`); in x they stand in the column of the newest row of their w
 known when it has come.
 """
 
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
@@ -46,7 +46,6 @@ PLACES = {
 
 Floats: TypeAlias = FloatArray
 Ints: TypeAlias = IntArray
-Found = TypeVar("Found")
 Kind = TypeVar("Kind", bound=np.generic)
 
 
@@ -81,7 +80,7 @@ class Block:
     segment: number of the unbroken span of flight. t_ns: (n,) vehicle time. whole: (rows, ..) memory, in which its own
     columns x, (rows, n), see `VALID`, begin with `first`; what is in front is room for those of before (`columns_of`).
     outputs: how many outputs the vehicle has sent; actuator is (n, outputs), rotor_speed (n, ESCs).
-    settled_ns: rows before it are of a take-off, or of the start of the data. answers: what was found (`once`).
+    settled_ns: rows before it are of a take-off, or of the start of the data.
     """
 
     segment: int
@@ -91,7 +90,6 @@ class Block:
     outputs: int = 0
     settled_ns: int = 0
     first: int = 0
-    answers: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     rate = signal(Signal.BODY_RATE)
     setpoint = signal(Signal.ATTITUDE_SETPOINT)  # 0 before the first, held in an outage; once rates are made, there 0
@@ -141,13 +139,6 @@ class Block:
         values = self.x[slice(*PLACES[signal])] if signal in PLACES else self.x[:0]
         values = (values[: self.outputs] if signal is Signal.ACTUATOR else values)[columns]
         return np.asarray(np.isfinite(values).all(axis=0) & (len(values) > 0), dtype=np.bool_)
-
-    def once(self, key: Hashable, find: Callable[[], Found]) -> Found:
-        """What `find` gives, and the same for the same key later on; do not write to it."""
-        if key not in self.answers:
-            self.answers[key] = find()
-        found: Found = self.answers[key]
-        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -39,17 +39,17 @@ class Front:
         """Nothing taken in yet."""
         return FrontState(self.align.start(), self.gate.start(), self.rates.start())
 
-    def step(self, state: FrontState, *telemetry: Telemetry) -> tuple[FrontState, tuple[Rows | Border, ...]]:
-        """Take in chunks of telemetry; return the state, changed, and the rows that they complete."""
-        return state, tuple(self._rows(state, self.align.step(state.align, *telemetry)))
+    def step(self, state: FrontState, *telemetry: Telemetry) -> tuple[Rows | Border, ...]:
+        """Take in chunks of telemetry; return the rows that they complete."""
+        return tuple(self._rows(state, self.align.step(state.align, *telemetry)))
 
-    def finish(self, state: FrontState) -> tuple[FrontState, tuple[Rows | Border, ...]]:
+    def finish(self, state: FrontState) -> tuple[Rows | Border, ...]:
         """The end of a log: the rows that were waiting."""
-        return state, tuple(self._ended(state))
+        return tuple(self._ended(state))
 
-    def settle(self, state: FrontState) -> tuple[FrontState, tuple[Rows | Border, ...]]:
+    def settle(self, state: FrontState) -> tuple[Rows | Border, ...]:
         """Nothing more comes for now: the rows that the gate held back. Rows may go on later, as another span."""
-        return state, tuple(self._told(state, self.gate.finish(state.gate)))
+        return tuple(self._told(state, self.gate.finish(state.gate)))
 
     def pieces(self, parts: Iterable[Telemetry]) -> Iterator[Rows | Border]:
         """All that a whole flight gives, of which these are the parts (`in_pieces`)."""

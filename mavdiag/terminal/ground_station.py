@@ -72,9 +72,9 @@ class LiveJudge:
     def judge(self, telemetry: Telemetry | None) -> tuple[Change, ...]:
         """Judge what came next, as `take`; None at the end of a log."""
         chain, state = self.chain, self._state
-        self._state, output = chain.finish(state) if telemetry is None else chain.step(state, telemetry)
-        if self._state.refused:
-            raise BaselineError(self._state.refused)
+        output = chain.finish(state) if telemetry is None else chain.step(state, telemetry)
+        if state.refused:
+            raise BaselineError(state.refused)
         self._gauges.update({(gauge.monitor, gauge.axis): gauge for gauge in output.gauges})
         filled = [piece for piece in (*self.pieces, *output.pieces) if len(piece.rows.block)]
         since_ns = (filled[-1].rows.block.t_ns[-1] if filled else 0) - self.span_s * NS_PER_S

@@ -44,7 +44,7 @@ def verdict_table(rows: Sequence[Row], console: Console | None = None) -> None:
         (console or Console()).print(text)
 
 
-def look_table(found: Iterable[Inspection | Mapping[str, str]], console: Console | None = None) -> None:
+def look_table(found: Iterable[Inspection | Mapping[str, str]]) -> None:
     """Print a row a log; those that fell or cannot be read come first. A mapping is a log and its error."""
     ranked = sorted(found, key=lambda one: (isinstance(one, Inspection), isinstance(one, Inspection) and not one.upset))
     lines = []
@@ -57,14 +57,14 @@ def look_table(found: Iterable[Inspection | Mapping[str, str]], console: Console
         told = one.no_flight or ", ".join(parts_of(one))
         style = STYLES["fault"] if one.upset else STYLES["not_judgeable"] if one.no_flight else ""
         lines.append(_styled((name, one.profile, f"{one.flight_s:.0f} s", f"{rate_hz:.0f} Hz", told), style))
-    _print(("log", "profile", "flight", "rate", "what it shows"), lines, console)
+    _print(("log", "profile", "flight", "rate", "what it shows"), lines)
 
 
 def _styled(cells: Iterable[str | float | None], style: str) -> list[Text]:
     return [Text(printable(str(cell)), style) for cell in cells]
 
 
-def _print(columns: Sequence[str], lines: Iterable[list[Text]], console: Console | None) -> None:
+def _print(columns: Sequence[str], lines: Iterable[list[Text]], console: Console | None = None) -> None:
     table, console = Table(box=None, pad_edge=False, header_style="bold"), console or Console()
     for name in columns:
         wide = name in ("log", "what it shows")

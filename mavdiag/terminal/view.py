@@ -55,10 +55,9 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class StripView:
-    """A strip and its caption. low, high: of the scale, in `unit`; what is beyond stands at its edge."""
+    """A strip of rates and its caption. low, high: of the scale [rad/s]; what is beyond stands at its edge."""
 
     name: str
-    unit: str
     curves: tuple[Curve, ...]
     low: float
     high: float
@@ -198,8 +197,8 @@ def _strips_of(trace: RateTrace) -> tuple[StripView, StripView]:
     far = max(OF_MARGIN * margin, _highest(residual))
     rates = (Curve(t_s, simulated, "cyan", name="simulated"), Curve(t_s, measured, "bright_white", name="measured"))
     beside = (*limits, Curve(t_s, residual, "yellow", name="residual"))
-    rate = StripView(f"{trace.axis} rate", "rad/s", rates, -reach, reach)
-    return rate, StripView("residual", "rad/s", beside, -far, far)
+    rate = StripView(f"{trace.axis} rate", rates, -reach, reach)
+    return rate, StripView("residual", beside, -far, far)
 
 
 def _highest(values: FloatArray) -> float:
@@ -215,7 +214,7 @@ def _wrapped(head: str, text: str, style: str, width: int) -> list[Text]:
 
 def _strip(shown: StripView, view: View, width: int) -> list[Text]:
     lines = strip(shown, view.from_s, view.to_s, width - MARGIN, STRIP_ROWS)
-    scale = (f"{shown.high:+.2g}", shown.name, shown.unit, f"{shown.low:+.2g}")
+    scale = (f"{shown.high:+.2g}", shown.name, "rad/s", f"{shown.low:+.2g}")
     heads = (Text(f"{words:>{MARGIN - 1}.{MARGIN - 1}} ", no_wrap=True, style="dim") for words in scale)
     return [head.append_text(line) for head, line in zip(heads, lines, strict=True)]
 
@@ -225,7 +224,7 @@ def strip(shown: StripView, from_s: float, to_s: float, width: int, rows: int) -
     colour.
 
     >>> flat = Curve(np.array([0.0, 1.0]), np.array([0.0, 0.0]), "")
-    >>> [line.plain for line in strip(StripView("", "", (flat,), -1.0, 1.0), 0.0, 2.0, 2, 1)]
+    >>> [line.plain for line in strip(StripView("", (flat,), -1.0, 1.0), 0.0, 2.0, 2, 1)]
     ['⠤⠄']
     """
     bits = np.zeros((rows, width), dtype=np.int64)

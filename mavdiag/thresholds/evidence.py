@@ -121,10 +121,5 @@ def _likelihoods(y: FloatArray, flights: Flown, prior: Prior, shifts: FloatArray
     healthy = belief - 0.5 * (yy + size)
     s = shifts[:, :, None, None]
     changed = healthy + s * yh.T - 0.5 * np.square(s) * hh.T  # (*shifts.shape, new, grid)
-    return np.asarray(np.moveaxis(_log_sum(changed) - _log_sum(healthy), -1, 0))
-
-
-def _log_sum(x: FloatArray) -> FloatArray:
-    """ln of the sum of exp over the last axis."""
-    top = x.max(axis=-1, keepdims=True)
-    return np.asarray(np.log(np.exp(x - top).sum(axis=-1)) + top[..., 0])
+    log_odds = np.logaddexp.reduce(changed, axis=-1) - np.logaddexp.reduce(healthy, axis=-1)
+    return np.asarray(np.moveaxis(log_odds, -1, 0))

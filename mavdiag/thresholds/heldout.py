@@ -79,21 +79,21 @@ class Scores:
         return float(self.spans_s.sum())
 
 
-def score(monitor: Any, flight: Sequence[Rows], block_s: float = BLOCK_S, number: int = 0) -> Scores:
+def score(monitor: Any, flight: Sequence[Rows], number: int = 0) -> Scores:
     """Block maxima of a monitor over one flight of that number (`maxima`)."""
     found = [(one.value[one.valid], one.period_s) for one in monitor.over(flight)] or [(np.empty(0), 0.0)]
-    return maxima(np.concatenate([values for values, _ in found]), found[-1][1], block_s, number)
+    return maxima(np.concatenate([values for values, _ in found]), found[-1][1], number)
 
 
-def maxima(x: FloatArray, period_s: float, block_s: float = BLOCK_S, number: int = 0) -> Scores:
+def maxima(x: FloatArray, period_s: float, number: int = 0) -> Scores:
     """Block maxima of the valid values of one flight, each of which stands for so much time.
 
-    A block holds `block_s` of judged time, whatever lies between; a remainder shorter than half a block belongs to the
+    A block holds `BLOCK_S` of judged time, whatever lies between; a remainder shorter than half a block belongs to the
     block before it.
     """
     if len(x) == 0:
         return pooled([])
-    size = max(1, round(block_s / period_s))
+    size = max(1, round(BLOCK_S / period_s))
     count = max(1, len(x) // size + (len(x) % size >= size / 2))
     starts = np.arange(count) * size
     spans_s = np.diff(np.append(starts, len(x))) * period_s
@@ -118,15 +118,13 @@ def by_axis(parts: Iterable[tuple[Axis | None, Scores]]) -> dict[Axis | None, Sc
     return {axis: pooled(scores) for axis, scores in found.items()}
 
 
-def folds(
-    flights: Flights, block_s: float = BLOCK_S, sessions: Sequence[int] | None = None
-) -> Iterator[tuple[Flights, Flights]]:
+def folds(flights: Flights, sessions: Sequence[int] | None = None) -> Iterator[tuple[Flights, Flights]]:
     """Pairs of what is left out and the rest: of sessions, of flights, or of the pieces of a single flight.
 
     Up to ten sessions are left out one by one, of more a tenth at a time, of many a fifth.
     """
     if len(flights) == 1:
-        yield from _pieces(flights[0], block_s)
+        yield from _pieces(flights[0])
         return
     groups = list(range(len(flights))) if sessions is None or len(set(sessions)) < 2 else list(sessions)
     order = {group: number for number, group in enumerate(dict.fromkeys(groups))}
@@ -138,13 +136,13 @@ def folds(
         yield parts
 
 
-def _pieces(flight: Sequence[Rows], block_s: float) -> Iterator[tuple[Flights, Flights]]:
+def _pieces(flight: Sequence[Rows]) -> Iterator[tuple[Flights, Flights]]:
     """Contiguous folds of one flight, of equal judged time; the parts of a segment become segments of their own."""
     looks = [(rows.block.segment, rows.block.t_ns.copy(), rows.block.valid.copy(), rows.block.dt_s) for rows in flight]
     judged_ns = np.sort(np.concatenate([t_ns[valid] for _, t_ns, valid, _ in looks] or [np.empty(0, dtype=np.int64)]))
     if len(judged_ns) == 0:
         return
-    count = min(max(int(len(judged_ns) * looks[0][3] / block_s), 2), PIECES)
+    count = min(max(int(len(judged_ns) * looks[0][3] / BLOCK_S), 2), PIECES)
     hops = list(dict.fromkeys(segment for segment, _, valid, _ in looks if valid.any()))
     edges = judged_ns[np.linspace(0, len(judged_ns) - 1, count + 1).round().astype(np.int64)].tolist()
     edges[-1] += 1

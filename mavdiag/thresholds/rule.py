@@ -67,6 +67,8 @@ OTHERS = 0.02  # probability of a prior's other class, to which no real vehicle 
 TINY = 1e-12  # no statistic differs by less
 REACH = 6.0  # arsinh of how many spreads a flight may lie apart
 RAREST, SUREST = 1e-6, 10.0  # rates -ln(1 - probability) that are told apart (our choice: once in a century of flight)
+# Healthy flights after which the maximum rule's false-alarm share is below 5 % with a confidence of 95 %.
+GUARANTEE_FLIGHTS = 59  # METHOD section 4: 1 - 0.95^n >= 0.95
 WORTH_SAYING_PER_HOUR = 1.0  # a limit on the alarms that is above it tells nobody anything (our choice)
 
 
@@ -326,9 +328,9 @@ class Law:
         values = np.array([getattr(part, component) for part in self.parts])
         return math.pow(float(self.weights @ values**power), 1 / power)
 
-    def rate(self, level: float, flights: float, same_session: bool = False) -> float:
+    def rate(self, level: float, flights: float) -> float:
         """How often so many flights exceed a level."""
-        return max(RAREST, self._rate(level, [part.below(flights) for part in self.parts], same_session))
+        return max(RAREST, self._rate(level, [part.below(flights) for part in self.parts], same_session=False))
 
     def level(self, rate: float, flights: float, same_session: bool = False) -> float:
         """The level that so many flights exceed so often, and at least the smallest that means anything."""
@@ -361,7 +363,7 @@ def law_of(scores: Scores, sessions: tuple[int, ...], prior: Prior) -> Law:
     A class is as likely as it was before any flight, times the likelihood of the three sums of squares under it.
     """
     classes = [prior] if prior.other is None else [prior, Prior(*prior.other, prior.shares)]
-    parts, likelihoods = zip(*(_part(scores, sessions, one) for one in classes), strict=True)
+    parts, likelihoods = zip(*(part_of(scores, sessions, one) for one in classes), strict=True)
     weights = np.array([1.0 - OTHERS, OTHERS])[: len(parts)] * np.exp(np.array(likelihoods) - max(likelihoods))
     return Law(parts, weights / weights.sum(), prior.least)
 
@@ -395,17 +397,7 @@ def _filled(total: float, most: FloatArray) -> tuple[FloatArray, float]:
     return shares + np.where(most > 0.0, spare / np.count_nonzero(most), 0.0), rate
 
 
-def shown_spreads(scores: Scores, sessions: Sequence[int], prior: Prior) -> tuple[tuple[float, int], ...]:
-    """What healthy flights alone show, in the prior's unit: standard deviation between sessions, between flights and
-    within a flight, each with its degrees of freedom; with none the prior's own."""
-    found, _ = _part(scores, sessions, prior, nu=1e-9)
-    unit = abs(float(scores.maxima.mean())) if prior.shares else 1.0
-    sds = found.session_sd, found.flight_sd, found.beta / GUMBEL_SCALE
-    degrees = found.sessions - 1, found.flights - found.sessions, len(scores.maxima) - found.flights
-    return tuple((sd / unit, count) for sd, count in zip(sds, degrees, strict=True))
-
-
-def _part(scores: Scores, sessions: Sequence[int], prior: Prior, nu: float = DEGREES) -> tuple[Part, float]:
+def part_of(scores: Scores, sessions: Sequence[int], prior: Prior, nu: float = DEGREES) -> tuple[Part, float]:
     """The components of variance of block maxima, by their sums of squares and the prior, and ln of how likely these
     sums are with it, but for a constant."""
     x, log_span, flights = scores.maxima, np.log(scores.spans_s / BLOCK_S), np.unique(scores.flights)
@@ -429,7 +421,7 @@ def _part(scores: Scores, sessions: Sequence[int], prior: Prior, nu: float = DEG
     return Part(float(means.mean()), float(means.max()), a, e, max(beta, TINY), N, S, scores.judged_s / N), likelihood
 
 
-def poisson_upper(events: int, confidence: float = 0.95) -> float:
+def poisson_upper(events: int) -> float:
     """Upper limit on the expected number of events after `events` were seen: the m at which P(<= events | m) = 5 %.
 
     >>> [round(poisson_upper(k), 2) for k in (0, 1, 5)]
@@ -437,12 +429,4 @@ def poisson_upper(events: int, confidence: float = 0.95) -> float:
     """
     from scipy.special import gammaincinv  # half the chi-squared quantile of 2 events + 2 degrees of freedom
 
-    return float(gammaincinv(events + 1, confidence))
-
-
-def flights_for_guarantee(false_alarms: float = 0.05, confidence: float = 0.95) -> int:
-    """Healthy flights after which, with this confidence, the maximum rule's false-alarm share is below the bound.
-
-    The 95/95 guarantee of METHOD section 4: 1 - 0.95^n >= 0.95, n = 59.
-    """
-    return math.ceil(math.log(1.0 - confidence) / math.log(1.0 - false_alarms))
+    return float(gammaincinv(events + 1, 0.95))

@@ -21,9 +21,9 @@ from mavdiag.archive.scan import digest_of_sources
 from mavdiag.as_json import event_json
 from mavdiag.baseline import dump, parse
 from mavdiag.commands.progress import shown
-from mavdiag.decision.alarm import Change, Stage
+from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import MavdiagError, UsageError
-from mavdiag.judging import JudgedEvent, JudgedFlight, LogVerdict, Verdict, judge_in_full
+from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge_in_full
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.telemetry import Log
 from mavdiag.units import NS_PER_S, S_PER_H
@@ -247,7 +247,7 @@ def _line(key: str, task: FlightTask, judged: JudgedFlight, onset_s: float | Non
     late = [] if onset_s is None else [t_s - border_s for t_s in declared if t_s >= border_s]
     monitors = []
     for monitor in verdict.monitors:
-        early, own = ([event for event in part if event.event.monitor == monitor.name] for part in (before, after))
+        early, own = ([event for event in part if event.monitor == monitor.name] for part in (before, after))
         counts = _episodes(early), _episodes(own), _latency(own, border_s)
         monitors.append(MonitorResult(monitor.name, *counts, round(monitor.judged_s, 3)))
     names = ("index", "cause", "rotor", "phenomenology", "conditions", "loss", "session")
@@ -300,7 +300,7 @@ def _declared_s(changes: Sequence[Change]) -> list[float]:
     return [change.t_ns / NS_PER_S for change in came if change.stage is Stage.FAULT]
 
 
-def _episodes(events: Sequence[JudgedEvent]) -> int:
+def _episodes(events: Sequence[Event]) -> int:
     count, until_s = 0, -np.inf
     for event in sorted(events, key=lambda event: event.t_s):
         count += event.t_s > until_s + EPISODE_S
@@ -308,20 +308,20 @@ def _episodes(events: Sequence[JudgedEvent]) -> int:
     return count
 
 
-def _latency(events: Sequence[JudgedEvent], onset_s: float) -> float | None:
+def _latency(events: Sequence[Event], onset_s: float) -> float | None:
     return round(min(event.t_s for event in events) - onset_s, 3) if events else None
 
 
-def _answer(verdict: LogVerdict, after: Sequence[JudgedEvent]) -> Answer:
+def _answer(verdict: LogVerdict, after: Sequence[Event]) -> Answer:
     if verdict.verdict in (Verdict.NOT_JUDGEABLE, Verdict.ERROR):
         return Answer(verdict.verdict.value)
     if not after:
         return Answer("nothing")
-    rows = [event_json(event.t_s, event.end_s, event.event) for event in after]
+    rows = [event_json(event) for event in after]
     rows.sort(key=lambda row: -float(row["confidence"] or 0.0))
     names = ("rotor", "fault_type", "severity")
     named = {name: next((row[name] for row in rows if row[name] is not None), None) for name in names}
-    kinds = [event.event.kind for event in after if event.event.kind is not None]
+    kinds = [event.kind for event in after if event.kind is not None]
     kind = max(kinds, key=lambda kind: kind.rank, default=None)
     return Answer("suspicion" if kind is None else kind.value, **named)
 

@@ -20,7 +20,7 @@ from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.decision.alarm import Stage
 from mavdiag.judging import Verdict, judge
-from mavdiag.learning import LearnOptions, learn
+from mavdiag.learning import LearnOptions, learn, rows_of
 from mavdiag.link.codec import UNKNOWN, Decoder, Encoder, Frame, field_index
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES
@@ -69,7 +69,7 @@ def test_a_crack_is_declared_soon_and_its_rotor_named(rotor: int) -> None:
     assert verdict.verdict is Verdict.FAULT
     faults = [one for one in verdict.changes if one.stage is Stage.FAULT]
     assert ONSET_S < faults[0].t_ns / 1e9 < ONSET_S + 3.0
-    assert {one.event.rotor for one in verdict.events if one.event.rotor is not None} == {rotor}
+    assert {one.rotor for one in verdict.events if one.rotor is not None} == {rotor}
     assert {one.fault_type for one in faults} <= {None, "F2", "F3"}  # a crack, or what looks like one
 
 
@@ -81,8 +81,7 @@ def test_a_healthy_flight_is_healthy(seed: int) -> None:
 
 def fly(seed: int, fault: str | None = None, rotor: int = 1, seconds: float = 16.0) -> list[Rows]:
     config = PlantConfig(drone=1, seed=seed, fault=fault, rotor=rotor, wind_m_s=0.5)
-    state, rows = FRONT.step(FRONT.start(), flight_telemetry(config, seconds)[0])
-    return [one for one in (*rows, *FRONT.finish(state)[1]) if isinstance(one, Rows)]
+    return list(rows_of(FRONT, flight_telemetry(config, seconds)[0]))
 
 
 def test_the_estimated_unbalance_is_that_of_the_table_and_placed() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from flying_telemetry import flying
 from lupa import lua53
+from made_rows import changed
 from made_telemetry import changed as altered
 from shared_data import shared
 from typer.testing import CliRunner
@@ -39,7 +40,6 @@ from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import Border, GateSpec
 from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import Signal, Telemetry
-from mavdiag.testing import changed
 from mavdiag.thresholds.heldout import Scores
 from mavdiag.thresholds.rule import threshold_of
 from mavdiag.units import NS_PER_MS
@@ -167,7 +167,7 @@ def told(telemetry: Telemetry) -> Telemetry:
 
 
 def pieces(front: Front, telemetry: Telemetry) -> Iterator[Rows | Border]:
-    for part in front.step(front.start(), telemetry)[1]:  # what waits at the end of a log waits on
+    for part in front.step(front.start(), telemetry):  # what waits at the end of a log waits on
         if isinstance(part, Rows):
             setpoint = part.block.setpoint.copy()
             setpoint[:, 2] = np.nan

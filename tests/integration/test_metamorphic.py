@@ -78,7 +78,7 @@ def taught(change: Transform = unchanged, frame: Airframe = FRAME) -> Baseline:
 def expected(name: str) -> LogVerdict:
     """The verdict on a flight that nothing was done to; it shows that the flights are what they are taken for."""
     verdict = md.judge(logged(FLIGHTS[name]()), taught())
-    found = (verdict.verdict, verdict.rotor, {one.event.monitor for one in verdict.events})
+    found = (verdict.verdict, verdict.rotor, {one.monitor for one in verdict.events})
     assert found == {
         "healthy": (Verdict.HEALTHY, None, set()),
         "weak": (Verdict.FAULT, WEAK, {"rotor_trim"}),
@@ -112,7 +112,7 @@ def assert_same(found: LogVerdict, name: str, late_s: float = 0.0, rotors: Mappi
     if found.since_s is not None and wanted.since_s is not None:
         assert found.since_s == pytest.approx(wanted.since_s, abs=late_s + 1e-9)
     assert [one.rotor for one in found.rotors] == [(rotors or {}).get(one.rotor, one.rotor) for one in wanted.rotors]
-    assert {one.event.monitor for one in found.events} == {one.event.monitor for one in wanted.events}
+    assert {one.monitor for one in found.events} == {one.monitor for one in wanted.events}
 
 
 def permuted(telemetry: Telemetry) -> Telemetry:
@@ -188,7 +188,7 @@ def test_clock_a_day_on(name: str) -> None:
     back = found if found.since_s is None else replace(found, since_s=found.since_s - DAY_NS / NS_PER_S)
     assert_same(back, name)
     assert maxima(found) == pytest.approx(maxima(wanted), rel=ROUNDING)
-    assert [one.event.start_ns - DAY_NS for one in found.events] == [one.event.start_ns for one in wanted.events]
+    assert [one.start_ns - DAY_NS for one in found.events] == [one.start_ns for one in wanted.events]
 
 
 def halved(telemetry: Telemetry) -> Telemetry:

@@ -95,7 +95,7 @@ def test_the_journal_and_the_scan_of_the_recording_agree(tmp_path: Path) -> None
     lines = [json.loads(line) for line in journal.read_text().splitlines()]
     live = in_order([line for line in lines if line.get("kind") == "event"])
     verdict = judge(read_log(log), baseline)
-    scanned = in_order([event_json(one.t_s, one.end_s, one.event) for one in verdict.events])
+    scanned = in_order([event_json(one) for one in verdict.events])
     assert scanned, verdict.reason
     assert [line["monitor"] for line in live] == [line["monitor"] for line in scanned]
     for ours, theirs in zip(live, scanned, strict=True):

@@ -25,7 +25,7 @@ from mavdiag.airframe.layout import RotorLayout, layout_named
 from mavdiag.airframe.load import airframe_named
 from mavdiag.errors import InputError
 from mavdiag.judging import Verdict
-from mavdiag.learning import LearnOptions, airborne, front_for, learn
+from mavdiag.learning import LearnOptions, airborne, front_for, learn, rows_of
 from mavdiag.learning.teaching import taught
 from mavdiag.link.messages import MessageId
 from mavdiag.logs import between, read_log
@@ -69,8 +69,7 @@ def flight(path: Path, max_gap_s: float = 0.035) -> tuple[Rows, ...]:
     front = Front(
         AlignSpec(dt_s, grid, max(max_gap_s, 2.5 * setpoint_s)), gate, RateSpec.of(dt_s, window_samples(dt_s))
     )
-    state, rows = front.step(front.start(), telemetry)
-    return tuple(one for one in (*rows, *front.finish(state)[1]) if isinstance(one, Rows))
+    return rows_of(front, telemetry)
 
 
 def learnt(kind: type[Monitor[Any]], flights: Flights, layout: RotorLayout | None = None) -> tuple[Monitor[Any], float]:

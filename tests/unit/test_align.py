@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from made_rows import changed, example_rows
 from made_telemetry import DT_NS, series
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
@@ -21,7 +22,6 @@ from mavdiag.rows.gate import Border, GateSpec
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import coefficients, window_samples
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
-from mavdiag.testing import changed, example_rows
 
 SPEC = AlignSpec(0.001)
 LOSSES, LOGGER = (

@@ -75,7 +75,7 @@ def test_a_watch_gives_what_the_verdict_on_the_log_gives() -> None:
     changes = [one for one in news if isinstance(one, Change)]
     assert [(one.stage, one.t_ns) for one in changes] == [(one.stage, one.t_ns) for one in verdict.changes]
     opened = {one.start_ns for one in news if isinstance(one, Event)}
-    assert opened == {one.event.start_ns for one in verdict.events}
+    assert opened == {one.start_ns for one in verdict.events}
     closed = watch.end_flight()
     assert not [one for one in watch.end_flight() if isinstance(one, Event)]
     assert [one.end_ns is not None for one in closed if isinstance(one, Event)] == [True]
@@ -102,9 +102,9 @@ def test_a_link_that_comes_in_small_chunks_is_measured_and_a_refused_one_never_j
     chain, found = chain_of(whole()), 0.0
     state, edges = chain.start(), list(range(START_NS, START_NS + 12 * 10**9, 10**7))
     for one in (one for chunk in cut(Telemetry(tuple(times)), edges) for one in chunk.series):
-        state, output = chain.step(state, Telemetry((one,)))
+        output = chain.step(state, Telemetry((one,)))
         found += output.judged_s
-    assert (found + chain.end_flight(state)[1].judged_s > 1.0) is judged
+    assert (found + chain.end_flight(state).judged_s > 1.0) is judged
     assert bool(state.refused) is not judged
 
 
@@ -119,7 +119,7 @@ def test_a_log_of_arrays_is_learnt_from_and_judged(tmp_path: Path) -> None:
     verdict = md.judge(of_arrays("weak", flying(3000, 5, weak_rotor=3, rise=0.2)), tmp_path / "b.json")
     assert (verdict.verdict, baseline.airframe.name) == (md.Verdict.FAULT, "drone 7")
     assert str(verdict).startswith("weak: fault, rotor_trim 0.1")
-    assert verdict.events[0].event.rotor == 3
+    assert verdict.events[0].rotor == 3
     assert len({log.sha256 for log in logs}) == 3
 
 

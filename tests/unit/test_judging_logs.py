@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from flying_telemetry import flying, without
 from made_baselines import FRAME, NOW, healthy, logged, plain, thesis, trim, whole
+from made_rows import WINDOW, example_rows
+from made_rows import changed as with_columns
 from made_statistics import assert_alike
 from made_telemetry import START_NS, changed, flight
 from scipy.signal import lfilter
@@ -33,8 +35,6 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, FloatArray, Series, Signal, Telemetry
-from mavdiag.testing import WINDOW, example_rows
-from mavdiag.testing import changed as with_columns
 from mavdiag.thresholds.envelope import ORDER, RULES, Covered, excess_of, limits_of
 from mavdiag.traces import rate_traces
 from mavdiag.units import NS_PER_S
@@ -54,8 +54,8 @@ def test_a_push_is_a_fault_at_its_time_and_a_healthy_flight_is_not() -> None:
     assert verdict.verdict is Verdict.FAULT
     first = verdict.events[0]
     assert 6.0 < first.t_s < 6.3
-    assert first.event.statistic == pytest.approx(0.6, abs=0.12)
-    assert verdict.monitors[0].maximum == first.event.statistic
+    assert first.statistic == pytest.approx(0.6, abs=0.12)
+    assert verdict.monitors[0].maximum == first.statistic
     assert verdict.reason.startswith("fsd on roll 0.")
     assert [one.stage for one in verdict.changes if one.stage is not Stage.SUSPECTED][:2] == [Stage.QUIET, Stage.FAULT]
 
@@ -118,7 +118,7 @@ def test_the_pieces_that_a_log_is_judged_in_change_nothing(rows: int, monkeypatc
     monkeypatch.setattr("mavdiag.judging.PIECE_ROWS", rows)
     found = judge(log, whole())
     assert (found.verdict, found.reason, found.notes) == (expected.verdict, expected.reason, expected.notes)
-    assert_alike([one.event for one in found.events], [one.event for one in expected.events])
+    assert_alike(found.events, expected.events)
     assert_alike(found.changes, expected.changes)
     for one, other in zip(found.monitors, expected.monitors, strict=True):
         assert one.maximum == pytest.approx(other.maximum, rel=1e-9)
@@ -210,7 +210,7 @@ def test_c3_alarms_of_monitors_that_do_not_decide_are_a_suspicion() -> None:
     push = np.zeros(20_000)
     push[8000:11_000] = 0.2 * np.hanning(3000)
     verdict = judge(logged(flight(20_000, 50, push=push), "qdrone2"), base)
-    alarmed = {one.event.monitor for one in verdict.events}
+    alarmed = {one.monitor for one in verdict.events}
     assert (verdict.verdict, alarmed) == (Verdict.SUSPECTED, {"fsd"})
     assert verdict.reason.startswith("1 alarm of fsd, which decides nothing alone, first at ")
     assert "healthy" not in verdict.reason

@@ -10,6 +10,7 @@ from flying_telemetry import flying, without
 from hypothesis import given
 from hypothesis import strategies as st
 from made_baselines import ALWAYS, NOW
+from made_rows import changed, example_rows
 from made_vehicle import MadeVehicle
 from scipy.signal import lfilter
 from shared_data import written
@@ -31,7 +32,6 @@ from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.rows.block import Block
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
-from mavdiag.testing import changed, example_rows
 from mavdiag.units import RPM
 
 #: Where each rotor is, seen from above: (x forward, y right),

@@ -18,6 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_baselines import ALWAYS, FRAME, NOW, healthy, plain, thesis, whole
 from made_monitor import MadeUp
+from made_rows import example_rows
 from made_telemetry import changed, flight
 
 import mavdiag.chain
@@ -39,13 +40,12 @@ from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.rows.conditions import Condition
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Log, Signal, Telemetry
-from mavdiag.testing import example_rows
 from mavdiag.thresholds.heldout import folds
 from mavdiag.thresholds.rule import poisson_upper
 from mavdiag.units import NS_PER_S
 
 UNKNOWN = Airframe(gate=ALWAYS)
-ROLL = thesis_options(UNKNOWN)
+ROLL = dataclasses.replace(thesis_options(), airframe=UNKNOWN)
 HALVED = Telemetry(tuple(s.where(slice(None, None, 2)) for s in flight(8000, 2).series))
 MONDAY = 1_777_600_000 * NS_PER_S
 HOUR = 3600 * NS_PER_S
@@ -169,7 +169,7 @@ def test_a_new_monitor_is_its_class_and_one_name_in_the_registry(monkeypatch: py
     heavy = changed(flying(3000, 9), Signal.SPECIFIC_FORCE, lambda force: 1.5 * force)
     verdict = judge(made(9, heavy, "px4"), baseline)
     assert verdict.verdict is Verdict.FAULT
-    assert [one.event.monitor for one in verdict.events] == ["made_up"]
+    assert [one.monitor for one in verdict.events] == ["made_up"]
     assert verdict.reason.startswith("made_up")
     assert judge(made(8, flying(3000, 8), "px4"), baseline).verdict is Verdict.HEALTHY
 

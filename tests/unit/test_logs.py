@@ -29,6 +29,7 @@ from made_logs import (
     ulog_message,
     with_checksum,
 )
+from made_rows import example_rows
 from pymavlink import mavutil
 from shared_data import written
 
@@ -46,7 +47,6 @@ from mavdiag.logs.ulog import _by_motor, read_ulog
 from mavdiag.look.figures import rotor_line
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import Log, Series, Signal, Telemetry
-from mavdiag.testing import example_rows
 
 START_US = 1_763_000_000_000_000
 N = 300

@@ -414,9 +414,9 @@ def test_answers_of_other_systems_and_to_others_do_not_count() -> None:
 
 def test_the_run_length_is_told_of_the_thesis_monitor_only_and_what_is_not_finite_is_null() -> None:
     event = Event("fsd", Axis.ROLL, 60_000_000_000, None, 0.41, 0.12, 0.05)
-    found = json.loads(json.dumps(event_json(60.0, None, event)))
+    found = json.loads(json.dumps(event_json(event)))
     assert (found["axis"], found["fsd_s"], found["fml_s"], found["end_s"]) == ("roll", 0.41, 0.12, None)
-    other = event_json(1.0, 2.0, Event("innovation", None, 1, 2, float("inf"), 0.12, 0.05, rotor=2, confidence=0.98765))
+    other = event_json(Event("innovation", None, 1, 2, float("inf"), 0.12, 0.05, rotor=2, confidence=0.98765))
     assert (other["statistic"], other["fsd_s"], other["rotor"], other["confidence"]) == (None, None, 2, 0.988)
     silent = MonitorSummary("unbalance", Axis.ROLL, float("nan"), float("inf"), "g mm", 0)
     found = json.loads(json_line({"a": (1.5, float("-inf")), "b": [silent]}))

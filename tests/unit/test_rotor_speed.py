@@ -5,6 +5,7 @@ import pytest
 from flying_telemetry import flying, flying_rows
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_rows import example_rows
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
@@ -15,7 +16,6 @@ from mavdiag.monitors.rotor_speed import FLOOR, LAW, LAW_SD, MADE_UP_RAD_S, Roto
 from mavdiag.rows.block import in_rotor_order
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import example_rows
 from sitl_plant.physics.faults import loaded
 
 X = layout_named("x")

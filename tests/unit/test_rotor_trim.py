@@ -8,7 +8,7 @@ import pytest
 from flying_telemetry import flying, flying_rows
 from hypothesis import given
 from hypothesis import strategies as st
-from made_rows import calibrated, example_context
+from made_rows import calibrated, example_context, example_rows
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.airframe.trim import BESIDE, TILT_TRIM, rises, source_among, sources_of
@@ -18,7 +18,6 @@ from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec, highest_rise, 
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, Signal, Three
-from mavdiag.testing import example_rows
 from mavdiag.units import G
 
 CALM = (0.03, 0.03, 0.01)
@@ -28,8 +27,7 @@ shifts = st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3)
 
 
 def read(spec: RotorTrimSpec, rows: list[Rows]) -> Statistic:
-    monitor = RotorTrim(spec)
-    return monitor.step(monitor.start(), rows[0])[1]
+    return next(RotorTrim(spec).over(rows))
 
 
 def fit(flights: Flights, frame: str | None) -> RotorTrimSpec:

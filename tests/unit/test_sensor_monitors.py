@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
-from made_rows import read
+from made_rows import example_rows, read
 from made_telemetry import body_rates
 
 from mavdiag.airframe.layout import layout_named
 from mavdiag.monitors.control_loss import ControlLoss, ControlLossSpec
-from mavdiag.monitors.sensor_drift import GRAVITY, SensorDrift, SensorDriftSpec
+from mavdiag.monitors.sensor_drift import SensorDrift, SensorDriftSpec
 from mavdiag.monitors.sensor_noise import SensorNoise, SensorNoiseSpec
 from mavdiag.monitors.thrust_loss import ThrustLoss, ThrustLossSpec
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import example_rows
+from mavdiag.units import G
 
 DT_S = 0.01
 N = 4000
@@ -30,7 +30,7 @@ def level_force(angle: FloatArray) -> FloatArray:
     """What an accelerometer reads that is not accelerated."""
     phi, theta, _ = angle.T
     down = np.column_stack((-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)))
-    return -GRAVITY * down
+    return -G * down
 
 
 def drift(angle: FloatArray, rate: FloatArray, force: FloatArray) -> Statistic:
@@ -105,10 +105,10 @@ def test_only_a_turn_that_nobody_commanded_is_a_loss_of_control() -> None:
 @pytest.mark.parametrize("rotor", [1, 2, 3, 4])
 def test_a_rotor_that_is_gone_is_named_by_how_the_vehicle_falls(rotor: int) -> None:
     layout = layout_named("qdrone2")
-    force, rate = np.tile([0.0, 0.0, -GRAVITY], (N, 1)), np.zeros((N, 3))
+    force, rate = np.tile([0.0, 0.0, -G], (N, 1)), np.zeros((N, 3))
     force[2000:, 2] *= 0.6
     rate[2000:, :2] = -5.0 * layout.mixing[rotor - 1, :2]
-    monitor = ThrustLoss(ThrustLossSpec(layout=layout, per_command=2 * GRAVITY))
+    monitor = ThrustLoss(ThrustLossSpec(layout=layout, per_command=2 * G))
     rows = example_rows(N, DT_S, rate=rate, force=force, thrust=np.full(N, 0.5))
     found = read(monitor, rows)
     assert found.value[:2000].max() < 0.01
@@ -120,9 +120,9 @@ def test_less_thrust_by_command_battery_or_payload_is_no_loss() -> None:
     t = DT_S * np.arange(N)
     thrust = 0.5 + 0.1 * np.sin(t)
     battery = 1.0 - 0.3 * t / t[-1]
-    force = np.column_stack((np.zeros((N, 2)), -2 * GRAVITY * battery * thrust))
+    force = np.column_stack((np.zeros((N, 2)), -2 * G * battery * thrust))
     rate = np.full((N, 3), 3.0)
-    monitor = ThrustLoss(ThrustLossSpec(layout=None, per_command=2 * GRAVITY))
+    monitor = ThrustLoss(ThrustLossSpec(layout=None, per_command=2 * G))
     found = read(monitor, example_rows(N, DT_S, rate=rate, force=force, thrust=thrust))
     assert found.value.max() < 0.1
     assert found.rotors.shape == (N, 0)

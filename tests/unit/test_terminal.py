@@ -86,7 +86,7 @@ def test_a_spike_of_one_sample_is_seen() -> None:
     t_s = np.arange(10_000) / 1000
     values = np.zeros(10_000)
     values[5000] = 1.0
-    view = StripView("", "", (Curve(t_s, values, ""),), -1.0, 1.0)
+    view = StripView("", (Curve(t_s, values, ""),), -1.0, 1.0)
     lines = [line.plain for line in strip(view, 0.0, 10.0, 40, 4)]
     assert lines[0].strip() != ""
     assert lines[0][19:21].strip() != ""
@@ -108,7 +108,7 @@ def test_no_line_is_wider_than_the_terminal(width: int, texts: list[str], value:
         alert=True,
         from_s=0.0,
         to_s=10.0,
-        strips=(StripView("roll rate", "rad/s", (Curve(t_s, np.sin(t_s), "red"),), -1.0, 1.0),),
+        strips=(StripView("roll rate", (Curve(t_s, np.sin(t_s), "red"),), -1.0, 1.0),),
         levels=(Level("unbalance", value, 1.0, "g mm"), Level("trim", 0.1, 0.2, "", reason)),
         events=tuple(Line(1.0, Severity.CRITICAL, text) for text in texts),
         foot="vehicle 1 " * 30,

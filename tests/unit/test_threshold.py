@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_rows import calibrated, example_context, held_out_scores
+from made_rows import calibrated, example_context, example_rows, held_out_scores
 from scipy.stats import chi2, multivariate_normal, poisson
 
 from mavdiag.errors import IdentificationError, UsageError
 from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import example_rows
 from mavdiag.thresholds.evidence import RISES, STEPS, Flown, evidence_of
 from mavdiag.thresholds.heldout import Flights, Scores, score
 from mavdiag.thresholds.rule import (

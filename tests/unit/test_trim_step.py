@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from made_rows import example_context
+from made_rows import example_context, example_rows
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.errors import IdentificationError
@@ -11,7 +11,6 @@ from mavdiag.monitors.trim_step import MEMORY_S, TrimStep, TrimStepSpec
 from mavdiag.rows.block import COVERED, columns_of, no_past
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, Three
-from mavdiag.testing import example_rows
 
 CALM = (0.03, 0.03, 0.01)
 LEAST = TrimStep.prior.least
@@ -21,8 +20,7 @@ ROTORS = [(frame, rotor) for frame in sorted(LAYOUTS) for rotor in range(layout_
 
 def read(outputs: FloatArray, frame: str = "x", setpoint: FloatArray | None = None, spread: Three = CALM) -> Statistic:
     spec = TrimStepSpec(layout=layout_named(frame), source="actuator", spread=spread)
-    monitor = TrimStep(spec)
-    return monitor.step(monitor.start(), example_rows(len(outputs), DT_S, actuator=outputs, setpoint=setpoint))[1]
+    return next(TrimStep(spec).over([example_rows(len(outputs), DT_S, actuator=outputs, setpoint=setpoint)]))
 
 
 def level(seconds: float, rotors: int = 4, seed: int = 1) -> FloatArray:
@@ -102,7 +100,7 @@ def test_ground_effect_is_no_reference() -> None:
     outputs[1000:] *= 1 + layout_named("x").mixing @ np.array([0.0, 0.0, 0.03])
     spec = TrimStepSpec(layout=layout_named("x"), source="actuator", spread=CALM)
     monitor, rows = TrimStep(spec), example_rows(len(outputs), DT_S, actuator=outputs)
-    assert monitor.step(monitor.start(), rows)[1].value.max() > LEAST
+    assert next(monitor.over([rows])).value.max() > LEAST
     columns, begun = columns_of(rows, no_past(0)), monitor.begin(DT_S)
     columns.x[COVERED] = rows.block.t_ns > 21e9
     found = monitor.judge(begun.par, begun.mem, rows, columns)[0]

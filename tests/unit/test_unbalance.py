@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from made_rows import calibrated, example_context, read
+from made_rows import calibrated, example_context, example_rows, read
 from scipy.signal import firwin, freqz
 
 from mavdiag.airframe.balance import Grade, assess_unbalance, grade_named, permissible_unbalance_g_mm, unbalance_g_mm
@@ -17,7 +17,6 @@ from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import highpass
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import example_rows
 
 MASS, HOVER = 1.504, 1047.2
 N = 3000
