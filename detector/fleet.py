@@ -60,7 +60,7 @@ class Vehicle:
         self.vain = 0  # turns in a row that the data ought to have come for, and had not
         self.first_ns: int | None = None  # when the first gyro sample came that was not judged then (host)
         self.outcome: FitOutcome | None = None  # of its last `Learn`, until the session gets it
-        self.sticks: dict[int, tuple[int, ...]] = {}  # told by ground stations behind, until the session gets them
+        self.sticks: dict[tuple[int, str], int] = {}  # told by ground stations behind, until the session gets them
         self.events = 0  # that were opened, so far
         self.timesync = Timesync()  # asked and answered where we may negotiate
 

@@ -19,6 +19,7 @@ from typing import BinaryIO
 from detector.config import check_installed
 from detector.fleet import Vehicle
 from detector.hooks import Courier
+from detector.judging import Judge
 from mavdiag.baseline import Baseline, dump
 from mavdiag.errors import UsageError
 from mavdiag.judging import MIN_JUDGED_S
@@ -34,12 +35,12 @@ MAVLINK_2 = 0xFD  # first byte of a frame; its system id is the sixth, of MAVLin
 
 @dataclass(slots=True)
 class _Flight:
-    """One that goes on. before_s: flight time of the vehicle's session at its begin."""
+    """One that goes on."""
 
     file: BinaryIO | None  # None where it could not be opened
     path: Path
-    baseline: Baseline
-    before_s: float
+    judges: list[Judge]  # of the vehicle's session in turn: a reboot brings another
+    before_s: float  # flight time of the first of them at its begin
 
 
 class Flights(Courier):
@@ -65,13 +66,15 @@ class Flights(Courier):
     ) -> None:
         """After each look of the daemon. passed: frames with their time of arrival [ns]."""
         for sysid, vehicle in vehicles.items():
-            session = vehicle.session
-            if sysid not in self._open and session.armed and session.judge is not None:
+            session, flight = vehicle.session, self._open.get(sysid)
+            if flight is not None and session.judge is not None and session.judge not in flight.judges:
+                flight.judges.append(session.judge)
+            if flight is None and session.armed and session.judge is not None:
                 path = self._folder / f"{sysid}-{utc:%Y%m%dT%H%M%S}.tlog"
-                self._open[sysid] = flight = _Flight(None, path, session.judge.baseline, session.judge.flight_s)
+                self._open[sysid] = flight = _Flight(None, path, [session.judge], session.judge.flight_s)
                 with self._telling(path):
                     flight.file = path.open("wb", buffering=0)
-            elif sysid in self._open and (not session.armed or now - session.latest > GONE_S):
+            elif flight is not None and (not session.armed or now - session.latest > GONE_S):
                 self._landed(sysid, vehicle)
         if self._open:
             self._append(passed)
@@ -102,14 +105,15 @@ class Flights(Courier):
                     flight.file.write(b"".join(own))
 
     def _landed(self, sysid: int, vehicle: Vehicle) -> None:
-        flight, judge = self._open.pop(sysid), vehicle.session.judge
+        flight = self._open.pop(sysid)
         if flight.file is None:
             return
         flight.file.close()
-        if judge is not None and judge.flight_s - flight.before_s < MIN_JUDGED_S:
+        flown_s = sum(judge.flight_s for judge in flight.judges) - flight.before_s
+        if vehicle.session.judge is not None and flown_s < MIN_JUDGED_S:
             flight.path.unlink(missing_ok=True)  # it was armed and did not fly
         else:
-            self._hand_over(flight.path, sysid, flight.baseline)
+            self._hand_over(flight.path, sysid, flight.judges[0].baseline)
 
     def _hand_over(self, path: Path, sysid: int, baseline: Baseline) -> None:
         self._baselines[baseline.digest] = baseline

@@ -87,10 +87,13 @@ def _publish(host: str, port: int, topic: str, line: bytes) -> None:
     client.connect(host, port)
     deadline = time.monotonic() + ANSWER_S
     sent = client.publish(topic, line, qos=1)
-    while not sent.is_published():
-        left_s = deadline - time.monotonic()
-        if left_s <= 0 or client.loop(left_s) != MQTTErrorCode.MQTT_ERR_SUCCESS:
-            raise OSError("the broker did not confirm it")
+    try:
+        while not sent.is_published():
+            left_s = deadline - time.monotonic()
+            if left_s <= 0 or client.loop(left_s) != MQTTErrorCode.MQTT_ERR_SUCCESS:
+                raise OSError("the broker did not confirm it")
+    except RuntimeError as error:
+        raise OSError(f"the broker did not take it: {error}") from error
     client.disconnect()
 
 

@@ -71,7 +71,7 @@ class _Row:
     asked: Instant  # when its command was sent last
     step: Step = Step.COUNTING
     mode: int | None = None  # when it was announced
-    sticks: dict[int, tuple[int, ...]] = field(default_factory=dict)
+    sticks: dict[tuple[int, str], int] = field(default_factory=dict)
 
 
 class Reaction:
@@ -82,7 +82,7 @@ class Reaction:
         self._rows: dict[int, _Row] = {}
         self._open = len(self._rules)  # rows from this one on are over for this flight
         self._mode: int | None = None
-        self._sticks: dict[int, tuple[int, ...]] = {}
+        self._sticks: dict[tuple[int, str], int] = {}
         self._own_until: Instant | None = None
         self._effects: list[Effect] = []
 
@@ -215,9 +215,6 @@ class Reaction:
             del self._rows[number]
 
 
-def _moved(sticks: Mapping[int, tuple[int, ...]], before: dict[int, tuple[int, ...]]) -> bool:
+def _moved(sticks: Mapping[tuple[int, str], int], before: dict[tuple[int, str], int]) -> bool:
     """Whether sticks are elsewhere than before; those told for the first time are noted there."""
-    return any(
-        max(abs(a - b) for a, b in zip(at, before.setdefault(msgid, at), strict=True)) >= STICK
-        for msgid, at in sticks.items()
-    )
+    return any(abs(at - before.setdefault(stick, at)) >= STICK for stick, at in sticks.items())

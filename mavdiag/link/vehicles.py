@@ -61,11 +61,13 @@ MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up on
 COMMANDS = frozenset({MessageId.COMMAND_LONG, MessageId.COMMAND_INT})
 #: ... and all that ask something of a component.
 ASKING = COMMANDS | PARAMETERS_ASKED
-#: Messages that tell where a pilot's sticks are, with the fields of four of them.
-STICKS: Mapping[int, tuple[str, ...]] = {
-    MessageId.MANUAL_CONTROL: ("x", "y", "z", "r"),
+#: Messages that tell where a pilot's sticks are, with the fields of four of them and the positions that these may have.
+#: Any other value says that there is none: not known, ignored, released. Pulses: range of ArduPilot's RCn_MIN, RCn_MAX.
+STICKS: Mapping[int, tuple[tuple[str, ...], range]] = {
+    MessageId.MANUAL_CONTROL: (("x", "y", "z", "r"), range(-1000, 1001)),
     **dict.fromkeys(
-        (MessageId.RC_CHANNELS, MessageId.RC_CHANNELS_OVERRIDE), tuple(f"chan{n}_raw" for n in range(1, 5))
+        (MessageId.RC_CHANNELS, MessageId.RC_CHANNELS_OVERRIDE),
+        (tuple(f"chan{n}_raw" for n in range(1, 5)), range(800, 2201)),
     ),
 }
 _ANSWERS = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC, MessageId.AUTOPILOT_VERSION}
@@ -113,13 +115,18 @@ def mode_in(frames: Iterable[Frame]) -> int | None:
     return custom if base & ModeFlag.CUSTOM_MODE_ENABLED else None
 
 
-def sticks_in(frames: Iterable[Frame], compid: int | None = AUTOPILOT) -> dict[int, tuple[int, ...]]:
-    """The latest position of four sticks, by message. compid: of who tells it, None for anybody.
+def sticks_in(frames: Iterable[Frame], compid: int | None = AUTOPILOT) -> dict[tuple[int, str], int]:
+    """The latest positions of sticks, by message and field. compid: of who tells them, None for anybody.
 
     Pulses [us] of RC_CHANNELS and RC_CHANNELS_OVERRIDE, -1000..1000 of MANUAL_CONTROL.
     """
-    told = (frame for frame in frames if frame.msgid in STICKS and compid in (None, frame.compid))
-    return {frame.msgid: frame.numbers(*STICKS[frame.msgid]) for frame in told}
+    found = dict[tuple[int, str], int]()
+    for frame in frames:
+        if frame.msgid in STICKS and compid in (None, frame.compid):
+            names, positions = STICKS[frame.msgid]
+            told = zip(names, frame.numbers(*names), strict=True)
+            found |= {(frame.msgid, name): at for name, at in told if at in positions}
+    return found
 
 
 def asked_of(frame: Frame) -> int | None:
@@ -254,7 +261,7 @@ class Received:
     parameters: Mapping[str, float] = field(default_factory=dict)  # of its autopilot that passed by so far, by name
     imu: MessageId | None = None  # the message that its gyro is read from; None for the profile's
     mode: int | None = None  # custom_mode of its latest heartbeat; None if none came
-    sticks: Mapping[int, tuple[int, ...]] = field(default_factory=dict)  # a pilot's, by message; see `STICKS`
+    sticks: Mapping[tuple[int, str], int] = field(default_factory=dict)  # a pilot's; see `sticks_in`
     asked: tuple[Frame, ...] = ()  # what others ask of its on-board computer
     frames: tuple[Frame, ...] = ()  # of its system id, any component, that are no measurements, in order of arrival
 

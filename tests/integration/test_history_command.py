@@ -206,6 +206,19 @@ def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> N
                 assert record.judged_s > 10.0
 
 
+def test_a_flight_in_which_the_vehicle_reboots_is_not_thrown_away(tmp_path: Path) -> None:
+    flights = Flights(str(tmp_path / "history.sqlite"), tmp_path / "flights", EPOCH_NS, print)
+    bench = watching(baseline_for(), flights, MadeVehicle(3))
+    with patch.object(flights, "put") as put:
+        flown(bench, 12.0)
+        bench.vehicles = [MadeVehicle(3)]
+        flown(bench, 12.0, armed=False)
+        assert bench.daemon.fleet.vehicles[3].session.reboots == 1
+        bench.close()
+    flights.close()
+    assert put.call_count == 1
+
+
 def test_a_flight_that_cannot_be_added_is_told_and_added_by_the_next_start(tmp_path: Path) -> None:
     missing, folder, said = tmp_path / "missing" / "history.sqlite", tmp_path / "flights", list[str]()
     with patch("detector.hooks.PAUSE_S", 0.0):

@@ -6,6 +6,7 @@ import re
 import shutil
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -248,8 +249,8 @@ def test_a_failing_server_is_tried_again_and_a_redirect_is_no_delivery(server: S
     assert hook.lost == 0
 
 
-@pytest.mark.parametrize("scheme", ["http", "mqtt"])
-def test_a_server_that_speaks_another_language_is_told_and_the_next_line_is_tried(scheme: str) -> None:
+@pytest.mark.parametrize(("scheme", "resets"), [("http", False), ("mqtt", False), ("mqtt", True)])
+def test_a_server_that_speaks_another_language_is_told_and_the_next_line_is_tried(scheme: str, resets: bool) -> None:
     def answer() -> None:
         while True:
             try:
@@ -258,7 +259,10 @@ def test_a_server_that_speaks_another_language_is_told_and_the_next_line_is_trie
                 return
             with connection:
                 connection.recv(4096)
-                connection.sendall(b"no such protocol\r\n" * 4)
+                if resets:  # SO_LINGER of 0 s
+                    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                else:
+                    connection.sendall(b"no such protocol\r\n" * 4)
 
     with socket.create_server(("127.0.0.1", 0)) as other:
         threading.Thread(target=answer, daemon=True).start()

@@ -1,14 +1,17 @@
 """Endpoints: what each promises, addresses, peers that come and go, garbage, and what is never torn."""
 
+import errno
 import itertools
 import os
 import socket
+import termios
 import time
 import tty
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -195,6 +198,10 @@ def test_a_serial_device_that_is_unplugged_is_found_again(tmp_path: Path) -> Non
         assert not len(endpoint.receive(0.3))
         master, slave = os.openpty()
         plug.symlink_to(os.ttyname(slave))
+        with patch("termios.tcflush", side_effect=termios.error(errno.EIO, "it went again")) as tcflush:
+            endpoint.receive(2 * RETRY_S)
+        assert tcflush.called
+        assert not endpoint.connected
         try:
             until = time.monotonic() + 5.0
             while not endpoint.connected and time.monotonic() < until:

@@ -66,7 +66,7 @@ class Flight:
     def fly(self, seconds: float, sticks: Sequence[int] = ()) -> None:
         for _ in range(round(seconds / TICK_S)):
             self.ticks += 1
-            told = {int(RC): tuple(sticks)} if sticks else {}
+            told = {(int(RC), f"chan{n}_raw"): at for n, at in enumerate(sticks, 1)}
             received = Received(alive=True, acks=self._acks, mode=self.mode, sticks=told)
             effects = self.reaction.step(self.held, self.armed, received, Instant(round(1e12) + round(self.s * 1e9)))
             self._take(effects)
@@ -247,12 +247,20 @@ def test_modes_and_sticks_are_read_from_the_autopilots_own_frames() -> None:
         autopilot.encode(MessageId.HEARTBEAT, 2, 3, 129, 5, 4, 3),
         other.encode(MessageId.HEARTBEAT, 6, 8, 1, 9, 4),
     ]
-    pulses = (1100, 1500, 1900, 1501, *[0] * 14, 0)
-    told = [one.encode(RC, 0, 18, *pulses) for one in (autopilot, other)]
+    pulses, lost = (1100, 1500, 1900, 1501), (0, 65535, 1910, 65534)
+    told = [
+        one.encode(RC, 0, 18, *at, *[0] * 14, 0)
+        for one, at in ((autopilot, pulses), (autopilot, lost), (other, pulses))
+    ]
+    told.insert(0, autopilot.encode(MessageId.MANUAL_CONTROL, 1, 32767, -1000, 1000, 32767, 0))
     frames = [frame for data in (*beats, *told) for frame in Decoder().feed(data, 0)]
     assert mode_in(frames) == LOITER
-    assert sticks_in(frames[:3]) == {RC: (1100, 1500, 1900, 1501)}
-    assert sticks_in(frames[3:]) == {}
+    where = {(MessageId.MANUAL_CONTROL, "y"): -1000, (MessageId.MANUAL_CONTROL, "z"): 1000}
+    where |= {
+        (RC, f"chan{n}_raw"): at for n, at in enumerate((1100, 1500, 1910, 1501), 1)
+    }  # what is lost has not moved
+    assert sticks_in(frames[:5]) == where
+    assert sticks_in(frames[5:]) == {}
 
 
 @pytest.mark.parametrize(

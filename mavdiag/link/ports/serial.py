@@ -1,5 +1,7 @@
 """A serial device."""
 
+import termios
+
 import serial
 
 from mavdiag.link.ports.base import Reconnecting, Stream, link_error
@@ -26,5 +28,7 @@ class Serial(Reconnecting):
         try:
             device = serial.Serial(self._device, self._baud, inter_byte_timeout=0, exclusive=True)
             return Stream(device.fileno(), device.close)
+        except termios.error as error:  # it went while it was set up; pyserial lets this out, which is no OSError
+            raise OSError(*error.args) from error
         except ValueError as error:
             raise OSError(0, f"{self._baud} baud is not a speed of this device: try 57600, 115200 or 921600") from error
