@@ -28,6 +28,7 @@ from mavdiag.errors import UsageError
 from mavdiag.inspections import Inspections
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
+from mavdiag.link.vehicles import REQUESTS_MAX
 from mavdiag.monitors.base import FaultKind
 
 TEXT = "PROP rotor unknown: inspect before flight"
@@ -136,6 +137,18 @@ def test_a_ground_station_behind_acknowledges_and_a_stranger_on_an_unsigned_link
         assert answers(bench, received(bench.behind[0])) == [result]  # type: ignore[arg-type]
     assert stage(bench) is not Stage.INSPECT
     assert any("acknowledged by 255/190" in line for line in bench.host.lines)
+
+
+def test_a_look_takes_so_much_of_a_link_behind_and_passes_it_unchanged(bench: Bench) -> None:
+    """30 datagrams of heartbeats held the loop up for 17 s."""
+    unknown = bytes((0xFD, 1, 0, 0, 7, 255, 190, 0xEE, 0xEE, 0, 7, 1, 2))
+    one = 20 * STATION.encode(MessageId.PARAM_REQUEST_READ, *US, "PROP_ACK", -1) + 4500 * unknown
+    for _ in range(3):
+        bench.behind[0].send(one)
+    bench.run(0.04)
+    assert 2 * one in b"".join(data for data, _ in bench.far.receive(0.0))
+    assert bench.daemon.figures().links[1].traffic.overflowed == 1
+    assert len(of(received(bench.behind[0]), MessageId.PARAM_VALUE)) == REQUESTS_MAX
 
 
 def change(stage: Stage, *rotors: int) -> Change:
