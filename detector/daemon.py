@@ -229,7 +229,7 @@ class Daemon:
 
     def _flush(self) -> None:
         self._relay.flush()
-        for file in self._files.values():
+        for file in (*self._files.values(), self._inspections):
             file.flush()
 
     def _sender(self, vehicle: int) -> Sender:

@@ -151,6 +151,24 @@ def test_a_look_takes_so_much_of_a_link_behind_and_passes_it_unchanged(bench: Be
     assert len(of(received(bench.behind[0]), MessageId.PARAM_VALUE)) == REQUESTS_MAX
 
 
+def test_an_inspection_is_written_after_the_alert_was_sent_and_when_the_disk_has_room_again(
+    benches: Benches, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench, sent = benches(), list[list[str]]()
+
+    def full(path: Path, _: str) -> None:
+        sent.append(texts(bench))
+        raise UsageError(f"{path}: no space")
+
+    with monkeypatch.context() as context:
+        context.setattr(inspections, "write_atomically", full)
+        flown(bench, faulty=True)
+    assert any(one.startswith("PROP FAULT") for one in sent[0])
+    bench.run(0.1)
+    assert inspections.read_open(tmp_path / "journal.jsonl").keys() == {1}
+    assert capsys.readouterr().out.count("inspections are") == 2  # that it failed, and that it works again
+
+
 def change(stage: Stage, *rotors: int) -> Change:
     spans = tuple(RotorSpan(rotor, 0) for rotor in rotors)
     given = (stage, "made", 0, None, None, "", 0.0, 0.0, rotors[-1] if rotors else None, None, None, None)
@@ -162,14 +180,17 @@ def test_only_a_newer_set_of_propellers_closes_an_inspection_by_itself(tmp_path:
     kept = Inspections(journal, print)
     kept.take(7, change(Stage.FAULT, 1, 4), "digest", 2, "2026-01-01T00:00:00+00:00")
     kept.take(8, change(Stage.INSPECT), "digest", 0, "2026-01-01T00:00:00+00:00")
+    kept.flush()
     again = Inspections(journal, print)
     for propellers in (None, 0, 2):
         held = again.held(7, propellers)
         assert (held.stage, held.rotor, [one.rotor for one in held.rotors]) == (Stage.INSPECT, 4, [1, 4])
     assert again.held(9, 0) == NOTHING_SEEN
     assert again.held(7, 3) == NOTHING_SEEN
+    again.flush()
     assert inspections.read_open(journal).keys() == {8}
     again.take(8, change(Stage.NOT_JUDGED), "digest", 0, "")
+    again.flush()
     assert inspections.read_open(journal) == {}
 
 
@@ -177,8 +198,10 @@ def test_an_acknowledgement_without_a_running_detector_is_taken_up_at_its_start(
     run = CliRunner().invoke(app, ["ack", str(tmp_path / "none")])
     assert "no such file; name the detector's --journal" in str(run.exception)
     journal = tmp_path / "j"
+    kept = Inspections(journal, print)
     for vehicle in (1, 2):
-        Inspections(journal, print).take(vehicle, change(Stage.INSPECT, vehicle), "", 0, "")
+        kept.take(vehicle, change(Stage.INSPECT, vehicle), "", 0, "")
+    kept.flush()
     run = CliRunner().invoke(app, ["ack", str(journal)])
     assert isinstance(run.exception, UsageError)
     assert "choose one with --vehicle: vehicle 1: motor 1 (propeller fault, " in str(run.exception)
