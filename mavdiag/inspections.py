@@ -103,7 +103,8 @@ class Inspections:
     def take(self, vehicle: int, change: Change, baseline: str, propellers: int, utc: str) -> None:
         """Keep what a change of a vehicle's decision says. utc: now."""
         if change.stage not in (Stage.FAULT, Stage.INSPECT):
-            return self.close(vehicle)
+            self.close(vehicle)
+            return
         old = self._open.get(vehicle)
         rotors = tuple(dict.fromkeys(span.rotor for span in change.rotors))
         new = Inspection(
@@ -117,11 +118,12 @@ class Inspections:
         )
         if new != old:
             self._open[vehicle], self._due = new, True
-        return None
 
-    def close(self, vehicle: int) -> None:
-        """It is acknowledged, or over."""
-        self._due |= self._open.pop(vehicle, None) is not None
+    def close(self, vehicle: int) -> bool:
+        """It is acknowledged, or over; return whether it was open."""
+        known = self._open.pop(vehicle, None) is not None
+        self._due |= known
+        return known
 
     def acknowledged(self) -> list[tuple[int, str]]:
         """The vehicles whose inspection somebody acknowledged since the last call, and who it was."""

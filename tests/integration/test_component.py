@@ -3,11 +3,13 @@
 import itertools
 import json
 import math
+import re
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
@@ -416,6 +418,17 @@ def test_it_is_called_off_by_a_link_behind_or_the_vehicles_mode(benches: Benches
     assert [one for one in noted(tmp_path) if "announced -> over: called off" in one]
     results = [field(one, "result") for one in of(received(bench.behind[0]), MessageId.COMMAND_ACK)]
     assert results == [MavResult.ACCEPTED] * (how == "ack")
+
+
+def test_the_page_acknowledges_open_inspections_and_calls_nothing_off(benches: Benches, tmp_path: Path) -> None:
+    bench, pressed = reacting(benches), [[1, 8, 77]]
+    damaged(bench, 4.0)
+    bench.daemon._inspections.take(8, change(Stage.INSPECT), "", 0, "")  # kept from an earlier flight
+    bench.daemon._web = Mock(acknowledged=lambda: pressed.pop() if pressed else [])
+    bench.fly(5.0)
+    assert commanded(bench)
+    told = (tmp_path / "journal.jsonl").read_text()
+    assert re.findall(r"inspection of vehicle (\d+) acknowledged", told) == ["8"]
 
 
 def test_a_stranger_on_an_unsigned_link_does_not_call_it_off(benches: Benches) -> None:
