@@ -132,12 +132,12 @@ class Inspections:
         found = []
         for vehicle in list(self._open):
             path = _beside(self._journal, f"ack-{vehicle}")
-            if path.exists():
-                try:
+            try:
+                if path.exists():
                     found.append((vehicle, read_text(path, WHOSE_BYTES * 4 + 1).strip() or "somebody"))
                     path.unlink(missing_ok=True)
-                except (InputError, OSError) as error:
-                    self._warn(f"{path}: cannot be taken up ({error})")
+            except (InputError, OSError) as error:
+                self._warn(f"{path}: cannot be taken up ({error})")
         return found
 
     def flush(self) -> None:

@@ -1,5 +1,6 @@
 """A declared fault after whatever ends the flight: told, kept, acted on, and closed by who looked only; parameters."""
 
+import errno
 import itertools
 import json
 import math
@@ -196,7 +197,9 @@ def test_only_a_newer_set_of_propellers_closes_an_inspection_by_itself(tmp_path:
     assert inspections.read_open(journal) == {}
 
 
-def test_an_acknowledgement_without_a_running_detector_is_taken_up_at_its_start(tmp_path: Path) -> None:
+def test_an_acknowledgement_without_a_running_detector_is_taken_up_at_its_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = CliRunner().invoke(app, ["ack", str(tmp_path / "none")])
     assert "no such file; name the detector's --journal" in str(run.exception)
     journal = tmp_path / "j"
@@ -210,6 +213,9 @@ def test_an_acknowledgement_without_a_running_detector_is_taken_up_at_its_start(
     run = CliRunner().invoke(app, ["ack", str(journal), "--vehicle", "2", "--by", "Bo"])
     assert run.exit_code == 0, run.output
     kept = Inspections(journal, print)
+    with monkeypatch.context() as context:
+        context.setattr(Path, "exists", Mock(side_effect=OSError(errno.EIO, "disk")))
+        assert kept.acknowledged() == []
     assert kept.acknowledged() == [(2, "mavdiag ack by Bo")]
     assert kept.acknowledged() == []
 
