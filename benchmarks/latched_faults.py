@@ -93,6 +93,7 @@ def told(
                 texts.append((edge_ns / NS_PER_S, effect))
             elif isinstance(effect, Change):
                 kept.take(1, effect, baseline.digest, 0, STAMP)
+        kept.flush()
     return session, texts
 
 

@@ -9,9 +9,13 @@ ground station takes an answer only from the component that it asked. REQUEST_DA
 message has no answer; one for all groups becomes requests for those that hold none.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
+
+import numpy as np
 
 from detector.fleet import Fleet, Turn
 from detector.session import Session
@@ -20,10 +24,11 @@ from detector.values import AskParameters, Effect, Note, SendCommand, SendFloat,
 from mavdiag import __version__
 from mavdiag.link.clock import TimesyncMessage
 from mavdiag.link.codec import Decoder, Encoder, Frame, message_name
+from mavdiag.link.datagrams import as_columns
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.parameters import Parameter, Parameters
 from mavdiag.link.signing import Signing
-from mavdiag.link.vehicles import ASKING, COMMANDS, STICKS, Command, asked_of, command_in, sticks_in
+from mavdiag.link.vehicles import ASKING, COMMANDS, REQUESTS_MAX, STICKS, Command, asked_of, command_in, sticks_in
 from mavdiag.link.wants import Companion, messages_of
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_MS
@@ -139,9 +144,6 @@ class Handled:
     answers: tuple[bytes, ...] = ()  # what goes back to who sent them
     turns: tuple[Turn, ...] = ()  # effects for the daemon
 
-    def __add__(self, other: "Handled") -> "Handled":
-        return Handled(self.passed + other.passed, self.answers + other.answers, self.turns + other.turns)
-
 
 class Requests:
     """Answers for all vehicles of a fleet. sender: encodes for a vehicle's detector, by system id.
@@ -157,21 +159,27 @@ class Requests:
         self._noted: set[tuple[int, ...]] = set()
         self._autopilots: dict[int, Encoder] = {}  # of the answers in an autopilot's name
 
-    def from_behind(self, messages: Iterable[bytes], now: Instant) -> Handled:
-        """Frames of a link behind, one in each message; all pass but requests for rates that are kept."""
-        handled = Handled()
-        for message in messages:
-            frames = self._decoder.feed_datagram(message, now.ns)
-            kept = self._kept(frames[0]) if frames and self._keep_rates else None
-            asked = asked_of(frames[0]) if frames else None
-            for frame in frames:
-                to = _STICKS_TO.get(frame.msgid)
-                if to is not None and (vehicle := self._fleet.vehicles.get(frame.value(to))) is not None:
-                    vehicle.sticks |= sticks_in((frame,), None)
-            handled += Handled((message,)) if kept is None else kept
-            if kept is None and asked is not None:
-                handled += self.asked(frames[0], asked)
-        return handled
+    def from_behind(self, messages: Sequence[bytes], now: Instant) -> Handled:
+        """Frames of a link behind, one in each message; all pass but requests for rates that are kept.
+
+        Of what is asked of a vehicle's detector `REQUESTS_MAX` at most are answered.
+        """
+        some, asked, done = as_columns([(message, now.ns) for message in messages]), Counter[int](), list[Handled]()
+        frames, passed = self._decoder.take_datagrams(some), list[tuple[bytes, ...]](zip(messages, strict=True))
+        places = np.searchsorted(np.cumsum(some.sizes), frames.rows["begin"], "right")
+        for place, frame in zip(places.tolist(), frames, strict=True):
+            to = _STICKS_TO.get(frame.msgid)
+            if to is not None and (vehicle := self._fleet.vehicles.get(frame.value(to))) is not None:
+                vehicle.sticks |= sticks_in((frame,), None)
+            if self._keep_rates and (kept := self._kept(frame)) is not None:
+                passed[place] = kept.passed
+                done.append(kept)
+            elif (sysid := asked_of(frame)) is not None and asked[sysid] < REQUESTS_MAX:
+                asked[sysid] += 1
+                done.append(self.asked(frame, sysid))
+        joined = chain.from_iterable
+        answers, turns = joined(one.answers for one in done), joined(one.turns for one in done)
+        return Handled(tuple(joined(passed)), tuple(answers), tuple(turns))
 
     def asked(self, frame: Frame, sysid: int, *, trusted: bool = True) -> Handled:
         """What is asked of a vehicle's detector: parameters, messages, and the command that acknowledges.
@@ -204,22 +212,21 @@ class Requests:
 
     def _kept(self, frame: Frame) -> Handled | None:
         """What becomes of a request for a rate that is needed here; None if it is passed on."""
-        profiles = {sysid: self._fleet.link.vehicles[sysid].profile for sysid in self._fleet.vehicles}
-        needed = {sysid: frozenset(messages_of(profile).values()) for sysid, profile in profiles.items()}
-        vehicle = _addressed(frame, needed)
+        vehicle = _addressed(frame, self._fleet.vehicles)
         if vehicle is None:
             return None
+        needed = frozenset(messages_of(self._fleet.link.vehicles[vehicle].profile).values())
         passed, answers = list[bytes](), list[bytes]()
         if frame.msgid == MessageId.REQUEST_DATA_STREAM:
             group = frame.value("req_stream_id")
-            held = [number for number, messages in GROUPS.items() if messages & needed[vehicle]]
+            held = [number for number, messages in GROUPS.items() if messages & needed]
             if not held or group not in (ALL_GROUPS, *held):
                 return None
             if group == ALL_GROUPS:
                 rate = frame.value("req_message_rate"), frame.value("start_stop")
                 encode = partial(self._sender(vehicle).encode, frame.msgid, vehicle, Component.AUTOPILOT1)
                 passed += [encode(group, *rate) for group in GROUPS if group not in held]
-        elif frame.value("command") != MavCmd.SET_MESSAGE_INTERVAL or frame.value("param1") not in needed[vehicle]:
+        elif frame.value("command") != MavCmd.SET_MESSAGE_INTERVAL or frame.value("param1") not in needed:
             return None
         else:
             encoder = self._autopilots.setdefault(vehicle, Encoder(vehicle, Component.AUTOPILOT1, self._signing))
@@ -245,7 +252,7 @@ def _requested(command: Command) -> int:
     return int(command.parameter) if asks else -1
 
 
-def _addressed(frame: Frame, needed: Mapping[int, Collection[int]]) -> int | None:
+def _addressed(frame: Frame, watched: Collection[int]) -> int | None:
     """The watched vehicle whose autopilot a request for a rate is addressed to; None if none is.
 
     A request to all systems (0) counts as one to the only vehicle; on a link of several it passes.
@@ -255,6 +262,6 @@ def _addressed(frame: Frame, needed: Mapping[int, Collection[int]]) -> int | Non
     system, component = frame.value("target_system"), frame.value("target_component")
     if component not in (Component.ALL, Component.AUTOPILOT1):
         return None
-    if system == 0 and len(needed) == 1:
-        return next(iter(needed))
-    return system if isinstance(system, int) and system in needed else None
+    if system == 0 and len(watched) == 1:
+        return next(iter(watched))
+    return system if isinstance(system, int) and system in watched else None

@@ -186,7 +186,7 @@ class Daemon:
         if self._web is not None:
             self._web.look(self.fleet, turns, now)
             for sysid in self._web.acknowledged():
-                self._acknowledge(sysid, "the live page")
+                self._acknowledge(sysid, "the live page", calls_off=False)
         if now - self._beat_at >= 0:
             self._beat(now)
             self._watch(now)
@@ -229,7 +229,7 @@ class Daemon:
 
     def _flush(self) -> None:
         self._relay.flush()
-        for file in self._files.values():
+        for file in (*self._files.values(), self._inspections):
             file.flush()
 
     def _sender(self, vehicle: int) -> Sender:
@@ -278,12 +278,11 @@ class Daemon:
             self._reporter.mark("note", {"text": text})
             self._host.say(text)
 
-    def _acknowledge(self, sysid: int, whose: str) -> None:
+    def _acknowledge(self, sysid: int, whose: str, *, calls_off: bool = True) -> None:
         vehicle = self.fleet.vehicles.get(sysid)
         if vehicle is not None:
-            self._carry_out([Turn(sysid, vehicle.session.acknowledge(whose))])
-        else:
-            self._inspections.close(sysid)
+            self._carry_out([Turn(sysid, vehicle.session.acknowledge(whose, calls_off=calls_off))])
+        elif self._inspections.close(sysid):
             self._reporter.mark("note", {"text": f"inspection of vehicle {sysid} acknowledged by {whose}"})
 
     def _report_new(self, known: int) -> None:

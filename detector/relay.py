@@ -12,6 +12,7 @@ from mavdiag.link.codec import split_frames
 from mavdiag.link.ports import Endpoint
 from mavdiag.link.sequence import Source
 
+LOOK_BYTES = 65_536  # of a link behind in one look, as of strangers on the vehicle's (our choice); the rest is dropped
 DATAGRAM_BYTES = 1_400  # what every network carries in one piece (Ethernet's 1,500 less the headers and a tunnel's)
 
 
@@ -55,11 +56,17 @@ class Relay:
             for endpoint in self._behind:
                 endpoint.send(message)
         for number, endpoint in enumerate(self._behind):
+            brought, taken = list[bytes](), 0
             for data, _ in endpoint.receive(0.0):
+                if taken >= LOOK_BYTES:
+                    endpoint.overflow()
+                    continue
                 whole, begun = split_frames(self._begun[number] + data)
                 self._begun[number] = b"" if endpoint.datagrams else begun
-                for message in packed(self._upward(whole, endpoint)):
-                    self._main.send(message)
+                brought += whole
+                taken += len(data)
+            for message in packed(self._upward(brought, endpoint)) if brought else ():
+                self._main.send(message)
 
     def send(self, frame: bytes, *, to_all: bool = True, source: Source = None) -> None:
         """One frame of our own, to everybody or to the vehicle's link alone, with the next `flush`.

@@ -116,13 +116,13 @@ class Session:
         """The daemon stops, or the vehicle started anew: as `Judge.finish`."""
         return () if self.judge is None else self.judge.finish()
 
-    def acknowledge(self, whose: str) -> tuple[Effect, ...]:
+    def acknowledge(self, whose: str, *, calls_off: bool = True) -> tuple[Effect, ...]:
         """Close an open inspection, or call off what is about to be done; a fault in flight cannot be acknowledged.
 
-        whose: who says so, for the journal.
+        whose: who says so, for the journal. calls_off: whether that one may call off anything.
         """
         held = self.diagnosis
-        if called_off := self.reaction.acknowledge(whose):
+        if calls_off and (called_off := self.reaction.acknowledge(whose)):
             return tuple(called_off)
         if held.stage is not Stage.INSPECT:
             why = "the vehicle flies with the fault" if held.stage is Stage.FAULT else "no inspection is open"

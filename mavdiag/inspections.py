@@ -81,11 +81,16 @@ def ask(journal: Path, vehicle: int | None, whose: str) -> Inspection:
 
 
 class Inspections:
-    """Those of one detector, beside its journal (None keeps none). Raises InputError if the file is damaged."""
+    """Those of one detector, beside its journal (None keeps none), written by `flush`.
+
+    warn: called once when writing begins to fail, and once when it works again.
+    Raises InputError if the file is damaged.
+    """
 
     def __init__(self, journal: Path | None, warn: Callable[[str], None]) -> None:
         self._journal, self._warn = journal, warn
         self._open = {} if journal is None else read_open(journal)
+        self._due = self._failing = False  # whether they are to be written; whether that failed the last time
 
     def held(self, vehicle: int, propellers: int | None) -> Diagnosis:
         """What is known of a vehicle from before. propellers: number of its present set, if it is known."""
@@ -98,7 +103,8 @@ class Inspections:
     def take(self, vehicle: int, change: Change, baseline: str, propellers: int, utc: str) -> None:
         """Keep what a change of a vehicle's decision says. utc: now."""
         if change.stage not in (Stage.FAULT, Stage.INSPECT):
-            return self.close(vehicle)
+            self.close(vehicle)
+            return
         old = self._open.get(vehicle)
         rotors = tuple(dict.fromkeys(span.rotor for span in change.rotors))
         new = Inspection(
@@ -111,14 +117,13 @@ class Inspections:
             propellers=propellers,
         )
         if new != old:
-            self._open[vehicle] = new
-            self._write()
-        return None
+            self._open[vehicle], self._due = new, True
 
-    def close(self, vehicle: int) -> None:
-        """It is acknowledged, or over."""
-        if self._open.pop(vehicle, None) is not None:
-            self._write()
+    def close(self, vehicle: int) -> bool:
+        """It is acknowledged, or over; return whether it was open."""
+        known = self._open.pop(vehicle, None) is not None
+        self._due |= known
+        return known
 
     def acknowledged(self) -> list[tuple[int, str]]:
         """The vehicles whose inspection somebody acknowledged since the last call, and who it was."""
@@ -127,21 +132,29 @@ class Inspections:
         found = []
         for vehicle in list(self._open):
             path = _beside(self._journal, f"ack-{vehicle}")
-            if path.exists():
-                try:
+            try:
+                if path.exists():
                     found.append((vehicle, read_text(path, WHOSE_BYTES * 4 + 1).strip() or "somebody"))
                     path.unlink(missing_ok=True)
-                except (InputError, OSError) as error:
-                    self._warn(f"{path}: cannot be taken up ({error})")
+            except (InputError, OSError) as error:
+                self._warn(f"{path}: cannot be taken up ({error})")
         return found
 
-    def _write(self) -> None:
+    def flush(self) -> None:
+        """Write what has changed; what cannot be written is tried again with each call."""
+        if self._journal is None or not self._due:
+            return
         content = _File(inspections=tuple(self._open.values())).model_dump_json(indent=1)
         try:
-            if self._journal is not None:
-                write_atomically(_beside(self._journal, "open"), content + "\n")
+            write_atomically(_beside(self._journal, "open"), content + "\n")
         except UsageError as error:  # a disk that is full or read-only must not stop the watch
-            self._warn(f"open inspections are not kept: {error}")
+            if not self._failing:
+                self._warn(f"open inspections are not kept: {error}")
+            self._failing = True
+            return
+        if self._failing:
+            self._warn("open inspections are kept again")
+        self._due = self._failing = False
 
 
 def _beside(journal: Path, what: str) -> Path:

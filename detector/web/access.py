@@ -78,7 +78,7 @@ class Access:
     ) -> Answer:
         """What becomes of a request. headers: by their names in lower case. given: the token in the address."""
         host = headers.get("host", "")
-        if not self._knows(host) or not _of_this_page(path, host, headers):
+        if not self._knows(host) or not self._of_this_page(path, host, headers):
             return Answer.REFUSED
         if method != ("POST" if path in POSTED else "GET"):
             return Answer.NOT_A_GET
@@ -92,24 +92,37 @@ class Access:
         return Answer.PASS if by_cookie or by_bearer else Answer.NO_TOKEN
 
     def _knows(self, host: str) -> bool:
-        name, colon, digits = host.lower().rpartition(":")
-        if not colon or host.endswith("]"):
-            name, digits = host.lower(), "80"
-        sound, name = digits.isdecimal() and digits.isascii() and len(digits) <= PORT_DIGITS, name.strip("[]")
+        name, digits = _parted(host)
+        sound = digits.isdecimal() and digits.isascii() and len(digits) <= PORT_DIGITS
         if self.names:
-            return name in self.names or _is_address(name)
+            return self._named(name) or _is_address(name)
         known = (self.host.lower(), *(_LOCAL_NAMES if is_loopback(self.host) else ()))
         anywhere = self.host in _ANYWHERE and (name == "localhost" or _is_address(name))
         return sound and int(digits) == self.port and (name in known or anywhere)
 
+    def _named(self, name: str) -> bool:
+        return name in map(str.lower, self.names)
 
-def _of_this_page(path: str, host: str, headers: Mapping[str, str]) -> bool:
-    """Whether a request comes from this page, from the user, or from no browser; other sites may link to the page."""
-    origin, site = headers.get("origin"), headers.get("sec-fetch-site", "none")
-    if origin is not None and origin.lower() != f"http://{host.lower()}":
-        return False
-    linked = path == "/" and headers.get("sec-fetch-mode") == "navigate"
-    return site in ("none", "same-origin") or linked
+    def _of_this_page(self, path: str, host: str, headers: Mapping[str, str]) -> bool:
+        """Whether a request comes from this page, the user, or no browser; other sites may link to the page.
+
+        A proxy may serve the page by https, and name another host to us than its own.
+        """
+        origin, site = headers.get("origin", "").lower(), headers.get("sec-fetch-site", "none")
+        scheme, _, place = origin.partition("://")
+        served = scheme in ("http", "https") and self._named(_parted(place)[0])
+        if "origin" in headers and origin != f"http://{host.lower()}" and not served:
+            return False
+        linked = path == "/" and headers.get("sec-fetch-mode") == "navigate"
+        return site in ("none", "same-origin") or linked
+
+
+def _parted(host: str) -> tuple[str, str]:
+    """Name, in lower case, and port of a host."""
+    name, colon, digits = host.lower().rpartition(":")
+    if not colon or host.endswith("]"):
+        name, digits = host.lower(), "80"
+    return name.strip("[]"), digits
 
 
 def _is_address(name: str) -> bool:

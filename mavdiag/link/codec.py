@@ -42,6 +42,7 @@ LATEST_US = 1 << 52  # year 2112: a later stamp is damage, whatever follows it
 FALSE_MARKERS = 64
 
 _V1, _V2 = 0xFE, 0xFD
+_MARKER = re.compile(rb"[\xFD\xFE]")
 _SHORTEST_V1, _SHORTEST_V2 = 8, 12  # header and checksum round an empty payload
 _NOT_YET = -1
 FLOAT32_MAX = 3.4028234663852886e38  # IEEE 754 binary32
@@ -285,17 +286,15 @@ def frame_length(data: bytes, start: int) -> int | None:
 
 def split_frames(data: bytes) -> tuple[list[bytes], bytes]:
     """The frames of a byte stream, bytes between them as messages of their own, and the beginning of the next frame."""
-    found: list[bytes] = []
-    at = garbage = 0
-    while at < len(data):
-        length = frame_length(data, at)
-        if length is None or at + length > len(data):
+    found, at, begin = list[bytes](), 0, len(data)
+    while marker := _MARKER.search(data, at):
+        begin = marker.start()
+        length = frame_length(data, begin)
+        if length is None or begin + length > len(data):
             break
-        if length > 1:
-            found += [data[garbage:at], data[at : at + length]] if at > garbage else [data[at : at + length]]
-            garbage = at + length
-        at += length
-    return [*found, data[garbage:at]] if at > garbage else found, data[at:]
+        found += filter(None, (data[at:begin], data[begin : begin + length]))
+        at, begin = begin + length, len(data)
+    return [*found, data[at:begin]] if begin > at else found, data[begin:]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,13 +1,16 @@
 """A declared fault after whatever ends the flight: told, kept, acted on, and closed by who looked only; parameters."""
 
+import errno
 import itertools
 import json
 import math
+import re
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
@@ -28,6 +31,7 @@ from mavdiag.errors import UsageError
 from mavdiag.inspections import Inspections
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
+from mavdiag.link.vehicles import REQUESTS_MAX
 from mavdiag.monitors.base import FaultKind
 
 TEXT = "PROP rotor unknown: inspect before flight"
@@ -151,6 +155,36 @@ def test_a_ground_station_behind_acknowledges_and_a_stranger_on_an_unsigned_link
     assert any("acknowledged by 255/190" in line for line in bench.host.lines)
 
 
+def test_a_look_takes_so_much_of_a_link_behind_and_passes_it_unchanged(bench: Bench) -> None:
+    """30 datagrams of heartbeats held the loop up for 17 s."""
+    unknown = bytes((0xFD, 1, 0, 0, 7, 255, 190, 0xEE, 0xEE, 0, 7, 1, 2))
+    one = 20 * STATION.encode(MessageId.PARAM_REQUEST_READ, *US, "PROP_ACK", -1) + 4500 * unknown
+    for _ in range(3):
+        bench.behind[0].send(one)
+    bench.run(0.04)
+    assert 2 * one in b"".join(data for data, _ in bench.far.receive(0.0))
+    assert bench.daemon.figures().links[1].traffic.overflowed == 1
+    assert len(of(received(bench.behind[0]), MessageId.PARAM_VALUE)) == REQUESTS_MAX
+
+
+def test_an_inspection_is_written_after_the_alert_was_sent_and_when_the_disk_has_room_again(
+    benches: Benches, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench, sent = benches(), list[list[str]]()
+
+    def full(path: Path, _: str) -> None:
+        sent.append(texts(bench))
+        raise UsageError(f"{path}: no space")
+
+    with monkeypatch.context() as context:
+        context.setattr(inspections, "write_atomically", full)
+        flown(bench, faulty=True)
+    assert any(one.startswith("PROP FAULT") for one in sent[0])
+    bench.run(0.1)
+    assert inspections.read_open(tmp_path / "journal.jsonl").keys() == {1}
+    assert capsys.readouterr().out.count("inspections are") == 2  # that it failed, and that it works again
+
+
 def change(stage: Stage, *rotors: int) -> Change:
     spans = tuple(RotorSpan(rotor, 0) for rotor in rotors)
     given = (stage, "made", 0, None, None, "", 0.0, 0.0, rotors[-1] if rotors else None, None, None, None)
@@ -162,29 +196,39 @@ def test_only_a_newer_set_of_propellers_closes_an_inspection_by_itself(tmp_path:
     kept = Inspections(journal, print)
     kept.take(7, change(Stage.FAULT, 1, 4), "digest", 2, "2026-01-01T00:00:00+00:00")
     kept.take(8, change(Stage.INSPECT), "digest", 0, "2026-01-01T00:00:00+00:00")
+    kept.flush()
     again = Inspections(journal, print)
     for propellers in (None, 0, 2):
         held = again.held(7, propellers)
         assert (held.stage, held.rotor, [one.rotor for one in held.rotors]) == (Stage.INSPECT, 4, [1, 4])
     assert again.held(9, 0) == NOTHING_SEEN
     assert again.held(7, 3) == NOTHING_SEEN
+    again.flush()
     assert inspections.read_open(journal).keys() == {8}
     again.take(8, change(Stage.NOT_JUDGED), "digest", 0, "")
+    again.flush()
     assert inspections.read_open(journal) == {}
 
 
-def test_an_acknowledgement_without_a_running_detector_is_taken_up_at_its_start(tmp_path: Path) -> None:
+def test_an_acknowledgement_without_a_running_detector_is_taken_up_at_its_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = CliRunner().invoke(app, ["ack", str(tmp_path / "none")])
     assert "no such file; name the detector's --journal" in str(run.exception)
     journal = tmp_path / "j"
+    kept = Inspections(journal, print)
     for vehicle in (1, 2):
-        Inspections(journal, print).take(vehicle, change(Stage.INSPECT, vehicle), "", 0, "")
+        kept.take(vehicle, change(Stage.INSPECT, vehicle), "", 0, "")
+    kept.flush()
     run = CliRunner().invoke(app, ["ack", str(journal)])
     assert isinstance(run.exception, UsageError)
     assert "choose one with --vehicle: vehicle 1: motor 1 (propeller fault, " in str(run.exception)
     run = CliRunner().invoke(app, ["ack", str(journal), "--vehicle", "2", "--by", "Bo"])
     assert run.exit_code == 0, run.output
     kept = Inspections(journal, print)
+    with monkeypatch.context() as context:
+        context.setattr(Path, "exists", Mock(side_effect=OSError(errno.EIO, "disk")))
+        assert kept.acknowledged() == []
     assert kept.acknowledged() == [(2, "mavdiag ack by Bo")]
     assert kept.acknowledged() == []
 
@@ -393,6 +437,17 @@ def test_it_is_called_off_by_a_link_behind_or_the_vehicles_mode(benches: Benches
     assert [one for one in noted(tmp_path) if "announced -> over: called off" in one]
     results = [field(one, "result") for one in of(received(bench.behind[0]), MessageId.COMMAND_ACK)]
     assert results == [MavResult.ACCEPTED] * (how == "ack")
+
+
+def test_the_page_acknowledges_open_inspections_and_calls_nothing_off(benches: Benches, tmp_path: Path) -> None:
+    bench, pressed = reacting(benches), [[1, 8, 77]]
+    damaged(bench, 4.0)
+    bench.daemon._inspections.take(8, change(Stage.INSPECT), "", 0, "")  # kept from an earlier flight
+    bench.daemon._web = Mock(acknowledged=lambda: pressed.pop() if pressed else [])
+    bench.fly(5.0)
+    assert commanded(bench)
+    told = (tmp_path / "journal.jsonl").read_text()
+    assert re.findall(r"inspection of vehicle (\d+) acknowledged", told) == ["8"]
 
 
 def test_a_stranger_on_an_unsigned_link_does_not_call_it_off(benches: Benches) -> None:

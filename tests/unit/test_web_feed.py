@@ -33,7 +33,7 @@ from mavdiag.units import NS_PER_S
 
 SETTINGS = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
 LOCAL = Access("127.0.0.1", 8080)
-BEHIND = Access("0.0.0.0", 8080, names=("blueos.local",))
+BEHIND = Access("0.0.0.0", 8080, names=("BlueOS.local",))
 OPEN = Access("0.0.0.0", 8080, "a-token-of-24-characters")
 START = Instant(1_000_000_000_000)
 
@@ -310,7 +310,9 @@ def test_another_sites_script_is_refused(headers: Mapping[str, str], path: str, 
 )
 def test_behind_a_proxy_its_names_are_known(host: str, answer: Answer) -> None:
     assert judged(BEHIND, host=host) is answer
-    assert judged(BEHIND, "/acknowledge", "POST", host=host, origin=f"http://{host}") is answer
+    for origin in (f"http://{host}", "https://blueos.local", "http://BlueOS.local:8443"):  # a proxy may keep no `Host`
+        assert judged(BEHIND, "/acknowledge", "POST", host=host, origin=origin) is answer
+    assert judged(BEHIND, "/acknowledge", "POST", host=host, origin="https://192.168.2.2") is Answer.REFUSED
     assert judged(BEHIND, "/acknowledge", "POST", host=host, origin="http://evil.org") is Answer.REFUSED
 
 

@@ -48,7 +48,7 @@ class Traffic:
     received: int = 0  # chunks handed to the caller: datagrams, or reads of a byte stream
     sent: int = 0  # messages handed to the system, one count per peer
     dropped: int = 0  # those that did not get that far, or that the peer's host refused
-    overflowed: int = 0  # datagrams that the system threw away because nobody read them in time
+    overflowed: int = 0  # datagrams that the system threw away, or its reader, because they were too many
     turned_away: int = 0  # clients of a server that were too many, idle, or sent nothing but garbage
 
 
@@ -87,6 +87,10 @@ class Endpoint(AbstractContextManager["Endpoint"]):
             wait([self], min(left, RETRY_S))
         self._count.received += len(chunks)
         return chunks
+
+    def overflow(self) -> None:
+        """Count a chunk that was received and is thrown away."""
+        self._count.overflowed += 1
 
     def trust(self, sources: Collection[SocketAddress], *, alone: bool) -> None:
         """Name the senders that a flood of strangers must not hide. alone: only they are answered."""
