@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavdiag.airframe.fingerprint import FIRST_S, Likeness, compare
+from mavdiag.airframe.fingerprint import FIRST_S, LEAST_OUTPUTS, Likeness, compare
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.decision.alarm import NOTHING_SEEN, DecisionSpec, DecisionState
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event
@@ -35,7 +35,6 @@ from mavdiag.units import NS_PER_S
 
 MOST_WAITING = 32  # chunks that may wait: time that stands still must not fill the memory (our choice)
 MOST_UNMEASURED = 1024  # the same while the rate is not measured: 2 s of small chunks (our choice)
-LEAST_OUTPUTS = 8  # that are looked at, so that a vehicle with more motors is known as another one (our choice)
 MEASURED_S = 2.0  # of gyro samples that a live link's rate is measured by (our choice)
 
 
