@@ -295,8 +295,9 @@ class _Run:
         near = next((change for change in self.changes if change.stage is Stage.SUSPECTED), None)
         if near is None:
             return ""
-        ratio, name = max(((one.ratio, one.name) for one in self.monitors if one.decides), default=(0.0, "a monitor"))
-        return f"{name} came to {100 * ratio:.0f} % of its threshold{self._when(near.t_ns)}"
+        peaks = [one.ratio for one in self.monitors if (one.name, one.axis) == (near.monitor, near.axis)]
+        ratio, axis = max([near.statistic / near.threshold, *peaks]), f" on {near.axis}" if near.axis else ""
+        return f"{near.monitor}{axis} came to {100 * ratio:.0f} % of its threshold{self._when(near.t_ns)}"
 
     def _share(self) -> str:
         """How much of the flight was judged, by what, and why the rest was not."""
