@@ -30,7 +30,7 @@ from mavdiag.rows.front import warm as warm_rows
 from mavdiag.rows.gate import Border
 from mavdiag.rows.grid import LEAST_SAMPLES, measure_grid, steps_of
 from mavdiag.rows.rates import RateSpec
-from mavdiag.telemetry import Signal, Telemetry
+from mavdiag.telemetry import Log, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 MOST_WAITING = 32  # chunks that may wait: time that stands still must not fill the memory (our choice)
@@ -280,6 +280,13 @@ def warm() -> None:
     warm_rows()
     warm_samples()
     warm_kernel()
+
+
+def suited(baseline: Baseline, log: Log) -> Baseline:
+    """The baseline as it judges a log: without the order of outputs where those of the log are by motor already."""
+    if not log.motor_order:
+        return baseline
+    return baseline.model_copy(update={"airframe": replace(baseline.airframe, outputs=None)})
 
 
 def front_of(baseline: Baseline) -> Front:

@@ -1,7 +1,7 @@
 """Judge a whole log by a baseline: one verdict, with its reason, for every log that can be opened."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, TypeAlias
 
@@ -10,7 +10,7 @@ import numpy as np
 from mavdiag.airframe.fingerprint import Likeness, Outcome, compare
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.baseline import Baseline
-from mavdiag.chain import Chain, ChainOutput, ChainState, chain_of
+from mavdiag.chain import Chain, ChainOutput, ChainState, chain_of, suited
 from mavdiag.decision.diagnosis import Change, Event, RotorSpan, Stage
 from mavdiag.decision.words import fault_reason, inspect_words
 from mavdiag.errors import InputError
@@ -164,13 +164,6 @@ def judge_in_full(
         return refused(f"another vehicle: {alike}", 1 / dt_s)
     notes = (*((alike,) if alike else ()), *log.notes, *_layout_notes(log, baseline))
     return JudgedFlight(run.verdict(notes, 1 / dt_s), chain, tuple(run.kept), run.state.memory.unjudged)
-
-
-def suited(baseline: Baseline, log: Log) -> Baseline:
-    """The baseline as it judges a log: without the order of outputs where those of the log are by motor already."""
-    if not log.motor_order:
-        return baseline
-    return baseline.model_copy(update={"airframe": replace(baseline.airframe, outputs=None)})
 
 
 def exit_code(verdicts: Sequence[Verdict]) -> int:
