@@ -27,8 +27,7 @@ from detector.web.snapshot import BACK_S, Level, Snapshots, Track, about, fleet_
 from mavdiag import commandline
 from mavdiag.as_json import json_line
 from mavdiag.baseline import Baseline
-from mavdiag.chain import Chain, warm
-from mavdiag.judging import suited
+from mavdiag.chain import Chain, suited, warm
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.vehicles import Received
 from mavdiag.logs import read_log

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavdiag.airframe.fingerprint import FIRST_S, Likeness, compare
+from mavdiag.airframe.fingerprint import FIRST_S, LEAST_OUTPUTS, Likeness, compare
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.decision.alarm import NOTHING_SEEN, DecisionSpec, DecisionState
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event
@@ -30,13 +30,12 @@ from mavdiag.rows.front import warm as warm_rows
 from mavdiag.rows.gate import Border
 from mavdiag.rows.grid import LEAST_SAMPLES, measure_grid, steps_of
 from mavdiag.rows.rates import RateSpec
-from mavdiag.telemetry import Signal, Telemetry
+from mavdiag.telemetry import Log, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 MOST_WAITING = 32  # chunks that may wait: time that stands still must not fill the memory (our choice)
 MOST_UNMEASURED = 128  # the same while the rate is not measured: then they are joined (our choice)
 MOST_GYRO = 1 << 16  # samples in them: above 2 s at any rate, or their time stands still (our choice)
-LEAST_OUTPUTS = 8  # that are looked at, so that a vehicle with more motors is known as another one (our choice)
 MEASURED_S = 2.0  # of gyro samples that a live link's rate is measured by (our choice)
 
 
@@ -281,6 +280,13 @@ def warm() -> None:
     warm_rows()
     warm_samples()
     warm_kernel()
+
+
+def suited(baseline: Baseline, log: Log) -> Baseline:
+    """The baseline as it judges a log: without the order of outputs where those of the log are by motor already."""
+    if not log.motor_order:
+        return baseline
+    return baseline.model_copy(update={"airframe": replace(baseline.airframe, outputs=None)})
 
 
 def front_of(baseline: Baseline) -> Front:

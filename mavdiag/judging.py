@@ -1,7 +1,7 @@
 """Judge a whole log by a baseline: one verdict, with its reason, for every log that can be opened."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, TypeAlias
 
@@ -10,7 +10,7 @@ import numpy as np
 from mavdiag.airframe.fingerprint import Likeness, Outcome, compare
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.baseline import Baseline
-from mavdiag.chain import Chain, ChainOutput, chain_of
+from mavdiag.chain import Chain, ChainOutput, chain_of, suited
 from mavdiag.decision.diagnosis import Change, Event, RotorSpan, Stage
 from mavdiag.decision.words import fault_reason, inspect_words
 from mavdiag.errors import InputError
@@ -157,13 +157,6 @@ def judge_in_full(
     return JudgedFlight(run.verdict(notes, 1 / dt_s), chain, tuple(run.kept), run.state.memory.unjudged)
 
 
-def suited(baseline: Baseline, log: Log) -> Baseline:
-    """The baseline as it judges a log: without the order of outputs where those of the log are by motor already."""
-    if not log.motor_order:
-        return baseline
-    return baseline.model_copy(update={"airframe": replace(baseline.airframe, outputs=None)})
-
-
 def exit_code(verdicts: Sequence[Verdict]) -> int:
     """Exit code of a scan: the first of 2 error, 1 fault, 4 suspected, 3 not judgeable that occurs, else 0."""
     order = ((Verdict.ERROR, 2), (Verdict.FAULT, 1), (Verdict.SUSPECTED, 4), (Verdict.NOT_JUDGEABLE, 3))
@@ -286,8 +279,9 @@ class _Run:
         near = next((change for change in self.changes if change.stage is Stage.SUSPECTED), None)
         if near is None:
             return ""
-        ratio, name = max(((one.ratio, one.name) for one in self.monitors if one.decides), default=(0.0, "a monitor"))
-        return f"{name} came to {100 * ratio:.0f} % of its threshold{self._when(near.t_ns)}"
+        peaks = [one.ratio for one in self.monitors if (one.name, one.axis) == (near.monitor, near.axis)]
+        ratio, axis = max([near.statistic / near.threshold, *peaks]), f" on {near.axis}" if near.axis else ""
+        return f"{near.monitor}{axis} came to {100 * ratio:.0f} % of its threshold{self._when(near.t_ns)}"
 
     def _share(self) -> str:
         """How much of the flight was judged, by what, and why the rest was not."""

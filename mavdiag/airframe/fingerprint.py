@@ -33,6 +33,7 @@ FAR_TRIM = 0.04  # of the hover command, roll and pitch counting a third; record
 DAMAGE_RISE = 0.025  # of the hover command: about what the rotor-trim monitor takes for a rise (our choice)
 RAISED = math.log(1.5)  # of a noise: vibration that damage may have made (our choice)
 OTHER_MOTORS = 2  # a quadrotor is no hexarotor
+LEAST_OUTPUTS = 8  # that are looked at, so that a vehicle with more motors is known as another one (our choice)
 
 CALM_RAD_S = 2.0  # rms of the body rates over a second (our choice)
 TRIM_S = 1.0  # of one mean of the trim (our choice)
@@ -289,7 +290,8 @@ def _shown(block: Block, layout: RotorLayout | None) -> _Shown:
         if width and not np.isfinite(block.thrust[calm]).any():
             levels = block.actuator[calm, : layout.rotors].mean(axis=1)
     gyro, felt = (_bends(values.T, block.valid, block.dt_s) for values in (block.rate, block.force))
-    outputs = np.compress(block.known(Signal.ACTUATOR) & block.valid, block.actuator.T, axis=1)
+    own = slice(None if layout is None else max(layout.rotors, LEAST_OUTPUTS))  # what judging takes (`chain.front_of`)
+    outputs = np.compress(block.known(Signal.ACTUATOR, own) & block.valid, block.actuator.T[own], axis=1)
     return _Shown(trim, gyro, felt, block.thrust[calm], levels, outputs)
 
 

@@ -91,7 +91,7 @@ def replay(
         given = {"web-token-file": web_token_file, "vehicle": vehicle, "speed": speed, "from-s": from_s}
         options = [part for name, value in given.items() if value is not None for part in (f"--{name}", str(value))]
         os.execv(sys.executable, [sys.executable, "-P", "-m", PAGE, *options, "--", str(log), str(baseline), web])
-    from mavdiag.judging import suited
+    from mavdiag.chain import suited
     from mavdiag.terminal.ground_station import LiveJudge  # here, for rich takes time to load
     from mavdiag.terminal.watching import play
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mavdiag.baseline import SESSION_GAP_NS
+from mavdiag.baseline import SESSION_GAP_NS, SourceLog
 from mavdiag.errors import InputError
 from mavdiag.link.samples import joined
 from mavdiag.logs import gate_for
@@ -234,7 +234,7 @@ def odd_rate(flights: Sequence[HeldLog], window_s: float) -> tuple[int, str] | N
     )
 
 
-def sessions_of(flights: Sequence[Log], told: int | None = None) -> list[int]:
+def sessions_of(flights: Sequence[Log | SourceLog], told: int | None = None) -> list[int]:
     """The session of each flight, numbered from 0: flights an hour apart by the wall clock are of two sessions.
 
     told: how many sessions there were, in equal parts and in the order of the flights. Without it a flight whose time

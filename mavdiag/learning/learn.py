@@ -18,7 +18,6 @@ from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.fingerprint import Outcome, compare, fingerprint_of, merged
 from mavdiag.baseline import (
-    SESSION_GAP_NS,
     Baseline,
     HealthyScores,
     Link,
@@ -31,7 +30,7 @@ from mavdiag.baseline import (
     sealed,
     without_mute,
 )
-from mavdiag.chain import front_of
+from mavdiag.chain import front_of, suited
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
 from mavdiag.learning.flights import KEPT_BYTES, HeldLog, LearntFlight, airborne, hold, sessions_of
@@ -317,8 +316,8 @@ def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool =
         if not held:
             raise InputError("no healthy flight to add; name one or more logs")
         _check(baseline, held)
-        front, known = front_of(baseline), baseline.fingerprint
-        learnt = [airborne(front, flight, shelf) for flight in held]
+        known = baseline.fingerprint
+        learnt = [airborne(front_of(suited(baseline, flight.label)), flight, shelf) for flight in held]
         refuse(upsets(learnt))
         if known is not None and not new_propellers:
             for one in learnt:
@@ -327,18 +326,20 @@ def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool =
                     raise InputError(f"{one.label.name}: another vehicle: {likeness.sentence(baseline.airframe.name)}")
         old, rows = baseline.provenance.logs, [flight.rows for flight in learnt]
         propellers = baseline.propellers + new_propellers
-        sessions, before = _sessions(baseline, [flight.label for flight in held]), {log.session for log in old}
+        sessions = _sessions(baseline, [flight.label for flight in held])
+        present = [number for number, log in enumerate(old) if log.propellers == propellers]
         fitted = list[Fitted]()
         for entry in baseline.monitors:
-            spec, ratio = entry.spec, 1.0
+            reached, spans_s, numbers = map(np.array, (entry.scores.maxima, entry.scores.spans_s, entry.scores.flights))
             if new_propellers:
                 spec, ratio, fresh = _moved(baseline, entry, rows)
+                reached = ratio * reached
             else:
-                fresh = [score(monitor_of(spec), flight, number=len(old) + i) for i, flight in enumerate(rows)]
-                spec = monitor_of(spec).extended(rows, len(before))
-            reached, spans_s, numbers = map(np.array, (entry.scores.maxima, entry.scores.spans_s, entry.scores.flights))
-            scores = pooled([Scores(ratio * reached, spans_s, numbers), *fresh])
-            fitted.append((monitor_of(spec), scores))
+                monitor, own = monitor_of(entry.spec), np.isin(numbers, present)
+                fresh = [score(monitor, flight, number=len(old) + i) for i, flight in enumerate(rows)]
+                spec, more = monitor.extended(rows, len(np.unique(numbers[own])))
+                reached = reached + more * own
+            fitted.append((monitor_of(spec), pooled([Scores(reached, spans_s, numbers), *fresh])))
         all_sessions = [*(log.session for log in old), *sessions]
         shares = zip(baseline.monitors, fitted, _shares(fitted, all_sessions, baseline.promised), strict=True)
         entries = [
@@ -371,15 +372,17 @@ def _check(baseline: Baseline, flights: Sequence[HeldLog]) -> None:
 
 
 def _sessions(baseline: Baseline, flights: Sequence[Log]) -> list[int]:
-    """The session of each new flight: that of the nearest flight of the baseline within an hour, else a new one."""
-    logs = baseline.provenance.logs
-    first = max(one.session for one in logs) + 1
-    numbers = [first + number for number in sessions_of(flights)]
-    for i, flight in enumerate(flights):
-        apart = [(abs(one.started_ns - flight.started_ns), one.session) for one in logs if one.started_ns]
-        if flight.started_ns and apart and min(apart)[0] <= SESSION_GAP_NS:
-            numbers[i] = min(apart)[1]
-    return numbers
+    """The session of each new flight: that of the nearest flight of the baseline that it is chained to, else its own.
+
+    Flights are chained by the wall clock, old and new together, as `learn` does.
+    """
+    logs, sessions, own = baseline.provenance.logs, list[int](), dict[int, int]()
+    chains, first = sessions_of([*logs, *flights]), max(one.session for one in logs) + 1
+    for flight, chain in zip(flights, chains[len(logs) :], strict=True):
+        old = (log for log, other in zip(logs, chains[: len(logs)], strict=True) if other == chain)
+        near = min(old, key=lambda log: abs(log.started_ns - flight.started_ns), default=None)
+        sessions.append(own.setdefault(chain, first + len(own)) if near is None else near.session)
+    return sessions
 
 
 def _moved(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> tuple[Any, float, list[Scores]]:

@@ -196,9 +196,12 @@ class Monitor(ABC, Generic[Spec]):
         """Its fit of healthy flights with new propellers, and the factor of scores that the old ones gave."""
         return self.spec, 1.0
 
-    def extended(self, flights: Flights, sessions: int) -> Spec:
-        """Its fit with a further session of healthy flights. sessions: how many it rests on."""
-        return self.spec
+    def extended(self, flights: Flights, count: int) -> tuple[Spec, float]:
+        """Its fit with further healthy flights, and what that adds to scores of the old ones at most.
+
+        count: how many flights its level rests on.
+        """
+        return self.spec, 0.0
 
     def blindness(self, threshold: float) -> str:
         """What it does not notice at a threshold, in half a sentence; empty where nothing is to be said."""

@@ -279,14 +279,8 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         law, errors = held_law(y, x, LAW, LAW_SD, FLOOR, 1)
         with_all = FLOOR**2 / np.maximum(np.square(x).mean(axis=0), FLOOR**2 / LAW_SD**2)
         errors = errors + np.diag(with_all)
-        mean = np.mean(means, axis=0)
-        learnt = replace(
-            still,
-            mean=tuple((mean[:, 0]).tolist()),
-            about=tuple(three(row) for row in mean[:, 1:]),
-            law=three(law),
-            errors=(three(errors[0]), three(errors[1]), three(errors[2])),
-        )
+        errors_of_law = three(errors[0]), three(errors[1]), three(errors[2])
+        learnt = _at(replace(still, law=three(law), errors=errors_of_law), np.mean(means, axis=0))
         begun = (cls(replace(learnt, spread=1.0)).begin(context.dt_s) for _ in ticks)
         found = np.concatenate(
             [_again(one.par, one.mem, flight).ravel() for one, flight in zip(begun, ticks, strict=True)]
@@ -297,21 +291,23 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[RotorSpeedSpec, float]:
         """With the speeds of the new propellers; how they follow the command, and vary, stays."""
-        return replace(self.spec, mean=tuple(self._mean(flights).tolist())), 1.0
+        return _at(self.spec, self._means(flights).mean(axis=0)), 1.0
 
-    def extended(self, flights: Flights, sessions: int) -> RotorSpeedSpec:
-        """With the mean over sessions, the new one among them."""
-        mean = np.array(self.spec.mean)
-        return replace(self.spec, mean=tuple((mean + (self._mean(flights) - mean) / (sessions + 1)).tolist()))
+    def extended(self, flights: Flights, count: int) -> tuple[RotorSpeedSpec, float]:
+        """With the means over all flights; no distance that is not damped grows by more than they are off the law."""
+        n, means = self.rotors, self._means(flights)
+        old = np.column_stack((self.spec.mean, self.spec.about))
+        moved = (means - old).sum(axis=0) / (count + len(means))
+        apart = np.abs(moved[:, 0] - moved[:, 1:] @ self.spec.law).max()
+        return _at(self.spec, old + moved), float(apart) * n / (n - 1)
 
-    def _mean(self, flights: Flights) -> FloatArray:
-        """a of other flights, at x0. Raises IdentificationError if they show none."""
-        n, law, about = self.rotors, np.array(self.spec.law), np.array(self.spec.about)
-        ticks = [_usable(_ticks(self, one), n) for one in flights]
-        means = [(one[:, :, 0] - (one[:, :, 1:] - about) @ law).mean(axis=0) for one in ticks if len(one)]
+    def _means(self, flights: Flights) -> FloatArray:
+        """Mean y and x of the flights that show them, (k, n, 4). Raises IdentificationError if none does."""
+        ticks = (_usable(_ticks(self, one), self.rotors) for one in flights)
+        means = [one.mean(axis=0) for one in ticks if len(one)]
         if not means:
             raise IdentificationError("no flight with the outputs and speeds of all rotors; fly longer")
-        return np.asarray(np.mean(means, axis=0), dtype=np.float64)
+        return np.array(means)
 
     def period_s(self, dt_s: float) -> float:
         """A tick [s]."""
@@ -323,6 +319,11 @@ class RotorSpeed(Monitor[RotorSpeedSpec]):
         head = [n, _tick(dt_s), dt_s, window, spec.spread, *spec.law, *np.ravel(spec.errors)]
         each = np.column_stack((spec.layout.mixing[:, 2], spec.mean, np.array(spec.about)))
         return Begin(np.array([*head, *each.ravel()]), np.zeros(SUMS + 4 * n + 1 + (1 + COLUMNS) * window * n))
+
+
+def _at(spec: RotorSpeedSpec, means: FloatArray) -> RotorSpeedSpec:
+    """The fit with these mean y and x of each rotor, (n, 4)."""
+    return replace(spec, mean=tuple(means[:, 0].tolist()), about=tuple(three(row) for row in means[:, 1:]))
 
 
 def _tick(dt_s: float) -> int:

@@ -347,7 +347,7 @@ class TrimMonitor(Monitor[Spec]):
         parts = of_each(flights, (layout, source, felt), still._parts_of)
         known = cls(_with_laws(still.spec, [still._walked(one, dt_s) for one in parts], dt_s))
         walked = [known._walked(flight, dt_s) for flight in parts]
-        mean = _mean_of(walked)
+        mean = three(_means_of(walked).mean(axis=0))
         return (replace(known.spec, mean=mean, spread=cls.spread(walked, mean)),)
 
     @classmethod
@@ -392,16 +392,18 @@ class TrimMonitor(Monitor[Spec]):
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[Spec, float]:
         """With the trim of the new propellers; how much it varies stays."""
-        return replace(self.spec, mean=self._mean(flights)), 1.0
+        return replace(self.spec, mean=three(self._means(flights).mean(axis=0))), 1.0
 
-    def extended(self, flights: Flights, sessions: int) -> Spec:
-        """With the mean over sessions, the new one among them."""
-        mean = np.array(self.spec.mean)
-        return replace(self.spec, mean=three(mean + (np.array(self._mean(flights)) - mean) / (sessions + 1)))
+    def extended(self, flights: Flights, count: int) -> tuple[Spec, float]:
+        """With the mean over all flights; no rise grows by more than the one that explains the way of the mean back."""
+        spec, means = self.spec, self._means(flights)
+        moved = (means - spec.mean).sum(axis=0) / (count + len(means))
+        back = trims.rises(-moved[None], spec.layout, spec.spread)
+        return replace(spec, mean=three(spec.mean + moved)), float(back.max())
 
-    def _mean(self, flights: Flights) -> Three:
+    def _means(self, flights: Flights) -> FloatArray:
         dt_s = next((rows.block.dt_s for flight in flights for rows in flight), TICK_S)
-        return _mean_of([self._walked(self._parts_of(flight), dt_s) for flight in flights])
+        return _means_of([self._walked(self._parts_of(flight), dt_s) for flight in flights])
 
     def whole(self, flight: Sequence[Rows]) -> tuple[float, ...]:
         """Trim of a whole flight by roll, pitch and yaw, without what pull and turns take; empty if it is too short.
@@ -521,9 +523,9 @@ def _windows_of(flight: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(windows[np.isfinite(windows[:, 0])], dtype=np.float64)
 
 
-def _mean_of(flights: Sequence[Sequence[FloatArray]]) -> Three:
-    """Mean over flights of their mean trims. Raises IdentificationError if none has a full window."""
+def _means_of(flights: Sequence[Sequence[FloatArray]]) -> FloatArray:
+    """Mean trims of the flights that have a full window, (k, 3). Raises IdentificationError if none has."""
     means = [windows.mean(axis=0) for windows in map(_windows_of, flights) if len(windows)]
     if not means:
         raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight to average the trim over; fly longer")
-    return three(np.mean(means, axis=0))
+    return np.array(means)

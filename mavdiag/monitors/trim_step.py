@@ -12,6 +12,7 @@ import mavdiag.monitors.rotor_trim as trim
 from mavdiag.airframe.trim import spread_of
 from mavdiag.errors import IdentificationError
 from mavdiag.jit import cached, jit
+from mavdiag.monitors.base import Flights
 from mavdiag.monitors.spec import Positive, spec
 from mavdiag.rows.block import COVERED, SOUND, TRACE, Floats, Ints
 from mavdiag.telemetry import FloatArray, Three
@@ -151,6 +152,10 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
         if len(found) == 0:
             raise IdentificationError(f"no unbroken {2 * trim.WINDOW_S:g} s of flight to compare trims in; fly longer")
         return spread_of(found, 1.0)
+
+    def extended(self, flights: Flights, count: int) -> tuple[TrimStepSpec, float]:
+        """As of the trim; a flight's own reference stays."""
+        return super().extended(flights, count)[0], 0.0
 
     def own(self, tick_s: float) -> tuple[float, float, float]:
         """See `TICK_S`."""

@@ -225,6 +225,7 @@ def threshold_of(
         value = within = float(x.max())
         mean, spreads = float(x.mean()), [0.0, 0.0, 0.0]
     hours, exceeding = scores.judged_s / S_PER_H, int(np.count_nonzero(x > value))
+    flights = np.unique(scores.flights)  # one that gave no score supports nothing
     return Threshold(
         value=value,
         rule=rule,
@@ -235,15 +236,15 @@ def threshold_of(
         session_allowance=max(0.0, value - within),
         blocks=len(x),
         block_s=BLOCK_S,
-        flights=len(sessions),
-        sessions=len(set(sessions)),
+        flights=len(flights),
+        sessions=len(np.unique(np.array(sessions)[flights])),
         hours=hours,
         exceeding=exceeding,
         budget_per_hour=budget_per_hour,
         demonstrated_per_hour=poisson_upper(exceeding) / hours,
         suspected=(suspected, suspected_within),
         flights_per_suspicion=flights_per_suspicion,
-        false_alarms_per_flight=1.0 / (len(sessions) + 1),
+        false_alarms_per_flight=1.0 / (len(flights) + 1),
     )
 
 

@@ -63,7 +63,9 @@ def test_new_propellers_and_a_further_session_give_a_fit_that_still_judges(kind:
     other = [flying_rows(flying(SAMPLES, 101))]
     spec, factor = built(kind).renewed(other, CONTEXT)
     assert 0.0 < factor < math.inf
-    for one in (spec, built(kind).extended(other, 2)):
+    longer, more = built(kind).extended(other, 2)
+    assert 0.0 <= more < math.inf
+    for one in (spec, longer):
         assert type(one) is kind.spec_type
         assert run(kind(one), other[0]).valid.any()
 

@@ -224,10 +224,16 @@ def test_only_what_no_damage_does_is_another_vehicle(flight: Telemetry, outcome:
 def test_more_motors_are_another_vehicle() -> None:
     six = flying(3000, 7)
     outputs = six.need(Signal.ACTUATOR)
-    wider = dataclasses.replace(outputs, values=np.concatenate((outputs.values, outputs.values[:, :2]), axis=1))
-    found = compared(Telemetry(tuple(wider if one is outputs else one for one in six.series)))
+
+    def sent(*columns: FloatArray) -> Telemetry:
+        wider = dataclasses.replace(outputs, values=np.concatenate((outputs.values, *columns), axis=1))
+        return Telemetry(tuple(wider if one is outputs else one for one in six.series))
+
+    found = compared(sent(outputs.values[:, :2]))
     assert found.differing == ("6 motors (learnt 4)",)
     assert found.outcome is Outcome.FAR
+    behind = sent(0.0 * outputs.values, outputs.values[:, :3])  # on outputs that judging does not take
+    assert compared(behind).outcome is Outcome.ALIKE
 
 
 @pytest.mark.parametrize(

@@ -216,6 +216,19 @@ def test_c3_alarms_of_monitors_that_do_not_decide_are_a_suspicion() -> None:
     assert "healthy" not in verdict.reason
 
 
+def test_a_suspicion_names_the_monitor_that_is_suspected_and_not_the_highest_one() -> None:
+    def told(name: str) -> LogVerdict:
+        entries = [(one, 0.01 if one.spec.kind == name else 1.0) for one in whole().monitors]
+        told = [one.model_copy(update={"threshold": replace(one.threshold, suspected=(s, s))}) for one, s in entries]
+        return judge(logged(flying(3000, 8)), whole().model_copy(update={"monitors": tuple(told)}))
+
+    for name in ("rotor_trim", "innovation"):
+        verdict = told(name)
+        (own,) = (one for one in verdict.monitors if one.name == name)
+        assert verdict.verdict is Verdict.SUSPECTED
+        assert verdict.reason.startswith(f"{name} came to {100 * own.ratio:.0f} % of its threshold, first at ")
+
+
 def ground_first(telemetry: Telemetry, span_s: float) -> Telemetry:
     """The flight after so long on the ground: hardly any noise of the gyro, its motors at idle, and no thrust."""
     shift, parts = round(span_s * NS_PER_S), []

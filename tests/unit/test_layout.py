@@ -24,7 +24,7 @@ from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.errors import InputError
 from mavdiag.judging import Verdict, judge
-from mavdiag.learning import LearnOptions, learn
+from mavdiag.learning import LearnOptions, extend, learn
 from mavdiag.link.codec import Encoder
 from mavdiag.link.datagrams import as_columns
 from mavdiag.link.messages import Autopilot, MessageId
@@ -278,6 +278,9 @@ def test_a_baseline_keeps_the_outputs_and_names_the_weak_rotor(parameters: dict[
     assert (healthy.verdict, healthy.notes) == (Verdict.HEALTHY, ())
     by_motor = Log("weak", "", "px4", flying(3000, 7, weak_rotor=3, rise=0.3), motor_order=True)
     assert "rotor 3" in judge(by_motor, baseline).reason
+    more = Log("more", "", "px4", flying(3000, 9), motor_order=True)
+    (old, *_), (new, *_) = baseline.monitors, extend(baseline, [more], created=NOW).monitors
+    np.testing.assert_allclose(new.spec.mean, old.spec.mean, atol=0.003)
 
 
 def test_told_wins_over_parameters_and_parameters_over_flights_and_a_contradiction_is_loud() -> None:

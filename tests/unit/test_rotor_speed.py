@@ -71,6 +71,17 @@ def test_the_voltage_and_what_all_rotors_share_cancel(healthy: RotorSpeedSpec) -
     assert last(healthy, rows_of(5, 0.8 * own))[0] == pytest.approx(last(healthy, rows_of(5, own))[0], abs=1e-12)
 
 
+def test_a_fit_that_is_extended_stands_where_one_to_all_flights_does() -> None:
+    """And old flights reach no more by it than is said."""
+    flights = [rows_of(seed, np.array([1.0, 1.02, 0.99, 1.01 + 0.01 * (seed > 2)])) for seed in range(5)]
+    (old,), (whole,) = (RotorSpeed.fit(some, CONTEXT) for some in (flights[:3], flights))
+    spec, more = RotorSpeed(old).extended(flights[3:], 3)
+    assert (spec.law, spec.spread) == (old.law, old.spread)
+    np.testing.assert_allclose((*spec.mean, *np.ravel(spec.about)), (*whole.mean, *np.ravel(whole.about)), atol=1e-12)
+    before, after = (max(last(one, flight)[0] for flight in flights[:3]) for one in (old, spec))
+    assert before < after <= before + more + 1e-5
+
+
 def test_wild_frames_of_an_esc_do_not_count(healthy: RotorSpeedSpec) -> None:
     flight = rows_of(6, np.array([1.0, 1.02, 0.99, 1.01]))
     calm = last(healthy, flight)[0]
