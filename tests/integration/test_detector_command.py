@@ -190,8 +190,6 @@ def test_a_dead_link_behind_does_not_hold_up_the_vehicles(baseline: Path) -> Non
         ("lern = 30", "unknown key 'lern'; known are learn, negotiate, "),
         ("learn = -1", "learn: Input should be greater than 0"),
         ("learn = 10\nvehicle = 256", "vehicle: "),
-        ("learn = 10\ntwins_hz = 5", "unknown key 'twins_hz'"),
-        ("learn = 10\ntexts_per_minute = 1000", "texts_per_minute: "),
         ("learn = 10", "learn needs save: a FILE that keeps what is learned"),
         ("learn = [", "not TOML"),
         ("learn = 10\nbaseline = 'b.json'", "either --baseline FILE or --learn SECONDS, not both"),

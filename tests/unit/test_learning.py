@@ -16,7 +16,7 @@ import pytest
 from flying_telemetry import flying, without
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_baselines import ALWAYS, FRAME, NOW, healthy, plain, thesis, whole
+from made_baselines import ALWAYS, FRAME, NOW, healthy, plain, whole
 from made_monitor import MadeUp
 from made_telemetry import changed, flight
 
@@ -25,7 +25,7 @@ import mavdiag.kernel
 import mavdiag.monitors
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
-from mavdiag.baseline import SESSION_GAP_NS, Baseline, MonitorEntry, check_link, dump, parse
+from mavdiag.baseline import SESSION_GAP_NS, Baseline, MonitorEntry, dump, parse
 from mavdiag.chain import chain_of, front_of
 from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.judging import Verdict, judge
@@ -398,14 +398,6 @@ def test_garbage_in_the_middle_never_raises_anything_else(garbage: str, at: int)
     text = dump(whole())
     with pytest.raises(BaselineError):
         parse(text[: at * 5] + "\x00" + garbage + text[at * 5 :])
-
-
-def test_another_link_is_refused_with_the_field() -> None:
-    check_link(thesis(), profile="qdrone2", dt_s=0.001001)
-    with pytest.raises(BaselineError, match=r"link\.profile: .*'px4'"):
-        check_link(thesis(), profile="px4", dt_s=0.001)
-    with pytest.raises(BaselineError, match=r"link\.dt_s: .*1000\.0 Hz.*500\.0 Hz"):
-        check_link(thesis(), profile="qdrone2", dt_s=0.002)
 
 
 DAY = 24 * 3600 * NS_PER_S

@@ -12,18 +12,15 @@ from plant_cases import nominal_airframe, quaternion_rotation
 from scipy.signal import bilinear, butter, freqz, welch
 from scipy.spatial.transform import Rotation
 
-from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.air import Turbulence, dryden
 from sitl_plant.physics.airframe import NO_PAYLOAD, drone
 from sitl_plant.physics.control import Controller, ControlState, control
 from sitl_plant.physics.dynamics import GRAVITY, NO_GROUND, RIGID, STAGES, WRENCH, Body, Ground, grip, rk4_step
 from sitl_plant.physics.faults import (
-    FAULTS,
     Injection,
     RotorDamage,
     SensorFault,
-    parse_fault,
     rotor_condition,
     sensor_condition,
 )
@@ -422,17 +419,6 @@ def test_the_filter_is_the_bilinear_transform_of_a_driven_mode(hz: float, dampin
 
 
 # T's nine faults, and injections: what each does to the tables of the compiled loop, and to a flight
-
-
-@given(st.text(max_size=12))
-def test_other_text_is_refused_in_one_line(text: str) -> None:
-    message = "F2/SV2"
-    try:
-        assert parse_fault(text) in FAULTS
-    except UsageError as error:
-        message = str(error)
-    assert "F2/SV2" in message
-    assert "\n" not in message
 
 
 def condition(damage: RotorDamage, angle: float = 0.5, rotor: int = 2) -> Condition:

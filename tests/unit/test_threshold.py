@@ -238,17 +238,6 @@ def test_airframes_of_the_other_class_are_known_by_their_flights(sessions: int) 
         assert np.quantile(ratios, 0.1) > 0.9
 
 
-@pytest.mark.parametrize("flights", [3, 9])
-def test_the_maximum_rule_has_its_price(flights: int) -> None:
-    rng = np.random.default_rng(11)
-    healthy = rng.exponential(size=(1500, flights))
-    beaten = [
-        level(x, 1.0, rule=ThresholdRule.MAXIMUM).value < new
-        for x, new in zip(healthy, rng.exponential(size=1500), strict=True)
-    ]
-    assert np.mean(beaten) == pytest.approx(1 / (flights + 1), abs=0.03)
-
-
 def flights(trims: FloatArray, learnt: int, sessions: list[int] | None = None, sets: list[int] | None = None) -> Flown:
     """Flights of a minute, each a session of its own and all of one set, unless told."""
     n = len(trims)
