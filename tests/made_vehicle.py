@@ -67,7 +67,6 @@ class FakeFitter(ProcessFitter):
         self.outcome = outcome
         self.jobs: list[FittingJob] = []
         self._looks: list[tuple[int, int]] = []
-        self.closed = False
 
     def begin(self, job: FittingJob) -> None:
         self.jobs.append(job)
@@ -78,9 +77,6 @@ class FakeFitter(ProcessFitter):
         done = [(vehicle, self.outcome) for looks, vehicle in self._looks if looks <= 0 and self.outcome is not None]
         self._looks = [one for one in self._looks if one[0] > 0]
         return done
-
-    def close(self) -> None:
-        self.closed = True
 
 
 class MadeVehicle:

@@ -89,7 +89,7 @@ def test_the_estimated_unbalance_is_that_of_the_table_and_placed() -> None:
 @cache
 def pool() -> Pool:
     """Of an airframe at 1 kHz."""
-    return pool_of(7001, 0, 8)
+    return pool_of(7001, 0, 6)
 
 
 def learnt(*flights: Log) -> Baseline:
@@ -97,8 +97,9 @@ def learnt(*flights: Log) -> Baseline:
     return learn(flights, LearnOptions(airframe=frame, monitors=MONITORS), created=NOW)
 
 
-def test_drawn_sets_are_marked_where_one_is_broken_and_nowhere_else() -> None:
+def test_drawn_sets_are_marked_where_one_is_broken_and_nowhere_else(monkeypatch: pytest.MonkeyPatch) -> None:
     """A short form of `benchmarks/broken_teaching.py`, on an airframe of a seed of its own."""
+    monkeypatch.setattr("broken_teaching.SIZES", (1, 2, 5))
     tally = Tally()
     judge_sets(pool(), 1, np.random.default_rng(7001), tally)
     for kind, counts in tally.kinds.items():

@@ -147,9 +147,7 @@ def rows(log: Log) -> Sequence[Rows]:
     "folder",
     [
         "cut_propeller_M3_0.5mm_46.5mm",
-        "cut_propeller_M3_4mm_4mm_39mm",
         "cut_propeller_M3_3mm",
-        "tape_on_propeller_M1_M3_M4",
         "add_weight_W1_near_M3_M4",
     ],
 )
@@ -166,9 +164,6 @@ FLIGHTS = {
     "arducopter_live/locked_yaw_healthy.tlog": "x",
     "arducopter_live/locked_yaw_weak_motors.tlog": "x",
     "arducopter_sitl/healthy_quad3kg_sq1.tlog": "plus",
-    "arducopter_sitl/healthy_quad3kg_sq5.tlog": "plus",
-    "arducopter_sitl/fault_quad3kg_m1_080_sq1.tlog": "plus",
-    "arducopter_sitl/fault_quad3kg_m1_080_sq5.tlog": "plus",
     "arducopter_sitl/healthy_jsonplant2_sq1.tlog": "x",
     "arducopter_sitl/fault_jsonplant2_m1_eff090_imb_sq1.tlog": "x",
     "arducopter_sitl/jsonplant_flight.bin": "x",

@@ -399,7 +399,7 @@ def test_margins_are_those_of_the_loop_that_unit_feedback_closes() -> None:
 
 
 def test_standard_errors_by_the_delta_method_are_the_scatter_of_repeated_experiments() -> None:
-    trains, table = [record(WELL, 1500, 0.1, seed) for seed in range(40)], []
+    trains, table = [record(WELL, 1500, 0.1, seed) for seed in range(24)], []
     for found in (model_figures(fit(train.u, train.y, dt=DT)) for train in trains):
         pole = found.poles[0]
         chosen = (pole.natural_hz, pole.damping, found.dc_gain, found.bandwidth_hz, found.gain_margin_db)

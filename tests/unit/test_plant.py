@@ -257,7 +257,7 @@ def test_a_new_set_of_propellers_differs_uniformly_and_is_balanced_as_permitted(
     assert (sets[0].battery_gain, sets[0].centre_of_gravity_m[0]) == (DRONE.battery_gain, DRONE.centre_of_gravity_m[0])
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_vehicle_without_cameras_stays_in_its_hall(seed: int) -> None:
     """It coasts level at up to 0.5 m/s for up to 2 s, and comes back: no fly-away, no fall."""
     samples = fly(PlantConfig(drone=1 + seed % 3, seed=100 + seed, outages_per_min=3.0), 40.0)

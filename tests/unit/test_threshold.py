@@ -206,11 +206,11 @@ def broken(flights: int, sessions: int, rng: np.random.Generator) -> tuple[float
     return *alarms, float(np.mean(session_of[:, None] + each > found[0].suspected[0] * found[0].value))
 
 
-@pytest.mark.parametrize(("flights", "sessions"), [(3, 1), (5, 3), (10, 3), (30, 1)])
+@pytest.mark.parametrize(("flights", "sessions"), [(3, 1), (10, 3), (30, 1)])
 def test_new_airframes_alarm_and_are_suspected_as_often_as_promised(flights: int, sessions: int) -> None:
     """Taught by a few flights and judged in other sessions: the mean over airframes is the promise, or less."""
     rng = np.random.default_rng([flights, sessions])
-    shares = np.array([broken(flights, sessions, rng) for _ in range(200)]).T
+    shares = np.array([broken(flights, sessions, rng) for _ in range(120)]).T
     for rates, promise in zip(shares, (*BUDGETS, 1 / FLIGHTS_PER_SUSPICION), strict=True):
         assert np.mean(rates) < 1.5 * promise, f"seed [{flights}, {sessions}]: {np.mean(rates):.4f}"
         assert np.mean(rates) > promise / 2, f"no bluntness is kept in store: {np.mean(rates):.4f}"
@@ -225,7 +225,7 @@ def test_airframes_of_the_other_class_are_known_by_their_flights(sessions: int) 
     rng, whose, numbers = np.random.default_rng([17, sessions]), np.arange(10) % sessions, np.repeat(np.arange(10), 3)
     for prior in (one, other):
         ratios = []
-        for _ in range(30):
+        for _ in range(20):
             session, flight, block = (
                 sd * math.sqrt(DEGREES / rng.chisquare(DEGREES)) for sd in (prior.session, prior.flight, prior.block)
             )
