@@ -66,7 +66,6 @@ class FakeFitter(ProcessFitter):
         self.outcome = outcome  # without the thread of the real one
         self.jobs: list[FittingJob] = []
         self._looks: list[tuple[int, int]] = []
-        self.closed = False
 
     def begin(self, job: FittingJob) -> None:
         self.jobs.append(job)
@@ -77,9 +76,6 @@ class FakeFitter(ProcessFitter):
         done = [(vehicle, self.outcome) for looks, vehicle in self._looks if looks <= 0 and self.outcome is not None]
         self._looks = [one for one in self._looks if one[0] > 0]
         return done
-
-    def close(self) -> None:
-        self.closed = True
 
 
 class MadeVehicle:

@@ -400,7 +400,7 @@ def test_a_fault_brings_one_command_and_every_step_is_in_the_journal(benches: Be
     ]
     accepted = (MavCmd.NAV_RETURN_TO_LAUNCH, MavResult.ACCEPTED, 0, 0, *US)
     bench.far.send(bench.vehicles[0].encoder.encode(MessageId.COMMAND_ACK, *accepted))
-    bench.fly(30.0)
+    bench.fly(12.0)
     assert commanded(bench) == []
     found, *steps = noted(tmp_path)
     assert found.startswith("on fault: fault after 6 s: rtl: propeller fault: ")
@@ -432,7 +432,7 @@ def test_it_is_called_off_by_a_link_behind_or_the_vehicles_mode(benches: Benches
     else:
         run = CliRunner().invoke(app, ["ack", str(tmp_path / "journal.jsonl"), "--by", "Ann"])
         assert run.exit_code == 0, run.output
-    bench.fly(30.0)
+    bench.fly(12.0)
     assert commanded(bench) == []
     assert [one for one in noted(tmp_path) if "announced -> over: called off" in one]
     results = [field(one, "result") for one in of(received(bench.behind[0]), MessageId.COMMAND_ACK)]
@@ -474,6 +474,7 @@ def test_a_lost_link_ends_it_until_the_fault_is_found_again(benches: Benches) ->
 def taught_by_two(monkeypatch: pytest.MonkeyPatch) -> None:
     """Flights to learn from are half of the time that these tests take."""
     monkeypatch.setattr("reactions.TAUGHT", 2)
+    monkeypatch.setattr("reactions.LEARN_S", 40.0)
 
 
 @pytest.mark.usefixtures("taught_by_two")
@@ -484,7 +485,7 @@ def test_a_mission_with_a_crack_is_flown_home_after_the_delay_and_a_call_off_let
     assert flown.late_s is not None
     assert -0.01 <= flown.late_s <= 0.5
     assert flown.down
-    left = fly("mission", 101, "F2/SV3", craft=CRAFT, call="stick", until_s=50.0)
+    left = fly("mission", 101, "F2/SV3", craft=CRAFT, call="stick", until_s=40.0)
     assert left.called_off
     assert left.commands == []
     assert not left.down

@@ -54,10 +54,9 @@ MODE = field_index(MessageId.HEARTBEAT, "base_mode")
 DIALECT = DIALECTS["qdrone2"]
 
 
-def servo_bytes(count: int, pwm: Sequence[int], rate_hz: int = 1000, channels: int = 16, magic: int = 0) -> bytes:
-    """ArduPilot's servo packet: u16 magic, u16 frame_rate, u32 frame_count, u16 pwm[16 or 32], little-endian."""
-    given = magic or {16: 18458, 32: 29569}[channels]
-    return struct.pack(f"<HHI{channels}H", given, rate_hz, count, *pwm, *[0] * (channels - len(pwm)))
+def servo_bytes(count: int, pwm: Sequence[int], rate_hz: int = 1000) -> bytes:
+    """ArduPilot's servo packet: u16 magic, u16 frame_rate, u32 frame_count, u16 pwm[16], little-endian."""
+    return struct.pack("<HHI16H", 18458, rate_hz, count, *pwm, *[0] * (16 - len(pwm)))
 
 
 def answered(data: bytes | None) -> dict[str, Any]:

@@ -132,14 +132,6 @@ def test_logs_without_a_clock_follow_each_other_as_named_or_by_the_time_of_their
     assert order == {"named": [("c", 1)], "file-time": [("c", 1), ("b", 10), ("a", 30)]}
 
 
-def test_the_list_as_json_has_each_monitor_and_each_rotor(mavdiag: Any, wearing: Path) -> None:
-    code, out, _ = mavdiag("history", "list", "--airframe", "calm", "--json", "--database", wearing)
-    flights = [json.loads(line) for line in out.splitlines()]
-    assert (code, [one["flight"] for one in flights]) == (0, list(range(1, 61)))
-    assert {monitor["monitor"] for monitor in flights[-1]["monitors"]} >= {"fsd", "unbalance"}
-    assert len(flights[-1]["rotor_trim"]) == 4
-
-
 def test_a_page_shows_the_trends_and_what_asks_for_attention_first(mavdiag: Any, wearing: Path) -> None:
     with open_history(str(wearing), write=True) as history:
         history.mark(Mark("calm", history.flights("calm")[30].t_ns - 1, MarkKind.NEW_PROPELLERS))

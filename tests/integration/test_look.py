@@ -429,10 +429,6 @@ def parameter(frame: Frame) -> str:
     ("name", "finds"),
     [
         (
-            "arducopter_sitl/healthy_quad3kg_sq1.tlog",
-            ("its autopilot is ardupilotmega", "gravity: 1.00 g, right", "rotor layout unknown", "low-passed at 20 Hz"),
-        ),
-        (
             "autopilots_in_the_loop/px4_hil_healthy.tlog",
             ("its autopilot is px4", "gravity: 1.00 g, right", "rotor layout x (the vehicle's parameters"),
         ),

@@ -409,9 +409,7 @@ def test_the_command_writes_the_script_and_says_what_it_leaves_out(tmp_path: Pat
 
 RECORDED = (
     ("arducopter_sitl/healthy_quad3kg_sq1.tlog", "arducopter_sitl/*quad3kg*.tlog"),
-    ("arducopter_sitl/healthy_jsonplant2_sq1.tlog", "arducopter_sitl/*jsonplant2*.tlog"),
     ("arducopter_sitl/jsonplant_flight.bin", "arducopter_sitl/*.bin"),
-    ("arducopter_live/turning_nose_healthy.tlog", "arducopter_live/turning*.tlog"),
     ("autopilots_in_the_loop/ap463_hil_healthy.tlog", "autopilots_in_the_loop/ap463*.tlog"),
     ("autopilots_in_the_loop/px4_hil_healthy.tlog", "autopilots_in_the_loop/px4*.tlog"),
     ("ardupilot_real/log171.bin", "ardupilot_real/*.bin"),

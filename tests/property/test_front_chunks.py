@@ -109,7 +109,7 @@ def ticks(every_ns: int) -> list[int]:
 cuts = st.lists(st.integers(START_NS, START_NS + N * DT_NS + 60_000_000), max_size=150)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(
     seed=st.integers(0, 1000),
     late_ms=st.integers(0, 49),
@@ -127,7 +127,7 @@ def test_disorder_within_the_wait_gives_the_rows_of_the_sorted_stream(
     assert_equal(run(spec, cut(telemetry, ticks(40_000_000)))[0], expected)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(
     seed=st.integers(0, 1000),
     late_ms=st.integers(0, 49),
@@ -143,7 +143,7 @@ def test_the_first_disorder_of_an_orderly_link_changes_no_row_where_what_is_late
     assert_equal(run(SPEC, cut(telemetry, ticks(every_ms * 1_000_000)))[0], expected)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 1000), lost=st.sampled_from([0.0, 0.05, 0.5]), edges=cuts, lag_ms=st.integers(0, 4))
 def test_on_an_orderly_link_any_cut_gives_the_logs_rows(seed: int, lost: float, edges: list[int], lag_ms: int) -> None:
     """With every signal but the gyro behind it by less than what counts as disorder."""

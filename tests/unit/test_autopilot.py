@@ -58,7 +58,6 @@ def replies(actions: list[Action], msgid: int) -> list[tuple[Argument, ...]]:
         (MavCmd.SET_MESSAGE_INTERVAL, (27, 100), MavResult.DENIED),
         (MavCmd.SET_MESSAGE_INTERVAL, (30_000, 10_000), MavResult.DENIED),
         (MavCmd.REQUEST_MESSAGE, (148,), MavResult.ACCEPTED),
-        (MavCmd.REQUEST_MESSAGE, (105,), MavResult.ACCEPTED),
         (MavCmd.REQUEST_MESSAGE, (30_000,), MavResult.DENIED),
         (MavCmd.REQUEST_AUTOPILOT_CAPABILITIES, (1,), MavResult.ACCEPTED),
         (MavCmd.REQUEST_PROTOCOL_VERSION, (1,), MavResult.ACCEPTED),

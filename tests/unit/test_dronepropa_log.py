@@ -100,7 +100,6 @@ def changed(folder: Path, change: Change) -> Path:
         (row("QDrone_data", 28, factor=57.3), "raw pitch gyro is not the pitch"),
         (row("QDrone_data", 29, factor=-1.0), "raw yaw gyro"),
         (row("QDrone_data", 6, factor=-1.0), "filtered pitch gyro"),
-        (row("QDrone_data", 3, 12, factor=-1.0), "raw pitch gyro"),
         (row("stabilizer_data", 9, factor=-1.0), "roll reference .* runs against"),
         (row("stabilizer_data", 10, factor=-1.0), "pitch reference .* runs against"),
         (row("commander_data", 25, factor=-1.0), "yaw .row 25. runs against"),

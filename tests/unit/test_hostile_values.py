@@ -9,8 +9,6 @@ import pytest
 from flying_telemetry import DT_NS, flying
 from made_baselines import logged, whole
 from made_telemetry import cut
-from recorded_flights import part, taught
-from shared_data import shared
 
 import mavdiag as md
 from mavdiag.judging import LogVerdict
@@ -159,22 +157,6 @@ def test_the_same_samples_are_believed_live_and_in_a_log() -> None:
     live = [str(one) for piece in cut(log.telemetry, edges) for one in watch.step(piece)]
     assert sorted(live) == sorted(str(one) for one in alone.step(log.telemetry))
     assert watch.diagnosis.stage == alone.diagnosis.stage
-
-
-@pytest.mark.parametrize("signal", [Signal.ATTITUDE_SETPOINT, Signal.BODY_RATE, Signal.ACTUATOR])
-def test_a_recorded_arducopter_with_a_frozen_signal_has_no_propeller_fault(signal: Signal) -> None:
-    log = md.read_log(shared("data/arducopter_sitl/healthy_jsonplant2_sq1.tlog"))
-    times = log.telemetry[Signal.BODY_RATE].t_ns
-    middle_ns, since_ns = (int(times[0] + share * (times[-1] - times[0])) for share in (0.5, 0.75))
-    baseline = taught([part(log, None, middle_ns / 1e9)])
-
-    def freeze(t_ns: IntArray, values: FloatArray) -> None:
-        late = t_ns > since_ns
-        values[late] = values[late.argmax()]
-
-    found = md.judge(changed(part(log, middle_ns / 1e9, None), signal, freeze), baseline)
-    assert not [one for one in found.changes if str(one.stage) == "fault"]
-    assert any(one.not_judged for one in found.monitors)
 
 
 def turning(n: int = 3000, seed: int = 11) -> Series:

@@ -198,32 +198,6 @@ def test_the_record_of_a_model_gives_the_model_back_also_through_json() -> None:
     assert math.isnan(bare.model().r2t)
 
 
-@pytest.mark.parametrize(
-    ("noise", "sriv_fit", "ls_fit"),
-    [(0.05, 99.8, 60.0), (0.20, 99.4, 12.0)],
-)
-@pytest.mark.parametrize("seed", range(2))
-def test_the_thesis_roll_model_under_output_noise(noise: float, sriv_fit: float, ls_fit: float, seed: int) -> None:
-    data = record(ROLL, 20_000, noise, seed)
-    refined, plain = (fit(data.u, data.y, dt=0.001, method=method) for method in ("sriv", "ls"))
-    assert refined.converged
-    assert nrmse_percent(data.clean, refined.simulate(data.u)) > sriv_fit
-    assert nrmse_percent(data.clean, plain.simulate(data.u)) < ls_fit
-
-
-@pytest.mark.parametrize("column", ["y_out5", "y_out20"])
-def test_octaves_noisy_records_give_the_true_model(column: str) -> None:
-    folder = shared("reference/octave")
-    table = np.genfromtxt(folder / "data_well.csv", delimiter=",", names=True)
-    truth = json.loads((folder / "true_models.json").read_text())["well"]
-    model = fit(table["u"], table[column], dt=0.001)
-    error = model.theta - np.array([*truth["a"][1:], *truth["b"][1:]])
-    assert np.all(np.abs(error) < 3.5 * model.standard_errors)
-    assert nrmse_percent(table["y_clean"], model.simulate(table["u"])) > (99.7 if column == "y_out5" else 98.9)
-    plain = fit(table["u"], table[column], dt=0.001, method="ls")
-    assert nrmse_percent(table["y_clean"], plain.simulate(table["u"])) < (97.0 if column == "y_out5" else 85.0)
-
-
 def rms(truth: ArxModel, fits: Iterable[ArxModel]) -> FloatArray:
     """Of the errors of each parameter over their stated standard errors."""
     return np.asarray(
@@ -315,18 +289,6 @@ def test_octave_residual_figures(index: int) -> None:
     assert report.acf_band99 == pytest.approx(case["conf99_band"], rel=1e-4)
     assert_allclose(report.acf, case["res_acf"], atol=1e-9)
     assert_allclose(report.ccf, case["res_ccf_pos"], atol=1e-9)
-
-
-def test_only_the_true_structure_leaves_a_white_independent_residual() -> None:
-    u, y = next((u, y) for case, u, y in map(octave, range(24)) if case["output"] == "y_eqnoise")
-    peaks = []  # of the correlations over their bands
-    for order in ((2, 2, 1), (2, 2, 2), (1, 1, 1)):  # true, late, low
-        report = one_step_report(fit(u, y, order, dt=0.001, method="ls"), u, y)
-        bands = (report.acf[1:], report.acf_band99), (report.ccf, report.ccf_band99)
-        peaks.append([float(np.abs(values).max()) / band for values, band in bands])
-    assert max(peaks[0]) < 1.3
-    assert peaks[1][1] > 2.0
-    assert peaks[2][0] > 2.0
 
 
 def test_the_bands_hold_99_percent_of_what_a_true_model_shows() -> None:
@@ -437,7 +399,7 @@ def test_margins_are_those_of_the_loop_that_unit_feedback_closes() -> None:
 
 
 def test_standard_errors_by_the_delta_method_are_the_scatter_of_repeated_experiments() -> None:
-    trains, table = [record(WELL, 1500, 0.1, seed) for seed in range(40)], []
+    trains, table = [record(WELL, 1500, 0.1, seed) for seed in range(24)], []
     for found in (model_figures(fit(train.u, train.y, dt=DT)) for train in trains):
         pole = found.poles[0]
         chosen = (pole.natural_hz, pole.damping, found.dc_gain, found.bandwidth_hz, found.gain_margin_db)

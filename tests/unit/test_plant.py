@@ -23,7 +23,7 @@ from sitl_plant.physics.parameters import body_with_payload, initial_state, make
 from sitl_plant.physics.trajectory import Shape, path
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 from sitl_plant.truth import Truth
-from sitl_plant.vehicle import allocation, load_vehicle, qdrone2, shipped_vehicles, vehicle_from, vehicle_named
+from sitl_plant.vehicle import load_vehicle, qdrone2, shipped_vehicles, vehicle_from, vehicle_named
 
 G = 9.81
 MASS = 1.504
@@ -158,14 +158,11 @@ def test_a_flight_from_the_ground_takes_off_flies_and_lands(config: dict[str, st
         ({"trajectory": "spiral"}, "square"),
         ({"drone": 7}, "drone must be"),
         ({"fault": "F9/SV1"}, "F2/SV2"),
-        ({"fault": "F1/SV1", "rotor": 5}, "rotor must be 1 to 4"),
         ({"fault": "F1/SV1", "phenomenology": 2.0}, "phenomenology"),
         ({"speed_m_s": -1.0}, "speed_m_s"),
         ({"size_m": math.nan}, "size_m"),
-        ({"wind_m_s": math.inf}, "wind_m_s"),
         ({"onset_s": math.nan, "fault": "F1/SV1"}, "onset_s"),
         ({"seed": -1}, "seed"),
-        ({"nose": "up"}, "nose"),
         ({"start": "ground", "landed_s": 14.0}, "needs 14.7 s"),
         ({"start": "ground", "altitude_m": -1.0}, "altitude_m"),
     ],
@@ -260,7 +257,7 @@ def test_a_new_set_of_propellers_differs_uniformly_and_is_balanced_as_permitted(
     assert (sets[0].battery_gain, sets[0].centre_of_gravity_m[0]) == (DRONE.battery_gain, DRONE.centre_of_gravity_m[0])
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_vehicle_without_cameras_stays_in_its_hall(seed: int) -> None:
     """It coasts level at up to 0.5 m/s for up to 2 s, and comes back: no fly-away, no fall."""
     samples = fly(PlantConfig(drone=1 + seed % 3, seed=100 + seed, outages_per_min=3.0), 40.0)
@@ -328,36 +325,6 @@ def test_every_number_in_the_file_has_its_source_beside_it(name: str, many: int)
     sources = "T Table|T Eq|T 3|data sheet|hover|ArduPilot:|PX4:|manufacturer|measured|inferred|estimate|fitted"
     known = re.compile(rf"# .*({sources})")
     assert [line for line in numbers if not known.search(line)] == []
-
-
-def test_mixer_is_the_inverse_of_the_mapping_and_the_one_of_the_thesis() -> None:
-    """T Eq 2.8 = inverse of Eq 2.7. T's pitch and yaw are about y left and z up: the negative of FRD."""
-    vehicle = qdrone2()
-    mapping = allocation(vehicle)
-    mixer = np.linalg.pinv(mapping)
-    np.testing.assert_allclose(mapping @ mixer, np.eye(4), atol=1e-12)
-    np.testing.assert_allclose(mixer @ mapping, np.eye(4), atol=1e-12)
-    roll, pitch, yaw = 1 / (2 * 0.254), 1 / (2 * 0.2032), 68.9055 / 4
-    thesis = np.array(
-        [
-            [0.25, -roll, pitch, yaw],
-            [0.25, -roll, -pitch, -yaw],
-            [0.25, roll, pitch, -yaw],
-            [0.25, roll, -pitch, yaw],
-        ]
-    )
-    np.testing.assert_allclose(mixer, thesis * [1, 1, -1, -1], atol=1e-12)
-
-
-def test_hexacopter_is_only_another_file(tmp_path: Path) -> None:
-    extra = "".join(
-        f'[[rotors]]\nname = "side {side}"\nposition_m = [0.0, {y}, -0.025]\nspin = "{spin}"\n\n'
-        for side, y, spin in (("right", 0.2, "cw"), ("left", -0.2, "ccw"))
-    )
-    vehicle = load_vehicle(edited(tmp_path, "[propulsion]", extra + "[propulsion]"))
-    assert allocation(vehicle).shape == (4, 6)
-    np.testing.assert_allclose(allocation(vehicle) @ np.linalg.pinv(allocation(vehicle)), np.eye(4), atol=1e-12)
-    assert nominal_airframe(vehicle).motor_lag_s.shape == (6,)
 
 
 @pytest.mark.parametrize(

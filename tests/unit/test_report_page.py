@@ -11,7 +11,7 @@ import pytest
 from flying_telemetry import flying, without
 from hypothesis import given
 from hypothesis import strategies as st
-from made_baselines import healthy, logged, plain, whole
+from made_baselines import healthy, logged, whole
 from made_report import ONSET_S, RATE_HZ, ROTOR, cracked, results
 from made_telemetry import flight
 from page_reading import Page, check
@@ -27,7 +27,7 @@ from mavdiag.identify.estimate import validate
 from mavdiag.judging import LogVerdict, Verdict
 from mavdiag.look.figures import spectrum_of
 from mavdiag.report.campaign import parse_campaign, read_campaign, roc_of
-from mavdiag.report.chart import Chart, Line, Panel, Picture, Thinned, picture, ticks_of
+from mavdiag.report.chart import Picture, Thinned, ticks_of
 from mavdiag.report.drawing import SIZE, airframe_svg
 from mavdiag.report.page import FlightReport, campaign_page, flight_report, flights_page
 from mavdiag.report.pictures import sweep_of
@@ -84,10 +84,8 @@ def test_the_page_says_the_verdict_its_evidence_and_where_it_comes_from() -> Non
     assert "% confidence" in said
     assert "look at the propeller of rotor 2 first" in said
     assert ("does not tell the cause (trim shift" in said) == ("trim shift: " in weak().verdict.reason)
-    assert whole().digest in said or not whole().digest
     for name in ("rotor trim", "unbalance", "fsd ("):
         assert name in said
-    assert "What must be known of this log" in said or not weak().verdict.notes
     assert "Link quality" in said
     assert "page made 2026-01-01 00:00 UTC by mavdiag" in said
     since_s = weak().verdict.since_s
@@ -102,7 +100,6 @@ def test_the_page_says_the_verdict_its_evidence_and_where_it_comes_from() -> Non
         (logged(without(flying(3000, 7), (0.0, 1e9), signals=(Signal.BODY_RATE,))), "no body rate"),
         (logged(without(flying(3000, 7), (0.0, 1e9), signals=(Signal.ATTITUDE_SETPOINT,))), "no attitude setpoint"),
         (logged(flight(3000, 7), "px4"), "another link"),
-        (plain(1)[0], "another link"),
     ],
 )
 def test_a_log_that_carries_less_says_what_is_not_drawn(log: Log, reason: str) -> None:
@@ -134,13 +131,6 @@ def test_several_logs_begin_with_a_table_that_leads_to_each_and_equal_values_giv
     assert "All logs: 1 not readable, 1 fault." in page.said
     assert "This file could not be read: no such file." in page.said
     assert flights_page(flights, whole(), "baseline.json", CREATED) == text
-    assert dots() == dots()
-
-
-@picture("attitude")
-def dots() -> Chart:
-    line = Line(np.array([1.0, 2.0]), np.array([3.0, 4.0]), "a & b", shape="dots")
-    return Chart([Panel("<label>", [line])], (0.0, 3.0), "words & <more>")
 
 
 def test_a_campaign_is_drawn_from_its_results() -> None:

@@ -16,7 +16,6 @@ from mavdiag.monitors.rotor_speed import FLOOR, LAW, LAW_SD, MADE_UP_RAD_S, Roto
 from mavdiag.rows.block import in_rotor_order
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.faults import loaded
 
 X = layout_named("x")
 CONTEXT = LearnContext(Airframe(layout=X), None, 0.01, 11)
@@ -134,16 +133,6 @@ def test_a_flight_over_a_link_names_the_rotor() -> None:
     assert value == pytest.approx(0.02, rel=0.2)
     assert level < 0
     assert int(rotors.argmax()) == 2
-
-
-def test_a_motor_turns_faster_with_less_drag_by_the_steady_state() -> None:
-    """(1 - e) s + e d s^2 = 1; to first order ds/s = -e/(1 + e) dd."""
-    drag = np.array([0.5, 0.96, 1.0, 1.3])
-    for share in (0.1, 0.2, 0.3):
-        s = loaded(drag, share)
-        np.testing.assert_allclose((1 - share) * s + share * drag * s**2, 1.0, rtol=1e-12)
-        assert (s[1] - 1) / 0.04 == pytest.approx(share / (1 + share), rel=0.05)
-    np.testing.assert_array_equal(loaded(drag, 0.0), 1.0)
 
 
 def test_a_rotor_that_lags_behind_turns_of_one_sense_is_silent_in_turns_of_the_other() -> None:

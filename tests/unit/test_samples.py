@@ -78,7 +78,6 @@ def test_setpoint_angles_rates_and_thrust() -> None:
     [
         (TargetMask.ATTITUDE, {Signal.ATTITUDE_SETPOINT}),
         (TargetMask.BODY_YAW_RATE, {Signal.RATE_SETPOINT}),
-        (TargetMask.THROTTLE, {Signal.THRUST_SETPOINT}),
         (TargetMask.THROTTLE | TargetMask.BODY_ROLL_RATE, {Signal.THRUST_SETPOINT, Signal.RATE_SETPOINT}),
     ],
 )

@@ -207,11 +207,11 @@ def broken(flights: int, sessions: int, rng: np.random.Generator) -> tuple[float
     return *alarms, float(np.mean(session_of[:, None] + each > found[0].suspected[0] * found[0].value))
 
 
-@pytest.mark.parametrize(("flights", "sessions"), [(3, 1), (5, 3), (10, 3), (30, 1)])
+@pytest.mark.parametrize(("flights", "sessions"), [(3, 1), (10, 3), (30, 1)])
 def test_new_airframes_alarm_and_are_suspected_as_often_as_promised(flights: int, sessions: int) -> None:
     """Taught by a few flights and judged in other sessions: the mean over airframes is the promise, or less."""
     rng = np.random.default_rng([flights, sessions])
-    shares = np.array([broken(flights, sessions, rng) for _ in range(200)]).T
+    shares = np.array([broken(flights, sessions, rng) for _ in range(120)]).T
     for rates, promise in zip(shares, (*BUDGETS, 1 / FLIGHTS_PER_SUSPICION), strict=True):
         assert np.mean(rates) < 1.5 * promise, f"seed [{flights}, {sessions}]: {np.mean(rates):.4f}"
         assert np.mean(rates) > promise / 2, f"no bluntness is kept in store: {np.mean(rates):.4f}"
@@ -226,7 +226,7 @@ def test_airframes_of_the_other_class_are_known_by_their_flights(sessions: int) 
     rng, whose, numbers = np.random.default_rng([17, sessions]), np.arange(10) % sessions, np.repeat(np.arange(10), 3)
     for prior in (one, other):
         ratios = []
-        for _ in range(30):
+        for _ in range(20):
             session, flight, block = (
                 sd * math.sqrt(DEGREES / rng.chisquare(DEGREES)) for sd in (prior.session, prior.flight, prior.block)
             )
@@ -237,17 +237,6 @@ def test_airframes_of_the_other_class_are_known_by_their_flights(sessions: int) 
             ratios.append(found.value / alone.value)
         assert np.median(ratios) == pytest.approx(1.0, abs=0.02)
         assert np.quantile(ratios, 0.1) > 0.9
-
-
-@pytest.mark.parametrize("flights", [3, 9])
-def test_the_maximum_rule_has_its_price(flights: int) -> None:
-    rng = np.random.default_rng(11)
-    healthy = rng.exponential(size=(1500, flights))
-    beaten = [
-        level(x, 1.0, rule=ThresholdRule.MAXIMUM).value < new
-        for x, new in zip(healthy, rng.exponential(size=1500), strict=True)
-    ]
-    assert np.mean(beaten) == pytest.approx(1 / (flights + 1), abs=0.03)
 
 
 def flights(trims: FloatArray, learnt: int, sessions: list[int] | None = None, sets: list[int] | None = None) -> Flown:

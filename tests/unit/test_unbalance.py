@@ -82,9 +82,7 @@ def test_the_rotor_is_named_with_sensors_a_millisecond_apart(spec: UnbalanceSpec
     ("rate_hz", "corner_hz", "rotor_hz", "word"),
     [
         (1000.0, None, None, None),
-        (400.0, None, 167.0, None),
         (100.0, 20.0, None, "low-passed at 20 Hz"),  # ArduPilot's RAW_IMU
-        (1000.0, 20.0, None, "low-passed at 20 Hz"),
         (50.0, None, None, "comes at 50 Hz"),
         (160.0, None, 167.0, "fold to 7 Hz"),  # PX4's HIGHRES_IMU
         (250.0, None, 167.0, None),  # folds to 83 Hz
