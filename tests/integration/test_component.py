@@ -406,6 +406,7 @@ def test_a_lost_link_ends_it_until_the_fault_is_found_again(benches: Benches) ->
 def taught_by_two(monkeypatch: pytest.MonkeyPatch) -> None:
     """Flights to learn from are half of the time that these tests take."""
     monkeypatch.setattr("reactions.TAUGHT", 2)
+    monkeypatch.setattr("reactions.LEARN_S", 40.0)
 
 
 @pytest.mark.usefixtures("taught_by_two")
