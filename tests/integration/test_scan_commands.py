@@ -257,7 +257,7 @@ def test_a_killed_worker_loses_nothing_and_gives_nothing_twice(tmp_path: Path) -
     assert sum(json.loads(line)["verdict"] == "fault" for line in lines) == len(names[::7])
 
 
-FLIGHT_S = 20.0
+FLIGHT_S = 25.0
 RISE = 0.3  # of the command of the front right rotor
 OWN = tuple(f"F0_SV0_SP1_t2_D1_R{number}.mat" for number in (1, 2, 3))
 
