@@ -1,15 +1,17 @@
 """Making a baseline beside the daemon (edge): in a process of its own, so that the receive loop never stalls."""
 
-import contextlib
 import multiprocessing
 import os
+import queue
 import signal
+import threading
 import time
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from pickle import PickleError
 
 from detector.values import FitOutcome, Learn
 from mavdiag.airframe.airframe import Airframe
@@ -19,6 +21,8 @@ from mavdiag.telemetry import Log
 
 LIMIT_S = 300.0  # longer than any fit takes on a small companion computer (our choice)
 NICENESS = 10  # the receive loop comes first
+#: What a start, a hand-over and an answer may raise: of the system, of a link that ended, of what cannot be read.
+FAILURES = (OSError, EOFError, MemoryError, ImportError, AttributeError, TypeError, ValueError, PickleError)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,64 +54,75 @@ def fit_baseline(job: FittingJob) -> FitOutcome:
     return sealed(baseline.model_copy(update={"provenance": provenance}))
 
 
-def _work(job: FittingJob, answer: Connection) -> None:
+def _work(link: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to both processes, but is the daemon's business
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     os.nice(NICENESS)
-    answer.send(fit_baseline(job))
+    link.send(fit_baseline(link.recv()))
 
 
 class ProcessFitter:
-    """Fits one job after the other, each in a process of its own."""
+    """Fits one job after the other, each in a process of its own. A thread starts it and hands the flight over.
+
+    That may take seconds, and whatever goes wrong there is an outcome.
+    """
 
     def __init__(self) -> None:
-        self._waiting: list[FittingJob] = []
-        self._running: tuple[int, BaseProcess, Connection, float] | None = None
+        self._jobs: queue.SimpleQueue[FittingJob] = queue.SimpleQueue()
+        self._outcomes: queue.SimpleQueue[tuple[int, FitOutcome]] = queue.SimpleQueue()
+        self._lock = threading.Lock()  # held while a process starts
+        self._closed = False
+        self._process: BaseProcess | None = None  # at work, and since when (monotonic clock)
+        self._since_s = 0.0
+        threading.Thread(target=self._run, name="fitting", daemon=True).start()
 
     def begin(self, job: FittingJob) -> None:
         """Start on a job, or put it behind the present one."""
-        self._waiting.append(job)
-        self._next()
+        self._jobs.put(job)
 
     def poll(self) -> list[tuple[int, FitOutcome]]:
         """Outcomes since the last call, by system id. A job that takes too long has failed."""
-        if self._running is None:
-            return []
-        vehicle, _, answer, since_s = self._running
-        outcome: FitOutcome = "the fitting process ended early or took too long; fly on to try again"
-        if answer.poll():
-            with contextlib.suppress(EOFError):  # it ended without an answer
-                outcome = answer.recv()
-        elif time.monotonic() - since_s <= LIMIT_S:
-            return []
-        self._end_process()
-        self._next()
-        return [(vehicle, outcome)]
+        if (process := self._process) is not None and time.monotonic() - self._since_s > LIMIT_S:
+            process.terminate()
+        return [self._outcomes.get() for _ in range(self._outcomes.qsize())]
 
     def close(self) -> None:
         """Give up what is not done."""
-        self._waiting.clear()
-        self._end_process()
+        with self._lock:
+            self._closed = True
+            if (process := self._process) is not None:
+                process.terminate()
 
-    def _next(self) -> None:
-        if self._running is not None or not self._waiting:
-            return
-        job, context = self._waiting.pop(0), multiprocessing.get_context("spawn")
-        answer, end = context.Pipe(duplex=False)
-        # The process inherits the block, so that Ctrl-C cannot end it before it ignores that. The tracker, which
-        # multiprocessing starts before the first process, would lift the block again.
+    def _run(self) -> None:
+        while not self._closed:
+            self._outcomes.put(self._outcome(self._jobs.get()))
+
+    def _outcome(self, job: FittingJob) -> tuple[int, FitOutcome]:
+        try:
+            return job.vehicle, self._fit(job)
+        except FAILURES as error:
+            why = f"the fitting process failed or took too long ({error!r}); fly on to try again"
+            return job.vehicle, why
+
+    def _fit(self, job: FittingJob) -> FitOutcome:
+        context = multiprocessing.get_context("spawn")
+        link, end = context.Pipe()
+        process = context.Process(target=_work, args=(end,), daemon=True)
+        # The process inherits the thread's block, so that Ctrl-C cannot end it before it ignores that. The tracker,
+        # which multiprocessing starts before the first process, would lift the block again.
         resource_tracker.ensure_running()
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        process = context.Process(target=_work, args=(job, end), daemon=True)
-        process.start()
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        end.close()
-        self._running = (job.vehicle, process, answer, time.monotonic())
-
-    def _end_process(self) -> None:
-        if self._running is not None:
-            _, process, answer, _ = self._running
-            answer.close()
-            process.terminate()
-            process.join()
-            self._running = None
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        with link:
+            with end, self._lock:
+                if self._closed:
+                    return "the daemon stops"
+                process.start()
+                self._process, self._since_s = process, time.monotonic()
+            try:
+                link.send(job)
+                outcome: FitOutcome = link.recv()
+                return outcome
+            finally:
+                self._process = None
+                process.terminate()
+                process.join()

@@ -63,8 +63,7 @@ class FakeFitter(ProcessFitter):
     """Answers every job with what it was given, two looks later."""
 
     def __init__(self, outcome: FitOutcome | None = None) -> None:
-        super().__init__()
-        self.outcome = outcome
+        self.outcome = outcome  # without the thread of the real one
         self.jobs: list[FittingJob] = []
         self._looks: list[tuple[int, int]] = []
         self.closed = False

@@ -3,12 +3,14 @@
 import itertools
 import multiprocessing
 import runpy
+import threading
 import time
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from made_baselines import trim
 from made_session import Story, baseline_for, outcome_of
+from web_page import wait_for
 
 from detector.alerts import label_of
 from detector.config import SessionSettings, Settings
@@ -380,19 +383,29 @@ def test_only_its_own_process_is_ended() -> None:
     try:
         fitter = ProcessFitter()
         fitter.begin(FittingJob(1, Airframe(), Learn("qdrone2", Telemetry())))
-        own = [one for one in multiprocessing.active_children() if one.pid != other.pid]
-        assert len(own) == 1
+        wait_for(lambda: len(multiprocessing.active_children()) == 2, "the fit begins")
+        [own] = [one for one in multiprocessing.active_children() if one.pid != other.pid]
         fitter.close()
-        ended_by = time.monotonic() + 10.0
-        while (
-            own[0].is_alive() and time.monotonic() < ended_by
-        ):  # the pool's thread waits for it, too: one of both is told
-            time.sleep(0.02)
-        assert not own[0].is_alive()
+        wait_for(lambda: not own.is_alive(), "it ends")  # the fitter's thread waits for it, too: one of both is told
         assert other.is_alive()
     finally:
         other.kill()
         other.join()
+
+
+@pytest.mark.parametrize("what", ["multiprocessing.util.spawnv_passfds", "multiprocessing.connection.Connection.recv"])
+def test_a_fitting_process_that_fails_is_an_outcome_and_nothing_waits_for_it(what: str) -> None:
+    begun, fitter = threading.Event(), ProcessFitter()
+
+    def fail(*_: object) -> None:
+        raise OSError(f"begun {begun.wait(10.0)}")
+
+    with patch(what, fail):
+        fitter.begin(FittingJob(1, Airframe(), Learn("qdrone2", Telemetry())))
+        begun.set()
+        [(vehicle, outcome)] = wait_for(fitter.poll, "it fails")
+    fitter.close()
+    assert (vehicle, "begun True" in outcome) == (1, True)
 
 
 @dataclass
