@@ -210,13 +210,13 @@ class Session:
         if looked or not self.settings.negotiate or self.state in (State.FITTING, State.FAULTED):
             return
         self._looked, self._changes = now, streams.changes
-        asked = self._sticks_asked is not None and now - self._sticks_asked < STICKS_S
-        if self.state is State.MONITORING and self.reaction.blind and not asked:
-            self._sticks_asked = now
-            self._effects += self._negotiation.ask_for(MessageId.RC_CHANNELS, STICKS_HZ, now)
         effects, notices = self._negotiation.step(self._demand(received).wants, streams, received.acks, now)
         self._effects += effects
         self._notices += notices
+        asked = self._sticks_asked is not None and now - self._sticks_asked < STICKS_S
+        if self.state is State.MONITORING and self.reaction.blind and not asked and self._negotiation.free:
+            self._sticks_asked = now
+            self._effects += self._negotiation.ask_for(MessageId.RC_CHANNELS, STICKS_HZ, now)
         if self.baseline is None:  # what they tell of rotors and filter is learnt with the flight
             self._reading, names = self._reading.step(own.autopilot, received.parameters, now)
             self._effects += [AskParameters(names)] if names else []

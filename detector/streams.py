@@ -6,6 +6,10 @@ A stream that is missing, or whose measured rate will not do, is asked for by SE
 the pauses of `PAUSES_S`. Tries are forgotten once a rate was right for 5 s; one that is changed again before is asked
 for ever more seldom, for two that set the same rate must not fight. A refusal is an answer. Where the autopilot does
 not send the IMU message of its profile, those of `Want.others` are asked for in turn.
+
+An acknowledgement does not name the message. So one request waits for its answer at a time, for `ACK_S` at most, and
+those with the fewest tries come first. Once an autopilot let that time pass without ever having answered, it is asked
+for all at once, and an answer that may be that of several requests counts for none.
 """
 
 from collections import defaultdict, deque
@@ -53,7 +57,7 @@ VAIN = 3  # tries after which a message that never came is not to be had (our ch
 OFTEN = 3  # changes by others after which the operator is told
 SETTLE_S = 2.5  # after a request, before rates are reported (our choice)
 CALM_S = 1.0  # between two looks while nothing is to be asked or told soon and no rate changes (our choice)
-ACK_S = 2.0  # an acknowledgement that has not come by then is lost; no later than the next request (our choice)
+ACK_S = 2.0  # an acknowledgement that has not come by then is lost; no later than the same request again (our choice)
 _REFUSED = (MavResult.DENIED, MavResult.UNSUPPORTED, MavResult.FAILED)
 
 
@@ -300,13 +304,19 @@ class Negotiation:
     def __init__(self, autopilot: int = 0) -> None:
         self._autopilot, self.calm = autopilot, False
         self._asks: defaultdict[int, _Ask] = defaultdict(_Ask)
-        self._awaited: list[tuple[int, Instant]] = []  # messages whose acknowledgement has not come, in order
+        self._awaited: tuple[int | None, Instant] | None = None  # message that waits for an answer; None for several
+        self._answers: bool | None = None  # whether an answer ever came; None while the first request may have one
+
+    @property
+    def free(self) -> bool:
+        """Whether a request may go out now."""
+        return self._awaited is None or self._answers is False
 
     def step(
         self, wants: Sequence[Want], streams: Streams, acks: Sequence[Ack], now: Instant
     ) -> tuple[list[Effect], list[Notice]]:
         """Take in acknowledgements and measured rates; return what to ask and what to say."""
-        effects: list[Effect] = [*self._acknowledged(acks, now)]
+        effects, due = list[Effect](self._acknowledged(acks, now)), list[tuple[_Ask, int, float]]()
         rates_hz = {want.msgid: streams.rate_hz(want.signal, now) for want in wants}
         for want in wants:
             rate_hz = rates_hz[want.msgid]
@@ -319,29 +329,33 @@ class Negotiation:
             ask, right = self._asks[msgid], want.least_hz <= rate_hz <= want.most_hz
             ask.look(right, now)
             if not right and ask.due(now):
-                effects += self.ask_for(msgid, want.ask_hz, now)
-                ask.tries, ask.at = ask.tries + 1, now
+                due.append((ask, msgid, want.ask_hz))
             effects += self._told(ask, msgid, want, streams, rate_hz, now)
+        for ask, msgid, ask_hz in sorted(due, key=lambda one: one[0].tries):
+            if self.free:
+                effects += self.ask_for(msgid, ask_hz, now)
+                ask.tries, ask.at = ask.tries + 1, now
         notices, told = self._reported(rates_hz, now), None not in rates_hz.values()
         self.calm = told and not (effects or notices or any(ask.pressing(now) for ask in self._asks.values()))
         return effects, notices
 
     def ask_for(self, msgid: int, rate_hz: float, now: Instant) -> list[Effect]:
         """Ask once for a stream."""
-        self._awaited.append((msgid, now))
+        self._awaited = (msgid if self._awaited is None else None, now)
         interval_us = round(1e6 / rate_hz)
         told = Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz")
         return [SendCommand(MavCmd.SET_MESSAGE_INTERVAL, (msgid, interval_us)), told]
 
     def _acknowledged(self, acks: Sequence[Ack], now: Instant) -> list[Note]:
-        """Acknowledgements are taken to come in the order of the requests; MAVLink has nothing better for them."""
         notes = []
-        self._awaited = [(msgid, at) for msgid, at in self._awaited if now - at <= ACK_S]
         for ack in acks:
-            if ack.command == MavCmd.SET_MESSAGE_INTERVAL and self._awaited:
-                msgid, _ = self._awaited.pop(0)
-                self._asks[msgid].answer = ack.result
-                notes.append(Note(f"{message_name(msgid)}: the autopilot answered {_result(ack.result)}"))
+            if ack.command == MavCmd.SET_MESSAGE_INTERVAL and self._awaited is not None:
+                (msgid, _), self._answers = self._awaited, True
+                if msgid is not None:
+                    self._awaited, self._asks[msgid].answer = None, ack.result
+                    notes.append(Note(f"{message_name(msgid)}: the autopilot answered {_result(ack.result)}"))
+        if self._awaited is not None and now - self._awaited[1] > ACK_S:
+            self._awaited, self._answers = None, bool(self._answers)
         return notes
 
     def _told(self, ask: _Ask, msgid: int, want: Want, streams: Streams, rate_hz: float, now: Instant) -> list[Note]:
@@ -356,7 +370,7 @@ class Negotiation:
             return [Note(f"{name}: {why} (MAVProxy: set streamrate -1)")]
         if rate_hz and ask.at is not None and now - ask.at >= HELD_S and "rate" not in ask.told:
             ask.told.add("rate")
-            answer = "did not answer" if ask.answer is None else f"answered {_result(ask.answer)}"
+            answer = "gave no clear answer" if ask.answer is None else f"answered {_result(ask.answer)}"
             steady_hz = streams.meter(want.signal).steady_hz or rate_hz
             came = f"the autopilot {answer}, {steady_hz:.1f} Hz come"
             return [Note(f"{name}: asked for {want.ask_hz:g} Hz, {came}")]

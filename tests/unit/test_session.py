@@ -28,7 +28,7 @@ from detector.fleet import Fleet, Vehicle
 from detector.judging import Judge, chain_for
 from detector.session import FITS, Session
 from detector.states import TABLE, State
-from detector.streams import HELD_S, Negotiation, Streams
+from detector.streams import HELD_S, METERED, Negotiation, Streams
 from detector.values import (
     Learn,
     Note,
@@ -46,7 +46,7 @@ from mavdiag.errors import BaselineError
 from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import LAST_RESORT, PROFILES
 from mavdiag.link.vehicles import Ack, Received
-from mavdiag.link.wants import Want
+from mavdiag.link.wants import Want, wants_of
 from mavdiag.telemetry import FloatArray, Instant, Series, Signal, Telemetry
 from mavdiag.units import G
 
@@ -473,3 +473,20 @@ def test_another_imu_message_is_asked_for_where_the_profiles_own_is_not_to_be_ha
         talk.wait(1.0, Seen(GYRO, 0.0), acks=acks)
     order = list(dict.fromkeys(msgid for _, msgid in talk.asked))
     assert order == [MessageId.RAW_IMU, MessageId.HIGHRES_IMU, LAST_RESORT]
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_an_answer_counts_for_its_own_request_and_a_mute_autopilot_is_soon_asked_for_all(answers: bool) -> None:
+    talk, acks, denied = Talk(), tuple[Ack, ...](), MessageId.ESC_TELEMETRY_1_TO_4
+    wants = wants_of(PROFILES["ardupilot"], METERED, (100.0, 98.0, 102.0), 50.0)
+    for _ in range(round(8.0 / TICK_S)):
+        before = len(talk.asked)
+        talk.wait(TICK_S, *(Seen(want, 0.0) for want in wants), acks=acks)
+        came = [
+            msgid for number, (_, msgid) in enumerate(talk.asked) if number >= before and number != 2
+        ]  # one is lost
+        results = (MavResult.DENIED if msgid == denied else MavResult.ACCEPTED for msgid in came)
+        acks = tuple(Ack(MavCmd.SET_MESSAGE_INTERVAL, result) for result in results if answers)
+    times = {want.msgid: [at for at, msgid in talk.asked if msgid == want.msgid] for want in wants}
+    assert max(first for first, *_ in times.values()) < 3.0
+    assert [msgid for msgid, asked in times.items() if len(asked) == 1] == [denied] * answers
