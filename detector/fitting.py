@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from pickle import PickleError
 
 from detector.values import FitOutcome, Learn
 from mavdiag.airframe.airframe import Airframe
@@ -20,6 +21,8 @@ from mavdiag.telemetry import Log
 
 LIMIT_S = 300.0  # longer than any fit takes on a small companion computer (our choice)
 NICENESS = 10  # the receive loop comes first
+#: What a start, a hand-over and an answer may raise: of the system, of a link that ended, of what cannot be read.
+FAILURES = (OSError, EOFError, MemoryError, ImportError, AttributeError, TypeError, ValueError, PickleError)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +100,7 @@ class ProcessFitter:
     def _outcome(self, job: FittingJob) -> tuple[int, FitOutcome]:
         try:
             return job.vehicle, self._fit(job)
-        except Exception as error:  # noqa: BLE001  # whatever ends a fit, watching goes on, and the next fit may succeed
+        except FAILURES as error:
             why = f"the fitting process failed or took too long ({error!r}); fly on to try again"
             return job.vehicle, why
 
