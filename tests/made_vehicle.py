@@ -77,6 +77,8 @@ class FakeFitter(ProcessFitter):
         self._looks = [one for one in self._looks if one[0] > 0]
         return done
 
+    def close(self) -> None: ...
+
 
 class MadeVehicle:
     """Sends heartbeats and the two main streams, hovering with random set-points it follows at once."""
