@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TextIO
 
 from mavdiag.errors import UsageError
+from mavdiag.storage import begins
 from sitl_plant.physics.faults import Injection, SensorFault
 from sitl_plant.plant import STEP_NS, Change, PlantConfig, PlantSamples
 
@@ -94,7 +95,9 @@ def _ns(t_s: float) -> float:
 
 
 def truth_file(path: Path | None) -> AbstractContextManager[TextIO | None]:
-    """The open file, None for no file. Raises UsageError if it cannot be written."""
+    """The open file, None for no file. Raises UsageError if it cannot be written, or is a file of another kind."""
+    if path is not None and not begins(path, rb'\{"record"'):
+        raise UsageError(f"{path}: holds something else, which would be lost; choose another --truth file")
     try:
         return nullcontext() if path is None else path.open("w", encoding="utf-8")
     except OSError as error:

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
+from mavdiag.archive.paths import check_output
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands.options import BaselineFile, Columns, Vehicle
@@ -13,6 +14,8 @@ from mavdiag.judging import judge_in_full
 from mavdiag.logs import read_log
 from mavdiag.logs.csv_columns import load_column_map
 from mavdiag.storage import write_atomically
+
+KINDS = {"mcap": rb"\x89MCAP", "parquet": b"PAR1"}  # how the files begin
 
 
 def export(
@@ -39,6 +42,7 @@ def export(
         from mavdiag.export.lua import applet, left_out
 
         loaded = Baseline.load(lua)
+        check_output(output, lua)
         write_atomically(output, applet(loaded, table_key))
         for one in left_out(loaded):
             say(f"left out   {one}")
@@ -46,8 +50,7 @@ def export(
     if log is None or len(chosen) != 1:
         raise UsageError("name one LOG and one of --mcap, --csv, --parquet; or --lua BASELINE -o FILE")
     output = output or Path(log.name).with_suffix(f".{chosen[0]}")
-    if output.exists() and log.exists() and output.samefile(log):
-        raise UsageError(f"{output} is the log itself; name another file with -o")
+    check_output(output, log, baseline, columns, kind=KINDS.get(chosen[0]))
     from mavdiag.export import flight
 
     found = read_log(log, vehicle, columns=load_column_map(columns) if columns else None)

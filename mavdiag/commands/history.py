@@ -13,6 +13,7 @@ import typer
 from typer import Option
 
 from mavdiag.archive.figures import FlightRecord
+from mavdiag.archive.paths import check_output
 from mavdiag.archive.scan import Answer, Options, Question
 from mavdiag.archive.together import reference_of
 from mavdiag.baseline import Baseline
@@ -101,6 +102,8 @@ def show(
 
     Exit code 1 if a statistic reaches its threshold soon, a rotor has changed, or the last flight is a fault; else 0.
     """
+    if html is not None:
+        check_output(html, Path(database))
     with _open(database) as history:
         names = history.names(airframe)
         known = history.references()
