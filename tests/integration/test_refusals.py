@@ -11,6 +11,7 @@ PROGRAMS = {"mavdiag": "mavdiag.cli", "mavdiag-detector": "detector.__main__", "
 CAMPAIGN = "sitl-plant campaign -o r.jsonl --flights 0 --hours 0 --workers 1"
 FLEET = "sitl-plant fleet -n 2 --fault F2/SV2 --out udpout:127.0.0.1:9"
 LEARN, HISTORY = "mavdiag-detector --learn 10 --save b.json", "mavdiag history show --database"
+DETECTOR = "mavdiag-detector --baseline baseline.json"
 SCAN = "mavdiag scan a.tlog --baseline baseline.json"
 REFUSED = [
     ("sitl-plant run --fault F9/SV1", "no fault 'F9/SV1': give F1, F2 or F3"),
@@ -48,6 +49,10 @@ REFUSED = [
     (f"{LEARN} --config absent.toml", "absent.toml: no such file; check --config"),
     ("mavdiag-detector --check --baseline absent.json", "absent.json: no such file"),
     (f"{LEARN} --check --record .", "is a folder"),
+    (f"{DETECTOR} --check --record baseline.json", "baseline.json: is named twice"),
+    (f"{DETECTOR} --journal a.tlog", "a.tlog: is no journal so far"),
+    (f"{DETECTOR} --check --journal a.out --record a.out", "a.out: is named twice"),
+    (f"{LEARN} --record baseline.json", "baseline.json: is no record so far"),
     ("mavdiag-detector --check --learn 9 --save absent/b.json", "there is no folder absent"),
     ("mavdiag history", "no history there; make one with `mavdiag history add`"),
     ("mavdiag history list --airframe", "'--airframe' requires an argument"),
