@@ -1,6 +1,9 @@
 """What a command cannot do is one line on stderr and exit code 2, before anything is done."""
 
+import io
 import shlex
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -128,3 +131,20 @@ def test_what_cannot_be_done_is_one_line_and_leaves_nothing(
     assert words in line
     assert "secret" not in line
     assert sorted(place.rglob("*")) == before
+
+
+@pytest.mark.parametrize(("end", "code"), [(">/dev/full", 2), (">&- 2>&-", 0), ("no-such-file 2>/dev/full", 2)])
+def test_an_output_that_cannot_be_written_is_an_error_and_no_verdict(place: Path, end: str, code: int) -> None:
+    command = f"{sys.executable} -m mavdiag baseline show baseline.json {end}"
+    ran = subprocess.run(["sh", "-c", command], cwd=place, stdout=-1, stderr=-1, text=True, check=False)
+    assert (ran.returncode, "Traceback" in ran.stderr) == (code, False)
+
+
+def test_a_fault_of_ours_ends_with_2_and_what_a_terminal_lacks_is_shown_as_its_escape(
+    program: Callable[..., tuple[int, str, str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr", io.TextIOWrapper(raw := io.BytesIO(), "latin-1", write_through=True))
+    assert program("mavdiag.cli", "baseline", "show", "отчёт")[0] == 2
+    assert rb"\u043e" in raw.getvalue()
+    monkeypatch.setattr("mavdiag.commands.identify.Baseline.load", lambda path: 1 / 0)
+    assert program("mavdiag.cli", "baseline", "show", "b.json")[0] == 2
