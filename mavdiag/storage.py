@@ -115,16 +115,24 @@ def _same(path: Path, other: Path) -> bool:
 
 
 def write_atomically(path: Path, content: str | bytes, *, durable: bool = True) -> None:
-    """Write a file by way of a temporary one beside it; a text as UTF-8. Raises UsageError if that fails.
+    """Write a file as `replacing` does; a text as UTF-8. Raises UsageError if that fails."""
+    with replacing(path, durable=durable) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+
+
+@contextmanager
+def replacing(path: Path, *, durable: bool = True) -> Iterator[BinaryIO]:
+    """A temporary file beside it to write to, which takes its place if the block ends well; else the old one stays.
 
     durable: wait until the disk has it; without, a loss of power may leave an empty file.
+    Raises UsageError if that fails, also out of the block.
     """
     check_output(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         try:
             with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
-                file.write(content.encode() if isinstance(content, str) else content)
+                yield file
                 file.flush()
                 if durable:
                     os.fsync(file.fileno())

@@ -96,7 +96,7 @@ def record(
         check_output(path, truth, kind=AS_TLOG)
         own = replace(plan, config=replace(plan.config, seed=plan.config.seed + number, landed_s=duration))
         words = f"{path}: flying {duration:g} s; the first flight compiles the plant, up to a minute ..."
-        with truth_file(truth) as lines, working(words):
+        with truth_file(truth, whole=True) as lines, working(words):
             messages = record_flight(path, own, duration, _written(lines, own, None).write)
         typer.echo(f"{path}: {duration:g} s of flight, {messages} messages")
 

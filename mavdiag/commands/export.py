@@ -13,7 +13,7 @@ from mavdiag.errors import UsageError
 from mavdiag.judging import judge_in_full
 from mavdiag.logs import read_log
 from mavdiag.logs.csv_columns import load_column_map
-from mavdiag.storage import write_atomically
+from mavdiag.storage import replacing, write_atomically
 
 KINDS = {"mcap": rb"\x89MCAP", "parquet": b"PAR1"}  # how the files begin
 
@@ -56,14 +56,11 @@ def export(
     found = read_log(log, vehicle, columns=load_column_map(columns) if columns else None)
     judged = judge_in_full(found, Baseline.load(baseline)) if baseline is not None else None
     topics = list(flight.topics_of(found, judged))
-    try:
-        if mcap:
-            flight.write_mcap(output, found, topics, judged.verdict.changes if judged else ())
-        elif csv:
-            flight.table_of(topics).to_csv(output)
-        else:
-            flight.table_of(topics).to_parquet(output)
-    except OSError as error:
-        raise UsageError(f"{output}: {error.strerror}; name a file that can be written") from error
+    if mcap:
+        flight.write_mcap(output, found, topics, judged.verdict.changes if judged else ())
+    else:
+        table = flight.table_of(topics)
+        with replacing(output) as file:
+            table.to_csv(file) if csv else table.to_parquet(file)
     say(str(judged.verdict) if judged else f"{found.name}: signals alone; name a --baseline to judge it")
     return say(f"written to {output}: {', '.join(topic.name for topic in topics)}")
