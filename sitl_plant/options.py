@@ -18,6 +18,7 @@ from sitl_plant.physics.trajectory import Nose, Shape
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import shipped_vehicles, vehicle_from
 
+LONGEST_S = 1e6  # of a flight: 11 days (our choice)
 STARTING = "starting the plant; the first start compiles it and takes up to a minute ..."
 _VEHICLES = f"One of {', '.join(shipped_vehicles())}, or a file."
 _ROTOR = "Damaged rotor, as the vehicle's file counts; qdrone2: 1 rear right, 2 front right, 3 rear left, 4 front left."
@@ -95,8 +96,8 @@ def flight_plan(
 
 def check_times(fault: str | None, onset_s: float, duration_s: float | None) -> None:
     """Raise UsageError for an onset without a fault, or a time that cannot be."""
-    if duration_s is not None and not duration_s > 0.0:
-        raise UsageError(f"duration must be positive, not {duration_s:g}")
+    if duration_s is not None and not 0.0 < duration_s <= LONGEST_S:
+        raise UsageError(f"duration must be positive and at most {LONGEST_S:g} s, not {duration_s:g}")
     if not (math.isfinite(onset_s) and onset_s >= 0.0):
         raise UsageError(f"--onset must be zero or more, not {onset_s:g}")
     if fault is None and onset_s > 0.0:

@@ -164,7 +164,10 @@ def _time(text: str) -> int:
         at = datetime.fromisoformat(text)
     except ValueError as error:
         raise UsageError(f"time {text!r}: write it like 2026-03-01 or 2026-03-01T14:30") from error
-    return round((at.replace(tzinfo=UTC) if at.tzinfo is None else at).timestamp()) * NS_PER_S
+    t_ns = round((at.replace(tzinfo=UTC) if at.tzinfo is None else at).timestamp()) * NS_PER_S
+    if not 0 <= t_ns < 1 << 63:
+        raise UsageError(f"time {text!r}: give one from 1970 to 2262")
+    return t_ns
 
 
 def _flight_line(number: int, record: FlightRecord) -> str:

@@ -24,8 +24,11 @@ from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands import options as opt
 from mavdiag.commands.progress import shown, sizes_of
+from mavdiag.errors import UsageError
 from mavdiag.judging import JUDGED_SHARE, Verdict, exit_code
 from mavdiag.logs import check_times
+
+LONGEST_S = 1e6  # of a window: 11 days (our choice)
 
 
 def scan(
@@ -59,6 +62,8 @@ def scan(
     """
     reference = Baseline.load(baseline)
     check_times(from_s, to_s)
+    if windows is not None and not windows <= LONGEST_S:
+        raise UsageError(f"--windows {windows:g}: give a length of at most {LONGEST_S:g} s")
     found, mapped = opt.find_logs(logs, columns)
     read = (baseline, columns, *(log.path for log in found.logs))
     if csv is not None:

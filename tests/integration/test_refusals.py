@@ -23,6 +23,7 @@ REFUSED = [
     ("sitl-plant run --profile betaflight", "no link profile betaflight"),
     ("sitl-plant run --speed fast", "speed must be 0.01 to 100, or max"),
     ("sitl-plant run --duration -1", "duration must be positive"),
+    ("sitl-plant record -o t.tlog --duration inf", "duration must be positive and at most 1e+06 s"),
     ("sitl-plant run --out udpout:localhost", "malformed address"),
     ("sitl-plant run --out /dev/no-such-tty,57600", "no such device"),
     ("sitl-plant run --truth /no/such/t.jsonl --out udpin:127.0.0.1:0", "choose another --truth"),
@@ -62,6 +63,7 @@ REFUSED = [
     ("mavdiag history --airframe x list", "unexpected extra argument"),
     ("mavdiag history mark --airframe x", "say what was done"),
     ("mavdiag history mark --airframe x --repair --at yesterday", "write it like 2026-03-01"),
+    ("mavdiag history mark --airframe x --repair --at 2999-03-01", "give one from 1970 to 2262"),
     (f"{HISTORY} postgresql://me:secret@127.0.0.1:1/fleet", "Connection refused"),
     (f"{HISTORY} postgresql://me:secret@127.0.0.1:port/fleet", "postgresql"),
     ("mavdiag history add x.tlog --baseline none.json", "none.json: no such file"),
@@ -102,6 +104,7 @@ REFUSED = [
     ("sitl-plant record -o baseline.json", "baseline.json: holds a flight log or a baseline"),
     (f"{CAMPAIGN} -o baseline.json", "baseline.json: holds something else than results"),
     (f"{SCAN} --windows 0.5", "Invalid value for '--windows'"),
+    (f"{SCAN} --windows inf", "give a length of at most"),
     (f"{SCAN} --scheduler tcp://127.0.0.1:1", "no Dask scheduler at tcp://127.0.0.1:1"),
 ]
 
