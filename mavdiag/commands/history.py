@@ -67,7 +67,7 @@ def add(
         raise UsageError("--at and --ordered file-time both say when; give one of them")
     reference = Baseline.load(baseline)
     question = Question.of(reference, Options(vehicle, figures=True, flown_ns=0 if at is None else _time(at)))
-    name = reference.airframe.name if airframe is None else airframe
+    name = reference.airframe.name if airframe is None else printable(airframe)
     if not name.strip():
         raise UsageError("the airframe needs a name; give --airframe NAME")
     failed, found = 0, opt.find_logs(logs)[0].logs
@@ -132,7 +132,7 @@ def mark(
     kind = MarkKind.NEW_PROPELLERS if new_propellers else MarkKind.REPAIR
     t_ns = time.time_ns() if at is None else _time(at)
     with _open(database, write=True) as history:
-        history.mark(Mark(airframe, t_ns, kind, note))
+        history.mark(Mark(airframe, t_ns, kind, printable(note)))
     say(f"{airframe}: {kind.value}, {shown.day(t_ns)}")
 
 
@@ -144,7 +144,9 @@ def _added(history: "History", answer: Answer, airframe: str, *, again: bool, by
     if there is not None and not again:
         return f"is there already, of {there}"
     started_ns = flight.started_ns or (answer.path.stat().st_mtime_ns if by_file else 0)
-    flight = replace(flight, airframe=airframe, log=verdict.log, started_ns=started_ns, added_ns=time.time_ns())
+    flight = replace(
+        flight, airframe=airframe, log=printable(verdict.log), started_ns=started_ns, added_ns=time.time_ns()
+    )
     if not history.add(flight, again=again):
         return "is there already"
     return f"{'judged again' if there else 'added'}, {verdict.verdict.value.replace('_', ' ')}, {verdict.reason}"
