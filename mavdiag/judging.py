@@ -314,7 +314,7 @@ class _Run:
             longest = sorted(spans, key=lambda span: span[0] - span[1])[:MOST_STRETCHES]
             why += [f"nothing judged {self._between(*span)}" for span in sorted(longest)]
         lacking = [one for one in own if one.judged_s < MIN_JUDGED_S or (one.not_judged and share < least)]
-        reasons = ", ".join(f"{one.name} ({one.not_judged})" for one in lacking)
+        reasons = ", ".join(f"{one.name} ({one.not_judged or 'too little flight'})" for one in lacking)
         why += [f"not judged by {reasons}"] if reasons else []
         return f"{text}{': ' if share < least else '; '}{'; '.join(why)}" if why else text
 

@@ -82,6 +82,7 @@ REFUSED = [
     ("mavdiag export x.ulg --mcap --csv", "name one LOG and one of"),
     ("mavdiag export x.ulg --lua b.json", "--lua takes a baseline"),
     ("mavdiag export absent.ulg --csv", "absent.ulg"),
+    ("mavdiag export absent.ulg --csv -o no-folder/x.csv", "there is no folder no-folder"),
     ("mavdiag report", "name logs and --baseline FILE"),
     ("mavdiag report x.tlog --baseline gone.json", "gone.json: no such file"),
     ("mavdiag report --campaign gone.jsonl", "gone.jsonl: no such file"),
