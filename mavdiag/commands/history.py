@@ -59,7 +59,8 @@ def add(
     cache: opt.CacheFolder = None,
     no_cache: opt.NoCache = False,
 ) -> None:
-    """Judge logs and keep what they showed. A flight is kept once. Exit code: 0, or 2 if a log could not be read.
+    """Judge logs and keep what they showed. A flight is kept once. Exit code: 0, or 2 if a log could not be read, or is
+    not kept, for the baseline is of another link or vehicle.
 
     Logs that do not say when they were flown follow each other as they are named, or by the time of their files.
     """
@@ -75,7 +76,7 @@ def add(
     with _open(database, create=True) as history, how as (answers, tell):
         history.refer(reference_of(reference))
         for answer in answers:
-            failed += answer.record.flight is None
+            failed += answer.record.flight is None or not answer.record.flight.slots
             told = _added(history, answer, name, again=again, by_file=ordered == "file-time")
             tell(f"{answer.path}: {told}")
     raise typer.Exit(2 if failed else 0)
@@ -140,9 +141,12 @@ def _added(history: "History", answer: Answer, airframe: str, *, again: bool, by
     verdict, flight = answer.verdict, answer.record.flight
     if flight is None:
         return f"error, {verdict.reason}"
-    there = history.airframe_of(flight.content)
+    if not flight.slots:  # refused before any monitor saw it
+        return f"not kept: {verdict.reason}"
+    there = history.kept_as(flight.content)
     if there is not None and not again:
-        return f"is there already, of {there}"
+        other = "" if there == (airframe, flight.baseline) else ", by another baseline or name; --again judges it anew"
+        return f"is there already, of {there[0]}{other}"
     started_ns = flight.started_ns or (answer.path.stat().st_mtime_ns if by_file else 0)
     flight = replace(
         flight, airframe=airframe, log=printable(verdict.log), started_ns=started_ns, added_ns=time.time_ns()

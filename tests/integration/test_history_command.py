@@ -64,7 +64,12 @@ def test_flights_are_judged_kept_once_and_listed(mavdiag: Any, tmp_path: Path, m
     assert [": added, healthy, " in line for line in said] == [True, True, False]
     assert said[2].startswith("damaged.tlog: error, ")
     code, out, _ = mavdiag("history", "add", logs[2], "--baseline", "b.json", "--airframe", "drone 2")
-    assert (code, out) == (0, f"{named}: is there already, of drone 1\n")
+    told = f"{named}: is there already, of drone 1, by another baseline or name; --again judges it anew\n"
+    assert (code, out) == (0, told)
+    other = Baseline.load("b.json")
+    other.model_copy(update={"link": other.link.model_copy(update={"profile": "px4"})}).save("px4.json")
+    code, out, _ = mavdiag("history", "add", logs[2], "--baseline", "px4.json", "--again")
+    assert (code, out.startswith(f"{named}: not kept: ")) == (2, True)
     code, out, _ = mavdiag("history", "add", logs[2], "--baseline", "b.json", "--vehicle", 1)
     assert (code, out) == (
         0,
