@@ -13,7 +13,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput, ChainState, chain_of
 from mavdiag.decision.diagnosis import Change, Event, RotorSpan, Stage
 from mavdiag.decision.words import fault_reason, inspect_words
-from mavdiag.errors import InputError
+from mavdiag.errors import BaselineError, InputError
 from mavdiag.kernel import Account, Piece, Stretch
 from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
@@ -171,6 +171,14 @@ def suited(baseline: Baseline, log: Log) -> Baseline:
     if not log.motor_order:
         return baseline
     return baseline.model_copy(update={"airframe": replace(baseline.airframe, outputs=None)})
+
+
+def playable(baseline: Baseline, log: Log) -> Baseline:
+    """The baseline as `suited`. Raises BaselineError, with the log's name, if it is for another link than the log's."""
+    fitting = suited(baseline, log)
+    if refusal := chain_of(fitting, log.started_ns, log.profile).refusal(log.telemetry):
+        raise BaselineError(f"{log.name}: {refusal}")
+    return fitting
 
 
 def exit_code(verdicts: Sequence[Verdict]) -> int:

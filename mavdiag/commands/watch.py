@@ -91,13 +91,13 @@ def replay(
         given = {"web-token-file": web_token_file, "vehicle": vehicle, "speed": speed, "from-s": from_s}
         options = [part for name, value in given.items() if value is not None for part in (f"--{name}", str(value))]
         os.execv(sys.executable, [sys.executable, "-P", "-m", PAGE, *options, "--", str(log), str(baseline), web])
-    from mavdiag.judging import suited
+    from mavdiag.judging import playable
     from mavdiag.terminal.ground_station import LiveJudge  # here, for rich takes time to load
     from mavdiag.terminal.watching import play
 
     with stop_signals() as stopped:
         read, known = read_log(log, vehicle), Baseline.load(baseline)
-        fitting = suited(known, read)
+        fitting = playable(known, read)
 
         def begin() -> LiveJudge:
             return LiveJudge(fitting, SPAN_S, vehicle, began_ns=read.started_ns)
