@@ -28,7 +28,7 @@ from mavdiag import commandline
 from mavdiag.as_json import json_line
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, warm
-from mavdiag.judging import playable
+from mavdiag.judging import playable, suited
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.vehicles import Received
 from mavdiag.logs import read_log
@@ -76,7 +76,7 @@ class Judged:
         offset_ns = log.started_ns - self.begin_ns if log.started_ns else 0
         profile = replace(PROFILES["qdrone2"], name=log.profile or baseline.link.profile)
         settings = SessionSettings(negotiate=False, min_rate_hz=LEAST_HZ)
-        spec = SessionSpec(profile, playable(baseline, log), settings, offset_ns)
+        spec = SessionSpec(profile, suited(baseline, log), settings, offset_ns)
         self._session = Session(spec, Instant(self.begin_ns))
         self._steps = in_pieces(log.telemetry, max(1, round(STEP_S / baseline.link.dt_s)))
         self._snapshots, self._track, self._entries, self._alarms = Snapshots(), Track(), list[str](), 0
@@ -208,6 +208,7 @@ def serve(
     """Play a log on the live page until a signal comes. The options are those of `mavdiag replay`."""
     with commandline.stop_signals() as stopped:
         known, read = Baseline.load(baseline), read_log(log, vehicle)
+        playable(known, read, from_s)
         judged = Judged(read, known, read.vehicle or vehicle or 1)
         warm()
         token = None if web_token_file is None else read_token(web_token_file)

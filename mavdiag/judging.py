@@ -13,7 +13,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput, ChainState, chain_of
 from mavdiag.decision.diagnosis import Change, Event, RotorSpan, Stage
 from mavdiag.decision.words import fault_reason, inspect_words
-from mavdiag.errors import BaselineError, InputError
+from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.kernel import Account, Piece, Stretch
 from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
@@ -173,8 +173,15 @@ def suited(baseline: Baseline, log: Log) -> Baseline:
     return baseline.model_copy(update={"airframe": replace(baseline.airframe, outputs=None)})
 
 
-def playable(baseline: Baseline, log: Log) -> Baseline:
-    """The baseline as `suited`. Raises BaselineError, with the log's name, if it is for another link than the log's."""
+def playable(baseline: Baseline, log: Log, from_s: float = 0.0) -> Baseline:
+    """The baseline as `suited`. Raises BaselineError, with the log's name, if it is for another link than the log's.
+
+    from_s: into the log, where it begins to play. Raises UsageError if that is beyond its end.
+    """
+    t_ns = log.telemetry.need(Signal.BODY_RATE).t_ns
+    span_s = float(np.max(t_ns) - np.min(t_ns)) / NS_PER_S if len(t_ns) else 0.0
+    if not from_s <= span_s:
+        raise UsageError(f"--from {from_s:g}: {log.name} has {span_s:.1f} s; begin within it")
     fitting = suited(baseline, log)
     if refusal := chain_of(fitting, log.started_ns, log.profile).refusal(log.telemetry):
         raise BaselineError(f"{log.name}: {refusal}")

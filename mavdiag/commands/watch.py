@@ -97,7 +97,7 @@ def replay(
 
     with stop_signals() as stopped:
         read, known = read_log(log, vehicle), Baseline.load(baseline)
-        fitting = playable(known, read)
+        fitting = playable(known, read, from_s)
 
         def begin() -> LiveJudge:
             return LiveJudge(fitting, SPAN_S, vehicle, began_ns=read.started_ns)
