@@ -152,3 +152,11 @@ def test_a_fault_of_ours_ends_with_2_and_what_a_terminal_lacks_is_shown_as_its_e
     assert rb"\u043e" in raw.getvalue()
     monkeypatch.setattr("mavdiag.commands.identify.Baseline.load", lambda path: 1 / 0)
     assert program("mavdiag.cli", "baseline", "show", "b.json")[0] == 2
+
+
+@pytest.mark.parametrize("program", ["main", "detector", "plant"])
+def test_ctrl_c_while_a_program_loads_is_quiet(program: str) -> None:
+    stop = "class Stop:\n    def find_spec(*_): signal.raise_signal(signal.SIGINT)\nsys.meta_path.insert(0, Stop())"
+    code = f"import signal, sys, mavdiag.__main__ as begin\n{stop}\nbegin.{program}()"
+    ran = subprocess.run([sys.executable, "-c", code], stdout=-1, stderr=-1, check=False)
+    assert (ran.returncode, ran.stdout, ran.stderr) == (130, b"", b"")
