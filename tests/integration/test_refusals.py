@@ -18,6 +18,7 @@ DETECTOR = "mavdiag-detector --baseline baseline.json"
 SCAN = "mavdiag scan a.tlog --baseline baseline.json"
 REFUSED = [
     ("sitl-plant run --fault F9/SV1", "no fault 'F9/SV1': give F1, F2 or F3"),
+    ("sitl-plant run --phenomenology 7", "'--phenomenology'"),
     ("sitl-plant run --onset 3", "--onset needs a fault"),
     ("sitl-plant run --rate 5000", "rate must be 1 to 1000 Hz"),
     ("sitl-plant run --profile betaflight", "no link profile betaflight"),
