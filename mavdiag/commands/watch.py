@@ -69,7 +69,7 @@ def watch(
 
 
 def replay(
-    log: Annotated[Path, Argument(metavar="LOG", help="A flight log of any kind that `mavdiag scan` reads.")],
+    log: Annotated[Path, Argument(metavar="LOG", help="A flight log of any kind but CSV.")],
     baseline: opt.BaselineFile,
     speed: Annotated[float, Option(min=0.01, metavar="X", help="Times as fast as flown; inf does not wait.")] = 1.0,
     web: Annotated[

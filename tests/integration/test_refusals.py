@@ -74,6 +74,7 @@ REFUSED = [
     (f"{HISTORY} mysql://a@b/c", "an SQLite file or a postgresql"),
     (f"{HISTORY} ''", "name the history"),
     ("mavdiag model absent.tlog", "absent.tlog: no such file"),
+    ("mavdiag model t.csv", "CSV with --columns MAP.toml where a command has it"),
     ("mavdiag model track a.tlog --every 0", "--every and --memory must be longer"),
     ("mavdiag model a.tlog --plot /dev/null", "not a regular file"),
     ("mavdiag model a.tlog --order '2;2'", "three whole numbers"),
@@ -95,7 +96,7 @@ REFUSED = [
     (f"{SCAN} --from nan", "--from nan: give a time in seconds"),
     (f"{SCAN} --cache baseline.json", "baseline.json: no folder to keep answers in"),
     (f"{SCAN} --csv a.tlog", "a.tlog: is named twice"),
-    (f"{SCAN} --csv t.csv --parquet t.csv", "t.csv: is named twice"),
+    (f"{SCAN} --csv n.csv --parquet n.csv", "n.csv: is named twice"),
     (f"{SCAN} --parquet empty/../baseline.json", "is named twice"),
     ("mavdiag report a.tlog --baseline baseline.json -o ./baseline.json", "baseline.json: is named twice"),
     ("mavdiag report b.tlog --baseline c.json -o a.tlog", "a.tlog: holds a flight log or a baseline"),
@@ -117,6 +118,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("place")
     made(folder, "a.tlog")
     archive_baseline().save(folder / "baseline.json")
+    (folder / "t.csv").write_text("t,p,q,r")
     (folder / "empty").mkdir()
     return folder
 
