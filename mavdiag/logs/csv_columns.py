@@ -218,4 +218,10 @@ def _refused(path: Path) -> Log:
     raise InputError(f"{path}: a CSV file needs its column map; give --columns MAP.toml")
 
 
-KIND = LogKind("CSV with --columns MAP.toml where a command has it", lambda head: False, lambda path, *_: _refused(path), (PROFILE,), GATE)
+KIND = LogKind(
+    "CSV with --columns MAP.toml where a command has it",
+    lambda head: False,
+    lambda path, *_: _refused(path),
+    (PROFILE,),
+    GATE,
+)
