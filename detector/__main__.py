@@ -18,7 +18,7 @@ from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
 from detector.flights import Flights
 from detector.hooks import Hook
-from detector.journal import Journal, Recorder, baselines_in, kept_baselines
+from detector.journal import Journal, Recorder, baselines_in, check_files, kept_baselines
 from detector.notify import Notifier
 from detector.web.access import Access
 from mavdiag import commandline
@@ -95,6 +95,7 @@ app.command()(detect)
 
 
 def _serve(settings: Settings, *, reset_stamp: bool) -> None:
+    check_files(settings)
     with ExitStack() as stack:
         enter = stack.enter_context
         stop = enter(commandline.stop_signals())

@@ -4,6 +4,7 @@ import http.client
 from collections.abc import Iterator, Mapping
 
 from detector.config import Settings, check_installed, split_address
+from detector.journal import check_files
 from detector.judging import rescaled
 from detector.rules import parse_rules
 from detector.web.access import Access
@@ -27,6 +28,7 @@ def plan(
 
     Raises UsageError, LinkError or BaselineError where it could not.
     """
+    check_files(settings)
     check_address(settings.connect)
     yield f"link       {settings.connect}"
     rest = "" if settings.baseline or settings.learn else " that have a baseline here"

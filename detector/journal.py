@@ -24,12 +24,14 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import BinaryIO
 
+from detector.config import Settings
 from detector.values import Effect, EventClosed, EventOpened, Note, Record, SendText, StateChanged, TextSuppressed
 from mavdiag.as_json import event_json, plain, seconds, spans_json
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import UsageError
 from mavdiag.link.messages import Severity
+from mavdiag.storage import begins, check_apart
 from mavdiag.units import NS_PER_S, NS_PER_US
 
 MB = 1_000_000
@@ -251,6 +253,19 @@ class Recorder(Appender):
         """Append what is left, write through and close the file."""
         self.flush()
         super().close()
+
+
+def check_files(settings: Settings) -> None:
+    """Raise UsageError if two settings name one file, or a journal or recording would be appended to another kind."""
+    own = settings.journal, settings.record, settings.save
+    named = (settings.baseline, settings.signing_key, settings.web_token_file, settings.history, settings.airframe)
+    known = [Path(name) for name in (*named, *(one.baseline for one in settings.vehicles.values())) if name is not None]
+    for number, path in enumerate(own):
+        if path is not None:
+            check_apart(path, *own[number + 1 :], *known)
+    for option, path, kind in (("journal", own[0], rb'\s*\{"kind"'), ("record", own[1], rb".{8}[\xfd\xfe]")):
+        if path is not None and not begins(path, kind):
+            raise UsageError(f"{path}: is no {option} so far, and would be spoilt; choose another --{option} file")
 
 
 class Reporter:

@@ -28,6 +28,7 @@ from mavdiag import commandline
 from mavdiag.as_json import json_line
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, suited, warm
+from mavdiag.judging import playable
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.vehicles import Received
 from mavdiag.logs import read_log
@@ -207,6 +208,7 @@ def serve(
     """Play a log on the live page until a signal comes. The options are those of `mavdiag replay`."""
     with commandline.stop_signals() as stopped:
         known, read = Baseline.load(baseline), read_log(log, vehicle)
+        playable(known, read, from_s)
         judged = Judged(read, known, read.vehicle or vehicle or 1)
         warm()
         token = None if web_token_file is None else read_token(web_token_file)

@@ -6,9 +6,11 @@
 import os
 import signal
 import sys
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Annotated, Any, NoReturn
+from pathlib import Path
+from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 from typer.core import TyperGroup
@@ -67,8 +69,13 @@ def version_option(name: str) -> Any:
 def run(app: typer.Typer, name: str) -> NoReturn:
     """Run an application and end the process; errors become one line on stderr."""
     told = ""
+    for stream in ("stdout", "stderr"):
+        if getattr(sys, stream) is None:  # closed, as by >&-
+            setattr(sys, stream, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115  # as long as it runs
+        getattr(sys, stream).reconfigure(errors="backslashreplace")  # what a terminal cannot show
     try:
         code = app(prog_name=name, standalone_mode=False)
+        sys.stdout.flush()
         if code == INTERRUPTED:  # newer releases of typer make this of a KeyboardInterrupt
             told = "stopped"
     except typer.TyperException as error:
@@ -84,10 +91,19 @@ def run(app: typer.Typer, name: str) -> NoReturn:
         code, told = INTERRUPTED, "stopped"
     except BrokenPipeError:
         # The reader of our output has gone (`... | head`): nobody reads what is left.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _silence(sys.stdout)
         code = 0
-    if told:
-        say(f"{name}: {told}", err=True)
+    except OSError as error:
+        _silence(sys.stdout)
+        code, told = ERROR, f"{_line(str(error))}; check where the output goes, and its disk"
+    except Exception as error:  # a fault of ours: 1 would be a verdict
+        traceback.print_exc()
+        raise SystemExit(ERROR) from error
+    try:
+        if told:
+            say(f"{name}: {told}", err=True)
+    except OSError:
+        _silence(sys.stderr)
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -109,6 +125,11 @@ def stop_signals() -> Iterator[Callable[[], bool]]:
 def say(text: str, *, err: bool = False) -> None:
     """Print lines, with what could steer a terminal as its escape. err: to stderr."""
     typer.echo(printable(text, keep="\n"), err=err)
+
+
+def _silence(stream: TextIO) -> None:
+    """Throw away what is left to write there, which would fail once more at the end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _line(message: str) -> str:

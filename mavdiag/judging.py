@@ -13,7 +13,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput, chain_of, suited
 from mavdiag.decision.diagnosis import Change, Event, RotorSpan, Stage
 from mavdiag.decision.words import fault_reason, inspect_words
-from mavdiag.errors import InputError
+from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.kernel import Account, Piece, Stretch
 from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
@@ -155,6 +155,21 @@ def judge_in_full(
         return refused(f"another vehicle: {alike}", 1 / dt_s)
     notes = (*((alike,) if alike else ()), *log.notes, *_layout_notes(log, baseline))
     return JudgedFlight(run.verdict(notes, 1 / dt_s), chain, tuple(run.kept), run.state.memory.unjudged)
+
+
+def playable(baseline: Baseline, log: Log, from_s: float = 0.0) -> Baseline:
+    """The baseline as `suited`. Raises BaselineError, with the log's name, if it is for another link than the log's.
+
+    from_s: into the log, where it begins to play. Raises UsageError if that is beyond its end.
+    """
+    t_ns = log.telemetry.need(Signal.BODY_RATE).t_ns
+    span_s = float(np.max(t_ns) - np.min(t_ns)) / NS_PER_S if len(t_ns) else 0.0
+    if not from_s <= span_s:
+        raise UsageError(f"--from {from_s:g}: {log.name} has {span_s:.1f} s; begin within it")
+    fitting = suited(baseline, log)
+    if refusal := chain_of(fitting, log.started_ns, log.profile).refusal(log.telemetry):
+        raise BaselineError(f"{log.name}: {refusal}")
+    return fitting
 
 
 def exit_code(verdicts: Sequence[Verdict]) -> int:
@@ -299,7 +314,7 @@ class _Run:
             longest = sorted(spans, key=lambda span: span[0] - span[1])[:MOST_STRETCHES]
             why += [f"nothing judged {self._between(*span)}" for span in sorted(longest)]
         lacking = [one for one in own if one.judged_s < MIN_JUDGED_S or (one.not_judged and share < least)]
-        reasons = ", ".join(f"{one.name} ({one.not_judged})" for one in lacking)
+        reasons = ", ".join(f"{one.name} ({one.not_judged or 'too little flight'})" for one in lacking)
         why += [f"not judged by {reasons}"] if reasons else []
         return f"{text}{': ' if share < least else '; '}{'; '.join(why)}" if why else text
 

@@ -6,12 +6,13 @@ A `Shelf` puts arrays aside that are too many for the memory, and a `Column` tho
 import ctypes
 import mmap
 import os
+import re
 import secrets
 import stat
 import tempfile
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Self, TypeAlias
 
@@ -30,6 +31,7 @@ COLLECT_AT = 20_000  # containers more than before; a tick of a full link makes 
 KEPT = 8  # our choice: fewer are given back and faulted in again for each flight, and the most memory is the same
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1  # options of mallopt(3)
 ALIGN_BYTES = 8  # of an array in a file: that of its numbers
+KIND_BYTES = 64  # of a file, which tell its kind (our choice)
 WRITE_BYTES = 1 << 20  # that are written at a time: many together take three times as long (our choice)
 
 
@@ -91,17 +93,46 @@ def check_output(path: Path) -> None:
         raise UsageError(f"{path}: cannot be written (no permission); name a folder you can write to")
 
 
+def check_apart(path: Path, *others: Path | None) -> None:
+    """Raise UsageError if a file to write is one of the others of the command, by whatever name. None is no file."""
+    for other in others:
+        if other is not None and _same(path, other):
+            raise UsageError(f"{path}: is named twice in this command, and would be lost; name another file to write")
+
+
+def begins(path: Path, pattern: bytes) -> bool:
+    """Whether a file begins so, by a regular expression; also if it is empty or absent. Raises InputError."""
+    if not path.is_file() or path.stat().st_size == 0:
+        return True
+    with open_regular(path, 1 << 63) as file:
+        return re.match(pattern, file.read(KIND_BYTES), re.DOTALL) is not None
+
+
+def _same(path: Path, other: Path) -> bool:
+    with suppress(OSError):  # of one that is absent
+        return path.resolve() == other.resolve() or path.samefile(other)
+    return False
+
+
 def write_atomically(path: Path, content: str | bytes, *, durable: bool = True) -> None:
-    """Write a file by way of a temporary one beside it; a text as UTF-8. Raises UsageError if that fails.
+    """Write a file as `replacing` does; a text as UTF-8. Raises UsageError if that fails."""
+    with replacing(path, durable=durable) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+
+
+@contextmanager
+def replacing(path: Path, *, durable: bool = True) -> Iterator[BinaryIO]:
+    """A temporary file beside it to write to, which takes its place if the block ends well; else the old one stays.
 
     durable: wait until the disk has it; without, a loss of power may leave an empty file.
+    Raises UsageError if that fails, also out of the block.
     """
     check_output(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         try:
             with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
-                file.write(content.encode() if isinstance(content, str) else content)
+                yield file
                 file.flush()
                 if durable:
                     os.fsync(file.fileno())

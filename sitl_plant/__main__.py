@@ -16,6 +16,7 @@ import typer
 from typer import Option
 
 from mavdiag import commandline
+from mavdiag.archive.paths import AS_TLOG, check_output
 from mavdiag.commands.progress import working
 from mavdiag.errors import UsageError
 from mavdiag.link.keys import open_signing
@@ -92,9 +93,10 @@ def record(
     duration = RECORD_S if plan.duration_s is None else plan.duration_s
     for number in range(flights):
         path = output if flights == 1 else output.with_name(f"{output.stem}-{number:03d}{output.suffix}")
+        check_output(path, truth, kind=AS_TLOG)
         own = replace(plan, config=replace(plan.config, seed=plan.config.seed + number, landed_s=duration))
         words = f"{path}: flying {duration:g} s; the first flight compiles the plant, up to a minute ..."
-        with truth_file(truth) as lines, working(words):
+        with truth_file(truth, whole=True) as lines, working(words):
             messages = record_flight(path, own, duration, _written(lines, own, None).write)
         typer.echo(f"{path}: {duration:g} s of flight, {messages} messages")
 

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import Component
 from mavdiag.link.ports import Endpoint, wait
 from mavdiag.link.signing import Signing
 from mavdiag.logs.tlog import tlog_record
+from mavdiag.storage import replacing
 from sitl_plant.autopilot.commands import Autopilot, PlantOrder
 from sitl_plant.autopilot.dialect import Dialect
 from sitl_plant.autopilot.stream import FilteredSamples, ImuFilters, Message, messages_due
@@ -207,11 +207,8 @@ def recorded(plan: FlightPlan, duration_s: float, watch: Callable[[PlantSamples]
 def record_flight(path: Path, plan: FlightPlan, duration_s: float, watch: Callable[[PlantSamples], None]) -> int:
     """Write a flight to a .tlog file; returns its message count. Raises UsageError if the file cannot be written."""
     messages = 0
-    try:
-        with path.open("wb") as file:
-            for t_ns, frame in recorded(plan, duration_s, watch):
-                file.write(tlog_record(EPOCH_US + t_ns // 1000, frame))
-                messages += 1
-    except OSError as error:
-        raise UsageError(f"cannot write {path}: {error.strerror}; choose another file") from error
+    with replacing(path) as file:
+        for t_ns, frame in recorded(plan, duration_s, watch):
+            file.write(tlog_record(EPOCH_US + t_ns // 1000, frame))
+            messages += 1
     return messages

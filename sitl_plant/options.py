@@ -18,16 +18,17 @@ from sitl_plant.physics.trajectory import Nose, Shape
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import shipped_vehicles, vehicle_from
 
+LONGEST_S = 1e6  # of a flight: 11 days (our choice)
 STARTING = "starting the plant; the first start compiles it and takes up to a minute ..."
 _VEHICLES = f"One of {', '.join(shipped_vehicles())}, or a file."
 _ROTOR = "Damaged rotor, as the vehicle's file counts; qdrone2: 1 rear right, 2 front right, 3 rear left, 4 front left."
-_PHENOMENOLOGY = "Scale of the fitted, non-physical part of the fault: 0, 0.5 or 1."
+_PHENOMENOLOGY = "Scale of the fitted, non-physical part of the fault, 0 to 1."
 _TURBULENCE = "Dryden turbulence of this wind at 20 ft, instead of the gusts [m/s]."
 
 VehicleName: TypeAlias = Annotated[str, Option("--vehicle", metavar="NAME|FILE.toml", help=_VEHICLES)]
 Drone: TypeAlias = Annotated[int, Option(help="Specimen of the vehicle: 1 (aged), 2 or 3 (new).")]
 FaultCode: TypeAlias = Annotated[str | None, Option(metavar="CODE", help="Propeller fault, F1/SV1 to F3/SV3.")]
-Phenomenology: TypeAlias = Annotated[float, Option(help=_PHENOMENOLOGY)]
+Phenomenology: TypeAlias = Annotated[float, Option(min=0.0, max=1.0, help=_PHENOMENOLOGY)]
 Wind: TypeAlias = Annotated[float, Option(metavar="M_S", help="Mean wind, with gusts.")]
 W20: TypeAlias = Annotated[float, Option(metavar="W20", help=_TURBULENCE)]
 PayloadKg: TypeAlias = Annotated[float, Option(metavar="KG", help="Point mass below the body.")]
@@ -95,8 +96,8 @@ def flight_plan(
 
 def check_times(fault: str | None, onset_s: float, duration_s: float | None) -> None:
     """Raise UsageError for an onset without a fault, or a time that cannot be."""
-    if duration_s is not None and not duration_s > 0.0:
-        raise UsageError(f"duration must be positive, not {duration_s:g}")
+    if duration_s is not None and not 0.0 < duration_s <= LONGEST_S:
+        raise UsageError(f"duration must be positive and at most {LONGEST_S:g} s, not {duration_s:g}")
     if not (math.isfinite(onset_s) and onset_s >= 0.0):
         raise UsageError(f"--onset must be zero or more, not {onset_s:g}")
     if fault is None and onset_s > 0.0:

@@ -8,13 +8,15 @@
 
 import json
 import math
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TextIO
 
 from mavdiag.errors import UsageError
+from mavdiag.storage import begins, replacing
 from sitl_plant.physics.faults import Injection, SensorFault
 from sitl_plant.plant import STEP_NS, Change, PlantConfig, PlantSamples
 
@@ -90,9 +92,24 @@ def _ns(t_s: float) -> float:
     return round(t_s * 1e9) if math.isfinite(t_s) else t_s
 
 
-def truth_file(path: Path | None) -> AbstractContextManager[TextIO | None]:
-    """The open file, None for no file. Raises UsageError if it cannot be written."""
+@contextmanager
+def truth_file(path: Path | None, *, whole: bool = False) -> Iterator[TextIO | None]:
+    """The open file, None for no file. Raises UsageError if it cannot be written, or is a file of another kind.
+
+    whole: it replaces an old one as `replacing` does, and cannot be read before.
+    """
+    if path is None:
+        yield None
+        return
+    if not begins(path, rb'\{"record"'):
+        raise UsageError(f"{path}: holds something else, which would be lost; choose another --truth file")
+    if whole:
+        with replacing(path) as raw:
+            yield TextIOWrapper(raw, "utf-8", write_through=True)
+        return
     try:
-        return nullcontext() if path is None else path.open("w", encoding="utf-8")
+        file = path.open("w", encoding="utf-8")
     except OSError as error:
         raise UsageError(f"cannot write {path}: {error.strerror}; choose another --truth file") from error
+    with file:
+        yield file

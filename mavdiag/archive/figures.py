@@ -9,6 +9,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Stage
 from mavdiag.judging import JUDGED_SHARE, MIN_JUDGED_S, JudgedFlight, Verdict
 from mavdiag.monitors.rotor_trim import RotorTrim
+from mavdiag.printable import printable
 from mavdiag.telemetry import Axis, Log
 from mavdiag.traces import SlotTrace, slot_traces
 from mavdiag.units import NS_PER_S
@@ -97,7 +98,7 @@ def record_of(log: Log, judged: JudgedFlight, baseline: Baseline) -> FlightRecor
     verdict = judged.verdict
     return FlightRecord(
         "",
-        log.name,
+        printable(log.name),
         content,
         log.started_ns,
         0,

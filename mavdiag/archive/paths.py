@@ -1,14 +1,19 @@
-"""Which logs a list of arguments names (edge): files, folders with all that is below them, and patterns."""
+"""Which logs a list of arguments names (edge): files, folders with all that is below them, and patterns.
+
+And whether a file may be written beside them.
+"""
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mavdiag.errors import InputError
+from mavdiag import storage
+from mavdiag.errors import InputError, UsageError
 from mavdiag.logs import is_log
 
 IsLog = Callable[[Path], bool]
+AS_BASELINE, AS_TLOG = rb'\{\s*"schema": "mavdiag.baseline/', rb".{8}[\xfd\xfe]"  # how such files begin
 NOTHING = "no log there; name files, a folder, or a pattern like 'flights/*.tlog'"
 
 
@@ -79,6 +84,19 @@ def _below(path: Path, seen: set[tuple[int, int]], is_log: IsLog) -> Iterator[Na
         return
     for entry in inside:
         yield from _below(entry, seen, is_log)
+
+
+def check_output(path: Path, *others: Path | None, kind: bytes | None = None) -> None:
+    """Raise UsageError unless a file can be written here and nothing is lost by it.
+
+    others: what else the command reads or writes; None for what was not given. kind: how a file of the kind that is
+    written begins, a regular expression: a flight log or a baseline is replaced by its own kind alone.
+    """
+    storage.check_output(path)
+    storage.check_apart(path, *others)
+    own = kind is not None and storage.begins(path, kind)
+    if not own and path.exists() and path.stat().st_size and (storage.begins(path, AS_BASELINE) or is_log(path)):
+        raise UsageError(f"{path}: holds a flight log or a baseline, which would be lost; name another file to write")
 
 
 def apart(paths: Sequence[str]) -> list[str]:

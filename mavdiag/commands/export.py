@@ -5,6 +5,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
+from mavdiag.archive.paths import check_output
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands.options import BaselineFile, Columns, Vehicle
@@ -12,7 +13,9 @@ from mavdiag.errors import UsageError
 from mavdiag.judging import judge_in_full
 from mavdiag.logs import read_log
 from mavdiag.logs.csv_columns import load_column_map
-from mavdiag.storage import write_atomically
+from mavdiag.storage import replacing, write_atomically
+
+KINDS = {"mcap": rb"\x89MCAP", "parquet": b"PAR1"}  # how the files begin
 
 
 def export(
@@ -39,6 +42,7 @@ def export(
         from mavdiag.export.lua import applet, left_out
 
         loaded = Baseline.load(lua)
+        check_output(output, lua)
         write_atomically(output, applet(loaded, table_key))
         for one in left_out(loaded):
             say(f"left out   {one}")
@@ -46,21 +50,17 @@ def export(
     if log is None or len(chosen) != 1:
         raise UsageError("name one LOG and one of --mcap, --csv, --parquet; or --lua BASELINE -o FILE")
     output = output or Path(log.name).with_suffix(f".{chosen[0]}")
-    if output.exists() and log.exists() and output.samefile(log):
-        raise UsageError(f"{output} is the log itself; name another file with -o")
+    check_output(output, log, baseline, columns, kind=KINDS.get(chosen[0]))
     from mavdiag.export import flight
 
     found = read_log(log, vehicle, columns=load_column_map(columns) if columns else None)
     judged = judge_in_full(found, Baseline.load(baseline)) if baseline is not None else None
     topics = list(flight.topics_of(found, judged))
-    try:
-        if mcap:
-            flight.write_mcap(output, found, topics, judged.verdict.changes if judged else ())
-        elif csv:
-            flight.table_of(topics).to_csv(output)
-        else:
-            flight.table_of(topics).to_parquet(output)
-    except OSError as error:
-        raise UsageError(f"{output}: {error.strerror}; name a file that can be written") from error
+    if mcap:
+        flight.write_mcap(output, found, topics, judged.verdict.changes if judged else ())
+    else:
+        table = flight.table_of(topics)
+        with replacing(output) as file:
+            table.to_csv(file) if csv else table.to_parquet(file)
     say(str(judged.verdict) if judged else f"{found.name}: signals alone; name a --baseline to judge it")
     return say(f"written to {output}: {', '.join(topic.name for topic in topics)}")

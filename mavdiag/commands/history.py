@@ -13,6 +13,7 @@ import typer
 from typer import Option
 
 from mavdiag.archive.figures import FlightRecord
+from mavdiag.archive.paths import check_output
 from mavdiag.archive.scan import Answer, Options, Question
 from mavdiag.archive.together import reference_of
 from mavdiag.baseline import Baseline
@@ -58,7 +59,8 @@ def add(
     cache: opt.CacheFolder = None,
     no_cache: opt.NoCache = False,
 ) -> None:
-    """Judge logs and keep what they showed. A flight is kept once. Exit code: 0, or 2 if a log could not be read.
+    """Judge logs and keep what they showed. A flight is kept once. Exit code: 0, or 2 if a log could not be read, or is
+    not kept, for the baseline is of another link or vehicle.
 
     Logs that do not say when they were flown follow each other as they are named, or by the time of their files.
     """
@@ -66,7 +68,7 @@ def add(
         raise UsageError("--at and --ordered file-time both say when; give one of them")
     reference = Baseline.load(baseline)
     question = Question.of(reference, Options(vehicle, figures=True, flown_ns=0 if at is None else _time(at)))
-    name = reference.airframe.name if airframe is None else airframe
+    name = reference.airframe.name if airframe is None else printable(airframe)
     if not name.strip():
         raise UsageError("the airframe needs a name; give --airframe NAME")
     failed, found = 0, opt.find_logs(logs)[0].logs
@@ -74,7 +76,7 @@ def add(
     with _open(database, create=True) as history, how as (answers, tell):
         history.refer(reference_of(reference))
         for answer in answers:
-            failed += answer.record.flight is None
+            failed += answer.record.flight is None or not answer.record.flight.slots
             told = _added(history, answer, name, again=again, by_file=ordered == "file-time")
             tell(f"{answer.path}: {told}")
     raise typer.Exit(2 if failed else 0)
@@ -101,6 +103,8 @@ def show(
 
     Exit code 1 if a statistic reaches its threshold soon, a rotor has changed, or the last flight is a fault; else 0.
     """
+    if html is not None:
+        check_output(html, Path(database))
     with _open(database) as history:
         names = history.names(airframe)
         known = history.references()
@@ -129,7 +133,7 @@ def mark(
     kind = MarkKind.NEW_PROPELLERS if new_propellers else MarkKind.REPAIR
     t_ns = time.time_ns() if at is None else _time(at)
     with _open(database, write=True) as history:
-        history.mark(Mark(airframe, t_ns, kind, note))
+        history.mark(Mark(airframe, t_ns, kind, printable(note)))
     say(f"{airframe}: {kind.value}, {shown.day(t_ns)}")
 
 
@@ -137,11 +141,16 @@ def _added(history: "History", answer: Answer, airframe: str, *, again: bool, by
     verdict, flight = answer.verdict, answer.record.flight
     if flight is None:
         return f"error, {verdict.reason}"
-    there = history.airframe_of(flight.content)
+    if not flight.slots:  # refused before any monitor saw it
+        return f"not kept: {verdict.reason}"
+    there = history.kept_as(flight.content)
     if there is not None and not again:
-        return f"is there already, of {there}"
+        other = "" if there == (airframe, flight.baseline) else ", by another baseline or name; --again judges it anew"
+        return f"is there already, of {there[0]}{other}"
     started_ns = flight.started_ns or (answer.path.stat().st_mtime_ns if by_file else 0)
-    flight = replace(flight, airframe=airframe, log=verdict.log, started_ns=started_ns, added_ns=time.time_ns())
+    flight = replace(
+        flight, airframe=airframe, log=printable(verdict.log), started_ns=started_ns, added_ns=time.time_ns()
+    )
     if not history.add(flight, again=again):
         return "is there already"
     return f"{'judged again' if there else 'added'}, {verdict.verdict.value.replace('_', ' ')}, {verdict.reason}"
@@ -161,7 +170,10 @@ def _time(text: str) -> int:
         at = datetime.fromisoformat(text)
     except ValueError as error:
         raise UsageError(f"time {text!r}: write it like 2026-03-01 or 2026-03-01T14:30") from error
-    return round((at.replace(tzinfo=UTC) if at.tzinfo is None else at).timestamp()) * NS_PER_S
+    t_ns = round((at.replace(tzinfo=UTC) if at.tzinfo is None else at).timestamp()) * NS_PER_S
+    if not 0 <= t_ns < 1 << 63:
+        raise UsageError(f"time {text!r}: give one from 1970 to 2262")
+    return t_ns
 
 
 def _flight_line(number: int, record: FlightRecord) -> str:

@@ -10,6 +10,7 @@ from typer import Argument, Option
 
 from mavdiag.airframe.layout import LAYOUTS
 from mavdiag.airframe.load import BUILTIN
+from mavdiag.archive.paths import AS_BASELINE, check_output
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say
 from mavdiag.commands import options as opt
@@ -21,7 +22,6 @@ from mavdiag.learning.learn import extend as extended
 from mavdiag.learning.suspicions import accepted
 from mavdiag.logs import read_part
 from mavdiag.monitors.run_length import MarginRule, RunLength
-from mavdiag.storage import check_output
 from mavdiag.telemetry import Log
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, FLIGHTS_PER_SUSPICION, ThresholdRule
 
@@ -60,7 +60,7 @@ def identify(
     details: Annotated[bool, Option("--details", help="Tell all that it holds, as `mavdiag baseline show`.")] = False,
 ) -> None:
     """Fit a baseline to healthy flights; say how good it is, what it would notice, and what would make it better."""
-    check_output(output)
+    check_output(output, *logs, columns, kind=AS_BASELINE)
     thesis = monitors == "thesis"
     options = LearnOptions(
         axes=opt.axes_of(axis),
@@ -155,7 +155,7 @@ def extend(
     columns: opt.Columns = None,
 ) -> None:
     """Add healthy flights of another session, or tell that the propellers are new."""
-    check_output(output)
+    check_output(output, *logs, columns, kind=AS_BASELINE)
     baseline = Baseline.load(file)
     with _taken("adding", logs, vehicle, (from_s, to_s), columns) as flights:
         longer = extended(baseline, flights, new_propellers=new_propellers, created=now())

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import typer
 from typer import Argument, Option
 
+from mavdiag.archive.paths import check_output
 from mavdiag.as_json import json_line, plain
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import application
@@ -26,7 +27,6 @@ from mavdiag.identify.lab import Figure, ModelFigures, draw_model, model_figures
 from mavdiag.logs.log import read_bytes
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.rows.savgol import MIN_WINDOW
-from mavdiag.storage import check_output
 from mavdiag.telemetry import Axis
 
 SETTLE_S = 1.0  # of each stretch that the fit figures leave out: it may begin in motion
@@ -56,7 +56,7 @@ def show(
 ) -> None:
     """Print poles, damping, bandwidth, margins and DC gain with standard errors. Options of the fit are for a log."""
     if plot is not None:
-        check_output(plot)
+        check_output(plot, file)
     flights: dict[Axis, FlightRates] = {}
     if _is_baseline(file):
         specs = (entry.spec for entry in Baseline.load(file).monitors)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
-from mavdiag.archive.paths import Named
+from mavdiag.archive.paths import Named, check_output
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands import options as opt
@@ -15,7 +15,7 @@ from mavdiag.face import now
 from mavdiag.judging import LogVerdict, Verdict
 from mavdiag.logs import read_part
 from mavdiag.logs.csv_columns import ColumnMap
-from mavdiag.storage import check_output, write_atomically
+from mavdiag.storage import write_atomically
 from mavdiag.telemetry import Log
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def report(
     from mavdiag.report.campaign import read_campaign
     from mavdiag.report.chart import COLUMNS
 
-    check_output(output)
+    check_output(output, baseline, campaign, columns, *(logs or ()))
     if campaign is not None:
         if logs or baseline is not None:
             raise UsageError("--campaign takes neither logs nor --baseline; make two pages")

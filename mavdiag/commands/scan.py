@@ -14,7 +14,7 @@ import typer
 from typer import Option
 
 from mavdiag.archive.figures import FlightRecord
-from mavdiag.archive.paths import Named
+from mavdiag.archive.paths import Named, check_output
 from mavdiag.archive.scan import Answer, Cache, Options, Question, open_cache
 from mavdiag.archive.scan import scan as archive
 from mavdiag.archive.tables import Row, check_parquet, rows_of, write_csv, write_parquet
@@ -24,9 +24,11 @@ from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands import options as opt
 from mavdiag.commands.progress import shown, sizes_of
+from mavdiag.errors import UsageError
 from mavdiag.judging import JUDGED_SHARE, Verdict, exit_code
 from mavdiag.logs import check_times
-from mavdiag.storage import check_output
+
+LONGEST_S = 1e6  # of a window: 11 days (our choice)
 
 
 def scan(
@@ -60,12 +62,15 @@ def scan(
     """
     reference = Baseline.load(baseline)
     check_times(from_s, to_s)
-    for path in (csv, parquet):
-        if path is not None:
-            check_output(path)
-    if parquet is not None:
-        check_parquet()
+    if windows is not None and not windows <= LONGEST_S:
+        raise UsageError(f"--windows {windows:g}: give a length of at most {LONGEST_S:g} s")
     found, mapped = opt.find_logs(logs, columns)
+    read = (baseline, columns, *(log.path for log in found.logs))
+    if csv is not None:
+        check_output(csv, parquet, *read)
+    if parquet is not None:
+        check_output(parquet, *read, kind=b"PAR1")
+        check_parquet()
     question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped, judged_share, figures=as_one))
     verdicts, rows, flights, before = list[Verdict](), list[Row](), list[FlightRecord](), 0
     as_table = sys.stdout.isatty() and len(found.logs) > 1 and windows is None and not as_json

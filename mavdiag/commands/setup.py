@@ -17,6 +17,7 @@ import typer
 from typer import Argument, Option
 
 from mavdiag.airframe.airframe import Airframe
+from mavdiag.archive.paths import AS_BASELINE, check_output
 from mavdiag.commandline import say
 from mavdiag.commands import options as opt
 from mavdiag.commands.identify import make_baseline
@@ -41,7 +42,7 @@ from mavdiag.monitors.base import SLACK
 from mavdiag.monitors.run_length import RunLength
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import Border
-from mavdiag.storage import check_output, write_atomically
+from mavdiag.storage import write_atomically
 from mavdiag.telemetry import Instant, Log, Signal
 from mavdiag.units import NS_PER_US
 
@@ -84,7 +85,7 @@ def setup(
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UsageError(f"{folder}: {error.strerror}; name another folder with -o") from error
-        check_output(baseline_file)
+        check_output(baseline_file, kind=AS_BASELINE)
         log = _look(link, options.airframe, vehicle or COMPANION_OF)
         sysid, coverage = link.vehicle or COMPANION_OF, Coverage()
         flights = list(_known(folder, coverage, sysid, options))

@@ -69,7 +69,7 @@ def watch(
 
 
 def replay(
-    log: Annotated[Path, Argument(metavar="LOG", help="A flight log of any kind that `mavdiag scan` reads.")],
+    log: Annotated[Path, Argument(metavar="LOG", help="A flight log of any kind but CSV.")],
     baseline: opt.BaselineFile,
     speed: Annotated[float, Option(min=0.01, metavar="X", help="Times as fast as flown; inf does not wait.")] = 1.0,
     web: Annotated[
@@ -91,13 +91,13 @@ def replay(
         given = {"web-token-file": web_token_file, "vehicle": vehicle, "speed": speed, "from-s": from_s}
         options = [part for name, value in given.items() if value is not None for part in (f"--{name}", str(value))]
         os.execv(sys.executable, [sys.executable, "-P", "-m", PAGE, *options, "--", str(log), str(baseline), web])
-    from mavdiag.chain import suited
+    from mavdiag.judging import playable
     from mavdiag.terminal.ground_station import LiveJudge  # here, for rich takes time to load
     from mavdiag.terminal.watching import play
 
     with stop_signals() as stopped:
         read, known = read_log(log, vehicle), Baseline.load(baseline)
-        fitting = suited(known, read)
+        fitting = playable(known, read, from_s)
 
         def begin() -> LiveJudge:
             return LiveJudge(fitting, SPAN_S, vehicle, began_ns=read.started_ns)

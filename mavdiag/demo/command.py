@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mavdiag import __version__
+from mavdiag.archive.paths import check_output
 from mavdiag.archive.scan import digest_of_sources, own_cache
 from mavdiag.as_json import json_line
 from mavdiag.baseline import Baseline
@@ -24,7 +25,6 @@ from mavdiag.learning import LearnOptions, thesis_options
 from mavdiag.link.messages import Severity
 from mavdiag.logs import read_log
 from mavdiag.monitors.run_length import RunLengthSpec
-from mavdiag.storage import check_output
 from mavdiag.telemetry import Axis
 from mavdiag.terminal.ground_station import GroundStation
 from mavdiag.units import NS_PER_S
@@ -65,7 +65,7 @@ def demo(
     if duration < 10:
         raise UsageError(f"--duration {duration:g}: give the flight at least 10 s")
     if report is not None:
-        check_output(report)
+        check_output(report, baseline)
     fused, thesis = (baseline, baseline) if baseline is not None else own_baselines(quiet=as_json, thorough=thorough)
     reference = thesis_rule(Baseline.load(thesis))
     if not reference.monitors:

@@ -17,6 +17,7 @@ import numpy as np
 from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.errors import missing_extra
 from mavdiag.judging import JudgedFlight
+from mavdiag.storage import replacing
 from mavdiag.telemetry import FloatArray, IntArray, Log, frame_of
 from mavdiag.traces import rate_traces, slot_traces
 from mavdiag.units import NS_PER_S
@@ -74,7 +75,7 @@ def table_of(topics: Sequence[Topic]) -> "DataFrame":
 def write_mcap(path: Path, log: Log, topics: Sequence[Topic], changes: Sequence[Change]) -> None:
     """Write an MCAP file, its messages in order of time; of the wall clock where the log knows it.
 
-    Raises UsageError without the library, and OSError.
+    Raises UsageError without the library, or if it cannot be written.
     """
     try:
         from mcap.writer import Writer
@@ -86,7 +87,7 @@ def write_mcap(path: Path, log: Log, topics: Sequence[Topic], changes: Sequence[
     rows = np.concatenate([np.arange(len(topic.t_ns)) for topic in topics])
     first_ns = int(t_ns.min())
     shift_ns = log.started_ns - first_ns if log.started_ns else max(0, -first_ns)
-    with path.open("wb") as stream:
+    with replacing(path) as stream:
         writer = Writer(stream)
         writer.start(library="mavdiag")
 

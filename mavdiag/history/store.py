@@ -50,10 +50,12 @@ class History:
     def __init__(self, engine: sa.Engine) -> None:
         self._engine = engine
 
-    def airframe_of(self, content: str) -> str | None:
-        """The airframe that has a flight of this content; None if there is no such flight."""
+    def kept_as(self, content: str) -> tuple[str, str] | None:
+        """Airframe and baseline of the flight that has this content; None if there is no such flight."""
         with self._engine.begin() as connection:
-            return connection.scalar(sa.select(FLIGHT.c.airframe).where(FLIGHT.c.content == content))
+            query = sa.select(FLIGHT.c.airframe, FLIGHT.c.baseline).where(FLIGHT.c.content == content)
+            found = connection.execute(query).first()
+            return None if found is None else (found[0], found[1])
 
     def add(self, record: FlightRecord, *, again: bool = False) -> bool:
         """Keep a flight. False, with nothing changed, if it is there already; with `again` the new one replaces it."""
@@ -63,7 +65,7 @@ class History:
                     connection.execute(sa.delete(FLIGHT).where(FLIGHT.c.content == record.content))
                 connection.execute(sa.insert(FLIGHT).values(_FLIGHTS.dump_python(record, mode="json")))
         except IntegrityError:
-            if self.airframe_of(record.content) is None:
+            if self.kept_as(record.content) is None:
                 raise
             return False
         return True

@@ -136,6 +136,8 @@ def read_csv(path: Path, columns: ColumnMap) -> Log:
     data = read_bytes(path)
     if any(_line_end(data, at, at + LINE_BYTES) is None for at in range(0, len(data) - LINE_BYTES + 1, LINE_BYTES)):
         raise InputError(f"{path}: a line has over {LINE_BYTES // 1024} KiB: it is no CSV file, or damaged")
+    if b"\0" in data[:LINE_BYTES].split(b"\n", 1)[0]:
+        raise InputError(f"{path}: is no CSV text in UTF-8; save it as such, or leave out --columns for a flight log")
     text = data.decode("utf-8-sig", errors="replace")
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
@@ -216,4 +218,10 @@ def _refused(path: Path) -> Log:
     raise InputError(f"{path}: a CSV file needs its column map; give --columns MAP.toml")
 
 
-KIND = LogKind("CSV with a column map", lambda head: False, lambda path, *_: _refused(path), (PROFILE,), GATE)
+KIND = LogKind(
+    "CSV with --columns MAP.toml where a command has it",
+    lambda head: False,
+    lambda path, *_: _refused(path),
+    (PROFILE,),
+    GATE,
+)

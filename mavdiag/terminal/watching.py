@@ -318,12 +318,14 @@ class Position:
 def play(
     log: Log, begin: Callable[[], LiveJudge], speed: float, from_s: float, axis: Axis, ended: Callable[[], bool]
 ) -> None:
-    """Show a log as if it were flown now, until its end, `ended` or a key. from_s: of the log; before, nothing waits.
+    """Show a log as if it were flown now, until its end, `ended` or a key.
 
+    from_s: of the log; before, nothing waits, and where there are no keys nothing is told.
     begin: what judges it, anew for each way back. At its end it waits for a key where there are keys.
     """
     t_ns = log.telemetry.need(Signal.BODY_RATE).t_ns
     begin_s, end_s = float(np.min(t_ns)) / NS_PER_S, float(np.max(t_ns)) / NS_PER_S
+    from_ns = round((begin_s + from_s) * NS_PER_S)
     place, judge = Position(from_s, end_s - begin_s, speed), begin()
     each = max(1, round(1 / PER_S / judge.baseline.link.dt_s))
 
@@ -349,7 +351,8 @@ def play(
             due = not over and judged_s() <= place.at_s
             if due:
                 step = next(steps, None)
-                drawn, over = screen.show([line_for(change) for change in judge.judge(step)]), step is None
+                fresh = [line_for(one) for one in judge.judge(step) if keyboard.live or one.t_ns >= from_ns]
+                drawn, over = screen.show(fresh), step is None
             elif not drawn:
                 drawn = screen.show(())
             for key in keyboard.read(0.0 if due else LOOK_S):

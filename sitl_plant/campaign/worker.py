@@ -25,6 +25,7 @@ from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import MavdiagError, UsageError
 from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge_in_full
 from mavdiag.learning import LearnOptions, learn
+from mavdiag.storage import begins
 from mavdiag.telemetry import Log
 from mavdiag.units import NS_PER_S, S_PER_H
 from sitl_plant.autopilot.telemetry import flight_telemetry
@@ -342,6 +343,8 @@ class Journal:
     def __init__(self, path: Path, fresh: bool = False) -> None:
         self.lines: dict[str, Line] = {}
         self.unread, self._fresh = 0, fresh  # what is in the file goes with the first result, not before there is one
+        if not begins(path, rb'\{"key"'):
+            raise UsageError(f"{path}: holds something else than results; choose another --output")
         try:
             text = "" if fresh or not path.exists() else path.read_text(encoding="utf-8")
             self._file = path.open("a", encoding="utf-8")

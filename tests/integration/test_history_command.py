@@ -31,6 +31,7 @@ from mavdiag.history.warn import Mark, MarkKind
 from mavdiag.judging import LogVerdict, Verdict
 from mavdiag.link.codec import field_index
 from mavdiag.link.messages import Autopilot, MavCmd, MessageId
+from mavdiag.printable import printable
 
 UDP_IN = "udpin:127.0.0.1:0"
 UID = "0011223344556677"
@@ -55,17 +56,27 @@ def test_flights_are_judged_kept_once_and_listed(mavdiag: Any, tmp_path: Path, m
     logs = sorted(tmp_path.glob("*.tlog"))
     assert mavdiag("identify", *logs[:3], "-o", "b.json", "--airframe", "qdrone2", "--name", "drone 1")[0] == 0
     (tmp_path / "damaged.tlog").write_bytes(b"")
+    logs[2] = logs[2].rename(tmp_path / os.fsdecode(b"no\xffutf-8.tlog"))
+    named = printable(str(logs[2]))
     code, out, _ = mavdiag("history", "add", *logs[2:], "damaged.tlog", "--baseline", "b.json", "--jobs", 1)
     said = out.splitlines()
     assert (code, len(said)) == (2, 3)
     assert [": added, healthy, " in line for line in said] == [True, True, False]
     assert said[2].startswith("damaged.tlog: error, ")
     code, out, _ = mavdiag("history", "add", logs[2], "--baseline", "b.json", "--airframe", "drone 2")
-    assert (code, out) == (0, f"{logs[2]}: is there already, of drone 1\n")
+    told = f"{named}: is there already, of drone 1, by another baseline or name; --again judges it anew\n"
+    assert (code, out) == (0, told)
+    other = Baseline.load("b.json")
+    other.model_copy(update={"link": other.link.model_copy(update={"profile": "px4"})}).save("px4.json")
+    code, out, _ = mavdiag("history", "add", logs[2], "--baseline", "px4.json", "--again")
+    assert (code, out.startswith(f"{named}: not kept: ")) == (2, True)
     code, out, _ = mavdiag("history", "add", logs[2], "--baseline", "b.json", "--vehicle", 1)
-    assert (code, out) == (0, f"{logs[2]}: is there already, of drone 1\n")  # its only vehicle, named or not
+    assert (code, out) == (
+        0,
+        f"{named}: is there already, of drone 1\n",
+    )  # its only vehicle, named or not
     code, out, _ = mavdiag("history", "add", logs[2], "--baseline", "b.json", "--again")
-    assert (code, f"{logs[2]}: judged again, healthy" in out) == (0, True)
+    assert (code, f"{named}: judged again, healthy" in out) == (0, True)
     code, out, _ = mavdiag("history", "list", "--json")
     flights = [json.loads(line) for line in out.splitlines()]
     assert (code, [one["flight"] for one in flights]) == (0, [1, 2])

@@ -1,6 +1,9 @@
 """What a command cannot do is one line on stderr and exit code 2, before anything is done."""
 
+import io
 import shlex
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,18 +14,21 @@ PROGRAMS = {"mavdiag": "mavdiag.cli", "mavdiag-detector": "detector.__main__", "
 CAMPAIGN = "sitl-plant campaign -o r.jsonl --flights 0 --hours 0 --workers 1"
 FLEET = "sitl-plant fleet -n 2 --fault F2/SV2 --out udpout:127.0.0.1:9"
 LEARN, HISTORY = "mavdiag-detector --learn 10 --save b.json", "mavdiag history show --database"
+DETECTOR = "mavdiag-detector --baseline baseline.json"
 SCAN = "mavdiag scan a.tlog --baseline baseline.json"
 REFUSED = [
     ("sitl-plant run --fault F9/SV1", "no fault 'F9/SV1': give F1, F2 or F3"),
+    ("sitl-plant run --phenomenology 7", "'--phenomenology'"),
     ("sitl-plant run --onset 3", "--onset needs a fault"),
     ("sitl-plant run --rate 5000", "rate must be 1 to 1000 Hz"),
     ("sitl-plant run --profile betaflight", "no link profile betaflight"),
     ("sitl-plant run --speed fast", "speed must be 0.01 to 100, or max"),
     ("sitl-plant run --duration -1", "duration must be positive"),
+    ("sitl-plant record -o t.tlog --duration inf", "duration must be positive and at most 1e+06 s"),
     ("sitl-plant run --out udpout:localhost", "malformed address"),
     ("sitl-plant run --out /dev/no-such-tty,57600", "no such device"),
     ("sitl-plant run --truth /no/such/t.jsonl --out udpin:127.0.0.1:0", "choose another --truth"),
-    ("sitl-plant record -o /no/such/x.tlog --duration 1", "cannot write"),
+    ("sitl-plant record -o /no/such/x.tlog --duration 1", "there is no folder /no/such"),
     ("sitl-plant record", "-o"),
     ("sitl-plant serve-ardupilot --listen tcpin:127.0.0.1:9002", "write udpin:HOST:PORT"),
     ("sitl-plant serve-ardupilot --fault F1/SV1 --rotor 7", "rotor must be 1 to 4"),
@@ -48,12 +54,17 @@ REFUSED = [
     (f"{LEARN} --config absent.toml", "absent.toml: no such file; check --config"),
     ("mavdiag-detector --check --baseline absent.json", "absent.json: no such file"),
     (f"{LEARN} --check --record .", "is a folder"),
+    (f"{DETECTOR} --check --record baseline.json", "baseline.json: is named twice"),
+    (f"{DETECTOR} --journal a.tlog", "a.tlog: is no journal so far"),
+    (f"{DETECTOR} --check --journal a.out --record a.out", "a.out: is named twice"),
+    (f"{LEARN} --record baseline.json", "baseline.json: is no record so far"),
     ("mavdiag-detector --check --learn 9 --save absent/b.json", "there is no folder absent"),
     ("mavdiag history", "no history there; make one with `mavdiag history add`"),
     ("mavdiag history list --airframe", "'--airframe' requires an argument"),
     ("mavdiag history --airframe x list", "unexpected extra argument"),
     ("mavdiag history mark --airframe x", "say what was done"),
     ("mavdiag history mark --airframe x --repair --at yesterday", "write it like 2026-03-01"),
+    ("mavdiag history mark --airframe x --repair --at 2999-03-01", "give one from 1970 to 2262"),
     (f"{HISTORY} postgresql://me:secret@127.0.0.1:1/fleet", "Connection refused"),
     (f"{HISTORY} postgresql://me:secret@127.0.0.1:port/fleet", "postgresql"),
     ("mavdiag history add x.tlog --baseline none.json", "none.json: no such file"),
@@ -63,6 +74,7 @@ REFUSED = [
     (f"{HISTORY} mysql://a@b/c", "an SQLite file or a postgresql"),
     (f"{HISTORY} ''", "name the history"),
     ("mavdiag model absent.tlog", "absent.tlog: no such file"),
+    ("mavdiag model t.csv", "CSV with --columns MAP.toml where a command has it"),
     ("mavdiag model track a.tlog --every 0", "--every and --memory must be longer"),
     ("mavdiag model a.tlog --plot /dev/null", "not a regular file"),
     ("mavdiag model a.tlog --order '2;2'", "three whole numbers"),
@@ -72,6 +84,7 @@ REFUSED = [
     ("mavdiag export x.ulg --mcap --csv", "name one LOG and one of"),
     ("mavdiag export x.ulg --lua b.json", "--lua takes a baseline"),
     ("mavdiag export absent.ulg --csv", "absent.ulg"),
+    ("mavdiag export absent.ulg --csv -o no-folder/x.csv", "there is no folder no-folder"),
     ("mavdiag report", "name logs and --baseline FILE"),
     ("mavdiag report x.tlog --baseline gone.json", "gone.json: no such file"),
     ("mavdiag report --campaign gone.jsonl", "gone.jsonl: no such file"),
@@ -82,7 +95,19 @@ REFUSED = [
     (f"{SCAN} --parquet .", ".: is a folder"),
     (f"{SCAN} --from nan", "--from nan: give a time in seconds"),
     (f"{SCAN} --cache baseline.json", "baseline.json: no folder to keep answers in"),
+    (f"{SCAN} --csv a.tlog", "a.tlog: is named twice"),
+    (f"{SCAN} --csv n.csv --parquet n.csv", "n.csv: is named twice"),
+    (f"{SCAN} --parquet empty/../baseline.json", "is named twice"),
+    ("mavdiag report a.tlog --baseline baseline.json -o ./baseline.json", "baseline.json: is named twice"),
+    ("mavdiag report b.tlog --baseline c.json -o a.tlog", "a.tlog: holds a flight log or a baseline"),
+    ("mavdiag identify . -o a.tlog", "a.tlog: holds a flight log"),
+    ("mavdiag export a.tlog --csv -o baseline.json", "baseline.json: holds a flight log or a baseline"),
+    ("mavdiag history show --html a.tlog", "a.tlog: holds a flight log"),
+    ("sitl-plant record -o t.tlog --truth a.tlog", "a.tlog: holds something else"),
+    ("sitl-plant record -o baseline.json", "baseline.json: holds a flight log or a baseline"),
+    (f"{CAMPAIGN} -o baseline.json", "baseline.json: holds something else than results"),
     (f"{SCAN} --windows 0.5", "Invalid value for '--windows'"),
+    (f"{SCAN} --windows inf", "give a length of at most"),
     (f"{SCAN} --scheduler tcp://127.0.0.1:1", "no Dask scheduler at tcp://127.0.0.1:1"),
 ]
 
@@ -93,6 +118,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("place")
     made(folder, "a.tlog")
     archive_baseline().save(folder / "baseline.json")
+    (folder / "t.csv").write_text("t,p,q,r")
     (folder / "empty").mkdir()
     return folder
 
@@ -112,3 +138,28 @@ def test_what_cannot_be_done_is_one_line_and_leaves_nothing(
     assert words in line
     assert "secret" not in line
     assert sorted(place.rglob("*")) == before
+
+
+@pytest.mark.parametrize(("end", "code"), [(">/dev/full", 2), (">&- 2>&-", 0), ("no-such-file 2>/dev/full", 2)])
+def test_an_output_that_cannot_be_written_is_an_error_and_no_verdict(place: Path, end: str, code: int) -> None:
+    command = f"{sys.executable} -m mavdiag baseline show baseline.json {end}"
+    ran = subprocess.run(["sh", "-c", command], cwd=place, stdout=-1, stderr=-1, text=True, check=False)
+    assert (ran.returncode, "Traceback" in ran.stderr) == (code, False)
+
+
+def test_a_fault_of_ours_ends_with_2_and_what_a_terminal_lacks_is_shown_as_its_escape(
+    program: Callable[..., tuple[int, str, str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr", io.TextIOWrapper(raw := io.BytesIO(), "latin-1", write_through=True))
+    assert program("mavdiag.cli", "baseline", "show", "отчёт")[0] == 2
+    assert rb"\u043e" in raw.getvalue()
+    monkeypatch.setattr("mavdiag.commands.identify.Baseline.load", lambda path: 1 / 0)
+    assert program("mavdiag.cli", "baseline", "show", "b.json")[0] == 2
+
+
+@pytest.mark.parametrize("program", ["main", "detector", "plant"])
+def test_ctrl_c_while_a_program_loads_is_quiet(program: str) -> None:
+    stop = "class Stop:\n    def find_spec(*_): signal.raise_signal(signal.SIGINT)\nsys.meta_path.insert(0, Stop())"
+    code = f"import signal, sys, mavdiag.__main__ as begin\n{stop}\nbegin.{program}()"
+    ran = subprocess.run([sys.executable, "-c", code], stdout=-1, stderr=-1, check=False)
+    assert (ran.returncode, ran.stdout, ran.stderr) == (130, b"", b"")

@@ -600,11 +600,11 @@ def test_a_flight_is_kept_once_and_replaced_when_asked(database: str) -> None:
     with open_history(database, create=True) as history:
         assert history.add(record(1))
         assert not history.add(replace(record(1), airframe="another", reason="changed"))
-        assert history.airframe_of(record(1).content) == "one"
+        assert history.kept_as(record(1).content) == ("one", record(1).baseline)
         assert history.add(replace(record(1, 0.9), reason="changed"), again=True)
         assert [one.reason for one in history.flights("one")] == ["changed"]
         assert history.flights("one")[0].slots[2].peak == 0.9
-        assert history.airframe_of("unknown") is None
+        assert history.kept_as("unknown") is None
 
 
 def test_several_that_add_at_once_keep_each_flight_once(database: str) -> None:

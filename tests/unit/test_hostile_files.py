@@ -44,7 +44,7 @@ from mavdiag.logs.crazyflie import read_crazyflie
 from mavdiag.logs.dataflash import read_dataflash
 from mavdiag.logs.dronepropa import read_dronepropa
 from mavdiag.logs.ulog import read_ulog
-from mavdiag.storage import check_output, read_text, write_atomically
+from mavdiag.storage import check_output, read_text, replacing, write_atomically
 from mavdiag.telemetry import Log
 from sitl_plant.vehicle import load_vehicle
 
@@ -334,3 +334,10 @@ def test_what_is_left_of_compressed_matrices_is_a_beginning_and_a_note(path: Pat
     log = read(path, "DronePropA, compressed", flipped(PACKED, list(set(bits))))
     if log is not None and not log.notes[1:]:  # the first note is that the flight is short
         np.testing.assert_array_equal(log["actuator"].values, ROWS["QDrone_data"][19:23].T)
+
+
+def test_what_is_not_written_to_its_end_leaves_the_old_file_and_nothing_beside_it(tmp_path: Path) -> None:
+    (old := tmp_path / "old.csv").write_text("whole")
+    with pytest.raises(ZeroDivisionError), replacing(old) as file:
+        file.writelines(bytes(1 // n) for n in (1, 0))
+    assert (old.read_text(), list(tmp_path.iterdir())) == ("whole", [old])

@@ -95,6 +95,7 @@ def test_b1_healthy_says_which_monitors_judged_for_how_long_and_which_did_not() 
     assert verdict.verdict is Verdict.HEALTHY
     assert verdict.reason.startswith("no alarm; judged 24.0 s of 24.0 s (100 %) by innovation, rotor_signature, ")
     assert "; not judged by rotor_trim (no actuator)" in verdict.reason
+    assert "not judged by innovation (too little flight)" in judge(logged(flying(700, 1)), flown()).reason
     assert (verdict.judged_s, verdict.flown_s) == pytest.approx((24, 24), abs=0.1)
     assert verdict_json(verdict)["judged_s"] == pytest.approx(24, abs=0.1)
     assert verdict_json(verdict)["flown_s"] == pytest.approx(24, abs=0.1)

@@ -177,7 +177,7 @@ def test_a_wrong_map_names_its_field(text: str, words: str, tmp_path: Path) -> N
         ("time,p,q,r,m1,m2\n", "it has no rows"),
         ("time,p,q,r,m1,m2\nx,y,z,,,\n", "no row has a time"),
         ("time,p,q,r,m1,m2\n1,,,,1,1\n2,,,,1,1\n", "most rows have no gyro"),
-        ("\x00\xff\n" * 10, "no column 'time'"),
+        ("\x00\xff\n" * 10, "is no CSV text in UTF-8; .* leave out --columns"),
     ],
 )
 def test_a_file_that_the_map_does_not_fit_is_one_line(content: str, words: str, tmp_path: Path) -> None:

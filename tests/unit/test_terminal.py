@@ -22,8 +22,8 @@ import detector.__main__ as command
 from mavdiag import commandline
 from mavdiag.archive.tables import Row
 from mavdiag.commands.progress import shown
-from mavdiag.errors import InputError
-from mavdiag.judging import judge
+from mavdiag.errors import BaselineError, InputError, UsageError
+from mavdiag.judging import judge, playable
 from mavdiag.link.messages import Severity
 from mavdiag.logs import read_log
 from mavdiag.printable import printable
@@ -52,6 +52,14 @@ def test_a_log_is_replayed_as_a_link_is_watched(tmp_path: Path) -> None:
     assert "propeller fault: a monitor is above its threshold (fsd" in lines[-1]
     changes = judge(read_log(path), baseline).changes
     assert len(lines) == len(changes)
+    other = baseline.model_copy(update={"link": baseline.link.model_copy(update={"profile": "px4"})})
+    with pytest.raises(BaselineError, match=r"flight.tlog: another link: link.profile: the baseline is for 'px4'"):
+        playable(other, read_log(path))
+    with pytest.raises(UsageError, match=r"--from 31: flight.tlog has 30.0 s"):
+        playable(baseline, read_log(path), 31.0)
+    with contextlib.redirect_stdout(later := io.StringIO()):
+        play(read_log(path), begin, math.inf, 20.0, Axis.ROLL, lambda: False)
+    assert later.getvalue().splitlines() == [line for line in lines if "quiet" not in line]
     with contextlib.redirect_stdout(out):
         play(read_log(path), begin, 0.01, 0.0, Axis.ROLL, lambda: True)  # Ctrl-C: no waiting
 
