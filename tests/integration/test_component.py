@@ -470,29 +470,17 @@ def test_a_lost_link_ends_it_until_the_fault_is_found_again(benches: Benches) ->
     assert len(commanded(bench)) == 2
 
 
-@pytest.fixture
-def taught_by_two(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Flights to learn from are half of the time that these tests take."""
-    monkeypatch.setattr("reactions.TAUGHT", 2)
+def test_a_mission_with_a_crack_is_flown_home_after_the_delay_and_a_call_off_lets_it_go_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("reactions.TAUGHT", 2)  # flights to learn from are half of the time that this takes
     monkeypatch.setattr("reactions.LEARN_S", 40.0)
-
-
-@pytest.mark.usefixtures("taught_by_two")
-def test_a_mission_with_a_crack_is_flown_home_after_the_delay_and_a_call_off_lets_it_go_on() -> None:
     flown = fly("mission", 100, "F2/SV3", craft=CRAFT)
-    assert flown.commands == ["rtl"]
-    assert flown.announced
+    assert (flown.commands, flown.announced, flown.down) == (["rtl"], True, True)
     assert flown.late_s is not None
     assert -0.01 <= flown.late_s <= 0.5
-    assert flown.down
     left = fly("mission", 101, "F2/SV3", craft=CRAFT, call="stick", until_s=40.0)
-    assert left.called_off
-    assert left.commands == []
-    assert not left.down
-
-
-@pytest.mark.usefixtures("taught_by_two")
-def test_a_healthy_mission_is_left_alone() -> None:
+    assert (left.called_off, left.commands, left.down) == (True, [], False)
     flown = fly("mission", 102, craft=CRAFT, until_s=40.0)
     assert (flown.commands, flown.announced, flown.declared_s) == ([], False, None)
     assert flown.judged > 0.5

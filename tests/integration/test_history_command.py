@@ -71,10 +71,7 @@ def test_flights_are_judged_kept_once_and_listed(mavdiag: Any, tmp_path: Path, m
     code, out, _ = mavdiag("history", "add", logs[2], "--baseline", "px4.json", "--again")
     assert (code, out.startswith(f"{named}: not kept: ")) == (2, True)
     code, out, _ = mavdiag("history", "add", logs[2], "--baseline", "b.json", "--vehicle", 1)
-    assert (code, out) == (
-        0,
-        f"{named}: is there already, of drone 1\n",
-    )  # its only vehicle, named or not
+    assert (code, out) == (0, f"{named}: is there already, of drone 1\n")  # its only vehicle, named or not
     code, out, _ = mavdiag("history", "add", logs[2], "--baseline", "b.json", "--again")
     assert (code, f"{named}: judged again, healthy" in out) == (0, True)
     code, out, _ = mavdiag("history", "list", "--json")

@@ -216,18 +216,14 @@ def test_b3_the_end_of_a_flight_closes_its_events_and_forgets_them() -> None:
     """B3: an open event lived through the landing."""
     state, opened, _ = decided(values(profile((2, 0.3), (2, 2.0)), rotor=4))
     assert [one.end_ns for one in opened] == [None]
+    after, _, changes = SPEC.end_segment(state, Looked(), (), 4 * NS_PER_S, flies=True)  # the data broke off
+    assert (after.diagnosis, after.episode, changes) == (state.diagnosis, state.episode, ())
     open_ = Alarm(0, 0, 2 * NS_PER_S, round(3.98 * NS_PER_S), 2.0, 2.0)
     state, closed, changes = SPEC.end_segment(state, Looked(), [open_], 4 * NS_PER_S)
     assert [(one.start_ns, one.end_ns, one.rotor) for one in closed] == [(2 * NS_PER_S, open_.end_ns, 4)]
     assert [(one.stage, one.rotor) for one in changes] == [(Stage.INSPECT, 4)]
     after = values(profile((4, 0.3)), first_s=100.0)
     assert decide(SPEC, (after, NOTHING, NOTHING), state)[1:] == ((), ())
-
-
-def test_data_that_break_off_withdraw_no_fault() -> None:
-    state, _, _ = decided(values(profile((2, 0.3), (2, 2.0)), rotor=4))
-    after, _, changes = SPEC.end_segment(state, Looked(), (), 4 * NS_PER_S, flies=True)
-    assert (after.diagnosis, after.episode, changes) == (state.diagnosis, state.episode, ())
 
 
 def test_a_name_that_is_corrected_in_one_episode_stays_of_the_one_before() -> None:
