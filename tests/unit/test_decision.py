@@ -222,8 +222,8 @@ def test_b3_the_end_of_a_flight_closes_its_events_and_forgets_them() -> None:
     state, closed, changes = SPEC.end_segment(state, Looked(), [open_], 4 * NS_PER_S)
     assert [(one.start_ns, one.end_ns, one.rotor) for one in closed] == [(2 * NS_PER_S, open_.end_ns, 4)]
     assert [(one.stage, one.rotor) for one in changes] == [(Stage.INSPECT, 4)]
-    after = values(profile((4, 0.3)), first_s=100.0)
-    assert decide(SPEC, (after, NOTHING, NOTHING), state)[1:] == ((), ())
+    later = values(profile((4, 0.3)), first_s=100.0)
+    assert decide(SPEC, (later, NOTHING, NOTHING), state)[1:] == ((), ())
 
 
 def test_a_name_that_is_corrected_in_one_episode_stays_of_the_one_before() -> None:
