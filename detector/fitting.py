@@ -2,16 +2,15 @@
 
 import multiprocessing
 import os
-import queue
 import signal
 import threading
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from pickle import PickleError
 
 from detector.values import FitOutcome, Learn
 from mavdiag.airframe.airframe import Airframe
@@ -21,8 +20,6 @@ from mavdiag.telemetry import Log
 
 LIMIT_S = 300.0  # longer than any fit takes on a small companion computer (our choice)
 NICENESS = 10  # the receive loop comes first
-#: What a start, a hand-over and an answer may raise: of the system, of a link that ended, of what cannot be read.
-FAILURES = (OSError, EOFError, MemoryError, ImportError, AttributeError, TypeError, ValueError, PickleError)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,41 +65,33 @@ class ProcessFitter:
     """
 
     def __init__(self) -> None:
-        self._jobs: queue.SimpleQueue[FittingJob] = queue.SimpleQueue()
-        self._outcomes: queue.SimpleQueue[tuple[int, FitOutcome]] = queue.SimpleQueue()
+        self._fits: list[tuple[int, Future[FitOutcome]]] = []  # by system id, in order
         self._lock = threading.Lock()  # held while a process starts
         self._closed = False
         self._process: BaseProcess | None = None  # at work, and since when (monotonic clock)
         self._since_s = 0.0
-        threading.Thread(target=self._run, name="fitting", daemon=True).start()
+        self._thread = ThreadPoolExecutor(1, "fitting")
+        self._thread.submit(int)  # it begins with the daemon: to start a thread in flight may fail
 
     def begin(self, job: FittingJob) -> None:
         """Start on a job, or put it behind the present one."""
-        self._jobs.put(job)
+        self._fits.append((job.vehicle, self._thread.submit(self._fit, job)))
 
     def poll(self) -> list[tuple[int, FitOutcome]]:
         """Outcomes since the last call, by system id. A job that takes too long has failed."""
         if (process := self._process) is not None and time.monotonic() - self._since_s > LIMIT_S:
             process.terminate()
-        return [self._outcomes.get() for _ in range(self._outcomes.qsize())]
+        done = [one for one in self._fits if one[1].done()]
+        self._fits = self._fits[len(done) :]
+        return [(vehicle, _outcome(fit)) for vehicle, fit in done]
 
     def close(self) -> None:
         """Give up what is not done."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
         with self._lock:
             self._closed = True
             if (process := self._process) is not None:
                 process.terminate()
-
-    def _run(self) -> None:
-        while not self._closed:
-            self._outcomes.put(self._outcome(self._jobs.get()))
-
-    def _outcome(self, job: FittingJob) -> tuple[int, FitOutcome]:
-        try:
-            return job.vehicle, self._fit(job)
-        except FAILURES as error:
-            why = f"the fitting process failed or took too long ({error!r}); fly on to try again"
-            return job.vehicle, why
 
     def _fit(self, job: FittingJob) -> FitOutcome:
         context = multiprocessing.get_context("spawn")
@@ -126,3 +115,9 @@ class ProcessFitter:
                 self._process = None
                 process.terminate()
                 process.join()
+
+
+def _outcome(fit: "Future[FitOutcome]") -> FitOutcome:
+    if (error := fit.exception()) is not None:
+        return f"the fitting process failed or took too long ({error!r}); fly on to try again"
+    return fit.result()

@@ -95,7 +95,8 @@ def run(app: typer.Typer, name: str) -> NoReturn:
         code = 0
     except OSError as error:
         _silence(sys.stdout)
-        code, told = ERROR, f"{_line(str(error))}; check where the output goes, and its disk"
+        where = "its path and its disk" if error.filename else "where the output goes, and its disk"
+        code, told = ERROR, f"{_line(str(error))}; check {where}"
     except Exception as error:  # a fault of ours: 1 would be a verdict
         traceback.print_exc()
         raise SystemExit(ERROR) from error
