@@ -17,15 +17,17 @@ the law is the mean over both by their posterior probabilities, with the margina
 
 A threshold is the posterior predictive level that K healthy flights of d seconds, flown in one session that is not
 among the healthy ones, exceed with probability 1 - exp(-r). An offset of a session or a flight is no news with every
-block. S sessions of N flights taught; Phi is the normal law, and chi2 the chi-squared law of nu + N - S degrees:
+block. S sessions of N flights with B blocks taught. D is what sd(e), G what beta may be after them; n = (B - N)/2.2,
+for the sample variance of a Gumbel law scatters as that of so many normal deviations:
 
-    F(y)   = E over z of exp(-exp(-(y - z sd(e) sqrt(1 + 1/N) sqrt((nu + N - S)/chi2) - m)/beta)),  z of Phi
-    m      = beta (ln(d/10 s) - 0.5772)                        the highest of a flight: its offset and its blocks
-    exp(-r) = E over a and chi2 of F(threshold - mu - a)^K      a = t_{nu+S-1} sd(a) sqrt(1 + 1/S)
+    D      = sd(e) sqrt(1 + 1/N) sqrt((nu + N - S)/chi2_{nu+N-S})
+    G      = beta sqrt((nu + n)/chi2_{nu+n})
+    F(y)   = E over z of exp(-exp(-(y - D z - m)/G)),          z normal, m = G (ln(d/10 s) - 0.5772)
+    exp(-r) = E over a, D and G of F(threshold - mu - a)^K     a = t_{nu+S-1} sd(a) sqrt(1 + 1/S)
 
 and in a session of these flights the same with the highest mean of a session for mu, and without a. The K flights have
-one sd(e), which is not known; drawn for each of them anew, short flights would be given 15 to 20 % too much. A block of
-length L lies beta ln(L/10 s) above one of 10 s, so a short one counts as what it is. The law makes two levels:
+one D and one G, which are not known; drawn for each of them anew, short flights would be given 15 to 20 % too much. A
+block of length L lies beta ln(L/10 s) above one of 10 s, so a short one counts as what it is. The law has two levels:
 
     fault       r alarms in an hour of flight, flown in one session: K = 3600 s/d
     suspected   one flight in n like the healthy ones: K = 1, r = 1/n; never above the first
@@ -62,10 +64,12 @@ BUDGET_PER_HOUR = 0.05  # alarms of all monitors together (our choice)
 FLIGHTS_PER_SUSPICION = 50.0  # healthy flights, of all monitors together (our choice)
 EULER_GAMMA = 0.5772156649015329
 GUMBEL_SCALE = math.sqrt(6.0) / math.pi  # beta over standard deviation
+GUMBEL_WEIGHT = 2.2  # (5.4 - 1)/(3 - 1): the kurtosis of the Gumbel law less 1, over that of the normal law
 DEGREES = 6  # observations that a prior counts for (our choice)
 OTHERS = 0.02  # probability of a prior's other class, to which no real vehicle of the pool belongs (our choice)
 TINY = 1e-12  # no statistic differs by less
 REACH = 6.0  # arsinh of how many spreads a flight may lie apart
+ANGLES = np.linspace(0.0, 0.5 * math.pi, 25)  # arctan(D/G)
 RAREST, SUREST = 1e-6, 10.0  # rates -ln(1 - probability) that are told apart (our choice: once in a century of flight)
 # Healthy flights after which the maximum rule's false-alarm share is below 5 % with a confidence of 95 %.
 GUARANTEE_FLIGHTS = 59  # METHOD section 4: 1 - 0.95^n >= 0.95
@@ -251,13 +255,14 @@ def threshold_of(
 @dataclass(frozen=True, eq=False)
 class Part:
     """What the flights foretell if the airframe is of one class: mu, the highest mean of a session, sd(a), sd(e), beta,
-    N, S and the mean judged time of a flight [s]."""
+    the degrees that the blocks show, N, S and the mean judged time of a flight [s]."""
 
     mean: float
     highest: float
     session_sd: float
     flight_sd: float
     beta: float
+    shown: float
     flights: int
     sessions: int
     flight_s: float
@@ -275,36 +280,63 @@ class Part:
 
     def below(self, flights: float) -> FloatArray:
         """(y,) probability that of so many flights none lies above."""
-        likely, below = self._table
-        return np.asarray(likely @ below**flights)
+        likely, rates = self._table
+        return np.asarray(likely @ np.exp(-flights * rates))
 
     @property
     def unit(self) -> float:
         """How far flights of a session lie apart."""
         return math.hypot(self.flight_sd, self.beta)
 
+    @property
+    def _usual(self) -> float:
+        """How many beta the highest block of a flight lies above the mean of them."""
+        return math.log(self.flight_s / BLOCK_S) - EULER_GAMMA
+
     @cached_property
     def _highest(self) -> FloatArray:
         """(y,) what the highest of a flight may lie above its session, densest about the usual."""
-        usual = self.beta * (math.log(self.flight_s / BLOCK_S) - EULER_GAMMA)
-        return np.asarray(usual + self.unit * np.sinh(np.linspace(-REACH, REACH, 241)))
+        return np.asarray(self.beta * self._usual + self.unit * np.sinh(np.linspace(-REACH, REACH, 241)))
 
     @cached_property
     def _table(self) -> tuple[FloatArray, FloatArray]:
-        """(s,) how likely values of sd(e) are, and (s, y) the probability that a flight's highest lies below."""
-        from scipy.special import gammaincinv
+        """(p,) how likely pairs of D and G are, and (p, y) how often a flight with them has its highest above."""
+        from scipy.ndimage import map_coordinates
 
-        degrees = DEGREES + self.flights - self.sessions
-        least, most = 2.0 * gammaincinv(0.5 * degrees, np.array([1e-8, 1.0 - 1e-8]))
-        chi2 = np.geomspace(least, most, 24)
-        likely = np.exp(0.5 * degrees * np.log(chi2 / degrees) - 0.5 * (chi2 - degrees))  # of ln chi2
-        sd = self.flight_sd * np.sqrt((1 + 1 / self.flights) * degrees / chi2)
-        z = np.linspace(-7.0, 7.0, 65)
-        normal = np.exp(-0.5 * np.square(z))
-        usual = self.beta * (math.log(self.flight_s / BLOCK_S) - EULER_GAMMA)
-        u = (self._highest[:, None] - usual - sd[:, None, None] * z) / self.beta
-        below = np.exp(-np.exp(np.minimum(-u, 700.0))) @ (normal / normal.sum())
-        return likely / likely.sum(), below
+        likely_d, D = _spread(self.flight_sd * math.sqrt(1 + 1 / self.flights), self.flights - self.sessions)
+        likely_g, G = _spread(self.beta, self.shown)
+        D, G = (one.reshape(-1, 1) for one in np.meshgrid(D, G))
+        u = (self._highest - G * self._usual) / np.hypot(D, G)
+        shape = _log_rates()
+        angles, steps = (size - 1 for size in shape.shape)
+        at = np.broadcast_arrays(angles * np.arctan2(D, G) / ANGLES[-1], steps * (0.5 + 0.5 * np.arcsinh(u) / REACH))
+        return np.outer(likely_g, likely_d).ravel(), np.exp(map_coordinates(shape, at, order=1, mode="nearest"))
+
+
+def _spread(sd: float, shown: float) -> tuple[FloatArray, FloatArray]:
+    """(s,) how likely values of a standard deviation are and these, by its posterior after so many deviations."""
+    from scipy.special import gammaincinv
+
+    degrees = DEGREES + shown
+    least, most = np.log(2.0 * gammaincinv(0.5 * degrees, np.array([1e-8, 1.0 - 1e-8])))
+    chi2 = np.exp(np.linspace(least, most, 14))
+    likely = np.exp(0.5 * degrees * np.log(chi2 / degrees) - 0.5 * (chi2 - degrees))  # of ln chi2
+    return likely / likely.sum(), sd * np.sqrt(degrees / chi2)
+
+
+@cache
+def _log_rates() -> FloatArray:
+    """(angle, v) ln of how often cos(angle) g + sin(angle) z is above sinh(v), g of the law exp(-exp(-g)), z normal.
+
+    The angles are `ANGLES`, v are equal steps to +-`REACH`; a rate is -ln of the probability of not being above.
+    """
+    z = np.linspace(-7.0, 7.0, 141)
+    normal = np.exp(-0.5 * np.square(z))
+    u = np.sinh(np.linspace(-REACH, REACH, 161))[:, None] - np.sin(ANGLES[:, None, None]) * z
+    log_below = -np.exp(np.minimum(-u / np.maximum(np.cos(ANGLES[:, None, None]), 0.05), 600.0))
+    below, above = (law @ (normal / normal.sum()) for law in (np.exp(log_below), -np.expm1(log_below)))
+    rates = np.where(above < 0.5, -np.log1p(-above.clip(1e-30, 0.5)), -np.log(below.clip(1e-300)))
+    return np.asarray(np.log(rates))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -405,8 +437,9 @@ def part_of(scores: Scores, sessions: Sequence[int], prior: Prior, nu: float = D
     unit = abs(float(x.mean())) if prior.shares else 1.0
     session, flight, block = (max((sd * unit) ** 2, TINY**2) for sd in (prior.session, prior.flight, prior.block))
     blocks = [x[scores.flights == number] for number in flights]
-    within = sum(float(np.square(one - one.mean()).sum()) for one in blocks)
-    beta = GUMBEL_SCALE * math.sqrt((nu * block + within) / (nu + len(x) - len(flights)))
+    within = sum(float(np.square(one - one.mean()).sum()) for one in blocks) / GUMBEL_WEIGHT
+    n = (len(x) - len(flights)) / GUMBEL_WEIGHT
+    beta = max(GUMBEL_SCALE * math.sqrt((nu * block + within) / (nu + n)), TINY)
     level = np.array([float(np.mean((x - beta * log_span)[scores.flights == number])) for number in flights])
     whose = np.array(sessions)[flights]
     groups = [level[whose == number] for number in np.unique(whose)]
@@ -416,10 +449,11 @@ def part_of(scores: Scores, sessions: Sequence[int], prior: Prior, nu: float = D
     # what flights alone scatter the means of sessions is no component of sessions
     scatter, apart = flight_variance * float(np.mean([1 / len(one) for one in groups])), np.square(means - means.mean())
     session_variance = (nu * session + max(float(apart.sum()) - (S - 1) * scatter, 0.0)) / (nu + S - 1)
-    shown = (within, len(x) - N, block), (between, N - S, flight), (float(apart.sum()), S - 1, session + scatter)
-    likelihood = sum(-0.5 * (n * math.log(s2) + (nu + n) * math.log1p(squares / (nu * s2))) for squares, n, s2 in shown)
+    known = (within, n, block), (between, N - S, flight), (float(apart.sum()), S - 1, session + scatter)
+    likelihood = sum(-0.5 * (n * math.log(s2) + (nu + n) * math.log1p(squares / (nu * s2))) for squares, n, s2 in known)
     a, e = (max(math.sqrt(variance), TINY) for variance in (session_variance, flight_variance))
-    return Part(float(means.mean()), float(means.max()), a, e, max(beta, TINY), N, S, scores.judged_s / N), likelihood
+    mean, highest = float(means.mean()), float(means.max())
+    return Part(mean, highest, a, e, beta, n, N, S, scores.judged_s / N), likelihood
 
 
 def poisson_upper(events: int) -> float:
