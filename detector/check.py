@@ -14,7 +14,7 @@ from mavdiag.baseline import Baseline, check_link
 from mavdiag.errors import LinkError, UsageError
 from mavdiag.link.keys import read_key
 from mavdiag.link.ports import check_address
-from mavdiag.storage import check_output
+from mavdiag.storage import check_writable
 
 FRESH_S = 5.0  # figures are set once a second; older ones mean that the loop hangs (our choice)
 TIMEOUT_S = 3.0
@@ -36,12 +36,12 @@ def plan(
     yield f"watches    {every if settings.vehicle is None else f'vehicle {settings.vehicle}'}"
     if settings.signing_key is not None:
         read_key(settings.signing_key)
-        check_output(settings.signing_key.with_name("stamp"))  # the time stamp is kept beside it
+        check_writable(settings.signing_key.with_name("stamp"))  # the time stamp is kept beside it
         yield f"signing    by {settings.signing_key}; unsigned frames are refused"
     if baseline is not None:
         yield f"judges by  {settings.baseline or settings.save}: {_summary(baseline, settings)}"
     elif settings.learn is not None and settings.save is not None:
-        check_output(settings.save)
+        check_writable(settings.save)
         about = f" about {airframe.name}" if airframe else ""
         yield f"learns     from {settings.learn:g} s of healthy flight{about}, kept in {settings.save}"
     for sysid, known in own.items():
@@ -64,7 +64,7 @@ def _files_and_ports(settings: Settings) -> Iterator[str]:
     for option, path, mb, keep in (journal, record):
         if path is not None:
             if not path.is_fifo():
-                check_output(path)
+                check_writable(path)
             yield f"{option:<10} {path}, at most {keep + 1} files of {mb:g} MB"
     if settings.history is not None:
         check_installed("--history", "SQLAlchemy", "history")

@@ -317,6 +317,7 @@ class Negotiation:
     ) -> tuple[list[Effect], list[Notice]]:
         """Take in acknowledgements and measured rates; return what to ask and what to say."""
         effects, due = list[Effect](self._acknowledged(acks, now)), list[tuple[_Ask, int, float]]()
+        looked = list[_Ask]()
         rates_hz = {want.msgid: streams.rate_hz(want.signal, now) for want in wants}
         for want in wants:
             rate_hz = rates_hz[want.msgid]
@@ -328,6 +329,7 @@ class Negotiation:
             msgid = next(carriers, want.msgid)
             ask, right = self._asks[msgid], want.least_hz <= rate_hz <= want.most_hz
             ask.look(right, now)
+            looked.append(ask)
             if not right and ask.due(now):
                 due.append((ask, msgid, want.ask_hz))
             effects += self._told(ask, msgid, want, streams, rate_hz, now)
@@ -336,7 +338,7 @@ class Negotiation:
                 effects += self.ask_for(msgid, ask_hz, now)
                 ask.tries, ask.at = ask.tries + 1, now
         notices, told = self._reported(rates_hz, now), None not in rates_hz.values()
-        self.calm = told and not (effects or notices or any(ask.pressing(now) for ask in self._asks.values()))
+        self.calm = told and not (effects or notices or any(ask.pressing(now) for ask in looked))
         return effects, notices
 
     def ask_for(self, msgid: int, rate_hz: float, now: Instant) -> list[Effect]:

@@ -82,7 +82,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         raise InputError(f"{name}: not TOML: {error}") from error
 
 
-def check_output(path: Path) -> None:
+def check_writable(path: Path) -> None:
     """Raise UsageError unless a file can be written here: new, or a regular one that may be replaced by a new one."""
     if path.is_symlink() or (path.exists() and not path.is_file()):
         kind = "a symbolic link" if path.is_symlink() else "a folder" if path.is_dir() else "not a regular file"
@@ -127,7 +127,7 @@ def replacing(path: Path, *, durable: bool = True) -> Iterator[BinaryIO]:
     durable: wait until the disk has it; without, a loss of power may leave an empty file.
     Raises UsageError if that fails, also out of the block.
     """
-    check_output(path)
+    check_writable(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         try:

@@ -92,7 +92,7 @@ def check_output(path: Path, *others: Path | None, kind: bytes | None = None) ->
     others: what else the command reads or writes; None for what was not given. kind: how a file of the kind that is
     written begins, a regular expression: a flight log or a baseline is replaced by its own kind alone.
     """
-    storage.check_output(path)
+    storage.check_writable(path)
     storage.check_apart(path, *others)
     own = kind is not None and storage.begins(path, kind)
     if not own and path.exists() and path.stat().st_size and (storage.begins(path, AS_BASELINE) or is_log(path)):

@@ -44,7 +44,7 @@ from mavdiag.logs.crazyflie import read_crazyflie
 from mavdiag.logs.dataflash import read_dataflash
 from mavdiag.logs.dronepropa import read_dronepropa
 from mavdiag.logs.ulog import read_ulog
-from mavdiag.storage import check_output, read_text, replacing, write_atomically
+from mavdiag.storage import check_writable, read_text, replacing, write_atomically
 from mavdiag.telemetry import Log
 from sitl_plant.vehicle import load_vehicle
 
@@ -197,7 +197,7 @@ def test_r4_a_folder_is_called_a_folder(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is a folder; name a file"):
         read_text(tmp_path)
     with pytest.raises(UsageError, match="there is no folder"):
-        check_output(tmp_path / "absent" / "b.json")
+        check_writable(tmp_path / "absent" / "b.json")
 
 
 @pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
