@@ -87,7 +87,7 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         "python benchmarks/least_damage.py --airframes 2 --flights 8 --seed 701",
         "python benchmarks/rotor_speed.py --flights 30 --airframes 2 --seed 971",
     ),
-    "calibration": ("python benchmarks/calibration.py --airframes 12 --seed 95",),
+    "calibration": ("python benchmarks/calibration.py --airframes 12 --seed 95", "python benchmarks/promises.py"),
     "peers": ("python benchmarks/peers_table.py --airframes 1",),
     "speed": (
         "python benchmarks/chain_speed.py --seconds 30 --repeats 5",
