@@ -2,10 +2,10 @@
 
     python benchmarks/promises.py [--airframes 400] [--seed 34]
 
-Of each airframe the three components of variance are drawn from the prior. It is taught by flights of six blocks of 10 s;
-the chance of an alarm in an hour follows by quadrature from what was drawn. Promised are 0.05 alarms an hour, a chance of
-0.0488, in a session of its own and in the highest of those that taught. `tail` is a prior that no monitor has, with most
-of its variance within a flight. Printed: means over airframes, and their standard errors.
+Of each airframe the three components of variance are drawn from the prior. It is taught by flights of six blocks of
+10 s; the chance of an alarm in an hour follows by quadrature from what was drawn. Promised are 0.05 alarms an hour, a
+chance of 0.0488, in a session of its own and in the highest of those that taught. `tail` is a prior that no monitor
+has, with most of its variance within a flight. Printed: means over airframes, and their standard errors.
 """
 
 import argparse
