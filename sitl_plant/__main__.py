@@ -18,7 +18,7 @@ from typer import Option
 from mavdiag import commandline
 from mavdiag.archive.paths import AS_TLOG, check_output
 from mavdiag.commands.progress import working
-from mavdiag.errors import UsageError
+from mavdiag.errors import MavdiagError, UsageError
 from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import Endpoint, open_endpoint
 from sitl_plant.campaign.command import campaign
@@ -56,7 +56,6 @@ def run(
         raise UsageError(f"--fresh-link needs --profile ardupilot or px4, not {plan.dialect.profile.name}")
     with ExitStack() as stack:
         ends = [stack.enter_context(open_endpoint(address)) for address in out]
-        lines = stack.enter_context(truth_file(truth))
         with working(STARTING):
             plant = Plant(plan.config)
         kept = None
@@ -64,6 +63,7 @@ def run(
             kept = stack.enter_context(closing(open_signing(signing_key, "plant", time.time_ns())))
         signing = None if kept is None else kept.signing
         links = [Link(end, plan.dialect, plan.rate_hz, plant.rotors, signing, fresh=fresh) for end in ends]
+        lines = stack.enter_context(truth_file(truth))
         stop = stack.enter_context(commandline.stop_signals())
         typer.echo(_announced(plan, [link.endpoint.address for link in links], as_json))
         written = _written(lines, plan, time.time_ns() if pace == 1.0 else None)
@@ -140,8 +140,11 @@ def fleet(
             if flight.is_alive() and stop():
                 flight.terminate()
             flight.join()
+        died = sum(flight.exitcode != 0 for flight in flights) if not stop() else 0
     for end in ends:
         end.close()
+    if died:
+        raise MavdiagError(f"{died} of {count} vehicles died; what they said is above")
 
 
 def _fly(plan: FlightPlan, end: Endpoint, stop: Callable[[], bool]) -> None:

@@ -193,6 +193,7 @@ class Plant:
             self._streams.take_imus(own_noise)
         self._changes: deque[Change] = deque(maxlen=CHANGES_MAX)
         self.advance(SETTLING_STEPS)
+        self._state.imu.drifted[:] = 0.0  # it begins with the flight
 
     @property
     def t_ns(self) -> int:
@@ -229,7 +230,6 @@ class Plant:
     def clear(self) -> None:
         """Take all causes away, those of the configuration too; what sensors drifted is taken back."""
         self._set_injections(())
-        self._state.imu.drifted[:] = 0.0
         self._note("clear")
 
     def set_wind(self, speed_m_s: float, towards_rad: float = math.pi / 4) -> None:
@@ -310,6 +310,7 @@ class Plant:
         present = list(compress(self._injections, [first <= self._step < end for first, end in spans]))
         self._rotors = rotor_condition(self.airframe, present, STEP_S)
         self._sensors = sensor_condition(present)
+        self._state.imu.drifted[self._sensors.drift == 0.0] = 0.0
         changes = [step for span in spans for step in span]
         if self.config.wear is not None:
             self._rotors.thrust_gain[:] *= self.config.wear.gain(self._step * STEP_S)

@@ -18,7 +18,7 @@ from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Sever
 from mavdiag.link.parameters import Encoding, Parameters
 from sitl_plant.autopilot.dialect import FAULT, SEVERITY, Dialect, Mode
 from sitl_plant.autopilot.mission import HANDLED, Mission
-from sitl_plant.autopilot.pilot import Pilot, Place, Waypoint
+from sitl_plant.autopilot.pilot import Pilot, Place, Waypoint, far
 from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.stream import HOME_ALT_M, to_local
 from sitl_plant.autopilot.wire import DEGREES, Action, Forward, Order, Reply, integer, number, optional, order_of
@@ -279,7 +279,7 @@ def waypoints(orders: Sequence[Order], dialect: Dialect) -> tuple[Waypoint, ...]
         speed = (order.param[1] or None) if order.command == MavCmd.DO_CHANGE_SPEED else speed
         # ArduPilot's item 0 is home, and is not flown
         meant = (Waypoint(item=0),) if seq == 0 and dialect.needs_guided else _waypoint(seq, order, here, dialect)
-        if meant is None:
+        if meant is None or any(way.place is not None and far(way.place) for way in meant):
             return None
         plan += (waypoint._replace(speed=speed) for waypoint in meant)
         here = next((waypoint.place for waypoint in reversed(meant) if waypoint.place is not None), here)
@@ -304,21 +304,24 @@ def _waypoint(seq: int, order: Order, here: Place, dialect: Dialect) -> tuple[Wa
 def follow_set_point(pilot: Pilot, frame: Frame, yaw_now: float) -> None:
     """Obey SET_POSITION_TARGET_LOCAL_NED or _GLOBAL_INT: its position, else its velocity."""
     mask, kind = integer(frame, "type_mask"), integer(frame, "coordinate_frame")
-    yaw = None if mask & NO_YAW else number(frame, "yaw")
     turn = yaw_now if kind in (BODY_NED, BODY_OFFSET_NED) else 0.0
+    yaw = None if mask & NO_YAW else turn + number(frame, "yaw")
     c, s = math.cos(turn), math.sin(turn)
 
     def turned(*names: str) -> Place:
         x, y, z = (number(frame, name) for name in names)
         return c * x - s * y, s * x + c * y, z
 
+    world = frame.msgid == MessageId.SET_POSITION_TARGET_GLOBAL_INT
+    if not world and kind not in (LOCAL_NED, OFFSET_NED, BODY_NED, BODY_OFFSET_NED):
+        return  # as ArduPilot does with other frames
     if mask & NO_POSITION:
         if not mask & NO_VELOCITY:
             pilot.set_velocity(turned("vx", "vy", "vz"), yaw)
-    elif frame.msgid == MessageId.SET_POSITION_TARGET_GLOBAL_INT:
+    elif world:
         north, east = to_local(number(frame, "lat_int") * DEGREES, number(frame, "lon_int") * DEGREES)
         pilot.set_point((north, east, -(number(frame, "alt") - HOME_ALT_M * (kind in ABOVE_SEA))), yaw)
-    elif kind in (LOCAL_NED, OFFSET_NED, BODY_NED, BODY_OFFSET_NED):
+    else:
         here = (0.0, 0.0, 0.0) if kind == LOCAL_NED else pilot.position
         north, east, down = (at + way for at, way in zip(here, turned("x", "y", "z"), strict=True))
         pilot.set_point((north, east, down), yaw)

@@ -10,7 +10,10 @@ from mavdiag.link.codec import Frame
 from mavdiag.link.messages import MessageId
 from sitl_plant.autopilot.wire import Action, Reply, integer, order_of
 
-MISSION = 0  # MAV_MISSION_TYPE of the flight plan; 1 is the fence, 2 are rally points
+MISSION, EVERY = (
+    0,
+    255,
+)  # MAV_MISSION_TYPE: the flight plan, and to clear all; 1 is the fence, 2 rally points
 ACCEPTED, ERROR, UNSUPPORTED, NO_SPACE, INVALID_SEQUENCE, CANCELLED = 0, 1, 3, 4, 13, 15  # MAV_MISSION_RESULT
 ITEMS_MAX = 200
 ASK_AGAIN_S, GIVE_UP_S = 1.0, 8.0
@@ -57,7 +60,7 @@ class Mission:
         if frame.msgid == MessageId.MISSION_REQUEST_LIST:
             count = len(self) if kind == MISSION else 0
             return [Reply(link, MessageId.MISSION_COUNT, (*source, count, kind))]
-        if kind != MISSION:
+        if kind != MISSION and (kind, frame.msgid) != (EVERY, MessageId.MISSION_CLEAR_ALL):
             answer: Reply | int = ACCEPTED if frame.msgid == MessageId.MISSION_CLEAR_ALL else UNSUPPORTED
         elif frame.msgid in ITEMS:
             answer = self._take(source, frame, now_ns)

@@ -45,7 +45,8 @@ class Waypoint(NamedTuple):
         return self.item is not None and self.place is None and not self.wait_s and not self.lands
 
 
-def _far(place: Place) -> bool:
+def far(place: Place) -> bool:
+    """Whether a place, world NED [m], is farther from home or lower than the vehicle flies."""
     return max(abs(place[0]), abs(place[1]), -place[2]) > REACH_M or place[2] > -LOWEST_M
 
 
@@ -113,7 +114,7 @@ class Pilot:
             return self._refuse("a take-off needs an armed vehicle on the ground" + " in GUIDED" * wrong_mode)
         height = self._unit(self._dialect.height) if height_m is None else height_m
         place = (self.position[0], self.position[1], -height)
-        if _far(place):
+        if far(place):
             return MavResult.DENIED
         self.custom_mode = self._dialect.shown(self._dialect.takeoff)
         self._start([Waypoint(place)])
@@ -123,7 +124,7 @@ class Pilot:
         """Fly to a place and hold there."""
         if not self._in_flight():
             return self._refuse("it is not in flight")
-        if _far(place):
+        if far(place):
             return MavResult.DENIED
         self.custom_mode = self._dialect.shown(self._dialect.reposition)
         self._start([Waypoint(place, yaw, speed)])
@@ -131,7 +132,7 @@ class Pilot:
 
     def set_point(self, place: Place, yaw: float | None, speed: float | None = None) -> None:
         """Follow a position set-point, which is obeyed in guided flight only and not answered."""
-        if self._in_flight() and self._mode is Mode.GUIDED and not _far(place):
+        if self._in_flight() and self._mode is Mode.GUIDED and not far(place):
             same = self._doing is not None and self._doing.place is not None and self._doing.yaw == yaw
             if not (same and math.dist(self._leg.end, place) < 0.01):
                 self._start([Waypoint(place, yaw, speed)])

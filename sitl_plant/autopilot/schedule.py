@@ -8,6 +8,7 @@ import numpy as np
 from mavdiag.link.messages import MavResult
 from mavdiag.telemetry import IntArray
 
+LONGEST_US = 2**31 - 1  # that MESSAGE_INTERVAL can tell
 DEFAULT_INTERVAL, NEVER = 0, -1  # what SET_MESSAGE_INTERVAL means by these two intervals
 
 
@@ -59,7 +60,7 @@ class Schedule:
             return MavResult.DENIED
         if interval_us > 0:
             whole_us = interval_us // self._grain_us * self._grain_us if self._grain_us else interval_us
-            interval_us = max(whole_us, self._attained_us)
+            interval_us = min(max(whole_us, self._attained_us), LONGEST_US)
         wanted_ns = beat.default_ns if interval_us == DEFAULT_INTERVAL else max(0, round(interval_us * 1e3))
         beat.period_ns, beat.origin_ns, beat.beats = wanted_ns, self._now_ns + 1, 0
         return MavResult.ACCEPTED

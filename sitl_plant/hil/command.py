@@ -24,6 +24,7 @@ from sitl_plant.hil.ardupilot import Lockstep
 from sitl_plant.hil.px4 import WANTED, Bridge
 from sitl_plant.hil.simulation import AutopilotName, OutputMap, Simulation, output_map, parameter_file
 from sitl_plant.physics.airframe import Payload
+from sitl_plant.physics.airframe import drone as specimen
 from sitl_plant.physics.faults import Injection, fault_injection
 from sitl_plant.plant import PlantConfig
 from sitl_plant.truth import Truth, truth_file
@@ -59,6 +60,7 @@ class HilOptions:
 
         The last of the values says whether to go on. link, rate_hz: for the truth file.
         """
+        specimen(self.config.vehicle, self.config.drone)  # a number that there is not is refused before a file is begun
         with open_endpoint(endpoint) as port, truth_file(self.truth) as lines, commandline.stop_signals() as stop:
             with working(options.STARTING):
                 watch = Truth(self.config, link, rate_hz, None, lines).write

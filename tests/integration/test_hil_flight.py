@@ -461,6 +461,8 @@ def test_a_signal_ends_the_flight_in_good_order(number: signal.Signals, tmp_path
     assert flight.returncode == 0
     assert json.loads(output)["event"] == "landed"
     assert [line["record"] for line in read_lines(truth)][:2] == ["flight", "state"]
+    refused = subprocess.run([sys.executable, "-m", "sitl_plant", *command, "--rotor", "9", "--fault", "F2/SV2"])
+    assert (refused.returncode, truth.read_text(encoding="utf-8").count("flight") > 0) == (2, True)
 
 
 def heard(ends: list[Endpoint], until_disarmed: set[int]) -> list[dict[int, list[bool]]]:

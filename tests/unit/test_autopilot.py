@@ -147,6 +147,8 @@ def test_what_was_uploaded_is_downloaded() -> None:
         assert kind == MessageId.MISSION_ITEM_INT
         assert fields == (*GCS, 2, 6, 16, 0, 1, 0.0, 0.0, 0.0, 0.0, LAT + 2, LON, 2.0, 0)
     assert said(one.step(0, sent(MessageId.MISSION_REQUEST_INT, 3, 0), 0)) == [(47, (*GCS, 13, 0))]
+    assert said(one.step(0, sent(MessageId.MISSION_CLEAR_ALL, 255), 0)) == [(47, (*GCS, 0, 255))]  # of all types
+    assert len(one) == 0
 
 
 def test_a_lost_item_is_asked_for_again_and_an_upload_that_stops_is_given_up() -> None:
@@ -195,20 +197,21 @@ def test_what_cannot_be_sent_is_denied_and_changes_nothing(msgid: int, interval_
         ("qdrone2", 5_000, MavResult.ACCEPTED, 200.0),
         ("px4", 5_000, MavResult.ACCEPTED, 165.0),  # 160 to 170 were measured
         ("px4", 10_000, MavResult.ACCEPTED, 100.0),
+        ("px4", 1e20, MavResult.ACCEPTED, 0.05),  # once in 20 s, at first
         ("ardupilot", 6_667, MavResult.ACCEPTED, 1000.0 / 6.0),  # whole milliseconds
         ("ardupilot", 3_000, MavResult.ACCEPTED, 1000.0 / 3.0),
         ("ardupilot", 2_900, MavResult.DENIED, 0.0),  # above 0.8 of its loop rate
     ],
 )
 def test_a_profile_grants_rates_as_its_autopilot_does(
-    profile: str, asked_us: int, result: MavResult, attained_hz: float
+    profile: str, asked_us: float, result: MavResult, attained_hz: float
 ) -> None:
     one = dialect_named(profile).schedule(None, fresh=profile != "qdrone2")
     assert one.set_interval(MessageId.ATTITUDE_TARGET, asked_us) == result
     seconds = 20
     rows = [rows for msgid, rows in one.due(times(0, 1000 * seconds)) if msgid == MessageId.ATTITUDE_TARGET]
     if result == MavResult.ACCEPTED:
-        assert len(rows[0]) == pytest.approx(attained_hz * seconds, rel=0.01)
+        assert sum(map(len, rows)) == pytest.approx(attained_hz * seconds, rel=0.01)
 
 
 def told(one: Parameters, msgid: int, *fields: Argument) -> list[tuple[Argument, ...]]:
@@ -354,6 +357,25 @@ def test_a_flight_by_command_from_the_ground_to_the_ground(profile: str) -> None
     assert vehicle.autopilot.dialect.custom_mode != vehicle.dialect.shown(Mode.GUIDED)
     texts = [reply.fields[1] for reply in vehicle.said if reply.msgid == MessageId.STATUSTEXT]
     assert texts == ["Armed", "Refused: disarming is denied in flight", "Disarmed"]
+
+
+@pytest.mark.parametrize(("frame", "north"), [(1, 1.5), (8, 1.5), (12, 0.0)])  # local, body, and body without earth
+def test_a_set_point_is_of_its_frame_and_another_frame_is_passed_over(frame: int, north: float) -> None:
+    vehicle = in_flight("ardupilot")
+    vehicle.send(MessageId.SET_POSITION_TARGET_LOCAL_NED, 0, *PLANT, frame, 0xDC7, *(0.0,) * 3, 0.5, *(0.0,) * 7)
+    vehicle.fly(4.0)
+    assert vehicle.place == pytest.approx((north, 0.0, -1.5), abs=0.3)
+    for yaw, seen in ((1.0, 1.0), (0.0, 1.0)):  # 0 is no turn
+        vehicle.send(MessageId.SET_POSITION_TARGET_LOCAL_NED, 0, *PLANT, 9, 0x9F8, *(0.0,) * 9, yaw, 0.0)
+        vehicle.fly(3.0)
+        assert vehicle.now.attitude[-1, 2] == pytest.approx(seen, abs=0.1)
+
+
+def test_a_mission_out_of_reach_is_refused() -> None:
+    vehicle = Vehicle("px4")
+    vehicle.send(MessageId.MISSION_COUNT, *PLANT, 1, 0)
+    flat = (0.0, 0.0, 0.0, NAN, *degrees(20_000.0, 0.0), 2.0, 0)
+    assert vehicle.send(MessageId.MISSION_ITEM_INT, *PLANT, 0, 6, 16, 0, 1, *flat)[-1].fields[2] != 0
 
 
 @pytest.mark.parametrize("profile", ["px4", "ardupilot"])

@@ -192,8 +192,10 @@ def test_cleared_is_healthy_again(name: str) -> None:
     vehicle = vehicle_named(name)
     plant = Plant(PlantConfig(trajectory="hover", vehicle=vehicle, fault="F1/SV1", rotor=4, seed=1))
     plant.inject(Injection(RotorDamage(0.85), rotor=2))
-    plant.inject(Injection(SensorFault("gyro", 2, drift_per_s=0.01)))
-    weak = plant.advance(6000).duty[-2000:].mean(axis=0)
+    plant.inject(Injection(SensorFault("gyro", 2, drift_per_s=0.01), end_s=2.0))
+    flown = plant.advance(6000)
+    assert flown.gyro[-2000:, 2].mean() == pytest.approx(0.0, abs=0.01)  # it ended with its cause
+    weak = flown.duty[-2000:].mean(axis=0)
     plant.clear()
     whole = plant.advance(8000)
     healthy = Plant(PlantConfig(trajectory="hover", vehicle=vehicle, seed=1)).advance(8000)
