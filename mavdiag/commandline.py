@@ -89,10 +89,12 @@ def run(app: typer.Typer, name: str) -> NoReturn:
         code, told = ERROR, _line(str(error))
     except (KeyboardInterrupt, typer.Abort):
         code, told = INTERRUPTED, "stopped"
-    except BrokenPipeError:
-        # The reader of our output has gone (`... | head`): nobody reads what is left.
+    except (BrokenPipeError, SystemExit) as error:
+        if isinstance(error, SystemExit) and not isinstance(error.__context__, BrokenPipeError):
+            raise
+        # The reader of our output has gone (`... | head`): what is left is not judged; typer would end with 1.
         _silence(sys.stdout)
-        code = 0
+        code = ERROR
     except OSError as error:
         _silence(sys.stdout)
         where = "its path and its disk" if error.filename else "where the output goes, and its disk"

@@ -115,12 +115,16 @@ class LogVerdict(Tabular):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedFlight:
-    """A verdict and what the chain showed on the way; chain is None if the log could not be judged at all."""
+    """A verdict and what the chain showed on the way; chain is None if the log could not be judged at all.
+
+    unjudged: stretches of flight that were not judged. hidden: of these, where no rows came.
+    """
 
     verdict: LogVerdict
     chain: Chain | None = None
     pieces: tuple[Piece, ...] = ()
     unjudged: tuple[Stretch, ...] = ()
+    hidden: tuple[Stretch, ...] = ()
 
 
 def judge(log: Log, baseline: Baseline, judged_share: float = JUDGED_SHARE) -> LogVerdict:
@@ -154,7 +158,9 @@ def judge_in_full(
     if run.likeness.outcome is Outcome.FAR:
         return refused(f"another vehicle: {alike}", 1 / dt_s)
     notes = (*((alike,) if alike else ()), *log.notes, *_layout_notes(log, baseline))
-    return JudgedFlight(run.verdict(notes, 1 / dt_s), chain, tuple(run.kept), run.state.memory.unjudged)
+    hidden = tuple((round(one.begin_s * NS_PER_S), round(one.end_s * NS_PER_S)) for one in run.hidden)
+    unjudged = tuple(sorted((*run.state.memory.unjudged, *hidden)))
+    return JudgedFlight(run.verdict(notes, 1 / dt_s), chain, tuple(run.kept), unjudged, hidden)
 
 
 def playable(baseline: Baseline, log: Log, from_s: float = 0.0) -> Baseline:
@@ -320,13 +326,18 @@ class _Run:
 
     def _when(self, t_ns: int) -> str:
         """A time of the vehicle's clock, and of the log where it begins at another one."""
-        t_s, begin_s = t_ns / NS_PER_S, float(np.min(self.log.telemetry.need(Signal.BODY_RATE).t_ns)) / NS_PER_S
+        t_s, begin_s = t_ns / NS_PER_S, self._begin_s
         into = f" of the vehicle's clock, {t_s - begin_s:.1f} s into the log" if begin_s >= 1 else ""
         return f", first at {t_s:.2f} s{into}"
 
     def _between(self, begin_s: float, end_s: float) -> str:
         last_s = max(int(np.max(series.t_ns)) for series in self.log.telemetry.series if len(series)) / NS_PER_S
-        return f"from {begin_s:.1f} s" + ("" if end_s > last_s - 1.0 else f" to {end_s:.1f} s")
+        clock = " of the vehicle's clock" if self._begin_s >= 1 else ""
+        return f"from {begin_s:.1f} s" + ("" if end_s > last_s - 1.0 else f" to {end_s:.1f} s") + clock
+
+    @property
+    def _begin_s(self) -> float:
+        return float(np.min(self.log.telemetry.need(Signal.BODY_RATE).t_ns)) / NS_PER_S
 
 
 def _gravest(changes: Sequence[Change]) -> FaultKind | None:

@@ -28,10 +28,7 @@ ARMED = 128
 
 @cache
 def content(seed: int, n: int = 1500, shaken_from: int | None = None) -> bytes:
-    """A flight of n samples at 100 Hz as PX4 sends it: set-points, HIGHRES_IMU, a heartbeat a second.
-
-    shaken_from: from this sample on the gyro sees a vibration that healthy flights have not.
-    """
+    """A flight of n samples at 100 Hz as PX4 sends it. shaken_from: sample from which on the gyro sees a vibration."""
     telemetry, encoder, records = flying(n, seed), Encoder(1, 1), []
     rates = telemetry[Signal.BODY_RATE].values.copy()
     if shaken_from is not None:

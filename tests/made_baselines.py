@@ -1,8 +1,4 @@
-"""Baselines of the made vehicles, learnt once: kept on disk by the digest of what made them.
-
-What `kept` gives is right after any change, for its name in the cache holds all sources of the product and of the made
-flights, and the versions of what computes. Call it with a key that tells the flights and options.
-"""
+"""Baselines of the made vehicles, learnt once: kept on disk by the digest of all sources and the key of `kept`."""
 
 import hashlib
 import platform

@@ -37,10 +37,7 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
 
 
 class MadeUp(Monitor[HeightSpec]):
-    """Mean vertical acceleration over 1 s, to show that a new monitor is one class.
-
-    Warm-up: 1 s. Latency: 1 s. False alarms: many. Blind spots: all.
-    """
+    """Mean vertical acceleration. Warm-up: 1 s. Latency: 1 s. False alarms: many. Blind spots: all."""
 
     name = "made_up"
     label = "made up"

@@ -27,10 +27,7 @@ def example_rows(
     rate: FloatArray | None = None,
     **columns: FloatArray | BoolArray | None,
 ) -> Rows:
-    """n rows of one segment with the columns of `Block` given, (n, k) each; other signals are absent.
-
-    The set-point is at rest if not given; the gyro turns the nose as it commands. Rate filters of 5 samples.
-    """
+    """n rows of one segment with the columns of `Block` given, (n, k) each; without a set-point it rests."""
     x, setpoint = np.full((OUTPUTS, n), np.nan), np.zeros((n, 3)) if setpoint is None else setpoint
     x[: WHOLE + 1], x[VALID : VALID + 2], x[COVERED], x[WHOLE : RATE + 3] = 0.0, 1.0, 1.0, 0.0
     if rate is None and n > 1:

@@ -56,10 +56,7 @@ def statistic(
 
 
 def alarms_of(number: int, slot: Slot, found: Statistic, looks: Sequence[int]) -> list[Alarm]:
-    """What opens and closes, by the definition: alarms are stretches of values above with less than `clear_s` between.
-
-    looks: of each value the look that it belongs to.
-    """
+    """What opens and closes: alarms are stretches of values above, less than `clear_s` apart. looks: that of each."""
     told, above = list[Alarm](), np.flatnonzero(found.valid & (found.value > slot.threshold)).tolist()
     clear_ns = round(slot.monitor.clear_s * NS_PER_S)
     while above:

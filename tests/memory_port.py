@@ -1,7 +1,4 @@
-"""An endpoint pair inside one process, for running a chain without a network.
-
-Messages keep their bounds and their order, and none is lost while fewer than `capacity` wait to be read.
-"""
+"""An endpoint pair inside one process; messages keep their order, and none is lost while fewer than `capacity` wait."""
 
 import os
 import time

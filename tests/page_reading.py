@@ -12,10 +12,7 @@ FETCHED = ("src", "href", "xlink:href", "data", "action", "poster", "srcset")
 
 
 class Page(HTMLParser):
-    """What a page holds. Raises AssertionError for a tag that is not closed in order.
-
-    said: all text. drawings: each read as XML, which is stricter.
-    """
+    """What a page holds: all text that is said, and its drawings. Raises AssertionError for unordered tags."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

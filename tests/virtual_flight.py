@@ -27,11 +27,7 @@ CREATED = "2026-01-01T00:00:00Z"
 
 @dataclass
 class GroundStation:
-    """A ground station on the vehicle's link that sets rates every so often, as MAVProxy and QGroundControl do.
-
-    requests: of it, made anew each time.
-    times: when it did [s of flight].
-    """
+    """A ground station on the vehicle's link that sets rates every so often, as MAVProxy does. times: when [s]."""
 
     requests: Callable[[Encoder], list[bytes]]
     every_s: float = 10.0
@@ -58,10 +54,7 @@ class GroundStation:
 
 
 class VirtualFlight:
-    """A flight whose messages reach the daemon of a bench, and whose requests reach the emulator.
-
-    judged_s: at each look of the daemon, flight time that was judged so far.
-    """
+    """A flight whose messages reach a bench's daemon. judged_s: at each of its looks, what was judged so far [s]."""
 
     def __init__(self, bench: Bench, station: GroundStation | None = None) -> None:
         self._bench, self._station, self._host = bench, station, bench.host

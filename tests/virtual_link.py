@@ -22,10 +22,7 @@ TICK_NS = 40_000_000
 
 @dataclass(slots=True)
 class Heard:
-    """What came of a flight. Times are of the vehicle's clock [s], but those of texts, which are the receiver's.
-
-    declared: the faults that the decision declared, with the rotor.
-    """
+    """What came of a flight; times are of the vehicle's clock [s], those of texts the receiver's."""
 
     declared: list[tuple[float, int | None]] = field(default_factory=list)
     texts: list[tuple[float, SendText]] = field(default_factory=list)

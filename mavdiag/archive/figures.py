@@ -135,6 +135,7 @@ def windows_of(flight: JudgedFlight, span_s: float, judged_share: float = JUDGED
         edges = (k * span_ns, (k + 1) * span_ns)
         rows = slice(*t_ns.searchsorted(edges))
         flown_s, judged_s = (blocks[0].dt_s * int(kind[rows].sum()) for kind in (settled, judged))
+        flown_s += sum(max(min(end, edges[1]) - max(begin, edges[0]), 0) for begin, end in flight.hidden) / NS_PER_S
         enough = judged_s >= max(min(MIN_JUDGED_S, span_s / 2), judged_share * flown_s)
         held = set(_held(flight, edges, int(t_ns[-1])))
         verdict = Verdict.HEALTHY if enough else Verdict.NOT_JUDGEABLE

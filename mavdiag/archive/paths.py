@@ -56,13 +56,20 @@ def logs_named(arguments: Iterable[str | Path], is_log: IsLog = is_log) -> Found
                 found = list(_below(argument, set(), is_log))
             elif any(sign in str(argument) for sign in "*?[") and not argument.exists():
                 matches = sorted(Path(argument.anchor).glob(str(argument.relative_to(argument.anchor))))
-                found = [log for path in matches for log in _below(path, set(), is_log)]
+                shown = (path for path in matches if not _hidden(path, argument))
+                found = [log for path in shown for log in _below(path, set(), is_log)]
         except (OSError, ValueError) as error:  # a name that is too long, a pattern that is none
             found = [Named(argument, f"no pattern to look for files by ({error})")]
         taken = [log for log in found if log is not None]
         skipped += len(found) - len(taken)
         logs += taken or [Named(argument, NOTHING)]
     return Found(tuple(logs), skipped)
+
+
+def _hidden(path: Path, pattern: Path) -> bool:
+    """Whether a match is, or is in, what begins with a dot and the pattern does not name, as in a shell."""
+    dots = any(part.startswith(".") and part not in pattern.parts for part in path.parts)
+    return dots and not any(part.startswith((".*", ".?", ".[")) for part in pattern.parts)
 
 
 def _below(path: Path, seen: set[tuple[int, int]], is_log: IsLog) -> Iterator[Named | None]:

@@ -72,7 +72,7 @@ def scan(
         check_output(parquet, *read, kind=b"PAR1")
         check_parquet()
     question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped, judged_share, figures=as_one))
-    verdicts, rows, flights, before = list[Verdict](), list[Row](), list[FlightRecord](), 0
+    verdicts, rows, flights, before = list[Verdict](), list[Row](), dict[str, FlightRecord](), 0
     as_table = sys.stdout.isatty() and len(found.logs) > 1 and windows is None and not as_json
     how = judging(found.logs, question, scheduler or jobs, cache, no_cache=no_cache, quiet=as_json)
     with how as (answers, tell):
@@ -82,13 +82,14 @@ def scan(
             verdicts.append(answer.record.verdict.verdict)
             rows += rows_of(answer) if csv or parquet or as_table else ()
             before += not answer.fresh
-            flights += () if answer.record.flight is None else [replace(answer.record.flight, log=str(answer.path))]
+            if (flight := answer.record.flight) is not None:  # a copy is no further flight
+                flights.setdefault(flight.content, replace(flight, log=str(answer.path)))
     if as_table:
         from mavdiag.terminal.tables import verdict_table  # rich takes time to load
 
         verdict_table(rows)
     if as_one:
-        found_together = together(reference_of(reference), flights)
+        found_together = together(reference_of(reference), list(flights.values()))
         say(json.dumps({"together": found_together.as_json()}) if as_json else str(found_together))
         verdicts += [Verdict.SUSPECTED] if found_together.changed else []
     if before and not as_json:

@@ -6,6 +6,8 @@ things. All that SQLAlchemy reports comes out as UsageError in one line; a passw
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from json import JSONDecodeError
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -61,7 +63,10 @@ class History:
         """Keep a flight. False, with nothing changed, if it is there already; with `again` the new one replaces it."""
         try:
             with self._engine.begin() as connection:
-                if again:
+                if again:  # it keeps its place
+                    there = sa.select(FLIGHT.c.started_ns, FLIGHT.c.added_ns).where(FLIGHT.c.content == record.content)
+                    for started_ns, added_ns in connection.execute(there).all():
+                        record = replace(record, started_ns=record.started_ns or started_ns, added_ns=added_ns)
                     connection.execute(sa.delete(FLIGHT).where(FLIGHT.c.content == record.content))
                 connection.execute(sa.insert(FLIGHT).values(_FLIGHTS.dump_python(record, mode="json")))
         except IntegrityError:
@@ -137,7 +142,7 @@ def open_history(database: str, *, create: bool = False, write: bool = False) ->
             engine.dispose()
     except ImportError as error:
         raise missing_extra(shown, f"a driver ({error})", "history") from error
-    except (SQLAlchemyError, ValidationError) as error:
+    except (SQLAlchemyError, ValidationError, JSONDecodeError) as error:
         line = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
         raise UsageError(f"{shown}: the history cannot be used ({line})") from error
 

@@ -25,6 +25,7 @@ from mavdiag.units import DEG, NS_PER_MS, NS_PER_S, NS_PER_US, RPM, G
 PROFILE = "csv"
 GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=1.0, trim_end_s=0.6)  # as far as the columns tell
 LATEST_NS = 2**62
+TURN = 2.0**32  # of a counter of 32 bits
 _line_end = re.compile(rb"[\r\n]").search
 LINE_BYTES = 64 << 10  # of a line, at most (our choice): a thousand columns have a quarter of it
 DAMAGED_SHARE = 0.5  # of the rows: beyond it the map is wrong (our choice)
@@ -209,9 +210,12 @@ def _times(column: FloatArray, columns: ColumnMap) -> tuple[IntArray, BoolArray]
     """Time of each row that has one [ns], and which these are."""
     unit_ns = _TIME_NS[columns.time.unit] if columns.time.rate_hz is None else NS_PER_S
     known = np.isfinite(column) & (np.abs(column) * unit_ns < LATEST_NS)
-    since = column[known][0] if known.any() else 0.0
+    counts = column[known]
+    if unit_ns < NS_PER_S and counts.max(initial=0.0) < TURN:  # a counter of 32 bits begins anew
+        counts = counts + TURN * np.cumsum(np.diff(counts, prepend=counts[:1]) < -TURN / 2)
+    since = counts[0] if len(counts) else 0.0
     start_ns = round(float(since) * unit_ns)
-    return start_ns + np.round((column[known] - since) * unit_ns).astype(np.int64), known
+    return start_ns + np.round((counts - since) * unit_ns).astype(np.int64), known
 
 
 def _refused(path: Path) -> Log:

@@ -231,6 +231,8 @@ def _wrapped(degrees: FloatArray) -> FloatArray:
 
 # The first row of a signal whose message and fields are in the log is taken.
 _ROWS = (
+    Row(Signal.ATTITUDE_SETPOINT, "ANG", ("DesRoll", "DesPitch", "DesYaw"), _wrapped),  # where it is, ATT has 10 Hz
+    Row(Signal.ATTITUDE, "ANG", ("Roll", "Pitch", "Yaw"), _wrapped),
     Row(Signal.ATTITUDE_SETPOINT, "ATT", ("DesRoll", "DesPitch", "DesYaw"), _wrapped),
     Row(Signal.ATTITUDE, "ATT", ("Roll", "Pitch", "Yaw"), _wrapped),
     Row(Signal.BODY_RATE, "IMU", ("GyrX", "GyrY", "GyrZ")),

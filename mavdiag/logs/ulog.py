@@ -57,6 +57,12 @@ _PARSER_ERRORS = (
 )  # fmt: skip
 
 
+def _angles(q: FloatArray) -> FloatArray:
+    """Roll, pitch, yaw of quaternions; none at all where nobody set one."""
+    angles = euler_angles(q)
+    return angles if np.isfinite(angles).any() else angles[:0]
+
+
 def _norm(values: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(values, axis=1, keepdims=True))
 
@@ -101,8 +107,8 @@ def _elements(name: str, count: int, member: str = "") -> tuple[str, ...]:
 
 # The first row of a signal whose topic and fields are in the log is taken. Later rows are other versions' topics.
 _ROWS = (
+    Row(Signal.ATTITUDE_SETPOINT, "vehicle_attitude_setpoint", _elements("q_d", 4), _angles),  # the controller's
     Row(Signal.ATTITUDE_SETPOINT, "vehicle_attitude_setpoint", ("roll_body", "pitch_body", "yaw_body")),
-    Row(Signal.ATTITUDE_SETPOINT, "vehicle_attitude_setpoint", _elements("q_d", 4), euler_angles),
     Row(Signal.RATE_SETPOINT, "vehicle_rates_setpoint", ("roll", "pitch", "yaw")),
     Row(Signal.THRUST_SETPOINT, "vehicle_attitude_setpoint", ("thrust",)),
     Row(Signal.THRUST_SETPOINT, "vehicle_attitude_setpoint", _elements("thrust_body", 3), _norm),
@@ -212,7 +218,7 @@ def _content(data: bytes) -> tuple[Mapping[str, ULog.Data], dict[str, float], tu
     for item in log.data_list:  # sorted by name and instance
         found.setdefault(item.name, item)
     told = (*log.initial_parameters.items(), *((name, value) for _, name, value in log.changed_parameters))
-    values = {name: float(value) for name, value in told}
+    values = {name: float(value) for name, value in told if isinstance(value, int | float)}  # damaged ones are bytes
     parameters = {name: value for name, value in values.items() if isfinite(value)}  # PX4 has NaN for "not set"
     damaged = ["parts of it are damaged and were skipped"] if log.file_corruption else []
     cut = ["it ends within a message: the recording was cut off"] if log.cut_short else []
@@ -257,7 +263,9 @@ def _tables(content: Mapping[str, ULog.Data]) -> dict[str, Table]:
     if sensors is not None:
         found[ACCELEROMETER] = replace(sensors, name=ACCELEROMETER)
     for name, table in found.items():
-        time_us = table.integers("timestamp_sample" if "timestamp_sample" in table.fields else "timestamp")
+        time_us, sample_us = table.integers("timestamp"), table.integers("timestamp_sample")
+        if time_us is not None and sample_us is not None:
+            time_us = np.where(sample_us > 0, sample_us, time_us)  # some drivers leave it 0
         late = table.integers("accelerometer_timestamp_relative") if name == ACCELEROMETER else None
         if time_us is not None and late is not None:
             time_us = np.where(late == NO_ACCELEROMETER, 0, time_us + late)

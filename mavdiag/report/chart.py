@@ -119,7 +119,7 @@ def drawn(key: str, chart: Chart, name: str = "") -> Picture:
     """The picture of a chart. key: of its words in captions.toml. name: what its title is about, and of its anchor."""
     words = _captions()[key]
     title, caption = words["title"].format(name=name), f"{words['caption']} {chart.note}".strip()
-    key = f"{key}:{name.split(':')[0].replace(' ', '_')}" if name else key
+    key = f"{key}:{re.sub(r'[^A-Za-z0-9_-]', '_', name.split(':')[0])}" if name else key
     return Picture(key, title, caption, words.get("thesis", ""), svg_of(chart, title))
 
 

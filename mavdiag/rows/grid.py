@@ -8,7 +8,7 @@ import numpy as np
 
 from mavdiag.errors import InputError
 from mavdiag.jit import cached
-from mavdiag.telemetry import FloatArray, IntArray, Signal, Telemetry
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 UNIFORM = 0.25  # of a period: a sample this near to its place counts as uniform (our choice)
@@ -71,7 +71,7 @@ def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
     """
     t = telemetry.need(Signal.BODY_RATE).t_ns
     if np.count_nonzero(t[1:] > t[:-1]) < len(t) - 1:
-        t = distinct(_well_dated(t))
+        t = distinct(t[well_dated(t)])
     if len(t) < LEAST_SAMPLES:
         raise InputError(f"only {len(t)} gyro samples: at least {LEAST_SAMPLES} are needed to measure the rate")
     steps = steps_of(t)
@@ -82,11 +82,12 @@ def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
     return mean_step(steps) / NS_PER_S, Grid.RESAMPLED
 
 
-def _well_dated(t_ns: IntArray) -> IntArray:
-    """Stamps as they came, without those in no order with the two before and after; two that changed places stay."""
-    before, at, after = t_ns[1:-3], t_ns[2:-2], t_ns[3:-1]
-    wrong = (before < after) & ((at < np.minimum(before, t_ns[:-4])) | (at > np.maximum(after, t_ns[4:])))
-    return t_ns[np.concatenate(([True] * 2, ~wrong, [True] * 2))] if len(t_ns) > 4 else t_ns
+def well_dated(t_ns: IntArray) -> BoolArray:
+    """Stamps, as they came, that are not alone out of order with the two before and after; two may change places."""
+    good, (before, at, after) = np.ones(len(t_ns), dtype=bool), (t_ns[1:-3], t_ns[2:-2], t_ns[3:-1])
+    if len(t_ns) > 4:
+        good[2:-2] = (before >= after) | ((at >= np.minimum(before, t_ns[:-4])) & (at <= np.maximum(after, t_ns[4:])))
+    return good
 
 
 def rate_tolerance(grid: Grid, dt_s: float, window_s: float) -> float:

@@ -172,10 +172,7 @@ def test_l11_looks_that_come_late_are_counted_and_told(benches: Benches) -> None
 def test_all_is_read_and_none_starves_when_there_is_too_much_to_judge(
     benches: Benches, monkeypatch: pytest.MonkeyPatch, reading_s: float
 ) -> None:
-    """Two or four of eight vehicles have their turn in a look, also if reading alone takes longer than a look has.
-
-    On a machine on which judging a vehicle takes 10 ms of the processor.
-    """
+    """Two or four of eight vehicles, of 10 ms each, have their turn in a look, also if reading takes longer than it."""
     host, vehicles = VirtualHost(), [MadeVehicle(sysid) for sysid in range(1, 9)]
     bench = benches(judging(), *vehicles, baseline=baseline_for(), host=host)
     fleet = bench.daemon.fleet

@@ -1,7 +1,4 @@
-"""A small autopilot flies the served plant over each protocol, through sockets and a process; and `sitl-plant` itself.
-
-ArduPilot's bytes are packed and read by the test, those of MAVLink by pymavlink.
-"""
+"""A small autopilot flies the served plant over each protocol, through sockets and a process; and `sitl-plant`."""
 
 import json
 import math

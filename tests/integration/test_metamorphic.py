@@ -1,11 +1,8 @@
 """What must not matter does not: teachers and judged flight are changed alike, and the verdict follows.
 
-Flights are made (`flying_telemetry`, 100 Hz, 30 s): a healthy one, one with a weak rotor, and one whose roll rate also
-trembles from 12 s on. So the trim, which names the rotor, and the motion each raise an alarm.
-
-Time scaled by two is left out: the monitors' windows, gates and clearing times are seconds of the vehicle (Savitzky-
-Golay 0.1 s, start 1 s, trim 6 s), so a flight at half the pace is another flight. Instead, outputs are sent half as
-often and gyro stamps are stretched by one part in a thousand.
+Flights are made (`flying_telemetry`): a healthy one, one with a weak rotor, and one whose roll rate also trembles from
+12 s on. Time scaled by two is left out: windows, gates and clearing times are seconds of the vehicle. Instead, outputs
+come half as often and gyro stamps are stretched by 0.1 %.
 """
 
 from collections.abc import Callable, Mapping

@@ -56,10 +56,7 @@ COUNT = 20_000
 
 
 def logged(endpoint: Endpoint, plant: Child) -> bytes:
-    """What arrives until the flight is over, as a telemetry log: every datagram is one frame.
-
-    On a machine with much to do the flight lasts longer than its time.
-    """
+    """What arrives until the flight is over, which may take longer than its time, as a telemetry log."""
     records, flies = [], True
     while flies:
         flies = plant.running

@@ -8,6 +8,7 @@ import pwd
 import shutil
 import sqlite3
 import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
@@ -99,7 +100,8 @@ def test_a_folder_is_all_logs_below_it_by_name_and_what_is_no_log_is_counted(tmp
 
 
 def test_a_pattern_is_what_it_matches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tree(tmp_path, "a/1.tlog", "a/2.tlog", "b/3.tlog", "b/notes.txt", "c[1].tlog")
+    tree(tmp_path, "a/1.tlog", "a/2.tlog", "a/.2.tlog", "b/3.tlog", "b/notes.txt", "c[1].tlog")
+    assert below(tmp_path, "a/.*") == ["a/.2.tlog"]
     assert below(tmp_path, "*/*.tlog") == ["a/1.tlog", "a/2.tlog", "b/3.tlog"]
     assert below(tmp_path, "**/[23]*") == ["a/2.tlog", "b/3.tlog"]
     assert below(tmp_path, "[ab]") == ["a/1.tlog", "a/2.tlog", "b/3.tlog"]
@@ -717,3 +719,9 @@ def test_new_propellers_begin_anew_and_may_differ() -> None:
     assert fresh.together.flights == 4
     assert not fresh.together.changed
     assert overview_of("one", flights, (), ()).together is None
+
+
+def test_a_reader_that_goes_gets_no_verdict() -> None:
+    read, write = os.pipe()
+    os.close(read)
+    assert subprocess.run([sys.executable, "-m", "mavdiag", "--help"], stdout=write, check=False).returncode == 2

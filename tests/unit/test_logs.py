@@ -148,6 +148,13 @@ def test_a_file_without_header_or_time_is_read_by_number_and_rate(tmp_path: Path
     assert np.diff(log[Signal.BODY_RATE].t_ns).tolist() == [5_000_000, 5_000_000]
 
 
+def test_a_counter_of_32_bits_that_begins_anew_goes_on(tmp_path: Path) -> None:
+    path = written(tmp_path / "flight.csv", "t,p\n4294967290,1\n2,1\n14,1\n")
+    text = '[time]\ncolumn = "t"\nunit = "us"\n[body_rate]\ncolumns = ["p", "p", "p"]\nunit = "rad/s"\n'
+    log = read_log(path, columns=parse_column_map(text))
+    assert np.diff(log[Signal.BODY_RATE].t_ns).tolist() == [8_000, 12_000]
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -294,6 +301,12 @@ def test_format_characters_carry_their_multiplier_and_angles_become_radians(tmp_
     assert first(log, Signal.ATTITUDE) == pytest.approx([math.radians(a) for a in (11, -4, 10)])
     assert log.telemetry.need(Signal.ATTITUDE).t_ns.tolist() == [5_000_000]
     assert log.profile == "ardupilot-log"
+
+
+def test_a_damaged_stamp_costs_its_sample_alone(tmp_path: Path) -> None:
+    stamps = [1000 * n + (n == 10) * (1 << 28) for n in range(1, 21)]
+    log = read_bin(tmp_path, dataflash([IMU], [imu(time_us) for time_us in stamps]))
+    assert log[Signal.BODY_RATE].t_ns.tolist() == [1_000_000 * n for n in range(1, 21) if n != 10]
 
 
 @pytest.mark.parametrize("message", [OLD_RATE, RATE])

@@ -306,10 +306,7 @@ def _stamped(time: tuple[Any, Any, Any, Any], counters: IntArray, frames: IntArr
 
 
 def taken(*streams: Stream, size: int = 1 << 30) -> tuple[VehicleTime, list[IntArray]]:
-    """The time after these streams, a message each, in order of arrival, and the time of each stamp or `NEVER`.
-
-    size: stamps at a time.
-    """
+    """The time after these streams, a message each, and of each stamp or `NEVER`. size: stamps at a time."""
     counters = np.array([(c.tick_ns, c.turn) for c, _, _ in streams], np.int64)
     columns = [np.stack([np.full(len(raw), number), raw, host]) for number, (_, raw, host) in enumerate(streams)]
     frames: NDArray[Any] = np.concatenate(columns, axis=1)
