@@ -162,13 +162,13 @@ def virtual(hours: float, cpu_s: float, rate_hz: float, seed: int) -> None:
 def _look(
     fleet: Fleet, record: Record, chunks: list[tuple[bytes, int]], now_ns: int, base_ns: int
 ) -> list[tuple[int, str]]:
-    """One look at the link; the texts of declared faults, with their time since the beginning."""
+    """One look at the link; texts of a fault, seen again or not, with their time since the beginning."""
     fleet.take(as_columns(chunks), Instant(now_ns))
     said = [
         (now_ns - base_ns, effect.text)
         for turn in fleet.judge(Instant(now_ns))
         for effect in turn.effects
-        if isinstance(effect, SendText) and effect.severity <= Severity.CRITICAL
+        if isinstance(effect, SendText) and effect.severity <= Severity.WARNING
     ]
     record.look(fleet, now_ns, base_ns)
     return said
