@@ -156,10 +156,7 @@ class Story:
         every: int = 1,
         outputs: bool = False,
     ) -> list[Effect]:
-        """Let the vehicle send for a while.
-
-        push [rad/s]: added to the roll rate; every: sends each such sample; outputs: of the motors, too.
-        """
+        """Let it send for a while. push [rad/s]: of the roll rate; every: such sample; outputs: of the motors, too."""
         chunk, before = round(self.chunk_s * RATE_HZ), len(self.log)
         for _ in range(round(seconds * RATE_HZ / chunk)):
             telemetry = self._chunk(chunk, push, armed, thrust, every)

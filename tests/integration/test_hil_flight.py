@@ -497,6 +497,8 @@ def test_only_the_vehicles_that_are_named_get_the_fault() -> None:
     class Inline:
         """In place of a process."""
 
+        exitcode = 0
+
         def __init__(self, target: object, args: tuple[object, ...]) -> None:
             plan = args[0]
             flown.append((plan.dialect.sysid, plan.config.fault, plan.config.seed))  # type: ignore[attr-defined]  # a plan
