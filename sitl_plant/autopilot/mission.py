@@ -10,10 +10,7 @@ from mavdiag.link.codec import Frame
 from mavdiag.link.messages import MessageId
 from sitl_plant.autopilot.wire import Action, Reply, integer, order_of
 
-MISSION, EVERY = (
-    0,
-    255,
-)  # MAV_MISSION_TYPE: the flight plan, and to clear all; 1 is the fence, 2 rally points
+MISSION, EVERY = 0, 255  # MAV_MISSION_TYPE of the flight plan, and of all; 1 is the fence, 2 are rally points
 ACCEPTED, ERROR, UNSUPPORTED, NO_SPACE, INVALID_SEQUENCE, CANCELLED = 0, 1, 3, 4, 13, 15  # MAV_MISSION_RESULT
 ITEMS_MAX = 200
 ASK_AGAIN_S, GIVE_UP_S = 1.0, 8.0

@@ -60,7 +60,6 @@ class HilOptions:
 
         The last of the values says whether to go on. link, rate_hz: for the truth file.
         """
-        specimen(self.config.vehicle, self.config.drone)  # a number that there is not is refused before a file is begun
         with open_endpoint(endpoint) as port, truth_file(self.truth) as lines, commandline.stop_signals() as stop:
             with working(options.STARTING):
                 watch = Truth(self.config, link, rate_hz, None, lines).write
@@ -99,6 +98,7 @@ def hil_options(
     config = PlantConfig(
         vehicle=kind,
         drone=drone,
+        airframe=specimen(kind, drone),
         start="ground",
         trajectory="hover",
         rotor=rotor,
