@@ -50,7 +50,7 @@ _NORTH_M = EARTH_M * math.pi / 180  # of one degree
 _EAST_M = _NORTH_M * math.cos(math.radians(HOME_LAT_DEG))
 _HOME = (round(HOME_LAT_DEG * 1e7), round(HOME_LON_DEG * 1e7), round(HOME_ALT_M * 1e3))
 # ArduPilot, AP_InertialSensor.h: ACCEL_VIBE_FLOOR_FILT_HZ, ACCEL_VIBE_FILT_HZ, ACCEL_CLIP_THRESH_MSS
-VIBE_FLOOR_HZ, VIBE_HZ, CLIP_M_S2 = 5.0, 2.0, 16.0 * G - 0.5
+VIBE_FLOOR_HZ, VIBE_HZ, CLIP_M_S2 = 5.0, 2.0, 15.5 * G
 
 
 def to_global(position: FloatArray) -> FloatArray:

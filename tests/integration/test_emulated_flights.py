@@ -32,6 +32,7 @@ from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
+from mavdiag.units import G
 from sitl_plant.autopilot.dialect import DIALECTS, Esc, dialect_named
 from sitl_plant.autopilot.stream import ImuFilters, _EscFrames, messages_due
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
@@ -359,6 +360,13 @@ def test_the_vibration_level_is_ardupilots() -> None:
     sent = values_of(decoded("ardupilot"), MessageId.VIBRATION, "vibration_x", "vibration_y", "vibration_z")
     np.testing.assert_allclose(sent, np.array(vibe)[::100][: len(sent)], rtol=1e-3, atol=1e-9)
     assert sent[-1, 0] > 0.5  # m/s^2: the damaged rotor shakes
+
+
+def test_what_is_above_15_5_g_in_any_axis_is_counted_as_clipped() -> None:
+    samples = unbalanced()
+    samples = replace(samples, accel=np.zeros_like(samples.accel))
+    samples.accel[[5, 7, 9], [0, 1, 2]] = np.array([15.4, -15.6, 15.6]) * G
+    assert ImuFilters(dialect_named("ardupilot"), 1).step(samples).clippings[[6, 8, -1]].tolist() == [0, 1, 2]
 
 
 def frames_of(config: PlantConfig, profile: str, rate_hz: float, seconds: float = 1.0) -> list[Frame]:
