@@ -233,9 +233,9 @@ def _unwrapped(mem: Fields, reading: Fields, tick: int, turn: int, raw: int, now
     step = raw - reading.count
     if turn:
         step = raw - reading.count % turn
-        shorter = (step + turn // 2) % turn - turn // 2  # the shorter way round
-        if abs(shorter * tick - elapsed_ns) <= WRAP_SLACK_NS:
-            step = shorter
+        nearest = step + (elapsed_ns // tick - step + turn // 2) // turn * turn  # of whole turns more or less
+        if abs(nearest * tick - elapsed_ns) <= WRAP_SLACK_NS:
+            step = nearest
     clock_ns = (reading.count + step) * tick
     if (clock_ns >= EPOCH_NS) != (reading.count * tick >= EPOCH_NS):
         return _BROKEN_OFF, clock_ns

@@ -332,6 +332,15 @@ def test_a_wrap_is_undone_wherever_the_samples_are_cut(size: int) -> None:
     assert t_ns.tolist() == (true * MS).tolist()
 
 
+@pytest.mark.parametrize("silent_s", [4200, 4320, 9000, 30_000])
+def test_turns_that_pass_in_silence_are_counted(silent_s: int) -> None:
+    """Of 32-bit microseconds, while other messages of the vehicle go on."""
+    boot_us = 1_000_000 * np.arange(10, silent_s + 20)
+    own_us = boot_us[[5, -2, -1]]
+    _, (_, t_ns) = taken((US_64, boot_us, 1000 * boot_us), (US_32, own_us % (1 << 32), 1000 * own_us + MS))
+    assert t_ns.tolist() == (1000 * own_us).tolist()
+
+
 def test_a_message_that_changes_to_unix_time_is_laid_over_its_old_clock() -> None:
     true = np.arange(400) * 10 * MS
     raw = np.where(true < 2 * S, 5_000_000, EPOCH_US) + true // 1000
