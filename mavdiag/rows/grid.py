@@ -84,10 +84,9 @@ def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
 
 def well_dated(t_ns: IntArray) -> BoolArray:
     """Stamps, as they came, that are not alone out of order with the two before and after; two may change places."""
-    good, (before, at, after) = np.ones(len(t_ns), dtype=bool), (t_ns[1:-3], t_ns[2:-2], t_ns[3:-1])
-    if len(t_ns) > 4:
-        good[2:-2] = (before >= after) | ((at >= np.minimum(before, t_ns[:-4])) & (at <= np.maximum(after, t_ns[4:])))
-    return good
+    t = np.concatenate(([-(2**62)] * 2, t_ns, [2**62] * 2))
+    early, before, at, after, late = (t[k : k + len(t_ns)] for k in range(5))
+    return (before >= after) | ((at >= np.minimum(before, early)) & (at <= np.maximum(after, late)))
 
 
 def rate_tolerance(grid: Grid, dt_s: float, window_s: float) -> float:

@@ -303,10 +303,11 @@ def test_format_characters_carry_their_multiplier_and_angles_become_radians(tmp_
     assert log.profile == "ardupilot-log"
 
 
-def test_a_damaged_stamp_costs_its_sample_alone(tmp_path: Path) -> None:
-    stamps = [1000 * n + (n == 10) * (1 << 28) for n in range(1, 21)]
+@pytest.mark.parametrize("damaged", [1, 2, 10])
+def test_a_damaged_stamp_costs_its_sample_alone(tmp_path: Path, damaged: int) -> None:
+    stamps = [1000 * n + (n == damaged) * (1 << 28) for n in range(1, 21)]
     log = read_bin(tmp_path, dataflash([IMU], [imu(time_us) for time_us in stamps]))
-    assert log[Signal.BODY_RATE].t_ns.tolist() == [1_000_000 * n for n in range(1, 21) if n != 10]
+    assert log[Signal.BODY_RATE].t_ns.tolist() == [1_000_000 * n for n in range(1, 21) if n != damaged]
 
 
 @pytest.mark.parametrize("message", [OLD_RATE, RATE])
