@@ -33,8 +33,8 @@ ACTUATORS = ROTORS = 16
 PAYLOAD_BYTES = 255 + 8  # room for any, and to read a word at its last byte
 UNKNOWN_MV = 0xFFFF  # SYS_STATUS.voltage_battery: not sent
 LEAST_US, MOST_US = 1000.0, 2000.0  # PWM for 0 and full output
-PULSE_LEAST_US = 800.0  # no pulse is shorter (our choice: the shortest disarmed one of PX4 is 900)
-DSHOT_FULL = 2047.0  # the largest of its 11 bits
+PULSE_LEAST_US = 800.0  # no pulse is shorter (PX4, pwm_out/module.yaml: the least of PWM_MAIN_DISn)
+DSHOT_FULL = 1999.0  # 0 when disarmed, then from 1 on (PX4, DShot.h: DSHOT_MAX_THROTTLE)
 SQUARED = (1e-2, 1e2)  # length of a quaternion, squared: beyond it is none, but a damaged frame with a right checksum
 DISARMED_NS = 3 * NS_PER_S // 2  # without an armed heartbeat before a disarmed one is believed: they come each second
 LARGE = 10_000  # rows: beyond it signals share times
@@ -47,7 +47,7 @@ class Form(IntEnum):
     VECTOR = 0  # a number each, times a unit
     ANGLES = 1  # roll, pitch and yaw of a quaternion
     PULSES = 2  # shares of the profile's span of pulses, in two groups of eight
-    OUTPUTS = 3  # shares of an output whose unit its values tell
+    OUTPUTS = 3  # shares of an output whose unit the values so far tell
     ROTORS = 4  # four rotors; what the message leaves out keeps its last value
     VOLTAGE = 5  # millivolts
     ARMED = 6  # a flag of a vehicle's heartbeat
@@ -84,7 +84,7 @@ _TARGETS = (
     Part(_S.THRUST_SETPOINT, "thrust", unless=("type_mask", TargetMask.THROTTLE)),
 )
 _PULSES = Part(_S.ACTUATOR, "servo1_raw", Form.PULSES, unless=("port", 0xFF), beside="servo9_raw")
-_OUTPUTS = Part(_S.ACTUATOR, "actuator", Form.OUTPUTS, beside="active")
+_OUTPUTS = Part(_S.ACTUATOR, "actuator", Form.OUTPUTS)
 _ESCS = (_M.ESC_TELEMETRY_1_TO_4, _M.ESC_TELEMETRY_5_TO_8, _M.ESC_TELEMETRY_9_TO_12)
 
 
@@ -132,8 +132,9 @@ def sources(profile: Profile, table: Iterable[Source] = SOURCES) -> tuple[Source
 
 
 # What one vehicle's conversion carries on: the rotors' latest known speeds [rad/s], NaN for unknown; rows with NaN,
-# infinity or no quaternion; when the latest armed heartbeat was received; and disarmed ones amid armed ones, left out.
-_MEMORY = np.dtype([("speeds", "f8", ROTORS), *((name, "i8") for name in ("dropped", "armed_ns", "contrary"))])
+# infinity or no quaternion; when the latest armed heartbeat was received; disarmed ones amid armed ones, left out; and
+# whether its outputs are DShot.
+_MEMORY = np.dtype([("speeds", "f8", ROTORS), *((name, "i8") for name in ("dropped", "armed_ns", "contrary", "dshot"))])
 # Of a message: bytes of its payload, `Counter`, place of its count and the bits of this in a word, and its parts.
 _SOURCE = np.dtype([(name, "i8") for name in ("length", "tick", "turn", "at", "mask", "first", "last")])
 # `Part`, with places in the payload; a rotor's number beside it is negative. kind 16: signed, 32: floating.
@@ -298,24 +299,19 @@ def _pulses(words: Words, part: Any, out: FloatArray) -> None:
 
 
 @jit
-def _outputs(words: Words, floats: Any, part: Any, out: FloatArray) -> None:
-    """PX4 sends what its driver gets, and no unit: told by the values of each message.
+def _outputs(words: Words, floats: Any, part: Any, memory: Any, out: FloatArray) -> None:
+    """PX4 sends what its driver gets, and no unit. An unused output may be 0 with any.
 
-    Nothing above 1: shares, as in simulation. No output below 800: microseconds. Else DShot, where unused ones are 0.
+    DShot since one was between 1 and 800, as when it idles; else nothing above 1: shares, as in simulation; else PWM.
     """
-    number = words[part.beside] & 0xFFFFFFFF
-    highest, least, low, span = 0.0, PULSE_LEAST_US, 0.0, DSHOT_FULL
+    highest, low, span = 0.0, LEAST_US, MOST_US - LEAST_US
     for k in range(ACTUATORS):
         out[k] = _number(words, floats, part.at + 4 * k, part)
-        if not math.isfinite(out[k]):
-            out[k] = 0.0
-        elif k < number or number < 1:
-            least = min(least, out[k])
+        out[k] = out[k] if math.isfinite(out[k]) else 0.0
         highest = max(highest, out[k])
-    if highest <= 1.0:
-        span = 1.0
-    elif least >= PULSE_LEAST_US:
-        low, span = LEAST_US, MOST_US - LEAST_US
+        memory.dshot |= int(1.0 < out[k] < PULSE_LEAST_US)
+    if memory.dshot or highest <= 1.0:
+        low, span = 0.0, DSHOT_FULL if memory.dshot else 1.0
     for k in range(ACTUATORS):
         out[k] = min(max((out[k] - low) / span, 0.0), 1.0)
 
@@ -365,7 +361,7 @@ def _filled(words: Words, floats: Any, part: Any, host_ns: int, memory: Any, out
     elif part.form == Form.PULSES:
         _pulses(words, part, out)
     elif part.form == Form.OUTPUTS:
-        _outputs(words, floats, part, out)
+        _outputs(words, floats, part, memory, out)
     else:
         for k in range(part.width):
             out[k] = part.unit * _number(words, floats, part.at + part.size * k, part)
@@ -434,7 +430,7 @@ def _fill(
             count = payload[1][source.at] & source.mask
             at_ns = stamp(time, frame.row, source.tick, source.turn, count, frame.host_ns)
         if at_ns == REBOOT:
-            own.speeds[:], own.armed_ns, k = np.nan, NEVER, k - 1
+            own.speeds[:], own.armed_ns, own.dshot, k = np.nan, NEVER, 0, k - 1
         for p in range(source.first, source.last if at_ns > NEVER else source.first):
             part, done = parts[p], filled[parts[p].signal]
             place, row = done[1] + done[2] * part.width, done[0] + done[2]

@@ -18,7 +18,7 @@ from pyulog import ULog, ULogException
 
 from mavdiag.errors import InputError
 from mavdiag.link.messages import px4_custom_mode
-from mavdiag.link.samples import euler_angles
+from mavdiag.link.samples import DSHOT_FULL, LEAST_US, MOST_US, PULSE_LEAST_US, euler_angles
 from mavdiag.logs.log import (
     MAX_TIME_US,
     RECORDED_GATE,
@@ -38,7 +38,6 @@ SIGNATURE = b"ULog\x01\x12\x35"
 ACCELEROMETER = "sensor_combined, accelerometer"  # the same topic, at times of its own
 NO_ACCELEROMETER = 2**31 - 1  # of accelerometer_timestamp_relative (PX4, SensorCombined.msg)
 ARMED_STATE = 2  # of arming_state (PX4, VehicleStatus.msg; the same number in all versions)
-PWM_ZERO_US, PWM_SPAN_US, PWM_LEAST_US = 1000.0, 1000.0, 800.0
 FIRST_MOTOR, MOTORS = 101, 12  # of actuator_function "Motor 1" (PX4, EscReport.msg), and how many there are
 UTC_PLAUSIBLE_US = 10**15  # September 2001: a receiver without a fix reports 0
 
@@ -67,12 +66,14 @@ def _norm(values: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(values, axis=1, keepdims=True))
 
 
-def _pulses(output: FloatArray) -> FloatArray:
-    """The outputs in their order up to the last that carries a pulse: (pulse - 1000 us) / 1000 us, not below 0."""
-    carry = np.flatnonzero((output >= PWM_LEAST_US).any(axis=0))
+def _outputs(output: FloatArray) -> FloatArray:
+    """Shares of the outputs in their order up to the last in use; as `samples` tells DShot from pulses."""
+    dshot = ((output > 1.0) & (output < PULSE_LEAST_US)).any()
+    least, low, span = (1.0, 0.0, DSHOT_FULL) if dshot else (PULSE_LEAST_US, LEAST_US, MOST_US - LEAST_US)
+    carry = np.flatnonzero((output >= least).any(axis=0))
     width = int(carry[-1]) + 1 if len(carry) else 0
-    pulses = np.where(np.isin(np.arange(width), carry), output[:, :width], PWM_ZERO_US)
-    return np.maximum(_moving(pulses) - PWM_ZERO_US, 0.0) / PWM_SPAN_US
+    used = np.where(np.isin(np.arange(width), carry), output[:, :width], low)
+    return np.maximum(_moving(used) - low, 0.0) / span
 
 
 def _moving(values: FloatArray) -> FloatArray:
@@ -121,7 +122,7 @@ _ROWS = (
     Row(Signal.SPECIFIC_FORCE, "vehicle_acceleration", _elements("xyz", 3)),
     Row(Signal.ATTITUDE, "vehicle_attitude", _elements("q", 4), euler_angles),
     Row(Signal.ACTUATOR, "actuator_motors", _elements("control", 12), _in_use),
-    Row(Signal.ACTUATOR, "actuator_outputs", _elements("output", 16), _pulses),
+    Row(Signal.ACTUATOR, "actuator_outputs", _elements("output", 16), _outputs),
     Row(
         Signal.ROTOR_SPEED,
         "esc_status",

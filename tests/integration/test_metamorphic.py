@@ -218,17 +218,17 @@ def test_clock_slightly_slow(name: str) -> None:
 def sent(profile: str, message: MessageId, head: tuple[int, ...], low: float, high: float) -> Transform:
     """Outputs as a vehicle sends them between low and high: through bytes of a message and back.
 
-    head: the fields between time and outputs. The IMU comes first, for it tells the time since boot.
+    head: the fields between time and outputs. The IMU comes first, for it tells the time since boot, then idle motors.
     """
 
     def arrived(outputs: FloatArray) -> FloatArray:
         encoder, decoder = Encoder(1, 1), Decoder()
         frames = decoder.feed(encoder.encode(PROFILES[profile].imu, 10_000), 10_000_000)
-        for k, row in enumerate((low + (high - low) * outputs).tolist()):
+        for k, row in enumerate((low + (high - low) * np.vstack((outputs[:1] / 9, outputs))).tolist()):
             fields = (row + [0.0] * 28,) if message == MessageId.ACTUATOR_OUTPUT_STATUS else map(round, row)
             frames += decoder.feed(encoder.encode(message, 20_000 * (k + 1), *head, *fields), 20_000_000 * (k + 1))
         telemetry = SampleDecoder(PROFILES[profile]).step(SampleState(), frames)
-        return telemetry.need(Signal.ACTUATOR).values
+        return telemetry.need(Signal.ACTUATOR).values[1:]
 
     return lambda telemetry: with_columns(telemetry, {Signal.ACTUATOR: arrived})
 
@@ -238,7 +238,7 @@ UNITS: dict[str, Transform] = {
     "of a larger full scale": lambda telemetry: with_columns(
         telemetry, {Signal.ACTUATOR: lambda outputs: 0.8 * outputs}
     ),
-    "dshot": sent("px4", STATUS, (8,), 0.0, 2047.0),  # of eight outputs: unused ones, at 0, tell it
+    "dshot": sent("px4", STATUS, (8,), 0.0, 1999.0),
     "whole microseconds": sent("ardupilot", SERVO, (0,), 1000.0, 2000.0),
 }
 

@@ -244,6 +244,7 @@ def sensors(time_us: int, rate: float = 0.0, delay_us: int = 0) -> bytes:
         (OLD_SETPOINT, [(2_000, 0.1, -0.2, 0.3, 0.5)], Signal.THRUST_SETPOINT, [[0.5]]),
         (MOTORS, [(1, 0.1, 0.2, 0.3, 0.4, *[NAN] * 8)], Signal.ACTUATOR, [[0.1, 0.2, 0.3, 0.4]]),
         (OUTPUTS, [(1, 900, 1500, 2000, *[0] * 13)], Signal.ACTUATOR, [[0.0, 0.5, 1.0]]),
+        (OUTPUTS, [(1, 199.9, 0, *[0] * 14), (2, 1999, 999.5, *[0] * 14)], Signal.ACTUATOR, [[0.1, 0], [1, 0.5]]),
         (POSITION, [(0, 0, 0, -1.0), (1, 3, 4, -2.5)], Signal.HEIGHT, [[2.5]]),  # what is stamped 0 was never published
         (POSITION, [(0, 0, 0, -1.0), (1, 3, 4, -2.5)], Signal.POSITION, [[3, 4]]),
         (STATUS, [(1, 1, 15), (2, 2, 3)], Signal.ARMED, [[0], [1]]),

@@ -129,8 +129,8 @@ def test_slow_signals() -> None:
         ((1528.4, 1557.8, 1000.0, 2000.0) + (900.0,) * 12, (0.5284, 0.5578, 0.0, 1.0)),  # PX4 in simulation
         ((1528.4, 1557.8, 1100.0, 1200.0) + (1000.0,) * 12, (0.5284, 0.5578, 0.1, 0.2)),
         ((900.0,) * 16, (0.0,) * 4),  # disarmed
-        ((1023.5, 512.0, 2047.0, 48.0) + (0.0,) * 12, (0.5, 0.2501, 1.0, 0.0234)),  # DShot
-        ((1023.5, 900.0, 1100.0, 1200.0) + (0.0,) * 12, (0.5, 0.4397, 0.5374, 0.5862)),  # DShot, by its unused outputs
+        ((999.5, 512.0, 1999.0, 48.0) + (0.0,) * 12, (0.5, 0.2561, 1.0, 0.024)),  # DShot
+        ((1523.5, 900.0, 1100.0, 1200.0) + (0.0,) * 12, (0.5235, 0.0, 0.1, 0.2)),  # PWM, as in a log of px4_real
         ((0.5, 0.25, 1.0, -1.0) + (0.0,) * 12, (0.5, 0.25, 1.0, 0.0)),
     ],
 )
@@ -138,6 +138,16 @@ def test_px4_tells_the_unit_of_its_outputs_by_their_values(sent: tuple[float, ..
     frame = Vehicle().frame(MessageId.ACTUATOR_OUTPUT_STATUS, 1, 16, sent + (0.0,) * 16)
     found = values_of(telemetry_of([frame], "px4"), Signal.ACTUATOR)
     np.testing.assert_allclose(found, [share + (0.0,) * 12], atol=1e-4)
+
+
+def test_outputs_stay_dshot_once_one_was_too_low_for_a_pulse() -> None:
+    """Of four outputs, all of them motors, that idle and then fly above 800."""
+    vehicle, decoder, state = Vehicle(), SampleDecoder(PROFILES["px4"]), SampleState()
+    found = []
+    for k, value in enumerate((0.0, 110.0, 999.5, 1999.0, 1.0)):
+        frame = vehicle.frame(MessageId.ACTUATOR_OUTPUT_STATUS, 1000 * k, 4, (value,) * 4 + (0.0,) * 28)
+        found.append(values_of(decoder.step(state, [frame]), Signal.ACTUATOR)[0, :4].tolist())
+    np.testing.assert_allclose(found, np.outer((0.0, 0.055, 0.5, 1.0, 0.0005), np.ones(4)), atol=1e-4)
 
 
 def test_b7_outputs_lie_on_the_time_of_the_imu_after_80_minutes() -> None:
