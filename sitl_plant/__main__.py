@@ -5,6 +5,7 @@ Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an er
 
 import json
 import multiprocessing
+import os
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
@@ -128,9 +129,10 @@ def fleet(
     with working(STARTING):
         Plant(plan.config).advance(1)  # compiled once, for all processes
     context = multiprocessing.get_context("fork")  # which shares what was compiled
-    ends = [open_endpoint(_address(out, number * port_each)) for number in range(count)]
-    with commandline.stop_signals() as stop:
-        flights = [context.Process(target=_fly, args=(*pair, stop)) for pair in zip(plans, ends, strict=True)]
+    with ExitStack() as stack:
+        ends = [stack.enter_context(open_endpoint(_address(out, number * port_each))) for number in range(count)]
+        stop, pairs = stack.enter_context(commandline.stop_signals()), zip(plans, ends, strict=True)
+        flights = [context.Process(target=_fly, args=(*pair, stop, os.getpid())) for pair in pairs]
         for flight in flights:
             flight.start()
         typer.echo(f"{count} vehicles fly, {len(wanted) if plan.config.fault else 0} with a fault; they send to {out}")
@@ -141,17 +143,15 @@ def fleet(
                 flight.terminate()
             flight.join()
         died = sum(flight.exitcode != 0 for flight in flights) if not stop() else 0
-    for end in ends:
-        end.close()
     if died:
         raise MavdiagError(f"{died} of {count} vehicles died; what they said is above")
 
 
-def _fly(plan: FlightPlan, end: Endpoint, stop: Callable[[], bool]) -> None:
+def _fly(plan: FlightPlan, end: Endpoint, stop: Callable[[], bool], parent: int) -> None:
     plant = Plant(plan.config)
     link = Link(end, plan.dialect, plan.rate_hz, plant.rotors)
     over_s = None if plan.duration_s is None else plan.duration_s + AFTER_S * (plan.config.start == "ground")
-    fly(plant, plan.dialect, [link], duration_s=over_s, speed=1.0, stop=stop, watch=lambda samples: None)
+    fly(plant, plan.dialect, [link], duration_s=over_s, speed=1.0, stop=lambda: stop() or os.getppid() != parent)
 
 
 def _numbered(plan: FlightPlan, number: int) -> FlightPlan:

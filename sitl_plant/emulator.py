@@ -127,7 +127,7 @@ def fly(
     duration_s: float | None,
     speed: float | None,
     stop: Callable[[], bool],
-    watch: Callable[[PlantSamples], None],
+    watch: Callable[[PlantSamples], None] = lambda samples: None,
 ) -> FlightReport:
     """Fly until `duration_s` of flight time has passed (None: for ever) or `stop` says so.
 

@@ -491,6 +491,16 @@ def test_a_fleet_takes_off_and_lands_on_one_port() -> None:
     assert all(True in told for told in found.values())
 
 
+@pytest.mark.realtime
+def test_a_fleet_ends_with_the_process_that_began_it() -> None:
+    with open_endpoint("udpin:127.0.0.1:0") as end:
+        command = [*FLEET, "-n", "2", "--out", end.address.replace("udpin", "udpout")]
+        with subprocess.Popen(command, stdout=subprocess.PIPE) as plant:
+            assert any(end.receive(1.0) for _ in range(round(PATIENCE_S)))
+            plant.kill()
+            plant.communicate(timeout=PATIENCE_S)  # the output ends with the last process that has it
+
+
 def test_only_the_vehicles_that_are_named_get_the_fault() -> None:
     flown: list[tuple[int, str | None, int]] = []
 
