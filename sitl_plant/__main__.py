@@ -1,17 +1,19 @@
 """The `sitl-plant` command (edge): fly an emulated multirotor over MAVLink, or many, or record its flight.
 
-Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an error, with one line on stderr.
+Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an error, with one line on stderr; 130 a
+signal ended it before that, and no file is left half written.
 """
 
 import json
 import multiprocessing
 import os
+import signal
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, NoReturn, TextIO
+from typing import Annotated, NoReturn
 
 import typer
 from typer import Option
@@ -67,7 +69,8 @@ def run(
         lines = stack.enter_context(truth_file(truth))
         stop = stack.enter_context(commandline.stop_signals())
         typer.echo(_announced(plan, [link.endpoint.address for link in links], as_json))
-        written = _written(lines, plan, time.time_ns() if pace == 1.0 else None)
+        started_ns = time.time_ns() if pace == 1.0 else None
+        written = Truth(plan.config, plan.dialect.profile.name, plan.rate_hz, started_ns, lines)
 
         def watch(samples: PlantSamples) -> None:
             written.write(samples, plant.take_changes())
@@ -98,7 +101,8 @@ def record(
         own = replace(plan, config=replace(plan.config, seed=plan.config.seed + number, landed_s=duration))
         words = f"{path}: flying {duration:g} s; the first flight compiles the plant, up to a minute ..."
         with truth_file(truth, whole=True) as lines, working(words):
-            messages = record_flight(path, own, duration, _written(lines, own, None).write)
+            written = Truth(own.config, own.dialect.profile.name, own.rate_hz, None, lines)
+            messages = record_flight(path, own, duration, written.write)
         typer.echo(f"{path}: {duration:g} s of flight, {messages} messages")
 
 
@@ -177,10 +181,6 @@ def _address(out: str, further: int) -> str:
     return f"{head}:{int(port) + further}" if further and port.isdecimal() else out
 
 
-def _written(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | None) -> Truth:
-    return Truth(plan.config, plan.dialect.profile.name, plan.rate_hz, started_unix_ns, file)
-
-
 def _announced(plan: FlightPlan, addresses: list[str], as_json: bool) -> str:
     config, profile, rate_hz = plan.config, plan.dialect.profile.name, plan.rate_hz
     if as_json:
@@ -200,7 +200,10 @@ def _concluded(report: FlightReport) -> str:
 
 
 def main() -> NoReturn:
-    """Entry point of the console script."""
+    """Entry point of the console script. SIGTERM and SIGHUP end what does not wait for them as Ctrl-C does."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
     commandline.run(app, "sitl-plant")
 
 

@@ -417,6 +417,17 @@ def test_the_same_options_give_the_same_file_and_another_seed_another(program: A
     assert [line["fault_present"] for line in lines if line["record"] == "state"] == [False, True]
 
 
+def test_a_record_that_is_ended_leaves_no_file(tmp_path: Path) -> None:
+    files = ["-o", str(tmp_path / "a.tlog"), "--truth", str(tmp_path / "t.jsonl")]
+    with process([sys.executable, "-m", "sitl_plant", "record", *files, "--duration", "1e6"]) as plant:
+        until = time.monotonic() + PATIENCE_S
+        while len(list(tmp_path.iterdir())) < 2 and time.monotonic() < until:
+            time.sleep(0.1)
+        plant.terminate()
+        assert plant.wait(PATIENCE_S) in (130, -signal.SIGINT)  # the latter out of code that is being compiled
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.realtime
 def test_a_flight_keeps_the_wall_clock_and_no_message_comes_early() -> None:
     with open_endpoint("udpin:127.0.0.1:0") as ear:
