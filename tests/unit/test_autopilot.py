@@ -13,12 +13,12 @@ from mavdiag.link.codec import Argument, Decoder, Encoder, Frame
 from mavdiag.link.messages import Autopilot as Maker
 from mavdiag.link.messages import MavCmd, MavResult, MessageId
 from mavdiag.link.parameters import Encoding, Kind, Parameter, Parameters, parameters_in
-from sitl_plant.autopilot.commands import ORDERS, Autopilot
+from sitl_plant.autopilot.commands import ORDERS, Autopilot, waypoints
 from sitl_plant.autopilot.dialect import Mode, dialect_named
 from sitl_plant.autopilot.mission import Mission
 from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.stream import to_global
-from sitl_plant.autopilot.wire import Action, Reply
+from sitl_plant.autopilot.wire import Action, Order, Reply
 from sitl_plant.emulator import obey
 from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import airframe_of, shipped_vehicles, vehicle_named
@@ -376,6 +376,17 @@ def test_a_mission_out_of_reach_is_refused() -> None:
     vehicle.send(MessageId.MISSION_COUNT, *PLANT, 1, 0)
     flat = (0.0, 0.0, 0.0, NAN, *degrees(20_000.0, 0.0), 2.0, 0)
     assert vehicle.send(MessageId.MISSION_ITEM_INT, *PLANT, 0, 6, 16, 0, 1, *flat)[-1].fields[2] != 0
+
+
+@pytest.mark.parametrize("kind", [2, 3])
+def test_a_climb_or_descent_speed_is_denied_and_leaves_the_ground_speed(kind: int) -> None:
+    vehicle = Vehicle("px4")
+    assert vehicle.order(MavCmd.DO_CHANGE_SPEED, 1, 0.5) == MavResult.ACCEPTED
+    assert vehicle.order(MavCmd.DO_CHANGE_SPEED, kind, 0.75) == MavResult.DENIED
+    [answer] = vehicle.send(MessageId.PARAM_REQUEST_READ, *PLANT, "MPC_XY_CRUISE", -1)
+    assert answer.fields[1] == 0.5
+    orders = [Order(MavCmd.DO_CHANGE_SPEED, None, (*row, 0.0, 0.0), *(None,) * 3) for row in ((1, 0.5), (kind, 0.75))]
+    assert [one.speed for one in waypoints(orders, vehicle.dialect) or ()] == [0.5, 0.5]
 
 
 @pytest.mark.parametrize("profile", ["px4", "ardupilot"])
