@@ -117,9 +117,7 @@ class Autopilot:
                 if frame.msgid == MessageId.PARAM_SET:
                     self._parameters.change(*self._parameters.wanted(frame))
                 return [Reply(link, MessageId.PARAM_VALUE, fields) for fields in self._parameters.told(frame)]
-            case MessageId.TIMESYNC if not number(
-                frame, "tc1"
-            ):  # a request gets its ts1 back beside the vehicle's time
+            case MessageId.TIMESYNC if not number(frame, "tc1"):  # a request gets its ts1 back, with our time
                 return [Reply(link, MessageId.TIMESYNC, (now_ns, integer(frame, "ts1")))]
             case MessageId.PING if not optional(frame, "target_system"):
                 brought = integer(frame, "time_usec"), integer(frame, "seq")

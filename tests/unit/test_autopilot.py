@@ -64,6 +64,8 @@ def replies(actions: list[Action], msgid: int) -> list[tuple[Argument, ...]]:
         (MavCmd.GET_MESSAGE_INTERVAL, (27,), MavResult.ACCEPTED),
         (MavCmd.COMPONENT_ARM_DISARM, (1,), MavResult.ACCEPTED),  # it is armed
         (MavCmd.COMPONENT_ARM_DISARM, (0,), MavResult.DENIED),  # it follows its own path
+        (MavCmd.DO_CHANGE_SPEED, (1, 0.5), MavResult.ACCEPTED),
+        (MavCmd.DO_CHANGE_SPEED, (2, 0.5), MavResult.DENIED),  # a climb speed
         (MavCmd.NAV_LAND, (), MavResult.DENIED),
         (MavCmd.INJECT_FAILURE, (101, 1, 1), MavResult.ACCEPTED),
         (MavCmd.INJECT_FAILURE, (101, 3, 1), MavResult.UNSUPPORTED),
@@ -378,15 +380,9 @@ def test_a_mission_out_of_reach_is_refused() -> None:
     assert vehicle.send(MessageId.MISSION_ITEM_INT, *PLANT, 0, 6, 16, 0, 1, *flat)[-1].fields[2] != 0
 
 
-@pytest.mark.parametrize("kind", [2, 3])
-def test_a_climb_or_descent_speed_is_denied_and_leaves_the_ground_speed(kind: int) -> None:
-    vehicle = Vehicle("px4")
-    assert vehicle.order(MavCmd.DO_CHANGE_SPEED, 1, 0.5) == MavResult.ACCEPTED
-    assert vehicle.order(MavCmd.DO_CHANGE_SPEED, kind, 0.75) == MavResult.DENIED
-    [answer] = vehicle.send(MessageId.PARAM_REQUEST_READ, *PLANT, "MPC_XY_CRUISE", -1)
-    assert answer.fields[1] == 0.5
-    orders = [Order(MavCmd.DO_CHANGE_SPEED, None, (*row, 0.0, 0.0), *(None,) * 3) for row in ((1, 0.5), (kind, 0.75))]
-    assert [one.speed for one in waypoints(orders, vehicle.dialect) or ()] == [0.5, 0.5]
+def test_a_missions_climb_speed_leaves_its_ground_speed() -> None:
+    orders = [Order(178, None, (*row, 0.0, 0.0), None, None, None) for row in ((1, 0.5), (2, 0.75), (0, -1.0))]
+    assert [one.speed for one in waypoints(orders, dialect_named("px4")) or ()] == [0.5, 0.5, None]
 
 
 @pytest.mark.parametrize("profile", ["px4", "ardupilot"])
