@@ -1,7 +1,6 @@
 """The `sitl-plant` command (edge): fly an emulated multirotor over MAVLink, or many, or record its flight.
 
-Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an error, with one line on stderr; 130 a
-signal ended it before that, and no file is left half written.
+Exit codes: 0 the flight ended, by its duration or a signal; 2 an error, with one line on stderr; 130 a record stopped.
 """
 
 import json
@@ -69,15 +68,17 @@ def run(
         lines = stack.enter_context(truth_file(truth))
         stop = stack.enter_context(commandline.stop_signals())
         typer.echo(_announced(plan, [link.endpoint.address for link in links], as_json))
-        started_ns = time.time_ns() if pace == 1.0 else None
-        written = Truth(plan.config, plan.dialect.profile.name, plan.rate_hz, started_ns, lines)
+        now_ns = time.time_ns() if pace == 1.0 else None
+        told = Truth(plan.config, plan.dialect.profile.name, plan.rate_hz, now_ns, lines)
 
         def watch(samples: PlantSamples) -> None:
-            written.write(samples, plant.take_changes())
+            told.write(samples, plant.take_changes())
             if kept is not None:
                 kept.step(time.time_ns())
 
-        report = fly(plant, plan.dialect, links, duration_s=plan.duration_s, speed=pace, stop=stop, watch=watch)
+        report = fly(
+            plant, plan.dialect, links, duration_s=plan.duration_s, speed=pace, stop=stop, watch=watch, slip=told.slip
+        )
     typer.echo(json.dumps({"event": "landed"} | asdict(report)) if as_json else _concluded(report))
 
 
@@ -111,12 +112,8 @@ def record(
 def fleet(
     plan: FlightPlan,
     count: Annotated[int, Option("-n", "--count", min=1, max=LAST_ID, help="How many.")] = 20,
-    faulty: Annotated[
-        str | None, Option(metavar="SYSID,..", help="Which of them get the --fault.  [default: all]")
-    ] = None,
-    out: Annotated[str, Option(metavar="ENDPOINT", help="Where all send to, each from a port of its own.")] = (
-        "udpout:127.0.0.1:14550"
-    ),
+    faulty: Annotated[str | None, Option(metavar="SYSID,..", help="Which get the --fault.  [default: all]")] = None,
+    out: Annotated[str, Option(metavar="ENDPOINT", help="Where to, from one port each.")] = "udpout:127.0.0.1:14550",
     port_each: Annotated[bool, Option("--port-each", help="The second sends to the next port, and so on.")] = False,
 ) -> None:
     """Fly several vehicles in real time, with system ids and seeds that follow each other from --system-id and --seed.
@@ -127,9 +124,7 @@ def fleet(
     wanted = {member.dialect.sysid for member in plans} if faulty is None else _ids(faulty, plans)
     if faulty is not None and plan.config.fault is None:
         raise UsageError("--faulty is about a fault; add --fault F2/SV2")
-    for number, member in enumerate(plans):
-        if member.dialect.sysid not in wanted:
-            plans[number] = replace(member, config=replace(member.config, fault=None))
+    plans = [p if p.dialect.sysid in wanted else replace(p, config=replace(p.config, fault=None)) for p in plans]
     with working(STARTING):
         Plant(plan.config).advance(1)  # compiled once, for all processes
     context = multiprocessing.get_context("fork")  # which shares what was compiled
