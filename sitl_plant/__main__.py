@@ -1,16 +1,18 @@
 """The `sitl-plant` command (edge): fly an emulated multirotor over MAVLink, or many, or record its flight.
 
-Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an error, with one line on stderr.
+Exit codes: 0 the flight ended, by its duration or a signal; 2 an error, with one line on stderr; 130 a record stopped.
 """
 
 import json
 import multiprocessing
+import os
+import signal
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, NoReturn, TextIO
+from typing import Annotated, NoReturn
 
 import typer
 from typer import Option
@@ -66,14 +68,17 @@ def run(
         lines = stack.enter_context(truth_file(truth))
         stop = stack.enter_context(commandline.stop_signals())
         typer.echo(_announced(plan, [link.endpoint.address for link in links], as_json))
-        written = _written(lines, plan, time.time_ns() if pace == 1.0 else None)
+        now_ns = time.time_ns() if pace == 1.0 else None
+        told = Truth(plan.config, plan.dialect.profile.name, plan.rate_hz, now_ns, lines)
 
         def watch(samples: PlantSamples) -> None:
-            written.write(samples, plant.take_changes())
+            told.write(samples, plant.take_changes())
             if kept is not None:
                 kept.step(time.time_ns())
 
-        report = fly(plant, plan.dialect, links, duration_s=plan.duration_s, speed=pace, stop=stop, watch=watch)
+        report = fly(
+            plant, plan.dialect, links, duration_s=plan.duration_s, speed=pace, stop=stop, watch=watch, slip=told.slip
+        )
     typer.echo(json.dumps({"event": "landed"} | asdict(report)) if as_json else _concluded(report))
 
 
@@ -97,7 +102,8 @@ def record(
         own = replace(plan, config=replace(plan.config, seed=plan.config.seed + number, landed_s=duration))
         words = f"{path}: flying {duration:g} s; the first flight compiles the plant, up to a minute ..."
         with truth_file(truth, whole=True) as lines, working(words):
-            messages = record_flight(path, own, duration, _written(lines, own, None).write)
+            written = Truth(own.config, own.dialect.profile.name, own.rate_hz, None, lines)
+            messages = record_flight(path, own, duration, written.write)
         typer.echo(f"{path}: {duration:g} s of flight, {messages} messages")
 
 
@@ -106,12 +112,8 @@ def record(
 def fleet(
     plan: FlightPlan,
     count: Annotated[int, Option("-n", "--count", min=1, max=LAST_ID, help="How many.")] = 20,
-    faulty: Annotated[
-        str | None, Option(metavar="SYSID,..", help="Which of them get the --fault.  [default: all]")
-    ] = None,
-    out: Annotated[str, Option(metavar="ENDPOINT", help="Where all send to, each from a port of its own.")] = (
-        "udpout:127.0.0.1:14550"
-    ),
+    faulty: Annotated[str | None, Option(metavar="SYSID,..", help="Which get the --fault.  [default: all]")] = None,
+    out: Annotated[str, Option(metavar="ENDPOINT", help="Where to, from one port each.")] = "udpout:127.0.0.1:14550",
     port_each: Annotated[bool, Option("--port-each", help="The second sends to the next port, and so on.")] = False,
 ) -> None:
     """Fly several vehicles in real time, with system ids and seeds that follow each other from --system-id and --seed.
@@ -122,15 +124,14 @@ def fleet(
     wanted = {member.dialect.sysid for member in plans} if faulty is None else _ids(faulty, plans)
     if faulty is not None and plan.config.fault is None:
         raise UsageError("--faulty is about a fault; add --fault F2/SV2")
-    for number, member in enumerate(plans):
-        if member.dialect.sysid not in wanted:
-            plans[number] = replace(member, config=replace(member.config, fault=None))
+    plans = [p if p.dialect.sysid in wanted else replace(p, config=replace(p.config, fault=None)) for p in plans]
     with working(STARTING):
         Plant(plan.config).advance(1)  # compiled once, for all processes
     context = multiprocessing.get_context("fork")  # which shares what was compiled
-    ends = [open_endpoint(_address(out, number * port_each)) for number in range(count)]
-    with commandline.stop_signals() as stop:
-        flights = [context.Process(target=_fly, args=(*pair, stop)) for pair in zip(plans, ends, strict=True)]
+    with ExitStack() as stack:
+        ends = [stack.enter_context(open_endpoint(_address(out, number * port_each))) for number in range(count)]
+        stop, pairs = stack.enter_context(commandline.stop_signals()), zip(plans, ends, strict=True)
+        flights = [context.Process(target=_fly, args=(*pair, stop, os.getpid())) for pair in pairs]
         for flight in flights:
             flight.start()
         typer.echo(f"{count} vehicles fly, {len(wanted) if plan.config.fault else 0} with a fault; they send to {out}")
@@ -141,17 +142,15 @@ def fleet(
                 flight.terminate()
             flight.join()
         died = sum(flight.exitcode != 0 for flight in flights) if not stop() else 0
-    for end in ends:
-        end.close()
     if died:
         raise MavdiagError(f"{died} of {count} vehicles died; what they said is above")
 
 
-def _fly(plan: FlightPlan, end: Endpoint, stop: Callable[[], bool]) -> None:
+def _fly(plan: FlightPlan, end: Endpoint, stop: Callable[[], bool], parent: int) -> None:
     plant = Plant(plan.config)
     link = Link(end, plan.dialect, plan.rate_hz, plant.rotors)
     over_s = None if plan.duration_s is None else plan.duration_s + AFTER_S * (plan.config.start == "ground")
-    fly(plant, plan.dialect, [link], duration_s=over_s, speed=1.0, stop=stop, watch=lambda samples: None)
+    fly(plant, plan.dialect, [link], duration_s=over_s, speed=1.0, stop=lambda: stop() or os.getppid() != parent)
 
 
 def _numbered(plan: FlightPlan, number: int) -> FlightPlan:
@@ -177,10 +176,6 @@ def _address(out: str, further: int) -> str:
     return f"{head}:{int(port) + further}" if further and port.isdecimal() else out
 
 
-def _written(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | None) -> Truth:
-    return Truth(plan.config, plan.dialect.profile.name, plan.rate_hz, started_unix_ns, file)
-
-
 def _announced(plan: FlightPlan, addresses: list[str], as_json: bool) -> str:
     config, profile, rate_hz = plan.config, plan.dialect.profile.name, plan.rate_hz
     if as_json:
@@ -200,7 +195,10 @@ def _concluded(report: FlightReport) -> str:
 
 
 def main() -> NoReturn:
-    """Entry point of the console script."""
+    """Entry point of the console script. SIGTERM and SIGHUP end what does not wait for them as Ctrl-C does."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
     commandline.run(app, "sitl-plant")
 
 

@@ -127,11 +127,13 @@ def fly(
     duration_s: float | None,
     speed: float | None,
     stop: Callable[[], bool],
-    watch: Callable[[PlantSamples], None],
+    watch: Callable[[PlantSamples], None] = lambda samples: None,
+    slip: Callable[[float], None] = lambda late_s: None,
 ) -> FlightReport:
     """Fly until `duration_s` of flight time has passed (None: for ever) or `stop` says so.
 
     speed: flight seconds a second, None for as fast as it goes. watch: is shown every block's truth.
+    slip: is told by how much the flight's clock was set back [s], see `SLIP_S`.
     """
     started_s, started_cpu_s, filters = time.monotonic(), time.process_time(), ImuFilters(dialect, plant.config.seed)
     autopilot = Autopilot([link.schedule for link in links], dialect, plant.config)
@@ -171,23 +173,15 @@ def fly(
             late_max_s = max(late_max_s, late[-1])
             if late[-1] > SLIP_S:
                 zero_s, slips = zero_s + late[-1], slips + 1
+                slip(late[-1])
         actions, orders = autopilot.watch(filtered.samples)
         act(actions)
         for order in orders:
             obey(plant, order)
     half_s, most_s = np.percentile(late, [50, 99]).tolist() if late else (0.0, 0.0)
-    return FlightReport(
-        flown_s=plant.t_ns * 1e-9,
-        wall_s=time.monotonic() - started_s,
-        cpu_s=time.process_time() - started_cpu_s,
-        messages=messages,
-        dropped=sum(endpoint.traffic.dropped for endpoint in endpoints),
-        received=received,
-        late_p50_ms=1e3 * half_s,
-        late_p99_ms=1e3 * most_s,
-        late_max_ms=1e3 * late_max_s,
-        slips=slips,
-    )
+    spans_s = plant.t_ns * 1e-9, time.monotonic() - started_s, time.process_time() - started_cpu_s
+    dropped, late_ms = sum(one.traffic.dropped for one in endpoints), (1e3 * half_s, 1e3 * most_s, 1e3 * late_max_s)
+    return FlightReport(*spans_s, messages, dropped, received, *late_ms, slips)
 
 
 def recorded(plan: FlightPlan, duration_s: float, watch: Callable[[PlantSamples], None]) -> Iterator[tuple[int, bytes]]:

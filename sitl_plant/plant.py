@@ -26,7 +26,7 @@ from sitl_plant.physics.control import Controller
 from sitl_plant.physics.faults import Injection, fault_injection, rotor_condition, sensor_condition
 from sitl_plant.physics.kernel import LOG, TOLD, Model, Recorded, Streams, fly, told_parts
 from sitl_plant.physics.parameters import STEP_S, air_of, initial_state, make_model, recorded_set, reload
-from sitl_plant.physics.trajectory import ARM_S, LIFT_S, Leg, Nose, Path, Shape, landing_time, path
+from sitl_plant.physics.trajectory import ARM_S, LIFT_S, REFERENCE, Leg, Nose, Path, Shape, follow, landing_time, path
 from sitl_plant.vehicle import Vehicle, qdrone2
 
 STEP_NS = round(STEP_S * 1e9)
@@ -75,9 +75,7 @@ class PlantConfig:
                 raise UsageError(f"no {name} {getattr(self, name)!r}: give one of {', '.join(known)}")
         recorded, ground = self.flown_vehicle.recorded, self.start == "ground"
         if self.commanded and (not ground or self.landed_s is not None or recorded):
-            raise UsageError(
-                "a commanded flight starts on the ground and lands when told to; not with recorded vehicles"
-            )
+            raise UsageError("a commanded flight starts on the ground, lands when told to; not with recorded vehicles")
         for name in ("speed_m_s", "size_m", "heading_rad", "altitude_m", "wind_m_s", "wind_towards_rad"):
             value, positive = getattr(self, name), name in ("speed_m_s", "size_m") or (ground and name == "altitude_m")
             if not math.isfinite(value) or (positive and value <= 0.0):
@@ -192,6 +190,8 @@ class Plant:
             self._own, own_noise = recorded_set(self.airframe, self._model, self._state, config.seed)
             self._streams.take_imus(own_noise)
         self._changes: deque[Change] = deque(maxlen=CHANGES_MAX)
+        if config.commanded:
+            follow(Leg(), 0.0, np.zeros(REFERENCE))  # compiles it for the pilot, which would take a second in flight
         self.advance(SETTLING_STEPS)
         self._state.imu.drifted[:] = 0.0  # it begins with the flight
 

@@ -45,17 +45,20 @@ class Truth:
             self._file.writelines(f"{line}\n" for line in begins + self.step(samples, changes))
             self._file.flush()
 
+    def slip(self, late_s: float) -> None:
+        """What follows comes so much later by the wall clock: the flight's clock was set back."""
+        self._started_unix_ns = self._started_unix_ns and self._started_unix_ns + round(late_s * 1e9)
+
     def head(self) -> str:
         """The first line of a flight, which now begins."""
         config = self._config
         self._causes = list(config.all_injections()[:1]) if config.fault else []
         line: dict[str, object] = {"record": "flight", "vehicle": config.vehicle.name}
-        line |= {name: getattr(config, name) for name in ("drone", "trajectory", "nose", "start", "fault")}
+        plain = ("drone", "trajectory", "nose", "start", "fault", "phenomenology", "seed", "wind_m_s", "turbulence_m_s")
+        line |= {name: getattr(config, name) for name in (*plain, "outages_per_min")}
         line |= {name: getattr(config, name) if config.fault else None for name in ("rotor", "onset_s")}
-        line |= {name: getattr(config, name) for name in ("phenomenology", "seed", "wind_m_s")}
-        line |= {"payload_kg": config.payload.mass_kg, "turbulence_m_s": config.turbulence_m_s}
-        line |= {"pickup_kg": config.pickup.payload.mass_kg if config.pickup else 0.0}
-        line |= {"pickup_s": config.pickup.at_s if config.pickup else None, "outages_per_min": config.outages_per_min}
+        carried = (config.pickup.payload.mass_kg, config.pickup.at_s) if config.pickup else (0.0, None)
+        line |= {"payload_kg": config.payload.mass_kg, "pickup_kg": carried[0], "pickup_s": carried[1]}
         return json.dumps({**line, **self._link, "started_unix_ns": self._started_unix_ns})
 
     def step(self, samples: PlantSamples, changes: Sequence[Change] = ()) -> list[str]:

@@ -38,6 +38,7 @@ FORCE = 21196  # COMPONENT_ARM_DISARM.param2: whatever the state is
 NO_POSITION, NO_VELOCITY, NO_YAW = 0b111, 0b111_000, 1 << 10  # POSITION_TARGET_TYPEMASK
 SYSTEM_MOTOR = 101  # FAILURE_UNIT
 OK, OFF, SLOW = 0, 1, 5  # FAILURE_TYPE
+GROUND_SPEED = (0, 1)  # SPEED_TYPE: airspeed is ground speed, as with both autopilots; climb and descent are fixed here
 SLOW_SHARE = 0.9  # of the commanded speed (our choice)
 MOTORS = {OFF: ("motor off", RotorDamage(speed_factor=0.0)), SLOW: ("motor slow", RotorDamage(speed_factor=SLOW_SHARE))}
 # MAV_PROTOCOL_CAPABILITY: MAVLINK2, PARAM_FLOAT, MISSION_INT, COMMAND_INT; SET_POSITION_TARGET_LOCAL_NED, _GLOBAL_INT,
@@ -116,9 +117,7 @@ class Autopilot:
                 if frame.msgid == MessageId.PARAM_SET:
                     self._parameters.change(*self._parameters.wanted(frame))
                 return [Reply(link, MessageId.PARAM_VALUE, fields) for fields in self._parameters.told(frame)]
-            case MessageId.TIMESYNC if not number(
-                frame, "tc1"
-            ):  # a request gets its ts1 back beside the vehicle's time
+            case MessageId.TIMESYNC if not number(frame, "tc1"):  # a request gets its ts1 back, with our time
                 return [Reply(link, MessageId.TIMESYNC, (now_ns, integer(frame, "ts1")))]
             case MessageId.PING if not optional(frame, "target_system"):
                 brought = integer(frame, "time_usec"), integer(frame, "seq")
@@ -260,10 +259,10 @@ ORDERS: Mapping[int, Callable[[Pilot, Dialect, Order], MavResult]] = {
     MavCmd.MISSION_START: lambda pilot, dialect, order: pilot.do(Mode.MISSION),
     MavCmd.DO_SET_MODE: _set_mode,
     MavCmd.DO_PAUSE_CONTINUE: _pause,
-    MavCmd.DO_CHANGE_SPEED: lambda pilot, dialect, order: pilot.set_speed(order.param[1] or 0.0),
-    MavCmd.DO_FLIGHTTERMINATION: lambda pilot, dialect, order: (
-        pilot.arm(False, force=True) if order.whole(1) else MavResult.DENIED
+    MavCmd.DO_CHANGE_SPEED: lambda pilot, _, order: (
+        pilot.set_speed(order.param[1] or 0.0) if order.whole(1) in GROUND_SPEED else MavResult.DENIED
     ),
+    MavCmd.DO_FLIGHTTERMINATION: lambda pilot, _, order: pilot.arm(False, True) if order.whole(1) else MavResult.DENIED,
     MavCmd.RUN_PREARM_CHECKS: lambda pilot, dialect, order: MavResult.ACCEPTED,
 }
 """What the pilot does for each MAV_CMD."""
@@ -276,7 +275,8 @@ def waypoints(orders: Sequence[Order], dialect: Dialect) -> tuple[Waypoint, ...]
     plan: list[Waypoint] = []
     here, speed = (0.0, 0.0, -1.0), None
     for seq, order in enumerate(orders):
-        speed = (order.param[1] or None) if order.command == MavCmd.DO_CHANGE_SPEED else speed
+        if order.command == MavCmd.DO_CHANGE_SPEED and order.whole(1) in GROUND_SPEED:
+            speed = max(order.param[1] or 0.0, 0.0) or None
         # ArduPilot's item 0 is home, and is not flown
         meant = (Waypoint(item=0),) if seq == 0 and dialect.needs_guided else _waypoint(seq, order, here, dialect)
         if meant is None or any(way.place is not None and far(way.place) for way in meant):

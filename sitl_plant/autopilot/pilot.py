@@ -71,8 +71,6 @@ class Pilot:
         self.first = 0
         self._texts: list[str] = []
         self._reached: list[int] = []
-        if commanded:
-            self._led()  # compiles it, which would take a second in flight
 
     def take_news(self) -> tuple[list[str], list[int]]:
         """What the pilot has to say since the last call, and which items of the mission were reached."""

@@ -15,6 +15,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from functools import partial
+from itertools import product
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
@@ -28,6 +29,7 @@ from sitl_plant.autopilot.telemetry import LinkSpec
 from sitl_plant.physics.faults import FAULTS, Fault, Injection, RotorDamage, SensorFault
 from sitl_plant.physics.parameters import STEP_S
 from sitl_plant.physics.sensors import isolating_hz
+from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import SoftMount, Vehicle, qdrone2
 
 Level = TypeVar("Level")
@@ -115,6 +117,11 @@ class Manoeuvre(NamedTuple):
     heading_rad: float = 0.0
     nose: str = "fixed"
     takeoff: bool = False  # it begins and ends on the ground
+
+    def flown(self, duration_s: float) -> dict[str, Any]:
+        """What a `PlantConfig` says of it."""
+        form = {"trajectory": self.shape, "speed_m_s": self.speed_m_s, "heading_rad": self.heading_rad}
+        return {**form, "nose": self.nose, "start": "ground" if self.takeoff else "hover", "landed_s": duration_s}
 
 
 MANOEUVRES: Mapping[str, Manoeuvre] = {
@@ -279,8 +286,13 @@ class Design:
     def __post_init__(self) -> None:
         if max(self.rotors) > len(self.vehicle.rotors):
             raise UsageError(f"rotor must be 1 to {len(self.vehicle.rotors)}, not {max(self.rotors)}")
-        for link in self.link:
-            parse_link(link)
+        for name in self.condition + (CALM,) * (self.learn == "mixed"):
+            row = CONDITIONS[name]
+            for link in self.link:
+                LinkSpec(parse_link(link).profile, row.rate_hz)
+            for path in row.manoeuvres or self.manoeuvre:
+                flown = MANOEUVRES[path].flown(row.duration_s or self.duration_s)
+                PlantConfig(vehicle=self.vehicle, outages_per_min=row.outages_per_min, **flown)
 
     @property
     def rotors(self) -> tuple[int, ...]:
@@ -360,11 +372,9 @@ def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTas
     vehicle, days = built(design.vehicle, name), Counter[int]()
     another_day = condition.session or condition.propellers > 0.0 or condition.wear_per_h > 0.0
     learning = {}
-    for link, spec in ((link, parse_link(link)) for link in design.link):
-        rate_hz, profile = condition.rate_hz, spec.profile
-        built_link = link if rate_hz is None else f"{profile}@{LinkSpec(profile, rate_hz).rate_hz:g}"
-        for airframe in range(design.airframes):
-            learning[airframe, link] = _learning(design, airframe, built_link, vehicle)
+    for link, airframe in product(design.link, range(design.airframes)):
+        rated = link if condition.rate_hz is None else f"{parse_link(link).profile}@{condition.rate_hz:g}"
+        learning[airframe, link] = _learning(design, airframe, rated, vehicle)
     causes = [HEALTHY] * count if kind == HEALTHY else column("cause", design.cause)
     met = Counter(causes)
     rotors, scales = within_causes("rotor", design.rotors), within_causes("phenomenology", design.phenomenology)

@@ -145,16 +145,10 @@ def specimen(seed: int, number: int, aged: bool, vehicle: Vehicle) -> Airframe:
 
 
 def _config(airframe: Airframe, flown: Conditions, duration_s: float, rng: np.random.Generator) -> PlantConfig:
-    manoeuvre = MANOEUVRES[flown.manoeuvre]
     beside = rng.uniform(-PAYLOAD_OFFSET_M, PAYLOAD_OFFSET_M, 2).tolist()
     return PlantConfig(
         airframe=airframe,
-        trajectory=manoeuvre.shape,
-        speed_m_s=manoeuvre.speed_m_s,
-        heading_rad=manoeuvre.heading_rad,
-        nose=manoeuvre.nose,
-        start="ground" if manoeuvre.takeoff else "hover",
-        landed_s=duration_s if manoeuvre.takeoff else None,
+        **MANOEUVRES[flown.manoeuvre].flown(duration_s),
         wind_m_s=flown.wind_m_s,
         wind_towards_rad=float(rng.uniform(0.0, 2.0 * np.pi)),
         payload=Payload(flown.payload_g * 1e-3, (beside[0], beside[1], PAYLOAD_BELOW_M)),

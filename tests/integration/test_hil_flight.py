@@ -1,5 +1,6 @@
 """A small autopilot flies the served plant over each protocol, through sockets and a process; and `sitl-plant`."""
 
+import io
 import json
 import math
 import signal
@@ -37,7 +38,8 @@ from sitl_plant.hil.px4 import WANTED, Bridge
 from sitl_plant.hil.simulation import AutopilotName, Simulation, output_map, parameter_file, pilot_of
 from sitl_plant.options import flight_plan
 from sitl_plant.physics.faults import Injection
-from sitl_plant.plant import Plant, PlantConfig
+from sitl_plant.plant import Plant, PlantConfig, PlantSamples
+from sitl_plant.truth import Truth
 from sitl_plant.vehicle import allocation, qdrone2, vehicle_named
 
 MOTORS = (2, 3, 4, 1)  # quad X of both autopilots: front right, rear left, front left, rear right
@@ -417,6 +419,14 @@ def test_the_same_options_give_the_same_file_and_another_seed_another(program: A
     assert [line["fault_present"] for line in lines if line["record"] == "state"] == [False, True]
 
 
+def test_a_record_that_is_ended_leaves_no_file(tmp_path: Path) -> None:
+    with process([sys.executable, "-m", "sitl_plant", "record", "-o", f"{tmp_path}/a.tlog", "--duration=1e6"]) as plant:
+        assert "flying 1e+06 s" in first_line(plant)
+        plant.terminate()
+        assert plant.wait(PATIENCE_S) in (130, -signal.SIGINT)  # the latter out of code that is being compiled
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.realtime
 def test_a_flight_keeps_the_wall_clock_and_no_message_comes_early() -> None:
     with open_endpoint("udpin:127.0.0.1:0") as ear:
@@ -462,6 +472,19 @@ def test_a_signal_ends_the_flight_in_good_order(number: signal.Signals, tmp_path
     assert (refused.returncode, truth.read_text(encoding="utf-8").count("flight") > 0) == (2, True)
 
 
+def test_the_truth_keeps_the_wall_clock_when_the_flight_was_late() -> None:
+    plant, file = Plant(PlantConfig(fault="F2/SV2", onset_s=0.3)), io.StringIO()
+    truth = Truth(plant.config, "qdrone2", 200.0, 1, file)
+
+    def watch(samples: PlantSamples) -> None:
+        truth.write(samples)
+        time.sleep(float(samples.t_ns[0] == 100_000_000))  # once, a second
+
+    fly(plant, DIALECT, [], duration_s=0.5, speed=1.0, stop=lambda: False, watch=watch, slip=truth.slip)
+    onset = json.loads(file.getvalue().splitlines()[-1])
+    assert onset["unix_ns"] - 1e9 * onset["t_s"] > 0.9e9
+
+
 def heard(ends: list[Endpoint], until_disarmed: set[int]) -> list[dict[int, list[bool]]]:
     """For each end, whether each system id was armed, heartbeat by heartbeat, until these landed."""
     found: list[dict[int, list[bool]]] = [{} for _ in ends]
@@ -489,6 +512,13 @@ def test_a_fleet_takes_off_and_lands_on_one_port() -> None:
             assert plant.wait(PATIENCE_S) == 0
     assert set(found) == {7, 8, 9}
     assert all(True in told for told in found.values())
+
+
+def test_a_fleet_ends_with_the_process_that_began_it() -> None:
+    with subprocess.Popen([*FLEET, "-n2", "--out", "udpout:127.0.0.1:9"], stdout=subprocess.PIPE, text=True) as plant:
+        assert "2 vehicles fly" in first_line(plant)
+        plant.kill()
+        plant.communicate(timeout=PATIENCE_S)  # the output ends with the last process that has it
 
 
 def test_only_the_vehicles_that_are_named_get_the_fault() -> None:

@@ -13,12 +13,12 @@ from mavdiag.link.codec import Argument, Decoder, Encoder, Frame
 from mavdiag.link.messages import Autopilot as Maker
 from mavdiag.link.messages import MavCmd, MavResult, MessageId
 from mavdiag.link.parameters import Encoding, Kind, Parameter, Parameters, parameters_in
-from sitl_plant.autopilot.commands import ORDERS, Autopilot
+from sitl_plant.autopilot.commands import ORDERS, Autopilot, waypoints
 from sitl_plant.autopilot.dialect import Mode, dialect_named
 from sitl_plant.autopilot.mission import Mission
 from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.stream import to_global
-from sitl_plant.autopilot.wire import Action, Reply
+from sitl_plant.autopilot.wire import Action, Order, Reply
 from sitl_plant.emulator import obey
 from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import airframe_of, shipped_vehicles, vehicle_named
@@ -64,6 +64,8 @@ def replies(actions: list[Action], msgid: int) -> list[tuple[Argument, ...]]:
         (MavCmd.GET_MESSAGE_INTERVAL, (27,), MavResult.ACCEPTED),
         (MavCmd.COMPONENT_ARM_DISARM, (1,), MavResult.ACCEPTED),  # it is armed
         (MavCmd.COMPONENT_ARM_DISARM, (0,), MavResult.DENIED),  # it follows its own path
+        (MavCmd.DO_CHANGE_SPEED, (1, 0.5), MavResult.ACCEPTED),
+        (MavCmd.DO_CHANGE_SPEED, (2, 0.5), MavResult.DENIED),  # a climb speed
         (MavCmd.NAV_LAND, (), MavResult.DENIED),
         (MavCmd.INJECT_FAILURE, (101, 1, 1), MavResult.ACCEPTED),
         (MavCmd.INJECT_FAILURE, (101, 3, 1), MavResult.UNSUPPORTED),
@@ -376,6 +378,11 @@ def test_a_mission_out_of_reach_is_refused() -> None:
     vehicle.send(MessageId.MISSION_COUNT, *PLANT, 1, 0)
     flat = (0.0, 0.0, 0.0, NAN, *degrees(20_000.0, 0.0), 2.0, 0)
     assert vehicle.send(MessageId.MISSION_ITEM_INT, *PLANT, 0, 6, 16, 0, 1, *flat)[-1].fields[2] != 0
+
+
+def test_a_missions_climb_speed_leaves_its_ground_speed() -> None:
+    orders = [Order(178, None, (*row, 0.0, 0.0), None, None, None) for row in ((1, 0.5), (2, 0.75), (0, -1.0))]
+    assert [one.speed for one in waypoints(orders, dialect_named("px4")) or ()] == [0.5, 0.5, None]
 
 
 @pytest.mark.parametrize("profile", ["px4", "ardupilot"])
