@@ -109,6 +109,8 @@ REFUSED = [
     (f"{SCAN} --windows 0.5", "Invalid value for '--windows'"),
     (f"{SCAN} --windows inf", "give a length of at most"),
     (f"{SCAN} --scheduler tcp://127.0.0.1:1", "no Dask scheduler at tcp://127.0.0.1:1"),
+    ("mavdiag demo --fault F9", "give F1, F2 or F3 with SV1, SV2 or SV3"),
+    *((f"mavdiag demo --{wrong}", "Invalid value for '--") for wrong in ("rotor 5", "seed -1", "duration nan")),
 ]
 
 
