@@ -29,6 +29,7 @@ from mavdiag.inspections import Inspections
 from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
 from mavdiag.printable import printable
+from mavdiag.storage import COLLECT_AT
 from mavdiag.telemetry import Instant
 
 if TYPE_CHECKING:
@@ -126,6 +127,7 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
             metrics = enter(closing(Metrics(*split_address(settings.metrics, "metrics"))))
         if settings.web is not None:
             web = enter(closing(_web(settings, settings.web)))
+        gc.set_threshold(COLLECT_AT)
         gc.freeze()  # what is there by now stays: to go through it again would hold up the link
         Daemon(
             settings,
