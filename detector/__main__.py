@@ -1,5 +1,10 @@
 """The `mavdiag-detector` command (edge): watch vehicles over MAVLink and report a damaged propeller."""
 
+if __name__ == "__main__":  # before what takes time to load
+    from mavdiag.__main__ import start
+
+    start("detector.__main__")
+
 import contextlib
 import gc
 import inspect
@@ -208,7 +213,3 @@ def _say(text: str) -> None:
 def main() -> NoReturn:
     """Entry point of the console script."""
     commandline.run(app, "mavdiag-detector")
-
-
-if __name__ == "__main__":
-    main()

@@ -3,6 +3,11 @@
 Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an error, with one line on stderr.
 """
 
+if __name__ == "__main__":  # before what takes time to load
+    from mavdiag.__main__ import start
+
+    start("sitl_plant.__main__")
+
 import json
 import multiprocessing
 import time
@@ -202,7 +207,3 @@ def _concluded(report: FlightReport) -> str:
 def main() -> NoReturn:
     """Entry point of the console script."""
     commandline.run(app, "sitl-plant")
-
-
-if __name__ == "__main__":
-    main()
