@@ -1,5 +1,10 @@
 """The `mavdiag-detector` command (edge): watch vehicles over MAVLink and report a damaged propeller."""
 
+if __name__ == "__main__":  # before what takes time to load
+    from mavdiag.__main__ import start
+
+    start("detector.__main__")
+
 import contextlib
 import gc
 import inspect
@@ -29,6 +34,7 @@ from mavdiag.inspections import Inspections
 from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
 from mavdiag.printable import printable
+from mavdiag.storage import COLLECT_AT
 from mavdiag.telemetry import Instant
 
 if TYPE_CHECKING:
@@ -126,6 +132,7 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
             metrics = enter(closing(Metrics(*split_address(settings.metrics, "metrics"))))
         if settings.web is not None:
             web = enter(closing(_web(settings, settings.web)))
+        gc.set_threshold(COLLECT_AT)
         gc.freeze()  # what is there by now stays: to go through it again would hold up the link
         Daemon(
             settings,
@@ -206,7 +213,3 @@ def _say(text: str) -> None:
 def main() -> NoReturn:
     """Entry point of the console script."""
     commandline.run(app, "mavdiag-detector")
-
-
-if __name__ == "__main__":
-    main()

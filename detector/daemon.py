@@ -191,7 +191,7 @@ class Daemon:
             self._beat(now)
             self._watch(now)
             self._beat_at = max(self._beat_at + BEAT_S, now)
-        self._flush()
+        self._flush(now)
 
     def end(self) -> None:
         """Judge what waits, record the open events, write the last line and the summary."""
@@ -227,10 +227,11 @@ class Daemon:
     def _unix_ns(self) -> int:
         return round(self._host.utc().timestamp() * NS_PER_S)
 
-    def _flush(self) -> None:
+    def _flush(self, now: Instant | None = None) -> None:
         self._relay.flush()
-        for file in (*self._files.values(), self._inspections):
+        for file in self._files.values():
             file.flush()
+        self._inspections.flush(now)
 
     def _sender(self, vehicle: int) -> Sender:
         if vehicle not in self._senders:

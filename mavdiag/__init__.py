@@ -17,7 +17,6 @@ Every name is imported at its first use, so that `import mavdiag` costs nothing.
 """
 
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -32,10 +31,7 @@ if TYPE_CHECKING:
     from mavdiag.logs.tlog import vehicle_stream
     from mavdiag.telemetry import Log, Series, Signal, Telemetry
 
-try:
-    __version__ = version("mavdiag")
-except PackageNotFoundError:  # a bare checkout on the path, not installed
-    __version__ = "0+unknown"
+    __version__: str
 
 __all__ = ["Airframe", "Baseline", "BaselineError", "Diagnosis", "Event", "IdentificationError", "InputError"]
 __all__ += ["LinkError", "Log", "MavdiagError", "Series", "Signal", "Telemetry", "UsageError", "Verdict", "Watch"]
@@ -55,6 +51,10 @@ _HOME = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import distributions  # here, for it takes time to load
+
+        return next((one.version for one in distributions(name="mavdiag")), "0+unknown")  # not of a bare checkout
     if name in ("identify", "monitors"):
         return import_module(f"mavdiag.{name}")
     for home, names in _HOME.items():

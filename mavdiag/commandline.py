@@ -19,8 +19,6 @@ from mavdiag import __version__
 from mavdiag.errors import MavdiagError
 from mavdiag.printable import printable
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy loads: its idle threads cost a sixth of the time
-
 ERROR = 2
 INTERRUPTED = 130
 

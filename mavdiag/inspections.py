@@ -16,8 +16,10 @@ from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Stage
 from mavdiag.decision.diagnosis import RotorSpan
 from mavdiag.decision.words import motors_words
 from mavdiag.errors import InputError, UsageError
+from mavdiag.link.keys import RETRY_S
 from mavdiag.monitors.base import FaultKind
 from mavdiag.storage import read_text, write_atomically
+from mavdiag.telemetry import Instant
 
 OPEN_BYTES = 1 << 20
 WHOSE_BYTES = 200  # of a name, at most
@@ -90,7 +92,8 @@ class Inspections:
     def __init__(self, journal: Path | None, warn: Callable[[str], None]) -> None:
         self._journal, self._warn = journal, warn
         self._open = {} if journal is None else read_open(journal)
-        self._due = self._failing = False  # whether they are to be written; whether that failed the last time
+        self._due = self._failing = False  # whether they are to be written; whether that failed the last time, and
+        self._again = Instant(0)  # when it is tried again
 
     def held(self, vehicle: int, propellers: int | None) -> Diagnosis:
         """What is known of a vehicle from before. propellers: number of its present set, if it is known."""
@@ -140,9 +143,9 @@ class Inspections:
                 self._warn(f"{path}: cannot be taken up ({error})")
         return found
 
-    def flush(self) -> None:
-        """Write what has changed; what cannot be written is tried again with each call."""
-        if self._journal is None or not self._due:
+    def flush(self, now: Instant | None = None) -> None:
+        """Write what has changed; what could not be written is tried again RETRY_S later. now: None for in any case."""
+        if self._journal is None or not self._due or (now is not None and now - self._again < 0):
             return
         content = _File(inspections=tuple(self._open.values())).model_dump_json(indent=1)
         try:
@@ -150,7 +153,7 @@ class Inspections:
         except UsageError as error:  # a disk that is full or read-only must not stop the watch
             if not self._failing:
                 self._warn(f"open inspections are not kept: {error}")
-            self._failing = True
+            self._failing, self._again = True, self._again if now is None else now + RETRY_S
             return
         if self._failing:
             self._warn("open inspections are kept again")

@@ -3,6 +3,11 @@
 Exit codes: 0 the flight ended, by its duration or a signal; 2 an error, with one line on stderr; 130 a record stopped.
 """
 
+if __name__ == "__main__":  # before what takes time to load
+    from mavdiag.__main__ import start
+
+    start("sitl_plant.__main__")
+
 import json
 import multiprocessing
 import os
@@ -200,7 +205,3 @@ def main() -> NoReturn:
         if signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, signal.default_int_handler)
     commandline.run(app, "sitl-plant")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,5 +1,6 @@
 """`mavdiag demo`: the emulator and the detector as two processes over MAVLink, received by a ground station (edge)."""
 
+import re
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -32,6 +33,7 @@ from mavdiag.units import NS_PER_S
 if TYPE_CHECKING:  # rich takes time to load
     from mavdiag.terminal.view import Line, View
 
+CODE = re.compile(r"\s*F[123]\s*[/\\_-]?\s*SV[123]\s*", re.IGNORECASE)  # as the emulator has it
 ONSET_SHARE = 0.3  # of the flight
 SPAN_S = 12.0  # that the strips show
 DETECTOR, THESIS = "detector: ", "thesis rule: "
@@ -43,10 +45,10 @@ HEALTHY_S = 40.0
 
 def demo(
     as_json: Annotated[bool, typer.Option("--json", help="End with one JSON line.")] = False,
-    duration: Annotated[float, typer.Option(metavar="S", help="Flight time.")] = 50.0,
+    duration: Annotated[float, typer.Option(min=10.0, max=1e6, metavar="S", help="Flight time.")] = 50.0,
     fault: Annotated[str, typer.Option(metavar="CODE", help="Fault to inject.")] = "F2/SV2",
-    rotor: Annotated[int, typer.Option(help="Rotor to damage, 1 to 4.")] = 1,
-    seed: Annotated[int, typer.Option(help="Seed of the flight.")] = 1,
+    rotor: Annotated[int, typer.Option(min=1, max=4, help="Rotor to damage.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the flight.")] = 1,
     baseline: Annotated[Path | None, typer.Option(help="Use this baseline instead of learning one.")] = None,
     thorough: Annotated[
         bool, typer.Option("--thorough", help=f"Learn from {THOROUGH_FLIGHTS} flights, as the thesis's rule asks.")
@@ -62,8 +64,8 @@ def demo(
     """
     from mavdiag.terminal.ground_station import LiveJudge
 
-    if duration < 10:
-        raise UsageError(f"--duration {duration:g}: give the flight at least 10 s")
+    if not CODE.fullmatch(fault):
+        raise UsageError(f"--fault {fault}: give F1, F2 or F3 with SV1, SV2 or SV3, as in F2/SV2")
     if report is not None:
         check_output(report, baseline)
     fused, thesis = (baseline, baseline) if baseline is not None else own_baselines(quiet=as_json, thorough=thorough)

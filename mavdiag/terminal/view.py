@@ -111,7 +111,7 @@ class View:
 
     title: str = ""  # of the frame
     headline: str = ""  # the finding in one sentence
-    alert: bool = False  # whether it is a fault
+    alert: bool = False  # whether it is a fault, or one that nobody has looked at since
     from_s: float = 0.0  # the time that the strips span
     to_s: float = 1.0
     strips: tuple[StripView, ...] = ()

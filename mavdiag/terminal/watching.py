@@ -34,6 +34,7 @@ JOURNAL_LOOK_S = 0.25
 EVENTS = 100  # that are kept, and as many older alerts; more do not fit on a screen
 JOURNAL_BYTES = 1 << 40  # there is no limit: it is read in pieces
 READ_BYTES = 1 << 20  # at a time
+OPEN = (Stage.FAULT, Stage.INSPECT)  # a fault was declared, and nobody has looked
 JUMP_S = 10.0  # that a key goes back or on
 BEHIND_S = 1.0  # that the judge may be ahead of what is shown before it begins anew
 SILENT = "nothing was received; is the vehicle or the detector sending to this address?"
@@ -92,7 +93,7 @@ def watch(station: GroundStation, address: str, axis: Axis, span_s: float, ended
             says, alert = alerts[-1].text if alerts else "no alert of a detector so far", bool(alerts)
         else:
             now_s, says = judge.now_s or 0.0, diagnosis_line(judge.diagnosis)
-            alert = judge.diagnosis.stage is Stage.FAULT
+            alert = judge.diagnosis.stage in OPEN
         shown = link_view(station, now_s, span_s, axis, events)
         says = says if station.heard else SILENT
         return replace(shown, title=f"{address}  {now_s:.1f} s", headline=says, alert=alert)
@@ -235,7 +236,7 @@ def _journal_view(journal: Journal, vehicle: int | None, events: Sequence[Line])
     says = ((number, ", ".join(filter(None, (one.state, one.stage, one.reason)))) for number, one in chosen.items())
     told = "; ".join(f"vehicle {number}: {words}" for number, words in says)
     damaged = f"{journal.damaged} lines could not be read" if journal.damaged else ""
-    alert = any(story.stage == Stage.FAULT for story in chosen.values())
+    alert = any(story.stage in OPEN for story in chosen.values())
     return View("journal", told or "no vehicle in the journal yet", alert, events=tuple(events), foot=damaged)
 
 
@@ -336,7 +337,7 @@ def play(
         shown = judge_view(judge, judge.now_s or begin_s, judge.span_s, axis, events)
         how = "stopped" if place.stopped else f"{speed:g} times as fast as flown"
         title = f"{log.name}  {judged_s():.1f} of {place.span_s:.1f} s, {how}"
-        says, alert = diagnosis_line(judge.diagnosis), judge.diagnosis.stage is Stage.FAULT
+        says, alert = diagnosis_line(judge.diagnosis), judge.diagnosis.stage in OPEN
         return replace(shown, title=title, headline=says, alert=alert, foot=HELP if keyboard.live else "a replay")
 
     with Keyboard() as keyboard, Screen(view) as screen:

@@ -1,14 +1,18 @@
 """What a command cannot do is one line on stderr and exit code 2, before anything is done."""
 
+import gc
 import io
 import shlex
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from made_archive import archive_baseline, made
+
+from mavdiag.__main__ import start
 
 PROGRAMS = {"mavdiag": "mavdiag.cli", "mavdiag-detector": "detector.__main__", "sitl-plant": "sitl_plant.__main__"}
 CAMPAIGN = "sitl-plant campaign -o r.jsonl --flights 0 --hours 0 --workers 1"
@@ -112,6 +116,8 @@ REFUSED = [
     (f"{SCAN} --windows 0.5", "Invalid value for '--windows'"),
     (f"{SCAN} --windows inf", "give a length of at most"),
     (f"{SCAN} --scheduler tcp://127.0.0.1:1", "no Dask scheduler at tcp://127.0.0.1:1"),
+    ("mavdiag demo --fault F9", "give F1, F2 or F3 with SV1, SV2 or SV3"),
+    *((f"mavdiag demo --{wrong}", "Invalid value for '--") for wrong in ("rotor 5", "seed -1", "duration nan")),
 ]
 
 
@@ -160,9 +166,29 @@ def test_a_fault_of_ours_ends_with_2_and_what_a_terminal_lacks_is_shown_as_its_e
     assert program("mavdiag.cli", "baseline", "show", "b.json")[0] == 2
 
 
-@pytest.mark.parametrize("program", ["main", "detector", "plant"])
-def test_ctrl_c_while_a_program_loads_is_quiet(program: str) -> None:
-    stop = "class Stop:\n    def find_spec(*_): signal.raise_signal(signal.SIGINT)\nsys.meta_path.insert(0, Stop())"
-    code = f"import signal, sys, mavdiag.__main__ as begin\n{stop}\nbegin.{program}()"
+INSTALLED = [f"import mavdiag.__main__ as begin; begin.{name}()" for name in ("main", "detector", "plant")]
+MODULES = [f"runpy.run_module({name!r}, run_name='__main__')" for name in ("mavdiag", "detector", "sitl_plant")]
+
+
+@pytest.mark.parametrize("begin", [*INSTALLED, *MODULES])
+def test_ctrl_c_while_a_program_loads_is_quiet(begin: str) -> None:
+    """Also where the import makes another error of an exception, as that of a class does."""
+    stop = "class Name:\n    def __set_name__(*_): signal.raise_signal(signal.SIGINT)\n"
+    stop += "class Stop:\n    def find_spec(name, *_):\n        if name == 'numpy': type('', (), {'': Name()})\n"
+    code = f"import runpy, signal, sys\n{stop}sys.meta_path.insert(0, Stop)\n{begin}"
     ran = subprocess.run([sys.executable, "-c", code], stdout=-1, stderr=-1, check=False)
     assert (ran.returncode, ran.stdout, ran.stderr) == (130, b"", b"")
+
+
+def test_a_program_is_loaded_without_looking_for_garbage_and_runs_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    looked = list[bool]()
+
+    def load(_: str) -> SimpleNamespace:
+        looked.append(gc.isenabled())
+        return SimpleNamespace(main=lambda: looked.append(gc.isenabled()))
+
+    monkeypatch.setattr("mavdiag.__main__.import_module", load)
+    with pytest.raises(SystemExit):
+        start("a program")
+    gc.unfreeze()
+    assert looked == [False, True]

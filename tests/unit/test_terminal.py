@@ -22,12 +22,14 @@ import detector.__main__ as command
 from mavdiag import commandline
 from mavdiag.archive.tables import Row
 from mavdiag.commands.progress import shown
+from mavdiag.decision.diagnosis import Stage
 from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.judging import judge, playable
 from mavdiag.link.messages import Severity
 from mavdiag.logs import read_log
 from mavdiag.printable import printable
 from mavdiag.telemetry import Axis
+from mavdiag.terminal import watching
 from mavdiag.terminal.ground_station import LiveJudge
 from mavdiag.terminal.tables import verdict_table
 from mavdiag.terminal.view import Curve, Level, Line, StripView, View, picture, strip
@@ -193,6 +195,11 @@ def test_a_journal_is_followed_over_torn_lines_and_a_rotation(tmp_path: Path) ->
         Severity.CRITICAL,
         "fault",
     )
+    for stage in Stage:
+        with path.open("a") as file:
+            file.write(_line("stage", 3, stage=stage, reason="", rotor=2, fault_kind=None) + "\n")
+        journal.read()
+        assert watching._journal_view(journal, 3, ()).alert is (stage in ("fault", "inspect"))
     journal.close()
     with pytest.raises(InputError, match="no such file"):
         Journal(tmp_path / "none.jsonl")
