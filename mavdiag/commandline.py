@@ -1,6 +1,6 @@
 """How every command of this project behaves at its edge: one line on stderr for an error, and a stated exit code.
 
-0 done, 1 a verdict that asks for action, 2 an error, 3 not judgeable, 4 suspected, 130 stopped by Ctrl-C.
+0 done, 1 a verdict that asks for action, 2 an error, 3 not judgeable, 4 suspected, 130 stopped by a signal.
 """
 
 import os
@@ -65,8 +65,11 @@ def version_option(name: str) -> Any:
 
 
 def run(app: typer.Typer, name: str) -> NoReturn:
-    """Run an application and end the process; errors become one line on stderr."""
+    """Run an application and end the process; errors become one line on stderr, and signals end it as Ctrl-C does."""
     told = ""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
     for stream in ("stdout", "stderr"):
         if getattr(sys, stream) is None:  # closed, as by >&-
             setattr(sys, stream, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115  # as long as it runs

@@ -11,7 +11,6 @@ if __name__ == "__main__":  # before what takes time to load
 import json
 import multiprocessing
 import os
-import signal
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
@@ -200,8 +199,5 @@ def _concluded(report: FlightReport) -> str:
 
 
 def main() -> NoReturn:
-    """Entry point of the console script. SIGTERM and SIGHUP end what does not wait for them as Ctrl-C does."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is signal.SIG_DFL:
-            signal.signal(number, signal.default_int_handler)
+    """Entry point of the console script."""
     commandline.run(app, "sitl-plant")
