@@ -163,7 +163,7 @@ def flight_view(station: GroundStation, flight: Flight, events: Sequence["Line"]
     shown = link_view(station, now_s, SPAN_S, Axis.ROLL, events)
     title = f"flight {now_s:.1f} of {flight.duration_s:g} s, {phase} {flight.onset_s:g} s"
     says = alerts[-1].text.removeprefix(DETECTOR) if alerts else "no alert"
-    return replace(shown, title=title, headline=says, alert=bool(alerts))
+    return replace(shown, title=title, headline=says, stage=Stage.FAULT if alerts else Stage.QUIET)
 
 
 def _print_result(result: DemoResult, flight: Flight, changes: Sequence[Change]) -> None:

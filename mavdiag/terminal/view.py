@@ -6,7 +6,7 @@ stands for a span of time and shows all values in it: a spike of one sample is n
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,7 +38,10 @@ LEAST_RATE = 0.1  # of the scale of rates [rad/s]
 OF_MARGIN = 3.0  # least scale of a residual, in margins
 ACROSS, DOWN = 2, 4  # dots of one character of the Braille block
 _BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])  # of each dot, by row and column
-_SEVERITY = {Stage.FAULT: Severity.CRITICAL, Stage.SUSPECTED: Severity.WARNING}
+# Of the headline; a stage outweighs those before it.
+STYLES = {Stage.QUIET: "bold green", Stage.NOT_JUDGED: "bold", Stage.SUSPECTED: "bold yellow"}
+STYLES |= dict.fromkeys((Stage.FAULT, Stage.INSPECT), "bold red")
+SEVERITY: Mapping[str, Severity] = {Stage.FAULT: Severity.CRITICAL, Stage.SUSPECTED: Severity.WARNING}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +114,7 @@ class View:
 
     title: str = ""  # of the frame
     headline: str = ""  # the finding in one sentence
-    alert: bool = False  # whether it is a fault, or one that nobody has looked at since
+    stage: Stage = Stage.NOT_JUDGED  # what it finds
     from_s: float = 0.0  # the time that the strips span
     to_s: float = 1.0
     strips: tuple[StripView, ...] = ()
@@ -123,7 +126,7 @@ class View:
 def picture(view: View, width: int, height: int | None = None) -> Panel:
     """The picture; where `height` leaves little room the alerts stay, the newest events, the monitors, the strips."""
     inner = max(width - FRAME, NARROWEST)
-    head = _wrapped("", view.headline, "bold red" if view.alert else "bold green", inner)
+    head = _wrapped("", view.headline, STYLES[view.stage], inner)
     named = {curve.name: curve.style for shown in view.strips for curve in shown.curves if curve.name}
     legend = [(f"{name}  ", style) for name, style in named.items()]
     about = Text.assemble(*legend, (printable(view.foot), "dim"), no_wrap=True, overflow="ellipsis")
@@ -157,7 +160,7 @@ def line_for(news: ReceivedText | Change, text_from: str = "", change_from: str 
     if isinstance(news, ReceivedText):
         return Line(news.t_s, Severity(min(news.severity, Severity.DEBUG)), f"{text_from}{news.text}")
     words = str(news).partition(" s ")[2]
-    return Line(news.t_ns / NS_PER_S, _SEVERITY.get(news.stage, Severity.INFO), f"{change_from}{words}")
+    return Line(news.t_ns / NS_PER_S, SEVERITY.get(news.stage, Severity.INFO), f"{change_from}{words}")
 
 
 def levels_of(judge: LiveJudge) -> tuple[Level, ...]:

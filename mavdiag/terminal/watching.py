@@ -25,7 +25,7 @@ from mavdiag.rows.front import in_pieces
 from mavdiag.storage import open_regular
 from mavdiag.telemetry import Axis, Log, Signal
 from mavdiag.terminal.ground_station import GroundStation, LiveJudge
-from mavdiag.terminal.view import Line, View, figure_levels, levels_of, line_for, picture, rate_strips
+from mavdiag.terminal.view import SEVERITY, STYLES, Line, View, figure_levels, levels_of, line_for, picture, rate_strips
 from mavdiag.units import NS_PER_S
 
 PER_S = 10
@@ -34,7 +34,6 @@ JOURNAL_LOOK_S = 0.25
 EVENTS = 100  # that are kept, and as many older alerts; more do not fit on a screen
 JOURNAL_BYTES = 1 << 40  # there is no limit: it is read in pieces
 READ_BYTES = 1 << 20  # at a time
-OPEN = (Stage.FAULT, Stage.INSPECT)  # a fault was declared, and nobody has looked
 JUMP_S = 10.0  # that a key goes back or on
 BEHIND_S = 1.0  # that the judge may be ahead of what is shown before it begins anew
 SILENT = "nothing was received; is the vehicle or the detector sending to this address?"
@@ -87,16 +86,13 @@ def watch(station: GroundStation, address: str, axis: Axis, span_s: float, ended
     """Show a link until `ended`. Raises InputError if nothing came, and as `GroundStation.listen`."""
 
     def view(events: Sequence[Line]) -> View:
-        judge, now_s = station.judge, station.t_s
-        if judge is None:
-            alerts = [line for line in events if line.severity <= Severity.CRITICAL]
-            says, alert = alerts[-1].text if alerts else "no alert of a detector so far", bool(alerts)
-        else:
-            now_s, says = judge.now_s or 0.0, diagnosis_line(judge.diagnosis)
-            alert = judge.diagnosis.stage in OPEN
-        shown = link_view(station, now_s, span_s, axis, events)
-        says = says if station.heard else SILENT
-        return replace(shown, title=f"{address}  {now_s:.1f} s", headline=says, alert=alert)
+        now_s = station.t_s if station.judge is None else station.judge.now_s or 0.0
+        shown = replace(link_view(station, now_s, span_s, axis, events), title=f"{address}  {now_s:.1f} s")
+        if station.judge is None:
+            alerts = [line.text for line in events if line.severity <= Severity.CRITICAL]
+            says = alerts[-1] if alerts else "no alert of a detector so far"
+            shown = replace(shown, headline=says, stage=Stage.FAULT if alerts else Stage.NOT_JUDGED)
+        return shown if station.heard else replace(shown, headline=SILENT)
 
     listen(station, view, ("", "") if station.judge is None else ("detector: ", "here: "), ended)
     if not station.heard:
@@ -133,7 +129,8 @@ def link_view(station: GroundStation, now_s: float, span_s: float, axis: Axis, e
 def judge_view(judge: LiveJudge, now_s: float, span_s: float, axis: Axis, events: Sequence[Line]) -> View:
     """A moment of what is judged here: strips and every monitor."""
     strips, levels = rate_strips(judge, axis), levels_of(judge)
-    return View("", "", False, now_s - span_s, now_s, strips, levels, tuple(events), judge.link_line)
+    says, stage = diagnosis_line(judge.diagnosis), judge.diagnosis.stage
+    return View("", says, stage, now_s - span_s, now_s, strips, levels, tuple(events), judge.link_line)
 
 
 @dataclass(slots=True)
@@ -155,7 +152,7 @@ class VehicleStory:
                 self.stage, self.reason = str(content["stage"]), str(content["reason"])
                 rotor = "" if content.get("rotor") is None else f", rotor {content['rotor']}"
                 words = f"{content.get('fault_kind') or self.stage}: {self.reason}{rotor}"
-                return Line(t_s, Severity.CRITICAL if self.stage == Stage.FAULT else Severity.NOTICE, words)
+                return Line(t_s, SEVERITY.get(self.stage, Severity.INFO), words)
             case "text":
                 return Line(t_s, Severity(int(content["severity"])), str(content["text"]))
             case "note":
@@ -236,8 +233,9 @@ def _journal_view(journal: Journal, vehicle: int | None, events: Sequence[Line])
     says = ((number, ", ".join(filter(None, (one.state, one.stage, one.reason)))) for number, one in chosen.items())
     told = "; ".join(f"vehicle {number}: {words}" for number, words in says)
     damaged = f"{journal.damaged} lines could not be read" if journal.damaged else ""
-    alert = any(story.stage in OPEN for story in chosen.values())
-    return View("journal", told or "no vehicle in the journal yet", alert, events=tuple(events), foot=damaged)
+    stages = [stage for stage in STYLES if any(story.stage == stage for story in chosen.values())]
+    worst = stages[-1] if stages else Stage.NOT_JUDGED
+    return View("journal", told or "no vehicle in the journal yet", worst, events=tuple(events), foot=damaged)
 
 
 #: What a key asks for; STOP also lets it go on.
@@ -337,8 +335,7 @@ def play(
         shown = judge_view(judge, judge.now_s or begin_s, judge.span_s, axis, events)
         how = "stopped" if place.stopped else f"{speed:g} times as fast as flown"
         title = f"{log.name}  {judged_s():.1f} of {place.span_s:.1f} s, {how}"
-        says, alert = diagnosis_line(judge.diagnosis), judge.diagnosis.stage in OPEN
-        return replace(shown, title=title, headline=says, alert=alert, foot=HELP if keyboard.live else "a replay")
+        return replace(shown, title=title, foot=HELP if keyboard.live else "a replay")
 
     with Keyboard() as keyboard, Screen(view) as screen:
         steps, over, drawn, before_s = in_pieces(log.telemetry, each), False, False, time.monotonic()

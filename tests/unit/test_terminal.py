@@ -115,7 +115,7 @@ def test_no_line_is_wider_than_the_terminal(width: int, texts: list[str], value:
     view = View(
         title="a" * 90,
         headline="motor 1 " * 20,
-        alert=True,
+        stage=Stage.FAULT,
         from_s=0.0,
         to_s=10.0,
         strips=(StripView("roll rate", (Curve(t_s, np.sin(t_s), "red"),), -1.0, 1.0),),
@@ -136,7 +136,8 @@ def test_a_flood_of_words_does_not_push_an_alert_out() -> None:
     views: list[View] = []
 
     def view(shown: Sequence[Line]) -> View:
-        views.append(View("a link", "motor 3 is weak", True, levels=(LEVEL,) * 13, events=tuple(shown), foot="foot"))
+        events = tuple(shown)
+        views.append(View("a link", "motor 3 is weak", Stage.FAULT, levels=(LEVEL,) * 13, events=events, foot="foot"))
         return views[-1]
 
     console = Console(width=80, height=24, file=io.StringIO(), record=True, force_terminal=True)
@@ -199,7 +200,7 @@ def test_a_journal_is_followed_over_torn_lines_and_a_rotation(tmp_path: Path) ->
         with path.open("a") as file:
             file.write(_line("stage", 3, stage=stage, reason="", rotor=2, fault_kind=None) + "\n")
         journal.read()
-        assert watching._journal_view(journal, 3, ()).alert is (stage in ("fault", "inspect"))
+        assert watching._journal_view(journal, 3, ()).stage is stage
     journal.close()
     with pytest.raises(InputError, match="no such file"):
         Journal(tmp_path / "none.jsonl")
