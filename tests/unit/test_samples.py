@@ -318,7 +318,7 @@ def taken(*streams: Stream, size: int = 1 << 30) -> tuple[VehicleTime, list[IntA
     rows, times = np.zeros(len(raw), FRAME), np.full(len(raw), NEVER)
     rows["host_ns"], rows["row"], rows["sender"] = host_ns[order], np.searchsorted(ends, order, "right"), 1
     rows["body"], rows["stop"] = 16 * np.arange(len(raw)), 16 * np.arange(1, len(raw) + 1)
-    frames = Frames(np.stack([raw[order], order], axis=1).view(np.uint8).ravel(), rows)
+    frames = Frames(np.frombuffer(np.stack([raw[order], order], axis=1).tobytes(), np.uint8), rows)
     for at in range(0, len(raw), size):
         for series in decoder.step(state, frames.where(slice(at, at + size))).series:
             times[series.values[:, 0].astype(np.int64)] = series.t_ns
