@@ -97,7 +97,7 @@ try-deb:  ## install the package, fly the emulator until an alert, remove it; ro
 
 packages: dist  ## the packages built and tried, where this may install one
 	if [ "$$(id -u)" = 0 ] && [ ! -e /opt/mavdiag ] && command -v dpkg-deb >/dev/null && command -v help2man >/dev/null; then \
-	  DEB_LEVEL=0 deploy/debian/build && deploy/debian/try; \
+	  DEB_PACKED=none deploy/debian/build && deploy/debian/try; \
 	else echo "packages: no root, not Debian, or mavdiag is installed: its package is not built and tried"; fi
 
 bench: $(COMPILED)  ## the short benchmarks: ratios against a peer in the same run

@@ -7,7 +7,6 @@ from enum import StrEnum
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.jit import cached
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
@@ -46,16 +45,11 @@ def median_step(times: Sequence[IntArray]) -> float:
     return float(np.median(steps, overwrite_input=True)) if len(steps) else 0.0
 
 
-@cached
 def usual_step(steps: FloatArray) -> float:
     """Mean of the steps within 25 % of their median, so that losses do not stretch it; of all if there are none."""
-    half, count, total = len(steps) // 2, 0, 0.0
-    middle = np.partition(steps, half)
-    median = 0.5 * (middle[half] + (middle[half] if len(steps) % 2 else np.max(middle[:half])))
-    for step in steps:
-        if abs(step - median) <= UNIFORM * median:
-            count, total = count + 1, total + step
-    return float(total / count if count else np.mean(steps))
+    median = float(np.median(steps))
+    near = steps[np.abs(steps - median) <= UNIFORM * median]
+    return float(np.mean(near if len(near) else steps))
 
 
 def mean_step(steps: FloatArray) -> float:

@@ -29,7 +29,7 @@ VERDICT_KEYS = {
 }  # fmt: skip
 MONITOR_KEYS = {"max", "threshold", "unit", "alarms", "judged_s", "not_judged", "outside_s", "axis"}
 NAMES = ("a.tlog", "b/1.tlog", "b/2.tlog", "c.tlog")
-COUNT = 30
+COUNT = 18
 
 
 @pytest.fixture(scope="module")

@@ -4,22 +4,21 @@ import collections
 from collections.abc import Callable
 from dataclasses import replace
 from math import pi
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_telemetry import ROUNDING
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mavdiag.jit import cached
-from mavdiag.link.clock import _BOOT_US_32, MS_32, NEVER, REBOOT, US_32, US_64, Counter, VehicleTime, stamp
-from mavdiag.link.codec import Decoder, Encoder, Frame, frames_of
+from mavdiag.link import samples
+from mavdiag.link.clock import _BOOT_US_32, MS_32, NEVER, US_32, US_64, Counter, VehicleTime
+from mavdiag.link.codec import Decoder, Encoder, Frame, Frames, frames_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
 from mavdiag.link.profiles import PROFILES, Evidence, detect_profile, with_imu
 from mavdiag.link.samples import SOURCES, Form, Part, SampleDecoder, SampleState, Source, euler_angles, joined
+from mavdiag.link.sequence import FRAME
 from mavdiag.telemetry import FloatArray, IntArray, Signal, Telemetry
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -30,6 +29,7 @@ ids = st.sampled_from(sorted(frozenset().union(*(SampleDecoder(profile).wanted f
 Stream = tuple[Counter, IntArray, IntArray]  # counts and times of arrival [ns]
 S = 1_000_000_000
 MS = 1_000_000
+ALONE = (Signal.HEIGHT, Signal.VOLTAGE)  # of one column
 EPOCH_NS = 1_763_000_000 * S
 
 
@@ -305,30 +305,24 @@ def test_no_payload_raises(messages: list[int], seed: int) -> None:
     assert (found is None) == (reason != "")
 
 
-@cached
-def _stamped(time: tuple[Any, Any, Any, Any], counters: IntArray, frames: IntArray, t_ns: IntArray) -> None:
-    for k in range(frames.shape[1]):
-        number, count, host_ns = frames[0, k], frames[1, k], frames[2, k]
-        t_ns[k] = REBOOT
-        while t_ns[k] == REBOOT:
-            tick, turn = counters[number, 0], counters[number, 1]
-            t_ns[k] = stamp(time, number, tick, turn, count, host_ns)
-
-
 def taken(*streams: Stream, size: int = 1 << 30) -> tuple[VehicleTime, list[IntArray]]:
     """The time after these streams, a message each, and of each stamp or `NEVER`. size: stamps at a time."""
-    counters = np.array([(c.tick_ns, c.turn) for c, _, _ in streams], np.int64)
-    columns = [np.stack([np.full(len(raw), number), raw, host]) for number, (_, raw, host) in enumerate(streams)]
-    frames: NDArray[Any] = np.concatenate(columns, axis=1)
-    order = np.argsort(frames[2], kind="stable")
-    time, times = VehicleTime(), np.empty(len(order), np.int64)
-    for at in range(0, len(order), size):
-        some = order[at : at + size]
-        found = np.empty(len(some), np.int64)
-        _stamped(time.records, counters, np.ascontiguousarray(frames[:, some]), found)
-        times[some] = found
-    ends = np.cumsum([len(raw) for _, raw, _ in streams])
-    return time, np.split(times, ends[:-1])
+    # Of two numbers: the count, and the stamp's own, which is the only signal of its message.
+    table = [(16, counter.tick_ns, counter.turn, 0, -1, k, k + 1) for k, (counter, _, _) in enumerate(streams)]
+    parts = [(list(Signal).index(one), Form.VECTOR, 8, 0, 8, -1, 1, 0, 0, 0, 1.0, 0.0) for one in ALONE[: len(streams)]]
+    decoder, state, lookup = SampleDecoder(PROFILES["px4"]), SampleState(), np.arange(len(streams), dtype=np.int16)
+    records = np.array(table, samples._SOURCE), np.array(parts, samples._PART)
+    decoder._table = lookup, *records, samples._WIDTHS
+    raw, host_ns = (np.concatenate(columns) for columns in list(zip(*streams, strict=True))[1:])
+    order, ends = np.argsort(host_ns, kind="stable"), np.cumsum([len(raw) for _, raw, _ in streams])
+    rows, times = np.zeros(len(raw), FRAME), np.full(len(raw), NEVER)
+    rows["host_ns"], rows["row"], rows["sender"] = host_ns[order], np.searchsorted(ends, order, "right"), 1
+    rows["body"], rows["stop"] = 16 * np.arange(len(raw)), 16 * np.arange(1, len(raw) + 1)
+    frames = Frames(np.frombuffer(np.stack([raw[order], order], axis=1).tobytes(), np.uint8), rows)
+    for at in range(0, len(raw), size):
+        for series in decoder.step(state, frames.where(slice(at, at + size))).series:
+            times[series.values[:, 0].astype(np.int64)] = series.t_ns
+    return state.timeline, np.split(times, ends[:-1])
 
 
 def ints(values: object) -> IntArray:
