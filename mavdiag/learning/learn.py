@@ -18,6 +18,7 @@ from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.fingerprint import Outcome, compare, fingerprint_of, merged
 from mavdiag.baseline import (
+    UNREACHED,
     Baseline,
     HealthyScores,
     Link,
@@ -168,7 +169,7 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
 
 
 def _assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
-    """The baseline with what these flights of it say of its worth, and without monitors that cannot alarm.
+    """The baseline with what these flights add to what is said of its worth, and without monitors that cannot alarm.
 
     Raises IdentificationError if none is left.
     """
@@ -179,16 +180,18 @@ def _assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
     judging, refusals = without_mute(baseline.monitors, "learn from calmer flights, or from more of them")
     if not judging:
         raise IdentificationError(f"no monitor can judge such flights ({'; '.join(one.reason for one in refusals)})")
-    said = [str(one) for one in suspicions(found, baseline.airframe)]
+    refused = (*baseline.not_judgeable, *refusals)
+    blind = [one.monitor for one in refused if UNREACHED in one.reason]
+    said = [*filter(None, [baseline.weak]), *map(str, suspicions(found, baseline.airframe))]
     more = f" (and {len(said) - MOST_SAID} more such findings)" if len(said) > MOST_SAID else ""
     weak = "; ".join(said[:MOST_SAID]) + more
     return baseline.model_copy(
         update={
             "monitors": judging,
-            "not_judgeable": (*baseline.not_judgeable, *refusals),
+            "not_judgeable": refused,
             "least_damage": least,
             "weak": weak,
-            "grade": grade_of(least, weak=bool(weak), blind=[one.monitor for one in refusals]),
+            "grade": grade_of(least, weak=bool(weak), blind=blind),
         }
     )
 

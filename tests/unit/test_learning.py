@@ -26,7 +26,7 @@ import mavdiag.kernel
 import mavdiag.monitors
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
-from mavdiag.baseline import SESSION_GAP_NS, Baseline, MonitorEntry, dump, parse
+from mavdiag.baseline import SESSION_GAP_NS, Baseline, MonitorEntry, Refusal, dump, parse
 from mavdiag.chain import chain_of, front_of
 from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.judging import Verdict, judge
@@ -491,6 +491,14 @@ def test_flights_that_are_added_count_as_if_they_had_been_learnt_with_the_others
         for one in (made, whole):
             assert {log.session for log in one.provenance.logs} == {0}
         np.testing.assert_allclose(entry(made, "rotor_trim").spec.mean, entry(whole, "rotor_trim").spec.mean, atol=2e-4)
+
+
+def test_what_speaks_against_a_baseline_stays_when_a_sound_flight_is_added() -> None:
+    blind = Refusal(monitor="rotor_trim", reason="its threshold 0.6 fraction of hover cannot be reached")
+    deaf = [one for one in monday().monitors if one.spec.kind not in ("rotor_trim", "trim_step")]
+    for update in ({"weak": "f1: broken?", "grade": "D"}, {"monitors": tuple(deaf), "not_judgeable": (blind,)}):
+        made = extend(monday().model_copy(update=update), [flown(10, MONDAY + DAY)], created=NOW)
+        assert (made.grade, made.weak) == ("D", update.get("weak", ""))
 
 
 def test_a_flight_that_is_in_it_already_is_refused() -> None:
