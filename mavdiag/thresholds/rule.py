@@ -80,7 +80,7 @@ class ThresholdRule(StrEnum):
     """How the threshold follows from the healthy maxima."""
 
     GUMBEL = "gumbel"  # extreme-value level for a budget of alarms per hour
-    MAXIMUM = "max"  # the largest of them; the next flight beats it with probability 1/(n + 1)
+    MAXIMUM = "max"  # the largest of them, and the prior's least; the next flight beats it with probability 1/(n + 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +226,7 @@ def threshold_of(
             for level, same in ((value, False), (within, True))
         )
     else:
-        value = within = float(x.max())
+        value = within = max(prior.least, float(x.max()))
         mean, spreads = float(x.mean()), [0.0, 0.0, 0.0]
     hours, exceeding = scores.judged_s / S_PER_H, int(np.count_nonzero(x > value))
     flights = np.unique(scores.flights)  # one that gave no score supports nothing
