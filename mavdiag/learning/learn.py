@@ -8,6 +8,7 @@ seen, add to what thresholds, envelope and healthy trim rest on. New propellers 
 the sensors feel of it: one short hover tells what these are now, and the old flights how much they vary.
 """
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
@@ -99,8 +100,8 @@ class LearnOptions:
             raise UsageError(f"no monitor named; there are {', '.join(ALL_MONITORS)}")
         if not self.alarms_per_hour > 0:
             raise UsageError(f"alarms per hour must be positive, not {self.alarms_per_hour:g}")
-        if not self.flights_per_suspicion > 1:
-            raise UsageError(f"flights per suspicion must be more than 1, not {self.flights_per_suspicion:g}")
+        if not 1 < self.flights_per_suspicion < math.inf:
+            raise UsageError(f"flights per suspicion must be a number above 1, not {self.flights_per_suspicion:g}")
         if self.sessions is not None and self.sessions < 1:
             raise UsageError(f"sessions must be 1 or more, not {self.sessions}")
 

@@ -73,7 +73,8 @@ def test_flights_that_cannot_teach_are_named(logs: list[Log], says: str) -> None
 
 @pytest.mark.parametrize(
     ("options", "says"),
-    [({"monitors": ("hunch",)}, "no monitor hunch"), ({"monitors": ()}, "no monitor named"), *(
+    [({"monitors": ("hunch",)}, "no monitor hunch"), ({"monitors": ()}, "no monitor named"),
+        ({"flights_per_suspicion": float("inf")}, "a number above 1"), *(
         ({"alarms_per_hour": x}, "must be positive") for x in (0.0, -1.0, float("nan"))
     )],
 )  # fmt: skip
