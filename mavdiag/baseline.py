@@ -198,6 +198,13 @@ class Baseline(Part, Tabular):
     weak: str = ""  # what its own flights say against it, such as a propeller that broke in one of them
     digest: str = ""  # over all the rest
 
+    @model_validator(mode="after")
+    def _fits(self) -> "Baseline":
+        for number, entry in enumerate(self.monitors):
+            if not all(0 <= one < len(self.provenance.logs) for one in entry.scores.flights):
+                raise ValueError(f"monitors.{number}.scores.flights: they are no numbers of its flights")
+        return self
+
     @property
     def propellers(self) -> int:
         """Number of the present propeller set, 0 for the first."""

@@ -366,6 +366,12 @@ def test_a_flight_within_an_hour_of_a_healthy_one_is_of_its_session(started_ns: 
         (("monitors", FSD, "spec"), None, "monitors.0.spec"),
         (("monitors", FSD, "threshold", "value"), "long", "monitors.0.threshold.value"),
         (("monitors", FSD, "threshold", "rule"), "hunch", "monitors.0.threshold.rule"),
+        (("monitors", FSD, "threshold", "value"), -1.0, "monitors.0.threshold"),
+        (("monitors", FSD, "threshold", "session_allowance"), 9.0, "monitors.0.threshold"),
+        (("monitors", FSD, "threshold", "suspected"), [-1.0, 1.0], "monitors.0.threshold"),
+        (("monitors", FSD, "threshold", "flights_per_suspicion"), 0.0, "monitors.0.threshold"),
+        (("monitors", FSD, "spec", "model", "a"), [1.0, -3.0, 0.5], "monitors.0.spec"),  # it is unstable
+        (("monitors", TRIM, "scores", "flights", 0), 7, "baseline: monitors.5.scores.flights"),
         (("monitors",), [], "monitors"),
         (("provenance", "logs"), [], "provenance.logs"),
         (("provenance", "logs", 0, "sha256"), "abc", "provenance.logs.0.sha256"),
