@@ -44,6 +44,7 @@ from mavdiag.units import NS_PER_S
 ENOUGH_SESSIONS = 5  # from here on another one teaches little of how sessions differ (our choice)
 SESSION_GAP_NS = 3_600 * NS_PER_S  # flights farther apart are of two sessions (our choice)
 RATE_TOLERANCE = NATIVE_TOLERANCE
+UNREACHED = "cannot be reached"  # said of a threshold
 REMEDY = "make the baseline anew with `mavdiag identify`"
 Grade: TypeAlias = Literal["A", "B", "C", "D"]  # by the least damage that it notices (`mavdiag.learning.suspicions`)
 
@@ -196,6 +197,13 @@ class Baseline(Part, Tabular):
     grade: Grade | None = None
     weak: str = ""  # what its own flights say against it, such as a propeller that broke in one of them
     digest: str = ""  # over all the rest
+
+    @model_validator(mode="after")
+    def _fits(self) -> "Baseline":
+        for number, entry in enumerate(self.monitors):
+            if not all(0 <= one < len(self.provenance.logs) for one in entry.scores.flights):
+                raise ValueError(f"monitors.{number}.scores.flights: they are no numbers of its flights")
+        return self
 
     @property
     def propellers(self) -> int:
@@ -361,7 +369,7 @@ def without_mute(monitors: Iterable[MonitorEntry], remedy: str) -> tuple[tuple[M
         if limit < monitor.reach:
             judging.append(entry)
         else:
-            text = f"its threshold {limit:.3g} {monitor.unit} cannot be reached ({monitor.reach:.3g} at most)"
+            text = f"its threshold {limit:.3g} {monitor.unit} {UNREACHED} ({monitor.reach:.3g} at most)"
             text += f", {blind}; {remedy}" if (blind := monitor.blindness(limit)) else f"; {remedy}"
             refusals.append(Refusal(monitor=monitor.name, reason=text))
     return tuple(judging), tuple(refusals)

@@ -277,9 +277,8 @@ class _Run:
             only = f"only {self.takeoff_s:.1f} s of take-off or start" if self.takeoff_s else NEVER_FLEW
             return Verdict.NOT_JUDGEABLE, only
         if suspicion := self._suspicion():
-            return Verdict.SUSPECTED, "; ".join(
-                filter(None, (suspicion, inspect_words(self._suspected_rotor()), share))
-            )
+            parts = suspicion, inspect_words(self._suspected_rotor()), share
+            return Verdict.SUSPECTED, "; ".join(filter(None, parts))
         if self.judged_s < max(MIN_JUDGED_S, self.judged_share * self.flown_s):
             return Verdict.NOT_JUDGEABLE, share
         return Verdict.HEALTHY, f"no alarm; {share}"

@@ -25,7 +25,7 @@ local B = { -- trims are fractions of hover, by roll, pitch and yaw
     pull = {{ entry.spec.pull }}, pull_sd = {{ entry.spec.pull_sd }}, -- roll and pitch trim by pull [1/rad]
     felt = {{ entry.spec.felt | int }}, turn_trim = {{ turning }}, -- by the accelerometer; of a tick that counts half
     least = {{ trims.MIN_OUTPUT }}, sums = {{ entry.spec.layout.unmixing.sum(axis=1) }}, -- mean output, 0..1
-    unmix = {{ entry.spec.layout.unmixing }}, -- trim by output
+    unmix = {{ entry.spec.layout.unmixing }}, sizes = {{ par[name][-(arms | length):] }}, -- trim by output; of its columns
     weight = {{ evidence[name].weight }}, unit = {{ evidence[name].least }}, -- [logits] by what shows a rotor; unit
 {% endif %}
 {% if name == "thrust_loss" %}
@@ -234,7 +234,7 @@ local function judge_trim(row)
   local highest, pull = -HUGE, shift[4] ^ 2 + shift[5] ^ 2
   for j = 1, R do highest = max(highest, rise(j, pull)) end
   local counts = record(trim, highest, farthest(row.t, (T.window + 1) * T.parts * T.rows * STEP, "all"))
-  for j = 1, counts and R or 0 do show(trim, j, rise(j, 0.0)) end
+  for j = 1, counts and R or 0 do show(trim, j, rise(j, 0.0) * T.sizes[j]) end
 end
 
 -- Decision: what is held of the vehicle. A fault is latched; a landing turns it into an open inspection.

@@ -143,7 +143,7 @@ class ArxModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelRecord:
-    """An ArxModel as a baseline stores it: plain numbers, checked; None or empty where a figure is not known."""
+    """An ArxModel as a baseline stores it: plain numbers, checked; stable; None or empty where a figure is unknown."""
 
     a: tuple[float, ...]
     b: tuple[float, ...]
@@ -158,7 +158,8 @@ class ModelRecord:
     samples: int = 0
 
     def __post_init__(self) -> None:
-        self.model()
+        if not self.model().stable:
+            raise IdentificationError("the model is unstable")
 
     @classmethod
     def of(cls, model: ArxModel) -> "ModelRecord":

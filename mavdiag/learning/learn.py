@@ -8,6 +8,7 @@ seen, add to what thresholds, envelope and healthy trim rest on. New propellers 
 the sensors feel of it: one short hover tells what these are now, and the old flights how much they vary.
 """
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
@@ -18,6 +19,7 @@ from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.fingerprint import Outcome, compare, fingerprint_of, merged
 from mavdiag.baseline import (
+    UNREACHED,
     Baseline,
     HealthyScores,
     Link,
@@ -98,8 +100,8 @@ class LearnOptions:
             raise UsageError(f"no monitor named; there are {', '.join(ALL_MONITORS)}")
         if not self.alarms_per_hour > 0:
             raise UsageError(f"alarms per hour must be positive, not {self.alarms_per_hour:g}")
-        if not self.flights_per_suspicion > 1:
-            raise UsageError(f"flights per suspicion must be more than 1, not {self.flights_per_suspicion:g}")
+        if not 1 < self.flights_per_suspicion < math.inf:
+            raise UsageError(f"flights per suspicion must be a number above 1, not {self.flights_per_suspicion:g}")
         if self.sessions is not None and self.sessions < 1:
             raise UsageError(f"sessions must be 1 or more, not {self.sessions}")
 
@@ -168,7 +170,7 @@ def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Bas
 
 
 def _assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
-    """The baseline with what these flights of it say of its worth, and without monitors that cannot alarm.
+    """The baseline with what these flights add to what is said of its worth, and without monitors that cannot alarm.
 
     Raises IdentificationError if none is left.
     """
@@ -179,16 +181,18 @@ def _assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
     judging, refusals = without_mute(baseline.monitors, "learn from calmer flights, or from more of them")
     if not judging:
         raise IdentificationError(f"no monitor can judge such flights ({'; '.join(one.reason for one in refusals)})")
-    said = [str(one) for one in suspicions(found, baseline.airframe)]
+    refused = (*baseline.not_judgeable, *refusals)
+    blind = [one.monitor for one in refused if UNREACHED in one.reason]
+    said = [*filter(None, [baseline.weak]), *map(str, suspicions(found, baseline.airframe))]
     more = f" (and {len(said) - MOST_SAID} more such findings)" if len(said) > MOST_SAID else ""
     weak = "; ".join(said[:MOST_SAID]) + more
     return baseline.model_copy(
         update={
             "monitors": judging,
-            "not_judgeable": (*baseline.not_judgeable, *refusals),
+            "not_judgeable": refused,
             "least_damage": least,
             "weak": weak,
-            "grade": grade_of(least, weak=bool(weak), blind=[one.monitor for one in refusals]),
+            "grade": grade_of(least, weak=bool(weak), blind=blind),
         }
     )
 

@@ -26,7 +26,7 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.balance import Grade as Balance
 from mavdiag.airframe.balance import permissible_unbalance_g_mm
 from mavdiag.airframe.trim import MOST_LOSS, loss_of, rises
-from mavdiag.baseline import Baseline, Grade, LeastDamage
+from mavdiag.baseline import UNREACHED, Baseline, Grade, LeastDamage
 from mavdiag.errors import IdentificationError
 from mavdiag.learning.flights import LearntFlight
 from mavdiag.learning.teaching import Finding
@@ -273,6 +273,6 @@ def accepted(baseline: Baseline, how: str) -> Baseline:
     """
     if baseline.grade != "D":
         return baseline
-    blind = "; ".join(f"{one.monitor}: {one.reason}" for one in baseline.not_judgeable if "be reached" in one.reason)
+    blind = "; ".join(f"{one.monitor}: {one.reason}" for one in baseline.not_judgeable if UNREACHED in one.reason)
     reason = baseline.weak or blind or f"it notices only {baseline.least_damage}"
     raise IdentificationError(f"baseline of grade D: {reason}; teach with other flights, or take it with {how}")

@@ -202,11 +202,8 @@ def _sample(par: Floats, mem: Floats, x: Floats, i: int) -> bool:
 @jit
 def _push(mem: Floats, known: bool, window: int, least: int, means: int, recent: int) -> None:
     """Put the sample into the windows; healthy values where it is not known."""
-    states, to, level = (
-        mem[STATES:PASTS],
-        mem[means + FRESH : means + FRESH + 6],
-        mem[recent + FRESH : recent + FRESH + 3],
-    )
+    states, to = mem[STATES:PASTS], mem[means + FRESH : means + FRESH + 6]
+    level = mem[recent + FRESH : recent + FRESH + 3]
     mem[RUN] = mem[RUN] + 1.0 if known else 0.0
     if known:
         p, q, w = states[N], states[OF_STATE + N], states[2 * OF_STATE + N]

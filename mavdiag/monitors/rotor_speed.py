@@ -207,12 +207,8 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
 @cached
 def _again(par: Floats, mem: Floats, ticks: Floats) -> Floats:
     """Distances of all rotors in the full windows of ticks that `run` has traced, (k, n)."""
-    n, found = int(par[ROTORS]), 0
-    scratch, out, rotors = (
-        np.empty(int(par[WINDOW]) + COLUMNS),
-        np.empty((col.LEVEL + 1, 1)),
-        np.empty((len(ticks) + 1, n)),
-    )
+    n, found, scratch = int(par[ROTORS]), 0, np.empty(int(par[WINDOW]) + COLUMNS)
+    out, rotors = np.empty((col.LEVEL + 1, 1)), np.empty((len(ticks) + 1, n))
     for tick in ticks:
         if tick[4 * n + 2] == 0.0:  # a segment begins
             mem[RUN] = 0.0

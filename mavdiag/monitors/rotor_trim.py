@@ -56,7 +56,7 @@ TURN_TRIM = 0.02
 PRIOR, PRIOR_SD = np.array([0.0, 0.04, 0.0]), np.array([0.1, 0.04, 0.2])
 # Places in the parameters: 1 for torque commands; 1 where the pull is felt; how many rotors; parts of a tick, rows of a
 # part, row period, ticks of a window; of the spec pull, turn, variance of the pull, mean and spread; gains of torque
-# commands; what a monitor has of its own; the sums of the unmixing C, and C itself, (3, rotors).
+# commands; what a monitor has of its own; the sums of the unmixing C, C itself, (3, rotors), and size of its columns.
 TORQUES, FELT, ROTORS, PARTS, ROWS, DT, WINDOW, PULL, TURN, ERROR, MEAN, SPREAD = *range(8), 9, 12, 14, 17
 GAIN, OWN, SUM, UNMIXING = 20, 23, 26, 29
 # And in the memory: parts of the tick, rows of the part, known ones of the tick, whether a trim changed, the first one;
@@ -282,7 +282,7 @@ def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rot
     out[col.VALUE, k] = out[col.LEVEL, k] = highest_rise(par, shift)
     out[col.SOUND, k] = sound
     for rotor in range(rotors.shape[1]):
-        rotors[k, rotor] = rise(par, rotor, shift, False)
+        rotors[k, rotor] = rise(par, rotor, shift, False) * par[UNMIXING + 3 * int(par[ROTORS]) + rotor]
     if out.shape[0] > col.TRACE:
         means = np.empty(MEANS)
         window_means(par, mem, 0, means)
@@ -318,7 +318,10 @@ def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats
 
 
 class TrimMonitor(Monitor[Spec]):
-    """A monitor of the trim; its `rotors` are the rises that would explain a shift."""
+    """A monitor of the trim; its `rotors` are a_j |c_j|/max_k |c_k|, |c|^2 = c' W c (`airframe.trim`).
+
+    So the rise that leaves least of a shift is the largest, whatever the sizes of the columns c.
+    """
 
     phrase = "lost {lost}% thrust"
     needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT, Signal.SPECIFIC_FORCE})
@@ -451,19 +454,19 @@ class TrimMonitor(Monitor[Spec]):
         learnt = [*spec.pull, *spec.turn, *np.square(spec.pull_sd), *spec.mean, *spec.spread, *gain]
         mem = np.zeros(SUMS + SUMMED * (parts + 2) + (FIGURES + 1) * parts + 2 * (MEANS + 1) * window)
         mem[SUMS : SUMS + 2 * SUMMED] = np.nan
-        own = self.own(self.period_s(dt_s))
-        return Begin(np.array([*head, *learnt, *own, *C.sum(axis=1), *C.ravel()]), mem)
+        own, sizes = self.own(self.period_s(dt_s)), np.sqrt(np.power(spec.spread, -2.0) @ np.square(C))
+        return Begin(np.array([*head, *learnt, *own, *C.sum(axis=1), *C.ravel(), *(sizes / sizes.max())]), mem)
 
 
 class RotorTrim(TrimMonitor[RotorTrimSpec]):
     """Statistic: the rise of ONE rotor's command that explains the trim shift best [fraction of hover].
 
         m: trim averaged over 5 s,    mu: the healthy one,    a_j: rise of rotor j that explains m - mu
-        statistic = max_j a_j,    rotor = argmax_j a_j
+        statistic = max_j a_j,    rotor = argmax_j a_j |c_j|
 
     A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
     yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. To their spread the error
-    of k times the pull of the same 5 s is added in squares, but not where a rotor is named. `rotors` are the a_j.
+    of k times the pull of the same 5 s is added in squares, but not where a rotor is named.
 
     Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: a change of propellers or of the centre of
     mass; two flights from two sessions are the worst basis. Blind spots: hops shorter than 5 s; vibration without loss

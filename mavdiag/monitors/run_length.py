@@ -89,14 +89,8 @@ def at_rest(par: FloatArray, taps: int, order: int, mem: FloatArray, past: int, 
 @cached
 def run(par: Floats, mem: Floats, x: Floats, first: int, known: int, out: Floats, rotors: Floats, at: Ints) -> int:
     """FSD of each row whose rates became known."""
-    axis, order, margin, dt_s, count, peak = (
-        int(par[AXIS]),
-        int(par[ORDER]),
-        par[MARGIN],
-        par[DT],
-        mem[COUNT],
-        mem[PEAK],
-    )
+    axis, order, margin, dt_s = int(par[AXIS]), int(par[ORDER]), par[MARGIN], par[DT]
+    count, peak = mem[COUNT], mem[PEAK]
     for i in range(known, x.shape[1]):
         k, u, y = i - known, x[U + axis, i], x[Y + axis, i]
         if mem[BEGUN] == 0.0:

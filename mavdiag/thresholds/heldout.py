@@ -17,10 +17,7 @@ from mavdiag.telemetry import Axis, FloatArray, IntArray
 
 BLOCK_S = 10.0  # judged time of a block (our choice); 7 to 13 s change no verdict on the recorded flights
 MAX_FOLDS = 10  # models that share the work of judging flights they did not see (our choice)
-MANY, MANY_FOLDS = (
-    50,
-    5,
-)  # sessions of which a fifth may be left out at a time: it moves a threshold by 0.12 % (our choice)
+MANY, MANY_FOLDS = 50, 5  # sessions, of which a fifth is left out at a time: it moves a threshold 0.12 % (our choice)
 PIECES = 5  # of a single flight, one per block at most (our choice)
 
 Flights: TypeAlias = Sequence[Sequence[Rows]]

@@ -55,7 +55,7 @@ from typing import Any
 
 import numpy as np
 
-from mavdiag.errors import IdentificationError, UsageError
+from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.telemetry import FloatArray
 from mavdiag.thresholds.heldout import BLOCK_S, Scores
 from mavdiag.units import S_PER_H
@@ -80,7 +80,7 @@ class ThresholdRule(StrEnum):
     """How the threshold follows from the healthy maxima."""
 
     GUMBEL = "gumbel"  # extreme-value level for a budget of alarms per hour
-    MAXIMUM = "max"  # the largest of them; the next flight beats it with probability 1/(n + 1)
+    MAXIMUM = "max"  # the largest of them, and the prior's least; the next flight beats it with probability 1/(n + 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +132,7 @@ def prior_of(monitor: str) -> Prior:
 
 @dataclass(frozen=True, slots=True)
 class Threshold:
-    """A threshold and what supports it.
+    """A threshold and what supports it. Raises InputError for one that a statistic cannot be compared with.
 
     value: the monitor alarms when its statistic is strictly above it.
     mean: of the healthy block maxima. session_sd, flight_sd, block_scale: sd(a), sd(e) and beta; by the maximum rule 0.
@@ -164,6 +164,11 @@ class Threshold:
     suspected: tuple[float, float]
     flights_per_suspicion: float
     false_alarms_per_flight: float
+
+    def __post_init__(self) -> None:
+        levels = self.within(same_session=True), self.session_allowance, *self.suspected
+        if not (min(levels) >= 0.0 < min(self.budget_per_hour, self.flights_per_suspicion - 1.0)):
+            raise InputError("a threshold, also in a session of its flights, and what it promises must be positive")
 
     def within(self, *, same_session: bool) -> float:
         """The value that holds: less in a session of the healthy flights."""
@@ -226,7 +231,7 @@ def threshold_of(
             for level, same in ((value, False), (within, True))
         )
     else:
-        value = within = float(x.max())
+        value = within = max(prior.least, float(x.max()))
         mean, spreads = float(x.mean()), [0.0, 0.0, 0.0]
     hours, exceeding = scores.judged_s / S_PER_H, int(np.count_nonzero(x > value))
     flights = np.unique(scores.flights)  # one that gave no score supports nothing
@@ -369,14 +374,10 @@ class Law:
         """The level that so many flights exceed so often, and at least the smallest that means anything."""
         from scipy.optimize import brentq
 
-        middle, below = (
-            self.mean_of("highest" if same_session else "mean"),
-            [part.below(flights) for part in self.parts],
-        )
-        unit, target = (
-            max(math.hypot(part.unit, part.session_sd) for part in self.parts),
-            min(max(rate, RAREST), SUREST),
-        )
+        middle = self.mean_of("highest" if same_session else "mean")
+        below = [part.below(flights) for part in self.parts]
+        unit = max(math.hypot(part.unit, part.session_sd) for part in self.parts)
+        target = min(max(rate, RAREST), SUREST)
 
         def excess(u: float) -> float:
             return math.log(self._rate(middle + unit * math.sinh(u), below, same_session) / target)

@@ -26,7 +26,7 @@ import mavdiag.kernel
 import mavdiag.monitors
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
-from mavdiag.baseline import SESSION_GAP_NS, Baseline, MonitorEntry, dump, parse
+from mavdiag.baseline import SESSION_GAP_NS, Baseline, MonitorEntry, Refusal, dump, parse
 from mavdiag.chain import chain_of, front_of
 from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.judging import Verdict, judge
@@ -73,7 +73,8 @@ def test_flights_that_cannot_teach_are_named(logs: list[Log], says: str) -> None
 
 @pytest.mark.parametrize(
     ("options", "says"),
-    [({"monitors": ("hunch",)}, "no monitor hunch"), ({"monitors": ()}, "no monitor named"), *(
+    [({"monitors": ("hunch",)}, "no monitor hunch"), ({"monitors": ()}, "no monitor named"),
+        ({"flights_per_suspicion": float("inf")}, "a number above 1"), *(
         ({"alarms_per_hour": x}, "must be positive") for x in (0.0, -1.0, float("nan"))
     )],
 )  # fmt: skip
@@ -365,6 +366,12 @@ def test_a_flight_within_an_hour_of_a_healthy_one_is_of_its_session(started_ns: 
         (("monitors", FSD, "spec"), None, "monitors.0.spec"),
         (("monitors", FSD, "threshold", "value"), "long", "monitors.0.threshold.value"),
         (("monitors", FSD, "threshold", "rule"), "hunch", "monitors.0.threshold.rule"),
+        (("monitors", FSD, "threshold", "value"), -1.0, "monitors.0.threshold"),
+        (("monitors", FSD, "threshold", "session_allowance"), 9.0, "monitors.0.threshold"),
+        (("monitors", FSD, "threshold", "suspected"), [-1.0, 1.0], "monitors.0.threshold"),
+        (("monitors", FSD, "threshold", "flights_per_suspicion"), 0.0, "monitors.0.threshold"),
+        (("monitors", FSD, "spec", "model", "a"), [1.0, -3.0, 0.5], "monitors.0.spec"),  # it is unstable
+        (("monitors", TRIM, "scores", "flights", 0), 7, "baseline: monitors.5.scores.flights"),
         (("monitors",), [], "monitors"),
         (("provenance", "logs"), [], "provenance.logs"),
         (("provenance", "logs", 0, "sha256"), "abc", "provenance.logs.0.sha256"),
@@ -491,6 +498,14 @@ def test_flights_that_are_added_count_as_if_they_had_been_learnt_with_the_others
         for one in (made, whole):
             assert {log.session for log in one.provenance.logs} == {0}
         np.testing.assert_allclose(entry(made, "rotor_trim").spec.mean, entry(whole, "rotor_trim").spec.mean, atol=2e-4)
+
+
+def test_what_speaks_against_a_baseline_stays_when_a_sound_flight_is_added() -> None:
+    blind = Refusal(monitor="rotor_trim", reason="its threshold 0.6 fraction of hover cannot be reached")
+    deaf = [one for one in monday().monitors if one.spec.kind not in ("rotor_trim", "trim_step")]
+    for update in ({"weak": "f1: broken?", "grade": "D"}, {"monitors": tuple(deaf), "not_judgeable": (blind,)}):
+        made = extend(monday().model_copy(update=update), [flown(10, MONDAY + DAY)], created=NOW)
+        assert (made.grade, made.weak) == ("D", update.get("weak", ""))
 
 
 def test_a_flight_that_is_in_it_already_is_refused() -> None:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_rows import calibrated, example_context, example_rows
 
-from mavdiag.airframe.layout import LAYOUTS, layout_named
+from mavdiag.airframe.layout import LAYOUTS, Place, layout_at, layout_named
 from mavdiag.airframe.trim import BESIDE, TILT_TRIM, rises, source_among, sources_of
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Flights
@@ -54,6 +54,16 @@ def test_the_rise_and_its_rotor_come_out_exactly(frame: str, which: int, rise: f
     np.testing.assert_allclose(found.value[found.valid], rise, rtol=1e-8)
     assert int(found.rotors[-1].argmax()) == rotor
     np.testing.assert_array_equal(found.level, found.value)
+
+
+@given(which=st.integers(0, 3), ratio=st.floats(3.0, 30.0))
+def test_a_rotor_is_named_by_what_its_rise_leaves_not_by_its_size(which: int, ratio: float) -> None:
+    places = (0.1515, 0.245, "ccw"), (-0.1515, -0.1875, "ccw"), (0.1515, -0.245, "cw"), (-0.1515, 0.1875, "cw")
+    spec = replace(spec_of(), layout=layout_at("PX4's Iris", [Place(*place) for place in places]))
+    w = np.full(4, -0.05)
+    w[which] += 0.2
+    rows = [example_rows(600, actuator=fluttering(0.5 * (1 + w)))]
+    assert int(read(replace(spec, spread=(0.002 * ratio, 0.002 * ratio, 0.002)), rows).rotors[-1].argmax()) == which
 
 
 def test_a_shifted_centre_of_mass_counts_little() -> None:

@@ -85,6 +85,8 @@ def test_shares_are_of_the_mean_and_the_least_and_the_same_session_count() -> No
     found = known([1.0, 1.1, 0.9, 1.0], [0, 1, 2, 3], [0, 0, 0, 0], Prior(session=0.5))
     assert found.within(same_session=True) < found.within(same_session=False) == found.value
     assert "from 4 flights in 1 session" in found.statement()
+    calm = threshold_of(whole([0.0, 0.1]), sessions=[0], prior=Prior(least=2.0), rule=ThresholdRule.MAXIMUM)
+    assert calm.value == 2.0  # less is nothing, whatever the rule
     unscored = threshold_of(whole([1.0, 2.0], [0, 2]), sessions=range(9), rule=ThresholdRule.MAXIMUM)
     assert (unscored.flights, unscored.sessions, unscored.false_alarms_per_flight) == (2, 2, 1 / 3)
 
