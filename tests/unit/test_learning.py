@@ -375,6 +375,7 @@ def test_a_flight_within_an_hour_of_a_healthy_one_is_of_its_session(started_ns: 
         (("monitors",), [], "monitors"),
         (("provenance", "logs"), [], "provenance.logs"),
         (("provenance", "logs", 0, "sha256"), "abc", "provenance.logs.0.sha256"),
+        (("provenance", "logs", 0, "trim"), [0.1], "provenance.logs.0.trim"),
         (("airframe", "colour"), "red", "airframe"),
         (("airframe", "name"), "another", "digest"),
         (("not_judgeable", 0, "reason"), 3, "not_judgeable.0.reason"),
