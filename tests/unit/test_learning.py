@@ -501,6 +501,11 @@ def test_flights_that_are_added_count_as_if_they_had_been_learnt_with_the_others
         np.testing.assert_allclose(entry(made, "rotor_trim").spec.mean, entry(whole, "rotor_trim").spec.mean, atol=2e-4)
 
 
+def test_a_baseline_that_judges_no_propellers_is_of_the_worst_grade() -> None:
+    made = learn(healthy(1), LearnOptions(airframe=FRAME, monitors=("control_loss", "thrust_loss")), created=NOW)
+    assert (made.grade, "none of its monitors judges propellers" in made.weak) == ("D", True)
+
+
 def test_what_speaks_against_a_baseline_stays_when_a_sound_flight_is_added() -> None:
     blind = Refusal(monitor="rotor_trim", reason="its threshold 0.6 fraction of hover cannot be reached")
     deaf = [one for one in monday().monitors if one.spec.kind not in ("rotor_trim", "trim_step")]
