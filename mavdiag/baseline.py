@@ -36,7 +36,7 @@ from mavdiag.rows.grid import NATIVE_TOLERANCE, rate_tolerance
 from mavdiag.rows.quality import LinkQuality
 from mavdiag.storage import read_text, write_atomically
 from mavdiag.tabular import Tabular
-from mavdiag.telemetry import Signal
+from mavdiag.telemetry import Signal, Three
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.rule import GUARANTEE_FLIGHTS, Threshold, ThresholdRule
 from mavdiag.units import NS_PER_S
@@ -165,7 +165,7 @@ class SourceLog(Part):
     started_ns: Annotated[int, Field(ge=0)] = 0  # unix epoch; 0 if it is not known
     session: Annotated[int, Field(ge=0)] = 0
     propellers: Annotated[int, Field(ge=0)] = 0  # number of the set, 0 for the first
-    trim: tuple[float, ...] = ()  # of the whole flight, by roll, pitch and yaw [fraction of hover]
+    trim: tuple[()] | Three = ()  # of the whole flight, by roll, pitch and yaw [fraction of hover]
 
 
 class Provenance(Part):

@@ -117,7 +117,7 @@ def track(
     """Follow a model through one record or several; yield it, and how many samples it has seen, at each so many.
 
     forgetting: weight lambda of the past per sample, 0 < lambda <= 1; the memory is about 1/(1 - lambda) samples.
-    The model may be unstable; its covariance is P times the weighted mean of the squared prediction error.
+    The model may be unstable; its covariance is P times the weighted mean of the error before x after each step.
     """
     d = sum(check_order(order)[:2])
     if not 0.0 < forgetting <= 1.0:
@@ -129,15 +129,15 @@ def track(
         for first in range(0, len(segment), every):
             rows = slice(max(0, first - lag), max(0, first + every - lag))
             for phi, measured in zip(np.ascontiguousarray(Phi[:, rows].T), target[rows].tolist(), strict=True):
-                gain = P @ phi
+                gain, error = P @ phi, measured - float(phi @ theta)
                 gain /= forgetting + phi @ gain
-                theta = theta + gain * (measured - float(phi @ theta))
+                theta = theta + gain * error
                 P = P - np.outer(gain, phi @ P)
                 P = 0.5 * (P + P.T)  # stays symmetric over millions of steps
                 if forgetting < 1.0 and float(np.max(np.diag(P))) < MOST_SPREAD:
                     P = P / forgetting
                 weight = forgetting * weight + 1.0
-                loss += ((measured - float(phi @ theta)) ** 2 - loss) / weight
+                loss += (error * (measured - float(phi @ theta)) - loss) / weight
             seen = begin + min(first + every, len(segment))
             if weight <= d:
                 raise IdentificationError("the recursive estimate has seen too few samples; keep feeding it")

@@ -78,8 +78,7 @@ def _seconds(end_ns: IntArray, values: FloatArray) -> tuple[int, ...]:
         return (0,) * len(Task)
     starts = np.unique((end_ns - 1) // NS_PER_S, return_index=True)[1]
     most = np.fmax.reduceat(values, starts, axis=0)
-    turns, moves = (
-        most[:, ORDER.index(one)] > RULES[one].least for one in (Condition.YAW_RATE, Condition.COMMANDED_RATE)
-    )
+    both = Condition.YAW_RATE, Condition.COMMANDED_RATE
+    turns, moves = (most[:, ORDER.index(one)] > RULES[one].least for one in both)
     known = np.diff(starts, append=len(end_ns)) * BIN_S > 0.5  # of a second that two looks share, one has the most
     return tuple(int(np.count_nonzero(known & one)) for one in (~turns & ~moves, moves & ~turns, turns))

@@ -41,7 +41,7 @@ from mavdiag.learning.suspicions import courses, grade_of, least_damage, suspici
 from mavdiag.learning.teaching import one_vehicle, refuse, repeated, taught, upsets
 from mavdiag.link.profiles import PROFILES
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
-from mavdiag.monitors.base import Flights, LearnContext, Monitor
+from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
 from mavdiag.monitors.conditions import covered_by
 from mavdiag.monitors.fitting import judged_together
 from mavdiag.monitors.rotor_trim import RotorTrim
@@ -62,6 +62,7 @@ from mavdiag.thresholds.rule import (
 
 ALL_MONITORS = tuple(BY_NAME)
 TOOL = f"mavdiag {__version__}"
+NO_PROPELLERS = "none of its monitors judges propellers; fly longer"
 MOST_SAID = 2  # findings that are told in full (our choice)
 
 
@@ -183,7 +184,9 @@ def _assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
         raise IdentificationError(f"no monitor can judge such flights ({'; '.join(one.reason for one in refusals)})")
     refused = (*baseline.not_judgeable, *refusals)
     blind = [one.monitor for one in refused if UNREACHED in one.reason]
-    said = [*filter(None, [baseline.weak]), *map(str, suspicions(found, baseline.airframe))]
+    none = all(monitor_of(one.spec).kind is not FaultKind.PROPELLER for one in judging)
+    texts = baseline.weak, *map(str, suspicions(found, baseline.airframe)), NO_PROPELLERS * none
+    said = list(dict.fromkeys(filter(None, texts)))
     more = f" (and {len(said) - MOST_SAID} more such findings)" if len(said) > MOST_SAID else ""
     weak = "; ".join(said[:MOST_SAID]) + more
     return baseline.model_copy(

@@ -408,7 +408,7 @@ class TrimMonitor(Monitor[Spec]):
         dt_s = next((rows.block.dt_s for flight in flights for rows in flight), TICK_S)
         return _means_of([self._walked(self._parts_of(flight), dt_s) for flight in flights])
 
-    def whole(self, flight: Sequence[Rows]) -> tuple[float, ...]:
+    def whole(self, flight: Sequence[Rows]) -> Three | tuple[()]:
         """Trim of a whole flight by roll, pitch and yaw, without what pull and turns take; empty if it is too short.
 
         Medians over its parts of 0.1 s but for those whose turn takes more than `TURN_TRIM`, however few follow each
@@ -422,7 +422,7 @@ class TrimMonitor(Monitor[Spec]):
             trim[2] -= taken
             found.append(trim[:, (x[col.VALID] > 0.5) & (np.abs(taken) < TURN_TRIM)])
         parts = np.concatenate(found, axis=1)
-        return tuple(np.median(parts, axis=1).tolist()) if parts.shape[1] * PART_S >= spec.window_s else ()
+        return three(np.median(parts, axis=1)) if parts.shape[1] * PART_S >= spec.window_s else ()
 
     def period_s(self, dt_s: float) -> float:
         """A tick [s]."""

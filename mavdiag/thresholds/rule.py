@@ -176,10 +176,8 @@ class Threshold:
 
     def statement(self) -> str:
         """One sentence: what is asked for, and what is shown."""
-        flights, sessions = (
-            f"{count} {what}{'s' * (count != 1)}"
-            for count, what in ((self.flights, "flight"), (self.sessions, "session"))
-        )
+        counts = (self.flights, "flight"), (self.sessions, "session")
+        flights, sessions = (f"{count} {what}{'s' * (count != 1)}" for count, what in counts)
         basis = f"{self.blocks} healthy blocks of {self.block_s:g} s from {flights} in {sessions} ({self.hours:.3g} h)"
         shown = f"{self.exceeding or 'none'} of them above it"
         if self.demonstrated_per_hour < WORTH_SAYING_PER_HOUR:

@@ -303,7 +303,7 @@ def made(name: str = "x", rise: float = 0.03) -> Baseline:
     """Of a healthy made flight; its rotors have inertia, and such a rise is a fault."""
     base = baseline_of(flying(6000, 1, layout=name, turn=TURN), layout_named(name), GATE, None)
     vibration, trim, loss = base.monitors
-    low = replace(vibration.threshold, suspected=(0.6, 0.6)), replace(trim.threshold, value=rise)
+    low = replace(vibration.threshold, suspected=(0.6, 0.6)), replace(trim.threshold, value=rise, session_allowance=0)
     heavy = replace(trim.spec, turn=(*trim.spec.turn[:2], 0.01))
     changed = vibration.model_copy(update={"threshold": low[0]}), MonitorEntry(spec=heavy, threshold=low[1])
     return base.model_copy(update={"monitors": (*changed, loss)})

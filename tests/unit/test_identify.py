@@ -330,7 +330,7 @@ def test_without_forgetting_it_is_batch_least_squares(order: Order) -> None:
     batch = fit([one.u, two.u], [one.y, two.y], order, dt=0.01, method="ls")
     tracked = last(one, two, order=order)
     assert_allclose(tracked.theta, batch.theta, atol=1e-6)
-    assert_allclose(tracked.standard_errors, batch.standard_errors, rtol=0.05)
+    assert_allclose(tracked.standard_errors, batch.standard_errors, rtol=0.005)
     assert tracked.method is Method.RLS
 
 

@@ -375,6 +375,7 @@ def test_a_flight_within_an_hour_of_a_healthy_one_is_of_its_session(started_ns: 
         (("monitors",), [], "monitors"),
         (("provenance", "logs"), [], "provenance.logs"),
         (("provenance", "logs", 0, "sha256"), "abc", "provenance.logs.0.sha256"),
+        (("provenance", "logs", 0, "trim"), [0.1], "provenance.logs.0.trim"),
         (("airframe", "colour"), "red", "airframe"),
         (("airframe", "name"), "another", "digest"),
         (("not_judgeable", 0, "reason"), 3, "not_judgeable.0.reason"),
@@ -498,6 +499,11 @@ def test_flights_that_are_added_count_as_if_they_had_been_learnt_with_the_others
         for one in (made, whole):
             assert {log.session for log in one.provenance.logs} == {0}
         np.testing.assert_allclose(entry(made, "rotor_trim").spec.mean, entry(whole, "rotor_trim").spec.mean, atol=2e-4)
+
+
+def test_a_baseline_that_judges_no_propellers_is_of_the_worst_grade() -> None:
+    made = learn(healthy(1), LearnOptions(airframe=FRAME, monitors=("control_loss", "thrust_loss")), created=NOW)
+    assert (made.grade, "none of its monitors judges propellers" in made.weak) == ("D", True)
 
 
 def test_what_speaks_against_a_baseline_stays_when_a_sound_flight_is_added() -> None:
