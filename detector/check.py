@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 
 from detector.config import Settings, check_installed, split_address
 from detector.journal import check_files
-from detector.judging import rescaled
+from detector.judging import chain_for
 from detector.rules import parse_rules
 from detector.web.access import Access
 from detector.web.child import read_token
@@ -90,7 +90,7 @@ def _absence(address: str) -> str:
 
 
 def _summary(baseline: Baseline, settings: Settings) -> str:
-    judging = len(rescaled(baseline, settings.threshold_scale).monitors)
+    judging = len(chain_for(baseline, settings, 0).slots)
     if settings.profile is not None:
         check_link(baseline, profile=settings.profile, dt_s=baseline.link.dt_s)
     link, grade = baseline.link, f", grade {baseline.grade}" if baseline.grade else ""

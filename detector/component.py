@@ -22,6 +22,7 @@ from detector.session import Session
 from detector.states import State
 from detector.values import AskParameters, Effect, Note, SendCommand, SendFloat, SendText
 from mavdiag import __version__
+from mavdiag.errors import BaselineError
 from mavdiag.link.clock import TimesyncMessage
 from mavdiag.link.codec import Decoder, Encoder, Frame, message_name
 from mavdiag.link.datagrams import as_columns
@@ -111,7 +112,10 @@ def parameters(session: Session) -> Parameters:
 def _changed(session: Session, name: str, value: float, whose: str) -> tuple[Effect, ...] | str:
     """What comes of a value within its limits; why not, if it is refused. whose: who sets it."""
     if name == SCALE:
-        return "the vehicle is armed" if session.armed else session.tune(threshold_scale=value)
+        try:
+            return "the vehicle is armed" if session.armed else session.tune(threshold_scale=value)
+        except BaselineError as error:
+            return str(error)
     if name == TEXTS:
         return session.tune(texts_per_minute=round(value))
     acknowledges = value >= 0.5 and session.acknowledgeable

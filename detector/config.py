@@ -53,7 +53,7 @@ class SessionSettings(BaseModel):
 
     learn: Annotated[Positive | None, _option("SECONDS", "Learn a baseline first, from so much healthy flight.")] = None
     negotiate: bool = True  # ask the autopilot for streams that are missing or too slow
-    ask_hz: Positive | None = None  # rate to ask for when learning; default: the profile's
+    ask_hz: Annotated[float, Field(gt=0, le=10_000)] | None = None  # when learning; default: the profile's
     min_rate_hz: Positive = 45.0  # slowest streams to work with; F1 needs 100, 50 and below degrade (METHOD section 4)
     threshold_scale: Annotated[float, Field(ge=0.5, le=4)] = 1.0  # of all thresholds
     link_lost_s: Positive = 3.0  # silence that means that the link is lost: three heartbeats
@@ -111,6 +111,8 @@ class Settings(SessionSettings):
             raise ValueError("either --baseline FILE or --learn SECONDS, not both")
         if self.baseline is None and self.learn is None and self.baselines is None and not self.vehicles:
             raise ValueError("name a --baseline FILE, or --learn SECONDS of healthy flight")
+        if self.ask_hz is not None and self.ask_hz < self.min_rate_hz:
+            raise ValueError(f"ask_hz {self.ask_hz:g} is below min_rate_hz {self.min_rate_hz:g}: that would not do")
         for option in ("save", "airframe", "layout", "name"):
             if getattr(self, option) is not None and self.learn is None:
                 raise ValueError(f"--{option} is about what --learn SECONDS learns; add --learn or leave it out")

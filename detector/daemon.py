@@ -24,7 +24,7 @@ from detector.notify import Notifier
 from detector.relay import Relay
 from detector.rules import parse_rules
 from detector.states import State
-from detector.values import DaemonFigures, Effect, EventOpened, Learn, LinkFigures, SendFloat, SessionSpec, is_working
+from detector.values import DaemonFigures, Effect, EventOpened, Learn, LinkFigures, SessionSpec, is_working
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
@@ -315,12 +315,10 @@ class Daemon:
         if self._announces and not self.fleet.vehicles:
             first = self._sender(self._settings.vehicle or FIRST_VEHICLE)
             self._relay.send(first.beat(State.WAITING), to_all=False)
-        if self._metrics is not None or self._web is not None:
-            figures = self.figures()
-            if self._metrics is not None:
-                self._metrics.show(figures, self._host.now_ns())
-            if self._web is not None:
-                self._web.show(self.fleet, figures, now)
+        if self._metrics is not None:
+            self._metrics.show(self.figures(), self._host.now_ns())
+        if self._web is not None:
+            self._web.show(self.fleet, self.figures(), now)
         if text := self.fleet.delay_news(now):
             self._host.say(text)
         sessions = [vehicle.session for vehicle in self.fleet.vehicles.values()]
@@ -354,8 +352,6 @@ class Daemon:
         frames, for_all = self._sender(sysid).frames(effect)
         for frame in frames:
             self._relay.send(frame, to_all=for_all, source=None if for_all else self.fleet.link.source(sysid))
-        if isinstance(effect, SendFloat):
-            return  # it is not worth a line
         match effect:
             case Learn():
                 airframe = self._airframe or Airframe(name=f"vehicle {sysid}")

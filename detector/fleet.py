@@ -161,10 +161,8 @@ class Fleet:
 
     def judge(self, now: Instant, has_time: Callable[[], bool] = lambda: True) -> list[Turn]:
         """Give those their turn that are due, as in `due_turns`. Time alone changes things: call it regularly."""
-        urgent, turns, due = self.link.urgent(), list[Turn](), dict[int, Instant]()
-        for sysid, vehicle in self.vehicles.items():
-            if vehicle.due_ns <= now.ns or vehicle.outcome is not None or sysid in urgent:
-                due[sysid] = vehicle.turn
+        urgent, turns, all_of = self.link.urgent(), list[Turn](), self.vehicles.items()
+        due = {n: one.turn for n, one in all_of if one.due_ns <= now.ns or one.outcome is not None or n in urgent}
         for sysid in due_turns(due, now, self.link.source, has_time):
             self.longest_s = max(self.longest_s, (now.ns - self.vehicles[sysid].due_ns) / NS_PER_S)
             turns.append(self._parted(sysid, now, self._turn))

@@ -6,6 +6,7 @@ the recording is deleted. One that could not be added stays in the folder, and i
 """
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -58,7 +59,7 @@ class Flights(Courier):
         self._database, self._folder, self._epoch_ns = database, folder, epoch_ns
         self._open: dict[int, _Flight] = {}
         self._baselines: dict[str, Baseline] = {}  # by digest, for the thread
-        self._left = sorted(folder.glob("[0-9]*-*.tlog"))
+        self._left = sorted(p for p in folder.iterdir() if re.fullmatch(r"\d{1,3}-\d{8}T\d{6}\.tlog", p.name))
         super().__init__("history", self._add, warn)
 
     def look(
@@ -67,14 +68,15 @@ class Flights(Courier):
         """After each look of the daemon. passed: frames with their time of arrival [ns]."""
         for sysid, vehicle in vehicles.items():
             session, flight = vehicle.session, self._open.get(sysid)
+            flies = session.armed and now - session.latest <= GONE_S
             if flight is not None and session.judge is not None and session.judge not in flight.judges:
                 flight.judges.append(session.judge)
-            if flight is None and session.armed and session.judge is not None:
+            if flight is None and flies and session.judge is not None:
                 path = self._folder / f"{sysid}-{utc:%Y%m%dT%H%M%S}.tlog"
                 self._open[sysid] = flight = _Flight(None, path, [session.judge], session.judge.flight_s)
                 with self._telling(path):
                     flight.file = path.open("wb", buffering=0)
-            elif flight is not None and (not session.armed or now - session.latest > GONE_S):
+            elif flight is not None and not flies:
                 self._landed(sysid, vehicle)
         if self._open:
             self._append(passed)

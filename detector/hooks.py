@@ -49,7 +49,7 @@ def parse_hook(text: str) -> Deliver:
         raise UsageError("a hook's address has no room for a user or password: others would see it in the process list")
     if scheme in ("http", "https") and host:
         return lambda line: _post(text, line)
-    if scheme == "mqtt" and host and parts.path.strip("/"):
+    if scheme == "mqtt" and host and parts.path.strip("/") and not set("+#?").intersection(address):
         if importlib.util.find_spec("paho") is None:
             raise UsageError(f"hook {text!r}: MQTT needs the extra: pip install 'mavdiag[mqtt]'")
         return lambda line: _publish(host, port or MQTT_PORT, parts.path.strip("/"), line)

@@ -75,8 +75,7 @@ class Judge:
 
     def acknowledge(self) -> tuple[Change, ...]:
         """Somebody has looked at the vehicle."""
-        output = self.chain.acknowledge(self.memory)
-        return output.changes
+        return self.chain.acknowledge(self.memory).changes
 
     def not_judged(self, streams: Streams, now: Instant) -> dict[str, str]:
         """Reason by label of the monitors that do not judge: their streams do not come, or in flight they never judged.

@@ -72,8 +72,8 @@ class Metrics(Collector):
         registry.register(self)
         try:
             self._server = _Server(host, port, lambda: generate_latest(registry))
-        except OSError as error:
-            reason = error.strerror or error
+        except (OSError, UnicodeError) as error:
+            reason = getattr(error, "strerror", "") or error
             raise LinkError(f"metrics on {host}:{port}: {reason}; name another --metrics HOST:PORT") from error
         self.port, self.close = self._server.port, self._server.close  # the port that was really bound
 
@@ -99,10 +99,9 @@ class Metrics(Collector):
         counts: list[Sample] = [("entries_lost", (name,), count) for name, count in figures.lost_entries]
         counts += [("frames_refused", (cause,), count) for cause, count in figures.refused]
         counts += [("events", labels, count) for labels, count in events.items()]
-        families: dict[str, GaugeMetricFamily | CounterMetricFamily] = {
-            **{name: GaugeMetricFamily(f"mavdiag_{name}", text, labels=of) for name, (text, of) in GAUGES.items()},
-            **{name: CounterMetricFamily(f"mavdiag_{name}", text, labels=of) for name, (text, of) in COUNTERS.items()},
-        }
+        families: dict[str, GaugeMetricFamily | CounterMetricFamily] = {}
+        families |= {name: GaugeMetricFamily(f"mavdiag_{name}", text, labels=of) for name, (text, of) in GAUGES.items()}
+        families |= {n: CounterMetricFamily(f"mavdiag_{n}", text, labels=of) for n, (text, of) in COUNTERS.items()}
         age_s = (time.monotonic_ns() - at_ns) / NS_PER_S
         for name, values, value in itertools.chain(_daemon(figures, age_s), counts):
             families[name].add_metric(values, value)
@@ -160,7 +159,7 @@ class _Server:
         try:
             listening = asyncio.start_server(self._serve, host, port, limit=REQUEST_BYTES, backlog=64)
             self._server = self._loop.run_until_complete(listening)
-        except OSError:
+        except (OSError, UnicodeError):
             self._loop.close()
             raise
         self.port = int(self._server.sockets[0].getsockname()[1])

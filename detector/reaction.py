@@ -4,7 +4,7 @@ Every row of the table that a diagnosis calls for has a life of its own, `TABLE`
 announced `NOTICE_S` before it acts, or as long as its delay, and may be called off from then on: by another flight
 mode, a stick, an acknowledgement. A row that acted or was called off is over for this flight, and so are all rows of
 findings that are less grave. Only the session's own diagnosis calls for a row, and only while the vehicle is armed and
-in one of the modes named. The answer must be the vehicle's own autopilot's, to us.
+in one of the modes named, or that an action brought. The answer must be the vehicle's own autopilot's, to us.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from detector.alerts import Kind, Notice
-from detector.rules import Rule, names_of
+from detector.rules import BROUGHT, Rule, names_of
 from detector.values import Effect, Note, SendCommand
 from mavdiag.decision.diagnosis import Diagnosis
 from mavdiag.decision.words import motors_words
@@ -49,15 +49,10 @@ class Trigger(StrEnum):
     GONE = "no longer called for"
 
 
+_ENDS = {Trigger.CALLED_OFF: Step.OVER, Trigger.GONE: Step.OVER}
 TABLE: Mapping[Step, Mapping[Trigger, Step]] = {
-    Step.COUNTING: {
-        Trigger.NEAR: Step.ANNOUNCED,
-        Trigger.DUE: Step.ASKED,
-        Trigger.TOLD: Step.OVER,
-        Trigger.CALLED_OFF: Step.OVER,
-        Trigger.GONE: Step.OVER,
-    },
-    Step.ANNOUNCED: {Trigger.DUE: Step.ASKED, Trigger.CALLED_OFF: Step.OVER, Trigger.GONE: Step.OVER},
+    Step.COUNTING: {Trigger.NEAR: Step.ANNOUNCED, Trigger.DUE: Step.ASKED, Trigger.TOLD: Step.OVER, **_ENDS},
+    Step.ANNOUNCED: {Trigger.DUE: Step.ASKED, **_ENDS},
     Step.ASKED: {Trigger.TAKEN: Step.OVER, Trigger.NOT_TAKEN: Step.ASKED_AGAIN, Trigger.GONE: Step.OVER},
     Step.ASKED_AGAIN: {Trigger.TAKEN: Step.OVER, Trigger.NOT_TAKEN: Step.OVER, Trigger.GONE: Step.OVER},
     Step.OVER: {},
@@ -80,6 +75,7 @@ class Reaction:
     def __init__(self, rules: Sequence[Rule], modes: Collection[str] = (), autopilot: int = 0) -> None:
         self._rules, self._modes, self._autopilot = tuple(rules), frozenset(modes), autopilot
         self._rows: dict[int, _Row] = {}
+        self._holds_in = self._modes  # and, once it has commanded anything in this flight, `BROUGHT`
         self._open = len(self._rules)  # rows from this one on are over for this flight
         self._mode: int | None = None
         self._sticks: dict[tuple[int, str], int] = {}
@@ -102,7 +98,7 @@ class Reaction:
             return []
         self._effects = []
         self._mode = self._mode if received.mode is None else received.mode
-        ready = armed and not self._modes.isdisjoint({mode_name(self._mode), str(self._mode)})
+        ready = armed and not self._holds_in.isdisjoint({mode_name(self._mode), str(self._mode)})
         self._watch(received, now)
         names = names_of(held) if ready else ()
         name = next((name for name in names if any(rule.finding == name for rule in self._rules)), None)
@@ -120,7 +116,7 @@ class Reaction:
             if number in self._rows:
                 self._wait(number, held, received, now)
         if not armed:
-            self._open, self._rows = len(self._rules), {}
+            self._open, self._rows, self._holds_in = len(self._rules), {}, self._modes
         return self._effects
 
     def acknowledge(self, whose: str) -> list[Effect]:
@@ -182,6 +178,7 @@ class Reaction:
     def _ask(self, number: int, now: Instant) -> None:
         rule, row = self._rules[number], self._rows[number]
         row.asked, self._own_until = now, now + OWN_S
+        self._holds_in |= BROUGHT
         self._effects.append(SendCommand(self._command(rule), rule.parameters, int(row.step is Step.ASKED_AGAIN)))
 
     def _command(self, rule: Rule) -> int:

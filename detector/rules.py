@@ -27,6 +27,7 @@ ACTIONS: Mapping[str, int] = {
     "land": MavCmd.NAV_LAND,
     "pause": MavCmd.DO_PAUSE_CONTINUE,  # with 0, which pauses; PX4 has hold for it
 }
+BROUGHT = frozenset(("loiter", "hold", "rtl", "return", "land"))  # modes that actions bring, ArduPilot's and PX4's
 REFUSED = (MavCmd.COMPONENT_ARM_DISARM,)  # the detector never arms, nor stops motors in flight
 #: Modes in which the vehicle flies by itself or keeps its place: whoever flies by hand acts himself (our choice).
 AUTOMATIC = "auto guided loiter poshold brake circle follow takeoff mission hold offboard position orbit"
@@ -108,8 +109,8 @@ def _action(words: list[str], row: str) -> tuple[str, int | None, tuple[float, .
     if name.lower() in ACTIONS and not rest:
         return name.lower(), ACTIONS[name.lower()], ()
     numbers = command_numbers()
-    command = int(name) if name.isdecimal() else numbers.get(name.upper().removeprefix("MAV_CMD_"))
     try:
+        command = int(name) if name.isdecimal() else numbers.get(name.upper().removeprefix("MAV_CMD_"))
         parameters = tuple(map(float, rest))
     except ValueError:
         command = None

@@ -142,9 +142,11 @@ class Session:
         return self.diagnosis.stage is Stage.INSPECT or bool(self.reaction.pending)
 
     def tune(self, **settings: float) -> tuple[Effect, ...]:
-        """Go on with other settings: `threshold_scale` on the ground, `texts_per_minute`. Valid values only."""
-        self.settings = self.settings.model_copy(update=settings)
-        self._presenter.per_minute = self.settings.texts_per_minute
+        """Go on with other valid `texts_per_minute`, `threshold_scale` (on the ground). Raises as `chain_for`."""
+        tuned = self.settings.model_copy(update=settings)
+        if self.baseline is not None:
+            chain_for(self.baseline, tuned, 0)
+        self._presenter.per_minute, self.settings = tuned.texts_per_minute, tuned
         if "threshold_scale" not in settings or self.judge is None:
             return ()
         self._effects = [*self.finish()]

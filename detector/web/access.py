@@ -95,13 +95,10 @@ class Access:
         name, digits = _parted(host)
         sound = digits.isdecimal() and digits.isascii() and len(digits) <= PORT_DIGITS
         if self.names:
-            return self._named(name) or _is_address(name)
+            return name in map(str.lower, self.names) or _is_address(name)
         known = (self.host.lower(), *(_LOCAL_NAMES if is_loopback(self.host) else ()))
         anywhere = self.host in _ANYWHERE and (name == "localhost" or _is_address(name))
         return sound and int(digits) == self.port and (name in known or anywhere)
-
-    def _named(self, name: str) -> bool:
-        return name in map(str.lower, self.names)
 
     def _of_this_page(self, path: str, host: str, headers: Mapping[str, str]) -> bool:
         """Whether a request comes from this page, the user, or no browser; other sites may link to the page.
@@ -110,7 +107,7 @@ class Access:
         """
         origin, site = headers.get("origin", "").lower(), headers.get("sec-fetch-site", "none")
         scheme, _, place = origin.partition("://")
-        served = scheme in ("http", "https") and self._named(_parted(place)[0])
+        served = scheme in ("http", "https") and _parted(place)[0] in map(str.lower, self.names)
         if "origin" in headers and origin != f"http://{host.lower()}" and not served:
             return False
         linked = path == "/" and headers.get("sec-fetch-mode") == "navigate"

@@ -196,8 +196,8 @@ async def _serve() -> None:
         _to_daemon(f"listening {port}")
         await server.feed(lines)
         await asyncio.sleep(LAST_S)
-    except OSError as error:
-        _to_daemon(f"refused {error.strerror or error}")
+    except (OSError, UnicodeError) as error:
+        _to_daemon(f"refused {getattr(error, 'strerror', '') or error}")
     finally:
         await runner.cleanup()
 

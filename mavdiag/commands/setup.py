@@ -3,6 +3,7 @@
 import itertools
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -224,8 +225,7 @@ def config_text(endpoint: str, sysid: int, folder: Path, signing_key: Path | Non
     """The detector's configuration for a vehicle whose baseline and journal are in a folder."""
     values: dict[str, str | int] = {"connect": endpoint, "vehicle": sysid, "baseline": str(folder / BASELINE)}
     values["journal"] = str(folder / "events.jsonl")
-    if signing_key is not None:
-        values["signing_key"] = str(signing_key.resolve())
+    values |= {} if signing_key is None else {"signing_key": str(signing_key.resolve())}
     # JSON's strings and whole numbers are TOML's, too.
     lines = (f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items())
     return "# made by `mavdiag setup`; `mavdiag-detector --print-config` shows all settings\n" + "".join(lines)
@@ -249,8 +249,9 @@ def _offer_service(folder: Path, *, ask: bool) -> None:
 def service_script(folder: Path, unit: Path, programs: Path) -> str:
     """The shell script that installs baseline, configuration and unit. programs: where mavdiag-detector is."""
     here, there = shlex.quote(str(folder)), str(HOME)
-    moved = shlex.quote(f"s|{folder}/|{there}/|")
-    placed = shlex.quote(f"s|/opt/mavdiag/bin|{programs}|")
+    written = json.dumps(str(folder), ensure_ascii=False)[1:-1]
+    moved = shlex.quote("s|" + re.sub(r"[\[\\.*^$|]", r"\\\g<0>", written) + f"/|{there}/|")
+    placed = shlex.quote("s|/opt/mavdiag/bin|" + re.sub(r"[\\&|]", r"\\\g<0>", str(programs)) + "|")
     return f"""#!/bin/sh
 set -e
 install -D -m 644 {here}/{BASELINE} {there}/{BASELINE}

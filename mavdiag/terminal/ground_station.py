@@ -25,6 +25,7 @@ BEAT_S = 1.0  # between our heartbeats
 MAV_STATE_ACTIVE, MAVLINK_VERSION = 4, 3  # in HEARTBEAT
 WANTED = (MessageId.STATUSTEXT, MessageId.NAMED_VALUE_FLOAT, MessageId.ATTITUDE)
 TEXTS = 10_000  # that are kept (our choice)
+FIGURES = ("PF_RES", "PF_MARG", "PF_FSD", "PF_FML")  # of the thesis rule, as a detector names them
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +127,7 @@ class GroundStation:
     vehicle: int | None = None  # the system id that is listened to; None for all
     signing: Signing | None = None  # lets only genuine frames pass
     texts: list[ReceivedText] = field(default_factory=list)  # of the detectors, each with its own vehicle's time
-    figures: dict[str, float] = field(default_factory=dict)  # latest NAMED_VALUE_FLOATs of the vehicle that is shown
+    figures: dict[str, float] = field(default_factory=dict)  # latest `FIGURES` of the vehicle that is shown
     _times: dict[int, float] = field(default_factory=dict)
     _decoder: Decoder = field(init=False)
     _encoder: Encoder = field(default_factory=lambda: Encoder(GCS_SYSID, Component.MISSIONPLANNER))
@@ -179,4 +180,4 @@ class GroundStation:
                 fresh.append(self.texts[-1])
                 del self.texts[:-TEXTS]
             case Component.ONBOARD_COMPUTER, MessageId.NAMED_VALUE_FLOAT if self.shown in (None, frame.sysid):
-                self.figures[frame.text("name")] = frame.value("value")
+                self.figures |= {name: frame.value("value") for name in FIGURES if name == frame.text("name")}

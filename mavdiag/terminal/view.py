@@ -21,7 +21,7 @@ from mavdiag.link.messages import Severity
 from mavdiag.monitors import by_name
 from mavdiag.printable import printable
 from mavdiag.telemetry import Axis, BoolArray, FloatArray
-from mavdiag.terminal.ground_station import GroundStation, LiveJudge, ReceivedText
+from mavdiag.terminal.ground_station import FIGURES, GroundStation, LiveJudge, ReceivedText
 from mavdiag.traces import RateTrace, rate_traces
 from mavdiag.units import NS_PER_S
 
@@ -176,10 +176,10 @@ def levels_of(judge: LiveJudge) -> tuple[Level, ...]:
 def figure_levels(station: GroundStation) -> tuple[Level, ...]:
     """The thesis rule by the figures that a detector sends: residual against margin, FSD against FML."""
     figures = station.figures
-    if not {"PF_RES", "PF_MARG", "PF_FSD", "PF_FML"} <= figures.keys():
+    if len(figures) < len(FIGURES) or not all(map(math.isfinite, figures.values())):
         return ()
-    residual = Level("|residual|", abs(figures["PF_RES"]), figures["PF_MARG"], "rad/s")
-    return residual, Level("FSD", figures["PF_FSD"], figures["PF_FML"], "s")
+    residual, margin, fsd_s, fml_s = (figures[name] for name in FIGURES)
+    return Level("|residual|", abs(residual), margin, "rad/s"), Level("FSD", fsd_s, fml_s, "s")
 
 
 def rate_strips(judge: LiveJudge, axis: Axis) -> tuple[StripView, ...]:

@@ -207,7 +207,7 @@ class Journal:
                     number = int(content["vehicle"])
                     told = self.vehicles.setdefault(number, VehicleStory()).take(content)
                     found += [] if told is None else [(number, told)]
-                except (ValueError, TypeError, AttributeError, KeyError):
+                except (ValueError, TypeError, AttributeError, KeyError, ArithmeticError, RecursionError):
                     self.damaged += bool(line.strip())
         return found
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
+from unittest.mock import Mock, patch
 
 import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
@@ -27,7 +27,7 @@ from mavdiag import __version__, inspections
 from mavdiag.cli import app
 from mavdiag.decision.alarm import NOTHING_SEEN
 from mavdiag.decision.diagnosis import Change, RotorSpan, Stage
-from mavdiag.errors import UsageError
+from mavdiag.errors import BaselineError, UsageError
 from mavdiag.inspections import Inspections
 from mavdiag.link.codec import Frame
 from mavdiag.link.keys import RETRY_S
@@ -288,6 +288,8 @@ def test_texts_are_set_in_flight_and_the_scale_on_the_ground(bench: Bench, tmp_p
     assert session.settings.texts_per_minute == 12
     assert values(asked(bench, setting("PROP_SCALE", 2.0))) == {"PROP_SCALE": 1.0}
     on_the_ground(bench)
+    with patch("detector.session.chain_for", side_effect=BaselineError("no monitor can judge")):
+        assert values(asked(bench, setting("PROP_SCALE", 4.0))) == {"PROP_SCALE": 1.0}
     assert values(asked(bench, setting("PROP_SCALE", 2.0))) == {"PROP_SCALE": 2.0}
     bench.vehicles[0].armed = True
     bench.run(5.0)

@@ -206,17 +206,22 @@ def test_every_flight_is_in_the_history_as_its_log_would_be(tmp_path: Path) -> N
                 assert record.judged_s > 10.0
 
 
-def test_a_flight_in_which_the_vehicle_reboots_is_not_thrown_away(tmp_path: Path) -> None:
-    flights = Flights(str(tmp_path / "history.sqlite"), tmp_path / "flights", EPOCH_NS, print)
+def test_a_flight_with_a_reboot_is_kept_and_a_vehicle_lost_in_flight_begins_no_other(tmp_path: Path) -> None:
+    (tmp_path / "20240501T1200-mine.tlog").touch()
+    flights = Flights(str(tmp_path / "history.sqlite"), tmp_path, EPOCH_NS, print)
     bench = watching(baseline_for(), flights, MadeVehicle(3))
     with patch.object(flights, "put") as put:
         flown(bench, 12.0)
         bench.vehicles = [MadeVehicle(3)]
         flown(bench, 12.0, armed=False)
         assert bench.daemon.fleet.vehicles[3].session.reboots == 1
+        flown(bench, 12.0)
+        bench.vehicles = []
+        with patch.object(Path, "open", side_effect=OSError) as opened:
+            bench.run(70.0)
         bench.close()
     flights.close()
-    assert put.call_count == 1
+    assert (put.call_count, opened.call_count) == (2, 0)
 
 
 def test_a_flight_that_cannot_be_added_is_told_and_added_by_the_next_start(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import subprocess
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -27,7 +28,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.cli import app
 from mavdiag.commandline import say
 from mavdiag.commands.inspect import inspect
-from mavdiag.commands.setup import BASELINE, CONFIG, setup
+from mavdiag.commands.setup import BASELINE, CONFIG, HOME, config_text, service_script, setup
 from mavdiag.errors import InputError
 from mavdiag.learning.coaching import ROUNDS
 from mavdiag.link.codec import Argument, Decoder, Encoder, Frame, field_index
@@ -380,6 +381,13 @@ def test_a_bare_vehicle_is_set_up_though_stopped_in_flight(profile: str, autopil
     assert (settings.connect, settings.vehicle) == (LINK, 1)
     assert settings.baseline is not None
     assert Baseline.load(settings.baseline).digest == baseline.digest
+
+
+def test_the_service_finds_what_was_moved_whatever_the_folder_is_called(tmp_path: Path) -> None:
+    (folder := tmp_path / 'a|b [1] "').mkdir()
+    (folder / CONFIG).write_text(config_text(LINK, 1, folder, None))
+    command = service_script(folder, Path("unit"), Path("bin")).split(" > ")[0].split("\n")[-1]
+    assert f'"{HOME / BASELINE}"' in subprocess.check_output(["sh", "-c", command], text=True)
 
 
 def test_what_does_not_come_is_told_with_the_parameter_that_gives_it(tmp_path: Path) -> None:

@@ -62,6 +62,7 @@ REFUSED = [
     ("mavdiag-detector --check --baseline absent.json", "absent.json: no such file"),
     (f"{LEARN} --check --record .", "is a folder"),
     (f"{DETECTOR} --check --record baseline.json", "baseline.json: is named twice"),
+    (f"{DETECTOR} --metrics x..y:9100", "metrics on x..y:9100: "),
     (f"{DETECTOR} --journal a.tlog", "a.tlog: is no journal so far"),
     (f"{DETECTOR} --check --journal a.out --record a.out", "a.out: is named twice"),
     (f"{LEARN} --record baseline.json", "baseline.json: is no record so far"),

@@ -159,6 +159,13 @@ def test_two_rows_of_a_finding_are_steps_and_the_first_ones_mode_calls_nothing_o
     ]
 
 
+def test_what_is_graver_acts_in_the_mode_that_the_action_before_it_brought() -> None:
+    flight = Flight("gross loss: land; propeller fault: rtl")
+    for flight.held, flight.mode in ((fault(), AUTO), (fault(FaultKind.GROSS_LOSS), RTL)):
+        flight.fly(5.0)
+    assert [command for _, command in flight.commands] == [MavCmd.NAV_RETURN_TO_LAUNCH, MavCmd.NAV_LAND]
+
+
 @pytest.mark.parametrize("how", ["mode", "stick", "ack"])
 def test_the_pilot_calls_it_off_for_this_flight(how: str) -> None:
     flight = Flight()
@@ -275,6 +282,7 @@ def test_modes_and_sticks_are_read_from_the_autopilots_own_frames() -> None:
         ("fault: rtl 5", "no action 'rtl 5'"),
         ("fault: DO_PARACHUTE two", "no action"),
         ("fault: 99999", "no action"),
+        (f"fault: {'9' * 5000}", "no action"),
         ("fault: DO_PARACHUTE 1 2 3 4 5 6 7 8", "no action"),
         ("fault: DO_PARACHUTE nan", "no action"),
         ("fault: COMPONENT_ARM_DISARM 0 21196", "neither arms nor disarms"),

@@ -22,6 +22,7 @@ from made_session import Story, baseline_for, outcome_of
 from web_page import wait_for
 
 from detector.alerts import label_of
+from detector.check import plan
 from detector.config import SessionSettings, Settings
 from detector.fitting import FittingJob, ProcessFitter
 from detector.fleet import Fleet, Vehicle
@@ -336,7 +337,7 @@ def test_monitors_named_as_suspect_do_not_decide_as_long_as_another_does() -> No
     assert [slot.decides for slot in chain.slots] == [spec.decides for spec in chain.decision.slots] == [True, False]
     assert [b.threshold / a.threshold for a, b in zip(plain.slots, chain.slots, strict=True)] == [2.0, 2.0]
     with pytest.raises(BaselineError, match="suspect names every monitor that decides"):
-        chain_for(baseline, SessionSettings(suspect=("unbalance", "rotor_trim")), 0)
+        list(plan(Settings(baseline=Path("b"), suspect=("unbalance", "rotor_trim")), baseline, {}, None))
 
 
 def test_a_flight_outside_of_the_envelope_says_which_condition_was_not_learnt() -> None:

@@ -15,6 +15,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from made_session import baseline_for
 from made_vehicle import record
+from memory_port import memory_pair
 from rich.cells import cell_len
 from rich.console import Console
 
@@ -25,14 +26,15 @@ from mavdiag.commands.progress import shown
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.judging import judge, playable
-from mavdiag.link.messages import Severity
+from mavdiag.link.codec import Encoder
+from mavdiag.link.messages import Component, MessageId, Severity
 from mavdiag.logs import read_log
 from mavdiag.printable import printable
 from mavdiag.telemetry import Axis
 from mavdiag.terminal import watching
-from mavdiag.terminal.ground_station import LiveJudge
+from mavdiag.terminal.ground_station import FIGURES, GroundStation, LiveJudge
 from mavdiag.terminal.tables import verdict_table
-from mavdiag.terminal.view import Curve, Level, Line, StripView, View, picture, strip
+from mavdiag.terminal.view import Curve, Level, Line, StripView, View, figure_levels, picture, strip
 from mavdiag.terminal.watching import KEYS, Journal, Key, Position, Screen, follow, keys_in, play
 
 LEVEL = Level("unbalance", 0.5, 1.0, "g mm")
@@ -169,19 +171,29 @@ def _line(kind: str, number: int, **content: object) -> str:
     return json.dumps({"kind": kind, "utc": "2026-01-01T00:00:00Z", "vehicle": number, "vehicle_s": 1.5, **content})
 
 
+def test_a_link_keeps_only_the_figures_of_a_detector_and_shows_none_that_are_no_numbers() -> None:
+    near, far = memory_pair(clock=lambda: 0)
+    station, detector = GroundStation(near, speak=False), Encoder(1, Component.ONBOARD_COMPUTER)
+    for name, value in (*((name, math.inf) for name in FIGURES), ("MADE_UP", 1.0), ("PF_MARG", math.nan)):
+        far.send(detector.encode(MessageId.NAMED_VALUE_FLOAT, 0, name, value))
+    station.listen(0.0)
+    assert (set(station.figures), figure_levels(station)) == (set(FIGURES), ())
+
+
 def test_a_journal_is_followed_over_torn_lines_and_a_rotation(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     text = _line("text", 1, severity=2, text="PROP FAULT motor 1")
+    broken = "\nno json\n" + "[" * 100_000 + '\n{"kind": "note", "vehicle": 1e999}\n'
     path.write_text(text[:20])
     journal = Journal(path)
     assert journal.read() == []
     with path.open("a") as file:
-        file.write(text[20:] + "\nno json\n" + _line("state", 2, **{"from": "a", "to": "b", "reason": "c"}) + "\n")
+        file.write(text[20:] + broken + _line("state", 2, **{"from": "a", "to": "b", "reason": "c"}) + "\n")
     assert journal.read() == [
         (1, Line(1.5, Severity.CRITICAL, "PROP FAULT motor 1")),
         (2, Line(1.5, Severity.INFO, "a -> b: c")),
     ]
-    assert (journal.damaged, journal.vehicles[2].state) == (1, "b")
+    assert (journal.damaged, journal.vehicles[2].state) == (3, "b")
     with path.open("a") as file:
         file.write(_line("note", 1, text="before") + "\n")
     path.rename(tmp_path / "events.1.jsonl")
