@@ -48,7 +48,7 @@ KEPT = ROOT / ".cache" / "baselines"
 def _sources() -> str:
     """Digest of what a baseline of made flights depends on."""
     digest = hashlib.sha256(" ".join([platform.python_version(), *map(version, ("numpy", "numba", "scipy"))]).encode())
-    made = [ROOT / "tests" / "flying_telemetry.py", *(ROOT / "tests").glob("made_*.py")]
+    made = [path for name in ("flying_*", "made_*", "virtual_*") for path in (ROOT / "tests").glob(f"{name}.py")]
     packages = [path for name in ("mavdiag", "sitl_plant") for path in (ROOT / name).rglob("*.*")]
     for path in sorted(path for path in (*made, *packages) if path.suffix in (".py", ".toml", ".json")):
         digest.update(path.read_bytes())

@@ -126,3 +126,12 @@ def learnt(logs: Sequence[Log], airframe: Airframe | None = None) -> Baseline:
     """A baseline of the emulated vehicle. airframe: None for that of the QDrone 2."""
     options = LearnOptions(airframe=airframe or airframe_named("qdrone2"))
     return kept(" ".join(log.sha256 for log in logs), lambda: learn(list(logs), options, created=CREATED))
+
+
+def taught(seeds: Sequence[int], seconds: float, profile: str = "ardupilot", **config: object) -> Baseline:
+    """What `healthy_flights` teach, which are flown only where that is not kept yet."""
+
+    def learn_it() -> Baseline:
+        return learnt(healthy_flights(seeds, seconds, profile, None, **config))
+
+    return kept(f"{seeds} {seconds} {profile} {config}", learn_it)

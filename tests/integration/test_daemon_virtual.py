@@ -19,7 +19,7 @@ from made_session import baseline_for
 from made_vehicle import RATE_HZ, TICK_S, Bench, FakeFitter, MadeVehicle, VirtualHost, received
 from memory_port import MemoryEndpoint
 from test_attacks import COMMANDS, SENT
-from virtual_flight import GroundStation, VirtualFlight, healthy_flights, learnt
+from virtual_flight import GroundStation, VirtualFlight, taught
 
 from detector.config import Settings, VehicleSettings
 from detector.fleet import Turn
@@ -380,7 +380,7 @@ def test_a_full_disk_leaves_the_old_baseline_and_the_watch(tmp_path: Path, monke
 
 @pytest.fixture(scope="module")
 def baseline() -> Baseline:
-    return learnt(healthy_flights(range(3), 40.0, vehicle=VEHICLE))
+    return taught(range(3), 40.0, vehicle=VEHICLE)
 
 
 @pytest.mark.parametrize(
@@ -422,7 +422,7 @@ def test_what_tells_rotors_and_filter_is_read_while_it_learns_and_nothing_is_eve
 
 @pytest.mark.parametrize("profile", ["ardupilot", "px4"])
 def test_esc_telemetry_is_learnt_from_metered_and_the_weak_rotor_is_named(profile: str) -> None:
-    baseline = learnt(healthy_flights(range(3), 30.0, profile, vehicle=VEHICLE))
+    baseline = taught(range(3), 30.0, profile, vehicle=VEHICLE)
     assert "rotor_speed" in {entry.spec.kind for entry in baseline.monitors}
     damage = Injection(RotorDamage(thrust_factor=0.9, drag_factor=0.9), rotor=3, onset_s=15.0)
     with closing(Bench(WATCH, baseline=baseline)) as bench:

@@ -11,8 +11,7 @@ import pytest
 from broken_teaching import MONITORS, Pool, Tally, judge_sets, pool_of
 from made_telemetry import ROUNDING
 from scipy.signal import butter, lfilter, welch
-from virtual_flight import healthy_flights
-from virtual_flight import learnt as healthy_learnt
+from virtual_flight import taught
 
 import mavdiag as md
 from mavdiag.airframe.airframe import Airframe
@@ -53,7 +52,7 @@ def flown(config: PlantConfig, duration_s: float) -> Telemetry:
 
 @cache
 def baseline() -> Baseline:
-    return parse(dump(healthy_learnt(healthy_flights(range(100, 106), 25.0, "qdrone2"))))
+    return parse(dump(taught(range(100, 106), 25.0, "qdrone2")))
 
 
 @pytest.mark.parametrize("rotor", [1, 2, 3, 4])

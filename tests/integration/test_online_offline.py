@@ -24,7 +24,7 @@ from made_session import baseline_for
 from made_vehicle import RATE_HZ, MadeVehicle, record, recorded
 from memory_port import memory_pair
 from processes import ALERT, PATIENCE_S, companion, flying
-from virtual_flight import healthy_flights, learnt
+from virtual_flight import taught
 from virtual_link import heard
 
 from mavdiag.as_json import event_json
@@ -72,7 +72,7 @@ def in_order(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 @pytest.mark.realtime
 def test_the_journal_and_the_scan_of_the_recording_agree(tmp_path: Path) -> None:
-    baseline = learnt(healthy_flights(range(100, 106), 25.0, "qdrone2"))
+    baseline = taught(range(100, 106), 25.0, "qdrone2")
     file, journal, log = tmp_path / "b.json", tmp_path / "events.jsonl", tmp_path / "flight.tlog"
     baseline.save(file)
     with (
