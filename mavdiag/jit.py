@@ -13,7 +13,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, ParamSpec, Protocol, TypeVar, cast
@@ -36,21 +36,9 @@ def _compiled(inline: Literal["never", "always"] = "never", **more: Any) -> Deco
     return cast(Decorator, numba.njit(**options))
 
 
-def _inner(**more: Any) -> Decorator:
-    """As `_compiled`, without what converts arguments from Python, a seventh of the time: a call from there adds it."""
-    bare = _compiled(no_cpython_wrapper=True, no_cfunc_wrapper=True, **more)
-
-    def compiled(function: Callable[P, R]) -> Callable[P, R]:
-        found, whole = bare(function), cache(partial(_compiled(**more), function))
-        vars(found).update(_insert=lambda *_, **__: None, _compile_for_args=lambda *_, **__: whole())
-        return found
-
-    return compiled
-
-
 def _kept(**more: Any) -> Decorator:
     def keep(function: Callable[P, R]) -> Callable[P, R]:
-        options: Any = {"error_model": "numpy", "no_cfunc_wrapper": True, **more}
+        options: Any = {"error_model": "numpy", **more}
         try:
             compiled: Any = numba.njit(cache=True, **options)(function)
         except RuntimeError:  # nowhere to keep it
@@ -65,9 +53,9 @@ def _kept(**more: Any) -> Decorator:
     return keep
 
 
-jit = _inner()  # when a compiled function first calls it; no fast-math: results are reproducible
-summing = _inner(fastmath={"reassoc", "contract", "nsz"})  # sums in any order, always in the same one
-allocating = _inner(_nrt=True)  # as `jit`, for a function that makes arrays
+jit = _compiled()  # when a compiled function first calls it; no fast-math: results are reproducible
+summing = _compiled(fastmath={"reassoc", "contract", "nsz"})  # sums in any order, always in the same one
+allocating = _compiled(_nrt=True)  # as `jit`, for a function that makes arrays
 inline = _compiled("always")  # as `jit`, but merged into its caller: no cost for passing large tuples
 cached = _kept()  # on the first call; the machine code stays on disk, where there is a place for it
 cached_loop = _kept(_nrt=False)  # as `cached`, for a function that makes no arrays
