@@ -59,9 +59,7 @@ def example_context(
 
 
 def held_out_scores(
-    flights: Flights,
-    fit: Callable[[Flights], Sequence[Monitor[Any]]],
-    sessions: Sequence[int] | None = None,
+    flights: Flights, fit: Callable[[Flights], Sequence[Monitor[Any]]], sessions: Sequence[int] | None = None
 ) -> dict[Axis | None, Scores]:
     """Scores of all flights by axis, each flight scored by a fit that did not see it. fit: the monitors of a fit."""
     numbers = {id(flight): number for number, flight in enumerate(flights)}

@@ -52,8 +52,7 @@ def test_a_signal_stops_it_cleanly_with_a_summary_and_a_last_line(number: int, t
     ):
         assert port_of(first) > 0
         code, rest = ended(child, number)
-    assert code == 0
-    assert len(rest.splitlines()) == 1
+    assert (code, len(rest.splitlines())) == (0, 1)
     assert "stopped after" in rest
     assert [json.loads(line)["kind"] for line in journal.read_text().splitlines()] == ["start", "stop"]
 
@@ -267,8 +266,7 @@ def test_the_unit_is_supervised_and_has_no_rights_to_spare() -> None:
     assert service["ExecStartPre"] == f"{PROGRAM} --check"
     for name in ("DynamicUser", "NoNewPrivileges", "ProtectHome", "RestrictNamespaces", "RestrictSUIDSGID"):
         assert service[name] == "yes", name
-    assert service["ProtectSystem"] == "strict"
-    assert service["CapabilityBoundingSet"] == ""
+    assert (service["ProtectSystem"], service["CapabilityBoundingSet"]) == ("strict", "")
     assert set(service["RestrictAddressFamilies"].split()) == {"AF_INET", "AF_INET6", "AF_UNIX"}
 
 

@@ -133,8 +133,7 @@ def test_a_folder_gives_a_line_each_and_a_bad_file_loses_nothing(tmp_path: Path)
     assert "no column" in lines[2]
     as_json = RUN.invoke(app, ["look", str(tmp_path / "1.csv"), "--columns", str(tmp_path / "map.toml"), "--json"])
     content = json.loads(as_json.stdout)
-    assert content["profile"] == "csv"
-    assert content["loads"] == []
+    assert (content["profile"], content["loads"]) == ("csv", [])
 
 
 def test_gyro_and_accelerometer_alone_are_enough_to_find_an_unbalance(tmp_path: Path) -> None:
@@ -439,7 +438,7 @@ def parameter(frame: Frame) -> str:
         (
             "autopilots_in_the_loop/px4_hil_healthy.tlog",
             ("its autopilot is px4", "gravity: 1.00 g, right", "rotor layout x (the vehicle's parameters"),
-        ),
+        )
     ],
 )
 def test_a_recorded_link_tells_what_it_is_and_that_it_ends(name: str, finds: tuple[str, ...], tmp_path: Path) -> None:

@@ -143,12 +143,7 @@ def rows(log: Log) -> Sequence[Rows]:
 
 
 @pytest.mark.parametrize(
-    "folder",
-    [
-        "cut_propeller_M3_0.5mm_46.5mm",
-        "cut_propeller_M3_3mm",
-        "add_weight_W1_near_M3_M4",
-    ],
+    "folder", ["cut_propeller_M3_0.5mm_46.5mm", "cut_propeller_M3_3mm", "add_weight_W1_near_M3_M4"]
 )
 def test_damage_and_load_do_not_make_e8_another_vehicle(folder: str) -> None:
     healthy = [rows(log) for log in crazypad_guards("normal_flight")]

@@ -282,11 +282,7 @@ DIP = levels((1000, 0.5), (900, 0.0), (600, 0.5), (900, 0.0), (600, 0.5))
 SPIKE, TWO_SAMPLES, UP = np.zeros(4000), np.zeros(4000), np.full(1000, 0.5)
 SPIKE[1300:1800], TWO_SAMPLES[[1700, 2600]] = 11.0, 30.0
 CASES = {
-    "each flight is a segment of its own": (
-        THRUST,
-        [block(HOP)],
-        [(0, 500, 1499), (1499,), (1, 3000, 3999), (3999,)],
-    ),
+    "each flight is a segment of its own": (THRUST, [block(HOP)], [(0, 500, 1499), (1499,), (1, 3000, 3999), (3999,)]),
     "a dip of thrust is no landing": (THRUST, [block(DIP)], [(0, 0, 3999)]),
     "nor is one in a tumble": (THRUST, [block(DIP, gyro=tumble(4000))], [(0, 0, 3999)]),
     "the spike of a touch-down is not judged": (THRUST, [block(DROP, gyro=SPIKE)], [(0, 0, 999), (999,)]),

@@ -698,8 +698,7 @@ def test_a_change_is_told_with_its_rotor_odds_and_first_flight() -> None:
     healthy, damaged = flown(days[:4]), flown(days[4:], rise=0.1)
     said = together(REFERENCE, [*healthy, *damaged])
     assert said.changed
-    assert said.rotors == (3,)
-    assert said.since == damaged[0]
+    assert (said.rotors, said.since) == ((3,), damaged[0])
     assert "8 flights together: rotor 3 has changed, " in str(said)
     assert str(said).endswith(" to 1, since flight 0.tlog")
     assert not together(REFERENCE, healthy).changed

@@ -255,8 +255,7 @@ def test_a_set_is_checked_and_answered_by_the_value_in_force(
     )
     [answer] = told(one, MessageId.PARAM_SET, name, sent, kind)
     assert one.value(name) == in_force
-    assert answer[0] == name
-    assert answer == told(one, MessageId.PARAM_REQUEST_READ, name, -1)[0]
+    assert (answer[0], answer) == (name, told(one, MessageId.PARAM_REQUEST_READ, name, -1)[0])
 
 
 @pytest.mark.parametrize("profile", ["ardupilot", "px4"])

@@ -226,10 +226,7 @@ def test_a_serial_device_is_held_alone() -> None:
 
 def test_a_message_that_fits_only_in_part_is_never_torn() -> None:
     frame = Encoder(1, 1).encode(110, 0, 1, 1, list(range(1, 252)))
-    with (
-        open_endpoint("tcpin:127.0.0.1:0") as server,
-        open_endpoint(server.address.replace("tcpin", "tcp")) as client,
-    ):
+    with open_endpoint("tcpin:127.0.0.1:0") as server, open_endpoint(server.address.replace("tcpin", "tcp")) as client:
         while not client.connected:
             time.sleep(0.001)
         while client.traffic.dropped < 100:

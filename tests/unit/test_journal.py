@@ -181,8 +181,7 @@ def test_a_line_that_was_torn_does_not_spoil_the_next_one(tmp_path: Path) -> Non
     journal.write("third")
     disk.room = 100
     journal.write("fourth")
-    assert disk.content == b"first\nse\nfourth\n"
-    assert len(warnings) == 2
+    assert (disk.content, len(warnings)) == (b"first\nse\nfourth\n", 2)
     assert "writing again; 2 entries were lost" in warnings[1]
 
 

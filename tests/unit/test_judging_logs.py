@@ -312,11 +312,7 @@ def made_block(n: int, dt_s: float, seed: int) -> Block:
     rng = np.random.default_rng(seed)
     walk = np.cumsum(rng.normal(0.0, 0.1, (n, 6)), axis=0) * math.sqrt(dt_s)
     block = example_rows(
-        n,
-        dt_s,
-        setpoint=walk[:, :3],
-        rate=rng.normal(0.0, 0.2, (n, 3)),
-        thrust=0.5 + 0.01 * rng.normal(size=n),
+        n, dt_s, setpoint=walk[:, :3], rate=rng.normal(0.0, 0.2, (n, 3)), thrust=0.5 + 0.01 * rng.normal(size=n)
     ).block
     t_ns = block.t_ns + 1_000_037_000_000
     return with_columns(replace(block, t_ns=t_ns), height=1.0 + walk[:, 3])
@@ -409,11 +405,7 @@ def excess(covered: Covered, *values: float) -> list[float]:
         (YAW, [0.0, 0.4, 0.5, 0.6, 0.8], [0.0, 0.0, 0.5, 1.0, 2.0]),
         (Covered(Condition.COMMANDED_RATE, 0.0, 1.0), [1.0, 1.5, 2.0, 3.0], [0.0, 0.5, 1.0, 2.0]),
         (Covered(Condition.HEIGHT, 0.4, 9.0), [20.0, 0.4, 0.3, 0.2, 0.0], [0.0, 0.0, 0.5, 1.0, 2.0]),
-        (
-            Covered(Condition.THROTTLE, 0.2, 0.6),
-            [0.2, 0.6, 0.7, 0.8, 0.1, 0.0, -0.2],
-            [0, 0, 0.5, 1.0, 0.5, 1.0, 2],
-        ),
+        (Covered(Condition.THROTTLE, 0.2, 0.6), [0.2, 0.6, 0.7, 0.8, 0.1, 0.0, -0.2], [0, 0, 0.5, 1.0, 0.5, 1.0, 2]),
         (Covered(Condition.YAW_RATE, 0.0, 0.01), [0.15, 0.225], [0.0, 1.0]),
         (Covered(Condition.HEIGHT, 3.0, 9.0), [0.5, 0.0], [0.0, 2.0]),
         (Covered(Condition.THROTTLE, 0.4, 0.4), [0.3, 0.5, 0.2], [0.0, 0.0, 1.0]),  # 25 %, and half of the span again

@@ -114,8 +114,7 @@ def test_units_and_signs_are_si_and_frd(tmp_path: Path) -> None:
     assert first[Signal.THRUST_SETPOINT] == pytest.approx([1.0])
     assert first[Signal.SPECIFIC_FORCE][2] == pytest.approx(-9.80665)
     assert np.isnan(first[Signal.SPECIFIC_FORCE][:2]).all()
-    assert log.profile == "crazyflie"
-    assert log.started_ns == 0
+    assert (log.profile, log.started_ns) == ("crazyflie", 0)
 
 
 MAP = """

@@ -17,13 +17,7 @@ from sitl_plant.physics.air import Turbulence, dryden
 from sitl_plant.physics.airframe import NO_PAYLOAD, drone
 from sitl_plant.physics.control import Controller, ControlState, control
 from sitl_plant.physics.dynamics import GRAVITY, NO_GROUND, RIGID, STAGES, WRENCH, Body, Ground, grip, rk4_step
-from sitl_plant.physics.faults import (
-    Injection,
-    RotorDamage,
-    SensorFault,
-    rotor_condition,
-    sensor_condition,
-)
+from sitl_plant.physics.faults import Injection, RotorDamage, SensorFault, rotor_condition, sensor_condition
 from sitl_plant.physics.kernel import Model
 from sitl_plant.physics.mocap import fit_pose
 from sitl_plant.physics.parameters import STEP_S, make_model

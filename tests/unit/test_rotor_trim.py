@@ -58,8 +58,9 @@ def test_the_rise_and_its_rotor_come_out_exactly(frame: str, which: int, rise: f
 
 @given(which=st.integers(0, 3), ratio=st.floats(3.0, 30.0))
 def test_a_rotor_is_named_by_what_its_rise_leaves_not_by_its_size(which: int, ratio: float) -> None:
-    places = (0.1515, 0.245, "ccw"), (-0.1515, -0.1875, "ccw"), (0.1515, -0.245, "cw"), (-0.1515, 0.1875, "cw")
-    spec = replace(spec_of(), layout=layout_at("PX4's Iris", [Place(*place) for place in places]))
+    places = [Place(0.1515, 0.245, "ccw"), Place(-0.1515, -0.1875, "ccw")]
+    places += [Place(0.1515, -0.245, "cw"), Place(-0.1515, 0.1875, "cw")]
+    spec = replace(spec_of(), layout=layout_at("PX4's Iris", places))
     w = np.full(4, -0.05)
     w[which] += 0.2
     rows = [example_rows(600, actuator=fluttering(0.5 * (1 + w)))]

@@ -30,15 +30,7 @@ from detector.judging import Judge, chain_for
 from detector.session import FITS, Session
 from detector.states import TABLE, State
 from detector.streams import HELD_S, METERED, Negotiation, Streams
-from detector.values import (
-    Learn,
-    Note,
-    SendCommand,
-    SendFloat,
-    SendText,
-    SessionSpec,
-    StateChanged,
-)
+from detector.values import Learn, Note, SendCommand, SendFloat, SendText, SessionSpec, StateChanged
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.chain import chain_of

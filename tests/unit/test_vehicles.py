@@ -404,8 +404,7 @@ def test_the_attitudes_slope_gives_scale_sign_and_delay_of_the_gyro(late_s: floa
     assert yaw.scale == pytest.approx(1.0 / DEG, rel=0.03)
     for one in (roll, pitch, yaw):
         assert one.delay_s == pytest.approx(late_s, abs=0.006)
-    assert roll.verdict == "right"
-    assert pitch.verdict == "turns the wrong way; scale right"
+    assert (roll.verdict, pitch.verdict) == ("right", "turns the wrong way; scale right")
     assert yaw.verdict == "wrong scale: deg/s"
 
 

@@ -137,8 +137,7 @@ def test_a_track_has_a_point_a_second_of_the_signal_that_came_first() -> None:
         track.take(placed(Signal.POSITION, 0.1 * tenth + 0.01, 0.1 * tenth, -1.0))
         track.take(placed(Signal.COORDINATES, 0.1 * tenth + 0.02, 0.8, 0.1))
         track.take(Telemetry())
-    assert len(track.points) == TRACK_POINTS
-    assert track.points[-1] == (299.9, -1.0)
+    assert (len(track.points), track.points[-1]) == (TRACK_POINTS, (299.9, -1.0))
     assert [point[0] for point in track.points][:2] == [180.9, 181.9]
     track.take(placed(Signal.POSITION, 301.0, math.nan, 1.0))
     assert track.points[-1] == (299.9, -1.0)
@@ -244,8 +243,7 @@ def test_a_new_page_gets_the_latest_entries_and_one_that_was_away_for_long_all_t
     hello = json.loads(events(away.next())[0]["data"])
     assert hello == {"run": "r", "newest": KEPT + 300, "fresh": False}
     assert drained(board.enter(None, 100)) == list(range(301, KEPT + 301))
-    assert len(board.entries) == KEPT
-    assert len(numbers(board.enter(None, 0).next())) == BATCH
+    assert (len(board.entries), len(numbers(board.enter(None, 0).next()))) == (KEPT, BATCH)
 
 
 def test_figures_go_to_those_who_look_at_the_vehicle_and_a_slow_page_loses_the_oldest() -> None:
