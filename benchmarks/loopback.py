@@ -91,13 +91,11 @@ def main() -> None:
         table.add_row(flight.fault, latency, str(result.outcome.false_alarms), f"{result.cpu:.1f}", str(result.lost))
     console = Console(width=120)
     console.print(table)
-    rest = results[len(flights) :]
-    alarmed = sum(bool(one.outcome.alerts) for one in rest)
-    expected, cpu = count / (arguments.healthy_flights + 1), max(one.cpu for one in rest)
-    console.print(f"healthy: {alarmed} of {count} flights of {HEALTHY_FLIGHT_S:g} s alarmed, {expected:.2f} expected")
-    console.print(
-        f"detector in healthy flight: at most {cpu:.1f} % CPU, {sum(one.lost for one in rest)} datagrams lost"
-    )
+    if rest := results[len(flights) :]:
+        alarmed, expected = sum(bool(one.outcome.alerts) for one in rest), count / (arguments.healthy_flights + 1)
+        console.print(f"healthy: {alarmed} of {count} flights of {HEALTHY_FLIGHT_S:g} s alarmed, {expected:.2f} expected")
+        cpu, lost = max(one.cpu for one in rest), sum(one.lost for one in rest)
+        console.print(f"detector in healthy flight: at most {cpu:.1f} % CPU, {lost} datagrams lost")
 
 
 if __name__ == "__main__":
