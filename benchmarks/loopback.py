@@ -93,7 +93,8 @@ def main() -> None:
     console.print(table)
     if rest := results[len(flights) :]:
         alarmed, expected = sum(bool(one.outcome.alerts) for one in rest), count / (arguments.healthy_flights + 1)
-        console.print(f"healthy: {alarmed} of {count} flights of {HEALTHY_FLIGHT_S:g} s alarmed, {expected:.2f} expected")
+        flown = f"{count} flights of {HEALTHY_FLIGHT_S:g} s"
+        console.print(f"healthy: {alarmed} of {flown} alarmed, {expected:.2f} expected")
         cpu, lost = max(one.cpu for one in rest), sum(one.lost for one in rest)
         console.print(f"detector in healthy flight: at most {cpu:.1f} % CPU, {lost} datagrams lost")
 
