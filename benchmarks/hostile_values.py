@@ -32,13 +32,7 @@ from sitl_plant.plant import PlantConfig
 
 GYRO_RAD_S, FORCE_M_S2 = 34.9, 160.0  # full scale: 2000 deg/s, 16 g
 STAMPS_S = (-3600.0, -10.0, -0.3, -0.03, 0.03, 0.3, 10.0, 3600.0)
-STRUCK = (
-    Signal.BODY_RATE,
-    Signal.SPECIFIC_FORCE,
-    Signal.ACTUATOR,
-    Signal.ATTITUDE,
-    Signal.ATTITUDE_SETPOINT,
-)
+STRUCK = (Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.ACTUATOR, Signal.ATTITUDE, Signal.ATTITUDE_SETPOINT)
 SPOILT = (*STRUCK, Signal.THRUST_SETPOINT, Signal.VIBRATION, Signal.TORQUE_COMMAND)
 KNOWN_S = 1.0  # a monitor that judges a dead signal later than this is wrong
 LINKS = {

@@ -308,15 +308,7 @@ def main() -> None:
         ]
         found = list(pool.map(partial(least, taught=taught), jobs))
     table = Table(title=f"Least damage: {arguments.flights} flights a row, seed {seed}")
-    for heading in (
-        "damage",
-        "link Hz",
-        "IMU",
-        "found in 50 %",
-        "found in 95 %",
-        "found by",
-        "missed, false",
-    ):
+    for heading in ("damage", "link Hz", "IMU", "found in 50 %", "found in 95 %", "found by", "missed, false"):
         table.add_column(heading)
     for span in ("its window", f"{SEEN_S:g} s", f"{SEEN_S:g} s, healthy lines"):
         table.add_column(f"limit 50, 95 %: {span}")

@@ -316,10 +316,7 @@ def healthy(options: argparse.Namespace, codes: list[str]) -> None:
         one = fly(place, 1000 + number, craft=craft, until_s=HEALTHY_S)
         flown_s, acted, seed = flown_s + one.flown_s, acted + len(one.commands), 1000 + number
         told = f": {one}" if one.commands or one.declared_s is not None else ""
-        print(
-            f"  {vehicle} {drone}, {place}, seed {seed}: {flown_s / 3600:.2f} h, {acted} actions{told}",
-            flush=True,
-        )
+        print(f"  {vehicle} {drone}, {place}, seed {seed}: {flown_s / 3600:.2f} h, {acted} actions{told}", flush=True)
         number += options.every
 
 

@@ -120,10 +120,7 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         "python benchmarks/identify_cost.py TEMPORARY/identify",
     ),
     "history": ("python benchmarks/history_wear.py drawn --seed 9300",),
-    "page": (
-        "python benchmarks/live_page.py --pairs 4 --seconds 10",
-        "python benchmarks/replay_page.py",
-    ),
+    "page": ("python benchmarks/live_page.py --pairs 4 --seconds 10", "python benchmarks/replay_page.py"),
     "mutants": (
         "nox -s mutants -- --room decision --count 40 --seed 2",
         "nox -s mutants -- --room monitors --count 12 --seed 1 --longest 1200",

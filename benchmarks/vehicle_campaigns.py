@@ -37,10 +37,7 @@ def flown(vehicle: str, flights: int, seed: int) -> Row:
         payload=(0.0,),
         duration_s=60.0,
     )
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        closing(Journal(Path(folder) / "results.jsonl", True)) as journal,
-    ):
+    with tempfile.TemporaryDirectory() as folder, closing(Journal(Path(folder) / "results.jsonl", True)) as journal:
         return summarise(run_campaign(design, journal, 1))
 
 

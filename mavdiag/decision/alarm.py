@@ -24,19 +24,7 @@ from typing import NamedTuple, TypeAlias
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event, RotorSpan, Stage
 from mavdiag.decision.grading import FaultTypes, Gathered, assess
 from mavdiag.decision.kinds import Reading, grown, named
-from mavdiag.kernel import (
-    AT,
-    CALM_BELOW,
-    LOOK_NS,
-    NAN,
-    RATIO,
-    READ,
-    STALE_LOOKS,
-    Alarm,
-    Height,
-    Looked,
-    Slot,
-)
+from mavdiag.kernel import AT, CALM_BELOW, LOOK_NS, NAN, RATIO, READ, STALE_LOOKS, Alarm, Height, Looked, Slot
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S

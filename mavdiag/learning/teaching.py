@@ -342,12 +342,7 @@ class Taught:
 
 
 def taught(
-    logs: Iterable[Log | HeldLog],
-    window_s: float,
-    gate: GateSpec | None,
-    *,
-    robust: bool,
-    shelf: Shelf | None = None,
+    logs: Iterable[Log | HeldLog], window_s: float, gate: GateSpec | None, *, robust: bool, shelf: Shelf | None = None
 ) -> Taught:
     """The flying parts of healthy flights, guarded, put aside as the logs are, with only those samples that they
     themselves, taken together, make believable, as in judging.

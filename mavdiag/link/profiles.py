@@ -160,11 +160,7 @@ _ROWS = (
     # RAW_IMU as its definition has it, without unit: the counts of the IIM-42652 at its full scale of 16 g and
     # 2000 deg/s (data sheet: 2048 LSB/g and 16.4 LSB/(deg/s)).
     replace(
-        _QDRONE2,
-        name="spec",
-        recognise=lambda seen: seen.weighs(IIM_42652),
-        accel_unit=G / 2048,
-        gyro_unit=DEG / 16.4,
+        _QDRONE2, name="spec", recognise=lambda seen: seen.weighs(IIM_42652), accel_unit=G / 2048, gyro_unit=DEG / 16.4
     ),
     # ArduPilot Copter: RAW_IMU is low-passed at 20 Hz (INS_GYRO_FILTER, INS_ACCEL_FILTER) and stamped when sent; 50 to
     # 200 Hz are met exactly.

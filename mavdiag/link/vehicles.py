@@ -28,15 +28,7 @@ from mavdiag.link.datagrams import Datagrams
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
 from mavdiag.link.parameters import ASKING as PARAMETERS_ASKED
 from mavdiag.link.parameters import parameters_in
-from mavdiag.link.profiles import (
-    IMU_MESSAGES,
-    LAST_RESORT,
-    PROFILES,
-    Evidence,
-    Profile,
-    detect_profile,
-    with_imu,
-)
+from mavdiag.link.profiles import IMU_MESSAGES, LAST_RESORT, PROFILES, Evidence, Profile, detect_profile, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState, warm
 from mavdiag.link.sequence import Intruder, LinkCount, Source
 from mavdiag.link.signing import Signing
