@@ -109,8 +109,7 @@ def test_a_landing_opens_an_inspection_that_stays_until_the_command_closes_it(be
     assert stages.index("not judged") > stages.index("inspect")
     again.daemon.end()
 
-    third = flown(benches(), faulty=False)
-    assert TEXT not in texts(third)
+    assert TEXT not in texts(flown(benches(), faulty=False))
     run = CliRunner().invoke(app, ["ack", str(tmp_path / "journal.jsonl")])
     assert isinstance(run.exception, UsageError)
     assert str(run.exception).endswith("no inspection is open")
@@ -414,11 +413,8 @@ def test_a_fault_brings_one_command_and_every_step_is_in_the_journal(benches: Be
         ["asked -> over", "the autopilot took it"],
     ]
     said = [one for one in of(received(bench.behind[0]), MessageId.STATUSTEXT) if "rtl" in one.text("text")]
-    own = [(*one.numbers("severity"), one.text("text")) for one in said]
-    assert own == [
-        (Severity.CRITICAL, "PROP rtl in 5 s unless stick/mode/ack"),
-        (Severity.CRITICAL, "PROP rtl commanded: fault, rotor unknown"),
-    ]
+    words = ("PROP rtl in 5 s unless stick/mode/ack", "PROP rtl commanded: fault, rotor unknown")
+    assert [(*one.numbers("severity"), one.text("text")) for one in said] == [(Severity.CRITICAL, one) for one in words]
 
 
 @pytest.mark.parametrize("how", ["ack", "stick", "mode", "mavdiag ack"])
@@ -450,8 +446,7 @@ def test_the_page_acknowledges_open_inspections_and_calls_nothing_off(benches: B
     bench.daemon._web = Mock(acknowledged=lambda: pressed.pop() if pressed else [])
     bench.fly(5.0)
     assert commanded(bench)
-    told = (tmp_path / "journal.jsonl").read_text()
-    assert re.findall(r"inspection of vehicle (\d+) acknowledged", told) == ["8"]
+    assert re.findall(r"inspection of vehicle (\d+) acknowledged", (tmp_path / "journal.jsonl").read_text()) == ["8"]
 
 
 def test_a_stranger_on_an_unsigned_link_does_not_call_it_off(benches: Benches) -> None:

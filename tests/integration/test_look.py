@@ -91,9 +91,8 @@ def recording(path: Path, seed: int, seconds: float = 10.0, **config: object) ->
 
 
 def test_the_rotor_line_stands_at_the_speed_that_the_rotors_tell() -> None:
-    look = inspection_of(
-        emulated(5, fault="F1/SV3", rotor=2, onset_s=0.0, trajectory="hover"), airframe_named("qdrone2")
-    )
+    log = emulated(5, fault="F1/SV3", rotor=2, onset_s=0.0, trajectory="hover")
+    look = inspection_of(log, airframe_named("qdrone2"))
     assert look.line is not None
     assert look.line.reason == ""
     assert look.line.told_hz == pytest.approx(167.0, rel=0.05)
@@ -161,8 +160,7 @@ def two_flights(pause_s: float) -> Log:
     shift_ns, parts = round((30.0 + pause_s) * 1e9), []
     for one, other in zip(flying(3000, seed=3), flying(3000, seed=4), strict=True):
         t_ns = np.concatenate((one.t_ns[::4], other.t_ns[::4] + shift_ns))
-        values = np.concatenate((one.values[::4], other.values[::4]))
-        parts.append(Series(one.signal, t_ns, t_ns, values))
+        parts.append(Series(one.signal, t_ns, t_ns, np.concatenate((one.values[::4], other.values[::4]))))
     return logged(Telemetry(tuple(parts)))
 
 
@@ -171,8 +169,7 @@ def test_two_flights_in_a_log_do_not_lower_its_rate() -> None:
     alone = inspection_of(logged(flying(3000, seed=3)), Airframe())
     for pause_s in (5.0, 60.0, 600.0):
         look = inspection_of(two_flights(pause_s), Airframe())
-        rates = {one.signal: one.rate_hz for one in look.signals}
-        assert rates["body_rate"] == pytest.approx(25.0, rel=0.01)
+        assert {one.signal: one.rate_hz for one in look.signals}["body_rate"] == pytest.approx(25.0, rel=0.01)
         assert look.monitors == inspection_of(two_flights(5.0), Airframe()).monitors
     assert {one.signal: one.rate_hz for one in alone.signals}["body_rate"] == pytest.approx(100.0, rel=0.01)
 
@@ -259,8 +256,7 @@ class Pilot:
         if self._profile == "ardupilot":
             self._order(MessageId.SET_MODE, 1, 1, 4)
         self._command(MavCmd.COMPONENT_ARM_DISARM, 1)
-        height = NAN if self._profile == "px4" else 2.0
-        self._command(MavCmd.NAV_TAKEOFF, 0, 0, 0, NAN, NAN, NAN, height)
+        self._command(MavCmd.NAV_TAKEOFF, 0, 0, 0, NAN, NAN, NAN, NAN if self._profile == "px4" else 2.0)
 
     def _go(self, north: float, east: float, yaw: float) -> None:
         latitude, longitude, _ = to_global(np.array([[north, east, 0.0]]))[0].tolist()
@@ -432,30 +428,18 @@ def parameter(frame: Frame) -> str:
     return str(frame.fields[field_index(frame.msgid, "param_id")])
 
 
-@pytest.mark.parametrize(
-    ("name", "finds"),
-    [
-        (
-            "autopilots_in_the_loop/px4_hil_healthy.tlog",
-            ("its autopilot is px4", "gravity: 1.00 g, right", "rotor layout x (the vehicle's parameters"),
-        )
-    ],
-)
-def test_a_recorded_link_tells_what_it_is_and_that_it_ends(name: str, finds: tuple[str, ...], tmp_path: Path) -> None:
-    link = Played(shared(f"data/{name}"), Clock())
+def test_a_recorded_link_tells_what_it_is_and_that_it_ends(tmp_path: Path) -> None:
+    link = Played(shared("data/autopilots_in_the_loop/px4_hil_healthy.tlog"), Clock())
     with pytest.raises(KeyboardInterrupt), coached(link) as lines:
         setup(LINK, tmp_path, yes=True)
     shown = "\n".join(lines)
+    finds = ("its autopilot is px4", "gravity: 1.00 g, right", "rotor layout x (the vehicle's parameters")
     for words in ("vehicle 1: a quadrotor", *finds):
         assert words in shown, words
     assert [line.split(":")[0] for line in lines].count("nothing has come for 5 s") == 1
     ended = next(n for n, line in enumerate(lines) if line.startswith("nothing has come"))
     assert lines[ended + 1].startswith("cut off; covered so far: hover ")
     assert lines[ended + 2 :] == lines[ended + 2 : ended + 3]  # take off, and then nothing more
-    assert {one.msgid for one in link.asked} <= {
-        MessageId.HEARTBEAT,
-        MessageId.STATUSTEXT,
-        MessageId.COMMAND_LONG,
-        MessageId.PARAM_REQUEST_READ,
-    }
+    usual = {MessageId.HEARTBEAT, MessageId.STATUSTEXT, MessageId.COMMAND_LONG, MessageId.PARAM_REQUEST_READ}
+    assert {one.msgid for one in link.asked} <= usual
     assert len(list(tmp_path.glob("flight-*.tlog"))) == 1

@@ -35,20 +35,7 @@ from mavdiag.archive import together as of_flights
 from mavdiag.archive.figures import FlightRecord, windows_of
 from mavdiag.archive.paths import logs_named
 from mavdiag.archive.pool import TaskExecutor, run_all
-from mavdiag.archive.scan import (
-    Answer,
-    Cache,
-    Options,
-    Question,
-    Record,
-    digest_of,
-    digest_of_sources,
-    judge_file,
-    judging_version,
-    open_cache,
-    refused,
-    scan,
-)
+from mavdiag.archive.scan import Answer, Cache, Options, Question, Record, digest_of, judge_file, open_cache, scan
 from mavdiag.archive.tables import COLUMNS, rows_of, write_csv, write_parquet
 from mavdiag.archive.together import Reference, Taught, together
 from mavdiag.decision.alarm import Change
@@ -175,11 +162,11 @@ def test_the_folder_is_that_of_the_xdg_specification(tmp_path: Path, monkeypatch
 @pytest.mark.parametrize("package", ["numpy", "scipy"])
 def test_the_version_is_that_of_the_sources_and_of_what_computes(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """An upgrade must not keep the answers of before."""
-    before, installed = digest_of_sources.__wrapped__(("mavdiag",)), metadata.version
-    assert judging_version() == before
-    assert digest_of_sources(("mavdiag",), ("__pycache__", "mavdiag/monitors/innovation.py")) != before
+    before, installed = module.digest_of_sources.__wrapped__(("mavdiag",)), metadata.version
+    assert module.judging_version() == before
+    assert module.digest_of_sources(("mavdiag",), ("__pycache__", "mavdiag/monitors/innovation.py")) != before
     monkeypatch.setattr(metadata, "version", lambda name: "0.0.0" if name == package else installed(name))
-    assert digest_of_sources.__wrapped__(("mavdiag",)) != before
+    assert module.digest_of_sources.__wrapped__(("mavdiag",)) != before
 
 
 def in_drawn_order(seed: int, deadly: frozenset[str]) -> Callable[..., Iterator[Any]]:
@@ -333,7 +320,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> list[Answer]:
     return [
         Answer(whole, judge_file(str(whole), asked()), fresh=True),
         Answer(shaken, judge_file(str(shaken), asked(Options(windows_s=5.0))), fresh=True),
-        Answer(Path("x.tlog"), refused("no such file"), fresh=True),
+        Answer(Path("x.tlog"), module.refused("no such file"), fresh=True),
     ]
 
 
@@ -350,8 +337,7 @@ def test_a_row_says_what_the_verdict_says(answers: list[Answer]) -> None:
         assert healthy[f"{monitor.name}_judged_s"] == monitor.judged_s
         assert monitor.maximum is not None
         assert healthy[f"{monitor.name}_ratio"] == monitor.maximum / monitor.threshold
-    unused = set(BY_NAME) - set(MONITORS)
-    assert {healthy[f"{name}_judged_s"] for name in unused} == {None}
+    assert {healthy[f"{name}_judged_s"] for name in set(BY_NAME) - set(MONITORS)} == {None}
     assert [row["verdict"] for row in windows] == ["healthy", "fault", "fault"]
     assert {row["log_verdict"] for row in windows} == {"fault"}
     assert [row["to_s"] for row in windows] == [10.0, 15.0, 20.0]
@@ -588,8 +574,7 @@ def test_what_is_kept_comes_back_in_order_of_time(database: str) -> None:
 
 
 def test_what_a_baseline_s_flights_are_compared_with_is_kept_once(database: str) -> None:
-    taught = (Taught("a" * 64, 0, 0, 0, 60.0, (0.0, 0.01, 0.02)),)
-    reference = Reference("sha256:1", ((0.25, -0.25),) * 3, taught)
+    reference = Reference("sha256:1", ((0.25, -0.25),) * 3, (Taught("a" * 64, 0, 0, 0, 60.0, (0.0, 0.01, 0.02)),))
     with open_history(database, create=True) as history:
         history.refer(reference)
         history.refer(reference)

@@ -39,6 +39,7 @@ DIRECT = [kind for kind in MONITORS if kind.evidence is not None]
 TRAINED = ("qdrone2", 1000.0)  # profile and rate of the links that the classifier was trained for
 KNOWN = known_fault_types("qdrone2-emulated", *TRAINED)
 LATE = max(KNOWN, key=lambda one: one.after_s)
+Decided = tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]
 
 
 def at(rotor: int | None) -> tuple[float, ...]:
@@ -57,9 +58,7 @@ def profile(*pieces: tuple[float, float]) -> FloatArray:
 NOTHING = values(np.empty(0))
 
 
-def decided(
-    shaking: Statistic, moving: Statistic = NOTHING, thesis: Statistic = NOTHING
-) -> tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]:
+def decided(shaking: Statistic, moving: Statistic = NOTHING, thesis: Statistic = NOTHING) -> Decided:
     return decide(SPEC, (shaking, moving, thesis))
 
 
@@ -73,9 +72,7 @@ def test_one_monitor_above_its_threshold_is_a_fault_and_names_the_rotor() -> Non
     fault = changes[1]
     assert (fault.monitor, fault.statistic, fault.threshold, fault.rotor) == ("unbalance", 2.1, 0.5, 2)
     assert fault.t_ns == 38 * LOOK_NS
-    assert [(one.monitor, one.start_ns, one.end_ns, one.rotor) for one in events] == [
-        ("unbalance", 3 * NS_PER_S, None, 2)
-    ]
+    assert [(e.monitor, e.start_ns, e.end_ns, e.rotor) for e in events] == [("unbalance", 3 * NS_PER_S, None, 2)]
     assert state.diagnosis.stage is Stage.FAULT
     _, _, changes = decided(NOTHING, values(profile((3, 1.0), (3, 6.0))))
     assert changes[1].t_ns == 39 * LOOK_NS  # when the value is known
@@ -128,17 +125,14 @@ def test_u2_every_rotor_is_named_with_its_span_and_its_own_figure() -> None:
     shaking.rotors[int(21 / STEP_S) :] = at(4)
     shaking.rotors[int(41 / STEP_S) :] = at(1)
     state, events, changes = decided(shaking)
-    rotors = [
-        (one.rotor, round(one.since_ns / NS_PER_S), round((one.end_ns or 0) / NS_PER_S)) for one in changes[-1].rotors
-    ]
+    rotors = [(one.rotor, round(one.since_ns / 1e9), round((one.end_ns or 0) / 1e9)) for one in changes[-1].rotors]
     assert rotors == [(1, 2, 12), (4, 22, 32), (1, 42, 47)]
     assert seen(changes) == [True, False] * 3
     named = [(one.rotor, one.statistic) for one in changes if one.stage is Stage.FAULT and one.seen]
     assert named == [(1, 1.0), (4, 2.0), (1, 1.5)]  # H12: the first motor had the figure of the second
     assert [one.rotor for one in events] == [1, 1, 4, 4, 1, 1]
     assert state.diagnosis.declared_ns == 2 * NS_PER_S
-    found = [change for change in changes if change.stage is Stage.FAULT]
-    told = fault_reason(FaultKind.PROPELLER, found, events)
+    told = fault_reason(FaultKind.PROPELLER, [change for change in changes if change.stage is Stage.FAULT], events)
     assert "; rotor 1 from 2.0 s, rotor 4 from 22.0 s, rotor 1 from 42.0 s" in told
     assert " from 2.00 s" in str(events[0])
 
@@ -172,8 +166,7 @@ def test_h3_the_command_of_a_weak_rotor_that_falls_back_is_no_new_fault(named: i
 def test_9a_an_alarm_that_does_not_overlap_a_fault_belongs_to_none() -> None:
     """A harmless alarm long after a fault carried its rotor and kind."""
     shaking = values(profile((2, 0.3), (3, 1.0), (40, 0.1)), rotor=2)
-    thesis = values(profile((3, 0.0), (1, 0.5), (30, 0.0), (1, 0.5), (10, 0.0)))
-    _, events, _ = decided(shaking, NOTHING, thesis)
+    _, events, _ = decided(shaking, NOTHING, values(profile((3, 0.0), (1, 0.5), (30, 0.0), (1, 0.5), (10, 0.0))))
     told = {(one.monitor, one.start_ns // NS_PER_S): one.rotor for one in events if one.end_ns is not None}
     assert told == {("unbalance", 2): 2, ("fsd", 3): 2, ("fsd", 34): None}
 
@@ -221,8 +214,7 @@ def test_b3_the_end_of_a_flight_closes_its_events_and_forgets_them() -> None:
     state, closed, changes = SPEC.end_segment(state, Looked(), [open_], 4 * NS_PER_S)
     assert [(one.start_ns, one.end_ns, one.rotor) for one in closed] == [(2 * NS_PER_S, open_.end_ns, 4)]
     assert [(one.stage, one.rotor) for one in changes] == [(Stage.INSPECT, 4)]
-    later = values(profile((4, 0.3)), first_s=100.0)
-    assert decide(SPEC, (later, NOTHING, NOTHING), state)[1:] == ((), ())
+    assert decide(SPEC, (values(profile((4, 0.3)), first_s=100.0), NOTHING, NOTHING), state)[1:] == ((), ())
 
 
 def test_a_name_that_is_corrected_in_one_episode_stays_of_the_one_before() -> None:
@@ -249,10 +241,8 @@ def test_an_inspection_lasts_through_flights_until_it_is_acknowledged() -> None:
     flown, _, _ = decide(SPEC, (calm, NOTHING, NOTHING), state)
     landed, _, changes = SPEC.end_segment(flown, Looked(), (), 104 * NS_PER_S)
     assert (landed.diagnosis, changes) == (state.diagnosis, ())
-    _, _, changes = decide(SPEC, (bad, NOTHING, NOTHING), state)
-    assert [(one.stage, one.rotor, [span.rotor for span in one.rotors]) for one in changes] == [
-        (Stage.FAULT, 2, [4, 2])
-    ]
+    _, _, (fault,) = decide(SPEC, (bad, NOTHING, NOTHING), state)
+    assert (fault.stage, fault.rotor, [span.rotor for span in fault.rotors]) == (Stage.FAULT, 2, [4, 2])
     closed, _, changes = SPEC.acknowledge(landed, 105 * NS_PER_S)
     assert (stages(changes), closed.diagnosis.rotors) == ([Stage.NOT_JUDGED], ())
     _, _, changes = decide(SPEC, (calm, NOTHING, NOTHING), DecisionState(state.diagnosis))
@@ -342,9 +332,7 @@ def values_kinds(x: FloatArray, *rotors: tuple[float, tuple[float, ...]]) -> Sta
     return found
 
 
-def decided_kinds(
-    shaking: Statistic, *others: FloatArray
-) -> tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]:
+def decided_kinds(shaking: Statistic, *others: FloatArray) -> Decided:
     found = [shaking, *(values_kinds(x) for x in others)]
     found += [values_kinds(np.zeros(len(shaking)))] * (3 - len(others))
     return decide(SPEC_KINDS, found)
@@ -356,20 +344,16 @@ def test_a_name_that_a_sensor_gave_is_withdrawn_from_the_fault_and_its_events() 
     faults = [one for one in changes if one.stage is Stage.FAULT]
     assert [(one.kind, one.rotor) for one in faults] == [(FaultKind.PROPELLER, 1), (FaultKind.SENSOR, None)]
     assert (faults[1].monitor, faults[1].reason) == ("sensor_noise", "it is a sensor fault")
-    assert [(one.monitor, one.kind, one.rotor) for one in events] == [
-        ("unbalance", FaultKind.PROPELLER, 1),
-        ("sensor_noise", FaultKind.SENSOR, None),
-    ]
+    told = [(one.monitor, one.kind, one.rotor) for one in events]
+    assert told == [("unbalance", FaultKind.PROPELLER, 1), ("sensor_noise", FaultKind.SENSOR, None)]
 
 
 def test_in_an_upset_the_first_name_stays_and_the_kind_grows() -> None:
     """The last name overwrote the first: right at 0.7 s in 7 of 7, wrong at the end in 6 of 7."""
     shaking = values_kinds(profile((2, 0.3), (4, 3.0)), (3, FIRST), (3, tuple(2.0 * x for x in THIRD)))
     state, _, changes = decided_kinds(shaking, profile((6, 0.1)), profile((2.9, 0.1), (3.1, 3.0)))
-    assert [(one.kind, one.rotor) for one in changes if one.stage is Stage.FAULT] == [
-        (FaultKind.PROPELLER, 1),
-        (FaultKind.LOSS_OF_CONTROL, 1),
-    ]
+    faults = [(one.kind, one.rotor) for one in changes if one.stage is Stage.FAULT]
+    assert faults == [(FaultKind.PROPELLER, 1), (FaultKind.LOSS_OF_CONTROL, 1)]
     assert (state.diagnosis.kind, state.diagnosis.rotor) == (FaultKind.LOSS_OF_CONTROL, 1)
 
 
@@ -447,8 +431,7 @@ def centre(code: str, strength: float = 1.0) -> FloatArray:
 
 def look(level: float, rotors: tuple[float, ...] = (), count: int = 10) -> FloatArray:
     """What a look found of a feature, the same in every value."""
-    sums = [count * one for one in rotors]
-    return np.array([1.0, level, count, count * level**2, level, *rotors, *sums])
+    return np.array([1.0, level, count, count * level**2, level, *rotors, *[count * one for one in rotors]])
 
 
 @pytest.mark.parametrize("link", [("qdrone2", 100.0), ("qdrone2", 500.0), ("ardupilot", 1000.0), ("spec", 1000.0)])

@@ -48,10 +48,7 @@ PLACES: dict[str, tuple[str, list[tuple[int, int]]]] = {
     "x8": ("+-+-+-+-", [(1, 1), (1, -1), (-1, -1), (-1, 1), (1, -1), (1, 1), (-1, 1), (-1, -1)]),
     "y6": ("+-+--+", [(1, 1), (1, -1), (1, -1), (-1, 0), (1, 1), (-1, 0)]),
     "y6b": ("-+-+-+", [(1, 1), (1, 1), (-1, 0), (-1, 0), (1, -1), (1, -1)]),
-    "deca-plus": (
-        "+-+-+-+-+-",
-        [(1, 0), (1, 1), (1, 1), (-1, 1), (-1, 1), (-1, 0), (-1, -1), (-1, -1), (1, -1), (1, -1)],
-    ),
+    "deca-plus": ("+-" * 5, [(1, 0), (1, 1), (1, 1), (-1, 1), (-1, 1), (-1, 0), (-1, -1), (-1, -1), (1, -1), (1, -1)]),
     "deca-x": ("+-+-+-+-+-", [(1, 1), (1, 1), (0, 1), (-1, 1), (-1, 1), (-1, -1), (-1, -1), (0, -1), (1, -1), (1, -1)]),
 }
 UNKNOWN = Airframe(gate=ALWAYS)
@@ -59,12 +56,7 @@ TRIM = ("rotor_trim", "innovation")
 COPTER_X = {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0}
 SERVOS_5 = {f"SERVO{n}_FUNCTION": 28.0 + n for n in (5, 6, 7, 8)}
 ROOT = Path(__file__).resolve().parents[2]
-PLACES_PARAMETERS = (
-    (0.15, 0.2, 0.05),
-    (-0.15, -0.2, 0.05),
-    (0.15, -0.2, -0.05),
-    (-0.15, 0.2, -0.05),
-)  # x, y, KM: PX4's quad x
+QUAD_X = ((0.15, 0.2, 0.05), (-0.15, -0.2, 0.05), (0.15, -0.2, -0.05), (-0.15, 0.2, -0.05))  # x, y, KM: PX4's quad x
 NUMBERS = st.one_of(st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -4.0, 0.5, 3e6, 1e9]), st.floats())
 NAMES = ("FRAME_CLASS", "FRAME_TYPE", "FRAME", "CA_AIRFRAME", "SERVO1_FUNCTION", "SERVO2_FUNCTION", "PWM_MAIN_FUNC1")
 
@@ -155,8 +147,7 @@ def test_what_stays_unclear_is_not_named() -> None:
 
 def servo(n: int, seed: int) -> FloatArray:
     """(n, 1) of a camera servo that goes its own way."""
-    steps = np.random.default_rng(seed).normal(0, 0.01, (n, 1))
-    return np.clip(0.5 + np.cumsum(steps, axis=0), 0, 1)
+    return np.clip(0.5 + np.cumsum(np.random.default_rng(seed).normal(0, 0.01, (n, 1)), axis=0), 0, 1)
 
 
 def wide(block: Block, *columns: FloatArray | int) -> Block:
@@ -176,8 +167,7 @@ def test_motors_are_found_behind_idle_outputs_and_between_servos(name: str, driv
         motors = list(range(1, layout.rotors + 1))
         behind = detect_layout([wide(flight, idle, np.zeros((n, 1)), low, idle, *motors)])
         assert (behind.layout, behind.outputs) == (layout, tuple(range(5, 5 + layout.rotors)))
-        mixed = wide(flight, *motors[:first], servo(n, seed), *motors[first:], servo(n, seed + 50))
-        between = detect_layout([mixed])
+        between = detect_layout([wide(flight, *motors[:first], servo(n, seed), *motors[first:], servo(n, seed + 50))])
         assert between.layout is layout
         assert between.outputs == tuple(one if one <= first else one + 1 for one in motors)
 
@@ -187,8 +177,7 @@ def test_another_order_is_found_where_yaw_is_seen(name: str) -> None:
     layout, rng = layout_named(name), np.random.default_rng(4)
     for seed in range(3):
         order = [int(one) for one in np.roll(rng.permutation(layout.rotors), 1)]  # the motor on each output
-        flight = made_flight(layout, 40 + seed, yaw=1.0)
-        found = detect_layout([wide(flight, *(one + 1 for one in order))])
+        found = detect_layout([wide(made_flight(layout, 40 + seed, yaw=1.0), *(one + 1 for one in order))])
         assert found.layout is not None
         said = dict(zip(found.outputs, found.layout.signs, strict=True))
         for output, motor in enumerate(order, start=1):
@@ -232,15 +221,10 @@ def test_what_is_told_is_held_against_the_flights() -> None:
 
 def shifted(telemetry: Telemetry, *, seed: int = 0) -> Telemetry:
     """The motors on outputs 5 to 8, idle ones before them and a camera's servo behind."""
-    parts = []
-    for one in telemetry:
-        if one.signal is Signal.ACTUATOR:
-            n = len(one)
-            idle = np.tile([0.0, 0.45, 0.0, 0.5], (n, 1))
-            parts.append(replace(one, values=np.hstack((idle, one.values, servo(n, seed)))))
-        else:
-            parts.append(one)
-    return Telemetry(tuple(parts))
+    motors = telemetry.need(Signal.ACTUATOR)
+    idle = np.tile([0.0, 0.45, 0.0, 0.5], (len(motors), 1))
+    more = replace(motors, values=np.hstack((idle, motors.values, servo(len(motors), seed))))
+    return Telemetry(tuple(more if one is motors else one for one in telemetry))
 
 
 def flights(count: int, parameters: dict[str, float] | None = None) -> list[Log]:
@@ -338,16 +322,9 @@ def test_every_key_arrives_and_what_a_file_leaves_out_is_not_known(tmp_path: Pat
         'classifier = "ours"\n[gate]\nmin_height_m = 1\nmin_thrust = 0.2\nneed_armed = false\ntrim_start_s = 2\n'
         "trim_end_s = 1\n",
     )
-    assert airframe_from(str(path)) == Airframe(
-        name="survey",
-        scope="type",
-        layout=layout_named("octo-x"),
-        mass_kg=9.0,
-        hover_rad_s=3000 * RPM,
-        imu_corner_hz=20.5,
-        gate=GateSpec(1.0, 0.2, False, 2.0, 1.0),
-        classifier="ours",
-    )
+    vehicle = Airframe(name="survey", scope="type", layout=layout_named("octo-x"), mass_kg=9.0, hover_rad_s=3000 * RPM)
+    gate = GateSpec(1.0, 0.2, False, 2.0, 1.0)
+    assert airframe_from(str(path)) == replace(vehicle, imu_corner_hz=20.5, gate=gate, classifier="ours")
 
 
 PLACE = '[[rotors]]\nx_m = 1\ny_m = 1\nspin = "cw"\n'
@@ -446,15 +423,10 @@ def test_servo_functions_say_which_output_drives_which_motor() -> None:
 
 
 @given(
-    st.dictionaries(st.sampled_from([*NAMES, "CA_ROTOR_COUNT", *rotors(*PLACES_PARAMETERS), "SOMETHING"]), NUMBERS),
-    st.booleans(),
+    st.dictionaries(st.sampled_from([*NAMES, "CA_ROTOR_COUNT", *rotors(*QUAD_X), "SOMETHING"]), NUMBERS), st.booleans()
 )
 def test_no_value_of_a_parameter_is_an_exception_or_a_long_list(wrong: dict[str, float], px4: bool) -> None:
-    sound = (
-        {**rotors(*PLACES_PARAMETERS), **outputs("PWM_MAIN", 1, 2, 3, 4)}
-        if px4
-        else {**COPTER_X, **servos(33, 34, 35, 36)}
-    )
+    sound = {**rotors(*QUAD_X), **outputs("PWM_MAIN", 1, 2, 3, 4)} if px4 else {**COPTER_X, **servos(33, 34, 35, 36)}
     found = layout_from_parameters({**sound, **wrong})
     assert found.layout is None or found.layout.rotors <= 12
     assert found.layout is not None or found.outputs is not None or found.reason
@@ -471,18 +443,15 @@ def test_no_value_of_a_parameter_is_an_exception_or_a_long_list(wrong: dict[str,
         ({"FRAME_CLASS": 1.0, "FRAME_TYPE": 4.0}, "the geometry of FRAME_CLASS 1, FRAME_TYPE 4 is not known"),
         ({**COPTER_X, **servos(33, 34, 35)}, "SERVOn_FUNCTION has the motors 1, 2, 3, x has 4"),
         ({**COPTER_X, **servos(33, 34, 35, 36, 33)}, "motors 1, 1, 2, 3, 4, x has 4"),
-        ({**COPTER_X, **rotors(*PLACES_PARAMETERS)}, "of two autopilots"),
-        ({**rotors(*PLACES_PARAMETERS), "CA_AIRFRAME": 2.0}, "CA_AIRFRAME 2 is no multirotor"),
-        ({**rotors(*PLACES_PARAMETERS), "CA_ROTOR_COUNT": 5.0}, "CA_ROTOR4_PX is not among the parameters"),
-        ({**rotors(*PLACES_PARAMETERS), "CA_ROTOR2_AZ": 0.0, "CA_ROTOR2_AX": 1.0}, "rotor 3 does not push straight up"),
-        ({**rotors(*PLACES_PARAMETERS), "CA_ROTOR3_KM": 0.0}, "CA_ROTOR3_KM is 0"),
-        ({**rotors(*PLACES_PARAMETERS), "CA_ROTOR0_CT": 6.5, "CA_ROTOR1_CT": 9.0}, "differ in thrust"),
+        ({**COPTER_X, **rotors(*QUAD_X)}, "of two autopilots"),
+        ({**rotors(*QUAD_X), "CA_AIRFRAME": 2.0}, "CA_AIRFRAME 2 is no multirotor"),
+        ({**rotors(*QUAD_X), "CA_ROTOR_COUNT": 5.0}, "CA_ROTOR4_PX is not among the parameters"),
+        ({**rotors(*QUAD_X), "CA_ROTOR2_AZ": 0.0, "CA_ROTOR2_AX": 1.0}, "rotor 3 does not push straight up"),
+        ({**rotors(*QUAD_X), "CA_ROTOR3_KM": 0.0}, "CA_ROTOR3_KM is 0"),
+        ({**rotors(*QUAD_X), "CA_ROTOR0_CT": 6.5, "CA_ROTOR1_CT": 9.0}, "differ in thrust"),
         (rotors((0.1, 0, 0.05), (-0.1, 0, 0.05), (0.2, 0, -0.05)), "make no layout"),
         *(
-            (
-                {**rotors(*PLACES_PARAMETERS), "CA_ROTOR_COUNT": n},
-                f"CA_ROTOR_COUNT {n:g} is no number of rotors (1 to 12)",
-            )
+            ({**rotors(*QUAD_X), "CA_ROTOR_COUNT": n}, f"CA_ROTOR_COUNT {n:g} is no number of rotors (1 to 12)")
             for n in (1e9, -4.0, 0.0, 13.0, 4.5, math.nan)
         ),
     ],
@@ -496,9 +465,9 @@ def test_what_is_unknown_or_contradicts_itself_has_a_reason(parameters: dict[str
 
 def test_px4_rotors_are_places_and_senses_and_its_groups_of_outputs_must_agree() -> None:
     """A positive KM is counter-clockwise, and turns the nose to the right."""
-    square = tuple((x, y / 0.2 * 0.15, km) for x, y, km in PLACES_PARAMETERS)
+    square = tuple((x, y / 0.2 * 0.15, km) for x, y, km in QUAD_X)
     assert layout_from_parameters(rotors(*square)).layout is layout_named("x")
-    found = layout_from_parameters({**rotors(*PLACES_PARAMETERS), **outputs("PWM_MAIN", 3, 1, 4, 2, first=2)})
+    found = layout_from_parameters({**rotors(*QUAD_X), **outputs("PWM_MAIN", 3, 1, 4, 2, first=2)})
     assert found.outputs == (3, 5, 2, 4)
     assert found.layout is not None
     assert np.sign(found.layout.mixing).tolist() == np.sign(layout_named("x").mixing).tolist()
@@ -506,11 +475,9 @@ def test_px4_rotors_are_places_and_senses_and_its_groups_of_outputs_must_agree()
     moments = (-0.05, 0.05, -0.05, 0.05, 0.05, -0.05)
     seen = layout_from_parameters(rotors(*((x, y, km) for (x, y), km in zip(hexa, moments, strict=True))))
     assert seen.layout is layout_named("hexa-x")
-    both = {**rotors(*PLACES_PARAMETERS), **outputs("PWM_MAIN", 1, 2, 3, 4), **outputs("HIL_ACT", 1, 2, 3, 4)}
+    both = {**rotors(*QUAD_X), **outputs("PWM_MAIN", 1, 2, 3, 4), **outputs("HIL_ACT", 1, 2, 3, 4)}
     assert layout_from_parameters(both).outputs == (1, 2, 3, 4)
-    split = layout_from_parameters(
-        {**rotors(*PLACES_PARAMETERS), **outputs("PWM_MAIN", 1, 2), **outputs("PWM_AUX", 3, 4)}
-    )
+    split = layout_from_parameters({**rotors(*QUAD_X), **outputs("PWM_MAIN", 1, 2), **outputs("PWM_AUX", 3, 4)})
     assert (split.layout is None, split.outputs) == (False, None)
     assert "motors on PWM_AUX, PWM_MAIN" in split.reason
 
@@ -527,6 +494,5 @@ def test_a_link_carries_the_parameters_that_pass_by_before_the_vehicle_entered_a
         data += b"".join(told(vehicle.encoder, *pair) for pair in named.items()) if k == 1 else b""
         received = decoder.feed(as_columns([(data, (k + 1) * 10_000_000)]), (k + 1) * 10_000_000)
     assert received[1].parameters == named
-    later = (told(Encoder(1, 1), "FRAME_TYPE", 0.0), 4_000_000_000)
-    again = decoder.feed(as_columns([later]), 4_000_000_000)
+    again = decoder.feed(as_columns([(told(Encoder(1, 1), "FRAME_TYPE", 0.0), 4_000_000_000)]), 4_000_000_000)
     assert again[1].parameters == {**named, "FRAME_TYPE": 0.0}

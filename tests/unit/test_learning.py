@@ -214,8 +214,7 @@ def on_disk(make: Callable[[], Baseline]) -> Baseline:
 def test_on_disk_the_same_is_learnt_and_extended(seed: int, count: int, gap_s: float) -> None:
     def made(first: int) -> Iterator[Log]:
         for i in range(first, first + count):
-            telemetry = without(flying(2000, 10 * seed + i), (12.0, 12.0 + gap_s))
-            yield Log(f"f{i}", f"{i:064x}", "px4", telemetry)
+            yield Log(f"f{i}", f"{i:064x}", "px4", without(flying(2000, 10 * seed + i), (12.0, 12.0 + gap_s)))
 
     in_memory = learn(list(made(0)), OPTIONS, created=NOW)
     assert_alike(on_disk(lambda: learn(made(0), OPTIONS, created=NOW)), in_memory)
@@ -297,13 +296,9 @@ def test_the_wall_clock_tells_the_sessions(started: list[int], sessions: list[in
 
 
 @pytest.mark.parametrize(("flights", "each", "count"), [(12, 2, 6), (30, 2, 10), (50, 1, 5)])
-def test_of_many_sessions_a_tenth_or_a_fifth_is_left_out_and_always_whole_ones(
-    flights: int, each: int, count: int
-) -> None:
+def test_of_many_sessions_a_tenth_or_a_fifth_is_left_out_always_whole_ones(flights: int, each: int, count: int) -> None:
     sessions, numbered = [i // each for i in range(flights)], [[example_rows(500, segment=i)] for i in range(flights)]
-    found = [
-        [[flight[0].block.segment for flight in part] for part in parts] for parts in folds(numbered, sessions=sessions)
-    ]
+    found = [[[one[0].block.segment for one in part] for part in parts] for parts in folds(numbered, sessions=sessions)]
     assert len(found) == count
     assert sorted(itertools.chain.from_iterable(out for out, _ in found)) == list(range(flights))
     for out, rest in found:
@@ -313,12 +308,7 @@ def test_of_many_sessions_a_tenth_or_a_fifth_is_left_out_and_always_whole_ones(
 
 @cache
 def two_days() -> Baseline:
-    flights = [
-        dataclasses.replace(
-            made(i, flying(2500, i), "px4"), started_ns=MONDAY + (i // 2) * 24 * HOUR + (i % 2) * HOUR // 6
-        )
-        for i in range(4)
-    ]
+    flights = [flown(i, MONDAY + (i // 2) * 24 * HOUR + (i % 2) * HOUR // 6) for i in range(4)]
     return learn(flights, LearnOptions(airframe=FRAME, monitors=("rotor_trim", "trim_step")), created=NOW)
 
 
@@ -522,8 +512,7 @@ def test_a_flight_that_is_in_it_already_is_refused() -> None:
 @cache
 def refitted() -> Baseline:
     """With new propellers, after a hover of 16 s."""
-    hover = flown(40, MONDAY + DAY, reset(40, 1600))
-    return extend(monday(), [hover], new_propellers=True, created=LATER)
+    return extend(monday(), [flown(40, MONDAY + DAY, reset(40, 1600))], new_propellers=True, created=LATER)
 
 
 @pytest.mark.parametrize("seed", range(41, 45))
@@ -550,8 +539,7 @@ def test_new_propellers_change_the_level_and_nothing_else() -> None:
     moved = np.array(entry(new, "rotor_trim").spec.mean) - np.array(entry(old, "rotor_trim").spec.mean)
     np.testing.assert_allclose(moved, [0.0, 0.0, 0.03], atol=0.003)
     for kind in ("rotor_trim", "trim_step"):
-        level = entry(new, kind).spec.mean
-        assert entry(new, kind).spec == dataclasses.replace(entry(old, kind).spec, mean=level)
+        assert entry(new, kind).spec == dataclasses.replace(entry(old, kind).spec, mean=entry(new, kind).spec.mean)
     ratio = entry(new, "vibration_level").spec.healthy / entry(old, "vibration_level").spec.healthy
     assert ratio == pytest.approx(1.2, rel=0.05)
     for kind in ("innovation", "rotor_signature"):
@@ -570,6 +558,5 @@ def test_the_command_adds_flights(mavdiag: Callable[..., Ran], tmp_path: Path, m
     assert out.endswith(f"written to {new}\n")
     assert "from 5 flights in 2 sessions" in out
     assert "support    5 flights" in out
-    made = Baseline.load(new)
-    assert [one.name for one in made.provenance.logs] == ["f0", "f1", "f2", "f10", "f11"]
+    assert [one.name for one in Baseline.load(new).provenance.logs] == ["f0", "f1", "f2", "f10", "f11"]
     assert Baseline.load(old) == monday()

@@ -73,8 +73,7 @@ def test_a_kind_of_log_is_added_by_one_row(tmp_path: Path, monkeypatch: pytest.M
     path.write_bytes(b"MADE" + np.arange(6.0).tobytes())
     with pytest.raises(InputError, match="DataFlash, ULog, Crazyflie, DronePropA, tlog"):
         read_log(path)
-    among = (MADE, *kinds())
-    monkeypatch.setattr("mavdiag.logs.kinds", lambda: among)
+    monkeypatch.setattr("mavdiag.logs.kinds", lambda: (MADE, *kinds()))
     assert read_log(path)["body_rate"].values.tolist() == [[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]]
     assert gate_for("made-log") is MADE.gate
     assert airframe_name_for("made-log") == "made"
@@ -91,14 +90,9 @@ def test_l4_take_off_is_trimmed_alike_live_and_in_logs() -> None:
     assert [airframe_name_for(name) for name in ("crazyflie", "px4-log", "qdrone2")] == ["crazyflie", None, None]
 
 
-PID = CrazyflieEvent(
-    65535,
-    "fixedFrequency",
-    tuple(
-        f"controller.{name}(f)"
-        for name in ("roll", "pitch", "yaw", "r_roll", "r_pitch", "r_yaw", "cmd_yaw", "accelz", "actuatorThrust")
-    ),
-)
+CONTROLLER = ("roll", "pitch", "yaw", "r_roll", "r_pitch", "r_yaw", "cmd_yaw", "accelz", "actuatorThrust")
+PID = CrazyflieEvent(65535, "fixedFrequency", tuple(f"controller.{name}(f)" for name in CONTROLLER))
+ODD = CrazyflieEvent(1, "x", ("pm.vbat(s)",))
 MARK = CrazyflieEvent(7, "activeMarkerModeChanged", ("mode(B)",))
 RECORDS = (
     PID.record(1_000, 10.0, -20.0, 90.0, 0.1, 0.2, 0.3, 32767.0, 1.0, 65535.0),
@@ -214,11 +208,8 @@ def test_what_is_no_sound_csv_file_is_one_line(tmp_path: Path, text: str) -> Non
 
 GYRO, FORCE = SENSORS.fields[1:]
 DELAYED = ULogTopic(1, "sensor_combined", (STAMP, GYRO, ("int32_t", "accelerometer_timestamp_relative"), FORCE))
-OLD_SETPOINT = ULogTopic(
-    2,
-    "vehicle_attitude_setpoint",
-    (STAMP, ("float", "roll_body"), ("float", "pitch_body"), ("float", "yaw_body"), ("float", "thrust")),
-)
+OLD_FIELDS = [("float", name) for name in ("roll_body", "pitch_body", "yaw_body", "thrust")]
+OLD_SETPOINT = ULogTopic(2, "vehicle_attitude_setpoint", (STAMP, *OLD_FIELDS))
 MOTORS = ULogTopic(4, "actuator_motors", (STAMP, ("float[12]", "control")))
 OUTPUTS = ULogTopic(5, "actuator_outputs", (STAMP, ("float[16]", "output")))
 STATUS = ULogTopic(7, "vehicle_status", (STAMP, ("uint8_t", "arming_state"), ("uint8_t", "nav_state")))
@@ -356,10 +347,8 @@ def test_raw_batches_are_read_up_to_their_first_gap_and_show_the_line_of_the_rot
         rows = [k for k in range(32) if k != lost]
         records += [ISBD.record(9, batch, k, *waves[k].tolist(), *still, *still) for k in rows]
     log = read_bin(tmp_path, dataflash([IMU, ISBH, ISBD], records))
-    assert [(one.t_ns, one.rate_hz, one.force.shape) for one in log.batches] == [
-        (5_000, 1000.0, (1024, 3)),
-        (4_000_005_000, 1000.0, (640, 3)),
-    ]
+    batches = [(one.t_ns, one.rate_hz, one.force.shape) for one in log.batches]
+    assert batches == [(5_000, 1000.0, (1024, 3)), (4_000_005_000, 1000.0, (640, 3))]
     assert np.abs(log.batches[0].force[:, 0]).max() == pytest.approx(10.0, rel=0.01)
     flight = [example_rows(600).block]
     found = rotor_line(flight, 20.0, math.nan, log.batches)
@@ -396,12 +385,8 @@ def test_a_telemetry_log_that_carries_such_records_stays_one() -> None:
 def test_modes_and_coordinates_are_those_of_every_era(tmp_path: Path) -> None:
     mode = DataFlashMessage(69, "MODE", "QMBB", "TimeUS,Mode,ModeNum,Rsn")
     place = DataFlashMessage(71, "POS", "QLLffff", "TimeUS,Lat,Lng,Alt,RelHomeAlt,RelOriginAlt,X")
-    records = [
-        mode.record(1, 5, 5, 0),
-        place.record(2, 473_977_418, -85_455_939, 500, 3, 3, 0),
-        mode.record(3, 9, 9, 0),
-    ]
-    log = read_bin(tmp_path, dataflash([mode, place], records))
+    told = [mode.record(1, 5, 5, 0), place.record(2, 473_977_418, -85_455_939, 500, 3, 3, 0), mode.record(3, 9, 9, 0)]
+    log = read_bin(tmp_path, dataflash([mode, place], told))
     assert log[Signal.MODE].values.tolist() == [[5.0], [9.0]]
     np.testing.assert_allclose(np.degrees(log[Signal.COORDINATES].values), [[47.3977418, -8.5455939]])
     old = DataFlashMessage(69, "MODE", "IMh", "TimeMS,Mode,ThrCrs")
@@ -409,7 +394,7 @@ def test_modes_and_coordinates_are_those_of_every_era(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("reader", "content", "reason"),
+    ("reader", "content", "words"),
     [
         (read_crazyflie, with_checksum(crazyflie_content([PID], RECORDS))[:-1], "checksum"),
         (read_crazyflie, with_checksum(crazyflie_content([PID], RECORDS)[:-5]), "cut short"),
@@ -418,18 +403,10 @@ def test_modes_and_coordinates_are_those_of_every_era(tmp_path: Path) -> None:
         (read_crazyflie, with_checksum(crazyflie_content([PID], [])[:40]), "header ends early"),
         (read_crazyflie, with_checksum(crazyflie_content([MARK], [MARK.record(1, 2)])), "no signal"),
         (read_crazyflie, with_checksum(crazyflie_content([PID], [MARK.record(1, 2)])), "no declared type"),
-        (
-            read_crazyflie,
-            with_checksum(crazyflie_content([CrazyflieEvent(1, "x", ("pm.vbat(s)",))], [b"\1\0"])),
-            "known type",
-        ),
+        (read_crazyflie, with_checksum(crazyflie_content([ODD], [b"\1\0"])), "known type"),
         (read_crazyflie, with_checksum(crazyflie_content([PID], [PID.record(2**60, *range(9))])), "time stamp"),
         (read_crazyflie, b"\xbc", "first bytes"),
-        (
-            read_ulog,
-            ulog([DELAYED], [])[:16] + ulog_message("\0", b"x" * 40)[:-8],
-            "beyond use",
-        ),  # pyulog would not come back
+        (read_ulog, ulog([DELAYED], [])[:16] + ulog_message("\0", b"x" * 40)[:-8], "beyond use"),  # pyulog would hang
         (read_ulog, ulog([], [ulog_message("F", b"sensor_combined:sensor_combined[2] inner;")]), "within itself"),
         (
             read_ulog,
@@ -443,12 +420,10 @@ def test_modes_and_coordinates_are_those_of_every_era(tmp_path: Path) -> None:
         (read_dataflash, b"\xa3\x95", "a log"),
     ],
 )
-def test_unusable_files_are_one_line(
-    tmp_path: Path, reader: Callable[[Path], Log], content: bytes, reason: str
-) -> None:
+def test_unusable_files_are_one_line(tmp_path: Path, reader: Callable[[Path], Log], content: bytes, words: str) -> None:
     path = tmp_path / "a log"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=reason) as caught:
+    with pytest.raises(InputError, match=words) as caught:
         reader(path)
     assert "a log" in str(caught.value)
     assert "\n" not in str(caught.value)

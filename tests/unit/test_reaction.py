@@ -153,10 +153,8 @@ def test_two_rows_of_a_finding_are_steps_and_the_first_ones_mode_calls_nothing_o
     flight.fly(0.9)
     flight.mode = LOITER  # the heartbeat after the command
     flight.fly(9.0)
-    assert flight.commands == [
-        (began_s, MavCmd.NAV_LOITER_UNLIM),
-        (round(began_s + 6.0, 3), MavCmd.NAV_RETURN_TO_LAUNCH),
-    ]
+    steps = [(began_s, MavCmd.NAV_LOITER_UNLIM), (round(began_s + 6.0, 3), MavCmd.NAV_RETURN_TO_LAUNCH)]
+    assert flight.commands == steps
 
 
 def test_what_is_graver_acts_in_the_mode_that_the_action_before_it_brought() -> None:
@@ -249,23 +247,15 @@ def test_a_lost_answer_is_no_reason_to_ask_again_once_the_mode_shows_it() -> Non
 
 
 def test_modes_and_sticks_are_read_from_the_autopilots_own_frames() -> None:
-    autopilot, other = Encoder(1, 1), Encoder(1, 190)
-    beats = [
-        autopilot.encode(MessageId.HEARTBEAT, 2, 3, 129, 5, 4, 3),
-        other.encode(MessageId.HEARTBEAT, 6, 8, 1, 9, 4),
-    ]
+    own, other = Encoder(1, 1), Encoder(1, 190)
+    beats = [own.encode(MessageId.HEARTBEAT, 2, 3, 129, 5, 4, 3), other.encode(MessageId.HEARTBEAT, 6, 8, 1, 9, 4)]
     pulses, lost = (1100, 1500, 1900, 1501), (0, 65535, 1910, 65534)
-    told = [
-        one.encode(RC, 0, 18, *at, *[0] * 14, 0)
-        for one, at in ((autopilot, pulses), (autopilot, lost), (other, pulses))
-    ]
-    told.insert(0, autopilot.encode(MessageId.MANUAL_CONTROL, 1, 32767, -1000, 1000, 32767, 0))
+    told = [one.encode(RC, 0, 18, *at, *[0] * 14, 0) for one, at in ((own, pulses), (own, lost), (other, pulses))]
+    told.insert(0, own.encode(MessageId.MANUAL_CONTROL, 1, 32767, -1000, 1000, 32767, 0))
     frames = [frame for data in (*beats, *told) for frame in Decoder().feed(data, 0)]
     assert mode_in(frames) == LOITER
     where = {(MessageId.MANUAL_CONTROL, "y"): -1000, (MessageId.MANUAL_CONTROL, "z"): 1000}
-    where |= {
-        (RC, f"chan{n}_raw"): at for n, at in enumerate((1100, 1500, 1910, 1501), 1)
-    }  # what is lost has not moved
+    where |= {(RC, f"chan{n}_raw"): at for n, at in enumerate((1100, 1500, 1910, 1501), 1)}  # what is lost stays
     assert sticks_in(frames[:5]) == where
     assert sticks_in(frames[5:]) == {}
 
@@ -323,8 +313,7 @@ def say(presenter: Presenter, at_s: float, *notices: Notice) -> list[Effect]:
 
 def test_h15_an_alert_reads_as_a_pilot_can_use_it() -> None:
     """They read "PROP FAULT innovation 2.84>2.22", "2.221>2.217"."""
-    trim = finding("rotor_trim", None, 0.235, 0.05, (3, None, None))
-    assert text(trim) == "PROP FAULT motor 3 lost 19% thrust"
+    assert text(finding("rotor_trim", None, 0.235, 0.05, (3, None, None))) == "PROP FAULT motor 3 lost 19% thrust"
     assert text(finding("unbalance", None, 21.06, 8.1, (1, None, None))) == "PROP FAULT motor 1 vibrates 2.6x"
     assert text(finding("unbalance", None, 21.06, 8.1, (1, "F2", 2))) == "PROP FAULT motor 1 vibrates 2.6x, F2/SV2"
     assert text(finding("unbalance", None, 21.06, 8.1)) == "PROP FAULT rotor unknown: vibrates 2.6x"
@@ -359,9 +348,8 @@ def test_h3_only_news_is_critical_and_the_same_fault_that_comes_back_warns() -> 
 @pytest.mark.parametrize("stage", [Stage.FAULT, Stage.SUSPECTED, Stage.INSPECT])
 @pytest.mark.parametrize("cause", CAUSES)
 def test_no_alert_is_cut_whatever_its_figures(stage: Stage, cause: tuple[int | None, str | None, int | None]) -> None:
-    for monitor, axis, found, limit in itertools.product(
-        [monitor.name for monitor in MONITORS], (None, *Axis), FIGURES, FIGURES
-    ):
+    names = [monitor.name for monitor in MONITORS]
+    for monitor, axis, found, limit in itertools.product(names, (None, *Axis), FIGURES, FIGURES):
         given = finding(monitor, axis, found, limit, cause, stage)
         said = text(given)
         assert len(said.encode()) <= TEXT_BYTES
@@ -379,8 +367,7 @@ def test_whatever_the_words_a_text_has_1_to_50_bytes(words: list[str], kind: Kin
 def test_l8_a_fault_that_lasts_is_repeated_after_5_15_60_s_and_then_every_minute() -> None:
     presenter, said = Presenter(), []
     for tick in range(2500):
-        effects = say(presenter, tick / 10, FAULT)
-        said += [tick / 10 for effect in effects if isinstance(effect, SendText)]
+        said += [tick / 10 for effect in say(presenter, tick / 10, FAULT) if isinstance(effect, SendText)]
     assert said == [0.0, 5.0, 15.0, 60.0, 120.0, 180.0, 240.0]
 
 
@@ -429,8 +416,7 @@ def test_answers_of_other_systems_and_to_others_do_not_count() -> None:
 
 
 def test_the_run_length_is_told_of_the_thesis_monitor_only_and_what_is_not_finite_is_null() -> None:
-    event = Event("fsd", Axis.ROLL, 60_000_000_000, None, 0.41, 0.12, 0.05)
-    found = json.loads(json.dumps(event_json(event)))
+    found = json.loads(json.dumps(event_json(Event("fsd", Axis.ROLL, 60_000_000_000, None, 0.41, 0.12, 0.05))))
     assert (found["axis"], found["fsd_s"], found["fml_s"], found["end_s"]) == ("roll", 0.41, 0.12, None)
     other = event_json(Event("innovation", None, 1, 2, float("inf"), 0.12, 0.05, rotor=2, confidence=0.98765))
     assert (other["statistic"], other["fsd_s"], other["rotor"], other["confidence"]) == (None, None, 2, 0.988)

@@ -58,8 +58,7 @@ GYRO = Want(
 
 def watching(seconds: int = 120, **changes: object) -> Story:
     """A session with a baseline, already monitoring."""
-    settings = SessionSettings.model_validate(changes)
-    story = Story(SessionSpec(QDRONE2, baseline_for(), settings), seconds=seconds)
+    story = Story(SessionSpec(QDRONE2, baseline_for(), SessionSettings.model_validate(changes)), seconds=seconds)
     story.fly(5.0)
     assert story.at(State.MONITORING)
     return story
@@ -67,8 +66,7 @@ def watching(seconds: int = 120, **changes: object) -> Story:
 
 def test_it_learns_then_watches_then_alerts_and_never_says_that_it_is_clear() -> None:
     story = Story()
-    effects = story.fly(26.0)
-    job = next(effect for effect in effects if isinstance(effect, Learn))
+    job = next(effect for effect in story.fly(26.0) if isinstance(effect, Learn))
     assert len(job.telemetry.need(Signal.BODY_RATE)) == pytest.approx(20 * 100, abs=10)
     assert job.profile == "qdrone2"
     story.answer(outcome_of(story))
@@ -77,11 +75,7 @@ def test_it_learns_then_watches_then_alerts_and_never_says_that_it_is_clear() ->
     story.fly(10.0)
     assert story.states == [State.LEARNING, State.FITTING, State.WAITING, State.MONITORING]
     said = [text for text in story.texts if "monitoring" not in text]
-    assert said[-3:] == [
-        "PROP FAULT roll attitude unlike the model",
-        "PROP FAULT roll attitude unlike the model",
-        "PROP no longer seen: the fault",
-    ]
+    assert said[-3:] == [*["PROP FAULT roll attitude unlike the model"] * 2, "PROP no longer seen: the fault"]
     assert story.state.diagnosis.stage is Stage.FAULT
     assert any(isinstance(effect, Baseline) for _, effect in story.log)
 
@@ -108,13 +102,10 @@ def test_whatever_ends_the_flight_the_fault_is_told_until_it_is_acknowledged(end
     assert INSPECT in [effect for _, effect in story.log]
     assert story.state.diagnosis.stage is Stage.INSPECT
     assert not [text for text in story.texts if "clear" in text or "over" in text]
-    again = [effect for effect in story.fly(20.0) if effect == INSPECT]  # said again at the next arming
-    assert len(again) == 1
-    assert story.session.acknowledge("a test")[-1] == SendText(
-        Severity.INFO, "PROP rotor unknown: inspection acknowledged"
-    )
-    effects = [*story.fly(20.0, armed=False), *story.fly(20.0)]
-    assert INSPECT not in effects
+    assert [effect for effect in story.fly(20.0) if effect == INSPECT] == [INSPECT]  # said again at the next arming
+    closed = SendText(Severity.INFO, "PROP rotor unknown: inspection acknowledged")
+    assert story.session.acknowledge("a test")[-1] == closed
+    assert INSPECT not in [*story.fly(20.0, armed=False), *story.fly(20.0)]
     assert str(story.state.diagnosis.stage) == "quiet"
 
 
@@ -184,8 +175,7 @@ def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
     assert story.session.working
     assert story.state.flight_s >= collected >= 20.0
     assert "PROP not learned, goes on: roll: the input is no.." in story.texts
-    effects = story.fly(25.0)
-    [job] = [effect for effect in effects if isinstance(effect, Learn)]
+    [job] = [effect for effect in story.fly(25.0) if isinstance(effect, Learn)]
     assert len(job.telemetry.need(Signal.BODY_RATE)) == pytest.approx(40 * 100, abs=10)
 
 
@@ -206,8 +196,7 @@ def test_a_scale_that_gravity_contradicts_is_told_with_the_profile_to_try_and_no
     assert story.session.working
     assert "PROP waiting: IMU scale 2.0 g: --profile spec" in story.texts
     notes = [effect.text for _, effect in story.log if isinstance(effect, Note) and "1 g" in effect.text]
-    said = "the vehicle does not feel 1 g by the scale of the profile qdrone2, but 2.0 g: --profile spec"
-    assert notes == [said]
+    assert notes == ["the vehicle does not feel 1 g by the scale of the profile qdrone2, but 2.0 g: --profile spec"]
     for number in range(24, 48):
         story.passed += 25
         story.give(weighing(1.02, 0.25 * number))
@@ -427,9 +416,7 @@ class Talk:
             streams: Any = SimpleNamespace(rate_hz=lambda one, _, by=by_signal: by[one].hz, meter=by_signal.__getitem__)
             effects, _ = self.negotiation.step([stream.want for stream in seen], streams, acks, now)
             acks = ()
-            self.asked += [
-                (self.ticks * TICK_S, int(one.parameters[0])) for one in effects if isinstance(one, SendCommand)
-            ]
+            self.asked += [(self.ticks * TICK_S, int(e.parameters[0])) for e in effects if isinstance(e, SendCommand)]
             self.notes += [one.text for one in effects if isinstance(one, Note)]
 
 
@@ -475,9 +462,7 @@ def test_an_answer_counts_for_its_own_request_and_a_mute_autopilot_is_soon_asked
     for _ in range(round(8.0 / TICK_S)):
         before = len(talk.asked)
         talk.wait(TICK_S, *(Seen(want, 0.0) for want in wants), acks=acks)
-        came = [
-            msgid for number, (_, msgid) in enumerate(talk.asked) if number >= before and number != 2
-        ]  # one is lost
+        came = [msgid for n, (_, msgid) in enumerate(talk.asked) if n >= before and n != 2]  # one is lost
         results = (MavResult.DENIED if msgid == denied else MavResult.ACCEPTED for msgid in came)
         acks = tuple(Ack(MavCmd.SET_MESSAGE_INTERVAL, result) for result in results if answers)
     times = {want.msgid: [at for at, msgid in talk.asked if msgid == want.msgid] for want in wants}

@@ -203,11 +203,8 @@ def test_a_journal_is_followed_over_torn_lines_and_a_rotation(tmp_path: Path) ->
     with path.open("a") as file:
         file.write(_line("stage", 3, stage="fault", reason="too high", rotor=2, fault_kind=None) + "\n")
     ((_, line),) = journal.read()
-    assert (line.text, line.severity, journal.vehicles[3].stage) == (
-        "fault: too high, rotor 2",
-        Severity.CRITICAL,
-        "fault",
-    )
+    told = (line.text, line.severity, journal.vehicles[3].stage)
+    assert told == ("fault: too high, rotor 2", Severity.CRITICAL, "fault")
     for stage in Stage:
         with path.open("a") as file:
             file.write(_line("stage", 3, stage=stage, reason="", rotor=2, fault_kind=None) + "\n")

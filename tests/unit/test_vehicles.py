@@ -481,12 +481,8 @@ def test_an_interval_of_a_message_that_is_needed_is_denied_in_the_autopilots_nam
     [ack] = Decoder().feed_datagram(found.answers[0], 0)
     names = ("command", "result", "target_system", "target_component")
     assert (ack.sysid, ack.compid, ack.msgid) == (1, 1, MessageId.COMMAND_ACK)
-    assert [ack.fields[field_index(MessageId.COMMAND_ACK, name)] for name in names] == [
-        MavCmd.SET_MESSAGE_INTERVAL,
-        MavResult.DENIED,
-        255,
-        Component.MISSIONPLANNER,
-    ]
+    told = [ack.fields[field_index(MessageId.COMMAND_ACK, name)] for name in names]
+    assert told == [MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED, 255, Component.MISSIONPLANNER]
 
 
 @pytest.mark.parametrize(

@@ -176,10 +176,8 @@ def test_a_flight_from_waiting_to_a_fault_and_to_the_ground() -> None:
     ground = after(10.0, outputs=True, armed=False)
     assert ground["level"] == Level.NOT_JUDGED
     assert ground["sentence"].startswith("Nothing is judged at this moment: it reads disarmed while its thrust says")
-    assert {(slot["value"], slot["reason"]) for slot in ground["slots"]} == {
-        (None, "not armed"),
-        (None, "no VIBRATION"),
-    }
+    told = {(slot["value"], slot["reason"]) for slot in ground["slots"]}
+    assert told == {(None, "not armed"), (None, "no VIBRATION")}
 
 
 def filled(count: int, run: str = "r") -> Board:
@@ -237,10 +235,8 @@ def test_a_replay_that_jumps_begins_anew_for_every_page() -> None:
 
 def test_a_new_page_gets_the_latest_entries_and_one_that_was_away_for_long_all_that_are_kept() -> None:
     board = filled(KEPT + 300)
-    new = board.enter(None, None)
-    assert drained(new) == list(range(KEPT + 301 - FIRST, KEPT + 301))
-    away = board.enter(None, 100)
-    hello = json.loads(events(away.next())[0]["data"])
+    assert drained(board.enter(None, None)) == list(range(KEPT + 301 - FIRST, KEPT + 301))
+    hello = json.loads(events(board.enter(None, 100).next())[0]["data"])
     assert hello == {"run": "r", "newest": KEPT + 300, "fresh": False}
     assert drained(board.enter(None, 100)) == list(range(301, KEPT + 301))
     assert (len(board.entries), len(numbers(board.enter(None, 0).next()))) == (KEPT, BATCH)
@@ -337,8 +333,7 @@ def test_no_header_leaves_the_rules_by_an_exception(text: str, where: str) -> No
     for value in (text, f"Bearer {text}", "\udcff", f"127.0.0.1:{'8' * 5000}"):
         headers = {"host": "127.0.0.1:8080", where: value}
         given = value if where == "token" else None
-        cookie = headers.pop("cookie", None)
-        assert OPEN.judge("GET", "/", headers, cookie, given) in (Answer.NO_TOKEN, Answer.REFUSED)
+        assert OPEN.judge("GET", "/", headers, headers.pop("cookie", None), given) in (Answer.NO_TOKEN, Answer.REFUSED)
 
 
 @pytest.mark.parametrize(
@@ -383,8 +378,7 @@ def test_a_log_is_judged_as_a_scan_judges_it_and_said_as_the_detector_says_it(lo
     changes = [(change.stage, change.t_ns / 1e9) for change in judge(log, baseline_for()).changes]
     assert stages[: len(changes)] == [(stage, pytest.approx(t_s, abs=1e-6)) for stage, t_s in changes]
     assert ("fault", pytest.approx(35.3, abs=1.0)) in stages  # its stamps begin at 5 s
-    texts = [one["text"] for one in entries if one["kind"] == "text"]
-    assert any(text.startswith("PROP FAULT") for text in texts)
+    assert any(one["text"].startswith("PROP FAULT") for one in entries if one["kind"] == "text")
     assert entries[0]["utc"].startswith("2026-05-01T")
 
 
