@@ -12,7 +12,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -58,6 +58,7 @@ from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge_in_full
 from mavdiag.monitors import BY_NAME
 from mavdiag.telemetry import FloatArray
 from mavdiag.thresholds.evidence import Evidence, Flown, evidence_of
+from mavdiag.units import NS_PER_S
 
 LOG = content(1, 200)
 DIGEST = "ab" * 32
@@ -396,6 +397,13 @@ def test_the_windows_add_up_to_the_accounts_of_the_flight(flight: JudgedFlight) 
     assert max(one.ratio or 0.0 for one in windows) == pytest.approx(max(decided))
 
 
+def test_a_window_in_which_no_rows_came_for_long_is_not_healthy(flight: JudgedFlight) -> None:
+    unseen = replace(flight, hidden=((10 * NS_PER_S, 15 * NS_PER_S),))
+    differ = [one.to_s for one, two in zip(*(windows_of(f, 5.0) for f in (unseen, flight)), strict=True) if one != two]
+    assert differ == [15.0]
+    assert windows_of(unseen, 5.0)[2].verdict is Verdict.NOT_JUDGEABLE
+
+
 shares = st.lists(st.floats(0.0, 3.0) | st.just(math.nan), min_size=1, max_size=40)
 C = np.array([[-0.25, -0.25, 0.25, 0.25], [0.25, -0.25, -0.25, 0.25], [0.25, -0.25, 0.25, -0.25]])
 HOUR_NS = DAY_NS // 24
@@ -588,8 +596,10 @@ def test_a_flight_is_kept_once_and_replaced_when_asked(database: str) -> None:
         assert history.add(record(1))
         assert not history.add(replace(record(1), airframe="another", reason="changed"))
         assert history.kept_as(record(1).content) == ("one", record(1).baseline)
-        assert history.add(replace(record(1, 0.9), reason="changed"), again=True)
-        assert [one.reason for one in history.flights("one")] == ["changed"]
+        later = replace(record(1, 0.9), reason="changed", started_ns=0, added_ns=START_NS + 9 * DAY_NS)
+        assert history.add(later, again=True)
+        assert [(one.reason, one.started_ns) for one in history.flights("one")] == [("changed", record(1).started_ns)]
+        assert history.flights("one")[0].added_ns == record(1).added_ns  # it keeps its place
         assert history.flights("one")[0].slots[2].peak == 0.9
         assert history.kept_as("unknown") is None
 
@@ -630,6 +640,17 @@ def test_a_reader_needs_no_rights_to_write(tmp_path: Path) -> None:
         assert len(history.flights("one")) == 1
     held.close()
     assert path.stat().st_mtime_ns == before
+
+
+def test_a_damaged_history_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "h.sqlite"
+    with open_history(str(path), create=True) as history:
+        history.add(record(1))
+    with closing(sqlite3.connect(path, isolation_level=None)) as file:
+        file.execute("UPDATE mavdiag_flight SET slots = '{'")
+    with pytest.raises(UsageError, match="cannot be used") as caught, open_history(str(path)) as history:
+        history.flights("one")
+    assert "\n" not in str(caught.value)
 
 
 def flown(starts_ns: Sequence[int], rise: float = 0.0) -> list[FlightRecord]:

@@ -210,6 +210,7 @@ GYRO, FORCE = SENSORS.fields[1:]
 DELAYED = ULogTopic(1, "sensor_combined", (STAMP, GYRO, ("int32_t", "accelerometer_timestamp_relative"), FORCE))
 OLD_FIELDS = [("float", name) for name in ("roll_body", "pitch_body", "yaw_body", "thrust")]
 OLD_SETPOINT = ULogTopic(2, "vehicle_attitude_setpoint", (STAMP, *OLD_FIELDS))
+BOTH = ULogTopic(2, "vehicle_attitude_setpoint", (STAMP, *OLD_FIELDS[:3], ("float[4]", "q_d")))
 MOTORS = ULogTopic(4, "actuator_motors", (STAMP, ("float[12]", "control")))
 OUTPUTS = ULogTopic(5, "actuator_outputs", (STAMP, ("float[16]", "output")))
 STATUS = ULogTopic(7, "vehicle_status", (STAMP, ("uint8_t", "arming_state"), ("uint8_t", "nav_state")))
@@ -232,6 +233,7 @@ def sensors(time_us: int, rate: float = 0.0, delay_us: int = 0) -> bytes:
         (SETPOINT, [(2_000, HALF, HALF, 0, 0, 0, 0, -0.6)], Signal.THRUST_SETPOINT, [[0.6]]),
         (OLD_SETPOINT, [(2_000, 0.1, -0.2, 0.3, 0.5)], Signal.ATTITUDE_SETPOINT, [[0.1, -0.2, 0.3]]),
         (OLD_SETPOINT, [(2_000, 0.1, -0.2, 0.3, 0.5)], Signal.THRUST_SETPOINT, [[0.5]]),
+        (BOTH, [(2_000, 0.1, -0.2, 0.3, HALF, HALF, 0, 0)], Signal.ATTITUDE_SETPOINT, [[math.pi / 2, 0, 0]]),
         (MOTORS, [(1, 0.1, 0.2, 0.3, 0.4, *[NAN] * 8)], Signal.ACTUATOR, [[0.1, 0.2, 0.3, 0.4]]),
         (OUTPUTS, [(1, 900, 1500, 2000, *[0] * 13)], Signal.ACTUATOR, [[0.0, 0.5, 1.0]]),
         (OUTPUTS, [(1, 199.9, 0, *[0] * 14), (2, 1999, 999.5, *[0] * 14)], Signal.ACTUATOR, [[0.1, 0], [1, 0.5]]),
@@ -247,6 +249,13 @@ def test_topics_become_signals_in_si_and_frd(
     log = read(tmp_path, ulog([topic], [topic.record(*record) for record in records]))
     np.testing.assert_allclose(log[signal].values, values, atol=1e-6)
     assert (log.profile, log.started_ns) == ("px4-log", 0)
+
+
+def test_a_sample_that_its_driver_does_not_date_has_the_time_of_its_message(tmp_path: Path) -> None:
+    fields = STAMP, ("uint64_t", "timestamp_sample"), ("float[3]", "xyz")
+    topic = ULogTopic(3, "vehicle_angular_velocity", fields)
+    log = read(tmp_path, ulog([topic], [topic.record(2_000, 1_500, 0, 0, 0), topic.record(3_000, 0, 0, 0, 0)]))
+    assert log["body_rate"].t_ns.tolist() == [1_500_000, 3_000_000]
 
 
 def test_l6_outputs_that_never_move_are_no_motors(tmp_path: Path) -> None:
@@ -292,6 +301,15 @@ def test_format_characters_carry_their_multiplier_and_angles_become_radians(tmp_
     assert first(log, Signal.ATTITUDE) == pytest.approx([math.radians(a) for a in (11, -4, 10)])
     assert log.telemetry.need(Signal.ATTITUDE).t_ns.tolist() == [5_000_000]
     assert log.profile == "ardupilot-log"
+
+
+def test_where_there_is_ang_it_tells_the_attitude_and_its_set_point(tmp_path: Path) -> None:
+    """Newer logs of ArduCopter: their ATT has 10 Hz."""
+    ang = DataFlashMessage(71, "ANG", "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
+    records = [ang.record(1_000 * k, 1.0, 2.0, 3.0, 4.0, 350.0, 6.0) for k in (1, 2)]
+    log = read_bin(tmp_path, dataflash([ATT, ang], [ATT.record(1_000, 0, 0, 0, 0, 0.0, 0.0), *records]))
+    for signal, degrees in ((Signal.ATTITUDE_SETPOINT, (1, 3, -10)), (Signal.ATTITUDE, (2, 4, 6))):
+        assert log[signal].values.tolist() == [pytest.approx([math.radians(one) for one in degrees])] * 2
 
 
 @pytest.mark.parametrize("damaged", [1, 2, 10])

@@ -12,6 +12,7 @@ from flying_telemetry import flying, without
 from hypothesis import given
 from hypothesis import strategies as st
 from made_baselines import healthy, logged, whole
+from made_history import records
 from made_report import ONSET_S, RATE_HZ, ROTOR, cracked, results
 from made_telemetry import flight
 from page_reading import Page, check
@@ -22,6 +23,7 @@ from mavdiag.airframe.layout import LAYOUTS, Place, RotorLayout, layout_at, layo
 from mavdiag.baseline import Baseline
 from mavdiag.errors import InputError
 from mavdiag.face import rates
+from mavdiag.history.warn import overview_of
 from mavdiag.identify import Method, fit
 from mavdiag.identify.estimate import validate
 from mavdiag.judging import LogVerdict, Verdict
@@ -29,7 +31,7 @@ from mavdiag.look.figures import spectrum_of
 from mavdiag.report.campaign import parse_campaign, read_campaign, roc_of
 from mavdiag.report.chart import Picture, Thinned, ticks_of
 from mavdiag.report.drawing import SIZE, airframe_svg
-from mavdiag.report.page import FlightReport, campaign_page, flight_report, flights_page
+from mavdiag.report.page import FlightReport, campaign_page, flight_report, flights_page, history_page
 from mavdiag.report.pictures import sweep_of
 from mavdiag.report.sketch import Sketch
 from mavdiag.rows.block import Block
@@ -121,6 +123,9 @@ def test_no_text_from_outside_is_markup() -> None:
     assert "img" not in page.tags
     assert "\u202e" not in text
     assert page.said.count("<script>alert(1)</script>") >= 6  # as words
+    told = check(history_page([overview_of(HOSTILE, records([0.5] * 6, airframe=HOSTILE), ())], CREATED))
+    assert "img" not in told.tags
+    assert told.said.count("<script>alert(1)</script>") >= 2
 
 
 def test_several_logs_begin_with_a_table_that_leads_to_each_and_equal_values_give_equal_pages() -> None:
