@@ -170,9 +170,10 @@ class _Server:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(timeout=REQUEST_S + 1.0)
         self._server.close()
-        for task in asyncio.all_tasks(self._loop):
-            task.cancel()
-        self._loop.run_until_complete(asyncio.sleep(0.0))
+        while asyncio.all_tasks(self._loop):  # cancelled, they would be logged as errors
+            for writer in self._begun:
+                writer.transport.abort()
+            self._loop.run_until_complete(asyncio.sleep(0.0))
         self._loop.close()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

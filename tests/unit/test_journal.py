@@ -232,7 +232,8 @@ def test_the_figures_of_a_flight_are_on_the_page(metrics: Metrics) -> None:
     assert value(text, "session_working") == 1
 
 
-def test_requests_that_are_never_ended_cost_no_thread_and_hide_no_page(metrics: Metrics) -> None:
+def test_requests_that_are_never_ended_cost_no_thread_and_hide_no_page(caplog: pytest.LogCaptureFixture) -> None:
+    metrics = Metrics("127.0.0.1", 0)
     bench = flown(metrics)
     threads = threading.active_count()
     with ExitStack() as stack:
@@ -241,6 +242,8 @@ def test_requests_that_are_never_ended_cost_no_thread_and_hide_no_page(metrics: 
             begun.send(b"GET /metrics HTTP/1.1\r\nX: ")
         assert threading.active_count() == threads
         assert "mavdiag_state" in page(metrics)
+        metrics.close()
+    assert not caplog.records  # nor is one that is cut off an error
     bench.close()
 
 
