@@ -144,7 +144,7 @@ class Session:
     def tune(self, **settings: float) -> tuple[Effect, ...]:
         """Go on with other valid `texts_per_minute`, `threshold_scale` (on the ground). Raises as `chain_for`."""
         tuned = self.settings.model_copy(update=settings)
-        if self.baseline is not None:
+        if "threshold_scale" in settings and self.baseline is not None:
             chain_for(self.baseline, tuned, 0)
         self._presenter.per_minute, self.settings = tuned.texts_per_minute, tuned
         if "threshold_scale" not in settings or self.judge is None:
