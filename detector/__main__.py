@@ -156,7 +156,6 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
 
 
 def _warm() -> None:
-    """Compile what judges before the first frame comes; say so where it takes long, as after an installation."""
     done, began_s = threading.Event(), time.process_time()
 
     def tell() -> None:
@@ -182,7 +181,6 @@ def _baselines(settings: Settings) -> tuple[Baseline | None, dict[int | str, Bas
 
 
 def _airframe(settings: Settings) -> Airframe | None:
-    """What the user said of the vehicle that is learned about; None for nothing."""
     if settings.airframe is None and settings.layout is None:
         return None
     from mavdiag.airframe.load import airframe_from, with_layout  # only if asked for

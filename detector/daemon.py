@@ -308,7 +308,6 @@ class Daemon:
             self._flights.add_left(lambda sysid: self._own(sysid) or self._baseline)
 
     def _beat(self, now: Instant) -> None:
-        """Heartbeats of the sessions that work; on a link where we must send first, also before a vehicle."""
         for sysid, vehicle in self.fleet.vehicles.items():
             if vehicle.session.working:
                 self._relay.send(self._sender(sysid).beat(vehicle.session.state))

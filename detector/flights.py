@@ -36,8 +36,6 @@ MAVLINK_2 = 0xFD  # first byte of a frame; its system id is the sixth, of MAVLin
 
 @dataclass(slots=True)
 class _Flight:
-    """One that goes on."""
-
     file: BinaryIO | None  # None where it could not be opened
     path: Path
     judges: list[Judge]  # of the vehicle's session in turn: a reboot brings another

@@ -22,8 +22,6 @@ LEAPS = 3  # stamps that leap before they are told: one is a damaged frame (our 
 
 @dataclass(slots=True)
 class _Known:
-    """What was seen of one vehicle at the look before."""
-
     source: Source = None
     restarts: int = 0  # of its running numbers
     clashes: int = 0  # ... two frames of one number

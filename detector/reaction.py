@@ -127,7 +127,6 @@ class Reaction:
         return self._effects
 
     def _watch(self, received: Received, now: Instant) -> None:
-        """Call off what was announced if the pilot does something."""
         self._sticks |= received.sticks
         own = self._own_until is not None and now.ns < self._own_until.ns
         for number, row in sorted(self._rows.items()):

@@ -147,7 +147,13 @@ class Player:
             self._jump(min(self._wanted, self.judged_s))
         elif self._watched and self._wanted is None:
             self.at_s = min(self.at_s + self.speed * (now - self._before), self.judged_s)
-            self._show()
+            due = max(self._shown, self._due(self.at_s))
+            for moment in self._judged.moments[self._shown : due]:
+                if moment.about is not None:
+                    self._lines.append(f"A {self._judged.vehicle} {moment.about}\n")
+                self._lines += [f"F {moment.fleet}\n", f"N {self._judged.vehicle} {now_of([moment])}\n"]
+            self._enter(self._judged.moments[self._shown : due])
+            self._shown = due
         self._before = now
         if now - self._told >= TOLD_S:
             self._told = now
@@ -156,7 +162,6 @@ class Player:
             self._lines.clear()
 
     def _jump(self, to_s: float) -> None:
-        """Begin anew at another time: all entries until then, and what the strips show of before."""
         self.at_s, self._wanted, self._told, self._number, self._jumps = to_s, None, Instant(0), 0, self._jumps + 1
         self._shown, recent = max(1, self._due(to_s)), self._due(to_s - BACK_S)
         past = self._judged.moments[: self._shown]
@@ -171,15 +176,6 @@ class Player:
     def _due(self, at_s: float) -> int:
         at_ns = self._judged.begin_ns + round(at_s * NS_PER_S)
         return bisect_right(self._judged.moments, at_ns, key=lambda moment: moment.t_ns)
-
-    def _show(self) -> None:
-        due = max(self._shown, self._due(self.at_s))
-        for moment in self._judged.moments[self._shown : due]:
-            if moment.about is not None:
-                self._lines.append(f"A {self._judged.vehicle} {moment.about}\n")
-            self._lines += [f"F {moment.fleet}\n", f"N {self._judged.vehicle} {now_of([moment])}\n"]
-        self._enter(self._judged.moments[self._shown : due])
-        self._shown = due
 
     def _enter(self, moments: Sequence[Moment]) -> None:
         entries = [entry for moment in moments for entry in moment.entries]

@@ -278,7 +278,6 @@ class _Ask:
         return not self.refused and (self.at is None or now - self.at >= pause_s)
 
     def pressing(self, now: Instant) -> bool:
-        """Whether something may be asked or told of it before long."""
         if self.right_since is None:
             return self.due(now + CALM_S)
         return self.at is not None and now - self.at < HELD_S + CALM_S
@@ -361,7 +360,6 @@ class Negotiation:
         return notes
 
     def _told(self, ask: _Ask, msgid: int, want: Want, streams: Streams, rate_hz: float, now: Instant) -> list[Note]:
-        """What came of the requests for a message: each thing once. rate_hz: 0 if it does not come."""
         name = message_name(msgid)
         if not rate_hz and "lack" not in ask.told and (ask.refused or ask.tries >= VAIN):
             ask.told.add("lack")
@@ -379,7 +377,6 @@ class Negotiation:
         return []
 
     def _reported(self, rates_hz: Mapping[int, float | None], now: Instant) -> list[Notice]:
-        """Report the rates that were got, once whatever was asked for has been measured or has had its time."""
         asked = [(msgid, self._asks[msgid], rate_hz) for msgid, rate_hz in rates_hz.items()]
         got = [(msgid, ask, hz) for msgid, ask, hz in asked if ask.at and hz]
         fresh = [(msgid, ask, hz) for msgid, ask, hz in got if abs(hz - ask.reported_hz) > 0.1 * ask.reported_hz]

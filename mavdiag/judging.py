@@ -17,7 +17,6 @@ from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.kernel import Account, Piece, Stretch
 from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
-from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows, in_pieces
 from mavdiag.rows.gate import hidden_flight
 from mavdiag.rows.grid import measure_grid
@@ -185,7 +184,6 @@ def exit_code(verdicts: Sequence[Verdict]) -> int:
 
 
 def _layout_notes(log: Log, baseline: Baseline) -> tuple[str, ...]:
-    """That the rotor layout is unknown or doubtful, or that the log's own parameters have another one."""
     own, said = baseline.airframe.layout, layout_from_parameters(log.parameters, log.mav_type)
     other = own is not None and said.layout is not None and not said.layout.alike(own)
     differ = f"the log is of another rotor layout: {said.layout.name} by {said.reason}" if other and said.layout else ""
@@ -193,8 +191,6 @@ def _layout_notes(log: Log, baseline: Baseline) -> tuple[str, ...]:
 
 
 class _Run:
-    """What the chain made of a whole log, or of as much as shows that it is another vehicle."""
-
     def __init__(self, log: Log, chain: Chain, judged_share: float, keep: bool, show: Show | None) -> None:
         self.log, self.chain, self.judged_share, self.keep, self.show = log, chain, judged_share, keep, show
         self.state, self.likeness = chain.start(), Likeness(Outcome.ALIKE)
@@ -202,7 +198,11 @@ class _Run:
         self._found, self._motion, self._spans = list[Event](), list[FloatArray](), list[Stretch]()
         for part in chain.front.pieces(in_pieces(log.telemetry, PIECE_ROWS)):
             if isinstance(part, Rows) and len(part.block):
-                self._flew(part.block)
+                first, last = int(part.block.t_ns[0]), int(part.block.t_ns[-1])
+                if self._spans and first - self._spans[-1][1] <= NS_PER_S:
+                    first, _ = self._spans.pop()
+                self._spans.append((first, last))
+                self._motion.append(motion_of(part.block))
             self._take(chain.judge(self.state, (part,)))
             if self.likeness.outcome is Outcome.FAR:
                 return
@@ -219,13 +219,6 @@ class _Run:
         self.kept += [piece.shrunk() for piece in output.pieces] if self.keep else ()
         if self.show is not None:
             self.show(self.chain, output.pieces)
-
-    def _flew(self, block: Block) -> None:
-        first, last = int(block.t_ns[0]), int(block.t_ns[-1])
-        if self._spans and first - self._spans[-1][1] <= NS_PER_S:
-            first, _ = self._spans.pop()
-        self._spans.append((first, last))
-        self._motion.append(motion_of(block))
 
     def _settle(self) -> None:
         latest = {(event.monitor, event.axis, event.start_ns): event for event in self._found}
@@ -284,7 +277,6 @@ class _Run:
         return Verdict.HEALTHY, f"no alarm; {share}"
 
     def _suspected_rotor(self) -> int | None:
-        """The rotor that a suspicion named last."""
         named = (change.rotor for change in reversed(self.changes) if change.stage is Stage.SUSPECTED)
         return next((rotor for rotor in named if rotor is not None), None)
 
@@ -304,7 +296,6 @@ class _Run:
         return f"{near.monitor}{axis} came to {100 * ratio:.0f} % of its threshold{self._when(near.t_ns)}"
 
     def _share(self) -> str:
-        """How much of the flight was judged, by what, and why the rest was not."""
         share = self.judged_s / self.flown_s if self.flown_s else 0.0
         own = [one for one in self.monitors if one.decides and by_name(one.name).kind is FaultKind.PROPELLER]
         spoken = ", ".join(one.name for one in own if one.judged_s >= MIN_JUDGED_S)
@@ -324,7 +315,6 @@ class _Run:
         return f"{text}{': ' if share < least else '; '}{'; '.join(why)}" if why else text
 
     def _when(self, t_ns: int) -> str:
-        """A time of the vehicle's clock, and of the log where it begins at another one."""
         t_s, begin_s = t_ns / NS_PER_S, self._begin_s
         into = f" of the vehicle's clock, {t_s - begin_s:.1f} s into the log" if begin_s >= 1 else ""
         return f", first at {t_s:.2f} s{into}"

@@ -158,7 +158,6 @@ def _fly(plan: FlightPlan, end: Endpoint, stop: Callable[[], bool], parent: int)
 
 
 def _numbered(plan: FlightPlan, number: int) -> FlightPlan:
-    """The plan of a vehicle, from 0. Raises UsageError for a system id that there is not."""
     sysid = plan.dialect.sysid + number
     if sysid > LAST_ID:
         raise UsageError(f"system ids end at {LAST_ID}: fly fewer vehicles, or from a lower --system-id on")
@@ -175,7 +174,6 @@ def _ids(text: str, plans: list[FlightPlan]) -> set[int]:
 
 
 def _address(out: str, further: int) -> str:
-    """The address with a port that is so much higher."""
     head, _, port = out.rpartition(":")
     return f"{head}:{int(port) + further}" if further and port.isdecimal() else out
 

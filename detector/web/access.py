@@ -115,7 +115,6 @@ class Access:
 
 
 def _parted(host: str) -> tuple[str, str]:
-    """Name, in lower case, and port of a host."""
     name, colon, digits = host.lower().rpartition(":")
     if not colon or host.endswith("]"):
         name, digits = host.lower(), "80"

@@ -263,7 +263,6 @@ def _verdict(session: Session, judging: bool, nearest: str = "") -> Json:
 
 
 def _nearest(judge: Judge, slots: Sequence[Json]) -> str:
-    """How many monitors judge, and which of those that decide is nearest to its threshold."""
     pairs = [(one, slot) for one, slot in zip(judge.chain.slots, slots, strict=True) if slot["value"] is not None]
     ratios = [(slot["value"] / one.threshold, one.monitor) for one, slot in pairs if one.decides and one.threshold > 0]
     if not ratios:

@@ -187,7 +187,6 @@ def _pieces(
 
 
 def _fit(blocks: Iterable[Block], columns: Sequence[int]) -> _Fit | None:
-    """The fit of these outputs to the first driver that half of the judged rows carry, by sums of products."""
     judged, known = 0, np.zeros(len(DRIVERS), dtype=np.int64)
     for block in blocks:
         flown = np.isfinite(_shares(block, columns)[0])

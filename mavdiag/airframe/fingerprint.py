@@ -248,7 +248,6 @@ def beginning(flight: Sequence[Rows], span_s: float) -> list[Block]:
 
 
 def _parts(flight: Sequence[Rows]) -> Iterator[Block]:
-    """Parts of `PART_S`, at most `MOST_PARTS` over the whole flight, one in memory at a time."""
     sizes = [(one.block.segment, len(one.block), one.block.dt_s) for one in flight]
     stops = np.cumsum([size for _, size, _ in sizes])
     places, begin = [], 0
@@ -296,14 +295,17 @@ def _shown(block: Block, layout: RotorLayout | None) -> _Shown:
 
 
 def _figures(shown: Sequence[_Shown]) -> FloatArray:
-    """The figures of `TRAITS`."""
     trim = np.concatenate([np.empty((0, 3)), *(one.trim for one in shown)])
+    thrust = np.concatenate([np.empty(0), *(one.thrust for one in shown)])
+    if not np.isfinite(thrust).any():
+        thrust = np.concatenate([np.empty(0), *(one.levels for one in shown)])
+    known = thrust[np.isfinite(thrust) & (thrust > MIN_OUTPUT)]
     return np.array(
         [
             *(np.median(trim, axis=0) if len(trim) else np.full(3, np.nan)),
             *_noise([one.gyro for one in shown]),
             *_noise([one.felt for one in shown]),
-            _throttle(shown),
+            math.log(float(np.median(known))) if len(known) else math.nan,
             _motors([one.outputs for one in shown]),
         ]
     )
@@ -341,15 +343,6 @@ def _noise(found: Sequence[Bends]) -> FloatArray:
             calm = float(np.quantile(step[step > 0], RESOLUTION_SHARE, method="lower")) ** 2 / 2
         levels.append(0.5 * math.log(calm) if calm > 0 else math.nan)
     return np.array(levels)
-
-
-def _throttle(shown: Sequence[_Shown]) -> float:
-    """Logarithm of the median thrust set-point in flight, or of the motors' mean output where there is none."""
-    thrust = np.concatenate([np.empty(0), *(one.thrust for one in shown)])
-    if not np.isfinite(thrust).any():
-        thrust = np.concatenate([np.empty(0), *(one.levels for one in shown)])
-    known = thrust[np.isfinite(thrust) & (thrust > MIN_OUTPUT)]
-    return math.log(float(np.median(known))) if len(known) else math.nan
 
 
 def _motors(sent: Sequence[FloatArray]) -> float:

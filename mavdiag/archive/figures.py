@@ -155,7 +155,6 @@ def windows_of(flight: JudgedFlight, span_s: float, judged_share: float = JUDGED
 
 
 def _held(flight: JudgedFlight, edges: tuple[int, int], last_ns: int) -> Iterator[Stage]:
-    """The stages of the decision between two times."""
     changes = flight.verdict.changes
     for change, end_ns in zip(changes, [*(change.t_ns for change in changes[1:]), last_ns], strict=False):
         if change.t_ns < edges[1] and max(end_ns, change.t_ns) >= edges[0]:

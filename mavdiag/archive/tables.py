@@ -66,7 +66,6 @@ def rows_of(answer: Answer) -> Iterator[Row]:
 
 
 def _whole(verdict: LogVerdict) -> Window:
-    """A log as one window."""
     ratios = {one.name: None if one.maximum is None else one.maximum / one.threshold for one in verdict.monitors}
     known = ((ratios[one.name], one.name) for one in verdict.monitors if one.decides)
     highest, whose = max(((ratio, name) for ratio, name in known if ratio is not None), default=(None, None))

@@ -14,7 +14,7 @@ import numpy as np
 
 from mavdiag.airframe.trim import LEVEL_RATIO
 from mavdiag.archive.figures import FlightRecord
-from mavdiag.baseline import SESSION_GAP_NS, Baseline
+from mavdiag.baseline import SESSION_GAP_NS, Baseline, SourceLog
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.telemetry import FloatArray
 from mavdiag.thresholds.evidence import SURE, Evidence, Flown, evidence_of
@@ -27,18 +27,6 @@ NAMED = 0.9  # share of the evidence that the rotors have together which are nam
 
 
 @dataclass(frozen=True, slots=True)
-class Taught:
-    """A flight of the baseline; content: of its file. The rest as in `SourceLog`."""
-
-    content: str
-    started_ns: int
-    session: int
-    propellers: int
-    judged_s: float
-    trim: tuple[float, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Reference:
     """What flights are compared with, of the baseline with this digest.
 
@@ -47,7 +35,7 @@ class Reference:
 
     baseline: str
     columns: tuple[tuple[float, ...], ...]
-    flights: tuple[Taught, ...]
+    flights: tuple[SourceLog, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,11 +78,7 @@ class Together:
 def reference_of(baseline: Baseline) -> Reference:
     """What its flights may be compared with."""
     layout = baseline.airframe.layout
-    flights = tuple(
-        Taught(one.sha256, one.started_ns, one.session, one.propellers, one.judged_s, one.trim)
-        for one in baseline.provenance.logs
-        if one.trim
-    )
+    flights = tuple(one for one in baseline.provenance.logs if one.trim)
     return Reference(baseline.digest, () if layout is None else tuple(map(tuple, layout.unmixing.tolist())), flights)
 
 
@@ -103,7 +87,7 @@ def together(reference: Reference, records: Sequence[FlightRecord], *, new_prope
 
     Flights that taught, and those without a trim, are left out.
     """
-    taught, known = reference.flights, {one.content for one in reference.flights}
+    taught, known = reference.flights, {one.sha256 for one in reference.flights}
     flights = [one for one in records if one.trim and one.content.partition(":")[0] not in known]
     if not (flights and taught and reference.columns):
         return Together(len(flights))
@@ -123,7 +107,7 @@ def together(reference: Reference, records: Sequence[FlightRecord], *, new_prope
 
 
 def _sessions(
-    taught: Sequence[Taught], alike: Sequence[Taught], flights: Sequence[FlightRecord], if_unknown: bool
+    taught: Sequence[SourceLog], alike: Sequence[SourceLog], flights: Sequence[FlightRecord], if_unknown: bool
 ) -> list[int]:
     """The session of each flight. alike: those that taught with its propellers. if_unknown: said without clocks."""
     found, number, before_ns = list[int](), max(one.session for one in taught), -1
@@ -139,7 +123,6 @@ def _sessions(
 
 
 def _together(one_ns: int, other_ns: int, if_unknown: bool) -> bool:
-    """Whether two times are of one session."""
     return abs(one_ns - other_ns) <= SESSION_GAP_NS if one_ns and other_ns else if_unknown
 
 

@@ -187,7 +187,6 @@ def _flight_line(number: int, record: FlightRecord) -> str:
 
 
 def _print(overview: Overview, *, as_json: bool) -> None:
-    """Drawn on a terminal, in its width; plain lines elsewhere."""
     if as_json:
         return say(json.dumps(shown.overview_json(overview)))
     if not sys.stdout.isatty():

@@ -76,7 +76,6 @@ def write_report(log: Log, baseline: Baseline, baseline_path: Path, output: Path
 def _flight(
     named: Named, baseline: Baseline, vehicle: int | None, columns: ColumnMap | None, points: int, *, figures: bool
 ) -> "FlightReport":
-    """One bad log is reported and does not lose the others. points: across a figure."""
     from mavdiag.report.page import FlightReport, flight_report
 
     try:

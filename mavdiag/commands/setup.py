@@ -137,7 +137,6 @@ def _look(link: Link, told: Airframe, vehicle: int) -> Log:
 
 
 def _lacking(found: Inspection, profile: Profile) -> Iterator[str]:
-    """What must be mended before a flight can teach, and by what."""
     yield from next(state.missing for state in found.monitors if state.monitor == RunLength.name)
     for signal, msgid in ((Signal.BODY_RATE, profile.imu), (Signal.ATTITUDE_SETPOINT, profile.setpoint)):
         rate_hz = next((one.rate_hz or 0.0 for one in found.signals if one.signal == signal), 0.0)
@@ -161,7 +160,6 @@ class _Coach:
         self._silent = False  # whether that was said
 
     def fly(self, path: Path) -> bool:
-        """Wait for a flight and record it until it lands or nothing comes; return whether it taught something."""
         if self._flights:  # another battery: the autopilot may have forgotten what it was asked for
             ask_for_all(self._link, self._link.vehicle or COMPANION_OF)
         self._flights += 1
@@ -232,7 +230,6 @@ def config_text(endpoint: str, sysid: int, folder: Path, signing_key: Path | Non
 
 
 def _offer_service(folder: Path, *, ask: bool) -> None:
-    """Write what installs the systemd service, and run it if that is wanted."""
     places = Path(sys.prefix, "lib/systemd/system", UNIT), Path(__file__).parents[2] / "deploy" / UNIT
     unit = next((place for place in places if place.is_file()), None)
     if unit is None:

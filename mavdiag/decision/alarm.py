@@ -237,7 +237,6 @@ class DecisionSpec:
     def _episode(
         self, episode: Episode, now: Diagnosis, fresh: Sequence[Reading], t_ns: int
     ) -> tuple[Episode, Diagnosis]:
-        """What is seen of a fault at a look: whether it still is, its kind, and its rotor."""
         ratios = {reading.slot: reading.ratio for reading in fresh if reading.slot.decides}
         over = episode.over | {slot for slot, ratio in ratios.items() if ratio > 1.0}
         calm = all(ratios.get(slot, 1.0) < CALM_BELOW for slot in over)
@@ -263,7 +262,6 @@ class DecisionSpec:
         return episode, now
 
     def _grade(self, state: DecisionState, sums: FloatArray, t_ns: int) -> tuple[DecisionState, bool]:
-        """Gather the features, and name type and severity at each of the fixed times after the declaration."""
         episode, now = state.episode, state.decided
         if episode is None or episode.graded >= len(self.known) or now.kind is not FaultKind.PROPELLER:
             return state, False
@@ -337,7 +335,6 @@ def _ended(spans: tuple[RotorSpan, ...], t_ns: int) -> tuple[RotorSpan, ...]:
 
 
 def _since(state: DecisionState, height: Height | int, t_ns: int) -> DecisionState:
-    """The state with the times since when all ratios are calm, one is raised, and one is over."""
     now_ns = [t_ns if ns is None else ns for ns in (state.calm_ns, state.raised_ns, state.over_ns)]
     calm = now_ns[0] if height == Height.CALM else None
     raised, over = now_ns[1] if height >= Height.RAISED else None, now_ns[2] if height == Height.OVER else None

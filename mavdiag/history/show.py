@@ -97,7 +97,6 @@ def _headline(overview: Overview) -> str:
 
 
 def _sentence(found: Review) -> str:
-    """One statistic: how near it is, where it is heading, since when that is warned of, and where it jumped."""
     series, trend = found.series, found.trend
     told = f"{series.name}: {found.outlook.value}"
     if trend is None:

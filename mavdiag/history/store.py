@@ -25,7 +25,7 @@ from mavdiag.history.warn import Mark, MarkKind
 from mavdiag.judging import Verdict
 
 METADATA = sa.MetaData()
-SCHEMA = "3"  # of these tables
+SCHEMA = "4"  # of these tables
 
 
 def _table(name: str, kept: type) -> sa.Table:

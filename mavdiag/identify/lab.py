@@ -225,7 +225,19 @@ def model_figures(model: ArxModel) -> ModelFigures:
     def values(one: ArxModel) -> FloatArray:
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a pole at z = 0, which has no frequency; of the way control takes
-            return _values(one, upper)
+            import control
+
+            natural, damping, poles = control.damp(one.to_control(), doprint=False)
+            nearest = [int(np.argmin(np.abs(poles - pole))) for pole in upper]
+            of_poles = np.column_stack((poles.real, np.abs(poles.imag), natural / (2.0 * np.pi), damping))[nearest]
+            size = one.lag + 1
+            B, A = (np.pad(values, (0, size - len(values))) for values in (one.b, one.a))
+            loop = control.TransferFunction(B, A - B, one.dt)
+            gain, phase, modulus = control.stability_margins(loop)[:3]
+            at_nyquist = float(np.real(loop(-1.0)))
+            if not np.isfinite(gain) and at_nyquist < 0.0:  # control does not look for a crossing there
+                gain = -1.0 / at_nyquist
+            return np.array([*of_poles.ravel(), one.dc_gain, _bandwidth_hz(one), 20.0 * np.log10(gain), phase, modulus])
 
     found = [
         Figure(value if np.isfinite(value) else None, error if np.isfinite((value, error)).all() else None)
@@ -256,23 +268,6 @@ def deviations(model: ArxModel, values: Callable[[ArxModel], FloatArray]) -> Flo
         )
         squares += ((ahead - behind) / (2.0 * STEP)) ** 2
     return np.asarray(np.sqrt(squares), dtype=np.float64)
-
-
-def _values(model: ArxModel, upper: "NDArray[np.complex128]") -> FloatArray:
-    """In the order of `PoleFigures`, of the poles next to these, and `ModelFigures`; nan where there is none."""
-    import control
-
-    natural, damping, poles = control.damp(model.to_control(), doprint=False)
-    nearest = [int(np.argmin(np.abs(poles - pole))) for pole in upper]
-    of_poles = np.column_stack((poles.real, np.abs(poles.imag), natural / (2.0 * np.pi), damping))[nearest]
-    size = model.lag + 1
-    B, A = (np.pad(values, (0, size - len(values))) for values in (model.b, model.a))
-    loop = control.TransferFunction(B, A - B, model.dt)
-    gain, phase, modulus = control.stability_margins(loop)[:3]
-    at_nyquist = float(np.real(loop(-1.0)))
-    if not np.isfinite(gain) and at_nyquist < 0.0:  # control does not look for a crossing there
-        gain = -1.0 / at_nyquist
-    return np.array([*of_poles.ravel(), model.dc_gain, _bandwidth_hz(model), 20.0 * np.log10(gain), phase, modulus])
 
 
 def _bandwidth_hz(model: ArxModel) -> float:

@@ -45,7 +45,8 @@ def sriv(segments: Sequence[Segment], order: Order, figures: bool = True, near: 
 
     What does not settle is finished by Gauss-Newton steps. covariance: nan without `figures`.
     """
-    data = _by_length(segments)
+    groups = [[one for one in segments if len(one) == n] for n in dict.fromkeys(map(len, segments))]
+    data = [Segment(np.stack([one.u for one in group]), np.stack([one.y for one in group])) for group in groups]
     settled = False
     if near is not None:
         with suppress(IdentificationError):
@@ -136,12 +137,6 @@ def _descend(data: Sequence[Segment], order: Order, point: _Point) -> tuple[_Poi
             break
         point = better
     return point, iteration, point.settled(point.descent, NEARLY_SETTLED)
-
-
-def _by_length(segments: Sequence[Segment]) -> list[Segment]:
-    """Segments of one length together, (m, n) each: they are filtered in one call."""
-    groups = [[one for one in segments if len(one) == n] for n in dict.fromkeys(map(len, segments))]
-    return [Segment(np.stack([one.u for one in group]), np.stack([one.y for one in group])) for group in groups]
 
 
 def _filtered(group: Segment, order: Order, theta: FloatArray) -> FloatArray:

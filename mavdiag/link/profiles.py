@@ -136,7 +136,6 @@ def _is_ardupilot(seen: Evidence) -> bool:
 
 
 def _is_px4(seen: Evidence) -> bool:
-    """It says so, or it sends HIGHRES_IMU and never RAW_IMU, which PX4 does not have."""
     named = Autopilot.PX4 in seen.autopilots or seen.counts.get(MessageId.HIGHRES_IMU, 0) > 0
     return named and not seen.counts.get(MessageId.RAW_IMU, 0)
 

@@ -144,7 +144,6 @@ class Senders:
         return bool(sender["source"] == row["source"] or row["host_ns"] - sender["heard_ns"] >= _PINNED_NS)
 
     def _make_room(self) -> None:
-        """Drop the half that sent least."""
         received = self._senders["received"]
         kept = (received > np.sort(received)[-1 - SENDERS_MAX // 2]) | (self._flags[self._senders["key"]] & _KEPT > 0)
         self._used = int(np.count_nonzero(kept))

@@ -88,7 +88,6 @@ def read_crazyflie(path: Path) -> Log:
 
 
 def _tables(content: bytes) -> list[Table]:
-    """The records by event type. Raises InputError if the header or a record does not make sense."""
     types, position = dict[int, np.dtype[np.void]](), FIXED_HEADER_BYTES
     try:
         for _ in range(int.from_bytes(content[3:5], "little")):

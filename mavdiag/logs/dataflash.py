@@ -407,7 +407,6 @@ def _esc_notes(table: Table) -> tuple[str, ...]:
 
 
 def _parameters(tables: Tables) -> dict[str, float]:
-    """The last value of each parameter; empty where the log has none."""
     table = tables["PARM"]
     if not table.has("Value") or not table.has("Name", kinds="S"):
         return {}

@@ -188,7 +188,6 @@ def _standing(outputs: FloatArray, dt_s: float) -> BoolArray:
 
 
 def _outputs(block: Block, motors: Sequence[int]) -> FloatArray:
-    """Outputs of the valid rows in which all motors turn, (n, motors)."""
     if block.actuator.shape[1] <= max(motors, default=-1) or not motors:
         return np.empty((0, len(motors)))
     outputs = block.actuator[:, list(motors)]

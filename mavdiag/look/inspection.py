@@ -144,11 +144,12 @@ def inspection_of(
     profile, gaps = PROFILES.get(log.profile), _gyro_gaps(log.telemetry)
     corner_hz = airframe.imu_corner_hz if profile is None else profile.corner_hz(log.parameters)
     counted = ("received", "lost", "reordered", "duplicated")
+    times = [series.t_ns for series in log.telemetry.series if len(series)]
     return Inspection(
         log=log.name,
         source=source or log.name,
         profile=log.profile,
-        span_s=_span_s(log.telemetry),
+        span_s=float(np.ptp(np.concatenate(times))) / NS_PER_S if times else math.nan,
         flight_s=sum(float(np.count_nonzero(block.valid)) * block.dt_s for block in flight),
         no_flight=no_flight,
         upset="" if learnt is None else "; ".join(finding.text for finding in upsets([learnt])),
@@ -288,11 +289,6 @@ def _gyro_gaps(telemetry: Telemetry) -> FloatArray:
     return steps[steps > max(GAP_S, 1.5 * float(np.median(steps)))] if len(steps) else steps
 
 
-def _span_s(telemetry: Telemetry) -> float:
-    times = [series.t_ns for series in telemetry.series if len(series)]
-    return (max(int(t.max()) for t in times) - min(int(t.min()) for t in times)) / NS_PER_S if times else math.nan
-
-
 def _choice(needs: frozenset[Signal], rates: Mapping[str, float]) -> frozenset[Signal]:
     """What a monitor needs; of the sources of a trim the one that comes, else the outputs."""
     sources = tuple(SIGNALS.values())
@@ -303,7 +299,6 @@ def _choice(needs: frozenset[Signal], rates: Mapping[str, float]) -> frozenset[S
 
 
 def _signals(log: Log, needs: Iterable[Signal], rates: Mapping[str, float]) -> tuple[str, ...]:
-    """The signals that do not come, each once, with what gives it."""
     profile = PROFILES.get(log.profile)
     missing: dict[str, str] = {}
     for signal in sorted(signal for signal in needs if not rates.get(signal)):
@@ -322,7 +317,6 @@ def _signals(log: Log, needs: Iterable[Signal], rates: Mapping[str, float]) -> t
 
 
 def _stream(log: Log, kind: type[Monitor[Any]], rates: Mapping[str, float], airframe: Airframe) -> tuple[str, ...]:
-    """Why the gyro's stream does not carry what a monitor looks for."""
     rate_hz, profile = rates.get(Signal.BODY_RATE, 0.0), PROFILES.get(log.profile)
     if not rate_hz or Signal.BODY_RATE not in kind.needs:
         return ()

@@ -177,8 +177,6 @@ class Innovation(Monitor[InnovationSpec]):
 
 
 class _Pairs(NamedTuple):
-    """n rows and the 4 before them."""
-
     u: FloatArray  # (3, 4 + n) commanded and measured rate [rad/s]
     y: FloatArray
     valid: BoolArray  # (n,) the row and the 4 before it may be judged

@@ -323,12 +323,10 @@ def _at(spec: RotorSpeedSpec, means: FloatArray) -> RotorSpeedSpec:
 
 
 def _tick(dt_s: float) -> int:
-    """Rows of a tick."""
     return max(1, round(TICK_S / dt_s))
 
 
 def _window(dt_s: float, window_s: float = WINDOW_S) -> int:
-    """Ticks of a window."""
     return max(3, round(window_s / (_tick(dt_s) * dt_s)))
 
 

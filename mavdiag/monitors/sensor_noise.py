@@ -136,7 +136,6 @@ class SensorNoise(Monitor[SensorNoiseSpec]):
 
 
 def _squares(flight: Sequence[Rows]) -> tuple[int, FloatArray]:
-    """How many rows have a fourth difference, and the sum of their squares, (6,)."""
     count, squares = 0, np.zeros(AXES)
     for found in traced(SensorNoise(SensorNoiseSpec(rms=(1.0,) * 6)), flight, AXES):
         d = found[TRACE:, np.isfinite(found[TRACE])]

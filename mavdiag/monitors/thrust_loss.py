@@ -116,7 +116,6 @@ class ThrustLoss(Monitor[ThrustLossSpec]):
 
 
 def _per_command(flight: Sequence[Rows]) -> tuple[float, float]:
-    """How many rows tell the specific force per command, and its sum."""
     count, total_ = 0, 0.0
     for block in (rows.block for rows in flight):
         known = block.valid & np.isfinite(block.rate).all(axis=1) & block.known(Signal.SPECIFIC_FORCE, ALONG_Z)

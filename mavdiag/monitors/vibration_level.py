@@ -94,7 +94,6 @@ class VibrationLevel(Monitor[VibrationLevelSpec]):
 
 
 def _levels(flight: Sequence[Rows]) -> tuple[float, float]:
-    """How many rows have a level, and the sum of their levels."""
     count, total = 0, 0.0
     for block in (rows.block for rows in flight):
         sizes = np.linalg.norm(block.vibration[block.valid & block.known(Signal.VIBRATION)], axis=1)

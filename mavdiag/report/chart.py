@@ -239,7 +239,6 @@ def embedded(svg: str, prefix: str) -> str:
 
 
 def _shown(panel: Panel, across: tuple[float, float], top: int) -> dict[str, Any]:
-    """What the template draws of a panel. across: the range of x."""
     levels = (Line(np.array(across), np.full(2, level), label, "limit") for level, label in panel.levels)
     lines = [*panel.lines, *levels]
     low, high = _y_range(panel, lines)
@@ -286,7 +285,6 @@ def _legend(panel: Panel, lines: Sequence[Line], top: int) -> Iterator[tuple[str
 
 
 def _y_range(panel: Panel, lines: Sequence[Line]) -> tuple[float, float]:
-    """The range of the y axis: what is told, or what the lines need."""
     values = np.concatenate([np.full(1, np.nan if panel.healthy is None else panel.healthy), *(one.y for one in lines)])
     known = _y(panel, values[np.isfinite(values)])
     least, most = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
@@ -299,7 +297,6 @@ def _y(panel: Panel, y: FloatArray) -> FloatArray:
 
 
 def _steps(x: list[int], y: list[int]) -> str:
-    """From the first point to the others, each from the one before."""
     pairs = zip(x, x[1:], y, y[1:], strict=False)
     told = " ".join(f"{b - a} {d - c}" for a, b, c, d in pairs) or "0 0"
     return f"l{told}".replace(" -", "-")

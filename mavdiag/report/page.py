@@ -108,7 +108,6 @@ def flight_report(log: Log, baseline: Baseline, columns: int = COLUMNS, *, figur
 def _pictures(
     log: Log, baseline: Baseline, judged: JudgedFlight, sketch: Sketch, since_s: float | None
 ) -> tuple[tuple[Picture, ...], tuple[Picture, ...]]:
-    """Those of the flight, and those of the method."""
     frame, telemetry = baseline.airframe, log.telemetry
     rules = [entry.spec for entry in baseline.monitors if isinstance(entry.spec, RunLengthSpec)]
     modelled, order = {rule.axis: rule.model for rule in rules if sketch.blocks}, baseline.window.order

@@ -84,7 +84,6 @@ def timeline(log: Log, judged: JudgedFlight, sketch: Sketch) -> Chart:
 
 
 def _held(judged: JudgedFlight, sketch: Sketch) -> Iterator[tuple[str, str, float, float]]:
-    """What held when: its words, its look, begin and end [s]."""
     verdict = judged.verdict
 
     def ends(t_ns: int | None) -> float:
@@ -103,7 +102,6 @@ def _held(judged: JudgedFlight, sketch: Sketch) -> Iterator[tuple[str, str, floa
 
 
 def _modes(log: Log, sketch: Sketch) -> Iterator[tuple[str, str, float, float]]:
-    """The flight modes of the autopilots whose modes have names."""
     series, profile = log.telemetry.get(Signal.MODE), PROFILES.get(log.profile)
     if series is None or (profile is not None and profile.autopilot == Autopilot.GENERIC):
         return

@@ -246,7 +246,6 @@ def strip(shown: StripView, from_s: float, to_s: float, width: int, rows: int) -
 
 
 def _dots(at: FloatArray, share: FloatArray, columns: int, rows: int, step: int) -> BoolArray:
-    """Which dots a curve sets, (rows, columns), from the top. at: (n,) columns. share: (n,) of the height, or NaN."""
     points = np.stack((at, np.clip(share, 0.0, 1.0) * (rows - 1)))
     legs = np.diff(points, axis=1)
     counts = np.ceil(np.abs(legs).max(axis=0, initial=0.0))

@@ -74,7 +74,6 @@ class Covered:
         return (low, np.inf, rule.room * low) if low > 0 else (-np.inf, np.inf, 1.0)
 
     def _limits(self) -> tuple[float, float]:
-        """What counts as covered."""
         rule, middle = RULES[self.condition], 0.5 * (self.low + self.high)
         if rule.side == "upper":
             return self.low, max(self.high, rule.least)

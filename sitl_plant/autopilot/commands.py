@@ -154,7 +154,6 @@ class Autopilot:
         return (obeyed(self._pilot, self._dialect, order) if obeyed else MavResult.UNSUPPORTED), []
 
     def _tell(self, link: int, msgid: int, wanted: int = 0) -> _Answer:
-        """REQUEST_MESSAGE. wanted: its second parameter."""
         told: list[tuple[int | str | tuple[int, ...], ...]]
         match msgid:
             case MessageId.AUTOPILOT_VERSION:

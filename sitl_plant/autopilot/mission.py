@@ -124,7 +124,6 @@ class Mission:
 
 
 def _item(frame: Frame) -> tuple[float, ...]:
-    """As it was sent, with degrees as integers."""
     order = order_of(frame)
     flags = (integer(frame, name) for name in ("frame", "command", "current", "autocontinue"))
     *params, z = (float("nan") if value is None else value for value in (*order.param, order.z))

@@ -264,7 +264,6 @@ class Pilot:
         return over_s > LATE_S or (over_s > SETTLE_S and math.dist(self.position, self._leg.end) < ACCEPT_M)
 
     def _led(self) -> tuple[Place, float]:
-        """Where the leg leads at present, and where it turns the nose."""
         out = np.zeros(trajectory.REFERENCE)
         trajectory.follow(self._leg, self._now_s, out)
         north, east, down, *_, yaw, _, _ = out.tolist()

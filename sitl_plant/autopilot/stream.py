@@ -105,8 +105,6 @@ def _first_order(corner_hz: float) -> _Filter:
 
 
 class _EscFrames:
-    """What the ESCs told last, block by block: each in its turn, see `Esc`."""
-
     def __init__(self, esc: Esc, seed: int) -> None:
         self._esc, self._seed = esc, seed
         self._told, self._frames = np.empty(0), np.empty((1, 0), dtype=np.int64)
@@ -204,8 +202,6 @@ def _dtype(msgid: int, columns: tuple[tuple[str, int], ...]) -> np.dtype[np.void
 
 
 class _Due:
-    """The samples of a block at which one message is due, as its fields have them."""
-
     def __init__(self, filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> None:
         self.filtered, self.rows, self.dialect, self.profile = filtered, rows, dialect, dialect.profile
         samples, stamp_ns = filtered.samples, filtered.stamp_ns[rows]
@@ -292,8 +288,6 @@ def _esc_status(due: _Due) -> Columns:
 
 
 def _esc_telemetry(first: int) -> Callable[[_Due], Columns]:
-    """Four rotors from `first` on; the places of rotors that are not there stay zero."""
-
     def build(due: _Due) -> Columns:
         rpm = integers(due.rpm[:, first : first + ESC_GROUP], 17)
         volts = np.broadcast_to(integers(100.0 * due.volts, 17)[:, None], rpm.shape)

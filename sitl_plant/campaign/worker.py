@@ -21,7 +21,7 @@ from mavdiag.archive.scan import digest_of_sources
 from mavdiag.as_json import event_json
 from mavdiag.baseline import dump, parse
 from mavdiag.commands.progress import shown
-from mavdiag.decision.alarm import Change, Event, Stage
+from mavdiag.decision.alarm import Event, Stage
 from mavdiag.errors import MavdiagError, UsageError
 from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge_in_full
 from mavdiag.learning import LearnOptions, learn
@@ -185,7 +185,6 @@ def _pickup(task: FlightTask, rng: np.random.Generator) -> PickUp | None:
 def _flown(
     config: PlantConfig, task: LearnTask, duration_s: float, loss: float, name: str, session: int, number: int
 ) -> tuple[Log, float]:
-    """A flight as a log with its place in the calendar, and its length [s]."""
     link = replace(parse_link(task.link), loss=loss)
     telemetry, flown_s = flight_telemetry(config, duration_s, link)
     started_ns = START_NS + round((session * DAY_S + number * (task.duration_s + PAUSE_S)) * NS_PER_S)
@@ -238,7 +237,9 @@ def _line(key: str, task: FlightTask, judged: JudgedFlight, onset_s: float | Non
     verdict, border_s = judged.verdict, flown_s if onset_s is None else onset_s
     before = [event for event in verdict.events if event.t_s < border_s]
     after = [] if onset_s is None else [event for event in verdict.events if event.t_s >= border_s]
-    declared = _declared_s(verdict.changes)
+    stages = [None, *(change.stage for change in verdict.changes)]
+    came = (change for before, change in zip(stages, verdict.changes, strict=False) if before is not Stage.FAULT)
+    declared = [change.t_ns / NS_PER_S for change in came if change.stage is Stage.FAULT]
     late = [] if onset_s is None else [t_s - border_s for t_s in declared if t_s >= border_s]
     monitors = []
     for monitor in verdict.monitors:
@@ -286,13 +287,6 @@ def _judged_s(judged: JudgedFlight, to_s: float) -> float:
     tick_ns = max((round(statistic.period_s * NS_PER_S) for statistic in found), default=1)
     ticks = {tick for part in found for tick in np.unique(part.t_ns[part.valid] // tick_ns).tolist()}
     return float(sum(tick * tick_ns < to_s * NS_PER_S for tick in ticks) * tick_ns) / NS_PER_S
-
-
-def _declared_s(changes: Sequence[Change]) -> list[float]:
-    """When the decision came to "fault" from something else [s]."""
-    stages = [None, *(change.stage for change in changes)]
-    came = (change for before, change in zip(stages, changes, strict=False) if before is not Stage.FAULT)
-    return [change.t_ns / NS_PER_S for change in came if change.stage is Stage.FAULT]
 
 
 def _episodes(events: Sequence[Event]) -> int:

@@ -176,6 +176,5 @@ def in_session_number(airframe: Airframe, session: int, spread: float = 0.0) -> 
 
 
 def _vectors(size: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """(n, 2) of these lengths, at any angle."""
     angle = rng.uniform(0.0, 2.0 * np.pi, len(size))
     return np.column_stack([size * np.cos(angle), size * np.sin(angle)])

@@ -98,21 +98,16 @@ def _push(x: FloatArray, ground: Ground, i: int) -> tuple[float, float, float, f
     return share * f_x, share * f_y, -normal, north, east, share
 
 
-@inline
+@jit
 def grip(x: FloatArray, ground: Ground) -> None:
     """After a step: let the points that slid or left the ground stick where they can hold."""
     if x[2] > ground.reach:
-        _grip(x, ground)
-
-
-@jit
-def _grip(x: FloatArray, ground: Ground) -> None:
-    for i in range(len(ground.gear)):
-        f_x, f_y, f_z, north, east, share = _push(x, ground, i)
-        if f_z == 0.0:
-            ground.stuck[i, 0], ground.stuck[i, 1] = north, east
-        elif share < 1.0:
-            ground.stuck[i, 0], ground.stuck[i, 1] = north + f_x / ground.stiffness, east + f_y / ground.stiffness
+        for i in range(len(ground.gear)):
+            f_x, f_y, f_z, north, east, share = _push(x, ground, i)
+            if f_z == 0.0:
+                ground.stuck[i, 0], ground.stuck[i, 1] = north, east
+            elif share < 1.0:
+                ground.stuck[i, 0], ground.stuck[i, 1] = north + f_x / ground.stiffness, east + f_y / ground.stiffness
 
 
 @jit

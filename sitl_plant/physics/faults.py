@@ -14,7 +14,7 @@ severity (in 23 of 24 trials). `phenomenology` scales rms and lag; with 0 only t
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -92,14 +92,10 @@ class Injection:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One damaged propeller and what it does; fluctuation and lag are fitted."""
+    """One damaged propeller, as it was weighed and printed, and what it does; fluctuation and lag are fitted."""
 
-    propeller: DamagedPropeller  # what was done to it, weighed and printed
-    thrust_loss: float  # share of the thrust
-    drag_factor: float  # of the drag torque
-    fluctuation_rms: float  # share of the thrust
-    fluctuation_corner_hz: float
-    lag_s: float  # of the thrust
+    propeller: DamagedPropeller
+    whole: RotorDamage  # with all of the fitted terms
 
     @property
     def code(self) -> str:
@@ -110,14 +106,8 @@ class Fault:
         """What the fault does to a rotor. phenomenology: 0 (physics only) to 1. Raises UsageError outside."""
         if not 0.0 <= phenomenology <= 1.0:
             raise UsageError(f"phenomenology must be 0 to 1, not {phenomenology:g}")
-        return RotorDamage(
-            thrust_factor=1.0 - self.thrust_loss,
-            drag_factor=self.drag_factor,
-            unbalance_g_mm=self.propeller.printed_g_mm,
-            fluctuation_rms=phenomenology * self.fluctuation_rms,
-            fluctuation_corner_hz=self.fluctuation_corner_hz,
-            thrust_lag_s=phenomenology * self.lag_s,
-        )
+        rms, lag_s = phenomenology * self.whole.fluctuation_rms, phenomenology * self.whole.thrust_lag_s
+        return replace(self.whole, fluctuation_rms=rms, thrust_lag_s=lag_s)
 
 
 # thrust loss %, drag factor | fitted: rms %, corner Hz, lag ms
@@ -133,7 +123,7 @@ _TABLE = (
     (1.5, 1.020, 5.6, 1.0, 0.0),
 )
 FAULTS: tuple[Fault, ...] = tuple(
-    Fault(propeller, loss / 100, drag, rms / 100, corner_hz, lag_ms / 1000)
+    Fault(propeller, RotorDamage(1.0 - loss / 100, drag, propeller.printed_g_mm, rms / 100, corner_hz, lag_ms / 1000))
     for propeller, (loss, drag, rms, corner_hz, lag_ms) in zip(PROPELLERS, _TABLE, strict=True)
 )
 """The nine faults in T's order."""

@@ -142,7 +142,14 @@ def _decide(state: State, model: Model, own: Recorded | None, commands: FloatArr
     else:
         control.advance_estimates(own.estimates, own.estimators, own.imu_state.reading, estimate, dt)
     if len(commands) > 0:
-        _obey(state.control, commands, row)
+        state.control.motors[0] = DISARMED
+        for i in range(len(state.control.duty)):
+            state.control.duty[i] = commands[row, i]
+            if commands[row, i] > 0.0:
+                state.control.motors[0] = FLYING
+        for axis in range(3):
+            state.control.setpoint[axis] = state.control.rate[axis] = np.nan
+        state.control.wrench[0] = np.nan
         return
     reference(model.path, step * dt, path)
     if own is None:
@@ -154,18 +161,6 @@ def _decide(state: State, model: Model, own: Recorded | None, commands: FloatArr
         path[3:6], path[7] = 0.0, 0.0  # its V acts on the measured speed alone
         seen, lifts = own.estimates.velocity, own.thrust_map
         control.control(state.control, model.controller, path, pose, seen, seen[3], estimate, lifts, volts, dt)
-
-
-@jit
-def _obey(state: control.ControlState, commands: FloatArray, row: int) -> None:
-    state.motors[0] = DISARMED
-    for i in range(len(state.duty)):
-        state.duty[i] = commands[row, i]
-        if commands[row, i] > 0.0:
-            state.motors[0] = FLYING
-    for axis in range(3):
-        state.setpoint[axis] = state.rate[axis] = np.nan
-    state.wrench[0] = np.nan
 
 
 @jit

@@ -37,7 +37,8 @@ from mavdiag.archive.paths import logs_named
 from mavdiag.archive.pool import TaskExecutor, run_all
 from mavdiag.archive.scan import Answer, Cache, Options, Question, Record, digest_of, judge_file, open_cache, scan
 from mavdiag.archive.tables import COLUMNS, rows_of, write_csv, write_parquet
-from mavdiag.archive.together import Reference, Taught, together
+from mavdiag.archive.together import Reference, together
+from mavdiag.baseline import SourceLog
 from mavdiag.decision.alarm import Change
 from mavdiag.errors import InputError, UsageError
 from mavdiag.history.show import lines_of, overview_json
@@ -407,7 +408,9 @@ def test_a_window_in_which_no_rows_came_for_long_is_not_healthy(flight: JudgedFl
 shares = st.lists(st.floats(0.0, 3.0) | st.just(math.nan), min_size=1, max_size=40)
 C = np.array([[-0.25, -0.25, 0.25, 0.25], [0.25, -0.25, -0.25, 0.25], [0.25, -0.25, 0.25, -0.25]])
 HOUR_NS = DAY_NS // 24
-TAUGHT = tuple(Taught("abcd"[i] * 64, START_NS + i // 2 * DAY_NS, i // 2, 0, 60.0, (0.0, 0.0, 0.1)) for i in range(4))
+AT = {"name": "", "judged_s": 60.0, "trim": (0.0, 0.0, 0.1)}
+DAYS = [{"sha256": "abcd"[i] * 64, "started_ns": START_NS + i // 2 * DAY_NS, "session": i // 2} for i in range(4)]
+TAUGHT = tuple(SourceLog.model_validate(AT | day) for day in DAYS)
 REFERENCE = Reference("sha256:b", tuple(map(tuple, C.tolist())), TAUGHT)
 
 
@@ -582,7 +585,7 @@ def test_what_is_kept_comes_back_in_order_of_time(database: str) -> None:
 
 
 def test_what_a_baseline_s_flights_are_compared_with_is_kept_once(database: str) -> None:
-    reference = Reference("sha256:1", ((0.25, -0.25),) * 3, (Taught("a" * 64, 0, 0, 0, 60.0, (0.0, 0.01, 0.02)),))
+    reference = Reference("sha256:1", ((0.25, -0.25),) * 3, (TAUGHT[0],))
     with open_history(database, create=True) as history:
         history.refer(reference)
         history.refer(reference)

@@ -69,7 +69,6 @@ class _Mailbag:
         end_to_end(self._data[:1], np.zeros(1, np.int64))  # it is loaded, or compiled, before anything comes
 
     def take(self, fileno: int, most: int) -> Datagrams:
-        """What is there, at most so many, with the sender of each. Raises OSError."""
         self._headers["name_bytes"], self._headers["control_bytes"] = _NAME_BYTES, _STAMP.itemsize
         place = ctypes.c_void_p(self._headers.ctypes.data)
         count = _receive_many(fileno, place, min(most, AT_ONCE), socket.MSG_DONTWAIT, None)
@@ -100,8 +99,6 @@ def _peer(name: bytes) -> SocketAddress:
 
 
 class _Udp(Endpoint):
-    """What both directions share: one non-blocking socket and its large buffer."""
-
     datagrams = True
 
     def __init__(self, address: str, family: socket.AddressFamily) -> None:
