@@ -38,7 +38,7 @@ from mavdiag.identify import Method, Order
 from mavdiag.learning.flights import KEPT_BYTES, HeldLog, LearntFlight, airborne, hold, sessions_of
 from mavdiag.learning.rotors import of_log_kind, with_rotors
 from mavdiag.learning.suspicions import courses, grade_of, least_damage, suspicions
-from mavdiag.learning.teaching import one_vehicle, refuse, repeated, taught, upsets
+from mavdiag.learning.teaching import one_vehicle, refuse, repeated, taught, turned, upsets
 from mavdiag.link.profiles import PROFILES
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
@@ -325,7 +325,8 @@ def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool =
         _check(baseline, held)
         known = baseline.fingerprint
         learnt = [airborne(front_of(suited(baseline, flight.label)), flight, shelf) for flight in held]
-        refuse(upsets(learnt))
+        modelled = [one.spec.axis.column for one in baseline.monitors if one.spec.kind == RunLength.name]
+        refuse((*upsets(learnt), *turned(learnt, modelled)))
         if known is not None and not new_propellers:
             for one in learnt:
                 likeness = compare(known, one.rows, baseline.airframe.layout)

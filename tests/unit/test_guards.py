@@ -14,7 +14,7 @@ from mavdiag.airframe.fingerprint import TRAITS, Fingerprint, Likeness, Outcome,
 from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import InputError
 from mavdiag.judging import Verdict, judge
-from mavdiag.learning import LearnOptions, airborne, front_for, learn
+from mavdiag.learning import LearnOptions, airborne, extend, front_for, learn
 from mavdiag.learning.teaching import far_blocks, repeated, taught, upsets
 from mavdiag.logs import between
 from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
@@ -112,6 +112,17 @@ def test_a_stretch_far_from_the_rest_is_refused_and_named() -> None:
     found = learn(flights, ROBUST, created=NOW).provenance
     assert found.logs[2].judged_s < 20
     assert "flight2, " in found.left_out[0]
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_flight_whose_gyro_is_turned_round_is_named(axis: int) -> None:
+    flights, sign = healthy(2), 1.0 - 2.0 * np.eye(3)[axis]
+    odd = changed(healthy(3)[2], Signal.BODY_RATE, 0.0, 1e3, lambda rate: rate * sign)
+    with pytest.raises(InputError, match=r"flight2: its (roll|pitch) gyro follows .* other sign .*take this log out"):
+        learn([*flights, odd], OPTIONS, created=NOW)
+    assert len(learn([*flights, odd], ROBUST, created=NOW).provenance.logs) == 2
+    with pytest.raises(InputError, match="flight2: its .* gyro follows"):
+        extend(learn(flights, replace(OPTIONS, monitors=("fsd",)), created=NOW), [odd], created=NOW)
 
 
 def two_vehicles(other: int, rise: float) -> list[Log]:
