@@ -1,8 +1,8 @@
 """Healthy flights made ready to be learnt: what the guards find is refused with its remedy, or left out.
 
 A log with its crash inside, the same flight twice, a gyro turned round, a stretch far from all the rest, two vehicles
-taken for one: each would be learnt without a word. A guard returns `Finding`s: what should not be learnt, where it is, and what to do about
-it. All limits are our choices; `benchmarks/broken_teaching.py` has what they find.
+taken for one: each would be learnt without a word. A guard returns `Finding`s: what should not be learnt, where it is,
+and what to do about it. All limits are our choices; `benchmarks/broken_teaching.py` has what they find.
 """
 
 import itertools
@@ -54,7 +54,9 @@ LEAST_ERROR_RAD_S = 0.5  # rate error below which nothing is far: gusts are many
 FAR_LEVEL = 1.5  # least ratio of thrust to the median (our choice)
 
 TURN_S = 2.0  # over which the rates are integrated to angles: the lag of a rate loop hardly counts then (our choice)
-TURNED = 0.25  # correlation of both, of either sign, that is clear; recorded healthy flights have 0.42 to 1 (our choice)
+TURNED = (
+    0.25  # correlation of both, of either sign, that is clear; recorded healthy flights have 0.42 to 1 (our choice)
+)
 
 GROUP_DISTANCE = 0.03  # of the hover command; one airframe's recorded sessions lie up to 0.023 apart (our choice)
 NOTED_DISTANCE = 0.005  # of the hover command: as much as new propellers make (our choice)

@@ -178,6 +178,7 @@ class VehicleStream:
         if talk and (told := parameters_in(talk, self.profile.autopilot)):
             merged = {**self.parameters, **told}
             self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
+            self.state.take_parameters(self.parameters)
         return self._decoder.step(self.state, frames)
 
     def _choose_imu(self, frames: Frames) -> None:

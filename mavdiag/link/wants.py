@@ -145,7 +145,11 @@ STANDBY, MAVLINK_VERSION = 3, 3  # MAV_STATE; of a heartbeat
 _BATCH, _PAUSE_S, _NAME_TRIES = 4, 0.2, 3  # parameters at a time, how far apart, and tries of each (our choices)
 _ROTORS_MAX = 12
 _OUTPUTS = tuple(f"SERVO{n}_FUNCTION" for n in range(1, 15))
-_PX4_OUTPUTS = tuple(f"PWM_{group}_FUNC{n}" for group in ("MAIN", "AUX") for n in range(1, 9))
+_PX4_OUTPUTS = tuple(
+    f"PWM_{group}_{part}"
+    for part in ("TIM0", "TIM1", "TIM2", *(f"FUNC{n}" for n in range(1, 9)))
+    for group in ("MAIN", "AUX")
+)  # how they are driven first: until it is known they may be taken for pulses
 
 
 def telling(autopilot: int, known: Mapping[str, float]) -> tuple[str, ...]:
@@ -157,7 +161,7 @@ def telling(autopilot: int, known: Mapping[str, float]) -> tuple[str, ...]:
     if autopilot == Autopilot.PX4:
         rotors = range(min(_ROTORS_MAX, int(known.get("CA_ROTOR_COUNT", 0.0))))
         places = (f"CA_ROTOR{n}_{part}" for part in ("PX", "PY", "KM", "AX", "AY", "AZ", "CT") for n in rotors)
-        return ("CA_AIRFRAME", "CA_ROTOR_COUNT", *places, *_PX4_OUTPUTS)
+        return ("CA_AIRFRAME", "CA_ROTOR_COUNT", *_PX4_OUTPUTS, *places)
     more = ("INS_GYRO_FILTER", *_OUTPUTS) if autopilot == Autopilot.ARDUPILOTMEGA else ()
     return ("FRAME_CLASS", "FRAME_TYPE", *more)
 

@@ -121,7 +121,7 @@ def test_a_flight_whose_gyro_is_turned_round_is_named(axis: int) -> None:
     with pytest.raises(InputError, match=r"flight2: its (roll|pitch) gyro follows .* other sign .*take this log out"):
         learn([*flights, odd], OPTIONS, created=NOW)
     assert len(learn([*flights, odd], ROBUST, created=NOW).provenance.logs) == 2
-    with pytest.raises(InputError, match="flight2: its .* gyro follows"):
+    with pytest.raises(InputError, match=r"flight2: its .* gyro follows"):
         extend(learn(flights, replace(OPTIONS, monitors=("fsd",)), created=NOW), [odd], created=NOW)
 
 

@@ -1,6 +1,7 @@
 """Frames become SI samples, whatever their clocks do: scales, masks, wraps, drifts, and however the frames are cut."""
 
 import collections
+import struct
 from collections.abc import Callable
 from dataclasses import replace
 from math import pi
@@ -16,9 +17,11 @@ from mavdiag.link import samples
 from mavdiag.link.clock import _BOOT_US_32, MS_32, NEVER, US_32, US_64, Counter, VehicleTime
 from mavdiag.link.codec import Decoder, Encoder, Frame, Frames, frames_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
+from mavdiag.link.parameters import Kind
 from mavdiag.link.profiles import PROFILES, Evidence, detect_profile, with_imu
 from mavdiag.link.samples import SOURCES, Form, Part, SampleDecoder, SampleState, Source, euler_angles, joined
 from mavdiag.link.sequence import FRAME
+from mavdiag.link.vehicles import VehicleStream
 from mavdiag.telemetry import FloatArray, IntArray, Signal, Telemetry
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -148,6 +151,22 @@ def test_outputs_stay_dshot_once_one_was_too_low_for_a_pulse() -> None:
         frame = vehicle.frame(MessageId.ACTUATOR_OUTPUT_STATUS, 1000 * k, 4, (value,) * 4 + (0.0,) * 28)
         found.append(values_of(decoder.step(state, [frame]), Signal.ACTUATOR)[0, :4].tolist())
     np.testing.assert_allclose(found, np.outer((0.0, 0.055, 0.5, 1.0, 0.0005), np.ones(4)), atol=1e-4)
+
+
+@pytest.mark.parametrize(("protocol", "share"), [(-5.0, 0.75), (-2.0, 0.75), (-1.0, 0.5), (400.0, 0.5)])
+def test_px4s_parameters_tell_dshot_before_an_output_idles(protocol: float, share: float) -> None:
+    vehicle, stream, told = (
+        Vehicle(),
+        VehicleStream(PROFILES["px4"]),
+        {"PWM_AUX_TIM0": protocol, "PWM_AUX_FUNC3": 101.0},
+    )
+    for k, (name, value) in enumerate(told.items()):
+        (number,) = struct.unpack("<f", struct.pack("<i", int(value)))
+        talk = vehicle.frame(MessageId.PARAM_VALUE, name, number, Kind.INT32, 2, k)
+        stream.step(frames_of([talk]), [talk])
+    sent = 1000.0 + 500.0 if share == 0.5 else 0.75 * 1999.0
+    frame = vehicle.frame(MessageId.ACTUATOR_OUTPUT_STATUS, 1, 4, (sent,) * 4 + (0.0,) * 28)
+    assert values_of(stream.step(frames_of([frame])), Signal.ACTUATOR)[0, 0] == pytest.approx(share)
 
 
 def test_b7_outputs_lie_on_the_time_of_the_imu_after_80_minutes() -> None:
