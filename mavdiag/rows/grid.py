@@ -61,7 +61,8 @@ def mean_step(steps: FloatArray) -> float:
 def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
     """Period [s] of the gyro stream, and whether its samples are uniform enough to be rows themselves.
 
-    It is the usual step of a uniform stream, else the mean one. Samples whose stamps leap do not count. Raises InputError if there are fewer than 20 gyro samples.
+    It is the usual step of a uniform stream, else the mean one. Samples whose stamps leap do not count.
+    Raises InputError if there are fewer than 20 gyro samples.
     """
     t = telemetry.need(Signal.BODY_RATE).t_ns
     if np.count_nonzero(t[1:] > t[:-1]) < len(t) - 1:
