@@ -79,12 +79,13 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command (MAV_CMD) with its first parameter, and who sent it."""
+    """A command (MAV_CMD) with its first parameter, and who sent it; how often before, as far as that is told."""
 
     command: int
     sysid: int
     compid: int
     parameter: float = 0.0
+    confirmation: int = 0
 
 
 def acks_in(frames: Iterable[Frame]) -> tuple[Ack, ...]:
@@ -122,18 +123,23 @@ def sticks_in(frames: Iterable[Frame], compid: int | None = AUTOPILOT) -> dict[t
 
 
 def asked_of(frame: Frame) -> int | None:
-    """The system id of the vehicle whose on-board computer a frame asks something of; None for any other frame."""
+    """The system id of the vehicle whose on-board computer a frame asks something of; None for any other frame.
+
+    Who asks all components of it for parameters asks that one, too.
+    """
     if frame.msgid not in ASKING:
         return None
     system, component = frame.numbers("target_system", "target_component")
-    return system if component == Component.ONBOARD_COMPUTER else None
+    reads = frame.msgid in (MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_REQUEST_READ)
+    return system if component == Component.ONBOARD_COMPUTER or (reads and component == Component.ALL) else None
 
 
 def command_in(frame: Frame) -> Command | None:
     """The command in a frame; None for a frame without one."""
     if frame.msgid not in COMMANDS:
         return None
-    return Command(frame.value("command"), frame.sysid, frame.compid, frame.value("param1"))
+    confirmation = frame.value("confirmation") if frame.msgid == MessageId.COMMAND_LONG else 0
+    return Command(frame.value("command"), frame.sysid, frame.compid, frame.value("param1"), confirmation)
 
 
 def uid_in(frames: Iterable[Frame]) -> str:
