@@ -371,6 +371,13 @@ def test_l8_a_fault_that_lasts_is_repeated_after_5_15_60_s_and_then_every_minute
     assert said == [0.0, 5.0, 15.0, 60.0, 120.0, 180.0, 240.0]
 
 
+def test_repeats_of_a_kind_hold_up_no_graver_one() -> None:
+    presenter, graver = Presenter(4), Notice(Kind.CONTROL, ("of motor 1",))
+    said = [say(presenter, float(at_s), FAULT) for at_s in range(17)]
+    assert [at_s for at_s, effects in enumerate(said) if FAULT.effect in effects] == [0, 5]  # the third waits
+    assert say(presenter, 17.0, graver) == [graver.effect]
+
+
 def test_a_suspicion_waits_a_second_and_is_dropped_for_a_fault() -> None:
     suspicion = Notice(Kind.SUSPECT, ("roll x",))
     said: list[Effect] = [suspicion.effect]
