@@ -219,9 +219,9 @@ class Session:
         if self.state is State.MONITORING and self.reaction.blind and not asked and self._negotiation.free:
             self._sticks_asked = now
             self._effects += self._negotiation.ask_for(MessageId.RC_CHANNELS, STICKS_HZ, now)
-        if self.baseline is None:  # what they tell of rotors and filter is learnt with the flight
-            self._reading, names = self._reading.step(own.autopilot, received.parameters, now)
-            self._effects += [AskParameters(names)] if names else []
+        learns = self.baseline is None  # what they tell of rotors and filter is learnt with the flight
+        self._reading, names = self._reading.step(own.autopilot, received.parameters, now, learns=learns)
+        self._effects += [AskParameters(names)] if names else []
 
     def _demand(self, received: Received) -> Demand:
         judge, profile = self.judge, self._profile(received)

@@ -10,6 +10,7 @@ the sensors feel of it: one short hover tells what these are now, and the old fl
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
@@ -18,6 +19,7 @@ import numpy as np
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.fingerprint import Outcome, compare, fingerprint_of, merged
+from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import (
     UNREACHED,
     Baseline,
@@ -33,7 +35,7 @@ from mavdiag.baseline import (
     without_mute,
 )
 from mavdiag.chain import front_of, suited
-from mavdiag.errors import IdentificationError, InputError, UsageError
+from mavdiag.errors import IdentificationError, InputError, MavdiagError, UsageError
 from mavdiag.identify import Method, Order
 from mavdiag.learning.flights import KEPT_BYTES, HeldLog, LearntFlight, airborne, hold, sessions_of
 from mavdiag.learning.rotors import of_log_kind, with_rotors
@@ -48,7 +50,7 @@ from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.rows.front import Rows
 from mavdiag.storage import Shelf, give_back, keep_freed
-from mavdiag.telemetry import Axis, Log
+from mavdiag.telemetry import Axis, Log, Series, Signal, Telemetry
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima, pooled, score
 from mavdiag.thresholds.rule import (
@@ -59,6 +61,7 @@ from mavdiag.thresholds.rule import (
     shared_out,
     threshold_of,
 )
+from mavdiag.units import G
 
 ALL_MONITORS = tuple(BY_NAME)
 TOOL = f"mavdiag {__version__}"
@@ -417,3 +420,22 @@ def _joined(one: Sequence[Covered], other: Sequence[Covered]) -> tuple[Covered, 
         low, high = min(known.low, covered.low), max(known.high, covered.high)
         spans[covered.condition] = Covered(covered.condition, low, high)
     return tuple(spans.values())
+
+
+def warm() -> None:
+    """Compile what learns, or load it from where it is kept, by learning a flight of 15 s that is made up."""
+    rng, t_ns, layout = np.random.default_rng(0), 10_000_000 * np.arange(1500), layout_named("x")
+    u = np.repeat(rng.normal(0.0, 0.5, (30, 3)), 50, axis=0)
+    noise, outputs = 0.02 * rng.standard_normal((1500, 3)), 0.5 + 0.01 * rng.standard_normal((1500, 4))
+    values = {
+        Signal.ATTITUDE_SETPOINT: 0.01 * np.cumsum(u, axis=0),
+        Signal.ATTITUDE: 0.01 * np.cumsum(np.roll(u, 5, axis=0), axis=0),
+        Signal.BODY_RATE: np.roll(u, 5, axis=0) + noise,
+        Signal.SPECIFIC_FORCE: noise - (0.0, 0.0, G),
+        Signal.THRUST_SETPOINT: np.full((1500, 1), 0.5),
+        Signal.ACTUATOR: outputs,
+        Signal.ROTOR_SPEED: 1e3 * np.sqrt(outputs),
+    }
+    flight = Telemetry(tuple(Series(signal, t_ns, t_ns, found) for signal, found in values.items()))
+    with suppress(MavdiagError):
+        learn([Log("made up", "", "qdrone2", flight)], LearnOptions(airframe=Airframe(layout=layout)), created="")

@@ -54,12 +54,13 @@ COMMANDS = frozenset({MessageId.COMMAND_LONG, MessageId.COMMAND_INT})
 #: ... and all that ask something of a component.
 ASKING = COMMANDS | PARAMETERS_ASKED
 #: Messages that tell where a pilot's sticks are, with the fields of four of them and the positions that these may have.
-#: Any other value says that there is none: not known, ignored, released. Pulses: range of ArduPilot's RCn_MIN, RCn_MAX.
+#: Any other value says that there is none: not known, ignored, released, or a receiver that lost the pilot and says so
+#: by a pulse below ArduPilot's FS_THR_VALUE, 975 us as it comes. The longest one is that of RCn_MAX.
 STICKS: Mapping[int, tuple[tuple[str, ...], range]] = {
     MessageId.MANUAL_CONTROL: (("x", "y", "z", "r"), range(-1000, 1001)),
     **dict.fromkeys(
         (MessageId.RC_CHANNELS, MessageId.RC_CHANNELS_OVERRIDE),
-        (tuple(f"chan{n}_raw" for n in range(1, 5)), range(800, 2201)),
+        (tuple(f"chan{n}_raw" for n in range(1, 5)), range(975, 2201)),
     ),
 }
 _ANSWERS = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC, MessageId.AUTOPILOT_VERSION}

@@ -152,8 +152,10 @@ _PX4_OUTPUTS = tuple(
 )  # how they are driven first: until it is known they may be taken for pulses
 
 
-def telling(autopilot: int, known: Mapping[str, float]) -> tuple[str, ...]:
+def telling(autopilot: int, known: Mapping[str, float], *, learns: bool = True) -> tuple[str, ...]:
     """The parameters that tell rotors, outputs and gyro filter, by MAV_AUTOPILOT. known: what is known already.
+
+    learns: else only how outputs are driven.
 
     >>> telling(Autopilot.GENERIC, {})
     ('FRAME_CLASS', 'FRAME_TYPE')
@@ -161,9 +163,9 @@ def telling(autopilot: int, known: Mapping[str, float]) -> tuple[str, ...]:
     if autopilot == Autopilot.PX4:
         rotors = range(min(_ROTORS_MAX, int(known.get("CA_ROTOR_COUNT", 0.0))))
         places = (f"CA_ROTOR{n}_{part}" for part in ("PX", "PY", "KM", "AX", "AY", "AZ", "CT") for n in rotors)
-        return ("CA_AIRFRAME", "CA_ROTOR_COUNT", *_PX4_OUTPUTS, *places)
+        return (*_PX4_OUTPUTS, *(("CA_AIRFRAME", "CA_ROTOR_COUNT", *places) if learns else ()))
     more = ("INS_GYRO_FILTER", *_OUTPUTS) if autopilot == Autopilot.ARDUPILOTMEGA else ()
-    return ("FRAME_CLASS", "FRAME_TYPE", *more)
+    return ("FRAME_CLASS", "FRAME_TYPE", *more) if learns else ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,11 +175,15 @@ class Reading:
     tries: Mapping[str, int] = field(default_factory=dict)
     at: Instant | None = None
 
-    def step(self, autopilot: int, known: Mapping[str, float], now: Instant) -> tuple["Reading", tuple[str, ...]]:
-        """The names to ask for now, those with the fewest tries first. known: the parameters that came so far."""
+    def step(
+        self, autopilot: int, known: Mapping[str, float], now: Instant, *, learns: bool = True
+    ) -> tuple["Reading", tuple[str, ...]]:
+        """The names to ask for now, those with the fewest tries first. known, learns: as in `telling`."""
         if self.at is not None and now - self.at < _PAUSE_S:
             return self, ()
-        tries = {name: self.tries.get(name, 0) for name in telling(autopilot, known) if name not in known}
+        tries = {
+            name: self.tries.get(name, 0) for name in telling(autopilot, known, learns=learns) if name not in known
+        }
         due = [name for name in sorted(tries, key=lambda name: tries[name]) if tries[name] < _NAME_TRIES][:_BATCH]
         if not due:
             return self, ()

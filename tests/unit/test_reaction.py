@@ -249,7 +249,7 @@ def test_a_lost_answer_is_no_reason_to_ask_again_once_the_mode_shows_it() -> Non
 def test_modes_and_sticks_are_read_from_the_autopilots_own_frames() -> None:
     own, other = Encoder(1, 1), Encoder(1, 190)
     beats = [own.encode(MessageId.HEARTBEAT, 2, 3, 129, 5, 4, 3), other.encode(MessageId.HEARTBEAT, 6, 8, 1, 9, 4)]
-    pulses, lost = (1100, 1500, 1900, 1501), (0, 65535, 1910, 65534)
+    pulses, lost = (1100, 1500, 1900, 1501), (974, 65535, 1910, 65534)
     told = [one.encode(RC, 0, 18, *at, *[0] * 14, 0) for one, at in ((own, pulses), (own, lost), (other, pulses))]
     told.insert(0, own.encode(MessageId.MANUAL_CONTROL, 1, 32767, -1000, 1000, 32767, 0))
     frames = [frame for data in (*beats, *told) for frame in Decoder().feed(data, 0)]
