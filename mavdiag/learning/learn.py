@@ -424,18 +424,13 @@ def _joined(one: Sequence[Covered], other: Sequence[Covered]) -> tuple[Covered, 
 
 def warm() -> None:
     """Compile what learns, or load it from where it is kept, by learning a flight of 15 s that is made up."""
-    rng, t_ns, layout = np.random.default_rng(0), 10_000_000 * np.arange(1500), layout_named("x")
-    u = np.repeat(rng.normal(0.0, 0.5, (30, 3)), 50, axis=0)
-    noise, outputs = 0.02 * rng.standard_normal((1500, 3)), 0.5 + 0.01 * rng.standard_normal((1500, 4))
-    values = {
-        Signal.ATTITUDE_SETPOINT: 0.01 * np.cumsum(u, axis=0),
-        Signal.ATTITUDE: 0.01 * np.cumsum(np.roll(u, 5, axis=0), axis=0),
-        Signal.BODY_RATE: np.roll(u, 5, axis=0) + noise,
-        Signal.SPECIFIC_FORCE: noise - (0.0, 0.0, G),
-        Signal.THRUST_SETPOINT: np.full((1500, 1), 0.5),
-        Signal.ACTUATOR: outputs,
-        Signal.ROTOR_SPEED: 1e3 * np.sqrt(outputs),
-    }
+    rng, t_ns = np.random.default_rng(0), 10_000_000 * np.arange(1500)
+    u, noise = np.repeat(rng.normal(0.0, 0.5, (30, 3)), 50, axis=0), 0.02 * rng.standard_normal((1500, 4))
+    angles, force = 0.01 * np.cumsum(u, axis=0), noise[:, :3] - (0.0, 0.0, G)
+    values = {Signal.ATTITUDE_SETPOINT: angles, Signal.ATTITUDE: angles, Signal.BODY_RATE: u + noise[:, :3]}
+    values |= {Signal.SPECIFIC_FORCE: force, Signal.THRUST_SETPOINT: np.full((1500, 1), 0.5)}
+    values |= {Signal.ACTUATOR: 0.5 + noise, Signal.ROTOR_SPEED: 1e3 * np.sqrt(0.5 + noise)}
     flight = Telemetry(tuple(Series(signal, t_ns, t_ns, found) for signal, found in values.items()))
     with suppress(MavdiagError):
-        learn([Log("made up", "", "qdrone2", flight)], LearnOptions(airframe=Airframe(layout=layout)), created="")
+        options = LearnOptions(airframe=Airframe(layout=layout_named("x")))
+        learn([Log("made up", "", "qdrone2", flight)], options, created="")

@@ -197,18 +197,17 @@ def upsets(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
 def turned(flights: Sequence[LearntFlight], known: Collection[int] = ()) -> tuple[Finding, ...]:
     """Flights whose gyro follows its set-point with another sign than in most flights, in roll or pitch.
 
-    The sign is that of the correlation of both, integrated over 2 s each. known: axes whose sign is known to be right;
-    it is where as many flights have either.
+    The sign is that of the correlation of both, integrated over 2 s each. known: axes of which the sign is right.
     """
     found = dict[int, Finding]()
     sums = np.array([sum(_seen(flight, "turns"), np.zeros((3, 2))) for flight in flights]).reshape(-1, 3, 2)
     r = sums[:, 0] / np.sqrt(sums[:, 1] * sums[:, 2] + np.finfo(float).tiny)
     sign = np.where(np.abs(r) > TURNED, np.sign(r), 0.0)
     for axis, name in enumerate(("roll", "pitch")):
-        most = 1.0 if axis in known or sign[:, axis].sum() >= 0 else -1.0
-        for number in np.flatnonzero(sign[:, axis] == -most).tolist():
-            text = f"its {name} gyro follows the set-point with the other sign than the other flights' (correlation"
-            found[number] = Finding(number, flights[number].label.name, f"{text} {r[number, axis]:+.2f})")
+        wrong = -1.0 if axis in known or sign[:, axis].sum() >= 0 else 1.0
+        for i in np.flatnonzero(sign[:, axis] == wrong).tolist():
+            text = f"its {name} gyro turns against its set-point, unlike the others' (correlation {r[i, axis]:+.2f})"
+            found[i] = Finding(i, flights[i].label.name, text)
     return tuple(found.values())
 
 

@@ -16,7 +16,10 @@ from mavdiag.link.messages import Autopilot, MessageId
 ASKING = frozenset((MessageId.PARAM_REQUEST_READ, MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_SET))
 _FORMS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE, in the bytes of the float
 
-_MOTORS, _DSHOT = (101, 112), -2  # of PX4's PWM_..._FUNCn; PWM_..._TIMn from here down, -1 is OneShot (output_groups)
+_MOTORS, _DSHOT = (
+    range(101, 113),
+    -2,
+)  # of PX4's PWM_..._FUNCn; PWM_..._TIMn from here down, -1 is OneShot (output_groups)
 
 
 class Encoding(StrEnum):
@@ -104,11 +107,7 @@ def parameters_in(frames: Iterable[Frame], autopilot: int) -> dict[str, float]:
 
 
 def drives_dshot(parameters: Mapping[str, float]) -> bool:
-    """Whether PX4's parameters give motors to a group of outputs of which a timer has DShot.
-
-    >>> drives_dshot({"PWM_AUX_TIM0": -4.0, "PWM_AUX_FUNC1": 101.0, "PWM_MAIN_FUNC1": 201.0})
-    True
-    """
+    """Whether PX4's parameters give motors to a group of outputs (PWM_MAIN, PWM_AUX) of which a timer has DShot."""
     groups = {name.partition("_TIM")[0] for name, value in parameters.items() if "_TIM" in name and value <= _DSHOT}
-    motors = (name for name, value in parameters.items() if _MOTORS[0] <= value <= _MOTORS[1])
-    return any(name.partition("_FUNC")[0] in groups for name in motors if name.startswith("PWM_"))
+    motors = {name.partition("_FUNC")[0] for name, value in parameters.items() if value in _MOTORS and "_FUNC" in name}
+    return not groups.isdisjoint(motors)

@@ -37,7 +37,7 @@ LEAST_US, MOST_US = 1000.0, 2000.0  # PWM for 0 and full output
 PULSE_LEAST_US = 800.0  # no pulse is shorter (PX4, pwm_out/module.yaml: the least of PWM_MAIN_DISn)
 DSHOT_FULL = 1999.0  # 0 when disarmed, then from 1 on (PX4, DShot.h: DSHOT_MAX_THROTTLE)
 SQUARED = (1e-2, 1e2)  # length of a quaternion, squared: beyond it is none, but a damaged frame with a right checksum
-PULSED, SHOWN, TOLD = 0, 1, 2  # DShot: not known of, shown by an output, and told by a parameter (bits)
+SHOWN, TOLD = 1, 2  # how outputs are known to be DShot: one showed it, or a parameter tells it (bits)
 DISARMED_NS = 3 * NS_PER_S // 2  # without an armed heartbeat before a disarmed one is believed: they come each second
 LARGE = 10_000  # rows: beyond it signals share times
 BODY_RATE_BITS = TargetMask.BODY_ROLL_RATE | TargetMask.BODY_PITCH_RATE | TargetMask.BODY_YAW_RATE
@@ -154,7 +154,7 @@ class SampleState:
 
     def take_parameters(self, parameters: Mapping[str, float]) -> None:
         """Take in what the autopilot's parameters tell of its outputs."""
-        self.memory["dshot"] |= TOLD if drives_dshot(parameters) else PULSED
+        self.memory["dshot"] |= TOLD * drives_dshot(parameters)
 
     @property
     def dropped(self) -> int:
@@ -323,7 +323,7 @@ def _outputs(words: Words, floats: Any, part: Any, memory: Any, out: FloatArray)
         out[k] = _number(words, floats, part.at + 4 * k, part)
         out[k] = out[k] if math.isfinite(out[k]) else 0.0
         highest = max(highest, out[k])
-        memory.dshot |= SHOWN if _shows_dshot(out[k]) else PULSED
+        memory.dshot |= SHOWN * int(_shows_dshot(out[k]))
     if memory.dshot or highest <= 1.0:
         low, span = 0.0, DSHOT_FULL if memory.dshot else 1.0
     for k in range(ACTUATORS):

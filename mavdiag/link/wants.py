@@ -5,7 +5,7 @@ gives a message without a request is from ArduPilot's stream groups (GCS_MAVLink
 MAVLink modes (mavlink_main.cpp) and the logging masks of both. Sans-I/O: what came and `now` in, frames to send out.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from mavdiag.link.codec import Encoder
@@ -175,15 +175,11 @@ class Reading:
     tries: Mapping[str, int] = field(default_factory=dict)
     at: Instant | None = None
 
-    def step(
-        self, autopilot: int, known: Mapping[str, float], now: Instant, *, learns: bool = True
-    ) -> tuple["Reading", tuple[str, ...]]:
-        """The names to ask for now, those with the fewest tries first. known, learns: as in `telling`."""
+    def step(self, names: Iterable[str], known: Mapping[str, float], now: Instant) -> tuple["Reading", tuple[str, ...]]:
+        """Which of these to ask for now, those with the fewest tries first. known: the parameters that came so far."""
         if self.at is not None and now - self.at < _PAUSE_S:
             return self, ()
-        tries = {
-            name: self.tries.get(name, 0) for name in telling(autopilot, known, learns=learns) if name not in known
-        }
+        tries = {name: self.tries.get(name, 0) for name in names if name not in known}
         due = [name for name in sorted(tries, key=lambda name: tries[name]) if tries[name] < _NAME_TRIES][:_BATCH]
         if not due:
             return self, ()
@@ -229,7 +225,7 @@ class Asker(Companion):
 
     def read_all(self, autopilot: int, known: Mapping[str, float], now: Instant) -> list[bytes]:
         """The parameters that tell rotors and filter, until they are known. known: those that came."""
-        self._reading, names = self._reading.step(autopilot, known, now)
+        self._reading, names = self._reading.step(telling(autopilot, known), known, now)
         return [self.read(name) for name in names]
 
     def stream(self, wants: Sequence[Want], rates_hz: Mapping[int, float], now: Instant) -> list[bytes]:

@@ -118,10 +118,10 @@ def test_a_stretch_far_from_the_rest_is_refused_and_named() -> None:
 def test_a_flight_whose_gyro_is_turned_round_is_named(axis: int) -> None:
     flights, sign = healthy(2), 1.0 - 2.0 * np.eye(3)[axis]
     odd = changed(healthy(3)[2], Signal.BODY_RATE, 0.0, 1e3, lambda rate: rate * sign)
-    with pytest.raises(InputError, match=r"flight2: its (roll|pitch) gyro follows .* other sign .*take this log out"):
+    with pytest.raises(InputError, match=r"flight2: its (roll|pitch) gyro turns against .*take this log out"):
         learn([*flights, odd], OPTIONS, created=NOW)
     assert len(learn([*flights, odd], ROBUST, created=NOW).provenance.logs) == 2
-    with pytest.raises(InputError, match=r"flight2: its .* gyro follows"):
+    with pytest.raises(InputError, match=r"flight2: its .* gyro turns"):
         extend(learn(flights, replace(OPTIONS, monitors=("fsd",)), created=NOW), [odd], created=NOW)
 
 
