@@ -83,12 +83,8 @@ class Kind(Enum):
     ON_FAULT = Policy(Severity.CRITICAL, "PROP on fault: {}")  # what was found
     OTHER_LAYOUT = Policy(Severity.WARNING, "PROP flights contradict rotor layout {}")  # its name
 
-    @property
-    def loud(self) -> bool:
-        """Whether it is critical."""
-        return self.value.severity <= Severity.CRITICAL
 
-
+_LOUD = frozenset(kind for kind in Kind if kind.value.severity <= Severity.CRITICAL)
 _DECLARED = {FaultKind.SENSOR: Kind.SENSOR, FaultKind.LOSS_OF_CONTROL: Kind.CONTROL, FaultKind.GROSS_LOSS: Kind.THRUST}
 
 
@@ -169,9 +165,9 @@ class _Matter:
 
 
 class Presenter:
-    """Says what is offered, within its budget, half of it for what is critical. suppressed: texts held back so far.
+    """Says what is offered, within its budget, and at once a critical kind that was not said for a minute.
 
-    A critical kind that was not said for a minute is said at once, whatever was said of others.
+    suppressed: texts held back so far.
     """
 
     def __init__(self, per_minute: int = 30) -> None:
@@ -202,7 +198,7 @@ class Presenter:
     def _ripe(self, notices: Sequence[Notice], now: Instant) -> list[Notice]:
         """The notices but those that wait; and what waited and is offered no more, unless something critical is."""
         offered = {notice.kind: notice for notice in notices}
-        critical = any(kind.loud for kind in offered)
+        critical = not _LOUD.isdisjoint(offered)
         over = [notice for kind, (notice, _) in self._waiting.items() if kind not in offered and not critical]
         self._waiting = {
             kind: (notice, self._waiting.get(kind, (notice, now))[1])
@@ -215,8 +211,8 @@ class Presenter:
     def _say(self, notice: Notice, before: _Matter | None, now: Instant) -> list[Effect]:
         policy, matter = notice.kind.value, (notice.kind, notice.key)
         self._sent = [(kind, at) for kind, at in self._sent if now - at < MINUTE_S]
-        like = [kind for kind, _ in self._sent if kind.loud == notice.kind.loud]
-        spent = len(like) >= self.per_minute // 2 and (notice.kind in like or not notice.kind.loud)
+        like = [kind for kind, _ in self._sent if (kind in _LOUD) == (notice.kind in _LOUD)]
+        spent = len(like) >= self.per_minute // 2 and (notice.kind in like or notice.kind not in _LOUD)
         if spent or (before is not None and now - before.at < GAP_S):
             if policy.again_s and matter in self._held:
                 return []

@@ -80,7 +80,7 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command (MAV_CMD) with its first parameter, and who sent it; how often before, as far as that is told."""
+    """A command (MAV_CMD), who sent it, its first parameter, and how often it was sent before, if that is told."""
 
     command: int
     sysid: int

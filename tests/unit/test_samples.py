@@ -2,7 +2,7 @@
 
 import collections
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import pi
 
@@ -143,30 +143,22 @@ def test_px4_tells_the_unit_of_its_outputs_by_their_values(sent: tuple[float, ..
     np.testing.assert_allclose(found, [share + (0.0,) * 12], atol=1e-4)
 
 
-def test_outputs_stay_dshot_once_one_was_too_low_for_a_pulse() -> None:
-    """Of four outputs, all of them motors, that idle and then fly above 800."""
-    vehicle, decoder, state = Vehicle(), SampleDecoder(PROFILES["px4"]), SampleState()
-    found = []
-    for k, value in enumerate((0.0, 110.0, 999.5, 1999.0, 1.0)):
-        frame = vehicle.frame(MessageId.ACTUATOR_OUTPUT_STATUS, 1000 * k, 4, (value,) * 4 + (0.0,) * 28)
-        found.append(values_of(decoder.step(state, [frame]), Signal.ACTUATOR)[0, :4].tolist())
-    np.testing.assert_allclose(found, np.outer((0.0, 0.055, 0.5, 1.0, 0.0005), np.ones(4)), atol=1e-4)
-
-
-@pytest.mark.parametrize(("protocol", "share"), [(-5.0, 0.75), (-2.0, 0.75), (-1.0, 0.5), (400.0, 0.5)])
-def test_px4s_parameters_tell_dshot_before_an_output_idles(protocol: float, share: float) -> None:
-    vehicle, stream, told = (
-        Vehicle(),
-        VehicleStream(PROFILES["px4"]),
-        {"PWM_AUX_TIM0": protocol, "PWM_AUX_FUNC3": 101.0},
-    )
-    for k, (name, value) in enumerate(told.items()):
-        (number,) = struct.unpack("<f", struct.pack("<i", int(value)))
-        talk = vehicle.frame(MessageId.PARAM_VALUE, name, number, Kind.INT32, 2, k)
+@pytest.mark.parametrize(
+    ("protocol", "sent", "shares"),
+    [(400, (0.0, 110.0, 999.5, 1999.0, 1.0), (0.0, 0.055, 0.5, 1.0, 0.0005)), (-1, [1499.25], [0.49925])]
+    + [(protocol, [1499.25], [0.75]) for protocol in (-5, -2)],
+)
+def test_outputs_are_dshot_once_they_idle_or_a_parameter_says_so(
+    protocol: int, sent: Sequence[float], shares: Sequence[float]
+) -> None:
+    vehicle, stream = Vehicle(), VehicleStream(PROFILES["px4"])
+    for name, value in (("PWM_AUX_TIM0", protocol), ("PWM_AUX_FUNC3", 101)):
+        (told,) = struct.unpack("<f", struct.pack("<i", value))
+        talk = vehicle.frame(MessageId.PARAM_VALUE, name, told, Kind.INT32, 2, 0)
         stream.step(frames_of([talk]), [talk])
-    sent = 1000.0 + 500.0 if share == 0.5 else 0.75 * 1999.0
-    frame = vehicle.frame(MessageId.ACTUATOR_OUTPUT_STATUS, 1, 4, (sent,) * 4 + (0.0,) * 28)
-    assert values_of(stream.step(frames_of([frame])), Signal.ACTUATOR)[0, 0] == pytest.approx(share)
+    frames = [vehicle.frame(MessageId.ACTUATOR_OUTPUT_STATUS, 1, 4, (one,) * 4 + (0.0,) * 28) for one in sent]
+    found = values_of(stream.step(frames_of(frames)), Signal.ACTUATOR)
+    np.testing.assert_allclose(found[:, :4], np.outer(shares, np.ones(4)), atol=1e-4)
 
 
 def test_b7_outputs_lie_on_the_time_of_the_imu_after_80_minutes() -> None:
