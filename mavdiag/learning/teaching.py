@@ -54,9 +54,7 @@ LEAST_ERROR_RAD_S = 0.5  # rate error below which nothing is far: gusts are many
 FAR_LEVEL = 1.5  # least ratio of thrust to the median (our choice)
 
 TURN_S = 2.0  # over which the rates are integrated to angles: the lag of a rate loop hardly counts then (our choice)
-TURNED = (
-    0.25  # correlation of both, of either sign, that is clear; recorded healthy flights have 0.42 to 1 (our choice)
-)
+TURNED = 0.2  # of r, of either sign: clear; recorded healthy flights have 0.26 to 1 (our choice)
 
 GROUP_DISTANCE = 0.03  # of the hover command; one airframe's recorded sessions lie up to 0.023 apart (our choice)
 NOTED_DISTANCE = 0.005  # of the hover command: as much as new propellers make (our choice)
@@ -197,16 +195,16 @@ def upsets(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
 def turned(flights: Sequence[LearntFlight], known: Collection[int] = ()) -> tuple[Finding, ...]:
     """Flights whose gyro follows its set-point with another sign than in most flights, in roll or pitch.
 
-    The sign is that of the correlation of both, integrated over 2 s each. known: axes of which the sign is right.
+    r = sum a b/max(sum a^2, sum b^2) of both, integrated over 2 s each. known: axes of which the sign is right.
     """
     found = dict[int, Finding]()
     sums = np.array([sum(_seen(flight, "turns"), np.zeros((3, 2))) for flight in flights]).reshape(-1, 3, 2)
-    r = sums[:, 0] / np.sqrt(sums[:, 1] * sums[:, 2] + np.finfo(float).tiny)
+    r = sums[:, 0] / np.maximum(sums[:, 1:].max(axis=1), np.finfo(float).tiny)
     sign = np.where(np.abs(r) > TURNED, np.sign(r), 0.0)
     for axis, name in enumerate(("roll", "pitch")):
         wrong = -1.0 if axis in known or sign[:, axis].sum() >= 0 else 1.0
         for i in np.flatnonzero(sign[:, axis] == wrong).tolist():
-            text = f"its {name} gyro turns against its set-point, unlike the others' (correlation {r[i, axis]:+.2f})"
+            text = f"its {name} gyro turns against its set-point, unlike the others' (r {r[i, axis]:+.2f})"
             found[i] = Finding(i, flights[i].label.name, text)
     return tuple(found.values())
 
