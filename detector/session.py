@@ -219,9 +219,8 @@ class Session:
         if self.state is State.MONITORING and self.reaction.blind and not asked and self._negotiation.free:
             self._sticks_asked = now
             self._effects += self._negotiation.ask_for(MessageId.RC_CHANNELS, STICKS_HZ, now)
-        known = received.parameters
-        told = telling(own.autopilot, known, learns=self.baseline is None)  # of rotors and filter, with the flight
-        self._reading, names = self._reading.step(told, known, now)
+        due = telling(own.autopilot, received.parameters, learns=self.baseline is None)
+        self._reading, names = self._reading.step(due, received.parameters, now)
         self._effects += [AskParameters(names)] if names else []
 
     def _demand(self, received: Received) -> Demand:

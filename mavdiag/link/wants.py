@@ -145,17 +145,14 @@ STANDBY, MAVLINK_VERSION = 3, 3  # MAV_STATE; of a heartbeat
 _BATCH, _PAUSE_S, _NAME_TRIES = 4, 0.2, 3  # parameters at a time, how far apart, and tries of each (our choices)
 _ROTORS_MAX = 12
 _OUTPUTS = tuple(f"SERVO{n}_FUNCTION" for n in range(1, 15))
-_PX4_OUTPUTS = tuple(
-    f"PWM_{group}_{part}"
-    for part in ("TIM0", "TIM1", "TIM2", *(f"FUNC{n}" for n in range(1, 9)))
-    for group in ("MAIN", "AUX")
-)  # how they are driven first: until it is known they may be taken for pulses
+_PX4_PARTS = ("TIM0", "TIM1", "TIM2", *(f"FUNC{n}" for n in range(1, 9)))  # until the first are known, it may be PWM
+_PX4_OUTPUTS = tuple(f"PWM_{group}_{part}" for part in _PX4_PARTS for group in ("MAIN", "AUX"))
 
 
 def telling(autopilot: int, known: Mapping[str, float], *, learns: bool = True) -> tuple[str, ...]:
-    """The parameters that tell rotors, outputs and gyro filter, by MAV_AUTOPILOT. known: what is known already.
+    """The parameters that tell how outputs are driven, and, for who `learns`, rotors and gyro filter, by MAV_AUTOPILOT.
 
-    learns: else only how outputs are driven.
+    known: what is known already.
 
     >>> telling(Autopilot.GENERIC, {})
     ('FRAME_CLASS', 'FRAME_TYPE')

@@ -78,23 +78,16 @@ def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
 
 
 def usual_times(t_ns: IntArray, aside: int = 0) -> IntArray:
-    """The median of nine stamps about each, which up to four in a row that leap do not move far.
-
-    aside: so many more on both sides, which are as early and as late as can be.
-    """
+    """The median of `LEAPT` stamps about each, and as many `aside` on both sides, as early and late as can be."""
     from scipy.ndimage import median_filter  # a log whose stamps go back is rare
 
-    room = LEAPT // 2 + aside
-    padded = np.concatenate(([-(2**62)] * room, t_ns, [2**62] * room))
-    usual: IntArray = median_filter(padded, LEAPT)[LEAPT // 2 : len(padded) - LEAPT // 2]
-    return usual
+    half = LEAPT // 2
+    usual: IntArray = median_filter(np.pad(t_ns, half + aside, constant_values=(-(2**62), 2**62)), LEAPT)
+    return usual[half : len(usual) - half]
 
 
 def well_dated(t_ns: IntArray) -> BoolArray:
-    """Stamps, as they came, that lie among the usual ones of two samples before and after; two may change places.
-
-    Where these go back for good all do.
-    """
+    """Stamps, as they came, among the usual ones of two samples before and after, or where those go back for good."""
     usual = usual_times(t_ns, 2)
     early, late = usual[: len(t_ns)], usual[4:]
     return (early > late) | ((t_ns >= early) & (t_ns <= late))

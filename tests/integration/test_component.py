@@ -38,9 +38,7 @@ from mavdiag.monitors.base import FaultKind
 TEXT = "PROP rotor unknown: inspect before flight"
 CLOSED = "PROP rotor unknown: inspection acknowledged"
 Benches = Callable[..., Attacked]
-ACKNOWLEDGEMENT, REPEATED = (
-    STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.USER_1, confirmation, *[0.0] * 7) for confirmation in (0, 1)
-)
+ACKNOWLEDGEMENT, REPEATED = (STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.USER_1, n, *[0.0] * 7) for n in (0, 1))
 REAL32, INT8 = 9, 2
 LOITER = 5
 CRAFT = replace(USUAL, rate_hz=200.0)  # of its link

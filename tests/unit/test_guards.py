@@ -41,16 +41,12 @@ UPSETS: tuple[tuple[Signal, Change, str], ...] = (
 @pytest.mark.parametrize(("signal", "change", "says"), UPSETS)
 def test_a_log_that_ends_in_a_fall_is_refused_with_place_and_remedy(signal: Signal, change: Change, says: str) -> None:
     crash = changed(healthy(1)[0], signal, 27.0, 30.0, change)
-    with pytest.raises(
-        InputError, match=r"flight0: the flight ends in an upset, at 2[78].*cut the log before 2[56]"
-    ) as e:
+    told = f"flight0: the flight ends in an upset, at 2[78].*{says}.*cut the log before 2[56].*--robust"
+    with pytest.raises(InputError, match=told):
         learn([crash, *healthy(3)[1:]], OPTIONS, created=NOW)
-    assert says in str(e.value)
-    assert "--robust" in str(e.value)
     baseline = learn([crash, *healthy(3)[1:]], ROBUST, created=NOW)
-    left_out = baseline.provenance.left_out
-    assert len(left_out) == 1
-    assert "flight0, all from 2" in left_out[0]
+    [left_out] = baseline.provenance.left_out
+    assert "flight0, all from 2" in left_out
     assert len(baseline.provenance.logs) == 3
     whole = learn(healthy(3), OPTIONS, created=NOW).provenance.logs[0].judged_s
     assert baseline.provenance.logs[0].judged_s == pytest.approx(whole - 4, abs=1.5)
@@ -129,9 +125,8 @@ def two_vehicles(other: int, rise: float) -> list[Log]:
 
 def test_two_vehicles_taken_for_one_are_refused_or_learnt_as_a_type() -> None:
     flights = two_vehicles(2, 0.2)
-    with pytest.raises(
-        InputError, match=r"odd0: the mean trims .* two groups.* in odd0, odd1 .*--robust; or .*--fleet"
-    ):
+    told = r"odd0: the mean trims .* two groups.* in odd0, odd1 .*--robust; or .*--fleet"
+    with pytest.raises(InputError, match=told):
         learn(flights, OPTIONS, created=NOW)
     kept = learn(flights, ROBUST, created=NOW).provenance.logs
     assert [one.name for one in kept] == ["flight0", "flight1", "flight2"]
