@@ -10,7 +10,6 @@ the sensors feel of it: one short hover tells what these are now, and the old fl
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
@@ -35,7 +34,7 @@ from mavdiag.baseline import (
     without_mute,
 )
 from mavdiag.chain import front_of, suited
-from mavdiag.errors import IdentificationError, InputError, MavdiagError, UsageError
+from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
 from mavdiag.learning.flights import KEPT_BYTES, HeldLog, LearntFlight, airborne, hold, sessions_of
 from mavdiag.learning.rotors import of_log_kind, with_rotors
@@ -431,6 +430,5 @@ def warm() -> None:
     values |= {Signal.SPECIFIC_FORCE: force, Signal.THRUST_SETPOINT: np.full((1500, 1), 0.5)}
     values |= {Signal.ACTUATOR: 0.5 + noise, Signal.ROTOR_SPEED: 1e3 * np.sqrt(0.5 + noise)}
     flight = Telemetry(tuple(Series(signal, t_ns, t_ns, found) for signal, found in values.items()))
-    with suppress(MavdiagError):
-        options = LearnOptions(airframe=Airframe(layout=layout_named("x")))
-        learn([Log("made up", "", "qdrone2", flight)], options, created="")
+    options = LearnOptions(airframe=Airframe(layout=layout_named("x")))
+    learn([Log("made up", "", "qdrone2", flight)], options, created="")

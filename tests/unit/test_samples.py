@@ -17,7 +17,6 @@ from mavdiag.link import samples
 from mavdiag.link.clock import _BOOT_US_32, MS_32, NEVER, US_32, US_64, Counter, VehicleTime
 from mavdiag.link.codec import Decoder, Encoder, Frame, Frames, frames_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
-from mavdiag.link.parameters import Kind
 from mavdiag.link.profiles import PROFILES, Evidence, detect_profile, with_imu
 from mavdiag.link.samples import SOURCES, Form, Part, SampleDecoder, SampleState, Source, euler_angles, joined
 from mavdiag.link.sequence import FRAME
@@ -153,8 +152,7 @@ def test_outputs_are_dshot_once_they_idle_or_a_parameter_says_so(
 ) -> None:
     vehicle, stream = Vehicle(), VehicleStream(PROFILES["px4"])
     for name, value in (("PWM_AUX_TIM0", protocol), ("PWM_AUX_FUNC3", 101)):
-        (told,) = struct.unpack("<f", struct.pack("<i", value))
-        talk = vehicle.frame(MessageId.PARAM_VALUE, name, told, Kind.INT32, 2, 0)
+        talk = vehicle.frame(MessageId.PARAM_VALUE, name, *struct.unpack("<f", struct.pack("<i", value)), 6, 2, 0)
         stream.step(frames_of([talk]), [talk])
     frames = [vehicle.frame(MessageId.ACTUATOR_OUTPUT_STATUS, 1, 4, (one,) * 4 + (0.0,) * 28) for one in sent]
     found = values_of(stream.step(frames_of(frames)), Signal.ACTUATOR)
