@@ -22,7 +22,7 @@ from detector.config import Settings, collect_values, example_text, load_setting
 from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
 from detector.flights import Flights
-from detector.hooks import Hook
+from detector.hooks import Courier, Hook, close_all
 from detector.journal import Journal, Recorder, baselines_in, check_files, kept_baselines
 from detector.notify import Notifier
 from detector.web.access import Access
@@ -123,9 +123,11 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
         if settings.record is not None:
             sizes = settings.record_mb, settings.record_keep
             recorder = enter(closing(Recorder(settings.record, epoch_ns, _say, *sizes)))
-        hooks = [enter(closing(Hook(address, _say))) for address in settings.hook]
+        hooks = [Hook(address, _say) for address in settings.hook]
+        stack.callback(close_all, couriers := list[Courier](hooks))
         if settings.history is not None:
-            flights = enter(closing(Flights(settings.history, settings.flights or Path(), epoch_ns, _say)))
+            flights = Flights(settings.history, settings.flights or Path(), epoch_ns, _say)
+            couriers.append(flights)
         if settings.metrics is not None:
             from detector.metrics import Metrics  # only if asked for: the import takes its time
 

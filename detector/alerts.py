@@ -84,6 +84,7 @@ class Kind(Enum):
     OTHER_LAYOUT = Policy(Severity.WARNING, "PROP flights contradict rotor layout {}")  # its name
 
 
+_LOUD = frozenset(kind for kind in Kind if kind.value.severity <= Severity.CRITICAL)
 _DECLARED = {FaultKind.SENSOR: Kind.SENSOR, FaultKind.LOSS_OF_CONTROL: Kind.CONTROL, FaultKind.GROSS_LOSS: Kind.THRUST}
 
 
@@ -164,12 +165,15 @@ class _Matter:
 
 
 class Presenter:
-    """Says what is offered, within its budget. suppressed: texts held back so far."""
+    """Says what is offered, within its budget, and at once a critical kind that was not said for a minute.
+
+    suppressed: texts held back so far.
+    """
 
     def __init__(self, per_minute: int = 30) -> None:
         self.suppressed = 0
         self.per_minute = per_minute
-        self._sent: list[tuple[bool, Instant]] = []  # texts of the last minute: whether loud, and when
+        self._sent: list[tuple[Kind, Instant]] = []  # texts of the last minute
         self._said: dict[Kind, _Matter] = {}
         self._waiting: dict[Kind, tuple[Notice, Instant]] = {}  # what is not said yet (`wait_s`), and since when
         self._held: set[tuple[Kind, str]] = set()  # matters that were held back and counted already
@@ -194,7 +198,7 @@ class Presenter:
     def _ripe(self, notices: Sequence[Notice], now: Instant) -> list[Notice]:
         """The notices but those that wait; and what waited and is offered no more, unless something critical is."""
         offered = {notice.kind: notice for notice in notices}
-        critical = any(kind.value.severity <= Severity.CRITICAL for kind in offered)
+        critical = not _LOUD.isdisjoint(offered)
         over = [notice for kind, (notice, _) in self._waiting.items() if kind not in offered and not critical]
         self._waiting = {
             kind: (notice, self._waiting.get(kind, (notice, now))[1])
@@ -206,9 +210,9 @@ class Presenter:
 
     def _say(self, notice: Notice, before: _Matter | None, now: Instant) -> list[Effect]:
         policy, matter = notice.kind.value, (notice.kind, notice.key)
-        loud = policy.severity <= Severity.CRITICAL
-        self._sent = [(was_loud, at) for was_loud, at in self._sent if now - at < MINUTE_S]
-        spent = sum(was_loud == loud for was_loud, _ in self._sent) >= self.per_minute // 2
+        self._sent = [(kind, at) for kind, at in self._sent if now - at < MINUTE_S]
+        like = [kind for kind, _ in self._sent if (kind in _LOUD) == (notice.kind in _LOUD)]
+        spent = len(like) >= self.per_minute // 2 and (notice.kind in like or notice.kind not in _LOUD)
         if spent or (before is not None and now - before.at < GAP_S):
             if policy.again_s and matter in self._held:
                 return []
@@ -218,7 +222,7 @@ class Presenter:
         begun = now if before is None else before.begun
         self._said[notice.kind] = _Matter(notice.key, begun, now, policy.times(now - begun), now)
         self._held = {matter for matter in self._held if matter[0] is not notice.kind}
-        self._sent.append((loud, now))
+        self._sent.append((notice.kind, now))
         return [notice.effect]
 
 

@@ -162,6 +162,7 @@ class Requests:
         self._decoder = Decoder(GUARDED | ASKING | STICKS.keys())
         self._noted: set[tuple[int, ...]] = set()
         self._autopilots: dict[int, Encoder] = {}  # of the answers in an autopilot's name
+        self._acknowledged: dict[int, str] = {}  # whose command was the last that did, by vehicle
 
     def from_behind(self, messages: Sequence[bytes], now: Instant) -> Handled:
         """Frames of a link behind, one in each message; all pass but requests for rates that are kept.
@@ -202,10 +203,14 @@ class Requests:
             effects = (Note(f"{what} by {whose} on a link that is not signed: refused, it may be forged"),)
         if command is not None:
             result = MavResult.UNSUPPORTED
-            if changes:
-                result = MavResult.ACCEPTED if session.acknowledgeable else MavResult.FAILED
-                result = result if trusted else MavResult.DENIED
-                effects = session.acknowledge(f"{frame.sysid}/{frame.compid}") if trusted else effects
+            if changes and trusted:
+                whose, closes = f"{frame.sysid}/{frame.compid}", session.acknowledgeable
+                again = command.confirmation > 0 and self._acknowledged.get(sysid) == whose  # the answer was lost
+                result = MavResult.ACCEPTED if closes or again else MavResult.FAILED
+                effects = () if again and not closes else session.acknowledge(whose)
+                self._acknowledged |= {sysid: whose} if closes else {}
+            elif changes:
+                result = MavResult.DENIED
             elif (version := sender.version(_requested(command))) is not None:
                 result, more = MavResult.ACCEPTED, [version]
             more = [sender.answer(command, result), *more]

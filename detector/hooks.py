@@ -16,7 +16,7 @@ import threading
 import time
 import urllib.request
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from http.client import HTTPException
 from typing import TypeAlias
 from urllib.parse import urlsplit
@@ -122,9 +122,9 @@ class Courier:
         while self._news:
             self._warn(self._news.popleft())
 
-    def close(self) -> None:
-        """Deliver what waits if that takes no longer than STOP_S; the rest is lost."""
-        deadline = time.monotonic() + STOP_S
+    def close(self, deadline: float | None = None) -> None:
+        """Deliver what waits until then, by `time.monotonic`, by default for STOP_S; the rest is lost."""
+        deadline = time.monotonic() + STOP_S if deadline is None else deadline
         while self._lines.unfinished_tasks and self._thread.is_alive() and time.monotonic() < deadline:
             time.sleep(0.01)
         waiting = self._lines.unfinished_tasks
@@ -163,6 +163,13 @@ class Courier:
         if not self._failing:
             self._news.append(f"{self.name}: not delivered ({reason}); watching goes on without it")
         self._failing = True
+
+
+def close_all(couriers: Iterable[Courier]) -> None:
+    """Deliver what waits with all of them if that takes no longer than STOP_S together; the rest is lost."""
+    deadline = time.monotonic() + STOP_S
+    for courier in couriers:
+        courier.close(deadline)
 
 
 class Hook(Courier):

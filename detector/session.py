@@ -24,7 +24,7 @@ from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import LAST_RESORT, Profile
 from mavdiag.link.samples import joined
 from mavdiag.link.vehicles import Received
-from mavdiag.link.wants import Reading
+from mavdiag.link.wants import Reading, telling
 from mavdiag.telemetry import Instant, Signal, Telemetry
 
 WAITED_CHUNKS = 256  # kept while the streams are measured: some ten seconds (our choice)
@@ -219,9 +219,9 @@ class Session:
         if self.state is State.MONITORING and self.reaction.blind and not asked and self._negotiation.free:
             self._sticks_asked = now
             self._effects += self._negotiation.ask_for(MessageId.RC_CHANNELS, STICKS_HZ, now)
-        if self.baseline is None:  # what they tell of rotors and filter is learnt with the flight
-            self._reading, names = self._reading.step(own.autopilot, received.parameters, now)
-            self._effects += [AskParameters(names)] if names else []
+        due = telling(own.autopilot, received.parameters, learns=self.baseline is None)
+        self._reading, names = self._reading.step(due, received.parameters, now)
+        self._effects += [AskParameters(names)] if names else []
 
     def _demand(self, received: Received) -> Demand:
         judge, profile = self.judge, self._profile(received)

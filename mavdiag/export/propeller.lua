@@ -25,7 +25,7 @@ local B = { -- trims are fractions of hover, by roll, pitch and yaw
     pull = {{ entry.spec.pull }}, pull_sd = {{ entry.spec.pull_sd }}, -- roll and pitch trim by pull [1/rad]
     felt = {{ entry.spec.felt | int }}, turn_trim = {{ turning }}, -- by the accelerometer; of a tick that counts half
     least = {{ trims.MIN_OUTPUT }}, sums = {{ entry.spec.layout.unmixing.sum(axis=1) }}, -- mean output, 0..1
-    unmix = {{ entry.spec.layout.unmixing }}, sizes = {{ par[name][-(arms | length):] }}, -- trim by output; of its columns
+    unmix = {{ entry.spec.layout.unmixing }}, scale = {{ par[name][-1] }}, -- trim by output; of what a rise explains
     weight = {{ evidence[name].weight }}, unit = {{ evidence[name].least }}, -- [logits] by what shows a rotor; unit
 {% endif %}
 {% if name == "thrust_loss" %}
@@ -200,13 +200,13 @@ local function take_tick(whole)
   weight, tick = own, tick + 1
   parts[1], parts[2], parts[n + 1], parts[n + 2] = parts[n + 1], parts[n + 2], parts[1], parts[2]
 end
-local function rise(j, pull) -- of one rotor's command that explains the shift best
+local function rise(j, pull) -- of one rotor's command that explains the shift best; and how much that explains
   local above, below = 0.0, 0.0
   for axis = 1, 3 do
     local share = T.unmix[axis][j] / (T.spread[axis] ^ 2 + (axis < 3 and T.pull_sd[axis] ^ 2 * pull or 0.0))
     above, below = above + share * shift[axis], below + share * T.unmix[axis][j]
   end
-  return above / below
+  return above / below, above / math.sqrt(below)
 end
 local function judge_trim(row)
   take_trim(row)
@@ -231,10 +231,13 @@ local function judge_trim(row)
     for i = 1, T.window do shift[j] = shift[j] + ticks[i][j] end
   end
   for j = 1, 5 do shift[j] = shift[j] / shift[6] - (T.mean[j] or 0.0) end
-  local highest, pull = -HUGE, shift[4] ^ 2 + shift[5] ^ 2
-  for j = 1, R do highest = max(highest, rise(j, pull)) end
-  local counts = record(trim, highest, farthest(row.t, (T.window + 1) * T.parts * T.rows * STEP, "all"))
-  for j = 1, counts and R or 0 do show(trim, j, rise(j, 0.0) * T.sizes[j]) end
+  local best, most, pull = 0.0, -HUGE, shift[4] ^ 2 + shift[5] ^ 2
+  for j = 1, R do
+    local found, explained = rise(j, pull)
+    if explained > most then best, most = found, explained end
+  end
+  local counts = record(trim, best, farthest(row.t, (T.window + 1) * T.parts * T.rows * STEP, "all"))
+  for j = 1, counts and R or 0 do show(trim, j, select(2, rise(j, 0.0)) * T.scale) end
 end
 
 -- Decision: what is held of the vehicle. A fault is latched; a landing turns it into an open inspection.

@@ -9,3 +9,4 @@ from mavdiag.learning.learn import LearnOptions as LearnOptions
 from mavdiag.learning.learn import extend as extend
 from mavdiag.learning.learn import learn as learn
 from mavdiag.learning.learn import thesis_options as thesis_options
+from mavdiag.learning.learn import warm as warm

@@ -18,6 +18,7 @@ import numpy as np
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.fingerprint import Outcome, compare, fingerprint_of, merged
+from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import (
     UNREACHED,
     Baseline,
@@ -38,7 +39,7 @@ from mavdiag.identify import Method, Order
 from mavdiag.learning.flights import KEPT_BYTES, HeldLog, LearntFlight, airborne, hold, sessions_of
 from mavdiag.learning.rotors import of_log_kind, with_rotors
 from mavdiag.learning.suspicions import courses, grade_of, least_damage, suspicions
-from mavdiag.learning.teaching import one_vehicle, refuse, repeated, taught, upsets
+from mavdiag.learning.teaching import one_vehicle, refuse, repeated, taught, turned, upsets
 from mavdiag.link.profiles import PROFILES
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
@@ -48,7 +49,7 @@ from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.rows.front import Rows
 from mavdiag.storage import Shelf, give_back, keep_freed
-from mavdiag.telemetry import Axis, Log
+from mavdiag.telemetry import Axis, Log, Series, Signal, Telemetry
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.heldout import Scores, by_axis, folds, maxima, pooled, score
 from mavdiag.thresholds.rule import (
@@ -59,6 +60,7 @@ from mavdiag.thresholds.rule import (
     shared_out,
     threshold_of,
 )
+from mavdiag.units import G
 
 ALL_MONITORS = tuple(BY_NAME)
 TOOL = f"mavdiag {__version__}"
@@ -325,7 +327,8 @@ def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool =
         _check(baseline, held)
         known = baseline.fingerprint
         learnt = [airborne(front_of(suited(baseline, flight.label)), flight, shelf) for flight in held]
-        refuse(upsets(learnt))
+        modelled = [one.spec.axis.column for one in baseline.monitors if one.spec.kind == RunLength.name]
+        refuse((*upsets(learnt), *turned(learnt, modelled)))
         if known is not None and not new_propellers:
             for one in learnt:
                 likeness = compare(known, one.rows, baseline.airframe.layout)
@@ -416,3 +419,16 @@ def _joined(one: Sequence[Covered], other: Sequence[Covered]) -> tuple[Covered, 
         low, high = min(known.low, covered.low), max(known.high, covered.high)
         spans[covered.condition] = Covered(covered.condition, low, high)
     return tuple(spans.values())
+
+
+def warm() -> None:
+    """Compile what learns, or load it from where it is kept, by learning a flight of 15 s that is made up."""
+    rng, t_ns = np.random.default_rng(0), 10_000_000 * np.arange(1500)
+    u, noise = np.repeat(rng.normal(0.0, 0.5, (30, 3)), 50, axis=0), 0.02 * rng.standard_normal((1500, 4))
+    angles, force = 0.01 * np.cumsum(u, axis=0), noise[:, :3] - (0.0, 0.0, G)
+    values = {Signal.ATTITUDE_SETPOINT: angles, Signal.ATTITUDE: angles, Signal.BODY_RATE: u + noise[:, :3]}
+    values |= {Signal.SPECIFIC_FORCE: force, Signal.THRUST_SETPOINT: np.full((1500, 1), 0.5)}
+    values |= {Signal.ACTUATOR: 0.5 + noise, Signal.ROTOR_SPEED: 1e3 * np.sqrt(0.5 + noise)}
+    flight = Telemetry(tuple(Series(signal, t_ns, t_ns, found) for signal, found in values.items()))
+    options = LearnOptions(airframe=Airframe(layout=layout_named("x")))
+    learn([Log("made up", "", "qdrone2", flight)], options, created="")

@@ -1,13 +1,13 @@
 """Healthy flights made ready to be learnt: what the guards find is refused with its remedy, or left out.
 
-A log with its crash inside, the same flight twice, a stretch far from all the rest, two vehicles taken for one: each
-would be learnt without a word. A guard returns `Finding`s: what should not be learnt, where it is, and what to do about
-it. All limits are our choices; `benchmarks/broken_teaching.py` has what they find.
+A log with its crash inside, the same flight twice, a gyro turned round, a stretch far from all the rest, two vehicles
+taken for one: each would be learnt without a word. A guard returns `Finding`s: what should not be learnt, where it is,
+and what to do about it. All limits are our choices; `benchmarks/broken_teaching.py` has what they find.
 """
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -52,6 +52,9 @@ FAR_RATIO = 4.0  # least ratio of noise to what is expected (our choice)
 FAR_ERROR = 12.0  # least ratio of the rate error: a fast square among hovers has 4 (our choice)
 LEAST_ERROR_RAD_S = 0.5  # rate error below which nothing is far: gusts are many times a calm hover's (our choice)
 FAR_LEVEL = 1.5  # least ratio of thrust to the median (our choice)
+
+TURN_S = 2.0  # over which the rates are integrated to angles: the lag of a rate loop hardly counts then (our choice)
+TURNED = 0.2  # of r, of either sign: clear; recorded healthy flights have 0.26 to 1 (our choice)
 
 GROUP_DISTANCE = 0.03  # of the hover command; one airframe's recorded sessions lie up to 0.023 apart (our choice)
 NOTED_DISTANCE = 0.005  # of the hover command: as much as new propellers make (our choice)
@@ -189,6 +192,33 @@ def upsets(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
     )
 
 
+def turned(flights: Sequence[LearntFlight], known: Collection[int] = ()) -> tuple[Finding, ...]:
+    """Flights whose gyro follows its set-point with another sign than in most flights, in roll or pitch.
+
+    r = sum a b/max(sum a^2, sum b^2) of both, integrated over 2 s each. known: axes of which the sign is right.
+    """
+    found = dict[int, Finding]()
+    sums = np.array([sum(_seen(flight, "turns"), np.zeros((3, 2))) for flight in flights]).reshape(-1, 3, 2)
+    r = sums[:, 0] / np.maximum(sums[:, 1:].max(axis=1), np.finfo(float).tiny)
+    sign = np.where(np.abs(r) > TURNED, np.sign(r), 0.0)
+    for axis, name in enumerate(("roll", "pitch")):
+        wrong = -1.0 if axis in known or sign[:, axis].sum() >= 0 else 1.0
+        for i in np.flatnonzero(sign[:, axis] == wrong).tolist():
+            text = f"its {name} gyro turns against its set-point, unlike the others' (r {r[i, axis]:+.2f})"
+            found[i] = Finding(i, flights[i].label.name, text)
+    return tuple(found.values())
+
+
+def _turns(rows: Rows) -> Iterator[FloatArray]:
+    """Sums of a b, a a and b b, (3, 2): a, b the commanded and measured angle of roll and pitch in each 2 s."""
+    rates, size = rows.rates, window_rows(TURN_S, rows.block.dt_s)
+    count = len(rates.commanded) // size
+    whole = rates.commanded[: count * size].reshape(count, size).all(axis=1)
+    u, y = (one[: count * size, :2].reshape(count, size, 2)[whole].cumsum(axis=1) for one in (rates.u, rates.y))
+    a, b = u - u.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
+    yield np.array([(one * other).sum(axis=(0, 1)) for one, other in ((a, b), (a, a), (b, b))])
+
+
 def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
     """Stretches whose gyro noise, rate error or thrust lies far from that of all other stretches.
 
@@ -252,6 +282,7 @@ def _spans(rows: Rows) -> Iterator[tuple[int, int, int]]:
 
 _GLANCES: Mapping[str, Callable[[Rows], Iterable[Any]]] = {
     "motion": lambda rows: [motion_of(rows.block)] if len(rows.block) else [],
+    "turns": _turns,
     "blocks": _blocks,
     "spans": _spans,
 }
@@ -370,7 +401,7 @@ def taught(
         return flights
 
     flights = flown(_without(held, repeated(held), shelf, robust, left_out))
-    for guard in (upsets, far_blocks):
+    for guard in (upsets, turned, far_blocks):
         for _ in range(MAX_ROUNDS):  # the guard looks again at what remains
             findings = guard(flights)
             if not findings:

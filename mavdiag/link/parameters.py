@@ -6,7 +6,7 @@ the integer to a float ("parameter encoding").
 
 import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from enum import IntEnum, StrEnum
 from typing import NamedTuple
 
@@ -15,6 +15,11 @@ from mavdiag.link.messages import Autopilot, MessageId
 
 ASKING = frozenset((MessageId.PARAM_REQUEST_READ, MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_SET))
 _FORMS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE, in the bytes of the float
+
+_MOTORS, _DSHOT = (
+    range(101, 113),
+    -2,
+)  # of PX4's PWM_..._FUNCn; PWM_..._TIMn from here down, -1 is OneShot (output_groups)
 
 
 class Encoding(StrEnum):
@@ -99,3 +104,10 @@ def parameters_in(frames: Iterable[Frame], autopilot: int) -> dict[str, float]:
     told = (frame for frame in frames if frame.msgid == MessageId.PARAM_VALUE and frame.compid == AUTOPILOT)
     found = {frame.text("param_id"): _sent(frame, bytewise=autopilot == Autopilot.PX4) for frame in told}
     return {name: value for name, value in found.items() if name and math.isfinite(value)}
+
+
+def drives_dshot(parameters: Mapping[str, float]) -> bool:
+    """Whether PX4's parameters give motors to a group of outputs (PWM_MAIN, PWM_AUX) of which a timer has DShot."""
+    groups = {name.partition("_TIM")[0] for name, value in parameters.items() if "_TIM" in name and value <= _DSHOT}
+    motors = {name.partition("_FUNC")[0] for name, value in parameters.items() if value in _MOTORS and "_FUNC" in name}
+    return not groups.isdisjoint(motors)

@@ -6,7 +6,7 @@ matter.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from struct import calcsize
@@ -21,6 +21,7 @@ from mavdiag.link.clock import MS_32, NEVER, REBOOT, US_32, US_64, Counter, Vehi
 from mavdiag.link.codec import AUTOPILOT, MSGIDS, ROWS, Decoder, Encoder, Frame, Frames, anywhere, frames_of, layout_of
 from mavdiag.link.datagrams import Bytes
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
+from mavdiag.link.parameters import drives_dshot
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.storage import Column, forget
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
@@ -36,6 +37,7 @@ LEAST_US, MOST_US = 1000.0, 2000.0  # PWM for 0 and full output
 PULSE_LEAST_US = 800.0  # no pulse is shorter (PX4, pwm_out/module.yaml: the least of PWM_MAIN_DISn)
 DSHOT_FULL = 1999.0  # 0 when disarmed, then from 1 on (PX4, DShot.h: DSHOT_MAX_THROTTLE)
 SQUARED = (1e-2, 1e2)  # length of a quaternion, squared: beyond it is none, but a damaged frame with a right checksum
+SHOWN, TOLD = 1, 2  # how outputs are known to be DShot: one showed it, or a parameter tells it (bits)
 DISARMED_NS = 3 * NS_PER_S // 2  # without an armed heartbeat before a disarmed one is believed: they come each second
 LARGE = 10_000  # rows: beyond it signals share times
 BODY_RATE_BITS = TargetMask.BODY_ROLL_RATE | TargetMask.BODY_PITCH_RATE | TargetMask.BODY_YAW_RATE
@@ -133,7 +135,7 @@ def sources(profile: Profile, table: Iterable[Source] = SOURCES) -> tuple[Source
 
 # What one vehicle's conversion carries on: the rotors' latest known speeds [rad/s], NaN for unknown; rows with NaN,
 # infinity or no quaternion; when the latest armed heartbeat was received; disarmed ones amid armed ones, left out; and
-# whether its outputs are DShot.
+# how its outputs are known to be DShot.
 _MEMORY = np.dtype([("speeds", "f8", ROTORS), *((name, "i8") for name in ("dropped", "armed_ns", "contrary", "dshot"))])
 # Of a message: bytes of its payload, `Counter`, place of its count and the bits of this in a word, and its parts.
 _SOURCE = np.dtype([(name, "i8") for name in ("length", "tick", "turn", "at", "mask", "first", "last")])
@@ -149,6 +151,10 @@ class SampleState:
     def __init__(self) -> None:
         self.timeline, self.memory = VehicleTime(), np.zeros(1, _MEMORY)
         self.memory["speeds"], self.memory["armed_ns"] = np.nan, NEVER
+
+    def take_parameters(self, parameters: Mapping[str, float]) -> None:
+        """Take in what the autopilot's parameters tell of its outputs."""
+        self.memory["dshot"] |= TOLD * drives_dshot(parameters)
 
     @property
     def dropped(self) -> int:
@@ -298,18 +304,26 @@ def _pulses(words: Words, part: Any, out: FloatArray) -> None:
         out[k] = min(max(((words[at] & part.mask) - part.zero) * part.unit, 0.0), 1.0)
 
 
+def shows_dshot(output: Any) -> Any:
+    """Whether an output, or each of an array, is too low for a pulse and no share: as DShot is when it idles."""
+    return (output > 1.0) & (output < PULSE_LEAST_US)
+
+
+_shows_dshot = jit(shows_dshot)
+
+
 @jit
 def _outputs(words: Words, floats: Any, part: Any, memory: Any, out: FloatArray) -> None:
     """PX4 sends what its driver gets, and no unit. An unused output may be 0 with any.
 
-    DShot since one was between 1 and 800, as when it idles; else nothing above 1: shares, as in simulation; else PWM.
+    DShot where a parameter tells it, or since one showed it; else nothing above 1: shares, as in simulation; else PWM.
     """
     highest, low, span = 0.0, LEAST_US, MOST_US - LEAST_US
     for k in range(ACTUATORS):
         out[k] = _number(words, floats, part.at + 4 * k, part)
         out[k] = out[k] if math.isfinite(out[k]) else 0.0
         highest = max(highest, out[k])
-        memory.dshot |= int(1.0 < out[k] < PULSE_LEAST_US)
+        memory.dshot |= SHOWN * int(_shows_dshot(out[k]))
     if memory.dshot or highest <= 1.0:
         low, span = 0.0, DSHOT_FULL if memory.dshot else 1.0
     for k in range(ACTUATORS):
@@ -430,7 +444,7 @@ def _fill(
             count = payload[1][source.at] & source.mask
             at_ns = stamp(time, frame.row, source.tick, source.turn, count, frame.host_ns)
         if at_ns == REBOOT:
-            own.speeds[:], own.armed_ns, own.dshot, k = np.nan, NEVER, 0, k - 1
+            own.speeds[:], own.armed_ns, own.dshot, k = np.nan, NEVER, own.dshot & TOLD, k - 1
         for p in range(source.first, source.last if at_ns > NEVER else source.first):
             part, done = parts[p], filled[parts[p].signal]
             place, row = done[1] + done[2] * part.width, done[0] + done[2]

@@ -54,12 +54,13 @@ COMMANDS = frozenset({MessageId.COMMAND_LONG, MessageId.COMMAND_INT})
 #: ... and all that ask something of a component.
 ASKING = COMMANDS | PARAMETERS_ASKED
 #: Messages that tell where a pilot's sticks are, with the fields of four of them and the positions that these may have.
-#: Any other value says that there is none: not known, ignored, released. Pulses: range of ArduPilot's RCn_MIN, RCn_MAX.
+#: Any other value says that there is none: not known, ignored, released, or a receiver that lost the pilot and says so
+#: by a pulse below ArduPilot's FS_THR_VALUE, 975 us as it comes. The longest one is that of RCn_MAX.
 STICKS: Mapping[int, tuple[tuple[str, ...], range]] = {
     MessageId.MANUAL_CONTROL: (("x", "y", "z", "r"), range(-1000, 1001)),
     **dict.fromkeys(
         (MessageId.RC_CHANNELS, MessageId.RC_CHANNELS_OVERRIDE),
-        (tuple(f"chan{n}_raw" for n in range(1, 5)), range(800, 2201)),
+        (tuple(f"chan{n}_raw" for n in range(1, 5)), range(975, 2201)),
     ),
 }
 _ANSWERS = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC, MessageId.AUTOPILOT_VERSION}
@@ -79,12 +80,13 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command (MAV_CMD) with its first parameter, and who sent it."""
+    """A command (MAV_CMD), who sent it, its first parameter, and how often it was sent before, if that is told."""
 
     command: int
     sysid: int
     compid: int
     parameter: float = 0.0
+    confirmation: int = 0
 
 
 def acks_in(frames: Iterable[Frame]) -> tuple[Ack, ...]:
@@ -122,18 +124,23 @@ def sticks_in(frames: Iterable[Frame], compid: int | None = AUTOPILOT) -> dict[t
 
 
 def asked_of(frame: Frame) -> int | None:
-    """The system id of the vehicle whose on-board computer a frame asks something of; None for any other frame."""
+    """The system id of the vehicle whose on-board computer a frame asks something of; None for any other frame.
+
+    Who asks all components of it for parameters asks that one, too.
+    """
     if frame.msgid not in ASKING:
         return None
     system, component = frame.numbers("target_system", "target_component")
-    return system if component == Component.ONBOARD_COMPUTER else None
+    reads = frame.msgid in (MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_REQUEST_READ)
+    return system if component == Component.ONBOARD_COMPUTER or (reads and component == Component.ALL) else None
 
 
 def command_in(frame: Frame) -> Command | None:
     """The command in a frame; None for a frame without one."""
     if frame.msgid not in COMMANDS:
         return None
-    return Command(frame.value("command"), frame.sysid, frame.compid, frame.value("param1"))
+    confirmation = frame.value("confirmation") if frame.msgid == MessageId.COMMAND_LONG else 0
+    return Command(frame.value("command"), frame.sysid, frame.compid, frame.value("param1"), confirmation)
 
 
 def uid_in(frames: Iterable[Frame]) -> str:
@@ -178,6 +185,7 @@ class VehicleStream:
         if talk and (told := parameters_in(talk, self.profile.autopilot)):
             merged = {**self.parameters, **told}
             self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
+            self.state.take_parameters(self.parameters)
         return self._decoder.step(self.state, frames)
 
     def _choose_imu(self, frames: Frames) -> None:

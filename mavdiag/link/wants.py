@@ -5,7 +5,7 @@ gives a message without a request is from ArduPilot's stream groups (GCS_MAVLink
 MAVLink modes (mavlink_main.cpp) and the logging masks of both. Sans-I/O: what came and `now` in, frames to send out.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from mavdiag.link.codec import Encoder
@@ -145,11 +145,14 @@ STANDBY, MAVLINK_VERSION = 3, 3  # MAV_STATE; of a heartbeat
 _BATCH, _PAUSE_S, _NAME_TRIES = 4, 0.2, 3  # parameters at a time, how far apart, and tries of each (our choices)
 _ROTORS_MAX = 12
 _OUTPUTS = tuple(f"SERVO{n}_FUNCTION" for n in range(1, 15))
-_PX4_OUTPUTS = tuple(f"PWM_{group}_FUNC{n}" for group in ("MAIN", "AUX") for n in range(1, 9))
+_PX4_PARTS = ("TIM0", "TIM1", "TIM2", *(f"FUNC{n}" for n in range(1, 9)))  # until the first are known, it may be PWM
+_PX4_OUTPUTS = tuple(f"PWM_{group}_{part}" for part in _PX4_PARTS for group in ("MAIN", "AUX"))
 
 
-def telling(autopilot: int, known: Mapping[str, float]) -> tuple[str, ...]:
-    """The parameters that tell rotors, outputs and gyro filter, by MAV_AUTOPILOT. known: what is known already.
+def telling(autopilot: int, known: Mapping[str, float], *, learns: bool = True) -> tuple[str, ...]:
+    """The parameters that tell how outputs are driven, and, for who `learns`, rotors and gyro filter, by MAV_AUTOPILOT.
+
+    known: what is known already.
 
     >>> telling(Autopilot.GENERIC, {})
     ('FRAME_CLASS', 'FRAME_TYPE')
@@ -157,9 +160,9 @@ def telling(autopilot: int, known: Mapping[str, float]) -> tuple[str, ...]:
     if autopilot == Autopilot.PX4:
         rotors = range(min(_ROTORS_MAX, int(known.get("CA_ROTOR_COUNT", 0.0))))
         places = (f"CA_ROTOR{n}_{part}" for part in ("PX", "PY", "KM", "AX", "AY", "AZ", "CT") for n in rotors)
-        return ("CA_AIRFRAME", "CA_ROTOR_COUNT", *places, *_PX4_OUTPUTS)
+        return (*_PX4_OUTPUTS, *(("CA_AIRFRAME", "CA_ROTOR_COUNT", *places) if learns else ()))
     more = ("INS_GYRO_FILTER", *_OUTPUTS) if autopilot == Autopilot.ARDUPILOTMEGA else ()
-    return ("FRAME_CLASS", "FRAME_TYPE", *more)
+    return ("FRAME_CLASS", "FRAME_TYPE", *more) if learns else ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,11 +172,11 @@ class Reading:
     tries: Mapping[str, int] = field(default_factory=dict)
     at: Instant | None = None
 
-    def step(self, autopilot: int, known: Mapping[str, float], now: Instant) -> tuple["Reading", tuple[str, ...]]:
-        """The names to ask for now, those with the fewest tries first. known: the parameters that came so far."""
+    def step(self, names: Iterable[str], known: Mapping[str, float], now: Instant) -> tuple["Reading", tuple[str, ...]]:
+        """Which of these to ask for now, those with the fewest tries first. known: the parameters that came so far."""
         if self.at is not None and now - self.at < _PAUSE_S:
             return self, ()
-        tries = {name: self.tries.get(name, 0) for name in telling(autopilot, known) if name not in known}
+        tries = {name: self.tries.get(name, 0) for name in names if name not in known}
         due = [name for name in sorted(tries, key=lambda name: tries[name]) if tries[name] < _NAME_TRIES][:_BATCH]
         if not due:
             return self, ()
@@ -219,7 +222,7 @@ class Asker(Companion):
 
     def read_all(self, autopilot: int, known: Mapping[str, float], now: Instant) -> list[bytes]:
         """The parameters that tell rotors and filter, until they are known. known: those that came."""
-        self._reading, names = self._reading.step(autopilot, known, now)
+        self._reading, names = self._reading.step(telling(autopilot, known), known, now)
         return [self.read(name) for name in names]
 
     def stream(self, wants: Sequence[Want], rates_hz: Mapping[int, float], now: Instant) -> list[bytes]:

@@ -121,7 +121,7 @@ def gather(data: bytes, layout: np.dtype[np.void], starts: IntArray) -> NDArray[
 def recorded(signal: Signal, t_ns: IntArray, values: FloatArray) -> Series:
     """A series of a log that only knows the vehicle's clock, (n,); values: (n, k), or (n,) for one column.
 
-    A sample whose stamp alone is out of order is left out: logs have no checksum, and what follows would be late.
+    Samples whose stamps leap, up to four in a row, are left out: logs have no checksum, and what follows would be late.
     """
     series = Series(signal, t_ns, t_ns, values.reshape(len(t_ns), -1) if values.ndim == 1 else values)
     return series if (t_ns[1:] >= t_ns[:-1]).all() else series.where(well_dated(t_ns))

@@ -170,9 +170,10 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
             raise InputError(f"{path}: vehicle {sysid}: {why}")
         decoder = SampleDecoder(with_imu(known, system.counts))
         pieces = content.pieces if sysid == sysids[-1] else content.pieces.copy()
-        telemetry = joined(_converted(path, pieces, content.latest, sysid, decoder))
-        name = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}"
-        notes, parameters = (*content.notes, *left_out), parameters_in(system.parameters, known.autopilot)
+        parameters, state = parameters_in(system.parameters, known.autopilot), SampleState()
+        state.take_parameters(parameters)
+        telemetry = joined(_converted(path, pieces, content.latest, sysid, decoder, state))
+        name, notes = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}", (*content.notes, *left_out)
         named = (name, digest.hexdigest(), known.name, telemetry, system.heard_ns, notes, parameters)
         yield VehicleLog(sysid, Log(*named, mav_type=types.get(sysid), vehicle=sysid))
 
@@ -199,10 +200,9 @@ def _summed(path: Path, update: Callable[[bytes], None]) -> Iterator[bytes]:
 
 
 def _converted(
-    path: Path, pieces: list[_Piece], latest: Bytes, sysid: int, decoder: SampleDecoder
+    path: Path, pieces: list[_Piece], latest: Bytes, sysid: int, decoder: SampleDecoder, state: SampleState
 ) -> Iterator[Telemetry]:
     """The telemetry of one vehicle, piece by piece; uses the pieces up. latest: the bytes of the last one."""
-    state = SampleState()
     pieces.reverse()
     with opened(path, TLOG_BYTES) as file:
         while pieces:

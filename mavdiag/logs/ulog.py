@@ -18,7 +18,7 @@ from pyulog import ULog, ULogException
 
 from mavdiag.errors import InputError
 from mavdiag.link.messages import px4_custom_mode
-from mavdiag.link.samples import DSHOT_FULL, LEAST_US, MOST_US, PULSE_LEAST_US, euler_angles
+from mavdiag.link.samples import DSHOT_FULL, LEAST_US, MOST_US, PULSE_LEAST_US, euler_angles, shows_dshot
 from mavdiag.logs.log import (
     MAX_TIME_US,
     RECORDED_GATE,
@@ -68,7 +68,7 @@ def _norm(values: FloatArray) -> FloatArray:
 
 def _outputs(output: FloatArray) -> FloatArray:
     """Shares of the outputs in their order up to the last in use; as `samples` tells DShot from pulses."""
-    dshot = ((output > 1.0) & (output < PULSE_LEAST_US)).any()
+    dshot = shows_dshot(output).any()
     least, low, span = (1.0, 0.0, DSHOT_FULL) if dshot else (PULSE_LEAST_US, LEAST_US, MOST_US - LEAST_US)
     carry = np.flatnonzero((output >= least).any(axis=0))
     width = int(carry[-1]) + 1 if len(carry) else 0

@@ -56,7 +56,7 @@ TURN_TRIM = 0.02
 PRIOR, PRIOR_SD = np.array([0.0, 0.04, 0.0]), np.array([0.1, 0.04, 0.2])
 # Places in the parameters: 1 for torque commands; 1 where the pull is felt; how many rotors; parts of a tick, rows of a
 # part, row period, ticks of a window; of the spec pull, turn, variance of the pull, mean and spread; gains of torque
-# commands; what a monitor has of its own; the sums of the unmixing C, C itself, (3, rotors), and size of its columns.
+# commands; what a monitor has of its own; the sums of the unmixing C, C itself, (3, rotors), and 1/max |c_k|.
 TORQUES, FELT, ROTORS, PARTS, ROWS, DT, WINDOW, PULL, TURN, ERROR, MEAN, SPREAD = *range(8), 9, 12, 14, 17
 GAIN, OWN, SUM, UNMIXING = 20, 23, 26, 29
 # And in the memory: parts of the tick, rows of the part, known ones of the tick, whether a trim changed, the first one;
@@ -250,8 +250,8 @@ def window_means(par: Floats, mem: Floats, back: int, means: Floats) -> None:
 
 
 @jit
-def rise(par: Floats, rotor: int, shift: Floats, careful: bool) -> float:
-    """The rise of one rotor that explains a shift of trim, pull and lift (6,) (`airframe.trim`).
+def rise(par: Floats, rotor: int, shift: Floats, careful: bool) -> tuple[float, float]:
+    """The rise a_j of one rotor that explains a shift of trim, pull and lift (6,), and a_j |c_j| (`airframe.trim`).
 
     careful: roll and pitch with what a load moves that is so heavy, and with the errors of k.
     """
@@ -263,15 +263,17 @@ def rise(par: Floats, rotor: int, shift: Floats, careful: bool) -> float:
             variance += load + par[ERROR + j] * pull
         weight = column / variance
         above, below = above + weight * shift[j], below + weight * column
-    return float(above / below)
+    return above / below, above / math.sqrt(below)
 
 
 @jit
-def highest_rise(par: Floats, shift: Floats) -> float:
-    """The largest of all rotors, carefully."""
-    found = -math.inf
+def best_rise(par: Floats, shift: Floats) -> float:
+    """That of the rotor whose rise leaves least of the shift, carefully: a rotor with less effect would rise more."""
+    found, most = 0.0, -math.inf
     for rotor in range(int(par[ROTORS])):
-        found = max(found, rise(par, rotor, shift, True))
+        a, explained = rise(par, rotor, shift, True)
+        if explained > most:
+            found, most = a, explained
     return found
 
 
@@ -279,10 +281,10 @@ def highest_rise(par: Floats, shift: Floats) -> float:
 def write(par: Floats, mem: Floats, shift: Floats, sound: bool, out: Floats, rotors: Floats, k: int) -> None:
     """A value of a shift; for a fit the tick's `FIGURES`, usable ticks, window and shift."""
     parts, found = int(par[PARTS]), _found_at(par)
-    out[col.VALUE, k] = out[col.LEVEL, k] = highest_rise(par, shift)
+    out[col.VALUE, k] = out[col.LEVEL, k] = best_rise(par, shift)
     out[col.SOUND, k] = sound
     for rotor in range(rotors.shape[1]):
-        rotors[k, rotor] = rise(par, rotor, shift, False) * par[UNMIXING + 3 * int(par[ROTORS]) + rotor]
+        rotors[k, rotor] = rise(par, rotor, shift, False)[1] * par[UNMIXING + 3 * int(par[ROTORS])]
     if out.shape[0] > col.TRACE:
         means = np.empty(MEANS)
         window_means(par, mem, 0, means)
@@ -455,14 +457,14 @@ class TrimMonitor(Monitor[Spec]):
         mem = np.zeros(SUMS + SUMMED * (parts + 2) + (FIGURES + 1) * parts + 2 * (MEANS + 1) * window)
         mem[SUMS : SUMS + 2 * SUMMED] = np.nan
         own, sizes = self.own(self.period_s(dt_s)), np.sqrt(np.power(spec.spread, -2.0) @ np.square(C))
-        return Begin(np.array([*head, *learnt, *own, *C.sum(axis=1), *C.ravel(), *(sizes / sizes.max())]), mem)
+        return Begin(np.array([*head, *learnt, *own, *C.sum(axis=1), *C.ravel(), 1.0 / sizes.max()]), mem)
 
 
 class RotorTrim(TrimMonitor[RotorTrimSpec]):
     """Statistic: the rise of ONE rotor's command that explains the trim shift best [fraction of hover].
 
         m: trim averaged over 5 s,    mu: the healthy one,    a_j: rise of rotor j that explains m - mu
-        statistic = max_j a_j,    rotor = argmax_j a_j |c_j|
+        rotor = argmax_j a_j |c_j|,    statistic = a_rotor
 
     A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
     yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. To their spread the error

@@ -69,7 +69,7 @@ def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> boo
             mem[REFERENCE + j] = before[j]
             before[j] -= par[trim.MEAN + j] if j < 3 else 0.0
         before[trim.LIFT] = 0.0
-        far = trim.highest_rise(par, before) > SESSION
+        far = trim.best_rise(par, before) > SESSION
         for j in range(trim.MEANS):
             if j < 3:
                 mem[BACK + j] = -before[j] if far else 0.0
@@ -80,7 +80,7 @@ def _take_window(par: Floats, mem: Floats, shift: Floats, before: Floats) -> boo
     share = _share(par, mem, shift)
     for j in range(3):
         shift[j] -= share * mem[BACK + j]
-    if max(trim.highest_rise(par, shift), trim.highest_rise(par, before)) <= HOLD:
+    if max(trim.best_rise(par, shift), trim.best_rise(par, before)) <= HOLD:
         fastest = par[MOST]
         for j in (0, 1, 2, trim.LIFT):
             fastest = max(fastest, abs(before[j]) * par[FOLLOW])
@@ -116,7 +116,7 @@ class TrimStep(trim.TrimMonitor[TrimStepSpec]):
     """Statistic: the rise of ONE rotor's command against the same flight before [fraction of hover].
 
         m: trim averaged over 5 s as rotor_trim has it,    a_j: rise of rotor j that explains m - m_ref
-        statistic = max_j a_j
+        statistic = a_j of the rotor with the largest a_j |c_j|
         m_ref <- m_ref + (m(t - 5 s) - m_ref) dt/30 s, at most 0.0003 dt,    while both are within 0.012
         var(m_roll), var(m_pitch): their spread^2 + (0.3 ln(o/o_ref))^2,    o: mean output, which has a reference, too
 

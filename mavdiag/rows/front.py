@@ -10,12 +10,10 @@ from mavdiag.rows.align import NEVER_NS, AlignSpec, AlignState
 from mavdiag.rows.block import Block
 from mavdiag.rows.block import Rows as Rows
 from mavdiag.rows.gate import Border, GateSpec, GateState
-from mavdiag.rows.grid import measure_grid
+from mavdiag.rows.grid import measure_grid, usual_times
 from mavdiag.rows.quality import LinkQuality, believed
 from mavdiag.rows.rates import RateSpec, RateState
 from mavdiag.telemetry import IntArray, Series, Signal, Telemetry
-
-LEAPT = 9  # samples whose median stamp counts where some go back: up to four in a row may leap (our choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,10 +87,7 @@ def _usual_times(t_ns: IntArray) -> IntArray:
     """Times that never go back, in the order of the samples; a few stamps that leap do not count."""
     if not (t_ns[1:] < t_ns[:-1]).any():
         return t_ns
-    from scipy.ndimage import median_filter  # a log whose stamps go back is rare
-
-    usual: IntArray = median_filter(t_ns, LEAPT, mode="nearest")
-    return np.minimum.accumulate(usual[::-1])[::-1]
+    return np.minimum.accumulate(usual_times(t_ns)[::-1])[::-1]
 
 
 def warm() -> None:

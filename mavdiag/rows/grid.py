@@ -12,6 +12,7 @@ from mavdiag.units import NS_PER_S
 
 UNIFORM = 0.25  # of a period: a sample this near to its place counts as uniform (our choice)
 NATIVE_SHARE = 0.99  # of the steps that must be uniform for a native grid (our choice)
+LEAPT = 9  # samples whose median stamp counts where some go back: up to four in a row may leap (our choice)
 LEAST_SAMPLES = 20  # that a rate is measured by (our choice)
 PAUSE_NS = NS_PER_S  # a longer step is a pause, as between two flights, and says nothing of the rate (our choice)
 SLOW = 3.0  # nor does one of so many medians, in a stream that is slower than that (our choice)
@@ -60,8 +61,8 @@ def mean_step(steps: FloatArray) -> float:
 def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
     """Period [s] of the gyro stream, and whether its samples are uniform enough to be rows themselves.
 
-    It is the usual step of a uniform stream, else the mean one. A sample whose stamp alone is out of order does not
-    count. Raises InputError if there are fewer than 20 gyro samples.
+    It is the usual step of a uniform stream, else the mean one. Samples whose stamps leap do not count.
+    Raises InputError if there are fewer than 20 gyro samples.
     """
     t = telemetry.need(Signal.BODY_RATE).t_ns
     if np.count_nonzero(t[1:] > t[:-1]) < len(t) - 1:
@@ -76,11 +77,20 @@ def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
     return mean_step(steps) / NS_PER_S, Grid.RESAMPLED
 
 
+def usual_times(t_ns: IntArray, aside: int = 0) -> IntArray:
+    """The median of `LEAPT` stamps about each, and as many `aside` on both sides, as early and late as can be."""
+    from scipy.ndimage import median_filter  # a log whose stamps go back is rare
+
+    half = LEAPT // 2
+    usual: IntArray = median_filter(np.pad(t_ns, half + aside, constant_values=(-(2**62), 2**62)), LEAPT)
+    return usual[half : len(usual) - half]
+
+
 def well_dated(t_ns: IntArray) -> BoolArray:
-    """Stamps, as they came, that are not alone out of order with the two before and after; two may change places."""
-    t = np.concatenate(([-(2**62)] * 2, t_ns, [2**62] * 2))
-    early, before, at, after, late = (t[k : k + len(t_ns)] for k in range(5))
-    return (before >= after) | ((at >= np.minimum(before, early)) & (at <= np.maximum(after, late)))
+    """Stamps, as they came, among the usual ones of two samples before and after, or where those go back for good."""
+    usual = usual_times(t_ns, 2)
+    early, late = usual[: len(t_ns)], usual[4:]
+    return (early > late) | ((t_ns >= early) & (t_ns <= late))
 
 
 def rate_tolerance(grid: Grid, dt_s: float, window_s: float) -> float:

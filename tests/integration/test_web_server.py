@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from made_session import baseline_for
@@ -23,7 +24,7 @@ from processes import ended, running
 from web_page import Reader, asked, give, serving, wait_for
 
 from detector.config import Settings
-from detector.hooks import QUEUED, Hook
+from detector.hooks import QUEUED, STOP_S, Courier, Hook, close_all
 from detector.web.access import HEADERS, Access
 from detector.web.child import ServerProcess
 from detector.web.server import SERVICE
@@ -285,6 +286,17 @@ def test_nothing_waits_for_a_slow_program_and_what_the_queue_cannot_hold_is_told
         assert f"{QUEUED} lines wait" in said[0]
     assert hook.lost == QUEUED + 50
     assert "were not delivered" in said[-1]
+
+
+def test_dead_hooks_hold_up_the_end_for_no_longer_than_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    dead = [Courier(f"hook {number}", lambda _: threading.Event().wait(), print) for number in range(4)]
+    for hook in dead:
+        hook.put(b"{}")
+    at_s = [0.0]
+    clock = SimpleNamespace(monotonic=lambda: at_s[-1], sleep=lambda s: at_s.append(at_s[-1] + s))
+    monkeypatch.setattr("detector.hooks.time", clock)
+    close_all(dead)
+    assert ([hook.lost for hook in dead], round(at_s[-1], 1)) == ([1] * 4, STOP_S)
 
 
 def test_a_program_gets_each_line_on_its_standard_input(tmp_path: Path) -> None:

@@ -31,9 +31,8 @@ from mavdiag.chain import chain_of, front_of
 from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.judging import Verdict, judge
 from mavdiag.kernel import compiled, joined_loops
-from mavdiag.learning import ALL_MONITORS, LearnOptions, airborne, learn, thesis_options
+from mavdiag.learning import ALL_MONITORS, LearnOptions, airborne, extend, learn, thesis_options, warm
 from mavdiag.learning.flights import sessions_of
-from mavdiag.learning.learn import extend
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.monitors.base import Monitor
 from mavdiag.monitors.rotor_trim import RotorTrim
@@ -81,6 +80,10 @@ def test_flights_that_cannot_teach_are_named(logs: list[Log], says: str) -> None
 def test_options_that_cannot_be_are_refused(options: dict[str, object], says: str) -> None:
     with pytest.raises(UsageError, match=says):
         LearnOptions(**options)  # type: ignore[arg-type]  # wrong on purpose
+
+
+def test_what_warm_makes_up_can_be_learnt() -> None:
+    warm()
 
 
 def test_b11_one_monitor_s_need_does_not_hinder_another() -> None:

@@ -249,7 +249,7 @@ def test_a_lost_answer_is_no_reason_to_ask_again_once_the_mode_shows_it() -> Non
 def test_modes_and_sticks_are_read_from_the_autopilots_own_frames() -> None:
     own, other = Encoder(1, 1), Encoder(1, 190)
     beats = [own.encode(MessageId.HEARTBEAT, 2, 3, 129, 5, 4, 3), other.encode(MessageId.HEARTBEAT, 6, 8, 1, 9, 4)]
-    pulses, lost = (1100, 1500, 1900, 1501), (0, 65535, 1910, 65534)
+    pulses, lost = (1100, 1500, 1900, 1501), (974, 65535, 1910, 65534)
     told = [one.encode(RC, 0, 18, *at, *[0] * 14, 0) for one, at in ((own, pulses), (own, lost), (other, pulses))]
     told.insert(0, own.encode(MessageId.MANUAL_CONTROL, 1, 32767, -1000, 1000, 32767, 0))
     frames = [frame for data in (*beats, *told) for frame in Decoder().feed(data, 0)]
@@ -369,6 +369,13 @@ def test_l8_a_fault_that_lasts_is_repeated_after_5_15_60_s_and_then_every_minute
     for tick in range(2500):
         said += [tick / 10 for effect in say(presenter, tick / 10, FAULT) if isinstance(effect, SendText)]
     assert said == [0.0, 5.0, 15.0, 60.0, 120.0, 180.0, 240.0]
+
+
+def test_repeats_of_a_kind_hold_up_no_graver_one() -> None:
+    presenter, graver = Presenter(4), Notice(Kind.CONTROL, ("of motor 1",))
+    said = [say(presenter, float(at_s), FAULT) for at_s in range(17)]
+    assert [at_s for at_s, effects in enumerate(said) if FAULT.effect in effects] == [0, 5]  # the third waits
+    assert say(presenter, 17.0, graver) == [graver.effect]
 
 
 def test_a_suspicion_waits_a_second_and_is_dropped_for_a_fault() -> None:

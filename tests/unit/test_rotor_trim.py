@@ -14,7 +14,7 @@ from mavdiag.airframe.layout import LAYOUTS, Place, layout_at, layout_named
 from mavdiag.airframe.trim import BESIDE, TILT_TRIM, rises, source_among, sources_of
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Flights
-from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec, highest_rise, rise
+from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec, best_rise, rise
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, Signal, Three
@@ -64,7 +64,9 @@ def test_a_rotor_is_named_by_what_its_rise_leaves_not_by_its_size(which: int, ra
     w = np.full(4, -0.05)
     w[which] += 0.2
     rows = [example_rows(600, actuator=fluttering(0.5 * (1 + w)))]
-    assert int(read(replace(spec, spread=(0.002 * ratio, 0.002 * ratio, 0.002)), rows).rotors[-1].argmax()) == which
+    found = read(replace(spec, spread=(0.002 * ratio, 0.002 * ratio, 0.002)), rows)
+    assert int(found.rotors[-1].argmax()) == which
+    assert found.value[-1] == pytest.approx(0.2)
 
 
 def test_a_shifted_centre_of_mass_counts_little() -> None:
@@ -239,6 +241,6 @@ def test_the_compiled_rise_is_that_of_arrays(frame: str, shift: list[float]) -> 
     wind, load = TILT_TRIM * math.hypot(*shift[3:5]), BESIDE * shift[5]
     spread = np.array([*(math.hypot(sd, wind, load) for sd in WEIGHTS[:2]), WEIGHTS[2]])
     expected = rises(both[:, :3], layout, spread)[0]
-    found = [rise(par, rotor, both[0], True) for rotor in range(layout.rotors)]
+    found, explained = np.array([rise(par, rotor, both[0], True) for rotor in range(layout.rotors)]).T
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
-    assert highest_rise(par, both[0]) == max(found)
+    assert best_rise(par, both[0]) == found[explained.argmax()]

@@ -1,7 +1,8 @@
 """Frames become SI samples, whatever their clocks do: scales, masks, wraps, drifts, and however the frames are cut."""
 
 import collections
-from collections.abc import Callable
+import struct
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import pi
 
@@ -19,6 +20,7 @@ from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
 from mavdiag.link.profiles import PROFILES, Evidence, detect_profile, with_imu
 from mavdiag.link.samples import SOURCES, Form, Part, SampleDecoder, SampleState, Source, euler_angles, joined
 from mavdiag.link.sequence import FRAME
+from mavdiag.link.vehicles import VehicleStream
 from mavdiag.telemetry import FloatArray, IntArray, Signal, Telemetry
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -140,14 +142,21 @@ def test_px4_tells_the_unit_of_its_outputs_by_their_values(sent: tuple[float, ..
     np.testing.assert_allclose(found, [share + (0.0,) * 12], atol=1e-4)
 
 
-def test_outputs_stay_dshot_once_one_was_too_low_for_a_pulse() -> None:
-    """Of four outputs, all of them motors, that idle and then fly above 800."""
-    vehicle, decoder, state = Vehicle(), SampleDecoder(PROFILES["px4"]), SampleState()
-    found = []
-    for k, value in enumerate((0.0, 110.0, 999.5, 1999.0, 1.0)):
-        frame = vehicle.frame(MessageId.ACTUATOR_OUTPUT_STATUS, 1000 * k, 4, (value,) * 4 + (0.0,) * 28)
-        found.append(values_of(decoder.step(state, [frame]), Signal.ACTUATOR)[0, :4].tolist())
-    np.testing.assert_allclose(found, np.outer((0.0, 0.055, 0.5, 1.0, 0.0005), np.ones(4)), atol=1e-4)
+@pytest.mark.parametrize(
+    ("protocol", "sent", "shares"),
+    [(400, (0.0, 110.0, 999.5, 1999.0, 1.0), (0.0, 0.055, 0.5, 1.0, 0.0005)), (-1, [1499.25], [0.49925])]
+    + [(protocol, [1499.25], [0.75]) for protocol in (-5, -2)],
+)
+def test_outputs_are_dshot_once_they_idle_or_a_parameter_says_so(
+    protocol: int, sent: Sequence[float], shares: Sequence[float]
+) -> None:
+    vehicle, stream = Vehicle(), VehicleStream(PROFILES["px4"])
+    for name, value in (("PWM_AUX_TIM0", protocol), ("PWM_AUX_FUNC3", 101)):
+        talk = vehicle.frame(MessageId.PARAM_VALUE, name, *struct.unpack("<f", struct.pack("<i", value)), 6, 2, 0)
+        stream.step(frames_of([talk]), [talk])
+    frames = [vehicle.frame(MessageId.ACTUATOR_OUTPUT_STATUS, 1, 4, (one,) * 4 + (0.0,) * 28) for one in sent]
+    found = values_of(stream.step(frames_of(frames)), Signal.ACTUATOR)
+    np.testing.assert_allclose(found[:, :4], np.outer(shares, np.ones(4)), atol=1e-4)
 
 
 def test_b7_outputs_lie_on_the_time_of_the_imu_after_80_minutes() -> None:
