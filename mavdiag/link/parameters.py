@@ -16,10 +16,8 @@ from mavdiag.link.messages import Autopilot, MessageId
 ASKING = frozenset((MessageId.PARAM_REQUEST_READ, MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_SET))
 _FORMS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE, in the bytes of the float
 
-_MOTORS, _DSHOT = (
-    range(101, 113),
-    -2,
-)  # of PX4's PWM_..._FUNCn; PWM_..._TIMn from here down, -1 is OneShot (output_groups)
+_MOTORS = range(101, 113)  # of PX4's PWM_..._FUNCn
+_DSHOT = -2  # and below, of PWM_..._TIMn; -1 is OneShot (PX4, pwm_out/module.yaml)
 
 
 class Encoding(StrEnum):
