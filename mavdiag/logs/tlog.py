@@ -157,7 +157,11 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
     if content.records == 0:
         raise InputError(f"{path}: no MAVLink frame found; not a telemetry log")
     if content.damaged_bytes > DAMAGED_SHARE * content.size:
-        share = round(100 * content.damaged_bytes / content.size)
+        plain, share = Decoder(()), round(100 * content.damaged_bytes / content.size)
+        for window in windows_of(path, PIECE_BYTES, TLOG_BYTES):
+            plain.take_stream(window)
+        if plain.garbage_bytes <= DAMAGED_SHARE * content.size:
+            raise InputError(f"{path}: its frames have no time stamps (as in MAVProxy's .raw); take its .tlog")
         raise InputError(f"{path}: {share} % of the file is damaged; get a sound copy")
     sysids, types = _chosen(path, content, vehicle, several=several), content.mav_types
     if refused := next((text for sysid in sysids if (text := refusal(types.get(sysid)))), ""):
