@@ -160,14 +160,16 @@ def fit(
         )
     if not figures:
         return bare
-    quality = free_run(bare, segments, settle_s)
+    quality, covariance = free_run(bare, segments, settle_s), estimate.covariance
+    if np.diag(covariance).min() < 0:  # singular but for rounding: nothing is known of the estimates
+        covariance = np.full_like(covariance, np.nan)
     with np.errstate(all="ignore"):  # a perfect fit, or a parameter of 0
-        unsure = float(np.mean(np.diag(estimate.covariance) / estimate.theta**2))
+        unsure = float(np.mean(np.diag(covariance) / estimate.theta**2))
         yic = float(np.sum(np.log(np.maximum((1.0 - quality.r2t, unsure), 0.0)))) if math.isfinite(unsure) else math.inf
     return replace(
         bare,
         standard_errors=np.empty(0),
-        covariance=estimate.covariance,
+        covariance=covariance,
         **{**asdict(quality), "samples": sum(map(len, segments))},
         yic=yic,
         iterations=estimate.iterations,
