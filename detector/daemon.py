@@ -277,7 +277,7 @@ class Daemon:
         failure = None if self._kept is None else self._kept.step(self._unix_ns())
         if (babble := self.fleet.link.babble) and now - self._started >= PUZZLED_S and (0, babble) not in self._unclear:
             self._unclear.add((0, babble))
-            texts = (*texts, babble)
+            texts = [*texts, babble]
         self._carry_out(turns)
         for text in filter(None, (*texts, failure)):
             self._reporter.mark("note", {"text": text})
