@@ -147,7 +147,7 @@ class Telemetry:
         found = self.get(signal)
         if found is None or len(found) == 0:
             there = ", ".join(one.signal for one in self.series if len(one)) or "nothing"
-            raise InputError(f"no {signal.replace('_', ' ')} in the data; there is {there}; see `mavdiag look`")
+            raise InputError(f"no {signal.replace('_', ' ')} in the data; there is {there}")
         return found
 
     def __getitem__(self, signal: Signal | str) -> Series:
