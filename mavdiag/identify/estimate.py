@@ -160,9 +160,8 @@ def fit(
         )
     if not figures:
         return bare
-    quality, covariance = free_run(bare, segments, settle_s), estimate.covariance
-    if np.diag(covariance).min() < 0:  # singular but for rounding: nothing is known of the estimates
-        covariance = np.full_like(covariance, np.nan)
+    quality, singular = free_run(bare, segments, settle_s), np.diag(estimate.covariance).min() < 0  # but for rounding
+    covariance = np.where(singular, np.nan, estimate.covariance)
     with np.errstate(all="ignore"):  # a perfect fit, or a parameter of 0
         unsure = float(np.mean(np.diag(covariance) / estimate.theta**2))
         yic = float(np.sum(np.log(np.maximum((1.0 - quality.r2t, unsure), 0.0)))) if math.isfinite(unsure) else math.inf
