@@ -90,7 +90,7 @@ def _absence(address: str) -> str:
 
 
 def _summary(baseline: Baseline, settings: Settings) -> str:
-    judging = len(chain_for(baseline, settings, 0).slots)
+    judging = len({slot.monitor.name for slot in chain_for(baseline, settings, 0).slots})
     if settings.profile is not None:
         check_link(baseline, profile=settings.profile, dt_s=baseline.link.dt_s)
     link, grade = baseline.link, f", grade {baseline.grade}" if baseline.grade else ""

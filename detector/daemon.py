@@ -35,6 +35,7 @@ from mavdiag.link.keys import KeptSigning
 from mavdiag.link.messages import MavCmd, MessageId
 from mavdiag.link.ports import PEER_FRESH_S, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
+from mavdiag.link.vehicles import PUZZLED_S
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 
@@ -274,6 +275,9 @@ class Daemon:
         for sysid, whose in self._inspections.acknowledged():
             self._acknowledge(sysid, whose)
         failure = None if self._kept is None else self._kept.step(self._unix_ns())
+        if (babble := self.fleet.link.babble) and now - self._started >= PUZZLED_S and (0, babble) not in self._unclear:
+            self._unclear.add((0, babble))
+            texts = [*texts, babble]
         self._carry_out(turns)
         for text in filter(None, (*texts, failure)):
             self._reporter.mark("note", {"text": text})

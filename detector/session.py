@@ -302,8 +302,8 @@ class Session:
         self._begin_learning()
         self._move(Trigger.FITTED)
         self._effects.append(outcome)
-        refused = len(outcome.not_judgeable)
-        return self._say(Kind.LEARNED, str(len(outcome.monitors)), f", {refused} cannot" if refused else "")
+        judging, refused = len({entry.spec.kind for entry in outcome.monitors}), len(outcome.not_judgeable)
+        return self._say(Kind.LEARNED, str(judging), f", {refused} cannot" if refused else "")
 
     def _monitoring(self, received: Received, now: Instant) -> None:
         judge, lack = self.judge, self._lack(received)

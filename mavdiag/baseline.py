@@ -382,7 +382,8 @@ def check_link(baseline: Baseline, *, profile: str, dt_s: float) -> None:
         differ = f"the baseline is for {link.profile!r}, the data are {profile!r}"
         raise BaselineError(f"link.profile: {differ}; learn one from healthy flights of this kind")
     if abs(dt_s / link.dt_s - 1.0) > rate_tolerance(link.grid, link.dt_s, baseline.window.samples * link.dt_s):
-        raise BaselineError(f"link.dt_s: the baseline is for {1 / link.dt_s:.1f} Hz, the data have {1 / dt_s:.1f} Hz")
+        differ = f"the baseline is for {1 / link.dt_s:.1f} Hz, the data have {1 / dt_s:.1f} Hz"
+        raise BaselineError(f"link.dt_s: {differ}; set that rate, or learn one from healthy flights of this kind")
 
 
 def _digest(baseline: Baseline) -> str:

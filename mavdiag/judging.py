@@ -148,7 +148,7 @@ def judge_in_full(
     try:
         dt_s, _ = measure_grid(log.telemetry)
     except InputError as error:
-        return refused(str(error))
+        return refused(f"{error}; see `mavdiag look`")
     chain = chain_of(suited(baseline, log), log.started_ns, log.profile)
     if refusal := chain.refusal(log.telemetry, mean_s=dt_s):
         return refused(refusal, 1 / dt_s)

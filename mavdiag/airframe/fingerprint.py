@@ -75,8 +75,8 @@ TRAITS = (
     # are quieter by 7
     *(Trait(f"gyro noise {axis}", 0.1, near_low=_2, far_low=_20) for axis in "pqr"),
     *(Trait(f"accelerometer noise {axis}", 0.1, near_low=_2, far_low=_20) for axis in "xyz"),
-    # median mean output, or thrust set-point
-    Trait("hover throttle", 0.03, math.log(1.15), math.log(1.4), _1_5),
+    # median thrust set-point; or mean output, which has a scale of its own, where there is none
+    *(Trait(f"hover {what}", 0.03, math.log(1.15), math.log(1.4), _1_5) for what in ("throttle", "output")),
     # outputs that move like motors, whatever the layout; one that hangs follows no command
     Trait("motors", 0.1, OTHER_MOTORS, OTHER_MOTORS, far_high=OTHER_MOTORS, log=False),
 )
@@ -296,16 +296,13 @@ def _shown(block: Block, layout: RotorLayout | None) -> _Shown:
 
 def _figures(shown: Sequence[_Shown]) -> FloatArray:
     trim = np.concatenate([np.empty((0, 3)), *(one.trim for one in shown)])
-    thrust = np.concatenate([np.empty(0), *(one.thrust for one in shown)])
-    if not np.isfinite(thrust).any():
-        thrust = np.concatenate([np.empty(0), *(one.levels for one in shown)])
-    known = thrust[np.isfinite(thrust) & (thrust > MIN_OUTPUT)]
     return np.array(
         [
             *(np.median(trim, axis=0) if len(trim) else np.full(3, np.nan)),
             *_noise([one.gyro for one in shown]),
             *_noise([one.felt for one in shown]),
-            math.log(float(np.median(known))) if len(known) else math.nan,
+            _level([one.thrust for one in shown]),
+            _level([one.levels for one in shown]),
             _motors([one.outputs for one in shown]),
         ]
     )
@@ -343,6 +340,13 @@ def _noise(found: Sequence[Bends]) -> FloatArray:
             calm = float(np.quantile(step[step > 0], RESOLUTION_SHARE, method="lower")) ** 2 / 2
         levels.append(0.5 * math.log(calm) if calm > 0 else math.nan)
     return np.array(levels)
+
+
+def _level(found: Sequence[FloatArray]) -> float:
+    """Logarithm of the median level in flight; NaN where none is known."""
+    levels = np.concatenate([np.empty(0), *found])
+    known = levels[np.isfinite(levels) & (levels > MIN_OUTPUT)]
+    return math.log(float(np.median(known))) if len(known) else math.nan
 
 
 def _motors(sent: Sequence[FloatArray]) -> float:

@@ -73,8 +73,8 @@ def shown(text: str, sizes: Sequence[float], *, quiet: bool = False) -> Iterator
 
 
 def sizes_of(paths: Iterable[Path]) -> tuple[float, ...]:
-    """The sizes of files, as how much work they are [bytes]; 1 for what is no file."""
-    return tuple(float(path.stat().st_size) or 1.0 if path.is_file() else 1.0 for path in paths)
+    """The sizes of files, as how much work they are [bytes]; 0 for what is no file: it tells no speed."""
+    return tuple(float(path.stat().st_size) if path.is_file() else 0.0 for path in paths)
 
 
 def each(items: Sequence[T], text: str, sizes: Sequence[float] | None = None) -> Iterator[T]:

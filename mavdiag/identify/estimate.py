@@ -160,14 +160,15 @@ def fit(
         )
     if not figures:
         return bare
-    quality = free_run(bare, segments, settle_s)
+    quality, singular = free_run(bare, segments, settle_s), np.diag(estimate.covariance).min() < 0  # but for rounding
+    covariance = np.where(singular, np.nan, estimate.covariance)
     with np.errstate(all="ignore"):  # a perfect fit, or a parameter of 0
-        unsure = float(np.mean(np.diag(estimate.covariance) / estimate.theta**2))
+        unsure = float(np.mean(np.diag(covariance) / estimate.theta**2))
         yic = float(np.sum(np.log(np.maximum((1.0 - quality.r2t, unsure), 0.0)))) if math.isfinite(unsure) else math.inf
     return replace(
         bare,
         standard_errors=np.empty(0),
-        covariance=estimate.covariance,
+        covariance=covariance,
         **{**asdict(quality), "samples": sum(map(len, segments))},
         yic=yic,
         iterations=estimate.iterations,

@@ -78,7 +78,7 @@ def hold(log: Log | HeldLog, shelf: Shelf) -> HeldLog:
     try:
         dt_s, grid = measure_grid(log.telemetry)
     except InputError as error:
-        raise InputError(f"{log.name}: {error}") from error
+        raise InputError(f"{log.name}: {error}; see `mavdiag look`") from error
     used = Telemetry(tuple(one for one in log.telemetry.series if one.signal in USED))
     setpoint_s = median_step([one.t_ns for one in used if one.signal is Signal.ATTITUDE_SETPOINT]) / NS_PER_S
     parts = _put_aside(in_pieces(used, PIECE_ROWS), shelf)

@@ -22,9 +22,7 @@ from mavdiag.telemetry import Log, Telemetry
 
 POLL_S = 0.04
 SILENT_NOTE = "it sends no message with a measurement; let it send ATTITUDE_TARGET and an IMU message"
-SILENT_ADVICE = (
-    "is the vehicle sending to this address? It may send only after it was spoken to, as `mavdiag inspect --ask` does"
-)
+SILENT_ADVICE = "is the vehicle sending to this address? Some send only to who spoke first: try `mavdiag inspect --ask`"
 PATIENCE_S = 5.0  # how long a vehicle without a clear profile is waited for (our choice)
 
 
@@ -140,6 +138,8 @@ class Link(AbstractContextManager["Link"]):
         waiting = self._decoder.waiting
         for sysid, reason in waiting.items():
             return f"{self.address}: vehicle {sysid}: {reason}"
+        if self._decoder.babble:
+            return f"{self.address}: {self._decoder.babble}"
         senders = sorted({sysid for sysid, _ in self._decoder.decoder.senders})
         if self.signing is not None and self.signing.refused:
             refused = ", ".join(f"{count} {cause}" for cause, count in self.signing.refused.items())

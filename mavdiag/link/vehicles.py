@@ -306,6 +306,12 @@ class LinkDecoder:
         """Why a vehicle has not entered, by system id, one sentence each; of those whose autopilot was received."""
         return {sysid: waiting.reason for sysid, waiting in self._waiting.items() if waiting.reason}
 
+    @property
+    def babble(self) -> str:
+        """What to do where no vehicle entered and most bytes are in no frame; empty elsewhere."""
+        few = 2 * self.decoder.garbage_bytes <= self.decoder.size
+        return "" if few or self.vehicles else "bytes come that are no MAVLink frames: is the baud rate the vehicle's?"
+
     def count(self, sysid: int) -> LinkCount | None:
         """What came from one vehicle's autopilot so far; None if nothing did."""
         return self.decoder.heard.count(sysid << 8 | AUTOPILOT)

@@ -87,7 +87,7 @@ def messages_of(profile: Profile) -> dict[Signal, MessageId]:
     return messages if profile.imu == LAST_RESORT else messages | {Signal.SPECIFIC_FORCE: profile.imu}
 
 
-_ON_REQUEST = "a request only: mavdiag-detector asks, and so does `mavdiag inspect --ask`"
+_ON_REQUEST = "a request of mavdiag-detector or `mavdiag inspect --ask`, which must reach the vehicle"
 _PX4_ONBOARD = "MAV_0_MODE 2 (Onboard) with enough MAV_0_RATE, or a request"
 _PX4_MESSAGES = (_M.ATTITUDE_TARGET, _M.HIGHRES_IMU, _M.ATTITUDE, _M.ACTUATOR_OUTPUT_STATUS)
 

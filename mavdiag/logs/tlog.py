@@ -157,8 +157,12 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
     if content.records == 0:
         raise InputError(f"{path}: no MAVLink frame found; not a telemetry log")
     if content.damaged_bytes > DAMAGED_SHARE * content.size:
-        share = round(100 * content.damaged_bytes / content.size)
-        raise InputError(f"{path}: {share} % of the file is damaged; get a sound copy")
+        plain, share = Decoder(()), round(100 * content.damaged_bytes / content.size)
+        for window in windows_of(path, PIECE_BYTES, TLOG_BYTES):
+            plain.take_stream(window)
+        if plain.garbage_bytes <= DAMAGED_SHARE * content.size:
+            raise InputError(f"{path}: its frames have no time stamps (as in MAVProxy's .raw); take its .tlog")
+        raise InputError(f"{path}: {share} % of the file is damaged, or it is no telemetry log; get a sound copy")
     sysids, types = _chosen(path, content, vehicle, several=several), content.mav_types
     if refused := next((text for sysid in sysids if (text := refusal(types.get(sysid)))), ""):
         raise InputError(f"{path}: {refused}")
@@ -181,7 +185,7 @@ def _flights(path: Path, profile: str | None, vehicle: int | None, *, several: b
 def _chosen(path: Path, content: TlogContent, vehicle: int | None, *, several: bool) -> list[int]:
     flying = content.flying if vehicle is None else [vehicle]
     if not flying:
-        remedy = "" if several else "; name the vehicle if there is one"
+        remedy = "" if several else "; name the vehicle with --vehicle if there is one"
         raise InputError(f"{path}: no autopilot's heartbeat in the log{remedy}")
     if len(flying) > 1 and not several:
         each = "choose one with --vehicle (in Python, mavdiag.vehicle_stream reads each of them)"

@@ -87,7 +87,7 @@ def _paragraphs(found: Inspection) -> Iterator[str | list[str]]:
     yield from (f"  {state.monitor:<16} {'; '.join(state.missing) or 'works'}" for state in found.monitors)
     lacking = any(why.startswith("no ") for state in found.monitors for why in state.missing)
     if found.link is not None and lacking and not found.asked:
-        yield "ask for what is missing with --ask, or set the parameters named above"
+        yield "ask the vehicle for what is missing (mavdiag inspect ENDPOINT --ask), or set parameters named above"
     yield CLOSING
 
 

@@ -160,6 +160,13 @@ class SlowManager(Notifier):
         self.host.ns += 100_000_000
 
 
+def test_bytes_without_a_frame_are_told_once(benches: Benches) -> None:
+    bench = benches(Settings(connect=UDP_IN, learn=5.0))
+    bench.far.send(bytes(64))
+    bench.run(8.0)
+    assert [line for line in bench.host.lines if "baud" in line] == [bench.daemon.fleet.link.babble]
+
+
 def test_l11_looks_that_come_late_are_counted_and_told(benches: Benches) -> None:
     slow = SlowManager({})
     bench = benches(Settings(connect=UDP_IN, learn=5.0, tick_s=0.04), host=slow.host, notifier=slow)

@@ -159,6 +159,7 @@ def test_a_threshold_that_its_statistic_cannot_reach_is_not_judged_by() -> None:
 
 
 X = layout_named("x")
+UNTHROTTLED = Telemetry(tuple(s for s in flying(3000, 7).series if s.signal is not Signal.THRUST_SETPOINT))
 CALM = changed_telemetry(flying(3000, 7), Signal.SPECIFIC_FORCE, lambda force: 0.4 * force)
 SHAKEN = 0.2 * np.random.default_rng(2).standard_normal((3000, 3))
 
@@ -211,6 +212,7 @@ def yawed(telemetry: Telemetry, share: float) -> Telemetry:
             Outcome.NEAR,
             "hover throttle 1.6 times",
         ),
+        (changed_telemetry(UNTHROTTLED, Signal.ACTUATOR, lambda x: 0.6 * x), Outcome.ALIKE, ""),
     ],
 )
 def test_only_what_no_damage_does_is_another_vehicle(flight: Telemetry, outcome: Outcome, words: str) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from pydantic import TypeAdapter
-from scipy.signal import lfilter
+from scipy.signal import lfilter, savgol_filter
 from shared_data import shared
 
 from mavdiag.errors import IdentificationError
@@ -367,6 +367,13 @@ def test_the_order_that_made_the_data_is_chosen() -> None:
     rows = sweep(((one, 0, (train.u, train.y), (other.u, other.y)) for one in ORDERS), dt=0.01)
     assert len(rows) == 3 * 5 * 5
     assert best_row(rows).order == (2, 2, 1)
+
+
+def test_a_variance_below_zero_makes_no_order_the_best() -> None:
+    rng = np.random.default_rng(0)
+    u = savgol_filter(0.01 * rng.normal(size=5000).cumsum(), 101, 2)
+    y = savgol_filter(lfilter([0, 1e-4, 1e-4], [1, -1.976, 0.9762], u) + 0.01 * rng.normal(size=5000), 101, 2)
+    assert fit(u, y, (3, 5, 0), dt=0.001).yic == math.inf
 
 
 def test_figures_of_a_sampled_oscillator_are_those_of_the_textbook() -> None:
