@@ -39,7 +39,7 @@ def _compiled(inline: Literal["never", "always"] = "never", **more: Any) -> Deco
 def _once(compiled: Any) -> Any:
     """Have compiled callers ask for plain types: numba compiles anew for each literal number, a loop's first 0 too."""
     if hasattr(compiled, "get_call_template"):  # not with NUMBA_DISABLE_JIT=1
-        own, plain = compiled.get_call_template, numba.types.unliteral
+        own, plain = compiled.get_call_template, cast(Any, numba.types.unliteral)
         compiled.get_call_template = lambda args, kws: own([*map(plain, args)], {k: plain(v) for k, v in kws.items()})
     return compiled
 
