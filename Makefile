@@ -56,7 +56,7 @@ virtual: $(COMPILED) $(VENV)/.recorded  ## the tests that need no wall clock, in
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not realtime"
 
 realtime: $(COMPILED)  ## those that need it, and the machine for themselves: they mostly wait
-	$(BIN)/python -m pytest -n 3 --dist worksteal -m realtime $$(grep -rl --include='test_*.py' mark.realtime tests)
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m realtime $$(grep -rl --include='test_*.py' mark.realtime tests | sort)
 
 lint: $(STAMP)  ## ruff: rules and format
 	$(BIN)/ruff check .

@@ -33,16 +33,24 @@ class Decorator(Protocol):
 
 def _compiled(inline: Literal["never", "always"] = "never", **more: Any) -> Decorator:
     options: Any = {"error_model": "numpy", "inline": inline, "_nrt": False, **more}
-    return cast(Decorator, numba.njit(**options))
+    return cast(Decorator, lambda function: _once(numba.njit(**options)(function)))
+
+
+def _once(compiled: Any) -> Any:
+    """Have compiled callers ask for plain types: numba compiles anew for each literal number, a loop's first 0 too."""
+    if hasattr(compiled, "get_call_template"):  # not with NUMBA_DISABLE_JIT=1
+        own, plain = compiled.get_call_template, cast(Any, numba.types.unliteral)
+        compiled.get_call_template = lambda args, kws: own([*map(plain, args)], {k: plain(v) for k, v in kws.items()})
+    return compiled
 
 
 def _kept(**more: Any) -> Decorator:
     def keep(function: Callable[P, R]) -> Callable[P, R]:
         options: Any = {"error_model": "numpy", **more}
         try:
-            compiled: Any = numba.njit(cache=True, **options)(function)
+            compiled: Any = _once(numba.njit(cache=True, **options)(function))
         except RuntimeError:  # nowhere to keep it
-            return cast(Callable[P, R], numba.njit(**options)(function))
+            return cast(Callable[P, R], _once(numba.njit(**options)(function)))
         if hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT=1
             kept = compiled._cache  # noqa: SLF001  # numba has no other way in
             own_key = kept._index_key  # noqa: SLF001

@@ -54,7 +54,7 @@ class GroundStation:
 
 
 class VirtualFlight:
-    """A flight whose messages reach a bench's daemon. judged_s: at each of its looks, what was judged so far [s]."""
+    """A flight whose messages reach a bench's daemon. judged_s: once a second, what was judged so far [s]."""
 
     def __init__(self, bench: Bench, station: GroundStation | None = None) -> None:
         self._bench, self._station, self._host = bench, station, bench.host
@@ -86,7 +86,8 @@ class VirtualFlight:
             for request in self._station.due(self.t_s) if self._station else []:
                 self._bench.open[0].send(request)
             self._bench.daemon.tick()
-            self.judged_s.append((self.t_s, sum(one.judged_s for one in self._bench.daemon.fleet.figures())))
+            if self.t_s >= len(self.judged_s):
+                self.judged_s.append((self.t_s, sum(one.judged_s for one in self._bench.daemon.fleet.figures())))
         self._host.ns = until_ns
 
     def wait(self, endpoints: Sequence[Endpoint], span_s: float) -> list[Endpoint]:

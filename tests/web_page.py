@@ -76,6 +76,7 @@ class Reader:
         self._connection.request("GET", f"/stream{query}", headers=sent)
         self.answer = self._connection.getresponse()
         self.events: list[tuple[str, str, Any]] = []
+        self.numbers: list[int] = []  # of the entries
 
     def until(self, done: Callable[["Reader"], bool]) -> None:
         """Read whole events until it is so."""
@@ -89,10 +90,7 @@ class Reader:
                 number = rest
             elif name == "data":
                 self.events.append((kind, number, json.loads(rest)))
-
-    @property
-    def numbers(self) -> list[int]:
-        return [int(number.split("-")[1]) for kind, number, _ in self.events if kind == "entry"]
+                self.numbers += [int(number.split("-")[1])] if kind == "entry" else []
 
     def close(self) -> None:
         self.answer.close()

@@ -275,7 +275,8 @@ def filtered(b: FloatArray, a: FloatArray, x: FloatArray, begun: FloatArray) -> 
     begun: (k,) the state that each row begins with, the last one 0. scipy.signal has the same and takes 1.5 s to load.
     """
     y, states = np.empty_like(x), np.empty((len(x), len(begun)))
-    states[:] = begun
+    for row in range(len(x)):
+        states[row] = begun  # all at once compiles for 5 s
     for t in range(x.shape[1]):
         for row in range(len(x)):  # none of them waits for another
             state, now = states[row], x[row, t]

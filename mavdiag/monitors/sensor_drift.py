@@ -179,7 +179,8 @@ def _again(par: Floats, mem: Floats, ticks: Floats) -> Floats:
     for k in range(len(ticks)):
         if ticks[k, OF_TICK] == 0.0:  # the first one behind a gap
             _walk(par, mem, False, out[k, :4])
-        mem[SUMS:ANGLE] = ticks[k, :OF_TICK]
+        for j in range(OF_TICK):
+            mem[SUMS + j] = ticks[k, j]
         out[k, 4] = _walk(par, mem, True, out[k, :4])
     return out
 

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from mavdiag.jit import cached_loop
 from mavdiag.link.codec import layout_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag
 from mavdiag.telemetry import FloatArray, IntArray
@@ -82,26 +83,38 @@ class FilteredSamples(NamedTuple):
     esc: FloatArray  # (n, r) speeds that the ESCs told last [rad/s]; NaN before their first frame
 
 
+@cached_loop
+def _filter(b: FloatArray, a: FloatArray, x: FloatArray, state: FloatArray, y: FloatArray) -> None:
+    """y (n, m) of A y = B x in the transposed direct form. a[0] = 1; state: (k, m), the last row 0, goes on."""
+    for t in range(len(x)):
+        for column in range(x.shape[1]):
+            now = x[t, column]
+            y[t, column] = out = state[0, column] + b[0] * now
+            for k in range(1, len(b)):
+                state[k - 1, column] = state[k, column] + now * b[k] - out * a[k]
+
+
 class _Filter:
     """A linear filter over the columns of successive blocks; it starts settled on the first row."""
 
     def __init__(self, b: FloatArray, a: FloatArray) -> None:
         self._b, self._a = b, a
         self._state: FloatArray | None = None
+        _filter(b, a, *[np.empty((0, 1))] * 3)  # loads it: the first block would be late
 
     def step(self, x: FloatArray) -> FloatArray:
-        from scipy.signal import lfilter, lfilter_zi  # a second to load: only a profile with filters pays it
-
         if self._state is None:
-            self._state = lfilter_zi(self._b, self._a)[:, np.newaxis] * x[0]
-        y, self._state = lfilter(self._b, self._a, x, axis=0, zi=self._state)
-        return np.asarray(y)
+            rest = self._b - self._a * (self._b.sum() / self._a.sum())
+            self._state = np.append(np.cumsum(rest[:0:-1])[::-1], 0.0)[:, np.newaxis] * x[0]
+        y = np.empty(x.shape)
+        _filter(self._b, self._a, np.ascontiguousarray(x), self._state, y)
+        return y
 
 
 def _first_order(corner_hz: float) -> _Filter:
     """y += alpha (x - y), alpha = dt / (dt + 1 / (2 pi f)), as ArduPilot's LowPassFilter."""
     alpha = STEP_S / (STEP_S + 1.0 / (2.0 * np.pi * corner_hz))
-    return _Filter(np.array([alpha]), np.array([1.0, alpha - 1.0]))
+    return _Filter(np.array([alpha, 0.0]), np.array([1.0, alpha - 1.0]))
 
 
 class _EscFrames:

@@ -183,7 +183,7 @@ def _limited(way: float, speed: float, since: float) -> tuple[float, float]:
     return (speed * since / way, speed / way) if speed * since < way else (1.0, 0.0)
 
 
-@jit
+@cached_loop
 def follow(leg: Leg, t: float, out: FloatArray) -> None:
     """The reference on a leg at time t [s], into out (9,)."""
     since, way = max(t - leg.begin, 0.0), 0.0

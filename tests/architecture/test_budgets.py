@@ -44,7 +44,8 @@ def test_detector_and_plant_start_without_heavy_imports() -> None:
     heavy = {"matplotlib", "control", "scipy.signal", "pandas"}
     assert not loaded_by("import detector, mavdiag.__main__; import sitl_plant") & {"numpy", "typer", "email"}
     assert not loaded_by("import detector.daemon") & {*heavy, "sitl_plant"}
-    assert not loaded_by("import sitl_plant.__main__; from sitl_plant.plant import *; Plant(PlantConfig())") & heavy
+    flown = "from sitl_plant.plant import *; flight_telemetry(PlantConfig(), 0.1, LinkSpec('ardupilot'))"
+    assert not loaded_by(f"import sitl_plant.__main__; from sitl_plant.autopilot.telemetry import *; {flown}") & heavy
 
 
 def test_no_import_cycles() -> None:

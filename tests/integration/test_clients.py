@@ -107,20 +107,21 @@ def test_mavsdk_flies_it_from_the_ground_to_the_ground(profile: str) -> None:
         asyncio.run(fly(address))
 
 
-@contextmanager
-def behind(folder: Path) -> Iterator[str]:
+@pytest.fixture(scope="module")
+def behind(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """An emulated vehicle, the detector, and the address of a link behind it."""
-    options = ("--learn", "500", "--save", str(folder / "b.json"), "--forward", "udpin:127.0.0.1:0")
+    saved = tmp_path_factory.mktemp("behind") / "b.json"
+    options = ("--learn", "500", "--save", str(saved), "--forward", "udpin:127.0.0.1:0")
     with flying("--rate", "100") as (address,), running("--connect", address, *options) as (_, line):
         found = re.search(r"forwarding to udpin:(127\.0\.0\.1:\d+)", line)
         assert found, line
-        yield found[1]
+        yield f"udpout:{found[1]}"
 
 
-def test_mavsdk_reads_and_sets_them(tmp_path: Path) -> None:
+def test_mavsdk_reads_and_sets_them(behind: str) -> None:
     async def read(address: str) -> None:
         async with ground_station() as mavsdk:
-            parameters = ParamAsync(await found(mavsdk, f"udpout:{address}"))
+            parameters = ParamAsync(await found(mavsdk, address))
             until, told = time.monotonic() + PATIENCE_S, dict[str, float]()
             while len(told) < 3 and time.monotonic() < until:  # it answers once the vehicle has entered
                 with suppress(ParamError):  # the binding of 4.1 says "unknown" after it has selected it, too
@@ -131,17 +132,12 @@ def test_mavsdk_reads_and_sets_them(tmp_path: Path) -> None:
             await parameters.set_param_float("PROP_TEXTS", 12.0)
             assert await parameters.get_param_float("PROP_TEXTS") == 12.0
 
-    with behind(tmp_path) as address:
-        asyncio.run(read(address))
+    asyncio.run(read(behind))
 
 
-def test_mavproxy_shows_them(tmp_path: Path) -> None:
-    with (
-        behind(tmp_path) as address,
-        mavproxy(
-            tmp_path, f"udpout:{address}", "--cmd=param fetch", component=Component.ONBOARD_COMPUTER
-        ) as ground_station,
-    ):
+def test_mavproxy_shows_them(behind: str, tmp_path: Path) -> None:
+    computer = Component.ONBOARD_COMPUTER
+    with mavproxy(tmp_path, behind, "--cmd=param fetch", component=computer) as ground_station:
         output = printed(ground_station, "Received 3 parameters", lambda: None, 0.2)
     assert "Received 3 parameters" in output, output
 

@@ -477,12 +477,13 @@ def test_a_mission_with_a_crack_is_flown_home_after_the_delay_and_a_call_off_let
 ) -> None:
     monkeypatch.setattr("reactions.TAUGHT", 2)  # flights to learn from are half of the time that this takes
     monkeypatch.setattr("reactions.LEARN_S", 40.0)
+    monkeypatch.setattr("reactions.ONSET_S", 17.0)
     flown = fly("mission", 100, "F2/SV3", craft=CRAFT)
     assert (flown.commands, flown.announced, flown.down) == (["rtl"], True, True)
     assert flown.late_s is not None
     assert -0.01 <= flown.late_s <= 0.5
-    left = fly("mission", 101, "F2/SV3", craft=CRAFT, call="stick", until_s=40.0)
+    left = fly("mission", 101, "F2/SV3", craft=CRAFT, call="stick", until_s=32.0)
     assert (left.called_off, left.commands, left.down) == (True, [], False)
-    flown = fly("mission", 102, craft=CRAFT, until_s=40.0)
+    flown = fly("mission", 102, craft=CRAFT, until_s=32.0)
     assert (flown.commands, flown.announced, flown.declared_s) == ([], False, None)
     assert flown.judged > 0.5

@@ -122,7 +122,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize("name", ["flight", "healthy", "folder", "campaign", "history"])
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (400, "dark")])
 def test_a_page_can_be_read(chromium: Any, folder: Path, name: str, width: int, scheme: str) -> None:
@@ -139,7 +138,6 @@ def test_a_page_can_be_read(chromium: Any, folder: Path, name: str, width: int, 
     assert [one["message"] for one in chromium.get_log("browser") if one["level"] == "SEVERE"] == []
 
 
-@pytest.mark.realtime
 def test_a_zoom_moves_all_charts_of_a_flight_and_a_click_sorts_its_table(chromium: Any, folder: Path) -> None:
     look_as(chromium, 1280)
     open_whole(chromium, folder / "folder.html")

@@ -169,7 +169,6 @@ def test_a_pool_answers_as_one_process_does_in_order_and_keeps_it(scan: Any, arc
     assert "4 of 5 answers were known already; --no-cache judges anew\n1 of 5 logs: a copy of another log" in err
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_a_scan_that_is_stopped_leaves_no_process_and_goes_on(
     scan: Any, archive: Path, baseline_archive: Path, tmp_path: Path, number: int
@@ -230,17 +229,19 @@ def alive(pid: int) -> bool:
         return False
 
 
-@pytest.mark.realtime
-def test_a_killed_worker_loses_nothing_and_gives_nothing_twice(tmp_path: Path) -> None:
+def test_a_killed_worker_loses_nothing_and_gives_nothing_twice(
+    mavdiag: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     names = [f"{number:03d}.tlog" for number in range(COUNT)]
     made(tmp_path / "logs", *names, first_seed=300, shaken=names[::7])
     archive_baseline().save(tmp_path / "baseline.json")
-    command = [sys.executable, "-m", "mavdiag", "scan", "logs", "--baseline", "baseline.json", "--json"]
+    command = ("scan", "logs", "--baseline", "baseline.json", "--json", "--no-cache")
 
     with cluster(2) as (address, processes):
         _, doomed, _ = processes
-        told = [*command, "--no-cache", "--scheduler", address]
-        with subprocess.Popen(told, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        told = [sys.executable, "-m", "mavdiag", *command, "--scheduler", address]
+        with subprocess.Popen(told, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
             assert child.stdout is not None
             assert child.stderr is not None
             lines = [child.stdout.readline().rstrip("\n") for _ in range(5)]
@@ -248,11 +249,8 @@ def test_a_killed_worker_loses_nothing_and_gives_nothing_twice(tmp_path: Path) -
             lines += child.stdout.read().splitlines()
             assert child.wait(PATIENCE_S) == 1, child.stderr.read()
         assert doomed.wait(PATIENCE_S) == -signal.SIGKILL
-    pool = subprocess.run(
-        [*command, "--no-cache", "--jobs", "2"], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert (pool.returncode, pool.stderr) == (1, "")
-    assert lines == pool.stdout.splitlines()
+    code, out, err = mavdiag(*command, "--jobs", 1)
+    assert (code, err, out.splitlines()) == (1, "", lines)
     assert [json.loads(line)["log"] for line in lines] == [f"logs/{name}" for name in names]
     assert sum(json.loads(line)["verdict"] == "fault" for line in lines) == len(names[::7])
 

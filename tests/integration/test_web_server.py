@@ -40,47 +40,45 @@ def now() -> Instant:
     return Instant(time.monotonic_ns())
 
 
-def test_every_answer_has_the_headers_and_nothing_is_loaded_from_elsewhere() -> None:
-    with serving() as process:
-        port = process.place.port
-        for path in ("/", "/app.js", "/strips.js", "/style.css", "/icon.svg", "/nothing", "/../server.py"):
-            answer = asked(port, path)
-            body = answer.body
-            assert answer.status == (200 if path.count(".") < 2 and path != "/nothing" else 404), path
-            assert {name: answer.headers[name] for name in HEADERS} == dict(HEADERS)
-            assert "https://" not in body
-            assert "http://" not in body.replace("http://www.w3.org/2000/svg", "")
-        stream = asked(port, "/stream")
-        assert {name: stream.headers[name] for name in HEADERS} == dict(HEADERS)
+@pytest.fixture(scope="module")
+def process() -> Iterator[ServerProcess]:
+    """A server that several tests only ask."""
+    with serving() as one:
+        yield one
 
 
-def test_a_replay_is_moved_by_posts_and_nothing_else_is_taken() -> None:
-    with serving() as process:
-        port, said = process.place.port, list[str]()
-        for query, status in (
-            ("at=12.5", 202),
-            ("speed=0", 202),
-            ("at=nan", 400),
-            ("at=-1", 400),
-            ("to=3", 400),
-            ("", 400),
-        ):
-            assert asked(port, f"/play?{query}", "POST").status == status, query
-        assert asked(port, "/play?at=1").status == 405
-        assert asked(port, "/play?at=1", "POST", Origin="http://evil.example").status == 403
-        while len(said) < 2:
-            said += process.look(now())[1]
-        assert said == ["play at 12.5", "play speed 0.0"]
+def test_every_answer_has_the_headers_and_nothing_is_loaded_from_elsewhere(process: ServerProcess) -> None:
+    port = process.place.port
+    for path in ("/", "/app.js", "/strips.js", "/style.css", "/icon.svg", "/nothing", "/../server.py"):
+        answer = asked(port, path)
+        body = answer.body
+        assert answer.status == (200 if path.count(".") < 2 and path != "/nothing" else 404), path
+        assert {name: answer.headers[name] for name in HEADERS} == dict(HEADERS)
+        assert "https://" not in body
+        assert "http://" not in body.replace("http://www.w3.org/2000/svg", "")
+    stream = asked(port, "/stream")
+    assert {name: stream.headers[name] for name in HEADERS} == dict(HEADERS)
 
 
-def test_wrong_hosts_origins_methods_and_tokens_are_refused() -> None:
-    with serving() as process:
-        port = process.place.port
-        assert asked(port, "/stream", Host=f"evil.example:{port}").status == 403
-        assert asked(port, "/stream", Origin="http://evil.example").status == 403
-        assert (asked(port, "/", "POST").status, asked(port, "/", "HEAD").status) == (405, 405)
-    with serving(TOKEN) as process:
-        port = process.place.port
+def test_a_replay_is_moved_by_posts_and_nothing_else_is_taken(process: ServerProcess) -> None:
+    port, said = process.place.port, list[str]()
+    refused = [(query, 400) for query in ("at=nan", "at=-1", "to=3", "")]
+    for query, status in (("at=12.5", 202), ("speed=0", 202), *refused):
+        assert asked(port, f"/play?{query}", "POST").status == status, query
+    assert asked(port, "/play?at=1").status == 405
+    assert asked(port, "/play?at=1", "POST", Origin="http://evil.example").status == 403
+    while len(said) < 2:
+        said += process.look(now())[1]
+    assert said == ["play at 12.5", "play speed 0.0"]
+
+
+def test_wrong_hosts_origins_methods_and_tokens_are_refused(process: ServerProcess) -> None:
+    port = process.place.port
+    assert asked(port, "/stream", Host=f"evil.example:{port}").status == 403
+    assert asked(port, "/stream", Origin="http://evil.example").status == 403
+    assert (asked(port, "/", "POST").status, asked(port, "/", "HEAD").status) == (405, 405)
+    with serving(TOKEN) as guarded:
+        port = guarded.place.port
         assert (asked(port).status, asked(port, "/stream").status) == (401, 401)
         answer = asked(port, f"/?token={TOKEN}")
         assert (answer.status, answer.headers["Location"]) == (303, "./")

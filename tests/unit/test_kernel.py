@@ -3,6 +3,7 @@
 import itertools
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from made_telemetry import START_NS, changed, cut, flight
 
 from mavdiag.chain import Chain, ChainState, chain_of
 from mavdiag.decision.diagnosis import Change, Event, Stage
+from mavdiag.jit import jit
 from mavdiag.kernel import Account, Alarm, Looked, Piece, Stretch
 from mavdiag.rows.align import Grid
 from mavdiag.rows.block import COVERED, SPEEDS
@@ -216,3 +218,10 @@ def test_b3_a_landing_closes_the_events_and_nothing_goes_into_the_next_flight(ev
     assert len(landing) == 1
     assert landing[0].t_ns == pytest.approx(START_NS + 16e9, abs=0.2e9)
     assert (state.diagnosis.stage, state.diagnosis.rotor) == (Stage.INSPECT, 2)
+
+
+def test_a_number_that_is_written_out_compiles_no_version_of_its_own() -> None:
+    compiled: Any = jit
+    inner = compiled(lambda k: k + 1)
+    outer = compiled(lambda: inner(inner(0)) + inner(1))
+    assert (outer(), len(inner.signatures)) == (4, 1)
