@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.jit import jit
+from mavdiag.jit import cached_loop, jit
 from mavdiag.telemetry import FloatArray
 
 M_PER_FT = 0.3048
@@ -105,10 +105,11 @@ class _First:
         self._rms, self._keep = rms, math.exp(-dt_s / passing_s)
         self._new = math.sqrt(-math.expm1(-2.0 * dt_s / passing_s))
         self._x = float(rng.standard_normal())
+        _decayed(np.empty(0), 0.0, 0.0)  # loads it: the first gust would be late
 
     def step(self, normals: FloatArray) -> FloatArray:
-        x = _decayed(self._new * normals, self._keep, self._x)
-        self._x = float(x[-1])
+        x = self._new * normals
+        self._x = _decayed(x, self._keep, self._x)
         return self._rms * x
 
 
@@ -130,17 +131,16 @@ class _Second:
         self._z = np.linalg.cholesky(np.array([[0.5, 0.25], [0.25, 0.25]])) @ rng.standard_normal(2)
 
     def step(self, normals: FloatArray) -> FloatArray:
-        e1 = self._new[0, 0] * normals[:, 0]
-        e2 = self._new[1, 0] * normals[:, 0] + self._new[1, 1] * normals[:, 1]
-        z1 = _decayed(e1, self._keep, self._z[0])
-        before = np.concatenate([self._z[:1], z1[:-1]])
-        z2 = _decayed(self._keep * self._d * before + e2, self._keep, self._z[1])
-        self._z = np.array([z1[-1], z2[-1]])
+        z1, z2 = self._new[:, :1] * normals[:, 0] + self._new[:, 1:] * normals[:, 1]
+        first = self._z[0]
+        self._z[0] = _decayed(z1, self._keep, first)
+        z2 += self._keep * self._d * np.append(first, z1[:-1])
+        self._z[1] = _decayed(z2, self._keep, self._z[1])
         return np.asarray(self._rms * (math.sqrt(3.0) * z1 + (1.0 - math.sqrt(3.0)) * z2))
 
 
-def _decayed(x: FloatArray, keep: float, last: float) -> FloatArray:  # y_k = keep y_(k-1) + x_k
-    from scipy.signal import lfilter
-
-    y, _ = lfilter([1.0], [1.0, -keep], x, zi=[keep * last])
-    return np.asarray(y, dtype=np.float64)
+@cached_loop
+def _decayed(x: FloatArray, keep: float, last: float) -> float:  # x_k += keep x_(k-1), and its last
+    for k in range(len(x)):
+        x[k] = last = keep * last + x[k]
+    return last
