@@ -43,7 +43,8 @@ class Session:
     def __init__(self, spec: SessionSpec, now: Instant) -> None:
         self.spec: Final = spec
         self.settings = settings = spec.settings
-        self.state, self.reason = State.WAITING, "the first frame came"  # where it is and why
+        self.state, self.reason = State.WAITING, "the first frame came"  # where it is and why, and what the pilot
+        self._short = ""  # is told of it where it is off
         self.latest, self.reboots = now, 0  # when anything came from the vehicle last (host)
         self.baseline = spec.baseline  # what it judges by, None until it is learned
         self.judge: Judge | None = None  # the chain at work
@@ -108,7 +109,6 @@ class Session:
         """An error of the program ends this session's work until the vehicle starts anew."""
         self._effects, self._notices = [], []
         if self.working:
-            self._held, self.judge = self._landed(), None
             self._off(Trigger.BROKEN, reason)
         return (*self._effects, *self._presenter.present(self._notices, now))
 
@@ -167,9 +167,12 @@ class Session:
     def _say(self, kind: Kind, *words: str, key: str = "") -> None:
         self._notices.append(Notice(kind, words, key))
 
-    def _off(self, trigger: Trigger, reason: str) -> None:
+    def _off(self, trigger: Trigger, reason: str, short: str = "") -> None:
+        if self.judge is not None:
+            self._held, self.judge = self._landed(), None
         self._move(trigger, reason)
-        self._say(Kind.OFF, reason)
+        self._short = short or reason
+        self._say(Kind.OFF, self._short)
 
     def _link(self, received: Received, now: Instant) -> None:
         limit_s = self.settings.link_lost_s
@@ -248,7 +251,7 @@ class Session:
                 offset_ns = self.spec.unix_offset_ns
                 chain = chain_for(self.baseline, self.settings, now.ns + offset_ns if offset_ns else 0)
             except BaselineError as error:
-                return self._off(Trigger.REFUSED, str(error))
+                return self._off(Trigger.REFUSED, str(error), error.short)
             self.judge = Judge(self.baseline, chain, now, self._landed())
             notes, notices = beginning(self.baseline, chain, self.settings)
             self._effects, self._notices = [*self._effects, *notes], [*self._notices, *notices]
@@ -264,8 +267,8 @@ class Session:
         if self.judge is None:
             return self._move(Trigger.READY_TO_LEARN)
         self.judge.judged = now
-        self._record(self.judge, self.judge.step(joined(waited), now))
-        return self._move(Trigger.READY_TO_JUDGE)
+        self._move(Trigger.READY_TO_JUDGE)
+        return self._record(self.judge, self.judge.step(joined(waited), now))
 
     def _learning(self, received: Received, now: Instant) -> None:
         lack = self._lack(received)
@@ -313,6 +316,8 @@ class Session:
             return self._move(Trigger.STREAMS_LOST, lack.text if lack else "")
         output = judge.step(received.telemetry, now)
         self._record(judge, output)
+        if self.state is State.FAULTED:
+            return None
         self._effects += self._named_values.step(output, now)
         if not (why := judge.sight.hidden):
             return self._idle(judge, now)
@@ -323,8 +328,11 @@ class Session:
 
     def _record(self, judge: Judge, output: ChainOutput) -> None:
         self._effects += records_of(output, judge.baseline.airframe.name)
-        if output.likeness is not None and output.likeness.outcome is Outcome.FAR:
-            self._say(Kind.OTHER_VEHICLE)
+        if output.likeness is None or output.likeness.outcome is not Outcome.FAR:
+            return None
+        if refused := judge.memory.refused:
+            return self._off(Trigger.REFUSED, refused, output.likeness.differing[0])
+        return self._say(Kind.OTHER_VEHICLE)
 
     def _stop_judging(self, *, landed: bool) -> None:
         if self.judge is not None:
@@ -345,4 +353,4 @@ class Session:
             self._say(Kind.MONITORING, short, key=short)
 
     def _faulted(self, received: Received, now: Instant) -> None:
-        self._say(Kind.OFF, self.reason)
+        self._say(Kind.OFF, self._short)

@@ -20,7 +20,7 @@ class Trigger(StrEnum):
 
     READY_TO_LEARN = "streams are there, no baseline yet"
     READY_TO_JUDGE = "streams are there, the baseline fits"
-    REFUSED = "the baseline is of another profile or schema"
+    REFUSED = "the baseline is of another profile, schema or vehicle"
     STREAMS_LOST = "a stream stopped or changed its rate"
     COLLECTED = "enough healthy flight"
     FITTED = "a baseline was made"
@@ -49,7 +49,7 @@ TABLE: Mapping[State, Mapping[Trigger, State]] = {
         Trigger.GIVEN_UP: State.FAULTED,
         Trigger.BROKEN: State.FAULTED,
     },
-    State.MONITORING: {Trigger.STREAMS_LOST: State.WAITING, **_ON_A_LINK},
+    State.MONITORING: {Trigger.STREAMS_LOST: State.WAITING, Trigger.REFUSED: State.FAULTED, **_ON_A_LINK},
     State.LOST: {Trigger.LINK_BACK: State.WAITING, Trigger.BROKEN: State.FAULTED},
     # Another flight may do what this one could not; a vehicle that was swapped starts anew as well.
     State.FAULTED: {Trigger.REBOOT: State.WAITING},

@@ -380,7 +380,8 @@ def check_link(baseline: Baseline, *, profile: str, dt_s: float) -> None:
     link = baseline.link
     if profile != link.profile:  # a log and a live link of one vehicle differ too: in filters, rates and stamps
         differ = f"the baseline is for {link.profile!r}, the data are {profile!r}"
-        raise BaselineError(f"link.profile: {differ}; learn one from healthy flights of this kind")
+        advice, short = "learn one from healthy flights of this kind", f"baseline for {link.profile}, not {profile}"
+        raise BaselineError(f"link.profile: {differ}; {advice}", short)
     if abs(dt_s / link.dt_s - 1.0) > rate_tolerance(link.grid, link.dt_s, baseline.window.samples * link.dt_s):
         differ = f"the baseline is for {1 / link.dt_s:.1f} Hz, the data have {1 / dt_s:.1f} Hz"
         raise BaselineError(f"link.dt_s: {differ}; set that rate, or learn one from healthy flights of this kind")

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavdiag.airframe.fingerprint import FIRST_S, LEAST_OUTPUTS, Likeness, compare
+from mavdiag.airframe.fingerprint import FIRST_S, LEAST_OUTPUTS, MOTORS_S, Likeness, compare, more_motors
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.decision.alarm import NOTHING_SEEN, DecisionSpec, DecisionState
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event
@@ -71,7 +71,7 @@ class ChainState:
     beginning: rows until there are enough to compare the vehicle; None afterwards. begun_s: valid time in them.
     waiting: telemetry that came before the rate was measured. measured: whether it is known to be the baseline's.
     chunks: since the last rows. now_ns: of the latest row.
-    refused: why the link is not the baseline's; empty if it is, or is not measured yet.
+    refused: why the link or the vehicle is not the baseline's; empty if it is, or is not measured yet.
     """
 
     kernel: Kernel
@@ -253,11 +253,15 @@ class Chain:
         block = rows.block
         x = block.x[: OUTPUTS + block.outputs].copy()  # without the room
         state.beginning.append(Rows(Block(block.segment, block.dt_s, block.t_ns, x, block.outputs), rows.rates_ns))
-        if state.begun_s + count * rows.block.dt_s < FIRST_S:
-            state.begun_s += count * rows.block.dt_s
-            return None
-        beginning, state.beginning = state.beginning, None
-        return compare(self.baseline.fingerprint, beginning, self.baseline.airframe.layout)
+        before_s, state.begun_s = state.begun_s, state.begun_s + count * block.dt_s
+        found, layout = None, self.baseline.airframe.layout
+        if before_s < MOTORS_S <= state.begun_s:
+            found = more_motors(self.baseline.fingerprint, state.beginning, layout)
+            state.refused = "" if found is None else f"another vehicle: {found.sentence(self.baseline.airframe.name)}"
+        if found is None and state.begun_s >= FIRST_S:
+            found = compare(self.baseline.fingerprint, state.beginning, layout)
+        state.beginning = state.beginning if found is None else None
+        return found
 
     def _append(self, state: ChainState) -> None:
         waiting, state.waiting = state.waiting, []

@@ -22,7 +22,14 @@ class InputError(MavdiagError):
 
 
 class BaselineError(InputError):
-    """A baseline cannot be loaded or does not fit this vehicle or link; the message names the field."""
+    """A baseline cannot be loaded or does not fit this vehicle or link; the message names the field.
+
+    short: the same for a pilot, in 40 characters.
+    """
+
+    def __init__(self, message: str, short: str = "") -> None:
+        super().__init__(message)
+        self.short = short or message
 
 
 class LinkError(MavdiagError):

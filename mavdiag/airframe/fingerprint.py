@@ -25,6 +25,7 @@ from mavdiag.rows.windows import means_from, window_all, window_mean, window_row
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
 
 FIRST_S = 20.0  # of judged flight that is compared (our choice)
+MOTORS_S = 1.0  # of judged flight, which shows how many motors there are (our choice)
 PART_S = 10.0  # of a learnt flight, by which its spread is measured: half of that, so that 30 s have three (our choice)
 MOST_PARTS = 12  # of a flight: enough to see what it varies by (our choice)
 SIGNIFICANT = 5.0  # spreads (our choice)
@@ -173,9 +174,18 @@ def merged(one: Fingerprint, other: Fingerprint | None) -> Fingerprint:
     return Fingerprint((*figures, *theirs.values()), n + m)
 
 
-def compare(fingerprint: Fingerprint, flight: Sequence[Rows], layout: RotorLayout | None) -> Likeness:
-    """Compare the first 20 s of judged flight, in chunks of any size; one that shows none of the traits is alike."""
-    seen = traits(beginning(flight, FIRST_S), layout)
+def more_motors(fingerprint: Fingerprint, flight: Sequence[Rows], layout: RotorLayout | None) -> Likeness | None:
+    """How a flight differs whose first second shows more motors than were learnt; else None."""
+    motors = tuple(figure for figure in fingerprint.figures if figure.name == "motors")
+    found = compare(Fingerprint(motors, fingerprint.flights), flight, layout, MOTORS_S)
+    return found if found.outcome is Outcome.FAR else None
+
+
+def compare(
+    fingerprint: Fingerprint, flight: Sequence[Rows], layout: RotorLayout | None, span_s: float = FIRST_S
+) -> Likeness:
+    """Compare the beginning of judged flight, in chunks of any size; one that shows none of the traits is alike."""
+    seen = traits(beginning(flight, span_s), layout)
     known = {figure.name: (figure.mean, figure.spread) for figure in fingerprint.figures}
     learnt, spread = np.array([known.get(trait.name, (math.nan, 1.0)) for trait in TRAITS]).T
     shift = seen - learnt

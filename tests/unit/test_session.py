@@ -32,6 +32,8 @@ from detector.states import TABLE, State
 from detector.streams import HELD_S, METERED, Negotiation, Streams
 from detector.values import Learn, Note, SendCommand, SendFloat, SendText, SessionSpec, StateChanged
 from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.fingerprint import Figure, Fingerprint
+from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline
 from mavdiag.chain import chain_of
 from mavdiag.decision.diagnosis import Change, Stage
@@ -109,16 +111,24 @@ def test_whatever_ends_the_flight_the_fault_is_told_until_it_is_acknowledged(end
     assert str(story.state.diagnosis.stage) == "quiet"
 
 
-def test_a_baseline_of_another_profile_is_refused_by_name_and_the_heartbeat_stops() -> None:
-    story = Story(SessionSpec(PROFILES["px4"], baseline_for("qdrone2")))
-    effects = story.fly(0.1)
-    assert story.at(State.FAULTED)
-    assert story.state.reason.startswith("link.profile: ")
-    assert not story.session.working
-    said = [effect for effect in effects if isinstance(effect, SendText)]
-    assert [one.severity for one in said] == [Severity.WARNING]
-    assert said[0].text.startswith("PROP OFF: link.profile: ")
-    assert len(said[0].text) <= 50
+TWIN = Fingerprint((Figure("motors", 2.0, 0.1),), flights=3)
+X = Airframe(name="made", layout=layout_named("x"))
+
+
+@pytest.mark.parametrize(
+    ("profile", "reason", "text"),
+    [
+        ("px4", "link.profile: the baseline is for 'qdrone2'", "baseline for qdrone2, not px4"),
+        ("qdrone2", "another vehicle: does not look like made: 4 motors (", "4 motors (learnt 2)"),
+    ],
+)
+def test_a_baseline_of_another_profile_or_vehicle_is_refused_by_name(profile: str, reason: str, text: str) -> None:
+    baseline = baseline_for("qdrone2").model_copy(update={"fingerprint": TWIN, "airframe": X})
+    story = Story(SessionSpec(PROFILES[profile], baseline))
+    said = [effect for effect in story.fly(4.0, outputs=True) if isinstance(effect, SendText)]
+    assert said[-1] == SendText(Severity.WARNING, f"PROP OFF: {text}")
+    assert story.state.reason.startswith(reason)
+    assert (story.states[-1], story.session.working) == (State.FAULTED, False)
 
 
 def test_b6_another_rate_is_asked_for_and_waited_for_but_never_a_reason_to_be_off() -> None:
