@@ -275,9 +275,10 @@ class Daemon:
         for sysid, whose in self._inspections.acknowledged():
             self._acknowledge(sysid, whose)
         failure = None if self._kept is None else self._kept.step(self._unix_ns())
-        if (babble := self.fleet.link.babble) and now - self._started >= PUZZLED_S and (0, babble) not in self._unclear:
-            self._unclear.add((0, babble))
-            texts = [*texts, babble]
+        puzzles = [self.fleet.link.babble] if now - self._started >= PUZZLED_S else []
+        news = {(0, text) for text in (*puzzles, *(end.absent for end in (self._link, *self._behind))) if text}
+        texts += [text for _, text in sorted(news - self._unclear)]
+        self._unclear |= news
         self._carry_out(turns)
         for text in filter(None, (*texts, failure)):
             self._reporter.mark("note", {"text": text})

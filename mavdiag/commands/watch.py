@@ -12,7 +12,7 @@ from typer import Argument, Option
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import stop_signals
 from mavdiag.commands import options as opt
-from mavdiag.errors import UsageError
+from mavdiag.errors import InputError, UsageError
 from mavdiag.link.keys import read_key
 from mavdiag.link.ports import open_endpoint
 from mavdiag.link.signing import Signing, stamp_at
@@ -52,7 +52,8 @@ def watch(
             if baseline is not None or signing_key is not None:
                 raise UsageError("--baseline and --signing-key are for a link; a journal has its verdicts")
             with closing(watching.Journal(Path(source))) as journal:
-                return watching.follow(journal, vehicle, ended)
+                watching.follow(journal, vehicle, ended)
+            return
         judged_by = None if baseline is None else Baseline.load(baseline)
         key = None if signing_key is None else read_key(signing_key)
 
@@ -65,7 +66,11 @@ def watch(
                 judge = LiveJudge(judged_by, span, vehicle, endpoint.datagrams, time.time_ns(), signing())
             speaks = not source.startswith(LISTENING)
             station = GroundStation(endpoint, judge, speaks, vehicle=vehicle, signing=signing())
-            return watching.watch(station, endpoint.address, axis, span, ended)
+            watching.watch(station, endpoint.address, axis, span, ended)
+            if not station.heard and stopped():
+                raise KeyboardInterrupt
+            if not station.heard:
+                raise InputError(endpoint.absent or f"{endpoint.address}: {watching.SILENT}")
 
 
 def replay(

@@ -145,6 +145,6 @@ class Link(AbstractContextManager["Link"]):
             refused = ", ".join(f"{count} {cause}" for cause, count in self.signing.refused.items())
             return f"{self.address}: no frame with a valid signature; refused: {refused}; check the key"
         if not senders:
-            return f"{self.address}: nothing was received; {SILENT_ADVICE}"
+            return self._endpoint.absent or f"{self.address}: nothing was received; {SILENT_ADVICE}"
         names = ", ".join(map(str, senders))
         return f"{self.address}: system ids {names} send, but no autopilot's heartbeat came of the vehicle wanted"

@@ -83,7 +83,7 @@ class Screen(ExitStack):
 
 
 def watch(station: GroundStation, address: str, axis: Axis, span_s: float, ended: Callable[[], bool]) -> None:
-    """Show a link until `ended`. Raises InputError if nothing came, and as `GroundStation.listen`."""
+    """Show a link until `ended`. Raises as `GroundStation.listen`."""
 
     def view(events: Sequence[Line]) -> View:
         now_s = station.t_s if station.judge is None else station.judge.now_s or 0.0
@@ -95,8 +95,6 @@ def watch(station: GroundStation, address: str, axis: Axis, span_s: float, ended
         return shown if station.heard else replace(shown, headline=SILENT)
 
     listen(station, view, ("", "") if station.judge is None else ("detector: ", "here: "), ended)
-    if not station.heard:
-        raise InputError(f"{address}: {SILENT}")
 
 
 def listen(

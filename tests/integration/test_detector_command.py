@@ -179,6 +179,7 @@ def test_a_dead_link_behind_does_not_hold_up_the_vehicles(baseline: Path) -> Non
                 assert any("FAULT" in text for text in until(far, vehicle, "FAULT"))
             code, rest = ended(child, signal.SIGTERM)
     assert code == 0
+    assert rest.count("the connection is refused: nobody listens there") == 1
     assert " 0 lost on the way" in rest
     assert "0 datagrams overflowed here" in rest
 

@@ -6,6 +6,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -165,6 +166,8 @@ def test_a_fault_of_ours_ends_with_2_and_what_a_terminal_lacks_is_shown_as_its_e
     assert rb"\u043e" in raw.getvalue()
     monkeypatch.setattr("mavdiag.commands.identify.Baseline.load", lambda path: 1 / 0)
     assert program("mavdiag.cli", "baseline", "show", "b.json")[0] == 2
+    monkeypatch.setattr("mavdiag.commands.watch.stop_signals", lambda: nullcontext(lambda: True))
+    assert program("mavdiag.cli", "watch", "udpin:127.0.0.1:0")[0] == 130  # stopped before anything came
 
 
 INSTALLED = [f"import mavdiag.__main__ as begin; begin.{name}()" for name in ("main", "detector", "plant")]

@@ -300,6 +300,7 @@ def test_a_server_that_comes_back_is_found_and_a_long_connection_counts_as_good(
             for _ in range(200):  # refused, and waited for, up to the longest pause
                 client.receive(0.0)
                 clock.s += 0.1
+            assert client.absent.startswith(f"{client.address}: the connection is refused: nobody listens there")
             server.listen()
             clock.s += RETRY_MAX_S
             client.receive(0.0)

@@ -29,6 +29,7 @@ _ADVICE = {
     errno.EACCES: "permission denied: use a port above 1023, or add yourself to the device's group (dialout)",
     errno.EPERM: "permission denied: a firewall or a sandbox forbids it",
     errno.ENETUNREACH: "no route to that network: check the host and this machine's network",
+    errno.ECONNREFUSED: "the connection is refused: nobody listens there; start the other end, or check host and port",
     errno.EMFILE: "too many open files: close some, or raise `ulimit -n`",
     **dict.fromkeys((errno.ENOENT, errno.ENXIO, errno.ENODEV), _NO_DEVICE),
     **dict.fromkeys((errno.EBUSY, errno.EAGAIN), "the device is busy: stop the program that holds it"),
@@ -57,9 +58,11 @@ class Endpoint(AbstractContextManager["Endpoint"]):
 
     address: in the notation of `open_endpoint`, with the port that was really bound.
     datagrams: whether a chunk is a datagram, so that what it leaves unfinished must not be joined to the next one.
+    absent: why the other end could not be reached the last time that it was tried, in one line.
     """
 
     datagrams = False
+    absent = ""
 
     def __init__(self, address: str) -> None:
         self.address, self._count = address, Traffic()
@@ -135,6 +138,7 @@ class Stream:
     def __init__(self, fileno: int, close: Callable[[], None]) -> None:
         self.fileno, self.close = fileno, close
         self._tail = b""  # the rest of a message that the system took only in part
+        self.error: OSError | None = None  # that ended it
 
     def read(self, most_bytes: int = _READ_BYTES) -> bytes | None:
         """What is there; b"" if nothing; None if the stream has ended."""
@@ -142,7 +146,8 @@ class Stream:
             return os.read(self.fileno, most_bytes) or None
         except BlockingIOError:
             return b""
-        except OSError:
+        except OSError as error:
+            self.error = error
             return None
 
     def write(self, data: bytes) -> bool:
@@ -211,14 +216,17 @@ class Reconnecting(Endpoint):
         if self._stream is None and time.monotonic() >= self._retry_at:
             try:
                 self._begin()
-            except OSError:  # still absent: the next retry may find it
+            except OSError as error:  # still absent: the next retry may find it
+                self.absent = str(link_error(self.address, error))
                 self._wait()
         chunks: list[Chunk] = []
         while self._stream is not None and len(chunks) < _DRAIN_READS:
             data = self._stream.read()
             if data is None:
+                self.absent = str(link_error(self.address, self._stream.error)) if self._stream.error else ""
                 self._hang_up()
             elif data:
+                self.absent = ""
                 chunks.append((data, time.monotonic_ns()))
             else:
                 break
