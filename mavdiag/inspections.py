@@ -66,10 +66,10 @@ def read_open(journal: Path) -> dict[int, Inspection]:
     return {inspection.vehicle: inspection for inspection in found.inspections}
 
 
-def ask(journal: Path, vehicle: int | None, whose: str) -> Inspection:
-    """Acknowledge an inspection for the detector to take up; return which. vehicle: None for the only one.
+def ask(journal: Path, vehicle: int | None, whose: str) -> tuple[Inspection, bool]:
+    """Acknowledge an inspection for the detector to take up; return which, and whether an older acknowledgement waits.
 
-    Raises UsageError if none is open, or several are and none was named.
+    vehicle: None for the only one. Raises UsageError if none is open, or several are and none was named.
     """
     found = read_open(journal)
     if vehicle is None and len(found) > 1:
@@ -78,8 +78,10 @@ def ask(journal: Path, vehicle: int | None, whose: str) -> Inspection:
     asked = found.get(next(iter(found), 0) if vehicle is None else vehicle)
     if asked is None:
         raise UsageError(f"{journal}: no inspection{'' if vehicle is None else f' of vehicle {vehicle}'} is open")
-    write_atomically(_beside(journal, f"ack-{asked.vehicle}"), f"{whose[:WHOSE_BYTES]}\n")
-    return asked
+    path = _beside(journal, f"ack-{asked.vehicle}")
+    waits = path.exists()
+    write_atomically(path, f"{whose[:WHOSE_BYTES]}\n")
+    return asked, waits
 
 
 class Inspections:

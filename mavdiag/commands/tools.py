@@ -28,8 +28,10 @@ def ack(
     """
     if not journal.is_file() and not read_open(journal):
         raise InputError(f"{journal}: no such file; name the detector's --journal")
-    inspection = ask(journal, vehicle, f"mavdiag ack by {by or getpass.getuser()}")
-    typer.echo(f"{inspection}: handed to the detector; its journal tells what came of it")
+    inspection, waits = ask(journal, vehicle, f"mavdiag ack by {by or getpass.getuser()}")
+    when = "a detector that runs takes it up within a second, else at its next start; its journal tells what came of it"
+    told = "handed over before, but no detector took it up; one does at its start" if waits else f"handed over; {when}"
+    typer.echo(f"{inspection}: {told}")
 
 
 def balance(
