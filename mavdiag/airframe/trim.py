@@ -2,11 +2,13 @@
 
     w_i = o_i/mean(o) - 1,    m = C w,    C = pinv(B), B the layout's signs
     a_j = c_j' W m / (c_j' W c_j),    W = diag(1/sd^2)
-    (1 - e)(1 + a) = 1
+    x = e (1 + 4 x/n),    a = x/(1 + x/n),    so e = a/(1 + 3 a/n)
 
 o: motor outputs 0..1; or m itself from torque commands over thrust (a Crazyflie logs no outputs). a_j: least-squares
-rise of rotor j alone that explains a shift m, c_j its column of C. e: share of its thrust that a rotor lost which is
-commanded the share a more: autopilots linearise. Where outputs go with its speed, the loss is nearly twice as much.
+rise of rotor j alone that explains a shift m, c_j its column of C. e: share of its thrust and drag that a rotor lost
+which is commanded the share a more: autopilots linearise. The mixer adds thrust, roll, pitch and yaw only, so it makes
+up for x by x P e_j, P the projection onto these, P_jj = 4/n of n equal rotors. Emulated losses of 10, 20 and 30 % of
+four, six and eight rotors come out within 0.01. Where outputs go with the speed, the loss is nearly twice as much.
 """
 
 from collections.abc import Sequence
@@ -27,7 +29,6 @@ BESIDE = 0.3  # how far beside the centre what is taken up in flight hangs, over
 TILT_TRIM = 0.3  # 1/rad: roll and pitch trim that a steady tilt in wind may bring (estimate; emulated: 0.28)
 ALONG_DISCS, ALONG_Z = slice(0, 2), slice(2, 3)  # of the accelerometer
 FELT_SHARE = 0.99  # of the rows that must have them (our choice)
-MOST_LOSS = 1 / 3  # of a rotor's thrust; with less left no output can answer (our choice)
 MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)
 
 Source: TypeAlias = Literal["actuator", "torque"]
@@ -38,14 +39,9 @@ SIGNALS: dict[Source, frozenset[Signal]] = {
 }
 
 
-def rise_of(loss: float) -> float:
-    """By how much a rotor is commanded more [fraction of hover] that lost this share of its thrust, below 1."""
-    return loss / (1.0 - loss)
-
-
-def loss_of(rise: float) -> float:
+def loss_of(rise: float, rotors: int = 4) -> float:
     """The share of its thrust that a rotor lost which is commanded so much more [fraction of hover]."""
-    return rise / (1.0 + rise)
+    return rise / (1.0 + 3.0 * rise / rotors)
 
 
 def sources_of(flight: Sequence[Rows], layout: RotorLayout) -> BoolArray:

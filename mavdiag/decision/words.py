@@ -1,8 +1,8 @@
 """A diagnosis and a verdict in words: for a pilot's text, a line of a terminal and a page.
 
 The phrase of a fault is that of the monitor whose evidence leads (`Monitor.phrase`). "2.6x" is times its threshold.
-Thrust that is lost is the share of its thrust that a rotor lost which is commanded more to lift the same
-(`airframe.trim.loss_of`).
+Thrust that is lost is the share of its thrust that a rotor lost which is commanded more to lift the same, if it is one
+of four (`airframe.trim.loss_of`); of six it is up to a tenth more, of eight a sixth.
 """
 
 import math

@@ -10,7 +10,7 @@ The figures are `Course`s: the statistic of a monitor once a second. Three thing
                    that does not follow its set-points
 
 The least damage that is noticed in 95 % of the seconds lifts the 5 % quantile of the courses to the threshold of
-another session: the rise of a rotor that lost the share e of its thrust (`airframe.trim.rise_of`), or an unbalance U:
+another session: the rise of a rotor that lost the share e of its thrust (`airframe.trim`), or an unbalance U:
 
     v^2 = v_healthy^2 + x^2,   x = U Omega^2/m      [m/s^2]
 """
@@ -25,7 +25,7 @@ import numpy as np
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.balance import Grade as Balance
 from mavdiag.airframe.balance import permissible_unbalance_g_mm
-from mavdiag.airframe.trim import MOST_LOSS, loss_of, rises
+from mavdiag.airframe.trim import loss_of, rises
 from mavdiag.baseline import UNREACHED, Baseline, Grade, LeastDamage
 from mavdiag.errors import IdentificationError
 from mavdiag.learning.flights import LearntFlight
@@ -51,7 +51,7 @@ ROTOR_SHARE = 0.02  # of the vehicle's mass is one rotor, propeller and bell: 30
 MOST_TRIM = 0.5  # of hover: a rotor with 45 % of its thrust; a recorded healthy vehicle has 0.35
 MOST_UNREST_RAD_S = 0.06  # that a rate loop leaves in calm flight; recorded healthy vehicles have 0.001 to 0.045
 MISSED = 0.05  # share of the seconds in which it may go unnoticed
-LOSS_LIMITS = (0.10, 0.20, MOST_LOSS)  # of a rotor's thrust: grades A, B (both our choice), C
+LOSS_LIMITS = (0.10, 0.20, 1 / 3)  # of a rotor's thrust: grades A, B (both our choice), C
 VIBRATION_LIMITS_M_S2 = (3.0, 10.0, 30.0)  # A, B, C (our choice); above 30 ArduPilot calls it too much to fly with
 GRADES: tuple[Grade, ...] = ("A", "B", "C", "D")
 
@@ -242,7 +242,7 @@ def least_damage(found: Sequence[Course], limits: Mapping[str, float], airframe:
     m_s2, thrust = min(vibration), np.maximum(np.min(least, axis=0), 0.0).tolist() if least else []
     g_mm = _in_g_mm(m_s2, airframe)
     return LeastDamage(
-        thrust_loss=tuple(float(f"{loss_of(a):.3g}") for a in thrust),
+        thrust_loss=tuple(float(f"{loss_of(a, len(thrust)):.3g}") for a in thrust),
         vibration_m_s2=float(f"{m_s2:.3g}") if math.isfinite(m_s2) else None,
         unbalance_g_mm=None if g_mm is None else float(f"{g_mm:.3g}"),
     )

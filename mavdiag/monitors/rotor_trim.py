@@ -44,7 +44,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Signal, Three
 from mavdiag.units import G
 
-MOST_RISE = trims.rise_of(trims.MOST_LOSS)
+MOST_RISE = 0.5  # of a rotor that lost more than a third of its thrust no output can answer (our choice)
 WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
 TICK_S, PART_S = 0.5, 0.1  # a value twice a second, of parts longer than a rotor's lag (our choices)
 # G, of hover: where a turn takes so much its tick counts half. In the loop the law errs by a fifth (ArduCopter) and a
@@ -333,7 +333,7 @@ class TrimMonitor(Monitor[Spec]):
     evidence = RotorEvidence(10.0, relative=True, least=0.04, direct=False)
     needs_layout = True
     unit = "fraction of hover"
-    reach = MOST_RISE  # of a rotor that lost a third of its thrust
+    reach = MOST_RISE
 
     def __init__(self, spec: Spec) -> None:
         super().__init__(spec)
@@ -437,7 +437,7 @@ class TrimMonitor(Monitor[Spec]):
         yaw trim by a c_yaw. Above the rate at which both are equal the yaw trim tells no rotor.
         """
         C, rate = self.spec.layout.unmixing, math.sqrt(self.spec.turn_covariance[0][0])
-        lost = f"blind to losses below {100 * trims.loss_of(threshold):.0f} % of one rotor's thrust"
+        lost = f"blind to losses below {100 * trims.loss_of(threshold, C.shape[1]):.0f} % of one rotor's thrust"
         if rate == 0.0:
             return lost
         pattern, turn = "".join("+" if c > 0 else "-" for c in C[2]), threshold * float(np.abs(C[2]).max()) / rate

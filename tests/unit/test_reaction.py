@@ -313,7 +313,7 @@ def say(presenter: Presenter, at_s: float, *notices: Notice) -> list[Effect]:
 
 def test_h15_an_alert_reads_as_a_pilot_can_use_it() -> None:
     """They read "PROP FAULT innovation 2.84>2.22", "2.221>2.217"."""
-    assert text(finding("rotor_trim", None, 0.235, 0.05, (3, None, None))) == "PROP FAULT motor 3 lost 19% thrust"
+    assert text(finding("rotor_trim", None, 0.235, 0.05, (3, None, None))) == "PROP FAULT motor 3 lost 20% thrust"
     assert text(finding("unbalance", None, 21.06, 8.1, (1, None, None))) == "PROP FAULT motor 1 vibrates 2.6x"
     assert text(finding("unbalance", None, 21.06, 8.1, (1, "F2", 2))) == "PROP FAULT motor 1 vibrates 2.6x, F2/SV2"
     assert text(finding("unbalance", None, 21.06, 8.1)) == "PROP FAULT rotor unknown: vibrates 2.6x"
