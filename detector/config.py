@@ -19,6 +19,7 @@ from detector.web.access import is_loopback
 from mavdiag.errors import InputError, UsageError, missing_extra
 from mavdiag.link.ports import parse_address
 from mavdiag.link.profiles import profile_named
+from mavdiag.link.wants import LEAST_HZ
 from mavdiag.storage import read_toml
 
 ENVIRONMENT = "MAVDIAG_DETECTOR_"  # prefix of the variables that set a setting; ..._CONFIG names the file
@@ -54,7 +55,7 @@ class SessionSettings(BaseModel):
     learn: Annotated[Positive | None, _option("SECONDS", "Learn a baseline first, from so much healthy flight.")] = None
     negotiate: bool = True  # ask the autopilot for streams that are missing or too slow
     ask_hz: Annotated[float, Field(gt=0, le=10_000)] | None = None  # when learning; default: the profile's
-    min_rate_hz: Positive = 45.0  # slowest streams to work with; F1 needs 100, 50 and below degrade (METHOD section 4)
+    min_rate_hz: Positive = LEAST_HZ  # slowest streams to learn from, and to judge where the baseline's are no slower
     threshold_scale: Annotated[float, Field(ge=0.5, le=4)] = 1.0  # of all thresholds
     link_lost_s: Positive = 3.0  # silence that means that the link is lost: three heartbeats
     suspect: tuple[str, ...] = ()  # monitors ("fsd", "fsd.pitch") that only raise a suspicion

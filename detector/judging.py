@@ -154,7 +154,9 @@ def rescaled(baseline: Baseline, scale: float) -> Baseline:
         monitors.append(entry.model_copy(update={"threshold": new}))
     judging, refusals = without_mute(monitors, f"thresholds are taken times {scale:g}")
     if not judging:
-        raise BaselineError(f"no monitor can judge: {refusals[0].monitor}: {refusals[0].reason}", "no monitor can judge")
+        raise BaselineError(
+            f"no monitor can judge: {refusals[0].monitor}: {refusals[0].reason}", "no monitor can judge"
+        )
     return baseline.model_copy(update={"monitors": judging, "not_judgeable": (*baseline.not_judgeable, *refusals)})
 
 

@@ -213,7 +213,7 @@ class Demand:
     """What a session needs of a vehicle's streams."""
 
     wants: tuple[Want, ...]  # the streams to ask for
-    least_hz: float  # slowest gyro and set-points
+    least_hz: float  # slowest gyro and set-points: `min_rate_hz`, or the baseline's rate where that is lower
     dt_s: float | None  # row period of the baseline; None without one
     setpoints: bool  # whether nothing can be done without set-points
 
@@ -230,7 +230,8 @@ class Demand:
         slowest_hz, fastest_hz = 1.0 / dt_s / (1.0 + RATE_TOLERANCE), 1.0 / dt_s / (1.0 - RATE_TOLERANCE)
         setpoints = bool(judged) and all(Signal.ATTITUDE_SETPOINT in signals for signals in judged)
         imu_hz = (1.0 / dt_s, slowest_hz, fastest_hz)
-        wants = wants_of(profile, baseline.needs(), imu_hz, min(least_hz, slowest_hz), setpoints)
+        least_hz = min(least_hz, slowest_hz)
+        wants = wants_of(profile, baseline.needs(), imu_hz, least_hz, setpoints)
         return cls(wants, least_hz, dt_s, setpoints)
 
     def lack(self, streams: Streams, *, judging: bool) -> Hindrance | None:

@@ -23,7 +23,7 @@ from mavdiag.link.link import Link, open_link
 from mavdiag.link.messages import Component, MavResult
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.sequence import LinkCount
-from mavdiag.link.wants import Asker, wants_of
+from mavdiag.link.wants import LEAST_HZ, Asker, wants_of
 from mavdiag.logs import read_part
 from mavdiag.logs.log import TLOG_BYTES, windows_of
 from mavdiag.logs.tlog import decode_tlog
@@ -35,7 +35,6 @@ from mavdiag.units import NS_PER_S
 
 LISTEN_S = 2.0  # before anything is asked for
 ASK_S = 6.0  # for the answers: some thirty parameters at four each 0.2 s, three times (our choice)
-LEAST_HZ = 45.0  # slowest gyro and set-points that are not asked for: the detector's least
 COMPANION_OF = 1  # as whose companion we speak on a link before a vehicle is known
 
 

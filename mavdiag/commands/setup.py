@@ -22,7 +22,7 @@ from mavdiag.archive.paths import AS_BASELINE, check_output
 from mavdiag.commandline import say
 from mavdiag.commands import options as opt
 from mavdiag.commands.identify import make_baseline
-from mavdiag.commands.inspect import COMPANION_OF, LEAST_HZ, ask_for_all, hear
+from mavdiag.commands.inspect import COMPANION_OF, ask_for_all, hear
 from mavdiag.errors import InputError, UsageError
 from mavdiag.face import with_airframe
 from mavdiag.learning import LearnOptions
@@ -34,7 +34,7 @@ from mavdiag.link.keys import read_key
 from mavdiag.link.link import POLL_S, Link, open_link
 from mavdiag.link.messages import Autopilot, MavType, Severity
 from mavdiag.link.profiles import PROFILES, Profile
-from mavdiag.link.wants import Asker, remedy
+from mavdiag.link.wants import LEAST_HZ, Asker, remedy
 from mavdiag.logs import read_part
 from mavdiag.logs.tlog import tlog_record
 from mavdiag.look.inspection import RIGHT, Inspection, inspection_of

@@ -132,6 +132,7 @@ class RunLength(Monitor[RunLengthSpec]):
     )
     decides = False
     clear_s = 0.0
+    least_hz = 20.0  # below it the loop has answered between two samples (our choice)
     by_rates = True
     shown = RESIDUAL
     spec_type = RunLengthSpec

@@ -146,6 +146,12 @@ def test_b6_another_rate_is_asked_for_and_waited_for_but_never_a_reason_to_be_of
     assert story.at(State.MONITORING)
 
 
+def test_a_baseline_of_a_slow_link_is_judged_by_at_its_own_rate() -> None:
+    story = Story(SessionSpec(QDRONE2, baseline_for(rate_hz=25.0)))
+    story.fly(10.0, every=4)
+    assert story.at(State.MONITORING), story.state.reason
+
+
 @pytest.mark.parametrize("negotiate", [True, False])
 def test_b6_a_throttled_link_is_judged_again_within_three_seconds_of_the_right_rate(negotiate: bool) -> None:
     """A parameter download halves the rate for 40 s: the session was off for the rest of the flight."""
