@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavdiag.airframe.fingerprint import FIRST_S, LEAST_OUTPUTS, MOTORS_S, Likeness, compare, more_motors
+from mavdiag.airframe.fingerprint import FIRST_S, LEAST_OUTPUTS, MOTORS_S, Likeness, Outcome, compare
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.decision.alarm import NOTHING_SEEN, DecisionSpec, DecisionState
 from mavdiag.decision.diagnosis import Change, Diagnosis, Event
@@ -254,14 +254,15 @@ class Chain:
         x = block.x[: OUTPUTS + block.outputs].copy()  # without the room
         state.beginning.append(Rows(Block(block.segment, block.dt_s, block.t_ns, x, block.outputs), rows.rates_ns))
         before_s, state.begun_s = state.begun_s, state.begun_s + count * block.dt_s
-        found, layout = None, self.baseline.airframe.layout
-        if before_s < MOTORS_S <= state.begun_s:
-            found = more_motors(self.baseline.fingerprint, state.beginning, layout)
-            state.refused = "" if found is None else f"another vehicle: {found.sentence(self.baseline.airframe.name)}"
-        if found is None and state.begun_s >= FIRST_S:
-            found = compare(self.baseline.fingerprint, state.beginning, layout)
-        state.beginning = state.beginning if found is None else None
-        return found
+        for span_s in (MOTORS_S, FIRST_S):
+            if before_s < span_s <= state.begun_s:
+                found = compare(self.baseline.fingerprint, state.beginning, self.baseline.airframe.layout, span_s)
+                if span_s == MOTORS_S and found.outcome is Outcome.FAR:
+                    state.refused = f"another vehicle: {found.sentence(self.baseline.airframe.name)}"
+                if span_s == FIRST_S or state.refused:
+                    state.beginning = None
+                    return found
+        return None
 
     def _append(self, state: ChainState) -> None:
         waiting, state.waiting = state.waiting, []

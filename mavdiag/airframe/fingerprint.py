@@ -174,19 +174,16 @@ def merged(one: Fingerprint, other: Fingerprint | None) -> Fingerprint:
     return Fingerprint((*figures, *theirs.values()), n + m)
 
 
-def more_motors(fingerprint: Fingerprint, flight: Sequence[Rows], layout: RotorLayout | None) -> Likeness | None:
-    """How a flight differs whose first second shows more motors than were learnt; else None."""
-    motors = tuple(figure for figure in fingerprint.figures if figure.name == "motors")
-    found = compare(Fingerprint(motors, fingerprint.flights), flight, layout, MOTORS_S)
-    return found if found.outcome is Outcome.FAR else None
-
-
 def compare(
     fingerprint: Fingerprint, flight: Sequence[Rows], layout: RotorLayout | None, span_s: float = FIRST_S
 ) -> Likeness:
-    """Compare the beginning of judged flight, in chunks of any size; one that shows none of the traits is alike."""
+    """Compare the beginning of judged flight, in chunks of any size; one that shows none of the traits is alike.
+
+    span_s: in less than `FIRST_S` only the motors are counted.
+    """
     seen = traits(beginning(flight, span_s), layout)
-    known = {figure.name: (figure.mean, figure.spread) for figure in fingerprint.figures}
+    figures = (one for one in fingerprint.figures if span_s >= FIRST_S or one.name == "motors")
+    known = {figure.name: (figure.mean, figure.spread) for figure in figures}
     learnt, spread = np.array([known.get(trait.name, (math.nan, 1.0)) for trait in TRAITS]).T
     shift = seen - learnt
     far, near = _trim_differs(shift, spread, layout)
