@@ -104,8 +104,7 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
     check_files(settings)
     with ExitStack() as stack:
         enter = stack.enter_context
-        stop = enter(commandline.stop_signals())
-        notifier = enter(closing(Notifier(os.environ)))
+        stop, notifier = enter(commandline.stop_signals()), enter(closing(Notifier(os.environ)))
         baseline, baselines = _baselines(settings)
         airframe = _airframe(settings)
         _warm()

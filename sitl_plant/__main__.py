@@ -166,8 +166,7 @@ def _numbered(plan: FlightPlan, number: int) -> FlightPlan:
 
 
 def _ids(text: str, plans: list[FlightPlan]) -> set[int]:
-    known = {plan.dialect.sysid for plan in plans}
-    words = text.split(",")
+    known, words = {plan.dialect.sysid for plan in plans}, text.split(",")
     if not all(word.strip().isdecimal() and int(word) in known for word in words):
         raise UsageError(f"--faulty {text}: name system ids of the fleet, {min(known)} to {max(known)}, as in 3,7")
     return {int(word) for word in words}

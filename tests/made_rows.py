@@ -54,8 +54,7 @@ def example_context(
 ) -> LearnContext:
     """What fits need beside such rows. frame: name of the rotor layout, if it is known."""
     layout = None if frame is None else layout_named(frame)
-    airframe = Airframe(layout=layout, mass_kg=mass_kg, hover_rad_s=hover_rad_s)
-    return LearnContext(airframe, None, dt_s, WINDOW)
+    return LearnContext(Airframe(layout=layout, mass_kg=mass_kg, hover_rad_s=hover_rad_s), None, dt_s, WINDOW)
 
 
 def held_out_scores(

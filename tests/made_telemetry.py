@@ -32,8 +32,7 @@ def gyro(setpoint: FloatArray, seed: int, noise: float = 0.01) -> FloatArray:
     """(n, 3) body rates [rad/s] that the airframe answers with, plus white noise."""
     rate = np.gradient(setpoint, DT_NS / 1e9, axis=0)
     rng = np.random.default_rng(seed + 1)
-    clean = np.asarray(lfilter(B, A, rate, axis=0), dtype=np.float64)
-    return clean + noise * rng.standard_normal(setpoint.shape)
+    return np.asarray(lfilter(B, A, rate, axis=0), dtype=np.float64) + noise * rng.standard_normal(setpoint.shape)
 
 
 def body_rates(angle: FloatArray, dt_s: float = 0.01) -> FloatArray:

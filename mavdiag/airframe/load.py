@@ -98,8 +98,7 @@ def _parse(table: dict[str, Any], file: str) -> Airframe:
     try:
         found = _File.model_validate(table)
         about = "rotors" if found.rotors else "layout"
-        layout = _layout(found)
-        about = "outputs"
+        layout, about = _layout(found), "outputs"
         return Airframe(
             **found.model_dump(include={"name", "scope", "mass_kg", "imu_corner_hz", "classifier"}),
             layout=layout,

@@ -34,9 +34,8 @@ from mavdiag.units import NS_PER_MS, NS_PER_S
 
 # Of each signal its number of columns (of outputs the sent ones; the gyro's last is its doubt), and how far its
 # samples reach [s]. Up to THRUST they are interpolated where two samples this near, or as near as the gyro's, surround
-# the row: a slow command stream may have 4 Hz; the others hold their last value for so long: ACTUATOR
-# comes at 10-50 Hz, VIBRATION at 2-10 Hz, ESCs tell their speed at 1-10 Hz (our choices).
-# Logs write ARMED when it changes.
+# the row: a slow command stream may have 4 Hz; the others hold their last value for so long: ACTUATOR comes at 10-50
+# Hz, VIBRATION at 2-10 Hz, ESCs tell their speed at 1-10 Hz (our choices). Logs write ARMED when it changes.
 SIGNALS = {
     Signal.BODY_RATE: (4, 0.0),
     Signal.ATTITUDE_SETPOINT: (3, 0.0),
@@ -275,8 +274,7 @@ class AlignSpec:
     def reached_ns(self, state: AlignState) -> int:
         """No row later than this comes of what was appended [ns], if it is believed as what came before."""
         newest, limits, calm_ns = state.reached, self.limits_ns, int(state.streams.now[CALM])
-        believed = state.streams.marks[:, NEWEST].tolist()
-        gyro_ns = newest[GYRO]
+        believed, gyro_ns = state.streams.marks[:, NEWEST].tolist(), newest[GYRO]
         safe = max(gyro_ns, max(newest) - limits[BREAK]) - limits[REORDER]
         found = max(safe, gyro_ns - ORDER_NS) if self.grid is Grid.NATIVE and gyro_ns > calm_ns else safe
         for place in range(SETPOINT, THRUST):

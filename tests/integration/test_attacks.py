@@ -176,8 +176,7 @@ def test_the_genuine_stream_is_judged_all_along(name: str, calm_s: float, tmp_pa
     assert behind.senders[1, 1].lost == 0
     bench.close()
     notes = [one["text"] for one in map(json.loads, journal.read_text().splitlines()) if one["kind"] == "note"]
-    told = [text for text in notes if "sends in the name of vehicle 1" in text]
-    assert len(told) == (name in IN_ITS_NAME)
+    assert len([text for text in notes if "sends in the name of vehicle 1" in text]) == (name in IN_ITS_NAME)
 
 
 class Beset(MadeVehicle):

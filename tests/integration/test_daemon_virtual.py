@@ -146,8 +146,7 @@ def test_l9_the_recording_reads_back_as_the_flight_that_was_received(benches: Be
     vehicle = MadeVehicle(1)
     bench = benches(Settings(connect=UDP_IN, learn=50.0), vehicle, record=tmp_path / "flight.tlog")
     bench.run(4.0)
-    log = read_tlog(tmp_path / "flight.tlog")
-    assert len(log.telemetry.need(Signal.BODY_RATE)) == vehicle.sent
+    assert len(read_tlog(tmp_path / "flight.tlog").telemetry.need(Signal.BODY_RATE)) == vehicle.sent
 
 
 class SlowManager(Notifier):
@@ -282,8 +281,7 @@ def test_each_vehicle_of_a_fleet_is_judged_by_its_own_baseline(benches: Benches)
     table = {sysid: VehicleSettings(baseline=Path("b.json")) for sysid in own}
     bench = benches(Settings(connect=UDP_IN, vehicles=table), *(MadeVehicle(k) for k in (1, 2, 3)), baselines=own)
     bench.run(4.0)
-    found = {sysid: vehicle.session.baseline for sysid, vehicle in bench.daemon.fleet.vehicles.items()}
-    assert found == own
+    assert {sysid: vehicle.session.baseline for sysid, vehicle in bench.daemon.fleet.vehicles.items()} == own
     words = [line for line in bench.host.lines if "vehicle 1" in line]
     assert words == ["vehicle 1: not watched: it has no baseline; name one in [vehicles.1]"]
     assert not any("but several fly" in line for line in bench.host.lines)

@@ -280,8 +280,7 @@ def test_the_container_runs_as_nobody_and_can_be_read_only() -> None:
     assert uid.isdecimal()
     assert int(uid) > 0
     assert json.loads(by_name["ENTRYPOINT"]) == [PROGRAM]
-    health = by_name["HEALTHCHECK"].partition("CMD ")[2]
-    assert json.loads(health) == [PROGRAM, "--working"]
+    assert json.loads(by_name["HEALTHCHECK"].partition("CMD ")[2]) == [PROGRAM, "--working"]
     assert [value for name, value in last if name == "VOLUME"] == ["/data"]
     assert {"--only-binary=:all:", "/tmp/constraints.txt"} <= set(dict(made[: -len(last)])["RUN"].split())
     copied = [value for name, value in made if name == "COPY" and not value.startswith("--from")]
@@ -298,8 +297,7 @@ def test_the_extension_of_blueos_has_the_labels_that_its_store_reads() -> None:
     assert set(parsed["company"]) == {"name", "about", "email"}
     host = parsed["permissions"]["HostConfig"]
     assert (host["CapDrop"], host["ReadonlyRootfs"]) == (["ALL"], True)
-    metadata = json.loads(BLUEOS.with_name("metadata.json").read_text())
-    assert metadata["name"] == SERVICE["name"]
+    assert json.loads(BLUEOS.with_name("metadata.json").read_text())["name"] == SERVICE["name"]
     environ = dict(re.findall(r"(\w+)=(\"[^\"]*\"|\S+)", dict(made)["ENV"]))
     settings = load_settings(None, {}, {name: value.strip('"') for name, value in environ.items()})
     assert (settings.web or "").startswith("0.0.0.0:")  # BlueOS finds no other server

@@ -288,8 +288,7 @@ def test_rotor_speeds_come_by_the_autopilots_outputs() -> None:
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=100))
 def test_no_datagram_raises(data: bytes) -> None:
-    frame = servo_frame(data)
-    assert frame is None or struct.unpack_from("<H", data)[0] in (18458, 29569)
+    assert servo_frame(data) is None or struct.unpack_from("<H", data)[0] in (18458, 29569)
 
 
 def test_the_newest_address_flies_and_the_one_it_replaced_is_ignored() -> None:

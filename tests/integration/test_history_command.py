@@ -135,8 +135,7 @@ def test_logs_without_a_clock_follow_each_other_as_named_or_by_the_time_of_their
         with open_history(str(tmp_path / how)) as history:
             kept = history.flights("one")
         order[how] = [(Path(one.log).stem, (one.started_ns - START_NS) // DAY_NS) for one in kept if one.started_ns]
-        names = [Path(one.log).stem for one in kept]
-        assert names == (["c", "a", "b"] if how == "named" else ["c", "b", "a"])
+        assert [Path(one.log).stem for one in kept] == (["c", "a", "b"] if how == "named" else ["c", "b", "a"])
     assert order == {"named": [("c", 1)], "file-time": [("c", 1), ("b", 10), ("a", 30)]}
 
 

@@ -227,8 +227,7 @@ def sent(profile: str, message: MessageId, head: tuple[int, ...], low: float, hi
         for k, row in enumerate((low + (high - low) * np.vstack((outputs[:1] / 9, outputs))).tolist()):
             fields = (row + [0.0] * 28,) if message == MessageId.ACTUATOR_OUTPUT_STATUS else map(round, row)
             frames += decoder.feed(encoder.encode(message, 20_000 * (k + 1), *head, *fields), 20_000_000 * (k + 1))
-        telemetry = SampleDecoder(PROFILES[profile]).step(SampleState(), frames)
-        return telemetry.need(Signal.ACTUATOR).values[1:]
+        return SampleDecoder(PROFILES[profile]).step(SampleState(), frames).need(Signal.ACTUATOR).values[1:]
 
     return lambda telemetry: with_columns(telemetry, {Signal.ACTUATOR: arrived})
 

@@ -221,6 +221,5 @@ def test_every_notebook_runs(path: Path, tmp_path: Path) -> None:
     run = [sys.executable, "-m", "jupyter", "execute", "--inplace", copy.name]
     subprocess.run(run, cwd=tmp_path, check=True, timeout=300, capture_output=True)
     outputs = [out for cell in json.loads(copy.read_text())["cells"] for out in cell.get("outputs", ())]
-    kinds = {kind for out in outputs for kind in out.get("data", ())}
-    assert {"text/html", "image/png"} <= kinds
+    assert {"text/html", "image/png"} <= {kind for out in outputs for kind in out.get("data", ())}
     assert any("<table>" in "".join(out.get("data", {}).get("text/html", "")) for out in outputs)

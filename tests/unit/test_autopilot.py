@@ -180,8 +180,7 @@ def test_any_rate_is_met_to_one_message_however_the_time_is_cut(rate_hz: float, 
         due = dict(one.due(times(first, n)))
         rows += [first + int(row) for row in due.get(FAST, ())]
         first += n
-    whole = Schedule({FAST: rate_hz}, ceiling_hz=1000.0).due(times(0, first))
-    assert rows == dict(whole)[FAST].tolist()
+    assert rows == dict(Schedule({FAST: rate_hz}, ceiling_hz=1000.0).due(times(0, first)))[FAST].tolist()
     assert abs(len(rows) - first * 1e-3 * rate_hz) <= 1.0
 
 
@@ -285,8 +284,7 @@ class Vehicle:
 
     def __init__(self, profile: str = "px4", seed: int = 3) -> None:
         config = PlantConfig(trajectory="commanded", start="ground", seed=seed)
-        self.dialect = dialect_named(profile)
-        self.plant = Plant(config)
+        self.dialect, self.plant = dialect_named(profile), Plant(config)
         self.autopilot = Autopilot([self.dialect.schedule(None)], self.dialect, config)
         self.said: list[Reply] = []
         self._encoder = Encoder(255, 190)

@@ -56,8 +56,7 @@ def test_vectors_and_angles_turn_about_x(path: Path) -> None:
 
 def test_only_state_5_is_flight(path: Path) -> None:
     log = read_log(path)
-    armed = log["armed"].values[:, 0]
-    assert np.flatnonzero(np.diff(armed)).tolist() == [2499, 10_998]
+    assert np.flatnonzero(np.diff(log["armed"].values[:, 0])).tolist() == [2499, 10_998]
     learnt = airborne(front_for([log], 0.1), log)
     begun_ns, ended_ns = learnt.rows[0].block.t_ns[0], learnt.rows[-1].block.t_ns[-1]
     judged = np.concatenate([rows.block.t_ns[rows.block.valid] for rows in learnt.rows])

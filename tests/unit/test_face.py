@@ -74,8 +74,7 @@ def test_a_watch_gives_what_the_verdict_on_the_log_gives() -> None:
     verdict = md.judge(md.Log("x", "", "px4", telemetry), whole())
     changes = [one for one in news if isinstance(one, Change)]
     assert [(one.stage, one.t_ns) for one in changes] == [(one.stage, one.t_ns) for one in verdict.changes]
-    opened = {one.start_ns for one in news if isinstance(one, Event)}
-    assert opened == {one.start_ns for one in verdict.events}
+    assert {one.start_ns for one in news if isinstance(one, Event)} == {one.start_ns for one in verdict.events}
     closed = watch.end_flight()
     assert not [one for one in watch.end_flight() if isinstance(one, Event)]
     assert [one.end_ns is not None for one in closed if isinstance(one, Event)] == [True]

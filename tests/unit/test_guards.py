@@ -94,8 +94,7 @@ def test_flights_that_overlap_lose_the_overlap_alone() -> None:
 
 
 def test_a_stretch_far_from_the_rest_is_refused_and_named() -> None:
-    flights = healthy(4)
-    rng = np.random.default_rng(1)
+    flights, rng = healthy(4), np.random.default_rng(1)
     flights[2] = changed(
         flights[2], Signal.BODY_RATE, 10.0, 20.0, lambda rate: rate + 0.5 * rng.standard_normal(rate.shape)
     )

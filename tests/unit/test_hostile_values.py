@@ -142,8 +142,7 @@ def test_a_gyro_that_cannot_be_believed_is_not_judged(change: Change, told: str,
 
 
 def test_the_same_samples_are_believed_live_and_in_a_log() -> None:
-    rng = np.random.default_rng(5)
-    log = calm()
+    rng, log = np.random.default_rng(5), calm()
     for signal in (Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.ATTITUDE_SETPOINT):
 
         def strike(t_ns: IntArray, values: FloatArray) -> None:

@@ -234,8 +234,7 @@ def test_the_figures_of_a_flight_are_on_the_page(metrics: Metrics) -> None:
 
 def test_requests_that_are_never_ended_cost_no_thread_and_hide_no_page(caplog: pytest.LogCaptureFixture) -> None:
     metrics = Metrics("127.0.0.1", 0)
-    bench = flown(metrics)
-    threads = threading.active_count()
+    bench, threads = flown(metrics), threading.active_count()
     with ExitStack() as stack:
         for _ in range(300):
             begun = stack.enter_context(socket.create_connection(("127.0.0.1", metrics.port)))

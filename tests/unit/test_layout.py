@@ -119,8 +119,7 @@ def test_l6_a_live_link_and_a_log_find_the_same(rows: int) -> None:
 
 
 def test_what_stays_unclear_is_not_named() -> None:
-    rng = np.random.default_rng(3)
-    x = layout_named("x")
+    rng, x = np.random.default_rng(3), layout_named("x")
     quiet = example_rows(2000, 0.01, actuator=np.full((2000, 4), 0.5)).block
     noise = rng.normal(0.5, 0.05, (2000, 4))
     random = example_rows(2000, 0.01, rate=rng.normal(0, 0.1, (2000, 3)), actuator=noise).block

@@ -236,8 +236,7 @@ def test_the_same_is_learnt_however_a_log_is_cut(rows: int, monkeypatch: pytest.
 
 
 def test_what_robust_teaching_leaves_out_is_left_out_on_disk_too() -> None:
-    flights = healthy(4)
-    crash = flying(2600, 9)
+    flights, crash = healthy(4), flying(2600, 9)
     (gyro,) = (one for one in crash.series if one.signal == "body_rate")
     gyro.values[2000:2100] += 20.0
     flights = [*flights, flights[1], Log("crash", "9" * 64, "px4", crash)]

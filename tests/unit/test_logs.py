@@ -261,8 +261,7 @@ def test_a_sample_that_its_driver_does_not_date_has_the_time_of_its_message(tmp_
 def test_l6_outputs_that_never_move_are_no_motors(tmp_path: Path) -> None:
     still = (1500.0,) * 2
     rows = [OUTPUTS.record(1_000 * k, 1100.0 + k, 1200.0, 1300.0 + k, *still, *(0.0,) * 11) for k in range(1, 9)]
-    log = read(tmp_path, ulog([DELAYED, OUTPUTS], [sensors(1_000), *rows]))
-    assert log["actuator"].values.shape == (8, 3)
+    assert read(tmp_path, ulog([DELAYED, OUTPUTS], [sensors(1_000), *rows]))["actuator"].values.shape == (8, 3)
 
 
 def test_speeds_of_escs_go_to_the_motors_that_they_drive() -> None:
@@ -369,8 +368,7 @@ def test_raw_batches_are_read_up_to_their_first_gap_and_show_the_line_of_the_rot
     assert batches == [(5_000, 1000.0, (1024, 3)), (4_000_005_000, 1000.0, (640, 3))]
     assert np.abs(log.batches[0].force[:, 0]).max() == pytest.approx(10.0, rel=0.01)
     flight = [example_rows(600).block]
-    found = rotor_line(flight, 20.0, math.nan, log.batches)
-    assert found.hz == pytest.approx(167, abs=2)
+    assert rotor_line(flight, 20.0, math.nan, log.batches).hz == pytest.approx(167, abs=2)
     assert "low-passed" in rotor_line(flight, 20.0, math.nan).reason
 
 

@@ -141,8 +141,7 @@ def test_a_vehicle_rests_on_the_ground() -> None:
 def test_a_flight_from_the_ground_takes_off_flies_and_lands(config: dict[str, str | int | float]) -> None:
     samples = fly(PlantConfig(start="ground", landed_s=26.8, **config), 30.0)  # type: ignore[arg-type]  # as above
     height, motors = -samples.position[:, 2], samples.motors
-    changes = motors[np.flatnonzero(np.diff(motors)) + 1]
-    assert [int(motors[0]), *changes.tolist()] == [0, 1, 2, 1, 0]
+    assert [int(motors[0]), *motors[np.flatnonzero(np.diff(motors)) + 1].tolist()] == [0, 1, 2, 1, 0]
     assert np.abs(height[motors < 2]).max() < 0.01
     assert height[9000:20_000] == pytest.approx(1.0, abs=0.06)
     assert samples.thrust_setpoint[motors == 0].max() == 0.0

@@ -360,8 +360,7 @@ def test_no_alert_is_cut_whatever_its_figures(stage: Stage, cause: tuple[int | N
 
 @given(words=st.lists(st.text(max_size=80), min_size=2, max_size=2), kind=st.sampled_from(Kind))
 def test_whatever_the_words_a_text_has_1_to_50_bytes(words: list[str], kind: Kind) -> None:
-    count = kind.value.template.count("{}")
-    assert 0 < len(Notice(kind, tuple(words[:count])).text.encode()) <= TEXT_BYTES
+    assert 0 < len(Notice(kind, tuple(words[: kind.value.template.count("{}")])).text.encode()) <= TEXT_BYTES
 
 
 def test_l8_a_fault_that_lasts_is_repeated_after_5_15_60_s_and_then_every_minute() -> None:

@@ -107,8 +107,7 @@ def test_the_page_says_the_verdict_its_evidence_and_where_it_comes_from() -> Non
 def test_a_log_that_carries_less_says_what_is_not_drawn(log: Log, reason: str) -> None:
     found = report_of(log, whole())
     page = check(flights_page([found], whole(), "baseline.json", CREATED))
-    keys = [one.key for one in all_pictures(found) if not one.key.startswith("monitor:")]
-    assert keys == list(SECTIONS)
+    assert [one.key for one in all_pictures(found) if not one.key.startswith("monitor:")] == list(SECTIONS)
     assert reason in page.said
 
 

@@ -368,8 +368,7 @@ def test_b7_the_turns_of_a_first_reading_are_chosen_by_the_time_since_boot(turns
     true_us = turns * (1 << 32) + 2_000_000_000
     boot = (US_64, ints([true_us + error_s * 1_000_000]), ints([0]))
     time, _ = taken(boot, (US_32, ints([true_us % (1 << 32)]), ints([1])))
-    lead = time.records[2][_BOOT_US_32]
-    assert lead["first_ns"] == 1 - true_us * 1000
+    assert time.records[2][_BOOT_US_32]["first_ns"] == 1 - true_us * 1000
 
 
 @pytest.mark.parametrize(
@@ -459,8 +458,7 @@ def test_a_drift_of_an_hour_is_followed(ppm: float) -> None:
     """50 ppm are 180 ms in an hour; a fixed offset was that wrong."""
     link = Link(11, (MS_32, 3 * S, 0.0), (US_64, EPOCH_NS, ppm), 3600)
     time, reference, laid = link.placed()
-    error = link.error_ns(3 * S, 0.0, laid)
-    assert np.abs(error).max() < 3_000_000
+    assert np.abs(link.error_ns(3 * S, 0.0, laid)).max() < 3_000_000
     assert np.abs(np.diff(laid - link.true[1][-len(laid) :])).max() < 100_000  # no jump
     assert time.drift_ppm == pytest.approx(ppm, abs=1.0)
     assert reference.tolist() == (3 * S + link.true[0]).tolist()  # the reference's own stamps stay

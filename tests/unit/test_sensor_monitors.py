@@ -29,8 +29,7 @@ def attitude(yaw_rate: float = 0.0) -> FloatArray:
 def level_force(angle: FloatArray) -> FloatArray:
     """What an accelerometer reads that is not accelerated."""
     phi, theta, _ = angle.T
-    down = np.column_stack((-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)))
-    return -G * down
+    return -G * np.column_stack((-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)))
 
 
 def drift(angle: FloatArray, rate: FloatArray, force: FloatArray) -> Statistic:
@@ -79,8 +78,7 @@ def test_noise_of_one_axis_is_found_and_shaking_of_several_is_not(axis: int) -> 
     alone = noise(rng, (axis, 5.0))
     assert alone.value[: N // 2].max() < 1.0
     assert alone.value[-1] > 1.5
-    both = noise(rng, (axis, 5.0), ((axis + 1) % 6, 3.0))
-    assert both.value.max() < 1.5
+    assert noise(rng, (axis, 5.0), ((axis + 1) % 6, 3.0)).value.max() < 1.5
 
 
 def test_only_a_turn_that_nobody_commanded_is_a_loss_of_control() -> None:

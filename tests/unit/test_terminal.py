@@ -54,8 +54,7 @@ def test_a_log_is_replayed_as_a_link_is_watched(tmp_path: Path) -> None:
     lines = out.getvalue().splitlines()
     assert [line[:21].split() for line in lines][-1][2] == "CRITICAL"
     assert "propeller fault: a monitor is above its threshold (fsd" in lines[-1]
-    changes = judge(read_log(path), baseline).changes
-    assert len(lines) == len(changes)
+    assert len(lines) == len(judge(read_log(path), baseline).changes)
     other = baseline.model_copy(update={"link": baseline.link.model_copy(update={"profile": "px4"})})
     with pytest.raises(BaselineError, match=r"flight.tlog: another link: link.profile: the baseline is for 'px4'"):
         playable(other, read_log(path))
@@ -95,8 +94,7 @@ def test_a_replay_moves_by_its_keys() -> None:
 
 
 def test_a_spike_of_one_sample_is_seen() -> None:
-    t_s = np.arange(10_000) / 1000
-    values = np.zeros(10_000)
+    t_s, values = np.arange(10_000) / 1000, np.zeros(10_000)
     values[5000] = 1.0
     view = StripView("", (Curve(t_s, values, ""),), -1.0, 1.0)
     lines = [line.plain for line in strip(view, 0.0, 10.0, 40, 4)]
@@ -268,8 +266,7 @@ def steering(text: str, keep: str = "\n") -> list[str]:
 
 
 def test_every_control_character_is_shown_as_its_escape() -> None:
-    shown = printable(EVIL)
-    assert shown == r"\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
+    assert printable(EVIL) == r"\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
     for number in (*range(32), *range(127, 160), 0x200E, 0x202A, 0x2066, 0xFEFF, 0xD800, 0xE0001):
         assert not steering(printable(chr(number)), keep=""), hex(number)
     assert printable("Größe 5 µs, 3 × „Ω“") == "Größe 5 µs, 3 × „Ω“"

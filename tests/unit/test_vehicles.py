@@ -85,8 +85,7 @@ def test_a_vehicle_enters_when_its_profile_is_clear_and_brings_its_frames_along(
     decoder = LinkDecoder()
     assert run(decoder, Sender().chunks(90)) == 0
     assert not decoder.vehicles
-    sender = Sender()
-    decoder = LinkDecoder()
+    sender, decoder = Sender(), LinkDecoder()
     assert run(decoder, sender.chunks(300)) == 300
     stream = decoder.vehicles[1]
     assert stream.profile is PROFILES["ardupilot"]
@@ -144,8 +143,7 @@ def test_a_link_is_iterated() -> None:
             found += len(telemetry["body_rate"])
             if found >= 50:
                 break
-        vehicle = link.vehicle
-        assert (vehicle, found) == (1, 50)
+        assert (link.vehicle, found) == (1, 50)
         assert link.stream is not None
     assert not near.connected
     far.close()
@@ -166,8 +164,7 @@ def test_the_rates_of_attitude_are_read_only_where_no_imu_message_comes_for_long
     decoder, sender = LinkDecoder(), Sender()
     assert run(decoder, attitudes(sender, 290)) == 0
     assert decoder.vehicles[1].profile.imu == MessageId.RAW_IMU
-    sender = Sender()
-    decoder = LinkDecoder()
+    sender, decoder = Sender(), LinkDecoder()
     rows = attitudes(sender, 400)
     assert run(decoder, rows[:-1]) == pytest.approx(100, abs=12)
     stream = decoder.vehicles[1]
@@ -175,8 +172,7 @@ def test_the_rates_of_attitude_are_read_only_where_no_imu_message_comes_for_long
     received = decoder.feed(as_columns(rows[-1:]), rows[-1][1])
     assert received[1].telemetry[Signal.BODY_RATE].values.tolist() == [pytest.approx([0.01, 0.02, 0.03])]
     sender.k = 4000
-    raw = [(data, at_ns) for data, at_ns in sender.chunks(50)]
-    assert run(decoder, raw) == 50
+    assert run(decoder, [(data, at_ns) for data, at_ns in sender.chunks(50)]) == 50
     assert message_name(stream.profile.imu) == "RAW_IMU"
 
 
@@ -307,8 +303,7 @@ def test_a_multirotor_of_a_telemetry_log_is_read_and_any_other_vehicle_refused(k
 
 def test_a_multirotor_beside_a_boat_is_read_and_the_boat_is_told(tmp_path: Path) -> None:
     path = tlog(tmp_path / "both.tlog", stream(11, sysid=1), stream(2, sysid=7))
-    log = md.read_log(path)
-    assert log.notes == (f"vehicle 1 is left out: {BOAT}",)
+    assert md.read_log(path).notes == (f"vehicle 1 is left out: {BOAT}",)
     assert [one.vehicle for one in vehicle_stream(path)] == [7]
     with pytest.raises(InputError, match=r"MAV_TYPE 11"):
         md.read_log(path, vehicle=1)
@@ -462,8 +457,7 @@ def test_what_is_for_one_vehicle_goes_to_where_it_is_heard_from_alone() -> None:
 def handled(message: bytes, *vehicles: int) -> Handled:
     streams = {sysid: SimpleNamespace(profile=PROFILES["ardupilot"]) for sysid in vehicles}
     fleet: Any = SimpleNamespace(vehicles=dict.fromkeys(vehicles), link=SimpleNamespace(vehicles=streams))
-    requests = Requests(fleet, True, component.Sender)
-    return requests.from_behind([message], Instant(0))
+    return Requests(fleet, True, component.Sender).from_behind([message], Instant(0))
 
 
 def interval(target: tuple[int, int], msgid: int, command: int = MavCmd.SET_MESSAGE_INTERVAL) -> bytes:
