@@ -246,7 +246,7 @@ local stage, calm, cleared, rotor, gross, seen, lead, named, over = "none", nil,
 local function motor() return rotor and "motor " .. B.names[rotor] or "rotor unknown" end
 local function finding(slot)
   local whose = motor() .. (rotor and " " or ": ")
-  if slot == trim then return whose .. string.format("lost %.0f%% thrust", 100.0 * trim.value / (1.0 + trim.value)) end
+  if slot == trim then return whose .. string.format("lost %.0f%% thrust", 100.0 * trim.value / (1.0 + 0.75 * trim.value)) end
   return whose .. string.format("%s %.1fx", slot == loss and "thrust" or "vibrates", min(slot.ratio, 99.0))
 end
 local function extremes(rotors) -- which rotors have the least and the most evidence
