@@ -104,7 +104,8 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
     check_files(settings)
     with ExitStack() as stack:
         enter = stack.enter_context
-        stop, notifier = enter(commandline.stop_signals()), enter(closing(Notifier(os.environ)))
+        stop = enter(commandline.stop_signals())
+        notifier = enter(closing(Notifier(os.environ)))
         baseline, baselines = _baselines(settings)
         airframe = _airframe(settings)
         _warm()

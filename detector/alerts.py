@@ -171,7 +171,8 @@ class Presenter:
     """
 
     def __init__(self, per_minute: int = 30) -> None:
-        self.suppressed, self.per_minute = 0, per_minute
+        self.suppressed = 0
+        self.per_minute = per_minute
         self._sent: list[tuple[Kind, Instant]] = []  # texts of the last minute
         self._said: dict[Kind, _Matter] = {}
         self._waiting: dict[Kind, tuple[Notice, Instant]] = {}  # what is not said yet (`wait_s`), and since when

@@ -69,7 +69,8 @@ class ProcessFitter:
         self._lock = threading.Lock()  # held while a process starts
         self._closed = False
         self._process: BaseProcess | None = None  # at work, and since when (monotonic clock)
-        self._since_s, self._thread = 0.0, ThreadPoolExecutor(1, "fitting")
+        self._since_s = 0.0
+        self._thread = ThreadPoolExecutor(1, "fitting")
         self._thread.submit(int)  # it begins with the daemon: to start a thread in flight may fail
 
     def begin(self, job: FittingJob) -> None:

@@ -104,7 +104,8 @@ class Courier:
         self.name, self._deliver, self._warn, self._pause_s = name, deliver, warn, pause_s
         self._lines: queue.Queue[bytes] = queue.Queue(QUEUED)
         self._news: deque[str] = deque(maxlen=QUEUED)
-        self._failing, self._stopping = False, threading.Event()
+        self._failing = False
+        self._stopping = threading.Event()
         self.lost = 0  # lines that were not delivered, so far
         self._thread = threading.Thread(target=self._work, name=self.name, daemon=True)
         self._thread.start()

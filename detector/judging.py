@@ -102,7 +102,8 @@ class _Sight:
     """Whether a vehicle flies although the gate passes no rows: `hidden_flight` of a log, for the latest flight."""
 
     def __init__(self, chain: Chain) -> None:
-        self.hidden, self._chain = "", chain
+        self.hidden = ""
+        self._chain = chain
         self._pieces: list[tuple[int, Telemetry]] = []  # what tells flight from ground, with its newest time [ns]
         self._spans: list[tuple[int, int]] = []  # first and last row of each part of them that flew [ns]
         self._looked_ns = 0

@@ -145,7 +145,8 @@ class Streams:
         self.scale_doubt = ""  # what the accelerometer feels and the profile that would explain it, if it is not 1 g
         self._meters = {signal: Meter() for signal in METERED}
         self._weighed: list[FloatArray] = []  # of the accelerometer, until its scale is believed
-        self._weighed_since_ns, self._scale_believed = 0, False
+        self._weighed_since_ns = 0
+        self._scale_believed = False
 
     def observe(self, telemetry: Telemetry, now: Instant, profile: Profile) -> None:
         """Take in what came. profile: of the link, with the IMU message that is read."""

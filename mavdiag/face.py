@@ -111,7 +111,8 @@ def rates(flight: Source, axis: Axis | str, window_s: float = 0.1) -> FlightRate
         raise UsageError(f"no axis {axis!r}; there are {', '.join(Axis)}")
     log = flight if isinstance(flight, Log) else read_log(flight)
     front = front_for([log], window_s)
-    pieces = training_pieces(rows_of(front, log.telemetry), Axis(axis))
+    rows = rows_of(front, log.telemetry)
+    pieces = training_pieces(rows, Axis(axis))
     if not pieces:
         raise InputError(f"{log.name}: no unbroken flight of {MIN_PIECE_S:g} s with a set-point; fly longer")
     return FlightRates([u for u, _ in pieces], [y for _, y in pieces], front.align.dt_s)

@@ -166,7 +166,8 @@ def _numbered(plan: FlightPlan, number: int) -> FlightPlan:
 
 
 def _ids(text: str, plans: list[FlightPlan]) -> set[int]:
-    known, words = {plan.dialect.sysid for plan in plans}, text.split(",")
+    known = {plan.dialect.sysid for plan in plans}
+    words = text.split(",")
     if not all(word.strip().isdecimal() and int(word) in known for word in words):
         raise UsageError(f"--faulty {text}: name system ids of the fleet, {min(known)} to {max(known)}, as in 3,7")
     return {int(word) for word in words}

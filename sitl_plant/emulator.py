@@ -69,7 +69,8 @@ class Link:
         *,
         fresh: bool = False,
     ) -> None:
-        self.endpoint, self.schedule = endpoint, dialect.schedule(rate_hz, rotors, fresh)
+        self.endpoint = endpoint
+        self.schedule = dialect.schedule(rate_hz, rotors, fresh)
         self._signing = signing
         self._encoder = Encoder(dialect.sysid, Component.AUTOPILOT1, signing)
         decoder = Decoder(signing=signing)

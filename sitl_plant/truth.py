@@ -34,7 +34,8 @@ class Truth:
         self, config: PlantConfig, profile: str, rate_hz: float, started_unix_ns: int | None, file: TextIO | None = None
     ) -> None:
         self._config, self._started_unix_ns, self._file, self._t_ns = config, started_unix_ns, file, math.inf
-        self._link, self._causes = {"profile": profile, "rate_hz": rate_hz}, list[Injection]()
+        self._link = {"profile": profile, "rate_hz": rate_hz}
+        self._causes = list[Injection]()
 
     def write(self, samples: PlantSamples, changes: Sequence[Change] = ()) -> None:
         """Write the lines of a block (n >= 1). changes: `Plant.take_changes`, made before the block."""

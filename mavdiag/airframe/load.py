@@ -98,7 +98,8 @@ def _parse(table: dict[str, Any], file: str) -> Airframe:
     try:
         found = _File.model_validate(table)
         about = "rotors" if found.rotors else "layout"
-        layout, about = _layout(found), "outputs"
+        layout = _layout(found)
+        about = "outputs"
         return Airframe(
             **found.model_dump(include={"name", "scope", "mass_kg", "imu_corner_hz", "classifier"}),
             layout=layout,

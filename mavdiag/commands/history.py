@@ -106,7 +106,8 @@ def show(
     if html is not None:
         check_output(html, Path(database))
     with _open(database) as history:
-        names, known = history.names(airframe), history.references()
+        names = history.names(airframe)
+        known = history.references()
         found = [overview_of(name, history.flights(name), history.marks(name), known) for name in names]
     if html is not None:
         from mavdiag.report.page import history_page

@@ -34,7 +34,8 @@ class Shown:
         """One more item is done; size: its own, of `sizes`."""
         self._done += 1
         self._finished += size
-        elapsed_s, words = time.monotonic() - self._started, f"{self._done} of {self._total}"
+        elapsed_s = time.monotonic() - self._started
+        words = f"{self._done} of {self._total}"
         if elapsed_s > 0 and self._finished > 0:
             left = timedelta(seconds=round(elapsed_s * max(self._work / self._finished - 1.0, 0.0)))
             each_s = elapsed_s / self._done

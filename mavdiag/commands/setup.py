@@ -100,7 +100,8 @@ def setup(
     baseline = make_baseline(flights, options, vehicle=sysid)
     accepted(baseline, f"`mavdiag identify {folder} --accept`; take a flight that is not sound out of {folder}")
     baseline.save(baseline_file)
-    write_atomically(config, config_text(endpoint, sysid, folder.resolve(), signing_key))
+    settings = config_text(endpoint, sysid, folder.resolve(), signing_key)
+    write_atomically(config, settings)
     say(f"{baseline}\nwritten to {baseline_file}, and for the detector {config}:")
     check = [sys.executable, "-m", "detector", "--config", str(config), "--check"]
     if subprocess.run(check, check=False).returncode:
@@ -169,7 +170,8 @@ class _Coach:
             while not ended:
                 telemetry, now = self._link.poll(POLL_S), Instant(time.monotonic_ns())
                 heard, self._silent = (now, False) if telemetry.series else (heard, self._silent)
-                lost, parts = now - heard > SILENT_S, self._front.step(state, telemetry)
+                lost = now - heard > SILENT_S
+                parts = self._front.step(state, telemetry)
                 rows += [part for part in parts if isinstance(part, Rows)]
                 ended = any(isinstance(part, Border) for part in parts) or lost
                 if rows and file is None:

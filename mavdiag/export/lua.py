@@ -67,7 +67,8 @@ def applet(baseline: Baseline, table_key: int = TABLE_KEY) -> str:
     arms = [] if layout is None else sorted((rotor, arm) for arm in layout.arms for rotor in arm.members)
     loader, spans_s = PackageLoader("mavdiag.export", "."), (gates.QUIET_S, gates.BACK_S, gates.LOUD_S)
     made = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=literal)
-    template, look_ms = made.get_template("propeller.lua"), kernel.LOOK_NS // NS_PER_MS
+    template = made.get_template("propeller.lua")
+    look_ms = kernel.LOOK_NS // NS_PER_MS
     spans_ms = alarm.CLEAR_NS // NS_PER_MS, kernel.STALE_LOOKS * look_ms
     upset_from = kinds.DOUBTFUL_FROM[FaultKind.GROSS_LOSS]
     return template.render(

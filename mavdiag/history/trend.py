@@ -114,7 +114,8 @@ def sessions_of(number: Sequence[int] | IntArray, session: Sequence[int] | IntAr
     x, y, group = np.asarray(number, dtype=np.float64)[known], share[known], np.asarray(session)[known]
     cuts = np.flatnonzero(np.diff(group)) + 1
     parts = [part for part in zip(np.split(x, cuts), np.split(y, cuts), strict=True) if len(part[0])]
-    return Sessions(*np.array([(xs.mean(), np.median(ys), len(xs)) for xs, ys in parts]).reshape(-1, 3).T)
+    found = np.array([(xs.mean(), np.median(ys), len(xs)) for xs, ys in parts]).reshape(-1, 3)
+    return Sessions(*found.T)
 
 
 def trend_of(sessions: Sessions, now: float) -> Trend | None:
@@ -123,7 +124,8 @@ def trend_of(sessions: Sessions, now: float) -> Trend | None:
         return None
     x, y, base = sessions.number - now, sessions.share, sessions.weight
     X, recent = np.column_stack((np.ones(len(x)), x)), base * np.exp(x / MEMORY)
-    steps, h = scale_of_steps(sessions), np.ones(len(y))
+    steps = scale_of_steps(sessions)
+    h = np.ones(len(y))
     for _ in range(ROUNDS):
         w = h * recent
         inverse = np.linalg.inv((X.T * w) @ X)

@@ -131,7 +131,8 @@ def track(
             for phi, measured in zip(np.ascontiguousarray(Phi[:, rows].T), target[rows].tolist(), strict=True):
                 gain, error = P @ phi, measured - float(phi @ theta)
                 gain /= forgetting + phi @ gain
-                theta, P = theta + gain * error, P - np.outer(gain, phi @ P)
+                theta = theta + gain * error
+                P = P - np.outer(gain, phi @ P)
                 P = 0.5 * (P + P.T)  # stays symmetric over millions of steps
                 if forgetting < 1.0 and float(np.max(np.diag(P))) < MOST_SPREAD:
                     P = P / forgetting

@@ -110,7 +110,8 @@ def _shaking(number: int, flight: LearntFlight) -> Course:
     for block in (rows.block for rows in flight.rows):
         dt_s, second = block.dt_s, window_rows(1.0, block.dt_s)
         squares = np.square(np.diff(block.force[:, :2].T, n=2)).sum(axis=0)
-        known, count = np.isfinite(squares) & block.valid[2:], len(squares) // second
+        known = np.isfinite(squares) & block.valid[2:]
+        count = len(squares) // second
         parts = np.where(known, squares, 0.0)[: count * second].reshape(count, second)
         share = known[: count * second].reshape(count, second).mean(axis=1)
         whole = share > 0.5

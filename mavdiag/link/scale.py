@@ -95,7 +95,8 @@ def gyro_checks(gyro: Series, attitude: Series) -> tuple[AxisCheck, ...]:
 
 def _axis_check(name: str, slope: FloatArray, shifted: FloatArray) -> AxisCheck:
     """slope: (n,) of the attitude; shifted: (lags, n) mean gyro."""
-    slope, gyro = slope - slope.mean(), shifted - shifted.mean(axis=1, keepdims=True)
+    slope = slope - slope.mean()
+    gyro = shifted - shifted.mean(axis=1, keepdims=True)
     if slope.std() < LEAST_MOTION:
         return AxisCheck(name, None, None, 0.0, "hardly moved: turn it by hand, or fly")
     norms = np.sqrt((gyro**2).sum(axis=1) * (slope**2).sum())

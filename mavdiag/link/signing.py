@@ -51,7 +51,8 @@ class Signing:
         if len(key) != KEY_BYTES or not 0 <= link_id <= 255:
             raise UsageError(f"a signing key has {KEY_BYTES} bytes and a link id is 0 to 255")
         self._keyed = hashlib.sha256(key)
-        self._link_id, self.stamp = link_id.to_bytes(1, "little"), stamp
+        self._link_id = link_id.to_bytes(1, "little")
+        self.stamp = stamp
         self._streams: dict[bytes, int] = {}
         self.refused: Counter[Refusal] = Counter()
 

@@ -190,7 +190,8 @@ class VehicleStream:
 
     def _choose_imu(self, frames: Frames) -> None:
         self._imu = np.concatenate((self._imu, frames.of(*IMU_MESSAGES, compid=AUTOPILOT).rows))[-CLEAR_FRAMES:]
-        counts, times_ns = Frames(frames.data, self._imu).counts(), self._imu["host_ns"]
+        seen = Frames(frames.data, self._imu)
+        counts, times_ns = seen.counts(), self._imu["host_ns"]
         chosen = with_imu(self._own, counts, USEFUL_FRAMES)
         host_ns = frames.rows["host_ns"]
         self._since_ns = self._since_ns or int(host_ns[0])

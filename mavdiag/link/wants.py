@@ -37,7 +37,11 @@ LABELS: Mapping[Signal, str] = {
     Signal.ROTOR_SPEED: "rotor speeds",
     Signal.ATTITUDE: "attitude",
 }
-LEAST_HZ = 45.0  # slowest streams that are learnt from live (METHOD section 4: 50 degrade); a baseline has its own rate
+
+# The slowest gyro and set-points that are learnt from live, where faster ones can be asked for: 50 Hz nominally (METHOD
+# section 4: 100 for F1, below 50 it degrades). A log is learnt from at any rate that a monitor's own `least_hz` allows,
+# and a baseline is judged by at its own rate, live as in a log.
+LEAST_HZ = 45.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -214,7 +214,8 @@ def _times(column: FloatArray, columns: ColumnMap) -> tuple[IntArray, BoolArray]
     if unit_ns < NS_PER_S and counts.max(initial=0.0) < TURN:  # a counter of 32 bits begins anew
         counts = counts + TURN * np.cumsum(np.diff(counts, prepend=counts[:1]) < -TURN / 2)
     since = counts[0] if len(counts) else 0.0
-    return round(float(since) * unit_ns) + np.round((counts - since) * unit_ns).astype(np.int64), known
+    start_ns = round(float(since) * unit_ns)
+    return start_ns + np.round((counts - since) * unit_ns).astype(np.int64), known
 
 
 def _refused(path: Path) -> Log:

@@ -96,7 +96,8 @@ def _by_motor(values: FloatArray) -> FloatArray:
     """Speeds of ESCs [rpm], then the functions of their outputs: by motor, from rpm of either sign to rad/s."""
     speeds, functions = np.split(np.nan_to_num(values), 2, axis=1)
     motors = functions.max(axis=0).astype(np.int64) - FIRST_MOTOR
-    found, driven = np.full((len(values), MOTORS), np.nan), (motors >= 0) & (motors < MOTORS)
+    found = np.full((len(values), MOTORS), np.nan)
+    driven = (motors >= 0) & (motors < MOTORS)
     found[:, motors[driven]] = np.abs(speeds[:, driven]) * RPM
     return found[:, : int(motors[driven].max(initial=-1)) + 1]
 

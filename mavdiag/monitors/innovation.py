@@ -200,7 +200,8 @@ def _pairs_of(segment: Iterable[Rows], most: int) -> _Pairs:
     """The pairs of a segment up to so many commanded rows."""
     parts, dt_s = [], 0.0
     for rates in (rows.rates for rows in segment):
-        dt_s, n = rates.dt_s, int(np.searchsorted(np.cumsum(rates.commanded), most)) + 1
+        dt_s = rates.dt_s
+        n = int(np.searchsorted(np.cumsum(rates.commanded), most)) + 1
         parts.append((rates.u[:n].T, rates.gyro[:n].T, rates.commanded[:n]))
         most -= int(np.count_nonzero(rates.commanded[:n]))
         if most <= 0:

@@ -203,7 +203,8 @@ def ticks_of(low: float, high: float, most: int) -> list[float]:
     ([0.0, 10.0, 20.0, 30.0, 40.0], [-0.1, -0.05, 0.0, 0.05, 0.1])
     """
     width = (high - low) / most
-    power, found = 10.0 ** math.floor(math.log10(width)), list[float]()
+    power = 10.0 ** math.floor(math.log10(width))
+    found = list[float]()
     for step in (power * factor for factor in (10, 5, 2, 1, 0.5)):
         first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
         if len(found) < 2 or last - first <= most:

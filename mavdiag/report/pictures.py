@@ -121,7 +121,8 @@ def _judged_spans(sketch: Sketch) -> list[tuple[float, float]]:
     if not values:
         return []
     at_s = values[0].step * np.flatnonzero(np.any([value.count > 0 for value in values], axis=0))
-    bounds = [0, *(np.flatnonzero(np.diff(at_s) > JOINED_S) + 1).tolist(), len(at_s)]
+    edges = np.flatnonzero(np.diff(at_s) > JOINED_S)
+    bounds = [0, *(edges + 1).tolist(), len(at_s)]
     return [(at_s[a], at_s[b - 1] + values[0].step) for a, b in pairwise(bounds) if b > a]
 
 
@@ -201,7 +202,8 @@ def evidence_picture(sketch: Sketch) -> Chart:
         name, limit = " ".join(filter(None, one.slot.key)).replace("_", " "), one.slot.threshold
         high = float(np.nanmax(one.value.high)) / limit
         lines = [one.value.area("pale"), *([one.value.area("fault", limit)] if high > 1 else [])]
-        label, levels = f"{name}: up to {100 * high:.0f} % of its threshold", [(limit, "")]
+        label = f"{name}: up to {100 * high:.0f} % of its threshold"
+        levels = [(limit, "")]
         panels.append(Panel(label, lines, levels, y=(0.0, 1.25 * limit), height=22, ticks=False))
         told.append(f"{name} {high:.2f}")
     return Chart(panels, sketch.span, f"Highest share of the threshold: {', '.join(told)}.", kind="follow")
@@ -280,7 +282,8 @@ def fsd_picture(sketch: Sketch) -> Chart:
     panels, told = [], []
     for rate in _judged(sketch):
         _, end_s, fsd_s, _ = longest_by_column(rate.runs, MOST_RUNS)
-        longer, lines = fsd_s > rate.fml_s, [Line(end_s, fsd_s, "a run's FSD", "measured", "bars")]
+        longer = fsd_s > rate.fml_s
+        lines = [Line(end_s, fsd_s, "a run's FSD", "measured", "bars")]
         lines += [Line(end_s[longer], fsd_s[longer], "FSD > FML", "fault", "dots")] if longer.any() else []
         levels = [(rate.fml_s, f"FML {rate.fml_s:.3f}")]
         panels.append(Panel(f"{rate.axis} FSD [s]", lines, levels, y=(0.0, None)))

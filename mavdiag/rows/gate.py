@@ -298,7 +298,8 @@ def hidden_flight(
     armed, motion = _mean(telemetry.get(Signal.ARMED), bins, len(bins)), _motion(telemetry.get(Signal.BODY_RATE), bins)
     dead, moves = ~np.isfinite(motion), motion >= FLIES * _median(motion[flown])
     down = outputs < FLIES * _median(outputs[flown])
-    low, off = thrust < (gate.min_thrust or 0.0), (armed < 0.5) & gate.need_armed
+    low = thrust < (gate.min_thrust or 0.0)
+    off = (armed < 0.5) & gate.need_armed
     driven = np.where(np.isfinite(outputs), ~down, moves)
     reasons = {
         "it reads disarmed while its thrust says that it flies": off & (thrust > 0) & ~low & ~down & (moves | dead),

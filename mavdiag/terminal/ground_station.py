@@ -60,7 +60,8 @@ class LiveJudge:
 
     def take(self, some: Datagrams, now_ns: int) -> tuple[Change, ...]:
         """Take what the link brought; return the changes of the decision."""
-        received, known = self._decoder.feed(some, now_ns), sorted(self._decoder.vehicles)
+        received = self._decoder.feed(some, now_ns)
+        known = sorted(self._decoder.vehicles)
         if self.vehicle is None and len(known) > 1:
             raise InputError(f"there are the vehicles {', '.join(map(str, known))}; choose one with --vehicle")
         self.vehicle = next(iter(known), None) if self.vehicle is None else self.vehicle

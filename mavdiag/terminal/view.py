@@ -200,7 +200,8 @@ def _strips_of(trace: RateTrace) -> tuple[StripView, StripView]:
     far = max(OF_MARGIN * margin, _highest(residual))
     rates = (Curve(t_s, simulated, "cyan", name="simulated"), Curve(t_s, measured, "bright_white", name="measured"))
     beside = (*limits, Curve(t_s, residual, "yellow", name="residual"))
-    return StripView(f"{trace.axis} rate", rates, -reach, reach), StripView("residual", beside, -far, far)
+    rate = StripView(f"{trace.axis} rate", rates, -reach, reach)
+    return rate, StripView("residual", beside, -far, far)
 
 
 def _highest(values: FloatArray) -> float:
@@ -260,7 +261,8 @@ def _dots(at: FloatArray, share: FloatArray, columns: int, rows: int, step: int)
 
 def _levels(levels: Sequence[Level], width: int) -> Table:
     """One row for each monitor; the middle of a bar is the threshold."""
-    table, room = Table.grid(padding=(0, 1)), max(width - NAME_WIDTH - FIGURES_WIDTH - 2, 6)
+    table = Table.grid(padding=(0, 1))
+    room = max(width - NAME_WIDTH - FIGURES_WIDTH - 2, 6)
     for level in levels:
         row = Table.grid(padding=(0, 1))
         if level.reason:

@@ -63,7 +63,8 @@ class Screen(ExitStack):
     def show(self, fresh: Sequence[Line], *, last: bool = False) -> bool:
         """Bring it up to date, at most ten times a second; returns whether it is. fresh: since. last: in any case."""
         events = [*self._events, *fresh]
-        self._events[:] = [*[line for line in events[:-EVENTS] if line.alert][-EVENTS:], *events[-EVENTS:]]
+        older = [line for line in events[:-EVENTS] if line.alert]
+        self._events[:] = [*older[-EVENTS:], *events[-EVENTS:]]
         if self._live is None:
             for line in () if self._quiet else fresh:
                 self._console.print(line.shown, soft_wrap=True, highlight=False)
@@ -270,7 +271,8 @@ class Keyboard(ExitStack):
             import termios  # POSIX alone has it
             import tty
 
-            self.callback(termios.tcsetattr, sys.stdin, termios.TCSADRAIN, termios.tcgetattr(sys.stdin))
+            before = termios.tcgetattr(sys.stdin)
+            self.callback(termios.tcsetattr, sys.stdin, termios.TCSADRAIN, before)
             tty.setcbreak(sys.stdin)
             self.live = True
         return self

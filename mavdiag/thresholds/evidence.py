@@ -118,7 +118,8 @@ def _likelihoods(y: FloatArray, flights: Flown, prior: Prior, shifts: FloatArray
     size = n * np.log(v) - np.log1p(-rho * M).sum(axis=1) + np.linalg.slogdet(inner)[1]
     ratios = a_sd / prior.session, e_sd / prior.flight
     belief = -DEGREES * sum(np.log(ratio) + 0.5 / np.square(ratio) for ratio in ratios)
-    healthy, s = belief - 0.5 * (yy + size), shifts[:, :, None, None]
+    healthy = belief - 0.5 * (yy + size)
+    s = shifts[:, :, None, None]
     changed = healthy + s * yh.T - 0.5 * np.square(s) * hh.T  # (*shifts.shape, new, grid)
     log_odds = np.logaddexp.reduce(changed, axis=-1) - np.logaddexp.reduce(healthy, axis=-1)
     return np.asarray(np.moveaxis(log_odds, -1, 0))

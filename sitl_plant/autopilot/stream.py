@@ -154,7 +154,8 @@ class ImuFilters:
             self._imu_filter = _Filter(np.array([b0, b1, b2]), np.array([1.0, a1, a2]))
         self._vibration = dialect.profile.vibration
         self._floor, self._level = _first_order(VIBE_FLOOR_HZ), _first_order(VIBE_HZ)
-        self._clippings, self._delay_ns = 0, round(dialect.send_delay_s * 1e9)
+        self._clippings = 0
+        self._delay_ns = round(dialect.send_delay_s * 1e9)
         self._delays = np.random.default_rng(seed)
         self._escs = None if dialect.esc is None else _EscFrames(dialect.esc, seed)
 
@@ -262,7 +263,8 @@ def _quaternion(angles: FloatArray) -> FloatArray:
 def _groups(values: FloatArray | IntArray) -> Any:
     """(n, r) as (n g, 4): the rotors four by four, zeros where there is none."""
     groups = -(-values.shape[1] // ESC_GROUP)
-    return np.pad(values, ((0, 0), (0, groups * ESC_GROUP - values.shape[1]))).reshape(-1, ESC_GROUP)
+    padded = np.pad(values, ((0, 0), (0, groups * ESC_GROUP - values.shape[1])))
+    return padded.reshape(-1, ESC_GROUP)
 
 
 def _home(due: _Due) -> Columns:

@@ -67,7 +67,8 @@ class Order(NamedTuple):
 
 def order_of(frame: Frame) -> Order:
     """The order in COMMAND_LONG, COMMAND_INT, MISSION_ITEM or MISSION_ITEM_INT."""
-    long, kind = frame.msgid == MessageId.COMMAND_LONG, optional(frame, "frame")
+    long = frame.msgid == MessageId.COMMAND_LONG
+    kind = optional(frame, "frame")
     x, y, z = (optional(frame, name) for name in (("param5", "param6", "param7") if long else ("x", "y", "z")))
     if frame.msgid in _INTEGERS:
         x, y = (None if value in (None, NOT_SET) else value * DEGREES for value in (x, y))

@@ -84,7 +84,8 @@ class Lockstep:
         self._replaced: Hashable = None
         self._heard_s = 0.0
         self._number: int | None = None
-        self._answer, self._current_a = b"", 0.0
+        self._answer = b""
+        self._current_a = 0.0
 
     def feed(self, data: bytes, peer: Hashable, now_s: float) -> bytes | None:
         """The answer to a datagram of `peer`; None for no answer. now_s: any clock that only goes on."""

@@ -134,7 +134,8 @@ def serve_ardupilot(
         while goes_on():
             received = port.receive(POLL_S)
             for (data, _), peer in zip(received, received.sources, strict=True):
-                foreign, answer = counts.foreign, lockstep.feed(data, peer, time.monotonic())
+                foreign = counts.foreign
+                answer = lockstep.feed(data, peer, time.monotonic())
                 if answer is not None:
                     port.answer(answer, peer)
                 elif counts.foreign == 1 > foreign:

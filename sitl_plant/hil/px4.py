@@ -42,8 +42,10 @@ class Bridge:
     """
 
     def __init__(self, simulation: Simulation, outputs: OutputMap, rate_hz: float) -> None:
-        self.simulation, self._outputs = simulation, outputs
-        self.period_s, self._encoder = 1.0 / rate_hz, Encoder(SYSID, COMPID)
+        self.simulation = simulation
+        self._outputs = outputs
+        self.period_s = 1.0 / rate_hz
+        self._encoder = Encoder(SYSID, COMPID)
         self._noise = np.random.default_rng([simulation.config.seed, 0x1175])
         self.controls = self.restarts = 0
         self._begin()
@@ -68,7 +70,8 @@ class Bridge:
             armed = int(fields[_MODE]) & ModeFlag.SAFETY_ARMED
             shares = np.array(fields[_CONTROLS : _CONTROLS + 16], dtype=np.float64)
             self._duties = self._outputs.from_share(shares if armed else np.zeros(16))
-            self.lockstep, self.answered = bool(int(fields[_FLAGS]) & LOCKSTEP), True
+            self.lockstep = bool(int(fields[_FLAGS]) & LOCKSTEP)
+            self.answered = True
             self.controls += 1
         elif frame.msgid == MessageId.HEARTBEAT and integer(frame, "autopilot") != Autopilot.INVALID:
             self.in_hil = bool(integer(frame, "base_mode") & ModeFlag.HIL_ENABLED)

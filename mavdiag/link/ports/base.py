@@ -209,7 +209,8 @@ class Reconnecting(Endpoint):
         now = time.monotonic()
         if self._stream is not None and now - self._opened_at > RETRY_MAX_S:
             self._pause_s = RETRY_S
-        self._retry_at, self._pause_s = now + self._pause_s, min(2.0 * self._pause_s, RETRY_MAX_S)
+        self._retry_at = now + self._pause_s
+        self._pause_s = min(2.0 * self._pause_s, RETRY_MAX_S)
 
     def _drain(self) -> Datagrams:
         if self._stream is None and time.monotonic() >= self._retry_at:
