@@ -337,7 +337,8 @@ class Session:
             self._effects += [Note(f"{label} not judged: {why}") for label, why in news]
         why = short = ""
         if now - judge.judged >= IDLE_S and (ground or not unjudged):
-            why = short = f": {ground.text if ground else judge.memory.diagnosis.reason or Reason.GAPS}"
+            held = judge.memory.diagnosis if judge.memory.diagnosis.stage is Stage.NOT_JUDGED else NOTHING_SEEN
+            why = short = f": {ground.text if ground else held.reason}"
         elif unjudged:
             why, short = words_of(unjudged)
         self.reason, self._unjudged = f"monitoring{why}", unjudged

@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from functools import cache, partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.judging import Verdict, judge
 from mavdiag.kernel import compiled, joined_loops
 from mavdiag.learning import ALL_MONITORS, LearnOptions, airborne, extend, learn, thesis_options, warm
+from mavdiag.learning.coaching import Coverage
 from mavdiag.learning.flights import sessions_of
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.monitors.base import Monitor
@@ -39,6 +41,7 @@ from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.rows.conditions import Condition
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Log, Signal, Telemetry
+from mavdiag.thresholds.envelope import ORDER
 from mavdiag.thresholds.heldout import folds
 from mavdiag.thresholds.rule import poisson_upper
 from mavdiag.units import NS_PER_S
@@ -563,3 +566,12 @@ def test_the_command_adds_flights(mavdiag: Callable[..., Ran], tmp_path: Path, m
     assert "support    5 flights" in out
     assert [one.name for one in Baseline.load(new).provenance.logs] == ["f0", "f1", "f2", "f10", "f11"]
     assert Baseline.load(old) == monday()
+
+
+def test_a_square_that_is_flown_nose_first_is_a_square_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    values = np.zeros((10, len(ORDER)))
+    values[5, [ORDER.index(one) for one in (Condition.COMMANDED_RATE, Condition.YAW_RATE)]] = 1.0
+    second = SimpleNamespace(end_ns=np.arange(1, 11) * NS_PER_S // 10, values=values)
+    monkeypatch.setattr("mavdiag.learning.coaching.measure", lambda rows: [second])
+    assert (coverage := Coverage()).take(())
+    assert list(coverage.flown_s.values()) == [0, 1, 1]

@@ -215,6 +215,11 @@ def test_c1_a_vehicle_that_flies_and_is_not_judged_is_told(reason: str) -> None:
     assert story.state.reason == f"not judged: {reason}"
     story.fly(6.0)
     assert story.state.reason.startswith("monitoring")
+    judge = story.state.judge
+    assert judge is not None
+    judge.judged = Instant(0)  # what judges is none of those that decide
+    story.state._idle(judge, story.now)
+    assert story.state.reason == "monitoring: nothing judged yet"
     later = [one.text for one in story.fly(10.0) if isinstance(one, SendText)]
     assert not any("not judged: it" in text for text in later)
 
