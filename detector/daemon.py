@@ -313,6 +313,7 @@ class Daemon:
 
     def _beat(self, now: Instant) -> None:
         for sysid, vehicle in self.fleet.vehicles.items():
+            vehicle.session.unix_offset_ns = self._unix_ns() - self._host.now_ns()
             if vehicle.session.working:
                 self._relay.send(self._sender(sysid).beat(vehicle.session.state))
         if self._announces and not self.fleet.vehicles:

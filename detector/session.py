@@ -44,6 +44,7 @@ class Session:
         self.spec: Final = spec
         self.settings = settings = spec.settings
         self.state, self.reason = State.WAITING, "the first frame came"  # where it is and why
+        self.unix_offset_ns = spec.unix_offset_ns  # renewed, for a wall clock may be set late
         self.latest, self.reboots = now, 0  # when anything came from the vehicle last (host)
         self.baseline = spec.baseline  # what it judges by, None until it is learned
         self.judge: Judge | None = None  # the chain at work
@@ -245,7 +246,7 @@ class Session:
         if self.baseline is not None and (self.judge is None or self.judge.baseline is not self.baseline):
             try:
                 check_link(self.baseline, profile=self.spec.profile.name, dt_s=self.baseline.link.dt_s)
-                offset_ns = self.spec.unix_offset_ns
+                offset_ns = self.unix_offset_ns
                 chain = chain_for(self.baseline, self.settings, now.ns + offset_ns if offset_ns else 0)
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error))

@@ -100,7 +100,7 @@ def setup(
         options = with_airframe(options, None, f"vehicle {sysid}")
     baseline = make_baseline(flights, options, vehicle=sysid)
     if not accept:
-        accepted(baseline, f"--accept; flights that are not sound have to be taken out of {folder}, then run this again")
+        accepted(baseline, f"--accept; take flights that are not sound out of {folder}, and run this again")
     baseline.save(baseline_file)
     settings = config_text(endpoint, sysid, folder.resolve(), signing_key)
     write_atomically(config, settings)

@@ -1,8 +1,8 @@
 """What a pilot is told to fly next, by what the flown rows cover so far.
 
-Each second of flight counts as turning, if the nose turned as fast as the envelope calls covered, and as moving, if roll
-or pitch were commanded to turn so fast; with neither it is hovering. The tasks are asked for in rounds, a share of
-each in turn: flights, and parts of one, that are each of one kind would look like different vehicles to the guards.
+Each second of flight counts as turning, if the nose turned as fast as the envelope calls covered, and as moving, if
+roll or pitch were commanded to turn so fast; with neither it is hovering. The tasks are asked for in rounds, a share
+of each in turn: flights, and parts of one, that are each of one kind would look like different vehicles to the guards.
 """
 
 from collections.abc import Iterable

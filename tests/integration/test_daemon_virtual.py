@@ -361,6 +361,8 @@ def test_a_step_of_the_wall_clock_changes_nothing(watching: Benches, days: int) 
     bench.run(5.0)
     (after,) = bench.daemon.fleet.figures()
     assert after.judged_s == pytest.approx(before.judged_s + 5.0, abs=0.1)
+    session = bench.daemon.fleet.vehicles[1].session
+    assert session.unix_offset_ns - session.spec.unix_offset_ns == pytest.approx(days * 86400e9, abs=1e9)
     assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
     assert finds_a_fault(bench)
 
