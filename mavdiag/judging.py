@@ -304,16 +304,15 @@ class _Run:
         text += f" by {', '.join(one.name for one in spoke)}" if spoke else ""
         text += f", without {self.takeoff_s:.1f} s of take-off or start" if self.takeoff_s >= 0.1 else ""
         why = [f"{one.reason} {self._between(one.begin_s, one.end_s)}" for one in self.hidden]
-        least = self.judged_share
-        if 0 < share < least:
+        if 0 < share < self.judged_share:
             spans = [(begin / NS_PER_S, end / NS_PER_S) for begin, end in self.state.memory.unjudged]
             spans = [span for span in spans if span[1] - span[0] >= MIN_JUDGED_S]
             longest = sorted(spans, key=lambda span: span[0] - span[1])[:MOST_STRETCHES]
             why += [f"nothing judged {self._between(*span)}" for span in sorted(longest)]
-        lacking = [one for one in own if one not in spoke or (one.not_judged and share < least)]
+        lacking = [one for one in own if one not in spoke or (one.not_judged and share < self.judged_share)]
         reasons = ", ".join(f"{one.name} ({one.not_judged or 'too little flight'})" for one in lacking)
         why += [f"not judged by {reasons}"] if reasons else []
-        return f"{text}{': ' if share < least else '; '}{'; '.join(why)}" if why else text
+        return f"{text}{': ' if share < self.judged_share else '; '}{'; '.join(why)}" if why else text
 
     def _when(self, t_ns: int) -> str:
         t_s, begin_s = t_ns / NS_PER_S, self._begin_s

@@ -115,10 +115,8 @@ def test_a_baseline_of_another_profile_is_refused_by_name_and_the_heartbeat_stop
     assert story.at(State.FAULTED)
     assert story.state.reason.startswith("link.profile: ")
     assert not story.session.working
-    said = [effect for effect in effects if isinstance(effect, SendText)]
-    assert [one.severity for one in said] == [Severity.WARNING]
-    assert said[0].text.startswith("PROP OFF: link.profile: ")
-    assert len(said[0].text) <= 50
+    [said] = [effect for effect in effects if isinstance(effect, SendText)]
+    assert (said.severity, said.text[:24], len(said.text) <= 50) == (Severity.WARNING, "PROP OFF: link.profile: ", True)
 
 
 def test_b6_another_rate_is_asked_for_and_waited_for_but_never_a_reason_to_be_off() -> None:
@@ -430,10 +428,7 @@ def test_a_drop_is_answered_at_once_each_time_the_rate_had_held() -> None:
     for _ in range(20):
         talk.wait(9.0, Seen(GYRO, 100.0))
         talk.wait(0.2, Seen(GYRO, 4.0))
-    times = [at for at, _ in talk.asked]
-    assert len(times) == 20
-    for number, at in enumerate(times):
-        assert at == pytest.approx(9.0 + 9.2 * number, abs=0.3)
+    assert [at for at, _ in talk.asked] == pytest.approx([9.0 + 9.2 * k for k in range(20)], abs=0.3)
 
 
 @pytest.mark.parametrize("right_s", [0.2, 1.0, 2.5, 4.5])
