@@ -44,9 +44,9 @@ class GroundStation:
     @classmethod
     def of(cls, *messages: int) -> "GroundStation":
         """Each message by SET_MESSAGE_INTERVAL; without any all groups by REQUEST_DATA_STREAM: MAVProxy's 4 Hz."""
-        command = MessageId.COMMAND_LONG, 1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0
-        asked = [(*command, msgid, 250e3) for msgid in messages] or [(MessageId.REQUEST_DATA_STREAM, 1, 1, 0, 4, 1)]
-        return cls(lambda encoder: [encoder.encode(*fields) for fields in asked])
+        all_ = (MessageId.REQUEST_DATA_STREAM, 1, 1, 0, 4, 1)
+        each = (MessageId.COMMAND_LONG, 1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0)
+        return cls(lambda one: [one.encode(*each, msgid, 250e3) for msgid in messages] or [one.encode(*all_)])
 
 
 class VirtualFlight:
